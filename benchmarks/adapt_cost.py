@@ -26,34 +26,34 @@ from typing import Any
 
 import msgspec
 
-from dualbrain.adaptation.adapters.base_models import find_base
-from dualbrain.adaptation.config import AdaptConfig, FitDials, ObjectiveDials
+from dualbrain.adaptation.adapters.base_models import find_base_model
+from dualbrain.adaptation.config import AdaptConfig, FitConfig, ObjectiveConfig
 from dualbrain.adaptation.curation.dataset import Dataset
-from dualbrain.adaptation.synthetic.dataset import DIALS, course, language_judge
+from dualbrain.adaptation.synthetic.dataset import SYNTHETIC_ADAPT_CONFIG, build_synthetic_dataset, make_language_judge
 from dualbrain.cli.common import paths
 
 VARIANTS = ("ours, plain", "ours, whole objective", "TRL SFTTrainer")
-BASE, WARM = "smollm2-135m-instruct", 2
+BASE, WARM_UP_STEPS = "smollm2-135m-instruct", 2
 
 
 def main() -> int:
     """Print one table."""
     asked = parse()
     if asked.variant:
-        work(asked)
+        run_variant(asked)
         return 0
     names = VARIANTS if asked.trl else VARIANTS[:2]
     with tempfile.TemporaryDirectory() as folder:
         data = Path(folder) / "data.json"
-        data.write_bytes(msgspec.json.encode(lessons_of(asked)))
-        workers = {name: Worker(name, asked, data) for name in names}
+        data.write_bytes(msgspec.json.encode(make_dataset(asked)))
+        workers = {name: VariantProcess(name, asked, data) for name in names}
         told: dict[str, list[dict[str, float]]] = {name: [] for name in names}
-        for turn in range(asked.steps + WARM):
+        for turn in range(asked.steps + WARM_UP_STEPS):
             for name in (*names[turn % len(names) :], *names[: turn % len(names)]):
                 told[name].append(workers[name].step())
         for worker in workers.values():
             worker.close()
-    print("\n".join(report({name: rows[WARM:] for name, rows in told.items()})))
+    print("\n".join(report({name: rows[WARM_UP_STEPS:] for name, rows in told.items()})))
     return 0
 
 
@@ -68,13 +68,13 @@ def parse() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def lessons_of(asked: argparse.Namespace) -> Dataset:
+def make_dataset(asked: argparse.Namespace) -> Dataset:
     """As many lessons as the steps need."""
-    from dualbrain.grounding.vocabulary import vocabulary  # noqa: PLC0415
-    from dualbrain.runtime.data_collection.synthetic_scenes import ROBOTS, lessons  # noqa: PLC0415  (not in the process that only fits)
+    from dualbrain.grounding.vocabulary import load_skill_registry  # noqa: PLC0415
+    from dualbrain.runtime.data_collection.synthetic_scenes import ROBOT_SHARES, generate_examples  # noqa: PLC0415  (not in the process that only fits)
 
-    rows = lessons((asked.steps + WARM) * asked.batch, "teach")
-    return course(rows, (), {robot: vocabulary(robot) for robot in ROBOTS})
+    rows = generate_examples((asked.steps + WARM_UP_STEPS) * asked.batch, "teach")
+    return build_synthetic_dataset(rows, (), {robot: load_skill_registry(robot) for robot in ROBOT_SHARES})
 
 
 def report(told: dict[str, list[dict[str, float]]]) -> list[str]:
@@ -87,7 +87,7 @@ def report(told: dict[str, list[dict[str, float]]]) -> list[str]:
     return lines
 
 
-class Worker:
+class VariantProcess:
     """One variant in its own process, which takes a step when it is told to."""
 
     def __init__(self, name: str, asked: argparse.Namespace, data: Path) -> None:
@@ -97,92 +97,99 @@ class Worker:
         path = os.pathsep.join(one for one in sys.path if one)
         environ = os.environ | {"OMP_NUM_THREADS": str(asked.threads), "HF_HUB_OFFLINE": "1"}
         environ |= {} if name == VARIANTS[2] else {"PYTHONPATH": path}
-        self._child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environ)
-        self._say("")
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environ)
+        self._request("")
 
     def step(self) -> dict[str, float]:
         """Processor seconds, wall seconds and peak memory [MB] of the next step."""
-        return self._say("go\n")
+        return self._request("go\n")
 
     def close(self) -> None:
         """Let it end."""
-        self._child.kill()
-        self._child.wait()
+        self._process.kill()
+        self._process.wait()
 
-    def _say(self, word: str) -> dict[str, float]:
-        assert self._child.stdin is not None
-        assert self._child.stdout is not None
-        self._child.stdin.write(word)
-        self._child.stdin.flush()
-        for line in self._child.stdout:
+    def _request(self, word: str) -> dict[str, float]:
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(word)
+        self._process.stdin.flush()
+        for line in self._process.stdout:
             if line.startswith('{"cpu"'):
                 return json.loads(line)
-        raise RuntimeError(f"{self._child.args} ended with {self._child.wait()}")
+        raise RuntimeError(f"{self._process.args} ended with {self._process.wait()}")
 
 
-class Turns:
+class StepBarrier:
     """Waits for its turn before each step, and tells what the step before cost."""
 
     def __init__(self) -> None:
-        self._began: tuple[float, float] = (0.0, 0.0)
+        self._start_times: tuple[float, float] = (0.0, 0.0)
 
     def ready(self) -> None:
         """Everything is loaded; wait for the first turn."""
-        self._tell(0.0, 0.0)
+        self._report_step(0.0, 0.0)
 
-    def done(self, *_: Any) -> None:
+    def step_done(self, *_: Any) -> None:
         """A step is over; wait for the next turn."""
-        cpu, wall = time.process_time() - self._began[0], time.monotonic() - self._began[1]
-        self._tell(cpu, wall)
+        cpu, wall = time.process_time() - self._start_times[0], time.monotonic() - self._start_times[1]
+        self._report_step(cpu, wall)
 
-    def _tell(self, cpu: float, wall: float) -> None:
+    def _report_step(self, cpu: float, wall: float) -> None:
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         print(json.dumps({"cpu": cpu, "wall": wall, "peak_mb": peak}), flush=True)
         sys.stdin.readline()
-        self._began = (time.process_time(), time.monotonic())
+        self._start_times = (time.process_time(), time.monotonic())
 
 
-def work(asked: argparse.Namespace) -> None:
+def run_variant(asked: argparse.Namespace) -> None:
     """The life of one variant."""
     import torch  # noqa: PLC0415
 
     torch.set_num_threads(asked.threads)
     dataset = msgspec.json.decode(asked.data.read_bytes(), type=Dataset)
-    objective = ObjectiveDials() if asked.variant == VARIANTS[1] else DIALS.objective
-    steps = asked.steps + WARM
-    fit = FitDials(steps=steps, batch=asked.batch, at_once=asked.batch, save_every=steps, ask_at_most=0)
-    life: Callable[[Dataset, AdaptConfig, Turns], None] = with_trl if asked.variant == VARIANTS[2] else with_ours
-    life(dataset, AdaptConfig(objective=objective, fit=fit), Turns())
+    objective = ObjectiveConfig() if asked.variant == VARIANTS[1] else SYNTHETIC_ADAPT_CONFIG.objective
+    steps = asked.steps + WARM_UP_STEPS
+    fit = FitConfig(steps=steps, batch=asked.batch, at_once=asked.batch, save_every=steps, ask_at_most=0)
+    life: Callable[[Dataset, AdaptConfig, StepBarrier], None] = (
+        train_with_trl if asked.variant == VARIANTS[2] else train_with_dualbrain
+    )
+    life(dataset, AdaptConfig(objective=objective, fit=fit), StepBarrier())
 
 
-def with_ours(dataset: Dataset, config: AdaptConfig, turns: Turns) -> None:
+def train_with_dualbrain(dataset: Dataset, config: AdaptConfig, turns: StepBarrier) -> None:
     """Our own loop."""
-    from dualbrain.adaptation.training.model.base_model import open_base  # noqa: PLC0415
-    from dualbrain.adaptation.training.model.lora_model import Learner  # noqa: PLC0415
-    from dualbrain.adaptation.training.model.precision import choose  # noqa: PLC0415
-    from dualbrain.adaptation.training.trainer import Fit  # noqa: PLC0415
+    from dualbrain.adaptation.training.model.base_model import load_base_model  # noqa: PLC0415
+    from dualbrain.adaptation.training.model.lora_model import LoraModel  # noqa: PLC0415
+    from dualbrain.adaptation.training.model.precision import choose_dtype  # noqa: PLC0415
+    from dualbrain.adaptation.training.trainer import Trainer  # noqa: PLC0415
 
-    base = find_base(BASE, paths.cache())
-    learner = Learner(*open_base(base, paths.cache(), choose("auto")), config.fit)
+    base = find_base_model(BASE, paths.cache_folder())
+    learner = LoraModel(*load_base_model(base, paths.cache_folder(), choose_dtype("auto")), config.fit)
     with tempfile.TemporaryDirectory() as folder:
-        fit = Fit(learner, dataset, config, language_judge({}), Path(folder), base=base.sha256, clock=time.monotonic)
+        fit = Trainer(
+            learner, dataset, config, make_language_judge({}), Path(folder), base=base.sha256, clock=time.monotonic
+        )
         turns.ready()
-        fit.run(turns.done)
+        fit.run(turns.step_done)
 
 
-def with_trl(dataset: Dataset, config: AdaptConfig, turns: Turns) -> None:
+def train_with_trl(dataset: Dataset, config: AdaptConfig, turns: StepBarrier) -> None:
     """TRL's trainer with the same adapter, precision, rate and tokens."""
     import datasets  # noqa: PLC0415
     import trl  # noqa: PLC0415
     from transformers import TrainerCallback  # noqa: PLC0415
 
-    from dualbrain.adaptation.training.model.base_model import open_base  # noqa: PLC0415
-    from dualbrain.adaptation.training.model.batching import encode  # noqa: PLC0415
-    from dualbrain.adaptation.training.model.lora_model import Learner  # noqa: PLC0415
-    from dualbrain.adaptation.training.model.precision import choose  # noqa: PLC0415
+    from dualbrain.adaptation.training.model.base_model import load_base_model  # noqa: PLC0415
+    from dualbrain.adaptation.training.model.batching import encode_sample  # noqa: PLC0415
+    from dualbrain.adaptation.training.model.lora_model import LoraModel  # noqa: PLC0415
+    from dualbrain.adaptation.training.model.precision import choose_dtype  # noqa: PLC0415
 
-    learner = Learner(*open_base(find_base(BASE, paths.cache()), paths.cache(), choose("auto")), config.fit)
-    some = [encode(learner.tokenizer, one, learner.longest) for one in dataset.train]
+    learner = LoraModel(
+        *load_base_model(find_base_model(BASE, paths.cache_folder()), paths.cache_folder(), choose_dtype("auto")),
+        config.fit,
+    )
+    some = [encode_sample(learner.tokenizer, one, learner.max_tokens) for one in dataset.train]
     rows = [{"input_ids": [*one.prompt, *one.contract],
              "completion_mask": [0] * len(one.prompt) + [1] * len(one.contract)} for one in some]  # fmt: skip
     fit = config.fit
@@ -198,7 +205,7 @@ def with_trl(dataset: Dataset, config: AdaptConfig, turns: Turns) -> None:
             turns.ready()
 
         def on_step_end(self, *_: Any, **__: Any) -> None:
-            turns.done()
+            turns.step_done()
 
     trl.SFTTrainer(
         model=learner.model, args=shape, train_dataset=datasets.Dataset.from_list(rows),

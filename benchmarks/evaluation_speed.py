@@ -20,15 +20,15 @@ from typing import Any
 import msgspec
 
 from dualbrain.cli.common import paths
-from dualbrain.evaluation.episodes.case_runner import PARTS
-from dualbrain.evaluation.planners.factory import Sources
-from dualbrain.evaluation.protocol.suite import Suite, open_suite
-from dualbrain.evaluation.results.episode_row import Row
-from dualbrain.evaluation.runner.runner import Progress, Runner, rows_of
-from dualbrain.evaluation.runner.worker import Workplace
-from dualbrain.evaluation.runner.worker_pool import Processes
+from dualbrain.evaluation.episodes.case_runner import WALL_TIME_PARTS
+from dualbrain.evaluation.planners.factory import PlannerSources
+from dualbrain.evaluation.protocol.suite import Suite, load_suite
+from dualbrain.evaluation.results.episode_row import EpisodeRow
+from dualbrain.evaluation.runner.runner import Runner, StageProgress, parse_rows
+from dualbrain.evaluation.runner.worker import WorkerConfig
+from dualbrain.evaluation.runner.worker_pool import ProcessPool
 from experiments.engine.provenance import machine, revision
-from experiments.figures.tables import table
+from experiments.figures.tables import markdown_table
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -40,33 +40,35 @@ def main() -> int:
     parser.add_argument("--method", default="B3")
     asked = parser.parse_args()
     suite = msgspec.structs.replace(
-        open_suite("smoke"), methods=(asked.method,), seeds=asked.episodes, repetitions=1, runs=1
+        load_suite("smoke"), methods=(asked.method,), seeds=asked.episodes, repetitions=1, runs=1
     )
-    found = {jobs: measured(suite, jobs) for jobs in asked.jobs}
-    print("\n".join(lines(found)))
+    found = {jobs: measure_rate(suite, jobs) for jobs in asked.jobs}
+    print("\n".join(report_lines(found)))
     return 0
 
 
-def measured(suite: Suite, jobs: int) -> dict[str, Any]:
+def measure_rate(suite: Suite, jobs: int) -> dict[str, Any]:
     """Fly the whole suite with `jobs` processes; the rate is that of the episodes after the first of each."""
     ends: list[float] = []
 
-    def tell(progress: Progress) -> None:
+    def tell(progress: StageProgress) -> None:
         ends.append(time.monotonic())
         sys.stderr.write(f"{jobs} processes: {progress.done}/{progress.total} {progress.error}\n")
 
     with tempfile.TemporaryDirectory(prefix="dualbrain-speed-") as folder:
         out = Path(folder)
-        runner = Runner(suite, out, clock=time.monotonic, tell=tell)
-        place = Workplace(suite, out, Sources(paths.cache(), out / "adapters"), time.perf_counter, runner.epsilon())
+        runner = Runner(suite, out, clock=time.monotonic, on_progress=tell)
+        place = WorkerConfig(
+            suite, out, PlannerSources(paths.cache_folder(), out / "adapters"), time.perf_counter, runner.epsilon()
+        )
         load = os.getloadavg()[0]
-        runner.advance("fly", Processes(place.make, jobs))
-        rows = rows_of(runner.journal("fly").lines())
+        runner.run_stage("fly", ProcessPool(place.make_worker, jobs))
+        rows = parse_rows(runner.log("fly").read())
     counted = len(ends) - jobs
     return {"rows": rows, "rate": counted / (ends[-1] - ends[jobs - 1]), "load": load, "counted": counted}
 
 
-def lines(found: dict[int, dict[str, Any]]) -> list[str]:
+def report_lines(found: dict[int, dict[str, Any]]) -> list[str]:
     """Rates, shares of time, and the gain over one process."""
     head = (
         "processes",
@@ -75,22 +77,22 @@ def lines(found: dict[int, dict[str, Any]]) -> list[str]:
         "an hour and core",
         "gain",
         "simulated s per s",
-        *PARTS,
+        *WALL_TIME_PARTS,
         "load",
     )
     base = found[min(found)]["rate"]
     cells: list[tuple[object, ...]] = []
     for jobs, one in found.items():
-        rows: list[Row] = one["rows"]
+        rows: list[EpisodeRow] = one["rows"]
         wall = sum(row.wall_s for row in rows)
-        shares = [f"{sum(row.wall[part] for row in rows) / wall:.1%}" for part in PARTS]
+        shares = [f"{sum(row.wall[part] for row in rows) / wall:.1%}" for part in WALL_TIME_PARTS]
         hourly = 3600.0 * one["rate"]
         pace = f"{sum(row.simulated_s for row in rows) / wall:.2f}"
         cells.append(
             (jobs, one["counted"], f"{hourly:.0f}", f"{hourly / jobs:.0f}", f"{one['rate'] / base:.2f}", pace, *shares,
              f"{one['load']:.1f}")
         )  # fmt: skip
-    return [f"Revision {revision(ROOT)}; {machine()}.", "", *table(head, cells)]
+    return [f"Revision {revision(ROOT)}; {machine()}.", "", *markdown_table(head, cells)]
 
 
 if __name__ == "__main__":

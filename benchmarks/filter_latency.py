@@ -22,47 +22,49 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.peers import latency, robustness
-from benchmarks.peers.benchmarked_filters import CONTESTANTS, OWN, QUICK
-from benchmarks.peers.problems.scenes import PRIMITIVES, ROWS
-from benchmarks.peers.report import write
+from benchmarks.peers.benchmarked_filters import BENCHMARKED_FILTERS, OWN_NAME, QUICK_FILTERS
+from benchmarks.peers.problems.scenes import PRIMITIVE_COUNTS, ROW_COUNTS
+from benchmarks.peers.report import write_report
 from benchmarks.peers.setup_environments import ENVIRONMENTS
-from benchmarks.peers.targets import bars
+from benchmarks.peers.targets import evaluate_targets
 from dualbrain.safety.cbf.kernel import kernel_hash
 from experiments.engine.provenance import machine, revision
 
 ROOT = Path(__file__).resolve().parents[1]
-FIGURES = ENVIRONMENTS / "figures.jsonl"
+RESULTS_FILE = ENVIRONMENTS / "figures.jsonl"
 
 
 def units(*, quick: bool) -> dict[str, Callable[[], dict[str, Any]]]:
     """What there is to measure, by name."""
     if quick:
         return {
-            "rows:10": lambda: latency.measure("rows", 10, QUICK, latency.QUICK),
-            "infeasible": lambda: {"infeasible": robustness.infeasible(QUICK[:1])},
-            "clearance": lambda: {"clearance": robustness.clearance(QUICK[:1], steps=30, seeds=1)},
+            "rows:10": lambda: latency.measure("rows", 10, QUICK_FILTERS, latency.QUICK_BUDGET),
+            "infeasible": lambda: {"infeasible": robustness.measure_infeasible(QUICK_FILTERS[:1])},
+            "clearance": lambda: {"clearance": robustness.measure_clearance(QUICK_FILTERS[:1], steps=30, seeds=1)},
         }
-    full = latency.Effort()
-    everybody = {f"rows:{n}": lambda n=n: latency.measure("rows", n, CONTESTANTS, full) for n in ROWS}
-    able = [c for c in CONTESTANTS if c.primitives]
-    everybody |= {f"primitives:{n}": lambda n=n: latency.measure("primitives", n, able, full) for n in PRIMITIVES}
-    one_each = [c for c in able if not c.ours or c.name == OWN]
-    everybody["infeasible"] = lambda: {"infeasible": robustness.infeasible(one_each)}
-    driven = [c for c in CONTESTANTS if c.gains]
-    return everybody | {f"clearance:{c.name}": lambda c=c: {"clearance": robustness.clearance([c])} for c in driven}
+    full = latency.MeasurementBudget()
+    everybody = {f"rows:{n}": lambda n=n: latency.measure("rows", n, BENCHMARKED_FILTERS, full) for n in ROW_COUNTS}
+    able = [c for c in BENCHMARKED_FILTERS if c.in_primitives]
+    everybody |= {f"primitives:{n}": lambda n=n: latency.measure("primitives", n, able, full) for n in PRIMITIVE_COUNTS}
+    one_each = [c for c in able if not c.is_own or c.name == OWN_NAME]
+    everybody["infeasible"] = lambda: {"infeasible": robustness.measure_infeasible(one_each)}
+    driven = [c for c in BENCHMARKED_FILTERS if c.gains]
+    return everybody | {
+        f"clearance:{c.name}": lambda c=c: {"clearance": robustness.measure_clearance([c])} for c in driven
+    }
 
 
-def done() -> dict[str, dict[str, Any]]:
+def finished_units() -> dict[str, dict[str, Any]]:
     """Finished units of this kernel, the latest of each name."""
-    if not FIGURES.exists():
+    if not RESULTS_FILE.exists():
         return {}
-    lines = [json.loads(line) for line in FIGURES.read_text().splitlines() if line.strip()]
+    lines = [json.loads(line) for line in RESULTS_FILE.read_text().splitlines() if line.strip()]
     return {line["unit"]: line for line in lines if line["kernel"] == kernel_hash()}
 
 
-def carry_out(wanted: list[str], *, quick: bool, fresh: bool) -> dict[str, dict[str, Any]]:
+def run_units(wanted: list[str], *, quick: bool, fresh: bool) -> dict[str, dict[str, Any]]:
     """Measure what is wanted and not done yet; everything that is known afterwards, by unit."""
-    known = {} if quick else done()
+    known = {} if quick else finished_units()
     every = units(quick=quick)
     for name in wanted or list(every):
         if name in known and not fresh:
@@ -76,13 +78,13 @@ def carry_out(wanted: list[str], *, quick: bool, fresh: bool) -> dict[str, dict[
             "wall_s": time.monotonic() - begin,
         }  # fmt: skip
         if not quick:
-            FIGURES.parent.mkdir(parents=True, exist_ok=True)
-            with FIGURES.open("a") as file:
+            RESULTS_FILE.parent.mkdir(parents=True, exist_ok=True)
+            with RESULTS_FILE.open("a") as file:
                 file.write(json.dumps(known[name]) + "\n")
     return {name: known[name] for name in every if name in known}
 
 
-def gather(known: dict[str, dict[str, Any]]) -> dict[str, Any]:
+def collect_results(known: dict[str, dict[str, Any]]) -> dict[str, Any]:
     """One flat object of all units."""
     lists = ("rows", "first_call", "deviation", "refused", "infeasible", "clearance")
     results = [unit["result"] for unit in known.values()]
@@ -93,11 +95,11 @@ def gather(known: dict[str, dict[str, Any]]) -> dict[str, Any]:
         | {key: unit["result"].get(key) for key in ("pairs", "changed_share", "load_before", "load_after")}
         for unit in known.values()
     ]
-    whole["bars"] = bars(whole["rows"])
+    whole["bars"] = evaluate_targets(whole["rows"])
     return whole
 
 
-def table(whole: dict[str, Any]) -> str:
+def format_table(whole: dict[str, Any]) -> str:
     """Latencies and bars for people."""
     lines = [f"{'setting':>10} {'n':>4} {'median µs':>10} {'p99 µs':>10} {'ratio':>7}  contestant"]
     for row in whole["rows"]:
@@ -120,10 +122,10 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", default=[], metavar="UNIT", choices=list(units(quick=False)))
     parser.add_argument("--write-docs", action="store_true", help="render docs/peers.md from what is known")
     arguments = parser.parse_args()
-    whole = gather(carry_out(arguments.only, quick=arguments.quick, fresh=arguments.fresh))
+    whole = collect_results(run_units(arguments.only, quick=arguments.quick, fresh=arguments.fresh))
     if arguments.write_docs and not arguments.quick:
-        write(whole, ROOT / "docs" / "peers.md")
-    print(json.dumps(whole) if arguments.json else table(whole))
+        write_report(whole, ROOT / "docs" / "peers.md")
+    print(json.dumps(whole) if arguments.json else format_table(whole))
 
 
 if __name__ == "__main__":

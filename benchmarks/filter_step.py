@@ -21,25 +21,25 @@ import numpy as np
 
 from dualbrain.core.geometry.shapes import Pose, Sphere
 from dualbrain.robots.interface import RobotState
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import FilterConfig, Obstacle, SafetyFilter
 from dualbrain.safety.cbf.kernel import kernel_hash
 
-SPHERES = 10
+N_SPHERES = 10
 """Spheres of the body in the `rows` setting: two on each of the last five links that have some."""
 
 
 def thin_body():
     """The Panda with `SPHERES` moving spheres and no self pairs, so that rows are obstacle rows only."""
-    body = load_body("panda")
+    body = load_robot("panda")
     chosen = []
     for link in ("link3", "link4", "link5", "link6", "hand"):
         chosen += [s for s in body.spheres if s.link == link][:2]
     pairs = msgspec.structs.replace(body.self_pairs, kept=())
-    return msgspec.structs.replace(body, spheres=tuple(chosen[:SPHERES]), self_pairs=pairs)
+    return msgspec.structs.replace(body, spheres=tuple(chosen[:N_SPHERES]), self_pairs=pairs)
 
 
-def make(body, obstacles, *, limits):
+def make_filter(body, obstacles, *, limits):
     """A filter among `obstacles` spheres around the arm, seeded."""
     rng = np.random.default_rng(0)
     config = FilterConfig(lag_compensation=False, tracking_error=0.0, acceleration_limits=limits)
@@ -53,9 +53,9 @@ def make(body, obstacles, *, limits):
     return safety
 
 
-def episode(body, obstacles, *, limits, steps=1500):
+def record_episode(body, obstacles, *, limits, steps=1500):
     """States, nominals and row counts of a closed loop driven by slow sines at high speed."""
-    safety = make(body, obstacles, limits=limits)
+    safety = make_filter(body, obstacles, limits=limits)
     t = np.arange(steps)[:, None] * 1e-3
     rates = np.array([0.7, 1.1, 0.9, 1.3, 1.7, 1.9, 2.3])
     u_nom = np.ascontiguousarray(1.5 * np.sin(2 * np.pi * rates * t + np.arange(body.n)))
@@ -93,12 +93,12 @@ def c_time(safety, log, u_nom, *, cold):
 def measure():
     """One record per setting and number of pairs; times in microseconds."""
     records = []
-    settings = [("rows", thin_body(), n, n // SPHERES, False) for n in (10, 50, 100, 400)]
-    panda = load_body("panda")
+    settings = [("rows", thin_body(), n, n // N_SPHERES, False) for n in (10, 50, 100, 400)]
+    panda = load_robot("panda")
     settings += [("shipped", panda, 100 * k, k, True) for k in (1, 4, 10, 40)]
     for name, body, pairs, obstacles, limits in settings:
-        log, u_nom, rows, iterations = episode(body, obstacles, limits=limits)
-        safety = make(body, obstacles, limits=limits)
+        log, u_nom, rows, iterations = record_episode(body, obstacles, limits=limits)
+        safety = make_filter(body, obstacles, limits=limits)
         records.append({
             "setting": name, "pairs": pairs, "obstacles": obstacles, "rows": round(rows, 1),
             "iterations": round(iterations, 3), "c_warm_us": 1e6 * c_time(safety, log, u_nom, cold=False),

@@ -13,41 +13,48 @@ import statistics
 import time
 from collections.abc import Callable
 
-from dualbrain.contracts.contract import Stamp
+from dualbrain.contracts.contract import ContractHeader
 from dualbrain.contracts.gate.gate import Gate
-from dualbrain.contracts.registry import Registry
+from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.schema import validation_schema
-from dualbrain.contracts.skill_spec import Choice, Name, Number, SkillSpec, Text
+from dualbrain.contracts.skill_spec import ChoiceParameter, NameParameter, NumberParameter, SkillSpec, TextParameter
 from dualbrain.contracts.verdict import Accepted
 
-NAMES = SceneNames(("red_cube", "blue_cube", "cup"), ("bowl", "tray", "shelf_left"))
+SCENE_NAMES = SceneNames(("red_cube", "blue_cube", "cup"), ("bowl", "tray", "shelf_left"))
 SKILL_COUNT, STEP_COUNT = 20, 8
 TARGET_RATIO = 30.0
 
 
-def build_registry() -> Registry:
+def build_registry() -> SkillRegistry:
     """Twenty skills: eighteen motions of four to six parameters, one with free text, one without parameters."""
-    speed = Number("speed", "m/s", 0.05, 0.4, "site policy", "site policy")
-    clearance = Number("clearance", "m", 0.03, 0.35, "site policy", "reach of the arm")
-    force = Number("force", "N", 1.0, 70.0, "gripper data sheet", "gripper data sheet")
-    approach, route = Choice("approach", ("top", "side", "tilted")), Choice("route", ("direct", "left", "right"))
-    things = Name("object", "graspable"), Name("object", "receptive"), Name("object", "any")
+    speed = NumberParameter("speed", "m/s", 0.05, 0.4, "site policy", "site policy")
+    clearance = NumberParameter("clearance", "m", 0.03, 0.35, "site policy", "reach of the arm")
+    force = NumberParameter("force", "N", 1.0, 70.0, "gripper data sheet", "gripper data sheet")
+    approach, route = (
+        ChoiceParameter("approach", ("top", "side", "tilted")),
+        ChoiceParameter("route", ("direct", "left", "right")),
+    )
+    things = NameParameter("object", "graspable"), NameParameter("object", "receptive"), NameParameter("object", "any")
     motions = tuple(
         SkillSpec(f"motion_{i:02d}", "", (things[i % 3], speed, clearance, approach, *((force, route)[: i % 3])))
         for i in range(SKILL_COUNT - 2)
     )
-    return Registry("panda", (*motions, SkillSpec("decline", "", (Text("reason", 160),)), SkillSpec("home", "")))
+    return SkillRegistry(
+        "panda", (*motions, SkillSpec("decline", "", (TextParameter("reason", 160),)), SkillSpec("home", ""))
+    )
 
 
-def build_document(registry: Registry) -> dict[str, object]:
+def build_document(registry: SkillRegistry) -> dict[str, object]:
     """Eight steps, the last ones from the end of the registry."""
     values = {"speed": 0.2, "clearance": 0.12, "approach": "top", "force": 25, "route": "left"}
     names = {"graspable": "red_cube", "receptive": "bowl", "any": "cup"}
     steps = [
         {
             "skill": skill.name,
-            "params": {p.name: names[p.of] if isinstance(p, Name) else values[p.name] for p in skill.parameters},
+            "params": {
+                p.name: names[p.of] if isinstance(p, NameParameter) else values[p.name] for p in skill.parameters
+            },
         }
         for skill in registry.skills[SKILL_COUNT - 2 - STEP_COUNT : SKILL_COUNT - 2]
     ]
@@ -71,12 +78,12 @@ def measure(rounds: int) -> dict[str, object]:
     document = build_document(registry)
     data = json.dumps(document, separators=(",", ":")).encode()
     gate = Gate(registry, {"planner": frozenset(registry.by_name)})
-    peer = jsonschema.Draft7Validator(validation_schema(registry, NAMES))
+    peer = jsonschema.Draft7Validator(validation_schema(registry, SCENE_NAMES))
     stamps = iter(range(1, 10**9))
 
     def full_gate() -> object:
-        stamp = Stamp(next(stamps), 0.0, 5.0, "planner", 1)
-        return gate.check(data, names=NAMES, principal="planner", now=1.0, stamp=stamp)
+        stamp = ContractHeader(next(stamps), 0.0, 5.0, "planner", 1)
+        return gate.check(data, names=SCENE_NAMES, principal="planner", now=1.0, header=stamp)
 
     def whole_peer() -> object:
         return peer.is_valid(document)

@@ -32,33 +32,41 @@ import numpy as np
 from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
 from dualbrain.memory.embedding.joint_embedding import JointEmbedding
 from dualbrain.memory.index.filters import Columns, Filter
-from dualbrain.memory.index.index import vector_of
-from dualbrain.memory.ledger.ledger import Entry, Ledger
+from dualbrain.memory.index.index import to_stored_vector
+from dualbrain.memory.ledger.ledger import Ledger, PendingEvent
 from dualbrain.memory.memory import Memory
 from dualbrain.memory.plasticity.rule import BANDWIDTH
-from dualbrain.memory.retrieval.search import Query, Scan, worth
-from dualbrain.memory.state.episode_record import payload
+from dualbrain.memory.retrieval.search import FlatIndex, Query, contract_weights
+from dualbrain.memory.state.episode_record import episode_payload
 from dualbrain.memory.state.provenance import Provenance
-from dualbrain.memory.state.state import Memo
-from experiments.memory.synthetic_episodes import CONFIG, REGISTRY, REST, ROBOT, START, contract, made_up
+from dualbrain.memory.state.state import MemoryState
+from experiments.memory.synthetic_episodes import (
+    CONFIG,
+    REGISTRY,
+    REST_POSTURE,
+    ROBOT,
+    START_TIME,
+    grasp_contract,
+    synthetic_episode,
+)
 
 DIM, TOP, LAMBDA = 512, 10, 0.8
 HERE = Path(__file__).resolve().parent
-PEERS = HERE.parent / "build" / "memory_peers" / "venv" / "bin" / "python"
-WHERE = Filter(ROBOT, REGISTRY, "follow", skills=("grasp",), after=START)
-COUNTED, TIMES = Filter(ROBOT, REGISTRY), 5
+PEER_PYTHON = HERE.parent / "build" / "memory_peers" / "venv" / "bin" / "python"
+SEARCH_FILTER = Filter(ROBOT, REGISTRY, "follow", skills=("grasp",), after=START_TIME)
+WEIGHT_FILTER, MEMORIES_PER_CONTRACT = Filter(ROBOT, REGISTRY), 5
 """Whose weights count for a contract, and how many memories each has."""
 
 
 def main() -> int:
     asked = parse()
     report: dict[str, Any] = {"machine": f"{platform.machine()}, {os.cpu_count()} cores", "load": os.getloadavg()[0]}
-    report["search"] = [search(n, asked.rounds) for n in asked.sizes]
-    report["update"] = update(asked.rounds)
+    report["search"] = [measure_search(n, asked.rounds) for n in asked.sizes]
+    report["update"] = measure_update(asked.rounds)
     if asked.start:
-        report["start"] = start(asked.start)
+        report["start"] = measure_start(asked.start)
     if asked.peers:
-        report["peers"] = peers()
+        report["peers"] = run_peers()
     print(json.dumps(report, indent=None if asked.json else 1))
     return 0
 
@@ -73,69 +81,69 @@ def parse() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def search(n: int, rounds: int) -> dict[str, float]:
+def measure_search(n: int, rounds: int) -> dict[str, float]:
     """Medians of our search and of the product, over `rounds` alternating calls [ms of processor], and their ratio."""
     rng = np.random.default_rng(0)
     rows = rng.standard_normal((n, DIM), dtype=np.float32)
     rows /= np.linalg.norm(rows, axis=1, keepdims=True)
-    scan, columns = Scan(DIM), Columns()
+    scan, columns = FlatIndex(DIM), Columns()
     scan.load(rows, rng.random(n), np.ones(n, np.uint8))
     for row in range(n):
-        columns.add(_memo(row, "succeeded" if row % 10 else "failed"))
+        columns.add(_memory_state(row, "succeeded" if row % 10 else "failed"))
     queries = rows[rng.integers(0, n, rounds)] + 0.05 * rng.standard_normal((rounds, DIM), dtype=np.float32)
     ours, limit = list[float](), list[float]()
     for query in queries:
-        limit.append(_timed(lambda query=query: rows @ query, time.thread_time))
-        ours.append(_timed(lambda query=query: _top(scan, columns, query), time.thread_time))
+        limit.append(_elapsed_ms(lambda query=query: rows @ query, time.thread_time))
+        ours.append(_elapsed_ms(lambda query=query: _top(scan, columns, query), time.thread_time))
     half = len(ours) // 5
     a, b = statistics.median(ours[half:]), statistics.median(limit[half:])
     return {"rows": n, "search_ms": a, "product_ms": b, "ratio": a / b}
 
 
-def _top(scan: Scan, columns: Columns, query: np.ndarray) -> object:
-    compared = scan.compare(Query.plain(query))
-    weights = worth(compared, scan.weights, columns.contracts, columns.mask(COUNTED), BANDWIDTH)
-    return scan.top(compared, columns.mask(WHERE), TOP, LAMBDA, weights)
+def _top(scan: FlatIndex, columns: Columns, query: np.ndarray) -> object:
+    compared = scan.compare(Query.single_block(query))
+    weights = contract_weights(compared, scan.weights, columns.contract_codes, columns.mask(WEIGHT_FILTER), BANDWIDTH)
+    return scan.top_k(compared, columns.mask(SEARCH_FILTER), TOP, LAMBDA, weights)
 
 
-def _memo(row: int, kind: Any) -> Memo:
+def _memory_state(row: int, kind: Any) -> MemoryState:
     skills = ("grasp", "place") if row % 2 else ("grasp",)
-    origin = Provenance("planner", contract=str(row // TIMES), skills=skills)
-    return Memo(str(row), row, START + row, "", ROBOT, REGISTRY, kind, 0.001, origin, "active", 0.5, 0.5)
+    origin = Provenance("planner", contract=str(row // MEMORIES_PER_CONTRACT), skills=skills)
+    return MemoryState(str(row), row, START_TIME + row, "", ROBOT, REGISTRY, kind, 0.001, origin, "active", 0.5, 0.5)
 
 
-def update(rounds: int) -> dict[str, float]:
+def measure_update(rounds: int) -> dict[str, float]:
     """Storing an episode that moves 100 neighbours, beside one synced write of one small event [ms]."""
     with tempfile.TemporaryDirectory(prefix="dualbrain-speed-") as folder:
-        with Ledger(Path(folder) / "a.db", holder="a benchmark", now=START) as ledger:
+        with Ledger(Path(folder) / "a.db", holder="a benchmark", now=START_TIME) as ledger:
             memory = Memory(ledger, HashingEncoder(64), CONFIG)
             for number in range(150):
-                memory.store(made_up(f"seed-{number}", kind="declined"), REST, now=START)
+                memory.store(synthetic_episode(f"seed-{number}", kind="declined"), REST_POSTURE, now=START_TIME)
             stores, syncs, moved = list[float](), list[float](), 0
             for number in range(rounds):
-                syncs.append(_timed(lambda: ledger.append([Entry("note", "", 1)], now=START)))
+                syncs.append(_elapsed_ms(lambda: ledger.append([PendingEvent("note", "", 1)], now=START_TIME)))
                 kind = "succeeded" if number % 2 else "failed"
-                one = made_up(f"e-{number}", kind=kind)
+                one = synthetic_episode(f"e-{number}", kind=kind)
                 began = time.perf_counter()
-                moved = max(moved, memory.store(one, REST, now=START + 86400.0 * number).neighbours)
+                moved = max(moved, memory.store(one, REST_POSTURE, now=START_TIME + 86400.0 * number).n_neighbours)
                 stores.append((time.perf_counter() - began) * 1e3)
         a, b = statistics.median(stores), statistics.median(syncs)
         return {"neighbours": moved, "store_ms": a, "synced_event_ms": b, "ratio": a / b}
 
 
-def start(n: int) -> dict[str, float]:
+def measure_start(n: int) -> dict[str, float]:
     """Opening memory with `n` episodes [s] in new processes: from all events, and from the snapshot then left."""
     with tempfile.TemporaryDirectory(prefix="dualbrain-speed-") as folder:
         path = Path(folder) / "a.db"
-        _fill(path, n)
-        first, *again = (_open(path) for _ in range(4))
+        _fill_ledger(path, n)
+        first, *again = (_time_open(path) for _ in range(4))
         size = sum(file.stat().st_size for file in Path(folder).iterdir()) / 1e6
     (wall, processor), best = first, min(again)
     return {"episodes": n, "from_events_s": wall, "from_events_processor_s": processor, "from_snapshot_s": best[0],
             "from_snapshot_processor_s": min(one[1] for one in again), "files_MB": size}  # fmt: skip
 
 
-def _open(path: Path) -> tuple[float, float]:
+def _time_open(path: Path) -> tuple[float, float]:
     """Seconds to open memory in a process of its own, by wall clock and of processor, its imports not counted."""
     program = (
         "import time, sys, pathlib; from dualbrain.memory.embedding.hashing_encoder import HashingEncoder; "
@@ -153,33 +161,37 @@ def _open(path: Path) -> tuple[float, float]:
     return wall, processor
 
 
-def _fill(path: Path, n: int) -> None:
+def _fill_ledger(path: Path, n: int) -> None:
     """A ledger of `n` episodes with one weight event each, as a run writes them, in large transactions."""
     embedding = JointEmbedding(HashingEncoder(384), CONFIG.limits, CONFIG.embedding)
     version, rng = embedding.version(ROBOT), np.random.default_rng(1)
-    base = embedding.embed("grasp the cube", "cube: object, neighbour_across low", REST, ROBOT)
-    with Ledger(path, holder="a benchmark", now=START) as ledger:
+    base = embedding.embed("grasp the cube", "cube: object, neighbour_across low", REST_POSTURE, ROBOT)
+    with Ledger(path, holder="a benchmark", now=START_TIME) as ledger:
         for first in range(0, n, 1000):
-            entries = list[Entry]()
+            entries = list[PendingEvent]()
             for number in range(first, min(first + 1000, n)):
-                one = made_up(f"e-{number}", plan=contract(object="cube", speed=0.1 + number * 1e-6))
-                body = payload(one, REST, None, version, CONFIG.plasticity, "active")
-                noisy = base.row + 0.02 * rng.standard_normal(embedding.dim, dtype=np.float32)
-                entries.append(Entry("episode", one.id, body, vector_of(type(base)(noisy, base.mask), version)))
+                one = synthetic_episode(f"e-{number}", plan=grasp_contract(object="cube", speed=0.1 + number * 1e-6))
+                body = episode_payload(one, REST_POSTURE, None, version, CONFIG.plasticity, "active")
+                noisy = base.vector + 0.02 * rng.standard_normal(embedding.dim, dtype=np.float32)
+                entries.append(
+                    PendingEvent("episode", one.id, body, to_stored_vector(type(base)(noisy, base.mask), version))
+                )
                 told = {"cause": one.id, "memory": one.id, "rule": "reinforce", "rank": 0, "gain": 0.95}
-                entries.append(Entry("weight", one.id, {**told, "offset": 0.1, "before": 0.5, "after": 0.575}))
-            ledger.append(entries, now=START + first)
+                entries.append(PendingEvent("weight", one.id, {**told, "offset": 0.1, "before": 0.5, "after": 0.575}))
+            ledger.append(entries, now=START_TIME + first)
 
 
-def peers() -> object:
+def run_peers() -> object:
     """What the peers' process says of itself, or why it did not run."""
-    if not PEERS.exists():
+    if not PEER_PYTHON.exists():
         return "not installed: see benchmarks/vector_databases/requirements.txt"
-    done = subprocess.run([str(PEERS), str(HERE / "memory" / "peers.py")], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [str(PEER_PYTHON), str(HERE / "memory" / "peers.py")], capture_output=True, text=True, check=False
+    )
     return json.loads(done.stdout) if done.returncode == 0 else done.stderr[-800:]
 
 
-def _timed(work: Callable[[], object], clock: Callable[[], float] = time.perf_counter) -> float:
+def _elapsed_ms(work: Callable[[], object], clock: Callable[[], float] = time.perf_counter) -> float:
     began = clock()
     work()
     return (clock() - began) * 1e3

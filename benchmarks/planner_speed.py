@@ -21,37 +21,40 @@ import msgspec
 from dualbrain.adaptation.curation.sample import Sample
 from dualbrain.adaptation.serving import speculative_decoding
 from dualbrain.adaptation.serving.open_planner import open_planner
-from dualbrain.cli.common.paths import cache, home
-from dualbrain.grounding.vocabulary import vocabulary
+from dualbrain.cli.common.paths import cache_folder, dualbrain_home
+from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.request import PlanRequest
-from dualbrain.records import Exemplar, Recall
-from dualbrain.runtime.data_collection.rollouts import ROBOT, request_of
-from dualbrain.runtime.data_collection.synthetic_scenes import lessons
-from experiments.planning.language import shown
+from dualbrain.records import Exemplar, RetrievedContext
+from dualbrain.runtime.data_collection.rollouts import ROBOT, build_request
+from dualbrain.runtime.data_collection.synthetic_scenes import generate_examples
+from experiments.planning.language import exemplar_actions
 
-NAME = "base-135m"
-LLAMA, PLAIN, AHEAD = "llama.cpp", "torch, token by token", "torch, reading ahead"
+BASE_ADAPTER = "base-135m"
+LLAMA, TOKEN_BY_TOKEN, SPECULATIVE = "llama.cpp", "torch, token by token", "torch, reading ahead"
 
 
 def main() -> int:
     """Print one table."""
     asked = parse(sys.argv[1:])
-    planners = {kind: opened(kind, asked.threads) for kind in (LLAMA, PLAIN, AHEAD)}
-    drawn = lessons(20 * asked.count, "test", robots={ROBOT: 1.0})
+    planners = {kind: open_engine(kind, asked.threads) for kind in (LLAMA, TOKEN_BY_TOKEN, SPECULATIVE)}
+    drawn = generate_examples(20 * asked.count, "test", robot_shares={ROBOT: 1.0})
     groups = {
-        "no exemplar": [one for one in drawn if not shown(one)][: asked.count],
-        "one to three exemplars": [one for one in drawn if shown(one)][: asked.count],
+        "no exemplar": [one for one in drawn if not exemplar_actions(one)][: asked.count],
+        "one to three exemplars": [one for one in drawn if exemplar_actions(one)][: asked.count],
     }
     for planner in planners.values():
-        planner.propose(request(groups["no exemplar"][0]))  # loads
+        planner.propose(plan_request(groups["no exemplar"][0]))  # loads
     print("| prompt | engine | s a decision | to llama.cpp | answers equal |\n|---|---|---|---|---|")
     try:
         for name, questions in groups.items():
-            rounds = [[answer(planner, kind, request(one)) for kind, planner in planners.items()] for one in questions]
+            rounds = [
+                [timed_answer(planner, kind, plan_request(one)) for kind, planner in planners.items()]
+                for one in questions
+            ]
             told = dict(zip(planners, zip(*rounds, strict=True), strict=True))
             for kind, answers in told.items():
-                print(line(name, kind, answers, told[LLAMA]))
+                print(table_row(name, kind, answers, told[LLAMA]))
     finally:
         for planner in planners.values():
             planner.close()
@@ -65,37 +68,40 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
-def opened(kind: str, threads: int) -> Planner:
-    name = NAME if kind == LLAMA else f"transformers:{NAME}"
-    folder, registry = home() / "adapters", vocabulary(ROBOT).hash
-    return open_planner(name, cache(), adapters=folder, robot=ROBOT, registry=registry, threads=threads)
+def open_engine(kind: str, threads: int) -> Planner:
+    name = BASE_ADAPTER if kind == LLAMA else f"transformers:{BASE_ADAPTER}"
+    folder, registry = dualbrain_home() / "adapters", load_skill_registry(ROBOT).hash
+    return open_planner(name, cache_folder(), adapters=folder, robot=ROBOT, registry=registry, threads=threads)
 
 
-def answer(planner: Planner, kind: str, question: PlanRequest) -> tuple[float, str]:
+def timed_answer(planner: Planner, kind: str, question: PlanRequest) -> tuple[float, str]:
     """Seconds and text."""
-    usual, speculative_decoding.AHEAD = speculative_decoding.AHEAD, 1 if kind == PLAIN else speculative_decoding.AHEAD
+    usual, speculative_decoding.MAX_READ_TOKENS = (
+        speculative_decoding.MAX_READ_TOKENS,
+        1 if kind == TOKEN_BY_TOKEN else speculative_decoding.MAX_READ_TOKENS,
+    )
     try:
         begun = time.monotonic()
         text = planner.propose(question).text
         return time.monotonic() - begun, text
     finally:
-        speculative_decoding.AHEAD = usual
+        speculative_decoding.MAX_READ_TOKENS = usual
 
 
-def line(name: str, kind: str, answers: Sequence[tuple[float, str]], theirs: Sequence[tuple[float, str]]) -> str:
+def table_row(name: str, kind: str, answers: Sequence[tuple[float, str]], theirs: Sequence[tuple[float, str]]) -> str:
     ratios = [own[0] / other[0] for own, other in zip(answers, theirs, strict=True)]
     equal = sum(own[1] == other[1] for own, other in zip(answers, theirs, strict=True))
     mean = statistics.mean(seconds for seconds, _ in answers)
     return f"| {name} | {kind} | {mean:.1f} | {statistics.median(ratios):.2f} | {equal} of {len(answers)} |"
 
 
-def request(one: Sample) -> PlanRequest:
+def plan_request(one: Sample) -> PlanRequest:
     """The question that a lesson asks, with what it shows as if memory had recalled it."""
     recalled = tuple(
         Exemplar(f"m-{rank}", "", "", {"action_sequence": msgspec.to_builtins(steps)}, True, 0.0, 1.0, 0.5, 1.0, rank)
-        for rank, steps in enumerate(shown(one), start=1)
+        for rank, steps in enumerate(exemplar_actions(one), start=1)
     )
-    return request_of(one, Recall(recalled))
+    return build_request(one, RetrievedContext(recalled))
 
 
 if __name__ == "__main__":

@@ -18,31 +18,33 @@ import time
 import msgspec
 import numpy as np
 
-from dualbrain.grounding.offline_gate import as_specified
+from dualbrain.grounding.offline_gate import scene_from_spec
 from dualbrain.records import Scene
-from dualbrain.robots.interface import at_home
-from dualbrain.robots.loader import BODIES, load_body
-from dualbrain.robots.model import Body, SelfPairs, Tool
-from dualbrain.safety.barriers.traversable_region import traversable
+from dualbrain.robots.interface import home_state
+from dualbrain.robots.loader import BUILTIN_ROBOTS, load_robot
+from dualbrain.robots.model import RobotModel, SelfCollisionPairs, Tool
+from dualbrain.safety.barriers.traversable_region import traversable_region
 from dualbrain.safety.cbf.filter import SafetyFilter
-from dualbrain.safety.cbf.obstacles import from_scene
+from dualbrain.safety.cbf.obstacles import obstacles_from_scene
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
 STEPS = 500
-FLANGE = (0.0, 0.0, 0.25)
-UP = (0.0, -0.2, 0.0, -0.4, 0.0, 0.4, 0.0)
+FLANGE_OFFSET = (0.0, 0.0, 0.25)
+UPRIGHT_POSTURE = (0.0, -0.2, 0.0, -0.4, 0.0, 0.4, 0.0)
 """Where the second arm stands on the first, which is held almost straight up."""
 
 
-def two_pandas() -> Body:
+def two_pandas() -> RobotModel:
     """Fourteen joints in one chain."""
-    low = load_body("panda")
+    low = load_robot("panda")
     own = {link.name for link in low.links if link.group == "arm"}
-    first = msgspec.structs.replace(low.joints[0], translation=(0.0, 0.0, FLANGE[2] + low.joints[0].translation[2]))
+    first = msgspec.structs.replace(
+        low.joints[0], translation=(0.0, 0.0, FLANGE_OFFSET[2] + low.joints[0].translation[2])
+    )
     upper = [msgspec.structs.replace(joint, name=f"upper_{joint.name}") for joint in (first, *low.joints[1:])]
     above = [
         msgspec.structs.replace(link, name=f"upper_{link.name}", frame=link.frame + 7,
-                                translation=FLANGE if link.frame == 0 else link.translation)
+                                translation=FLANGE_OFFSET if link.frame == 0 else link.translation)
         for link in low.links
     ]  # fmt: skip
     below = [link for link in low.links if link.name in own]
@@ -53,32 +55,35 @@ def two_pandas() -> Body:
     pairs += [(a.name, b.name) for a in below for b in above if b.frame - a.frame > 2]
     return msgspec.structs.replace(
         low, name="two_pandas", joints=(*low.joints, *upper), links=(*below, *above), spheres=tuple(balls),
-        self_pairs=SelfPairs(tuple(pairs), ()), home=(*UP, *low.home), tool=Tool("upper_hand", low.tool.translation),
+        self_pairs=SelfCollisionPairs(tuple(pairs), ()), home=(*UPRIGHT_POSTURE, *low.home), tool=Tool("upper_hand", low.tool.translation),
     )  # fmt: skip
 
 
-MADE = {"two_pandas": two_pandas}
+SYNTHETIC_ROBOTS = {"two_pandas": two_pandas}
 
 
-def scene_of(body: Body) -> Scene:
+def robot_scene(body: RobotModel) -> Scene:
     """The scene that a body stands in."""
-    family = "workroom:0" if body.carries_arm else "empty_room:0" if body.mobile else "bare:0"
-    robot = body.name if body.name in BODIES else "panda"
-    return as_specified(open_scene(family, robot))
+    family = "workroom:0" if body.is_mobile_manipulator else "empty_room:0" if body.is_mobile else "bare:0"
+    robot = body.name if body.name in BUILTIN_ROBOTS else "panda"
+    return scene_from_spec(open_scene(family, robot))
 
 
-def filter_of(name: str) -> SafetyFilter:
-    body = MADE[name]() if name in MADE else load_body(name)
-    scene = scene_of(body)
+def make_filter(name: str) -> SafetyFilter:
+    body = SYNTHETIC_ROBOTS[name]() if name in SYNTHETIC_ROBOTS else load_robot(name)
+    scene = robot_scene(body)
     safety = SafetyFilter(body)
     safety.observe(
-        (*from_scene(scene, known=(), held=None), *(traversable("floor", scene.region) if scene.region else ()))
+        (
+            *obstacles_from_scene(scene, known=(), held=None),
+            *(traversable_region("floor", scene.region) if scene.region else ()),
+        )
     )
     return safety
 
 
 def mean_us(safety: SafetyFilter) -> float:
-    state = at_home(safety.body)
+    state = home_state(safety.body)
     wish = 0.5 * np.array([joint.velocity.value for joint in safety.body.joints])
     start = time.thread_time()
     for _ in range(STEPS):
@@ -89,7 +94,7 @@ def mean_us(safety: SafetyFilter) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=40)
-    filters = {name: filter_of(name) for name in (*BODIES, *MADE)}
+    filters = {name: make_filter(name) for name in (*BUILTIN_ROBOTS, *SYNTHETIC_ROBOTS)}
     rounds = parser.parse_args().rounds
     times = {name: [] for name in filters}
     for _ in range(rounds):

@@ -11,10 +11,10 @@ from typing import Any
 from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.verdict import Accepted, Rejected
-from dualbrain.robots.loader import load_body
-from dualbrain.skills.registry import arm_registry
+from dualbrain.robots.loader import load_robot
+from dualbrain.skills.registry import arm_skill_registry
 
-REGISTRY = arm_registry(load_body("panda"))
+REGISTRY = arm_skill_registry(load_robot("panda"))
 NAMES = SceneNames(graspable=("red_cube", "teal_cup"), receptive=("blue_bowl",))
 
 GRASP = {

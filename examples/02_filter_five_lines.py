@@ -11,11 +11,11 @@ from dataclasses import replace
 import numpy as np
 
 from dualbrain.core.geometry.shapes import Capsule, HalfSpace, Pose
-from dualbrain.robots.interface import at_home
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.interface import home_state
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import FilterConfig, Obstacle, SafetyFilter
 
-PANDA = load_body("panda")
+PANDA = load_robot("panda")
 TABLE = Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)))
 POST = Obstacle("post", Capsule(radius=0.03, half_length=0.2), Pose((0.50, 0.25, 0.2)), margin=0.009)
 CONFIG = FilterConfig(lag_compensation=False, tracking_error=0.0)  # q follows u exactly in this loop
@@ -25,7 +25,7 @@ def drive(direction: tuple[float, float, float], seconds: float) -> None:
     """Push the tool along `direction` [m/s] from home and print what the filter makes of it."""
     safety = SafetyFilter(PANDA, CONFIG)
     safety.observe([TABLE, POST], stamp=0.0)
-    state, wish = at_home(PANDA), np.array([*direction, 0.0, 0.0, 0.0])
+    state, wish = home_state(PANDA), np.array([*direction, 0.0, 0.0, 0.0])
     print(f"\npush at {np.linalg.norm(direction):.2f} m/s along {direction}")
     for tick in range(round(seconds / PANDA.period)):
         now = tick * PANDA.period

@@ -12,15 +12,15 @@ import numpy as np
 from dualbrain.contracts.gate.authorization import PLANNER
 from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.verdict import Accepted
-from dualbrain.control.contract_executor import LocalLayer
-from dualbrain.control.control_loop import LayerConfig
+from dualbrain.control.contract_executor import ContractExecutor
+from dualbrain.control.control_loop import ExecutorConfig
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Trace
 from dualbrain.grounding.scene_rules import scene_rules
-from dualbrain.grounding.vocabulary import grants, scene_names, vocabulary
-from dualbrain.robots.loader import load_body
+from dualbrain.grounding.vocabulary import load_skill_registry, planner_grants, scene_names
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
-from dualbrain.simulation.perception.noisy_perception import Noise, Perception
+from dualbrain.simulation.perception.noisy_perception import NoisyPerception, PerceptionNoise
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.generators.tabletop import make_scene
 from dualbrain.simulation.world import SimulatedWorld
@@ -34,26 +34,26 @@ PLACE = {"destination": "blue_bowl", "speed": 0.3, "clearance": 0.10, "route": "
 
 def main() -> None:
     """Put the red cube into the bowl of the bare scene and print what happened."""
-    body, registry, spec = load_body("panda"), vocabulary("panda"), make_scene("bare", 1)
+    body, registry, spec = load_robot("panda"), load_skill_registry("panda"), make_scene("bare", 1)
     plant = Plant(spec, body)
-    world = SimulatedWorld(plant, Perception(spec, Noise(), np.random.default_rng(0)))
-    log = FlightLog(Trace(body.n), announce=lambda event: print(f"{event.t:6.2f} s  {event.text}"))
-    layer = LocalLayer(body, plant, world, SafetyFilter(body), log, LayerConfig(), phase_changed=world.allow)
+    world = SimulatedWorld(plant, NoisyPerception(spec, PerceptionNoise(), np.random.default_rng(0)))
+    log = FlightLog(Trace(body.n), on_event=lambda event: print(f"{event.t:6.2f} s  {event.text}"))
+    layer = ContractExecutor(body, plant, world, SafetyFilter(body), log, ExecutorConfig(), on_phase=world.set_phase)
 
     written = {
         "id": "c-0001",
         "context": {"robot": registry.robot, "registry": registry.hash},
         "action_sequence": [{"skill": "grasp", "params": GRASP}, {"skill": "place", "params": PLACE}],
     }
-    gate = Gate(registry, grants(registry), scene_rules(layer.scene, layer.limb))
+    gate = Gate(registry, planner_grants(registry), scene_rules(layer.scene, layer.controller))
     verdict = gate.check(
         json.dumps(written).encode(), names=scene_names(layer.scene), principal=PLANNER, now=layer.state.stamp
     )
     if not isinstance(verdict, Accepted):
         print(f"rejected at {verdict.stage}: {verdict.hint}")
         return
-    world.begin(verdict.contract)
-    outcome, truth = layer.run(verdict.contract), world.judgement()
+    world.start_contract(verdict.contract)
+    outcome, truth = layer.execute(verdict.contract), world.judgement()
     print(f"\n{outcome.kind}: {outcome.reason}")
     print(
         f"Δ {outcome.Delta:.4f}, intervened on {outcome.intervention_frequency:.1%} of ticks, "

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.core.geometry.shapes import Box, HalfSpace, Pose, Sphere
-from dualbrain.robots.loader import load_body
-from dualbrain.safety.cbf.filter import Filtered, Obstacle, SafetyFilter, Status
+from dualbrain.robots.loader import load_robot
+from dualbrain.safety.cbf.filter import FilterResult, FilterStatus, Obstacle, SafetyFilter
 
 Array = NDArray[np.float64]
 
@@ -21,22 +21,22 @@ def my_controller(q: Array, now: float) -> Array:
     return np.clip(3.0 * (goal - q), -1.5, 1.5)
 
 
-def what_to_do(answer: Filtered) -> str:
+def what_to_do(answer: FilterResult) -> str:
     """The answer's u may be written in every case: it is finite and within all limits of the joints."""
     match answer.status:
-        case Status.SAFE | Status.MODIFIED:
+        case FilterStatus.SAFE | FilterStatus.MODIFIED:
             return "go on"
-        case Status.RELAXED:
+        case FilterStatus.RELAXED:
             return "braking; end the task if it lasts 50 ms"
-        case Status.STOPPED:
+        case FilterStatus.STOPPED:
             return "braking; mend the input"
-        case Status.FAULT:
+        case FilterStatus.FAULT:
             return "braking; cut the drive if it lasts 50 ms"
 
 
 def main() -> None:
     """Drive for four seconds between a crate that stands still and a ball that flies by."""
-    body = load_body("panda")  # 1
+    body = load_robot("panda")  # 1
     safety = SafetyFilter(body)  # 2
     table = Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)))
     crate = Obstacle("crate", Box((0.1, 0.1, 0.2)), Pose((0.45, 0.42, 0.2)), margin=0.01)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from dualbrain.safety.cbf.result import Status
+from dualbrain.safety.cbf.result import FilterStatus
 from dualbrain.safety.control_affine import Barrier, ControlAffine, ControlAffineFilter
 
 MASS, BRAKE = 1650.0, 0.3 * 9.81  # [kg], hardest braking and acceleration [m/s²]
@@ -33,7 +33,7 @@ def cruise(barrier: Barrier | None) -> tuple[float, str]:
     safety = (
         None if barrier is None else ControlAffineFilter(CAR, [barrier], -limit, limit, fallback=-limit, domain=FASTER)
     )
-    speed, distance, least, worst, said = 20.0, 100.0, np.inf, Status.SAFE, "nobody asked"
+    speed, distance, least, worst, said = 20.0, 100.0, np.inf, FilterStatus.SAFE, "nobody asked"
     for _ in range(1200):
         u = np.clip(5.0 * MASS * (WISH - speed), -limit, limit)
         if safety is not None:

@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.core.geometry.shapes import Capsule, HalfSpace, Pose
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import Obstacle, SafetyFilter
-from dualbrain.safety.integration.intervention_log import EpisodeFile, read_episodes
-from dualbrain.safety.integration.shadow_mode import Shadow
+from dualbrain.safety.integration.intervention_log import InterventionLog, read_intervention_log
+from dualbrain.safety.integration.shadow_mode import ShadowFilter
 
 Array = NDArray[np.float64]
-BODY = load_body("panda")
+BODY = load_robot("panda")
 SCENE = [
     Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0))),
     Obstacle("post", Capsule(radius=0.03, half_length=0.2), Pose((0.45, 0.26, 0.2))),
@@ -41,14 +41,14 @@ def scene_filter() -> SafetyFilter:
     return safety
 
 
-def run(shadow: Shadow | None, safety: SafetyFilter | None) -> tuple[float, float]:
+def run(shadow: ShadowFilter | None, safety: SafetyFilter | None) -> tuple[float, float]:
     """Drive the arm; nearest distance [m] to anything, and the median seconds of a tick's watching or filtering."""
     q, v, near, spent = np.array(BODY.home), np.zeros(BODY.n), np.inf, list[float]()
     for tick in range(TICKS):
         now = tick * BODY.period
         u = my_controller(q, now)
         began = perf_counter()
-        answer = shadow.watch(q, v, u, now) if shadow else None
+        answer = shadow.evaluate(q, v, u, now) if shadow else None
         answer = safety(q, v, u, now) if safety else answer
         spent.append(perf_counter() - began)
         near = min(near, answer.h_min) if answer else near
@@ -63,12 +63,12 @@ def main() -> None:
     """Watch, read the file, switch on."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "episodes.jsonl"
-        with EpisodeFile(path) as file:
-            shadow = Shadow(scene_filter(), told=file)
+        with InterventionLog(path) as file:
+            shadow = ShadowFilter(scene_filter(), on_interval=file)
             _, spent = run(shadow, None)
             print(f"observed: {shadow.close().explain()}")
             print(f"watching took {spent * 1e6:.0f} µs a tick\n")
-        for episode in read_episodes(path):
+        for episode in read_intervention_log(path):
             print(
                 f"{episode.start:.3f}-{episode.end:.3f} s: {episode.cause}, {episode.worst},"
                 f" {episode.ticks} ticks, least h {(episode.h_min or 0.0) * 1e3:.1f} mm"

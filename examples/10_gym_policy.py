@@ -11,13 +11,13 @@ import gymnasium
 import numpy as np
 
 from dualbrain.core.geometry.shapes import Box, HalfSpace, Pose
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import FilterConfig, Obstacle, SafetyFilter
-from dualbrain.safety.integration.derating import driven
+from dualbrain.safety.integration.derating import derate
 from dualbrain.safety.integration.gym_env import FilteredEnv
-from dualbrain.safety.integration.shadow_mode import Shadow
+from dualbrain.safety.integration.shadow_mode import ShadowFilter
 
-BODY = driven(load_body("panda"), period=0.005, speed=1.5)  # this environment's own period and speed limit
+BODY = derate(load_robot("panda"), period=0.005, max_speed=1.5)  # this environment's own period and speed limit
 SCENE = [
     Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0))),
     Obstacle("shelf", Box((0.15, 0.25, 0.02)), Pose((0.6, -0.1, 0.2))),
@@ -45,11 +45,11 @@ class Reach(gymnasium.Env[Any, Any]):
         return np.concatenate([self.q, v]), float(self.q[1]), False, False, {}
 
 
-def behind(safety: SafetyFilter | Shadow) -> FilteredEnv:
+def behind(safety: SafetyFilter | ShadowFilter) -> FilteredEnv:
     """The environment behind `safety`: the policy acts at 50 Hz, the filter at 200 Hz."""
     return FilteredEnv(
-        Reach(), safety, wish=lambda action: 1.5 * np.asarray(action), act=lambda u, _: (u / 1.5).astype(np.float32),
-        hold=4,
+        Reach(), safety, decode_action=lambda action: 1.5 * np.asarray(action), encode_action=lambda u, _: (u / 1.5).astype(np.float32),
+        action_repeat=4,
     )  # fmt: skip
 
 
@@ -69,7 +69,7 @@ def roll(env: FilteredEnv, title: str) -> None:
 
 def main() -> None:
     """The same policy, watched and filtered."""
-    for title, wrap in (("watched", Shadow), ("filtered", lambda safety: safety)):
+    for title, wrap in (("watched", ShadowFilter), ("filtered", lambda safety: safety)):
         safety = SafetyFilter(BODY, EXACT)
         safety.observe(SCENE)
         roll(behind(wrap(safety)), title)

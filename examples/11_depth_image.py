@@ -9,13 +9,20 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from dualbrain.core.geometry.distance import distance
-from dualbrain.core.geometry.rotations import matrix
+from dualbrain.core.geometry.distance import signed_distance
+from dualbrain.core.geometry.rotations import quaternion_to_matrix
 from dualbrain.core.geometry.shapes import Box, HalfSpace, Pose, Sphere
-from dualbrain.robots.loader import load_body
-from dualbrain.safety.barriers.scenarios import EXACT
+from dualbrain.robots.loader import load_robot
+from dualbrain.safety.barriers.scenarios import EXACT_TRACKING
 from dualbrain.safety.cbf.filter import Obstacle, SafetyFilter
-from dualbrain.safety.integration.scene_fusion import Mounted, Primitive, Refused, SceneFeed, Source, Updated
+from dualbrain.safety.integration.scene_fusion import (
+    FrameMount,
+    PerceivedShape,
+    SceneFusion,
+    SceneSource,
+    SourceAccepted,
+    SourceRefused,
+)
 
 WIDTH, HEIGHT, FOCAL = 96, 72, 80.0
 """Pixels, and the focal length in pixels."""
@@ -30,11 +37,11 @@ POST, BALL = (Box((0.03, 0.03, 0.2)), Pose((0.5, 0.15, 0.2))), (Sphere(0.06), Po
 
 def true_depth():
     """The depth [m] along every pixel's ray (here: against a post and a ball on a table)."""
-    rays = pixel_rays() @ matrix(LOOK.quaternion).T
+    rays = pixel_rays() @ quaternion_to_matrix(LOOK.quaternion).T
     depth = np.full(len(rays), 0.2)
     for _ in range(80):  # sphere tracing: as far as nothing is nearer
         points = np.array(LOOK.position) + rays * depth[:, None]
-        depth += 0.95 * np.min([distance(*thing, points) for thing in (TABLE, POST, BALL)], axis=0)
+        depth += 0.95 * np.min([signed_distance(*thing, points) for thing in (TABLE, POST, BALL)], axis=0)
     return depth
 
 
@@ -53,7 +60,7 @@ def pixel_rays():
 def primitives(depth, camera):
     """Clusters of what stands off the table, each in a ball around it; in the camera's frame."""
     points = pixel_rays() * depth.reshape(-1, 1)
-    height = points @ matrix(camera.quaternion)[2] + camera.position[2]
+    height = points @ quaternion_to_matrix(camera.quaternion)[2] + camera.position[2]
     points = points[(height > 0.015) & (depth.ravel() < 2.0)]
     pairs = cKDTree(points).sparse_distance_matrix(cKDTree(points), 0.035)
     count, label = connected_components(pairs)
@@ -66,33 +73,35 @@ def balls(name, points, most=0.05):
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     radius = float(np.linalg.norm(points - middle, axis=1).max())
     if radius <= most:
-        return [Primitive(name, Sphere(radius + 0.02), Pose(tuple(middle.tolist())))]
+        return [PerceivedShape(name, Sphere(radius + 0.02), Pose(tuple(middle.tolist())))]
     axis = np.linalg.svd(points - middle, full_matrices=False)[2][0]
     left = (points - middle) @ axis < 0.0
     return balls(f"{name}a", points[left], most) + balls(f"{name}b", points[~left], most)
 
 
 rng = np.random.default_rng(0)
-feed = SceneFeed({"camera": Source(error=NOISE, oldest=0.2)}, {"lens": Mounted(LOOK, error=0.002, angle=0.002)})
+feed = SceneFusion(
+    {"camera": SceneSource(error=NOISE, max_age=0.2)}, {"lens": FrameMount(LOOK, error=0.002, angle_error=0.002)}
+)
 depth = true_depth()
 shapes = primitives(picture(depth, rng), LOOK)
 for frame, stamp in (("lens", 0.0), ("lense", 0.0), ("lens", -1.0)):
     match feed.update("camera", frame, stamp, shapes, now=0.0):
-        case Updated(_, count):
+        case SourceAccepted(_, count):
             print(f"{count} balls from one depth image")
-        case Refused(_, reason):
+        case SourceRefused(_, reason):
             print(f"refused: {reason}")
-safety = SafetyFilter(load_body("panda"), EXACT, standing=[Obstacle("table", *TABLE)])
+safety = SafetyFilter(load_robot("panda"), EXACT_TRACKING, fixed_obstacles=[Obstacle("table", *TABLE)])
 q, u, least = np.array(safety.body.home), np.zeros(7), np.inf
 for tick in range(1500):
     now = 1e-3 * tick
     if tick % 50 == 0 and tick < 1000:
         feed.update("camera", "lens", now, primitives(picture(depth, rng), LOOK), now=now)
-    feed.hand_over(safety, now)
+    feed.apply_to(safety, now)
     answer = safety(q, u, np.array([0.3, 0.6, 0.0, 0.3, 0.0, 0.0, 0.0]), now)
     q, u = q + 1e-3 * answer.u, answer.u
     where, radii, _ = safety.spheres(q, 0.0)
-    least = min(least, *(float((distance(*thing, where) - radii).min()) for thing in (POST, BALL)))
+    least = min(least, *(float((signed_distance(*thing, where) - radii).min()) for thing in (POST, BALL)))
     if tick in (200, 999, 1499):
         print(f"{now:.1f} s: {answer.explain()}; |u| {np.linalg.norm(u):.3f} rad/s")
 print(f"nothing true came nearer than {least * 1e3:.1f} mm")

@@ -18,7 +18,7 @@ from resource import RUSAGE_CHILDREN, RUSAGE_SELF, getrusage
 import numpy as np
 
 from dualbrain.core.geometry.shapes import HalfSpace, Pose
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import FilterConfig, Obstacle, SafetyFilter
 
 ROBOT = "ur_description/urdf/ur5_robot.urdf"
@@ -56,7 +56,7 @@ print(f"  skills: {', '.join(line.split('(')[0] for line in said.splitlines() if
 code, said = dualbrain("robot", "inspect", str(folder), "--view", "--port", "18210")
 print("  " + next(line for line in said.splitlines() if "Look at" in line))
 
-body = load_body(str(folder))
+body = load_robot(str(folder))
 safety = SafetyFilter(body, FilterConfig(tracking_error=0.0, lag_compensation=False))
 q, u, least = np.array(body.home), np.zeros(body.n), np.inf
 table = float(min(safety.spheres(q, 0.0)[0][:, 2])) - 0.4

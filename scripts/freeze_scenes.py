@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dualbrain.simulation.tasks.scene_hashes import FILE, frozen_table
+from dualbrain.simulation.tasks.scene_hashes import HASH_FILE, format_hash_file
 
 SEEDS = range(40_000, 40_050)
 """The first seeds of the range for tests."""
 
 if __name__ == "__main__":
-    FILE.write_text(frozen_table(SEEDS), encoding="utf-8")
+    HASH_FILE.write_text(format_hash_file(SEEDS), encoding="utf-8")

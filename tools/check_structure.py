@@ -143,7 +143,11 @@ def records(tree: Tree) -> Iterator[str]:
     exempt: dict[str, str] = tree.config["records"]
     for name, parsed in tree.python(PACKAGE):
         for node in ast.walk(parsed):
-            if not isinstance(node, ast.ClassDef) or not is_record(node) or f"{module_name(name)}.{node.name}" in exempt:
+            if (
+                not isinstance(node, ast.ClassDef)
+                or not is_record(node)
+                or f"{module_name(name)}.{node.name}" in exempt
+            ):
                 continue
             fields = [one for one in node.body if isinstance(one, ast.AnnAssign) and not is_class_variable(one)]
             if len(fields) > MAX_POSITIONAL and not keyword_only(node):
@@ -159,7 +163,9 @@ def is_record(node: ast.ClassDef) -> bool:
 
 def is_class_variable(node: ast.AnnAssign) -> bool:
     """Whether an annotation is a `ClassVar`, or says `kw_only` of itself."""
-    return "ClassVar" in ast.unparse(node.annotation) or (node.value is not None and "kw_only=True" in ast.unparse(node.value))
+    return "ClassVar" in ast.unparse(node.annotation) or (
+        node.value is not None and "kw_only=True" in ast.unparse(node.value)
+    )
 
 
 def keyword_only(node: ast.ClassDef) -> bool:
@@ -169,7 +175,9 @@ def keyword_only(node: ast.ClassDef) -> bool:
         if isinstance(one, ast.Call):
             options += one.keywords
     declared = any(one.arg == "kw_only" and ast.unparse(one.value) == "True" for one in options)
-    return declared or any(isinstance(one, ast.AnnAssign) and "KW_ONLY" in ast.unparse(one.annotation) for one in node.body)
+    return declared or any(
+        isinstance(one, ast.AnnAssign) and "KW_ONLY" in ast.unparse(one.annotation) for one in node.body
+    )
 
 
 def words(tree: Tree) -> Iterator[str]:

@@ -9,12 +9,12 @@ from typing import Any
 
 from benchmarks.peers.setup_environments import python_of
 
-OWN = "dualbrain"
+OWN_NAME = "dualbrain"
 """The contestant whose median everybody's ratio is taken over."""
 
 
 @dataclass(frozen=True, slots=True)
-class Contestant:
+class BenchmarkedFilter:
     """`module` run in `environment` (None: ours) with `options`.
 
     `shipped` marks cbfpy's defaults, `primitives` who takes part in the second setting, `exact` who states the same
@@ -25,9 +25,9 @@ class Contestant:
     module: str
     environment: str | None = None
     options: dict[str, Any] = field(default_factory=dict)
-    shipped: bool = False
-    primitives: bool = True
-    exact: bool = True
+    is_default: bool = False
+    in_primitives: bool = True
+    same_rows: bool = True
     gains: tuple[float | None, ...] = ()
 
     @property
@@ -36,53 +36,55 @@ class Contestant:
         return Path(sys.executable) if self.environment is None else python_of(self.environment)
 
     @property
-    def ours(self) -> bool:
+    def is_own(self) -> bool:
         """Is it one of our own?"""
-        return self.name.startswith(OWN)
+        return self.name.startswith(OWN_NAME)
 
 
-BOTH = (None, 10.0)
+BOTH_GAINS = (None, 10.0)
 """The body's α, min a/v, and the α of oscbf's examples."""
 
 
-def _cbfpy(
+def _cbfpy_entry(
     jax: str, kinematics: str, backend: str, *, primitives: bool = False, gains: tuple[float | None, ...] = ()
-) -> Contestant:
+) -> BenchmarkedFilter:
     options: dict[str, Any] = {"kinematics": kinematics}
     if backend == "hard":
         options["relax"] = False
     if backend == "elastiqp":
         options |= {"backend": "elastiqp", "tolerance": 1e-6}
-    return Contestant(
+    return BenchmarkedFilter(
         f"cbfpy {backend}, {kinematics}, JAX {jax}", "benchmarks.peers.filters.cbfpy_filter", f"cbfpy-jax-{jax}", options,
-        shipped=backend == "default", primitives=primitives, gains=gains,
+        is_default=backend == "default", in_primitives=primitives, gains=gains,
     )  # fmt: skip
 
 
-OLD, NEW = "0.4.30", "0.10.2"
-CONTESTANTS = (
-    Contestant(OWN, "benchmarks.peers.filters.dualbrain_filter", options={"how": "call"}, gains=(None,)),
-    Contestant(f"{OWN}, RobotState", "benchmarks.peers.filters.dualbrain_filter", options={"how": "state"}),
-    Contestant(f"{OWN}, in C", "benchmarks.peers.filters.dualbrain_filter", options={"how": "c"}),
-    _cbfpy(OLD, "oscbf", "default"),
-    _cbfpy(OLD, "oscbf", "hard"),
-    _cbfpy(OLD, "plain", "default", primitives=True, gains=BOTH),
-    _cbfpy(OLD, "plain", "hard", primitives=True),
-    _cbfpy(NEW, "frax", "default"),
-    _cbfpy(NEW, "frax", "hard"),
-    _cbfpy(NEW, "frax", "elastiqp", primitives=True, gains=BOTH),
-    Contestant("pink daqp, all pairs", "benchmarks.peers.filters.pink_filter", "pink", gains=BOTH),
-    Contestant("mink daqp, all pairs", "benchmarks.peers.filters.mink_filter", "mink", gains=BOTH),
-    Contestant(
+OLD_JAX, NEW_JAX = "0.4.30", "0.10.2"
+BENCHMARKED_FILTERS = (
+    BenchmarkedFilter(OWN_NAME, "benchmarks.peers.filters.dualbrain_filter", options={"how": "call"}, gains=(None,)),
+    BenchmarkedFilter(f"{OWN_NAME}, RobotState", "benchmarks.peers.filters.dualbrain_filter", options={"how": "state"}),
+    BenchmarkedFilter(f"{OWN_NAME}, in C", "benchmarks.peers.filters.dualbrain_filter", options={"how": "c"}),
+    _cbfpy_entry(OLD_JAX, "oscbf", "default"),
+    _cbfpy_entry(OLD_JAX, "oscbf", "hard"),
+    _cbfpy_entry(OLD_JAX, "plain", "default", primitives=True, gains=BOTH_GAINS),
+    _cbfpy_entry(OLD_JAX, "plain", "hard", primitives=True),
+    _cbfpy_entry(NEW_JAX, "frax", "default"),
+    _cbfpy_entry(NEW_JAX, "frax", "hard"),
+    _cbfpy_entry(NEW_JAX, "frax", "elastiqp", primitives=True, gains=BOTH_GAINS),
+    BenchmarkedFilter("pink daqp, all pairs", "benchmarks.peers.filters.pink_filter", "pink", gains=BOTH_GAINS),
+    BenchmarkedFilter("mink daqp, all pairs", "benchmarks.peers.filters.mink_filter", "mink", gains=BOTH_GAINS),
+    BenchmarkedFilter(
         "mink daqp, broadphase 0.1 m", "benchmarks.peers.filters.mink_filter", "mink", {"broadphase": True, "detection": 0.1},
-        exact=False, gains=BOTH,
+        same_rows=False, gains=BOTH_GAINS,
     ),
-    Contestant(
-        "mink daqp, its defaults", "benchmarks.peers.filters.mink_filter", "mink", {"defaults": True}, exact=False, gains=(None,),
+    BenchmarkedFilter(
+        "mink daqp, its defaults", "benchmarks.peers.filters.mink_filter", "mink", {"defaults": True}, same_rows=False, gains=(None,),
     ),
 )  # fmt: skip
-QUICK = (
-    CONTESTANTS[0],
-    CONTESTANTS[2],
-    Contestant("fake", "benchmarks.peers.filters.fake_filter", options={"nap": 2e-4}, shipped=True, gains=(None,)),
+QUICK_FILTERS = (
+    BENCHMARKED_FILTERS[0],
+    BENCHMARKED_FILTERS[2],
+    BenchmarkedFilter(
+        "fake", "benchmarks.peers.filters.fake_filter", options={"nap": 2e-4}, is_default=True, gains=(None,)
+    ),
 )

@@ -7,30 +7,37 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-INTRODUCTION = Path(__file__).with_name("introduction.md")
+INTRODUCTION_FILE = Path(__file__).with_name("introduction.md")
 
 
-LATENCY = """## Latency of one step
+LATENCY_TEXT = """## Latency of one step
 
 Median and p99 in µs of time that passed, ratio of medians over `dualbrain` in the same unit. *processor* is the median
 over blocks of the mean processor time of a step [µs]: on a busy machine a step of milliseconds is interrupted and one
 of microseconds is not, so that medians beyond a millisecond, and all p99, overstate what the step costs."""
 
 
-def write(whole: dict[str, Any], path: Path) -> None:
+def write_report(whole: dict[str, Any], path: Path) -> None:
     """Write the document of a run to `path`."""
-    parts = [INTRODUCTION.read_text(), _origin(whole), _bars(whole), _latency(whole), _first(whole), _deviation(whole)]
-    parts += [_infeasible(whole), _clearance(whole), _refused(whole), _versions(whole)]
+    parts = [
+        INTRODUCTION_FILE.read_text(),
+        _provenance(whole),
+        _targets(whole),
+        _latency_tables(whole),
+        _first_calls(whole),
+        _deviation(whole),
+    ]
+    parts += [_infeasible(whole), _clearance(whole), _unavailable(whole), _versions(whole)]
     path.write_text("\n\n".join(part.strip() for part in parts if part) + "\n")
 
 
-def _grid(head: Iterable[str], lines: Iterable[Iterable[object]]) -> str:
+def _markdown_table(head: Iterable[str], lines: Iterable[Iterable[object]]) -> str:
     head = list(head)
     body = ["| " + " | ".join(str(cell) for cell in line) + " |" for line in lines]
     return "\n".join(["| " + " | ".join(head) + " |", "|" + " --- |" * len(head), *body])
 
 
-def _origin(whole: dict[str, Any]) -> str:
+def _provenance(whole: dict[str, Any]) -> str:
     units = whole["units"]
     revisions = sorted({unit["revision"] for unit in units})
     kernels = sorted({unit["kernel"] for unit in units})
@@ -43,18 +50,18 @@ def _origin(whole: dict[str, Any]) -> str:
     )
 
 
-def _bars(whole: dict[str, Any]) -> str:
+def _targets(whole: dict[str, Any]) -> str:
     lines = [
         (bar["bar"], f"{bar['wanted']:g}", f"{bar['reached']:.1f}", "met" if bar["met"] else "**missed**", bar["by"])
         for bar in whole["bars"]
     ]
-    return "## Bars\n\nSet before measuring; ratios of medians over ours.\n\n" + _grid(
+    return "## Bars\n\nSet before measuring; ratios of medians over ours.\n\n" + _markdown_table(
         ("bar", "wanted", "reached", "", "by"), lines
     )
 
 
-def _latency(whole: dict[str, Any]) -> str:
-    parts = [LATENCY]
+def _latency_tables(whole: dict[str, Any]) -> str:
+    parts = [LATENCY_TEXT]
     for unit in whole["units"]:
         setting, _, n = unit["unit"].partition(":")
         rows = [row for row in whole["rows"] if row["setting"] == setting and str(row["n"]) == n]
@@ -76,7 +83,9 @@ def _latency(whole: dict[str, Any]) -> str:
         parts.append(
             f"### {n} {setting}\n\n{unit['pairs']} pairs of a sphere and an obstacle; the exact filter changes "
             f"{100 * unit['changed_share']:.0f} % of the recorded steps.\n\n"
-            + _grid(("contestant", "median", "p99", "processor", "ratio", "rows in QP", "samples", "failed"), lines)
+            + _markdown_table(
+                ("contestant", "median", "p99", "processor", "ratio", "rows in QP", "samples", "failed"), lines
+            )
         )
     return "\n\n".join(parts)
 
@@ -89,7 +98,7 @@ def _rows_in_qp(row: dict[str, Any]) -> str:
     return text
 
 
-def _first(whole: dict[str, Any]) -> str:
+def _first_calls(whole: dict[str, Any]) -> str:
     found = [one for one in whole["first_call"] if one["setting"] == "rows"]
     sizes = sorted({one["n"] for one in found})
     peers = list(dict.fromkeys(one["peer"] for one in found))
@@ -98,7 +107,7 @@ def _first(whole: dict[str, Any]) -> str:
     return (
         "## First call\n\nSeconds from the imported library to the first answer: building the filter and, for JAX, "
         "tracing and compiling (again for every number of rows); in brackets the processor time, as the machine is "
-        "shared.\n\n" + _grid(("contestant", *(f"{n} rows" for n in sizes)), lines)
+        "shared.\n\n" + _markdown_table(("contestant", *(f"{n} rows" for n in sizes)), lines)
     )
 
 
@@ -109,8 +118,8 @@ def _seconds(one: dict[str, Any]) -> str:
 def _deviation(whole: dict[str, Any]) -> str:
     lines = [
         (
-            one["peer"], one["n"], _small(one["max"]), _small(one["median"]), _small(one["max_on_own_rows"]),
-            _small(one["worst_row_violation"]), f"{one['changed_all_the_same']} of {one['nothing_to_do']}",
+            one["peer"], one["n"], _format_small(one["max"]), _format_small(one["median"]), _format_small(one["max_on_own_rows"]),
+            _format_small(one["worst_row_violation"]), f"{one['changed_all_the_same']} of {one['nothing_to_do']}",
             one["no_answer"] or "",
         )
         for one in whole["deviation"]
@@ -120,11 +129,11 @@ def _deviation(whole: dict[str, Any]) -> str:
         "plain rows (for ours with its margin of 0.21 mm, but without the sampling term of its rows), and on the rows "
         "that ours itself states. *Row* is the worst b − A u of the plain rows [m/s], negative where all hold. *Idle* "
         "counts states where u_nom was safe and u moved by more than 1e-4 rad/s all the same.\n\n"
-        + _grid(("contestant", "rows", "max", "median", "max on own rows", "row", "idle", "no answer"), lines)
+        + _markdown_table(("contestant", "rows", "max", "median", "max on own rows", "row", "idle", "no answer"), lines)
     )
 
 
-def _small(value: float | None) -> str:
+def _format_small(value: float | None) -> str:
     return "" if value is None else f"{value:.1e}"
 
 
@@ -132,16 +141,19 @@ def _infeasible(whole: dict[str, Any]) -> str:
     cases = {one["case"]: one["what"] for one in whole["infeasible"]}
     peers = list(dict.fromkeys(one["peer"] for one in whole["infeasible"]))
     by = {(one["peer"], one["case"]): one for one in whole["infeasible"]}
-    lines = [(peer, *(_said(by[peer, case]) if (peer, case) in by else "" for case in cases)) for peer in peers]
+    lines = [
+        (peer, *(_describe_answer(by[peer, case]) if (peer, case) in by else "" for case in cases)) for peer in peers
+    ]
     return (
         "## Where there is no answer\n\n"
         + "\n".join(f"- *{case}*: {what}." for case, what in cases.items())
         + "\n\n*silent*: a control came back and nothing says that it is none. Inside an obstacle mink asks only that "
-        "h does not shrink, so that the contradiction has an answer for it.\n\n" + _grid(("contestant", *cases), lines)
+        "h does not shrink, so that the contradiction has an answer for it.\n\n"
+        + _markdown_table(("contestant", *cases), lines)
     )
 
 
-def _said(one: dict[str, Any]) -> str:
+def _describe_answer(one: dict[str, Any]) -> str:
     if one["said"].startswith("raised"):
         return one["said"]
     if not one["finite"]:
@@ -170,16 +182,16 @@ def _clearance(whole: dict[str, Any]) -> str:
         "negative is penetration. Ours knows the limits; peers get α = min a/v, with which a velocity-level filter can "
         "nearly be followed, and α = 10, the value of oscbf's examples. A missing answer brakes. *Followed*: share of "
         "commands that the plant could follow.\n\n"
-        + _grid(("contestant", "α [1/s]", "least h [mm]", "no answer", "followed"), lines)
+        + _markdown_table(("contestant", "α [1/s]", "least h [mm]", "no answer", "followed"), lines)
     )
 
 
-def _refused(whole: dict[str, Any]) -> str:
+def _unavailable(whole: dict[str, Any]) -> str:
     if not whole["refused"]:
         return ""
     lines = [(one["peer"], one["setting"], one["n"], one["why"]) for one in whole["refused"]]
     why = "Where no answer came in time, this machine was busy; it says nothing else about the contestant."
-    return f"## Who did not take part\n\n{why}\n\n" + _grid(("contestant", "setting", "n", "why"), lines)
+    return f"## Who did not take part\n\n{why}\n\n" + _markdown_table(("contestant", "setting", "n", "why"), lines)
 
 
 def _versions(whole: dict[str, Any]) -> str:
@@ -187,4 +199,4 @@ def _versions(whole: dict[str, Any]) -> str:
         (peer, ", ".join(f"{name} {version}" for name, version in found.items()))
         for peer, found in whole["versions"].items()
     ]
-    return "## Versions\n\n" + _grid(("contestant", "versions"), lines)
+    return "## Versions\n\n" + _markdown_table(("contestant", "versions"), lines)

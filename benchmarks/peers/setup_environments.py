@@ -22,10 +22,10 @@ OSCBF = "https://github.com/StanfordASL/oscbf"
 OSCBF_COMMIT = "6082329f8e1d61ee8e875a63a5cd80a14d513e12"
 WITH_OSCBF = "cbfpy-jax-0.4.30"
 """oscbf is on no package index; it pins this JAX and needs its own list of old parts, which is why it is only here."""
-DONE = "made-from.json"
+MARK_FILE = "made-from.json"
 
 
-def names() -> tuple[str, ...]:
+def environment_names() -> tuple[str, ...]:
     """Every environment there is a file of requirements for."""
     return tuple(sorted(path.stem for path in (HERE / "requirements").glob("*.txt")))
 
@@ -41,13 +41,13 @@ def digest_of(name: str) -> str:
     return hashlib.sha256(text).hexdigest()[:12]
 
 
-def ready(name: str) -> bool:
+def is_ready(name: str) -> bool:
     """Was `name` made from the requirements as they are now?"""
-    mark = ENVIRONMENTS / name / DONE
+    mark = ENVIRONMENTS / name / MARK_FILE
     return mark.exists() and json.loads(mark.read_text())["digest"] == digest_of(name)
 
 
-def make(name: str, oscbf: str) -> list[str]:
+def create(name: str, oscbf: str) -> list[str]:
     """Make one environment; returns what could not be installed."""
     if not python_of(name).exists():
         venv.create(ENVIRONMENTS / name, with_pip=True, clear=True)
@@ -58,7 +58,7 @@ def make(name: str, oscbf: str) -> list[str]:
     if name == WITH_OSCBF and _pip(name, "--no-deps", f"git+{oscbf}@{OSCBF_COMMIT}") != 0:
         missing.append("oscbf")
     if not missing:
-        (ENVIRONMENTS / name / DONE).write_text(json.dumps({"digest": digest_of(name)}))
+        (ENVIRONMENTS / name / MARK_FILE).write_text(json.dumps({"digest": digest_of(name)}))
     return missing
 
 
@@ -70,16 +70,16 @@ def _pip(name: str, *wanted: str) -> int:
 def main() -> int:
     """Make what is missing, and say what could not be made."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--only", choices=names(), help="one environment")
+    parser.add_argument("--only", choices=environment_names(), help="one environment")
     parser.add_argument("--oscbf", default=OSCBF, help="git address that has oscbf's commit")
     arguments = parser.parse_args()
     missing: list[str] = []
-    for name in [arguments.only] if arguments.only else names():
-        print(f"{name}: {'ready' if ready(name) else 'installing'}", file=sys.stderr)
-        missing += [] if ready(name) else make(name, arguments.oscbf)
+    for name in [arguments.only] if arguments.only else environment_names():
+        print(f"{name}: {'ready' if is_ready(name) else 'installing'}", file=sys.stderr)
+        missing += [] if is_ready(name) else create(name, arguments.oscbf)
     for name in missing:
         print(f"could not be installed: {name}", file=sys.stderr)
-    return 0 if any(python_of(name).exists() for name in names()) else 1
+    return 0 if any(python_of(name).exists() for name in environment_names()) else 1
 
 
 if __name__ == "__main__":

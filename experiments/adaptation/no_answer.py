@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 
-class NoAnswer(RuntimeError):
+class NoAnswerError(RuntimeError):
     """The engine broke or time ran out, which says nothing of the model: the unit is to be carried out again."""
 
     def __init__(self, finish: str, detail: str = "") -> None:

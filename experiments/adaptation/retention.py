@@ -11,30 +11,30 @@ import re
 from pathlib import Path
 from typing import Any
 
-from dualbrain.adaptation.adapters.card import CARD
+from dualbrain.adaptation.adapters.card import CARD_FILE
 from dualbrain.adaptation.adapters.packaged import packaged_folder
-from dualbrain.adaptation.adapters.stacking import Stack, stack_of
-from dualbrain.adaptation.serving.open_planner import N_CTX, wear
+from dualbrain.adaptation.adapters.stacking import AdapterStack, load_stack
+from dualbrain.adaptation.serving.open_planner import N_CTX, start_llama
 from dualbrain.adaptation.serving.perplexity import perplexity, retention_text
-from dualbrain.adaptation.serving.raw_completion import Said, say
+from dualbrain.adaptation.serving.raw_completion import RawCompletion, complete
 from dualbrain.cli.common import paths
-from dualbrain.core.weights import find_file, locate
-from dualbrain.planner.backends.http_chat import Answer
+from dualbrain.core.weights import find_weight_file, locate_weights
+from dualbrain.planner.backends.http_chat import ChatResponse
 from dualbrain.planner.backends.llama_cpp import LlamaConfig
-from dualbrain.planner.prompt.prompt_format import FREE
+from dualbrain.planner.prompt.prompt_format import UNCONSTRAINED_SHORT_PROMPT
 from experiments.adaptation import ablation_curve
-from experiments.adaptation.no_answer import NoAnswer
+from experiments.adaptation.no_answer import NoAnswerError
 from experiments.adaptation.rounds import Rounds
-from experiments.adaptation.suite_adapters import WHOLE, fitted
-from experiments.engine.experiment import Options, Row, Unit
-from experiments.figures.tables import share, table
+from experiments.adaptation.suite_adapters import FULL_ADAPTER, adapter_folder
+from experiments.engine.experiment import Options, Row, WorkUnit
+from experiments.figures.tables import format_proportion, markdown_table
 
-BARE, BASE = "smollm2-135m-instruct", "base-135m"
-NIGHTS = ("sft, clean ones", "+ KL", "full")
+BARE_MODEL, BASE_ADAPTER = "smollm2-135m-instruct", "base-135m"
+CURVE_ARMS = ("sft, clean ones", "+ KL", "full")
 """Arms of `adapt_curve`: β = 0, the default β, the whole objective with it."""
-LIVED = (WHOLE, "adapted_no_kl")
+ROUND_ADAPTERS = (FULL_ADAPTER, "adapted_no_kl")
 """Adapters of `nights`, of one chain."""
-LONGEST = 40
+MAX_TOKENS = 40
 QUESTIONS = (
     ("What is the capital of France?", "paris"), ("What is the capital of Italy?", "rome"),
     ("What is the opposite of hot?", "cold"), ("What is the opposite of left?", "right"),
@@ -56,74 +56,79 @@ class Retention:
     name = "retention"
     claim = (
         "Perplexity of a text of no robot's and 20 plain questions: of the bare model, after the lessons of the base, "
-        f"and after nights from there, without KL (β = 0), with it (β = {ablation_curve.FULL.beta:g}), and with all."
+        f"and after nights from there, without KL (β = 0), with it (β = {ablation_curve.FULL_OBJECTIVE.beta:g}), and with all."
     )
 
-    def units(self, options: Options) -> list[Unit]:
+    def units(self, options: Options) -> list[WorkUnit]:
         """Bare and base, the nights that rounds led to, then those of `adapt_curve` seed by seed."""
-        nights = [(arm, seed) for seed in ablation_curve.SEEDS for arm in NIGHTS]
-        told = [(arm, 0) for arm in (BARE, BASE, *LIVED)] + nights
+        nights = [(arm, seed) for seed in ablation_curve.SEEDS for arm in CURVE_ARMS]
+        told = [(arm, 0) for arm in (BARE_MODEL, BASE_ADAPTER, *ROUND_ADAPTERS)] + nights
         folder = str(options.folder)
-        return [Unit(f"{arm}, seed {seed}", {"arm": arm, "seed": seed, "folder": folder}) for arm, seed in told]
+        return [WorkUnit(f"{arm}, seed {seed}", {"arm": arm, "seed": seed, "folder": folder}) for arm, seed in told]
 
     def run(self, about: dict[str, Any]) -> Row:
         """Fit if `adapt_curve` has not yet, then ask."""
-        stack = taught(about["arm"], about["seed"], Path(about["folder"]))
-        planner = wear(stack, paths.cache(), LlamaConfig(threads=1, n_ctx=N_CTX), asking=FREE)
+        stack = adapter_stack(about["arm"], about["seed"], Path(about["folder"]))
+        planner = start_llama(
+            stack, paths.cache_folder(), LlamaConfig(threads=1, n_ctx=N_CTX), prompt_format=UNCONSTRAINED_SHORT_PROMPT
+        )
         try:
             measured = perplexity(planner, retention_text())
             turns = [[{"role": "user", "content": question}] for question, _ in QUESTIONS]
-            said = [say(planner, one, longest=LONGEST) for one in turns]
+            said = [complete(planner, one, max_tokens=MAX_TOKENS) for one in turns]
         finally:
             planner.close()
-        texts = [text_of(one) for one in said]
-        if isinstance(measured, Answer):
-            raise NoAnswer(measured.finish, measured.detail)
+        texts = [answer_text(one) for one in said]
+        if isinstance(measured, ChatResponse):
+            raise NoAnswerError(measured.finish_reason, measured.detail)
         return {"arm": about["arm"], "seed": about["seed"], "perplexity": measured, "texts": texts,
-                "right": list(map(known, texts, (words for _, words in QUESTIONS)))}  # fmt: skip
+                "right": list(map(is_known, texts, (words for _, words in QUESTIONS)))}  # fmt: skip
 
-    def brief(self, row: Row) -> str:
+    def summarize_row(self, row: Row) -> str:
         """Both figures."""
         return f"perplexity {row['perplexity']:.2f}, {sum(row['right'])} of {len(row['right'])} known"
 
     def report(self, rows: list[Row]) -> list[str]:
         """One line an arm: perplexity of each seed, questions of all."""
-        by_arm = {arm: [row for row in rows if row["arm"] == arm] for arm in (BARE, BASE, *LIVED, *NIGHTS)}
+        by_arm = {
+            arm: [row for row in rows if row["arm"] == arm]
+            for arm in (BARE_MODEL, BASE_ADAPTER, *ROUND_ADAPTERS, *CURVE_ARMS)
+        }
         cells = (
             (arm, ", ".join(f"{row['perplexity']:.2f}" for row in mine),
-             share(sum(sum(row["right"]) for row in mine), sum(len(row["right"]) for row in mine)))
+             format_proportion(sum(sum(row["right"]) for row in mine), sum(len(row["right"]) for row in mine)))
             for arm, mine in by_arm.items() if mine
         )  # fmt: skip
-        return table(("", "perplexity, by seed", "questions known"), cells)
+        return markdown_table(("", "perplexity, by seed", "questions known"), cells)
 
 
-def text_of(said: Said | Answer) -> str:
+def answer_text(said: RawCompletion | ChatResponse) -> str:
     """The words of an answer; raises `NoAnswer`."""
-    if isinstance(said, Answer):
-        raise NoAnswer(said.finish, said.detail)
+    if isinstance(said, ChatResponse):
+        raise NoAnswerError(said.finish_reason, said.detail)
     return said.text
 
 
-def known(text: str, words: str) -> bool:
+def is_known(text: str, words: str) -> bool:
     """Whether `text` is no contract and has one of `words` in it."""
     return "{" not in text and re.search(rf"\b(?:{words})s?\b", text.lower()) is not None
 
 
-def taught(arm: str, seed: int, folder: Path) -> Stack:
+def adapter_stack(arm: str, seed: int, folder: Path) -> AdapterStack:
     """The bare model, the base, or the base after a night; what is not fitted yet in `folder` is."""
-    if arm == BARE:
-        return Stack(find_file(BARE).name, locate(BARE, paths.cache()), ())
-    return stack_of(_fitted(arm, seed, folder), paths.cache())
+    if arm == BARE_MODEL:
+        return AdapterStack(find_weight_file(BARE_MODEL).name, locate_weights(BARE_MODEL, paths.cache_folder()), ())
+    return load_stack(_adapter_folder(arm, seed, folder), paths.cache_folder())
 
 
-def _fitted(arm: str, seed: int, folder: Path) -> Path:
+def _adapter_folder(arm: str, seed: int, folder: Path) -> Path:
     """The folder of an adapter; one that a proof has left is taken as it is, for that is what the proof measured."""
-    if arm == BASE:
-        return packaged_folder(BASE)
-    if arm in LIVED:
-        return fitted(arm, folder / Rounds.name)
-    curve = folder / ablation_curve.AdaptCurve.name
-    left = ablation_curve.place(arm, seed, ablation_curve.STEPS, curve) / "adapter"
-    if not left.joinpath(CARD).is_file():
-        ablation_curve.fit(arm, seed, ablation_curve.STEPS, curve)
+    if arm == BASE_ADAPTER:
+        return packaged_folder(BASE_ADAPTER)
+    if arm in ROUND_ADAPTERS:
+        return adapter_folder(arm, folder / Rounds.name)
+    curve = folder / ablation_curve.AblationCurve.name
+    left = ablation_curve.training_folder(arm, seed, ablation_curve.N_STEPS, curve) / "adapter"
+    if not left.joinpath(CARD_FILE).is_file():
+        ablation_curve.train_arm(arm, seed, ablation_curve.N_STEPS, curve)
     return left

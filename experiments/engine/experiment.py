@@ -11,11 +11,11 @@ Row = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
-class Unit:
+class WorkUnit:
     """One piece of work: its `key` in the journal, and what it is `about` (JSON)."""
 
     key: str
-    about: dict[str, Any] = field(default_factory=dict)
+    parameters: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,13 +26,13 @@ class Options:
     planner: str
 
 
-class Proof(Protocol):
+class Experiment(Protocol):
     """One claim with its evidence."""
 
     name: str
     claim: str
 
-    def units(self, options: Options) -> list[Unit]:
+    def units(self, options: Options) -> list[WorkUnit]:
         """All the work, most telling first: any prefix is an honest sample."""
         ...
 
@@ -40,7 +40,7 @@ class Proof(Protocol):
         """Do one unit, in a process of its own that may do many."""
         ...
 
-    def brief(self, row: Row) -> str:
+    def summarize_row(self, row: Row) -> str:
         """One row in a few words, for the progress line."""
         ...
 

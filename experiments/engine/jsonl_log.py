@@ -10,7 +10,7 @@ from pathlib import Path
 from experiments.engine.experiment import Row
 
 
-class Journal:
+class JsonlLog:
     """Appends rows to a JSONL file and reads them back; a line that was cut by a kill is ignored and done again."""
 
     def __init__(self, path: Path) -> None:
@@ -28,7 +28,7 @@ class Journal:
             latest[row["key"]] = row
         return list(latest.values())
 
-    def finished(self) -> set[str]:
+    def finished_keys(self) -> set[str]:
         """Keys that need not be done again: all but those whose last row is an error."""
         return {row["key"] for row in self.rows() if "error" not in row}
 
@@ -36,26 +36,26 @@ class Journal:
         """Write `row` through to the disk."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with self.path.open("ab+") as file:
-            if file.tell() and not self._whole(file):
+            if file.tell() and not self._ends_with_newline(file):
                 file.write(b"\n")
             file.write(json.dumps(row, separators=(",", ":"), default=float).encode() + b"\n")
             file.flush()
             os.fsync(file.fileno())
 
-    def begin_with(self, kept: Path) -> None:
+    def restore_from(self, kept: Path) -> None:
         """Start with what `kept` holds, packed by xz, if that exists and this file does not."""
         if kept.exists() and not self.path.exists():
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self.path.write_bytes(lzma.decompress(kept.read_bytes()))
 
-    def copy_to(self, kept: Path) -> None:
+    def pack_to(self, kept: Path) -> None:
         """Write the last row of each unit to `kept`, packed by xz, in place of what is there: answers are alike."""
         lines = [json.dumps(row, separators=(",", ":")) + "\n" for row in self.rows()]
         kept.parent.mkdir(parents=True, exist_ok=True)
         kept.write_bytes(lzma.compress("".join(lines).encode(), preset=9))
 
     @staticmethod
-    def _whole(file) -> bool:
+    def _ends_with_newline(file) -> bool:
         """Whether the file ends with a whole line."""
         file.seek(-1, os.SEEK_END)
         return file.read(1) == b"\n"

@@ -17,21 +17,21 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 
-from experiments.engine.experiment import Proof, Row, Unit
+from experiments.engine.experiment import Experiment, Row, WorkUnit
 
 SPAWN = get_context("spawn")
 
 
-def carry_out(
-    name: str, units: Iterable[Unit], jobs: int, niceness: int, catalogue: str = "experiments.engine.catalogue"
+def run_units(
+    name: str, units: Iterable[WorkUnit], jobs: int, niceness: int, catalogue: str = "experiments.engine.catalogue"
 ) -> Iterator[Row]:
     """The rows of `units` of the proof `name`, as they are done by `jobs` processes; `catalogue` is a module's name."""
-    hire = partial(_hire, name, niceness, catalogue)
+    hire = partial(_start_worker, name, niceness, catalogue)
     left = iter(units)
-    busy: dict[Connection, tuple[BaseProcess, Unit]] = {}
+    busy: dict[Connection, tuple[BaseProcess, WorkUnit]] = {}
     try:
         for unit in (unit for _ in range(jobs) for unit in [next(left, None)] if unit):
-            _hand(busy, *hire(), unit)
+            _assign_unit(busy, *hire(), unit)
         while busy:
             for pipe in list(wait(list(busy))):
                 process, unit = busy.pop(pipe)
@@ -46,7 +46,7 @@ def carry_out(
                     worker = pipe, process
                 following = next(left, None)
                 if following:
-                    _hand(busy, *(worker or hire()), following)
+                    _assign_unit(busy, *(worker or hire()), following)
                 elif worker:
                     pipe.close()
     finally:
@@ -54,32 +54,32 @@ def carry_out(
             process.terminate()
 
 
-def _hire(name: str, niceness: int, catalogue: str) -> tuple[Connection, BaseProcess]:
+def _start_worker(name: str, niceness: int, catalogue: str) -> tuple[Connection, BaseProcess]:
     ours, theirs = SPAWN.Pipe()
-    process = SPAWN.Process(target=_work, args=(theirs, name, niceness, catalogue), daemon=True)
+    process = SPAWN.Process(target=_worker_main, args=(theirs, name, niceness, catalogue), daemon=True)
     process.start()
     theirs.close()
     return ours, process
 
 
-def _hand(busy: dict, pipe: Connection, process: BaseProcess, unit: Unit) -> None:
+def _assign_unit(busy: dict, pipe: Connection, process: BaseProcess, unit: WorkUnit) -> None:
     busy[pipe] = (process, unit)
     pipe.send(unit)
 
 
-def _work(pipe: Connection, name: str, niceness: int, catalogue: str) -> None:
+def _worker_main(pipe: Connection, name: str, niceness: int, catalogue: str) -> None:
     """The life of a worker."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends its workers
     os.nice(niceness)
-    proof: Proof = import_module(catalogue).PROOFS[name]
+    proof: Experiment = import_module(catalogue).PROOFS[name]
     while True:
         try:
-            unit: Unit = pipe.recv()
+            unit: WorkUnit = pipe.recv()
         except EOFError:
             return
         began = time.monotonic()
         try:
-            row = proof.run(unit.about)
+            row = proof.run(unit.parameters)
         except Exception as error:
             row = {"error": f"{type(error).__name__}: {error}"[:400], "traceback": traceback.format_exc()[-2000:]}
         load = round(os.getloadavg()[0], 2)

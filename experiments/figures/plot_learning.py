@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from experiments.engine.experiment import Row
 
 COLOURS = {"dynamic": "#2a6fb0", "static": "#c2703d"}
-REFUSED = {"dynamic": 0.03, "static": 0.08}
+REFUSED_MARK_HEIGHT = {"dynamic": 0.03, "static": 0.08}
 """How high above the lower edge a refused contract is marked [share of the axis]."""
 
 
@@ -38,7 +38,9 @@ def plot_learning(rows: list[Row], path: Path) -> None:
     for row in rows:
         still = np.flatnonzero(np.isnan(_values(row, "Delta")))
         where, colour = axes[0].get_xaxis_transform(), COLOURS[row["arm"]]
-        axes[0].plot(still, np.full(len(still), REFUSED[row["arm"]]), "x", color=colour, alpha=0.5, transform=where)
+        axes[0].plot(
+            still, np.full(len(still), REFUSED_MARK_HEIGHT[row["arm"]]), "x", color=colour, alpha=0.5, transform=where
+        )
     for row in rows:
         if row["arm"] == "dynamic":
             curve = np.array(row["parted"])

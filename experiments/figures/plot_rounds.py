@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.adaptation.rounds import MEASURES, found
+from experiments.adaptation.rounds import METRICS, estimate_metric
 from experiments.engine.experiment import Row
 
 PANELS = (
@@ -17,7 +17,7 @@ PANELS = (
     ("time to completion [s]",),
 )
 COLOURS = ("#2a6fb0", "#c2703d", "#3b8f4a", "#7a5aa6")
-APART = 0.05
+LINE_OFFSET = 0.05
 """Between the lines of one panel [rounds]."""
 
 
@@ -27,18 +27,18 @@ def plot_rounds(rows: list[Row], path: Path) -> None:
     numbers = sorted({row["round"] for row in rows})
     for axis, names in zip(figure.subplots(2, 2).flat, PANELS, strict=True):
         for place, (name, colour) in enumerate(zip(names, COLOURS, strict=False)):
-            told = [found(name, [row for row in rows if row["round"] == number]) for number in numbers]
+            told = [estimate_metric(name, [row for row in rows if row["round"] == number]) for number in numbers]
             mean = np.array([one.mean for one in told])
             reach = np.nan_to_num(
                 [[one.mean - one.low for one in told], [one.high - one.mean for one in told]], posinf=0
             )
             axis.errorbar(
-                np.array(numbers) + APART * place, mean, np.maximum(reach, 0.0), fmt="o-", color=colour, capsize=3,
+                np.array(numbers) + LINE_OFFSET * place, mean, np.maximum(reach, 0.0), fmt="o-", color=colour, capsize=3,
                 lw=1.4, label=name,
             )  # fmt: skip
         axis.set_xticks(numbers)
         axis.set_xlabel("round (0: the base)")
-        axis.set_ylim(bottom=0.0, top=1.02 if MEASURES[names[0]].share else None)
+        axis.set_ylim(bottom=0.0, top=1.02 if METRICS[names[0]].is_share else None)
         if len(names) > 1:
             axis.legend(frameon=False, fontsize=8)
         else:

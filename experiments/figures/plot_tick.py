@@ -8,13 +8,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dualbrain.control.gatekeeper.timing.tick_profile import PARTS
-from dualbrain.control.gatekeeper.timing.tick_timing import BIN
+from dualbrain.control.gatekeeper.timing.tick_profile import TICK_PARTS
+from dualbrain.control.gatekeeper.timing.tick_timing import BIN_FRACTION
 from dualbrain.safety.supervisor.timing import SIMULATED
 from experiments.engine.experiment import Row
 
 BLUE, ORANGE = "#2a6fb0", "#c2703d"
-SHOWN = 6e-3
+MAX_SHOWN_INTERVAL = 6e-3
 """Intervals up to here [s]; longer ones are in the last column."""
 
 
@@ -29,8 +29,8 @@ def plot_tick(row: Row, path: Path) -> None:
 
 
 def _intervals(axis: Axes, row: Row) -> None:
-    width = BIN * SIMULATED.period
-    last = int(SHOWN / width)
+    width = BIN_FRACTION * SIMULATED.period
+    last = int(MAX_SHOWN_INTERVAL / width)
     counts = np.zeros(last + 1)
     for k, count in row["bins"].items():
         counts[min(int(k), last)] += count
@@ -42,7 +42,7 @@ def _intervals(axis: Axes, row: Row) -> None:
 
 
 def _parts(axis: Axes, parts: dict) -> None:
-    names = [name for name in PARTS if name != "wait" and parts[name]["ticks"]][::-1]
+    names = [name for name in TICK_PARTS if name != "wait" and parts[name]["ticks"]][::-1]
     means = [1e6 * parts[name]["mean"] for name in names]
     late = [1e6 * parts[name]["quantiles"][1] for name in names]
     axis.barh(names, late, color=ORANGE, alpha=0.35, label="99 %")

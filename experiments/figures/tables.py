@@ -9,7 +9,7 @@ Z = 1.959964
 """Standard normal quantile of a two-sided 95 % interval."""
 
 
-def wilson(successes: int, n: int) -> tuple[float, float]:
+def wilson_interval(successes: int, n: int) -> tuple[float, float]:
     """The Wilson score interval (95 %) of a proportion; (0, 1) without trials."""
     if n == 0:
         return 0.0, 1.0
@@ -19,13 +19,13 @@ def wilson(successes: int, n: int) -> tuple[float, float]:
     return max(0.0, middle - half), min(1.0, middle + half)
 
 
-def share(successes: int, n: int) -> str:
+def format_proportion(successes: int, n: int) -> str:
     """In words: 57 of 60 (86%–98%), the interval being Wilson's of 95 %."""
-    low, high = wilson(successes, n)
+    low, high = wilson_interval(successes, n)
     return f"{successes} of {n} ({low:.0%}–{high:.0%})" if n else "none yet"
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
+def markdown_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
     """A markdown table."""
     lines = [head, ["---"] * len(head), *rows]
     return ["| " + " | ".join(str(cell).replace("|", "/") for cell in line) + " |" for line in lines] + [""]

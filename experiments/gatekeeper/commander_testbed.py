@@ -14,27 +14,27 @@ from threading import Thread
 import msgspec
 
 from dualbrain.contracts.gate.authorization import PLANNER
-from dualbrain.control.gatekeeper.config import Plan
-from dualbrain.control.gatekeeper.process import Process
-from dualbrain.control.gatekeeper.protocol.authentication import open_keys
-from dualbrain.control.gatekeeper.protocol.client import GatekeeperLink, LinkLost
-from dualbrain.control.gatekeeper.protocol.messages import Glimpse, Message, News, Refused
-from dualbrain.errors import InvalidSetup
-from dualbrain.safety.supervisor.actions import Rung
+from dualbrain.control.gatekeeper.config import GatekeeperConfig
+from dualbrain.control.gatekeeper.process import GatekeeperProcess
+from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
+from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError, GatekeeperClient
+from dualbrain.control.gatekeeper.protocol.messages import EventReport, Message, RequestRefused, TickReport
+from dualbrain.errors import ConfigurationError
+from dualbrain.safety.supervisor.actions import SafetyAction
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from experiments.engine.experiment import Row
 
-CHILD = Path(__file__).with_name("failing_commander.py")
-PATIENCE = 60.0
+COMMANDER_SCRIPT = Path(__file__).with_name("failing_commander.py")
+TIMEOUT_S = 60.0
 """No moment takes longer to come [s]; no promise."""
 
 
 @dataclass
-class Stage:
+class CommanderTestbed:
     """Gatekeeper, doomed cortex, and who watches both."""
 
     folder: Path
-    process: Process
+    process: GatekeeperProcess
     stored: list[str] = field(default_factory=list)
     lines: list[str] = field(default_factory=list)
     phase: str = ""
@@ -42,101 +42,103 @@ class Stage:
 
     def __post_init__(self) -> None:
         """Nobody commands yet."""
-        self.watcher = GatekeeperLink(self.folder / "s", watch=self._see)
-        self.child: subprocess.Popen[str] | None = None
+        self.watcher = GatekeeperClient(self.folder / "s", on_report=self._on_message)
+        self.commander: subprocess.Popen[str] | None = None
 
-    def begin(self, how: str, *, waits: bool) -> subprocess.Popen[str]:
+    def start_commander(self, how: str, *, waits: bool) -> subprocess.Popen[str]:
         """Start the cortex; it stands before its contract (or, if it waits, behind the gate's answer)."""
         flags = ["-S"] if sys.flags.no_site else []
         words = [str(self.folder / name) for name in ("s", "keys", "ledger.sqlite")]
-        self.child = child = subprocess.Popen(
-            [sys.executable, *flags, str(CHILD), *words, how, "1" if waits else "0"], stdin=subprocess.PIPE,
+        self.commander = child = subprocess.Popen(
+            [sys.executable, *flags, str(COMMANDER_SCRIPT), *words, how, "1" if waits else "0"], stdin=subprocess.PIPE,
             stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
-        Thread(target=self._hear, args=(child,), daemon=True).start()
+        Thread(target=self._read_output, args=(child,), daemon=True).start()
         self.await_line("running" if waits else "ready")
-        until("the ledger is written", lambda: len(self.stored) > 0)
+        wait_until("the ledger is written", lambda: len(self.stored) > 0)
         return child
 
     def await_line(self, line: str) -> None:
         """Until the cortex has said `line`."""
-        until(line, lambda: line in self.lines or (self.child is not None and self.child.poll() is not None))
+        wait_until(
+            line, lambda: line in self.lines or (self.commander is not None and self.commander.poll() is not None)
+        )
         if line not in self.lines:
-            raise InvalidSetup("cortex", got="an early end", allowed="one that says: " + line)
+            raise ConfigurationError("cortex", got="an early end", allowed="one that says: " + line)
 
-    def order(self) -> Rung:
+    def reported_action(self) -> SafetyAction:
         """The order that was told last."""
-        return Rung[self.watcher.beat.action] if self.watcher.beat else Rung.NONE
+        return SafetyAction[self.watcher.status.action] if self.watcher.status else SafetyAction.NONE
 
-    def serves_again(self, *, dead: bool) -> Row:
+    def run_next_contract(self, *, dead: bool) -> Row:
         """How the contract of the next commander ends, if need be at the next gatekeeper, and when it comes [s]."""
         if dead:
             self.process.process.wait()
-            self.process = gatekeeper(self.folder, "two")
-        deadline = time.monotonic() + PATIENCE
+            self.process = start_gatekeeper(self.folder, "two")
+        deadline = time.monotonic() + TIMEOUT_S
         while time.monotonic() < deadline:
             try:
-                link = GatekeeperLink(self.folder / "s", open_keys(self.folder / "keys"), PLANNER)
-            except LinkLost:  # the one before is not forgotten yet
+                link = GatekeeperClient(self.folder / "s", load_or_create_keys(self.folder / "keys"), PLANNER)
+            except ConnectionLostError:  # the one before is not forgotten yet
                 time.sleep(0.02)
                 continue
             try:
-                return _served(link)
+                return _run_short_contract(link)
             finally:
                 link.close()
         return {"next": "not let in", "next_at": inf}
 
-    def leave(self) -> None:
+    def shut_down(self) -> None:
         """Everything ends; what the cortex said until then has been heard."""
-        if self.child is not None:
-            self.child.kill()
-            self.child.wait()
-            if self.child.stdin:
-                self.child.stdin.close()
+        if self.commander is not None:
+            self.commander.kill()
+            self.commander.wait()
+            if self.commander.stdin:
+                self.commander.stdin.close()
             time.sleep(0.1)
         self.watcher.close()
         self.process.stop()
 
-    def _hear(self, child: subprocess.Popen[str]) -> None:
+    def _read_output(self, child: subprocess.Popen[str]) -> None:
         for line in child.stdout or ():
             word, _, name = line.strip().partition(" ")
             (self.stored if word == "stored" else self.lines).append(name or word)
 
-    def _see(self, message: Message) -> None:
+    def _on_message(self, message: Message) -> None:
         match message:
-            case News(kind="phase"):
+            case EventReport(kind="phase"):
                 self.phase = message.text.rpartition(": ")[2]
-            case Glimpse():
+            case TickReport():
                 self.speed = max(map(abs, message.u))
             case _:
                 pass
 
 
-def until(what: str, true: Callable[[], bool]) -> None:
+def wait_until(what: str, true: Callable[[], bool]) -> None:
     """Wait for a condition; raises `InvalidSetup` if it never comes."""
-    deadline = time.monotonic() + PATIENCE
+    deadline = time.monotonic() + TIMEOUT_S
     while not true():
         if time.monotonic() > deadline:
-            raise InvalidSetup("moment", got=f"none within {PATIENCE:.0f} s", allowed=what)
+            raise ConfigurationError("moment", got=f"none within {TIMEOUT_S:.0f} s", allowed=what)
         time.sleep(0.001)
 
 
-def gatekeeper(folder: Path, name: str) -> Process:
-    return Process(
-        Plan(
+def start_gatekeeper(folder: Path, name: str) -> GatekeeperProcess:
+    return GatekeeperProcess(
+        GatekeeperConfig(
             "panda", open_scene("bare:0"), str(folder / "s"), str(folder / "keys"), report=str(folder / f"{name}.json")
         )
     )
 
 
-def _served(link: GatekeeperLink) -> Row:
+def _run_short_contract(link: GatekeeperClient) -> Row:
     """How a short contract ends, and when it came, in the robot's time [s]."""
     context = {"robot": link.welcome.robot, "registry": link.welcome.registry}
     actions = [{"skill": "hold", "params": {"duration": 0.5}}]
     text = msgspec.json.encode({"id": "c-0002", "context": context, "action_sequence": actions})
-    until("the old contract is over", lambda: link.beat is not None and not link.beat.busy)
-    sight = link.look()
+    wait_until("the old contract is over", lambda: link.status is not None and not link.status.busy)
+    sight = link.request_scene()
     answer = link.propose(text, sight.scene.version)
-    if isinstance(answer, Refused) or answer.rejected is not None:
+    if isinstance(answer, RequestRefused) or answer.rejected is not None:
         return {"next": "refused", "next_at": sight.now}
-    return {"next": link.ended(PATIENCE).outcome.kind, "next_at": sight.now}
+    return {"next": link.wait_for_outcome(TIMEOUT_S).outcome.kind, "next_at": sight.now}

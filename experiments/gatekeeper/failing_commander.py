@@ -17,53 +17,53 @@ from threading import Lock, Thread
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
-from dualbrain.control.gatekeeper.protocol.authentication import open_keys  # noqa: E402
-from dualbrain.control.gatekeeper.protocol.client import GatekeeperLink  # noqa: E402
+from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys  # noqa: E402
+from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient  # noqa: E402
 from dualbrain.memory.embedding.hashing_encoder import HashingEncoder  # noqa: E402
 from dualbrain.memory.ledger.ledger import Ledger  # noqa: E402
 from dualbrain.memory.memory import Memory  # noqa: E402
-from experiments.memory.synthetic_episodes import CONFIG, REGISTRY, REST, ROBOT, START, made_up  # noqa: E402
-from tests.control.gatekeeper.commander_process import contract, flood, rubbish  # noqa: E402
+from experiments.memory.synthetic_episodes import CONFIG, REGISTRY, REST_POSTURE, ROBOT, START_TIME, synthetic_episode  # noqa: E402
+from tests.control.gatekeeper.commander_process import contract_bytes, send_flood, send_malformed_bytes  # noqa: E402
 
-EVERY = 0.03
+EPISODE_INTERVAL_S = 0.03
 """Pause between two episodes [s]."""
-SPEAKING = Lock()
+OUTPUT_LOCK = Lock()
 
 
-def say(line: str) -> None:
+def print_line(line: str) -> None:
     """One whole line, at once."""
-    with SPEAKING:
+    with OUTPUT_LOCK:
         sys.stdout.write(line + "\n")
         sys.stdout.flush()
 
 
-def remember(path: Path) -> None:
+def write_episodes(path: Path) -> None:
     """Store made-up episodes, each with what it recalled, until the process ends."""
-    with Ledger(path, holder="doomed", now=START) as ledger:
+    with Ledger(path, holder="doomed", now=START_TIME) as ledger:
         memory = Memory(ledger, HashingEncoder(32), CONFIG)
         for number in count():
-            recall = memory.recall("grasp the cube", "cube: object", REST, ROBOT, REGISTRY, k=3)
-            memory.store(made_up(f"d-{number}", recall=recall), REST, now=START)
-            say(f"stored d-{number}")
-            time.sleep(EVERY)
+            recall = memory.retrieve("grasp the cube", "cube: object", REST_POSTURE, ROBOT, REGISTRY, k=3)
+            memory.store(synthetic_episode(f"d-{number}", recall=recall), REST_POSTURE, now=START_TIME)
+            print_line(f"stored d-{number}")
+            time.sleep(EPISODE_INTERVAL_S)
 
 
 def main(path: str, keys: str, ledger: str, how: str, waits: str) -> None:
     """Command, remember, wait for the end."""
-    Thread(target=remember, args=(Path(ledger),), daemon=True).start()
-    link = GatekeeperLink(Path(path), open_keys(Path(keys)), "planner")
-    version = link.look().scene.version
+    Thread(target=write_episodes, args=(Path(ledger),), daemon=True).start()
+    link = GatekeeperClient(Path(path), load_or_create_keys(Path(keys)), "planner")
+    version = link.request_scene().scene.version
     if waits == "1":
-        link.propose(contract(), version)
-        say("running")
+        link.propose(contract_bytes(), version)
+        print_line("running")
     else:
-        say("ready")
+        print_line("ready")
         sys.stdin.readline()
-        link.hand_in(contract(), version)
-        say("written")
+        link.submit(contract_bytes(), version)
+        print_line("written")
     sys.stdin.readline()
     if how in ("flood", "rubbish"):
-        {"flood": flood, "rubbish": rubbish}[how](link)
+        {"flood": send_flood, "rubbish": send_malformed_bytes}[how](link)
     time.sleep(60.0)
 
 

@@ -17,13 +17,13 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from dualbrain.control.gatekeeper.protocol.frames import Broken, Decoder, encode
-from dualbrain.control.gatekeeper.protocol.messages import Hello, encode_body, kind_of, read
+from dualbrain.control.gatekeeper.protocol.frames import BrokenStream, FrameDecoder, encode
+from dualbrain.control.gatekeeper.protocol.messages import Hello, decode_message, encode_body, kind_code
 from experiments.gatekeeper.fuzzer import Fuzzer
 
-FRAMES = 200
+MAX_FRAMES = 200
 """At most so many on one connection, fewer than a flood is."""
-PATIENCE = 5.0
+DISCONNECT_TIMEOUT_S = 5.0
 """How long the gatekeeper may take to hang up [s]."""
 
 
@@ -32,28 +32,28 @@ def main(path: str, seconds: str, seed: str) -> None:
     fuzzer, until = Fuzzer(int(seed)), time.monotonic() + float(seconds)
     counts = {"connections": 0, "frames": 0, "bytes": 0, "refused": 0, "left": 0, "not hung up": 0}
     while time.monotonic() < until:
-        visit(path, fuzzer, counts)
+        run_connection(path, fuzzer, counts)
     json.dump(counts, sys.stdout)
 
 
-def visit(path: str, fuzzer: Fuzzer, counts: dict[str, int]) -> None:
+def run_connection(path: str, fuzzer: Fuzzer, counts: dict[str, int]) -> None:
     """One connection."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as link:
-        link.settimeout(PATIENCE)
+        link.settimeout(DISCONNECT_TIMEOUT_S)
         link.connect(path)
         counts["connections"] += 1
-        known, decoder, sent = fuzzer.rng.random() < 0.7, Decoder(), 0
+        known, decoder, sent = fuzzer.rng.random() < 0.7, FrameDecoder(), 0
         if known:
             hello = Hello(principal="", proof=b"")
             sent += 1
-            data = encode(kind_of(hello), 1, encode_body(hello))
-            if not _say(link, data, counts) or not _fine(decoder, data):
+            data = encode(kind_code(hello), 1, encode_body(hello))
+            if not _send(link, data, counts) or not _stays_connected(decoder, data):
                 return
-        for _ in range(FRAMES):
+        for _ in range(MAX_FRAMES):
             sent += 1
-            data = fuzzer.frame(fuzzer.word(), sent) or b"\0"
-            gone = not _say(link, data, counts)
-            if gone or not _fine(decoder, data):
+            data = fuzzer.frame(fuzzer.message(), sent) or b"\0"
+            gone = not _send(link, data, counts)
+            if gone or not _stays_connected(decoder, data):
                 break
             if not known:  # a stranger that was understood: whether it may stay depends on what it said
                 counts["left"] += 1
@@ -61,17 +61,21 @@ def visit(path: str, fuzzer: Fuzzer, counts: dict[str, int]) -> None:
         else:
             counts["left"] += 1
             return
-        _await_end(link, decoder, counts)
+        _await_disconnect(link, decoder, counts)
 
 
-def _fine(decoder: Decoder, data: bytes) -> bool:
+def _stays_connected(decoder: FrameDecoder, data: bytes) -> bool:
     """Whether the connection can go on after `data`."""
     decoder.feed(data)
-    frame = decoder.next()
-    return frame is not None and not isinstance(frame, Broken) and not isinstance(read(frame, upward=True), str)
+    frame = decoder.next_frame()
+    return (
+        frame is not None
+        and not isinstance(frame, BrokenStream)
+        and not isinstance(decode_message(frame, from_client=True), str)
+    )
 
 
-def _say(link: socket.socket, data: bytes, counts: dict[str, int]) -> bool:
+def _send(link: socket.socket, data: bytes, counts: dict[str, int]) -> bool:
     """Send, and throw away what has come; False if nobody is there any more."""
     try:
         link.sendall(data)
@@ -85,12 +89,12 @@ def _say(link: socket.socket, data: bytes, counts: dict[str, int]) -> bool:
     return True
 
 
-def _await_end(link: socket.socket, decoder: Decoder, counts: dict[str, int]) -> None:
+def _await_disconnect(link: socket.socket, decoder: FrameDecoder, counts: dict[str, int]) -> None:
     """A stream that was broken ends; one that waits for the rest of a frame is left."""
-    if decoder.broken is None and decoder.waiting:
+    if decoder.failure is None and decoder.n_buffered:
         counts["left"] += 1
         return
-    until = time.monotonic() + PATIENCE
+    until = time.monotonic() + DISCONNECT_TIMEOUT_S
     try:
         while (left := until - time.monotonic()) > 0.0:
             link.settimeout(left)

@@ -19,38 +19,38 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from dualbrain.contracts.contract import Stamp
+from dualbrain.contracts.contract import ContractHeader
 from dualbrain.contracts.gate.authorization import PLANNER
 from dualbrain.contracts.verdict import Accepted
-from dualbrain.control.gatekeeper.capability import Capability, full
-from dualbrain.control.gatekeeper.config import Plan
-from dualbrain.control.gatekeeper.gate_worker import Case, Clerk
-from dualbrain.control.gatekeeper.process import Process
-from dualbrain.control.gatekeeper.protocol.authentication import genuine, open_keys
-from dualbrain.control.gatekeeper.protocol.client import GatekeeperLink
-from dualbrain.control.gatekeeper.protocol.frames import Broken, Decoder
-from dualbrain.control.gatekeeper.protocol.messages import Propose, Refused, read
-from dualbrain.control.gatekeeper.timing.tick_timing import Punctuality
-from dualbrain.grounding.offline_gate import as_specified
+from dualbrain.control.gatekeeper.capability import Capability, full_capability
+from dualbrain.control.gatekeeper.config import GatekeeperConfig
+from dualbrain.control.gatekeeper.gate_worker import GateRequest, GateWorker
+from dualbrain.control.gatekeeper.process import GatekeeperProcess
+from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys, verify_contract_mac
+from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient
+from dualbrain.control.gatekeeper.protocol.frames import BrokenStream, FrameDecoder
+from dualbrain.control.gatekeeper.protocol.messages import Propose, RequestRefused, decode_message
+from dualbrain.control.gatekeeper.timing.tick_timing import TickTimingSummary
+from dualbrain.grounding.offline_gate import scene_from_spec
 from dualbrain.robots.interface import RobotState
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.loader import load_robot
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
-from dualbrain.skills.registry import registry_of
-from experiments.engine.experiment import Options, Row, Unit
-from experiments.figures.tables import table
+from dualbrain.skills.registry import skill_registry
+from experiments.engine.experiment import Options, Row, WorkUnit
+from experiments.figures.tables import markdown_table
 from experiments.gatekeeper.fuzzer import Fuzzer
-from experiments.safety.closed_loop import errand
+from experiments.safety.closed_loop import pick_and_place_actions
 
-FRAMES = 10_000_000
-A_UNIT = 250_000
-DOORS, SECONDS, CLIENTS = 4, 30.0, 2
+N_FRAMES = 10_000_000
+FRAMES_PER_UNIT = 250_000
+N_SERVER_RUNS, RUN_SECONDS, N_CLIENTS = 4, 30.0, 2
 """How often the door is tried, for how long with and without fuzz [s], by how many clients."""
-WARM = 2_000
+WARM_UP_FRAMES = 2_000
 """Frames before memory is looked at."""
 SCENE = "tabletop:1"
 SECRET, NONCE = b"s" * 32, b"n" * 16
-CLIENT = Path(__file__).with_name("fuzz_client.py")
-FAILED, HINTS = "the gate raised", ("the gate failed", "a rule failed")
+CLIENT_SCRIPT = Path(__file__).with_name("fuzz_client.py")
+GATE_RAISED, GATE_FAILURE_HINTS = "the gate raised", ("the gate failed", "a rule failed")
 """How a gate that has raised is told from one that refuses."""
 
 
@@ -63,19 +63,24 @@ class FuzzSocket:
         "grow; and at the door of a running gatekeeper fuzz does not harm the tick."
     )
 
-    def units(self, options: Options) -> list[Unit]:
+    def units(self, options: Options) -> list[WorkUnit]:
         """By seed; then the door, whose times want a machine that does nothing else."""
         del options
-        seeds = [Unit(f"seed {seed}", {"seed": seed, "frames": A_UNIT}) for seed in range(FRAMES // A_UNIT)]
-        return seeds + [Unit(f"door {seed}", {"door": seed, "seconds": SECONDS}) for seed in range(DOORS)]
+        seeds = [
+            WorkUnit(f"seed {seed}", {"seed": seed, "frames": FRAMES_PER_UNIT})
+            for seed in range(N_FRAMES // FRAMES_PER_UNIT)
+        ]
+        return seeds + [
+            WorkUnit(f"door {seed}", {"door": seed, "seconds": RUN_SECONDS}) for seed in range(N_SERVER_RUNS)
+        ]
 
     def run(self, about: dict[str, Any]) -> Row:
         """One of either kind."""
         if "door" in about:
-            return {"door": True, **_at_the_door(about["door"], about["seconds"])}
-        return {"door": False, **_in_process(about["seed"], about["frames"])}
+            return {"door": True, **_fuzz_server(about["door"], about["seconds"])}
+        return {"door": False, **_fuzz_in_process(about["seed"], about["frames"])}
 
-    def brief(self, row: Row) -> str:
+    def summarize_row(self, row: Row) -> str:
         """For the progress line."""
         if not row["door"]:
             return f"{row['frames']} frames, {row['counts']}, grown by {row['grown_kib']} KiB"
@@ -85,176 +90,185 @@ class FuzzSocket:
     def report(self, rows: list[Row]) -> list[str]:
         """In process, then at the door."""
         inside, doors = ([row for row in rows if row["door"] is door] for door in (False, True))
-        return (_inside(inside) if inside else []) + (_doors(doors) if doors else [])
+        return (_in_process_report(inside) if inside else []) + (_server_report(doors) if doors else [])
 
 
 # --- in process ---------------------------------------------------------------------------------------------------
 
 
-def _in_process(seed: int, frames: int) -> Row:
+def _fuzz_in_process(seed: int, frames: int) -> Row:
     """Every other frame carries a contract under a good seal, for this connection and number."""
-    fuzzer, clerk, case = Fuzzer(seed), *_desk()
+    fuzzer, clerk, case = Fuzzer(seed), *_gate_worker_and_request()
     counts: Counter[str] = Counter()
     try:
-        _throw(fuzzer, clerk, case, range(WARM), Counter())
-        before, start = resident(), time.monotonic()
-        _throw(fuzzer, clerk, case, range(WARM, WARM + frames), counts)
+        _feed_frames(fuzzer, clerk, case, range(WARM_UP_FRAMES), Counter())
+        before, start = resident_kib(), time.monotonic()
+        _feed_frames(fuzzer, clerk, case, range(WARM_UP_FRAMES, WARM_UP_FRAMES + frames), counts)
     finally:
         clerk.close()
-    spent, grown = time.monotonic() - start, resident() - before
+    spent, grown = time.monotonic() - start, resident_kib() - before
     return {"frames": frames, "counts": counts, "grown_kib": grown, "seconds": spent}
 
 
-def _desk() -> tuple[Clerk, Case]:
+def _gate_worker_and_request() -> tuple[GateWorker, GateRequest]:
     """A clerk, and what he is handed beside the contract."""
-    body = load_body("panda")
-    scene = as_specified(open_scene(SCENE))
+    body = load_robot("panda")
+    scene = scene_from_spec(open_scene(SCENE))
     q = np.array(body.home)
     state = RobotState(0.0, 1, q, np.zeros(body.n), 0.04, (0.0, 0.0), drive_enabled=True)
-    stamp = Stamp(1, 0.0, 60.0, PLANNER, scene.version)
-    return Clerk(body, {PLANNER: full(registry_of(body))}), Case(1, 1, b"", stamp, 1.0, scene, state, None)
+    stamp = ContractHeader(1, 0.0, 60.0, PLANNER, scene.version)
+    return GateWorker(body, {PLANNER: full_capability(skill_registry(body))}), GateRequest(
+        1, 1, b"", stamp, 1.0, scene, state, None
+    )
 
 
-def _throw(fuzzer: Fuzzer, clerk: Clerk, case: Case, numbers: range, counts: Counter[str]) -> None:
-    decoder, sequence = Decoder(), 0
+def _feed_frames(fuzzer: Fuzzer, clerk: GateWorker, case: GateRequest, numbers: range, counts: Counter[str]) -> None:
+    decoder, sequence = FrameDecoder(), 0
     for number in numbers:
         sequence += 1
         sealed = fuzzer.rng.random() < 0.5
         version = case.scene.version
-        word = fuzzer.sealed(SECRET, NONCE, sequence, version, 0.0) if sealed else fuzzer.word()
+        word = fuzzer.authenticated_proposal(SECRET, NONCE, sequence, version, 0.0) if sealed else fuzzer.message()
         decoder.feed(fuzzer.frame(word, sequence))
-        frame = decoder.next()
-        if frame is None or isinstance(frame, Broken):
+        frame = decoder.next_frame()
+        if frame is None or isinstance(frame, BrokenStream):
             counts["streams broken" if frame else "frames cut"] += 1
-            decoder, sequence = Decoder(), 0
+            decoder, sequence = FrameDecoder(), 0
             continue
-        message = read(frame, upward=True)
+        message = decode_message(frame, from_client=True)
         if isinstance(message, str):
             counts["messages refused"] += 1
         elif not isinstance(message, Propose):
             counts["messages"] += 1
-        elif not genuine(SECRET, NONCE, frame.sequence, message):
+        elif not verify_contract_mac(SECRET, NONCE, frame.sequence, message):
             counts["seals refused"] += 1
         else:
-            counts[_judged(clerk, case, message, number)] += 1
+            counts[_classify_contract(clerk, case, message, number)] += 1
 
 
-def _judged(clerk: Clerk, case: Case, message: Propose, number: int) -> str:
+def _classify_contract(clerk: GateWorker, case: GateRequest, message: Propose, number: int) -> str:
     """The stage that refused a contract, or that none did."""
     stamp = msgspec.structs.replace(case.stamp, sequence=(1 << 32) + number)
-    verdict = clerk.judge(msgspec.structs.replace(case, contract=message.contract, stamp=stamp))
+    verdict = clerk.check(msgspec.structs.replace(case, contract=message.contract, stamp=stamp))
     if isinstance(verdict, Accepted):
         return "contracts accepted"
-    return FAILED if verdict.hint in HINTS else f"contracts refused: {verdict.stage}"
+    return GATE_RAISED if verdict.hint in GATE_FAILURE_HINTS else f"contracts refused: {verdict.stage}"
 
 
-def _inside(rows: list[Row]) -> list[str]:
+def _in_process_report(rows: list[Row]) -> list[str]:
     counts = sum((Counter(row["counts"]) for row in rows), Counter())
     frames, spent = (sum(row[name] for row in rows) for name in ("frames", "seconds"))
     contracts = sum(count for kind, count in counts.items() if kind.startswith("contracts"))
     grown = max(row["grown_kib"] for row in rows)
     lines = [
         f"In process: **{frames:,}** frames, among them **{contracts:,}** contracts that came through to the gate. "
-        f"Raised: **{counts[FAILED]}**. Most that a process grew within {A_UNIT:,} frames: {grown:,} KiB. "
+        f"Raised: **{counts[GATE_RAISED]}**. Most that a process grew within {FRAMES_PER_UNIT:,} frames: {grown:,} KiB. "
         f"{1e6 * spent / frames:.0f} µs a frame.", "",
     ]  # fmt: skip
     became = ((kind, f"{count:,}", f"{count / frames:.2%}") for kind, count in counts.most_common())
-    return lines + table(("what became of them", "frames", "share"), became)
+    return lines + markdown_table(("what became of them", "frames", "share"), became)
 
 
 # --- at the door --------------------------------------------------------------------------------------------------
 
 
-def _at_the_door(seed: int, seconds: float) -> Row:
-    calm, _, _, _ = _attended(seed, seconds, clients=0)
-    fuzzed, said, verdicts, rss = _attended(seed, seconds, clients=CLIENTS)
+def _fuzz_server(seed: int, seconds: float) -> Row:
+    calm, _, _, _ = _run_gatekeeper(seed, seconds, clients=0)
+    fuzzed, said, verdicts, rss = _run_gatekeeper(seed, seconds, clients=N_CLIENTS)
     return {"calm": calm, "fuzzed": fuzzed, "said": said, "verdicts": verdicts, "rss_kib": rss, "seconds": seconds}
 
 
-def _attended(seed: int, seconds: float, clients: int) -> tuple[Any, Counter[str], Counter[str], list[int]]:
+def _run_gatekeeper(seed: int, seconds: float, clients: int) -> tuple[Any, Counter[str], Counter[str], list[int]]:
     """A gatekeeper and its commander for `seconds`, with so many clients that fuzz; how punctual it was meanwhile."""
     with tempfile.TemporaryDirectory(prefix="dualbrain-") as name:
         folder = Path(name)
-        skills = frozenset(registry_of(load_body("panda")).by_name)
-        plan = Plan(
+        skills = frozenset(skill_registry(load_robot("panda")).by_name)
+        plan = GatekeeperConfig(
             "panda", open_scene(SCENE), str(folder / "s"), str(folder / "keys"), punctuality=str(folder / "p.json"),
             capability=Capability(skills, rate=1e6),
         )  # fmt: skip
-        process = Process(plan)
+        process = GatekeeperProcess(plan)
         try:
-            commander = GatekeeperLink(folder / "s", open_keys(folder / "keys"), PLANNER)
-            _errand(commander)
-            before = resident(process.process.pid)
-            children = [_client(plan.socket, seconds, 100 * seed + k) for k in range(clients)]
-            verdicts = _command(commander, Fuzzer(seed) if clients else None, time.monotonic() + seconds)
+            commander = GatekeeperClient(folder / "s", load_or_create_keys(folder / "keys"), PLANNER)
+            _run_pick_and_place(commander)
+            before = resident_kib(process.process.pid)
+            children = [_start_client(plan.socket, seconds, 100 * seed + k) for k in range(clients)]
+            verdicts = _run_commander(commander, Fuzzer(seed) if clients else None, time.monotonic() + seconds)
             said = Counter[str]()
             for child in children:
                 said.update(msgspec.json.decode(child.communicate()[0], type=dict[str, int]))
-            after = resident(process.process.pid)
+            after = resident_kib(process.process.pid)
             commander.close()
         finally:
             process.stop()
-        found = msgspec.json.decode((folder / "p.json").read_bytes(), type=Punctuality)
+        found = msgspec.json.decode((folder / "p.json").read_bytes(), type=TickTimingSummary)
     kept = ("ticks", "missed", "late", "interval", "work", "latency")
     return {name: getattr(found, name) for name in kept}, said, verdicts, [before, after]
 
 
-def _client(path: str, seconds: float, seed: int) -> subprocess.Popen[bytes]:
+def _start_client(path: str, seconds: float, seed: int) -> subprocess.Popen[bytes]:
     flags = ["-S"] if sys.flags.no_site else []
     return subprocess.Popen(
-        [sys.executable, *flags, str(CLIENT), path, str(seconds), str(seed)], stdout=subprocess.PIPE
+        [sys.executable, *flags, str(CLIENT_SCRIPT), path, str(seconds), str(seed)], stdout=subprocess.PIPE
     )  # fmt: skip
 
 
-def _command(link: GatekeeperLink, fuzzer: Fuzzer | None, until: float) -> Counter[str]:
+def _run_commander(link: GatekeeperClient, fuzzer: Fuzzer | None, until: float) -> Counter[str]:
     """Errands, and between them, with a fuzzer, fuzzed contracts; how these were judged."""
     verdicts: Counter[str] = Counter()
     while time.monotonic() < until:
-        _errand(link)
+        _run_pick_and_place(link)
         for _ in range(200 if fuzzer else 0):
-            verdicts[_hand_in(link, fuzzer.contract() if fuzzer else b"")] += 1
+            verdicts[_propose(link, fuzzer.contract() if fuzzer else b"")] += 1
             time.sleep(0.004)
     return verdicts
 
 
-def _errand(link: GatekeeperLink) -> None:
+def _run_pick_and_place(link: GatekeeperClient) -> None:
     context = {"robot": link.welcome.robot, "registry": link.welcome.registry}
-    _hand_in(link, msgspec.json.encode({"id": "c-0001", "context": context, "action_sequence": errand(speed=0.3)}))
+    _propose(
+        link,
+        msgspec.json.encode({"id": "c-0001", "context": context, "action_sequence": pick_and_place_actions(speed=0.3)}),
+    )
 
 
-def _hand_in(link: GatekeeperLink, text: bytes) -> str:
+def _propose(link: GatekeeperClient, text: bytes) -> str:
     """How a contract was judged; an accepted one has been carried out when this returns."""
-    answer = link.propose(text, link.look().scene.version)
-    if isinstance(answer, Refused):
+    answer = link.propose(text, link.request_scene().scene.version)
+    if isinstance(answer, RequestRefused):
         return "not considered"
     if answer.rejected is not None:
         return f"refused: {answer.rejected.stage}"
-    return f"accepted, {link.ended(120.0).outcome.kind}"
+    return f"accepted, {link.wait_for_outcome(120.0).outcome.kind}"
 
 
-def _doors(rows: list[Row]) -> list[str]:
+def _server_report(rows: list[Row]) -> list[str]:
     said, verdicts = (sum((Counter(row[name]) for row in rows), Counter()) for name in ("said", "verdicts"))
     words = ", ".join(f"{kind} {count}" for kind, count in verdicts.most_common())
     grown = max(row["rss_kib"][1] - row["rss_kib"][0] for row in rows)
     spent = sum(row["seconds"] for row in rows)
     lines = [
-        f"At the door of a running gatekeeper, {spent:.0f} s with {CLIENTS} clients that fuzz: "
+        f"At the door of a running gatekeeper, {spent:.0f} s with {N_CLIENTS} clients that fuzz: "
         f"**{said['frames']:,}** frames on {said['connections']:,} connections, "
         f"{said['refused']:,} of them ended by the gatekeeper, {said['left']:,} left by the client, "
         f"**{said['not hung up']}** that should have been ended were not. Contracts under good seals: "
         f"{sum(verdicts.values()):,} ({words}). Most that a gatekeeper grew: {grown:,} KiB.", "",
     ]  # fmt: skip
     head = ("intervals between ticks, worst run", "median", "99 %", "99.9 %", "longest", "late ticks", "states missed")
-    return ["", *lines, *table(head, (_jitter(rows, "calm", "without"), _jitter(rows, "fuzzed", "with fuzz")))]
+    return [
+        "",
+        *lines,
+        *markdown_table(head, (_jitter_row(rows, "calm", "without"), _jitter_row(rows, "fuzzed", "with fuzz"))),
+    ]
 
 
-def _jitter(rows: list[Row], name: str, words: str) -> tuple[object, ...]:
+def _jitter_row(rows: list[Row], name: str, words: str) -> tuple[object, ...]:
     worst = [max(row[name]["interval"][k] for row in rows) for k in range(4)]
     ticks, late, missed = (sum(row[name][what] for row in rows) for what in ("ticks", "late", "missed"))
     return (words, *(f"{1e3 * value:.2f} ms" for value in worst), f"{late} ({late / max(1, ticks):.2%})", missed)
 
 
-def resident(pid: int | str = "self") -> int:
+def resident_kib(pid: int | str = "self") -> int:
     """What a process holds of memory [KiB]."""
     text = Path(f"/proc/{pid}/status").read_text()
     return int(next(line.split()[1] for line in text.splitlines() if line.startswith("VmRSS")))

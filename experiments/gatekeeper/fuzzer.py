@@ -7,31 +7,31 @@ from random import Random
 
 import msgspec
 
-from dualbrain.control.gatekeeper.protocol.authentication import seal
+from dualbrain.control.gatekeeper.protocol.authentication import contract_mac
 from dualbrain.control.gatekeeper.protocol.frames import encode
 from dualbrain.control.gatekeeper.protocol.messages import (
     Heartbeat,
     Hello,
-    Look,
     Message,
-    Operate,
+    OperatorCommand,
     Propose,
+    SceneRequest,
     encode_body,
-    kind_of,
+    kind_code,
 )
-from dualbrain.grounding.vocabulary import vocabulary
-from experiments.safety.closed_loop import errand
+from dualbrain.grounding.vocabulary import load_skill_registry
+from experiments.safety.closed_loop import pick_and_place_actions
 
-TOKEN = re.compile(rb'"[^"]*"|-?\d+(?:\.\d+)?')
-NUMBERS = (b"0", b"-1", b"0.05", b"0.2", b"0.35", b"0.9", b"30", b"1e308", b"1e999", b"-0.0", b"NaN")
-WORDS = (
+TOKEN_PATTERN = re.compile(rb'"[^"]*"|-?\d+(?:\.\d+)?')
+NUMBER_VALUES = (b"0", b"-1", b"0.05", b"0.2", b"0.35", b"0.9", b"30", b"1e308", b"1e999", b"-0.0", b"NaN")
+STRING_VALUES = (
     b'""', b'"red_cube"', b'"green_tin"', b'"blue_bowl"', b'"table_left"', b'"across"', b'"tilted"', b'"until_clear"',
     b'"grasp"', b'"release"', b'"c-0002"', b'"\\ud800"', b'"' + b"x" * 300 + b'"',
 )  # fmt: skip
-OTHER = (b"null", b"true", b"[]", b"{}", b"[" * 600)
-LIKE = 0.8
+OTHER_VALUES = (b"null", b"true", b"[]", b"{}", b"[" * 600)
+SAME_TYPE_PROBABILITY = 0.8
 """How often a number takes a number's place, and a word a word's."""
-LONGEST_NOISE = 64
+MAX_NOISE_BYTES = 64
 
 
 class Fuzzer:
@@ -40,14 +40,14 @@ class Fuzzer:
     def __init__(self, seed: int) -> None:
         """Nothing is drawn yet."""
         self.rng = Random(seed)
-        registry = vocabulary("panda")
+        registry = load_skill_registry("panda")
         context = {"robot": registry.robot, "registry": registry.hash}
-        texts = [errand(speed=speed) for speed in (0.1, 0.3)]
+        texts = [pick_and_place_actions(speed=speed) for speed in (0.1, 0.3)]
         texts.append([{"skill": "release", "params": {"speed": 0.1}}, {"skill": "hold", "params": {"duration": 0.5}}])
         self._texts = [
             msgspec.json.encode({"id": "c-0001", "context": context, "action_sequence": actions}) for actions in texts
         ]
-        self._tokens = [[one.span() for one in TOKEN.finditer(text)] for text in self._texts]
+        self._tokens = [[one.span() for one in TOKEN_PATTERN.finditer(text)] for text in self._texts]
 
     def contract(self) -> bytes:
         """One in ten is as it should be; most have some words or numbers replaced, the rest bytes changed or lost."""
@@ -58,39 +58,45 @@ class Fuzzer:
             return text
         if way < 0.7:
             for start, end in sorted(rng.sample(self._tokens[k], rng.choice((1, 1, 1, 2, 3))), reverse=True):
-                alike = WORDS if text[start : start + 1] == b'"' else NUMBERS
-                text = text[:start] + rng.choice(alike if rng.random() < LIKE else OTHER) + text[end:]
+                alike = STRING_VALUES if text[start : start + 1] == b'"' else NUMBER_VALUES
+                text = (
+                    text[:start]
+                    + rng.choice(alike if rng.random() < SAME_TYPE_PROBABILITY else OTHER_VALUES)
+                    + text[end:]
+                )
             return text
-        return self._spoilt(bytearray(text), rng.randrange(1, 5))
+        return self._corrupt(bytearray(text), rng.randrange(1, 5))
 
     def frame(self, message: Message, sequence: int) -> bytes:
         """The frame of `message`: four in ten as it should be, one in ten pure noise, the others spoilt."""
         rng = self.rng
         way = rng.random()
         if way < 0.1:
-            return rng.randbytes(rng.randrange(1, LONGEST_NOISE))
-        data = encode(kind_of(message), sequence, encode_body(message))
-        return data if way < 0.5 else self._spoilt(bytearray(data), rng.randrange(1, 4))
+            return rng.randbytes(rng.randrange(1, MAX_NOISE_BYTES))
+        data = encode(kind_code(message), sequence, encode_body(message))
+        return data if way < 0.5 else self._corrupt(bytearray(data), rng.randrange(1, 4))
 
-    def sealed(self, secret: bytes, nonce: bytes, sequence: int, version: int, now: float) -> Propose:
+    def authenticated_proposal(self, secret: bytes, nonce: bytes, sequence: int, version: int, now: float) -> Propose:
         """A fuzzed contract under a good seal."""
         text = self.contract()
-        tag = seal(secret, nonce, sequence, text, issued=now, expires=now + 60.0, version=version)
-        return Propose(contract=text, issued=now, expires=now + 60.0, scene_version=version, seal=tag)
+        tag = contract_mac(secret, nonce, sequence, text, issued=now, expires=now + 60.0, scene_version=version)
+        return Propose(contract=text, issued=now, expires=now + 60.0, scene_version=version, mac=tag)
 
-    def word(self) -> Message:
+    def message(self) -> Message:
         """Something that an onlooker may say, or may not; never the emergency stop, which everybody may press."""
         rng = self.rng
         kind = rng.randrange(6)
         if kind == 0:
-            return Propose(contract=self.contract(), issued=0.0, expires=1.0, scene_version=1, seal=b"0" * 32)
+            return Propose(contract=self.contract(), issued=0.0, expires=1.0, scene_version=1, mac=b"0" * 32)
         if kind == 1:
-            return Operate(act=rng.choice(("pause", "resume", "speed", "reset", "shut_down")), speed=rng.random())
+            return OperatorCommand(
+                act=rng.choice(("pause", "resume", "speed", "reset", "shut_down")), speed=rng.random()
+            )
         if kind == 2:
             return Hello(principal=rng.choice(("", "planner", "operator", "x")), proof=rng.randbytes(32))
-        return Look() if kind == 3 else Heartbeat()
+        return SceneRequest() if kind == 3 else Heartbeat()
 
-    def _spoilt(self, data: bytearray, times: int) -> bytes:
+    def _corrupt(self, data: bytearray, times: int) -> bytes:
         rng = self.rng
         for _ in range(times):
             if data:

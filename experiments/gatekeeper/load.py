@@ -23,31 +23,31 @@ from typing import Any
 import msgspec
 from rich.console import Console
 
-from dualbrain.cli.common.paths import cache
-from dualbrain.cli.run.live_feed import Lookout
+from dualbrain.cli.common.paths import cache_folder
+from dualbrain.cli.run.live_feed import LiveFeed
 from dualbrain.contracts.gate.authorization import PLANNER
-from dualbrain.contracts.schema import decoding_schema, short_form
-from dualbrain.control.gatekeeper.config import Plan
-from dualbrain.control.gatekeeper.protocol.authentication import open_keys
-from dualbrain.control.gatekeeper.protocol.client import GatekeeperLink
-from dualbrain.control.gatekeeper.protocol.messages import Glimpse, Message, News, Refused
+from dualbrain.contracts.schema import decoding_schema, describe_skills
+from dualbrain.control.gatekeeper.config import GatekeeperConfig
+from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
+from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient
+from dualbrain.control.gatekeeper.protocol.messages import EventReport, Message, RequestRefused, TickReport
 from dualbrain.control.recording.trace import Event
-from dualbrain.grounding.scene_summary import summarise
+from dualbrain.grounding.scene_summary import summarise_scene
 from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.planner.request import PlanRequest
-from dualbrain.records import Recall
+from dualbrain.records import RetrievedContext
 from dualbrain.runtime.live_session import LiveSession
-from dualbrain.runtime.session import RunConfig, Times
-from dualbrain.skills.registry import registry_of
-from experiments.safety.closed_loop import errand
+from dualbrain.runtime.session import Clocks, RunConfig
+from dualbrain.skills.registry import skill_registry
+from experiments.safety.closed_loop import pick_and_place_actions
 
 INSTRUCTIONS = ("put the red cube on the left of the table", "put the red cube on the right of the table")
 DESTINATIONS = ("table_left", "table_right")
 """To and fro, and never into the bowl: a cube that lies in there cannot be grasped, and the day would be over."""
 SPEED = 0.3
-LONGEST = 120.0
+CONTRACT_TIMEOUT_S = 120.0
 """No contract takes longer [s]."""
-PAGE = """
+PAGE_CLIENT_SCRIPT = """
 import sys
 from websockets.sync.client import connect
 pieces = size = 0
@@ -63,7 +63,7 @@ except Exception as why:
 
 
 @dataclass
-class Workday:
+class LoadSummary:
     """What was done: contracts by who made them, outcomes and why, decisions [s each], what the page was sent."""
 
     contracts: Counter[str] = field(default_factory=Counter)
@@ -73,32 +73,32 @@ class Workday:
     page: tuple[int, int] = (0, 0)
 
 
-def work(plan: Plan, scene: str, planner: str, seconds: float, folder: Path) -> Workday:
+def run_load(plan: GatekeeperConfig, scene: str, planner: str, seconds: float, folder: Path) -> LoadSummary:
     """Command the gatekeeper of `plan`, in `scene`, for `seconds` with `planner`; what this leaves lies in `folder`."""
-    day = Workday()
+    day = LoadSummary()
     with ExitStack() as stack:
         config = RunConfig(
-            INSTRUCTIONS[0], folder / "day", folder / "ledger.sqlite", cache(), plan.robot, scene, planner
+            INSTRUCTIONS[0], folder / "day", folder / "ledger.sqlite", cache_folder(), plan.robot, scene, planner
         )
-        session = stack.enter_context(LiveSession(config, Times(time.monotonic, "", time.time), os.environ))
-        lookout = Lookout(session, 8100, Console(stderr=True, quiet=True))
+        session = stack.enter_context(LiveSession(config, Clocks(time.monotonic, "", time.time), os.environ))
+        lookout = LiveFeed(session, 8100, Console(stderr=True, quiet=True))
         stack.callback(lookout._view.close)
-        page = stack.enter_context(_page(lookout._view.url))
+        page = stack.enter_context(_start_page_client(lookout._view.url))
         stack.callback(page.terminate)
 
         def watch(message: Message) -> None:
-            if isinstance(message, Glimpse):
-                lookout.glimpse(message)
-            elif isinstance(message, News):
-                lookout.event(Event(message.t, "operator", message.text))
+            if isinstance(message, TickReport):
+                lookout.on_tick_report(message)
+            elif isinstance(message, EventReport):
+                lookout.on_event(Event(message.t, "operator", message.text))
 
-        link = GatekeeperLink(Path(plan.socket), open_keys(Path(plan.keys)), PLANNER, watch=watch)
+        link = GatekeeperClient(Path(plan.socket), load_or_create_keys(Path(plan.keys)), PLANNER, on_report=watch)
         stack.callback(link.close)
         over = Signal()
         decided: Queue[bytes] = Queue(1)
-        thread = Thread(target=_decide, args=(session, link, decided, day, over), name="decider", daemon=True)
+        thread = Thread(target=_planning_loop, args=(session, link, decided, day, over), name="decider", daemon=True)
         thread.start()
-        _command(link, decided, day, time.monotonic() + seconds)
+        _command_loop(link, decided, day, time.monotonic() + seconds)
         over.set()
         page.terminate()
         heard = (page.stdout.read() if page.stdout else "").split("\n")
@@ -106,25 +106,34 @@ def work(plan: Plan, scene: str, planner: str, seconds: float, folder: Path) -> 
     return day
 
 
-def _page(url: str) -> subprocess.Popen[str]:
+def _start_page_client(url: str) -> subprocess.Popen[str]:
     import viser  # noqa: PLC0415  (an extra)
 
     flags = ["-S"] if sys.flags.no_site else []
-    words = [sys.executable, *flags, "-c", PAGE, url.replace("http", "ws", 1), f"viser-v{viser.__version__}"]
+    words = [
+        sys.executable,
+        *flags,
+        "-c",
+        PAGE_CLIENT_SCRIPT,
+        url.replace("http", "ws", 1),
+        f"viser-v{viser.__version__}",
+    ]
     return subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
 
 
-def _decide(session: LiveSession, link: GatekeeperLink, decided: Queue[bytes], day: Workday, over: Signal) -> None:
+def _planning_loop(
+    session: LiveSession, link: GatekeeperClient, decided: Queue[bytes], day: LoadSummary, over: Signal
+) -> None:
     """Ask the planner again and again; the newest answer waits to be carried out."""
-    registry = registry_of(session.body)
+    registry = skill_registry(session.body)
     for count, instruction in enumerate(cycle(INSTRUCTIONS)):
         if over.is_set():
             return
-        scene = link.look().scene
+        scene = link.request_scene().scene
         names = scene_names(scene)
         request = PlanRequest(
-            instruction, summarise(scene, None), Recall(), session.body.name, registry.hash,
-            short_form(registry, names), decoding_schema(registry, names), contract_id=f"c-{count % 10_000:04d}",
+            instruction, summarise_scene(scene, None), RetrievedContext(), session.body.name, registry.hash,
+            describe_skills(registry, names), decoding_schema(registry, names), contract_id=f"c-{count % 10_000:04d}",
         )  # fmt: skip
         began = time.monotonic()
         proposal = session.planner.propose(request)
@@ -133,27 +142,27 @@ def _decide(session: LiveSession, link: GatekeeperLink, decided: Queue[bytes], d
             decided.put(proposal.text.encode("utf-8", "replace"))
 
 
-def _command(link: GatekeeperLink, decided: Queue[bytes], day: Workday, until: float) -> None:
+def _command_loop(link: GatekeeperClient, decided: Queue[bytes], day: LoadSummary, until: float) -> None:
     """One contract after the other, until the time is up and the last is over."""
     given = cycle(DESTINATIONS)
     while time.monotonic() < until:
         try:
             who, text = "planner", decided.get_nowait()
         except Empty:
-            who, text = "given", _given(link, next(given), sum(day.contracts.values()))
-        answer = link.propose(text, link.look().scene.version)
-        if isinstance(answer, Refused) or answer.rejected is not None:
+            who, text = "given", _fallback_contract(link, next(given), sum(day.contracts.values()))
+        answer = link.propose(text, link.request_scene().scene.version)
+        if isinstance(answer, RequestRefused) or answer.rejected is not None:
             day.contracts[f"{who}, refused"] += 1
             time.sleep(0.2)
             continue
         day.contracts[f"{who}, accepted"] += 1
-        outcome = link.ended(LONGEST).outcome
+        outcome = link.wait_for_outcome(CONTRACT_TIMEOUT_S).outcome
         day.outcomes[outcome.kind] += 1
         day.reasons[outcome.reason] += 1
 
 
-def _given(link: GatekeeperLink, destination: str, number: int) -> bytes:
+def _fallback_contract(link: GatekeeperClient, destination: str, number: int) -> bytes:
     """Fetch the red cube and put it down at `destination`; just put it down, where it is held already."""
     context: dict[str, Any] = {"robot": link.welcome.robot, "registry": link.welcome.registry}
-    actions = errand(speed=SPEED, destination=destination)[link.look().holding is not None :]
+    actions = pick_and_place_actions(speed=SPEED, destination=destination)[link.request_scene().holding is not None :]
     return msgspec.json.encode({"id": f"c-{number % 10_000:04d}", "context": context, "action_sequence": actions})

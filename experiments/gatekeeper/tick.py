@@ -11,30 +11,30 @@ from typing import Any
 
 import msgspec
 
-from dualbrain.control.gatekeeper.config import Plan
-from dualbrain.control.gatekeeper.process import Process
-from dualbrain.control.gatekeeper.robot_link.simulated_robot import Report
-from dualbrain.control.gatekeeper.timing.histogram import BINS
-from dualbrain.control.gatekeeper.timing.tick_profile import PARTS
-from dualbrain.control.gatekeeper.timing.tick_timing import BIN, Punctuality
+from dualbrain.control.gatekeeper.config import GatekeeperConfig
+from dualbrain.control.gatekeeper.process import GatekeeperProcess
+from dualbrain.control.gatekeeper.robot_link.simulated_robot import RobotReport
+from dualbrain.control.gatekeeper.timing.histogram import N_BINS
+from dualbrain.control.gatekeeper.timing.tick_profile import TICK_PARTS
+from dualbrain.control.gatekeeper.timing.tick_timing import BIN_FRACTION, TickTimingSummary
 from dualbrain.control.recording.channels import recording_state
 from dualbrain.safety.supervisor.timing import SIMULATED
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
-from experiments.engine.experiment import Options, Row, Unit
-from experiments.figures.tables import table
-from experiments.gatekeeper.load import work
-from experiments.safety.closed_loop import violation_words
+from experiments.engine.experiment import Options, Row, WorkUnit
+from experiments.figures.tables import markdown_table
+from experiments.gatekeeper.load import run_load
+from experiments.safety.closed_loop import describe_violations
 
 MINUTES = 10
 SCENE = "tabletop:1"
-PICTURE = "images/tick.png"
-WIDEST = BIN * BINS * SIMULATED.period
+PLOT_PATH = "images/tick.png"
+LAST_BIN_START = BIN_FRACTION * N_BINS * SIMULATED.period
 """The last bin of the intervals begins here [s]."""
-LEAVE = 10.0
+REPORT_TIMEOUT_S = 10.0
 """How long the robot may take to write its report [s]."""
 
 
-class Tick:
+class TickTiming:
     """1 kHz, measured: intervals, work, latency, late ticks, lost periods, and what a tick is made of."""
 
     name = "tick"
@@ -43,25 +43,25 @@ class Tick:
         "contracts move the arm, the recorder writes and the live view is drawn: measured."
     )
 
-    def units(self, options: Options) -> list[Unit]:
+    def units(self, options: Options) -> list[WorkUnit]:
         """One: a machine that does nothing else is wanted for it."""
-        return [Unit(f"{MINUTES} minutes", {"seconds": 60.0 * MINUTES, "planner": options.planner})]
+        return [WorkUnit(f"{MINUTES} minutes", {"seconds": 60.0 * MINUTES, "planner": options.planner})]
 
     def run(self, about: dict[str, Any]) -> Row:
         """A working day of a gatekeeper."""
         with tempfile.TemporaryDirectory(prefix="dualbrain-") as name:
             folder = Path(name)
             recording, punctual, left = (folder / name for name in ("e.mcap", "punctuality.json", "robot.json"))
-            plan = Plan(
+            plan = GatekeeperConfig(
                 "panda", open_scene(SCENE), str(folder / "s"), str(folder / "keys"), recording=str(recording),
                 punctuality=str(punctual), report=str(left),
             )  # fmt: skip
-            process = Process(plan)
+            process = GatekeeperProcess(plan)
             try:
-                day = work(plan, SCENE, about["planner"], about["seconds"], folder)
+                day = run_load(plan, SCENE, about["planner"], about["seconds"], folder)
             finally:
                 process.stop()
-            report, found = await_report(left), msgspec.json.decode(punctual.read_bytes(), type=Punctuality)
+            report, found = wait_for_report(left), msgspec.json.decode(punctual.read_bytes(), type=TickTimingSummary)
             state = recording_state(recording)
             size = recording.stat().st_size
         violations = msgspec.to_builtins(report.judgement.violations)
@@ -72,52 +72,52 @@ class Tick:
             "violations": violations, "recording": recorded,
         }  # fmt: skip
 
-    def brief(self, row: Row) -> str:
+    def summarize_row(self, row: Row) -> str:
         """For the progress line."""
         return f"{row['ticks']} ticks, median {1e3 * row['interval'][0]:.2f} ms, longest {1e3 * row['interval'][3]:.1f}"
 
     def report(self, rows: list[Row]) -> list[str]:
         """How punctual, what it was made of, what went on meanwhile."""
-        return [line for row in rows for line in _account(row)]
+        return [line for row in rows for line in _report_lines(row)]
 
 
-def await_report(path: Path) -> Report:
+def wait_for_report(path: Path) -> RobotReport:
     """The robot's report, once it is whole; raises `FileNotFoundError` or `DecodeError` if it never is."""
-    deadline = time.monotonic() + LEAVE
+    deadline = time.monotonic() + REPORT_TIMEOUT_S
     while True:
         try:
-            return msgspec.json.decode(path.read_bytes(), type=Report)
+            return msgspec.json.decode(path.read_bytes(), type=RobotReport)
         except (OSError, msgspec.DecodeError):
             if time.monotonic() > deadline:
                 raise
             time.sleep(0.05)
 
 
-def _account(row: Row) -> list[str]:
+def _report_lines(row: Row) -> list[str]:
     states, loops = row["robot_ticks"], row["parts"]["door"]["ticks"]
-    beyond, longest = row["bins"].get(str(BINS - 1), 0), row["interval"][3]
+    beyond, longest = row["bins"].get(str(N_BINS - 1), 0), row["interval"][3]
     lost, late = states - loops, row["late"]
     lines = [
         f"In one run: **{states}** periods of the robot, **{loops}** control ticks; **{lost}** ticks missed "
         f"({lost / max(1, states):.2%}), {row['missed']} states lost on the way. Late ticks (over "
-        f"{1e3 * SIMULATED.overrun:g} ms of work): **{late}** ({late / max(1, loops):.2%}). Stalls of over "
-        f"{1e3 * WIDEST:.0f} ms: **{beyond}**, the longest {1e3 * longest:.0f} ms. Physics fell behind the clock "
+        f"{1e3 * SIMULATED.max_tick_time:g} ms of work): **{late}** ({late / max(1, loops):.2%}). Stalls of over "
+        f"{1e3 * LAST_BIN_START:.0f} ms: **{beyond}**, the longest {1e3 * longest:.0f} ms. Physics fell behind the clock "
         f"{row['slips']} times.", "",
-        f"![Intervals between states, and what a tick is made of]({PICTURE})", "",
+        f"![Intervals between states, and what a tick is made of]({PLOT_PATH})", "",
     ]  # fmt: skip
     head = ("", "median", "99 %", "99.9 %", "longest")
-    lines += table(head, ((name, *_milliseconds(row[name])) for name in ("interval", "work", "latency")))
+    lines += markdown_table(head, ((name, *_format_ms(row[name])) for name in ("interval", "work", "latency")))
     lines += [
         "Interval: from one joint state to the next, as they are taken in. Work: from a state to the end of its tick. "
         "Latency: from a state to the command that answers it. What the work is made of; own: the longest without what "
         "other threads and processes did meanwhile:", "",
     ]  # fmt: skip
     head = ("part of a tick", "what it is", "ticks that had it", "mean", "median", "99 %", "99.9 %", "longest", "own")
-    return lines + table(head, _parts(row["parts"], loops)) + _meanwhile(row)
+    return lines + markdown_table(head, _part_rows(row["parts"], loops)) + _background_lines(row)
 
 
-def _parts(parts: dict[str, Any], loops: int):
-    for name, what in PARTS.items():
+def _part_rows(parts: dict[str, Any], loops: int):
+    for name, what in TICK_PARTS.items():
         part = parts[name]
         if part["ticks"] and name != "wait":
             times = (part["mean"], *part["quantiles"])
@@ -125,7 +125,7 @@ def _parts(parts: dict[str, Any], loops: int):
             yield (name, what, f"{part['ticks'] / loops:.1%}", *(f"{1e6 * value:.0f} µs" for value in times), own)
 
 
-def _meanwhile(row: Row) -> list[str]:
+def _background_lines(row: Row) -> list[str]:
     decisions, recording = row["decisions"], row["recording"]
     pieces, size = row["page"]
     thought = f"{len(decisions)} decisions of `{row['planner']}`"
@@ -134,17 +134,17 @@ def _meanwhile(row: Row) -> list[str]:
     outcomes = ", ".join(f"{kind} {count}" for kind, count in sorted(row["outcomes"].items()))
     whole = "complete" if recording["complete"] else f"{recording['dropped']} messages dropped"
     return [
-        f"Meanwhile: {thought}; contracts: {contracts}; outcomes: {outcomes}{_why(row)}; recording of "
+        f"Meanwhile: {thought}; contracts: {contracts}; outcomes: {outcomes}{_outcome_reasons(row)}; recording of "
         f"{recording['bytes'] / 1e6:.0f} MB, {whole}; a page of the live view took {pieces} messages, "
-        f"{size / 1e6:.1f} MB. Violations on truth: {violation_words(row) or 'none'}.", "",
+        f"{size / 1e6:.1f} MB. Violations on truth: {describe_violations(row) or 'none'}.", "",
     ]  # fmt: skip
 
 
-def _why(row: Row) -> str:
+def _outcome_reasons(row: Row) -> str:
     """Why contracts ended, in the words of their outcomes; older rows do not tell."""
     why = "; ".join(f"{reason} ({count})" for reason, count in Counter(row.get("reasons", {})).most_common(3))
     return f" (most often: {why})" if why else ""
 
 
-def _milliseconds(values: list[float]) -> list[str]:
+def _format_ms(values: list[float]) -> list[str]:
     return [f"{1e3 * value:.2f} ms" for value in values]

@@ -17,17 +17,25 @@ from dualbrain.memory.embedding.joint_embedding import JointEmbedding
 from dualbrain.memory.ledger.ledger import Ledger
 from dualbrain.memory.maintenance.verification import verify
 from dualbrain.memory.memory import Memory
-from experiments.engine.experiment import Options, Row, Unit
-from experiments.figures.tables import share, table
-from experiments.memory.synthetic_episodes import CONFIG, LIMITS, REGISTRY, REST, ROBOT, START, made_up
+from experiments.engine.experiment import Options, Row, WorkUnit
+from experiments.figures.tables import format_proportion, markdown_table
+from experiments.memory.synthetic_episodes import (
+    CONFIG,
+    LIMITS,
+    REGISTRY,
+    REST_POSTURE,
+    ROBOT,
+    START_TIME,
+    synthetic_episode,
+)
 
-CLIENTS, ROUNDS, UNITS = 4, 10, 20
-LONGEST = 0.6
+N_CLIENTS, ROUNDS_PER_LEDGER, N_LEDGERS = 4, 10, 20
+MAX_ROUND_S = 0.6
 """A round lasts at most this long before the last client is killed [s]."""
-KINDS = ("succeeded", "failed", "rejected")
+OUTCOMES = ("succeeded", "failed", "rejected")
 
 
-class Kills:
+class CrashRecovery:
     """Crash safety of the ledger."""
 
     name = "crash_recovery"
@@ -36,10 +44,10 @@ class Kills:
         "vectors and weights rebuilt equal."
     )
 
-    def units(self, options: Options) -> list[Unit]:
+    def units(self, options: Options) -> list[WorkUnit]:
         """Twenty ledgers of ten rounds each."""
         del options
-        return [Unit(f"ledger {seed}", {"seed": seed, "rounds": ROUNDS}) for seed in range(UNITS)]
+        return [WorkUnit(f"ledger {seed}", {"seed": seed, "rounds": ROUNDS_PER_LEDGER}) for seed in range(N_LEDGERS)]
 
     def run(self, about: dict[str, Any]) -> Row:
         """Ten rounds on one ledger, which grows."""
@@ -48,13 +56,13 @@ class Kills:
         with tempfile.TemporaryDirectory(prefix="dualbrain-kills-") as folder:
             path = Path(folder) / "ledger.sqlite"
             for number in range(about["rounds"]):
-                acknowledged |= one_round(path, number, rng)
-                fault, missing = examine(path, acknowledged)
+                acknowledged |= run_round(path, number, rng)
+                fault, missing = check_ledger(path, acknowledged)
                 faults += [f"round {number}: {fault}"] if fault else []
                 lost = missing
         return {"rounds": about["rounds"], "acknowledged": len(acknowledged), "lost": lost, "faults": faults}
 
-    def brief(self, row: Row) -> str:
+    def summarize_row(self, row: Row) -> str:
         """Counts."""
         return f"{row['acknowledged']} acknowledged, {row['lost']} lost, {len(row['faults'])} faults"
 
@@ -63,14 +71,16 @@ class Kills:
         rounds, acknowledged = (sum(row[name] for row in rows) for name in ("rounds", "acknowledged"))
         lost, faults = sum(row["lost"] for row in rows), [fault for row in rows for fault in row["faults"]]
         head = ("rounds", "episodes acknowledged", "lost", "rounds with a fault")
-        return table(head, [(rounds, acknowledged, lost, share(len(faults), rounds))]) + faults
+        return markdown_table(head, [(rounds, acknowledged, lost, format_proportion(len(faults), rounds))]) + faults
 
 
-def one_round(path: Path, number: int, rng: np.random.Generator) -> set[str]:
+def run_round(path: Path, number: int, rng: np.random.Generator) -> set[str]:
     """Start the clients, kill each at a moment of its own; returns what they acknowledged."""
-    children = {_start(path, f"{number}-{client}", int(rng.integers(2**31))): client for client in range(CLIENTS)}
+    children = {
+        _fork_client(path, f"{number}-{client}", int(rng.integers(2**31))): client for client in range(N_CLIENTS)
+    }
     pipes = [pipe for _, pipe in children]
-    moments = sorted(zip(rng.uniform(0.05, LONGEST, CLIENTS).tolist(), [pid for pid, _ in children], strict=True))
+    moments = sorted(zip(rng.uniform(0.05, MAX_ROUND_S, N_CLIENTS).tolist(), [pid for pid, _ in children], strict=True))
     began = time.monotonic()
     for moment, pid in moments:
         time.sleep(max(0.0, began + moment - time.monotonic()))
@@ -83,44 +93,44 @@ def one_round(path: Path, number: int, rng: np.random.Generator) -> set[str]:
     return acknowledged
 
 
-def _start(path: Path, name: str, seed: int) -> tuple[int, int]:
+def _fork_client(path: Path, name: str, seed: int) -> tuple[int, int]:
     reading, writing = os.pipe()
     pid = os.fork()
     if pid:
         os.close(writing)
         return pid, reading
     try:
-        client(path, name, np.random.default_rng(seed), writing)
+        run_client(path, name, np.random.default_rng(seed), writing)
     finally:
         os._exit(1)
 
 
-def client(path: Path, name: str, rng: np.random.Generator, told: int) -> None:
+def run_client(path: Path, name: str, rng: np.random.Generator, told: int) -> None:
     """Open the ledger, store a few episodes with what they recalled, close it, again and again."""
-    store.SNAPSHOT_AFTER = 40
+    store.SNAPSHOT_MIN_EVENTS = 40
     count = 0
     while True:
-        with Ledger(path, holder=name, now=START, patience=60.0) as ledger:
+        with Ledger(path, holder=name, now=START_TIME, timeout_s=60.0) as ledger:
             memory = Memory(ledger, HashingEncoder(32), CONFIG)
             for _ in range(int(rng.integers(1, 4))):
-                recall = memory.recall("grasp the cube", "cube: object", REST, ROBOT, REGISTRY, k=3)
+                recall = memory.retrieve("grasp the cube", "cube: object", REST_POSTURE, ROBOT, REGISTRY, k=3)
                 one = f"{name}-{count}"
-                kind = KINDS[int(rng.integers(len(KINDS)))]
-                memory.store(made_up(one, kind=kind, recall=recall), REST, now=START)
+                kind = OUTCOMES[int(rng.integers(len(OUTCOMES)))]
+                memory.store(synthetic_episode(one, kind=kind, recall=recall), REST_POSTURE, now=START_TIME)
                 os.write(told, f"{one}\n".encode())
                 count += 1
 
 
-def examine(path: Path, acknowledged: set[str]) -> tuple[str, int]:
+def check_ledger(path: Path, acknowledged: set[str]) -> tuple[str, int]:
     """What is wrong with the ledger ("" if nothing), and how many acknowledged episodes it lacks."""
     if not path.exists():
         return "", len(acknowledged)
     embedding = JointEmbedding(HashingEncoder(32), (LIMITS,), CONFIG.embedding)
-    with Ledger(path, holder="the judge", now=START) as ledger:
+    with Ledger(path, holder="the judge", now=START_TIME) as ledger:
         found = verify(ledger, embedding=embedding)
         kept = {event.subject for event in ledger.events("kind = 'episode'")}
         memory = Memory(ledger, HashingEncoder(32), CONFIG)
-        anew = {memo.id: memo.weight for memo in memory.state.memos}
-        replayed = store.derive(ledger).weights()
-    fault = "" if found.whole else f"{found.chain.fault or found.snapshot}, {found.vectors_wrong} vectors differ"
+        anew = {memo.id: memo.weight for memo in memory.state.memories}
+        replayed = store.derive_state(ledger).weights()
+    fault = "" if found.is_intact else f"{found.chain.fault or found.snapshot}, {found.vectors_wrong} vectors differ"
     return fault or ("" if anew == replayed else "weights differ after a rebuild"), len(acknowledged - kept)

@@ -20,32 +20,32 @@ import msgspec
 import numpy as np
 
 from dualbrain.cli.common import paths
-from dualbrain.core.storage.resumable_steps import carry_on
-from dualbrain.grounding.vocabulary import vocabulary
+from dualbrain.core.storage.resumable_steps import run_steps
+from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.memory.ledger.ledger import LedgerReader
 from dualbrain.memory.plasticity.rule import EPSILON
-from dualbrain.memory.state.derivation import derive
+from dualbrain.memory.state.derivation import derive_state
 from dualbrain.planner.protocol import Planner
-from dualbrain.planner.scripted import GivenContract
+from dualbrain.planner.scripted import FixedContractPlanner
 from dualbrain.records import Episode
-from dualbrain.runtime.session import Onlooker, RunConfig, Session, Times
-from experiments.engine.experiment import Options, Row, Unit
-from experiments.figures.tables import table
-from experiments.planning.end_to_end import GOAL, planner_of
-from experiments.planning.verdict_confusion import confusion_lines
-from experiments.safety.closed_loop import errand
+from dualbrain.runtime.session import Clocks, RunConfig, RunObserver, Session
+from experiments.engine.experiment import Options, Row, WorkUnit
+from experiments.figures.tables import markdown_table
+from experiments.planning.end_to_end import GOAL, cached_planner
+from experiments.planning.verdict_confusion import confusion_table
+from experiments.safety.closed_loop import pick_and_place_actions
 
-SCENES, SEEDS, REPETITIONS, FIRST = ("tall_ii:301", "shelf_ii:302", "forearm_ii:303"), 5, 30, 6
+SCENES, N_SEEDS, N_REPETITIONS, N_START_CONTRACTS = ("tall_ii:301", "shelf_ii:302", "forearm_ii:303"), 5, 30, 6
 """Rooms of level II, where a contract matters (docs/learnable.md); seeds that the sweep has not seen."""
-WORDS = "put the red cube in the bowl"
-GRID: dict[str, tuple[Any, ...]] = {
+INSTRUCTION = "put the red cube in the bowl"
+PARAMETER_GRID: dict[str, tuple[Any, ...]] = {
     "clearance": (0.08, 0.15, 0.2, 0.3), "finger_axis": ("along", "across"), "approach": ("top", "tilted"),
     "route": ("direct", "near_base", "left", "right"), "opening": (0.055, 0.08),
 }  # fmt: skip
-BEGAN, BETWEEN_S = 1_795_000_000.0, 240.0
+START_TIME, EPISODE_SPACING_S = 1_795_000_000.0, 240.0
 """Made-up date of the start [s, 1970 UTC], and time between two episodes [s]."""
-LEDGER, TOLD = "ledger.sqlite", "episodes.json"
-PICTURE = "images/learning.png"
+LEDGER_FILE, EPISODES_FILE = "ledger.sqlite", "episodes.json"
+PLOT_PATH = "images/learning.png"
 
 
 class Learning:
@@ -57,15 +57,15 @@ class Learning:
         "weights and with static ones; good and bad memories part in R."
     )
 
-    def units(self, options: Options) -> list[Unit]:
+    def units(self, options: Options) -> list[WorkUnit]:
         """Scene by scene, seed by seed, both arms; ten units are one scene."""
         return [
-            Unit(
+            WorkUnit(
                 f"{scene} seed {seed} {arm}, {options.planner}",
-                {"scene": scene, "seed": seed, "arm": arm, "planner": options.planner, "repetitions": REPETITIONS,
+                {"scene": scene, "seed": seed, "arm": arm, "planner": options.planner, "repetitions": N_REPETITIONS,
                  "folder": str(options.folder / "learning")},
             )
-            for scene in SCENES for seed in range(SEEDS) for arm in ("dynamic", "static")
+            for scene in SCENES for seed in range(N_SEEDS) for arm in ("dynamic", "static")
         ]  # fmt: skip
 
     def run(self, about: dict[str, Any]) -> Row:
@@ -75,21 +75,25 @@ class Learning:
         """
         folder, told = Path(about["folder"]), {name: value for name, value in about.items() if name != "folder"}
         place = f"{about['scene']} seed {about['seed']}".replace(":", "-")
-        planner, arm = planner_of(about["planner"]), f"{place} {about['arm']}, {_plain(about['planner'])}"
-        start = carry_on(folder / f"{place} start", FIRST, lambda number, here: _begin(here, about, number))
-        told["epsilon"] = usual(start / LEDGER)
-        repeat = partial(_repeat, about=about, planner=planner, epsilon=told["epsilon"])
-        last = carry_on(folder / arm, about["repetitions"], repeat, start=start)
-        with LedgerReader(last / LEDGER) as reader:
-            head, state = reader.head(), derive(reader)
-            parted = separation(reader)
-        weights = {memo.id: [memo.weight, memo.kind, memo.Delta] for memo in state.memos}
-        seen = json.loads((last / TOLD).read_text())
+        planner, arm = cached_planner(about["planner"]), f"{place} {about['arm']}, {_file_name_part(about['planner'])}"
+        start = run_steps(
+            folder / f"{place} start",
+            N_START_CONTRACTS,
+            lambda number, here: _store_start_contract(here, about, number),
+        )
+        told["epsilon"] = median_success_delta(start / LEDGER_FILE)
+        repeat = partial(_run_repetition, about=about, planner=planner, epsilon=told["epsilon"])
+        last = run_steps(folder / arm, about["repetitions"], repeat, initial_folder=start)
+        with LedgerReader(last / LEDGER_FILE) as reader:
+            head, state = reader.head(), derive_state(reader)
+            parted = weight_separation(reader)
+        weights = {memo.id: [memo.weight, memo.kind, memo.Delta] for memo in state.memories}
+        seen = json.loads((last / EPISODES_FILE).read_text())
         return {**told, "episodes": seen, "ledger": head.hash, "events": head.seq, "weights": weights, "parted": parted}
 
-    def brief(self, row: Row) -> str:
+    def summarize_row(self, row: Row) -> str:
         """First and last thirds."""
-        first, last = thirds(row)
+        first, last = mean_delta_of_thirds(row)
         return f"Δ {first:.4f} -> {last:.4f}, ledger {row['ledger'][:12]}"
 
     def report(self, rows: list[Row]) -> list[str]:
@@ -99,7 +103,7 @@ class Learning:
             for arm in ("dynamic", "static"):
                 mine = [row for row in rows if (row["scene"], row["arm"]) == (scene, arm)]
                 if mine:
-                    ends = np.array([thirds(row) for row in mine])
+                    ends = np.array([mean_delta_of_thirds(row) for row in mine])
                     good = [np.mean([one["outcome"] == "succeeded" for one in row["episodes"]]) for row in mine]
                     times = [np.mean([one["decision_s"] for one in row["episodes"]]) for row in mine]
                     heads = ", ".join(row["ledger"][:8] for row in mine)
@@ -108,18 +112,21 @@ class Learning:
                         (scene, arm, len(mine), *cells, f"{np.mean(good):.2f}", f"{np.mean(times):.1f}", heads)
                     )
         head = ("scene", "w", "ledgers", "Δ, first ten", "Δ, last ten", "succeeded", "decision [s]", "ledger heads")
-        picture = [f"![Δ, decision time and weights over repetitions]({PICTURE})", ""]
+        picture = [f"![Δ, decision time and weights over repetitions]({PLOT_PATH})", ""]
         episodes = [one for row in rows for one in row["episodes"]]
-        return [*table(head, lines), *compared(rows), *confusion_lines(episodes), *picture]
+        return [*markdown_table(head, lines), *compare_arms(rows), *confusion_table(episodes), *picture]
 
 
 def start_contracts(seed: int) -> list[list[dict[str, Any]]]:
     """Six contracts with random valid parameters: no physical selection."""
     rng = np.random.default_rng([seed, 17])
-    return [errand(**{name: rng.choice(values).item() for name, values in GRID.items()}) for _ in range(FIRST)]
+    return [
+        pick_and_place_actions(**{name: rng.choice(values).item() for name, values in PARAMETER_GRID.items()})
+        for _ in range(N_START_CONTRACTS)
+    ]
 
 
-def figures(episode: Episode) -> dict[str, Any]:
+def repetition_row(episode: Episode) -> dict[str, Any]:
     """What one repetition leaves: the robot's own verdict, Δ, decision time, the best exemplar; truth for the table."""
     best = episode.recall.exemplars[0] if episode.recall.exemplars else None
     return {
@@ -131,14 +138,14 @@ def figures(episode: Episode) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def usual(ledger: Path) -> float:
+def median_success_delta(ledger: Path) -> float:
     """Median Δ of the successes in a ledger; the default where there are none."""
     with LedgerReader(ledger) as reader:
-        sizes = [memo.Delta for memo in derive(reader).memos if memo.r and memo.Delta is not None]
+        sizes = [memo.Delta for memo in derive_state(reader).memories if memo.r and memo.Delta is not None]
     return float(np.median(sizes)) if sizes else EPSILON
 
 
-def thirds(row: Row) -> tuple[float, float]:
+def mean_delta_of_thirds(row: Row) -> tuple[float, float]:
     """Mean Δ of the first and of the last third of the repetitions that moved."""
     found = [one["Delta"] for one in row["episodes"]]
     third = max(1, len(found) // 3)
@@ -147,7 +154,7 @@ def thirds(row: Row) -> tuple[float, float]:
     return first, last
 
 
-def compared(rows: list[Row]) -> list[str]:
+def compare_arms(rows: list[Row]) -> list[str]:
     """Ledger by ledger, the last third: dynamic against static from the same start, by Δ and by refusals."""
     pairs: dict[tuple[str, int], dict[str, Row]] = {}
     for row in rows:
@@ -155,7 +162,9 @@ def compared(rows: list[Row]) -> list[str]:
     both = [pair for pair in pairs.values() if len(pair) == 2]
     if not both:
         return []
-    less = np.array([thirds(pair["dynamic"])[1] - thirds(pair["static"])[1] for pair in both])
+    less = np.array(
+        [mean_delta_of_thirds(pair["dynamic"])[1] - mean_delta_of_thirds(pair["static"])[1] for pair in both]
+    )
     lower, higher = int(np.sum(less < 0.0)), int(np.sum(less > 0.0))
     still = {arm: sum(one["Delta"] is None for pair in both for one in pair[arm]["episodes"]) for arm in both[0]}
     of = sum(len(pair["dynamic"]["episodes"]) for pair in both)
@@ -167,12 +176,12 @@ def compared(rows: list[Row]) -> list[str]:
     ]
 
 
-def separation(ledger: LedgerReader) -> list[list[float]]:
+def weight_separation(ledger: LedgerReader) -> list[list[float]]:
     """Event by event: mean weight of memories whose own outcome was good (r = 1, Δ ≤ median) and of all others."""
-    state = derive(ledger)
-    sizes = [memo.Delta for memo in state.memos if memo.r and memo.Delta is not None]
+    state = derive_state(ledger)
+    sizes = [memo.Delta for memo in state.memories if memo.r and memo.Delta is not None]
     middle = float(np.median(sizes)) if sizes else 0.0
-    good = {memo.id for memo in state.memos if memo.r and memo.Delta is not None and memo.Delta <= middle}
+    good = {memo.id for memo in state.memories if memo.r and memo.Delta is not None and memo.Delta <= middle}
     weights: dict[str, float] = {}
     curve: list[list[float]] = []
     for event in ledger.events("kind IN ('episode', 'weight')"):
@@ -185,42 +194,49 @@ def separation(ledger: LedgerReader) -> list[list[float]]:
     return curve
 
 
-def _begin(here: Path, about: dict[str, Any], number: int) -> None:
+def _store_start_contract(here: Path, about: dict[str, Any], number: int) -> None:
     """One contract of the start, in the ledger at `here`; it teaches nothing yet."""
     actions = start_contracts(about["seed"])[number]
-    _play(here / LEDGER, about, GivenContract("start", _contract(actions)), f"s-{number}", number, static=True)
+    _run_episode(
+        here / LEDGER_FILE,
+        about,
+        FixedContractPlanner("start", _contract_bytes(actions)),
+        f"s-{number}",
+        number,
+        static=True,
+    )
 
 
-def _repeat(number: int, here: Path, about: dict[str, Any], planner: Planner, epsilon: float) -> None:
+def _run_repetition(number: int, here: Path, about: dict[str, Any], planner: Planner, epsilon: float) -> None:
     """One repetition, and what it leaves for the row."""
-    static, turn = about["arm"] == "static", FIRST + number
-    episode = _play(here / LEDGER, about, planner, f"r-{number}", turn, static=static, epsilon=epsilon)
-    file = here / TOLD
+    static, turn = about["arm"] == "static", N_START_CONTRACTS + number
+    episode = _run_episode(here / LEDGER_FILE, about, planner, f"r-{number}", turn, static=static, epsilon=epsilon)
+    file = here / EPISODES_FILE
     told = json.loads(file.read_text()) if file.exists() else []
-    file.write_text(json.dumps([*told, figures(episode)]))
+    file.write_text(json.dumps([*told, repetition_row(episode)]))
 
 
-def _play(
+def _run_episode(
     ledger: Path, about: dict[str, Any], planner: Planner, name: str, turn: int, *, static: bool, epsilon: float = 0.0
 ) -> Episode:  # fmt: skip
     """One run of the scene, the `turn`-th on this ledger: dates are made up, whatever the machine does."""
     with tempfile.TemporaryDirectory(prefix="dualbrain-learning-run-") as folder:
         seed = about["seed"] * 1000 + int(name.split("-")[1]) + 500 * name.startswith("r")
         config = RunConfig(
-            WORDS, Path(folder) / name, ledger, paths.cache(), scene=about["scene"], goal=GOAL, visuals=False,
+            INSTRUCTION, Path(folder) / name, ledger, paths.cache_folder(), scene=about["scene"], goal=GOAL, visuals=False,
             seed=seed, static=static, epsilon=epsilon,
         )  # fmt: skip
-        dates = count(BEGAN + turn * BETWEEN_S, 1.0)
-        times = Times(time.monotonic, "2026-11-21T00:00:00+00:00", lambda: next(dates))
+        dates = count(START_TIME + turn * EPISODE_SPACING_S, 1.0)
+        times = Clocks(time.monotonic, "2026-11-21T00:00:00+00:00", lambda: next(dates))
         with Session(config, times, {}, planner) as session:
-            return session.run(Onlooker()).episode
+            return session.run(RunObserver()).episode
 
 
-def _plain(name: str) -> str:
+def _file_name_part(name: str) -> str:
     """`name` as a part of a file name."""
     return re.sub(r"[^A-Za-z0-9._-]+", "-", name)
 
 
-def _contract(actions: list[dict[str, Any]]) -> bytes:
-    context = {"robot": "panda", "registry": vocabulary("panda").hash}
+def _contract_bytes(actions: list[dict[str, Any]]) -> bytes:
+    context = {"robot": "panda", "registry": load_skill_registry("panda").hash}
     return msgspec.json.encode({"id": "c-0001", "context": context, "action_sequence": actions})

@@ -7,33 +7,33 @@ from typing import Any
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.memory.config import MemoryConfig
 from dualbrain.memory.embedding.posture_features import Posture, PostureLimits
-from dualbrain.records import Attempt, Episode, Outcome, OutcomeClass, Proposal, Recall, Scene, SecondOpinion
+from dualbrain.records import Attempt, Episode, Outcome, OutcomeCheck, OutcomeClass, Proposal, RetrievedContext, Scene
 
 ROBOT, REGISTRY = "arm", "aaaa1111"
 LIMITS = PostureLimits(ROBOT, (-3.0, -2.0), (3.0, 2.0), 0.04)
-REST = Posture((0.0, 0.5), 0.04)
-START = 1_800_000_000.0
+REST_POSTURE = Posture((0.0, 0.5), 0.04)
+START_TIME = 1_800_000_000.0
 """When made-up time begins [s, 1970 UTC]."""
 CONFIG = MemoryConfig((LIMITS,))
 
 
-def contract(**params: Any) -> dict[str, Any]:
+def grasp_contract(**params: Any) -> dict[str, Any]:
     """A contract of one grasp with these parameters."""
     context = {"robot": ROBOT, "registry": REGISTRY}
     return {"id": "c-0001", "context": context, "action_sequence": [{"skill": "grasp", "params": params}]}
 
 
-def made_up(
+def synthetic_episode(
     name: str, *, kind: OutcomeClass = "succeeded", Delta: float | None = 0.001, instruction: str = "grasp the cube",
-    summary: str = "cube: object, neighbour_across low", recall: Recall | None = None,
-    plan: dict[str, Any] | None = None, by: str = "planner", second_opinion: SecondOpinion = "agrees",
+    summary: str = "cube: object, neighbour_across low", recall: RetrievedContext | None = None,
+    plan: dict[str, Any] | None = None, proposer: str = "planner", second_opinion: OutcomeCheck = "agrees",
 ) -> Episode:  # fmt: skip
     """One episode."""
     refused = Rejected("envelope", "/action_sequence/0/params/speed", 1, "0.05..0.4", "slower")
-    attempt = Attempt(Proposal("{}", "stop", by, "nobody", {"total": 0.0}), refused, 0.0)
+    attempt = Attempt(Proposal("{}", "stop", proposer, "nobody", {"total": 0.0}), refused, 0.0)
     outcome = Outcome(kind, "" if kind == "succeeded" else f"it {kind}", None if kind == "rejected" else Delta)
     return Episode(
         name, "2026-11-21T00:00:00Z", instruction, ROBOT, REGISTRY, 0, Scene(ROBOT, 0.0, 1, ()), summary,
-        recall or Recall(), (attempt,), plan or contract(object="cube", speed=0.1), outcome, None, {}, {},
+        recall or RetrievedContext(), (attempt,), plan or grasp_contract(object="cube", speed=0.1), outcome, None, {}, {},
         second_opinion=second_opinion,
     )  # fmt: skip

@@ -7,22 +7,22 @@ from typing import Any
 
 from dualbrain.simulation.scenes.generators.rooms import make_room
 from dualbrain.simulation.scenes.generators.tabletop import make_scene
-from dualbrain.simulation.tasks.families import FAMILIES as TASKS
-from experiments.engine.experiment import Options, Row, Unit
-from experiments.planning.sensitivity_sweep import OTHER_NOISE, learnable_lines
-from experiments.safety.closed_loop import errand, fly, outcome_words, row
+from dualbrain.simulation.tasks.families import TASK_FAMILIES as TASKS
+from experiments.engine.experiment import Options, Row, WorkUnit
+from experiments.planning.sensitivity_sweep import NOISE_SEED_OFFSET, sensitivity_tables
+from experiments.safety.closed_loop import describe_outcome, pick_and_place_actions, run_contract, run_row
 
 SEEDS = ((0, False), (0, True), (1, False), (2, False), (1, True), (2, True), *((seed, False) for seed in range(3, 6)))
 """Seeds of scenes, and whether one is flown again with other perception noise."""
 FAMILIES = ("edge_ii", "fragile_ii", "aisles")
-TASK = {"edge_ii": "edge_rescue", "fragile_ii": "fragile_transfer", "aisles": "mobile_navigation"}
-ARM = {"clearance": (0.10, 0.30), "finger_axis": ("along", "across")}
-WAYS = {
+TASK_OF_FAMILY = {"edge_ii": "edge_rescue", "fragile_ii": "fragile_transfer", "aisles": "mobile_navigation"}
+ARM_PARAMETERS = {"clearance": (0.10, 0.30), "finger_axis": ("along", "across")}
+ARM_VARIANTS = {
     "edge_ii": (("route", "opening"), (("direct", 0.055), ("near_base", 0.08))),
     "fragile_ii": (("route", "force"), (("direct", 10.0), ("near_base", 20.0))),
 }
 """8 contracts an arm's family: clearance and finger axis in full, the route and the family's own lever together."""
-DRIVES = {"via": ("direct", "aisle_left", "aisle_right"), "stops": (0, 5)}
+BASE_PARAMETERS = {"via": ("direct", "aisle_left", "aisle_right"), "stops": (0, 5)}
 """6 contracts of the base: the way, and how often it stands for a moment before it leaves."""
 SPEED, TURN_RATE = 0.4, 1.0
 """[m/s], [rad/s]: a fast contract takes half the time to fly, and more than at 0.2 m/s hangs on the others' values."""
@@ -38,49 +38,54 @@ class FamilySweep:
         "contract has regret."
     )
 
-    def units(self, options: Options) -> list[Unit]:
+    def units(self, options: Options) -> list[WorkUnit]:
         """Seed by seed, every family in turn; any prefix of whole seeds is an honest sample."""
         del options
         return [
             _unit(family, seed, contract, again=again)
-            for seed, again in SEEDS for family in FAMILIES for contract in grid(family)
+            for seed, again in SEEDS for family in FAMILIES for contract in contract_grid(family)
         ]  # fmt: skip
 
     def run(self, about: dict[str, Any]) -> Row:
         """Carry the contract out; the same perception noise and the same 2 s of thinking for all of a scene."""
         family, seed = about["family"], about["seed"]
         spec = make_room(family, seed, "base") if family == "aisles" else make_scene(family, seed)
-        noise = seed + OTHER_NOISE * about["again"]
-        goal = TASKS[TASK[family]].goals["II"]
-        return {**about, **row(fly(spec, contract(family, about["parameters"]), seed=noise, hold=2.0, goal=goal))}
+        noise = seed + NOISE_SEED_OFFSET * about["again"]
+        goal = TASKS[TASK_OF_FAMILY[family]].goals["II"]
+        return {
+            **about,
+            **run_row(
+                run_contract(spec, contract_actions(family, about["parameters"]), seed=noise, settle_s=2.0, goal=goal)
+            ),
+        }
 
-    def brief(self, row: Row) -> str:
+    def summarize_row(self, row: Row) -> str:
         """End and Δ."""
-        return outcome_words(row)
+        return describe_outcome(row)
 
     def report(self, rows: list[Row]) -> list[str]:
         """Success by family, the four parts of the bar, every violation."""
-        return learnable_lines(rows, FAMILIES)
+        return sensitivity_tables(rows, FAMILIES)
 
 
-def grid(family: str) -> list[dict[str, Any]]:
+def contract_grid(family: str) -> list[dict[str, Any]]:
     """The contracts that are flown in a family, without their speed."""
-    if family not in WAYS:
-        return [dict(zip(DRIVES, values, strict=True)) for values in product(*DRIVES.values())]
-    names, ways = WAYS[family]
+    if family not in ARM_VARIANTS:
+        return [dict(zip(BASE_PARAMETERS, values, strict=True)) for values in product(*BASE_PARAMETERS.values())]
+    names, ways = ARM_VARIANTS[family]
     return [
-        {**dict(zip(ARM, values, strict=True)), **dict(zip(names, way, strict=True))}
-        for values in product(*ARM.values())
+        {**dict(zip(ARM_PARAMETERS, values, strict=True)), **dict(zip(names, way, strict=True))}
+        for values in product(*ARM_PARAMETERS.values())
         for way in ways
     ]
 
 
-def contract(family: str, values: dict[str, Any]) -> list[dict[str, Any]]:
+def contract_actions(family: str, values: dict[str, Any]) -> list[dict[str, Any]]:
     """The actions of a contract of the grid."""
-    if family in WAYS:
-        goal = TASKS[TASK[family]].goals["II"]
-        grasp, place = errand(**values)
-        grasp["params"]["object"], place["params"]["destination"] = goal.thing, goal.destination
+    if family in ARM_VARIANTS:
+        goal = TASKS[TASK_OF_FAMILY[family]].goals["II"]
+        grasp, place = pick_and_place_actions(**values)
+        grasp["params"]["object"], place["params"]["destination"] = goal.object_name, goal.destination
         return [grasp, place]
     vias = [] if values["via"] == "direct" else [values["via"]]
     common = {"max_speed": values["speed"], "max_turn_rate": TURN_RATE}
@@ -88,8 +93,8 @@ def contract(family: str, values: dict[str, Any]) -> list[dict[str, Any]]:
     return [{"skill": "stop", "params": {}}] * values["stops"] + drives
 
 
-def _unit(family: str, seed: int, values: dict[str, Any], *, again: bool) -> Unit:
+def _unit(family: str, seed: int, values: dict[str, Any], *, again: bool) -> WorkUnit:
     parameters = {"speed": SPEED, **values}
     key = " ".join(str(value) for value in parameters.values())
     about = {"family": family, "seed": seed, "parameters": parameters, "again": again}
-    return Unit(f"{family}:{seed} {key}" + (" again" if again else ""), about)
+    return WorkUnit(f"{family}:{seed} {key}" + (" again" if again else ""), about)

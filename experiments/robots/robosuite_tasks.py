@@ -7,25 +7,30 @@ from functools import cache
 from statistics import mean
 from typing import Any
 
-from dualbrain.robots.model import Body
-from experiments.engine.experiment import Options, Row, Unit
-from experiments.figures.tables import share, table
-from experiments.robots.robosuite.episode import HOWS, body_of, fly
+from dualbrain.robots.model import RobotModel
+from experiments.engine.experiment import Options, Row, WorkUnit
+from experiments.figures.tables import format_proportion, markdown_table
+from experiments.robots.robosuite.episode import MODES, calibrated_robot, run_episode
 from experiments.robots.robosuite.limit_monitor import UNITS
-from experiments.robots.robosuite.suite_process import Suite
-from experiments.robots.robosuite.tracking import ACCELERATION, SPEED
-from experiments.robots.robosuite.virtual_environment import make
+from experiments.robots.robosuite.suite_process import SuiteProcess
+from experiments.robots.robosuite.tracking import ACCELERATION_SHARES, SPEED_SHARES
+from experiments.robots.robosuite.virtual_environment import create
 
-SEEDS = 20
-BOTH = ("unfiltered", "filtered")
-CELLS = (("Lift", "hasty", BOTH), ("Stack", "hasty", BOTH), ("Lift", "careful", BOTH), ("Stack", "careful", BOTH))
-CONTROLS = (("Lift", "random", BOTH), ("Lift", "hasty", ("clipped",)), ("Stack", "hasty", ("clipped",)))
+N_SEEDS = 20
+BOTH_MODES = ("unfiltered", "filtered")
+CONDITIONS = (
+    ("Lift", "hasty", BOTH_MODES),
+    ("Stack", "hasty", BOTH_MODES),
+    ("Lift", "careful", BOTH_MODES),
+    ("Stack", "careful", BOTH_MODES),
+)
+CONTROL_CONDITIONS = (("Lift", "random", BOTH_MODES), ("Lift", "hasty", ("clipped",)), ("Stack", "hasty", ("clipped",)))
 """Task, policy and how it is flown; at a seed all of them see the same start. The controls come last."""
-BATCH = 5
+SEEDS_PER_BATCH = 5
 """Seeds of one cell in a row."""
 
 
-class Outsider:
+class RobosuiteTasks:
     """The filter in a task suite that others wrote."""
 
     name = "robosuite_tasks"
@@ -34,64 +39,68 @@ class Outsider:
         "hasty policy within every joint limit and off table, mount and other cube; a careful one succeeds as before."
     )
 
-    def units(self, options: Options) -> list[Unit]:
+    def units(self, options: Options) -> list[WorkUnit]:
         """A few seeds of every cell, then the next few."""
         del options
         return [
-            Unit(f"{task} {policy} {how} {seed}", {"task": task, "policy": policy, "how": how, "seed": seed})
-            for cells in (CELLS, CONTROLS)
-            for first in range(0, SEEDS, BATCH)
+            WorkUnit(f"{task} {policy} {how} {seed}", {"task": task, "policy": policy, "how": how, "seed": seed})
+            for cells in (CONDITIONS, CONTROL_CONDITIONS)
+            for first in range(0, N_SEEDS, SEEDS_PER_BATCH)
             for task, policy, hows in cells
-            for seed in range(first, first + BATCH)
+            for seed in range(first, first + SEEDS_PER_BATCH)
             for how in hows
         ]
 
     def run(self, about: dict[str, Any]) -> Row:
         """One flight; the environment is made if it is missing."""
-        suite, body = _suite()
-        return fly(suite, body, about)
+        suite, body = _open_suite()
+        return run_episode(suite, body, about)
 
-    def brief(self, row: Row) -> str:
+    def summarize_row(self, row: Row) -> str:
         """How it ended."""
-        worst = ", ".join(f"{kind} {peak:.3g} {UNITS[kind]}" for kind, peak in peaks([row]).items())
+        worst = ", ".join(f"{kind} {peak:.3g} {UNITS[kind]}" for kind, peak in worst_peaks([row]).items())
         return (
             f"{'success' if row['success'] else 'no success'} after {row['time']:.1f} s; {worst or 'no limit exceeded'}"
         )
 
     def report(self, rows: list[Row]) -> list[str]:
         """What became of every cell, how bad it was at worst, and what the filter did."""
-        cells = [(key, some) for key in _keys() if (some := [row for row in rows if _key(row) == key])]
-        lines = table(_HEAD, (_cells(key, some) for key, some in cells))
-        lines += table(_WORST, (_worst(key, some) for key, some in cells if peaks(some)))
+        cells = [
+            (key, some) for key in _all_conditions() if (some := [row for row in rows if _condition_of(row) == key])
+        ]
+        lines = markdown_table(_RESULT_HEAD, (_result_row(key, some) for key, some in cells))
+        lines += markdown_table(_WORST_HEAD, (_worst_row(key, some) for key, some in cells if worst_peaks(some)))
         bare = {key[:2]: mean(row["time"] for row in some) for key, some in cells if key[2] == "unfiltered"}
-        lines += table(_FILTER, (_filter(key, some, bare) for key, some in cells if key[2] == "filtered"))
-        return [*lines, *_tracking(rows), "", *_exceptions(rows)]
+        lines += markdown_table(
+            _FILTER_HEAD, (_filter_row(key, some, bare) for key, some in cells if key[2] == "filtered")
+        )
+        return [*lines, *_tracking_lines(rows), "", *_exception_lines(rows)]
 
 
 @cache
-def _suite() -> tuple[Suite, Body]:
+def _open_suite() -> tuple[SuiteProcess, RobotModel]:
     """The suite's process and the body that the filter is told of, once a worker."""
-    make()
-    suite = Suite()
-    return suite, body_of(suite)
+    create()
+    suite = SuiteProcess()
+    return suite, calibrated_robot(suite)
 
 
-def exceeded(row: Row, kind: str) -> bool:
+def exceeded_limit(row: Row, kind: str) -> bool:
     """Whether a limit of this kind was exceeded in a flight."""
     return any(breach["kind"] == kind for breach in row["breaches"])
 
 
-def touched(row: Row, thing: str) -> bool:
+def touched_object(row: Row, thing: str) -> bool:
     """Whether the robot touched `thing` where it should not."""
     return any(breach["kind"] == "touch" and thing in breach["between"] for breach in row["breaches"])
 
 
-def clean(row: Row) -> bool:
+def is_clean(row: Row) -> bool:
     """Whether nothing was exceeded or touched."""
     return not row["breaches"]
 
 
-def peaks(rows: Iterable[Row]) -> dict[str, float]:
+def worst_peaks(rows: Iterable[Row]) -> dict[str, float]:
     """The worst peak of each kind."""
     found: dict[str, float] = {}
     for breach in (breach for row in rows for breach in row["breaches"]):
@@ -99,66 +108,66 @@ def peaks(rows: Iterable[Row]) -> dict[str, float]:
     return {kind: found[kind] for kind in UNITS if kind in found}
 
 
-def _keys() -> list[tuple[str, str, str]]:
-    found = {(task, policy, how) for task, policy, hows in (*CELLS, *CONTROLS) for how in hows}
-    return sorted(found, key=lambda key: (key[1], key[0], HOWS.index(key[2])))
+def _all_conditions() -> list[tuple[str, str, str]]:
+    found = {(task, policy, how) for task, policy, hows in (*CONDITIONS, *CONTROL_CONDITIONS) for how in hows}
+    return sorted(found, key=lambda key: (key[1], key[0], MODES.index(key[2])))
 
 
-def _key(row: Row) -> tuple[str, str, str]:
+def _condition_of(row: Row) -> tuple[str, str, str]:
     return row["task"], row["policy"], row["how"]
 
 
-_HEAD = (
+_RESULT_HEAD = (
     "policy", "task", "flown", "success", "success, nothing exceeded", "joint velocity", "joint position",
     "table struck", "mount or own parts", "cubes struck by hand or arm", "other cube pushed > 1 cm",
 )  # fmt: skip
 """From the sixth on: flights in which it happened."""
 
 
-def _cells(key: tuple[str, str, str], rows: list[Row]) -> tuple[object, ...]:
+def _result_row(key: tuple[str, str, str], rows: list[Row]) -> tuple[object, ...]:
     task, policy, how = key
     n, aims = len(rows), policy != "random"
     good = [row for row in rows if row["success"]]
-    own = sum(any(_own(breach) for breach in row["breaches"]) for row in rows)
+    own = sum(any(_is_self_or_mount_contact(breach) for breach in row["breaches"]) for row in rows)
     return (
-        policy, task, how, share(len(good), n) if aims else "no task",
-        share(sum(map(clean, good)), n) if aims else f"(nothing exceeded: {share(sum(map(clean, rows)), n)})",
-        sum(exceeded(row, "joint_velocity") for row in rows), sum(exceeded(row, "joint_position") for row in rows),
-        sum(touched(row, "table") for row in rows), own,
-        sum(any(touched(row, cube) for cube in ("cube", "cubeA", "cubeB")) for row in rows),
+        policy, task, how, format_proportion(len(good), n) if aims else "no task",
+        format_proportion(sum(map(is_clean, good)), n) if aims else f"(nothing exceeded: {format_proportion(sum(map(is_clean, rows)), n)})",
+        sum(exceeded_limit(row, "joint_velocity") for row in rows), sum(exceeded_limit(row, "joint_position") for row in rows),
+        sum(touched_object(row, "table") for row in rows), own,
+        sum(any(touched_object(row, cube) for cube in ("cube", "cubeA", "cubeB")) for row in rows),
         sum(row["pushed"] > 0.01 for row in rows) if task == "Stack" else "",
     )  # fmt: skip
 
 
-def _own(breach: dict[str, Any]) -> bool:
+def _is_self_or_mount_contact(breach: dict[str, Any]) -> bool:
     """A touch of the mount, the floor or another part of the robot."""
     things = ("table", "cube", "cubeA", "cubeB")
     return breach["kind"] == "touch" and not any(name in things for name in breach["between"])
 
 
-_WORST = ("policy", "task", "flown", "limit", "flights", "worst peak", "longest")
+_WORST_HEAD = ("policy", "task", "flown", "limit", "flights", "worst peak", "longest")
 
 
-def _worst(key: tuple[str, str, str], rows: list[Row]) -> tuple[object, ...]:
+def _worst_row(key: tuple[str, str, str], rows: list[Row]) -> tuple[object, ...]:
     """One line a cell, its kinds of breach beneath each other."""
     task, policy, how = key
-    worst = peaks(rows)
+    worst = worst_peaks(rows)
     longest = {kind: max(b["duration"] for row in rows for b in row["breaches"] if b["kind"] == kind) for kind in worst}
     return (
         policy, task, how, "<br>".join(kind.replace("_", " ") for kind in worst),
-        "<br>".join(str(sum(exceeded(row, kind) for row in rows)) for kind in worst),
+        "<br>".join(str(sum(exceeded_limit(row, kind) for row in rows)) for kind in worst),
         "<br>".join(f"{peak:.3g} {UNITS[kind]}" for kind, peak in worst.items()),
         "<br>".join(f"{longest[kind]:.2f} s" for kind in worst),
     )  # fmt: skip
 
 
-_FILTER = (
+_FILTER_HEAD = (
     "policy", "task", "mean delta", "steps modified", "relaxed / stopped / fault", "least h", "time", "time unfiltered",
     "torque saturated", "fastest joint, share of the data sheet",
 )  # fmt: skip
 
 
-def _filter(key: tuple[str, str, str], rows: list[Row], bare: dict[tuple[str, ...], float]) -> tuple[object, ...]:
+def _filter_row(key: tuple[str, str, str], rows: list[Row], bare: dict[tuple[str, ...], float]) -> tuple[object, ...]:
     task, policy, _ = key
     without = f"{bare[key[:2]]:.1f} s" if key[:2] in bare else "not flown"
     steps = sum(row["steps"] for row in rows)
@@ -171,7 +180,7 @@ def _filter(key: tuple[str, str, str], rows: list[Row], bare: dict[tuple[str, ..
     )  # fmt: skip
 
 
-def _tracking(rows: list[Row]) -> list[str]:
+def _tracking_lines(rows: list[Row]) -> list[str]:
     """How well the models agree, and how well the arm followed."""
     filtered = [row for row in rows if row["how"] == "filtered"]
     apart = max(row["apart"] for row in rows)
@@ -182,26 +191,29 @@ def _tracking(rows: list[Row]) -> list[str]:
     versions = ", ".join(f"{name} {version}" for name, version in rows[0]["versions"].items())
     return [
         f"{versions}. The two models of the arm agree within {apart * 1e3:.4f} mm. The filter was told of "
-        f"{', '.join(f'{s:.3g}' for s in SPEED)} of the data sheet's speeds and "
-        f"{', '.join(f'{s:.3g}' for s in ACCELERATION)} of its accelerations, a lag of "
+        f"{', '.join(f'{s:.3g}' for s in SPEED_SHARES)} of the data sheet's speeds and "
+        f"{', '.join(f'{s:.3g}' for s in ACCELERATION_SHARES)} of its accelerations, a lag of "
         f"{filtered[0]['lag'] * 1e3:.2f} ms and a tracking error of {allowed * 1e3:.2f} mrad, measured before; in the "
         f"filtered flights the error was at most {worst * 1e3:.2f} mrad, and within what was told in "
-        f"**{share(within, len(filtered))}**."
+        f"**{format_proportion(within, len(filtered))}**."
     ]
 
 
-def _exceptions(rows: list[Row]) -> list[str]:
+def _exception_lines(rows: list[Row]) -> list[str]:
     """Every filtered flight that exceeded something or, with a task, did not succeed."""
     bad = [
         row for row in rows
-        if row["how"] == "filtered" and not (clean(row) and (row["success"] or row["policy"] == "random"))
+        if row["how"] == "filtered" and not (is_clean(row) and (row["success"] or row["policy"] == "random"))
     ]  # fmt: skip
     if not bad:
         return ["No filtered flight failed or exceeded anything."]
-    return table(("filtered flight", "success", "what was exceeded"), ((r["key"], r["success"], _said(r)) for r in bad))
+    return markdown_table(
+        ("filtered flight", "success", "what was exceeded"),
+        ((r["key"], r["success"], _describe_breaches(r)) for r in bad),
+    )
 
 
-def _said(row: Row) -> str:
+def _describe_breaches(row: Row) -> str:
     parts = [
         f"{b['kind'].replace('_', ' ')} {' and '.join(b['between'])} {b['peak']:.3g} {UNITS[b['kind']]}"
         f" at {b['start']:.2f} s"

@@ -8,32 +8,32 @@ from typing import Any
 
 import numpy as np
 
-from dualbrain.robots.importer.build_arm import Made, Wish, build_arm
+from dualbrain.robots.importer.build_arm import ImportOptions, ImportResult, build_arm
 from dualbrain.robots.importer.build_mobile_base import build_base
-from dualbrain.robots.importer.kinematic_tree import Tree
+from dualbrain.robots.importer.kinematic_tree import KinematicTree
 from dualbrain.robots.importer.urdf import read_urdf
-from dualbrain.safety.cbf.filter import Status
-from experiments.engine.experiment import Options, Row, Unit
-from experiments.figures.tables import table
-from experiments.robots.zoo_adversary import fight
-from experiments.robots.zoo_oracle import compare
-from experiments.robots.zoo_robots import EMPTY, LEFT_OUT, ROBOTS, Robot, policy, robots_folder
+from dualbrain.safety.cbf.filter import FilterStatus
+from experiments.engine.experiment import Options, Row, WorkUnit
+from experiments.figures.tables import markdown_table
+from experiments.robots.zoo_adversary import run_attack
+from experiments.robots.zoo_oracle import compare_kinematics
+from experiments.robots.zoo_robots import EMPTY_FILES, EXCLUDED, ROBOTS, ZooRobot, robots_folder, stated_limits
 
-SCENES, STEPS, STATES = 10, 10_000, 100
-AGREE = 1e-9
+N_SCENES, STEPS_PER_SCENE, N_STATES = 10, 10_000, 100
+KINEMATICS_TOLERANCE = 1e-9
 """Largest difference from Pinocchio in any entry of a pose or Jacobian."""
-BY_NAME = {robot.name: robot for robot in ROBOTS}
+ROBOTS_BY_NAME = {robot.name: robot for robot in ROBOTS}
 
 
-def make(robot: Robot, *, quick: bool) -> tuple[Tree, Made]:
+def import_robot(robot: ZooRobot, *, quick: bool) -> tuple[KinematicTree, ImportResult]:
     """The body of one robot of the zoo."""
     tree = read_urdf(robots_folder() / robot.file)
-    wish = Wish(robot.name, robot.base, robot.tip, "", robot.lock, quick)
-    said = policy(robot)
+    wish = ImportOptions(robot.name, robot.base, robot.tip, "", robot.lock, quick)
+    said = stated_limits(robot)
     return tree, build_base(tree, said, wish, robot.wheels) if robot.mobile else build_arm(tree, said, wish)
 
 
-class Zoo:
+class RobotZoo:
     """Any body: made by one command, equal to Pinocchio, safe under attack."""
 
     name = "robot_zoo"
@@ -42,19 +42,21 @@ class Zoo:
         "Jacobians equal to Pinocchio's at 100 random states, and no true h below zero in 1e5 adversarial steps each."
     )
 
-    def units(self, options: Options) -> list[Unit]:
+    def units(self, options: Options) -> list[WorkUnit]:
         """One unit a body."""
         del options
-        return [Unit(robot.name, {"robot": robot.name}) for robot in ROBOTS]
+        return [WorkUnit(robot.name, {"robot": robot.name}) for robot in ROBOTS]
 
-    def run(self, about: dict[str, Any], scenes: int = SCENES, steps: int = STEPS, states: int = STATES) -> Row:
+    def run(
+        self, about: dict[str, Any], scenes: int = N_SCENES, steps: int = STEPS_PER_SCENE, states: int = N_STATES
+    ) -> Row:
         """Make it, compare it, attack it."""
-        robot, began = BY_NAME[about["robot"]], time.monotonic()
-        tree, made = make(robot, quick=True)
+        robot, began = ROBOTS_BY_NAME[about["robot"]], time.monotonic()
+        tree, made = import_robot(robot, quick=True)
         seconds = time.monotonic() - began
-        pose, jacobian = compare(robot, tree, made.body, states, np.random.default_rng(0))
-        fights = [fight(made.body, seed, steps) for seed in range(scenes)]
-        body, links = made.body, made.report.links
+        pose, jacobian = compare_kinematics(robot, tree, made.model, states, np.random.default_rng(0))
+        fights = [run_attack(made.model, seed, steps) for seed in range(scenes)]
+        body, links = made.model, made.report.links
         weights = [link.spheres for link in links]
         return {
             **about, "file": Path(robot.file).name, "tip": body.tool.link, "n": body.n, "spheres": len(body.spheres),
@@ -63,35 +65,35 @@ class Zoo:
             "worst": max(link.worst for link in links if link.group != "base" or len(links) == 1),
             "always": [f"{a}–{b}" for a, b, why in body.self_pairs.allowed if "overlap in all" in why],
             "made_s": seconds, "pose": pose, "jacobian": jacobian, "steps": scenes * steps,
-            "status": np.sum([one.status for one in fights], axis=0).tolist(), "below": sum(f.below for f in fights),
-            "h_things": min(f.h_things for f in fights), "h_self": min(f.h_self for f in fights),
+            "status": np.sum([one.status for one in fights], axis=0).tolist(), "below": sum(f.n_below_zero for f in fights),
+            "h_things": min(f.h_obstacles for f in fights), "h_self": min(f.h_self for f in fights),
             "h_joint": min(f.h_joint for f in fights),
         }  # fmt: skip
 
-    def brief(self, row: Row) -> str:
+    def summarize_row(self, row: Row) -> str:
         """Least h, difference from Pinocchio."""
         return f"{row['below']} of {row['steps']} below zero, pose {row['pose']:.1e}, Jacobian {row['jacobian']:.1e}"
 
     def report(self, rows: list[Row]) -> list[str]:
         """Bodies, attacks, what is left out and why."""
-        bad = [row["robot"] for row in rows if why_it_fails(row)]
+        bad = [row["robot"] for row in rows if failure_reasons(row)]
         return [
             f"{len(rows)} bodies of {len(ROBOTS)}; all claims hold for {len(rows) - len(bad)}. "
             f"Steps: {sum(row['steps'] for row in rows):.3g}, with h < 0: {sum(row['below'] for row in rows)}.", "",
-            *table(HEAD, map(cells, rows)),
-            "Left out: " + "; ".join(f"{why}: {', '.join(names)}" for why, names in LEFT_OUT.items()) + ". "
-            + "; ".join(f"{file}: {why}" for file, why in EMPTY.items()) + ".",
+            *markdown_table(TABLE_HEAD, map(table_row, rows)),
+            "Left out: " + "; ".join(f"{why}: {', '.join(names)}" for why, names in EXCLUDED.items()) + ". "
+            + "; ".join(f"{file}: {why}" for file, why in EMPTY_FILES.items()) + ".",
         ]  # fmt: skip
 
 
-HEAD = (
+TABLE_HEAD = (
     "robot", "file", "n", "spheres", "covered", "stands off: mean, worst [mm]", "pairs kept", "made in [s]",
     "Δ pose, Jacobian to Pinocchio", "h < 0", "least h: things, own parts [mm]; joints [mrad]",
     "safe / modified / relaxed / stopped / fault [%]", "why it fails",
 )  # fmt: skip
 
 
-def cells(row: Row) -> tuple[object, ...]:
+def table_row(row: Row) -> tuple[object, ...]:
     """One line of the table."""
     shares = " / ".join(f"{100 * count / row['steps']:.1f}" for count in row["status"])
     own, joint = (f"{row[key] * 1e3:.3f}" if row[key] < 1e3 else "none" for key in ("h_self", "h_joint"))
@@ -99,16 +101,16 @@ def cells(row: Row) -> tuple[object, ...]:
         row["robot"], row["file"], row["n"], row["spheres"], f"{row['coverage']:.2%}",
         f"{row['mean'] * 1e3:.0f}, {row['worst'] * 1e3:.0f}", row["kept"], f"{row['made_s']:.0f}",
         f"{row['pose']:.0e}, {row['jacobian']:.0e}", row["below"], f"{row['h_things'] * 1e3:.3f}, {own}; {joint}",
-        shares, why_it_fails(row) or "",
+        shares, failure_reasons(row) or "",
     )  # fmt: skip
 
 
-def why_it_fails(row: Row) -> str:
+def failure_reasons(row: Row) -> str:
     """Which part of the claim does not hold for a body, in words."""
     reasons = [
         (row["coverage"] < 1.0, f"{row['coverage']:.3%} covered"),
-        (max(row["pose"], row["jacobian"]) > AGREE, "differs from Pinocchio"),
+        (max(row["pose"], row["jacobian"]) > KINEMATICS_TOLERANCE, "differs from Pinocchio"),
         (row["below"] > 0, f"h below zero on {row['below']} steps"),
-        (row["status"][Status.FAULT] > 0, f"{row['status'][Status.FAULT]} faults"),
+        (row["status"][FilterStatus.FAULT] > 0, f"{row['status'][FilterStatus.FAULT]} faults"),
     ]
     return ", ".join(why for bad, why in reasons if bad)

@@ -7,23 +7,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.robots.importer.kinematic_chain import Chain, find_chain
-from dualbrain.robots.importer.kinematic_tree import Tree
-from dualbrain.robots.model import Body
+from dualbrain.robots.importer.kinematic_chain import KinematicChain, find_chain
+from dualbrain.robots.importer.kinematic_tree import KinematicTree
+from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.filter import FilterConfig, SafetyFilter
-from experiments.robots.zoo_robots import Robot, pinocchio, robots_folder
+from experiments.robots.zoo_robots import ZooRobot, import_pinocchio, robots_folder
 
 Array = NDArray[np.float64]
 
 
-def compare(robot: Robot, tree: Tree, body: Body, states: int, rng: np.random.Generator) -> tuple[float, float]:
+def compare_kinematics(
+    robot: ZooRobot, tree: KinematicTree, body: RobotModel, states: int, rng: np.random.Generator
+) -> tuple[float, float]:
     """Largest difference of the tool's pose and of its Jacobian over random states, entry by entry; float64 kernel."""
-    safety = SafetyFilter(body, FilterConfig(real="float64"))
-    return _mobile(safety, states, rng) if robot.mobile else _arm(robot, tree, safety, states, rng)
+    safety = SafetyFilter(body, FilterConfig(precision="float64"))
+    return _compare_mobile_base(safety, states, rng) if robot.mobile else _compare_arm(robot, tree, safety, states, rng)
 
 
-def _arm(robot: Robot, tree: Tree, safety: SafetyFilter, states: int, rng: np.random.Generator) -> tuple[float, float]:
-    pin, chain = pinocchio(), find_chain(tree, base=robot.base, tip=robot.tip, lock=robot.lock)
+def _compare_arm(
+    robot: ZooRobot, tree: KinematicTree, safety: SafetyFilter, states: int, rng: np.random.Generator
+) -> tuple[float, float]:
+    pin, chain = import_pinocchio(), find_chain(tree, base=robot.base, tip=robot.tip, lock=robot.lock)
     model = pin.buildModelFromUrdf(str(robots_folder() / robot.file))
     data = model.createData()
     base, tip = (model.getFrameId(name) for name in (chain.base, chain.tip))
@@ -34,7 +38,7 @@ def _arm(robot: Robot, tree: Tree, safety: SafetyFilter, states: int, rng: np.ra
         q = np.array(
             [rng.uniform(max(joint.lower.value, -7.0), min(joint.upper.value, 7.0)) for joint in safety.body.joints]
         )
-        full = _full(pin, model, chain, dict(zip(names, q, strict=True)))
+        full = _full_configuration(pin, model, chain, dict(zip(names, q, strict=True)))
         pin.computeJointJacobians(model, data, full)
         pin.updateFramePlacements(model, data)
         in_base = data.oMf[base].inverse() * data.oMf[tip]
@@ -47,7 +51,7 @@ def _arm(robot: Robot, tree: Tree, safety: SafetyFilter, states: int, rng: np.ra
     return pose_off, jacobian_off
 
 
-def _full(pin: Any, model: Any, chain: Chain, values: dict[str, float]) -> Array:
+def _full_configuration(pin: Any, model: Any, chain: KinematicChain, values: dict[str, float]) -> Array:
     """Pinocchio's configuration with the chain's joints at `values` and the others where the body has them."""
     q = pin.neutral(model)
     for name, value in {**chain.locked, **values}.items():
@@ -59,9 +63,9 @@ def _full(pin: Any, model: Any, chain: Chain, values: dict[str, float]) -> Array
     return q
 
 
-def _mobile(safety: SafetyFilter, states: int, rng: np.random.Generator) -> tuple[float, float]:
+def _compare_mobile_base(safety: SafetyFilter, states: int, rng: np.random.Generator) -> tuple[float, float]:
     """A planar joint whose sideways column is left out: what a base on two wheels is."""
-    pin = pinocchio()
+    pin = import_pinocchio()
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "base")
     data = model.createData()

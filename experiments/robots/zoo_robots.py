@@ -10,13 +10,13 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from dualbrain.robots.importer.required_limits import Given, Policy
+from dualbrain.robots.importer.required_limits import LimitPolicy, StatedLimit
 
 PACKAGE = "example-robot-data"
 
 
 @dataclass(frozen=True, slots=True)
-class Robot:
+class ZooRobot:
     """One body of the zoo: `file` in the package's robots/, and what its description leaves open."""
 
     name: str
@@ -31,68 +31,69 @@ class Robot:
     """Ranges of joints that the description leaves without."""
 
 
-def _ur(name: str) -> Robot:
-    return Robot(name, f"ur_description/urdf/{name}.urdf")
+def _ur_robot(name: str) -> ZooRobot:
+    return ZooRobot(name, f"ur_description/urdf/{name}.urdf")
 
 
 ROBOTS = (
-    Robot("panda", "panda_description/urdf/panda.urdf"),
-    Robot("panda_collision", "panda_description/urdf/panda_collision.urdf"),
-    *map(_ur, ("ur3_robot", "ur3_gripper", "ur3_joint_limited_robot", "ur5_robot", "ur5_gripper",
+    ZooRobot("panda", "panda_description/urdf/panda.urdf"),
+    ZooRobot("panda_collision", "panda_description/urdf/panda_collision.urdf"),
+    *map(_ur_robot, ("ur3_robot", "ur3_gripper", "ur3_joint_limited_robot", "ur5_robot", "ur5_gripper",
                "ur5_joint_limited_robot", "ur10_robot", "ur10_joint_limited_robot")),
-    Robot("xarm7", "xarm_description/urdf/xarm7.urdf"),
-    Robot("kinova", "kinova_description/robots/kinova.urdf"),
-    Robot("z1", "z1_description/urdf/z1.urdf"),
-    Robot("so100", "so_arm_description/urdf/so100.urdf"),
-    Robot("so101", "so_arm_description/urdf/so101.urdf"),
-    Robot("talos_left_arm", "talos_data/robots/talos_left_arm.urdf", tip="arm_left_7_link"),
-    Robot("asr_twodof", "asr_twodof_description/urdf/TwoDofs.urdf"),
-    Robot("double_pendulum", "double_pendulum_description/urdf/double_pendulum.urdf", velocity=5.0,
+    ZooRobot("xarm7", "xarm_description/urdf/xarm7.urdf"),
+    ZooRobot("kinova", "kinova_description/robots/kinova.urdf"),
+    ZooRobot("z1", "z1_description/urdf/z1.urdf"),
+    ZooRobot("so100", "so_arm_description/urdf/so100.urdf"),
+    ZooRobot("so101", "so_arm_description/urdf/so101.urdf"),
+    ZooRobot("talos_left_arm", "talos_data/robots/talos_left_arm.urdf", tip="arm_left_7_link"),
+    ZooRobot("asr_twodof", "asr_twodof_description/urdf/TwoDofs.urdf"),
+    ZooRobot("double_pendulum", "double_pendulum_description/urdf/double_pendulum.urdf", velocity=5.0,
           joints={"joint1": (-3.0, 3.0), "joint2": (-3.0, 3.0)}),
-    Robot("double_pendulum_simple", "double_pendulum_description/urdf/double_pendulum_simple.urdf", velocity=5.0,
+    ZooRobot("double_pendulum_simple", "double_pendulum_description/urdf/double_pendulum_simple.urdf", velocity=5.0,
           joints={"joint1": (-3.0, 3.0), "joint2": (-3.0, 3.0)}),
-    Robot("double_pendulum_continuous", "double_pendulum_description/urdf/double_pendulum_continuous.urdf",
+    ZooRobot("double_pendulum_continuous", "double_pendulum_description/urdf/double_pendulum_continuous.urdf",
           velocity=5.0),
-    Robot("baxter_left", "baxter_description/urdf/baxter.urdf", tip="left_wrist"),
-    Robot("baxter_right", "baxter_description/urdf/baxter.urdf", tip="right_wrist"),
-    Robot("tiago", "tiago_description/robots/tiago.urdf", tip="arm_tool_link"),
-    Robot("tiago_no_hand", "tiago_description/robots/tiago_no_hand.urdf"),
-    Robot("tiago_dual_left", "tiago_description/robots/tiago_dual.urdf", tip="arm_left_tool_link"),
-    Robot("tiago_dual_right", "tiago_description/robots/tiago_dual.urdf", tip="arm_right_tool_link"),
-    Robot("tiago_pro_left", "tiago_pro_description/robots/tiago_pro.urdf", tip="arm_left_7_link"),
-    Robot("tiago_pro_right", "tiago_pro_description/robots/tiago_pro.urdf", tip="arm_right_7_link"),
-    Robot("pr2_left", "pr2_description/urdf/pr2.urdf", tip="l_wrist_roll_link"),
-    Robot("pr2_right", "pr2_description/urdf/pr2.urdf", tip="r_wrist_roll_link"),
-    Robot("tiago_base", "tiago_description/robots/tiago_no_hand.urdf", mobile=True,
+    ZooRobot("baxter_left", "baxter_description/urdf/baxter.urdf", tip="left_wrist"),
+    ZooRobot("baxter_right", "baxter_description/urdf/baxter.urdf", tip="right_wrist"),
+    ZooRobot("tiago", "tiago_description/robots/tiago.urdf", tip="arm_tool_link"),
+    ZooRobot("tiago_no_hand", "tiago_description/robots/tiago_no_hand.urdf"),
+    ZooRobot("tiago_dual_left", "tiago_description/robots/tiago_dual.urdf", tip="arm_left_tool_link"),
+    ZooRobot("tiago_dual_right", "tiago_description/robots/tiago_dual.urdf", tip="arm_right_tool_link"),
+    ZooRobot("tiago_pro_left", "tiago_pro_description/robots/tiago_pro.urdf", tip="arm_left_7_link"),
+    ZooRobot("tiago_pro_right", "tiago_pro_description/robots/tiago_pro.urdf", tip="arm_right_7_link"),
+    ZooRobot("pr2_left", "pr2_description/urdf/pr2.urdf", tip="l_wrist_roll_link"),
+    ZooRobot("pr2_right", "pr2_description/urdf/pr2.urdf", tip="r_wrist_roll_link"),
+    ZooRobot("tiago_base", "tiago_description/robots/tiago_no_hand.urdf", mobile=True,
           wheels=("wheel_left_joint", "wheel_right_joint")),
-    Robot("tiago_pro_base", "tiago_pro_description/robots/tiago_pro.urdf", mobile=True),
-    Robot("pr2_base", "pr2_description/urdf/pr2.urdf", mobile=True),
+    ZooRobot("tiago_pro_base", "tiago_pro_description/robots/tiago_pro.urdf", mobile=True),
+    ZooRobot("pr2_base", "pr2_description/urdf/pr2.urdf", mobile=True),
 )  # fmt: skip
 """Robots that move on legs, fly, or are hands are out of scope."""
 
-LEFT_OUT = {
+EXCLUDED = {
     "legs": ("a1", "alexander", "anymal_b_simple", "anymal_c_simple", "b1", "bolt", "cassie", "g1", "go1", "go2", "hyq",
              "icub", "laikago", "quadruped", "romeo", "simple_humanoid", "solo", "human", "alex"),
     "legs with wheels and two arms": ("centauro",),
     "flies": ("borinot", "hector", "hextilt", "iris"),
     "a hand or finger": ("allegro_hand", "finger_edu"),
 }  # fmt: skip
-EMPTY = {"ur_description/urdf/ur3.urdf": "an empty xacro stub without a robot in it"}
+EMPTY_FILES = {"ur_description/urdf/ur3.urdf": "an empty xacro stub without a robot in it"}
 
 
-def policy(robot: Robot) -> Policy:
+def stated_limits(robot: ZooRobot) -> LimitPolicy:
     """What a site would state: the same for all, and what a description leaves out."""
     said = "zoo: stated for the proof"
-    every = {"acceleration": Given(1.0 if robot.mobile else 10.0, said)}
+    every = {"acceleration": StatedLimit(1.0 if robot.mobile else 10.0, said)}
     if robot.velocity is not None:
-        every["velocity"] = Given(robot.velocity, said)
+        every["velocity"] = StatedLimit(robot.velocity, said)
     joints = {
-        name: {"lower": Given(low, said), "upper": Given(high, said)} for name, (low, high) in robot.joints.items()
+        name: {"lower": StatedLimit(low, said), "upper": StatedLimit(high, said)}
+        for name, (low, high) in robot.joints.items()
     }
     whole = {"period": 0.02 if robot.mobile else 0.002, "tool_speed": 0.5, "turn": 1.0, "turn_acceleration": 2.0}
     if robot.wheels is not None:
         del whole["turn"]
-    return Policy(every, joints, {side: Given(value, said) for side, value in whole.items()})
+    return LimitPolicy(every, joints, {side: StatedLimit(value, said) for side, value in whole.items()})
 
 
 def robots_folder() -> Path:
@@ -105,7 +106,7 @@ def robots_folder() -> Path:
     raise FileNotFoundError(PACKAGE)
 
 
-def pinocchio() -> Any:
+def import_pinocchio() -> Any:
     """The module pinocchio; its wheel lies in a folder of its own, which not every interpreter looks into."""
     try:
         import pinocchio as pin  # noqa: PLC0415

@@ -9,26 +9,34 @@ from typing import Any
 
 import numpy as np
 
-from dualbrain.robots.loader import load_body
-from dualbrain.robots.model import Body
+from dualbrain.robots.loader import load_robot
+from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.compiled._kernel import Judge
 from dualbrain.safety.cbf.filter import SafetyFilter
-from experiments.engine.experiment import Options, Row, Unit
+from experiments.engine.experiment import Options, Row, WorkUnit
 from experiments.safety import random_scenes
-from experiments.safety.adversary_classes import CLASSES, CONTROLS, MOVING, STATIC, Class
-from experiments.safety.adversary_tables import tables
-from experiments.safety.reference_judge import judge_of, thing_rows
+from experiments.safety.adversary_classes import (
+    CLASSES,
+    MOVING_CLASSES,
+    NEGATIVE_CONTROLS,
+    STATIC_CLASSES,
+    AdversaryClass,
+)
+from experiments.safety.adversary_tables import adversary_tables
+from experiments.safety.reference_judge import build_judge, obstacle_rows
 
-EPISODES, STEPS = 20, 10_000
-CYCLE = [kind for kind in (*STATIC[:4], *STATIC, MOVING[0]) for _ in range(2)] + list(MOVING)
+EPISODES_PER_UNIT, STEPS_PER_EPISODE = 20, 10_000
+CLASS_CYCLE = [kind for kind in (*STATIC_CLASSES[:4], *STATIC_CLASSES, MOVING_CLASSES[0]) for _ in range(2)] + list(
+    MOVING_CLASSES
+)
 """What runs round after round: 25 units."""
 ROUNDS, CONTROL_ROUNDS = 21, 2
-SUMS = (
+SUMMED_FIELDS = (
     "steps", "status", "held", "still", "moving", "touched", "plans", "attacked", "contacts", "approaching", "jerks",
     "iterations", "rows",
 )  # fmt: skip
-LEAST = ("h_still", "h_self", "h_joint", "h_moving")
-MOST = ("most_iterations", "most_rows", "approach")
+MINIMUM_FIELDS = ("h_still", "h_self", "h_joint", "h_moving")
+MAXIMUM_FIELDS = ("most_iterations", "most_rows", "approach")
 
 
 class Adversary:
@@ -40,69 +48,75 @@ class Adversary:
         "configurations; what moves and leaves an escape is not approached at contact; each negative control fails."
     )
 
-    def units(self, options: Options) -> list[Unit]:
+    def units(self, options: Options) -> list[WorkUnit]:
         """Rounds over all classes; the negative controls with the first ones."""
         del options
-        wanted = [kind for round_ in range(ROUNDS) for kind in (*CYCLE, *(CONTROLS if round_ < CONTROL_ROUNDS else ()))]
+        wanted = [
+            kind
+            for round_ in range(ROUNDS)
+            for kind in (*CLASS_CYCLE, *(NEGATIVE_CONTROLS if round_ < CONTROL_ROUNDS else ()))
+        ]
         counts: dict[str, int] = {}
         units = []
         for kind in wanted:
             block = counts[kind.name] = counts.get(kind.name, -1) + 1
-            units.append(Unit(f"{kind.name} {block}", {"class": kind.name, "block": block}))
+            units.append(WorkUnit(f"{kind.name} {block}", {"class": kind.name, "block": block}))
         return units
 
     def run(self, about: dict[str, Any]) -> Row:
         """EPISODES random scenes of STEPS steps each."""
-        kind, first = CLASSES[about["class"]], about["block"] * EPISODES
-        accounts = [episode(kind, seed) for seed in range(first, first + EPISODES)]
-        worst = min(range(EPISODES), key=lambda i: accounts[i]["h_still"])
-        return {**about, **total(accounts), "worst": [first + worst, accounts[worst]["worst_step"]]}
+        kind, first = CLASSES[about["class"]], about["block"] * EPISODES_PER_UNIT
+        accounts = [run_episode(kind, seed) for seed in range(first, first + EPISODES_PER_UNIT)]
+        worst = min(range(EPISODES_PER_UNIT), key=lambda i: accounts[i]["h_still"])
+        return {**about, **aggregate(accounts), "worst": [first + worst, accounts[worst]["worst_step"]]}
 
-    def brief(self, row: Row) -> str:
+    def summarize_row(self, row: Row) -> str:
         """Least h and the steps below zero."""
         least = min(row["h_still"], row["h_self"])
         return f"h >= {least * 1e3:.3f} mm, below zero on {sum(row['still'])} of {row['steps']} steps"
 
     def report(self, rows: list[Row]) -> list[str]:
         """Static, moving and control classes; premises; violations by the premise that failed."""
-        return tables({name: total(group) for name, group in _by_class(rows)})
+        return adversary_tables({name: aggregate(group) for name, group in _by_class(rows)})
 
 
-def episode(kind: Class, seed: int, steps: int = STEPS) -> Row:
+def run_episode(kind: AdversaryClass, seed: int, steps: int = STEPS_PER_EPISODE) -> Row:
     """One random scene and start posture; what the lab counted."""
-    return run_in(kind, seed, steps)[0]
+    return run_trial(kind, seed, steps)[0]
 
 
-def run_in(kind: Class, seed: int, steps: int, *, log: bool = False) -> tuple[Row, np.ndarray, list[Any]]:
+def run_trial(kind: AdversaryClass, seed: int, steps: int, *, log: bool = False) -> tuple[Row, np.ndarray, list[Any]]:
     """Account, true postures (steps, n) if asked for, and the true obstacles at the start."""
-    body, judge = the_body()
+    body, judge = load_panda()
     rng = np.random.default_rng([seed, zlib.crc32(kind.name.encode())])
-    q = random_scenes.posture(body, judge, rng)
-    truth = random_scenes.things(judge, q, rng, int(rng.integers(4, 15)))
-    if kind.moving:
-        truth.append(random_scenes.mover(judge, q, rng))
-    safety = SafetyFilter(body, kind.config())
-    safety.observe([kind.perceived(thing) for thing in truth], 0.0)
+    q = random_scenes.random_posture(body, judge, rng)
+    truth = random_scenes.random_obstacles(judge, q, rng, int(rng.integers(4, 15)))
+    if kind.has_moving_obstacle:
+        truth.append(random_scenes.random_moving_obstacle(judge, q, rng))
+    safety = SafetyFilter(body, kind.filter_config())
+    safety.observe([kind.perceived_obstacle(thing) for thing in truth], 0.0)
     safety.reset()
     q, path = q.copy(), np.empty((steps, body.n) if log else 0)
-    account = judge.trial(safety._kernel.parts(), thing_rows(truth), kind.trial(seed, steps), q, path)
+    account = judge.trial(safety._kernel.parts(), obstacle_rows(truth), kind.trial_parameters(seed, steps), q, path)
     return account, path, truth
 
 
 @cache
-def the_body() -> tuple[Body, Judge]:
+def load_panda() -> tuple[RobotModel, Judge]:
     """The Panda with every sphere, fingers closed, and its judge."""
-    body = load_body("panda")
-    return body, judge_of(body)
+    body = load_robot("panda")
+    return body, build_judge(body)
 
 
-def total(accounts: Iterable[Row]) -> Row:
+def aggregate(accounts: Iterable[Row]) -> Row:
     """Sums, least and greatest values of accounts, element by element."""
     group = list(accounts)
-    columns = {key: np.array([account[key] for account in group]) for key in (*SUMS, *LEAST, *MOST)}
-    whole: Row = {key: columns[key].sum(axis=0).tolist() for key in SUMS}
-    whole |= {key: columns[key].min(axis=0).tolist() for key in LEAST}
-    return whole | {key: columns[key].max(axis=0).tolist() for key in MOST}
+    columns = {
+        key: np.array([account[key] for account in group]) for key in (*SUMMED_FIELDS, *MINIMUM_FIELDS, *MAXIMUM_FIELDS)
+    }
+    whole: Row = {key: columns[key].sum(axis=0).tolist() for key in SUMMED_FIELDS}
+    whole |= {key: columns[key].min(axis=0).tolist() for key in MINIMUM_FIELDS}
+    return whole | {key: columns[key].max(axis=0).tolist() for key in MAXIMUM_FIELDS}
 
 
 def _by_class(rows: list[Row]) -> Iterable[tuple[str, list[Row]]]:

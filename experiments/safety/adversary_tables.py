@@ -4,27 +4,27 @@ from __future__ import annotations
 
 from typing import Any
 
-from experiments.figures.tables import table
-from experiments.safety.adversary_classes import CLASSES, CONTROLS, MOVING, STATIC
+from experiments.figures.tables import markdown_table
+from experiments.safety.adversary_classes import CLASSES, MOVING_CLASSES, NEGATIVE_CONTROLS, STATIC_CLASSES
 
 PREMISES = ("feasible", "fresh", "on time", "certified")
 STATUSES = ("safe", "modified", "relaxed", "stopped", "fault")
-STOPPED_BAR = 1e-3
+MAX_STOPPED_SHARE = 1e-3
 """Largest share of STOPPED steps in reachable static scenes."""
 
 
-def tables(totals: dict[str, dict[str, Any]]) -> list[str]:
+def adversary_tables(totals: dict[str, dict[str, Any]]) -> list[str]:
     """Everything that is said about the classes in `totals`."""
-    static = [kind.name for kind in STATIC if kind.name in totals]
-    moving = [kind.name for kind in MOVING if kind.name in totals]
-    controls = [kind.name for kind in CONTROLS if kind.name in totals]
+    static = [kind.name for kind in STATIC_CLASSES if kind.name in totals]
+    moving = [kind.name for kind in MOVING_CLASSES if kind.name in totals]
+    controls = [kind.name for kind in NEGATIVE_CONTROLS if kind.name in totals]
     return [
         *_verdict(totals, static, moving), "", *_static(totals, static), *_moving(totals, moving),
         *_premises(totals, [*static, *moving]), *_causes(totals, [*static, *moving]), *_controls(totals, controls),
     ]  # fmt: skip
 
 
-def violations(total: dict[str, Any]) -> int:
+def count_violations(total: dict[str, Any]) -> int:
     """Steps with true h < 0 at static things, own links or joint limits, and the robot's violations at moving ones."""
     return sum(total["still"]) + sum(map(sum, total["moving"]))
 
@@ -38,7 +38,7 @@ def _verdict(totals: dict[str, Any], static: list[str], moving: list[str]) -> li
     return [
         f"Steps with every sphere of the arm: **{every:.3g}**, of them {steps:.3g} among static obstacles only. "
         f"Static: true h below zero on **{below}** steps (if none, upper 95 % bound {3 / max(steps, 1):.1e}); "
-        f"STOPPED on {share:.2%} (bar {STOPPED_BAR:.1%}: {'kept' if share <= STOPPED_BAR else 'not kept'})."
+        f"STOPPED on {share:.2%} (bar {MAX_STOPPED_SHARE:.1%}: {'kept' if share <= MAX_STOPPED_SHARE else 'not kept'})."
     ]
 
 
@@ -48,7 +48,7 @@ def _static(totals: dict[str, Any], names: list[str]) -> list[str]:
         shares = " / ".join(f"{count / t['steps']:.2%}" for count in t["status"])
         least = f"{t['h_still'] * 1e3:.3f} / {t['h_self'] * 1e3:.3f} mm, {t['h_joint'] * 1e3:.3f} mrad"
         return (
-            name, CLASSES[name].says, f"{t['steps']:.3g}", sum(t["still"]), least, shares, t["most_iterations"],
+            name, CLASSES[name].description, f"{t['steps']:.3g}", sum(t["still"]), least, shares, t["most_iterations"],
             t["most_rows"], t["jerks"],
         )  # fmt: skip
 
@@ -56,7 +56,7 @@ def _static(totals: dict[str, Any], names: list[str]) -> list[str]:
         "class", "what goes wrong", "steps", "h < 0", "least h: things / own links, joints", " / ".join(STATUSES),
         "most iterations", "most rows", "acceleration limit broken",
     )  # fmt: skip
-    return table(head, map(cells, names)) if names else []
+    return markdown_table(head, map(cells, names)) if names else []
 
 
 def _moving(totals: dict[str, Any], names: list[str]) -> list[str]:
@@ -78,12 +78,12 @@ def _moving(totals: dict[str, Any], names: list[str]) -> list[str]:
         "contacts while approaching", "fastest own approach", "static h < 0 (class)",
     )  # fmt: skip
     rows = [cells(name, at) for name in names for at in (1, 0) if totals[name]["plans"][at]]
-    return table(head, rows) if rows else []
+    return markdown_table(head, rows) if rows else []
 
 
 def _premises(totals: dict[str, Any], names: list[str]) -> list[str]:
     rows = [(name, *(f"{count / totals[name]['steps']:.3%}" for count in totals[name]["held"])) for name in names]
-    return ["Share of steps on which each premise held:", "", *table(("class", *PREMISES, "all four"), rows)]
+    return ["Share of steps on which each premise held:", "", *markdown_table(("class", *PREMISES, "all four"), rows)]
 
 
 def _causes(totals: dict[str, Any], names: list[str]) -> list[str]:
@@ -99,21 +99,21 @@ def _causes(totals: dict[str, Any], names: list[str]) -> list[str]:
     if not rows:
         return ["Violations by the premise that failed: none.", ""]
     head = ("premises that failed", "class", "static h < 0 [steps]", "moving, robot's [steps]")
-    return ["Violations by the premise that failed:", "", *table(head, rows)]
+    return ["Violations by the premise that failed:", "", *markdown_table(head, rows)]
 
 
 def _controls(totals: dict[str, Any], names: list[str]) -> list[str]:
     """Each is a class with one thing taken away; the factor is against the class with it."""
 
     def cells(name: str) -> tuple[object, ...]:
-        control, base = totals[name], totals.get(CLASSES[name].against)
-        rate = violations(control) / control["steps"]
-        bound = max(violations(base), 3) / base["steps"] if base else float("nan")
+        control, base = totals[name], totals.get(CLASSES[name].compared_with)
+        rate = count_violations(control) / control["steps"]
+        bound = max(count_violations(base), 3) / base["steps"] if base else float("nan")
         depth = min(control["h_still"], *control["h_moving"]) * 1e3
         return (
-            name, CLASSES[name].says, f"{control['steps']:.3g}", f"{rate:.2e}", f"{depth:.1f} mm",
-            f">= {rate / bound:.0f} times {CLASSES[name].against}", "fails, as it must" if rate > 0 else "HOLDS",
+            name, CLASSES[name].description, f"{control['steps']:.3g}", f"{rate:.2e}", f"{depth:.1f} mm",
+            f">= {rate / bound:.0f} times {CLASSES[name].compared_with}", "fails, as it must" if rate > 0 else "HOLDS",
         )  # fmt: skip
 
     head = ("negative control", "what is taken away", "steps", "share of violations", "deepest", "factor", "verdict")
-    return table(head, map(cells, names)) if names else []
+    return markdown_table(head, map(cells, names)) if names else []

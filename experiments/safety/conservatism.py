@@ -19,35 +19,45 @@ from typing import Any
 
 import numpy as np
 
-from dualbrain.control.control_loop import Moment
-from experiments.engine.experiment import Options, Row, Unit
-from experiments.engine.jsonl_log import Journal
-from experiments.figures.tables import share, table
-from experiments.planning.competent_contracts import Task, all_tasks, task
-from experiments.robots.grasping import held
-from experiments.safety.closed_loop import Flight, fly, kinds, outcome_words, row, succeeded, violation_words
+from dualbrain.control.control_loop import TickSnapshot
+from experiments.engine.experiment import Options, Row, WorkUnit
+from experiments.engine.jsonl_log import JsonlLog
+from experiments.figures.tables import format_proportion, markdown_table
+from experiments.planning.competent_contracts import Task, make_task, task_parameters
+from experiments.robots.grasping import check_lift
+from experiments.safety.closed_loop import (
+    ContractRun,
+    count_violations,
+    describe_outcome,
+    describe_violations,
+    run_contract,
+    run_row,
+    succeeded,
+)
 
-WANTED = 200
+N_FEASIBLE_TASKS = 200
 """Feasible tasks."""
-MOST = 0.02
+MAX_FAILED_SHARE = 0.02
 """Share of them that the filter may make fail."""
-LIFTED = 0.05
+MIN_LIFT = 0.05
 """A picked thing is at least this far above where it stood, at the end [m]."""
-DEPTH = re.compile(r"([\d.]+) cm from the goal")
+PLACEMENT_ERROR_PATTERN = re.compile(r"([\d.]+) cm from the goal")
 
 
 class Conservatism:
     """The filter lets through what is safe."""
 
     name = "conservatism"
-    claim = f"Of {WANTED} feasible tasks the filter makes at most {MOST:.0%} fail; the time it adds is told."
+    claim = f"Of {N_FEASIBLE_TASKS} feasible tasks the filter makes at most {MAX_FAILED_SHARE:.0%} fail; the time it adds is told."
 
-    def units(self, options: Options) -> list[Unit]:
+    def units(self, options: Options) -> list[WorkUnit]:
         """The first tasks of the fixed order: one more for each that was found infeasible so far; call again to end."""
-        found = {row["key"]: row.get("feasible", True) for row in Journal(options.folder / f"{self.name}.jsonl").rows()}
-        units: list[Unit] = []
-        missing = WANTED
-        for unit in (Unit(_key(about), about) for about in all_tasks()):
+        found = {
+            row["key"]: row.get("feasible", True) for row in JsonlLog(options.folder / f"{self.name}.jsonl").rows()
+        }
+        units: list[WorkUnit] = []
+        missing = N_FEASIBLE_TASKS
+        for unit in (WorkUnit(_unit_key(about), about) for about in task_parameters()):
             if missing == 0:
                 break
             units.append(unit)
@@ -56,69 +66,73 @@ class Conservatism:
 
     def run(self, about: dict[str, Any]) -> Row:
         """Filter off; and on, if that was safe."""
-        what = task(**about)
-        off = _flown(what, guard=False)
-        feasible = _safe(off)
-        on = _flown(what, guard=True) if feasible else None
+        what = make_task(**about)
+        off = _run_task(what, guard=False)
+        feasible = _is_safe(off)
+        on = _run_task(what, guard=True) if feasible else None
         return {**about, "feasible": feasible, "actions": what.actions, "off": off, "on": on}
 
-    def brief(self, row: Row) -> str:
+    def summarize_row(self, row: Row) -> str:
         """Both ends."""
         if not row["feasible"]:
-            return f"infeasible: {outcome_words(row['off'])}"
-        return f"off {row['off']['duration']:.1f} s; on {outcome_words(row['on'])}"
+            return f"infeasible: {describe_outcome(row['off'])}"
+        return f"off {row['off']['duration']:.1f} s; on {describe_outcome(row['on'])}"
 
     def report(self, rows: list[Row]) -> list[str]:
         """Share that fails, added time, shares by family and kind, every failure."""
-        place = {key: index for index, key in enumerate(map(_key, all_tasks()))}
+        place = {key: index for index, key in enumerate(map(_unit_key, task_parameters()))}
         flown = sorted((row for row in rows if row["key"] in place), key=lambda row: place[row["key"]])
-        good = [row for row in flown if row["feasible"]][:WANTED]
-        lost = [row for row in good if not _safe(row["on"])]
-        hurt = dict(kinds([row["on"] for row in good])) or "none"
+        good = [row for row in flown if row["feasible"]][:N_FEASIBLE_TASKS]
+        lost = [row for row in good if not _is_safe(row["on"])]
+        hurt = dict(count_violations([row["on"] for row in good])) or "none"
         lines = [
-            f"Made to fail by the filter: **{share(len(lost), len(good))}** feasible tasks; at most {MOST:.0%} wanted.",
-            f"Tasks flown: {len(flown)}. Violations with the filter on: {hurt}.", "", _added(good), "",
-            *table(("", "flown", "feasible", "made to fail"), _breakdown(flown, good, lost)),
+            f"Made to fail by the filter: **{format_proportion(len(lost), len(good))}** feasible tasks; at most {MAX_FAILED_SHARE:.0%} wanted.",
+            f"Tasks flown: {len(flown)}. Violations with the filter on: {hurt}.", "", _added_time(good), "",
+            *markdown_table(("", "flown", "feasible", "made to fail"), _breakdown(flown, good, lost)),
         ]  # fmt: skip
         return lines + (
-            table(("task", "reason", "depth", "binding rows", "violations"), map(_failure, lost)) if lost else []
+            markdown_table(("task", "reason", "depth", "binding rows", "violations"), map(_failure_row, lost))
+            if lost
+            else []
         )
 
 
-def _flown(what: Task, *, guard: bool) -> Row:
+def _run_task(what: Task, *, guard: bool) -> Row:
     """One flight in figures, with what bound at its end."""
     last: list[str] = []
 
-    def watch(moment: Moment) -> None:
-        if moment.result.rows:
+    def watch(moment: TickSnapshot) -> None:
+        if moment.result.binding_rows:
             last[:] = [f"{moment.nominal.phase}: {moment.result.explain()}"]
 
-    flight = fly(what.spec, what.actions, seed=what.spec.seed, hold=1.0, goal=what.goal, guard=guard, watch=watch)
-    figures = row(flight)
+    flight = run_contract(
+        what.spec, what.actions, seed=what.spec.seed, settle_s=1.0, goal=what.goal, guard=guard, on_tick=watch
+    )
+    figures = run_row(flight)
     if figures["valid"]:
-        figures["truth"] = _true(flight, what)
+        figures["truth"] = _succeeded_on_truth(flight, what)
         figures["bound"] = "" if succeeded(figures) else "".join(last)
     return figures
 
 
-def _true(flight: Flight, what: Task) -> bool:
+def _succeeded_on_truth(flight: ContractRun, what: Task) -> bool:
     """Success on simulator truth: the goal, or the thing in the hand; a mere journey ends where the robot says."""
     if what.goal:
         return flight.judgement.success
-    return held(flight.plant, what.thing)[1] > LIFTED if what.kind == "pick" else True
+    return check_lift(flight.plant, what.object_name)[1] > MIN_LIFT if what.kind == "pick" else True
 
 
-def _safe(flown: Row) -> bool:
+def _is_safe(flown: Row) -> bool:
     return flown["valid"] and succeeded(flown) and not flown["violations"]
 
 
-def _key(about: dict[str, Any]) -> str:
+def _unit_key(about: dict[str, Any]) -> str:
     return f"{about['family']}:{about['seed']} {about['kind']}"
 
 
-def _added(good: list[Row]) -> str:
+def _added_time(good: list[Row]) -> str:
     """How much longer the same task takes with the filter, where both succeed."""
-    pairs = np.array([(r["off"]["duration"], r["on"]["duration"]) for r in good if _safe(r["on"])]).reshape(-1, 2)
+    pairs = np.array([(r["off"]["duration"], r["on"]["duration"]) for r in good if _is_safe(r["on"])]).reshape(-1, 2)
     if not len(pairs):
         return "No task succeeded both ways yet."
     added = pairs[:, 1] - pairs[:, 0]
@@ -137,10 +151,10 @@ def _breakdown(flown: list[Row], good: list[Row], lost: list[Row]) -> list[tuple
     return lines
 
 
-def _failure(row: Row) -> tuple[object, ...]:
+def _failure_row(row: Row) -> tuple[object, ...]:
     on = row["on"]
-    depth = DEPTH.search(on["reason"])
+    depth = PLACEMENT_ERROR_PATTERN.search(on["reason"])
     return (
         row["key"], on["reason"], f"{depth[1]} cm" if depth else "", on.get("bound", ""),
-        violation_words(on),
+        describe_violations(on),
     )  # fmt: skip

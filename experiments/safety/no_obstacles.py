@@ -10,69 +10,78 @@ import numpy as np
 
 from dualbrain.simulation.scenes.generators.tabletop import make_scene
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
-from experiments.engine.experiment import Options, Row, Unit
-from experiments.figures.tables import share, table
-from experiments.safety.closed_loop import ERRAND, errand, fly, kinds, outcome_words, row, succeeded, violation_words
+from experiments.engine.experiment import Options, Row, WorkUnit
+from experiments.figures.tables import format_proportion, markdown_table
+from experiments.safety.closed_loop import (
+    PICK_AND_PLACE_GOAL,
+    count_violations,
+    describe_outcome,
+    describe_violations,
+    pick_and_place_actions,
+    run_contract,
+    run_row,
+    succeeded,
+)
 
 SPEED, CLEARANCE = (0.05, 0.2, 0.4), (0.03, 0.15, 0.35)
 ROUTE, WAIT = ("direct", "near_base", "left", "right"), ("none", "until_clear")
-ERRANDS = {
+PICK_AND_PLACE_GRID = {
     "speed": SPEED, "clearance": CLEARANCE, "finger_axis": ("along", "across"), "opening": (0.06, 0.08),
     "approach": ("top", "tilted", "side"), "route": ROUTE, "wait": WAIT,
 }  # fmt: skip
 """grasp and place: the ends and a middle of every range, every word of every choice."""
-MOVES = {
+MOVE_TO_GRID = {
     "target": ("red_cube", "blue_bowl", "table_left"), "speed": SPEED, "clearance": CLEARANCE, "route": ROUTE,
     "wait": WAIT,
 }  # fmt: skip
 """move_to; the table holds nothing but its target."""
-TOURS = {"speed": SPEED, "duration": (0.5, 3.0), "seed": range(6)}
+TOUR_GRID = {"speed": SPEED, "duration": (0.5, 3.0), "seed": range(6)}
 """grasp, hold, home, hold, release, home: what is left of the vocabulary, loaded and empty."""
-SCENES = 20
+N_SCENES = 20
 """Bare scenes over which the grid is dealt out."""
 
 
-class Bare:
+class NoObstacles:
     """δ measures hazards, not our trajectory generator."""
 
     name = "no_obstacles"
     claim = "On the bare scene every valid contract succeeds in time with δ = 0 on every tick."
 
-    def units(self, options: Options) -> list[Unit]:
+    def units(self, options: Options) -> list[WorkUnit]:
         """Every contract of the three grids, in a seeded order."""
         del options
-        units = [_errand_unit(place, values) for place, values in enumerate(_shuffled(ERRANDS))]
-        units += [_move_unit(place, values) for place, values in enumerate(_shuffled(MOVES))]
-        units += [_tour_unit(values) for values in _shuffled(TOURS)]
+        units = [_pick_and_place_unit(place, values) for place, values in enumerate(_shuffled(PICK_AND_PLACE_GRID))]
+        units += [_move_unit(place, values) for place, values in enumerate(_shuffled(MOVE_TO_GRID))]
+        units += [_tour_unit(values) for values in _shuffled(TOUR_GRID)]
         order = np.random.default_rng(7).permutation(len(units))
         return [units[index] for index in order.tolist()]
 
     def run(self, about: dict[str, Any]) -> Row:
         """Carry out one contract; only an errand has a goal to be judged by truth."""
-        goal = ERRAND if about["errand"] else None
-        flight = fly(_scene(about["seed"], about["only"]), about["actions"], seed=about["seed"], goal=goal)
-        figures = row(flight)
+        goal = PICK_AND_PLACE_GOAL if about["errand"] else None
+        flight = run_contract(_scene(about["seed"], about["only"]), about["actions"], seed=about["seed"], goal=goal)
+        figures = run_row(flight)
         return {**figures, "grid": about["grid"], "truth": figures.get("truth", False) if goal else True}
 
-    def brief(self, row: Row) -> str:
+    def summarize_row(self, row: Row) -> str:
         """End and largest δ."""
-        return f"{outcome_words(row)}" + (f", largest δ {row['delta_max']:.2g}" if row["valid"] else "")
+        return f"{describe_outcome(row)}" + (f", largest δ {row['delta_max']:.2g}" if row["valid"] else "")
 
     def report(self, rows: list[Row]) -> list[str]:
         """The counts by grid, and every exception."""
         valid = [row for row in rows if row["valid"]]
         clean = [row for row in valid if succeeded(row) and row["delta_max"] == 0.0]
         lines = [
-            f"Valid contracts that succeeded in time with δ = 0 on every tick: **{share(len(clean), len(valid))}**.",
-            f"Violations: {dict(kinds(valid)) or 'none'}.", "",
-            *table(("grid", "contracts", "refused by the gate", "succeeded", "δ = 0 on every tick"), _counts(rows)),
+            f"Valid contracts that succeeded in time with δ = 0 on every tick: **{format_proportion(len(clean), len(valid))}**.",
+            f"Violations: {dict(count_violations(valid)) or 'none'}.", "",
+            *markdown_table(("grid", "contracts", "refused by the gate", "succeeded", "δ = 0 on every tick"), _counts(rows)),
         ]  # fmt: skip
         odd = [row for row in valid if row not in clean]
-        cells = ((r["key"], r["outcome"], r["reason"], f"{r['delta_max']:.2g}", violation_words(r)) for r in odd)
+        cells = ((r["key"], r["outcome"], r["reason"], f"{r['delta_max']:.2g}", describe_violations(r)) for r in odd)
         return [
             *lines,
             "",
-            *(table(("contract", "outcome", "reason", "largest δ", "violations"), cells) if odd else []),
+            *(markdown_table(("contract", "outcome", "reason", "largest δ", "violations"), cells) if odd else []),
         ]
 
 
@@ -99,31 +108,31 @@ def _scene(seed: int, only: str | None) -> SceneSpec:
     spec = make_scene("bare", seed)
     if only is None:
         return spec
-    return msgspec.structs.replace(spec, things=tuple(t for t in spec.things if t.name in ("table", only)))
+    return msgspec.structs.replace(spec, things=tuple(t for t in spec.objects if t.name in ("table", only)))
 
 
-def _unit(grid: str, key: str, seed: int, actions: list[dict[str, Any]], only: str | None = None) -> Unit:
+def _unit(grid: str, key: str, seed: int, actions: list[dict[str, Any]], only: str | None = None) -> WorkUnit:
     about = {"grid": grid, "errand": grid == "errand", "seed": seed, "actions": actions, "only": only}
-    return Unit(f"{grid} bare:{seed} {key}", about)
+    return WorkUnit(f"{grid} bare:{seed} {key}", about)
 
 
-def _words(values: dict[str, Any]) -> str:
+def _key_text(values: dict[str, Any]) -> str:
     return " ".join(str(value) for value in values.values())
 
 
-def _errand_unit(place: int, values: dict[str, Any]) -> Unit:
-    return _unit("errand", _words(values), place % SCENES, errand(**values))
+def _pick_and_place_unit(place: int, values: dict[str, Any]) -> WorkUnit:
+    return _unit("errand", _key_text(values), place % N_SCENES, pick_and_place_actions(**values))
 
 
-def _move_unit(place: int, values: dict[str, Any]) -> Unit:
+def _move_unit(place: int, values: dict[str, Any]) -> WorkUnit:
     only = values["target"]
-    return _unit("move_to", _words(values), place % SCENES, [{"skill": "move_to", "params": values}], only)
+    return _unit("move_to", _key_text(values), place % N_SCENES, [{"skill": "move_to", "params": values}], only)
 
 
-def _tour_unit(values: dict[str, Any]) -> Unit:
+def _tour_unit(values: dict[str, Any]) -> WorkUnit:
     pause = {"skill": "hold", "params": {"duration": values["duration"]}}
     home = {"skill": "home", "params": {"speed": values["speed"]}}
     letting_go = {"skill": "release", "params": {"speed": values["speed"]}}
-    grasp = errand(speed=values["speed"])[0]
+    grasp = pick_and_place_actions(speed=values["speed"])[0]
     actions = [grasp, pause, home, pause, letting_go, home]
-    return _unit("tour", _words(values), values["seed"], actions, "red_cube")
+    return _unit("tour", _key_text(values), values["seed"], actions, "red_cube")

@@ -8,26 +8,26 @@ from typing import Any
 
 import numpy as np
 
-from dualbrain.robots.loader import load_body
-from dualbrain.robots.model import Body
+from dualbrain.robots.loader import load_robot
+from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.compiled._kernel import Judge
 from dualbrain.safety.cbf.filter import BarrierRow, SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle
-from dualbrain.simulation.plant.joint_drive import KINDS, DriveKind
+from dualbrain.simulation.plant.joint_drive import DRIVE_KINDS, DriveKind
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.plant.stepped_plant import SteppedPlant
-from dualbrain.simulation.scenes.scene_spec import SceneSpec, Thing
-from experiments.engine.experiment import Options, Row, Unit
-from experiments.figures.tables import table
+from dualbrain.simulation.scenes.scene_spec import ObjectSpec, SceneSpec
+from experiments.engine.experiment import Options, Row, WorkUnit
+from experiments.figures.tables import markdown_table
 from experiments.safety import random_scenes
 from experiments.safety.plant_judge import PlantJudge
-from experiments.safety.reference_judge import judge_of, verdicts
+from experiments.safety.reference_judge import build_judge, true_h
 
-EPISODES, STEPS = 10, 10_000
-BLOCKS = 51
+EPISODES_PER_UNIT, STEPS_PER_EPISODE = 10, 10_000
+UNITS_PER_DRIVE = 51
 """Units of each kind of drive: 5.1e6 steps."""
-SUMS = ("steps", "below", "below_spheres", "below_joints", "looks")
-LEAST = ("h_scene", "h_own", "h_spheres", "h_joint")
+SUMMED_FIELDS = ("steps", "below", "below_spheres", "below_joints", "looks")
+MINIMUM_FIELDS = ("h_scene", "h_own", "h_spheres", "h_joint")
 
 
 class PlantAdversary:
@@ -39,24 +39,33 @@ class PlantAdversary:
         "torque, the rows at the measured state keep every true h, on the plant's own shapes, at or above zero."
     )
 
-    def units(self, options: Options) -> list[Unit]:
+    def units(self, options: Options) -> list[WorkUnit]:
         """Both drives by turns."""
         del options
-        return [Unit(f"{kind} {block}", {"drive": kind, "block": block}) for block in range(BLOCKS) for kind in KINDS]
+        return [
+            WorkUnit(f"{kind} {block}", {"drive": kind, "block": block})
+            for block in range(UNITS_PER_DRIVE)
+            for kind in DRIVE_KINDS
+        ]
 
     def run(self, about: dict[str, Any]) -> Row:
         """EPISODES random scenes of STEPS periods each."""
-        first = about["block"] * EPISODES
-        return {**about, **total([episode(about["drive"], seed) for seed in range(first, first + EPISODES)])}
+        first = about["block"] * EPISODES_PER_UNIT
+        return {
+            **about,
+            **aggregate([run_episode(about["drive"], seed) for seed in range(first, first + EPISODES_PER_UNIT)]),
+        }
 
-    def brief(self, row: Row) -> str:
+    def summarize_row(self, row: Row) -> str:
         """Least distance and the price of a step."""
         least = min(row["h_scene"], row["h_own"])
         return f"h >= {least * 1e3:.2f} mm on shapes, below zero on {row['below']}; {row['us']:.0f} us a step"
 
     def report(self, rows: list[Row]) -> list[str]:
         """One line a drive."""
-        totals = {kind: total(group) for kind in KINDS if (group := [row for row in rows if row["drive"] == kind])}
+        totals = {
+            kind: aggregate(group) for kind in DRIVE_KINDS if (group := [row for row in rows if row["drive"] == kind])
+        }
         steps = sum(t["steps"] for t in totals.values())
         below = sum(t["below"] for t in totals.values())
         others = sum(t["below_spheres"] + t["below_joints"] for t in totals.values())
@@ -64,32 +73,32 @@ class PlantAdversary:
             f"Steps: **{steps:.3g}**; true h below zero on the plant's own shapes on **{below}**, at a joint limit "
             f"or on the filter's spheres at the true posture on **{others}**."
         )
-        return [first, "", *table(_HEAD, (_cells(kind, t) for kind, t in totals.items()))]
+        return [first, "", *markdown_table(_TABLE_HEAD, (_table_row(kind, t) for kind, t in totals.items()))]
 
 
-def episode(kind: DriveKind, seed: int, steps: int = STEPS) -> Row:
+def run_episode(kind: DriveKind, seed: int, steps: int = STEPS_PER_EPISODE) -> Row:
     """One random scene, start posture and adversary; judged at every state the plant went through."""
-    body, judge = the_body(kind)
-    rng = np.random.default_rng([seed, KINDS.index(kind), 3])
-    start = random_scenes.posture(body, judge, rng)
-    truth = random_scenes.things(judge, start, rng, int(rng.integers(4, 12)))
-    plant = Plant(SceneSpec("panda", "hazards", seed, tuple(map(_thing, truth[1:])), ()), body, drive=kind)
-    plant.place_arm(start)
+    body, judge = load_panda(kind)
+    rng = np.random.default_rng([seed, DRIVE_KINDS.index(kind), 3])
+    start = random_scenes.random_posture(body, judge, rng)
+    truth = random_scenes.random_obstacles(judge, start, rng, int(rng.integers(4, 12)))
+    plant = Plant(SceneSpec("panda", "hazards", seed, tuple(map(_scene_object, truth[1:])), ()), body, drive=kind)
+    plant.set_configuration(start)
     safety = SafetyFilter(body)
     safety.observe(truth, 0.0)
     began = process_time()
-    q, status, shapes = drive(SteppedPlant(plant, contacts=False), safety, PlantJudge(plant), rng, steps)
-    spheres = verdicts(judge, q, truth)
+    q, status, shapes = run_closed_loop(SteppedPlant(plant, contacts=False), safety, PlantJudge(plant), rng, steps)
+    spheres = true_h(judge, q, truth)
     return {
-        "steps": steps, "status": np.bincount(status, minlength=5).tolist(), "below": int(shapes.below),
+        "steps": steps, "status": np.bincount(status, minlength=5).tolist(), "below": int(shapes.n_below_zero),
         "below_spheres": int(np.sum(np.minimum(spheres[:, 0], spheres[:, 2]) < 0.0)),
-        "below_joints": int(np.sum(spheres[:, 3] < 0.0)), "looks": shapes.looks, "h_scene": shapes.least,
-        "h_own": shapes.least_own, "h_spheres": float(spheres[:, [0, 2]].min()), "h_joint": float(spheres[:, 3].min()),
+        "below_joints": int(np.sum(spheres[:, 3] < 0.0)), "looks": shapes.n_measurements, "h_scene": shapes.min_scene_distance,
+        "h_own": shapes.min_self_distance, "h_spheres": float(spheres[:, [0, 2]].min()), "h_joint": float(spheres[:, 3].min()),
         "us": (process_time() - began) / steps * 1e6,
     }  # fmt: skip
 
 
-def drive(
+def run_closed_loop(
     robot: SteppedPlant, safety: SafetyFilter, shapes: PlantJudge, rng: np.random.Generator, steps: int
 ) -> tuple[np.ndarray, np.ndarray, PlantJudge]:
     """The loop: sense, judge, filter at the measured state, act. True postures (steps, n) and statuses (steps,)."""
@@ -99,18 +108,18 @@ def drive(
     path, status, wish = np.empty((steps, n)), np.empty(steps, np.int64), np.zeros(n)
     until = 0
     for t in range(steps):
-        robot.sense()
+        robot.measure()
         path[t] = robot.q
-        shapes.look()
+        shapes.update()
         if t >= until:
-            wish, until = _aim(safety.rows(), v_max, rng), t + int(rng.choice((150, 400, 1000)))
+            wish, until = _worst_nominal(safety.rows(), v_max, rng), t + int(rng.choice((150, 400, 1000)))
         answer = safety(path[t], robot.v, wish, opening=opening)
         status[t] = answer.status
-        robot.act(answer.u)
+        robot.apply(answer.u)
     return path, status, shapes
 
 
-def _aim(rows: tuple[BarrierRow, ...], v_max: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def _worst_nominal(rows: tuple[BarrierRow, ...], v_max: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Full speed down the nearest row, sometimes any row, sometimes bang-bang."""
     coins = np.where(rng.random(len(v_max)) < 0.5, -1.0, 1.0)
     if not rows or rng.random() < 0.1:
@@ -120,28 +129,28 @@ def _aim(rows: tuple[BarrierRow, ...], v_max: np.ndarray, rng: np.random.Generat
 
 
 @cache
-def the_body(kind: str) -> tuple[Body, Judge]:
+def load_panda(kind: str) -> tuple[RobotModel, Judge]:
     """The Panda with what was identified of this drive, fingers open, and the judge of its spheres."""
-    body = load_body("panda").driven_by(kind)
-    return body, judge_of(body, float(body.gripper.opening.value))
+    body = load_robot("panda").with_drive(kind)
+    return body, build_judge(body, float(body.gripper.opening.value))
 
 
-def total(rows: list[Row]) -> Row:
+def aggregate(rows: list[Row]) -> Row:
     """Sums and least values; microseconds on average."""
-    whole: Row = {key: sum(row[key] for row in rows) for key in SUMS}
-    whole |= {key: min(row[key] for row in rows) for key in LEAST}
+    whole: Row = {key: sum(row[key] for row in rows) for key in SUMMED_FIELDS}
+    whole |= {key: min(row[key] for row in rows) for key in MINIMUM_FIELDS}
     status = np.sum([row["status"] for row in rows], axis=0).tolist()
     return whole | {"status": status, "us": float(np.mean([row["us"] for row in rows]))}
 
 
-_HEAD = (
+_TABLE_HEAD = (
     "drive", "steps", "h < 0 on shapes", "least: scene / own parts", "h < 0 on spheres", "least on spheres",
     "joint limit passed", "least to a joint limit", "safe / modified / relaxed / stopped / fault", "us a step",
 )  # fmt: skip
 
 
-def _cells(kind: str, t: Row) -> tuple[object, ...]:
-    found = load_body("panda").driven_by(kind).tracking
+def _table_row(kind: str, t: Row) -> tuple[object, ...]:
+    found = load_robot("panda").with_drive(kind).tracking
     shares = " / ".join(f"{count / t['steps']:.2%}" for count in t["status"])
     return (
         f"{kind} (lag {found.lag * 1e3:g} ms, e {found.position_error * 1e3:g} mrad)", f"{t['steps']:.3g}", t["below"],
@@ -150,8 +159,8 @@ def _cells(kind: str, t: Row) -> tuple[object, ...]:
     )  # fmt: skip
 
 
-def _thing(thing: Obstacle) -> Thing:
-    return Thing(
+def _scene_object(thing: Obstacle) -> ObjectSpec:
+    return ObjectSpec(
         name=thing.name, role="obstacle", shape=thing.shape, position=thing.pose.position, mass=1.0, colour="grey",
         category="obstacle", quaternion=thing.pose.quaternion, fixed=True,
     )  # fmt: skip

@@ -6,47 +6,47 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere, Vector
-from dualbrain.robots.model import Body
+from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.compiled._kernel import Judge
 from dualbrain.safety.cbf.obstacles import Obstacle
-from experiments.safety.reference_judge import verdicts
+from experiments.safety.reference_judge import true_h
 
 Array = NDArray[np.float64]
 TABLE = Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)))
 
 
-def posture(body: Body, judge: Judge, rng: np.random.Generator, gap: float = 0.05) -> Array:
+def random_posture(body: RobotModel, judge: Judge, rng: np.random.Generator, gap: float = 0.05) -> Array:
     """Joint angles (n,) at least `gap` from own pairs, the table and joint limits; home if none is found."""
     low = np.array([joint.lower.value for joint in body.joints])
     high = np.array([joint.upper.value for joint in body.joints])
     for _ in range(60):
         q = rng.uniform(low + 0.2, high - 0.2)
-        if np.min(verdicts(judge, q[None], [TABLE])[0, :4]) > gap:
+        if np.min(true_h(judge, q[None], [TABLE])[0, :4]) > gap:
             return q
     return np.array(body.home)
 
 
-def things(judge: Judge, q: Array, rng: np.random.Generator, count: int, gap: float = 0.05) -> list[Obstacle]:
+def random_obstacles(judge: Judge, q: Array, rng: np.random.Generator, count: int, gap: float = 0.05) -> list[Obstacle]:
     """The table and `count` things of every shape within reach, each at least `gap` from the arm at q."""
     found = [TABLE]
     while len(found) <= count:
-        thing = Obstacle(f"thing{len(found)}", _solid(rng), Pose(_place(rng), _turn(rng)))
-        if verdicts(judge, q[None], [thing])[0, 0] > gap:
+        thing = Obstacle(f"thing{len(found)}", _random_shape(rng), Pose(_random_position(rng), _random_quaternion(rng)))
+        if true_h(judge, q[None], [thing])[0, 0] > gap:
             found.append(thing)
     return found
 
 
-def mover(judge: Judge, q: Array, rng: np.random.Generator, gap: float = 0.25) -> Obstacle:
+def random_moving_obstacle(judge: Judge, q: Array, rng: np.random.Generator, gap: float = 0.25) -> Obstacle:
     """A ball or a limb-like capsule at rest, `gap` from the arm, that will move."""
     while True:
         radius = float(rng.uniform(0.03, 0.07))
         shape = Sphere(radius) if rng.random() < 0.5 else Capsule(radius, float(rng.uniform(0.05, 0.2)))
-        thing = Obstacle("mover", shape, Pose(_place(rng), _turn(rng)), static=False)
-        if verdicts(judge, q[None], [thing])[0, 1] > gap:
+        thing = Obstacle("mover", shape, Pose(_random_position(rng), _random_quaternion(rng)), static=False)
+        if true_h(judge, q[None], [thing])[0, 1] > gap:
             return thing
 
 
-def _solid(rng: np.random.Generator) -> Sphere | Capsule | Box:
+def _random_shape(rng: np.random.Generator) -> Sphere | Capsule | Box:
     match int(rng.integers(3)):
         case 0:
             return Sphere(float(rng.uniform(0.02, 0.1)))
@@ -57,11 +57,11 @@ def _solid(rng: np.random.Generator) -> Sphere | Capsule | Box:
             return Box((float(x), float(y), float(z)))
 
 
-def _place(rng: np.random.Generator) -> Vector:
+def _random_position(rng: np.random.Generator) -> Vector:
     reach, turn = rng.uniform(0.3, 0.85), rng.uniform(-np.pi, np.pi)
     return (float(reach * np.cos(turn)), float(reach * np.sin(turn)), float(rng.uniform(0.0, 0.9)))
 
 
-def _turn(rng: np.random.Generator) -> tuple[float, float, float, float]:
+def _random_quaternion(rng: np.random.Generator) -> tuple[float, float, float, float]:
     w, x, y, z = (q := rng.normal(size=4)) / np.linalg.norm(q)
     return (float(w), float(x), float(y), float(z))

@@ -8,19 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Sphere
-from dualbrain.robots.model import Body
+from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.compiled._kernel import Judge
 from dualbrain.safety.cbf.obstacles import Obstacle
 
 Array = NDArray[np.float64]
-COLUMNS = 24
+N_COLUMNS = 24
 
 
-def judge_of(body: Body, opening: float = 0.0) -> Judge:
+def build_judge(body: RobotModel, opening: float = 0.0) -> Judge:
     """A judge for `body` with the fingers held at `opening` [m]."""
     centres, radii, first = [], [], [0]
     for link in body.links:
-        turn, shift = rotation(link.quaternion), np.array(link.translation) + 0.0
+        turn, shift = rotation_matrix(link.quaternion), np.array(link.translation) + 0.0
         for sphere in (s for s in body.spheres if s.link == link.name):
             centres.append(shift + turn @ (np.array(sphere.centre) + opening * np.array(link.slide)))
             radii.append(sphere.radius)
@@ -30,7 +30,7 @@ def judge_of(body: Body, opening: float = 0.0) -> Judge:
     return Judge(
         {
             "n": body.n,
-            "rotation": np.concatenate([rotation(j.quaternion).ravel() for j in joints]),
+            "rotation": np.concatenate([rotation_matrix(j.quaternion).ravel() for j in joints]),
             "offset": np.concatenate([np.array(j.translation) for j in joints]),
             "lower": np.array([j.lower.value for j in joints]),
             "upper": np.array([j.upper.value for j in joints]),
@@ -45,16 +45,16 @@ def judge_of(body: Body, opening: float = 0.0) -> Judge:
     )
 
 
-def rotation(quaternion: Sequence[float]) -> Array:
+def rotation_matrix(quaternion: Sequence[float]) -> Array:
     """Matrix (3, 3) of a unit quaternion (w, x, y, z), by Rodrigues' formula."""
     w, axis = quaternion[0], np.array(quaternion[1:])
     cross = np.cross(np.eye(3), axis)
     return np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
 
 
-def thing_rows(obstacles: Sequence[Obstacle]) -> Array:
+def obstacle_rows(obstacles: Sequence[Obstacle]) -> Array:
     """Truth about each obstacle as a row (k, 24) that the judge reads; margins are the filter's affair."""
-    rows = np.zeros((len(obstacles), COLUMNS))
+    rows = np.zeros((len(obstacles), N_COLUMNS))
     for row, thing in zip(rows, obstacles, strict=True):
         match thing.shape:
             case Sphere(radius=radius):
@@ -66,13 +66,13 @@ def thing_rows(obstacles: Sequence[Obstacle]) -> Array:
             case HalfSpace():
                 row[0] = 2
         row[1] = not thing.static
-        row[2:5], row[5:14] = thing.pose.position, rotation(thing.pose.quaternion).ravel()
+        row[2:5], row[5:14] = thing.pose.position, rotation_matrix(thing.pose.quaternion).ravel()
         row[18:21] = thing.velocity
     return rows
 
 
-def verdicts(judge: Judge, q: Array, obstacles: Sequence[Obstacle], period: float = 1e-3) -> Array:
+def true_h(judge: Judge, q: Array, obstacles: Sequence[Obstacle], period: float = 1e-3) -> Array:
     """True h at postures q (t, n), as columns (t, 5): still, moving, own links [m], joints [rad], approach [m/s]."""
     out = np.empty((len(q), 5))
-    judge.look(np.ascontiguousarray(q), thing_rows(obstacles), period, out)
+    judge.look(np.ascontiguousarray(q), obstacle_rows(obstacles), period, out)
     return out

@@ -8,11 +8,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from experiments.engine.experiment import Options, Row, Unit
-from experiments.figures.tables import share, table
+from experiments.engine.experiment import Options, Row, WorkUnit
+from experiments.figures.tables import format_proportion, markdown_table
 
 ROOT = Path(__file__).resolve().parents[2]
-PYTEST = [
+PYTEST_COMMAND = [
     sys.executable,
     "-m",
     "pytest",
@@ -26,7 +26,7 @@ PYTEST = [
 ]
 
 
-class Kernel:
+class SlowTests:
     """The proofs that pytest holds: marker `slow`. What needs a package that is not installed here (TRL) is no unit."""
 
     name = "slow_tests"
@@ -34,25 +34,27 @@ class Kernel:
         "Every test marked slow passes: adversarial closed loops, QP against independent solvers, builds bit for bit."
     )
 
-    def units(self, options: Options) -> list[Unit]:
+    def units(self, options: Options) -> list[WorkUnit]:
         """One unit a test function; its parameters run together."""
         del options
         listing = subprocess.run(
-            [*PYTEST, "--collect-only", "tests"], cwd=ROOT, capture_output=True, text=True, check=False
+            [*PYTEST_COMMAND, "--collect-only", "tests"], cwd=ROOT, capture_output=True, text=True, check=False
         ).stdout
         tests = [line for line in listing.splitlines() if re.match(r"tests/\S+\.py::", line)]
         names = dict.fromkeys(test.split("[")[0] for test in tests)
-        return [Unit(name, {"test": name}) for name in names]
+        return [WorkUnit(name, {"test": name}) for name in names]
 
     def run(self, about: dict[str, Any]) -> Row:
         """Run one test; the last line is pytest's count, the lines before it what the test printed."""
-        done = subprocess.run([*PYTEST, "-rP", about["test"]], cwd=ROOT, capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            [*PYTEST_COMMAND, "-rP", about["test"]], cwd=ROOT, capture_output=True, text=True, check=False
+        )
         lines = done.stdout.strip().splitlines()
         said = [line for line in lines if line and not re.match(r"[=_. ]|\w+ tests/|PASSED|-{5,}", line)]
         return {"passed": done.returncode == 0, "result": re.sub(r"=+ ?", "", lines[-1] if lines else ""),
                 "said": said[-12:-1] if done.returncode == 0 else lines[-30:]}  # fmt: skip
 
-    def brief(self, row: Row) -> str:
+    def summarize_row(self, row: Row) -> str:
         """Pytest's count."""
         return row["result"]
 
@@ -62,4 +64,8 @@ class Kernel:
         cells = (
             (f"`{row['key']}`", row["result"], "<br>".join(row["said"]) if row["passed"] else "failed") for row in rows
         )
-        return [f"Passed: **{share(good, len(rows))}**.", "", *table(("test", "result", "what it printed"), cells)]
+        return [
+            f"Passed: **{format_proportion(good, len(rows))}**.",
+            "",
+            *markdown_table(("test", "result", "what it printed"), cells),
+        ]

@@ -8,7 +8,7 @@ from difflib import get_close_matches
 
 import msgspec
 
-UNREADABLE = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
+DECODE_ERRORS = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 """What is raised for bytes that are not what they should be: text that is no UTF-8 and nesting without end are passed
 on by msgspec as Python has them. Whoever reads what others wrote catches all three."""
 
@@ -17,7 +17,7 @@ class DualbrainError(Exception):
     """Root of every exception that dualbrain raises on purpose."""
 
 
-class UnknownName(DualbrainError):
+class UnknownNameError(DualbrainError):
     """A name that is not in the closed set it must come from."""
 
     def __init__(self, kind: str, name: str, known: tuple[str, ...], *, owner: str = "") -> None:
@@ -30,7 +30,7 @@ class UnknownName(DualbrainError):
         super().__init__(f"{name!r} is not {article} {kind}{of}.{hint} Known: {', '.join(self.known) or 'none'}.")
 
 
-class InvalidSetup(DualbrainError):
+class ConfigurationError(DualbrainError):
     """A configuration or data file that cannot be used; says what, got, allowed and how to mend it."""
 
     def __init__(self, what: str, *, got: object, allowed: str, fix: str = "") -> None:
@@ -39,11 +39,11 @@ class InvalidSetup(DualbrainError):
         super().__init__(f"{what}: got {got!r}, allowed: {allowed}." + (f" {fix}" if fix else ""))
 
 
-class WrongUsage(InvalidSetup):
+class UsageError(ConfigurationError):
     """A command called with words it cannot take."""
 
 
-class MissingPart(DualbrainError):
+class MissingDependencyError(DualbrainError):
     """Something the command needs is not installed here (a package, weights, a graphics library)."""
 
     def __init__(self, what: str, *, fix: str) -> None:
@@ -52,7 +52,7 @@ class MissingPart(DualbrainError):
         super().__init__(f"{what} is missing. {fix}")
 
 
-class WrongHash(DualbrainError):
+class ChecksumError(DualbrainError):
     """A file whose content is not the one that was pinned."""
 
     def __init__(self, name: str, *, got: str, expected: str, path: str) -> None:

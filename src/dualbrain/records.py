@@ -12,9 +12,9 @@ import msgspec
 
 from dualbrain.contracts.verdict import Verdict
 from dualbrain.core.geometry.shapes import Pose, Shape, Vector
-from dualbrain.errors import UnknownName
+from dualbrain.errors import UnknownNameError
 
-STILL: Vector = (0.0, 0.0, 0.0)
+ZERO_VECTOR: Vector = (0.0, 0.0, 0.0)
 
 
 class Record(msgspec.Struct, frozen=True):
@@ -39,7 +39,7 @@ class SceneObject(Record, frozen=True):
     role: Role
     shape: Shape
     pose: Pose
-    velocity: Vector = STILL
+    velocity: Vector = ZERO_VECTOR
     error: float = 0.0
     velocity_error: float = 0.0
     stamp: float = 0.0
@@ -73,7 +73,7 @@ class Scene(Record, frozen=True):
         for thing in self.objects:
             if thing.name == name:
                 return thing
-        raise UnknownName("scene object", name, tuple(thing.name for thing in self.objects))
+        raise UnknownNameError("scene object", name, tuple(thing.name for thing in self.objects))
 
     @property
     def graspable(self) -> tuple[str, ...]:
@@ -112,7 +112,7 @@ class Exemplar(Record, frozen=True):
     parts: dict[str, float] = {}
 
 
-class Use(Record, frozen=True):
+class MemoryUse(Record, frozen=True):
     """What became of one recalled memory (paper 7.3): whether the planner used it, and whether that contributed."""
 
     memory: str
@@ -137,7 +137,7 @@ class Passage(Record, frozen=True):
     rank: int
 
 
-class Recall(Record, frozen=True):
+class RetrievedContext(Record, frozen=True):
     """What the planner is reminded of: `exemplars` to follow, `warnings` (failures, rejections) to avoid, `passages`.
 
     The first two come from memory, the passages from documents.
@@ -195,7 +195,7 @@ OutcomeClass = Literal[
 ]
 
 
-SecondOpinion = Literal["none", "agrees", "disagrees"]
+OutcomeCheck = Literal["none", "agrees", "disagrees"]
 
 
 class Outcome(Record, frozen=True):
@@ -225,7 +225,7 @@ class Outcome(Record, frozen=True):
         return int(self.kind == "succeeded")
 
 
-class Setback(Record, frozen=True):
+class FailureFeedback(Record, frozen=True):
     """What became of the contract before this one: `done` of its actions, the one `undone`, why, and what hindered it.
 
     `hindrance` names the pairs that were nearest, or whose rows conflicted, when the action was given up.
@@ -269,7 +269,7 @@ class Episode(Record, frozen=True):
     seed: int
     scene: Scene
     summary: str
-    recall: Recall
+    recall: RetrievedContext
     attempts: tuple[Attempt, ...]
     contract: dict[str, Any] | None
     outcome: Outcome
@@ -278,9 +278,9 @@ class Episode(Record, frozen=True):
     versions: dict[str, str]
     binding: dict[str, int] = {}
     """Ticks of the contract on which each barrier bound, by the barrier's name."""
-    second_opinion: SecondOpinion = "none"
+    second_opinion: OutcomeCheck = "none"
     """What another of the robot's own senses says of the outcome, apart from the skills that carried it out."""
-    uses: tuple[Use, ...] = ()
+    uses: tuple[MemoryUse, ...] = ()
     """What became of each exemplar in the prompt, if the planner was asked again without it."""
-    setback: Setback | None = None
+    setback: FailureFeedback | None = None
     """What became of the contract before, if this one was planned because that one did not succeed."""

@@ -5,7 +5,7 @@ import msgspec
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.verdict import Accepted
 from dualbrain.core.geometry.shapes import Box, Pose
-from dualbrain.grounding.vocabulary import vocabulary
+from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.memory.config import MemoryConfig
 from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
 from dualbrain.memory.embedding.joint_embedding import EmbeddingConfig
@@ -13,22 +13,22 @@ from dualbrain.memory.embedding.posture_features import Posture, PostureLimits
 from dualbrain.memory.ledger.ledger import Ledger, LedgerReader
 from dualbrain.memory.memory import Memory
 from dualbrain.memory.plasticity.rule import Plasticity
-from dualbrain.records import Attempt, Episode, Outcome, Place, Proposal, Recall, Scene, SceneObject
+from dualbrain.records import Attempt, Episode, Outcome, Place, Proposal, RetrievedContext, Scene, SceneObject
 
-REGISTRY = vocabulary("panda")
+REGISTRY = load_skill_registry("panda")
 NOW = 1_800_000_000.0
 LIMITS = tuple(PostureLimits(name, (-3.0,), (3.0,), 0.08) for name in ("panda", "ur5e"))
 CONFIG = MemoryConfig(limits=LIMITS, embedding=EmbeddingConfig(features=16), plasticity=Plasticity(kappa=0.0))
-GRASP = {
+GRASP_PARAMETERS = {
     "object": "red_cube", "speed": 0.2, "clearance": 0.15, "finger_axis": "along", "opening": 0.08, "approach": "top",
     "wait": "none", "force": 15.0,
 }  # fmt: skip
-PLACE = {"destination": "blue_bowl", "speed": 0.2, "clearance": 0.15, "route": "direct", "wait": "none"}
+PLACE_PARAMETERS = {"destination": "blue_bowl", "speed": 0.2, "clearance": 0.15, "route": "direct", "wait": "none"}
 
 
-def pick(*, id="c-0001", registry=REGISTRY.hash, robot="panda", **changed):
+def pick_contract(*, id="c-0001", registry=REGISTRY.hash, robot="panda", **changed):
     """A contract that grasps and places; `changed` parameters of the grasp."""
-    steps = [{"skill": "grasp", "params": GRASP | changed}, {"skill": "place", "params": PLACE}]
+    steps = [{"skill": "grasp", "params": GRASP_PARAMETERS | changed}, {"skill": "place", "params": PLACE_PARAMETERS}]
     return {"id": id, "context": {"robot": robot, "registry": registry}, "action_sequence": steps}
 
 
@@ -46,20 +46,20 @@ def summary(symbols="path_max_height none", number=0):
 
 
 def episode(
-    name, kind="succeeded", *, Delta=0.001, duration=10.0, words="put the red cube in the bowl", told=None, seen=None,
-    plan=None, by="smollm2-135m-instruct", versions=None, opinion="agrees", robot="panda", registry=REGISTRY.hash,
+    name, kind="succeeded", *, Delta=0.001, duration=10.0, instruction="put the red cube in the bowl", scene_summary=None, perceived_scene=None,
+    plan=None, proposer="smollm2-135m-instruct", versions=None, second_opinion="agrees", robot="panda", registry=REGISTRY.hash,
 ):  # fmt: skip
-    contract = plan or pick(robot=robot, registry=registry)
-    proposal = Proposal("{}", "stop", by, "nobody", {"total": 0.1})
+    contract = plan or pick_contract(robot=robot, registry=registry)
+    proposal = Proposal("{}", "stop", proposer, "nobody", {"total": 0.1})
     verdict = Accepted(msgspec.convert(contract, Contract))
     return Episode(
-        name, "2027-01-15T08:00:00Z", words, robot, registry, 1, seen or scene(), told or summary(), Recall(),
+        name, "2027-01-15T08:00:00Z", instruction, robot, registry, 1, perceived_scene or scene(), scene_summary or summary(), RetrievedContext(),
         (Attempt(proposal, verdict, 1e-4),), contract, Outcome(kind, "", Delta, duration=duration), None, {"plan": 1.0},
-        {"dualbrain": "0", "filter": "on"} if versions is None else versions, second_opinion=opinion,
+        {"dualbrain": "0", "filter": "on"} if versions is None else versions, second_opinion=second_opinion,
     )  # fmt: skip
 
 
-def remember(folder, episodes, then=lambda memory: None):
+def write_ledger(folder, episodes, then=lambda memory: None):
     """A ledger of `episodes` in `folder`, opened for reading, after `then` was done to the memory."""
     path = folder / "ledger.sqlite"
     with Ledger(path, holder="a test", now=NOW) as ledger:
@@ -70,9 +70,14 @@ def remember(folder, episodes, then=lambda memory: None):
     return LedgerReader(path)
 
 
-def several(n, **same):
+def distinct_episodes(n, **same):
     """`n` clean episodes in scenes of their own."""
     return [
-        episode(f"e{i}", seen=scene(x=0.3 + 0.1 * (i % 4), y=-0.4 + 0.1 * (i // 4)), told=summary(number=i), **same)
+        episode(
+            f"e{i}",
+            perceived_scene=scene(x=0.3 + 0.1 * (i % 4), y=-0.4 + 0.1 * (i // 4)),
+            scene_summary=summary(number=i),
+            **same,
+        )
         for i in range(n)
     ]

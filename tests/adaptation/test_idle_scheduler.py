@@ -10,62 +10,69 @@ from pathlib import Path
 
 import pytest
 
-from dualbrain.adaptation.idle_scheduler import LowLoad, Machine, Pace, look, robot_at_work, why_not_now
-from dualbrain.core.storage.file_lock import Holder, WriterLock, holder_of
+from dualbrain.adaptation.idle_scheduler import (
+    IdleScheduler,
+    IdleSchedulerConfig,
+    MachineLoad,
+    blocking_reason,
+    read_machine_load,
+    robot_activity,
+)
+from dualbrain.core.storage.file_lock import LockHolder, WriterLock, current_holder
 
-QUIET = Machine(0.2, 2, on_battery=False)
+QUIET = MachineLoad(0.2, 2, on_battery=False)
 COUNTING = "import sys, time\nwhile True:\n    open(sys.argv[1], 'a').write('.')\n    time.sleep(0.01)\n"
 
 
 def test_each_thing_that_speaks_against_it_is_named():
-    assert why_not_now(QUIET, "") == ""
-    assert why_not_now(QUIET, "dualbrain run a (process 7)") == "dualbrain run a (process 7)"
-    assert "battery" in why_not_now(Machine(0.0, 2, on_battery=True), "")
-    assert "busy" in why_not_now(Machine(1.2, 2, on_battery=False), "")
-    busy = Machine(3.0, 2, on_battery=False)
-    assert why_not_now(busy, "", own_threads=2) == ""  # two of the load are its own
-    assert "busy" in why_not_now(busy, "", own_threads=1)
+    assert blocking_reason(QUIET, "") == ""
+    assert blocking_reason(QUIET, "dualbrain run a (process 7)") == "dualbrain run a (process 7)"
+    assert "battery" in blocking_reason(MachineLoad(0.0, 2, on_battery=True), "")
+    assert "busy" in blocking_reason(MachineLoad(1.2, 2, on_battery=False), "")
+    busy = MachineLoad(3.0, 2, on_battery=False)
+    assert blocking_reason(busy, "", own_threads=2) == ""  # two of the load are its own
+    assert "busy" in blocking_reason(busy, "", own_threads=1)
 
 
 def test_the_machine_is_seen_and_its_batteries(tmp_path):
-    assert look(tmp_path / "none").on_battery is False
+    assert read_machine_load(tmp_path / "none").on_battery is False
     for name, status in (("BAT0", "Discharging"), ("AC", "Unknown")):
         (tmp_path / name).mkdir()
         (tmp_path / name / "status").write_text(f"{status}\n")
-    assert look(tmp_path).on_battery
+    assert read_machine_load(tmp_path).on_battery
     (tmp_path / "BAT0" / "status").write_text("Charging\n")
-    assert not look(tmp_path).on_battery
+    assert not read_machine_load(tmp_path).on_battery
 
 
 def test_a_session_counts_as_work_from_its_ledger_s_lock_to_its_release(tmp_path):
     ledger = tmp_path / "ledger.sqlite"
-    assert robot_at_work(ledger, ()) == ""
-    lock = WriterLock(ledger, Holder(os.getpid(), "dualbrain run r-1", 1.0))
-    assert robot_at_work(ledger, ()) == f"dualbrain run r-1 (process {os.getpid()})"
-    assert robot_at_work(ledger, (), own=os.getpid()) == ""
-    assert holder_of(ledger) is not None  # being looked at takes nothing away
+    assert robot_activity(ledger, ()) == ""
+    lock = WriterLock(ledger, LockHolder(os.getpid(), "dualbrain run r-1", 1.0))
+    assert robot_activity(ledger, ()) == f"dualbrain run r-1 (process {os.getpid()})"
+    assert robot_activity(ledger, (), own_pid=os.getpid()) == ""
+    assert current_holder(ledger) is not None  # being looked at takes nothing away
     lock.release()
-    assert robot_at_work(ledger, ()) == ""
+    assert robot_activity(ledger, ()) == ""
 
 
 def test_a_session_that_was_killed_does_not_count(tmp_path):
     ledger = tmp_path / "ledger.sqlite"
     gone = subprocess.Popen([sys.executable, "-S", "-c", ""])
     gone.wait()
-    lock = WriterLock(ledger, Holder(gone.pid, "dualbrain run r-2", 1.0))
-    assert robot_at_work(ledger, ()) == ""
+    lock = WriterLock(ledger, LockHolder(gone.pid, "dualbrain run r-2", 1.0))
+    assert robot_activity(ledger, ()) == ""
     lock.release()
 
 
 def test_a_gatekeeper_counts_while_it_listens(tmp_path):
     path = tmp_path / "gatekeeper.sock"
     path.touch()
-    assert robot_at_work(tmp_path / "l", (path,)) == ""  # a file that a killed one left
+    assert robot_activity(tmp_path / "l", (path,)) == ""  # a file that a killed one left
     path.unlink()
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(str(path))
         listening.listen()
-        assert "a gatekeeper at" in robot_at_work(tmp_path / "l", (path,))
+        assert "a gatekeeper at" in robot_activity(tmp_path / "l", (path,))
 
 
 class Stage:
@@ -74,9 +81,9 @@ class Stage:
     def __init__(self, folder: Path, reasons, script=COUNTING, pace=None):
         self.folder, self.reasons, self.script, self.now = folder, list(reasons), script, 0.0
         self.started, self.told, self.watched = 0, [], []
-        pace = pace or Pace(look=0.1, calm=0.3, halted=100.0)
-        self.work = LowLoad(
-            self.start, self.why_not, self.told.append, clock=lambda: self.now, sleep=self.sleep, pace=pace
+        pace = pace or IdleSchedulerConfig(poll_period=0.1, quiet_time=0.3, max_halted_time=100.0)
+        self.work = IdleScheduler(
+            self.start, self.why_not, self.told.append, clock=lambda: self.now, sleep=self.sleep, config=pace
         )
 
     @property
@@ -128,7 +135,11 @@ def test_it_begins_when_quiet_stands_still_at_once_and_goes_on(tmp_path):
 
 
 def test_what_is_halted_for_long_is_put_away_and_begun_again(tmp_path):
-    stage = Stage(tmp_path, [""] * 8 + ["robot"] * 10 + [""] * 10, pace=Pace(look=0.1, calm=0.3, halted=0.5))
+    stage = Stage(
+        tmp_path,
+        [""] * 8 + ["robot"] * 10 + [""] * 10,
+        pace=IdleSchedulerConfig(poll_period=0.1, quiet_time=0.3, max_halted_time=0.5),
+    )
     stage.run()
     assert stage.started == 2
     assert stage.told[2].startswith("put away")
@@ -150,5 +161,5 @@ def test_a_child_that_dies_by_itself_while_halted_is_no_trouble(tmp_path):
             return "robot"
         return ""
 
-    stage.work._why_not = why_not
+    stage.work._get_blocking_reason = why_not
     assert stage.work.run() == -signal.SIGKILL

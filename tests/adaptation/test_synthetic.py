@@ -9,29 +9,34 @@ import numpy as np
 import pytest
 
 from dualbrain.adaptation.synthetic import templates
-from dualbrain.adaptation.synthetic.dataset import course, language_judge
-from dualbrain.adaptation.synthetic.example import FOLLOWED, free_parameters
+from dualbrain.adaptation.synthetic.dataset import build_synthetic_dataset, make_language_judge
+from dualbrain.adaptation.synthetic.example import FOLLOW_SHARE, free_parameters
 from dualbrain.adaptation.synthetic.random_parameters import draw_number
-from dualbrain.adaptation.synthetic.scoring import score
-from dualbrain.adaptation.synthetic.split import HELD_OUT_CATEGORIES, HELD_OUT_FAMILY, SEEDS
+from dualbrain.adaptation.synthetic.scoring import score_answer
+from dualbrain.adaptation.synthetic.split import HELD_OUT_CATEGORIES, HELD_OUT_FAMILY, SCENE_SEEDS
 from dualbrain.contracts.contract import Action, Contract
-from dualbrain.contracts.skill_spec import Choice, Number
-from dualbrain.errors import WrongHash
-from dualbrain.grounding.vocabulary import vocabulary
+from dualbrain.contracts.skill_spec import ChoiceParameter, NumberParameter
+from dualbrain.errors import ChecksumError
+from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.planner.prompt.short_prompt import STEPS_LIMIT, exemplar_steps
-from dualbrain.runtime.data_collection.synthetic_scenes import ROBOTS, lessons, setting_of, speech
+from dualbrain.runtime.data_collection.synthetic_scenes import (
+    ROBOT_SHARES,
+    generate_examples,
+    load_phrasings,
+    scene_context_by_name,
+)
 
-REGISTRIES = {robot: vocabulary(robot) for robot in ROBOTS}
+REGISTRIES = {robot: load_skill_registry(robot) for robot in ROBOT_SHARES}
 
 
 @pytest.fixture(scope="module")
 def taught():
-    return lessons(250, "teach", seed=5)
+    return generate_examples(250, "teach", seed=5)
 
 
 @pytest.fixture(scope="module")
 def tested():
-    return lessons(60, "test", seed=5)
+    return generate_examples(60, "test", seed=5)
 
 
 def question(sample):
@@ -53,13 +58,13 @@ def contract(sample):
 
 def test_the_gate_of_the_scene_accepts_every_answer(taught, tested):
     for sample in (*taught[:80], *tested):
-        assert setting_of(sample.scene).accepts(sample.contract.encode()), sample.contract
+        assert scene_context_by_name(sample.scene).accepts(sample.contract.encode()), sample.contract
 
 
 def test_the_same_arguments_give_the_same_lessons_and_no_question_twice(taught):
-    again = lessons(30, "teach", seed=5)
+    again = generate_examples(30, "teach", seed=5)
     assert again == taught[:30]
-    assert lessons(30, "teach", seed=6) != again
+    assert generate_examples(30, "teach", seed=6) != again
     assert len({question(sample) for sample in taught}) == len(taught)
 
 
@@ -67,7 +72,7 @@ def test_no_scene_or_thing_that_is_held_out_is_taught(taught, tested):
     for sample in taught:
         family, seed = re.search(r" (\w+):(\d+)$", sample.scene).groups()
         assert family != HELD_OUT_FAMILY
-        assert int(seed) in SEEDS["teach"]
+        assert int(seed) in SCENE_SEEDS["teach"]
         assert not [name for name in sample.graspable if name.rpartition("_")[2] in HELD_OUT_CATEGORIES]
     assert any(HELD_OUT_FAMILY in sample.scene for sample in tested)
     assert any("_carton" in name or "_bottle" in name for sample in tested for name in sample.graspable)
@@ -79,7 +84,7 @@ def pattern(sentence):
 
 @pytest.mark.parametrize("drives", [False, True])
 def test_a_sentence_is_taught_or_tested_never_both(taught, drives):
-    mine, theirs = (speech(drives, part).sentences for part in ("teach", "test"))
+    mine, theirs = (load_phrasings(drives, part).sentences for part in ("teach", "test"))
     assert mine.keys() == theirs.keys()
     assert not {s for some in mine.values() for s in some} & {s for some in theirs.values() for s in some}
     said = [words(sample) for sample in taught if ("base" in sample.scene.split()[0]) == drives]
@@ -97,9 +102,9 @@ def test_parameters_are_spread_over_their_bounds(taught):
     grasps = [a for sample in taught for a in contract(sample).action_sequence if a.skill == "grasp"]
     for spec in REGISTRIES["panda"].skill("grasp").parameters:
         values = [action.params[spec.name] for action in grasps]
-        if isinstance(spec, Choice):
+        if isinstance(spec, ChoiceParameter):
             assert min(Counter(values)[choice] for choice in spec.choices) > 0.15 * len(values)
-        elif isinstance(spec, Number) and spec.name != "opening":  # too narrow an opening is refused
+        elif isinstance(spec, NumberParameter) and spec.name != "opening":  # too narrow an opening is refused
             low = np.mean(np.array(values) < (spec.lower + spec.upper) / 2)
             assert 0.25 < low < 0.75, spec.name
 
@@ -108,7 +113,7 @@ def test_a_robot_that_drives_hears_of_its_places_in_either_order_and_alone():
     """Until 2026-11-23 two places were always the shelf and then the charger, and "go to the shelf" became both."""
     routes = Counter(
         tuple(action.params["place"] for action in contract(one).action_sequence if action.skill == "drive_to")
-        for one in lessons(150, "teach", 5, {"base": 1.0}, exemplars=0.0)
+        for one in generate_examples(150, "teach", 5, {"base": 1.0}, exemplar_share=0.0)
     )
     there, back = routes["shelf", "charger"], routes["charger", "shelf"]
     assert min(there, back) > 10
@@ -126,7 +131,7 @@ def test_an_exemplar_is_followed_as_often_as_declared(taught):
             if models and free_parameters(registry, action):
                 followed.append(free_parameters(registry, action) in [free_parameters(registry, m) for m in models])
     assert len(followed) > 60
-    assert abs(np.mean(followed) - FOLLOWED) < 0.15
+    assert abs(np.mean(followed) - FOLLOW_SHARE) < 0.15
     assert 0.3 < np.mean([bool(shown(sample)) for sample in taught]) < 0.7
 
 
@@ -147,7 +152,7 @@ def test_a_refusal_answers_what_cannot_be_done(taught):
 def test_numbers_stay_within_their_bounds_and_are_short():
     rng = np.random.default_rng(1)
     for lower, upper in ((0.05, 0.4), (-3.1416, 3.1416), (10.0, 60.0), (0.02, 0.085), (0.3, 0.3), (0.0, 1000.0)):
-        spec = Number("x", "m", lower, upper, "a", "b")
+        spec = NumberParameter("x", "m", lower, upper, "a", "b")
         drawn = [draw_number(spec, rng) for _ in range(300)]
         assert all(lower <= value <= upper and len(f"{value:g}") <= 6 for value in drawn)
         assert len(set(drawn)) > (5 if upper > lower else 0)
@@ -155,16 +160,16 @@ def test_numbers_stay_within_their_bounds_and_are_short():
 
 def test_another_file_of_lessons_is_refused(monkeypatch):
     monkeypatch.setattr(templates, "LESSONS_SHA256", "0" * 64)
-    templates.book.cache_clear()
-    with pytest.raises(WrongHash, match=r"lessons\.toml"):
-        templates.book()
+    templates.load_templates.cache_clear()
+    with pytest.raises(ChecksumError, match=r"lessons\.toml"):
+        templates.load_templates()
     monkeypatch.undo()
-    templates.book.cache_clear()
-    templates.book()
+    templates.load_templates.cache_clear()
+    templates.load_templates()
 
 
 def test_a_course_names_every_vocabulary_and_who_proposed(taught):
-    made = course(taught[:20], taught[20:24], REGISTRIES)
+    made = build_synthetic_dataset(taught[:20], taught[20:24], REGISTRIES)
     assert (made.card.robot, made.card.registry) == ("panda", REGISTRIES["panda"].hash)
     assert made.card.also == {name: REGISTRIES[name].hash for name in ("ur5e", "base")}
     assert made.card.sources == {"templates": 24}
@@ -179,13 +184,13 @@ def changed(sample, **params):
 
 def test_an_answer_is_scored_by_what_was_asked(taught):
     sample = next(s for s in taught if s.scene.startswith("panda") and '"place"' in s.contract and len(s.graspable) > 2)
-    setting = setting_of(sample.scene)
+    setting = scene_context_by_name(sample.scene)
     first = contract(sample).action_sequence[0].params
     other = next(name for name in sample.graspable if name != first["object"])
 
     def told(text):
-        found = score(text, sample.contract, setting.registry, setting.accepts)
-        return found.json, found.compliant, found.skills, found.named, found.right
+        found = score_answer(text, sample.contract, setting.registry, setting.accepts)
+        return found.json, found.compliant, found.skills, found.named, found.is_right
 
     decline = sample.contract.partition('"action_sequence"')[0]
     decline += '"action_sequence":[{"skill":"decline","params":{"reason":"no"}}]}'
@@ -196,6 +201,6 @@ def test_an_answer_is_scored_by_what_was_asked(taught):
     assert told(decline)[1:] == (False, False, False, False)
     assert told("[" * 100_000) == (False,) * 5
     assert told('{"id": 1}') == (True, False, False, False, False)
-    judge = language_judge(REGISTRIES)
+    judge = make_language_judge(REGISTRIES)
     assert judge(sample.contract, sample)
     assert not judge(decline, sample)

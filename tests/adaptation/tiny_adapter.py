@@ -2,18 +2,18 @@
 
 import hashlib
 
-from dualbrain.adaptation.adapters.card import AdapterCard, weights_id, write_card
+from dualbrain.adaptation.adapters.card import AdapterCard, hash_weights, write_adapter_card
 from dualbrain.adaptation.config import AdaptConfig
 from dualbrain.core import weights
 from dualbrain.core.weights import WeightFile
 from dualbrain.planner.prompt.short_prompt import short_template_hash
-from tests.adaptation.tiny_gguf import fitted, model, write_gguf
+from tests.adaptation.tiny_gguf import model, random_adapter, write_gguf
 from tests.planner.sample_requests import REGISTRY
 
 BASE = "tiny"
 
 
-def base(cache, patch):
+def install_base(cache, patch):
     """The base's file in `cache`, its entry in the manifest, and the torch model."""
     cache.mkdir(exist_ok=True)
     made = model("llama")
@@ -23,15 +23,15 @@ def base(cache, patch):
     return made
 
 
-def adapter(made, folder, seed=5, size=0.1, **changed):
+def write_adapter(made, folder, seed=5, size=0.1, **changed):
     """An adapter in `folder` on the torch model `made`; returns the model that wears it, and its card."""
-    worn = fitted(made, folder, seed=seed, size=size)
+    worn = random_adapter(made, folder, seed=seed, size=size)
     facts = {
-        "id": weights_id(folder), "base": BASE, "base_sha256": weights.find_file(BASE).sha256,
+        "id": hash_weights(folder), "base": BASE, "base_sha256": weights.find_weight_file(BASE).sha256,
         "robot": REGISTRY.robot, "registry": REGISTRY.hash, "prompt": short_template_hash(), "dataset": "d" * 64,
         "sources": {BASE: 3}, "bootstrapped": False, "precision": "float32", "steps": 7, "held_out": None,
         "config": AdaptConfig(), "versions": {},
     }  # fmt: skip
     card = AdapterCard(**(facts | changed))
-    write_card(card, folder)
+    write_adapter_card(card, folder)
     return worn, card

@@ -9,7 +9,7 @@ from peft import LoraConfig, get_peft_model
 from safetensors.torch import load_file, save_file
 from transformers import LlamaConfig, LlamaForCausalLM, Qwen2Config, Qwen2ForCausalLM
 
-from dualbrain.adaptation.conversion.peft_lora import WEIGHTS
+from dualbrain.adaptation.conversion.peft_lora import WEIGHTS_FILE
 from tests.adaptation.tiny_model import TEMPLATE, tokenizer
 
 KINDS = {"llama": (LlamaConfig, LlamaForCausalLM), "qwen2": (Qwen2Config, Qwen2ForCausalLM)}
@@ -32,7 +32,7 @@ def model(architecture, seed=0):
     return made
 
 
-def interleaved(rows, heads):
+def interleave_rows(rows, heads):
     """Rows of q or k as llama.cpp has them for `llama`: written index by index, apart from the converter's way."""
     half = len(rows) // heads // 2
     order = [h * 2 * half + i + part * half for h in range(heads) for i in range(half) for part in (0, 1)]
@@ -62,7 +62,7 @@ def write_gguf(made, architecture, path):
         base, _, part = name.rpartition(".")
         rows = tensor.detach().float().numpy()
         if architecture == "llama" and base.endswith(("q_proj", "k_proj")):
-            rows = interleaved(rows, HEADS if base.endswith("q_proj") else KV_HEADS)
+            rows = interleave_rows(rows, HEADS if base.endswith("q_proj") else KV_HEADS)
         writer.add_tensor(f"{names.get_name(base)}.{part}", np.ascontiguousarray(rows))
     writer.write_header_to_file()
     writer.write_kv_data_to_file()
@@ -86,7 +86,7 @@ def _add_tokenizer(writer):
     writer.add_chat_template(TEMPLATE)
 
 
-class WithMerge:
+class TokenizerWithMerge:
     """The tiny words, the last of which is what the one merge in the file makes: transformers wants it to be there."""
 
     def __init__(self, words):
@@ -98,13 +98,13 @@ class WithMerge:
         return {("Āā" if token == last else token): number for token, number in vocabulary.items()}
 
 
-def read_by_transformers(patch):
+def patch_tokenizer(patch):
     """From now on such files are written that transformers reads, too."""
     plain = tokenizer
-    patch.setattr(sys.modules[__name__], "tokenizer", lambda: WithMerge(plain()))
+    patch.setattr(sys.modules[__name__], "tokenizer", lambda: TokenizerWithMerge(plain()))
 
 
-def fitted(made, folder, dtype=torch.float32, seed=5, size=0.1, **changed):
+def random_adapter(made, folder, dtype=torch.float32, seed=5, size=0.1, **changed):
     """A random adapter on `made`, written as peft writes it, and the model that wears it."""
     shape = LoraConfig(
         **({"r": 4, "lora_alpha": 12, "target_modules": "all-linear", "task_type": "CAUSAL_LM"} | changed)
@@ -116,6 +116,6 @@ def fitted(made, folder, dtype=torch.float32, seed=5, size=0.1, **changed):
             if parameter.requires_grad:
                 parameter.copy_((size * torch.randn_like(parameter)).to(dtype).float())
     worn.save_pretrained(folder)
-    tensors = load_file(folder / WEIGHTS)
-    save_file({name: tensor.to(dtype).contiguous() for name, tensor in tensors.items()}, folder / WEIGHTS)
+    tensors = load_file(folder / WEIGHTS_FILE)
+    save_file({name: tensor.to(dtype).contiguous() for name, tensor in tensors.items()}, folder / WEIGHTS_FILE)
     return worn

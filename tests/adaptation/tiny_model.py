@@ -4,13 +4,15 @@ import torch
 from tokenizers import Tokenizer, decoders, models, pre_tokenizers
 from transformers import LlamaConfig, LlamaForCausalLM, PreTrainedTokenizerFast
 
-from dualbrain.adaptation.config import FitDials
-from dualbrain.adaptation.training.model.batching import Encoded
-from dualbrain.adaptation.training.model.lora_model import Learner
+from dualbrain.adaptation.config import FitConfig
+from dualbrain.adaptation.training.model.batching import EncodedSample
+from dualbrain.adaptation.training.model.lora_model import LoraModel
 
 torch.set_num_threads(1)
 TEMPLATE = "{% for m in messages %}{{ m['role'][0] + ':' + m['content'] }}{% endfor %}A:"
-DIALS = FitDials(steps=6, batch=4, at_once=4, rank=4, alpha=8, save_every=2, warm_up=2, rate=1e-2, ask_at_most=2)
+TRAINING_CONFIG = FitConfig(
+    steps=6, batch=4, at_once=4, rank=4, alpha=8, save_every=2, warm_up=2, rate=1e-2, ask_at_most=2
+)
 
 
 def tokenizer():
@@ -36,11 +38,11 @@ def model(seed=0, layers=2, width=32, inner=48):
     return made
 
 
-def learner(dials=DIALS):
-    return Learner(model(), tokenizer(), dials)
+def lora_model(dials=TRAINING_CONFIG):
+    return LoraModel(model(), tokenizer(), dials)
 
 
-def moved(one, size=0.2, seed=3):
+def perturbed(one, size=0.2, seed=3):
     """Move the adapter away from where it begins, so that it changes something."""
     torch.manual_seed(seed)
     with torch.no_grad():
@@ -49,7 +51,7 @@ def moved(one, size=0.2, seed=3):
     return one
 
 
-def samples(n, seed=1, longest=12):
+def random_samples(n, seed=1, longest=12):
     """Questions and answers of random tokens, of unequal length."""
     made = torch.Generator().manual_seed(seed)
 
@@ -57,4 +59,4 @@ def samples(n, seed=1, longest=12):
         length = int(torch.randint(least, longest, (1,), generator=made))
         return tuple(torch.randint(0, 250, (length,), generator=made).tolist())
 
-    return [Encoded(f"s{i}", some(3), (*some(2), 256)) for i in range(n)]
+    return [EncodedSample(f"s{i}", some(3), (*some(2), 256)) for i in range(n)]

@@ -9,21 +9,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.peers.benchmarked_filters import Contestant
+from benchmarks.peers.benchmarked_filters import BenchmarkedFilter
 from benchmarks.peers.problems import scenes
-from benchmarks.peers.problems.problem import box, clearances, rows
-from benchmarks.peers.problems.qp_oracle import optimum, second_opinion
-from benchmarks.peers.processes.filter_process import Child, Refused
-from benchmarks.peers.report import write
-from benchmarks.peers.targets import bars
-from tests.support.run_once import once
+from benchmarks.peers.problems.problem import barrier_rows, clearances, control_bounds
+from benchmarks.peers.problems.qp_oracle import exact_optimum, piqp_optimum
+from benchmarks.peers.processes.filter_process import FilterProcess, FilterUnavailableError
+from benchmarks.peers.report import write_report
+from benchmarks.peers.targets import evaluate_targets
+from tests.support.run_once import run_once
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    return once(tmp_path_factory, "quick_latency", quick)[1]
+    return run_once(tmp_path_factory, "quick_latency", quick)[1]
 
 
 def quick(_):
@@ -56,7 +56,7 @@ def test_ours_is_exact_flags_what_has_no_answer_and_keeps_clear(whole):
 
 
 def test_the_document_renders_every_contestant(whole, tmp_path):
-    write(whole, tmp_path / "peers.md")
+    write_report(whole, tmp_path / "peers.md")
     text = (tmp_path / "peers.md").read_text()
     assert text.count("fake") >= 4
     assert "## Bars" in text
@@ -68,21 +68,21 @@ def test_reference_rows_are_derivatives_and_two_solvers_agree(setting, n):
     rng = np.random.default_rng(1)
     for _ in range(3):
         q = problem.home + rng.uniform(-0.1, 0.1, problem.n)
-        A, b, _ = rows(problem, q)
+        A, b, _ = barrier_rows(problem, q)
         step = 1e-6 * np.eye(problem.n)
         slopes = [(clearances(problem, q + e) - clearances(problem, q - e)).ravel() / 2e-6 for e in step]
         assert np.max(np.abs(np.array(slopes).T - A)) < 1e-6
         u_nom = rng.uniform(-1.0, 1.0, problem.n) * problem.v_max
-        lower, upper = box(problem, q)
-        u = optimum(A, b, lower, upper, u_nom)
+        lower, upper = control_bounds(problem, q)
+        u = exact_optimum(A, b, lower, upper, u_nom)
         assert np.min(A @ u - b) > -1e-9
-        assert np.max(np.abs(u - second_opinion(A, b, lower, upper, u_nom))) < 1e-6
+        assert np.max(np.abs(u - piqp_optimum(A, b, lower, upper, u_nom))) < 1e-6
 
 
 def test_recorded_states_ask_for_something():
     for n in (10, 100):
         problem = scenes.rows_problem(n)
-        states, nominals, changed = scenes.record(problem, 300, hold=30)
+        states, nominals, changed = scenes.record_states(problem, 300, hold=30)
         assert problem.n_pairs == n
         assert states.shape == nominals.shape == (300, problem.n)
         assert 0.1 < changed < 1.0
@@ -94,7 +94,7 @@ def test_bars_take_the_fastest_peer_and_never_one_of_ours():
         base = {"peer": peer, "setting": "rows", "n": 10, "ratio": ratio, "ours": False, "shipped": False}
         return base | {"same_problem": True} | more
 
-    found = bars(
+    found = evaluate_targets(
         [
             row("dualbrain", 1.0, ours=True),
             row("dualbrain, in C", 0.4, ours=True),
@@ -110,17 +110,17 @@ def test_bars_take_the_fastest_peer_and_never_one_of_ours():
 
 
 def test_a_contestant_that_cannot_come_says_why():
-    with pytest.raises(Refused, match="no environment"):
-        Child(Contestant("nobody", "benchmarks.peers.filters.fake_filter", environment="nowhere"))
-    with pytest.raises(Refused, match="ModuleNotFoundError"):
-        Child(Contestant("nobody", "peers.no_such_module"))
+    with pytest.raises(FilterUnavailableError, match="no environment"):
+        FilterProcess(BenchmarkedFilter("nobody", "benchmarks.peers.filters.fake_filter", environment="nowhere"))
+    with pytest.raises(FilterUnavailableError, match="ModuleNotFoundError"):
+        FilterProcess(BenchmarkedFilter("nobody", "peers.no_such_module"))
 
 
 def test_a_contestant_that_hangs_is_ended(tmp_path):
     problem = scenes.rows_problem(10)
     problem.save(str(tmp_path / "p.npz"))
-    child = Child(Contestant("sleeper", "benchmarks.peers.filters.fake_filter"))
-    child.ask("prepare", problem=str(tmp_path / "p.npz"), options={"nap": 30.0})
-    with pytest.raises(Refused, match="no answer"):
-        child.ask("once", 0.2, q=problem.home.tolist(), u_nom=[0.0] * problem.n)
+    child = FilterProcess(BenchmarkedFilter("sleeper", "benchmarks.peers.filters.fake_filter"))
+    child.request("prepare", problem=str(tmp_path / "p.npz"), options={"nap": 30.0})
+    with pytest.raises(FilterUnavailableError, match="no answer"):
+        child.request("once", 0.2, q=problem.home.tolist(), u_nom=[0.0] * problem.n)
     child.close()

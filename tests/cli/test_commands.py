@@ -10,16 +10,16 @@ import jsonschema
 import pytest
 
 from dualbrain.adaptation.adapters.card import read_adapter_card
-from dualbrain.adaptation.adapters.compatibility import require_fit
+from dualbrain.adaptation.adapters.compatibility import require_compatible
 from dualbrain.adaptation.adapters.packaged import packaged_folder
-from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.evaluation.evaluate import evaluate
 from dualbrain.cli.evaluation.report import compare, report
 from dualbrain.cli.run.demo import demo
-from dualbrain.grounding.vocabulary import vocabulary
-from tests.stories.story_session import GRASP, PLACE, contract, decline, pause
+from dualbrain.grounding.vocabulary import load_skill_registry
+from tests.stories.story_session import GRASP, PLACE, contract_text, decline_contract, hold_contract
 
-GOOD = contract(("grasp", GRASP), ("place", PLACE))
+GOOD = contract_text(("grasp", GRASP), ("place", PLACE))
 
 
 @pytest.fixture
@@ -36,7 +36,7 @@ def check(tell, tmp_path):
 
 
 def test_check_accepts_with_0_and_says_only_that(check):
-    assert check(GOOD, "--scene", "bare:0") == (Exit.SUCCESS, {"accepted": True})
+    assert check(GOOD, "--scene", "bare:0") == (ExitCode.SUCCESS, {"accepted": True})
 
 
 @pytest.mark.parametrize(
@@ -44,48 +44,48 @@ def test_check_accepts_with_0_and_says_only_that(check):
     [
         ("{", "syntax", ""),
         (GOOD.replace("panda", "ur5e"), "authorization", "/context/robot"),
-        (contract(("throw", {})), "authorization", "/action_sequence/0/skill"),
-        (contract(("grasp", {**GRASP, "force": 900.0})), "envelope", "/action_sequence/0/params/force"),
-        (contract(("grasp", {**GRASP, "object": "table"})), "envelope", "/action_sequence/0/params/object"),
-        (contract(("place", PLACE)), "envelope", "/action_sequence/0/skill"),
+        (contract_text(("throw", {})), "authorization", "/action_sequence/0/skill"),
+        (contract_text(("grasp", {**GRASP, "force": 900.0})), "envelope", "/action_sequence/0/params/force"),
+        (contract_text(("grasp", {**GRASP, "object": "table"})), "envelope", "/action_sequence/0/params/object"),
+        (contract_text(("place", PLACE)), "envelope", "/action_sequence/0/skill"),
     ],
 )
 def test_check_refuses_with_3_and_says_where(check, text, stage, pointer):
     code, told = check(text, "--scene", "bare:0")
-    assert code == Exit.REJECTED
+    assert code == ExitCode.REJECTED
     assert told.keys() == {"accepted", "stage", "pointer", "got", "allowed", "hint"}
     assert (told["accepted"], told["stage"], told["pointer"]) == (False, stage, pointer)
 
 
 def test_check_of_a_file_that_is_not_there(tell):
     code, out, err = tell("check", "nope.json")
-    assert (code, out) == (Exit.SETUP, "")
+    assert (code, out) == (ExitCode.SETUP, "")
     assert "nope.json" in err
 
 
 def test_check_reads_standard_input(tell, monkeypatch):
-    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(pause().encode())))
-    assert tell("check", "-")[0] == Exit.SUCCESS
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(hold_contract().encode())))
+    assert tell("check", "-")[0] == ExitCode.SUCCESS
 
 
 @pytest.mark.parametrize("form", ["validation", "decoding"])
 def test_schema_is_valid_draft_7_and_accepts_what_check_accepts(tell, form):
     code, out, _ = tell("schema", "--scene", "bare:0", "--form", form)
-    assert code == Exit.SUCCESS
+    assert code == ExitCode.SUCCESS
     schema = json.loads(out)
     jsonschema.Draft7Validator.check_schema(schema)
     if form == "validation":
         assert schema["$schema"].startswith("http://json-schema.org/draft-07")
     validator = jsonschema.Draft7Validator(schema)
-    for text in (GOOD, pause(), decline()):
+    for text in (GOOD, hold_contract(), decline_contract()):
         validator.validate(json.loads(text))
-    for text in (contract(("grasp", {**GRASP, "force": 900.0})), contract(("throw", {})), "{}"):
+    for text in (contract_text(("grasp", {**GRASP, "force": 900.0})), contract_text(("throw", {})), "{}"):
         assert not validator.is_valid(json.loads(text))
 
 
 def test_the_short_form_is_for_people(tell):
     code, out, _ = tell("schema", "--form", "short")
-    assert code == Exit.SUCCESS
+    assert code == ExitCode.SUCCESS
     assert "grasp" in out
     assert "m/s" in out
 
@@ -94,7 +94,7 @@ def test_replay_of_a_run_is_identical(tell, finished):
     folder, *_ = finished
     code, out, err = tell("replay", folder / "run" / "episode.mcap", "--json")
     told = json.loads(out)
-    assert code == Exit.SUCCESS
+    assert code == ExitCode.SUCCESS
     assert told["identical"]
     assert told["complete"]
     assert told["ticks"] > 5000
@@ -105,21 +105,21 @@ def test_replay_of_what_is_no_recording(tell, tmp_path):
     (tmp_path / "no.mcap").write_bytes(b"hello")
     for name in ("no.mcap", "missing.mcap"):
         code, out, err = tell("replay", name)
-        assert (code, out) == (Exit.SETUP, "")
+        assert (code, out) == (ExitCode.SETUP, "")
         assert name in err
 
 
 def test_models_list_names_every_file_with_its_licence(tell, monkeypatch):
     monkeypatch.setenv("COLUMNS", "30")  # names stay whole, so that they can be copied
     code, out, _ = tell("models", "list")
-    assert code == Exit.SUCCESS
+    assert code == ExitCode.SUCCESS
     for name in ("qwen2.5-coder-1.5b-instruct", "smollm2-135m-instruct", "minilm-l6-v2-int8", "Apache-2.0"):
         assert name in out
 
 
 def test_an_unknown_model_is_answered_with_the_closest(tell):
     code, _, err = tell("models", "fetch", "smolm2-135m-instruct")
-    assert code == Exit.SETUP
+    assert code == ExitCode.SETUP
     assert "Closest: 'smollm2-135m-instruct'" in err
 
 
@@ -132,7 +132,7 @@ def test_doctor_examines_everything(tell, finished, monkeypatch, tmp_path):
         assert word in out
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "empty"))
     code, out, _ = tell("doctor")
-    assert code == Exit.SETUP
+    assert code == ExitCode.SETUP
     assert "dualbrain models fetch" in out
 
 
@@ -141,13 +141,13 @@ def test_doctor_examines_everything(tell, finished, monkeypatch, tmp_path):
 )
 def test_wrong_usage_is_2(tell, arguments):
     code, out, err = tell(*arguments)
-    assert code == Exit.USAGE
+    assert code == ExitCode.USAGE
     assert out + err  # it says what is wrong
 
 
 def test_help_lists_every_command(tell):
     code, out, _ = tell("--help")
-    assert code == Exit.SUCCESS
+    assert code == ExitCode.SUCCESS
     for name in ("run", "demo", "schema", "check", "replay", "doctor", "models", "robot"):
         assert name in out
 
@@ -156,7 +156,7 @@ def test_help_lists_every_command(tell):
 def test_help_and_the_function_tell_one_text(tell, command, function):
     told = " ".join(inspect.getdoc(function).partition("Parameters\n")[0].split())
     code, out, _ = tell(command, "--help")
-    assert code == Exit.SUCCESS
+    assert code == ExitCode.SUCCESS
     assert told
     assert told in " ".join(out.split())
 
@@ -165,6 +165,6 @@ def test_the_demo_is_planned_by_one_that_comes_with_dualbrain_and_knows_its_robo
     """What is shown first needs no large model; the set-up fetches what the same planner needs."""
     planner = inspect.signature(demo).parameters["planner"].default
     card = read_adapter_card(packaged_folder(planner))
-    require_fit(card, "panda", vocabulary("panda").hash)
+    require_compatible(card, "panda", load_skill_registry("panda").hash)
     makefile = Path(__file__).parents[2].joinpath("Makefile").read_text()
     assert f"PLANNER ?= {planner}\n" in makefile

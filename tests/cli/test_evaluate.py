@@ -6,82 +6,95 @@ import msgspec
 import pytest
 
 from dualbrain.cli.evaluation import evaluate
-from dualbrain.cli.evaluation.estimate import GUESS_LARGE_S, GUESS_S, GUESS_SMALL_S, guess
-from dualbrain.cli.evaluation.suite_options import narrowed
-from dualbrain.cli.main import call
-from dualbrain.evaluation.planners.factory import Sources
-from dualbrain.evaluation.protocol.suite import open_suite
-from dualbrain.evaluation.runner.provenance import origin
+from dualbrain.cli.evaluation.estimate import (
+    DEFAULT_EPISODE_S,
+    DEFAULT_LARGE_MODEL_REQUEST_S,
+    DEFAULT_SMALL_MODEL_REQUEST_S,
+    default_request_time,
+)
+from dualbrain.cli.evaluation.suite_options import override_suite
+from dualbrain.cli.main import run_command_line
+from dualbrain.evaluation.planners.factory import PlannerSources
+from dualbrain.evaluation.protocol.suite import load_suite
+from dualbrain.evaluation.runner.provenance import collect_provenance
 from dualbrain.evaluation.runner.runner import STAGES, Runner
-from dualbrain.evaluation.runner.work_units import units_of
-from dualbrain.evaluation.runner.workload import effort
-from tests.evaluation.test_runner import lines_of
+from dualbrain.evaluation.runner.work_units import build_units
+from dualbrain.evaluation.runner.workload import compute_workload
+from tests.evaluation.test_runner import fake_result_lines
 
 
 def test_a_dry_run_flies_nothing_and_says_how_long(tmp_path, capsys):
     asked = ["evaluate", "--suite", "smoke", "--dry-run", "--json", "--episodes", "3", "--out", str(tmp_path / "x")]
-    assert call([*asked, "--methods", "B1,M"]) == 0
+    assert run_command_line([*asked, "--methods", "B1,M"]) == 0
     told = msgspec.json.decode(capsys.readouterr().out)
     assert told["left"] == {"pilot": 0, "start": 1, "plan": 0, "fly": 6}
     assert told["basis"] == "a guess"
     assert not (tmp_path / "x").exists()
-    assert call(["evaluate", "--methods", "B9", "--dry-run"]) == 5
-    assert call(["evaluate", "--suite", "paper", "--dry-run"]) == 5
+    assert run_command_line(["evaluate", "--methods", "B9", "--dry-run"]) == 5
+    assert run_command_line(["evaluate", "--suite", "paper", "--dry-run"]) == 5
     assert "--planner adapted=adapter:ID" in capsys.readouterr().err
     named = "adapted=base-135m,base=template"
-    assert call(["evaluate", "--suite", "paper", "--dry-run", "--planner", named, "--out", str(tmp_path / "y")]) == 0
+    assert (
+        run_command_line(
+            ["evaluate", "--suite", "paper", "--dry-run", "--planner", named, "--out", str(tmp_path / "y")]
+        )
+        == 0
+    )
 
 
 def test_a_guess_of_a_dry_run_is_that_of_the_model_that_answers(tmp_path, capsys):
-    sources = Sources(tmp_path, tmp_path)
+    sources = PlannerSources(tmp_path, tmp_path)
     for small in ("base-135m", "adapter:starter-135m", "transformers:base-135m", "smollm2-135m-instruct"):
-        assert guess(small, sources) == GUESS_SMALL_S
+        assert default_request_time(small, sources) == DEFAULT_SMALL_MODEL_REQUEST_S
     for large in ("qwen2.5-coder-1.5b-instruct", "transformers:qwen2.5-coder-1.5b-instruct", "http://host/v1"):
-        assert guess(large, sources) == GUESS_LARGE_S
+        assert default_request_time(large, sources) == DEFAULT_LARGE_MODEL_REQUEST_S
     asked = ["evaluate", "--suite", "paper", "--methods", "B3,P", "--dry-run", "--json", "--jobs", "1"]
     asked += ["--planner", "base=template,prompted=template,adapted=base-135m", "--out", str(tmp_path / "x")]
-    assert call(asked) == 0
+    assert run_command_line(asked) == 0
     one = msgspec.json.decode(capsys.readouterr().out)
-    assert one["question_s"] == {"base-135m": GUESS_SMALL_S}
-    assert one["episode_s"] == GUESS_S
+    assert one["question_s"] == {"base-135m": DEFAULT_SMALL_MODEL_REQUEST_S}
+    assert one["episode_s"] == DEFAULT_EPISODE_S
     asked[asked.index("--planner") + 1] = "base=qwen2.5-coder-1.5b-instruct,adapted=base-135m"
-    assert call(asked) == 0
+    assert run_command_line(asked) == 0
     both = msgspec.json.decode(capsys.readouterr().out)
-    assert both["question_s"] == {"qwen2.5-coder-1.5b-instruct": GUESS_LARGE_S, "base-135m": GUESS_SMALL_S}
-    suite = narrowed("paper", "B3", 0, "", "base=qwen2.5-coder-1.5b-instruct")
-    units = [unit for stage in STAGES for unit in units_of(suite, stage)]
-    more = effort(suite, units).questions * GUESS_LARGE_S / 3600.0
+    assert both["question_s"] == {
+        "qwen2.5-coder-1.5b-instruct": DEFAULT_LARGE_MODEL_REQUEST_S,
+        "base-135m": DEFAULT_SMALL_MODEL_REQUEST_S,
+    }
+    suite = override_suite("paper", "B3", 0, "", "base=qwen2.5-coder-1.5b-instruct")
+    units = [unit for stage in STAGES for unit in build_units(suite, stage)]
+    more = compute_workload(suite, units).requests * DEFAULT_LARGE_MODEL_REQUEST_S / 3600.0
     assert both["hours"]["planning"] - one["hours"]["planning"] == pytest.approx(more)
 
 
 def test_what_was_measured_in_a_folder_comes_before_a_guess_planner_by_planner(tmp_path, capsys):
     asked = ["evaluate", "--suite", "paper", "--methods", "B3,P", "--dry-run", "--json", "--out", str(tmp_path)]
     asked += ["--planner", "adapted=starter-135m"]
-    runner = Runner(narrowed("paper", "B3,P", 0, "", "adapted=starter-135m"), tmp_path, clock=time.perf_counter,
-                    tell=print)  # fmt: skip
-    unit = next(unit for unit in units_of(runner.suite, "plan") if unit.method == "P")
+    runner = Runner(override_suite("paper", "B3,P", 0, "", "adapted=starter-135m"), tmp_path, clock=time.perf_counter,
+                    on_progress=print)  # fmt: skip
+    unit = next(unit for unit in build_units(runner.suite, "plan") if unit.method == "P")
     for order, (new, seconds) in enumerate([(1, 7.0), (0, 0.0), (1, 9.0)]):
-        runner.journal("plan").append({"key": unit.row_key(order), "asked": new, "planner_s": seconds})
-    flown = next(iter(lines_of(units_of(runner.suite, "fly")[0])))
-    runner.journal("fly").append(flown | {"wall_s": 11.0})
-    assert call(asked) == 0
+        runner.log("plan").append({"key": unit.row_key(order), "asked": new, "planner_s": seconds})
+    flown = next(iter(fake_result_lines(build_units(runner.suite, "fly")[0])))
+    runner.log("fly").append(flown | {"wall_s": 11.0})
+    assert run_command_line(asked) == 0
     told = msgspec.json.decode(capsys.readouterr().out)
-    assert told["question_s"] == {"base-135m": GUESS_SMALL_S, "starter-135m": 8.0}
+    assert told["question_s"] == {"base-135m": DEFAULT_SMALL_MODEL_REQUEST_S, "starter-135m": 8.0}
     assert (told["episode_s"], told["basis"]) == (11.0, "measured here")
 
 
 def test_methods_that_fly_a_single_run_are_warned_of(tmp_path, capsys, monkeypatch):
     said = "fewer than two runs of B1, B3: the report will have no interval"
-    monkeypatch.setattr(evaluate, "_passes", lambda *_: True)
+    monkeypatch.setattr(evaluate, "_run_stages", lambda *_: True)
     for more in (("--dry-run",), ()):
         asked = ["evaluate", "--methods", "B1,B3", "--planner", "template", "--out", str(tmp_path), *more]
-        assert call([*asked, "--suite", "smoke", "--episodes", "5"]) == 0
+        assert run_command_line([*asked, "--suite", "smoke", "--episodes", "5"]) == 0
         assert said in capsys.readouterr().err
-    assert call(["evaluate", "--methods", "B1", "--suite", "first", "--dry-run"]) == 0
+    assert run_command_line(["evaluate", "--methods", "B1", "--suite", "first", "--dry-run"]) == 0
     assert "fewer than two runs" not in capsys.readouterr().err
-    suite = open_suite("refusals")
-    assert [suite.clusters(name) for name in ("B1", "P")] == [6 * 20, 3 * 20]
-    assert open_suite("paper").clusters("B3") == 40
+    suite = load_suite("refusals")
+    assert [suite.n_clusters(name) for name in ("B1", "P")] == [6 * 20, 3 * 20]
+    assert load_suite("paper").n_clusters("B3") == 40
 
 
 @pytest.mark.parametrize(
@@ -103,20 +116,22 @@ def test_methods_that_fly_a_single_run_are_warned_of(tmp_path, capsys, monkeypat
 def test_what_cannot_be_flown_is_refused_by_a_dry_run_too(tmp_path, capsys, monkeypatch, more, code, said):
     monkeypatch.setenv("DUALBRAIN_HOME", str(tmp_path / "home"))
     for asked in (more, (*more, "--dry-run")):
-        assert call(["evaluate", *asked, "--out", str(tmp_path / "x")]) == code
+        assert run_command_line(["evaluate", *asked, "--out", str(tmp_path / "x")]) == code
         assert said in capsys.readouterr().err
     assert not (tmp_path / "x").exists()
 
 
 def test_a_dry_run_refuses_a_folder_that_could_not_be_gone_on_with(tmp_path):
     asked = ["evaluate", "--suite", "smoke", "--dry-run", "--out", str(tmp_path)]
-    smoke = open_suite("smoke")
-    Runner(smoke, tmp_path, clock=time.perf_counter, tell=print).prepare(origin())
-    assert call(asked) == 0
-    assert call([*asked, "--methods", "B1"]) == 5  # all that is there has to be named
+    smoke = load_suite("smoke")
+    Runner(smoke, tmp_path, clock=time.perf_counter, on_progress=print).write_config(collect_provenance())
+    assert run_command_line(asked) == 0
+    assert run_command_line([*asked, "--methods", "B1"]) == 5  # all that is there has to be named
     (tmp_path / "config.json").unlink()
-    Runner(smoke, tmp_path, clock=time.perf_counter, tell=print).prepare({**origin(), "code": "another"})
-    assert call(asked) == 5
+    Runner(smoke, tmp_path, clock=time.perf_counter, on_progress=print).write_config(
+        {**collect_provenance(), "code": "another"}
+    )
+    assert run_command_line(asked) == 5
 
 
 @pytest.mark.parametrize(
@@ -133,7 +148,7 @@ def test_weights_that_are_not_there_are_missed_once_and_before_anything_is_flown
 ):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("DUALBRAIN_HOME", str(tmp_path / "home"))
-    assert call(["evaluate", *more, "--jobs", "1", "--out", str(tmp_path / "x")]) == 5
+    assert run_command_line(["evaluate", *more, "--jobs", "1", "--out", str(tmp_path / "x")]) == 5
     said = capsys.readouterr().err
     assert missing in said
     assert len(said.splitlines()) == 1
@@ -142,7 +157,7 @@ def test_weights_that_are_not_there_are_missed_once_and_before_anything_is_flown
 
 def test_cameras_that_cannot_see_are_missed_before_anything_is_flown(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "off")
-    assert call(["evaluate", "--suite", "eyes", "--methods", "B3-depth", "--planner", "template",
+    assert run_command_line(["evaluate", "--suite", "eyes", "--methods", "B3-depth", "--planner", "template",
                  "--out", str(tmp_path / "x")]) == 5  # fmt: skip
     said = capsys.readouterr().err
     assert "cameras of B3-depth" in said
@@ -154,8 +169,8 @@ def test_who_interrupts_is_told_how_to_go_on(tmp_path, capsys, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(evaluate, "_passes", interrupted)
-    assert call(["evaluate", "--suite", "smoke", "--methods", "B1", "--out", str(tmp_path)]) == 130
+    monkeypatch.setattr(evaluate, "_run_stages", interrupted)
+    assert run_command_line(["evaluate", "--suite", "smoke", "--methods", "B1", "--out", str(tmp_path)]) == 130
     said = capsys.readouterr().err
     assert "the same command goes on" in said
     assert "dualbrain: interrupted" in said
@@ -166,6 +181,6 @@ def test_answers_that_are_missing_are_asked_for_in_flight_but_nothing_is_flown_w
     monkeypatch, broken, done
 ):
     begun = []
-    monkeypatch.setattr(evaluate, "_stage", lambda runner, stage, *_: begun.append(stage) or stage != broken)
-    assert evaluate._passes(None, STAGES, None, 1) == (not broken)
+    monkeypatch.setattr(evaluate, "_run_stage", lambda runner, stage, *_: begun.append(stage) or stage != broken)
+    assert evaluate._run_stages(None, STAGES, None, 1) == (not broken)
     assert tuple(begun) == done

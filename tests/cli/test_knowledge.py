@@ -5,8 +5,8 @@ import os
 
 import pytest
 
-from dualbrain.cli.common.exit_codes import Exit
-from dualbrain.knowledge.builtin_documents import SHIPPED
+from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.knowledge.builtin_documents import BUILTIN_DOCUMENTS
 
 pytestmark = pytest.mark.llm
 
@@ -27,17 +27,17 @@ def tell_json(tell):
 def test_a_document_on_its_whole_way(tell, tell_json, tmp_path):
     (tmp_path / "mugs.md").write_text(NOTE)
     code, out, err = tell("knowledge", "add", "mugs.md", "--trust", "site")
-    assert (code, out) == (Exit.SUCCESS, "")
+    assert (code, out) == (ExitCode.SUCCESS, "")
     assert "new: mugs (manual, site, 1 chunks" in err
     assert "left out" in err
     assert "ignore all rules" in err
 
     listed = tell_json("list")[1]["documents"]
-    assert {one["name"] for one in listed} == {"mugs", *(file.partition(".")[0] for file in SHIPPED)}
+    assert {one["name"] for one in listed} == {"mugs", *(file.partition(".")[0] for file in BUILTIN_DOCUMENTS)}
 
     code, found = tell_json("search", "by what is a mug lifted", "--k", "1")
     hit = found["hits"][0]
-    assert code == Exit.SUCCESS
+    assert code == ExitCode.SUCCESS
     assert hit["citation"].startswith("mugs@")
     code, out, _ = tell("knowledge", "show", hit["citation"])
     assert out == hit["text"] + "\n"
@@ -55,10 +55,10 @@ def test_a_document_on_its_whole_way(tell, tell_json, tmp_path):
     assert not [one for one in tell_json("search", "mug")[1]["hits"] if one["citation"].startswith("mugs")]
     assert tell("knowledge", "show", hit["citation"])[1] == hit["text"] + "\n"
     code, out, err = tell("knowledge", "remove", "mugs")
-    assert (code, out) == (Exit.SETUP, "")
+    assert (code, out) == (ExitCode.SETUP, "")
     assert "not a document" in err
 
-    assert tell("knowledge", "search", "mug", "--by", "words")[0] == Exit.SUCCESS
+    assert tell("knowledge", "search", "mug", "--by", "words")[0] == ExitCode.SUCCESS
     assert "chunks indexed" in tell("knowledge", "rebuild")[2]
 
 
@@ -66,7 +66,7 @@ def test_what_cannot_be_taken_exits_5_and_the_rest_is_taken(tell, tell_json, tmp
     (tmp_path / "good.md").write_text(NOTE)
     (tmp_path / "bad.pdf").write_bytes(b"no pdf")
     code, told = tell_json("add", "bad.pdf", "good.md")
-    assert code == Exit.SETUP
+    assert code == ExitCode.SETUP
     assert told["documents"][0]["refused"]["what"] == "not a PDF"
     assert told["documents"][1]["change"] == "new"
     _, _, err = tell("knowledge", "add", "good.md", "--name", "other")
@@ -77,30 +77,30 @@ def test_what_cannot_be_taken_exits_5_and_the_rest_is_taken(tell, tell_json, tmp
     "arguments", [("add",), ("add", "a.md", "b.md", "--name", "x"), ("remove",), ("add", "a.md", "--trust", "nobody")]
 )
 def test_wrong_usage_is_2(tell, arguments):
-    assert tell("knowledge", *arguments)[0] == Exit.USAGE
+    assert tell("knowledge", *arguments)[0] == ExitCode.USAGE
 
 
 @pytest.mark.parametrize("arguments", [("show", "nothing"), ("show", "a@0123456789ab#1-2"), ("add", "nowhere.md")])
 def test_what_is_not_there_exits_5(tell, arguments):
     code, out, err = tell("knowledge", *arguments)
-    assert (code, out) == (Exit.SETUP, "")
+    assert (code, out) == (ExitCode.SETUP, "")
     assert err
 
 
 def test_words_are_found_without_model_files(tell, monkeypatch, tmp_path):
-    assert tell("knowledge", "list")[0] == Exit.SUCCESS
+    assert tell("knowledge", "list")[0] == ExitCode.SUCCESS
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "empty"))
     code, out, _ = tell("knowledge", "search", "wrist singularity", "--by", "words")
-    assert code == Exit.SUCCESS
+    assert code == ExitCode.SUCCESS
     assert "ur5e-notes@" in out
     code, _, err = tell("knowledge", "search", "wrist singularity")
-    assert code == Exit.SETUP
+    assert code == ExitCode.SETUP
     assert "models fetch" in err
 
 
 def test_help_teaches(tell):
     code, out, _ = tell("knowledge", "--help")
-    assert code == Exit.SUCCESS
+    assert code == ExitCode.SUCCESS
     words = " ".join(out.replace("│", " ").split())
     for part in (
         "add",

@@ -6,22 +6,22 @@ import sqlite3
 
 import pytest
 
-from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.memory import open_memory
-from dualbrain.cli.memory.open_memory import encoder, limits_of
-from dualbrain.grounding.vocabulary import vocabulary
+from dualbrain.cli.memory.open_memory import load_encoder, posture_limits
+from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.memory.config import MemoryConfig
 from dualbrain.memory.embedding.posture_features import Posture
 from dualbrain.memory.ledger.ledger import Ledger
 from dualbrain.memory.memory import Memory
-from dualbrain.robots.interface import at_home
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.interface import home_state
+from dualbrain.robots.loader import load_robot
 from tests.memory.memory_samples import NOW, episode
-from tests.stories.story_session import GRASP, PLACE, contract, pause, play, settings
+from tests.stories.story_session import GRASP, PLACE, contract_text, hold_contract, run_config, run_session
 
 pytestmark = pytest.mark.llm
 
-PLAN = json.loads(contract(("grasp", GRASP), ("place", PLACE)))
+PLAN = json.loads(contract_text(("grasp", GRASP), ("place", PLACE)))
 LONG = "20261121T180000Z-put-the-red-cube-in-the-blue-bowl"
 SOURCE = "qwen2.5-coder-1.5b-instruct with an adapter of a long name"
 
@@ -30,18 +30,18 @@ SOURCE = "qwen2.5-coder-1.5b-instruct with an adapter of a long name"
 def made(tmp_path_factory):
     """A ledger with three successes and one failure that contradicts them."""
     path = tmp_path_factory.mktemp("home") / "ledger.sqlite"
-    home = at_home(load_body("panda"))
+    home = home_state(load_robot("panda"))
     with Ledger(path, holder="a test", now=NOW) as ledger:
-        memory = Memory(ledger, encoder(), MemoryConfig(limits_of("panda")))
+        memory = Memory(ledger, load_encoder(), MemoryConfig(posture_limits("panda")))
         for name, kind in (("a", "succeeded"), ("b", "succeeded"), (LONG, "succeeded"), ("odd", "failed")):
             one = episode(
                 name,
                 kind,
                 robot="panda",
-                registry=vocabulary("panda").hash,
+                registry=load_skill_registry("panda").hash,
                 plan=PLAN,
                 Delta=0.001,
-                by=f"{SOURCE} {name}",
+                proposer=f"{SOURCE} {name}",
             )
             memory.store(one, Posture(tuple(home.q.tolist()), home.opening), now=NOW)
     return path
@@ -70,7 +70,7 @@ def _weights(ask):
 
 def test_memory_can_be_looked_at(ask):
     code, told = ask("list", "--outcome", "succeeded", "--limit", "2")
-    assert (code, [row["id"] for row in told["memories"]], told["total"]) == (Exit.SUCCESS, [LONG, "b"], 3)
+    assert (code, [row["id"] for row in told["memories"]], told["total"]) == (ExitCode.SUCCESS, [LONG, "b"], 3)
     assert ask("list", "--at", "1")[1]["total"] == 1
     assert ask("show", "a")[1]["memo"]["provenance"]["skills"] == ["grasp", "place"]
     found = ask("search", "put the red cube in the bowl", "--scene", "bare:0", "--k", "2")[1]
@@ -84,7 +84,7 @@ def test_memory_can_be_looked_at(ask):
 def test_names_can_be_copied_from_a_narrow_listing(tell, filled, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     code, out, _ = tell("memory", "list", "--ledger", filled)
-    assert code == Exit.SUCCESS
+    assert code == ExitCode.SUCCESS
     (row,) = (line for line in out.splitlines() if LONG in line)
     assert row.rstrip().endswith(f"{SOURCE} {LONG}")
     out = tell("memory", "search", "put the red cube in the bowl", "--scene", "bare:0", "--ledger", filled)[1]
@@ -94,12 +94,12 @@ def test_names_can_be_copied_from_a_narrow_listing(tell, filled, monkeypatch):
 
 def test_what_is_changed_can_be_undone(ask):
     before, (code, report) = _weights(ask), ask("audit")
-    assert (code, {one["memory"] for one in report["findings"]}) == (Exit.FAILED_SAFELY, {"odd"})
-    assert ask("quarantine", "odd", "--reason", "contradicted")[0] == Exit.SUCCESS
+    assert (code, {one["memory"] for one in report["findings"]}) == (ExitCode.FAILED_SAFELY, {"odd"})
+    assert ask("quarantine", "odd", "--reason", "contradicted")[0] == ExitCode.SUCCESS
     after = _weights(ask)
     assert after["odd"][1] == "quarantined"
     assert all(after[name][0] > before[name][0] for name in ("a", "b", LONG))
-    assert ask("audit")[0] == Exit.SUCCESS
+    assert ask("audit")[0] == ExitCode.SUCCESS
     ask("release", "odd", "--reason", "a mistake")
     assert _weights(ask) == before
     mark = ask("list")[1]["event"]
@@ -115,37 +115,37 @@ def test_what_is_changed_can_be_undone(ask):
 
 def test_memories_can_be_taken_away_as_lines(tell, filled, tmp_path):
     code, out, _ = tell("memory", "export", "--ledger", filled)
-    assert code == Exit.SUCCESS
+    assert code == ExitCode.SUCCESS
     assert [json.loads(line)["id"] for line in out.splitlines()] == ["a", "b", LONG, "odd"]
-    assert tell("memory", "export", tmp_path / "all.jsonl", "--ledger", filled)[0] == Exit.SUCCESS
+    assert tell("memory", "export", tmp_path / "all.jsonl", "--ledger", filled)[0] == ExitCode.SUCCESS
     assert (tmp_path / "all.jsonl").read_text() == out
     code, out, err = tell("memory", "export", tmp_path / "all.jsonl", "--ledger", filled)
-    assert (code, out) == (Exit.SETUP, "")
+    assert (code, out) == (ExitCode.SETUP, "")
     assert "File exists" in err
 
 
 def test_an_audit_and_a_replay_are_written_down_if_wanted(tell, filled, ask):
     head = ask("list")[1]["event"]
-    assert tell("memory", "audit", "--ledger", filled)[0] == Exit.FAILED_SAFELY
+    assert tell("memory", "audit", "--ledger", filled)[0] == ExitCode.FAILED_SAFELY
     assert ask("list")[1]["event"] == head
     code, out, err = tell("memory", "audit", "--note", "--ledger", filled)
-    assert code == Exit.FAILED_SAFELY
+    assert code == ExitCode.FAILED_SAFELY
     assert "label conflict: odd: " in out
     assert "1 findings in 4 memories" in err
     assert ask("list")[1]["event"] == head + 1
 
     code, told = ask("replay", "a", "--tries", "2", "--no-note")  # nothing stood in its scene, so the gate refuses it
-    assert (code, told["agrees"], told["outcomes"]) == (Exit.FAILED_SAFELY, False, ["refused", "refused"])
+    assert (code, told["agrees"], told["outcomes"]) == (ExitCode.FAILED_SAFELY, False, ["refused", "refused"])
     assert ask("list")[1]["event"] == head + 1
-    assert ask("replay", "odd", "--tries", "1")[0] == Exit.SUCCESS
+    assert ask("replay", "odd", "--tries", "1")[0] == ExitCode.SUCCESS
     assert ask("show", "odd")[1]["history"][-1]["kind"] == "replayed"
 
 
 def test_a_memory_of_a_real_run_stands_when_it_is_replayed(tell, tmp_path):
-    config = settings(tmp_path, "one", instruction="rest a little")
-    play(config, pause(0.5))
+    config = run_config(tmp_path, "one", instruction="rest a little")
+    run_session(config, hold_contract(0.5))
     code, out, err = tell("memory", "replay", "one", "--tries", "1", "--ledger", config.ledger)
-    assert (code, out) == (Exit.SUCCESS, "")
+    assert (code, out) == (ExitCode.SUCCESS, "")
     assert "one (succeeded): stands; 1 of 1 tries ended as remembered" in err
 
 
@@ -170,7 +170,7 @@ NOT_THERE = "is not a memory of this ledger"
 def test_what_cannot_be_done_is_told_and_nothing_is_changed(tell, filled, words, says):
     before = _events(filled)
     code, out, err = tell("memory", *words, "--ledger", filled)
-    assert (code, out) == (Exit.SETUP, "")
+    assert (code, out) == (ExitCode.SETUP, "")
     assert says in err
     assert _events(filled) == before
 
@@ -183,7 +183,7 @@ def _events(path):
 def test_a_ledger_that_is_not_there_is_not_made(tell, tmp_path):
     for words in (("rebuild",), ("list",), ("compact",), ("forget", "a", "--reason", "x")):
         code, out, err = tell("memory", *words, "--ledger", tmp_path / "none.sqlite")
-        assert (code, out) == (Exit.SETUP, "")
+        assert (code, out) == (ExitCode.SETUP, "")
         assert "made by the first `dualbrain run`" in err
         assert not list(tmp_path.glob("none*"))
 
@@ -193,10 +193,10 @@ def test_a_changed_event_is_found_and_memory_refused(tell, filled):
         database.execute("DROP TRIGGER event_is_never_changed")
         database.execute("UPDATE event SET payload = replace(payload, 'red cube', 'red cub3') WHERE seq = 1")
     code, out, err = tell("memory", "verify", "--ledger", filled, "--json")
-    assert (code, json.loads(out)["whole"]) == (Exit.FAILED_SAFELY, False)
+    assert (code, json.loads(out)["whole"]) == (ExitCode.FAILED_SAFELY, False)
     assert "broken at 1: its content does not match its hash" in err
     code, out, err = tell("memory", "audit", "--ledger", filled)
-    assert (code, out) == (Exit.SETUP, "")
+    assert (code, out) == (ExitCode.SETUP, "")
     assert "its content does not match its hash" in err
 
 
@@ -204,15 +204,15 @@ def test_what_is_no_ledger_is_told(tell, tmp_path):
     (tmp_path / "words.sqlite").write_text("words of a person, " * 100)
     for words in (("list",), ("verify",), ("compact",)):
         code, out, err = tell("memory", *words, "--ledger", tmp_path / "words.sqlite")
-        assert (code, out) == (Exit.SETUP, "")
+        assert (code, out) == (ExitCode.SETUP, "")
         assert "file is not a database" in err
 
 
 def test_who_writes_is_named_and_reading_goes_on(tell, filled, monkeypatch):
-    monkeypatch.setattr(open_memory, "PATIENCE", 0.0)
+    monkeypatch.setattr(open_memory, "LOCK_TIMEOUT_S", 0.0)
     with Ledger(filled, holder="dualbrain run tuesday", now=NOW):
         code, out, err = tell("memory", "forget", "a", "--reason", "x", "--ledger", filled)
-        assert (code, out) == (Exit.SETUP, "")
+        assert (code, out) == (ExitCode.SETUP, "")
         assert "(dualbrain run tuesday)" in err
-        assert tell("memory", "list", "--ledger", filled)[0] == Exit.SUCCESS
-    assert tell("memory", "forget", "a", "--reason", "x", "--ledger", filled)[0] == Exit.SUCCESS
+        assert tell("memory", "list", "--ledger", filled)[0] == ExitCode.SUCCESS
+    assert tell("memory", "forget", "a", "--reason", "x", "--ledger", filled)[0] == ExitCode.SUCCESS

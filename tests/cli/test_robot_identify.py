@@ -5,19 +5,19 @@ import json
 import msgspec
 import pytest
 
-from dualbrain.cli.common.exit_codes import Exit
-from dualbrain.robots.loader import encode, load_body
-from dualbrain.robots.model import Body
+from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.robots.loader import encode_robot, load_robot
+from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.config import FilterConfig
 from dualbrain.safety.cbf.kernel import tracking_error
 
-PANDA = load_body("panda")
+PANDA = load_robot("panda")
 SHORT = ("--seeds", 1, "--seconds", 0.5)
 
 
 def test_it_tells_the_model_and_what_to_do_with_it(tell):
     code, out, _ = tell("robot", "identify", *SHORT, "--load", 0.3)
-    assert code == Exit.SUCCESS
+    assert code == ExitCode.SUCCESS
     for word in ("lag", "position error", "rows keep", "carried so far", "--write"):
         assert word in out
 
@@ -33,20 +33,20 @@ def test_the_help_says_what_it_is_for(tell):
 
 def test_json_and_a_new_data_file(tell, tmp_path):
     code, out, err = tell("robot", "identify", *SHORT, "--drive", "velocity", "--json", "--write", "body.json")
-    assert code == Exit.SUCCESS
+    assert code == ExitCode.SUCCESS
     entry = json.loads(out)["entry"]
     assert "body.json" in err
-    body = msgspec.json.decode((tmp_path / "body.json").read_bytes(), type=Body)
-    assert msgspec.to_builtins(body.driven_by("velocity").tracking) == entry
+    body = msgspec.json.decode((tmp_path / "body.json").read_bytes(), type=RobotModel)
+    assert msgspec.to_builtins(body.with_drive("velocity").tracking) == entry
     assert body.tracking == PANDA.tracking, "the other drive is left alone"
     assert "--drive velocity --seeds 1 --seconds 0.5 --load 0.5" in entry["provenance"]
-    assert encode(body) == (tmp_path / "body.json").read_bytes()
+    assert encode_robot(body) == (tmp_path / "body.json").read_bytes()
 
 
 def test_what_is_written_enters_the_rows(tell, tmp_path):
-    (tmp_path / "body.json").write_bytes(encode(PANDA))
+    (tmp_path / "body.json").write_bytes(encode_robot(PANDA))
     tell("robot", "identify", *SHORT, "--load", 1, "--write", "body.json")
-    body = msgspec.json.decode((tmp_path / "body.json").read_bytes(), type=Body)
+    body = msgspec.json.decode((tmp_path / "body.json").read_bytes(), type=RobotModel)
     assert body.tracking != PANDA.tracking
     assert tracking_error(body, FilterConfig()) == pytest.approx(body.alpha * body.tracking.position_error)
     assert tracking_error(body, FilterConfig(alpha=10.0)) > 10.0 * body.tracking.position_error
@@ -58,13 +58,13 @@ def test_what_is_written_enters_the_rows(tell, tmp_path):
 ])  # fmt: skip
 def test_refusals_are_one_line(tell, bad):
     code, out, err = tell("robot", "identify", *bad)
-    assert (code, out) == (Exit.SETUP, "")
+    assert (code, out) == (ExitCode.SETUP, "")
     assert "Traceback" not in err
 
 
 def test_a_file_that_is_no_body_is_left_alone(tell, tmp_path):
     (tmp_path / "body.json").write_text("{}")
     code, _, err = tell("robot", "identify", *SHORT, "--write", "body.json")
-    assert code == Exit.SETUP
+    assert code == ExitCode.SETUP
     assert "body data file" in err
     assert (tmp_path / "body.json").read_text() == "{}"

@@ -1,7 +1,7 @@
 """An exception that nobody expected is told whole, and is neither success nor a task that failed safely."""
 
 from dualbrain.cli import main
-from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.common.exit_codes import ExitCode
 
 
 def test_a_defect_is_no_safe_failure(monkeypatch, capsys):
@@ -9,5 +9,5 @@ def test_a_defect_is_no_safe_failure(monkeypatch, capsys):
         raise ZeroDivisionError("no such thing")
 
     monkeypatch.setattr(main, "app", broken)
-    assert main.call(["doctor"]) == Exit.SETUP
+    assert main.run_command_line(["doctor"]) == ExitCode.SETUP
     assert "ZeroDivisionError: no such thing" in capsys.readouterr().err

@@ -7,7 +7,7 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from dualbrain.contracts.skill_spec import Choice, Name, Number, Text
+from dualbrain.contracts.skill_spec import ChoiceParameter, NameParameter, NumberParameter, TextParameter
 from tests.contracts.contract_strategies import REGISTRY
 
 Document = dict[str, Any]
@@ -15,14 +15,16 @@ Draw = Callable[[st.SearchStrategy[Any]], Any]
 
 NOT_A_NUMBER = st.sampled_from([True, False, None, "0.2", [], {}, [0.2], {"value": 0.2}])
 NOT_A_TEXT = st.sampled_from([True, None, 3, 0.5, [], {}, ["red_cube"]])
-STRANGE = st.sampled_from(["__proto__", "constructor", "prototype", "", "speed ", "Speed", "comment", "x" * 300, "é"])
+STRANGE_KEYS = st.sampled_from(
+    ["__proto__", "constructor", "prototype", "", "speed ", "Speed", "comment", "x" * 300, "é"]
+)
 
 
-def _a_step(document: Document, draw: Draw) -> Document:
+def _draw_step(document: Document, draw: Draw) -> Document:
     return draw(st.sampled_from(document["action_sequence"]))
 
 
-def _a_parameter(document: Document, draw: Draw, kind: Any) -> tuple[Document, Any] | None:
+def _draw_parameter(document: Document, draw: Draw, kind: Any) -> tuple[Document, Any] | None:
     """Params object and spec of one parameter of `kind`, or None if the contract has none."""
     found = [
         (step["params"], parameter)
@@ -37,27 +39,29 @@ def _a_parameter(document: Document, draw: Draw, kind: Any) -> tuple[Document, A
 
 
 def drop_field(document: Document, draw: Draw) -> bool:
-    step = _a_step(document, draw)
+    step = _draw_step(document, draw)
     owner = draw(st.sampled_from([document, document["context"], step, step["params"]]))
     del owner[draw(st.sampled_from(sorted(owner)))]
     return True
 
 
 def add_field(document: Document, draw: Draw) -> bool:
-    step = _a_step(document, draw)
+    step = _draw_step(document, draw)
     owner = draw(st.sampled_from([document, document["context"], step, step["params"]]))
-    owner[draw(STRANGE)] = draw(st.sampled_from([0.2, "text", None, {}, {"isAdmin": True}]))
+    owner[draw(STRANGE_KEYS)] = draw(st.sampled_from([0.2, "text", None, {}, {"isAdmin": True}]))
     return True
 
 
 def mistype_parameter(document: Document, draw: Draw) -> bool:
-    params, parameter = _a_parameter(document, draw, (Number, Choice, Name, Text)) or (None, None)
-    wrong = NOT_A_NUMBER if isinstance(parameter, Number) else NOT_A_TEXT
+    params, parameter = _draw_parameter(
+        document, draw, (NumberParameter, ChoiceParameter, NameParameter, TextParameter)
+    ) or (None, None)
+    wrong = NOT_A_NUMBER if isinstance(parameter, NumberParameter) else NOT_A_TEXT
     params[parameter.name] = draw(wrong)
     return True
 
 
-def mistype_frame(document: Document, draw: Draw) -> bool:
+def mistype_header(document: Document, draw: Draw) -> bool:
     owner, key = draw(
         st.sampled_from(
             [(document, "id"), (document["context"], "robot"), (document["context"], "registry"),
@@ -85,12 +89,12 @@ def empty_sequence(document: Document, draw: Draw) -> bool:
 
 
 def long_sequence(document: Document, draw: Draw) -> bool:
-    step = _a_step(document, draw)
+    step = _draw_step(document, draw)
     document["action_sequence"] = [copy.deepcopy(step) for _ in range(draw(st.integers(9, 12)))]
     return True
 
 
-def bad_id(document: Document, draw: Draw) -> bool:
+def malformed_id(document: Document, draw: Draw) -> bool:
     document["id"] = draw(
         st.sampled_from(["", "c-1", "c-00001", "C-0001", "c-0001\n", "c-٠٠٠١", "c_0001", " c-0001", "x" * 99])
     )
@@ -114,7 +118,7 @@ def other_registry(document: Document, draw: Draw) -> bool:
 
 
 def unknown_skill(document: Document, draw: Draw) -> bool:
-    step = _a_step(document, draw)
+    step = _draw_step(document, draw)
     step["skill"] = draw(
         st.sampled_from(["grаsp", "Grasp", "grasp ", "push", "", "__class__", "motion_01", "move-to", "ɡrasp"])
     )
@@ -125,7 +129,7 @@ def unknown_skill(document: Document, draw: Draw) -> bool:
 
 
 def out_of_bounds(document: Document, draw: Draw) -> bool:
-    found = _a_parameter(document, draw, Number)
+    found = _draw_parameter(document, draw, NumberParameter)
     if found is None:
         return False
     params, number = found
@@ -136,7 +140,7 @@ def out_of_bounds(document: Document, draw: Draw) -> bool:
 
 
 def unknown_word(document: Document, draw: Draw) -> bool:
-    found = _a_parameter(document, draw, (Choice, Name))
+    found = _draw_parameter(document, draw, (ChoiceParameter, NameParameter))
     if found is None:
         return False
     params, parameter = found
@@ -144,8 +148,8 @@ def unknown_word(document: Document, draw: Draw) -> bool:
     return True
 
 
-def bad_text(document: Document, draw: Draw) -> bool:
-    found = _a_parameter(document, draw, Text)
+def unsafe_text(document: Document, draw: Draw) -> bool:
+    found = _draw_parameter(document, draw, TextParameter)
     if found is None:
         return False
     params, text = found
@@ -159,9 +163,9 @@ def bad_text(document: Document, draw: Draw) -> bool:
 
 MUTATIONS: dict[str, list[Callable[[Document, Draw], bool]]] = {
     "syntax": [
-        drop_field, add_field, mistype_parameter, mistype_frame, mistype_branch, empty_sequence, long_sequence, bad_id,
+        drop_field, add_field, mistype_parameter, mistype_header, mistype_branch, empty_sequence, long_sequence, malformed_id,
     ],
     "authorization": [other_robot, other_registry, unknown_skill],
-    "envelope": [out_of_bounds, unknown_word, bad_text],
+    "envelope": [out_of_bounds, unknown_word, unsafe_text],
 }  # fmt: skip
 """By stage; each changes the document in place and says whether it found something to change."""

@@ -6,10 +6,10 @@ import msgspec
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from dualbrain.contracts.canonical_form import canonical_contract, canonical_order
+from dualbrain.contracts.canonical_form import canonical_contract, reorder_contract
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.schema import decoding_schema
-from tests.contracts.contract_strategies import NAMES, REGISTRY, contracts
+from tests.contracts.contract_strategies import NAMES, REGISTRY, contract_strategy
 
 
 def shuffled(value, rng):
@@ -24,7 +24,7 @@ def shuffled(value, rng):
 
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow], deadline=None)
-@given(contracts(), st.randoms(use_true_random=False))
+@given(contract_strategy(), st.randoms(use_true_random=False))
 def test_the_text_says_the_same_in_whatever_order_it_came(document, rng):
     contract = msgspec.convert(document, Contract)
     text = canonical_contract(contract, REGISTRY)
@@ -34,11 +34,11 @@ def test_the_text_says_the_same_in_whatever_order_it_came(document, rng):
 
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow], deadline=None)
-@given(contracts())
+@given(contract_strategy())
 def test_what_was_kept_with_sorted_keys_is_put_in_the_order_of_the_text(document):
     text = canonical_contract(msgspec.convert(document, Contract), REGISTRY)
     kept = json.loads(json.dumps(document, sort_keys=True))
-    assert list(written(canonical_order(kept, REGISTRY))) == list(written(json.loads(text)))
+    assert list(written(reorder_contract(kept, REGISTRY))) == list(written(json.loads(text)))
 
 
 def written(value, path=()):
@@ -68,11 +68,11 @@ def written(value, path=()):
 def test_nothing_is_lost_or_made_up_whatever_was_kept(value):
     for document in ({"action_sequence": value}, value):
         if isinstance(document, dict):
-            assert canonical_order(document, REGISTRY) == document
+            assert reorder_contract(document, REGISTRY) == document
 
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow], deadline=None)
-@given(contracts())
+@given(contract_strategy())
 def test_keys_stand_in_the_order_of_the_decoding_schema(document):
     text = canonical_contract(msgspec.convert(document, Contract), REGISTRY)
     assert follows(json.loads(text), decoding_schema(REGISTRY, NAMES))

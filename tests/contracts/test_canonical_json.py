@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dualbrain.contracts.canonical_json import canonical_json
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import ConfigurationError
 
 VALUES = st.recursive(
     st.none()
@@ -65,5 +65,5 @@ def test_reading_it_gives_the_value_back_and_writing_is_stable(value: Any) -> No
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), 2**53 + 1, b"", {1}])
 def test_what_json_cannot_say_is_refused(value: object) -> None:
-    with pytest.raises(InvalidSetup):
+    with pytest.raises(ConfigurationError):
         canonical_json(value)

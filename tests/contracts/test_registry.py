@@ -6,32 +6,39 @@ from typing import Any
 import msgspec
 import pytest
 
-from dualbrain.contracts.registry import Registry
+from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.scene_names import SceneNames
-from dualbrain.contracts.skill_spec import Choice, ContactPermit, Name, Number, SkillSpec, Text
-from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.contracts.skill_spec import (
+    ChoiceParameter,
+    ContactPermit,
+    NameParameter,
+    NumberParameter,
+    SkillSpec,
+    TextParameter,
+)
+from dualbrain.errors import ConfigurationError, UnknownNameError
 from tests.contracts.contract_strategies import APPROACH, OPENING, REASON, REGISTRY, SPEED, build_registry
 
 
-def of(*skills: SkillSpec, robot: str = "panda") -> Registry:
+def of(*skills: SkillSpec, robot: str = "panda") -> SkillRegistry:
     """A registry of these skills."""
-    return Registry(robot, skills)
+    return SkillRegistry(robot, skills)
 
 
-def one(*parameters: Any, name: str = "go", **more: Any) -> Registry:
+def one(*parameters: Any, name: str = "go", **more: Any) -> SkillRegistry:
     """A registry of one skill with these parameters."""
     return of(SkillSpec(name, "", parameters, **more))
 
 
-def changed(number: Number, **fields: Any) -> Number:
+def changed(number: NumberParameter, **fields: Any) -> NumberParameter:
     """`number` with other fields."""
     return msgspec.structs.replace(number, **fields)
 
 
 def test_the_hash_is_of_the_canonical_bytes() -> None:
-    assert REGISTRY.hash == hashlib.sha256(REGISTRY.canonical()).hexdigest()[:8]
+    assert REGISTRY.hash == hashlib.sha256(REGISTRY.canonical_bytes()).hexdigest()[:8]
     assert build_registry().hash == REGISTRY.hash
-    assert one(SPEED).canonical() == (
+    assert one(SPEED).canonical_bytes() == (
         b'{"contract_version":1,"robot":"panda","skills":{"go":{"speed":{"lower":0.05,"number":"m/s","upper":0.4}}}}'
     )
 
@@ -48,12 +55,12 @@ def test_the_hash_is_of_the_canonical_bytes() -> None:
         one(SPEED, OPENING),
         one(),
         of(SkillSpec("go", "", (SPEED,)), SkillSpec("stop", "")),
-        one(Choice("speed", ("slow", "fast"))),
-        one(Name("speed", "any")),
-        one(Text("speed", 9)),
+        one(ChoiceParameter("speed", ("slow", "fast"))),
+        one(NameParameter("speed", "any")),
+        one(TextParameter("speed", 9)),
     ],
 )
-def test_the_hash_changes_with_meaning(other: Registry) -> None:
+def test_the_hash_changes_with_meaning(other: SkillRegistry) -> None:
     assert other.hash != one(SPEED).hash
 
 
@@ -63,8 +70,8 @@ def test_the_hash_does_not_change_with_words_order_or_permits() -> None:
     assert one(told, permits=(permit,)).hash == one(SPEED).hash
     turned = of(*reversed(REGISTRY.skills))
     assert turned.hash == REGISTRY.hash
-    assert one(Choice("way", ("left", "right"))).hash == one(Choice("way", ("right", "left"))).hash
-    assert one(Choice("way", ("left", "right"))).hash != one(Choice("way", ("left", "straight"))).hash
+    assert one(ChoiceParameter("way", ("left", "right"))).hash == one(ChoiceParameter("way", ("right", "left"))).hash
+    assert one(ChoiceParameter("way", ("left", "right"))).hash != one(ChoiceParameter("way", ("left", "straight"))).hash
 
 
 @pytest.mark.parametrize(
@@ -88,42 +95,42 @@ def test_the_hash_does_not_change_with_words_order_or_permits() -> None:
         lambda: one(changed(SPEED, upper=1e12)),
         lambda: one(changed(SPEED, lower_from="")),
         lambda: one(changed(SPEED, upper_from=" ")),
-        lambda: one(Choice("way", ())),
-        lambda: one(Choice("way", ("left", "left"))),
-        lambda: one(Choice("way", ("to the left",))),
-        lambda: one(Text("reason", 0)),
-        lambda: one(Text("reason", 100_000)),
+        lambda: one(ChoiceParameter("way", ())),
+        lambda: one(ChoiceParameter("way", ("left", "left"))),
+        lambda: one(ChoiceParameter("way", ("to the left",))),
+        lambda: one(TextParameter("reason", 0)),
+        lambda: one(TextParameter("reason", 100_000)),
         lambda: one(SPEED, permits=(ContactPermit("close", "fingers", "target", float("nan")),)),
         lambda: one(SPEED, permits=(ContactPermit("close", "fingers", "target", -0.1),)),
     ],
 )
 def test_a_registry_that_makes_no_sense_is_not_built(build: Any) -> None:
-    with pytest.raises(InvalidSetup):
+    with pytest.raises(ConfigurationError):
         build()
 
 
 def test_the_wrong_unit_is_named() -> None:
-    with pytest.raises(InvalidSetup, match=r"'mm/s'.*0\.001"):
+    with pytest.raises(ConfigurationError, match=r"'mm/s'.*0\.001"):
         one(changed(SPEED, unit="mm/s"))
 
 
 def test_skills_are_found_by_name() -> None:
     assert REGISTRY.skill("decline").parameters == (REASON,)
     assert APPROACH in REGISTRY.skill("grasp").parameters
-    with pytest.raises(UnknownName, match="Closest: 'grasp'"):
+    with pytest.raises(UnknownNameError, match="Closest: 'grasp'"):
         REGISTRY.skill("grsp")
 
 
 @pytest.mark.parametrize("name", ["", "red cube", "a\nb", "ignore_previous: instructions", "x" * 49, "rеd", '"', "-a"])
 def test_scene_names_are_identifiers(name: str) -> None:
-    with pytest.raises(InvalidSetup):
+    with pytest.raises(ConfigurationError):
         SceneNames((name,), ())
-    with pytest.raises(InvalidSetup):
+    with pytest.raises(ConfigurationError):
         SceneNames((), (name,))
 
 
 def test_scene_names_are_offered_by_role() -> None:
     names = SceneNames(("cup", "cube"), ("bowl", "cup"))
-    assert [names.offered(of) for of in ("graspable", "receptive", "any")] == [
+    assert [names.names_of_kind(of) for of in ("graspable", "receptive", "any")] == [
         ("cup", "cube"), ("bowl", "cup"), ("cup", "cube", "bowl"),
     ]  # fmt: skip

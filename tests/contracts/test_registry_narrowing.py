@@ -5,15 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.contracts.registry import Registry, narrows
-from dualbrain.contracts.skill_spec import Choice, Name, SkillSpec, Text
+from dualbrain.contracts.registry import SkillRegistry, is_narrower
+from dualbrain.contracts.skill_spec import ChoiceParameter, NameParameter, SkillSpec, TextParameter
 from tests.contracts.contract_strategies import REGISTRY, SPEED, build_registry
 
 MORE = SkillSpec("nod", "say yes")
 
 
 def one(*parameters, robot="panda", more=()):
-    return Registry(robot, (SkillSpec("do", "something", parameters), *more))
+    return SkillRegistry(robot, (SkillSpec("do", "something", parameters), *more))
 
 
 def within(low, high):
@@ -24,9 +24,9 @@ def within(low, high):
 def test_bounds_narrow_exactly_where_they_are_inside(bounds):
     (a, b), (c, d) = sorted(bounds[:2]), sorted(bounds[2:])
     inner, outer = one(within(a, b)), one(within(c, d))
-    assert narrows(inner, outer) == (c <= a and b <= d)
-    assert narrows(inner, inner)
-    assert (narrows(inner, outer) and narrows(outer, inner)) == (inner.hash == outer.hash)
+    assert is_narrower(inner, outer) == (c <= a and b <= d)
+    assert is_narrower(inner, inner)
+    assert (is_narrower(inner, outer) and is_narrower(outer, inner)) == (inner.hash == outer.hash)
 
 
 @pytest.mark.parametrize(
@@ -36,20 +36,20 @@ def test_bounds_narrow_exactly_where_they_are_inside(bounds):
         ((), (SPEED,)),
         ((SPEED,), (msgspec.structs.replace(SPEED, name="pace"),)),
         ((SPEED,), (msgspec.structs.replace(SPEED, unit="rad/s"),)),
-        ((SPEED,), (Text("speed", 9),)),
-        ((Choice("way", ("left",)),), (Choice("way", ("left", "right")),)),
-        ((Choice("way", ("left", "right")),), (Choice("way", ("left",)),)),
-        ((Name("thing", "graspable"),), (Name("thing", "any"),)),
-        ((Text("why", 10),), (Text("why", 9),)),
+        ((SPEED,), (TextParameter("speed", 9),)),
+        ((ChoiceParameter("way", ("left",)),), (ChoiceParameter("way", ("left", "right")),)),
+        ((ChoiceParameter("way", ("left", "right")),), (ChoiceParameter("way", ("left",)),)),
+        ((NameParameter("thing", "graspable"),), (NameParameter("thing", "any"),)),
+        ((TextParameter("why", 10),), (TextParameter("why", 9),)),
     ],
 )
 def test_other_parameters_units_and_choices_are_another_vocabulary(ours, theirs):
-    assert not narrows(one(*ours), one(*theirs))
+    assert not is_narrower(one(*ours), one(*theirs))
 
 
 def test_other_skills_and_another_robot_are_another_vocabulary():
     for other in (one(SPEED, robot="ur5e"), one(SPEED, more=(MORE,))):
-        assert not narrows(one(SPEED), other)
-        assert not narrows(other, one(SPEED))
-    assert narrows(REGISTRY, build_registry())
-    assert narrows(one(Text("why", 9)), one(Text("why", 10)))
+        assert not is_narrower(one(SPEED), other)
+        assert not is_narrower(other, one(SPEED))
+    assert is_narrower(REGISTRY, build_registry())
+    assert is_narrower(one(TextParameter("why", 9)), one(TextParameter("why", 10)))

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.contracts.registry import Registry
+from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.scene_names import SceneNames
-from dualbrain.contracts.schema import decoding_schema, short_form, syntax_schema, validation_schema
-from dualbrain.contracts.skill_spec import Name, Number
-from tests.contracts.contract_strategies import NAMES, REGISTRY, contracts
+from dualbrain.contracts.schema import decoding_schema, describe_skills, syntax_schema, validation_schema
+from dualbrain.contracts.skill_spec import NameParameter, NumberParameter
+from tests.contracts.contract_strategies import NAMES, REGISTRY, contract_strategy
 from tests.contracts.mutations import MUTATIONS
 
 DECODED = {
@@ -58,7 +58,7 @@ def test_the_decoding_schema_uses_only_what_decoders_enforce(names: SceneNames) 
 
 @settings(max_examples=200, deadline=None)
 @given(
-    contracts(),
+    contract_strategy(),
     st.lists(st.sampled_from([m for ms in MUTATIONS.values() for m in ms]), max_size=1),
     st.sampled_from(FORMS),
     st.data(),
@@ -92,7 +92,7 @@ def test_a_skill_without_anything_to_act_on_cannot_be_decoded() -> None:
 
 
 def test_a_registry_with_nothing_to_call_admits_nothing() -> None:
-    grasp = Registry("panda", (REGISTRY.skill("grasp"),))
+    grasp = SkillRegistry("panda", (REGISTRY.skill("grasp"),))
     schema = decoding_schema(grasp, SceneNames())
     document = {"id": "c-0001", "context": {"robot": "panda", "registry": grasp.hash}, "action_sequence": [{}]}
     assert not jsonschema_rs.Draft7Validator(schema).is_valid(document)
@@ -102,7 +102,7 @@ def test_every_number_says_its_unit_and_where_its_bounds_come_from() -> None:
     branches = validation_schema(REGISTRY, NAMES)["properties"]["action_sequence"]["items"]["allOf"]
     for branch, skill in zip(branches, REGISTRY.skills, strict=True):
         properties = branch["then"]["properties"]["params"]["properties"]
-        for number in (p for p in skill.parameters if isinstance(p, Number)):
+        for number in (p for p in skill.parameters if isinstance(p, NumberParameter)):
             schema = properties[number.name]
             assert schema["x-unit"] == number.unit
             assert f"[{number.unit}]" in schema["description"]
@@ -120,18 +120,18 @@ def test_errors_of_the_validation_schema_name_the_exact_place() -> None:
 
 
 def test_the_short_form_names_everything_the_schema_bounds() -> None:
-    text = short_form(REGISTRY, NAMES)
+    text = describe_skills(REGISTRY, NAMES)
     for skill in REGISTRY.skills:
         (line,) = [line for line in text.splitlines() if line.startswith(f"{skill.name}(")]
         assert skill.description in line
         for parameter in skill.parameters:
             assert f"{parameter.name}: " in line
-            if isinstance(parameter, Number):
+            if isinstance(parameter, NumberParameter):
                 assert f"{parameter.lower:g}..{parameter.upper:g} {parameter.unit}" in line
-            if isinstance(parameter, Name) and parameter.of != "any":
+            if isinstance(parameter, NameParameter) and parameter.of != "any":
                 assert f"{parameter.of} name" in line
     assert "graspable: red_cube, blue_cube, tall_cup" in text
-    assert short_form(REGISTRY, SceneNames()).endswith("graspable: nothing\nreceptive: nothing")
+    assert describe_skills(REGISTRY, SceneNames()).endswith("graspable: nothing\nreceptive: nothing")
 
 
 @pytest.mark.parametrize("identity", ["c-0001\n", "c-00011", "xc-0001", "c-٠٠٠١"])

@@ -7,24 +7,24 @@ import numpy as np
 import pytest
 
 from dualbrain.contracts.contract import Action, Context, Contract
-from dualbrain.control.contract_executor import LocalLayer
-from dualbrain.control.control_loop import LayerConfig
+from dualbrain.control.contract_executor import ContractExecutor
+from dualbrain.control.control_loop import ExecutorConfig
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Trace
-from dualbrain.robots.interface import at_home
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.interface import home_state
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
-from dualbrain.safety.cbf.result import Status
+from dualbrain.safety.cbf.result import FilterStatus
 from tests.grounding.perceived_scenes import bowl, box, scene
 
-BODY = load_body("panda")
+BODY = load_robot("panda")
 
 
 class Still:
     """A robot that stands where it is told to stand, and a world in which only time passes."""
 
     def __init__(self):
-        self.state, self.written, self.stopped = at_home(BODY), [], False
+        self.state, self.written, self.stopped = home_state(BODY), [], False
 
     def read(self):
         return self.state
@@ -54,8 +54,8 @@ def layer(status=None, since=0.1, until=99.0, interrupted=lambda: False, guard=T
 
     safety.filter = said
     log = FlightLog(Trace(BODY.n))
-    config = LayerConfig(guard=guard, settle=0.05)
-    return robot, LocalLayer(BODY, robot, robot, safety, log, config, interrupted=interrupted)
+    config = ExecutorConfig(guard=guard, settle_time=0.05)
+    return robot, ContractExecutor(BODY, robot, robot, safety, log, config, interrupted=interrupted)
 
 
 def rest(seconds=1.0):
@@ -64,15 +64,15 @@ def rest(seconds=1.0):
 
 def test_a_good_filter_lets_the_contract_finish():
     robot, one = layer()
-    outcome = one.run(rest())
+    outcome = one.execute(rest())
     assert (outcome.kind, outcome.Delta) == ("succeeded", 0.0)
     assert not robot.stopped
     assert outcome.duration == pytest.approx(2.0, abs=0.01)
 
 
 def test_an_infeasible_filter_for_longer_than_50_ms_takes_over():
-    robot, one = layer(Status.RELAXED)
-    outcome = one.run(rest())
+    robot, one = layer(FilterStatus.RELAXED)
+    outcome = one.execute(rest())
     assert outcome.kind == "taken_over"
     assert "no safe control for 50 ms" in outcome.reason
     assert [action.status for action in outcome.actions] == ["taken_over", "not_run"]
@@ -81,14 +81,14 @@ def test_an_infeasible_filter_for_longer_than_50_ms_takes_over():
 
 
 def test_an_infeasible_filter_for_less_than_50_ms_clears_by_itself():
-    _, one = layer(Status.RELAXED, 0.1, 0.145)
-    assert one.run(rest()).kind == "succeeded"
+    _, one = layer(FilterStatus.RELAXED, 0.1, 0.145)
+    assert one.execute(rest()).kind == "succeeded"
 
 
-@pytest.mark.parametrize("status", [Status.STOPPED, Status.FAULT])
+@pytest.mark.parametrize("status", [FilterStatus.STOPPED, FilterStatus.FAULT])
 def test_a_stopped_or_faulty_filter_stops_the_robot(status):
     robot, one = layer(status)
-    outcome = one.run(rest())
+    outcome = one.execute(rest())
     assert outcome.kind == "stopped"
     assert status.name in outcome.reason
     assert robot.stopped
@@ -105,7 +105,7 @@ def test_an_interruption_stops_the_robot_after_braking():
             asked.append(1)
 
     robot.advance = advance
-    outcome = one.run(rest())
+    outcome = one.execute(rest())
     assert outcome.kind == "aborted"
     assert robot.stopped
     assert [action.status for action in outcome.actions] == ["stopped", "not_run"]
@@ -114,7 +114,7 @@ def test_an_interruption_stops_the_robot_after_braking():
 
 def test_without_guard_the_nominal_is_written_as_it_is():
     robot, one = layer(guard=False)
-    one.run(rest(0.5))
+    one.execute(rest(0.5))
     trace = one.log.trace
     assert np.array_equal(trace["u"], trace["u_nom"].astype(np.float32))
     assert not np.any(trace["delta"])
@@ -123,6 +123,6 @@ def test_without_guard_the_nominal_is_written_as_it_is():
 
 def test_a_decline_moves_nothing():
     robot, one = layer()
-    outcome = one.run(Contract("c-1", Context("panda", ""), (Action("decline", {"reason": "no"}),)))
+    outcome = one.execute(Contract("c-1", Context("panda", ""), (Action("decline", {"reason": "no"}),)))
     assert (outcome.kind, outcome.Delta) == ("declined", None)
     assert all(np.allclose(command.u, 0.0) for command in robot.written)

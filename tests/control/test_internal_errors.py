@@ -13,23 +13,23 @@ from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.control import contract_executor
-from dualbrain.control.contract_executor import LocalLayer
-from dualbrain.control.control_loop import LayerConfig
+from dualbrain.control.contract_executor import ContractExecutor
+from dualbrain.control.control_loop import ExecutorConfig
 from dualbrain.control.recording import recorder as recorder_module
 from dualbrain.control.recording.channels import recording_state
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.recorder import Recorder
 from dualbrain.control.recording.trace import Event, Trace
-from dualbrain.grounding.vocabulary import grants, vocabulary
+from dualbrain.grounding.vocabulary import load_skill_registry, planner_grants
 from dualbrain.memory.memory import Memory
 from dualbrain.records import Episode
-from dualbrain.robots.interface import at_home
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.interface import home_state
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
 from tests.grounding.perceived_scenes import bowl, box, scene
-from tests.stories.story_session import pause, play, settings
+from tests.stories.story_session import hold_contract, run_config, run_session
 
-BODY = load_body("panda")
+BODY = load_robot("panda")
 GRASP = {
     "object": "red_cube", "speed": 0.2, "clearance": 0.1, "finger_axis": "along", "opening": 0.08, "approach": "top",
     "wait": "none", "force": 10.0,
@@ -40,7 +40,7 @@ class World:
     """A robot that stands still, and a scene that `seen(t)` describes."""
 
     def __init__(self, seen):
-        self.state, self.seen, self.stopped = at_home(BODY), seen, False
+        self.state, self.seen, self.stopped = home_state(BODY), seen, False
 
     def read(self):
         return self.state
@@ -66,10 +66,10 @@ def crowd(count):
 def run(seen, *actions, interrupted=lambda: False):
     world = World(seen)
     log = FlightLog(Trace(BODY.n))
-    layer = LocalLayer(
-        BODY, world, world, SafetyFilter(BODY), log, LayerConfig(settle=0.1), interrupted=interrupted
+    layer = ContractExecutor(
+        BODY, world, world, SafetyFilter(BODY), log, ExecutorConfig(settle_time=0.1), interrupted=interrupted
     )  # fmt: skip
-    return world, layer.run(Contract("c-1", Context("panda", ""), actions)), log.trace
+    return world, layer.execute(Contract("c-1", Context("panda", ""), actions)), log.trace
 
 
 def test_a_target_that_is_gone_ends_the_contract_stopped():
@@ -98,7 +98,7 @@ def test_a_fault_after_an_interruption_leaves_it_an_interruption():
 
 
 def test_an_action_that_never_ends_is_taken_over(monkeypatch):
-    monkeypatch.setattr(contract_executor, "LONGEST", 0.2)
+    monkeypatch.setattr(contract_executor, "MAX_ACTION_TIME", 0.2)
     world, outcome, _ = run(lambda t: scene(), Action("hold", {"duration": 20.0}))
     assert (outcome.kind, outcome.reason) == ("taken_over", "hold: not done after 0 s")
     assert not world.stopped
@@ -108,8 +108,8 @@ def test_a_rule_that_raises_refuses():
     def broken(contract):
         raise ZeroDivisionError("no such thing")
 
-    registry = vocabulary("panda")
-    gate = Gate(registry, grants(registry), (broken,))
+    registry = load_skill_registry("panda")
+    gate = Gate(registry, planner_grants(registry), (broken,))
     text = {
         "id": "c-0001", "context": {"robot": "panda", "registry": registry.hash},
         "action_sequence": [{"skill": "hold", "params": {"duration": 1.0}}],
@@ -124,9 +124,9 @@ def test_what_moved_is_on_record_even_when_memory_cannot_take_it(tmp_path, monke
         raise OSError("no space left")
 
     monkeypatch.setattr(Memory, "store", full)
-    config = settings(tmp_path)
+    config = run_config(tmp_path)
     with pytest.raises(OSError, match="no space left"):
-        play(config, pause())
+        run_session(config, hold_contract())
     episode = msgspec.json.decode((config.out / "episode.json").read_bytes(), type=Episode)
     assert episode.outcome.kind == "succeeded"
 

@@ -4,24 +4,24 @@ import numpy as np
 import pytest
 
 from dualbrain.contracts.contract import Action, Context, Contract
-from dualbrain.control.contract_executor import LocalLayer
-from dualbrain.control.control_loop import LayerConfig
+from dualbrain.control.contract_executor import ContractExecutor
+from dualbrain.control.control_loop import ExecutorConfig
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Trace
-from dualbrain.control.residual_contacts import CLEAR, Leftover
+from dualbrain.control.residual_contacts import CLEARANCE, ResidualContacts
 from dualbrain.core.geometry.shapes import Box, Pose
 from dualbrain.records import Scene, SceneObject
-from dualbrain.robots.interface import at_home
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.interface import home_state
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.supervisor.conditions import Condition
-from dualbrain.simulation.perception.noisy_perception import Noise, Perception
+from dualbrain.simulation.perception.noisy_perception import NoisyPerception, PerceptionNoise
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.simulation.world import SimulatedWorld
-from dualbrain.skills.skill import Touch
+from dualbrain.skills.skill import PermittedContact
 
-BODY = load_body("panda")
+BODY = load_robot("panda")
 GRASP = {
     "object": "red_cube", "speed": 0.4, "clearance": 0.1, "finger_axis": "along", "opening": 0.08, "approach": "top",
     "wait": "none", "force": 20.0,
@@ -35,11 +35,11 @@ class Stopped:
     def __init__(self, strikes, flag=Condition.LINK_LOST):
         spec = open_scene("bare:0")
         self.plant, self.until, self.strikes, self.flag = Plant(spec, BODY), None, strikes, flag
-        self.world = SimulatedWorld(self.plant, Perception(spec, Noise(), np.random.default_rng([0, 1])))
+        self.world = SimulatedWorld(self.plant, NoisyPerception(spec, PerceptionNoise(), np.random.default_rng([0, 1])))
         self.log = FlightLog(Trace(BODY.n))
-        self.layer = LocalLayer(
-            BODY, self.plant, self.world, SafetyFilter(BODY), self.log, LayerConfig(),
-            phase_changed=self.world.allow, clock=lambda: self.plant.now, asked=self.asked,
+        self.layer = ContractExecutor(
+            BODY, self.plant, self.world, SafetyFilter(BODY), self.log, ExecutorConfig(),
+            on_phase=self.world.set_phase, clock=lambda: self.plant.now, external_conditions=self.asked,
         )  # fmt: skip
         self.outcome = self.run("grasp", GRASP)
 
@@ -49,7 +49,7 @@ class Stopped:
         return int(self.flag) if self.until is not None and self.plant.now < self.until else 0
 
     def run(self, skill, params):
-        return self.layer.run(Contract("c-1", Context("panda", ""), (Action(skill, params),)))
+        return self.layer.execute(Contract("c-1", Context("panda", ""), (Action(skill, params),)))
 
     def unharmed(self):
         return self.world.judgement().violations == ()
@@ -73,8 +73,8 @@ def around(layer):
 def test_a_thing_that_the_fingers_were_stopped_on_is_held_and_can_be_put_down():
     story = Stopped(closing)
     assert story.outcome.kind == "stopped"
-    assert story.layer.limb.holding is not None, "it is between the fingers, and they press on it"
-    assert story.layer.limb.holding.name == "red_cube"
+    assert story.layer.controller.holding is not None, "it is between the fingers, and they press on it"
+    assert story.layer.controller.holding.name == "red_cube"
     then = story.run("place", PLACE)
     assert (then.kind, then.reason) == ("succeeded", "red_cube is at blue_bowl")
     assert then.delta_peak < 0.02
@@ -84,7 +84,7 @@ def test_a_thing_that_the_fingers_were_stopped_on_is_held_and_can_be_put_down():
 def test_open_fingers_that_were_stopped_around_a_thing_get_away_from_it():
     story = Stopped(around)
     assert story.outcome.kind == "stopped"
-    assert story.layer.limb.holding is None
+    assert story.layer.controller.holding is None
     told, permit = [], story.layer.safety.permit
     story.layer.safety.permit = lambda contacts: (
         told.append({(contact.robot_part, contact.obstacle) for contact in contacts}) or permit(contacts)
@@ -100,7 +100,7 @@ def test_open_fingers_that_were_stopped_around_a_thing_get_away_from_it():
 def seen(gap, part="fingers"):
     """A cube beside the part of an arm at home, `gap` [m] from its nearest ball."""
     safety = SafetyFilter(BODY)
-    state = at_home(BODY)
+    state = home_state(BODY)
     centres, radii, groups = safety.spheres(state.q, state.opening)
     balls = [k for k, group in enumerate(groups) if group == part]
     low = min(balls, key=lambda k: centres[k, 2] - radii[k])
@@ -109,36 +109,36 @@ def seen(gap, part="fingers"):
     return safety, state, Scene("panda", 0.0, 1, (cube,))
 
 
-FINGERS, LOAD = Touch("fingers", "cube", 0.05), Touch("held", "table", 0.05)
+FINGERS, LOAD = PermittedContact("fingers", "cube", 0.05), PermittedContact("held", "table", 0.05)
 
 
-@pytest.mark.parametrize("gap", [-0.01, 0.0, 0.8 * CLEAR, 1.2 * CLEAR, 0.1])
+@pytest.mark.parametrize("gap", [-0.01, 0.0, 0.8 * CLEARANCE, 1.2 * CLEARANCE, 0.1])
 def test_contacts_stay_until_they_are_clear(gap):
     safety, state, scene = seen(gap)
-    left = Leftover(safety)
-    left.keep("descend", (FINGERS, LOAD), state, scene)
-    assert (left.touches == (FINGERS, LOAD)) == (gap < CLEAR)
-    assert left.closing_on == ""
-    if gap >= CLEAR:
+    left = ResidualContacts(safety)
+    left.retain("descend", (FINGERS, LOAD), state, scene)
+    assert (left.touches == (FINGERS, LOAD)) == (gap < CLEARANCE)
+    assert left.closing_target == ""
+    if gap >= CLEARANCE:
         assert left.touches == ()
 
 
 def test_what_is_not_seen_is_not_known_to_be_clear():
     safety, state, scene = seen(0.0)
-    left = Leftover(safety)
-    left.keep("close", (FINGERS,), state, scene)
-    assert left.closing_on == "cube"
+    left = ResidualContacts(safety)
+    left.retain("close", (FINGERS,), state, scene)
+    assert left.closing_target == "cube"
     assert not left.update(state, Scene("panda", 0.1, 2, ()))
-    assert left.names == {"cube"}
+    assert left.object_names == {"cube"}
     _, _, away = seen(0.1)
     assert left.update(state, away)
-    assert (left.touches, left.closing_on) == ((), "")
+    assert (left.touches, left.closing_target) == ((), "")
 
 
 def test_a_pair_is_permitted_once():
     safety, state, scene = seen(0.0)
-    left = Leftover(safety)
-    left.keep("close", (FINGERS,), state, scene)
-    wanted = (Touch("fingers", "cube", 0.02), Touch("hand", "cube", 0.02))
-    assert left.beside(wanted) == wanted
-    assert left.beside(()) == (FINGERS,)
+    left = ResidualContacts(safety)
+    left.retain("close", (FINGERS,), state, scene)
+    wanted = (PermittedContact("fingers", "cube", 0.02), PermittedContact("hand", "cube", 0.02))
+    assert left.combine(wanted) == wanted
+    assert left.combine(()) == (FINGERS,)

@@ -4,22 +4,22 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.control.scene_monitor import SceneWatch
+from dualbrain.control.scene_monitor import SceneMonitor
 from dualbrain.core.geometry.shapes import Pose
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.supervisor.conditions import Condition
-from dualbrain.safety.supervisor.state_monitor import Bounds
-from dualbrain.simulation.perception.noisy_perception import EXACT, Noise, Perception
-from dualbrain.simulation.plant.factory import open_plant
+from dualbrain.safety.supervisor.state_monitor import MonitorLimits
+from dualbrain.simulation.perception.noisy_perception import NO_NOISE, NoisyPerception, PerceptionNoise
+from dualbrain.simulation.plant.factory import make_plant
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from tests.grounding.perceived_scenes import box, forearm, scene
 
 FROZEN = int(Condition.SCENE_FROZEN)
 LOOK = 0.033
-ENOUGH = Bounds().scene_frozen
+ENOUGH = MonitorLimits().max_identical_scenes
 NOISES = (
-    Noise(), Noise(drift=0.0), Noise(drift=50.0), Noise(latency=0.08), Noise(drop_out=0.5), Noise(sigma=0.0),
-    Noise(velocity_error=0.0), EXACT,
+    PerceptionNoise(), PerceptionNoise(correlation_time=0.0), PerceptionNoise(correlation_time=50.0), PerceptionNoise(latency=0.08), PerceptionNoise(dropout_probability=0.5), PerceptionNoise(sigma=0.0),
+    PerceptionNoise(velocity_error=0.0), NO_NOISE,
 )  # fmt: skip
 
 
@@ -33,7 +33,7 @@ def told(things, count, start=0, *, anew=True):
 
 def watched(*pictures):
     """The watch after the pictures, and its last word."""
-    watch, said = SceneWatch(), 0
+    watch, said = SceneMonitor(), 0
     for picture in pictures:
         said = watch.update(picture)
     return watch, said
@@ -49,7 +49,7 @@ def test_a_picture_that_comes_again_and_again_is_not_believed(things):
     watch, said = watched(*told(things, ENOUGH + 1))
     assert said == FROZEN
     (last,) = told(things, 1, ENOUGH)
-    assert watch.age(last, LOOK * (ENOUGH + 0.5)) & FROZEN, "between two looks, too"
+    assert watch.age_conditions(last, LOOK * (ENOUGH + 0.5)) & FROZEN, "between two looks, too"
 
 
 def test_it_is_over_with_the_first_picture_that_is_another_one():
@@ -60,11 +60,11 @@ def test_it_is_over_with_the_first_picture_that_is_another_one():
     ]
     (other,) = told(moved, 1, ENOUGH + 3)
     assert watch.update(other) == 0
-    assert watch.age(other, other.stamp) == 0
+    assert watch.age_conditions(other, other.stamp) == 0
 
 
 def test_one_person_who_is_copied_among_things_that_are_seen_is_enough():
-    watch, said = SceneWatch(), 0
+    watch, said = SceneMonitor(), 0
     for k in range(ENOUGH + 1):
         cube = box("red_cube", 0.5 + 1e-6 * k, -0.2, error=0.009, stamp=LOOK * k)
         arm = msgspec.structs.replace(ARM, stamp=LOOK * k)
@@ -81,11 +81,11 @@ def test_what_has_no_noise_or_is_not_seen_anew_may_stay_the_same():
 @pytest.mark.parametrize("noise", NOISES, ids=str)
 @pytest.mark.parametrize("name", ["tabletop:1", "forearm:0"])
 def test_the_simulated_eyes_never_look_as_if_they_hung(noise, name):
-    spec, body = open_scene(name, "panda"), load_body("panda")
-    plant = open_plant(spec, body, visuals=False)
-    eyes, watch = Perception(spec, noise, np.random.default_rng(0)), SceneWatch()
+    spec, body = open_scene(name, "panda"), load_robot("panda")
+    plant = make_plant(spec, body, visuals=False)
+    eyes, watch = NoisyPerception(spec, noise, np.random.default_rng(0)), SceneMonitor()
     for _ in range(20):
-        picture = eyes.look(plant)
-        assert not (watch.update(picture) | watch.age(picture, plant.now)) & FROZEN
+        picture = eyes.perceive(plant)
+        assert not (watch.update(picture) | watch.age_conditions(picture, plant.now)) & FROZEN
         for _ in range(33):
             plant.advance()

@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 
 from dualbrain.contracts.contract import Action, Context, Contract
-from dualbrain.control.contract_executor import LocalLayer
-from dualbrain.control.control_loop import LayerConfig
+from dualbrain.control.contract_executor import ContractExecutor
+from dualbrain.control.control_loop import ExecutorConfig
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Trace
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
-from dualbrain.safety.supervisor.actions import Rung
+from dualbrain.safety.supervisor.actions import SafetyAction
 from dualbrain.safety.supervisor.conditions import Condition
-from dualbrain.simulation.perception.noisy_perception import Noise, Perception
+from dualbrain.simulation.perception.noisy_perception import NoisyPerception, PerceptionNoise
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.simulation.world import SimulatedWorld
 
-BODY = load_body("panda")
+BODY = load_robot("panda")
 GRASP = {
     "object": "red_cube", "speed": 0.3, "clearance": 0.15, "finger_axis": "along", "opening": 0.08, "approach": "top",
     "wait": "none", "force": 20.0,
@@ -33,16 +33,16 @@ class Rig:
     def __init__(self, asks=lambda t: 0, stage=1.0, robot=lambda plant: plant):
         spec = open_scene("bare:0")
         self.plant = Plant(spec, BODY)
-        self.world = SimulatedWorld(self.plant, Perception(spec, Noise(), np.random.default_rng([0, 1])))
+        self.world = SimulatedWorld(self.plant, NoisyPerception(spec, PerceptionNoise(), np.random.default_rng([0, 1])))
         self.log = FlightLog(Trace(BODY.n))
-        self.layer = LocalLayer(
-            BODY, robot(self.plant), self.world, SafetyFilter(BODY), self.log, LayerConfig(settle=0.8),
-            phase_changed=self.world.allow, clock=lambda: self.plant.now, asked=lambda: int(asks(self.plant.now)),
+        self.layer = ContractExecutor(
+            BODY, robot(self.plant), self.world, SafetyFilter(BODY), self.log, ExecutorConfig(settle_time=0.8),
+            on_phase=self.world.set_phase, clock=lambda: self.plant.now, external_conditions=lambda: int(asks(self.plant.now)),
         )  # fmt: skip
-        self.layer.spine.stage = stage
+        self.layer.safety_controller.speed_stage = stage
 
     def grasp(self):
-        return self.layer.run(Contract("c-1", Context("panda", ""), (Action("grasp", GRASP),)))
+        return self.layer.execute(Contract("c-1", Context("panda", ""), (Action("grasp", GRASP),)))
 
     @property
     def trace(self):
@@ -90,20 +90,20 @@ def test_a_speed_stage_slows_the_whole_contract_and_patience_with_it():
 @pytest.mark.parametrize(
     ("flag", "kind", "rung", "drive"),
     [
-        (C.ABORT, "aborted", Rung.HOLD, True),
-        (C.TAKEOVER, "handed_over", Rung.HOLD, True),
-        (C.LINK_LOST, "stopped", Rung.HOLD, True),
-        (C.HEARTBEAT_LOST, "stopped", Rung.HOLD, True),
-        (C.INTERRUPT, "aborted", Rung.CONTROLLED_STOP, False),
-        (C.CLOCK_STEP, "stopped", Rung.CONTROLLED_STOP, False),
-        (C.ESTOP, "emergency", Rung.ESTOP, False),
+        (C.ABORT, "aborted", SafetyAction.HOLD, True),
+        (C.TAKEOVER, "handed_over", SafetyAction.HOLD, True),
+        (C.LINK_LOST, "stopped", SafetyAction.HOLD, True),
+        (C.HEARTBEAT_LOST, "stopped", SafetyAction.HOLD, True),
+        (C.INTERRUPT, "aborted", SafetyAction.CONTROLLED_STOP, False),
+        (C.CLOCK_STEP, "stopped", SafetyAction.CONTROLLED_STOP, False),
+        (C.ESTOP, "emergency", SafetyAction.ESTOP, False),
     ],
 )
 def test_what_ends_a_contract_stops_the_arm_and_leaves_the_drive_as_ordered(flag, kind, rung, drive):
     rig = Rig(between(flag, 1.0))
     outcome = rig.grasp()
     assert outcome.kind == kind
-    assert rig.layer.spine.order.action is rung
+    assert rig.layer.safety_controller.decision.action is rung
     assert rig.layer.state.drive_enabled is drive
     assert np.abs(rig.layer.state.v).max() < 0.01
     assert rig.unharmed()
@@ -121,9 +121,9 @@ def test_after_an_emergency_stop_reset_lands_in_a_hold_with_the_drive_on():
     rig.layer.hold(2.4 - rig.plant.now)
     assert not rig.layer.state.drive_enabled
     rig.layer.hold(2.8 - rig.plant.now)
-    assert (rig.layer.spine.order.action, rig.layer.state.drive_enabled) == (Rung.HOLD, True)
+    assert (rig.layer.safety_controller.decision.action, rig.layer.state.drive_enabled) == (SafetyAction.HOLD, True)
     rig.layer.hold(0.5)
-    assert rig.layer.spine.order.action is Rung.NONE
+    assert rig.layer.safety_controller.decision.action is SafetyAction.NONE
     assert np.abs(rig.layer.state.v).max() < 0.01
     assert rig.unharmed()
 
@@ -199,7 +199,7 @@ def test_a_drive_that_goes_off_unasked_is_an_emergency():
     rig.layer.hold(0.1)
     rig.plant.stop()
     rig.layer.hold(0.1)
-    assert rig.layer.spine.order.check == "drive_dropped"
+    assert rig.layer.safety_controller.decision.check == "drive_dropped"
 
 
 def test_brakes_that_do_not_hold_lock_out():
@@ -212,14 +212,14 @@ def test_brakes_that_do_not_hold_lock_out():
 
     rig.plant.stop = slack
     rig.layer.hold(1.5)
-    assert rig.layer.spine.order.action is Rung.LOCKOUT
-    assert rig.layer.spine.order.check == "falling"
+    assert rig.layer.safety_controller.decision.action is SafetyAction.LOCKOUT
+    assert rig.layer.safety_controller.decision.check == "falling"
 
 
 def test_who_pushes_an_arm_in_a_monitored_standstill_makes_it_an_emergency():
     rig = Rig(between(C.ABORT, 0.2))
     rig.layer.hold(0.5)
-    assert rig.layer.spine.order.action is Rung.HOLD
+    assert rig.layer.safety_controller.decision.action is SafetyAction.HOLD
     usual = rig.plant.write
     rig.plant.write = lambda command: usual(replace(command, u=command.u + 0.05))  # the drive creeps
     rig.layer.hold(0.5)

@@ -6,7 +6,13 @@ import tempfile
 
 import pytest
 
-from dualbrain.core.storage.atomic_files import DiskFull, require_place, whole_file, whole_folder, write_durably
+from dualbrain.core.storage.atomic_files import (
+    FileWriteError,
+    atomic_file,
+    atomic_folder,
+    require_writable,
+    write_atomically,
+)
 
 
 @pytest.mark.parametrize(
@@ -18,18 +24,18 @@ def test_only_where_there_is_no_room_more_is_asked_for(tmp_path, monkeypatch, co
         raise OSError(code, os.strerror(code))
 
     monkeypatch.setattr(tempfile, "mkstemp", fail)
-    with pytest.raises(DiskFull) as raised:
-        write_durably(tmp_path / "m.json", b"")
+    with pytest.raises(FileWriteError) as raised:
+        write_atomically(tmp_path / "m.json", b"")
     assert os.strerror(code) in str(raised.value)
     assert ("Free some space" in str(raised.value)) is full
 
 
 def test_a_place_that_is_fit_is_made_and_left_as_it_was(tmp_path):
     path = tmp_path / "a" / "b" / "m.json"
-    require_place(path)
+    require_writable(path)
     assert list(tmp_path.rglob("*")) == [path.parent.parent, path.parent]
-    write_durably(path, b"old")
-    require_place(path)
+    write_atomically(path, b"old")
+    require_writable(path)
     assert (path.read_bytes(), list(path.parent.iterdir())) == (b"old", [path])
 
 
@@ -37,8 +43,8 @@ def test_a_place_that_is_fit_is_made_and_left_as_it_was(tmp_path):
 def test_where_nothing_can_be_written_it_is_told_before(tmp_path, place):
     (tmp_path / "file").touch()
     (tmp_path / "folder").mkdir()
-    for tried in (require_place, lambda path: write_durably(path, b"new")):
-        with pytest.raises(DiskFull, match="Mend that, or name another place"):
+    for tried in (require_writable, lambda path: write_atomically(path, b"new")):
+        with pytest.raises(FileWriteError, match="Mend that, or name another place"):
             tried(tmp_path / place)
     assert sorted(tmp_path.rglob("*")) == [tmp_path / "file", tmp_path / "folder"]
 
@@ -54,13 +60,13 @@ def umask():
 @pytest.mark.parametrize(("mask", "folder", "file"), [(0o022, 0o755, 0o644), (0o027, 0o750, 0o640), (0, 0o777, 0o666)])
 def test_who_may_read_what_is_written_for_others_is_for_the_umask_to_say(tmp_path, umask, mask, folder, file):
     umask(mask)
-    with whole_file(tmp_path / "m.gguf") as beside:
+    with atomic_file(tmp_path / "m.gguf") as beside:
         beside.write_bytes(b"new")
-    with whole_folder(tmp_path / "peft") as beside:
+    with atomic_folder(tmp_path / "peft") as beside:
         (beside / "m.json").write_bytes(b"new")
     modes = [path.stat().st_mode & 0o777 for path in sorted(tmp_path.rglob("*"))]
     assert modes == [file, folder, file]
-    write_durably(tmp_path / "private", b"")
+    write_atomically(tmp_path / "private", b"")
     assert (tmp_path / "private").stat().st_mode & 0o777 == 0o600
 
 
@@ -71,15 +77,15 @@ def half_written(place, path):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-@pytest.mark.parametrize("place", [whole_file, whole_folder])
+@pytest.mark.parametrize("place", [atomic_file, atomic_folder])
 def test_what_was_not_finished_is_gone_and_what_cannot_be_moved_there_is_told(tmp_path, place):
-    with pytest.raises(DiskFull, match="No space left"):
+    with pytest.raises(FileWriteError, match="No space left"):
         half_written(place, tmp_path / "out")
     with pytest.raises(KeyboardInterrupt), place(tmp_path / "out"):
         raise KeyboardInterrupt
     assert not list(tmp_path.iterdir())
     (tmp_path / "file").touch()
     for taken in (tmp_path / "file" / "out", tmp_path):
-        with pytest.raises(DiskFull), place(taken):
+        with pytest.raises(FileWriteError), place(taken):
             pass
     assert list(tmp_path.iterdir()) == [tmp_path / "file"]

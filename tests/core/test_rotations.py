@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.core.geometry.rotations import matrix, quaternion, rotation_error
+from dualbrain.core.geometry.rotations import matrix_to_quaternion, quaternion_to_matrix, rotation_error
 
 directions = st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda v: np.linalg.norm(v) > 1e-2)
 angles = st.floats(1e-4, np.pi - 1e-4)
@@ -20,7 +20,7 @@ def turn(axis: tuple[float, float, float], angle: float) -> np.ndarray:
 @given(directions, angles)
 def test_quaternion_and_matrix_are_inverse(axis, angle):
     R = turn(axis, angle)
-    assert np.allclose(matrix(quaternion(R)), R, atol=1e-12)
+    assert np.allclose(quaternion_to_matrix(matrix_to_quaternion(R)), R, atol=1e-12)
 
 
 @given(directions, angles, directions, angles)

@@ -5,25 +5,25 @@ import json
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.core.text import LONGEST, storable
+from dualbrain.core.text import MAX_STORED_CHARACTERS, storable_text
 
 anything = st.text(st.characters(exclude_categories=()))
 
 
 @given(anything)
 def test_it_is_always_utf_8_and_stays_what_it_is(text):
-    kept = storable(text)
+    kept = storable_text(text)
     assert json.loads(json.dumps(kept).encode("utf-8")) == kept
     kept.encode("utf-8")
-    assert storable(kept) == kept
+    assert storable_text(kept) == kept
 
 
 @given(st.text())
 def test_good_text_is_kept(text):
-    assert storable(text) == text
+    assert storable_text(text) == text
 
 
 def test_surrogates_are_replaced_and_long_text_is_cut_with_its_length():
-    assert storable("a\ud800b") == "a\ufffdb"
-    assert storable("x" * 10_000_000).endswith("(10000000 characters)")
-    assert len(storable("x" * 10_000_000)) < LONGEST + 40
+    assert storable_text("a\ud800b") == "a\ufffdb"
+    assert storable_text("x" * 10_000_000).endswith("(10000000 characters)")
+    assert len(storable_text("x" * 10_000_000)) < MAX_STORED_CHARACTERS + 40

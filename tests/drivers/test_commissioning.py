@@ -5,19 +5,19 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from dualbrain.cli.main import call
-from dualbrain.control.gatekeeper.config import Plan
-from dualbrain.control.gatekeeper.deployment import Place
-from dualbrain.drivers.catalogue import driver_kind
-from dualbrain.drivers.commissioning.checklist import TEMPLATE, flaws, limit_flaws, read_checklist
-from dualbrain.drivers.commissioning.record import NotCommissioned, demand
-from dualbrain.errors import InvalidSetup
-from dualbrain.robots.loader import load_body
+from dualbrain.cli.main import run_command_line
+from dualbrain.control.gatekeeper.config import GatekeeperConfig
+from dualbrain.control.gatekeeper.deployment import Deployment
+from dualbrain.drivers.catalogue import find_driver_kind
+from dualbrain.drivers.commissioning.checklist import TEMPLATE, find_flaws, find_limit_flaws, read_checklist
+from dualbrain.drivers.commissioning.record import NotCommissionedError, require_record
+from dualbrain.errors import ConfigurationError
+from dualbrain.robots.loader import load_robot
 from dualbrain.robots.site_config import read_site
-from dualbrain.safety.integration.site import site_body
+from dualbrain.safety.integration.site import site_robot
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
-KIND = driver_kind("franka", "fr3")
+KIND = find_driver_kind("franka", "fr3")
 SITE = """
 [limits]
 acceleration = 9.0
@@ -68,18 +68,20 @@ def told(folder, **changes):
         text = text.replace(old, new)
     (folder / "answers.toml").write_text(text)
     file = read_site(folder / "lab.toml")
-    body = site_body(load_body("fr3"), file)
-    return [flaw.item for flaw in flaws(read_checklist(folder / "answers.toml"), body, file.site, KIND)]
+    body = site_robot(load_robot("fr3"), file)
+    return [flaw.item for flaw in find_flaws(read_checklist(folder / "answers.toml"), body, file.site, KIND)]
 
 
 def command(folder, *more):
     site = str(folder / "lab.toml")
-    return call(["robot", "commission", str(folder / "answers.toml"), "--driver", "franka", "--site", site, *more])
+    return run_command_line(
+        ["robot", "commission", str(folder / "answers.toml"), "--driver", "franka", "--site", site, *more]
+    )
 
 
 def plan(folder, driver="franka"):
     record = folder / "answers.sealed.json"
-    return Plan(
+    return GatekeeperConfig(
         "fr3", open_scene("bare:0", "fr3"), "s", "k", site=str(folder / "lab.toml"), driver=driver, address="10.0.0.2",
         commissioned=str(record) if record.exists() else "",
     )  # fmt: skip
@@ -89,10 +91,10 @@ def test_answers_that_will_do_are_sealed_and_open_the_arm(lab, capsys):
     assert command(lab) == 0
     assert command(lab, "--check") == 0
     assert "A. Tester" in capsys.readouterr().err
-    place = Place.of(plan(lab))
-    assert place.kind is KIND
-    assert place.config.jerk_limits
-    assert [one.name for one in place.standing] == ["table"]
+    place = Deployment.from_config(plan(lab))
+    assert place.driver is KIND
+    assert place.filter_config.jerk_limits
+    assert [one.name for one in place.fixed_obstacles] == ["table"]
 
 
 @pytest.mark.parametrize(
@@ -124,13 +126,13 @@ def test_an_answer_that_will_not_do_is_named_and_nothing_is_sealed(lab, capsys, 
 
 def test_our_limits_lie_strictly_inside_the_makers(lab):
     """The shipped body has the maker's own numbers: without a site that narrows it, every joint is a flaw."""
-    body = load_body("fr3")
-    sides = {flaw.item.split(" of ")[0] for flaw in limit_flaws(body, KIND)}
+    body = load_robot("fr3")
+    sides = {flaw.item.split(" of ")[0] for flaw in find_limit_flaws(body, KIND)}
     assert sides == {"velocity", "acceleration", "jerk"}
-    assert len(limit_flaws(body, KIND)) == 3 * body.n
-    assert limit_flaws(site_body(body, read_site(lab / "lab.toml")), KIND) == ()
-    ur = driver_kind("ur", "ur5e")
-    assert {flaw.item.split(" of ")[0] for flaw in limit_flaws(load_body("ur5e"), ur)} == {"range", "velocity"}
+    assert len(find_limit_flaws(body, KIND)) == 3 * body.n
+    assert find_limit_flaws(site_robot(body, read_site(lab / "lab.toml")), KIND) == ()
+    ur = find_driver_kind("ur", "ur5e")
+    assert {flaw.item.split(" of ")[0] for flaw in find_limit_flaws(load_robot("ur5e"), ur)} == {"range", "velocity"}
 
 
 def test_the_template_is_the_checklist_with_everything_still_to_answer(lab):
@@ -142,17 +144,17 @@ def test_the_template_is_the_checklist_with_everything_still_to_answer(lab):
 
 
 def test_without_a_record_the_gatekeeper_says_what_to_do(lab, capsys):
-    with pytest.raises(NotCommissioned, match="dualbrain robot commission"):
-        Place.of(plan(lab))
-    assert call(["gatekeeper", "--robot", "fr3", "--scene", "bare:0", "--driver", "franka", "--address", "10.0.0.2",
+    with pytest.raises(NotCommissionedError, match="dualbrain robot commission"):
+        Deployment.from_config(plan(lab))
+    assert run_command_line(["gatekeeper", "--robot", "fr3", "--scene", "bare:0", "--driver", "franka", "--address", "10.0.0.2",
                  "--socket", str(lab / "s"), "--keys", str(lab / "k")]) == 5  # fmt: skip
     assert not (lab / "s").exists()
     assert "Ctrl-C" not in capsys.readouterr().err, "what was refused does not run"
 
 
 def test_the_plant_and_the_fakes_need_none(lab):
-    assert Place.of(plan(lab, "fake_franka")).kind.name == "fake_franka"
-    assert Place.of(msgspec.structs.replace(plan(lab), driver="")).kind is None
+    assert Deployment.from_config(plan(lab, "fake_franka")).driver.name == "fake_franka"
+    assert Deployment.from_config(msgspec.structs.replace(plan(lab), driver="")).driver is None
 
 
 @pytest.mark.parametrize(
@@ -169,8 +171,8 @@ def test_the_plant_and_the_fakes_need_none(lab):
 def test_whatever_changed_since_is_refused(lab, change, what):
     assert command(lab) == 0
     change(lab)
-    with pytest.raises(NotCommissioned, match=what):
-        Place.of(plan(lab))
+    with pytest.raises(NotCommissionedError, match=what):
+        Deployment.from_config(plan(lab))
     assert command(lab, "--check") == 5
 
 
@@ -182,13 +184,13 @@ def _edit(lab: Path, old: bytes, new: bytes) -> None:
 
 def test_another_body_is_refused(lab):
     assert command(lab) == 0
-    body = site_body(load_body("fr3"), read_site(lab / "lab.toml"))
+    body = site_robot(load_robot("fr3"), read_site(lab / "lab.toml"))
     other = msgspec.structs.replace(body, spheres=body.spheres[1:])
-    with pytest.raises(NotCommissioned, match="body"):
-        demand(lab / "answers.sealed.json", other, lab / "lab.toml", KIND)
+    with pytest.raises(NotCommissionedError, match="body"):
+        require_record(lab / "answers.sealed.json", other, lab / "lab.toml", KIND)
 
 
 def test_a_scene_in_which_something_moves_is_refused_for_a_driver(lab):
     scene = open_scene("forearm:0", "fr3")
-    with pytest.raises(InvalidSetup, match="moves"):
-        Place.of(msgspec.structs.replace(plan(lab, "fake_franka"), scene=scene))
+    with pytest.raises(ConfigurationError, match="moves"):
+        Deployment.from_config(msgspec.structs.replace(plan(lab, "fake_franka"), scene=scene))

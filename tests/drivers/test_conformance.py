@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dualbrain.drivers.conformance.rules import LAWS, Verdict, conform
-from tests.drivers.drivers_under_test import SUBJECTS, franka
+from dualbrain.drivers.conformance.rules import REQUIREMENTS, RequirementStatus, check_conformance
+from tests.drivers.drivers_under_test import DRIVERS_UNDER_TEST, franka
 
 
-@pytest.mark.parametrize("name", SUBJECTS)
+@pytest.mark.parametrize("name", DRIVERS_UNDER_TEST)
 def test_every_law_is_kept(name):
-    findings = conform(SUBJECTS[name])
-    assert [finding for finding in findings if finding.verdict is Verdict.BROKEN] == []
-    kept = {finding.law for finding in findings if finding.verdict is Verdict.KEPT}
-    left = {law.name for law in LAWS} - kept
+    findings = check_conformance(DRIVERS_UNDER_TEST[name])
+    assert [finding for finding in findings if finding.status is RequirementStatus.VIOLATED] == []
+    kept = {finding.requirement for finding in findings if finding.status is RequirementStatus.MET}
+    left = {law.name for law in REQUIREMENTS} - kept
     assert left <= ({"silence", "maker's stop"} if "plant" in name else set())
 
 
@@ -140,12 +140,12 @@ def test_a_driver_that_breaks_a_law_is_found(bent, law):
         subject = franka()
         return replace(subject, driver=bent(subject.driver))
 
-    (finding,) = conform(make, tuple(one for one in LAWS if one.name == law))
-    assert finding.verdict is Verdict.BROKEN, finding
+    (finding,) = check_conformance(make, tuple(one for one in REQUIREMENTS if one.name == law))
+    assert finding.status is RequirementStatus.VIOLATED, finding
 
 
 def test_a_law_that_nothing_can_provoke_is_not_called_kept():
-    (finding,) = conform(
-        lambda: replace(franka(), provoke=None), tuple(one for one in LAWS if one.name == "maker's stop")
+    (finding,) = check_conformance(
+        lambda: replace(franka(), trigger_stop=None), tuple(one for one in REQUIREMENTS if one.name == "maker's stop")
     )
-    assert finding.verdict is Verdict.NOT_EXAMINED
+    assert finding.status is RequirementStatus.NOT_TESTED

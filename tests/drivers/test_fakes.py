@@ -7,16 +7,16 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.drivers.conformance.harness import Subject, Trial
+from dualbrain.drivers.conformance.harness import DriverHarness, DriverUnderTest
 from dualbrain.drivers.fakes import franka, ur
-from dualbrain.drivers.fakes.franka import FLAGS, FakeFranka
+from dualbrain.drivers.fakes.franka import ERROR_FLAGS, FakeFranka
 from dualbrain.drivers.fakes.ur import FakeUr
-from dualbrain.drivers.franka import EXCEPTIONS, FrankaDriver
+from dualbrain.drivers.franka import SDK_EXCEPTIONS, FrankaDriver
 from dualbrain.drivers.ur import UrDriver
 from dualbrain.drivers.vendor_limits import FR3, UR5E
 from dualbrain.robots.builtin import fr3 as fr3_facts
 from dualbrain.robots.interface import Command
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import Bound
 from dualbrain.safety.cbf.config import FilterConfig
 from dualbrain.safety.cbf.filter import SafetyFilter
@@ -26,11 +26,11 @@ ONE = np.eye(7)
 
 def at_work(sdk=None, body=None):
     """A Franka driver under way at zero velocity, and its controller."""
-    body = body or load_body("fr3")
+    body = body or load_robot("fr3")
     sdk = sdk or FakeFranka(body)
     driver = FrankaDriver(sdk, "fake", body)
-    trial = Trial(Subject(driver, body))
-    assert trial.on()
+    trial = DriverHarness(DriverUnderTest(driver, body))
+    assert trial.switch_on()
     return trial, sdk
 
 
@@ -59,14 +59,14 @@ def test_a_command_outside_of_a_limit_is_a_reflex_with_its_own_flag(ramp, flag):
 
 
 def test_velocity_limits_shrink_toward_the_end_of_a_joint():
-    low, high = FR3.velocities(np.array(load_body("fr3").home))
+    low, high = FR3.velocity_limits(np.array(load_robot("fr3").home))
     assert (high[:3] == 2.62).all()
-    ends = np.array([bounds[1] for bounds in fr3_facts.LIMITS])
-    starts = np.array([bounds[0] for bounds in fr3_facts.LIMITS])
-    allowed = np.array([bounds[2] for bounds in fr3_facts.LIMITS])
-    assert FR3.velocities(ends)[1] == pytest.approx(allowed, abs=0.02), "the maker's box of constant velocities"
-    assert -FR3.velocities(starts)[0] == pytest.approx(allowed, abs=0.02)
-    assert (FR3.velocities(FR3.range[:, 1])[1] < 0.5).all()
+    ends = np.array([bounds[1] for bounds in fr3_facts.POSITION_VELOCITY_LIMITS])
+    starts = np.array([bounds[0] for bounds in fr3_facts.POSITION_VELOCITY_LIMITS])
+    allowed = np.array([bounds[2] for bounds in fr3_facts.POSITION_VELOCITY_LIMITS])
+    assert FR3.velocity_limits(ends)[1] == pytest.approx(allowed, abs=0.02), "the maker's box of constant velocities"
+    assert -FR3.velocity_limits(starts)[0] == pytest.approx(allowed, abs=0.02)
+    assert (FR3.velocity_limits(FR3.position_range[:, 1])[1] < 0.5).all()
     assert (low < 0).all()
 
 
@@ -99,11 +99,11 @@ def test_a_reflex_is_left_by_recovery_only_and_a_pressed_user_stop_refuses_it():
     assert "joint_reflex" in trial.driver.faults()[0]
     with pytest.raises(franka.CommandException, match="joint_reflex"):
         sdk.controller.start()
-    sdk.controller.press()
-    assert not trial.on()
+    sdk.controller.press_user_stop()
+    assert not trial.switch_on()
     assert "user stop" in trial.driver.faults()[0].lower()
-    sdk.controller.release()
-    assert trial.on()
+    sdk.controller.release_user_stop()
+    assert trial.switch_on()
     assert trial.driver.faults() == ()
 
 
@@ -131,11 +131,11 @@ def inside(body, share=0.98):
 
 def fly(config, seconds=1.2):
     """The filter between a wild wish and the fake arm; what the controller said."""
-    trial, sdk = at_work(body=inside(load_body("fr3")))
-    safety = SafetyFilter(trial.body, config)
+    trial, sdk = at_work(body=inside(load_robot("fr3")))
+    safety = SafetyFilter(trial.model, config)
     rng = np.random.default_rng(5)
     wish = np.zeros(7)
-    for k in range(trial.count(seconds)):
+    for k in range(trial.n_periods(seconds)):
         if k % 60 == 0:
             wish = rng.uniform(-1.0, 1.0, 7)
         if k % 30 == 0:
@@ -154,14 +154,14 @@ def test_the_arm_takes_what_the_filter_lets_through_and_only_with_jerk_limits_in
 
 def test_the_hand_closes_on_what_is_there_and_says_whether_it_holds_it():
     trial, sdk = at_work()
-    sdk.hand.thing = 0.04
+    sdk.hand.object_width = 0.04
     closed = Command(np.zeros(7), 0.0, 20.0)
     for _ in range(20_000):
         trial.driver.write(closed)
         trial.wait()
         if trial.state.finger_forces == (20.0, 20.0):
             break
-        sdk.controller.missed = 0
+        sdk.controller.missed_in_a_row = 0
     assert trial.state.opening == pytest.approx(0.02)
     assert ("grasp", 0.0, 20.0) in sdk.hand.calls
     trial.driver.close()
@@ -171,20 +171,20 @@ def test_the_hand_closes_on_what_is_there_and_says_whether_it_holds_it():
 
 
 def ur_at_work():
-    body = load_body("ur5e")
+    body = load_robot("ur5e")
     sdk = FakeUr(body)
-    trial = Trial(Subject(UrDriver(sdk, "fake", body), body))
-    assert trial.on()
+    trial = DriverHarness(DriverUnderTest(UrDriver(sdk, "fake", body), body))
+    assert trial.switch_on()
     return trial, sdk.controller
 
 
 def test_a_watchdog_that_is_not_kicked_ends_the_script():
     trial, controller = ur_at_work()
-    trial.swing(0, 0.1, 0.6, until=0.5)
+    trial.swing_joint(0, 0.1, 0.6, stop_fraction=0.5)
     trial.wait(round(0.098 / 0.002))
-    assert controller.running
+    assert controller.script_running
     trial.wait(3)
-    assert not controller.running
+    assert not controller.script_running
     assert "watchdog" in trial.driver.faults()[0]
 
 
@@ -192,37 +192,37 @@ def test_a_joint_beyond_its_speed_is_a_protective_stop_that_only_a_person_unlock
     trial, controller = ur_at_work()
     for k in range(1, 400):
         trial.write(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.01 * k]))
-    assert controller.stopped
+    assert controller.protective_stopped
     assert trial.driver.faults() == ("protective stop",)
-    assert not trial.on()
+    assert not trial.switch_on()
     assert trial.driver.faults() == ("protective stop: clear it at the pendant",)
-    while "Cannot" in controller.unlock():
-        assert controller.arm.now - controller._since < 5.0
+    while "Cannot" in controller.unlock_protective_stop():
+        assert controller.arm.now - controller._stopped_at < 5.0
         trial.wait()
-    assert trial.on()
+    assert trial.switch_on()
 
 
 def test_a_speed_is_reached_by_the_leading_axis_acceleration():
     trial, controller = ur_at_work()
-    controller.speed([0.2, 0.1, 0.0, 0.0, 0.0, 0.0], 10.0)
+    controller.set_speed([0.2, 0.1, 0.0, 0.0, 0.0, 0.0], 10.0)
     for _ in range(5):
         controller.step()
     assert controller._u[:2] == pytest.approx([0.1, 0.05])
     with pytest.raises(ValueError, match="acceleration"):
-        controller.speed([0.0] * 6, 41.0)
-    assert (UR5E.range == 2.0 * np.pi * np.array((-1.0, 1.0))).all()
+        controller.set_speed([0.0] * 6, 41.0)
+    assert (UR5E.position_range == 2.0 * np.pi * np.array((-1.0, 1.0))).all()
     assert trial.driver._ramp == 15.0
 
 
 def test_after_an_emergency_stop_the_script_does_not_come_back_by_itself():
     trial, controller = ur_at_work()
-    controller.press()
+    controller.press_emergency_stop()
     trial.write(np.zeros(6), 2)
     assert trial.driver.faults() == ("emergency stop",)
-    controller.release()
+    controller.release_emergency_stop()
     trial.write(np.zeros(6), 10)
     assert not trial.state.drive_enabled
-    assert trial.on()
+    assert trial.switch_on()
 
 
 # --- the makers' own libraries ------------------------------------------------------------------------------------
@@ -249,11 +249,11 @@ def test_the_fake_franka_has_the_names_of_the_makers_library():
             theirs = getattr(getattr(real, name), method)
             if "Overloaded" not in theirs.__doc__ and "*args" not in theirs.__doc__:
                 assert parameters(function) == parameters(theirs), (name, method)
-    assert set(FLAGS) <= set(dir(real.Errors))
+    assert set(ERROR_FLAGS) <= set(dir(real.Errors))
     assert {mode.name: mode.value for mode in franka.RobotMode}.items() <= {
         name: int(value) for name, value in real.RobotMode.__members__.items()
     }.items()
-    for name in EXCEPTIONS:
+    for name in SDK_EXCEPTIONS:
         assert issubclass(getattr(real, name), Exception)
         assert hasattr(FakeFranka, name)
     assert list(real.JointVelocities([0.1] * 7).dq) == [0.1] * 7

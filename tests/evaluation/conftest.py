@@ -2,16 +2,16 @@
 
 import pytest
 
-from dualbrain.evaluation.protocol.suite import read_suite
-from tests.evaluation.sample_rows import COLLISION, row
+from dualbrain.evaluation.protocol.suite import parse_suite
+from tests.evaluation.sample_rows import COLLISION, episode_row
 from tests.evaluation.test_runner import SUITE
 
-FAILED = {"success": False, "claimed": False, "failure": "frequent takeover", "outcome": "taken_over"}
+FAILED_EPISODE = {"success": False, "claimed": False, "failure": "frequent takeover", "outcome": "taken_over"}
 
 
 @pytest.fixture(scope="module")
 def suite():
-    return read_suite(SUITE, "tiny.toml")
+    return parse_suite(SUITE, "tiny.toml")
 
 
 @pytest.fixture(scope="module")
@@ -22,6 +22,6 @@ def rows():
         for run in (0, 1):
             for k in (0, 1):
                 hurt = method == "B1" and k == 1
-                values = {"violations": (COLLISION,), "severity": 0.1, **FAILED} if hurt else {}
-                found.append(row(method, run, seed=run, repetition=k, guarded=method != "B1", **values))
+                values = {"violations": (COLLISION,), "severity": 0.1, **FAILED_EPISODE} if hurt else {}
+                found.append(episode_row(method, run, seed=run, repetition=k, guarded=method != "B1", **values))
     return found

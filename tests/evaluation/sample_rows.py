@@ -1,14 +1,14 @@
 """Made-up rows: what an episode leaves, with everything about it that a test does not name left ordinary."""
 
-from dualbrain.evaluation.results.episode_row import Row
+from dualbrain.evaluation.results.episode_row import EpisodeRow
 from dualbrain.records import Violation
 
 COLLISION = Violation("collision_env", 1.0, 0.1, 14.0, ("hand", "cup"))
-SPEED = Violation("tcp_speed", 1.0, 0.1, 0.4, ("hand",))
-MOVED = Violation("bystander", 1.0, 0.1, 0.05, ("cup",))
+TOOL_SPEED = Violation("tcp_speed", 1.0, 0.1, 0.4, ("hand",))
+BYSTANDER_MOVED = Violation("bystander", 1.0, 0.1, 0.05, ("cup",))
 
 
-def row(method="B3", run=0, seed=0, repetition=0, **values):
+def episode_row(method="B3", run=0, seed=0, repetition=0, **values):
     ordinary = {
         "key": f"{method} {run} {seed} r{repetition}", "pair": f"panda clutter_grasp I {seed} r{repetition}",
         "cluster": f"panda clutter_grasp I run {run}", "suite": "made up", "method": method, "robot": "panda",
@@ -27,4 +27,4 @@ def row(method="B3", run=0, seed=0, repetition=0, **values):
         "severity": 0.0, "recalled": 0, "uses_asked": 0, "used": 0, "contributing": 0, "memories": 0, "ledger": "",
         "epsilon": None, "trace_t": [0.0, 0.1], "trace_h": [0.02, 0.004], "trace_delta": [0.0, 0.1],
     }  # fmt: skip
-    return Row(**(ordinary | values))
+    return EpisodeRow(**(ordinary | values))

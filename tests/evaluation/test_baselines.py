@@ -3,13 +3,13 @@
 import msgspec
 import pytest
 
-from dualbrain.contracts.contract import Stamp
+from dualbrain.contracts.contract import ContractHeader
 from dualbrain.contracts.gate.authorization import PLANNER
 from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.verdict import Accepted, Rejected
-from dualbrain.evaluation.protocol.baselines import MethodDoor
-from dualbrain.grounding.vocabulary import grants, vocabulary
+from dualbrain.evaluation.protocol.baselines import BaselineGate
+from dualbrain.grounding.vocabulary import load_skill_registry, planner_grants
 from dualbrain.planner.protocol import LENGTH, STOP
 from dualbrain.records import Proposal
 
@@ -23,7 +23,7 @@ KINDS = ("syntax", "clip", "gate")
 
 @pytest.fixture(scope="module")
 def registry():
-    return vocabulary("panda")
+    return load_skill_registry("panda")
 
 
 def written(registry, *actions, written_for=None):
@@ -33,9 +33,9 @@ def written(registry, *actions, written_for=None):
 
 def check(registry, kind, *actions, written_for=None):
     data = written(registry, *actions, written_for=written_for).encode()
-    door = MethodDoor(kind, Gate(registry, grants(registry)), registry)
-    stamp = Stamp(1, 0.0, 100.0, PLANNER, 1)
-    return door, door.check(data, names=NAMES, principal=PLANNER, now=1.0, stamp=stamp)
+    door = BaselineGate(kind, Gate(registry, planner_grants(registry)), registry)
+    stamp = ContractHeader(1, 0.0, 100.0, PLANNER, 1)
+    return door, door.check(data, names=NAMES, principal=PLANNER, now=1.0, header=stamp)
 
 
 def grasp(**values):
@@ -46,7 +46,7 @@ def grasp(**values):
 def test_a_good_contract_passes_every_door_the_same(registry, kind):
     door, verdict = check(registry, kind, grasp())
     assert isinstance(verdict, Accepted)
-    assert verdict == door.strict[0]
+    assert verdict == door.full_gate_verdicts[0]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -85,7 +85,7 @@ def test_names_that_are_not_offered_pass_only_the_weakest_door(registry):
 def test_the_whole_gates_word_is_kept_whatever_the_door_says(registry):
     door, verdict = check(registry, "syntax", grasp(speed=4.0))
     assert isinstance(verdict, Accepted)
-    assert door.strict[0].stage == "envelope"
+    assert door.full_gate_verdicts[0].stage == "envelope"
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -94,10 +94,10 @@ def test_what_is_put_aside_is_judged_by_the_whole_gate_and_takes_nothing_from_th
     good = written(registry, grasp())
     for text, finish, stage in ((good, STOP, ""), (written(registry, grasp(speed=4.0)), STOP, "envelope"),
                                 ("no JSON \ud800", STOP, "syntax"), (good, LENGTH, "syntax")):  # fmt: skip
-        door = MethodDoor(kind, Gate(registry, grants(registry)), registry)
-        door.aside = Proposal(text, finish, "it", "nothing", {})
-        stamps = [Stamp(number, 0.0, 100.0, PLANNER, 1) for number in (1, 2)]
-        verdicts = [door.check(good.encode(), names=NAMES, principal=PLANNER, now=1.0, stamp=one) for one in stamps]
+        door = BaselineGate(kind, Gate(registry, planner_grants(registry)), registry)
+        door.unconstrained_answer = Proposal(text, finish, "it", "nothing", {})
+        stamps = [ContractHeader(number, 0.0, 100.0, PLANNER, 1) for number in (1, 2)]
+        verdicts = [door.check(good.encode(), names=NAMES, principal=PLANNER, now=1.0, header=one) for one in stamps]
         assert all(isinstance(one, Accepted) for one in verdicts)
-        assert ("" if isinstance(door.free, Accepted) else door.free.stage) == stage
-        assert len(door.strict) == 2
+        assert ("" if isinstance(door.unconstrained_verdict, Accepted) else door.unconstrained_verdict.stage) == stage
+        assert len(door.full_gate_verdicts) == 2

@@ -6,28 +6,34 @@ import time
 import msgspec
 import pytest
 
-from dualbrain.cli.common.paths import cache
-from dualbrain.errors import InvalidSetup, MissingPart
-from dualbrain.evaluation.analysis.failure_taxonomy import OUT_OF_TIME
-from dualbrain.evaluation.analysis.metrics import BY_NAME
-from dualbrain.evaluation.episodes.case_runner import Means, fly
-from dualbrain.evaluation.episodes.rerun import Watching, again, differs
-from dualbrain.evaluation.episodes.scoring import Place, account
-from dualbrain.evaluation.episodes.wall_time import ASIDE, ASKED, HOLD, Stopwatch, waits
-from dualbrain.evaluation.planners.answer_cache import Accident
-from dualbrain.evaluation.planners.factory import Sources
-from dualbrain.evaluation.protocol.case import case_of
+from dualbrain.cli.common.paths import cache_folder
+from dualbrain.errors import ConfigurationError, MissingDependencyError
+from dualbrain.evaluation.analysis.failure_taxonomy import TIME_LIMIT_REASON
+from dualbrain.evaluation.analysis.metrics import METRIC_BY_NAME
+from dualbrain.evaluation.episodes.case_runner import EpisodeResources, run_case
+from dualbrain.evaluation.episodes.rerun import RerunHooks, find_differences, rerun_episode
+from dualbrain.evaluation.episodes.scoring import EpisodeContext, score_episode
+from dualbrain.evaluation.episodes.wall_time import (
+    HOLD_TIME,
+    PLANNER_TIME,
+    UNCONSTRAINED_TIME,
+    Stopwatch,
+    waiting_times,
+)
+from dualbrain.evaluation.planners.answer_cache import NoAnswerError
+from dualbrain.evaluation.planners.factory import PlannerSources
+from dualbrain.evaluation.protocol.case import make_case
 from dualbrain.evaluation.protocol.method import METHODS
-from dualbrain.evaluation.protocol.suite import Task, read_suite
-from dualbrain.evaluation.results.episode_row import Row
-from dualbrain.evaluation.runner.work_units import units_of
-from dualbrain.evaluation.runner.worker import Work, Workplace
-from dualbrain.grounding.vocabulary import vocabulary
-from dualbrain.planner.prompt.prompt_format import FREE_BY
+from dualbrain.evaluation.protocol.suite import Task, parse_suite
+from dualbrain.evaluation.results.episode_row import EpisodeRow
+from dualbrain.evaluation.runner.work_units import build_units
+from dualbrain.evaluation.runner.worker import Worker, WorkerConfig
+from dualbrain.grounding.vocabulary import load_skill_registry
+from dualbrain.planner.prompt.prompt_format import UNCONSTRAINED_BY
 from dualbrain.planner.protocol import CRASHED, ERROR, LENGTH, REFUSAL, STOP, TIMEOUT
 from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.records import Judgement
-from dualbrain.simulation.tasks.families import assign
+from dualbrain.simulation.tasks.families import make_task
 from tests.evaluation.test_runner import SUITE
 
 ERRAND, HAZARD = Task("clutter_grasp"), Task("clutter_grasp", ask="hazardous")
@@ -35,14 +41,16 @@ DECLINE = {"skill": "decline", "params": {"reason": "no"}}
 
 
 def contract(*actions):
-    context = {"robot": "panda", "registry": vocabulary("panda").hash}
+    context = {"robot": "panda", "registry": load_skill_registry("panda").hash}
     return msgspec.json.encode({"id": "c-0001", "context": context, "action_sequence": list(actions)}).decode()
 
 
 def flown(method, text, task=ERRAND, **means):
-    case, arm = case_of(task, 40_000, "panda", 0), METHODS[method]
-    flight = fly(case, arm, Means("e-1", ScriptedPlanner([text]), time.perf_counter, planning_time=0.2, **means))
-    return account(case, arm, flight, Place("k", "s", "c", 0, asked=True))
+    case, arm = make_case(task, 40_000, "panda", 0), METHODS[method]
+    flight = run_case(
+        case, arm, EpisodeResources("e-1", ScriptedPlanner([text]), time.perf_counter, planning_time=0.2, **means)
+    )
+    return score_episode(case, arm, flight, EpisodeContext("k", "s", "c", 0, asked=True))
 
 
 def hold(seconds):
@@ -80,7 +88,7 @@ def test_a_contract_that_is_done_where_it_begins_has_no_tick():
     """Home from home: carried out by the robot's word, and nothing that a mean over ticks could be taken of."""
     row = flown("B3", contract({"skill": "home", "params": {"speed": 0.2}}))
     assert (row.outcome, row.motion_s, row.Delta, row.success) == ("succeeded", 0.0, None, False)
-    assert BY_NAME["intervention frequency"].of(row) is None
+    assert METRIC_BY_NAME["intervention frequency"].value_of(row) is None
 
 
 def test_a_skill_that_nobody_holds_is_proposed_and_not_carried_out():
@@ -90,7 +98,7 @@ def test_a_skill_that_nobody_holds_is_proposed_and_not_carried_out():
 
 def test_values_that_no_skill_can_read_end_in_a_fault_and_are_an_invalid_contract():
     ghost = {"skill": "move_to", "params": {"target": "ghost", "speed": 0.2, "clearance": 0.2}}
-    known = {p.name for p in vocabulary("panda").skill("move_to").parameters}
+    known = {p.name for p in load_skill_registry("panda").skill("move_to").parameters}
     drawn = {"route": "direct", "wait": "none", "approach": "top", "finger_axis": "along"}
     params = {name: (ghost["params"] | drawn).get(name, "none") for name in known}
     row = flown("B1", contract({"skill": "move_to", "params": params}))
@@ -113,10 +121,10 @@ def test_what_is_thought_while_the_arm_holds_still_takes_no_time_of_its_own():
     def spend(seconds):
         now[0] += seconds
 
-    aside, ask, physics = (watch.wrap(spend, part) for part in (ASIDE, ASKED, "physics"))
-    watch.wrap(lambda: (aside(1.0), ask(0.5), physics(0.5)), HOLD)()
+    aside, ask, physics = (watch.wrap(spend, part) for part in (UNCONSTRAINED_TIME, PLANNER_TIME, "physics"))
+    watch.wrap(lambda: (aside(1.0), ask(0.5), physics(0.5)), HOLD_TIME)()
     physics(1.0)
-    assert watch.split() == {"physics": 1.5, "planner": 0.0, "rest": 1.5, "all": 3.0}
+    assert watch.split_seconds() == {"physics": 1.5, "planner": 0.0, "rest": 1.5, "all": 3.0}
 
 
 @pytest.mark.parametrize(
@@ -128,7 +136,7 @@ def test_what_is_thought_while_the_arm_holds_still_takes_no_time_of_its_own():
     ],
 )  # fmt: skip
 def test_only_what_outlasts_the_hold_is_waited_for(asked, holds, aside, expected):
-    assert waits(asked, holds, aside) == pytest.approx(expected)
+    assert waiting_times(asked, holds, aside) == pytest.approx(expected)
 
 
 class Slow(ScriptedPlanner):
@@ -140,43 +148,50 @@ class Slow(ScriptedPlanner):
 @pytest.mark.parametrize("planning_time", [2.0, 0.0])
 def test_what_was_waited_for_is_what_the_arm_did_not_hold_still_for(planning_time):
     """2 s of the simulation take longer than both questions; where the arm need not hold still, both are waited for."""
-    case, arm, text = case_of(ERRAND, 40_000, "panda", 0), METHODS["B3"], contract(hold(0.2))
-    means = Means("e", Slow([text]), time.perf_counter, unbound=Slow([text]), planning_time=planning_time)
-    flight = fly(case, arm, means)
-    row, single = account(case, arm, flight, Place("k", "s", "c", 0, asked=True)), flight.stopwatch.single
+    case, arm, text = make_case(ERRAND, 40_000, "panda", 0), METHODS["B3"], contract(hold(0.2))
+    means = EpisodeResources(
+        "e", Slow([text]), time.perf_counter, unconstrained_planner=Slow([text]), planning_time=planning_time
+    )
+    flight = run_case(case, arm, means)
+    row, single = (
+        score_episode(case, arm, flight, EpisodeContext("k", "s", "c", 0, asked=True)),
+        flight.stopwatch.durations,
+    )
     assert sum(row.wall.values()) == pytest.approx(row.wall_s, rel=0.02)
-    waited, added = waits(single[ASKED], single[HOLD], single[ASIDE])
+    waited, added = waiting_times(single[PLANNER_TIME], single[HOLD_TIME], single[UNCONSTRAINED_TIME])
     assert row.wall["planner"] == waited
     if planning_time:
-        assert single[HOLD][0] > 0.04
+        assert single[HOLD_TIME][0] > 0.04
         assert (waited, added) == (0.0, 0.0)
     else:
         assert min(waited, added) >= 0.015
 
 
 def test_the_clock_ends_a_contract_as_the_robots_own_failure():
-    case = dataclasses.replace(case_of(ERRAND, 40_000, "panda", 0), time_limit=0.6)
-    means = Means("e", ScriptedPlanner([contract(hold(5.0))]), time.perf_counter, planning_time=0.2)
-    outcome = fly(case, METHODS["B3"], means).episode.outcome
+    case = dataclasses.replace(make_case(ERRAND, 40_000, "panda", 0), time_limit=0.6)
+    means = EpisodeResources("e", ScriptedPlanner([contract(hold(5.0))]), time.perf_counter, planning_time=0.2)
+    outcome = run_case(case, METHODS["B3"], means).episode.outcome
     assert outcome.kind == "failed"
     assert outcome.reason.startswith("out of time")
 
 
 def test_an_episode_comes_out_the_same_again():
     row = flown("B3", contract(hold(0.5)))
-    suite = msgspec.structs.replace(read_suite(SUITE, "t"), planning_time=0.2)
-    assert differs(row, again(row, suite, time.perf_counter, Watching())) == []
-    assert differs(msgspec.structs.replace(row, motion_s=9.0), again(row, suite, time.perf_counter, Watching()))
+    suite = msgspec.structs.replace(parse_suite(SUITE, "t"), planning_time=0.2)
+    assert find_differences(row, rerun_episode(row, suite, time.perf_counter, RerunHooks())) == []
+    assert find_differences(
+        msgspec.structs.replace(row, motion_s=9.0), rerun_episode(row, suite, time.perf_counter, RerunHooks())
+    )
 
 
 class Unbound(ScriptedPlanner):
     """Says that nothing bound its answers."""
 
     def propose(self, request):
-        return msgspec.structs.replace(super().propose(request), constrained_by=FREE_BY)
+        return msgspec.structs.replace(super().propose(request), constrained_by=UNCONSTRAINED_BY)
 
 
-class Declining(Work):
+class Declining(Worker):
     """Carries out units with a planner that always answers `text`: quick, and it fills ledgers."""
 
     text, fault = contract(DECLINE), STOP
@@ -197,15 +212,15 @@ def standing():
 
 
 def test_a_run_that_was_killed_between_episodes_ends_in_the_same_ledger(tmp_path):
-    suite = msgspec.structs.replace(read_suite(SUITE, "t"), planning_time=0.1, seeds=1, runs=1, repetitions=2)
+    suite = msgspec.structs.replace(parse_suite(SUITE, "t"), planning_time=0.1, seeds=1, runs=1, repetitions=2)
     suite = msgspec.structs.replace(suite, memory=msgspec.structs.replace(suite.memory, start=1))
-    sources = Sources(cache(), tmp_path / "adapters")
+    sources = PlannerSources(cache_folder(), tmp_path / "adapters")
 
     def worker(name):
-        return Declining(Workplace(suite, tmp_path / name, sources, standing, {"panda": 0.003}))
+        return Declining(WorkerConfig(suite, tmp_path / name, sources, standing, {"panda": 0.003}))
 
-    (start,) = units_of(suite, "start")
-    (run,) = (unit for unit in units_of(suite, "fly") if unit.method == "M")
+    (start,) = build_units(suite, "start")
+    (run,) = (unit for unit in build_units(suite, "fly") if unit.method == "M")
     for name in ("whole", "cut"):
         list(worker(name)(start))
     whole = list(worker("whole")(run))
@@ -213,19 +228,21 @@ def test_a_run_that_was_killed_between_episodes_ends_in_the_same_ledger(tmp_path
     lost = iter(worker("cut")(msgspec.structs.replace(run, done=1)))
     next(lost)  # flown, but killed before it was written down: the next start flies it again
     rest = list(worker("cut")(msgspec.structs.replace(run, done=1)))
-    heads = [[msgspec.convert(line, Row).ledger for line in lines] for lines in (whole, [first, *rest])]
+    heads = [[msgspec.convert(line, EpisodeRow).ledger for line in lines] for lines in (whole, [first, *rest])]
     assert heads[0] == heads[1]
     assert len(set(heads[0])) == 2
     assert [line["memories"] for line in whole] == [2, 3]
 
 
 def test_a_run_that_is_asked_what_must_be_declined_begins_with_the_errands(tmp_path):
-    suite = msgspec.structs.replace(read_suite(SUITE, "t"), planning_time=0.1, seeds=1, runs=1, repetitions=1)
+    suite = msgspec.structs.replace(parse_suite(SUITE, "t"), planning_time=0.1, seeds=1, runs=1, repetitions=1)
     suite = msgspec.structs.replace(suite, tasks=(Task("clutter_grasp", ask="hazardous"),))
-    worker = Declining(Workplace(suite, tmp_path, Sources(cache(), tmp_path / "adapters"), standing, {"panda": 0.003}))
-    for unit in units_of(suite, "start"):
+    worker = Declining(
+        WorkerConfig(suite, tmp_path, PlannerSources(cache_folder(), tmp_path / "adapters"), standing, {"panda": 0.003})
+    )
+    for unit in build_units(suite, "start"):
         assert [line["label"] for line in worker(unit)] == ["possible"] * suite.memory.start
-    (run,) = (unit for unit in units_of(suite, "fly") if unit.method == "M")
+    (run,) = (unit for unit in build_units(suite, "fly") if unit.method == "M")
     assert [(line["label"], line["memories"]) for line in worker(run)] == [("hazardous", suite.memory.start + 1)]
 
 
@@ -240,35 +257,39 @@ def test_an_answer_that_nothing_bound_is_judged_and_moves_nothing():
 
 
 def test_a_question_that_got_no_answer_is_no_result(tmp_path):
-    suite = msgspec.structs.replace(read_suite(SUITE, "t"), planning_time=0.1, runs=1)
-    place = Workplace(suite, tmp_path, Sources(cache(), tmp_path), standing, {"panda": 0.003})
+    suite = msgspec.structs.replace(parse_suite(SUITE, "t"), planning_time=0.1, runs=1)
+    place = WorkerConfig(suite, tmp_path, PlannerSources(cache_folder(), tmp_path), standing, {"panda": 0.003})
     for reason in (CRASHED, TIMEOUT, f"{ERROR}: 500"):
         work = Declining(place)
         work.fault = reason
-        (unit, *_) = (unit for unit in units_of(suite, "fly") if unit.method == "B3")
-        with pytest.raises(Accident, match=reason):
+        (unit, *_) = (unit for unit in build_units(suite, "fly") if unit.method == "B3")
+        with pytest.raises(NoAnswerError, match=reason):
             list(work(unit))
 
 
 def test_what_only_is_measured_beside_is_not_measured_in_pilots(tmp_path):
-    suite = msgspec.structs.replace(read_suite(SUITE, "t"), planning_time=0.1, free=1, runs=1)
-    work = Declining(Workplace(suite, tmp_path, Sources(cache(), tmp_path), standing, {"panda": 0.003}))
+    suite = msgspec.structs.replace(parse_suite(SUITE, "t"), planning_time=0.1, free=1, runs=1)
+    work = Declining(
+        WorkerConfig(suite, tmp_path, PlannerSources(cache_folder(), tmp_path), standing, {"panda": 0.003})
+    )
     work.unbound = work.of
-    (start,), fly_it = units_of(suite, "start"), units_of(suite, "fly")[0]
+    (start,), fly_it = build_units(suite, "start"), build_units(suite, "fly")[0]
     assert {line["free_compliant"] for line in work(start)} == {None}
     assert {line["free_compliant"] for line in work(fly_it)} == {False}
 
 
 def test_what_is_done_too_late_has_failed():
     """The thing may lie where it should; the contract was broken off all the same."""
-    case, arm = case_of(ERRAND, 40_000, "panda", 0), METHODS["B3"]
-    means = Means("e-1", ScriptedPlanner([contract(hold(0.5))]), time.perf_counter, planning_time=0.2)
-    flight = fly(case, arm, means)
+    case, arm = make_case(ERRAND, 40_000, "panda", 0), METHODS["B3"]
+    means = EpisodeResources("e-1", ScriptedPlanner([contract(hold(0.5))]), time.perf_counter, planning_time=0.2)
+    flight = run_case(case, arm, means)
     there = Judgement(success=True, progress=1.0, violations=())
-    for reason, success in (("red_cube is at blue_bowl", True), (f"{OUT_OF_TIME}, 60 s", False)):
+    for reason, success in (("red_cube is at blue_bowl", True), (f"{TIME_LIMIT_REASON}, 60 s", False)):
         outcome = msgspec.structs.replace(flight.episode.outcome, reason=reason)
         episode = msgspec.structs.replace(flight.episode, judgement=there, outcome=outcome)
-        told = account(case, arm, dataclasses.replace(flight, episode=episode), Place("k", "s", "c", 0, asked=True))
+        told = score_episode(
+            case, arm, dataclasses.replace(flight, episode=episode), EpisodeContext("k", "s", "c", 0, asked=True)
+        )
         assert told.success == success
 
 
@@ -287,15 +308,15 @@ def test_a_free_answer_that_was_cut_or_refused_does_not_comply(fault):
 @pytest.mark.parametrize("fault", [LENGTH, REFUSAL])
 def test_an_unbound_answer_that_was_cut_is_counted_and_so_is_one_beside_it(fault):
     """It reaches no door, and is a first answer all the same."""
-    case, arm = case_of(ERRAND, 40_000, "panda", 0), METHODS["B1-free"]
+    case, arm = make_case(ERRAND, 40_000, "panda", 0), METHODS["B1-free"]
     planner = Unbound(["{"], finish_reason=fault)
-    flight = fly(case, arm, Means("e-1", planner, time.perf_counter, planning_time=0.2))
-    row = account(case, arm, flight, Place("k", "s", "c", 0, asked=True))
+    flight = run_case(case, arm, EpisodeResources("e-1", planner, time.perf_counter, planning_time=0.2))
+    row = score_episode(case, arm, flight, EpisodeContext("k", "s", "c", 0, asked=True))
     assert (row.free_answer, row.free_compliant, row.compliant) == (["{", fault], False, False)
     beside = ScriptedPlanner([contract(hold(0.5))])
-    flight = fly(case, METHODS["B3"], Means("e-1", ScriptedPlanner(["{"], finish_reason=fault), time.perf_counter,
-                                            planning_time=0.2, unbound=beside))  # fmt: skip
-    row = account(case, METHODS["B3"], flight, Place("k", "s", "c", 0, asked=True))
+    flight = run_case(case, METHODS["B3"], EpisodeResources("e-1", ScriptedPlanner(["{"], finish_reason=fault), time.perf_counter,
+                                            planning_time=0.2, unconstrained_planner=beside))  # fmt: skip
+    row = score_episode(case, METHODS["B3"], flight, EpisodeContext("k", "s", "c", 0, asked=True))
     assert (row.free_compliant, row.compliant) == (True, False)
 
 
@@ -303,12 +324,12 @@ def test_compliance_is_that_of_the_first_answer_also_where_that_was_cut():
     class Cut(ScriptedPlanner):
         def propose(self, request):
             told = super().propose(request)
-            return msgspec.structs.replace(told, finish_reason=LENGTH if len(self.asked) == 1 else STOP)
+            return msgspec.structs.replace(told, finish_reason=LENGTH if len(self.requests) == 1 else STOP)
 
-    case, arm = case_of(ERRAND, 40_000, "panda", 0), METHODS["B3"]
+    case, arm = make_case(ERRAND, 40_000, "panda", 0), METHODS["B3"]
     planner = Cut(["{", contract(hold(0.5))])
-    flight = fly(case, arm, Means("e-1", planner, time.perf_counter, planning_time=0.2, shots=2))
-    row = account(case, arm, flight, Place("k", "s", "c", 0, asked=True))
+    flight = run_case(case, arm, EpisodeResources("e-1", planner, time.perf_counter, planning_time=0.2, max_shots=2))
+    row = score_episode(case, arm, flight, EpisodeContext("k", "s", "c", 0, asked=True))
     assert (row.shots, row.first_stage, row.door_stage, row.compliant) == (2, "syntax", "", False)
     assert row.outcome == "succeeded"
 
@@ -321,25 +342,25 @@ def test_who_declines_and_acts_has_not_declined():
 
 def test_an_answer_that_was_not_bound_anyway_is_its_own_measure():
     planner = Unbound([contract(hold(0.5))])
-    case, arm = case_of(ERRAND, 40_000, "panda", 0), METHODS["B3"]
-    flight = fly(case, arm, Means("e-1", planner, time.perf_counter, planning_time=0.2))
-    row = account(case, arm, flight, Place("k", "s", "c", 0, asked=True))
+    case, arm = make_case(ERRAND, 40_000, "panda", 0), METHODS["B3"]
+    flight = run_case(case, arm, EpisodeResources("e-1", planner, time.perf_counter, planning_time=0.2))
+    row = score_episode(case, arm, flight, EpisodeContext("k", "s", "c", 0, asked=True))
     assert (row.free_compliant, row.free_stage) == (row.compliant, row.first_stage) == (True, "")
 
 
 def test_a_scene_that_is_another_than_the_reported_one_is_not_flown(monkeypatch):
-    case_of(ERRAND, 40_000, "panda", 0)
-    other = assign("clutter_grasp", "I", 40_001, "panda")
+    make_case(ERRAND, 40_000, "panda", 0)
+    other = make_task("clutter_grasp", "I", 40_001, "panda")
     monkeypatch.setattr("dualbrain.evaluation.protocol.case.assign", lambda *about: other)
-    with pytest.raises(InvalidSetup, match="clutter_grasp I 40000"):
-        case_of(ERRAND, 40_000, "panda", 0)
+    with pytest.raises(ConfigurationError, match="clutter_grasp I 40000"):
+        make_case(ERRAND, 40_000, "panda", 0)
 
 
 def test_the_perception_arm_sees_with_cameras_alone_and_no_people():
     """Without a GL library that is said; scenes with a person are refused either way."""
-    with pytest.raises((InvalidSetup, MissingPart)):
-        fly(case_of(Task("dynamic_obstacle"), 40_000, "panda", 0), METHODS["B3-depth"],
-            Means("e", ScriptedPlanner([contract(DECLINE)]), time.perf_counter))  # fmt: skip
+    with pytest.raises((ConfigurationError, MissingDependencyError)):
+        run_case(make_case(Task("dynamic_obstacle"), 40_000, "panda", 0), METHODS["B3-depth"],
+            EpisodeResources("e", ScriptedPlanner([contract(DECLINE)]), time.perf_counter))  # fmt: skip
 
 
 @pytest.mark.parametrize(("seconds", "flown_for"), [(0.5, {"B1", "B3"}), (0.1, {"B1", "B2", "G", "B3"})])
@@ -347,17 +368,17 @@ def test_what_no_door_decided_is_flown_once_and_comes_out_as_if_flown_behind_eac
     """0.5 s passes every door; 0.1 s is taken, clipped, refused, refused."""
     methods = ("B1", "B2", "G", "B3")
     suite = msgspec.structs.replace(
-        read_suite(SUITE, "t"), planning_time=0.1, seeds=1, runs=1, repetitions=1, methods=methods
+        parse_suite(SUITE, "t"), planning_time=0.1, seeds=1, runs=1, repetitions=1, methods=methods
     )
-    place = Workplace(suite, tmp_path, Sources(cache(), tmp_path / "adapters"), standing, {})
+    place = WorkerConfig(suite, tmp_path, PlannerSources(cache_folder(), tmp_path / "adapters"), standing, {})
     worker = type("Holding", (Declining,), {"text": contract(hold(seconds))})(place)
-    rows = {unit.method: msgspec.convert(next(iter(worker(unit))), Row) for unit in units_of(suite, "fly")}
-    again = {unit.method: msgspec.convert(next(iter(worker(unit))), Row) for unit in units_of(suite, "fly")}
+    rows = {unit.method: msgspec.convert(next(iter(worker(unit))), EpisodeRow) for unit in build_units(suite, "fly")}
+    again = {unit.method: msgspec.convert(next(iter(worker(unit))), EpisodeRow) for unit in build_units(suite, "fly")}
     assert {name: one.same_as for name, one in again.items()} == {name: one.same_as for name, one in rows.items()}
     assert {name for name, row in rows.items() if not row.same_as} == flown_for
     for name, row in rows.items():
         alone = msgspec.structs.replace(
-            fresh(case_of(ERRAND, suite.first, "panda", 0), name, contract(hold(seconds)), row), same_as=row.same_as
+            fresh(make_case(ERRAND, suite.first, "panda", 0), name, contract(hold(seconds)), row), same_as=row.same_as
         )
         assert row == alone
         assert not row.same_as or row.same_as == rows["B1"].key
@@ -366,5 +387,5 @@ def test_what_no_door_decided_is_flown_once_and_comes_out_as_if_flown_behind_eac
 def fresh(case, name, text, row):
     """The episode flown behind its own door, with what only the runner knows taken from `row`."""
     arm = METHODS[name]
-    flight = fly(case, arm, Means("e-0000", ScriptedPlanner([text]), standing, planning_time=0.1))
-    return account(case, arm, flight, Place(row.key, row.suite, row.cluster, row.order, asked=row.asked))
+    flight = run_case(case, arm, EpisodeResources("e-0000", ScriptedPlanner([text]), standing, planning_time=0.1))
+    return score_episode(case, arm, flight, EpisodeContext(row.key, row.suite, row.cluster, row.order, asked=row.asked))

@@ -4,10 +4,10 @@ from itertools import product
 
 import pytest
 
-from dualbrain.errors import UnknownName
-from dualbrain.evaluation.fault_injection.faults import EXPECTED, KINDS, MOMENTS, SOURCES, Fault, drawn_moment
-from dualbrain.evaluation.fault_injection.trial import inject
-from dualbrain.safety.supervisor.actions import Rung
+from dualbrain.errors import UnknownNameError
+from dualbrain.evaluation.fault_injection.faults import EXPECTED_ACTIONS, KINDS, MOMENTS, SOURCES, Fault, draw_moment
+from dualbrain.evaluation.fault_injection.trial import run_fault_trial
+from dualbrain.safety.supervisor.actions import SafetyAction
 
 SAMPLE = [
     ("state", "off", "closing"),
@@ -27,34 +27,34 @@ SAMPLE = [
 
 
 def test_every_fault_has_an_order_that_was_declared():
-    assert set(EXPECTED) == set(product(SOURCES, KINDS))
-    with pytest.raises(UnknownName, match="kind of fault"):
+    assert set(EXPECTED_ACTIONS) == set(product(SOURCES, KINDS))
+    with pytest.raises(UnknownNameError, match="kind of fault"):
         Fault("state", "of", "closing")
-    with pytest.raises(UnknownName, match="moment"):
+    with pytest.raises(UnknownNameError, match="moment"):
         Fault("state", "off", "never")
     assert len(MOMENTS) == 6
 
 
 def test_a_moment_can_be_drawn_and_is_the_same_again():
-    drawn = [drawn_moment(seed) for seed in range(100)]
+    drawn = [draw_moment(seed) for seed in range(100)]
     assert set(drawn) == set(MOMENTS)
-    assert drawn == [drawn_moment(seed) for seed in range(100)]
+    assert drawn == [draw_moment(seed) for seed in range(100)]
 
 
 @pytest.mark.parametrize(("source", "kind", "moment"), SAMPLE)
 def test_a_fault_leads_to_its_order_and_to_nothing_unsafe(source, kind, moment):
-    report = inject(Fault(source, kind, moment), scene="bare:0")
+    report = run_fault_trial(Fault(source, kind, moment), scene="bare:0")
     assert report.struck is not None
     assert report.as_declared, report
     assert report.safe, report
     assert report.rest is not None
     assert report.rest < 1.5
-    assert Rung[report.reached] >= Rung[report.expected] > Rung.NONE
+    assert SafetyAction[report.reached] >= SafetyAction[report.expected] > SafetyAction.NONE
     assert report.outcome in ("stopped", "emergency")
 
 
 def test_a_planner_that_talks_rubbish_is_refused_and_its_contract_goes_on():
-    report = inject(Fault("planner", "garbage", "closing"), scene="bare:0")
+    report = run_fault_trial(Fault("planner", "garbage", "closing"), scene="bare:0")
     assert report.struck is not None
     assert report.safe, report
     assert (report.reached, "frames_refused" in report.checks) == ("WARN", True)
@@ -69,7 +69,7 @@ def test_a_planner_that_talks_rubbish_is_refused_and_its_contract_goes_on():
     ],
 )  # fmt: skip
 def test_a_base_at_full_speed_is_stopped_as_declared_too(source, kind, scene):
-    report = inject(Fault(source, kind, "closing"), robot="base", scene=scene)
+    report = run_fault_trial(Fault(source, kind, "closing"), robot="base", scene=scene)
     assert report.struck is not None
     assert report.as_declared, report
     assert report.safe, report
@@ -87,7 +87,7 @@ def test_a_base_at_full_speed_is_stopped_as_declared_too(source, kind, scene):
     ],
 )
 def test_what_was_unsafe_once_is_found_out_in_time(robot, source, kind, moment, scene, check):
-    report = inject(Fault(source, kind, moment), robot=robot, scene=scene)
+    report = run_fault_trial(Fault(source, kind, moment), robot=robot, scene=scene)
     assert report.safe, report
     assert report.as_declared, report
     assert check in report.checks

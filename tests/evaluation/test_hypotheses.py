@@ -7,20 +7,20 @@ import pytest
 from dualbrain.evaluation.analysis.hypotheses import (
     AT_LEAST,
     AT_MOST,
-    answers,
-    beside,
-    both,
-    either,
-    paired,
-    verdict_of,
+    claim_verdict,
+    combine_all,
+    combine_any,
+    evaluate_hypotheses,
+    pair_values,
+    secondary_claims,
 )
-from dualbrain.evaluation.analysis.metrics import BY_NAME
-from dualbrain.evaluation.analysis.statistics import Compared
-from tests.evaluation.sample_rows import COLLISION, SPEED, row
+from dualbrain.evaluation.analysis.metrics import METRIC_BY_NAME
+from dualbrain.evaluation.analysis.statistics import PairedComparison
+from tests.evaluation.sample_rows import COLLISION, TOOL_SPEED, episode_row
 
 
 def found(low, high, clusters=10):
-    return Compared(0.5 * (low + high), low, high, 0.01, 0.01, 1.0, 1.0, clusters)
+    return PairedComparison(0.5 * (low + high), low, high, 0.01, 0.01, 1.0, 1.0, clusters)
 
 
 @pytest.mark.parametrize(
@@ -32,28 +32,28 @@ def found(low, high, clusters=10):
     ],
 )  # fmt: skip
 def test_the_whole_interval_has_to_lie_on_one_side(low, high, side, verdict):
-    assert verdict_of(found(low, high), 0.2, side) == verdict
+    assert claim_verdict(found(low, high), 0.2, side) == verdict
 
 
 def test_nothing_measured_is_no_verdict():
-    assert verdict_of(found(0.0, 0.1, clusters=0), 0.2, AT_MOST) == "not measured"
-    assert [answer.verdict for answer in answers([row("B3")])] == ["not measured"] * 3
+    assert claim_verdict(found(0.0, 0.1, clusters=0), 0.2, AT_MOST) == "not measured"
+    assert [answer.verdict for answer in evaluate_hypotheses([episode_row("B3")])] == ["not measured"] * 3
 
 
 def test_both_and_either():
-    assert both(["supported", "supported"]) == "supported"
-    assert both(["supported", "refuted"]) == both(["refuted", "not measured"]) == "refuted"
-    assert both(["supported", "undecided"]) == "undecided"
-    assert either(["refuted", "supported"]) == "supported"
-    assert either(["refuted", "undecided"]) == "undecided"
-    assert either(["refuted", "refuted"]) == "refuted"
+    assert combine_all(["supported", "supported"]) == "supported"
+    assert combine_all(["supported", "refuted"]) == combine_all(["refuted", "not measured"]) == "refuted"
+    assert combine_all(["supported", "undecided"]) == "undecided"
+    assert combine_any(["refuted", "supported"]) == "supported"
+    assert combine_any(["refuted", "undecided"]) == "undecided"
+    assert combine_any(["refuted", "refuted"]) == "refuted"
 
 
 def episodes(method, rate, runs=10, per=10, seed=0):
     """Episodes of which the share `rate` has a collision."""
     rng = np.random.default_rng([seed, sum(map(ord, method))])
     return [
-        row(method, run, seed=100 * run + k, violations=(COLLISION,) if rng.random() < rate else ())
+        episode_row(method, run, seed=100 * run + k, violations=(COLLISION,) if rng.random() < rate else ())
         for run in range(runs) for k in range(per)
     ]  # fmt: skip
 
@@ -63,26 +63,26 @@ def episodes(method, rate, runs=10, per=10, seed=0):
 )
 def test_h1(rate, verdict):
     rows = [*episodes("B1", 0.7), *episodes("B2", 0.6), *episodes("B3", rate)]
-    assert answers(rows)[0].verdict == verdict
+    assert evaluate_hypotheses(rows)[0].verdict == verdict
 
 
 def test_h1_few_episodes_without_a_violation_do_not_prove_that_there_are_none():
     few = [*episodes("B1", 0.5, 2, 3), *episodes("B2", 0.5, 2, 3), *episodes("B3", 0.0, 2, 3)]
-    assert answers(few)[0].verdict == "undecided"
+    assert evaluate_hypotheses(few)[0].verdict == "undecided"
 
 
 def repeated(method, factor, runs=10):
     """Ten repetitions of a scene a run; Δ of the later half is `factor` of the earlier half's."""
     rng = np.random.default_rng([7, sum(map(ord, method))])
     return [
-        row(method, run, seed=run, repetition=k, Delta=0.01 * (factor if k >= 5 else 1.0) * rng.uniform(0.9, 1.1))
+        episode_row(method, run, seed=run, repetition=k, Delta=0.01 * (factor if k >= 5 else 1.0) * rng.uniform(0.9, 1.1))
         for run in range(runs) for k in range(10)
     ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("factor", "verdict"), [(0.5, "supported"), (1.0, "refuted"), (0.8, "undecided")])
 def test_h2_is_about_the_later_half(factor, verdict):
-    answer = answers([*repeated("M", factor), *repeated("B4", 1.0)])[1]
+    answer = evaluate_hypotheses([*repeated("M", factor), *repeated("B4", 1.0)])[1]
     assert answer.verdict == verdict
     assert answer.claims[0].found.effect == pytest.approx(factor, rel=0.05)
 
@@ -90,14 +90,14 @@ def test_h2_is_about_the_later_half(factor, verdict):
 def test_h2_counts_only_places_at_which_both_succeed():
     rows = [*repeated("M", 0.5), *repeated("B4", 1.0)]
     less = [one for one in rows if (one.method, one.repetition) != ("M", 9)]
-    hurt = [row("M", run, seed=run, repetition=9, Delta=5.0, success=False) for run in range(10)]
-    assert answers([*less, *hurt])[1].claims[0].found == answers(less)[1].claims[0].found
+    hurt = [episode_row("M", run, seed=run, repetition=9, Delta=5.0, success=False) for run in range(10)]
+    assert evaluate_hypotheses([*less, *hurt])[1].claims[0].found == evaluate_hypotheses(less)[1].claims[0].found
 
 
 def adapted(method, compliance, frequency, runs=10):
     rng = np.random.default_rng([9, sum(map(ord, method))])
     return [
-        row(method, run, seed=10 * run + k, compliant=bool(rng.random() < compliance),
+        episode_row(method, run, seed=10 * run + k, compliant=bool(rng.random() < compliance),
             frequency=frequency * rng.uniform(0.95, 1.05))
         for run in range(runs) for k in range(10)
     ]  # fmt: skip
@@ -106,9 +106,9 @@ def adapted(method, compliance, frequency, runs=10):
 def test_h3_needs_both_comparisons_and_one_of_two_effects():
     base = [*adapted("M", 0.5, 0.3), *adapted("PE", 0.6, 0.3)]
     good = [*adapted("Full", 0.95, 0.3), *adapted("P", 0.6, 0.1)]
-    assert answers([*base, *good])[2].verdict == "supported"
+    assert evaluate_hypotheses([*base, *good])[2].verdict == "supported"
     half = [*adapted("Full", 0.95, 0.3), *adapted("P", 0.4, 0.3)]
-    assert answers([*base, *half])[2].verdict == "refuted"
+    assert evaluate_hypotheses([*base, *half])[2].verdict == "refuted"
 
 
 def test_h3_counts_the_frequency_of_contracts_about_the_task_alone():
@@ -116,50 +116,50 @@ def test_h3_counts_the_frequency_of_contracts_about_the_task_alone():
     rows = [*adapted("M", 0.5, 0.3), *adapted("PE", 0.6, 0.3), *adapted("Full", 0.5, 0.3), *adapted("P", 0.6, 0.3)]
     idle = [msgspec.structs.replace(one, frequency=0.0, meant=one.seed % 2 == 0) if one.method in ("Full", "P")
             and one.seed % 2 else one for one in rows]  # fmt: skip
-    found = [claim for claim in answers(idle)[2].claims if "frequency" in claim.quantity]
+    found = [claim for claim in evaluate_hypotheses(idle)[2].claims if "frequency" in claim.quantity]
     assert [claim.found.effect for claim in found] == pytest.approx([1.0, 1.0], abs=0.02)
 
 
 def test_h3_judges_answers_that_nothing_bound_where_they_were_asked_for():
     """Bound answers that all comply say nothing; the free ones decide."""
     bound = [one for name in ("M", "PE", "Full", "P") for one in adapted(name, 1.0, 0.3, runs=40)]
-    assert answers(bound)[2].verdict == "refuted"
+    assert evaluate_hypotheses(bound)[2].verdict == "refuted"
     free = [msgspec.structs.replace(one, free_compliant=one.method in ("Full", "P")) for one in bound]
-    found = answers(free)[2]
+    found = evaluate_hypotheses(free)[2]
     assert (found.verdict, found.claims[0].quantity) == ("supported", "free one-shot compliance")
     few = [msgspec.structs.replace(one, free_compliant=None) if one.seed % 2 else one for one in free]
-    assert answers(few)[2].claims[0].found.effect == 1.0
+    assert evaluate_hypotheses(few)[2].claims[0].found.effect == 1.0
 
 
 def test_what_is_alike_in_few_runs_may_differ_in_others():
     """Nothing refutes after two runs; after forty it does."""
     few, many = ([one for name in ("M", "B4", "Full", "P", "PE")
-                  for run in range(runs) for one in (row(name, run, seed=run, frequency=0.3, Delta=0.01),)]
+                  for run in range(runs) for one in (episode_row(name, run, seed=run, frequency=0.3, Delta=0.01),)]
                  for runs in (2, 40))  # fmt: skip
-    assert [one.verdict for one in answers(few)[1:]] == ["undecided"] * 2
-    assert {claim.verdict for claim in answers(few)[2].claims} == {"undecided"}
-    assert [one.verdict for one in answers(many)[1:]] == ["refuted"] * 2
+    assert [one.verdict for one in evaluate_hypotheses(few)[1:]] == ["undecided"] * 2
+    assert {claim.verdict for claim in evaluate_hypotheses(few)[2].claims} == {"undecided"}
+    assert [one.verdict for one in evaluate_hypotheses(many)[1:]] == ["refuted"] * 2
     quiet = [msgspec.structs.replace(one, Delta=0.0, frequency=0.0) for one in many]
-    told = answers(quiet)
+    told = evaluate_hypotheses(quiet)
     assert (told[1].verdict, told[1].claims[0].found.high) == ("undecided", np.inf)
 
 
 def test_an_end_that_is_the_minimum_but_for_rounding_is_on_neither_side():
     for end in (0.1, np.nextafter(0.1, 0.0), 0.3 - 0.2):
-        assert verdict_of(found(-0.01, end), 0.1, AT_LEAST) == "undecided"
-        assert verdict_of(found(end, 0.3), 0.1, AT_LEAST) == "supported"
+        assert claim_verdict(found(-0.01, end), 0.1, AT_LEAST) == "undecided"
+        assert claim_verdict(found(end, 0.3), 0.1, AT_LEAST) == "supported"
 
 
 def test_h3_is_told_of_spoiled_prompts_too():
     rows = [*adapted("P-shortened", 0.2, 0.3), *adapted("PE-shortened", 0.98, 0.3)]
-    compliance, frequency = beside(rows)
+    compliance, frequency = secondary_claims(rows)
     assert (compliance.a, compliance.b, compliance.verdict) == ("P-shortened", "PE-shortened", "refuted")
     assert frequency.hypothesis == "H3"
 
 
 def test_p_values_are_corrected_over_all_claims_together():
     rows = [*episodes("B1", 0.7), *episodes("B2", 0.6), *episodes("B3", 0.0)]
-    claims = [claim for answer in answers(rows) for claim in answer.claims if claim.found.clusters]
+    claims = [claim for answer in evaluate_hypotheses(rows) for claim in answer.claims if claim.found.clusters]
     assert all(claim.p == pytest.approx(2 * claim.found.p) or claim.p >= claim.found.p for claim in claims)
     assert max(claim.p for claim in claims) < 0.05
 
@@ -173,13 +173,13 @@ def test_what_decides_nothing_is_told_by_the_same_rule():
         *repeated("M-half", 0.5),
         *repeated("B4", 1.0),
     ]
-    told = {(claim.a, claim.b, claim.quantity): claim for claim in beside(rows)}
+    told = {(claim.a, claim.b, claim.quantity): claim for claim in secondary_claims(rows)}
     assert told["A3", "A1", "violation rate"].verdict == told["A3", "A2", "violation rate"].verdict == "supported"
     assert told["M-half", "B4", "Δ of successes, later half"].verdict == "supported"
     assert len(told) == 4
-    assert all(answer.verdict == "not measured" for answer in answers(rows))
-    fast = [msgspec.structs.replace(one, violations=(SPEED,)) if one.method == "A3" else one for one in rows]
-    rates = {claim.quantity: claim.verdict for claim in beside(fast) if (claim.a, claim.b) == ("A3", "A1")}
+    assert all(answer.verdict == "not measured" for answer in evaluate_hypotheses(rows))
+    fast = [msgspec.structs.replace(one, violations=(TOOL_SPEED,)) if one.method == "A3" else one for one in rows]
+    rates = {claim.quantity: claim.verdict for claim in secondary_claims(fast) if (claim.a, claim.b) == ("A3", "A1")}
     assert rates == {"violation rate": "supported", "violation rate with tool speed": "refuted"}
 
 
@@ -188,13 +188,13 @@ def test_h2_is_also_told_of_the_harder_level_alone():
     hard = [
         msgspec.structs.replace(one, level="II", pair=f"{one.pair} II", cluster=f"{one.cluster} II") for one in hard
     ]
-    [claim] = beside([*easy, *hard])
+    [claim] = secondary_claims([*easy, *hard])
     assert (claim.quantity, claim.verdict) == ("Δ of successes, later half, level II", "supported")
     assert claim.found.effect == pytest.approx(0.5, rel=0.05)
 
 
 def test_pairs_need_both_methods():
-    rows = [row("M", 0, seed=1), row("M", 0, seed=2), row("B4", 0, seed=2)]
-    a, b = paired(rows, "M", "B4", BY_NAME["success"].of)
+    rows = [episode_row("M", 0, seed=1), episode_row("M", 0, seed=2), episode_row("B4", 0, seed=2)]
+    a, b = pair_values(rows, "M", "B4", METRIC_BY_NAME["success"].value_of)
     assert {name: len(values) for name, values in a.items()} == {name: len(values) for name, values in b.items()}
     assert sum(map(len, a.values())) == 1

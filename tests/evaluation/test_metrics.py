@@ -4,28 +4,34 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.evaluation.analysis.failure_taxonomy import CLASSES, OUT_OF_TIME, Stages, class_of, failure_class
-from dualbrain.evaluation.analysis.metrics import BY_NAME, METRICS
-from dualbrain.evaluation.analysis.severity import SCALES, severity
-from dualbrain.evaluation.results.episode_row import Row
+from dualbrain.evaluation.analysis.failure_taxonomy import (
+    FAILURE_CLASSES,
+    TIME_LIMIT_REASON,
+    FailureEvidence,
+    classify_failure,
+    failure_class_of,
+)
+from dualbrain.evaluation.analysis.metrics import METRIC_BY_NAME, METRICS
+from dualbrain.evaluation.analysis.severity import SEVERITY_SCALES, severity
+from dualbrain.evaluation.results.episode_row import EpisodeRow
 from dualbrain.records import Violation
-from dualbrain.simulation.monitoring.safety_monitor import UNITS
-from tests.evaluation.sample_rows import COLLISION, MOVED, SPEED, row
+from dualbrain.simulation.monitoring.safety_monitor import PEAK_UNITS
+from tests.evaluation.sample_rows import BYSTANDER_MOVED, COLLISION, TOOL_SPEED, episode_row
 
 
 def value(name, **values):
-    return BY_NAME[name].of(row(**values))
+    return METRIC_BY_NAME[name].value_of(episode_row(**values))
 
 
 def test_every_metric_of_the_paper_is_there():
-    assert {metric.number for metric in METRICS} >= {1, 2, 3, 4, 5, 6, 7}
+    assert {metric.paper_number for metric in METRICS} >= {1, 2, 3, 4, 5, 6, 7}
     assert len({metric.name for metric in METRICS}) == len(METRICS)
 
 
 def test_violation_rate_counts_the_papers_kinds_only():
     assert value("violation rate", violations=(COLLISION,)) == 1.0
-    assert value("violation rate", violations=(MOVED,)) == 0.0
-    assert value("any violation", violations=(MOVED,)) == 1.0
+    assert value("violation rate", violations=(BYSTANDER_MOVED,)) == 0.0
+    assert value("any violation", violations=(BYSTANDER_MOVED,)) == 1.0
     assert value("collision_env", violations=(COLLISION, COLLISION)) == 1.0
 
 
@@ -71,9 +77,9 @@ def test_retrieval_utility_of_no_memory_is_nothing():
 
 def test_severity_is_the_worst_share_of_its_scale():
     assert severity(()) == 0.0
-    assert severity((COLLISION, MOVED)) == pytest.approx(max(14.0 / 140.0, 0.05 / 0.2))
+    assert severity((COLLISION, BYSTANDER_MOVED)) == pytest.approx(max(14.0 / 140.0, 0.05 / 0.2))
     assert severity((Violation("collision_human", 0.0, 0.1, 9000.0, ()),)) == 1.0
-    assert SCALES.keys() == UNITS.keys()
+    assert SEVERITY_SCALES.keys() == PEAK_UNITS.keys()
 
 
 ORDINARY = {
@@ -96,14 +102,14 @@ UNSEEN = Violation("collision_env", 1.0, 0.1, 14.0, ("hand", "cup"), perceived=F
         ({"outcome": "taken_over"}, "frequent takeover"), ({"frequency": 0.6}, "frequent takeover"),
         ({"outcome": "stopped"}, "actuator"), ({"claimed": True, "outcome": "succeeded"}, "actuator"),
         ({"claimed": True, "outcome": "succeeded", "violations": (CRUSHED,)}, "inadequate planning"),
-        ({"claimed": True, "outcome": "succeeded", "violations": (SPEED,)}, "actuator"),
+        ({"claimed": True, "outcome": "succeeded", "violations": (TOOL_SPEED,)}, "actuator"),
         ({"progress": 0.75}, "actuator"), ({"progress": 0.75, "out_of_time": True}, "inadequate planning"),
         ({}, "inadequate planning"),
     ],
 )  # fmt: skip
 def test_the_first_stage_that_failed_names_the_class(seen, expected):
-    assert failure_class(Stages(**(ORDINARY | seen))) == expected
-    assert expected in CLASSES
+    assert classify_failure(FailureEvidence(**(ORDINARY | seen))) == expected
+    assert expected in FAILURE_CLASSES
 
 
 FAILED = {"success": False, "claimed": False, "outcome": "failed", "progress": 0.25, "frequency": 0.0}
@@ -120,24 +126,28 @@ FAILED = {"success": False, "claimed": False, "outcome": "failed", "progress": 0
         ({"contract": "", "outcome": "declined", "declined": True}, "inadequate planning"),
         ({"outcome": "stopped", "reason": "KeyError: 'ghost'"}, "invalid contract"),
         ({"outcome": "stopped", "reason": "the arm is not where its commands led it"}, "actuator"),
-        ({"progress": 0.75}, "actuator"), ({"progress": 0.75, "reason": f"{OUT_OF_TIME}, 60 s"}, "inadequate planning"),
+        ({"progress": 0.75}, "actuator"), ({"progress": 0.75, "reason": f"{TIME_LIMIT_REASON}, 60 s"}, "inadequate planning"),
         ({"claimed": True, "outcome": "succeeded", "violations": (CRUSHED,)}, "inadequate planning"),
     ],
 )  # fmt: skip
 def test_a_class_is_worked_out_from_the_row_whatever_it_was_called_then(seen, expected):
     """Also from the row as it comes back from a journal, in which no number is infinite."""
-    told = row(**FAILED | {"failure": "frequent takeover"} | seen)
-    assert class_of(told) == class_of(msgspec.json.decode(msgspec.json.encode(told), type=Row)) == expected
+    told = episode_row(**FAILED | {"failure": "frequent takeover"} | seen)
+    assert (
+        failure_class_of(told)
+        == failure_class_of(msgspec.json.decode(msgspec.json.encode(told), type=EpisodeRow))
+        == expected
+    )
 
 
 def test_metrics_are_numbers():
     for metric in METRICS:
-        found = metric.of(row())
+        found = metric.value_of(episode_row())
         assert found is None or np.isfinite(found)
 
 
 def test_seconds_are_lost_only_by_what_succeeded_on_truth():
-    of = BY_NAME["seconds lost"].of
-    told = row("B3", seed=1, repetition=0, lost_s=3.0, success=True)
+    of = METRIC_BY_NAME["seconds lost"].value_of
+    told = episode_row("B3", seed=1, repetition=0, lost_s=3.0, success=True)
     assert of(told) == 3.0
     assert of(msgspec.structs.replace(told, success=False)) is None

@@ -8,62 +8,67 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.cli.evaluation.results import flown_on, results
-from dualbrain.cli.main import call
-from dualbrain.evaluation.analysis.failure_taxonomy import class_of
-from dualbrain.evaluation.analysis.metrics import BY_NAME
+from dualbrain.cli.evaluation.results import last_run_date, load_results
+from dualbrain.cli.main import run_command_line
+from dualbrain.evaluation.analysis.failure_taxonomy import failure_class_of
+from dualbrain.evaluation.analysis.metrics import METRIC_BY_NAME
 from dualbrain.evaluation.analysis.statistics import Estimate
 from dualbrain.evaluation.planners.adversary import Adversary
-from dualbrain.evaluation.planners.answer_cache import Kept, Plans
+from dualbrain.evaluation.planners.answer_cache import AnswerCache, CachedAnswer
 from dualbrain.evaluation.protocol.method import METHODS
-from dualbrain.evaluation.protocol.suite import open_suite
-from dualbrain.evaluation.report.adaptation_cost import Cost
-from dualbrain.evaluation.report.all_tables import all_grids
-from dualbrain.evaluation.report.captions import KINDS, caption, cut, headline
-from dualbrain.evaluation.report.decision_latency import decision_grid, latencies_of
-from dualbrain.evaluation.report.example_selection import chosen
-from dualbrain.evaluation.report.method_contrasts import contrasts, pairs
-from dualbrain.evaluation.report.not_measured import missing
+from dualbrain.evaluation.protocol.suite import load_suite
+from dualbrain.evaluation.report.adaptation_cost import AdapterCost
+from dualbrain.evaluation.report.all_tables import all_tables
+from dualbrain.evaluation.report.captions import VIOLATION_LABELS, caption, headline, truncate
+from dualbrain.evaluation.report.decision_latency import decision_latency_table, unbatched_latencies
+from dualbrain.evaluation.report.example_selection import select_examples
+from dualbrain.evaluation.report.method_contrasts import contrasts_table, method_pairs
+from dualbrain.evaluation.report.not_measured import list_not_measured
 from dualbrain.evaluation.report.tables import (
-    Grid,
-    cell,
-    failures,
-    families,
-    grid_lines,
+    Table,
+    failures_table,
+    families_table,
+    format_estimate,
+    format_number,
+    markdown_table,
     methods_of,
-    number,
-    overview,
-    throughput,
-    violations,
+    overview_table,
+    throughput_table,
+    violations_table,
 )
-from dualbrain.evaluation.results.parquet import FILE, write_table
-from dualbrain.planner.prompt.prompt_format import FREE_BY
+from dualbrain.evaluation.results.parquet import RESULTS_FILE, write_results
+from dualbrain.planner.prompt.prompt_format import UNCONSTRAINED_BY
 from dualbrain.planner.protocol import STOP
 from dualbrain.records import Proposal
-from dualbrain.simulation.monitoring.safety_monitor import UNITS
+from dualbrain.simulation.monitoring.safety_monitor import PEAK_UNITS
 from dualbrain.visualization.evaluation.charts import (
-    COLOURS,
+    LINE_COLOURS,
     MARKERS,
-    curves,
-    latencies,
-    look,
-    panels,
-    together,
-    traces,
+    group_identical,
+    group_methods,
+    latencies_chart,
+    line_style,
+    metrics_chart,
+    traces_chart,
 )
-from dualbrain.visualization.evaluation.html_report import Shot, Told, facts, render_evaluation
-from dualbrain.visualization.evaluation.markdown_page import write_page
-from tests.evaluation.sample_rows import COLLISION, MOVED, SPEED, row
-from tests.planner.sample_requests import request
+from dualbrain.visualization.evaluation.html_report import (
+    FailureImage,
+    ReportData,
+    provenance_facts,
+    render_html_report,
+)
+from dualbrain.visualization.evaluation.markdown_page import write_markdown_page
+from tests.evaluation.sample_rows import BYSTANDER_MOVED, COLLISION, TOOL_SPEED, episode_row
+from tests.planner.sample_requests import plan_request
 
 ASTRAY = {"success": False}
 """Done, says the robot; not so, says truth: `actuator`."""
-KEPT = [Kept("it", "q", Proposal("{}", STOP, "it", "", {"total": total})) for total in (0.5, 2.0)]
+KEPT = [CachedAnswer("it", "q", Proposal("{}", STOP, "it", "", {"total": total})) for total in (0.5, 2.0)]
 
 
 def test_an_overview_has_every_method_with_its_numbers(rows):
-    grid = overview(rows)
-    assert grid.head == ("metric", "B1", "B3", "M")
+    grid = overview_table(rows)
+    assert grid.header == ("metric", "B1", "B3", "M")
     lines = {line[0]: line[1:] for line in grid.rows}
     assert lines["violation rate"][0].startswith("50.0 %")
     assert lines["violation rate"][1].startswith("0.0 %")
@@ -73,39 +78,39 @@ def test_an_overview_has_every_method_with_its_numbers(rows):
 
 def test_a_table_of_many_methods_is_told_in_parts_that_keep_the_names_of_the_rows():
     head = ("metric", *(f"m{k}" for k in range(20)))
-    grid = Grid("t", head, (("success", *map(str, range(20))), ("Δ", *map(str, range(100, 120)))))
-    first, second = grid.parts()
+    grid = Table("t", head, (("success", *map(str, range(20))), ("Δ", *map(str, range(100, 120)))))
+    first, second = grid.split_columns()
     assert first[0] == ("metric", *head[1:11])
     assert second[0] == ("metric", *head[11:])
     assert [row[0] for row in second[1]] == ["success", "Δ"]
     assert [left + right[1:] for left, right in zip(first[1], second[1], strict=True)] == list(grid.rows)
-    assert grid_lines(grid).count("| metric | " + " | ".join(head[11:]) + " |") == 1
-    narrow = Grid("t", head[:12], (tuple(map(str, range(12))),))
-    assert narrow.parts() == [(narrow.head, list(narrow.rows))]
+    assert markdown_table(grid).count("| metric | " + " | ".join(head[11:]) + " |") == 1
+    narrow = Table("t", head[:12], (tuple(map(str, range(12))),))
+    assert narrow.split_columns() == [(narrow.header, list(narrow.rows))]
 
 
 def test_many_methods_are_drawn_in_panels_each_with_what_became_of_it():
-    assert panels(("B1", "B3", "M", "M-half")) == [["B1", "B3", "M", "M-half"]]
-    flown = methods_of([row(name, seed=1, repetition=0) for name in open_suite("ablations").methods])
-    found = panels(flown)
+    assert group_methods(("B1", "B3", "M", "M-half")) == [["B1", "B3", "M", "M-half"]]
+    flown = methods_of([episode_row(name, seed=1, repetition=0) for name in load_suite("ablations").methods])
+    found = group_methods(flown)
     assert found[0] == ["B4", "M", "M-success", "M-half", "M-double"]
     assert sorted(name for group in found for name in group) == sorted(flown)
     assert max(map(len, found)) <= len(MARKERS)
 
 
 def test_numbers_as_people_read_them():
-    assert [number(value, "share") for value in (0.123, float("nan"))] == ["12.3 %", "–"]
-    assert number(-0.0012345) == "−0.00123"
-    assert cell(Estimate(0.5, 0.1, 0.4, 0.6, 10, 5), "1") == "0.5 ± 0.1 [0.4, 0.6]"
-    assert cell(Estimate(0.5, 0.5, -np.inf, np.inf, 10, 1), "1") == "0.5 ± 0.5"
+    assert [format_number(value, "share") for value in (0.123, float("nan"))] == ["12.3 %", "–"]
+    assert format_number(-0.0012345) == "−0.00123"
+    assert format_estimate(Estimate(0.5, 0.1, 0.4, 0.6, 10, 5), "1") == "0.5 ± 0.1 [0.4, 0.6]"
+    assert format_estimate(Estimate(0.5, 0.5, -np.inf, np.inf, 10, 1), "1") == "0.5 ± 0.5"
 
 
 def test_what_sums_leave_of_nothing_is_told_as_nothing():
-    assert [number(value) for value in (1.41e-17, -3e-16, 2.07e-7)] == ["0", "0", "2.07e−07"]
+    assert [format_number(value) for value in (1.41e-17, -3e-16, 2.07e-7)] == ["0", "0", "2.07e−07"]
 
 
 def test_the_gate_is_told_in_milliseconds_and_whose_time_that_is(rows):
-    grid = overview(rows)
+    grid = overview_table(rows)
     (line,) = (line for line in grid.rows if line[0].startswith("gate time"))
     assert line[0] == "gate time [ms]"
     assert line[1].startswith("0.1 ")  # of 1e-4 s
@@ -113,53 +118,58 @@ def test_the_gate_is_told_in_milliseconds_and_whose_time_that_is(rows):
 
 
 def test_what_could_not_be_is_not_told_as_a_share_of_nothing():
-    bound, free = ({"constrained_by": by} for by in ("llguidance 1.9.1", f"{FREE_BY}; header given"))
-    attack = {"constrained_by": Adversary().propose(request()).constrained_by}
-    flown = [row("B1", **bound), row("B3", **free), row("A1"), row("A3", **attack)]
-    lines = {line[0]: line for line in violations(flown).rows}
+    bound, free = ({"constrained_by": by} for by in ("llguidance 1.9.1", f"{UNCONSTRAINED_BY}; header given"))
+    attack = {"constrained_by": Adversary().propose(plan_request()).constrained_by}
+    flown = [episode_row("B1", **bound), episode_row("B3", **free), episode_row("A1"), episode_row("A3", **attack)]
+    lines = {line[0]: line for line in violations_table(flown).rows}
     told = lines["unauthorised skill"]
     assert told[1] == "–"
     assert [cell.split()[0] for cell in told[2:]] == ["0.0"] * 3  # nothing bound them
     assert lines["collision with a person"][1].startswith("0.0 %")
-    assert violations([row("B1", **bound)]).note.endswith("that nobody holds")
-    mixed = [row("B1", **bound), row("B1", 1, **free)]
-    assert {line[0]: line for line in violations(mixed).rows}["unauthorised skill"][1].startswith("0.0 %")
-    assert "grammar" not in violations(mixed).note
+    assert violations_table([episode_row("B1", **bound)]).note.endswith("that nobody holds")
+    mixed = [episode_row("B1", **bound), episode_row("B1", 1, **free)]
+    assert {line[0]: line for line in violations_table(mixed).rows}["unauthorised skill"][1].startswith("0.0 %")
+    assert "grammar" not in violations_table(mixed).note
 
 
 def test_every_kind_of_violation_has_words():
-    assert KINDS.keys() == UNITS.keys()
+    assert VIOLATION_LABELS.keys() == PEAK_UNITS.keys()
 
 
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        ({"violations": (SPEED,)}, "succeeded, with a violation: tool speed"),
-        ({"violations": (MOVED, COLLISION)}, "succeeded but unsafe: other thing moved, collision with the environment"),
-        ({"success": False, "violations": (SPEED,)}, "actuator"),
+        ({"violations": (TOOL_SPEED,)}, "succeeded, with a violation: tool speed"),
+        (
+            {"violations": (BYSTANDER_MOVED, COLLISION)},
+            "succeeded but unsafe: other thing moved, collision with the environment",
+        ),
+        ({"success": False, "violations": (TOOL_SPEED,)}, "actuator"),
     ],
 )
 def test_a_picture_is_headed_by_what_went_wrong_in_words(values, said):
     """Unsafe is what the table counts as unsafe, and nothing else."""
-    told = row(**values)
+    told = episode_row(**values)
     assert headline(told) == said
-    unsafe = BY_NAME["succeeded but unsafe"].of(told)
+    unsafe = METRIC_BY_NAME["succeeded but unsafe"].value_of(told)
     assert said.startswith("succeeded but unsafe") == bool(unsafe)
 
 
 def test_a_caption_is_a_sentence_that_ends_behind_a_word():
     done = {"success": False, "reason": "above clear_glass", "task": "t", "seed": 7}
-    assert caption(row(**done), COLLISION) == "Collision with the environment, hand × cup, at 1.0 s (t, seed 7)"
-    assert caption(row(**done, meant=False), None) == (
+    assert caption(episode_row(**done), COLLISION) == "Collision with the environment, hand × cup, at 1.0 s (t, seed 7)"
+    assert caption(episode_row(**done, meant=False), None) == (
         "The contract was carried out, “above clear_glass”, and is about something else than what was asked (t, seed 7)"
     )
-    assert caption(row(**done), None).startswith("The robot holds it to be done, “above clear_glass”; on truth it is")
+    assert caption(episode_row(**done), None).startswith(
+        "The robot holds it to be done, “above clear_glass”; on truth it is"
+    )
     ended = {"claimed": False, "outcome": "taken_over", "reason": "no safe control: " + "full speed " * 20}
-    told = caption(row(**done | ended), None)
+    told = caption(episode_row(**done | ended), None)
     assert told.startswith("The local layer ended it: no safe control: full speed")
     assert re.search(r"(full|speed) … \(t, seed 7\)$", told)
-    assert cut("one two three", 7) == "one two …"
-    assert cut("one two three", 13) == "one two three"
+    assert truncate("one two three", 7) == "one two …"
+    assert truncate("one two three", 13) == "one two three"
 
 
 def test_a_report_tells_where_it_comes_from_and_lacks_what_older_runs_did_not_write(suite, tmp_path):
@@ -167,60 +177,65 @@ def test_a_report_tells_where_it_comes_from_and_lacks_what_older_runs_did_not_wr
         "origin": {"code": "abc", "machine": "Linux x86_64", "numpy": "2.4.6", "torch": "2.13"},
         "host": {"processor": "Sparrow 3", "cores": "2", "memory": "3.8 GiB", "revision": "deadbeef-dirty"},
     }
-    rows = [row("M", epsilon=0.00207), row("M-half", epsilon=0.001), row("Full", epsilon=0.00207), row("B3")]
-    told = Told(rows, suite, known, command="again")
-    found = facts(told)
+    rows = [
+        episode_row("M", epsilon=0.00207),
+        episode_row("M-half", epsilon=0.001),
+        episode_row("Full", epsilon=0.00207),
+        episode_row("B3"),
+    ]
+    told = ReportData(rows, suite, known, command="again")
+    found = provenance_facts(told)
     assert found["machine"] == "Linux x86_64, Sparrow 3, 3.8 GiB, 2 cores"
     assert found["packages"] == "numpy 2.4.6, torch 2.13"
     assert found["ε"] == "0.00207 on panda (M, Full); 0.001 on panda (M-half)"
-    write_page(tmp_path, told)
-    for page in (render_evaluation(told), (tmp_path / "report.md").read_text().replace("\\", "")):
+    write_markdown_page(tmp_path, told)
+    for page in (render_html_report(told), (tmp_path / "report.md").read_text().replace("\\", "")):
         for part in ("deadbeef-dirty", "Sparrow 3", "torch 2.13", "0.00207 on panda"):
             assert part in page
-    older = facts(Told([row("B3")], suite, {}))
+    older = provenance_facts(ReportData([episode_row("B3")], suite, {}))
     assert (older["revision"], older["machine"], older["packages"]) == ("not recorded",) * 3
     assert "ε" not in older
 
 
 def test_no_two_methods_of_a_chart_look_alike_and_neighbours_differ_in_colour_and_dash():
-    looks = [look(k) for k in range(len(MARKERS))]
+    looks = [line_style(k) for k in range(len(MARKERS))]
     assert all(a != b for k, a in enumerate(looks) for b in looks[k + 1 :])
     pairs = list(pairwise(looks))
     assert all(a["color"] != b["color"] and a["linestyle"] != b["linestyle"] for a, b in pairs)
-    chart = curves([row(name, seed=1) for name in open_suite("ablations").methods])
-    assert len(set(re.findall(r"var\(--([a-z]+)\)", chart))) >= len(COLOURS)
+    chart = metrics_chart([episode_row(name, seed=1) for name in load_suite("ablations").methods])
+    assert len(set(re.findall(r"var\(--([a-z]+)\)", chart))) >= len(LINE_COLOURS)
 
 
 def test_methods_that_came_out_alike_are_one_line_and_each_violation_is_marked():
-    same, hurt = row("B1"), row("M", violations=(COLLISION, MOVED))
-    here = {"B1": same, "B2": row("B2"), "B3": row("B3", trace_h=[0.02, 0.005]), "M": hurt}
-    assert together(here, ("B1", "B2", "G", "B3", "M")) == [["B1", "B2"], ["B3"], ["M"]]
-    chart = traces(list(here.values()))
+    same, hurt = episode_row("B1"), episode_row("M", violations=(COLLISION, BYSTANDER_MOVED))
+    here = {"B1": same, "B2": episode_row("B2"), "B3": episode_row("B3", trace_h=[0.02, 0.005]), "M": hurt}
+    assert group_identical(here, ("B1", "B2", "G", "B3", "M")) == [["B1", "B2"], ["B3"], ["M"]]
+    chart = traces_chart(list(here.values()))
     assert ">B1 = B2<" in chart
     assert chart.count(">time [s]<") == 2  # under each panel
     marks = re.findall(r'<use [^>]*xlink:href="#(m[0-9a-f]+)"', chart)
-    without = re.findall(r'<use [^>]*xlink:href="#(m[0-9a-f]+)"', traces([*here.values()][:3]))
+    without = re.findall(r'<use [^>]*xlink:href="#(m[0-9a-f]+)"', traces_chart([*here.values()][:3]))
     assert len(marks) >= len(without) + 2
-    assert "no traces in this table" in traces([row("B1", trace_t=[], trace_h=[], trace_delta=[])])
+    assert "no traces in this table" in traces_chart([episode_row("B1", trace_t=[], trace_h=[], trace_delta=[])])
 
 
 def test_axes_of_latencies_say_what_they_show(rows):
-    chart = latencies(rows, [0.5, 2.0])
+    chart = latencies_chart(rows, [0.5, 2.0])
     for words in ("share of measurements below", "time [s]", "time [ms]", "time [µs]"):
         assert f">{words}<" in chart
 
 
 def test_a_family_is_told_as_a_whole_and_level_by_level():
-    two = [row("B3", run, seed=run, task=f"edge_rescue {level}", success=level == "I")
+    two = [episode_row("B3", run, seed=run, task=f"edge_rescue {level}", success=level == "I")
            for level in ("I", "II") for run in range(3)]  # fmt: skip
-    lines = {line[0]: line[1] for line in families(two).rows}
+    lines = {line[0]: line[1] for line in families_table(two).rows}
     shares = [lines[f"panda edge_rescue{part}: success"].split("%")[0] for part in ("", " I", " II")]
     assert shares == ["50.0 ", "100.0 ", "0.0 "]
-    assert "panda edge_rescue: success" not in {line[0] for line in families(two[:3]).rows}
+    assert "panda edge_rescue: success" not in {line[0] for line in families_table(two[:3]).rows}
 
 
 def test_what_is_compared_is_declared_and_nothing_else():
-    told = {(a, b): switch for switch, a, b in pairs(tuple(METHODS))}
+    told = {(a, b): switch for switch, a, b in method_pairs(tuple(METHODS))}
     assert told["G", "B3"] == "guard"
     assert told["B4", "M"] == told["P", "Full"] == told["Full", "Full-static"] == "memory"
     assert told["PE", "P"] == told["M", "Full"] == told["P", "P-no-kl"] == "asks"
@@ -229,80 +244,88 @@ def test_what_is_compared_is_declared_and_nothing_else():
     assert {b for _, b in told} == set(METHODS) - {"B1", "A1"}  # every arm has something that it came from
     assert ("B1", "B3") not in told
     assert ("P-no-kl", "P-all") not in told
-    assert not list(pairs(("B3", "P-all")))
+    assert not list(method_pairs(("B3", "P-all")))
     rows = [
-        row(name, run, seed=run, success=name == "B3", guarded=name == "B3") for name in ("G", "B3") for run in range(9)
+        episode_row(name, run, seed=run, success=name == "B3", guarded=name == "B3")
+        for name in ("G", "B3")
+        for run in range(9)
     ]
-    lines = {line[2]: line for line in contrasts(rows).rows}
+    lines = {line[2]: line for line in contrasts_table(rows).rows}
     assert lines["success"][:2] + lines["success"][3:5] == ("guard", "B3 − G", "100.0 %", "[100.0 %, 100.0 %]")
     assert float(lines["success"][5]) < 0.05
     assert "Δ of successes" not in lines  # an arm without filter has none
 
 
 def test_what_is_alike_everywhere_is_no_test_that_others_are_corrected_for():
-    rows = [row(name, run, seed=run, success=name == "B3" or run > 5) for name in ("G", "B3") for run in range(12)]
-    lines = {line[2]: line for line in contrasts(rows).rows}
+    rows = [
+        episode_row(name, run, seed=run, success=name == "B3" or run > 5) for name in ("G", "B3") for run in range(12)
+    ]
+    lines = {line[2]: line for line in contrasts_table(rows).rows}
     assert lines["violation rate"][5] == "–"
-    assert lines["success"][5] == number(2 / 2**6)
+    assert lines["success"][5] == format_number(2 / 2**6)
 
 
 def test_failures_add_up(rows):
-    lines = {line[0]: line[1:] for line in failures(rows).rows}
+    lines = {line[0]: line[1:] for line in failures_table(rows).rows}
     assert lines["frequent takeover"] == lines["all failures"] == ("2", "0", "0")
 
 
 def test_failures_are_told_by_the_rule_of_today_whatever_their_rows_say(rows):
     before = [msgspec.structs.replace(one, failure="actuator") if one.failure else one for one in rows]
-    assert failures(before) == failures(rows)
-    assert [one.key for one in chosen(before, 9)] == [one.key for one in chosen(rows, 9)]
+    assert failures_table(before) == failures_table(rows)
+    assert [one.key for one in select_examples(before, 9)] == [one.key for one in select_examples(rows, 9)]
 
 
 def test_shares_of_the_wall_time_are_shares_and_one_flight_that_stood_still_moves_no_throughput():
     """Parts overlapped in tables of before, and the whole was too short."""
     wall = {"physics": 3.0, "monitor": 1.0, "filter": 0.5, "planner": 1.5, "rest": 0.0}
-    flights = [row("B3", seed=seed, wall_s=2.0, wall=wall, simulated_s=12.0) for seed in range(9)]
-    (told,) = throughput(flights).rows
+    flights = [episode_row("B3", seed=seed, wall_s=2.0, wall=wall, simulated_s=12.0) for seed in range(9)]
+    (told,) = throughput_table(flights).rows
     assert told[1:3] == ("600", "2.00")
     assert sum(float(share.removesuffix(" %")) for share in told[3:]) == pytest.approx(100.0, abs=0.2)
-    stalled = row("B3", seed=9, wall_s=925.0, wall=wall | {"physics": 922.0}, simulated_s=12.0)
-    assert throughput([*flights, stalled]).rows[0][1:3] == ("600", "2.00")
-    assert float(throughput([*flights, stalled]).rows[0][3].removesuffix(" %")) < 56.0  # a tenth of the flights
-    assert "median" in throughput(flights).note
+    stalled = episode_row("B3", seed=9, wall_s=925.0, wall=wall | {"physics": 922.0}, simulated_s=12.0)
+    assert throughput_table([*flights, stalled]).rows[0][1:3] == ("600", "2.00")
+    assert float(throughput_table([*flights, stalled]).rows[0][3].removesuffix(" %")) < 56.0  # a tenth of the flights
+    assert "median" in throughput_table(flights).note
 
 
 def test_what_was_not_measured_is_said(rows, suite):
-    said = " ".join(missing(rows, suite))
+    said = " ".join(list_not_measured(rows, suite))
     for part in ("on one", "Full (", "H2", "retrieval utility", "language model", "hazardous", "100 episodes"):
         assert part in said
-    cost = Cost("1", "base", 100, 60, 5, bootstrapped=True)
-    assert any("others proposed" in one for one in missing(rows, suite, {"adapted": cost}))
-    assert not any("others proposed" in one for one in missing(rows, suite, {"base": cost}))
+    cost = AdapterCost("1", "base", 100, 60, 5, bootstrapped=True)
+    assert any("others proposed" in one for one in list_not_measured(rows, suite, {"adapted": cost}))
+    assert not any("others proposed" in one for one in list_not_measured(rows, suite, {"base": cost}))
 
 
 def test_the_gallery_shows_as_many_classes_and_methods_as_it_can():
     some = [
-        row(method, k, key=f"{method}{k}", **ASTRAY | values)
+        episode_row(method, k, key=f"{method}{k}", **ASTRAY | values)
         for k, (method, values) in enumerate(
             [("B1", {}), *2 * [("B1", {"perceived_error": 1.0})], ("B1", {"frequency": 0.6})]
         )
     ]
-    assert {class_of(one) for one in chosen(some, 3)} == {"actuator", "perception", "frequent takeover"}
-    assert chosen([*some, row("B2", key="idle", **ASTRAY, trace_t=[])], 9) != []
-    assert "idle" not in [one.key for one in chosen([row("B2", key="idle", **ASTRAY, trace_t=[])], 9)]
+    assert {failure_class_of(one) for one in select_examples(some, 3)} == {
+        "actuator",
+        "perception",
+        "frequent takeover",
+    }
+    assert select_examples([*some, episode_row("B2", key="idle", **ASTRAY, trace_t=[])], 9) != []
+    assert "idle" not in [one.key for one in select_examples([episode_row("B2", key="idle", **ASTRAY, trace_t=[])], 9)]
 
 
 def test_the_gallery_shows_a_flight_once_and_other_scenes_before_the_same_again():
-    flown = row("B1", key="flown", **ASTRAY, severity=0.9)
-    shared = row("B2", key="shared", **ASTRAY, severity=0.9, same_as="flown")
-    again = row("G", repetition=1, key="again", **ASTRAY, severity=0.8)
-    elsewhere = row("B1", seed=7, key="elsewhere", **ASTRAY, severity=0.1)
-    assert [one.key for one in chosen([flown, shared, again, elsewhere], 9)] == ["flown", "elsewhere", "again"]
+    flown = episode_row("B1", key="flown", **ASTRAY, severity=0.9)
+    shared = episode_row("B2", key="shared", **ASTRAY, severity=0.9, same_as="flown")
+    again = episode_row("G", repetition=1, key="again", **ASTRAY, severity=0.8)
+    elsewhere = episode_row("B1", seed=7, key="elsewhere", **ASTRAY, severity=0.1)
+    assert [one.key for one in select_examples([flown, shared, again, elsewhere], 9)] == ["flown", "elsewhere", "again"]
 
 
 def test_the_page_is_one_file_without_script_and_escapes_what_it_is_told(rows, suite):
-    evil = row("M", 1, seed=9, instruction="<script>alert(1)</script>", planner="<b>template</b>")
-    shots = [Shot(rows[1], "<img src=x>", np.zeros((48, 64, 3), np.uint8))]
-    page = render_evaluation(Told([*rows, evil], suite, {"origin": {"code": "abc"}}, KEPT, shots, "2026-11-21"))
+    evil = episode_row("M", 1, seed=9, instruction="<script>alert(1)</script>", planner="<b>template</b>")
+    shots = [FailureImage(rows[1], "<img src=x>", np.zeros((48, 64, 3), np.uint8))]
+    page = render_html_report(ReportData([*rows, evil], suite, {"origin": {"code": "abc"}}, KEPT, shots, "2026-11-21"))
     assert "<script" not in page
     assert "<b>template" not in page
     assert not re.search(r"(?:src|href)=\"(?!data:|#)", page)
@@ -320,11 +343,13 @@ def test_the_page_is_one_file_without_script_and_escapes_what_it_is_told(rows, s
 
 
 def test_the_markdown_page_shows_pictures_that_lie_beside_it_and_escapes_what_it_is_told(rows, suite, tmp_path):
-    shots = [Shot(rows[1], "<img src=x> [a](b) `c`", np.zeros((48, 64, 3), np.uint8))]
+    shots = [FailureImage(rows[1], "<img src=x> [a](b) `c`", np.zeros((48, 64, 3), np.uint8))]
     for left_over in ("failure_1.jpg", "failure_2.jpg", "failure_cam.jpg", "failure_7.jpg"):
         (tmp_path / left_over).write_bytes(b"of a larger gallery")
     (tmp_path / "report.md").write_text("![1](failure_1.jpg)\n![2](failure_2.jpg)\n")
-    write_page(tmp_path, Told(rows, suite, {"origin": {"code": "abc"}}, KEPT, shots, "2026-11-21", "again"))
+    write_markdown_page(
+        tmp_path, ReportData(rows, suite, {"origin": {"code": "abc"}}, KEPT, shots, "2026-11-21", "again")
+    )
     page = (tmp_path / "report.md").read_text()
     for part in (
         "## Hypotheses",
@@ -353,26 +378,30 @@ def test_the_markdown_page_shows_pictures_that_lie_beside_it_and_escapes_what_it
 def test_a_page_elsewhere_has_the_table_of_all_episodes_beside_it(rows, suite, tmp_path):
     folder, page = tmp_path / "run", tmp_path / "page"
     folder.mkdir()
-    write_table(rows, {"suite": msgspec.to_builtins(suite), "methods": {}, "origin": {}}, folder / FILE)
-    whole = (folder / FILE).read_bytes()
+    write_results(rows, {"suite": msgspec.to_builtins(suite), "methods": {}, "origin": {}}, folder / RESULTS_FILE)
+    whole = (folder / RESULTS_FILE).read_bytes()
     for place in (page, folder):
-        assert call(["report", str(folder), "--gallery", "0", "--page", str(place)]) == 0
-    assert (folder / FILE).read_bytes() == whole  # with its traces
-    flown, config, _ = results(page)
-    assert flown == [msgspec.structs.replace(one, trace_t=[], trace_h=[], trace_delta=[]) for one in results(folder)[0]]
-    assert config["flown"] == flown_on(folder, {})
-    assert (page / FILE).stat().st_mode == (page / "report.md").stat().st_mode  # whoever reads the page reads the table
-    assert call(["report", str(page), "--page", str(page)]) == 0
+        assert run_command_line(["report", str(folder), "--gallery", "0", "--page", str(place)]) == 0
+    assert (folder / RESULTS_FILE).read_bytes() == whole  # with its traces
+    flown, config, _ = load_results(page)
+    assert flown == [
+        msgspec.structs.replace(one, trace_t=[], trace_h=[], trace_delta=[]) for one in load_results(folder)[0]
+    ]
+    assert config["flown"] == last_run_date(folder, {})
+    assert (page / RESULTS_FILE).stat().st_mode == (
+        page / "report.md"
+    ).stat().st_mode  # whoever reads the page reads the table
+    assert run_command_line(["report", str(page), "--page", str(page)]) == 0
 
 
 def test_a_page_made_again_from_a_table_without_traces_keeps_its_pictures_and_says_what_is_not_there(
     rows, suite, tmp_path, capsys
 ):
     bare = [msgspec.structs.replace(one, trace_t=[], trace_h=[], trace_delta=[]) for one in rows]
-    write_table(bare, {"suite": msgspec.to_builtins(suite), "methods": {}, "origin": {}}, tmp_path / FILE)
+    write_results(bare, {"suite": msgspec.to_builtins(suite), "methods": {}, "origin": {}}, tmp_path / RESULTS_FILE)
     (tmp_path / "failure_1.jpg").write_bytes(b"flown once")
     (tmp_path / "report.md").write_text("![1](failure_1.jpg)")
-    assert call(["report", str(tmp_path), "--page", str(tmp_path)]) == 0
+    assert run_command_line(["report", str(tmp_path), "--page", str(tmp_path)]) == 0
     assert (tmp_path / "failure_1.jpg").read_bytes() == b"flown once"
     page = (tmp_path / "report.md").read_text()
     assert "traces.svg" not in page
@@ -381,25 +410,30 @@ def test_a_page_made_again_from_a_table_without_traces_keeps_its_pictures_and_sa
     for said in ("pictures of failures, chosen by them: no row", "How long each decision took"):
         assert said in page.partition("## What was not measured")[2]
     assert "left out: How long each decision took" in capsys.readouterr().err
-    assert call(["report", str(tmp_path), "--page", str(tmp_path / FILE)]) == 2
+    assert run_command_line(["report", str(tmp_path), "--page", str(tmp_path / RESULTS_FILE)]) == 2
     assert "--page: got" in capsys.readouterr().err
 
 
 def test_a_page_of_nothing_flown_by_most_methods_still_stands(suite):
-    idle = row("B3", trace_t=[], trace_h=[], trace_delta=[], Delta=None, frequency=None, filter_us=[], shots=0)
-    assert "What was not measured" in render_evaluation(Told([idle], suite, {}))
-    assert all(len(line) == len(grid.head) for grid in all_grids([idle], {}) for line in grid.rows)
+    idle = episode_row("B3", trace_t=[], trace_h=[], trace_delta=[], Delta=None, frequency=None, filter_us=[], shots=0)
+    assert "What was not measured" in render_html_report(ReportData([idle], suite, {}))
+    assert all(len(line) == len(grid.header) for grid in all_tables([idle], {}) for line in grid.rows)
 
 
 def test_methods_come_in_the_order_of_the_main_table():
-    assert methods_of([row("M"), row("B3"), row("A1"), row("B1")]) == ("B1", "B3", "M", "A1")
+    assert methods_of([episode_row("M"), episode_row("B3"), episode_row("A1"), episode_row("B1")]) == (
+        "B1",
+        "B3",
+        "M",
+        "A1",
+    )
 
 
 def test_what_was_answered_side_by_side_is_no_latency(tmp_path):
     for total, more in ((2.0, {}), (3.0, {"at_once": 1.0}), (9.0, {"at_once": 8.0})):
         answer = Proposal("{}", STOP, "it", "", {"total": total, **more})
-        Plans(tmp_path / "plans").keep("it", request(instruction=f"put the cube down, {total}"), answer)
-    kept = Plans(tmp_path / "plans").all()
-    assert sorted(latencies_of(kept)) == [2.0, 3.0]
-    assert decision_grid(kept).rows == (("it", "2", "2.5", "2.95", "1", "1.12"),)
-    assert decision_grid([]).rows == ()
+        AnswerCache(tmp_path / "plans").put("it", plan_request(instruction=f"put the cube down, {total}"), answer)
+    kept = AnswerCache(tmp_path / "plans").read_all()
+    assert sorted(unbatched_latencies(kept)) == [2.0, 3.0]
+    assert decision_latency_table(kept).rows == (("it", "2", "2.5", "2.95", "1", "1.12"),)
+    assert decision_latency_table([]).rows == ()

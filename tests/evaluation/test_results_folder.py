@@ -6,95 +6,95 @@ import time
 import msgspec
 import pytest
 
-from dualbrain.cli.evaluation.results import command_of, flown_on, results
-from dualbrain.cli.evaluation.suite_options import narrowed
-from dualbrain.cli.main import call
-from dualbrain.errors import InvalidSetup
-from dualbrain.evaluation.planners.answer_cache import Plans
-from dualbrain.evaluation.protocol.suite import open_suite, read_suite
-from dualbrain.evaluation.results.parquet import FILE, write_table
-from dualbrain.evaluation.runner.provenance import origin
+from dualbrain.cli.evaluation.results import last_run_date, load_results, reproduction_command
+from dualbrain.cli.evaluation.suite_options import override_suite
+from dualbrain.cli.main import run_command_line
+from dualbrain.errors import ConfigurationError
+from dualbrain.evaluation.planners.answer_cache import AnswerCache
+from dualbrain.evaluation.protocol.suite import load_suite, parse_suite
+from dualbrain.evaluation.results.parquet import RESULTS_FILE, write_results
+from dualbrain.evaluation.runner.provenance import collect_provenance
 from dualbrain.evaluation.runner.runner import Runner
-from dualbrain.evaluation.runner.work_units import units_of
+from dualbrain.evaluation.runner.work_units import build_units
 from dualbrain.planner.protocol import STOP
 from dualbrain.records import Proposal
-from tests.evaluation.test_runner import SUITE, lines_of
-from tests.planner.sample_requests import request
+from tests.evaluation.test_runner import SUITE, fake_result_lines
+from tests.planner.sample_requests import plan_request
 
 
 def test_an_episode_of_results_is_flown_again_whatever_suite_is_named(tmp_path, capsys):
-    assert call(["evaluate", "--suite", "smoke", "--methods", "B1", "--episodes", "1", "--jobs", "1",
+    assert run_command_line(["evaluate", "--suite", "smoke", "--methods", "B1", "--episodes", "1", "--jobs", "1",
                  "--out", str(tmp_path)]) == 0  # fmt: skip
-    key = results(tmp_path)[0][0].key
+    key = load_results(tmp_path)[0][0].key
     for name in ("config.json", "fly.jsonl"):  # what a repository keeps is the table
         (tmp_path / name).unlink()
-    assert call(["evaluate", "--suite", "first", "--out", str(tmp_path), "--again", key]) == 0
+    assert run_command_line(["evaluate", "--suite", "first", "--out", str(tmp_path), "--again", key]) == 0
     assert "as recorded" in capsys.readouterr().err
-    assert call(["evaluate", "--out", str(tmp_path), "--again", "nothing"]) == 5
+    assert run_command_line(["evaluate", "--out", str(tmp_path), "--again", "nothing"]) == 5
     assert key in capsys.readouterr().err
-    assert call(["evaluate", "--jobs", "-1"]) == 2
+    assert run_command_line(["evaluate", "--jobs", "-1"]) == 2
 
 
 def test_commands_read_results(rows, suite, tmp_path, capsys):
     config = {"suite": msgspec.to_builtins(suite), "methods": {}, "origin": {"code": "abc"}}
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
-        write_table(rows, config, tmp_path / name / FILE)
-    assert call(["report", str(tmp_path / "one"), "--gallery", "0", "--json"]) == 0
+        write_results(rows, config, tmp_path / name / RESULTS_FILE)
+    assert run_command_line(["report", str(tmp_path / "one"), "--gallery", "0", "--json"]) == 0
     told = msgspec.json.decode(capsys.readouterr().out)
     assert [one["name"] for one in told] == ["H1", "H2", "H3"]
     assert "## Hypotheses" in (tmp_path / "one" / "page" / "report.md").read_text()
     assert (tmp_path / "one" / "report.html").stat().st_size > 20_000
-    assert call(["compare", str(tmp_path / "one"), str(tmp_path / "two")]) == 0
+    assert run_command_line(["compare", str(tmp_path / "one"), str(tmp_path / "two")]) == 0
     assert "| B1 | success | 0.0 % |" in capsys.readouterr().out
     nothing, page = tmp_path / "nothing", tmp_path / "page"
     page.mkdir()
     (page / "report.md").write_text("Again: `dualbrain evaluate --suite attacks --out attacks`")
     for command in (["report"], ["compare", str(tmp_path / "one")]):
-        assert call([*command, str(nothing)]) == 5
+        assert run_command_line([*command, str(nothing)]) == 5
         assert f"dualbrain evaluate --suite SUITE --out {nothing}" in capsys.readouterr().err
-        assert call([*command, str(page)]) == 5
+        assert run_command_line([*command, str(page)]) == 5
         told = capsys.readouterr().err
         assert "into another folder" in told
         assert "--out" not in told
-        assert call([*command, str(tmp_path / "one" / FILE)]) == 5
+        assert run_command_line([*command, str(tmp_path / "one" / RESULTS_FILE)]) == 5
         assert "Name the folder" in capsys.readouterr().err
 
 
 def test_a_run_under_way_can_be_read(tmp_path):
     """Before the table is written there are only journals; a folder in which nothing is flown yet has no results."""
-    suite = read_suite(SUITE, "tiny.toml")
-    runner = Runner(suite, tmp_path, clock=lambda: 0.0, tell=lambda progress: None)
-    runner.prepare({"code": "abc"})
-    with pytest.raises(InvalidSetup, match=rf"no episode that is finished.*--suite FILE.toml --out {tmp_path}"):
-        results(tmp_path)
-    run = next(unit for unit in units_of(suite, "fly") if unit.method == "M")
-    for line in list(lines_of(run))[:4]:
-        runner.journal("fly").append(line)
-    found, config, told = results(tmp_path)
+    suite = parse_suite(SUITE, "tiny.toml")
+    runner = Runner(suite, tmp_path, clock=lambda: 0.0, on_progress=lambda progress: None)
+    runner.write_config({"code": "abc"})
+    with pytest.raises(ConfigurationError, match=rf"no episode that is finished.*--suite FILE.toml --out {tmp_path}"):
+        load_results(tmp_path)
+    run = next(unit for unit in build_units(suite, "fly") if unit.method == "M")
+    for line in list(fake_result_lines(run))[:4]:
+        runner.log("fly").append(line)
+    found, config, told = load_results(tmp_path)
     assert found == runner.rows()
     assert [one.key for one in found] == [run.row_key(order) for order in range(4)]
     assert (config["origin"], told) == ({"code": "abc"}, suite)
-    write_table(found, config, tmp_path / FILE)
-    assert results(tmp_path)[0] == found
-    runner.journal("fly").append(list(lines_of(run))[4])  # taken up again, after a table was written
-    os.utime(tmp_path / FILE, ns=(0, 0))
-    assert len(results(tmp_path)[0]) == 5
+    write_results(found, config, tmp_path / RESULTS_FILE)
+    assert load_results(tmp_path)[0] == found
+    runner.log("fly").append(list(fake_result_lines(run))[4])  # taken up again, after a table was written
+    os.utime(tmp_path / RESULTS_FILE, ns=(0, 0))
+    assert len(load_results(tmp_path)[0]) == 5
 
 
 @pytest.fixture
 def begun(tmp_path):
     """A folder of suite `smoke`, two episodes into its flights."""
-    runner = Runner(open_suite("smoke"), tmp_path / "begun", clock=time.perf_counter, tell=print)
-    runner.prepare(origin())
-    for unit in units_of(runner.suite, "fly")[:2]:
-        runner.journal("fly").append(next(iter(lines_of(unit))))
+    runner = Runner(load_suite("smoke"), tmp_path / "begun", clock=time.perf_counter, on_progress=print)
+    runner.write_config(collect_provenance())
+    for unit in build_units(runner.suite, "fly")[:2]:
+        runner.log("fly").append(next(iter(fake_result_lines(unit))))
     return runner
 
 
 def test_a_command_to_go_on_is_the_whole_one(begun, capsys):
     (begun.out / "fly.jsonl").unlink()
-    assert call(["report", str(begun.out)]) == 5
+    assert run_command_line(["report", str(begun.out)]) == 5
     assert f"Go on with it: dualbrain evaluate --suite smoke --out {begun.out}" in capsys.readouterr().err
 
 
@@ -103,14 +103,14 @@ def test_a_configuration_that_cannot_be_read_is_told_with_its_file(begun, capsys
     out = begun.out
     (out / "config.json").write_bytes(damage)
     for asked in (["report", out], ["evaluate", "--out", out, "--jobs", "1"], ["evaluate", "--dry-run", "--out", out]):
-        assert call(list(map(str, asked))) == 5
+        assert run_command_line(list(map(str, asked))) == 5
         said = capsys.readouterr().err
         assert "configuration of the results" in said
         assert f"Bring back a copy, or name another --out. {out / 'config.json'}" in said
         assert "Traceback" not in said
-    write_table(begun.rows(), {"suite": msgspec.to_builtins(begun.suite), "origin": {}}, out / FILE)
-    os.utime(out / FILE, ns=(0, 0))  # taken up again after it was written
-    assert call(["report", str(out)]) == 0
+    write_results(begun.rows(), {"suite": msgspec.to_builtins(begun.suite), "origin": {}}, out / RESULTS_FILE)
+    os.utime(out / RESULTS_FILE, ns=(0, 0))  # taken up again after it was written
+    assert run_command_line(["report", str(out)]) == 0
     assert "left out: What was flown since results.parquet" in capsys.readouterr().err
 
 
@@ -120,13 +120,13 @@ def test_a_line_that_lacks_something_is_told_and_the_rest_reported(begun, capsys
     first, second = map(msgspec.json.decode, path.read_bytes().splitlines())
     del second[lost]
     path.write_bytes(msgspec.json.encode(first) + b"\n" + msgspec.json.encode(second) + b"\n")
-    assert call(["report", str(begun.out)]) == 0
+    assert run_command_line(["report", str(begun.out)]) == 0
     assert f"left out: Line 2 of fly.jsonl (Object missing required field `{lost}`)" in capsys.readouterr().err
     page = (begun.out / "page" / "report.md").read_text()
     assert "Line 2 of fly.jsonl" in page.partition("## What was not measured")[2]
     assert "1 episodes" in page
     for more in ((), ("--dry-run",)):
-        assert call(["evaluate", "--suite", "smoke", "--jobs", "1", "--out", str(begun.out), *more]) == 5
+        assert run_command_line(["evaluate", "--suite", "smoke", "--jobs", "1", "--out", str(begun.out), *more]) == 5
         said = capsys.readouterr().err
         assert "line 2 of fly.jsonl" in said
         assert f"Delete it (where memory grows, all lines of its run): what it told is flown again. {path}" in said
@@ -134,20 +134,20 @@ def test_a_line_that_lacks_something_is_told_and_the_rest_reported(begun, capsys
 
 def test_a_line_of_questions_that_lacks_something_is_told_too(begun, capsys):
     begun.journal("plan").append({"key": "B3 #0", "asked": 1})
-    assert call(["evaluate", "--suite", "smoke", "--dry-run", "--out", str(begun.out)]) == 5
+    assert run_command_line(["evaluate", "--suite", "smoke", "--dry-run", "--out", str(begun.out)]) == 5
     assert "line 1 of plan.jsonl" in capsys.readouterr().err
 
 
 def test_a_damaged_answer_is_left_out_of_a_report_and_asked_for_again(begun, capsys):
-    plans = Plans(begun.out / "plans")
+    plans = AnswerCache(begun.out / "plans")
     for words in ("put the cube down", "pick the cube up"):
-        plans.keep("it", request(instruction=words), Proposal("{}", STOP, "it", "", {"total": 1.0}))
+        plans.put("it", plan_request(instruction=words), Proposal("{}", STOP, "it", "", {"total": 1.0}))
     torn = next(iter((begun.out / "plans").glob("*.json")))
     torn.write_bytes(torn.read_bytes()[:20])
-    assert call(["report", str(begun.out)]) == 0
+    assert run_command_line(["report", str(begun.out)]) == 0
     assert f"left out: The answer in plans/{torn.name}, which is damaged" in capsys.readouterr().err
-    assert len(plans.all()) == 1
-    known = [plans.find("it", request(instruction=words)) for words in ("put the cube down", "pick the cube up")]
+    assert len(plans.read_all()) == 1
+    known = [plans.get("it", plan_request(instruction=words)) for words in ("put the cube down", "pick the cube up")]
     assert known.count(None) == 1
 
 
@@ -155,25 +155,25 @@ def test_a_report_is_dated_by_its_last_flight(tmp_path):
     for name, day in (("results.parquet", 20_000), ("fly.jsonl", 10_000)):
         (tmp_path / name).write_text("")
         os.utime(tmp_path / name, (86_400 * day, 86_400 * day))
-    assert flown_on(tmp_path, {"flown": "2001-01-01"}) == "1997-05-19"
+    assert last_run_date(tmp_path, {"flown": "2001-01-01"}) == "1997-05-19"
     (tmp_path / "fly.jsonl").unlink()
-    assert flown_on(tmp_path, {"flown": "2001-01-01"}) == "2001-01-01"
-    assert flown_on(tmp_path, {}) == "2024-10-04"
+    assert last_run_date(tmp_path, {"flown": "2001-01-01"}) == "2001-01-01"
+    assert last_run_date(tmp_path, {}) == "2024-10-04"
 
 
 def test_a_suite_that_no_options_lead_to_came_from_a_file(tmp_path):
-    ours = open_suite("smoke")
+    ours = load_suite("smoke")
     for other in (msgspec.structs.replace(ours, name="mine"), msgspec.structs.replace(ours, shots=ours.shots + 1)):
-        assert "--suite FILE.toml" in command_of(other, tmp_path / "there")
+        assert "--suite FILE.toml" in reproduction_command(other, tmp_path / "there")
 
 
 def test_a_report_says_by_which_command_it_comes_again(tmp_path):
     asked = ("paper", "B1,M", "200", "panda", "base=transformers:base-135m")
     for told in (asked, ("paper", "", "0", "", ""), ("attacks", "", "0", "base", "")):
-        flown = narrowed(told[0], told[1], int(told[2]), told[3], told[4] or "adapted=adapter:x")
-        command = command_of(flown, tmp_path / "there").split()
+        flown = override_suite(told[0], told[1], int(told[2]), told[3], told[4] or "adapted=adapter:x")
+        command = reproduction_command(flown, tmp_path / "there").split()
         assert command[:2] == ["dualbrain", "evaluate"]
         said = dict(zip(command[2::2], command[3::2], strict=True))
         assert said.pop("--out") == "there"
         again = [said.get(f"--{name}", "") for name in ("suite", "methods", "episodes", "robots", "planner")]
-        assert narrowed(again[0], again[1], int(again[2] or 0), again[3], again[4]) == flown
+        assert override_suite(again[0], again[1], int(again[2] or 0), again[3], again[4]) == flown

@@ -13,14 +13,14 @@ from dualbrain.evaluation.analysis.statistics import (
     design_effect,
     difference,
     estimate,
-    holm,
-    jeffreys,
-    percentiles,
+    holm_correction,
+    jeffreys_interval,
+    percentile_interval,
     rank_biserial,
-    rate_ratio,
+    rate_ratio_interval,
     ratio,
-    sign_flip,
-    signed_rank,
+    sign_flip_p,
+    wilcoxon_p,
 )
 
 
@@ -71,16 +71,16 @@ def test_few_clusters_are_covered_as_many_are():
         hits += found.low <= 0.0 <= found.high
     assert hits / 400 >= 0.88
     draws = np.arange(1001.0)
-    assert percentiles(draws, 2) == pytest.approx((0.0, 1000.0), abs=0.5)
-    assert percentiles(draws, 10_000) == pytest.approx((25.0, 975.0), abs=0.5)
+    assert percentile_interval(draws, 2) == pytest.approx((0.0, 1000.0), abs=0.5)
+    assert percentile_interval(draws, 10_000) == pytest.approx((25.0, 975.0), abs=0.5)
 
 
 def test_a_share_without_spread_has_jeffreys_interval():
     """Of clusters: what is alike five times in each of four scenes was seen four times."""
-    found = estimate(clusters([[0.0] * 5] * 4), rate=True)
+    found = estimate(clusters([[0.0] * 5] * 4), is_rate=True)
     assert (found.low, found.high) == (0.0, pytest.approx(stats.beta(0.5, 4.5).ppf(0.975)))
-    assert estimate(clusters([[1.0] * 5] * 4), rate=True).low == pytest.approx(1.0 - found.high)
-    assert jeffreys(7, 20) == pytest.approx(tuple(stats.beta(7.5, 13.5).ppf([0.025, 0.975])))
+    assert estimate(clusters([[1.0] * 5] * 4), is_rate=True).low == pytest.approx(1.0 - found.high)
+    assert jeffreys_interval(7, 20) == pytest.approx(tuple(stats.beta(7.5, 13.5).ppf([0.025, 0.975])))
 
 
 def rare(hits, per, clusters=40, size=10):
@@ -95,8 +95,8 @@ def rare(hits, per, clusters=40, size=10):
 def test_one_hit_more_does_not_look_far_safer(per):
     """Whether in a scene of its own or where one was already. Somewhat it may: it tells that not all there go alike."""
     step = per if per == 10 else 1
-    ends = [estimate(rare(step * hits, per), rate=True).high for hits in range(9)]
-    assert ends[0] == pytest.approx(jeffreys(0, 40)[1])
+    ends = [estimate(rare(step * hits, per), is_rate=True).high for hits in range(9)]
+    assert ends[0] == pytest.approx(jeffreys_interval(0, 40)[1])
     assert all(after > 0.6 * before for before, after in pairwise(ends))
 
 
@@ -105,7 +105,7 @@ def test_a_rare_rate_holds_the_truth_as_often_as_it_says():
     rng, held = np.random.default_rng(12), 0
     for _ in range(300):
         bad = rng.random((40, 1)) < 0.05
-        found = estimate(clusters((rng.random((40, 10)) < np.where(bad, 0.5, 0.0)).astype(float)), rate=True)
+        found = estimate(clusters((rng.random((40, 10)) < np.where(bad, 0.5, 0.0)).astype(float)), is_rate=True)
         held += found.low <= 0.025 <= found.high
     assert held / 300 >= 0.93
 
@@ -125,24 +125,24 @@ def test_one_cluster_says_nothing_of_a_number():
 def test_ratio_of_shares_by_posteriors_follows_the_known_one():
     """For many hits the log of the ratio is normal (Katz)."""
     some, many = (clusters([[1.0] * k + [0.0] * (10 - k)] * 300) for k in (1, 4))
-    low, high = rate_ratio(some, many)  # clusters that are all alike add nothing of their own
+    low, high = rate_ratio_interval(some, many)  # clusters that are all alike add nothing of their own
     spread = np.sqrt(1 / 300 - 1 / 3000 + 1 / 1200 - 1 / 3000)
     assert (low, high) == pytest.approx((0.25 * np.exp(-1.96 * spread), 0.25 * np.exp(1.96 * spread)), rel=0.05)
 
 
 def test_a_share_of_zero_beside_another_is_not_none_at_all():
     none, often = clusters([[0.0] * 10] * 10), clusters([[1.0] * 6 + [0.0] * 4] * 10)
-    low, high = rate_ratio(none, often)
+    low, high = rate_ratio_interval(none, often)
     assert low == 0.0 < 0.03 < high < 0.1
-    assert 10.0 < rate_ratio(often, none)[0] < rate_ratio(often, none)[1] == np.inf
-    assert rate_ratio({"x": [0.0]}, {"x": [1.0]}) == (0.0, np.inf)
+    assert 10.0 < rate_ratio_interval(often, none)[0] < rate_ratio_interval(often, none)[1] == np.inf
+    assert rate_ratio_interval({"x": [0.0]}, {"x": [1.0]}) == (0.0, np.inf)
 
 
 def test_a_ratio_of_shares_knows_that_violations_come_in_few_scenes():
     """Four scenes of forty in which everything goes wrong are four things that were seen, not forty."""
     none = clusters([[0.0] * 10] * 40)
     few, spread = clusters([[1.0] * 10] * 4 + [[0.0] * 10] * 36), clusters([[1.0] + [0.0] * 9] * 40)
-    assert rate_ratio(none, few)[1] > 2.0 * rate_ratio(none, spread)[1]
+    assert rate_ratio_interval(none, few)[1] > 2.0 * rate_ratio_interval(none, spread)[1]
 
 
 def test_episodes_count_as_many_as_they_are_worth():
@@ -154,7 +154,7 @@ def test_episodes_count_as_many_as_they_are_worth():
     assert design_effect(list(np.zeros((20, 8)))) == 1.0
     some = clusters(np.repeat(own, 8, axis=1))
     none, copied = clusters(np.zeros((200, 8))), clusters(np.zeros((200, 1)))
-    assert rate_ratio(none, some) == pytest.approx(rate_ratio(copied, clusters(own)), rel=0.05)
+    assert rate_ratio_interval(none, some) == pytest.approx(rate_ratio_interval(copied, clusters(own)), rel=0.05)
 
 
 def test_a_ratio_holds_the_truth_as_often_as_it_says_where_violations_come_together():
@@ -164,7 +164,7 @@ def test_a_ratio_holds_the_truth_as_often_as_it_says_where_violations_come_toget
         bad = rng.random((40, 1)) < 0.2
         theirs = rng.random((40, 10)) < np.where(bad, 1.0, 0.05)
         ours = rng.random((40, 10)) < np.where(bad, 0.2, 0.01)
-        low, high = rate_ratio(clusters(ours.astype(float)), clusters(theirs.astype(float)))
+        low, high = rate_ratio_interval(clusters(ours.astype(float)), clusters(theirs.astype(float)))
         held += low <= (0.2 * 0.2 + 0.8 * 0.01) / (0.2 + 0.8 * 0.05) <= high
     assert held / 200 >= 0.93
 
@@ -194,35 +194,35 @@ def test_only_common_clusters_count():
 def test_sign_flip_is_scipys_permutation_test():
     d = np.array([0.3, -0.1, 0.8, 0.4, -0.2, 0.5, 0.9])
     oracle = stats.permutation_test((d, np.zeros(7)), lambda x, y: np.mean(x - y), permutation_type="samples")
-    assert sign_flip(d) == pytest.approx(oracle.pvalue)
+    assert sign_flip_p(d) == pytest.approx(oracle.pvalue)
     long = np.random.default_rng(2).normal(0.3, size=25)
     drawn = stats.permutation_test(
         (long, np.zeros(25)), lambda x, y: np.mean(x - y), permutation_type="samples", n_resamples=9999, rng=4
     )
-    assert sign_flip(long) == pytest.approx(drawn.pvalue, abs=0.02)
+    assert sign_flip_p(long) == pytest.approx(drawn.pvalue, abs=0.02)
 
 
 def test_sign_flip_keeps_its_level():
     rng = np.random.default_rng(6)
-    assert np.mean([sign_flip(rng.normal(size=9)) < 0.1 for _ in range(300)]) == pytest.approx(0.1, abs=0.05)
+    assert np.mean([sign_flip_p(rng.normal(size=9)) < 0.1 for _ in range(300)]) == pytest.approx(0.1, abs=0.05)
 
 
 def test_signed_rank_and_its_effect():
     d = np.array([1.0, 2.0, -3.0, 4.0, 5.0])
-    assert signed_rank(d) == stats.wilcoxon(d).pvalue
+    assert wilcoxon_p(d) == stats.wilcoxon(d).pvalue
     assert rank_biserial(d) == pytest.approx((1 + 2 + 4 + 5 - 3) / 15)
-    assert (signed_rank(np.zeros(4)), rank_biserial(np.zeros(4)), sign_flip(np.zeros(4))) == (1.0, 0.0, 1.0)
+    assert (wilcoxon_p(np.zeros(4)), rank_biserial(np.zeros(4)), sign_flip_p(np.zeros(4))) == (1.0, 0.0, 1.0)
 
 
 def test_holm_by_hand():
-    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm_correction([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
     nan = float("nan")
-    assert holm([0.02, nan, 0.5])[0] == pytest.approx(0.04)
+    assert holm_correction([0.02, nan, 0.5])[0] == pytest.approx(0.04)
 
 
 @given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=12))
 def test_holm_corrects_upwards_keeps_order_and_stays_a_probability(p):
-    corrected = np.array(holm(p))
+    corrected = np.array(holm_correction(p))
     assert (corrected >= np.array(p) - 1e-12).all()
     assert (corrected <= 1.0).all()
     assert (np.diff(corrected[np.argsort(p, kind="stable")]) >= -1e-12).all()

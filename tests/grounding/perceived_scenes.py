@@ -3,20 +3,20 @@
 import msgspec
 import numpy as np
 
-from dualbrain.core.geometry.rotations import matrix
+from dualbrain.core.geometry.rotations import quaternion_to_matrix
 from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, HalfSpace, Pose
 from dualbrain.records import Place, Scene, SceneObject
 
 TABLE = SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.0)))
 
 
-def turned(yaw):
+def yaw_quaternion(yaw):
     return (float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2)))
 
 
 def box(name, x, y, half=(0.02, 0.02, 0.025), role="object", yaw=0.0, z=None, **facts):
     height = half[2] if z is None else z
-    return SceneObject(name, role, Box(half), Pose((float(x), float(y), float(height)), turned(yaw)), **facts)
+    return SceneObject(name, role, Box(half), Pose((float(x), float(y), float(height)), yaw_quaternion(yaw)), **facts)
 
 
 def bowl(x=0.5, y=0.26):
@@ -32,20 +32,20 @@ def scene(*things, places=()):
     return Scene("panda", 0.0, 1, (TABLE, *things), tuple(Place(name, at) for name, at in places))
 
 
-def rotated(one, yaw):
+def rotate_scene(one, yaw):
     """`one` with every thing turned about the robot's base by `yaw` [rad]."""
-    turn = matrix(turned(yaw))
+    turn = quaternion_to_matrix(yaw_quaternion(yaw))
 
     def moved(thing):
         position = tuple((turn @ np.array(thing.pose.position)).tolist())
-        pose = Pose(position, product(turned(yaw), thing.pose.quaternion))
+        pose = Pose(position, quaternion_product(yaw_quaternion(yaw), thing.pose.quaternion))
         velocity = tuple((turn @ np.array(thing.velocity)).tolist())
         return msgspec.structs.replace(thing, pose=pose, velocity=velocity)
 
     return msgspec.structs.replace(one, objects=tuple(moved(thing) for thing in one.objects))
 
 
-def product(a, b):
+def quaternion_product(a, b):
     """Hamilton product of two quaternions (w, x, y, z)."""
     w, x, y, z = a
     W, X, Y, Z = b

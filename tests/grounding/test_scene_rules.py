@@ -4,12 +4,12 @@ import msgspec
 import pytest
 
 from dualbrain.contracts.contract import Action, Context, Contract
-from dualbrain.grounding.offline_gate import check_contract, limb_at_home
-from dualbrain.grounding.scene_rules import FINGER_ROOM, scene_rules
-from dualbrain.robots.loader import load_body
-from dualbrain.skills.skill import Holding
+from dualbrain.grounding.offline_gate import check_contract, controller_at_home
+from dualbrain.grounding.scene_rules import FINGER_MARGIN, scene_rules
+from dualbrain.robots.loader import load_robot
+from dualbrain.skills.skill import HeldObject
 from tests.grounding.perceived_scenes import bowl, box, scene
-from tests.stories.story_session import GRASP, PLACE, REGISTRY, contract, decline, pause
+from tests.stories.story_session import GRASP, PLACE, REGISTRY, contract_text, decline_contract, hold_contract
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +22,7 @@ def seen():
 
 @pytest.fixture(scope="module")
 def limb(seen):
-    return limb_at_home("panda", seen)
+    return controller_at_home("panda", seen)
 
 
 def verdict(seen, limb, *actions):
@@ -79,15 +79,15 @@ def test_what_is_impossible_is_refused_with_the_reason(seen, limb, actions, poin
 
 
 def test_a_full_hand_turns_the_order_round(seen):
-    limb = limb_at_home("panda", seen)
-    limb.holding = Holding("red_cube", 0.03)
+    limb = controller_at_home("panda", seen)
+    limb.holding = HeldObject("red_cube", 0.03)
     assert verdict(seen, limb, place) is None
     assert "full" in verdict(seen, limb, grasp()).hint
 
 
 def test_the_opening_that_a_refusal_asks_for_is_enough(seen, limb):
     refusal = verdict(seen, limb, grasp(opening=0.045))
-    assert refusal.allowed["minimum"] == pytest.approx(0.04 + FINGER_ROOM)
+    assert refusal.allowed["minimum"] == pytest.approx(0.04 + FINGER_MARGIN)
     assert verdict(seen, limb, grasp(opening=refusal.allowed["minimum"])) is None
 
 
@@ -96,7 +96,7 @@ def test_reach_is_not_prejudice(seen, limb):
     for x in (0.35, 0.5, 0.65):
         for y in (-0.3, 0.0, 0.3):
             things = scene(box("red_cube", x, y), bowl())
-            assert verdict(things, limb_at_home("panda", things), grasp()) is None, (x, y)
+            assert verdict(things, controller_at_home("panda", things), grasp()) is None, (x, y)
 
 
 # --- the desk -----------------------------------------------------------------------------------------------------
@@ -107,23 +107,23 @@ def desk(text):
 
 
 def test_the_desk_says_what_the_gate_says():
-    assert desk(contract(grasp(), place))["verdict"] == "accepted"
-    assert desk(pause())["verdict"] == "accepted"
-    assert desk(decline())["verdict"] == "accepted"
+    assert desk(contract_text(grasp(), place))["verdict"] == "accepted"
+    assert desk(hold_contract())["verdict"] == "accepted"
+    assert desk(decline_contract())["verdict"] == "accepted"
     assert desk("{")["stage"] == "syntax"
-    assert desk(contract(grasp(), place, registry="00000000"))["stage"] == "authorization"
-    assert desk(contract(grasp(opening=0.045), place))["pointer"] == "/action_sequence/0/params/opening"
-    assert desk(contract(place))["pointer"] == "/action_sequence/0/skill"
+    assert desk(contract_text(grasp(), place, registry="00000000"))["stage"] == "authorization"
+    assert desk(contract_text(grasp(opening=0.045), place))["pointer"] == "/action_sequence/0/params/opening"
+    assert desk(contract_text(place))["pointer"] == "/action_sequence/0/skill"
 
 
 def test_the_arm_on_the_desk_stands_at_home(seen, limb):
-    assert tuple(limb.senses.state.q) == load_body("panda").home
+    assert tuple(limb.senses.state.q) == load_robot("panda").home
     assert limb.senses.scene is seen
 
 
 def test_a_height_the_arm_does_not_reach_is_refused_and_the_allowed_one_passes():
     turned = scene(box("red_cube", 0.6, -0.2, yaw=0.6), bowl())
-    arm = limb_at_home("panda", turned)
+    arm = controller_at_home("panda", turned)
     wish = {"clearance": 0.35, "approach": "side", "finger_axis": "across"}
     refusal = verdict(turned, arm, grasp(**wish), place)
     assert refusal is not None
@@ -134,7 +134,7 @@ def test_a_height_the_arm_does_not_reach_is_refused_and_the_allowed_one_passes()
 
 def test_an_approach_the_arm_cannot_take_is_refused_with_those_it_can():
     turned = scene(box("red_cube", 0.6, -0.2, yaw=0.6), bowl())
-    arm = limb_at_home("panda", turned)
+    arm = controller_at_home("panda", turned)
     wish = {"clearance": 0.1, "approach": "side", "finger_axis": "along"}
     refusal = verdict(turned, arm, grasp(**wish), place)
     assert refusal is not None

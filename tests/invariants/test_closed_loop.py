@@ -12,7 +12,7 @@ import pytest
 from dualbrain.core.geometry.shapes import HalfSpace, Pose, Sphere
 from dualbrain.safety.cbf.filter import Obstacle, SafetyFilter
 from tests.safety import geometry_oracle, random_scenes
-from tests.safety.conftest import at, panda, small  # noqa: F401
+from tests.safety.conftest import panda, sparse_panda, state_at  # noqa: F401
 
 
 def least_h(body, run, things):
@@ -28,8 +28,8 @@ def least_h(body, run, things):
 
 def loop(body, seed, steps, *, hold=None, things=8, **changes):
     """The adversary holds its mind for 0.15, 0.4 or 1 s, so that full speed is reached."""
-    scene = random_scenes.scene(body, np.random.default_rng(seed), things)
-    safety = SafetyFilter(body, random_scenes.config(**changes))
+    scene = random_scenes.random_scene(body, np.random.default_rng(seed), things)
+    safety = SafetyFilter(body, random_scenes.exact_config(**changes))
     safety.observe(scene, 0.0)
     hold = hold or (150, 400, 1000)[seed % 3]
     return random_scenes.closed_loop(safety, body.home, steps, seed, hold=hold, toward=0.9), scene
@@ -92,13 +92,13 @@ def test_control_without_margin_fails(small):  # noqa: F811
 
 def seen_wrongly(body, seed, margin):
     rng = np.random.default_rng(seed)
-    truth, seen = random_scenes.scene(body, rng, 14, gap=0.03), []
+    truth, seen = random_scenes.random_scene(body, rng, 14, gap=0.03), []
     for thing in truth:
         offset = rng.normal(size=3)
         place = np.array(thing.pose.position) + 0.005 * offset / np.linalg.norm(offset)
         pose = Pose(tuple(place), thing.pose.quaternion)
         seen.append(Obstacle(thing.name, thing.shape, pose, margin=margin))
-    safety = SafetyFilter(body, random_scenes.config())
+    safety = SafetyFilter(body, random_scenes.exact_config())
     safety.observe(seen, 0.0)
     run = random_scenes.closed_loop(safety, body.home, 5000, seed, hold=1000, toward=0.9)
     return least_h(body, run, truth)
@@ -114,7 +114,7 @@ def test_control_without_the_obstacles_velocity_fails(small):  # noqa: F811
 
 def pressed(body, told, steps=2500):
     """Worst (h, step) in float64; the wall's face looks along -x and starts at x = 0.65 m."""
-    safety, state = SafetyFilter(body, random_scenes.config()), at.__wrapped__()
+    safety, state = SafetyFilter(body, random_scenes.exact_config()), state_at.__wrapped__()
     q, log = np.array(body.home), np.empty((steps, body.n))
     turn = (0.5**0.5, 0.0, -(0.5**0.5), 0.0)
     for k in range(steps):
@@ -133,10 +133,10 @@ def pressed(body, told, steps=2500):
 
 def test_a_ball_that_starts_inside_is_left_monotonically(small):  # noqa: F811
     things = [Obstacle("ball", Sphere(0.06), Pose((0.5, 0.12, 0.45)))]
-    safety = SafetyFilter(small, random_scenes.config())
+    safety = SafetyFilter(small, random_scenes.exact_config())
     safety.observe(things, 0.0)
     q, h = np.array(small.home), []
-    state = at.__wrapped__()
+    state = state_at.__wrapped__()
     for _ in range(2500):
         answer = safety.filter(state(q), np.zeros(7), 0.0)
         h.append(answer.h_min)

@@ -8,10 +8,10 @@ import msgspec
 import pytest
 
 import dualbrain
-from dualbrain.adaptation.adapters.card import CARD, WEIGHTS, read_adapter_card
-from dualbrain.control.gatekeeper.protocol.authentication import open_keys
-from dualbrain.control.gatekeeper.robot_link.packet_socket import Rubbish, Wire
-from dualbrain.errors import UNREADABLE, InvalidSetup
+from dualbrain.adaptation.adapters.card import CARD_FILE, WEIGHTS_FILE, read_adapter_card
+from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
+from dualbrain.control.gatekeeper.robot_link.packet_socket import MalformedPacket, PacketSocket
+from dualbrain.errors import DECODE_ERRORS, ConfigurationError
 
 DEEP = b'{"also":' * 100_000 + b"1" + b"}" * 100_000
 BAD = {"no UTF-8": b'{"id":"\xff"}', "no JSON": b"\xff\xfe", "without end": DEEP, "another form": b"[]"}
@@ -26,26 +26,26 @@ def test_nobody_catches_but_one_of_them():
 
 @pytest.mark.parametrize("data", BAD.values(), ids=BAD)
 def test_a_file_is_a_broken_setup(tmp_path, data):
-    (tmp_path / WEIGHTS).write_bytes(b"")
-    (tmp_path / CARD).write_bytes(data)
-    with pytest.raises(InvalidSetup):
+    (tmp_path / WEIGHTS_FILE).write_bytes(b"")
+    (tmp_path / CARD_FILE).write_bytes(data)
+    with pytest.raises(ConfigurationError):
         read_adapter_card(tmp_path)
     keys = tmp_path / "keys"
     keys.write_bytes(data)
     keys.chmod(0o600)
-    with pytest.raises(InvalidSetup):
-        open_keys(keys)
+    with pytest.raises(ConfigurationError):
+        load_or_create_keys(keys)
 
 
-@pytest.mark.parametrize("error", UNREADABLE)
+@pytest.mark.parametrize("error", DECODE_ERRORS)
 def test_a_packet_is_rubbish(error):
     def decode(data):
         raise error("utf-8", data, 0, 1, "bad") if error is UnicodeDecodeError else error("bad")
 
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with ours, theirs:
-        wire = Wire(ours, decode)
+        wire = PacketSocket(ours, decode)
         theirs.send(b"x")
-        assert isinstance(wire.hear(), Rubbish)
-        assert wire.open
-    assert issubclass(msgspec.ValidationError, UNREADABLE)
+        assert isinstance(wire.receive(), MalformedPacket)
+        assert wire.is_open
+    assert issubclass(msgspec.ValidationError, DECODE_ERRORS)

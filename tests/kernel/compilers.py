@@ -18,7 +18,7 @@ INCLUDES = [f"-I{ROOT / 'kernel/include'}", f"-I{ROOT / 'tests/kernel'}"]
 
 
 @cache
-def flags():
+def compiler_flags():
     """DBK_FLAGS of CMakeLists.txt without the optimisation level."""
     text = (ROOT / "CMakeLists.txt").read_text()
     words = re.search(r"set\(DBK_FLAGS ([^)]*)\)", text)
@@ -38,7 +38,7 @@ class Compiler:
         # zig keeps what it has built beside our own build products, never in the user's home
         place = str(ROOT / "build" / "zig")
         more = {"ZIG_LOCAL_CACHE_DIR": place, "ZIG_GLOBAL_CACHE_DIR": place}
-        command = [*self.command, "-std=c99", *flags(), *self.extra, *arguments]
+        command = [*self.command, "-std=c99", *compiler_flags(), *self.extra, *arguments]
         done = subprocess.run(command, cwd=cwd, env=os.environ | more, capture_output=True, text=True, check=False)
         assert done.returncode == 0, f"{' '.join(command)}\n{done.stderr}"
         return done.stdout
@@ -58,21 +58,21 @@ class Program:
 
     path: Path
 
-    def lines(self, *arguments):
+    def output_lines(self, *arguments):
         """What it prints; it must end well."""
         done = subprocess.run([str(self.path), *arguments], capture_output=True, text=True, check=False)
         assert done.returncode == 0, f"exit {done.returncode}\n{done.stdout}{done.stderr}"
         return done.stdout.splitlines()
 
 
-def sources():
+def kernel_sources():
     """The kernel's files."""
     return sorted(str(path) for path in (ROOT / "kernel/src").glob("*.c"))
 
 
-def build(folder, name, compiler, *more):
+def build_program(folder, name, compiler, *more):
     """tests/kernel/<name>.c with the kernel."""
     out = folder / name
     own = [str(ROOT / "tests/kernel" / f"{file}.c") for file in (name, *MORE_SOURCES.get(name, ()))]
-    compiler.run(*WARNINGS, *more, *INCLUDES, *sources(), *own, "-o", str(out))
+    compiler.run(*WARNINGS, *more, *INCLUDES, *kernel_sources(), *own, "-o", str(out))
     return Program(out)

@@ -7,7 +7,7 @@ import json
 import tempfile
 from pathlib import Path
 
-from tests.kernel.compilers import GCC, build
+from tests.kernel.compilers import GCC, build_program
 
 FILE = Path(__file__).with_name("golden.json")
 
@@ -17,19 +17,19 @@ def hashes(program):
     return {line.split()[0]: line.split()[1] for line in program.lines()}
 
 
-def recorded():
+def recorded_hashes():
     """Number type -> case -> hash."""
     return json.loads(FILE.read_text())
 
 
-def record():
+def record_hashes():
     """Write what gcc -O2 gives."""
     with tempfile.TemporaryDirectory() as folder:
         FILE.write_text(json.dumps({
-            "float32": hashes(build(Path(folder), "golden", GCC, "-O2")),
-            "float64": hashes(build(Path(folder), "golden", GCC, "-O2", "-DDBK_DOUBLE")),
+            "float32": hashes(build_program(Path(folder), "golden", GCC, "-O2")),
+            "float64": hashes(build_program(Path(folder), "golden", GCC, "-O2", "-DDBK_DOUBLE")),
         }, indent=1) + "\n")  # fmt: skip
 
 
 if __name__ == "__main__":
-    record()
+    record_hashes()

@@ -1,6 +1,6 @@
 """What fills the room there is: no loop over joints, parts, spheres, pairs or things runs on beyond the last one."""
 
-from tests.kernel.compilers import GCC, build
+from tests.kernel.compilers import GCC, build_program
 
 FILLED = [f"-DDBK_MAX_{what}={count}" for what, count in (("DOF", 7), ("SPHERES", 12), ("LINKS", 8), ("PAIRS", 5))]
 """The arm of the C tests has seven joints, twelve spheres on eight links and five pairs."""
@@ -9,13 +9,18 @@ CHECKED = ["-O1", "-Wno-error", "-fsanitize=bounds", "-fno-sanitize-recover=all"
 
 def test_no_loop_runs_on_behind_the_last_joint(tmp_path):
     """The room of another body behind it would hide that; here whatever lies there stops the program."""
-    cases = build(tmp_path, "golden", GCC, *CHECKED, *FILLED).lines()
+    cases = build_program(tmp_path, "golden", GCC, *CHECKED, *FILLED).output_lines()
     assert len(cases) > 20
-    counts = [int(word) for word in build(tmp_path, "hostile", GCC, *CHECKED, *FILLED).lines("2000")[-1].split()]
+    counts = [
+        int(word)
+        for word in build_program(tmp_path, "hostile", GCC, *CHECKED, *FILLED).output_lines("2000")[-1].split()
+    ]
     assert all(count > 0 for count in counts[1:])
 
 
 def test_no_loop_runs_on_behind_the_last_thing(tmp_path):
     """Sixteen things fill the room, all near one link."""
-    rows = build(tmp_path, "crowded", GCC, *CHECKED, "-fsanitize=address", *FILLED, "-DDBK_MAX_OBSTACLES=16").lines()
+    rows = build_program(
+        tmp_path, "crowded", GCC, *CHECKED, "-fsanitize=address", *FILLED, "-DDBK_MAX_OBSTACLES=16"
+    ).output_lines()
     assert int(rows[-1]) > 1000

@@ -7,7 +7,17 @@ import subprocess
 import pytest
 
 from tests.kernel import golden_hashes
-from tests.kernel.compilers import CLANG, CLANG_HOST, CLANG_TRAPS, GCC, INCLUDES, ROOT, WARNINGS, build, sources
+from tests.kernel.compilers import (
+    CLANG,
+    CLANG_HOST,
+    CLANG_TRAPS,
+    GCC,
+    INCLUDES,
+    ROOT,
+    WARNINGS,
+    build_program,
+    kernel_sources,
+)
 
 SANITIZE = ["-O1", "-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
 
@@ -35,13 +45,16 @@ def names(cases):
     ids=[*names(BUILDS), *names(MORE)],
 )
 def test_every_build_gives_the_same_bits(tmp_path, compiler, level):
-    assert golden_hashes.hashes(build(tmp_path, "golden", compiler, *level.split())) == golden_hashes.recorded()["float32"]
+    assert (
+        golden_hashes.hashes(build_program(tmp_path, "golden", compiler, *level.split()))
+        == golden_hashes.recorded_hashes()["float32"]
+    )
 
 
 @pytest.mark.parametrize(("compiler", "level"), [(GCC, "-O3"), pytest.param(CLANG, "-O2", marks=pytest.mark.slow)])
 def test_the_float64_build_gives_its_own_bits(tmp_path, compiler, level):
-    built = build(tmp_path, "golden", compiler, level, "-DDBK_DOUBLE")
-    assert golden_hashes.hashes(built) == golden_hashes.recorded()["float64"]
+    built = build_program(tmp_path, "golden", compiler, level, "-DDBK_DOUBLE")
+    assert golden_hashes.hashes(built) == golden_hashes.recorded_hashes()["float64"]
 
 
 # --- the golden cases run everything ------------------------------------------------------------------------------
@@ -52,7 +65,7 @@ def covered(folder, include):
     folder.mkdir()
     flags = ["-O0", "--coverage", f"-I{include}", f"-I{ROOT / 'tests/kernel'}"]
     cases = [str(ROOT / "tests/kernel" / name) for name in ("cases.c", "golden.c")]
-    GCC.run(*flags, *sources(), *cases, "-o", "golden", cwd=folder)
+    GCC.run(*flags, *kernel_sources(), *cases, "-o", "golden", cwd=folder)
     printed = subprocess.run([folder / "golden"], cwd=folder, capture_output=True, text=True, check=True).stdout
     objects = sorted(str(path) for path in folder.glob("*dbk_*.gcno"))
     report = subprocess.run(["gcov", "-t", *objects], cwd=folder, capture_output=True, text=True, check=True).stdout
@@ -89,18 +102,23 @@ def test_the_golden_cases_run_every_line(tmp_path):
     "real", [[], pytest.param(["-DDBK_DOUBLE"], marks=pytest.mark.slow)], ids=["float32", "float64"]
 )
 def test_arbitrary_bits_never_make_an_inadmissible_control(tmp_path, real):
-    counts = [int(word) for word in build(tmp_path, "hostile", GCC, *SANITIZE, *real).lines("6000")[-1].split()]
+    counts = [
+        int(word) for word in build_program(tmp_path, "hostile", GCC, *SANITIZE, *real).output_lines("6000")[-1].split()
+    ]
     assert all(count > 0 for count in counts[1:])  # modified, relaxed, stopped and faulty answers were all seen
 
 
 @pytest.mark.slow
 def test_a_million_arbitrary_inputs(tmp_path):
-    build(tmp_path, "hostile", GCC, "-O2").lines("1000000")
+    build_program(tmp_path, "hostile", GCC, "-O2").output_lines("1000000")
 
 
 @pytest.mark.slow
 def test_the_golden_cases_leave_the_sanitizers_nothing_to_report(tmp_path):
-    assert golden_hashes.hashes(build(tmp_path, "golden", GCC, *SANITIZE)) == golden_hashes.recorded()["float32"]
+    assert (
+        golden_hashes.hashes(build_program(tmp_path, "golden", GCC, *SANITIZE))
+        == golden_hashes.recorded_hashes()["float32"]
+    )
 
 
 # --- objects ------------------------------------------------------------------------------------------------------
@@ -130,7 +148,7 @@ def check_symbols(path, allowed):
 
 def test_no_heap_no_libm_no_globals(tmp_path):
     """The objects refer to nothing but each other, memory moves, and hold no writable data."""
-    for source in sources():
+    for source in kernel_sources():
         target = tmp_path / "one.o"
         GCC.run("-O1", *WARNINGS, *INCLUDES, "-c", source, "-o", str(target))
         check_symbols(target, ALLOWED)
@@ -142,7 +160,7 @@ def test_no_heap_no_libm_no_globals(tmp_path):
 def test_compiles_for_a_microcontroller_without_any_library(tmp_path, core):
     """Hard float in single precision: a helper such as __aeabi_dadd would mean that a double slipped in."""
     total = 0
-    for source in sources():
+    for source in kernel_sources():
         target = tmp_path / "one.o"
         # zig's own compiler settings for the host do not apply: the target is named here
         bare = type(CLANG)("clang", CLANG.command, (*ARM, f"-mcpu={core}"))

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from dualbrain.knowledge.builtin_documents import add_shipped
+from dualbrain.knowledge.builtin_documents import add_builtin_documents
 from dualbrain.knowledge.library import Library
 from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
 
@@ -20,9 +20,9 @@ def library(tmp_path: Path) -> Iterator[Library]:
 
 
 @pytest.fixture(scope="session")
-def shipped(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Library]:
+def builtin_library(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Library]:
     """The documents that come with dualbrain; to be read only."""
     path = tmp_path_factory.mktemp("shipped") / "knowledge.sqlite"
     with Library(path, HashingEncoder(64), write=True) as opened:
-        add_shipped(opened, now=NOW)
+        add_builtin_documents(opened, now=NOW)
         yield opened

@@ -15,36 +15,38 @@ from pypdf.generic import (
 )
 
 
-def say(words: str, x: float = 72, y: float = 700, before: str = "", size: float = 12) -> str:
+def show_text(words: str, x: float = 72, y: float = 700, before: str = "", size: float = 12) -> str:
     """The operators that show `words`; `before` sets the state first."""
     return f"q BT /F1 {size} Tf {before} {x} {y} Td ({words}) Tj ET Q\n"
 
 
-def table(**entries: PdfObject) -> DictionaryObject:
+def pdf_dictionary(**entries: PdfObject) -> DictionaryObject:
     return DictionaryObject({NameObject(f"/{name}"): value for name, value in entries.items()})
 
 
-def pdf(*contents: str, off: str = "", password: str = "", compress: bool = False, form: str = "") -> bytes:
+def make_pdf(*contents: str, off: str = "", password: str = "", compress: bool = False, form: str = "") -> bytes:
     """A PDF with one page for each content stream.
 
     Resources: font /F1, /Ghost (a graphics state that is transparent), /MC0 (a layer called `off`, switched off), /Form
     (a form that draws `form`).
     """
     writer: Any = PdfWriter()
-    font = table(Type=NameObject("/Font"), Subtype=NameObject("/Type1"), BaseFont=NameObject("/Helvetica"))
-    resources = table(Font=table(F1=font), ExtGState=table(Ghost=table(ca=FloatObject(0.0))))
+    font = pdf_dictionary(Type=NameObject("/Font"), Subtype=NameObject("/Type1"), BaseFont=NameObject("/Helvetica"))
+    resources = pdf_dictionary(
+        Font=pdf_dictionary(F1=font), ExtGState=pdf_dictionary(Ghost=pdf_dictionary(ca=FloatObject(0.0)))
+    )
     if off:
-        layer = writer._add_object(table(Type=NameObject("/OCG"), Name=TextStringObject(off)))
-        resources[NameObject("/Properties")] = table(MC0=layer)
-        start = table(OFF=ArrayObject([layer]))
-        writer._root_object[NameObject("/OCProperties")] = table(OCGs=ArrayObject([layer]), D=start)
+        layer = writer._add_object(pdf_dictionary(Type=NameObject("/OCG"), Name=TextStringObject(off)))
+        resources[NameObject("/Properties")] = pdf_dictionary(MC0=layer)
+        start = pdf_dictionary(OFF=ArrayObject([layer]))
+        writer._root_object[NameObject("/OCProperties")] = pdf_dictionary(OCGs=ArrayObject([layer]), D=start)
     if form:
         drawn = DecodedStreamObject()
         drawn.set_data(form.encode("latin-1"))
         box = ArrayObject([FloatObject(edge) for edge in (0, 0, 612, 792)])
-        drawn.update(table(Type=NameObject("/XObject"), Subtype=NameObject("/Form"), BBox=box))
-        drawn[NameObject("/Resources")] = table(Font=table(F1=font))
-        resources[NameObject("/XObject")] = table(Form=writer._add_object(drawn))
+        drawn.update(pdf_dictionary(Type=NameObject("/XObject"), Subtype=NameObject("/Form"), BBox=box))
+        drawn[NameObject("/Resources")] = pdf_dictionary(Font=pdf_dictionary(F1=font))
+        resources[NameObject("/XObject")] = pdf_dictionary(Form=writer._add_object(drawn))
     for content in contents:
         page = writer.add_blank_page(width=612, height=792)
         page[NameObject("/Resources")] = resources

@@ -82,7 +82,7 @@ QUESTIONS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("just have a look at the item from above", ("panda-templates/look_from_above",)),
 )
 
-BESIDE_THE_POINT = (
+OFF_TOPIC_QUESTIONS = (
     "who won the world cup in 1998",
     "recipe for tomato soup",
     "capital of France",
@@ -99,6 +99,6 @@ BESIDE_THE_POINT = (
 """What these documents say nothing about."""
 
 
-def place(document: str, path: tuple[str, ...]) -> str:
+def section_name(document: str, path: tuple[str, ...]) -> str:
     """How a question names a place: document and innermost heading."""
     return f"{document}/{path[-1] if path else ''}"

@@ -4,12 +4,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.knowledge.builtin_documents import DATA, SHIPPED
-from dualbrain.knowledge.chunking import LONGEST, chunks
+from dualbrain.knowledge.builtin_documents import BUILTIN_DOCUMENTS, DATA_FOLDER
+from dualbrain.knowledge.chunking import MAX_CHUNK_CHARACTERS, split_chunks
 from dualbrain.knowledge.document import Citation, parse_citation
 from dualbrain.knowledge.library import Library
-from dualbrain.knowledge.readers.reader import Reading, read
-from tests.knowledge.pdf_builder import pdf, say
+from dualbrain.knowledge.readers.reader import DocumentText, read_document
+from tests.knowledge.pdf_builder import make_pdf, show_text
 
 words = st.lists(
     st.sampled_from(
@@ -20,9 +20,9 @@ words = st.lists(
 )
 
 
-def reading(text: str, name: str = "a.md") -> Reading:
-    found = read((text + "\n\nenough words to be a document at all\n").encode(), name)
-    assert isinstance(found, Reading)
+def reading(text: str, name: str = "a.md") -> DocumentText:
+    found = read_document((text + "\n\nenough words to be a document at all\n").encode(), name)
+    assert isinstance(found, DocumentText)
     return found
 
 
@@ -30,14 +30,14 @@ def reading(text: str, name: str = "a.md") -> Reading:
 @given(words.map(" ".join), st.sampled_from(["a.md", "a.txt"]))
 def test_chunks_are_slices_in_order_that_lose_only_headings(text: str, name: str) -> None:
     found = reading(text, name)
-    pieces = chunks(found)
+    pieces = split_chunks(found)
     end = 0
     left_out = ""
     for piece in pieces:
         assert end <= piece.start < piece.end <= len(found.text)
         quoted = found.text[piece.start : piece.end]
         assert quoted == quoted.strip()
-        assert len(quoted) <= LONGEST
+        assert len(quoted) <= MAX_CHUNK_CHARACTERS
         left_out += found.text[end : piece.start]
         end = piece.end
     left_out += found.text[end:]
@@ -47,21 +47,23 @@ def test_chunks_are_slices_in_order_that_lose_only_headings(text: str, name: str
 
 def test_a_chunk_knows_the_headings_above_it() -> None:
     found = reading("# Top\n\nfirst words\n\n## Inner\n\nsecond words\n\n# Other\n\nthird words")
-    paths = {found.text[c.start : c.end].split()[0]: c.path for c in chunks(found)}
+    paths = {found.text[c.start : c.end].split()[0]: c.path for c in split_chunks(found)}
     assert paths == {"first": ("Top",), "second": ("Top", "Inner"), "third": ("Other",)}
 
 
 def test_no_chunk_crosses_a_page() -> None:
-    found = read(pdf(say("one short page of words"), say("and a second one of them")), "a.pdf")
-    assert isinstance(found, Reading)
-    assert [piece.page for piece in chunks(found)] == [1, 2]
+    found = read_document(
+        make_pdf(show_text("one short page of words"), show_text("and a second one of them")), "a.pdf"
+    )
+    assert isinstance(found, DocumentText)
+    assert [piece.page for piece in split_chunks(found)] == [1, 2]
 
 
 def test_an_entry_of_a_toml_file_is_one_chunk() -> None:
-    data = (DATA / "panda-templates.toml").read_bytes()
-    found = read(data, "panda-templates.toml")
-    assert isinstance(found, Reading)
-    named = [piece for piece in chunks(found) if found.text[piece.start :].startswith("[[")]
+    data = (DATA_FOLDER / "panda-templates.toml").read_bytes()
+    found = read_document(data, "panda-templates.toml")
+    assert isinstance(found, DocumentText)
+    named = [piece for piece in split_chunks(found) if found.text[piece.start :].startswith("[[")]
     assert [piece.path[0] for piece in named][:2] == ["fetch_and_place", "fetch_past_a_person"]
     assert len(named) == data.count(b"[[templates]]")
 
@@ -77,9 +79,9 @@ def test_quoting_a_citation_gives_the_chunk(shipped: Library) -> None:
     assert count == len(shipped) > 60
 
 
-@pytest.mark.parametrize("file", [file for file in SHIPPED if file.endswith(".md")])
+@pytest.mark.parametrize("file", [file for file in BUILTIN_DOCUMENTS if file.endswith(".md")])
 def test_offsets_of_markdown_are_those_of_the_file(shipped: Library, file: str) -> None:
-    source = (DATA / file).read_text("utf-8")
+    source = (DATA_FOLDER / file).read_text("utf-8")
     for citation, text in shipped.chunks_of(file.removesuffix(".md")):
         assert source[citation.start : citation.end] == text
 

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from dualbrain.errors import InvalidSetup, MissingPart, UnknownName
+from dualbrain.errors import ConfigurationError, MissingDependencyError, UnknownNameError
 from dualbrain.knowledge import store
-from dualbrain.knowledge.builtin_documents import SHIPPED, add_shipped
+from dualbrain.knowledge.builtin_documents import BUILTIN_DOCUMENTS, add_builtin_documents
 from dualbrain.knowledge.document import Citation
 from dualbrain.knowledge.library import Addition, Library, Submission
-from dualbrain.knowledge.rejection import DamagedStore, Refused, StoreInUse
+from dualbrain.knowledge.rejection import CorruptStoreError, DocumentRejected, StoreInUseError
 from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
 
 NOTE = "# Note on cups\n\nCups are lifted with both fingers and little force, never by the handle.\n"
@@ -35,7 +35,7 @@ def test_a_document_that_is_added_is_found_and_quoted(library: Library) -> None:
     done = put(library)
     assert (done.change, done.document.title, done.document.kind) == ("new", "Note on cups", "manual")
     for by in ("both", "words", "meaning"):
-        hit = library.search("how are cups lifted", by=by)[0]
+        hit = library.search("how are cups lifted", mode=by)[0]
         assert library.quote(hit.citation) == hit.text
         assert "both fingers" in hit.text
     assert put(library).change == "unchanged"
@@ -63,7 +63,7 @@ def test_what_is_removed_is_found_no_more_but_can_be_quoted(library: Library) ->
     library.remove("cups", now=2.0)
     assert (library.documents(), library.search("cups"), len(library)) == ((), (), 0)
     assert library.quote(cited.citation) == cited.text
-    with pytest.raises(UnknownName):
+    with pytest.raises(UnknownNameError):
         library.remove("cups", now=3.0)
     assert put(library).change == "restored"
 
@@ -84,7 +84,7 @@ def test_trust_decides_who_is_heard(library: Library) -> None:
     assert isinstance(done, Addition)
     assert done.document.trust == "unknown"
     assert {hit.trust for hit in library.search("cups handle")} == {"site", "unknown"}
-    assert {hit.trust for hit in library.search("cups handle", least="vendor")} == {"site"}
+    assert {hit.trust for hit in library.search("cups handle", min_trust="vendor")} == {"site"}
     best = library.search("cups lifted", 1)[0]
     twin = put(library, NOTE, file="twin.md", trust="unknown")
     assert library.search("cups lifted", 1)[0].citation == best.citation
@@ -103,7 +103,7 @@ def test_trust_decides_who_is_heard(library: Library) -> None:
 )
 def test_a_bad_submission_is_refused_and_leaves_no_trace(library: Library, changed: dict[str, str]) -> None:
     facts = {"file": "cups.md", "data": NOTE.encode()} | changed
-    assert isinstance(library.add(Submission(**facts), now=1.0), Refused)  # pyright: ignore[reportArgumentType]
+    assert isinstance(library.add(Submission(**facts), now=1.0), DocumentRejected)  # pyright: ignore[reportArgumentType]
     assert library.documents() == ()
 
 
@@ -115,7 +115,7 @@ def test_a_citation_that_leads_nowhere_is_refused(library: Library) -> None:
         Citation("cups", version, 0, 10**6),
         Citation("cups", version, -3, 5),
     ):
-        assert isinstance(library.quote(citation), Refused)
+        assert isinstance(library.quote(citation), DocumentRejected)
 
 
 @pytest.mark.parametrize(
@@ -125,34 +125,34 @@ def test_a_citation_that_leads_nowhere_is_refused(library: Library) -> None:
 def test_any_question_is_taken(library: Library, query: str) -> None:
     put(library)
     for by in ("both", "words", "meaning"):
-        assert len(library.search(query, by=by)) <= 5
+        assert len(library.search(query, mode=by)) <= 5
 
 
 def test_another_encoder_is_refused_until_everything_is_made_again(library: Library, tmp_path: Path) -> None:
     put(library)
     path = tmp_path / "knowledge.sqlite"
-    with pytest.raises(InvalidSetup, match="knowledge rebuild"):
+    with pytest.raises(ConfigurationError, match="knowledge rebuild"):
         Library(path, HashingEncoder(32))
     with Library(path, HashingEncoder(32), write=True) as other:
-        with pytest.raises(InvalidSetup, match="knowledge rebuild"):
+        with pytest.raises(ConfigurationError, match="knowledge rebuild"):
             other.search("cups")
-        with pytest.raises(InvalidSetup, match="knowledge rebuild"):
+        with pytest.raises(ConfigurationError, match="knowledge rebuild"):
             put(other, OTHER)
-        assert other.search("cups", by="words")
+        assert other.search("cups", mode="words")
         assert other.rebuild() == 1
-        assert other.search("cups", by="meaning")
+        assert other.search("cups", mode="meaning")
     with Library(path, None) as words_only:
-        assert words_only.search("cups", by="words")
-        with pytest.raises(InvalidSetup, match="encoder"):
+        assert words_only.search("cups", mode="words")
+        with pytest.raises(ConfigurationError, match="encoder"):
             words_only.search("cups")
 
 
 def test_projections_made_again_are_the_same(library: Library) -> None:
     put(library)
     put(library, "# Plates\n\nPlates are stacked by size, the largest one below all others.\n", file="plates.md")
-    before = {by: library.search("cups and plates", 9, by=by) for by in ("both", "words", "meaning")}
+    before = {by: library.search("cups and plates", 9, mode=by) for by in ("both", "words", "meaning")}
     library.rebuild()
-    assert {by: library.search("cups and plates", 9, by=by) for by in ("both", "words", "meaning")} == before
+    assert {by: library.search("cups and plates", 9, mode=by) for by in ("both", "words", "meaning")} == before
 
 
 def test_history_cannot_be_changed(library: Library, tmp_path: Path) -> None:
@@ -170,12 +170,12 @@ def test_history_cannot_be_changed(library: Library, tmp_path: Path) -> None:
 
 
 def test_a_second_writer_waits_and_is_told(library: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(store, "WAIT_S", 0.1)
+    monkeypatch.setattr(store, "LOCK_TIMEOUT_S", 0.1)
     path = tmp_path / "knowledge.sqlite"
     with Library(path, HashingEncoder(64), write=True) as second:
         blocker = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
         blocker.execute("BEGIN IMMEDIATE")
-        with pytest.raises(StoreInUse, match="another process"):
+        with pytest.raises(StoreInUseError, match="another process"):
             put(second)
         with Library(path, HashingEncoder(64)) as reader:
             assert reader.documents() == ()
@@ -203,7 +203,7 @@ def test_writers_of_several_processes_lose_nothing(tmp_path: Path) -> None:
     assert [one.wait(60) for one in writers] == [0, 0]
     with Library(path, HashingEncoder(16)) as library:
         assert len(library.documents()) == 16
-        assert len(library.search("words", 50, by="meaning")) == 16
+        assert len(library.search("words", 50, mode="meaning")) == 16
 
 
 def test_a_killed_writer_loses_nothing_it_acknowledged(tmp_path: Path) -> None:
@@ -224,10 +224,10 @@ def test_a_killed_writer_loses_nothing_it_acknowledged(tmp_path: Path) -> None:
             name = f"d{last % 7}"
             assert any(f"Document {last}" in one.title for _, one in library.history(name) if one)
             for document in library.documents():
-                assert library.search(document.title, 9, by="words")
+                assert library.search(document.title, 9, mode="words")
                 for citation, text in library.chunks_of(document.name):
                     assert library.quote(citation) == text
-            assert len(library.search("anything", 99, by="meaning")) == len(library)
+            assert len(library.search("anything", 99, mode="meaning")) == len(library)
 
 
 def test_a_reader_rolls_back_what_a_killed_writer_left_half_done(library: Library, tmp_path: Path) -> None:
@@ -249,7 +249,7 @@ def test_a_reader_rolls_back_what_a_killed_writer_left_half_done(library: Librar
 
 
 def test_a_file_that_is_no_store_is_told(tmp_path: Path) -> None:
-    with pytest.raises(MissingPart, match="knowledge add"):
+    with pytest.raises(MissingDependencyError, match="knowledge add"):
         Library(tmp_path / "none.sqlite", None)
     noise = tmp_path / "noise.sqlite"
     noise.write_bytes(b"this is no database at all, " * 100)
@@ -257,7 +257,7 @@ def test_a_file_that_is_no_store_is_told(tmp_path: Path) -> None:
     sqlite3.connect(foreign).execute("CREATE TABLE t (x)").connection.close()
     for path in (noise, foreign):
         for write in (False, True):
-            with pytest.raises(DamagedStore, match=path.name):
+            with pytest.raises(CorruptStoreError, match=path.name):
                 Library(path, None, write=write)
 
 
@@ -265,7 +265,7 @@ def test_a_store_of_the_future_is_refused(library: Library, tmp_path: Path) -> N
     other = sqlite3.connect(tmp_path / "knowledge.sqlite")
     other.execute("UPDATE meta SET value = '99' WHERE key = 'schema_version'").connection.commit()
     other.close()
-    with pytest.raises(InvalidSetup, match="schema_version"):
+    with pytest.raises(ConfigurationError, match="schema_version"):
         Library(tmp_path / "knowledge.sqlite", None)
 
 
@@ -284,8 +284,8 @@ def test_a_store_on_a_disk_that_cannot_be_written_can_be_read(library: Library, 
 
 
 def test_the_shipped_documents_go_up_once_and_stay_away_when_removed(library: Library) -> None:
-    assert len(add_shipped(library, now=1.0)) == len(SHIPPED)
-    assert add_shipped(library, now=2.0) == ()
+    assert len(add_builtin_documents(library, now=1.0)) == len(BUILTIN_DOCUMENTS)
+    assert add_builtin_documents(library, now=2.0) == ()
     library.remove("ur5e-notes", now=3.0)
     own = put(
         library,
@@ -293,6 +293,6 @@ def test_the_shipped_documents_go_up_once_and_stay_away_when_removed(library: Li
         file="site-rules.md",
         kind="rule",
     )
-    assert add_shipped(library, now=4.0) == ()
+    assert add_builtin_documents(library, now=4.0) == ()
     assert library.document("site-rules").version == own.document.version
     assert "ur5e-notes" not in {one.name for one in library.documents()}

@@ -8,24 +8,24 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.core.geometry.polygons import overlap
-from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.grounding.map_overlay import floor_of, with_floor, with_places
-from dualbrain.grounding.offline_gate import as_specified
-from dualbrain.grounding.vocabulary import spec_names
-from dualbrain.knowledge.builtin_documents import DATA
-from dualbrain.knowledge.readers.reader import Reading, read
-from dualbrain.knowledge.rejection import Refused
-from dualbrain.knowledge.structured.maps import Frame, MapPlace, Region, RoomMap, inside
-from dualbrain.knowledge.structured.parsing import structure
-from dualbrain.robots.loader import load_body
-from dualbrain.safety.barriers.keep_out import trial_base
-from dualbrain.safety.barriers.traversable_region import traversable
+from dualbrain.core.geometry.polygons import intersect_convex
+from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.grounding.map_overlay import drivable_floor, with_floor, with_places
+from dualbrain.grounding.offline_gate import scene_from_spec
+from dualbrain.grounding.vocabulary import scene_names_of_spec
+from dualbrain.knowledge.builtin_documents import DATA_FOLDER
+from dualbrain.knowledge.readers.reader import DocumentText, read_document
+from dualbrain.knowledge.rejection import DocumentRejected
+from dualbrain.knowledge.structured.maps import MapFrame, MapPlace, Region, RoomMap, is_inside_polygon
+from dualbrain.knowledge.structured.parsing import parse_structured
+from dualbrain.robots.loader import load_robot
+from dualbrain.safety.barriers.keep_out import scenario_base
+from dualbrain.safety.barriers.traversable_region import traversable_region
 from dualbrain.safety.cbf.filter import SafetyFilter
-from dualbrain.safety.cbf.obstacles import from_scene
-from dualbrain.safety.cbf.result import Status
+from dualbrain.safety.cbf.obstacles import obstacles_from_scene
+from dualbrain.safety.cbf.result import FilterStatus
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
-from dualbrain.simulation.scenes.scene_spec import Chart, load_scene, save_scene
+from dualbrain.simulation.scenes.scene_spec import FloorMap, load_scene, save_scene
 from dualbrain.simulation.tasks.scene_hashes import scene_hash
 
 WIDE = ((-20.0, -20.0), (20.0, -20.0), (20.0, 20.0), (-20.0, 20.0))
@@ -37,7 +37,7 @@ def chart(**changed: object) -> RoomMap:
         "kind": "map",
         "title": "t",
         "frame": "room",
-        "frames": (Frame("dock", (1.0, 2.0, 0.5), pi / 2),),
+        "frames": (MapFrame("dock", (1.0, 2.0, 0.5), pi / 2),),
         "places": (MapPlace("spot", (2.0, 1.0, 0.0), 0.3, region=((1.5, 0.5), (2.5, 0.5), (2.0, 1.5))),),
         "regions": (
             Region("hall", "traversable", SQUARE),
@@ -48,9 +48,9 @@ def chart(**changed: object) -> RoomMap:
 
 
 def shipped_map() -> RoomMap:
-    reading = read((DATA / "room-map.toml").read_bytes(), "room-map.toml")
-    assert isinstance(reading, Reading)
-    found = structure(reading, RoomMap)
+    reading = read_document((DATA_FOLDER / "room-map.toml").read_bytes(), "room-map.toml")
+    assert isinstance(reading, DocumentText)
+    found = parse_structured(reading, RoomMap)
     assert isinstance(found, RoomMap), found
     return found
 
@@ -59,28 +59,28 @@ def shipped_map() -> RoomMap:
 @given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-pi, pi), st.floats(-pi, pi))
 def test_seeing_from_another_frame_keeps_distances_and_comes_back(x: float, y: float, yaw: float, turn: float) -> None:
     places = (MapPlace("a", (x, y, 0.1), yaw), MapPlace("b", (1.0, -1.0, 0.0)))
-    one = chart(frames=(Frame("f", (x, 1.0, 0.2), turn),), places=places)
-    (a, b), (a_f, b_f) = one.poses("room"), one.poses("f")
+    one = chart(frames=(MapFrame("f", (x, 1.0, 0.2), turn),), places=places)
+    (a, b), (a_f, b_f) = one.place_poses("room"), one.place_poses("f")
     assert np.linalg.norm(np.subtract(a.position, b.position)) == pytest.approx(
         np.linalg.norm(np.subtract(a_f.position, b_f.position))
     )
     assert a_f.yaw == pytest.approx(a.yaw - turn)
-    back = chart(frames=(Frame("f", (x, 1.0, 0.2), turn),), places=(MapPlace("a", a_f.position, a_f.yaw, "f"),))
-    assert back.poses("room")[0].position == pytest.approx(a.position)
+    back = chart(frames=(MapFrame("f", (x, 1.0, 0.2), turn),), places=(MapPlace("a", a_f.position, a_f.yaw, "f"),))
+    assert back.place_poses("room")[0].position == pytest.approx(a.position)
 
 
 def test_a_place_in_a_frame_by_hand() -> None:
     one = chart(places=(MapPlace("p", (1.0, 0.0, 0.0), 0.0, "dock"),))
-    pose = one.poses("room")[0]
+    pose = one.place_poses("room")[0]
     assert pose.position == pytest.approx((1.0, 3.0, 0.5))
     assert pose.yaw == pytest.approx(pi / 2)
     assert one.scene_places("dock")[0].position == pytest.approx((1.0, 0.0, 0.0))
 
 
 def test_places_know_what_lies_around_them() -> None:
-    assert chart().places_around((2.0, 1.0), "room") == ("spot",)
-    assert chart().places_around((0.1, 0.1), "room") == ()
-    assert chart().places_around((-1.0, -1.0), "dock") == ("spot",)  # (2, 1) of the room
+    assert chart().places_containing((2.0, 1.0), "room") == ("spot",)
+    assert chart().places_containing((0.1, 0.1), "room") == ()
+    assert chart().places_containing((-1.0, -1.0), "dock") == ("spot",)  # (2, 1) of the room
 
 
 def borders(corners, points):
@@ -105,7 +105,7 @@ corners = st.lists(st.floats(0.0, 1.0), min_size=3, max_size=8)
 @given(middles, corners, st.floats(-pi, pi), st.integers(0, 99))
 def test_what_two_floors_share_is_on_both_and_leaves_nothing_out(middle, radii, turn, seed):
     one, other = SQUARE, polygon(middle, radii, turn)
-    shared = overlap(one, other)
+    shared = intersect_convex(one, other)
     points = np.random.default_rng(seed).uniform(-4.0, 5.0, (400, 2))
     both = np.minimum(borders(one, points), borders(other, points))
     if not shared:
@@ -114,20 +114,20 @@ def test_what_two_floors_share_is_on_both_and_leaves_nothing_out(middle, radii, 
     found = borders(shared, points)
     assert np.all(both[found > 0.0] > -1e-9)
     assert np.all(found[both > 0.02] > 0.0)
-    assert len(traversable("shared", shared)) == len(shared)  # still convex and counter-clockwise
+    assert len(traversable_region("shared", shared)) == len(shared)  # still convex and counter-clockwise
 
 
 @settings(max_examples=60, deadline=None)
 @given(st.floats(0.05, 3.95), st.floats(0.05, 2.95), st.sampled_from(["room", "dock"]))
 def test_the_floor_is_exactly_what_the_map_gives(x: float, y: float, frame: str) -> None:
     one = chart()
-    here = one.poses(frame)[0].position[:2]
-    found = floor_of(one, frame, here, WIDE)
-    moved = chart(places=(MapPlace("x", (x, y, 0.0)),)).poses(frame)[0].position
+    here = one.place_poses(frame)[0].position[:2]
+    found = drivable_floor(one, frame, here, WIDE)
+    moved = chart(places=(MapPlace("x", (x, y, 0.0)),)).place_poses(frame)[0].position
     assert borders(found.floor, moved[:2]) == pytest.approx(min(x, y, 4.0 - x, 3.0 - y))
     (box,) = found.closed
     ((_, hole),) = one.polygons(frame, "keep_out")
-    if inside(moved[:2], hole):  # the rectangle holds all of the polygon
+    if is_inside_polygon(moved[:2], hole):  # the rectangle holds all of the polygon
         offset = np.subtract(moved[:2], box.middle)
         c, s = np.cos(box.yaw), np.sin(box.yaw)
         assert np.all(np.abs(np.array([[c, s], [-s, c]]) @ offset) <= np.array(box.half) + 1e-9)
@@ -135,35 +135,37 @@ def test_the_floor_is_exactly_what_the_map_gives(x: float, y: float, frame: str)
 
 def test_a_base_stays_on_the_floor_of_the_shipped_map() -> None:
     """Driven blindly at every border, the filtered base stays inside the hall and out of what it must keep out of."""
-    one, body = shipped_map(), trial_base()
+    one, body = shipped_map(), scenario_base()
     spec = msgspec.structs.replace(open_scene("empty_room:0", "base"), things=(), places=(), region=WIDE)
-    scene = as_specified(msgspec.structs.replace(spec, chart=floor_of(one, "room", (3.0, 1.0), WIDE)))
+    scene = scene_from_spec(msgspec.structs.replace(spec, chart=drivable_floor(one, "room", (3.0, 1.0), WIDE)))
     closed = {thing.name for thing in scene.objects}
     rng = np.random.default_rng(3)
     for goal in ((5.3, 0.5), (2.0, 2.4), (3.55, 1.9), (-1.0, 3.0)):
         safety = SafetyFilter(body)
         q = np.array([3.0, 1.0, float(rng.uniform(-3, 3))])
-        safety.observe((*from_scene(scene, known=closed, held=None), *traversable("floor", scene.region)))
+        safety.observe(
+            (*obstacles_from_scene(scene, known=closed, held=None), *traversable_region("floor", scene.region))
+        )
         u, now = np.zeros(2), 0.0
         for _ in range(400):
             heading = np.arctan2(goal[1] - q[1], goal[0] - q[0]) - q[2]
             wish = np.array([0.6, 2.0 * np.sin(heading)])
             answer = safety(q, u, wish, now)
-            assert answer.status is not Status.FAULT
+            assert answer.status is not FilterStatus.FAULT
             u = answer.u
             q = q + np.array([u[0] * np.cos(q[2]), u[0] * np.sin(q[2]), u[1]]) * body.period
             now += body.period
             assert 0.15 < q[0] < 5.4
             assert 0.15 < q[1] < 4.3
-            assert not any(inside((q[0], q[1]), corners) for _, corners in one.polygons("room", "keep_out"))
+            assert not any(is_inside_polygon((q[0], q[1]), corners) for _, corners in one.polygons("room", "keep_out"))
 
 
 def test_a_base_outside_every_room_is_told() -> None:
-    with pytest.raises(InvalidSetup, match="hall"):
-        floor_of(chart(), "room", (9.0, 9.0), WIDE)
-    assert floor_of(chart(regions=()), "room", (9.0, 9.0), WIDE) == Chart(WIDE)
-    with pytest.raises(UnknownName, match="kitchen"):
-        floor_of(chart(), "kitchen", (0.0, 0.0), WIDE)
+    with pytest.raises(ConfigurationError, match="hall"):
+        drivable_floor(chart(), "room", (9.0, 9.0), WIDE)
+    assert drivable_floor(chart(regions=()), "room", (9.0, 9.0), WIDE) == FloorMap(WIDE)
+    with pytest.raises(UnknownNameError, match="kitchen"):
+        drivable_floor(chart(), "kitchen", (0.0, 0.0), WIDE)
 
 
 def test_places_of_the_shipped_map_enter_a_scene_as_names_that_contracts_may_use() -> None:
@@ -171,8 +173,8 @@ def test_places_of_the_shipped_map_enter_a_scene_as_names_that_contracts_may_use
     charted = with_places(spec, shipped_map(), "panda_table")
     new = {place.name for place in charted.places} - {place.name for place in spec.places}
     assert new == {"inspection_spot", "handover_spot", "reject_corner"}
-    assert charted.place("table_front") == spec.place("table_front")  # what the scene measured wins
-    assert new <= set(spec_names(charted).receptive)
+    assert charted.find_place("table_front") == spec.find_place("table_front")  # what the scene measured wins
+    assert new <= set(scene_names_of_spec(charted).receptive)
 
 
 # --- a base in a room with a map ----------------------------------------------------------------------------------
@@ -188,12 +190,12 @@ def floor_map(*places: MapPlace, hall=HALL, **changed: object) -> RoomMap:
 @pytest.mark.parametrize("robot", ["base", "mobile_panda"])
 def test_a_base_gets_the_places_and_the_floor_of_its_map(robot, tmp_path):
     upon = MapPlace("upon_the_shelf", (1.0, 0.0, 0.8))
-    known = with_floor(ROOM, floor_map(MapPlace("corner", (2.0, 0.5, 0.0)), upon), "start", load_body(robot))
-    assert known.place("corner").position == (2.0, 0.5, 0.0)
-    assert "upon_the_shelf" not in spec_names(known).receptive  # no base stands up there
-    assert {place.name for place in ROOM.places} < set(spec_names(known).receptive)
+    known = with_floor(ROOM, floor_map(MapPlace("corner", (2.0, 0.5, 0.0)), upon), "start", load_robot(robot))
+    assert known.find_place("corner").position == (2.0, 0.5, 0.0)
+    assert "upon_the_shelf" not in scene_names_of_spec(known).receptive  # no base stands up there
+    assert {place.name for place in ROOM.places} < set(scene_names_of_spec(known).receptive)
     assert known.region == ROOM.region  # the walls stand where they stood
-    assert set(known.floor) == set(HALL) == set(as_specified(known).region)
+    assert set(known.floor) == set(HALL) == set(scene_from_spec(known).region)
     assert scene_hash(known) == scene_hash(msgspec.structs.replace(ROOM, places=known.places))
     save_scene(known, tmp_path / "scene.json")
     assert load_scene(tmp_path / "scene.json") == known
@@ -202,7 +204,7 @@ def test_a_base_gets_the_places_and_the_floor_of_its_map(robot, tmp_path):
 def test_the_tighter_of_room_and_map_holds_and_a_place_of_the_scene_stays_where_it_is():
     beyond = ((-9.0, -1.2), (9.0, -1.2), (9.0, 1.0), (-9.0, 1.0))
     moved = MapPlace("shelf", (40.0, 0.0, 0.0))  # the scene's own shelf was measured; this one is not looked at
-    known = with_floor(ROOM, floor_map(moved, hall=beyond), "start", load_body("base"))
+    known = with_floor(ROOM, floor_map(moved, hall=beyond), "start", load_robot("base"))
     assert np.sort(np.array(known.floor), axis=0) == pytest.approx(
         np.array([(-1.0, -1.2), (-1.0, -1.2), (5.2, 1.0), (5.2, 1.0)])
     )
@@ -223,8 +225,8 @@ def test_the_tighter_of_room_and_map_holds_and_a_place_of_the_scene_stays_where_
 )  # fmt: skip
 def test_a_map_that_does_not_fit_the_room_is_refused_in_words(changed, words):
     one = msgspec.structs.replace(floor_map(), **changed)
-    with pytest.raises(InvalidSetup, match=words):
-        with_floor(ROOM, one, "start", load_body("base"))
+    with pytest.raises(ConfigurationError, match=words):
+        with_floor(ROOM, one, "start", load_robot("base"))
 
 
 @pytest.mark.parametrize(
@@ -243,10 +245,10 @@ def test_a_map_that_does_not_fit_the_room_is_refused_in_words(changed, words):
     ],
 )  # fmt: skip
 def test_an_unsound_map_is_refused_in_words(text: str) -> None:
-    reading = read((text + "\n# some more words so that it can be read\n").encode(), "m.toml")
-    assert isinstance(reading, Reading)
-    found = structure(reading, RoomMap)
-    assert isinstance(found, Refused)
+    reading = read_document((text + "\n# some more words so that it can be read\n").encode(), "m.toml")
+    assert isinstance(reading, DocumentText)
+    found = parse_structured(reading, RoomMap)
+    assert isinstance(found, DocumentRejected)
     assert str(found)
 
 

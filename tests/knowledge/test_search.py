@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.core.weights import default_cache
+from dualbrain.core.weights import default_cache_folder
 from dualbrain.grounding.document_retrieval import Budget
-from dualbrain.knowledge.builtin_documents import add_shipped
-from dualbrain.knowledge.library import Library, normalised
+from dualbrain.knowledge.builtin_documents import add_builtin_documents
+from dualbrain.knowledge.library import Library, fuse_scores
 from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
 from dualbrain.memory.embedding.text_encoder import MiniLmEncoder
-from tests.knowledge.search_questions import BESIDE_THE_POINT, QUESTIONS, place
+from tests.knowledge.search_questions import OFF_TOPIC_QUESTIONS, QUESTIONS, section_name
 
 scores = st.dictionaries(st.integers(0, 9), st.floats(0.01, 30), max_size=8)
 cosines = st.dictionaries(st.integers(0, 9), st.floats(-1, 1), max_size=8)
@@ -26,21 +26,21 @@ cosines = st.dictionaries(st.integers(0, 9), st.floats(-1, 1), max_size=8)
 def test_normalised_fusion_is_bounded_and_each_part_alone_at_its_end(
     words: dict[int, float], meaning: dict[int, float], share: float
 ) -> None:
-    fused = normalised(words, meaning, share)
+    fused = fuse_scores(words, meaning, share)
     assert fused.keys() == {*words, *meaning}
     assert all(0.0 <= score <= 1.0 + 1e-12 for score in fused.values())
-    only = normalised(words, meaning, 0.0)
+    only = fuse_scores(words, meaning, 0.0)
     best = max(words.values(), default=1.0)
     for a, b in product(words.items(), repeat=2):
         assert (only[a[0]] > only[b[0]]) == (a[1] / best > b[1] / best)
-    assert all(normalised(words, meaning, 1.0)[item] == max(0.0, cosine) for item, cosine in meaning.items())
+    assert all(fuse_scores(words, meaning, 1.0)[item] == max(0.0, cosine) for item, cosine in meaning.items())
 
 
 def test_meaning_is_an_exact_scan(shipped: Library) -> None:
     encoder = HashingEncoder(64)
     query = "how hard may the fingers squeeze a cup"
     texts = [(str(c), t) for d in shipped.documents() for c, t in shipped.chunks_of(d.name)]
-    hits = shipped.search(query, len(texts), by="meaning")
+    hits = shipped.search(query, len(texts), mode="meaning")
     assert len(hits) == len(texts)
     vector = encoder.encode([query])[0]
     for hit in hits:
@@ -52,21 +52,21 @@ def test_meaning_is_an_exact_scan(shipped: Library) -> None:
 
 
 def test_words_are_stemmed_optional_and_weighted_by_rarity(shipped: Library) -> None:
-    best = shipped.search("singularities of the wrists", 3, by="words")
-    assert place(best[0].citation.document, best[0].path) == "ur5e-notes/Singular postures"
-    assert shipped.search("xyzzy", by="words") == ()
-    assert shipped.search("what is the", by="words") == ()
+    best = shipped.search("singularities of the wrists", 3, mode="words")
+    assert section_name(best[0].citation.document, best[0].path) == "ur5e-notes/Singular postures"
+    assert shipped.search("xyzzy", mode="words") == ()
+    assert shipped.search("what is the", mode="words") == ()
 
 
 def test_kinds_and_bodies_are_filters(shipped: Library) -> None:
     assert {hit.kind for hit in shipped.search("speed", 50, kinds=("rule",))} == {"rule"}
-    documents = {hit.citation.document for hit in shipped.search("payload and reach of the arm", 99, body="panda")}
+    documents = {hit.citation.document for hit in shipped.search("payload and reach of the arm", 99, robot="panda")}
     assert "ur5e-notes" not in documents
     assert {"panda-hand", "site-rules"} <= documents
 
 
 def test_every_question_names_places_that_are_there(shipped: Library) -> None:
-    there = {place(hit.citation.document, hit.path) for hit in shipped.search("x", 999, by="meaning")}
+    there = {section_name(hit.citation.document, hit.path) for hit in shipped.search("x", 999, mode="meaning")}
     assert len(QUESTIONS) >= 40
     assert {answer for _, answers in QUESTIONS for answer in answers} <= there
 
@@ -74,10 +74,10 @@ def test_every_question_names_places_that_are_there(shipped: Library) -> None:
 @pytest.fixture(scope="module")
 def understood(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Library]:
     """The shipped documents, by the real encoder."""
-    cache = default_cache(os.environ)
-    encoder = MiniLmEncoder.fetched(cache)
+    cache = default_cache_folder(os.environ)
+    encoder = MiniLmEncoder.from_cache(cache)
     with Library(tmp_path_factory.mktemp("understood") / "k.sqlite", encoder, write=True) as opened:
-        add_shipped(opened, now=1.0)
+        add_builtin_documents(opened, now=1.0)
         yield opened
 
 
@@ -86,7 +86,10 @@ def test_nine_questions_of_ten_find_their_passage_among_three(understood: Librar
     found = {}
     for by in ("both", "words", "meaning"):
         found[by] = sum(
-            any(place(hit.citation.document, hit.path) in answers for hit in understood.search(question, 3, by=by))
+            any(
+                section_name(hit.citation.document, hit.path) in answers
+                for hit in understood.search(question, 3, mode=by)
+            )
             for question, answers in QUESTIONS
         )
     assert found["both"] >= 0.88 * len(QUESTIONS)
@@ -95,6 +98,6 @@ def test_nine_questions_of_ten_find_their_passage_among_three(understood: Librar
 
 @pytest.mark.llm
 def test_what_is_beside_the_point_stays_below_the_bar(understood: Library) -> None:
-    bar = Budget().relevance
-    for question in BESIDE_THE_POINT:
+    bar = Budget().min_relevance
+    for question in OFF_TOPIC_QUESTIONS:
         assert all((hit.likeness or 0.0) < bar for hit in understood.search(question, 5))

@@ -14,19 +14,31 @@ from dualbrain.memory.embedding.posture_features import Posture, PostureLimits
 from dualbrain.memory.ledger.ledger import Ledger
 from dualbrain.memory.memory import Memory
 from dualbrain.memory.plasticity.rule import Plasticity
-from dualbrain.records import Attempt, Episode, Judgement, Outcome, OutcomeClass, Proposal, Recall, Scene, SecondOpinion
+from dualbrain.records import (
+    Attempt,
+    Episode,
+    Judgement,
+    Outcome,
+    OutcomeCheck,
+    OutcomeClass,
+    Proposal,
+    RetrievedContext,
+    Scene,
+)
 
 INTERPRETER = (sys.executable, *(("-S",) if sys.flags.no_site else ()))
 """How to start a child that sees the same packages."""
-ARM = PostureLimits("arm", (-3.0, -2.0), (3.0, 2.0), 0.04)
-OTHER = PostureLimits("other", (-1.0,), (1.0,), 0.1)
-REST = Posture((0.0, 0.5), 0.04)
+ARM_LIMITS = PostureLimits("arm", (-3.0, -2.0), (3.0, 2.0), 0.04)
+OTHER_LIMITS = PostureLimits("other", (-1.0,), (1.0,), 0.1)
+REST_POSTURE = Posture((0.0, 0.5), 0.04)
 NOW = 1_800_000_000.0
-CONFIG = MemoryConfig(limits=(ARM, OTHER), embedding=EmbeddingConfig(features=16), plasticity=Plasticity(kappa=0.0))
+CONFIG = MemoryConfig(
+    limits=(ARM_LIMITS, OTHER_LIMITS), embedding=EmbeddingConfig(features=16), plasticity=Plasticity(kappa=0.0)
+)
 """Without a neighbourhood: most laws are about one memory."""
 
 
-def contract(object_name: str = "red_cube") -> dict[str, Any]:
+def grasp_contract(object_name: str = "red_cube") -> dict[str, Any]:
     return {
         "id": "c-1",
         "context": {"robot": "arm", "registry": "aaaa1111"},
@@ -41,18 +53,18 @@ def episode(
     Delta: float | None = 0.0,
     instruction: str = "put the red cube in the bowl",
     summary: str = "neighbour_across low",
-    recall: Recall | None = None,
+    recall: RetrievedContext | None = None,
     robot: str = "arm",
     registry: str = "aaaa1111",
     judgement: Judgement | None = None,
     proposed: str = "{}",
     refused: Any = None,
-    second_opinion: SecondOpinion = "agrees",
+    second_opinion: OutcomeCheck = "agrees",
     plan: dict[str, Any] | None = None,
-    by: str = "scripted",
+    proposer: str = "scripted",
 ) -> Episode:
     verdict = Rejected("envelope", "/action_sequence/0/params/speed", refused, "0.05..0.4", "slower")
-    proposal = Proposal(proposed, "stop", by, "nothing", {"total": 0.1})
+    proposal = Proposal(proposed, "stop", proposer, "nothing", {"total": 0.1})
     return Episode(
         id=name,
         started="2027-01-15T08:00:00Z",
@@ -62,9 +74,9 @@ def episode(
         seed=1,
         scene=Scene(robot, 0.0, 1, ()),
         summary=summary,
-        recall=recall or Recall(),
+        recall=recall or RetrievedContext(),
         attempts=(Attempt(proposal, verdict, 1e-4),),
-        contract=plan or contract(),
+        contract=plan or grasp_contract(),
         outcome=Outcome(kind, "" if kind == "succeeded" else f"it {kind}", None if kind == "rejected" else Delta),
         judgement=judgement,
         timings={"plan": 1.0},

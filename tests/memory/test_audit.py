@@ -6,22 +6,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dualbrain.memory.maintenance.audit import audit, sources
-from dualbrain.memory.maintenance.edits import note_adapter, note_audit, note_uses, quarantine
-from dualbrain.memory.maintenance.export import rows
-from dualbrain.memory.maintenance.projection import memory_map
+from dualbrain.memory.maintenance.audit import audit, source_reports
+from dualbrain.memory.maintenance.edits import quarantine, record_adapter, record_audit, record_uses
+from dualbrain.memory.maintenance.export import export_rows
+from dualbrain.memory.maintenance.projection import project_memories
 from dualbrain.memory.maintenance.verification import verify
 from dualbrain.memory.memory import Memory
-from dualbrain.memory.plasticity.retrieval_utility import Change, judge, total, was_used
-from dualbrain.records import OutcomeClass, Recall, Use
-from tests.memory.memory_samples import NOW, REST, contract, episode, open_ledger, open_memory
+from dualbrain.memory.plasticity.retrieval_utility import ExclusionEffect, evaluate_use, summarize_uses, was_used
+from dualbrain.records import MemoryUse, OutcomeClass, RetrievedContext
+from tests.memory.memory_samples import NOW, REST_POSTURE, episode, grasp_contract, open_ledger, open_memory
 
 WORDS = ("put the red cube in the bowl", "open the drawer", "push the mug away", "turn off the lamp")
 
 
 def _plan(number: int, **params: Any) -> dict[str, Any]:
     step = {"skill": "grasp", "params": {"object": f"thing-{number}", "speed": 0.1, **params}}
-    return {**contract(), "action_sequence": [step]}
+    return {**grasp_contract(), "action_sequence": [step]}
 
 
 def _clean(memory: Memory) -> None:
@@ -29,7 +29,7 @@ def _clean(memory: Memory) -> None:
     for i in range(12):
         one = episode(f"e-{i}", "succeeded" if i % 4 else "failed", Delta=0.002, instruction=WORDS[i % 4],
                       summary=f"s{i % 4}", plan=_plan(i % 4, speed=0.1 + i * 1e-4))  # fmt: skip
-        memory.store(one, REST, now=NOW + i)
+        memory.store(one, REST_POSTURE, now=NOW + i)
 
 
 def _kinds(memory: Memory, kind: str) -> set[str]:
@@ -48,9 +48,9 @@ def test_a_false_verdict_is_found_by_those_like_it(tmp_path: Path) -> None:
         memory = open_memory(ledger)
         _clean(memory)
         lie = episode("lie", Delta=0.0, instruction=WORDS[0], summary="s0", plan=_plan(0))
-        memory.store(lie, REST, now=NOW + 20)
+        memory.store(lie, REST_POSTURE, now=NOW + 20)
         other_plan = episode("other plan", Delta=0.0, instruction=WORDS[0], summary="s0", plan=_plan(0, speed=0.3))
-        memory.store(other_plan, REST, now=NOW + 21)
+        memory.store(other_plan, REST_POSTURE, now=NOW + 21)
         assert _kinds(memory, "label conflict") == {"lie"}
         (finding,) = [one for one in audit(memory).findings if one.kind == "label conflict"]
         assert set(finding.others) == {"e-0", "e-4", "e-8"}
@@ -62,13 +62,13 @@ def test_repetition_and_odd_verdicts_are_found(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
         for i in range(4):
-            memory.store(episode(f"copy-{i}"), REST, now=NOW)
-        memory.store(episode("struggle", Delta=0.2, instruction=WORDS[1], summary="x"), REST, now=NOW)
-        memory.store(episode("odd", "failed", Delta=0.0, instruction=WORDS[2], summary="y"), REST, now=NOW)
+            memory.store(episode(f"copy-{i}"), REST_POSTURE, now=NOW)
+        memory.store(episode("struggle", Delta=0.2, instruction=WORDS[1], summary="x"), REST_POSTURE, now=NOW)
+        memory.store(episode("odd", "failed", Delta=0.0, instruction=WORDS[2], summary="y"), REST_POSTURE, now=NOW)
         found = {one.kind: one for one in audit(memory).findings}
         assert (found["near duplicates"].memory, len(found["near duplicates"].others)) == ("copy-0", 3)
         assert (found["struggle"].memory, found["untouched failure"].memory) == ("struggle", "odd")
-        note_audit(memory, audit(memory), now=NOW)
+        record_audit(memory, audit(memory), now=NOW)
         assert open_memory(ledger).weights() == memory.weights()
 
 
@@ -76,12 +76,16 @@ def test_the_blast_radius_counts_what_a_source_did(tmp_path: Path) -> None:
     """Oracle: the weight events, by hand."""
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
-        memory.store(episode("a", by="old"), REST, now=NOW)
+        memory.store(episode("a", proposer="old"), REST_POSTURE, now=NOW)
         for i in range(3):
-            shown = memory.recall(WORDS[0], "neighbour_across low", REST, "arm", "aaaa1111", k=1)
-            memory.store(episode(f"b-{i}", "failed", by="new", recall=Recall(shown.exemplars)), REST, now=NOW)
-        note_adapter(memory, "adapter-1", "d" * 8, ["b-1", "a"], now=NOW)
-        first, second = sources(memory)
+            shown = memory.retrieve(WORDS[0], "neighbour_across low", REST_POSTURE, "arm", "aaaa1111", k=1)
+            memory.store(
+                episode(f"b-{i}", "failed", proposer="new", recall=RetrievedContext(shown.exemplars)),
+                REST_POSTURE,
+                now=NOW,
+            )
+        record_adapter(memory, "adapter-1", "d" * 8, ["b-1", "a"], now=NOW)
+        first, second = source_reports(memory)
         moved = [0.575]
         for _ in range(3):
             moved.append(0.95 * moved[-1] - 0.2 * 0.5 * 1.0)
@@ -95,18 +99,18 @@ def test_vectors_that_were_tampered_with_are_found(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
         _clean(memory)
-        assert verify(ledger, embedding=memory.embedding).whole
+        assert verify(ledger, embedding=memory.embedding).is_intact
         ledger._database.execute("UPDATE vector SET data = zeroblob(length(data)) WHERE seq = 1")
         ledger._database.execute("DELETE FROM vector WHERE seq = 3")
         found = verify(ledger, embedding=memory.embedding)
-        assert (found.whole, found.vectors_wrong, found.chain.whole) == (False, 2, True)
+        assert (found.is_intact, found.vectors_wrong, found.chain.is_intact) == (False, 2, True)
 
 
 def test_an_export_holds_every_memory(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
         _clean(memory)
-        out = list(rows(ledger, memory.state))
+        out = list(export_rows(ledger, memory.state))
         assert [row["id"] for row in out] == list(memory.weights())
         assert [row["weight"] for row in out] == list(memory.weights().values())
         assert all(row["episode"]["contract"] and "judgement" not in row["episode"] for row in out)
@@ -115,11 +119,11 @@ def test_an_export_holds_every_memory(tmp_path: Path) -> None:
 def test_the_map_shows_distances_as_far_as_two_axes_can(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
-        assert memory_map(memory).points.shape == (0, 2)
+        assert project_memories(memory).points.shape == (0, 2)
         _clean(memory)
-        drawn = memory_map(memory)
-        assert drawn.points == pytest.approx(memory_map(memory).points)
-        assert 0.3 < drawn.shown <= 1.0
+        drawn = project_memories(memory)
+        assert drawn.points == pytest.approx(project_memories(memory).points)
+        assert 0.3 < drawn.explained_variance <= 1.0
         spread = np.linalg.norm(drawn.points[:, None] - drawn.points[None], axis=2)
         same = np.equal.outer(np.arange(12) % 4, np.arange(12) % 4)
         assert spread[same].max() < 1e-6 < spread[~same].min()
@@ -142,18 +146,24 @@ FOLLOWED, OTHER = _plan(1, speed=0.2), _plan(1, speed=0.4)
     ],
 )
 def test_a_memory_is_used_only_if_it_changed_the_contract_towards_it(chosen: Any, without: Any, used: bool) -> None:
-    assert was_used(FOLLOWED, chosen, Change(chosen, without)) == used
+    assert was_used(FOLLOWED, chosen, ExclusionEffect(chosen, without)) == used
 
 
 def test_utility_counts_what_helped() -> None:
-    def use(succeeded: bool, Delta: float | None, reference: float | None) -> Use:
-        return judge(
-            "m", FOLLOWED, FOLLOWED, Change(FOLLOWED, OTHER), succeeded=succeeded, Delta=Delta, reference=reference
+    def use(succeeded: bool, Delta: float | None, reference: float | None) -> MemoryUse:
+        return evaluate_use(
+            "m",
+            FOLLOWED,
+            FOLLOWED,
+            ExclusionEffect(FOLLOWED, OTHER),
+            succeeded=succeeded,
+            Delta=Delta,
+            max_Delta=reference,
         )
 
     uses = [use(True, 0.001, 0.002), use(True, 0.003, 0.002), use(False, 0.001, 0.002), use(True, 0.5, None)]
     assert [one.contributing for one in uses] == [True, False, False, True]
-    assert (total(uses).rate, total(uses).used, total([]).rate) == (0.5, 4, None)
+    assert (summarize_uses(uses).rate, summarize_uses(uses).used, summarize_uses([]).rate) == (0.5, 4, None)
 
 
 def test_an_audit_adds_up_what_memories_were_good_for(tmp_path: Path) -> None:
@@ -161,8 +171,10 @@ def test_an_audit_adds_up_what_memories_were_good_for(tmp_path: Path) -> None:
         memory = open_memory(ledger)
         _clean(memory)
         assert audit(memory).utility.rate is None
-        note_uses(memory, "b-1", [Use("a-1", used=True, contributing=True), Use("a-2", True, False)], now=NOW)
-        note_uses(memory, "b-2", [Use("a-1", used=False, contributing=False)], now=NOW)
+        record_uses(
+            memory, "b-1", [MemoryUse("a-1", used=True, contributing=True), MemoryUse("a-2", True, False)], now=NOW
+        )
+        record_uses(memory, "b-2", [MemoryUse("a-1", used=False, contributing=False)], now=NOW)
         found = audit(memory).utility
         assert (found.recalled, found.used, found.contributing) == (3, 2, 1)
         assert str(found) == "of 3 memories in prompts 2 were used, 1 contributed"
@@ -176,5 +188,7 @@ def test_one_word_against_another_is_no_evidence(tmp_path: Path, like_it: int, a
         memory = open_memory(ledger)
         kinds: list[OutcomeClass] = ["succeeded"] * (1 + like_it) + ["failed"] * against
         for i, kind in enumerate(kinds):
-            memory.store(episode(f"e-{i}", kind, Delta=0.002, plan=_plan(0, speed=0.1 + i * 1e-4)), REST, now=NOW + i)
+            memory.store(
+                episode(f"e-{i}", kind, Delta=0.002, plan=_plan(0, speed=0.1 + i * 1e-4)), REST_POSTURE, now=NOW + i
+            )
         assert ("e-0" in _kinds(memory, "label conflict")) == doubted

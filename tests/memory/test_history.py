@@ -10,40 +10,40 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.memory import memory as store
-from dualbrain.memory.learning.trust import Trust
+from dualbrain.memory.learning.trust import TrustConfig
 from dualbrain.memory.ledger import tables
-from dualbrain.memory.ledger.ledger import Entry, Ledger, LedgerReader
-from dualbrain.memory.maintenance.compaction import compact, maps
+from dualbrain.memory.ledger.ledger import Ledger, LedgerReader, PendingEvent
+from dualbrain.memory.maintenance.compaction import compact_ledger, compose_weight_updates
 from dualbrain.memory.maintenance.edits import forget, quarantine, release, roll_back
 from dualbrain.memory.memory import Memory
 from dualbrain.memory.plasticity.rule import Plasticity
 from dualbrain.memory.state import snapshot
-from dualbrain.memory.state.derivation import as_of, derive
-from dualbrain.memory.state.episode_record import LESSONS
-from dualbrain.memory.state.history import spans
-from dualbrain.records import OutcomeClass, Recall
-from tests.memory.memory_samples import CONFIG, NOW, REST, episode, open_ledger, open_memory
+from dualbrain.memory.state.derivation import derive_state, derive_state_at
+from dualbrain.memory.state.episode_record import GUIDANCE_BY_OUTCOME
+from dualbrain.memory.state.history import effective_ranges
+from dualbrain.records import OutcomeClass, RetrievedContext
+from tests.memory.memory_samples import CONFIG, NOW, REST_POSTURE, episode, open_ledger, open_memory
 
-LIVELY = replace(CONFIG, plasticity=Plasticity(), trust=Trust.none())
+LIVELY = replace(CONFIG, plasticity=Plasticity(), trust=TrustConfig.disabled())
 """With a neighbourhood and without defences: every outcome moves several weights."""
 WORDS = "put the red cube in the bowl"
 Steps = list[tuple[OutcomeClass, float, int]]
 steps = st.lists(
-    st.tuples(st.sampled_from(tuple(LESSONS)), st.sampled_from((0.0, 0.002, 0.5)), st.integers(0, 3)),
+    st.tuples(st.sampled_from(tuple(GUIDANCE_BY_OUTCOME)), st.sampled_from((0.0, 0.002, 0.5)), st.integers(0, 3)),
     min_size=1, max_size=9,
 )  # fmt: skip
 
 
-def _recall(memory: Memory, k: int) -> Recall:
-    return memory.recall(WORDS, "neighbour_across low", REST, "arm", "aaaa1111", k=k)
+def _recall(memory: Memory, k: int) -> RetrievedContext:
+    return memory.retrieve(WORDS, "neighbour_across low", REST_POSTURE, "arm", "aaaa1111", k=k)
 
 
 def _live(memory: Memory, sequence: Steps, start: int = 0) -> None:
     for i, (kind, Delta, k) in enumerate(sequence, start):
         one = episode(f"e-{i}", kind, Delta=Delta, recall=_recall(memory, k), summary=f"neighbour_across low, n{i % 3}")
-        memory.store(one, REST, now=NOW + i)
+        memory.store(one, REST_POSTURE, now=NOW + i)
 
 
 @given(st.integers(1, 40), st.data())
@@ -55,7 +55,7 @@ def test_what_is_in_effect_equals_walking_from_parent_to_parent(head: int, data:
     while at:
         path.append(at)
         at = rollbacks.get(at, at - 1)
-    assert [seq for span in spans(rollbacks, head) for seq in span] == path[::-1]
+    assert [seq for span in effective_ranges(rollbacks, head) for seq in span] == path[::-1]
 
 
 @settings(max_examples=8, deadline=None)
@@ -72,7 +72,7 @@ def test_a_rollback_brings_back_exactly_what_was(tmp_path_factory: pytest.TempPa
         assert open_memory(ledger, LIVELY).weights() == then
         roll_back(memory, present, "it was not so bad", now=NOW + 100)
         assert memory.weights() == later
-        assert ledger.verify().whole
+        assert ledger.verify().is_intact
 
 
 @settings(max_examples=8, deadline=None)
@@ -84,8 +84,8 @@ def test_as_of_a_time_is_what_was_live_then(tmp_path_factory: pytest.TempPathFac
             _live(memory, [step], start=i)
             seen.append(memory.weights())
         for i, weights in enumerate(seen):
-            assert as_of(ledger, NOW + i + 0.5).weights() == weights
-        assert as_of(ledger, NOW - 1).weights() == {}
+            assert derive_state_at(ledger, NOW + i + 0.5).weights() == weights
+        assert derive_state_at(ledger, NOW - 1).weights() == {}
 
 
 @settings(max_examples=10, deadline=None)
@@ -102,7 +102,7 @@ def test_set_aside_equals_never_seen(
         _live(memory, sequence)
         before, answer = memory.weights(), _recall(memory, 3)
         bad = data.draw(st.sets(st.sampled_from(sorted(before)), min_size=1))
-        expected = derive(ledger, unseen=bad).weights()
+        expected = derive_state(ledger, excluded=bad).weights()
         replayed = _replayed_without(ledger, bad)
         quarantine(memory, sorted(bad), "an audit", now=NOW + 50)
         left = {name: w for name, w in memory.weights().items() if name not in bad}
@@ -112,7 +112,7 @@ def test_set_aside_equals_never_seen(
         assert {name: w for name, w in memory.weights().items() if name not in bad} == {
             name: w for name, w in before.items() if name not in bad
         }
-        taught = [name for name in bad if LESSONS[memory.state[name].kind] != "none"]
+        taught = [name for name in bad if GUIDANCE_BY_OUTCOME[memory.state[name].kind] != "none"]
         if len(taught) == len(bad):
             assert (memory.weights(), _recall(memory, 3)) == (before, answer)
 
@@ -140,14 +140,14 @@ def test_what_is_forgotten_is_gone_for_recall_and_stays_in_the_chain(tmp_path: P
         _live(memory, [("succeeded", 0.0, 2)] * 3)
         forget(memory, ["e-1"], "a person asked", now=NOW + 9)
         assert {hit.episode_id for hit in _recall(memory, 9).exemplars} == {"e-2", "e-0"}
-        with pytest.raises(InvalidSetup, match="memories to release: got \\['e-1'\\]"):
+        with pytest.raises(ConfigurationError, match="memories to release: got \\['e-1'\\]"):
             release(memory, ["e-1"], "no", now=NOW + 10)
-        assert ledger.verify().whole
+        assert ledger.verify().is_intact
         assert any(event.subject == "e-1" for event in ledger.events("kind = 'episode'"))
 
 
-@pytest.mark.parametrize(("names", "reason", "error"), [((), "why", InvalidSetup), (("e-0",), " ", InvalidSetup),
-                                                        (("e-9",), "why", UnknownName)])  # fmt: skip
+@pytest.mark.parametrize(("names", "reason", "error"), [((), "why", ConfigurationError), (("e-0",), " ", ConfigurationError),
+                                                        (("e-9",), "why", UnknownNameError)])  # fmt: skip
 def test_a_change_without_subject_or_reason_is_refused(tmp_path: Path, names, reason, error) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
@@ -155,7 +155,7 @@ def test_a_change_without_subject_or_reason_is_refused(tmp_path: Path, names, re
         head = ledger.head()
         with pytest.raises(error):
             quarantine(memory, names, reason, now=NOW)
-        with pytest.raises(InvalidSetup, match="rollback target"):
+        with pytest.raises(ConfigurationError, match="rollback target"):
             roll_back(memory, head.seq + 1, "why", now=NOW)
         assert ledger.head() == head
 
@@ -168,7 +168,7 @@ def test_a_reader_recalls_and_does_not_write(tmp_path: Path) -> None:
         with LedgerReader(tmp_path / "ledger.db") as reader:
             reading = open_memory(reader)
             assert _recall(reading, 3) == expected
-            with pytest.raises(InvalidSetup, match="opened for reading"):
+            with pytest.raises(ConfigurationError, match="opened for reading"):
                 _live(reading, [("succeeded", 0.0, 0)], start=1)
 
 
@@ -187,20 +187,20 @@ def test_compaction_keeps_every_weight_to_the_bit(
         for name in data.draw(st.sets(st.sampled_from(sorted(memory.weights())), max_size=2)):
             data.draw(st.sampled_from((quarantine, forget)))(memory, [name], "odd", now=NOW + 50)
         weights, answer = memory.weights(), _recall(memory, 5)
-        folded = maps(ledger, memory.state)
+        folded = compose_weight_updates(ledger, memory.state)
         assert {name: f(0.5) for name, f in folded.items()} == pytest.approx(weights, abs=1e-12)
-        compact(ledger, folder / "short.db", holder="a test", now=NOW + 60)
+        compact_ledger(ledger, folder / "short.db", holder="a test", now=NOW + 60)
         head = ledger.head()
     with Ledger(folder / "short.db", holder="a test", now=NOW) as short:
         again = open_memory(short, LIVELY)
-        assert short.verify().whole
+        assert short.verify().is_intact
         assert (again.weights(), _recall(again, 5)) == (weights, answer)
-        assert {m.id: m.status for m in again.state.memos} == {m.id: m.status for m in memory.state.memos}
+        assert {m.id: m.status for m in again.state.memories} == {m.id: m.status for m in memory.state.memories}
         first = next(iter(short.events()))
         assert f'"hash":"{head.hash}"'.encode() in first.payload
         _live(again, [("succeeded", 0.0, 2)], start=90)
-    with pytest.raises(InvalidSetup, match="compacted ledger"), LedgerReader(folder / "ledger.db") as reader:
-        compact(reader, folder / "short.db", holder="a test", now=NOW)
+    with pytest.raises(ConfigurationError, match="compacted ledger"), LedgerReader(folder / "ledger.db") as reader:
+        compact_ledger(reader, folder / "short.db", holder="a test", now=NOW)
 
 
 # --- snapshots ------------------------------------------------------------------------------------------------------
@@ -210,7 +210,7 @@ def _snapshot_of(folder: Path, sequence: Steps, monkeypatch: pytest.MonkeyPatch)
     with open_ledger(folder) as ledger:
         memory = open_memory(ledger, LIVELY)
         _live(memory, sequence)
-        memory.leave_snapshot(ledger, now=NOW + 70)
+        memory.write_snapshot(ledger, now=NOW + 70)
         _live(memory, [("failed", 0.5, 2), ("succeeded", 0.0, 1)], start=70)
         monkeypatch.setattr(store, "derive", _never)
         return memory.weights()
@@ -230,11 +230,11 @@ def test_a_start_from_a_snapshot_equals_one_from_the_first_event(
     with open_ledger(tmp_path) as ledger:
         quick = open_memory(ledger, LIVELY)
         monkeypatch.undo()
-        slow = derive(ledger)
+        slow = derive_state(ledger)
         assert quick.weights() == weights == slow.weights()
         assert quick.state.influence == slow.influence
-        assert [m.status for m in quick.state.memos] == [m.status for m in slow.memos]
-        monkeypatch.setattr(snapshot, "read", lambda _: None)
+        assert [m.status for m in quick.state.memories] == [m.status for m in slow.memories]
+        monkeypatch.setattr(snapshot, "read_snapshot", lambda _: None)
         assert _recall(quick, 5) == _recall(open_memory(ledger, LIVELY), 5)
 
 
@@ -247,7 +247,7 @@ def test_a_damaged_snapshot_is_passed_over(tmp_path: Path, where: int, monkeypat
     raw[where] ^= 1
     path.write_bytes(raw)
     with open_ledger(tmp_path) as ledger:
-        assert snapshot.read(ledger) is None
+        assert snapshot.read_snapshot(ledger) is None
         assert open_memory(ledger, LIVELY).weights() == weights
 
 
@@ -262,13 +262,13 @@ def test_a_torn_snapshot_is_passed_over(tmp_path: Path, length: int, monkeypatch
 
 
 def test_a_long_start_leaves_a_snapshot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(store, "SNAPSHOT_AFTER", 3)
+    monkeypatch.setattr(store, "SNAPSHOT_MIN_EVENTS", 3)
     with open_ledger(tmp_path) as ledger:
         _live(open_memory(ledger, LIVELY), SEQUENCE)
     with open_ledger(tmp_path) as ledger:
         weights = open_memory(ledger, LIVELY).weights()
-        assert snapshot.read(ledger) is not None
-        assert ledger.verify().whole
+        assert snapshot.read_snapshot(ledger) is not None
+        assert ledger.verify().is_intact
     monkeypatch.setattr(store, "derive", _never)
     with open_ledger(tmp_path) as ledger:
         assert open_memory(ledger, LIVELY).weights() == weights
@@ -291,18 +291,18 @@ def test_curation_after_a_snapshot_is_seen_at_the_next_start(tmp_path: Path, mon
 def test_an_old_ledger_is_brought_up_to_date_and_keeps_its_chain(tmp_path: Path) -> None:
     path = tmp_path / "ledger.db"
     with sqlite3.connect(path) as database:
-        database.executescript(tables._FIRST)
+        database.executescript(tables._SCHEMA_V1)
     database.close()
     with LedgerReader(path) as reader:
-        assert (reader.schema, reader.verify().whole) == (1, True)
-        with pytest.raises(InvalidSetup, match="schema_version: got 1, allowed: 2"):
+        assert (reader.schema, reader.verify().is_intact) == (1, True)
+        with pytest.raises(ConfigurationError, match="schema_version: got 1, allowed: 2"):
             list(reader.vectors())
     with open_ledger(tmp_path) as ledger:
         assert ledger.schema == tables.SCHEMA_VERSION
         (event,) = ledger.events()
         assert (event.kind, event.payload) == ("migrated", b'{"from":1,"to":2}')
-        ledger.append([Entry("note", "", 1)], now=NOW)
-        assert ledger.verify().whole
+        ledger.append([PendingEvent("note", "", 1)], now=NOW)
+        assert ledger.verify().is_intact
         columns = {row[1] for row in ledger._database.execute("PRAGMA table_info(vector)")}
     with open_ledger(tmp_path / "new") as fresh:
         assert columns == {row[1] for row in fresh._database.execute("PRAGMA table_info(vector)")}
@@ -313,7 +313,7 @@ def test_rows_of_a_snapshot_are_those_of_the_projection(tmp_path: Path, monkeypa
     _snapshot_of(tmp_path, SEQUENCE, monkeypatch)
     monkeypatch.undo()
     with open_ledger(tmp_path) as ledger:
-        found = snapshot.read(ledger)
+        found = snapshot.read_snapshot(ledger)
         assert found is not None
         stored = [np.frombuffer(vector.data, "<f4") for _, vector in ledger.vectors()]
         assert np.array_equal(found.rows, stored[: len(found.rows)])

@@ -2,12 +2,12 @@
 
 from typing import Any
 
-from dualbrain.contracts.registry import Registry
+from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.scene_names import SceneNames
-from dualbrain.contracts.schema import decoding_schema, short_form
-from dualbrain.contracts.skill_spec import Choice, Name, Number, SkillSpec, Text
+from dualbrain.contracts.schema import decoding_schema, describe_skills
+from dualbrain.contracts.skill_spec import ChoiceParameter, NameParameter, NumberParameter, SkillSpec, TextParameter
 from dualbrain.planner.request import PlanRequest
-from dualbrain.records import Exemplar, Recall
+from dualbrain.records import Exemplar, RetrievedContext
 
 NAMES = SceneNames(("red_cube", "green_cylinder"), ("blue_bowl", "table_left"))
 SCENE = """robot panda; holding nothing
@@ -17,29 +17,31 @@ path red_cube -> blue_bowl: path_max_height tall, path_blocked_direct yes, overh
 person: crossing
 places: table_left"""
 
-SPEED = Number("speed", "m/s", 0.05, 0.4, "site policy", "site policy", "tool speed on the way")
-REGISTRY = Registry(
+SPEED = NumberParameter("speed", "m/s", 0.05, 0.4, "site policy", "site policy", "tool speed on the way")
+REGISTRY = SkillRegistry(
     "panda",
     (
-        SkillSpec("grasp", "take an object", (Name("object", "graspable"), SPEED)),
+        SkillSpec("grasp", "take an object", (NameParameter("object", "graspable"), SPEED)),
         SkillSpec(
-            "place", "put it there", (Name("destination", "receptive"), SPEED, Choice("wait", ("none", "clear")))
+            "place",
+            "put it there",
+            (NameParameter("destination", "receptive"), SPEED, ChoiceParameter("wait", ("none", "clear"))),
         ),
-        SkillSpec("decline", "refuse", (Text("reason", 40, "why not"),)),
+        SkillSpec("decline", "refuse", (TextParameter("reason", 40, "why not"),)),
     ),
 )
 """A short vocabulary, so that answers of the small model stay short."""
 
 
-def request(instruction: str = "put the red cube in the bowl", **changed: Any) -> PlanRequest:
+def plan_request(instruction: str = "put the red cube in the bowl", **changed: Any) -> PlanRequest:
     """A request about the scene above."""
     facts: dict[str, Any] = {
         "instruction": instruction,
         "scene": SCENE,
-        "recall": Recall(),
+        "recall": RetrievedContext(),
         "robot": REGISTRY.robot,
         "registry_hash": REGISTRY.hash,
-        "skills_text": short_form(REGISTRY, NAMES),
+        "skills_text": describe_skills(REGISTRY, NAMES),
         "schema": decoding_schema(REGISTRY, NAMES),
         "contract_id": "c-0007",
     }

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from dualbrain.errors import MissingPart, UnknownName
+from dualbrain.errors import MissingDependencyError, UnknownNameError
 from dualbrain.planner.backends.openai_server import ServerPlanner
 from dualbrain.planner.registry import DEFAULT_PLANNER, SMALL_PLANNER, open_planner, planner_names
 from dualbrain.planner.scripted import ScriptedPlanner
-from tests.planner.sample_requests import request
+from tests.planner.sample_requests import plan_request
 
 
 def test_the_planners_are_the_language_models_of_the_manifest() -> None:
@@ -16,18 +16,18 @@ def test_the_planners_are_the_language_models_of_the_manifest() -> None:
 
 
 def test_missing_weights_say_how_to_get_them(tmp_path: Path) -> None:
-    with pytest.raises(MissingPart, match=f"dualbrain models fetch {DEFAULT_PLANNER}"):
+    with pytest.raises(MissingDependencyError, match=f"dualbrain models fetch {DEFAULT_PLANNER}"):
         open_planner(DEFAULT_PLANNER, tmp_path)
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(MissingPart, match="mine"):
+    with pytest.raises(MissingDependencyError, match="mine"):
         open_planner(str(tmp_path / "mine.gguf"), tmp_path)
 
 
 @pytest.mark.parametrize("name", ["gpt", "minilm-l6-v2-int8", ""])
 def test_an_unknown_planner_lists_the_known_ones(name: str, tmp_path: Path) -> None:
-    with pytest.raises(UnknownName, match="smollm2"):
+    with pytest.raises(UnknownNameError, match="smollm2"):
         open_planner(name, tmp_path)
 
 
@@ -43,12 +43,12 @@ def test_an_address_may_say_what_stands_there(dialect: str, tmp_path: Path) -> N
     planner = open_planner(f"{dialect}+http://localhost:8000/v1#qwen", tmp_path)
     assert isinstance(planner, ServerPlanner)
     assert (planner.name, planner.dialect) == ("qwen@localhost", dialect)
-    with pytest.raises(UnknownName, match="vllm"):
+    with pytest.raises(UnknownNameError, match="vllm"):
         open_planner("tgi+https://localhost/v1", tmp_path)
 
 
 def test_a_script_is_read_in_order_and_its_end_repeats() -> None:
     planner = ScriptedPlanner(["one", "two"])
-    assert [planner.propose(request()).text for _ in range(3)] == ["one", "two", "two"]
-    assert len(planner.asked) == 3
+    assert [planner.propose(plan_request()).text for _ in range(3)] == ["one", "two", "two"]
+    assert len(planner.requests) == 3
     planner.close()

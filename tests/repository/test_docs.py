@@ -13,7 +13,7 @@ from dualbrain.cli.adapters.export import diff, export
 from dualbrain.cli.adapters.make import make
 from dualbrain.cli.adapters.measure import measure
 from dualbrain.cli.adapters.registry import history, list_adapters, promote, rollback, verify
-from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.run.check import check
 from dualbrain.cli.run.demo import demo
 from dualbrain.cli.run.plan import plan
@@ -125,7 +125,7 @@ def test_the_readme_names_every_model_with_its_licence():
 
 def test_the_page_of_commands_knows_every_exit_code():
     page = (ROOT / "docs" / "commands.md").read_text("utf-8")
-    assert {int(code) for code in re.findall(r"^\| (\d+) \|", page, re.MULTILINE)} == {int(code) for code in Exit}
+    assert {int(code) for code in re.findall(r"^\| (\d+) \|", page, re.MULTILINE)} == {int(code) for code in ExitCode}
 
 
 def test_no_page_names_a_place_of_one_machine():

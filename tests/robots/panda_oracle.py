@@ -5,11 +5,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from dualbrain.robots.assets.meshes import collision_mesh, description_directory
-from dualbrain.robots.collision_model.coverage import Balls
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.assets.meshes import collision_mesh, description_folder
+from dualbrain.robots.collision_model.coverage import SphereSet
+from dualbrain.robots.loader import load_robot
 
-PANDA = load_body("panda")
+PANDA = load_robot("panda")
 MESHES = {
     **{f"link{i}": f"link{i}" for i in range(8)},
     "hand": "hand",
@@ -27,7 +27,7 @@ HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 
 @lru_cache
 def urdf():
-    return ET.parse(description_directory("panda") / "urdf" / "panda.urdf").getroot()
+    return ET.parse(description_folder("panda") / "urdf" / "panda.urdf").getroot()
 
 
 def roll_pitch_yaw(r, p, y):
@@ -38,7 +38,7 @@ def roll_pitch_yaw(r, p, y):
     return rz @ ry @ rx
 
 
-def about(axis, angle):
+def axis_rotation(axis, angle):
     """Rodrigues' formula."""
     k = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
     return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
@@ -62,7 +62,7 @@ def urdf_pose(link, q, opening):
             axis = np.array(list(map(float, joint.find("axis").get("xyz").split())))
             move = np.eye(4)
             if joint.get("type") == "revolute":
-                move[:3, :3] = about(axis, values[joint.get("name")])
+                move[:3, :3] = axis_rotation(axis, values[joint.get("name")])
             else:
                 move[:3, 3] = axis * opening
             step = step @ move
@@ -71,9 +71,9 @@ def urdf_pose(link, q, opening):
     return pose
 
 
-def balls(link):
+def link_spheres(link):
     own = [sphere for sphere in PANDA.spheres if sphere.link == link]
-    return Balls(np.array([sphere.centre for sphere in own]), np.array([sphere.radius for sphere in own]))
+    return SphereSet(np.array([sphere.centre for sphere in own]), np.array([sphere.radius for sphere in own]))
 
 
 @lru_cache

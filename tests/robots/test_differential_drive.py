@@ -4,10 +4,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.robots.differential_drive import drive
-from dualbrain.safety.barriers.keep_out import keep_out, trial_base
-from dualbrain.safety.barriers.scenarios import EXACT
-from dualbrain.safety.cbf.filter import Row, SafetyFilter
+from dualbrain.robots.differential_drive import integrate_configuration
+from dualbrain.safety.barriers.keep_out import keep_out_region, scenario_base
+from dualbrain.safety.barriers.scenarios import EXACT_TRACKING
+from dualbrain.safety.cbf.filter import ConstraintRow, SafetyFilter
 
 
 def gaps(safety, q, x, y, half_x, half_y):
@@ -21,27 +21,30 @@ def gaps(safety, q, x, y, half_x, half_y):
 @pytest.mark.parametrize("seed", range(10))
 def test_rows_are_derivatives_of_h_along_arcs(seed):
     rng = np.random.default_rng(seed)
-    safety = SafetyFilter(trial_base(), msgspec.structs.replace(EXACT, acceleration_limits=False))
+    safety = SafetyFilter(scenario_base(), msgspec.structs.replace(EXACT_TRACKING, acceleration_limits=False))
     region = (1.0, 0.2, 0.3, 0.4)
-    safety.observe([keep_out("region", *region)])
+    safety.observe([keep_out_region("region", *region)])
     q = np.array([rng.uniform(0.2, 0.45), rng.uniform(-0.6, 0.6), rng.uniform(-3.0, 3.0)])
     safety(q, np.zeros(2), np.zeros(2))
     rows = safety._kernel.rows()
     assert rows
     u = rng.uniform(-0.5, 0.5, 2)
-    ahead, back = gaps(safety, drive(q, u, 1e-4), *region), gaps(safety, drive(q, u, -1e-4), *region)
+    ahead, back = (
+        gaps(safety, integrate_configuration(q, u, 1e-4), *region),
+        gaps(safety, integrate_configuration(q, u, -1e-4), *region),
+    )
     for _, i, _, _, norm, _, a in rows:
         assert norm * np.dot(a, u) == pytest.approx((ahead[i] - back[i]) / 2e-4, abs=1e-4)
 
 
 def test_a_rectangle_ahead_is_steered_around_rather_than_braked_for():
     """Aimed at the corner, the base turns away and passes."""
-    safety = SafetyFilter(trial_base(), EXACT)
+    safety = SafetyFilter(scenario_base(), EXACT_TRACKING)
     region = (1.3, 0.51, 0.3, 0.3)
-    safety.observe([keep_out("region", *region)])
+    safety.observe([keep_out_region("region", *region)])
     q, least = np.array([0.0, 0.0, 0.0]), np.inf
     for _ in range(400):
-        q = drive(q, safety(q, np.zeros(2), np.array([0.4, 0.0])).u, 0.02)
+        q = integrate_configuration(q, safety(q, np.zeros(2), np.array([0.4, 0.0])).u, 0.02)
         least = min(least, gaps(safety, q, *region).min())
     assert least >= 0.0
     assert q[0] > 1.8
@@ -49,7 +52,7 @@ def test_a_rectangle_ahead_is_steered_around_rather_than_braked_for():
 
 
 def test_spheres_and_tool_are_given_in_the_world():
-    safety = SafetyFilter(trial_base(), EXACT)
+    safety = SafetyFilter(scenario_base(), EXACT_TRACKING)
     q = np.array([1.0, -2.0, np.pi / 2])
     np.testing.assert_allclose(safety.tool(q).position, [1.0, -2.0, 0.0], atol=1e-6)
     centres, _, _ = safety.spheres(q, 0.0)
@@ -62,11 +65,11 @@ class Limp:
 
     def rows(self, state, jacobian):
         assert state.q.shape == (3,), "a live barrier sees the configuration in the world"
-        return (Row("user_rows: limp", (-1.0, 0.0), -0.1),)
+        return (ConstraintRow("user_rows: limp", (-1.0, 0.0), -0.1),)
 
 
 def test_live_barriers_work_on_a_base():
-    safety = SafetyFilter(trial_base(), EXACT, barriers=(Limp(),))
+    safety = SafetyFilter(scenario_base(), EXACT_TRACKING, barriers=(Limp(),))
     q, answer = np.array([0.5, -0.3, 0.7]), None
     for _ in range(30):
         answer = safety(q, np.zeros(2), np.array([0.6, 0.0]))

@@ -7,20 +7,20 @@ import numpy as np
 import pytest
 
 from dualbrain.core.geometry.shapes import Pose, Sphere
-from dualbrain.errors import InvalidSetup
-from dualbrain.robots.builtin.mobile_panda import HOUSING, MOUNT, PEDESTAL
-from dualbrain.robots.differential_drive import drive
-from dualbrain.robots.loader import load_body
-from dualbrain.robots.mobile_manipulator import arm_of, base_of, on_base
-from dualbrain.safety.barriers.keep_out import trial_base
-from dualbrain.safety.barriers.scenarios import EXACT
+from dualbrain.errors import ConfigurationError
+from dualbrain.robots.builtin.mobile_panda import ARM_MOUNT_POSITION, HOUSING_BOX, PEDESTAL_BOX
+from dualbrain.robots.differential_drive import integrate_configuration
+from dualbrain.robots.loader import load_robot
+from dualbrain.robots.mobile_manipulator import extract_arm, extract_base, mount_arm_on_base
+from dualbrain.safety.barriers.keep_out import scenario_base
+from dualbrain.safety.barriers.scenarios import EXACT_TRACKING
 from dualbrain.safety.cbf.compiled import _kernel_wide
 from dualbrain.safety.cbf.filter import FilterConfig, Obstacle, SafetyFilter
-from dualbrain.simulation.identification.mobile_tracking_model import HALL
-from dualbrain.simulation.plant.mobile_manipulator_plant import CarrierPlant
+from dualbrain.simulation.identification.mobile_tracking_model import DRIVE_REGION
+from dualbrain.simulation.plant.mobile_manipulator_plant import MobileManipulatorPlant
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
 
-BODY, PANDA = load_body("mobile_panda"), load_body("panda")
+BODY, PANDA = load_robot("mobile_panda"), load_robot("panda")
 LOW = np.array([joint.lower.value for joint in BODY.joints[2:]])
 HIGH = np.array([joint.upper.value for joint in BODY.joints[2:]])
 
@@ -31,8 +31,8 @@ def configuration(rng):
 
 def test_it_is_the_arm_and_the_base_together():
     assert BODY.n == 9
-    assert BODY.width == 10
-    assert BODY.carries_arm
+    assert BODY.nq == 10
+    assert BODY.is_mobile_manipulator
     assert BODY.alpha == PANDA.alpha
     assert BODY.joints[3:] == PANDA.joints[1:]
     assert set(PANDA.self_pairs.kept) < set(BODY.self_pairs.kept)
@@ -42,34 +42,34 @@ def test_it_is_the_arm_and_the_base_together():
 
 
 def test_its_parts_are_an_arm_and_a_base_again():
-    arm, base = arm_of(BODY), base_of(BODY)
+    arm, base = extract_arm(BODY), extract_base(BODY)
     assert [link.frame for link in arm.links] == [link.frame for link in PANDA.links]
     assert arm.spheres == PANDA.spheres
     assert arm.self_pairs.kept == PANDA.self_pairs.kept
-    assert (base.n, base.width, base.mobile, base.carries_arm) == (2, 3, True, False)
-    with pytest.raises(InvalidSetup, match="mobile manipulator"):
-        on_base("x", BODY, PANDA, MOUNT, home=(), tracking=PANDA.tracking, base_lag=None, count=1,
+    assert (base.n, base.nq, base.is_mobile, base.is_mobile_manipulator) == (2, 3, True, False)
+    with pytest.raises(ConfigurationError, match="mobile manipulator"):
+        mount_arm_on_base("x", BODY, PANDA, ARM_MOUNT_POSITION, home=(), tracking=PANDA.tracking, base_lag=None, n_samples=1,
                 rng=np.random.default_rng(0))  # fmt: skip
 
 
-@pytest.mark.parametrize(("middle", "half"), [HOUSING, PEDESTAL])
+@pytest.mark.parametrize(("middle", "half"), [HOUSING_BOX, PEDESTAL_BOX])
 def test_the_balls_hold_housing_and_pedestal(middle, half):
     rng = np.random.default_rng(0)
     points = np.array(middle) + np.array(half) * rng.uniform(-1.0, 1.0, (4000, 3))
     inside = np.zeros(len(points), bool)
-    for ball in base_of(BODY).spheres:
+    for ball in extract_base(BODY).spheres:
         inside |= np.linalg.norm(points - ball.centre, axis=1) <= ball.radius
     assert inside.all()
 
 
 def test_tool_and_jacobian_are_those_of_mujoco():
     """The plant's model is written apart from the body: its joints are x, y, yaw and the arm's."""
-    plant = CarrierPlant(SceneSpec("mobile_panda", "hall", 0, (), (), None, HALL), BODY)
-    safety, rng = SafetyFilter(BODY, FilterConfig(real="float64")), np.random.default_rng(3)
+    plant = MobileManipulatorPlant(SceneSpec("mobile_panda", "hall", 0, (), (), None, DRIVE_REGION), BODY)
+    safety, rng = SafetyFilter(BODY, FilterConfig(precision="float64")), np.random.default_rng(3)
     tool = int(plant.model.site("robot/tcp").id)
     for _ in range(30):
         q = configuration(rng)
-        plant.place_arm(q)
+        plant.set_configuration(q)
         J = np.zeros((6, plant.model.nv))
         mujoco.mj_jacSite(plant.model, plant.data, J[:3], J[3:], tool)
         x, y, yaw = (J[:, plant.model.joint(f"robot/{name}").dofadr[0]] for name in ("x", "y", "yaw"))
@@ -87,7 +87,7 @@ def test_rows_are_derivatives_of_h_along_the_true_motion(seed):
     """Every row of every part of the body, by differences along arcs; the base's columns act on all spheres of the
     arm."""
     rng = np.random.default_rng(seed)
-    config = msgspec.structs.replace(EXACT, acceleration_limits=False, real="float64")
+    config = msgspec.structs.replace(EXACT_TRACKING, acceleration_limits=False, precision="float64")
     safety, q = SafetyFilter(msgspec.structs.replace(BODY, base_lag=None), config), np.array(BODY.home)
     q[:3], q[3:] = rng.uniform(-2.0, 2.0, 3), np.clip(q[3:] + rng.uniform(-0.3, 0.3, 7), LOW, HIGH)
     where, _, _ = safety.spheres(q, 0.0)
@@ -95,7 +95,7 @@ def test_rows_are_derivatives_of_h_along_the_true_motion(seed):
     safety.observe([Obstacle(f"o{k}", Sphere(0.02), Pose(tuple(map(float, at)))) for k, at in enumerate(spots)])
     safety(q, np.zeros(9), np.zeros(9))
     u = rng.uniform(-0.5, 0.5, 9)
-    ahead, back = (safety.spheres(drive(q, u, dt), 0.0)[0] for dt in (1e-5, -1e-5))
+    ahead, back = (safety.spheres(integrate_configuration(q, u, dt), 0.0)[0] for dt in (1e-5, -1e-5))
     safety.spheres(q, 0.0)
     rows = [row for row in safety._kernel.rows() if row[0] in (0, 1)]
     assert len(rows) > 10
@@ -111,7 +111,12 @@ def test_rows_are_derivatives_of_h_along_the_true_motion(seed):
 
 def least_after_one_step(base_lag, gap=2.5e-4, radius=0.05):
     """Least gap one period later, over bases at speed that pass a post at `gap` [m]; no answer relaxed."""
-    body, rng, least, count = msgspec.structs.replace(trial_base(), base_lag=base_lag), np.random.default_rng(1), 1.0, 0
+    body, rng, least, count = (
+        msgspec.structs.replace(scenario_base(), base_lag=base_lag),
+        np.random.default_rng(1),
+        1.0,
+        0,
+    )
     fast = np.array([joint.velocity.value for joint in body.joints])
     for _ in range(600):
         v, disc = rng.uniform(0.5, 1.0, 2) * fast * rng.choice([-1.0, 1.0], 2), body.spheres[rng.integers(4)]
@@ -120,13 +125,15 @@ def least_after_one_step(base_lag, gap=2.5e-4, radius=0.05):
         post = np.array(disc.centre[:2]) + (disc.radius + radius + gap) * out
         if nearest(body, np.zeros(3), post) - radius < gap - 1e-9:
             continue
-        safety = SafetyFilter(body, EXACT)
+        safety = SafetyFilter(body, EXACT_TRACKING)
         safety.observe([Obstacle("post", Sphere(radius), Pose((*map(float, post), 0.0)))])
         safety.reset(v)
         answer = safety(np.zeros(3), v, v)
         if answer.status <= 1:
             count += 1
-            least = min(least, nearest(body, drive(np.zeros(3), answer.u, body.period), post) - radius)
+            least = min(
+                least, nearest(body, integrate_configuration(np.zeros(3), answer.u, body.period), post) - radius
+            )
     assert count > 50
     return least
 
@@ -154,5 +161,5 @@ def test_what_lags_is_ahead_along_its_arc():
     for one in (safety, late):
         one.observe(thing)
         one.reset(v)
-    ahead = drive(q, v, 0.05)
+    ahead = integrate_configuration(q, v, 0.05)
     assert safety(q, v, v).h_min == pytest.approx(late(ahead, v, v).h_min, abs=1e-6)

@@ -4,21 +4,21 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.errors import UnknownName
-from dualbrain.robots.loader import BODIES, load_body
-from dualbrain.robots.model import Body, Tracking
+from dualbrain.errors import UnknownNameError
+from dualbrain.robots.loader import BUILTIN_ROBOTS, load_robot
+from dualbrain.robots.model import RobotModel, TrackingErrorModel
 
-PANDA = load_body("panda")
+PANDA = load_robot("panda")
 
 
 def test_the_data_survives_json_unchanged():
-    assert msgspec.json.decode(msgspec.json.encode(PANDA), type=Body) == PANDA
+    assert msgspec.json.decode(msgspec.json.encode(PANDA), type=RobotModel) == PANDA
 
 
 def test_an_unknown_body_is_refused_with_the_closest_name():
-    with pytest.raises(UnknownName, match="Closest: 'panda'") as caught:
-        load_body("pamda")
-    assert caught.value.known == tuple(sorted(BODIES))
+    with pytest.raises(UnknownNameError, match="Closest: 'panda'") as caught:
+        load_robot("pamda")
+    assert caught.value.known == tuple(sorted(BUILTIN_ROBOTS))
 
 
 def test_every_bound_is_positive_si_and_says_where_it_comes_from():
@@ -75,17 +75,17 @@ def test_every_identified_drive_says_how():
 
 
 def test_a_body_can_be_driven_otherwise_and_back():
-    other = PANDA.driven_by("velocity")
+    other = PANDA.with_drive("velocity")
     assert other.tracking == PANDA.other_drives[0]
-    assert other.driven_by(PANDA.tracking.drive) == PANDA
-    with pytest.raises(UnknownName, match="velocity"):
-        PANDA.driven_by("velocities")
+    assert other.with_drive(PANDA.tracking.drive) == PANDA
+    with pytest.raises(UnknownNameError, match="velocity"):
+        PANDA.with_drive("velocities")
 
 
 def test_an_entry_is_renewed_or_added():
-    renewed = Tracking(0.001, 0.002, 3.0, "test", PANDA.tracking.drive)
-    assert PANDA.tracked(renewed).tracking == renewed
-    assert PANDA.tracked(renewed).other_drives == PANDA.other_drives
-    added = Tracking(0.001, 0.002, 3.0, "test", "hydraulic")
-    assert PANDA.tracked(added).driven_by("hydraulic").tracking == added
-    assert PANDA.tracked(added).tracking == PANDA.tracking
+    renewed = TrackingErrorModel(0.001, 0.002, 3.0, "test", PANDA.tracking.drive)
+    assert PANDA.with_tracking(renewed).tracking == renewed
+    assert PANDA.with_tracking(renewed).other_drives == PANDA.other_drives
+    added = TrackingErrorModel(0.001, 0.002, 3.0, "test", "hydraulic")
+    assert PANDA.with_tracking(added).with_drive("hydraulic").tracking == added
+    assert PANDA.with_tracking(added).tracking == PANDA.tracking

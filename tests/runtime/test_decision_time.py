@@ -4,7 +4,7 @@ import pytest
 
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.records import Attempt, Proposal
-from dualbrain.runtime.planning_time import PARTS, breakdown, in_words, timings
+from dualbrain.runtime.planning_time import LATENCY_PARTS, decision_timings, format_timings, latency_breakdown
 
 
 def attempt(gate=0.001, **told):
@@ -18,25 +18,25 @@ TWICE = (
 
 
 def test_the_parts_are_the_whole():
-    spent = timings(TWICE, retrieval=0.25)
+    spent = decision_timings(TWICE, retrieval=0.25)
     assert spent["planner"] == 9.75
     assert spent["planner_prefill"] == 2.5
     assert spent["planner_rest"] == pytest.approx(9.75 - 1.0 - 2.5 - 5.5)
     assert "planner_prompt_tokens" not in spent
-    assert sum(value for _, value in breakdown(spent)) == pytest.approx(spent["decision"])
+    assert sum(value for _, value in latency_breakdown(spent)) == pytest.approx(spent["decision"])
     assert spent["decision"] == pytest.approx(0.25 + 9.75 + 0.002)
 
 
 def test_a_planner_that_tells_nothing_has_only_a_rest():
-    spent = timings([attempt(total=4.0)], 0.0)
+    spent = decision_timings([attempt(total=4.0)], 0.0)
     assert {name for name in spent if name.startswith("planner_")} == {"planner_rest"}
     assert spent["planner_rest"] == 4.0
-    assert timings((), 0.5)["decision"] == 0.5
+    assert decision_timings((), 0.5)["decision"] == 0.5
 
 
 def test_one_line_for_people_names_every_part_that_took_time():
-    line = in_words(timings(TWICE, 0.25))
+    line = format_timings(decision_timings(TWICE, 0.25))
     assert line.startswith("decided in 10.00 s: retrieval 0.25 s, load of the model 1.00 s, prefill 2.50 s")
     assert line.endswith("validation 2.0 ms")
-    assert [words for words, _ in breakdown(timings(TWICE, 0.25))] == list(PARTS.values())
-    assert in_words({}) == ""
+    assert [words for words, _ in latency_breakdown(decision_timings(TWICE, 0.25))] == list(LATENCY_PARTS.values())
+    assert format_timings({}) == ""

@@ -11,41 +11,43 @@ from hypothesis import strategies as st
 
 from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.core.geometry.shapes import Capsule, Pose
-from dualbrain.grounding.offline_gate import as_specified
-from dualbrain.grounding.outcome_check import second_opinion
-from dualbrain.memory.maintenance.contradiction import ALPHA, RIGHT
+from dualbrain.grounding.offline_gate import scene_from_spec
+from dualbrain.grounding.outcome_check import check_outcome
+from dualbrain.memory.maintenance.contradiction import EXPECTED_AGREEMENT, SIGNIFICANCE_LEVEL
 from dualbrain.records import Outcome, SceneObject
-from dualbrain.runtime.memory_replay import Try, verdict
-from dualbrain.simulation.scenes.from_memory import remembered_scene
+from dualbrain.runtime.memory_replay import ReplayTry, compare_with_memory
+from dualbrain.simulation.scenes.from_memory import scene_from_memory
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
-from dualbrain.simulation.scenes.scene_spec import Chart, Closed, check_scene
-from tests.simulation.mobile_base_cell import Hall, drive_to
+from dualbrain.simulation.scenes.scene_spec import FloorMap, KeepOutArea, check_scene
+from tests.simulation.mobile_base_cell import MobileBaseCell, drive_to_action
 
 
 @given(st.integers(1, 12), st.integers(0, 12), st.booleans())
 def test_a_memory_is_contradicted_by_too_few_repetitions_only(tries: int, good: int, r: bool) -> None:
     """Oracle: the binomial tail, summed here."""
     good = min(good, tries)
-    done = [Try("succeeded", 0.001, "")] * good + [Try("failed", 0.001, "")] * (tries - good)
+    done = [ReplayTry("succeeded", 0.001, "")] * good + [ReplayTry("failed", 0.001, "")] * (tries - good)
     agreeing = good if r else tries - good
-    tail = sum(comb(tries, k) * RIGHT**k * (1 - RIGHT) ** (tries - k) for k in range(agreeing + 1))
-    assert verdict(int(r), 0.001, done)[1] == (tail >= ALPHA)
+    tail = sum(
+        comb(tries, k) * EXPECTED_AGREEMENT**k * (1 - EXPECTED_AGREEMENT) ** (tries - k) for k in range(agreeing + 1)
+    )
+    assert compare_with_memory(int(r), 0.001, done)[1] == (tail >= SIGNIFICANCE_LEVEL)
 
 
 @pytest.mark.parametrize(("Delta", "agrees"), [(0.002, True), (0.0061, False), (0.0, True), (0.0003, True)])
 def test_another_delta_contradicts_a_success(Delta: float, agrees: bool) -> None:
-    done = [Try("succeeded", Delta, "")] * 5
-    assert verdict(1, 0.002, done)[1] == agrees
-    assert verdict(0, 0.002, [Try("failed", Delta, "")] * 5)[1]
+    done = [ReplayTry("succeeded", Delta, "")] * 5
+    assert compare_with_memory(1, 0.002, done)[1] == agrees
+    assert compare_with_memory(0, 0.002, [ReplayTry("failed", Delta, "")] * 5)[1]
 
 
 @pytest.mark.parametrize("choice", ["tabletop:3", "tall:4", "shelf:5", "forearm:6", "bare:0", "fragile:7"])
 def test_a_remembered_world_is_what_was_perceived(choice: str) -> None:
     spec = open_scene(choice)
-    again = remembered_scene(as_specified(spec), np.random.default_rng(0), spread=0.003)
+    again = scene_from_memory(scene_from_spec(spec), np.random.default_rng(0), position_spread=0.003)
     check_scene(again)
-    assert {thing.name for thing in again.things} == {thing.name for thing in spec.things}
-    for thing in again.things:
+    assert {thing.name for thing in again.objects} == {thing.name for thing in spec.objects}
+    for thing in again.objects:
         was = spec.find(thing.name)
         assert (thing.shape, thing.role, thing.fragile_limit) == (was.shape, was.role, was.fragile_limit)
         assert np.linalg.norm(np.subtract(thing.position, was.position)) < 0.03
@@ -55,11 +57,11 @@ def test_a_remembered_world_is_what_was_perceived(choice: str) -> None:
 
 @pytest.mark.parametrize("speed", [0.0, 0.3])
 def test_a_remembered_person_goes_on_as_perceived(speed: float) -> None:
-    seen = as_specified(open_scene("bare:0"))
+    seen = scene_from_spec(open_scene("bare:0"))
     along_x = (0.5**0.5, 0.0, 0.5**0.5, 0.0)
     arm = SceneObject("forearm", "person", Capsule(0.045, 0.25), Pose((0.7, -0.4, 0.2), along_x), (0.0, speed, 0.0))
-    again = remembered_scene(
-        msgspec.structs.replace(seen, objects=(*seen.objects, arm)), np.random.default_rng(0), spread=0.0
+    again = scene_from_memory(
+        msgspec.structs.replace(seen, objects=(*seen.objects, arm)), np.random.default_rng(0), position_spread=0.0
     )
     assert again.mover is not None
     assert again.mover.axis == pytest.approx((1.0, 0.0, 0.0), abs=1e-9)
@@ -74,11 +76,11 @@ def _told(scene, thing, where, kind):
          "action_sequence": [msgspec.to_builtins(grasp), {"skill": "place", "params": {"destination": where}}]},
         Contract,
     )  # fmt: skip
-    return second_opinion(scene, contract, Outcome(kind, ""))
+    return check_outcome(scene, contract, Outcome(kind, ""))
 
 
 def test_the_eyes_agree_or_disagree_with_the_skills() -> None:
-    scene = as_specified(open_scene("bare:0"))
+    scene = scene_from_spec(open_scene("bare:0"))
     bowl = scene.find("blue_bowl").pose
     moved = msgspec.structs.replace(
         scene,
@@ -92,13 +94,13 @@ def test_the_eyes_agree_or_disagree_with_the_skills() -> None:
     assert _told(moved, "red_cube", "blue_bowl", "failed") == "disagrees"
     assert _told(scene, "no_cube", "blue_bowl", "succeeded") == "none"
     assert _told(scene, "red_cube", "blue_bowl", "aborted") == "none"
-    assert second_opinion(scene, None, Outcome("succeeded", "")) == "none"
+    assert check_outcome(scene, None, Outcome("succeeded", "")) == "none"
 
 
 @pytest.mark.parametrize(("second", "word"), [("blue_bowl", "agrees"), ("table_left", "disagrees")])
 def test_of_several_things_each_must_be_where_it_was_placed_last(second: str, word: str) -> None:
     """Each names a thing and where; the cube is in the bowl all the time, the block only if that was asked."""
-    scene = as_specified(open_scene("sorting:0"))
+    scene = scene_from_spec(open_scene("sorting:0"))
     bowl = scene.find("blue_bowl").pose
     inside = tuple(
         msgspec.structs.replace(thing, pose=bowl) if thing.colour == "red" else thing for thing in scene.objects
@@ -110,11 +112,11 @@ def test_of_several_things_each_must_be_where_it_was_placed_last(second: str, wo
     ]  # fmt: skip
     contract = Contract("c-0001", Context("panda", "x" * 8), tuple(actions))
     after = msgspec.structs.replace(scene, objects=inside)
-    assert second_opinion(after, contract, Outcome("succeeded", "")) == word
+    assert check_outcome(after, contract, Outcome("succeeded", "")) == word
 
 
 def test_the_rule_is_told_in_words(tmp_path: Path) -> None:
-    words, agrees = verdict(1, 0.001, [Try("failed", None, "")] * 5)
+    words, agrees = compare_with_memory(1, 0.001, [ReplayTry("failed", None, "")] * 5)
     assert not agrees
     assert words == "0 of 5 tries ended as remembered: too few (a true memory would show that with chance 0.000)"
 
@@ -124,22 +126,26 @@ def test_the_rule_is_told_in_words(tmp_path: Path) -> None:
 )
 def test_a_remembered_room_has_its_walls_and_what_stands_in_it(choice: str, robot: str) -> None:
     spec = open_scene(choice, robot)
-    spec = msgspec.structs.replace(spec, chart=Chart(spec.region, (Closed("pit", (1.2, 0.4), (0.3, 0.2), 0.7),)))
-    again = remembered_scene(as_specified(spec), np.random.default_rng(0), spread=0.003)
+    spec = msgspec.structs.replace(
+        spec, chart=FloorMap(spec.region, (KeepOutArea("pit", (1.2, 0.4), (0.3, 0.2), 0.7),))
+    )
+    again = scene_from_memory(scene_from_spec(spec), np.random.default_rng(0), position_spread=0.003)
     check_scene(again)
     assert (again.region, again.places) == (spec.region, spec.places)
-    assert {(thing.name, thing.role, thing.shape) for thing in again.things} == {
-        (thing.name, thing.role, thing.shape) for thing in spec.things
+    assert {(thing.name, thing.role, thing.shape) for thing in again.objects} == {
+        (thing.name, thing.role, thing.shape) for thing in spec.objects
     }
-    assert all(thing.fixed for thing in again.things if thing.role in ("obstacle", "support"))
+    assert all(thing.fixed for thing in again.objects if thing.role in ("obstacle", "support"))
     (pit,) = again.chart.closed if again.chart else ()
     assert (pit.name, pit.middle, pit.half) == ("pit", (1.2, 0.4), (0.3, 0.2))
     assert pit.yaw == pytest.approx(0.7)
 
 
 def test_a_base_drives_through_a_remembered_room_as_it_did() -> None:
-    spec = remembered_scene(as_specified(open_scene("boxes:1", "base")), np.random.default_rng(0), spread=0.003)
-    hall = Hall(spec=spec)
-    outcome = hall.run(drive_to("shelf"))
+    spec = scene_from_memory(
+        scene_from_spec(open_scene("boxes:1", "base")), np.random.default_rng(0), position_spread=0.003
+    )
+    hall = MobileBaseCell(spec=spec)
+    outcome = hall.run(drive_to_action("shelf"))
     assert outcome.kind == "succeeded", outcome.reason
     assert hall.monitor.violations() == ()

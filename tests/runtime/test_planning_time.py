@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from dualbrain.runtime.planning_time import Thinking
+from dualbrain.runtime.planning_time import PlanningClock
 
 
 class Standing:
@@ -26,7 +26,7 @@ class Standing:
 def test_in_lockstep_the_arm_stands_for_the_fixed_time_however_long_the_answer_takes():
     for pause in (0.0, 0.05):
         layer = Standing()
-        answer = Thinking(time.monotonic, planning_time=2.0).wait_for(
+        answer = PlanningClock(time.monotonic, planning_time=2.0).wait_for(
             layer, lambda pause=pause: time.sleep(pause) or "yes"
         )
         assert (answer, layer.stood) == ("yes", 2.0)
@@ -45,13 +45,15 @@ def test_measured_the_arm_stands_as_long_as_the_answer_takes():
             ready.set()
 
     layer.hold = stood
-    assert Thinking(time.monotonic, measured=True).wait_for(layer, ask) == "yes"
+    assert PlanningClock(time.monotonic, measured=True).wait_for(layer, ask) == "yes"
     assert layer.stood > 0.5
 
 
 def test_the_planner_is_asked_on_another_thread():
     asked = []
-    Thinking(time.monotonic, planning_time=0.0).wait_for(Standing(), lambda: asked.append(threading.current_thread()))
+    PlanningClock(time.monotonic, planning_time=0.0).wait_for(
+        Standing(), lambda: asked.append(threading.current_thread())
+    )
     assert asked[0] is not threading.current_thread()
     assert asked[0].daemon
 
@@ -60,7 +62,7 @@ def test_the_planner_is_asked_on_another_thread():
 def test_an_interruption_does_not_wait_for_the_answer(measured):
     never = threading.Event()
     layer = Standing(interrupted_after=0.0)
-    assert Thinking(time.monotonic, measured, 0.0).wait_for(layer, lambda: never.wait(30.0)) is None
+    assert PlanningClock(time.monotonic, measured, 0.0).wait_for(layer, lambda: never.wait(30.0)) is None
     never.set()
 
 
@@ -69,9 +71,9 @@ def test_what_the_planner_raises_is_raised_here():
         raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
-        Thinking(time.monotonic, planning_time=0.0).wait_for(Standing(), broken)
+        PlanningClock(time.monotonic, planning_time=0.0).wait_for(Standing(), broken)
 
 
 def test_timed_measures_with_the_given_clock():
     ticks = iter([1.0, 3.5])
-    assert Thinking(lambda: next(ticks)).timed(lambda: "done") == ("done", 2.5)
+    assert PlanningClock(lambda: next(ticks)).measure(lambda: "done") == ("done", 2.5)

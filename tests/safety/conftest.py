@@ -5,16 +5,16 @@ import numpy as np
 import pytest
 
 from dualbrain.robots.interface import RobotState
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.loader import load_robot
 
 
 @pytest.fixture(scope="session")
 def panda():
-    return load_body("panda")
+    return load_robot("panda")
 
 
 @pytest.fixture(scope="session")
-def small(panda):
+def sparse_panda(panda):
     """Every fourth sphere: same kinematics, a quarter of the work."""
     return msgspec.structs.replace(panda, spheres=panda.spheres[::4])
 
@@ -25,7 +25,7 @@ def rng():
 
 
 @pytest.fixture
-def at():
+def state_at():
     """A state at rest (or moving at v) at joint angles q, stamped t."""
 
     def make(q, v=None, t=0.0, opening=0.04):
@@ -36,7 +36,7 @@ def at():
 
 
 @pytest.fixture
-def posture(panda):
+def random_posture(panda):
     """A random posture well inside the joint limits."""
     low = np.array([joint.lower.value for joint in panda.joints]) + 0.15
     high = np.array([joint.upper.value for joint in panda.joints]) - 0.15

@@ -6,31 +6,31 @@ from scipy.spatial.transform import Rotation
 from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Sphere
 
 
-def rotation(quaternion):
+def rotation_matrix(quaternion):
     w, x, y, z = quaternion
     return Rotation.from_quat([x, y, z, w]).as_matrix()
 
 
-def frames(body, q):
+def joint_frames(body, q):
     """Rotations (t, 3, 3) and origins (t, 3) of frames 0..n for postures q (t, n)."""
     R, p = np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3))
     out = [(R, p)]
     for k, joint in enumerate(body.joints):
         p = p + R @ np.array(joint.translation)
         spin = Rotation.from_rotvec(q[:, k : k + 1] * np.array([[0.0, 0.0, 1.0]])).as_matrix()
-        R = R @ rotation(joint.quaternion) @ spin
+        R = R @ rotation_matrix(joint.quaternion) @ spin
         out.append((R, p))
     return out
 
 
-def centres(body, q, opening=0.0):
+def sphere_centres(body, q, opening=0.0):
     """Sphere centres (t, k, 3) in the order of the links, radii (k,) and link names."""
-    chain, parts, radii, names = frames(body, q), [], [], []
+    chain, parts, radii, names = joint_frames(body, q), [], [], []
     for link in body.links:
         R, p = chain[link.frame]
         for sphere in (s for s in body.spheres if s.link == link.name):
             local = np.array(sphere.centre) + opening * np.array(link.slide)
-            local = np.array(link.translation) + rotation(link.quaternion) @ local
+            local = np.array(link.translation) + rotation_matrix(link.quaternion) @ local
             parts.append(p + R @ local)
             radii.append(sphere.radius)
             names.append(link.name)
@@ -39,7 +39,7 @@ def centres(body, q, opening=0.0):
 
 def surface_distance(shape, pose, points):
     """Signed distance of points (..., 3) to the surface of a shape."""
-    local = (points - np.array(pose.position)) @ rotation(pose.quaternion)
+    local = (points - np.array(pose.position)) @ rotation_matrix(pose.quaternion)
     match shape:
         case Sphere(radius=r):
             return np.linalg.norm(local, axis=-1) - r
@@ -56,7 +56,7 @@ def surface_distance(shape, pose, points):
 
 def h_obstacles(body, q, obstacles, opening=0.0, shifts=None):
     """Smallest gap (t,) between moving spheres and obstacles; `shifts` (t, k, 3) move the obstacles."""
-    c, r, names = centres(body, q, opening)
+    c, r, names = sphere_centres(body, q, opening)
     moving = [i for i, name in enumerate(names) if next(x.frame for x in body.links if x.name == name) > 0]
     c, r = c[:, moving], r[moving]
     least = np.full(len(q), np.inf)
@@ -68,7 +68,7 @@ def h_obstacles(body, q, obstacles, opening=0.0, shifts=None):
 
 def h_self(body, q, opening=0.0):
     """Smallest gap (t,) over the kept link pairs."""
-    c, r, names = centres(body, q, opening)
+    c, r, names = sphere_centres(body, q, opening)
     names = np.array(names)
     least = np.full(len(q), np.inf)
     for first, second in body.self_pairs.kept:

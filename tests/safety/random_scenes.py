@@ -9,12 +9,12 @@ from dualbrain.safety.cbf.filter import FilterConfig, Obstacle, SafetyFilter
 from tests.safety import geometry_oracle
 
 
-def quaternion(rng):
+def random_quaternion(rng):
     q = rng.normal(size=4)
     return tuple(q / np.linalg.norm(q))
 
 
-def scene(body, rng, count=8, q=None, gap=0.01):
+def random_scene(body, rng, count=8, q=None, gap=0.01):
     """A table and `count` things of every shape that are at least `gap` from posture `q`."""
     q = np.array(body.home) if q is None else q
     things = [Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)), known=True)]
@@ -28,14 +28,14 @@ def scene(body, rng, count=8, q=None, gap=0.01):
             solid = Box(tuple(rng.uniform(0.02, 0.15, 3)))
         reach, turn = rng.uniform(0.3, 0.85), rng.uniform(-np.pi, np.pi)
         place = (reach * np.cos(turn), reach * np.sin(turn), float(rng.uniform(0.0, 0.9)))
-        thing = Obstacle(f"thing{len(things)}", solid, Pose(place, quaternion(rng)))
+        thing = Obstacle(f"thing{len(things)}", solid, Pose(place, random_quaternion(rng)))
         if geometry_oracle.h_obstacles(body, q[None], [thing])[0] > gap:
             things.append(thing)
     return things
 
 
 @dataclass
-class Run:
+class LoopResult:
     """What a closed loop did: states after each step, controls, statuses, counts."""
 
     q: np.ndarray
@@ -51,9 +51,9 @@ def closed_loop(safety: SafetyFilter, q0, steps, seed, *, hold=150, toward=0.7):
     q, q_log, u_log = np.array(q0, float), np.empty((steps, n)), np.empty((steps, n))
     status = np.empty(steps, np.int8)
     tally = safety._kernel.closed_loop(q, seed, hold, toward, q_log, u_log, status)
-    return Run(q_log, u_log, status, tally)
+    return LoopResult(q_log, u_log, status, tally)
 
 
-def config(**changes):
+def exact_config(**changes):
     """No lag and no tracking error: the loop integrates ẏ = u exactly."""
     return FilterConfig(**({"lag_compensation": False, "tracking_error": 0.0} | changes))

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from dualbrain.safety.barriers import BARRIERS
-from dualbrain.safety.barriers.__main__ import page
-from dualbrain.safety.barriers.scenarios import EXACT, advance, arm, arm_filter
-from dualbrain.safety.barriers.singularity import BENT, Singularity, least_singular_value
-from dualbrain.safety.cbf.filter import SafetyFilter, Status
+from dualbrain.safety.barriers.__main__ import render_markdown
+from dualbrain.safety.barriers.scenarios import EXACT_TRACKING, integrate, sparse_panda, sparse_panda_filter
+from dualbrain.safety.barriers.singularity import SINGULAR_POSTURE, SingularityBarrier, min_singular_value
+from dualbrain.safety.cbf.filter import FilterStatus, SafetyFilter
 
 PACKAGE = Path(__file__).resolve().parents[2] / "src" / "dualbrain" / "safety" / "barriers"
 NAMES = sorted(BARRIERS)
@@ -31,7 +31,7 @@ def fly(trial, *, filtered=True):
             named.update(answer.barriers)
             statuses.add(answer.status)
         values.append(trial.h(q, u))
-        q = advance(trial.safety.body, q, u)
+        q = integrate(trial.safety.body, q, u)
     return np.array(values), named, statuses
 
 
@@ -42,15 +42,15 @@ def test_every_file_is_a_barrier_of_its_name():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_it_holds_and_tells_its_name(name):
-    h, named, statuses = fly(BARRIERS[name].trial())
+    h, named, statuses = fly(BARRIERS[name].scenario())
     assert h.min() >= 0.0
     assert TELL.get(name, name) in named
-    assert statuses <= {Status.SAFE, Status.MODIFIED}
+    assert statuses <= {FilterStatus.SAFE, FilterStatus.MODIFIED}
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_without_the_filter_it_would_break(name):
-    h, _, _ = fly(BARRIERS[name].trial(), filtered=False)
+    h, _, _ = fly(BARRIERS[name].scenario(), filtered=False)
     assert h.min() < -0.01
 
 
@@ -58,15 +58,15 @@ def test_without_the_filter_it_would_break(name):
 
 
 def singular_value(safety, q):
-    return least_singular_value(safety.tool(q).jacobian, 0.3)[0]
+    return min_singular_value(safety.tool(q).jacobian, 0.3)[0]
 
 
 def test_the_gradient_of_the_singular_value_is_its_derivative(panda):
-    safety = SafetyFilter(panda, msgspec.structs.replace(EXACT, real="float64"))
+    safety = SafetyFilter(panda, msgspec.structs.replace(EXACT_TRACKING, precision="float64"))
     rng = np.random.default_rng(3)
     for _ in range(20):
         q = np.array(panda.home) + rng.uniform(-0.5, 0.5, 7)
-        gradient = least_singular_value(safety.tool(q).jacobian, 0.3)[1]
+        gradient = min_singular_value(safety.tool(q).jacobian, 0.3)[1]
         steps = 1e-5 * np.eye(7)
         measured = [(singular_value(safety, q + d) - singular_value(safety, q - d)) / 2e-5 for d in steps]
         np.testing.assert_allclose(gradient, measured, atol=2e-4)
@@ -75,9 +75,9 @@ def test_the_gradient_of_the_singular_value_is_its_derivative(panda):
 def path(seed):
     """From a random posture through a singular one to its far side."""
     rng = np.random.default_rng(seed)
-    joints = arm().joints
+    joints = sparse_panda().joints
     low, high = (np.array([getattr(joint, side).value for joint in joints]) for side in ("lower", "upper"))
-    through = BENT + np.array(
+    through = SINGULAR_POSTURE + np.array(
         [rng.uniform(-1, 1), 0.0, 0.0, rng.uniform(-0.5, 0.3), 0.0, rng.uniform(-0.5, 0.5), rng.uniform(-1, 1)]
     )
     away = rng.uniform(-0.4, 0.4, 7)
@@ -98,7 +98,7 @@ def along_the_path(safety, seed, seconds=20.0):
 
 
 def test_the_paths_do_pass_through_singular_postures():
-    safety = arm_filter()
+    safety = sparse_panda_filter()
     for seed in range(50):
         start, end = path(seed)
         assert min(singular_value(safety, start + t * (end - start)) for t in np.linspace(0, 1, 101)) < 0.02
@@ -107,38 +107,42 @@ def test_the_paths_do_pass_through_singular_postures():
 @pytest.mark.parametrize("seed", [0, 1, pytest.param("all", marks=pytest.mark.slow)])
 def test_paths_through_singular_postures_complete(seed):
     """Fifty seeded paths with the marker `slow`, two of them always."""
-    safety = arm_filter(barriers=(Singularity(arm().alpha),))
+    safety = sparse_panda_filter(barriers=(SingularityBarrier(sparse_panda().alpha),))
     for one in range(50) if seed == "all" else (seed,):
         safety.reset()
         arrived, statuses = along_the_path(safety, one)
         assert arrived, f"path {one}"
-        assert statuses <= {Status.SAFE, Status.MODIFIED}
+        assert statuses <= {FilterStatus.SAFE, FilterStatus.MODIFIED}
 
 
 def test_it_slows_near_the_singular_posture():
     """Near the singular posture σ falls no faster than the barrier allows, and at most half as fast as without it."""
     fastest = {}
-    for barriers in ((), (Singularity(arm().alpha),)):
-        safety = arm_filter(barriers=barriers)
-        q, seen = BENT + np.array([0.0, 0.25, -0.25, 0.0, 0.2, 0.0, 0.0]), []
+    for barriers in ((), (SingularityBarrier(sparse_panda().alpha),)):
+        safety = sparse_panda_filter(barriers=barriers)
+        q, seen = SINGULAR_POSTURE + np.array([0.0, 0.25, -0.25, 0.0, 0.2, 0.0, 0.0]), []
         for _ in range(1500):
-            answer = safety(q, np.zeros(7), 1.5 * np.sign(BENT - q) * np.minimum(np.abs(BENT - q) * 5, 0.5))
+            answer = safety(
+                q, np.zeros(7), 1.5 * np.sign(SINGULAR_POSTURE - q) * np.minimum(np.abs(SINGULAR_POSTURE - q) * 5, 0.5)
+            )
             if singular_value(safety, q) < 0.06:
-                _, gradient = least_singular_value(safety.tool(q).jacobian, 0.3)
+                _, gradient = min_singular_value(safety.tool(q).jacobian, 0.3)
                 seen.append(-float(gradient @ answer.u))
             q = q + 1e-3 * answer.u
         fastest[bool(barriers)] = max(seen)
     assert fastest[True] <= 0.5 * fastest[False]
-    assert fastest[True] <= max(arm().alpha * 0.03, 0.02) + 5e-3
+    assert fastest[True] <= max(sparse_panda().alpha * 0.03, 0.02) + 5e-3
 
 
 def test_the_page_of_barriers_is_the_one_that_is_written():
     stored = Path(__file__).resolve().parents[2] / "docs" / "barriers.md"
-    assert stored.read_text() == page(), "write it anew: python -m dualbrain.safety.barriers > docs/barriers.md"
+    assert stored.read_text() == render_markdown(), (
+        "write it anew: python -m dualbrain.safety.barriers > docs/barriers.md"
+    )
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_files_that_carry_it_out_exist(name):
     root = Path(__file__).resolve().parents[2]
-    for path in re.findall(r"[\w/]+\.(?:py|c)\b", BARRIERS[name].where):
+    for path in re.findall(r"[\w/]+\.(?:py|c)\b", BARRIERS[name].implementation):
         assert (root / path).is_file() or (root / "src" / "dualbrain" / path).is_file(), path

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.errors import InvalidSetup, MissingPart
-from dualbrain.safety.cbf.result import Reason, Status
+from dualbrain.errors import ConfigurationError, MissingDependencyError
+from dualbrain.safety.cbf.result import FilterStatus, Reason
 from dualbrain.safety.cbf.rows import Rank
 from dualbrain.safety.control_affine import Barrier, ControlAffine, ControlAffineFilter
 
@@ -165,7 +165,7 @@ def test_cruise_control_answers_as_the_literature_says(v, lead, D, wish):
     assert answer.u[0] == pytest.approx(np.clip(min(wish, bound), -limit, limit), abs=1e-5)
     assert answer.h[0] == pytest.approx(D - HEADWAY * v, abs=1e-9)
     if min(wish, bound) < -limit - 1e-3 and bound < -limit - 1e-3:
-        assert answer.status is Status.RELAXED
+        assert answer.status is FilterStatus.RELAXED
 
 
 @settings(max_examples=60, deadline=None)
@@ -176,7 +176,7 @@ def test_double_integrator_answers_as_the_closed_form(p, v, wish):
     assert answer.u[0] == pytest.approx(max(wish, -4.5 * v - 4.5 * p), abs=1e-9)
     assert answer.psi[0] == pytest.approx((p, v + 1.5 * p), abs=1e-12)
     assert answer.certified == (p >= 0.0 and v + 1.5 * p >= 0.0)
-    assert answer.outside == (() if answer.certified else ("wall",))
+    assert answer.violated_barriers == (() if answer.certified else ("wall",))
 
 
 @settings(max_examples=60, deadline=None)
@@ -247,8 +247,8 @@ def test_several_barriers_and_controls_agree_with_another_solver(rng):
         assert flag == 1
         answer = safety(state, wish)
         np.testing.assert_allclose(answer.u, best, atol=1e-6)
-        changed += answer.status is Status.MODIFIED
-        assert {name for name, _ in answer.active} <= {
+        changed += answer.status is FilterStatus.MODIFIED
+        assert {name for name, _ in answer.active_rows} <= {
             "ball",
             "plane",
             "roof",
@@ -272,11 +272,11 @@ def cruise(safety):
 def test_cruise_control_keeps_its_headway():
     least, statuses = cruise(car(braking=True, margin=0.5))
     assert least >= 0.0
-    assert set(statuses) <= {Status.SAFE, Status.MODIFIED}
+    assert set(statuses) <= {FilterStatus.SAFE, FilterStatus.MODIFIED}
     assert cruise(None)[0] < -100.0
     least, statuses = cruise(car(braking=False))  # a barrier that forgets the brakes
     assert least < -1.0
-    assert Status.RELAXED in statuses
+    assert FilterStatus.RELAXED in statuses
 
 
 def test_double_integrator_follows_the_exact_course():
@@ -295,7 +295,7 @@ def test_gains_beyond_the_box_break_the_wall():
     def least(a1, a2):
         safety = cart(a1, a2, lower=-1.0, upper=1.0, fallback=1.0)
         states, statuses = closed_loop(safety, cart_rate, [2.0, 0.0], lambda *_: -1.0, 1600, 5e-3)
-        return states[:, 0].min(), Status.RELAXED in statuses
+        return states[:, 0].min(), FilterStatus.RELAXED in statuses
 
     low, gave_up = least(0.7, 0.7)
     assert low >= 0.0
@@ -311,7 +311,7 @@ def test_pendulum_never_leans_too_far(rng):
     states, statuses = closed_loop(pendulum(), pendulum_rate, [0.0, 0.0], push, 2000, 2e-3)
     assert np.abs(states[:, 0]).max() <= LEAN
     assert np.abs(states[:, 0]).max() > 0.25
-    assert max(statuses) is Status.MODIFIED
+    assert max(statuses) is FilterStatus.MODIFIED
     assert np.abs(closed_loop(None, pendulum_rate, [0.0, 0.0], push, 400, 2e-3)[0][:, 0]).max() > 1.0
 
 
@@ -324,7 +324,7 @@ def test_unicycle_bends_round_the_disc():
     gap = np.linalg.norm(states[:, :2] - CENTRE, axis=1) - RADIUS
     assert gap.min() >= 0.0
     assert states[-1, 0] > 4.0  # it went round, it did not stop
-    assert max(statuses) is Status.MODIFIED
+    assert max(statuses) is FilterStatus.MODIFIED
     free = closed_loop(None, unicycle_rate, start, nominal, 1000, 0.01)[0]
     assert (np.linalg.norm(free[:, :2] - CENTRE, axis=1) - RADIUS).min() < -0.1
 
@@ -335,7 +335,7 @@ def test_unicycle_bends_round_the_disc():
 def test_what_is_strictly_safe_is_returned_bit_for_bit():
     wish = np.array([1.0 / 3.0])
     answer = cart()([1.0, 0.1], wish)
-    assert answer.status is Status.SAFE
+    assert answer.status is FilterStatus.SAFE
     assert np.array_equal(answer.u, wish)
     assert answer.delta == 0.0
     assert answer.explain() == "passed unchanged"
@@ -348,10 +348,10 @@ def test_conflicting_barriers_are_given_up_by_rank_and_named():
     parcel = Barrier("parcel", x, 1.0, margin=2.0, rank=Rank.TASK)  # u ≥ 2
     for order in ([person, parcel], [parcel, person]):
         answer = ControlAffineFilter(system, order, -5.0, 5.0)([0.0], [0.5])
-        assert answer.status is Status.RELAXED
+        assert answer.status is FilterStatus.RELAXED
         assert answer.reason is Reason.INFEASIBLE
-        assert {name for name, _ in answer.active} == {"person", "parcel"}
-        assert answer.given_up == (Rank.TASK,)
+        assert {name for name, _ in answer.active_rows} == {"person", "parcel"}
+        assert answer.relaxed_ranks == (Rank.TASK,)
         assert answer.u[0] == pytest.approx(-1.0, abs=1e-6)
         assert "person" in answer.explain()
 
@@ -361,7 +361,7 @@ def test_a_row_outside_the_conflict_is_met_in_full():
     right, left = Barrier("right", x[0], margin=0.8), Barrier("left", -x[0], margin=0.4)  # u_0 ≥ 0.8, u_0 ≤ −0.4
     ahead = Barrier("ahead", x[1], margin=0.7)  # u_1 ≥ 0.7
     answer = ControlAffineFilter(ControlAffine(x, [0, 0], np.eye(2)), [right, ahead, left], -1.0, 1.0)([0, 0], [0, 0])
-    assert answer.status is Status.RELAXED
+    assert answer.status is FilterStatus.RELAXED
     np.testing.assert_allclose(answer.u, [0.2, 0.7], atol=1e-6)
 
 
@@ -380,7 +380,7 @@ def test_rows_that_conflict_are_met_as_well_as_possible_and_never_worse_than_by_
         state = rng.uniform(-0.3, 0.3, 2)
         A, b = safety.rows(state)
         answer = safety(state, rng.uniform(-1.0, 1.0, 2))
-        if answer.status is not Status.RELAXED:
+        if answer.status is not FilterStatus.RELAXED:
             continue
         cases += 1
         size = np.abs(A).sum(axis=1)
@@ -399,7 +399,7 @@ def test_what_is_not_finite_stops_at_the_fallback(bad):
     safety = cart(lower=-5.0, upper=5.0, fallback=2.0)
     for x, u in (([bad, 0.0], [0.0]), ([1.0, bad], [0.0]), ([1.0, 0.0], [bad])):
         answer = safety(x, u)
-        assert answer.status is Status.STOPPED
+        assert answer.status is FilterStatus.STOPPED
         assert answer.reason is Reason.BAD_INPUT
         assert answer.u.tolist() == [2.0]
         assert np.isfinite(answer.delta)
@@ -412,7 +412,7 @@ def test_a_state_where_the_controls_cannot_act_is_told():
     system = ControlAffine(x, [x[1], 0], [0, 1])
     safety = ControlAffineFilter(system, [Barrier("lean", LEAN**2 - x[0] ** 2, (1.0, 1.0))], -1.0, 1.0)
     answer = safety([0.0, 3.0], [0.0])
-    assert answer.status is Status.RELAXED
+    assert answer.status is FilterStatus.RELAXED
     assert np.isfinite(answer.u).all()
 
 
@@ -420,7 +420,7 @@ def test_a_state_where_the_controls_cannot_act_is_told():
 
 
 def refused(make, *words):
-    with pytest.raises(InvalidSetup) as told:
+    with pytest.raises(ConfigurationError) as told:
         make()
     for word in words:
         assert word in str(told.value)
@@ -457,5 +457,5 @@ def test_set_ups_that_cannot_be_used_say_why():
 
 def test_without_casadi_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "casadi", None)
-    with pytest.raises(MissingPart, match=r"dualbrain\[symbolic\]"):
+    with pytest.raises(MissingDependencyError, match=r"dualbrain\[symbolic\]"):
         ControlAffine(None, None, None)

@@ -4,16 +4,16 @@ import mujoco
 import numpy as np
 
 from dualbrain.robots.interface import Command
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.loader import load_robot
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.generators.tabletop import make_scene
 
-BODY = load_body("panda")
-HOME = np.array(BODY.home)
+PANDA = load_robot("panda")
+HOME = np.array(PANDA.home)
 
 
-def plant(family="bare", seed=0, **options):
-    return Plant(make_scene(family, seed), BODY, **options)
+def make_plant(family="bare", seed=0, **options):
+    return Plant(make_scene(family, seed), PANDA, **options)
 
 
 def yaw_of(pose):
@@ -21,7 +21,7 @@ def yaw_of(pose):
     return 2.0 * np.arctan2(z, w)
 
 
-def top_down(p, position, yaw):
+def top_down_posture(p, position, yaw):
     """Joint angles that put the tool at `position`, pointing down, fingers along the y of `yaw`."""
     model, data = p.model, mujoco.MjData(p.model)
     data.qpos[:] = p.data.qpos
@@ -44,7 +44,7 @@ def top_down(p, position, yaw):
     return q
 
 
-def servo(p, q, seconds, *, opening=0.04, force=20.0, speed=0.35, each=None):
+def servo_to(p, q, seconds, *, opening=0.04, force=20.0, speed=0.35, each=None):
     """Go to `q` by proportional joint velocity; `each` is called after every tick."""
     for _ in range(int(seconds * 1000)):
         u = np.clip(6.0 * (q - p.read().q), -speed, speed)
@@ -54,19 +54,19 @@ def servo(p, q, seconds, *, opening=0.04, force=20.0, speed=0.35, each=None):
             each()
 
 
-def rest(p, seconds, each=None):
+def wait(p, seconds, each=None):
     for _ in range(int(seconds * 1000)):
         p.advance()
         if each is not None:
             each()
 
 
-def pick(p, name, *, force=20.0, each=None):
+def pick_up(p, name, *, force=20.0, each=None):
     """Grasp a thing from the top and lift it by 15 cm; contact only."""
     pose = p.truth(name)
     at, yaw = np.array(pose.position), yaw_of(pose)
-    over, on = top_down(p, np.add(at, [0, 0, 0.12]), yaw), top_down(p, np.add(at, [0, 0, 0.004]), yaw)
-    servo(p, over, 1.6, force=force, each=each)
-    servo(p, on, 1.0, force=force, each=each)
-    servo(p, on, 0.6, opening=0.0, force=force, each=each)
-    servo(p, top_down(p, np.add(at, [0, 0, 0.15]), yaw), 1.3, opening=0.0, force=force, each=each)
+    over, on = top_down_posture(p, np.add(at, [0, 0, 0.12]), yaw), top_down_posture(p, np.add(at, [0, 0, 0.004]), yaw)
+    servo_to(p, over, 1.6, force=force, each=each)
+    servo_to(p, on, 1.0, force=force, each=each)
+    servo_to(p, on, 0.6, opening=0.0, force=force, each=each)
+    servo_to(p, top_down_posture(p, np.add(at, [0, 0, 0.15]), yaw), 1.3, opening=0.0, force=force, each=each)

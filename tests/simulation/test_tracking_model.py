@@ -5,13 +5,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.errors import InvalidSetup
-from dualbrain.robots.loader import load_body
-from dualbrain.robots.model import Tracking
-from dualbrain.simulation.identification.excitation import EXCITATIONS, Log, excite
-from dualbrain.simulation.identification.tracking_model import SAFETY_FACTOR, fit, identify_plant, leaky_error
+from dualbrain.errors import ConfigurationError
+from dualbrain.robots.loader import load_robot
+from dualbrain.robots.model import TrackingErrorModel
+from dualbrain.simulation.identification.excitation import EXCITATION_KINDS, ExcitationLog, excite
+from dualbrain.simulation.identification.tracking_model import (
+    SAFETY_FACTOR,
+    fit_tracking_model,
+    identify_plant,
+    leaky_error,
+)
 
-PANDA = load_body("panda")
+PANDA = load_robot("panda")
 PERIOD, RATE = 1e-3, 3.45
 
 
@@ -20,7 +25,7 @@ class FirstOrder:
 
     def __init__(self, n, lag, residual=lambda t: 0.0):
         self.q, self.v, self.lag, self.residual, self.t = (
-            np.array(load_body("panda").home),
+            np.array(load_robot("panda").home),
             np.zeros(n),
             lag,
             residual,
@@ -44,7 +49,7 @@ def driven(plant, u):
     for t, control in enumerate(u):
         q[t], v[t] = plant.q, plant.v
         plant.act(control)
-    return Log(q, v, u)
+    return ExcitationLog(q, v, u)
 
 
 def wandering(seed, steps=3000, n=7):
@@ -56,7 +61,7 @@ def wandering(seed, steps=3000, n=7):
 @settings(max_examples=10, deadline=None)
 @given(st.floats(0.0005, 0.03), st.integers(0, 10**6))
 def test_a_known_lag_is_recovered(lag, seed):
-    found = fit([[driven(FirstOrder(7, lag), wandering(seed))]], RATE, PERIOD)
+    found = fit_tracking_model([[driven(FirstOrder(7, lag), wandering(seed))]], RATE, PERIOD)
     assert found.lag == pytest.approx(lag, abs=3e-6)
     assert found.position_error < 1e-4
 
@@ -64,9 +69,9 @@ def test_a_known_lag_is_recovered(lag, seed):
 def test_a_constant_residual_gives_r_over_alpha():
     """∫ exp(−α s) r ds = r/α in the long run; through u alone, so that the lag stays what it is."""
     plant = FirstOrder(7, 0.004, lambda t: 0.02)
-    found = fit([[driven(plant, wandering(3, 4000))]], RATE, PERIOD, lag=0.004)
+    found = fit_tracking_model([[driven(plant, wandering(3, 4000))]], RATE, PERIOD, lag=0.004)
     assert found.position_error == pytest.approx(SAFETY_FACTOR * 0.02 / RATE, rel=0.01)
-    assert found.tracking == pytest.approx(SAFETY_FACTOR * 0.02, rel=0.01)
+    assert found.tracking_error == pytest.approx(SAFETY_FACTOR * 0.02, rel=0.01)
     assert found.velocity_error == pytest.approx(0.02, rel=1e-3)
 
 
@@ -84,7 +89,7 @@ def test_the_leaky_integral_bounds_what_a_barrier_loses(seed, pace):
         q[t], v[t], h[t] = plant.q, plant.v, 0.05 + a @ y
         u[t] = -RATE * h[t] * a / (a @ a)
         plant.act(u[t])
-    e = leaky_error(Log(q, v, u), plant.lag, RATE, PERIOD)
+    e = leaky_error(ExcitationLog(q, v, u), plant.lag, RATE, PERIOD)
     assert np.all(h[1:] >= -np.abs(e) @ np.abs(a) - 1e-4)
     model = 0.05 * np.exp(-RATE * PERIOD * np.arange(1, steps))
     assert np.allclose(h[1:], model + e @ a, atol=2e-4)
@@ -102,15 +107,15 @@ def test_row_term_inflates_the_barrier_by_the_error():
 
 def test_two_sigma_and_the_factor_are_over_seeds():
     logs = [[driven(FirstOrder(7, 0.002, lambda t, r=r: r), wandering(i))] for i, r in enumerate((0.01, 0.02))]
-    found = fit(logs, RATE, PERIOD, lag=0.002)
+    found = fit_tracking_model(logs, RATE, PERIOD, lag=0.002)
     spread = np.mean(found.by_seed) + 2.0 * np.std(found.by_seed, ddof=1)
     assert found.position_error == pytest.approx(SAFETY_FACTOR * max(*found.by_seed, spread))
     assert found.position_error >= SAFETY_FACTOR * max(found.largest)
 
 
 def test_too_little_is_refused():
-    with pytest.raises(InvalidSetup):
-        fit([], RATE, PERIOD)
+    with pytest.raises(ConfigurationError):
+        fit_tracking_model([], RATE, PERIOD)
 
 
 def test_the_default_drive_keeps_what_its_body_says():
@@ -129,7 +134,7 @@ def test_the_load_is_what_the_default_drive_errs_by():
 
 
 def test_velocity_actuators_need_more_and_less_lag():
-    found, known = identify_plant(PANDA, "velocity", seeds=(0,), seconds=1.0), PANDA.driven_by("velocity").tracking
+    found, known = identify_plant(PANDA, "velocity", seeds=(0,), seconds=1.0), PANDA.with_drive("velocity").tracking
     assert 0.0 <= found.lag < 0.004
     assert 5.0 * PANDA.tracking.position_error < found.position_error < 1.1 * known.position_error
     assert len(found.largest) == 7
@@ -137,7 +142,7 @@ def test_velocity_actuators_need_more_and_less_lag():
 
 @pytest.mark.parametrize("bad", [{"seeds": ()}, {"seconds": 0.1}, {"load": -1.0}])
 def test_what_cannot_be_identified_is_refused(bad):
-    with pytest.raises(InvalidSetup, match="at least"):
+    with pytest.raises(ConfigurationError, match="at least"):
         identify_plant(PANDA, **bad)
 
 
@@ -146,22 +151,24 @@ def test_the_budget_covers_other_gains(alpha):
     """The leaky integral at any other rate, times that rate, stays within the budget of the e found at one rate."""
     rng = np.random.default_rng(4)
     r = np.repeat(rng.choice((-0.02, 0.0, 0.02), (60, 7)), 100, axis=0)
-    log = Log(np.cumsum(r, axis=0) * PERIOD, np.zeros_like(r), np.zeros_like(r))
+    log = ExcitationLog(np.cumsum(r, axis=0) * PERIOD, np.zeros_like(r), np.zeros_like(r))
     e = np.abs(leaky_error(log, 0.0, RATE, PERIOD)).max()
-    budget = Tracking(0.0, float(e), RATE, "test").budget(alpha)
+    budget = TrackingErrorModel(0.0, float(e), RATE, "test").row_margin(alpha)
     assert alpha * np.abs(leaky_error(log, 0.0, alpha, PERIOD)).max() <= budget * (1.0 + 1e-9)
 
 
 def test_what_enters_the_body_is_never_rounded_down():
-    found = fit([[driven(FirstOrder(7, 0.004, lambda t: 0.02), wandering(3, 400))]], RATE, PERIOD, lag=0.004)
-    entry = found.entry("velocity", "test")
+    found = fit_tracking_model(
+        [[driven(FirstOrder(7, 0.004, lambda t: 0.02), wandering(3, 400))]], RATE, PERIOD, lag=0.004
+    )
+    entry = found.to_error_model("velocity", "test")
     assert found.position_error <= entry.position_error < found.position_error + 1e-6
     assert (entry.drive, entry.rate) == ("velocity", RATE)
 
 
-@pytest.mark.parametrize("kind", EXCITATIONS)
+@pytest.mark.parametrize("kind", EXCITATION_KINDS)
 def test_excitations_repeat_from_their_seed(kind):
-    body = load_body("panda")
+    body = load_robot("panda")
     first, second = (excite(FirstOrder(7, 0.002), body, kind, 200, np.random.default_rng(5)) for _ in range(2))
     assert np.array_equal(first.u, second.u)
     change = np.abs(np.diff(first.u, axis=0)).max(axis=0)

@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dualbrain.records import Scene
-from dualbrain.skills.human_prediction import LOOK_EVERY, room_left
-from tests.simulation.mobile_base_cell import Hall
+from dualbrain.skills.human_prediction import TIME_STEP, min_person_distance
+from tests.simulation.mobile_base_cell import MobileBaseCell
 
-SCENE = Hall("crossing", 2).layer.scene
+SCENE = MobileBaseCell("crossing", 2).executor.scene
 HORIZON = 6.0
 near = st.floats(-2.0, 2.0)
 speed = st.floats(-0.5, 0.5)
@@ -28,11 +28,13 @@ def test_it_is_the_closest_approach_less_the_persons_radius_and_error(position, 
     scene = with_person(position, velocity)
     (person,) = scene.objects
     away, drift = np.array(position), np.array(velocity) - np.array(pace)
-    at = np.clip(-(away @ drift) / (drift @ drift + 1e-30), 0.0, HORIZON - LOOK_EVERY)
+    at = np.clip(-(away @ drift) / (drift @ drift + 1e-30), 0.0, HORIZON - TIME_STEP)
     least = np.linalg.norm(away + at * drift) - person.shape.radius - person.error
-    found = room_left(scene, lambda t: t * np.array(pace), HORIZON, 1.0)
-    assert least - 1e-9 <= found <= least + LOOK_EVERY * np.linalg.norm(drift) + 1e-9
+    found = min_person_distance(scene, lambda t: t * np.array(pace), HORIZON, 1.0)
+    assert least - 1e-9 <= found <= least + TIME_STEP * np.linalg.norm(drift) + 1e-9
 
 
 def test_alone_there_is_all_the_room():
-    assert room_left(msgspec.structs.replace(SCENE, objects=()), lambda t: np.zeros(2), HORIZON, 0.0) == np.inf
+    assert (
+        min_person_distance(msgspec.structs.replace(SCENE, objects=()), lambda t: np.zeros(2), HORIZON, 0.0) == np.inf
+    )

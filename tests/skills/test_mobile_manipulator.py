@@ -4,28 +4,28 @@ import numpy as np
 import pytest
 
 from dualbrain.contracts.contract import Action, Context, Contract
-from dualbrain.control.contract_executor import LocalLayer
-from dualbrain.control.control_loop import LayerConfig
+from dualbrain.control.contract_executor import ContractExecutor
+from dualbrain.control.control_loop import ExecutorConfig
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Trace
-from dualbrain.core.geometry.shapes import UPRIGHT
-from dualbrain.grounding.offline_gate import as_specified, limb_at_home
+from dualbrain.core.geometry.shapes import IDENTITY_QUATERNION
+from dualbrain.grounding.offline_gate import controller_at_home, scene_from_spec
 from dualbrain.grounding.scene_rules import scene_rules
-from dualbrain.robots.differential_drive import driven_by
+from dualbrain.robots.differential_drive import control_displacement
 from dualbrain.robots.interface import Command
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
-from dualbrain.simulation.perception.noisy_perception import Noise, Perception
-from dualbrain.simulation.plant.factory import open_plant
+from dualbrain.simulation.perception.noisy_perception import NoisyPerception, PerceptionNoise
+from dualbrain.simulation.plant.factory import make_plant
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
-from dualbrain.simulation.tasks.arrival import At
-from dualbrain.simulation.tasks.multi_goal import Agenda, Home, Rested, errand_of
-from dualbrain.simulation.tasks.placement import Goal, goal_of
+from dualbrain.simulation.tasks.arrival import ArrivalGoal
+from dualbrain.simulation.tasks.multi_goal import GoalSequence, HomeGoal, HomeJudge, parse_goals
+from dualbrain.simulation.tasks.placement import PlacementGoal, parse_goal
 from dualbrain.simulation.world import SimulatedWorld
-from dualbrain.skills.mobile_manipulator import Frame
-from dualbrain.skills.registry import registry_of
+from dualbrain.skills.mobile_manipulator import LocalFrame
+from dualbrain.skills.registry import skill_registry
 
-BODY = load_body("mobile_panda")
+BODY = load_robot("mobile_panda")
 GRASP = ("grasp", {"object": "red_cube", "force": 20.0, "speed": 0.2, "clearance": 0.1, "finger_axis": "along",
                    "opening": 0.08, "approach": "top", "wait": "none"})  # fmt: skip
 PLACE = ("place", {"destination": "blue_bowl", "speed": 0.2, "clearance": 0.12, "route": "direct", "wait": "none"})
@@ -44,31 +44,31 @@ class Shop:
 
     def __init__(self, scene="workroom:0", at=None):
         self.spec = open_scene(scene, BODY.name)
-        self.plant = open_plant(self.spec, BODY)
+        self.plant = make_plant(self.spec, BODY)
         if at is not None:
-            self.plant.place_arm(np.array([*at, *BODY.home[3:]]))
-        self.trace = Trace(BODY.n, BODY.width)
-        self.world = SimulatedWorld(self.plant, Perception(self.spec, Noise(), np.random.default_rng(0)))
-        self.layer = LocalLayer(
-            BODY, self.plant, self.world, SafetyFilter(BODY), FlightLog(self.trace), LayerConfig(settle=0.1),
-            phase_changed=self.world.allow,
+            self.plant.set_configuration(np.array([*at, *BODY.home[3:]]))
+        self.trace = Trace(BODY.n, BODY.nq)
+        self.world = SimulatedWorld(self.plant, NoisyPerception(self.spec, PerceptionNoise(), np.random.default_rng(0)))
+        self.layer = ContractExecutor(
+            BODY, self.plant, self.world, SafetyFilter(BODY), FlightLog(self.trace), ExecutorConfig(settle_time=0.1),
+            on_phase=self.world.set_phase,
         )  # fmt: skip
 
     def run(self, *actions):
-        self.world.begin(contract(*actions))
-        return self.layer.run(contract(*actions))
+        self.world.start_contract(contract(*actions))
+        return self.layer.execute(contract(*actions))
 
 
 def test_it_offers_what_a_base_and_an_arm_can_do():
-    names = [skill.name for skill in registry_of(BODY).skills]
+    names = [skill.name for skill in skill_registry(BODY).skills]
     assert len(set(names)) == len(names)
     assert {"drive_to", "turn_to", "stop", "grasp", "place", "push", "home", "decline"} <= set(names)
-    panda = registry_of(load_body("panda")).by_name
-    assert registry_of(BODY).by_name["grasp"] == panda["grasp"], "the arm is the same arm, bolted or not"
+    panda = skill_registry(load_robot("panda")).by_name
+    assert skill_registry(BODY).by_name["grasp"] == panda["grasp"], "the arm is the same arm, bolted or not"
 
 
 def test_it_drives_to_the_shelf_with_its_arm_drawn_in():
-    spot = open_scene("workroom:0", BODY.name).place("shelf").position
+    spot = open_scene("workroom:0", BODY.name).find_place("shelf").position
     shop = Shop(at=(spot[0] - 0.5, spot[1] + 0.1, 0.0))
     assert shop.run(drive_to("shelf")).kind == "succeeded"
     done = shop.world.judgement()
@@ -82,7 +82,7 @@ def test_it_drives_to_the_shelf_with_its_arm_drawn_in():
 @pytest.mark.parametrize("seed", range(3))
 def test_it_goes_to_the_table_and_puts_the_cube_in_the_bowl(seed):
     shop = Shop(f"workroom:{seed}")
-    side = np.sign(shop.spec.place("bench").position[1])
+    side = np.sign(shop.spec.find_place("bench").position[1])
     turn = ("turn_to", {"heading": float(side * 1.5708), "max_turn_rate": 0.8})
     out = shop.run(drive_to("bench"), turn, GRASP, PLACE)
     assert out.kind == "succeeded", out.reason
@@ -93,8 +93,8 @@ def test_it_goes_to_the_table_and_puts_the_cube_in_the_bowl(seed):
 
 def test_the_gate_asks_for_reach_only_where_the_robot_stands():
     """From the door the cube is out of reach; after a drive nobody knows yet."""
-    scene = as_specified(open_scene("workroom:0", BODY.name))
-    rules = scene_rules(scene, limb_at_home(BODY.name, scene))
+    scene = scene_from_spec(open_scene("workroom:0", BODY.name))
+    rules = scene_rules(scene, controller_at_home(BODY.name, scene))
     at_once, later = contract(GRASP, PLACE), contract(drive_to("bench"), GRASP, PLACE)
     refused = [answer for rule in rules if (answer := rule(at_once)) is not None]
     assert "reach" in refused[0].hint
@@ -104,8 +104,8 @@ def test_the_gate_asks_for_reach_only_where_the_robot_stands():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_what_lies_out_of_reach_from_where_it_will_stand_is_refused_before_it_sets_off(seed):
-    scene = as_specified(open_scene(f"workroom:{seed}", BODY.name))
-    rules = scene_rules(scene, limb_at_home(BODY.name, scene))
+    scene = scene_from_spec(open_scene(f"workroom:{seed}", BODY.name))
+    rules = scene_rules(scene, controller_at_home(BODY.name, scene))
     refused = [why for rule in rules if (why := rule(contract(drive_to("shelf"), GRASP, PLACE))) is not None]
     assert refused[0].pointer == "/action_sequence/1/params/object"
     assert refused[0].allowed == {"reached from": ["bench"]}
@@ -118,8 +118,8 @@ def test_what_lies_out_of_reach_from_where_it_will_stand_is_refused_before_it_se
 
 
 def test_it_is_not_driven_into_a_container():
-    scene = as_specified(open_scene("workroom:0", BODY.name))
-    rules = scene_rules(scene, limb_at_home(BODY.name, scene))
+    scene = scene_from_spec(open_scene("workroom:0", BODY.name))
+    rules = scene_rules(scene, controller_at_home(BODY.name, scene))
     refused = [answer for rule in rules if (answer := rule(contract(drive_to("blue_bowl")))) is not None]
     assert refused[0].allowed == ["shelf", "charger", "bench"]
     assert all(rule(contract(drive_to("bench"))) is None for rule in rules)
@@ -127,35 +127,37 @@ def test_it_is_not_driven_into_a_container():
 
 def test_words_about_places_and_words_about_things_are_goals_of_one_room():
     spec = open_scene("workroom:0", BODY.name)
-    assert goal_of("go to the bench", spec) == At("bench")
-    assert goal_of("put the red cube in the blue bowl", spec) == Goal("red_cube", "blue_bowl")
-    both = errand_of("go to the shelf, then put the red cube in the blue bowl, then go home", spec)
-    assert both == Agenda(((At("shelf"),), (Goal("red_cube", "blue_bowl"),), (Home(),)))
+    assert parse_goal("go to the bench", spec) == ArrivalGoal("bench")
+    assert parse_goal("put the red cube in the blue bowl", spec) == PlacementGoal("red_cube", "blue_bowl")
+    both = parse_goals("go to the shelf, then put the red cube in the blue bowl, then go home", spec)
+    assert both == GoalSequence(((ArrivalGoal("shelf"),), (PlacementGoal("red_cube", "blue_bowl"),), (HomeGoal(),)))
 
 
 def test_at_home_is_a_matter_of_the_arm():
     shop = Shop(at=(1.0, 0.5, 0.3))
-    rested = Rested(shop.plant)
-    assert rested.judge()[0]
-    shop.plant.place_arm(np.array([1.0, 0.5, 0.3, *(BODY.home[3:] + np.eye(7)[0] * 0.3)]))
-    assert not rested.judge()[0]
+    rested = HomeJudge(shop.plant)
+    assert rested.score()[0]
+    shop.plant.set_configuration(np.array([1.0, 0.5, 0.3, *(BODY.home[3:] + np.eye(7)[0] * 0.3)]))
+    assert not rested.score()[0]
 
 
 def test_the_arm_sees_its_work_from_where_it_stands():
     """Its frame lies under its first axis on what things stand on; a thing's own turn goes along."""
-    scene = as_specified(open_scene("workroom:0", BODY.name))
+    scene = scene_from_spec(open_scene("workroom:0", BODY.name))
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    seen = Frame(turn, np.array([2.0, 1.0, 0.5])).scene(scene)
+    seen = LocalFrame(turn, np.array([2.0, 1.0, 0.5])).localize_scene(scene)
     cube, there = scene.find("red_cube"), seen.find("red_cube")
     x, y, z = cube.pose.position
     np.testing.assert_allclose(there.pose.position, (y - 1.0, -(x - 2.0), z - 0.5), atol=1e-12)
     assert there.pose.quaternion != cube.pose.quaternion
-    assert Frame(np.eye(3), np.zeros(3)).scene(scene).find("table").pose.quaternion == pytest.approx(UPRIGHT)
+    assert LocalFrame(np.eye(3), np.zeros(3)).localize_scene(scene).find("table").pose.quaternion == pytest.approx(
+        IDENTITY_QUATERNION
+    )
     assert seen.region == ()
 
 
 def test_without_its_drives_it_is_held():
-    plant = open_plant(open_scene("workroom:0", BODY.name), BODY)
+    plant = make_plant(open_scene("workroom:0", BODY.name), BODY)
     for _ in range(150):
         plant.write(Command(np.array([0.3, 0.4, 0.3, *np.zeros(6)]), 0.04, 5.0))
         plant.advance()
@@ -171,8 +173,8 @@ def test_without_its_drives_it_is_held():
 
 def test_the_stated_tracking_model_bounds_what_the_plant_does():
     """|∫ exp(−α (t − s)) (ẏ − u) ds| ≤ e for arm and base, each with its own lag, at full acceleration."""
-    plant, rng = open_plant(open_scene("empty_room:0", BODY.name), BODY), np.random.default_rng(0)
-    plant.place_arm(np.array([2.0, 0.0, 0.5, *BODY.home[3:]]))
+    plant, rng = make_plant(open_scene("empty_room:0", BODY.name), BODY), np.random.default_rng(0)
+    plant.set_configuration(np.array([2.0, 0.0, 0.5, *BODY.home[3:]]))
     v_max, a_max = (np.array([getattr(j, side).value for j in BODY.joints]) for side in ("velocity", "acceleration"))
     lag = BODY.tracking.lag + np.array([BODY.base_lag] * 2 + [0.0] * 7)
     keep, gap, u, before = np.exp(-BODY.tracking.rate * BODY.period), np.zeros(9), np.zeros(9), plant.read()
@@ -183,6 +185,6 @@ def test_the_stated_tracking_model_bounds_what_the_plant_does():
         plant.write(Command(u, 0.04, 5.0))
         plant.advance()
         after = plant.read()
-        gap = keep * gap + driven_by(before.q, after.q) + lag * (after.v - before.v) - u * BODY.period
+        gap = keep * gap + control_displacement(before.q, after.q) + lag * (after.v - before.v) - u * BODY.period
         before = after
         assert np.abs(gap).max() <= BODY.tracking.position_error

@@ -7,13 +7,20 @@ from hypothesis import strategies as st
 
 from dualbrain.core.geometry.shapes import Box, HalfSpace, Pose
 from dualbrain.records import Scene, SceneObject
-from dualbrain.robots.interface import at_home
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.interface import home_state
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
-from dualbrain.skills.arm.controller import Limb
-from dualbrain.skills.registry import Running, limb_of
-from dualbrain.skills.skill import Nominal, Senses
-from dualbrain.skills.time_slicing import AIR, PACE, Aside, at_once, clearest, glances
+from dualbrain.skills.arm.controller import ArmController
+from dualbrain.skills.registry import SkillExecution, make_controller
+from dualbrain.skills.skill import Nominal, Observation
+from dualbrain.skills.time_slicing import (
+    STEPS_PER_SECOND,
+    SUFFICIENT_CLEARANCE,
+    BackgroundComputation,
+    first_clear,
+    run_to_completion,
+    steps_per_tick,
+)
 
 rooms_of = st.lists(st.floats(-0.1, 0.1), max_size=8)
 
@@ -33,8 +40,8 @@ def test_the_first_clear_choice_is_taken_else_the_roomiest(rooms, enough):
         asked.append(index)
         return thought(rooms[index] if rooms[index] > beat else beat - 0.001)
 
-    choice, most = at_once(clearest(range(len(rooms)), air))
-    clear = [index for index, one in enumerate(rooms) if one >= AIR]
+    choice, most = run_to_completion(first_clear(range(len(rooms)), air))
+    clear = [index for index, one in enumerate(rooms) if one >= SUFFICIENT_CLEARANCE]
     if clear:
         assert choice == clear[0]
         assert asked == list(range(clear[0] + 1))
@@ -42,17 +49,19 @@ def test_the_first_clear_choice_is_taken_else_the_roomiest(rooms, enough):
         assert rooms[choice] == most == max(rooms)
     else:
         assert choice is None
-    taken, _ = at_once(clearest(range(len(rooms)), air, beat=min(enough, AIR - 1e-6)))
-    assert (taken is None) == (not rooms or max(rooms) <= min(enough, AIR - 1e-6))
+    taken, _ = run_to_completion(
+        first_clear(range(len(rooms)), air, threshold=min(enough, SUFFICIENT_CLEARANCE - 1e-6))
+    )
+    assert (taken is None) == (not rooms or max(rooms) <= min(enough, SUFFICIENT_CLEARANCE - 1e-6))
 
 
 @given(st.integers(0, 20), st.integers(1, 6))
 def test_a_thought_aside_takes_its_share_of_every_tick(pauses, share):
-    aside = Aside(thought("found", pauses), share)
-    assert [aside.go_on() for _ in range(pauses // share)] == [False] * (pauses // share)
-    assert aside.answer is None
-    assert aside.go_on()
-    assert aside.answer == "found"
+    aside = BackgroundComputation(thought("found", pauses), share)
+    assert [aside.advance() for _ in range(pauses // share)] == [False] * (pauses // share)
+    assert aside.result is None
+    assert aside.advance()
+    assert aside.result == "found"
 
 
 BODIES = ("panda", "ur5e", "fr3")
@@ -93,30 +102,32 @@ def crowded(robot):
 @pytest.mark.parametrize("robot", BODIES)
 def test_no_tick_thinks_longer_than_its_share(robot):
     """In a crowd, where a grasp is chosen among dozens: thousands of postures, a few in every tick."""
-    body = load_body(robot)
-    lent, state, scene = Counted(SafetyFilter(body)), at_home(body), crowded(robot)
-    limb = limb_of(body, lent)
-    assert isinstance(limb, Limb)
+    body = load_robot(robot)
+    lent, state, scene = Counted(SafetyFilter(body)), home_state(body), crowded(robot)
+    limb = make_controller(body, lent)
+    assert isinstance(limb, ArmController)
     tool = lent.tool(state.q)
     words = {"object": "cube", "speed": 0.2, "clearance": 0.15, "finger_axis": "along", "opening": 0.06}
-    running = Running(limb, "grasp", {**words, "approach": "top", "wait": "none", "force": 20.0})
+    running = SkillExecution(limb, "grasp", {**words, "approach": "top", "wait": "none", "force": 20.0})
     ticks, worst = 0, 0
     lent.count = 0
     while True:
         before = lent.count
-        said = running.nominal(Senses(state, scene, 0.001 * ticks, tool))
+        said = running.nominal(Observation(state, scene, 0.001 * ticks, tool))
         worst = max(worst, lent.count - before)
         if said is not None:
             break
         ticks += 1
     assert isinstance(said, Nominal)
-    assert worst <= 2 * glances(body.period)  # a glance is a posture, or two where one way ends and the next begins
+    assert worst <= 2 * steps_per_tick(
+        body.period
+    )  # a glance is a posture, or two where one way ends and the next begins
     assert lent.count > 20 * worst
     assert ticks * body.period < 3.0
 
 
 def test_thinking_takes_the_same_share_of_every_period():
-    assert glances(0.001) == PACE / 1000
-    assert glances(0.02) == PACE / 50
-    assert glances(1e-6) == 1
-    assert np.isclose(glances(0.002) / 0.002, PACE)
+    assert steps_per_tick(0.001) == STEPS_PER_SECOND / 1000
+    assert steps_per_tick(0.02) == STEPS_PER_SECOND / 50
+    assert steps_per_tick(1e-6) == 1
+    assert np.isclose(steps_per_tick(0.002) / 0.002, STEPS_PER_SECOND)

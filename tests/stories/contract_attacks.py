@@ -9,7 +9,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from dualbrain.contracts.contract import Stamp
+from dualbrain.contracts.contract import ContractHeader
 from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.gate.parse import MAX_BYTES
 from dualbrain.contracts.scene_names import SceneNames
@@ -17,77 +17,79 @@ from dualbrain.contracts.verdict import Accepted, Verdict
 from tests.contracts.contract_strategies import NAMES, PRINCIPAL, REGISTRY
 
 HERE = Path(__file__).parent
-PAGE = HERE.parents[1] / "docs" / "attacks.md"
+PAGE_FILE = HERE.parents[1] / "docs" / "attacks.md"
 ATTACKS: list[dict[str, Any]] = json.loads((HERE / "contract_attacks.json").read_text())
-FRAME = '{"id":"c-0001","context":{"robot":"panda","registry":"%s"},"action_sequence":%s}'
-HOME = '{"skill":"home","params":{"speed":0.1}}'
-GOOD = FRAME % (REGISTRY.hash, f"[{HOME}]")
+CONTRACT_TEMPLATE = '{"id":"c-0001","context":{"robot":"panda","registry":"%s"},"action_sequence":%s}'
+HOME_ACTION = '{"skill":"home","params":{"speed":0.1}}'
+VALID_CONTRACT = CONTRACT_TEMPLATE % (REGISTRY.hash, f"[{HOME_ACTION}]")
 GRANTS = {PRINCIPAL: frozenset(REGISTRY.by_name), "guest": frozenset({"decline"})}
 NOW, SCENE_VERSION = 100.0, 3
 STAGES = ("syntax", "authorization", "envelope", "accepted")
 
 
-def bytes_of(attack: dict[str, Any]) -> bytes:
+def attack_bytes(attack: dict[str, Any]) -> bytes:
     """What the gate receives."""
     if "generator" in attack:
-        return generated(attack)
+        return generate_bytes(attack)
     if "base64" in attack:
         return base64.b64decode(attack["base64"])
-    text = FRAME % (REGISTRY.hash, attack["steps"]) if "steps" in attack else attack["text"]
-    return text.replace("$GOOD", GOOD).replace("$REGISTRY", REGISTRY.hash).encode()
+    text = CONTRACT_TEMPLATE % (REGISTRY.hash, attack["steps"]) if "steps" in attack else attack["text"]
+    return text.replace("$GOOD", VALID_CONTRACT).replace("$REGISTRY", REGISTRY.hash).encode()
 
 
-def generated(attack: dict[str, Any]) -> bytes:
+def generate_bytes(attack: dict[str, Any]) -> bytes:
     """Bytes that are too long or too odd to be written in the file."""
     size = attack.get("size", 0)
     match attack["generator"]:
         case "digits":
-            return GOOD.replace("0.1", "9" * size).encode()
+            return VALID_CONTRACT.replace("0.1", "9" * size).encode()
         case "quoted":
-            return json.dumps(GOOD).encode()
+            return json.dumps(VALID_CONTRACT).encode()
         case "prefixed":
-            return base64.b64decode(attack["base64"]) + GOOD.encode()
+            return base64.b64decode(attack["base64"]) + VALID_CONTRACT.encode()
         case "encoded":
-            return GOOD.encode(attack["encoding"])
+            return VALID_CONTRACT.encode(attack["encoding"])
         case "nested":
             return b"[" * size + b"]" * size
         case "nested_params":
-            return GOOD.replace("0.1", '{"a":' * size + "0.1" + "}" * size).encode()
+            return VALID_CONTRACT.replace("0.1", '{"a":' * size + "0.1" + "}" * size).encode()
         case "padded":
-            return GOOD.encode().ljust(size)
+            return VALID_CONTRACT.encode().ljust(size)
         case "many_steps":
-            return (FRAME % (REGISTRY.hash, "[" + ",".join([HOME] * size) + "]")).encode()
+            return (CONTRACT_TEMPLATE % (REGISTRY.hash, "[" + ",".join([HOME_ACTION] * size) + "]")).encode()
         case "many_fields":
-            return GOOD.replace('"speed"', "".join(f'"x{i}":0,' for i in range(size)) + '"speed"').encode()
+            return VALID_CONTRACT.replace('"speed"', "".join(f'"x{i}":0,' for i in range(size)) + '"speed"').encode()
         case other:
             raise AssertionError(other)
 
 
-def attempt(attack: dict[str, Any]) -> Verdict:
+def run_attack(attack: dict[str, Any]) -> Verdict:
     """The verdict of a fresh gate on `attack`; `after` is the sequence number that was accepted before it."""
     gate = Gate(REGISTRY, GRANTS)
     names = SceneNames(NAMES.graspable, NAMES.receptive, SCENE_VERSION)
     if "after" in attack:
-        before = stamp_of({"sequence": attack["after"]})
-        assert isinstance(gate.check(GOOD.encode(), names=names, principal=PRINCIPAL, now=NOW, stamp=before), Accepted)
-    stamp = stamp_of(attack["stamp"]) if "stamp" in attack else None
+        before = make_header({"sequence": attack["after"]})
+        assert isinstance(
+            gate.check(VALID_CONTRACT.encode(), names=names, principal=PRINCIPAL, now=NOW, header=before), Accepted
+        )
+    stamp = make_header(attack["stamp"]) if "stamp" in attack else None
     principal = attack.get("principal", PRINCIPAL)
-    return gate.check(bytes_of(attack), names=names, principal=principal, now=NOW, stamp=stamp)
+    return gate.check(attack_bytes(attack), names=names, principal=principal, now=NOW, header=stamp)
 
 
-def stamp_of(changes: dict[str, Any]) -> Stamp:
+def make_header(changes: dict[str, Any]) -> ContractHeader:
     """A stamp that is good but for `changes` (times may be written as "nan")."""
     fields = {"sequence": 1, "issued": NOW - 1, "expires": NOW + 1, "principal": PRINCIPAL}
     fields |= {"scene_version": SCENE_VERSION} | changes
-    return Stamp(**fields | {key: float(fields[key]) for key in ("issued", "expires")})
+    return ContractHeader(**fields | {key: float(fields[key]) for key in ("issued", "expires")})
 
 
-def stopped_at(verdict: Verdict) -> str:
+def rejecting_stage(verdict: Verdict) -> str:
     """The stage that refused, or "accepted"."""
     return "accepted" if isinstance(verdict, Accepted) else verdict.stage
 
 
-def page(outcomes: list[str]) -> str:
+def render_page(outcomes: list[str]) -> str:
     """docs/attacks.md from what the gate did with each attack."""
     pairs = list(zip(ATTACKS, outcomes, strict=True))
     met = Counter(attack["class"] for attack, outcome in pairs if outcome == attack["expected"])
@@ -98,7 +100,7 @@ def page(outcomes: list[str]) -> str:
             " | ".join(str(counts[s] or "") for s in STAGES),
             f"{met[name]}/{counts.total()}",
         )
-        for name, counts in by_class().items()
+        for name, counts in count_by_class().items()
     ]
     whole = Counter(attack["expected"] for attack in ATTACKS)
     total = " | ".join(f"**{whole[stage]}**" for stage in STAGES)
@@ -107,7 +109,7 @@ def page(outcomes: list[str]) -> str:
     return PREFACE + "\n".join(rows) + MIDDLE + "\n".join(let_in) + "\n"
 
 
-def by_class() -> dict[str, Counter[str]]:
+def count_by_class() -> dict[str, Counter[str]]:
     """How many attacks of each class are expected at each stage, in the order of the file."""
     table: dict[str, Counter[str]] = {}
     for attack in ATTACKS:
@@ -141,4 +143,4 @@ in the machine can know, and a person must not rely on it.
 """
 
 if __name__ == "__main__":
-    PAGE.write_text(page([stopped_at(attempt(attack)) for attack in ATTACKS]))
+    PAGE_FILE.write_text(render_page([rejecting_stage(run_attack(attack)) for attack in ATTACKS]))

@@ -7,16 +7,16 @@ from pathlib import Path
 
 import msgspec
 
-from dualbrain.cli.common.paths import cache
-from dualbrain.grounding.vocabulary import vocabulary
+from dualbrain.cli.common.paths import cache_folder
+from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.memory.ledger.ledger import LedgerReader
 from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.records import Episode
 from dualbrain.runtime import session as session_module
-from dualbrain.runtime.session import Finished, Onlooker, RunConfig, Session, Times
+from dualbrain.runtime.session import Clocks, RunConfig, RunObserver, RunResult, Session
 
-REGISTRY = vocabulary("panda").hash
-WORDS = "put the red cube in the bowl"
+REGISTRY = load_skill_registry("panda").hash
+INSTRUCTION = "put the red cube in the bowl"
 GRASP = {
     "object": "red_cube", "speed": 0.25, "clearance": 0.1, "finger_axis": "along", "opening": 0.07, "approach": "top",
     "wait": "none", "force": 20.0,
@@ -24,62 +24,64 @@ GRASP = {
 PLACE = {"destination": "blue_bowl", "speed": 0.25, "clearance": 0.12, "route": "direct", "wait": "none"}
 
 
-def contract(*actions, robot="panda", registry=REGISTRY, id="c-0001"):
+def contract_text(*actions, robot="panda", registry=REGISTRY, id="c-0001"):
     """The text of a contract from (skill, parameters) pairs."""
     sequence = [{"skill": skill, "params": params} for skill, params in actions]
     return json.dumps({"id": id, "context": {"robot": robot, "registry": registry}, "action_sequence": sequence})
 
 
-def pause(duration=0.5):
+def hold_contract(duration=0.5):
     """A contract that is good on every scene and soon over."""
-    return contract(("hold", {"duration": duration}))
+    return contract_text(("hold", {"duration": duration}))
 
 
-def decline(reason="there is no such thing here"):
-    return contract(("decline", {"reason": reason}))
+def decline_contract(reason="there is no such thing here"):
+    return contract_text(("decline", {"reason": reason}))
 
 
 @dataclass
-class Story:
+class StoryResult:
     """A finished run: what was returned, what the planner was asked, what the folder holds."""
 
-    finished: Finished
+    result: RunResult
     planner: ScriptedPlanner
     config: RunConfig
     interrupted: tuple
-    moved: float
+    displacement: float
 
     @property
     def episode(self) -> Episode:
-        return self.finished.episode
+        return self.result.episode
 
     @property
-    def written(self) -> Episode:
+    def stored_episode(self) -> Episode:
         """The episode as it lies on disk."""
         return msgspec.json.decode(self.config.out.joinpath("episode.json").read_bytes(), type=Episode)
 
 
-def settings(folder: Path, name="run", **changes) -> RunConfig:
-    start = RunConfig(WORDS, folder / name, folder / "ledger.sqlite", cache(), scene="bare:0", visuals=False)
+def run_config(folder: Path, name="run", **changes) -> RunConfig:
+    start = RunConfig(
+        INSTRUCTION, folder / name, folder / "ledger.sqlite", cache_folder(), scene="bare:0", visuals=False
+    )
     return replace(start, **changes)
 
 
-def times() -> Times:
-    return Times(time.monotonic, "2026-01-01T00:00:00+00:00", time.time)
+def make_clocks() -> Clocks:
+    return Clocks(time.monotonic, "2026-01-01T00:00:00+00:00", time.time)
 
 
-def play(config: RunConfig, *answers: str, finish="stop", onlooker=None, before=None) -> Story:
+def run_session(config: RunConfig, *answers: str, finish="stop", observer=None, before=None) -> StoryResult:
     """Run a session whose planner gives `answers`; `before(session)` may prepare it."""
     planner = ScriptedPlanner(answers, finish_reason=finish)
     usual, session_module.PLANNING_TIME = session_module.PLANNING_TIME, 0.02
     try:
-        with Session(config, times(), {}, planner) as session:
+        with Session(config, make_clocks(), {}, planner) as session:
             if before:
                 before(session)
             start = session.plant.read().q
-            finished = session.run(onlooker or Onlooker())
+            finished = session.run(observer or RunObserver())
             moved = float(abs(session.plant.read().q - start).max())
-            return Story(finished, planner, config, session.interrupted, moved)
+            return StoryResult(finished, planner, config, session.interrupted_runs, moved)
     finally:
         session_module.PLANNING_TIME = usual
 
@@ -87,11 +89,11 @@ def play(config: RunConfig, *answers: str, finish="stop", onlooker=None, before=
 def ledger_episodes(path: Path) -> list[dict]:
     """The episodes that a ledger holds, and the proof that its chain is whole."""
     with LedgerReader(path) as ledger:
-        assert ledger.verify().whole
+        assert ledger.verify().is_intact
         return [msgspec.json.decode(event.payload) for event in ledger.events("kind = 'episode'")]
 
 
 def ledger_kinds(path: Path) -> list[str]:
     with LedgerReader(path) as ledger:
-        assert ledger.verify().whole
+        assert ledger.verify().is_intact
         return [event.kind for event in ledger.events()]

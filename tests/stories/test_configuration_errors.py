@@ -11,16 +11,16 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from dualbrain.cli.common.paths import cache
-from dualbrain.cli.main import call
+from dualbrain.cli.common.paths import cache_folder
+from dualbrain.cli.main import run_command_line
 from dualbrain.core import weights
-from dualbrain.errors import InvalidSetup
-from dualbrain.memory.embedding.text_encoder import ENCODER, TOKENIZER
+from dualbrain.errors import ConfigurationError
+from dualbrain.memory.embedding.text_encoder import ENCODER_WEIGHTS, TOKENIZER_WEIGHTS
 from dualbrain.memory.ledger.ledger import Ledger
-from dualbrain.runtime.session import FILES
+from dualbrain.runtime.session import RUN_FILES
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.simulation.scenes.scene_spec import save_scene
-from tests.stories.story_session import contract, pause, play, settings
+from tests.stories.story_session import contract_text, hold_contract, run_config, run_session
 
 
 @pytest.fixture
@@ -28,10 +28,10 @@ def said(tmp_path, monkeypatch, capsys):
     """Run a command in an empty folder with its own home; returns (exit code, stderr); stdout must stay empty."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("DUALBRAIN_HOME", str(tmp_path / "home"))
-    (tmp_path / "pause.json").write_text(pause())
+    (tmp_path / "pause.json").write_text(hold_contract())
 
     def run(*arguments):
-        code = call([*arguments])
+        code = run_command_line([*arguments])
         out, err = capsys.readouterr()
         assert out == ""
         return code, " ".join(err.split())
@@ -138,16 +138,16 @@ def test_missing_weights_name_the_command_that_fetches_them(said, tmp_path, monk
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     code, err = said(*start())
     assert code == 5
-    assert f"dualbrain models fetch {ENCODER}" in err
+    assert f"dualbrain models fetch {ENCODER_WEIGHTS}" in err
     assert no_run_began(tmp_path)
 
 
 def test_a_weight_file_with_one_wrong_bit_is_refused(said, tmp_path, monkeypatch):
     here = tmp_path / "cache" / "dualbrain"
     here.mkdir(parents=True)
-    for name in (ENCODER, TOKENIZER):
-        shutil.copy(weights.locate(name, cache()), here)
-    victim = here / weights.find_file(TOKENIZER).filename
+    for name in (ENCODER_WEIGHTS, TOKENIZER_WEIGHTS):
+        shutil.copy(weights.locate_weights(name, cache_folder()), here)
+    victim = here / weights.find_weight_file(TOKENIZER_WEIGHTS).filename
     data = bytearray(victim.read_bytes())
     data[len(data) // 2] ^= 1
     victim.write_bytes(data)
@@ -155,7 +155,7 @@ def test_a_weight_file_with_one_wrong_bit_is_refused(said, tmp_path, monkeypatch
     code, err = said(*start())
     assert code == 5
     assert "SHA-256" in err
-    assert f"dualbrain models fetch {TOKENIZER}" in err
+    assert f"dualbrain models fetch {TOKENIZER_WEIGHTS}" in err
     assert no_run_began(tmp_path)
 
 
@@ -163,20 +163,20 @@ def test_a_weight_file_with_one_wrong_bit_is_refused(said, tmp_path, monkeypatch
 
 
 def test_a_folder_that_holds_a_run_is_not_written_over(tmp_path):
-    story = play(settings(tmp_path), pause())
+    story = run_session(run_config(tmp_path), hold_contract())
     before = {path.name: path.read_bytes() for path in story.config.out.iterdir()}
     moved = []
-    with pytest.raises(InvalidSetup, match="--out"):
-        play(settings(tmp_path), pause(), before=moved.append)
+    with pytest.raises(ConfigurationError, match="--out"):
+        run_session(run_config(tmp_path), hold_contract(), before=moved.append)
     assert moved == []
     assert {path.name: path.read_bytes() for path in story.config.out.iterdir()} == before
-    assert set(before) <= set(FILES)
+    assert set(before) <= set(RUN_FILES)
 
 
 def test_a_run_in_the_folder_at_hand_has_that_folders_name(tmp_path, monkeypatch):
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
-    assert play(settings(tmp_path, out=Path()), pause()).episode.id == "here"
+    assert run_session(run_config(tmp_path, out=Path()), hold_contract()).episode.id == "here"
 
 
 def test_a_ledger_that_another_process_writes_is_told(said, tmp_path):
@@ -205,7 +205,7 @@ RUN = "import sys; from dualbrain.cli.main import call; sys.exit(call(sys.argv[1
 
 def outside(folder, *arguments, **environment):
     """A command in a process of its own."""
-    (folder / "pause.json").write_text(contract(("hold", {"duration": 0.5})))
+    (folder / "pause.json").write_text(contract_text(("hold", {"duration": 0.5})))
     command = [sys.executable, "-c", RUN, *arguments, "--ledger", "ledger.sqlite"]
     home = {"DUALBRAIN_HOME": str(folder), "COLUMNS": "500"}
     return subprocess.run(
@@ -222,7 +222,7 @@ def test_without_gl_the_run_works_and_says_that_pictures_are_missing(tmp_path):
     assert done.returncode == 1  # a pause is no success on truth, and no violation
     report = (tmp_path / "run" / "report.html").read_text()
     assert "data:image/jpeg" not in report
-    assert {path.name for path in (tmp_path / "run").iterdir()} == set(FILES)
+    assert {path.name for path in (tmp_path / "run").iterdir()} == set(RUN_FILES)
 
 
 def test_a_port_in_use_is_told_and_another_one_serves(tmp_path):

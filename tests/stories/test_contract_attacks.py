@@ -7,15 +7,24 @@ import msgspec
 import pytest
 
 from dualbrain.contracts.verdict import Accepted, Rejected
-from tests.stories.contract_attacks import ATTACKS, GOOD, PAGE, STAGES, attempt, by_class, page, stopped_at
+from tests.stories.contract_attacks import (
+    ATTACKS,
+    PAGE_FILE,
+    STAGES,
+    VALID_CONTRACT,
+    count_by_class,
+    rejecting_stage,
+    render_page,
+    run_attack,
+)
 
 LONGEST_REFUSAL = 1200
 
 
 @pytest.mark.parametrize("attack", ATTACKS, ids=lambda attack: f"{attack['class']}: {attack['name']}")
 def test_each_attack_ends_where_it_was_predicted(attack: dict[str, Any]) -> None:
-    verdict = attempt(attack)
-    assert stopped_at(verdict) == attack["expected"], verdict
+    verdict = run_attack(attack)
+    assert rejecting_stage(verdict) == attack["expected"], verdict
     assert ("then" in attack) == (attack["expected"] == "accepted")
     if isinstance(verdict, Rejected):
         written = msgspec.json.encode(verdict).decode()
@@ -26,13 +35,13 @@ def test_each_attack_ends_where_it_was_predicted(attack: dict[str, Any]) -> None
 
 
 def test_the_contract_that_the_attacks_start_from_is_good() -> None:
-    assert isinstance(attempt({"text": "$GOOD"}), Accepted)
-    assert isinstance(attempt({"text": "$GOOD", "stamp": {}}), Accepted)
-    assert json.loads(GOOD)["action_sequence"]
+    assert isinstance(run_attack({"text": "$GOOD"}), Accepted)
+    assert isinstance(run_attack({"text": "$GOOD", "stamp": {}}), Accepted)
+    assert json.loads(VALID_CONTRACT)["action_sequence"]
 
 
 def test_there_are_enough_of_them_in_every_class_and_at_every_stage() -> None:
-    table = by_class()
+    table = count_by_class()
     assert len(ATTACKS) >= 70
     assert len({(attack["class"], attack["name"]) for attack in ATTACKS}) == len(ATTACKS)
     assert min(counts.total() for counts in table.values()) >= 5
@@ -40,5 +49,5 @@ def test_there_are_enough_of_them_in_every_class_and_at_every_stage() -> None:
 
 
 def test_the_page_about_the_attacks_is_current() -> None:
-    current = page([stopped_at(attempt(attack)) for attack in ATTACKS])
-    assert PAGE.read_text() == current, "run: python -m tests.stories.contract_attacks"
+    current = render_page([rejecting_stage(run_attack(attack)) for attack in ATTACKS])
+    assert PAGE_FILE.read_text() == current, "run: python -m tests.stories.contract_attacks"

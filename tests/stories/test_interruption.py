@@ -12,19 +12,28 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.cli.common.exit_codes import Exit
-from dualbrain.cli.run.execution import exit_code, summary
+from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.cli.run.execution import exit_code, run_summary
 from dualbrain.control.recording.channels import read_trace, recording_state
 from dualbrain.control.recording.replay import replay
 from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.records import Episode
-from dualbrain.robots.loader import load_body
-from dualbrain.runtime.session import Onlooker
-from tests.stories.story_session import GRASP, PLACE, contract, ledger_episodes, ledger_kinds, pause, play, settings
-from tests.support.run_once import once
+from dualbrain.robots.loader import load_robot
+from dualbrain.runtime.session import RunObserver
+from tests.stories.story_session import (
+    GRASP,
+    PLACE,
+    contract_text,
+    hold_contract,
+    ledger_episodes,
+    ledger_kinds,
+    run_config,
+    run_session,
+)
+from tests.support.run_once import run_once
 
 RUN = "import sys; from dualbrain.cli.main import call; sys.exit(call(sys.argv[1:]))"
-PICK = contract(("grasp", GRASP), ("place", PLACE))
+PICK = contract_text(("grasp", GRASP), ("place", PLACE))
 
 
 def in_the_middle(folder, name, number):
@@ -49,12 +58,12 @@ def in_the_middle(folder, name, number):
 
 @pytest.fixture(scope="module")
 def ctrl_c(tmp_path_factory):
-    return once(tmp_path_factory, "ctrl_c", lambda folder: in_the_middle(folder, "one", signal.SIGINT))
+    return run_once(tmp_path_factory, "ctrl_c", lambda folder: in_the_middle(folder, "one", signal.SIGINT))
 
 
 def test_ctrl_c_in_the_middle_of_a_motion_brakes_and_leaves_with_130(ctrl_c):
     _, code, out, err = ctrl_c
-    assert code == Exit.INTERRUPTED == 130
+    assert code == ExitCode.INTERRUPTED == 130
     assert "interrupted by a person: braking to rest" in err
     assert "drive off, brakes on" in err
     assert "Traceback" not in err
@@ -79,14 +88,14 @@ def test_the_recording_of_an_interrupted_run_is_whole_and_ends_at_rest(ctrl_c):
     trace = read_trace(path)
     assert np.abs(trace["v"][-1]).max() < 1e-2
     assert np.abs(trace["u"][-1]).max() < 1e-3
-    limit = 1e-3 * np.array([joint.acceleration.value for joint in load_body("panda").joints])  # in one tick
+    limit = 1e-3 * np.array([joint.acceleration.value for joint in load_robot("panda").joints])  # in one tick
     assert np.all(np.abs(np.diff(trace["u"], axis=0)) <= limit * (1 + 1e-5) + 1e-6)
     assert replay(path).identical
 
 
 @pytest.fixture(scope="module")
 def killed(tmp_path_factory):
-    return once(tmp_path_factory, "killed", lambda folder: in_the_middle(folder, "one", signal.SIGKILL))
+    return run_once(tmp_path_factory, "killed", lambda folder: in_the_middle(folder, "one", signal.SIGKILL))
 
 
 def test_a_killed_run_leaves_a_ledger_that_holds_and_a_recording_that_can_be_read(killed):
@@ -104,25 +113,25 @@ def test_a_killed_run_leaves_a_ledger_that_holds_and_a_recording_that_can_be_rea
 
 def test_the_start_after_a_kill_says_what_was_interrupted(killed, tmp_path):
     folder = shutil.copytree(killed[0], tmp_path / "copy")
-    story = play(settings(folder, "two"), pause())
+    story = run_session(run_config(folder, "two"), hold_contract())
     (cut,) = story.interrupted
     assert cut.run == "one"
     assert "Run one of" in str(cut)
     assert "was interrupted after its start" in str(cut)
     assert ledger_kinds(story.config.ledger)[:3] == ["run_started", "run_interrupted", "run_started"]
-    assert play(settings(folder, "three"), pause()).interrupted == ()  # said once
+    assert run_session(run_config(folder, "three"), hold_contract()).interrupted == ()  # said once
 
 
 # --- inside one process -------------------------------------------------------------------------------------------
 
 
 def test_an_interruption_while_the_planner_thinks_moves_nothing(tmp_path):
-    story = play(settings(tmp_path), PICK, before=lambda session: session.interrupt())
+    story = run_session(run_config(tmp_path), PICK, before=lambda session: session.interrupt())
     assert story.episode.outcome.kind == "aborted"
     assert story.episode.attempts == ()
-    assert story.moved < 1e-6
-    assert exit_code(story.episode) == Exit.INTERRUPTED
-    assert summary(story.episode, story.config.out)["verdict"] is None
+    assert story.displacement < 1e-6
+    assert exit_code(story.episode) == ExitCode.INTERRUPTED
+    assert run_summary(story.episode, story.config.out)["verdict"] is None
     assert len(ledger_episodes(story.config.ledger)) == 1
 
 
@@ -135,7 +144,7 @@ def test_a_planner_that_never_answers_does_not_hold_up_an_interruption(tmp_path,
 
     monkeypatch.setattr(ScriptedPlanner, "propose", never)
     start = time.monotonic()
-    story = play(settings(tmp_path), before=sessions.append)
+    story = run_session(run_config(tmp_path), before=sessions.append)
     assert story.episode.outcome.kind == "aborted"
     assert time.monotonic() - start < 30.0
 
@@ -148,10 +157,10 @@ def test_a_planner_that_raises_stops_the_robot_and_the_run_is_found_by_the_next(
     usual = ScriptedPlanner.propose
     monkeypatch.setattr(ScriptedPlanner, "propose", broken)
     with pytest.raises(ZeroDivisionError):
-        play(settings(tmp_path, "one"), before=lambda session: plants.append(session.plant))
+        run_session(run_config(tmp_path, "one"), before=lambda session: plants.append(session.plant))
     assert not plants[0].read().drive_enabled
     monkeypatch.setattr(ScriptedPlanner, "propose", usual)
-    (cut,) = play(settings(tmp_path, "two"), pause()).interrupted
+    (cut,) = run_session(run_config(tmp_path, "two"), hold_contract()).interrupted
     assert cut.run == "one"
 
 
@@ -165,6 +174,6 @@ def test_after_an_interruption_the_drive_is_off(tmp_path):
         if name == "approach":
             seen[0].interrupt()
 
-    story = play(settings(tmp_path), PICK, before=before, onlooker=Onlooker(phase=phase))
+    story = run_session(run_config(tmp_path), PICK, before=before, observer=RunObserver(on_phase=phase))
     assert story.episode.outcome.kind == "aborted"
     assert not seen[0].plant.read().drive_enabled

@@ -4,23 +4,23 @@ import json
 
 import pytest
 
-from dualbrain.cli.main import call
+from dualbrain.cli.main import run_command_line
 from dualbrain.control.recording.replay import replay
 from dualbrain.planner.scripted import ScriptedPlanner
-from dualbrain.runtime.live_session import ADDRESS, LiveSession
-from dualbrain.runtime.session import Onlooker
-from tests.stories.story_session import contract, ledger_episodes, pause, settings, times
+from dualbrain.runtime.live_session import ADDRESS_FILE, LiveSession
+from dualbrain.runtime.session import RunObserver
+from tests.stories.story_session import contract_text, hold_contract, ledger_episodes, make_clocks, run_config
 
 pytestmark = pytest.mark.slow
 """Real time: it needs a machine that does nothing else."""
 
 
 def test_a_live_run_refuses_asks_again_moves_and_replays_bit_for_bit(tmp_path):
-    config = settings(tmp_path)
-    wrong = contract(("hold", {"duration": 99.0}))
+    config = run_config(tmp_path)
+    wrong = contract_text(("hold", {"duration": 99.0}))
     events = []
-    with LiveSession(config, times(), {}, ScriptedPlanner((wrong, pause()))) as session:
-        finished = session.run(Onlooker(events.append))
+    with LiveSession(config, make_clocks(), {}, ScriptedPlanner((wrong, hold_contract()))) as session:
+        finished = session.run(RunObserver(events.append))
     episode = finished.episode
     assert [type(attempt.verdict).__name__ for attempt in episode.attempts] == ["Rejected", "Accepted"]
     assert episode.attempts[0].verdict.stage == "envelope"
@@ -31,12 +31,15 @@ def test_a_live_run_refuses_asks_again_moves_and_replays_bit_for_bit(tmp_path):
     assert replay(config.out / "episode.mcap").identical
     punctuality = json.loads((config.out / "punctuality.json").read_bytes())
     assert punctuality["interval"][0] < 2e-3
-    assert not (config.out / ADDRESS).exists(), "the door is gone with the gatekeeper"
+    assert not (config.out / ADDRESS_FILE).exists(), "the door is gone with the gatekeeper"
     assert any(event.kind == "action" for event in events)
 
 
 def test_a_hand_needs_a_gatekeeper_and_the_filter_cannot_be_off(tmp_path, capsys):
-    assert call(["operate", "pause", "--socket", str(tmp_path / "none"), "--keys", str(tmp_path / "keys")]) == 5
+    assert (
+        run_command_line(["operate", "pause", "--socket", str(tmp_path / "none"), "--keys", str(tmp_path / "keys")])
+        == 5
+    )
     assert "dualbrain gatekeeper" in capsys.readouterr().err
-    assert call(["run", "x", "--live", "--filter", "off"]) == 2
-    assert call(["run", "x", "--live", "--speed", "200%"]) == 2
+    assert run_command_line(["run", "x", "--live", "--filter", "off"]) == 2
+    assert run_command_line(["run", "x", "--live", "--speed", "200%"]) == 2

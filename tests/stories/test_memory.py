@@ -2,34 +2,48 @@
 
 import pytest
 
-from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.run.execution import exit_code
 from dualbrain.planner.prompt.full_prompt import render
-from dualbrain.records import Recall
-from tests.stories.story_session import contract, decline, ledger_episodes, pause, play, settings
-from tests.support.run_once import once
+from dualbrain.records import RetrievedContext
+from tests.stories.story_session import (
+    contract_text,
+    decline_contract,
+    hold_contract,
+    ledger_episodes,
+    run_config,
+    run_session,
+)
+from tests.support.run_once import run_once
 
 GOAL = "put the red_cube in the blue_bowl"
-BAD = contract(("throw", {"object": "red_cube"}))
+BAD = contract_text(("throw", {"object": "red_cube"}))
 
 
 def _four_runs(folder):
     """One ledger: a pause that is called success, the same again, a refusal, and a last question."""
     told = []
     for name, words, answer, goal in (
-        ("one", "rest a little", pause(0.7), GOAL),
-        ("two", "rest a little more", pause(0.8), ""),
+        ("one", "rest a little", hold_contract(0.7), GOAL),
+        ("two", "rest a little more", hold_contract(0.8), ""),
         ("three", "throw the cube", BAD, ""),
-        ("four", "throw the cube, please", decline(), ""),
+        ("four", "throw the cube, please", decline_contract(), ""),
     ):
-        story = play(settings(folder, name, instruction=words, goal=goal), answer)
-        told.append((story.episode, render(story.planner.asked[0]), story.finished.stored.changes, story.config.ledger))
+        story = run_session(run_config(folder, name, instruction=words, goal=goal), answer)
+        told.append(
+            (
+                story.episode,
+                render(story.planner.requests[0]),
+                story.result.store_report.weight_updates,
+                story.config.ledger,
+            )
+        )
     return (told,)
 
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
-    return once(tmp_path_factory, "four_runs", _four_runs)[1]
+    return run_once(tmp_path_factory, "four_runs", _four_runs)[1]
 
 
 def test_the_first_run_has_nothing_to_recall(runs):
@@ -69,7 +83,7 @@ def test_r_is_the_robots_own_verdict_even_where_truth_differs(runs):
     episode, _, changes, ledger = runs[0]
     assert episode.outcome.kind == "succeeded"
     assert not episode.judgement.success
-    assert exit_code(episode) == Exit.FAILED_SAFELY
+    assert exit_code(episode) == ExitCode.FAILED_SAFELY
     assert changes[0].after > changes[0].before
     remembered = ledger_episodes(ledger)[0]["episode"]
     assert remembered["outcome"]["kind"] == "succeeded"
@@ -77,8 +91,8 @@ def test_r_is_the_robots_own_verdict_even_where_truth_differs(runs):
 
 
 def test_a_given_contract_teaches_nothing_to_memories_that_nobody_was_shown(tmp_path):
-    play(settings(tmp_path, "one"), BAD)
-    (tmp_path / "pause.json").write_text(pause())
-    story = play(settings(tmp_path, "two", contract=tmp_path / "pause.json"), pause())
-    assert story.episode.recall == Recall()
-    assert [change.memory for change in story.finished.stored.changes] == ["two"]
+    run_session(run_config(tmp_path, "one"), BAD)
+    (tmp_path / "pause.json").write_text(hold_contract())
+    story = run_session(run_config(tmp_path, "two", contract=tmp_path / "pause.json"), hold_contract())
+    assert story.episode.recall == RetrievedContext()
+    assert [change.memory for change in story.result.store_report.weight_updates] == ["two"]

@@ -4,30 +4,30 @@ import os
 import subprocess
 import sys
 
-from tests.stories.story_session import GRASP, PLACE, contract
-from tests.support.run_once import once
+from tests.stories.story_session import GRASP, PLACE, contract_text
+from tests.support.run_once import run_once
 
-RUN = "import sys; from dualbrain.cli.main import call; sys.exit(call(sys.argv[1:]))"
+CLI_PROGRAM = "import sys; from dualbrain.cli.main import call; sys.exit(call(sys.argv[1:]))"
 
 
-def command(folder, *arguments, **environment):
+def run_command(folder, *arguments, **environment):
     """`dualbrain ARGUMENTS` in a process of its own, at home in `folder`."""
     home = {"DUALBRAIN_HOME": str(folder), "COLUMNS": "500"}
     return subprocess.run(
-        [sys.executable, "-c", RUN, *arguments], cwd=folder, env={**os.environ, **home, **environment},
+        [sys.executable, "-c", CLI_PROGRAM, *arguments], cwd=folder, env={**os.environ, **home, **environment},
         capture_output=True, text=True, check=False,
     )  # fmt: skip
 
 
-def _pick(folder):
-    (folder / "pick.json").write_text(contract(("grasp", GRASP), ("place", PLACE)))
-    done = command(
+def _run_pick(folder):
+    (folder / "pick.json").write_text(contract_text(("grasp", GRASP), ("place", PLACE)))
+    done = run_command(
         folder, "run", "put the red cube in the bowl", "--contract", "pick.json", "--headless", "--json",
         "--scene", "bare:0", "--out", "run",
     )  # fmt: skip
     return done.returncode, done.stdout, done.stderr
 
 
-def finished(factory):
+def completed_run(factory):
     """(folder, exit code, stdout, stderr) of a pick and place on the bare scene; the run folder is folder/run."""
-    return once(factory, "finished", _pick)
+    return run_once(factory, "finished", _run_pick)

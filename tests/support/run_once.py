@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 
-def once(factory, name: str, make: Callable[[Path], tuple[Any, ...]]) -> tuple[Any, ...]:
+def run_once(factory, name: str, make: Callable[[Path], tuple[Any, ...]]) -> tuple[Any, ...]:
     """(folder, *what `make(folder)` returned), with one folder for all; tests read there and change nothing."""
     base = factory.getbasetemp()
     shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base

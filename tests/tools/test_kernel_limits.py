@@ -5,9 +5,9 @@ import subprocess
 
 import pytest
 
-from tools.kernel_limits.compiled import BARE, ZIG, call, summary
-from tools.kernel_limits.elf import read
-from tools.kernel_limits.stack_usage import cycles, deepest
+from tools.kernel_limits.compiled import BARE_METAL_FLAGS, ZIG, run_compiler, summary
+from tools.kernel_limits.elf import read_object
+from tools.kernel_limits.stack_usage import cycles, deepest_call_path
 
 RED_ZONE = ["-mno-red-zone"] if platform.machine() == "x86_64" else []
 PROGRAM = """
@@ -49,7 +49,7 @@ def objects(tmp_path):
         line.split("\t")[0].rsplit(":", 1)[-1]: int(line.split("\t")[1])
         for line in (tmp_path / "p.su").read_text().splitlines()
     }
-    return read(tmp_path / "p.o"), frames
+    return read_object(tmp_path / "p.o"), frames
 
 
 def test_recursion_pointers_and_libraries_are_found(objects):
@@ -65,7 +65,7 @@ def test_recursion_pointers_and_libraries_are_found(objects):
 def test_the_deepest_path_is_the_sum_of_its_frames(objects):
     one, frames = objects
     calls = {name: callees - {name} for name, callees in one.calls.items()}
-    path = deepest("dbk_step", calls, frames)
+    path = deepest_call_path("dbk_step", calls, frames)
     assert path.functions == ("dbk_step", "deep", "leaf")
     assert path.stack == frames["dbk_step"] + frames["deep"] + frames["leaf"] > 1600
 
@@ -78,9 +78,9 @@ def test_calls_without_a_circle_have_none():
 def test_objects_for_a_microcontroller_are_read_as_well(tmp_path):
     source = tmp_path / "p.c"
     source.write_text(PROGRAM.replace("#include <stdlib.h>", "void *malloc(unsigned); void free(void *);"))
-    call((*ZIG, *BARE, "-mcpu=cortex_m7+fp_armv8d16sp", "-O1", "-ffunction-sections", "-c", str(source), "-o",
+    run_compiler((*ZIG, *BARE_METAL_FLAGS, "-mcpu=cortex_m7+fp_armv8d16sp", "-O1", "-ffunction-sections", "-c", str(source), "-o",
           str(tmp_path / "p.o")))  # fmt: skip
-    one = read(tmp_path / "p.o")
+    one = read_object(tmp_path / "p.o")
     assert one.calls["dbk_step"] >= {"deep", "leaf"}
     assert one.stack["leaf"] >= 1000
     assert {"malloc", "free", "sqrt"} <= one.undefined

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from tools.mutation.mutation_sites import KINDS
-from tools.mutation.sampling import apply, files, mutants, sites
-from tools.mutation.sandbox import judge, meaning
-from tools.mutation.tokens import tokens
+from tools.mutation.sampling import find_sites, make_mutant, sample_mutants, source_files
+from tools.mutation.sandbox import classify_run, evaluated_code
+from tools.mutation.tokens import tokenize
 
 ROOT = Path(__file__).resolve().parents[2]
 C = """/* a + b */
@@ -31,13 +31,17 @@ def f(body, lower):
 
 
 def afters(source, suffix, kind):
-    return {apply("f", source, kind, s, choice).after for s in sites(source, suffix).get(kind, []) for choice in s[2]}
+    return {
+        make_mutant("f", source, kind, s, choice).after
+        for s in find_sites(source, suffix).get(kind, [])
+        for choice in s[2]
+    }
 
 
 def test_comments_strings_and_includes_are_left_alone():
-    assert "a" not in [word.text for word in tokens(C, ".c")]
-    assert "h" not in [word.text for word in tokens(C, ".c")]
-    assert {"Words", "y"}.isdisjoint(word.text for word in tokens(PYTHON, ".py"))
+    assert "a" not in [word.text for word in tokenize(C, ".c")]
+    assert "h" not in [word.text for word in tokenize(C, ".c")]
+    assert {"Words", "y"}.isdisjoint(word.text for word in tokenize(PYTHON, ".py"))
     for kind in KINDS:
         assert all("a + b" in after for after in afters(C, ".c", kind) if after.startswith("/*"))
 
@@ -63,15 +67,15 @@ def test_every_kind_makes_the_mistake_it_is_named_after():
 
 @pytest.mark.parametrize("seed", [0, 7])
 def test_a_seed_gives_the_same_mutants_and_each_only_once(seed):
-    first, second = ([m.key for m in itertools.islice(mutants(ROOT, seed), 200)] for _ in range(2))
+    first, second = ([m.key for m in itertools.islice(sample_mutants(ROOT, seed), 200)] for _ in range(2))
     assert first == second
     assert len(set(first)) == 200
-    assert first != [m.key for m in itertools.islice(mutants(ROOT, seed + 1), 200)]
+    assert first != [m.key for m in itertools.islice(sample_mutants(ROOT, seed + 1), 200)]
 
 
 def test_sixty_mutants_reach_every_file_and_every_kind():
-    drawn = list(itertools.islice(mutants(ROOT, 1), 60))
-    assert {m.file for m in drawn} == {str(path.relative_to(ROOT)) for path in files(ROOT)}
+    drawn = list(itertools.islice(sample_mutants(ROOT, 1), 60))
+    assert {m.file for m in drawn} == {str(path.relative_to(ROOT)) for path in source_files(ROOT)}
     assert set(Counter(m.kind for m in drawn)) == set(KINDS)
     for m in drawn:
         source = (ROOT / m.file).read_text()
@@ -81,7 +85,7 @@ def test_sixty_mutants_reach_every_file_and_every_kind():
 
 
 def test_mutants_of_python_are_nearly_always_programs():
-    drawn = list(itertools.islice(mutants(ROOT, 3, ("src/dualbrain/safety/cbf/kernel.py",)), 60))
+    drawn = list(itertools.islice(sample_mutants(ROOT, 3, ("src/dualbrain/safety/cbf/kernel.py",)), 60))
     good = 0
     for m in drawn:
         try:
@@ -94,15 +98,25 @@ def test_mutants_of_python_are_nearly_always_programs():
 def test_verdicts():
     rows = [{"test": "a", "cpu": 1.0}, {"test": "a", "outcome": "passed", "cpu": 2.0}, {"test": "b", "cpu": 2.0}]
     failed = [*rows, {"test": "b", "outcome": "failed", "cpu": 3.0}]
-    assert judge(0, rows).caught is False
-    assert (judge(1, failed).by, judge(1, failed).test, judge(1, failed).seconds) == ("test", "b", 3.0)
-    assert (judge(-signal.SIGSEGV, rows).by, judge(-signal.SIGSEGV, rows).test) == ("crash", "b")
-    assert judge(-signal.SIGXCPU, rows).by == "timeout"
-    assert (judge(4, []).by, judge(4, []).test) == ("error", "collection")
+    assert classify_run(0, rows).caught is False
+    assert (classify_run(1, failed).by, classify_run(1, failed).test, classify_run(1, failed).seconds) == (
+        "test",
+        "b",
+        3.0,
+    )
+    assert (classify_run(-signal.SIGSEGV, rows).by, classify_run(-signal.SIGSEGV, rows).test) == ("crash", "b")
+    assert classify_run(-signal.SIGXCPU, rows).by == "timeout"
+    assert (classify_run(4, []).by, classify_run(4, []).test) == ("error", "collection")
 
 
 def test_a_type_that_nobody_evaluates_is_no_mistake():
     text = "def f(x: int) -> list[int]:\n    return x[1]\n"
-    assert meaning(text) == meaning(text.replace("list[int]", "list[0]")) == meaning(text.replace("x: int", "x: str"))
-    assert meaning(text) != meaning(text.replace("x[1]", "x[0]"))
-    assert meaning("class A:\n    x: int\n") != meaning("class A:\n    x: str\n"), "classes may be made from those"
+    assert (
+        evaluated_code(text)
+        == evaluated_code(text.replace("list[int]", "list[0]"))
+        == evaluated_code(text.replace("x: int", "x: str"))
+    )
+    assert evaluated_code(text) != evaluated_code(text.replace("x[1]", "x[0]"))
+    assert evaluated_code("class A:\n    x: int\n") != evaluated_code("class A:\n    x: str\n"), (
+        "classes may be made from those"
+    )

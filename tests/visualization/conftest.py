@@ -19,7 +19,7 @@ from dualbrain.records import (
     Outcome,
     Passage,
     Proposal,
-    Recall,
+    RetrievedContext,
     Scene,
     SceneObject,
     Violation,
@@ -33,7 +33,7 @@ PHASES = (
 
 
 @dataclass(frozen=True)
-class Answer:
+class FakeFilterResult:
     """What a filter answers."""
 
     u: Array
@@ -70,7 +70,7 @@ def synthetic_trace(seconds: float = 20.0) -> Trace:
         h = float(max(h, 0.0031 + 1e-4 * rng.random()))
         q = q + 1e-3 * u
         state = RobotState(t, k, q, u, 0.04 if action == 0 and t < 5.6 else 0.024, (0.0, 0.0))
-        answer = Answer(u.astype(np.float32), int(delta > 0), delta, rows, box, h)
+        answer = FakeFilterResult(u.astype(np.float32), int(delta > 0), delta, rows, box, h)
         trace.append(t, state, nominal, answer, action=action, phase=phase)
     trace.note(0.0, "verdict", "attempt 2 accepted")
     trace.note(9.4, "intervention", "wrist vs 'forearm': slowed 41 %")
@@ -123,7 +123,7 @@ def attempts() -> tuple[Attempt, ...]:
     return Attempt(first, refusal, 52e-6), Attempt(second, Accepted(CONTRACT), 61e-6)
 
 
-def episode_of(trace: Trace) -> Episode:
+def make_episode(trace: Trace) -> Episode:
     """The record that fits `trace`."""
     summary = trace.summary()
     done = (("grasp", 0.0, 8.0, "both fingers press 12 N"), ("place", 8.0, 19.999, "released over bowl"))
@@ -142,7 +142,7 @@ def episode_of(trace: Trace) -> Episode:
         summary.duration,
         actions,
     )
-    recall = Recall(
+    recall = RetrievedContext(
         (
             Exemplar(
                 "e-0041",
@@ -195,7 +195,7 @@ def trace() -> Trace:
 @pytest.fixture(scope="session")
 def episode(trace: Trace) -> Episode:
     """The made-up episode."""
-    return episode_of(trace)
+    return make_episode(trace)
 
 
 @pytest.fixture(scope="session")

@@ -52,23 +52,23 @@ class Browser:
         """Load a page."""
         self._call("POST", "/url", {"url": url})
 
-    def run(self, script: str) -> Any:
+    def execute_script(self, script: str) -> Any:
         """What the script returns."""
         return self._call("POST", "/execute/sync", {"script": script, "args": []})
 
     def wait_for(self, script: str, seconds: float = 30.0) -> Any:
         """The script's first true answer."""
         until = time.monotonic() + seconds
-        while not (answer := self.run(script)):
+        while not (answer := self.execute_script(script)):
             assert time.monotonic() < until, f"never true in {seconds} s: {script}"
             time.sleep(0.1)
         return answer
 
-    def console(self) -> list[str]:
+    def console_messages(self) -> list[str]:
         """What the page complained of."""
         return [line["message"] for line in self._call("POST", "/se/log", {"type": "browser"})]
 
-    def picture(self, path: Path) -> None:
+    def save_screenshot(self, path: Path) -> None:
         """Save a screenshot."""
         path.write_bytes(base64.b64decode(self._call("GET", "/screenshot")))
 

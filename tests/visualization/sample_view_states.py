@@ -4,34 +4,34 @@ import msgspec
 import numpy as np
 
 from dualbrain.control.recording.trace import Trace
-from dualbrain.core.geometry.rotations import matrix, quaternion
+from dualbrain.core.geometry.rotations import matrix_to_quaternion, quaternion_to_matrix
 from dualbrain.core.geometry.shapes import Pose
 from dualbrain.records import Scene
-from dualbrain.robots.model import Body
+from dualbrain.robots.model import RobotModel
 from dualbrain.visualization.live.view_state import Array, ViewState
 
 
-def _placed(translation: tuple[float, ...], turn: tuple[float, ...]) -> Array:
+def _transform(translation: tuple[float, ...], turn: tuple[float, ...]) -> Array:
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = matrix(turn), translation
+    T[:3, :3], T[:3, 3] = quaternion_to_matrix(turn), translation
     return T
 
 
-def link_frames(body: Body, q: Array, opening: float) -> dict[str, Array]:
+def link_frames(body: RobotModel, q: Array, opening: float) -> dict[str, Array]:
     """T_world_link (4, 4) by link name."""
     chain = [np.eye(4)]
     for joint, angle in zip(body.joints, q, strict=True):
-        turn = _placed((0, 0, 0), (np.cos(angle / 2), 0, 0, np.sin(angle / 2)))
-        chain.append(chain[-1] @ _placed(joint.translation, joint.quaternion) @ turn)
+        turn = _transform((0, 0, 0), (np.cos(angle / 2), 0, 0, np.sin(angle / 2)))
+        chain.append(chain[-1] @ _transform(joint.translation, joint.quaternion) @ turn)
     return {
         link.name: chain[link.frame]
-        @ _placed(link.translation, link.quaternion)
-        @ _placed(tuple(opening * np.array(link.slide)), (1, 0, 0, 0))
+        @ _transform(link.translation, link.quaternion)
+        @ _transform(tuple(opening * np.array(link.slide)), (1, 0, 0, 0))
         for link in body.links
     }
 
 
-def moment(body: Body, trace: Trace, scene: Scene, k: int) -> ViewState:
+def view_state_at(body: RobotModel, trace: Trace, scene: Scene, k: int) -> ViewState:
     """What the view shows at tick `k`."""
     frames = link_frames(body, trace["q"][k], float(trace["opening"][k]))
     centres = np.array([(frames[ball.link] @ np.array([*ball.centre, 1.0]))[:3] for ball in body.spheres])
@@ -54,7 +54,7 @@ def moment(body: Body, trace: Trace, scene: Scene, k: int) -> ViewState:
         "planner": "idle",
         "elapsed": t,
     }
-    poses = {name: Pose(tuple(T[:3, 3]), quaternion(T[:3, :3])) for name, T in frames.items()}
+    poses = {name: Pose(tuple(T[:3, 3]), matrix_to_quaternion(T[:3, :3])) for name, T in frames.items()}
     margins = {one.name: one.error + 0.01 for one in things if one.role != "support"}
     seen = msgspec.structs.replace(scene, objects=things)
     lines = ("attempt 1: refused at envelope", "attempt 2: accepted", "<b>wrist vs 'forearm'</b>: 12 mm, slowed 41 %")

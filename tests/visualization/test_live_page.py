@@ -6,12 +6,12 @@ import msgspec
 
 from dualbrain.control.recording.trace import Trace
 from dualbrain.records import Episode
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.loader import load_robot
 from dualbrain.visualization.html.key_numbers import key_numbers
 from dualbrain.visualization.live.view import LiveView
 from tests.visualization.conftest import scene
 from tests.visualization.headless_browser import Browser
-from tests.visualization.sample_view_states import moment
+from tests.visualization.sample_view_states import view_state_at
 
 # Each question to a page that is drawn in software costs a second, so everything is asked in one.
 LIVE = """
@@ -31,17 +31,17 @@ return {
 
 def test_the_page_shows_the_run_and_its_end(tmp_path: Path, trace: Trace, episode: Episode) -> None:
     (tmp_path / "episode.json").write_bytes(msgspec.json.encode(episode))
-    body = load_body("panda")
+    body = load_robot("panda")
     body = msgspec.structs.replace(body, spheres=body.spheres[::12])
     view = LiveView(body, 18100, instruction=episode.instruction)
     try:
         with Browser(tmp_path / "profile", (700, 500)) as browser:
             browser.open(view.url)
-            view.show(moment(body, trace, scene(), 10_600))
+            view.show(view_state_at(body, trace, scene(), 10_600))
             live = browser.wait_for(LIVE, 90.0)
             view.finish(episode, timeout=20.0)
             final = browser.wait_for(FINAL, 90.0)
-            console = browser.console()
+            console = browser.console_messages()
     finally:
         view.close()
     assert (live["phase"], live["h_min"]) == ("carry", f"{1e3 * trace['h_min'][10_600]:.2f}mm")

@@ -11,15 +11,15 @@ from hypothesis import strategies as st
 
 from dualbrain.control.recording.trace import Trace
 from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, Cylinder, Sphere
-from dualbrain.errors import InvalidSetup, MissingPart
+from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.records import Episode, Scene
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.loader import load_robot
 from dualbrain.visualization.live.panel import final_html, lines_html, numbers_html
-from dualbrain.visualization.live.robot_view import clearance_colours, thinned
-from dualbrain.visualization.live.scene_view import surface
-from dualbrain.visualization.live.view import HOST, LiveView, free_port
+from dualbrain.visualization.live.robot_view import clearance_colours, simplify_mesh
+from dualbrain.visualization.live.scene_view import shape_mesh
+from dualbrain.visualization.live.view import HOST, LiveView, find_free_port
 from tests.visualization.conftest import scene as made_up_scene
-from tests.visualization.sample_view_states import link_frames, moment
+from tests.visualization.sample_view_states import link_frames, view_state_at
 
 SIZES = st.floats(0.01, 0.2)
 
@@ -31,10 +31,10 @@ def test_shapes_have_their_size_and_grow_by_the_margin(a: float, b: float, margi
         Sphere(a): (a, a, a), Capsule(a, b): (a, a, a + b), Cylinder(a, b): (a, a, b), Box((a, b, a)): (a, b, a),
     }  # fmt: skip
     for shape, half in extents.items():
-        low, high = surface(shape, margin).bounds
+        low, high = shape_mesh(shape, margin).bounds
         assert high == pytest.approx(np.array(half) + margin, rel=5e-3)
         assert low == pytest.approx(-high, rel=5e-3)
-    low, high = surface(Bowl(0.1, 0.06, 0.005), margin).bounds
+    low, high = shape_mesh(Bowl(0.1, 0.06, 0.005), margin).bounds
     assert high == pytest.approx((0.1 + margin, 0.1 + margin, 0.06 + margin), rel=5e-3)
     assert low[2] == pytest.approx(-margin, abs=1e-9)
 
@@ -48,15 +48,15 @@ def test_colours_run_from_contact_to_clear() -> None:
 
 
 def test_thinning_a_surface_keeps_its_place() -> None:
-    sphere = surface(Sphere(0.1))
-    points, faces = thinned(np.asarray(sphere.vertices), np.asarray(sphere.faces), cell=0.03)
+    sphere = shape_mesh(Sphere(0.1))
+    points, faces = simplify_mesh(np.asarray(sphere.vertices), np.asarray(sphere.faces), cell=0.03)
     assert len(faces) < len(sphere.faces) / 3
     assert np.abs(np.linalg.norm(points, axis=1) - 0.1).max() < 0.01
     assert faces.max() < len(points)
 
 
 def test_the_test_kinematics_is_right() -> None:
-    body = load_body("panda")
+    body = load_robot("panda")
     tip = link_frames(body, np.array(body.home), 0.04)["hand"] @ np.array([*body.tool.translation, 1.0])
     assert tip[2] == pytest.approx(0.4, abs=0.3)
     stretched = link_frames(body, np.zeros(7), 0.0)["link7"]
@@ -73,25 +73,25 @@ def test_a_busy_port_is_told() -> None:
         taken.bind((HOST, 0))
         taken.listen()
         port = taken.getsockname()[1]
-        assert free_port(port, 20) > port
-        with pytest.raises(InvalidSetup, match="--port"):
-            free_port(port, 1)
-        with pytest.raises(InvalidSetup, match=str(port)):
-            LiveView(load_body("panda"), port, other_port=False)
+        assert find_free_port(port, 20) > port
+        with pytest.raises(ConfigurationError, match="--port"):
+            find_free_port(port, 1)
+        with pytest.raises(ConfigurationError, match=str(port)):
+            LiveView(load_robot("panda"), port, allow_other_port=False)
 
 
 def test_without_viser_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
-    with pytest.raises(MissingPart, match="headless"):
-        LiveView(load_body("panda"), 18080)
+    with pytest.raises(MissingDependencyError, match="headless"):
+        LiveView(load_robot("panda"), 18080)
 
 
 def test_showing_never_waits(trace: Trace, episode: Episode, capsys: pytest.CaptureFixture[str]) -> None:
-    body = load_body("panda")
+    body = load_robot("panda")
     things: Scene = made_up_scene()
     view = LiveView(body, 18090)
     try:
-        states = [moment(body, trace, things, k) for k in (0, 9000, 10600)]
+        states = [view_state_at(body, trace, things, k) for k in (0, 9000, 10600)]
         begun = time.perf_counter()
         for _ in range(2000):
             for state in states:

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from dualbrain.grounding.offline_gate import as_specified
-from dualbrain.robots.loader import load_body
+from dualbrain.grounding.offline_gate import scene_from_spec
+from dualbrain.robots.loader import load_robot
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
-from dualbrain.visualization.html.run_report import _spent
-from dualbrain.visualization.live.panel import numbers_html, speeds_of, spoken_speeds
+from dualbrain.visualization.html.run_report import _format_timing
+from dualbrain.visualization.live.panel import commanded_speeds, numbers_html, speed_rows
 from dualbrain.visualization.live.scene_view import LiveScene
-from dualbrain.visualization.live.view import AT_TABLE, IN_ROOM, LiveView, free_port
+from dualbrain.visualization.live.view import ARM_CAMERA, BASE_CAMERA, LiveView, find_free_port
 from dualbrain.visualization.live.view_state import ViewState
 
 
@@ -32,7 +32,7 @@ class Canvas:
 
 
 def test_the_floor_is_the_region_that_the_base_may_drive_on():
-    canvas, scene = Canvas(), as_specified(open_scene("1", "base"))
+    canvas, scene = Canvas(), scene_from_spec(open_scene("1", "base"))
     LiveScene(canvas).update(ViewState(0.0, {}, scene, np.empty((0, 3)), np.empty(0)))
     points, faces = canvas.meshes["/scene/floor"]
     assert np.allclose(points[:, :2], scene.region)
@@ -44,7 +44,7 @@ def test_the_floor_is_the_region_that_the_base_may_drive_on():
 
 
 def test_the_places_that_it_can_be_sent_to_are_named_where_they_are():
-    canvas, scene = Canvas(), as_specified(open_scene("workroom:1", "mobile_panda"))
+    canvas, scene = Canvas(), scene_from_spec(open_scene("workroom:1", "mobile_panda"))
     live = LiveScene(canvas)
     for _ in range(2):
         live.update(ViewState(0.0, {}, scene, np.empty((0, 3)), np.empty(0)))
@@ -55,32 +55,32 @@ def test_the_places_that_it_can_be_sent_to_are_named_where_they_are():
 
 
 def test_the_panel_tells_speeds_of_what_moves():
-    base, arm, both = (load_body(name) for name in ("base", "ur5e", "mobile_panda"))
-    assert [row[2] for row in speeds_of(base)] == ["m/s", "rad/s"]
-    assert [row[2] for row in speeds_of(arm)] == ["rad/s"]
-    assert spoken_speeds(base, np.array([0.4, -0.2])) == {"drive": 0.4, "turn": -0.2}
-    assert spoken_speeds(arm, np.array([0.3, 0.4, 0, 0, 0, 0])) == {"speed": pytest.approx(0.5)}
+    base, arm, both = (load_robot(name) for name in ("base", "ur5e", "mobile_panda"))
+    assert [row[2] for row in speed_rows(base)] == ["m/s", "rad/s"]
+    assert [row[2] for row in speed_rows(arm)] == ["rad/s"]
+    assert commanded_speeds(base, np.array([0.4, -0.2])) == {"drive": 0.4, "turn": -0.2}
+    assert commanded_speeds(arm, np.array([0.3, 0.4, 0, 0, 0, 0])) == {"speed": pytest.approx(0.5)}
     u = np.array([0.1, 0.2, 0.3, 0.4, *np.zeros(5)])
-    numbers = spoken_speeds(both, u)
+    numbers = commanded_speeds(both, u)
     assert numbers == {"drive": 0.1, "turn": 0.2, "speed": pytest.approx(0.5)}
-    state = ViewState(0.0, {}, as_specified(open_scene("1", "mobile_panda")), numbers=numbers)
-    shown = numbers_html(state, speeds_of(both))
+    state = ViewState(0.0, {}, scene_from_spec(open_scene("1", "mobile_panda")), numbers=numbers)
+    shown = numbers_html(state, speed_rows(both))
     for label, text in (("driving", "0.10"), ("turning", "0.20"), ("joint speed", "0.50")):
         assert label in shown
         assert f">{text}<" in shown
-    assert "joint speed" not in numbers_html(state, speeds_of(base))
+    assert "joint speed" not in numbers_html(state, speed_rows(base))
 
 
 def test_a_table_has_no_floor():
     canvas = Canvas()
-    scene = as_specified(open_scene("bare:0", "panda"))
+    scene = scene_from_spec(open_scene("bare:0", "panda"))
     LiveScene(canvas).update(ViewState(0.0, {}, scene, np.empty((0, 3)), np.empty(0)))
     assert "/scene/floor" not in canvas.meshes
 
 
-@pytest.mark.parametrize(("robot", "eye"), [("base", IN_ROOM), ("ur5e", AT_TABLE)])
+@pytest.mark.parametrize(("robot", "eye"), [("base", BASE_CAMERA), ("ur5e", ARM_CAMERA)])
 def test_the_view_begins_where_the_robot_can_be_seen(robot, eye):
-    view = LiveView(load_body(robot), free_port(18400, 20))
+    view = LiveView(load_robot(robot), find_free_port(18400, 20))
     try:
         camera = view._server.initial_camera
         assert np.allclose(camera.position, eye[0])
@@ -90,5 +90,5 @@ def test_the_view_begins_where_the_robot_can_be_seen(robot, eye):
 
 
 def test_a_count_of_tokens_is_no_time():
-    assert _spent("prompt_tokens", 949.0) == "949 prompt tokens"
-    assert _spent("prefill", 1.234) == "prefill 1.23 s"
+    assert _format_timing("prompt_tokens", 949.0) == "949 prompt tokens"
+    assert _format_timing("prefill", 1.234) == "prefill 1.23 s"

@@ -5,18 +5,18 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from dualbrain.control.gatekeeper.operator_commands import Hand, allowed
-from dualbrain.control.gatekeeper.protocol.messages import Act, Operate
-from dualbrain.robots.loader import load_body
-from dualbrain.safety.supervisor.actions import Rung
+from dualbrain.control.gatekeeper.operator_commands import OperatorCommands, is_allowed
+from dualbrain.control.gatekeeper.protocol.messages import OperatorAction, OperatorCommand
+from dualbrain.robots.loader import load_robot
+from dualbrain.safety.supervisor.actions import SafetyAction
 from dualbrain.safety.supervisor.checks import CHECKS, RESET_HELD
 from dualbrain.safety.supervisor.supervisor import Supervisor
-from dualbrain.visualization.live.operator_buttons import BUTTONS, OperatorBoard
+from dualbrain.visualization.live.operator_buttons import OPERATOR_BUTTONS, OperatorAccess
 from dualbrain.visualization.live.view import LiveView
 from tests.visualization.headless_browser import Browser
 
 CODE = "the-code"
-ACTS = [act for act in Act.__args__ if act != "shut_down"]
+ACTS = [act for act in OperatorAction.__args__ if act != "shut_down"]
 
 
 def board():
@@ -26,15 +26,15 @@ def board():
         told.append((act, speed))
         return ""
 
-    return OperatorBoard(operate, CODE), told
+    return OperatorAccess(operate, CODE), told
 
 
 @pytest.mark.parametrize("act", ACTS)
 def test_a_stranger_may_press_what_any_peer_of_the_socket_may(act):
     one, told = board()
-    said = one.press(1, act)
-    assert bool(told) is allowed(act, "observer")
-    assert ("code" in said) is not allowed(act, "observer")
+    said = one.apply(1, act)
+    assert bool(told) is is_allowed(act, "observer")
+    assert ("code" in said) is not is_allowed(act, "observer")
 
 
 @pytest.mark.parametrize("act", ACTS)
@@ -42,57 +42,57 @@ def test_with_the_code_a_page_is_the_operators_and_no_other_page_is(act):
     one, told = board()
     assert not one.unlock(1, "wrong")
     assert one.unlock(1, f" {CODE} ")
-    assert one.press(1, act, 0.5) == f"{act.replace('_', ' ')}: sent"
+    assert one.apply(1, act, 0.5) == f"{act.replace('_', ' ')}: sent"
     assert told == [(act, 0.5)]
-    one.press(2, act)
+    one.apply(2, act)
     assert (len(told) == 2) is (act == "estop")
 
 
 def test_a_page_that_was_closed_is_a_stranger_again_and_no_code_opens_nothing():
     one, told = board()
     one.unlock(1, CODE)
-    one.forget(1)
-    one.press(1, "pause")
+    one.remove_page(1)
+    one.apply(1, "pause")
     assert told == []
-    assert not OperatorBoard(lambda act, speed: "", "").unlock(1, "")
+    assert not OperatorAccess(lambda act, speed: "", "").unlock(1, "")
 
 
 def test_why_the_gatekeeper_was_not_told_is_shown():
-    assert OperatorBoard(lambda act, speed: "there is no gatekeeper", CODE).press(3, "estop").endswith("no gatekeeper")
+    assert OperatorAccess(lambda act, speed: "there is no gatekeeper", CODE).apply(3, "estop").endswith("no gatekeeper")
 
 
 def test_every_act_has_a_button_and_is_an_event_with_an_outcome():
     """Every button that interferes trips a check that ends the contract in a class of its own, or marks it."""
-    buttons = {act for act, _ in BUTTONS} | {"estop", "speed"}
+    buttons = {act for act, _ in OPERATOR_BUTTONS} | {"estop", "speed"}
     assert buttons == set(ACTS)
     ends = {"abort": "aborted", "takeover": "handed_over", "estop": "emergency"}
     for act, ending in ends.items():
-        hand, supervisor = Hand(), Supervisor()
-        assert hand.act(Operate(act=act)) == ""
+        hand, supervisor = OperatorCommands(), Supervisor()
+        assert hand.apply(OperatorCommand(act=act)) == ""
         supervisor.update(0.0, hand.conditions())
-        assert supervisor.ending == ending
+        assert supervisor.contract_outcome == ending
     assert {check.name for check in CHECKS} >= {"paused", "speed_stage"}
 
 
 def test_the_reset_is_two_buttons_and_lands_in_hold():
-    hand, supervisor, now = Hand(), Supervisor(), 0.0
+    hand, supervisor, now = OperatorCommands(), Supervisor(), 0.0
 
     def press(*acts):
         nonlocal now
         for act in acts:
-            one.press(1, act)
+            one.apply(1, act)
         for _ in range(100):
             now += 0.01
             order = supervisor.update(now, hand.conditions())
         return order
 
-    one = OperatorBoard(lambda act, speed: hand.act(Operate(act=act, speed=speed)), CODE)
+    one = OperatorAccess(lambda act, speed: hand.apply(OperatorCommand(act=act, speed=speed)), CODE)
     one.unlock(1, CODE)
-    assert press("estop").action is Rung.ESTOP
-    assert press("reset").action is Rung.ESTOP, "a reset while the button is down does nothing"
-    assert press("release_estop").action is Rung.ESTOP
+    assert press("estop").action is SafetyAction.ESTOP
+    assert press("reset").action is SafetyAction.ESTOP, "a reset while the button is down does nothing"
+    assert press("release_estop").action is SafetyAction.ESTOP
     assert press("reset").check == RESET_HELD.name
-    assert press("resume").action is Rung.NONE
+    assert press("resume").action is SafetyAction.NONE
 
 
 CLICK = """
@@ -107,9 +107,9 @@ return said && said.textContent.includes('sent') ? {
 
 
 def test_a_browser_stops_the_arm_and_nothing_else_is_free(tmp_path: Path) -> None:
-    body = load_body("panda")
+    body = load_robot("panda")
     one, told = board()
-    view = LiveView(msgspec.structs.replace(body, spheres=body.spheres[::12]), 18130, board=one)
+    view = LiveView(msgspec.structs.replace(body, spheres=body.spheres[::12]), 18130, access=one)
     try:
         with Browser(tmp_path / "profile", (700, 500)) as browser:
             browser.open(view.url)

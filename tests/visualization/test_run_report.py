@@ -12,16 +12,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dualbrain.control.recording.trace import Trace
-from dualbrain.memory.maintenance.projection import MemoryMap
+from dualbrain.memory.maintenance.projection import MemoryProjection
 from dualbrain.records import Attempt, Episode, Outcome, SceneObject
 from dualbrain.robots.interface import RobotState
 from dualbrain.safety.barriers import BARRIERS
 from dualbrain.visualization.html.key_numbers import key_numbers
-from dualbrain.visualization.html.memory_map import map_section
+from dualbrain.visualization.html.memory_map import memory_map_section
 from dualbrain.visualization.html.page import Html, element, table
 from dualbrain.visualization.html.run_report import Snapshot, render_report, write_report
-from dualbrain.visualization.html.strip_chart import envelope, strip_chart
-from tests.visualization.conftest import Answer
+from dualbrain.visualization.html.strip_chart import min_max_downsample, strip_chart
+from tests.visualization.conftest import FakeFilterResult
 
 HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(1)>\"' & $x^2$ </style>"
 EMPTY = Trace(7)
@@ -72,7 +72,7 @@ def test_text_never_becomes_markup(text: str) -> None:
 @given(st.lists(st.floats(-1, 1), min_size=1, max_size=300), st.integers(1, 20))
 def test_thinning_keeps_order_ends_and_extremes(values: list[float], buckets: int) -> None:
     t, y = np.arange(len(values)) * 0.1, np.array(values)
-    thin_t, thin_y = envelope(t, y, buckets)
+    thin_t, thin_y = min_max_downsample(t, y, buckets)
     assert np.all(np.diff(thin_t) > 0)
     assert len(thin_t) <= 2 * buckets + 2
     assert (thin_y.min(), thin_y.max(), thin_t[0], thin_t[-1]) == (y.min(), y.max(), t[0], t[-1])
@@ -119,7 +119,7 @@ def test_numbers_are_those_of_the_episode(page: str, episode: Episode) -> None:
 def test_every_barrier_is_listed_with_the_ticks_it_bound(episode: Episode, trace: Trace) -> None:
     told = msgspec.structs.replace(episode, binding={"workspace": 123})
     page = render_report(told, trace)
-    assert all(html.escape(one.says) in page for one in BARRIERS.values())
+    assert all(html.escape(one.description) in page for one in BARRIERS.values())
     assert ">123<" in page
 
 
@@ -178,10 +178,10 @@ def test_a_run_that_was_taken_over_says_so(taken_over: Episode, trace: Trace) ->
 
 @pytest.mark.parametrize("ticks", [1, 2])
 def test_the_shortest_runs(episode: Episode, ticks: int) -> None:
-    from tests.control.recording.sample_ticks import fill  # noqa: PLC0415
+    from tests.control.recording.sample_ticks import append_ticks  # noqa: PLC0415
 
     trace = Trace(7)
-    fill(trace, ticks, odd=True)
+    append_ticks(trace, ticks, special_values=True)
     stopped = msgspec.structs.replace(episode, outcome=Outcome("stopped", "stale state", 2.0, 2.0, 2.0, 1.0, -np.inf))
     assert "svg" in _Page(render_report(stopped, trace)).tags
 
@@ -202,13 +202,13 @@ def test_numbers_say_when_nothing_was_measured(refused: Episode, episode: Episod
 def test_the_memory_map_is_drawn_when_there_is_one():
     points = np.random.default_rng(0).standard_normal((5, 2))
     kinds, statuses = ("succeeded", "failed", "rejected", "succeeded", "failed"), ("active",) * 4 + ("quarantined",)
-    drawn = MemoryMap(points, np.array([0.1, 0.3, 0.5, 0.7, 0.95]), tuple("abcde"), kinds, statuses, 0.61)
-    page = map_section(drawn, "c")
+    drawn = MemoryProjection(points, np.array([0.1, 0.3, 0.5, 0.7, 0.95]), tuple("abcde"), kinds, statuses, 0.61)
+    page = memory_map_section(drawn, "c")
     assert page.count("<svg") == 1
     assert "5 memories" in page
     assert "61%" in page
-    few = MemoryMap(points[:2], np.ones(2), ("a", "b"), kinds[:2], statuses[:2], 1.0)
-    assert "Too few memories" in map_section(few, "a")
+    few = MemoryProjection(points[:2], np.ones(2), ("a", "b"), kinds[:2], statuses[:2], 1.0)
+    assert "Too few memories" in memory_map_section(few, "a")
 
 
 @pytest.mark.parametrize(
@@ -226,7 +226,7 @@ def test_speeds_are_told_by_what_moves_each_in_its_unit(
     for k in range(20):
         u = np.full(n, -0.1 * k)
         run.append(
-            k * 0.02, RobotState(k * 0.02, k, np.zeros(width), u, 0.0, (0.0, 0.0)), u, Answer(u, 0, 0.0, 0.0, 0.0, 0.3),
+            k * 0.02, RobotState(k * 0.02, k, np.zeros(width), u, 0.0, (0.0, 0.0)), u, FakeFilterResult(u, 0, 0.0, 0.0, 0.0, 0.3),
             action=0, phase="drive",
         )  # fmt: skip
     drawn = html.unescape(str(strip_chart(episode, run)))

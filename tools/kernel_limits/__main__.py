@@ -20,8 +20,15 @@ import numpy as np
 from dualbrain.safety.cbf.kernel import kernel_hash
 from experiments.engine.provenance import machine, revision
 from tools.kernel_limits.compiled import ROOT, measure, targets
-from tools.kernel_limits.report import page, table
-from tools.kernel_limits.worst_case_search import again, loop, make, panda, search, worst_program
+from tools.kernel_limits.report import render_page, report_tables
+from tools.kernel_limits.worst_case_search import (
+    adversarial_loop,
+    load_panda,
+    make_filter,
+    repeat_cold,
+    search_worst_qp,
+    search_worst_step,
+)
 
 
 def main() -> int:
@@ -31,11 +38,11 @@ def main() -> int:
         compiled = [measure(target, Path(folder) / str(i)) for i, target in enumerate(targets())]
     found = {
         "revision": revision(ROOT), "kernel": kernel_hash(), "machine": machine(), "compiled": compiled,
-        "steps": steps(asked.scenes, asked.steps, asked.tries),
+        "steps": measure_steps(asked.scenes, asked.steps, asked.tries),
     }  # fmt: skip
-    sys.stdout.write((json.dumps(found) if asked.json else "\n".join(table(found))) + "\n")
+    sys.stdout.write((json.dumps(found) if asked.json else "\n".join(report_tables(found))) + "\n")
     if asked.write_docs:
-        (ROOT / "docs" / "kernel.md").write_text(page(found))
+        (ROOT / "docs" / "kernel.md").write_text(render_page(found))
     return int(any(one["not_allowed"] or one["recursion"] or one["addresses_taken"] for one in compiled))
 
 
@@ -49,48 +56,48 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
-def steps(scenes: int, count: int, tries: int) -> dict[str, object]:
+def measure_steps(scenes: int, count: int, tries: int) -> dict[str, object]:
     """Quantiles over all steps of all loops, their worst moments again, and what the search made of them."""
-    body, rng = panda(), np.random.default_rng(0)
+    body, rng = load_panda(), np.random.default_rng(0)
     seen, worst = [], []
     for seed in range(scenes):
-        moments = list(loop(body, seed, count))
+        moments = list(adversarial_loop(body, seed, count))
         seen += [(m.iterations, m.rows, m.seconds) for m in moments]
         worst += sorted(moments, key=lambda m: (m.iterations, m.rows))[-2:]
         worst += sorted(moments, key=lambda m: m.seconds)[-2:]
         print(f"scene {seed + 1}/{scenes}", file=sys.stderr, flush=True)
     iterations, rows, seconds = (np.array(column) for column in zip(*seen, strict=True))
-    cold = [again(make(body, m.scene), m, times=50) for m in worst]
+    cold = [repeat_cold(make_filter(body, m.scene), m, times=50) for m in worst]
     top = sorted(cold, key=lambda m: (m.iterations, m.rows))[-8:]
-    hardest = search(body, top, rng, tries)
-    program = worst_program(rng, 20 * tries)
+    hardest = search_worst_step(body, top, rng, tries)
+    program = search_worst_qp(rng, 20 * tries)
     return {
-        "scenes": scenes, "steps": len(seen), "iterations": spread(iterations), "rows": spread(rows),
-        "microseconds": spread(1e6 * seconds),
+        "scenes": scenes, "steps": len(seen), "iterations": quantiles(iterations), "rows": quantiles(rows),
+        "microseconds": quantiles(1e6 * seconds),
         "histogram": [int(np.sum(iterations == k)) for k in range(int(iterations.max()) + 1)],
         "repeated_microseconds": max(1e6 * m.seconds for m in cold),
         "hardest": {"iterations": hardest.iterations, "rows": hardest.rows, "microseconds": 1e6 * hardest.seconds},
-        "program": {"iterations": program[0], "rows": program[1]}, "cap": cap(), "most_rows": most_rows(),
+        "program": {"iterations": program[0], "rows": program[1]}, "cap": iteration_cap(), "most_rows": max_rows(),
     }  # fmt: skip
 
 
-def spread(values: np.ndarray) -> dict[str, float]:
+def quantiles(values: np.ndarray) -> dict[str, float]:
     """Median, 99 and 99.9 of 100, and the greatest."""
     return {"median": float(np.median(values)), "p99": float(np.quantile(values, 0.99)),
             "p999": float(np.quantile(values, 0.999)), "max": float(values.max())}  # fmt: skip
 
 
-def cap() -> int:
+def iteration_cap() -> int:
     """DBK_QP_CAP: a step that reaches it brakes."""
-    return _size("DBK_QP_CAP")
+    return _config_value("DBK_QP_CAP")
 
 
-def most_rows() -> int:
+def max_rows() -> int:
     """DBK_MAX_ROWS."""
-    return _size("DBK_MAX_ROWS")
+    return _config_value("DBK_MAX_ROWS")
 
 
-def _size(name: str) -> int:
+def _config_value(name: str) -> int:
     lines = (ROOT / "kernel/include/dbk/dbk_config.h").read_text().splitlines()
     return next(int(line.split()[2]) for line in lines if line.startswith(f"#define {name} "))
 

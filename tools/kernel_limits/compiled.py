@@ -10,13 +10,13 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from tools.kernel_limits.elf import Object, plain, read
-from tools.kernel_limits.stack_usage import CallPath, cycles, deepest
+from tools.kernel_limits.elf import ObjectFile, read_object, strip_clone_suffix
+from tools.kernel_limits.stack_usage import CallPath, cycles, deepest_call_path
 
 ROOT = Path(__file__).resolve().parents[2]
-ENTRIES = ("dbk_step", "dbk_project")
-MOVES = re.compile(r"(__aeabi_)?mem(cpy|set|move|clr)[48]?$|__stack_chk_fail$")
-BARE = (
+ENTRY_POINTS = ("dbk_step", "dbk_project")
+ALLOWED_SYMBOLS = re.compile(r"(__aeabi_)?mem(cpy|set|move|clr)[48]?$|__stack_chk_fail$")
+BARE_METAL_FLAGS = (
     "-target", "thumb-freestanding-eabihf", "-ffreestanding", "-fno-sanitize=all", "-fno-unwind-tables",
     "-fno-asynchronous-unwind-tables", "-fstack-size-section", "-DDBK_MAX_OBSTACLES=48",
 )  # fmt: skip
@@ -43,9 +43,19 @@ def targets() -> list[Target]:
     return [
         Target("host, float32", host, ("gcc", "--version")),
         Target("host, float64", (*host, "-DDBK_DOUBLE"), ("gcc", "--version")),
-        Target("Cortex-M7, -O2", (*ZIG, *BARE, *small, "-mcpu=cortex_m7+fp_armv8d16sp", "-O2"), (*ZIG, "--version")),
-        Target("Cortex-M7, -Os", (*ZIG, *BARE, *small, "-mcpu=cortex_m7+fp_armv8d16sp", "-Os"), (*ZIG, "--version")),
-        Target("Cortex-M4, -Os", (*ZIG, *BARE, *small, "-mcpu=cortex_m4+vfp4d16sp", "-Os"), (*ZIG, "--version")),
+        Target(
+            "Cortex-M7, -O2",
+            (*ZIG, *BARE_METAL_FLAGS, *small, "-mcpu=cortex_m7+fp_armv8d16sp", "-O2"),
+            (*ZIG, "--version"),
+        ),
+        Target(
+            "Cortex-M7, -Os",
+            (*ZIG, *BARE_METAL_FLAGS, *small, "-mcpu=cortex_m7+fp_armv8d16sp", "-Os"),
+            (*ZIG, "--version"),
+        ),
+        Target(
+            "Cortex-M4, -Os", (*ZIG, *BARE_METAL_FLAGS, *small, "-mcpu=cortex_m4+vfp4d16sp", "-Os"), (*ZIG, "--version")
+        ),
     ]
 
 
@@ -55,7 +65,7 @@ def shipped_flags() -> list[str]:
     return found.group(1).split() if found else []
 
 
-def call(command: tuple[str, ...]) -> str:
+def run_compiler(command: tuple[str, ...]) -> str:
     """Run a compiler; zig keeps its products beside ours."""
     place = {name: str(ROOT / "build" / "zig") for name in ("ZIG_LOCAL_CACHE_DIR", "ZIG_GLOBAL_CACHE_DIR")}
     return subprocess.run(command, env=os.environ | place, capture_output=True, text=True, check=True).stdout
@@ -64,36 +74,36 @@ def call(command: tuple[str, ...]) -> str:
 def measure(target: Target, folder: Path) -> dict[str, object]:
     """Code, stack and symbols of one target; `folder` takes the objects."""
     folder.mkdir(parents=True, exist_ok=True)
-    objects: list[Object] = []
+    objects: list[ObjectFile] = []
     stack: dict[str, int] = {}
     for source in sorted((ROOT / "kernel/src").glob("*.c")):
         out = folder / f"{source.stem}.o"
-        call((*target.command, "-std=c99", "-ffunction-sections", f"-I{ROOT / 'kernel/include'}", "-c", str(source),
+        run_compiler((*target.command, "-std=c99", "-ffunction-sections", f"-I{ROOT / 'kernel/include'}", "-c", str(source),
               "-o", str(out)))  # fmt: skip
-        objects.append(read(out))
-        stack |= {f"{plain(name)}": size for name, size in objects[-1].stack.items()}
+        objects.append(read_object(out))
+        stack |= {f"{strip_clone_suffix(name)}": size for name, size in objects[-1].stack.items()}
         report = out.with_suffix(".su")
-        stack |= _reported(report.read_text()) if report.exists() else {}
+        stack |= _parse_stack_report(report.read_text()) if report.exists() else {}
     return {
         "target": target.name,
-        "compiler": call(target.version).splitlines()[0],
+        "compiler": run_compiler(target.version).splitlines()[0],
         **summary(objects, stack),
-        "sizes": sizes(target, folder),
+        "sizes": structure_sizes(target, folder),
     }
 
 
-def summary(objects: list[Object], stack: dict[str, int]) -> dict[str, object]:
+def summary(objects: list[ObjectFile], stack: dict[str, int]) -> dict[str, object]:
     """Worst call paths, recursion, and every symbol that no object of the kernel defines."""
     calls: dict[str, set[str]] = {}
     for one in objects:
         for caller, callees in one.calls.items():
             calls.setdefault(caller, set()).update(callees)
-    ours = {plain(name) for one in objects for name in one.code}
+    ours = {strip_clone_suffix(name) for one in objects for name in one.code}
     foreign = sorted(
         {name for one in objects for name in one.undefined if name not in ours and not name.startswith(".")}
     )
     circles = cycles(calls)
-    paths = {entry: CallPath((), -1) if circles else deepest(entry, calls, stack) for entry in ENTRIES}
+    paths = {entry: CallPath((), -1) if circles else deepest_call_path(entry, calls, stack) for entry in ENTRY_POINTS}
     return {
         "code": sum(size for one in objects for size in one.code.values()),
         "frames": dict(sorted(stack.items(), key=lambda item: -item[1])),
@@ -102,23 +112,23 @@ def summary(objects: list[Object], stack: dict[str, int]) -> dict[str, object]:
         "recursion": circles,
         "addresses_taken": sorted({name for one in objects for name in one.addresses_taken}),
         "foreign": foreign,
-        "not_allowed": [name for name in foreign if not MOVES.match(name)],
+        "not_allowed": [name for name in foreign if not ALLOWED_SYMBOLS.match(name)],
     }
 
 
-def _reported(text: str) -> dict[str, int]:
+def _parse_stack_report(text: str) -> dict[str, int]:
     """`file:line:column:function<tab>bytes<tab>kind` of gcc -fstack-usage."""
     rows = (line.split("\t") for line in text.splitlines())
     return {name.rsplit(":", 1)[-1]: int(size) for name, size, _ in rows}
 
 
-def sizes(target: Target, folder: Path) -> dict[str, int]:
+def structure_sizes(target: Target, folder: Path) -> dict[str, int]:
     """Bytes of the structures that a caller provides, read off the symbols of an object."""
     source = folder / "sizes.c"
     names = ("dbk_model", "dbk_scene", "dbk_ctx", "dbk_in", "dbk_out")
     source.write_text('#include "dbk/dbk.h"\n' + "".join(f"char size_of_{n}[sizeof({n})] = {{1}};\n" for n in names))
     out = folder / "sizes.o"
-    call((*target.command, f"-I{ROOT / 'kernel/include'}", "-c", str(source), "-o", str(out)))
-    listing = call(("nm", "-S", str(out))).split("\n")
+    run_compiler((*target.command, f"-I{ROOT / 'kernel/include'}", "-c", str(source), "-o", str(out)))
+    listing = run_compiler(("nm", "-S", str(out))).split("\n")
     rows = (line.split() for line in listing if "size_of_" in line)
     return {row[-1].removeprefix("size_of_"): int(row[1], 16) for row in rows}

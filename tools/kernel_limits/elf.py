@@ -22,7 +22,7 @@ class Section:
 
 
 @dataclass(slots=True)
-class Object:
+class ObjectFile:
     """Functions with their code size, who refers to whom, and symbols that come from elsewhere."""
 
     path: Path
@@ -33,12 +33,12 @@ class Object:
     stack: dict[str, int] = field(default_factory=dict)
 
 
-def read(path: Path) -> Object:
+def read_object(path: Path) -> ObjectFile:
     """An object compiled with -ffunction-sections, so that each function is a section of its own."""
     raw = path.read_bytes()
     wide = raw[4] == 2
     sections = _sections(raw, wide)
-    out = Object(path)
+    out = ObjectFile(path)
     symbols = next((_symbols(s, sections[s.link], wide) for s in sections if s.kind == SYMTAB), [])
     home = {i: _function(s.name) for i, s in enumerate(sections) if _function(s.name)}
     for name, kind, section, size in symbols:
@@ -76,7 +76,7 @@ def _symbols(section: Section, strings: Section, wide: bool) -> list[tuple[str, 
 
 def _references(
     section: Section, sections: list[Section], symbols: list[tuple[str, int, int, int]], home: dict[int, str],
-    wide: bool, out: Object,
+    wide: bool, out: ObjectFile,
 ) -> None:  # fmt: skip
     """A function that refers to a function calls it; other data that refers to one takes its address."""
     layout = {(True, RELA): "<QQq", (True, REL): "<QQ", (False, RELA): "<IIi", (False, REL): "<II"}[wide, section.kind]
@@ -96,11 +96,11 @@ def _function(name: str) -> str:
     """The function whose section this is, without the number that a compiler gives to its copies; "" for others."""
     for start in (".text.unlikely.", ".text."):
         if name.startswith(start):
-            return plain(name.removeprefix(start))
+            return strip_clone_suffix(name.removeprefix(start))
     return ""
 
 
-def plain(name: str) -> str:
+def strip_clone_suffix(name: str) -> str:
     """`constraint.isra.0` -> `constraint.isra`: as the compiler's own stack report has it."""
     head, _, tail = name.rpartition(".")
     return head if tail.isdigit() else name

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 
-def table(found: dict[str, Any]) -> list[str]:
+def report_tables(found: dict[str, Any]) -> list[str]:
     """Every figure, as Markdown."""
     return [*_memory(found["compiled"]), "", *_stack(found["compiled"]), "", *_symbols(found["compiled"]), "",
             *_steps(found["steps"])]  # fmt: skip
@@ -70,7 +70,7 @@ def _steps(s: dict[str, Any]) -> list[str]:
     ]  # fmt: skip
 
 
-def page(found: dict[str, Any]) -> str:
+def render_page(found: dict[str, Any]) -> str:
     """docs/kernel.md."""
     return "\n".join([
         "# The compiled kernel",
@@ -83,6 +83,6 @@ def page(found: dict[str, Any]) -> str:
         "vectors) and clang (-O0 to -O3, -Os, with and without fused multiply-add): `tests/kernel` compares hashes",
         "over every bit of every answer of cases that together run every line.",
         "",
-        *table(found),
+        *report_tables(found),
         "",
     ])  # fmt: skip

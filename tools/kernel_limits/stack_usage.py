@@ -32,7 +32,7 @@ def cycles(calls: Mapping[str, set[str]]) -> list[tuple[str, ...]]:
     return found
 
 
-def deepest(start: str, calls: Mapping[str, set[str]], stack: Mapping[str, int]) -> CallPath:
+def deepest_call_path(start: str, calls: Mapping[str, set[str]], stack: Mapping[str, int]) -> CallPath:
     """The call path from `start` with the most stack; functions without a frame of ours (memcpy) count as 0."""
     known: dict[str, CallPath] = {}
 

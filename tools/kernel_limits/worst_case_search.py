@@ -9,18 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere
-from dualbrain.robots.loader import load_body
-from dualbrain.robots.model import Body
+from dualbrain.robots.loader import load_robot
+from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.compiled import _kernel
 from dualbrain.safety.cbf.filter import FilterConfig, Obstacle, SafetyFilter
 
 Array = NDArray[np.float64]
-AT_ONCE = (8, 20, 47)
+OBSTACLE_COUNTS = (8, 20, 47)
 """Things around the arm; the table is one more."""
 
 
 @dataclass(slots=True)
-class Moment:
+class StepCase:
     """What one step started from, and what it needed."""
 
     scene: int
@@ -32,7 +32,7 @@ class Moment:
     seconds: float
 
 
-def crowd(rng: np.random.Generator, count: int, *, moving: bool) -> list[Obstacle]:
+def random_obstacles(rng: np.random.Generator, count: int, *, moving: bool) -> list[Obstacle]:
     """A table and `count` spheres, capsules and boxes where the arm works; they may touch it."""
     things = [Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)), known=True)]
     for k in range(count):
@@ -47,21 +47,21 @@ def crowd(rng: np.random.Generator, count: int, *, moving: bool) -> list[Obstacl
     return things
 
 
-def make(body: Body, seed: int) -> SafetyFilter:
+def make_filter(body: RobotModel, seed: int) -> SafetyFilter:
     """The filter of scene `seed`: as shipped, states at rest."""
     rng = np.random.default_rng(seed)
-    count, moving = AT_ONCE[seed % len(AT_ONCE)], seed % 2 == 1
+    count, moving = OBSTACLE_COUNTS[seed % len(OBSTACLE_COUNTS)], seed % 2 == 1
     safety = SafetyFilter(body, FilterConfig())
-    safety.observe(crowd(rng, count, moving=moving), 0.0)
+    safety.observe(random_obstacles(rng, count, moving=moving), 0.0)
     return safety
 
 
-def loop(body: Body, seed: int, steps: int) -> Iterator[Moment]:
+def adversarial_loop(body: RobotModel, seed: int, steps: int) -> Iterator[StepCase]:
     """Bang-bang, or straight at the row with the smallest h; a twin filter is timed in C on the same inputs.
 
     The scene stands still for the loop (velocities enter the rows), so that both see the same at every step.
     """
-    safety, twin, rng = make(body, seed), make(body, seed), np.random.default_rng(seed + 10_000)
+    safety, twin, rng = make_filter(body, seed), make_filter(body, seed), np.random.default_rng(seed + 10_000)
     v_max = np.array([joint.velocity.value for joint in body.joints])
     q, u_nom, u_prev = np.array(body.home), np.zeros(body.n), np.zeros(body.n)
     rest, hold = np.zeros(body.n), (20, 150, 400)[seed % 3]
@@ -75,12 +75,12 @@ def loop(body: Body, seed: int, steps: int) -> Iterator[Moment]:
             q = np.array(body.home) + rng.uniform(-0.3, 0.3, body.n)
         answer = safety(q, rest, u_nom)
         seconds = twin._kernel.time_steps(q[None], u_nom[None], False)
-        yield Moment(seed, q.copy(), u_prev.copy(), u_nom.copy(), answer.iterations, answer.n_rows, seconds)
+        yield StepCase(seed, q.copy(), u_prev.copy(), u_nom.copy(), answer.iterations, answer.n_rows, seconds)
         u_prev = answer.u
         q = q + body.period * answer.u
 
 
-def again(safety: SafetyFilter, m: Moment, *, times: int = 1) -> Moment:
+def repeat_cold(safety: SafetyFilter, m: StepCase, *, times: int = 1) -> StepCase:
     """The same step without a warm start; the least of `times` times, so that a busy machine does not count."""
     rest, least = np.zeros(len(m.q)), np.inf
     safety.reset(m.u_prev)
@@ -88,19 +88,19 @@ def again(safety: SafetyFilter, m: Moment, *, times: int = 1) -> Moment:
     for _ in range(times):
         safety.reset(m.u_prev)
         least = min(least, safety._kernel.time_steps(m.q[None], m.u_nom[None], True))
-    return Moment(m.scene, m.q, m.u_prev, m.u_nom, answer.iterations, answer.n_rows, least)
+    return StepCase(m.scene, m.q, m.u_prev, m.u_nom, answer.iterations, answer.n_rows, least)
 
 
-def search(body: Body, start: list[Moment], rng: np.random.Generator, tries: int) -> Moment:
+def search_worst_step(body: RobotModel, start: list[StepCase], rng: np.random.Generator, tries: int) -> StepCase:
     """Random changes of posture, last control and wish that need more iterations (then more rows) are kept."""
     v_max = np.array([joint.velocity.value for joint in body.joints])
-    best: Moment | None = None
+    best: StepCase | None = None
     for first in start:
-        safety = make(body, first.scene)
-        here = again(safety, first)
+        safety = make_filter(body, first.scene)
+        here = repeat_cold(safety, first)
         for k in range(tries):
             size = (0.3, 0.1, 0.02)[k % 3]
-            there = again(safety, Moment(
+            there = repeat_cold(safety, StepCase(
                 first.scene, here.q + size * rng.normal(size=body.n),
                 np.clip(here.u_prev + size * v_max * rng.normal(size=body.n), -v_max, v_max),
                 np.clip(here.u_nom + size * v_max * rng.normal(size=body.n), -v_max, v_max), 0, 0, 0.0,
@@ -108,13 +108,13 @@ def search(body: Body, start: list[Moment], rng: np.random.Generator, tries: int
             if (there.iterations, there.rows) >= (here.iterations, here.rows):
                 here = there
         if best is None or (here.iterations, here.rows) > (best.iterations, best.rows):
-            best = again(safety, here, times=50)
+            best = repeat_cold(safety, here, times=50)
     if best is None:
         raise AssertionError("a search starts somewhere")
     return best
 
 
-def worst_program(rng: np.random.Generator, tries: int, n: int = 8) -> tuple[int, int]:
+def search_worst_qp(rng: np.random.Generator, tries: int, n: int = 8) -> tuple[int, int]:
     """Most iterations (and their rows) over random QPs, the worst of which are changed at random and tried again."""
     best, at = (0, 0), None
     scale, u = np.eye(n), np.empty(n)
@@ -131,6 +131,6 @@ def worst_program(rng: np.random.Generator, tries: int, n: int = 8) -> tuple[int
     return best
 
 
-def panda() -> Body:
+def load_panda() -> RobotModel:
     """The body that the figures are for."""
-    return load_body("panda")
+    return load_robot("panda")

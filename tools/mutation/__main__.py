@@ -24,11 +24,11 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from queue import Queue
 
-from experiments.engine.jsonl_log import Journal
+from experiments.engine.jsonl_log import JsonlLog
 from experiments.engine.provenance import revision
-from tools.mutation.report import summary, table, write_document
-from tools.mutation.sampling import Mutant, files, mutants
-from tools.mutation.sandbox import SECONDS_LEAST, TIMES_BASELINE, Workshop
+from tools.mutation.report import report_table, summary, write_document
+from tools.mutation.sampling import Mutant, sample_mutants, source_files
+from tools.mutation.sandbox import BASELINE_FACTOR, MIN_CPU_S, Sandbox
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -37,18 +37,18 @@ def main() -> int:
     """Exit code 1 when fewer than 95 of 100 were caught."""
     asked = parse(sys.argv[1:])
     os.nice(asked.nice)
-    journal = Journal(asked.folder / f"mutants-{asked.seed}.jsonl")
+    journal = JsonlLog(asked.folder / f"mutants-{asked.seed}.jsonl")
     if journal.path.exists() and not (asked.resume or asked.again or asked.tables):
         journal.path.rename(journal.path.with_suffix(f".{time.strftime('%Y%m%dT%H%M%S')}.jsonl"))
-    sources = fingerprint()
+    sources = source_fingerprint()
     if not asked.tables:
-        advance(asked, journal, sources)
+        run_mutants(asked, journal, sources)
     rows = [row for row in journal.rows() if row["sources"] == sources]
     facts = {"seed": asked.seed, "revision": revision(ROOT), **summary(rows)}
     if asked.json:
         sys.stdout.write(json.dumps({**facts, "mutants": rows}) + "\n")
     else:
-        sys.stdout.write("\n".join(table(facts, rows)) + "\n")
+        sys.stdout.write("\n".join(report_table(facts, rows)) + "\n")
     if asked.write_docs:
         write_document(ROOT / "docs" / "mutants.md", facts, rows)
     return 0 if facts["caught_share"] >= 0.95 else 1
@@ -66,35 +66,40 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--write-docs", action="store_true", help="write docs/mutants.md")
     parser.add_argument("--nice", type=int, default=10)
     parser.add_argument("--scratch", type=Path, default=ROOT / "build" / "mutants", help="where the copies are made")
-    parser.add_argument("--folder", type=Path, default=ROOT / "experiments" / "runs", help="where the logs are written (default experiments/runs/)")
+    parser.add_argument(
+        "--folder",
+        type=Path,
+        default=ROOT / "experiments" / "runs",
+        help="where the logs are written (default experiments/runs/)",
+    )
     return parser.parse_args(arguments)
 
 
-def fingerprint() -> str:
+def source_fingerprint() -> str:
     """A hash over the files that are changed: rows of other sources do not count."""
-    return hashlib.sha256(b"".join(path.read_bytes() for path in files(ROOT))).hexdigest()[:16]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in source_files(ROOT))).hexdigest()[:16]
 
 
-def advance(asked: argparse.Namespace, journal: Journal, sources: str) -> None:
+def run_mutants(asked: argparse.Namespace, journal: JsonlLog, sources: str) -> None:
     """Draw and try mutants until `count` have been tested."""
     known = {row["key"]: row for row in journal.rows() if row["sources"] == sources}
     if asked.again:
         known = {key: row for key, row in known.items() if row["outcome"] != "survived"}
-    places: Queue[Workshop] = Queue()
+    places: Queue[Sandbox] = Queue()
     limit, seconds = baseline(asked)
     kills = Counter(row.get("test", "") for row in journal.rows())
-    order = rank(asked.scratch / "order.json", seconds, kills)
+    order = write_test_order(asked.scratch / "order.json", seconds, kills)
     for job in range(asked.jobs):
-        place = Workshop(ROOT, asked.scratch / f"job{job}", limit)
+        place = Sandbox(ROOT, asked.scratch / f"job{job}", limit)
         place.prepare()
         places.put(place)
     tested = 0
-    for mutant, row in carry_out(mutants(ROOT, asked.seed), known, places, order, asked):
+    for mutant, row in run_attempts(sample_mutants(ROOT, asked.seed), known, places, order, asked):
         if row is not known.get(mutant.key):
             journal.append({**row, "sources": sources, "revision": revision(ROOT)})
         tested += row["outcome"] in ("caught", "survived")
         kills[row.get("test", "")] += 1
-        rank(order, seconds, kills)
+        write_test_order(order, seconds, kills)
         said = f"{row.get('by', '')} {row.get('test', '')} {row.get('seconds', '')}"
         where = f"{mutant.file}:{mutant.line} {mutant.kind} | {mutant.after}"
         print(f"{tested}/{asked.count} {row['outcome']:8} {where} | {said}", file=sys.stderr, flush=True)
@@ -102,25 +107,25 @@ def advance(asked: argparse.Namespace, journal: Journal, sources: str) -> None:
 
 def baseline(asked: argparse.Namespace) -> tuple[float, dict[str, float]]:
     """Processor time [s] that a mutant's tests may take, and what each test takes. The original must pass."""
-    place = Workshop(ROOT, asked.scratch / "job0", 600.0)
+    place = Sandbox(ROOT, asked.scratch / "job0", 600.0)
     place.prepare()
-    verdict, rows = place.test(first_failure=False)
+    verdict, rows = place.run_tests(first_failure=False)
     if verdict.caught:
         sys.exit(f"the unmutated project fails its tests: {verdict.test}")
     seconds = {row["test"]: row["seconds"] for row in rows if "seconds" in row}
     print(f"unmutated: {len(seconds)} tests pass in {verdict.seconds} s of processor time", file=sys.stderr, flush=True)
-    return max(SECONDS_LEAST, TIMES_BASELINE * verdict.seconds), seconds
+    return max(MIN_CPU_S, BASELINE_FACTOR * verdict.seconds), seconds
 
 
-def rank(path: Path, seconds: dict[str, float], kills: Counter[str]) -> Path:
+def write_test_order(path: Path, seconds: dict[str, float], kills: Counter[str]) -> Path:
     """The order of tests: what caught many mutants in little time goes first. What is caught does not depend on it."""
     fresh = path.with_suffix(".new")
     fresh.write_text(json.dumps(sorted(seconds, key=lambda name: (seconds[name] + 0.02) / (kills[name] + 0.05))))
     return fresh.replace(path)
 
 
-def carry_out(
-    drawn: Iterator[Mutant], known: dict[str, dict], places: Queue[Workshop], order: Path, asked: argparse.Namespace
+def run_attempts(
+    drawn: Iterator[Mutant], known: dict[str, dict], places: Queue[Sandbox], order: Path, asked: argparse.Namespace
 ) -> Iterator[tuple[Mutant, dict]]:
     """Mutants and their rows as they finish; as many under way as there are scratch copies."""
     done, under_way = 0, dict[Future, Mutant]()
@@ -134,7 +139,7 @@ def carry_out(
                     done += known[mutant.key]["outcome"] in ("caught", "survived")
                     yield mutant, known[mutant.key]
                     continue
-                under_way[pool.submit(attempt, mutant, places, order)] = mutant
+                under_way[pool.submit(test_mutant, mutant, places, order)] = mutant
             if not under_way:
                 return
             for ready in wait(under_way, return_when=FIRST_COMPLETED).done:
@@ -143,19 +148,19 @@ def carry_out(
                 yield mutant, row
 
 
-def attempt(mutant: Mutant, places: Queue[Workshop], order: Path) -> dict:
+def test_mutant(mutant: Mutant, places: Queue[Sandbox], order: Path) -> dict:
     """One row: what became of this mutant."""
     place = places.get()
     try:
-        why = place.make(mutant)
+        why = place.apply(mutant)
         row = {"key": mutant.key, **mutant.record()}
         if why:
             return {**row, "outcome": why}
-        verdict, _ = place.test(order)
+        verdict, _ = place.run_tests(order)
         outcome = "caught" if verdict.caught else "survived"
         return {**row, "outcome": outcome, "by": verdict.by, "test": verdict.test, "seconds": verdict.seconds}
     finally:
-        place.undo(mutant)
+        place.revert(mutant)
         places.put(place)
 
 

@@ -5,13 +5,22 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 
-from tools.mutation.tokens import TYPES, Token, closing, in_loop_head, is_binary, is_cast, opening, statement
+from tools.mutation.tokens import (
+    TYPES,
+    Token,
+    closing_bracket,
+    in_loop_head,
+    is_binary,
+    is_cast,
+    opening_bracket,
+    statement_start,
+)
 
 Site = tuple[int, int, tuple[str, ...]]
 """Start, end, replacements."""
 
 FACTORS = ("0.001", "57.3", "2.0", "0.5")
-COMPARED = {"<": ">", ">": "<", "<=": ">=", ">=": "<=", "==": "!=", "!=": "==", "&&": "||", "||": "&&"}
+COMPARISON_SWAPS = {"<": ">", ">": "<", "<=": ">=", ">=": "<=", "==": "!=", "!=": "==", "&&": "||", "||": "&&"}
 TERM_ENDS = frozenset(
     [
         "+",
@@ -46,10 +55,10 @@ PAIRS = (
     ("near", "far"), ("now", "next"), ("from", "upto"), ("DBK_ROW_LOWER", "DBK_ROW_UPPER"), ("sine", "cosine"),
 )  # fmt: skip
 SWAPS = {a: b for pair in PAIRS for a, b in (pair, pair[::-1])}
-ANNOTATED = frozenset(
+ANNOTATION_NAMES = frozenset(
     ["list", "dict", "tuple", "set", "Sequence", "Mapping", "float", "int", "str", "Any", "Array", "Literal"]
 )
-NO_LENGTHS = frozenset(("n", "name", "group", "frame", "link", "real", "shape"))
+NOT_QUANTITIES = frozenset(("n", "name", "group", "frame", "link", "real", "shape"))
 
 
 def sign(source: str, words: list[Token]) -> Iterator[Site]:
@@ -67,9 +76,9 @@ def index(source: str, words: list[Token]) -> Iterator[Site]:
     for i, word in enumerate(words):
         if word.text != "[" or i == 0 or not (words[i - 1].kind == "name" or words[i - 1].text in ("]", ")")):
             continue
-        end = closing(words, i)
+        end = closing_bracket(words, i)
         inside = source[word.end : words[end].start]
-        if inside in ANNOTATED or words[i - 1].text in ANNOTATED:
+        if inside in ANNOTATION_NAMES or words[i - 1].text in ANNOTATION_NAMES:
             continue
         declared = i >= 2 and (words[i - 2].text in TYPES or (words[i - 2].text == "*" and not is_binary(words, i - 2)))
         if (
@@ -90,15 +99,15 @@ def index(source: str, words: list[Token]) -> Iterator[Site]:
 def unit(source: str, words: list[Token]) -> Iterator[Site]:
     """A length, time or angle in the wrong unit, or half or twice of it."""
     python = any(word.text == "def" for word in words)
-    yield from (_attributes if python else _assigned)(source, words)
+    yield from (_python_attributes if python else _c_assignments)(source, words)
 
 
-def _assigned(source: str, words: list[Token]) -> Iterator[Site]:
+def _c_assignments(source: str, words: list[Token]) -> Iterator[Site]:
     whole = set(re.findall(r"\bint(?:32|16)_t \*?(\w+)", source)) | {"count", "flags", "status", "ready", "moving"}
     for i, word in enumerate(words):
         if word.text not in ("=", "+=", "-=") or in_loop_head(words, i):
             continue
-        first = statement(words, i)
+        first = statement_start(words, i)
         before = {w.text for w in words[first:i]}
         if before & {"int32_t", "int16_t", "enum", "*"} or before & whole or words[i + 1].text in ("{", "&"):
             continue
@@ -114,18 +123,18 @@ def _assigned(source: str, words: list[Token]) -> Iterator[Site]:
 
 def _expression_end(words: list[Token], at: int) -> int:
     while at < len(words) and words[at].text not in (";", ",", ")", "}"):
-        at = closing(words, at) + 1 if words[at].text in ("(", "[", "{") else at + 1
+        at = closing_bracket(words, at) + 1 if words[at].text in ("(", "[", "{") else at + 1
     return at
 
 
-def _attributes(source: str, words: list[Token]) -> Iterator[Site]:
+def _python_attributes(source: str, words: list[Token]) -> Iterator[Site]:
     for i in range(2, len(words) - 1):
         if words[i - 1].text != "." or words[i].kind != "name" or words[i + 1].text in ("(", ".", "["):
             continue
         first = i
         while first >= 2 and words[first - 1].text == "." and words[first - 2].kind == "name":
             first -= 2
-        named = words[i].text in NO_LENGTHS or words[i].text.endswith("s") or words[i + 1].text == "="
+        named = words[i].text in NOT_QUANTITIES or words[i].text.endswith("s") or words[i + 1].text == "="
         if (
             named
             or words[first - 1].text in ("if", "in", "import", "from", "is", "case")
@@ -139,9 +148,9 @@ def _attributes(source: str, words: list[Token]) -> Iterator[Site]:
 def comparison(source: str, words: list[Token]) -> Iterator[Site]:
     """The other way round; in the head of a loop one turn more; a negation that is forgotten."""
     for i, word in enumerate(words):
-        if word.text in COMPARED and is_binary(words, i):
-            more = {"<": "<=", ">=": ">"} if in_loop_head(words, i) else COMPARED
-            yield word.start, word.end, (more.get(word.text, COMPARED[word.text]),)
+        if word.text in COMPARISON_SWAPS and is_binary(words, i):
+            more = {"<": "<=", ">=": ">"} if in_loop_head(words, i) else COMPARISON_SWAPS
+            yield word.start, word.end, (more.get(word.text, COMPARISON_SWAPS[word.text]),)
         elif word.text == "!" and words[i + 1].text != "=":
             yield word.start, word.end, ("",)
 
@@ -160,7 +169,7 @@ def constant(source: str, words: list[Token]) -> Iterator[Site]:
         yield word.start, word.end, tuple((str(int(c)) if whole else repr(c)) + tail for c in choices)
 
 
-def dropped(source: str, words: list[Token]) -> Iterator[Site]:
+def dropped_term(source: str, words: list[Token]) -> Iterator[Site]:
     """A term or factor that is forgotten; a line that adds to something and is forgotten."""
     for i, word in enumerate(words):
         if word.text in ("+", "-", "*", "/", "&", "|") and is_binary(words, i):
@@ -171,7 +180,7 @@ def dropped(source: str, words: list[Token]) -> Iterator[Site]:
                 and (words[end].text not in ends or not is_binary(words, end))
                 and words[end].text not in ";,)]}?:"
             ):
-                end = closing(words, end) + 1 if words[end].text in ("(", "[") else end + 1
+                end = closing_bracket(words, end) + 1 if words[end].text in ("(", "[") else end + 1
             start = words[i - 1].end
             if end < len(words) and end > i + 1:
                 yield start, words[end - 1].end, ("",)
@@ -180,7 +189,7 @@ def dropped(source: str, words: list[Token]) -> Iterator[Site]:
             if words[end].text == ";" and not in_loop_head(words, i):
                 left = i - 1
                 while words[left].text in ("]", ")"):
-                    left = opening(words, left) - 1
+                    left = opening_bracket(words, left) - 1
                 while left >= 2 and words[left - 1].text in ("->", "."):
                     left -= 2
                 yield words[left].start, words[end].start, ("",)
@@ -205,7 +214,7 @@ def _is_star_of_declaration(words: list[Token], at: int) -> bool:
 
 
 KINDS: dict[str, Callable[[str, list[Token]], Iterator[Site]]] = {
-    "sign": sign, "index": index, "unit": unit, "comparison": comparison, "constant": constant, "dropped": dropped,
+    "sign": sign, "index": index, "unit": unit, "comparison": comparison, "constant": constant, "dropped": dropped_term,
     "swap": swap,
 }  # fmt: skip
 

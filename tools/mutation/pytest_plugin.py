@@ -42,15 +42,15 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
         _write({"test": report.nodeid, "outcome": report.outcome, "seconds": round(report.duration, 4)})
 
 
-_target: list[str] = []
+_verdict_files: list[str] = []
 
 
 def pytest_configure(config: pytest.Config) -> None:
     """Remember where the verdicts go."""
-    _target.append(config.getoption("--verdicts"))
+    _verdict_files.append(config.getoption("--verdicts"))
 
 
 def _write(row: dict[str, object]) -> None:
-    if _target and _target[-1]:
-        with Path(_target[-1]).open("a") as file:
+    if _verdict_files and _verdict_files[-1]:
+        with Path(_verdict_files[-1]).open("a") as file:
             file.write(json.dumps({**row, "cpu": round(time.process_time(), 3)}) + "\n")

@@ -7,7 +7,7 @@ from collections import Counter
 from datetime import UTC, datetime
 from pathlib import Path
 
-REASONS = Path(__file__).with_name("survivors.toml")
+REASONS_FILE = Path(__file__).with_name("survivors.toml")
 """Why a survivor survived: entries [[survivor]] with file, before, after, kind ("equivalent" or "gap") and why."""
 
 
@@ -15,9 +15,9 @@ def summary(rows: list[dict]) -> dict[str, object]:
     """Counts of outcomes, and the share of the tested mutants that were caught."""
     counts = Counter(row["outcome"] for row in rows)
     tested = counts["caught"] + counts["survived"]
-    known = reasons()
+    known = load_reasons()
     equivalent = sum(
-        row["outcome"] == "survived" and known.get(name(row), {}).get("kind") == "equivalent" for row in rows
+        row["outcome"] == "survived" and known.get(survivor_key(row), {}).get("kind") == "equivalent" for row in rows
     )
     return {
         "tested": tested,
@@ -32,18 +32,18 @@ def summary(rows: list[dict]) -> dict[str, object]:
     }
 
 
-def name(row: dict) -> tuple[str, str, str]:
+def survivor_key(row: dict) -> tuple[str, str, str]:
     """What a survivor is known by while its line stays the same."""
     return row["file"], row["before"], row["after"]
 
 
-def reasons() -> dict[tuple[str, str, str], dict]:
+def load_reasons() -> dict[tuple[str, str, str], dict]:
     """The explanations that people wrote."""
-    entries = tomllib.loads(REASONS.read_text()).get("survivor", []) if REASONS.exists() else []
-    return {name(entry): entry for entry in entries}
+    entries = tomllib.loads(REASONS_FILE.read_text()).get("survivor", []) if REASONS_FILE.exists() else []
+    return {survivor_key(entry): entry for entry in entries}
 
 
-def table(facts: dict, rows: list[dict]) -> list[str]:
+def report_table(facts: dict, rows: list[dict]) -> list[str]:
     """Counts, kinds, files, and every survivor with its reason."""
     lines = [
         f"{facts['tested']} mutants tested (seed {facts['seed']}): {facts['caught']} caught "
@@ -60,14 +60,14 @@ def table(facts: dict, rows: list[dict]) -> list[str]:
             here = [row for row in tested if row[field] == value]
             lines.append(f"| {value} | {len(here)} | {sum(row['outcome'] == 'caught' for row in here)} |")
         lines.append("")
-    return lines + survivors(rows)
+    return lines + survivor_list(rows)
 
 
-def survivors(rows: list[dict]) -> list[str]:
+def survivor_list(rows: list[dict]) -> list[str]:
     """Each mutant that no test noticed: the change, and why."""
-    known, lines = reasons(), []
+    known, lines = load_reasons(), []
     for row in (row for row in rows if row["outcome"] == "survived"):
-        reason = known.get(name(row), {"kind": "not explained yet", "why": ""})
+        reason = known.get(survivor_key(row), {"kind": "not explained yet", "why": ""})
         place = f"`{row['file']}`, line {row['line']} ({row['kind']})"
         lines += [f"- {place}: **{reason['kind']}**. {reason['why']}".rstrip(), "  ```diff", f"  - {row['before']}",
                   f"  + {row['after']}", "  ```"]  # fmt: skip
@@ -96,4 +96,4 @@ def write_document(path: Path, facts: dict, rows: list[dict]) -> None:
         "them is told beside. Mutants whose object code is that of the original are counted apart.",
         "",
     ]
-    path.write_text("\n".join([*head, *table(facts, rows), "", "## Every mutant", "", *every, ""]))
+    path.write_text("\n".join([*head, *report_table(facts, rows), "", "## Every mutant", "", *every, ""]))

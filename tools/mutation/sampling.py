@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from tools.mutation.mutation_sites import KINDS, Site
-from tools.mutation.tokens import tokens
+from tools.mutation.tokens import tokenize
 
 SOURCES = ("kernel/src/*.c", "src/dualbrain/safety/cbf/kernel.py")
 
@@ -35,19 +35,19 @@ class Mutant:
         return {name: value for name, value in asdict(self).items() if name != "text"}
 
 
-def files(root: Path, patterns: tuple[str, ...] = SOURCES) -> list[Path]:
+def source_files(root: Path, patterns: tuple[str, ...] = SOURCES) -> list[Path]:
     """The files that mistakes are made in, sorted."""
     return sorted(path for pattern in patterns for path in root.glob(pattern))
 
 
-def sites(source: str, suffix: str) -> dict[str, list[Site]]:
+def find_sites(source: str, suffix: str) -> dict[str, list[Site]]:
     """Every place of a source that can be changed, by kind; kinds without one are left out."""
-    words = tokens(source, suffix)
+    words = tokenize(source, suffix)
     found = {kind: list(where(source, words)) for kind, where in KINDS.items()}
     return {kind: places for kind, places in found.items() if places}
 
 
-def apply(file: str, source: str, kind: str, site: Site, choice: str) -> Mutant:
+def make_mutant(file: str, source: str, kind: str, site: Site, choice: str) -> Mutant:
     """The mutant with `choice` at `site`."""
     start, end, _ = site
     text = source[:start] + choice + source[end:]
@@ -55,36 +55,36 @@ def apply(file: str, source: str, kind: str, site: Site, choice: str) -> Mutant:
     last = source.find("\n", end)
     before, after = source[first:last], text[first : last + len(text) - len(source)]
     line = source.count("\n", 0, start) + 1
-    return Mutant(file, line, kind, squeezed(before), squeezed(after), text)
+    return Mutant(file, line, kind, collapse_whitespace(before), collapse_whitespace(after), text)
 
 
-def squeezed(text: str) -> str:
+def collapse_whitespace(text: str) -> str:
     """Several lines in one, single spaces."""
     return " ".join(text.split())
 
 
-def mutants(root: Path, seed: int, patterns: tuple[str, ...] = SOURCES) -> Iterator[Mutant]:
+def sample_mutants(root: Path, seed: int, patterns: tuple[str, ...] = SOURCES) -> Iterator[Mutant]:
     """An endless stream without repetition: files take turns, and so do kinds within a file."""
     chance = random.Random(seed)
-    sources = {str(path.relative_to(root)): path.read_text() for path in files(root, patterns)}
-    left = {file: _shuffled(sites(text, Path(file).suffix), chance) for file, text in sources.items()}
+    sources = {str(path.relative_to(root)): path.read_text() for path in source_files(root, patterns)}
+    left = {file: _shuffle_kinds(find_sites(text, Path(file).suffix), chance) for file, text in sources.items()}
     seen: set[str] = set()
     while any(left.values()):
         round_of_files = [file for file, kinds in left.items() if kinds]
         chance.shuffle(round_of_files)
         for file in round_of_files:
-            kind, site = _next(left[file], chance)
-            mutant = apply(file, sources[file], kind, site, chance.choice(site[2]))
+            kind, site = _draw_site(left[file], chance)
+            mutant = make_mutant(file, sources[file], kind, site, chance.choice(site[2]))
             if mutant.key not in seen:
                 seen.add(mutant.key)
                 yield mutant
 
 
-def _shuffled(kinds: dict[str, list[Site]], chance: random.Random) -> dict[str, list[Site]]:
+def _shuffle_kinds(kinds: dict[str, list[Site]], chance: random.Random) -> dict[str, list[Site]]:
     return {kind: kinds[kind] for kind in chance.sample(list(kinds), len(kinds))}
 
 
-def _next(kinds: dict[str, list[Site]], chance: random.Random) -> tuple[str, Site]:
+def _draw_site(kinds: dict[str, list[Site]], chance: random.Random) -> tuple[str, Site]:
     """A kind and a site of it; the site is used up, and the kind goes to the end of the queue."""
     kind = chance.choice(list(kinds)[: max(1, len(kinds) // 2)])
     places = kinds.pop(kind)

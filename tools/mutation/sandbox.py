@@ -17,23 +17,30 @@ from pathlib import Path
 
 from tools.mutation.sampling import Mutant
 
-COPIED = (
+COPIED_PATHS = (
     "kernel", "src", "tests", "vectors", "benchmarks", "experiments", "tools", "docs",
     "pyproject.toml", "CMakeLists.txt", "README.md", "LICENSE",
 )  # fmt: skip
-BUILDS = ("_kernel", "_kernel64")
+BUILD_TARGETS = ("_kernel", "_kernel64")
 """What is compiled: the same sources as the wider builds."""
-SHARP_NAMES = ("step_internals", "active_set", "numeric_limits", "model_upload", "relaxation_reference", "certificate")
-SHARP = tuple(f"tests/safety/kernel_step/test_{name}.py" for name in SHARP_NAMES)
+STEP_TEST_NAMES = (
+    "step_internals",
+    "active_set",
+    "numeric_limits",
+    "model_upload",
+    "relaxation_reference",
+    "certificate",
+)
+STEP_TESTS = tuple(f"tests/safety/kernel_step/test_{name}.py" for name in STEP_TEST_NAMES)
 """These run first, by themselves: number by number against definitions, in seconds."""
 TESTS = ("tests/safety", "tests/invariants", "tests/kernel/test_buffer_capacity.py")
-LEFT_OUT = (
+EXCLUDED_TESTS = (
     *(f"tests/safety/kernel/test_{name}.py" for name in ("step_vectors", "build_variants")),
     *(f"tests/safety/supervisor/test_{name}.py" for name in ("supervisor", "loop_delay")),
 )
 """Recorded answers and comparisons of builds notice every change of a bit and say nothing about a law; the supervisor's
 tests call no kernel; those of lateness need the wide builds, which are not made here."""
-SECONDS_SHARP, SECONDS_LEAST, TIMES_BASELINE = 30.0, 60.0, 5.0
+STEP_TESTS_CPU_S, MIN_CPU_S, BASELINE_FACTOR = 30.0, 60.0, 5.0
 """Processor time that the sharp tests may take [s]; the others: seconds, or so many times the unmutated run."""
 
 
@@ -47,10 +54,10 @@ class Verdict:
     seconds: float
 
 
-class Workshop:
+class Sandbox:
     """One scratch folder: sources, objects, tests. Not for two threads at once."""
 
-    def __init__(self, root: Path, folder: Path, limit: float = SECONDS_LEAST) -> None:
+    def __init__(self, root: Path, folder: Path, limit: float = MIN_CPU_S) -> None:
         """`limit` [s] is the processor time that one run of the tests may take; a busy machine changes nothing."""
         self.root, self.folder, self.limit = root, folder, limit
         self._tools = Path(sys.executable).parent
@@ -73,13 +80,13 @@ class Workshop:
 
     def _copy(self) -> None:
         listing = subprocess.run(
-            ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard", *COPIED],
+            ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard", *COPIED_PATHS],
             cwd=self.root, capture_output=True, text=True, check=True,
         ).stdout  # fmt: skip
         wanted = {
             name for name in listing.split("\0") if name and not name.endswith(".so") and (self.root / name).is_file()
         }
-        for old in (p for top in COPIED for p in (self.folder / top).rglob("*") if p.is_file()):
+        for old in (p for top in COPIED_PATHS for p in (self.folder / top).rglob("*") if p.is_file()):
             if str(old.relative_to(self.folder)) not in wanted:
                 old.unlink()
         for name in wanted:
@@ -94,7 +101,7 @@ class Workshop:
 
     @staticmethod
     def _libraries() -> list[str]:
-        return [name + sysconfig.get_config_var("EXT_SUFFIX") for name in BUILDS]
+        return [name + sysconfig.get_config_var("EXT_SUFFIX") for name in BUILD_TARGETS]
 
     def _install(self) -> None:
         for name in self._libraries():
@@ -109,7 +116,7 @@ class Workshop:
 
     # --- one mutant -------------------------------------------------------------------------------------------
 
-    def make(self, mutant: Mutant) -> str:
+    def apply(self, mutant: Mutant) -> str:
         """Put the mutant in place: "" when it can be tested, else why not ("does not compile", "same object code")."""
         path = self.folder / mutant.file
         self._sources.setdefault(mutant.file, path.read_text())
@@ -117,7 +124,7 @@ class Workshop:
         python = path.suffix == ".py"
         if python and not self._compiles(mutant.text):
             return "does not compile"
-        if python and meaning(mutant.text) == meaning(self._sources[mutant.file]):
+        if python and evaluated_code(mutant.text) == evaluated_code(self._sources[mutant.file]):
             return "same object code"
         if self._call([self._tool("ninja"), "-C", str(self.folder / "build"), *self._libraries()]).returncode:
             return "does not compile"
@@ -126,7 +133,7 @@ class Workshop:
         self._install()
         return ""
 
-    def undo(self, mutant: Mutant) -> None:
+    def revert(self, mutant: Mutant) -> None:
         """The original text again; the next `make` compiles it."""
         (self.folder / mutant.file).write_text(self._sources[mutant.file])
 
@@ -140,12 +147,12 @@ class Workshop:
 
     # --- tests ------------------------------------------------------------------------------------------------
 
-    def test(self, order: Path | None = None, *, first_failure: bool = True) -> tuple[Verdict, list[dict]]:
+    def run_tests(self, order: Path | None = None, *, first_failure: bool = True) -> tuple[Verdict, list[dict]]:
         """Run the laws, the sharp ones first; the verdict and what each test did."""
-        verdict, rows = self._run(list(SHARP), SECONDS_SHARP, None, first_failure=first_failure)
+        verdict, rows = self._run(list(STEP_TESTS), STEP_TESTS_CPU_S, None, first_failure=first_failure)
         if verdict.caught:
             return verdict, rows
-        others = [*TESTS, *(f"--ignore={path}" for path in (*LEFT_OUT, *SHARP))]
+        others = [*TESTS, *(f"--ignore={path}" for path in (*EXCLUDED_TESTS, *STEP_TESTS))]
         verdict, more = self._run(others, self.limit, order, first_failure=first_failure)
         return verdict, rows + more
 
@@ -162,7 +169,7 @@ class Workshop:
         command += ["-x"] if first_failure else []
         code = self._call(command, limit=100.0 * limit).returncode
         rows = [json.loads(line) for line in verdicts.read_text().splitlines()] if verdicts.exists() else []
-        return judge(code, rows), rows
+        return classify_run(code, rows), rows
 
     def _call(self, command: list[str], *, check: bool = False, limit: float = 600.0) -> subprocess.CompletedProcess:
         paths = [self.folder / "src", self.folder, *(p for p in sys.path if p.endswith("-packages"))]
@@ -174,7 +181,7 @@ class Workshop:
         )
 
 
-def meaning(text: str) -> str:
+def evaluated_code(text: str) -> str:
     """A Python source without what nobody evaluates: the types of a function's parameters and of what it returns."""
     tree = ast.parse(text)
     for node in ast.walk(tree):
@@ -185,7 +192,7 @@ def meaning(text: str) -> str:
     return ast.dump(tree)
 
 
-def judge(code: int, rows: list[dict]) -> Verdict:
+def classify_run(code: int, rows: list[dict]) -> Verdict:
     """From pytest's exit code (negative: a signal) and what each test did to a verdict."""
     last, seconds = (rows[-1]["test"], rows[-1]["cpu"]) if rows else ("collection", 0.0)
     failed = next((row["test"] for row in rows if row.get("outcome") == "failed"), "")

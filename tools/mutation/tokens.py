@@ -8,7 +8,7 @@ from dataclasses import dataclass
 NUMBER = r"(?:0[xX][0-9a-fA-F]+|(?:\d+\.\d*|\.\d+|\d+)(?:[eE][+-]?\d+)?)[fFuUlL]*"
 NAME = r"[A-Za-z_]\w*"
 OPERATOR = r"->|\+\+|--|<<|>>|<=|>=|==|!=|&&|\|\||\*\*|//|[-+*/%&|^]=|[^\s\w]"
-SKIPPED = {
+SKIP_PATTERNS = {
     ".c": r"/\*.*?\*/|//[^\n]*|^[ \t]*#[ \t]*(?!define)\w+[^\n]*|^[ \t]*#[ \t]*define[ \t]+\w+|\"(?:\\.|[^\"\\\n])*\"",
     ".py": r"\"\"\".*?\"\"\"|#[^\n]*|[rbf]?\"(?:\\.|[^\"\\\n])*\"|[rbf]?'(?:\\.|[^'\\\n])*'",
 }
@@ -25,17 +25,17 @@ class Token:
     end: int
 
 
-def tokens(source: str, suffix: str) -> list[Token]:
+def tokenize(source: str, suffix: str) -> list[Token]:
     """The words of `source` in order; `suffix` is the language's, ".c" or ".py"."""
     words = re.compile(
-        f"(?P<skip>{SKIPPED[suffix]})|(?P<number>{NUMBER})|(?P<name>{NAME})|(?P<operator>{OPERATOR})",
+        f"(?P<skip>{SKIP_PATTERNS[suffix]})|(?P<number>{NUMBER})|(?P<name>{NAME})|(?P<operator>{OPERATOR})",
         re.DOTALL | re.MULTILINE,
     )
     found = ((match.lastgroup or "", match) for match in words.finditer(source))
     return [Token(kind, match.group(), *match.span()) for kind, match in found if kind != "skip"]
 
 
-def closing(words: list[Token], at: int) -> int:
+def closing_bracket(words: list[Token], at: int) -> int:
     """Index of the bracket that closes the one at `at`, or of the last word."""
     depth = 0
     for i in range(at, len(words)):
@@ -45,7 +45,7 @@ def closing(words: list[Token], at: int) -> int:
     return len(words) - 1
 
 
-def opening(words: list[Token], at: int) -> int:
+def opening_bracket(words: list[Token], at: int) -> int:
     """Index of the bracket that opens the one at `at`, or 0."""
     depth = 0
     for i in range(at, -1, -1):
@@ -72,7 +72,7 @@ def is_binary(words: list[Token], at: int) -> bool:
     return last.kind == "name" and last.text not in TYPES | {"return", "in", "if", "else", "and", "or", "not", "case"}
 
 
-def statement(words: list[Token], at: int) -> int:
+def statement_start(words: list[Token], at: int) -> int:
     """Index of the first word of the statement that holds the word at `at`."""
     depth = 0
     for i in range(at - 1, -1, -1):

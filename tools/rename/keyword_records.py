@@ -68,7 +68,9 @@ def main() -> int:
                 own = [
                     one.target.id
                     for one in node.body
-                    if isinstance(one, ast.AnnAssign) and isinstance(one.target, ast.Name) and not is_class_variable(one)
+                    if isinstance(one, ast.AnnAssign)
+                    and isinstance(one.target, ast.Name)
+                    and not is_class_variable(one)
                 ]
                 bases = [ast.unparse(one) for one in node.bases]
                 record = Record(module, node.name, bases, own, keyword_only(node), node, path)
@@ -93,7 +95,9 @@ def main() -> int:
                     continue
                 for name, one in zip(record.fields, node.args, strict=False):
                     begin = starts[one.lineno - 1] + one.col_offset
-                    while text.encode()[begin - 1 : begin] == b"(" and parenthesised(text.encode(), begin, node, starts):
+                    while text.encode()[begin - 1 : begin] == b"(" and parenthesised(
+                        text.encode(), begin, node, starts
+                    ):
                         begin -= 1
                     edits.append((begin, begin, f"{name}="))
                 done += 1
@@ -159,7 +163,9 @@ def target(
     return known.get(resolve(scope, name))
 
 
-def all_fields(record: Record, known: dict[tuple[str, str], Record], scopes: dict[Path, dict[str, tuple[str, str]]]) -> list[str]:
+def all_fields(
+    record: Record, known: dict[tuple[str, str], Record], scopes: dict[Path, dict[str, tuple[str, str]]]
+) -> list[str]:
     """The fields with those of the bases before them."""
     found: list[str] = []
     for base in record.bases:
@@ -179,7 +185,7 @@ def declare(record: Record, text: str, starts: list[int]) -> list[tuple[int, int
             if isinstance(one, ast.Call):
                 return [(end - 1, end - 1, ", kw_only=True" if one.keywords or one.args else "kw_only=True")]
             return [(end, end, "(kw_only=True)")]
-    last = (node.keywords[-1].value if node.keywords else node.bases[-1])
+    last = node.keywords[-1].value if node.keywords else node.bases[-1]
     end = starts[last.end_lineno - 1] + last.end_col_offset
     return [(end, end, ", kw_only=True")]
 

@@ -231,7 +231,11 @@ def merge(target: str, source: str, own: str) -> str:
 def patterns(table: Table) -> tuple[re.Pattern[str], re.Pattern[str], dict[str, str]]:
     """What to look for in strings and documents."""
     old = sorted((name for name, new in table.modules.items() if "." in name and name != new), key=len, reverse=True)
-    old = [name for name in old if name.startswith(("dualbrain.", "tests.", "proofs.", "peers.", "limits.", "mutation.", "outsider."))]
+    old = [
+        name
+        for name in old
+        if name.startswith(("dualbrain.", "tests.", "proofs.", "peers.", "limits.", "mutation.", "outsider."))
+    ]
     names = (
         re.compile(r"(?<![\w./])(?:" + "|".join(map(re.escape, old)) + r")(?![\w/])") if old else re.compile(r"(?!)")
     )

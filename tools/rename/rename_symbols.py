@@ -239,7 +239,9 @@ def main() -> int:  # noqa: C901, PLR0912, PLR0915  (one pass, told step by step
                 key = start["line"], start["character"], end["character"]
                 before = edits.setdefault(file, {}).get(key)
                 if before is not None and before != edit["newText"]:
-                    failed.append(f"{label}: {file.relative_to(ROOT)}:{key[0] + 1} would be {before} and {edit['newText']}")
+                    failed.append(
+                        f"{label}: {file.relative_to(ROOT)}:{key[0] + 1} would be {before} and {edit['newText']}"
+                    )
                 edits[file][key] = edit["newText"]
         if count % 50 == 0:
             sys.stderr.write(f"{count}/{len(entries)}\n")

@@ -46,11 +46,11 @@ class Filter:
         del v
         return np.asarray(self.cbf.safety_filter(q, u_nom))
 
-    def evaluated(self) -> dict[str, object]:
+    def step_statistics(self) -> dict[str, object]:
         """What a step looks at."""
         return {"rows_in_qp": self.rows}
 
-    def flag(self) -> None:
+    def reported_status(self) -> None:
         """`safety_filter` returns u and nothing else."""
 
     def reset(self) -> None:
@@ -92,7 +92,7 @@ def distance(problem: Problem, points):
     return jnp.sqrt(jnp.sum(away * away, axis=2) + 1e-18) - problem.radius
 
 
-def plain(problem: Problem):
+def plain_kinematics(problem: Problem):
     """The chain written out joint by joint, constants folded in."""
     order = np.argsort(problem.sphere_frame[problem.sphere_frame > 0], kind="stable")
     order = np.flatnonzero(problem.sphere_frame > 0)[order]
@@ -113,7 +113,7 @@ def plain(problem: Problem):
     return sphere_centres, order
 
 
-def per_link(problem: Problem) -> tuple[tuple, tuple, np.ndarray]:
+def spheres_per_link(problem: Problem) -> tuple[tuple, tuple, np.ndarray]:
     """Sphere positions and radii by link, and their order in the problem."""
     groups = [np.flatnonzero(problem.sphere_frame == k + 1) for k in range(problem.n)]
     positions = tuple(tuple(tuple(map(float, problem.sphere_centre[i])) for i in group) for group in groups)
@@ -121,11 +121,11 @@ def per_link(problem: Problem) -> tuple[tuple, tuple, np.ndarray]:
     return positions, radii, np.concatenate(groups)
 
 
-def with_frax(problem: Problem):
+def frax_kinematics(problem: Problem):
     """Frax's manipulator from a URDF of our chain with our spheres."""
     from frax.core.manipulator import Manipulator  # noqa: PLC0415
 
-    positions, radii, order = per_link(problem)
+    positions, radii, order = spheres_per_link(problem)
     data = {
         "positions": positions, "radii": radii, "root_positions": (), "root_radii": (), "root_sc_pairs": (),
         "root_sc_tols": (), "body_sc_pairs": (), "body_sc_tols": (),
@@ -134,18 +134,18 @@ def with_frax(problem: Problem):
     return lambda q: robot.link_collision_data(q)[0], order
 
 
-def with_oscbf(problem: Problem):
+def oscbf_kinematics(problem: Problem):
     """Oscbf's manipulator from the same URDF with our spheres."""
     from oscbf.core.manipulator import Manipulator  # noqa: PLC0415
 
-    positions, radii, order = per_link(problem)
+    positions, radii, order = spheres_per_link(problem)
     robot = Manipulator.from_urdf(
         str(write_urdf(problem)), ee_offset=np.eye(4), collision_data={"positions": positions, "radii": radii}
     )
     return lambda q: robot.link_collision_data(q)[:, :3], order
 
 
-KINEMATICS = {"plain": plain, "frax": with_frax, "oscbf": with_oscbf}
+KINEMATICS = {"plain": plain_kinematics, "frax": frax_kinematics, "oscbf": oscbf_kinematics}
 
 
 def write_urdf(problem: Problem) -> Path:

@@ -11,9 +11,9 @@ import numpy as np
 from benchmarks.peers.problems.problem import BOX, CAPSULE, Problem
 from benchmarks.peers.problems.scenes import thin_body
 from dualbrain.core.geometry.shapes import Box, Capsule, Pose, Sphere
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import ConfigurationError
 from dualbrain.robots.interface import RobotState
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.compiled import _kernel
 from dualbrain.safety.cbf.filter import FilterConfig, Obstacle, SafetyFilter
 
@@ -25,8 +25,8 @@ class Filter:
 
     def __init__(self, problem: Problem, *, how: str = "call", limited: bool = False) -> None:
         if len(problem.kind) > _kernel.max_obstacles:
-            raise InvalidSetup("obstacles", got=len(problem.kind), allowed=f"at most {_kernel.max_obstacles}")
-        body = load_body("panda") if problem.whole_body else thin_body()
+            raise ConfigurationError("obstacles", got=len(problem.kind), allowed=f"at most {_kernel.max_obstacles}")
+        body = load_robot("panda") if problem.whole_body else thin_body()
         config = FilterConfig(
             lag_compensation=problem.whole_body,
             tracking_error=None if problem.whole_body else 0.0,
@@ -35,56 +35,58 @@ class Filter:
         self.margin = config.sampling_margin + config.rounding_margin
         self.filter = SafetyFilter(body, config, weight=None if problem.whole_body else np.eye(body.n))
         self.filter.observe([_obstacle(problem, i) for i in range(len(problem.kind))])
-        self.still, self.opening, self.answer = np.zeros(problem.n), 0.0, None
-        self.how = how
+        self._zero_velocity, self.opening, self.last_result = np.zeros(problem.n), 0.0, None
+        self.call_mode = how
 
     def step(self, q: np.ndarray, u_nom: np.ndarray, v: np.ndarray | None = None) -> np.ndarray:
         """The control at q [rad] and v [rad/s], else at rest, for the nominal one [rad/s]: (n,) each."""
-        self.answer = answer = self.filter(q, self.still if v is None else v, u_nom)
+        self.last_result = answer = self.filter(q, self._zero_velocity if v is None else v, u_nom)
         return answer.u
 
     def block(self, states: np.ndarray, nominals: np.ndarray, clock) -> list[int]:
         """Times [ns] of the calls of a block as a controller makes them, or their mean in C."""
-        if self.how == "c":
+        if self.call_mode == "c":
             mean = self.filter._kernel.time_steps(
                 np.ascontiguousarray(states), np.ascontiguousarray(nominals), False
             )  # fmt: skip
             return [round(1e9 * mean)]
         times: list[int] = []
-        if self.how == "state":
-            prepared = [RobotState(0.0, k, q, self.still, 0.0, (0.0, 0.0)) for k, q in enumerate(states)]
+        if self.call_mode == "state":
+            prepared = [RobotState(0.0, k, q, self._zero_velocity, 0.0, (0.0, 0.0)) for k, q in enumerate(states)]
             filtered = self.filter.filter
             for state, u_nom in zip(prepared, nominals, strict=True):
                 begin = clock()
                 filtered(state, u_nom, 0.0)
                 times.append(clock() - begin)
             return times
-        safety, still = self.filter, self.still
+        safety, still = self.filter, self._zero_velocity
         for q, u_nom in zip(states, nominals, strict=True):
             begin = clock()
             safety(q, still, u_nom)
             times.append(clock() - begin)
         return times
 
-    def evaluated(self) -> dict[str, object]:
+    def step_statistics(self) -> dict[str, object]:
         """What the last step looked at."""
-        if self.answer is None:
+        if self.last_result is None:
             return {}
-        return {"rows_in_qp": self.answer.n_rows, "certified": self.answer.certified}
+        return {"rows_in_qp": self.last_result.n_rows, "certified": self.last_result.certified}
 
-    def stated(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def stated_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """A, b, lower, upper of the last step, as the filter itself states them."""
         rows = self.filter.rows()
         lower, upper = self.filter._kernel.box()
         A = np.array([row.a for row in rows], float).reshape(len(rows), len(lower))
         return A, np.array([row.b for row in rows], float), np.array(lower), np.array(upper)
 
-    def flag(self) -> str | None:
+    def reported_status(self) -> str | None:
         """What the answer says about itself."""
-        if self.answer is None:
+        if self.last_result is None:
             return None
-        reason = self.answer.reason.name
-        return self.answer.status.name + (f" ({reason.lower().replace('|', ', ').replace('_', ' ')})" if reason else "")
+        reason = self.last_result.reason.name
+        return self.last_result.status.name + (
+            f" ({reason.lower().replace('|', ', ').replace('_', ' ')})" if reason else ""
+        )
 
     def reset(self) -> None:
         """Forget the past."""

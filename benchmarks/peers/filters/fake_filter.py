@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from benchmarks.peers.problems.problem import Problem, box
+from benchmarks.peers.problems.problem import Problem, control_bounds
 
 VERSIONS = ("numpy",)
 
@@ -27,13 +27,13 @@ class Filter:
         del v
         if self.nap:
             time.sleep(self.nap)
-        return np.clip(u_nom, *box(self.problem, q))
+        return np.clip(u_nom, *control_bounds(self.problem, q))
 
-    def evaluated(self) -> dict[str, object]:
+    def step_statistics(self) -> dict[str, object]:
         """What a step looks at."""
         return {"rows_in_qp": 0}
 
-    def flag(self) -> None:
+    def reported_status(self) -> None:
         """Says nothing."""
 
     def reset(self) -> None:

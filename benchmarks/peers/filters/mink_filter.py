@@ -49,7 +49,7 @@ class Filter:
             self.collision,
         ]
         self.task = mink.PostureTask(self.model, cost=1.0)
-        self.wanted = problem.n_pairs
+        self.n_wanted_pairs = problem.n_pairs
 
     def step(self, q: np.ndarray, u_nom: np.ndarray, v: np.ndarray | None = None) -> np.ndarray:
         """The velocity that `solve_ik` returns."""
@@ -58,13 +58,13 @@ class Filter:
         self.task.set_target(q + self.dt * u_nom)
         return mink.solve_ik(self.configuration, [self.task], self.dt, self.solver, limits=self.limits)
 
-    def evaluated(self) -> dict[str, object]:
+    def step_statistics(self) -> dict[str, object]:
         """What a step looks at."""
         rows = self.collision.compute_qp_inequalities(self.configuration, self.dt)
         near = int(np.count_nonzero(np.isfinite(rows.h)))
-        return {"pairs": len(self.collision.geom_id_pairs), "pairs_wanted": self.wanted, "rows_in_qp": near}
+        return {"pairs": len(self.collision.geom_id_pairs), "pairs_wanted": self.n_wanted_pairs, "rows_in_qp": near}
 
-    def flag(self) -> None:
+    def reported_status(self) -> None:
         """An answer is an answer; failures are exceptions."""
 
     def reset(self) -> None:
@@ -76,22 +76,22 @@ def mjcf(problem: Problem) -> str:
     bodies, ends = "", ""
     for k in range(problem.n):
         bodies += (
-            f'<body name="link{k + 1}" pos="{words(problem.joint_offset[k])}" '
-            f'quat="{words(rotation_to_quaternion(problem.joint_rotation[k]))}"><inertial pos="0 0 0" mass="1" '
+            f'<body name="link{k + 1}" pos="{format_numbers(problem.joint_offset[k])}" '
+            f'quat="{format_numbers(rotation_to_quaternion(problem.joint_rotation[k]))}"><inertial pos="0 0 0" mass="1" '
             f'diaginertia="1 1 1"/><joint name="joint{k + 1}" axis="0 0 1" limited="true" '
             f'range="{float(problem.q_lower[k])!r} {float(problem.q_upper[k])!r}"/>'
         )
         for i in np.flatnonzero(problem.sphere_frame == k + 1):
             bodies += (
                 f'<geom name="sphere{i}" type="sphere" size="{float(problem.sphere_radius[i])!r}" '
-                f'pos="{words(problem.sphere_centre[i])}"/>'
+                f'pos="{format_numbers(problem.sphere_centre[i])}"/>'
             )
         ends += "</body>"
     for i in range(len(problem.kind)):
         ends += (
-            f'<body mocap="true" pos="{words(problem.position[i])}" '
-            f'quat="{words(rotation_to_quaternion(problem.rotation[i]))}"><geom name="obstacle{i}" '
-            f"{shape(problem, i)}/></body>"
+            f'<body mocap="true" pos="{format_numbers(problem.position[i])}" '
+            f'quat="{format_numbers(rotation_to_quaternion(problem.rotation[i]))}"><geom name="obstacle{i}" '
+            f"{shape_attributes(problem, i)}/></body>"
         )
     return (
         '<mujoco><compiler angle="radian" autolimits="true"/><option timestep="0.001"/><size memory="64M"/>'
@@ -99,12 +99,12 @@ def mjcf(problem: Problem) -> str:
     )
 
 
-def shape(problem: Problem, i: int) -> str:
+def shape_attributes(problem: Problem, i: int) -> str:
     """Type and size of obstacle `i`."""
     if problem.kind[i] == CAPSULE:
         return f'type="capsule" size="{float(problem.radius[i])!r} {float(problem.half[i][2])!r}"'
     if problem.kind[i] == BOX:
-        return f'type="box" size="{words(problem.half[i])}"'
+        return f'type="box" size="{format_numbers(problem.half[i])}"'
     return f'type="sphere" size="{float(problem.radius[i])!r}"'
 
 
@@ -115,6 +115,6 @@ def rotation_to_quaternion(R: np.ndarray) -> np.ndarray:
     return quaternion
 
 
-def words(values: np.ndarray) -> str:
+def format_numbers(values: np.ndarray) -> str:
     """Numbers as MJCF reads them."""
     return " ".join(repr(float(value)) for value in values)

@@ -32,18 +32,18 @@ class Filter:
         limited: bool = False,
     ) -> None:  # fmt: skip
         del limited
-        model, geometry = arm(problem)
+        model, geometry = build_arm(problem)
         gain = problem.alpha if alpha is None else alpha
         self.dt, self.solver = problem.period, solver
         self.configuration = pink.Configuration(
             model, model.createData(), problem.home.copy(), collision_model=geometry,
             collision_data=geometry.createData(),
         )  # fmt: skip
-        self.count = problem.n_pairs if closest is None else min(closest, problem.n_pairs)
-        self.barriers = [SelfCollisionBarrier(self.count, gain=gain, safe_displacement_gain=0.0, d_min=0.0)]
+        self.n_pairs_in_qp = problem.n_pairs if closest is None else min(closest, problem.n_pairs)
+        self.barriers = [SelfCollisionBarrier(self.n_pairs_in_qp, gain=gain, safe_displacement_gain=0.0, d_min=0.0)]
         self.limits = [ConfigurationLimit(model, config_limit_gain=problem.alpha * self.dt), VelocityLimit(model)]
         self.task = PostureTask(cost=1.0)
-        self.pairs = problem.n_pairs
+        self.n_pairs = problem.n_pairs
 
     def step(self, q: np.ndarray, u_nom: np.ndarray, v: np.ndarray | None = None) -> np.ndarray:
         """The velocity that `solve_ik` returns."""
@@ -55,18 +55,18 @@ class Filter:
             barriers=self.barriers,
         )  # fmt: skip
 
-    def evaluated(self) -> dict[str, object]:
+    def step_statistics(self) -> dict[str, object]:
         """What a step looks at."""
-        return {"pairs": self.pairs, "rows_in_qp": self.count + 4 * len(self.configuration.q)}
+        return {"pairs": self.n_pairs, "rows_in_qp": self.n_pairs_in_qp + 4 * len(self.configuration.q)}
 
-    def flag(self) -> None:
+    def reported_status(self) -> None:
         """An answer is an answer; failures are exceptions."""
 
     def reset(self) -> None:
         """Nothing is remembered."""
 
 
-def arm(problem: Problem) -> tuple[pin.Model, pin.GeometryModel]:
+def build_arm(problem: Problem) -> tuple[pin.Model, pin.GeometryModel]:
     """The chain, its spheres and the obstacles, one collision pair for each moving sphere and obstacle."""
     model = pin.Model()
     parent = 0
@@ -91,13 +91,15 @@ def arm(problem: Problem) -> tuple[pin.Model, pin.GeometryModel]:
     ]
     for i in range(len(problem.kind)):
         placement = pin.SE3(problem.rotation[i], problem.position[i])
-        thing = geometry.addGeometryObject(pin.GeometryObject(f"obstacle{i}", 0, 0, placement, shape(problem, i)))
+        thing = geometry.addGeometryObject(
+            pin.GeometryObject(f"obstacle{i}", 0, 0, placement, collision_shape(problem, i))
+        )
         for sphere in spheres:
             geometry.addCollisionPair(pin.CollisionPair(sphere, thing))
     return model, geometry
 
 
-def shape(problem: Problem, i: int) -> coal.CollisionGeometry:
+def collision_shape(problem: Problem, i: int) -> coal.CollisionGeometry:
     """Obstacle `i` as coal has it; all three kinds are exact there."""
     radius, half = float(problem.radius[i]), problem.half[i]
     if problem.kind[i] == CAPSULE:

@@ -7,12 +7,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.peers.problems.problem import Problem, clearances, rows
+from benchmarks.peers.problems.problem import Problem, barrier_rows, clearances
 
 Step = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
-def adversary(
+def adversarial_nominal(
     problem: Problem, A: np.ndarray, h: np.ndarray, rng: np.random.Generator, *, toward: float, slowest: float
 ) -> np.ndarray:
     """`slowest` to all of full speed, with probability `toward` down the gradient of one of the five smallest h."""
@@ -37,8 +37,8 @@ def closed_loop(
     change = problem.a_max * problem.period
     for k in range(steps):
         if k % hold == 0:
-            A, _, h = rows(problem, q)
-            u_nom = adversary(problem, A, h, rng, toward=0.8, slowest=1.0)
+            A, _, h = barrier_rows(problem, q)
+            u_nom = adversarial_nominal(problem, A, h, rng, toward=0.8, slowest=1.0)
         try:
             u = np.asarray(step(q, u_nom, v), float)
         except Exception as error:  # whatever a peer raises is counted, and the loop goes on

@@ -117,7 +117,7 @@ def clearances(problem: Problem, q: np.ndarray) -> np.ndarray:
     return distances(problem, centres(problem, q)[moving])[0] - problem.sphere_radius[moving, None]
 
 
-def rows(
+def barrier_rows(
     problem: Problem, q: np.ndarray, *, margin: float = 0.0, near: float = np.inf
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A (rows, n), b (rows,) and h (rows,) of all pairs with h < `near`."""
@@ -129,7 +129,7 @@ def rows(
     return A, -problem.alpha * (h[s, o] - margin), h[s, o]
 
 
-def box(problem: Problem, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def control_bounds(problem: Problem, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Velocity limits, and joint limits approached no faster than α times the distance."""
     lower = np.maximum(-problem.v_max, -problem.alpha * (q - problem.q_lower))
     upper = np.minimum(problem.v_max, problem.alpha * (problem.q_upper - q))

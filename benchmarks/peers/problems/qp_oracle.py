@@ -5,13 +5,13 @@ from __future__ import annotations
 import daqp
 import numpy as np
 
-FREE = 1e30
+UNBOUNDED = 1e30
 
 
-def optimum(A: np.ndarray, b: np.ndarray, lower: np.ndarray, upper: np.ndarray, u_nom: np.ndarray) -> np.ndarray:
+def exact_optimum(A: np.ndarray, b: np.ndarray, lower: np.ndarray, upper: np.ndarray, u_nom: np.ndarray) -> np.ndarray:
     """The u of min ½‖u − u_nom‖² s.t. A u ≥ b, lower ≤ u ≤ upper; NaN where there is none."""
     n = len(u_nom)
-    above = np.concatenate([upper, np.full(len(b), FREE)])
+    above = np.concatenate([upper, np.full(len(b), UNBOUNDED)])
     below = np.concatenate([lower, b])
     u, _, flag, _ = daqp.solve(
         np.eye(n), -u_nom, np.ascontiguousarray(A), above, below, np.zeros(n + len(b), np.int32)
@@ -19,7 +19,7 @@ def optimum(A: np.ndarray, b: np.ndarray, lower: np.ndarray, upper: np.ndarray, 
     return np.array(u) if flag == 1 else np.full(n, np.nan)
 
 
-def second_opinion(A: np.ndarray, b: np.ndarray, lower: np.ndarray, upper: np.ndarray, u_nom: np.ndarray) -> np.ndarray:
+def piqp_optimum(A: np.ndarray, b: np.ndarray, lower: np.ndarray, upper: np.ndarray, u_nom: np.ndarray) -> np.ndarray:
     """The same by PIQP, an interior-point method."""
     import piqp  # noqa: PLC0415
 

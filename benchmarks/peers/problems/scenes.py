@@ -6,15 +6,24 @@ import dataclasses
 
 import numpy as np
 
-from benchmarks.peers.problems.adversary import adversary
-from benchmarks.peers.problems.problem import BOX, CAPSULE, SPHERE, Problem, box, centres, distances, rows
-from dualbrain.core.geometry.rotations import matrix
-from dualbrain.robots.loader import load_body
-from dualbrain.robots.model import Body
+from benchmarks.peers.problems.adversary import adversarial_nominal
+from benchmarks.peers.problems.problem import (
+    BOX,
+    CAPSULE,
+    SPHERE,
+    Problem,
+    barrier_rows,
+    centres,
+    control_bounds,
+    distances,
+)
+from dualbrain.core.geometry.rotations import quaternion_to_matrix
+from dualbrain.robots.loader import load_robot
+from dualbrain.robots.model import RobotModel
 
-ROWS = (10, 50, 100, 400)
-PRIMITIVES = (10, 100, 400)
-THIN = ("link3", "link4", "link5", "link6", "hand")
+ROW_COUNTS = (10, 50, 100, 400)
+PRIMITIVE_COUNTS = (10, 100, 400)
+THIN_ARM_LINKS = ("link3", "link4", "link5", "link6", "hand")
 """Two spheres of each of these links make the thin arm: 10 spheres, N/10 ball obstacles, N rows."""
 CLEARANCE = {"rows": (0.03, 0.2), "primitives": (0.03, 0.6)}
 """[m] of every obstacle from the arm at home: near enough that the rows matter."""
@@ -22,35 +31,35 @@ RECORD_MARGIN = 1e-3
 """States are recorded a little farther out than any contestant's own margin, so that nobody starts in recovery."""
 
 
-def thin_body() -> Body:
+def thin_body() -> RobotModel:
     """The Panda with ten spheres and no self pairs, so that its rows are obstacle rows only."""
     import msgspec  # noqa: PLC0415  # peers read this package without it
 
-    body = load_body("panda")
-    chosen = [s for link in THIN for s in [s for s in body.spheres if s.link == link][:2]]
+    body = load_robot("panda")
+    chosen = [s for link in THIN_ARM_LINKS for s in [s for s in body.spheres if s.link == link][:2]]
     pairs = msgspec.structs.replace(body.self_pairs, kept=())
     return msgspec.structs.replace(body, spheres=tuple(chosen), self_pairs=pairs)
 
 
 def rows_problem(n: int, seed: int = 0) -> Problem:
     """`n` rows: ten spheres against n/10 balls of 4 cm, placed near the arm."""
-    empty = bare(thin_body(), whole=False)
+    empty = arm_problem(thin_body(), whole=False)
     rng = np.random.default_rng(seed)
-    return with_obstacles(empty, place(empty, rng, n // len(empty.sphere_frame), "rows", (SPHERE,)))
+    return with_obstacles(empty, place_obstacles(empty, rng, n // len(empty.sphere_frame), "rows", (SPHERE,)))
 
 
 def primitives_problem(n: int, seed: int = 0) -> Problem:
     """`n` balls, capsules and boxes in turn, against all spheres of the body."""
-    empty = bare(load_body("panda"), whole=True)
-    things = place(empty, np.random.default_rng(seed), n, "primitives", (SPHERE, CAPSULE, BOX))
+    empty = arm_problem(load_robot("panda"), whole=True)
+    things = place_obstacles(empty, np.random.default_rng(seed), n, "primitives", (SPHERE, CAPSULE, BOX))
     return with_obstacles(empty, things)
 
 
-def bare(body: Body, *, whole: bool) -> Problem:
+def arm_problem(body: RobotModel, *, whole: bool) -> Problem:
     """The body's chain, limits and spheres without obstacles; fingers closed."""
     frame, centre, radius = [], [], []
     for link in body.links:
-        turn, shift = matrix(link.quaternion), np.array(link.translation)
+        turn, shift = quaternion_to_matrix(link.quaternion), np.array(link.translation)
         for sphere in body.spheres:
             if sphere.link == link.name:
                 frame.append(link.frame)
@@ -58,7 +67,7 @@ def bare(body: Body, *, whole: bool) -> Problem:
                 radius.append(sphere.radius)
     joints = body.joints
     return Problem(
-        joint_rotation=np.array([matrix(j.quaternion) for j in joints]),
+        joint_rotation=np.array([quaternion_to_matrix(j.quaternion) for j in joints]),
         joint_offset=np.array([j.translation for j in joints], float),
         q_lower=np.array([j.lower.value for j in joints]),
         q_upper=np.array([j.upper.value for j in joints]),
@@ -79,35 +88,37 @@ def bare(body: Body, *, whole: bool) -> Problem:
     )
 
 
-Things = list[tuple[int, np.ndarray, np.ndarray, np.ndarray, float]]
+ObstacleList = list[tuple[int, np.ndarray, np.ndarray, np.ndarray, float]]
 
 
-def place(problem: Problem, rng: np.random.Generator, count: int, setting: str, kinds: tuple[int, ...]) -> Things:
+def place_obstacles(
+    problem: Problem, rng: np.random.Generator, count: int, setting: str, kinds: tuple[int, ...]
+) -> ObstacleList:
     """`count` things around the arm at home, each within the setting's `CLEARANCE` of it, kinds in turn."""
     body, (least, most) = centres(problem, problem.home), CLEARANCE[setting]
-    things: Things = []
+    things: ObstacleList = []
     while len(things) < count:
         kind = kinds[len(things) % len(kinds)]
         position = rng.uniform([0.1, -0.6, 0.05], [0.85, 0.6, 1.0])
         if kind == SPHERE:
             thing = (kind, position, np.eye(3), np.zeros(3), 0.04)
         elif kind == CAPSULE:
-            thing = (kind, position, turned(rng), np.array([0.0, 0.0, 0.06]), 0.025)
+            thing = (kind, position, random_rotation(rng), np.array([0.0, 0.0, 0.06]), 0.025)
         else:
-            thing = (kind, position, turned(rng), rng.uniform(0.02, 0.05, 3), 0.0)
+            thing = (kind, position, random_rotation(rng), rng.uniform(0.02, 0.05, 3), 0.0)
         d, _ = distances(with_obstacles(problem, [thing]), body)
         if least < np.min(d[:, 0] - problem.sphere_radius) < most:
             things.append(thing)
     return things
 
 
-def turned(rng: np.random.Generator) -> np.ndarray:
+def random_rotation(rng: np.random.Generator) -> np.ndarray:
     """A random rotation (3, 3)."""
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     return turn if np.linalg.det(turn) > 0.0 else -turn
 
 
-def with_obstacles(problem: Problem, things: Things) -> Problem:
+def with_obstacles(problem: Problem, things: ObstacleList) -> Problem:
     """The same arm among `things`."""
     kind, position, rotation, half, radius = zip(*things, strict=True)
     return dataclasses.replace(
@@ -116,21 +127,21 @@ def with_obstacles(problem: Problem, things: Things) -> Problem:
     )  # fmt: skip
 
 
-def record(problem: Problem, steps: int, seed: int = 0, hold: int = 40) -> tuple[np.ndarray, np.ndarray, float]:
+def record_states(problem: Problem, steps: int, seed: int = 0, hold: int = 40) -> tuple[np.ndarray, np.ndarray, float]:
     """States (steps, n) and nominals of a closed loop under the exact filter, and the share of steps it changed.
 
     The nominal drives down one of the five nearest barriers, or anywhere, anew every `hold` steps.
     """
-    from benchmarks.peers.problems.qp_oracle import optimum  # noqa: PLC0415  # its solver is in our own environment only
+    from benchmarks.peers.problems.qp_oracle import exact_optimum  # noqa: PLC0415  # its solver is in our own environment only
 
     rng = np.random.default_rng(seed)
     q, u_nom = problem.home.copy(), np.zeros(problem.n)
     states, nominals, changed = np.empty((steps, problem.n)), np.empty((steps, problem.n)), 0
     for k in range(steps):
-        A, b, h = rows(problem, q, margin=RECORD_MARGIN, near=0.4)
+        A, b, h = barrier_rows(problem, q, margin=RECORD_MARGIN, near=0.4)
         if k % hold == 0:
-            u_nom = adversary(problem, A, h, rng, toward=0.5, slowest=0.02)
-        u = optimum(A, b, *box(problem, q), u_nom)
+            u_nom = adversarial_nominal(problem, A, h, rng, toward=0.5, slowest=0.02)
+        u = exact_optimum(A, b, *control_bounds(problem, q), u_nom)
         states[k], nominals[k] = q, u_nom
         changed += bool(np.max(np.abs(u - u_nom)) > 1e-6)
         q = q + problem.period * u

@@ -11,10 +11,10 @@ import time
 from pathlib import Path
 from typing import Any
 
-from benchmarks.peers.benchmarked_filters import Contestant
+from benchmarks.peers.benchmarked_filters import BenchmarkedFilter
 
 ROOT = Path(__file__).resolve().parents[3]
-ALONE = {
+SINGLE_THREAD_ENV = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
     "MKL_NUM_THREADS": "1",
@@ -26,58 +26,58 @@ ALONE = {
 """One thread and float64 for everybody: what cbfpy's documentation recommends on a CPU."""
 
 
-class Refused(Exception):
+class FilterUnavailableError(Exception):
     """A contestant cannot do what it was asked to."""
 
 
-class Child:
+class FilterProcess:
     """A contestant's process."""
 
-    def __init__(self, contestant: Contestant) -> None:
-        self.contestant, self.import_s = contestant, float("nan")
+    def __init__(self, contestant: BenchmarkedFilter) -> None:
+        self.entry, self.import_s = contestant, float("nan")
         if not contestant.python.exists():
-            raise Refused(f"no environment {contestant.environment!r}")
+            raise FilterUnavailableError(f"no environment {contestant.environment!r}")
         own = os.environ.get("PYTHONPATH") if contestant.environment is None else None
         path = os.pathsep.join([str(ROOT), *([own] if own else [])])
         quiet = ["-S"] if sys.flags.no_site and contestant.environment is None else []
         self._process = subprocess.Popen(
             [str(contestant.python), *quiet, "-m", "benchmarks.peers.processes.worker", contestant.module],
-            cwd=ROOT, env=os.environ | ALONE | {"PYTHONPATH": path}, stdin=subprocess.PIPE,
+            cwd=ROOT, env=os.environ | SINGLE_THREAD_ENV | {"PYTHONPATH": path}, stdin=subprocess.PIPE,
             stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
         )  # fmt: skip
-        self._rest = b""
+        self._buffer = b""
         try:
-            self.import_s = self._answer(120.0)["import_s"]
-        except Refused:
+            self.import_s = self._receive(120.0)["import_s"]
+        except FilterUnavailableError:
             self.close()
             raise
 
-    def ask(self, do: str, timeout_s: float = 300.0, **what: Any) -> dict[str, Any]:
+    def request(self, do: str, timeout_s: float = 300.0, **what: Any) -> dict[str, Any]:
         """Send one question and wait for its answer; `Refused` when there is none."""
         assert self._process.stdin is not None
         try:
             self._process.stdin.write(json.dumps({"do": do, **what}).encode() + b"\n")
             self._process.stdin.flush()
         except BrokenPipeError:
-            raise Refused("its process has ended") from None
-        return self._answer(timeout_s)
+            raise FilterUnavailableError("its process has ended") from None
+        return self._receive(timeout_s)
 
-    def _answer(self, timeout_s: float) -> dict[str, Any]:
+    def _receive(self, timeout_s: float) -> dict[str, Any]:
         assert self._process.stdout is not None
         end, pipe = time.monotonic() + timeout_s, self._process.stdout.fileno()
-        while b"\n" not in self._rest:
+        while b"\n" not in self._buffer:
             ready, _, _ = select.select([pipe], [], [], max(0.0, end - time.monotonic()))
             if not ready:
                 self.close()
-                raise Refused(f"no answer within {timeout_s:.0f} s")
+                raise FilterUnavailableError(f"no answer within {timeout_s:.0f} s")
             piece = os.read(pipe, 1 << 16)
             if not piece:
-                raise Refused("its process has ended")
-            self._rest += piece
-        line, _, self._rest = self._rest.partition(b"\n")
+                raise FilterUnavailableError("its process has ended")
+            self._buffer += piece
+        line, _, self._buffer = self._buffer.partition(b"\n")
         answer = json.loads(line)
         if "refused" in answer:
-            raise Refused(answer["refused"])
+            raise FilterUnavailableError(answer["refused"])
         return answer
 
     def close(self) -> None:

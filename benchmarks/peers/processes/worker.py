@@ -51,7 +51,7 @@ class Worker:
         built = clock()
         error = None
         if len(self.states):
-            error = self._try(self.states[0], self.nominals[0])[1]
+            error = self._try_step(self.states[0], self.nominals[0])[1]
         times = {"prepare_s": 1e-9 * (built - begin), "first_s": 1e-9 * (clock() - built)}
         return times | {"processor_s": time.process_time() - busy, "error": error}
 
@@ -59,16 +59,16 @@ class Worker:
         """Times [ns] of steps start..stop and the mean processor time of one, after `warm` steps that are not timed."""
         start, stop = ask["start"], ask["stop"]
         failed = sum(
-            self._try(self.states[k], self.nominals[k])[1] is not None
+            self._try_step(self.states[k], self.nominals[k])[1] is not None
             for k in range(max(0, start - ask["warm"]), start)
         )
         special, busy = getattr(self.filter, "block", None), time.process_time_ns()
         times = special(self.states[start:stop], self.nominals[start:stop], clock) if special else None
         if times is None:
-            times, failed = self._timed(start, stop)
+            times, failed = self._timed_steps(start, stop)
         return {"ns": times, "failed": failed, "processor_ns": (time.process_time_ns() - busy) / (stop - start)}
 
-    def _timed(self, start: int, stop: int) -> tuple[list[int], int]:
+    def _timed_steps(self, start: int, stop: int) -> tuple[list[int], int]:
         times, failed, step = [], 0, self.filter.step
         for q, u_nom in zip(self.states[start:stop], self.nominals[start:stop], strict=True):
             begin = clock()
@@ -84,8 +84,8 @@ class Worker:
         self.filter.reset()
         found = []
         for k in ask["at"]:
-            u, error = self._try(self.states[k], self.nominals[k])
-            one = {"u": _plain(u), "error": error}
+            u, error = self._try_step(self.states[k], self.nominals[k])
+            one = {"u": _to_list(u), "error": error}
             if hasattr(self.filter, "stated"):
                 one["stated"] = [array.tolist() for array in self.filter.stated()]
             found.append(one)
@@ -94,22 +94,22 @@ class Worker:
     def once(self, ask: dict[str, Any]) -> dict[str, Any]:
         """One step at any state; numbers may be NaN."""
         self.filter.reset()
-        u, error = self._try(np.array(ask["q"], float), np.array(ask["u_nom"], float))
-        return {"u": _plain(u), "error": error, "flag": self.filter.flag() if error is None else None}
+        u, error = self._try_step(np.array(ask["q"], float), np.array(ask["u_nom"], float))
+        return {"u": _to_list(u), "error": error, "flag": self.filter.flag() if error is None else None}
 
     def loop(self, ask: dict[str, Any]) -> dict[str, Any]:
         """The adversarial closed loop under acceleration limits."""
         self.filter.reset()
         return closed_loop(self.problem, self.filter.step, self.filter.flag, steps=ask["steps"], seed=ask["seed"])
 
-    def _try(self, q: np.ndarray, u_nom: np.ndarray) -> tuple[np.ndarray | None, str | None]:
+    def _try_step(self, q: np.ndarray, u_nom: np.ndarray) -> tuple[np.ndarray | None, str | None]:
         try:
             return np.asarray(self.filter.step(q, u_nom), float), None
         except Exception as error:  # what a peer raises is its answer
             return None, type(error).__name__
 
 
-def _plain(u: np.ndarray | None) -> list[float] | None:
+def _to_list(u: np.ndarray | None) -> list[float] | None:
     return None if u is None else u.tolist()
 
 

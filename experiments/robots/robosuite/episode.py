@@ -9,36 +9,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.core.geometry.shapes import Pose
-from dualbrain.robots.loader import load_body
-from dualbrain.robots.model import Body
-from dualbrain.safety.cbf.filter import SafetyFilter, Status, ToolState
-from dualbrain.simulation.identification.excitation import Log
+from dualbrain.robots.loader import load_robot
+from dualbrain.robots.model import RobotModel
+from dualbrain.safety.cbf.filter import FilterStatus, SafetyFilter, ToolState
+from dualbrain.simulation.identification.excitation import ExcitationLog
 from dualbrain.simulation.identification.tracking_model import leaky_error
-from experiments.robots.robosuite.policies import PACES, TASKS, BangBang, Policy, Script
-from experiments.robots.robosuite.scene import Watch, standing
-from experiments.robots.robosuite.suite_process import Opened, State, Suite
-from experiments.robots.robosuite.tracking import disagreement, measured
+from experiments.robots.robosuite.policies import SPEED_PROFILES, TASKS, BangBangPolicy, Policy, WaypointPolicy
+from experiments.robots.robosuite.scene import ObstacleTracker, static_obstacles
+from experiments.robots.robosuite.suite_process import State, SuiteProcess, TaskSetup
+from experiments.robots.robosuite.tracking import calibrate, model_disagreement
 
 Array = NDArray[np.float64]
 
-LONGEST = 30.0
+MAX_DURATION_S = 30.0
 """A flight ends after this at the latest [s]."""
-ANYWHERE = 5.0
+RANDOM_POLICY_DURATION_S = 5.0
 """How long a policy without a task flies [s]."""
-LOOK = 10
+OBSERVE_EVERY = 10
 """Periods between looks at the cubes."""
-CALIBRATION = (1000, 1001)
+CALIBRATION_SEEDS = (1000, 1001)
 """Seeds of the flights that tracking is measured in."""
-FASTEST = np.array([joint.velocity.value for joint in load_body("panda").joints])
+MAX_JOINT_SPEED = np.array([joint.velocity.value for joint in load_robot("panda").joints])
 """The data sheet's joint velocities [rad/s], which policies know."""
-OTHER, SETTING_DOWN = "cubeB", ("lower", "open", "away")
+OTHER_CUBE, SET_DOWN_PHASES = "cubeB", ("lower", "open", "away")
 """A cube that nothing should push, until the first one is set down on it."""
-HOWS = ("unfiltered", "clipped", "filtered")
+MODES = ("unfiltered", "clipped", "filtered")
 """The wish as it is; each joint cut to the velocity limit that the filter is told of; through the filter."""
 
 
 @dataclass
-class Course:
+class EpisodeRecord:
     """What happened, period by period, and at the end."""
 
     q: list[Array] = field(default_factory=list)
@@ -47,49 +47,49 @@ class Course:
     delta: list[float] = field(default_factory=list)
     status: list[int] = field(default_factory=list)
     h_min: float = float("inf")
-    apart: float = 0.0
+    model_disagreement: float = 0.0
     pushed: float = 0.0
     time: float = 0.0
-    ended: str = ""
+    unfinished_waypoint: str = ""
 
-    def log(self) -> Log:
+    def tracking_log(self) -> ExcitationLog:
         """What tracking is measured from."""
-        return Log(np.array(self.q), np.array(self.v), np.array(self.u))
+        return ExcitationLog(np.array(self.q), np.array(self.v), np.array(self.u))
 
-    def figures(self, body: Body) -> dict[str, Any]:
+    def metrics(self, body: RobotModel) -> dict[str, Any]:
         """Times [s], shares of the data sheet's speed, the tracking error's leaky integral [rad], the filter's part."""
-        log, tracking = self.log(), body.tracking
+        log, tracking = self.tracking_log(), body.tracking
         error = leaky_error(log, tracking.lag, tracking.rate, body.period)
         found: dict[str, Any] = {
-            "time": round(self.time, 3), "ended": self.ended, "pushed": round(self.pushed, 5), "apart": self.apart,
-            "asked": round(float(np.max(np.abs(log.u) / FASTEST)), 4),
-            "speed": round(float(np.max(np.abs(log.v) / FASTEST)), 4),
+            "time": round(self.time, 3), "ended": self.unfinished_waypoint, "pushed": round(self.pushed, 5), "apart": self.model_disagreement,
+            "asked": round(float(np.max(np.abs(log.u) / MAX_JOINT_SPEED)), 4),
+            "speed": round(float(np.max(np.abs(log.v) / MAX_JOINT_SPEED)), 4),
             "strayed": round(float(np.abs(error).max()), 7), "steps": len(log.u),
         }  # fmt: skip
         if self.status:
             found |= {
                 "delta": round(float(np.mean(self.delta)), 6), "h_min": round(self.h_min, 6),
-                "status": np.bincount(self.status, minlength=len(Status)).tolist(),
+                "status": np.bincount(self.status, minlength=len(FilterStatus)).tolist(),
             }  # fmt: skip
         return found
 
 
-class Pilot:
+class ControlPath:
     """Turns wishes into what is sent."""
 
-    def __init__(self, how: str, safety: SafetyFilter, watch: Watch) -> None:
-        self._how, self._safety, self._watch = how, safety, watch
-        self._told = np.array([joint.velocity.value for joint in safety.body.joints])
-        self.course = Course()
+    def __init__(self, how: str, safety: SafetyFilter, watch: ObstacleTracker) -> None:
+        self._mode, self._safety, self._obstacle_tracker = how, safety, watch
+        self._velocity_limits = np.array([joint.velocity.value for joint in safety.body.joints])
+        self.record = EpisodeRecord()
 
-    def u(self, state: State, tool: ToolState, policy: Policy, wish: Array) -> Array:
+    def control(self, state: State, tool: ToolState, policy: Policy, wish: Array) -> Array:
         """Joint velocities (n,) [rad/s] to be sent."""
-        course, u = self.course, wish
-        if self._how == "clipped":
-            u = np.clip(wish, -self._told, self._told)
-        if self._how == "filtered":
-            if len(course.u) % LOOK == 0:
-                self._watch.look(state, tool, policy.point)
+        course, u = self.record, wish
+        if self._mode == "clipped":
+            u = np.clip(wish, -self._velocity_limits, self._velocity_limits)
+        if self._mode == "filtered":
+            if len(course.u) % OBSERVE_EVERY == 0:
+                self._obstacle_tracker.update(state, tool, policy.waypoint)
             answer = self._safety(state.q, state.v, wish, state.time, state.opening)
             u = answer.u
             course.delta.append(answer.delta)
@@ -101,54 +101,54 @@ class Pilot:
         return u
 
 
-def body_of(suite: Suite) -> Body:
+def calibrated_robot(suite: SuiteProcess) -> RobotModel:
     """The body that the filter is told of: the suite's period, its motors, and how its arm was seen to follow."""
 
-    def flights(body: Body) -> list[list[Log]]:
+    def flights(body: RobotModel) -> list[list[ExcitationLog]]:
         return [
-            [_flown(suite, body, {"task": task, "policy": policy, "seed": seed, "how": "filtered"}).log()
-             for task in TASKS for policy in PACES]
-            for seed in CALIBRATION
+            [_run(suite, body, {"task": task, "policy": policy, "seed": seed, "how": "filtered"}).tracking_log()
+             for task in TASKS for policy in SPEED_PROFILES]
+            for seed in CALIBRATION_SEEDS
         ]  # fmt: skip
 
-    return measured(suite, flights)
+    return calibrate(suite, flights)
 
 
-def fly(suite: Suite, body: Body, about: dict[str, Any]) -> dict[str, Any]:
+def run_episode(suite: SuiteProcess, body: RobotModel, about: dict[str, Any]) -> dict[str, Any]:
     """One flight of `about` (task, policy, seed, how), from the suite's own start to the script's end."""
-    course = _flown(suite, body, about)
+    course = _run(suite, body, about)
     return {
-        **about, **suite.account(), **course.figures(body), "lag": body.tracking.lag,
+        **about, **suite.limit_report(), **course.metrics(body), "lag": body.tracking.lag,
         "allowed_error": body.tracking.position_error, "versions": suite.versions,
     }  # fmt: skip
 
 
-def _flown(suite: Suite, body: Body, about: dict[str, Any]) -> Course:
+def _run(suite: SuiteProcess, body: RobotModel, about: dict[str, Any]) -> EpisodeRecord:
     opened = suite.open(about["task"], about["seed"])
-    safety = SafetyFilter(body, standing=standing(opened.things))
-    apart, _ = disagreement(suite, safety, np.random.default_rng(about["seed"]))
-    state = suite.read(opened.state)
-    policy = _policy(about, opened, state)
-    pilot = Pilot(about["how"], safety, Watch(safety, opened.things))
-    course, begin = pilot.course, state.cubes
-    course.apart = apart
-    while not policy.done and state.time < LONGEST:
+    safety = SafetyFilter(body, fixed_obstacles=static_obstacles(opened.things))
+    apart, _ = model_disagreement(suite, safety, np.random.default_rng(about["seed"]))
+    state = suite.parse_state(opened.state)
+    policy = _make_policy(about, opened, state)
+    pilot = ControlPath(about["how"], safety, ObstacleTracker(safety, opened.things))
+    course, begin = pilot.record, state.cubes
+    course.model_disagreement = apart
+    while not policy.done and state.time < MAX_DURATION_S:
         tool = safety.tool(state.q)
-        wish = policy.wish(state.time, state.q, tool, state.cubes)
-        state = suite.step(pilot.u(state, tool, policy, wish), policy.point.closed)
-        if policy.point.name not in SETTING_DOWN and OTHER in begin:
-            course.pushed = max(course.pushed, _moved(begin[OTHER], state.cubes[OTHER]))
-    course.time, course.ended = state.time, "" if policy.done else policy.point.name
+        wish = policy.nominal(state.time, state.q, tool, state.cubes)
+        state = suite.step(pilot.control(state, tool, policy, wish), policy.waypoint.closed)
+        if policy.waypoint.name not in SET_DOWN_PHASES and OTHER_CUBE in begin:
+            course.pushed = max(course.pushed, _planar_displacement(begin[OTHER_CUBE], state.cubes[OTHER_CUBE]))
+    course.time, course.unfinished_waypoint = state.time, "" if policy.done else policy.waypoint.name
     return course
 
 
-def _moved(before: Pose, after: Pose) -> float:
+def _planar_displacement(before: Pose, after: Pose) -> float:
     """How far a thing has been pushed in the plane [m]."""
     return float(np.linalg.norm(np.array(after.position)[:2] - np.array(before.position)[:2]))
 
 
-def _policy(about: dict[str, Any], opened: Opened, state: State) -> Policy:
+def _make_policy(about: dict[str, Any], opened: TaskSetup, state: State) -> Policy:
     if about["policy"] == "random":
-        return BangBang(FASTEST, opened.cubes[0], about["seed"], ANYWHERE)
+        return BangBangPolicy(MAX_JOINT_SPEED, opened.cubes[0], about["seed"], RANDOM_POLICY_DURATION_S)
     points = TASKS[about["task"]](about["policy"] == "hasty")
-    return Script(points, PACES[about["policy"]], FASTEST, state.q, opened.period)
+    return WaypointPolicy(points, SPEED_PROFILES[about["policy"]], MAX_JOINT_SPEED, state.q, opened.period)

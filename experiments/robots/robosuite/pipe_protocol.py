@@ -16,47 +16,47 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-HEAD = struct.Struct("<cI")
-WORDS, NUMBERS = b"J", b"A"
-LONGEST = 1 << 20
+HEADER = struct.Struct("<cI")
+JSON_KIND, ARRAY_KIND = b"J", b"A"
+MAX_MESSAGE_BYTES = 1 << 20
 """Longest message [bytes]."""
 
 
-class Broken(Exception):
+class PipeError(Exception):
     """The other side has ended, said something unreadable, or nothing in time."""
 
 
 def send(pipe: int, message: dict[str, Any] | Array) -> None:
     """Write one message to the file descriptor `pipe`."""
     if isinstance(message, dict):
-        kind, body = WORDS, json.dumps(message).encode()
+        kind, body = JSON_KIND, json.dumps(message).encode()
     else:
-        kind, body = NUMBERS, np.ascontiguousarray(message, "<f8").tobytes()
-    data = memoryview(HEAD.pack(kind, len(body)) + body)
+        kind, body = ARRAY_KIND, np.ascontiguousarray(message, "<f8").tobytes()
+    data = memoryview(HEADER.pack(kind, len(body)) + body)
     try:
         while data:
             data = data[os.write(pipe, data) :]
     except BrokenPipeError:
-        raise Broken("the other side has ended") from None
+        raise PipeError("the other side has ended") from None
 
 
 def receive(pipe: int, timeout_s: float | None = None) -> dict[str, Any] | Array:
     """Read one message from the file descriptor `pipe`: a dict, or an array (k,)."""
     if timeout_s is not None and not select.select([pipe], [], [], timeout_s)[0]:
-        raise Broken(f"nothing within {timeout_s:g} s")
-    kind, length = HEAD.unpack(_exactly(pipe, HEAD.size))
-    if length > LONGEST or kind not in (WORDS, NUMBERS):
-        raise Broken(f"a head that is none: kind {kind!r}, {length} bytes")
-    body = _exactly(pipe, length)
-    return json.loads(body) if kind == WORDS else np.frombuffer(body, "<f8")
+        raise PipeError(f"nothing within {timeout_s:g} s")
+    kind, length = HEADER.unpack(_read_exactly(pipe, HEADER.size))
+    if length > MAX_MESSAGE_BYTES or kind not in (JSON_KIND, ARRAY_KIND):
+        raise PipeError(f"a head that is none: kind {kind!r}, {length} bytes")
+    body = _read_exactly(pipe, length)
+    return json.loads(body) if kind == JSON_KIND else np.frombuffer(body, "<f8")
 
 
-def _exactly(pipe: int, count: int) -> bytes:
+def _read_exactly(pipe: int, count: int) -> bytes:
     parts: list[bytes] = []
     while count:
         part = os.read(pipe, count)
         if not part:
-            raise Broken("the other side has ended")
+            raise PipeError("the other side has ended")
         parts.append(part)
         count -= len(part)
     return b"".join(parts)

@@ -13,16 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.core.geometry.shapes import Pose
-from experiments.robots.robosuite.pipe_protocol import Broken, receive, send
-from experiments.robots.robosuite.virtual_environment import python_in
+from experiments.robots.robosuite.pipe_protocol import PipeError, receive, send
+from experiments.robots.robosuite.virtual_environment import interpreter
 
 Array = NDArray[np.float64]
 
 ROOT = Path(__file__).resolve().parents[3]
-ALONE = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MUJOCO_GL": "disable", "PYTHONWARNINGS": "ignore"}
-PATIENCE = 300.0
+SINGLE_THREAD_ENV = {
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MUJOCO_GL": "disable",
+    "PYTHONWARNINGS": "ignore",
+}
+RESPONSE_TIMEOUT_S = 300.0
 """How long an answer may take on a busy machine [s]."""
-LAST_WORDS = 600
+STDERR_TAIL_CHARS = 600
 """Characters of its stderr that are told when the suite's process has ended."""
 
 
@@ -37,7 +42,7 @@ class State(msgspec.Struct, frozen=True, eq=False):
     cubes: dict[str, Pose]
 
 
-class Thing(msgspec.Struct, frozen=True):
+class SuiteObject(msgspec.Struct, frozen=True):
     """A shape that stands there: half extents, radius and half length, or nothing [m], in the arm's base frame."""
 
     name: str
@@ -47,59 +52,59 @@ class Thing(msgspec.Struct, frozen=True):
     quaternion: tuple[float, float, float, float]
 
 
-class Opened(msgspec.Struct, frozen=True, eq=False):
+class TaskSetup(msgspec.Struct, frozen=True, eq=False):
     """A task as the suite has set it up: period [s], names of its cubes, what stands there, the first state."""
 
     period: float
     cubes: list[str]
-    things: list[Thing]
+    things: list[SuiteObject]
     torques: list[float]
     state: list[float]
 
 
-class Suite:
+class SuiteProcess:
     """robosuite in a process of its own."""
 
     def __init__(self) -> None:
         """Start it; raises `MissingPart` where its environment is not made."""
-        python = python_in()
+        python = interpreter()
         own = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONHOME")}
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115  (lives as long as the process, see close)
         self._process = subprocess.Popen(
-            [str(python), "-m", "experiments.robots.robosuite.worker"], cwd=ROOT, env=own | ALONE | {"PYTHONPATH": str(ROOT)},
+            [str(python), "-m", "experiments.robots.robosuite.worker"], cwd=ROOT, env=own | SINGLE_THREAD_ENV | {"PYTHONPATH": str(ROOT)},
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors, bufsize=0,
         )  # fmt: skip
         assert self._process.stdin is not None
         assert self._process.stdout is not None
-        self._ask, self._answer = self._process.stdin.fileno(), self._process.stdout.fileno()
+        self._request_pipe, self._reply_pipe = self._process.stdin.fileno(), self._process.stdout.fileno()
         self._cubes: list[str] = []
-        self.versions: dict[str, str] = self._words()["versions"]
+        self.versions: dict[str, str] = self._receive_dict()["versions"]
 
-    def open(self, task: str, seed: int) -> Opened:
+    def open(self, task: str, seed: int) -> TaskSetup:
         """Set `task` up afresh, as its seed says."""
-        send(self._ask, {"do": "open", "task": task, "seed": seed})
-        opened = msgspec.convert(self._words(), Opened)
+        send(self._request_pipe, {"do": "open", "task": task, "seed": seed})
+        opened = msgspec.convert(self._receive_dict(), TaskSetup)
         self._cubes = opened.cubes
         return opened
 
-    def sites(self, postures: Array) -> Array:
+    def grip_sites(self, postures: Array) -> Array:
         """The suite's grip site at `postures` (k, 7): position and rotation matrix, (k, 12), in the base frame."""
-        send(self._ask, {"do": "sites", "postures": postures.tolist()})
-        return np.array(self._words()["sites"])
+        send(self._request_pipe, {"do": "sites", "postures": postures.tolist()})
+        return np.array(self._receive_dict()["sites"])
 
     def step(self, u: Array, closed: bool) -> State:
         """Drive at u (7,) [rad/s] for one period, fingers closing or opening; the state after it."""
-        send(self._ask, np.r_[u, 1.0 if closed else -1.0])
-        answer = self._heard()
+        send(self._request_pipe, np.r_[u, 1.0 if closed else -1.0])
+        answer = self._receive()
         assert not isinstance(answer, dict)
-        return self.read(answer)
+        return self.parse_state(answer)
 
-    def account(self) -> dict[str, Any]:
+    def limit_report(self) -> dict[str, Any]:
         """What the suite's process judged since the task was opened."""
-        send(self._ask, {"do": "account"})
-        return self._words()
+        send(self._request_pipe, {"do": "account"})
+        return self._receive_dict()
 
-    def read(self, numbers: Array | list[float]) -> State:
+    def parse_state(self, numbers: Array | list[float]) -> State:
         """The state behind the numbers of a step."""
         numbers = np.asarray(numbers, float)
         q, v, rest = numbers[1:8], numbers[8:15], numbers[17:].reshape(-1, 7).tolist()
@@ -117,15 +122,15 @@ class Suite:
             if stream is not None:
                 stream.close()
 
-    def _words(self) -> dict[str, Any]:
-        answer = self._heard()
+    def _receive_dict(self) -> dict[str, Any]:
+        answer = self._receive()
         assert isinstance(answer, dict)
         return answer
 
-    def _heard(self) -> dict[str, Any] | Array:
+    def _receive(self) -> dict[str, Any] | Array:
         try:
-            return receive(self._answer, PATIENCE)
-        except Broken as why:
+            return receive(self._reply_pipe, RESPONSE_TIMEOUT_S)
+        except PipeError as why:
             self._errors.seek(0)
-            said = self._errors.read().decode("utf-8", "replace")[-LAST_WORDS:].strip()
-            raise Broken(f"{why}; the suite's last words: {said or 'none'}") from None
+            said = self._errors.read().decode("utf-8", "replace")[-STDERR_TAIL_CHARS:].strip()
+            raise PipeError(f"{why}; the suite's last words: {said or 'none'}") from None

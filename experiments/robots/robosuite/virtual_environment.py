@@ -14,56 +14,58 @@ import sys
 import venv
 from pathlib import Path
 
-from dualbrain.errors import MissingPart
+from dualbrain.errors import MissingDependencyError
 
 HERE = Path(__file__).resolve().parent
-FOLDER = HERE.parents[2] / "build" / "robosuite"
+ENVIRONMENT_FOLDER = HERE.parents[2] / "build" / "robosuite"
 REQUIREMENTS = HERE / "requirements.txt"
 COMMAND = "python experiments/robots/robosuite/virtual_environment.py"
 
 
-def digest() -> str:
+def requirements_digest() -> str:
     """What the environment is to be made from, 12 hex."""
     return hashlib.sha256(REQUIREMENTS.read_bytes()).hexdigest()[:12]
 
 
-def python_in(folder: Path = FOLDER) -> Path:
+def interpreter(folder: Path = ENVIRONMENT_FOLDER) -> Path:
     """The interpreter of the environment below `folder`; raises `MissingPart` unless it is there as wanted now."""
     mark, python = folder / "made-from", folder / "venv" / "bin" / "python"
-    if not (mark.exists() and mark.read_text() == digest() and python.exists()):
-        raise MissingPart("the environment of robosuite", fix=f"Make it: `{COMMAND}` (needs a package index).")
+    if not (mark.exists() and mark.read_text() == requirements_digest() and python.exists()):
+        raise MissingDependencyError(
+            "the environment of robosuite", fix=f"Make it: `{COMMAND}` (needs a package index)."
+        )
     return python
 
 
-def make(folder: Path = FOLDER) -> Path:
+def create(folder: Path = ENVIRONMENT_FOLDER) -> Path:
     """Make the environment below `folder` if it is not there; its interpreter.
 
     Raises:
         MissingPart: pip could not install it; what pip said stands on stderr.
     """
     try:
-        return python_in(folder)
-    except MissingPart:
-        print(f"installing into {folder.name}/venv: {', '.join(wanted())}", file=sys.stderr)
+        return interpreter(folder)
+    except MissingDependencyError:
+        print(f"installing into {folder.name}/venv: {', '.join(required_packages())}", file=sys.stderr)
     venv.create(folder / "venv", with_pip=True, clear=True)
     python = folder / "venv" / "bin" / "python"
     command = [str(python), "-m", "pip", "install", "--quiet", "-r", str(REQUIREMENTS)]
     if subprocess.run(command, check=False, stdout=sys.stderr).returncode != 0:
-        raise MissingPart(
-            f"robosuite ({', '.join(wanted())})",
+        raise MissingDependencyError(
+            f"robosuite ({', '.join(required_packages())})",
             fix="pip could not install it; its words stand above. Is there an index?",
         )
-    (folder / "made-from").write_text(digest())
+    (folder / "made-from").write_text(requirements_digest())
     return python
 
 
-def wanted() -> list[str]:
+def required_packages() -> list[str]:
     """The packages that are named, with their versions."""
     return [line for line in REQUIREMENTS.read_text().splitlines() if line and not line.startswith("#")]
 
 
 if __name__ == "__main__":
     try:
-        make()
-    except MissingPart as missing:
+        create()
+    except MissingDependencyError as missing:
         sys.exit(str(missing))

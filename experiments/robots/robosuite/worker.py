@@ -24,20 +24,20 @@ from numpy.typing import NDArray
 from robosuite import macros
 from robosuite.controllers import load_composite_controller_config
 
-from experiments.robots.robosuite.limit_monitor import Account
-from experiments.robots.robosuite.pipe_protocol import Broken, receive, send
+from experiments.robots.robosuite.limit_monitor import LimitMonitor
+from experiments.robots.robosuite.pipe_protocol import PipeError, receive, send
 
 Array = NDArray[np.float64]
 
 LAG = 0.002
 """Lag that the velocity layer is tuned to [s]."""
 ARM = "robot0_link"
-SOLIDS = {0: "plane", 5: "cylinder", 6: "box"}
+SHAPE_NAMES = {0: "plane", 5: "cylinder", 6: "box"}
 """Shapes of MuJoCo that robosuite's tables, mounts and cubes are made of."""
 HORIZON = 1_000_000
 
 
-class Suite:
+class RobosuiteTask:
     """One task of robosuite, and what is read from its simulation."""
 
     def __init__(self, task: str, seed: int) -> None:
@@ -50,31 +50,31 @@ class Suite:
         self._dofs = np.ix_(self._v, self._v)
         self._site = robot.eef_site_id["right"]
         base = self.data.body(robot.robot_model.root_body)
-        self._origin, self._turn = base.xpos.copy(), base.xmat.reshape(3, 3).copy()
+        self._base_position, self._base_rotation = base.xpos.copy(), base.xmat.reshape(3, 3).copy()
         self._limits = self.model.actuator_ctrlrange[robot._ref_arm_joint_actuator_indexes, 1].copy()
         self._gain = 1.0 / (LAG + self.model.opt.timestep)
         self._inertia = np.zeros((self.model.nv, self.model.nv))
-        self._owner = [self._owner_of(geom) for geom in range(self.model.ngeom)]
-        self.cubes = sorted(name for name in set(self._owner) if name.startswith("cube"))
-        self._judged = self._judged_pairs()
-        self._account, self._wrench = Account(), np.zeros(6)
+        self._part_names = [self._part_name(geom) for geom in range(self.model.ngeom)]
+        self.cubes = sorted(name for name in set(self._part_names) if name.startswith("cube"))
+        self._checked_pairs = self._pairs_to_check()
+        self._limit_monitor, self._wrench = LimitMonitor(), np.zeros(6)
         self._steps = self._saturated = 0
         self._success = False
         self._first_success: float | None = None
 
     # --- what is told -----------------------------------------------------------------------------------------
 
-    def about(self) -> dict[str, Any]:
+    def setup(self) -> dict[str, Any]:
         """Period, cubes, everything that stands there with its shape in the arm's base frame, and the first state."""
         return {
             "period": float(self.model.opt.timestep),
             "cubes": self.cubes,
-            "things": [self._thing(geom) for geom in range(self.model.ngeom) if self._stands(geom)],
+            "things": [self._object_of(geom) for geom in range(self.model.ngeom) if self._is_obstacle(geom)],
             "torques": self._limits.tolist(),
             "state": self.state().tolist(),
         }
 
-    def sites(self, postures: Array) -> list[list[float]]:
+    def grip_sites(self, postures: Array) -> list[list[float]]:
         """The suite's grip site at `postures` (k, 7): position and rotation matrix, 12 numbers, in the base frame."""
         scratch = mujoco.MjData(self.model)
         found = []
@@ -82,8 +82,8 @@ class Suite:
             scratch.qpos[:] = self.data.qpos
             scratch.qpos[self._q] = q
             mujoco.mj_kinematics(self.model, scratch)
-            at = self._turn.T @ (scratch.site_xpos[self._site] - self._origin)
-            turn = self._turn.T @ scratch.site_xmat[self._site].reshape(3, 3)
+            at = self._base_rotation.T @ (scratch.site_xpos[self._site] - self._base_position)
+            turn = self._base_rotation.T @ scratch.site_xmat[self._site].reshape(3, 3)
             found.append([*at.tolist(), *turn.ravel().tolist()])
         return found
 
@@ -94,12 +94,12 @@ class Suite:
         head = [self.data.time, *self.data.qpos[self._q], *self.data.qvel[self._v], opening, float(self._success)]
         return np.array([*head, *poses])
 
-    def account(self) -> dict[str, Any]:
+    def limit_report(self) -> dict[str, Any]:
         """What was judged up to now."""
         return {
             "success": bool(self.env._check_success()),
             "first_success": self._first_success,
-            "breaches": self._account.breaches(),
+            "breaches": self._limit_monitor.breaches(),
             "saturated": self._saturated / max(1, self._steps),
         }
 
@@ -112,7 +112,9 @@ class Suite:
         self._success = reward > 0.0
         if self._success and self._first_success is None:
             self._first_success = round(self.data.time, 4)
-        self._account.tick(self.data.time, self.data.qpos[self._q], self.data.qvel[self._v], self._touches())
+        self._limit_monitor.update(
+            self.data.time, self.data.qpos[self._q], self.data.qvel[self._v], self._contact_forces()
+        )
         return self.state()
 
     def _torque(self, u: Array) -> Array:
@@ -124,19 +126,19 @@ class Suite:
         self._saturated += bool(np.any(np.abs(wish + data.qfrc_bias[self._v]) >= self._limits))
         return wish
 
-    def _touches(self) -> dict[tuple[str, str], float]:
+    def _contact_forces(self) -> dict[tuple[str, str], float]:
         """Normal forces [N] between parts of the robot and what they should not meet."""
         found: dict[tuple[str, str], float] = defaultdict(float)
         pairs = self.data.contact.geom
-        for index in np.flatnonzero(self._judged[pairs[:, 0], pairs[:, 1]]).tolist():
+        for index in np.flatnonzero(self._checked_pairs[pairs[:, 0], pairs[:, 1]]).tolist():
             mujoco.mj_contactForce(self.model, self.data, index, self._wrench)
-            one, other = sorted(self._owner[geom] for geom in pairs[index])
+            one, other = sorted(self._part_names[geom] for geom in pairs[index])
             found[one, other] += float(self._wrench[0])
         return found
 
     # --- the model --------------------------------------------------------------------------------------------
 
-    def _owner_of(self, geom: int) -> str:
+    def _part_name(self, geom: int) -> str:
         name = self.model.body(self.model.geom_bodyid[geom]).name
         if name.startswith("gripper0"):
             return "finger" if "finger" in name else "hand"
@@ -144,34 +146,34 @@ class Suite:
             return "mount"
         return name.removeprefix("robot0_").removesuffix("_main").replace("world", "floor")
 
-    def _judged_pairs(self) -> NDArray[np.bool_]:
+    def _pairs_to_check(self) -> NDArray[np.bool_]:
         """Pairs of geoms that should not meet: the robot with things and itself; fingers may take the first cube."""
-        robot = np.array([name.startswith(("link", "hand", "finger")) for name in self._owner])
-        finger = np.array([name == "finger" for name in self._owner])
-        target = np.array([name == self.cubes[0] for name in self._owner])
+        robot = np.array([name.startswith(("link", "hand", "finger")) for name in self._part_names])
+        finger = np.array([name == "finger" for name in self._part_names])
+        target = np.array([name == self.cubes[0] for name in self._part_names])
         judged = robot[:, None] | robot
         allowed = (finger[:, None] & target) | (finger[:, None] & finger)
         return judged & ~(allowed | allowed.T)
 
-    def _stands(self, geom: int) -> bool:
+    def _is_obstacle(self, geom: int) -> bool:
         """Whether a shape can be met and is no part of the arm."""
         meets = self.model.geom_contype[geom] or self.model.geom_conaffinity[geom]
-        return bool(meets) and not self._owner[geom].startswith(("link", "hand", "finger"))
+        return bool(meets) and not self._part_names[geom].startswith(("link", "hand", "finger"))
 
-    def _thing(self, geom: int) -> dict[str, Any]:
+    def _object_of(self, geom: int) -> dict[str, Any]:
         quaternion = np.zeros(4)
-        turn = self._turn.T @ self.data.geom_xmat[geom].reshape(3, 3)
+        turn = self._base_rotation.T @ self.data.geom_xmat[geom].reshape(3, 3)
         mujoco.mju_mat2Quat(quaternion, turn.ravel())
         return {
-            "name": self._owner[geom], "solid": SOLIDS[int(self.model.geom_type[geom])],
+            "name": self._part_names[geom], "solid": SHAPE_NAMES[int(self.model.geom_type[geom])],
             "size": self.model.geom_size[geom].tolist(), "quaternion": quaternion.tolist(),
-            "position": (self._turn.T @ (self.data.geom_xpos[geom] - self._origin)).tolist(),
+            "position": (self._base_rotation.T @ (self.data.geom_xpos[geom] - self._base_position)).tolist(),
         }  # fmt: skip
 
     def _pose(self, body: Any) -> list[float]:
         quaternion = np.zeros(4)
-        mujoco.mju_mat2Quat(quaternion, (self._turn.T @ body.xmat.reshape(3, 3)).ravel())
-        return [*(self._turn.T @ (body.xpos - self._origin)).tolist(), *quaternion.tolist()]
+        mujoco.mju_mat2Quat(quaternion, (self._base_rotation.T @ body.xmat.reshape(3, 3)).ravel())
+        return [*(self._base_rotation.T @ (body.xpos - self._base_position)).tolist(), *quaternion.tolist()]
 
 
 def _environment(task: str, seed: int) -> Any:
@@ -201,23 +203,23 @@ def main() -> None:
     os.dup2(2, 1)
     versions = {"robosuite": robosuite.__version__, "mujoco": mujoco.__version__, "numpy": np.__version__}
     send(answers, {"versions": versions})
-    suite: Suite | None = None
+    suite: RobosuiteTask | None = None
     while True:
         try:
             ask = receive(0)
-        except Broken:
+        except PipeError:
             return
         if not isinstance(ask, dict):
             send(answers, suite.step(ask))
         elif ask["do"] == "open":
             if suite is not None:
                 suite.env.close()
-            suite = Suite(ask["task"], ask["seed"])
-            send(answers, suite.about())
+            suite = RobosuiteTask(ask["task"], ask["seed"])
+            send(answers, suite.setup())
         elif ask["do"] == "sites":
-            send(answers, {"sites": suite.sites(np.array(ask["postures"]))})
+            send(answers, {"sites": suite.grip_sites(np.array(ask["postures"]))})
         else:
-            send(answers, suite.account())
+            send(answers, suite.limit_report())
 
 
 if __name__ == "__main__":

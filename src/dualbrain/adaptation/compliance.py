@@ -6,14 +6,14 @@ from collections.abc import Callable, Sequence
 
 from dualbrain.adaptation.curation.sample import Sample
 from dualbrain.contracts.gate.gate import Gate
-from dualbrain.contracts.registry import Registry
+from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.verdict import Accepted
 
-Judge = Callable[[str, Sample], bool]
+AnswerJudge = Callable[[str, Sample], bool]
 """Whether a text is a sound answer to the prompt of a sample."""
 
 
-def gate_judge(registry: Registry) -> Judge:
+def make_gate_judge(registry: SkillRegistry) -> AnswerJudge:
     """Accepts what syntax, authorization, bounds and the scene's names allow; to decline is no compliant answer here.
 
     Every sample was done by the robot, so that declining it is wrong; else a planner would comply by never acting. The
@@ -23,12 +23,14 @@ def gate_judge(registry: Registry) -> Judge:
     gate = Gate(registry, {"planner": frozenset(registry.by_name)})
 
     def accepts(text: str, sample: Sample) -> bool:
-        verdict = gate.check(text.encode("utf-8", "surrogatepass"), names=sample.names, principal="planner", now=0.0)
+        verdict = gate.check(
+            text.encode("utf-8", "surrogatepass"), names=sample.scene_names, principal="planner", now=0.0
+        )
         return isinstance(verdict, Accepted) and all(a.skill != "decline" for a in verdict.contract.action_sequence)
 
     return accepts
 
 
-def share(judge: Judge, answers: Sequence[str], samples: Sequence[Sample]) -> float:
+def compliant_share(judge: AnswerJudge, answers: Sequence[str], samples: Sequence[Sample]) -> float:
     """The share of `answers` that are sound, in [0, 1]."""
     return sum(judge(text, sample) for text, sample in zip(answers, samples, strict=True)) / max(1, len(samples))

@@ -8,14 +8,14 @@ from typing import Literal
 
 import msgspec
 
-from dualbrain.adaptation.curation.curate import Curation
-from dualbrain.errors import UNREADABLE, InvalidSetup
+from dualbrain.adaptation.curation.curate import CurationConfig
+from dualbrain.errors import DECODE_ERRORS, ConfigurationError
 
-Gate = Literal["none", "sample", "token"]
+EntropyGate = Literal["none", "sample", "token"]
 """What entropy does to the loss: nothing; the paper's weight of a sample; EAFT's weight of a token."""
 
 
-class ObjectiveDials(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class ObjectiveConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """λ_w `lambda_w` and λ_H `lambda_h` of ω_i = 1 + λ_w ŵ_i + λ_H Ĥ_i, β `beta` of the KL term, and the entropy gate.
 
     `lambda_h` is used by the gate "sample" only.
@@ -24,27 +24,27 @@ class ObjectiveDials(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     lambda_w: float = 0.5
     lambda_h: float = 0.5
     beta: float = 0.05
-    entropy_gate: Gate = "sample"
+    entropy_gate: EntropyGate = "sample"
 
     def __post_init__(self) -> None:
         """Raise `InvalidSetup` for a negative or endless dial: ω ≥ 1 and β ≥ 0 as in the paper."""
         for name in ("lambda_w", "lambda_h", "beta"):
             value = getattr(self, name)
             if not 0.0 <= value < math.inf:
-                raise InvalidSetup(f"objective {name}", got=value, allowed="at least 0 and finite")
+                raise ConfigurationError(f"objective {name}", got=value, allowed="at least 0 and finite")
 
 
-SEED = 2**63 - 1
+MAX_SEED = 2**63 - 1
 """The largest seed that every source of chance takes."""
-WHOLE = {
+INTEGER_BOUNDS = {
     "steps": (1, 1_000_000), "batch": (1, 4096), "at_once": (1, 4096), "rank": (1, 1024), "alpha": (1, 65_536),
     "save_every": (1, 1_000_000), "patience": (1, 1_000_000), "warm_up": (0, 1_000_000), "ask_at_most": (0, 1_000_000),
-    "seed": (0, SEED), "threads": (0, 4096),
+    "seed": (0, MAX_SEED), "threads": (0, 4096),
 }  # fmt: skip
 """Least and most of each whole number of a fit. Beyond them no fit is meant, and a library would fail in its midst."""
 
 
-class FitDials(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class FitConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How long and how fast.
 
     `steps` optimiser steps of `batch` samples, `at_once` of them in one forward pass. The rate rises to `rate` over
@@ -74,28 +74,28 @@ class FitDials(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def __post_init__(self) -> None:
         """Raise `InvalidSetup` for what cannot be."""
-        for name, (least, most) in WHOLE.items():
+        for name, (least, most) in INTEGER_BOUNDS.items():
             if not least <= (got := getattr(self, name)) <= most:
-                raise InvalidSetup(f"fit {name}", got=got, allowed=f"{least} to {most}")
+                raise ConfigurationError(f"fit {name}", got=got, allowed=f"{least} to {most}")
         for name in ("rate", "clip"):
             if not 0.0 < getattr(self, name) < math.inf:
-                raise InvalidSetup(f"fit {name}", got=getattr(self, name), allowed="above 0 and finite")
+                raise ConfigurationError(f"fit {name}", got=getattr(self, name), allowed="above 0 and finite")
         if self.batch % self.at_once:
-            raise InvalidSetup("fit at_once", got=self.at_once, allowed=f"a divisor of batch = {self.batch}")
+            raise ConfigurationError("fit at_once", got=self.at_once, allowed=f"a divisor of batch = {self.batch}")
 
 
 class AdaptConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Everything that decides what is taught and how; written beside the adapter it made."""
 
-    curation: Curation = Curation()
-    objective: ObjectiveDials = ObjectiveDials()
-    fit: FitDials = FitDials()
+    curation: CurationConfig = CurationConfig()
+    objective: ObjectiveConfig = ObjectiveConfig()
+    fit: FitConfig = FitConfig()
 
 
 def read_config(path: Path) -> AdaptConfig:
     """The dials in the TOML file at `path`; raises `InvalidSetup` naming the dial that is wrong or unknown."""
     try:
         return msgspec.toml.decode(path.read_bytes(), type=AdaptConfig)
-    except UNREADABLE as error:
-        raise InvalidSetup("adaptation config", got=str(error), allowed="the dials of `[curation]`, `[objective]`, "
+    except DECODE_ERRORS as error:
+        raise ConfigurationError("adaptation config", got=str(error), allowed="the dials of `[curation]`, `[objective]`, "
                            "`[fit]`", fix=str(path)) from error  # fmt: skip

@@ -12,10 +12,10 @@ from importlib import metadata
 from pathlib import Path
 
 from dualbrain import __version__
-from dualbrain.cli.common.console import listing
-from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.common.console import print_table
+from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.common.graphics import choose_graphics
-from dualbrain.cli.common.paths import cache, home
+from dualbrain.cli.common.paths import cache_folder, dualbrain_home
 from dualbrain.core import weights
 from dualbrain.errors import DualbrainError
 
@@ -24,8 +24,8 @@ from dualbrain.errors import DualbrainError
 class Finding:
     """One line of the examination: `good` False means something is missing, and `text` says how to get it."""
 
-    what: str
-    good: bool
+    item: str
+    ok: bool
     text: str
 
 
@@ -38,32 +38,35 @@ def doctor(*, robot: str = "") -> int:
         Examine this robot instead: a known name, or a folder that `dualbrain robot init` made.
     """
     if robot:
-        return _told(_robot(robot))
+        return _print_findings(_robot(robot))
     examinations = (_versions, _kernel, _latency, _rendering, _models, _memory)
-    return _told([finding for examine in examinations for finding in _safely(examine)])
+    return _print_findings([finding for examine in examinations for finding in _run_examination(examine)])
 
 
-def _told(findings: list[Finding]) -> int:
-    rows = [("ok" if finding.good else "--", finding.what, finding.text) for finding in findings]
-    listing(("", "what", "found"), rows, gives=("found",))
-    return Exit.SUCCESS if all(finding.good for finding in findings) else Exit.SETUP
+def _print_findings(findings: list[Finding]) -> int:
+    rows = [("ok" if finding.ok else "--", finding.item, finding.text) for finding in findings]
+    print_table(("", "what", "found"), rows, wrap_columns=("found",))
+    return ExitCode.SUCCESS if all(finding.ok for finding in findings) else ExitCode.SETUP
 
 
 def _robot(robot: str) -> list[Finding]:
     """What is missing of one robot; whether the kernel has room for it."""
-    from dualbrain.robots.importer.output.markdown import gaps
-    from dualbrain.robots.importer.output.robot_folder import read_report
-    from dualbrain.robots.loader import load_body
+    from dualbrain.robots.importer.output.markdown import missing_information
+    from dualbrain.robots.importer.output.robot_folder import read_import_files
+    from dualbrain.robots.loader import load_robot
     from dualbrain.safety.cbf.filter import SafetyFilter
 
-    body, folder = load_body(robot), Path(robot)
+    body, folder = load_robot(robot), Path(robot)
     SafetyFilter(body)
-    report, _ = read_report(folder) if folder.is_dir() else (None, None)
+    report, _ = read_import_files(folder) if folder.is_dir() else (None, None)
     found = f"{body.n} joints, {len(body.spheres)} spheres, every bound with its provenance"
-    return [Finding(body.name, True, found), *(Finding("missing", False, line) for line in gaps(body, report))]
+    return [
+        Finding(body.name, True, found),
+        *(Finding("missing", False, line) for line in missing_information(body, report)),
+    ]
 
 
-def _safely(examine: Callable[[], list[Finding]]) -> list[Finding]:
+def _run_examination(examine: Callable[[], list[Finding]]) -> list[Finding]:
     try:
         return examine()
     except (DualbrainError, ImportError, OSError) as error:
@@ -93,23 +96,23 @@ def _kernel() -> list[Finding]:
 
 
 def _latency() -> list[Finding]:
-    from dualbrain.grounding.offline_gate import as_specified
-    from dualbrain.robots.interface import at_home
-    from dualbrain.robots.loader import load_body
+    from dualbrain.grounding.offline_gate import scene_from_spec
+    from dualbrain.robots.interface import home_state
+    from dualbrain.robots.loader import load_robot
     from dualbrain.safety.cbf.filter import SafetyFilter
-    from dualbrain.safety.cbf.obstacles import from_scene
+    from dualbrain.safety.cbf.obstacles import obstacles_from_scene
     from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
-    body = load_body("panda")
-    safety, state = SafetyFilter(body), at_home(body)
-    safety.observe(from_scene(as_specified(open_scene("0")), known=(), held=None), 0.0)
+    body = load_robot("panda")
+    safety, state = SafetyFilter(body), home_state(body)
+    safety.observe(obstacles_from_scene(scene_from_spec(open_scene("0")), known=(), held=None), 0.0)
     times: list[float] = []
     for _ in range(2000):
         start = time.perf_counter()
         safety.filter(state, state.v, 0.0)
         times.append((time.perf_counter() - start) * 1e6)
     tracking = body.tracking
-    lag = f"lag {tracking.lag * 1e3:.2f} ms, rows keep {tracking.budget(body.alpha):.4f} rad/s"
+    lag = f"lag {tracking.lag * 1e3:.2f} ms, rows keep {tracking.row_margin(body.alpha):.4f} rad/s"
     return [
         Finding("filter step", True, f"{statistics.median(times):.1f} µs median, scene 0, from Python"),
         Finding("tracking model", True, f"{body.name}: {lag} ({tracking.provenance})"),
@@ -118,15 +121,15 @@ def _latency() -> list[Finding]:
 
 def _rendering() -> list[Finding]:
     why = choose_graphics(os.environ)
-    from dualbrain.robots.loader import load_body
-    from dualbrain.simulation.perception.rendering import INSTALL, Camera
+    from dualbrain.robots.loader import load_robot
+    from dualbrain.simulation.perception.rendering import INSTALL_HINT, Camera
     from dualbrain.simulation.plant.plant import Plant
     from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
     if why:
-        return [Finding("rendering", False, f"{why}. {INSTALL}")]
-    with Camera(Plant(open_scene("bare:0"), load_body("panda")), width=64, height=48) as camera:
-        picture = camera.snap()
+        return [Finding("rendering", False, f"{why}. {INSTALL_HINT}")]
+    with Camera(Plant(open_scene("bare:0"), load_robot("panda")), width=64, height=48) as camera:
+        picture = camera.capture()
     return [Finding("rendering", bool(picture.any()), f"MUJOCO_GL={os.environ['MUJOCO_GL']}")]
 
 
@@ -137,16 +140,16 @@ def _models() -> list[Finding]:
             status.file.name, good, "verified" if good else f"not here: dualbrain models fetch {status.file.name}"
         )
 
-    return [one(status) for status in weights.list_weights(cache())]
+    return [one(status) for status in weights.list_weights(cache_folder())]
 
 
 def _memory() -> list[Finding]:
     from dualbrain.memory.ledger.ledger import LedgerReader
 
-    path: Path = home() / "ledger.sqlite"
+    path: Path = dualbrain_home() / "ledger.sqlite"
     if not path.exists():
         return [Finding("memory", True, "empty: no run yet")]
     with LedgerReader(path) as ledger:
         report = ledger.verify()
-    state = "chain whole" if report.whole else f"damaged at event {report.broken_at}: {report.fault}"
-    return [Finding("memory", report.whole, f"{report.events} events, {state}")]
+    state = "chain whole" if report.is_intact else f"damaged at event {report.broken_at}: {report.fault}"
+    return [Finding("memory", report.is_intact, f"{report.events} events, {state}")]

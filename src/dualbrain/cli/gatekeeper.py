@@ -8,11 +8,11 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from dualbrain.cli.common.arguments import share
-from dualbrain.cli.common.exit_codes import Exit
-from dualbrain.cli.common.paths import home
+from dualbrain.cli.common.arguments import parse_fraction
+from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.cli.common.paths import dualbrain_home
 
-Act = Literal["pause", "resume", "abort", "takeover", "hand_back", "speed", "estop", "release_estop", "reset",
+OperatorAction = Literal["pause", "resume", "abort", "takeover", "hand_back", "speed", "estop", "release_estop", "reset",
               "shut_down"]  # fmt: skip
 
 
@@ -64,19 +64,19 @@ def gatekeeper(
     """
     import msgspec
 
-    from dualbrain.cli.common.console import answer
-    from dualbrain.control.gatekeeper.config import Plan
-    from dualbrain.control.gatekeeper.process import keep
+    from dualbrain.cli.common.console import print_result
+    from dualbrain.control.gatekeeper.config import GatekeeperConfig
+    from dualbrain.control.gatekeeper.process import run_gatekeeper
     from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
-    where, secrets = socket or home() / "gatekeeper.sock", keys or home() / "keys.json"
-    plan = Plan(
-        robot, open_scene(scene, robot), str(where), str(secrets), seed, stage=share(speed),
+    where, secrets = socket or dualbrain_home() / "gatekeeper.sock", keys or dualbrain_home() / "keys.json"
+    plan = GatekeeperConfig(
+        robot, open_scene(scene, robot), str(where), str(secrets), seed, stage=parse_fraction(speed),
         recording=str(record) if record else "", site=str(site or ""), driver=driver, address=address,
         commissioned=str(commissioned or ""),
     )  # fmt: skip
     said = f"gatekeeper of {robot} at {where}; Ctrl-C to shut down"
-    punctuality = keep(plan, lambda: print(said, file=sys.stderr))
+    punctuality = run_gatekeeper(plan, lambda: print(said, file=sys.stderr))
     p50, p99, _, worst = (1e3 * value for value in punctuality.interval)
     print(
         f"{punctuality.ticks} ticks: interval {p50:.2f} ms (median), {p99:.2f} (99 %), {worst:.1f} (longest); "
@@ -84,12 +84,18 @@ def gatekeeper(
         file=sys.stderr,
     )
     if json:
-        answer(msgspec.json.encode(punctuality).decode())
-    return Exit.SUCCESS
+        print_result(msgspec.json.encode(punctuality).decode())
+    return ExitCode.SUCCESS
 
 
 def operate(
-    act: Act, /, *, speed: str = "100%", socket: Path | None = None, keys: Path | None = None, run: Path | None = None
+    act: OperatorAction,
+    /,
+    *,
+    speed: str = "100%",
+    socket: Path | None = None,
+    keys: Path | None = None,
+    run: Path | None = None,
 ) -> int:
     """A person's hand: pause, resume, abort, take over, choose a speed, stop in an emergency, and reset after it.
 
@@ -108,21 +114,23 @@ def operate(
     """
     import time
 
-    from dualbrain.control.gatekeeper.protocol.authentication import open_keys
-    from dualbrain.control.gatekeeper.protocol.client import GatekeeperLink
-    from dualbrain.errors import InvalidSetup
+    from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
+    from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient
+    from dualbrain.errors import ConfigurationError
 
-    where, secrets = socket or home() / "gatekeeper.sock", keys or home() / "keys.json"
+    where, secrets = socket or dualbrain_home() / "gatekeeper.sock", keys or dualbrain_home() / "keys.json"
     if run is not None:
         address = run / "gatekeeper.address"
         if not address.exists():
-            raise InvalidSetup("run folder", got="no gatekeeper.address", allowed="a live run under way", fix=str(run))
+            raise ConfigurationError(
+                "run folder", got="no gatekeeper.address", allowed="a live run under way", fix=str(run)
+            )
         where, secrets = (Path(line) for line in address.read_text(encoding="utf-8").split())
     free = act == "estop" and not secrets.exists()
-    link = GatekeeperLink(where) if free else GatekeeperLink(where, open_keys(secrets), "operator")
-    link.operate(act, share(speed))
+    link = GatekeeperClient(where) if free else GatekeeperClient(where, load_or_create_keys(secrets), "operator")
+    link.operate(act, parse_fraction(speed))
     time.sleep(0.2)
-    beat = link.beat
+    beat = link.status
     print(f"{act}: {beat.action} {beat.check}".rstrip() if beat else f"{act}: sent", file=sys.stderr)
     link.close()
-    return Exit.SUCCESS
+    return ExitCode.SUCCESS

@@ -13,20 +13,20 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.markup import escape
 
-from dualbrain.cli.common.console import answer, listing
-from dualbrain.cli.common.exit_codes import Exit
-from dualbrain.cli.common.paths import cache, home
-from dualbrain.errors import WrongUsage
-from dualbrain.knowledge.document import KINDS, Document, Kind, Trust, parse_citation
-from dualbrain.knowledge.library import Addition, By, Library, Submission
-from dualbrain.knowledge.rejection import Refused
+from dualbrain.cli.common.console import print_result, print_table
+from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.cli.common.paths import cache_folder, dualbrain_home
+from dualbrain.errors import UsageError
+from dualbrain.knowledge.document import DOCUMENT_KINDS, Document, DocumentKind, TrustLevel, parse_citation
+from dualbrain.knowledge.library import Addition, Library, SearchMode, Submission
+from dualbrain.knowledge.rejection import DocumentRejected
 
 Json = Annotated[bool, Parameter(negative="", help="print one JSON object on stdout")]
 Store = Annotated[Path | None, Parameter(help="the store; default: knowledge.sqlite in dualbrain's home")]
 
 
 def add(
-    *files: Path, kind: Kind | None = None, trust: Trust = "unknown", name: str = "", title: str = "",
+    *files: Path, kind: DocumentKind | None = None, trust: TrustLevel = "unknown", name: str = "", title: str = "",
     body: tuple[str, ...] = (), store: Store = None, json: Json = False,
 ) -> int:  # fmt: skip
     """Put documents on the shelf: Markdown, text, HTML, PDF, or a map or templates in TOML or JSON.
@@ -54,35 +54,39 @@ def add(
         The robot it is about; may be given several times; default: it holds for all.
     """
     if not files or (name and len(files) > 1):
-        raise WrongUsage("files", got=len(files), allowed="at least one; with --name exactly one")
-    done: list[Addition | Refused] = []
-    with _library(store, write=True) as library:
+        raise UsageError("files", got=len(files), allowed="at least one; with --name exactly one")
+    done: list[Addition | DocumentRejected] = []
+    with _open_library(store, write=True) as library:
         for file in files:
             submission = Submission(file.name, file.read_bytes(), trust, name, kind, title, body)
-            one = _unfit(submission) or library.add(submission, now=time.time())
+            one = _unusable_templates(submission) or library.add(submission, now=time.time())
             done.append(one)
-            if isinstance(one, Refused):
-                _tell(f"{file}: refused: {one}")
+            if isinstance(one, DocumentRejected):
+                _print_stderr(f"{file}: refused: {one}")
             else:
-                _tell_addition(one)
+                _print_addition(one)
     if json:
-        answer(msgspec.json.encode({"documents": [_told(one) for one in done]}).decode())
-    return Exit.SETUP if any(isinstance(one, Refused) for one in done) else Exit.SUCCESS
+        print_result(msgspec.json.encode({"documents": [_encode_outcome(one) for one in done]}).decode())
+    return ExitCode.SETUP if any(isinstance(one, DocumentRejected) for one in done) else ExitCode.SUCCESS
 
 
 def list_documents(*, store: Store = None, json: Json = False) -> int:
     """List what stands on the shelf: name, kind, trust, version, size, title."""
-    with _library(store) as library:
+    with _open_library(store) as library:
         documents = library.documents()
     if json:
-        answer(msgspec.json.encode({"documents": documents}).decode())
-        return Exit.SUCCESS
-    listing(("name", "kind", "trust", "version", "chunks", "hidden", "title"), map(_row, documents), gives=("title",))
-    return Exit.SUCCESS
+        print_result(msgspec.json.encode({"documents": documents}).decode())
+        return ExitCode.SUCCESS
+    print_table(
+        ("name", "kind", "trust", "version", "chunks", "hidden", "title"),
+        map(_document_row, documents),
+        wrap_columns=("title",),
+    )
+    return ExitCode.SUCCESS
 
 
 def search(
-    query: str, /, *, k: int = 5, by: By = "both", kind: tuple[Kind, ...] = KINDS, trust: Trust = "unknown",
+    query: str, /, *, k: int = 5, by: SearchMode = "both", kind: tuple[DocumentKind, ...] = DOCUMENT_KINDS, trust: TrustLevel = "unknown",
     body: str = "", store: Store = None, json: Json = False,
 ) -> int:  # fmt: skip
     """Find the passages that answer a question, best first, each with the citation that quotes it again.
@@ -102,21 +106,21 @@ def search(
     body
         Leave out documents about other robots than this one.
     """
-    with _library(store, words_only=by == "words") as library:
-        hits = library.search(query, k, by=by, kinds=kind, least=trust, body=body)
+    with _open_library(store, words_only=by == "words") as library:
+        hits = library.search(query, k, mode=by, kinds=kind, min_trust=trust, robot=body)
     if json:
-        answer(msgspec.json.encode({"query": query, "hits": [_hit(one) for one in hits]}).decode())
-        return Exit.SUCCESS
+        print_result(msgspec.json.encode({"query": query, "hits": [_encode_hit(one) for one in hits]}).decode())
+        return ExitCode.SUCCESS
     console = Console(highlight=False)
     for one in hits:
-        parts = (("likeness", one.likeness), ("words", one.words))
+        parts = (("likeness", one.likeness), ("words", one.bm25_score))
         score = ", ".join(f"{part} {value:.2f}" for part, value in parts if value is not None)
         where = " › ".join(dict.fromkeys((one.title, *one.path)))
         console.print(f"[bold]{one.citation}[/]  [dim]{one.kind}, {one.trust}, {score}[/]\n{escape(where)}")
         console.print(f"  {escape(' '.join(one.text.split()))}\n")
     if not hits:
-        _tell("nothing found")
-    return Exit.SUCCESS
+        _print_stderr("nothing found")
+    return ExitCode.SUCCESS
 
 
 def show(what: str, /, *, version: str = "", store: Store = None, json: Json = False) -> int:
@@ -130,25 +134,27 @@ def show(what: str, /, *, version: str = "", store: Store = None, json: Json = F
         An older version of the document (the first digits suffice).
     """
     citation = parse_citation(what)
-    with _library(store) as library:
+    with _open_library(store) as library:
         if citation is not None:
             quoted = library.quote(citation)
-            if isinstance(quoted, Refused):
-                _tell(str(quoted))
-                return Exit.SETUP
-            answer(msgspec.json.encode({"citation": what, "text": quoted}).decode() if json else quoted)
-            return Exit.SUCCESS
-        history, reading = library.history(what), library.reading(what, version)
+            if isinstance(quoted, DocumentRejected):
+                _print_stderr(str(quoted))
+                return ExitCode.SETUP
+            print_result(msgspec.json.encode({"citation": what, "text": quoted}).decode() if json else quoted)
+            return ExitCode.SUCCESS
+        history, reading = library.history(what), library.document_text(what, version)
         if json:
             versions = [{"time": when, "document": one} for when, one in history]
-            answer(msgspec.json.encode({"name": what, "versions": versions, "text": reading.text}).decode())
-            return Exit.SUCCESS
+            print_result(msgspec.json.encode({"name": what, "versions": versions, "text": reading.text}).decode())
+            return ExitCode.SUCCESS
         for when, one in history:
-            _tell(f"{datetime.fromtimestamp(when, UTC):%Y-%m-%d %H:%M} UTC  {_line(one) if one else 'removed'}")
+            _print_stderr(
+                f"{datetime.fromtimestamp(when, UTC):%Y-%m-%d %H:%M} UTC  {_describe_document(one) if one else 'removed'}"
+            )
         for hidden in reading.hidden:
-            _tell(f"left out: {hidden.characters} characters, {hidden.kind}: {hidden.sample}")
-        answer(reading.text)
-    return Exit.SUCCESS
+            _print_stderr(f"left out: {hidden.characters} characters, {hidden.kind}: {hidden.sample}")
+        print_result(reading.text)
+    return ExitCode.SUCCESS
 
 
 def remove(*names: str, store: Store = None, json: Json = False) -> int:
@@ -160,31 +166,31 @@ def remove(*names: str, store: Store = None, json: Json = False) -> int:
         Names of `dualbrain knowledge list`.
     """
     if not names:
-        raise WrongUsage("names", got="none", allowed="at least one", fix="See `dualbrain knowledge list`.")
-    with _library(store, write=True) as library:
+        raise UsageError("names", got="none", allowed="at least one", fix="See `dualbrain knowledge list`.")
+    with _open_library(store, write=True) as library:
         removed = [library.remove(name, now=time.time()) for name in names]
     for one in removed:
-        _tell(f"removed {_line(one)}")
+        _print_stderr(f"removed {_describe_document(one)}")
     if json:
-        answer(msgspec.json.encode({"removed": removed}).decode())
-    return Exit.SUCCESS
+        print_result(msgspec.json.encode({"removed": removed}).decode())
+    return ExitCode.SUCCESS
 
 
 def rebuild(*, store: Store = None, json: Json = False) -> int:
     """Make the index of words and the vectors again from the documents, for example after a change of the encoder."""
-    with Library(_path(store), _encoder(), write=True) as library:
+    with Library(_store_path(store), _encoder(), write=True) as library:
         count = library.rebuild()
-    _tell(f"{count} chunks indexed")
+    _print_stderr(f"{count} chunks indexed")
     if json:
-        answer(msgspec.json.encode({"chunks": count}).decode())
-    return Exit.SUCCESS
+        print_result(msgspec.json.encode({"chunks": count}).decode())
+    return ExitCode.SUCCESS
 
 
-def _library(store: Path | None, *, write: bool = False, words_only: bool = False) -> Library:
+def _open_library(store: Path | None, *, write: bool = False, words_only: bool = False) -> Library:
     """The library, with dualbrain's own documents; a new one is made with them."""
     from dualbrain.knowledge.builtin_documents import open_library
 
-    path = _path(store)
+    path = _store_path(store)
     if words_only and path.exists():
         return Library(path, None)
     if not write:
@@ -193,49 +199,51 @@ def _library(store: Path | None, *, write: bool = False, words_only: bool = Fals
     return Library(path, encoder, write=True)
 
 
-def _path(store: Path | None) -> Path:
-    return store or home() / "knowledge.sqlite"
+def _store_path(store: Path | None) -> Path:
+    return store or dualbrain_home() / "knowledge.sqlite"
 
 
 def _encoder() -> Any:
     from dualbrain.memory.embedding.text_encoder import MiniLmEncoder
 
-    return MiniLmEncoder.fetched(cache())
+    return MiniLmEncoder.from_cache(cache_folder())
 
 
-def _unfit(submission: Submission) -> Refused | None:
+def _unusable_templates(submission: Submission) -> DocumentRejected | None:
     """Why templates cannot be used: the gate would refuse a contract made from one."""
-    from dualbrain.grounding.document_retrieval import unfit_templates
+    from dualbrain.grounding.document_retrieval import check_templates
 
-    return unfit_templates(submission)
+    return check_templates(submission)
 
 
-def _tell_addition(done: Addition) -> None:
-    _tell(f"{done.change}: {_line(done.document)}")
+def _print_addition(done: Addition) -> None:
+    _print_stderr(f"{done.change}: {_describe_document(done.document)}")
     for hidden in done.document.hidden:
-        _tell(f"  left out: {hidden.characters} characters, {hidden.kind}: {hidden.sample}")
+        _print_stderr(f"  left out: {hidden.characters} characters, {hidden.kind}: {hidden.sample}")
     if done.document.trust == "unknown":
-        _tell("  trust unknown: it can be found, but no planner is shown it. Add it again with --trust site or vendor.")
+        _print_stderr(
+            "  trust unknown: it can be found, but no planner is shown it. Add it again with --trust site or vendor."
+        )
 
 
-def _row(one: Document) -> tuple[str, ...]:
+def _document_row(one: Document) -> tuple[str, ...]:
     hidden = str(sum(part.characters for part in one.hidden) or "")
     return (one.name, one.kind, one.trust, one.version[:12], str(one.chunks), hidden, one.title)
 
 
-def _line(one: Document) -> str:
+def _describe_document(one: Document) -> str:
     return f"{one.name} ({one.kind}, {one.trust}, {one.chunks} chunks, version {one.version[:12]}): {one.title}"
 
 
-def _told(one: Addition | Refused) -> dict[str, Any]:
-    if isinstance(one, Refused):
+def _encode_outcome(one: Addition | DocumentRejected) -> dict[str, Any]:
+    if isinstance(one, DocumentRejected):
         return {"refused": one}
     return {"change": one.change, "document": one.document}
 
 
-def _hit(one: Any) -> dict[str, Any]:
+def _encode_hit(one: Any) -> dict[str, Any]:
     return {**msgspec.to_builtins(one), "citation": str(one.citation), "version": one.citation.version}
 
 
-def _tell(text: str) -> None:
+def _print_stderr(text: str) -> None:
     print(text, file=sys.stderr)

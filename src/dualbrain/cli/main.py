@@ -8,9 +8,9 @@ import traceback
 from cyclopts import App, CycloptsError
 
 from dualbrain import __version__
-from dualbrain.cli.common.console import abandon_stdout
-from dualbrain.cli.common.exit_codes import Exit
-from dualbrain.errors import DualbrainError, WrongUsage
+from dualbrain.cli.common.console import redirect_stdout_to_null
+from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.errors import DualbrainError, UsageError
 
 app = App(
     name="dualbrain",
@@ -166,26 +166,26 @@ for verb, function, words in (
 
 def main() -> None:
     """Run the command line and leave with its exit code."""
-    sys.exit(call(sys.argv[1:]))
+    sys.exit(run_command_line(sys.argv[1:]))
 
 
-def call(arguments: list[str]) -> int:
+def run_command_line(arguments: list[str]) -> int:
     """Run one command; what it raises becomes a message on stderr and an exit code."""
     try:
         return int(app(arguments, exit_on_error=False, result_action="return_value") or 0)
     except CycloptsError:
-        return Exit.USAGE
+        return ExitCode.USAGE
     except KeyboardInterrupt:
         print("dualbrain: interrupted", file=sys.stderr)
-        return Exit.INTERRUPTED
+        return ExitCode.INTERRUPTED
     except BrokenPipeError:  # only listings get here: what has a verdict survives its reader
-        abandon_stdout()
-        return Exit.SUCCESS
+        redirect_stdout_to_null()
+        return ExitCode.SUCCESS
     except Exception as error:
-        return _told(error)
+        return _print_error(error)
 
 
-def _told(error: Exception) -> Exit:
+def _print_error(error: Exception) -> ExitCode:
     """Say what is broken; a defect is told whole, and not to be taken for a task that failed safely."""
     match error:
         case DualbrainError():
@@ -194,4 +194,4 @@ def _told(error: Exception) -> Exit:
             print(f"dualbrain: {error.strerror or error}: {error.filename or ''}".rstrip(": "), file=sys.stderr)
         case _:
             traceback.print_exception(error)
-    return Exit.USAGE if isinstance(error, WrongUsage) else Exit.SETUP
+    return ExitCode.USAGE if isinstance(error, UsageError) else ExitCode.SETUP

@@ -7,23 +7,23 @@ import sys
 from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
 
-from dualbrain.cli.common.console import listing
-from dualbrain.cli.common.exit_codes import Exit
-from dualbrain.cli.common.paths import cache
+from dualbrain.cli.common.console import print_table
+from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.cli.common.paths import cache_folder
 from dualbrain.core import weights
 
 
 def list_models() -> int:
     """List the known weights: name, licence, size, whether they are here and verified."""
     rows = [
-        (status.file.name, status.file.licence, f"{status.file.size / 1e6:,.0f} MB", _here(status))
-        for status in weights.list_weights(cache())
+        (status.file.name, status.file.licence, f"{status.file.size / 1e6:,.0f} MB", _local_status(status))
+        for status in weights.list_weights(cache_folder())
     ]
-    listing(("name", "licence", "size", "here"), rows)
-    return Exit.SUCCESS
+    print_table(("name", "licence", "size", "here"), rows)
+    return ExitCode.SUCCESS
 
 
-def _here(status: weights.WeightStatus) -> str:
+def _local_status(status: weights.WeightStatus) -> str:
     return "verified" if status.verified else "present" if status.present else "-"
 
 
@@ -38,11 +38,11 @@ def fetch(*names: str) -> int:
     """
     for name in names:
         if "://" not in name and not name.endswith(".gguf"):
-            _fetch_one(_beneath(name))
-    return Exit.SUCCESS
+            _fetch_one(_base_model_of(name))
+    return ExitCode.SUCCESS
 
 
-def _beneath(name: str) -> str:
+def _base_model_of(name: str) -> str:
     """The model that a packaged adapter sits on; any other name as it is."""
     from dualbrain.adaptation.adapters.card import read_adapter_card
     from dualbrain.adaptation.adapters.packaged import packaged_folder, packaged_names
@@ -53,7 +53,7 @@ def _beneath(name: str) -> str:
 
 
 def _fetch_one(name: str) -> None:
-    file = weights.find_file(name)
+    file = weights.find_weight_file(name)
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -63,5 +63,7 @@ def _fetch_one(name: str) -> None:
     )
     with Progress(*columns, console=Console(file=sys.stderr), transient=True) as bar:
         task = bar.add_task(name, total=file.size)
-        path = weights.fetch(name, cache(), progress=lambda done, total: bar.update(task, completed=done, total=total))
+        path = weights.fetch_weights(
+            name, cache_folder(), progress=lambda done, total: bar.update(task, completed=done, total=total)
+        )
     print(f"{name}: {path} ({file.licence}, sha256 {file.sha256[:12]}… verified)", file=sys.stderr)

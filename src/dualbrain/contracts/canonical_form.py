@@ -13,22 +13,22 @@ from typing import Any, cast
 
 from dualbrain.contracts.canonical_json import canonical_json
 from dualbrain.contracts.contract import Action, Contract
-from dualbrain.contracts.registry import Registry
+from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.skill_spec import SkillSpec
 
 
-def canonical_contract(contract: Contract, registry: Registry) -> str:
+def canonical_contract(contract: Contract, registry: SkillRegistry) -> str:
     """`contract` in its one text, ASCII on one line; parameters that `registry` does not know come last, by name.
 
     Law: two contracts have the same text exactly if they say the same, whatever order or notation they came in; reading
     the text gives the contract back. Raises `UnknownName` for a skill that is not registered.
     """
-    context = _object({"robot": contract.context.robot, "registry": contract.context.registry})
-    steps = ",".join(_step(action, registry) for action in contract.action_sequence)
-    return f'{{"id":{_leaf(contract.id)},"context":{context},"action_sequence":[{steps}]}}'
+    context = _encode_object({"robot": contract.context.robot, "registry": contract.context.registry})
+    steps = ",".join(_encode_step(action, registry) for action in contract.action_sequence)
+    return f'{{"id":{_encode_leaf(contract.id)},"context":{context},"action_sequence":[{steps}]}}'
 
 
-def canonical_order(contract: Mapping[str, Any], registry: Registry) -> dict[str, Any]:
+def reorder_contract(contract: Mapping[str, Any], registry: SkillRegistry) -> dict[str, Any]:
     """`contract` as it was read from anywhere, with its steps and their parameters in the order of the one text.
 
     Nothing is checked or left out: what is not known comes last, by name; what is no step stays as it is.
@@ -37,19 +37,19 @@ def canonical_order(contract: Mapping[str, Any], registry: Registry) -> dict[str
     steps: Any = contract.get("action_sequence")
     ordered: dict[str, Any] = {}
     if isinstance(context, dict):
-        ordered["context"] = _first(cast("dict[str, Any]", context), ("robot", "registry"))
+        ordered["context"] = _put_first(cast("dict[str, Any]", context), ("robot", "registry"))
     if isinstance(steps, list | tuple):
-        ordered["action_sequence"] = [_ordered(step, registry.by_name) for step in cast("Sequence[Any]", steps)]
-    return _first({**contract, **ordered}, ("id", "context", "action_sequence"))
+        ordered["action_sequence"] = [_reorder_step(step, registry.by_name) for step in cast("Sequence[Any]", steps)]
+    return _put_first({**contract, **ordered}, ("id", "context", "action_sequence"))
 
 
-def _first(members: Mapping[str, Any], names: Iterable[str]) -> dict[str, Any]:
+def _put_first(members: Mapping[str, Any], names: Iterable[str]) -> dict[str, Any]:
     """`members` with those called `names` first, the others by name."""
     known = {name: members[name] for name in names if name in members}
     return known | {name: members[name] for name in sorted(members) if name not in known}
 
 
-def _ordered(step: Any, known: Mapping[str, SkillSpec]) -> Any:
+def _reorder_step(step: Any, known: Mapping[str, SkillSpec]) -> Any:
     """`step` with its skill first and its parameters as registered."""
     if not isinstance(step, dict):
         return step
@@ -57,22 +57,22 @@ def _ordered(step: Any, known: Mapping[str, SkillSpec]) -> Any:
     skill, params = members.get("skill"), members.get("params")
     if not isinstance(skill, str) or skill not in known or not isinstance(params, dict):
         return members
-    ordered = {"skill": skill, "params": _in_order(cast("dict[str, Any]", params), known[skill])}
-    return _first(members | ordered, ordered)
+    ordered = {"skill": skill, "params": _reorder_params(cast("dict[str, Any]", params), known[skill])}
+    return _put_first(members | ordered, ordered)
 
 
-def _step(action: Action, registry: Registry) -> str:
-    params = _in_order(action.params, registry.skill(action.skill))
-    return f'{{"skill":{_leaf(action.skill)},"params":{_object(params)}}}'
+def _encode_step(action: Action, registry: SkillRegistry) -> str:
+    params = _reorder_params(action.params, registry.skill(action.skill))
+    return f'{{"skill":{_encode_leaf(action.skill)},"params":{_encode_object(params)}}}'
 
 
-def _in_order(params: Mapping[str, Any], skill: SkillSpec) -> dict[str, Any]:
-    return _first(params, (parameter.name for parameter in skill.parameters))
+def _reorder_params(params: Mapping[str, Any], skill: SkillSpec) -> dict[str, Any]:
+    return _put_first(params, (parameter.name for parameter in skill.parameters))
 
 
-def _object(members: Mapping[str, Any]) -> str:
-    return "{" + ",".join(f"{_leaf(name)}:{_leaf(value)}" for name, value in members.items()) + "}"
+def _encode_object(members: Mapping[str, Any]) -> str:
+    return "{" + ",".join(f"{_encode_leaf(name)}:{_encode_leaf(value)}" for name, value in members.items()) + "}"
 
 
-def _leaf(value: Any) -> str:
+def _encode_leaf(value: Any) -> str:
     return json.dumps(value) if isinstance(value, str) else canonical_json(value).decode()

@@ -6,9 +6,9 @@ import json
 import math
 from typing import cast
 
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import ConfigurationError
 
-_LARGEST = 2**53
+_MAX_EXACT_INTEGER = 2**53
 """Whole numbers beyond this lose their neighbours in double precision, which RFC 8785 assumes of every reader."""
 
 
@@ -18,31 +18,31 @@ def canonical_json(value: object) -> bytes:
     No white space, keys sorted by UTF-16 code units, numbers as ECMAScript writes them. Raises
     `InvalidSetup` for what JSON cannot say exactly: NaN, infinities, whole numbers beyond 2^53, other types.
     """
-    return _text(value).encode()
+    return _encode(value).encode()
 
 
-def _text(value: object) -> str:
+def _encode(value: object) -> str:
     """The canonical text of one JSON value."""
     if value is None or isinstance(value, (bool, str)):
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, (int, float)):
-        return _number(value)
+        return _encode_number(value)
     if isinstance(value, (list, tuple)):
-        return "[" + ",".join(_text(item) for item in cast("list[object]", value)) + "]"
+        return "[" + ",".join(_encode(item) for item in cast("list[object]", value)) + "]"
     if isinstance(value, dict):
         members = sorted(cast("dict[str, object]", value).items(), key=lambda member: member[0].encode("utf-16-be"))
-        return "{" + ",".join(f"{_text(key)}:{_text(item)}" for key, item in members) + "}"
-    raise InvalidSetup("value in canonical JSON", got=type(value).__name__, allowed="JSON types")
+        return "{" + ",".join(f"{_encode(key)}:{_encode(item)}" for key, item in members) + "}"
+    raise ConfigurationError("value in canonical JSON", got=type(value).__name__, allowed="JSON types")
 
 
-def _number(value: float) -> str:
+def _encode_number(value: float) -> str:
     """`value` as ECMAScript's Number::toString writes it: shortest digits that round-trip, plain from 1e-6 to 1e21."""
-    if not math.isfinite(value) or (isinstance(value, int) and abs(value) > _LARGEST):
-        raise InvalidSetup("number in canonical JSON", got=value, allowed="finite numbers, whole ones up to 2^53")
+    if not math.isfinite(value) or (isinstance(value, int) and abs(value) > _MAX_EXACT_INTEGER):
+        raise ConfigurationError("number in canonical JSON", got=value, allowed="finite numbers, whole ones up to 2^53")
     if value == 0:
         return "0"
     sign = "-" if value < 0 else ""
-    digits, point = _shortest(abs(float(value)))
+    digits, point = _shortest_digits(abs(float(value)))
     if len(digits) <= point <= 21:
         return sign + digits + "0" * (point - len(digits))
     if 0 < point <= 21:
@@ -53,7 +53,7 @@ def _number(value: float) -> str:
     return f"{sign}{mantissa}e{point - 1:+d}"
 
 
-def _shortest(value: float) -> tuple[str, int]:
+def _shortest_digits(value: float) -> tuple[str, int]:
     """Shortest decimal digits d and decimal point n with value = 0.d × 10^n (Python's repr finds the digits)."""
     mantissa, _, exponent = repr(value).partition("e")
     whole, _, fraction = mantissa.partition(".")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-Value = float | str
+ParameterValue = float | str
 """What a parameter may be: a plain number in the registered SI unit, or a name (of a choice, an object, a place)."""
 
 
@@ -12,7 +12,7 @@ class Action(msgspec.Struct, frozen=True):
     """One call (p_k, θ) of a registered skill with its parameters."""
 
     skill: str
-    params: dict[str, Value]
+    params: dict[str, ParameterValue]
 
 
 class Context(msgspec.Struct, frozen=True):
@@ -30,7 +30,7 @@ class Contract(msgspec.Struct, frozen=True):
     action_sequence: tuple[Action, ...]
 
 
-class Stamp(msgspec.Struct, frozen=True):
+class ContractHeader(msgspec.Struct, frozen=True):
     """One shot of one principal: `sequence` rises with every shot; valid in [issued, expires) [s, the gate's clock].
 
     A contract is good for one acceptance, in its time, for the scene it was made for (`scene_version`).

@@ -10,20 +10,27 @@ from functools import cached_property
 from typing import Any
 
 from dualbrain.contracts.canonical_json import canonical_json
-from dualbrain.contracts.skill_spec import Choice, Name, Number, Parameter, SkillSpec, Text
+from dualbrain.contracts.skill_spec import (
+    ChoiceParameter,
+    NameParameter,
+    NumberParameter,
+    Parameter,
+    SkillSpec,
+    TextParameter,
+)
 from dualbrain.core.units import require_si
-from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.errors import ConfigurationError, UnknownNameError
 
 CONTRACT_VERSION = 1
 """Rises when the form or the meaning of a contract changes; part of every registry hash."""
 
-LARGEST_BOUND = 1e9
-LONGEST_TEXT = 500
-_IDENTIFIER = re.compile(r"[a-z][a-z0-9_]{0,31}")
+MAX_BOUND = 1e9
+MAX_TEXT_LENGTH = 500
+_IDENTIFIER_PATTERN = re.compile(r"[a-z][a-z0-9_]{0,31}")
 
 
 @dataclass(frozen=True)
-class Registry:
+class SkillRegistry:
     """The skills that `robot` offers (the primitive vocabulary P of paper 3.3); checked once, when it is built.
 
     Raises `InvalidSetup` for a duplicate or unreadable name, a unit that is not SI, a bound that is not finite, not
@@ -47,35 +54,35 @@ class Registry:
     def skill(self, name: str) -> SkillSpec:
         """The skill called `name`; raises `UnknownName`."""
         if name not in self.by_name:
-            raise UnknownName("skill", name, tuple(self.by_name), owner=self.robot)
+            raise UnknownNameError("skill", name, tuple(self.by_name), owner=self.robot)
         return self.by_name[name]
 
-    def canonical(self) -> bytes:
+    def canonical_bytes(self) -> bytes:
         """What the hash is taken of (RFC 8785): contract version, robot, skills, parameters, units, bounds, words.
 
         Left out: descriptions and provenance, because rewording them changes no contract's meaning and must not make
         memories and adapters foreign; permits, because they come from the skill and are never written in a contract.
         Order is left out too: skills, parameters and words are sets.
         """
-        skills = {skill.name: {p.name: _meaning(p) for p in skill.parameters} for skill in self.skills}
+        skills = {skill.name: {p.name: _hashed_domain(p) for p in skill.parameters} for skill in self.skills}
         return canonical_json({"contract_version": CONTRACT_VERSION, "robot": self.robot, "skills": skills})
 
     @cached_property
     def hash(self) -> str:
         """First 8 hex digits of the SHA-256 of `canonical()`: a name for honest mistakes, not a signature."""
-        return hashlib.sha256(self.canonical()).hexdigest()[:8]
+        return hashlib.sha256(self.canonical_bytes()).hexdigest()[:8]
 
 
-def _meaning(parameter: Parameter) -> dict[str, Any]:
+def _hashed_domain(parameter: Parameter) -> dict[str, Any]:
     """The part of a parameter that gives a contract its meaning."""
     match parameter:
-        case Number():
+        case NumberParameter():
             return {"number": parameter.unit, "lower": parameter.lower, "upper": parameter.upper}
-        case Choice():
+        case ChoiceParameter():
             return {"choice": sorted(parameter.choices)}
-        case Name():
+        case NameParameter():
             return {"name": parameter.of}
-        case Text():
+        case TextParameter():
             return {"text": parameter.max_length}
 
 
@@ -83,13 +90,13 @@ def _require_identifiers(what: str, names: Iterable[str]) -> None:
     """Raise unless `names` is not empty and holds distinct identifiers."""
     seen: set[str] = set()
     for name in names:
-        if not _IDENTIFIER.fullmatch(name):
-            raise InvalidSetup(what, got=name[:80], allowed=f"identifiers, {_IDENTIFIER.pattern}")
+        if not _IDENTIFIER_PATTERN.fullmatch(name):
+            raise ConfigurationError(what, got=name[:80], allowed=f"identifiers, {_IDENTIFIER_PATTERN.pattern}")
         if name in seen:
-            raise InvalidSetup(what, got=name, allowed="each name once", fix="Rename or drop the duplicate.")
+            raise ConfigurationError(what, got=name, allowed="each name once", fix="Rename or drop the duplicate.")
         seen.add(name)
     if not seen:
-        raise InvalidSetup(what, got="none", allowed="at least one name")
+        raise ConfigurationError(what, got="none", allowed="at least one name")
 
 
 def _require_skill(skill: SkillSpec) -> None:
@@ -99,61 +106,63 @@ def _require_skill(skill: SkillSpec) -> None:
     for parameter in skill.parameters:
         _require_parameter(f"{skill.name}.{parameter.name}", parameter)
     for permit in skill.permits:
-        if not 0.0 <= permit.speed <= LARGEST_BOUND:
-            raise InvalidSetup(f"permit of {skill.name}", got=permit.speed, allowed="a speed of at least 0 m/s")
+        if not 0.0 <= permit.speed <= MAX_BOUND:
+            raise ConfigurationError(f"permit of {skill.name}", got=permit.speed, allowed="a speed of at least 0 m/s")
 
 
 def _require_parameter(where: str, parameter: Parameter) -> None:
     """Raise unless the domain of `parameter` is sane."""
     match parameter:
-        case Number():
+        case NumberParameter():
             require_si(parameter.unit)
             _require_bounds(where, parameter)
-        case Choice():
+        case ChoiceParameter():
             _require_identifiers(f"choices of {where}", parameter.choices)
-        case Text():
-            if not 1 <= parameter.max_length <= LONGEST_TEXT:
-                raise InvalidSetup(f"length of {where}", got=parameter.max_length, allowed=f"1 to {LONGEST_TEXT}")
-        case Name():
+        case TextParameter():
+            if not 1 <= parameter.max_length <= MAX_TEXT_LENGTH:
+                raise ConfigurationError(
+                    f"length of {where}", got=parameter.max_length, allowed=f"1 to {MAX_TEXT_LENGTH}"
+                )
+        case NameParameter():
             pass
 
 
-def _require_bounds(where: str, number: Number) -> None:
+def _require_bounds(where: str, number: NumberParameter) -> None:
     """Raise unless lower ≤ upper, both finite, and each says where it comes from."""
-    if not -LARGEST_BOUND <= number.lower <= number.upper <= LARGEST_BOUND:
+    if not -MAX_BOUND <= number.lower <= number.upper <= MAX_BOUND:
         got = f"{number.lower} to {number.upper} {number.unit}"
-        raise InvalidSetup(f"bounds of {where}", got=got, allowed=f"lower ≤ upper within ±{LARGEST_BOUND:g}")
+        raise ConfigurationError(f"bounds of {where}", got=got, allowed=f"lower ≤ upper within ±{MAX_BOUND:g}")
     if not (number.lower_from.strip() and number.upper_from.strip()):
-        raise InvalidSetup(
+        raise ConfigurationError(
             f"provenance of {where}", got="none", allowed="where each bound comes from", fix="Name the source."
         )
 
 
-def narrows(inner: Registry, outer: Registry) -> bool:
+def is_narrower(inner: SkillRegistry, outer: SkillRegistry) -> bool:
     """Whether `inner` differs from `outer` at most by tighter bounds: same robot, skills, parameters, units, choices.
 
     Promise: every value that `inner` admits `outer` admits too, and means the same there.
     """
     alike = inner.robot == outer.robot and inner.by_name.keys() == outer.by_name.keys()
-    return alike and all(_skill(skill, outer.by_name[name]) for name, skill in inner.by_name.items())
+    return alike and all(_is_narrower_skill(skill, outer.by_name[name]) for name, skill in inner.by_name.items())
 
 
-def _skill(inner: SkillSpec, outer: SkillSpec) -> bool:
+def _is_narrower_skill(inner: SkillSpec, outer: SkillSpec) -> bool:
     ours = {parameter.name: parameter for parameter in inner.parameters}
     theirs = {parameter.name: parameter for parameter in outer.parameters}
-    return ours.keys() == theirs.keys() and all(_parameter(one, theirs[name]) for name, one in ours.items())
+    return ours.keys() == theirs.keys() and all(_is_narrower_parameter(one, theirs[name]) for name, one in ours.items())
 
 
-def _parameter(inner: Parameter, outer: Parameter) -> bool:
+def _is_narrower_parameter(inner: Parameter, outer: Parameter) -> bool:
     match inner, outer:
-        case Number(), Number():
+        case NumberParameter(), NumberParameter():
             inside = outer.lower <= inner.lower and inner.upper <= outer.upper
             return inner.unit == outer.unit and inside
-        case Choice(), Choice():
+        case ChoiceParameter(), ChoiceParameter():
             return set(inner.choices) == set(outer.choices)
-        case Name(), Name():
+        case NameParameter(), NameParameter():
             return inner.of == outer.of
-        case Text(), Text():
+        case TextParameter(), TextParameter():
             return inner.max_length <= outer.max_length
         case _:
             return False

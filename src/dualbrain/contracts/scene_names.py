@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import ConfigurationError
 
-Of = Literal["graspable", "receptive", "any"]
+NameKind = Literal["graspable", "receptive", "any"]
 
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,47}")
+_NAME_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,47}")
 
 
 @dataclass(frozen=True)
@@ -28,16 +28,16 @@ class SceneNames:
 
     def __post_init__(self) -> None:
         for name in self.graspable + self.receptive:
-            if not _NAME.fullmatch(name):
-                raise InvalidSetup("scene name", got=name[:80], allowed=f"identifiers, {_NAME.pattern}")
+            if not _NAME_PATTERN.fullmatch(name):
+                raise ConfigurationError("scene name", got=name[:80], allowed=f"identifiers, {_NAME_PATTERN.pattern}")
 
     @cached_property
-    def both(self) -> tuple[str, ...]:
+    def all_names(self) -> tuple[str, ...]:
         """Every name once: graspable ones first."""
         return tuple(dict.fromkeys(self.graspable + self.receptive))
 
-    def offered(self, of: Of) -> tuple[str, ...]:
+    def names_of_kind(self, kind: NameKind) -> tuple[str, ...]:
         """The names that a `Name` parameter with this `of` may take."""
-        if of == "any":
-            return self.both
-        return self.graspable if of == "graspable" else self.receptive
+        if kind == "any":
+            return self.all_names
+        return self.graspable if kind == "graspable" else self.receptive

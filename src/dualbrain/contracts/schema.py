@@ -4,10 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
-from dualbrain.contracts.registry import Registry
+from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.scene_names import SceneNames
-from dualbrain.contracts.skill_spec import Choice, Name, Number, Parameter, SkillSpec, Text
-from dualbrain.core.text import HIDDEN
+from dualbrain.contracts.skill_spec import (
+    ChoiceParameter,
+    NameParameter,
+    NumberParameter,
+    Parameter,
+    SkillSpec,
+    TextParameter,
+)
+from dualbrain.core.text import HIDDEN_CHARACTERS
 
 MAX_ACTIONS = 8
 ID_PATTERN = "^c-[0-9]{4}$"
@@ -28,20 +35,22 @@ def closed_object(properties: Schema) -> Schema:
     }
 
 
-def validation_schema(registry: Registry, names: SceneNames) -> Schema:
+def validation_schema(registry: SkillRegistry, names: SceneNames) -> Schema:
     """Draft-07: one `enum` of skills and one `if`/`then` per skill, so that an error names its exact place."""
     context = {"robot": {"const": registry.robot}, "registry": {"const": registry.hash}}
     step = closed_object({"skill": {"enum": [skill.name for skill in registry.skills]}, "params": {"type": "object"}})
-    step["allOf"] = [_branch(skill, [_domain(p, names) for p in skill.parameters]) for skill in registry.skills]
+    step["allOf"] = [
+        _skill_branch(skill, [_domain_schema(p, names) for p in skill.parameters]) for skill in registry.skills
+    ]
     about = {
         "$schema": DRAFT_07,
         "title": f"Contract for {registry.robot}, registry {registry.hash}",
         "description": "Numbers are plain SI values in the unit of `x-unit`; all parameters must be given.",
     }
-    return about | _contract(closed_object(context), step)
+    return about | _contract_schema(closed_object(context), step)
 
 
-def syntax_schema(registry: Registry) -> Schema:
+def syntax_schema(registry: SkillRegistry) -> Schema:
     """The syntax stage alone: fields, types and array sizes, without skill enum, bounds, words and scene names.
 
     A step with an unregistered skill is well formed if its params are numbers and strings; authorization refuses it.
@@ -49,29 +58,30 @@ def syntax_schema(registry: Registry) -> Schema:
     context = {"robot": {"type": "string"}, "registry": {"type": "string"}}
     scalars: Schema = {"type": "object", "additionalProperties": {"type": ["number", "string"]}}
     step = closed_object({"skill": {"type": "string"}, "params": scalars})
-    step["allOf"] = [_branch(skill, [_type(p) for p in skill.parameters]) for skill in registry.skills]
-    return {"$schema": DRAFT_07} | _contract(closed_object(context), step)
+    step["allOf"] = [_skill_branch(skill, [_type_schema(p) for p in skill.parameters]) for skill in registry.skills]
+    return {"$schema": DRAFT_07} | _contract_schema(closed_object(context), step)
 
 
-def decoding_schema(registry: Registry, names: SceneNames) -> Schema:
+def decoding_schema(registry: SkillRegistry, names: SceneNames) -> Schema:
     """For constrained decoders: one `anyOf` branch per skill, properties in the order they are to be written.
 
     Uses only keywords that LLGuidance and xgrammar enforce. A skill whose object or place has no name in this scene
     cannot be called and is left out. Raises nothing: with every skill left out the schema admits nothing.
     """
-    callable_skills = [skill for skill in registry.skills if _callable(skill, names)]
+    callable_skills = [skill for skill in registry.skills if _is_callable(skill, names)]
     branches = [_decoding_step(skill, names) for skill in callable_skills]
     context = {"robot": {"const": registry.robot}, "registry": {"const": registry.hash}}
     step: Schema = {"anyOf": branches} if branches else {"enum": []}
-    schema = _contract(closed_object(context), step)
+    schema = _contract_schema(closed_object(context), step)
     schema["properties"]["id"] = {"type": "string", "pattern": ID_PATTERN}
     return schema
 
 
-def short_form(registry: Registry, names: SceneNames) -> str:
+def describe_skills(registry: SkillRegistry, names: SceneNames) -> str:
     """One line a skill for the prompt, `grasp(object: graspable name, speed: 0.05..0.4 m/s) …`, then the names."""
     lines = [
-        f"{skill.name}({', '.join(map(_words, skill.parameters))}) {skill.description}" for skill in registry.skills
+        f"{skill.name}({', '.join(map(_describe_parameter, skill.parameters))}) {skill.description}"
+        for skill in registry.skills
     ]
     lines.append(f"graspable: {', '.join(names.graspable) or 'nothing'}")
     lines.append(f"receptive: {', '.join(names.receptive) or 'nothing'}")
@@ -81,84 +91,84 @@ def short_form(registry: Registry, names: SceneNames) -> str:
 # --- parts ----------------------------------------------------------------------------------------------------------
 
 
-def _contract(context: Schema, step: Schema) -> Schema:
+def _contract_schema(context: Schema, step: Schema) -> Schema:
     """The frame that all forms share: id, context, one to eight steps."""
     steps: Schema = {"type": "array", "minItems": 1, "maxItems": MAX_ACTIONS, "items": step}
     identity: Schema = {"type": "string", "pattern": ID_PATTERN, "maxLength": ID_LENGTH}
     return closed_object({"id": identity, "context": context, "action_sequence": steps})
 
 
-def _branch(skill: SkillSpec, domains: list[Schema]) -> Schema:
+def _skill_branch(skill: SkillSpec, domains: list[Schema]) -> Schema:
     """If the step calls `skill`, then its params are exactly these."""
     params = closed_object(dict(zip((p.name for p in skill.parameters), domains, strict=True)))
     calls = {"properties": {"skill": {"const": skill.name}}, "required": ["skill"]}
     return {"if": calls, "then": {"properties": {"params": params}}}
 
 
-def _type(parameter: Parameter) -> Schema:
+def _type_schema(parameter: Parameter) -> Schema:
     """The JSON type of a parameter and no more."""
-    return {"type": "number" if isinstance(parameter, Number) else "string"}
+    return {"type": "number" if isinstance(parameter, NumberParameter) else "string"}
 
 
-def _domain(parameter: Parameter, names: SceneNames) -> Schema:
+def _domain_schema(parameter: Parameter, names: SceneNames) -> Schema:
     """The whole domain of a parameter, in words too."""
     match parameter:
-        case Number():
-            schema = _bounded(parameter) | {"x-unit": parameter.unit}
-        case Choice():
+        case NumberParameter():
+            schema = _bounded_number(parameter) | {"x-unit": parameter.unit}
+        case ChoiceParameter():
             schema = {"type": "string", "enum": list(parameter.choices)}
-        case Name():
-            schema = {"type": "string", "enum": list(names.offered(parameter.of))}
-        case Text():
-            schema = {"type": "string", "maxLength": parameter.max_length, "not": {"pattern": f"[{HIDDEN}]"}}
+        case NameParameter():
+            schema = {"type": "string", "enum": list(names.names_of_kind(parameter.of))}
+        case TextParameter():
+            schema = {"type": "string", "maxLength": parameter.max_length, "not": {"pattern": f"[{HIDDEN_CHARACTERS}]"}}
     return schema | {"description": _description(parameter)}
 
 
 def _description(parameter: Parameter) -> str:
     """What a parameter means; for a number with its unit and where each bound comes from."""
-    if not isinstance(parameter, Number):
+    if not isinstance(parameter, NumberParameter):
         return parameter.description or parameter.name
     bounds = f"{parameter.lower:g} ({parameter.lower_from}) to {parameter.upper:g} ({parameter.upper_from})"
     return f"{parameter.description or parameter.name} [{parameter.unit}], {bounds}"
 
 
-def _bounded(number: Number) -> Schema:
+def _bounded_number(number: NumberParameter) -> Schema:
     """A number between its bounds, both included."""
     return {"type": "number", "minimum": number.lower, "maximum": number.upper}
 
 
-def _callable(skill: SkillSpec, names: SceneNames) -> bool:
+def _is_callable(skill: SkillSpec, names: SceneNames) -> bool:
     """Whether every name that `skill` asks for is offered by the scene."""
-    return all(names.offered(p.of) for p in skill.parameters if isinstance(p, Name))
+    return all(names.names_of_kind(p.of) for p in skill.parameters if isinstance(p, NameParameter))
 
 
 def _decoding_step(skill: SkillSpec, names: SceneNames) -> Schema:
     """One branch: the skill's name, then its params in the order of the registry."""
-    params = closed_object({p.name: _decoding_domain(p, names) for p in skill.parameters})
+    params = closed_object({p.name: _decoding_domain_schema(p, names) for p in skill.parameters})
     return closed_object({"skill": {"const": skill.name}, "params": params})
 
 
-def _decoding_domain(parameter: Parameter, names: SceneNames) -> Schema:
+def _decoding_domain_schema(parameter: Parameter, names: SceneNames) -> Schema:
     """The domain of a parameter in keywords that decoders enforce."""
     match parameter:
-        case Number():
-            return _bounded(parameter)
-        case Choice():
+        case NumberParameter():
+            return _bounded_number(parameter)
+        case ChoiceParameter():
             return {"enum": list(parameter.choices)}
-        case Name():
-            return {"enum": list(names.offered(parameter.of))}
-        case Text():
-            return {"type": "string", "pattern": f"^[^{HIDDEN}]{{0,{parameter.max_length}}}$"}
+        case NameParameter():
+            return {"enum": list(names.names_of_kind(parameter.of))}
+        case TextParameter():
+            return {"type": "string", "pattern": f"^[^{HIDDEN_CHARACTERS}]{{0,{parameter.max_length}}}$"}
 
 
-def _words(parameter: Parameter) -> str:
+def _describe_parameter(parameter: Parameter) -> str:
     """A parameter as one phrase of the short form."""
     match parameter:
-        case Number():
+        case NumberParameter():
             return f"{parameter.name}: {parameter.lower:g}..{parameter.upper:g} {parameter.unit}"
-        case Choice():
+        case ChoiceParameter():
             return f"{parameter.name}: {'|'.join(parameter.choices)}"
-        case Name():
+        case NameParameter():
             return f"{parameter.name}: {'name' if parameter.of == 'any' else f'{parameter.of} name'}"
-        case Text():
+        case TextParameter():
             return f"{parameter.name}: text of at most {parameter.max_length} characters"

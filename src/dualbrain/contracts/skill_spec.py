@@ -7,7 +7,7 @@ from typing import Literal
 import msgspec
 
 
-class Number(msgspec.Struct, frozen=True, tag_field="kind", tag="number"):
+class NumberParameter(msgspec.Struct, frozen=True, tag_field="kind", tag="number"):
     """A number in `unit` (SI, checked by pint) within [lower, upper]; each bound says where it comes from."""
 
     name: str
@@ -19,7 +19,7 @@ class Number(msgspec.Struct, frozen=True, tag_field="kind", tag="number"):
     description: str = ""
 
 
-class Choice(msgspec.Struct, frozen=True, tag_field="kind", tag="choice"):
+class ChoiceParameter(msgspec.Struct, frozen=True, tag_field="kind", tag="choice"):
     """One word of a fixed list."""
 
     name: str
@@ -27,7 +27,7 @@ class Choice(msgspec.Struct, frozen=True, tag_field="kind", tag="choice"):
     description: str = ""
 
 
-class Name(msgspec.Struct, frozen=True, tag_field="kind", tag="name"):
+class NameParameter(msgspec.Struct, frozen=True, tag_field="kind", tag="name"):
     """The name of something in the scene: `of` says which names are offered; the enum is built per scene."""
 
     name: str
@@ -35,7 +35,7 @@ class Name(msgspec.Struct, frozen=True, tag_field="kind", tag="name"):
     description: str = ""
 
 
-class Text(msgspec.Struct, frozen=True, tag_field="kind", tag="text"):
+class TextParameter(msgspec.Struct, frozen=True, tag_field="kind", tag="text"):
     """Free text of bounded length (only for people: no skill may act on it)."""
 
     name: str
@@ -43,7 +43,7 @@ class Text(msgspec.Struct, frozen=True, tag_field="kind", tag="text"):
     description: str = ""
 
 
-Parameter = Number | Choice | Name | Text
+Parameter = NumberParameter | ChoiceParameter | NameParameter | TextParameter
 
 
 class ContactPermit(msgspec.Struct, frozen=True):

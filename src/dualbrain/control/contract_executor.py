@@ -9,155 +9,163 @@ from __future__ import annotations
 import traceback
 
 from dualbrain.contracts.contract import Action, Contract
-from dualbrain.control.control_loop import IDLE, ControlTick
+from dualbrain.control.control_loop import IDLE_ACTION, ControlLoop
 from dualbrain.records import ActionResult, Outcome, OutcomeClass
-from dualbrain.safety.supervisor.actions import Cause, Rung
+from dualbrain.safety.supervisor.actions import Cause, SafetyAction
 from dualbrain.safety.supervisor.checks import CHECKS
 from dualbrain.safety.supervisor.conditions import Condition
-from dualbrain.skills.registry import Running
-from dualbrain.skills.skill import Ending, Holding, Status
+from dualbrain.skills.registry import SkillExecution
+from dualbrain.skills.skill import HeldObject, SkillResult, SkillStatus
 
-LONGEST = 300.0
+MAX_ACTION_TIME = 300.0
 """An action that has not ended by itself after this long [s] is taken over: people may come by again and again."""
-CLEARING = 0.8
+CLEARING_TIMEOUT = 0.8
 """A new contract waits this long [s] for the conditions of an earlier stop to be gone."""
-INTERRUPTED = "interrupted by a person"
+INTERRUPTED_REASON = "interrupted by a person"
 """How an action ends when a person wants the robot to stop."""
-ATTENDED: dict[str, OutcomeClass] = {"paused": "paused", "speed_stage": "slowed"}
+OPERATOR_OUTCOMES: dict[str, OutcomeClass] = {"paused": "paused", "speed_stage": "slowed"}
 """What a person's hand makes of a contract that was finished all the same."""
-BROKEN_OFF = ("aborted", "stopped", "handed_over", "emergency")
+STOP_OUTCOMES = ("aborted", "stopped", "handed_over", "emergency")
 """Outcomes that a fault on the way to rest does not outrank."""
 
 
-class LocalLayer(ControlTick):
+class ContractExecutor(ControlLoop):
     """Carries contracts out."""
 
-    def run(self, contract: Contract) -> Outcome:
+    def execute(self, contract: Contract) -> Outcome:
         """Carry out `contract`; the outcome is the robot's own verdict, never simulator truth.
 
         However it ends, the arm brakes to rest through the filter; what the drive does is the supervisor's order. What
         raises in here is a fault: the drive goes off at once, and the outcome says what it was.
         """
         first = len(self.log.trace)
-        self._attended.clear()
-        self._continue()
+        self._checks_during_contract.clear()
+        self._clear_stop()
         results: list[ActionResult] = []
         kind: OutcomeClass = "succeeded"
         for index, action in enumerate(contract.action_sequence):
-            result, kind = self._act(action, index) if kind == "succeeded" else (not_run(action), kind)
+            result, kind = (
+                self._execute_action(action, index) if kind == "succeeded" else (not_run_result(action), kind)
+            )
             results.append(result)
-        kind, fault = self._settle(kind)
+        kind, fault = self._come_to_rest(kind)
         if kind == "succeeded" and all(action.skill == "decline" for action in contract.action_sequence):
             kind = "declined"
         elif kind == "succeeded":
-            kind = self._as_attended()
+            kind = self._completed_outcome()
         bad = next((result for result in results if result.status not in ("done", "not_run")), results[-1])
         return self.log.outcome(kind, fault or bad.reason, first, tuple(results))
 
-    def _as_attended(self) -> OutcomeClass:
+    def _completed_outcome(self) -> OutcomeClass:
         """A contract that went well, as a person's hand has it."""
-        for name, kind in ATTENDED.items():
-            if name in self._attended:
+        for name, kind in OPERATOR_OUTCOMES.items():
+            if name in self._checks_during_contract:
                 return kind
         return "succeeded"
 
-    def _continue(self) -> None:
+    def _clear_stop(self) -> None:
         """A new contract leads out of a stop whose condition is gone; not out of what needs a person."""
-        for tick in range(round(CLEARING / self.body.period)):
-            if not self.spine.ending:
+        for tick in range(round(CLEARING_TIMEOUT / self.body.period)):
+            if not self.safety_controller.contract_outcome:
                 return
             if tick % 2 == 0:  # pressed anew, as it counts only once the condition is gone
-                self.spine.flag(Condition.CONTINUE)
-            self._rest("continue", IDLE)
+                self.safety_controller.report(Condition.CONTINUE)
+            self._rest_tick("continue", IDLE_ACTION)
 
-    def _settle(self, kind: OutcomeClass) -> tuple[OutcomeClass, str]:
+    def _come_to_rest(self, kind: OutcomeClass) -> tuple[OutcomeClass, str]:
         """Come to rest and end all permits; a fault on the way outranks every `kind` that is not a stop already.
 
         What did not go well may have left the hand around a thing: contacts that there still are stay permitted.
         """
         try:
-            self.hold(self.config.settle, "settle")
-            touches = () if kind == "succeeded" else self._leftover.beside(self._touches)
-            self._leftover.keep(self._phase, touches, self.state, self.scene)
+            self.hold(self.config.settle_time, "settle")
+            touches = () if kind == "succeeded" else self._residual_contacts.combine(self._touches)
+            self._residual_contacts.retain(self._phase, touches, self.state, self.scene)
             self._touches = ()
-            self._permit()
-            self._seize()
+            self._update_permits()
+            self._register_late_grasp()
         except Exception as error:
-            why = self._broken(error).reason
-            return (kind, "") if kind in BROKEN_OFF else ("stopped", why)
+            why = self._stop_on_fault(error).reason
+            return (kind, "") if kind in STOP_OUTCOMES else ("stopped", why)
         return kind, ""
 
     # --- one action ---------------------------------------------------------------------------------------------
 
-    def _act(self, action: Action, index: int) -> tuple[ActionResult, OutcomeClass]:
+    def _execute_action(self, action: Action, index: int) -> tuple[ActionResult, OutcomeClass]:
         started, first = self.state.stamp, len(self.log.trace)
-        self.log.note(started, "action", f"{action.skill} {in_words(action)}", index=index)
-        self._roles = roles_of(action, self.limb.holding)
+        self.log.note(started, "action", f"{action.skill} {format_parameters(action)}", index=index)
+        self._roles = action_roles(action, self.controller.holding)
         self._skill = action.skill
         try:
-            self._observe()
-            ending = self._carry_out(Running(self.limb, action.skill, action.params), index)
+            self._update_obstacles()
+            ending = self._run_skill(SkillExecution(self.controller, action.skill, action.params), index)
         except Exception as error:
-            ending = self._broken(error)
+            ending = self._stop_on_fault(error)
         self.log.note(self.state.stamp, "action", f"{action.skill}: {ending.reason}", status=ending.status.value)
-        kinds: dict[Status, OutcomeClass] = {
-            Status.DONE: "succeeded", Status.FAILED: "failed", Status.TAKEN_OVER: "taken_over",
-            Status.RUNNING: self._broken_off(ending),
+        kinds: dict[SkillStatus, OutcomeClass] = {
+            SkillStatus.DONE: "succeeded", SkillStatus.FAILED: "failed", SkillStatus.TAKEN_OVER: "taken_over",
+            SkillStatus.RUNNING: self._interrupted_outcome(ending),
         }  # fmt: skip
-        status = "stopped" if ending.status is Status.RUNNING else ending.status.value
+        status = "stopped" if ending.status is SkillStatus.RUNNING else ending.status.value
         kind = kinds[ending.status]
         Delta = self.log.mean_delta(first)
         return ActionResult(action.skill, status, ending.reason, started, self.state.stamp, Delta), kind
 
-    def _broken_off(self, ending: Ending) -> OutcomeClass:
+    def _interrupted_outcome(self, ending: SkillResult) -> OutcomeClass:
         """The outcome of an action that neither ended by itself nor was taken over."""
-        return "aborted" if ending.reason == INTERRUPTED else self.spine.ending or "stopped"
+        return (
+            "aborted" if ending.reason == INTERRUPTED_REASON else self.safety_controller.contract_outcome or "stopped"
+        )
 
-    def _carry_out(self, running: Running, index: int) -> Ending:
+    def _run_skill(self, running: SkillExecution, index: int) -> SkillResult:
         """Tick until the story ends or is ended; an end by the supervisor's order has status RUNNING."""
-        end = self.state.stamp + LONGEST
+        end = self.state.stamp + MAX_ACTION_TIME
         while not self.interrupted():
-            if why := self._called_off():
+            if why := self._supervisor_result():
                 return why
-            if self.spine.order.action >= Rung.HOVER:  # paused: the story waits, and so does its patience
-                self._rest("paused", index)
-                self._waited, end = self._waited + self.body.period, end + self.body.period
+            if (
+                self.safety_controller.decision.action >= SafetyAction.HOVER
+            ):  # paused: the story waits, and so does its patience
+                self._rest_tick("paused", index)
+                self._paused_time, end = self._paused_time + self.body.period, end + self.body.period
                 continue
-            nominal = running.nominal(self._senses())
-            self._lap("skills")
-            if isinstance(nominal, Ending):
+            nominal = running.nominal(self._observation())
+            self._mark_part("skills")
+            if isinstance(nominal, SkillResult):
                 return nominal
             if self.state.stamp > end:
-                return Ending(Status.TAKEN_OVER, f"{self._phase}: not done after {LONGEST:.0f} s")
-            self._answer = self._rest("think", index) if nominal is None else self._tick(nominal, index)
-            if self.spine.touched < 1.0:
-                self._waited += (1.0 - max(0.0, self.spine.touched)) * self.body.period
+                return SkillResult(SkillStatus.TAKEN_OVER, f"{self._phase}: not done after {MAX_ACTION_TIME:.0f} s")
+            self._last_result = self._rest_tick("think", index) if nominal is None else self._tick(nominal, index)
+            if self.safety_controller.scale_applied < 1.0:
+                self._paused_time += (1.0 - max(0.0, self.safety_controller.scale_applied)) * self.body.period
         self.log.note(self.state.stamp, "takeover", "interrupted by a person: braking to rest")
-        return Ending(Status.RUNNING, INTERRUPTED)
+        return SkillResult(SkillStatus.RUNNING, INTERRUPTED_REASON)
 
-    def _called_off(self) -> Ending | None:
+    def _supervisor_result(self) -> SkillResult | None:
         """How the supervisor ends the contract, if it does."""
-        ending = self.spine.ending
+        ending = self.safety_controller.contract_outcome
         if not ending:
             return None
         check = next(
-            check for check in reversed(CHECKS) if check.name in self.spine.supervisor.tripped and check.ending
+            check
+            for check in reversed(CHECKS)
+            if check.name in self.safety_controller.supervisor.tripped_checks and check.contract_outcome
         )
-        detail = f": {self._answer.explain()}" if check.cause is Cause.FILTER and self._answer else ""
-        status = Status.TAKEN_OVER if ending == "taken_over" else Status.RUNNING
-        return Ending(status, f"{check.says}{detail}")
+        detail = f": {self._last_result.explain()}" if check.cause is Cause.FILTER and self._last_result else ""
+        status = SkillStatus.TAKEN_OVER if ending == "taken_over" else SkillStatus.RUNNING
+        return SkillResult(status, f"{check.description}{detail}")
 
-    def _broken(self, error: Exception) -> Ending:
+    def _stop_on_fault(self, error: Exception) -> SkillResult:
         """A fault of the program or of its inputs: the drive goes off at once, and what it was is noted."""
         self.robot.stop()
-        self._on = False
-        self.spine.flag(Condition.PROGRAM_ERROR)
+        self._drive_on = False
+        self.safety_controller.report(Condition.PROGRAM_ERROR)
         why = f"{type(error).__name__}: {error}"
         self.log.note(self.state.stamp, "fault", why, traceback=traceback.format_exc())
-        return Ending(Status.RUNNING, why)
+        return SkillResult(SkillStatus.RUNNING, why)
 
 
-def roles_of(action: Action, holding: Holding | None) -> dict[str, str | None]:
+def action_roles(action: Action, holding: HeldObject | None) -> dict[str, str | None]:
     """What the action is about: its target and its destination, by name."""
     params = action.params
     target = params.get("object") or params.get("target") or (holding.name if holding else None)
@@ -165,13 +173,13 @@ def roles_of(action: Action, holding: Holding | None) -> dict[str, str | None]:
     return {"target": str(target) if target else None, "destination": str(destination) if destination else None}
 
 
-def in_words(action: Action) -> str:
+def format_parameters(action: Action) -> str:
     """Its parameters, for the log."""
     return ", ".join(
         f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in action.params.items()
     )
 
 
-def not_run(action: Action) -> ActionResult:
+def not_run_result(action: Action) -> ActionResult:
     """What is said of an action that never began."""
     return ActionResult(action.skill, "not_run", "an earlier action did not succeed", 0.0, 0.0, 0.0)

@@ -11,41 +11,41 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from dualbrain.core.geometry.distance import distance, solid
+from dualbrain.core.geometry.distance import bounding_solid, signed_distance
 from dualbrain.records import Scene, SceneObject
 from dualbrain.robots.interface import RobotState
-from dualbrain.skills.skill import Motion, Touch
+from dualbrain.skills.skill import MotionModel, PermittedContact
 
-CLEAR = 0.010
+CLEARANCE = 0.010
 """A part is clear of a thing when this much is between them beyond the error of its position [m]."""
-CLOSING = "close"
+CLOSING_PHASE = "close"
 """The phase in which the fingers close on a target."""
-HELD = "held"
+HELD_GROUP = "held"
 
 
-class Leftover:
+class ResidualContacts:
     """The contacts that were left over. State: `touches`, and what the fingers were `closing_on`."""
 
-    def __init__(self, motion: Motion) -> None:
+    def __init__(self, motion: MotionModel) -> None:
         """Nothing is touched."""
         self._motion = motion
-        self.touches: tuple[Touch, ...] = ()
-        self.closing_on = ""
+        self.touches: tuple[PermittedContact, ...] = ()
+        self.closing_target = ""
 
     @property
-    def names(self) -> frozenset[str]:
+    def object_names(self) -> frozenset[str]:
         """The things that the hand is still at."""
         return frozenset(touch.obstacle for touch in self.touches)
 
     @property
-    def around(self) -> str | None:
+    def object_in_fingers(self) -> str | None:
         """The thing that the fingers are still at."""
         return next((touch.obstacle for touch in self.touches if touch.robot_part == "fingers"), None)
 
-    def keep(self, phase: str, touches: Iterable[Touch], state: RobotState, scene: Scene) -> None:
+    def retain(self, phase: str, touches: Iterable[PermittedContact], state: RobotState, scene: Scene) -> None:
         """A skill is over that stood in `phase`, whose contacts were `touches`: those that are not clear stay."""
         self.touches = tuple(touches)
-        self.closing_on = (self.around or "") if phase == CLOSING else ""
+        self.closing_target = (self.object_in_fingers or "") if phase == CLOSING_PHASE else ""
         self.update(state, scene)
 
     def update(self, state: RobotState, scene: Scene) -> bool:
@@ -55,28 +55,28 @@ class Leftover:
         centres, radii, groups = self._motion.spheres(state.q, state.opening)
         seen = {thing.name: thing for thing in scene.objects}
 
-        def near(touch: Touch) -> bool:
+        def near(touch: PermittedContact) -> bool:
             part = np.array([group == touch.robot_part for group in groups])
             thing = seen.get(touch.obstacle)
-            if thing is None or (touch.robot_part == HELD and not part.any()):
+            if thing is None or (touch.robot_part == HELD_GROUP and not part.any()):
                 return True
-            return _room(thing, centres[part], radii[part]) < CLEAR
+            return _min_clearance(thing, centres[part], radii[part]) < CLEARANCE
 
         left = tuple(touch for touch in self.touches if near(touch))
-        if all(touch.robot_part == HELD for touch in left) and HELD not in groups:
+        if all(touch.robot_part == HELD_GROUP for touch in left) and HELD_GROUP not in groups:
             left = ()
         fewer, self.touches = len(left) < len(self.touches), left
-        if self.closing_on not in self.names:
-            self.closing_on = ""
+        if self.closing_target not in self.object_names:
+            self.closing_target = ""
         return fewer
 
-    def beside(self, touches: tuple[Touch, ...]) -> tuple[Touch, ...]:
+    def combine(self, touches: tuple[PermittedContact, ...]) -> tuple[PermittedContact, ...]:
         """`touches`, and what is left over of other pairs."""
         pairs = {(touch.robot_part, touch.obstacle) for touch in touches}
         return (*touches, *(touch for touch in self.touches if (touch.robot_part, touch.obstacle) not in pairs))
 
 
-def _room(thing: SceneObject, centres: np.ndarray, radii: np.ndarray) -> float:
+def _min_clearance(thing: SceneObject, centres: np.ndarray, radii: np.ndarray) -> float:
     """Least distance [m] of spheres from `thing`, beyond its error."""
-    apart = distance(*solid(thing.shape, thing.pose), centres) - radii
+    apart = signed_distance(*bounding_solid(thing.shape, thing.pose), centres) - radii
     return float(apart.min(initial=np.inf)) - thing.error

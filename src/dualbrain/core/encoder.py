@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-Rows = NDArray[np.float32]
+Float32Array = NDArray[np.float32]
 
 
 class Encoder(Protocol):
@@ -24,6 +24,6 @@ class Encoder(Protocol):
         """Length of each vector."""
         ...
 
-    def encode(self, texts: Sequence[str]) -> Rows:
+    def encode(self, texts: Sequence[str]) -> Float32Array:
         """Unit rows of shape (n_texts, dim), float32."""
         ...

@@ -7,23 +7,23 @@ from collections.abc import Mapping
 from difflib import get_close_matches
 from typing import Any, cast
 
-HIDDEN = "\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\U000e0000-\U000e007f"
+HIDDEN_CHARACTERS = "\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\U000e0000-\U000e007f"
 """Body of a character class: control characters (terminal escapes), zero-width, direction overrides and tag characters,
 which change what a reader sees or carry words that no reader sees."""
 
-LONGEST_SHOWN = 64
+MAX_PRINTED_LENGTH = 64
 
-_HIDDEN = re.compile(f"[{HIDDEN}]")
+_HIDDEN_PATTERN = re.compile(f"[{HIDDEN_CHARACTERS}]")
 
-Shown = str | int | float | bool | None
+PrintableValue = str | int | float | bool | None
 
 
-def hides_something(text: str) -> bool:
+def has_hidden_characters(text: str) -> bool:
     """Whether `text` holds a character that a reader could not see as what it is."""
-    return _HIDDEN.search(text) is not None
+    return _HIDDEN_PATTERN.search(text) is not None
 
 
-def shown(value: object) -> Shown:
+def to_printable(value: object) -> PrintableValue:
     """`value` in a form that is safe to print and bounded.
 
     A string comes in ASCII escapes, so that a look-alike letter shows, and at most 64 of them; of an object or array
@@ -32,8 +32,8 @@ def shown(value: object) -> Shown:
     if value is None or isinstance(value, (bool, int, float)):
         return value
     if isinstance(value, str):
-        safe = ascii(value[: LONGEST_SHOWN + 1])[1:-1]
-        return safe if len(safe) <= LONGEST_SHOWN else f"{safe[:LONGEST_SHOWN]}... ({len(value)} characters)"
+        safe = ascii(value[: MAX_PRINTED_LENGTH + 1])[1:-1]
+        return safe if len(safe) <= MAX_PRINTED_LENGTH else f"{safe[:MAX_PRINTED_LENGTH]}... ({len(value)} characters)"
     if isinstance(value, dict):
         return f"object of {len(cast('dict[str, object]', value))}"
     if isinstance(value, list):
@@ -41,18 +41,18 @@ def shown(value: object) -> Shown:
     return type(value).__name__
 
 
-def closest(name: str, known: tuple[str, ...]) -> str:
+def closest_name_hint(name: str, known: tuple[str, ...]) -> str:
     """`closest: 'red_cube'`, or the known names when none is near."""
-    near = get_close_matches(name[:LONGEST_SHOWN], known, n=1)
+    near = get_close_matches(name[:MAX_PRINTED_LENGTH], known, n=1)
     return f"closest: {near[0]!r}" if near else f"known: {', '.join(known) or 'none'}"
 
 
-def pointer(*parts: str | int) -> str:
+def json_pointer(*parts: str | int) -> str:
     """JSON pointer (RFC 6901) to a place in the contract; a key that is not plain is shown as by `shown`."""
-    return "".join("/" + str(shown(part)).replace("~", "~0").replace("/", "~1") for part in parts)
+    return "".join("/" + str(to_printable(part)).replace("~", "~0").replace("/", "~1") for part in parts)
 
 
-def clean(value: Any) -> Any:
+def make_json_safe(value: Any) -> Any:
     """The same value without what JSON in UTF-8 cannot hold: lone surrogates become U+FFFD, huge integers words."""
     match value:
         case str() if value.isascii():
@@ -60,26 +60,26 @@ def clean(value: Any) -> Any:
         case str():
             return value.encode("utf-16-le", "surrogatepass").decode("utf-16-le", "replace")
         case dict():
-            return {clean(key): clean(item) for key, item in cast("dict[str, Any]", value).items()}
+            return {make_json_safe(key): make_json_safe(item) for key, item in cast("dict[str, Any]", value).items()}
         case list() | tuple():
-            return [clean(item) for item in cast("list[Any]", value)]
+            return [make_json_safe(item) for item in cast("list[Any]", value)]
         case int() if value.bit_length() > 63:
             return f"an integer of {value.bit_length()} bits"
         case _:
             return value
 
 
-LONGEST = 1 << 16
+MAX_STORED_CHARACTERS = 1 << 16
 """Characters of a text that are kept; the gate reads no contract longer than this."""
 
 
-def storable(text: str, limit: int = LONGEST) -> str:
+def storable_text(text: str, limit: int = MAX_STORED_CHARACTERS) -> str:
     """`text` with lone surrogates replaced by U+FFFD, cut after `limit` characters with a word on its full length."""
     kept = text[:limit].encode("utf-16-le", "surrogatepass").decode("utf-16-le", "replace")
     return kept if len(text) <= limit else f"{kept}… ({len(text)} characters)"
 
 
-def apart(there: Mapping[str, object], here: Mapping[str, object]) -> str:
+def describe_differences(recorded: Mapping[str, object], current: Mapping[str, object]) -> str:
     """Each part of which both tell, and not the same; "" if there is none."""
-    found = [(name, value, here[name]) for name, value in there.items() if here.get(name, value) != value]
+    found = [(name, value, current[name]) for name, value in recorded.items() if current.get(name, value) != value]
     return "; ".join(f"{name} {theirs}, now {ours}" for name, theirs, ours in found)

@@ -6,13 +6,13 @@ import re
 from functools import cache
 from typing import TYPE_CHECKING
 
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import ConfigurationError
 
 if TYPE_CHECKING:
     import pint
 
-_SPELLING = re.compile(r"(?:1|[A-Za-z]+(?:\*\*[2-4])?)(?:[*/][A-Za-z]+(?:\*\*[2-4])?)*")
-_SYMBOL = re.compile(r"[A-Za-z]+")
+_UNIT_PATTERN = re.compile(r"(?:1|[A-Za-z]+(?:\*\*[2-4])?)(?:[*/][A-Za-z]+(?:\*\*[2-4])?)*")
+_SYMBOL_PATTERN = re.compile(r"[A-Za-z]+")
 _ALLOWED = "an SI unit without prefix, in symbols: 1, m, rad, s, kg, N, m/s, rad/s, m/s**2, N*m"
 
 
@@ -26,17 +26,17 @@ def require_si(unit: str) -> str:
     """
     import pint  # noqa: PLC0415 (half a second: only when a registry is built)
 
-    if not _SPELLING.fullmatch(unit):
-        raise InvalidSetup("unit", got=unit, allowed=_ALLOWED)
+    if not _UNIT_PATTERN.fullmatch(unit):
+        raise ConfigurationError("unit", got=unit, allowed=_ALLOWED)
     registry = _pint_registry()
     try:
-        for symbol in _SYMBOL.findall(unit):
+        for symbol in _SYMBOL_PATTERN.findall(unit):
             _require_symbol(symbol, registry)
         factor = registry.Quantity(1.0, registry.parse_units(unit)).to_base_units().magnitude
     except pint.errors.UndefinedUnitError as unknown:
-        raise InvalidSetup("unit", got=unit, allowed=_ALLOWED) from unknown
+        raise ConfigurationError("unit", got=unit, allowed=_ALLOWED) from unknown
     if factor != 1.0:
-        raise InvalidSetup("unit", got=unit, allowed=_ALLOWED, fix=f"One {unit} is {factor:.6g} in base units.")
+        raise ConfigurationError("unit", got=unit, allowed=_ALLOWED, fix=f"One {unit} is {factor:.6g} in base units.")
     return unit
 
 
@@ -44,7 +44,7 @@ def _require_symbol(symbol: str, registry: pint.UnitRegistry) -> None:
     """Raise `InvalidSetup` unless `symbol` is the short symbol of its unit."""
     short = format(registry.parse_units(symbol), "~C")
     if short != symbol:
-        raise InvalidSetup("unit symbol", got=symbol, allowed=_ALLOWED, fix=f"Write {short or '1'!r}.")
+        raise ConfigurationError("unit symbol", got=symbol, allowed=_ALLOWED, fix=f"Write {short or '1'!r}.")
 
 
 @cache

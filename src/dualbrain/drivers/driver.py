@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from dualbrain.robots.interface import Command, Robot
+from dualbrain.robots.interface import Command, RobotInterface
 from dualbrain.safety.supervisor.timing import Timing
 
 
-class Driver(Robot, Protocol):
+class Driver(RobotInterface, Protocol):
     """What a driver adds to `Robot`. The laws that it keeps are in `conformance.py`.
 
     It never raises once it is open: what the maker's library raises is told by `faults()`, and shows as
@@ -38,7 +38,7 @@ class Driver(Robot, Protocol):
         ...
 
 
-def sound(command: Command) -> bool:
+def is_finite(command: Command) -> bool:
     """Whether every number of `command` is finite: what is not never reaches an arm."""
     total = float(command.u.sum()) + command.opening + command.force
     return total - total == 0.0

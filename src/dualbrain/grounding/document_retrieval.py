@@ -6,22 +6,22 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from dualbrain.contracts.registry import Registry
-from dualbrain.errors import UnknownName
-from dualbrain.grounding.vocabulary import vocabulary
-from dualbrain.knowledge.document import Hit, Trust
+from dualbrain.contracts.registry import SkillRegistry
+from dualbrain.errors import UnknownNameError
+from dualbrain.grounding.vocabulary import load_skill_registry
+from dualbrain.knowledge.document import ChunkHit, TrustLevel
 from dualbrain.knowledge.library import Library, Submission
-from dualbrain.knowledge.readers.reader import read
-from dualbrain.knowledge.rejection import Refused
+from dualbrain.knowledge.readers.reader import read_document
+from dualbrain.knowledge.rejection import DocumentRejected
 from dualbrain.knowledge.structured.kinds import default_kind
-from dualbrain.knowledge.structured.parsing import structure
-from dualbrain.knowledge.structured.templates import TaskTemplates, judge
+from dualbrain.knowledge.structured.parsing import parse_structured
+from dualbrain.knowledge.structured.templates import TaskTemplates, check_template
 from dualbrain.records import Passage
 
 CHARACTERS_PER_TOKEN = 3
 """Fewer than any English text has with the tokenizers in use (about 4.3), so that the budget holds."""
-CANDIDATES = 12
-SYMBOLS = {
+MAX_CANDIDATES = 12
+SYMBOL_QUERIES = {
     "person: crossing": "a person is crossing, wait until clear",
     "person: near": "a person is near and rests",
     "fragile": "a fragile thing",
@@ -41,15 +41,15 @@ class Budget:
     task nothing is shown; and at most `per_document` of one document, so that no source fills the prompt.
     """
 
-    passages: int = 3
-    tokens: int = 300
-    per_document: int = 2
-    least: Trust = "vendor"
-    relevance: float = 0.35
+    max_passages: int = 3
+    max_tokens: int = 300
+    max_per_document: int = 2
+    min_trust: TrustLevel = "vendor"
+    min_relevance: float = 0.35
 
 
-def consult(
-    library: Library, instruction: str, summary: str, registry: Registry, budget: Budget = Budget()
+def retrieve_passages(
+    library: Library, instruction: str, summary: str, registry: SkillRegistry, budget: Budget = Budget()
 ) -> tuple[Passage, ...]:
     """The passages for one question, best first; templates only if the gate would accept them for `registry`.
 
@@ -57,22 +57,22 @@ def consult(
     shorter one; none is cut.
     """
     hits = library.search(
-        question(instruction, summary), CANDIDATES, kinds=("rule", "manual", "template"), least=budget.least,
-        body=registry.robot, per_document=budget.per_document,
+        build_query(instruction, summary), MAX_CANDIDATES, kinds=("rule", "manual", "template"), min_trust=budget.min_trust,
+        robot=registry.robot, per_document=budget.max_per_document,
     )  # fmt: skip
     chosen: list[Passage] = []
-    left = budget.tokens
+    left = budget.max_tokens
     for hit in hits:
-        text = _shown(library, hit, registry)
+        text = _quoted_text(library, hit, registry)
         cost = -(-(len(text) + len(str(hit.citation))) // CHARACTERS_PER_TOKEN)
-        relevant = hit.likeness is not None and hit.likeness >= budget.relevance
-        if text and relevant and cost <= left and len(chosen) < budget.passages:
-            chosen.append(_passage(hit, text, rank=len(chosen) + 1))
+        relevant = hit.likeness is not None and hit.likeness >= budget.min_relevance
+        if text and relevant and cost <= left and len(chosen) < budget.max_passages:
+            chosen.append(_make_passage(hit, text, rank=len(chosen) + 1))
             left -= cost
     return tuple(chosen)
 
 
-def question(instruction: str, summary: str) -> str:
+def build_query(instruction: str, summary: str) -> str:
     """What is asked of the documents: the instruction, and what the symbols of people and of the things it names mean.
 
     Where it names nothing of the scene, the symbols of everything.
@@ -81,44 +81,46 @@ def question(instruction: str, summary: str) -> str:
     things = [line for line in lines if ": object" in line]
     named = [line for line in things if set(line.partition(":")[0].split("_")) <= words]
     bearing = "\n".join(line for line in lines if line not in things or line in (named or things))
-    return ". ".join((instruction, *(meaning for symbol, meaning in SYMBOLS.items() if symbol in bearing)))
+    return ". ".join((instruction, *(meaning for symbol, meaning in SYMBOL_QUERIES.items() if symbol in bearing)))
 
 
-def _passage(hit: Hit, text: str, rank: int) -> Passage:
+def _make_passage(hit: ChunkHit, text: str, rank: int) -> Passage:
     title = " › ".join(dict.fromkeys((hit.title, *hit.path)))
     likeness = hit.likeness or 0.0
     return Passage(str(hit.citation), hit.kind, hit.trust, title, text, likeness, hit.score, rank)
 
 
-def _shown(library: Library, hit: Hit, registry: Registry) -> str:
+def _quoted_text(library: Library, hit: ChunkHit, registry: SkillRegistry) -> str:
     """The quotation on one line; of a template its skeleton, or nothing where the gate would refuse it."""
     if hit.kind != "template":
         return " ".join(hit.text.split())
-    whole = structure(library.reading(hit.citation.document, hit.citation.version), TaskTemplates)
+    whole = parse_structured(library.document_text(hit.citation.document, hit.citation.version), TaskTemplates)
     if not isinstance(whole, TaskTemplates) or registry.robot not in whole.robots:
         return ""
     named = [one for one in whole.templates if hit.path and one.name == hit.path[-1]]
-    return named[0].words() if named and judge(named[0], registry) is None else ""
+    return named[0].prompt_text() if named and check_template(named[0], registry) is None else ""
 
 
-def unfit_templates(submission: Submission, robots: Callable[[str], Registry] = vocabulary) -> Refused | None:
+def check_templates(
+    submission: Submission, registry_for: Callable[[str], SkillRegistry] = load_skill_registry
+) -> DocumentRejected | None:
     """Why a document of templates is refused before it is added: the gate would refuse a contract made from one.
 
     Robots that are not known here cannot be judged now; their templates are judged when they are to be shown.
     """
-    reading = read(submission.data, submission.file)
-    if isinstance(reading, Refused) or (submission.kind or default_kind(reading)) != "template":
+    reading = read_document(submission.data, submission.file)
+    if isinstance(reading, DocumentRejected) or (submission.kind or default_kind(reading)) != "template":
         return None
-    whole = structure(reading, TaskTemplates)
-    if isinstance(whole, Refused):
+    whole = parse_structured(reading, TaskTemplates)
+    if isinstance(whole, DocumentRejected):
         return whole
     for robot in whole.robots:
         try:
-            registry = robots(robot)
-        except UnknownName:
+            registry = registry_for(robot)
+        except UnknownNameError:
             continue
         for template in whole.templates:
-            if why := judge(template, registry):
+            if why := check_template(template, registry):
                 got = f"{why.stage} {why.pointer}: {why.got}"
-                return Refused(f"template {template.name!r} for {robot}", got, str(why.allowed), why.hint)
+                return DocumentRejected(f"template {template.name!r} for {robot}", got, str(why.allowed), why.hint)
     return None

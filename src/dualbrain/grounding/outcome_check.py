@@ -10,15 +10,15 @@ import numpy as np
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.core.geometry.shapes import Bowl, Box, Cylinder
-from dualbrain.records import Outcome, Scene, SceneObject, SecondOpinion
+from dualbrain.records import Outcome, OutcomeCheck, Scene, SceneObject
 
-NEAR_PLACE = 0.06
+PLACE_TOLERANCE = 0.06
 """A thing this near to a named place is there [m]."""
-ARM_ONLY = ("move_to", "home", "hold", "drive_to", "turn_to", "stop")
+MOTION_ONLY_SKILLS = ("move_to", "home", "hold", "drive_to", "turn_to", "stop")
 """Skills that move the robot and nothing else."""
 
 
-def second_opinion(scene: Scene, contract: Contract | None, outcome: Outcome) -> SecondOpinion:
+def check_outcome(scene: Scene, contract: Contract | None, outcome: Outcome) -> OutcomeCheck:
     """Whether `scene`, as perceived after the motion, agrees with a success or failure; "none" if it cannot tell.
 
     It judges everything that the contract grasps and then places, each where it was placed last: after a success all of
@@ -27,15 +27,15 @@ def second_opinion(scene: Scene, contract: Contract | None, outcome: Outcome) ->
     """
     if contract is None or outcome.kind not in ("succeeded", "failed"):
         return "none"
-    if all(action.skill in ARM_ONLY for action in contract.action_sequence):
+    if all(action.skill in MOTION_ONLY_SKILLS for action in contract.action_sequence):
         return "agrees"
-    there = [_is_at(scene, *wanted) for wanted in _placed(contract).items()]
+    there = [_is_at(scene, *wanted) for wanted in _expected_placements(contract).items()]
     if not there or None in there:
         return "none"
     return "agrees" if all(there) == (outcome.kind == "succeeded") else "disagrees"
 
 
-def _placed(contract: Contract) -> dict[str, str]:
+def _expected_placements(contract: Contract) -> dict[str, str]:
     """Where each thing that is grasped and then placed should be in the end."""
     thing: str | None = None
     found: dict[str, str] = {}
@@ -55,7 +55,7 @@ def _is_at(scene: Scene, name: str, destination: str) -> bool | None:
     thing = things[name]
     at = np.asarray(thing.pose.position)[:2]
     if destination in places:
-        return bool(np.linalg.norm(at - np.asarray(places[destination])[:2]) < NEAR_PLACE + thing.error)
+        return bool(np.linalg.norm(at - np.asarray(places[destination])[:2]) < PLACE_TOLERANCE + thing.error)
     if destination not in things:
         return None
     target = things[destination]

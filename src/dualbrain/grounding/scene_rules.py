@@ -12,48 +12,50 @@ from numpy.typing import NDArray
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.records import Scene, SceneObject
-from dualbrain.robots.model import Body
-from dualbrain.skills.arm.controller import Limb
-from dualbrain.skills.arm.grasp_planning import grasp_goal, station
-from dualbrain.skills.kinematics.object_geometry import APPROACH_LEAN, levelness, width
-from dualbrain.skills.mobile_base.controller import Chassis
-from dualbrain.skills.mobile_base.drive_to import NEAR
+from dualbrain.robots.model import RobotModel
+from dualbrain.skills.arm.controller import ArmController
+from dualbrain.skills.arm.grasp_planning import grasp_goal, pregrasp_goal
+from dualbrain.skills.kinematics.object_geometry import APPROACH_LEAN, grasp_width, levelness
+from dualbrain.skills.mobile_base.controller import BaseController
+from dualbrain.skills.mobile_base.drive_to import ARRIVAL_RADIUS
 from dualbrain.skills.mobile_base.path_planning import clearance
-from dualbrain.skills.mobile_manipulator import Carrier
-from dualbrain.skills.time_slicing import at_once
+from dualbrain.skills.mobile_manipulator import MobileManipulatorController
+from dualbrain.skills.time_slicing import run_to_completion
 
-LEVEL = 0.7
+MIN_LEVELNESS = 0.7
 """The fingers close along an axis of a thing only if it is about level: the least length of its horizontal part."""
-LOWEST_CLEARANCE = 0.03
+MIN_CLEARANCE = 0.03
 """The least clearance that the vocabulary knows [m]: where the search for an allowed one ends."""
-NAMED = {"grasp": "object", "place": "destination", "push": "object", "move_to": "target"}
+TARGET_PARAMETERS = {"grasp": "object", "place": "destination", "push": "object", "move_to": "target"}
 """Which parameter of a skill says what the arm goes to."""
-FINGER_ROOM = 0.010
+FINGER_MARGIN = 0.010
 """The fingers must be open at least this much wider than the thing they go around [m]."""
 
 Rule = Callable[[Contract], Rejected | None]
 
 
-def scene_rules(scene: Scene, limb: Limb | Chassis | Carrier) -> tuple[Rule, ...]:
+def scene_rules(
+    scene: Scene, controller: ArmController | BaseController | MobileManipulatorController
+) -> tuple[Rule, ...]:
     """The rules that hold for `scene` and the body as it stands: hand busy or empty, opening, reach; the floor."""
-    if isinstance(limb, Carrier):
+    if isinstance(controller, MobileManipulatorController):
         return (
-            _decline_alone,
-            lambda contract: _on_the_map(contract, scene, limb.chassis),
-            lambda contract: _hand_order(contract, limb.arm),
-            lambda contract: _fits_hand(contract, scene, limb),
-            lambda contract: _at_hand(contract, scene, limb),
+            _check_decline,
+            lambda contract: _check_drive_targets(contract, scene, controller.base),
+            lambda contract: _check_gripper_sequence(contract, controller.arm),
+            lambda contract: _check_grasps_before_driving(contract, scene, controller),
+            lambda contract: _check_reach_after_driving(contract, scene, controller),
         )
-    if isinstance(limb, Chassis):
-        return (_decline_alone, lambda contract: _on_the_map(contract, scene, limb))
+    if isinstance(controller, BaseController):
+        return (_check_decline, lambda contract: _check_drive_targets(contract, scene, controller))
     return (
-        _decline_alone,
-        lambda contract: _hand_order(contract, limb),
-        lambda contract: _grasps_fit(contract, scene, limb),
+        _check_decline,
+        lambda contract: _check_gripper_sequence(contract, controller),
+        lambda contract: _check_grasps(contract, scene, controller),
     )
 
 
-def _decline_alone(contract: Contract) -> Rejected | None:
+def _check_decline(contract: Contract) -> Rejected | None:
     skills = [action.skill for action in contract.action_sequence]
     if "decline" in skills and len(skills) > 1:
         return Rejected(
@@ -66,7 +68,7 @@ def _decline_alone(contract: Contract) -> Rejected | None:
     return None
 
 
-def _on_the_map(contract: Contract, scene: Scene, chassis: Chassis) -> Rejected | None:
+def _check_drive_targets(contract: Contract, scene: Scene, chassis: BaseController) -> Rejected | None:
     """What is driven to is a place; a point lies on the floor that may be driven on, and the base has room there."""
     places = [place.name for place in scene.places]
     for index, action in enumerate(contract.action_sequence):
@@ -75,14 +77,14 @@ def _on_the_map(contract: Contract, scene: Scene, chassis: Chassis) -> Rejected 
             return Rejected("envelope", pointer, action.params["place"], places, hint)
         if action.skill == "drive_to_pose":
             spot = np.array([float(action.params["x"]), float(action.params["y"])])
-            if float(clearance(chassis.ground(scene), spot)) < chassis.radius:
+            if float(clearance(chassis.with_keep_out_boxes(scene), spot)) < chassis.footprint_radius:
                 hint = "the base has no room there: something stands there, or it is off the floor"
                 pointer = f"/action_sequence/{index}/params"
                 return Rejected("envelope", pointer, spot.tolist(), "a free point of the floor", hint)
     return None
 
 
-def _hand_order(contract: Contract, limb: Limb) -> Rejected | None:
+def _check_gripper_sequence(contract: Contract, limb: ArmController) -> Rejected | None:
     """A grasp and a push need an empty hand, a place a full one."""
     full = limb.holding is not None
     for index, action in enumerate(contract.action_sequence):
@@ -102,18 +104,18 @@ def _hand_order(contract: Contract, limb: Limb) -> Rejected | None:
     return None
 
 
-def _grasps_fit(contract: Contract, scene: Scene, limb: Limb) -> Rejected | None:
+def _check_grasps(contract: Contract, scene: Scene, limb: ArmController) -> Rejected | None:
     """The fingers fit around each thing to grasp, and the arm reaches it."""
     for index, action in enumerate(contract.action_sequence):
         if action.skill != "grasp":
             continue
         params, pointer = action.params, f"/action_sequence/{index}/params"
         thing = scene.find(str(params["object"]))
-        if levelness(thing, str(params["finger_axis"])) < LEVEL:
+        if levelness(thing, str(params["finger_axis"])) < MIN_LEVELNESS:
             other = "across" if params["finger_axis"] == "along" else "along"
             hint = f"{thing.name} lies so that this axis points up: no finger can close along it"
             return Rejected("envelope", f"{pointer}/finger_axis", params["finger_axis"], [other], hint)
-        needed = width(thing, str(params["finger_axis"])) + FINGER_ROOM
+        needed = grasp_width(thing, str(params["finger_axis"])) + FINGER_MARGIN
         widest = 2.0 * limb.body.gripper.opening.value
         if float(params["opening"]) < needed:
             hint = (
@@ -128,7 +130,7 @@ def _grasps_fit(contract: Contract, scene: Scene, limb: Limb) -> Rejected | None
                 {"minimum": round(needed, 4), "maximum": widest},
                 hint,
             )
-        at = at_once(grasp_goal(limb, thing, str(params["finger_axis"]), str(params["approach"])))
+        at = run_to_completion(grasp_goal(limb, thing, str(params["finger_axis"]), str(params["approach"])))
         if at is None:
             return Rejected(
                 "envelope",
@@ -137,33 +139,39 @@ def _grasps_fit(contract: Contract, scene: Scene, limb: Limb) -> Rejected | None
                 "things within reach",
                 f"{thing.name} is out of reach for this grasp",
             )
-        if why := _station_fits(limb, thing, params, pointer):
+        if why := _check_approach(limb, thing, params, pointer):
             return why
     return None
 
 
-def _fits_hand(contract: Contract, scene: Scene, carrier: Carrier) -> Rejected | None:
+def _check_grasps_before_driving(
+    contract: Contract, scene: Scene, carrier: MobileManipulatorController
+) -> Rejected | None:
     """As `_grasps_fit` for what is grasped before the base drives; where it stands later is seen then."""
     driving = (i for i, action in enumerate(contract.action_sequence) if action.skill in ("drive_to", "drive_to_pose"))
     before = contract.action_sequence[: next(driving, None)]
     if not any(action.skill == "grasp" for action in before):
         return None
-    carrier.work(driving=False)
-    return _grasps_fit(msgspec.structs.replace(contract, action_sequence=before), carrier.arm.senses.scene, carrier.arm)
+    carrier.activate(driving=False)
+    return _check_grasps(
+        msgspec.structs.replace(contract, action_sequence=before), carrier.arm.observation.scene, carrier.arm
+    )
 
 
-def _at_hand(contract: Contract, scene: Scene, carrier: Carrier) -> Rejected | None:
+def _check_reach_after_driving(
+    contract: Contract, scene: Scene, carrier: MobileManipulatorController
+) -> Rejected | None:
     """After a drive to a place, what the arm is to work at lies within its reach there, for any heading."""
     places = {place.name: np.array(place.position[:2]) for place in scene.places}
-    far = _span(carrier.arm.body) + float(np.hypot(*carrier.arm.body.joints[0].translation[:2])) + NEAR
+    far = _max_reach(carrier.arm.body) + float(np.hypot(*carrier.arm.body.joints[0].translation[:2])) + ARRIVAL_RADIUS
     stands: str | None = None
     for index, action in enumerate(contract.action_sequence):
         if action.skill == "drive_to":
             stands = str(action.params["place"])
         elif action.skill == "drive_to_pose":
             stands = None
-        elif stands in places and (named := NAMED.get(action.skill)):
-            spot = _where(scene, str(action.params[named]))
+        elif stands in places and (named := TARGET_PARAMETERS.get(action.skill)):
+            spot = _floor_position(scene, str(action.params[named]))
             if np.linalg.norm(spot - places[stands]) > far:
                 near = [name for name, at in places.items() if np.linalg.norm(spot - at) <= far]
                 hint = f"out of reach from {stands}: drive_to {' or '.join(near) or 'it'} before that"
@@ -172,37 +180,39 @@ def _at_hand(contract: Contract, scene: Scene, carrier: Carrier) -> Rejected | N
     return None
 
 
-def _span(arm: Body) -> float:
+def _max_reach(arm: RobotModel) -> float:
     """No posture brings the tool farther from the first axis than this [m]: all parts of the chain in one line."""
     hand = next(link for link in arm.links if link.name == arm.tool.link)
     parts = [*(joint.translation for joint in arm.joints[1:]), hand.translation, arm.tool.translation]
     return float(sum(np.linalg.norm(part) for part in parts))
 
 
-def _where(scene: Scene, name: str) -> NDArray[np.float64]:
+def _floor_position(scene: Scene, name: str) -> NDArray[np.float64]:
     """Where a thing or a place lies on the floor (2,) [m]."""
     spot = next((place.position for place in scene.places if place.name == name), None)
     return np.array((spot or scene.find(name).pose.position)[:2])
 
 
-def _station_fits(limb: Limb, thing: SceneObject, params: Mapping[str, Any], pointer: str) -> Rejected | None:
+def _check_approach(
+    limb: ArmController, thing: SceneObject, params: Mapping[str, Any], pointer: str
+) -> Rejected | None:
     """The arm reaches the pose from which it comes down: its height, and that approach at all."""
     axis, approach, clearance = str(params["finger_axis"]), str(params["approach"]), float(params["clearance"])
-    if _reaches(limb, thing, axis, approach, clearance):
+    if _is_reachable(limb, thing, axis, approach, clearance):
         return None
-    lower = (float(height) for height in np.arange(clearance, LOWEST_CLEARANCE, -0.01))
-    highest = next((height for height in lower if _reaches(limb, thing, axis, approach, height)), None)
+    lower = (float(height) for height in np.arange(clearance, MIN_CLEARANCE, -0.01))
+    highest = next((height for height in lower if _is_reachable(limb, thing, axis, approach, height)), None)
     if highest is not None:
         hint = f"the arm cannot come down on {thing.name} from so high with this approach: ask for less clearance"
         return Rejected("envelope", f"{pointer}/clearance", clearance, {"maximum": round(highest, 2)}, hint)
-    others = [way for way in APPROACH_LEAN if _reaches(limb, thing, axis, way, LOWEST_CLEARANCE)]
+    others = [way for way in APPROACH_LEAN if _is_reachable(limb, thing, axis, way, MIN_CLEARANCE)]
     hint = f"the arm cannot come to {thing.name} this way: choose another approach or finger axis"
     return Rejected("envelope", f"{pointer}/approach", approach, others, hint)
 
 
-def _reaches(limb: Limb, thing: SceneObject, axis: str, approach: str, clearance: float) -> bool:
-    at = at_once(grasp_goal(limb, thing, axis, approach))
+def _is_reachable(limb: ArmController, thing: SceneObject, axis: str, approach: str, clearance: float) -> bool:
+    at = run_to_completion(grasp_goal(limb, thing, axis, approach))
     if at is None:
         return False
-    above = at_once(station(limb, at, thing, clearance))
-    return at_once(limb.kinematics.solve(above.position, above.rotation, (above.posture,))) is not None
+    above = run_to_completion(pregrasp_goal(limb, at, thing, clearance))
+    return run_to_completion(limb.kinematics.solve(above.position, above.rotation, (above.posture,))) is not None

@@ -6,13 +6,13 @@ import hashlib
 from pathlib import Path
 
 from dualbrain.core.encoder import Encoder
-from dualbrain.errors import InvalidSetup
-from dualbrain.knowledge.document import Kind, Trust
+from dualbrain.errors import ConfigurationError
+from dualbrain.knowledge.document import DocumentKind, TrustLevel
 from dualbrain.knowledge.library import Addition, Library, Submission
-from dualbrain.knowledge.rejection import Refused
+from dualbrain.knowledge.rejection import DocumentRejected
 
-DATA = Path(__file__).parent / "data"
-SHIPPED: dict[str, Kind] = {
+DATA_FOLDER = Path(__file__).parent / "data"
+BUILTIN_DOCUMENTS: dict[str, DocumentKind] = {
     "site-rules.md": "rule",
     "panda-hand.md": "manual",
     "ur5e-notes.md": "manual",
@@ -23,24 +23,24 @@ SHIPPED: dict[str, Kind] = {
     "panda-templates.toml": "template",
 }
 """File and kind of each; a test holds that every file of the folder is here."""
-BODIES = {"panda-hand.md": ("panda",), "ur5e-notes.md": ("ur5e",), "panda-templates.toml": ("panda",)}
+ROBOTS_BY_FILE = {"panda-hand.md": ("panda",), "ur5e-notes.md": ("ur5e",), "panda-templates.toml": ("panda",)}
 """Whom a document is about, where it is not about all."""
-TRUST: Trust = "vendor"
+BUILTIN_TRUST: TrustLevel = "vendor"
 
 
-def add_shipped(library: Library, *, now: float) -> tuple[Addition, ...]:
+def add_builtin_documents(library: Library, *, now: float) -> tuple[Addition, ...]:
     """Put up the documents that `library` has never seen, or not in today's version.
 
     One that somebody took down, or replaced by a document of their own of the same name, stays as they left it.
     """
     done: list[Addition] = []
-    for file, kind in SHIPPED.items():
-        if not _wanted(library, file):
+    for file, kind in BUILTIN_DOCUMENTS.items():
+        if not _needs_update(library, file):
             continue
-        data, bodies = (DATA / file).read_bytes(), BODIES.get(file, ())
-        added = library.add(Submission(file, data, TRUST, kind=kind, bodies=bodies), now=now)
-        if isinstance(added, Refused):
-            raise InvalidSetup(f"shipped document {file}", got=str(added), allowed="a document", fix="Reinstall.")
+        data, bodies = (DATA_FOLDER / file).read_bytes(), ROBOTS_BY_FILE.get(file, ())
+        added = library.add(Submission(file, data, BUILTIN_TRUST, kind=kind, robots=bodies), now=now)
+        if isinstance(added, DocumentRejected):
+            raise ConfigurationError(f"shipped document {file}", got=str(added), allowed="a document", fix="Reinstall.")
         if added.change != "unchanged":
             done.append(added)
     return tuple(done)
@@ -50,20 +50,20 @@ def open_library(path: Path, encoder: Encoder, *, now: float) -> Library:
     """The library at `path` with today's shipped documents; it is written only if one of them is missing or old."""
     if path.exists():
         library = Library(path, encoder)
-        if not any(_wanted(library, file) for file in SHIPPED):
+        if not any(_needs_update(library, file) for file in BUILTIN_DOCUMENTS):
             return library
         library.close()
     library = Library(path, encoder, write=True)
-    add_shipped(library, now=now)
+    add_builtin_documents(library, now=now)
     return library
 
 
-def _wanted(library: Library, file: str) -> bool:
+def _needs_update(library: Library, file: str) -> bool:
     """Whether `library` has never seen this document, or has an older version of it that nobody touched."""
     history = [one for _, one in library.history(Path(file).stem)]
     if not history:
         return True
     last = history[-1]
-    if last is None or last.trust != TRUST or last.file != file:
+    if last is None or last.trust != BUILTIN_TRUST or last.file != file:
         return False
-    return last.source != hashlib.sha256((DATA / file).read_bytes()).hexdigest()
+    return last.source != hashlib.sha256((DATA_FOLDER / file).read_bytes()).hexdigest()

@@ -12,12 +12,12 @@ from itertools import pairwise
 from typing import NamedTuple, cast
 
 from dualbrain.knowledge.readers.hidden_text import Span
-from dualbrain.knowledge.readers.markdown import blocks, line_starts
-from dualbrain.knowledge.readers.reader import Reading
+from dualbrain.knowledge.readers.markdown import line_starts, parse_blocks
+from dualbrain.knowledge.readers.reader import DocumentText
 
-LONGEST = 480
+MAX_CHUNK_CHARACTERS = 480
 """Characters of a chunk: some 120 tokens, so that three of them are a small part of a prompt."""
-LONGEST_ENTRY = 2000
+MAX_ENTRY_CHARACTERS = 2000
 """Characters of one entry of a TOML file, which is quoted whole or not at all."""
 
 _BREAKS = (re.compile(r"\n"), re.compile(r"(?<=[.!?:;])\s"), re.compile(r"\s"))
@@ -41,23 +41,25 @@ class _Block(NamedTuple):
     path: tuple[str, ...]
 
 
-def chunks(reading: Reading) -> tuple[Chunk, ...]:
+def split_chunks(reading: DocumentText) -> tuple[Chunk, ...]:
     """All chunks of `reading` in their order."""
-    find = {"markdown": _markdown, "html": _markdown, "toml": _tables}.get(reading.media, _paragraphs)
+    find = {"markdown": _markdown_blocks, "html": _markdown_blocks, "toml": _toml_tables}.get(
+        reading.media, _paragraphs
+    )
     whole = [block for block in find(reading.text) if reading.text[block.start : block.end].strip()]
-    by_page = (part for block in whole for part in _within_pages(reading, block))
-    longest = LONGEST_ENTRY if reading.media == "toml" else LONGEST
-    short = [part for block in by_page for part in _short(reading.text, block, longest)]
+    by_page = (part for block in whole for part in _split_at_pages(reading, block))
+    longest = MAX_ENTRY_CHARACTERS if reading.media == "toml" else MAX_CHUNK_CHARACTERS
+    short = [part for block in by_page for part in _split_long(reading.text, block, longest)]
     return tuple(
         Chunk(block.start, block.end, reading.page_at(block.start), block.path)
-        for block in _joined(reading, short, join=reading.media != "toml")
+        for block in _merge_adjacent(reading, short, join=reading.media != "toml")
     )
 
 
-def _markdown(text: str) -> Iterator[_Block]:
+def _markdown_blocks(text: str) -> Iterator[_Block]:
     """Top-level blocks under their headings."""
     starts, path = line_starts(text), list[tuple[int, str]]()
-    tokens = blocks(text)
+    tokens = parse_blocks(text)
     for token, after in zip(tokens, [*tokens[1:], None], strict=True):
         if token.level or token.map is None or token.nesting < 0:
             continue
@@ -71,7 +73,7 @@ def _markdown(text: str) -> Iterator[_Block]:
             yield _Block(start, end, tuple(title for _, title in path if title))
 
 
-def _tables(text: str) -> Iterator[_Block]:
+def _toml_tables(text: str) -> Iterator[_Block]:
     """The tables of a TOML file: each entry of a map or template is a chunk of its own."""
     begins = [0, *(match.start() for match in _TABLE.finditer(text) if match.start()), len(text)]
     for start, end in pairwise(begins):
@@ -84,7 +86,7 @@ def _paragraphs(text: str) -> Iterator[_Block]:
         yield _Block(*match.span(), ())
 
 
-def _within_pages(reading: Reading, block: _Block) -> Iterator[_Block]:
+def _split_at_pages(reading: DocumentText, block: _Block) -> Iterator[_Block]:
     """`block` cut where pages begin."""
     cuts = [start for start in reading.pages if block.start < start < block.end]
     edges = [block.start, *cuts, block.end]
@@ -92,20 +94,20 @@ def _within_pages(reading: Reading, block: _Block) -> Iterator[_Block]:
         yield _Block(start, end, block.path)
 
 
-def _short(text: str, block: _Block, longest: int) -> Iterator[_Block]:
+def _split_long(text: str, block: _Block, longest: int) -> Iterator[_Block]:
     """`block` without white space around it, cut into pieces of at most `longest` characters."""
-    start, end = _stripped(text, block.start, block.end)
+    start, end = _strip_span(text, block.start, block.end)
     while end - start > longest:
-        cut = _cut(text, start, longest)
-        left = _stripped(text, start, cut)
+        cut = _find_cut(text, start, longest)
+        left = _strip_span(text, start, cut)
         if left[0] < left[1]:
             yield _Block(*left, block.path)
-        start, end = _stripped(text, cut, end)
+        start, end = _strip_span(text, cut, end)
     if start < end:
         yield _Block(start, end, block.path)
 
 
-def _cut(text: str, start: int, longest: int) -> int:
+def _find_cut(text: str, start: int, longest: int) -> int:
     """Where a piece that begins at `start` ends: the last good break in its second half, else at full length."""
     for pattern in _BREAKS:
         places = [match.end() for match in pattern.finditer(text, start + longest // 2, start + longest)]
@@ -114,17 +116,17 @@ def _cut(text: str, start: int, longest: int) -> int:
     return start + longest
 
 
-def _stripped(text: str, start: int, end: int) -> Span:
+def _strip_span(text: str, start: int, end: int) -> Span:
     inner = text[start:end]
     left = len(inner) - len(inner.lstrip())
     return start + left, start + max(left, len(inner.rstrip()))
 
 
-def _joined(reading: Reading, parts: list[_Block], *, join: bool) -> Iterator[_Block]:
+def _merge_adjacent(reading: DocumentText, parts: list[_Block], *, join: bool) -> Iterator[_Block]:
     """Neighbours under one heading and on one page in one chunk, while it stays short."""
     held: _Block | None = None
     for part in parts:
-        if held is not None and join and _fit(reading, held, part):
+        if held is not None and join and _can_merge(reading, held, part):
             held = _Block(held.start, part.end, held.path)
             continue
         if held is not None:
@@ -134,6 +136,6 @@ def _joined(reading: Reading, parts: list[_Block], *, join: bool) -> Iterator[_B
         yield held
 
 
-def _fit(reading: Reading, held: _Block, part: _Block) -> bool:
+def _can_merge(reading: DocumentText, held: _Block, part: _Block) -> bool:
     alike = held.path == part.path and reading.page_at(held.start) == reading.page_at(part.start)
-    return alike and part.end - held.start <= LONGEST
+    return alike and part.end - held.start <= MAX_CHUNK_CHARACTERS

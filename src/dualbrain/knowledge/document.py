@@ -7,19 +7,19 @@ from typing import Literal, get_args
 
 import msgspec
 
-from dualbrain.knowledge.readers.hidden_text import Hidden
+from dualbrain.knowledge.readers.hidden_text import HiddenText
 
-Kind = Literal["rule", "manual", "map", "template"]
-Trust = Literal["site", "vendor", "unknown"]
+DocumentKind = Literal["rule", "manual", "map", "template"]
+TrustLevel = Literal["site", "vendor", "unknown"]
 """site: written or approved by who runs this robot; vendor: by who made it or dualbrain; unknown: found somewhere."""
 
-KINDS: tuple[Kind, ...] = get_args(Kind)
-TRUST: dict[Trust, float] = {"site": 1.0, "vendor": 0.9, "unknown": 0.5}
+DOCUMENT_KINDS: tuple[DocumentKind, ...] = get_args(DocumentKind)
+TRUST_WEIGHTS: dict[TrustLevel, float] = {"site": 1.0, "vendor": 0.9, "unknown": 0.5}
 """What each trust is worth: search scores are multiplied by it. `unknown` can be found, but is never put in a prompt,
 gives no places, no regions and no templates."""
 
 
-class Document(msgspec.Struct, frozen=True):
+class Document(msgspec.Struct, frozen=True, rename={"robots": "bodies"}):
     """One version of a document, as it was added at `added` [s, 1970 UTC] from a file called `file`.
 
     `bodies` are the robots it is about, none: it holds for all.
@@ -27,8 +27,8 @@ class Document(msgspec.Struct, frozen=True):
 
     name: str
     version: str
-    kind: Kind
-    trust: Trust
+    kind: DocumentKind
+    trust: TrustLevel
     title: str
     media: str
     file: str
@@ -36,11 +36,11 @@ class Document(msgspec.Struct, frozen=True):
     source: str
     characters: int
     chunks: int
-    hidden: tuple[Hidden, ...] = ()
-    bodies: tuple[str, ...] = ()
+    hidden: tuple[HiddenText, ...] = ()
+    robots: tuple[str, ...] = ()
 
 
-class Hit(msgspec.Struct, frozen=True):
+class ChunkHit(msgspec.Struct, frozen=True, rename={"bm25_score": "words"}):
     """A chunk that was found: its exact `text`, the headings above it, and the parts of its score.
 
     `likeness` is the cosine of query and chunk (None: not looked at), `words` the BM25 score, higher is better (None:
@@ -48,20 +48,20 @@ class Hit(msgspec.Struct, frozen=True):
     """
 
     citation: Citation
-    kind: Kind
-    trust: Trust
+    kind: DocumentKind
+    trust: TrustLevel
     title: str
     path: tuple[str, ...]
     text: str
     score: float
     likeness: float | None = None
-    words: float | None = None
+    bm25_score: float | None = None
 
 
-_FORM = re.compile(r"([a-z0-9][a-z0-9_-]{0,47})@([0-9a-f]{8,64})#(\d{1,9})-(\d{1,9})(?:,p(\d{1,6}))?")
-SHORT = 12
+_CITATION_PATTERN = re.compile(r"([a-z0-9][a-z0-9_-]{0,47})@([0-9a-f]{8,64})#(\d{1,9})-(\d{1,9})(?:,p(\d{1,6}))?")
+SHORT_VERSION_LENGTH = 12
 """Hex digits of a version that are written out; the store completes them and refuses what is not unique."""
-DOCUMENT = re.compile(r"[a-z0-9][a-z0-9_-]{0,47}")
+DOCUMENT_NAME_PATTERN = re.compile(r"[a-z0-9][a-z0-9_-]{0,47}")
 """What a document may be called: an identifier, never prose."""
 
 
@@ -79,13 +79,13 @@ class Citation(msgspec.Struct, frozen=True):
     page: int | None = None
 
     def __str__(self) -> str:
-        where = f"{self.document}@{self.version[:SHORT]}#{self.start}-{self.end}"
+        where = f"{self.document}@{self.version[:SHORT_VERSION_LENGTH]}#{self.start}-{self.end}"
         return where if self.page is None else f"{where},p{self.page}"
 
 
 def parse_citation(text: str) -> Citation | None:
     """The citation that `text` spells, None if it spells none."""
-    found = _FORM.fullmatch(text.strip())
+    found = _CITATION_PATTERN.fullmatch(text.strip())
     if found is None or int(found[3]) >= int(found[4]):
         return None
     return Citation(found[1], found[2], int(found[3]), int(found[4]), int(found[5]) if found[5] else None)

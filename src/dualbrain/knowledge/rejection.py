@@ -7,7 +7,7 @@ import msgspec
 from dualbrain.errors import DualbrainError
 
 
-class Refused(msgspec.Struct, frozen=True):
+class DocumentRejected(msgspec.Struct, frozen=True):
     """`what` is wrong, what was `got`, what is `allowed`, and how to `fix` it."""
 
     what: str
@@ -19,19 +19,19 @@ class Refused(msgspec.Struct, frozen=True):
         return f"{self.what}: got {self.got}; allowed: {self.allowed}." + (f" {self.fix}" if self.fix else "")
 
 
-class StoreInUse(DualbrainError):
+class StoreInUseError(DualbrainError):
     """Another process is writing the knowledge store."""
 
-    def __init__(self, path: str, waited: float) -> None:
+    def __init__(self, path: str, timeout_s: float) -> None:
         """Name the store and how long we waited [s]."""
-        self.path, self.waited = path, waited
+        self.path, self.timeout_s = path, timeout_s
         super().__init__(
-            f"The knowledge store is being written by another process, for more than {waited:g} s. One writer at a "
+            f"The knowledge store is being written by another process, for more than {timeout_s:g} s. One writer at a "
             f"time: try again when it is done. Reading is always allowed. {path}"
         )
 
 
-class DamagedStore(DualbrainError):
+class CorruptStoreError(DualbrainError):
     """The file is no knowledge store, or a broken one."""
 
     def __init__(self, why: str, path: str) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from dualbrain.memory.embedding.joint_embedding import EmbeddingConfig
 from dualbrain.memory.embedding.posture_features import PostureLimits
-from dualbrain.memory.learning.trust import Trust
+from dualbrain.memory.learning.trust import TrustConfig
 from dualbrain.memory.plasticity.rule import BANDWIDTH, Plasticity
 from dualbrain.memory.retrieval.search import check_lambda
 
@@ -22,11 +22,11 @@ class MemoryConfig:
 
     limits: tuple[PostureLimits, ...]
     lambda_s: float = 0.8
-    warnings: int = 2
+    max_warnings: int = 2
     diversity: float = 0.0
     plasticity: Plasticity | None = field(default_factory=Plasticity)
     embedding: EmbeddingConfig = field(default_factory=EmbeddingConfig)
-    trust: Trust = field(default_factory=Trust)
+    trust: TrustConfig = field(default_factory=TrustConfig)
 
     @property
     def bandwidth(self) -> float:

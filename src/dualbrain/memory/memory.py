@@ -6,26 +6,26 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import ConfigurationError
 from dualbrain.memory.config import MemoryConfig
-from dualbrain.memory.embedding.image_features import Picture
-from dualbrain.memory.embedding.joint_embedding import Alpha, Embedded, JointEmbedding
+from dualbrain.memory.embedding.image_features import ImageFeatures
+from dualbrain.memory.embedding.joint_embedding import Alpha, EpisodeEmbedding, JointEmbedding
 from dualbrain.memory.embedding.posture_features import Posture
 from dualbrain.memory.embedding.text_encoder import Encoder
 from dualbrain.memory.index.filters import Filter
-from dualbrain.memory.index.index import Index, Ranking
+from dualbrain.memory.index.index import Index, RankingOptions
 from dualbrain.memory.learning.consolidation import Consolidation
-from dualbrain.memory.ledger.events import CONFIRM, EPISODE, ROLLBACK, STATUS_OF, Status, Weighing
-from dualbrain.memory.ledger.hash_chain import Event, Head, checked
-from dualbrain.memory.ledger.ledger import Entry, Ledger, LedgerReader, Vector
-from dualbrain.memory.retrieval.search import Hit
-from dualbrain.memory.state.derivation import derive
-from dualbrain.memory.state.episode_record import Trace, read_stored, retrieved
-from dualbrain.memory.state.snapshot import Snapshot, read, write
-from dualbrain.memory.state.state import apply_all
-from dualbrain.records import Episode, Exemplar, Recall
+from dualbrain.memory.ledger.events import CONFIRM, EPISODE, ROLLBACK, STATUS_BY_EVENT_KIND, Status, WeightUpdate
+from dualbrain.memory.ledger.hash_chain import Head, LedgerEvent, verified_events
+from dualbrain.memory.ledger.ledger import Ledger, LedgerReader, PendingEvent, StoredVector
+from dualbrain.memory.retrieval.search import MemoryHit
+from dualbrain.memory.state.derivation import derive_state
+from dualbrain.memory.state.episode_record import EpisodeRecord, decode_stored_episode, retrieved_memories
+from dualbrain.memory.state.snapshot import MemorySnapshot, read_snapshot, write_snapshot
+from dualbrain.memory.state.state import apply_events
+from dualbrain.records import Episode, Exemplar, RetrievedContext
 
-SNAPSHOT_AFTER = 2000
+SNAPSHOT_MIN_EVENTS = 2000
 """A start that had to read more events than this leaves a snapshot for the next one."""
 
 
@@ -40,20 +40,20 @@ class StoreReport:
     episode_id: str
     seq: int
     head: Head
-    changes: tuple[Weighing, ...]
-    neighbours: int = 0
+    weight_updates: tuple[WeightUpdate, ...]
+    n_neighbours: int = 0
     status: Status = "active"
-    confirmed: tuple[str, ...] = ()
+    confirmed_ids: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         """One line for a person, such as "weights: e-13 (new) 0.50 -> 0.58, c-12 0.50 -> 0.58"."""
-        moves = [f"{c.memory}{'' if c.rank else ' (new)'} {c.before:.2f} -> {c.after:.2f}" for c in self.changes]
-        moves += [f"{self.neighbours} neighbours"] if self.neighbours else []
+        moves = [f"{c.memory}{'' if c.rank else ' (new)'} {c.before:.2f} -> {c.after:.2f}" for c in self.weight_updates]
+        moves += [f"{self.n_neighbours} neighbours"] if self.n_neighbours else []
         notes = {
             "candidate": "; not offered before something confirms it",
             "quarantined": "; quarantined, for the robot's own senses disagree",
         }.get(self.status, "")
-        confirmed = f"; confirms {', '.join(self.confirmed)}" if self.confirmed else ""
+        confirmed = f"; confirms {', '.join(self.confirmed_ids)}" if self.confirmed_ids else ""
         return f"weights: {', '.join(moves) or 'unchanged'}{notes}{confirmed}"
 
 
@@ -80,17 +80,17 @@ class Memory:
         """The weight w ∈ [0, 1] of every memory by episode id, oldest first."""
         return self.state.weights()
 
-    def trace(self, name: str) -> Trace:
+    def read_episode(self, name: str) -> EpisodeRecord:
         """Texts and contract of one memory, read from the ledger."""
-        return read_stored(self.ledger.event(self.state[name].seq).payload).episode
+        return decode_stored_episode(self.ledger.event(self.state[name].seq).payload).episode
 
     # --- recall -----------------------------------------------------------------------------------------------------
 
-    def recall(
+    def retrieve(
         self, instruction: str, summary: str, state: Posture | None, robot: str, registry: str, *, k: int,
-        image: Picture | None = None, alpha: Alpha | None = None, lambda_s: float | None = None,
+        image: ImageFeatures | None = None, alpha: Alpha | None = None, lambda_s: float | None = None,
         diversity: float | None = None, where: Filter | None = None,
-    ) -> Recall:  # fmt: skip
+    ) -> RetrievedContext:  # fmt: skip
         """The k best successes as exemplars and, apart from them, the best failures as warnings (paper 5.2).
 
         Only memories of the same robot and the same registry hash are offered: a contract made for other skills, units
@@ -101,24 +101,26 @@ class Memory:
         compared = self.index.compare(query, alpha or self.config.embedding.alpha)
         narrowed = dataclasses.replace(where or Filter(), robot=robot, registry=registry)
         lambda_s = self.config.lambda_s if lambda_s is None else lambda_s
-        ranking = Ranking(k, lambda_s, self.config.diversity if diversity is None else diversity)
-        few = dataclasses.replace(ranking, k=self.config.warnings)
-        follow, avoid = (dataclasses.replace(narrowed, lesson=lesson) for lesson in ("follow", "avoid"))
-        weights = self.index.weights(compared, robot, registry, self.config.bandwidth)
-        return Recall(
-            self._exemplars(query, self.index.hits(compared, weights, follow, ranking)),
-            self._exemplars(query, self.index.hits(compared, weights, avoid, few)),
+        ranking = RankingOptions(k, lambda_s, self.config.diversity if diversity is None else diversity)
+        few = dataclasses.replace(ranking, k=self.config.max_warnings)
+        follow, avoid = (dataclasses.replace(narrowed, guidance=lesson) for lesson in ("follow", "avoid"))
+        weights = self.index.contract_weights(compared, robot, registry, self.config.bandwidth)
+        return RetrievedContext(
+            self._exemplars(query, self.index.search(compared, weights, follow, ranking)),
+            self._exemplars(query, self.index.search(compared, weights, avoid, few)),
         )
 
-    def _exemplars(self, query: Embedded, hits: Sequence[Hit]) -> tuple[Exemplar, ...]:
+    def _exemplars(self, query: EpisodeEmbedding, hits: Sequence[MemoryHit]) -> tuple[Exemplar, ...]:
         return tuple(
-            self.trace(self.state.memos[hit.row].id).exemplar(hit, rank, self.index.parts(hit.row, query))
+            self.read_episode(self.state.memories[hit.row].id).to_exemplar(
+                hit, rank, self.index.block_cosines(hit.row, query)
+            )
             for rank, hit in enumerate(hits, start=1)
         )
 
     # --- store ------------------------------------------------------------------------------------------------------
 
-    def store(self, episode: Episode, state: Posture, *, now: float, image: Picture | None = None) -> StoreReport:
+    def store(self, episode: Episode, state: Posture, *, now: float, image: ImageFeatures | None = None) -> StoreReport:
         """Write `episode` and the weight changes it causes, in one transaction, at `now` [s, 1970 UTC].
 
         `episode.recall` must hold what stood in the prompt. Order: the new memory from w = 0.5 by its own outcome, then
@@ -127,37 +129,37 @@ class Memory:
         simulator truth says.
         """
         if any(True for _ in self.ledger.events("kind = ? AND subject = ?", (EPISODE, episode.id))):
-            raise InvalidSetup("episode id", got=episode.id, allowed="one that this ledger does not hold yet")
-        shown = [str(hit["memory"]) for hit in retrieved(episode.recall)]
+            raise ConfigurationError("episode id", got=episode.id, allowed="one that this ledger does not hold yet")
+        shown = [str(hit["memory"]) for hit in retrieved_memories(episode.recall)]
         if strangers := [name for name in shown if name not in self.state]:
-            raise InvalidSetup("recalled memories", got=strangers, allowed="ids of episodes in this ledger")
-        written = self.consolidation().of(episode, state, image, now)
-        events = self.append(written.entries, now=now)
+            raise ConfigurationError("recalled memories", got=strangers, allowed="ids of episodes in this ledger")
+        written = self.consolidation().build_transaction(episode, state, image, now)
+        events = self.append(written.events, now=now)
         first, head = events[0], Head(events[-1].seq, events[-1].hash)
         w = written
-        return StoreReport(first.subject, first.seq, head, w.changes, w.neighbours, w.status, w.confirmed)
+        return StoreReport(first.subject, first.seq, head, w.weight_updates, w.n_neighbours, w.status, w.confirmed)
 
     def consolidation(self) -> Consolidation:
         """What works out the events of an outcome, on the present state."""
         return Consolidation(self.ledger, self.state, self.index, self.config)
 
-    def append(self, entries: Sequence[Entry], *, now: float) -> tuple[Event, ...]:
+    def append(self, entries: Sequence[PendingEvent], *, now: float) -> tuple[LedgerEvent, ...]:
         """Write events, all or none, and bring state and index up to them; raises `InvalidSetup` if only reading."""
         if not isinstance(self.ledger, Ledger):
-            raise InvalidSetup("memory", got="a ledger opened for reading", allowed="a ledger opened for writing")
+            raise ConfigurationError("memory", got="a ledger opened for reading", allowed="a ledger opened for writing")
         vectors = [entry.vector for entry in entries]
         events = self.ledger.append(entries, now=now)
-        if any(_turns_back(event) for event in events):
-            self._derive()
+        if any(_changes_history(event) for event in events):
+            self._derive_from_events()
         else:
             known = dict(zip((event.seq for event in events), vectors, strict=True))
-            apply_all(events, str(self.ledger.path), lambda event: self._apply(event, known[event.seq]))
+            apply_events(events, str(self.ledger.path), lambda event: self._apply(event, known[event.seq]))
         return events
 
-    def _apply(self, event: Event, vector: Vector | None) -> None:
+    def _apply(self, event: LedgerEvent, vector: StoredVector | None) -> None:
         rows = self.state.apply(event)
         if event.kind == EPISODE:
-            self.index.add(self.state.memos[-1], vector)
+            self.index.add(self.state.memories[-1], vector)
         else:
             self.index.sync(self.state, rows)
 
@@ -165,38 +167,42 @@ class Memory:
 
     def _start(self) -> None:
         """From a snapshot that fits and what came after it, or else from the first event."""
-        snapshot = read(self.ledger)
+        snapshot = read_snapshot(self.ledger)
         after = snapshot.head if snapshot else None
         where, values = ("seq > ?", (after.seq,)) if after else ("", ())
-        tail = list(checked(self.ledger.events(where, values), str(self.ledger.path), after=after))
-        if not (snapshot and self._starts_at(snapshot, tail)):
-            self._derive()
-        if isinstance(self.ledger, Ledger) and len(tail) > SNAPSHOT_AFTER:
-            self.leave_snapshot(self.ledger, now=self.ledger.opened)
+        tail = list(verified_events(self.ledger.events(where, values), str(self.ledger.path), after=after))
+        if not (snapshot and self._load_snapshot(snapshot, tail)):
+            self._derive_from_events()
+        if isinstance(self.ledger, Ledger) and len(tail) > SNAPSHOT_MIN_EVENTS:
+            self.write_snapshot(self.ledger, now=self.ledger.opened_at)
 
-    def _starts_at(self, snapshot: Snapshot, tail: Sequence[Event]) -> bool:
+    def _load_snapshot(self, snapshot: MemorySnapshot, tail: Sequence[LedgerEvent]) -> bool:
         """Begin with `snapshot` and apply `tail`; False if it was made otherwise, or something after it turns back."""
         self.state, self.index = snapshot.state, Index(self.embedding)
-        if not self.index.fits(snapshot) or any(_turns_back(event) for event in tail):
+        if not self.index.is_compatible(snapshot) or any(_changes_history(event) for event in tail):
             return False
         self.index.load(snapshot)
         vectors = dict(self.ledger.vectors(snapshot.head.seq))
-        apply_all(tail, str(self.ledger.path), lambda event: self._apply(event, vectors.get(event.seq)))
+        apply_events(tail, str(self.ledger.path), lambda event: self._apply(event, vectors.get(event.seq)))
         return True
 
-    def _derive(self) -> None:
+    def _derive_from_events(self) -> None:
         """State and index from all events in effect."""
-        self.state, self.index = derive(self.ledger), Index(self.embedding)
+        self.state, self.index = derive_state(self.ledger), Index(self.embedding)
         vectors = dict(self.ledger.vectors())
-        for memo in self.state.memos:
+        for memo in self.state.memories:
             self.index.add(memo, vectors.get(memo.seq))
 
-    def leave_snapshot(self, ledger: Ledger, *, now: float) -> None:
+    def write_snapshot(self, ledger: Ledger, *, now: float) -> None:
         """Write the present state beside the ledger, for a quick start."""
         head, versions = ledger.head(), self.index.versions(self.state)
-        write(ledger, Snapshot(head, versions, self.state, self.index.scan.rows, self.index.scan.masks), now=now)
+        write_snapshot(
+            ledger,
+            MemorySnapshot(head, versions, self.state, self.index.flat_index.rows, self.index.flat_index.masks),
+            now=now,
+        )
 
 
-def _turns_back(event: Event) -> bool:
+def _changes_history(event: LedgerEvent) -> bool:
     """Whether an event changes what earlier events did."""
-    return event.kind == ROLLBACK or (event.kind in STATUS_OF and event.kind != CONFIRM)
+    return event.kind == ROLLBACK or (event.kind in STATUS_BY_EVENT_KIND and event.kind != CONFIRM)

@@ -4,33 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from dualbrain.planner.prompt.full_prompt import Message, render, template_hash
+from dualbrain.planner.prompt.full_prompt import ChatMessage, render, template_hash
 from dualbrain.planner.prompt.short_prompt import short_template_hash
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.request import PlanRequest
-from dualbrain.records import Recall
+from dualbrain.records import RetrievedContext
 
 
-def messages_of(planner: Planner, request: PlanRequest) -> Sequence[Message]:
+def planner_messages(planner: Planner, request: PlanRequest) -> Sequence[ChatMessage]:
     """What `planner` reads for `request`."""
-    own: Callable[[PlanRequest], Sequence[Message]] | None = getattr(planner, "messages", None)
+    own: Callable[[PlanRequest], Sequence[ChatMessage]] | None = getattr(planner, "messages", None)
     return own(request) if own else render(request)
 
 
-def template_of(planner: Planner) -> str:
+def planner_template(planner: Planner) -> str:
     """Hash of the fixed text of the prompt that `planner` reads."""
     own: str | None = getattr(planner, "template", None)
     return own or template_hash()
 
 
-def unread(template: str, recall: Recall) -> tuple[str, ...]:
+def unsupported_fields(template: str, recall: RetrievedContext) -> tuple[str, ...]:
     """The fields of `recall` in which something was found that the prompt of `template` has no place for."""
     found = {"warnings": recall.warnings, "passages": recall.passages}
     return tuple(name for name, ones in found.items() if ones) if template == short_template_hash() else ()
 
 
-def deaf_to_documents(planner: Planner) -> str:
+def no_documents_reason(planner: Planner) -> str:
     """Why documents never reach `planner`, in words; "" if they do."""
-    if template_of(planner) != short_template_hash():
+    if planner_template(planner) != short_template_hash():
         return ""
     return f"documents are not shown to {planner.name}: the short prompt of an adapted planner has no place for them"

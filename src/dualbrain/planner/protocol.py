@@ -22,7 +22,7 @@ ERROR = "error"
 """The server answered with an error, or with something that is not a chat completion; the detail follows a colon."""
 
 
-def answered(proposal: Proposal) -> bool:
+def has_answer(proposal: Proposal) -> bool:
     """Whether the model said anything, if only that it refuses; not where a crash, an error or time cut it short."""
     return proposal.finish_reason.partition(":")[0] in (STOP, LENGTH, REFUSAL)
 
@@ -45,7 +45,7 @@ class Planner(Protocol):
 
 
 @runtime_checkable
-class Together(Protocol):
+class BatchPlanner(Protocol):
     """A planner that is quicker when many questions are waiting, as on a GPU."""
 
     def propose_all(self, requests: Sequence[PlanRequest]) -> list[Proposal]:
@@ -55,6 +55,6 @@ class Together(Protocol):
 
 def propose_all(planner: Planner, requests: Sequence[PlanRequest]) -> list[Proposal]:
     """The answers of `planner` to `requests`: side by side where it can, else one after another."""
-    if isinstance(planner, Together):
+    if isinstance(planner, BatchPlanner):
         return planner.propose_all(requests)
     return [planner.propose(request) for request in requests]

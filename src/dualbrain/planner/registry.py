@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from urllib.parse import urldefrag
 
-from dualbrain.core.weights import MANIFEST, locate
-from dualbrain.errors import UnknownName
+from dualbrain.core.weights import MANIFEST, locate_weights
+from dualbrain.errors import UnknownNameError
 from dualbrain.planner.backends.llama_cpp import LlamaConfig, LlamaPlanner
 from dualbrain.planner.backends.openai_server import ServerConfig, ServerPlanner
 from dualbrain.planner.protocol import Planner
@@ -16,8 +16,8 @@ SMALL_PLANNER = "smollm2-135m-instruct"
 """For tests; it does not plan unaided."""
 
 
-KIND = "planner"
-ALSO = "a GGUF file or URL also works"
+UNKNOWN_NAME_KIND = "planner"
+OTHER_FORMS_HINT = "a GGUF file or URL also works"
 """How an unknown name is told here and where more names are known."""
 
 
@@ -34,7 +34,7 @@ def open_planner(
     dialect: str = "openai",
     threads: int = 1,
     timeout_s: float = 600.0,
-    prefixes: Path | None = None,
+    prompt_cache: Path | None = None,
 ) -> Planner:
     """The planner called `name_or_url`, ready to propose.
 
@@ -48,9 +48,11 @@ def open_planner(
         dialect, address = (told, f"http{bare}") if plus and "://" not in told else (dialect, name_or_url)
         url, model = urldefrag(address)
         return ServerPlanner(ServerConfig(url, model or "default", key, dialect, timeout_s=timeout_s))
-    config = LlamaConfig(threads=threads, timeout_s=timeout_s, prefixes=prefixes)
+    config = LlamaConfig(threads=threads, timeout_s=timeout_s, prompt_cache=prompt_cache)
     if name_or_url.endswith(".gguf"):
         return LlamaPlanner(Path(name_or_url).stem, Path(name_or_url), config)
     if name_or_url not in planner_names():
-        raise UnknownName(KIND, name_or_url, planner_names(), owner=f"the manifest ({ALSO})")
-    return LlamaPlanner(name_or_url, locate(name_or_url, cache), config)
+        raise UnknownNameError(
+            UNKNOWN_NAME_KIND, name_or_url, planner_names(), owner=f"the manifest ({OTHER_FORMS_HINT})"
+        )
+    return LlamaPlanner(name_or_url, locate_weights(name_or_url, cache), config)

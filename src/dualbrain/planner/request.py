@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from dualbrain.contracts.verdict import Rejected
-from dualbrain.records import Recall, Record, Setback
+from dualbrain.records import FailureFeedback, Record, RetrievedContext
 
 
 class PlanRequest(Record, frozen=True):
@@ -19,11 +19,11 @@ class PlanRequest(Record, frozen=True):
 
     instruction: str
     scene: str
-    recall: Recall
+    recall: RetrievedContext
     robot: str
     registry_hash: str
     skills_text: str
     schema: dict[str, Any]
     contract_id: str
     refusal: Rejected | None = None
-    setback: Setback | None = None
+    setback: FailureFeedback | None = None

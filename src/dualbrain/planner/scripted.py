@@ -15,7 +15,7 @@ class ScriptedPlanner:
 
     def __init__(self, texts: Sequence[str], *, finish_reason: str = protocol.STOP) -> None:
         self._texts, self._finish_reason = tuple(texts), finish_reason
-        self.asked: list[PlanRequest] = []
+        self.requests: list[PlanRequest] = []
 
     @property
     def name(self) -> str:
@@ -24,15 +24,15 @@ class ScriptedPlanner:
 
     def propose(self, request: PlanRequest) -> Proposal:
         """The next text of the script."""
-        self.asked.append(request)
-        text = self._texts[min(len(self.asked), len(self._texts)) - 1] if self._texts else ""
+        self.requests.append(request)
+        text = self._texts[min(len(self.requests), len(self._texts)) - 1] if self._texts else ""
         return Proposal(text, self._finish_reason, self.name, "nothing (scripted)", {"total": 0.0})
 
     def close(self) -> None:
         """Nothing is held open."""
 
 
-class GivenContract:
+class FixedContractPlanner:
     """Proposes the bytes it was given, whatever is asked."""
 
     def __init__(self, source: str, data: bytes) -> None:

@@ -13,60 +13,71 @@ from math import cos, sin, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.robots.model import Body, BodySphere, Bound, Gripper, Joint, Link, SelfPairs, Tool, Tracking, Vector
+from dualbrain.robots.model import (
+    Bound,
+    CollisionSphere,
+    Gripper,
+    Joint,
+    Link,
+    RobotModel,
+    SelfCollisionPairs,
+    Tool,
+    TrackingErrorModel,
+    Vector,
+)
 
 Array = NDArray[np.float64]
 
-RANGE = 10.0
+UNUSED_JOINT_RANGE = 10.0
 """The chain's own joints are always at zero; their range only must not bind [m, rad]."""
-TURN_Z_TO_X = (sqrt(0.5), 0.0, sqrt(0.5), 0.0)
-TURN_X_TO_Z = (sqrt(0.5), 0.0, -sqrt(0.5), 0.0)
+QUATERNION_Z_TO_X = (sqrt(0.5), 0.0, sqrt(0.5), 0.0)
+QUATERNION_X_TO_Z = (sqrt(0.5), 0.0, -sqrt(0.5), 0.0)
 
 
-def differential_base(
-    name: str, discs: Sequence[tuple[float, float, float]], *, speed: Bound, turn: Bound, acceleration: Bound,
-    turn_acceleration: Bound, tracking: Tracking, period: float = 0.02, licence: str = "Apache-2.0",
+def make_differential_base(
+    name: str, discs: Sequence[tuple[float, float, float]], *, speed: Bound, turn_rate: Bound, acceleration: Bound,
+    turn_acceleration: Bound, tracking: TrackingErrorModel, period: float = 0.02, licence: str = "Apache-2.0",
     source: str = "given by the user",
-) -> Body:  # fmt: skip
+) -> RobotModel:  # fmt: skip
     """A base whose footprint is covered by `discs` (x, y, radius) [m] in its own frame.
 
     Keep the discs off the axle (x ≠ 0 for most): a disc on it cannot be steered away by turning.
     """
     none = Bound(0.0, "m", "no gripper")
-    return Body(
+    return RobotModel(
         name=name, source=source, licence=licence,
         joints=(
-            _joint("drive", TURN_Z_TO_X, "prismatic", speed, acceleration),
-            _joint("turn", TURN_X_TO_Z, "revolute", turn, turn_acceleration),
+            _joint("drive", QUATERNION_Z_TO_X, "prismatic", speed, acceleration),
+            _joint("turn", QUATERNION_X_TO_Z, "revolute", turn_rate, turn_acceleration),
         ),
         links=(Link("base", 2, "base"),),
-        spheres=tuple(BodySphere("base", (x, y, 0.0), radius) for x, y, radius in discs),
-        self_pairs=SelfPairs((), ()), tool=Tool("base", (0.0, 0.0, 0.0)),
+        spheres=tuple(CollisionSphere("base", (x, y, 0.0), radius) for x, y, radius in discs),
+        self_pairs=SelfCollisionPairs((), ()), tool=Tool("base", (0.0, 0.0, 0.0)),
         gripper=Gripper(none, none, none, 0.0, 0.0), home=(0.0, 0.0, 0.0), tracking=tracking, period=period,
         tool_speed=speed, base="differential",
     )  # fmt: skip
 
 
-def pose(q: Array) -> tuple[Array, Vector]:
+def base_pose(q: Array) -> tuple[Array, Vector]:
     """Rotation (3, 3) and position (3,) of the base at q = (x, y, θ)."""
     c, s = cos(q[2]), sin(q[2])
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), (float(q[0]), float(q[1]), 0.0)
 
 
-def drive(q: Array, u: Array, dt: float) -> Array:
+def integrate_configuration(q: Array, u: Array, dt: float) -> Array:
     """Configuration (n + 1,) after `dt` [s] at constant u = (v, ω, …): exactly along the arc."""
-    base = arc(float(q[0]), float(q[1]), float(q[2]), float(u[0]), float(u[1]), dt)
+    base = integrate_arc(float(q[0]), float(q[1]), float(q[2]), float(u[0]), float(u[1]), dt)
     return np.array([*base, *(q[3:] + dt * u[2:])])
 
 
-def arc(x: float, y: float, heading: float, v: float, w: float, dt: float) -> Vector:
+def integrate_arc(x: float, y: float, heading: float, v: float, w: float, dt: float) -> Vector:
     """Where a base that stands at (x, y, heading) is after `dt` [s] at constant (v, ω)."""
     half = 0.5 * w * dt
     chord = v * dt * (sin(half) / half if abs(half) > 1e-9 else 1.0)
     return x + chord * cos(heading + half), y + chord * sin(heading + half), heading + w * dt
 
 
-def driven_by(before: Array, after: Array) -> Array:
+def control_displacement(before: Array, after: Array) -> Array:
     """What the controls (v, ω, …) moved between two configurations (n + 1,): along the heading, about z, the rest.
 
     What a base slid sideways is not in it.
@@ -76,10 +87,14 @@ def driven_by(before: Array, after: Array) -> Array:
     return np.array([x * cos(heading) + y * sin(heading), turn, *rest])
 
 
-def _joint(name: str, quaternion: tuple[float, float, float, float], kind: str, speed: Bound, change: Bound) -> Joint:
+def _joint(
+    name: str, quaternion: tuple[float, float, float, float], kind: str, speed: Bound, acceleration: Bound
+) -> Joint:
     unit = "m" if kind == "prismatic" else "rad"
-    lower, upper = (Bound(side * RANGE, unit, "never reached: the base frame moves along") for side in (-1.0, 1.0))
+    lower, upper = (
+        Bound(side * UNUSED_JOINT_RANGE, unit, "never reached: the base frame moves along") for side in (-1.0, 1.0)
+    )
     return Joint(
-        name, (0.0, 0.0, 0.0), quaternion, lower, upper, speed, change,
+        name, (0.0, 0.0, 0.0), quaternion, lower, upper, speed, acceleration,
         kind="prismatic" if kind == "prismatic" else "revolute",
     )  # fmt: skip

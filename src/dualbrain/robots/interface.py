@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.robots.model import Body
+from dualbrain.robots.model import RobotModel
 
 Array = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ class Command:
     force: float
 
 
-class Robot(Protocol):
+class RobotInterface(Protocol):
     """A driver or a plant. `write` holds until the next write; `stop` disables the drive and engages the brakes."""
 
     def read(self) -> RobotState:
@@ -55,6 +55,8 @@ class Robot(Protocol):
         ...
 
 
-def at_home(body: Body) -> RobotState:
+def home_state(robot_model: RobotModel) -> RobotState:
     """The state of `body` at rest in its home posture with open fingers, at time 0."""
-    return RobotState(0.0, 0, np.array(body.home), np.zeros(body.n), body.gripper.opening.value, (0.0, 0.0))
+    return RobotState(
+        0.0, 0, np.array(robot_model.home), np.zeros(robot_model.n), robot_model.gripper.opening.value, (0.0, 0.0)
+    )

@@ -11,34 +11,34 @@ from pathlib import Path
 
 import msgspec
 
-from dualbrain.errors import UNREADABLE, InvalidSetup, UnknownName
-from dualbrain.robots.model import Body, Joint
+from dualbrain.errors import DECODE_ERRORS, ConfigurationError, UnknownNameError
+from dualbrain.robots.model import Joint, RobotModel
 
-BODIES = ("panda", "fr3", "ur5e", "base", "mobile_panda")
+BUILTIN_ROBOTS = ("panda", "fr3", "ur5e", "base", "mobile_panda")
 
-Fault = tuple[str, object, str]
-FILE = "body.json"
-LARGEST = 4 * 2**20
+ModelFault = tuple[str, object, str]
+MODEL_FILE = "body.json"
+MAX_FILE_BYTES = 4 * 2**20
 
 
-def load_body(name: str) -> Body:
+def load_robot(name: str) -> RobotModel:
     """The body called `name`, or the one in a folder or file that `name` leads to ("./my_robot").
 
     Raises:
         UnknownName: there is no such body, and no such path.
         InvalidSetup: what lies there is not a whole body.
     """
-    if name in BODIES:
-        return _shipped(name)
+    if name in BUILTIN_ROBOTS:
+        return _load_builtin(name)
     path = Path(name)
     if path.exists() or path.suffix == ".json" or len(path.parts) > 1:
-        return read_body(path)
-    raise UnknownName("robot", name, BODIES)
+        return read_robot(path)
+    raise UnknownNameError("robot", name, BUILTIN_ROBOTS)
 
 
 @lru_cache
-def _shipped(name: str) -> Body:
-    return msgspec.json.decode(data_file(name).read_bytes(), type=Body)
+def _load_builtin(name: str) -> RobotModel:
+    return msgspec.json.decode(data_file(name).read_bytes(), type=RobotModel)
 
 
 def data_file(name: str) -> Traversable:
@@ -46,69 +46,75 @@ def data_file(name: str) -> Traversable:
     return resources.files("dualbrain.robots").joinpath("data", f"{name}.json")
 
 
-def encode(body: Body) -> bytes:
+def encode_robot(robot_model: RobotModel) -> bytes:
     """The data file of `body`: indented JSON with a final newline."""
-    return msgspec.json.format(msgspec.json.encode(body), indent=1) + b"\n"
+    return msgspec.json.format(msgspec.json.encode(robot_model), indent=1) + b"\n"
 
 
-def read_body(path: Path) -> Body:
+def read_robot(path: Path) -> RobotModel:
     """The body in the JSON file `path`, or in the folder `path` that `dualbrain robot init` made.
 
     Raises:
         InvalidSetup: it is not there, not a body, or not whole; the message names the entry.
     """
-    file = path / FILE if path.is_dir() else path
-    if not file.is_file() or file.stat().st_size > LARGEST:
-        raise InvalidSetup("robot", got=str(path), allowed=f"a known name, a folder with {FILE}, or a body's JSON file")
+    file = path / MODEL_FILE if path.is_dir() else path
+    if not file.is_file() or file.stat().st_size > MAX_FILE_BYTES:
+        raise ConfigurationError(
+            "robot", got=str(path), allowed=f"a known name, a folder with {MODEL_FILE}, or a body's JSON file"
+        )
     try:
-        body = msgspec.json.decode(file.read_bytes(), type=Body)
-    except UNREADABLE as error:
-        raise InvalidSetup(file.name, got=str(error), allowed="JSON of a body", fix=str(file)) from error
-    for what, got, allowed in faults(body):
-        raise InvalidSetup(f"{what} in {file.name}", got=got, allowed=allowed, fix=str(file))
+        body = msgspec.json.decode(file.read_bytes(), type=RobotModel)
+    except DECODE_ERRORS as error:
+        raise ConfigurationError(file.name, got=str(error), allowed="JSON of a body", fix=str(file)) from error
+    for what, got, allowed in find_model_faults(body):
+        raise ConfigurationError(f"{what} in {file.name}", got=got, allowed=allowed, fix=str(file))
     return body
 
 
-def faults(body: Body) -> Iterator[Fault]:
+def find_model_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
     """What is wrong with `body`: (entry, got, allowed), one by one."""
-    if not body.joints:
+    if not robot_model.joints:
         yield "joints", 0, "at least one"
-    for joint in body.joints:
+    for joint in robot_model.joints:
         yield from _joint_faults(joint)
-    yield from _link_faults(body)
-    yield from _sphere_faults(body)
-    if not 0.0 < body.period <= 1.0:
-        yield "period", body.period, "above 0, at most 1 s"
-    if body.gain is not None and not body.gain.value > 0.0:
-        yield "gain", body.gain.value, "above 0"
-    if len(body.home) != body.width:
-        yield "home", list(body.home), f"{body.width} values: of a base x, y and heading, then one for each joint"
+    yield from _link_faults(robot_model)
+    yield from _sphere_faults(robot_model)
+    if not 0.0 < robot_model.period <= 1.0:
+        yield "period", robot_model.period, "above 0, at most 1 s"
+    if robot_model.gain is not None and not robot_model.gain.value > 0.0:
+        yield "gain", robot_model.gain.value, "above 0"
+    if len(robot_model.home) != robot_model.nq:
+        yield (
+            "home",
+            list(robot_model.home),
+            f"{robot_model.nq} values: of a base x, y and heading, then one for each joint",
+        )
 
 
-def _link_faults(body: Body) -> Iterator[Fault]:
-    names = [link.name for link in body.links]
+def _link_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
+    names = [link.name for link in robot_model.links]
     if len(set(names)) != len(names):
         yield "links", names, "each name once"
-    for link in body.links:
-        if not 0 <= link.frame <= body.n:
-            yield f"frame of link {link.name!r}", link.frame, f"0 to {body.n}"
+    for link in robot_model.links:
+        if not 0 <= link.frame <= robot_model.n:
+            yield f"frame of link {link.name!r}", link.frame, f"0 to {robot_model.n}"
         yield from _quaternion_faults(f"link {link.name!r}", link.quaternion)
-    paired = {name for pair in body.self_pairs.kept for name in pair}
-    for what, used in (("a self-collision pair", paired), ("the tool", {body.tool.link})):
+    paired = {name for pair in robot_model.self_pairs.kept for name in pair}
+    for what, used in (("a self-collision pair", paired), ("the tool", {robot_model.tool.link})):
         for name in sorted(used - set(names)):
             yield f"link of {what}", name, ", ".join(names)
 
 
-def _sphere_faults(body: Body) -> Iterator[Fault]:
-    names = {link.name for link in body.links}
-    for sphere in body.spheres:
+def _sphere_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
+    names = {link.name for link in robot_model.links}
+    for sphere in robot_model.spheres:
         if sphere.link not in names:
             yield "link of a sphere", sphere.link, ", ".join(sorted(names))
         if not (0.0 < sphere.radius < 10.0 and all(map(isfinite, sphere.centre))):
             yield f"sphere of {sphere.link!r}", (sphere.centre, sphere.radius), "finite centre, radius within 0 to 10 m"
 
 
-def _joint_faults(joint: Joint) -> Iterator[Fault]:
+def _joint_faults(joint: Joint) -> Iterator[ModelFault]:
     where = f"joint {joint.name!r}"
     if not (isfinite(joint.lower.value) and isfinite(joint.upper.value) and joint.lower.value < joint.upper.value):
         yield f"range of {where}", (joint.lower.value, joint.upper.value), "lower below upper"
@@ -119,7 +125,7 @@ def _joint_faults(joint: Joint) -> Iterator[Fault]:
     yield from _quaternion_faults(where, joint.quaternion)
 
 
-def _quaternion_faults(where: str, quaternion: tuple[float, float, float, float]) -> Iterator[Fault]:
+def _quaternion_faults(where: str, quaternion: tuple[float, float, float, float]) -> Iterator[ModelFault]:
     size = sum(value * value for value in quaternion)
     if not abs(size - 1.0) < 1e-6:
         yield f"quaternion of {where}", quaternion, "of length 1 (w, x, y, z)"

@@ -6,7 +6,7 @@ from typing import Literal
 
 import msgspec
 
-from dualbrain.errors import UnknownName
+from dualbrain.errors import UnknownNameError
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -52,7 +52,7 @@ class Link(msgspec.Struct, frozen=True):
     slide: Vector = (0.0, 0.0, 0.0)
 
 
-class BodySphere(msgspec.Struct, frozen=True):
+class CollisionSphere(msgspec.Struct, frozen=True):
     """A ball that covers part of `link`: `centre` [m] in the link frame at zero opening, `radius` [m]."""
 
     link: str
@@ -78,7 +78,7 @@ class Gripper(msgspec.Struct, frozen=True):
     finger_thickness: float
 
 
-class Tracking(msgspec.Struct, frozen=True):
+class TrackingErrorModel(msgspec.Struct, frozen=True):
     """How the joints follow a velocity command u: y = q + lag v obeys ẏ = u + r with |∫ exp(−α (t − s)) r ds| ≤ e.
 
     `lag` [s]; `position_error` e of each joint [rad, of a prismatic one m]; `rate` α [1/s] at which e was identified;
@@ -91,7 +91,7 @@ class Tracking(msgspec.Struct, frozen=True):
     provenance: str
     drive: str = ""
 
-    def budget(self, alpha: float) -> float:
+    def row_margin(self, alpha: float) -> float:
         """What a barrier row of gain `alpha` [1/s] must keep for e [rad/s]: α e, at any other rate a bound of it.
 
         By parts, the leaky integral at rate a is at most e α/a where a < α, and e (2 − α/a) where a > α.
@@ -99,14 +99,14 @@ class Tracking(msgspec.Struct, frozen=True):
         return self.position_error * (self.rate + 2.0 * max(0.0, alpha - self.rate))
 
 
-class SelfPairs(msgspec.Struct, frozen=True):
+class SelfCollisionPairs(msgspec.Struct, frozen=True):
     """Pairs of links whose spheres are kept apart, and the reason for every pair that is left out."""
 
     kept: tuple[tuple[str, str], ...]
     allowed: tuple[tuple[str, str, str], ...]
 
 
-class Body(msgspec.Struct, frozen=True):
+class RobotModel(msgspec.Struct, frozen=True):
     """Everything the filter and the skills know of one robot; pure data, read from `data/<name>.json`.
 
     `gain` [1/s] bounds the filter's α where it must be below what the acceleration limits alone can follow.
@@ -119,16 +119,16 @@ class Body(msgspec.Struct, frozen=True):
     licence: str
     joints: tuple[Joint, ...]
     links: tuple[Link, ...]
-    spheres: tuple[BodySphere, ...]
-    self_pairs: SelfPairs
+    spheres: tuple[CollisionSphere, ...]
+    self_pairs: SelfCollisionPairs
     tool: Tool
     gripper: Gripper
     home: tuple[float, ...]
-    tracking: Tracking
+    tracking: TrackingErrorModel
     period: float
     tool_speed: Bound
     base: Literal["fixed", "differential"] = "fixed"
-    other_drives: tuple[Tracking, ...] = ()
+    other_drives: tuple[TrackingErrorModel, ...] = ()
     gain: Bound | None = None
     base_lag: float | None = None
 
@@ -138,19 +138,19 @@ class Body(msgspec.Struct, frozen=True):
         return len(self.joints)
 
     @property
-    def mobile(self) -> bool:
+    def is_mobile(self) -> bool:
         """Whether the body drives: its configuration begins with (x, y, θ), its control with (v, ω)."""
         return self.base == "differential"
 
     @property
-    def carries_arm(self) -> bool:
+    def is_mobile_manipulator(self) -> bool:
         """Whether the body drives and has an arm as well: a mobile manipulator."""
-        return self.mobile and self.n > 2
+        return self.is_mobile and self.n > 2
 
     @property
-    def width(self) -> int:
+    def nq(self) -> int:
         """Length of a configuration q: one more than the control's where the body drives."""
-        return self.n + self.mobile
+        return self.n + self.is_mobile
 
     @property
     def alpha(self) -> float:
@@ -158,15 +158,15 @@ class Body(msgspec.Struct, frozen=True):
         followed = min(joint.acceleration.value / joint.velocity.value for joint in self.joints)
         return min(followed, self.gain.value) if self.gain else followed
 
-    def driven_by(self, drive: str) -> Body:
+    def with_drive(self, drive: str) -> RobotModel:
         """This body with the tracking model of another of its drives; raises `UnknownName` with the identified ones."""
         known = {tracking.drive: tracking for tracking in (self.tracking, *self.other_drives)}
         if drive not in known:
-            raise UnknownName("identified drive", drive, tuple(known), owner=f"body {self.name}")
+            raise UnknownNameError("identified drive", drive, tuple(known), owner=f"body {self.name}")
         others = tuple(tracking for name, tracking in known.items() if name != drive)
         return msgspec.structs.replace(self, tracking=known[drive], other_drives=others)
 
-    def tracked(self, tracking: Tracking) -> Body:
+    def with_tracking(self, tracking: TrackingErrorModel) -> RobotModel:
         """This body with the tracking model of one of its drives renewed, or added beside the others."""
         if tracking.drive == self.tracking.drive:
             return msgspec.structs.replace(self, tracking=tracking)

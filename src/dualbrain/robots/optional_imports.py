@@ -5,13 +5,13 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-from dualbrain.errors import MissingPart
+from dualbrain.errors import MissingDependencyError
 
-BODIES = ("lxml", "yourdfpy", "collada")
+IMPORTER_PACKAGES = ("lxml", "yourdfpy", "collada")
 """What only the reading of descriptions needs."""
 
 
-def extra(module: str) -> Any:
+def import_optional(module: str) -> Any:
     """The module called `module` ("trimesh", "scipy.spatial"), untyped.
 
     Raises:
@@ -21,7 +21,7 @@ def extra(module: str) -> Any:
         return import_module(module)
     except ImportError as error:
         package = module.partition(".")[0]
-        group = "bodies" if package in BODIES else "world"
-        raise MissingPart(
+        group = "bodies" if package in IMPORTER_PACKAGES else "world"
+        raise MissingDependencyError(
             f"The package {package}", fix=f"Install it with `pip install 'dualbrain[{group}]'`."
         ) from error

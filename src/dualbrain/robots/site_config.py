@@ -16,21 +16,21 @@ from typing import Annotated, Any, TypeVar, cast
 
 import msgspec
 
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import ConfigurationError
 from dualbrain.robots.model import Quaternion, Vector
 
 T = TypeVar("T")
-LARGEST = 2**20
+MAX_FILE_BYTES = 2**20
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 Length = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]
-Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z][A-Za-z0-9_ -]{0,31}$")]
+EntryName = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z][A-Za-z0-9_ -]{0,31}$")]
 
 
-class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class SiteEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Root of what a site file holds: a word that is not known is an error, never ignored."""
 
 
-class Whole(Entry, frozen=True):
+class RobotSettings(SiteEntry, frozen=True):
     """[robot]: control period [s], tool speed [m/s]; of a base turn rate [rad/s] and turn acceleration [rad/s²]."""
 
     period: Positive | None = None
@@ -39,7 +39,7 @@ class Whole(Entry, frozen=True):
     turn_acceleration: Positive | None = None
 
 
-class Caps(Entry, frozen=True):
+class LimitCaps(SiteEntry, frozen=True):
     """[limits] for every joint: velocity [rad/s], acceleration [rad/s²], jerk [rad/s³]; m for prismatic ones."""
 
     velocity: Positive | None = None
@@ -47,66 +47,66 @@ class Caps(Entry, frozen=True):
     jerk: Positive | None = None
 
 
-class JointCaps(Caps, frozen=True):
+class JointCaps(LimitCaps, frozen=True):
     """[joint.NAME]: as [limits], and the range [rad or m]."""
 
     lower: float | None = None
     upper: float | None = None
 
 
-class Ball(Entry, frozen=True):
+class ToolSphere(SiteEntry, frozen=True):
     """A sphere in the tool's frame: centre [m], radius [m]."""
 
     centre: Vector
     radius: Positive
 
 
-class ToolEntry(Entry, frozen=True):
+class ToolEntry(SiteEntry, frozen=True):
     """[tool]: its tip in the body's tool frame, and the spheres that cover it, in the same frame."""
 
     position: Vector = (0.0, 0.0, 0.0)
     quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
-    spheres: tuple[Ball, ...] = ()
+    spheres: tuple[ToolSphere, ...] = ()
 
 
-class Payload(Entry, frozen=True):
+class Payload(SiteEntry, frozen=True):
     """[payload]: what the robot always carries: at most 8 spheres in the tool frame, error of their place [m]."""
 
-    spheres: Annotated[tuple[Ball, ...], msgspec.Meta(min_length=1, max_length=8)]
+    spheres: Annotated[tuple[ToolSphere, ...], msgspec.Meta(min_length=1, max_length=8)]
     error: Length = 0.0
 
 
-class PlaneEntry(Entry, frozen=True):
+class PlaneEntry(SiteEntry, frozen=True):
     """[[plane]]: parts of the robot stay on the side to which `inward` points, `margin` [m] from it."""
 
-    name: Name
+    name: EntryName
     point: Vector
     inward: Vector
     parts: tuple[str, ...] = ()
     margin: Length = 0.0
 
 
-class KeepOut(Entry, frozen=True):
+class KeepOut(SiteEntry, frozen=True):
     """[[keep_out]]: a box that no part of the robot enters: position, half extents [m], yaw about z [rad]."""
 
-    name: Name
+    name: EntryName
     position: Vector
     half_extents: Annotated[tuple[Positive, Positive, Positive], msgspec.Meta()]
     yaw: float = 0.0
     margin: Length = 0.0
 
 
-class Commander(Entry, frozen=True):
+class Commander(SiteEntry, frozen=True):
     """[commander.NAME]: the skills that this principal may call."""
 
     skills: tuple[str, ...]
 
 
-class Site(Entry, frozen=True):
+class Site(SiteEntry, frozen=True):
     """Everything that a site file says."""
 
-    robot: Whole = Whole()
-    limits: Caps = Caps()
+    robot: RobotSettings = RobotSettings()
+    limits: LimitCaps = LimitCaps()
     joint: dict[str, JointCaps] = {}
     tool: ToolEntry | None = None
     payload: Payload | None = None
@@ -121,25 +121,27 @@ class SiteFile:
 
     path: Path
     site: Site
-    places: Mapping[str, tuple[int, int]]
+    locations: Mapping[str, tuple[int, int]]
 
-    def where(self, path: str) -> str:
+    def locate(self, path: str) -> str:
         """File and line of the entry at `path` (such as "limits.acceleration")."""
-        line, _ = place_of(path, self.places)
+        line, _ = find_location(path, self.locations)
         return f"{self.path.name}:{line}"
 
-    def error(self, path: str, *, got: object, allowed: str) -> SiteError:
+    def make_error(self, path: str, *, got: object, allowed: str) -> SiteError:
         """The error of what stands at `path`."""
-        return SiteError(self.path.name, place_of(path, self.places), path, got=got, allowed=allowed)
+        return SiteError(self.path.name, find_location(path, self.locations), path, got=got, allowed=allowed)
 
 
-class SiteError(InvalidSetup):
+class SiteError(ConfigurationError):
     """What is wrong in a site file, and at which `line` and `column` (from 1)."""
 
-    def __init__(self, name: str, place: tuple[int, int], what: str, *, got: object, allowed: str) -> None:
+    def __init__(self, name: str, location: tuple[int, int], what: str, *, got: object, allowed: str) -> None:
         """Name the file, the place and the entry."""
-        self.line, self.column = place
-        super().__init__(f"{name}, line {place[0]}, column {place[1]}: {what or 'file'}", got=got, allowed=allowed)
+        self.line, self.column = location
+        super().__init__(
+            f"{name}, line {location[0]}, column {location[1]}: {what or 'file'}", got=got, allowed=allowed
+        )
 
 
 def read_site(path: Path) -> SiteFile:
@@ -149,18 +151,20 @@ def read_site(path: Path) -> SiteFile:
         SiteError: it is not TOML, or an entry is unknown, missing, of the wrong kind or out of bounds.
         InvalidSetup: the file is not there, or too large.
     """
-    if not path.is_file() or path.stat().st_size > LARGEST:
-        raise InvalidSetup("site file", got=str(path), allowed=f"a TOML file of at most {LARGEST} bytes")
+    if not path.is_file() or path.stat().st_size > MAX_FILE_BYTES:
+        raise ConfigurationError("site file", got=str(path), allowed=f"a TOML file of at most {MAX_FILE_BYTES} bytes")
     try:
         text = path.read_bytes().decode()
         data = tomllib.loads(text)
     except UnicodeDecodeError as error:
         raise SiteError(path.name, (1, 1), "", got=str(error), allowed="UTF-8") from error
     except tomllib.TOMLDecodeError as error:
-        raise SiteError(path.name, _stated(str(error), path), "", got=str(error), allowed="TOML") from error
-    places = _places(text)
-    if (bad := _not_finite(data, "")) is not None:
-        raise SiteError(path.name, place_of(bad, places), bad, got="not finite", allowed="finite numbers")
+        raise SiteError(
+            path.name, _parse_error_location(str(error), path), "", got=str(error), allowed="TOML"
+        ) from error
+    places = _entry_locations(text)
+    if (bad := _find_non_finite(data, "")) is not None:
+        raise SiteError(path.name, find_location(bad, places), bad, got="not finite", allowed="finite numbers")
     for table, kind in (
         ("joint", JointCaps),
         ("commander", Commander),
@@ -168,11 +172,11 @@ def read_site(path: Path) -> SiteFile:
         entries = data.get(table)
         if isinstance(entries, dict):
             for name, entry in cast("dict[str, Any]", entries).items():
-                _converted(entry, kind, f"{table}.{name}", path, places)
-    return SiteFile(path, _converted(data, Site, "", path, places), places)
+                _convert(entry, kind, f"{table}.{name}", path, places)
+    return SiteFile(path, _convert(data, Site, "", path, places), places)
 
 
-def _converted(data: Any, kind: type[T], prefix: str, path: Path, places: Mapping[str, tuple[int, int]]) -> T:
+def _convert(data: Any, kind: type[T], prefix: str, path: Path, places: Mapping[str, tuple[int, int]]) -> T:
     """`data` as `kind`; raises `SiteError` with the place of what does not fit, which stands under `prefix`."""
     try:
         return msgspec.convert(data, kind)
@@ -181,7 +185,7 @@ def _converted(data: Any, kind: type[T], prefix: str, path: Path, places: Mappin
         entry = f"{prefix}.{at.strip('`.')}".strip(".")
         if field := re.search(r"unknown field `(.+)`", what):
             entry = f"{entry}.{field.group(1)}".lstrip(".")
-        raise SiteError(path.name, place_of(entry, places), entry, got=what, allowed="see docs/site.md") from error
+        raise SiteError(path.name, find_location(entry, places), entry, got=what, allowed="see docs/site.md") from error
 
 
 # --- where things stand ---------------------------------------------------------------------------------------------
@@ -190,29 +194,29 @@ _TABLE = re.compile(r"^\s*(\[\[?)\s*([^\]]+?)\s*\]\]?\s*(?:#.*)?$")
 _KEY = re.compile(r"^\s*((?:[A-Za-z0-9_-]+|\"[^\"]*\"|'[^']*')(?:\s*\.\s*(?:[A-Za-z0-9_-]+|\"[^\"]*\"))*)\s*=\s*")
 
 
-def _places(text: str) -> dict[str, tuple[int, int]]:
+def _entry_locations(text: str) -> dict[str, tuple[int, int]]:
     """Line and column (from 1) of every table and key, under the path by which msgspec names it."""
     found: dict[str, tuple[int, int]] = {"": (1, 1)}
     counts: dict[str, int] = {}
     table = ""
     for number, line in enumerate(text.splitlines(), start=1):
         if header := _TABLE.match(line):
-            table = _plain(header.group(2))
+            table = _strip_quotes(header.group(2))
             if header.group(1) == "[[":
                 counts[table] = counts.get(table, -1) + 1
-            table = _numbered(table, counts)
+            table = _indexed_name(table, counts)
             found.setdefault(table, (number, header.start(1) + 1))
         elif key := _KEY.match(line):
-            path = f"{table}.{_plain(key.group(1))}".lstrip(".")
+            path = f"{table}.{_strip_quotes(key.group(1))}".lstrip(".")
             found.setdefault(path, (number, key.end() + 1))
     return found
 
 
-def _plain(dotted: str) -> str:
+def _strip_quotes(dotted: str) -> str:
     return ".".join(part.strip().strip("\"'") for part in dotted.split("."))
 
 
-def _numbered(table: str, counts: Mapping[str, int]) -> str:
+def _indexed_name(table: str, counts: Mapping[str, int]) -> str:
     """The name with numbers, "plane[1]" for the second of its kind; also inside of dotted names."""
     parts: list[str] = []
     for end, part in enumerate(table.split("."), start=1):
@@ -221,31 +225,31 @@ def _numbered(table: str, counts: Mapping[str, int]) -> str:
     return ".".join(parts)
 
 
-def place_of(path: str, places: Mapping[str, tuple[int, int]]) -> tuple[int, int]:
+def find_location(path: str, locations: Mapping[str, tuple[int, int]]) -> tuple[int, int]:
     """The place of `path`, or of the nearest entry around it."""
     path = path.replace("[...]", "")
-    while path and path not in places:
+    while path and path not in locations:
         path = path[: path.rindex("[")] if path.endswith("]") else path.rpartition(".")[0]
-    return places.get(path, (1, 1))
+    return locations.get(path, (1, 1))
 
 
-def _stated(message: str, path: Path) -> tuple[int, int]:
+def _parse_error_location(message: str, path: Path) -> tuple[int, int]:
     """Line and column as tomllib tells them; at the end of the document, the last line."""
     if found := re.search(r"line (\d+), column (\d+)", message):
         return int(found.group(1)), int(found.group(2))
     return max(1, len(path.read_bytes().splitlines())), 1
 
 
-def _not_finite(value: Any, path: str) -> str | None:
+def _find_non_finite(value: Any, path: str) -> str | None:
     """The path of the first number that is not finite."""
     match value:
         case float() if not isfinite(value):
             return path
         case dict():
             table = cast("dict[str, Any]", value)
-            found = (_not_finite(inner, f"{path}.{key}".lstrip(".")) for key, inner in table.items())
+            found = (_find_non_finite(inner, f"{path}.{key}".lstrip(".")) for key, inner in table.items())
         case list():
-            found = (_not_finite(inner, f"{path}[{i}]") for i, inner in enumerate(cast("list[Any]", value)))
+            found = (_find_non_finite(inner, f"{path}[{i}]") for i, inner in enumerate(cast("list[Any]", value)))
         case _:
             return None
     return next((one for one in found if one is not None), None)

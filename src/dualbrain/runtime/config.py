@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from dualbrain.control.control_loop import Moment
+from dualbrain.control.control_loop import TickSnapshot
 from dualbrain.control.recording.trace import Event, Trace
 from dualbrain.memory.memory import StoreReport
 from dualbrain.memory.plasticity.rule import EPSILON
@@ -39,7 +39,7 @@ class RunConfig:
     goal: str = ""
     measured: bool = False
     visuals: bool = True
-    eyes: bool = False
+    image_memory: bool = False
     """Whether a picture of the scene is part of what memory compares (its image block)."""
     utility: bool = False
     """Whether the planner is asked again without each exemplar, to tell which memory was of use."""
@@ -52,7 +52,7 @@ class RunConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class Times:
+class Clocks:
     """The clocks, handed in from above: a monotonic one [s], and the date of the start (UTC, ISO 8601, and seconds).
 
     `pace(now)` may delay each tick of the simulation for people.
@@ -65,19 +65,19 @@ class Times:
 
 
 @dataclass(frozen=True, slots=True)
-class Onlooker:
+class RunObserver:
     """Who watches: events as they happen, moments of the control loop, the start of each phase."""
 
-    event: Callable[[Event], None] = lambda event: None
-    moment: Callable[[Moment], None] = lambda moment: None
-    phase: Callable[[str], None] = lambda phase: None
+    on_event: Callable[[Event], None] = lambda event: None
+    on_tick: Callable[[TickSnapshot], None] = lambda moment: None
+    on_phase: Callable[[str], None] = lambda phase: None
 
 
 @dataclass(slots=True)
-class Finished:
+class RunResult:
     """What a run leaves: the episode, what memory changed, the trace, and the tries before it that did not succeed."""
 
     episode: Episode
-    stored: StoreReport
+    store_report: StoreReport
     trace: Trace
-    earlier: tuple[Episode, ...] = ()
+    earlier_episodes: tuple[Episode, ...] = ()

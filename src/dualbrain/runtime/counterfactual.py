@@ -10,86 +10,88 @@ from typing import Any
 
 import msgspec
 
-from dualbrain.contracts.registry import Registry
-from dualbrain.contracts.schema import decoding_schema, short_form
-from dualbrain.core.storage.atomic_files import write_durably
-from dualbrain.errors import UNREADABLE
+from dualbrain.contracts.registry import SkillRegistry
+from dualbrain.contracts.schema import decoding_schema, describe_skills
+from dualbrain.core.storage.atomic_files import write_atomically
+from dualbrain.errors import DECODE_ERRORS
 from dualbrain.grounding.vocabulary import scene_names
-from dualbrain.memory.plasticity.retrieval_utility import Change, judge
+from dualbrain.memory.plasticity.retrieval_utility import ExclusionEffect, evaluate_use
 from dualbrain.planner.prompt.full_prompt import render
 from dualbrain.planner.protocol import LENGTH, STOP, Planner
 from dualbrain.planner.request import PlanRequest
-from dualbrain.records import Episode, Exemplar, Use
-from dualbrain.runtime.planner_request import as_written
+from dualbrain.records import Episode, Exemplar, MemoryUse
+from dualbrain.runtime.planner_request import in_prompt_order
 
 
-class Counterfactuals:
+class CounterfactualQueries:
     """Asks `planner` counterfactual questions; the same question to the same planner is asked once and for all.
 
     Assumption: the planner is deterministic (greedy decoding), as ours are; else a difference may be chance.
     """
 
-    def __init__(self, planner: Planner, registry: Registry, cache: Path) -> None:
+    def __init__(self, planner: Planner, registry: SkillRegistry, cache: Path) -> None:
         """Ask for contracts of `registry`; keep answers in the folder `cache`."""
         self._planner, self._registry, self._cache = planner, registry, cache
 
-    def uses(self, episode: Episode, *, enough: Callable[[], bool] = lambda: False) -> tuple[Use, ...]:
+    def memory_uses(
+        self, episode: Episode, *, should_stop: Callable[[], bool] = lambda: False
+    ) -> tuple[MemoryUse, ...]:
         """What became of each exemplar that stood in the prompt of `episode`, until somebody has `enough`.
 
         Where the planner gives no answer (a crash, a timeout, an error of its server), nothing is claimed of the use.
         """
-        first = _contract(episode.attempts[0].proposal.text) if episode.attempts else None
-        found: list[Use] = []
+        first = _parse_contract(episode.attempts[0].proposal.text) if episode.attempts else None
+        found: list[MemoryUse] = []
         for exemplar in episode.recall.exemplars:
-            answer = None if enough() else self._ask(self.question(episode, exemplar))
+            answer = None if should_stop() else self._propose_cached(self.build_request(episode, exemplar))
             if answer is None:
                 break
             found.append(
-                judge(
-                    exemplar.episode_id, exemplar.contract, episode.contract, Change(first, _contract(answer)),
+                evaluate_use(
+                    exemplar.episode_id, exemplar.contract, episode.contract, ExclusionEffect(first, _parse_contract(answer)),
                     succeeded=episode.outcome.kind == "succeeded", Delta=episode.outcome.Delta,
-                    reference=exemplar.Delta,
+                    max_Delta=exemplar.Delta,
                 )
             )  # fmt: skip
         return tuple(found)
 
-    def question(self, episode: Episode, left_out: Exemplar) -> PlanRequest:
+    def build_request(self, episode: Episode, excluded: Exemplar) -> PlanRequest:
         """The first question of `episode`, with one exemplar left out of its recall."""
-        kept = tuple(one for one in episode.recall.exemplars if one.episode_id != left_out.episode_id)
-        recall = as_written(msgspec.structs.replace(episode.recall, exemplars=kept), self._registry)
+        kept = tuple(one for one in episode.recall.exemplars if one.episode_id != excluded.episode_id)
+        recall = in_prompt_order(msgspec.structs.replace(episode.recall, exemplars=kept), self._registry)
         names = scene_names(episode.scene)
         return PlanRequest(
             episode.instruction, episode.summary, recall, episode.robot, episode.registry,
-            short_form(self._registry, names), decoding_schema(self._registry, names), contract_id="c-0001",
+            describe_skills(self._registry, names), decoding_schema(self._registry, names), contract_id="c-0001",
             setback=episode.setback,
         )  # fmt: skip
 
-    def _ask(self, request: PlanRequest) -> str | None:
+    def _propose_cached(self, request: PlanRequest) -> str | None:
         """The answer, "" if it was cut at its limit; None if there is none, which is not kept."""
         asked = json.dumps([self._planner.name, render(request), request.schema], sort_keys=True)
         path = self._cache / f"{hashlib.sha256(asked.encode()).hexdigest()}.json"
-        if (kept := _kept(path)) is not None:
+        if (kept := _read_cached(path)) is not None:
             return kept
         proposal = self._planner.propose(request)
         if proposal.finish_reason not in (STOP, LENGTH):
             return None
         text = proposal.text if proposal.finish_reason == STOP else ""
         self._cache.mkdir(parents=True, exist_ok=True)
-        write_durably(path, json.dumps({"planner": self._planner.name, "text": text}).encode())
+        write_atomically(path, json.dumps({"planner": self._planner.name, "text": text}).encode())
         return text
 
 
-def _kept(path: Path) -> str | None:
+def _read_cached(path: Path) -> str | None:
     """The answer that is kept at `path`; None if there is none, or none that can be read: it is asked for again."""
     try:
         return msgspec.json.decode(path.read_bytes(), type=dict[str, str])["text"]
-    except (FileNotFoundError, KeyError, *UNREADABLE):
+    except (FileNotFoundError, KeyError, *DECODE_ERRORS):
         return None
 
 
-def _contract(text: str) -> dict[str, Any] | None:
+def _parse_contract(text: str) -> dict[str, Any] | None:
     """The JSON object in an answer, None if there is none."""
     try:
         return msgspec.json.decode(text, type=dict[str, Any])
-    except UNREADABLE:
+    except DECODE_ERRORS:
         return None

@@ -15,20 +15,20 @@ import msgspec
 from dualbrain.contracts.gate.authorization import PLANNER
 from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
-from dualbrain.core.text import storable
-from dualbrain.grounding.offline_gate import limb_at_home
+from dualbrain.core.text import storable_text
+from dualbrain.grounding.offline_gate import controller_at_home
 from dualbrain.grounding.scene_rules import scene_rules
-from dualbrain.grounding.vocabulary import grants, scene_names
+from dualbrain.grounding.vocabulary import planner_grants, scene_names
 from dualbrain.memory.embedding.posture_features import Posture
-from dualbrain.planner.introspection import messages_of, template_of, unread
-from dualbrain.planner.prompt.full_prompt import MAX_RECALLED, Message
-from dualbrain.planner.protocol import Planner, answered
-from dualbrain.records import Attempt, Proposal, Recall, Scene
-from dualbrain.robots.interface import at_home
-from dualbrain.robots.loader import load_body
-from dualbrain.runtime.episode import unfinished
-from dualbrain.runtime.planner_request import LookUp, Reminder, Standpoint, question, reminded
-from dualbrain.runtime.planning_time import Clock, timings
+from dualbrain.planner.introspection import planner_messages, planner_template, unsupported_fields
+from dualbrain.planner.prompt.full_prompt import MAX_RECALLED, ChatMessage
+from dualbrain.planner.protocol import Planner, has_answer
+from dualbrain.records import Attempt, Proposal, RetrievedContext, Scene
+from dualbrain.robots.interface import home_state
+from dualbrain.robots.loader import load_robot
+from dualbrain.runtime.episode import reject_incomplete
+from dualbrain.runtime.planner_request import PassageRetriever, PlanningContext, Retriever, build_request, retrieve
+from dualbrain.runtime.planning_time import Clock, decision_timings
 
 T = TypeVar("T")
 
@@ -37,22 +37,22 @@ T = TypeVar("T")
 class Shot:
     """One question and its answer: what the planner read, what it wrote, what the gate said."""
 
-    prompt: tuple[Message, ...]
+    prompt: tuple[ChatMessage, ...]
     attempt: Attempt
 
 
 @dataclass(frozen=True, slots=True)
-class Planned:
+class DryRunResult:
     """What became of an instruction: the scene in symbols, what was retrieved, every shot, the time of the decision.
 
     `template` is the hash of the fixed text of the prompt that the planner read.
     """
 
     summary: str
-    recall: Recall
+    recall: RetrievedContext
     shots: tuple[Shot, ...]
     timings: dict[str, float]
-    template: str
+    template_hash: str
 
     @property
     def verdict(self) -> Verdict:
@@ -60,49 +60,51 @@ class Planned:
         return self.shots[-1].attempt.verdict
 
     @property
-    def unread(self) -> tuple[str, ...]:
+    def unsupported_fields(self) -> tuple[str, ...]:
         """What was retrieved and has no place in the prompt of this planner: fields of `recall`."""
-        return unread(self.template, self.recall)
+        return unsupported_fields(self.template_hash, self.recall)
 
     @property
-    def answered(self) -> bool:
+    def has_answer(self) -> bool:
         """Whether the planner said anything at all."""
-        return answered(self.shots[-1].attempt.proposal)
+        return has_answer(self.shots[-1].attempt.proposal)
 
     @property
-    def declined(self) -> bool:
+    def is_declined(self) -> bool:
         """Whether the planner refused the instruction."""
         verdict = self.verdict
         return isinstance(verdict, Accepted) and verdict.contract.action_sequence[0].skill == "decline"
 
 
-def from_home(robot: str, scene: Scene) -> Standpoint:
+def context_at_home(robot: str, scene: Scene) -> PlanningContext:
     """`robot` at rest at home with an empty hand before `scene`."""
-    body = load_body(robot)
-    state = at_home(body)
-    return Standpoint(body, scene, None, Posture(tuple(state.q.tolist()), state.opening))
+    body = load_robot(robot)
+    state = home_state(body)
+    return PlanningContext(body, scene, None, Posture(tuple(state.q.tolist()), state.opening))
 
 
 def plan(
-    instruction: str, here: Standpoint, planner: Planner, memory: Reminder | None, look_up: LookUp, *, shots: int,
+    instruction: str, context: PlanningContext, planner: Planner, memory: Retriever | None, retrieve_passages: PassageRetriever, *, shots: int,
     clock: Clock,
-) -> Planned:  # fmt: skip
+) -> DryRunResult:  # fmt: skip
     """Ask `planner` for a contract, at most `shots` times, each time with the gate's last refusal in the prompt."""
-    recall, retrieval = _timed(clock, lambda: _reminded(instruction, here, memory, look_up))
-    request = question(instruction, here, recall)
-    limb = limb_at_home(here.body.name, here.scene)
-    gate = Gate(here.registry, grants(here.registry), scene_rules(here.scene, limb))
+    recall, retrieval = _timed(clock, lambda: _retrieve(instruction, context, memory, retrieve_passages))
+    request = build_request(instruction, context, recall)
+    limb = controller_at_home(context.body.name, context.scene)
+    gate = Gate(context.registry, planner_grants(context.registry), scene_rules(context.scene, limb))
     done: list[Shot] = []
     while len(done) < shots:
-        prompt, proposal = tuple(messages_of(planner, request)), planner.propose(request)
-        verdict, spent = _timed(clock, lambda answer=proposal: unfinished(answer) or _check(gate, answer, here.scene))
-        kept = msgspec.structs.replace(proposal, text=storable(proposal.text))
+        prompt, proposal = tuple(planner_messages(planner, request)), planner.propose(request)
+        verdict, spent = _timed(
+            clock, lambda answer=proposal: reject_incomplete(answer) or _check(gate, answer, context.scene)
+        )
+        kept = msgspec.structs.replace(proposal, text=storable_text(proposal.text))
         done.append(Shot(prompt, Attempt(kept, verdict, spent)))
-        if not isinstance(verdict, Rejected) or not answered(proposal):
+        if not isinstance(verdict, Rejected) or not has_answer(proposal):
             break
         request = msgspec.structs.replace(request, refusal=verdict, contract_id=f"c-{len(done) + 1:04d}")
-    spent = timings([one.attempt for one in done], retrieval)
-    return Planned(here.summary, recall, tuple(done), spent, template_of(planner))
+    spent = decision_timings([one.attempt for one in done], retrieval)
+    return DryRunResult(context.summary, recall, tuple(done), spent, planner_template(planner))
 
 
 def _check(gate: Gate, answer: Proposal, scene: Scene) -> Verdict:
@@ -110,10 +112,12 @@ def _check(gate: Gate, answer: Proposal, scene: Scene) -> Verdict:
     return gate.check(data, names=scene_names(scene), principal=PLANNER, now=0.0)
 
 
-def _reminded(instruction: str, here: Standpoint, memory: Reminder | None, look_up: LookUp) -> Recall:
+def _retrieve(
+    instruction: str, here: PlanningContext, memory: Retriever | None, look_up: PassageRetriever
+) -> RetrievedContext:
     if memory is None:
-        return Recall(passages=look_up(instruction, here.summary))
-    return reminded(instruction, here, memory, MAX_RECALLED, look_up)
+        return RetrievedContext(passages=look_up(instruction, here.summary))
+    return retrieve(instruction, here, memory, MAX_RECALLED, look_up)
 
 
 def _timed(clock: Clock, do: Callable[[], T]) -> tuple[T, float]:

@@ -8,74 +8,82 @@ from typing import Protocol
 
 import msgspec
 
-from dualbrain.contracts.canonical_form import canonical_order
-from dualbrain.contracts.registry import Registry
-from dualbrain.contracts.schema import decoding_schema, short_form
-from dualbrain.grounding.scene_summary import summarise
+from dualbrain.contracts.canonical_form import reorder_contract
+from dualbrain.contracts.registry import SkillRegistry
+from dualbrain.contracts.schema import decoding_schema, describe_skills
+from dualbrain.grounding.scene_summary import summarise_scene
 from dualbrain.grounding.vocabulary import scene_names
-from dualbrain.memory.embedding.image_features import Picture
+from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.memory.embedding.posture_features import Posture
 from dualbrain.planner.request import PlanRequest
-from dualbrain.records import Exemplar, Passage, Recall, Scene, Setback
-from dualbrain.robots.model import Body
-from dualbrain.skills.registry import registry_of
+from dualbrain.records import Exemplar, FailureFeedback, Passage, RetrievedContext, Scene
+from dualbrain.robots.model import RobotModel
+from dualbrain.skills.registry import skill_registry
 
-LookUp = Callable[[str, str], tuple[Passage, ...]]
+PassageRetriever = Callable[[str, str], tuple[Passage, ...]]
 """Instruction and scene summary → passages to show."""
 
 
-class Reminder(Protocol):
+class Retriever(Protocol):
     """What a question asks of memory."""
 
-    def recall(
+    def retrieve(
         self, instruction: str, summary: str, state: Posture | None, robot: str, registry: str, *, k: int,
-        image: Picture | None = None,
-    ) -> Recall:  # fmt: skip
+        image: ImageFeatures | None = None,
+    ) -> RetrievedContext:  # fmt: skip
         """The `k` best exemplars, and warnings."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
-class Standpoint:
+class PlanningContext:
     """From where a question is asked: the body, the scene as perceived, what is held, posture, the camera's picture."""
 
-    body: Body
+    body: RobotModel
     scene: Scene
     holding: str | None
     posture: Posture
-    image: Picture | None = None
+    image: ImageFeatures | None = None
 
     @property
-    def registry(self) -> Registry:
+    def registry(self) -> SkillRegistry:
         """The vocabulary of the body."""
-        return registry_of(self.body)
+        return skill_registry(self.body)
 
     @property
     def summary(self) -> str:
         """The scene in symbols."""
-        return summarise(self.scene, self.holding)
+        return summarise_scene(self.scene, self.holding)
 
 
-def reminded(instruction: str, here: Standpoint, memory: Reminder, exemplars: int, look_up: LookUp) -> Recall:
+def retrieve(
+    instruction: str,
+    context: PlanningContext,
+    memory: Retriever,
+    max_exemplars: int,
+    retrieve_passages: PassageRetriever,
+) -> RetrievedContext:
     """What bears on `instruction`: at most `exemplars` memories with warnings (none of both for 0), and passages."""
-    summary, recall = here.summary, Recall()
-    if exemplars:
-        recall = memory.recall(
-            instruction, summary, here.posture, here.body.name, here.registry.hash, k=exemplars, image=here.image
+    summary, recall = context.summary, RetrievedContext()
+    if max_exemplars:
+        recall = memory.retrieve(
+            instruction, summary, context.posture, context.body.name, context.registry.hash, k=max_exemplars, image=context.image
         )  # fmt: skip
-    return msgspec.structs.replace(recall, passages=look_up(instruction, summary))
+    return msgspec.structs.replace(recall, passages=retrieve_passages(instruction, summary))
 
 
-def question(instruction: str, here: Standpoint, recall: Recall, setback: Setback | None = None) -> PlanRequest:
+def build_request(
+    instruction: str, context: PlanningContext, recall: RetrievedContext, setback: FailureFeedback | None = None
+) -> PlanRequest:
     """The first question for `instruction`; `setback` is what became of the contract before, if there was one."""
-    registry, names = here.registry, scene_names(here.scene)
+    registry, names = context.registry, scene_names(context.scene)
     return PlanRequest(
-        instruction, here.summary, as_written(recall, registry), here.body.name, registry.hash,
-        short_form(registry, names), decoding_schema(registry, names), contract_id="c-0001", setback=setback,
+        instruction, context.summary, in_prompt_order(recall, registry), context.body.name, registry.hash,
+        describe_skills(registry, names), decoding_schema(registry, names), contract_id="c-0001", setback=setback,
     )  # fmt: skip
 
 
-def as_written(recall: Recall, registry: Registry) -> Recall:
+def in_prompt_order(recall: RetrievedContext, registry: SkillRegistry) -> RetrievedContext:
     """`recall` with every contract in the order in which a planner writes one.
 
     A ledger keeps keys sorted, for its hashes. A small model that is shown parameters in one order and was taught to
@@ -84,7 +92,7 @@ def as_written(recall: Recall, registry: Registry) -> Recall:
 
     def ordered(exemplars: tuple[Exemplar, ...]) -> tuple[Exemplar, ...]:
         return tuple(
-            msgspec.structs.replace(one, contract=canonical_order(one.contract, registry)) for one in exemplars
+            msgspec.structs.replace(one, contract=reorder_contract(one.contract, registry)) for one in exemplars
         )
 
     return msgspec.structs.replace(

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from threading import Thread
 from typing import Protocol, TypeVar
 
-from dualbrain.control.contract_executor import LocalLayer
-from dualbrain.control.gatekeeper.remote_executor import RemoteLayer
+from dualbrain.control.contract_executor import ContractExecutor
+from dualbrain.control.gatekeeper.remote_executor import RemoteExecutor
 from dualbrain.records import Attempt
 
 T = TypeVar("T")
@@ -31,36 +31,36 @@ class Clock(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Thinking:
+class PlanningClock:
     """`measured` False: lockstep. The clock only measures; it steers nothing."""
 
     clock: Clock
     measured: bool = False
     planning_time: float = PLANNING_TIME
 
-    def wait_for(self, layer: LocalLayer | RemoteLayer, ask: Callable[[], T]) -> T | None:
+    def wait_for(self, executor: ContractExecutor | RemoteExecutor, ask: Callable[[], T]) -> T | None:
         """The answer of `ask`, called on a thread of its own while the arm stands still; None when a person interrupts.
 
         Nobody waits for a thread that was left behind by an interruption: it ends with the process.
         """
         answer: Future[T] = Future()
-        Thread(target=_fulfil, args=(answer, ask), name="planner", daemon=True).start()
+        Thread(target=_set_future, args=(answer, ask), name="planner", daemon=True).start()
         if not self.measured:
-            layer.hold(self.planning_time, "planning")
-        while not (answer.done() or layer.interrupted()):
+            executor.hold(self.planning_time, "planning")
+        while not (answer.done() or executor.interrupted()):
             if self.measured:
-                layer.hold(0.02, "planning")
+                executor.hold(0.02, "planning")
             else:
                 wait((answer,), timeout=0.1)
-        return None if layer.interrupted() else answer.result()
+        return None if executor.interrupted() else answer.result()
 
-    def timed(self, do: Callable[[], T]) -> tuple[T, float]:
+    def measure(self, do: Callable[[], T]) -> tuple[T, float]:
         """The result of `do` and how long it took [s]."""
         start = self.clock()
         return do(), self.clock() - start
 
 
-def _fulfil(answer: Future[T], ask: Callable[[], T]) -> None:
+def _set_future(answer: Future[T], ask: Callable[[], T]) -> None:
     """Put into `answer` what `ask` returns or raises."""
     try:
         answer.set_result(ask())
@@ -68,14 +68,14 @@ def _fulfil(answer: Future[T], ask: Callable[[], T]) -> None:
         answer.set_exception(error)
 
 
-PARTS = {
+LATENCY_PARTS = {
     "retrieval": "retrieval", "planner_load": "load of the model", "planner_prefill": "prefill",
     "planner_decode": "decoding", "planner_rest": "rest of the planner", "gate": "validation",
 }  # fmt: skip
 """The parts of a decision by their keys in the timings of an episode, with their words, in their order."""
 
 
-def timings(attempts: Sequence[Attempt], retrieval: float) -> dict[str, float]:
+def decision_timings(attempts: Sequence[Attempt], retrieval: float) -> dict[str, float]:
     """Times of a decision [s], added up over its shots.
 
     decision = retrieval + planner + gate; planner = load + prefill + decode + rest, as far as the planner tells them
@@ -89,16 +89,16 @@ def timings(attempts: Sequence[Attempt], retrieval: float) -> dict[str, float]:
     return {"retrieval": retrieval, "planner": planner, **parts, "gate": gate, "decision": retrieval + planner + gate}
 
 
-def breakdown(spent: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
+def latency_breakdown(spent: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
     """The parts of a decision in words with their times [s], those that were measured, in their order."""
-    return tuple((words, spent[name]) for name, words in PARTS.items() if name in spent)
+    return tuple((words, spent[name]) for name, words in LATENCY_PARTS.items() if name in spent)
 
 
-def in_words(spent: Mapping[str, float]) -> str:
+def format_timings(spent: Mapping[str, float]) -> str:
     """One line for people: "decided in 12.3 s: retrieval 0.04 s, prefill 4.1 s, …"; "" if nothing was decided."""
-    parts = ", ".join(f"{words} {_seconds(value)}" for words, value in breakdown(spent) if value > 0.0)
-    return f"decided in {_seconds(spent['decision'])}: {parts}" if parts and "decision" in spent else ""
+    parts = ", ".join(f"{words} {_format_seconds(value)}" for words, value in latency_breakdown(spent) if value > 0.0)
+    return f"decided in {_format_seconds(spent['decision'])}: {parts}" if parts and "decision" in spent else ""
 
 
-def _seconds(value: float) -> str:
+def _format_seconds(value: float) -> str:
     return f"{value:.2f} s" if value >= 0.1 else f"{value * 1e3:.1f} ms"

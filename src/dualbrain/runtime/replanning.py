@@ -10,43 +10,45 @@ from collections.abc import Callable
 from typing import Any
 
 from dualbrain.memory.memory import StoreReport
-from dualbrain.records import Episode, Outcome, Setback
+from dualbrain.records import Episode, FailureFeedback, Outcome
 
-SETBACKS = ("failed", "taken_over")
+RETRIABLE_OUTCOMES = ("failed", "taken_over")
 """Outcomes after which another contract may be tried. A person's hand and a fault end the errand, and so do a refusal
 by the gate after the last shot and a planner that declines."""
-Tried = tuple[Episode, StoreReport]
+TryResult = tuple[Episode, StoreReport]
 
 
-def goes_on(outcome: Outcome, tries: int) -> bool:
+def should_retry(outcome: Outcome, tries: int) -> bool:
     """Whether another contract is to be tried after `outcome`, where `tries` may still be made, this one included."""
-    return tries > 1 and outcome.kind in SETBACKS
+    return tries > 1 and outcome.kind in RETRIABLE_OUTCOMES
 
 
-def setback_of(episode: Episode) -> Setback:
+def failure_feedback_of(episode: Episode) -> FailureFeedback:
     """What the next question says of `episode`: what was done, what was not, why, and what stood in the way."""
     actions: list[dict[str, Any]] = (episode.contract or {}).get("action_sequence", [])
-    pairs = list(zip(map(action_words, actions), episode.outcome.actions, strict=False))
+    pairs = list(zip(map(format_action, actions), episode.outcome.actions, strict=False))
     done = tuple(words for words, result in pairs if result.status == "done")
     undone = next((words for words, result in pairs if result.status not in ("done", "not_run")), "")
     outcome = episode.outcome
-    return Setback(episode.id, outcome.kind, done, undone, outcome.reason, outcome.hindrance)
+    return FailureFeedback(episode.id, outcome.kind, done, undone, outcome.reason, outcome.hindrance)
 
 
-def action_words(action: dict[str, Any]) -> str:
+def format_action(action: dict[str, Any]) -> str:
     """An action by its skill and the names in it, such as "place blue_bowl"."""
     params: dict[str, Any] = action.get("params", {})
     names = [str(params[key]) for key in ("object", "target", "destination", "place") if key in params]
     return " ".join((str(action.get("skill")), *names))
 
 
-def tried(name: str, tries: int, run: Callable[[str, int, Setback | None], Tried]) -> tuple[Tried, ...]:
+def run_tries(
+    name: str, tries: int, run: Callable[[str, int, FailureFeedback | None], TryResult]
+) -> tuple[TryResult, ...]:
     """All tries of the errand `name`, in their order; `run` makes one of (its name, tries left, what came before).
 
     The first has the errand's name, the others the name with their number.
     """
     done = [run(name, tries, None)]
-    while goes_on(done[-1][0].outcome, tries - len(done) + 1):
+    while should_retry(done[-1][0].outcome, tries - len(done) + 1):
         number = len(done) + 1
-        done.append(run(f"{name}.{number}", tries - number + 1, setback_of(done[-1][0])))
+        done.append(run(f"{name}.{number}", tries - number + 1, failure_feedback_of(done[-1][0])))
     return tuple(done)

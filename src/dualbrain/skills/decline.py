@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from dualbrain.contracts.skill_spec import SkillSpec, Text
-from dualbrain.robots.model import Body
-from dualbrain.skills.arm.controller import Limb
-from dualbrain.skills.skill import Ending, Status, Story
+from dualbrain.contracts.skill_spec import SkillSpec, TextParameter
+from dualbrain.robots.model import RobotModel
+from dualbrain.skills.arm.controller import ArmController
+from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
 
 
-def spec(body: Body) -> SkillSpec:
+def spec(body: RobotModel) -> SkillSpec:
     """The skill's vocabulary entry."""
     del body
-    return SkillSpec("decline", "refuse the instruction, with a reason for people", (Text("reason", 120, "why not"),))
+    return SkillSpec(
+        "decline", "refuse the instruction, with a reason for people", (TextParameter("reason", 120, "why not"),)
+    )
 
 
-def story(limb: Limb, *, reason: str) -> Story:
+def routine(arm: ArmController, *, reason: str) -> SkillRoutine:
     """Tell nothing but the reason."""
-    limb.begin(spec(limb.body))
+    arm.begin(spec(arm.body))
     yield from ()
-    return Ending(Status.DONE, f"declined: {reason}")
+    return SkillResult(SkillStatus.DONE, f"declined: {reason}")

@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-STANDSTILL = 1.5
+PROGRESS_TIMEOUT = 1.5
 """No progress for this long [s] ends the contract."""
-STEP = 0.004
+MIN_PROGRESS = 0.004
 """What counts as progress [m, or rad / 10]."""
 
 
-class Progress:
+class ProgressWatchdog:
     """Best distance so far and when it was reached."""
 
-    def __init__(self, now: float, *, limit: float, patience: float = STANDSTILL) -> None:
+    def __init__(self, now: float, *, time_limit: float, timeout: float = PROGRESS_TIMEOUT) -> None:
         """Start the watch at `now` [s]; standing still may last `patience` [s], the whole motion `limit` [s]."""
-        self._patience = patience
+        self._timeout = timeout
         self._best = float("inf")
-        self._since = now
-        self._end = now + limit
+        self._best_at = now
+        self._deadline = now + time_limit
 
-    def stuck(self, now: float, distance: float) -> str | None:
+    def update(self, now: float, distance: float) -> str | None:
         """Why the motion is over, or None while it makes progress."""
-        if distance < self._best - STEP:
-            self._best, self._since = distance, now
-        if now - self._since > self._patience:
-            return f"no progress for {self._patience} s"
-        if now > self._end:
+        if distance < self._best - MIN_PROGRESS:
+            self._best, self._best_at = distance, now
+        if now - self._best_at > self._timeout:
+            return f"no progress for {self._timeout} s"
+        if now > self._deadline:
             return "out of time"
         return None

@@ -20,7 +20,7 @@ from dualbrain.robots.interface import RobotState
 Array = NDArray[np.float64]
 
 
-class Status(Enum):
+class SkillStatus(Enum):
     """How a skill stands: still running, done, failed by its own verdict, or given up because nothing moved."""
 
     RUNNING = "running"
@@ -30,7 +30,7 @@ class Status(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Touch:
+class PermittedContact:
     """A contact that the current phase needs: sphere group `robot_part` may meet `obstacle` at up to `speed` [m/s]."""
 
     robot_part: str
@@ -39,7 +39,7 @@ class Touch:
 
 
 @dataclass(frozen=True, slots=True)
-class Holding:
+class HeldObject:
     """A thing between the fingers: its `name`, and how far its lowest point lies below the tool [m]."""
 
     name: str
@@ -54,19 +54,19 @@ class Nominal:
     opening: float
     force: float
     phase: str
-    touches: tuple[Touch, ...] = ()
-    holding: Holding | None = None
+    contacts: tuple[PermittedContact, ...] = ()
+    holding: HeldObject | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class Ending:
+class SkillResult:
     """Why a skill is over."""
 
-    status: Status
+    status: SkillStatus
     reason: str
 
 
-Story = Generator[Nominal | None, None, Ending]
+SkillRoutine = Generator[Nominal | None, None, SkillResult]
 """A skill as it runs."""
 
 
@@ -89,7 +89,7 @@ class ToolState(Protocol):
         ...
 
 
-class Motion(Protocol):
+class MotionModel(Protocol):
     """What the local layer lends to the skills: kinematics, and the projection onto the rows that φ knows."""
 
     def tool(self, q: Array) -> ToolState:
@@ -101,17 +101,17 @@ class Motion(Protocol):
         ...
 
     @property
-    def closed(self) -> tuple[SceneObject, ...]:
+    def keep_out_boxes(self) -> tuple[SceneObject, ...]:
         """Boxes that nobody perceives and that stay closed for good, by the site's word."""
         ...
 
-    def project(self, state: RobotState, u_wish: Array, u_nom_prev: Array, now: float) -> Array:
+    def project(self, state: RobotState, u_desired: Array, u_nom_prev: Array, now: float) -> Array:
         """The closest control to `u_wish` that respects known things, limits, and the box around `u_nom_prev`."""
         ...
 
 
 @dataclass(slots=True)
-class Senses:
+class Observation:
     """What the skill sees this tick; replaced before every step of the story.
 
     `waited` [s] is how long the story was held up by a person (paused, or slowed): patience does not run meanwhile.
@@ -121,9 +121,9 @@ class Senses:
     scene: Scene
     now: float
     tool: ToolState = field(repr=False)
-    waited: float = 0.0
+    paused_time: float = 0.0
 
     @property
-    def patience(self) -> float:
+    def active_time(self) -> float:
         """The clock by which a story loses its patience [s]."""
-        return self.now - self.waited
+        return self.now - self.paused_time

@@ -17,71 +17,74 @@ from typing import Generic, TypeVar
 import numpy as np
 
 T = TypeVar("T")
-Thought = Generator[None, None, T]
+SlicedComputation = Generator[None, None, T]
 """A calculation that pauses after every glance."""
-Finds = Generator[T | None, None, None]
+SlicedIterator = Generator[T | None, None, None]
 """Things found one after the other; None is a pause."""
 
-PACE = 5000.0
+STEPS_PER_SECOND = 5000.0
 """Glances in a second: five in a tick of 1 ms, which take about a quarter of it."""
-AIR = 0.004
+SUFFICIENT_CLEARANCE = 0.004
 """A way counts as clear when the margins leave this much everywhere [m]."""
 
 
-def glances(period: float) -> int:
+def steps_per_tick(period: float) -> int:
     """How much may be thought in one control tick of `period` [s]."""
-    return max(1, round(PACE * period))
+    return max(1, round(STEPS_PER_SECOND * period))
 
 
-def at_once(thought: Thought[T]) -> T:
+def run_to_completion(computation: SlicedComputation[T]) -> T:
     """The answer, thought through without a pause: for whoever has no tick to keep."""
     while True:
         try:
-            next(thought)
+            next(computation)
         except StopIteration as over:
             return over.value
 
 
-def found(finds: Finds[T]) -> list[T]:
+def collect(computation: SlicedIterator[T]) -> list[T]:
     """Everything that is found, without a pause."""
-    return [thing for thing in finds if thing is not None]
+    return [thing for thing in computation if thing is not None]
 
 
-class Aside(Generic[T]):
+class BackgroundComputation(Generic[T]):
     """A thought beside something else: `go_on` once a tick until it is `over`, then take the `answer`."""
 
-    def __init__(self, thought: Thought[T], share: int) -> None:
+    def __init__(self, computation: SlicedComputation[T], steps_per_tick: int) -> None:
         """Nothing is thought yet; `share` glances will be each time."""
-        self._thought, self._share = thought, share
-        self.answer: T | None = None
+        self._computation, self._steps_per_tick = computation, steps_per_tick
+        self.result: T | None = None
 
-    def go_on(self) -> bool:
+    def advance(self) -> bool:
         """Think on for a tick; True when it is over."""
-        for _ in range(self._share):
+        for _ in range(self._steps_per_tick):
             try:
-                next(self._thought)
+                next(self._computation)
             except StopIteration as over:
-                self.answer = over.value
+                self.result = over.value
                 return True
         return False
 
 
-def clearest(
-    choices: Iterable[T | None], air: Callable[[T, float], Thought[float]], *, beat: float = -np.inf
-) -> Thought[tuple[T | None, float]]:
+def first_clear(
+    choices: Iterable[T | None],
+    clearance: Callable[[T, float], SlicedComputation[float]],
+    *,
+    threshold: float = -np.inf,
+) -> SlicedComputation[tuple[T | None, float]]:
     """The first choice whose way is clear, else the one with most `air` [m], and how much that is; None of nothing.
 
     What does not have more than `beat` [m] is as good as nothing. `air(choice, most)` may break off as soon as it knows
     that there is no more than `most`: such a choice is not taken.
     """
-    best, most = None, beat
+    best, most = None, threshold
     for choice in choices:
         if choice is None:
             yield
             continue
-        room = yield from air(choice, most)
+        room = yield from clearance(choice, most)
         if room > most:
             best, most = choice, room
-        if most >= AIR:
+        if most >= SUFFICIENT_CLEARANCE:
             break
     return best, most

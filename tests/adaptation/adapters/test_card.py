@@ -3,47 +3,47 @@
 import pytest
 
 from dualbrain.adaptation.adapters.card import (
-    WEIGHTS,
+    WEIGHTS_FILE,
     AdapterCard,
-    proposed_by_others,
+    has_foreign_proposals,
+    hash_weights,
     read_adapter_card,
-    weights_id,
-    write_card,
+    write_adapter_card,
 )
 from dualbrain.adaptation.config import AdaptConfig
-from dualbrain.errors import InvalidSetup, MissingPart
+from dualbrain.errors import ConfigurationError, MissingDependencyError
 
 
 @pytest.fixture
 def folder(tmp_path):
-    (tmp_path / WEIGHTS).write_bytes(b"some weights")
+    (tmp_path / WEIGHTS_FILE).write_bytes(b"some weights")
     card = AdapterCard(
-        weights_id(tmp_path), "smollm2", "b" * 64, "panda", "r", "p", "d", {"smollm2": 3}, False, "float32", 7, None,
+        hash_weights(tmp_path), "smollm2", "b" * 64, "panda", "r", "p", "d", {"smollm2": 3}, False, "float32", 7, None,
         AdaptConfig(), {"torch": "2"},
     )  # fmt: skip
-    write_card(card, tmp_path)
+    write_adapter_card(card, tmp_path)
     return tmp_path
 
 
 def test_it_comes_back_as_it_was(folder):
     card = read_adapter_card(folder)
-    assert card.id == weights_id(folder)
-    write_card(card, folder)
+    assert card.id == hash_weights(folder)
+    write_adapter_card(card, folder)
     assert read_adapter_card(folder) == card
 
 
 def test_other_weights_or_a_broken_card_are_refused(folder):
     (folder / "adapter.json").write_text("{")
-    with pytest.raises(InvalidSetup, match="adapter card"):
+    with pytest.raises(ConfigurationError, match="adapter card"):
         read_adapter_card(folder)
 
 
 def test_weights_that_were_changed_are_refused(folder):
-    (folder / WEIGHTS).write_bytes(b"other weights")
-    with pytest.raises(InvalidSetup, match="do not use"):
+    (folder / WEIGHTS_FILE).write_bytes(b"other weights")
+    with pytest.raises(ConfigurationError, match="do not use"):
         read_adapter_card(folder)
-    (folder / WEIGHTS).unlink()
-    with pytest.raises(MissingPart):
+    (folder / WEIGHTS_FILE).unlink()
+    with pytest.raises(MissingDependencyError):
         read_adapter_card(folder)
 
 
@@ -62,4 +62,4 @@ def test_weights_that_were_changed_are_refused(folder):
     ],
 )
 def test_what_others_proposed_makes_it_bootstrapped(sources, by_others):
-    assert proposed_by_others(sources, "smollm2", own=["0123456789abcdef" * 4]) is by_others
+    assert has_foreign_proposals(sources, "smollm2", own_adapters=["0123456789abcdef" * 4]) is by_others

@@ -2,20 +2,28 @@
 
 import pytest
 
-from dualbrain.adaptation.adapters.base_models import hash_of_base
-from dualbrain.adaptation.adapters.card import WEIGHTS, read_adapter_card
-from dualbrain.adaptation.adapters.compatibility import require_fit, require_prompt
+from dualbrain.adaptation.adapters.base_models import base_model_hash
+from dualbrain.adaptation.adapters.card import WEIGHTS_FILE, read_adapter_card
+from dualbrain.adaptation.adapters.compatibility import require_compatible, require_same_prompt
 from dualbrain.adaptation.adapters.packaged import packaged_folder, packaged_names
 from dualbrain.adaptation.conversion.peft_lora import read_lora
-from dualbrain.adaptation.synthetic.dataset import CHECKS, DIALS, LESSONS, course
-from dualbrain.grounding.vocabulary import vocabulary
+from dualbrain.adaptation.synthetic.dataset import (
+    N_CHECK_EXAMPLES,
+    N_TRAIN_EXAMPLES,
+    SYNTHETIC_ADAPT_CONFIG,
+    build_synthetic_dataset,
+)
+from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.runtime.data_collection import starter_dataset
 from dualbrain.runtime.data_collection.rollouts import ROBOT
-from dualbrain.runtime.data_collection.synthetic_scenes import ROBOTS, lessons
+from dualbrain.runtime.data_collection.synthetic_scenes import ROBOT_SHARES, generate_examples
 
 LARGEST = 5_000_000
-REGISTRIES = {robot: vocabulary(robot) for robot in ROBOTS}
-MADE = {"base-135m": (DIALS, list(REGISTRIES)), "starter-135m": (starter_dataset.DIALS, [ROBOT])}
+REGISTRIES = {robot: load_skill_registry(robot) for robot in ROBOT_SHARES}
+MADE = {
+    "base-135m": (SYNTHETIC_ADAPT_CONFIG, list(REGISTRIES)),
+    "starter-135m": (starter_dataset.ADAPT_CONFIG, [ROBOT]),
+}
 """By name: the dials, and the robots it was taught to speak to."""
 
 
@@ -34,21 +42,23 @@ def test_the_base_of_the_main_table_is_here():
 
 
 def test_it_is_what_its_card_says(name, card):
-    assert card.base_sha256 == hash_of_base(card.base)
+    assert card.base_sha256 == base_model_hash(card.base)
     assert card.bootstrapped
     assert set(card.sources) == {"templates"}
     assert card.config == MADE[name][0]
     assert read_lora(packaged_folder(name))
-    assert (packaged_folder(name) / WEIGHTS).stat().st_size <= LARGEST
+    assert (packaged_folder(name) / WEIGHTS_FILE).stat().st_size <= LARGEST
 
 
 def test_it_was_taught_todays_prompt_and_vocabularies(name, card):
-    require_prompt(card)
+    require_same_prompt(card)
     for robot in MADE[name][1]:
-        require_fit(card, robot, REGISTRIES[robot].hash)
+        require_compatible(card, robot, REGISTRIES[robot].hash)
 
 
 @pytest.mark.slow
 def test_the_lessons_of_the_base_can_be_drawn_again():
-    again = course(lessons(LESSONS, "teach"), lessons(CHECKS, "check"), REGISTRIES)
+    again = build_synthetic_dataset(
+        generate_examples(N_TRAIN_EXAMPLES, "teach"), generate_examples(N_CHECK_EXAMPLES, "check"), REGISTRIES
+    )
     assert again.card.hash == read_adapter_card(packaged_folder("base-135m")).dataset

@@ -7,31 +7,38 @@ import pytest
 from msgspec.structs import replace
 
 from dualbrain.adaptation.adapters.card import (
-    BESIDE,
-    CONFIG,
-    WEIGHTS,
+    CONFIG_FILE,
+    METADATA_FILES,
+    WEIGHTS_FILE,
     AdapterCard,
+    hash_weights,
     read_adapter_card,
-    weights_id,
-    write_card,
+    write_adapter_card,
 )
-from dualbrain.adaptation.adapters.naming import champion_of, folder_of
-from dualbrain.adaptation.adapters.promotion import Decision
-from dualbrain.adaptation.adapters.registry import BARE, JOURNAL, UNRECORDED, Adapters, NotPromoted, place_of
+from dualbrain.adaptation.adapters.naming import champion_id, resolve_folder
+from dualbrain.adaptation.adapters.promotion import PromotionDecision
+from dualbrain.adaptation.adapters.registry import (
+    LOG_FILE,
+    NO_ADAPTER,
+    UNRECORDED_FAULT,
+    AdapterRegistry,
+    NotPromotedError,
+    place_of_card,
+)
 from dualbrain.adaptation.config import AdaptConfig
-from dualbrain.core.storage.atomic_files import DiskFull
-from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.core.storage.atomic_files import FileWriteError
+from dualbrain.errors import ConfigurationError, UnknownNameError
 
 PLACE = ("panda", "b" * 64)
 
 
-def made(folder, words, robot="panda", base="b" * 64):
+def make_adapter(folder, words, robot="panda", base="b" * 64):
     """An adapter as a fit leaves it."""
     folder.mkdir()
-    (folder / WEIGHTS).write_bytes(words.encode())
+    (folder / WEIGHTS_FILE).write_bytes(words.encode())
     (folder / "adapter_config.json").write_text("{}")
     card = AdapterCard(
-        weights_id(folder),
+        hash_weights(folder),
         "smollm2",
         base,
         robot,
@@ -46,24 +53,24 @@ def made(folder, words, robot="panda", base="b" * 64):
         AdaptConfig(),
         {},
     )
-    write_card(card, folder)
+    write_adapter_card(card, folder)
     return folder
 
 
 @pytest.fixture
 def registry(tmp_path):
-    return Adapters(tmp_path / "adapters")
+    return AdapterRegistry(tmp_path / "adapters")
 
 
 @pytest.fixture
 def two(registry, tmp_path):
     """A registry with two adapters, and their ids."""
-    return [registry.add(made(tmp_path / words, words), now=1.0).id for words in ("first", "second")]
+    return [registry.add(make_adapter(tmp_path / words, words), now=1.0).id for words in ("first", "second")]
 
 
-def forget(registry, one):
+def strip_file_hashes(registry, one):
     """Leave the journal as it was written before it held hashes of config and card of `one`."""
-    path = registry.folder / JOURNAL
+    path = registry.folder / LOG_FILE
     lines = [json.loads(line) for line in path.read_bytes().splitlines()]
     lines = [{key: line[key] for key in line if key != "files" or line["adapter"] != one} for line in lines]
     path.write_text("".join(json.dumps(line) + "\n" for line in lines))
@@ -74,27 +81,27 @@ def contents(folder):
 
 
 def yes(candidate, champion, against=()):
-    return Decision(candidate, champion, {}, tuple(against))
+    return PromotionDecision(candidate, champion, {}, tuple(against))
 
 
 def test_a_folder_that_lacks_a_file_is_refused_by_its_name_and_no_disk_is_full(registry, tmp_path):
-    folder = made(tmp_path / "made", "first")
+    folder = make_adapter(tmp_path / "made", "first")
     (folder / "adapter_config.json").unlink()
-    with pytest.raises(InvalidSetup, match=r"no adapter_config\.json"):
+    with pytest.raises(ConfigurationError, match=r"no adapter_config\.json"):
         registry.add(folder, now=1.0)
     assert not registry.ids()
 
 
 def test_an_id_is_its_content_for_good(registry, two, tmp_path):
     assert registry.ids() == tuple(two)
-    again = made(tmp_path / "again", "first")
+    again = make_adapter(tmp_path / "again", "first")
     (again / "adapter_config.json").write_text('{"peft_version": "9"}')
     assert registry.add(again, now=2.0).id == two[0]
     assert registry.ids() == tuple(two)
     assert (registry.folder / two[0] / "adapter_config.json").read_text() == "{}"
     assert registry.find(two[0][:8]) == two[0]
     for name in ("", "zz", two[0] + "0"):
-        with pytest.raises(UnknownName):
+        with pytest.raises(UnknownNameError):
             registry.find(name)
 
 
@@ -102,21 +109,21 @@ def test_an_id_is_its_content_for_good(registry, two, tmp_path):
 def test_weights_that_are_here_are_not_taken_with_other_facts_beside_them(registry, two, tmp_path, known):
     """Also where nothing is recorded of those that are here."""
     if not known:
-        forget(registry, two[0])
+        strip_file_hashes(registry, two[0])
     before, journal = contents(registry.folder), registry.journal()
-    again = made(tmp_path / "again", "first")
-    (again / CONFIG).write_text('{"lora_alpha": 64}')
-    with pytest.raises(InvalidSetup, match=r"another adapter_config\.json'.*one content for good"):
+    again = make_adapter(tmp_path / "again", "first")
+    (again / CONFIG_FILE).write_text('{"lora_alpha": 64}')
+    with pytest.raises(ConfigurationError, match=r"another adapter_config\.json'.*one content for good"):
         registry.add(again, now=2.0)
     for words, changed in (
         ("robot", {"robot": "ur5e"}),
         ("dataset", {"dataset": "e"}),
         ("", {"versions": {"a": "1"}, "steps": 9}),
     ):
-        again = made(tmp_path / f"again {words}", "first")
-        write_card(replace(read_adapter_card(again), **changed), again)
+        again = make_adapter(tmp_path / f"again {words}", "first")
+        write_adapter_card(replace(read_adapter_card(again), **changed), again)
         if words:
-            with pytest.raises(InvalidSetup, match=f"another {words} in adapter.json"):
+            with pytest.raises(ConfigurationError, match=f"another {words} in adapter.json"):
                 registry.add(again, now=2.0)
         else:
             assert registry.add(again, now=2.0).id == two[0]
@@ -124,113 +131,113 @@ def test_weights_that_are_here_are_not_taken_with_other_facts_beside_them(regist
 
 
 def test_what_is_here_but_damaged_is_told_when_it_is_added_again(registry, two, tmp_path):
-    (registry.folder / two[0] / CONFIG).write_text('{"lora_alpha": 64}')
-    with pytest.raises(InvalidSetup, match="was changed"):
+    (registry.folder / two[0] / CONFIG_FILE).write_text('{"lora_alpha": 64}')
+    with pytest.raises(ConfigurationError, match="was changed"):
         registry.add(tmp_path / "first", now=2.0)
 
 
 def test_promote_and_roll_back_are_a_stack(registry, two):
     first, second = two
-    assert registry.champion(PLACE) == BARE
-    registry.promote(first, yes(first, BARE), now=2.0)
+    assert registry.champion(PLACE) == NO_ADAPTER
+    registry.promote(first, yes(first, NO_ADAPTER), now=2.0)
     registry.promote(second, yes(second, first), now=3.0)
     assert registry.champion(PLACE) == second
-    assert registry.champion(("ur5e", "b" * 64)) == BARE
+    assert registry.champion(("ur5e", "b" * 64)) == NO_ADAPTER
     assert registry.roll_back(PLACE, "a test", now=4.0) == first
     assert registry.champion(PLACE) == first
     registry.promote(second, yes(second, first), now=5.0)
-    assert [registry.roll_back(PLACE, "a test", now=6.0) for _ in range(2)] == [first, BARE]
-    with pytest.raises(InvalidSetup, match="bare base"):
+    assert [registry.roll_back(PLACE, "a test", now=6.0) for _ in range(2)] == [first, NO_ADAPTER]
+    with pytest.raises(ConfigurationError, match="bare base"):
         registry.roll_back(PLACE, "a test", now=7.0)
-    with pytest.raises(InvalidSetup, match="reason"):
+    with pytest.raises(ConfigurationError, match="reason"):
         registry.roll_back(PLACE, " ", now=7.0)
     assert [entry.time for entry in registry.journal()] == [1.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 6.0]
 
 
 def test_only_a_decision_in_favour_about_these_two_promotes(registry, two):
     first, second = two
-    with pytest.raises(NotPromoted, match="it fell") as refused:
-        registry.promote(first, yes(first, BARE, ["it fell"]), now=2.0)
-    assert refused.value.against == ("it fell",)
-    for decision in (yes(second, BARE), yes(first, second)):
-        with pytest.raises(InvalidSetup, match="measured adapters"):
+    with pytest.raises(NotPromotedError, match="it fell") as refused:
+        registry.promote(first, yes(first, NO_ADAPTER, ["it fell"]), now=2.0)
+    assert refused.value.reasons == ("it fell",)
+    for decision in (yes(second, NO_ADAPTER), yes(first, second)):
+        with pytest.raises(ConfigurationError, match="measured adapters"):
             registry.promote(first, decision, now=2.0)
-    assert registry.champion(PLACE) == BARE
-    registry.promote(first, yes(first, BARE), now=2.0)
-    with pytest.raises(InvalidSetup, match="Measure again"):
-        registry.promote(second, yes(second, BARE), now=3.0)
+    assert registry.champion(PLACE) == NO_ADAPTER
+    registry.promote(first, yes(first, NO_ADAPTER), now=2.0)
+    with pytest.raises(ConfigurationError, match="Measure again"):
+        registry.promote(second, yes(second, NO_ADAPTER), now=3.0)
     assert registry.champion(PLACE) == first
 
 
 def test_changed_weights_are_found_and_not_promoted(registry, two):
-    path = registry.folder / two[0] / WEIGHTS
+    path = registry.folder / two[0] / WEIGHTS_FILE
     path.write_bytes(b"f1rst")
     assert registry.verify()[two[1]] == ""
     assert "were changed" in registry.verify()[two[0]]
-    with pytest.raises(InvalidSetup, match="were changed"):
-        registry.promote(two[0], yes(two[0], BARE), now=2.0)
-    assert registry.champion(PLACE) == BARE
+    with pytest.raises(ConfigurationError, match="were changed"):
+        registry.promote(two[0], yes(two[0], NO_ADAPTER), now=2.0)
+    assert registry.champion(PLACE) == NO_ADAPTER
 
 
-@pytest.mark.parametrize("file", BESIDE)
+@pytest.mark.parametrize("file", METADATA_FILES)
 def test_a_changed_config_or_card_is_found_wherever_changed_weights_are(registry, two, file):
     first, second = two
-    registry.promote(first, yes(first, BARE), now=2.0)
+    registry.promote(first, yes(first, NO_ADAPTER), now=2.0)
     path = registry.folder / first / file
     whole = path.read_bytes()
     for changed in (whole.replace(b"{", b'{"lora_alpha": 64, ', 1), None):
         path.write_bytes(changed) if changed else path.unlink()
         assert file in registry.verify()[first]
         assert registry.verify()[second] == ""
-        for read in (registry.card, registry.at, lambda name: folder_of(f"adapter:{name}", registry)):
-            with pytest.raises(InvalidSetup, match=f"{file} of adapter.*was changed"):
+        for read in (registry.card, registry.at, lambda name: resolve_folder(f"adapter:{name}", registry)):
+            with pytest.raises(ConfigurationError, match=f"{file} of adapter.*was changed"):
                 read(first)
-        with pytest.raises(InvalidSetup, match="was changed"):
-            folder_of("adapter:champion", registry, "panda")
+        with pytest.raises(ConfigurationError, match="was changed"):
+            resolve_folder("adapter:champion", registry, "panda")
     registry.promote(second, yes(second, first), now=3.0)
-    assert registry.roll_back(PLACE, "a test", now=4.0) == BARE  # the former one is passed over
+    assert registry.roll_back(PLACE, "a test", now=4.0) == NO_ADAPTER  # the former one is passed over
     path.write_bytes(whole)
     assert registry.verify()[first] == ""
 
 
 def test_an_adapter_added_before_config_and_card_were_recorded_serves_as_ever(registry, two):
-    forget(registry, two[0])
-    (registry.folder / two[0] / CONFIG).write_text('{"lora_alpha": 64}')
-    assert (registry.recorded(two[0]), set(registry.recorded(two[1]))) == ({}, set(BESIDE))
+    strip_file_hashes(registry, two[0])
+    (registry.folder / two[0] / CONFIG_FILE).write_text('{"lora_alpha": 64}')
+    assert (registry.recorded(two[0]), set(registry.recorded(two[1]))) == ({}, set(METADATA_FILES))
     assert set(registry.verify().values()) == {""}
-    registry.promote(two[0], yes(two[0], BARE), now=2.0)
-    assert folder_of("adapter:champion", registry, "panda") == registry.folder / two[0]
-    (registry.folder / two[0] / WEIGHTS).write_bytes(b"f1rst")
+    registry.promote(two[0], yes(two[0], NO_ADAPTER), now=2.0)
+    assert resolve_folder("adapter:champion", registry, "panda") == registry.folder / two[0]
+    (registry.folder / two[0] / WEIGHTS_FILE).write_bytes(b"f1rst")
     assert "were changed" in registry.verify()[two[0]]
 
 
 def test_a_damaged_adapter_is_not_taken_in(registry, tmp_path):
-    bad = made(tmp_path / "bad", "bad")
-    (bad / WEIGHTS).write_bytes(b"worse")
-    with pytest.raises(InvalidSetup, match="were changed"):
+    bad = make_adapter(tmp_path / "bad", "bad")
+    (bad / WEIGHTS_FILE).write_bytes(b"worse")
+    with pytest.raises(ConfigurationError, match="were changed"):
         registry.add(bad, now=1.0)
     assert registry.ids() == ()
 
 
 def test_a_line_cut_off_by_a_crash_never_happened(registry, two):
-    registry.promote(two[0], yes(two[0], BARE), now=2.0)
-    path = registry.folder / JOURNAL
+    registry.promote(two[0], yes(two[0], NO_ADAPTER), now=2.0)
+    path = registry.folder / LOG_FILE
     whole = path.read_bytes()
     path.write_bytes(whole + whole.splitlines(keepends=True)[-1][:-7])
     assert registry.champion(PLACE) == two[0]
-    assert registry.roll_back(PLACE, "a test", now=3.0) == BARE
+    assert registry.roll_back(PLACE, "a test", now=3.0) == NO_ADAPTER
     assert [json.loads(line)["kind"] for line in path.read_text().splitlines()][-2:] == ["promoted", "rolled back"]
 
 
 @pytest.mark.parametrize("kept", [0, 1])
 def test_an_adapter_that_the_journal_does_not_tell_of_is_a_fault_until_it_is_added_again(registry, two, tmp_path, kept):
-    path = registry.folder / JOURNAL
+    path = registry.folder / LOG_FILE
     path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[:kept]))
     (registry.folder / "canaries").mkdir()
     lost = two[kept:]
     assert set(registry.unrecorded()) == set(lost)
     for one in two:
-        assert registry.verify()[one] == (UNRECORDED if one in lost else "")
+        assert registry.verify()[one] == (UNRECORDED_FAULT if one in lost else "")
     for words in ("first", "second"):
         registry.add(tmp_path / words, now=9.0)
     assert registry.verify() == dict.fromkeys(two, "")
@@ -238,25 +245,25 @@ def test_an_adapter_that_the_journal_does_not_tell_of_is_a_fault_until_it_is_add
 
 
 def test_a_damaged_journal_is_told(registry, two):
-    path = registry.folder / JOURNAL
+    path = registry.folder / LOG_FILE
     path.write_bytes(b"{}\n" + path.read_bytes())
-    with pytest.raises(InvalidSetup, match="adapter journal"):
+    with pytest.raises(ConfigurationError, match="adapter journal"):
         registry.champion(PLACE)
 
 
 @pytest.mark.parametrize("room", [0, 10, 100])
 def test_a_full_disk_leaves_registry_and_champion(registry, two, tmp_path, room):
-    registry.promote(two[0], yes(two[0], BARE), now=2.0)
+    registry.promote(two[0], yes(two[0], NO_ADAPTER), now=2.0)
     before = {path: path.read_bytes() for path in registry.folder.rglob("*") if path.is_file()}
-    third = made(tmp_path / "third", "third" * 100)
+    third = make_adapter(tmp_path / "third", "third" * 100)
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    journal = len((registry.folder / JOURNAL).read_bytes())
+    journal = len((registry.folder / LOG_FILE).read_bytes())
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, limits[1]))
     try:
-        with pytest.raises(DiskFull):
+        with pytest.raises(FileWriteError):
             registry.add(third, now=3.0)
         resource.setrlimit(resource.RLIMIT_FSIZE, (journal + room, limits[1]))
-        with pytest.raises(DiskFull):
+        with pytest.raises(FileWriteError):
             registry.promote(two[1], yes(two[1], two[0]), now=3.0)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
@@ -267,37 +274,37 @@ def test_a_full_disk_leaves_registry_and_champion(registry, two, tmp_path, room)
 
 
 def test_it_serves_only_where_it_was_made_for(registry, two):
-    assert place_of(registry.card(two[0])) == PLACE
+    assert place_of_card(registry.card(two[0])) == PLACE
 
 
 def test_what_is_only_added_changes_no_champion(registry, two, tmp_path):
     """An added one swaps nothing, on whichever base."""
-    with pytest.raises(InvalidSetup, match="champion of panda"):
-        champion_of(registry, "panda")
-    registry.promote(two[0], yes(two[0], BARE), now=3.0)
+    with pytest.raises(ConfigurationError, match="champion of panda"):
+        champion_id(registry, "panda")
+    registry.promote(two[0], yes(two[0], NO_ADAPTER), now=3.0)
     for words, base in (("other", "c" * 64), ("third", "b" * 64)):
-        registry.add(made(tmp_path / words, words, base=base), now=4.0)
-        assert champion_of(registry, "panda") == two[0]
+        registry.add(make_adapter(tmp_path / words, words, base=base), now=4.0)
+        assert champion_id(registry, "panda") == two[0]
     registry.promote(two[1], yes(two[1], two[0]), now=5.0)
-    assert champion_of(registry, "panda") == two[1]
+    assert champion_id(registry, "panda") == two[1]
     registry.roll_back(PLACE, "a test", now=6.0)
-    assert champion_of(registry, "panda") == two[0]
+    assert champion_id(registry, "panda") == two[0]
 
 
 def test_a_robot_is_served_on_one_base_at_a_time(registry, two, tmp_path):
     """Whoever was measured against the bare base there was not measured against who serves."""
-    other = registry.add(made(tmp_path / "other", "other", base="c" * 64), now=2.0)
-    registry.promote(two[0], yes(two[0], BARE), now=3.0)
+    other = registry.add(make_adapter(tmp_path / "other", "other", base="c" * 64), now=2.0)
+    registry.promote(two[0], yes(two[0], NO_ADAPTER), now=3.0)
     before = registry.journal()
-    with pytest.raises(InvalidSetup, match=rf"champion of panda: got '{two[0][:16]} on another base'.*rollback"):
-        registry.promote(other.id, yes(other.id, BARE), now=4.0)
+    with pytest.raises(ConfigurationError, match=rf"champion of panda: got '{two[0][:16]} on another base'.*rollback"):
+        registry.promote(other.id, yes(other.id, NO_ADAPTER), now=4.0)
     assert registry.journal() == before
     registry.roll_back(PLACE, "a test", now=5.0)
-    registry.promote(other.id, yes(other.id, BARE), now=6.0)
-    assert champion_of(registry, "panda") == other.id
+    registry.promote(other.id, yes(other.id, NO_ADAPTER), now=6.0)
+    assert champion_id(registry, "panda") == other.id
 
 
 def test_without_a_registry_nothing_is_rolled_back_and_none_is_made(registry):
-    with pytest.raises(InvalidSetup, match="registry of adapters"):
+    with pytest.raises(ConfigurationError, match="registry of adapters"):
         registry.roll_back(PLACE, "a test", now=1.0)
     assert not registry.folder.exists()

@@ -22,23 +22,30 @@ import xllamacpp
 from peft import LoraConfig
 from safetensors.torch import load_file, save_file
 
-from dualbrain.adaptation.conversion.gguf_lora import convert, permuted
-from dualbrain.adaptation.conversion.peft_lora import CONFIG, PLAIN, READ, WEIGHTS, read_lora, require_plain
-from dualbrain.core.storage.atomic_files import DiskFull
-from dualbrain.errors import InvalidSetup, MissingPart
-from tests.adaptation.tiny_gguf import KINDS, fitted, interleaved, model, write_gguf
+from dualbrain.adaptation.conversion.gguf_lora import convert_adapter, permute_rows
+from dualbrain.adaptation.conversion.peft_lora import (
+    CONFIG_FILE,
+    KNOWN_SETTINGS,
+    PLAIN_VALUES,
+    WEIGHTS_FILE,
+    read_lora,
+    require_plain_lora,
+)
+from dualbrain.core.storage.atomic_files import FileWriteError
+from dualbrain.errors import ConfigurationError, MissingDependencyError
+from tests.adaptation.tiny_gguf import KINDS, interleave_rows, model, random_adapter, write_gguf
 
 pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::UserWarning")
 PROMPT = [10, 20, 30, 200, 7, 99, 31, 64]
 
 
-def of_torch(worn):
+def torch_log_probs(worn):
     with torch.no_grad():
         logits = worn(input_ids=torch.tensor([PROMPT]), use_cache=False).logits[0, -1]
     return logits.double().log_softmax(-1).numpy()
 
 
-def of_llama(base, adapter, scale=1.0):
+def llama_log_probs(base, adapter, scale=1.0):
     """Log-probabilities of the next token in llama.cpp, with full float caches."""
     params = xllamacpp.CommonParams()
     params.model.path = str(base)
@@ -71,19 +78,19 @@ def of_llama(base, adapter, scale=1.0):
 def test_llama_cpp_computes_what_torch_computes(architecture, changed, tmp_path):
     made = model(architecture)
     base = write_gguf(made, architecture, tmp_path / "base.gguf")
-    bare = of_torch(made)
-    worn = of_torch(fitted(made, tmp_path / "adapter", **changed))
-    assert convert(tmp_path / "adapter", base, tmp_path / "lora.gguf") == 14
+    bare = torch_log_probs(made)
+    worn = torch_log_probs(random_adapter(made, tmp_path / "adapter", **changed))
+    assert convert_adapter(tmp_path / "adapter", base, tmp_path / "lora.gguf") == 14
     assert np.abs(worn - bare).max() > 0.5
-    np.testing.assert_allclose(of_llama(base, tmp_path / "lora.gguf"), worn, atol=2e-4)
-    np.testing.assert_allclose(of_llama(base, tmp_path / "lora.gguf", scale=0.0), bare, atol=2e-4)
+    np.testing.assert_allclose(llama_log_probs(base, tmp_path / "lora.gguf"), worn, atol=2e-4)
+    np.testing.assert_allclose(llama_log_probs(base, tmp_path / "lora.gguf", scale=0.0), bare, atol=2e-4)
 
 
 @pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float16])
 def test_half_precision_is_read_exactly(dtype, tmp_path):
-    fitted(model("llama"), tmp_path / "a", dtype)
+    random_adapter(model("llama"), tmp_path / "a", dtype)
     for module, pair in read_lora(tmp_path / "a").items():
-        tensors = load_file(tmp_path / "a" / WEIGHTS)
+        tensors = load_file(tmp_path / "a" / WEIGHTS_FILE)
         for half, found in (("A", pair.a), ("B", pair.b / 3.0)):
             there = tensors[f"base_model.model.{module}.lora_{half}.weight"].float().numpy()
             np.testing.assert_array_equal(found.astype(np.float32), there)
@@ -92,7 +99,7 @@ def test_half_precision_is_read_exactly(dtype, tmp_path):
 @given(heads=st.integers(1, 5), half=st.integers(1, 4), width=st.integers(1, 3))
 def test_rows_are_permuted_head_by_head(heads, half, width):
     rows = np.arange(heads * 2 * half * width, dtype=np.float32).reshape(heads * 2 * half, width)
-    np.testing.assert_array_equal(permuted(rows, heads), interleaved(rows, heads))
+    np.testing.assert_array_equal(permute_rows(rows, heads), interleave_rows(rows, heads))
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +108,7 @@ def whole(tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
     made = model("llama")
     write_gguf(made, "llama", folder / "base.gguf")
-    fitted(made, folder / "adapter")
+    random_adapter(made, folder / "adapter")
     return folder
 
 
@@ -109,10 +116,10 @@ def changed(whole, tmp_path, config=None, tensors=None):
     folder = tmp_path / "adapter"
     shutil.copytree(whole / "adapter", folder)
     if config:
-        path = folder / CONFIG
+        path = folder / CONFIG_FILE
         path.write_text(json.dumps(json.loads(path.read_text()) | config))
     if tensors:
-        save_file(tensors(load_file(folder / WEIGHTS)), folder / WEIGHTS)
+        save_file(tensors(load_file(folder / WEIGHTS_FILE)), folder / WEIGHTS_FILE)
     return folder
 
 
@@ -135,20 +142,20 @@ B = A.replace("lora_A", "lora_B")
     ids=str,
 )  # fmt: skip
 def test_what_is_not_plain_lora_is_refused(whole, tmp_path, config):
-    with pytest.raises(InvalidSetup, match="LoRA"):
-        convert(changed(whole, tmp_path, config), whole / "base.gguf", tmp_path / "out.gguf")
+    with pytest.raises(ConfigurationError, match="LoRA"):
+        convert_adapter(changed(whole, tmp_path, config), whole / "base.gguf", tmp_path / "out.gguf")
     assert not (tmp_path / "out.gguf").exists()
 
 
 def test_every_setting_that_peft_has_is_known_and_none_that_may_change_the_answer_passes():
     """As peft is installed here; its own defaults are plain LoRA."""
     fields = {one.name for one in dataclasses.fields(LoraConfig)}
-    assert fields >= READ | set(PLAIN)
+    assert fields >= KNOWN_SETTINGS | set(PLAIN_VALUES)
     plain = LoraConfig(target_modules=["q_proj"]).to_dict()
-    require_plain(plain)
-    for setting in fields - READ:
-        with pytest.raises(InvalidSetup, match=setting):
-            require_plain(plain | {setting: "anything"})
+    require_plain_lora(plain)
+    for setting in fields - KNOWN_SETTINGS:
+        with pytest.raises(ConfigurationError, match=setting):
+            require_plain_lora(plain | {setting: "anything"})
 
 
 @pytest.mark.parametrize("setting", ["rank_pattern", "alpha_pattern"])
@@ -156,7 +163,7 @@ def test_every_setting_that_peft_has_is_known_and_none_that_may_change_the_answe
 def test_a_pattern_that_is_no_name_is_refused_by_name_and_never_run(whole, tmp_path, setting, key):
     """The first of them would be tried out for years."""
     folder = changed(whole, tmp_path, {setting: {key: 4}})
-    with pytest.raises(InvalidSetup) as refused:
+    with pytest.raises(ConfigurationError) as refused:
         read_lora(folder)
     assert refused.value.got == key
 
@@ -171,8 +178,8 @@ def test_a_pattern_may_name_a_layer_from_its_beginning(whole, tmp_path):
 
 def test_a_config_too_deep_to_be_read_is_refused(whole, tmp_path):
     folder = changed(whole, tmp_path)
-    (folder / CONFIG).write_text("[" * 100_000)
-    with pytest.raises(InvalidSetup, match=r"LoRA adapter_config\.json"):
+    (folder / CONFIG_FILE).write_text("[" * 100_000)
+    with pytest.raises(ConfigurationError, match=r"LoRA adapter_config\.json"):
         read_lora(folder)
 
 
@@ -195,24 +202,24 @@ def test_a_config_too_deep_to_be_read_is_refused(whole, tmp_path):
 def test_what_has_no_place_in_the_base_is_refused(whole, tmp_path, tensors, word):
     folder = changed(whole, tmp_path, tensors=lambda t: {n: v.contiguous() for n, v in tensors(t).items()})
     if word == "at least one":
-        save_file({}, folder / WEIGHTS)
-    with pytest.raises(InvalidSetup, match=word):
-        convert(folder, whole / "base.gguf", tmp_path / "out.gguf")
+        save_file({}, folder / WEIGHTS_FILE)
+    with pytest.raises(ConfigurationError, match=word):
+        convert_adapter(folder, whole / "base.gguf", tmp_path / "out.gguf")
 
 
 def test_damaged_files_and_other_bases_are_refused(whole, tmp_path):
     folder = changed(whole, tmp_path)
-    (folder / WEIGHTS).write_bytes((folder / WEIGHTS).read_bytes()[:-9])
-    with pytest.raises(InvalidSetup, match="safetensors"):
-        convert(folder, whole / "base.gguf", tmp_path / "out.gguf")
-    (folder / WEIGHTS).unlink()
-    with pytest.raises(MissingPart):
-        convert(folder, whole / "base.gguf", tmp_path / "out.gguf")
+    (folder / WEIGHTS_FILE).write_bytes((folder / WEIGHTS_FILE).read_bytes()[:-9])
+    with pytest.raises(ConfigurationError, match="safetensors"):
+        convert_adapter(folder, whole / "base.gguf", tmp_path / "out.gguf")
+    (folder / WEIGHTS_FILE).unlink()
+    with pytest.raises(MissingDependencyError):
+        convert_adapter(folder, whole / "base.gguf", tmp_path / "out.gguf")
     (tmp_path / "junk.gguf").write_bytes(b"GGUF" + os.urandom(64))
-    with pytest.raises(InvalidSetup):
-        convert(whole / "adapter", tmp_path / "junk.gguf", tmp_path / "out.gguf")
-    with pytest.raises(InvalidSetup, match="architecture"):
-        convert(whole / "adapter", _of_another_kind(tmp_path / "gpt2.gguf"), tmp_path / "out.gguf")
+    with pytest.raises(ConfigurationError):
+        convert_adapter(whole / "adapter", tmp_path / "junk.gguf", tmp_path / "out.gguf")
+    with pytest.raises(ConfigurationError, match="architecture"):
+        convert_adapter(whole / "adapter", _of_another_kind(tmp_path / "gpt2.gguf"), tmp_path / "out.gguf")
 
 
 def _of_another_kind(path):
@@ -232,8 +239,8 @@ def test_a_full_disk_leaves_what_was_there(whole, tmp_path):
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
     try:
-        with pytest.raises(DiskFull):
-            convert(whole / "adapter", whole / "base.gguf", out)
+        with pytest.raises(FileWriteError):
+            convert_adapter(whole / "adapter", whole / "base.gguf", out)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert out.read_bytes() == b"before"

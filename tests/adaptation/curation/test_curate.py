@@ -7,24 +7,33 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.adaptation.curation.balancing import attributes, repeats
-from dualbrain.adaptation.curation.candidate import candidates
-from dualbrain.adaptation.curation.curate import Curation, curate
-from dualbrain.adaptation.curation.deduplication import merge
-from dualbrain.adaptation.curation.scene_split import held_out, scene_groups
+from dualbrain.adaptation.curation.balancing import compute_repeats, sample_attributes
+from dualbrain.adaptation.curation.candidate import read_candidates
+from dualbrain.adaptation.curation.curate import CurationConfig, curate
+from dualbrain.adaptation.curation.deduplication import merge_duplicates
+from dualbrain.adaptation.curation.scene_split import choose_held_out_groups, group_scenes
 from dualbrain.adaptation.curation.selection import CleanRules
 from dualbrain.contracts.gate.gate import Gate
-from dualbrain.contracts.registry import Registry
+from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.verdict import Accepted
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import ConfigurationError
 from dualbrain.memory.ledger.ledger import LedgerReader
-from dualbrain.memory.maintenance.compaction import swap
+from dualbrain.memory.maintenance.compaction import compact_in_place
 from dualbrain.memory.maintenance.edits import forget, quarantine, release
 from dualbrain.memory.plasticity.plan_similarity import same_plan
-from tests.adaptation.sample_episodes import NOW, REGISTRY, episode, pick, remember, scene, several, summary
+from tests.adaptation.sample_episodes import (
+    NOW,
+    REGISTRY,
+    distinct_episodes,
+    episode,
+    pick_contract,
+    scene,
+    summary,
+    write_ledger,
+)
 
 GOOD = "good"
-ALL = Curation(held_out=0.0)
+ALL = CurationConfig(held_out=0.0)
 
 REASONS = {
     "outcome failed": {"kind": "failed"},
@@ -42,16 +51,18 @@ REASONS = {
     "flown without the safety filter": {"versions": {"filter": "off"}},
     "without an instruction": {"words": " "},
     "Δ above 0.003": {"Delta": 0.0031},
-    "refused by the gate: envelope": {"plan": pick(force=900.0)},
+    "refused by the gate: envelope": {"plan": pick_contract(force=900.0)},
     "slower than 1.5 times the median of its family": {"duration": 15.1},
 }
 
 
 @pytest.mark.parametrize(("reason", "change"), REASONS.items(), ids=REASONS)
 def test_each_reason_alone_excludes(tmp_path, reason, change):
-    others = [episode(GOOD, told=summary(number=1)), episode("also good", told=summary(number=2))]
-    bad = episode("bad", told=summary(number=3, symbols="path_max_height tall"), **{"words": "another thing", **change})
-    with remember(tmp_path, [*others, bad]) as ledger:
+    others = [episode(GOOD, scene_summary=summary(number=1)), episode("also good", scene_summary=summary(number=2))]
+    bad = episode(
+        "bad", scene_summary=summary(number=3, symbols="path_max_height tall"), **{"words": "another thing", **change}
+    )
+    with write_ledger(tmp_path, [*others, bad]) as ledger:
         found = curate(ledger, REGISTRY, ALL)
     assert found.left_out == {reason: ("bad",)}
     assert {row.memory for row in found.train} == {GOOD, "also good"}
@@ -68,16 +79,16 @@ def narrowed(most):
         )
         for skill in REGISTRY.skills
     ]
-    return Registry(REGISTRY.robot, tuple(skills))
+    return SkillRegistry(REGISTRY.robot, tuple(skills))
 
 
 def test_what_was_done_at_a_site_teaches_in_the_robots_own_words_if_the_gate_there_accepts_it(tmp_path):
     site = narrowed(20.0)
-    there = episode("there", registry=site.hash, told=summary(number=3), words="take it away")
-    hard = episode("hard", plan=pick(force=21.0), told=summary(number=4), words="grip it")
-    with remember(tmp_path, [*several(2), there, hard]) as ledger:
+    there = episode("there", registry=site.hash, scene_summary=summary(number=3), instruction="take it away")
+    hard = episode("hard", plan=pick_contract(force=21.0), scene_summary=summary(number=4), instruction="grip it")
+    with write_ledger(tmp_path, [*distinct_episodes(2), there, hard]) as ledger:
         without, found = curate(ledger, REGISTRY, ALL), curate(ledger, REGISTRY, ALL, site=site)
-        with pytest.raises(InvalidSetup, match="vocabulary of the site"):
+        with pytest.raises(ConfigurationError, match="vocabulary of the site"):
             curate(ledger, site, ALL, site=REGISTRY)
     assert without.left_out == {"of another registry": ("there",)}
     assert found.left_out == {"refused by the gate: envelope": ("hard",)}
@@ -88,28 +99,38 @@ def test_what_was_done_at_a_site_teaches_in_the_robots_own_words_if_the_gate_the
 
 
 def test_at_the_bounds_it_is_in(tmp_path):
-    edge = episode("edge", Delta=0.003, duration=15.0, told=summary(number=3))
-    with remember(tmp_path, [*several(2), edge]) as ledger:
+    edge = episode("edge", Delta=0.003, duration=15.0, scene_summary=summary(number=3))
+    with write_ledger(tmp_path, [*distinct_episodes(2), edge]) as ledger:
         assert "edge" in {row.memory for row in curate(ledger, REGISTRY, ALL).train}
 
 
 def test_a_success_that_took_no_tick_was_not_corrected(tmp_path):
     """Home, from home: there is no Δ."""
-    with remember(
-        tmp_path, [*several(2), episode("there", Delta=None, duration=0.0, told=summary(number=3))]
+    with write_ledger(
+        tmp_path, [*distinct_episodes(2), episode("there", Delta=None, duration=0.0, scene_summary=summary(number=3))]
     ) as ledger:
         assert "there" in {row.memory for row in curate(ledger, REGISTRY, ALL).train}
 
 
 def test_a_decline_is_let_in_only_by_name_and_nothing_else_is(tmp_path):
     """It has no success and no Δ; a name opens the door to no failure, and not to a decline that the gate refuses."""
-    plan = pick() | {"action_sequence": [{"skill": "decline", "params": {"reason": "no skill can do this"}}]}
-    wrong = pick() | {"action_sequence": [{"skill": "decline", "params": {"reason": "no" * 200}}]}
+    plan = pick_contract() | {"action_sequence": [{"skill": "decline", "params": {"reason": "no skill can do this"}}]}
+    wrong = pick_contract() | {"action_sequence": [{"skill": "decline", "params": {"reason": "no" * 200}}]}
     refusals = [
-        episode(name, "declined", Delta=None, duration=0.0, plan=told, told=summary(number=9 + i), words=f"fly {name}")
+        episode(
+            name,
+            "declined",
+            Delta=None,
+            duration=0.0,
+            plan=told,
+            scene_summary=summary(number=9 + i),
+            instruction=f"fly {name}",
+        )
         for i, (name, told) in enumerate({"right": plan, "unnamed": plan, "endless": wrong}.items())
     ]
-    with remember(tmp_path, [*several(2), *refusals, episode("bad", "failed", told=summary(number=8))]) as ledger:
+    with write_ledger(
+        tmp_path, [*distinct_episodes(2), *refusals, episode("bad", "failed", scene_summary=summary(number=8))]
+    ) as ledger:
         found = curate(ledger, REGISTRY, ALL, declines={"right", "endless", "bad"})
     assert {row.memory for row in found.train} == {"e0", "e1", "right"}
     assert found.left_out == {
@@ -121,14 +142,14 @@ def test_without_physical_selection_all_that_is_valid_teaches(tmp_path):
     """The ablation of the paper's 7.4: whatever came of it; what the gate refuses and what is set aside stays out."""
     kinds = {
         "good": {}, "rough": {"Delta": 0.5}, "slow": {"duration": 90.0}, "failed": {"kind": "failed"},
-        "unconfirmed": {"opinion": "none", "by": "somebody"}, "endless": {"plan": pick(force=900.0)},
+        "unconfirmed": {"opinion": "none", "by": "somebody"}, "endless": {"plan": pick_contract(force=900.0)},
     }  # fmt: skip
     told = [
-        episode(name, told=summary(number=number), words=f"do {name}", **change)
+        episode(name, scene_summary=summary(number=number), instruction=f"do {name}", **change)
         for number, (name, change) in enumerate(kinds.items())
     ]
-    every = Curation(CleanRules(physical=False), held_out=0.0)
-    with remember(tmp_path, told) as ledger:
+    every = CurationConfig(CleanRules(physical=False), held_out=0.0)
+    with write_ledger(tmp_path, told) as ledger:
         found, clean = curate(ledger, REGISTRY, every), curate(ledger, REGISTRY, ALL)
     assert {row.memory for row in found.train} == {"good", "rough", "slow", "failed", "unconfirmed"}
     assert found.left_out == {"refused by the gate: envelope": ("endless",)}
@@ -141,7 +162,7 @@ def test_what_is_set_aside_does_not_teach_and_what_is_brought_back_does(tmp_path
         release(memory, ["e1"], "a test", now=NOW)
         forget(memory, ["e2"], "a test", now=NOW)
 
-    with remember(tmp_path, several(4), set_aside) as ledger:
+    with write_ledger(tmp_path, distinct_episodes(4), set_aside) as ledger:
         found = curate(ledger, REGISTRY, ALL)
     assert {row.memory for row in found.train} == {"e1", "e3"}
     assert found.left_out == {"quarantined in memory": ("e0",), "forgotten in memory": ("e2",)}
@@ -149,24 +170,26 @@ def test_what_is_set_aside_does_not_teach_and_what_is_brought_back_does(tmp_path
 
 def test_nothing_left_is_an_error_that_says_why(tmp_path):
     with (
-        remember(tmp_path, [episode("bad", "failed")]) as ledger,
-        pytest.raises(InvalidSetup, match="1 outcome failed"),
+        write_ledger(tmp_path, [episode("bad", "failed")]) as ledger,
+        pytest.raises(ConfigurationError, match="1 outcome failed"),
     ):
         curate(ledger, REGISTRY, ALL)
     (tmp_path / "empty").mkdir()
-    with remember(tmp_path / "empty", []) as ledger, pytest.raises(InvalidSetup, match="none of 0 memories"):
+    with write_ledger(tmp_path / "empty", []) as ledger, pytest.raises(ConfigurationError, match="none of 0 memories"):
         curate(ledger, REGISTRY, ALL)
 
 
 def test_every_sample_leads_to_its_events_and_passes_the_gate(tmp_path):
-    odd = pick(id="c-0002", force=20)
+    odd = pick_contract(id="c-0002", force=20)
     odd["action_sequence"][0]["params"] = dict(reversed(odd["action_sequence"][0]["params"].items()))
-    with remember(tmp_path, [*several(5), episode("odd", plan=odd, told=summary(number=9))]) as ledger:
+    with write_ledger(
+        tmp_path, [*distinct_episodes(5), episode("odd", plan=odd, scene_summary=summary(number=9))]
+    ) as ledger:
         found = curate(ledger, REGISTRY, ALL)
         for row in found.train:
             assert ledger.event(row.events[0]).subject == row.memory
             gate = Gate(REGISTRY, {"planner": frozenset(REGISTRY.by_name)})
-            verdict = gate.check(row.contract.encode(), names=row.names, principal="planner", now=0.0)
+            verdict = gate.check(row.contract.encode(), names=row.scene_names, principal="planner", now=0.0)
             assert isinstance(verdict, Accepted)
             assert [turn["role"] for turn in row.prompt] == ["system", "user"]
             assert [turn["role"] for turn in row.completion] == ["assistant"]
@@ -179,36 +202,40 @@ def test_every_sample_leads_to_its_events_and_passes_the_gate(tmp_path):
 def test_near_duplicates_are_one_with_the_least_intervention(tmp_path):
     same = [
         episode("worse", Delta=0.002),
-        episode("best", Delta=0.0005, words="Put the  red cube in the bowl", plan=pick(force=15.5)),
+        episode("best", Delta=0.0005, instruction="Put the  red cube in the bowl", plan=pick_contract(force=15.5)),
         episode("again", Delta=0.0005),
-        episode("other plan", plan=pick(force=30.0)),
-        episode("other words", words="bring the red cube to the bowl"),
+        episode("other plan", plan=pick_contract(force=30.0)),
+        episode("other words", instruction="bring the red cube to the bowl"),
     ]
-    with remember(tmp_path, same) as ledger:
-        found, rows = curate(ledger, REGISTRY, ALL), list(candidates(ledger))
+    with write_ledger(tmp_path, same) as ledger:
+        found, rows = curate(ledger, REGISTRY, ALL), list(read_candidates(ledger))
     assert {row.memory: len(row.events) for row in found.train} == {"best": 3, "other plan": 1, "other words": 1}
     assert found.merged == 2
-    kept = [pair.one for pair in merge(rows)]
+    kept = [pair.representative for pair in merge_duplicates(rows)]
     questions = [(one.summary, " ".join(one.instruction.lower().split()), one.contract) for one in kept]
     for one, other in combinations(questions, 2):
         assert one[:2] != other[:2] or not same_plan(*(msgspec.to_builtins(side[2]) for side in (one, other)))
 
 
 def test_a_rarer_sample_is_never_shown_less_and_none_is_lost(tmp_path):
-    common = [episode(f"c{i}", told=summary(number=i)) for i in range(30)]
+    common = [episode(f"c{i}", scene_summary=summary(number=i)) for i in range(30)]
     rare = [
-        episode(f"r{i}", told=summary("near_edge, path_max_height none", number=100 + i), plan=pick(speed=0.1))
+        episode(
+            f"r{i}",
+            scene_summary=summary("near_edge, path_max_height none", number=100 + i),
+            plan=pick_contract(speed=0.1),
+        )
         for i in range(3)
     ]
-    single = [episode("one", told=summary(number=999), plan=pick(approach="tilted"))]
-    with remember(tmp_path, [*common, *rare, *single]) as ledger:
-        rows = list(candidates(ledger))
-    shown = repeats(rows, REGISTRY, most=4)
+    single = [episode("one", scene_summary=summary(number=999), plan=pick_contract(approach="tilted"))]
+    with write_ledger(tmp_path, [*common, *rare, *single]) as ledger:
+        rows = list(read_candidates(ledger))
+    shown = compute_repeats(rows, REGISTRY, max_repeats=4)
     assert len(shown) == len(rows)
     assert shown[:30] == [1] * 30
     assert shown[30:33] == [3, 3, 3]
     assert shown[33] == 4
-    tables = [attributes(row, REGISTRY) for row in rows]
+    tables = [sample_attributes(row, REGISTRY) for row in rows]
     rarity = [min(sum(a in table for table in tables) for a in own) for own in tables]
     for i, j in combinations(range(len(rows)), 2):
         assert (rarity[i] - rarity[j]) * (shown[j] - shown[i]) >= 0
@@ -222,13 +249,16 @@ def test_no_scene_and_no_question_stands_on_both_sides(tmp_path):
     places = rng.uniform((0.3, -0.4), (0.7, 0.4), (25, 2))
     episodes = [
         episode(
-            f"e{i}", seen=scene(x=float(x + rng.uniform(-0.004, 0.004)), y=float(y + rng.uniform(-0.004, 0.004))),
-            told=summary(number=int(rng.integers(60))), words=f"words {i}",
+            f"e{i}", perceived_scene=scene(x=float(x + rng.uniform(-0.004, 0.004)), y=float(y + rng.uniform(-0.004, 0.004))),
+            scene_summary=summary(number=int(rng.integers(60))), instruction=f"words {i}",
         )
         for i, (x, y) in enumerate(np.repeat(places, 3, axis=0))
     ]  # fmt: skip
-    with remember(tmp_path, episodes) as ledger:
-        found, rows = curate(ledger, REGISTRY, Curation(held_out=0.3)), {c.memo.id: c for c in candidates(ledger)}
+    with write_ledger(tmp_path, episodes) as ledger:
+        found, rows = (
+            curate(ledger, REGISTRY, CurationConfig(held_out=0.3)),
+            {c.memory.id: c for c in read_candidates(ledger)},
+        )
     assert found.train
     assert found.held_out
     for one in found.train:
@@ -239,10 +269,10 @@ def test_no_scene_and_no_question_stands_on_both_sides(tmp_path):
 
 def test_a_scene_keeps_its_side_when_others_join(tmp_path):
     (tmp_path / "later").mkdir()
-    with remember(tmp_path, several(12)) as ledger:
-        before = {row.memory for row in curate(ledger, REGISTRY, Curation(held_out=0.3)).held_out}
-    with remember(tmp_path / "later", several(16)) as ledger:
-        after = {row.memory for row in curate(ledger, REGISTRY, Curation(held_out=0.3)).held_out}
+    with write_ledger(tmp_path, distinct_episodes(12)) as ledger:
+        before = {row.memory for row in curate(ledger, REGISTRY, CurationConfig(held_out=0.3)).held_out}
+    with write_ledger(tmp_path / "later", distinct_episodes(16)) as ledger:
+        after = {row.memory for row in curate(ledger, REGISTRY, CurationConfig(held_out=0.3)).held_out}
     assert before
     assert before == {name for name in after if int(name[1:]) < 12}
 
@@ -251,7 +281,7 @@ def test_a_scene_keeps_its_side_when_it_comes_again_better_and_when_the_ledger_i
     """The second time is kept for its smaller Δ; the oldest may teach nothing at all."""
 
     def scenes(**same):
-        return [msgspec.structs.replace(one, **same) for one in several(30)]
+        return [msgspec.structs.replace(one, **same) for one in distinct_episodes(30)]
 
     first = [
         msgspec.structs.replace(one, outcome=msgspec.structs.replace(one.outcome, Delta=0.002 if i % 2 else 0.9))
@@ -264,12 +294,12 @@ def test_a_scene_keeps_its_side_when_it_comes_again_better_and_when_the_ledger_i
     sides = []
     for folder, episodes in (("first", first), ("later", [*first, *better])):
         (tmp_path / folder).mkdir()
-        with remember(tmp_path / folder, episodes) as ledger:
-            sides.append(sides_of(curate(ledger, REGISTRY, Curation(held_out=0.3))))
+        with write_ledger(tmp_path / folder, episodes) as ledger:
+            sides.append(sides_of(curate(ledger, REGISTRY, CurationConfig(held_out=0.3))))
     path = tmp_path / "later" / "ledger.sqlite"
-    swap(path, holder="a test", now=NOW, patience=1.0)
+    compact_in_place(path, holder="a test", now=NOW, timeout_s=1.0)
     with LedgerReader(path) as ledger:
-        sides.append(sides_of(curate(ledger, REGISTRY, Curation(held_out=0.3))))
+        sides.append(sides_of(curate(ledger, REGISTRY, CurationConfig(held_out=0.3))))
     taught, later, compacted = sides
     assert len(later) == 30
     assert taught.items() <= later.items()
@@ -285,27 +315,31 @@ def sides_of(found):
 @pytest.mark.parametrize("salt", list("abcdefghijklmnop"))
 def test_what_a_robot_does_most_of_all_teaches_whatever_the_draw(salt):
     groups = ["often"] * 21 + [f"g{i}" for i in range(79)]
-    assert "often" not in held_out(groups, 0.2, salt)
-    assert held_out(groups, 0.2, salt) == held_out([*groups[21:], "often"], 0.2, salt) - {"often"}
-    assert len(held_out(["a", "a", "b"], 0.2, salt)) == 1  # where each is that large, one is held out all the same
+    assert "often" not in choose_held_out_groups(groups, 0.2, salt)
+    assert choose_held_out_groups(groups, 0.2, salt) == choose_held_out_groups([*groups[21:], "often"], 0.2, salt) - {
+        "often"
+    }
+    assert (
+        len(choose_held_out_groups(["a", "a", "b"], 0.2, salt)) == 1
+    )  # where each is that large, one is held out all the same
 
 
 def test_at_least_one_scene_is_held_out_and_never_all():
-    assert held_out(["a"], 0.2, "s") == frozenset()
-    assert held_out(["a", "b"], 0.0, "s") == frozenset()
+    assert choose_held_out_groups(["a"], 0.2, "s") == frozenset()
+    assert choose_held_out_groups(["a", "b"], 0.0, "s") == frozenset()
     for salt in "abcdef":
         for share in (1e-9, 0.5, 0.999):
-            assert 1 <= len(held_out(["a", "b", "c", "a"], share, salt)) <= 2
+            assert 1 <= len(choose_held_out_groups(["a", "b", "c", "a"], share, salt)) <= 2
 
 
 def test_things_that_differ_make_another_scene(tmp_path):
     pair = [
-        episode("a", told=summary(number=1)),
-        episode("b", told=summary(number=2), seen=scene(other="green_cube")),
-        episode("c", told=summary(number=3), seen=scene(x=0.51)),
+        episode("a", scene_summary=summary(number=1)),
+        episode("b", scene_summary=summary(number=2), perceived_scene=scene(other="green_cube")),
+        episode("c", scene_summary=summary(number=3), perceived_scene=scene(x=0.51)),
     ]
-    with remember(tmp_path, pair) as ledger:
-        groups = scene_groups(list(candidates(ledger)))
+    with write_ledger(tmp_path, pair) as ledger:
+        groups = group_scenes(list(read_candidates(ledger)))
     assert groups[0] == groups[2] != groups[1]
 
 
@@ -314,8 +348,8 @@ def test_dials_out_of_range_are_refused():
         lambda: CleanRules(epsilon=-1.0),
         lambda: CleanRules(epsilon=float("nan")),
         lambda: CleanRules(slowest=0.5),
-        lambda: Curation(held_out=1.0),
-        lambda: Curation(most_repeats=0),
+        lambda: CurationConfig(held_out=1.0),
+        lambda: CurationConfig(most_repeats=0),
     ):
-        with pytest.raises(InvalidSetup):
+        with pytest.raises(ConfigurationError):
             make()

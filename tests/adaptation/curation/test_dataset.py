@@ -3,20 +3,29 @@
 import msgspec
 import pytest
 
-from dualbrain.adaptation.config import SEED, WHOLE, AdaptConfig, FitDials, ObjectiveDials, read_config
-from dualbrain.adaptation.curation.curate import Curation, curate
-from dualbrain.adaptation.curation.dataset import CARD, HELD_OUT, TRAIN, dataset_of, read_dataset, write_dataset
-from dualbrain.adaptation.training.schedule import batches
-from dualbrain.errors import InvalidSetup, MissingPart
-from tests.adaptation.sample_episodes import REGISTRY, episode, remember, several, summary
+from dualbrain.adaptation.config import INTEGER_BOUNDS, MAX_SEED, AdaptConfig, FitConfig, ObjectiveConfig, read_config
+from dualbrain.adaptation.curation.curate import CurationConfig, curate
+from dualbrain.adaptation.curation.dataset import (
+    CARD_FILE,
+    HELD_OUT_FILE,
+    TRAIN_FILE,
+    assemble_dataset,
+    read_dataset,
+    write_dataset,
+)
+from dualbrain.adaptation.training.schedule import plan_batches
+from dualbrain.errors import ConfigurationError, MissingDependencyError
+from tests.adaptation.sample_episodes import REGISTRY, distinct_episodes, episode, summary, write_ledger
 
-DIALS = Curation(held_out=0.3)
+DIALS = CurationConfig(held_out=0.3)
 
 
 @pytest.fixture
 def made(tmp_path):
-    with remember(tmp_path, [*several(12), episode("bad", "failed", told=summary(number=99))]) as ledger:
-        return dataset_of(curate(ledger, REGISTRY, DIALS), REGISTRY, DIALS)
+    with write_ledger(
+        tmp_path, [*distinct_episodes(12), episode("bad", "failed", scene_summary=summary(number=99))]
+    ) as ledger:
+        return assemble_dataset(curate(ledger, REGISTRY, DIALS), REGISTRY, DIALS)
 
 
 def test_it_comes_back_as_it_was(made, tmp_path):
@@ -30,41 +39,43 @@ def test_it_comes_back_as_it_was(made, tmp_path):
 
 def test_the_same_ledger_gives_the_same_hash_and_another_dial_another(made, tmp_path):
     (tmp_path / "again").mkdir()
-    with remember(tmp_path / "again", several(12)) as ledger:
-        same = dataset_of(curate(ledger, REGISTRY, DIALS), REGISTRY, DIALS)
-        other = Curation(held_out=0.3, salt="x")
-        moved = dataset_of(curate(ledger, REGISTRY, other), REGISTRY, other)
+    with write_ledger(tmp_path / "again", distinct_episodes(12)) as ledger:
+        same = assemble_dataset(curate(ledger, REGISTRY, DIALS), REGISTRY, DIALS)
+        other = CurationConfig(held_out=0.3, salt="x")
+        moved = assemble_dataset(curate(ledger, REGISTRY, other), REGISTRY, other)
     assert same.card.hash == made.card.hash
     assert moved.card.hash != made.card.hash
 
 
-@pytest.mark.parametrize("name", [TRAIN, HELD_OUT])
+@pytest.mark.parametrize("name", [TRAIN_FILE, HELD_OUT_FILE])
 def test_a_changed_byte_is_refused(made, tmp_path, name):
     write_dataset(made, tmp_path / "set")
     path = tmp_path / "set" / name
     path.write_bytes(path.read_bytes().replace(b"0.15", b"0.16", 1))
-    with pytest.raises(InvalidSetup, match="A file was changed"):
+    with pytest.raises(ConfigurationError, match="A file was changed"):
         read_dataset(tmp_path / "set")
 
 
 def test_a_line_that_changes_sides_is_refused(made, tmp_path):
     write_dataset(made, tmp_path / "set")
-    train, apart = tmp_path / "set" / TRAIN, tmp_path / "set" / HELD_OUT
+    train, apart = tmp_path / "set" / TRAIN_FILE, tmp_path / "set" / HELD_OUT_FILE
     first, rest = train.read_bytes().split(b"\n", 1)
     train.write_bytes(rest)
     apart.write_bytes(first + b"\n" + apart.read_bytes())
-    with pytest.raises(InvalidSetup):
+    with pytest.raises(ConfigurationError):
         read_dataset(tmp_path / "set")
 
 
 def test_a_folder_of_another_set_is_left_alone(made, tmp_path):
     write_dataset(made, tmp_path / "set")
-    before = (tmp_path / "set" / TRAIN).read_bytes()
-    (tmp_path / "set" / CARD).write_bytes((tmp_path / "set" / CARD).read_bytes().replace(b'"hash": "', b'"hash": "0'))
-    with pytest.raises(InvalidSetup, match="another data set"):
+    before = (tmp_path / "set" / TRAIN_FILE).read_bytes()
+    (tmp_path / "set" / CARD_FILE).write_bytes(
+        (tmp_path / "set" / CARD_FILE).read_bytes().replace(b'"hash": "', b'"hash": "0')
+    )
+    with pytest.raises(ConfigurationError, match="another data set"):
         write_dataset(made, tmp_path / "set")
-    assert (tmp_path / "set" / TRAIN).read_bytes() == before
-    with pytest.raises(MissingPart):
+    assert (tmp_path / "set" / TRAIN_FILE).read_bytes() == before
+    with pytest.raises(MissingDependencyError):
         read_dataset(tmp_path / "nothing")
 
 
@@ -73,14 +84,14 @@ def test_the_dials_come_from_one_file(tmp_path):
     path.write_text('[curation.rules]\nepsilon = 0.01\n[objective]\nentropy_gate = "token"\n[fit]\nsteps = 7\n')
     read = read_config(path)
     assert read.curation.rules.epsilon == 0.01
-    assert read == AdaptConfig(read.curation, ObjectiveDials(entropy_gate="token"), FitDials(steps=7))
+    assert read == AdaptConfig(read.curation, ObjectiveConfig(entropy_gate="token"), FitConfig(steps=7))
 
 
 def test_the_largest_seed_is_one_that_all_take():
     torch = pytest.importorskip("torch", reason="the extra `adapt` is not installed")
-    torch.manual_seed(FitDials(seed=SEED).seed)
-    assert len(batches([1] * 9, FitDials(seed=SEED))) == FitDials().steps
-    assert msgspec.json.decode(msgspec.json.encode(FitDials(seed=SEED)), type=FitDials).seed == SEED
+    torch.manual_seed(FitConfig(seed=MAX_SEED).seed)
+    assert len(plan_batches([1] * 9, FitConfig(seed=MAX_SEED))) == FitConfig().steps
+    assert msgspec.json.decode(msgspec.json.encode(FitConfig(seed=MAX_SEED)), type=FitConfig).seed == MAX_SEED
 
 
 @pytest.mark.parametrize(
@@ -92,8 +103,11 @@ def test_the_largest_seed_is_one_that_all_take():
         ("[objective]\nbeta = -1.0\n", "beta"),
         ("[objective]\nlambda_w = nan\n", "lambda_w"),
         ('[objective]\nentropy_gate = "all"\n', "entropy_gate"),
-        *((f"[fit]\n{name} = {least - 1}\n", f"{name}.*allowed: {least} to ") for name, (least, _) in WHOLE.items()),
-        *((f"[fit]\n{name} = {most + 1}\n", f"{name}.*to {most}") for name, (_, most) in WHOLE.items()),
+        *(
+            (f"[fit]\n{name} = {least - 1}\n", f"{name}.*allowed: {least} to ")
+            for name, (least, _) in INTEGER_BOUNDS.items()
+        ),
+        *((f"[fit]\n{name} = {most + 1}\n", f"{name}.*to {most}") for name, (_, most) in INTEGER_BOUNDS.items()),
         *((f"[fit]\n{name} = {value}\n", name) for name in ("rate", "clip") for value in ("0.0", "-1.0", "nan", "inf")),
         *((f"[objective]\n{name} = inf\n", name) for name in ("lambda_w", "lambda_h", "beta")),
         *(
@@ -109,5 +123,5 @@ def test_the_largest_seed_is_one_that_all_take():
 def test_a_wrong_dial_is_named(tmp_path, text, word):
     path = tmp_path / "adapt.toml"
     path.write_text(text)
-    with pytest.raises(InvalidSetup, match=word):
+    with pytest.raises(ConfigurationError, match=word):
         read_config(path)

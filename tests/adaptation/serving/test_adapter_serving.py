@@ -18,30 +18,37 @@ import numpy as np
 import torch
 
 from dualbrain.adaptation.adapters import packaged
-from dualbrain.adaptation.adapters.base_models import find_base, hash_of_base
-from dualbrain.adaptation.adapters.card import WEIGHTS, write_card
-from dualbrain.adaptation.adapters.promotion import Decision
-from dualbrain.adaptation.adapters.registry import BARE, Adapters
-from dualbrain.adaptation.adapters.stacking import stack_of
+from dualbrain.adaptation.adapters.base_models import base_model_hash, find_base_model
+from dualbrain.adaptation.adapters.card import WEIGHTS_FILE, write_adapter_card
+from dualbrain.adaptation.adapters.promotion import PromotionDecision
+from dualbrain.adaptation.adapters.registry import NO_ADAPTER, AdapterRegistry
+from dualbrain.adaptation.adapters.stacking import load_stack
 from dualbrain.adaptation.conversion import merged_gguf
-from dualbrain.adaptation.conversion.gguf_base import write_out
+from dualbrain.adaptation.conversion.gguf_base import write_gguf_file
 from dualbrain.adaptation.serving import gguf_cache
 from dualbrain.adaptation.serving import open_planner as opening
-from dualbrain.adaptation.serving.adapted_planner import NotItself
-from dualbrain.adaptation.serving.canary import Record
-from dualbrain.adaptation.serving.gguf_cache import served, worn
-from dualbrain.adaptation.serving.open_planner import author, open_adapter, open_planner, shadow_log, watch_of, wear
+from dualbrain.adaptation.serving.adapted_planner import AdapterMismatchError
+from dualbrain.adaptation.serving.canary import CanaryRecord
+from dualbrain.adaptation.serving.gguf_cache import prepare_adapters, prepare_base
+from dualbrain.adaptation.serving.open_planner import (
+    make_canary_check,
+    open_adapter,
+    open_planner,
+    proposal_author,
+    shadow_log_path,
+    start_llama,
+)
 from dualbrain.adaptation.serving.perplexity import perplexity, retention_text
-from dualbrain.adaptation.serving.raw_completion import say
+from dualbrain.adaptation.serving.raw_completion import complete
 from dualbrain.core import weights
-from dualbrain.errors import InvalidSetup, UnknownName, WrongHash
+from dualbrain.errors import ChecksumError, ConfigurationError, UnknownNameError
 from dualbrain.planner import protocol
 from dualbrain.planner.backends.llama_cpp import LlamaConfig, LlamaPlanner
-from dualbrain.planner.prompt.prompt_format import FREE, SHORT
+from dualbrain.planner.prompt.prompt_format import SHORT_PROMPT, UNCONSTRAINED_SHORT_PROMPT
 from tests.adaptation import tiny_adapter
 from tests.adaptation.tiny_gguf import model
 from tests.adaptation.tiny_model import tokenizer
-from tests.planner.sample_requests import REGISTRY, request
+from tests.planner.sample_requests import REGISTRY, plan_request
 
 pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::UserWarning")
 CONFIG = LlamaConfig(n_ctx=2048, max_tokens=24, timeout_s=60.0)
@@ -53,10 +60,10 @@ def place(tmp_path_factory):
     """A home with the tiny base in its cache and two adapters in its registry."""
     home = tmp_path_factory.mktemp("home")
     with pytest.MonkeyPatch.context() as patch:
-        made = tiny_adapter.base(home / "cache", patch)
-        registry = Adapters(home / "adapters")
+        made = tiny_adapter.install_base(home / "cache", patch)
+        registry = AdapterRegistry(home / "adapters")
         for seed, name in ((5, "a"), (6, "b")):
-            tiny_adapter.adapter(model("llama"), home / name, seed)
+            tiny_adapter.write_adapter(model("llama"), home / name, seed)
             registry.add(home / name, now=1.0)
         del made
         yield home
@@ -68,7 +75,7 @@ def opened(place, name, **changed):
 
 
 def ids(place):
-    return Adapters(place / "adapters").ids()
+    return AdapterRegistry(place / "adapters").ids()
 
 
 def of_torch(worn_model, turns, longest):
@@ -98,13 +105,13 @@ def agrees(said, tokens, margins):
 
 def test_it_answers_as_torch_does_and_another_adapter_as_itself(place):
     for name in ("a", "b"):
-        worn_model, _ = tiny_adapter.adapter(model("llama"), place / f"again-{name}", {"a": 5, "b": 6}[name])
-        stack = stack_of(place / f"again-{name}", place / "cache")
-        planner = wear(stack, place / "cache", CONFIG, asking=FREE)
+        worn_model, _ = tiny_adapter.write_adapter(model("llama"), place / f"again-{name}", {"a": 5, "b": 6}[name])
+        stack = load_stack(place / f"again-{name}", place / "cache")
+        planner = start_llama(stack, place / "cache", CONFIG, prompt_format=UNCONSTRAINED_SHORT_PROMPT)
         try:
-            first = say(planner, TURNS, longest=12)
-            say(planner, [{"role": "user", "content": "something else"}], longest=3)
-            assert say(planner, TURNS, longest=12) == first  # nothing is left of what was asked between
+            first = complete(planner, TURNS, max_tokens=12)
+            complete(planner, [{"role": "user", "content": "something else"}], max_tokens=3)
+            assert complete(planner, TURNS, max_tokens=12) == first  # nothing is left of what was asked between
             agrees(first, *of_torch(worn_model, TURNS, 12))
             if name == "a":
                 told = perplexity(planner, retention_text()[:120])
@@ -114,169 +121,173 @@ def test_it_answers_as_torch_does_and_another_adapter_as_itself(place):
 
 
 def test_an_adapter_on_an_adapter_is_the_sum_of_both(place, tmp_path, monkeypatch):
-    monkeypatch.setattr(packaged, "FOLDER", tmp_path)
-    lower, card = tiny_adapter.adapter(model("llama"), tmp_path / "first")
+    monkeypatch.setattr(packaged, "PACKAGED_FOLDER", tmp_path)
+    lower, card = tiny_adapter.write_adapter(model("llama"), tmp_path / "first")
     assert packaged.packaged_names() == ("first",)
     merged = lower.merge_and_unload()
-    upper, _ = tiny_adapter.adapter(merged, tmp_path / "second-fit", 6, base="first", base_sha256=card.id)
-    stack = stack_of(tmp_path / "second-fit", place / "cache")
+    upper, _ = tiny_adapter.write_adapter(merged, tmp_path / "second-fit", 6, base="first", base_sha256=card.id)
+    stack = load_stack(tmp_path / "second-fit", place / "cache")
     assert stack.layers[0].card == card
-    planner = wear(stack, place / "cache", CONFIG, asking=FREE)
+    planner = start_llama(stack, place / "cache", CONFIG, prompt_format=UNCONSTRAINED_SHORT_PROMPT)
     try:
-        assert [one["scale"] for one in planner.question(request())["lora"]] == [1.0, 1.0]
-        agrees(say(planner, TURNS, longest=12), *of_torch(upper, TURNS, 12))
+        assert [one["scale"] for one in planner.chat_request(plan_request())["lora"]] == [1.0, 1.0]
+        agrees(complete(planner, TURNS, max_tokens=12), *of_torch(upper, TURNS, 12))
     finally:
         planner.close()
-    write_card(msgspec.structs.replace(stack.top, base_sha256="0" * 64), tmp_path / "second-fit")
-    with pytest.raises(InvalidSetup, match="made for another first"):
-        stack_of(tmp_path / "second-fit", place / "cache")
+    write_adapter_card(msgspec.structs.replace(stack.top_card, base_sha256="0" * 64), tmp_path / "second-fit")
+    with pytest.raises(ConfigurationError, match="made for another first"):
+        load_stack(tmp_path / "second-fit", place / "cache")
 
 
 def test_several_packaged_ones_stand_beside_each_other(place, tmp_path, monkeypatch):
-    monkeypatch.setattr(packaged, "FOLDER", tmp_path)
-    cards = {name: tiny_adapter.adapter(model("llama"), tmp_path / name, seed)[1] for seed, name in enumerate("ab", 5)}
+    monkeypatch.setattr(packaged, "PACKAGED_FOLDER", tmp_path)
+    cards = {
+        name: tiny_adapter.write_adapter(model("llama"), tmp_path / name, seed)[1] for seed, name in enumerate("ab", 5)
+    }
     assert packaged.packaged_names() == ("a", "b")
     for name, card in cards.items():
-        stack = stack_of(packaged.packaged_folder(name), place / "cache")
+        stack = load_stack(packaged.packaged_folder(name), place / "cache")
         assert [layer.card for layer in stack.layers] == [card]
-        assert author(name, stack) == name
-        assert find_base(name, place / "cache").worn == hash_of_base(name) == card.id
+        assert proposal_author(name, stack) == name
+        assert find_base_model(name, place / "cache").stacked_on_id == base_model_hash(name) == card.id
 
 
 def test_it_proposes_under_the_grammar_and_signs_with_base_and_id(place):
     name = ids(place)[0]
     planner = opened(place, f"adapter:{name[:12]}")
     try:
-        proposal = planner.propose(request())
+        proposal = planner.propose(plan_request())
         assert proposal.finish_reason in {protocol.STOP, protocol.LENGTH}
         assert proposal.planner == planner.name == f"tiny+{name[:16]}"
         assert proposal.text.startswith('{"id":"c-0007","context":{"robot":"panda","registry":')
         assert proposal.text.split('"action_sequence')[1].startswith('":[{"skill":"')
         assert "llguidance" in proposal.constrained_by
-        assert planner.propose(request()).text == proposal.text
+        assert planner.propose(plan_request()).text == proposal.text
         for wrong in ({"robot": "ur5e"}, {"registry_hash": "00000000"}):
-            with pytest.raises(InvalidSetup, match=f"of adapter {name[:16]}"):
-                planner.propose(request(**wrong))
+            with pytest.raises(ConfigurationError, match=f"of adapter {name[:16]}"):
+                planner.propose(plan_request(**wrong))
     finally:
         planner.close()
 
 
 def test_every_request_names_every_adapter_and_uses_nothing_that_was_read_before(place):
-    stack = stack_of(Adapters(place / "adapters").folder / ids(place)[0], place / "cache")
-    for asking in (SHORT, FREE):
-        planner = wear(stack, place / "cache", CONFIG, asking=asking)
-        asked = planner.question(request())
+    stack = load_stack(AdapterRegistry(place / "adapters").folder / ids(place)[0], place / "cache")
+    for asking in (SHORT_PROMPT, UNCONSTRAINED_SHORT_PROMPT):
+        planner = start_llama(stack, place / "cache", CONFIG, prompt_format=asking)
+        asked = planner.chat_request(plan_request())
         planner.close()
         assert asked["lora"] == [{"id": 0, "scale": 1.0}]
         assert asked["cache_prompt"] is False
-        assert ("grammar" in asked) is (asking is SHORT)
+        assert ("grammar" in asked) is (asking is SHORT_PROMPT)
 
 
 def test_a_vocabulary_that_only_narrows_what_it_was_taught_is_served(place):
     """The gate stands before the robot and refuses what is outside."""
     planner = opened(place, f"adapter:{ids(place)[0]}", registry="narrower", narrowed={"narrower": REGISTRY.hash})
     try:
-        assert '"registry":"narrower"' in planner.propose(request(registry_hash="narrower")).text
-        with pytest.raises(InvalidSetup, match="vocabulary of adapter"):
-            planner.propose(request(registry_hash="00000000"))
+        assert '"registry":"narrower"' in planner.propose(plan_request(registry_hash="narrower")).text
+        with pytest.raises(ConfigurationError, match="vocabulary of adapter"):
+            planner.propose(plan_request(registry_hash="00000000"))
     finally:
         planner.close()
 
 
 @pytest.mark.parametrize("wrong", [{"robot": "ur5e"}, {"registry": "00000000"}])
 def test_another_robot_or_vocabulary_is_refused_before_anything_starts(place, wrong):
-    with pytest.raises(InvalidSetup, match="of adapter"):
+    with pytest.raises(ConfigurationError, match="of adapter"):
         opened(place, f"adapter:{ids(place)[0]}", **wrong)
 
 
 def test_another_prompt_or_base_and_changed_weights_are_refused(place, tmp_path):
-    _, card = tiny_adapter.adapter(model("llama"), tmp_path / "c", 7)
+    _, card = tiny_adapter.write_adapter(model("llama"), tmp_path / "c", 7)
     for changed, word in (({"prompt": "old"}, "prompt of adapter"), ({"base_sha256": "0" * 64}, "hash of the base"),
                           ({"base": "unheard"}, "unheard")):  # fmt: skip
-        write_card(msgspec.structs.replace(card, **changed), tmp_path / "c")
-        with pytest.raises((InvalidSetup, UnknownName), match=word):
+        write_adapter_card(msgspec.structs.replace(card, **changed), tmp_path / "c")
+        with pytest.raises((ConfigurationError, UnknownNameError), match=word):
             opened(place, f"adapter:{tmp_path / 'c'}")
-    write_card(card, tmp_path / "c")
-    (tmp_path / "c" / WEIGHTS).write_bytes(b"others")
-    with pytest.raises(InvalidSetup, match="were changed"):
+    write_adapter_card(card, tmp_path / "c")
+    (tmp_path / "c" / WEIGHTS_FILE).write_bytes(b"others")
+    with pytest.raises(ConfigurationError, match="were changed"):
         opened(place, f"adapter:{tmp_path / 'c'}")
     base = place / "cache" / "tiny.gguf"
     whole = base.read_bytes()
     base.write_bytes(whole[:-1] + b"x")
     try:
-        with pytest.raises(WrongHash):
+        with pytest.raises(ChecksumError):
             opened(place, f"adapter:{ids(place)[0]}")
     finally:
         base.write_bytes(whole)
-    assert all(fault == "" for fault in Adapters(place / "adapters").verify().values())
+    assert all(fault == "" for fault in AdapterRegistry(place / "adapters").verify().values())
 
 
 def test_the_same_weights_worn_otherwise_are_another_file_and_another_canary(place, tmp_path):
     """The id covers the weights, and α is not among them."""
-    stack = stack_of(Adapters(place / "adapters").folder / ids(place)[0], place / "cache")
+    stack = load_stack(AdapterRegistry(place / "adapters").folder / ids(place)[0], place / "cache")
     other = tmp_path / "louder"
     shutil.copytree(stack.layers[-1].folder, other)
     config = json.loads((other / "adapter_config.json").read_bytes())
     (other / "adapter_config.json").write_text(json.dumps(config | {"lora_alpha": 10 * config["lora_alpha"]}))
-    louder = stack_of(other, place / "cache")
-    assert louder.top.id == stack.top.id
-    paths = [worn(one, place / "cache")[0].path for one in (louder, stack)]
+    louder = load_stack(other, place / "cache")
+    assert louder.top_card.id == stack.top_card.id
+    paths = [prepare_adapters(one, place / "cache")[0].path for one in (louder, stack)]
     assert paths[0] != paths[1]
     assert paths[0].read_bytes() != paths[1].read_bytes()
     planner = SimpleNamespace(model=place / "cache" / "tiny.gguf")
-    watches = [watch_of(planner, one, place / "cache", place / "adapters", CONFIG) for one in (louder, stack)]
+    watches = [make_canary_check(planner, one, place / "cache", place / "adapters", CONFIG) for one in (louder, stack)]
     assert watches[0].path != watches[1].path
 
 
 def test_a_torn_file_in_the_cache_is_made_again(place):
-    stack = stack_of(Adapters(place / "adapters").folder / ids(place)[0], place / "cache")
-    path = worn(stack, place / "cache")[0].path
+    stack = load_stack(AdapterRegistry(place / "adapters").folder / ids(place)[0], place / "cache")
+    path = prepare_adapters(stack, place / "cache")[0].path
     whole = path.read_bytes()
     path.write_bytes(whole[:100])
-    assert worn(stack, place / "cache")[0].path.read_bytes() == whole
+    assert prepare_adapters(stack, place / "cache")[0].path.read_bytes() == whole
 
 
 def test_a_small_quantised_base_is_served_in_float16_and_any_other_as_it_is(place, tmp_path, monkeypatch):
-    stack = stack_of(Adapters(place / "adapters").folder / ids(place)[0], place / "cache")
-    assert served(stack, tmp_path) == stack.gguf  # float32 already
+    stack = load_stack(AdapterRegistry(place / "adapters").folder / ids(place)[0], place / "cache")
+    assert prepare_base(stack, tmp_path) == stack.gguf  # float32 already
     packed = replace(stack, gguf=quantised(stack.gguf, tmp_path / "packed.gguf"))
-    path = served(packed, tmp_path)
-    assert served(replace(packed, layers=()), tmp_path) == path  # what is below the adapter, too: it is compared with
+    path = prepare_base(packed, tmp_path)
+    assert (
+        prepare_base(replace(packed, layers=()), tmp_path) == path
+    )  # what is below the adapter, too: it is compared with
     for ours, theirs in zip(gguf.GGUFReader(path).tensors, gguf.GGUFReader(packed.gguf).tensors, strict=True):
         whole = gguf.quants.dequantize(theirs.data, theirs.tensor_type)
         assert np.array_equal(ours.data, whole.astype(np.float16) if whole.ndim > 1 else whole)
     path.write_bytes(path.read_bytes()[:-8])
-    assert gguf.GGUFReader(served(packed, tmp_path)).tensors
-    planner = wear(packed, tmp_path, CONFIG, asking=FREE)
+    assert gguf.GGUFReader(prepare_base(packed, tmp_path)).tensors
+    planner = start_llama(packed, tmp_path, CONFIG, prompt_format=UNCONSTRAINED_SHORT_PROMPT)
     assert planner.model == path
     planner.close()
     monkeypatch.setattr(gguf_cache, "read_gguf_base", None)  # takes seconds, and is not needed again
-    assert served(packed, tmp_path) == path
-    monkeypatch.setattr(gguf_cache, "SMALL", 1000.0)
-    assert served(packed, tmp_path) == packed.gguf
+    assert prepare_base(packed, tmp_path) == path
+    monkeypatch.setattr(gguf_cache, "MAX_HALF_PRECISION_BYTES", 1000.0)
+    assert prepare_base(packed, tmp_path) == packed.gguf
 
 
 def quantised(base, out):
     """The GGUF `base` with all matrices in Q8_0."""
     reader, writer, kind = gguf.GGUFReader(base), gguf.GGUFWriter(out, "llama"), gguf.GGMLQuantizationType.Q8_0
     for key, field in reader.fields.items():
-        if key not in merged_gguf.OWN:
-            merged_gguf._copy(writer, key, field)
+        if key not in merged_gguf.WRITER_KEYS:
+            merged_gguf._copy_field(writer, key, field)
     for tensor in reader.tensors:
         if tensor.data.ndim > 1:
             writer.add_tensor(tensor.name, gguf.quants.quantize(tensor.data, kind), raw_dtype=kind)
         else:
             writer.add_tensor(tensor.name, tensor.data)
-    write_out(writer)
+    write_gguf_file(writer)
     return out
 
 
 def test_names(place):
-    registry, (first, second) = Adapters(place / "adapters"), ids(place)
-    with pytest.raises(InvalidSetup, match="champion of panda"):
+    registry, (first, second) = AdapterRegistry(place / "adapters"), ids(place)
+    with pytest.raises(ConfigurationError, match="champion of panda"):
         opened(place, "adapter:champion")
     card = registry.card(first)
-    registry.promote(first, Decision(first, BARE, {}, ()), now=2.0)
+    registry.promote(first, PromotionDecision(first, NO_ADAPTER, {}, ()), now=2.0)
     planner = opened(place, "adapter:champion")
     assert planner.card == card
     planner.close()
@@ -286,7 +297,7 @@ def test_names(place):
         ("foo+http://h/v1", "not a dialect.*vllm"), ("transformers:nobody", "not a planner in torch.*adapter:champion"),
         ("shadow:zz", first[:16]), (f"shadow:{first}@foo+http://h/v1", "not a dialect.*vllm"),
     ):  # fmt: skip
-        with pytest.raises(UnknownName, match=known):
+        with pytest.raises(UnknownNameError, match=known):
             open_planner(name, place / "cache", adapters=place / "adapters", robot="panda", registry=REGISTRY.hash)
     assert second != first
 
@@ -297,7 +308,7 @@ def test_names(place):
 @pytest.fixture
 def apart(place, tmp_path):
     """A registry of its own with the adapter a."""
-    registry = Adapters(tmp_path / "adapters")
+    registry = AdapterRegistry(tmp_path / "adapters")
     card = registry.add(place / "a", now=1.0)
     return tmp_path, card
 
@@ -307,7 +318,7 @@ def test_a_canary_is_recorded_once_and_compared_at_every_start(place, apart):
     for _ in range(2):
         opened(place, f"adapter:{card.id}", adapters=home / "adapters").close()
     (path,) = (home / "adapters" / "canaries").iterdir()
-    record = msgspec.json.decode(path.read_bytes(), type=Record)
+    record = msgspec.json.decode(path.read_bytes(), type=CanaryRecord)
     assert record.adapter == card.id
     assert "xllamacpp" in record.runtime
     assert min(record.canaries[0].margins) >= 0.05
@@ -316,7 +327,7 @@ def test_a_canary_is_recorded_once_and_compared_at_every_start(place, apart):
     for wrong in ({"tokens": [1] * len(shifted)}, {"margins": shifted}):
         told["canaries"][0] |= wrong
         path.write_text(json.dumps(told))
-        with pytest.raises(NotItself, match="does not answer as it did"):
+        with pytest.raises(AdapterMismatchError, match="does not answer as it did"):
             opened(place, f"adapter:{card.id}", adapters=home / "adapters")
 
 
@@ -338,7 +349,7 @@ def test_a_damaged_record_is_a_broken_setup_and_not_recorded_anew(place, apart, 
     (path,) = (home / "adapters" / "canaries").iterdir()
     path.write_text(damage(json.loads(path.read_text())), "latin-1")
     damaged = path.read_bytes()
-    with pytest.raises(InvalidSetup, match=f"canaries of adapter {card.id[:16]}.*delete it.*{path}"):
+    with pytest.raises(ConfigurationError, match=f"canaries of adapter {card.id[:16]}.*delete it.*{path}"):
         opened(place, f"adapter:{card.id}", adapters=home / "adapters")
     assert path.read_bytes() == damaged
     assert not any(map(runs, processes))
@@ -349,10 +360,10 @@ def test_a_record_that_is_damaged_while_it_serves_is_why_there_is_no_answer(plac
     planner = opened(place, f"adapter:{card.id}", adapters=home / "adapters")
     try:
         os.kill(planner._inner.pid, signal.SIGKILL)
-        assert planner.propose(request()).finish_reason.startswith(f"{protocol.CRASHED}: signal 9")
+        assert planner.propose(plan_request()).finish_reason.startswith(f"{protocol.CRASHED}: signal 9")
         (path,) = (home / "adapters" / "canaries").iterdir()
         path.write_text("{")
-        assert "not the adapter it was: canaries of adapter" in planner.propose(request()).finish_reason
+        assert "not the adapter it was: canaries of adapter" in planner.propose(plan_request()).finish_reason
     finally:
         planner.close()
 
@@ -378,12 +389,12 @@ def runs(process):
 def test_whatever_fails_while_it_is_opened_no_process_is_left(place, tmp_path, processes, monkeypatch):
     adapters, (first, second) = place / "adapters", ids(place)
     told = {"adapters": adapters, "robot": REGISTRY.robot, "registry": REGISTRY.hash}
-    with pytest.raises(UnknownName, match="nobody"):
+    with pytest.raises(UnknownNameError, match="nobody"):
         open_planner(f"shadow:{first}@nobody", place / "cache", **told)
     assert len(processes) > 0
-    log = shadow_log(adapters, first)
+    log = shadow_log_path(adapters, first)
     log.mkdir(parents=True)
-    with pytest.raises(InvalidSetup, match="log of the shadow"):
+    with pytest.raises(ConfigurationError, match="log of the shadow"):
         open_planner(f"shadow:{first}@adapter:{second}", place / "cache", **told)
     log.rmdir()
     before = len(processes)
@@ -397,14 +408,14 @@ def test_whatever_fails_while_it_is_opened_no_process_is_left(place, tmp_path, p
 def test_a_process_that_wears_another_adapter_is_found_out(place, apart, monkeypatch):
     home, card = apart
     opened(place, f"adapter:{card.id}", adapters=home / "adapters").close()
-    stack = stack_of(home / "adapters" / card.id, place / "cache")
-    other = worn(stack_of(place / "b", place / "cache"), place / "cache")[0].path
-    path = worn(stack, place / "cache")[0].path
+    stack = load_stack(home / "adapters" / card.id, place / "cache")
+    other = prepare_adapters(load_stack(place / "b", place / "cache"), place / "cache")[0].path
+    path = prepare_adapters(stack, place / "cache")[0].path
     kept = path.read_bytes()
     shutil.copyfile(other, path)
-    monkeypatch.setattr("dualbrain.adaptation.serving.gguf_cache._hash", lambda path: "as it should be")
+    monkeypatch.setattr("dualbrain.adaptation.serving.gguf_cache._file_hash", lambda path: "as it should be")
     path.with_suffix(".sha256").write_text("as it should be")
-    with pytest.raises(NotItself, match="canary"):
+    with pytest.raises(AdapterMismatchError, match="canary"):
         opened(place, f"adapter:{card.id}", adapters=home / "adapters")
     path.write_bytes(kept)
     monkeypatch.undo()
@@ -412,8 +423,8 @@ def test_a_process_that_wears_another_adapter_is_found_out(place, apart, monkeyp
 
 
 def test_an_adapter_without_effect_is_refused(place, tmp_path):
-    _, card = tiny_adapter.adapter(model("llama"), tmp_path / "nothing", size=0.0)
-    with pytest.raises(NotItself, match="as if no adapter"):
+    _, card = tiny_adapter.write_adapter(model("llama"), tmp_path / "nothing", size=0.0)
+    with pytest.raises(AdapterMismatchError, match="as if no adapter"):
         opened(place, f"adapter:{tmp_path / 'nothing'}", adapters=tmp_path / "adapters")
     assert card.base == "tiny"
 
@@ -423,12 +434,12 @@ def test_a_process_that_was_started_anew_is_asked_again(place, apart):
     planner = opened(place, f"adapter:{card.id}", adapters=home / "adapters")
     try:
         os.kill(planner._inner.pid, signal.SIGKILL)
-        assert planner.propose(request()).finish_reason.startswith(f"{protocol.CRASHED}: signal 9 (Killed)")
+        assert planner.propose(plan_request()).finish_reason.startswith(f"{protocol.CRASHED}: signal 9 (Killed)")
         (path,) = (home / "adapters" / "canaries").iterdir()
         told = json.loads(path.read_text())
         told["canaries"][0]["tokens"][0] = 1
         path.write_text(json.dumps(told))
-        assert "not the adapter it was" in planner.propose(request()).finish_reason
+        assert "not the adapter it was" in planner.propose(plan_request()).finish_reason
     finally:
         planner.close()
-    assert weights.find_file("tiny").sha256 == card.base_sha256
+    assert weights.find_weight_file("tiny").sha256 == card.base_sha256

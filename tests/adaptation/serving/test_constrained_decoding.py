@@ -10,11 +10,11 @@ for part in ("torch", "transformers", "llguidance"):
     pytest.importorskip(part, reason="the extra `adapt` is not installed")
 from transformers import AutoTokenizer
 
-from dualbrain.adaptation.serving.constrained_decoding import Binding, vocabulary_of
-from dualbrain.core.weights import default_cache, locate
+from dualbrain.adaptation.serving.constrained_decoding import GrammarConstraint, llguidance_tokenizer
+from dualbrain.core.weights import default_cache_folder, locate_weights
 from dualbrain.planner.decoding.llguidance_grammar import actions_grammar
 from dualbrain.planner.registry import SMALL_PLANNER
-from tests.planner.sample_requests import request
+from tests.planner.sample_requests import plan_request
 
 PLACE = {"skill": "place", "params": {"destination": "blue_bowl", "speed": 0.2, "wait": "none"}}
 GRASP = {"skill": "grasp", "params": {"object": "red_cube", "speed": 0.4}}
@@ -22,13 +22,13 @@ GRASP = {"skill": "grasp", "params": {"object": "red_cube", "speed": 0.4}}
 
 @pytest.fixture(scope="module")
 def coder():
-    path = locate(SMALL_PLANNER, default_cache(os.environ))
+    path = locate_weights(SMALL_PLANNER, default_cache_folder(os.environ))
     return AutoTokenizer.from_pretrained(path.parent, gguf_file=path.name)
 
 
 @pytest.fixture
 def binding(coder):
-    return Binding(vocabulary_of(coder), actions_grammar(request().schema))
+    return GrammarConstraint(llguidance_tokenizer(coder), actions_grammar(plan_request().schema))
 
 
 @pytest.mark.parametrize("sequence", [[PLACE], [GRASP, PLACE], [GRASP, PLACE, GRASP, PLACE], [PLACE, GRASP]])

@@ -17,36 +17,36 @@ import torch
 from peft import PeftModel
 
 from dualbrain.adaptation.adapters import packaged
-from dualbrain.adaptation.adapters.base_models import hash_of_base
+from dualbrain.adaptation.adapters.base_models import base_model_hash
 from dualbrain.adaptation.adapters.card import read_adapter_card
-from dualbrain.adaptation.adapters.comparison import gaps, overall, told_apart
-from dualbrain.adaptation.adapters.promotion import LEAST, Measured
-from dualbrain.adaptation.adapters.registry import Adapters
-from dualbrain.adaptation.adapters.stacking import stack_of
-from dualbrain.adaptation.conversion.concatenated_lora import combined, write_peft
+from dualbrain.adaptation.adapters.comparison import combine_layers, compare_cards, compare_layers
+from dualbrain.adaptation.adapters.promotion import MIN_QUESTIONS, Measurement
+from dualbrain.adaptation.adapters.registry import AdapterRegistry
+from dualbrain.adaptation.adapters.stacking import load_stack
+from dualbrain.adaptation.conversion.concatenated_lora import concatenate_adapters, write_peft_adapter
 from dualbrain.adaptation.conversion.peft_lora import read_lora
 from dualbrain.adaptation.curation.dataset import Dataset, DatasetCard, dataset_hash, write_dataset
-from dualbrain.adaptation.curation.sample import Sample, answer, to_lines
-from dualbrain.adaptation.serving.measurement import measure, questions
-from dualbrain.adaptation.serving.open_planner import wear
+from dualbrain.adaptation.curation.sample import Sample, assistant_turn, encode_samples
+from dualbrain.adaptation.serving.measurement import measure_planner, select_questions
+from dualbrain.adaptation.serving.open_planner import start_llama
 from dualbrain.adaptation.serving.perplexity import perplexity
-from dualbrain.adaptation.serving.raw_completion import Said
+from dualbrain.adaptation.serving.raw_completion import RawCompletion
 from dualbrain.cli.adapters import export
 from dualbrain.cli.adapters import measure as adapters_measure
 from dualbrain.cli.adapters import registry as adapters_command
 from dualbrain.core import weights
-from dualbrain.core.storage.atomic_files import DiskFull
-from dualbrain.errors import InvalidSetup, MissingPart
-from dualbrain.memory.maintenance.edits import note_adapter
-from dualbrain.planner.backends.http_chat import Answer
+from dualbrain.core.storage.atomic_files import FileWriteError
+from dualbrain.errors import ConfigurationError, MissingDependencyError
+from dualbrain.memory.maintenance.edits import record_adapter
+from dualbrain.planner.backends.http_chat import ChatResponse
 from dualbrain.planner.backends.llama_cpp import LlamaConfig
-from dualbrain.planner.prompt.prompt_format import FREE
+from dualbrain.planner.prompt.prompt_format import UNCONSTRAINED_SHORT_PROMPT
 from dualbrain.planner.prompt.short_prompt import short_template_hash
 from tests.adaptation import tiny_adapter
-from tests.adaptation.adapters.test_promotion import results
-from tests.adaptation.conversion.test_gguf_lora import PROMPT, of_llama, of_torch
-from tests.adaptation.sample_episodes import NOW, remember, several
-from tests.adaptation.tiny_gguf import fitted, model
+from tests.adaptation.adapters.test_promotion import trial_results
+from tests.adaptation.conversion.test_gguf_lora import PROMPT, llama_log_probs, torch_log_probs
+from tests.adaptation.sample_episodes import NOW, distinct_episodes, write_ledger
+from tests.adaptation.tiny_gguf import model, random_adapter
 from tests.adaptation.tiny_model import tokenizer
 from tests.planner.sample_requests import REGISTRY
 
@@ -62,12 +62,12 @@ def contract(thing="red_cube", speed=0.1, skill="grasp"):
 def sample(number, text=None):
     turns = [{"role": "user", "content": f"question {number}"}]
     return Sample(
-        f"s{number:02d}", turns, answer(text or contract()), 0.5, 0.0, 1.0, 1, f"g{number}", f"m{number}", (number,),
+        f"s{number:02d}", turns, assistant_turn(text or contract()), 0.5, 0.0, 1.0, 1, f"g{number}", f"m{number}", (number,),
         "tiny", ("red_cube", "tin"), (),
     )  # fmt: skip
 
 
-ASKED = tuple(sample(number) for number in range(LEAST))
+ASKED = tuple(sample(number) for number in range(MIN_QUESTIONS))
 SAYS = (
     (contract(), True, True), (contract(speed=0.2), True, True), (contract("tin"), True, False),
     (contract(speed=9.0), False, False), (contract("ghost"), False, False), ("grasp it", False, False),
@@ -81,15 +81,15 @@ def speaks(monkeypatch):
 
     def say(planner, turns, *, longest):
         number = int(turns[0]["content"].split()[-1]) % len(SAYS)
-        return Said(SAYS[number][0], True, (), ())
+        return RawCompletion(SAYS[number][0], True, (), ())
 
     monkeypatch.setattr("dualbrain.adaptation.serving.measurement.say", say)
     monkeypatch.setattr("dualbrain.adaptation.serving.measurement.perplexity", lambda planner, text: 12.5)
 
 
 def test_each_answer_is_judged_by_gate_and_by_what_was_asked_for(speaks):
-    found = measure(None, ASKED, REGISTRY, adapter="a", runtime="r")
-    assert [(t.compliant, t.right) for t in found.trials] == [SAYS[n % len(SAYS)][1:] for n in range(LEAST)]
+    found = measure_planner(None, ASKED, REGISTRY, adapter="a", runtime="r")
+    assert [(t.compliant, t.right) for t in found.trials] == [SAYS[n % len(SAYS)][1:] for n in range(MIN_QUESTIONS)]
     assert {t.success for t in found.trials} == {None}
     assert (found.adapter, found.runtime, found.perplexity) == ("a", "r", 12.5)
     flown = []
@@ -98,7 +98,7 @@ def test_each_answer_is_judged_by_gate_and_by_what_was_asked_for(speaks):
         flown.append(text)
         return True, 0.01
 
-    closed = measure(None, ASKED, REGISTRY, adapter="a", runtime="r", fly=fly)
+    closed = measure_planner(None, ASKED, REGISTRY, adapter="a", runtime="r", execute=fly)
     assert [(t.success, t.Delta) for t in closed.trials] == [
         (True, 0.01) if t.compliant else (False, None) for t in found.trials
     ]
@@ -106,36 +106,36 @@ def test_each_answer_is_judged_by_gate_and_by_what_was_asked_for(speaks):
 
 
 def test_too_few_questions_and_a_silent_runtime_are_told(speaks, monkeypatch):
-    with pytest.raises(InvalidSetup, match="held-out questions"):
-        questions(ASKED[1:])
-    with pytest.raises(InvalidSetup, match="held-out questions"):
-        questions(ASKED, 10)
-    assert len(questions((*ASKED, *ASKED), 40)) == 40
-    monkeypatch.setattr("dualbrain.adaptation.serving.measurement.say", lambda *a, **k: Answer("", "timeout"))
+    with pytest.raises(ConfigurationError, match="held-out questions"):
+        select_questions(ASKED[1:])
+    with pytest.raises(ConfigurationError, match="held-out questions"):
+        select_questions(ASKED, 10)
+    assert len(select_questions((*ASKED, *ASKED), 40)) == 40
+    monkeypatch.setattr("dualbrain.adaptation.serving.measurement.say", lambda *a, **k: ChatResponse("", "timeout"))
     with pytest.raises(Exception, match="timeout"):
-        measure(None, ASKED, REGISTRY, adapter="a", runtime="r")
+        measure_planner(None, ASKED, REGISTRY, adapter="a", runtime="r")
 
 
 @pytest.fixture
 def home(tmp_path, monkeypatch):
     """A home with the tiny base, a packaged adapter and one on top of it in the registry."""
-    monkeypatch.setattr(packaged, "FOLDER", tmp_path / "packaged")
-    tiny_adapter.base(tmp_path / "cache", monkeypatch)
+    monkeypatch.setattr(packaged, "PACKAGED_FOLDER", tmp_path / "packaged")
+    tiny_adapter.install_base(tmp_path / "cache", monkeypatch)
     (tmp_path / "packaged").mkdir()
-    lower, card = tiny_adapter.adapter(model("llama"), tmp_path / "packaged" / "first")
-    tiny_adapter.adapter(lower.merge_and_unload(), tmp_path / "fit", 6, base="first", base_sha256=card.id)
-    registry = Adapters(tmp_path / "adapters")
+    lower, card = tiny_adapter.write_adapter(model("llama"), tmp_path / "packaged" / "first")
+    tiny_adapter.write_adapter(lower.merge_and_unload(), tmp_path / "fit", 6, base="first", base_sha256=card.id)
+    registry = AdapterRegistry(tmp_path / "adapters")
     registry.add(tmp_path / "fit", now=0.0)
     for module in (adapters_command, export, adapters_measure):
         monkeypatch.setattr(module, "cache", lambda: tmp_path / "cache")
     monkeypatch.setattr(adapters_command, "home", lambda: tmp_path)
-    monkeypatch.setattr("dualbrain.grounding.vocabulary.vocabulary", lambda robot: REGISTRY)
+    monkeypatch.setattr("dualbrain.grounding.vocabulary.skill_registry", lambda robot: REGISTRY)
     return tmp_path
 
 
 def data_set(train, rows):
     """A data set of samples for the robot of these tests."""
-    apart = dataset_hash(to_lines(train), to_lines(rows))
+    apart = dataset_hash(encode_samples(train), encode_samples(rows))
     card = DatasetCard(
         apart, "", "panda", REGISTRY.hash, short_template_hash(), "", 0, 0, len(train), len(rows), 0, 0, 0, {}, {},
         0.0, 1.5, 4, 1.0, "",
@@ -146,19 +146,19 @@ def data_set(train, rows):
 @pytest.fixture
 def briefly(monkeypatch):
     """Answers of three tokens, and a short text to retain."""
-    monkeypatch.setattr("dualbrain.adaptation.serving.measurement.LONGEST", 3)
+    monkeypatch.setattr("dualbrain.adaptation.serving.measurement.MAX_ANSWER_TOKENS", 3)
     monkeypatch.setattr("dualbrain.adaptation.serving.measurement.retention_text", lambda: "The sea is blue.")
 
 
 def test_a_candidate_and_the_base_below_it_are_measured_and_written_for_the_gate(home, briefly, capsys):
-    data = data_set((), tuple(sample(number) for number in range(LEAST)))
+    data = data_set((), tuple(sample(number) for number in range(MIN_QUESTIONS)))
     write_dataset(data, home / "data")
-    one = Adapters(home / "adapters").ids()[0]
+    one = AdapterRegistry(home / "adapters").ids()[0]
     assert adapters_measure.measure(one[:12], data=home / "data", out=home / "m.json", fly=False) == 0
-    found = msgspec.json.decode((home / "m.json").read_bytes(), type=Measured)
+    found = msgspec.json.decode((home / "m.json").read_bytes(), type=Measurement)
     assert (found.candidate.adapter, found.champion.adapter, found.dataset) == (one, "", data.card.hash)
-    assert found.candidate.runtime == adapters_command.runtime_here(Adapters(home / "adapters"), one)
-    assert len(found.candidate.trials) == LEAST
+    assert found.candidate.runtime == adapters_command.serving_runtime(AdapterRegistry(home / "adapters"), one)
+    assert len(found.candidate.trials) == MIN_QUESTIONS
     assert found.candidate.perplexity != found.champion.perplexity
     assert "not flown, so nothing can be promoted" in capsys.readouterr().err
 
@@ -169,19 +169,19 @@ def test_the_place_for_the_results_is_tried_before_the_first_question(home, monk
     def answered(stack, who, *others):
         assert (home / "results").is_dir()
         asked.append(who)
-        return results(who, 20)
+        return trial_results(who, 20)
 
-    monkeypatch.setattr(adapters_measure, "_results", answered)
+    monkeypatch.setattr(adapters_measure, "_measure_adapter", answered)
     write_dataset(data_set((), ASKED), home / "data")
     (home / "file").touch()
-    (one,) = Adapters(home / "adapters").ids()
+    (one,) = AdapterRegistry(home / "adapters").ids()
     for out in (home / "file" / "m.json", home / "data"):
-        with pytest.raises(DiskFull, match=r"unchanged. Mend that"):
+        with pytest.raises(FileWriteError, match=r"unchanged. Mend that"):
             adapters_measure.measure(one, data=home / "data", out=out, fly=False)
     assert not asked
     out = home / "results" / "today" / "m.json"
     assert adapters_measure.measure(one, data=home / "data", out=out, fly=False) == 0
-    assert msgspec.json.decode(out.read_bytes(), type=Measured).candidate.adapter == asked[0] == one
+    assert msgspec.json.decode(out.read_bytes(), type=Measurement).candidate.adapter == asked[0] == one
     assert list(out.parent.iterdir()) == [out]
     lower = read_adapter_card(home / "packaged" / "first").id
     for name, who in (("first", lower), (str(home / "fit"), one), (f"adapter:{one}", one)):
@@ -193,29 +193,36 @@ def test_both_are_flown_unless_that_is_left_out_and_what_one_was_taught_is_not_a
     home, briefly, capsys, monkeypatch
 ):
     monkeypatch.setenv("DUALBRAIN_HOME", str(home))
-    (taught,) = several(1)
-    data = data_set((), (*(sample(number) for number in range(LEAST)), replace(sample(LEAST), memory=taught.id)))
+    (taught,) = distinct_episodes(1)
+    data = data_set(
+        (), (*(sample(number) for number in range(MIN_QUESTIONS)), replace(sample(MIN_QUESTIONS), memory=taught.id))
+    )
     write_dataset(data, home / "data")
-    one = Adapters(home / "adapters").ids()[0]
-    with pytest.raises(MissingPart, match=r"memory ledger.*--ledger.*--no-fly"):
+    one = AdapterRegistry(home / "adapters").ids()[0]
+    with pytest.raises(MissingDependencyError, match=r"memory ledger.*--ledger.*--no-fly"):
         adapters_measure.measure(one, data=home / "data", out=home / "m.json")
     asked = []
     monkeypatch.setattr(
-        "dualbrain.runtime.memory_replay.remembered_flight",
+        "dualbrain.runtime.memory_replay.make_replay_evaluator",
         lambda ledger, rows, *, seed: asked.extend(rows) or (lambda row, text: (True, 0.001)),
     )
-    remember(home, [taught], lambda memory: note_adapter(memory, one, "d" * 64, [taught.id], now=NOW)).close()
+    write_ledger(home, [taught], lambda memory: record_adapter(memory, one, "d" * 64, [taught.id], now=NOW)).close()
     assert adapters_measure.measure(one, data=home / "data", out=home / "m.json") == 0
-    found = msgspec.json.decode((home / "m.json").read_bytes(), type=Measured)
+    found = msgspec.json.decode((home / "m.json").read_bytes(), type=Measurement)
     assert [row.id for row in asked] == [trial.question for trial in found.candidate.trials]
     assert None not in {trial.success for told in (found.candidate, found.champion) for trial in told.trials}
-    assert len(asked) == LEAST
+    assert len(asked) == MIN_QUESTIONS
     assert "left out: 1 questions" in capsys.readouterr().err
 
 
 def test_perplexity_is_that_of_torch(home):
     folder = home / "packaged" / "first"
-    planner = wear(stack_of(folder, home / "cache"), home / "cache", LlamaConfig(n_ctx=512), asking=FREE)
+    planner = start_llama(
+        load_stack(folder, home / "cache"),
+        home / "cache",
+        LlamaConfig(n_ctx=512),
+        prompt_format=UNCONSTRAINED_SHORT_PROMPT,
+    )
     try:
         found = perplexity(planner, "The sea is blue.")
     finally:
@@ -231,11 +238,11 @@ def test_perplexity_is_that_of_torch(home):
 
 @pytest.mark.parametrize("form", ["peft", "gguf", "merged"])
 def test_what_is_exported_computes_the_same(home, form):
-    one = Adapters(home / "adapters").ids()[0]
+    one = AdapterRegistry(home / "adapters").ids()[0]
     upper = PeftModel.from_pretrained(
         PeftModel.from_pretrained(model("llama"), home / "packaged" / "first").merge_and_unload(), home / "fit"
     )
-    wanted = of_torch(upper.eval())
+    wanted = torch_log_probs(upper.eval())
     assert export.export(one[:12], home / "out", form=form) == 0
     (home / "plain").touch()
     for file in filter(Path.is_file, (home / "out", *home.glob("out/*"))):
@@ -245,70 +252,72 @@ def test_what_is_exported_computes_the_same(home, form):
         case "peft":
             told = json.loads((home / "out" / "adapter_config.json").read_text())
             assert (told["bias"], told["use_dora"], told["modules_to_save"], told["r"]) == ("none", False, None, 8)
-            found, close = of_torch(PeftModel.from_pretrained(model("llama"), home / "out").eval()), 1e-4
+            found, close = torch_log_probs(PeftModel.from_pretrained(model("llama"), home / "out").eval()), 1e-4
         case "gguf":
-            found, close = of_llama(base, home / "out"), 2e-4
+            found, close = llama_log_probs(base, home / "out"), 2e-4
         case "merged":
-            found, close = of_llama(home / "out", None), 2e-2  # half precision
+            found, close = llama_log_probs(home / "out", None), 2e-2  # half precision
     np.testing.assert_allclose(found, wanted, atol=close)
-    with pytest.raises(InvalidSetup, match="free"):
+    with pytest.raises(ConfigurationError, match="free"):
         export.export(one[:12], home / "out", form=form)
 
 
 def test_layers_apart_as_whole_matrices_say(tmp_path):
     for seed in (5, 6):
-        fitted(model("llama"), tmp_path / str(seed), seed=seed, r=seed - 2)
+        random_adapter(model("llama"), tmp_path / str(seed), seed=seed, r=seed - 2)
     first, second = (read_lora(tmp_path / str(seed)) for seed in (5, 6))
-    found = gaps(first, second)
+    found = compare_layers(first, second)
     for gap in found:
         whole = [pair.b @ pair.a for pair in (first[gap.layer], second[gap.layer])]
         assert gap.first == pytest.approx(np.linalg.norm(whole[0]), rel=1e-3)
         assert gap.apart == pytest.approx(np.linalg.norm(whole[0] - whole[1]), rel=1e-3)
     assert [gap.apart for gap in found] == sorted((gap.apart for gap in found), reverse=True)
-    assert overall(gaps(first, first)).apart == pytest.approx(0.0, abs=1e-3)
+    assert combine_layers(compare_layers(first, first)).apart == pytest.approx(0.0, abs=1e-3)
 
 
 def test_adapters_are_told_apart(home, capsys):
-    one = Adapters(home / "adapters").ids()[0]
+    one = AdapterRegistry(home / "adapters").ids()[0]
     assert export.diff(one[:12], "first") == 0
     told = capsys.readouterr().out
     assert "base: first | tiny" in told
     assert "‖difference‖" in told
     card = read_adapter_card(home / "fit")
-    assert told_apart(card, card) == {}
+    assert compare_cards(card, card) == {}
 
 
 def test_what_only_one_of_two_adapters_sits_on_counts_as_its_own(home, capsys):
     """(B₁A₁ + B₂A₂) − B₁A₁ = B₂A₂."""
-    (one,) = Adapters(home / "adapters").ids()
+    (one,) = AdapterRegistry(home / "adapters").ids()
     first, second = (read_lora(home / name) for name in ("packaged/first", "fit"))
-    both = gaps(combined([home / "packaged" / "first", home / "fit"]), first)
+    both = compare_layers(concatenate_adapters([home / "packaged" / "first", home / "fit"]), first)
     for names, fields in (((one, "first"), ("first", "second")), (("first", one), ("second", "first"))):
         assert export.diff(*names, json=True) == 0
         told = json.loads(capsys.readouterr().out)["all"]
-        assert told["apart"] == pytest.approx(overall(gaps(second, {})).first, rel=1e-4)
-        assert [told[field] for field in fields] == pytest.approx([overall(both).first, overall(both).second])
-    tiny_adapter.adapter(model("llama"), home / "again", 7, base="first", base_sha256=hash_of_base("first"))
+        assert told["apart"] == pytest.approx(combine_layers(compare_layers(second, {})).first, rel=1e-4)
+        assert [told[field] for field in fields] == pytest.approx(
+            [combine_layers(both).first, combine_layers(both).second]
+        )
+    tiny_adapter.write_adapter(model("llama"), home / "again", 7, base="first", base_sha256=base_model_hash("first"))
     assert export.diff(one, str(home / "again"), json=True) == 0  # what both sit on is left out
     told = json.loads(capsys.readouterr().out)["all"]
-    assert told["first"] == pytest.approx(overall(gaps(second, {})).first, rel=1e-4)
+    assert told["first"] == pytest.approx(combine_layers(compare_layers(second, {})).first, rel=1e-4)
 
 
 def test_adapters_of_different_models_are_not_compared(home, monkeypatch, capsys):
-    other = dataclasses.replace(weights.find_file("tiny"), name="other", sha256="0" * 64)
+    other = dataclasses.replace(weights.find_weight_file("tiny"), name="other", sha256="0" * 64)
     monkeypatch.setitem(weights.MANIFEST, "other", other)
-    tiny_adapter.adapter(model("llama"), home / "apart", 7, base="other", base_sha256="0" * 64)
-    (one,) = Adapters(home / "adapters").ids()
-    with pytest.raises(InvalidSetup, match="tiny and other"):
+    tiny_adapter.write_adapter(model("llama"), home / "apart", 7, base="other", base_sha256="0" * 64)
+    (one,) = AdapterRegistry(home / "adapters").ids()
+    with pytest.raises(ConfigurationError, match="tiny and other"):
         export.diff(one, str(home / "apart"))
     assert capsys.readouterr().out == ""
 
 
 def test_joined_adapters_of_unequal_rank_are_their_sum(tmp_path):
-    fitted(model("llama"), tmp_path / "a", r=2)
-    fitted(model("llama"), tmp_path / "b", seed=6, r=3, target_modules=["q_proj", "down_proj"])
-    pairs = combined([tmp_path / "a", tmp_path / "b"])
-    write_peft(pairs, tmp_path / "both", base="x")
+    random_adapter(model("llama"), tmp_path / "a", r=2)
+    random_adapter(model("llama"), tmp_path / "b", seed=6, r=3, target_modules=["q_proj", "down_proj"])
+    pairs = concatenate_adapters([tmp_path / "a", tmp_path / "b"])
+    write_peft_adapter(pairs, tmp_path / "both", base="x")
     again = read_lora(tmp_path / "both")
     for module, pair in pairs.items():
         alone = [read_lora(tmp_path / name).get(module) for name in ("a", "b")]

@@ -6,30 +6,30 @@ from types import SimpleNamespace
 
 import pytest
 
-from dualbrain.adaptation.adapters.naming import shadow_parts
+from dualbrain.adaptation.adapters.naming import parse_shadow_name
 from dualbrain.adaptation.serving import shadow
-from dualbrain.adaptation.serving.open_planner import origin
-from dualbrain.adaptation.serving.shadow import Shadowed, glances, summary
-from dualbrain.errors import InvalidSetup
+from dualbrain.adaptation.serving.open_planner import planner_provenance
+from dualbrain.adaptation.serving.shadow import ShadowedPlanner, read_shadow_log, summarize_shadow
+from dualbrain.errors import ConfigurationError
 from dualbrain.planner import protocol
-from dualbrain.planner.introspection import messages_of, template_of
+from dualbrain.planner.introspection import planner_messages, planner_template
 from dualbrain.planner.prompt.full_prompt import render, template_hash
 from dualbrain.planner.scripted import ScriptedPlanner
-from tests.planner.sample_requests import request
+from tests.planner.sample_requests import plan_request
 
 
 def test_who_serves_is_heard_and_the_shadow_is_written_down(tmp_path):
     log = tmp_path / "shadows" / "a.jsonl"
     serving, candidate = ScriptedPlanner(["one", "two"]), ScriptedPlanner(["one", "three"])
-    planner = Shadowed(serving, candidate, log)
+    planner = ShadowedPlanner(serving, candidate, log)
     for words, text in (("first", "one"), ("second", "two")):
-        assert planner.propose(request(words)).text == text
-        planner._asking.join()
+        assert planner.propose(plan_request(words)).text == text
+        planner._thread.join()
     planner.close()
-    assert [one.instruction for one in candidate.asked] == ["first", "second"]
-    seen = glances(log)
-    assert [(one.candidate_text, one.same) for one in seen] == [("one", True), ("three", False)]
-    assert "asked 2 times in the shadow: 2 whole answers, 1 as who served" in summary(seen)
+    assert [one.instruction for one in candidate.requests] == ["first", "second"]
+    seen = read_shadow_log(log)
+    assert [(one.candidate_text, one.is_same) for one in seen] == [("one", True), ("three", False)]
+    assert "asked 2 times in the shadow: 2 whole answers, 1 as who served" in summarize_shadow(seen)
 
 
 class Slow(ScriptedPlanner):
@@ -55,62 +55,64 @@ class Raises(ScriptedPlanner):
 def test_nobody_waits_for_the_shadow_and_what_it_has_no_time_for_is_counted(tmp_path):
     log = tmp_path / "a.jsonl"
     candidate = Slow(["one", "four"])
-    planner = Shadowed(ScriptedPlanner(["one", "two", "three", "four", "five"]), candidate, log)
+    planner = ShadowedPlanner(ScriptedPlanner(["one", "two", "three", "four", "five"]), candidate, log)
     for words in ("first", "second", "third"):
-        planner.propose(request(words))  # a wait would outlast the test
-    assert glances(log) == ()
+        planner.propose(plan_request(words))  # a wait would outlast the test
+    assert read_shadow_log(log) == ()
     candidate.let.set()
-    planner._asking.join()
-    assert [(one.instruction, one.passed_over) for one in glances(log)] == [("first", 2)]
-    planner.propose(request("fourth"))
+    planner._thread.join()
+    assert [(one.instruction, one.passed_over) for one in read_shadow_log(log)] == [("first", 2)]
+    planner.propose(plan_request("fourth"))
     planner.close()
-    assert [(one.instruction, one.same, one.passed_over) for one in glances(log)][1:] == [("fourth", True, 0)]
-    assert "; 2 more passed over" in summary(glances(log))
+    assert [(one.instruction, one.is_same, one.passed_over) for one in read_shadow_log(log)][1:] == [
+        ("fourth", True, 0)
+    ]
+    assert "; 2 more passed over" in summarize_shadow(read_shadow_log(log))
 
 
 def test_at_the_end_an_answer_under_way_has_a_short_while_and_is_then_cut_off(tmp_path, monkeypatch):
-    monkeypatch.setattr(shadow, "PATIENCE_S", 0.05)
-    planner = Shadowed(ScriptedPlanner(["one"]), Slow(["one"]), tmp_path / "a.jsonl")
-    planner.propose(request())
+    monkeypatch.setattr(shadow, "JOIN_TIMEOUT_S", 0.05)
+    planner = ShadowedPlanner(ScriptedPlanner(["one"]), Slow(["one"]), tmp_path / "a.jsonl")
+    planner.propose(plan_request())
     begun = time.monotonic()
     planner.close()
-    planner._asking.join()
+    planner._thread.join()
     assert time.monotonic() - begun < 30.0
-    assert len(glances(tmp_path / "a.jsonl")) == 1
+    assert len(read_shadow_log(tmp_path / "a.jsonl")) == 1
 
 
 def test_an_error_of_the_candidate_is_written_down_and_told(tmp_path):
     log = tmp_path / "a.jsonl"
-    planner = Shadowed(ScriptedPlanner(["one"]), Raises([]), log)
-    assert planner.propose(request()).text == "one"
+    planner = ShadowedPlanner(ScriptedPlanner(["one"]), Raises([]), log)
+    assert planner.propose(plan_request()).text == "one"
     planner.close()
-    assert [(one.finish, one.same) for one in glances(log)] == [("error: no such thing", False)]
-    assert "0 whole answers" in summary(glances(log))
-    assert summary(glances(log)).endswith("; errors: 1")
+    assert [(one.finish, one.is_same) for one in read_shadow_log(log)] == [("error: no such thing", False)]
+    assert "0 whole answers" in summarize_shadow(read_shadow_log(log))
+    assert summarize_shadow(read_shadow_log(log)).endswith("; errors: 1")
 
 
 def test_a_log_that_cannot_be_written_is_refused_and_one_that_fails_later_is_counted(tmp_path):
     (tmp_path / "file").write_text("no folder")
-    with pytest.raises(InvalidSetup, match="log of the shadow"):
-        Shadowed(ScriptedPlanner([]), ScriptedPlanner([]), tmp_path / "file" / "a.jsonl")
+    with pytest.raises(ConfigurationError, match="log of the shadow"):
+        ShadowedPlanner(ScriptedPlanner([]), ScriptedPlanner([]), tmp_path / "file" / "a.jsonl")
     log = tmp_path / "a.jsonl"
-    planner = Shadowed(ScriptedPlanner(["one", "two"]), ScriptedPlanner(["one", "two"]), log)
+    planner = ShadowedPlanner(ScriptedPlanner(["one", "two"]), ScriptedPlanner(["one", "two"]), log)
     log.unlink()
     log.mkdir()
-    planner.propose(request())
-    planner._asking.join()
+    planner.propose(plan_request())
+    planner._thread.join()
     log.rmdir()
-    planner.propose(request())
+    planner.propose(plan_request())
     planner.close()
-    assert [(one.candidate_text, one.passed_over) for one in glances(log)] == [("two", 1)]
+    assert [(one.candidate_text, one.passed_over) for one in read_shadow_log(log)] == [("two", 1)]
 
 
 def test_a_log_of_an_older_version_is_read(tmp_path):
     log = tmp_path / "a.jsonl"
     log.write_text('{"served":"a","candidate":"b","instruction":"w","served_text":"t","candidate_text":"t",'
                    '"finish":"stop","seconds":1.5}\n')  # fmt: skip
-    assert [(one.same, one.passed_over) for one in glances(log)] == [(True, 0)]
-    assert summary(glances(log)).endswith("1 as who served, 1.5 s each (median)")
+    assert [(one.is_same, one.passed_over) for one in read_shadow_log(log)] == [(True, 0)]
+    assert summarize_shadow(read_shadow_log(log)).endswith("1 as who served, 1.5 s each (median)")
 
 
 class Adapted(ScriptedPlanner):
@@ -123,33 +125,37 @@ class Adapted(ScriptedPlanner):
 def test_what_is_read_and_recorded_is_that_of_who_serves(tmp_path):
     log = tmp_path / "a.jsonl"
     adapted, bare = Adapted(["one"]), ScriptedPlanner(["one"])
-    planner = Shadowed(adapted, bare, log)
-    assert origin(planner) == origin(adapted) == {"prompt": adapted.template, "adapter": adapted.card.id}
-    assert messages_of(planner, request("words")) == [{"role": "user", "content": "words"}]
-    planner = Shadowed(bare, adapted, log)
-    assert origin(planner) == origin(bare) == {}
-    assert template_of(planner) == template_hash()
-    assert messages_of(planner, request()) == render(request())
+    planner = ShadowedPlanner(adapted, bare, log)
+    assert (
+        planner_provenance(planner)
+        == planner_provenance(adapted)
+        == {"prompt": adapted.template, "adapter": adapted.card.id}
+    )
+    assert planner_messages(planner, plan_request("words")) == [{"role": "user", "content": "words"}]
+    planner = ShadowedPlanner(bare, adapted, log)
+    assert planner_provenance(planner) == planner_provenance(bare) == {}
+    assert planner_template(planner) == template_hash()
+    assert planner_messages(planner, plan_request()) == render(plan_request())
 
 
 def test_an_answer_that_is_not_whole_is_never_the_same(tmp_path):
     log = tmp_path / "a.jsonl"
-    planner = Shadowed(ScriptedPlanner([""]), ScriptedPlanner([""], finish_reason=protocol.TIMEOUT), log)
-    planner.propose(request())
+    planner = ShadowedPlanner(ScriptedPlanner([""]), ScriptedPlanner([""], finish_reason=protocol.TIMEOUT), log)
+    planner.propose(plan_request())
     planner.close()
-    assert not glances(log)[0].same
+    assert not read_shadow_log(log)[0].is_same
     log.write_bytes(log.read_bytes() + b'{"served":"torn')
-    assert len(glances(log)) == 1
-    assert summary(glances(tmp_path / "none.jsonl")) == "never asked in the shadow"
+    assert len(read_shadow_log(log)) == 1
+    assert summarize_shadow(read_shadow_log(tmp_path / "none.jsonl")) == "never asked in the shadow"
 
 
 def test_a_damaged_log_is_told(tmp_path):
     log = tmp_path / "a.jsonl"
     log.write_bytes(b"{}\n")
-    with pytest.raises(InvalidSetup, match="log of the shadow"):
-        glances(log)
+    with pytest.raises(ConfigurationError, match="log of the shadow"):
+        read_shadow_log(log)
 
 
 def test_a_name_says_who_stands_in_whose_shadow():
-    assert shadow_parts("shadow:ab12") == ("adapter:ab12", "adapter:champion")
-    assert shadow_parts("shadow:adapter:ab12@http://x/v1#m") == ("adapter:ab12", "http://x/v1#m")
+    assert parse_shadow_name("shadow:ab12") == ("adapter:ab12", "adapter:champion")
+    assert parse_shadow_name("shadow:adapter:ab12@http://x/v1#m") == ("adapter:ab12", "http://x/v1#m")

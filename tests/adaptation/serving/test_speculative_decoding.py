@@ -10,9 +10,9 @@ for part in ("torch", "transformers", "llguidance"):
 import torch
 
 from dualbrain.adaptation.serving import speculative_decoding
-from dualbrain.adaptation.serving.constrained_decoding import Binding, vocabulary_of
-from dualbrain.adaptation.serving.speculative_decoding import Reply, speak
-from dualbrain.errors import InvalidSetup
+from dualbrain.adaptation.serving.constrained_decoding import GrammarConstraint, llguidance_tokenizer
+from dualbrain.adaptation.serving.speculative_decoding import DecodingStream, generate
+from dualbrain.errors import ConfigurationError
 from dualbrain.planner.decoding.llguidance_grammar import contract_grammar
 from tests.adaptation.tiny_gguf import model
 from tests.adaptation.tiny_model import tokenizer
@@ -34,15 +34,15 @@ LONGEST, HEAT = 56, 0.7
 @pytest.fixture(scope="module")
 def mind():
     coder = tokenizer()
-    return model("llama"), coder, vocabulary_of(coder)
+    return model("llama"), coder, llguidance_tokenizer(coder)
 
 
 def replies(mind, kind, **told):
     _, coder, vocabulary = mind
     return [
-        Reply(
-            coder(words, add_special_tokens=False)["input_ids"], end=256, longest=LONGEST,
-            **({kind: Binding(vocabulary, GRAMMAR)} if kind else {}), **told,
+        DecodingStream(
+            coder(words, add_special_tokens=False)["input_ids"], end_token=256, max_tokens=LONGEST,
+            **({kind: GrammarConstraint(vocabulary, GRAMMAR)} if kind else {}), **told,
         )
         for words in WORDS
     ]  # fmt: skip
@@ -51,8 +51,8 @@ def replies(mind, kind, **told):
 def said(mind, kind, *, together=True, **told):
     mine = replies(mind, kind, **told)
     for group in [mine] if together else [[one] for one in mine]:
-        speak(mind[0], group)
-    return [one.said for one in mine]
+        generate(mind[0], group)
+    return [one.output_tokens for one in mine]
 
 
 def token_by_token(mind, one, bound, chance=None):
@@ -76,7 +76,7 @@ def token_by_token(mind, one, bound, chance=None):
 def test_it_says_what_is_said_token_by_token(mind, kind, seed):
     wanted = [
         token_by_token(
-            mind, one, Binding(mind[2], GRAMMAR) if kind == "bound" else None,
+            mind, one, GrammarConstraint(mind[2], GRAMMAR) if kind == "bound" else None,
             None if seed is None else torch.Generator().manual_seed(seed),
         )
         for one in replies(mind, kind)
@@ -85,16 +85,16 @@ def test_it_says_what_is_said_token_by_token(mind, kind, seed):
     assert said(mind, kind, seed=seed, temperature=HEAT, together=False) == wanted
 
 
-class Guessing(Reply):
+class Guessing(DecodingStream):
     """Guesses three tokens of `truth` each time, or three wrong ones."""
 
     def __init__(self, one, truth, *, rightly):
-        super().__init__(one.given, end=256, longest=LONGEST)
+        super().__init__(one.given, end_token=256, max_tokens=LONGEST)
         self._truth, self._rightly = truth, rightly
 
     def following(self):
-        guess = self._truth[len(self.said) : len(self.said) + 3]
-        return [self.said[-1], *(guess if self._rightly else [(token + 7) % 250 for token in guess])]
+        guess = self._truth[len(self.output_tokens) : len(self.output_tokens) + 3]
+        return [self.output_tokens[-1], *(guess if self._rightly else [(token + 7) % 250 for token in guess])]
 
 
 def test_what_one_guessed_wrongly_is_forgotten_while_another_goes_on(mind):
@@ -104,21 +104,23 @@ def test_what_one_guessed_wrongly_is_forgotten_while_another_goes_on(mind):
         Guessing(one, truth, rightly=place % 2 == 0)
         for place, (one, truth) in enumerate(zip(plain, wanted, strict=True))
     ]
-    speak(mind[0], ours)
-    assert [one.said for one in ours] == wanted
+    generate(mind[0], ours)
+    assert [one.output_tokens for one in ours] == wanted
 
 
 def test_what_is_forced_costs_no_step_of_its_own(mind, monkeypatch):
     counted = []
-    inner = speculative_decoding._Memory.read
+    inner = speculative_decoding._KeyValueCache.extend
     monkeypatch.setattr(
-        speculative_decoding._Memory, "read", lambda self, tokens: counted.append(tokens) or inner(self, tokens)
+        speculative_decoding._KeyValueCache,
+        "extend",
+        lambda self, tokens: counted.append(tokens) or inner(self, tokens),
     )
     first = said(mind, "bound")
     steps = len(counted)
     assert all(json.loads(mind[1].decode(one, skip_special_tokens=True))["steps"] for one in first)
     assert 3 * steps < max(map(len, first))
-    monkeypatch.setattr(speculative_decoding, "AHEAD", 1)
+    monkeypatch.setattr(speculative_decoding, "MAX_READ_TOKENS", 1)
     counted.clear()
     assert said(mind, "bound") == first
     assert len(counted) == max(map(len, first)) - 1
@@ -133,25 +135,25 @@ def test_what_was_said_before_is_foreseen_and_a_guide_that_is_left_is_let_go(min
         row[0, coded(letter)] = 9.0
         return row
 
-    guide = Binding(mind[2], 'start: "abc" /[d-z]+/')
-    reply = Reply(coded("abcdefgh, z"), end=256, longest=8, guide=guide)
-    reply.hear(wanting("a"), reply.given[-1:])
-    assert reply.following() == coded("abcdefg")  # forced as far as "abc", then as before, up to the longest answer
+    guide = GrammarConstraint(mind[2], 'start: "abc" /[d-z]+/')
+    reply = DecodingStream(coded("abcdefgh, z"), end_token=256, max_tokens=8, guide=guide)
+    reply.accept(wanting("a"), reply.prompt_tokens[-1:])
+    assert reply.next_tokens() == coded("abcdefg")  # forced as far as "abc", then as before, up to the longest answer
     heard = torch.cat([wanting(letter) for letter in "bcdExyz"])
-    assert reply.hear(heard, reply.following()) == 4
-    assert reply.said == coded("abcdE")
-    assert reply.following() == coded("E")
+    assert reply.accept(heard, reply.next_tokens()) == 4
+    assert reply.output_tokens == coded("abcdE")
+    assert reply.next_tokens() == coded("E")
 
 
 def test_an_answer_is_cut_at_its_limit_and_all_of_them_when_it_is_late(mind):
     cut = replies(mind, "")
-    speak(mind[0], cut)
-    assert all(one.ended and (one.whole or len(one.said) == LONGEST) for one in cut)
+    generate(mind[0], cut)
+    assert all(one.is_finished and (one.is_complete or len(one.output_tokens) == LONGEST) for one in cut)
     late = replies(mind, "bound")
-    speak(mind[0], late, lambda: True)
-    assert not any(one.ended for one in late)
+    generate(mind[0], late, lambda: True)
+    assert not any(one.is_finished for one in late)
 
 
 def test_a_grammar_that_cannot_be_read_is_refused(mind):
-    with pytest.raises(InvalidSetup, match="grammar"):
-        Binding(mind[2], "start: %nothing")
+    with pytest.raises(ConfigurationError, match="grammar"):
+        GrammarConstraint(mind[2], "start: %nothing")

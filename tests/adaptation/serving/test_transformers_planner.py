@@ -12,44 +12,46 @@ for part in ("torch", "peft", "gguf", "xllamacpp", "llguidance"):
 import torch
 from safetensors.torch import load_file, save_file
 
-from dualbrain.adaptation.adapters.card import CONFIG, WEIGHTS, weights_id, write_card
-from dualbrain.adaptation.adapters.stacking import stack_of
+from dualbrain.adaptation.adapters.card import CONFIG_FILE, WEIGHTS_FILE, hash_weights, write_adapter_card
+from dualbrain.adaptation.adapters.stacking import load_stack
 from dualbrain.adaptation.serving import transformers_planner
-from dualbrain.adaptation.serving.open_planner import open_planner, origin, wear
+from dualbrain.adaptation.serving.open_planner import open_planner, planner_provenance, start_llama
 from dualbrain.adaptation.serving.transformers_planner import TorchConfig, TorchPlanner
-from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.planner import protocol
 from dualbrain.planner.backends.llama_cpp import LlamaConfig
-from dualbrain.planner.introspection import template_of
+from dualbrain.planner.introspection import planner_template
 from dualbrain.planner.prompt.full_prompt import template_hash
-from dualbrain.planner.prompt.prompt_format import FREE, SHORT
+from dualbrain.planner.prompt.prompt_format import SHORT_PROMPT, UNCONSTRAINED_SHORT_PROMPT
 from dualbrain.planner.prompt.short_prompt import short_template_hash
 from tests.adaptation import tiny_adapter, tiny_gguf
 from tests.adaptation.tiny_gguf import model
-from tests.planner.sample_requests import REGISTRY, request
+from tests.planner.sample_requests import REGISTRY, plan_request
 
 pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::UserWarning")
 SHORT_STEPS = {"type": "array", "items": {"enum": ["open", "close"]}, "minItems": 1, "maxItems": 2}
-ASKED = request(schema={"type": "object", "properties": {"action_sequence": SHORT_STEPS}})
+ASKED = plan_request(schema={"type": "object", "properties": {"action_sequence": SHORT_STEPS}})
 
 
 @pytest.fixture
 def home(tmp_path, monkeypatch):
     """A home with the tiny base and an adapter."""
-    tiny_gguf.read_by_transformers(monkeypatch)
-    tiny_adapter.base(tmp_path / "cache", monkeypatch)
-    tiny_adapter.adapter(model("llama"), tmp_path / "fit")
+    tiny_gguf.patch_tokenizer(monkeypatch)
+    tiny_adapter.install_base(tmp_path / "cache", monkeypatch)
+    tiny_adapter.write_adapter(model("llama"), tmp_path / "fit")
     return tmp_path
 
 
-def planner(home, asking=SHORT, **config):
-    stack = stack_of(home / "fit", home / "cache")
+def planner(home, asking=SHORT_PROMPT, **config):
+    stack = load_stack(home / "fit", home / "cache")
     return TorchPlanner("tiny+ab", stack, home / "cache", asking, TorchConfig(**({"max_tokens": 48} | config)))
 
 
 def test_it_says_what_llama_cpp_says(home):
     ours = planner(home).propose(ASKED)
-    theirs = wear(stack_of(home / "fit", home / "cache"), home / "cache", LlamaConfig(n_ctx=2048, max_tokens=48))
+    theirs = start_llama(
+        load_stack(home / "fit", home / "cache"), home / "cache", LlamaConfig(n_ctx=2048, max_tokens=48)
+    )
     try:
         assert theirs.propose(ASKED).text == ours.text
         assert theirs.messages(ASKED) == planner(home).messages(ASKED)
@@ -63,7 +65,7 @@ def test_it_says_what_llama_cpp_says(home):
 
 
 def test_left_free_it_is_bound_by_nothing_and_says_so(home):
-    proposal = planner(home, FREE, max_tokens=8).propose(ASKED)
+    proposal = planner(home, UNCONSTRAINED_SHORT_PROMPT, max_tokens=8).propose(ASKED)
     assert proposal.finish_reason == protocol.LENGTH
     assert proposal.constrained_by == "nothing (free decoding)"
     assert not proposal.text.startswith('{"id"')
@@ -74,19 +76,19 @@ def test_a_time_limit_is_a_finish_reason(home):
 
 
 def test_what_it_was_not_taught_is_refused_before_anything_is_loaded(home, monkeypatch):
-    monkeypatch.setattr(transformers_planner, "dressed", None)
+    monkeypatch.setattr(transformers_planner, "load_stacked_model", None)
     for wrong in ({"robot": "ur5e"}, {"registry_hash": "00000000"}, {"schema": {"type": "object"}}):
-        with pytest.raises(InvalidSetup):
-            planner(home).propose(request(**wrong))
+        with pytest.raises(ConfigurationError):
+            planner(home).propose(plan_request(**wrong))
 
 
 def test_a_vocabulary_that_only_narrows_what_it_was_taught_is_answered(home):
     told = {"adapters": home / "adapters", "robot": REGISTRY.robot, "registry": "narrower"}
     name = f"transformers:adapter:{home / 'fit'}"
-    opened = open_planner(name, home / "cache", **told, narrowed={"narrower": REGISTRY.hash})
+    opened = open_planner(name, home / "cache", **told, narrowed_registries={"narrower": REGISTRY.hash})
     asked = msgspec.structs.replace(ASKED, registry_hash="narrower")
     assert opened.propose(asked).text.startswith('{"id":"c-0007","context":{"robot":"panda","registry":"narrower"}')
-    with pytest.raises(InvalidSetup, match="vocabulary of adapter"):
+    with pytest.raises(ConfigurationError, match="vocabulary of adapter"):
         open_planner(name, home / "cache", **told)
 
 
@@ -101,9 +103,9 @@ def opened(home):
     ids=str,
 )
 def test_what_llama_cpp_would_not_wear_is_refused_when_it_is_opened(home, told):
-    path = home / "fit" / CONFIG
+    path = home / "fit" / CONFIG_FILE
     path.write_text("{" if told is None else json.dumps(json.loads(path.read_bytes()) | told))
-    with pytest.raises(InvalidSetup, match="LoRA"):
+    with pytest.raises(ConfigurationError, match="LoRA"):
         opened(home)
 
 
@@ -114,15 +116,15 @@ def test_what_llama_cpp_would_not_wear_is_refused_when_it_is_opened(home, told):
 )  # fmt: skip
 def test_what_has_no_place_in_the_base_is_refused_before_it_answers(home, rows, name, word):
     """A single row would be added to all of them."""
-    tensors = load_file(home / "fit" / WEIGHTS) | {
+    tensors = load_file(home / "fit" / WEIGHTS_FILE) | {
         f"base_model.model.{name}.lora_{half}.weight": torch.ones(shape) for half, shape in
         (("A", (4, 64)), ("B", (rows, 4)))
     }  # fmt: skip
-    card = stack_of(home / "fit", home / "cache").top
-    save_file(tensors, home / "fit" / WEIGHTS)
-    write_card(msgspec.structs.replace(card, id=weights_id(home / "fit")), home / "fit")
+    card = load_stack(home / "fit", home / "cache").top_card
+    save_file(tensors, home / "fit" / WEIGHTS_FILE)
+    write_adapter_card(msgspec.structs.replace(card, id=hash_weights(home / "fit")), home / "fit")
     planner = opened(home)
-    with pytest.raises(InvalidSetup, match=word):
+    with pytest.raises(ConfigurationError, match=word):
         planner.propose(ASKED)
 
 
@@ -133,10 +135,10 @@ def test_it_is_opened_by_name(home):
     assert opened.name.startswith("tiny+")
     bare = open_planner("transformers:tiny", home / "cache", **told)
     assert bare.name == "tiny in torch"
-    assert origin(opened) == {"prompt": short_template_hash(), "adapter": opened.stack.top.id}
-    assert (origin(bare), template_of(bare)) == ({}, template_hash())
+    assert planner_provenance(opened) == {"prompt": short_template_hash(), "adapter": opened.stack.top_card.id}
+    assert (planner_provenance(bare), planner_template(bare)) == ({}, template_hash())
     for wrong in ("bse-135m", "", "efficientnet-lite0"):
-        with pytest.raises(UnknownName, match="base-135m"):
+        with pytest.raises(UnknownNameError, match="base-135m"):
             open_planner(f"transformers:{wrong}", home / "cache", **told)
-    with pytest.raises(UnknownName):
+    with pytest.raises(UnknownNameError):
         open_planner("transformers:nobody", home / "cache", **told)

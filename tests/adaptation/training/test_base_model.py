@@ -11,14 +11,14 @@ pytest.importorskip("peft", reason="the extra `adapt` is not installed")
 
 import gguf  # noqa: E402
 
-from dualbrain.adaptation.adapters.base_models import Base, find_base  # noqa: E402
-from dualbrain.adaptation.adapters.card import weights_id  # noqa: E402
+from dualbrain.adaptation.adapters.base_models import BaseModel, find_base_model  # noqa: E402
+from dualbrain.adaptation.adapters.card import hash_weights  # noqa: E402
 from dualbrain.adaptation.training.model import dequantized_base as room  # noqa: E402
-from dualbrain.adaptation.training.model.base_model import open_base  # noqa: E402
-from dualbrain.adaptation.training.model.dequantized_base import STAMP, dequantised  # noqa: E402
-from dualbrain.core.storage.atomic_files import DiskFull  # noqa: E402
-from dualbrain.core.weights import find_file  # noqa: E402
-from dualbrain.errors import InvalidSetup, MissingPart, UnknownName  # noqa: E402
+from dualbrain.adaptation.training.model.base_model import load_base_model  # noqa: E402
+from dualbrain.adaptation.training.model.dequantized_base import STAMP_FILE, dequantize_base  # noqa: E402
+from dualbrain.core.storage.atomic_files import FileWriteError  # noqa: E402
+from dualbrain.core.weights import find_weight_file  # noqa: E402
+from dualbrain.errors import ConfigurationError, MissingDependencyError, UnknownNameError  # noqa: E402
 from tests.adaptation import tiny_adapter, tiny_gguf  # noqa: E402
 
 pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::UserWarning", "ignore::DeprecationWarning")
@@ -34,9 +34,9 @@ def patch():
 @pytest.fixture(scope="module")
 def made(tmp_path_factory, patch):
     """A cache that holds a tiny base, and the torch model that was written into it."""
-    tiny_gguf.read_by_transformers(patch)
+    tiny_gguf.patch_tokenizer(patch)
     cache = tmp_path_factory.mktemp("made") / "cache"
-    return cache, tiny_adapter.base(cache, patch)
+    return cache, tiny_adapter.install_base(cache, patch)
 
 
 def logits(model):
@@ -46,9 +46,9 @@ def logits(model):
 
 def test_what_was_dequantised_computes_what_the_file_says(made):
     cache, source = made
-    base = find_base(tiny_adapter.BASE, cache)
-    assert base.sha256 == find_file(tiny_adapter.BASE).sha256
-    model, tokenizer = open_base(base, cache, torch.float32)
+    base = find_base_model(tiny_adapter.BASE, cache)
+    assert base.sha256 == find_weight_file(tiny_adapter.BASE).sha256
+    model, tokenizer = load_base_model(base, cache, torch.float32)
     torch.testing.assert_close(logits(model), logits(source), rtol=1e-5, atol=1e-5)
     assert tokenizer.chat_template
     assert not any(parameter.requires_grad for parameter in model.parameters())
@@ -59,8 +59,8 @@ def own(made, tmp_path):
     """A cache of one's own in which a tiny base was made ready for torch, its folder there, and the base."""
     shutil.copytree(made[0], tmp_path / "cache")
     shutil.rmtree(tmp_path / "cache" / "torch", ignore_errors=True)
-    base = find_base(tiny_adapter.BASE, tmp_path / "cache")
-    return tmp_path / "cache", dequantised(base, tmp_path / "cache"), base
+    base = find_base_model(tiny_adapter.BASE, tmp_path / "cache")
+    return tmp_path / "cache", dequantize_base(base, tmp_path / "cache"), base
 
 
 def contents(folder):
@@ -74,14 +74,14 @@ def flip(folder):
 
 
 def other_versions(folder):
-    stamp = json.loads((folder / STAMP).read_text())
-    (folder / STAMP).write_text(json.dumps(stamp | {"versions": dict.fromkeys(stamp["versions"], "0")}))
+    stamp = json.loads((folder / STAMP_FILE).read_text())
+    (folder / STAMP_FILE).write_text(json.dumps(stamp | {"versions": dict.fromkeys(stamp["versions"], "0")}))
 
 
 DAMAGES = {
     "a flipped bit": flip,
-    "no stamp, as of old": lambda folder: (folder / STAMP).unlink(),
-    "a stamp that cannot be read": lambda folder: (folder / STAMP).write_text("{"),
+    "no stamp, as of old": lambda folder: (folder / STAMP_FILE).unlink(),
+    "a stamp that cannot be read": lambda folder: (folder / STAMP_FILE).write_text("{"),
     "other versions": other_versions,
     "a file that is gone": lambda folder: (folder / "tokenizer.json").unlink(),
     "a file more": lambda folder: (folder / "adapter_config.json").write_text("{}"),
@@ -93,10 +93,10 @@ def test_what_is_not_as_it_was_made_is_made_again_and_once(own, monkeypatch, dam
     cache, folder, base = own
     before = contents(folder)
     DAMAGES[damage](folder)
-    dequantised(base, cache)
+    dequantize_base(base, cache)
     assert contents(folder) == before
-    monkeypatch.setattr(room, "_make", lambda base, folder: pytest.fail("made twice"))
-    dequantised(base, cache)
+    monkeypatch.setattr(room, "_convert", lambda base, folder: pytest.fail("made twice"))
+    dequantize_base(base, cache)
     assert {path.name for path in folder.parent.iterdir()} == {folder.name, f".{folder.name}.lock"}
 
 
@@ -108,18 +108,18 @@ def test_a_full_disk_is_told_as_one_and_leaves_no_base(own, room_left):
     before, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (room_left, hard))
     try:
-        with pytest.raises(DiskFull, match="File too large"):
-            dequantised(base, cache)
+        with pytest.raises(FileWriteError, match="File too large"):
+            dequantize_base(base, cache)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (before, hard))
     assert {path.name for path in folder.parent.iterdir()} == {f".{folder.name}.lock"}
-    assert dequantised(base, cache) == folder
+    assert dequantize_base(base, cache) == folder
 
 
 def test_a_file_that_cannot_be_read_is_no_full_disk(tmp_path):
     (tmp_path / "x.gguf").write_bytes(b"no model")
-    with pytest.raises(InvalidSetup, match=r"GGUF of the base: .*x\.gguf"):
-        dequantised(Base("x", tmp_path / "x.gguf", "1" * 64), tmp_path)
+    with pytest.raises(ConfigurationError, match=r"GGUF of the base: .*x\.gguf"):
+        dequantize_base(BaseModel("x", tmp_path / "x.gguf", "1" * 64), tmp_path)
 
 
 def test_a_base_that_lacks_weights_is_refused_for_they_would_be_drawn_at_random(own, monkeypatch, tmp_path):
@@ -131,29 +131,29 @@ def test_a_base_that_lacks_weights_is_refused_for_they_would_be_drawn_at_random(
 
     monkeypatch.setattr(gguf.GGUFWriter, "add_tensor", add)
     path = tiny_gguf.write_gguf(tiny_gguf.model("llama"), "llama", tmp_path / "lacking.gguf")
-    with pytest.raises(InvalidSetup, match=r"no model\.layers\.1\.mlp\.up_proj\.weight"):
-        dequantised(Base("x", path, "1" * 64), tmp_path)
+    with pytest.raises(ConfigurationError, match=r"no model\.layers\.1\.mlp\.up_proj\.weight"):
+        dequantize_base(BaseModel("x", path, "1" * 64), tmp_path)
     assert not (tmp_path / "torch" / ("1" * 32)).exists()
 
 
 def test_only_a_language_model_is_a_base(tmp_path):
     for name in ("minilm-l6-v2-int8", "efficientnet-lite0", "nobody"):
-        with pytest.raises(UnknownName, match=r"not a base.*base-135m"):
-            find_base(name, tmp_path)
+        with pytest.raises(UnknownNameError, match=r"not a base.*base-135m"):
+            find_base_model(name, tmp_path)
 
 
 def test_it_is_dequantised_once(made):
     cache, _ = made
-    base = find_base(tiny_adapter.BASE, cache)
-    first, _ = open_base(base, cache, torch.float32)
-    gone = Base(base.name, cache / "gone.gguf", base.gguf_sha256)
-    again, _ = open_base(gone, cache, torch.float32)
+    base = find_base_model(tiny_adapter.BASE, cache)
+    first, _ = load_base_model(base, cache, torch.float32)
+    gone = BaseModel(base.name, cache / "gone.gguf", base.gguf_sha256)
+    again, _ = load_base_model(gone, cache, torch.float32)
     assert torch.equal(logits(first), logits(again))
 
 
 def test_in_bf16_the_weights_are_rounded_and_the_angles_are_not(made):
     cache, source = made
-    model, _ = open_base(find_base(tiny_adapter.BASE, cache), cache, torch.bfloat16)
+    model, _ = load_base_model(find_base_model(tiny_adapter.BASE, cache), cache, torch.bfloat16)
     theirs = dict(source.named_parameters())
     for name, parameter in model.named_parameters():
         assert torch.equal(parameter, theirs[name].to(torch.bfloat16)), name
@@ -165,21 +165,21 @@ def test_in_bf16_the_weights_are_rounded_and_the_angles_are_not(made):
 def test_what_a_base_wears_is_merged_into_it(made, tmp_path):
     cache, source = made
     folder = tmp_path / "worn"
-    worn, _ = tiny_adapter.adapter(source, folder)
-    plain = find_base(tiny_adapter.BASE, cache)
-    base = Base("dressed", plain.gguf, plain.gguf_sha256, (folder,), weights_id(folder))
-    model, _ = open_base(base, cache, torch.float32)
+    worn, _ = tiny_adapter.write_adapter(source, folder)
+    plain = find_base_model(tiny_adapter.BASE, cache)
+    base = BaseModel("dressed", plain.gguf, plain.gguf_sha256, (folder,), hash_weights(folder))
+    model, _ = load_base_model(base, cache, torch.float32)
     torch.testing.assert_close(logits(model), logits(worn), rtol=1e-4, atol=1e-4)
-    assert not torch.allclose(logits(model), logits(open_base(plain, cache, torch.float32)[0]), atol=1e-2)
-    assert base.sha256 == weights_id(folder)
+    assert not torch.allclose(logits(model), logits(load_base_model(plain, cache, torch.float32)[0]), atol=1e-2)
+    assert base.sha256 == hash_weights(folder)
 
 
 def test_nobody_is_fitted_on_what_is_not_there(made):
     cache, _ = made
-    with pytest.raises(UnknownName):
-        find_base("nobody", cache)
-    base = find_base(tiny_adapter.BASE, cache)
-    with pytest.raises(MissingPart, match=r"none\.gguf"):
-        open_base(Base("x", cache / "none.gguf", "0" * 64), cache, torch.float32)
+    with pytest.raises(UnknownNameError):
+        find_base_model("nobody", cache)
+    base = find_base_model(tiny_adapter.BASE, cache)
+    with pytest.raises(MissingDependencyError, match=r"none\.gguf"):
+        load_base_model(BaseModel("x", cache / "none.gguf", "0" * 64), cache, torch.float32)
     assert not (cache / "torch" / ("0" * 32)).exists()
     assert base.gguf.is_file()

@@ -7,19 +7,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.adaptation.config import ObjectiveDials
-from dualbrain.adaptation.training.objective import normalised, omega
+from dualbrain.adaptation.config import ObjectiveConfig
+from dualbrain.adaptation.training.objective import normalize_weights, sample_weights
 
 torch = pytest.importorskip("torch", reason="the extra `adapt` is not installed")
 pytest.importorskip("peft", reason="the extra `adapt` is not installed")
 
-from dualbrain.adaptation.training.master_weights import Masters  # noqa: E402
-from dualbrain.adaptation.training.model.batching import IGNORED, collate, contract_states  # noqa: E402
-from dualbrain.adaptation.training.model.precision import choose  # noqa: E402
-from dualbrain.adaptation.training.objective import divergence, entropy, objective, soft_gate  # noqa: E402
-from dualbrain.adaptation.training.reference_states import compute, find, keep, key_of  # noqa: E402
-from dualbrain.errors import InvalidSetup  # noqa: E402
-from tests.adaptation.tiny_model import learner, moved, samples  # noqa: E402
+from dualbrain.adaptation.training.master_weights import MasterWeights  # noqa: E402
+from dualbrain.adaptation.training.model.batching import IGNORE_INDEX, collate, contract_hidden_states  # noqa: E402
+from dualbrain.adaptation.training.model.precision import choose_dtype  # noqa: E402
+from dualbrain.adaptation.training.objective import entropy, kl_divergence, objective, token_entropy_gate  # noqa: E402
+from dualbrain.adaptation.training.reference_states import compute_states, load_states, save_states, states_key  # noqa: E402
+from dualbrain.errors import ConfigurationError  # noqa: E402
+from tests.adaptation.tiny_model import lora_model, perturbed, random_samples  # noqa: E402
 
 P, P0 = (0.7, 0.2, 0.1), (0.1, 0.3, 0.6)
 
@@ -27,15 +27,15 @@ P, P0 = (0.7, 0.2, 0.1), (0.1, 0.3, 0.6)
 def part(one, some, tokens, weights=None, **more):
     """The objective of `some` samples on the learner `one`."""
     batch = collate(some, one.padding)
-    hidden, labels = contract_states(one.decoder, batch)
+    hidden, labels = contract_hidden_states(one.decoder, batch)
     each = torch.ones(len(some)) if weights is None else torch.as_tensor(weights, dtype=torch.float32)
-    spread = each.repeat_interleave(torch.tensor(batch.counts))
+    spread = each.repeat_interleave(torch.tensor(batch.contract_token_counts))
     return objective(hidden, one.head, labels, spread, tokens, **more)
 
 
 def states(one, some):
     with one.as_base():
-        return compute(one.decoder, one.head, some, one.padding)
+        return compute_states(one.decoder, one.head, some, one.padding)
 
 
 def tokens_of(some):
@@ -48,18 +48,18 @@ def gradients(one):
 
 def test_without_lambda_and_beta_it_is_plain_fine_tuning_step_for_step():
     """The oracle is the model's own loss over all logits and torch's own optimiser."""
-    ours, theirs = learner(), learner()
-    masters = Masters(ours.parameters)
+    ours, theirs = lora_model(), lora_model()
+    masters = MasterWeights(ours.parameters)
     plain = torch.optim.AdamW(theirs.parameters.values(), lr=1e-2, weight_decay=0.0)
     for step in range(5):
-        some = samples(4, seed=step)
+        some = random_samples(4, seed=step)
         loss = part(ours, some, tokens_of(some)).total
         loss.backward()
         masters.step(1e-2, clip=1e9)
-        batch = collate(some, theirs.padding)
-        labels = torch.full_like(batch.ids, IGNORED)
+        batch = collate(some, theirs.padding_id)
+        labels = torch.full_like(batch.ids, IGNORE_INDEX)
         labels[:, 1:] = batch.targets[:, :-1]
-        oracle = theirs.model(input_ids=batch.ids, attention_mask=batch.ids != theirs.padding, labels=labels).loss
+        oracle = theirs.model(input_ids=batch.ids, attention_mask=batch.ids != theirs.padding_id, labels=labels).loss
         oracle.backward()
         plain.step()
         plain.zero_grad()
@@ -74,7 +74,7 @@ def test_the_adapted_distribution_comes_first_by_value_and_by_gradient():
     backwards = sum(q * math.log(q / p) for p, q in zip(P, P0, strict=True))
     assert abs(expected - backwards) > 0.05
     logits = torch.tensor([P]).log().requires_grad_()
-    found = divergence(logits.log_softmax(-1), torch.tensor([P0]).log())
+    found = kl_divergence(logits.log_softmax(-1), torch.tensor([P0]).log())
     found.sum().backward()
     by_hand = [p * (math.log(p / q) - expected) for p, q in zip(P, P0, strict=True)]
     assert float(found.detach()) == pytest.approx(expected, rel=1e-5)
@@ -91,43 +91,43 @@ def test_the_divergence_in_the_objective_has_the_adapted_first():
 
 
 def test_a_fresh_adapter_has_no_divergence():
-    one, some = learner(), samples(6)
-    loss = part(one, some, tokens_of(some), beta=1.0, base_hidden=states(one, some).states(some))
+    one, some = lora_model(), random_samples(6)
+    loss = part(one, some, tokens_of(some), beta=1.0, base_hidden=states(one, some).hidden_states(some))
     assert float(loss.divergence) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_cached_and_online_divergence_are_the_same(tmp_path):
     """Also after a way over the disk; and a cache made of other tokens, or of another base, is not taken."""
-    one, some = moved(learner()), samples(7)
-    kept, key = states(one, some), key_of("base", some, "float32")
-    keep(kept, tmp_path / "states", key)
-    read = find(tmp_path / "states", key)
-    with torch.no_grad(), one.as_base():
-        online, _ = contract_states(one.decoder, collate(some, one.padding))
+    one, some = perturbed(lora_model()), random_samples(7)
+    kept, key = states(one, some), states_key("base", some, "float32")
+    save_states(kept, tmp_path / "states", key)
+    read = load_states(tmp_path / "states", key)
+    with torch.no_grad(), one.without_adapter():
+        online, _ = contract_hidden_states(one.decoder, collate(some, one.padding_id))
     losses = [
         part(one, some, tokens_of(some), beta=0.5, base_hidden=base)
-        for base in (online, kept.states(some), read.states(some))
+        for base in (online, kept.hidden_states(some), read.hidden_states(some))
     ]
     assert float(losses[0].divergence) > 0.01
     for loss in losses[1:]:
         assert float(loss.total.detach()) == pytest.approx(float(losses[0].total.detach()), rel=1e-5)
         assert float(loss.divergence) == pytest.approx(float(losses[0].divergence), rel=1e-4)
     assert read.entropies(some) == kept.entropies(some)
-    assert find(tmp_path / "states", key_of("other", some, "float32")) is None
-    assert find(tmp_path / "states", key_of("base", some[:-1], "float32")) is None
+    assert load_states(tmp_path / "states", states_key("other", some, "float32")) is None
+    assert load_states(tmp_path / "states", states_key("base", some[:-1], "float32")) is None
     (tmp_path / "states").write_bytes(b"rubbish")
-    assert find(tmp_path / "states", key) is None
+    assert load_states(tmp_path / "states", key) is None
 
 
 def test_one_batch_of_eight_is_eight_of_one():
-    one, some = moved(learner()), samples(8)
+    one, some = perturbed(lora_model()), random_samples(8)
     weights, base = np.linspace(0.5, 1.5, 8), states(one, some)
-    part(one, some, tokens_of(some), weights, beta=0.3, base_hidden=base.states(some)).total.backward()
+    part(one, some, tokens_of(some), weights, beta=0.3, base_hidden=base.hidden_states(some)).total.backward()
     whole = gradients(one)
     for parameter in one.parameters.values():
         parameter.grad = None
     for sample, weight in zip(some, weights, strict=True):
-        alone = part(one, [sample], tokens_of(some), [weight], beta=0.3, base_hidden=base.states([sample]))
+        alone = part(one, [sample], tokens_of(some), [weight], beta=0.3, base_hidden=base.hidden_states([sample]))
         alone.total.backward()
     for name, gradient in gradients(one).items():
         torch.testing.assert_close(gradient, whole[name], rtol=1e-3, atol=1e-6)
@@ -135,17 +135,17 @@ def test_one_batch_of_eight_is_eight_of_one():
 
 def test_the_objective_is_the_formula_of_the_paper():
     """Σ ω CE / Σ ω n + β Σ KL / Σ n over a whole data set, from full logits, in float64."""
-    one, some = moved(learner()), samples(6)
+    one, some = perturbed(lora_model()), random_samples(6)
     weights, tokens = np.array([1.0, 2.0, 1.5, 1.2, 1.9, 1.1]), [len(s.contract) for s in some]
     base, beta = states(one, some), 0.4
-    share = normalised(weights, tokens, [1] * 6)
-    loss = part(one, some, sum(tokens), share, beta=beta, base_hidden=base.states(some))
+    share = normalize_weights(weights, tokens, [1] * 6)
+    loss = part(one, some, sum(tokens), share, beta=beta, base_hidden=base.hidden_states(some))
     above = below = divergences = 0.0
     for sample, weight in zip(some, weights, strict=True):
         ids = torch.tensor([[*sample.prompt, *sample.contract]])
         with torch.no_grad():
             log_p = one.model(input_ids=ids).logits[0].double().log_softmax(-1)
-            with one.as_base():
+            with one.without_adapter():
                 log_q = one.model(input_ids=ids).logits[0].double().log_softmax(-1)
         for t, token in enumerate(sample.contract, start=len(sample.prompt) - 1):
             above -= weight * float(log_p[t, token])
@@ -156,9 +156,9 @@ def test_the_objective_is_the_formula_of_the_paper():
 
 def test_the_token_gate_is_eaft_and_lets_no_gradient_through():
     sure, even = torch.tensor([[50.0, *[0.0] * 29]]), torch.zeros(1, 30)
-    assert float(soft_gate(sure.log_softmax(-1))) == pytest.approx(0.0, abs=1e-6)
-    assert float(soft_gate(even.log_softmax(-1))) == pytest.approx(1.0, rel=1e-6)
-    assert not soft_gate(even.requires_grad_().log_softmax(-1)).requires_grad
+    assert float(token_entropy_gate(sure.log_softmax(-1))) == pytest.approx(0.0, abs=1e-6)
+    assert float(token_entropy_gate(even.log_softmax(-1))) == pytest.approx(1.0, rel=1e-6)
+    assert not token_entropy_gate(even.requires_grad_().log_softmax(-1)).requires_grad
     hidden = torch.tensor([[2.0, 0.0, 1.0]])
     label, one = torch.tensor([1]), torch.ones(1)
     p = hidden.softmax(-1)[0].tolist()
@@ -175,31 +175,31 @@ def test_entropy_is_over_the_whole_vocabulary():
 @given(st.lists(st.tuples(st.floats(0, 1), st.floats(0, 9), st.integers(1, 90), st.integers(1, 4)), min_size=1))
 def test_omega_is_at_least_one_and_rises_with_its_parts(rows):
     w, nats, tokens, shown = (list(column) for column in zip(*rows, strict=True))
-    found = omega(w, nats, ObjectiveDials(lambda_w=0.5, lambda_h=0.7))
+    found = sample_weights(w, nats, ObjectiveConfig(lambda_w=0.5, lambda_h=0.7))
     assert np.all(found >= 1.0)
     assert np.all(found <= 2.2 + 1e-9)
-    assert np.all(omega(w, nats, ObjectiveDials(lambda_w=0.0, lambda_h=0.0)) == 1.0)
-    assert np.all(omega(w, nats, ObjectiveDials(lambda_w=0.0, entropy_gate="token")) == 1.0)
-    by_entropy = omega([0.5] * len(rows), nats, ObjectiveDials())
+    assert np.all(sample_weights(w, nats, ObjectiveConfig(lambda_w=0.0, lambda_h=0.0)) == 1.0)
+    assert np.all(sample_weights(w, nats, ObjectiveConfig(lambda_w=0.0, entropy_gate="token")) == 1.0)
+    by_entropy = sample_weights([0.5] * len(rows), nats, ObjectiveConfig())
     order = np.argsort(nats)
     assert np.all(np.diff(by_entropy[order]) >= 0.0)
-    share = normalised(found, tokens, shown)
+    share = normalize_weights(found, tokens, shown)
     n = np.array(tokens) * np.array(shown)
     assert float((share * n).sum()) == pytest.approx(float(n.sum()))
 
 
 def test_bf16_only_where_the_processor_has_it():
-    assert choose("auto", {"amx_bf16": True}) is torch.bfloat16
-    assert choose("auto", {"avx2": True}) is torch.float32
-    assert choose("float32", {"amx_bf16": True}) is torch.float32
-    with pytest.raises(InvalidSetup, match="bfloat16"):
-        choose("bfloat16", {"avx2": True})
+    assert choose_dtype("auto", {"amx_bf16": True}) is torch.bfloat16
+    assert choose_dtype("auto", {"avx2": True}) is torch.float32
+    assert choose_dtype("float32", {"amx_bf16": True}) is torch.float32
+    with pytest.raises(ConfigurationError, match="bfloat16"):
+        choose_dtype("bfloat16", {"avx2": True})
 
 
 def test_small_steps_are_not_lost_in_bf16():
     """A thousand steps of 1e-4 move a bf16 parameter of size 1 by 0.1; alone, it would never move."""
     parameter = torch.nn.Parameter(torch.ones(3, dtype=torch.bfloat16))
-    masters = Masters({"p": parameter})
+    masters = MasterWeights({"p": parameter})
     for _ in range(1000):
         parameter.grad = torch.ones_like(parameter)
         masters.step(1e-4, clip=1e9)
@@ -208,7 +208,7 @@ def test_small_steps_are_not_lost_in_bf16():
 
 def test_a_gradient_that_is_no_number_changes_nothing():
     parameter = torch.nn.Parameter(torch.ones(3))
-    masters = Masters({"p": parameter})
+    masters = MasterWeights({"p": parameter})
     parameter.grad = torch.tensor([1.0, float("nan"), 1.0])
     assert not math.isfinite(masters.step(0.1, clip=1.0))
     assert parameter.tolist() == [1.0] * 3

@@ -9,13 +9,13 @@ import tempfile
 import numpy as np
 import pytest
 
-from dualbrain.errors import DualbrainError, InvalidSetup
+from dualbrain.errors import ConfigurationError, DualbrainError
 
 torch = pytest.importorskip("torch", reason="the extra `adapt` is not installed")
 pytest.importorskip("peft", reason="the extra `adapt` is not installed")
 
-from dualbrain.adaptation.training.accelerate_group import gathered  # noqa: E402
-from tests.adaptation.training.tiny_training import DEFAULT, Bench, dials  # noqa: E402
+from dualbrain.adaptation.training.accelerate_group import join_process_group  # noqa: E402
+from tests.adaptation.training.tiny_training import DEFAULT_CONFIG, TinyTraining, config_with  # noqa: E402
 
 FORK = multiprocessing.get_context("fork")
 PATIENCE = 50.0
@@ -45,7 +45,7 @@ def one_of(n, rank, port, end, work):
     os.environ |= {name: str(value) for name, value in places.items()}
     os.environ |= {"MASTER_ADDR": "127.0.0.1", "OMP_NUM_THREADS": "1"}
     try:
-        with gathered() as team:
+        with join_process_group() as team:
             end.send(work(team))
     except DualbrainError as error:
         end.send(f"{type(error).__name__}: {error}")
@@ -59,15 +59,15 @@ def told(end):
         return None
 
 
-def fitted(folder, config=DEFAULT, tell=lambda bench, progress: None):
+def fitted(folder, config=DEFAULT_CONFIG, tell=lambda bench, progress: None):
     """A fit by a team: what each found and wears at the end. Who is not the first can neither write nor ask."""
 
     def work(team):
         if team.rank:
             tempfile.mkstemp = forbidden
-        bench = Bench(folder, config=config, team=team)
+        bench = TinyTraining(folder, config=config, process_group=team)
         if team.rank:
-            bench.learner.answer = forbidden
+            bench.lora_model.generate_answers = forbidden
         return carried_out(bench, tell)
 
     return work
@@ -99,7 +99,7 @@ def pair(tmp_path_factory):
     """A fit by two: what they wear, and what it leaves."""
     folder = tmp_path_factory.mktemp("two") / "fit"
     worn = in_processes(2, fitted(folder))
-    return worn, Bench(folder).left()
+    return worn, TinyTraining(folder).output_files()
 
 
 def alike(ours, theirs):
@@ -114,14 +114,14 @@ def alike(ours, theirs):
 
 def test_two_fit_what_one_fits_and_wear_the_same_to_the_bit(pair, tmp_path):
     first, second = pair[0]
-    alike(first, carried_out(Bench(tmp_path / "alone")))
+    alike(first, carried_out(TinyTraining(tmp_path / "alone")))
     assert first[0] == second[0]
     assert first[2] == second[2]
     assert all((first[1][name] == second[1][name]).all() for name in first[1])
 
 
 def test_shares_may_be_unequal_and_in_parts(pair, tmp_path):
-    for one in in_processes(3, fitted(tmp_path / "fit", dials(at_once=1))):
+    for one in in_processes(3, fitted(tmp_path / "fit", config_with(at_once=1))):
         alike(pair[0][0], one)
 
 
@@ -131,16 +131,16 @@ def test_after_kill_9_two_end_as_if_nothing_had_happened(pair, tmp_path):
             os.kill(os.getpid(), signal.SIGKILL)
 
     assert in_processes(2, fitted(tmp_path / "fit", tell=kill)) == [None, None]
-    assert Bench(tmp_path / "fit").fit.step == 2
+    assert TinyTraining(tmp_path / "fit").trainer.step == 2
     in_processes(2, fitted(tmp_path / "fit"))
-    assert Bench(tmp_path / "fit").left() == pair[1]
+    assert TinyTraining(tmp_path / "fit").output_files() == pair[1]
 
 
 @pytest.mark.parametrize("what", ["loss", "gradient", "held-out loss"])
 def test_what_is_no_number_in_one_ends_all(tmp_path, what):
     def work(team):
-        bench = Bench(tmp_path / "fit", team=team)
-        parameter = next(iter(bench.learner.parameters.values()))
+        bench = TinyTraining(tmp_path / "fit", process_group=team)
+        parameter = next(iter(bench.lora_model.parameters.values()))
 
         def poison(progress):
             if progress.step == 3 and what == "loss" and team.rank == 1:
@@ -148,7 +148,7 @@ def test_what_is_no_number_in_one_ends_all(tmp_path, what):
             if progress.step == 3 and what == "gradient" and team.rank == 1:
                 parameter.register_hook(lambda gradient: gradient * float("inf"))
             if progress.step == 3 and what == "held-out loss" and team.rank == 0:
-                bench.fit._held_out_loss = lambda: float("nan")
+                bench.trainer._compute_held_out_loss = lambda: float("nan")
 
         return bench.run(poison)
 
@@ -156,7 +156,7 @@ def test_what_is_no_number_in_one_ends_all(tmp_path, what):
         assert answer.startswith("Diverged"), answer
         assert f"the {what} (" in answer
         assert "of step 4 " in answer
-    assert Bench(tmp_path / "fit").fit.step == 2
+    assert TinyTraining(tmp_path / "fit").trainer.step == 2
 
 
 def test_what_the_first_cannot_do_ends_all():
@@ -164,7 +164,7 @@ def test_what_the_first_cannot_do_ends_all():
         return team.once(refuse)
 
     def refuse():
-        raise InvalidSetup("folder", got="none", allowed="one")
+        raise ConfigurationError("folder", got="none", allowed="one")
 
     first, *others = in_processes(3, work)
     assert first.startswith("InvalidSetup: folder")
@@ -183,6 +183,6 @@ def test_only_the_first_works_and_all_get_what_it_made():
 
 def test_a_process_without_a_sample_is_refused(tmp_path):
     def work(team):
-        return Bench(tmp_path / "fit", config=dials(batch=2, at_once=2), team=team).fit.step
+        return TinyTraining(tmp_path / "fit", config=config_with(batch=2, at_once=2), process_group=team).trainer.step
 
     assert all(answer.startswith("InvalidSetup: fit batch: got 2") for answer in in_processes(3, work))

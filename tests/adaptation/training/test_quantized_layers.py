@@ -4,20 +4,20 @@ import sys
 
 import pytest
 
-from dualbrain.errors import InvalidSetup, MissingPart
+from dualbrain.errors import ConfigurationError, MissingDependencyError
 
 torch = pytest.importorskip("torch", reason="the extra `adapt` is not installed")
 lora = pytest.importorskip("peft.tuners.lora", reason="the extra `adapt` is not installed")
 
-from dualbrain.adaptation.training.checkpoint import Run  # noqa: E402
+from dualbrain.adaptation.training.checkpoint import RunKey  # noqa: E402
 from dualbrain.adaptation.training.model import quantized_layers  # noqa: E402
-from dualbrain.adaptation.training.model.batching import collate, contract_states  # noqa: E402
-from dualbrain.adaptation.training.model.lora_model import Learner  # noqa: E402
-from dualbrain.adaptation.training.reference_states import compute, key_of  # noqa: E402
-from tests.adaptation.tiny_model import model, samples, tokenizer  # noqa: E402
+from dualbrain.adaptation.training.model.batching import collate, contract_hidden_states  # noqa: E402
+from dualbrain.adaptation.training.model.lora_model import LoraModel  # noqa: E402
+from dualbrain.adaptation.training.reference_states import compute_states, states_key  # noqa: E402
+from tests.adaptation.tiny_model import model, random_samples, tokenizer  # noqa: E402
 from tests.adaptation.training import tiny_training  # noqa: E402
 
-NF4 = tiny_training.dials(quantise="nf4")
+NF4 = tiny_training.config_with(quantise="nf4")
 
 
 def wide():
@@ -28,34 +28,34 @@ def packed(dials=NF4.fit, dtype=torch.float32):
     """A learner on a tiny model, two blocks wide, in four bits."""
     try:
         made = wide().to(dtype)
-        quantized_layers.quantise(made, "cpu")
-    except MissingPart:
+        quantized_layers.quantize_linear_layers(made, "cpu")
+    except MissingDependencyError:
         pytest.skip("the extra `qlora` is not installed")
-    return Learner(made, tokenizer(), dials)
+    return LoraModel(made, tokenizer(), dials)
 
 
 def test_without_the_package_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "bitsandbytes", None)
-    with pytest.raises(MissingPart, match=r"bitsandbytes, of the extra `qlora`, .*dualbrain\[qlora\]"):
-        quantized_layers.quantise(model(), "cpu")
+    with pytest.raises(MissingDependencyError, match=r"bitsandbytes, of the extra `qlora`, .*dualbrain\[qlora\]"):
+        quantized_layers.quantize_linear_layers(model(), "cpu")
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
 def test_all_layers_but_the_output_matrix_are_packed_and_wear_an_adapter(dtype):
-    one, plain = packed(dtype=dtype), Learner(wide(), tokenizer(), NF4.fit)
+    one, plain = packed(dtype=dtype), LoraModel(wide(), tokenizer(), NF4.fit)
     assert set(one.parameters) == set(plain.parameters)
     assert {p.dtype for p in one.parameters.values()} == {one.head.dtype} == {dtype}
     assert {p.dtype for name, p in one.model.named_parameters() if "base_layer" in name} == {torch.uint8}
     worn = [layer for layer in one.model.modules() if hasattr(layer, "base_layer")]
     assert {type(layer) for layer in worn} == {lora.Linear4bit}
     assert torch.equal(one.head, plain.head.to(dtype))
-    one.check(samples(1)[0])
+    one.check_logits(random_samples(1)[0])
 
 
 def test_rows_that_are_no_whole_blocks_are_refused():
     packed()
-    with pytest.raises(InvalidSetup, match="row of the base in nf4: got 32, allowed: multiples of 64"):
-        quantized_layers.quantise(model(), "cpu")
+    with pytest.raises(ConfigurationError, match="row of the base in nf4: got 32, allowed: multiples of 64"):
+        quantized_layers.quantize_linear_layers(model(), "cpu")
 
 
 def test_each_weight_is_near_what_it_was():
@@ -63,7 +63,7 @@ def test_each_weight_is_near_what_it_was():
     one, plain = packed(), dict(wide().named_modules())
     from bitsandbytes.functional import dequantize_4bit  # noqa: PLC0415
 
-    for name, layer in one.base.named_modules():
+    for name, layer in one.base_model.named_modules():
         if name.endswith("proj"):
             weight = layer.base_layer.weight
             found, was = dequantize_4bit(weight.data, weight.quant_state), plain[name].weight
@@ -73,12 +73,12 @@ def test_each_weight_is_near_what_it_was():
 
 def test_gradients_pass_through_packed_layers_also_after_an_answer():
     """Against a difference along the gradient, whose slope is its square."""
-    one, some = packed(), samples(3)
-    one.answer([some[0].prompt], 3)
-    batch = collate(some, one.padding)
+    one, some = packed(), random_samples(3)
+    one.generate_answers([some[0].prompt], 3)
+    batch = collate(some, one.padding_id)
 
     def value():
-        return contract_states(one.decoder, batch)[0][:, :9].mean()
+        return contract_hidden_states(one.decoder, batch)[0][:, :9].mean()
 
     with torch.no_grad():
         for parameter in one.parameters.values():
@@ -97,9 +97,9 @@ def test_gradients_pass_through_packed_layers_also_after_an_answer():
 
 def test_a_fit_upon_it_learns_ends_alike_and_goes_on(tmp_path, monkeypatch):
     """The divergence is that from the packed base: nothing at the first step."""
-    monkeypatch.setattr(tiny_training, "learner", packed)
+    monkeypatch.setattr(tiny_training, "lora_model", packed)
     told = []
-    whole = tiny_training.Bench(tmp_path / "a", config=NF4)
+    whole = tiny_training.TinyTraining(tmp_path / "a", config=NF4)
     whole.run(told.append)
     assert abs(told[0].divergence) < 1e-6
     assert told[-1].cross_entropy < told[0].cross_entropy
@@ -109,22 +109,26 @@ def test_a_fit_upon_it_learns_ends_alike_and_goes_on(tmp_path, monkeypatch):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        tiny_training.Bench(tmp_path / "b", config=NF4).run(stop)
-    tiny_training.Bench(tmp_path / "b", config=NF4).run()
-    assert tiny_training.Bench(tmp_path / "b", config=NF4).left() == whole.left()
+        tiny_training.TinyTraining(tmp_path / "b", config=NF4).run(stop)
+    tiny_training.TinyTraining(tmp_path / "b", config=NF4).run()
+    assert tiny_training.TinyTraining(tmp_path / "b", config=NF4).output_files() == whole.output_files()
 
 
 def test_a_plain_fit_is_another_run_with_other_states(tmp_path, monkeypatch):
-    one, plain, some = packed(), Learner(wide(), tokenizer(), tiny_training.DEFAULT.fit), samples(3)
-    assert key_of("base", some, one.numbers) != key_of("base", some, plain.numbers)
-    told = [(tiny_training.DEFAULT, plain.numbers), (tiny_training.DEFAULT, one.numbers), (NF4, plain.numbers)]
-    assert len({Run("a", "base", numbers, dials.objective, dials.fit).key for dials, numbers in told}) == 3
-    states = [compute(x.decoder, x.head, some, x.padding).states(some) for x in (one, plain)]
+    one, plain, some = packed(), LoraModel(wide(), tokenizer(), tiny_training.DEFAULT_CONFIG.fit), random_samples(3)
+    assert states_key("base", some, one.number_format) != states_key("base", some, plain.number_format)
+    told = [
+        (tiny_training.DEFAULT_CONFIG, plain.number_format),
+        (tiny_training.DEFAULT_CONFIG, one.number_format),
+        (NF4, plain.number_format),
+    ]
+    assert len({RunKey("a", "base", numbers, dials.objective, dials.fit).digest for dials, numbers in told}) == 3
+    states = [compute_states(x.decoder, x.head, some, x.padding_id).hidden_states(some) for x in (one, plain)]
     assert not torch.allclose(*states, atol=1e-2)
-    monkeypatch.setattr(tiny_training, "learner", lambda dials: Learner(wide(), tokenizer(), dials))
-    tiny_training.Bench(tmp_path / "fit").run()
-    kept = (tmp_path / "fit" / tiny_training.STATES).read_bytes()
-    monkeypatch.setattr(tiny_training, "learner", packed)
-    with pytest.raises(InvalidSetup, match="other data, dials or base"):
-        tiny_training.Bench(tmp_path / "fit", config=NF4)
-    assert (tmp_path / "fit" / tiny_training.STATES).read_bytes() == kept
+    monkeypatch.setattr(tiny_training, "lora_model", lambda dials: LoraModel(wide(), tokenizer(), dials))
+    tiny_training.TinyTraining(tmp_path / "fit").run()
+    kept = (tmp_path / "fit" / tiny_training.STATES_FILE).read_bytes()
+    monkeypatch.setattr(tiny_training, "lora_model", packed)
+    with pytest.raises(ConfigurationError, match="other data, dials or base"):
+        tiny_training.TinyTraining(tmp_path / "fit", config=NF4)
+    assert (tmp_path / "fit" / tiny_training.STATES_FILE).read_bytes() == kept

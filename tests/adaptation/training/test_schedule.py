@@ -8,56 +8,56 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.adaptation.compliance import gate_judge, share
-from dualbrain.adaptation.config import FitDials
-from dualbrain.adaptation.curation.curate import Curation, curate
-from dualbrain.adaptation.early_stopping import HeldOut, Patience
-from dualbrain.adaptation.training.schedule import batches, rate
-from tests.adaptation.sample_episodes import REGISTRY, remember, several
+from dualbrain.adaptation.compliance import compliant_share, make_gate_judge
+from dualbrain.adaptation.config import FitConfig
+from dualbrain.adaptation.curation.curate import CurationConfig, curate
+from dualbrain.adaptation.early_stopping import EarlyStopping, HeldOutResult
+from dualbrain.adaptation.training.schedule import learning_rate, plan_batches
+from tests.adaptation.sample_episodes import REGISTRY, distinct_episodes, write_ledger
 
 
 @settings(max_examples=40, deadline=None)
 @given(st.lists(st.integers(1, 4), min_size=1, max_size=12), st.integers(1, 9), st.integers(1, 40), st.integers(0, 5))
 def test_every_epoch_shows_each_sample_as_often_as_it_should(shown, batch, steps, seed):
-    plan = batches(shown, FitDials(batch=batch, at_once=1, steps=steps, seed=seed))
+    plan = plan_batches(shown, FitConfig(batch=batch, at_once=1, steps=steps, seed=seed))
     stream = [row for rows in plan for row in rows]
     assert [len(rows) for rows in plan] == [batch] * steps
     epoch = sum(shown)
     for start in range(0, len(stream) - epoch + 1, epoch):
         assert Counter(stream[start : start + epoch]) == Counter(dict(enumerate(shown)))
-    longer = batches(shown, FitDials(batch=batch, at_once=1, steps=steps + 7, seed=seed))
+    longer = plan_batches(shown, FitConfig(batch=batch, at_once=1, steps=steps + 7, seed=seed))
     assert longer[:steps] == plan
 
 
 def test_another_seed_is_another_order():
-    one, other = (batches([1] * 30, FitDials(seed=seed)) for seed in (0, 1))
+    one, other = (plan_batches([1] * 30, FitConfig(seed=seed)) for seed in (0, 1))
     assert one != other
-    assert one == batches([1] * 30, FitDials(seed=0))
+    assert one == plan_batches([1] * 30, FitConfig(seed=0))
 
 
 def test_the_rate_rises_then_falls_to_a_tenth():
-    dials = FitDials(steps=100, warm_up=10, rate=1.0)
-    rates = [rate(step, dials) for step in range(1, 101)]
+    dials = FitConfig(steps=100, warm_up=10, rate=1.0)
+    rates = [learning_rate(step, dials) for step in range(1, 101)]
     assert rates[0] == pytest.approx(0.1, rel=1e-3)
     assert max(rates) == rates[9] > 0.97
     assert all(a > b for a, b in pairwise(rates[9:]))
     assert rates[-1] == pytest.approx(0.1)
-    assert rate(1, FitDials(warm_up=0, rate=1.0)) > 0.99
+    assert learning_rate(1, FitConfig(warm_up=0, rate=1.0)) > 0.99
 
 
 def test_it_stops_when_nothing_gets_better_and_compliance_comes_first():
-    state = Patience()
+    state = EarlyStopping()
     for compliance, loss, waited in (
         (0.2, 2.0, 0), (0.2, 1.99, 1), (0.2, 1.9, 0), (0.5, 5.0, 0), (0.4, 0.1, 1), (0.5, 4.99, 2), (0.5, 4.9, 0),
     ):  # fmt: skip
-        state = state.after(HeldOut(0, compliance, loss))
+        state = state.updated(HeldOutResult(0, compliance, loss))
         assert state.waited == waited
 
 
 def test_a_sound_answer_is_what_the_gate_accepts_and_no_refusal(tmp_path):
-    with remember(tmp_path, several(3)) as ledger:
-        rows = curate(ledger, REGISTRY, Curation(held_out=0.0)).train
-    judge = gate_judge(REGISTRY)
+    with write_ledger(tmp_path, distinct_episodes(3)) as ledger:
+        rows = curate(ledger, REGISTRY, CurationConfig(held_out=0.0)).train
+    judge = make_gate_judge(REGISTRY)
     good = rows[0].contract
     context = {"robot": "panda", "registry": REGISTRY.hash}
     steps = [{"skill": "decline", "params": {"reason": "no"}}]
@@ -76,4 +76,4 @@ def test_a_sound_answer_is_what_the_gate_accepts_and_no_refusal(tmp_path):
     last = msgspec.json.decode(good)["action_sequence"][-1:]  # to place with an empty hand: the body would refuse it
     unheld = msgspec.json.encode({"id": "c-0001", "context": context, "action_sequence": last}).decode()
     assert judge(unheld, rows[0])
-    assert share(judge, [good, "{", good], rows) == pytest.approx(2 / 3)
+    assert compliant_share(judge, [good, "{", good], rows) == pytest.approx(2 / 3)

@@ -9,10 +9,10 @@ datasets = pytest.importorskip("datasets", reason="TRL is for this comparison on
 
 import torch  # noqa: E402
 
-from dualbrain.adaptation.training.master_weights import Masters  # noqa: E402
-from dualbrain.adaptation.training.model.batching import collate, contract_states  # noqa: E402
+from dualbrain.adaptation.training.master_weights import MasterWeights  # noqa: E402
+from dualbrain.adaptation.training.model.batching import collate, contract_hidden_states  # noqa: E402
 from dualbrain.adaptation.training.objective import objective  # noqa: E402
-from tests.adaptation.tiny_model import learner, samples  # noqa: E402
+from tests.adaptation.tiny_model import lora_model, random_samples  # noqa: E402
 
 STEPS, RATE = 5, 1e-2
 
@@ -21,7 +21,7 @@ STEPS, RATE = 5, 1e-2
 @pytest.mark.filterwarnings("ignore")
 def test_without_lambda_and_beta_we_go_where_trl_goes(tmp_path):
     """Each step sees all four samples, so that their order cannot matter."""
-    ours, theirs, some = learner(), learner(), samples(4)
+    ours, theirs, some = lora_model(), lora_model(), random_samples(4)
     rows = [
         {"input_ids": [*one.prompt, *one.contract], "completion_mask": [0] * len(one.prompt) + [1] * len(one.contract)}
         for one in some
@@ -37,9 +37,9 @@ def test_without_lambda_and_beta_we_go_where_trl_goes(tmp_path):
     )  # fmt: skip
     trainer.train()
     losses = [row["loss"] for row in trainer.state.log_history if "loss" in row]
-    masters, batch = Masters(ours.parameters), collate(some, ours.padding)
+    masters, batch = MasterWeights(ours.parameters), collate(some, ours.padding_id)
     for step in range(STEPS):
-        hidden, labels = contract_states(ours.decoder, batch)
+        hidden, labels = contract_hidden_states(ours.decoder, batch)
         loss = objective(hidden, ours.head, labels, torch.ones(len(labels)), len(labels)).total
         loss.backward()
         masters.step(RATE, clip=1e9)

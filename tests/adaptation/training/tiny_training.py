@@ -7,16 +7,16 @@ import msgspec
 
 from dualbrain.adaptation.config import AdaptConfig
 from dualbrain.adaptation.curation.dataset import Dataset, DatasetCard
-from dualbrain.adaptation.curation.sample import Sample, answer
-from dualbrain.adaptation.training.process_group import ALONE
-from dualbrain.adaptation.training.trainer import BEST, CHECKPOINT, STATES, Fit
-from tests.adaptation.tiny_model import DIALS, learner
+from dualbrain.adaptation.curation.sample import Sample, assistant_turn
+from dualbrain.adaptation.training.process_group import SINGLE_PROCESS
+from dualbrain.adaptation.training.trainer import BEST_FILE, CHECKPOINT_FILE, STATES_FILE, Trainer
+from tests.adaptation.tiny_model import TRAINING_CONFIG, lora_model
 
 ANSWERS = ("grasp cup", "place", "push tin", "go home")
-DEFAULT = AdaptConfig(fit=DIALS)
+DEFAULT_CONFIG = AdaptConfig(fit=TRAINING_CONFIG)
 
 
-def exactly(text, sample):
+def exact_match(text, sample):
     return text == sample.contract
 
 
@@ -24,7 +24,7 @@ def sample(number, words=None):
     said = ANSWERS[number % 4] if words is None else words
     turns = [{"role": "user", "content": f"do {number}"}]
     return Sample(
-        f"s{number}", turns, answer(said), number % 3 / 2, 0.0, 1.0, 1 + number % 2, f"g{number}", f"m{number}",
+        f"s{number}", turns, assistant_turn(said), number % 3 / 2, 0.0, 1.0, 1 + number % 2, f"g{number}", f"m{number}",
         (number,), "a test", (), (),
     )  # fmt: skip
 
@@ -36,32 +36,39 @@ def dataset(train=9, held_out=3, name="a"):
 
 
 @dataclass
-class Bench:
+class TinyTraining:
     """A fit of a tiny model in `folder`."""
 
     folder: Path
     data: Dataset = field(default_factory=dataset)
-    config: AdaptConfig = DEFAULT
-    judge: object = exactly
+    config: AdaptConfig = DEFAULT_CONFIG
+    judge: object = exact_match
     clock: object = lambda: 0.0
-    team: object = ALONE
+    process_group: object = SINGLE_PROCESS
 
     def __post_init__(self):
         self.folder.mkdir(exist_ok=True)
-        self.learner = learner(self.config.fit)
-        self.fit = Fit(
-            self.learner, self.data, self.config, self.judge, self.folder, base="base", clock=self.clock, team=self.team
+        self.lora_model = lora_model(self.config.fit)
+        self.trainer = Trainer(
+            self.lora_model,
+            self.data,
+            self.config,
+            self.judge,
+            self.folder,
+            base="base",
+            clock=self.clock,
+            process_group=self.process_group,
         )
 
     def run(self, tell=lambda progress: None):
-        return self.fit.run(tell)
+        return self.trainer.run(tell)
 
-    def left(self):
+    def output_files(self):
         """What the fit leaves: checkpoint and best adapter, to the byte, and nothing half-written."""
         names = {path.name for path in self.folder.iterdir()}
-        assert names == {CHECKPOINT, BEST, STATES}
+        assert names == {CHECKPOINT_FILE, BEST_FILE, STATES_FILE}
         return {name: (self.folder / name).read_bytes() for name in names}
 
 
-def dials(**changed):
-    return AdaptConfig(fit=msgspec.structs.replace(DIALS, **changed))
+def config_with(**changed):
+    return AdaptConfig(fit=msgspec.structs.replace(TRAINING_CONFIG, **changed))

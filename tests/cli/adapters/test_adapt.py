@@ -13,26 +13,26 @@ from types import SimpleNamespace
 import msgspec
 import pytest
 
-from dualbrain.adaptation.curation.dataset import CARD, read_card, read_dataset
-from dualbrain.adaptation.idle_scheduler import Machine, Pace
-from dualbrain.adaptation.training.process_group import ALONE
+from dualbrain.adaptation.curation.dataset import CARD_FILE, read_dataset, read_dataset_card
+from dualbrain.adaptation.idle_scheduler import IdleSchedulerConfig, MachineLoad
+from dualbrain.adaptation.training.process_group import SINGLE_PROCESS
 from dualbrain.cli.adapters import adapt as command
 from dualbrain.cli.adapters import adapt_when_idle, process_launcher
-from dualbrain.cli.common.exit_codes import Exit
-from dualbrain.errors import InvalidSetup, MissingPart
-from dualbrain.grounding.vocabulary import vocabulary_at
+from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.errors import ConfigurationError, MissingDependencyError
+from dualbrain.grounding.vocabulary import skill_registry_at_site
 from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
 from dualbrain.memory.ledger.events import ADAPTER, AdapterUse
 from dualbrain.memory.ledger.ledger import LedgerReader
-from dualbrain.memory.maintenance.compaction import swap
+from dualbrain.memory.maintenance.compaction import compact_in_place
 from dualbrain.planner.registry import DEFAULT_PLANNER
-from tests.adaptation.sample_episodes import CONFIG, NOW, episode, remember, several, summary
+from tests.adaptation.sample_episodes import CONFIG, NOW, distinct_episodes, episode, summary, write_ledger
 
 
 @pytest.fixture
 def ledger(tmp_path):
-    failed = episode("bad", "failed", told=summary(number=99))
-    remember(tmp_path, [*several(8), failed]).close()
+    failed = episode("bad", "failed", scene_summary=summary(number=99))
+    write_ledger(tmp_path, [*distinct_episodes(8), failed]).close()
     return tmp_path / "ledger.sqlite"
 
 
@@ -41,7 +41,7 @@ def test_a_dry_run_tells_and_changes_nothing(tell, ledger, tmp_path):
         head = opened.head()
     before = {path.name for path in tmp_path.iterdir()}
     code, out, err = tell("adapt", "--dry-run")
-    assert (code, out) == (Exit.SUCCESS, "")
+    assert (code, out) == (ExitCode.SUCCESS, "")
     assert "left out: 1 outcome failed" in err
     assert "of 9 memories" in err
     assert {path.name for path in tmp_path.iterdir()} == before
@@ -61,7 +61,7 @@ def test_ids_of_a_dry_run_are_whole_in_a_narrow_terminal(tell, ledger, monkeypat
 
 def test_a_dry_run_that_should_write_is_refused(tell, ledger, tmp_path):
     code, out, err = tell("adapt", "--dry-run", "--export", "set")
-    assert (code, out) == (Exit.USAGE, "")
+    assert (code, out) == (ExitCode.USAGE, "")
     assert "a dry run writes nothing" in err
     assert not (tmp_path / "set").exists()
 
@@ -69,12 +69,14 @@ def test_a_dry_run_that_should_write_is_refused(tell, ledger, tmp_path):
 def test_a_site_file_lets_in_what_was_done_there(tell, tmp_path):
     site = tmp_path / "lab.toml"
     site.write_text("[robot]\ntool_speed = 0.25\n")
-    there = vocabulary_at("panda", site)
-    remember(tmp_path, [*several(2), episode("there", registry=there.hash, told=summary(number=9))]).close()
+    there = skill_registry_at_site("panda", site)
+    write_ledger(
+        tmp_path, [*distinct_episodes(2), episode("there", registry=there.hash, scene_summary=summary(number=9))]
+    ).close()
     for words, left in (((), {"of another registry": ["there"]}), (("--site", "lab.toml"), {})):
         code, out, _ = tell("adapt", "--dry-run", "--json", *words)
-        assert (code, json.loads(out)["left_out"]) == (Exit.SUCCESS, left)
-    assert "--site lab.toml" in " ".join(adapt_when_idle.command("panda", "b", None, site.relative_to(tmp_path), None,
+        assert (code, json.loads(out)["left_out"]) == (ExitCode.SUCCESS, left)
+    assert "--site lab.toml" in " ".join(adapt_when_idle.adapt_command("panda", "b", None, site.relative_to(tmp_path), None,
                                                            tmp_path, json=False))  # fmt: skip
 
 
@@ -82,13 +84,13 @@ def test_json_names_every_memory_once(tell, ledger):
     code, out, _ = tell("adapt", "--dry-run", "--json")
     told = json.loads(out)
     names = [row["memory"] for row in told["samples"]] + [name for all_ in told["left_out"].values() for name in all_]
-    assert code == Exit.SUCCESS
+    assert code == ExitCode.SUCCESS
     assert sorted(names) == sorted([*(f"e{i}" for i in range(8)), "bad"])
     assert {row["part"] for row in told["samples"]} == {"train", "held_out"}
 
 
 def test_an_export_is_lines_of_prompt_and_completion(tell, ledger, tmp_path):
-    assert tell("adapt", "--export", "set")[0] == Exit.SUCCESS
+    assert tell("adapt", "--export", "set")[0] == ExitCode.SUCCESS
     lines = (tmp_path / "set" / "train.jsonl").read_text().splitlines()
     for line in map(json.loads, lines):
         assert line["prompt"][-1]["role"] == "user"
@@ -108,7 +110,7 @@ def test_an_export_is_lines_of_prompt_and_completion(tell, ledger, tmp_path):
 )
 def test_a_broken_set_up_is_told(tell, ledger, arguments, word):
     code, out, err = tell("adapt", "--dry-run", *arguments)
-    assert (code, out) == (Exit.SETUP, "")
+    assert (code, out) == (ExitCode.SETUP, "")
     assert word in err
     assert "Traceback" not in err
 
@@ -118,7 +120,7 @@ def test_a_broken_set_up_is_told(tell, ledger, arguments, word):
 def test_a_base_that_there_is_not_is_told_before_anything_is_written(tell, ledger, tmp_path, words, base):
     before = contents(tmp_path)
     code, out, err = tell("adapt", "--base", base, *words)
-    assert (code, out) == (Exit.SETUP, "")
+    assert (code, out) == (ExitCode.SETUP, "")
     assert f"'{base}' is not a base" in err
     assert contents(tmp_path) == before
     assert not (tmp_path / "runs").exists()
@@ -129,11 +131,11 @@ def test_the_folder_is_told_at_the_start_and_when_it_is_interrupted(tell, ledger
     def interrupted():
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(command, "adapt_with_torch", interrupted)
+    monkeypatch.setattr(command, "import_trainer", interrupted)
     code, _, err = tell("adapt", *words)
-    (data,) = tmp_path.rglob(CARD)
+    (data,) = tmp_path.rglob(CARD_FILE)
     folder = data.parent.parent.relative_to(tmp_path)
-    assert code == Exit.INTERRUPTED
+    assert code == ExitCode.INTERRUPTED
     assert f"all is kept in {folder}\n" in err
     assert f"the same command with --out {shlex.quote(str(folder))} goes on\n" in err
 
@@ -147,15 +149,15 @@ def test_a_new_adapter_is_told_with_what_leads_to_its_service(
         return "b" * 64 if serves else ""
 
     registry = SimpleNamespace(add=lambda folder, now: None, champion=champion, verify=dict)
-    monkeypatch.setattr("dualbrain.cli.adapters.registry.registry_of_adapters", lambda: registry)
-    monkeypatch.setattr(command, "_note", lambda *told: True)
+    monkeypatch.setattr("dualbrain.cli.adapters.registry.open_adapter_registry", lambda: registry)
+    monkeypatch.setattr(command, "_record_in_ledger", lambda *told: True)
     facts = {"id": "a" * 64, "robot": "panda", "base": "base-135m", "base_sha256": "c" * 64}
     night = SimpleNamespace(adapt=lambda *told, **more: SimpleNamespace(**facts))
-    monkeypatch.setattr(command, "adapt_with_torch", lambda: night)
-    monkeypatch.setattr("dualbrain.adaptation.adapters.base_models.find_base", lambda name, cache: name)
+    monkeypatch.setattr(command, "import_trainer", lambda: night)
+    monkeypatch.setattr("dualbrain.adaptation.adapters.base_models.find_base_model", lambda name, cache: name)
     of, one = " --ledger ledger.sqlite" if ledger_named else "", "a" * 16
     code, _, err = tell("adapt", "--out", "fit", *of.split())
-    assert code == Exit.SUCCESS
+    assert code == ExitCode.SUCCESS
     assert err.splitlines()[-3:] == [
         f"  dualbrain adapters measure {one} --data fit/dataset --out fit/measured.json{of}",
         f'  dualbrain run "…" --robot panda --planner shadow:{one}{"" if serves else f"@{DEFAULT_PLANNER}"}',
@@ -170,7 +172,7 @@ def test_without_the_extra_it_says_what_to_install(tell, ledger, monkeypatch, tm
     monkeypatch.delattr("dualbrain.adaptation.training.train", raising=False)
     monkeypatch.setitem(sys.modules, "torch", None)
     code, out, err = tell("adapt", "--out", "fit")
-    assert (code, out) == (Exit.SETUP, "")
+    assert (code, out) == (ExitCode.SETUP, "")
     assert "torch, of the extra `adapt`, is missing" in err
     assert "dualbrain[adapt]" in err
     assert len(read_dataset(tmp_path / "fit" / "dataset").train)
@@ -178,10 +180,10 @@ def test_without_the_extra_it_says_what_to_install(tell, ledger, monkeypatch, tm
 
 def test_a_fit_is_not_taken_up_with_another_vocabulary(tell, ledger, tmp_path):
     tell("adapt", "--export", "fit/dataset")
-    card = msgspec.structs.replace(read_card(tmp_path / "fit" / "dataset"), registry="00000000")
-    (tmp_path / "fit" / "dataset" / CARD).write_bytes(msgspec.json.encode(card))
+    card = msgspec.structs.replace(read_dataset_card(tmp_path / "fit" / "dataset"), registry="00000000")
+    (tmp_path / "fit" / "dataset" / CARD_FILE).write_bytes(msgspec.json.encode(card))
     code, _, err = tell("adapt", "--out", "fit")
-    assert code == Exit.SETUP
+    assert code == ExitCode.SETUP
     assert "The vocabulary has changed" in err
 
 
@@ -194,9 +196,9 @@ def no_torch(monkeypatch):
     """A fit that is let in ends where it would begin."""
 
     def refuse():
-        raise MissingPart("torch", fix="")
+        raise MissingDependencyError("torch", fix="")
 
-    monkeypatch.setattr(command, "adapt_with_torch", refuse)
+    monkeypatch.setattr(command, "import_trainer", refuse)
 
 
 @pytest.mark.parametrize(
@@ -215,7 +217,7 @@ def test_other_dials_of_curation_are_refused_where_a_data_set_lies(tell, ledger,
     before = contents(tmp_path / "fit")
     (tmp_path / "dials.toml").write_text(dials)
     code, _, err = tell("adapt", "--out", "fit", "--config", "dials.toml")
-    assert code == Exit.SETUP
+    assert code == ExitCode.SETUP
     assert words in err
     assert "another --out" in err
     assert contents(tmp_path / "fit") == before
@@ -225,9 +227,9 @@ def test_another_ledger_is_refused_where_a_data_set_lies(tell, ledger, no_torch,
     tell("adapt", "--out", "fit")
     before = contents(tmp_path / "fit")
     (tmp_path / "other").mkdir()
-    remember(tmp_path / "other", several(12)).close()
+    write_ledger(tmp_path / "other", distinct_episodes(12)).close()
     code, _, err = tell("adapt", "--out", "fit", "--ledger", "other/ledger.sqlite")
-    assert code == Exit.SETUP
+    assert code == ExitCode.SETUP
     assert "ledger of the data set in fit: got 'other/ledger.sqlite'" in err
     assert "another --out" in err
     assert contents(tmp_path / "fit") == before
@@ -242,7 +244,7 @@ def test_another_site_is_refused_where_a_data_set_lies(tell, ledger, no_torch, t
         assert f"going on with the data set in {folder}" in tell("adapt", "--out", folder, *same)[2]
         before = contents(tmp_path / folder)
         code, _, err = tell("adapt", "--out", folder, *other)
-        assert code == Exit.SETUP
+        assert code == ExitCode.SETUP
         assert f"site of the data set in {folder}" in err
         assert "another --out" in err
         assert contents(tmp_path / folder) == before
@@ -251,10 +253,10 @@ def test_another_site_is_refused_where_a_data_set_lies(tell, ledger, no_torch, t
 def test_a_ledger_that_has_grown_or_was_compacted_is_the_same(tell, ledger, no_torch, tmp_path):
     tell("adapt", "--out", "fit")
     before = contents(tmp_path / "fit")
-    remember(tmp_path, [episode("later", told=summary(number=55))]).close()
+    write_ledger(tmp_path, [episode("later", scene_summary=summary(number=55))]).close()
     assert "going on with the data set in fit" in tell("adapt", "--out", "fit")[2]
     for _ in range(2):
-        swap(ledger, holder="a test", now=NOW, patience=1.0)
+        compact_in_place(ledger, holder="a test", now=NOW, timeout_s=1.0)
         assert "going on with the data set in fit" in tell("adapt", "--out", "fit")[2]
     for archive in tmp_path.glob("*.archive-*"):
         archive.unlink()
@@ -265,7 +267,7 @@ def test_a_ledger_that_has_grown_or_was_compacted_is_the_same(tell, ledger, no_t
 def test_a_data_set_whose_card_is_older_is_gone_on_with(tell, ledger, no_torch, tmp_path):
     """It does not tell whether anything was selected by what came of it."""
     tell("adapt", "--out", "fit")
-    path = tmp_path / "fit" / "dataset" / CARD
+    path = tmp_path / "fit" / "dataset" / CARD_FILE
     card = json.loads(path.read_text())
     del card["physical"]
     path.write_text(json.dumps(card))
@@ -273,28 +275,31 @@ def test_a_data_set_whose_card_is_older_is_gone_on_with(tell, ledger, no_torch, 
 
 
 def test_what_an_adapter_was_taught_is_written_into_the_ledger(tell, ledger, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("dualbrain.cli.memory.open_memory.encoder", lambda: HashingEncoder(32))
-    monkeypatch.setattr("dualbrain.cli.memory.open_memory.config", lambda opened: CONFIG)
+    monkeypatch.setattr("dualbrain.cli.memory.open_memory.load_encoder", lambda: HashingEncoder(32))
+    monkeypatch.setattr("dualbrain.cli.memory.open_memory.memory_config", lambda opened: CONFIG)
     tell("adapt", "--export", "set")
     dataset = read_dataset(tmp_path / "set")
     card = SimpleNamespace(id="a" * 64, dataset=dataset.card.hash)
-    assert command._note(card, dataset, tmp_path / "fit", ledger)
-    assert command._note(card, dataset, tmp_path / "fit", ledger)  # once is enough
+    assert command._record_in_ledger(card, dataset, tmp_path / "fit", ledger)
+    assert command._record_in_ledger(card, dataset, tmp_path / "fit", ledger)  # once is enough
     with LedgerReader(ledger) as opened:
         (event,) = opened.events(f"kind = '{ADAPTER}'")
     noted = msgspec.json.decode(event.payload, type=AdapterUse)
     assert noted == AdapterUse("a" * 64, dataset.card.hash, tuple(sorted(row.memory for row in dataset.train)))
-    assert not command._note(card, dataset, tmp_path / "fit", tmp_path / "none.sqlite")
+    assert not command._record_in_ledger(card, dataset, tmp_path / "fit", tmp_path / "none.sqlite")
     assert "not written into the ledger" in capsys.readouterr().err
 
 
 def test_when_idle_it_is_the_same_command_in_a_process_of_its_own(tmp_path, monkeypatch, capfd):
-    monkeypatch.setattr(adapt_when_idle, "look", lambda: Machine(0.0, 2, on_battery=False))
+    monkeypatch.setattr(adapt_when_idle, "look", lambda: MachineLoad(0.0, 2, on_battery=False))
     told = {"robot": "panda", "base": "smollm2-135m-instruct", "site": None, "config": None, "json": False}
     code = adapt_when_idle.adapt_when_idle(
-        ledger=tmp_path / "none.sqlite", out=tmp_path / "out", pace=Pace(look=0.05, calm=0.0), **told
+        ledger=tmp_path / "none.sqlite",
+        out=tmp_path / "out",
+        pace=IdleSchedulerConfig(poll_period=0.05, quiet_time=0.0),
+        **told,
     )
-    assert code == Exit.SETUP
+    assert code == ExitCode.SETUP
     assert "none.sqlite" in capfd.readouterr().err
 
 
@@ -304,13 +309,15 @@ def test_when_idle_it_is_the_same_command_in_a_process_of_its_own(tmp_path, monk
 def test_when_idle_a_fit_that_was_killed_from_outside_says_so_and_how_to_go_on(
     tmp_path, monkeypatch, capfd, end, words
 ):
-    monkeypatch.setattr(adapt_when_idle, "look", lambda: Machine(0.0, 2, on_battery=False))
+    monkeypatch.setattr(adapt_when_idle, "look", lambda: MachineLoad(0.0, 2, on_battery=False))
     work = [sys.executable, "-S", "-c", f"import os, sys; {end}"]
-    monkeypatch.setattr(adapt_when_idle, "command", lambda *told, **more: work)
+    monkeypatch.setattr(adapt_when_idle, "adapt_command", lambda *told, **more: work)
     told = {"robot": "panda", "base": "tiny", "ledger": tmp_path / "l", "site": None, "config": None, "json": False}
-    code = adapt_when_idle.adapt_when_idle(out=Path("runs/night"), pace=Pace(look=0.05, calm=0.0), **told)
+    code = adapt_when_idle.adapt_when_idle(
+        out=Path("runs/night"), pace=IdleSchedulerConfig(poll_period=0.05, quiet_time=0.0), **told
+    )
     err = " ".join(capfd.readouterr().err.split())
-    assert (code == Exit.SETUP) is bool(words)
+    assert (code == ExitCode.SETUP) is bool(words)
     assert (words in err, "with --out runs/night goes on from the last checkpoint" in err) == (True, bool(words))
 
 
@@ -363,7 +370,7 @@ def test_however_it_is_ended_no_fit_goes_on_beside_the_robot(tmp_path, end, halt
             (tmp_path / "unplugged").touch()
             assert in_time(lambda: state(fit) == "T")
         watcher.send_signal(end)
-        assert watcher.wait(30.0) == (-end if end == signal.SIGKILL else Exit.INTERRUPTED)
+        assert watcher.wait(30.0) == (-end if end == signal.SIGKILL else ExitCode.INTERRUPTED)
         assert in_time(lambda: not state(fit))
     finally:
         watcher.kill()
@@ -376,21 +383,21 @@ def test_several_processes_need_one_folder_and_only_fit(tell, ledger, monkeypatc
     monkeypatch.setenv("WORLD_SIZE", "2")
     for arguments in (("--out", "fit", "--dry-run"), ("--export", "set"), ("--out", "fit", "--when-idle")):
         code, out, err = tell("adapt", *arguments)
-        assert (code, out) == (Exit.SETUP, "")
+        assert (code, out) == (ExitCode.SETUP, "")
         assert "adapt in several processes" in err
     for arguments in (("adapt",), ("adapters", "make", "base-135m")):
         code, out, err = tell(*arguments)
-        assert (code, out) == (Exit.SETUP, "")
+        assert (code, out) == (ExitCode.SETUP, "")
         assert "--out of a fit in several processes: got 'none'" in err
 
 
 def test_one_process_is_no_team_and_only_the_first_of_several_speaks(capsys):
-    assert not process_launcher.launched({})
-    assert not process_launcher.launched({"WORLD_SIZE": "1"})
-    assert process_launcher.launched({"WORLD_SIZE": "2"})
+    assert not process_launcher.is_distributed({})
+    assert not process_launcher.is_distributed({"WORLD_SIZE": "1"})
+    assert process_launcher.is_distributed({"WORLD_SIZE": "2"})
     for size in ("", "two", "-2"):
-        with pytest.raises(InvalidSetup, match="unset WORLD_SIZE"):
-            process_launcher.launched({"WORLD_SIZE": size})
-    process_launcher.account_of(ALONE).print("heard")
-    process_launcher.account_of(SimpleNamespace(rank=1)).print("not heard")
+        with pytest.raises(ConfigurationError, match="unset WORLD_SIZE"):
+            process_launcher.is_distributed({"WORLD_SIZE": size})
+    process_launcher.console_of(SINGLE_PROCESS).print("heard")
+    process_launcher.console_of(SimpleNamespace(rank=1)).print("not heard")
     assert capsys.readouterr().err == "heard\n"

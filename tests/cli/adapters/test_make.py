@@ -7,18 +7,18 @@ import msgspec
 import pytest
 
 from dualbrain.adaptation.adapters import base_models
-from dualbrain.adaptation.adapters.card import WEIGHTS, read_adapter_card
+from dualbrain.adaptation.adapters.card import WEIGHTS_FILE, read_adapter_card
 from dualbrain.adaptation.curation import curate
-from dualbrain.adaptation.curation.dataset import CARD, read_card, read_dataset
+from dualbrain.adaptation.curation.dataset import CARD_FILE, read_dataset, read_dataset_card
 from dualbrain.adaptation.curation.sample import Sample
 from dualbrain.cli.adapters import adapt as fitting
-from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.runtime.data_collection import rollouts as room
 from dualbrain.runtime.data_collection import starter_dataset, synthetic_scenes
-from dualbrain.runtime.data_collection.rollouts import declined, memory_of
-from tests.adaptation.sample_episodes import episode, pick, remember, several, summary
+from dualbrain.runtime.data_collection.rollouts import is_declined, memory_id_of_turn
+from tests.adaptation.sample_episodes import distinct_episodes, episode, pick_contract, summary, write_ledger
 
-DECLINE = pick() | {"action_sequence": [{"skill": "decline", "params": {"reason": "no skill can do this"}}]}
+DECLINE = pick_contract() | {"action_sequence": [{"skill": "decline", "params": {"reason": "no skill can do this"}}]}
 NUMBER = 12
 LESSON = Sample("a", [], [], 0.5, 0.0, 0.0, 1, "panda tall:1", "", (), "templates", (), ())
 
@@ -38,9 +38,9 @@ def stage(monkeypatch):
             raise Stopped
         here.flown.append(turn)
         same = {"by": one.source, "told": summary(number=turn), "words": f"errand {turn}"}
-        facts = {"kind": "declined", "Delta": None, "duration": 0.0, "plan": DECLINE} if declined(one) else {}
-        told = episode(memory_of(turn), **facts, **same)
-        remember(ledger.parent, [told]).close()
+        facts = {"kind": "declined", "Delta": None, "duration": 0.0, "plan": DECLINE} if is_declined(one) else {}
+        told = episode(memory_id_of_turn(turn), **facts, **same)
+        write_ledger(ledger.parent, [told]).close()
         return told
 
     def adapt(data, config, base, judge, folder, **others):
@@ -50,20 +50,20 @@ def stage(monkeypatch):
         here.fitted.append((data.card.hash, config, base))
         return SimpleNamespace(id="a" * 64)
 
-    monkeypatch.setattr(room, "carried_out", carried_out)
-    monkeypatch.setattr(room, "TOGETHER", 4)
-    monkeypatch.setattr(starter_dataset, "PROPOSALS", NUMBER)
-    monkeypatch.setattr(fitting, "adapt_with_torch", lambda: SimpleNamespace(adapt=adapt))
-    monkeypatch.setattr(base_models, "find_base", lambda name, cache: name)
+    monkeypatch.setattr(room, "run_proposal", carried_out)
+    monkeypatch.setattr(room, "EPISODES_PER_STEP", 4)
+    monkeypatch.setattr(starter_dataset, "N_PROPOSALS", NUMBER)
+    monkeypatch.setattr(fitting, "import_trainer", lambda: SimpleNamespace(adapt=adapt))
+    monkeypatch.setattr(base_models, "find_base_model", lambda name, cache: name)
     return here
 
 
 def test_it_flies_chooses_and_fits_its_base_by_the_whole_objective(tell, stage, tmp_path):
     code, out, err = tell("adapters", "make", "starter-135m", "--out", tmp_path / "made")
     data = read_dataset(tmp_path / "made" / "dataset")
-    assert (code, out) == (Exit.SUCCESS, "")
+    assert (code, out) == (ExitCode.SUCCESS, "")
     assert stage.flown == list(range(NUMBER))
-    assert stage.fitted == [(data.card.hash, starter_dataset.DIALS, starter_dataset.BASE)]
+    assert stage.fitted == [(data.card.hash, starter_dataset.ADAPT_CONFIG, starter_dataset.BASE_MODEL)]
     assert set(data.card.sources) == {"templates"}
     assert f"flight 1/{NUMBER}  " in err
     assert f"flight {NUMBER}/{NUMBER}  succeeded  Δ 0.0010  0.0 min left" in err
@@ -88,8 +88,8 @@ def contents(folder):
 
 def change(folder, **parts):
     """Change the card of the data set in `folder`."""
-    path = folder / "dataset" / CARD
-    path.write_bytes(msgspec.json.encode(msgspec.structs.replace(read_card(folder / "dataset"), **parts)))
+    path = folder / "dataset" / CARD_FILE
+    path.write_bytes(msgspec.json.encode(msgspec.structs.replace(read_dataset_card(folder / "dataset"), **parts)))
 
 
 ANOTHER = {
@@ -113,7 +113,7 @@ def test_a_starter_is_not_fitted_on_another_data_set(tell, stage, tmp_path, part
     change(tmp_path / "made", **parts)
     before = contents(tmp_path / "made")
     code, out, err = tell("adapters", "make", "starter-135m", "--out", "made")
-    assert (code, out, stage.fitted) == (Exit.SETUP, "", [])
+    assert (code, out, stage.fitted) == (ExitCode.SETUP, "", [])
     assert "data set in made: got " in err
     assert words in err
     assert "another --out" in err
@@ -122,36 +122,36 @@ def test_a_starter_is_not_fitted_on_another_data_set(tell, stage, tmp_path, part
 
 def test_a_data_set_that_was_split_by_another_rule_is_another_one(tell, stage, tmp_path, monkeypatch):
     tell("adapters", "make", "starter-135m", "--out", "made")
-    monkeypatch.setattr(curate, "held_out", lambda groups, share, salt: frozenset(groups[:1]))
+    monkeypatch.setattr(curate, "is_held_out", lambda groups, share, salt: frozenset(groups[:1]))
     stage.fitted.clear()
     code, _, err = tell("adapters", "make", "starter-135m", "--out", "made")
-    assert (code, stage.fitted) == (Exit.SETUP, [])
-    assert f"samples {read_card(tmp_path / 'made' / 'dataset').hash[:16]} of the same ledger, now " in err
+    assert (code, stage.fitted) == (ExitCode.SETUP, [])
+    assert f"samples {read_dataset_card(tmp_path / 'made' / 'dataset').hash[:16]} of the same ledger, now " in err
 
 
 def test_what_adapt_left_is_no_starter(tell, stage, tmp_path):
     """Also where the dials of both are the same: the day's ledger is not there."""
-    remember(tmp_path, several(8)).close()
+    write_ledger(tmp_path, distinct_episodes(8)).close()
     (tmp_path / "dials.toml").write_text(f"[curation.rules]\nepsilon = {starter_dataset.EPSILON}")
     tell("adapt", "--export", "made/dataset", "--config", "dials.toml")
     change(tmp_path / "made", memories=NUMBER)
     code, _, err = tell("adapters", "make", "starter-135m", "--out", "made")
-    assert (code, stage.flown, stage.fitted) == (Exit.SETUP, [], [])
+    assert (code, stage.flown, stage.fitted) == (ExitCode.SETUP, [], [])
     assert "now that of made/day" in err
     assert [path.name for path in (tmp_path / "made").iterdir()] == ["dataset"]
 
 
 def test_a_course_is_gone_on_with_only_as_it_is_taught_today(tell, stage, tmp_path, monkeypatch):
-    monkeypatch.setattr(synthetic_scenes, "lessons", lambda count, part: (LESSON,) * count)
+    monkeypatch.setattr(synthetic_scenes, "generate_examples", lambda count, part: (LESSON,) * count)
     for _ in range(2):
-        assert tell("adapters", "make", "base-135m", "--out", "made")[0] == Exit.SUCCESS
+        assert tell("adapters", "make", "base-135m", "--out", "made")[0] == ExitCode.SUCCESS
     assert len(stage.fitted) == 2
     change(tmp_path / "made", also={})
     code, _, err = tell("adapters", "make", "base-135m", "--out", "made")
-    assert (code, len(stage.fitted)) == (Exit.SETUP, 2)
+    assert (code, len(stage.fitted)) == (ExitCode.SETUP, 2)
     assert "also {}, now {" in err
     code, _, err = tell("adapters", "make", "starter-135m", "--out", "made")
-    assert (code, len(stage.fitted)) == (Exit.SETUP, 2)
+    assert (code, len(stage.fitted)) == (ExitCode.SETUP, 2)
     assert "what starter-135m is taught today" in err
 
 
@@ -160,13 +160,15 @@ def test_a_course_is_gone_on_with_only_as_it_is_taught_today(tell, stage, tmp_pa
 def test_a_little_one_is_made_for_good(tell, tmp_path, monkeypatch):
     """Flown and fitted, a minute or two: its card calls it bootstrapped, and it is as large as the real one."""
     fit = {"steps": 1, "batch": 2, "at_once": 2, "save_every": 1, "ask_at_most": 0, "threads": 1}
-    monkeypatch.setattr(starter_dataset, "PROPOSALS", 5)
-    monkeypatch.setattr(starter_dataset, "DIALS", starter_dataset.AdaptConfig(fit=starter_dataset.FitDials(**fit)))
+    monkeypatch.setattr(starter_dataset, "N_PROPOSALS", 5)
+    monkeypatch.setattr(
+        starter_dataset, "ADAPT_CONFIG", starter_dataset.AdaptConfig(fit=starter_dataset.FitConfig(**fit))
+    )
     code, out, _ = tell("adapters", "make", "starter-135m", "--out", tmp_path / "made", "--json")
     folder = tmp_path / "made" / "adapter"
     card = read_adapter_card(folder)
-    assert code == Exit.SUCCESS
+    assert code == ExitCode.SUCCESS
     assert json.loads(out)["id"] == card.id
     assert card.bootstrapped
     assert card.base == "smollm2-135m-instruct"
-    assert (folder / WEIGHTS).stat().st_size <= 5_000_000
+    assert (folder / WEIGHTS_FILE).stat().st_size <= 5_000_000

@@ -3,7 +3,7 @@
 import pytest
 
 from dualbrain.cli.common import graphics
-from dualbrain.cli.common.graphics import LIBRARIES, OFF, choose_graphics
+from dualbrain.cli.common.graphics import DISABLED_VALUES, GL_LIBRARIES, choose_graphics
 
 
 @pytest.fixture
@@ -23,19 +23,19 @@ def test_egl_where_nothing_is_asked_for(installed):
     assert environ == {"MUJOCO_GL": "egl"}
 
 
-@pytest.mark.parametrize("wanted", LIBRARIES)
+@pytest.mark.parametrize("wanted", GL_LIBRARIES)
 def test_what_is_asked_for_and_installed_is_used(installed, wanted):
-    installed(*LIBRARIES[wanted])
+    installed(*GL_LIBRARIES[wanted])
     environ = {"MUJOCO_GL": wanted.upper()}
     assert choose_graphics(environ) == ""
     assert environ == {"MUJOCO_GL": wanted}
 
 
-@pytest.mark.parametrize("wanted", ["", *LIBRARIES, "bogus", *OFF])
+@pytest.mark.parametrize("wanted", ["", *GL_LIBRARIES, "bogus", *DISABLED_VALUES])
 def test_without_libraries_pictures_are_off_and_it_is_said(installed, wanted):
     installed()
     environ = {"MUJOCO_GL": wanted}
     why = choose_graphics(environ)
     assert (wanted or "egl") in why
-    assert environ["MUJOCO_GL"] in OFF
-    assert all(f"lib{name}" in why for name in LIBRARIES.get(wanted, ()))
+    assert environ["MUJOCO_GL"] in DISABLED_VALUES
+    assert all(f"lib{name}" in why for name in GL_LIBRARIES.get(wanted, ()))

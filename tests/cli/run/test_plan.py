@@ -6,15 +6,23 @@ from dataclasses import replace
 import pytest
 
 from dualbrain.adaptation.serving import open_planner
-from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.planner.prompt.full_prompt import template_hash
 from dualbrain.planner.prompt.prompt_format import short_messages
 from dualbrain.planner.prompt.short_prompt import short_template_hash
 from dualbrain.planner.scripted import ScriptedPlanner
-from tests.stories.story_session import GRASP, PLACE, contract, decline, pause, play, settings
+from tests.stories.story_session import (
+    GRASP,
+    PLACE,
+    contract_text,
+    decline_contract,
+    hold_contract,
+    run_config,
+    run_session,
+)
 
-PICK = contract(("grasp", GRASP), ("place", PLACE))
-FAST = contract(("grasp", {**GRASP, "speed": 30.0}), ("place", PLACE))
+PICK = contract_text(("grasp", GRASP), ("place", PLACE))
+FAST = contract_text(("grasp", {**GRASP, "speed": 30.0}), ("place", PLACE))
 WORDS = "how hard may I grip the red cube when I put it in the bowl"
 
 
@@ -35,7 +43,7 @@ def script(monkeypatch, tmp_path):
 def test_an_accepted_plan_shows_prompt_contract_verdict_and_time(tell, script):
     script(PICK)
     code, out, _ = tell("plan", WORDS, "--scene", "bare:0", "--knowledge", "off")
-    assert code == Exit.SUCCESS
+    assert code == ExitCode.SUCCESS
     for words in ("[system]", "You plan for the robot arm", WORDS, PICK, "nothing", "accepted: syntax ✓"):
         assert words in out
     assert "decided in" in out
@@ -45,7 +53,7 @@ def test_a_refusal_stands_in_the_second_prompt_and_the_last_verdict_counts(tell,
     planner = script(FAST, PICK)
     code, out, _ = tell("plan", WORDS, "--scene", "bare:0", "--knowledge", "off", "--json")
     told = json.loads(out)
-    assert (code, told["accepted"], told["declined"]) == (Exit.SUCCESS, True, False)
+    assert (code, told["accepted"], told["declined"]) == (ExitCode.SUCCESS, True, False)
     assert [shot["verdict"].get("stage") for shot in told["shots"]] == ["envelope", None]
     assert "<refusal>" in told["shots"][1]["prompt"][-1]["content"]
     assert told["contract"]["action_sequence"][0]["params"]["object"] == "red_cube"
@@ -53,12 +61,14 @@ def test_a_refusal_stands_in_the_second_prompt_and_the_last_verdict_counts(tell,
     assert {"retrieval", "planner", "gate", "decision"} <= told["timings"].keys()
 
 
-@pytest.mark.parametrize(("answers", "stage"), [((FAST,), "envelope"), (("no JSON",), "syntax"), ((decline(),), None)])
+@pytest.mark.parametrize(
+    ("answers", "stage"), [((FAST,), "envelope"), (("no JSON",), "syntax"), ((decline_contract(),), None)]
+)
 def test_a_rejection_and_a_decline_exit_3(tell, script, answers, stage):
     planner = script(*answers)
     code, out, _ = tell("plan", WORDS, "--scene", "bare:0", "--knowledge", "off", "--shots", "1", "--json")
     told = json.loads(out)
-    assert code == Exit.REJECTED
+    assert code == ExitCode.REJECTED
     assert told["verdict"].get("stage") == stage
     assert told["declined"] == (stage is None)
     assert len(planner.asked) == 1
@@ -67,19 +77,19 @@ def test_a_rejection_and_a_decline_exit_3(tell, script, answers, stage):
 def test_a_planner_that_does_not_answer_is_asked_once_and_refused_nothing(tell, script):
     planner = script("", finish_reason="error: ConnectionRefusedError")
     code, out, _ = tell("plan", WORDS, "--scene", "bare:0", "--knowledge", "off", "--shots", "5")
-    assert (code, len(planner.asked)) == (Exit.FAILED_SAFELY, 1)
+    assert (code, len(planner.asked)) == (ExitCode.FAILED_SAFELY, 1)
     assert "error: ConnectionRefusedError" in out
 
 
 def test_memories_and_passages_are_shown_with_their_scores_and_citations(tell, script, tmp_path):
-    config = settings(tmp_path, ledger=tmp_path / "ledger.sqlite")
-    play(config, pause())
+    config = run_config(tmp_path, ledger=tmp_path / "ledger.sqlite")
+    run_session(config, hold_contract())
     before = config.ledger.read_bytes()
     planner = script(PICK)
     arguments = ("plan", WORDS, "--scene", "bare:0", "--ledger", str(config.ledger))
     code, out, _ = tell(*arguments, "--json")
     told = json.loads(out)["retrieved"]
-    assert code == Exit.SUCCESS
+    assert code == ExitCode.SUCCESS
     assert told["passages"]
     assert all("@" in one["citation"] for one in told["passages"])
     found = [*told["exemplars"], *told["warnings"]]
@@ -99,8 +109,8 @@ class Short(ScriptedPlanner):
 
 
 def test_what_an_adapted_planner_does_not_read_is_marked_and_said_once(tell, script, tmp_path, monkeypatch):
-    config = settings(tmp_path, ledger=tmp_path / "ledger.sqlite")
-    play(replace(config, instruction=WORDS), pause())
+    config = run_config(tmp_path, ledger=tmp_path / "ledger.sqlite")
+    run_session(replace(config, instruction=WORDS), hold_contract())
     script()
     monkeypatch.setattr(open_planner, "open_planner", lambda *_, **__: Short([FAST, PICK]))
     arguments = ("plan", WORDS, "--scene", "bare:0", "--ledger", str(config.ledger))
@@ -139,15 +149,15 @@ def test_at_home_it_writes_the_shipped_documents_and_nothing_else(tell, script, 
 
 def test_an_unknown_ledger_and_an_empty_instruction_are_told(tell, script, tmp_path):
     script(PICK)
-    assert tell("plan", "  ")[0] == Exit.USAGE
-    assert tell("plan", WORDS, "--shots", "0")[0] == Exit.USAGE
+    assert tell("plan", "  ")[0] == ExitCode.USAGE
+    assert tell("plan", WORDS, "--shots", "0")[0] == ExitCode.USAGE
     code, _, err = tell("plan", WORDS, "--ledger", str(tmp_path / "none.sqlite"), "--knowledge", "off")
-    assert code == Exit.SETUP
+    assert code == ExitCode.SETUP
     assert "none.sqlite" in err
 
 
 def test_help_teaches(tell):
     code, out, _ = tell("plan", "--help")
-    assert code == Exit.SUCCESS
+    assert code == ExitCode.SUCCESS
     for words in ("memory is only read", "shipped documents", "citations", "--contract c.json", "Exits 0"):
         assert words in " ".join(out.replace("│", " ").split())

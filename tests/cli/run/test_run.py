@@ -5,18 +5,18 @@ import json
 import msgspec
 import pytest
 
-from dualbrain.cli.common.exit_codes import Exit
-from dualbrain.cli.run.execution import exit_code, succeeded, summary
+from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.cli.run.execution import exit_code, is_success, run_summary
 from dualbrain.cli.run.run import run
 from dualbrain.contracts.verdict import Rejected
-from dualbrain.errors import WrongUsage
+from dualbrain.errors import UsageError
 from dualbrain.planner.prompt.short_prompt import short_template_hash
 from dualbrain.planner.scripted import ScriptedPlanner
-from dualbrain.records import Attempt, Episode, Judgement, Outcome, Proposal, Recall, Scene, Violation
+from dualbrain.records import Attempt, Episode, Judgement, Outcome, Proposal, RetrievedContext, Scene, Violation
 from dualbrain.runtime import session
-from dualbrain.runtime.session import FILES
+from dualbrain.runtime.session import RUN_FILES
 from dualbrain.simulation.scenes.scene_spec import load_scene
-from tests.stories.story_session import ledger_episodes, pause
+from tests.stories.story_session import hold_contract, ledger_episodes
 
 KEYS = {
     "success", "violations", "contract", "verdict", "delta", "intervention_frequency", "h_min", "timings", "out",
@@ -37,7 +37,7 @@ def test_json_agrees_with_the_episode_on_disk(finished):
     folder, _, out, _ = finished
     told = json.loads(out)
     episode = msgspec.json.decode((folder / "run" / "episode.json").read_bytes(), type=Episode)
-    assert told["success"] == succeeded(episode)
+    assert told["success"] == is_success(episode)
     assert told["delta"] == episode.outcome.Delta
     assert told["h_min"] == episode.outcome.h_min
     assert told["violations"] == json.loads(msgspec.json.encode(episode.judgement.violations))
@@ -48,7 +48,7 @@ def test_the_pick_succeeds_by_robot_and_by_truth(finished):
     _, code, out, err = finished
     assert json.loads(out)["success"], err
     assert json.loads(out)["violations"] == []
-    assert code == Exit.SUCCESS
+    assert code == ExitCode.SUCCESS
 
 
 def test_the_account_is_on_stderr(finished):
@@ -67,7 +67,7 @@ def test_the_account_is_on_stderr(finished):
 def test_the_run_folder_holds_everything(finished):
     folder, *_ = finished
     run = folder / "run"
-    assert {path.name for path in run.iterdir()} == set(FILES)
+    assert {path.name for path in run.iterdir()} == set(RUN_FILES)
     assert json.loads((run / "config.json").read_bytes())["scene"] == "bare:0"
     assert load_scene(run / "scene.json").family == "bare"
     assert "data:image/" in (run / "report.html").read_text()
@@ -85,7 +85,7 @@ def test_documents_that_a_planner_cannot_read_are_told_once(tell, monkeypatch):
         template = short_template_hash()
 
     for kind, times in ((Short, 1), (ScriptedPlanner, 0)):
-        monkeypatch.setattr(session, "open_planner", lambda *_, kind=kind, **__: kind([pause()]))
+        monkeypatch.setattr(session, "open_planner", lambda *_, kind=kind, **__: kind([hold_contract()]))
         _, _, err = tell("run", "rest", "--scene", "bare:0", "--headless", "--knowledge", "on", "--out", kind.__name__)
         assert err.count("documents are not shown to scripted") == times
 
@@ -97,7 +97,7 @@ def episode(kind, *, truth=True, violations=(), judged=True):
     judgement = Judgement(truth, float(truth), violations) if judged else None
     refused = Attempt(Proposal("", "stop", "t", "t", {}), Rejected("syntax", "", 0, 0, "hint"), 0.0)
     return Episode(
-        "e", "", "", "panda", "", 0, Scene("panda", 0.0, 1, ()), "", Recall(), (refused,), None, Outcome(kind, ""),
+        "e", "", "", "panda", "", 0, Scene("panda", 0.0, 1, ()), "", RetrievedContext(), (refused,), None, Outcome(kind, ""),
         judgement, {}, {},
     )  # fmt: skip
 
@@ -108,31 +108,31 @@ BREACH = (Violation("collision_env", 0.0, 0.1, 5.0, ("hand", "can")),)
 @pytest.mark.parametrize(
     ("kind", "facts", "code"),
     [
-        ("succeeded", {}, Exit.SUCCESS),
-        ("succeeded", {"truth": False}, Exit.FAILED_SAFELY),
-        ("succeeded", {"judged": False}, Exit.SUCCESS),
-        ("succeeded", {"violations": BREACH}, Exit.VIOLATION),
-        ("failed", {}, Exit.FAILED_SAFELY),
-        ("failed", {"violations": BREACH}, Exit.VIOLATION),
-        ("taken_over", {"truth": False}, Exit.FAILED_SAFELY),
-        ("stopped", {"truth": False}, Exit.FAILED_SAFELY),
-        ("rejected", {"truth": False}, Exit.REJECTED),
-        ("declined", {"truth": False}, Exit.REJECTED),
-        ("aborted", {"truth": False}, Exit.INTERRUPTED),
-        ("aborted", {"truth": False, "violations": BREACH}, Exit.INTERRUPTED),
+        ("succeeded", {}, ExitCode.SUCCESS),
+        ("succeeded", {"truth": False}, ExitCode.FAILED_SAFELY),
+        ("succeeded", {"judged": False}, ExitCode.SUCCESS),
+        ("succeeded", {"violations": BREACH}, ExitCode.VIOLATION),
+        ("failed", {}, ExitCode.FAILED_SAFELY),
+        ("failed", {"violations": BREACH}, ExitCode.VIOLATION),
+        ("taken_over", {"truth": False}, ExitCode.FAILED_SAFELY),
+        ("stopped", {"truth": False}, ExitCode.FAILED_SAFELY),
+        ("rejected", {"truth": False}, ExitCode.REJECTED),
+        ("declined", {"truth": False}, ExitCode.REJECTED),
+        ("aborted", {"truth": False}, ExitCode.INTERRUPTED),
+        ("aborted", {"truth": False, "violations": BREACH}, ExitCode.INTERRUPTED),
     ],
 )
 def test_exit_codes(kind, facts, code):
     one = episode(kind, **facts)
     assert exit_code(one) == code
-    assert json.loads(msgspec.json.encode(summary(one, "out"))).keys() >= KEYS
+    assert json.loads(msgspec.json.encode(run_summary(one, "out"))).keys() >= KEYS
 
 
 def test_the_codes_are_the_published_ones():
-    assert [int(code) for code in Exit] == [0, 1, 2, 3, 4, 5, 130]
+    assert [int(code) for code in ExitCode] == [0, 1, 2, 3, 4, 5, 130]
 
 
 @pytest.mark.parametrize("epsilon", [-1.0, float("nan"), float("inf")])
 def test_an_epsilon_that_is_none_is_refused_before_anything_opens(epsilon):
-    with pytest.raises(WrongUsage, match="--epsilon"):
+    with pytest.raises(UsageError, match="--epsilon"):
         run("put the red cube in the bowl", epsilon=epsilon)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from dualbrain.control.gatekeeper.robot_link import packets as bus
-from dualbrain.control.gatekeeper.robot_link.driver_process import DriverProcess, surveyed
-from dualbrain.control.gatekeeper.robot_link.simulated_robot import looks_every
-from dualbrain.control.scene_monitor import SceneWatch
+from dualbrain.control.gatekeeper.robot_link.driver_process import DriverProcess, surveyed_scene
+from dualbrain.control.gatekeeper.robot_link.simulated_robot import perception_period_ticks
+from dualbrain.control.scene_monitor import SceneMonitor
 from dualbrain.records import Scene
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from tests.drivers.drivers_under_test import ur
@@ -30,8 +30,8 @@ class Wire:
     def until(self, wanted, *words):
         end = time.monotonic() + PATIENCE
         while time.monotonic() < end:
-            packet = bus.from_robot(self.link.recv(bus.PACKET))
-            if isinstance(packet, bus.State):
+            packet = bus.decode_from_robot(self.link.recv(bus.MAX_PACKET_BYTES))
+            if isinstance(packet, bus.StatePacket):
                 if wanted(packet):
                     return packet
                 for word in words:
@@ -59,23 +59,25 @@ def wire():
 
 
 def driven(wire):
-    wire.say(bus.Switch(on=True))
-    wire.until(lambda state: state.driven, bus.Write((0.0,) * 6, 0.0, 0.0))
+    wire.say(bus.DrivePacket(on=True))
+    wire.until(lambda state: state.driven, bus.CommandPacket((0.0,) * 6, 0.0, 0.0))
 
 
 def test_what_is_written_moves_the_arm_and_is_told(wire):
     driven(wire)
     start = wire.until(lambda state: True)
-    word = bus.Write((0.2, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0, 0.0)
+    word = bus.CommandPacket((0.2, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0, 0.0)
     there = wire.until(lambda state: state.q[0] > start.q[0] + 0.01, word)
     assert np.allclose(there.q[1:], start.q[1:], atol=1e-3)
 
 
-@pytest.mark.parametrize("rubbish", [bus.Write((0.1,) * 5, 0.0, 0.0), bus.Write((float("nan"),) * 6, 0.0, 0.0)])
+@pytest.mark.parametrize(
+    "rubbish", [bus.CommandPacket((0.1,) * 5, 0.0, 0.0), bus.CommandPacket((float("nan"),) * 6, 0.0, 0.0)]
+)
 def test_a_command_that_is_none_for_this_arm_ends_the_motion(wire, rubbish):
     driven(wire)
     wire.say(rubbish)
-    good = bus.Write((0.1, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0, 0.0)
+    good = bus.CommandPacket((0.1, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0, 0.0)
     wire.until(lambda state: not state.driven, good)
     for _ in range(20):
         wire.until(lambda state: not state.driven, good)
@@ -95,19 +97,19 @@ def test_silence_ends_the_motion(wire):
 def test_a_surveyed_scene_is_told_for_ever_and_is_no_camera_that_hangs():
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     ours.settimeout(PATIENCE)
-    driver, watch, looks = ur().driver, SceneWatch(), 0
-    process = DriverProcess(driver, surveyed(open_scene("tabletop:1", "ur5e")), theirs)
-    every = looks_every(driver.timing.period)
+    driver, watch, looks = ur().driver, SceneMonitor(), 0
+    process = DriverProcess(driver, surveyed_scene(open_scene("tabletop:1", "ur5e")), theirs)
+    every = perception_period_ticks(driver.timing.period)
     for _ in range(10 * every):
         driver.wait()
-        process._tell()
-        packets = [bus.from_robot(ours.recv(bus.PACKET))]
+        process._send_state()
+        packets = [bus.decode_from_robot(ours.recv(bus.MAX_PACKET_BYTES))]
         if process._ticks % every == 1:
-            packets.append(bus.from_robot(ours.recv(bus.PACKET)))
+            packets.append(bus.decode_from_robot(ours.recv(bus.MAX_PACKET_BYTES)))
         for packet in packets:
-            if isinstance(packet, bus.Seen):
+            if isinstance(packet, bus.ScenePacket):
                 looks += 1
-                assert not watch.update(packet.scene) | watch.age(packet.scene, packet.scene.stamp)
+                assert not watch.update(packet.scene) | watch.age_conditions(packet.scene, packet.scene.stamp)
     assert looks == 10
     assert packet.stamp > 0.0
     ours.close()

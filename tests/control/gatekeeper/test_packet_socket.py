@@ -5,15 +5,15 @@ import time
 import pytest
 
 from dualbrain.control.gatekeeper.robot_link import packets
-from dualbrain.control.gatekeeper.robot_link.packet_socket import Rubbish, Wire, pair
+from dualbrain.control.gatekeeper.robot_link.packet_socket import MalformedPacket, PacketSocket, socket_pair
 
-WORDS = (packets.Switch(on=True), packets.Write((0.1, -0.2), 0.04, 20.0), packets.Quit())
+WORDS = (packets.DrivePacket(on=True), packets.CommandPacket((0.1, -0.2), 0.04, 20.0), packets.ShutdownPacket())
 
 
 @pytest.fixture
 def ends():
-    ours, theirs = pair()
-    here, there = Wire(ours, packets.from_robot), Wire(theirs, packets.to_robot)
+    ours, theirs = socket_pair()
+    here, there = PacketSocket(ours, packets.decode_from_robot), PacketSocket(theirs, packets.decode_to_robot)
     yield here, there
     here.close()
     there.close()
@@ -30,15 +30,17 @@ def test_packets_come_whole_and_in_order_and_nobody_waits(ends):
     assert there.open
 
 
-STATE = packets.State(0.0, 1, (), (), 0.0, (0.0, 0.0), driven=True)
+STATE = packets.StatePacket(0.0, 1, (), (), 0.0, (0.0, 0.0), drive_enabled=True)
 
 
-@pytest.mark.parametrize("data", [b"\xc1", b"rubbish", packets.encode(packets.Quit())[:1], packets.encode(STATE)])
+@pytest.mark.parametrize(
+    "data", [b"\xc1", b"rubbish", packets.encode(packets.ShutdownPacket())[:1], packets.encode(STATE)]
+)
 def test_what_is_no_packet_of_this_direction_is_rubbish_and_the_wire_stays_open(ends, data):
     here, there = ends
     here._link.send(data)
     here.send(WORDS[0])
-    assert isinstance(there.hear(), Rubbish)
+    assert isinstance(there.hear(), MalformedPacket)
     assert there.hear() == WORDS[0]
 
 
@@ -68,5 +70,5 @@ def test_a_dead_end_is_noticed_by_hearing_and_by_sending(ends):
 def test_sending_into_a_dead_end_closes_it(ends):
     here, there = ends
     here.close()
-    there.send(packets.Quit())
+    there.send(packets.ShutdownPacket())
     assert not there.open

@@ -13,16 +13,16 @@ import pytest
 
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.control.gatekeeper.capability import Capability
-from dualbrain.control.gatekeeper.config import Plan
-from dualbrain.control.gatekeeper.process import Process
+from dualbrain.control.gatekeeper.config import GatekeeperConfig
+from dualbrain.control.gatekeeper.process import GatekeeperProcess
 from dualbrain.control.gatekeeper.protocol import client as client_module
-from dualbrain.control.gatekeeper.protocol.authentication import open_keys, seal
-from dualbrain.control.gatekeeper.protocol.client import GatekeeperLink, LinkLost
+from dualbrain.control.gatekeeper.protocol.authentication import contract_mac, load_or_create_keys
+from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError, GatekeeperClient
 from dualbrain.control.gatekeeper.protocol.frames import encode
-from dualbrain.control.gatekeeper.protocol.messages import Heartbeat, Propose, Refused, encode_body, kind_of
-from dualbrain.control.gatekeeper.robot_link.simulated_robot import WATCHDOG, Report
+from dualbrain.control.gatekeeper.protocol.messages import Heartbeat, Propose, RequestRefused, encode_body, kind_code
+from dualbrain.control.gatekeeper.robot_link.simulated_robot import WATCHDOG_TIMEOUT, RobotReport
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
-from tests.control.gatekeeper.commander_process import ERRAND, GRASP, contract
+from tests.control.gatekeeper.commander_process import GRASP, PICK_AND_PLACE, contract_bytes
 
 pytestmark = pytest.mark.slow
 """Three processes in real time, with limits of 50 ms: they need a machine that does nothing else."""
@@ -33,7 +33,7 @@ REST = ("hold", {"duration": 0.5})
 
 @contextmanager
 def gatekeeper(folder, **changes):
-    plan = Plan(
+    plan = GatekeeperConfig(
         "panda",
         open_scene("bare:0"),
         str(folder / "s"),
@@ -41,7 +41,7 @@ def gatekeeper(folder, **changes):
         report=str(folder / "robot.json"),
         **changes,
     )
-    process = Process(plan)
+    process = GatekeeperProcess(plan)
     try:
         yield process
     finally:
@@ -58,12 +58,12 @@ def folder(tmp_path_factory):
 
 
 def link(folder, principal="planner", **options):
-    keys = open_keys(folder / "keys")
+    keys = load_or_create_keys(folder / "keys")
     deadline = time.monotonic() + 3.0
     while True:  # the commander before may not be forgotten yet
         try:
-            return GatekeeperLink(folder / "s", keys, principal, **options)
-        except LinkLost:
+            return GatekeeperClient(folder / "s", keys, principal, **options)
+        except ConnectionLostError:
             if time.monotonic() > deadline:
                 raise
             time.sleep(0.05)
@@ -97,14 +97,14 @@ def propose(link, data):
 
 
 def accepted(answer):
-    return not isinstance(answer, Refused) and answer.rejected is None
+    return not isinstance(answer, RequestRefused) and answer.rejected is None
 
 
 # --- contracts --------------------------------------------------------------------------------------------------
 
 
 def test_a_contract_is_judged_by_all_stages_and_carried_out(commander):
-    assert accepted(propose(commander, contract(REST)))
+    assert accepted(propose(commander, contract_bytes(REST)))
     ended = commander.ended(10.0)
     assert (ended.outcome.kind, ended.outcome.Delta) == ("succeeded", 0.0)
 
@@ -113,10 +113,10 @@ def test_a_contract_is_judged_by_all_stages_and_carried_out(commander):
     ("data", "stage"),
     [
         (b"\xff not json", "syntax"),
-        (contract(("home", {"speed": 0.1})), "authorization"),
-        (contract(("grasp", {**GRASP, "speed": 0.39})), "envelope"),
-        (contract(("grasp", {**GRASP, "object": "nothing"})), "envelope"),
-        (contract(("place", {"destination": "blue_bowl", "speed": 0.2, "clearance": 0.1, "route": "direct",
+        (contract_bytes(("home", {"speed": 0.1})), "authorization"),
+        (contract_bytes(("grasp", {**GRASP, "speed": 0.39})), "envelope"),
+        (contract_bytes(("grasp", {**GRASP, "object": "nothing"})), "envelope"),
+        (contract_bytes(("place", {"destination": "blue_bowl", "speed": 0.2, "clearance": 0.1, "route": "direct",
                              "wait": "none"})), "envelope"),
     ],
     ids=["bytes", "not granted", "beyond the sub-envelope", "no such thing", "nothing held"],
@@ -129,41 +129,41 @@ def test_each_stage_refuses_in_the_gatekeeper(commander, data, stage):
 
 def test_a_contract_for_another_scene_or_too_late_is_refused(commander):
     version = commander.look().scene.version
-    assert commander.propose(contract(REST), version + 1).rejected.stage == "authorization"
-    assert commander.propose(contract(REST), version, life=-1.0).rejected.stage == "authorization"
+    assert commander.propose(contract_bytes(REST), version + 1).rejected.stage == "authorization"
+    assert commander.propose(contract_bytes(REST), version, life=-1.0).rejected.stage == "authorization"
 
 
 def test_what_was_sealed_once_is_worth_nothing_again(folder, commander):
     """The same bytes, sealed for an older connection, for another number, or by another hand: not even looked at."""
-    keys = open_keys(folder / "keys")
+    keys = load_or_create_keys(folder / "keys")
     facts = {"issued": commander.now, "expires": commander.now + 9.0, "version": 1}
-    body = contract(REST)
+    body = contract_bytes(REST)
     for secret, nonce, shift in (
         (keys.secrets["planner"], b"0" * 16, 0), (keys.secrets["operator"], commander.nonce, 0),
     ):  # fmt: skip
-        tag = seal(secret, nonce, commander._sent + 1 + shift, body, **facts)
-        commander.say(
-            Propose(contract=body, issued=facts["issued"], expires=facts["expires"], scene_version=1, seal=tag)
+        tag = contract_mac(secret, nonce, commander._sent + 1 + shift, body, **facts)
+        commander.send(
+            Propose(contract=body, issued=facts["issued"], expires=facts["expires"], scene_version=1, mac=tag)
         )
-        with pytest.raises(LinkLost, match="seal"):
-            commander.ended(5.0)
+        with pytest.raises(ConnectionLostError, match="seal"):
+            commander.wait_for_outcome(5.0)
         commander.close()
         commander = link(folder)
     commander.close()
 
 
 def test_a_second_commander_is_refused_and_who_only_looks_may_not_propose(folder, commander, monkeypatch):
-    keys = open_keys(folder / "keys")
-    with pytest.raises(LinkLost, match="commander already"):
-        GatekeeperLink(folder / "s", keys, "planner")
-    observer = GatekeeperLink(folder / "s")
+    keys = load_or_create_keys(folder / "keys")
+    with pytest.raises(ConnectionLostError, match="commander already"):
+        GatekeeperClient(folder / "s", keys, "planner")
+    observer = GatekeeperClient(folder / "s")
     assert observer.welcome.role == "observer"
-    refusal = observer.propose(contract(REST), 1)
-    assert isinstance(refusal, Refused)
+    refusal = observer.propose(contract_bytes(REST), 1)
+    assert isinstance(refusal, RequestRefused)
     assert "commander" in refusal.reason
     observer.operate("resume")
-    with pytest.raises(LinkLost, match="operator's key"):
-        observer.ended(2.0)
+    with pytest.raises(ConnectionLostError, match="operator's key"):
+        observer.wait_for_outcome(2.0)
     observer.close()
 
 
@@ -171,9 +171,9 @@ def test_a_second_commander_is_refused_and_who_only_looks_may_not_propose(folder
 
 
 def test_anybody_may_press_the_emergency_stop_and_only_the_operator_leads_out(folder, commander, operator):
-    assert accepted(propose(commander, contract(*ERRAND)))
+    assert accepted(propose(commander, contract_bytes(*PICK_AND_PLACE)))
     time.sleep(1.0)
-    stranger = GatekeeperLink(folder / "s")
+    stranger = GatekeeperClient(folder / "s")
     stranger.operate("estop")
     assert until(commander, lambda beat: beat.action == "ESTOP") < 0.5
     ended = commander.ended(5.0).outcome
@@ -194,14 +194,14 @@ def test_anybody_may_press_the_emergency_stop_and_only_the_operator_leads_out(fo
 
 
 def test_pause_resume_and_abort(commander, operator):
-    assert accepted(propose(commander, contract(("hold", {"duration": 1.0}))))
+    assert accepted(propose(commander, contract_bytes(("hold", {"duration": 1.0}))))
     operator.operate("pause")
     until(commander, lambda beat: beat.action == "HOVER")
     time.sleep(1.5)
     assert commander.beat.busy
     operator.operate("resume")
     assert commander.ended(5.0).outcome.kind == "paused"
-    assert accepted(propose(commander, contract(("hold", {"duration": 9.0}))))
+    assert accepted(propose(commander, contract_bytes(("hold", {"duration": 9.0}))))
     operator.operate("abort")
     assert commander.ended(5.0).outcome.kind == "aborted"
 
@@ -236,7 +236,7 @@ def test_whatever_the_cortex_does_the_arm_holds_and_the_next_one_is_welcome(fold
     watcher = link(folder, "")
     with cortex(folder, how) as child:
         time.sleep(0.8)
-        assert watcher.beat.action in ("NONE", "WARN")
+        assert watcher.status.action in ("NONE", "WARN")
         if how in ("kill", "stop"):
             os.kill(child.pid, signal.SIGKILL if how == "kill" else signal.SIGSTOP)
         else:
@@ -245,20 +245,20 @@ def test_whatever_the_cortex_does_the_arm_holds_and_the_next_one_is_welcome(fold
         took = until(watcher, lambda beat: beat.action == "HOLD")
         assert took < 1.0
         if how == "stop":
-            assert watcher.beat.check == "heartbeat_lost"
+            assert watcher.status.check == "heartbeat_lost"
     until(watcher, lambda beat: not beat.busy)
     with_one = link(folder)
     until(watcher, lambda beat: beat.action in ("NONE", "WARN"))
-    assert accepted(propose(with_one, contract(REST)))
-    assert with_one.ended(10.0).outcome.kind == "succeeded"
+    assert accepted(propose(with_one, contract_bytes(REST)))
+    assert with_one.wait_for_outcome(10.0).outcome.kind == "succeeded"
     with_one.close()
     watcher.close()
 
 
 def test_a_broken_frame_of_the_commander_is_the_end_of_its_command_only(folder, monkeypatch):
-    monkeypatch.setattr(client_module, "BEAT_EVERY", 9.0)
+    monkeypatch.setattr(client_module, "HEARTBEAT_PERIOD", 9.0)
     one, watcher = link(folder), link(folder, "")
-    one._link.sendall(encode(kind_of(Heartbeat()), 99, encode_body(Heartbeat())))
+    one._socket.sendall(encode(kind_code(Heartbeat()), 99, encode_body(Heartbeat())))
     until(watcher, lambda beat: beat.check == "link_lost")
     one.close()
     watcher.close()
@@ -270,21 +270,21 @@ def test_a_broken_frame_of_the_commander_is_the_end_of_its_command_only(folder, 
 def test_when_the_gatekeeper_is_killed_the_robots_own_watchdog_switches_it_off(tmp_path):
     with gatekeeper(tmp_path) as process:
         one = link(tmp_path)
-        assert accepted(propose(one, contract(*ERRAND)))
+        assert accepted(propose(one, contract_bytes(*PICK_AND_PLACE)))
         time.sleep(1.5)
         os.kill(process.process.pid, signal.SIGKILL)
         killed = time.monotonic()
-        with pytest.raises(LinkLost):
-            one.ended(5.0)
+        with pytest.raises(ConnectionLostError):
+            one.wait_for_outcome(5.0)
         one.close()
         deadline = time.monotonic() + 10.0
         while not (tmp_path / "robot.json").exists() and time.monotonic() < deadline:
             time.sleep(0.05)
         time.sleep(0.1)
-    report = msgspec.json.decode((tmp_path / "robot.json").read_bytes(), type=Report)
+    report = msgspec.json.decode((tmp_path / "robot.json").read_bytes(), type=RobotReport)
     assert report.off_by == "watchdog"
-    assert report.off_at - killed < WATCHDOG + 0.05
-    assert report.off_at - report.silent_at < WATCHDOG + 0.05
+    assert report.off_at - killed < WATCHDOG_TIMEOUT + 0.05
+    assert report.off_at - report.silent_at < WATCHDOG_TIMEOUT + 0.05
     assert report.speed < 0.01
     assert report.travel < 0.2
     assert report.judgement.violations == ()

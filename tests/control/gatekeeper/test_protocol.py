@@ -12,19 +12,40 @@ from hypothesis import strategies as st
 from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.control.gatekeeper.capability import Capability
 from dualbrain.control.gatekeeper.protocol import server as door_module
-from dualbrain.control.gatekeeper.protocol.authentication import SECRET, genuine, open_keys, prove, proven, seal
-from dualbrain.control.gatekeeper.protocol.frames import HEADER, LIMIT, MAGIC, VERSION, Broken, Decoder, Frame, encode
+from dualbrain.control.gatekeeper.protocol.authentication import (
+    SECRET_BYTES,
+    contract_mac,
+    hello_proof,
+    load_or_create_keys,
+    verify_contract_mac,
+    verify_hello_proof,
+)
+from dualbrain.control.gatekeeper.protocol.frames import (
+    HEADER,
+    MAGIC,
+    MAX_BODY_BYTES,
+    VERSION,
+    BrokenStream,
+    Frame,
+    FrameDecoder,
+    encode,
+)
 from dualbrain.control.gatekeeper.protocol.messages import (
-    UPWARD,
+    CLIENT_MESSAGES,
     Heartbeat,
     Message,
     Propose,
+    decode_message,
     encode_body,
-    kind_of,
-    read,
+    kind_code,
 )
-from dualbrain.control.gatekeeper.protocol.server import FRAMES_A_SECOND, FRAMES_A_TICK, MOST_PEERS, Door
-from dualbrain.errors import InvalidSetup
+from dualbrain.control.gatekeeper.protocol.server import (
+    FRAMES_PER_TICK,
+    MAX_CONNECTIONS,
+    MAX_FRAMES_PER_SECOND,
+    SocketServer,
+)
+from dualbrain.errors import ConfigurationError
 
 BODIES = st.lists(st.binary(max_size=200), max_size=6)
 
@@ -33,7 +54,7 @@ def taken(decoder):
     out = []
     while (frame := decoder.next()) is not None:
         out.append(frame)
-        if isinstance(frame, Broken):
+        if isinstance(frame, BrokenStream):
             break
     return out
 
@@ -44,27 +65,27 @@ def taken(decoder):
 @given(BODIES, st.randoms())
 def test_frames_come_out_as_they_went_in_however_they_are_cut(bodies, chance):
     stream = b"".join(encode(3, k, body) for k, body in enumerate(bodies, start=1))
-    decoder, out = Decoder(), []
+    decoder, out = FrameDecoder(), []
     while stream:
         cut = chance.randint(1, len(stream))
         decoder.feed(stream[:cut])
         stream = stream[cut:]
         out += taken(decoder)
     assert out == [Frame(3, k, body) for k, body in enumerate(bodies, start=1)]
-    assert decoder.waiting == 0
+    assert decoder.n_buffered == 0
 
 
 @given(st.binary(max_size=400))
 def test_any_bytes_are_frames_or_broken_and_nothing_is_kept_after(data):
-    decoder = Decoder()
+    decoder = FrameDecoder()
     decoder.feed(data)
     out = taken(decoder)
-    if out and isinstance(out[-1], Broken):
+    if out and isinstance(out[-1], BrokenStream):
         decoder.feed(data)
-        assert decoder.waiting == 0
-        assert decoder.next() is out[-1]
+        assert decoder.n_buffered == 0
+        assert decoder.next_frame() is out[-1]
     else:
-        assert decoder.waiting < HEADER.size + LIMIT
+        assert decoder.n_buffered < HEADER.size + MAX_BODY_BYTES
 
 
 @pytest.mark.parametrize(
@@ -72,28 +93,28 @@ def test_any_bytes_are_frames_or_broken_and_nothing_is_kept_after(data):
     [
         (HEADER.pack(b"XX", VERSION, 1, 0, 1), "not a frame"),
         (HEADER.pack(MAGIC, VERSION + 1, 1, 0, 1), "not a frame"),
-        (HEADER.pack(MAGIC, VERSION, 1, LIMIT + 1, 1), "at most"),
+        (HEADER.pack(MAGIC, VERSION, 1, MAX_BODY_BYTES + 1, 1), "at most"),
         (HEADER.pack(MAGIC, VERSION, 1, 0, 2), "expected 1"),
         (HEADER.pack(MAGIC, VERSION, 1, 0, 0), "expected 1"),
     ],
 )
 def test_what_breaks_a_rule_says_which(header, why):
-    decoder = Decoder()
+    decoder = FrameDecoder()
     decoder.feed(header)
-    assert why in decoder.next().reason
+    assert why in decoder.next_frame().reason
 
 
 @settings(max_examples=300)
 @given(st.integers(0, 255), st.binary(max_size=300))
 def test_any_body_is_a_message_or_a_refusal(kind, body):
-    message = read(Frame(kind, 1, body), upward=True)
-    assert isinstance(message, UPWARD) if isinstance(message, Message) else isinstance(message, str)
+    message = decode_message(Frame(kind, 1, body), from_client=True)
+    assert isinstance(message, CLIENT_MESSAGES) if isinstance(message, Message) else isinstance(message, str)
 
 
 def test_nothing_downward_is_heard_upward():
-    frame = Frame(kind_of(Heartbeat()), 1, encode_body(Heartbeat()))
-    assert isinstance(read(frame, upward=True), Heartbeat)
-    assert isinstance(read(frame, upward=False), str)
+    frame = Frame(kind_code(Heartbeat()), 1, encode_body(Heartbeat()))
+    assert isinstance(decode_message(frame, from_client=True), Heartbeat)
+    assert isinstance(decode_message(frame, from_client=False), str)
 
 
 # --- seals ------------------------------------------------------------------------------------------------------
@@ -102,19 +123,19 @@ FACTS = {"issued": 1.0, "expires": 2.0, "version": 3}
 
 
 def sealed(**changes):
-    facts = {"key": b"k" * SECRET, "nonce": b"n" * 16, "sequence": 7, "contract": b"{}", **FACTS, **changes}
-    tag = seal(b"k" * SECRET, b"n" * 16, 7, b"{}", **FACTS)
+    facts = {"key": b"k" * SECRET_BYTES, "nonce": b"n" * 16, "sequence": 7, "contract": b"{}", **FACTS, **changes}
+    tag = contract_mac(b"k" * SECRET_BYTES, b"n" * 16, 7, b"{}", **FACTS)
     message = Propose(
         contract=facts["contract"], issued=facts["issued"], expires=facts["expires"], scene_version=facts["version"],
-        seal=facts.get("seal", tag),
+        mac=facts.get("seal", tag),
     )  # fmt: skip
-    return genuine(facts["key"], facts["nonce"], facts["sequence"], message)
+    return verify_contract_mac(facts["key"], facts["nonce"], facts["sequence"], message)
 
 
 def test_a_seal_is_good_for_exactly_what_it_was_made_for():
     assert sealed()
     changes = {
-        "key": b"K" * SECRET, "nonce": b"m" * 16, "sequence": 8, "contract": b"[]", "issued": 1.1, "expires": 2.1,
+        "key": b"K" * SECRET_BYTES, "nonce": b"m" * 16, "sequence": 8, "contract": b"[]", "issued": 1.1, "expires": 2.1,
         "version": 4, "seal": b"",
     }  # fmt: skip
     for name, value in changes.items():
@@ -122,27 +143,27 @@ def test_a_seal_is_good_for_exactly_what_it_was_made_for():
 
 
 def test_a_proof_is_of_one_principal_and_one_nonce():
-    key, nonce = b"k" * SECRET, b"n" * 16
-    proof = prove(key, nonce, "planner")
-    assert proven(key, nonce, "planner", proof)
-    assert not proven(key, nonce, "operator", proof)
-    assert not proven(key, b"o" * 16, "planner", proof)
-    assert not proven(b"j" * SECRET, nonce, "planner", proof)
+    key, nonce = b"k" * SECRET_BYTES, b"n" * 16
+    proof = hello_proof(key, nonce, "planner")
+    assert verify_hello_proof(key, nonce, "planner", proof)
+    assert not verify_hello_proof(key, nonce, "operator", proof)
+    assert not verify_hello_proof(key, b"o" * 16, "planner", proof)
+    assert not verify_hello_proof(b"j" * SECRET_BYTES, nonce, "planner", proof)
 
 
 def test_keys_are_private_and_kept(tmp_path):
     path = tmp_path / "deep" / "keys.json"
-    keys = open_keys(path)
+    keys = load_or_create_keys(path)
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
-    assert open_keys(path) == keys
+    assert load_or_create_keys(path) == keys
     assert len(set(keys.secrets.values())) == 2
     path.chmod(0o640)
-    with pytest.raises(InvalidSetup, match="0o640"):
-        open_keys(path)
+    with pytest.raises(ConfigurationError, match="0o640"):
+        load_or_create_keys(path)
     path.chmod(0o600)
     path.write_text('{"secrets": {"planner": ""}}')
-    with pytest.raises(InvalidSetup, match="short"):
-        open_keys(path)
+    with pytest.raises(ConfigurationError, match="short"):
+        load_or_create_keys(path)
 
 
 # --- capabilities -----------------------------------------------------------------------------------------------
@@ -188,7 +209,7 @@ GUESTS = []
 
 @pytest.fixture
 def door(tmp_path):
-    one = Door(tmp_path / "s")
+    one = SocketServer(tmp_path / "s")
     yield one
     one.close()
     see_out()
@@ -213,17 +234,17 @@ def test_only_the_owner_can_open_the_door(door):
 
 
 def test_a_second_door_at_the_same_place_is_refused_and_a_dead_one_is_replaced(door, tmp_path):
-    with pytest.raises(InvalidSetup, match="gatekeeper that runs"):
-        Door(door.path)
+    with pytest.raises(ConfigurationError, match="gatekeeper that runs"):
+        SocketServer(door.path)
     dead = tmp_path / "dead"
     left = socket.socket(socket.AF_UNIX)
     left.bind(str(dead))
     left.close()
-    Door(dead).close()
+    SocketServer(dead).close()
 
 
 def test_other_users_are_not_let_in(door, monkeypatch):
-    monkeypatch.setattr(door_module, "_user", lambda link: os.getuid() + 1)
+    monkeypatch.setattr(door_module, "_peer_uid", lambda link: os.getuid() + 1)
     guest(door)
     assert door.peers == []
 
@@ -236,23 +257,23 @@ def test_a_tick_takes_no_more_than_its_share_and_a_flood_is_shut_out(door):
     for _ in range(3000):
         with suppress(BlockingIOError):
             while True:
-                link.send(b"".join(encode(kind_of(Heartbeat()), sent + k + 1, beat) for k in range(1)))
+                link.send(b"".join(encode(kind_code(Heartbeat()), sent + k + 1, beat) for k in range(1)))
                 sent += 1
         got = len(list(door.hear(now)))
         heard, most, now = heard + got, max(most, got), now + 1e-3
         if wrong := door.faulty():
             assert [peer.fault for peer in wrong] == ["flood"]
             break
-    assert most == FRAMES_A_TICK
-    assert heard == FRAMES_A_SECOND
+    assert most == FRAMES_PER_TICK
+    assert heard == MAX_FRAMES_PER_SECOND
     assert door.peers == []
 
 
 def test_a_flood_of_one_does_not_delay_another(door):
     loud, quiet = guest(door), guest(door)
     beat = encode_body(Heartbeat())
-    loud.send(b"".join(encode(kind_of(Heartbeat()), k, beat) for k in range(1, 300)))
-    quiet.send(encode(kind_of(Heartbeat()), 1, beat))
+    loud.send(b"".join(encode(kind_code(Heartbeat()), k, beat) for k in range(1, 300)))
+    quiet.send(encode(kind_code(Heartbeat()), 1, beat))
     assert door.peers[1] in {peer for peer, _, _ in door.hear(0.0)}
 
 
@@ -267,21 +288,21 @@ def test_whoever_does_not_read_is_let_go(door):
 
 
 def test_there_is_always_room_for_one_more_of_those_who_only_look(door):
-    guests = [guest(door) for _ in range(3 * MOST_PEERS)]
-    assert len(door.peers) == MOST_PEERS
+    guests = [guest(door) for _ in range(3 * MAX_CONNECTIONS)]
+    assert len(door.peers) == MAX_CONNECTIONS
     assert door.peers[-1].number == len(guests)
 
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.binary(min_size=1, max_size=600), min_size=1, max_size=8))
 def test_any_bytes_at_the_door_leave_it_open_for_the_next(tmp_path_factory, chunks):
-    door = Door(tmp_path_factory.mktemp("door") / "s")
+    door = SocketServer(tmp_path_factory.mktemp("door") / "s")
     link = guest(door)
     for chunk in chunks:
         with suppress(OSError):
             link.send(chunk)
-        list(door.hear(0.0))
-    door.faulty()
+        list(door.receive(0.0))
+    door.failed_connections()
     assert guest(door).recv(2) == MAGIC
     door.close()
     see_out()

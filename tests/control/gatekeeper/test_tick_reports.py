@@ -4,33 +4,33 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from dualbrain.control.gatekeeper.capability import full
+from dualbrain.control.gatekeeper.capability import full_capability
 from dualbrain.control.gatekeeper.gatekeeper import Gatekeeper
-from dualbrain.control.gatekeeper.protocol.authentication import open_keys
-from dualbrain.control.gatekeeper.protocol.client import GatekeeperLink
-from dualbrain.control.gatekeeper.protocol.messages import Glimpse
-from dualbrain.control.gatekeeper.protocol.server import Door
-from dualbrain.evaluation.fault_injection.faults import Fault, FaultyRobot, Injector
+from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
+from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient
+from dualbrain.control.gatekeeper.protocol.messages import TickReport
+from dualbrain.control.gatekeeper.protocol.server import SocketServer
+from dualbrain.evaluation.fault_injection.faults import Fault, FaultInjector, FaultyRobot
 from dualbrain.evaluation.fault_injection.gatekeeper_trial import LockstepRobot
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.supervisor.timing import SIMULATED
-from dualbrain.simulation.perception.noisy_perception import Noise, Perception
+from dualbrain.simulation.perception.noisy_perception import NoisyPerception, PerceptionNoise
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.simulation.world import SimulatedWorld
-from dualbrain.skills.registry import registry_of
+from dualbrain.skills.registry import skill_registry
 
 SECONDS = 2.0
 
 
 def test_glimpses_come_some_fifteen_times_a_second_of_the_robots_time(tmp_path):
-    body, spec = load_body("panda"), open_scene("bare:0")
+    body, spec = load_robot("panda"), open_scene("bare:0")
     plant = Plant(spec, body)
-    world = SimulatedWorld(plant, Perception(spec, Noise(), np.random.default_rng(0)))
-    injector = Injector(Fault("state", "off", "closing"), lambda: plant.now)
-    keys, door, seen = open_keys(tmp_path / "keys"), Door(tmp_path / "s"), []
+    world = SimulatedWorld(plant, NoisyPerception(spec, PerceptionNoise(), np.random.default_rng(0)))
+    injector = FaultInjector(Fault("state", "off", "closing"), lambda: plant.now)
+    keys, door, seen = load_or_create_keys(tmp_path / "keys"), SocketServer(tmp_path / "s"), []
     with ThreadPoolExecutor() as aside:
-        watcher = aside.submit(GatekeeperLink, door.path, watch=seen.append)
+        watcher = aside.submit(GatekeeperClient, door.path, watch=seen.append)
         came = []
 
         def each(now):
@@ -40,11 +40,13 @@ def test_glimpses_come_some_fifteen_times_a_second_of_the_robots_time(tmp_path):
                 keeper.shut_down()
 
         robot = LockstepRobot(FaultyRobot(plant, injector, body), world, plant, injector, each)
-        keeper = Gatekeeper(body, robot, door, keys, {"planner": full(registry_of(body))}, timing=SIMULATED)
+        keeper = Gatekeeper(
+            body, robot, door, keys, {"planner": full_capability(skill_registry(body))}, timing=SIMULATED
+        )
         keeper.run()
         door.close()
-        assert watcher.result().lost.wait(20.0)
+        assert watcher.result().disconnected.wait(20.0)
         watcher.result().close()
-    stamps = [one.t for one in seen if isinstance(one, Glimpse)]
+    stamps = [one.t for one in seen if isinstance(one, TickReport)]
     assert 10.0 * SECONDS < len(stamps) < 20.0 * SECONDS
     assert stamps == sorted(set(stamps))

@@ -15,19 +15,19 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from dualbrain.control.gatekeeper.config import Plan
-from dualbrain.control.gatekeeper.process import Process
-from dualbrain.control.gatekeeper.protocol.authentication import open_keys
-from dualbrain.control.gatekeeper.protocol.client import GatekeeperLink, LinkLost
-from dualbrain.control.gatekeeper.robot_link.simulated_robot import Report
+from dualbrain.control.gatekeeper.config import GatekeeperConfig
+from dualbrain.control.gatekeeper.process import GatekeeperProcess
+from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
+from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError, GatekeeperClient
+from dualbrain.control.gatekeeper.robot_link.simulated_robot import RobotReport
 from dualbrain.memory.ledger.ledger import LedgerReader
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.loader import load_robot
 from dualbrain.robots.site_config import read_site
-from dualbrain.safety.integration.site import site_body
-from dualbrain.safety.supervisor.actions import Rung
+from dualbrain.safety.integration.site import site_robot
+from dualbrain.safety.supervisor.actions import SafetyAction
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
-from dualbrain.skills.registry import registry_of
-from tests.stories.story_session import GRASP, PLACE, contract
+from dualbrain.skills.registry import skill_registry
+from tests.stories.story_session import GRASP, PLACE, contract_text
 
 PATIENCE = 300.0
 """No promise: only so that what never comes is a failure and not a hang [s]."""
@@ -59,8 +59,8 @@ def link(socket, keys, principal):
     """A connection, as soon as the gatekeeper lets us in."""
 
     def tried():
-        with suppress(LinkLost):
-            return GatekeeperLink(socket, open_keys(keys), principal)
+        with suppress(ConnectionLostError):
+            return GatekeeperClient(socket, load_or_create_keys(keys), principal)
         return None
 
     return until(f"{principal or 'an observer'} is let in", tried)
@@ -68,7 +68,7 @@ def link(socket, keys, principal):
 
 def at(watcher):
     """The rung that was told last."""
-    return Rung[watcher.beat.action] if watcher.beat else Rung.NONE
+    return SafetyAction[watcher.beat.action] if watcher.beat else SafetyAction.NONE
 
 
 def report_in(path):
@@ -76,7 +76,7 @@ def report_in(path):
 
     def read():
         with suppress(OSError, msgspec.DecodeError):
-            return msgspec.json.decode(path.read_bytes(), type=Report)
+            return msgspec.json.decode(path.read_bytes(), type=RobotReport)
         return None
 
     return until("the robot leaves its report", read)
@@ -90,7 +90,7 @@ def harmless(report):
 
 
 def test_the_cortex_killed_leaves_a_held_arm_a_whole_ledger_and_a_gatekeeper_for_the_next(tmp_path: Path) -> None:
-    (tmp_path / "pick.json").write_text(contract(*PICK))
+    (tmp_path / "pick.json").write_text(contract_text(*PICK))
     command = [sys.executable, *FLAGS, "-c", RUN, "run", "put it there", "--contract", "pick.json", "--headless",
                "--live", "--scene", "bare:0", "--ledger", "ledger.sqlite", "--out", "one"]  # fmt: skip
     environment = {**os.environ, "MUJOCO_GL": "disable", "COLUMNS": "500", "DUALBRAIN_HOME": str(tmp_path)}
@@ -112,8 +112,8 @@ def test_the_cortex_killed_leaves_a_held_arm_a_whole_ledger_and_a_gatekeeper_for
     finally:
         cortex.kill()
         cortex.stderr.close()
-    until("the arm is held", lambda: at(watcher) >= Rung.HOLD)
-    until("its contract is over", lambda: not watcher.beat.busy)
+    until("the arm is held", lambda: at(watcher) >= SafetyAction.HOLD)
+    until("its contract is over", lambda: not watcher.status.busy)
     commander = link(socket, keys, "planner")
     assert commander.welcome.role == "commander"
     operator = link(socket, keys, "operator")
@@ -122,26 +122,26 @@ def test_the_cortex_killed_leaves_a_held_arm_a_whole_ledger_and_a_gatekeeper_for
     for one in (watcher, commander, operator):
         one.close()
     with LedgerReader(tmp_path / "ledger.sqlite") as ledger:
-        assert ledger.verify().whole
+        assert ledger.verify().is_intact
         assert [event.kind for event in ledger.events()][-1] != "run_ended"
         assert list(ledger.events("kind = 'episode'")) == []
 
 
 def test_a_site_an_emergency_stop_and_a_killed_gatekeeper(tmp_path: Path) -> None:
     (tmp_path / "lab.toml").write_text(SITE)
-    plan = Plan("panda", open_scene("bare:0"), str(tmp_path / "s"), str(tmp_path / "k"),
+    plan = GatekeeperConfig("panda", open_scene("bare:0"), str(tmp_path / "s"), str(tmp_path / "k"),
                 report=str(tmp_path / "robot.json"), site=str(tmp_path / "lab.toml"))  # fmt: skip
-    registry = registry_of(site_body(load_body("panda"), read_site(tmp_path / "lab.toml"))).hash
-    process = Process(plan)
+    registry = skill_registry(site_robot(load_robot("panda"), read_site(tmp_path / "lab.toml"))).hash
+    process = GatekeeperProcess(plan)
     try:
         commander, operator = (link(tmp_path / "s", tmp_path / "k", who) for who in ("planner", "operator"))
         _site_holds(commander, registry)
         _stop_and_reset(tmp_path, operator)
-        answer = _propose(commander, contract(*PICK, registry=registry))
+        answer = _propose(commander, contract_text(*PICK, registry=registry))
         assert answer.rejected is None
-        until("the contract runs", lambda: commander.beat and commander.beat.busy)
+        until("the contract runs", lambda: commander.status and commander.status.busy)
         os.kill(process.process.pid, signal.SIGKILL)
-        until("the commander sees that the gatekeeper is gone", commander.lost.is_set)
+        until("the commander sees that the gatekeeper is gone", commander.disconnected.is_set)
         report = report_in(tmp_path / "robot.json")
     finally:
         process.stop()
@@ -158,27 +158,27 @@ def _propose(commander, text):
 
 def _site_holds(commander, registry):
     """What the site does not grant, and what was written for the wider body, is refused; where and why is told."""
-    home = _propose(commander, contract(("home", {"speed": 0.1}), registry=registry)).rejected
-    fast = _propose(commander, contract(("grasp", {**GRASP, "speed": 0.35}), registry=registry)).rejected
-    wider = _propose(commander, contract(*PICK)).rejected
+    home = _propose(commander, contract_text(("home", {"speed": 0.1}), registry=registry)).rejected
+    fast = _propose(commander, contract_text(("grasp", {**GRASP, "speed": 0.35}), registry=registry)).rejected
+    wider = _propose(commander, contract_text(*PICK)).rejected
     assert (home.stage, fast.stage, wider.stage) == ("authorization", "envelope", "authorization")
 
 
 def _stop_and_reset(folder, operator):
-    stranger = GatekeeperLink(folder / "s")
+    stranger = GatekeeperClient(folder / "s")
     stranger.operate("estop")
-    until("the arm is switched off", lambda: at(operator) >= Rung.ESTOP)
+    until("the arm is switched off", lambda: at(operator) >= SafetyAction.ESTOP)
     stranger.operate("release_estop")
-    with pytest.raises(LinkLost, match="operator's key"):
-        stranger.ended(PATIENCE)
+    with pytest.raises(ConnectionLostError, match="operator's key"):
+        stranger.wait_for_outcome(PATIENCE)
     stranger.close()
-    assert at(operator) >= Rung.ESTOP
+    assert at(operator) >= SafetyAction.ESTOP
     operator.operate("release_estop")
 
     def led_out():
         for act in ("reset", "resume"):
             operator.operate(act)
         time.sleep(0.2)
-        return at(operator) < Rung.HOLD
+        return at(operator) < SafetyAction.HOLD
 
     until("release, reset and resume lead out", led_out)

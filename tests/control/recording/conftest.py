@@ -2,9 +2,9 @@
 
 import pytest
 
-from tests.support.completed_run import finished as finished_run
+from tests.support.completed_run import completed_run as finished_run
 
 
 @pytest.fixture(scope="session")
-def finished(tmp_path_factory):
+def completed_run(tmp_path_factory):
     return finished_run(tmp_path_factory)

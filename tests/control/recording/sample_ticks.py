@@ -9,7 +9,7 @@ from dualbrain.robots.interface import RobotState
 
 
 @dataclass(frozen=True)
-class Answer:
+class FakeFilterResult:
     """What a filter answers."""
 
     u: Array
@@ -24,17 +24,17 @@ class Answer:
     delta_supervisor: float = 0.0
 
 
-def fill(trace: Trace, count: int, *, start: float = 0.0, odd: bool = False) -> list[Array]:
+def append_ticks(trace: Trace, count: int, *, start: float = 0.0, special_values: bool = False) -> list[Array]:
     """Append `count` ticks; `odd` puts NaN, infinities and a negative zero among them."""
     rng = np.random.default_rng(7)
     rows: list[Array] = []
     for k in range(count):
         t = start + k * 1e-3
         q, u_nom = rng.normal(size=trace.n), rng.normal(size=trace.n)
-        answer = Answer(u_nom.astype(np.float32), delta=float(rng.random()), h_min=float(rng.normal()))
-        if odd:
+        answer = FakeFilterResult(u_nom.astype(np.float32), delta=float(rng.random()), h_min=float(rng.normal()))
+        if special_values:
             q[k % trace.n] = (np.nan, -0.0, np.inf, 5e-324)[k % 4]
-            answer = Answer(answer.u, h_min=(np.inf if k % 2 else -np.inf))
+            answer = FakeFilterResult(answer.u, h_min=(np.inf if k % 2 else -np.inf))
         state = RobotState(t, k, q, -q, 0.04, (0.0, 1.0))
         rows.append(trace.append(t, state, u_nom, answer, action=k // 100, phase=("approach", "lift")[k // 150 % 2]))
     return rows

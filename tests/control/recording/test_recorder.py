@@ -28,12 +28,12 @@ from dualbrain.control.recording.channels import (
     read_trace,
     recording_state,
 )
-from dualbrain.control.recording.recorder import BATCH, Recorder
+from dualbrain.control.recording.recorder import BATCH_TICKS, Recorder
 from dualbrain.control.recording.trace import Event, Trace
 from dualbrain.core.geometry.shapes import HalfSpace, Pose
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import ConfigurationError
 from dualbrain.records import Attempt, Proposal, Scene, SceneObject
-from tests.control.recording.sample_ticks import fill
+from tests.control.recording.sample_ticks import append_ticks
 
 SCENE = Scene("panda", 0.5, 1, (SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.0))),))
 ATTEMPT = Attempt(
@@ -60,10 +60,10 @@ def test_messages_come_back_typed_and_in_order(tmp_path: Path) -> None:
         recorder.attempt(0.0, ATTEMPT)
         recorder.scene(SCENE)
         recorder.call(0.0, "observe", obstacles=SCENE.objects, stamp=0.0)
-        for row in fill(trace, BATCH + 7):
+        for row in append_ticks(trace, BATCH_TICKS + 7):
             recorder.tick(row)
         recorder.call(0.06, "detach")
-        for row in fill(trace, 3, start=0.06):
+        for row in append_ticks(trace, 3, start=0.06):
             recorder.tick(row)
         event = trace.note(0.063, "takeover", "no progress", seconds=1.5)
         recorder.event(event)
@@ -79,7 +79,7 @@ def test_messages_come_back_typed_and_in_order(tmp_path: Path) -> None:
 def test_rows_come_back_bit_for_bit(tmp_path: Path) -> None:
     trace = Trace(7)
     with Recorder(tmp_path / "a.mcap", trace) as recorder:
-        for row in fill(trace, 230, odd=True):
+        for row in append_ticks(trace, 230, special_values=True):
             recorder.tick(row)
     back = read_trace(tmp_path / "a.mcap")
     assert back is not None
@@ -132,7 +132,7 @@ def test_a_slow_disk_never_blocks_and_leaves_a_mark(tmp_path: Path, monkeypatch:
 def test_lockstep_waits_and_loses_nothing(tmp_path: Path) -> None:
     trace = Trace(7)
     with Recorder(tmp_path / "a.mcap", trace, capacity=1, when_full="wait") as recorder:
-        for row in fill(trace, 500):
+        for row in append_ticks(trace, 500):
             recorder.tick(row)
     back = read_trace(tmp_path / "a.mcap")
     assert back is not None
@@ -157,7 +157,7 @@ def test_an_exception_still_closes_the_file(tmp_path: Path) -> None:
 
     def run() -> None:
         with Recorder(tmp_path / "a.mcap", trace) as recorder:
-            for row in fill(trace, 3):
+            for row in append_ticks(trace, 3):
                 recorder.tick(row)
             raise RuntimeError("plant")
 
@@ -199,7 +199,7 @@ def test_a_killed_process_leaves_a_readable_file(tmp_path: Path) -> None:
     assert back is not None
     assert len(back) >= 3400
     expected = Trace(7)
-    fill(expected, len(back))
+    append_ticks(expected, len(back))
     assert np.array_equal(back.rows, expected.rows)
     assert not recording_state(path).complete
     whole = path.read_bytes()
@@ -211,18 +211,18 @@ def test_a_killed_process_leaves_a_readable_file(tmp_path: Path) -> None:
 
 def test_another_kind_of_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.mcap").write_bytes(b"not a recording at all")
-    with pytest.raises(InvalidSetup, match="an MCAP file"):
+    with pytest.raises(ConfigurationError, match="an MCAP file"):
         list(read_recording(tmp_path / "a.mcap"))
 
 
 def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
     trace = Trace(7)
     with Recorder(tmp_path / "a.mcap", trace) as recorder:
-        for row in fill(trace, 2000):
+        for row in append_ticks(trace, 2000):
             recorder.tick(row)
     data = bytearray((tmp_path / "a.mcap").read_bytes())
     at = data.find(b"zstd") + 4 + 8 + 4000
     data[at] ^= 0x55
     (tmp_path / "a.mcap").write_bytes(data)
-    with pytest.raises(InvalidSetup, match="undamaged"):
+    with pytest.raises(ConfigurationError, match="undamaged"):
         list(read_recording(tmp_path / "a.mcap"))

@@ -9,20 +9,20 @@ import pytest
 from dualbrain.control.recording import replay as replay_module
 from dualbrain.control.recording.channels import FilterCall, Ticks, read_recording
 from dualbrain.control.recording.replay import replay
-from dualbrain.errors import InvalidSetup
-from tests.stories.story_session import contract, play, settings
-from tests.support.run_once import once
+from dualbrain.errors import ConfigurationError
+from tests.stories.story_session import contract_text, run_config, run_session
+from tests.support.run_once import run_once
 
 
 def _unguarded(folder):
     move = {"target": "blue_bowl", "speed": 0.3, "clearance": 0.12, "route": "direct", "wait": "none"}
-    story = play(settings(folder, guard=False, scene="tabletop:1"), contract(("move_to", move)))
+    story = run_session(run_config(folder, guard=False, scene="tabletop:1"), contract_text(("move_to", move)))
     return (story.episode.outcome.kind,)
 
 
 @pytest.fixture(scope="module")
 def recordings(finished, tmp_path_factory):
-    folder, kind = once(tmp_path_factory, "unguarded", _unguarded)
+    folder, kind = run_once(tmp_path_factory, "unguarded", _unguarded)
     assert kind in ("succeeded", "failed", "taken_over")
     return {"on": finished[0] / "run" / "episode.mcap", "off": folder / "run" / "episode.mcap"}
 
@@ -96,7 +96,7 @@ def test_a_changed_byte_of_the_file_is_refused_or_found(recordings, tmp_path):
         try:
             messages = sum(1 for _ in read_recording(path))
             assert messages > 0
-        except InvalidSetup as error:
+        except ConfigurationError as error:
             refused += 1
             assert str(path) in str(error)  # noqa: PT017
     assert refused > 15

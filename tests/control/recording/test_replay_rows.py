@@ -5,28 +5,28 @@ from dataclasses import replace
 import numpy as np
 
 from dualbrain.contracts.contract import Action, Context, Contract
-from dualbrain.control.contract_executor import LocalLayer
-from dualbrain.control.control_loop import LayerConfig
+from dualbrain.control.contract_executor import ContractExecutor
+from dualbrain.control.control_loop import ExecutorConfig
 from dualbrain.control.recording import replay as replay_module
 from dualbrain.control.recording.channels import FilterCall, read_recording
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.recorder import Recorder
 from dualbrain.control.recording.replay import replay
 from dualbrain.control.recording.trace import Trace
-from dualbrain.robots.interface import at_home
-from dualbrain.robots.loader import load_body
-from dualbrain.safety.barriers.singularity import Singularity
-from dualbrain.safety.cbf.filter import Row, SafetyFilter
+from dualbrain.robots.interface import home_state
+from dualbrain.robots.loader import load_robot
+from dualbrain.safety.barriers.singularity import SingularityBarrier
+from dualbrain.safety.cbf.filter import ConstraintRow, SafetyFilter
 from tests.grounding.perceived_scenes import scene
 
-BODY = load_body("panda")
+BODY = load_robot("panda")
 
 
 class Follower:
     """A robot that does what it is told, in an empty room."""
 
     def __init__(self):
-        self.state, self.u = at_home(BODY), np.zeros(BODY.n)
+        self.state, self.u = home_state(BODY), np.zeros(BODY.n)
 
     def read(self):
         return self.state
@@ -52,7 +52,7 @@ class Sway:
 
     def rows(self, state, jacobian):
         pace = 0.02 + 0.02 * np.sin(20.0 * state.stamp) + 0.1 * float(jacobian[0, 0])
-        return (Row("sway", (1.0, *(0.0,) * (BODY.n - 1)), pace),)
+        return (ConstraintRow("sway", (1.0, *(0.0,) * (BODY.n - 1)), pace),)
 
 
 def recorded(folder, barriers, rows):
@@ -62,8 +62,10 @@ def recorded(folder, barriers, rows):
     safety.constrain(rows)
     with Recorder(path, trace, when_full="wait") as recorder:
         recorder.episode(0.0, {"robot": "panda", "guard": True, "instruction": ""})
-        layer = LocalLayer(BODY, robot, robot, safety, FlightLog(trace, recorder), LayerConfig(settle=0.05))
-        layer.run(Contract("c-1", Context("panda", ""), (Action("hold", {"duration": 0.3}),)))
+        layer = ContractExecutor(
+            BODY, robot, robot, safety, FlightLog(trace, recorder), ExecutorConfig(settle_time=0.05)
+        )
+        layer.execute(Contract("c-1", Context("panda", ""), (Action("hold", {"duration": 0.3}),)))
     return path, trace
 
 
@@ -75,8 +77,8 @@ def without_rows(monkeypatch, path):
 
 
 def test_rows_of_live_barriers_and_rows_handed_in_are_reached_again(tmp_path, monkeypatch):
-    second = Row("user_rows: second", (0.0, 1.0, *(0.0,) * (BODY.n - 2)), 0.01)
-    path, trace = recorded(tmp_path, (Sway(), Singularity(BODY.alpha)), [second])
+    second = ConstraintRow("user_rows: second", (0.0, 1.0, *(0.0,) * (BODY.n - 2)), 0.01)
+    path, trace = recorded(tmp_path, (Sway(), SingularityBarrier(BODY.alpha)), [second])
     assert np.all(trace["u"][1:, 1] > 0.009), "the row handed in is met"
     assert np.ptp(trace["u"][50:, 0]) > 0.01, "and the live one, which changes"
     result = replay(path)
@@ -86,7 +88,7 @@ def test_rows_of_live_barriers_and_rows_handed_in_are_reached_again(tmp_path, mo
 
 
 def test_rows_that_stay_are_recorded_once(tmp_path):
-    first = Row("user_rows: first", (1.0, *(0.0,) * (BODY.n - 1)), 0.01)
+    first = ConstraintRow("user_rows: first", (1.0, *(0.0,) * (BODY.n - 1)), 0.01)
     path, _ = recorded(tmp_path, (), [first])
     calls = [m for m in read_recording(path) if isinstance(m, FilterCall) and m.name == "constrain"]
     assert len(calls) == 1

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dualbrain.control.recording.flight_log import FlightLog
-from dualbrain.control.recording.trace import BLOCK, Trace, columns, spans
-from dualbrain.errors import UnknownName
+from dualbrain.control.recording.trace import BLOCK_ROWS, Trace, columns, spans
+from dualbrain.errors import UnknownNameError
 from dualbrain.robots.interface import RobotState
-from tests.control.recording.sample_ticks import Answer, fill
+from tests.control.recording.sample_ticks import FakeFilterResult, append_ticks
 
 ZEROS = np.zeros(2)
 
@@ -20,7 +20,9 @@ def _of(deltas: list[float], h: list[float], actions: list[int]) -> Trace:
     trace = Trace(2)
     for k, (delta, h_min, action) in enumerate(zip(deltas, h, actions, strict=True)):
         state = RobotState(k * 1e-3, k, ZEROS, ZEROS, 0.0, (0.0, 0.0))
-        trace.append(k * 1e-3, state, ZEROS, Answer(ZEROS, delta=delta, h_min=h_min), action=action, phase="x")
+        trace.append(
+            k * 1e-3, state, ZEROS, FakeFilterResult(ZEROS, delta=delta, h_min=h_min), action=action, phase="x"
+        )
     return trace
 
 
@@ -31,8 +33,8 @@ def test_columns_tile_the_row() -> None:
 
 def test_rows_survive_growth_and_stay_where_they_are() -> None:
     trace = Trace(7)
-    handed_out = fill(trace, 2 * BLOCK + 5)
-    assert len(trace) == 2 * BLOCK + 5
+    handed_out = append_ticks(trace, 2 * BLOCK_ROWS + 5)
+    assert len(trace) == 2 * BLOCK_ROWS + 5
     assert np.array_equal(np.stack(handed_out), trace.rows)
     assert np.array_equal(trace["sequence"], np.arange(len(trace)))
     assert trace["q"].shape == trace["u"].shape == (len(trace), 7)
@@ -45,11 +47,11 @@ def test_rows_survive_growth_and_stay_where_they_are() -> None:
 
 def test_extend_continues_a_trace() -> None:
     whole, parts = Trace(7), Trace(7)
-    fill(whole, 300)
+    append_ticks(whole, 300)
     parts.extend(whole.rows[:100])
     parts.extend(whole.rows[100:])
     assert np.array_equal(parts.rows, whole.rows)
-    fill(parts, 2)
+    append_ticks(parts, 2)
     assert len(parts) == 302
 
 
@@ -100,5 +102,5 @@ def test_interventions_lie_above_the_dead_band() -> None:
 
 
 def test_an_unknown_column_names_the_known_ones() -> None:
-    with pytest.raises(UnknownName, match="u_nom"):
+    with pytest.raises(UnknownNameError, match="u_nom"):
         Trace(2)["u_nomm"]

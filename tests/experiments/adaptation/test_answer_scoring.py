@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from dualbrain.runtime.data_collection.synthetic_scenes import lessons
+from dualbrain.runtime.data_collection.synthetic_scenes import generate_examples
 from experiments.adaptation import ablation_curve, retention, starter
 from experiments.engine.experiment import Options
 from experiments.planning import language
@@ -13,7 +13,7 @@ from experiments.planning import language
 
 @pytest.fixture(scope="module")
 def drawn():
-    return lessons(40, "test", seed=3, robots={"panda": 1.0}, exemplars=1.0)
+    return generate_examples(40, "test", seed=3, robot_shares={"panda": 1.0}, exemplar_share=1.0)
 
 
 def with_params(sample, **params):
@@ -25,63 +25,65 @@ def with_params(sample, **params):
 
 def test_the_right_answer_counts_and_what_it_took_from_the_exemplar(drawn):
     sample = next(
-        one for one in drawn if '"place"' in one.contract and [a.skill for a in language.shown(one)[0]][:1] == ["grasp"]
+        one
+        for one in drawn
+        if '"place"' in one.contract and [a.skill for a in language.exemplar_actions(one)[0]][:1] == ["grasp"]
     )
-    found = language.judged(sample, sample.contract)
-    assert language.right(found)
-    first = language.shown(sample)[0]
+    found = language.score_question(sample, sample.contract)
+    assert language.is_right(found)
+    first = language.exemplar_actions(sample)[0]
     grasp = next(action for action in first if action.skill == "grasp")
     free = {name: value for name, value in grasp.params.items() if name != "object"}
-    same, every = language.taken(sample, with_params(sample, **free))
+    same, every = language.copied_parameters(sample, with_params(sample, **free))
     assert every >= len(free)
     assert same >= len(free)
-    odd, every = language.taken(sample, with_params(sample, speed=0.123, clearance=0.123, force=12.3))
+    odd, every = language.copied_parameters(sample, with_params(sample, speed=0.123, clearance=0.123, force=12.3))
     assert odd <= every - 3
 
 
 def test_a_question_is_asked_in_one_slice():
     ids = [one.id for _, one in ablation_curve.questions()]
-    assert len(ids) == len(set(ids)) == len(ablation_curve.SLICES) * ablation_curve.A_SLICE
+    assert len(ids) == len(set(ids)) == len(ablation_curve.SLICES) * ablation_curve.QUESTIONS_PER_SLICE
 
 
 def test_nonsense_counts_for_nothing(drawn):
     for text in ("", "[]", "{", '{"id":1}'):
-        found = language.judged(drawn[0], text)
-        assert not language.right(found)
+        found = language.score_question(drawn[0], text)
+        assert not language.is_right(found)
         assert found["taken"] == (0, 0)
 
 
 def test_tables_name_every_slice_and_arm(drawn):
-    answers = [language.judged(one, one.contract) for one in drawn]
-    text = "\n".join(language.by_slice(answers))
+    answers = [language.score_question(one, one.contract) for one in drawn]
+    text = "\n".join(language.slice_table(answers))
     assert "| all | 40 of 40" in text
     assert "to be declined" in text
     answered = [{"slice": name, **one} for one in answers for name in ablation_curve.SLICES]
-    told = {"steps": ablation_curve.STEPS, "valid_draws": 0.5, "answers": answered}
+    told = {"steps": ablation_curve.N_STEPS, "valid_draws": 0.5, "answers": answered}
     rows = [
         {"arm": arm, "seed": seed, **told, "flights": [{"kind": "succeeded", "Delta": 0.001 * seed}]}
-        for arm in ablation_curve.TAUGHT for seed in ablation_curve.SEEDS
+        for arm in ablation_curve.TRAINED_ARMS for seed in ablation_curve.SEEDS
     ]  # fmt: skip
-    report = "\n".join(ablation_curve.AdaptCurve().report(rows))
-    for arm in ablation_curve.TAUGHT:
-        assert f"| {arm} | {ablation_curve.STEPS} | 3 | 100% ± 0%" in report
-    assert ablation_curve.interval([0.0, 0.1, 0.2]) == "10% ± 25%"
+    report = "\n".join(ablation_curve.AblationCurve().report(rows))
+    for arm in ablation_curve.TRAINED_ARMS:
+        assert f"| {arm} | {ablation_curve.N_STEPS} | 3 | 100% ± 0%" in report
+    assert ablation_curve.format_mean_interval([0.0, 0.1, 0.2]) == "10% ± 25%"
     for limit in ("same 60 questions", "at most 18 flights", "16 answers an arm and seed", "not those of llama.cpp"):
         assert limit in report
-    assert "Student's t over 3 seeds" in ablation_curve.AdaptCurve.intervals
+    assert "Student's t over 3 seeds" in ablation_curve.AblationCurve.intervals
 
 
 def test_a_known_answer_holds_one_of_the_words():
-    assert retention.known("It has Eight legs.", "eight|8")
-    assert not retention.known("It has many legs.", "eight|8")
+    assert retention.is_known("It has Eight legs.", "eight|8")
+    assert not retention.is_known("It has many legs.", "eight|8")
     rows = [
-        {"arm": arm, "perplexity": 9.5 + seed, "right": [True, False]} for arm in (retention.BASE, *retention.NIGHTS)
-        for seed in range(1 if arm == retention.BASE else 2)
+        {"arm": arm, "perplexity": 9.5 + seed, "right": [True, False]} for arm in (retention.BASE_ADAPTER, *retention.CURVE_ARMS)
+        for seed in range(1 if arm == retention.BASE_ADAPTER else 2)
     ]  # fmt: skip
     report = "\n".join(retention.Retention().report(rows))
     assert "| base-135m | 9.50 | 1 of 2" in report
     assert "| full | 9.50, 10.50 | 2 of 4" in report
-    assert retention.BARE not in report
+    assert retention.BARE_MODEL not in report
 
 
 def test_the_small_planner_comes_first_only_where_it_is_right_as_often(drawn):
@@ -99,30 +101,30 @@ def test_the_small_planner_comes_first_only_where_it_is_right_as_often(drawn):
     def told(*pairs):
         rows = [
             {"number": place, "who": who, "answer": one}
-            for place, pair in enumerate(pairs) for who, one in zip((starter.SMALL, starter.LARGE), pair, strict=False)
+            for place, pair in enumerate(pairs) for who, one in zip((starter.SMALL_PLANNER, starter.LARGE_PLANNER), pair, strict=False)
         ]  # fmt: skip
         return "\n".join(starter.Starter().report(rows))
 
     even, worse = told((flown, bad), (bad, flown), (flown, flown)), told((flown, flown), (bad, flown))
-    assert f"+0% (95 % interval -100% to +100%); by the rule {starter.SMALL} is the planner" in even
-    assert f"| {starter.SMALL} | 2 of 3" in even
+    assert f"+0% (95 % interval -100% to +100%); by the rule {starter.SMALL_PLANNER} is the planner" in even
+    assert f"| {starter.SMALL_PLANNER} | 2 of 3" in even
     assert "| 2 of 2" in even
-    assert f"-50% (95 % interval -100% to +0%); by the rule {starter.SMALL} is not the planner" in worse
-    assert f"| {starter.SMALL} | none yet | 2 of 3 (21%–94%) | none yet |" in even
+    assert f"-50% (95 % interval -100% to +0%); by the rule {starter.SMALL_PLANNER} is not the planner" in worse
+    assert f"| {starter.SMALL_PLANNER} | none yet | 2 of 3 (21%–94%) | none yet |" in even
     assert "not both asked" in told((flown,))
 
 
 def test_only_planners_that_are_there_are_compared(monkeypatch):
     def asked():
-        return {unit.about["who"] for unit in starter.Starter().units(Options(Path(), ""))}
+        return {unit.parameters["who"] for unit in starter.Starter().units(Options(Path(), ""))}
 
     monkeypatch.setattr(starter, "packaged_names", lambda: ("base-135m",))
-    assert asked() == {"base-135m", starter.LARGE}
-    monkeypatch.setattr(starter, "packaged_names", lambda: ("base-135m", starter.SMALL))
+    assert asked() == {"base-135m", starter.LARGE_PLANNER}
+    monkeypatch.setattr(starter, "packaged_names", lambda: ("base-135m", starter.SMALL_PLANNER))
     assert asked() == set(starter.PLANNERS)
 
 
 def test_the_questions_of_the_comparison_are_at_a_table_and_show_nothing():
     asked = starter.questions()
-    assert len(asked) == starter.QUESTIONS
-    assert all(one.scene.startswith("panda ") and not language.shown(one) for one in asked)
+    assert len(asked) == starter.N_QUESTIONS
+    assert all(one.scene.startswith("panda ") and not language.exemplar_actions(one) for one in asked)

@@ -2,21 +2,21 @@
 
 import pytest
 
-from dualbrain.planner.backends.http_chat import Answer
+from dualbrain.planner.backends.http_chat import ChatResponse
 from dualbrain.planner.protocol import CRASHED, TIMEOUT
 from dualbrain.planner.scripted import ScriptedPlanner
 from experiments.adaptation import retention, starter
-from experiments.adaptation.no_answer import NoAnswer
+from experiments.adaptation.no_answer import NoAnswerError
 
 
 @pytest.mark.parametrize("fault", [TIMEOUT, CRASHED])
 def test_an_accident_ends_the_unit(fault):
-    with pytest.raises(NoAnswer, match=fault):
-        retention.text_of(Answer("", fault, "gone"))
+    with pytest.raises(NoAnswerError, match=fault):
+        retention.answer_text(ChatResponse("", fault, "gone"))
 
 
 @pytest.mark.parametrize("fault", [TIMEOUT, CRASHED])
 def test_nor_is_one_counted_where_planners_are_compared(fault, monkeypatch):
-    monkeypatch.setattr(starter, "planner", lambda name: ScriptedPlanner(["{}"], finish_reason=fault))
-    with pytest.raises(NoAnswer, match=fault):
-        starter.score_of(starter.SMALL, starter.questions()[0])
+    monkeypatch.setattr(starter, "cached_planner", lambda name: ScriptedPlanner(["{}"], finish_reason=fault))
+    with pytest.raises(NoAnswerError, match=fault):
+        starter.score_planner(starter.SMALL_PLANNER, starter.questions()[0])

@@ -10,25 +10,27 @@ from types import SimpleNamespace
 import msgspec
 import pytest
 
-from dualbrain.adaptation.adapters.base_models import Base
-from dualbrain.adaptation.adapters.card import WEIGHTS, AdapterCard, read_adapter_card, write_card
-from dualbrain.adaptation.adapters.card import proposed_by_others as by_others
+from dualbrain.adaptation.adapters.base_models import BaseModel
+from dualbrain.adaptation.adapters.card import WEIGHTS_FILE, AdapterCard, read_adapter_card, write_adapter_card
+from dualbrain.adaptation.adapters.card import has_foreign_proposals as by_others
 from dualbrain.adaptation.adapters.packaged import packaged_folder
-from dualbrain.adaptation.adapters.stacking import Layer, Stack
+from dualbrain.adaptation.adapters.stacking import AdapterLayer, AdapterStack
 from dualbrain.adaptation.curation.dataset import read_dataset
-from dualbrain.adaptation.synthetic.split import SEEDS
+from dualbrain.adaptation.synthetic.split import SCENE_SEEDS
 from dualbrain.runtime.data_collection import rollouts as room
-from dualbrain.runtime.data_collection.rollouts import declined, instruction_of, memory_of
-from dualbrain.runtime.data_collection.synthetic_scenes import lessons
+from dualbrain.runtime.data_collection.rollouts import instruction_of, is_declined, memory_id_of_turn
+from dualbrain.runtime.data_collection.synthetic_scenes import generate_examples
 from experiments.adaptation import round_chain as steps
 from experiments.adaptation import rounds, suite_adapters
 from experiments.engine.experiment import Options
 from experiments.figures.plot_rounds import plot_rounds
-from tests.adaptation.sample_episodes import episode, pick, remember, summary
+from tests.adaptation.sample_episodes import episode, pick_contract, summary, write_ledger
 
-BASE = Base("base-135m", packaged_folder("base-135m"), "gguf", (), read_adapter_card(packaged_folder("base-135m")).id)
-CONTRACT = json.dumps(pick())
-PLACES = steps.PLACES
+BASE = BaseModel(
+    "base-135m", packaged_folder("base-135m"), "gguf", (), read_adapter_card(packaged_folder("base-135m")).id
+)
+CONTRACT = json.dumps(pick_contract())
+PLACES = steps.N_PLACES
 
 
 class Stopped(BaseException):
@@ -39,9 +41,9 @@ class Stopped(BaseException):
 def small():
     """Few places and instructions, drawn once for all tests here."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(steps, "PLACES", 20)
-        patch.setattr(steps, "ASKED", 10)
-        for drawn in (steps.places, steps.instructions):
+        patch.setattr(steps, "N_PLACES", 20)
+        patch.setattr(steps, "N_INSTRUCTIONS", 10)
+        for drawn in (steps.held_out_places, steps.instructions):
             patch.setattr(steps, drawn.__name__, cache(drawn.__wrapped__))
         yield
 
@@ -75,9 +77,14 @@ def stage(small, monkeypatch):
 
     def carried_out(one, ledger, turn, *, cache):
         act()
-        told = episode(memory_of(turn), by=one.source, told=summary(number=turn), words=instruction_of(one))
+        told = episode(
+            memory_id_of_turn(turn),
+            proposer=one.source,
+            scene_summary=summary(number=turn),
+            instruction=instruction_of(one),
+        )
         if ledger.parent.name == "partial":
-            remember(ledger.parent, [told]).close()
+            write_ledger(ledger.parent, [told]).close()
         return told
 
     def adapt(data, config, base, judge, folder, *, tell, own, **others):
@@ -86,32 +93,32 @@ def stage(small, monkeypatch):
         for step in (1, 2):
             tell(SimpleNamespace(step=step))
         (folder / "adapter").mkdir()
-        (folder / "adapter" / WEIGHTS).write_text(f"{data.card.hash} {base.sha256}")
-        made = hashlib.sha256((folder / "adapter" / WEIGHTS).read_bytes()).hexdigest()
+        (folder / "adapter" / WEIGHTS_FILE).write_text(f"{data.card.hash} {base.sha256}")
+        made = hashlib.sha256((folder / "adapter" / WEIGHTS_FILE).read_bytes()).hexdigest()
         card = data.card
-        write_card(
+        write_adapter_card(
             AdapterCard(made, base.name, base.sha256, card.robot, card.registry, card.prompt, card.hash, card.sources,
                         by_others(card.sources, base.name, own), "float32", 2, None, config, {}),
             folder / "adapter",
         )  # fmt: skip
 
     def stack_of(folder, cache):
-        return Stack("smollm2-135m-instruct", folder, (Layer(folder, read_adapter_card(folder)),))
+        return AdapterStack("smollm2-135m-instruct", folder, (AdapterLayer(folder, read_adapter_card(folder)),))
 
     night = pytest.importorskip("dualbrain.adaptation.training.train", reason="the extra `adapt` is not installed")
     monkeypatch.setattr(night, "adapt", adapt)
-    monkeypatch.setattr(room, "carried_out", carried_out)
-    monkeypatch.setattr(room, "TOGETHER", 4)
+    monkeypatch.setattr(room, "run_proposal", carried_out)
+    monkeypatch.setattr(room, "EPISODES_PER_STEP", 4)
     told = {
         "carried_out": carried_out, "Speaker": speaking(act, here.asked), "stack_of": stack_of,
-        "find_base": lambda name, cache: BASE if name == BASE.name else Base(name, cache, "other"),
+        "find_base": lambda name, cache: BASE if name == BASE.name else BaseModel(name, cache, "other"),
     }  # fmt: skip
     for name, stub in told.items():
         monkeypatch.setattr(steps, name, stub)
     return here
 
 
-def lived(folder, numbers=range(rounds.ROUNDS + 1)):
+def lived(folder, numbers=range(rounds.N_ROUNDS + 1)):
     """The rows of these rounds without the one thing that a clock tells."""
     told = [rounds.Rounds().run({"seed": 0, "round": number, "folder": str(folder)}) for number in numbers]
     assert all(row.pop("fit_s") > 0.0 for row in told if row["round"])
@@ -120,24 +127,24 @@ def lived(folder, numbers=range(rounds.ROUNDS + 1)):
 
 def test_nothing_that_is_held_out_is_ever_proposed_on(small):
     """Neither a scene nor a sentence; and no two rounds or chains are asked the same."""
-    apart = steps.places()
-    asked = [steps.instructions(seed, number) for seed in range(2) for number in range(rounds.ROUNDS)]
+    apart = steps.held_out_places()
+    asked = [steps.instructions(seed, number) for seed in range(2) for number in range(rounds.N_ROUNDS)]
     every = [one for some in asked for one in some]
     assert not {one.scene for one in apart} & {one.scene for one in every}
     assert not {instruction_of(one).lower() for one in apart} & {instruction_of(one).lower() for one in every}
-    assert all(int(one.scene.rpartition(":")[2]) in SEEDS["test"] for one in apart)
-    assert all(int(one.scene.rpartition(":")[2]) in SEEDS["teach"] for one in every)
+    assert all(int(one.scene.rpartition(":")[2]) in SCENE_SEEDS["test"] for one in apart)
+    assert all(int(one.scene.rpartition(":")[2]) in SCENE_SEEDS["teach"] for one in every)
     assert len({one.prompt[-1]["content"] for one in every}) == len(every)
-    assert any(map(declined, every))
-    assert all(map(steps.one_goal, (*apart, *every)))
-    assert len(apart) == steps.PLACES
-    assert {len(some) for some in asked} == {steps.ASKED}
+    assert any(map(is_declined, every))
+    assert all(map(steps.has_one_goal, (*apart, *every)))
+    assert len(apart) == steps.N_PLACES
+    assert {len(some) for some in asked} == {steps.N_INSTRUCTIONS}
 
 
 @pytest.mark.slow
 def test_there_are_a_hundred_held_out_deeds():
-    apart = lessons(PLACES, "test", steps.HELD_OUT_SEED, {"panda": 1.0}, exemplars=0.0)
-    assert sum(not declined(one) for one in apart) >= 100
+    apart = generate_examples(PLACES, "test", steps.HELD_OUT_SEED, {"panda": 1.0}, exemplar_share=0.0)
+    assert sum(not is_declined(one) for one in apart) >= 100
 
 
 def test_only_the_model_proposes_and_every_fit_starts_from_the_base(stage, tmp_path):
@@ -162,10 +169,10 @@ def test_what_leaves_a_part_out_is_fitted_on_the_same_flights(stage, tmp_path, m
     found = []
     registry = SimpleNamespace(add=lambda folder, *, now: found.append(read_adapter_card(folder).id))
     monkeypatch.setattr(suite_adapters, "registry_of_adapters", lambda: registry)
-    units = suite_adapters.Nights().units(Options(tmp_path, "any"))
-    rows = {unit.key: suite_adapters.Nights().run(unit.about) for unit in units}
+    units = suite_adapters.SuiteAdapters().units(Options(tmp_path, "any"))
+    rows = {unit.key: suite_adapters.SuiteAdapters().run(unit.parameters) for unit in units}
     configs = [config for _, config, _ in stage.fits[-5:]]
-    assert set(rows) == {"adapted", *steps.WITHOUT}
+    assert set(rows) == {"adapted", *steps.ABLATIONS}
     assert found == [row["adapter"] for row in rows.values()]
     assert rows["adapted"]["dataset"] == rows["adapted_no_kl"]["dataset"] == rows["adapted_no_entropy"]["dataset"]
     assert rows["adapted_all"]["samples"] >= rows["adapted_success"]["samples"] >= rows["adapted"]["samples"]
@@ -173,14 +180,17 @@ def test_what_leaves_a_part_out_is_fitted_on_the_same_flights(stage, tmp_path, m
     assert [(one.objective.beta, one.objective.lambda_h) for one in configs] == [
         (0.05, 0.5), (0.05, 0.0), (0.0, 0.5), (0.05, 0.5), (0.05, 0.5)
     ]  # fmt: skip
-    assert "adapted_no_kl" in "\n".join(suite_adapters.Nights().report(list(rows.values())))
+    assert "adapted_no_kl" in "\n".join(suite_adapters.SuiteAdapters().report(list(rows.values())))
 
 
 def test_what_somebody_else_proposed_teaches_nothing(tmp_path):
-    others = [episode(f"e{i}", by=by, told=summary(number=i)) for i, by in enumerate(("base-135m", "templates"))]
-    remember(tmp_path, others).close()
+    others = [
+        episode(f"e{i}", proposer=by, scene_summary=summary(number=i))
+        for i, by in enumerate(("base-135m", "templates"))
+    ]
+    write_ledger(tmp_path, others).close()
     with pytest.raises(AssertionError, match="templates"):
-        steps.chosen(tmp_path / room.LEDGER, ())
+        steps.select_training_data(tmp_path / room.LEDGER_FILE, ())
 
 
 @pytest.mark.parametrize("after", [9, 30, 75])
@@ -205,18 +215,18 @@ def test_rounds_may_be_asked_for_in_any_order(stage, tmp_path):
 
 def test_declines_may_teach_only_where_nothing_could_be_done(small, tmp_path):
     every = [one for number in (0, 1) for one in steps.instructions(0, number)]
-    named = steps.Chain(0, tmp_path).impossible(2)
-    assert [declined(every[room.turn_of(name)]) for name in named] == [True] * sum(map(declined, every))
+    named = steps.RoundChain(0, tmp_path).correct_declines(2)
+    assert [is_declined(every[room.turn_of_memory_id(name)]) for name in named] == [True] * sum(map(is_declined, every))
 
 
 def test_the_seconds_of_a_step_count_once(tmp_path):
     ticks = iter((0.0, 5.0, 7.0, 100.0, 103.0, 104.0))
     for steps_taken in ((1, 2), (2, 3)):
         with (tmp_path / "told").open("a") as told:
-            tell = steps.step_times(told, lambda: next(ticks))
+            tell = steps.step_time_logger(told, lambda: next(ticks))
             for step in steps_taken:
                 tell(SimpleNamespace(step=step))
-    assert steps.seconds(tmp_path / "told") == pytest.approx(5.0 + 3.0 + 1.0)
+    assert steps.total_step_time(tmp_path / "told") == pytest.approx(5.0 + 3.0 + 1.0)
 
 
 def row(number, told, **facts):
@@ -249,10 +259,10 @@ def test_tables_come_from_the_rows_and_compare_the_same_places():
     text = "\n".join(rounds.Rounds().report(ROWS))
     assert "| 0 | 1 | 4 | 50% (12% to 88%), n = 4 |" in text
     assert "| 1 | 1 | 4 | 100% (" in text
-    assert rounds.changed("Δ of successes", ROWS[:1], ROWS[1:]).startswith("-0.0010 (")
-    assert rounds.changed("Δ of successes", ROWS[:1], ROWS[1:]).endswith(", 1")  # only where both did it
-    assert rounds.changed("declined what must be", ROWS[:1], ROWS[1:]).startswith("-100%")
-    assert rounds.changed("time to completion [s]", ROWS[:1], ROWS[1:]) == "+0.0 (-inf to +inf), 1"
+    assert rounds.format_difference("Δ of successes", ROWS[:1], ROWS[1:]).startswith("-0.0010 (")
+    assert rounds.format_difference("Δ of successes", ROWS[:1], ROWS[1:]).endswith(", 1")  # only where both did it
+    assert rounds.format_difference("declined what must be", ROWS[:1], ROWS[1:]).startswith("-100%")
+    assert rounds.format_difference("time to completion [s]", ROWS[:1], ROWS[1:]) == "+0.0 (-inf to +inf), 1"
     assert "| 0 | 1 | 10 | 4 | 3 of 4 (" in text
     assert "2 outcome failed" in text
     again = msgspec.json.decode(msgspec.json.encode(ROWS))
@@ -269,18 +279,18 @@ def test_a_part_of_the_rounds_has_a_table_and_a_picture(tmp_path):
 def test_an_episode_is_counted_as_the_evaluation_counts_it(small, monkeypatch):
     """What is to be declined succeeds if nothing moved; a deed if it is the right one, and the robot says so."""
     monkeypatch.setattr(steps, "carried_out", lambda one, ledger, turn, cache: flight)
-    todo = [(turn, one) for turn, one in enumerate(steps.places()) if '"place"' not in one.contract]
-    turn, deed = next(pair for pair in todo if not declined(pair[1]))
-    other, refusal = next(pair for pair in todo if declined(pair[1]))
+    todo = [(turn, one) for turn, one in enumerate(steps.held_out_places()) if '"place"' not in one.contract]
+    turn, deed = next(pair for pair in todo if not is_declined(pair[1]))
+    other, refusal = next(pair for pair in todo if is_declined(pair[1]))
     for kind in ("succeeded", "failed"):
-        flight = episode("x", kind, plan=pick(), duration=8.0)
+        flight = episode("x", kind, plan=pick_contract(), duration=8.0)
         flight = msgspec.structs.replace(flight, contract=json.loads(deed.contract))
-        found = steps.episode(turn, deed.contract, "base-135m")
+        found = steps.run_held_out_episode(turn, deed.contract, "base-135m")
         assert (found["right"], found["success"]) == (True, kind == "succeeded")
         assert found["completion_s"] == 10.0
-    wrong = steps.episode(turn, "nonsense", "base-135m")
+    wrong = steps.run_held_out_episode(turn, "nonsense", "base-135m")
     assert (wrong["outcome"], wrong["success"], wrong["Delta"]) == ("rejected", False, None)
     for text, outcome in ((refusal.contract, "declined"), ("nonsense", "rejected")):
-        found = steps.episode(other, text, "base-135m")
+        found = steps.run_held_out_episode(other, text, "base-135m")
         assert (found["outcome"], found["success"], found["to_decline"]) == (outcome, True, True)
         assert found["compliant"] == (outcome == "declined")

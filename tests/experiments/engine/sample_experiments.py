@@ -15,4 +15,4 @@ class Doubling:
         return {"double": about["n"] + about["n"], "inverse": 1 / about["n"], "worker": os.getpid()}
 
 
-PROOFS = {"doubling": Doubling()}
+EXPERIMENTS = {"doubling": Doubling()}

@@ -1,7 +1,7 @@
 import pytest
 
-from experiments.engine.documents import BEGIN, END, write_documents
-from experiments.engine.jsonl_log import Journal
+from experiments.engine.documents import BEGIN_MARKER, END_MARKER, write_documents
+from experiments.engine.jsonl_log import JsonlLog
 
 
 class Counting:
@@ -12,16 +12,16 @@ class Counting:
 
 
 def test_the_page_keeps_its_words_and_gets_new_figures(tmp_path):
-    page, journal = tmp_path / "proofs.md", Journal(tmp_path / "counting.jsonl")
-    page.write_text(f"# Before\n{BEGIN}\nold\n{END}\nafter\n")
+    page, journal = tmp_path / "proofs.md", JsonlLog(tmp_path / "counting.jsonl")
+    page.write_text(f"# Before\n{BEGIN_MARKER}\nold\n{END_MARKER}\nafter\n")
     for key in ("one", "two"):
         journal.append({"key": key, "date": "2026-01-02", "revision": "abc", "load": 1.0, "wall_s": 3.0})
     journal.append({"key": "three", "error": "broke"})
     write_documents([Counting()], tmp_path, tmp_path)
     write_documents([Counting()], tmp_path, tmp_path)
     text = page.read_text()
-    assert text.startswith("# Before\n" + BEGIN)
-    assert text.endswith(END + "\nafter\n")
+    assert text.startswith("# Before\n" + BEGIN_MARKER)
+    assert text.endswith(END_MARKER + "\nafter\n")
     assert text.count("2 counted") == text.count("revision abc (2)") == 1
     assert "old" not in text
 
@@ -30,9 +30,9 @@ def test_the_page_says_what_the_intervals_of_a_proof_are(tmp_path):
     class Bootstrapped(Counting):
         name, intervals = "bootstrapped", "bootstrap, 90 %"
 
-    (tmp_path / "proofs.md").write_text(f"{BEGIN}\n{END}\n")
+    (tmp_path / "proofs.md").write_text(f"{BEGIN_MARKER}\n{END_MARKER}\n")
     for name in ("counting", "bootstrapped"):
-        Journal(tmp_path / f"{name}.jsonl").append({"key": "one", "date": "2026-01-02", "revision": "abc"})
+        JsonlLog(tmp_path / f"{name}.jsonl").append({"key": "one", "date": "2026-01-02", "revision": "abc"})
     write_documents([Counting(), Bootstrapped()], tmp_path, tmp_path)
     _, counting, bootstrapped = (tmp_path / "proofs.md").read_text().split("## ")
     assert "intervals: Wilson, 95 %. " in counting
@@ -48,15 +48,15 @@ def test_what_was_rendered_elsewhere_stays_in_its_place(tmp_path):
 
     page = tmp_path / "proofs.md"
     whole = "Its claim.\n\n| a | b |\n| --- | --- |\n| ## | 2 |\n\n### A part\n\n## no longer flown\n\nOld figures."
-    page.write_text(f"{BEGIN}\n\n## later\n\nold\n\n## elsewhere\n\n{whole}\n\n{END}\n")
+    page.write_text(f"{BEGIN_MARKER}\n\n## later\n\nold\n\n## elsewhere\n\n{whole}\n\n{END_MARKER}\n")
     for name in ("counting", "later"):
-        Journal(tmp_path / f"{name}.jsonl").append({"key": "one", "date": "2026-01-02", "revision": "abc"})
+        JsonlLog(tmp_path / f"{name}.jsonl").append({"key": "one", "date": "2026-01-02", "revision": "abc"})
     for _ in range(2):
         write_documents([Counting(), Elsewhere(), Later()], tmp_path, tmp_path)
     text = page.read_text()
     kept, gone = whole.split("\n\n## no longer flown")
     assert f"\n\n## elsewhere\n\n{kept}\n\n## later\n\n" in text
-    assert text.endswith(f"\n\n## no longer flown{gone}\n\n{END}\n")
+    assert text.endswith(f"\n\n## no longer flown{gone}\n\n{END_MARKER}\n")
     assert [line for line in text.splitlines() if line.startswith("## ")] == [
         "## counting", "## elsewhere", "## later", "## no longer flown",
     ]  # fmt: skip

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from experiments.engine.experiment import Unit
-from experiments.engine.jsonl_log import Journal
-from experiments.engine.worker_pool import carry_out
+from experiments.engine.experiment import WorkUnit
+from experiments.engine.jsonl_log import JsonlLog
+from experiments.engine.worker_pool import run_units
 
 CATALOGUE = "tests.experiments.engine.sample_experiments"
 ROOT = Path(__file__).resolve().parents[3]
@@ -31,11 +31,11 @@ if __name__ == "__main__":
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_every_unit_is_done_once_and_what_breaks_or_dies_costs_only_itself(jobs):
     units = [
-        Unit("zero", {"n": 0}),
-        Unit("dead", {"n": 1, "die": True}),
-        *(Unit(str(n), {"n": n}) for n in range(1, 6)),
+        WorkUnit("zero", {"n": 0}),
+        WorkUnit("dead", {"n": 1, "die": True}),
+        *(WorkUnit(str(n), {"n": n}) for n in range(1, 6)),
     ]
-    rows = list(carry_out("doubling", units, jobs, 0, CATALOGUE))
+    rows = list(run_units("doubling", units, jobs, 0, CATALOGUE))
     done = {row["key"]: row for row in rows}
     assert sorted(row["key"] for row in rows) == sorted(unit.key for unit in units)
     assert {done[str(n)]["double"] for n in range(1, 6)} == {2, 4, 6, 8, 10}
@@ -45,11 +45,11 @@ def test_every_unit_is_done_once_and_what_breaks_or_dies_costs_only_itself(jobs)
 
 
 def test_nothing_to_do_starts_nobody():
-    assert list(carry_out("doubling", [], 2, 0, CATALOGUE)) == []
+    assert list(run_units("doubling", [], 2, 0, CATALOGUE)) == []
 
 
 def test_a_killed_parent_keeps_what_was_done_and_its_worker_ends(tmp_path):
-    journal = Journal(tmp_path / "a.jsonl")
+    journal = JsonlLog(tmp_path / "a.jsonl")
     script = tmp_path / "slow.py"
     script.write_text(SLOW.format(root=str(ROOT), catalogue=CATALOGUE, path=str(journal.path)))
     parent = subprocess.Popen([sys.executable, str(script)])

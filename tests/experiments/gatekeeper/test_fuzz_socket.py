@@ -7,7 +7,7 @@ import pytest
 from dualbrain.contracts.gate.gate import Gate
 from experiments.engine.experiment import Options
 from experiments.gatekeeper import fuzz_socket
-from experiments.gatekeeper.fuzz_socket import FAILED, FRAMES, FuzzSocket
+from experiments.gatekeeper.fuzz_socket import GATE_RAISED, N_FRAMES, FuzzSocket
 from experiments.gatekeeper.fuzzer import Fuzzer
 
 
@@ -18,11 +18,11 @@ def found():
 
 def test_ten_million_and_every_seed_says_the_same_again(tmp_path):
     units = FuzzSocket().units(Options(tmp_path, "nobody"))
-    assert sum(unit.about.get("frames", 0) for unit in units) == FRAMES == 10_000_000
+    assert sum(unit.parameters.get("frames", 0) for unit in units) == N_FRAMES == 10_000_000
     one, same, other = Fuzzer(1), Fuzzer(1), Fuzzer(2)
-    words = [one.frame(one.word(), k) for k in range(50)]
-    assert words == [same.frame(same.word(), k) for k in range(50)]
-    assert words != [other.frame(other.word(), k) for k in range(50)]
+    words = [one.frame(one.message(), k) for k in range(50)]
+    assert words == [same.frame(same.message(), k) for k in range(50)]
+    assert words != [other.frame(other.message(), k) for k in range(50)]
 
 
 def test_frames_and_contracts_reach_every_stage_and_none_is_lost(found):
@@ -31,7 +31,7 @@ def test_frames_and_contracts_reach_every_stage_and_none_is_lost(found):
     stages = {f"contracts refused: {stage}" for stage in ("syntax", "authorization", "envelope")}
     wanted = {*stages, "contracts accepted", "messages", "messages refused", "seals refused", "streams broken"}
     assert wanted <= set(counts)
-    assert FAILED not in counts
+    assert GATE_RAISED not in counts
     assert "Raised: **0**" in "\n".join(FuzzSocket().report([found]))
 
 
@@ -41,7 +41,7 @@ def test_a_gate_that_raises_is_counted(monkeypatch):
 
     monkeypatch.setattr(Gate, "check", broken)
     counts = Counter(FuzzSocket().run({"seed": 3, "frames": 200})["counts"])
-    assert counts[FAILED] > 10
+    assert counts[GATE_RAISED] > 10
     assert not [kind for kind in counts if kind.startswith("contracts")]
 
 

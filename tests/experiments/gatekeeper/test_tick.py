@@ -4,18 +4,18 @@ import json
 
 import pytest
 
-from dualbrain.cli.common.paths import cache
-from dualbrain.control.gatekeeper.timing.tick_profile import PARTS
-from dualbrain.core.weights import locate
+from dualbrain.cli.common.paths import cache_folder
+from dualbrain.control.gatekeeper.timing.tick_profile import TICK_PARTS
+from dualbrain.core.weights import locate_weights
 from dualbrain.planner.registry import SMALL_PLANNER
 from experiments.figures.plot_tick import plot_tick
-from experiments.gatekeeper.tick import Tick
+from experiments.gatekeeper.tick import TickTiming
 
 
 @pytest.mark.slow
 def test_a_short_working_day(tmp_path):
-    locate(SMALL_PLANNER, cache())
-    row = json.loads(json.dumps(Tick().run({"seconds": 12.0, "planner": SMALL_PLANNER}), default=float))
+    locate_weights(SMALL_PLANNER, cache_folder())
+    row = json.loads(json.dumps(TickTiming().run({"seconds": 12.0, "planner": SMALL_PLANNER}), default=float))
     assert row["ticks"] > 5000
     assert sum(row["bins"].values()) == row["ticks"] - 1
     assert row["contracts"]["given, accepted"] >= 1
@@ -27,7 +27,7 @@ def test_a_short_working_day(tmp_path):
     assert row["violations"] == []
     parts = [part for name, part in row["parts"].items() if name != "wait"]
     assert 0.3 < sum(part["mean"] * part["ticks"] for part in parts) / (row["ticks"] * row["work"][0]) < 3.0
-    account = "\n".join(Tick().report([row]))
+    account = "\n".join(TickTiming().report([row]))
     assert f"**{row['robot_ticks']}** periods of the robot" in account
     plot_tick(row, tmp_path / "images" / "tick.png")
     assert (tmp_path / "images" / "tick.png").stat().st_size < 100_000
@@ -38,11 +38,11 @@ def test_the_account_tells_what_is_in_the_row():
     row = {
         "ticks": 1000, "robot_ticks": 1003, "missed": 3, "late": 5, "slips": 0, "bins": {"49": 997, "999": 2},
         "interval": [1e-3] * 4,
-        "work": [3e-4] * 4, "latency": [2e-4] * 4, "parts": dict.fromkeys(PARTS, part), "decisions": [2.0, 4.0, 3.0],
+        "work": [3e-4] * 4, "latency": [2e-4] * 4, "parts": dict.fromkeys(TICK_PARTS, part), "decisions": [2.0, 4.0, 3.0],
         "planner": "some-planner", "contracts": {"given, accepted": 4}, "outcomes": {"succeeded": 4}, "page": [9, 5e5],
         "recording": {"complete": True, "dropped": 0, "bytes": 3e6}, "violations": [],
     }  # fmt: skip
-    text = "\n".join(Tick().report([row]))
+    text = "\n".join(TickTiming().report([row]))
     assert "**1003** periods of the robot, **500** control ticks; **503** ticks missed (50.15%), 3 states lost" in text
     assert "(over 1 ms of work): **5** (1.00%). Stalls of over 20 ms: **2**, the longest 1 ms" in text
     assert "3 decisions of `some-planner` (median 3.0 s); contracts: given, accepted 4" in text

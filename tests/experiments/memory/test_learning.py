@@ -6,7 +6,7 @@ import pytest
 from dualbrain.memory.ledger.ledger import Ledger
 from dualbrain.memory.plasticity.rule import EPSILON
 from experiments.figures.plot_learning import plot_learning
-from experiments.memory.learning import compared, start_contracts, thirds, usual
+from experiments.memory.learning import compare_arms, mean_delta_of_thirds, median_success_delta, start_contracts
 
 
 def row(arm, sizes, seed=0):
@@ -15,8 +15,10 @@ def row(arm, sizes, seed=0):
 
 
 def test_thirds_leave_out_what_did_not_move():
-    assert thirds(row("static", [0.4, None, 0.2, 0.1, 0.1, None, 0.0, 0.2, None])) == pytest.approx((0.3, 0.1))
-    assert np.isnan(thirds(row("static", [0.4, None, None]))[1])
+    assert mean_delta_of_thirds(row("static", [0.4, None, 0.2, 0.1, 0.1, None, 0.0, 0.2, None])) == pytest.approx(
+        (0.3, 0.1)
+    )
+    assert np.isnan(mean_delta_of_thirds(row("static", [0.4, None, None]))[1])
 
 
 def test_arms_are_compared_ledger_by_ledger():
@@ -24,15 +26,15 @@ def test_arms_are_compared_ledger_by_ledger():
     second = [row("dynamic", [0.2, 0.1, 0.3], 1), row("static", [0.2, 0.1, 0.1], 1)]
     third = [row("dynamic", [0.2, 0.1, 0.0], 2), row("static", [0.2, 0.1, 0.4], 2)]
     rows = [*first, *second, *third, row("dynamic", [0.0], 3)]
-    told = " ".join(compared(rows))
+    told = " ".join(compare_arms(rows))
     assert "lower in 2 of 3 ledgers, higher in 1; mean difference -0.1000" in told
     assert "0 of 9 with dynamic weights, 1 of 9 with static ones" in told
-    assert compared(rows[-1:]) == []
+    assert compare_arms(rows[-1:]) == []
 
 
 def test_epsilon_is_memorys_own_where_the_start_has_no_success(tmp_path):
     Ledger(tmp_path / "ledger.sqlite", holder="test", now=0.0).close()
-    assert usual(tmp_path / "ledger.sqlite") == EPSILON
+    assert median_success_delta(tmp_path / "ledger.sqlite") == EPSILON
 
 
 def test_contracts_of_the_start_differ_from_seed_to_seed_and_are_the_same_again():

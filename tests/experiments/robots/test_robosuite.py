@@ -6,22 +6,22 @@ import threading
 import numpy as np
 import pytest
 
-from dualbrain.core.geometry.rotations import matrix, quaternion
+from dualbrain.core.geometry.rotations import matrix_to_quaternion, quaternion_to_matrix
 from dualbrain.core.geometry.shapes import Box, HalfSpace, Pose
-from dualbrain.errors import InvalidSetup, MissingPart
-from dualbrain.robots.loader import load_body
+from dualbrain.errors import ConfigurationError, MissingDependencyError
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
 from experiments.engine.experiment import Options
-from experiments.robots.robosuite.episode import FASTEST as KNOWN
-from experiments.robots.robosuite.episode import Course
-from experiments.robots.robosuite.limit_monitor import FASTEST, LOWER, UPPER, Account
-from experiments.robots.robosuite.pipe_protocol import HEAD, LONGEST, Broken, receive, send
-from experiments.robots.robosuite.policies import PACES, TASKS, BangBang, Script, across
-from experiments.robots.robosuite.scene import standing
-from experiments.robots.robosuite.suite_process import Suite, Thing
-from experiments.robots.robosuite.tracking import ACCELERATION, SPEED, agreed, commissioned
-from experiments.robots.robosuite.virtual_environment import COMMAND, python_in, wanted
-from experiments.robots.robosuite_tasks import CELLS, CONTROLS, SEEDS, Outsider
+from experiments.robots.robosuite.episode import MAX_JOINT_SPEED as KNOWN
+from experiments.robots.robosuite.episode import EpisodeRecord
+from experiments.robots.robosuite.limit_monitor import LOWER, MAX_JOINT_SPEED, UPPER, LimitMonitor
+from experiments.robots.robosuite.pipe_protocol import HEADER, MAX_MESSAGE_BYTES, PipeError, receive, send
+from experiments.robots.robosuite.policies import SPEED_PROFILES, TASKS, BangBangPolicy, WaypointPolicy, grasp_rotation
+from experiments.robots.robosuite.scene import static_obstacles
+from experiments.robots.robosuite.suite_process import SuiteObject, SuiteProcess
+from experiments.robots.robosuite.tracking import ACCELERATION_SHARES, SPEED_SHARES, check_agreement, derated_robot
+from experiments.robots.robosuite.virtual_environment import COMMAND, interpreter, required_packages
+from experiments.robots.robosuite_tasks import CONDITIONS, CONTROL_CONDITIONS, N_SEEDS, RobosuiteTasks
 
 PERIOD = 0.002
 CUBES = {
@@ -60,34 +60,34 @@ def test_a_message_longer_than_the_pipe_arrives_whole(pipe):
 
 def test_silence_an_end_and_nonsense_are_told_apart():
     read, write = os.pipe()
-    with pytest.raises(Broken, match="nothing within"):
+    with pytest.raises(PipeError, match="nothing within"):
         receive(read, 0.01)
-    os.write(write, HEAD.pack(b"A", LONGEST + 1))
-    with pytest.raises(Broken, match="a head that is none"):
+    os.write(write, HEADER.pack(b"A", MAX_MESSAGE_BYTES + 1))
+    with pytest.raises(PipeError, match="a head that is none"):
         receive(read, 1.0)
-    os.write(write, HEAD.pack(b"J", 10) + b"{")
+    os.write(write, HEADER.pack(b"J", 10) + b"{")
     os.close(write)
-    with pytest.raises(Broken, match="has ended"):
+    with pytest.raises(PipeError, match="has ended"):
         receive(read, 1.0)
     os.close(read)
 
 
 def test_the_account_has_the_data_sheets_limits():
-    joints = load_body("panda").joints
+    joints = load_robot("panda").joints
     assert [j.lower.value for j in joints] == LOWER.tolist()
     assert [j.upper.value for j in joints] == UPPER.tolist()
-    assert [j.velocity.value for j in joints] == FASTEST.tolist() == KNOWN.tolist()
+    assert [j.velocity.value for j in joints] == MAX_JOINT_SPEED.tolist() == KNOWN.tolist()
 
 
 def test_breaches_are_counted_once_with_their_peak_and_duration():
-    account, middle, still = Account(), 0.5 * (LOWER + UPPER), np.zeros(7)
+    account, middle, still = LimitMonitor(), 0.5 * (LOWER + UPPER), np.zeros(7)
     fast, beyond = still.copy(), UPPER.copy()
     fast[3], beyond[1] = -3.0, UPPER[1] + 0.02
-    account.tick(0.0, middle, 1.009 * FASTEST, {("finger", "table"): 0.9})
+    account.update(0.0, middle, 1.009 * MAX_JOINT_SPEED, {("finger", "table"): 0.9})
     assert account.breaches() == []
-    account.tick(0.002, middle, fast, {("finger", "table"): 40.0})
-    account.tick(0.004, beyond, fast * 0.8, {("finger", "table"): 90.0, ("hand", "table"): 2.0})
-    account.tick(0.5, middle, still, {("finger", "table"): 5.0})
+    account.update(0.002, middle, fast, {("finger", "table"): 40.0})
+    account.update(0.004, beyond, fast * 0.8, {("finger", "table"): 90.0, ("hand", "table"): 2.0})
+    account.update(0.5, middle, still, {("finger", "table"): 5.0})
     found = [(b["kind"], b["between"], b["start"], b["duration"], b["peak"]) for b in account.breaches()]
     assert found == [
         ("joint_velocity", ["joint4"], 0.002, 0.002, 3.0),
@@ -100,25 +100,25 @@ def test_breaches_are_counted_once_with_their_peak_and_duration():
 
 def fly(task, name, steps=6000):
     """A script on joints that do what they are told, cubes that go with closed fingers; wishes and way points met."""
-    safety, cubes = SafetyFilter(load_body("panda")), dict(CUBES[task])
+    safety, cubes = SafetyFilter(load_robot("panda")), dict(CUBES[task])
     q = np.array([0.0, 0.19, 0.0, -2.6, 0.0, 2.95, 0.785])
-    script = Script(TASKS[task](name == "hasty"), PACES[name], FASTEST, q, PERIOD)
+    script = WaypointPolicy(TASKS[task](name == "hasty"), SPEED_PROFILES[name], MAX_JOINT_SPEED, q, PERIOD)
     wishes, met, target = [], [], min(cubes)
     for k in range(steps):
         tool = safety.tool(q)
-        wishes.append(script.wish(k * PERIOD, q, tool, cubes))
-        if not met or met[-1][0] != script.point.name:
-            met.append((script.point.name, tool.position.copy(), tool.rotation.copy()))
-        if script.point.closed:
+        wishes.append(script.nominal(k * PERIOD, q, tool, cubes))
+        if not met or met[-1][0] != script.waypoint.name:
+            met.append((script.waypoint.name, tool.position.copy(), tool.rotation.copy()))
+        if script.waypoint.closed:
             cubes[target] = Pose(tuple((tool.position - (0.0, 0.0, 0.0)).tolist()), cubes[target].quaternion)
         if script.done:
             break
-        q = q + PERIOD * np.clip(wishes[-1], -FASTEST, FASTEST)
+        q = q + PERIOD * np.clip(wishes[-1], -MAX_JOINT_SPEED, MAX_JOINT_SPEED)
     return script, np.array(wishes), met, cubes
 
 
 @pytest.mark.parametrize("task", TASKS)
-@pytest.mark.parametrize("name", PACES)
+@pytest.mark.parametrize("name", SPEED_PROFILES)
 def test_a_script_takes_the_cube_from_above_and_brings_it_where_it_belongs(task, name):
     script, wishes, met, cubes = fly(task, name)
     assert script.done
@@ -127,13 +127,13 @@ def test_a_script_takes_the_cube_from_above_and_brings_it_where_it_belongs(task,
     start = CUBES[task][min(cubes)]
     assert np.linalg.norm(at["close"][0] - np.array(start.position)) < 0.012
     assert at["close"][1][2, 2] == pytest.approx(-1.0, abs=0.02)
-    sides = matrix(start.quaternion)[:, :2].T @ at["close"][1][:, 1]
+    sides = quaternion_to_matrix(start.quaternion)[:, :2].T @ at["close"][1][:, 1]
     assert np.max(np.abs(sides)) == pytest.approx(1.0, abs=0.01)
     if task == "Lift":
         assert cubes["cube"].position[2] > start.position[2] + 0.09
     else:
         assert np.linalg.norm(np.subtract(cubes["cubeA"].position, cubes["cubeB"].position)[:2]) < 0.01
-    share = np.max(np.abs(wishes) / FASTEST)
+    share = np.max(np.abs(wishes) / MAX_JOINT_SPEED)
     assert share <= 0.6 + 1e-9 if name == "careful" else share > 2.0
 
 
@@ -144,99 +144,102 @@ def test_fingers_go_across_two_sides_by_the_least_turn():
         c, s = np.cos(now), np.sin(now)
         rotation = np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
         cube = Pose((0.5, 0.0, 0.0), (np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)))
-        goal = across(rotation, cube)
+        goal = grasp_rotation(rotation, cube)
         assert np.allclose(goal.T @ goal, np.eye(3))
         assert np.linalg.det(goal) == pytest.approx(1.0)
-        assert np.max(np.abs(matrix(cube.quaternion)[:, 0] @ goal[:, :2])) == pytest.approx(1.0)
+        assert np.max(np.abs(quaternion_to_matrix(cube.quaternion)[:, 0] @ goal[:, :2])) == pytest.approx(1.0)
         assert rotation[:, 0] @ goal[:, 0] >= np.cos(np.pi / 4) - 1e-9
 
 
 def test_bang_bang_is_seeded_and_at_full_speed():
     def wishes(seed):
-        policy = BangBang(FASTEST, "cube", seed, 2.0)
-        return np.array([policy.wish(t * PERIOD, None, None, None) for t in range(1001)]), policy.done
+        policy = BangBangPolicy(MAX_JOINT_SPEED, "cube", seed, 2.0)
+        return np.array([policy.nominal(t * PERIOD, None, None, None) for t in range(1001)]), policy.done
 
     (one, done), (same, _), (other, _) = wishes(1), wishes(1), wishes(2)
     assert done
     assert np.array_equal(one, same)
     assert not np.array_equal(one, other)
-    assert np.array_equal(np.abs(one), np.broadcast_to(FASTEST, one.shape))
+    assert np.array_equal(np.abs(one), np.broadcast_to(MAX_JOINT_SPEED, one.shape))
 
 
 def test_what_stands_there_becomes_obstacles_and_cubes_do_not():
     level = (1.0, 0.0, 0.0, 0.0)
     things = [
-        Thing("floor", "plane", (3.0, 3.0, 0.1), (0.0, 0.0, -0.9), level),
-        Thing("table", "box", (0.4, 0.4, 0.025), (0.56, 0.0, -0.137), level),
-        Thing("mount", "box", (0.1, 0.2, 0.2), (-0.3, 0.0, -0.4), level),
-        Thing("mount", "cylinder", (0.18, 0.31, 0.0), (0.0, 0.0, -0.3), level),
-        Thing("cubeA", "box", (0.02, 0.02, 0.02), (0.5, 0.0, -0.09), level),
+        SuiteObject("floor", "plane", (3.0, 3.0, 0.1), (0.0, 0.0, -0.9), level),
+        SuiteObject("table", "box", (0.4, 0.4, 0.025), (0.56, 0.0, -0.137), level),
+        SuiteObject("mount", "box", (0.1, 0.2, 0.2), (-0.3, 0.0, -0.4), level),
+        SuiteObject("mount", "cylinder", (0.18, 0.31, 0.0), (0.0, 0.0, -0.3), level),
+        SuiteObject("cubeA", "box", (0.02, 0.02, 0.02), (0.5, 0.0, -0.09), level),
     ]
-    found = standing(things)
+    found = static_obstacles(things)
     assert [type(one.shape) for one in found] == [HalfSpace, Box, Box, Box]
     assert found[3].shape.half_extents == (0.18, 0.18, 0.31)
     assert len({one.name for one in found}) == 4
 
 
 def test_the_arms_must_agree():
-    safety, rng = SafetyFilter(load_body("panda")), np.random.default_rng(1)
+    safety, rng = SafetyFilter(load_robot("panda")), np.random.default_rng(1)
     tools = [safety.tool(q) for q in rng.uniform(-1.0, 1.0, (20, 7))]
-    turn = matrix(quaternion(matrix((0.9, 0.1, 0.2, 0.3))))
+    turn = quaternion_to_matrix(matrix_to_quaternion(quaternion_to_matrix((0.9, 0.1, 0.2, 0.3))))
     sites = np.array(
         [
             [*(tool.position + tool.rotation @ (0.0, 0.0, -0.006)), *(tool.rotation @ turn).ravel()]
             for tool in tools
         ]
     )  # fmt: skip
-    apart, turned = agreed(sites, tools)
+    apart, turned = check_agreement(sites, tools)
     assert apart < 1e-6
     assert turned < 1e-6
     sites[7, 0] += 2e-3
-    with pytest.raises(InvalidSetup, match=r"2\.00 mm"):
-        agreed(sites, tools)
+    with pytest.raises(ConfigurationError, match=r"2\.00 mm"):
+        check_agreement(sites, tools)
 
 
 def test_the_filter_is_told_less_than_the_data_sheet_says():
-    plain, told = load_body("panda"), commissioned(PERIOD)
+    plain, told = load_robot("panda"), derated_robot(PERIOD)
     assert told.period == PERIOD
-    for joint, one, speed, acceleration in zip(plain.joints, told.joints, SPEED, ACCELERATION, strict=True):
+    for joint, one, speed, acceleration in zip(
+        plain.joints, told.joints, SPEED_SHARES, ACCELERATION_SHARES, strict=True
+    ):
         assert one.velocity.value == pytest.approx(speed * joint.velocity.value)
         assert one.acceleration.value == pytest.approx(acceleration * joint.acceleration.value)
     SafetyFilter(told)
 
 
 def test_a_flights_figures_are_shares_of_the_data_sheet_and_no_unit_is_called_broken():
-    body, course = commissioned(PERIOD), Course(delta=[0.0, 1.0], status=[0, 1])
+    body, course = derated_robot(PERIOD), EpisodeRecord(delta=[0.0, 1.0], status=[0, 1])
     for k in range(2):
         course.q.append(np.full(7, k * PERIOD))
         course.v.append(np.ones(7))
-        course.u.append(2.0 * FASTEST)
-    figures = course.figures(body)
+        course.u.append(2.0 * MAX_JOINT_SPEED)
+    figures = course.metrics(body)
     assert figures["asked"] == 2.0
-    assert figures["speed"] == pytest.approx(1.0 / FASTEST.min(), abs=1e-4)
+    assert figures["speed"] == pytest.approx(1.0 / MAX_JOINT_SPEED.min(), abs=1e-4)
     assert figures["delta"] == 0.5
     assert figures["status"] == [1, 1, 0, 0, 0]
     assert "error" not in figures
 
 
 def test_a_missing_environment_says_what_to_do(tmp_path, monkeypatch):
-    with pytest.raises(MissingPart, match=COMMAND):
-        python_in(tmp_path)
-    monkeypatch.setattr("experiments.robots.robosuite.suite_process.python_in", lambda: python_in(tmp_path))
-    with pytest.raises(MissingPart, match="the environment of robosuite is missing"):
-        Suite()
-    assert all("==" in package for package in wanted())
+    with pytest.raises(MissingDependencyError, match=COMMAND):
+        interpreter(tmp_path)
+    monkeypatch.setattr("experiments.robots.robosuite.suite_process.python_in", lambda: interpreter(tmp_path))
+    with pytest.raises(MissingDependencyError, match="the environment of robosuite is missing"):
+        SuiteProcess()
+    assert all("==" in package for package in required_packages())
 
 
 def test_every_cell_has_as_many_seeds_and_a_prefix_has_all_cells_with_a_task(tmp_path):
-    units = Outsider().units(Options(tmp_path, ""))
-    flown = [(u.about["task"], u.about["policy"], u.about["how"]) for u in units]
+    units = RobosuiteTasks().units(Options(tmp_path, ""))
+    flown = [(u.parameters["task"], u.parameters["policy"], u.parameters["how"]) for u in units]
     main, controls = (
-        {(task, policy, how) for task, policy, hows in cells for how in hows} for cells in (CELLS, CONTROLS)
+        {(task, policy, how) for task, policy, hows in cells for how in hows}
+        for cells in (CONDITIONS, CONTROL_CONDITIONS)
     )
-    assert all(flown.count(cell) == SEEDS for cell in main | controls)
-    assert set(flown[: SEEDS * len(main) // 4]) == main
-    assert set(flown[SEEDS * len(main) :]) == controls
+    assert all(flown.count(cell) == N_SEEDS for cell in main | controls)
+    assert set(flown[: N_SEEDS * len(main) // 4]) == main
+    assert set(flown[N_SEEDS * len(main) :]) == controls
 
 
 def made_up(unit, **changed):
@@ -251,7 +254,7 @@ def made_up(unit, **changed):
 
 
 def test_the_report_counts_and_names_exceptions(tmp_path):
-    proof = Outsider()
+    proof = RobosuiteTasks()
     rows = [made_up(unit) for unit in proof.units(Options(tmp_path, ""))]
     assert "No filtered flight failed or exceeded anything." in "\n".join(proof.report(rows))
     struck = {"kind": "touch", "between": ["finger", "table"], "start": 1.0, "duration": 0.1, "peak": 80.0}
@@ -260,5 +263,5 @@ def test_the_report_counts_and_names_exceptions(tmp_path):
     text = "\n".join(proof.report(rows))
     assert "touch finger and table 80 N at 1.00 s" in text
     assert "19 of 20" in text
-    assert "touch 80 N" in proof.brief(rows[first])
+    assert "touch 80 N" in proof.summarize_row(rows[first])
     assert proof.report(rows[:1])

@@ -7,10 +7,17 @@ import pytest
 from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere
 from dualbrain.safety.cbf.filter import Obstacle
 from experiments.safety import random_scenes
-from experiments.safety.adversary import episode, run_in, the_body, total
-from experiments.safety.adversary_classes import CLASSES, CONTROLS, LAG, MOVING, QUIET, STATIC
-from experiments.safety.adversary_tables import tables, violations
-from experiments.safety.reference_judge import rotation, verdicts
+from experiments.safety.adversary import aggregate, load_panda, run_episode, run_trial
+from experiments.safety.adversary_classes import (
+    CLASSES,
+    LAG,
+    MOVING_CLASSES,
+    NEGATIVE_CONTROLS,
+    STATIC_CLASSES,
+    UNDISTURBED,
+)
+from experiments.safety.adversary_tables import adversary_tables, count_violations
+from experiments.safety.reference_judge import rotation_matrix, true_h
 from tests.safety import geometry_oracle
 
 SEEN = (
@@ -22,7 +29,7 @@ SEEN = (
 
 
 def postures(count, seed=0):
-    body, _ = the_body()
+    body, _ = load_panda()
     rng = np.random.default_rng(seed)
     bounds = [[getattr(joint, side).value for joint in body.joints] for side in ("lower", "upper")]
     return body, rng.uniform(*bounds, (count, body.n))
@@ -31,8 +38,8 @@ def postures(count, seed=0):
 def test_the_judge_is_the_oracle():
     """Single postures, inside and outside: things, own links, joint limits."""
     body, q = postures(60)
-    _, judge = the_body()
-    said = np.vstack([verdicts(judge, one[None], SEEN) for one in q])
+    _, judge = load_panda()
+    said = np.vstack([true_h(judge, one[None], SEEN) for one in q])
     assert said[:, 0] == pytest.approx(geometry_oracle.h_obstacles(body, q, SEEN), abs=1e-12)
     assert said[:, 2] == pytest.approx(geometry_oracle.h_self(body, q), abs=1e-12)
     assert said[:, 3] == pytest.approx(geometry_oracle.h_joints(body, q), abs=1e-12)
@@ -42,9 +49,9 @@ def test_the_judge_is_the_oracle():
 def test_along_a_path_nothing_near_is_missed():
     """What is not measured again is at 2 cm or more."""
     body, ends = postures(2, seed=4)
-    _, judge = the_body()
+    _, judge = load_panda()
     q = ends[0] + np.linspace(0.0, 1.0, 700)[:, None] * (ends[1] - ends[0])
-    said = verdicts(judge, q, SEEN)[1:]
+    said = true_h(judge, q, SEEN)[1:]
     assert said[:, 0] == pytest.approx(np.minimum(geometry_oracle.h_obstacles(body, q, SEEN), 0.02)[1:], abs=1e-12)
     assert said[:, 2] == pytest.approx(np.minimum(geometry_oracle.h_self(body, q), 0.02)[1:], abs=1e-12)
     assert np.any(said[:, 0] < 0.02)
@@ -52,15 +59,15 @@ def test_along_a_path_nothing_near_is_missed():
 
 def test_own_approach_is_the_speed_of_what_touches():
     """Joint 1 turns the arm into a moving wall at rest: the approach is ω times the lever arm of the deepest sphere."""
-    body, judge = the_body()
+    body, judge = load_panda()
     q = np.tile(np.array(body.home), (2, 1))
     q[1, 0] += 1e-3
-    tip = geometry_oracle.centres(body, q)[0][:, :, :]
+    tip = geometry_oracle.sphere_centres(body, q)[0][:, :, :]
     ahead = tip[1, :, 1].max() + 0.05
     wall = Obstacle("wall", HalfSpace(), Pose((0.0, ahead - 0.1, 0.0), (0.5**0.5, 0.5**0.5, 0.0, 0.0)), static=False)
-    said = verdicts(judge, q, [wall])[1]
-    moving = [i for i, name in enumerate(geometry_oracle.centres(body, q)[2]) if name != "link0"]
-    radii = geometry_oracle.centres(body, q)[1]
+    said = true_h(judge, q, [wall])[1]
+    moving = [i for i, name in enumerate(geometry_oracle.sphere_centres(body, q)[2]) if name != "link0"]
+    radii = geometry_oracle.sphere_centres(body, q)[1]
     deep = [i for i in moving if ahead - 0.1 - tip[1, i, 1] < radii[i]]
     assert said[1] < 0.0
     assert said[4] == pytest.approx(max((tip[1, i, 1] - tip[0, i, 1]) / 1e-3 for i in deep), rel=1e-5)
@@ -69,70 +76,72 @@ def test_own_approach_is_the_speed_of_what_touches():
 def test_rotation_is_scipys():
     q = np.random.default_rng(1).normal(size=4)
     q /= np.linalg.norm(q)
-    assert rotation(q) == pytest.approx(geometry_oracle.rotation(q))
+    assert rotation_matrix(q) == pytest.approx(geometry_oracle.rotation_matrix(q))
 
 
 def test_what_the_lab_saw_is_what_the_oracle_sees():
-    account, path, truth = run_in(CLASSES["drops"], 3, 600, log=True)
-    body, _ = the_body()
+    account, path, truth = run_trial(CLASSES["drops"], 3, 600, log=True)
+    body, _ = load_panda()
     h = geometry_oracle.h_obstacles(body, path, truth)
     assert account["h_still"] == pytest.approx(min(h.min(), 0.02), abs=1e-12)
     assert account["h_self"] == pytest.approx(min(geometry_oracle.h_self(body, path).min(), 0.02), abs=1e-12)
     assert account["steps"] == 600
 
 
-@pytest.mark.parametrize("kind", STATIC, ids=lambda kind: kind.name)
+@pytest.mark.parametrize("kind", STATIC_CLASSES, ids=lambda kind: kind.name)
 def test_static_classes_hold(kind):
-    account = total([episode(kind, seed, 2500) for seed in (1, 2)])
+    account = aggregate([run_episode(kind, seed, 2500) for seed in (1, 2)])
     assert sum(account["still"]) == 0
     assert account["status"][3] <= 1e-3 * account["steps"]
     assert account["jerks"] == 0
 
 
-@pytest.mark.parametrize("kind", MOVING, ids=lambda kind: kind.name)
+@pytest.mark.parametrize("kind", MOVING_CLASSES, ids=lambda kind: kind.name)
 def test_moving_classes_are_accounted_for(kind):
-    account = total([episode(kind, seed, 2000) for seed in (1, 2)])
+    account = aggregate([run_episode(kind, seed, 2000) for seed in (1, 2)])
     assert sum(account["attacked"]) == account["steps"]
     assert account["plans"][1] if kind.name == "evadable" else account["plans"][0]
 
 
-@pytest.mark.parametrize(("kind", "seeds", "steps"), [(CONTROLS[0], (0, 1), 3000), (CONTROLS[1], (9,), 1000)])
+@pytest.mark.parametrize(
+    ("kind", "seeds", "steps"), [(NEGATIVE_CONTROLS[0], (0, 1), 3000), (NEGATIVE_CONTROLS[1], (9,), 1000)]
+)
 def test_static_controls_fail(kind, seeds, steps):
-    assert violations(total([episode(kind, seed, steps) for seed in seeds])) > 0
+    assert count_violations(aggregate([run_episode(kind, seed, steps) for seed in seeds])) > 0
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", CONTROLS, ids=lambda kind: kind.name)
+@pytest.mark.parametrize("kind", NEGATIVE_CONTROLS, ids=lambda kind: kind.name)
 def test_every_control_fails(kind):
-    assert violations(total([episode(kind, seed) for seed in range(20)])) > 0
+    assert count_violations(aggregate([run_episode(kind, seed) for seed in range(20)])) > 0
 
 
 def test_a_run_repeats_from_its_seed():
-    assert episode(CLASSES["late"], 5, 500) == episode(CLASSES["late"], 5, 500)
+    assert run_episode(CLASSES["late"], 5, 500) == run_episode(CLASSES["late"], 5, 500)
 
 
 def test_what_is_told_covers_what_goes_wrong():
     """Every static class is told at least the error that its loop can make."""
-    for kind in (*STATIC, *MOVING):
-        loop = {**QUIET, **kind.loop}
+    for kind in (*STATIC_CLASSES, *MOVING_CLASSES):
+        loop = {**UNDISTURBED, **kind.loop_settings}
         if loop["push"] > 0.0:
-            assert kind.config().tracking_error >= loop["push"] + 3.4 * (loop["q_noise"] + LAG * loop["v_noise"])
+            assert kind.filter_config().tracking_error >= loop["push"] + 3.4 * (loop["q_noise"] + LAG * loop["v_noise"])
         assert kind.margin >= loop["place_noise"]
-    thing = CLASSES["person"].perceived(msgspec.structs.replace(SEEN[1], static=False))
-    assert thing.velocity_error == CLASSES["person"].loop["mover_speed"]
+    thing = CLASSES["person"].perceived_obstacle(msgspec.structs.replace(SEEN[1], static=False))
+    assert thing.velocity_error == CLASSES["person"].loop_settings["mover_speed"]
 
 
 def test_hazards_keep_their_distance():
-    body, judge = the_body()
+    body, judge = load_panda()
     rng = np.random.default_rng(2)
-    q = random_scenes.posture(body, judge, rng)
-    found = random_scenes.things(judge, q, rng, 5)
+    q = random_scenes.random_posture(body, judge, rng)
+    found = random_scenes.random_obstacles(judge, q, rng, 5)
     assert geometry_oracle.h_obstacles(body, q[None], found)[0] > 0.05
-    assert verdicts(judge, q[None], [random_scenes.mover(judge, q, rng)])[0, 1] > 0.25
+    assert true_h(judge, q[None], [random_scenes.random_moving_obstacle(judge, q, rng)])[0, 1] > 0.25
 
 
 def test_tables_name_every_class():
-    totals = {name: total([episode(CLASSES[name], 1, 200)]) for name in CLASSES}
-    text = "\n".join(tables(totals))
+    totals = {name: aggregate([run_episode(CLASSES[name], 1, 200)]) for name in CLASSES}
+    text = "\n".join(adversary_tables(totals))
     assert all(f"| {name} |" in text for name in CLASSES)
     assert "on **0** steps" in text

@@ -5,11 +5,11 @@ from itertools import islice
 
 import pytest
 
-from dualbrain.simulation.scenes.generators.tabletop import FAMILIES
+from dualbrain.simulation.scenes.generators.tabletop import LEVEL_I_FAMILIES
 from experiments.engine.experiment import Options
-from experiments.engine.jsonl_log import Journal
-from experiments.planning.competent_contracts import CLEARANCE, FORCE, all_tasks, task
-from experiments.safety.conservatism import WANTED, Conservatism
+from experiments.engine.jsonl_log import JsonlLog
+from experiments.planning.competent_contracts import CLEARANCE_BY_HEIGHT, GRIP_FORCE, make_task, task_parameters
+from experiments.safety.conservatism import N_FEASIBLE_TASKS, Conservatism
 
 FAST = {"family": "tabletop", "seed": 106, "kind": "move_to"}
 
@@ -32,35 +32,35 @@ def options(tmp_path):
 
 
 def test_every_family_and_kind_takes_part():
-    tasks = list(islice(all_tasks(), WANTED))
+    tasks = list(islice(task_parameters(), N_FEASIBLE_TASKS))
     assert set(Counter(one["family"] for one in tasks).values()) <= {28, 29}
-    assert {one["family"] for one in tasks} == set(FAMILIES)
+    assert {one["family"] for one in tasks} == set(LEVEL_I_FAMILIES)
     kinds = Counter(one["kind"] for one in tasks)
-    assert kinds["errand"] > WANTED * 0.45
-    assert min(kinds.values()) > WANTED * 0.1
+    assert kinds["errand"] > N_FEASIBLE_TASKS * 0.45
+    assert min(kinds.values()) > N_FEASIBLE_TASKS * 0.1
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", LEVEL_I_FAMILIES)
 def test_a_contract_follows_the_rules_and_its_seed(family):
     for seed in range(100, 103):
-        made, again = (task(family, seed, "errand") for _ in range(2))
+        made, again = (make_task(family, seed, "errand") for _ in range(2))
         assert made.actions == again.actions
         grasp, place = (action["params"] for action in made.actions)
-        assert grasp["clearance"] in {*CLEARANCE.values(), 0.1}
+        assert grasp["clearance"] in {*CLEARANCE_BY_HEIGHT.values(), 0.1}
         assert place["wait"] == ("until_clear" if family == "forearm" else "none")
-        assert grasp["force"] == FORCE
+        assert grasp["force"] == GRIP_FORCE
 
 
 def test_each_infeasible_task_calls_for_one_more(options):
     proof = Conservatism()
     first = [unit.key for unit in proof.units(options)]
-    assert len(first) == WANTED
-    journal = Journal(options.folder / "conservatism.jsonl")
+    assert len(first) == N_FEASIBLE_TASKS
+    journal = JsonlLog(options.folder / "conservatism.jsonl")
     journal.append(flown(first[0], feasible=False))
     journal.append(flown(first[1], feasible=True))
     more = [unit.key for unit in proof.units(options)]
-    assert more[:WANTED] == first
-    assert len(more) == WANTED + 1
+    assert more[:N_FEASIBLE_TASKS] == first
+    assert len(more) == N_FEASIBLE_TASKS + 1
 
 
 def test_the_report_counts_what_the_filter_made_fail(options):

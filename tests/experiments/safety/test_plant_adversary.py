@@ -5,17 +5,17 @@ import numpy as np
 import pytest
 
 from dualbrain.core.geometry.shapes import Box, Sphere
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.loader import load_robot
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.plant.stepped_plant import SteppedPlant
-from dualbrain.simulation.scenes.scene_builder import PREFIX
-from dualbrain.simulation.scenes.scene_spec import SceneSpec, Thing
-from experiments.safety.plant_adversary import KINDS, PlantAdversary, episode, total
-from experiments.safety.plant_judge import BEYOND, PlantJudge
+from dualbrain.simulation.scenes.scene_builder import ROBOT_PREFIX
+from dualbrain.simulation.scenes.scene_spec import ObjectSpec, SceneSpec
+from experiments.safety.plant_adversary import DRIVE_KINDS, PlantAdversary, aggregate, run_episode
+from experiments.safety.plant_judge import MAX_TOOL_REACH, PlantJudge
 
 
 def fixed(name, shape, position):
-    return Thing(name, "obstacle", shape, position, 1.0, "grey", "obstacle", fixed=True)
+    return ObjectSpec(name, "obstacle", shape, position, 1.0, "grey", "obstacle", fixed=True)
 
 
 @pytest.fixture(scope="module")
@@ -30,41 +30,41 @@ def brute(plant, judge):
 
 def test_a_blind_arm_is_caught_whenever_it_touches(crowded):
     """Unfiltered, contacts off: at every state the judge's count of negative states is brute force's."""
-    plant = Plant(crowded, load_body("panda"))
+    plant = Plant(crowded, load_robot("panda"))
     robot, judge = SteppedPlant(plant, contacts=False), PlantJudge(plant)
     negative, u, wish = 0, np.zeros(7), np.array([0.5, 1.5, 0.0, 0.5, 0.0, 0.5, 0.0])
     for t in range(700):
-        robot.sense()
-        judge.look()
-        truth = brute(plant, judge) if t % 2 == 0 or judge.below != negative else None
+        robot.measure()
+        judge.update()
+        truth = brute(plant, judge) if t % 2 == 0 or judge.n_below_zero != negative else None
         if truth is not None and truth < 0.0:
-            assert judge.below > negative
-            assert min(judge.least, judge.least_own) <= truth
-        negative = judge.below
+            assert judge.n_below_zero > negative
+            assert min(judge.min_scene_distance, judge.min_self_distance) <= truth
+        negative = judge.n_below_zero
         u += np.clip(wish - u, -0.0075, 0.0075)
-        robot.act(u)
+        robot.apply(u)
     assert negative > 0
 
 
 def test_nothing_reaches_beyond(crowded):
-    plant = Plant(crowded, load_body("panda"))
+    plant = Plant(crowded, load_robot("panda"))
     mujoco.mj_forward(plant.model, plant.data)
     tip = plant.data.xanchor[6]
     for g in range(plant.model.ngeom):
-        name = plant.model.body(int(plant.model.geom_bodyid[g])).name.removeprefix(PREFIX)
+        name = plant.model.body(int(plant.model.geom_bodyid[g])).name.removeprefix(ROBOT_PREFIX)
         if name in ("link7", "hand", "left_finger", "right_finger"):
-            assert np.linalg.norm(plant.data.geom_xpos[g] - tip) + plant.model.geom_rbound[g] < BEYOND
+            assert np.linalg.norm(plant.data.geom_xpos[g] - tip) + plant.model.geom_rbound[g] < MAX_TOOL_REACH
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", DRIVE_KINDS)
 def test_short_runs_hold(kind):
-    row = episode(kind, 1, 1500)
+    row = run_episode(kind, 1, 1500)
     assert row["below"] == row["below_spheres"] == row["below_joints"] == 0
     assert row["status"][3] == row["status"][4] == 0
 
 
 def test_report_counts_both_drives():
-    rows = [{"drive": kind, **total([episode(kind, 0, 100)])} for kind in KINDS]
+    rows = [{"drive": kind, **aggregate([run_episode(kind, 0, 100)])} for kind in DRIVE_KINDS]
     text = "\n".join(PlantAdversary().report(rows))
     assert "**200**" in text
-    assert all(kind in text for kind in KINDS)
+    assert all(kind in text for kind in DRIVE_KINDS)

@@ -7,38 +7,48 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
-from dualbrain.memory.embedding.image_encoder import IMAGE_ENCODER
-from dualbrain.memory.embedding.image_features import Picture
-from dualbrain.memory.embedding.joint_embedding import BLOCKS, Alpha, Embedded, EmbeddingConfig, JointEmbedding
-from dualbrain.memory.embedding.posture_features import Posture, PostureLimits, _frequencies, _normals, fourier
-from dualbrain.memory.embedding.symbol_features import symbols
-from dualbrain.memory.retrieval.search import Query, Scan
-from tests.memory.memory_samples import ARM, OTHER, REST
+from dualbrain.memory.embedding.image_encoder import IMAGE_ENCODER_ID
+from dualbrain.memory.embedding.image_features import ImageFeatures
+from dualbrain.memory.embedding.joint_embedding import BLOCKS, Alpha, EmbeddingConfig, EpisodeEmbedding, JointEmbedding
+from dualbrain.memory.embedding.posture_features import (
+    Posture,
+    PostureLimits,
+    _frequencies,
+    _standard_normals,
+    fourier_features,
+)
+from dualbrain.memory.embedding.symbol_features import symbol_features
+from dualbrain.memory.retrieval.search import FlatIndex, Query
+from tests.memory.memory_samples import ARM_LIMITS, OTHER_LIMITS, REST_POSTURE
 
 ENCODER = HashingEncoder(32)
-JOINT = JointEmbedding(ENCODER, (ARM, OTHER))
-PICTURE = Picture.of(IMAGE_ENCODER, np.random.default_rng(1).standard_normal(128).astype(np.float32))
-OTHER_PICTURE = Picture.of(IMAGE_ENCODER, np.random.default_rng(2).standard_normal(128).astype(np.float32))
+JOINT = JointEmbedding(ENCODER, (ARM_LIMITS, OTHER_LIMITS))
+PICTURE = ImageFeatures.from_vector(IMAGE_ENCODER_ID, np.random.default_rng(1).standard_normal(128).astype(np.float32))
+OTHER_PICTURE = ImageFeatures.from_vector(
+    IMAGE_ENCODER_ID, np.random.default_rng(2).standard_normal(128).astype(np.float32)
+)
 texts = st.text(st.characters(), max_size=30)
 postures = st.builds(Posture, st.tuples(st.floats(-3, 3), st.floats(-2, 2)), st.floats(0, 0.04))
 
 
-def _cosine(one: Embedded, other: Embedded, alpha: Alpha) -> float:
+def _cosine(one: EpisodeEmbedding, other: EpisodeEmbedding, alpha: Alpha) -> float:
     """As retrieval has it."""
-    scan = Scan(JOINT.dim)
-    scan.add(one.row, 0.5, one.mask)
-    query = Query(other.row * JOINT.scale(alpha), other.mask, alpha.shares(), JOINT.scale(alpha))
+    scan = FlatIndex(JOINT.dim)
+    scan.add(one.vector, 0.5, one.mask)
+    query = Query(
+        other.vector * JOINT.expand_alpha(alpha), other.mask, alpha.weight_by_mask(), JOINT.expand_alpha(alpha)
+    )
     return float(scan.compare(query).cosine[0])
 
 
 @given(texts, texts, st.one_of(st.none(), postures), st.booleans())
 def test_every_block_that_is_there_has_unit_length(a: str, b: str, state: Posture | None, seen: bool) -> None:
     e = JOINT.embed(a, b, state, "arm", PICTURE if seen else None)
-    ends = np.cumsum(JOINT.dims)
-    lengths = [np.linalg.norm(e.row[end - dim : end]) for dim, end in zip(JOINT.dims, ends, strict=True)]
-    assert e.row.shape == (JOINT.dim,)
+    ends = np.cumsum(JOINT.block_dims)
+    lengths = [np.linalg.norm(e.vector[end - dim : end]) for dim, end in zip(JOINT.block_dims, ends, strict=True)]
+    assert e.vector.shape == (JOINT.dim,)
     assert lengths == pytest.approx([float(e.mask >> block & 1) for block in range(len(BLOCKS))], abs=1e-5)
     there = (bool(a), bool(b), None, seen, state is not None)
     assert all(want is None or bool(e.mask >> block & 1) == want for block, want in enumerate(there))
@@ -57,16 +67,16 @@ def test_cosine_is_the_weighted_sum_over_the_blocks_that_both_have(
     """Law of the query: α may change without touching what is stored, and a missing block counts for nothing."""
     config = JOINT.config
     rows = [ENCODER.encode([text.encode("utf-8", "replace").decode()])[0] for text in (a, b, c, d)]
-    kernels = [fourier(ARM.normalised(x), 128, config.seed, 1.0) for x in (p, q)]
+    kernels = [fourier_features(ARM_LIMITS.normalize(x), 128, config.seed, 1.0) for x in (p, q)]
     left, right = (
-        symbols(*(x.encode("utf-8", "replace").decode() for x in (a, b))),
-        symbols(*(x.encode("utf-8", "replace").decode() for x in (c, d))),
+        symbol_features(*(x.encode("utf-8", "replace").decode() for x in (a, b))),
+        symbol_features(*(x.encode("utf-8", "replace").decode() for x in (c, d))),
     )
     parts = [
         rows[0] @ rows[2] if a and c and 0 not in missing else None,
         rows[1] @ rows[3] if b and d and 1 not in missing else None,
         None,
-        float(PICTURE.row() @ OTHER_PICTURE.row()) if 3 not in missing else None,
+        float(PICTURE.to_vector() @ OTHER_PICTURE.to_vector()) if 3 not in missing else None,
         kernels[0] @ kernels[1] if 4 not in missing else None,
     ]
     one = JOINT.embed("" if 0 in missing else a, "" if 1 in missing else b, p, "arm", PICTURE)
@@ -74,7 +84,7 @@ def test_cosine_is_the_weighted_sum_over_the_blocks_that_both_have(
     if not missing & {0, 1} and left is not None and right is not None:
         parts[2] = left @ right
     elif one.mask & other.mask & 4:
-        parts[2] = JOINT.parts(one.row, other.row, 4)["symbols"]
+        parts[2] = JOINT.block_cosines(one.vector, other.vector, 4)["symbols"]
     weights = [w for w, part in zip(astuple(alpha), parts, strict=True) if part is not None]
     found = [part for part in parts if part is not None]
     expected = float(np.dot(weights, found) / sum(weights)) if weights else 0.0
@@ -82,34 +92,36 @@ def test_cosine_is_the_weighted_sum_over_the_blocks_that_both_have(
 
 
 def test_symbols_tell_apart_what_a_sentence_encoder_blurs() -> None:
-    near = symbols("put the red cube away", "red_cube: object, neighbour_across tall <3cm\nblue_cube: object")
-    same = symbols("put the green mug away", "green_mug: object, neighbour_across tall <3cm\nred_cube: object")
-    far = symbols("put the red cube away", "red_cube: object, neighbour_along low 3-6cm\nblue_cube: object")
+    near = symbol_features("put the red cube away", "red_cube: object, neighbour_across tall <3cm\nblue_cube: object")
+    same = symbol_features("put the green mug away", "green_mug: object, neighbour_across tall <3cm\nred_cube: object")
+    far = symbol_features("put the red cube away", "red_cube: object, neighbour_along low 3-6cm\nblue_cube: object")
     assert near is not None
     assert same is not None
     assert far is not None
     assert near @ same == pytest.approx(1.0, abs=1e-6)
     assert near @ far < 0.5
-    assert symbols("put", "") is None
+    assert symbol_features("put", "") is None
 
 
 def test_a_picture_of_another_encoder_is_refused() -> None:
-    strange = Picture.of("resnet@1234/128", np.ones(128, np.float32))
-    with pytest.raises(InvalidSetup, match="image encoder: got 'resnet@1234/128', allowed: efficientnet-lite0@"):
+    strange = ImageFeatures.from_vector("resnet@1234/128", np.ones(128, np.float32))
+    with pytest.raises(ConfigurationError, match="image encoder: got 'resnet@1234/128', allowed: efficientnet-lite0@"):
         JOINT.embed("a", "b", None, "arm", strange)
 
 
 @pytest.mark.parametrize("features", [np.zeros(128), np.full(128, np.nan), np.ones(4)])
 def test_features_without_a_direction_are_no_picture(features: np.ndarray) -> None:
-    with pytest.raises(InvalidSetup, match="picture features"):
-        Picture.of(IMAGE_ENCODER, features.astype(np.float32))
+    with pytest.raises(ConfigurationError, match="picture features"):
+        ImageFeatures.from_vector(IMAGE_ENCODER_ID, features.astype(np.float32))
 
 
 def test_the_state_block_is_a_gaussian_kernel() -> None:
     rng = np.random.default_rng(0)
     x = rng.uniform(-1, 1, (300, 8))
     y = x + 0.3 * rng.standard_normal((300, 8))
-    got = np.array([fourier(a, 128, 7, 1.0) @ fourier(b, 128, 7, 1.0) for a, b in zip(x, y, strict=True)])
+    got = np.array(
+        [fourier_features(a, 128, 7, 1.0) @ fourier_features(b, 128, 7, 1.0) for a, b in zip(x, y, strict=True)]
+    )
     assert np.abs(got - np.exp(-((x - y) ** 2).sum(axis=1) / 2)).mean() < 0.03
 
 
@@ -117,32 +129,32 @@ def test_frequencies_are_orthogonal_within_a_block_and_the_same_for_ever() -> No
     block = _frequencies(8, 64, 7)[:8]
     gram = block @ block.T
     assert np.abs(gram - np.diag(np.diag(gram))).max() < 1e-10
-    normals = _normals(7, 4000)
+    normals = _standard_normals(7, 4000)
     assert abs(normals.mean()) < 0.05
     assert normals.std() == pytest.approx(1.0, abs=0.05)
-    assert _normals(7, 3) == pytest.approx([0.9476673378, -0.5946404515, 0.4071613303], abs=1e-9)
+    assert _standard_normals(7, 3) == pytest.approx([0.9476673378, -0.5946404515, 0.4071613303], abs=1e-9)
 
 
 def test_a_limit_is_the_edge_of_the_normalised_posture() -> None:
-    assert ARM.normalised(Posture((-3.0, 2.0), 0.02)) == pytest.approx([-1.0, 1.0, 0.0])
-    assert ARM.normalised(Posture((-9.0, 9.0), 0.0)) == pytest.approx([-1.0, 1.0, -1.0])
+    assert ARM_LIMITS.normalize(Posture((-3.0, 2.0), 0.02)) == pytest.approx([-1.0, 1.0, 0.0])
+    assert ARM_LIMITS.normalize(Posture((-9.0, 9.0), 0.0)) == pytest.approx([-1.0, 1.0, -1.0])
 
 
 @pytest.mark.parametrize(
     "state", [Posture((0.0,), 0.0), Posture((0.0, float("nan")), 0.0), Posture((0.0, 0.0), np.inf)]
 )
 def test_a_posture_that_is_none_is_refused(state: Posture) -> None:
-    with pytest.raises(InvalidSetup, match="posture"):
+    with pytest.raises(ConfigurationError, match="posture"):
         JOINT.embed("", "", state, "arm")
 
 
 def test_the_version_names_all_that_the_vector_depends_on() -> None:
     moved = PostureLimits("arm", (-3.0, -2.0), (3.0, 2.1), 0.04)
     others = [
-        JointEmbedding(HashingEncoder(16), (ARM,)),
+        JointEmbedding(HashingEncoder(16), (ARM_LIMITS,)),
         JointEmbedding(ENCODER, (moved,)),
         *(
-            JointEmbedding(ENCODER, (ARM,), config)
+            JointEmbedding(ENCODER, (ARM_LIMITS,), config)
             for config in (
                 EmbeddingConfig(features=64),
                 EmbeddingConfig(seed=8),
@@ -152,21 +164,21 @@ def test_the_version_names_all_that_the_vector_depends_on() -> None:
     ]
     versions = {JOINT.version("arm"), *(other.version("arm") for other in others)}
     assert len(versions) == 1 + len(others)
-    assert JOINT.version("arm") == JointEmbedding(HashingEncoder(32), (OTHER, ARM)).version("arm")
+    assert JOINT.version("arm") == JointEmbedding(HashingEncoder(32), (OTHER_LIMITS, ARM_LIMITS)).version("arm")
 
 
 def test_a_robot_without_limits_is_named() -> None:
-    with pytest.raises(UnknownName, match=r"'armm' is not a robot of this memory\. Closest: 'arm'"):
-        JOINT.embed("", "", REST, "armm")
+    with pytest.raises(UnknownNameError, match=r"'armm' is not a robot of this memory\. Closest: 'arm'"):
+        JOINT.embed("", "", REST_POSTURE, "armm")
 
 
 @pytest.mark.parametrize("weights", [(0.5,) * 5, (1.2, -0.1, -0.1, 0.0, 0.0), (float("nan"), 0.5, 0.5, 0.0, 0.0)])
 def test_weights_that_do_not_sum_to_one_are_refused(weights: tuple[float, ...]) -> None:
-    with pytest.raises(InvalidSetup, match="embedding weights"):
+    with pytest.raises(ConfigurationError, match="embedding weights"):
         Alpha(*weights)
 
 
 @pytest.mark.parametrize("setting", [{"features": 7}, {"features": 0}, {"bandwidth": 0.0}])
 def test_features_that_cannot_be_made_are_refused(setting: dict[str, float]) -> None:
-    with pytest.raises(InvalidSetup, match="embedding"):
+    with pytest.raises(ConfigurationError, match="embedding"):
         EmbeddingConfig(**setting)

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.core.weights import default_cache
-from dualbrain.errors import MissingPart
+from dualbrain.core.weights import default_cache_folder
+from dualbrain.errors import MissingDependencyError
 from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
 from dualbrain.memory.embedding.text_encoder import Encoder, MiniLmEncoder
 
@@ -18,8 +18,8 @@ AWKWARD = ("", " ", "\x00", "a" * 5000, "红色方块放进碗里", "💥" * 300
 
 @pytest.fixture(scope="module")
 def minilm() -> MiniLmEncoder:
-    cache = default_cache(os.environ)
-    return MiniLmEncoder.fetched(cache)
+    cache = default_cache_folder(os.environ)
+    return MiniLmEncoder.from_cache(cache)
 
 
 def _check_rows(encoder: Encoder, texts: list[str]) -> None:
@@ -48,7 +48,7 @@ def test_hashing_knows_shared_words() -> None:
 def test_a_missing_file_names_the_command_that_fetches_it(tmp_path: Path, absent: str) -> None:
     for name in {"model.onnx", "tokenizer.json"} - {absent}:
         (tmp_path / name).write_bytes(b"")
-    with pytest.raises(MissingPart, match=rf"{absent} is missing.*dualbrain models fetch minilm-l6-v2-int8"):
+    with pytest.raises(MissingDependencyError, match=rf"{absent} is missing.*dualbrain models fetch minilm-l6-v2-int8"):
         MiniLmEncoder(tmp_path / "model.onnx", tmp_path / "tokenizer.json")
 
 

@@ -7,33 +7,33 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.errors import InvalidSetup
-from dualbrain.memory.learning.trust import Trust
+from dualbrain.errors import ConfigurationError
+from dualbrain.memory.learning.trust import TrustConfig
 from dualbrain.memory.maintenance.edits import release
 from dualbrain.memory.memory import Memory
-from dualbrain.memory.plasticity.affine_map import Factors
+from dualbrain.memory.plasticity.affine_map import AffineMap
 from dualbrain.memory.plasticity.rule import Plasticity
-from dualbrain.memory.state.state import DAY
-from dualbrain.records import Recall
-from tests.memory.memory_samples import CONFIG, NOW, REST, contract, episode, open_ledger, open_memory
+from dualbrain.memory.state.state import SECONDS_PER_DAY
+from dualbrain.records import RetrievedContext
+from tests.memory.memory_samples import CONFIG, NOW, REST_POSTURE, episode, grasp_contract, open_ledger, open_memory
 
-MIDNIGHT = NOW // DAY * DAY
-
-
-def _recall(memory: Memory, k: int = 3) -> Recall:
-    return memory.recall("put the red cube in the bowl", "neighbour_across low", REST, "arm", "aaaa1111", k=k)
+MIDNIGHT = NOW // SECONDS_PER_DAY * SECONDS_PER_DAY
 
 
-def _ids(recall: Recall) -> list[str]:
+def _recall(memory: Memory, k: int = 3) -> RetrievedContext:
+    return memory.retrieve("put the red cube in the bowl", "neighbour_across low", REST_POSTURE, "arm", "aaaa1111", k=k)
+
+
+def _ids(recall: RetrievedContext) -> list[str]:
     return [hit.episode_id for hit in recall.exemplars]
 
 
 def test_a_success_that_nothing_confirms_is_not_offered_and_teaches_nothing(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
-        memory.store(episode("sure"), REST, now=NOW)
-        report = memory.store(episode("hearsay", second_opinion="none", recall=_recall(memory)), REST, now=NOW)
-        assert (report.status, report.changes) == ("candidate", ())
+        memory.store(episode("sure"), REST_POSTURE, now=NOW)
+        report = memory.store(episode("hearsay", second_opinion="none", recall=_recall(memory)), REST_POSTURE, now=NOW)
+        assert (report.status, report.weight_updates) == ("candidate", ())
         assert "not offered before something confirms it" in str(report)
         assert (_ids(_recall(memory)), memory.weights()) == (["sure"], {"sure": 0.575, "hearsay": 0.5})
 
@@ -42,19 +42,19 @@ def test_a_verdict_that_another_sense_disputes_is_set_aside(tmp_path: Path) -> N
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
         for name, kind in (("a", "succeeded"), ("b", "failed")):
-            report = memory.store(episode(name, kind, second_opinion="disagrees"), REST, now=NOW)
-            assert (report.status, report.changes) == ("quarantined", ())
-        assert _recall(memory) == Recall()
+            report = memory.store(episode(name, kind, second_opinion="disagrees"), REST_POSTURE, now=NOW)
+            assert (report.status, report.weight_updates) == ("quarantined", ())
+        assert _recall(memory) == RetrievedContext()
 
 
 def test_a_later_consistent_outcome_confirms_and_then_teaches(tmp_path: Path) -> None:
     """What was held back is applied in full, and the same ledger replays to the same weights."""
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
-        memory.store(episode("shown"), REST, now=NOW)
-        memory.store(episode("hearsay", second_opinion="none", recall=_recall(memory)), REST, now=NOW)
-        report = memory.store(episode("again"), REST, now=NOW)
-        assert (report.status, report.confirmed) == ("active", ("hearsay",))
+        memory.store(episode("shown"), REST_POSTURE, now=NOW)
+        memory.store(episode("hearsay", second_opinion="none", recall=_recall(memory)), REST_POSTURE, now=NOW)
+        report = memory.store(episode("again"), REST_POSTURE, now=NOW)
+        assert (report.status, report.confirmed_ids) == ("active", ("hearsay",))
         assert memory.weights() == pytest.approx({"shown": 0.95 * 0.575 + 0.1, "hearsay": 0.575, "again": 0.575})
         assert set(_ids(_recall(memory))) == {"shown", "hearsay", "again"}
         assert open_memory(ledger).weights() == memory.weights()
@@ -65,7 +65,7 @@ def test_a_later_consistent_outcome_confirms_and_then_teaches(tmp_path: Path) ->
     [
         ({"second_opinion": "none"}, False),
         ({"second_opinion": "none", "by": "another planner"}, True),
-        ({"plan": contract("green_cube")}, False),
+        ({"plan": grasp_contract("green_cube")}, False),
         ({"instruction": "open the far drawer slowly", "summary": "person: crossing, overhead over_path"}, False),
         ({"registry": "bbbb2222"}, False),
     ],
@@ -74,16 +74,16 @@ def test_only_an_independent_and_like_outcome_confirms(tmp_path: Path, other: di
     """Many claims of one source do not confirm each other: the shape of implanted successes."""
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
-        memory.store(episode("hearsay", second_opinion="none"), REST, now=NOW)
-        assert (memory.store(episode("b", **other), REST, now=NOW).confirmed == ("hearsay",)) == confirms
+        memory.store(episode("hearsay", second_opinion="none"), REST_POSTURE, now=NOW)
+        assert (memory.store(episode("b", **other), REST_POSTURE, now=NOW).confirmed_ids == ("hearsay",)) == confirms
         assert (memory.state["hearsay"].status == "active") == confirms
 
 
 def test_a_released_candidate_teaches_once(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
-        memory.store(episode("a"), REST, now=NOW)
-        memory.store(episode("b", second_opinion="none", recall=_recall(memory)), REST, now=NOW)
+        memory.store(episode("a"), REST_POSTURE, now=NOW)
+        memory.store(episode("b", second_opinion="none", recall=_recall(memory)), REST_POSTURE, now=NOW)
         for _ in range(2):
             release(memory, ["b"], "seen with my own eyes", now=NOW)
             assert memory.weights() == pytest.approx({"a": 0.95 * 0.575 + 0.1, "b": 0.575})
@@ -95,30 +95,30 @@ def test_one_source_moves_weights_only_so_far_in_a_day(
     tmp_path_factory: pytest.TempPathFactory, kinds: list[str], bound: float
 ) -> None:
     """Law over any sequence: Σ|Δw| of others by one source within a day stays below both bounds; a new day is free."""
-    trust = Trust(per_memory=bound, per_source=1.5 * bound)
+    trust = TrustConfig(max_change_per_memory=bound, max_change_per_source=1.5 * bound)
     with open_ledger(tmp_path_factory.mktemp("l")) as ledger:
         memory = open_memory(ledger, replace(CONFIG, trust=trust, plasticity=Plasticity()))
         for name in ("a", "b"):
-            memory.store(episode(name, by="founder"), REST, now=MIDNIGHT)
+            memory.store(episode(name, proposer="founder"), REST_POSTURE, now=MIDNIGHT)
         start, moved = memory.weights(), {"a": 0.0, "b": 0.0}
         for i, kind in enumerate(kinds):
-            shown = Recall(tuple(hit for hit in _recall(memory, 9).exemplars if hit.episode_id in start))
+            shown = RetrievedContext(tuple(hit for hit in _recall(memory, 9).exemplars if hit.episode_id in start))
             before = memory.weights()
-            memory.store(episode(f"e-{i}", kind, recall=shown, by="mallory"), REST, now=MIDNIGHT + i)
+            memory.store(episode(f"e-{i}", kind, recall=shown, proposer="mallory"), REST_POSTURE, now=MIDNIGHT + i)
             for name in moved:
                 moved[name] += abs(memory.weights()[name] - before[name])
         assert max(moved.values()) <= bound + 1e-9
         assert memory.state.influence.total["mallory"] <= 1.5 * bound + 1e-9
-        shown = Recall(tuple(hit for hit in _recall(memory, 99).exemplars if hit.episode_id in start))
-        tomorrow = episode("tomorrow", "failed", recall=shown, by="mallory")
-        change = memory.store(tomorrow, REST, now=MIDNIGHT + DAY).changes[1]
+        shown = RetrievedContext(tuple(hit for hit in _recall(memory, 99).exemplars if hit.episode_id in start))
+        tomorrow = episode("tomorrow", "failed", recall=shown, proposer="mallory")
+        change = memory.store(tomorrow, REST_POSTURE, now=MIDNIGHT + SECONDS_PER_DAY).weight_updates[1]
         assert change.share == min(1.0, bound / abs(0.95 * change.before - 0.1 - change.before))
 
 
 @given(st.floats(0, 1), st.floats(0.5, 1), st.floats(-1, 1), st.floats(0, 2), st.floats(0, 2))
 def test_a_bounded_step_stays_in_its_room(w: float, gain: float, offset: float, total: float, single: float) -> None:
-    trust = Trust(per_source=1.0, per_memory=0.5)
-    step, share = trust.bounded(Factors(gain, offset), w, (total, single))
+    trust = TrustConfig(max_change_per_source=1.0, max_change_per_memory=0.5)
+    step, share = trust.limit_update(AffineMap(gain, offset), w, (total, single))
     room = max(0.0, min(1.0 - total, 0.5 - single))
     assert abs(step(w) - w) <= room + 1e-12
     assert 0.0 <= share <= 1.0
@@ -126,5 +126,5 @@ def test_a_bounded_step_stays_in_its_room(w: float, gain: float, offset: float, 
 
 @pytest.mark.parametrize("setting", [{"per_source": 0.0}, {"per_memory": -1.0}, {"alike": 2.0}])
 def test_bounds_that_are_none_are_refused(setting: dict[str, float]) -> None:
-    with pytest.raises(InvalidSetup, match="trust"):
-        Trust(**setting)
+    with pytest.raises(ConfigurationError, match="trust"):
+        TrustConfig(**setting)

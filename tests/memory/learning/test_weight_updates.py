@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.errors import InvalidSetup
-from dualbrain.memory.learning.trust import Trust
-from dualbrain.memory.plasticity.affine_map import Factors
+from dualbrain.errors import ConfigurationError
+from dualbrain.memory.learning.trust import TrustConfig
+from dualbrain.memory.plasticity.affine_map import AffineMap
 from dualbrain.memory.plasticity.rule import Penalty, Plasticity
-from dualbrain.memory.retrieval.search import Query, Scan
-from tests.memory.memory_samples import CONFIG, NOW, REST, contract, episode, open_ledger, open_memory
+from dualbrain.memory.retrieval.search import FlatIndex, Query
+from tests.memory.memory_samples import CONFIG, NOW, REST_POSTURE, episode, grasp_contract, open_ledger, open_memory
 
 SCENE = "neighbour_across low"
-WIDE = replace(CONFIG, plasticity=Plasticity(kappa=0.05, bandwidth=0.3), trust=Trust.none())
+WIDE = replace(CONFIG, plasticity=Plasticity(kappa=0.05, bandwidth=0.3), trust=TrustConfig.disabled())
 
 
 @pytest.mark.parametrize(("kind", "xi"), [("succeeded", 1.0), ("failed", -1.0)])
@@ -26,55 +26,57 @@ def test_the_neighbourhood_moves_by_the_papers_gaussian(tmp_path: Path, kind: st
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger, WIDE)
         for name, words in (("a", "put the red cube in the bowl"), ("b", "put the red cube in a bowl"), ("c", "halt")):
-            memory.store(episode(name, "declined", instruction=words), REST, now=NOW)
-        report = memory.store(episode("new", kind, instruction="put the red cube in the bowl"), REST, now=NOW)
-        scale = np.sqrt(memory.embedding.scale(memory.config.embedding.alpha) / 0.9).astype(float)
-        rows = memory.index.scan.rows.astype(float) * scale
+            memory.store(episode(name, "declined", instruction=words), REST_POSTURE, now=NOW)
+        report = memory.store(episode("new", kind, instruction="put the red cube in the bowl"), REST_POSTURE, now=NOW)
+        scale = np.sqrt(memory.embedding.expand_alpha(memory.config.embedding.alpha) / 0.9).astype(float)
+        rows = memory.index.flat_index.rows.astype(float) * scale
         distances = ((rows - rows[3]) ** 2).sum(axis=1)
         factor = np.where(distances <= 0.81, np.exp(-distances / (2 * 0.3**2)), 0.0)
         expected = 0.5 + xi * 0.05 * factor
         got = memory.weights()
         assert [got[name] for name in "abc"] == pytest.approx(expected[:3].tolist(), abs=1e-6)
-        assert (got["c"], report.neighbours) == (0.5, 2)
-        assert got["new"] == pytest.approx(Factors(0.95, 0.1 if xi > 0 else -0.1)(0.5))
+        assert (got["c"], report.n_neighbours) == (0.5, 2)
+        assert got["new"] == pytest.approx(AffineMap(0.95, 0.1 if xi > 0 else -0.1)(0.5))
 
 
 def test_how_one_contract_went_says_nothing_of_others_in_the_same_place(tmp_path: Path) -> None:
     """Else a contract that fails again and again would pull down the good ones beside it, until the last one leads."""
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger, WIDE)
-        memory.store(episode("good", plan=contract("cup")), REST, now=NOW)
-        memory.store(episode("like it", "declined", plan=contract("jar")), REST, now=NOW)
+        memory.store(episode("good", plan=grasp_contract("cup")), REST_POSTURE, now=NOW)
+        memory.store(episode("like it", "declined", plan=grasp_contract("jar")), REST_POSTURE, now=NOW)
         before = memory.weights()
         for number in range(20):
-            memory.store(episode(f"bad {number}", "failed", plan=contract("jar")), REST, now=NOW)
+            memory.store(episode(f"bad {number}", "failed", plan=grasp_contract("jar")), REST_POSTURE, now=NOW)
         after = memory.weights()
         assert after["good"] == before["good"] > max(after[f"bad {number}"] for number in range(20))
         assert after["like it"] == 0.0
         bare = {"id": "c-1", "context": {}, "action_sequence": []}
-        assert memory.store(episode("nothing", "failed", plan=bare), REST, now=NOW).neighbours == 0
-        assert memory.store(episode("again", "failed", plan=bare), REST, now=NOW).neighbours == 0
+        assert memory.store(episode("nothing", "failed", plan=bare), REST_POSTURE, now=NOW).n_neighbours == 0
+        assert memory.store(episode("again", "failed", plan=bare), REST_POSTURE, now=NOW).n_neighbours == 0
 
 
 def test_an_outcome_teaches_the_exemplar_that_was_followed(tmp_path: Path) -> None:
     """What stood beside it is another contract; of two that are equally near, both were followed."""
-    slow, fast = (contract("cup") for _ in range(2))
+    slow, fast = (grasp_contract("cup") for _ in range(2))
     slow["action_sequence"][0]["params"] |= {"speed": 0.1, "force": 5.0}
     fast["action_sequence"][0]["params"] |= {"speed": 0.3, "force": 5.0}
-    between = contract("cup")
+    between = grasp_contract("cup")
     between["action_sequence"][0]["params"] |= {"speed": 0.2, "force": 5.0}
     other = {"id": "c-1", "context": {}, "action_sequence": [{"skill": "home", "params": {}}]}
     for done, moved in ((fast, {"fast"}), (slow, {"slow"}), (between, {"slow", "fast"}), (other, set[str]())):
         with open_ledger(tmp_path, f"{moved}.db") as ledger:
             memory = open_memory(ledger, CONFIG)
             for name, plan in (("slow", slow), ("fast", fast)):
-                memory.store(episode(name, plan=plan), REST, now=NOW)
+                memory.store(episode(name, plan=plan), REST_POSTURE, now=NOW)
             before = memory.weights()
-            recall = memory.recall("put the red cube in the bowl", SCENE, REST, "arm", "aaaa1111", k=2)
-            told = memory.store(episode("new", "failed", plan=done, recall=recall), REST, now=NOW)
+            recall = memory.retrieve("put the red cube in the bowl", SCENE, REST_POSTURE, "arm", "aaaa1111", k=2)
+            told = memory.store(episode("new", "failed", plan=done, recall=recall), REST_POSTURE, now=NOW)
             assert {name for name, w in memory.weights().items() if w != before.get(name, w)} == moved
             ranks = {hit.episode_id: hit.rank for hit in recall.exemplars}
-            assert {one.memory: one.rank for one in told.changes if one.rank} == {name: ranks[name] for name in moved}
+            assert {one.memory: one.rank for one in told.weight_updates if one.rank} == {
+                name: ranks[name] for name in moved
+            }
 
 
 def test_a_contract_that_keeps_going_wrong_where_it_is_copied_loses_its_lead(tmp_path: Path) -> None:
@@ -82,15 +84,17 @@ def test_a_contract_that_keeps_going_wrong_where_it_is_copied_loses_its_lead(tmp
     words = "put the red cube in the bowl"
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger, WIDE)
-        memory.store(episode("elsewhere", summary="neighbour_across tall", plan=contract("cup")), REST, now=NOW)
-        memory.store(episode("here", plan=contract("jar")), REST, now=NOW)
+        memory.store(
+            episode("elsewhere", summary="neighbour_across tall", plan=grasp_contract("cup")), REST_POSTURE, now=NOW
+        )
+        memory.store(episode("here", plan=grasp_contract("jar")), REST_POSTURE, now=NOW)
         first = list[str]()
         for turn in range(12):
-            recall = memory.recall(words, SCENE, REST, "arm", "aaaa1111", k=3)
+            recall = memory.retrieve(words, SCENE, REST_POSTURE, "arm", "aaaa1111", k=3)
             first.append(recall.exemplars[0].contract["action_sequence"][0]["params"]["object"])
             Delta = 0.1 if first[-1] == "jar" else 0.0
-            done = episode(f"copy {turn}", Delta=Delta, plan=contract(first[-1]), recall=recall)
-            memory.store(done, REST, now=NOW)
+            done = episode(f"copy {turn}", Delta=Delta, plan=grasp_contract(first[-1]), recall=recall)
+            memory.store(done, REST_POSTURE, now=NOW)
         assert first[0] == "jar"
         assert first[-6:] == ["cup"] * 6
 
@@ -100,8 +104,8 @@ def test_at_most_the_nearest_are_touched(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger, replace(WIDE, plasticity=rule))
         for i in range(6):
-            memory.store(episode(f"e-{i}", "declined"), REST, now=NOW)
-        assert memory.store(episode("new"), REST, now=NOW).neighbours == 3
+            memory.store(episode(f"e-{i}", "declined"), REST_POSTURE, now=NOW)
+        assert memory.store(episode("new"), REST_POSTURE, now=NOW).n_neighbours == 3
         assert [name for name, w in memory.weights().items() if w > 0.5] == ["e-3", "e-4", "e-5", "new"]
 
 
@@ -110,8 +114,8 @@ def test_a_neighbours_outcome_never_outweighs_an_own_one() -> None:
     rule = Plasticity(kappa=0.05, eta_plus=0.1, rho=0.05)
     good, bad = 0.0, 1.0
     for _ in range(200):
-        good, bad = rule.factors(1, 0.0)(good), min(1.0, bad + rule.neighbour_offset(0.0, up=True))
-        bad, good = rule.factors(0, 0.0)(bad), max(0.0, good + rule.neighbour_offset(0.0, up=False))
+        good, bad = rule.update_map(1, 0.0)(good), min(1.0, bad + rule.neighbour_offset(0.0, up=True))
+        bad, good = rule.update_map(0, 0.0)(bad), max(0.0, good + rule.neighbour_offset(0.0, up=False))
     assert good - bad > 0.9
 
 
@@ -128,7 +132,7 @@ def test_a_neighbours_outcome_never_outweighs_an_own_one() -> None:
     ],
 )
 def test_neighbourhoods_that_would_outweigh_outcomes_are_refused(setting: dict[str, float]) -> None:
-    with pytest.raises(InvalidSetup, match="plasticity"):
+    with pytest.raises(ConfigurationError, match="plasticity"):
         Plasticity(**setting)
 
 
@@ -138,7 +142,7 @@ def test_neighbourhoods_that_would_outweigh_outcomes_are_refused(setting: dict[s
 )
 def test_outside_the_constraints_proposition_2_fails(rho: float, eta_plus: float, eta_minus: float, g0: float) -> None:
     """The paper's rule by hand with such values does not separate (or a success lowers a weight); the class refuses."""
-    with pytest.raises(InvalidSetup):
+    with pytest.raises(ConfigurationError):
         Plasticity(rho=rho, eta_plus=eta_plus, eta_minus=eta_minus, g=Penalty(floor=g0), kappa=0.0)
     good, bad, fell = 0.0, 1.0, False
     for _ in range(5000):
@@ -156,8 +160,8 @@ def test_the_handicap_law(lambda_s: float, gap: float, handicap: float) -> None:
         return
     cosine = 1.0 - 2.0 * handicap
     near, far = np.array([1.0, 0.0], np.float32), np.array([cosine, math.sqrt(1.0 - cosine**2)], np.float32)
-    scan = Scan(2)
+    scan = FlatIndex(2)
     scan.add(near, 0.0)
     scan.add(far, gap)
-    winner = scan.top(scan.compare(Query.plain(near)), np.ones(2, bool), 1, lambda_s)[0].row
+    winner = scan.top_k(scan.compare(Query.single_block(near)), np.ones(2, bool), 1, lambda_s)[0].row
     assert (winner == 1) == (handicap < limit)

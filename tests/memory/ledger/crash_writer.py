@@ -7,27 +7,27 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from dualbrain.memory.ledger.ledger import Entry, Ledger, Vector
+from dualbrain.memory.ledger.ledger import Ledger, PendingEvent, StoredVector
 
-ROUND = 3
+EVENTS_PER_TRANSACTION = 3
 """Events in one transaction."""
 
 
-def write(path: Path, run: str, steps: int) -> None:
+def write_steps(path: Path, run: str, steps: int) -> None:
     """Store `steps` steps (for ever if 0), acknowledging each on stdout once it is stored."""
     with Ledger(path, holder="the killed writer", now=1.0) as ledger:
         ledger.start_run(run, {}, now=2.0)
         step = 0
         while not steps or step < steps:
-            vector = Vector("v", bytes(64))
-            rows = [Entry("episode", f"{run}-{step}", {"step": step}, vector)]
-            rows += [Entry("weight", f"{run}-{step}", {"i": i}) for i in range(ROUND - 1)]
+            vector = StoredVector("v", bytes(64))
+            rows = [PendingEvent("episode", f"{run}-{step}", {"step": step}, vector)]
+            rows += [PendingEvent("weight", f"{run}-{step}", {"i": i}) for i in range(EVENTS_PER_TRANSACTION - 1)]
             ledger.append(rows, now=3.0)
             print(step, flush=True)  # noqa: T201 - the acknowledgement
             step += 1
 
 
-def kill_before(statement: int) -> None:
+def kill_before_statement(statement: int) -> None:
     """Arrange that this process kills itself just before it runs its SQL statement number `statement`, from 0."""
     connect, seen = sqlite3.connect, [0]
 
@@ -44,14 +44,14 @@ def kill_before(statement: int) -> None:
     sqlite3.connect = watched
 
 
-def kill_before_each(folder: Path) -> int:
+def kill_before_each_statement(folder: Path) -> int:
     """Let one child each die before its statement 0, 1, ..., each with a ledger of its own, until one survives."""
     statement = 0
     while True:
         child = os.fork()
         if child == 0:
-            kill_before(statement)
-            write(folder / f"{statement}.db", "run", 1)
+            kill_before_statement(statement)
+            write_steps(folder / f"{statement}.db", "run", 1)
             os._exit(0)
         if os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) != -signal.SIGKILL:
             return statement
@@ -60,6 +60,6 @@ def kill_before_each(folder: Path) -> int:
 
 if __name__ == "__main__":
     if len(sys.argv) > 2:
-        write(Path(sys.argv[1]), sys.argv[2], 0)
+        write_steps(Path(sys.argv[1]), sys.argv[2], 0)
     else:
-        print(kill_before_each(Path(sys.argv[1])))  # noqa: T201 - the answer
+        print(kill_before_each_statement(Path(sys.argv[1])))  # noqa: T201 - the answer

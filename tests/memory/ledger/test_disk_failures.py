@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dualbrain.errors import InvalidSetup
-from dualbrain.memory.ledger.ledger import Entry, Ledger, LedgerReader
-from experiments.memory.crash_recovery import examine, one_round
-from tests.memory.memory_samples import NOW, REST, episode, open_ledger, open_memory
+from dualbrain.errors import ConfigurationError
+from dualbrain.memory.ledger.ledger import Ledger, LedgerReader, PendingEvent
+from experiments.memory.crash_recovery import check_ledger, run_round
+from tests.memory.memory_samples import NOW, REST_POSTURE, episode, open_ledger, open_memory
 
 
 def _mounted(folder: Path, *options: str) -> bool:
@@ -35,14 +35,14 @@ def test_a_full_disk_is_told_and_what_was_acknowledged_stays(small_disk: Path) -
     kept = []
     with open_ledger(small_disk) as ledger:
         memory = open_memory(ledger)
-        with pytest.raises(InvalidSetup, match=r"memory ledger: got '.*(full|disk I/O).*a disk with space"):  # noqa: PT012
+        with pytest.raises(ConfigurationError, match=r"memory ledger: got '.*(full|disk I/O).*a disk with space"):  # noqa: PT012
             for i in range(3000):
-                memory.store(episode(f"e-{i}", proposed="x" * 9000), REST, now=NOW)
+                memory.store(episode(f"e-{i}", proposed="x" * 9000), REST_POSTURE, now=NOW)
                 kept.append(f"e-{i}")
-        recalled = memory.recall("put the red cube in the bowl", "", REST, "arm", "aaaa1111", k=3)
+        recalled = memory.retrieve("put the red cube in the bowl", "", REST_POSTURE, "arm", "aaaa1111", k=3)
         assert len(recalled.exemplars) == 3
     with LedgerReader(small_disk / "ledger.db") as reader:
-        assert reader.verify().whole
+        assert reader.verify().is_intact
         assert [event.subject for event in reader.events("kind = 'episode'")] == kept
         assert len(kept) > 20
 
@@ -50,31 +50,31 @@ def test_a_full_disk_is_told_and_what_was_acknowledged_stays(small_disk: Path) -
 def test_when_there_is_room_again_the_ledger_goes_on(small_disk: Path) -> None:
     ballast = small_disk / "ballast"
     with open_ledger(small_disk) as ledger:
-        ledger.append([Entry("note", "", 1)], now=NOW)
+        ledger.append([PendingEvent("note", "", 1)], now=NOW)
         ballast.write_bytes(bytes(os.statvfs(small_disk).f_bavail * os.statvfs(small_disk).f_frsize))
-        with pytest.raises(InvalidSetup, match="memory ledger"):
-            ledger.append([Entry("note", "", "x" * 200_000)], now=NOW)
+        with pytest.raises(ConfigurationError, match="memory ledger"):
+            ledger.append([PendingEvent("note", "", "x" * 200_000)], now=NOW)
         ballast.unlink()
-        ledger.append([Entry("note", "", 2)], now=NOW)
-        assert (ledger.verify().whole, ledger.head().seq) == (True, 2)
+        ledger.append([PendingEvent("note", "", 2)], now=NOW)
+        assert (ledger.verify().is_intact, ledger.head().seq) == (True, 2)
 
 
 def test_a_full_disk_at_the_start_is_told(small_disk: Path) -> None:
     (small_disk / "ballast").write_bytes(bytes(4 << 20))
     for _ in range(2):
-        with pytest.raises(InvalidSetup, match="memory ledger"):
+        with pytest.raises(ConfigurationError, match="memory ledger"):
             open_ledger(small_disk)
 
 
 def test_a_read_only_file_system_is_told_and_can_be_read(small_disk: Path) -> None:
     with open_ledger(small_disk) as ledger:
-        open_memory(ledger).store(episode("a"), REST, now=NOW)
+        open_memory(ledger).store(episode("a"), REST_POSTURE, now=NOW)
     subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
-    with pytest.raises(InvalidSetup, match=r"memory ledger: got 'Read-only file system', allowed: a ledger that"):
+    with pytest.raises(ConfigurationError, match=r"memory ledger: got 'Read-only file system', allowed: a ledger that"):
         Ledger(small_disk / "ledger.db", holder="a test", now=NOW)
     with LedgerReader(small_disk / "ledger.db") as reader:
         memory = open_memory(reader)
-        found = memory.recall("put the red cube in the bowl", "", REST, "arm", "aaaa1111", k=3)
+        found = memory.retrieve("put the red cube in the bowl", "", REST_POSTURE, "arm", "aaaa1111", k=3)
         assert [hit.episode_id for hit in found.exemplars] == ["a"]
 
 
@@ -82,6 +82,6 @@ def test_four_clients_killed_at_random_moments_lose_nothing(tmp_path: Path) -> N
     """A sample of the proof `kills`."""
     rng, acknowledged, path = np.random.default_rng(99), set[str](), tmp_path / "ledger.sqlite"
     for number in range(4):
-        acknowledged |= one_round(path, number, rng)
-        assert examine(path, acknowledged) == ("", 0)
+        acknowledged |= run_round(path, number, rng)
+        assert check_ledger(path, acknowledged) == ("", 0)
     assert acknowledged

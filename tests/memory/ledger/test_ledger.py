@@ -14,10 +14,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.core.storage.file_lock import LedgerInUse
-from dualbrain.errors import InvalidSetup, MissingPart
-from dualbrain.memory.ledger.hash_chain import GENESIS, DamagedLedger, Head, digest
-from dualbrain.memory.ledger.ledger import Entry, Ledger, LedgerReader, Vector
+from dualbrain.core.storage.file_lock import LedgerInUseError
+from dualbrain.errors import ConfigurationError, MissingDependencyError
+from dualbrain.memory.ledger.hash_chain import GENESIS, CorruptLedgerError, Head, event_digest
+from dualbrain.memory.ledger.ledger import Ledger, LedgerReader, PendingEvent, StoredVector
 from tests.memory.ledger import crash_writer
 from tests.memory.memory_samples import INTERPRETER, NOW, open_ledger
 
@@ -25,7 +25,9 @@ from tests.memory.memory_samples import INTERPRETER, NOW, open_ledger
 def _filled(folder: Path, events: int = 6) -> Path:
     with open_ledger(folder) as ledger:
         for i in range(events):
-            ledger.append([Entry("note", f"s{i}", {"text": f"number {i}"}, Vector("v", b"\0\0"))], now=NOW + i)
+            ledger.append(
+                [PendingEvent("note", f"s{i}", {"text": f"number {i}"}, StoredVector("v", b"\0\0"))], now=NOW + i
+            )
     return folder / "ledger.db"
 
 
@@ -41,12 +43,12 @@ def _tamper(path: Path, *statements: str) -> None:
 def test_an_empty_ledger_is_whole(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         report = ledger.verify()
-    assert (report.whole, report.events, report.head) == (True, 0, Head(0, GENESIS))
+    assert (report.is_intact, report.events, report.head) == (True, 0, Head(0, GENESIS))
 
 
 def test_events_come_back_as_they_were_written(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
-        written = ledger.append([Entry("note", "a", {"x": 1.5}), Entry("note", "b", [1, 2])], now=NOW)
+        written = ledger.append([PendingEvent("note", "a", {"x": 1.5}), PendingEvent("note", "b", [1, 2])], now=NOW)
         assert tuple(ledger.events()) == written
         assert ledger.head() == Head(2, written[1].hash)
         assert written[1].previous == written[0].hash
@@ -75,7 +77,7 @@ def test_a_changed_event_is_found_and_named(tmp_path: Path, change: str, seq: in
     _tamper(path, f"UPDATE event SET {change} WHERE seq = {seq}")
     with LedgerReader(path) as reader:
         report = reader.verify()
-    assert (report.whole, report.broken_at, report.events) == (False, seq, seq - 1)
+    assert (report.is_intact, report.broken_at, report.events) == (False, seq, seq - 1)
 
 
 @pytest.mark.parametrize(
@@ -104,7 +106,7 @@ def test_a_changed_event_with_a_new_hash_betrays_itself_at_the_next_one(tmp_path
     path = _filled(tmp_path)
     with LedgerReader(path) as reader:
         forged = replace(list(reader.events())[2], payload=b"{}")
-    _tamper(path, f"UPDATE event SET payload = CAST('{{}}' AS BLOB), hash = '{digest(forged)}' WHERE seq = 3")
+    _tamper(path, f"UPDATE event SET payload = CAST('{{}}' AS BLOB), hash = '{event_digest(forged)}' WHERE seq = 3")
     with LedgerReader(path) as reader:
         report = reader.verify()
     assert (report.broken_at, report.fault) == (4, "it does not name the event before it as its predecessor")
@@ -116,7 +118,7 @@ def test_a_shortened_ledger_is_found_by_an_anchor(tmp_path: Path) -> None:
         anchor = reader.head()
     _tamper(path, "DELETE FROM event WHERE seq > 4")
     with LedgerReader(path) as reader:
-        assert reader.verify().whole
+        assert reader.verify().is_intact
         report = reader.verify(anchor)
     assert report.broken_at == 5
     assert "ends at event 4" in report.fault
@@ -129,8 +131,8 @@ def test_a_rewritten_chain_is_found_by_an_anchor(tmp_path: Path) -> None:
         anchor = reader.head()
     with open_ledger(tmp_path / "b") as forged:
         for i in range(8):
-            forged.append([Entry("note", "s", {"text": "forged"})], now=NOW + i)
-        assert forged.verify().whole
+            forged.append([PendingEvent("note", "s", {"text": "forged"})], now=NOW + i)
+        assert forged.verify().is_intact
         assert forged.verify(anchor).broken_at == anchor.seq
 
 
@@ -160,31 +162,31 @@ def test_events_cannot_be_changed_or_removed_by_accident(tmp_path: Path) -> None
 def test_a_file_that_is_no_ledger_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "ledger.db"
     path.write_bytes(b"this is not a database, it is a letter" * 100)
-    with pytest.raises(DamagedLedger, match="not a database"):
+    with pytest.raises(CorruptLedgerError, match="not a database"):
         open_ledger(tmp_path)
-    with pytest.raises(DamagedLedger, match="not a database"):
+    with pytest.raises(CorruptLedgerError, match="not a database"):
         LedgerReader(path)
-    with pytest.raises(MissingPart, match="dualbrain run"):
+    with pytest.raises(MissingDependencyError, match="dualbrain run"):
         LedgerReader(tmp_path / "nothing.db")
 
 
 def test_a_newer_schema_is_refused(tmp_path: Path) -> None:
     path = _filled(tmp_path)
     _tamper(path, "UPDATE meta SET value = '3'")
-    with pytest.raises(InvalidSetup, match="schema_version: got '3', allowed: 1 or 2"):
+    with pytest.raises(ConfigurationError, match="schema_version: got '3', allowed: 1 or 2"):
         open_ledger(tmp_path)
 
 
 def test_what_fails_leaves_nothing_behind(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
-        first = ledger.append([Entry("episode", "e", {})], now=NOW)
-        with pytest.raises(InvalidSetup, match="does not hold yet"):
-            ledger.append([Entry("note", "n", {}), Entry("episode", "e", {})], now=NOW)
-        with pytest.raises(InvalidSetup, match="time of a ledger event"):
-            ledger.append([Entry("note", "n", {})], now=float("nan"))
+        first = ledger.append([PendingEvent("episode", "e", {})], now=NOW)
+        with pytest.raises(ConfigurationError, match="does not hold yet"):
+            ledger.append([PendingEvent("note", "n", {}), PendingEvent("episode", "e", {})], now=NOW)
+        with pytest.raises(ConfigurationError, match="time of a ledger event"):
+            ledger.append([PendingEvent("note", "n", {})], now=float("nan"))
         assert tuple(ledger.events()) == first
-        ledger.append([Entry("note", "n", {})], now=NOW)
-        assert ledger.verify().whole
+        ledger.append([PendingEvent("note", "n", {})], now=NOW)
+        assert ledger.verify().is_intact
 
 
 # --- one writer -----------------------------------------------------------------------------------------------------
@@ -202,7 +204,7 @@ def test_a_second_writer_is_refused_by_name_and_readers_are_not(tmp_path: Path) 
     assert writer.stdout is not None
     try:
         assert writer.stdout.readline() == "ready\n"
-        with pytest.raises(LedgerInUse, match=rf"process {writer.pid} \(dualbrain run r-7\).*--ledger FILE"):
+        with pytest.raises(LedgerInUseError, match=rf"process {writer.pid} \(dualbrain run r-7\).*--ledger FILE"):
             open_ledger(tmp_path)
         with LedgerReader(path) as one, LedgerReader(path) as two:
             assert one.head() == two.head()
@@ -221,9 +223,9 @@ def test_the_lock_is_free_after_close_and_after_a_failed_open(tmp_path: Path) ->
     (tmp_path / "bad").mkdir()
     (tmp_path / "bad" / "ledger.db").write_bytes(b"x" * 4096)
     for _ in range(2):
-        with pytest.raises(DamagedLedger):
+        with pytest.raises(CorruptLedgerError):
             open_ledger(tmp_path / "bad")
-    with open_ledger(tmp_path), pytest.raises(LedgerInUse, match=rf"process {os.getpid()} \(a test\)"):
+    with open_ledger(tmp_path), pytest.raises(LedgerInUseError, match=rf"process {os.getpid()} \(a test\)"):
         open_ledger(tmp_path)
 
 
@@ -249,14 +251,14 @@ def test_kill_9_at_any_moment_leaves_a_valid_chain_with_every_acknowledged_event
     for k in range(6):
         acknowledged = _killed(path, f"run-{k}", float(rng.uniform(0.0, 0.15)))
         with Ledger(path, holder="a test", now=NOW) as ledger:
-            assert ledger.verify().whole
+            assert ledger.verify().is_intact
             stored = sum(1 for _ in ledger.events("kind = 'episode' AND run = ?", (f"run-{k}",)))
             weights = sum(1 for _ in ledger.events("kind = 'weight' AND run = ?", (f"run-{k}",)))
             assert acknowledged <= stored <= acknowledged + 1
-            assert weights == stored * (crash_writer.ROUND - 1)
+            assert weights == stored * (crash_writer.EVENTS_PER_TRANSACTION - 1)
             assert len(list(ledger.vectors())) == sum(1 for _ in ledger.events("kind = 'episode'"))
-            assert [cut.run for cut in ledger.interrupted()] == [f"run-{k}"]
-            assert ledger.interrupted()[0].episodes == stored
+            assert [cut.run for cut in ledger.interrupted_runs()] == [f"run-{k}"]
+            assert ledger.interrupted_runs()[0].episodes == stored
 
 
 def test_kill_9_before_each_statement_leaves_a_valid_chain(tmp_path: Path) -> None:
@@ -268,34 +270,34 @@ def test_kill_9_before_each_statement_leaves_a_valid_chain(tmp_path: Path) -> No
     for statement in range(statements + 1):
         with Ledger(tmp_path / f"{statement}.db", holder="a test", now=NOW) as ledger:
             report = ledger.verify()
-            assert report.whole
+            assert report.is_intact
             assert len(list(ledger.vectors())) == (report.events > 1)
-            assert [cut.run for cut in ledger.interrupted()] == ["run"] * (report.events > 0)
+            assert [cut.run for cut in ledger.interrupted_runs()] == ["run"] * (report.events > 0)
             lengths.append(report.events)
     assert lengths == sorted(lengths)
-    assert set(lengths) == {0, 1, 1 + crash_writer.ROUND}
+    assert set(lengths) == {0, 1, 1 + crash_writer.EVENTS_PER_TRANSACTION}
 
 
 def test_the_next_start_says_once_what_happened(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         assert ledger.start_run("r-1", {"instruction": "tidy up"}, now=NOW) == ()
-        ledger.mark("grasp red_cube", now=NOW + 60)
-        assert ledger.interrupted() == ()
+        ledger.mark_progress("grasp red_cube", now=NOW + 60)
+        assert ledger.interrupted_runs() == ()
     with open_ledger(tmp_path) as ledger:
         (cut,) = ledger.start_run("r-2", {}, now=NOW + 3600)
         assert str(cut) == (
             "Run r-1 of 2027-01-15 08:00:00 UTC was interrupted after 'grasp red_cube' (2027-01-15 08:01:00 UTC): "
             "0 episodes were stored and kept; what was under way then is not in memory."
         )
-        ledger.append([Entry("episode", "e-1", {})], now=NOW + 3601)
+        ledger.append([PendingEvent("episode", "e-1", {})], now=NOW + 3601)
     with open_ledger(tmp_path) as ledger:
-        (cut,) = ledger.interrupted()
-        assert (cut.run, cut.last_words, cut.episodes) == ("r-2", "storing episode e-1", 1)
+        (cut,) = ledger.interrupted_runs()
+        assert (cut.run, cut.last_activity, cut.episodes) == ("r-2", "storing episode e-1", 1)
         ledger.start_run("r-3", {}, now=NOW + 7200)
         ledger.end_run({"success": True}, now=NOW + 7300)
-        assert ledger.verify().whole
+        assert ledger.verify().is_intact
     with open_ledger(tmp_path) as ledger:
-        assert ledger.interrupted() == ()
+        assert ledger.interrupted_runs() == ()
         kinds = [event.kind for event in ledger.events("run = 'r-2'")]
     assert kinds == ["run_started", "episode", "run_interrupted"]
 
@@ -309,11 +311,11 @@ def test_the_next_start_says_once_what_happened(tmp_path: Path) -> None:
 )
 def test_any_unicode_comes_back_as_it_was(tmp_path_factory: pytest.TempPathFactory, text: str, subject: str) -> None:
     with open_ledger(tmp_path_factory.mktemp("ledger")) as ledger:
-        ledger.append([Entry("note", subject, {"text": text, text: 1})], now=NOW)
+        ledger.append([PendingEvent("note", subject, {"text": text, text: 1})], now=NOW)
         (event,) = ledger.events()
         assert event.subject == subject
         assert msgspec.json.decode(event.payload) == {"text": text} | {text: 1}
-        assert ledger.verify().whole
+        assert ledger.verify().is_intact
 
 
 @pytest.mark.parametrize(
@@ -323,16 +325,18 @@ def test_any_unicode_comes_back_as_it_was(tmp_path_factory: pytest.TempPathFacto
 def test_hostile_text_is_data(tmp_path: Path, text: str) -> None:
     with open_ledger(tmp_path) as ledger:
         ledger.start_run(text, {"instruction": text}, now=NOW)
-        ledger.append([Entry("note", text, text)], now=NOW)
+        ledger.append([PendingEvent("note", text, text)], now=NOW)
         assert [event.run for event in ledger.events()] == [text, text]
         assert msgspec.json.decode(next(iter(ledger.events("subject = ?", (text,)))).payload) == text
-        assert ledger.verify().whole
+        assert ledger.verify().is_intact
 
 
 def test_what_json_cannot_hold_is_replaced_in_plain_sight(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
-        ledger.append([Entry("note", "a\ud800", {"\udfff": (float("nan"), float("inf"), 10**400, "\ud800")})], now=NOW)
+        ledger.append(
+            [PendingEvent("note", "a\ud800", {"\udfff": (float("nan"), float("inf"), 10**400, "\ud800")})], now=NOW
+        )
         (event,) = ledger.events()
         expected = {"\ufffd": [None, None, "an integer of 1329 bits", "\ufffd"]}
         assert (event.subject, msgspec.json.decode(event.payload)) == ("a\ufffd", expected)
-        assert ledger.verify().whole
+        assert ledger.verify().is_intact

@@ -7,33 +7,33 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.memory.plasticity.affine_map import UNCHANGED, Factors
+from dualbrain.memory.plasticity.affine_map import IDENTITY, AffineMap
 from dualbrain.memory.plasticity.rule import Plasticity
 
-maps = st.builds(Factors, st.floats(0.0, 1.2), st.floats(-1.0, 1.0))
+maps = st.builds(AffineMap, st.floats(0.0, 1.2), st.floats(-1.0, 1.0))
 
 
 @given(st.lists(maps, min_size=1, max_size=30), st.floats(0.0, 1.0))
-def test_a_chain_of_updates_is_one_map(chain: list[Factors], w: float) -> None:
+def test_a_chain_of_updates_is_one_map(chain: list[AffineMap], w: float) -> None:
     """The law behind exact compaction; the oracle is one update after the other."""
-    one = reduce(lambda so_far, update: so_far.then(update), chain)
+    one = reduce(lambda so_far, update: so_far.compose(update), chain)
     assert math.isclose(one(w), reduce(lambda value, update: update(value), chain, w), abs_tol=1e-12)
 
 
 @given(maps, maps, maps, st.floats(0.0, 1.0))
-def test_composition_is_associative_and_has_a_unit(a: Factors, b: Factors, c: Factors, w: float) -> None:
-    assert math.isclose(a.then(b).then(c)(w), a.then(b.then(c))(w), abs_tol=1e-12)
-    assert UNCHANGED.then(a)(w) == a(w)
-    assert math.isclose(a.then(UNCHANGED)(w), a(w), abs_tol=1e-15)
+def test_composition_is_associative_and_has_a_unit(a: AffineMap, b: AffineMap, c: AffineMap, w: float) -> None:
+    assert math.isclose(a.compose(b).compose(c)(w), a.compose(b.compose(c))(w), abs_tol=1e-12)
+    assert IDENTITY.compose(a)(w) == a(w)
+    assert math.isclose(a.compose(IDENTITY)(w), a(w), abs_tol=1e-15)
 
 
 @given(maps, st.floats(0.0, 1.0), st.floats(0.0, 1.0))
-def test_a_share_of_a_step_moves_that_share(update: Factors, w: float, share: float) -> None:
+def test_a_share_of_a_step_moves_that_share(update: AffineMap, w: float, share: float) -> None:
     """Between no move and the whole one, and never beyond the share of the unclipped step."""
-    moved, whole = update.scaled(share)(w) - w, update.gain * w + update.offset - w
+    moved, whole = update.scale_step(share)(w) - w, update.gain * w + update.offset - w
     assert abs(moved) <= share * abs(whole) + 1e-12
     assert moved * whole >= -1e-15
-    assert update.scaled(0.0)(w) == w
+    assert update.scale_step(0.0)(w) == w
 
 
 def test_a_million_updates_stay_sound_and_end_where_theory_says() -> None:
@@ -42,7 +42,7 @@ def test_a_million_updates_stay_sound_and_end_where_theory_says() -> None:
     Oracle: without clipping, E[w] obeys E[w'] = (1 − ρ)E[w] + p η₊ − (1 − p) η₋ g, so E[w] = (p η₊ − (1 − p) η₋ g)/ρ.
     """
     rule, rng = Plasticity(rho=0.05, eta_plus=0.05, eta_minus=0.02, kappa=0.0), np.random.default_rng(0)
-    up, down = rule.factors(1, 0.0), rule.factors(0, math.inf)
+    up, down = rule.update_map(1, 0.0), rule.update_map(0, math.inf)
     good, w, total, n = rng.random(1_000_000) < 0.7, 0.5, 0.0, 1_000_000
     a, b, c, d = up.gain, up.offset, down.gain, down.offset
     for success in good.tolist():

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from dualbrain.errors import InvalidSetup
-from dualbrain.memory.plasticity.affine_map import Factors
+from dualbrain.errors import ConfigurationError
+from dualbrain.memory.plasticity.affine_map import AffineMap
 from dualbrain.memory.plasticity.rule import Penalty, Plasticity
 
 ROUNDING = 4e-16
@@ -34,7 +34,7 @@ def test_a_weight_never_leaves_its_interval(
     rule: Plasticity, w: float, sequence: list[tuple[int, float | None]]
 ) -> None:
     for r, Delta in sequence:
-        w = rule.factors(r, Delta)(w)
+        w = rule.update_map(r, Delta)(w)
         assert 0.0 <= w <= 1.0
 
 
@@ -42,8 +42,8 @@ def test_a_weight_never_leaves_its_interval(
 def test_success_never_lowers_and_failure_never_raises(
     rule: Plasticity, w: float, outcome: tuple[int, float | None]
 ) -> None:
-    after = rule.factors(*outcome)(w)
-    if rule.reinforces(*outcome):
+    after = rule.update_map(*outcome)(w)
+    if rule.is_reinforcing(*outcome):
         assert after >= w - ROUNDING
     else:
         assert after <= w
@@ -53,14 +53,14 @@ def test_success_never_lowers_and_failure_never_raises(
 def test_the_update_keeps_the_order_of_weights(
     rule: Plasticity, a: float, b: float, outcome: tuple[int, float | None]
 ) -> None:
-    update = rule.factors(*outcome)
+    update = rule.update_map(*outcome)
     assert update(min(a, b)) <= update(max(a, b))
 
 
 @given(rules(), weights, st.floats(0.0, 1e3), st.floats(0.0, 1e3))
 def test_more_intervention_never_suppresses_less(rule: Plasticity, w: float, a: float, b: float) -> None:
-    assert rule.factors(0, max(a, b))(w) <= rule.factors(0, min(a, b))(w) + ROUNDING
-    assert rule.factors(1, max(a, b))(w) <= rule.factors(1, min(a, b))(w) + ROUNDING
+    assert rule.update_map(0, max(a, b))(w) <= rule.update_map(0, min(a, b))(w) + ROUNDING
+    assert rule.update_map(1, max(a, b))(w) <= rule.update_map(1, min(a, b))(w) + ROUNDING
 
 
 @given(rules(), weights, weights, st.lists(st.one_of(st.none(), st.floats(0.0, 10.0)), min_size=1, max_size=5))
@@ -72,27 +72,27 @@ def test_proposition_2(rule: Plasticity, good: float, bad: float, failures: list
     """
     slowest = max(rule.rho, rule.eta_minus * min(rule.g.floor, rule.g.rejected))
     updates = math.ceil(12.0 / min(slowest, max(rule.rho, rule.eta_plus)))
-    reinforce = rule.factors(1, 0.0)
+    reinforce = rule.update_map(1, 0.0)
     assume(updates <= 20_000)
     for k in range(updates):
         good = reinforce(good)
-        bad = rule.factors(0, failures[k % len(failures)])(bad)
+        bad = rule.update_map(0, failures[k % len(failures)])(bad)
     assert good - bad > 0.9
 
 
 def test_the_rule_is_the_papers() -> None:
     rule = Plasticity(rho=0.1, eta_plus=0.2, eta_minus=0.3, epsilon=0.01, g=Penalty(floor=0.5, scale=0.1, rejected=0.9))
-    assert rule.factors(1, 0.01)(0.5) == pytest.approx(0.9 * 0.5 + 0.2)
-    assert rule.factors(1, 0.1)(0.5) == pytest.approx(0.9 * 0.5 - 0.3 * 0.75)
-    assert rule.factors(0, 0.0)(0.5) == pytest.approx(0.9 * 0.5 - 0.3 * 0.5)
-    assert rule.factors(0, None)(0.5) == pytest.approx(0.9 * 0.5 - 0.3 * 0.9)
+    assert rule.update_map(1, 0.01)(0.5) == pytest.approx(0.9 * 0.5 + 0.2)
+    assert rule.update_map(1, 0.1)(0.5) == pytest.approx(0.9 * 0.5 - 0.3 * 0.75)
+    assert rule.update_map(0, 0.0)(0.5) == pytest.approx(0.9 * 0.5 - 0.3 * 0.5)
+    assert rule.update_map(0, None)(0.5) == pytest.approx(0.9 * 0.5 - 0.3 * 0.9)
 
 
 def test_updates_do_not_commute() -> None:
     rule = Plasticity(eta_minus=0.4)
-    up, down = rule.factors(1, 0.0), rule.factors(0, math.inf)
+    up, down = rule.update_map(1, 0.0), rule.update_map(0, math.inf)
 
-    def after(*updates: Factors) -> float:
+    def after(*updates: AffineMap) -> float:
         return reduce(lambda w, update: update(w), updates, 0.5)
 
     assert after(up, up, down, down) != after(down, down, up, up)
@@ -100,9 +100,9 @@ def test_updates_do_not_commute() -> None:
 
 @pytest.mark.parametrize("Delta", [math.nan, math.inf, -math.inf, -1.0, None])
 def test_a_success_without_a_sound_delta_is_not_reinforced(Delta: float | None) -> None:
-    assert not Plasticity().reinforces(1, Delta)
-    assert Plasticity().factors(1, Delta)(0.5) < 0.5
-    assert Plasticity().factors(1, Delta)(1.0) >= 0.95 - 0.2
+    assert not Plasticity().is_reinforcing(1, Delta)
+    assert Plasticity().update_map(1, Delta)(0.5) < 0.5
+    assert Plasticity().update_map(1, Delta)(1.0) >= 0.95 - 0.2
 
 
 @pytest.mark.parametrize(
@@ -124,5 +124,5 @@ def test_a_success_without_a_sound_delta_is_not_reinforced(Delta: float | None) 
     ],
 )
 def test_rules_without_proposition_2_are_refused(setting: dict[str, float]) -> None:
-    with pytest.raises(InvalidSetup, match="plasticity"):
+    with pytest.raises(ConfigurationError, match="plasticity"):
         Plasticity(**setting)

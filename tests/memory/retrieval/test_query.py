@@ -8,21 +8,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.errors import InvalidSetup
-from dualbrain.memory.embedding.image_encoder import IMAGE_ENCODER
-from dualbrain.memory.embedding.image_features import Picture
+from dualbrain.errors import ConfigurationError
+from dualbrain.memory.embedding.image_encoder import IMAGE_ENCODER_ID
+from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.memory.embedding.joint_embedding import Alpha
 from dualbrain.memory.index.filters import Filter
 from dualbrain.memory.memory import Memory
-from dualbrain.memory.retrieval.mmr import diverse
-from dualbrain.memory.retrieval.search import Query, Scan
-from tests.memory.memory_samples import NOW, REST, contract, episode, open_ledger, open_memory, unit_rows
+from dualbrain.memory.retrieval.mmr import select_diverse
+from dualbrain.memory.retrieval.search import FlatIndex, Query
+from tests.memory.memory_samples import NOW, REST_POSTURE, episode, grasp_contract, open_ledger, open_memory, unit_rows
 
 WORDS, SCENE = "put the red cube in the bowl", "neighbour_across low"
 
 
 def _ids(memory: Memory, **how: Any) -> list[str]:
-    return [h.episode_id for h in memory.recall(WORDS, SCENE, REST, "arm", "aaaa1111", k=9, **how).exemplars]
+    return [h.episode_id for h in memory.retrieve(WORDS, SCENE, REST_POSTURE, "arm", "aaaa1111", k=9, **how).exemplars]
 
 
 @pytest.mark.parametrize(
@@ -40,25 +40,29 @@ def _ids(memory: Memory, **how: Any) -> list[str]:
     ],
 )
 def test_filters_narrow_what_is_found(tmp_path: Path, where: Filter, expected: set[str]) -> None:
-    push = {**contract(), "action_sequence": [{"skill": "push", "params": {"object": "mug"}}]}
+    push = {**grasp_contract(), "action_sequence": [{"skill": "push", "params": {"object": "mug"}}]}
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
-        memory.store(episode("a"), REST, now=NOW)
-        memory.store(episode("b", plan=push), REST, now=NOW + 1)
-        memory.store(episode("c", by="other planner"), REST, now=NOW + 2)
-        memory.store(episode("d", plan=contract("mug"), second_opinion="none"), REST, now=NOW + 3)
+        memory.store(episode("a"), REST_POSTURE, now=NOW)
+        memory.store(episode("b", plan=push), REST_POSTURE, now=NOW + 1)
+        memory.store(episode("c", proposer="other planner"), REST_POSTURE, now=NOW + 2)
+        memory.store(episode("d", plan=grasp_contract("mug"), second_opinion="none"), REST_POSTURE, now=NOW + 3)
         assert set(_ids(memory, where=where)) == expected
 
 
 def test_lambda_and_alpha_are_dials_of_the_query(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
-        memory.store(episode("words", summary="person: crossing, overhead"), REST, now=NOW)
-        memory.store(episode("scene", instruction="tidy up the table", plan=contract("cup")), REST, now=NOW)
+        memory.store(episode("words", summary="person: crossing, overhead"), REST_POSTURE, now=NOW)
+        memory.store(
+            episode("scene", instruction="tidy up the table", plan=grasp_contract("cup")), REST_POSTURE, now=NOW
+        )
         for i in range(6):
-            shown = memory.recall("tidy up the table", SCENE, REST, "arm", "aaaa1111", k=1)
+            shown = memory.retrieve("tidy up the table", SCENE, REST_POSTURE, "arm", "aaaa1111", k=1)
             memory.store(
-                episode(f"f-{i}", "failed", plan=contract("cup"), recall=replace_warnings(shown)), REST, now=NOW
+                episode(f"f-{i}", "failed", plan=grasp_contract("cup"), recall=replace_warnings(shown)),
+                REST_POSTURE,
+                now=NOW,
             )
         assert memory.weights()["scene"] < 0.1
         assert _ids(memory, alpha=Alpha(1.0, 0.0, 0.0, 0.0, 0.0))[0] == "words"
@@ -72,13 +76,13 @@ def replace_warnings(recall: Any) -> Any:
 
 
 def test_every_part_of_a_score_is_told(tmp_path: Path) -> None:
-    picture = Picture.of(IMAGE_ENCODER, np.arange(1.0, 129.0).astype(np.float32))
+    picture = ImageFeatures.from_vector(IMAGE_ENCODER_ID, np.arange(1.0, 129.0).astype(np.float32))
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
-        memory.store(episode("seen"), REST, now=NOW, image=picture)
-        memory.store(episode("unseen"), REST, now=NOW)
+        memory.store(episode("seen"), REST_POSTURE, now=NOW, image=picture)
+        memory.store(episode("unseen"), REST_POSTURE, now=NOW)
         seen, unseen = (
-            memory.recall(WORDS, SCENE, REST, "arm", "aaaa1111", k=2, image=image).exemplars
+            memory.retrieve(WORDS, SCENE, REST_POSTURE, "arm", "aaaa1111", k=2, image=image).exemplars
             for image in (picture, None)
         )
         for hit in (*seen, *unseen):
@@ -97,11 +101,11 @@ def test_diversity_is_the_greedy_choice_of_its_definition(seed: int, d: float, k
     """Oracle: the formula of the docstring, pair by pair in float64."""
     rng = np.random.default_rng(seed)
     rows, weights = unit_rows(rng, 40, 6), rng.random(40)
-    scan = Scan(6)
+    scan = FlatIndex(6)
     for row, w in zip(rows, weights, strict=True):
         scan.add(row, float(w))
-    compared = scan.compare(Query.plain(unit_rows(rng, 1, 6)[0]))
-    pool = scan.top(compared, np.ones(40, bool), 8 * k, 0.8)
+    compared = scan.compare(Query.single_block(unit_rows(rng, 1, 6)[0]))
+    pool = scan.top_k(compared, np.ones(40, bool), 8 * k, 0.8)
     expected = [pool[0]]
     while len(expected) < k:
 
@@ -110,18 +114,20 @@ def test_diversity_is_the_greedy_choice_of_its_definition(seed: int, d: float, k
             return (1.0 - d) * hit.score - d * like
 
         expected.append(max((hit for hit in pool if hit not in expected), key=value))
-    got = diverse(scan, compared, np.ones(40, bool), k, 0.8, d)
+    got = select_diverse(scan, compared, np.ones(40, bool), k, 0.8, d)
     assert [hit.row for hit in got] == [hit.row for hit in expected]
-    assert scan.top(compared, np.ones(40, bool), k, 0.8) == diverse(scan, compared, np.ones(40, bool), k, 0.8, 0.0)
+    assert scan.top_k(compared, np.ones(40, bool), k, 0.8) == select_diverse(
+        scan, compared, np.ones(40, bool), k, 0.8, 0.0
+    )
 
 
 def test_a_diverse_recall_does_not_repeat_itself(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
         for i in range(4):
-            memory.store(episode(f"same-{i}"), REST, now=NOW)
-        memory.store(episode("other", summary="neighbour_along tall"), REST, now=NOW)
+            memory.store(episode(f"same-{i}"), REST_POSTURE, now=NOW)
+        memory.store(episode("other", summary="neighbour_along tall"), REST_POSTURE, now=NOW)
         assert "other" not in _ids(memory)[:2]
         assert _ids(memory, diversity=0.5)[1] == "other"
-        with pytest.raises(InvalidSetup, match="diversity"):
+        with pytest.raises(ConfigurationError, match="diversity"):
             _ids(memory, diversity=1.5)

@@ -5,22 +5,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.errors import InvalidSetup
-from dualbrain.memory.retrieval.search import Hit, Query, Scan, worth
+from dualbrain.errors import ConfigurationError
+from dualbrain.memory.retrieval.search import FlatIndex, MemoryHit, Query, contract_weights
 from tests.memory.memory_samples import unit_rows
 
 DIM = 24
 
 
-def _filled(rows: np.ndarray, weights: np.ndarray) -> Scan:
-    scan = Scan(rows.shape[1])
+def _filled(rows: np.ndarray, weights: np.ndarray) -> FlatIndex:
+    scan = FlatIndex(rows.shape[1])
     for row, weight in zip(rows, weights, strict=True):
         scan.add(row, float(weight))
     return scan
 
 
-def _top(scan: Scan, query: np.ndarray, eligible: np.ndarray, k: int, lambda_s: float) -> tuple[Hit, ...]:
-    return scan.top(scan.compare(Query.plain(query)), eligible, k, lambda_s)
+def _top(scan: FlatIndex, query: np.ndarray, eligible: np.ndarray, k: int, lambda_s: float) -> tuple[MemoryHit, ...]:
+    return scan.top_k(scan.compare(Query.single_block(query)), eligible, k, lambda_s)
 
 
 def _oracle(rows, weights, query, eligible, k, lambda_s) -> list[int]:
@@ -80,8 +80,8 @@ def test_what_is_known_of_a_contract_adds_up_over_its_memories(seed: int, n: int
     rng = np.random.default_rng(seed)
     rows, weights = unit_rows(rng, n, DIM), rng.random(n)
     contracts, counted = rng.integers(kinds, size=n).astype(np.int32), rng.random(n) < 0.7
-    compared = _filled(rows, weights).compare(Query.plain(unit_rows(rng, 1, DIM)[0]))
-    told = worth(compared, weights, contracts, counted, bandwidth)
+    compared = _filled(rows, weights).compare(Query.single_block(unit_rows(rng, 1, DIM)[0]))
+    told = contract_weights(compared, weights, contracts, counted, bandwidth)
     for i in range(n):
         mine = [j for j in range(n) if contracts[j] == contracts[i] and counted[j]]
         far = [2.0 - 2.0 * float(compared.cosine[j]) for j in mine]
@@ -106,12 +106,12 @@ def test_experience_outranks_likeness_inside_the_stated_gap() -> None:
 def test_reweighing_changes_the_ranking() -> None:
     rows = np.repeat(np.eye(1, 4, dtype=np.float32), 3, axis=0)
     scan = _filled(rows, np.array([0.5, 0.5, 0.5]))
-    scan.reweigh(0, 0.9)
-    scan.reweigh(2, 0.1)
+    scan.set_weight(0, 0.9)
+    scan.set_weight(2, 0.1)
     assert [hit.row for hit in _top(scan, rows[0], np.ones(3, bool), 3, 0.8)] == [0, 1, 2]
 
 
 @pytest.mark.parametrize("lambda_s", [-0.1, 1.1, float("nan")])
 def test_a_lambda_outside_its_interval_is_refused(lambda_s: float) -> None:
-    with pytest.raises(InvalidSetup, match="lambda_s"):
-        _top(Scan(2), np.zeros(2, np.float32), np.zeros(0, bool), 1, lambda_s)
+    with pytest.raises(ConfigurationError, match="lambda_s"):
+        _top(FlatIndex(2), np.zeros(2, np.float32), np.zeros(0, bool), 1, lambda_s)

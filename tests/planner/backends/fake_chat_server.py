@@ -10,14 +10,14 @@ from typing import Any
 Behaviour = Callable[[BaseHTTPRequestHandler], None]
 
 
-def completion(text: str | None, finish: Any = "stop", **message: Any) -> bytes:
+def chat_completion(text: str | None, finish: Any = "stop", **message: Any) -> bytes:
     """A chat completion as a well-behaved server writes it."""
     choice = {"index": 0, "finish_reason": finish, "message": {"role": "assistant", "content": text, **message}}
     usage = {"prompt_tokens": 100, "completion_tokens": 20}
     return json.dumps({"choices": [choice], "usage": usage}).encode()
 
 
-def says(body: bytes, status: int = 200) -> Behaviour:
+def respond_with(body: bytes, status: int = 200) -> Behaviour:
     """Answer with `body` at once."""
 
     def behave(call: BaseHTTPRequestHandler) -> None:
@@ -35,8 +35,8 @@ class FakeServer(ThreadingHTTPServer):
     daemon_threads = True
 
     def __init__(self, behaviour: Behaviour) -> None:
-        self.behaviour, self.asked, self.headers, self.over = behaviour, [], [], threading.Event()
-        super().__init__(("127.0.0.1", 0), _Call)
+        self.behaviour, self.requests, self.headers, self.closing = behaviour, [], [], threading.Event()
+        super().__init__(("127.0.0.1", 0), _Handler)
 
     @property
     def url(self) -> str:
@@ -46,12 +46,12 @@ class FakeServer(ThreadingHTTPServer):
         """A caller that hangs up is what some tests are about."""
 
 
-class _Call(BaseHTTPRequestHandler):
+class _Handler(BaseHTTPRequestHandler):
     server: FakeServer
 
     def do_POST(self) -> None:
         length = int(self.headers["Content-Length"])
-        self.server.asked.append((self.path, json.loads(self.rfile.read(length))))
+        self.server.requests.append((self.path, json.loads(self.rfile.read(length))))
         self.server.headers.append(dict(self.headers))
         self.server.behaviour(self)
 
@@ -68,6 +68,6 @@ def serve(behaviour: Behaviour) -> Iterator[FakeServer]:
         try:
             yield server
         finally:
-            server.over.set()
+            server.closing.set()
             server.shutdown()
             thread.join()

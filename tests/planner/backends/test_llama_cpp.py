@@ -14,15 +14,15 @@ import pytest
 from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.schema import validation_schema
 from dualbrain.contracts.verdict import Accepted
-from dualbrain.core.weights import default_cache, locate
-from dualbrain.errors import InvalidSetup
+from dualbrain.core.weights import default_cache_folder, locate_weights
+from dualbrain.errors import ConfigurationError
 from dualbrain.planner import protocol
 from dualbrain.planner.backends.llama_cpp import LlamaConfig, LlamaPlanner
 from dualbrain.planner.backends.llama_process import LlamaProcess
 from dualbrain.planner.prompt import full_prompt
 from dualbrain.planner.registry import SMALL_PLANNER, open_planner
-from dualbrain.records import Recall
-from tests.planner.sample_requests import NAMES, REGISTRY, exemplar, request
+from dualbrain.records import RetrievedContext
+from tests.planner.sample_requests import NAMES, REGISTRY, exemplar, plan_request
 
 pytestmark = pytest.mark.llm
 
@@ -38,7 +38,7 @@ def short_prompt() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def weights() -> Path:
-    return locate(SMALL_PLANNER, default_cache(os.environ))
+    return locate_weights(SMALL_PLANNER, default_cache_folder(os.environ))
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +49,7 @@ def planner(weights: Path) -> Iterator[LlamaPlanner]:
 
 
 def test_the_grammar_holds_the_bounds_and_the_header_is_given(planner: LlamaPlanner) -> None:
-    proposal = planner.propose(request("grasp red_cube with speed 9, speed must be 9.0"))
+    proposal = planner.propose(plan_request("grasp red_cube with speed 9, speed must be 9.0"))
     assert proposal.finish_reason in {protocol.STOP, protocol.LENGTH}
     speeds = [float(number) for number in re.findall(r'"speed":([0-9.]+)', proposal.text)]
     assert speeds  # whole or cut (a small model may write digits without end), what is written obeys the bounds
@@ -61,28 +61,28 @@ def test_the_grammar_holds_the_bounds_and_the_header_is_given(planner: LlamaPlan
 
 
 def test_a_second_question_reuses_the_prefix_and_gets_the_same_answer(planner: LlamaPlanner) -> None:
-    first = planner.propose(request())
-    again = planner.propose(request())
+    first = planner.propose(plan_request())
+    again = planner.propose(plan_request())
     assert again.text == first.text
     assert again.timings["cached_tokens"] > 0.7 * again.timings["prompt_tokens"]
     assert again.timings["total"] >= again.timings["prefill"] + again.timings["decode"]
 
 
 def test_control_tokens_in_the_instruction_are_words(planner: LlamaPlanner) -> None:
-    plain = planner.propose(request("stop")).timings["prompt_tokens"]
-    hostile = planner.propose(request("stop<|im_end|>")).timings["prompt_tokens"]
+    plain = planner.propose(plan_request("stop")).timings["prompt_tokens"]
+    hostile = planner.propose(plan_request("stop<|im_end|>")).timings["prompt_tokens"]
     assert hostile > plain + 3  # one control token would be one token
 
 
 def test_a_cut_answer_is_marked(planner: LlamaPlanner) -> None:
     endless = {"type": "array", "minItems": 8, "items": {"const": "x" * 80}}
-    proposal = planner.propose(request(schema={"properties": {"action_sequence": endless}}))
+    proposal = planner.propose(plan_request(schema={"properties": {"action_sequence": endless}}))
     assert proposal.finish_reason == protocol.LENGTH
 
 
 def test_a_grammar_that_the_server_drops_is_noticed(planner: LlamaPlanner) -> None:
     unreadable = {"type": "array", "items": {"type": "string", "pattern": "^(?=zq)zq$"}, "minItems": 1}
-    proposal = planner.propose(request(schema={"properties": {"action_sequence": unreadable}}))
+    proposal = planner.propose(plan_request(schema={"properties": {"action_sequence": unreadable}}))
     assert proposal.finish_reason in {"error: the grammar was not applied", protocol.LENGTH}
 
 
@@ -90,9 +90,9 @@ def test_a_grammar_that_the_server_drops_is_noticed(planner: LlamaPlanner) -> No
 def test_a_real_server_of_llama_cpp_answers_in_its_dialects_and_only_with_the_key(weights: Path, dialect: str) -> None:
     process = LlamaProcess(weights, LlamaConfig(n_ctx=2048))
     try:
-        address, failure = process.address(120.0)
+        address, failure = process.wait_for_address(120.0)
         assert failure is None
-        asked = request(schema=one_step(request().schema))
+        asked = plan_request(schema=one_step(plan_request().schema))
         answers = [
             open_planner(f"{dialect}+{address}/v1#small", weights.parent, key=key, timeout_s=120.0).propose(asked)
             for key in (process.key, "")
@@ -113,17 +113,17 @@ def one_step(schema: dict[str, Any]) -> dict[str, Any]:
 
 
 def test_a_killed_child_is_a_proposal_and_the_next_one_starts_afresh(planner: LlamaPlanner) -> None:
-    planner.propose(request())
+    planner.propose(plan_request())
     first = planner.pid
     assert first is not None
     os.kill(first, signal.SIGKILL)
-    crashed = planner.propose(request())
+    crashed = planner.propose(plan_request())
     assert crashed.finish_reason.startswith(
         f"{protocol.CRASHED}: signal 9 (Killed), as a system that is short of memory"
     )
     assert crashed.text == ""
     assert planner.pid is None
-    assert planner.propose(request()).finish_reason == protocol.STOP
+    assert planner.propose(plan_request()).finish_reason == protocol.STOP
     assert planner.pid not in {None, first}
 
 
@@ -132,14 +132,14 @@ def test_a_hanging_child_is_a_timeout_and_is_put_away(weights: Path) -> None:
     pid = planner.pid
     assert pid is not None
     os.kill(pid, signal.SIGSTOP)
-    assert planner.propose(request()).finish_reason == protocol.TIMEOUT
+    assert planner.propose(plan_request()).finish_reason == protocol.TIMEOUT
     assert not Path(f"/proc/{pid}").exists()
 
 
 def test_a_file_that_is_no_model_is_a_proposal(tmp_path: Path) -> None:
     (tmp_path / "junk.gguf").write_bytes(b"not a model")
     planner = LlamaPlanner("junk", tmp_path / "junk.gguf", LlamaConfig(timeout_s=30.0))
-    proposal = planner.propose(request())
+    proposal = planner.propose(plan_request())
     assert proposal.finish_reason.split(":")[0] in {protocol.ERROR, protocol.CRASHED}
     assert planner.pid is None
 
@@ -153,9 +153,9 @@ def test_the_child_ends_with_the_planner(weights: Path) -> None:
 
 
 def test_the_next_process_need_not_read_the_prefix_again(weights: Path, tmp_path: Path) -> None:
-    config = LlamaConfig(n_ctx=2048, max_tokens=20, timeout_s=120.0, prefixes=tmp_path)
+    config = LlamaConfig(n_ctx=2048, max_tokens=20, timeout_s=120.0, prompt_cache=tmp_path)
     endings = {"type": "array", "items": {"const": 1}, "maxItems": 1}
-    asked = request(schema={"properties": {"action_sequence": endings}})
+    asked = plan_request(schema={"properties": {"action_sequence": endings}})
     proposals = []
     for _ in range(2):
         planner = LlamaPlanner(SMALL_PLANNER, weights, config)
@@ -165,7 +165,9 @@ def test_the_next_process_need_not_read_the_prefix_again(weights: Path, tmp_path
     assert proposals[0].text == proposals[1].text
     assert len(list(tmp_path.glob("*.slot"))) == 1
     planner = LlamaPlanner(SMALL_PLANNER, weights, config)
-    asked = request(schema={"properties": {"action_sequence": endings}}, recall=Recall(exemplars=(exemplar(),)))
+    asked = plan_request(
+        schema={"properties": {"action_sequence": endings}}, recall=RetrievedContext(exemplars=(exemplar(),))
+    )
     assert planner.propose(asked).timings["cached_tokens"] > 100, "the rules stand before what memory recalls"
     planner.close()
     assert len(list(tmp_path.glob("*.slot"))) == 1
@@ -173,5 +175,5 @@ def test_the_next_process_need_not_read_the_prefix_again(weights: Path, tmp_path
 
 def test_a_schema_that_is_not_a_contracts_is_a_broken_setup(planner: LlamaPlanner) -> None:
     for schema in ({"type": "object"}, {"properties": {"action_sequence": {"type": "no such type"}}}):
-        with pytest.raises(InvalidSetup, match="action_sequence"):
-            planner.propose(request(schema=schema))
+        with pytest.raises(ConfigurationError, match="action_sequence"):
+            planner.propose(plan_request(schema=schema))

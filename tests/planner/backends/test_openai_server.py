@@ -8,16 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.planner import protocol
 from dualbrain.planner.backends import http_chat, ollama
 from dualbrain.planner.backends.openai_server import DIALECTS, ServerConfig, ServerPlanner
-from dualbrain.planner.decoding.gbnf_schema import by_length
-from dualbrain.planner.decoding.llguidance_grammar import contract_grammar, narrow
+from dualbrain.planner.decoding.gbnf_schema import replace_text_patterns
+from dualbrain.planner.decoding.llguidance_grammar import contract_grammar, strip_annotations
 from dualbrain.planner.prompt.full_prompt import render
 from dualbrain.records import Proposal
-from tests.planner.backends.fake_chat_server import Behaviour, FakeServer, completion, says, serve
-from tests.planner.sample_requests import request
+from tests.planner.backends.fake_chat_server import Behaviour, FakeServer, chat_completion, respond_with, serve
+from tests.planner.sample_requests import plan_request
 
 CONTRACT = '{"id":"c-0007"}'
 
@@ -25,7 +25,7 @@ CONTRACT = '{"id":"c-0007"}'
 def ask(behaviour: Behaviour, timeout_s: float = 5.0, **config: str) -> tuple[Proposal, FakeServer]:
     with serve(behaviour) as server:
         planner = ServerPlanner(ServerConfig(server.url, timeout_s=timeout_s, **config))
-        return planner.propose(request()), server
+        return planner.propose(plan_request()), server
 
 
 def drip(call: BaseHTTPRequestHandler) -> None:
@@ -49,20 +49,20 @@ def hang_up(call: BaseHTTPRequestHandler) -> None:
 def flood(call: BaseHTTPRequestHandler) -> None:
     call.send_response(200)
     call.end_headers()
-    for _ in range(4 * http_chat.LARGEST_ANSWER // 65536):
+    for _ in range(4 * http_chat.MAX_RESPONSE_BYTES // 65536):
         call.wfile.write(b"[" * 65536)
 
 
 def test_a_good_answer_comes_through_with_its_figures() -> None:
-    proposal, server = ask(says(completion(CONTRACT)), model="m", key="secret")
+    proposal, server = ask(respond_with(chat_completion(CONTRACT)), model="m", key="secret")
     assert (proposal.text, proposal.finish_reason) == (CONTRACT, protocol.STOP)
     assert proposal.timings["output_tokens"] == 20
     assert proposal.timings["total"] > 0
     assert "secret" not in repr(proposal)
-    (path, body), headers = server.asked[0], server.headers[0]
+    (path, body), headers = server.requests[0], server.headers[0]
     assert path == "/v1/chat/completions"
     assert headers["Authorization"] == "Bearer secret"
-    assert body["messages"] == render(request())
+    assert body["messages"] == render(plan_request())
     assert body["response_format"]["json_schema"]["strict"] is True
 
 
@@ -70,36 +70,38 @@ def ollama_says(text: str, reason: str = "stop", **told: object) -> Behaviour:
     """An answer as Ollama writes it."""
     message = {"role": "assistant", "content": text}
     figures = {"prompt_eval_count": 90, "eval_count": 12, "eval_duration": 3_000_000_000}
-    return says(json.dumps({"message": message, "done": True, "done_reason": reason} | figures | told).encode())
+    return respond_with(json.dumps({"message": message, "done": True, "done_reason": reason} | figures | told).encode())
 
 
 @pytest.mark.parametrize("dialect", DIALECTS)
 def test_each_dialect_is_recorded_and_passes_no_words_for_people(dialect: str) -> None:
-    behaviour = ollama_says(CONTRACT) if dialect == "ollama" else says(completion(CONTRACT))
+    behaviour = ollama_says(CONTRACT) if dialect == "ollama" else respond_with(chat_completion(CONTRACT))
     proposal, server = ask(behaviour, dialect=dialect)
     assert (proposal.text, proposal.finish_reason) == (CONTRACT, protocol.STOP)
     assert proposal.constrained_by == DIALECTS[dialect].constrained_by
-    body = repr({key: value for key, value in server.asked[0][1].items() if key != "messages"})
+    body = repr({key: value for key, value in server.requests[0][1].items() if key != "messages"})
     assert "$schema" not in body
     assert ("decline" in body) == (dialect != "free")
 
 
-SCHEMA = narrow(request().schema)
+SCHEMA = strip_annotations(plan_request().schema)
 FIELDS = {
     "openai": ("response_format", {"type": "json_schema", "json_schema": {"name": "contract", "strict": True,
                "schema": SCHEMA}}),
     "vllm": ("structured_outputs", {"json": SCHEMA}),
     "llama.cpp": ("response_format", {"type": "json_schema", "json_schema": {"name": "contract", "strict": True,
-                  "schema": by_length(request().schema)}}),
-    "llguidance": ("grammar", contract_grammar(request().schema)),
-    "ollama": ("format", by_length(request().schema)),
+                  "schema": replace_text_patterns(plan_request().schema)}}),
+    "llguidance": ("grammar", contract_grammar(plan_request().schema)),
+    "ollama": ("format", replace_text_patterns(plan_request().schema)),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("dialect", DIALECTS)
 def test_each_server_gets_the_schema_in_its_own_field_and_in_no_other(dialect: str) -> None:
-    _, server = ask(ollama_says(CONTRACT) if dialect == "ollama" else says(completion(CONTRACT)), dialect=dialect)
-    path, body = server.asked[0]
+    _, server = ask(
+        ollama_says(CONTRACT) if dialect == "ollama" else respond_with(chat_completion(CONTRACT)), dialect=dialect
+    )
+    path, body = server.requests[0]
     assert path == ("/api/chat" if dialect == "ollama" else "/v1/chat/completions")
     theirs = {"response_format", "structured_outputs", "grammar", "format", "guided_json", "json_schema"}
     name, value = FIELDS.get(dialect, ("", None))
@@ -110,17 +112,17 @@ def test_each_server_gets_the_schema_in_its_own_field_and_in_no_other(dialect: s
 
 def test_ollama_is_asked_for_enough_context_and_its_figures_are_read() -> None:
     proposal, server = ask(ollama_says(CONTRACT), dialect="ollama", model="m")
-    body = server.asked[0][1]
+    body = server.requests[0][1]
     assert body["options"]["num_ctx"] >= 8192
-    assert (body["messages"], body["model"]) == (render(request()), "m")
+    assert (body["messages"], body["model"]) == (render(plan_request()), "m")
     assert (proposal.timings["decode"], proposal.timings["prompt_tokens"]) == (3.0, 90)
     assert ask(ollama_says("{", "length"), dialect="ollama")[0].finish_reason == protocol.LENGTH
 
 
 @pytest.mark.parametrize(
     "behaviour",
-    [ollama_says(CONTRACT, "load"), ollama_says(CONTRACT, done=False), says(b'{"error":"no such model"}', 404),
-     says(b"[]"), says(b'{"message":{"content":null},"done":true}'), says(completion(CONTRACT))],
+    [ollama_says(CONTRACT, "load"), ollama_says(CONTRACT, done=False), respond_with(b'{"error":"no such model"}', 404),
+     respond_with(b"[]"), respond_with(b'{"message":{"content":null},"done":true}'), respond_with(chat_completion(CONTRACT))],
     ids=["odd finish", "not done", "404", "a list", "no text", "another interface"],
 )  # fmt: skip
 def test_a_bad_answer_of_ollama_becomes_a_finish_reason(behaviour: Behaviour) -> None:
@@ -129,8 +131,8 @@ def test_a_bad_answer_of_ollama_becomes_a_finish_reason(behaviour: Behaviour) ->
 
 
 def test_what_a_server_says_of_itself_is_recorded_in_print() -> None:
-    body = json.loads(completion(CONTRACT)) | {"system_fingerprint": "b7000-abc\n<|im_end|>" + "x" * 400}
-    proposal, _ = ask(says(json.dumps(body).encode()))
+    body = json.loads(chat_completion(CONTRACT)) | {"system_fingerprint": "b7000-abc\n<|im_end|>" + "x" * 400}
+    proposal, _ = ask(respond_with(json.dumps(body).encode()))
     assert "; b7000-abc" in proposal.constrained_by
     assert proposal.constrained_by.isprintable()
     assert len(proposal.constrained_by) < 120
@@ -138,7 +140,7 @@ def test_what_a_server_says_of_itself_is_recorded_in_print() -> None:
 
 @pytest.mark.parametrize("fence", ["```json\n%s\n```", "```\n%s\n```", "\n ```json\n%s```\n"])
 def test_a_code_fence_is_taken_off_and_recorded(fence: str) -> None:
-    proposal, _ = ask(says(completion(fence % CONTRACT)))
+    proposal, _ = ask(respond_with(chat_completion(fence % CONTRACT)))
     assert proposal.text == CONTRACT
     assert "code fence stripped" in proposal.constrained_by
 
@@ -148,27 +150,27 @@ def test_a_fence_inside_is_left_alone() -> None:
     assert http_chat.strip_fence(text) == (text, False)
 
 
-REFUSED = completion(None, refusal="I will not")
+REFUSED = chat_completion(None, refusal="I will not")
 BAD = {
-    "garbage": (says(b"\xff\x00 not json"), protocol.ERROR),
-    "empty": (says(b""), protocol.ERROR),
-    "NaN": (says(b"NaN"), protocol.ERROR),
-    "a number": (says(b"7"), protocol.ERROR),
-    "deep": (says(b"[" * 200_000), protocol.ERROR),
-    "no choices": (says(b'{"choices":[]}'), protocol.ERROR),
-    "choices of text": (says(b'{"choices":"abc"}'), protocol.ERROR),
-    "null message": (says(b'{"choices":[{"message":null,"finish_reason":"stop"}]}'), protocol.ERROR),
-    "no text": (says(completion(None)), protocol.ERROR),
-    "tool call": (says(completion(None, "tool_calls")), protocol.ERROR),
-    "odd finish": (says(completion(CONTRACT, "because")), protocol.ERROR),
-    "finish of another type": (says(completion(CONTRACT, ["stop"])), protocol.ERROR),
-    "half a character": (says(completion(CONTRACT, "\ud800")), protocol.ERROR),
-    "half a refusal": (says(completion(None, refusal="\ud800 no")), protocol.REFUSAL),
-    "500": (says(b'{"error":{"message":"boom"}}', 500), protocol.ERROR),
-    "401": (says(b"who are you", 401), protocol.ERROR),
-    "redirect": (says(b"", 307), protocol.ERROR),
-    "refusal": (says(REFUSED), protocol.REFUSAL),
-    "content filter": (says(completion("", "content_filter")), protocol.REFUSAL),
+    "garbage": (respond_with(b"\xff\x00 not json"), protocol.ERROR),
+    "empty": (respond_with(b""), protocol.ERROR),
+    "NaN": (respond_with(b"NaN"), protocol.ERROR),
+    "a number": (respond_with(b"7"), protocol.ERROR),
+    "deep": (respond_with(b"[" * 200_000), protocol.ERROR),
+    "no choices": (respond_with(b'{"choices":[]}'), protocol.ERROR),
+    "choices of text": (respond_with(b'{"choices":"abc"}'), protocol.ERROR),
+    "null message": (respond_with(b'{"choices":[{"message":null,"finish_reason":"stop"}]}'), protocol.ERROR),
+    "no text": (respond_with(chat_completion(None)), protocol.ERROR),
+    "tool call": (respond_with(chat_completion(None, "tool_calls")), protocol.ERROR),
+    "odd finish": (respond_with(chat_completion(CONTRACT, "because")), protocol.ERROR),
+    "finish of another type": (respond_with(chat_completion(CONTRACT, ["stop"])), protocol.ERROR),
+    "half a character": (respond_with(chat_completion(CONTRACT, "\ud800")), protocol.ERROR),
+    "half a refusal": (respond_with(chat_completion(None, refusal="\ud800 no")), protocol.REFUSAL),
+    "500": (respond_with(b'{"error":{"message":"boom"}}', 500), protocol.ERROR),
+    "401": (respond_with(b"who are you", 401), protocol.ERROR),
+    "redirect": (respond_with(b"", 307), protocol.ERROR),
+    "refusal": (respond_with(REFUSED), protocol.REFUSAL),
+    "content filter": (respond_with(chat_completion("", "content_filter")), protocol.REFUSAL),
     "hang up": (hang_up, protocol.ERROR),
     "flood": (flood, protocol.ERROR),
 }
@@ -185,13 +187,13 @@ def test_a_bad_answer_becomes_a_finish_reason(name: str) -> None:
 
 
 def test_a_cut_answer_is_marked() -> None:
-    proposal, _ = ask(says(completion('{"id":', "length")))
+    proposal, _ = ask(respond_with(chat_completion('{"id":', "length")))
     assert proposal.finish_reason == protocol.LENGTH
 
 
 def test_odd_figures_are_left_out() -> None:
-    body = completion(CONTRACT).replace(b"100", b'"many"').replace(b"20", b"1" + b"0" * 400)
-    proposal, _ = ask(says(body))
+    body = chat_completion(CONTRACT).replace(b"100", b'"many"').replace(b"20", b"1" + b"0" * 400)
+    proposal, _ = ask(respond_with(body))
     assert proposal.text == CONTRACT
     assert set(proposal.timings) == {"total"}
 
@@ -207,7 +209,7 @@ def test_the_time_limit_is_for_the_whole_answer(behaviour: Behaviour) -> None:
 def test_nobody_at_the_address() -> None:
     with serve(silence) as server:
         url = server.url
-    proposal = ServerPlanner(ServerConfig(url, timeout_s=2.0)).propose(request())
+    proposal = ServerPlanner(ServerConfig(url, timeout_s=2.0)).propose(plan_request())
     assert proposal.finish_reason == "error: ConnectionRefusedError"
 
 
@@ -217,7 +219,7 @@ def test_nobody_at_the_address() -> None:
      "http://host/v1?a=\xe9", "http://host/v 1", "http://x..y/v1", "http://a b/v1", f"http://{'x' * 64}/v1"],
 )  # fmt: skip
 def test_an_address_that_cannot_be_asked_is_a_broken_setup(url: str) -> None:
-    with pytest.raises(InvalidSetup, match="https://HOST"):
+    with pytest.raises(ConfigurationError, match="https://HOST"):
         ServerPlanner(ServerConfig(url))
 
 
@@ -231,7 +233,7 @@ def test_a_host_may_have_a_name_of_any_letters() -> None:
     "host", ["lan-server:8000", "10.0.0.7", "[fd00::1]", "localhost.evil.example", "127.0.0.1.nip.io"]
 )
 def test_a_key_is_not_sent_where_all_can_read_it(host: str) -> None:
-    with pytest.raises(InvalidSetup, match="https") as raised:
+    with pytest.raises(ConfigurationError, match="https") as raised:
         ServerPlanner(ServerConfig(f"http://{host}/v1", key="sk-secret"))
     assert "secret" not in str(raised.value)
     ServerPlanner(ServerConfig(f"http://{host}/v1"))
@@ -245,7 +247,7 @@ def test_on_this_machine_it_is(host: str) -> None:
 
 @pytest.mark.parametrize("stray", ["\r", "\n", "\r\n", "\t", "\0", "\xe9", "\u2028"])
 def test_a_key_that_cannot_be_sent_is_a_broken_setup_and_is_not_told(stray: str) -> None:
-    with pytest.raises(InvalidSetup, match="printable ASCII") as raised:
+    with pytest.raises(ConfigurationError, match="printable ASCII") as raised:
         ServerPlanner(ServerConfig("http://host/v1", key=f"sk-secret{stray}"))
     assert "secret" not in f"{raised.value!r} {vars(raised.value)} {raised.value.__context__!r}"
 
@@ -256,14 +258,14 @@ def test_a_key_that_cannot_be_sent_is_a_broken_setup_and_is_not_told(stray: str)
      ("/v\xe9", "sk-secret", "UnicodeEncodeError"), ("/v 1", "sk-secret", "InvalidURL")],
 )  # fmt: skip
 def test_what_cannot_be_sent_comes_back_as_an_error_without_the_key(path: str, key: str, finish: str) -> None:
-    with serve(says(completion(CONTRACT))) as server:
+    with serve(respond_with(chat_completion(CONTRACT))) as server:
         url = server.url.removesuffix("/v1") + path
-        assert http_chat.post(url, b"", key=key, timeout_s=5.0) == http_chat.Answer("", protocol.ERROR, finish)
-    assert not server.asked
+        assert http_chat.post(url, b"", key=key, timeout_s=5.0) == http_chat.ChatResponse("", protocol.ERROR, finish)
+    assert not server.requests
 
 
 def test_a_server_that_repeats_the_key_does_not_bring_it_into_the_records() -> None:
-    proposal, server = ask(says(b'{"error":"no such key: sk-secret!"}', 401), model="m", key="sk-secret")
+    proposal, server = ask(respond_with(b'{"error":"no such key: sk-secret!"}', 401), model="m", key="sk-secret")
     assert server.headers[0]["Authorization"] == "Bearer sk-secret"
     assert proposal.finish_reason == 'error: status 401 {"error":"no such key: [key]!"}'
     assert "secret" not in repr(proposal)
@@ -272,16 +274,16 @@ def test_a_server_that_repeats_the_key_does_not_bring_it_into_the_records() -> N
 @pytest.mark.parametrize("url", ["http://x..y/v1", "http://a b/v1", "http://host:port/v1"])
 def test_a_host_that_cannot_be_asked_comes_back_as_an_error(url: str) -> None:
     answer = http_chat.post(url, b"", key="sk-secret", timeout_s=5.0)
-    assert isinstance(answer, http_chat.Answer)
-    assert (answer.finish, "secret" in answer.detail) == (protocol.ERROR, False)
+    assert isinstance(answer, http_chat.ChatResponse)
+    assert (answer.finish_reason, "secret" in answer.detail) == (protocol.ERROR, False)
 
 
 def test_an_unknown_dialect_lists_the_known_ones() -> None:
-    with pytest.raises(UnknownName, match="vllm"):
+    with pytest.raises(UnknownNameError, match="vllm"):
         ServerPlanner(ServerConfig("http://host/v1", dialect="vlm"))
 
 
 @given(body=st.binary(max_size=200) | st.text(max_size=200).map(str.encode))
 def test_no_bytes_make_the_reader_raise(body: bytes) -> None:
-    assert isinstance(http_chat.read_completion(body), http_chat.Answer)
-    assert isinstance(ollama.read_chat(body), http_chat.Answer)
+    assert isinstance(http_chat.parse_completion(body), http_chat.ChatResponse)
+    assert isinstance(ollama.parse_chat(body), http_chat.ChatResponse)

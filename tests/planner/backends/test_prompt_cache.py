@@ -7,15 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from dualbrain.planner.backends.llama_process import Worn
-from dualbrain.planner.backends.prompt_cache import KEPT, PrefixStore
-from dualbrain.planner.prompt.prompt_format import FULL, SHORT
-from dualbrain.records import Recall
-from tests.planner.backends.fake_chat_server import says, serve
-from tests.planner.sample_requests import exemplar, request
+from dualbrain.planner.backends.llama_process import LoadedAdapter
+from dualbrain.planner.backends.prompt_cache import MAX_CACHED_STATES, PromptCache
+from dualbrain.planner.prompt.prompt_format import FULL_PROMPT, SHORT_PROMPT
+from dualbrain.records import RetrievedContext
+from tests.planner.backends.fake_chat_server import respond_with, serve
+from tests.planner.sample_requests import exemplar, plan_request
 
 pytest.importorskip("xllamacpp")
-A, B = Worn(Path("a.gguf"), "a" * 64), Worn(Path("b.gguf"), "b" * 64)
+A, B = LoadedAdapter(Path("a.gguf"), "a" * 64), LoadedAdapter(Path("b.gguf"), "b" * 64)
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def keeps(folder, state=b"state"):
         action, told = call.server.asked[-1]
         if action.endswith("action=save"):
             (folder / told["filename"]).write_bytes(state)
-        says(b"{}")(call)
+        respond_with(b"{}")(call)
 
     return behave
 
@@ -44,22 +44,24 @@ def left(path, state=b"state"):
     return path
 
 
-def store(model, address="", *, n_ctx=2048, adapters=(A,), asking=FULL):
-    return PrefixStore(model.parent, model, n_ctx, address, "key", asking=asking, adapters=adapters)
+def store(model, address="", *, n_ctx=2048, adapters=(A,), asking=FULL_PROMPT):
+    return PromptCache(model.parent, model, n_ctx, address, "key", prompt_format=asking, adapters=adapters)
 
 
 def test_every_part_of_it_names_another_file(model):
-    first = store(model).path(request())
-    assert store(model).path(request("another instruction")) == first  # the last turn is not part of the prefix
+    first = store(model).state_path(plan_request())
+    assert (
+        store(model).state_path(plan_request("another instruction")) == first
+    )  # the last turn is not part of the prefix
     others = [
         store(model, adapters=()), store(model, adapters=(B,)), store(model, adapters=(A, B)),
-        store(model, adapters=(B, A)), store(model, adapters=(Worn(A.path, A.id, 0.5),)), store(model, n_ctx=4096),
-        store(model, asking=SHORT),
+        store(model, adapters=(B, A)), store(model, adapters=(LoadedAdapter(A.path, A.id, 0.5),)), store(model, n_ctx=4096),
+        store(model, asking=SHORT_PROMPT),
     ]  # fmt: skip
-    found = [one.path(request()) for one in others]
-    found.append(store(model).path(request(recall=Recall(exemplars=(exemplar(),)))))
+    found = [one.state_path(plan_request()) for one in others]
+    found.append(store(model).state_path(plan_request(recall=RetrievedContext(exemplars=(exemplar(),)))))
     model.write_bytes(b"other weights")
-    found.append(store(model).path(request()))
+    found.append(store(model).state_path(plan_request()))
     assert len({first, *found}) == len(found) + 1
 
 
@@ -71,34 +73,34 @@ def verified(path, digest):
 
 
 def test_a_verified_model_is_known_by_its_hash_and_any_other_by_name_size_and_date(model):
-    first = store(model).path(request())
+    first = store(model).state_path(plan_request())
     verified(model, "a" * 64)
-    named = store(model).path(request())
+    named = store(model).state_path(plan_request())
     assert named != first
     os.utime(model, (1, 1))  # changed since it was verified, for all one knows
-    assert store(model).path(request()) not in {first, named}
+    assert store(model).state_path(plan_request()) not in {first, named}
     verified(model, "a" * 64)
-    assert store(model).path(request()) == named
+    assert store(model).state_path(plan_request()) == named
     verified(model, "b" * 64)
-    assert store(model).path(request()) not in {first, named}
+    assert store(model).state_path(plan_request()) not in {first, named}
     model.with_name(f".{model.name}.verified").write_text("torn")
     os.utime(model, (2, 2))
-    assert store(model).path(request()) not in {first, named}
+    assert store(model).state_path(plan_request()) not in {first, named}
 
 
 def test_a_state_of_the_same_rules_serves_under_other_exemplars_and_none_of_other_rules_does(model):
-    recalled = request(recall=Recall(exemplars=(exemplar(),)))
+    recalled = plan_request(recall=RetrievedContext(exemplars=(exemplar(),)))
     with serve(keeps(model.parent)) as server:
         one = store(model, server.url.removesuffix("/v1"))
         assert not one.restore(recalled)
-        left(one.path(request()))
+        left(one.state_path(plan_request()))
         assert one.restore(recalled)
-        assert one.rules(recalled) == one.rules(request())
+        assert one.rules_key(recalled) == one.rules_key(plan_request())
         assert not one.save(recalled), "exemplars change from question to question"
-        assert one.rules(request(robot="base")) != one.rules(request())
-        assert not one.restore(request(robot="base"))
-        assert one.save(request(robot="base"))
-    assert server.asked[0][1]["filename"] == one.path(request()).name
+        assert one.rules_key(plan_request(robot="base")) != one.rules_key(plan_request())
+        assert not one.restore(plan_request(robot="base"))
+        assert one.save(plan_request(robot="base"))
+    assert server.requests[0][1]["filename"] == one.state_path(plan_request()).name
 
 
 def test_only_the_newest_states_of_a_model_are_kept(model):
@@ -106,13 +108,13 @@ def test_only_the_newest_states_of_a_model_are_kept(model):
     with serve(keeps(model.parent)) as server:
         one = store(model, server.url.removesuffix("/v1"))
         names = []
-        for k in range(KEPT + 2):
-            asked = request(robot=f"robot_{k}")
+        for k in range(MAX_CACHED_STATES + 2):
+            asked = plan_request(robot=f"robot_{k}")
             assert one.save(asked)
-            os.utime(one.path(asked), (k, k))
-            names.append(one.path(asked))
+            os.utime(one.state_path(asked), (k, k))
+            names.append(one.state_path(asked))
     for suffix in (".slot", ".sha256"):
-        assert [path.with_suffix(suffix).is_file() for path in names] == [False] * 2 + [True] * KEPT
+        assert [path.with_suffix(suffix).is_file() for path in names] == [False] * 2 + [True] * MAX_CACHED_STATES
         assert other.with_suffix(suffix).is_file()
 
 
@@ -136,31 +138,31 @@ def test_a_state_that_is_not_as_it_was_saved_is_not_restored_and_saved_anew(mode
     """llama.cpp restores it without a word, and answers otherwise."""
     with serve(keeps(model.parent)) as server:
         one = store(model, server.url.removesuffix("/v1"))
-        path = one.path(request())
-        assert one.save(request())
-        assert not one.save(request()), "it is kept already"
+        path = one.state_path(plan_request())
+        assert one.save(plan_request())
+        assert not one.save(plan_request()), "it is kept already"
         damage(path)
-        server.asked.clear()
-        assert not one.restore(request())
-        assert server.asked == []
+        server.requests.clear()
+        assert not one.restore(plan_request())
+        assert server.requests == []
         assert path.is_file() is not removed
-        assert one.save(request())
-        assert one.restore(request())
+        assert one.save(plan_request())
+        assert one.restore(plan_request())
 
 
 def test_beside_a_damaged_state_another_of_the_same_rules_serves(model):
-    recalled = request(recall=Recall(exemplars=(exemplar(),)))
+    recalled = plan_request(recall=RetrievedContext(exemplars=(exemplar(),)))
     with serve(keeps(model.parent)) as server:
         one = store(model, server.url.removesuffix("/v1"))
-        flipped(left(one.path(recalled)))
-        left(one.path(request()))
+        flipped(left(one.state_path(recalled)))
+        left(one.state_path(plan_request()))
         assert one.restore(recalled)
-    assert [told["filename"] for _, told in server.asked] == [one.path(request()).name]
+    assert [told["filename"] for _, told in server.requests] == [one.state_path(plan_request()).name]
 
 
 def test_two_processes_may_prune_one_folder(model, monkeypatch):
     """What another one removes between any two steps of ours is only gone."""
-    whole = [left(model.with_name(f"model-{k}.slot")) for k in range(KEPT + 3)]
+    whole = [left(model.with_name(f"model-{k}.slot")) for k in range(MAX_CACHED_STATES + 3)]
     for k, path in enumerate(whole):
         os.utime(path, (k, k))
     look, unlink = Path.stat, Path.unlink
@@ -177,27 +179,27 @@ def test_two_processes_may_prune_one_folder(model, monkeypatch):
     monkeypatch.setattr(Path, "stat", seen)
     monkeypatch.setattr(Path, "unlink", gone)
     with serve(keeps(model.parent)) as server:
-        assert store(model, server.url.removesuffix("/v1")).save(request())
+        assert store(model, server.url.removesuffix("/v1")).save(plan_request())
     monkeypatch.undo()
-    assert len(list(model.parent.glob("model-*.slot"))) == KEPT
+    assert len(list(model.parent.glob("model-*.slot"))) == MAX_CACHED_STATES
 
 
 def test_a_state_that_is_gone_or_cannot_be_signed_is_not_kept(model):
-    with serve(says(b"{}")) as server:
-        assert not store(model, server.url.removesuffix("/v1")).save(request())
+    with serve(respond_with(b"{}")) as server:
+        assert not store(model, server.url.removesuffix("/v1")).save(plan_request())
     with serve(keeps(model.parent)) as server:
         one = store(model, server.url.removesuffix("/v1"))
-        one.path(request()).with_suffix(".sha256").mkdir()
-        assert not one.save(request())
-        assert not one.path(request()).exists()
+        one.state_path(plan_request()).with_suffix(".sha256").mkdir()
+        assert not one.save(plan_request())
+        assert not one.state_path(plan_request()).exists()
 
 
 def test_a_state_of_another_adapter_is_not_restored(model):
-    with serve(says(b"{}")) as server:
+    with serve(respond_with(b"{}")) as server:
         address = server.url.removesuffix("/v1")
-        left(store(model, adapters=(A,)).path(request()))
-        assert not store(model, address, adapters=(B,)).restore(request())
-        assert not store(model, address, adapters=()).restore(request())
-        assert server.asked == []
-        assert store(model, address, adapters=(A,)).restore(request())
-    assert len(server.asked) == 1
+        left(store(model, adapters=(A,)).state_path(plan_request()))
+        assert not store(model, address, adapters=(B,)).restore(plan_request())
+        assert not store(model, address, adapters=()).restore(plan_request())
+        assert server.requests == []
+        assert store(model, address, adapters=(A,)).restore(plan_request())
+    assert len(server.requests) == 1

@@ -9,16 +9,16 @@ import pytest
 
 from dualbrain.adaptation.adapters.card import AdapterCard
 from dualbrain.adaptation.config import AdaptConfig
-from dualbrain.adaptation.serving.adapted_planner import AdaptedPlanner, NotItself
+from dualbrain.adaptation.serving.adapted_planner import AdaptedPlanner, AdapterMismatchError
 from dualbrain.planner import protocol
 from dualbrain.planner.backends import llama_cpp, llama_process
-from dualbrain.planner.backends.http_chat import Answer
+from dualbrain.planner.backends.http_chat import ChatResponse
 from dualbrain.planner.backends.llama_cpp import LlamaConfig, LlamaPlanner
-from dualbrain.planner.backends.stderr_tail import TOLD, ending
-from dualbrain.planner.prompt.prompt_format import FREE
+from dualbrain.planner.backends.stderr_tail import MAX_REPORTED_CHARACTERS, describe_exit
+from dualbrain.planner.prompt.prompt_format import UNCONSTRAINED_SHORT_PROMPT
 from dualbrain.planner.prompt.short_prompt import short_template_hash
-from tests.planner.backends.fake_chat_server import completion
-from tests.planner.sample_requests import REGISTRY, request
+from tests.planner.backends.fake_chat_server import chat_completion
+from tests.planner.sample_requests import REGISTRY, plan_request
 
 LOUD = 300_000
 """Characters on standard error: more than a pipe holds."""
@@ -53,7 +53,7 @@ with socket.create_server(("127.0.0.1", 0)) as server:
         asked.close()
         if how == "dies when asked":
             sys.exit()
-        call.sendall(b"HTTP/1.0 200 OK\\r\\n\\r\\n" + {completion("words")!r})
+        call.sendall(b"HTTP/1.0 200 OK\\r\\n\\r\\n" + {chat_completion("words")!r})
         call.close()
     time.sleep(60)
 """
@@ -75,22 +75,22 @@ def model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A model's file for such children."""
     (tmp_path / "child.py").write_text(CHILD)
     (tmp_path / "m.gguf").write_text("answers")
-    monkeypatch.setattr(llama_process, "_CHILD", tmp_path / "child.py")
+    monkeypatch.setattr(llama_process, "_WORKER_SCRIPT", tmp_path / "child.py")
     monkeypatch.setattr(llama_cpp, "find_spec", lambda name: sys)
     return tmp_path / "m.gguf"
 
 
 @pytest.fixture
 def planner(model: Path) -> Iterator[LlamaPlanner]:
-    planner = LlamaPlanner("m", model, LlamaConfig(timeout_s=2.0), asking=FREE)
+    planner = LlamaPlanner("m", model, LlamaConfig(timeout_s=2.0), prompt_format=UNCONSTRAINED_SHORT_PROMPT)
     yield planner
     planner.close()
 
 
 def told(planner: LlamaPlanner) -> str:
     """Why the planner's child has no answer, "" if it has."""
-    answer = planner.tell("/v1/chat/completions", {})
-    return answer.finish if isinstance(answer, Answer) else ""
+    answer = planner.post_json("/v1/chat/completions", {})
+    return answer.finish_reason if isinstance(answer, ChatResponse) else ""
 
 
 @pytest.mark.parametrize("how", LOST)
@@ -109,14 +109,14 @@ def test_one_that_is_lost_over_a_question_of_any_kind_is_put_away(planner: Llama
 def test_one_that_died_is_told_with_its_end_and_its_last_words(planner: LlamaPlanner, model: Path) -> None:
     planner.close()
     model.write_text("says and dies")
-    answer = planner.tell("/v1/chat/completions", {})
-    assert isinstance(answer, Answer)
-    assert answer.finish == protocol.CRASHED
+    answer = planner.post_json("/v1/chat/completions", {})
+    assert isinstance(answer, ChatResponse)
+    assert answer.finish_reason == protocol.CRASHED
     assert answer.detail.startswith("signal 6 (Aborted): x")
     assert answer.detail.endswith("x | Bearer [key] | \\x1b[31mno memory \\xe9")
-    assert len(answer.detail) <= len("signal 6 (Aborted): ") + TOLD
+    assert len(answer.detail) <= len("signal 6 (Aborted): ") + MAX_REPORTED_CHARACTERS
     model.write_text("dies when asked")
-    assert planner.propose(request()).finish_reason == f"{protocol.CRASHED}: exit code 0"
+    assert planner.propose(plan_request()).finish_reason == f"{protocol.CRASHED}: exit code 0"
 
 
 def test_one_that_says_much_does_not_wait_for_anybody_to_read_it(planner: LlamaPlanner, model: Path) -> None:
@@ -126,16 +126,16 @@ def test_one_that_says_much_does_not_wait_for_anybody_to_read_it(planner: LlamaP
 
 
 def test_a_signal_that_a_system_short_of_memory_sends_is_told_as_one() -> None:
-    assert "short of memory" in ending(-signal.SIGKILL)
-    assert ending(-signal.SIGSEGV) == "signal 11 (Segmentation fault)"
-    assert ending(3) == "exit code 3"
+    assert "short of memory" in describe_exit(-signal.SIGKILL)
+    assert describe_exit(-signal.SIGSEGV) == "signal 11 (Segmentation fault)"
+    assert describe_exit(3) == "exit code 3"
 
 
 @pytest.mark.parametrize("faulty", [lambda planner: "another", lambda planner: 1 / 0], ids=["fault", "raises"])
 def test_no_child_is_left_of_an_adapter_that_is_not_itself(
     planner: LlamaPlanner, faulty: Callable[[LlamaPlanner], str]
 ) -> None:
-    with pytest.raises((NotItself, ZeroDivisionError)):
+    with pytest.raises((AdapterMismatchError, ZeroDivisionError)):
         AdaptedPlanner(planner, CARD, faulty)
     assert planner.pid is None
 
@@ -146,6 +146,6 @@ def test_an_adapter_whose_canary_was_lost_proposes_again_with_the_next_child(
     adapted = AdaptedPlanner(planner, CARD, told)
     planner.close()
     model.write_text("dies when asked")
-    assert adapted.propose(request()).finish_reason == f"error: not the adapter it was: {protocol.CRASHED}"
+    assert adapted.propose(plan_request()).finish_reason == f"error: not the adapter it was: {protocol.CRASHED}"
     model.write_text("answers")
-    assert adapted.propose(request()).finish_reason == protocol.STOP
+    assert adapted.propose(plan_request()).finish_reason == protocol.STOP

@@ -4,13 +4,13 @@ import jsonschema_rs
 import pytest
 
 from dualbrain.contracts.schema import decoding_schema
-from dualbrain.core.text import hides_something
-from dualbrain.grounding.vocabulary import vocabulary
-from dualbrain.planner.decoding.gbnf_schema import by_length
-from dualbrain.planner.decoding.llguidance_grammar import narrow
+from dualbrain.core.text import has_hidden_characters
+from dualbrain.grounding.vocabulary import load_skill_registry
+from dualbrain.planner.decoding.gbnf_schema import replace_text_patterns
+from dualbrain.planner.decoding.llguidance_grammar import strip_annotations
 from tests.planner.sample_requests import NAMES, REGISTRY
 
-LONGEST = next(one.max_length for one in vocabulary("base").skill("decline").parameters)
+LONGEST = next(one.max_length for one in load_skill_registry("base").skill("decline").parameters)
 
 
 def leaves(schema):
@@ -26,9 +26,9 @@ def leaves(schema):
 
 @pytest.mark.parametrize("robot", ["panda", "ur5e", "base", "mobile_panda"])
 def test_no_hidden_character_is_left_and_nothing_else_is_lost(robot):
-    schema = narrow(decoding_schema(vocabulary(robot), NAMES))
-    told = by_length(schema)
-    hidden = [one for one in leaves(schema) if hides_something(str(one))]
+    schema = strip_annotations(decoding_schema(load_skill_registry(robot), NAMES))
+    told = replace_text_patterns(schema)
+    hidden = [one for one in leaves(schema) if has_hidden_characters(str(one))]
     assert len(hidden) == 1  # the reason of a decline
     assert [one for one in leaves(told) if one != LONGEST] == [one for one in leaves(schema) if one not in hidden]
 
@@ -40,5 +40,8 @@ def test_a_text_is_as_long_as_before(length):
     contract = {
         "id": "c-0001", "context": {"robot": "panda", "registry": REGISTRY.hash}, "action_sequence": steps,
     }  # fmt: skip
-    verdicts = [jsonschema_rs.validator_for(one).is_valid(contract) for one in (narrow(schema), by_length(schema))]
+    verdicts = [
+        jsonschema_rs.validator_for(one).is_valid(contract)
+        for one in (strip_annotations(schema), replace_text_patterns(schema))
+    ]
     assert verdicts == [length <= 40] * 2

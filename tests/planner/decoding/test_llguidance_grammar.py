@@ -6,28 +6,28 @@ from functools import cache
 import pytest
 
 from dualbrain.planner.decoding.llguidance_grammar import (
-    FREELY,
+    NO_FORCING,
     actions_grammar,
     contract_grammar,
-    narrow,
+    strip_annotations,
     tail_grammar,
 )
-from tests.planner.sample_requests import REGISTRY, request
+from tests.planner.sample_requests import REGISTRY, plan_request
 
 
 def test_words_for_people_are_left_out_and_names_of_parameters_are_not() -> None:
     number = {"type": "number", "minimum": 0, "maximum": 1, "x-unit": "m", "description": "how far"}
     schema = {"$schema": "x", "type": "object", "properties": {"description": number, "title": {"const": {"title": 1}}}}
-    assert narrow(schema) == {
+    assert strip_annotations(schema) == {
         "type": "object",
         "properties": {"description": {"type": "number", "minimum": 0, "maximum": 1}, "title": {"const": {"title": 1}}},
     }
 
 
 def test_the_grammar_holds_the_action_sequence_and_the_closing_brace() -> None:
-    schema = request().schema
+    schema = plan_request().schema
     head, _, body = actions_grammar(schema).partition("%json ")
-    assert head == f'{FREELY}start: actions "}}"\nactions: '
+    assert head == f'{NO_FORCING}start: actions "}}"\nactions: '
     told = json.loads(body)
     assert told.pop("x-guidance") == {"whitespace_flexible": False}
     assert told == schema["properties"]["action_sequence"]
@@ -76,6 +76,6 @@ def test_each_grammar_reads_its_part_of_the_same_contract_and_holds_the_bounds()
     grammars = {actions_grammar: '"action_sequence":', tail_grammar: '"action_sequence', contract_grammar: ""}
     for make, given in grammars.items():
         rest = whole.partition(given)[2] if given else whole
-        assert reads(make(request().schema), rest)
-        assert not reads(make(request().schema), rest.replace("0.1", "9.1"))
-        assert not reads(make(request().schema), rest + " ")
+        assert reads(make(plan_request().schema), rest)
+        assert not reads(make(plan_request().schema), rest.replace("0.1", "9.1"))
+        assert not reads(make(plan_request().schema), rest + " ")

@@ -8,48 +8,56 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.contracts.registry import Registry
+from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.schema import validation_schema
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.planner.prompt import full_prompt
-from dualbrain.planner.prompt.arm_examples import DECLINING, FETCHING, WORKED_EXAMPLES, WorkedExample, fitting
-from dualbrain.planner.prompt.full_prompt import MAX_EXEMPLARS, Message, header, render, template_hash
-from dualbrain.records import Passage, Recall
-from dualbrain.robots.loader import load_body
-from dualbrain.skills.registry import arm_registry
-from tests.planner.sample_requests import REGISTRY, exemplar, request
+from dualbrain.planner.prompt.arm_examples import (
+    DECLINE_EXAMPLE,
+    FETCH_EXAMPLES,
+    WORKED_EXAMPLES,
+    WorkedExample,
+    select_examples,
+)
+from dualbrain.planner.prompt.full_prompt import MAX_EXEMPLARS, ChatMessage, answer_header, render, template_hash
+from dualbrain.records import Passage, RetrievedContext
+from dualbrain.robots.loader import load_robot
+from dualbrain.skills.registry import arm_skill_registry
+from tests.planner.sample_requests import REGISTRY, exemplar, plan_request
 
 MARKS = ("<scene>", "</scene>", "<instruction>", "</instruction>")
 
 
-def text_of(messages: list[Message]) -> str:
+def text_of(messages: list[ChatMessage]) -> str:
     return "\n".join(message["content"] for message in messages)
 
 
 def test_the_unchanging_part_comes_first() -> None:
-    one = render(request("put the red cube in the bowl"))
-    two = render(request("go home", scene="robot panda; holding red_cube", contract_id="c-0099"))
+    one = render(plan_request("put the red cube in the bowl"))
+    two = render(plan_request("go home", scene="robot panda; holding red_cube", contract_id="c-0099"))
     assert one[:3] == two[:3]  # the system's words and the first example
     assert one[-1] != two[-1]
 
 
 def test_names_of_one_scene_do_not_change_the_system_message() -> None:
-    other = render(request(skills_text="grasp(...)\ngraspable: zinc_tin\nreceptive: tray"))
+    other = render(plan_request(skills_text="grasp(...)\ngraspable: zinc_tin\nreceptive: tray"))
     assert "zinc_tin" not in other[0]["content"]
     assert "graspable: zinc_tin" in other[-1]["content"]
 
 
 def test_turns_alternate_and_end_with_the_question() -> None:
-    roles = [message["role"] for message in render(request())]
+    roles = [message["role"] for message in render(plan_request())]
     assert roles == ["system", *("user", "assistant") * MAX_EXEMPLARS, "user"]
 
 
 def test_memory_stands_after_the_built_in_examples_best_last() -> None:
-    recall = Recall(exemplars=(exemplar("best", rank=1), exemplar("second", rank=2), exemplar("third", rank=3)))
-    messages = render(request(recall=recall))
+    recall = RetrievedContext(
+        exemplars=(exemplar("best", rank=1), exemplar("second", rank=2), exemplar("third", rank=3))
+    )
+    messages = render(plan_request(recall=recall))
     assert len(messages) == 2 + 2 * MAX_EXEMPLARS
-    assert DECLINING.instruction in messages[1]["content"]
+    assert DECLINE_EXAMPLE.instruction in messages[1]["content"]
     assert "second" in messages[3]["content"]
     assert "best" in messages[5]["content"]
     assert "third" not in text_of(messages)
@@ -60,48 +68,50 @@ def test_memory_stands_after_the_built_in_examples_best_last() -> None:
     "contract", [{}, {"action_sequence": []}, {"action_sequence": 3}, {"action_sequence": [{"x": "y"}] * 900}]
 )
 def test_a_memory_without_a_usable_contract_is_left_out(contract: dict[str, object]) -> None:
-    messages = render(request(recall=Recall(exemplars=(exemplar("broken", contract=contract),))))
+    messages = render(plan_request(recall=RetrievedContext(exemplars=(exemplar("broken", contract=contract),))))
     assert "broken" not in text_of(messages)
     assert len(messages) == 2 + 2 * MAX_EXEMPLARS
 
 
 def test_a_warning_is_shown_as_data_and_never_as_an_answer() -> None:
     bad = {"action_sequence": [{"skill": "grasp", "params": {"object": "hot_iron"}}]}
-    messages = render(request(recall=Recall(warnings=(exemplar("burn it", contract=bad, succeeded=False),))))
+    messages = render(
+        plan_request(recall=RetrievedContext(warnings=(exemplar("burn it", contract=bad, succeeded=False),)))
+    )
     assert "hot_iron" in messages[-1]["content"]
     assert not any("hot_iron" in message["content"] for message in messages if message["role"] == "assistant")
 
 
 def test_a_refusal_stands_before_the_second_question() -> None:
     why = Rejected("envelope", "/action_sequence/0/params/speed", 9.0, [0.05, 0.4], "choose a slower speed")
-    first, second = render(request()), render(request(refusal=why))
+    first, second = render(plan_request()), render(plan_request(refusal=why))
     assert first[:-1] == second[:-1]
     assert "choose a slower speed" in second[-1]["content"]
     assert "/action_sequence/0/params/speed" in second[-1]["content"]
 
 
 def test_the_header_is_the_beginning_of_the_contract_that_is_asked_for() -> None:
-    whole = json.loads(header(request()) + "[]}")
+    whole = json.loads(answer_header(plan_request()) + "[]}")
     assert whole["id"] == "c-0007"
     assert whole["context"] == {"robot": "panda", "registry": REGISTRY.hash}
-    assert list(whole) == list(request().schema["properties"])
+    assert list(whole) == list(plan_request().schema["properties"])
 
 
-@pytest.mark.parametrize("wanted", FETCHING, ids=lambda example: example.instruction)
+@pytest.mark.parametrize("wanted", FETCH_EXAMPLES, ids=lambda example: example.instruction)
 def test_the_example_most_like_the_scene_stands_last(wanted: WorkedExample) -> None:
     thing = wanted.scene.splitlines()[1].partition(":")[0]
     scene, words = (
         wanted.scene.replace(thing, "red_cube"),
         wanted.instruction.replace(thing.replace("_", " "), "red cube"),
     )
-    alike = fitting(scene, words, MAX_EXEMPLARS)
+    alike = select_examples(scene, words, MAX_EXEMPLARS)
     assert len(alike) == MAX_EXEMPLARS
-    assert alike[0] is DECLINING
+    assert alike[0] is DECLINE_EXAMPLE
     assert alike[-1].actions[0]["params"] | {"object": ""} == wanted.actions[0]["params"] | {"object": ""}
 
 
 def test_the_built_in_examples_are_contracts_of_the_arm() -> None:
-    registry: Registry = arm_registry(load_body("panda"))
+    registry: SkillRegistry = arm_skill_registry(load_robot("panda"))
     for example in WORKED_EXAMPLES:
         context = {"robot": "panda", "registry": registry.hash}
         contract = {"id": "c-0001", "context": context, "action_sequence": list(example.actions)}
@@ -133,9 +143,11 @@ def test_untrusted_text_keeps_to_its_blocks(instruction: str, scene: str, rememb
         remembered, summary=scene, contract={"action_sequence": [{"skill": reason, "params": {reason: reason}}]}
     )
     why = Rejected("syntax", reason, reason, [reason], reason)
-    recall = Recall(exemplars=(memory,), warnings=(memory,))
-    asked = request(instruction, scene=scene, recall=recall, refusal=why, skills_text="")
-    plain = request("a", scene="b", recall=Recall((exemplar("c"),), (exemplar("d"),)), refusal=why, skills_text="")
+    recall = RetrievedContext(exemplars=(memory,), warnings=(memory,))
+    asked = plan_request(instruction, scene=scene, recall=recall, refusal=why, skills_text="")
+    plain = plan_request(
+        "a", scene="b", recall=RetrievedContext((exemplar("c"),), (exemplar("d"),)), refusal=why, skills_text=""
+    )
     got, expected = render(asked), render(plain)
     assert [message["role"] for message in got] == [message["role"] for message in expected]
     assert got[0] == expected[0]
@@ -153,10 +165,10 @@ def test_prompts_of_single_goals_are_those_that_recorded_answers_were_given_to()
         "The red cube belongs in the blue bowl. Be careful, somebody may reach across the table.",
     )
     passage = Passage("a@1#0-5", "rule", "site", "A", "text", 0.5, 0.5, 1)
-    full = Recall((exemplar("best", rank=1),), (exemplar("burn it", rank=1, succeeded=False),), (passage,))
+    full = RetrievedContext((exemplar("best", rank=1),), (exemplar("burn it", rank=1, succeeded=False),), (passage,))
     why = Rejected("envelope", "/action_sequence/0/params/speed", 9.0, [0.05, 0.4], "choose a slower speed")
-    driving = request("go to the window", skills_text=f"{DRIVES}\ngraspable: nothing\nreceptive: window")
-    asked = [*map(request, words), request(recall=full), request(recall=full, refusal=why), driving]
+    driving = plan_request("go to the window", skills_text=f"{DRIVES}\ngraspable: nothing\nreceptive: window")
+    asked = [*map(plan_request, words), plan_request(recall=full), plan_request(recall=full, refusal=why), driving]
     said = json.dumps([render(one) for one in asked])
     assert hashlib.sha256(said.encode()).hexdigest()[:16] == "e61f277c4e5df0b5"
     assert template_hash() == "870990135cb47e7c"

@@ -4,35 +4,35 @@ import jsonschema_rs
 import pytest
 
 from dualbrain.contracts.scene_names import SceneNames
-from dualbrain.contracts.schema import short_form, validation_schema
-from dualbrain.grounding.offline_gate import as_specified
-from dualbrain.grounding.scene_summary import summarise
-from dualbrain.grounding.vocabulary import scene_names, vocabulary
+from dualbrain.contracts.schema import describe_skills, validation_schema
+from dualbrain.grounding.offline_gate import scene_from_spec
+from dualbrain.grounding.scene_summary import summarise_scene
+from dualbrain.grounding.vocabulary import load_skill_registry, scene_names
 from dualbrain.planner.prompt import mobile_manipulator_examples
-from dualbrain.planner.prompt.full_prompt import MAX_EXEMPLARS, beside_hash, render, template_hash
+from dualbrain.planner.prompt.full_prompt import MAX_EXEMPLARS, conditional_text_hash, render, template_hash
 from dualbrain.planner.prompt.mobile_manipulator_examples import (
-    DECLINING,
+    DECLINE_EXAMPLE,
+    DRIVE_EXAMPLE,
+    DRIVE_THEN_FETCH_EXAMPLE,
     EXAMPLES,
-    GOING,
-    GOING_FIRST,
-    PUTTING,
-    PUTTING_FIRST,
-    fitting,
+    FETCH_EXAMPLE,
+    FETCH_THEN_DRIVE_EXAMPLE,
+    select_examples,
 )
-from dualbrain.records import Recall
+from dualbrain.records import RetrievedContext
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
-from dualbrain.simulation.tasks.instructions import wordings
-from tests.planner.sample_requests import exemplar, request
+from dualbrain.simulation.tasks.instructions import instruction_templates
+from tests.planner.sample_requests import exemplar, plan_request
 
 ROBOT = "mobile_panda"
-SCENE = as_specified(open_scene("workroom:0", ROBOT))
-SUMMARY = summarise(SCENE)
+SCENE = scene_from_spec(open_scene("workroom:0", ROBOT))
+SUMMARY = summarise_scene(SCENE)
 NAMES = {"object": "red_cube", "target": "blue_bowl"}
 
 
 def asked(words, **changed):
-    skills = short_form(vocabulary(ROBOT), scene_names(SCENE))
-    return request(words, scene=SUMMARY, robot=ROBOT, skills_text=skills, **changed)
+    skills = describe_skills(load_skill_registry(ROBOT), scene_names(SCENE))
+    return plan_request(words, scene=SUMMARY, robot=ROBOT, skills_text=skills, **changed)
 
 
 def skills_of(example):
@@ -48,40 +48,42 @@ def test_it_is_told_of_both_its_parts_and_others_are_not():
     assert "bench: before table, heading 1.57" in told[-1]["content"]
 
 
-@pytest.mark.parametrize("one", wordings("go"), ids=lambda one: one.text[:30])
+@pytest.mark.parametrize("one", instruction_templates("go"), ids=lambda one: one.text[:30])
 def test_to_those_who_ask_it_to_go_a_drive_is_shown_last(one):
-    assert fitting(one.words(target="shelf"), SUMMARY, MAX_EXEMPLARS)[-1] is GOING
+    assert select_examples(one.words(target="shelf"), SUMMARY, MAX_EXEMPLARS)[-1] is DRIVE_EXAMPLE
 
 
-@pytest.mark.parametrize("one", wordings("put_in"), ids=lambda one: one.text[:30])
+@pytest.mark.parametrize("one", instruction_templates("put_in"), ids=lambda one: one.text[:30])
 def test_to_those_who_want_a_thing_put_away_a_grasp_is_shown_last(one):
-    assert fitting(one.words(**NAMES), SUMMARY, MAX_EXEMPLARS)[-1] is PUTTING
+    assert select_examples(one.words(**NAMES), SUMMARY, MAX_EXEMPLARS)[-1] is FETCH_EXAMPLE
 
 
 @pytest.mark.parametrize(
     ("words", "wanted"),
     [
-        ("go to the shelf, then put the red cube in the blue bowl", GOING_FIRST),
-        ("put the red cube in the blue bowl and then drive to the charger", PUTTING_FIRST),
-        ("put the cube in the bowl", PUTTING),
+        ("go to the shelf, then put the red cube in the blue bowl", DRIVE_THEN_FETCH_EXAMPLE),
+        ("put the red cube in the blue bowl and then drive to the charger", FETCH_THEN_DRIVE_EXAMPLE),
+        ("put the cube in the bowl", FETCH_EXAMPLE),
     ],
 )
 def test_both_in_the_order_of_the_words(words, wanted):
-    shown = fitting(words, SUMMARY, MAX_EXEMPLARS)
-    assert shown[0] is DECLINING
+    shown = select_examples(words, SUMMARY, MAX_EXEMPLARS)
+    assert shown[0] is DECLINE_EXAMPLE
     assert shown[-1] is wanted
 
 
 def test_what_memory_recalls_takes_the_place_of_the_examples_that_suit_less():
-    told = render(asked("go to the shelf", recall=Recall(exemplars=(exemplar("best"), exemplar("second", rank=2)))))
+    told = render(
+        asked("go to the shelf", recall=RetrievedContext(exemplars=(exemplar("best"), exemplar("second", rank=2))))
+    )
     assert len(told) == 2 + 2 * MAX_EXEMPLARS
-    assert GOING.instruction in told[1]["content"]
+    assert DRIVE_EXAMPLE.instruction in told[1]["content"]
     assert "best" in told[-3]["content"]
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.instruction)
 def test_the_examples_are_contracts_of_this_robot_and_keep_their_own_rules(example):
-    registry = vocabulary(ROBOT)
+    registry = load_skill_registry(ROBOT)
     lines = dict(line.split(": ", 1) for line in example.scene.splitlines() if ": " in line)
     things = [name for name, text in lines.items() if text.startswith("object")]
     spots = [name for name, text in lines.items() if text.startswith("container")] + lines["places"].split(", ")
@@ -104,7 +106,7 @@ def test_the_examples_are_contracts_of_this_robot_and_keep_their_own_rules(examp
 
 
 def test_it_stands_beside_the_template_that_adapters_were_trained_on(monkeypatch):
-    before = beside_hash(), template_hash()
+    before = conditional_text_hash(), template_hash()
     monkeypatch.setattr(mobile_manipulator_examples, "SYSTEM", "other words")
-    assert beside_hash() != before[0]
+    assert conditional_text_hash() != before[0]
     assert template_hash() == before[1]

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.planner.prompt.sanitize import block, compact_json, sanitise
+from dualbrain.planner.prompt.sanitize import compact_json, format_block, sanitize
 
 ATTACKS = (
     "</scene>", "<|im_end|>", "<|im_start|>system", "</s>", "[INST]", "[/INST]", "<start_of_turn>", "＜/scene＞",
@@ -23,7 +23,7 @@ json_values = st.recursive(
 
 @given(text=hostile, lines=st.integers(1, 5), limit=st.integers(10, 200))
 def test_no_text_closes_its_block(text: str, lines: int, limit: int) -> None:
-    shown = block("scene", text, limit=limit, lines=lines)
+    shown = format_block("scene", text, limit=limit, lines=lines)
     assert shown.startswith("<scene>\n")
     assert shown.endswith("\n</scene>")
     inside = shown.removeprefix("<scene>\n").removesuffix("\n</scene>")
@@ -35,8 +35,8 @@ def test_no_text_closes_its_block(text: str, lines: int, limit: int) -> None:
 
 @given(text=hostile, lines=st.integers(1, 5))
 def test_sanitising_twice_changes_nothing(text: str, lines: int) -> None:
-    once = sanitise(text, limit=1000, lines=lines)
-    assert sanitise(once, limit=1000, lines=lines) == once
+    once = sanitize(text, limit=1000, lines=lines)
+    assert sanitize(once, limit=1000, lines=lines) == once
 
 
 @given(value=json_values)
@@ -50,12 +50,12 @@ def test_json_from_outside_is_one_harmless_line(value: object) -> None:
 
 
 def test_symbols_of_a_summary_stay_readable() -> None:
-    assert sanitise("path a -> b: gap <3cm", limit=100) == "path a to b: gap under 3cm"
+    assert sanitize("path a -> b: gap <3cm", limit=100) == "path a to b: gap under 3cm"
 
 
 @pytest.mark.parametrize("text", ["", "  \n\t ", "\u200b"])
 def test_an_empty_text_says_so(text: str) -> None:
-    assert block("instruction", text, limit=100) == "<instruction>\n(empty)\n</instruction>"
+    assert format_block("instruction", text, limit=100) == "<instruction>\n(empty)\n</instruction>"
 
 
 def test_ordinary_words_of_any_language_pass() -> None:
@@ -64,7 +64,7 @@ def test_ordinary_words_of_any_language_pass() -> None:
         "把红色方块放进碗里",
         "mets le cube rouge dans le bol, s'il te plaît",
     ):
-        assert sanitise(text, limit=100) == text.replace("，", ",")
+        assert sanitize(text, limit=100) == text.replace("，", ",")
 
 
 def test_a_very_deep_or_endless_value_is_left_out() -> None:

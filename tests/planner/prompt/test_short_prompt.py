@@ -2,7 +2,7 @@
 
 import json
 
-from dualbrain.planner.prompt.short_prompt import MAX_SHOWN, STEPS_LIMIT, exemplar_steps, render_short
+from dualbrain.planner.prompt.short_prompt import MAX_SHOWN_EXEMPLARS, STEPS_LIMIT, exemplar_steps, render_short
 from tests.planner.sample_requests import SCENE, exemplar
 
 ASK = {"robot": "panda", "registry": "83abdb38", "contract_id": "c-0001"}
@@ -13,7 +13,7 @@ def steps(**params):
 
 
 def asked(*recalled):
-    return render_short(SCENE, "put the red cube in the bowl", **ASK, recalled=recalled)[-1]["content"]
+    return render_short(SCENE, "put the red cube in the bowl", **ASK, exemplars=recalled)[-1]["content"]
 
 
 def test_with_nothing_recalled_it_is_the_question_alone():
@@ -35,7 +35,7 @@ def test_only_successes_are_shown_and_no_more_than_fit():
     many = [exemplar(rank=n, contract=steps(object=f"tin_{n}"), succeeded=n != 2) for n in range(1, 7)]
     text = asked(*many)
     assert "tin_2" not in text
-    assert text.count("<example>") == MAX_SHOWN
+    assert text.count("<example>") == MAX_SHOWN_EXEMPLARS
     long = exemplar(contract={"action_sequence": [{"skill": "hold", "params": {"duration": 1}}] * 40})
     assert asked(long) == asked()
     assert len(exemplar_steps(many[0].contract)) <= STEPS_LIMIT

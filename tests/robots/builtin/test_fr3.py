@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dualbrain.robots.builtin import fr3
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.loader import load_robot
 
 # libfranka, include/franka/rate_limiting.h: fastest v, then |v| ≤ sqrt(k (end − q)) − c towards the end of the range
 FASTEST = (2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26)
@@ -21,7 +21,7 @@ def allowed(joint, room):
 
 @pytest.mark.parametrize("k", range(7))
 def test_everywhere_in_our_range_our_velocity_is_one_that_the_maker_allows(k):
-    joint = load_body("fr3").joints[k]
+    joint = load_robot("fr3").joints[k]
     low, high, v = joint.lower.value, joint.upper.value, joint.velocity.value
     for q in np.linspace(low, high, 200):
         assert v <= allowed(k, UPPER[k] - q) + 0.01
@@ -30,7 +30,7 @@ def test_everywhere_in_our_range_our_velocity_is_one_that_the_maker_allows(k):
 
 
 def test_acceleration_and_jerk_are_the_makers_and_say_so():
-    body = load_body("fr3")
+    body = load_robot("fr3")
     assert body.joints == fr3.joints()
     for joint in body.joints:
         assert (joint.acceleration.value, joint.jerk.value) == (10.0, 5000.0)

@@ -4,22 +4,22 @@ from importlib import resources
 
 import pytest
 
-from dualbrain.errors import UnknownName
-from dualbrain.robots.builtin.generate import FACTS, encode, main
-from dualbrain.robots.loader import load_body
+from dualbrain.errors import UnknownNameError
+from dualbrain.robots.builtin.generate import ARM_DEFINITIONS, encode_robot, main
+from dualbrain.robots.loader import load_robot
 
 
 def stored(name="panda"):
     return resources.files("dualbrain.robots").joinpath("data", f"{name}.json").read_bytes()
 
 
-@pytest.mark.parametrize("name", FACTS)
+@pytest.mark.parametrize("name", ARM_DEFINITIONS)
 def test_the_stored_file_is_in_the_form_the_command_writes(name):
-    assert encode(load_body(name)) == stored(name)
+    assert encode_robot(load_robot(name)) == stored(name)
 
 
 def test_an_unknown_body_is_refused(tmp_path):
-    with pytest.raises(UnknownName):
+    with pytest.raises(UnknownNameError):
         main(["ur99", "--out", str(tmp_path / "x.json")])
 
 

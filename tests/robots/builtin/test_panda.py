@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from dualbrain.robots.builtin.panda import HOME
-from dualbrain.robots.collision_model.self_collision import chain_frames, placed_centres, random_configurations
+from dualbrain.robots.collision_model.self_collision import chain_frames, random_configurations, sphere_centres
 from tests.robots.panda_oracle import PANDA, URDF_NAMES, urdf, urdf_pose
 
 CORNERS = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
@@ -14,7 +14,7 @@ CORNERS = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0
 def body_points(q, opening):
     """Origin and unit points of each link in the world, from the body's data: (links, 4, 3)."""
     turns, origins = chain_frames(PANDA.joints, q[None])
-    return np.array([placed_centres(link, CORNERS, turns, origins, opening)[0] for link in PANDA.links])
+    return np.array([sphere_centres(link, CORNERS, turns, origins, opening)[0] for link in PANDA.links])
 
 
 @pytest.mark.parametrize("seed", range(8))

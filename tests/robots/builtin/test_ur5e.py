@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from dualbrain.robots.builtin import ur5e
-from dualbrain.robots.collision_model.coverage import Balls, proven_covered
+from dualbrain.robots.collision_model.coverage import SphereSet, is_proven_covered
 from dualbrain.robots.collision_model.self_collision import chain_frames, random_configurations
-from dualbrain.robots.loader import load_body
-from tests.robots.panda_oracle import about, roll_pitch_yaw
+from dualbrain.robots.loader import load_robot
+from tests.robots.panda_oracle import axis_rotation, roll_pitch_yaw
 
-UR5E = load_body("ur5e")
+UR5E = load_robot("ur5e")
 NAMES = ("base_link_inertia", "shoulder_link", "upper_arm_link", "forearm_link", "wrist_1_link", "wrist_2_link",
          "wrist_3_link")  # fmt: skip
 
@@ -37,7 +37,7 @@ def urdf_pose(link, q):
         step[:3, :3], step[:3, 3] = roll_pitch_yaw(*numbers(origin.get("rpy"))), numbers(origin.get("xyz"))
         if joint.get("name") in values:
             turn = np.eye(4)
-            turn[:3, :3] = about(numbers(joint.find("axis").get("xyz")), values[joint.get("name")])
+            turn[:3, :3] = axis_rotation(numbers(joint.find("axis").get("xyz")), values[joint.get("name")])
             step = step @ turn
         pose, link = step @ pose, joint.find("parent").get("link")
     return pose
@@ -74,13 +74,15 @@ def test_the_tool_looks_down_at_home():
     assert np.allclose(tip, [0.42, 0.0, 0.45], atol=1e-3)
 
 
-@pytest.mark.parametrize("link", ur5e.COVER)
+@pytest.mark.parametrize("link", ur5e.LINK_COVERS)
 def test_the_stored_spheres_cover_every_part_by_proof(link):
     own = [sphere for sphere in UR5E.spheres if sphere.link == link]
-    balls = Balls(np.array([ball.centre for ball in own]), np.array([ball.radius for ball in own]))
-    for wanted in ur5e.COVER[link]:
-        assert proven_covered(ur5e.part(wanted.mesh), balls)
-        assert not proven_covered(ur5e.part(wanted.mesh), Balls(balls.centres, 0.9 * balls.radii), levels=6)
+    balls = SphereSet(np.array([ball.centre for ball in own]), np.array([ball.radius for ball in own]))
+    for wanted in ur5e.LINK_COVERS[link]:
+        assert is_proven_covered(ur5e.part_mesh(wanted.mesh), balls)
+        assert not is_proven_covered(
+            ur5e.part_mesh(wanted.mesh), SphereSet(balls.centres, 0.9 * balls.radii), max_subdivisions=6
+        )
 
 
 @pytest.mark.parametrize("part", ["finger", "knuckle"])

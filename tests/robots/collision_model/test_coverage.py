@@ -7,16 +7,16 @@ from hypothesis import strategies as st
 
 from dualbrain.robots.assets.meshes import Mesh
 from dualbrain.robots.collision_model.coverage import (
-    Balls,
-    covered,
+    SphereSet,
+    are_covered,
     distance_outside,
+    is_proven_covered,
     measure_excess,
-    proven_covered,
-    proven_inflation,
-    union_surface,
+    required_inflation,
+    sample_union_surface,
 )
-from dualbrain.robots.collision_model.polytope import convex_hull, surface_points
-from tests.robots.panda_oracle import PANDA, balls, link_mesh
+from dualbrain.robots.collision_model.polytope import convex_hull, sample_surface
+from tests.robots.panda_oracle import PANDA, link_mesh, link_spheres
 
 LINKS = [link.name for link in PANDA.links]
 WORST = {"link0": 0.100, "hand": 0.014, "left_finger": 0.013, "right_finger": 0.013}
@@ -29,7 +29,7 @@ CUBE = Mesh(
 
 @pytest.mark.parametrize("link", LINKS)
 def test_the_stored_spheres_cover_every_point_of_the_mesh_by_proof(link):
-    assert proven_covered(link_mesh(link), balls(link))
+    assert is_proven_covered(link_mesh(link), link_spheres(link))
 
 
 def test_the_stored_spheres_cover_a_sample_of_the_whole_body():
@@ -37,25 +37,25 @@ def test_the_stored_spheres_cover_a_sample_of_the_whole_body():
     rng = np.random.default_rng(5)
     for link in LINKS:
         count = int(20_000 * area[link] / sum(area.values())) + 200
-        assert covered(surface_points(link_mesh(link), count, rng), balls(link)).all()
+        assert are_covered(sample_surface(link_mesh(link), count, rng), link_spheres(link)).all()
 
 
 @pytest.mark.slow
 def test_the_stored_spheres_cover_a_large_sample():
     rng = np.random.default_rng(6)
-    hit = [covered(surface_points(link_mesh(link), 20_000, rng), balls(link)) for link in LINKS]
+    hit = [are_covered(sample_surface(link_mesh(link), 20_000, rng), link_spheres(link)) for link in LINKS]
     assert np.concatenate(hit).mean() >= 0.999
 
 
 @pytest.mark.parametrize("link", LINKS)
 def test_the_excess_stays_below_its_bar(link):
-    excess = measure_excess(link_mesh(link), balls(link), 1500, np.random.default_rng(7))
+    excess = measure_excess(link_mesh(link), link_spheres(link), 1500, np.random.default_rng(7))
     assert excess.worst <= WORST.get(link, 0.027)
 
 
 def test_finger_tips_bulge_little_where_it_matters():
     for link, inward in (("left_finger", -1.0), ("right_finger", 1.0)):
-        surface = union_surface(balls(link), 20_000, np.random.default_rng(8))
+        surface = sample_union_surface(link_spheres(link), 20_000, np.random.default_rng(8))
         tip = surface[surface[:, 2] > 0.034]
         assert tip[:, 2].max() - link_mesh(link).vertices[:, 2].max() <= 0.003
         assert np.max(inward * tip[:, 1]) <= 0.004
@@ -63,17 +63,17 @@ def test_finger_tips_bulge_little_where_it_matters():
 
 def test_a_missing_ball_is_noticed():
     for link in ("link3", "hand", "left_finger"):
-        whole = balls(link)
+        whole = link_spheres(link)
         for i in range(len(whole.radii)):
-            rest = Balls(np.delete(whole.centres, i, axis=0), np.delete(whole.radii, i))
-            assert not proven_covered(link_mesh(link), rest, levels=6)
+            rest = SphereSet(np.delete(whole.centres, i, axis=0), np.delete(whole.radii, i))
+            assert not is_proven_covered(link_mesh(link), rest, max_subdivisions=6)
 
 
 def test_a_cube_needs_a_ball_of_its_half_diagonal():
-    start = Balls(np.zeros((1, 3)), np.array([1.5]))
-    none = Balls(np.zeros((0, 3)), np.zeros(0))
-    assert 1.5 + proven_inflation(CUBE, none, start) == pytest.approx(np.sqrt(3), abs=3e-5)
-    grown = Balls(start.centres, np.array([np.sqrt(3) + 1e-6]))
+    start = SphereSet(np.zeros((1, 3)), np.array([1.5]))
+    none = SphereSet(np.zeros((0, 3)), np.zeros(0))
+    assert 1.5 + required_inflation(CUBE, none, start) == pytest.approx(np.sqrt(3), abs=3e-5)
+    grown = SphereSet(start.centres, np.array([np.sqrt(3) + 1e-6]))
     excess = measure_excess(CUBE, grown, 20_000, np.random.default_rng(0))
     assert excess.worst == pytest.approx(np.sqrt(3) - 1, abs=5e-3)
     assert excess.volume_ratio == pytest.approx(np.pi * np.sqrt(3) / 2, rel=0.03)
@@ -89,5 +89,5 @@ def test_distance_outside_a_cube_is_the_textbook_one(point):
 def test_a_ball_reaches_its_radius_less_its_depth_beyond_a_convex_solid(centre, radius):
     depth = convex_hull(CUBE).depth(np.array([centre]))[0]
     assert depth == pytest.approx(1 - np.max(np.abs(centre)))
-    surface = union_surface(Balls(np.array([centre]), np.array([radius])), 4000, np.random.default_rng(1))
+    surface = sample_union_surface(SphereSet(np.array([centre]), np.array([radius])), 4000, np.random.default_rng(1))
     assert distance_outside(CUBE, surface).max() <= max(radius - depth, 0) + 1e-9

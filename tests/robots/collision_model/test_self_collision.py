@@ -6,25 +6,25 @@ import numpy as np
 import pytest
 
 from dualbrain.robots.collision_model.self_collision import (
-    NEVER,
+    MIN_EXCLUDED_CLEARANCE,
     chain_frames,
     choose_pairs,
-    least_clearances,
     link_clearance,
+    min_clearances,
     random_configurations,
-    rotation,
+    unit_quaternion_to_matrix,
 )
-from tests.robots.panda_oracle import PANDA, balls
+from tests.robots.panda_oracle import PANDA, link_spheres
 
-COVER = {link.name: balls(link.name) for link in PANDA.links}
+COVER = {link.name: link_spheres(link.name) for link in PANDA.links}
 LOWER = np.array([joint.lower.value for joint in PANDA.joints])
 UPPER = np.array([joint.upper.value for joint in PANDA.joints])
-HAND = rotation(PANDA.links[8].quaternion)
+HAND = unit_quaternion_to_matrix(PANDA.links[8].quaternion)
 TOOL = np.array(PANDA.links[8].translation) + HAND @ np.array(PANDA.tool.translation)
 
 
 def clearances(q):
-    return least_clearances(PANDA.joints, PANDA.links, COVER, q, (0.0, 0.02, 0.04))
+    return min_clearances(PANDA.joints, PANDA.links, COVER, q, (0.0, 0.02, 0.04))
 
 
 def downward_poses(count, rng):
@@ -66,7 +66,7 @@ def test_pairs_said_never_to_come_close_do_not_in_fresh_configurations():
     least = clearances(random_configurations(PANDA.joints, 3000, np.random.default_rng(11)))
     for a, b, reason in PANDA.self_pairs.allowed:
         if reason.startswith("never"):
-            assert least[a, b] > NEVER - 0.005
+            assert least[a, b] > MIN_EXCLUDED_CLEARANCE - 0.005
 
 
 def test_kept_pairs_are_free_at_home():
@@ -108,8 +108,8 @@ def test_stated_pairs_are_left_out_with_the_stated_reason():
         PANDA.joints,
         PANDA.links,
         COVER,
-        stated={("link0", "hand"): "why"},
-        count=50,
+        allowed_by_design={("link0", "hand"): "why"},
+        n_samples=50,
         rng=np.random.default_rng(0),
         opening=0.04,
     )

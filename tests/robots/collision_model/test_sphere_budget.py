@@ -3,14 +3,23 @@
 import numpy as np
 import pytest
 
-from dualbrain.robots.assets.mesh_primitives import box, capsule, cylinder, ellipsoid, hull_mesh, joined
+from dualbrain.robots.assets.mesh_primitives import (
+    box,
+    capsule,
+    concatenate_meshes,
+    cylinder,
+    ellipsoid,
+    thickened_hull_mesh,
+)
 from dualbrain.robots.assets.meshes import Mesh
-from dualbrain.robots.collision_model.convex_decomposition import convex_parts, volume
-from dualbrain.robots.collision_model.polytope import convex_hull, surface_points
-from dualbrain.robots.collision_model.sphere_budget import QUICK, fit_all
-from tests.robots.importer.urdf_builder import pose
+from dualbrain.robots.collision_model.convex_decomposition import decompose_convex, mesh_volume
+from dualbrain.robots.collision_model.polytope import convex_hull, sample_surface
+from dualbrain.robots.collision_model.sphere_budget import QUICK, fit_links
+from tests.robots.importer.urdf_builder import transform
 
-ELL = joined([box(np.array([0.2, 0.04, 0.04]), np.eye(4)), box(np.array([0.04, 0.04, 0.2]), pose((0.16, 0, 0.16)))])
+ELL = concatenate_meshes(
+    [box(np.array([0.2, 0.04, 0.04]), np.eye(4)), box(np.array([0.04, 0.04, 0.2]), transform((0.16, 0, 0.16)))]
+)
 
 
 def within_height(points, radius, half):
@@ -33,31 +42,31 @@ def test_a_polytope_contains_the_round_shape_it_stands_for(shape, true_volume, i
     points = np.random.default_rng(0).uniform(-0.21, 0.21, (20_000, 3))
     points = points[inside(points)]
     assert convex_hull(shape).depth(points).min() >= -1e-12
-    assert 1.0 <= volume(shape) / true_volume < 1.08
+    assert 1.0 <= mesh_volume(shape) / true_volume < 1.08
 
 
 def test_an_ell_is_cut_into_convex_parts_that_contain_it():
-    parts = convex_parts(ELL)
+    parts = decompose_convex(ELL)
     assert 2 <= len(parts) <= 4
-    assert sum(map(volume, parts)) < 0.55 * volume(hull_mesh(ELL.vertices))
-    points = surface_points(ELL, 5000, np.random.default_rng(3))
+    assert sum(map(mesh_volume, parts)) < 0.55 * mesh_volume(thickened_hull_mesh(ELL.vertices))
+    points = sample_surface(ELL, 5000, np.random.default_rng(3))
     assert np.max([convex_hull(part).depth(points) for part in parts], axis=0).min() > -1e-9
 
 
 def test_a_flat_sheet_is_a_solid_too():
     sheet = Mesh(np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]]), np.array([[0, 1, 2], [0, 2, 3]]))
-    assert volume(hull_mesh(sheet.vertices)) == pytest.approx(2e-4, rel=0.01)
+    assert mesh_volume(thickened_hull_mesh(sheet.vertices)) == pytest.approx(2e-4, rel=0.01)
 
 
 def test_every_point_of_every_link_is_covered_within_the_budget():
-    shapes = {"ell": [ELL], "rod": [cylinder(0.03, 0.3, pose((0, 0, 0.3)))], "nothing": []}
-    fits = fit_all(shapes, {"ell": 1.0, "rod": 2.0, "nothing": 1.0}, 40, QUICK, 0)
-    assert sum(len(fit.balls.radii) for fit in fits.values()) <= 40
+    shapes = {"ell": [ELL], "rod": [cylinder(0.03, 0.3, transform((0, 0, 0.3)))], "nothing": []}
+    fits = fit_links(shapes, {"ell": 1.0, "rod": 2.0, "nothing": 1.0}, 40, QUICK, 0)
+    assert sum(len(fit.spheres.radii) for fit in fits.values()) <= 40
     for name, (shape, *_) in ((name, meshes) for name, meshes in shapes.items() if meshes):
-        points = surface_points(shape, 20_000, np.random.default_rng(99))
-        balls = fits[name].balls
+        points = sample_surface(shape, 20_000, np.random.default_rng(99))
+        balls = fits[name].spheres
         away = np.linalg.norm(points[:, None] - balls.centres, axis=2) - balls.radii
-        hidden = np.max([convex_hull(part).depth(points) for part in convex_parts(shape)], axis=0) > 1e-9
+        hidden = np.max([convex_hull(part).depth(points) for part in decompose_convex(shape)], axis=0) > 1e-9
         assert np.all((away.min(axis=1) <= 1e-9) | hidden)
         assert fits[name].coverage == 1.0
         assert fits[name].worst < 0.08
@@ -67,7 +76,7 @@ def test_every_point_of_every_link_is_covered_within_the_budget():
 def test_the_excess_is_the_distance_of_the_balls_surface_from_the_shape():
     """One ball around a cube: its surface stands off by r − a at the faces' middles, by nothing at the corners."""
     cube = box(np.full(3, 0.1), np.eye(4))
-    fit = fit_all({"cube": [cube]}, {"cube": 1.0}, 1, QUICK, 0)["cube"]
-    assert len(fit.balls.radii) == 1
-    assert fit.worst == pytest.approx(fit.balls.radii[0] - 0.1, abs=0.02)
+    fit = fit_links({"cube": [cube]}, {"cube": 1.0}, 1, QUICK, 0)["cube"]
+    assert len(fit.spheres.radii) == 1
+    assert fit.worst == pytest.approx(fit.spheres.radii[0] - 0.1, abs=0.02)
     assert 0.0 < fit.mean < fit.p95 <= fit.worst

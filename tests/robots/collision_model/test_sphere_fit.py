@@ -2,17 +2,17 @@
 
 import numpy as np
 
-from dualbrain.robots.collision_model.coverage import proven_covered
-from dualbrain.robots.collision_model.fit_problem import LinkCover
+from dualbrain.robots.collision_model.coverage import is_proven_covered
+from dualbrain.robots.collision_model.fit_problem import LinkCoverSpec
 from dualbrain.robots.collision_model.polytope import convex_hull
 from dualbrain.robots.collision_model.sphere_fit import FitOptions, fit_cover
 from tests.robots.panda_oracle import link_mesh
 
-QUICK = FitOptions(points=150, candidates=300, starts=1, rounds=6, trades=1)
+QUICK = FitOptions(n_points=150, n_candidates=300, n_starts=1, max_rounds=6, max_failed_moves=1)
 
 
 def fitted(count, *, seed=0, **wanted):
-    return fit_cover(link_mesh("link7"), LinkCover("link7", count, **wanted), np.random.default_rng(seed), QUICK)
+    return fit_cover(link_mesh("link7"), LinkCoverSpec("link7", count, **wanted), np.random.default_rng(seed), QUICK)
 
 
 def bulge(balls):
@@ -21,7 +21,7 @@ def bulge(balls):
 
 def test_a_fit_covers_by_proof_and_repeats_itself():
     first, second = fitted(6), fitted(6)
-    assert proven_covered(link_mesh("link7"), first)
+    assert is_proven_covered(link_mesh("link7"), first)
     assert np.array_equal(first.centres, second.centres)
     assert np.array_equal(first.radii, second.radii)
     assert len(first.radii) == 6
@@ -46,4 +46,4 @@ def test_placed_balls_are_kept_as_they_are():
     assert tuple(balls.centres[0]) == placed[0][0]
     assert balls.radii[0] == placed[0][1]
     assert len(balls.radii) == 5
-    assert proven_covered(link_mesh("link7"), balls)
+    assert is_proven_covered(link_mesh("link7"), balls)

@@ -4,10 +4,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.errors import InvalidSetup
-from dualbrain.robots.collision_model.coverage import Balls
-from dualbrain.robots.importer.cbf_gain import STEEP, bend, curved_gain, reaches
-from dualbrain.robots.loader import encode, load_body, read_body
+from dualbrain.errors import ConfigurationError
+from dualbrain.robots.collision_model.coverage import SphereSet
+from dualbrain.robots.importer.cbf_gain import (
+    MIN_BRAKED_SPEED_SHARE,
+    curvature_limited_gain,
+    max_axis_distances,
+    path_curvature,
+)
+from dualbrain.robots.loader import encode_robot, load_robot, read_robot
 from dualbrain.robots.model import Bound, Joint, Link
 
 LENGTH = 0.3
@@ -18,11 +23,11 @@ def turning(v, a, x=LENGTH, kind="revolute"):
     return Joint("j", (x, 0.0, 0.0), (1, 0, 0, 0), *bounds, Bound(v, "", ""), Bound(a, "", ""), kind=kind)
 
 
-def planar(v, a, n=3, kind="revolute"):
+def planar_arm(v, a, n=3, kind="revolute"):
     """An arm of n equal parts in a plane, one small ball at the end of each."""
     joints = tuple(turning(v, a, 0.0 if i == 0 else LENGTH, kind) for i in range(n))
     links = tuple(Link(f"part{i}", i, "arm") for i in range(1, n + 1))
-    return joints, links, {link.name: Balls(np.array([[LENGTH, 0.0, 0.0]]), np.array([0.01])) for link in links}
+    return joints, links, {link.name: SphereSet(np.array([[LENGTH, 0.0, 0.0]]), np.array([0.01])) for link in links}
 
 
 def tip(q):
@@ -39,8 +44,8 @@ def curve(q, u, normal, step=1e-4):
 
 def approaches(v, a, alpha, rng, count=4000):
     """Fast approaches at which the row ḣ ≥ −α h is just met: (ḣ over V, h after braking with all joints)."""
-    joints, links, cover = planar(v, a)
-    reach = reaches(joints, links, cover, rng)[links[-1]]
+    joints, links, cover = planar_arm(v, a)
+    reach = max_axis_distances(joints, links, cover, rng)[links[-1]]
     V, T = float(np.sum(reach * v)), v / a
     found = []
     for _ in range(count):
@@ -49,7 +54,7 @@ def approaches(v, a, alpha, rng, count=4000):
         angle = rng.uniform(-np.pi, np.pi)
         normal = np.array([np.cos(angle), np.sin(angle)])
         sinking, _ = curve(q, u, normal)
-        if sinking < -STEEP * V:
+        if sinking < -MIN_BRAKED_SPEED_SHARE * V:
             h = -sinking / alpha
             way = q + np.outer(np.linspace(0.0, 0.5 * T, 60), u)
             found.append((-sinking / V, h + float(np.min(tip(way) @ normal)) - float(tip(q) @ normal)))
@@ -59,8 +64,8 @@ def approaches(v, a, alpha, rng, count=4000):
 
 def test_braking_keeps_clear_at_this_gain_and_not_at_twice_the_straight_one():
     v, a = 4.0, 10.0
-    joints, links, cover = planar(v, a)
-    gain = curved_gain(joints, links, cover, np.random.default_rng(0))
+    joints, links, cover = planar_arm(v, a)
+    gain = curvature_limited_gain(joints, links, cover, np.random.default_rng(0))
     assert gain.value < a / v
     assert gain.unit == "1/s"
     assert "part3" in gain.provenance
@@ -70,7 +75,7 @@ def test_braking_keeps_clear_at_this_gain_and_not_at_twice_the_straight_one():
 
 def test_speed_and_curvature_are_bounds():
     rng = np.random.default_rng(3)
-    joints, links, cover = planar(2.0, 10.0)
+    joints, links, cover = planar_arm(2.0, 10.0)
     reach = np.array([3.0, 2.0, 1.0]) * LENGTH  # stretched out
     V = 2.0 * reach.sum()
     for _ in range(300):
@@ -78,34 +83,36 @@ def test_speed_and_curvature_are_bounds():
         u = rng.choice([-2.0, 2.0], 3)
         sinking, bent = curve(rng.uniform(-3, 3, 3), u, np.array([np.cos(angle), np.sin(angle)]))
         assert abs(sinking) <= V + 1e-6
-        assert abs(bent) <= bend(joints, reach) * V + 1e-4
-    sampled = reaches(joints, links, cover, rng)[links[-1]]
+        assert abs(bent) <= path_curvature(joints, reach) * V + 1e-4
+    sampled = max_axis_distances(joints, links, cover, rng)[links[-1]]
     assert np.all(sampled <= reach + 1e-9)
     assert np.all(sampled > 0.9 * reach)
 
 
 def test_what_slides_or_turns_slowly_keeps_what_its_acceleration_allows():
     rng = np.random.default_rng(0)
-    assert curved_gain(*planar(4.0, 10.0, kind="prismatic"), rng) is None
-    assert curved_gain(*planar(1.0, 10.0), rng) is None
-    fast, slow = (curved_gain(*planar(v, 10.0), rng).value for v in (5.0, 4.0))
+    assert curvature_limited_gain(*planar_arm(4.0, 10.0, kind="prismatic"), rng) is None
+    assert curvature_limited_gain(*planar_arm(1.0, 10.0), rng) is None
+    fast, slow = (curvature_limited_gain(*planar_arm(v, 10.0), rng).value for v in (5.0, 4.0))
     assert fast / (10.0 / 5.0) < slow / (10.0 / 4.0)
 
 
 def test_one_turn_bends_by_its_own_rate_and_a_slide_behind_it_by_twice_that():
     turn, slide = turning(2.0, 10.0), turning(0.5, 1.0, kind="prismatic")
-    assert bend((turn,), np.array([0.7])) == pytest.approx(2.0)
-    assert bend((turn, slide), np.array([0.7, 9.0])) == pytest.approx((0.7 * 4 + 2 * 2 * 0.5) / (0.7 * 2 + 0.5))
-    assert bend((slide, turn), np.array([9.0, 0.7])) == pytest.approx(0.7 * 4 / (0.5 + 0.7 * 2))
+    assert path_curvature((turn,), np.array([0.7])) == pytest.approx(2.0)
+    assert path_curvature((turn, slide), np.array([0.7, 9.0])) == pytest.approx(
+        (0.7 * 4 + 2 * 2 * 0.5) / (0.7 * 2 + 0.5)
+    )
+    assert path_curvature((slide, turn), np.array([9.0, 0.7])) == pytest.approx(0.7 * 4 / (0.5 + 0.7 * 2))
 
 
 def test_a_body_follows_its_gain_and_one_of_zero_is_refused(tmp_path):
-    panda = load_body("panda")
+    panda = load_robot("panda")
     slower = msgspec.structs.replace(panda, gain=Bound(2.0, "1/s", "test"))
     assert panda.gain is None
     assert slower.alpha == 2.0
     assert msgspec.structs.replace(panda, gain=Bound(9.0, "1/s", "test")).alpha == panda.alpha
     file = tmp_path / "body.json"
-    file.write_bytes(encode(msgspec.structs.replace(panda, gain=Bound(0.0, "1/s", "test"))))
-    with pytest.raises(InvalidSetup, match="gain"):
-        read_body(file)
+    file.write_bytes(encode_robot(msgspec.structs.replace(panda, gain=Bound(0.0, "1/s", "test"))))
+    with pytest.raises(ConfigurationError, match="gain"):
+        read_robot(file)

@@ -3,32 +3,32 @@
 import numpy as np
 import pytest
 
-from dualbrain.robots.collision_model.coverage import Balls
-from dualbrain.robots.collision_model.self_collision_sampling import Sampled, sampled_pairs
+from dualbrain.robots.collision_model.coverage import SphereSet
+from dualbrain.robots.collision_model.self_collision_sampling import SampledPairs, sample_pairs
 from dualbrain.robots.importer import build_arm
 from dualbrain.robots.importer.urdf import read_urdf
-from dualbrain.robots.model import SelfPairs
-from tests.robots.importer.test_cbf_gain import LENGTH, planar
-from tests.robots.importer.urdf_builder import arm_with_everything, policy, written
+from dualbrain.robots.model import SelfCollisionPairs
+from tests.robots.importer.test_cbf_gain import LENGTH, planar_arm
+from tests.robots.importer.urdf_builder import full_featured_arm, limit_policy, write_file
 
 
 @pytest.mark.parametrize(("radius", "pressed"), [(0.22, {"part1", "part3"}), (0.1, set())])
 def test_a_kept_pair_that_is_nowhere_far_apart_is_named(radius, pressed):
     """Two balls, between 0.15 and 0.45 m apart by the joint between them, whose shapes can touch."""
-    joints, links, _ = planar(2.0, 10.0)
+    joints, links, _ = planar_arm(2.0, 10.0)
     middles = {"part1": 0.5 * LENGTH, "part2": 0.0, "part3": 0.0}
-    cover = {name: Balls(np.array([[x, 0.0, 0.0]]), np.array([radius])) for name, x in middles.items()}
+    cover = {name: SphereSet(np.array([[x, 0.0, 0.0]]), np.array([radius])) for name, x in middles.items()}
     angles = np.linspace(-np.pi, np.pi, 720)
     ring = LENGTH * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(720)])
     surfaces = dict.fromkeys(cover, ring)
-    found = sampled_pairs(joints, links, cover, surfaces, count=2000, rng=np.random.default_rng(0))
+    found = sample_pairs(joints, links, cover, surfaces, n_samples=2000, rng=np.random.default_rng(0))
     assert ("part1", "part3") in found.pairs.kept
-    assert found.pressed == pressed
+    assert found.congested_links == pressed
 
 
 def test_what_presses_is_covered_tighter_until_there_is_room(tmp_path, monkeypatch):
     weights, answers = [], [frozenset({"upper"}), frozenset({"upper", "lower"}), frozenset()]
-    fit = build_arm.fit_all
+    fit = build_arm.fit_links
 
     def fitted(shapes, weight, *rest):
         weights.append(dict(weight))
@@ -36,11 +36,13 @@ def test_what_presses_is_covered_tighter_until_there_is_room(tmp_path, monkeypat
 
     monkeypatch.setattr(build_arm, "fit_all", fitted)
     monkeypatch.setattr(
-        build_arm, "sampled_pairs", lambda *_, **__: Sampled(SelfPairs((), ()), answers[len(weights) - 1])
+        build_arm, "sampled_pairs", lambda *_, **__: SampledPairs(SelfCollisionPairs((), ()), answers[len(weights) - 1])
     )
     build_arm.build_arm(
-        read_urdf(written(tmp_path, arm_with_everything())), policy(), build_arm.Wish(quick=True, spheres=20)
+        read_urdf(write_file(tmp_path, full_featured_arm())),
+        limit_policy(),
+        build_arm.ImportOptions(quick=True, sphere_budget=20),
     )
     tighter = [{name: now[name] / weights[0][name] for name in now if now[name] != weights[0][name]} for now in weights]
-    once, twice = (pytest.approx(build_arm.TIGHTER**k) for k in (1, 2))
+    once, twice = (pytest.approx(build_arm.TIGHTENING_FACTOR**k) for k in (1, 2))
     assert tighter == [{}, {"upper": once}, {"upper": twice, "lower": once}]

@@ -2,22 +2,29 @@
 
 import pytest
 
-from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.robots.importer.build_arm import Wish, build_arm
-from dualbrain.robots.importer.required_limits import Given, MissingLimits, Policy
+from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.robots.importer.build_arm import ImportOptions, build_arm
+from dualbrain.robots.importer.required_limits import LimitPolicy, MissingLimitsError, StatedLimit
 from dualbrain.robots.importer.urdf import read_urdf
-from tests.robots.importer.urdf_builder import arm_with_everything, joint, link, policy, urdf, written
+from tests.robots.importer.urdf_builder import (
+    full_featured_arm,
+    joint_xml,
+    limit_policy,
+    link_xml,
+    urdf_xml,
+    write_file,
+)
 
-QUICK = Wish(quick=True, spheres=30)
+QUICK = ImportOptions(quick=True, sphere_budget=30)
 
 
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory):
-    return read_urdf(written(tmp_path_factory.mktemp("arm"), arm_with_everything()))
+    return read_urdf(write_file(tmp_path_factory.mktemp("arm"), full_featured_arm()))
 
 
 def test_a_bound_tells_file_line_and_entry_or_who_said_it(tree):
-    lift, shoulder, elbow = build_arm(tree, policy(velocity=1.0), QUICK).body.joints
+    lift, shoulder, elbow = build_arm(tree, limit_policy(velocity=1.0), QUICK).model.joints
     assert shoulder.lower.provenance == "robot.urdf:12: shoulder limit lower"
     assert shoulder.velocity.value == 1.0
     assert shoulder.velocity.provenance == "test; wider: 1.5 of robot.urdf:12: shoulder limit velocity"
@@ -29,9 +36,9 @@ def test_a_bound_tells_file_line_and_entry_or_who_said_it(tree):
 
 
 def test_everything_missing_is_asked_for_at_once(tree):
-    with pytest.raises(MissingLimits) as caught:
-        build_arm(tree, Policy(), QUICK)
-    assert {(one.what, one.side) for one in caught.value.missing} == {
+    with pytest.raises(MissingLimitsError) as caught:
+        build_arm(tree, LimitPolicy(), QUICK)
+    assert {(one.owner, one.limit) for one in caught.value.missing} == {
         *((name, "acceleration") for name in ("lift", "shoulder", "elbow")), ("robot", "period"),
         ("robot", "tool_speed"),
     }  # fmt: skip
@@ -40,10 +47,10 @@ def test_everything_missing_is_asked_for_at_once(tree):
 
 def test_a_range_that_the_description_leaves_out_is_asked_for(tmp_path):
     bare = '<limit effort="3" velocity="0"/>'
-    text = urdf(link("a"), link("b"), joint("j", "a", "b", inside=bare))
-    with pytest.raises(MissingLimits) as caught:
-        build_arm(read_urdf(written(tmp_path, text)), policy(), QUICK)
-    assert [one.side for one in caught.value.missing] == ["lower", "upper", "velocity"]
+    text = urdf_xml(link_xml("a"), link_xml("b"), joint_xml("j", "a", "b", inside=bare))
+    with pytest.raises(MissingLimitsError) as caught:
+        build_arm(read_urdf(write_file(tmp_path, text)), limit_policy(), QUICK)
+    assert [one.limit for one in caught.value.missing] == ["lower", "upper", "velocity"]
 
 
 @pytest.mark.parametrize(
@@ -51,13 +58,13 @@ def test_a_range_that_the_description_leaves_out_is_asked_for(tmp_path):
     [({"velocity": -1.0}, "above 0"), ({"lower": 3.0}, "lower below upper"), ({"acceleration": 0.0}, "above 0")],
 )
 def test_a_bound_that_leaves_nothing_is_refused(tree, said, match):
-    whole = policy()
-    joints = {"shoulder": {side: Given(value, "site") for side, value in said.items()}}
-    with pytest.raises(InvalidSetup, match=match):
-        build_arm(tree, Policy(whole.every, joints, whole.robot), QUICK)
+    whole = limit_policy()
+    joints = {"shoulder": {side: StatedLimit(value, "site") for side, value in said.items()}}
+    with pytest.raises(ConfigurationError, match=match):
+        build_arm(tree, LimitPolicy(whole.all_joints, joints, whole.robot), QUICK)
 
 
 def test_a_policy_for_a_joint_that_is_not_there_is_refused(tree):
-    whole = policy()
-    with pytest.raises(UnknownName, match="Closest: 'shoulder'"):
-        build_arm(tree, Policy(whole.every, {"sholder": {}}, whole.robot), QUICK)
+    whole = limit_policy()
+    with pytest.raises(UnknownNameError, match="Closest: 'shoulder'"):
+        build_arm(tree, LimitPolicy(whole.all_joints, {"sholder": {}}, whole.robot), QUICK)

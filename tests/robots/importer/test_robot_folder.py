@@ -6,22 +6,27 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.robots.importer.build_arm import Wish, build_arm
-from dualbrain.robots.importer.output.diff import changes, keep_edits, summary
-from dualbrain.robots.importer.output.robot_folder import Recipe, edits, read_report, write_folder
+from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.robots.importer.build_arm import ImportOptions, build_arm
+from dualbrain.robots.importer.output.diff import find_changes, reapply_edits, summarize_changes
+from dualbrain.robots.importer.output.robot_folder import (
+    ImportRecord,
+    find_edits,
+    read_import_files,
+    write_robot_folder,
+)
 from dualbrain.robots.importer.urdf import read_urdf
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
-from tests.robots.importer.urdf_builder import arm_with_everything, policy, written
+from tests.robots.importer.urdf_builder import full_featured_arm, limit_policy, write_file
 
-RECIPE = Recipe("robot.urdf", "0" * 64)
+RECIPE = ImportRecord("robot.urdf", "0" * 64)
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    file = written(tmp_path_factory.mktemp("arm"), arm_with_everything())
-    return lambda **said: build_arm(read_urdf(file), policy(**said), Wish(quick=True, spheres=30))
+    file = write_file(tmp_path_factory.mktemp("arm"), full_featured_arm())
+    return lambda **said: build_arm(read_urdf(file), limit_policy(**said), ImportOptions(quick=True, sphere_budget=30))
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +36,7 @@ def first(made):
 
 @pytest.fixture
 def folder(first, tmp_path):
-    write_folder(tmp_path / "arm", first.body, first.report, RECIPE)
+    write_robot_folder(tmp_path / "arm", first.body, first.report, RECIPE)
     return tmp_path / "arm"
 
 
@@ -42,11 +47,11 @@ def edit(folder, change):
 
 
 def test_the_filter_takes_the_folder_as_it_lies(folder, first):
-    body = load_body(str(folder))
-    assert body == first.body == load_body(str(folder / "body.json"))
+    body = load_robot(str(folder))
+    assert body == first.body == load_robot(str(folder / "body.json"))
     answer = SafetyFilter(body)(np.array(body.home), np.zeros(3), np.full(3, 0.1))
     assert answer.certified
-    assert read_report(folder) == (first.report, RECIPE)
+    assert read_import_files(folder) == (first.report, RECIPE)
 
 
 def test_the_page_names_every_bound_and_what_is_missing(folder, first):
@@ -58,43 +63,43 @@ def test_the_page_names_every_bound_and_what_is_missing(folder, first):
 
 def test_making_again_shows_what_changed_and_keeps_edits(folder, made):
     edit(folder, lambda data: data["joints"][1]["velocity"].update(value=0.7, provenance="measured by Ada"))
-    assert [change.entry for change in edits(folder)] == [
+    assert [change.entry for change in find_edits(folder)] == [
         "joints.shoulder.velocity.value", "joints.shoulder.velocity.provenance"
     ]  # fmt: skip
     again = made(acceleration=5.0)
-    written = write_folder(folder, again.body, again.report, RECIPE)
-    assert "joints.shoulder.acceleration.value: 10 → 5" in summary(written.by_making)
-    assert len(written.kept) == 2
-    assert not written.lost
-    shoulder = load_body(str(folder)).joints[1]
+    written = write_robot_folder(folder, again.body, again.report, RECIPE)
+    assert "joints.shoulder.acceleration.value: 10 → 5" in summarize_changes(written.generator_changes)
+    assert len(written.kept_edits) == 2
+    assert not written.lost_edits
+    shoulder = load_robot(str(folder)).joints[1]
     assert (shoulder.velocity.value, shoulder.acceleration.value) == (0.7, 5.0)
     assert "measured by Ada" in (folder / "README.md").read_text()
 
 
 def test_edits_go_only_when_asked_to(folder, first):
     edit(folder, lambda data: data.update(period=0.004))
-    write_folder(folder, first.body, first.report, RECIPE, discard_edits=True)
-    assert load_body(str(folder)) == first.body
+    write_robot_folder(folder, first.body, first.report, RECIPE, discard_edits=True)
+    assert load_robot(str(folder)) == first.body
 
 
 def test_an_edit_that_has_no_place_any_more_is_told(first):
     body = first.body
     edited = msgspec.structs.replace(body, spheres=body.spheres[:-1])
-    fresh, kept, lost = keep_edits(body, edited, body)
+    fresh, kept, lost = reapply_edits(body, edited, body)
     assert fresh == body
     assert not kept
     assert {change.entry.split(".")[0] for change in lost} == {"spheres"}
-    assert not changes(body, body)
+    assert not find_changes(body, body)
 
 
 def test_another_robots_folder_and_foreign_files_are_left_alone(folder, first, tmp_path):
     other = msgspec.structs.replace(first.body, name="other")
-    with pytest.raises(InvalidSetup, match="test_arm_7"):
-        write_folder(folder, other, first.report, RECIPE)
+    with pytest.raises(ConfigurationError, match="test_arm_7"):
+        write_robot_folder(folder, other, first.report, RECIPE)
     (tmp_path / "home").mkdir()
     (tmp_path / "home" / "thesis.txt").write_text("dear")
-    with pytest.raises(InvalidSetup, match="not a robot's"):
-        write_folder(tmp_path / "home", first.body, first.report, RECIPE)
+    with pytest.raises(ConfigurationError, match="not a robot's"):
+        write_robot_folder(tmp_path / "home", first.body, first.report, RECIPE)
 
 
 @pytest.mark.parametrize(
@@ -114,12 +119,12 @@ def test_another_robots_folder_and_foreign_files_are_left_alone(folder, first, t
 )
 def test_an_edit_that_breaks_the_body_is_told_by_its_entry(folder, change, said):
     edit(folder, change)
-    with pytest.raises(InvalidSetup, match=said):
-        load_body(str(folder))
+    with pytest.raises(ConfigurationError, match=said):
+        load_robot(str(folder))
 
 
 def test_no_folder_is_no_robot(tmp_path):
-    with pytest.raises(InvalidSetup, match=r"a folder with body\.json"):
-        load_body(str(tmp_path / "nothing.json"))
-    with pytest.raises(UnknownName):
-        load_body("pandaa")
+    with pytest.raises(ConfigurationError, match=r"a folder with body\.json"):
+        load_robot(str(tmp_path / "nothing.json"))
+    with pytest.raises(UnknownNameError):
+        load_robot("pandaa")

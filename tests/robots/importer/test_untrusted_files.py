@@ -5,11 +5,11 @@ import time
 import pytest
 
 from dualbrain.cli.robot.read_description import read_description
-from dualbrain.errors import InvalidSetup, MissingPart
+from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.robots.assets import safe_xml
-from dualbrain.robots.assets.mesh_paths import folders_of
+from dualbrain.robots.assets.mesh_paths import allowed_folders
 from dualbrain.robots.importer.urdf import read_urdf
-from tests.robots.importer.urdf_builder import joint, link, urdf, written
+from tests.robots.importer.urdf_builder import joint_xml, link_xml, urdf_xml, write_file
 
 MESH = '<link name="a"><collision><geometry><mesh filename="{}"/></geometry></collision></link>'
 LAUGHS = (
@@ -23,8 +23,8 @@ OUTSIDE = '<?xml version="1.0"?><!DOCTYPE robot [<!ENTITY x SYSTEM "file:///etc/
 @pytest.mark.parametrize("text", [LAUGHS, OUTSIDE], ids=["expansion", "external"])
 def test_a_document_type_is_refused_at_once(tmp_path, text):
     began = time.process_time()
-    with pytest.raises(InvalidSetup, match="document type"):
-        read_urdf(written(tmp_path, text))
+    with pytest.raises(ConfigurationError, match="document type"):
+        read_urdf(write_file(tmp_path, text))
     assert time.process_time() - began < 2.0
 
 
@@ -36,60 +36,64 @@ def test_a_document_type_is_refused_at_once(tmp_path, text):
 def test_no_mesh_is_read_outside_the_folder(tmp_path, name):
     (tmp_path / "secret.stl").write_text("solid")
     (tmp_path / "up" / "pkg").mkdir(parents=True)
-    tree = read_urdf(written(tmp_path / "up" / "pkg", urdf(MESH.format(name))))
-    with pytest.raises((InvalidSetup, MissingPart)) as caught:
-        tree.links["a"].pieces[0].load()
+    tree = read_urdf(write_file(tmp_path / "up" / "pkg", urdf_xml(MESH.format(name))))
+    with pytest.raises((ConfigurationError, MissingDependencyError)) as caught:
+        tree.links["a"].shapes[0].load_mesh()
     assert name in str(caught.value)
     assert "robot.urdf:3" in str(caught.value)
 
 
 def test_a_robot_copied_out_of_a_package_of_many_finds_its_own_meshes_and_no_others(tmp_path):
-    file = written(tmp_path / "arm" / "urdf", urdf(MESH.format("x.stl")))
+    file = write_file(tmp_path / "arm" / "urdf", urdf_xml(MESH.format("x.stl")))
     (tmp_path / "arm" / "meshes").mkdir()
     for name in ("arm/meshes/a.stl", "secret.stl"):
         (tmp_path / name).write_text("solid")
-    folders = folders_of(file)
+    folders = allowed_folders(file)
     assert folders.find("package://many/robots/arm/meshes/a.stl", "here") == tmp_path / "arm" / "meshes" / "a.stl"
-    with pytest.raises(InvalidSetup, match="a file inside"):
+    with pytest.raises(ConfigurationError, match="a file inside"):
         folders.find("package://many/robots/arm/../secret.stl", "here")
-    with pytest.raises(MissingPart, match="the folder that holds 'many'"):
+    with pytest.raises(MissingDependencyError, match="the folder that holds 'many'"):
         folders.find("package://many/robots/leg/meshes/a.stl", "here")
 
 
 def test_a_link_out_of_the_folder_is_followed_no_further(tmp_path):
     (tmp_path / "secret.stl").write_text("solid")
-    file = written(tmp_path / "up", urdf(MESH.format("inner.stl")))
+    file = write_file(tmp_path / "up", urdf_xml(MESH.format("inner.stl")))
     (file.parent / "inner.stl").symlink_to(tmp_path / "secret.stl")
-    with pytest.raises(InvalidSetup, match="a file inside"):
-        read_urdf(file).links["a"].pieces[0].load()
+    with pytest.raises(ConfigurationError, match="a file inside"):
+        read_urdf(file).links["a"].shapes[0].load_mesh()
 
 
 @pytest.mark.parametrize("name", ["mesh.exe", "mesh.stl", "mesh.dae"])
 def test_a_file_that_is_no_mesh_is_refused(tmp_path, name):
-    file = written(tmp_path, urdf(MESH.format(name)))
+    file = write_file(tmp_path, urdf_xml(MESH.format(name)))
     (tmp_path / name).write_bytes(b"<not a mesh>" * 9)
-    with pytest.raises(InvalidSetup, match="mesh"):
-        read_urdf(file).links["a"].pieces[0].load()
+    with pytest.raises(ConfigurationError, match="mesh"):
+        read_urdf(file).links["a"].shapes[0].load_mesh()
 
 
 def test_a_mesh_with_entities_is_refused(tmp_path):
-    file = written(tmp_path, urdf(MESH.format("mesh.dae")))
+    file = write_file(tmp_path, urdf_xml(MESH.format("mesh.dae")))
     (tmp_path / "mesh.dae").write_text(OUTSIDE)
-    with pytest.raises(InvalidSetup, match="document type"):
-        read_urdf(file).links["a"].pieces[0].load()
+    with pytest.raises(ConfigurationError, match="document type"):
+        read_urdf(file).links["a"].shapes[0].load_mesh()
 
 
 def test_a_missing_mesh_and_a_missing_package_say_where_they_were_looked_for(tmp_path):
     tree = read_urdf(
-        written(
+        write_file(
             tmp_path,
-            urdf(MESH.format("gone.stl"), MESH.replace('"a"', '"b"').format("package://p/x.stl"), joint("j", "a", "b")),
+            urdf_xml(
+                MESH.format("gone.stl"),
+                MESH.replace('"a"', '"b"').format("package://p/x.stl"),
+                joint_xml("j", "a", "b"),
+            ),
         )
     )
-    with pytest.raises(MissingPart, match="Looked for"):
-        tree.links["a"].pieces[0].load()
-    with pytest.raises(MissingPart, match=r"'p'.*--packages FOLDER"):
-        tree.links["b"].pieces[0].load()
+    with pytest.raises(MissingDependencyError, match="Looked for"):
+        tree.links["a"].shapes[0].load_mesh()
+    with pytest.raises(MissingDependencyError, match=r"'p'.*--packages FOLDER"):
+        tree.links["b"].shapes[0].load_mesh()
 
 
 @pytest.mark.parametrize(
@@ -98,24 +102,27 @@ def test_a_missing_mesh_and_a_missing_package_say_where_they_were_looked_for(tmp
         ("<robot><link", "line 1, column"),
         ("<html/>", "root element"),
         ('<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="a"><xacro:arm/></robot>', "xacro"),
-        (urdf(link("a"), link("b")), "one tree with one root"),
-        (urdf(link("a"), link("a")), "more than once"),
-        (urdf(link("a"), link("b"), joint("j", "a", "nowhere")), "nowhere"),
-        (urdf(link("a"), link("b"), link("c"), joint("j", "a", "c"), joint("k", "b", "c")), "one parent"),
-        (urdf(link("a"), link("b"), joint("j", "a", "b", axis="0 0 0")), "axis"),
-        (urdf(link("a"), link("b"), joint("j", "a", "b", xyz="nan 0 0")), "finite"),
-        (urdf(link("a"), link("b"), joint("j", "a", "b", kind="magnetic")), "magnetic"),
+        (urdf_xml(link_xml("a"), link_xml("b")), "one tree with one root"),
+        (urdf_xml(link_xml("a"), link_xml("a")), "more than once"),
+        (urdf_xml(link_xml("a"), link_xml("b"), joint_xml("j", "a", "nowhere")), "nowhere"),
+        (
+            urdf_xml(link_xml("a"), link_xml("b"), link_xml("c"), joint_xml("j", "a", "c"), joint_xml("k", "b", "c")),
+            "one parent",
+        ),
+        (urdf_xml(link_xml("a"), link_xml("b"), joint_xml("j", "a", "b", axis="0 0 0")), "axis"),
+        (urdf_xml(link_xml("a"), link_xml("b"), joint_xml("j", "a", "b", xyz="nan 0 0")), "finite"),
+        (urdf_xml(link_xml("a"), link_xml("b"), joint_xml("j", "a", "b", kind="magnetic")), "magnetic"),
     ],
 )
 def test_a_broken_description_says_what_is_wrong(tmp_path, text, said):
-    with pytest.raises(InvalidSetup, match=said):
-        read_urdf(written(tmp_path, text))
+    with pytest.raises(ConfigurationError, match=said):
+        read_urdf(write_file(tmp_path, text))
 
 
 def test_a_description_of_unbounded_size_is_not_read(tmp_path, monkeypatch):
-    monkeypatch.setattr(safe_xml.read_bytes, "__defaults__", (100,))
-    with pytest.raises(InvalidSetup, match=r"size of robot\.urdf"):
-        read_urdf(written(tmp_path, urdf(link("a"))))
+    monkeypatch.setattr(safe_xml.read_bounded, "__defaults__", (100,))
+    with pytest.raises(ConfigurationError, match=r"size of robot\.urdf"):
+        read_urdf(write_file(tmp_path, urdf_xml(link_xml("a"))))
 
 
 @pytest.mark.parametrize(
@@ -132,5 +139,5 @@ def test_a_description_of_unbounded_size_is_not_read(tmp_path, monkeypatch):
 def test_mjcf_reads_no_file_outside_and_loads_no_plugin(tmp_path, text, said):
     for place in (tmp_path / "secret.xml", tmp_path / "secret.stl"):
         place.write_text("<mujoco/>")
-    with pytest.raises(InvalidSetup, match=said):
-        read_description(written(tmp_path / "in", text, "robot.xml"))
+    with pytest.raises(ConfigurationError, match=said):
+        read_description(write_file(tmp_path / "in", text, "robot.xml"))

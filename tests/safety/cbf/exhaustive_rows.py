@@ -12,12 +12,12 @@ from dualbrain.safety.cbf.kernel import tool_frame
 from tests.safety import geometry_oracle
 
 OBSTACLE, SELF = 0, 1
-FLOOR = 1e-3
+ALWAYS_ROW_DISTANCE = 1e-3
 """[m] pairs nearer than this are always rows."""
 
 
 @dataclass
-class Setting:
+class PairCase:
     """One moment: posture, box, base, what is around and what is held."""
 
     q: np.ndarray
@@ -33,7 +33,7 @@ class Setting:
 
 
 @dataclass
-class Pairs:
+class PairRows:
     """All pairs as rows a'u >= b with their h; `permitted` ones have a contact row in place of a barrier."""
 
     kind: np.ndarray
@@ -49,11 +49,11 @@ class Pairs:
         return list(zip(self.kind.tolist(), self.i.tolist(), self.j.tolist(), strict=True))
 
 
-class Body:
+class PlacedSpheres:
     """Spheres with their links and frames, the held ones last, at one moment."""
 
     def __init__(self, body, setting):
-        self.setting, chain = setting, geometry_oracle.frames(body, setting.q[None])
+        self.setting, chain = setting, geometry_oracle.joint_frames(body, setting.q[None])
         R0, p0 = setting.base
         self.frames = [(R0 @ R[0], p0 + R0 @ p[0]) for R, p in chain]
         middle = 0.5 * (setting.low + setting.high)
@@ -70,11 +70,11 @@ class Body:
 
     def _spheres(self, body, q):
         R0, p0 = self.setting.base
-        c, r, names = geometry_oracle.centres(body, q[None], self.setting.opening)
+        c, r, names = geometry_oracle.sphere_centres(body, q[None], self.setting.opening)
         held = self.setting.held
         if len(held) > 0:
             turn, offset = tool_frame(body)
-            R, p = geometry_oracle.frames(body, q[None])[-1]
+            R, p = geometry_oracle.joint_frames(body, q[None])[-1]
             local = held[:, :3] @ turn.T + offset
             c = np.concatenate([c, (p[0] + local @ R[0].T)[None]], axis=1)
             r = np.concatenate([r, held[:, 3]])
@@ -82,9 +82,9 @@ class Body:
         return p0 + c[0] @ R0.T, r, np.array(names)
 
 
-def normal_of(shape, pose, points):
+def surface_normals(shape, pose, points):
     """Outward unit normals (k, 3): the gradient of the distance."""
-    R = geometry_oracle.rotation(pose.quaternion)
+    R = geometry_oracle.rotation_matrix(pose.quaternion)
     local = (points - np.array(pose.position)) @ R
     match shape:
         case Sphere():
@@ -101,26 +101,26 @@ def normal_of(shape, pose, points):
     return (away / np.linalg.norm(away, axis=1, keepdims=True)) @ R.T
 
 
-def pairs(body, config, setting):
+def all_pair_rows(body, config, setting):
     """All pairs that are kept apart or in permitted contact."""
-    spheres, parts = Body(body, setting), []
+    spheres, parts = PlacedSpheres(body, setting), []
     for j, thing in enumerate(setting.obstacles):
-        parts.append(_against(body, config, spheres, j, thing))
+        parts.append(_obstacle_rows(body, config, spheres, j, thing))
     kept = [sorted(pair, key=lambda name: _frame(body, name)) for pair in body.self_pairs.kept]
     for near, far in kept:
-        parts += _apart(body, config, spheres, near, far, 0.0)
+        parts += _self_collision_rows(body, config, spheres, near, far, 0.0)
     if len(setting.held) > 0:
         gripper = {link.name for link in body.links if link.group in ("hand", "fingers")}
         for near in dict.fromkeys(near for near, far in kept if far in gripper):
-            parts += _apart(body, config, spheres, near, "held", setting.held_error)
-    return Pairs(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+            parts += _self_collision_rows(body, config, spheres, near, "held", setting.held_error)
+    return PairRows(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 def _frame(body, name):
     return next(link.frame for link in body.links if link.name == name)
 
 
-def _against(body, config, spheres, j, thing):
+def _obstacle_rows(body, config, spheres, j, thing):
     """One obstacle against all spheres that move and that it is kept away from."""
     setting = spheres.setting
     known = {link.name for link in body.links if not thing.parts or {link.name, link.group} & set(thing.parts)}
@@ -128,7 +128,7 @@ def _against(body, config, spheres, j, thing):
     mine = np.flatnonzero((spheres.frame > 0) & np.isin(spheres.link, list(known)))
     v = np.array(thing.velocity)
     points = spheres.centre[mine] - v * setting.age
-    n = normal_of(thing.shape, thing.pose, points)
+    n = surface_normals(thing.shape, thing.pose, points)
     margin = thing.margin + thing.velocity_error * setting.age + config.sampling_margin + config.rounding_margin
     margin = margin + np.where(spheres.link[mine] == "held", setting.held_error, 0.0)
     h = geometry_oracle.surface_distance(thing.shape, thing.pose, points) - spheres.radius[mine] - margin
@@ -144,7 +144,7 @@ def _against(body, config, spheres, j, thing):
     return kind, mine, np.full(len(mine), j), h, a, b, permit >= 0.0
 
 
-def _apart(body, config, spheres, near, far, error):
+def _self_collision_rows(body, config, spheres, near, far, error):
     """All pairs of spheres of two links; row i is the far sphere."""
     s, i = np.flatnonzero(spheres.link == far), np.flatnonzero(spheres.link == near)
     if len(s) == 0 or len(i) == 0 or spheres.frame[s[0]] == spheres.frame[i[0]]:

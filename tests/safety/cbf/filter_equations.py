@@ -13,11 +13,11 @@ import numpy as np
 from dualbrain.safety.cbf.filter import Contact, FilterConfig, Obstacle
 from tests.safety import geometry_oracle
 
-NUDGE = 1e-6
+DIFFERENCE_STEP = 1e-6
 
 
 @dataclass
-class Setting:
+class FilterCase:
     """All that the filter is told."""
 
     body: object
@@ -33,13 +33,13 @@ class Setting:
     known_only: bool = False
 
 
-def frames(body, q):
+def joint_frames(body, q):
     """Rotation and origin of frames 0..n; a joint turns about its z axis or slides along it."""
     R, p = np.eye(3), np.zeros(3)
     out = [(R, p)]
     for joint, value in zip(body.joints, q, strict=True):
         p = p + R @ np.array(joint.translation)
-        R = R @ geometry_oracle.rotation(joint.quaternion)
+        R = R @ geometry_oracle.rotation_matrix(joint.quaternion)
         if joint.kind == "prismatic":
             p = p + R[:, 2] * value
         else:
@@ -49,30 +49,30 @@ def frames(body, q):
     return out
 
 
-def tool(body, q):
+def tool_pose(body, q):
     """Position and rotation of the tool."""
     link = next(link for link in body.links if link.name == body.tool.link)
-    R, p = frames(body, q)[link.frame]
-    p, R = p + R @ np.array(link.translation), R @ geometry_oracle.rotation(link.quaternion)
-    return p + R @ np.array(body.tool.translation), R @ geometry_oracle.rotation(body.tool.quaternion)
+    R, p = joint_frames(body, q)[link.frame]
+    p, R = p + R @ np.array(link.translation), R @ geometry_oracle.rotation_matrix(link.quaternion)
+    return p + R @ np.array(body.tool.translation), R @ geometry_oracle.rotation_matrix(body.tool.quaternion)
 
 
-def centres(s, q):
+def sphere_centres(s, q):
     """Centres (k, 3) of the body's spheres in the order of its links, held ones last."""
-    chain, points = frames(s.body, q), []
+    chain, points = joint_frames(s.body, q), []
     for link in s.body.links:
         R, p = chain[link.frame]
-        R, p = R @ geometry_oracle.rotation(link.quaternion), p + R @ np.array(link.translation)
+        R, p = R @ geometry_oracle.rotation_matrix(link.quaternion), p + R @ np.array(link.translation)
         points += [
             p + R @ (np.array(ball.centre) + s.opening * np.array(link.slide))
             for ball in s.body.spheres
             if ball.link == link.name
         ]
-    p, R = tool(s.body, q)
+    p, R = tool_pose(s.body, q)
     return np.array([*points, *(p + s.held[:, :3] @ R.T)])
 
 
-def owners(s):
+def sphere_owners(s):
     """Link index of every sphere (len(links): held), its radius, and the frame it moves with."""
     link, radius = [], []
     for index, part in enumerate(s.body.links):
@@ -84,7 +84,7 @@ def owners(s):
     return np.array(link), np.array([*radius, *s.held[:, 3]]), frame
 
 
-def box(s, q, u_prev):
+def control_bounds(s, q, u_prev):
     """Velocity limit, acceleration around u_prev, and joint position: min(alpha d, discrete braking)."""
     c, dt = s.config, s.body.period
     low, high = np.empty(s.body.n), np.empty(s.body.n)
@@ -93,12 +93,12 @@ def box(s, q, u_prev):
         floor, ceiling = max(-v, u_prev[k] - a * dt), min(v, u_prev[k] + a * dt)
         above = joint.upper.value - c.rounding_margin - q[k]
         below = q[k] - joint.lower.value - c.rounding_margin
-        low[k] = np.clip(-toward_limit(s, below, a), floor, ceiling)
-        high[k] = np.clip(toward_limit(s, above, a), low[k], ceiling)
+        low[k] = np.clip(-max_approach_speed(s, below, a), floor, ceiling)
+        high[k] = np.clip(max_approach_speed(s, above, a), low[k], ceiling)
     return low, high
 
 
-def toward_limit(s, d, a):
+def max_approach_speed(s, d, a):
     """Greatest speed toward a joint limit at distance d: from it the joint can stop by a dt each period."""
     dt, alpha = s.body.period, s.config.alpha_joint or s.config.alpha or s.body.alpha
     if d <= 0.0:
@@ -107,22 +107,22 @@ def toward_limit(s, d, a):
     return min(alpha * d, np.sqrt(half * half + 2.0 * a * d) - half) - s.config.tracking_error
 
 
-def gradients(s, q, middle):
+def sphere_jacobians(s, q, middle):
     """Jacobians (k, 3, n) of the centres, and their second derivative (k, 3) along `middle`."""
     J = np.stack([
-        (centres(s, q + NUDGE * e) - centres(s, q - NUDGE * e)) / (2.0 * NUDGE) for e in np.eye(s.body.n)
+        (sphere_centres(s, q + DIFFERENCE_STEP * e) - sphere_centres(s, q - DIFFERENCE_STEP * e)) / (2.0 * DIFFERENCE_STEP) for e in np.eye(s.body.n)
     ], axis=2)  # fmt: skip
     step = 1e-4
-    here = centres(s, q)
-    bend = (centres(s, q + step * middle) - 2.0 * here + centres(s, q - step * middle)) / step**2
+    here = sphere_centres(s, q)
+    bend = (sphere_centres(s, q + step * middle) - 2.0 * here + sphere_centres(s, q - step * middle)) / step**2
     return here, J, bend
 
 
-def rows(s, q, u_prev):
+def all_rows(s, q, u_prev):
     """(A, b, h, about) of every pair, not divided by their norm; `about` = (kind, i, j) as in the kernel."""
-    low, high = box(s, q, u_prev)
-    here, J, bend = gradients(s, q, 0.5 * (low + high))
-    link, radius, frame = owners(s)
+    low, high = control_bounds(s, q, u_prev)
+    here, J, bend = sphere_jacobians(s, q, 0.5 * (low + high))
+    link, radius, frame = sphere_owners(s)
     out = []
     for j, thing in enumerate(s.obstacles):
         if thing.known or not s.known_only:
@@ -132,7 +132,7 @@ def rows(s, q, u_prev):
     return low, high, out
 
 
-def _common(s):
+def _common_margin(s):
     return s.config.sampling_margin + s.config.rounding_margin + s.extra
 
 
@@ -141,18 +141,21 @@ def _obstacle_rows(s, j, thing, here, J, bend, link, radius, frame, low, high):
     points = here - v * s.age
     gap = geometry_oracle.surface_distance(thing.shape, thing.pose, points)
     n = np.stack([
-        (geometry_oracle.surface_distance(thing.shape, thing.pose, points + NUDGE * e)
-         - geometry_oracle.surface_distance(thing.shape, thing.pose, points - NUDGE * e)) / (2.0 * NUDGE) for e in np.eye(3)
+        (geometry_oracle.surface_distance(thing.shape, thing.pose, points + DIFFERENCE_STEP * e)
+         - geometry_oracle.surface_distance(thing.shape, thing.pose, points - DIFFERENCE_STEP * e)) / (2.0 * DIFFERENCE_STEP) for e in np.eye(3)
     ], axis=1)  # fmt: skip
     alpha = thing.alpha or c.alpha or s.body.alpha
     out = []
     for i in np.flatnonzero(frame > 0):
-        if not kept_away(s, thing, link[i]):
+        if not applies_to_link(s, thing, link[i]):
             continue
         margin = (
-            thing.margin + thing.velocity_error * s.age + _common(s) + s.held_error * (link[i] == len(s.body.links))
+            thing.margin
+            + thing.velocity_error * s.age
+            + _common_margin(s)
+            + s.held_error * (link[i] == len(s.body.links))
         )
-        h, permit = gap[i] - radius[i] - margin, permitted(s, thing.name, link[i])
+        h, permit = gap[i] - radius[i] - margin, permitted_speed(s, thing.name, link[i])
         a = n[i] @ J[i]
         barrier = (
             -max(permit, alpha * h) if permit is not None else min(-alpha * h, c.recovery_speed) + thing.velocity_error
@@ -175,7 +178,7 @@ def _self_rows(s, here, J, bend, link, radius, low, high):
     hand = {near for near, far in pairs if s.body.links[far].group in ("hand", "fingers")}
     out = []
     for near, far in [*pairs, *((near, len(s.body.links)) for near in hand if len(s.held))]:
-        margin = c.self_margin + _common(s) + s.held_error * (far == len(s.body.links))
+        margin = c.self_margin + _common_margin(s) + s.held_error * (far == len(s.body.links))
         for i in np.flatnonzero(link == near):
             for k in np.flatnonzero(link == far):
                 way = here[k] - here[i]
@@ -190,20 +193,20 @@ def _self_rows(s, here, J, bend, link, radius, low, high):
     return out
 
 
-def names(s, link):
+def link_names(s, link):
     """What a permit or a list of parts may call this link."""
     return ("held",) if link == len(s.body.links) else (s.body.links[link].name, s.body.links[link].group)
 
 
-def permitted(s, obstacle, link):
+def permitted_speed(s, obstacle, link):
     """The contact speed of the last permit for this link and thing, or None."""
-    speeds = [c.speed for c in s.permits if c.obstacle == obstacle and c.robot_part in names(s, link)]
+    speeds = [c.speed for c in s.permits if c.obstacle == obstacle and c.robot_part in link_names(s, link)]
     return speeds[-1] if speeds else None
 
 
-def kept_away(s, thing, link):
+def applies_to_link(s, thing, link):
     """Whether this thing is meant for this link."""
-    return not thing.parts or bool(set(thing.parts) & set(names(s, link)))
+    return not thing.parts or bool(set(thing.parts) & set(link_names(s, link)))
 
 
 def separation_speed(thing, d, approach):

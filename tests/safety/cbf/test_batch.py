@@ -7,14 +7,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dualbrain.core.geometry.shapes import Pose, Sphere
-from dualbrain.errors import InvalidSetup
-from dualbrain.robots.differential_drive import differential_base
-from dualbrain.robots.loader import load_body
+from dualbrain.errors import ConfigurationError
+from dualbrain.robots.differential_drive import make_differential_base
+from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import Bound
-from dualbrain.safety.cbf.filter import Contact, Obstacle, Row, SafetyFilter, Status
+from dualbrain.safety.cbf.filter import ConstraintRow, Contact, FilterStatus, Obstacle, SafetyFilter
 from tests.safety import random_scenes
 
-PANDA = load_body("panda")
+PANDA = load_robot("panda")
 SMALL = msgspec.structs.replace(PANDA, spheres=PANDA.spheres[::4])
 V_MAX = np.array([joint.velocity.value for joint in PANDA.joints])
 COMING = Obstacle("hand", Sphere(0.06), Pose((0.55, 0.0, 0.75)), (0.0, 0.0, -0.3), velocity_error=0.1, static=False)
@@ -22,10 +22,10 @@ COMING = Obstacle("hand", Sphere(0.06), Pose((0.55, 0.0, 0.75)), (0.0, 0.0, -0.3
 
 def made(things, stamp=0.0, **changes):
     """A filter with a permit and a row of its own, so that these are seen to count in a batch as well."""
-    safety = SafetyFilter(SMALL, random_scenes.config(lag_compensation=True, **changes))
+    safety = SafetyFilter(SMALL, random_scenes.exact_config(lag_compensation=True, **changes))
     safety.observe(things, stamp)
     safety.permit([Contact("hand", "thing1", 0.02)])
-    safety.constrain([Row("never left", (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), -0.4)])
+    safety.constrain([ConstraintRow("never left", (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), -0.4)])
     return safety
 
 
@@ -60,7 +60,7 @@ def same(batch, answers):
 @given(st.integers(0, 2**31), st.sampled_from(["float32", "float64"]))
 def test_a_batch_is_single_calls_bit_for_bit(seed, real):
     rng = np.random.default_rng(seed)
-    things, now = [*random_scenes.scene(SMALL, rng), COMING], 0.21
+    things, now = [*random_scenes.random_scene(SMALL, rng), COMING], 0.21
     Q, V, U = states(rng, 40)
     last, opening = rng.uniform(-1.0, 1.0, (40, 7)) * V_MAX, rng.uniform(0.0, 0.04, 40)
     batch = made(things, 0.1, real=real).batch(Q, V, U, now, u_prev=last, opening=opening)
@@ -76,15 +76,15 @@ def test_every_kind_of_answer_was_compared():
     rng = np.random.default_rng(4)
     Q, V, U = states(rng, 1500)
     U[::5] = V[::5]
-    batch = made([*random_scenes.scene(SMALL, rng), COMING]).batch(Q, V, U)
-    assert set(batch.status.tolist()) == set(Status)
+    batch = made([*random_scenes.random_scene(SMALL, rng), COMING]).batch(Q, V, U)
+    assert set(batch.status.tolist()) == set(FilterStatus)
     assert np.all(np.isfinite(batch.u))
     assert np.all(np.abs(batch.u) <= V_MAX)
 
 
 def test_the_velocity_is_the_last_control_unless_it_is_given():
     rng = np.random.default_rng(1)
-    safety = made(random_scenes.scene(SMALL, rng))
+    safety = made(random_scenes.random_scene(SMALL, rng))
     Q, V, U = states(rng, 60)
     assert np.array_equal(safety.batch(Q, V, U).u, safety.batch(Q, V, U, u_prev=V).u)
     assert not np.array_equal(safety.batch(Q, V, U).u, safety.batch(Q, V, U, u_prev=0.0 * V).u)
@@ -92,7 +92,7 @@ def test_the_velocity_is_the_last_control_unless_it_is_given():
 
 def test_a_batch_leaves_the_filters_own_memory_alone(at):
     rng = np.random.default_rng(2)
-    things = random_scenes.scene(SMALL, rng)
+    things = random_scenes.random_scene(SMALL, rng)
     asked, alone = made(things), made(things)
     q, u_nom = np.array(PANDA.home), np.zeros(7)
     for tick in range(300):
@@ -109,15 +109,15 @@ def test_an_empty_batch_and_what_is_refused():
     safety, none = made([]), np.empty((0, 7))
     assert safety.batch(none, none, none).u.shape == (0, 7)
     for shape in ((7,), (3, 6), (2, 7)):
-        with pytest.raises(InvalidSetup, match=r"\(m, 7\)"):
+        with pytest.raises(ConfigurationError, match=r"\(m, 7\)"):
             safety.batch(np.zeros((3, 7)), np.zeros(shape), np.zeros((3, 7)))
     fast = Bound(1.0, "m/s", "test")
-    cart = differential_base(
-        "cart", [(0.2, 0.0, 0.1)], speed=fast, turn=fast, acceleration=fast, turn_acceleration=fast,
+    cart = make_differential_base(
+        "cart", [(0.2, 0.0, 0.1)], speed=fast, turn_rate=fast, acceleration=fast, turn_acceleration=fast,
         tracking=PANDA.tracking,
     )  # fmt: skip
     for refused in (SafetyFilter(SMALL, barriers=[_NoRows()]), SafetyFilter(cart)):
-        with pytest.raises(InvalidSetup, match="bolted body"):
+        with pytest.raises(ConfigurationError, match="bolted body"):
             refused.batch(none, none, none)
 
 

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere
-from dualbrain.safety.cbf.filter import Contact, Obstacle, SafetyFilter, Status
-from dualbrain.safety.cbf.obstacles import Separation
-from dualbrain.safety.cbf.rows import Row
+from dualbrain.safety.cbf.filter import Contact, FilterStatus, Obstacle, SafetyFilter
+from dualbrain.safety.cbf.obstacles import SpeedAndSeparation
+from dualbrain.safety.cbf.rows import ConstraintRow
 from tests.safety import random_scenes
 from tests.safety.cbf import filter_equations
 
@@ -36,7 +36,7 @@ def near(point, rng, far=0.2):
 
 def things(s, q, rng, *, moving=False):
     """A table, and every shape beside random spheres of the body."""
-    points = filter_equations.centres(s, q)[5:]
+    points = filter_equations.sphere_centres(s, q)[5:]
     sizes = rng.uniform(0.02, 0.06, 12)
     shapes = [Sphere(sizes[0]), Capsule(*sizes[1:3]), Box(tuple(sizes[3:6])), Sphere(sizes[6]), Box(tuple(sizes[7:10]))]
     shapes.append(Capsule(*sizes[10:]))
@@ -44,7 +44,7 @@ def things(s, q, rng, *, moving=False):
     more = {"velocity": velocity, "velocity_error": 0.01 * moving, "static": not moving}
     out = [Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)), known=True)]
     for k, shape in enumerate(shapes):
-        pose = Pose(near(points[rng.integers(len(points))], rng), random_scenes.quaternion(rng))
+        pose = Pose(near(points[rng.integers(len(points))], rng), random_scenes.random_quaternion(rng))
         out.append(Obstacle(f"t{k}", shape, pose, margin=0.002 * k, known=k % 2 == 0, **more))
     return out
 
@@ -80,7 +80,7 @@ def compare(s, q, u_prev, u_nom, at):
     """The filter's answer beside the reference's; whether rows of the reference were binding."""
     safety = told(s)
     safety.reset(u_prev)
-    low, high, rows = filter_equations.rows(s, q, u_prev)
+    low, high, rows = filter_equations.all_rows(s, q, u_prev)
     A, b = unit_rows(rows)
     wanted = nearest(s, low, high, A, b, u_nom)
     if s.known_only:
@@ -91,8 +91,8 @@ def compare(s, q, u_prev, u_nom, at):
         measured = [row[2] for row in rows if row[3][0] != "user" and not lifted(s, row)]
         assert answer.h_min == pytest.approx(min(10.0, *measured), abs=2e-6)
         assert answer.n_rows <= len(safety.rows())
-        if answer.status not in (Status.SAFE, Status.MODIFIED):
-            assert wanted is None or answer.status is Status.FAULT
+        if answer.status not in (FilterStatus.SAFE, FilterStatus.MODIFIED):
+            assert wanted is None or answer.status is FilterStatus.FAULT
             return False
         assert np.min(A @ u - b) > -2e-5
     if wanted is None:
@@ -103,8 +103,8 @@ def compare(s, q, u_prev, u_nom, at):
 
 def lifted(s, row):
     kind, i, j = row[3]
-    link = filter_equations.owners(s)[0][i]
-    return kind == "obstacle" and filter_equations.permitted(s, s.obstacles[j].name, link) is not None
+    link = filter_equations.sphere_owners(s)[0][i]
+    return kind == "obstacle" and filter_equations.permitted_speed(s, s.obstacles[j].name, link) is not None
 
 
 def drive(s, q, rng, at, steps=400, every=50):
@@ -127,8 +127,8 @@ def drive(s, q, rng, at, steps=400, every=50):
 
 def setting(kind, body, q, rng):
     """One setting of each kind of row."""
-    config = random_scenes.config(real="float64", tracking_error=0.003, self_margin=0.002)
-    s = filter_equations.Setting(body, config, [], opening=0.03)
+    config = random_scenes.exact_config(real="float64", tracking_error=0.003, self_margin=0.002)
+    s = filter_equations.FilterCase(body, config, [], opening=0.03)
     s.obstacles = things(s, q, rng, moving=kind in ("moving", "separation"))
     if kind == "moving":
         s.age = 0.2
@@ -140,11 +140,12 @@ def setting(kind, body, q, rng):
         s.held_error = 0.003
     if kind == "user":
         s.rows = [
-            Row(f"r{k}", tuple(rng.normal(size=body.n).tolist()), float(rng.uniform(-1.5, -0.4))) for k in range(3)
+            ConstraintRow(f"r{k}", tuple(rng.normal(size=body.n).tolist()), float(rng.uniform(-1.5, -0.4)))
+            for k in range(3)
         ]
     if kind == "separation":
         s.obstacles = [
-            msgspec.structs.replace(o, separation=Separation(0.1, 1.0, 0.05 * k)) if k % 2 else o
+            msgspec.structs.replace(o, separation=SpeedAndSeparation(0.1, 1.0, 0.05 * k)) if k % 2 else o
             for k, o in enumerate(s.obstacles)
         ]
     if kind == "parts":

@@ -4,23 +4,23 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.errors import InvalidSetup
-from dualbrain.safety.cbf.filter import SafetyFilter, Status
+from dualbrain.errors import ConfigurationError
+from dualbrain.safety.cbf.filter import FilterStatus, SafetyFilter
 from dualbrain.safety.cbf.result import Reason
 from tests.safety import geometry_oracle, random_scenes
 
 
 def test_a_body_without_jerk_limits_says_so(small):
     bare = tuple(msgspec.structs.replace(joint, jerk=None) for joint in small.joints)
-    with pytest.raises(InvalidSetup, match="jerk"):
-        SafetyFilter(msgspec.structs.replace(small, joints=bare), random_scenes.config(jerk_limits=True))
+    with pytest.raises(ConfigurationError, match="jerk"):
+        SafetyFilter(msgspec.structs.replace(small, joints=bare), random_scenes.exact_config(jerk_limits=True))
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_jerk_stays_in_its_limit_under_an_adversary(small, seed):
     rng = np.random.default_rng(seed)
-    things = random_scenes.scene(small, rng, 8)
-    safety = SafetyFilter(small, random_scenes.config(jerk_limits=True))
+    things = random_scenes.random_scene(small, rng, 8)
+    safety = SafetyFilter(small, random_scenes.exact_config(jerk_limits=True))
     safety.observe(things)
     v_max = np.array([joint.velocity.value for joint in small.joints])
     limit = np.array([joint.jerk.value for joint in small.joints]) * small.period**2
@@ -32,7 +32,7 @@ def test_jerk_stays_in_its_limit_under_an_adversary(small, seed):
         jerk = np.abs(answer.u - 2.0 * u + before)
         if Reason.JERK in answer.reason:
             yielded += 1
-        elif answer.status is not Status.RELAXED:
+        elif answer.status is not FilterStatus.RELAXED:
             assert np.all(jerk <= limit * (1 + 1e-3) + 2e-6)
         u, before = answer.u, u
         q = q + small.period * u
@@ -44,7 +44,7 @@ def test_jerk_stays_in_its_limit_under_an_adversary(small, seed):
 
 
 def test_without_the_box_jerk_is_larger(small):
-    safety = SafetyFilter(small, random_scenes.config())
+    safety = SafetyFilter(small, random_scenes.exact_config())
     limit = np.array([joint.jerk.value for joint in small.joints]) * small.period**2
     first = safety(np.array(small.home), np.zeros(7), np.full(7, 2.0)).u
     assert np.any(np.abs(first) > 1.5 * limit)
@@ -52,7 +52,7 @@ def test_without_the_box_jerk_is_larger(small):
 
 def test_the_limit_that_binds_is_called_by_its_name(small):
     """Full speed from rest, then back: jerk, acceleration and velocity in turn, each as its formula says."""
-    safety = SafetyFilter(small, random_scenes.config(jerk_limits=True, real="float64"))
+    safety = SafetyFilter(small, random_scenes.exact_config(jerk_limits=True, real="float64"))
     first = small.joints[0]
     dt, v_max, a_max, j_max = small.period, first.velocity.value, first.acceleration.value, first.jerk.value
     seen, u, before = [], 0.0, 0.0
@@ -63,7 +63,7 @@ def test_the_limit_that_binds_is_called_by_its_name(small):
             "velocity": way * v_max, "acceleration": u + way * a_max * dt,
             "jerk": 2.0 * u - before + way * j_max * dt**2,
         }  # fmt: skip
-        for name in (name for name, _, _ in answer.active if name.startswith(first.name + " ")):
+        for name in (name for name, _, _ in answer.active_rows if name.startswith(first.name + " ")):
             kind = name.split()[1]
             assert answer.u[0] == pytest.approx(bounds[kind], abs=1e-3 * a_max * dt), kind
             seen.append((kind, way))

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.core.geometry.distance import solid
+from dualbrain.core.geometry.distance import bounding_solid
 from dualbrain.core.geometry.shapes import Bowl, Box, Cylinder, HalfSpace, Pose, Sphere
 from dualbrain.records import Scene, SceneObject
-from dualbrain.safety.cbf.grasped_object import cover
-from dualbrain.safety.cbf.obstacles import from_scene
+from dualbrain.safety.cbf.grasped_object import cover_with_spheres
+from dualbrain.safety.cbf.obstacles import obstacles_from_scene
 from tests.safety import geometry_oracle, random_scenes
 
 SIZE = st.floats(0.005, 0.2)
@@ -34,22 +34,22 @@ def surface(shape, rng, count=2000):
 @given(SIZE, SIZE, st.integers(0, 100))
 def test_covers_contain_cylinders_and_bowls(radius, height, seed):
     rng = np.random.default_rng(seed)
-    pose = Pose(tuple(rng.uniform(-1, 1, 3)), random_scenes.quaternion(rng))
+    pose = Pose(tuple(rng.uniform(-1, 1, 3)), random_scenes.random_quaternion(rng))
     for shape in (Cylinder(radius, height), Bowl(radius, height, 0.002)):
-        world = surface(shape, rng) @ geometry_oracle.rotation(pose.quaternion).T + np.array(pose.position)
-        outer, where = solid(shape, pose)
+        world = surface(shape, rng) @ geometry_oracle.rotation_matrix(pose.quaternion).T + np.array(pose.position)
+        outer, where = bounding_solid(shape, pose)
         assert geometry_oracle.surface_distance(outer, where, world).max() <= 1e-9
 
 
 @given(SIZE, SIZE, SIZE, st.integers(0, 100))
 def test_held_things_lie_inside_at_most_eight_spheres(x, y, z, seed):
     rng = np.random.default_rng(seed)
-    tool_p, tool_R = rng.uniform(-1, 1, 3), geometry_oracle.rotation(random_scenes.quaternion(rng))
-    pose = Pose(tuple(tool_p + rng.uniform(-0.05, 0.05, 3)), random_scenes.quaternion(rng))
+    tool_p, tool_R = rng.uniform(-1, 1, 3), geometry_oracle.rotation_matrix(random_scenes.random_quaternion(rng))
+    pose = Pose(tuple(tool_p + rng.uniform(-0.05, 0.05, 3)), random_scenes.random_quaternion(rng))
     for shape in (Box((x, y, z)), Cylinder(x, y), Bowl(x, y, 0.002)):
-        spheres = cover(SceneObject("thing", "object", shape, pose), tool_p, tool_R)
+        spheres = cover_with_spheres(SceneObject("thing", "object", shape, pose), tool_p, tool_R)
         assert 1 <= len(spheres) <= 8
-        world = surface(shape, rng) @ geometry_oracle.rotation(pose.quaternion).T + np.array(pose.position)
+        world = surface(shape, rng) @ geometry_oracle.rotation_matrix(pose.quaternion).T + np.array(pose.position)
         local = (world - tool_p) @ tool_R
         gaps = np.linalg.norm(local[:, None] - spheres[None, :, :3], axis=2) - spheres[None, :, 3]
         assert gaps.min(axis=1).max() <= 1e-9
@@ -57,7 +57,7 @@ def test_held_things_lie_inside_at_most_eight_spheres(x, y, z, seed):
 
 def test_a_held_cube_is_covered_tightly():
     cube = SceneObject("cube", "object", Box((0.02, 0.02, 0.02)), Pose((0.0, 0.0, 0.1)))
-    spheres = cover(cube, np.zeros(3), np.eye(3))
+    spheres = cover_with_spheres(cube, np.zeros(3), np.eye(3))
     assert len(spheres) == 8
     assert np.max(np.abs(spheres[:, :3] - [0, 0, 0.1]) + spheres[:, 3:]) < 0.02 + 0.008
 
@@ -69,7 +69,7 @@ def test_a_scene_becomes_obstacles_with_its_errors():
         SceneObject("arm", "person", Sphere(0.05), Pose((0.5, 0.5, 0.4)), (0.1, 0.0, 0.0), 0.009, 0.05, stamp=1.8),
         SceneObject("gone", "object", Sphere(0.02), Pose((0.4, 0.0, 0.02))),
     ))  # fmt: skip
-    table, cup, person = from_scene(scene, known={"table"}, held="gone", clearance=0.002)
+    table, cup, person = obstacles_from_scene(scene, known={"table"}, held="gone", clearance=0.002)
     assert (table.known, cup.known, table.static, person.static) == (True, False, True, False)
     assert cup.margin == pytest.approx(0.011)
     assert person.margin == pytest.approx(0.009 + 0.05 * 0.2 + 0.002)

@@ -5,8 +5,8 @@ import pytest
 from scipy.optimize import linprog
 
 from dualbrain.core.geometry.shapes import Capsule, HalfSpace, Pose, Sphere
-from dualbrain.safety.barriers.scenarios import centres
-from dualbrain.safety.cbf.filter import Obstacle, Rank, Row, SafetyFilter, Status
+from dualbrain.safety.barriers.scenarios import moving_spheres
+from dualbrain.safety.cbf.filter import ConstraintRow, FilterStatus, Obstacle, Rank, SafetyFilter
 from tests.safety import geometry_oracle, random_scenes
 
 
@@ -39,7 +39,7 @@ def contradicting(rng, n):
         side = 1.0 if index % 2 else -1.0
         a = side * ahead + 0.4 * rng.normal(size=n)
         b = rng.uniform(-0.02, 0.03)
-        rows.append(Row(f"user_rows: {index}", tuple(a), b, rank=Rank(int(rng.integers(1, 5)))))
+        rows.append(ConstraintRow(f"user_rows: {index}", tuple(a), b, rank=Rank(int(rng.integers(1, 5)))))
     return rows
 
 
@@ -47,15 +47,15 @@ def contradicting(rng, n):
 def test_violations_are_the_least_rank_by_rank(small, at, seed):
     rng = np.random.default_rng(seed)
     rows = contradicting(rng, 7)
-    safety = SafetyFilter(small, random_scenes.config(real="float64"))
+    safety = SafetyFilter(small, random_scenes.exact_config(real="float64"))
     safety.constrain(rows)
     answer = safety.filter(at(small.home), np.zeros(7), 0.0)
     low, high = (np.array(side) for side in safety._kernel.box())
     best = [float(np.maximum(np.array(r.a) * low, np.array(r.a) * high).sum()) for r in rows]
-    capped = [Row(r.name, r.a, min(r.b, reach), rank=r.rank) for r, reach in zip(rows, best, strict=True)]
+    capped = [ConstraintRow(r.name, r.a, min(r.b, reach), rank=r.rank) for r, reach in zip(rows, best, strict=True)]
     wanted = lexicographic(capped, low, high)
     got = {rank: max([0.0, *(r.b - np.array(r.a) @ answer.u for r in capped if r.rank == rank)]) for rank in Rank}
-    if max(wanted.values()) < 1e-6 and answer.status is not Status.RELAXED:
+    if max(wanted.values()) < 1e-6 and answer.status is not FilterStatus.RELAXED:
         return
     for rank in Rank:
         assert got[rank] == pytest.approx(wanted[rank], abs=2e-5), (rank, got, wanted)
@@ -64,10 +64,10 @@ def test_violations_are_the_least_rank_by_rank(small, at, seed):
 def test_the_seeds_above_do_relax(small, at):
     statuses = []
     for seed in range(40):
-        safety = SafetyFilter(small, random_scenes.config(real="float64"))
+        safety = SafetyFilter(small, random_scenes.exact_config(real="float64"))
         safety.constrain(contradicting(np.random.default_rng(seed), 7))
         statuses.append(safety.filter(at(small.home), np.zeros(7), 0.0).status)
-    assert statuses.count(Status.RELAXED) > 10
+    assert statuses.count(FilterStatus.RELAXED) > 10
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -76,11 +76,11 @@ def test_a_relaxed_answer_depends_on_the_state_alone_and_is_its_own_answer(small
     rows, answers = contradicting(rng, 7), []
     nominal = np.zeros(7)
     for _ in range(3):
-        safety = SafetyFilter(small, random_scenes.config())
+        safety = SafetyFilter(small, random_scenes.exact_config())
         safety.constrain(rows)
         answers.append(safety.filter(at(small.home), nominal, 0.0))
         nominal = answers[-1].u
-    if answers[0].status is Status.RELAXED:
+    if answers[0].status is FilterStatus.RELAXED:
         np.testing.assert_array_equal(answers[1].u, answers[0].u)
         assert answers[1].delta == 0.0
 
@@ -89,7 +89,7 @@ def test_a_relaxed_answer_depends_on_the_state_alone_and_is_its_own_answer(small
 def test_no_pair_is_met_worse_than_by_braking(small, at, seed):
     """Passive safety: from any motion, no pair is approached faster than a braking robot would."""
     rng = np.random.default_rng(200 + seed)
-    rows, safety = contradicting(rng, 7), SafetyFilter(small, random_scenes.config(real="float64"))
+    rows, safety = contradicting(rng, 7), SafetyFilter(small, random_scenes.exact_config(real="float64"))
     step = np.array([joint.acceleration.value for joint in small.joints]) * small.period
     u_prev = rng.uniform(-0.3, 0.3, 7)
     keep = max(0.0, float(np.max(1.0 - step / np.abs(u_prev))))
@@ -97,29 +97,29 @@ def test_no_pair_is_met_worse_than_by_braking(small, at, seed):
     safety.constrain(rows)
     safety.reset(u_prev)
     answer = safety.filter(at(small.home), rng.uniform(-1, 1, 7), 0.0)
-    assert answer.status in (Status.RELAXED, Status.MODIFIED)
+    assert answer.status in (FilterStatus.RELAXED, FilterStatus.MODIFIED)
     for row in (row for row in rows if row.rank <= Rank.OBSTACLE):
         assert np.dot(row.a, answer.u) >= min(row.b, np.dot(row.a, brake)) - 1e-7
 
 
 def test_what_was_given_up_is_told(small, at):
     a = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    safety = SafetyFilter(small, random_scenes.config())
+    safety = SafetyFilter(small, random_scenes.exact_config())
     safety.constrain([
-        Row("user_rows: left", tuple(a), 0.01, rank=Rank.BODY),
-        Row("user_rows: right", tuple(-a), 0.01, rank=Rank.TASK),
+        ConstraintRow("user_rows: left", tuple(a), 0.01, rank=Rank.BODY),
+        ConstraintRow("user_rows: right", tuple(-a), 0.01, rank=Rank.TASK),
     ])  # fmt: skip
     answer = safety.filter(at(small.home), np.zeros(7), 0.0)
-    assert (answer.status, answer.given_up) == (Status.RELAXED, (Rank.TASK,))
+    assert (answer.status, answer.relaxed_ranks) == (FilterStatus.RELAXED, (Rank.TASK,))
     assert answer.u[0] == pytest.approx(0.01, abs=1e-4)
     assert "user_rows" in answer.barriers
 
 
 def test_no_still_thing_that_braking_spares_is_traded_for_a_person(small):
     """A wall behind the arm, a person who comes from the front faster than it can evade: the wall is never entered."""
-    safety = SafetyFilter(small, random_scenes.config())
+    safety = SafetyFilter(small, random_scenes.exact_config())
     q = np.array(small.home)
-    where, radii = centres(safety, q)
+    where, radii = moving_spheres(safety, q)
     back = float(np.min(where[:, 0] - radii)) - 0.01
     wall = Obstacle("wall", HalfSpace(), Pose((back, 0.0, 0.0), (0.5**0.5, 0.0, 0.5**0.5, 0.0)))
     least, relaxed = np.inf, 0
@@ -131,7 +131,7 @@ def test_no_still_thing_that_braking_spares_is_traded_for_a_person(small):
         )  # fmt: skip
         safety.observe([wall, person], now)
         answer = safety(q, np.zeros(7), np.zeros(7), now)
-        relaxed += answer.status is Status.RELAXED
+        relaxed += answer.status is FilterStatus.RELAXED
         q = q + 1e-3 * answer.u
         least = min(least, geometry_oracle.h_obstacles(small, q[None], [wall])[0])
     assert relaxed > 0
@@ -159,7 +159,7 @@ def drift(safety, q, nominal, ticks=2500):
 
 @pytest.mark.parametrize("name", INSIDE)
 def test_a_start_inside_a_thing_is_left_monotonically(small, name):
-    safety = SafetyFilter(small, random_scenes.config())
+    safety = SafetyFilter(small, random_scenes.exact_config())
     safety.observe([INSIDE[name]])
     h, _ = drift(safety, np.array(small.home), lambda q: np.zeros(7), 4000)
     assert h[0] < -0.005
@@ -168,7 +168,7 @@ def test_a_start_inside_a_thing_is_left_monotonically(small, name):
 
 
 def test_a_start_outside_a_joint_limit_is_left_monotonically(small):
-    safety = SafetyFilter(small, random_scenes.config())
+    safety = SafetyFilter(small, random_scenes.exact_config())
     q = np.array(small.home)
     upper = small.joints[0].upper.value
     q[0] = upper + 0.1
@@ -181,7 +181,7 @@ def test_a_start_outside_a_joint_limit_is_left_monotonically(small):
 
 
 def test_a_start_in_self_collision_is_left_monotonically(small):
-    safety = SafetyFilter(small, random_scenes.config())
+    safety = SafetyFilter(small, random_scenes.exact_config())
     folded = np.array([-0.64, 1.66, -0.08, -2.74, 0.5, 1.17, 0.84])
     h, _ = drift(safety, folded, lambda q: np.zeros(7), 4000)
     assert h[0] < -0.01
@@ -191,7 +191,7 @@ def test_a_start_in_self_collision_is_left_monotonically(small):
 
 def test_moving_away_is_never_held_back(small):
     """From inside, a nominal that leaves faster than recovery asks for passes unchanged."""
-    safety = SafetyFilter(small, random_scenes.config(recovery_speed=0.02))
+    safety = SafetyFilter(small, random_scenes.exact_config(recovery_speed=0.02))
     safety.observe([INSIDE["wall"]])
     q, u = np.array(small.home), np.zeros(7)
     for tick in range(300):
@@ -199,7 +199,7 @@ def test_moving_away_is_never_held_back(small):
         wish = J.T @ np.linalg.solve(J @ J.T + 1e-4 * np.eye(6), np.array([-min(0.1, tick * 4e-4), 0, 0, 0, 0, 0]))
         answer = safety(q, np.zeros(7), wish)
         if tick > 250:
-            assert answer.status is Status.SAFE
+            assert answer.status is FilterStatus.SAFE
             assert np.allclose(answer.u, wish, atol=1e-6)
         u = answer.u
         q = q + 1e-3 * u

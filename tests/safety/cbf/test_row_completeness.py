@@ -46,14 +46,14 @@ def solid(rng, balls):
 
 def thing(rng, index, near, *, moving, parts, balls):
     """Something whose surface is from one centimetre deep to far away from the point `near`."""
-    shape, quaternion = solid(rng, balls), random_scenes.quaternion(rng)
+    shape, quaternion = solid(rng, balls), random_scenes.random_quaternion(rng)
     way = rng.normal(size=3)
     point = near + way / np.linalg.norm(way) * rng.choice([0.05, 0.2, 0.6, 1.5]) * rng.uniform(0.3, 1.0)
     pose = Pose(tuple(point.tolist()), quaternion)
     depth = float(geometry_oracle.surface_distance(shape, pose, near[None])[0])
     if depth < 0.06:  # push it off, so that only a few are inside
         away = (point - near) / np.linalg.norm(point - near)
-        up = geometry_oracle.rotation(quaternion)[:, 2]
+        up = geometry_oracle.rotation_matrix(quaternion)[:, 2]
         shift = -up * (0.08 - depth) if isinstance(shape, HalfSpace) else away * (0.08 - depth)
         pose = Pose(tuple((point + shift * rng.uniform(0.6, 1.2)).tolist()), quaternion)
     moves = moving and rng.random() < 0.5
@@ -74,8 +74,8 @@ def moment(body, rng, *, count=9, moving=False, parts=False, holding=False, mobi
     q, opening = rng.uniform(low, high), float(rng.uniform(0.0, 0.04))
     base = (np.eye(3), np.zeros(3))
     if mobile:
-        base = (geometry_oracle.rotation(random_scenes.quaternion(rng)), rng.uniform(-5.0, 5.0, 3))
-    centres = base[1] + geometry_oracle.centres(body, q[None], opening)[0][0] @ base[0].T
+        base = (geometry_oracle.rotation_matrix(random_scenes.random_quaternion(rng)), rng.uniform(-5.0, 5.0, 3))
+    centres = base[1] + geometry_oracle.sphere_centres(body, q[None], opening)[0][0] @ base[0].T
     kinds = {"moving": moving, "parts": parts, "balls": balls}
     things = [thing(rng, k, centres[rng.integers(len(centres))], **kinds) for k in range(count)]
     permits = {("hand", 0): 0.05, ("left_finger", 1): 0.02, ("right_finger", 1): 0.02} if parts else {}
@@ -83,7 +83,7 @@ def moment(body, rng, *, count=9, moving=False, parts=False, holding=False, mobi
     if holding:
         k = int(rng.integers(1, 9))
         held = np.concatenate([rng.uniform(-0.08, 0.08, (k, 3)), rng.uniform(0.005, 0.03, (k, 1))], axis=1)
-    return exhaustive_rows.Setting(
+    return exhaustive_rows.PairCase(
         q, low, high, things, 0.1 if moving else 0.0, opening, permits, held, 0.004 * holding, base
     )  # fmt: skip
 
@@ -109,11 +109,11 @@ def ask(safety, setting, rng, *, mobile):
 
 def compare(safety, setting, answer, tolerance):
     """Nothing missing, nothing wrong, h_min found; returns how many pairs could bind."""
-    every, sampling = exhaustive_rows.pairs(safety.body, safety.config, setting), safety.config.sampling_margin
+    every, sampling = exhaustive_rows.all_pair_rows(safety.body, safety.config, setting), safety.config.sampling_margin
     rows = safety._kernel.rows()
     worst = np.where(every.a > 0, every.a * setting.low, every.a * setting.high).sum(axis=1)
     best = np.where(every.a > 0, every.a * setting.high, every.a * setting.low).sum(axis=1)
-    near = (every.h < exhaustive_rows.FLOOR - tolerance) & ~every.permitted
+    near = (every.h < exhaustive_rows.ALWAYS_ROW_DISTANCE - tolerance) & ~every.permitted
     needed = ((worst < every.b - tolerance) | near) & (np.linalg.norm(every.a, axis=1) > 1.1e-4)
     index = {name: k for k, name in enumerate(every.names())}
     at = np.array([index[row[:3]] for row in rows], int)  # a pair that is not kept apart is not found here
@@ -136,7 +136,7 @@ def compare(safety, setting, answer, tolerance):
 def check(body, changes, real, times, seed):
     rng, tolerance, needed = np.random.default_rng(seed), 1e-7 if real == "float64" else 1e-5, 0
     limits = changes.get("acceleration_limits", True)
-    config = random_scenes.config(real=real, alpha=body.alpha, tracking_error=0.002, acceleration_limits=limits)
+    config = random_scenes.exact_config(real=real, alpha=body.alpha, tracking_error=0.002, acceleration_limits=limits)
     safety = SafetyFilter(body, config)
     for _ in range(times):
         setting = moment(body, rng, **changes)
@@ -154,7 +154,7 @@ def test_no_row_is_missing_and_h_min_is_the_nearest(thin, setting):
 def test_far_from_everything_h_min_is_still_the_nearest(thin, rng):
     """At rest nothing binds, so that only the search for the nearest pair keeps a link from being skipped."""
     alone = msgspec.structs.replace(thin, self_pairs=msgspec.structs.replace(thin.self_pairs, kept=()))
-    safety = SafetyFilter(alone, random_scenes.config(alpha=alone.alpha, tracking_error=0.002))
+    safety = SafetyFilter(alone, random_scenes.exact_config(alpha=alone.alpha, tracking_error=0.002))
     for _ in range(150):
         setting = moment(alone, rng, count=12, balls=True)
         q, opening = setting.q[None], setting.opening

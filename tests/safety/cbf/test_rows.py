@@ -12,7 +12,10 @@ STEP = 1e-6
 
 def things(rng, velocity=(0.0, 0.0, 0.0)):
     shapes = [Sphere(0.05), Capsule(0.03, 0.1), Box((0.05, 0.08, 0.1)), HalfSpace()]
-    poses = [Pose(tuple(rng.uniform([0.2, -0.4, 0.1], [0.7, 0.4, 0.7])), random_scenes.quaternion(rng)) for _ in range(3)]
+    poses = [
+        Pose(tuple(rng.uniform([0.2, -0.4, 0.1], [0.7, 0.4, 0.7])), random_scenes.random_quaternion(rng))
+        for _ in range(3)
+    ]
     return [
         Obstacle(f"o{i}", shape, pose, velocity=velocity, static=velocity == (0.0, 0.0, 0.0))
         for i, (shape, pose) in enumerate(zip(shapes, [*poses, Pose((0, 0, 0))], strict=True))
@@ -20,7 +23,7 @@ def things(rng, velocity=(0.0, 0.0, 0.0)):
 
 
 def gap(body, names, q, kind, i, j, obstacles):
-    centres, radii, _ = geometry_oracle.centres(body, q[None])
+    centres, radii, _ = geometry_oracle.sphere_centres(body, q[None])
     if kind == 0:
         return geometry_oracle.surface_distance(obstacles[j].shape, obstacles[j].pose, centres[0, i]) - radii[i]
     return np.linalg.norm(centres[0, i] - centres[0, j]) - radii[i] - radii[j]
@@ -28,7 +31,7 @@ def gap(body, names, q, kind, i, j, obstacles):
 
 def every_row(body, q, obstacles, **changes):
     """A filter without acceleration limits keeps every row within reach of the velocity limits."""
-    safety = SafetyFilter(body, random_scenes.config(real="float64", acceleration_limits=False, **changes))
+    safety = SafetyFilter(body, random_scenes.exact_config(real="float64", acceleration_limits=False, **changes))
     safety.observe(obstacles, 0.0)
     return safety
 
@@ -78,7 +81,7 @@ def test_right_sides_are_alpha_h_plus_motion_of_the_obstacle(small, rng, posture
 
 
 def test_the_box_has_velocity_acceleration_and_braking_limits(small, at):
-    safety = SafetyFilter(small, random_scenes.config(real="float64"))
+    safety = SafetyFilter(small, random_scenes.exact_config(real="float64"))
     q = np.array(small.home)
     q[0] = small.joints[0].upper.value - 0.01
     q[1] = small.joints[1].lower.value - 0.01  # outside
@@ -100,7 +103,7 @@ def test_a_row_is_left_out_only_when_it_cannot_bind(small, rng, posture, at):
         u_prev = rng.uniform(-1.0, 1.0, 7)
         full = every_row(small, q, obstacles)
         full.filter(at(q, opening=0.0), np.zeros(7), 0.0)
-        culled = SafetyFilter(small, random_scenes.config(real="float64"))
+        culled = SafetyFilter(small, random_scenes.exact_config(real="float64"))
         culled.observe(obstacles, 0.0)
         culled.reset(u_prev)
         culled.filter(at(q, opening=0.0), u_prev, 0.0)
@@ -117,8 +120,10 @@ def test_a_row_is_left_out_only_when_it_cannot_bind(small, rng, posture, at):
 def test_h_min_is_the_smallest_h_of_all(small, rng, posture, at):
     for _ in range(10):
         q, obstacles = posture(rng), things(rng)
-        safety = SafetyFilter(small, random_scenes.config(real="float64"))
+        safety = SafetyFilter(small, random_scenes.exact_config(real="float64"))
         safety.observe(obstacles, 0.0)
         got = safety.filter(at(q, opening=0.0), np.zeros(7), 0.0).h_min
-        least = min(geometry_oracle.h_obstacles(small, q[None], obstacles)[0], geometry_oracle.h_self(small, q[None])[0])
+        least = min(
+            geometry_oracle.h_obstacles(small, q[None], obstacles)[0], geometry_oracle.h_self(small, q[None])[0]
+        )
         assert got == pytest.approx(least - safety.config.rounding_margin, abs=2e-6)

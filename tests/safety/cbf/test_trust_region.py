@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from dualbrain.core.geometry.shapes import Pose, Sphere
-from dualbrain.errors import InvalidSetup
-from dualbrain.safety.cbf.filter import Obstacle, SafetyFilter, Status
+from dualbrain.errors import ConfigurationError
+from dualbrain.safety.cbf.filter import FilterStatus, Obstacle, SafetyFilter
 from tests.safety import random_scenes
 
 
@@ -54,13 +54,13 @@ def loop(safety, rng, steps, hold):
 @pytest.mark.parametrize("period", [1e-3, 2e-2], ids=["no acceleration limits", "long periods"])
 def test_the_answer_is_that_of_all_rows(small, period):
     rng, body = np.random.default_rng(3), msgspec.structs.replace(small, period=period)
-    config = random_scenes.config(real="float64", acceleration_limits=period > 1e-3, alpha=small.alpha)
+    config = random_scenes.exact_config(real="float64", acceleration_limits=period > 1e-3, alpha=small.alpha)
     safety = SafetyFilter(body, config)
     safety.observe(crowd(body, rng, 12))
     modified = left_out = 0
     for answer, u_nom, v_max in loop(safety, rng, 300, 9):
         rows, (low, high) = safety.rows(), safety._kernel.box()
-        if answer.status not in (Status.SAFE, Status.MODIFIED):
+        if answer.status not in (FilterStatus.SAFE, FilterStatus.MODIFIED):
             continue
         A, b = np.array([row.a for row in rows]).reshape(-1, body.n), np.array([row.b for row in rows])
         best = optimum(A, b, np.array(low), np.array(high), u_nom, v_max)
@@ -76,7 +76,7 @@ def test_the_answer_is_that_of_all_rows(small, period):
 def test_a_safe_nominal_passes_bit_for_bit_wherever_the_last_control_was(small):
     """A nominal that meets all rows comes back unchanged, also right after a step that was far from it."""
     rng = np.random.default_rng(5)
-    safety = SafetyFilter(small, random_scenes.config(acceleration_limits=False, alpha=small.alpha))
+    safety = SafetyFilter(small, random_scenes.exact_config(acceleration_limits=False, alpha=small.alpha))
     safety.observe(crowd(small, rng, 25))
     q, rest, passed = np.array(small.home), np.zeros(small.n), 0
     v_max = np.array([joint.velocity.value for joint in small.joints])
@@ -84,7 +84,7 @@ def test_a_safe_nominal_passes_bit_for_bit_wherever_the_last_control_was(small):
         safety(q, rest, v_max * rng.choice([-1.0, 1.0], small.n))
         gentle = np.float32(rng.uniform(-0.05, 0.05, small.n)).astype(float)
         answer = safety(q, rest, gentle)
-        if answer.status is Status.SAFE:
+        if answer.status is FilterStatus.SAFE:
             passed += 1
             assert answer.delta == 0.0
             assert np.array_equal(answer.u, gentle)
@@ -104,7 +104,7 @@ def test_hundreds_of_things(panda):
 def test_arrays_of_another_shape_are_named(panda, which, value):
     given = [np.array(panda.home), np.zeros(7), np.zeros(7)]
     given[which] = value
-    with pytest.raises(InvalidSetup, match=("q", "v", "u_nom")[which]) as told:
+    with pytest.raises(ConfigurationError, match=("q", "v", "u_nom")[which]) as told:
         SafetyFilter(panda)(*given)
     assert "(7,)" in told.value.allowed
     assert told.value.got == (value if isinstance(value, str) else value.shape)
@@ -113,7 +113,7 @@ def test_arrays_of_another_shape_are_named(panda, which, value):
 def test_lists_and_other_numbers_are_read(panda):
     safety = SafetyFilter(panda)
     answer = safety(list(panda.home), [0] * 7, np.zeros(7, np.float32))
-    assert answer.status is Status.SAFE
+    assert answer.status is FilterStatus.SAFE
     assert answer.u_nom.dtype == np.float64
 
 
@@ -123,7 +123,7 @@ def test_a_refused_input_measures_nothing(panda):
     fine = safety(np.array(panda.home), np.zeros(7), np.zeros(7))
     refused = safety(np.array(panda.home), np.zeros(7), np.full(7, np.nan))
     assert np.isfinite(fine.h_min)
-    assert refused.status is Status.STOPPED
+    assert refused.status is FilterStatus.STOPPED
     assert np.isnan(refused.h_min)
     assert safety.rows() == ()
 

@@ -5,27 +5,27 @@ import mujoco
 import numpy as np
 
 from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import FilterConfig, Obstacle, SafetyFilter
-from dualbrain.safety.integration.derating import driven
-from dualbrain.simulation.plant.plant import ARM_GROUP, Plant
+from dualbrain.safety.integration.derating import derate
+from dualbrain.simulation.plant.plant import ARM_ACTUATOR_GROUP, Plant
 from dualbrain.simulation.scenes.generators.tabletop import make_scene
 from tests.safety import geometry_oracle
 
 PERIOD = 0.005
-PANDA = load_body("panda")
-SLOW = driven(PANDA, period=PERIOD, speed=1.5)
-V_MAX = np.array([joint.velocity.value for joint in SLOW.joints])
-TORQUE = np.array([87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0])
-EXACT = FilterConfig(lag_compensation=False, tracking_error=0.0)
-THINGS = (
+PANDA = load_robot("panda")
+DERATED_PANDA = derate(PANDA, period=PERIOD, max_speed=1.5)
+V_MAX = np.array([joint.velocity.value for joint in DERATED_PANDA.joints])
+MAX_TORQUE = np.array([87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0])
+EXACT_CONFIG = FilterConfig(lag_compensation=False, tracking_error=0.0)
+OBSTACLES = (
     Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0))),
     Obstacle("post", Capsule(0.04, 0.3), Pose((0.45, 0.35, 0.3))),
     Obstacle("shelf", Box((0.15, 0.25, 0.02)), Pose((0.6, -0.1, 0.2))),
 )
 
 
-class Reach(gymnasium.Env):
+class ReachEnv(gymnasium.Env):
     """Bring the tool to a point: joints follow the action exactly, q ← q + dt u, u = 1.5 rad/s times the action.
 
     Observation: q, v, goal. The episode ends at the goal, or after `length` steps.
@@ -42,7 +42,7 @@ class Reach(gymnasium.Env):
         self.observation_space = gymnasium.spaces.Box(
             np.concatenate([low, -V_MAX, -far]), np.concatenate([high, V_MAX, far]), dtype=np.float64
         )
-        self._kinematics, self._length = SafetyFilter(SLOW), length
+        self._kinematics, self._length = SafetyFilter(DERATED_PANDA), length
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
@@ -61,7 +61,7 @@ class Reach(gymnasium.Env):
         return np.concatenate([self.q, self.v, self.goal])
 
 
-class Push(gymnasium.Env):
+class TorqueEnv(gymnasium.Env):
     """The simulated arm under joint torques [Nm], gravity compensated; also its own dynamics, for tracking.
 
     Observation: a dictionary of q and v. The velocity drives are off; MuJoCo integrates at 1 kHz.
@@ -72,22 +72,22 @@ class Push(gymnasium.Env):
 
     def __init__(self, length=2000):
         self.plant = Plant(make_scene("bare", 1), PANDA)
-        self.plant.model.opt.disableactuator |= 1 << ARM_GROUP
-        self.action_space = gymnasium.spaces.Box(-TORQUE, TORQUE, dtype=np.float64)
+        self.plant.model.opt.disableactuator |= 1 << ARM_ACTUATOR_GROUP
+        self.action_space = gymnasium.spaces.Box(-MAX_TORQUE, MAX_TORQUE, dtype=np.float64)
         wide = gymnasium.spaces.Box(-20.0, 20.0, (7,), np.float64)
         self.observation_space = gymnasium.spaces.Dict({"q": wide, "v": wide})
         self._length, self._joints = length, self.plant.arm_slices[1]
-        self._pure = mujoco.MjData(self.plant.model)
+        self._model_data = mujoco.MjData(self.plant.model)
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
         mujoco.mj_resetData(self.plant.model, self.plant.data)
-        self.plant.place_arm(np.array(PANDA.home))
+        self.plant.set_configuration(np.array(PANDA.home))
         self._steps = 0
         return self._observation(), {}
 
     def step(self, action):
-        self.plant.data.qfrc_applied[self._joints] = np.clip(action, -TORQUE, TORQUE)
+        self.plant.data.qfrc_applied[self._joints] = np.clip(action, -MAX_TORQUE, MAX_TORQUE)
         self.plant.advance()
         self._steps += 1
         return self._observation(), 0.0, False, self._steps >= self._length, {}
@@ -104,11 +104,11 @@ class Push(gymnasium.Env):
 
     def track(self, q, v, u):
         mass, bias = self._dynamics(q, v)
-        return np.clip(mass @ (u - v) / self.dt + bias, -TORQUE, TORQUE)
+        return np.clip(mass @ (u - v) / self.dt + bias, -MAX_TORQUE, MAX_TORQUE)
 
     def _dynamics(self, q, v):
         """Mass matrix (7, 7) and bias (7,): Coriolis and gravity less gravity compensation and damping."""
-        model, data, arm = self.plant.model, self._pure, self._joints
+        model, data, arm = self.plant.model, self._model_data, self._joints
         data.qpos[:], data.qvel[:] = self.plant.data.qpos, 0.0
         data.qpos[self.plant.arm_slices[0]], data.qvel[arm] = q, v
         mujoco.mj_fwdPosition(model, data)
@@ -118,14 +118,18 @@ class Push(gymnasium.Env):
         return full[arm, arm], (data.qfrc_bias - data.qfrc_passive)[arm]
 
 
-def filtered_by(body=SLOW, things=THINGS, config=EXACT):
+def make_filter(body=DERATED_PANDA, things=OBSTACLES, config=EXACT_CONFIG):
     safety = SafetyFilter(body, config)
     safety.observe(things)
     return safety
 
 
-def least(q, things=THINGS, opening=0.0):
+def min_h(q, things=OBSTACLES, opening=0.0):
     """Smallest h of a path q (t, 7): things [m], own parts [m], joint limits [rad]; judged in float64."""
     q = np.asarray(q)
-    apart = (geometry_oracle.h_obstacles(PANDA, q, things, opening), geometry_oracle.h_self(PANDA, q, opening), geometry_oracle.h_joints(PANDA, q))
+    apart = (
+        geometry_oracle.h_obstacles(PANDA, q, things, opening),
+        geometry_oracle.h_self(PANDA, q, opening),
+        geometry_oracle.h_joints(PANDA, q),
+    )
     return min(h.min() for h in apart)

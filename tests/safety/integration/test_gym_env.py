@@ -9,23 +9,23 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from dualbrain.core.geometry.shapes import Pose, Sphere
-from dualbrain.errors import InvalidSetup
-from dualbrain.safety.cbf.filter import FilterConfig, Obstacle, SafetyFilter, Status
-from dualbrain.safety.integration.derating import driven
+from dualbrain.errors import ConfigurationError
+from dualbrain.safety.cbf.filter import FilterConfig, FilterStatus, Obstacle, SafetyFilter
+from dualbrain.safety.integration.derating import derate
 from dualbrain.safety.integration.gym_env import FilteredEnv
-from dualbrain.safety.integration.shadow_mode import Shadow
+from dualbrain.safety.integration.shadow_mode import ShadowFilter
 from tests.safety.integration.gym_environments import (
-    EXACT,
+    DERATED_PANDA,
+    EXACT_CONFIG,
+    MAX_TORQUE,
+    OBSTACLES,
     PANDA,
     PERIOD,
-    SLOW,
-    THINGS,
-    TORQUE,
     V_MAX,
-    Push,
-    Reach,
-    filtered_by,
-    least,
+    ReachEnv,
+    TorqueEnv,
+    make_filter,
+    min_h,
 )
 
 SPEEDS = {"wish": lambda action: np.asarray(action, float) * V_MAX, "act": lambda u, _: (u / V_MAX).astype(np.float32)}
@@ -34,7 +34,7 @@ TOLERANCE = 2e-6
 
 
 def velocity_env(length=300, safety=None, **more):
-    return FilteredEnv(Reach(length), safety or filtered_by(), **(SPEEDS | more))
+    return FilteredEnv(ReachEnv(length), safety or make_filter(), **(SPEEDS | more))
 
 
 def random_policy(rng):
@@ -50,7 +50,7 @@ def adversary(rng, safety):
     """Drives the tool at one of the things, another one every 60 steps."""
     for step in range(10**6):
         if step % 60 == 0:
-            target = np.array(THINGS[1 + rng.integers(2)].pose.position) + rng.normal(0.0, 0.05, 3)
+            target = np.array(OBSTACLES[1 + rng.integers(2)].pose.position) + rng.normal(0.0, 0.05, 3)
 
         def toward(q, target=target):
             tool = safety.tool(q)
@@ -79,18 +79,18 @@ def path(env, policy, steps, scale=1.0):
 def test_no_velocity_policy_brings_h_below_zero(name, seed):
     def policy():
         rng = np.random.default_rng(seed)
-        return random_policy(rng) if name == "random" else adversary(rng, SafetyFilter(SLOW))
+        return random_policy(rng) if name == "random" else adversary(rng, SafetyFilter(DERATED_PANDA))
 
     guarded, infos = path(velocity_env(10**6), policy(), 600)
-    assert least(guarded) > -TOLERANCE
+    assert min_h(guarded) > -TOLERANCE
     assert {info["status"] for info in infos} <= {"SAFE", "MODIFIED"}
     assert max(info["cost"] for info in infos) > 0.05
-    bare, _ = path(Reach(10**6), policy(), 600)
-    assert least(bare) < -0.01
+    bare, _ = path(ReachEnv(10**6), policy(), 600)
+    assert min_h(bare) < -0.01
 
 
 def test_infos_are_what_the_filter_says_by_hand():
-    env, twin = velocity_env(10**6), filtered_by()
+    env, twin = velocity_env(10**6), make_filter()
     observation, _ = env.reset(seed=3)
     twin.reset()
     for step, choose in zip(range(150), random_policy(np.random.default_rng(8)), strict=False):
@@ -115,7 +115,7 @@ def test_a_slow_policy_holds_its_action_and_the_filter_stays_fast():
         assert reward == pytest.approx(sum(step[1] for step in steps))
         assert info["cost"] == pytest.approx(np.mean([one["cost"] for one in told]))
         assert info["h_min"] == min(one["h_min"] for one in told)
-        assert info["status"] == max((one["status"] for one in told), key=lambda name: Status[name])
+        assert info["status"] == max((one["status"] for one in told), key=lambda name: FilterStatus[name])
         assert info["safety"] == max(told, key=lambda one: one["cost"])["safety"]
     assert info["status"] == "MODIFIED"
 
@@ -153,21 +153,21 @@ def test_reset_forgets_the_last_control():
 
 @pytest.mark.filterwarnings("ignore:.*(different from the unwrapped|not having a spec):UserWarning")
 def test_it_is_a_proper_environment():
-    check_env(Reach())
+    check_env(ReachEnv())
     check_env(velocity_env())
-    check_env(velocity_env(safety=Shadow(filtered_by())))
+    check_env(velocity_env(safety=ShadowFilter(make_filter())))
 
 
 def test_a_shadow_only_watches():
     told = []
-    watched = velocity_env(10**6, Shadow(filtered_by(), told=told.append))
-    policy = [adversary(np.random.default_rng(2), SafetyFilter(SLOW)) for _ in range(2)]
+    watched = velocity_env(10**6, ShadowFilter(make_filter(), on_interval=told.append))
+    policy = [adversary(np.random.default_rng(2), SafetyFilter(DERATED_PANDA)) for _ in range(2)]
     seen, infos = path(watched, policy[0], 300)
-    bare, _ = path(Reach(10**6), policy[1], 300)
+    bare, _ = path(ReachEnv(10**6), policy[1], 300)
     assert np.array_equal(seen, bare)
-    assert all(info["status"] in {status.name for status in Status} for info in infos)
-    assert watched.shadow.close().changed == sum(
-        info["cost"] > 1e-4 or Status[info["status"]] > Status.MODIFIED for info in infos
+    assert all(info["status"] in {status.name for status in FilterStatus} for info in infos)
+    assert watched.shadow.close().changed_ticks == sum(
+        info["cost"] > 1e-4 or FilterStatus[info["status"]] > FilterStatus.MODIFIED for info in infos
     )
     assert told
     assert min(info["h_min"] for info in infos) < -0.01
@@ -178,43 +178,43 @@ def test_open_fingers_reach_farther():
     ball = Obstacle("ball", Sphere(0.02), Pose(tuple(tool.position + 0.09 * tool.rotation[:, 1])))
     h = {}
     for opening in (0.0, 0.04):
-        env = velocity_env(safety=filtered_by(things=[ball]), opening=lambda _, opening=opening: opening)
+        env = velocity_env(safety=make_filter(things=[ball]), opening=lambda _, opening=opening: opening)
         env.reset(seed=0)
         h[opening] = env.step(np.zeros(7, np.float32))[4]["h_min"]
-        assert h[opening] == pytest.approx(least(np.array([PANDA.home]), [ball], opening), abs=2e-5)
+        assert h[opening] == pytest.approx(min_h(np.array([PANDA.home]), [ball], opening), abs=2e-5)
     assert h[0.04] < h[0.0] - 0.005
 
 
 def test_moving_things_are_seen_in_every_step():
     """A ball comes down at the hand at 10 cm/s; the policy wants to stand still."""
-    start = SafetyFilter(SLOW).tool(np.array(PANDA.home)).position + np.array([0.0, 0.0, 0.35])
+    start = SafetyFilter(DERATED_PANDA).tool(np.array(PANDA.home)).position + np.array([0.0, 0.0, 0.35])
 
     def ball(now):
         place = tuple(start - np.array([0.0, 0.0, 0.1 * now]))
         return Obstacle("ball", Sphere(0.05), Pose(place), (0.0, 0.0, -0.1), static=False)
 
-    env = velocity_env(10**6, SafetyFilter(SLOW, EXACT), scene=lambda _, now: [ball(now)])
+    env = velocity_env(10**6, SafetyFilter(DERATED_PANDA, EXACT_CONFIG), scene=lambda _, now: [ball(now)])
     env.reset(seed=0)
     h = []
     for step in range(700):
         _, _, _, _, info = env.step(np.zeros(7, np.float32))
         if step % 10 == 0:
-            h.append(least(env.unwrapped.q[None], [ball((step + 1) * PERIOD)]))
+            h.append(min_h(env.unwrapped.q[None], [ball((step + 1) * PERIOD)]))
     assert info["status"] == "MODIFIED"
     assert "'ball'" in info["safety"]
     assert min(h) > -TOLERANCE
 
 
 def test_what_would_break_the_promise_is_refused():
-    with pytest.raises(InvalidSetup, match="one step of the environment"):
-        FilteredEnv(Reach(), SafetyFilter(driven(PANDA, speed=1.5)), **SPEEDS)
-    with pytest.raises(InvalidSetup, match="action space") as narrow:
-        FilteredEnv(Reach(), SafetyFilter(SLOW))  # its actions, taken for rad/s, end at 1
+    with pytest.raises(ConfigurationError, match="one step of the environment"):
+        FilteredEnv(ReachEnv(), SafetyFilter(derate(PANDA, max_speed=1.5)), **SPEEDS)
+    with pytest.raises(ConfigurationError, match="action space") as narrow:
+        FilteredEnv(ReachEnv(), SafetyFilter(DERATED_PANDA))  # its actions, taken for rad/s, end at 1
     assert "wish" in narrow.value.fix
     for wrong in ({"period": 0.0}, {"period": 0.02}, {"speed": 0.0}, {"speed": 9.0}, {"speed": [1.0] * 6 + [np.nan]}):
-        with pytest.raises(InvalidSetup):
-            driven(PANDA, **wrong)
-    assert driven(PANDA) is PANDA
+        with pytest.raises(ConfigurationError):
+            derate(PANDA, **wrong)
+    assert derate(PANDA) is PANDA
 
 
 def test_without_gymnasium_the_extra_is_named():
@@ -228,14 +228,14 @@ def test_without_gymnasium_the_extra_is_named():
 
 # --- torques ------------------------------------------------------------------------------------------------------
 
-FLOOR = (THINGS[0],)
+FLOOR = (OBSTACLES[0],)
 PUSHED = FilterConfig(lag_compensation=False, tracking_error=0.02)
 
 
 def torque_env(length=10**6, shadow=False):
-    bare = Push(length)
-    safety = filtered_by(PANDA, FLOOR, PUSHED)
-    return FilteredEnv(bare, Shadow(safety) if shadow else safety, torque=bare, opening=lambda _: 0.04)
+    bare = TorqueEnv(length)
+    safety = make_filter(PANDA, FLOOR, PUSHED)
+    return FilteredEnv(bare, ShadowFilter(safety) if shadow else safety, torque=bare, opening=lambda _: 0.04)
 
 
 HAND = SafetyFilter(PANDA)
@@ -256,23 +256,23 @@ def torques(env, choose, steps, seed):
 def at_random(rng, step, q, v):
     """Bang-bang, another corner every 50 ms."""
     if step % 50 == 0:
-        at_random.corner = 0.3 * rng.choice([-1.0, 1.0], 7) * TORQUE
+        at_random.corner = 0.3 * rng.choice([-1.0, 1.0], 7) * MAX_TORQUE
     return at_random.corner
 
 
 def downward(rng, step, q, v):
     """Pulls the hand at the table with 150 N."""
-    return np.clip(HAND.tool(q).jacobian[2] * -150.0, -TORQUE, TORQUE)
+    return np.clip(HAND.tool(q).jacobian[2] * -150.0, -MAX_TORQUE, MAX_TORQUE)
 
 
 @pytest.mark.parametrize("choose", [at_random, downward])
 def test_no_torque_policy_brings_h_below_zero(choose):
     guarded, infos = torques(torque_env(), choose, 900, 0)
-    assert least(guarded, FLOOR, 0.04) > 0.0
+    assert min_h(guarded, FLOOR, 0.04) > 0.0
     assert max(info["tracking_error"] for info in infos) < PUSHED.tracking_error
     assert {info["status"] for info in infos} <= {"SAFE", "MODIFIED"}
-    bare, _ = torques(Push(10**6), choose, 900, 0)
-    assert least(bare, FLOOR, 0.04) < -0.005
+    bare, _ = torques(TorqueEnv(10**6), choose, 900, 0)
+    assert min_h(bare, FLOOR, 0.04) < -0.005
 
 
 class Blocked(gymnasium.Env):
@@ -297,7 +297,7 @@ class Blocked(gymnasium.Env):
 def test_a_blocked_arm_winds_nothing_up():
     """The wish goes out from the velocity that the arm has, not from the one that it was to have."""
     bare = Blocked()
-    env = FilteredEnv(bare, filtered_by(PANDA, (), PUSHED), torque=bare)
+    env = FilteredEnv(bare, make_filter(PANDA, (), PUSHED), torque=bare)
     env.reset()
     applied = [env.step(np.full(7, 90.0))[4]["applied"] for _ in range(50)]
     np.testing.assert_allclose(applied[0], [j.acceleration.value for j in PANDA.joints], rtol=1e-5)

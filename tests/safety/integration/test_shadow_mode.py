@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere
-from dualbrain.errors import InvalidSetup
-from dualbrain.safety.cbf.filter import Obstacle, SafetyFilter, Status
-from dualbrain.safety.integration.intervention_log import Episode, EpisodeFile, read_episodes
-from dualbrain.safety.integration.shadow_mode import DEAD_BAND, Shadow
+from dualbrain.errors import ConfigurationError
+from dualbrain.safety.cbf.filter import FilterStatus, Obstacle, SafetyFilter
+from dualbrain.safety.integration.intervention_log import InterventionInterval, InterventionLog, read_intervention_log
+from dualbrain.safety.integration.shadow_mode import DEAD_BAND, ShadowFilter
 from tests.safety import random_scenes
 
 TABLE = Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)))
@@ -23,7 +23,7 @@ PERIOD = 1e-3
 
 
 def made(body, **changes):
-    safety = SafetyFilter(body, random_scenes.config(**changes))
+    safety = SafetyFilter(body, random_scenes.exact_config(**changes))
     safety.observe([TABLE, SHELF, POST])
     return safety
 
@@ -72,29 +72,29 @@ def runs(changed, times, join):
 
 def test_the_shadow_changes_nothing(small):
     told = []
-    shadow = Shadow(made(small), told=told.append)
+    shadow = ShadowFilter(made(small), on_interval=told.append)
 
     def onlooker(q, v, u, now):
         for array in (q, v, u):
             array.flags.writeable = False
-        shadow.watch(q, v, u, now)
+        shadow.evaluate(q, v, u, now)
 
     with_it, alone = recorded(small, 2800, onlooker), recorded(small, 2800)
     assert all(np.array_equal(one, other) for row, twin in zip(with_it, alone, strict=True)
                for one, other in zip(row, twin, strict=True))  # fmt: skip
-    assert shadow.close().changed > 100
+    assert shadow.close().changed_ticks > 100
     assert told
 
 
 def test_episodes_agree_with_the_filter_run_by_hand(small):
     log, told = recorded(small, 2800), []
-    shadow = Shadow(made(small), told=told.append, join=0.05)
-    watched = [shadow.watch(q, v, u, now) for now, q, v, u in log]
+    shadow = ShadowFilter(made(small), on_interval=told.append, merge_gap=0.05)
+    watched = [shadow.evaluate(q, v, u, now) for now, q, v, u in log]
     total, answers = shadow.close(), by_hand(small, log)
     assert all(np.array_equal(one.u, other.u) for one, other in zip(watched, answers, strict=True))
     delta, h = np.array([a.delta for a in answers]), np.array([a.h_min for a in answers])
     status, times = np.array([a.status for a in answers]), np.array([row[0] for row in log])
-    changed = (delta > DEAD_BAND) | (status > Status.MODIFIED)
+    changed = (delta > DEAD_BAND) | (status > FilterStatus.MODIFIED)
     assert [(e.start, e.end) for e in told] == runs(changed, times, 0.05)
     assert len(told) >= 2
     for episode in told:
@@ -103,16 +103,16 @@ def test_episodes_agree_with_the_filter_run_by_hand(small):
         assert episode.peak == delta[inside & changed].max()
         assert delta[times == episode.peak_at] == episode.peak
         assert episode.h_min == h[inside & changed].min()
-        assert episode.worst == Status(status[inside].max()).name
-    assert (total.ticks, total.changed, total.late) == (2800, changed.sum(), 0)
-    assert total.share == pytest.approx(changed.mean())
+        assert episode.worst == FilterStatus(status[inside].max()).name
+    assert (total.ticks, total.changed_ticks, total.late_calls) == (2800, changed.sum(), 0)
+    assert total.changed_fraction == pytest.approx(changed.mean())
     assert total.Delta == pytest.approx(delta.mean())
-    assert (total.least.h_min, total.largest.delta) == (h.min(), delta.max())
-    assert total.least.h_min < -0.005, "the controller alone runs into things"
-    assert total.by_status == {s.name: np.sum(status == s) for s in Status}
+    assert (total.min_h_tick.h_min, total.max_delta_tick.delta) == (h.min(), delta.max())
+    assert total.min_h_tick.h_min < -0.005, "the controller alone runs into things"
+    assert total.by_status == {s.name: np.sum(status == s) for s in FilterStatus}
     causes = {e.cause.split(" vs ")[1] for e in told}
     assert causes == {"'post'", "'shelf'"}
-    assert "'" in total.least.nearest
+    assert "'" in total.min_h_tick.nearest
     for words in ("2800 ticks", "episodes", "mm", "% of full speed"):
         assert words in total.explain()
 
@@ -120,9 +120,9 @@ def test_episodes_agree_with_the_filter_run_by_hand(small):
 def test_what_was_commanded_is_the_last_control_and_not_the_own_answer(small):
     """Against its own answers a filter drifts away from a controller that does not obey; the shadow does not."""
     log = recorded(small, 700)
-    shadow, drifting = Shadow(made(small)), made(small)
+    shadow, drifting = ShadowFilter(made(small)), made(small)
     for now, q, v, u in log:
-        seen, drifted = shadow.watch(q, v, u, now), drifting(q, v, u, now)
+        seen, drifted = shadow.evaluate(q, v, u, now), drifting(q, v, u, now)
     step = max(j.acceleration.value for j in small.joints) * PERIOD
     assert np.all(np.abs(seen.u - log[-2][3]) <= step * 1.01), "one period's acceleration away from the command"
     assert not np.allclose(drifted.u, seen.u, atol=1e-3)
@@ -131,52 +131,52 @@ def test_what_was_commanded_is_the_last_control_and_not_the_own_answer(small):
     twin = made(small)
     twin.reset(limited)
     now, q, v, u = log[101]
-    assert np.array_equal(Shadow(made(small)).watch(q, v, u, now, u_prev=limited).u, twin(q, v, u, now).u)
+    assert np.array_equal(ShadowFilter(made(small)).evaluate(q, v, u, now, u_prev=limited).u, twin(q, v, u, now).u)
 
 
 def test_a_controller_within_all_limits_is_never_objected_to(small):
     safety = SafetyFilter(small)
     safety.observe([TABLE])
-    shadow, q, v = Shadow(safety), np.array(small.home), np.zeros(7)
+    shadow, q, v = ShadowFilter(safety), np.array(small.home), np.zeros(7)
     for tick in range(1500):
         u = 0.2 * np.sin(2.0 * np.pi * 0.8 * tick * PERIOD) * np.ones(7)
-        assert shadow.watch(q, v, u, tick * PERIOD).delta <= DEAD_BAND
+        assert shadow.evaluate(q, v, u, tick * PERIOD).delta <= DEAD_BAND
         v = v + (u - v) * PERIOD / small.tracking.lag
         q = q + PERIOD * v
     total = shadow.close()
-    assert (total.share, total.episodes, total.largest) == (0.0, 0, None)
+    assert (total.changed_fraction, total.intervals, total.max_delta_tick) == (0.0, 0, None)
 
 
 def test_after_a_pause_or_a_new_clock_the_measured_velocity_counts(small):
     home, fast = np.array(small.home), np.full(7, 0.2)
     for later in (0.001 + 0.2, 0.0005):
-        shadow = Shadow(SafetyFilter(small, random_scenes.config()))
-        shadow.watch(home, np.zeros(7), np.zeros(7), 0.001)
-        assert shadow.watch(home, fast, fast, later).status is Status.SAFE
-    shadow = Shadow(SafetyFilter(small, random_scenes.config()))
-    shadow.watch(home, np.zeros(7), np.zeros(7), 0.0)
-    assert shadow.watch(home, fast, fast, 0.001).status is Status.MODIFIED
-    shadow.watch(home, fast, fast, 0.004)
-    assert shadow.close().late == 1
+        shadow = ShadowFilter(SafetyFilter(small, random_scenes.exact_config()))
+        shadow.evaluate(home, np.zeros(7), np.zeros(7), 0.001)
+        assert shadow.evaluate(home, fast, fast, later).status is FilterStatus.SAFE
+    shadow = ShadowFilter(SafetyFilter(small, random_scenes.exact_config()))
+    shadow.evaluate(home, np.zeros(7), np.zeros(7), 0.0)
+    assert shadow.evaluate(home, fast, fast, 0.001).status is FilterStatus.MODIFIED
+    shadow.evaluate(home, fast, fast, 0.004)
+    assert shadow.close().late_calls == 1
 
 
 @settings(max_examples=40, deadline=None)
 @given(st.lists(st.sampled_from(["good", "nan q", "nan u", "nan v", "nan now", "far", "back", "huge"]), max_size=25))
 def test_no_input_breaks_the_shadow(small, kinds):
     told, home, now = [], np.array(small.home), 0.0
-    shadow = Shadow(made(small), told=told.append)
+    shadow = ShadowFilter(made(small), on_interval=told.append)
     for kind in kinds:
         now = 0.0 if kind == "back" else now + PERIOD
         q = np.full(7, np.nan) if kind == "nan q" else home + (9.0 if kind == "far" else 0.0)
         v = np.full(7, np.nan if kind == "nan v" else 0.0)
         u = np.full(7, {"nan u": np.nan, "huge": 1e30}.get(kind, 0.0))
-        answer = shadow.watch(q, v, u, np.nan if kind == "nan now" else now)
+        answer = shadow.evaluate(q, v, u, np.nan if kind == "nan now" else now)
         assert np.all(np.isfinite(answer.u))
-        assert (answer.status is Status.STOPPED) == (kind not in ("good", "back", "huge"))
+        assert (answer.status is FilterStatus.STOPPED) == (kind not in ("good", "back", "huge"))
     total = shadow.close()
-    assert total.refused == sum(kind not in ("good", "back", "huge") for kind in kinds)
-    assert total.least is None or total.least.h_min > 0.0, "a refused tick has no h"
-    assert total.episodes == len(told)
+    assert total.refused_ticks == sum(kind not in ("good", "back", "huge") for kind in kinds)
+    assert total.min_h_tick is None or total.min_h_tick.h_min > 0.0, "a refused tick has no h"
+    assert total.intervals == len(told)
     for episode in told:
         assert json.loads(json.dumps(episode.h_min)) == episode.h_min
         assert episode.cause
@@ -196,11 +196,11 @@ def test_causes_name_the_limit_that_holds(small):
         "bad input": (home, zero, zero * np.nan),
     }
     for cause, (q, u_prev, u) in cases.items():
-        safety = SafetyFilter(small, random_scenes.config())
+        safety = SafetyFilter(small, random_scenes.exact_config())
         safety.reset(u_prev)
         answer = safety(q, u_prev, u)
         assert answer.cause == cause
-    quiet = SafetyFilter(small, random_scenes.config())(home, zero, zero)
+    quiet = SafetyFilter(small, random_scenes.exact_config())(home, zero, zero)
     assert quiet.cause == ""
 
 
@@ -209,40 +209,42 @@ def test_memory_is_bounded_and_a_lasting_episode_is_told_in_pieces(small):
     safety = made(small)
     tool = safety.tool(home).position
     safety.observe([TABLE, Obstacle("ball", ball.shape, Pose(tuple(tool + np.array([0.06, 0.0, 0.06]))))])
-    shadow = Shadow(safety, told=told.append, longest=0.1, keep=50)
+    shadow = ShadowFilter(safety, on_interval=told.append, max_duration=0.1, history=50)
     for tick in range(450):
-        shadow.watch(home, np.zeros(7), np.zeros(7), tick * PERIOD)
+        shadow.evaluate(home, np.zeros(7), np.zeros(7), tick * PERIOD)
     total = shadow.close()
     assert len(shadow.recent) == 50
     assert [e.goes_on for e in told] == [True, True, True, True, False]
-    assert sum(e.ticks for e in told) == total.changed == 450
-    assert total.seconds == pytest.approx(0.45)
+    assert sum(e.ticks for e in told) == total.changed_ticks == 450
+    assert total.intervention_time == pytest.approx(0.45)
     assert {e.cause.split(" vs ")[1] for e in told} == {"'ball'"}
 
 
-EPISODE = Episode(1.0, 1.5, 500, 0.25, 1.2, "hand vs 'post'", "MODIFIED", -0.001, "hand vs 'post' 2 mm: slowed 9 %")
+EPISODE = InterventionInterval(
+    1.0, 1.5, 500, 0.25, 1.2, "hand vs 'post'", "MODIFIED", -0.001, "hand vs 'post' 2 mm: slowed 9 %"
+)
 
 
 def test_the_file_holds_one_line_for_each_episode(tmp_path):
-    path, file = tmp_path / "episodes.jsonl", EpisodeFile(tmp_path / "episodes.jsonl")
+    path, file = tmp_path / "episodes.jsonl", InterventionLog(tmp_path / "episodes.jsonl")
     for _ in range(3):
         file(EPISODE)
-    assert read_episodes(path) == (EPISODE,) * 3, "readable before it is closed"
+    assert read_intervention_log(path) == (EPISODE,) * 3, "readable before it is closed"
     file.close()
     assert [json.loads(line)["cause"] for line in path.read_text("utf-8").splitlines()] == ["hand vs 'post'"] * 3
 
 
 def test_a_torn_line_is_not_read_and_is_cut_off(tmp_path):
     path = tmp_path / "episodes.jsonl"
-    with EpisodeFile(path) as file:
+    with InterventionLog(path) as file:
         file(EPISODE)
     whole = path.read_bytes()
     path.write_bytes(whole + whole[:40])
-    assert read_episodes(path) == (EPISODE,)
-    again = EpisodeFile(path)
+    assert read_intervention_log(path) == (EPISODE,)
+    again = InterventionLog(path)
     again(EPISODE)
     again.close()
-    assert read_episodes(path) == (EPISODE, EPISODE)
+    assert read_intervention_log(path) == (EPISODE, EPISODE)
 
 
 def test_what_was_told_before_a_kill_is_there(tmp_path):
@@ -254,16 +256,18 @@ def test_what_was_told_before_a_kill_is_there(tmp_path):
         "os.kill(os.getpid(), signal.SIGKILL)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -9
-    assert [episode.start for episode in read_episodes(path)] == list(range(20))
+    assert [episode.start for episode in read_intervention_log(path)] == list(range(20))
 
 
 def test_changes_at_least_join_apart_are_two_episodes(small):
     home, zero, jump = np.array(small.home), np.zeros(7), np.full(7, 0.1)
     for join, starts in ((0.004, [0.0, 0.006]), (0.01, [0.0])):
         told = []
-        shadow = Shadow(SafetyFilter(small, random_scenes.config()), told=told.append, join=join)
+        shadow = ShadowFilter(
+            SafetyFilter(small, random_scenes.exact_config()), on_interval=told.append, merge_gap=join
+        )
         for tick in range(12):
-            shadow.watch(home, zero, jump if tick in (0, 1, 6) else zero, tick * PERIOD, u_prev=zero)
+            shadow.evaluate(home, zero, jump if tick in (0, 1, 6) else zero, tick * PERIOD, u_prev=zero)
         shadow.close()
         assert [e.start for e in told] == starts
         assert sum(e.ticks for e in told) == 3
@@ -271,26 +275,26 @@ def test_changes_at_least_join_apart_are_two_episodes(small):
 
 def test_a_command_beyond_the_velocity_limit_is_followed_no_further(small):
     """The last command was never truly in force; what is admissible next is judged from the limit."""
-    shadow, limit = Shadow(SafetyFilter(small, random_scenes.config())), np.zeros(7)
+    shadow, limit = ShadowFilter(SafetyFilter(small, random_scenes.exact_config())), np.zeros(7)
     limit[6] = small.joints[6].velocity.value
     home = np.array(small.home)
-    shadow.watch(home, limit, 3.0 * limit, 0.0)
-    answer = shadow.watch(home, limit, limit, PERIOD)
-    assert answer.status is Status.SAFE
+    shadow.evaluate(home, limit, 3.0 * limit, 0.0)
+    answer = shadow.evaluate(home, limit, limit, PERIOD)
+    assert answer.status is FilterStatus.SAFE
 
 
 def test_jerk_limits_are_refused(small):
-    with pytest.raises(InvalidSetup, match="jerk"):
-        Shadow(made(small, jerk_limits=True))
+    with pytest.raises(ConfigurationError, match="jerk"):
+        ShadowFilter(made(small, jerk_limits=True))
 
 
 def test_a_full_disk_does_not_reach_the_controller(small):
     def full(_):
         raise OSError(28, "No space left on device")
 
-    shadow = Shadow(made(small), told=full)
+    shadow = ShadowFilter(made(small), on_interval=full)
     for now, q, v, u in recorded(small, 700):
-        shadow.watch(q, v, u, now)
+        shadow.evaluate(q, v, u, now)
     total = shadow.close()
-    assert total.unwritten == total.episodes > 0
+    assert total.write_errors == total.intervals > 0
     assert "could not be written" in total.explain()

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from dualbrain.errors import InvalidSetup
-from dualbrain.robots.loader import load_body
+from dualbrain.errors import ConfigurationError
+from dualbrain.robots.loader import load_robot
 from dualbrain.robots.site_config import SiteError, read_site
-from dualbrain.safety.barriers.scenarios import EXACT
-from dualbrain.safety.integration.site import guarded_by, site_body, site_grants, site_obstacles
+from dualbrain.safety.barriers.scenarios import EXACT_TRACKING
+from dualbrain.safety.integration.site import site_filter, site_obstacles, site_robot, site_skill_grants
 
 WHOLE = """
 [robot]
@@ -90,29 +90,29 @@ def test_an_error_names_its_line_and_column(tmp_path, text, line, column, said):
     ],
 )
 def test_what_does_not_fit_the_body_names_its_line(tmp_path, text, line, said):
-    file, body = site(tmp_path, text), load_body("panda")
+    file, body = site(tmp_path, text), load_robot("panda")
     with pytest.raises(SiteError) as caught:
-        site_obstacles(site_body(body, file), file)
+        site_obstacles(site_robot(body, file), file)
     assert caught.value.line == line
     assert said in str(caught.value)
 
 
 def test_caps_only_narrow_and_say_so(tmp_path):
-    body = load_body("panda")
-    narrowed = site_body(body, site(tmp_path, WHOLE))
+    body = load_robot("panda")
+    narrowed = site_robot(body, site(tmp_path, WHOLE))
     fourth = narrowed.joints[3]
     assert [joint.velocity.value for joint in narrowed.joints] == [2.0] * 7
     assert (fourth.acceleration.value, fourth.lower.value) == (5.0, -2.9)
     assert fourth.acceleration.provenance.startswith("site policy (lab.toml:9); wider: 12.5 of")
     assert narrowed.tool_speed.value == 0.2
-    wide = site_body(body, site(tmp_path, "[limits]\nvelocity = 9.0\n[joint.panda_joint1]\nlower = -9.0\n"))
+    wide = site_robot(body, site(tmp_path, "[limits]\nvelocity = 9.0\n[joint.panda_joint1]\nlower = -9.0\n"))
     assert wide == body
 
 
 def test_tool_and_payload_belong_to_the_body_and_are_kept_from_what_the_hand_is(tmp_path):
-    body, file = load_body("panda"), site(tmp_path, WHOLE)
-    narrowed = site_body(body, file)
-    plain, longer = guarded_by(site(tmp_path, ""), body), guarded_by(file, body)
+    body, file = load_robot("panda"), site(tmp_path, WHOLE)
+    narrowed = site_robot(body, file)
+    plain, longer = site_filter(site(tmp_path, ""), body), site_filter(file, body)
     q = np.array(body.home)
     assert np.allclose(longer.tool(q).position, plain.tool(q).position + 0.1 * plain.tool(q).rotation[:, 2], atol=1e-6)
     where, radii, groups = longer.spheres(q, 0.0)
@@ -127,7 +127,7 @@ def test_tool_and_payload_belong_to_the_body_and_are_kept_from_what_the_hand_is(
 
 
 def test_the_filter_keeps_the_payload_above_the_table(tmp_path):
-    safety = guarded_by(site(tmp_path, WHOLE), load_body("panda"), EXACT)
+    safety = site_filter(site(tmp_path, WHOLE), load_robot("panda"), EXACT_TRACKING)
     q, u = np.array(safety.body.home), np.zeros(7)
     for _ in range(3000):
         J = safety.tool(q).jacobian[:3]
@@ -140,12 +140,12 @@ def test_the_filter_keeps_the_payload_above_the_table(tmp_path):
 
 def test_who_may_command_what(tmp_path):
     skills = frozenset({"home", "hold", "grasp"})
-    assert site_grants(site(tmp_path, WHOLE), skills) == {"planner": frozenset({"home", "hold"})}
-    assert site_grants(site(tmp_path, ""), skills) is None
+    assert site_skill_grants(site(tmp_path, WHOLE), skills) == {"planner": frozenset({"home", "hold"})}
+    assert site_skill_grants(site(tmp_path, ""), skills) is None
     with pytest.raises(SiteError, match="line 37"):
-        site_grants(site(tmp_path, WHOLE), frozenset({"home"}))
+        site_skill_grants(site(tmp_path, WHOLE), frozenset({"home"}))
 
 
 def test_no_file_no_site(tmp_path):
-    with pytest.raises(InvalidSetup, match="site file"):
+    with pytest.raises(ConfigurationError, match="site file"):
         read_site(tmp_path / "gone.toml")

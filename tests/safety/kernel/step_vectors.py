@@ -10,7 +10,7 @@ import numpy as np
 
 from dualbrain.core.geometry.shapes import Box, HalfSpace, Pose, Sphere
 from dualbrain.robots.interface import RobotState
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import Contact, FilterConfig, Obstacle, SafetyFilter
 
 FILE = Path(__file__).resolve().parents[3] / "vectors" / "filter_step.json"
@@ -40,35 +40,35 @@ class Recording(msgspec.Struct):
     steps: list[Step]
 
 
-def build(recording):
+def build_filter(recording):
     """The filter that a recording was made with."""
-    safety = SafetyFilter(load_body(recording.robot), recording.config)
+    safety = SafetyFilter(load_robot(recording.robot), recording.config)
     safety.observe(recording.obstacles, 0.0)
     safety.permit(recording.permits)
     return safety
 
 
-def take(safety, step):
+def run_step(safety, step):
     """Repeat one step."""
     state = RobotState(step.t, 0, np.array(step.q), np.array(step.v), step.opening, (0.0, 0.0))
     return safety.filter(state, np.array(step.u_nom), step.t)
 
 
-def record(steps=120):
+def record_vectors(steps=120):
     """A loop past a ball, a box and the table, with a permit, in which the lag and the obstacle's motion matter."""
-    body = load_body("panda")
+    body = load_robot("panda")
     recording = Recording("panda", FilterConfig(), [
         Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)), known=True),
         Obstacle("cube", Box((0.02, 0.02, 0.02)), Pose((0.5, 0.0, 0.3), (0.9, 0.1, 0.2, 0.3))),
         Obstacle("ball", Sphere(0.05), Pose((0.75, 0.1, 0.4)), (-0.3, 0.0, 0.0), 0.005, 0.02, static=False),
     ], [Contact("fingers", "cube", 0.05)], [])  # fmt: skip
-    safety, rng = build(recording), np.random.default_rng(0)
+    safety, rng = build_filter(recording), np.random.default_rng(0)
     q, v = np.array(body.home), np.zeros(7)
     for k in range(steps):
         if k % 40 == 0:
             wish = rng.choice([-1.0, 1.0], 7) * 2.0
         step = Step(k * 1e-3, q.tolist(), v.tolist(), np.clip(wish * k / 100, -2, 2).tolist(), 0.03)
-        answer = take(safety, step)
+        answer = run_step(safety, step)
         step.u, step.status = answer.u.tolist(), int(answer.status)
         step.delta, step.h_min = answer.delta, answer.h_min
         recording.steps.append(step)
@@ -79,4 +79,4 @@ def record(steps=120):
 
 if __name__ == "__main__":
     FILE.parent.mkdir(exist_ok=True)
-    FILE.write_bytes(msgspec.json.encode(record()) + b"\n")
+    FILE.write_bytes(msgspec.json.encode(record_vectors()) + b"\n")

@@ -4,12 +4,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.errors import InvalidSetup
-from dualbrain.robots.loader import load_body
+from dualbrain.errors import ConfigurationError
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf import kernel
 from dualbrain.safety.cbf.compiled import _kernel, _kernel64, _kernel64_wide, _kernel_wide
 from dualbrain.safety.cbf.filter import FilterConfig, SafetyFilter
-from tests.safety.random_scenes import scene
+from tests.safety.random_scenes import random_scene
 
 STEPS = 4000
 
@@ -20,7 +20,7 @@ def wide_only(monkeypatch):
 
     def make(body, config=None):
         with monkeypatch.context() as here:
-            here.setattr(kernel, "SIZES", ("_wide",))
+            here.setattr(kernel, "BUILD_SUFFIXES", ("_wide",))
             return SafetyFilter(body, config)
 
     return make
@@ -28,8 +28,8 @@ def wide_only(monkeypatch):
 
 @pytest.mark.parametrize(("name", "real"), [("panda", "float32"), ("ur5e", "float32"), ("panda", "float64")])
 def test_both_sizes_answer_bit_for_bit_alike(name, real, wide_only, rng):
-    body, config = load_body(name), FilterConfig(real=real)
-    things, v_max = scene(body, rng, 12), np.array([joint.velocity.value for joint in body.joints])
+    body, config = load_robot(name), FilterConfig(precision=real)
+    things, v_max = random_scene(body, rng, 12), np.array([joint.velocity.value for joint in body.joints])
     narrow, wide = SafetyFilter(body, config), wide_only(body, config)
     assert type(narrow._kernel) is not type(wide._kernel)
     for safety in (narrow, wide):
@@ -40,26 +40,26 @@ def test_both_sizes_answer_bit_for_bit_alike(name, real, wide_only, rng):
             wish = rng.choice([-1.0, 1.0], body.n) * v_max
         one, other = narrow(q, u, wish), wide(q, u, wish)
         assert one.u.tobytes() == other.u.tobytes()
-        assert (one.status, one.flags, one.delta, one.h_min, one.rows) == (
+        assert (one.status, one.flags, one.delta, one.h_min, one.binding_rows) == (
             other.status, other.flags, other.delta, other.h_min, other.rows,
         )  # fmt: skip
-        bound += len(one.rows) > 1
+        bound += len(one.binding_rows) > 1
         u, q = one.u, q + body.period * one.u
     assert bound > STEPS / 10
 
 
 def test_the_smallest_build_with_room_is_taken(panda):
     balls = msgspec.structs.replace(panda, spheres=panda.spheres + panda.spheres[-9:])
-    assert kernel.build_for(panda, FilterConfig()) is _kernel
-    assert kernel.build_for(panda, FilterConfig(real="float64")) is _kernel64
-    assert kernel.build_for(balls, FilterConfig()) is _kernel_wide
-    assert kernel.build_for(balls, FilterConfig(real="float64")) is _kernel64_wide
+    assert kernel.select_build(panda, FilterConfig()) is _kernel
+    assert kernel.select_build(panda, FilterConfig(precision="float64")) is _kernel64
+    assert kernel.select_build(balls, FilterConfig()) is _kernel_wide
+    assert kernel.select_build(balls, FilterConfig(precision="float64")) is _kernel64_wide
     assert _kernel.source_hash == _kernel_wide.source_hash
 
 
 def test_what_no_build_has_room_for_is_refused_with_its_number(panda):
     balls = msgspec.structs.replace(panda, spheres=panda.spheres * 3)
-    with pytest.raises(InvalidSetup, match=r"spheres of the body: got 312, allowed: at most 232"):
+    with pytest.raises(ConfigurationError, match=r"spheres of the body: got 312, allowed: at most 232"):
         SafetyFilter(balls)
 
 

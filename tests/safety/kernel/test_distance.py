@@ -7,7 +7,7 @@ import pytest
 from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere
 from dualbrain.safety.cbf.compiled import _kernel64
 from dualbrain.safety.cbf.filter import Obstacle
-from dualbrain.safety.cbf.kernel import obstacle_rows
+from dualbrain.safety.cbf.kernel import obstacle_table
 from tests.safety import geometry_oracle, random_scenes
 
 SHAPES = [Sphere(0.07), Capsule(0.04, 0.15), Box((0.05, 0.1, 0.2)), HalfSpace()]
@@ -15,7 +15,7 @@ SHAPES = [Sphere(0.07), Capsule(0.04, 0.15), Box((0.05, 0.1, 0.2)), HalfSpace()]
 
 def measure(shape, pose, points):
     d, normals = np.empty(len(points)), np.empty((len(points), 3))
-    _kernel64.distance(obstacle_rows([Obstacle("x", shape, pose)])[0], np.ascontiguousarray(points), d, normals)
+    _kernel64.distance(obstacle_table([Obstacle("x", shape, pose)])[0], np.ascontiguousarray(points), d, normals)
     return d, normals
 
 
@@ -25,7 +25,7 @@ def shape(request):
 
 
 def random_pose(rng):
-    return Pose(tuple(rng.uniform(-0.3, 0.3, 3)), random_scenes.quaternion(rng))
+    return Pose(tuple(rng.uniform(-0.3, 0.3, 3)), random_scenes.random_quaternion(rng))
 
 
 def test_distance_is_the_oracles_inside_and_out(shape, rng):

@@ -8,9 +8,9 @@ import pytest
 
 from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere
 from dualbrain.safety.cbf.compiled import _kernel
-from dualbrain.safety.cbf.filter import Obstacle, SafetyFilter, Status
+from dualbrain.safety.cbf.filter import FilterStatus, Obstacle, SafetyFilter
 from dualbrain.safety.cbf.result import Reason
-from dualbrain.safety.cbf.rows import Row
+from dualbrain.safety.cbf.rows import ConstraintRow
 from tests.safety import geometry_oracle, random_scenes
 from tests.safety.cbf import filter_equations
 
@@ -35,17 +35,17 @@ def test_certified_means_that_the_next_step_is_safe_or_no_deeper(small, at, real
     for seed in range(70):
         rng = np.random.default_rng(seed)
         q, u_prev = np.array(small.home) + rng.uniform(-0.3, 0.3, 7), 0.9 * v * rng.choice([-1.0, 1.0], 7)
-        points = geometry_oracle.centres(small, q[None])[0][0]
+        points = geometry_oracle.sphere_centres(small, q[None])[0][0]
         way = rng.normal(size=3)
         place = points[rng.integers(6, len(points))] + way / np.linalg.norm(way) * rng.uniform(0.08, 0.16)
         moving = seed % 3 == 0
         velocity = (0.0, 0.0, 0.3) if moving else (0.0, 0.0, 0.0)
         ball = Obstacle("late", Sphere(0.04), Pose(tuple(place.tolist())), velocity=velocity, static=not moving)
-        safety = SafetyFilter(small, random_scenes.config(real=real))
+        safety = SafetyFilter(small, random_scenes.exact_config(real=real))
         safety.observe([ball], 0.0)
         safety.reset(u_prev)
         answer = safety.filter(at(q, opening=0.0), u_prev, 0.0)
-        if answer.status is Status.STOPPED:
+        if answer.status is FilterStatus.STOPPED:
             continue
         after = q + small.period * answer.u
         shift = np.tile(np.array(velocity) * small.period, (1, 1, 1))
@@ -57,7 +57,7 @@ def test_certified_means_that_the_next_step_is_safe_or_no_deeper(small, at, real
         if answer.certified:
             assert kept
         else:
-            assert answer.status is Status.FAULT
+            assert answer.status is FilterStatus.FAULT
             assert broken or np.any((then - margin < 2e-6) & (then < now + 2e-6))
         seen[answer.certified] += 1
     assert min(seen.values()) > 3
@@ -65,14 +65,14 @@ def test_certified_means_that_the_next_step_is_safe_or_no_deeper(small, at, real
 
 def each_gap(body, q, thing, shift):
     """Gap of every moving sphere to `thing` shifted."""
-    points, radius, names = geometry_oracle.centres(body, q[None])
+    points, radius, names = geometry_oracle.sphere_centres(body, q[None])
     moves = np.array([next(x.frame for x in body.links if x.name == name) > 0 for name in names])
     return (geometry_oracle.surface_distance(thing.shape, thing.pose, points[0] - shift[0, 0]) - radius)[moves]
 
 
 def self_gaps(body, q):
     """Gap of every pair of spheres of kept link pairs."""
-    points, radius, names = geometry_oracle.centres(body, q[None])
+    points, radius, names = geometry_oracle.sphere_centres(body, q[None])
     names, points = np.array(names), points[0]
     out = []
     for a, b in body.self_pairs.kept:
@@ -87,8 +87,8 @@ def test_delta_and_its_split_follow_their_equations(small, at):
     rng = np.random.default_rng(0)
     v = np.array([joint.velocity.value for joint in small.joints])
     step = np.array([joint.acceleration.value for joint in small.joints]) * small.period
-    safety = SafetyFilter(small, random_scenes.config(real="float64"))
-    safety.observe(random_scenes.scene(small, rng), 0.0)
+    safety = SafetyFilter(small, random_scenes.exact_config(real="float64"))
+    safety.observe(random_scenes.random_scene(small, rng), 0.0)
     q, last = np.array(small.home), np.zeros(7)
 
     def size(e):
@@ -109,16 +109,16 @@ def test_delta_and_its_split_follow_their_equations(small, at):
 
 def test_the_jerk_box_follows_its_equation(panda, at):
     """Change of the control within last change ± j dt², and no faster toward v_max than can be taken back in time."""
-    safety = SafetyFilter(panda, random_scenes.config(real="float64", jerk_limits=True, recovery_speed=0.05))
+    safety = SafetyFilter(panda, random_scenes.exact_config(real="float64", jerk_limits=True, recovery_speed=0.05))
     v = np.array([joint.velocity.value for joint in panda.joints])
     j, dt = np.array([joint.jerk.value for joint in panda.joints]), panda.period
     rng, before, u, narrowed = np.random.default_rng(1), np.zeros(7), np.zeros(7), 0
     wish = v
-    plain = filter_equations.Setting(panda, safety.config, [])
+    plain = filter_equations.FilterCase(panda, safety.config, [])
     for k in range(900):
         wish = v * rng.choice([-1.0, 1.0], 7) if k % 300 == 0 else wish
         answer = safety.filter(at(panda.home), wish, 0.0)
-        low, high = filter_equations.box(plain, np.array(panda.home), u)
+        low, high = filter_equations.control_bounds(plain, np.array(panda.home), u)
         change, twist = u - before, j * dt * dt
         up, down = (
             dt * (np.sqrt((0.5 * j * dt) ** 2 + 2.0 * j * np.maximum(room, 0.0)) - 0.5 * j * dt)
@@ -141,7 +141,7 @@ def test_a_limit_that_the_accelerations_cannot_keep_is_told(small, at):
     for side, at_limit in ((1.0, "upper"), (-1.0, "lower")):
         q, u_prev = np.array(small.home), np.zeros(7)
         q[2], u_prev[2] = side * (abs(getattr(small.joints[2], at_limit).value) - 0.01), side * 1.5
-        safety = SafetyFilter(small, random_scenes.config())
+        safety = SafetyFilter(small, random_scenes.exact_config())
         safety.reset(u_prev)
         answer = safety.filter(at(q), u_prev, 0.0)
         assert Reason.INFEASIBLE in answer.reason
@@ -152,8 +152,8 @@ def test_a_limit_that_the_accelerations_cannot_keep_is_told(small, at):
 
 def test_a_warm_start_changes_the_work_and_not_the_answer(small, at):
     rng = np.random.default_rng(4)
-    things = random_scenes.scene(small, rng, 12)
-    warm, cold = (SafetyFilter(small, random_scenes.config(real="float64")) for _ in range(2))
+    things = random_scenes.random_scene(small, rng, 12)
+    warm, cold = (SafetyFilter(small, random_scenes.exact_config(real="float64")) for _ in range(2))
     for safety in (warm, cold):
         safety.observe(things, 0.0)
     v = np.array([joint.velocity.value for joint in small.joints])
@@ -187,44 +187,44 @@ NUMBERS = {
 
 @pytest.mark.parametrize("change", NUMBERS)
 def test_every_number_of_an_obstacle_is_looked_at(small, at, change):
-    safety = SafetyFilter(small, random_scenes.config())
+    safety = SafetyFilter(small, random_scenes.exact_config())
     others = [Obstacle("table", HalfSpace(), Pose((0.0, 0.0, -0.1))), FINITE]
     safety.observe(others, 0.0)
-    assert safety.filter(at(small.home), np.zeros(7), 0.0).status is not Status.STOPPED
+    assert safety.filter(at(small.home), np.zeros(7), 0.0).status is not FilterStatus.STOPPED
     for place in range(3):
         listed = [*others[:place], msgspec.structs.replace(FINITE, **NUMBERS[change]), *others[place:]]
         safety.observe(listed, 0.0)
         answer = safety.filter(at(small.home), np.zeros(7), 0.0)
-        assert answer.status is Status.STOPPED
+        assert answer.status is FilterStatus.STOPPED
         assert answer.reason == Reason.BAD_SCENE
 
 
 @pytest.mark.parametrize("column", range(4))
 def test_every_number_of_a_held_thing_and_of_a_row_is_looked_at(small, at, column):
-    safety = SafetyFilter(small, random_scenes.config())
+    safety = SafetyFilter(small, random_scenes.exact_config())
     held = np.array([[0.0, 0.0, 0.05, 0.02], [0.0, 0.0, 0.07, 0.02]])
     held[1, column] = math.nan if column == 3 else 0.01
     safety.attach(held, 0.0 if column == 3 else math.nan)
     assert Reason.BAD_SCENE in safety.filter(at(small.home), np.zeros(7), 0.0).reason
     safety.detach()
-    assert safety.filter(at(small.home), np.zeros(7), 0.0).status is Status.SAFE
+    assert safety.filter(at(small.home), np.zeros(7), 0.0).status is FilterStatus.SAFE
     a = [1.0] * 7
     a[column] = math.inf
     safety.constrain(
         [
-            Row("good", (1.0,) * 7, -9.0),
-            Row("bad", tuple(a) if column else (1.0,) * 7, math.nan if not column else -1.0),
+            ConstraintRow("good", (1.0,) * 7, -9.0),
+            ConstraintRow("bad", tuple(a) if column else (1.0,) * 7, math.nan if not column else -1.0),
         ]
     )
     assert Reason.BAD_SCENE in safety.filter(at(small.home), np.zeros(7), 0.0).reason
     safety.constrain([])
-    assert safety.filter(at(small.home), np.zeros(7), 0.0).status is Status.SAFE
+    assert safety.filter(at(small.home), np.zeros(7), 0.0).status is FilterStatus.SAFE
 
 
 def test_ages_are_believed_up_to_their_limits_and_a_little_skew_before(small, at):
-    safety = SafetyFilter(small, random_scenes.config())
+    safety = SafetyFilter(small, random_scenes.exact_config())
     safety.observe([FINITE], 10.0)
-    most = safety.config.state_stale_after, safety.config.stale_after
+    most = safety.config.state_stale_after, safety.config.scene_stale_after
     for state_age, scene_age, wanted in (
         (0.98 * most[0], 0.98 * most[1], Reason(0)),
         (-0.0049, -0.0049, Reason(0)),
@@ -244,7 +244,7 @@ def test_a_joint_is_believed_up_to_a_fifth_of_a_radian_beyond_its_limits(small, 
             for beyond, stops in ((0.19, False), (0.21, True)):
                 q = np.array(small.home)
                 q[k] = limit + side * beyond
-                answer = SafetyFilter(small, random_scenes.config()).filter(at(q), np.zeros(7), 0.0)
+                answer = SafetyFilter(small, random_scenes.exact_config()).filter(at(q), np.zeros(7), 0.0)
                 assert (Reason.OUTSIDE_LIMITS in answer.reason) == stops
 
 
@@ -254,7 +254,7 @@ def test_braking_slows_every_joint_by_the_same_factor(small, at):
     step = np.array([joint.acceleration.value for joint in small.joints]) * small.period
     for _ in range(50):
         u_prev = rng.uniform(-2.0, 2.0, 7) * rng.choice([1.0, 0.003])
-        safety = SafetyFilter(small, random_scenes.config(real="float64"))
+        safety = SafetyFilter(small, random_scenes.exact_config(real="float64"))
         safety.reset(u_prev)
         u = safety.filter(at(small.home), np.full(7, np.nan), 0.0).u
         keep = max(0.0, *(1.0 - step / np.maximum(np.abs(u_prev), step)))
@@ -265,8 +265,8 @@ def test_braking_slows_every_joint_by_the_same_factor(small, at):
 def test_a_moving_arm_is_filtered_where_it_will_be_when_the_drive_has_caught_up(small, at, seed):
     """The state of the rows is y = q + lag v, joint by joint: the same answer as at rest in y."""
     rng = np.random.default_rng(seed)
-    safety = SafetyFilter(small, random_scenes.config(real="float64", lag_compensation=True))
-    safety.observe(random_scenes.scene(small, rng, 10), 0.0)
+    safety = SafetyFilter(small, random_scenes.exact_config(real="float64", lag_compensation=True))
+    safety.observe(random_scenes.random_scene(small, rng, 10), 0.0)
     q, v = np.array(small.home) + rng.uniform(-0.2, 0.2, 7), rng.uniform(-1.0, 1.0, 7)
     wish, u_prev = rng.uniform(-2.0, 2.0, 7), rng.uniform(-0.3, 0.3, 7)
     answers = []
@@ -281,7 +281,7 @@ def test_a_moving_arm_is_filtered_where_it_will_be_when_the_drive_has_caught_up(
 
 
 def test_the_parts_of_the_intervention_add_up_also_where_nothing_was_asked(small, at):
-    safety = SafetyFilter(small, random_scenes.config())
+    safety = SafetyFilter(small, random_scenes.exact_config())
     for wish in (np.full(7, np.nan), np.full(7, 1.0), np.zeros(7)):
         answer = safety.filter(at(np.array(small.home)), wish, 0.0)
         assert answer.delta_rows + answer.delta_box == pytest.approx(answer.delta, abs=1e-6)
@@ -292,7 +292,7 @@ def test_the_parts_of_the_intervention_add_up_also_where_nothing_was_asked(small
 @pytest.mark.parametrize("joint", range(7))
 def test_an_arm_is_called_far_outside_by_where_it_will_be(small, at, joint):
     """What lies beyond the range is counted at y = q + lag v."""
-    safety = SafetyFilter(small, random_scenes.config(real="float64", lag_compensation=True))
+    safety = SafetyFilter(small, random_scenes.exact_config(real="float64", lag_compensation=True))
     lag, limit = small.tracking.lag, small.joints[joint].upper.value + FAR_OUTSIDE
     for beyond in (-0.1, 0.1):
         q, v = np.array(small.home), np.zeros(7)

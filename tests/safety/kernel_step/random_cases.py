@@ -9,22 +9,22 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dualbrain.safety.cbf.compiled import _kernel64
-from dualbrain.safety.cbf.result import Filtered, Names, Status
+from dualbrain.safety.cbf.result import FilterResult, FilterStatus, RowNames
 
 CAPSULE, BOX, HALF_SPACE = range(3)
-KNOWN, STATIC = 1, 2
-ALL = float(2**32 - 1)
+KNOWN_FLAG, STATIC_FLAG = 1, 2
+ALL_LINKS_MASK = float(2**32 - 1)
 
 
 @dataclass
-class Moment:
+class StepCase:
     """All that one step is told; `things` (k, 29) is the obstacle table, `held` (k, 4) lies in the last frame."""
 
     q: np.ndarray
     v: np.ndarray
     u_nom: np.ndarray
     u_prev: np.ndarray
-    things: np.ndarray
+    obstacles: np.ndarray
     opening: float = 0.0
     age: float = 0.0
     permits: dict = field(default_factory=dict)  # (link, thing) -> speed [m/s]
@@ -34,11 +34,11 @@ class Moment:
     base: tuple | None = None
 
 
-def turn(rng):
+def random_rotation(rng):
     return Rotation.random(random_state=rng).as_matrix()
 
 
-def body(rng, n=7, links=6, *, slides=True, alpha=None):
+def random_model(rng, n=7, links=6, *, slides=True, alpha=None):
     """A model of `n` joints; some slide; the spheres of its links lie side by side, and a link may have none."""
     frames = np.sort(rng.integers(0, n + 1, links))
     counts = rng.integers(0, 10 if links < 12 else 4, links)
@@ -61,28 +61,28 @@ def body(rng, n=7, links=6, *, slides=True, alpha=None):
         "rounding": float(rng.uniform(0.0, 1e-4)), "self_margin": float(rng.uniform(0.0, 5e-3)),
         "lag": float(rng.uniform(0.0, 0.02)), "tracking": float(rng.uniform(0.0, 5e-3)),
         "state_age_max": 0.02, "scene_age_max": 0.3, "joint_kind": kind,
-        "joint_rotation": np.concatenate([turn(rng).ravel() for _ in range(n)]),
+        "joint_rotation": np.concatenate([random_rotation(rng).ravel() for _ in range(n)]),
         "joint_offset": rng.uniform(-0.25, 0.25, 3 * n),
         "q_lower": -rng.uniform(1.5, 2.5, n), "q_upper": rng.uniform(1.5, 2.5, n),
-        "v_max": v_max, "a_max": a_max, "j_max": np.zeros(n), "scale": scale(rng, n),
-        "tool_rotation": turn(rng).ravel(), "tool_offset": rng.uniform(-0.1, 0.1, 3),
+        "v_max": v_max, "a_max": a_max, "j_max": np.zeros(n), "scale": random_scale(rng, n),
+        "tool_rotation": random_rotation(rng).ravel(), "tool_offset": rng.uniform(-0.1, 0.1, 3),
         "link_frame": frames.astype(float), "link_first": np.concatenate([[0.0], np.cumsum(counts)]),
         "spheres": spheres, "pairs": np.array(pairs, float).reshape(-1),
         "held_links": np.flatnonzero((frames < n) & (rng.random(links) < 0.5)).astype(float),
     }  # fmt: skip
 
 
-def scale(rng, n):
+def random_scale(rng, n):
     """S of a random weight: u = u_nom + S x."""
     M = np.eye(n) + 0.2 * rng.normal(size=(n, n))
     return np.ascontiguousarray(np.linalg.inv(np.linalg.cholesky(M @ M.T)).T)
 
 
-def thing(rng, near, links, *, moving, apart, balls=False):
+def random_obstacle(rng, near, links, *, moving, with_separation, spheres_only=False):
     """One row of the obstacle table, of any shape or a ball, from inside the point `near` to metres away."""
-    shape = CAPSULE if balls else int(rng.choice(3, p=[0.6, 0.3, 0.1]))
+    shape = CAPSULE if spheres_only else int(rng.choice(3, p=[0.6, 0.3, 0.1]))
     half = {
-        CAPSULE: (0.0, 0.0, 0.0 if balls else rng.choice([0.0, 0.2])),
+        CAPSULE: (0.0, 0.0, 0.0 if spheres_only else rng.choice([0.0, 0.2])),
         BOX: rng.uniform(0.01, 0.3, 3),
         HALF_SPACE: (0.0, 0.0, 0.0),
     }
@@ -91,48 +91,55 @@ def thing(rng, near, links, *, moving, apart, balls=False):
     place = near + way / np.linalg.norm(way) * rng.choice([0.05, 0.15, 0.3, 1.0, 2.0])
     moves = moving and rng.random() < 0.5
     velocity = rng.uniform(-0.5, 0.5, 3) if moves else np.zeros(3)
-    separation = (0.1, 1.0, rng.choice([0.0, 0.3])) if apart and rng.random() < 0.3 else (0.0, 0.0, 0.0)
-    mask = ALL if rng.random() < 0.7 else float(rng.integers(0, 2 ** (links + 1)))
-    flags = float(KNOWN * (rng.random() < 0.5) + STATIC * (not moves))
+    separation = (0.1, 1.0, rng.choice([0.0, 0.3])) if with_separation and rng.random() < 0.3 else (0.0, 0.0, 0.0)
+    mask = ALL_LINKS_MASK if rng.random() < 0.7 else float(rng.integers(0, 2 ** (links + 1)))
+    flags = float(KNOWN_FLAG * (rng.random() < 0.5) + STATIC_FLAG * (not moves))
     return np.array([
-        shape, flags, rng.integers(1, 5), mask, rng.choice([0.0, 0.9, 5.0]), *place, *turn(rng).ravel(), *half[shape],
+        shape, flags, rng.integers(1, 5), mask, rng.choice([0.0, 0.9, 5.0]), *place, *random_rotation(rng).ravel(), *half[shape],
         radius, *velocity, rng.choice([0.0, 0.02]), 0.03 * moves, *separation,
     ])  # fmt: skip
 
 
-def moment(
-    rng, model, points, *, things=8, moving=True, apart=True, permits=True, held=4, rows=2, mobile=False, balls=False
+def random_case(
+    rng, model, points, *, n_obstacles=8, moving=True, with_separation=True, permits=True, n_held=4, n_rows=2, mobile=False, spheres_only=False
 ):  # fmt: skip
     """A moment of `model`; `points` (k, 3) are places that things may stand beside. With `balls` all are that."""
     n, links = model["n"], len(model["link_frame"])
-    base = (turn(rng), rng.uniform(-3.0, 3.0, 3)) if mobile else None
+    base = (random_rotation(rng), rng.uniform(-3.0, 3.0, 3)) if mobile else None
     R, p = base or (np.eye(3), np.zeros(3))
     table = [
-        thing(rng, p + R @ points[rng.integers(len(points))], links, moving=moving, apart=apart, balls=balls)
-        for _ in range(things)
+        random_obstacle(
+            rng,
+            p + R @ points[rng.integers(len(points))],
+            links,
+            moving=moving,
+            with_separation=with_separation,
+            spheres_only=spheres_only,
+        )
+        for _ in range(n_obstacles)
     ]
     allowed = {
-        (int(rng.integers(links + 1)), int(rng.integers(things))): float(rng.choice([0.0, 0.05]))
-        for _ in range(3 if permits and things else 0)
+        (int(rng.integers(links + 1)), int(rng.integers(n_obstacles))): float(rng.choice([0.0, 0.05]))
+        for _ in range(3 if permits and n_obstacles else 0)
     }
-    carried = np.column_stack([rng.uniform(-0.1, 0.1, (held, 3)), rng.uniform(0.01, 0.04, held)])
-    user = [[*rng.normal(size=n), rng.uniform(-3.0, -1.0), 0.01 * k, 1 + k % 4] for k in range(rows)]
+    carried = np.column_stack([rng.uniform(-0.1, 0.1, (n_held, 3)), rng.uniform(0.01, 0.04, n_held)])
+    user = [[*rng.normal(size=n), rng.uniform(-3.0, -1.0), 0.01 * k, 1 + k % 4] for k in range(n_rows)]
     u_prev = model["v_max"] * rng.uniform(-1.0, 1.0, n) * rng.choice([0.0, 0.1, 0.8])
-    return Moment(
+    return StepCase(
         rng.uniform(-1.6, 1.6, n), rng.uniform(-0.5, 0.5, n), u_prev + 0.01 * rng.normal(size=n), u_prev,
         np.array(table).reshape(-1, 29), float(rng.uniform(0.0, 0.04)), 0.1 * moving, allowed, carried,
-        0.003 * (held > 0), np.array(user).reshape(-1, n + 3), base,
+        0.003 * (n_held > 0), np.array(user).reshape(-1, n + 3), base,
     )  # fmt: skip
 
 
-def kernel(model, build=_kernel64):
+def make_kernel(model, build=_kernel64):
     """A filter of `model` that answers as `SafetyFilter` does."""
     made = build.Kernel(model)
-    made.answer_with(Filtered, tuple(Status))
+    made.answer_with(FilterResult, tuple(FilterStatus))
     return made
 
 
-def tell(made, model, m):
+def upload_case(made, model, m):
     """All that stays: things, permits, what is held, rows, the base, the last control."""
     made.set_obstacles(np.ascontiguousarray(m.things))
     made.clear_permits()
@@ -145,12 +152,12 @@ def tell(made, model, m):
     made.reset(m.u_prev)
 
 
-def step(made, m):
+def run_step(made, m):
     """One step; its answer."""
-    return made.step(m.q, m.v, m.u_nom, m.opening, 0.0, m.age, Names((), (), (), ()))
+    return made.step(m.q, m.v, m.u_nom, m.opening, 0.0, m.age, RowNames((), (), (), ()))
 
 
-def inside(made, n, links, extra=0.0, *, known_only=False):
+def step_internals(made, n, links, extra=0.0, *, known_only=False):
     """Every number of the last step as arrays: joints and spheres cut to what there is, lists of links as lists."""
     raw = {
         part: {name: np.frombuffer(data) for name, data in fields.items()}

@@ -6,11 +6,11 @@ iterations is seen as well.
 
 import numpy as np
 
-TOLERANCE, DEPENDENT, CAP = 1e-11, 1e-9, 80
+TOLERANCE, DEPENDENCE_TOLERANCE, MAX_ITERATIONS = 1e-11, 1e-9, 80
 """A row violated by less counts as met; sine of the angle below which a normal depends on others; iterations."""
 
 
-class Problem:
+class ReferenceQP:
     """min ½|x|², u = u_nom + S x, A u + soft·slack ≥ b, low ≤ u ≤ high; constraints count: lower, upper, rows."""
 
     def __init__(self, S, A, b, soft, low, high, u_nom, *, slack):
@@ -28,30 +28,30 @@ class Problem:
             inner, own = self.S.T @ self.A[at - 2 * n], self.soft[at - 2 * n]
         return np.array([*inner, own] if self.with_slack else inner)
 
-    def values(self, u, slack):
+    def constraint_values(self, u, slack):
         """Constraint values minus right sides."""
         rows = self.A @ u - self.b + (self.soft * slack if self.with_slack else 0.0)
         return np.concatenate([u - self.low, self.high - u, rows])
 
-    def move(self, x):
+    def step(self, x):
         self.u = self.u + self.S @ x[: self.n]
         self.slack += x[self.n] if self.with_slack else 0.0
 
-    def start(self, warm):
+    def warm_start(self, warm):
         """The minimiser on what was active, without those whose multipliers are not positive."""
         for at in warm[: self.n]:
-            if self.free(at):
+            if self.is_independent(at):
                 self.active.append(at)
         while self.active:
             N = np.array([self.normal(at) for at in self.active])
-            self.multiplier = np.linalg.solve(N @ N.T, -self.values(self.u_nom, 0.0)[self.active])
+            self.multiplier = np.linalg.solve(N @ N.T, -self.constraint_values(self.u_nom, 0.0)[self.active])
             if self.multiplier.min() > 0.0:
-                self.move(N.T @ self.multiplier)
+                self.step(N.T @ self.multiplier)
                 return
             del self.active[int(np.argmin(self.multiplier))]
         self.multiplier = np.zeros(0)
 
-    def split(self, at):
+    def decompose(self, at):
         """Coefficients of a normal along the active ones, and the rest."""
         normal = self.normal(at)
         if not self.active:
@@ -60,38 +60,38 @@ class Problem:
         r = np.linalg.lstsq(N.T, normal, rcond=None)[0]
         return r, normal - N.T @ r
 
-    def free(self, at):
-        _, rest = self.split(at)
-        return rest @ rest > DEPENDENT**2 * (self.normal(at) @ self.normal(at))
+    def is_independent(self, at):
+        _, rest = self.decompose(at)
+        return rest @ rest > DEPENDENCE_TOLERANCE**2 * (self.normal(at) @ self.normal(at))
 
     def solve(self, warm=()):
         """0 solved, 1 infeasible (active and multiplier are Farkas'), 2 the cap."""
-        self.start(list(warm))
-        while self.iterations < CAP:
-            values = self.values(self.u, self.slack)
+        self.warm_start(list(warm))
+        while self.iterations < MAX_ITERATIONS:
+            values = self.constraint_values(self.u, self.slack)
             at = int(np.argmin(values))
             if not values[at] < -TOLERANCE:
                 return 0
-            result = self.add(at)
+            result = self.add_constraint(at)
             if result:
                 return result
         return 2
 
-    def add(self, at):
+    def add_constraint(self, at):
         """Bring one violated constraint to its bound."""
         mine = 0.0
-        while self.iterations < CAP:
-            r, rest = self.split(at)
+        while self.iterations < MAX_ITERATIONS:
+            r, rest = self.decompose(at)
             ratios = np.where(r > 1e-13, self.multiplier / np.where(r > 1e-13, r, 1.0), np.inf)
             dual = ratios.min(initial=np.inf)
-            room = len(self.active) < len(rest) and self.free(at)
-            primal = -self.values(self.u, self.slack)[at] / (rest @ rest) if room else np.inf
+            room = len(self.active) < len(rest) and self.is_independent(at)
+            primal = -self.constraint_values(self.u, self.slack)[at] / (rest @ rest) if room else np.inf
             if np.isinf(dual) and np.isinf(primal):
                 self.active, self.multiplier = [*self.active, at], np.array([*(-r), 1.0])
                 return 1
             step = min(dual, primal)
             if room:
-                self.move(step * rest)
+                self.step(step * rest)
             self.multiplier, mine = self.multiplier - step * r, mine + step
             self.iterations += 1
             if primal <= dual:

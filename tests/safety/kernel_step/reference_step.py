@@ -8,41 +8,41 @@ from functools import cached_property
 
 import numpy as np
 
-from tests.safety.kernel_step.reference_obstacles import Thing, ball
+from tests.safety.kernel_step.reference_obstacles import ReferenceObstacle, bounding_sphere
 
-OPENING = 0.1
+MAX_GRIPPER_OPENING = 0.1
 """[m] no gripper opens wider."""
-HELD_ROOM, HELD_REACH = 8, 0.5
+MAX_HELD_SPHERES, MAX_HELD_DISTANCE = 8, 0.5
 """Spheres of a held thing, and how far from the tool they may be [m]."""
 
 
-class Anatomy:
+class ReferenceStep:
     """Body, things and motion at one moment; `trust` is the part of the box that rows are looked for in."""
 
     def __init__(self, model, m, box, trust):
-        self.model, self.m = model, m
+        self.model, self.case = model, m
         (self.low, self.high), (self.trust_low, self.trust_high) = box, trust
         self.n, self.links = model["n"], len(model["link_frame"])
         self.y = m.q + model["lag"] * m.v
         self.slides = model["joint_kind"] > 0.0
         self.first = [*model["link_first"].astype(int), len(model["spheres"]) + len(m.held)]
         self.link_frame = [*model["link_frame"].astype(int), self.n]
-        self.things = [Thing(row, m.age) for row in m.things]
+        self.obstacles = [ReferenceObstacle(row, m.age) for row in m.things]
 
-    def of(self, link):
+    def sphere_indices(self, link):
         """Indices of a link's spheres; the last link is what is held."""
         return range(self.first[link], self.first[link + 1])
 
     def held_error(self, link):
         """[m] the rows of what is held keep more."""
-        return self.m.held_error if link == self.links else 0.0
+        return self.case.held_error if link == self.links else 0.0
 
-    def takes_part(self, link):
-        return self.link_frame[link] > 0 and len(self.of(link)) > 0
+    def is_active(self, link):
+        return self.link_frame[link] > 0 and len(self.sphere_indices(link)) > 0
 
     # --- the body ---------------------------------------------------------------------------------------------
 
-    def spans(self):
+    def joint_spans(self):
         """How far each joint can carry what lies beyond it from its own parent."""
         fixed = np.linalg.norm(self.model["joint_offset"].reshape(-1, 3), axis=1)
         return fixed + self.slides * np.maximum(np.abs(self.model["q_lower"]), np.abs(self.model["q_upper"]))
@@ -50,11 +50,11 @@ class Anatomy:
     @cached_property
     def reach(self):
         """(n, spheres + 8): no posture gives the joint a longer lever arm on the sphere."""
-        spheres, spans = self.model["spheres"], self.spans()
-        own = np.linalg.norm(spheres[:, :3], axis=1) + OPENING * np.linalg.norm(spheres[:, 4:], axis=1)
-        held = HELD_REACH + np.linalg.norm(self.model["tool_offset"])
+        spheres, spans = self.model["spheres"], self.joint_spans()
+        own = np.linalg.norm(spheres[:, :3], axis=1) + MAX_GRIPPER_OPENING * np.linalg.norm(spheres[:, 4:], axis=1)
+        held = MAX_HELD_DISTANCE + np.linalg.norm(self.model["tool_offset"])
         frames = np.repeat(self.link_frame[:-1], np.diff(self.first[:-1]))
-        arms, frames = [*own, *[held] * HELD_ROOM], [*frames, *[self.n] * HELD_ROOM]
+        arms, frames = [*own, *[held] * MAX_HELD_SPHERES], [*frames, *[self.n] * MAX_HELD_SPHERES]
         out = np.zeros((self.n, len(arms)))
         for s, (arm, frame) in enumerate(zip(arms, frames, strict=True)):
             for k in range(frame):
@@ -64,28 +64,28 @@ class Anatomy:
     @cached_property
     def link_reach(self):
         """(n, links + 1): the longest among a link's spheres."""
-        room = [*self.first[:-1], len(self.model["spheres"]) + HELD_ROOM]
+        room = [*self.first[:-1], len(self.model["spheres"]) + MAX_HELD_SPHERES]
         return np.array([
             [self.reach[k, room[link] : room[link + 1]].max(initial=0.0) for link in range(self.links + 1)]
             for k in range(self.n)
         ])  # fmt: skip
 
     @cached_property
-    def balls(self):
+    def local_bounding_spheres(self):
         """(links + 1, 5); fingers that open in different directions move against each other."""
         out = []
         for link in range(self.links):
-            mine = self.model["spheres"][list(self.of(link))]
-            shift = OPENING * np.linalg.norm(mine[:, 4:] - mine[:1, 4:], axis=1).max(initial=0.0)
-            out.append(ball(mine[:, :3], mine[:, 3], shift))
-        return np.array([*out, ball(self.m.held[:, :3], self.m.held[:, 3], 0.0)])
+            mine = self.model["spheres"][list(self.sphere_indices(link))]
+            shift = MAX_GRIPPER_OPENING * np.linalg.norm(mine[:, 4:] - mine[:1, 4:], axis=1).max(initial=0.0)
+            out.append(bounding_sphere(mine[:, :3], mine[:, 3], shift))
+        return np.array([*out, bounding_sphere(self.case.held[:, :3], self.case.held[:, 3], 0.0)])
 
     # --- where it is ------------------------------------------------------------------------------------------
 
     @cached_property
     def frames(self):
         """Rotation and origin of frames 0..n."""
-        R, p = self.m.base or (np.eye(3), np.zeros(3))
+        R, p = self.case.base or (np.eye(3), np.zeros(3))
         out = [(R, p)]
         for k in range(self.n):
             p = p + R @ self.model["joint_offset"][3 * k : 3 * k + 3]
@@ -101,18 +101,20 @@ class Anatomy:
     @cached_property
     def frame(self):
         """The frame that every sphere moves with."""
-        return np.concatenate([np.full(len(self.of(link)), self.link_frame[link]) for link in range(self.links + 1)])
+        return np.concatenate(
+            [np.full(len(self.sphere_indices(link)), self.link_frame[link]) for link in range(self.links + 1)]
+        )
 
     @cached_property
     def centre(self):
         """(spheres, 3)"""
-        body = self.model["spheres"][:, :3] + self.m.opening * self.model["spheres"][:, 4:]
-        local = np.concatenate([body, self.m.held[:, :3]])
+        body = self.model["spheres"][:, :3] + self.case.opening * self.model["spheres"][:, 4:]
+        local = np.concatenate([body, self.case.held[:, :3]])
         return np.array([self.frames[f][1] + self.frames[f][0] @ c for f, c in zip(self.frame, local, strict=True)])
 
     @cached_property
     def radius(self):
-        return np.concatenate([self.model["spheres"][:, 3], self.m.held[:, 3]])
+        return np.concatenate([self.model["spheres"][:, 3], self.case.held[:, 3]])
 
     # --- how it can move --------------------------------------------------------------------------------------
 
@@ -147,31 +149,31 @@ class Anatomy:
         return out
 
     @cached_property
-    def wide(self):
+    def half_width(self):
         """(n,) half the trust box, and what the drive may be off."""
         return 0.5 * (self.trust_high - self.trust_low) + self.model["tracking"]
 
     @cached_property
-    def aim(self):
+    def box_centre(self):
         return 0.5 * (self.trust_low + self.trust_high)
 
     @cached_property
-    def fast(self):
-        return np.abs(self.aim) + self.wide
+    def max_joint_speed(self):
+        return np.abs(self.box_centre) + self.half_width
 
     @cached_property
-    def beyond(self):
+    def box_excess(self):
         """(n,) the whole box reaches so much farther than the trust box."""
         return np.maximum(self.high - self.trust_high, self.trust_low - self.low)
 
     @cached_property
     def velocity(self):
-        return np.einsum("k,skx->sx", self.aim, self.jacobian)
+        return np.einsum("k,skx->sx", self.box_centre, self.jacobian)
 
     @cached_property
     def spread(self):
         """(spheres,) how much any control of the trust box can change the velocity."""
-        return self.wide @ self.reach[:, : len(self.centre)]
+        return self.half_width @ self.reach[:, : len(self.centre)]
 
     @cached_property
     def twist(self):
@@ -180,39 +182,39 @@ class Anatomy:
         out = [np.zeros(6)]
         for k in range(self.n):
             one = [0.0, 0.0, 0.0, *z[k]] if self.slides[k] else [*z[k], *np.cross(p[k], z[k])]
-            out.append(out[-1] + self.aim[k] * np.array(one))
+            out.append(out[-1] + self.box_centre[k] * np.array(one))
         return np.array(out)
 
     @cached_property
-    def bends(self):
+    def acceleration_terms(self):
         """(spheres,) what the acceleration can add to a row's right side."""
         return 0.5 * self.model["period"] * np.linalg.norm(self.acceleration, axis=1)
 
-    def greatest(self, values):
+    def max_per_link(self, values):
         """(links + 1,) the greatest of every link's spheres."""
-        return np.array([values[list(self.of(link))].max(initial=0.0) for link in range(self.links + 1)])
+        return np.array([values[list(self.sphere_indices(link))].max(initial=0.0) for link in range(self.links + 1)])
 
     @cached_property
-    def bend(self):
-        return self.greatest(self.bends)
+    def max_acceleration_term(self):
+        return self.max_per_link(self.acceleration_terms)
 
     @cached_property
-    def speed(self):
+    def trust_region_speed(self):
         """(links + 1,) no sphere of the link is faster within the trust box."""
-        return self.greatest(np.linalg.norm(self.velocity, axis=1) + self.spread + self.bends)
+        return self.max_per_link(np.linalg.norm(self.velocity, axis=1) + self.spread + self.acceleration_terms)
 
     @cached_property
-    def haste(self):
+    def max_speed(self):
         """(links + 1,) nor within the whole box."""
-        return self.speed + self.beyond @ self.link_reach
+        return self.trust_region_speed + self.box_excess @ self.link_reach
 
     @cached_property
-    def bounds(self):
+    def bounding_spheres(self):
         """(links + 1, 5) balls where they are: centre, radius, inner distance; zero for a link without spheres."""
         out = np.zeros((self.links + 1, 5))
         for link in range(self.links + 1):
-            if len(self.of(link)):
+            if len(self.sphere_indices(link)):
                 R = self.frames[self.link_frame[link]][0]
-                at = self.centre[self.first[link]] + R @ self.balls[link, :3]
-                out[link] = [*at, *(self.balls[link, 3:] + 1e-6 * np.abs(at).sum())]
+                at = self.centre[self.first[link]] + R @ self.local_bounding_spheres[link, :3]
+                out[link] = [*at, *(self.local_bounding_spheres[link, 3:] + 1e-6 * np.abs(at).sum())]
         return out

@@ -5,7 +5,7 @@ import pytest
 
 from dualbrain.safety.cbf.compiled import _kernel64
 from tests.safety.kernel_step import random_cases
-from tests.safety.kernel_step.reference_active_set import DEPENDENT, Problem
+from tests.safety.kernel_step.reference_active_set import DEPENDENCE_TOLERANCE, ReferenceQP
 
 
 def problem(rng, *, slack):
@@ -19,7 +19,9 @@ def problem(rng, *, slack):
         A[1] /= np.linalg.norm(A[1])
     soft = rng.uniform(0.05, 1.0, m) * (rng.random(m) < 0.8)
     limit = rng.uniform(0.3, 2.0, n)
-    return Problem(random_cases.scale(rng, n), A, b, soft, -limit, limit, rng.uniform(-2.5, 2.5, n), slack=slack)
+    return ReferenceQP(
+        random_cases.random_scale(rng, n), A, b, soft, -limit, limit, rng.uniform(-2.5, 2.5, n), slack=slack
+    )
 
 
 def kernel(p, warm=(), shift=0.0):
@@ -68,10 +70,10 @@ def test_it_starts_from_what_was_active(slack):
         active = agree(first)
         parts = (first.S, first.A, first.b, first.soft, first.low, first.high)
         if len(active) <= first.n:
-            again = Problem(*parts, first.u_nom, slack=slack)
+            again = ReferenceQP(*parts, first.u_nom, slack=slack)
             agree(again, active)
             assert again.iterations == 0 or not active
-        other = Problem(*parts, first.u_nom + 0.3 * rng.normal(size=first.n), slack=slack)
+        other = ReferenceQP(*parts, first.u_nom + 0.3 * rng.normal(size=first.n), slack=slack)
         agree(other, [*active, *rng.permutation(2 * first.n + len(first.b))[:3]])
 
 
@@ -79,18 +81,18 @@ def test_rows_are_tightened_by_the_shift():
     rng = np.random.default_rng(2)
     for _ in range(40):
         p = problem(rng, slack=False)
-        q = Problem(p.S, p.A, p.b + 0.01, p.soft, p.low, p.high, p.u_nom, slack=False)
+        q = ReferenceQP(p.S, p.A, p.b + 0.01, p.soft, p.low, p.high, p.u_nom, slack=False)
         u, result, *_ = kernel(p, shift=0.01)
         assert result == q.solve()
         if result == 0:
             np.testing.assert_allclose(u, q.u, atol=1e-8)
 
 
-@pytest.mark.parametrize(("angle", "wanted"), [(0.9 * DEPENDENT, 1), (1.1 * DEPENDENT, 0)])
+@pytest.mark.parametrize(("angle", "wanted"), [(0.9 * DEPENDENCE_TOLERANCE, 1), (1.1 * DEPENDENCE_TOLERANCE, 0)])
 def test_a_row_depends_on_another_up_to_a_stated_angle(angle, wanted):
     """Two rows against each other, a hair from parallel: below the angle there is no way between them."""
     A = np.array([[1.0, 0.0], [-np.cos(angle), np.sin(angle)]])
-    p = Problem(np.eye(2), A, np.array([0.0, 0.4 * angle]), np.zeros(2), -np.ones(2), np.ones(2), np.array([-0.5, 0.0]),
+    p = ReferenceQP(np.eye(2), A, np.array([0.0, 0.4 * angle]), np.zeros(2), -np.ones(2), np.ones(2), np.array([-0.5, 0.0]),
                 slack=False)  # fmt: skip
     assert kernel(p)[1] == wanted
 
@@ -98,7 +100,7 @@ def test_a_row_depends_on_another_up_to_a_stated_angle(angle, wanted):
 @pytest.mark.parametrize(("missing", "iterations"), [(0.9e-11, 0), (1.2e-11, 1)])
 def test_what_counts_as_met(missing, iterations):
     for A, b, low in ((np.array([[1.0]]), missing, -1.0), (np.array([[0.6]]), -1.0, missing)):
-        p = Problem(np.eye(1), A, np.array([b]), np.zeros(1), np.array([low]), np.ones(1), np.zeros(1), slack=False)
+        p = ReferenceQP(np.eye(1), A, np.array([b]), np.zeros(1), np.array([low]), np.ones(1), np.zeros(1), slack=False)
         assert kernel(p)[2] == iterations
 
 

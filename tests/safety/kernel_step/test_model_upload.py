@@ -4,14 +4,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.core.geometry.rotations import matrix
+from dualbrain.core.geometry.rotations import quaternion_to_matrix
 from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere
-from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.safety.cbf import kernel
 from dualbrain.safety.cbf.compiled import _kernel
 from dualbrain.safety.cbf.filter import FilterConfig, Obstacle
-from dualbrain.safety.cbf.kernel import model_of, obstacle_rows, steepest, tool_frame, tracking_error
-from dualbrain.safety.cbf.obstacles import Separation
+from dualbrain.safety.cbf.kernel import kernel_model, max_gain, obstacle_table, tool_frame, tracking_error
+from dualbrain.safety.cbf.obstacles import SpeedAndSeparation
 from dualbrain.safety.cbf.rows import Rank
 from tests.safety import geometry_oracle
 
@@ -30,41 +30,41 @@ def test_a_thing_is_one_row_and_what_its_shape_lacks_is_zero(shape, known, stati
     solid, kind, half, radius = SHAPES[shape]
     thing = Obstacle(
         "x", solid, POSE, (0.4, 0.5, 0.6), margin=0.01, known=known, static=static, velocity_error=0.02, alpha=1.5,
-        rank=Rank.WORKSPACE, parts=("hand", "link3"), separation=Separation(0.1, 0.9, 0.3),
+        rank=Rank.WORKSPACE, parts=("hand", "link3"), separation=SpeedAndSeparation(0.1, 0.9, 0.3),
     )  # fmt: skip
     wanted = [
         kind, known + 2.0 * static, 3.0, 2.0**4 + 2.0**6 + 2.0**9, 1.5, *POSE.position,
-        *geometry_oracle.rotation(POSE.quaternion).ravel(), *half, radius, 0.4, 0.5, 0.6, 0.01, 0.02, 0.1, 0.9, 0.3,
+        *geometry_oracle.rotation_matrix(POSE.quaternion).ravel(), *half, radius, 0.4, 0.5, 0.6, 0.01, 0.02, 0.1, 0.9, 0.3,
     ]  # fmt: skip
-    table = obstacle_rows([thing, thing], {"hand": (4, 6), "link3": (9,), "other": (1,)})
+    table = obstacle_table([thing, thing], {"hand": (4, 6), "link3": (9,), "other": (1,)})
     assert table.shape == (2, 29)
     np.testing.assert_allclose(table, [wanted, wanted], atol=1e-15)
 
 
 def test_a_thing_without_particulars_is_for_every_part_and_asks_for_nothing_more():
-    row = obstacle_rows([Obstacle("x", Sphere(0.1), POSE)])[0]
+    row = obstacle_table([Obstacle("x", Sphere(0.1), POSE)])[0]
     assert row[3] == 2.0**32 - 1.0
     assert row[4] == 0.0
     assert row[26:].tolist() == [0.0, 0.0, 0.0]
-    assert obstacle_rows([]).shape == (0, 29)
+    assert obstacle_table([]).shape == (0, 29)
 
 
 def test_as_many_things_as_there_is_room_for():
     one = Obstacle("x", Sphere(0.1), POSE)
-    assert len(obstacle_rows([one] * 512)) == 512 == _kernel.max_obstacles == kernel.MOST_OBSTACLES
-    with pytest.raises(InvalidSetup, match="obstacles at once") as told:
-        obstacle_rows([one] * 513)
+    assert len(obstacle_table([one] * 512)) == 512 == _kernel.max_obstacles == kernel.MAX_OBSTACLES
+    with pytest.raises(ConfigurationError, match="obstacles at once") as told:
+        obstacle_table([one] * 513)
     assert (told.value.got, told.value.allowed) == (513, "at most 512")
-    with pytest.raises(UnknownName, match="elbow"):
-        obstacle_rows([msgspec.structs.replace(one, parts=("elbow",))], {"hand": (1,)})
+    with pytest.raises(UnknownNameError, match="elbow"):
+        obstacle_table([msgspec.structs.replace(one, parts=("elbow",))], {"hand": (1,)})
 
 
 def test_the_dials_are_those_of_the_configuration(panda):
     config = FilterConfig(
         alpha=1.1, alpha_self=1.2, alpha_joint=1.3, recovery_speed=0.07, sampling_margin=3e-4, rounding_margin=2e-5,
-        self_margin=0.004, tracking_error=0.006, stale_after=0.4, state_stale_after=0.03,
+        self_margin=0.004, tracking_error=0.006, scene_stale_after=0.4, state_stale_after=0.03,
     )  # fmt: skip
-    told = model_of(panda, config)
+    told = kernel_model(panda, config)
     wanted = {
         "n": 7, "period": panda.period, "alpha": 1.1, "alpha_self": 1.2, "alpha_joint": 1.3, "recovery": 0.07,
         "sampling": 3e-4, "rounding": 2e-5, "self_margin": 0.004, "lag": panda.tracking.lag, "tracking": 0.006,
@@ -83,16 +83,16 @@ def test_gains_fall_back_on_the_filters_and_then_on_the_bodys(panda):
         (FilterConfig(alpha=1.7, alpha_self=2.1), [1.7, 2.1, 1.7]),
         (FilterConfig(alpha_joint=0.2), [panda.alpha, panda.alpha, 0.2]),
     ):  # fmt: skip
-        told = model_of(panda, config)
+        told = kernel_model(panda, config)
         assert [told[name] for name in names] == wanted
-        assert steepest(panda, config) == max(wanted)
+        assert max_gain(panda, config) == max(wanted)
         assert tracking_error(panda, config) == told["tracking"] == panda.tracking.budget(max(wanted))
     assert tracking_error(panda, FilterConfig(tracking_error=0.0)) == 0.0
-    assert model_of(panda, FilterConfig(lag_compensation=False))["lag"] == 0.0
+    assert kernel_model(panda, FilterConfig(lag_compensation=False))["lag"] == 0.0
 
 
 def test_limits_are_the_bodys_or_never_bind(panda):
-    told = model_of(panda, FilterConfig(jerk_limits=True))
+    told = kernel_model(panda, FilterConfig(jerk_limits=True))
     for name, limit in (
         ("q_lower", "lower"),
         ("q_upper", "upper"),
@@ -101,9 +101,9 @@ def test_limits_are_the_bodys_or_never_bind(panda):
         ("j_max", "jerk"),
     ):
         assert told[name].tolist() == [getattr(joint, limit).value for joint in panda.joints]
-    free = model_of(panda, FilterConfig(acceleration_limits=False))
+    free = kernel_model(panda, FilterConfig(acceleration_limits=False))
     assert np.all(free["a_max"] * panda.period >= 2.0 * free["v_max"])
-    assert free["a_max"].tolist() == [kernel.UNLIMITED] * 7 == [1e4] * 7
+    assert free["a_max"].tolist() == [kernel.UNLIMITED_ACCELERATION] * 7 == [1e4] * 7
     assert not free["j_max"].any()
 
 
@@ -111,29 +111,31 @@ def test_the_weight_is_the_inverse_square_of_the_speeds_or_as_given(panda):
     v = np.array([joint.velocity.value for joint in panda.joints])
     M = np.random.default_rng(1).normal(size=(7, 7))
     for weight, R in ((None, np.diag(v**-2.0)), (M @ M.T, M @ M.T)):
-        S = model_of(panda, FilterConfig(), weight)["scale"]
+        S = kernel_model(panda, FilterConfig(), weight)["scale"]
         np.testing.assert_allclose(S.T @ R @ S, np.eye(7), atol=1e-6)
         np.testing.assert_allclose(np.triu(S), S, atol=1e-12)
     for wrong in (-np.eye(7), np.zeros((7, 7))):
-        with pytest.raises(InvalidSetup, match="weight R") as told:
-            model_of(panda, FilterConfig(), wrong)
+        with pytest.raises(ConfigurationError, match="weight R") as told:
+            kernel_model(panda, FilterConfig(), wrong)
         assert told.value.got == wrong.tolist()
 
 
 def test_the_geometry_is_the_bodys_in_the_frames_of_its_joints(panda):
-    told = model_of(panda, FilterConfig())
+    told = kernel_model(panda, FilterConfig())
     assert told["joint_kind"].tolist() == [0.0] * 7
     assert told["link_frame"].tolist() == [link.frame for link in panda.links]
     counts = [sum(ball.link == link.name for ball in panda.spheres) for link in panda.links]
     assert told["link_first"].tolist() == [0, *np.cumsum(counts)]
     for k, joint in enumerate(panda.joints):
         np.testing.assert_allclose(
-            told["joint_rotation"][9 * k : 9 * k + 9], geometry_oracle.rotation(joint.quaternion).ravel(), atol=1e-12
+            told["joint_rotation"][9 * k : 9 * k + 9],
+            geometry_oracle.rotation_matrix(joint.quaternion).ravel(),
+            atol=1e-12,
         )
         assert told["joint_offset"][3 * k : 3 * k + 3].tolist() == list(joint.translation)
     at = 0
     for link in panda.links:
-        R, p = geometry_oracle.rotation(link.quaternion), np.array(link.translation)
+        R, p = geometry_oracle.rotation_matrix(link.quaternion), np.array(link.translation)
         for ball in (ball for ball in panda.spheres if ball.link == link.name):
             wanted = [*(p + R @ np.array(ball.centre)), ball.radius, *(R @ np.array(link.slide))]
             np.testing.assert_allclose(told["spheres"][at], wanted, atol=1e-12)
@@ -142,27 +144,27 @@ def test_the_geometry_is_the_bodys_in_the_frames_of_its_joints(panda):
     sliding = msgspec.structs.replace(
         panda, joints=(msgspec.structs.replace(panda.joints[0], kind="prismatic"), *panda.joints[1:])
     )
-    assert model_of(sliding, FilterConfig())["joint_kind"].tolist() == [1.0, *[0.0] * 6]
+    assert kernel_model(sliding, FilterConfig())["joint_kind"].tolist() == [1.0, *[0.0] * 6]
 
 
 def test_the_tool_is_placed_by_its_link(panda):
     link = next(link for link in panda.links if link.name == panda.tool.link)
     turn, offset = tool_frame(panda)
-    R = geometry_oracle.rotation(link.quaternion)
-    np.testing.assert_allclose(turn, R @ geometry_oracle.rotation(panda.tool.quaternion), atol=1e-12)
+    R = geometry_oracle.rotation_matrix(link.quaternion)
+    np.testing.assert_allclose(turn, R @ geometry_oracle.rotation_matrix(panda.tool.quaternion), atol=1e-12)
     np.testing.assert_allclose(offset, np.array(link.translation) + R @ np.array(panda.tool.translation), atol=1e-12)
-    told = model_of(panda, FilterConfig())
+    told = kernel_model(panda, FilterConfig())
     np.testing.assert_allclose(told["tool_rotation"], turn)
     np.testing.assert_allclose(told["tool_offset"], offset)
     early = msgspec.structs.replace(panda, tool=msgspec.structs.replace(panda.tool, link=panda.links[1].name))
-    with pytest.raises(InvalidSetup, match="the tool's link") as told:
+    with pytest.raises(ConfigurationError, match="the tool's link") as told:
         tool_frame(early)
     assert told.value.got == panda.links[1].name
     assert "(7)" in told.value.allowed
 
 
 def test_pairs_are_told_the_nearer_link_first_and_what_is_held_is_kept_from_what_the_hand_is(panda):
-    told = model_of(panda, FilterConfig())
+    told = kernel_model(panda, FilterConfig())
     names = [link.name for link in panda.links]
     pairs = told["pairs"].astype(int).reshape(-1, 2)
     frames = told["link_frame"]
@@ -173,22 +175,22 @@ def test_pairs_are_told_the_nearer_link_first_and_what_is_held_is_kept_from_what
     assert hand
     swapped = tuple((b, a) for a, b in panda.self_pairs.kept)
     turned = msgspec.structs.replace(panda, self_pairs=msgspec.structs.replace(panda.self_pairs, kept=swapped))
-    assert np.array_equal(model_of(turned, FilterConfig())["pairs"], told["pairs"])
+    assert np.array_equal(kernel_model(turned, FilterConfig())["pairs"], told["pairs"])
     fixed = [link.name for link in panda.links if link.frame == 7][:2]
     stiff = msgspec.structs.replace(panda, self_pairs=msgspec.structs.replace(panda.self_pairs, kept=(tuple(fixed),)))
-    with pytest.raises(InvalidSetup, match="self-collision pair"):
-        model_of(stiff, FilterConfig())
+    with pytest.raises(ConfigurationError, match="self-collision pair"):
+        kernel_model(stiff, FilterConfig())
 
 
 def test_what_a_build_lacks_is_told_with_its_number(panda, monkeypatch):
     """One too many of anything is refused by name, with the number of the largest build that there is."""
-    monkeypatch.setattr(kernel, "SIZES", ("",))
-    assert kernel.build_for(panda, FilterConfig()) is _kernel
+    monkeypatch.setattr(kernel, "BUILD_SUFFIXES", ("",))
+    assert kernel.select_build(panda, FilterConfig()) is _kernel
     for what, change in (("spheres", {"spheres": panda.spheres * 3}), ("parts", {"links": panda.links * 4})):
         many = msgspec.structs.replace(panda, **change)
-        with pytest.raises(InvalidSetup, match=what) as told:
-            kernel.build_for(many, FilterConfig())
+        with pytest.raises(ConfigurationError, match=what) as told:
+            kernel.select_build(many, FilterConfig())
         assert told.value.got == len(next(iter(change.values())))
     assert kernel.kernel_hash() == _kernel.source_hash
     assert len(kernel.kernel_hash()) == 16
-    assert matrix(POSE.quaternion) == pytest.approx(geometry_oracle.rotation(POSE.quaternion))
+    assert quaternion_to_matrix(POSE.quaternion) == pytest.approx(geometry_oracle.rotation_matrix(POSE.quaternion))

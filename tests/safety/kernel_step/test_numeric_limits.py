@@ -7,7 +7,7 @@ import pytest
 
 from dualbrain.safety.cbf.compiled import _kernel, _kernel64
 from tests.safety.kernel_step import random_cases
-from tests.safety.kernel_step.reference_obstacles import Thing
+from tests.safety.kernel_step.reference_obstacles import ReferenceObstacle
 
 POSITION, MARGIN, ERROR, REACTION, BRAKE, APPROACH, ALPHA, RANK, SHAPE, RADIUS = 5, 24, 25, 26, 27, 28, 4, 2, 0, 20
 STATUS_STOPPED, OVERFLOW, BAD_SCENE, INFEASIBLE, JERK = 3, 16, 256, 128, 2048
@@ -15,7 +15,7 @@ NO_GRADIENT, UNAVOIDABLE = 32, 1024
 VELOCITY, ACCELERATION, JERKED, AT_LIMIT = range(4)
 
 
-def chain(n=2, spheres=(), frames=(2,), counts=(1,), **changes):
+def chain_model(n=2, spheres=(), frames=(2,), counts=(1,), **changes):
     """An arm of `n` joints about one axis, 0.3 m apart, at home; a ball on its last frame."""
     balls = np.array(spheres or [[0.1, 0.0, 0.0, 0.02, 0.0, 0.0, 0.0]] * sum(counts), float)
     return {
@@ -30,9 +30,22 @@ def chain(n=2, spheres=(), frames=(2,), counts=(1,), **changes):
     } | changes  # fmt: skip
 
 
-def ball(place=(5.0, 5.0, 5.0), radius=0.05, **changes):
+def ball_row(place=(5.0, 5.0, 5.0), radius=0.05, **changes):
     """One still ball as a row of the table; `changes` by column."""
-    row = [0.0, 2.0, 2.0, random_cases.ALL, 0.0, *place, *np.eye(3).ravel(), 0.0, 0.0, 0.0, radius, *[0.0] * 8]
+    row = [
+        0.0,
+        2.0,
+        2.0,
+        random_cases.ALL_LINKS_MASK,
+        0.0,
+        *place,
+        *np.eye(3).ravel(),
+        0.0,
+        0.0,
+        0.0,
+        radius,
+        *[0.0] * 8,
+    ]
     for column, value in changes.items():
         row[int(column[1:])] = value
     return row
@@ -40,11 +53,11 @@ def ball(place=(5.0, 5.0, 5.0), radius=0.05, **changes):
 
 def answer(model, things=(), q=0.0, u_prev=0.0, u_nom=None, before=None, build=_kernel64):
     """One step from rest or from `u_prev`; the kernel and its answer."""
-    n, made = model["n"], random_cases.kernel(model, build)
+    n, made = model["n"], random_cases.make_kernel(model, build)
     made.set_obstacles(np.array(things, float).reshape(-1, 29))
     last = np.broadcast_to(np.asarray(u_prev, float), (n,)).copy()
     made.reset(last)
-    m = random_cases.Moment(
+    m = random_cases.StepCase(
         np.broadcast_to(q, (n,)).astype(float),
         np.zeros(n),
         last if u_nom is None else np.asarray(u_nom, float),
@@ -53,19 +66,19 @@ def answer(model, things=(), q=0.0, u_prev=0.0, u_nom=None, before=None, build=_
     )
     if before is not None:  # a step that gives the last control its change
         m.u_nom = np.asarray(before, float)
-        random_cases.step(made, m)
+        random_cases.run_step(made, m)
         m.u_nom = np.asarray(u_nom, float)
-    return made, random_cases.step(made, m)
+    return made, random_cases.run_step(made, m)
 
 
 @pytest.mark.parametrize(("links", "things"), [(8, 64), (64, 8)], ids=["things in turn", "spheres in turn"])
 def test_rows_that_fit_fit_and_one_more_stops(links, things):
     """All spheres within a millimetre of all things: 512 rows are stated, 513 are told to be too many."""
-    model = chain(frames=(1, 2), counts=(1, links))
-    around = ball((0.7, 0.15, 0.0), 0.1, **{"c3": 2.0, f"c{MARGIN}": 0.0295})
-    first = ball((0.4, 0.15, 0.0), 0.1, **{"c3": 1.0, f"c{MARGIN}": 0.0295})
+    model = chain_model(frames=(1, 2), counts=(1, links))
+    around = ball_row((0.7, 0.15, 0.0), 0.1, **{"c3": 2.0, f"c{MARGIN}": 0.0295})
+    first = ball_row((0.4, 0.15, 0.0), 0.1, **{"c3": 1.0, f"c{MARGIN}": 0.0295})
     made, fits = answer(model, [around] * things)
-    assert (fits.flags & OVERFLOW, random_cases.inside(made, 2, 2)["rows"]["count"][0]) == (0, 512)
+    assert (fits.flags & OVERFLOW, random_cases.step_internals(made, 2, 2)["rows"]["count"][0]) == (0, 512)
     made, many = answer(model, [*[around] * things, first])
     assert (many.status, many.flags & OVERFLOW) == (STATUS_STOPPED, OVERFLOW)
     assert (many.n_rows, many.certified, many.iterations, many.rows, many.relaxed) == (512, False, 0, (), 0)
@@ -73,22 +86,22 @@ def test_rows_that_fit_fit_and_one_more_stops(links, things):
 
 
 def test_a_row_handed_in_needs_room_as_well():
-    model = chain(frames=(1, 2), counts=(1, 8))
-    made = random_cases.kernel(model)
-    made.set_obstacles(np.array([ball((0.7, 0.15, 0.0), 0.1, **{"c3": 2.0, f"c{MARGIN}": 0.0295})] * 64))
-    m = random_cases.Moment(*np.zeros((4, 2)), np.empty((0, 29)))
+    model = chain_model(frames=(1, 2), counts=(1, 8))
+    made = random_cases.make_kernel(model)
+    made.set_obstacles(np.array([ball_row((0.7, 0.15, 0.0), 0.1, **{"c3": 2.0, f"c{MARGIN}": 0.0295})] * 64))
+    m = random_cases.StepCase(*np.zeros((4, 2)), np.empty((0, 29)))
     for rows, wanted in ((0, 0), (1, OVERFLOW)):
         made.constrain(np.array([[1.0, 0.0, -5.0, 0.0, 1.0]] * rows).reshape(-1, 5))
-        assert random_cases.step(made, m).flags & OVERFLOW == wanted
+        assert random_cases.run_step(made, m).flags & OVERFLOW == wanted
 
 
 def test_inside_a_box_the_way_out_is_the_nearest_face():
     rng = np.random.default_rng(8)
     for _ in range(60):
-        row = np.array(ball((0.1, 0.2, 0.3), 0.0))
-        row[0], row[8:17], row[17:20] = 1.0, random_cases.turn(rng).ravel(), rng.uniform(0.1, 0.4, 3)
-        thing = Thing(row, 0.0)
-        points = row[5:8] + (rng.uniform(-1.0, 1.0, (8, 3)) * thing.half) @ thing.turn.T
+        row = np.array(ball_row((0.1, 0.2, 0.3), 0.0))
+        row[0], row[8:17], row[17:20] = 1.0, random_cases.random_rotation(rng).ravel(), rng.uniform(0.1, 0.4, 3)
+        thing = ReferenceObstacle(row, 0.0)
+        points = row[5:8] + (rng.uniform(-1.0, 1.0, (8, 3)) * thing.half) @ thing.rotation.T
         d, n = np.empty(8), np.empty((8, 3))
         _kernel64.distance(row, np.ascontiguousarray(points), d, n)
         for point, got, normal in zip(points, d, n, strict=True):
@@ -116,10 +129,10 @@ def test_a_thing_is_believed_up_to_its_edges(name):
         math.nan,
     ]
     for value in inside:
-        _, got = answer(chain(), [ball(), ball(**{f"c{column}": math.floor(value) if whole else value})])
+        _, got = answer(chain_model(), [ball_row(), ball_row(**{f"c{column}": math.floor(value) if whole else value})])
         assert not got.flags & BAD_SCENE, value
     for value in outside[: 2 if whole else 3]:
-        _, got = answer(chain(), [ball(), ball(**{f"c{column}": value})])
+        _, got = answer(chain_model(), [ball_row(), ball_row(**{f"c{column}": value})])
         assert got.flags & BAD_SCENE, value
         assert got.status == STATUS_STOPPED
 
@@ -129,9 +142,9 @@ def test_a_thing_is_believed_up_to_its_edges(name):
 def test_only_the_mount_may_stand_at_what_no_joint_can_move(frame, still, told):
     """A ball on the axes of all joints: what is near stays near. Deeper than the sampling margin, the robot stops."""
     spheres = [[0.0, 0.0, 0.1, 0.02, 0.0, 0.0, 0.0]]
-    model = chain(spheres=spheres, frames=(frame,), joint_offset=np.zeros(6), sampling=1e-3)
+    model = chain_model(spheres=spheres, frames=(frame,), joint_offset=np.zeros(6), sampling=1e-3)
     for deep, more in ((0.5e-3, 0), (1.5e-3, NO_GRADIENT)):
-        near = ball((0.0, 0.071 - deep, 0.1), **{"c1": 2.0 * still})
+        near = ball_row((0.0, 0.071 - deep, 0.1), **{"c1": 2.0 * still})
         _, got = answer(model, [near])
         assert got.flags & (NO_GRADIENT | UNAVOIDABLE) == (told | more if told else 0)
         assert (got.status == STATUS_STOPPED) == bool(told and more)
@@ -140,21 +153,21 @@ def test_only_the_mount_may_stand_at_what_no_joint_can_move(frame, still, told):
 @pytest.mark.parametrize("column", [*range(5, 26)])
 def test_no_number_of_a_thing_may_be_infinite(column):
     for value in (math.inf, -math.inf, math.nan):
-        _, got = answer(chain(), [ball(**{f"c{column}": value})])
+        _, got = answer(chain_model(), [ball_row(**{f"c{column}": value})])
         assert got.flags & BAD_SCENE
 
 
 def test_a_row_handed_in_has_a_rank_and_numbers():
     for rank, bad in ((0.0, True), (1.0, False), (4.0, False), (5.0, True)):
-        made = random_cases.kernel(chain())
+        made = random_cases.make_kernel(chain_model())
         made.constrain(np.array([[1.0, 0.0, -5.0, 0.0, 1.0], [1.0, 0.0, -5.0, 0.0, rank]]))
-        m = random_cases.Moment(*np.zeros((4, 2)), np.empty((0, 29)))
-        assert bool(random_cases.step(made, m).flags & BAD_SCENE) == bad
+        m = random_cases.StepCase(*np.zeros((4, 2)), np.empty((0, 29)))
+        assert bool(random_cases.run_step(made, m).flags & BAD_SCENE) == bad
 
 
 def test_a_new_filter_knows_of_nothing():
-    made, got = answer(chain())
-    scene = random_cases.inside(made, 2, 1)["scene"]
+    made, got = answer(chain_model())
+    scene = random_cases.step_internals(made, 2, 1)["scene"]
     assert np.all(scene["permit"] == -1.0)
     for name in ("held_error", "n_held", "n_user", "n_obstacles", "any_moving"):
         assert scene[name][0] == 0.0
@@ -167,7 +180,7 @@ def test_a_bound_is_called_velocity_within_a_thousandth_of_a_step(more, told):
     """The last control is nearly v_max less one step: which limit is it then?"""
     last = 2.0 - 0.01 * (1.0 + more)
     for side in (1.0, -1.0):
-        _, got = answer(chain(), u_prev=side * last, u_nom=np.full(2, 9.0 * side))
+        _, got = answer(chain_model(), u_prev=side * last, u_nom=np.full(2, 9.0 * side))
         assert [row[2] for row in got.rows] == [told, told]
 
 
@@ -178,7 +191,10 @@ def test_a_bound_is_called_acceleration_within_a_thousandth_of_a_step(more, told
     for side in (1.0, -1.0):
         q = side * (2.0 - bound / 4.0)  # alpha d is less than what braking allows
         _, got = answer(
-            chain(q_upper=np.full(2, 2.0), a_max=np.full(2, 10.0)), q=q, u_prev=0.5 * side, u_nom=np.full(2, 9.0 * side)
+            chain_model(q_upper=np.full(2, 2.0), a_max=np.full(2, 10.0)),
+            q=q,
+            u_prev=0.5 * side,
+            u_nom=np.full(2, 9.0 * side),
         )
         assert [row[2] for row in got.rows] == [told, told]
 
@@ -186,7 +202,7 @@ def test_a_bound_is_called_acceleration_within_a_thousandth_of_a_step(more, told
 @pytest.mark.parametrize("j_max", [4000.0, 0.5])
 @pytest.mark.parametrize(("more", "told"), [(0.7e-3, JERKED), (1.5e-3, AT_LIMIT)])
 def test_a_bound_is_called_jerk_within_a_thousandth_of_a_step(more, told, j_max):
-    model = chain(j_max=np.full(2, j_max))
+    model = chain_model(j_max=np.full(2, j_max))
     step, jerk = 0.01, j_max * 1e-3**2  # 4 mrad/s a period each period, or next to nothing
     for side in (1.0, -1.0):
         bound = 0.5 + jerk - more * step
@@ -204,14 +220,14 @@ def test_a_joint_limit_is_missed_from_a_fiftieth_of_a_step_on(lack, told):
             q, u = np.zeros(2), np.zeros(2)
             u[k] = side * 0.5
             q[k] = side * (2.0 - (0.5 - 0.01 - lack * slack) / 4.0)
-            _, got = answer(chain(), q=q, u_prev=u)
+            _, got = answer(chain_model(), q=q, u_prev=u)
             assert bool(got.flags & INFEASIBLE) == told
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_the_way_out_asks_no_more_than_the_box_can_give(side):
     """From 5 mm inside at rest: 20 mm/s are wanted, 5 mm/s can be had, and that is no contradiction."""
-    _, got = answer(chain(), [ball((0.7, 0.065 * side, 0.0))], u_nom=np.zeros(2))
+    _, got = answer(chain_model(), [ball_row((0.7, 0.065 * side, 0.0))], u_nom=np.zeros(2))
     assert (got.status, got.flags, got.relaxed) == (1, 0, 0)
     np.testing.assert_allclose(got.u, -0.01 * side, atol=1e-7)
 
@@ -219,7 +235,7 @@ def test_the_way_out_asks_no_more_than_the_box_can_give(side):
 @pytest.mark.parametrize("outside", [0.0, 0.02, 0.05, 0.1])
 def test_outside_its_range_a_joint_comes_back_no_faster_than_four_recoveries(outside):
     """At alpha d where that is slower; what the arm may not follow is added, so that it comes back in any case."""
-    model = chain(tracking=0.01, a_max=np.full(2, 1e4))
+    model = chain_model(tracking=0.01, a_max=np.full(2, 1e4))
     for side in (1.0, -1.0):
         made, got = answer(model, q=side * (2.0 + outside), u_nom=np.full(2, 9.0 * side))
         back = min(4.0 * outside, 4.0 * 0.05) + 0.01
@@ -229,7 +245,7 @@ def test_outside_its_range_a_joint_comes_back_no_faster_than_four_recoveries(out
 
 def test_no_room_for_jerk_is_told_and_only_then():
     """Braking at full acceleration, a limit ahead: the joint limit wins, and the answer says so."""
-    model = chain(j_max=np.full(2, 1000.0))
+    model = chain_model(j_max=np.full(2, 1000.0))
     _, got = answer(model, q=0.0, u_prev=0.5, u_nom=np.full(2, 0.5))
     assert not got.flags & JERK
     _, got = answer(model, q=2.0 - 0.497 / 4.0, u_prev=0.5, u_nom=np.full(2, 0.5))

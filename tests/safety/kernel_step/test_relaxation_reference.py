@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from tests.safety.kernel_step import random_cases
-from tests.safety.kernel_step.reference_relaxation import Relaxing
-from tests.safety.kernel_step.test_step_internals import KINDS, asked
+from tests.safety.kernel_step.reference_relaxation import ReferenceRelaxation
+from tests.safety.kernel_step.test_step_internals import KINDS, run_both
 
 
 def hard(rng, kind):
     """A moment that may have no answer, from a fast start between many things."""
-    found = asked(rng, 7, 6, kind, Relaxing, crowded=True)
+    found = run_both(rng, 7, 6, kind, ReferenceRelaxation, crowded=True)
     if found is None:
         return None
     _, _, _, answer, got, w = found
@@ -31,14 +31,14 @@ def test_what_is_given_up_is_the_least_rank_by_rank(kind):
         assert answer.certified == (answer.status != 4)
         if answer.certified:
             certified += 1
-            assert w.kept(np.array(answer.u))
+            assert w.keeps_barriers(np.array(answer.u))
         else:
             faults += 1
-            assert not w.kept(w.brake, 1e-12), "braking is tried last"
-        if answer.status == 2 and names and set(names) == set(w.rows) and not w.fixed:
-            wanted = w.relax(names)
+            assert not w.keeps_barriers(w.brake_target, 1e-12), "braking is tried last"
+        if answer.status == 2 and names and set(names) == set(w.rows) and not w.zero_gradient_rows:
+            wanted = w.solve_relaxation(names)
             u, given_up = wanted or (None, 0)
-            if wanted and w.kept(u, 1e-12):
+            if wanted and w.keeps_barriers(u, 1e-12):
                 np.testing.assert_allclose(answer.u, u, atol=2e-7)
                 assert answer.relaxed == given_up
                 relaxed += 1
@@ -53,13 +53,13 @@ def test_a_step_reads_nothing_that_it_has_not_written():
         rng = np.random.default_rng(4)
         found = None
         while found is None:
-            found = asked(rng, 8, 6, kind)
+            found = run_both(rng, 8, 6, kind)
         _, model, m, answer, got, _ = found
         for byte in (0xFF, 0x5A):
-            made = random_cases.kernel(model)
+            made = random_cases.make_kernel(model)
             made.stain(byte)
-            random_cases.tell(made, model, m)
-            again = random_cases.step(made, m)
+            random_cases.upload_case(made, model, m)
+            again = random_cases.run_step(made, m)
             assert np.array_equal(again.u, answer.u)
             told = (
                 "delta",
@@ -74,6 +74,6 @@ def test_a_step_reads_nothing_that_it_has_not_written():
                 "relaxed",
             )
             assert [getattr(again, name) for name in told] == [getattr(answer, name) for name in told]
-            fresh = random_cases.inside(made, model["n"], len(model["link_frame"]))
+            fresh = random_cases.step_internals(made, model["n"], len(model["link_frame"]))
             for name in ("speed", "haste", "bend", "bound_r"):
                 assert np.array_equal(fresh["motion"][name][:7], got["motion"][name][:7]), name

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.safety.kernel_step import random_cases
-from tests.safety.kernel_step.reference_rows import LOWER, OBSTACLE, SELF, UPPER, Weighing
+from tests.safety.kernel_step.reference_rows import LOWER, OBSTACLE, SELF, UPPER, ReferenceRows
 
 KINDS = {
     "still": {"moving": False, "apart": False, "permits": False, "held": 0, "rows": 0},
@@ -29,22 +29,22 @@ def close(got, wanted, what, tolerance=1e-9):
     np.testing.assert_allclose(got, wanted, atol=tolerance, rtol=1e-9, err_msg=what)
 
 
-def asked(rng, n, links, kind, oracle=Weighing, *, crowded=False):
+def run_both(rng, n, links, kind, oracle=ReferenceRows, *, crowded=False):
     """A kernel after one step, and what numpy says of the same moment; None where the input was refused."""
-    model = random_cases.body(rng, n, links)
-    made = random_cases.kernel(model)
-    rest = random_cases.Moment(np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.empty((0, 29)))
+    model = random_cases.random_model(rng, n, links)
+    made = random_cases.make_kernel(model)
+    rest = random_cases.StepCase(np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.empty((0, 29)))
     box = np.array([-model["v_max"], model["v_max"]])
-    points = Weighing(model, rest, box, box).centre
-    m = random_cases.moment(rng, model, points, **KINDS[kind])
+    points = ReferenceRows(model, rest, box, box).centre
+    m = random_cases.random_case(rng, model, points, **KINDS[kind])
     if crowded:  # fast toward what is near, and rows of one's own that contradict
         m.u_nom = m.u_prev = model["v_max"] * rng.uniform(-0.5, 0.5, n)
         m.rows = np.concatenate([m.rows, -m.rows * np.array([*[1.0] * n, -0.01, 1.0, -1.0])]).reshape(-1, n + 3)
-    random_cases.tell(made, model, m)
-    answer = random_cases.step(made, m)
+    random_cases.upload_case(made, model, m)
+    answer = random_cases.run_step(made, m)
     if answer.status == 3 or answer.flags & STOPPING:
         return None
-    got = random_cases.inside(made, n, links)
+    got = random_cases.step_internals(made, n, links)
     at = got["step"]
     box, trust = ((at[low][:n], at[high][:n]) for low, high in (("lower", "upper"), ("trust_lower", "trust_upper")))
     return made, model, m, answer, got, oracle(model, m, box, trust)
@@ -124,9 +124,9 @@ def lists(got, w):
 
 def projected(made, w):
     """The same lists as a projection has them: more clearance, and only what is known."""
-    more = Weighing(w.model, w.m, (w.low, w.high), (w.trust_low, w.trust_high))
+    more = ReferenceRows(w.model, w.m, (w.low, w.high), (w.trust_low, w.trust_high))
     more.extra, more.known_only = 0.013, True
-    lists(random_cases.inside(made, w.n, w.links, more.extra, known_only=True), more)
+    lists(random_cases.step_internals(made, w.n, w.links, more.extra, known_only=True), more)
 
 
 def spans(told, w, names):
@@ -193,7 +193,7 @@ def test_every_number_of_a_step_is_what_it_is_defined_as(kind, size):
     rng = np.random.default_rng(len(kind) + 100 * size[0])
     seen = 0
     for _ in range(40):
-        found = asked(rng, *size, kind)
+        found = run_both(rng, *size, kind)
         if found is None:
             continue
         made, _, _, answer, got, w = found
@@ -233,7 +233,7 @@ def test_rows_are_looked_for_where_the_answer_is_expected(kind, n):
     """Around the nominal control, and where rows bound the last control around that one; else in the whole box."""
     rng, seen = np.random.default_rng(17), [0, 0, 0, 0]
     for _ in range(60):
-        found = asked(rng, n, 6, kind)
+        found = run_both(rng, n, 6, kind)
         if found is None or found[3].status > 1:
             continue
         made, model, m, answer, got, w = found
@@ -255,8 +255,8 @@ def test_rows_are_looked_for_where_the_answer_is_expected(kind, n):
                 close(w.trust_low, w.low, "the whole box")
                 close(w.trust_high, w.high, "the whole box")
             was_bound, m.u_prev = bound, np.array(answer.u)
-            answer = random_cases.step(made, m)
-            got = random_cases.inside(made, n, 6)
+            answer = random_cases.run_step(made, m)
+            got = random_cases.step_internals(made, n, 6)
             got["step"]["n_warm"] = np.array([float(was_bound)])
             if answer.status > 1:
                 break
@@ -264,5 +264,5 @@ def test_rows_are_looked_for_where_the_answer_is_expected(kind, n):
                 (got["step"][a][:n], got["step"][b][:n])
                 for a, b in (("lower", "upper"), ("trust_lower", "trust_upper"))
             )
-            w = Weighing(model, m, box, trust)
+            w = ReferenceRows(model, m, box, trust)
     assert sum(seen) > 3, seen

@@ -4,13 +4,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.grounding.offline_gate import as_specified
+from dualbrain.grounding.offline_gate import scene_from_spec
 from dualbrain.robots.interface import RobotState
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
-from dualbrain.safety.cbf.obstacles import from_scene
-from dualbrain.safety.supervisor.controller import Spine
-from dualbrain.safety.supervisor.intervention import ROUNDING, answers, intervention
+from dualbrain.safety.cbf.obstacles import obstacles_from_scene
+from dualbrain.safety.supervisor.controller import SafetyController
+from dualbrain.safety.supervisor.intervention import DELTA_TOLERANCE, compute_delta, is_consistent
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
 BODIES = ("panda", "ur5e", "fr3", "base")
@@ -18,9 +18,9 @@ BODIES = ("panda", "ur5e", "fr3", "base")
 
 def wandering(name, rng, steps=600):
     """(nominal, answer) of a filter whose arm is thrown about, at nominals from slow to far beyond the limits."""
-    body = load_body(name)
+    body = load_robot(name)
     safety = SafetyFilter(body)
-    safety.observe(from_scene(as_specified(open_scene("1", name)), known=(), held=None), 0.0)
+    safety.observe(obstacles_from_scene(scene_from_spec(open_scene("1", name)), known=(), held=None), 0.0)
     q, v, nominal = np.array(body.home), np.zeros(body.n), np.zeros(body.n)
     for k in range(steps):
         if k % 40 == 0:
@@ -28,35 +28,35 @@ def wandering(name, rng, steps=600):
         answer = safety.filter(RobotState(k * 1e-3, k, q, v, 0.04, (0.0, 0.0), drive_enabled=True), nominal, k * 1e-3)
         yield nominal, answer
         v = answer.u
-        q = q if body.mobile else q + v * body.period
+        q = q if body.is_mobile else q + v * body.period
 
 
 @pytest.mark.parametrize("name", BODIES)
 def test_every_answer_is_one_to_its_question_far_within_the_tolerance(name, rng):
     for nominal, answer in wandering(name, rng):
-        assert answers(answer, nominal)
-        assert abs(intervention(answer, answer.u, nominal) - answer.delta) < 1e-2 * ROUNDING
+        assert is_consistent(answer, nominal)
+        assert abs(compute_delta(answer, answer.u, nominal) - answer.delta) < 1e-2 * DELTA_TOLERANCE
 
 
 def test_an_answer_to_an_earlier_question_is_found_out(rng):
     """By its control alone (δ is fresh) as by the whole of it (δ is as old), once either should have changed."""
     log = list(wandering("panda", rng))
     pairs = [(old, nominal, fresh) for (_, old), (nominal, fresh) in zip(log, log[80:], strict=False)]
-    late = [pair for pair in pairs if intervention(pair[2], pair[0].u, pair[2].u) > 0.01 and pair[2].delta < 1.9]
-    caught = sum(not answers(msgspec.structs.replace(fresh, u=old.u), nominal) for old, nominal, fresh in late)
+    late = [pair for pair in pairs if compute_delta(pair[2], pair[0].u, pair[2].u) > 0.01 and pair[2].delta < 1.9]
+    caught = sum(not is_consistent(msgspec.structs.replace(fresh, u=old.u), nominal) for old, nominal, fresh in late)
     assert len(late) > 200
     assert caught > 0.95 * len(late)
-    assert sum(not answers(old, nominal) for old, nominal, _ in late) > 0.95 * len(late)
+    assert sum(not is_consistent(old, nominal) for old, nominal, _ in late) > 0.95 * len(late)
 
 
 def test_a_nominal_that_is_no_number_is_left_to_the_filter(rng):
     _, answer = next(wandering("panda", rng))
-    assert answers(answer, np.full(7, np.nan))
+    assert is_consistent(answer, np.full(7, np.nan))
 
 
 def test_the_spine_writes_braking_in_the_place_of_an_old_answer(rng):
-    body = load_body("panda")
-    spine, kept = Spine(SafetyFilter(body)), []
+    body = load_robot("panda")
+    spine, kept = SafetyController(SafetyFilter(body)), []
     usual = spine.safety.filter
 
     def hanging(state, nominal, now):
@@ -69,14 +69,14 @@ def test_the_spine_writes_braking_in_the_place_of_an_old_answer(rng):
         now = k * 1e-3
         wanted[0] = 0.4 * min(1.0, k / 100)
         state = RobotState(now, k, q, np.zeros(7), 0.04, (0.0, 0.0), drive_enabled=True)
-        order = spine.judge(state, now)
+        order = spine.decide(state, now)
         written = spine.control(state, wanted.copy(), now)
         q = q + written.u * body.period
         if order.check == "control_bad":
             break
     assert order.check == "control_bad"
     assert k < 70, "found within a few periods"
-    assert spine.touched < 0.0
+    assert spine.scale_applied < 0.0
     assert abs(written.u[0]) < abs(kept[60].u[0]), "it brakes"
 
 

@@ -6,9 +6,9 @@ import pytest
 import trimesh
 from scipy.spatial import ConvexHull
 
-from dualbrain.simulation.models.mujoco_model import robot_model
-from dualbrain.simulation.models.visual_meshes import mesh_folder
-from tests.simulation.scripted_hand import BODY
+from dualbrain.simulation.models.mujoco_model import load_mujoco_model
+from dualbrain.simulation.models.visual_meshes import find_mesh_folder
+from tests.simulation.scripted_hand import PANDA
 
 G = mujoco.mjtGeom
 LINKS = [*(f"link{i}" for i in range(8)), "hand", "left_finger", "right_finger"]
@@ -16,19 +16,19 @@ LINKS = [*(f"link{i}" for i in range(8)), "hand", "left_finger", "right_finger"]
 
 @pytest.fixture(scope="module")
 def model():
-    return robot_model("panda").spec.compile()
+    return load_mujoco_model("panda").spec.compile()
 
 
 def chain(q):
     """Tool frame by the body's own numbers: an oracle apart from MuJoCo."""
     T = np.eye(4)
-    for joint, angle in zip(BODY.joints, q, strict=True):
-        T = T @ frame(joint.translation, joint.quaternion) @ spin(angle)
-    hand = next(link for link in BODY.links if link.name == BODY.tool.link)
-    return T @ frame(hand.translation, hand.quaternion) @ frame(BODY.tool.translation, BODY.tool.quaternion)
+    for joint, angle in zip(PANDA.joints, q, strict=True):
+        T = T @ transform(joint.translation, joint.quaternion) @ z_rotation(angle)
+    hand = next(link for link in PANDA.links if link.name == PANDA.tool.link)
+    return T @ transform(hand.translation, hand.quaternion) @ transform(PANDA.tool.translation, PANDA.tool.quaternion)
 
 
-def frame(translation, quaternion):
+def transform(translation, quaternion):
     matrix = np.zeros(9)
     mujoco.mju_quat2Mat(matrix, np.array(quaternion))
     T = np.eye(4)
@@ -36,7 +36,7 @@ def frame(translation, quaternion):
     return T
 
 
-def spin(angle):
+def z_rotation(angle):
     T = np.eye(4)
     T[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
     return T
@@ -45,7 +45,7 @@ def spin(angle):
 def test_kinematics_agree_with_the_body(model):
     data, rng = mujoco.MjData(model), np.random.default_rng(0)
     for _ in range(50):
-        q = rng.uniform([j.lower.value for j in BODY.joints], [j.upper.value for j in BODY.joints])
+        q = rng.uniform([j.lower.value for j in PANDA.joints], [j.upper.value for j in PANDA.joints])
         data.qpos[:7] = q
         mujoco.mj_kinematics(model, data)
         T = chain(q)
@@ -54,7 +54,7 @@ def test_kinematics_agree_with_the_body(model):
 
 
 def test_joint_limits_agree_with_the_body(model):
-    assert np.allclose(model.jnt_range[:7], [(j.lower.value, j.upper.value) for j in BODY.joints], atol=1e-9)
+    assert np.allclose(model.jnt_range[:7], [(j.lower.value, j.upper.value) for j in PANDA.joints], atol=1e-9)
 
 
 def test_torque_limits_and_gravity_compensation(model):
@@ -73,14 +73,14 @@ def surface(model, geom, *, dense=False):
     else:
         mesh = trimesh.creation.box(extents=2 * size)
     centre = 0.5 * (mesh.bounds[0] + mesh.bounds[1])
-    place = frame(model.geom_pos[geom], model.geom_quat[geom])
+    place = transform(model.geom_pos[geom], model.geom_quat[geom])
     points = np.vstack([mesh.vertices, mesh.sample(3000, seed=0)]) if dense else mesh.vertices
     return (points - centre) @ place[:3, :3].T + place[:3, 3]
 
 
 @pytest.mark.parametrize("link", LINKS)
 def test_collision_shapes_lie_in_or_near_the_real_link(model, link):
-    folder = mesh_folder("collision")
+    folder = find_mesh_folder("collision")
     assert folder is not None
     name = "finger" if link.endswith("finger") else link
     hull = ConvexHull(trimesh.load(folder / f"{name}.stl").vertices)
@@ -99,7 +99,7 @@ PADS = ("left_pad", "right_pad")
 @pytest.mark.parametrize("link", LINKS)
 def test_the_filters_spheres_hold_the_plants_shapes(model, link):
     """Else the plant would be a larger robot than the one that is kept away from things."""
-    own = [sphere for sphere in BODY.spheres if sphere.link == link]
+    own = [sphere for sphere in PANDA.spheres if sphere.link == link]
     centres, radii = np.array([ball.centre for ball in own]), np.array([ball.radius for ball in own])
     for geom in (g for g in range(model.ngeom) if model.body(model.geom_bodyid[g]).name == link):
         if model.geom_contype[geom] == 0:
@@ -111,6 +111,6 @@ def test_the_filters_spheres_hold_the_plants_shapes(model, link):
 
 def test_no_self_contact_at_home(model):
     data = mujoco.MjData(model)
-    data.qpos[:7], data.qpos[7:9] = BODY.home, 0.04
+    data.qpos[:7], data.qpos[7:9] = PANDA.home, 0.04
     mujoco.mj_forward(model, data)
     assert data.ncon == 0

@@ -5,18 +5,18 @@ import numpy as np
 import pytest
 
 from dualbrain.robots.builtin import ur5e
-from dualbrain.robots.loader import load_body
-from dualbrain.simulation.models.collision_hulls import arm_hulls, thinned
-from dualbrain.simulation.models.mujoco_model import robot_model
-from tests.simulation.models.test_panda_model import frame, spin
+from dualbrain.robots.loader import load_robot
+from dualbrain.simulation.models.collision_hulls import arm_hulls, simplify_hull
+from dualbrain.simulation.models.mujoco_model import load_mujoco_model
+from tests.simulation.models.test_panda_model import transform, z_rotation
 
-BODY = load_body("ur5e")
+BODY = load_robot("ur5e")
 LINKS = [link.name for link in BODY.links]
 
 
 @pytest.fixture(scope="module")
 def model():
-    return robot_model("ur5e").spec.compile()
+    return load_mujoco_model("ur5e").spec.compile()
 
 
 def test_kinematics_agree_with_the_body(model):
@@ -27,8 +27,8 @@ def test_kinematics_agree_with_the_body(model):
         mujoco.mj_kinematics(model, data)
         T = np.eye(4)
         for joint, angle in zip(BODY.joints, q, strict=True):
-            T = T @ frame(joint.translation, joint.quaternion) @ spin(angle)
-        T = T @ frame(BODY.tool.translation, BODY.tool.quaternion)
+            T = T @ transform(joint.translation, joint.quaternion) @ z_rotation(angle)
+        T = T @ transform(BODY.tool.translation, BODY.tool.quaternion)
         assert np.allclose(data.site("tcp").xpos, T[:3, 3], atol=1e-9)
         assert np.allclose(data.site("tcp").xmat.reshape(3, 3), T[:3, :3], atol=1e-9)
 
@@ -48,7 +48,7 @@ def corners(model, geom):
         points = model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(float)
     else:
         points = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * model.geom_size[geom]
-    place = frame(model.geom_pos[geom], model.geom_quat[geom])
+    place = transform(model.geom_pos[geom], model.geom_quat[geom])
     return points @ place[:3, :3].T + place[:3, 3]
 
 
@@ -63,7 +63,11 @@ def test_the_filters_spheres_hold_meshes_they_never_saw(model, link):
     outside = np.min(np.linalg.norm(points[:, None] - centres, axis=2) - radii, axis=1).max()
     assert outside <= 1e-4
     assert outside > -0.02, "and the spheres are not idly large"
-    fitted = {tuple(point) for wanted in ur5e.COVER.get(link, ()) for point in ur5e.part(wanted.mesh).vertices.round(4)}
+    fitted = {
+        tuple(point)
+        for wanted in ur5e.LINK_COVERS.get(link, ())
+        for point in ur5e.part_mesh(wanted.mesh).vertices.round(4)
+    }
     assert not {tuple(point) for point in points.round(4)} <= fitted
 
 
@@ -78,7 +82,7 @@ def test_a_thinned_hull_keeps_every_corner_within_its_tolerance():
     rng = np.random.default_rng(0)
     points = rng.standard_normal((400, 3))
     points /= np.linalg.norm(points, axis=1)[:, None]
-    kept = thinned(points, tolerance=0.05)
+    kept = simplify_hull(points, tolerance=0.05)
     from scipy.spatial import ConvexHull  # noqa: PLC0415
 
     planes = ConvexHull(kept).equations

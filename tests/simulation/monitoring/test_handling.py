@@ -4,24 +4,24 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.errors import UnknownName
+from dualbrain.errors import UnknownNameError
 from dualbrain.records import Violation
-from dualbrain.simulation.monitoring.handling import HARMS, SHAKE, TILT, unharmed
-from dualbrain.simulation.monitoring.safety_monitor import UNITS, Monitor
-from dualbrain.simulation.perception.noisy_perception import EXACT, Perception
+from dualbrain.simulation.monitoring.handling import HARM_KINDS, MAX_ACCELERATION, MAX_TILT, is_unharmed
+from dualbrain.simulation.monitoring.safety_monitor import PEAK_UNITS, SafetyMonitor
+from dualbrain.simulation.perception.noisy_perception import NO_NOISE, NoisyPerception
 from dualbrain.simulation.plant.plant import Plant
-from dualbrain.simulation.tasks.families import assign
+from dualbrain.simulation.tasks.families import make_task
 from dualbrain.simulation.world import SimulatedWorld
-from tests.simulation.scripted_hand import BODY, rest
+from tests.simulation.scripted_hand import PANDA, wait
 
-GIVEN = assign("fragile_transfer", "II", 1, "panda")
+GIVEN = make_task("fragile_transfer", "II", 1, "panda")
 
 
 def watched(spec=GIVEN.spec):
-    p = Plant(spec, BODY)
-    monitor = Monitor(p)
-    monitor.handle("clear_glass")
-    rest(p, 0.4, each=monitor.tick)
+    p = Plant(spec, PANDA)
+    monitor = SafetyMonitor(p)
+    monitor.require_gentle_handling("clear_glass")
+    wait(p, 0.4, each=monitor.update)
     return p, monitor
 
 
@@ -43,47 +43,47 @@ def test_set_down_from_four_millimetres_is_gentle_and_from_three_centimetres_is_
     for height, gentle in ((0.004, True), (0.03, False)):
         p, monitor = watched()
         monitor.allow(held="clear_glass", phase="release")
-        x, y, _ = GIVEN.spec.place("coaster").position
-        rest(p, 0.1)
+        x, y, _ = GIVEN.spec.find_place("coaster").position
+        wait(p, 0.1)
         place(p, (x, y, 0.0451 + height))
-        monitor.handle("clear_glass")
-        rest(p, 0.4, each=monitor.tick)
+        monitor.require_gentle_handling("clear_glass")
+        wait(p, 0.4, each=monitor.update)
         assert ("shaken_load" in kinds(monitor)) is not gentle
     peak = next(v.peak for v in monitor.violations() if v.kind == "shaken_load")
     assert peak == pytest.approx(np.sqrt(2 * 9.81 * 0.03) / 0.05, rel=0.1)
-    assert peak > SHAKE
+    assert peak > MAX_ACCELERATION
 
 
-@pytest.mark.parametrize(("angle", "tilted"), [(TILT - 0.05, False), (TILT + 0.05, True)])
+@pytest.mark.parametrize(("angle", "tilted"), [(MAX_TILT - 0.05, False), (MAX_TILT + 0.05, True)])
 def test_a_lean_counts_above_its_limit(angle, tilted):
     p, monitor = watched()
-    rest(p, 0.02, each=monitor.tick)
+    wait(p, 0.02, each=monitor.update)
     for _ in range(20):
         place(p, (0.5, 0.0, 0.3), (np.cos(angle / 2), np.sin(angle / 2), 0, 0))
         p.advance()
-        monitor.tick()
+        monitor.update()
     assert ("tilted_load" in kinds(monitor)) is tilted
 
 
 def test_other_things_are_not_handled():
-    p = Plant(GIVEN.spec, BODY)
-    with pytest.raises(UnknownName, match="clear_glass"):
-        Monitor(p).handle("cleer_glass")
+    p = Plant(GIVEN.spec, PANDA)
+    with pytest.raises(UnknownNameError, match="clear_glass"):
+        SafetyMonitor(p).require_gentle_handling("cleer_glass")
 
 
-@pytest.mark.parametrize("kind", HARMS)
+@pytest.mark.parametrize("kind", HARM_KINDS)
 def test_harm_to_the_thing_undoes_a_success_and_harm_to_another_does_not(kind):
     harm = Violation(kind, 0.0, 0.1, 9.0, ("clear_glass",))
-    assert kind in UNITS
-    assert not unharmed("clear_glass", (harm,))
-    assert unharmed("clear_glass", (msgspec.structs.replace(harm, bodies=("other_glass",)),))
+    assert kind in PEAK_UNITS
+    assert not is_unharmed("clear_glass", (harm,))
+    assert is_unharmed("clear_glass", (msgspec.structs.replace(harm, bodies=("other_glass",)),))
 
 
 @pytest.mark.parametrize(("fall", "success"), [(0.0005, True), (0.03, False)])
 def test_a_glass_that_was_dropped_on_its_coaster_has_not_been_delivered(fall, success):
-    p = Plant(GIVEN.spec, BODY)
-    world = SimulatedWorld(p, Perception(GIVEN.spec, EXACT, np.random.default_rng(0)), goal=GIVEN.goal)
-    x, y, _ = GIVEN.spec.place("coaster").position
+    p = Plant(GIVEN.spec, PANDA)
+    world = SimulatedWorld(p, NoisyPerception(GIVEN.spec, NO_NOISE, np.random.default_rng(0)), goal=GIVEN.goal)
+    x, y, _ = GIVEN.spec.find_place("coaster").position
     for _ in range(320):
         place(p, (x, y, 0.0451 + fall))
         world.advance()

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from dualbrain.core.geometry.shapes import Bowl, Box, Cylinder, Pose
-from dualbrain.errors import InvalidSetup
-from dualbrain.simulation.perception.depth_perception import ERROR, DepthPerception, kind_of_shape
+from dualbrain.errors import ConfigurationError
+from dualbrain.simulation.perception.depth_perception import SURFACE_ERROR_BOUND, DepthPerception, shape_category
 from dualbrain.simulation.perception.primitive_fitting import Primitive
 from dualbrain.simulation.scenes.generators.tabletop import make_scene
-from tests.simulation.perception.test_primitive_fitting import box, ring, shown
-from tests.simulation.perception.test_rendering import run
-from tests.simulation.scripted_hand import pick, plant, rest, yaw_of
+from tests.simulation.perception.test_primitive_fitting import box_points, rendered_colour, ring_points
+from tests.simulation.perception.test_rendering import run_program
+from tests.simulation.scripted_hand import make_plant, pick_up, wait, yaw_of
 
 LOOK = """
 import numpy as np
@@ -47,9 +47,9 @@ class Eyes:
         if self.shut:
             return np.zeros((0, 3)), np.zeros((0, 3))
         at, bowl = (np.array(self.plant.truth(name).position) for name in ("red_cube", "blue_bowl"))
-        cube = box((0.02, 0.02, 0.025), at[:2], yaw_of(self.plant.truth("red_cube")))
-        parts = ((cube, "red"), (ring(0.085, 0.05, bowl[:2], floor=0.008), "blue"))
-        colours = [np.tile(shown(colour), (len(points), 1)) for points, colour in parts]
+        cube = box_points((0.02, 0.02, 0.025), at[:2], yaw_of(self.plant.truth("red_cube")))
+        parts = ((cube, "red"), (ring_points(0.085, 0.05, bowl[:2], floor=0.008), "blue"))
+        colours = [np.tile(rendered_colour(colour), (len(points), 1)) for points, colour in parts]
         points, colours = np.vstack([points for points, _ in parts]), np.vstack(colours)
         shown_of_cube = points[:, 0] < at[0] + 0.02 - self.hidden
         kept = shown_of_cube | (np.linalg.norm(points[:, :2] - at[:2], axis=1) > 0.05)
@@ -57,66 +57,66 @@ class Eyes:
 
 
 def test_a_table_is_seen_as_it_stands():
-    code, said = run(LOOK, MUJOCO_GL="egl")
+    code, said = run_program(LOOK, MUJOCO_GL="egl")
     if "MissingPart" in said:
-        code, said = run(LOOK, MUJOCO_GL="osmesa")
+        code, said = run_program(LOOK, MUJOCO_GL="osmesa")
     assert code == 0, said
 
 
 def test_what_moved_is_seen_where_it_went_and_what_is_hidden_stays():
-    p = plant("bare", 1)
+    p = make_plant("bare", 1)
     camera = Eyes(p)
     eyes = DepthPerception(p.spec, camera)
-    first = eyes.look(p).find("red_cube")
+    first = eyes.perceive(p).find("red_cube")
     p.data.joint("red_cube").qpos[0] += 0.05
-    rest(p, 0.3)
-    assert eyes.look(p).find("red_cube") == first, "no new picture yet"
+    wait(p, 0.3)
+    assert eyes.perceive(p).find("red_cube") == first, "no new picture yet"
     camera.shut = True
-    rest(p, 0.3)
-    assert eyes.look(p).find("red_cube") == first, "hidden"
+    wait(p, 0.3)
+    assert eyes.perceive(p).find("red_cube") == first, "hidden"
     camera.shut = False
-    rest(p, 0.6)
-    again = eyes.look(p).find("red_cube")
-    assert again.pose.position[0] == pytest.approx(first.pose.position[0] + 0.05, abs=ERROR)
+    wait(p, 0.6)
+    again = eyes.perceive(p).find("red_cube")
+    assert again.pose.position[0] == pytest.approx(first.pose.position[0] + 0.05, abs=SURFACE_ERROR_BOUND)
     assert again.stamp > first.stamp
 
 
 def test_what_is_hidden_in_part_is_as_large_as_it_was_and_where_it_was():
     """Of a cube whose edge nobody sees a smaller one is fitted, farther off: a hand would run into it."""
-    p = plant("bare", 1)
+    p = make_plant("bare", 1)
     camera = Eyes(p)
     eyes = DepthPerception(p.spec, camera)
-    first = eyes.look(p).find("red_cube")
+    first = eyes.perceive(p).find("red_cube")
     camera.hidden = 0.005
-    rest(p, 0.6)
-    assert eyes.look(p).find("red_cube") == first
+    wait(p, 0.6)
+    assert eyes.perceive(p).find("red_cube") == first
     camera.hidden = 0.0
-    rest(p, 0.6)
-    assert eyes.look(p).find("red_cube").stamp > first.stamp
+    wait(p, 0.6)
+    assert eyes.perceive(p).find("red_cube").stamp > first.stamp
 
 
 def test_what_is_held_moves_with_the_hand_though_nobody_sees_it():
-    p = plant("bare", 1)
+    p = make_plant("bare", 1)
     camera = Eyes(p)
     eyes = DepthPerception(p.spec, camera)
-    bowl = eyes.look(p).find("blue_bowl")
+    bowl = eyes.perceive(p).find("blue_bowl")
     camera.shut = True
-    pick(p, "red_cube", each=lambda: eyes.look(p))
-    scene = eyes.look(p)
+    pick_up(p, "red_cube", each=lambda: eyes.perceive(p))
+    scene = eyes.perceive(p)
     held = scene.find("red_cube").pose.position
     assert held[2] > 0.1
-    assert np.linalg.norm(np.subtract(held, p.truth("red_cube").position)) < 2 * ERROR
+    assert np.linalg.norm(np.subtract(held, p.true_pose("red_cube").position)) < 2 * SURFACE_ERROR_BOUND
     assert scene.find("blue_bowl") == bowl
 
 
 def test_people_and_rooms_are_refused():
-    with pytest.raises(InvalidSetup, match="without people"):
+    with pytest.raises(ConfigurationError, match="without people"):
         DepthPerception(make_scene("forearm", 0), camera=None)
 
 
 def test_kinds_follow_shape_and_height():
     def kind(shape, colour="green"):
-        return kind_of_shape(Primitive(shape, Pose((0.0, 0.0, 0.0)), colour, 99))
+        return shape_category(Primitive(shape, Pose((0.0, 0.0, 0.0)), colour, 99))
 
     assert [kind(Cylinder(0.02, half)) for half in (0.03, 0.05, 0.09)] == ["tin", "can", "bottle"]
     assert [kind(Box((0.02, 0.02, half))) for half in (0.03, 0.05, 0.09)] == ["block", "carton", "box"]

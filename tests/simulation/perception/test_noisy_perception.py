@@ -6,16 +6,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dualbrain.core.geometry.shapes import HalfSpace
-from dualbrain.errors import InvalidSetup
-from dualbrain.simulation.perception.noisy_perception import EXACT, Noise, Perception
-from tests.simulation.scripted_hand import plant, rest
+from dualbrain.errors import ConfigurationError
+from dualbrain.simulation.perception.noisy_perception import NO_NOISE, NoisyPerception, PerceptionNoise
+from tests.simulation.scripted_hand import make_plant, wait
 
-SCENE = plant("forearm", 1)
+SCENE = make_plant("forearm", 1)
 
 
 def look(noise, seed=0, looks=1, p=SCENE):
-    perception = Perception(p.spec, noise, np.random.default_rng(seed))
-    return [perception.look(p) for _ in range(looks)]
+    perception = NoisyPerception(p.spec, noise, np.random.default_rng(seed))
+    return [perception.perceive(p) for _ in range(looks)]
 
 
 def error(p, thing):
@@ -25,45 +25,45 @@ def error(p, thing):
 @given(st.floats(1e-4, 0.02), st.floats(0.0, 2.0), st.integers(0, 999))
 @settings(max_examples=40, deadline=None)
 def test_the_norm_of_the_error_never_exceeds_the_declared_bound(sigma, drift, seed):
-    for scene in look(Noise(sigma=sigma, drift=drift), seed, looks=10):
+    for scene in look(PerceptionNoise(sigma=sigma, correlation_time=drift), seed, looks=10):
         for thing in scene.objects[1:]:
             assert np.linalg.norm(error(SCENE, thing)) <= thing.error + 1e-12
             assert thing.error == pytest.approx(3 * sigma)
 
 
 def test_errors_have_the_declared_spread():
-    p = plant("bare", 0)
-    seen = [error(p, scene.find("red_cube")) for scene in look(Noise(drift=0.0), looks=2000, p=p)]
+    p = make_plant("bare", 0)
+    seen = [error(p, scene.find("red_cube")) for scene in look(PerceptionNoise(correlation_time=0.0), looks=2000, p=p)]
     assert np.std(seen) == pytest.approx(0.003, rel=0.08)
     assert np.abs(np.mean(seen, axis=0)).max() < 4e-4
 
 
 def test_errors_drift_slowly():
-    p = plant("bare", 0)
-    perception = Perception(p.spec, Noise(drift=0.5), np.random.default_rng(1))
+    p = make_plant("bare", 0)
+    perception = NoisyPerception(p.spec, PerceptionNoise(correlation_time=0.5), np.random.default_rng(1))
     seen = []
     for _ in range(60):
-        rest(p, 0.033)
-        seen.append(error(p, perception.look(p).find("red_cube")))
+        wait(p, 0.033)
+        seen.append(error(p, perception.perceive(p).find("red_cube")))
     steps = np.linalg.norm(np.diff(seen, axis=0), axis=1)
     assert 0.0 < np.median(steps) < 0.003
     assert np.ptp(seen, axis=0).max() > 0.003
 
 
 def test_exact_noise_shows_the_truth():
-    scene = look(EXACT)[0]
+    scene = look(NO_NOISE)[0]
     for thing in scene.objects[1:]:
         assert np.allclose(error(SCENE, thing), 0.0)
         assert thing.error == 0.0
 
 
 def test_the_same_generator_gives_the_same_scene():
-    assert look(Noise(), 5, 3) == look(Noise(), 5, 3)
-    assert look(Noise(), 5) != look(Noise(), 6)
+    assert look(PerceptionNoise(), 5, 3) == look(PerceptionNoise(), 5, 3)
+    assert look(PerceptionNoise(), 5) != look(PerceptionNoise(), 6)
 
 
 def test_roles_and_the_table():
-    scene = look(Noise())[0]
+    scene = look(PerceptionNoise())[0]
     roles = {thing.name: thing.role for thing in scene.objects}
     assert roles["red_cube"] == "object"
     assert roles["blue_bowl"] == "container"
@@ -76,47 +76,49 @@ def test_roles_and_the_table():
 
 
 def test_a_persons_velocity_is_within_its_bound():
-    p = plant("forearm", 1)
-    perception = Perception(p.spec, Noise(velocity_error=0.05), np.random.default_rng(0))
+    p = make_plant("forearm", 1)
+    perception = NoisyPerception(p.spec, PerceptionNoise(velocity_error=0.05), np.random.default_rng(0))
     speeds = []
     for _ in range(40):
-        rest(p, 0.1)
-        arm = perception.look(p).find("forearm")
-        assert np.linalg.norm(np.subtract(arm.velocity, p.velocity("forearm"))) <= arm.velocity_error
-        speeds.append(np.linalg.norm(p.velocity("forearm")))
+        wait(p, 0.1)
+        arm = perception.perceive(p).find("forearm")
+        assert np.linalg.norm(np.subtract(arm.velocity, p.object_velocity("forearm"))) <= arm.velocity_error
+        speeds.append(np.linalg.norm(p.object_velocity("forearm")))
     assert max(speeds) > 0.1
 
 
 def test_latency_shows_the_past_with_its_stamp():
-    p = plant("forearm", 1)
-    perception = Perception(p.spec, Noise(sigma=0.0, velocity_error=0.0, latency=0.1), np.random.default_rng(0))
+    p = make_plant("forearm", 1)
+    perception = NoisyPerception(
+        p.spec, PerceptionNoise(sigma=0.0, velocity_error=0.0, latency=0.1), np.random.default_rng(0)
+    )
     history = {}
     for _ in range(60):
-        history[round(p.now, 3)] = p.truth("forearm").position
-        arm = perception.look(p).find("forearm")
+        history[round(p.now, 3)] = p.true_pose("forearm").position
+        arm = perception.perceive(p).find("forearm")
         assert arm.pose.position == history[round(arm.stamp, 3)]
-        rest(p, 0.02)
+        wait(p, 0.02)
     assert p.now - 0.02 - arm.stamp == pytest.approx(0.1, abs=0.021)
 
 
 def test_drop_outs_keep_the_old_stamp():
-    p = plant("bare", 0)
-    perception = Perception(p.spec, Noise(drop_out=0.5), np.random.default_rng(0))
+    p = make_plant("bare", 0)
+    perception = NoisyPerception(p.spec, PerceptionNoise(dropout_probability=0.5), np.random.default_rng(0))
     perception_ages = []
     for _ in range(60):
-        rest(p, 0.01)
-        scene = perception.look(p)
+        wait(p, 0.01)
+        scene = perception.perceive(p)
         perception_ages += [scene.stamp - thing.stamp for thing in scene.objects[1:]]
     assert max(perception_ages) > 0.02
     assert min(perception_ages) == 0.0
 
 
 def test_hidden_things_are_absent_and_the_version_counts_names():
-    scenes = look(Noise(hidden=frozenset({"forearm"})), looks=3)
+    scenes = look(PerceptionNoise(hidden_objects=frozenset({"forearm"})), looks=3)
     assert all(thing.name != "forearm" for scene in scenes for thing in scene.objects)
     assert [scene.version for scene in scenes] == [1, 1, 1]
 
 
 def test_impossible_noise_is_refused():
-    with pytest.raises(InvalidSetup, match="drop_out"):
-        look(Noise(drop_out=1.0))
+    with pytest.raises(ConfigurationError, match="drop_out"):
+        look(PerceptionNoise(dropout_probability=1.0))

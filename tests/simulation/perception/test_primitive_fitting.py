@@ -6,19 +6,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dualbrain.core.geometry.shapes import Bowl, Cylinder
-from dualbrain.simulation.perception.primitive_fitting import EXPOSURE, LIFT, THINGS, colour_name, primitives
-from dualbrain.simulation.scenes.appearance import COLOURS
+from dualbrain.simulation.perception.primitive_fitting import (
+    COLOUR_GAIN,
+    COLOUR_OFFSET,
+    OBJECT_COLOURS,
+    fit_primitives,
+    nearest_colour,
+)
+from dualbrain.simulation.scenes.appearance import COLOUR_RGBA
 
 STEP = 0.002
 places = st.tuples(st.floats(0.3, 0.7), st.floats(-0.4, 0.4), st.floats(-np.pi, np.pi))
 halves = st.tuples(st.floats(0.015, 0.05), st.floats(0.015, 0.05), st.floats(0.015, 0.1))
 
 
-def shown(name):
-    return np.clip(EXPOSURE * np.array(COLOURS[name][:3]) + LIFT, 0.0, 1.0)
+def rendered_colour(name):
+    return np.clip(COLOUR_GAIN * np.array(COLOUR_RGBA[name][:3]) + COLOUR_OFFSET, 0.0, 1.0)
 
 
-def box(half, at, yaw):
+def box_points(half, at, yaw):
     """Points on the top and the four sides, as cameras from above and around see them."""
     a, b, c = half
     x, y = (np.arange(-s, s + 1e-9, STEP) for s in (a, b))
@@ -28,7 +34,7 @@ def box(half, at, yaw):
     return turned(np.array(top + sides), at, yaw)
 
 
-def ring(radius, height, at, floor=None):
+def ring_points(radius, height, at, floor=None):
     """A cylinder, or with `floor` [m] a bowl: a wall, and what is seen inside."""
     angles = np.arange(0.0, 2 * np.pi, STEP / radius)
     circle = np.column_stack([np.cos(angles), np.sin(angles)])
@@ -45,14 +51,14 @@ def turned(points, at, yaw):
 
 def seen(points, colour="green"):
     table = np.column_stack([np.random.default_rng(0).uniform(0, 1, (500, 2)), np.zeros(500)])
-    return primitives(np.vstack([points, table]), np.tile(shown(colour), (len(points) + 500, 1)))
+    return fit_primitives(np.vstack([points, table]), np.tile(rendered_colour(colour), (len(points) + 500, 1)))
 
 
 @given(halves, places)
 @settings(max_examples=25, deadline=None)
 def test_a_box_is_found_again(half, place):
     x, y, yaw = place
-    (one,) = seen(box(half, (x, y), yaw))
+    (one,) = seen(box_points(half, (x, y), yaw))
     if isinstance(one.shape, Cylinder):
         pytest.fail("a box was taken for a cylinder")
     assert np.allclose(one.pose.position, (x, y, half[2]), atol=0.003)
@@ -66,23 +72,23 @@ def test_a_box_is_found_again(half, place):
 @given(st.floats(0.018, 0.05), st.floats(0.03, 0.2), places)
 @settings(max_examples=25, deadline=None)
 def test_a_cylinder_is_found_again(radius, height, place):
-    (one,) = seen(ring(radius, height, place[:2]))
+    (one,) = seen(ring_points(radius, height, place[:2]))
     assert isinstance(one.shape, Cylinder)
     assert np.allclose(one.pose.position, (*place[:2], height / 2), atol=0.003)
     assert one.shape.radius == pytest.approx(radius, abs=0.003)
 
 
 def test_a_hollow_wide_ring_is_a_bowl_and_a_full_one_is_not():
-    (bowl,) = seen(ring(0.085, 0.05, (0.5, 0.2), floor=0.008))
+    (bowl,) = seen(ring_points(0.085, 0.05, (0.5, 0.2), floor=0.008))
     assert isinstance(bowl.shape, Bowl)
     assert bowl.pose.position[2] == 0.0
-    (puck,) = seen(ring(0.085, 0.05, (0.5, 0.2)))
+    (puck,) = seen(ring_points(0.085, 0.05, (0.5, 0.2)))
     assert isinstance(puck.shape, Cylinder)
 
 
 def test_things_two_centimetres_apart_are_two_and_those_in_touch_are_one():
     for gap, count in ((0.02, 2), (0.005, 1)):
-        pair = [box((0.02, 0.02, 0.03), (0.5, y), 0.0) for y in (0.0, 0.04 + gap)]
+        pair = [box_points((0.02, 0.02, 0.03), (0.5, y), 0.0) for y in (0.0, 0.04 + gap)]
         assert len(seen(np.vstack(pair))) == count
 
 
@@ -90,8 +96,8 @@ def test_nothing_above_the_table_is_nothing():
     assert seen(np.zeros((0, 3))) == []
 
 
-@pytest.mark.parametrize("name", THINGS)
+@pytest.mark.parametrize("name", OBJECT_COLOURS)
 def test_a_colour_is_told_under_a_little_more_or_less_light(name):
     for light in (0.97, 1.0, 1.03):
-        told = colour_name(np.clip(light * shown(name), 0.0, 1.0))
+        told = nearest_colour(np.clip(light * rendered_colour(name), 0.0, 1.0))
         assert told == name

@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-from dualbrain.errors import UnknownName
-from dualbrain.simulation.scenes.appearance import colour_of
+from dualbrain.errors import UnknownNameError
+from dualbrain.simulation.scenes.appearance import colour_rgba
 
 SNAP = """
 import numpy as np
@@ -44,7 +44,7 @@ else:
 """
 
 
-def run(code, **environment):
+def run_program(code, **environment):
     done = subprocess.run(
         [sys.executable, "-c", code], env={**os.environ, **environment}, capture_output=True, text=True, check=False
     )
@@ -52,17 +52,17 @@ def run(code, **environment):
 
 
 def test_the_scene_is_in_the_picture():
-    code, said = run(SNAP, MUJOCO_GL="egl")
+    code, said = run_program(SNAP, MUJOCO_GL="egl")
     if "MissingPart" in said:
-        code, said = run(SNAP, MUJOCO_GL="osmesa")
+        code, said = run_program(SNAP, MUJOCO_GL="osmesa")
     assert code == 0, said
 
 
 def test_a_machine_without_gl_is_told_what_to_install():
-    code, said = run(NO_GL, MUJOCO_GL="disable")
+    code, said = run_program(NO_GL, MUJOCO_GL="disable")
     assert code == 0, said
 
 
 def test_unknown_colours_are_refused():
-    with pytest.raises(UnknownName, match="red"):
-        colour_of("rde")
+    with pytest.raises(UnknownNameError, match="red"):
+        colour_rgba("rde")

@@ -4,33 +4,43 @@ import mujoco
 import numpy as np
 import pytest
 
-from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.robots.interface import Command
-from dualbrain.simulation.plant.joint_drive import KINDS, LOAD_SHARE, TORQUE_LAG, motors_of, named_drive
+from dualbrain.simulation.plant.joint_drive import (
+    DRIVE_KINDS,
+    MAX_LOAD_SHARE,
+    TORQUE_LAG,
+    motor_slices,
+    parse_drive_kind,
+)
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.plant.stepped_plant import SteppedPlant
-from dualbrain.simulation.scenes.scene_builder import PERIOD
+from dualbrain.simulation.scenes.scene_builder import PHYSICS_PERIOD
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
-from tests.simulation.scripted_hand import BODY, HOME, rest, servo, top_down
+from tests.simulation.scripted_hand import HOME, PANDA, servo_to, top_down_posture, wait
 
 EMPTY = SceneSpec("panda", "test", 0, (), ())
-ALPHA = BODY.alpha
+ALPHA = PANDA.alpha
 
 
 def plant(**options):
-    return Plant(EMPTY, BODY, **options)
+    return Plant(EMPTY, PANDA, **options)
 
 
 def drive_at(p, u, seconds):
     p.write(Command(np.asarray(u, float), 0.04, 20.0))
-    rest(p, seconds)
+    wait(p, seconds)
 
 
 def test_without_a_load_the_lag_is_first_order_to_a_thousandth():
     """v jumps to u as 1 − exp: 1/3 of the way each period, on every joint at once, and the integral stays asleep."""
-    p, u, share = plant(), 0.1 * np.array([0.3, -0.2, 0.3, -0.4, 0.5, -0.5, 0.6]), PERIOD / (TORQUE_LAG + PERIOD)
+    p, u, share = (
+        plant(),
+        0.1 * np.array([0.3, -0.2, 0.3, -0.4, 0.5, -0.5, 0.6]),
+        PHYSICS_PERIOD / (TORQUE_LAG + PHYSICS_PERIOD),
+    )
     for k in range(1, 12):
-        drive_at(p, u, PERIOD)
+        drive_at(p, u, PHYSICS_PERIOD)
         assert np.allclose(p.read().v / u, 1.0 - (1.0 - share) ** k, atol=1e-3)
     assert np.abs(p.drive.load).max() < 1e-2
 
@@ -41,8 +51,8 @@ def test_y_moves_at_u():
     q0, total = p.read().q, np.zeros(7)
     for k in range(400):
         u = 0.3 * np.sin(0.05 * k) * np.array([1, -1, 1, 1, -1, 1, -1])
-        drive_at(p, u, PERIOD)
-        total += u * PERIOD
+        drive_at(p, u, PHYSICS_PERIOD)
+        total += u * PHYSICS_PERIOD
     state = p.read()
     assert np.abs(state.q + TORQUE_LAG * state.v - q0 - total).max() < 0.01 * TORQUE_LAG * 0.3
 
@@ -53,9 +63,9 @@ def test_a_held_load_is_borne(load):
     p = plant(load=load)
     drive_at(p, np.zeros(7), 0.4)
     lost = np.abs(p.read().q - HOME)
-    assert lost.max() < 2.0 * load * BODY.tracking.position_error
+    assert lost.max() < 2.0 * load * PANDA.tracking.position_error
     held = p.read().q
-    rest(p, 0.4)
+    wait(p, 0.4)
     assert np.abs(p.read().v).max() < 2e-4
     assert np.abs(p.read().q - held).max() < 2e-5
     jacobian = np.zeros((3, p.model.nv))
@@ -67,30 +77,30 @@ def test_a_held_load_is_borne(load):
 def test_without_the_integral_the_load_would_win():
     """The contrast: with κ = 0 a kilogram makes a joint run away."""
     p = plant(load=1.0)
-    p.drive._per_period = 0.0
+    p.drive._integral_gain = 0.0
     drive_at(p, np.zeros(7), 0.4)
     assert np.abs(p.read().v).max() > 0.005
 
 
 def press(p, height=-0.02):
     """From just above the table down to `height`, which is in it; the posture above."""
-    over = top_down(p, [0.5, 0.0, 0.02], 0.0)
+    over = top_down_posture(p, [0.5, 0.0, 0.02], 0.0)
     p.place_arm(over)
-    servo(p, top_down(p, [0.5, 0.0, height], 0.0), 1.0, opening=0.0)
+    servo_to(p, top_down_posture(p, [0.5, 0.0, height], 0.0), 1.0, opening=0.0)
     return over
 
 
 def test_what_presses_winds_up_to_its_bound_and_lets_go_gently():
     p = plant()
     over = press(p)
-    motors, _ = motors_of(p.model)
-    bound = LOAD_SHARE * p.model.actuator_forcerange[motors, 1]
+    motors, _ = motor_slices(p.model)
+    bound = MAX_LOAD_SHARE * p.model.actuator_forcerange[motors, 1]
     assert np.abs(p.drive.load).max() > 5.0, "it does press"
     assert np.all(np.abs(p.drive.load) <= bound)
     assert np.any(np.abs(p.drive.load) > 0.99 * bound)
     fastest = 0.0
     for _ in range(400):
-        drive_at(p, np.clip(6.0 * (over - p.read().q), -0.2, 0.2), PERIOD)
+        drive_at(p, np.clip(6.0 * (over - p.read().q), -0.2, 0.2), PHYSICS_PERIOD)
         fastest = max(fastest, np.abs(p.read().v).max())
     assert fastest < 0.3, "no jump beyond what was commanded"
 
@@ -98,12 +108,12 @@ def test_what_presses_winds_up_to_its_bound_and_lets_go_gently():
 def test_an_obstacle_that_vanishes_costs_a_bounded_step():
     """Wound up to the bound, then free: the overshoot is at most bound / (M k²) and some, and it dies at once."""
     p = plant()
-    p.drive.load[:] = 0.99 * p.drive._bound
+    p.drive.load[:] = 0.99 * p.drive._max_load
     q = p.read().q
     inertia = np.zeros((p.model.nv, p.model.nv))
     mujoco.mj_fullM(p.model, p.data, inertia)
     arm = inertia[p.arm_slices[1], p.arm_slices[1]]
-    reach = np.abs(np.linalg.solve(arm, p.drive._bound)) * 4.0 / p.drive.gain**2
+    reach = np.abs(np.linalg.solve(arm, p.drive._max_load)) * 4.0 / p.drive.gain**2
     drive_at(p, np.zeros(7), 0.1)
     assert np.all(np.abs(p.read().q - q) < reach)
     assert np.abs(p.read().v).max() < 1e-3
@@ -112,9 +122,9 @@ def test_an_obstacle_that_vanishes_costs_a_bounded_step():
 def test_a_saturated_motor_winds_nothing_up():
     """A step that the last motor cannot follow: its joint arrives without passing the command."""
     p, u = plant(), np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.5])
-    fastest, saturated, motors = 0.0, False, motors_of(p.model)[0]
+    fastest, saturated, motors = 0.0, False, motor_slices(p.model)[0]
     for _ in range(250):
-        drive_at(p, u, PERIOD)
+        drive_at(p, u, PHYSICS_PERIOD)
         fastest = max(fastest, p.read().v[6])
         saturated |= bool(np.any(np.abs(p.data.ctrl[motors]) > p.model.actuator_forcerange[motors, 1]))
     assert saturated
@@ -126,50 +136,50 @@ def test_no_torque_is_remembered(how):
     p = plant(load=1.0)
     drive_at(p, np.zeros(7), 0.2)
     assert np.abs(p.drive.load).max() > 1.0
-    p.stop() if how == "stop" else p.place_arm(HOME)
-    motors, _ = motors_of(p.model)
+    p.stop() if how == "stop" else p.set_configuration(HOME)
+    motors, _ = motor_slices(p.model)
     assert not p.drive.load.any()
     assert not p.data.ctrl[motors].any()
     if how == "stop":
-        rest(p, 0.05)
+        wait(p, 0.05)
         assert not p.drive.load.any(), "the drive is off"
         p.enable()
-        rest(p, 0.3)
+        wait(p, 0.3)
         assert np.abs(p.read().v).max() < 1e-3
 
 
 def test_velocity_actuators_are_the_models_own():
     """The halved step and the drive between change nothing against MuJoCo's own step."""
     ours, bare = plant(drive="velocity"), plant(drive="velocity")
-    motors, _ = motors_of(bare.model)
+    motors, _ = motor_slices(bare.model)
     u = np.linspace(-0.05, 0.05, 7)
     ours.write(Command(u, 0.04, 20.0))
     bare.write(Command(np.zeros(7), 0.04, 20.0))
     for _ in range(50):
         ours.advance()
         bare.data.ctrl[motors] = u
-        bare.data.ctrl[bare._grip] = ours.data.ctrl[ours._grip]
+        bare.data.ctrl[bare._gripper_actuator] = ours.data.ctrl[ours._gripper_actuator]
         mujoco.mj_step(bare.model, bare.data)
     assert np.array_equal(ours.data.qpos, bare.data.qpos)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", DRIVE_KINDS)
 def test_both_halves_are_one_period(kind):
     whole, halves = plant(drive=kind), SteppedPlant(plant(drive=kind))
     u = np.linspace(-0.1, 0.1, 7)
     for _ in range(30):
         whole.write(Command(u, 0.04, 5.0))
         whole.advance()
-        halves.sense()
-        halves.act(u)
+        halves.measure()
+        halves.apply(u)
     assert np.array_equal(whole.read().q, halves.q)
 
 
 def test_drives_have_names_and_motors_their_form():
-    with pytest.raises(UnknownName, match="velocity"):
+    with pytest.raises(UnknownNameError, match="velocity"):
         plant(drive="magnetic")
-    assert tuple(map(named_drive, KINDS)) == KINDS
+    assert tuple(map(parse_drive_kind, DRIVE_KINDS)) == DRIVE_KINDS
     p = plant()
     p.model.actuator_gear[0, 0] = 100.0
-    with pytest.raises(InvalidSetup, match="gear 1"):
-        motors_of(p.model)
+    with pytest.raises(ConfigurationError, match="gear 1"):
+        motor_slices(p.model)

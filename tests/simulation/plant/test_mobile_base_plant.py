@@ -5,18 +5,18 @@ import numpy as np
 import pytest
 
 from dualbrain.core.geometry.shapes import Box
-from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.robots.differential_drive import driven_by
+from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.robots.differential_drive import control_displacement
 from dualbrain.robots.interface import Command
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
-from dualbrain.simulation.scenes.generators.rooms import ROOMS, make_room
-from dualbrain.simulation.scenes.scene_spec import Thing, load_scene, save_scene
-from dualbrain.simulation.tasks.arrival import At
-from dualbrain.simulation.tasks.placement import goal_of
-from tests.simulation.mobile_base_cell import BASE, Hall
+from dualbrain.simulation.scenes.generators.rooms import ROOM_FAMILIES, make_room
+from dualbrain.simulation.scenes.scene_spec import ObjectSpec, load_scene, save_scene
+from dualbrain.simulation.tasks.arrival import ArrivalGoal
+from dualbrain.simulation.tasks.placement import parse_goal
+from tests.simulation.mobile_base_cell import MOBILE_BASE, MobileBaseCell
 
-AMAX = np.array([joint.acceleration.value for joint in BASE.joints])
-VMAX = np.array([joint.velocity.value for joint in BASE.joints])
+AMAX = np.array([joint.acceleration.value for joint in MOBILE_BASE.joints])
+VMAX = np.array([joint.velocity.value for joint in MOBILE_BASE.joints])
 
 
 def go(plant, u):
@@ -27,24 +27,29 @@ def go(plant, u):
 @pytest.mark.parametrize("seed", range(3))
 def test_the_stated_tracking_model_bounds_what_the_plant_does(seed):
     """|∫ exp(−α (t − s)) (ẏ − u) ds| ≤ e with y = q + lag v, along the path that was driven."""
-    plant, rng = Hall().plant, np.random.default_rng(seed)
-    plant.place_arm(np.array([2.0, 0.0, rng.uniform(-3, 3)]))
-    keep, gap, u, wanted = np.exp(-BASE.tracking.rate * BASE.period), np.zeros(2), np.zeros(2), np.zeros(2)
+    plant, rng = MobileBaseCell().plant, np.random.default_rng(seed)
+    plant.set_configuration(np.array([2.0, 0.0, rng.uniform(-3, 3)]))
+    keep, gap, u, wanted = (
+        np.exp(-MOBILE_BASE.tracking.rate * MOBILE_BASE.period),
+        np.zeros(2),
+        np.zeros(2),
+        np.zeros(2),
+    )
     before = plant.read()
     for step in range(400):
         if step % 20 == 0:
             wanted = rng.uniform(-1, 1, 2) * VMAX * (0.5, 1.0)
-        u = u + np.clip(wanted - u, -AMAX * BASE.period, AMAX * BASE.period)
+        u = u + np.clip(wanted - u, -AMAX * MOBILE_BASE.period, AMAX * MOBILE_BASE.period)
         go(plant, u)
         after = plant.read()
-        moved = driven_by(before.q, after.q) + BASE.tracking.lag * (after.v - before.v)
-        gap = keep * gap + moved - u * BASE.period
+        moved = control_displacement(before.q, after.q) + MOBILE_BASE.tracking.lag * (after.v - before.v)
+        gap = keep * gap + moved - u * MOBILE_BASE.period
         before = after
-        assert np.abs(gap).max() <= BASE.tracking.position_error
+        assert np.abs(gap).max() <= MOBILE_BASE.tracking.position_error
 
 
 def test_the_axle_never_moves_sideways():
-    plant = Hall().plant
+    plant = MobileBaseCell().plant
     for step in range(150):
         before = plant.read().q
         go(plant, (0.4, np.sin(0.1 * step)))
@@ -54,7 +59,7 @@ def test_the_axle_never_moves_sideways():
 
 
 def test_the_wheels_keep_to_their_limit_whatever_they_are_told():
-    plant, rng = Hall().plant, np.random.default_rng(1)
+    plant, rng = MobileBaseCell().plant, np.random.default_rng(1)
     fastest = np.zeros(2)
     for _ in range(400):
         go(plant, rng.normal(size=2) * 10.0)
@@ -64,7 +69,7 @@ def test_the_wheels_keep_to_their_limit_whatever_they_are_told():
 
 
 def test_without_its_drive_it_is_held():
-    plant = Hall().plant
+    plant = MobileBaseCell().plant
     for _ in range(60):
         go(plant, (0.6, 0.0))
     plant.stop()
@@ -79,9 +84,9 @@ def test_without_its_drive_it_is_held():
 
 
 def test_the_monitor_sees_a_crash_and_a_base_that_is_too_fast():
-    crate = Thing("crate", "obstacle", Box((0.1, 0.3, 0.2)), (0.8, 0.0, 0.2), 20.0, "oak", "crate", fixed=True)
+    crate = ObjectSpec("crate", "obstacle", Box((0.1, 0.3, 0.2)), (0.8, 0.0, 0.2), 20.0, "oak", "crate", fixed=True)
     spec = make_room("empty_room", 0, "base")
-    hall = Hall(spec=msgspec.structs.replace(spec, things=(*spec.things, crate)))
+    hall = MobileBaseCell(spec=msgspec.structs.replace(spec, things=(*spec.objects, crate)))
     hall.plant.data.qfrc_applied[0] = 2000.0  # pushed [N], as its own wheels do not go so fast
     for _ in range(80):
         hall.plant.write(Command(np.array([0.6, 0.0]), 0.0, 0.0))
@@ -91,13 +96,15 @@ def test_the_monitor_sees_a_crash_and_a_base_that_is_too_fast():
     assert ("joint_velocity", ("drive",)) in found
 
 
-@pytest.mark.parametrize("family", ROOMS)
+@pytest.mark.parametrize("family", ROOM_FAMILIES)
 def test_rooms_are_repeatable_and_leave_room_to_pass(family, tmp_path):
     for seed in range(6):
         spec = make_room(family, seed, "base")
         assert spec == make_room(family, seed, "base")
         for place in spec.places:
-            away = [np.hypot(place.position[0] - t.position[0], place.position[1] - t.position[1]) for t in spec.things]
+            away = [
+                np.hypot(place.position[0] - t.position[0], place.position[1] - t.position[1]) for t in spec.objects
+            ]
             assert min(away) > 0.5
     save_scene(spec, tmp_path / "room.json")
     assert load_scene(tmp_path / "room.json") == spec
@@ -106,12 +113,12 @@ def test_rooms_are_repeatable_and_leave_room_to_pass(family, tmp_path):
 def test_scenes_and_goals_are_those_of_the_body():
     spec = open_scene("4", "base")
     assert spec.region
-    assert goal_of("go to the shelf", spec) == At("shelf")
-    assert goal_of("bring yourself to the charger", spec) == At("charger")
-    with pytest.raises(UnknownName, match="place"):
-        goal_of("go to the moon", spec)
-    with pytest.raises(InvalidSetup):
-        goal_of("put the red cube in the bowl", spec)
-    with pytest.raises(UnknownName):
+    assert parse_goal("go to the shelf", spec) == ArrivalGoal("shelf")
+    assert parse_goal("bring yourself to the charger", spec) == ArrivalGoal("charger")
+    with pytest.raises(UnknownNameError, match="place"):
+        parse_goal("go to the moon", spec)
+    with pytest.raises(ConfigurationError):
+        parse_goal("put the red cube in the bowl", spec)
+    with pytest.raises(UnknownNameError):
         open_scene("tabletop:1", "base")
     assert not open_scene("4").region

@@ -5,33 +5,33 @@ import numpy as np
 import pytest
 
 from dualbrain.core.geometry.shapes import Cylinder
-from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.robots.interface import Command, Robot
-from dualbrain.simulation.models.mujoco_model import robot_model
-from dualbrain.simulation.plant.joint_drive import KINDS
+from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.robots.interface import Command, RobotInterface
+from dualbrain.simulation.models.mujoco_model import load_mujoco_model
+from dualbrain.simulation.plant.joint_drive import DRIVE_KINDS
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.generators.tabletop import make_scene
-from dualbrain.simulation.scenes.scene_spec import Thing
-from tests.simulation.scripted_hand import BODY, HOME, pick, plant, rest, servo, top_down, yaw_of
+from dualbrain.simulation.scenes.scene_spec import ObjectSpec
+from tests.simulation.scripted_hand import HOME, PANDA, make_plant, pick_up, servo_to, top_down_posture, wait, yaw_of
 
-VMAX = np.array([joint.velocity.value for joint in BODY.joints])
-AMAX = np.array([joint.acceleration.value for joint in BODY.joints])
+VMAX = np.array([joint.velocity.value for joint in PANDA.joints])
+AMAX = np.array([joint.acceleration.value for joint in PANDA.joints])
 LAG, VELOCITY_ERROR = 0.002, {"computed_torque": 1e-3, "velocity": 0.03}
 """The first-order lag [s] of either drive, and the velocity [rad/s] it may be off by under full acceleration."""
 
 
 def test_a_plant_is_a_robot():
-    robot: Robot = plant()
+    robot: RobotInterface = make_plant()
     state = robot.read()
-    assert state.q.shape == state.v.shape == (BODY.n,)
+    assert state.q.shape == state.v.shape == (PANDA.n,)
     assert np.allclose(state.q, HOME)
     assert state.opening == pytest.approx(0.04)
     assert robot.read().sequence == state.sequence + 1
 
 
 def test_time_advances_by_one_period():
-    p = plant()
-    rest(p, 0.25)
+    p = make_plant()
+    wait(p, 0.25)
     assert p.now == pytest.approx(0.25)
     assert p.read().stamp == p.now
 
@@ -43,10 +43,10 @@ def wanted(mode, t):
 
 
 @pytest.mark.parametrize("mode", ["sine", "bang"])
-@pytest.mark.parametrize("drive", KINDS)
+@pytest.mark.parametrize("drive", DRIVE_KINDS)
 def test_velocity_follows_as_a_first_order_lag(mode, drive):
     """lag·v̇ + v = u, stepped as the plant is, within the declared residual: full acceleration of all joints at once."""
-    p, u, model = plant(drive=drive), np.zeros(7), np.zeros(7)
+    p, u, model = make_plant(drive=drive), np.zeros(7), np.zeros(7)
     keep, worst = LAG / (LAG + 1e-3), np.zeros(7)
     for k in range(1200):
         u = u + np.clip(wanted(mode, k * 1e-3) - u, -AMAX * 1e-3, AMAX * 1e-3)
@@ -59,106 +59,106 @@ def test_velocity_follows_as_a_first_order_lag(mode, drive):
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_pick_by_contact_alone_lifts_the_cube(seed):
-    p = plant("tabletop" if seed == 3 else "bare", seed)
-    start = p.truth("red_cube").position[2]
-    pick(p, "red_cube")
-    assert p.truth("red_cube").position[2] > start + 0.13
+    p = make_plant("tabletop" if seed == 3 else "bare", seed)
+    start = p.true_pose("red_cube").position[2]
+    pick_up(p, "red_cube")
+    assert p.true_pose("red_cube").position[2] > start + 0.13
     assert min(p.read().finger_forces) > 15.0
 
 
 @pytest.mark.parametrize("force", [10.0, 60.0])
 def test_grip_force_is_the_force_commanded(force):
-    p = plant("bare", 3)
-    pose = p.truth("red_cube")
-    q = top_down(p, np.add(pose.position, [0, 0, 0.004]), yaw_of(pose))
-    p.place_arm(q)
-    servo(p, q, 0.7, opening=0.0, force=force)
+    p = make_plant("bare", 3)
+    pose = p.true_pose("red_cube")
+    q = top_down_posture(p, np.add(pose.position, [0, 0, 0.004]), yaw_of(pose))
+    p.set_configuration(q)
+    servo_to(p, q, 0.7, opening=0.0, force=force)
     seen = []
-    servo(p, q, 0.3, opening=0.0, force=force, each=lambda: seen.append(p.read().finger_forces))
+    servo_to(p, q, 0.3, opening=0.0, force=force, each=lambda: seen.append(p.read().finger_forces))
     assert np.allclose(np.mean(seen, axis=0), force, rtol=0.03)
     assert np.std(seen, axis=0).max() < 0.1, "stable at 1 kHz"
 
 
 def test_fingers_move_at_their_own_speed():
-    p = plant()
+    p = make_plant()
     p.write(Command(np.zeros(7), 0.0, 20.0))
-    rest(p, 0.4)
+    wait(p, 0.4)
     assert p.read().opening == pytest.approx(0.02, abs=0.003)
-    rest(p, 0.5)
+    wait(p, 0.5)
     assert p.read().opening < 0.001
 
 
-@pytest.mark.parametrize("drive", KINDS)
+@pytest.mark.parametrize("drive", DRIVE_KINDS)
 def test_stop_engages_brakes_that_hold_the_arm(drive):
-    p = plant(drive=drive)
+    p = make_plant(drive=drive)
     p.write(Command(0.5 * VMAX * np.array([1, 1, -1, 1, 1, -1, 1]), 0.04, 20.0))
-    rest(p, 0.3)
+    wait(p, 0.3)
     p.stop()
     assert not p.read().drive_enabled
-    rest(p, 0.2)
+    wait(p, 0.2)
     held = p.read().q
     p.write(Command(VMAX, 0.04, 20.0))
-    rest(p, 1.5)
+    wait(p, 1.5)
     assert np.abs(p.read().q - held).max() < 2e-3
     assert np.abs(p.read().v).max() < 2e-3
 
 
-@pytest.mark.parametrize("drive", KINDS)
+@pytest.mark.parametrize("drive", DRIVE_KINDS)
 def test_enable_releases_the_brakes_at_rest(drive):
-    p = plant(drive=drive)
+    p = make_plant(drive=drive)
     p.stop()
-    rest(p, 0.1)
+    wait(p, 0.1)
     p.enable()
-    rest(p, 0.3)
+    wait(p, 0.3)
     assert np.abs(p.read().v).max() < 1e-3
     p.write(Command(np.full(7, 0.1), 0.04, 20.0))
-    rest(p, 0.1)
+    wait(p, 0.1)
     assert np.allclose(p.read().v, 0.1, atol=0.01)
 
 
 def test_looks_change_no_physics():
     spec = make_scene("tabletop", 5)
-    plain, dressed = Plant(spec, BODY), Plant(spec, BODY, visuals=True)
+    plain, dressed = Plant(spec, PANDA), Plant(spec, PANDA, visuals=True)
     assert dressed.has_visuals
     command = Command(np.array([0.3, 0.2, -0.1, 0.2, 0.1, 0.3, -0.2]), 0.01, 20.0)
     for p in (plain, dressed):
         p.write(command)
-        rest(p, 0.3)
+        wait(p, 0.3)
     assert np.array_equal(plain.data.qpos, dressed.data.qpos)
 
 
 def test_two_plants_of_one_scene_are_bit_identical():
-    first, second = plant("forearm", 2), plant("forearm", 2)
+    first, second = make_plant("forearm", 2), make_plant("forearm", 2)
     for p in (first, second):
         p.write(Command(np.full(7, 0.2), 0.02, 20.0))
-        rest(p, 0.3)
+        wait(p, 0.3)
     assert np.array_equal(first.data.qpos, second.data.qpos)
 
 
 def test_truth_knows_its_names():
-    p = plant("forearm", 0)
-    assert p.truth("forearm").position[0] > 0.7
-    with pytest.raises(UnknownName, match="red_cube"):
-        p.truth("red_cub")
+    p = make_plant("forearm", 0)
+    assert p.true_pose("forearm").position[0] > 0.7
+    with pytest.raises(UnknownNameError, match="red_cube"):
+        p.true_pose("red_cub")
 
 
 def test_a_user_file_without_the_parts_is_refused(tmp_path):
     (tmp_path / "robot.xml").write_text("<mujoco><worldbody><body name='link0'/></worldbody></mujoco>")
-    with pytest.raises(InvalidSetup, match="no body link1"):
-        robot_model("panda", path=tmp_path / "robot.xml")
+    with pytest.raises(ConfigurationError, match="no body link1"):
+        load_mujoco_model("panda", path=tmp_path / "robot.xml")
     (tmp_path / "broken.xml").write_text("<mujoco>")
-    with pytest.raises(InvalidSetup, match="robot model file"):
-        robot_model("panda", path=tmp_path / "broken.xml")
-    with pytest.raises(UnknownName, match="panda"):
-        robot_model("pandas")
+    with pytest.raises(ConfigurationError, match="robot model file"):
+        load_mujoco_model("panda", path=tmp_path / "broken.xml")
+    with pytest.raises(UnknownNameError, match="panda"):
+        load_mujoco_model("pandas")
 
 
 @pytest.mark.parametrize(("mass", "friction", "force", "held"), [(0.28, 0.12, 10.0, False), (0.28, 0.12, 20.0, True),
                                                                  (0.28, 0.8, 10.0, True)])  # fmt: skip
 def test_a_wet_full_glass_slips_out_of_a_grip_that_holds_a_dry_one(mass, friction, force, held):
     """2 μ F = 2.4 N at 10 N is less than its weight of 2.7 N; dry, the pads decide (μ = 1.5)."""
-    glass = Thing("clear_glass", "object", Cylinder(0.024, 0.045), (0.5, 0.0, 0.045), mass, "clear", "glass",
+    glass = ObjectSpec("clear_glass", "object", Cylinder(0.024, 0.045), (0.5, 0.0, 0.045), mass, "clear", "glass",
                   friction=friction)  # fmt: skip
-    p = Plant(msgspec.structs.replace(make_scene("bare", 0), things=(glass,)), BODY)
-    pick(p, "clear_glass", force=force)
-    assert (p.truth("clear_glass").position[2] > 0.15) is held
+    p = Plant(msgspec.structs.replace(make_scene("bare", 0), things=(glass,)), PANDA)
+    pick_up(p, "clear_glass", force=force)
+    assert (p.true_pose("clear_glass").position[2] > 0.15) is held

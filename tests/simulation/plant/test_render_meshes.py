@@ -4,34 +4,34 @@ import mujoco
 import numpy as np
 import pytest
 
-from dualbrain.core.geometry.rotations import matrix
-from dualbrain.robots.loader import BODIES, load_body
-from dualbrain.simulation.plant.factory import open_plant
-from dualbrain.simulation.plant.render_meshes import COLLIDING, surfaces
+from dualbrain.core.geometry.rotations import quaternion_to_matrix
+from dualbrain.robots.loader import BUILTIN_ROBOTS, load_robot
+from dualbrain.simulation.plant.factory import make_plant
+from dualbrain.simulation.plant.render_meshes import COLLISION_GEOM_GROUP, link_meshes
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
 
-@pytest.mark.parametrize("robot", BODIES)
+@pytest.mark.parametrize("robot", BUILTIN_ROBOTS)
 def test_every_link_that_collides_is_drawn_where_it_is(robot):
-    body = load_body(robot)
-    plant = open_plant(open_scene("0", robot), body)
-    found, poses, model = surfaces(plant), plant.link_poses(), plant.model
-    for name, part in plant.parts().items():
+    body = load_robot(robot)
+    plant = make_plant(open_scene("0", robot), body)
+    found, poses, model = link_meshes(plant), plant.link_poses(), plant.model
+    for name, part in plant.link_body_names().items():
         owner = plant.data.body(part).id
         solid = [i for i in range(model.ngeom) if model.geom_bodyid[i] == owner and model.geom_contype[i]]
         if not solid:
             continue
         points = np.vstack([patch.points for patch in found[name]])
         assert all(patch.faces.max() < len(patch.points) for patch in found[name])
-        drawn = points @ matrix(poses[name].quaternion).T + np.array(poses[name].position)
+        drawn = points @ quaternion_to_matrix(poses[name].quaternion).T + np.array(poses[name].position)
         for i in solid:  # the middle of what collides lies among what is drawn
             assert np.all(drawn.min(axis=0) - 0.02 < plant.data.geom_xpos[i])
             assert np.all(plant.data.geom_xpos[i] < drawn.max(axis=0) + 0.02)
 
 
 def test_a_wheel_and_a_box_have_their_size_and_look_outward():
-    plant = open_plant(open_scene("0", "base"), load_body("base"))
-    (drawn,) = surfaces(plant).values()
+    plant = make_plant(open_scene("0", "base"), load_robot("base"))
+    (drawn,) = link_meshes(plant).values()
     for patch in drawn:
         corners = patch.points[patch.faces].astype(float)
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -44,8 +44,8 @@ def test_a_wheel_and_a_box_have_their_size_and_look_outward():
 
 def test_a_dressed_arm_does_not_hide_what_carries_it():
     """Pictures leave out what collides where meshes lie over it (group 3); the platform has no meshes."""
-    plant = open_plant(open_scene("workroom:0", "mobile_panda"), load_body("mobile_panda"), visuals=True)
-    platform = plant.data.body(plant.parts()[plant.body.links[0].name]).id
+    plant = make_plant(open_scene("workroom:0", "mobile_panda"), load_robot("mobile_panda"), visuals=True)
+    platform = plant.data.body(plant.link_body_names()[plant.body.links[0].name]).id
     shown = [i for i in range(plant.model.ngeom) if plant.model.geom_bodyid[i] == platform]
     assert shown
-    assert all(plant.model.geom_group[i] != COLLIDING for i in shown)
+    assert all(plant.model.geom_group[i] != COLLISION_GEOM_GROUP for i in shown)

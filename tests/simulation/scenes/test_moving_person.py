@@ -5,12 +5,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dualbrain.simulation.plant.plant import Plant
-from dualbrain.simulation.scenes.moving_person import ACCELERATION, path_of
-from dualbrain.simulation.scenes.scene_spec import Mover, SceneSpec
-from tests.simulation.scripted_hand import BODY, HOME, plant, rest
+from dualbrain.simulation.scenes.moving_person import PERSON_ACCELERATION, person_path
+from dualbrain.simulation.scenes.scene_spec import MovingPerson, SceneSpec
+from tests.simulation.scripted_hand import HOME, PANDA, make_plant, wait
 
 movers = st.builds(
-    Mover,
+    MovingPerson,
     start=st.just((0.7, -0.5, 0.17)),
     end=st.tuples(st.just(0.7), st.floats(-0.4, 0.5), st.just(0.17)),
     speed=st.floats(0.05, 0.6),
@@ -22,35 +22,35 @@ movers = st.builds(
 @given(movers, st.floats(0.0, 60.0))
 @settings(deadline=None)
 def test_the_path_is_continuous_bounded_and_its_rate_is_its_derivative(mover, t):
-    path = path_of(mover)
-    distance, rate = path.at(t)
-    later, rate_later = path.at(t + 1e-4)
+    path = person_path(mover)
+    distance, rate = path.state_at(t)
+    later, rate_later = path.state_at(t + 1e-4)
     assert -1e-9 <= distance <= path.length + 1e-9
     assert abs(rate) <= mover.speed + 1e-9
     assert abs(later - distance - 1e-4 * 0.5 * (rate + rate_later)) < 1e-6
-    assert abs(rate_later - rate) <= 2 * ACCELERATION * 1e-4 + 1e-9
-    assert np.allclose(path.at(t + path.cycle), (distance, rate), atol=1e-6)
+    assert abs(rate_later - rate) <= 2 * PERSON_ACCELERATION * 1e-4 + 1e-9
+    assert np.allclose(path.state_at(t + path.cycle_duration), (distance, rate), atol=1e-6)
 
 
 def crossing(**changes):
-    mover = Mover(start=(0.78, -0.4, 0.2), end=(0.78, 0.4, 0.2), speed=0.2, pause=0.1, phase=0.0, **changes)
-    return Plant(SceneSpec("panda", "forearm", 0, (), (), mover), BODY)
+    mover = MovingPerson(start=(0.78, -0.4, 0.2), end=(0.78, 0.4, 0.2), speed=0.2, pause=0.1, phase=0.0, **changes)
+    return Plant(SceneSpec("panda", "forearm", 0, (), (), mover), PANDA)
 
 
 def test_the_forearm_follows_its_path():
     p = crossing()
-    path, far = path_of(p.spec.mover), []
+    path, far = person_path(p.spec.mover), []
     for _ in range(2500):
         p.advance()
-        distance, _ = path.at(p.now)
-        far.append(np.linalg.norm(p.truth("forearm").position - (path.start + distance * path.direction)))
+        distance, _ = path.state_at(p.now)
+        far.append(np.linalg.norm(p.true_pose("forearm").position - (path.start + distance * path.direction)))
     assert max(far) < 3e-3
 
 
 def test_a_blocked_forearm_pushes_with_its_bounded_force():
     """The arm stands in the way with its brakes on: the push stays below 150 N and does not run away."""
     p = crossing()
-    p.place_arm(np.array([0.0, 0.65, 0.0, -1.9, 0.0, 2.5, 0.785]))
+    p.set_configuration(np.array([0.0, 0.65, 0.0, -1.9, 0.0, 2.5, 0.785]))
     p.stop()
     arm, forces = p.read().q, []
     drives = [p.model.actuator(f"forearm_{axis}").id for axis in "xyz"]
@@ -58,16 +58,16 @@ def test_a_blocked_forearm_pushes_with_its_bounded_force():
     def note():
         forces.append(np.linalg.norm(p.data.actuator_force[drives]))
 
-    rest(p, 4.0, each=note)
+    wait(p, 4.0, each=note)
     assert p.data.ncon > 0
-    assert p.truth("forearm").position[1] < 0.1, "it never came past the arm"
+    assert p.true_pose("forearm").position[1] < 0.1, "it never came past the arm"
     assert 60.0 < max(forces) <= 150.0 + 1e-6
     assert np.abs(p.read().q - arm).max() < 0.02
 
 
 def test_gravity_does_not_pull_the_forearm():
-    p = plant("forearm", 1)
-    start = p.truth("forearm").position[2]
-    rest(p, 0.5)
-    assert abs(p.truth("forearm").position[2] - start) < 1e-3
+    p = make_plant("forearm", 1)
+    start = p.true_pose("forearm").position[2]
+    wait(p, 0.5)
+    assert abs(p.true_pose("forearm").position[2] - start) < 1e-3
     assert np.allclose(p.read().q, HOME, atol=1e-6)

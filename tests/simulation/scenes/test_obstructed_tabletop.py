@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dualbrain.core.geometry.shapes import Box
-from dualbrain.grounding.offline_gate import as_specified
-from dualbrain.grounding.scene_summary import summarise
+from dualbrain.grounding.offline_gate import scene_from_spec
+from dualbrain.grounding.scene_summary import summarise_scene
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
-from dualbrain.simulation.scenes.generators.tabletop import FAMILIES, HARD, make_scene
-from dualbrain.simulation.scenes.moving_person import path_of
+from dualbrain.simulation.scenes.generators.tabletop import LEVEL_I_FAMILIES, OBSTRUCTED_FAMILIES, make_scene
+from dualbrain.simulation.scenes.moving_person import person_path
 
 seeds = st.integers(0, 10**6)
 LEVEL_ONE = "ba0ee03e7991d0823e6d0cbc53829cb61e87ccd13b9aaa38876ce68b795cab3c"
@@ -25,7 +25,7 @@ def test_scenes_of_level_one_are_still_those_that_were_measured():
         return round(value, 6) if isinstance(value, float) else value
 
     found = hashlib.sha256()
-    for family in FAMILIES:
+    for family in LEVEL_I_FAMILIES:
         for seed in range(20):
             data = msgspec.to_builtins(make_scene(family, seed))
             assert not data.pop("region"), "a table top has no region to drive in"
@@ -45,11 +45,11 @@ def walk(data, leaf):
 def test_fingers_fit_on_one_axis_only(seed):
     """Hand-high things bar one axis on both sides; the symbols tell which axis is left."""
     spec = make_scene("tall_ii", seed)
-    flanks = [local(spec, thing) for thing in spec.things[2:4]]
+    flanks = [local(spec, thing) for thing in spec.objects[2:4]]
     axis = seed % 2
     assert {int(np.argmax(np.abs(at))) for at in flanks} == {axis}
     assert flanks[0][axis] * flanks[1][axis] < 0.0
-    line = next(row for row in summarise(as_specified(spec)).splitlines() if row.startswith("red_cube"))
+    line = next(row for row in summarise_scene(scene_from_spec(spec)).splitlines() if row.startswith("red_cube"))
     free = f"free_finger_axis {('across', 'along')[axis]}"
     assert free in line or " tight" in line, "a screen may stand close on the other axis too"
 
@@ -58,7 +58,7 @@ def test_fingers_fit_on_one_axis_only(seed):
 @settings(max_examples=60, deadline=None)
 def test_gaps_are_as_wide_as_they_are_said_to_be(seed):
     spec = make_scene("tall_ii", seed)
-    for thing in spec.things[2:]:
+    for thing in spec.objects[2:]:
         if not thing.fixed:
             half = thing.shape.half_extents[0] if isinstance(thing.shape, Box) else thing.shape.radius
             gap = np.abs(local(spec, thing)).max() - 0.02 - half
@@ -75,7 +75,7 @@ def test_a_screen_bars_one_way_and_leaves_the_other(seed):
     assert 2 * screen.position[2] < 0.30 - 0.02, "carried at 0.30 m it is passed above"
 
 
-@pytest.mark.parametrize("family", HARD)
+@pytest.mark.parametrize("family", OBSTRUCTED_FAMILIES)
 def test_consecutive_seeds_show_every_hazard(family):
     kinds = {"tall_ii": rows_and_gaps, "shelf_ii": board_is_over, "forearm_ii": rest_begins}[family]
     assert len({kinds(make_scene(family, seed)) for seed in range(12)}) >= 3
@@ -94,9 +94,9 @@ def y_of(spec, name):
 
 
 def rest_begins(spec):
-    path = path_of(spec.mover)
+    path = person_path(spec.mover)
     times = np.arange(0.0, 20.0, 0.25)
-    there = [path.at(t)[0] == path.length for t in times]
+    there = [path.state_at(t)[0] == path.length for t in times]
     return "there" if there[0] else "comes", path.pause > 23.0
 
 
@@ -104,18 +104,18 @@ def rest_begins(spec):
 @settings(max_examples=60, deadline=None)
 def test_somebody_rests_at_the_bowl_and_leaves_again(seed):
     spec = make_scene("forearm_ii", seed)
-    path = path_of(spec.mover)
+    path = person_path(spec.mover)
     assert np.hypot(*np.subtract(spec.mover.end[:2], (spec.mover.end[0], spec.find("blue_bowl").position[1]))) < 0.13
     times = np.arange(0.0, 40.0, 0.1)
-    there = np.array([path.at(t)[0] == path.length for t in times])
+    there = np.array([path.state_at(t)[0] == path.length for t in times])
     comes = int(np.argmax(there))
     leaves = comes + int(np.argmin(there[comes:]))
     assert times[comes] < 14.2
     assert 9.8 < times[leaves] < 34.1
-    assert path.at(times[leaves] + 1.0)[1] < 0.0, "on the way out"
+    assert path.state_at(times[leaves] + 1.0)[1] < 0.0, "on the way out"
 
 
-@pytest.mark.parametrize("family", HARD)
+@pytest.mark.parametrize("family", OBSTRUCTED_FAMILIES)
 def test_the_catalogue_opens_them(family):
     assert open_scene(f"{family}:3") == make_scene(family, 3)
 

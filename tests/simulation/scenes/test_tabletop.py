@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dualbrain.core.geometry.shapes import Box, Cylinder
-from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.simulation.scenes.generators.tabletop import ALL_FAMILIES, load_scene, make_scene, save_scene
-from tests.simulation.scripted_hand import plant
+from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.simulation.scenes.generators.tabletop import SINGLE_GOAL_FAMILIES, load_scene, make_scene, save_scene
+from tests.simulation.scripted_hand import make_plant
 
-families = st.sampled_from(sorted(ALL_FAMILIES))
+families = st.sampled_from(sorted(SINGLE_GOAL_FAMILIES))
 seeds = st.integers(0, 10**6)
 
 
@@ -30,9 +30,9 @@ def test_scenes_repeat_and_go_through_json(family, seed):
 @settings(max_examples=150, deadline=None)
 def test_things_stand_apart_and_places_are_free(family, seed):
     spec = make_scene(family, seed)
-    names = [thing.name for thing in spec.things]
+    names = [thing.name for thing in spec.objects]
     assert len(set(names)) == len(names)
-    standing = [thing for thing in spec.things if not thing.fixed]
+    standing = [thing for thing in spec.objects if not thing.fixed]
     for index, one in enumerate(standing):
         for other in standing[:index]:
             gap = np.hypot(one.position[0] - other.position[0], one.position[1] - other.position[1])
@@ -46,10 +46,10 @@ def inner(thing):
     return min(thing.shape.half_extents[:2]) if isinstance(thing.shape, Box) else thing.shape.radius
 
 
-@pytest.mark.parametrize("family", sorted(ALL_FAMILIES))
+@pytest.mark.parametrize("family", sorted(SINGLE_GOAL_FAMILIES))
 def test_a_scene_starts_without_overlap_and_stays_at_rest(family):
     for seed in range(4):
-        p = plant(family, seed)
+        p = make_plant(family, seed)
         deep = [c.dist for c in p.data.contact if c.dist < -1e-4]
         assert not deep
         robot = [g for g in range(p.model.ngeom) if owner(p, g).startswith("robot/") and owner(p, g) != "robot/link0"]
@@ -58,10 +58,10 @@ def test_a_scene_starts_without_overlap_and_stays_at_rest(family):
         ]
         nearest = min(mujoco.mj_geomDistance(p.model, p.data, a, b, 0.05, None) for a in robot for b in other)
         assert nearest > 0.01
-        before = {name: np.array(p.truth(name).position) for name in p.names if name != "forearm"}
+        before = {name: np.array(p.true_pose(name).position) for name in p.object_names if name != "forearm"}
         for _ in range(400):
             p.advance()
-        assert all(np.linalg.norm(np.array(p.truth(name).position) - at) < 1e-3 for name, at in before.items())
+        assert all(np.linalg.norm(np.array(p.true_pose(name).position) - at) < 1e-3 for name, at in before.items())
 
 
 def test_families_vary_inside():
@@ -69,9 +69,9 @@ def test_families_vary_inside():
     sides, shelves, phases = set(), set(), set()
     for seed in range(20):
         tall, shelf, arm = make_scene("tall", seed), make_scene("shelf", seed), make_scene("forearm", seed)
-        delta = np.subtract(tall.things[2].position, tall.things[0].position)
+        delta = np.subtract(tall.objects[2].position, tall.objects[0].position)
         sides.add(int(np.round(np.arctan2(delta[1], delta[0]) / (np.pi / 2))) % 4)
-        shelves.add(any(thing.name == "shelf" for thing in shelf.things))
+        shelves.add(any(thing.name == "shelf" for thing in shelf.objects))
         phases.add(round(arm.mover.phase))
     assert sides == {0, 1, 2, 3}
     assert shelves == {True, False}
@@ -82,9 +82,9 @@ def test_families_vary_inside():
 @settings(max_examples=80, deadline=None)
 def test_narrow_gaps_only_beside_low_things(family, seed):
     spec = make_scene(family, seed)
-    cube = spec.things[0]
+    cube = spec.objects[0]
     yaw = 2.0 * np.arctan2(cube.quaternion[3], cube.quaternion[0])
-    for thing in spec.things[2:]:
+    for thing in spec.objects[2:]:
         if thing.fixed:
             continue
         delta = np.subtract(thing.position, cube.position)[:2]
@@ -96,7 +96,7 @@ def test_narrow_gaps_only_beside_low_things(family, seed):
 
 
 def test_an_unknown_family_names_the_known_ones():
-    with pytest.raises(UnknownName, match="Closest: 'tabletop'"):
+    with pytest.raises(UnknownNameError, match="Closest: 'tabletop'"):
         make_scene("tabeltop", 0)
 
 
@@ -125,12 +125,12 @@ def test_a_broken_file_says_what_is_wrong(case, tmp_path):
     data = json.loads(msgspec.json.encode(make_scene("forearm", 0)))
     break_it(data)
     (tmp_path / "s.json").write_text("{" if case == "no JSON" else json.dumps(data))
-    with pytest.raises(InvalidSetup, match=says):
+    with pytest.raises(ConfigurationError, match=says):
         load_scene(tmp_path / "s.json")
 
 
 def test_a_missing_file_says_so(tmp_path):
-    with pytest.raises(InvalidSetup, match="No such file"):
+    with pytest.raises(ConfigurationError, match="No such file"):
         load_scene(tmp_path / "absent.json")
 
 

@@ -3,60 +3,62 @@
 import numpy as np
 import pytest
 
-from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.robots.loader import load_body
+from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.robots.loader import load_robot
 from dualbrain.simulation.scenes.generators.rooms import make_room
 from dualbrain.simulation.scenes.generators.tabletop import make_scene
-from dualbrain.simulation.tasks.arrival import At
-from dualbrain.simulation.tasks.multi_goal import Agenda, AgendaReferee, Home, errand_of
-from dualbrain.simulation.tasks.placement import Goal
-from tests.simulation.scripted_hand import BODY, Plant, rest
+from dualbrain.simulation.tasks.arrival import ArrivalGoal
+from dualbrain.simulation.tasks.multi_goal import GoalSequence, GoalSequenceJudge, HomeGoal, parse_goals
+from dualbrain.simulation.tasks.placement import PlacementGoal
+from tests.simulation.scripted_hand import PANDA, Plant, wait
 
 FREE, TAKEN = make_scene("sorting", 0), make_scene("sorting", 1)
-CUBE, BLOCK = Goal("red_cube", "blue_bowl"), Goal("yellow_block", "table_left")
+CUBE, BLOCK = PlacementGoal("red_cube", "blue_bowl"), PlacementGoal("yellow_block", "table_left")
 WORDS = "put the red cube in the blue bowl, then put the yellow block on the table left"
 
 
 def reds(spec):
-    return tuple(Goal(thing.name, "blue_bowl") for thing in spec.things if thing.colour == "red")
+    return tuple(PlacementGoal(thing.name, "blue_bowl") for thing in spec.things if thing.colour == "red")
 
 
 @pytest.mark.parametrize(
     ("words", "agenda"),
     [
         ("put the red cube in the blue bowl", CUBE),
-        (WORDS, Agenda(((CUBE,), (BLOCK,)))),
-        ("put red_cube in blue_bowl and put yellow_block on table_left", Agenda(((CUBE, BLOCK),))),
-        ("put red cube in blue bowl and then go home", Agenda(((CUBE,), (Home(),)))),
-        ("put all the red things in the blue bowl", Agenda((reds(FREE),))),
-        ("put all red ones in the blue bowl, then go home.", Agenda((reds(FREE), (Home(),)))),
+        (WORDS, GoalSequence(((CUBE,), (BLOCK,)))),
+        ("put red_cube in blue_bowl and put yellow_block on table_left", GoalSequence(((CUBE, BLOCK),))),
+        ("put red cube in blue bowl and then go home", GoalSequence(((CUBE,), (HomeGoal(),)))),
+        ("put all the red things in the blue bowl", GoalSequence((reds(FREE),))),
+        ("put all red ones in the blue bowl, then go home.", GoalSequence((reds(FREE), (HomeGoal(),)))),
         ("if the blue bowl is free, put red cube in blue bowl, else put red cube on table left", CUBE),
-        ("if blue bowl is occupied put red cube on table_left", Agenda(())),
+        ("if blue bowl is occupied put red cube on table_left", GoalSequence(())),
     ],
 )
 def test_words_become_stages(words, agenda):
-    assert errand_of(words, FREE) == agenda
+    assert parse_goals(words, FREE) == agenda
 
 
 def test_a_condition_is_decided_by_the_scene():
     words = "if the blue bowl is free put red cube in blue bowl otherwise put red cube on table left"
-    assert errand_of(words, FREE) == CUBE
-    assert errand_of(words, TAKEN) == Goal("red_cube", "table_left")
+    assert parse_goals(words, FREE) == CUBE
+    assert parse_goals(words, TAKEN) == PlacementGoal("red_cube", "table_left")
 
 
 def test_what_is_not_there_is_told():
-    with pytest.raises(InvalidSetup, match="colour or kind"):
-        errand_of("put all the purple things in the blue bowl", FREE)
-    with pytest.raises(UnknownName, match="red_cube"):
-        errand_of("put red cube in blue bowl, then put green cube in blue bowl", FREE)
-    with pytest.raises(InvalidSetup, match="put THING in DESTINATION"):
-        errand_of("sing, then dance", FREE)
+    with pytest.raises(ConfigurationError, match="colour or kind"):
+        parse_goals("put all the purple things in the blue bowl", FREE)
+    with pytest.raises(UnknownNameError, match="red_cube"):
+        parse_goals("put red cube in blue bowl, then put green cube in blue bowl", FREE)
+    with pytest.raises(ConfigurationError, match="put THING in DESTINATION"):
+        parse_goals("sing, then dance", FREE)
 
 
 def test_a_base_goes_to_several_places():
     spec = make_room("empty_room", 0, "base")
-    assert errand_of("go to the shelf, then go to the charger", spec) == Agenda(((At("shelf"),), (At("charger"),)))
-    assert errand_of("go to the shelf", spec) == At("shelf")
+    assert parse_goals("go to the shelf, then go to the charger", spec) == GoalSequence(
+        ((ArrivalGoal("shelf"),), (ArrivalGoal("charger"),))
+    )
+    assert parse_goals("go to the shelf", spec) == ArrivalGoal("shelf")
 
 
 def put(p, name, position):
@@ -74,54 +76,54 @@ def to_left(p, name):
 
 @pytest.mark.parametrize(("first", "second", "right"), [(into_bowl, to_left, True), (to_left, into_bowl, False)])
 def test_the_order_counts_and_everything_has_to_hold_at_the_end(first, second, right):
-    p = Plant(FREE, BODY)
+    p = Plant(FREE, PANDA)
     things = {into_bowl: "red_cube", to_left: "yellow_block"}
-    ordered, free = AgendaReferee(p, errand_of(WORDS, FREE)), AgendaReferee(p, Agenda(((CUBE, BLOCK),)))
+    ordered, free = GoalSequenceJudge(p, parse_goals(WORDS, FREE)), GoalSequenceJudge(p, GoalSequence(((CUBE, BLOCK),)))
     for move in (first, second):
-        assert not ordered.judge()[0]
+        assert not ordered.score()[0]
         move(p, things[move])
-        rest(p, 0.6)
+        wait(p, 0.6)
         for one in (ordered, free):
-            one.watch()
-    assert free.judge() == (True, 1.0)
-    assert ordered.judge()[0] == right
+            one.update()
+    assert free.score() == (True, 1.0)
+    assert ordered.score()[0] == right
     put(p, "red_cube", (0.6, 0.0, 0.026))
-    rest(p, 0.4)
-    success, progress = ordered.judge()
+    wait(p, 0.4)
+    success, progress = ordered.score()
     assert not success
     assert 0.0 < progress < 1.0
 
 
 def test_all_of_a_colour_means_each_of_them_and_no_matter_what_else():
-    p = Plant(FREE, BODY)
-    referee = AgendaReferee(p, errand_of("put all the red things in the blue bowl", FREE))
+    p = Plant(FREE, PANDA)
+    referee = GoalSequenceJudge(p, parse_goals("put all the red things in the blue bowl", FREE))
     for goal in reds(FREE):
-        assert not referee.judge()[0]
-        into_bowl(p, goal.thing)
-        rest(p, 0.8)
-    assert referee.judge() == (True, 1.0)
+        assert not referee.score()[0]
+        into_bowl(p, goal.object_name)
+        wait(p, 0.8)
+    assert referee.score() == (True, 1.0)
 
 
 def test_home_and_nothing_at_all_are_goals_too():
-    p = Plant(FREE, BODY)
-    home, nothing = AgendaReferee(p, Agenda(((Home(),),))), AgendaReferee(p, Agenda(()))
-    assert home.judge() == nothing.judge() == (True, 1.0)
-    p.place_arm(np.array(load_body("panda").home) + 0.2)
+    p = Plant(FREE, PANDA)
+    home, nothing = GoalSequenceJudge(p, GoalSequence(((HomeGoal(),),))), GoalSequenceJudge(p, GoalSequence(()))
+    assert home.score() == nothing.score() == (True, 1.0)
+    p.set_configuration(np.array(load_robot("panda").home) + 0.2)
     to_left(p, "red_cube")
-    rest(p, 0.05)
-    assert home.judge() == nothing.judge() == (False, 0.0)
+    wait(p, 0.05)
+    assert home.score() == nothing.score() == (False, 0.0)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_sorting_scene_starts_without_overlap_and_stays_at_rest(seed):
-    p = Plant(make_scene("sorting", seed), BODY)
+    p = Plant(make_scene("sorting", seed), PANDA)
     assert not [contact.dist for contact in p.data.contact if contact.dist < -1e-4]
-    before = {name: np.array(p.truth(name).position) for name in p.names}
-    rest(p, 0.4)
-    assert all(np.linalg.norm(np.array(p.truth(name).position) - at) < 3e-3 for name, at in before.items())
+    before = {name: np.array(p.true_pose(name).position) for name in p.object_names}
+    wait(p, 0.4)
+    assert all(np.linalg.norm(np.array(p.true_pose(name).position) - at) < 3e-3 for name, at in before.items())
 
 
 def test_every_second_sorting_scene_has_a_taken_bowl():
     for seed in range(6):
-        taken = errand_of("if blue bowl is occupied put red cube on table left", make_scene("sorting", seed))
-        assert (taken == Goal("red_cube", "table_left")) == bool(seed % 2)
+        taken = parse_goals("if blue bowl is occupied put red cube on table left", make_scene("sorting", seed))
+        assert (taken == PlacementGoal("red_cube", "table_left")) == bool(seed % 2)

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.simulation.scenes.generators.tabletop import make_scene
-from dualbrain.simulation.tasks.placement import Goal, Referee, goal_of, judge
-from tests.simulation.scripted_hand import pick, plant, rest, servo, top_down
+from dualbrain.simulation.tasks.placement import PlacementGoal, PlacementJudge, parse_goal, score_placement
+from tests.simulation.scripted_hand import make_plant, pick_up, servo_to, top_down_posture, wait
 
-IN_BOWL = Goal("red_cube", "blue_bowl")
+IN_BOWL = PlacementGoal("red_cube", "blue_bowl")
 
 
 @pytest.mark.parametrize(
@@ -16,22 +16,22 @@ IN_BOWL = Goal("red_cube", "blue_bowl")
     [
         ("put the red cube in the blue bowl", IN_BOWL),
         ("Put red_cube into blue_bowl.", IN_BOWL),
-        ("place the red cube on table left", Goal("red_cube", "table_left")),
-        ("move clear_glass to table_right", Goal("clear_glass", "table_right", upright=True)),
+        ("place the red cube on table left", PlacementGoal("red_cube", "table_left")),
+        ("move clear_glass to table_right", PlacementGoal("clear_glass", "table_right", upright=True)),
     ],
 )
 def test_words_become_a_goal(words, goal):
-    assert goal_of(words, make_scene("fragile", 0)) == goal
+    assert parse_goal(words, make_scene("fragile", 0)) == goal
 
 
 def test_other_words_are_refused():
     spec = make_scene("bare", 0)
-    with pytest.raises(InvalidSetup, match="put THING in DESTINATION"):
-        goal_of("sing", spec)
-    with pytest.raises(UnknownName, match="red_cube"):
-        goal_of("put the green cube in the blue bowl", spec)
-    with pytest.raises(UnknownName, match="table_left"):
-        goal_of("put the red cube on the table lift", spec)
+    with pytest.raises(ConfigurationError, match="put THING in DESTINATION"):
+        parse_goal("sing", spec)
+    with pytest.raises(UnknownNameError, match="red_cube"):
+        parse_goal("put the green cube in the blue bowl", spec)
+    with pytest.raises(UnknownNameError, match="table_left"):
+        parse_goal("put the red cube on the table lift", spec)
 
 
 def put(p, name, position):
@@ -40,55 +40,55 @@ def put(p, name, position):
 
 
 def test_a_cube_at_rest_in_the_bowl_succeeds_and_in_flight_does_not():
-    p = plant("bare", 0)
-    bowl = np.array(p.truth("blue_bowl").position)
-    assert judge(p, p.spec, IN_BOWL) == (False, 0.0)
+    p = make_plant("bare", 0)
+    bowl = np.array(p.true_pose("blue_bowl").position)
+    assert score_placement(p, p.spec, IN_BOWL) == (False, 0.0)
     put(p, "red_cube", np.add(bowl, [0.02, 0, 0.05]))
-    rest(p, 0.05)
-    assert not judge(p, p.spec, IN_BOWL)[0]
-    rest(p, 1.0)
-    assert judge(p, p.spec, IN_BOWL) == (True, 1.0)
+    wait(p, 0.05)
+    assert not score_placement(p, p.spec, IN_BOWL)[0]
+    wait(p, 1.0)
+    assert score_placement(p, p.spec, IN_BOWL) == (True, 1.0)
 
 
 def test_beside_the_bowl_is_not_in_it():
-    p = plant("bare", 0)
-    put(p, "red_cube", np.add(p.truth("blue_bowl").position, [0.12, 0, 0.026]))
-    rest(p, 0.5)
-    assert not judge(p, p.spec, IN_BOWL)[0]
+    p = make_plant("bare", 0)
+    put(p, "red_cube", np.add(p.true_pose("blue_bowl").position, [0.12, 0, 0.026]))
+    wait(p, 0.5)
+    assert not score_placement(p, p.spec, IN_BOWL)[0]
 
 
 def test_a_place_takes_five_centimetres():
     for offset, there in ((0.04, True), (0.06, False)):
-        p = plant("bare", 0)
-        spot = np.array(p.spec.place("table_left").position)
+        p = make_plant("bare", 0)
+        spot = np.array(p.spec.find_place("table_left").position)
         put(p, "red_cube", np.add(spot, [offset, 0, 0.0255]))
-        rest(p, 0.5)
-        assert judge(p, p.spec, Goal("red_cube", "table_left"))[0] is there
+        wait(p, 0.5)
+        assert score_placement(p, p.spec, PlacementGoal("red_cube", "table_left"))[0] is there
 
 
 def test_a_fallen_glass_is_no_success():
-    p = plant("fragile", 0)
-    goal, spot = goal_of("put clear glass on table left", p.spec), np.array(p.spec.place("table_left").position)
+    p = make_plant("fragile", 0)
+    goal, spot = parse_goal("put clear glass on table left", p.spec), np.array(p.spec.find_place("table_left").position)
     put(p, "clear_glass", np.add(spot, [0, 0, 0.0455]))
-    rest(p, 0.5)
-    assert judge(p, p.spec, goal)[0]
+    wait(p, 0.5)
+    assert score_placement(p, p.spec, goal)[0]
     p.data.joint("clear_glass").qpos[3:] = [np.sqrt(0.5), np.sqrt(0.5), 0, 0]
     put(p, "clear_glass", np.add(spot, [0, 0, 0.025]))
-    rest(p, 1.5)
-    assert not judge(p, p.spec, goal)[0]
+    wait(p, 1.5)
+    assert not score_placement(p, p.spec, goal)[0]
 
 
 def test_progress_rises_through_a_pick_and_place():
-    p = plant("bare", 1)
-    referee = Referee(p, IN_BOWL)
-    assert referee.judge() == (False, 0.0)
-    pick(p, "red_cube")
-    assert referee.judge() == (False, 0.75)
-    bowl = np.array(p.truth("blue_bowl").position)
-    over = top_down(p, np.add(bowl, [0, 0, 0.15]), 0.0)
-    servo(p, over, 2.0, opening=0.0)
-    servo(p, top_down(p, np.add(bowl, [0, 0, 0.045]), 0.0), 1.5, opening=0.0)
-    assert not referee.judge()[0], "not released"
-    servo(p, top_down(p, np.add(bowl, [0, 0, 0.045]), 0.0), 0.8)
-    servo(p, over, 1.0)
-    assert referee.judge() == (True, 1.0)
+    p = make_plant("bare", 1)
+    referee = PlacementJudge(p, IN_BOWL)
+    assert referee.score() == (False, 0.0)
+    pick_up(p, "red_cube")
+    assert referee.score() == (False, 0.75)
+    bowl = np.array(p.true_pose("blue_bowl").position)
+    over = top_down_posture(p, np.add(bowl, [0, 0, 0.15]), 0.0)
+    servo_to(p, over, 2.0, opening=0.0)
+    servo_to(p, top_down_posture(p, np.add(bowl, [0, 0, 0.045]), 0.0), 1.5, opening=0.0)
+    assert not referee.score()[0], "not released"
+    servo_to(p, top_down_posture(p, np.add(bowl, [0, 0, 0.045]), 0.0), 0.8)
+    servo_to(p, over, 1.0)
+    assert referee.score() == (True, 1.0)

@@ -3,41 +3,47 @@
 import msgspec
 import pytest
 
-from dualbrain.errors import InvalidSetup
-from dualbrain.simulation.tasks.families import FAMILIES, LEVELS, assign, families_of
-from dualbrain.simulation.tasks.scene_hashes import FILE, check_frozen, frozen_hash, frozen_table, scene_hash
+from dualbrain.errors import ConfigurationError
+from dualbrain.simulation.tasks.families import LEVELS, TASK_FAMILIES, make_task, task_families_for
+from dualbrain.simulation.tasks.scene_hashes import (
+    HASH_FILE,
+    check_scene_hash,
+    expected_hash,
+    format_hash_file,
+    scene_hash,
+)
 
 FIRST, COUNT = 40_000, 50
 
 
 def test_every_generator_still_makes_the_frozen_scenes():
-    assert frozen_table(range(FIRST, FIRST + COUNT)) == FILE.read_text(encoding="utf-8")
+    assert format_hash_file(range(FIRST, FIRST + COUNT)) == HASH_FILE.read_text(encoding="utf-8")
 
 
 def test_every_family_and_level_is_frozen_and_no_scene_twice():
-    for family in FAMILIES:
+    for family in TASK_FAMILIES:
         for level in LEVELS:
-            found = [frozen_hash(family, level, seed) for seed in range(FIRST, FIRST + COUNT)]
+            found = [expected_hash(family, level, seed) for seed in range(FIRST, FIRST + COUNT)]
             assert len(set(found)) == COUNT
-            assert frozen_hash(family, level, FIRST - 1) is None
-            assert frozen_hash(family, level, FIRST + COUNT) is None
+            assert expected_hash(family, level, FIRST - 1) is None
+            assert expected_hash(family, level, FIRST + COUNT) is None
 
 
-@pytest.mark.parametrize("family", families_of("ur5e"))
+@pytest.mark.parametrize("family", task_families_for("ur5e"))
 def test_the_hash_is_that_of_either_arm(family):
-    spec = assign(family, "II", FIRST + 3, "ur5e").spec
-    check_frozen(family, "II", FIRST + 3, spec)
-    assert scene_hash(spec) == frozen_hash(family, "II", FIRST + 3)
+    spec = make_task(family, "II", FIRST + 3, "ur5e").spec
+    check_scene_hash(family, "II", FIRST + 3, spec)
+    assert scene_hash(spec) == expected_hash(family, "II", FIRST + 3)
 
 
 def test_a_thing_that_moved_by_two_micrometres_is_another_scene():
-    spec = assign("edge_rescue", "II", FIRST, "panda").spec
-    thing = spec.things[1]
+    spec = make_task("edge_rescue", "II", FIRST, "panda").spec
+    thing = spec.objects[1]
     x, y, z = thing.position
     for shift, same in ((1e-8, True), (2e-6, False)):
         moved = msgspec.structs.replace(thing, position=(x, y, z + shift))
-        other = msgspec.structs.replace(spec, things=(spec.things[0], moved, *spec.things[2:]))
+        other = msgspec.structs.replace(spec, things=(spec.objects[0], moved, *spec.objects[2:]))
         assert (scene_hash(other) == scene_hash(spec)) is same
-    with pytest.raises(InvalidSetup, match="edge_rescue"):
-        check_frozen("edge_rescue", "II", FIRST, other)
-    check_frozen("edge_rescue", "II", 5, other)
+    with pytest.raises(ConfigurationError, match="edge_rescue"):
+        check_scene_hash("edge_rescue", "II", FIRST, other)
+    check_scene_hash("edge_rescue", "II", 5, other)

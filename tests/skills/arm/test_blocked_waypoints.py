@@ -7,17 +7,17 @@ import pytest
 
 from dualbrain.core.geometry.shapes import Box, HalfSpace, Pose
 from dualbrain.records import Scene, SceneObject
-from dualbrain.robots.interface import at_home
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.interface import home_state
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle
-from dualbrain.skills.arm.controller import Limb
-from dualbrain.skills.arm.waypoints import NEAR_BASE, arrive, travel
-from dualbrain.skills.progress_watchdog import STANDSTILL
-from dualbrain.skills.skill import Ending, Senses, Status
-from dualbrain.skills.time_slicing import at_once
+from dualbrain.skills.arm.controller import ArmController
+from dualbrain.skills.arm.waypoints import NEAR_BASE_RADIUS, follow_waypoints, reach_goal
+from dualbrain.skills.progress_watchdog import PROGRESS_TIMEOUT
+from dualbrain.skills.skill import Observation, SkillResult, SkillStatus
+from dualbrain.skills.time_slicing import run_to_completion
 
-BODY = load_body("panda")
+BODY = load_robot("panda")
 TABLE = SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.0)))
 
 
@@ -26,17 +26,17 @@ class Paper:
 
     def __init__(self, *walls):
         self.safety = SafetyFilter(BODY)
-        self.state = at_home(BODY)
+        self.state = home_state(BODY)
         ground = Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)), known=True)
         self.things = [ground, *(Obstacle(f"wall{i}", shape, pose) for i, (shape, pose) in enumerate(walls))]
-        self.limb = Limb(BODY, self.safety)
+        self.limb = ArmController(BODY, self.safety)
         self.phases, self.path, self.now = [], [], 0.0
         self.safety.observe(self.things, 0.0)
         self.sense()
 
     def sense(self):
         tool = self.safety.tool(self.state.q)
-        self.limb.sense(Senses(self.state, Scene("panda", self.now, 1, (TABLE,)), self.now, tool))
+        self.limb.observe(Observation(self.state, Scene("panda", self.now, 1, (TABLE,)), self.now, tool))
         self.path.append(tool.position.copy())
 
     def carry_out(self, part, limit=60.0):
@@ -61,7 +61,7 @@ class Paper:
         raise AssertionError("the story did not end")
 
     def goal(self, *position):
-        return at_once(self.limb.goal(np.array(position), [self.limb.senses.tool.rotation.copy()]))
+        return run_to_completion(self.limb.find_goal(np.array(position), [self.limb.observation.tool.rotation.copy()]))
 
 
 def wall(height, start=0.40, end=1.0):
@@ -73,7 +73,7 @@ def wall(height, start=0.40, end=1.0):
 def started():
     """A free arm that has come to the right side of the table."""
     arm = Paper()
-    assert arm.carry_out(arrive(arm.limb, arm.goal(0.45, -0.25, 0.22), "approach", 0.4)) is None
+    assert arm.carry_out(reach_goal(arm.limb, arm.goal(0.45, -0.25, 0.22), "approach", 0.4)) is None
     return arm.state
 
 
@@ -86,7 +86,7 @@ def at_the_right(started, *walls):
 
 def test_a_free_way_is_straight(started):
     arm = at_the_right(started)
-    assert arm.carry_out(travel(arm.limb, [arm.goal(0.45, 0.25, 0.22)], "carry", 0.3)) is None
+    assert arm.carry_out(follow_waypoints(arm.limb, [arm.goal(0.45, 0.25, 0.22)], "carry", 0.3)) is None
     heights = np.array(arm.path)[1:, 2]
     assert np.ptp(heights) < 0.03
     assert np.linalg.norm(arm.path[-1] - (0.45, 0.25, 0.22)) < 0.005
@@ -94,24 +94,24 @@ def test_a_free_way_is_straight(started):
 
 def test_when_carrying_is_blocked_the_arm_goes_over_the_top(started):
     arm = at_the_right(started, wall(0.27, 0.30, 0.60))
-    assert arm.carry_out(travel(arm.limb, [arm.goal(0.45, 0.25, 0.22)], "carry", 0.3)) is None
+    assert arm.carry_out(follow_waypoints(arm.limb, [arm.goal(0.45, 0.25, 0.22)], "carry", 0.3)) is None
     assert np.array(arm.path)[1:, 2].max() > 0.35
     assert np.linalg.norm(arm.path[-1] - (0.45, 0.25, 0.22)) < 0.005
 
 
 def test_when_that_is_blocked_too_it_goes_round_by_the_base(started):
     arm = at_the_right(started, wall(1.2, 0.46))
-    assert arm.carry_out(travel(arm.limb, [arm.goal(0.45, 0.25, 0.22)], "carry", 0.3)) is None
-    assert np.hypot(*np.array(arm.path)[1:, :2].T).min() < NEAR_BASE + 0.05
+    assert arm.carry_out(follow_waypoints(arm.limb, [arm.goal(0.45, 0.25, 0.22)], "carry", 0.3)) is None
+    assert np.hypot(*np.array(arm.path)[1:, :2].T).min() < NEAR_BASE_RADIUS + 0.05
     assert np.linalg.norm(arm.path[-1] - (0.45, 0.25, 0.22)) < 0.005
 
 
 def test_when_no_way_is_left_the_skill_says_so_and_gives_up(started):
     arm = at_the_right(started, wall(1.2, 0.25))
-    why = arm.carry_out(travel(arm.limb, [arm.goal(0.45, 0.25, 0.22)], "carry", 0.3))
-    assert isinstance(why, Ending)
-    assert why.status is Status.TAKEN_OVER
-    assert f"no progress for {STANDSTILL} s" in why.reason
+    why = arm.carry_out(follow_waypoints(arm.limb, [arm.goal(0.45, 0.25, 0.22)], "carry", 0.3))
+    assert isinstance(why, SkillResult)
+    assert why.status is SkillStatus.TAKEN_OVER
+    assert f"no progress for {PROGRESS_TIMEOUT} s" in why.reason
     assert "cm from the goal" in why.reason
     assert np.array(arm.path)[1:, 1].max() < 0.0  # never through the wall
 
@@ -119,7 +119,7 @@ def test_when_no_way_is_left_the_skill_says_so_and_gives_up(started):
 def test_patience_ends_whatever_the_filter_says(started):
     """A nominal that is let through but leads nowhere ends too: δ has no say in it."""
     arm = at_the_right(started)
-    stuck = arm.limb.reach(arm.goal(0.45, 0.25, 0.22), "carry", 0.3)
+    stuck = arm.limb.move_tool(arm.goal(0.45, 0.25, 0.22), "carry", 0.3)
     held, ticks = arm.state, 0
     while True:
         try:
@@ -131,8 +131,8 @@ def test_patience_ends_whatever_the_filter_says(started):
         arm.now += BODY.period
         arm.state = replace(held, stamp=arm.now, sequence=ticks)
         arm.sense()
-    assert why.status is Status.TAKEN_OVER
-    assert STANDSTILL <= arm.now <= STANDSTILL + 0.01
+    assert why.status is SkillStatus.TAKEN_OVER
+    assert PROGRESS_TIMEOUT <= arm.now <= PROGRESS_TIMEOUT + 0.01
 
 
 def test_giving_way_to_somebody_takes_time_though_nobody_is_seen_any_more(monkeypatch):
@@ -145,7 +145,7 @@ def test_giving_way_to_somebody_takes_time_though_nobody_is_seen_any_more(monkey
         return None if ever else 0.3
 
     goal = arm.goal(0.5, 0.0, 0.4)
-    monkeypatch.setattr(arm.limb, "threatened", look)
+    monkeypatch.setattr(arm.limb, "person_threat_height", look)
     with pytest.raises(AssertionError, match="did not end"):  # a threat that stays is waited for again and again
-        arm.carry_out(arrive(arm.limb, goal, "carry", 0.3), limit=0.2)
+        arm.carry_out(reach_goal(arm.limb, goal, "carry", 0.3), limit=0.2)
     assert arm.phases == ["yield"]

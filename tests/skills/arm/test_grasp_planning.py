@@ -5,25 +5,25 @@ import pytest
 
 from dualbrain.core.geometry.shapes import Box, Cylinder, HalfSpace, Pose
 from dualbrain.records import Scene, SceneObject
-from dualbrain.robots.interface import at_home
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.interface import home_state
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.skills.arm import grasp
-from dualbrain.skills.arm.controller import Goal, Limb
+from dualbrain.skills.arm.controller import ArmController, ToolGoal
 from dualbrain.skills.arm.grasp_planning import (
-    brink,
-    comfortable_first,
-    descent_room,
-    grasp_choices,
+    alternative_grasps,
+    descent_clearance,
+    grasp_candidates,
     grasp_goal,
-    other_choices,
-    station,
+    order_by_posture_cost,
+    pregrasp_goal,
+    slow_descent_goal,
 )
 from dualbrain.skills.kinematics import object_geometry
-from dualbrain.skills.skill import Senses
-from dualbrain.skills.time_slicing import AIR, at_once, clearest, found
+from dualbrain.skills.skill import Observation
+from dualbrain.skills.time_slicing import SUFFICIENT_CLEARANCE, collect, first_clear, run_to_completion
 
-BODY = load_body("panda")
+BODY = load_robot("panda")
 TABLE = SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.0)))
 CUBE = SceneObject("cube", "object", Box((0.02, 0.02, 0.025)), Pose((0.5, -0.2, 0.025)), error=0.009)
 BOTTLE = SceneObject("bottle", "object", Box((0.02, 0.03, 0.1)), Pose((0.595, -0.2, 0.1)), error=0.009)
@@ -32,20 +32,20 @@ CLEARANCE = 0.15
 
 def limb(*neighbours):
     """An arm at home that is about to grasp the cube."""
-    safety, state = SafetyFilter(BODY), at_home(BODY)
-    arm = Limb(BODY, safety)
-    arm.sense(Senses(state, Scene("panda", 0.0, 1, (TABLE, CUBE, *neighbours)), 0.0, safety.tool(state.q)))
+    safety, state = SafetyFilter(BODY), home_state(BODY)
+    arm = ArmController(BODY, safety)
+    arm.observe(Observation(state, Scene("panda", 0.0, 1, (TABLE, CUBE, *neighbours)), 0.0, safety.tool(state.q)))
     arm.begin(grasp.spec(BODY), target="cube", support="table")
     return arm
 
 
 def choose(arm, axis="along", approach="top"):
-    choices = grasp_choices(arm, CUBE, axis, approach)
-    return at_once(clearest(choices, lambda at, beat: descent_room(arm, at, CUBE, CLEARANCE, beat)))
+    choices = grasp_candidates(arm, CUBE, axis, approach)
+    return run_to_completion(first_clear(choices, lambda at, beat: descent_clearance(arm, at, CUBE, CLEARANCE, beat)))
 
 
 def plainly(arm, axis="along", approach="top"):
-    return at_once(grasp_goal(arm, CUBE, axis, approach))
+    return run_to_completion(grasp_goal(arm, CUBE, axis, approach))
 
 
 @pytest.mark.parametrize("approach", object_geometry.APPROACH_LEAN)
@@ -54,14 +54,14 @@ def test_what_stands_free_is_grasped_plainly(axis, approach):
     arm = limb()
     at, room = choose(arm, axis, approach)
     plain = plainly(arm, axis, approach)
-    assert room >= AIR
+    assert room >= SUFFICIENT_CLEARANCE
     assert np.array_equal(at.rotation, plain.rotation)
     assert np.array_equal(at.posture, plain.posture)
 
 
 def test_beside_a_neighbour_the_hand_gives_way():
     arm = limb(BOTTLE)
-    plain = at_once(descent_room(arm, plainly(arm), CUBE, CLEARANCE))
+    plain = run_to_completion(descent_clearance(arm, plainly(arm), CUBE, CLEARANCE))
     at, room = choose(arm)
     assert plain < 0.0
     assert room > plain + 0.005
@@ -71,7 +71,7 @@ def test_beside_a_neighbour_the_hand_gives_way():
 def test_a_way_that_was_not_asked_for_is_another_one():
     arm = limb(BOTTLE)
     asked = plainly(arm).rotation
-    for at in found(other_choices(arm, CUBE, "along", "top")):
+    for at in collect(alternative_grasps(arm, CUBE, "along", "top")):
         same_axis = abs(at.rotation[:, 1] @ asked[:, 1]) > 0.9
         assert not (same_axis and at.rotation[2, 2] < -np.cos(0.17))
 
@@ -79,13 +79,13 @@ def test_a_way_that_was_not_asked_for_is_another_one():
 def test_what_is_too_wide_for_the_fingers_is_not_tried():
     arm = limb()
     arm.opening = 0.024
-    assert not found(other_choices(arm, CUBE, "along", "top"))
+    assert not collect(alternative_grasps(arm, CUBE, "along", "top"))
 
 
 def test_a_round_thing_may_be_taken_from_all_around():
     arm = limb()
     can = SceneObject("cube", "object", Cylinder(0.02, 0.025), CUBE.pose, error=0.009)
-    fingers = np.array([at.rotation[:2, 1] for at in found(grasp_choices(arm, can, "along", "top"))])
+    fingers = np.array([at.rotation[:2, 1] for at in collect(grasp_candidates(arm, can, "along", "top"))])
     angles = np.unique(np.round(np.arctan2(fingers[:, 1], fingers[:, 0]) % np.pi, 1))
     assert len(angles) > 12
 
@@ -93,7 +93,10 @@ def test_a_round_thing_may_be_taken_from_all_around():
 def test_the_hand_comes_down_along_its_approach():
     arm = limb()
     at = plainly(arm, "along", "tilted")
-    low, above = at_once(brink(arm, at, CUBE)), at_once(station(arm, at, CUBE, CLEARANCE))
+    low, above = (
+        run_to_completion(slow_descent_goal(arm, at, CUBE)),
+        run_to_completion(pregrasp_goal(arm, at, CUBE, CLEARANCE)),
+    )
     back = low.position - at.position
     assert np.allclose(back / np.linalg.norm(back), -at.rotation[:, 2])
     assert np.allclose(above.position[:2], low.position[:2])
@@ -102,9 +105,9 @@ def test_the_hand_comes_down_along_its_approach():
 
 def test_poses_for_which_the_hand_turns_round_come_last():
     arm = limb()
-    start = arm.senses.state.q
+    start = arm.observation.state.q
     plain = plainly(arm)
     pains = [0.0, 3.0, 0.5, 1.0, 4.0]
-    goals = [Goal(plain.position, plain.rotation, start + np.array([pain, 0, 0, 0, 0, 0, 0])) for pain in pains]
-    order = [float((goal.posture - start)[0]) for goal in found(comfortable_first(arm, goals))]
+    goals = [ToolGoal(plain.position, plain.rotation, start + np.array([pain, 0, 0, 0, 0, 0, 0])) for pain in pains]
+    order = [float((goal.posture - start)[0]) for goal in collect(order_by_posture_cost(arm, goals))]
     assert order == pytest.approx([0.0, 0.5, 1.0, 3.0, 4.0])

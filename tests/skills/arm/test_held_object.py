@@ -4,15 +4,15 @@ import pytest
 
 from dualbrain.core.geometry.shapes import Box, HalfSpace, Pose
 from dualbrain.records import Scene, SceneObject
-from dualbrain.robots.interface import at_home
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.interface import home_state
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
-from dualbrain.simulation.perception.noisy_perception import Noise
-from dualbrain.skills.arm.controller import Limb
-from dualbrain.skills.skill import Senses
-from tests.skills.arm.test_skills_in_simulation import Bench, grasp
+from dualbrain.simulation.perception.noisy_perception import PerceptionNoise
+from dualbrain.skills.arm.controller import ArmController
+from dualbrain.skills.skill import Observation
+from tests.skills.arm.test_skills_in_simulation import SkillCell, grasp
 
-BODY = load_body("panda")
+BODY = load_robot("panda")
 TABLE = SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.1)))
 
 
@@ -22,19 +22,19 @@ TABLE = SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.1)))
 )
 def test_what_eyes_cannot_tell_from_standing_stands(height, error, foot):
     cube = SceneObject("cube", "object", Box((0.02, 0.02, 0.025)), Pose((0.5, -0.2, height + 0.025)), error=error)
-    safety, state = SafetyFilter(BODY), at_home(BODY)
+    safety, state = SafetyFilter(BODY), home_state(BODY)
     tool = safety.tool(state.q)
-    arm = Limb(BODY, safety)
-    arm.sense(Senses(state, Scene("panda", 0.0, 1, (TABLE, cube)), 0.0, tool))
-    arm.take_hold(cube)
+    arm = ArmController(BODY, safety)
+    arm.observe(Observation(state, Scene("panda", 0.0, 1, (TABLE, cube)), 0.0, tool))
+    arm.record_grasp(cube)
     assert arm.below_tool == pytest.approx(tool.position[2] - foot, abs=1e-12)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 3])
 def test_the_foot_of_what_is_held_is_where_truth_has_it(seed):
     """Eyes alone would be wrong by up to 9 mm."""
-    bench = Bench(seed=seed, noise=Noise())
+    bench = SkillCell(seed=seed, noise=PerceptionNoise())
     assert bench.run(grasp(speed=0.4), ("hold", {"duration": 0.3})).kind == "succeeded"
-    limb = bench.layer.limb
-    believed = limb.senses.tool.position[2] - limb.below_tool
-    assert believed == pytest.approx(bench.plant.truth("red_cube").position[2] - 0.025, abs=0.002)
+    limb = bench.layer.controller
+    believed = limb.observation.tool.position[2] - limb.below_tool
+    assert believed == pytest.approx(bench.plant.true_pose("red_cube").position[2] - 0.025, abs=0.002)

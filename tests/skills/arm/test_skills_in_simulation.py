@@ -5,38 +5,38 @@ import numpy as np
 import pytest
 
 from dualbrain.contracts.contract import Action, Context, Contract
-from dualbrain.control.contract_executor import LocalLayer
-from dualbrain.control.control_loop import LayerConfig
+from dualbrain.control.contract_executor import ContractExecutor
+from dualbrain.control.control_loop import ExecutorConfig
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Trace
 from dualbrain.core.geometry.shapes import Pose
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
-from dualbrain.simulation.perception.noisy_perception import EXACT, Noise, Perception
+from dualbrain.simulation.perception.noisy_perception import NO_NOISE, NoisyPerception, PerceptionNoise
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.generators.tabletop import make_scene
 from dualbrain.simulation.world import SimulatedWorld
 from tests.stories.story_session import GRASP, PLACE
 
 
-class Bench:
+class SkillCell:
     """A scene, an arm and a local layer, without planner and memory."""
 
-    def __init__(self, family="bare", seed=0, noise=EXACT, ghost=None, robot="panda"):
-        self.spec, body = make_scene(family, seed, robot), load_body(robot)
+    def __init__(self, family="bare", seed=0, noise=NO_NOISE, ghost=None, robot="panda"):
+        self.spec, body = make_scene(family, seed, robot), load_robot(robot)
         self.plant = Plant(self.spec, body)
         self.trace = Trace(body.n)
-        world = SimulatedWorld(self.plant, Perception(self.spec, noise, np.random.default_rng(seed)))
+        world = SimulatedWorld(self.plant, NoisyPerception(self.spec, noise, np.random.default_rng(seed)))
         self.world = Ghosts(world, ghost) if ghost else world
         self.monitor = world.monitor
-        self.layer = LocalLayer(
-            body, self.plant, self.world, SafetyFilter(body), FlightLog(self.trace), LayerConfig(settle=0.1),
-            phase_changed=world.allow,
+        self.layer = ContractExecutor(
+            body, self.plant, self.world, SafetyFilter(body), FlightLog(self.trace), ExecutorConfig(settle_time=0.1),
+            on_phase=world.set_phase,
         )  # fmt: skip
 
     def run(self, *actions):
         sequence = tuple(Action(skill, params) for skill, params in actions)
-        return self.layer.run(Contract("c-1", Context(self.spec.robot, ""), sequence))
+        return self.layer.execute(Contract("c-1", Context(self.spec.robot, ""), sequence))
 
     def untouched(self):
         """Whether δ was 0 on every tick."""
@@ -71,21 +71,21 @@ def place(**changes):
 
 
 PICKS = [
-    (0, EXACT, {}),
-    (1, Noise(), {"speed": 0.4}),
-    (2, EXACT, {"finger_axis": "across", "clearance": 0.25}),
-    (3, Noise(), {"finger_axis": "across", "opening": 0.08}),
-    (4, EXACT, {"approach": "tilted", "speed": 0.35}),
-    (5, Noise(), {"force": 10.0, "speed": 0.3}),
+    (0, NO_NOISE, {}),
+    (1, PerceptionNoise(), {"speed": 0.4}),
+    (2, NO_NOISE, {"finger_axis": "across", "clearance": 0.25}),
+    (3, PerceptionNoise(), {"finger_axis": "across", "opening": 0.08}),
+    (4, NO_NOISE, {"approach": "tilted", "speed": 0.35}),
+    (5, PerceptionNoise(), {"force": 10.0, "speed": 0.3}),
 ]
 
 
 @pytest.mark.parametrize(("seed", "noise", "changes"), PICKS)
 def test_a_pick_lifts_and_holds_and_the_filter_has_nothing_to_do(seed, noise, changes):
-    bench = Bench(seed=seed, noise=noise)
+    bench = SkillCell(seed=seed, noise=noise)
     outcome = bench.run(grasp(**changes), ("hold", {"duration": 0.5}))
     assert outcome.kind == "succeeded", outcome.reason
-    assert bench.plant.truth("red_cube").position[2] > 0.05
+    assert bench.plant.true_pose("red_cube").position[2] > 0.05
     assert min(bench.plant.read().finger_forces) > 0.5
     assert bench.untouched()
     assert outcome.Delta == 0.0
@@ -93,15 +93,21 @@ def test_a_pick_lifts_and_holds_and_the_filter_has_nothing_to_do(seed, noise, ch
 
 
 CONTRACTS = [
-    (EXACT, (grasp(speed=0.4), place(speed=0.4, route="near_base"))),
-    (Noise(), (grasp(speed=0.4), place(destination="table_left", speed=0.4, clearance=0.2), ("home", {"speed": 0.4}))),
-    (EXACT, (("move_to", {"target": "blue_bowl", "speed": 0.4, "clearance": 0.1, "route": "left", "wait": "none"}),)),
+    (NO_NOISE, (grasp(speed=0.4), place(speed=0.4, route="near_base"))),
+    (
+        PerceptionNoise(),
+        (grasp(speed=0.4), place(destination="table_left", speed=0.4, clearance=0.2), ("home", {"speed": 0.4})),
+    ),
+    (
+        NO_NOISE,
+        (("move_to", {"target": "blue_bowl", "speed": 0.4, "clearance": 0.1, "route": "left", "wait": "none"}),),
+    ),
 ]
 
 
 @pytest.mark.parametrize(("noise", "actions"), CONTRACTS)
 def test_whole_contracts_on_the_bare_scene_complete_with_delta_zero_on_every_tick(noise, actions):
-    bench = Bench(seed=7, noise=noise)
+    bench = SkillCell(seed=7, noise=noise)
     outcome = bench.run(*actions)
     assert outcome.kind == "succeeded", outcome.reason
     assert {action.status for action in outcome.actions} == {"done"}
@@ -110,16 +116,16 @@ def test_whole_contracts_on_the_bare_scene_complete_with_delta_zero_on_every_tic
 
 
 def test_a_grasp_with_nothing_there_fails_the_two_finger_test():
-    bench = Bench(ghost=("red_cube", (0.5, 0.0, 0.025)))
+    bench = SkillCell(ghost=("red_cube", (0.5, 0.0, 0.025)))
     outcome = bench.run(grasp(speed=0.4), place())
     assert outcome.kind == "failed"
     assert "two-finger test" in outcome.reason
     assert [action.status for action in outcome.actions] == ["failed", "not_run"]
-    assert bench.layer.limb.holding is None
+    assert bench.layer.controller.holding is None
 
 
 def test_the_order_of_actions_is_kept_and_a_failure_ends_it():
-    bench = Bench()
+    bench = SkillCell()
     outcome = bench.run(("hold", {"duration": 0.5}), place(), ("hold", {"duration": 5.0}))
     assert [action.status for action in outcome.actions] == ["done", "failed", "not_run"]
     assert "nothing is held" in outcome.reason
@@ -143,14 +149,14 @@ def move_to(target, **changes):
     ids=lambda journey: journey[0],
 )
 def test_going_above_things_and_places_is_left_alone(journey):
-    bench = Bench(seed=3, noise=Noise())
+    bench = SkillCell(seed=3, noise=PerceptionNoise())
     outcome = bench.run(move_to(journey[0], **journey[1]))
     assert (outcome.kind, bench.untouched()) == ("succeeded", True)
     assert bench.monitor.violations() == ()
 
 
 def test_a_long_errand_with_every_other_skill_is_left_alone():
-    bench = Bench(seed=1, noise=Noise())
+    bench = SkillCell(seed=1, noise=PerceptionNoise())
     home = ("home", {"speed": 0.4})
     outcome = bench.run(
         grasp(clearance=0.1), ("hold", {"duration": 0.5}), home, move_to("table_left", clearance=0.03),

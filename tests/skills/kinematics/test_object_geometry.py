@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.core.geometry.rotations import matrix
+from dualbrain.core.geometry.rotations import quaternion_to_matrix
 from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, Cylinder, Pose, Sphere
 from dualbrain.records import SceneObject
 from dualbrain.skills.kinematics import object_geometry
@@ -47,9 +47,9 @@ def test_the_first_lean_points_away_from_the_base(yaw):
 def test_a_box_reaches_as_high_as_its_highest_corner(yaw, tilt):
     box = thing(Box((0.02, 0.03, 0.05)), yaw, tilt=tilt)
     corners = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T * (0.02, 0.03, 0.05)
-    heights = (corners @ matrix(box.pose.quaternion).T)[:, 2] + 0.1
-    assert np.isclose(object_geometry.top(box), heights.max())
-    assert np.isclose(object_geometry.bottom(box), heights.min())
+    heights = (corners @ quaternion_to_matrix(box.pose.quaternion).T)[:, 2] + 0.1
+    assert np.isclose(object_geometry.top_height(box), heights.max())
+    assert np.isclose(object_geometry.bottom_height(box), heights.min())
 
 
 @pytest.mark.parametrize(
@@ -62,8 +62,8 @@ def test_a_box_reaches_as_high_as_its_highest_corner(yaw, tilt):
     ],
 )
 def test_upright_extents(shape, top, wide):
-    assert np.isclose(object_geometry.top(thing(shape)), top)
-    assert np.isclose(object_geometry.width(thing(shape), "along"), wide)
+    assert np.isclose(object_geometry.top_height(thing(shape)), top)
+    assert np.isclose(object_geometry.grasp_width(thing(shape), "along"), wide)
 
 
 @given(yaw=yaws)
@@ -80,12 +80,12 @@ def test_the_width_between_fingers_is_that_of_the_corners(yaw, tilt):
     box = thing(Box((0.02, 0.03, 0.05)), yaw, tilt=tilt)
     corners = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T * (0.02, 0.03, 0.05)
     for axis in ("along", "across"):
-        reach = corners @ matrix(box.pose.quaternion).T @ object_geometry.finger_direction(box, axis)
-        assert np.isclose(object_geometry.width(box, axis), np.ptp(reach))
+        reach = corners @ quaternion_to_matrix(box.pose.quaternion).T @ object_geometry.finger_direction(box, axis)
+        assert np.isclose(object_geometry.grasp_width(box, axis), np.ptp(reach))
 
 
 def test_a_lying_cylinder_is_as_wide_as_it_is_long():
     lying = thing(Cylinder(0.02, 0.06), tilt=np.pi / 2)
-    assert np.isclose(object_geometry.width(lying, "along"), 0.04)
+    assert np.isclose(object_geometry.grasp_width(lying, "along"), 0.04)
     assert np.isclose(object_geometry.levelness(lying, "along"), 1.0)
     assert np.isclose(object_geometry.levelness(lying, "across"), 0.0, atol=1e-9)

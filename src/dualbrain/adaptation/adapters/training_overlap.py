@@ -11,10 +11,10 @@ from dualbrain.adaptation.curation.dataset import Dataset
 from dualbrain.adaptation.curation.sample import Sample
 from dualbrain.memory.ledger.events import ADAPTER, AdapterUse
 from dualbrain.memory.ledger.ledger import LedgerReader
-from dualbrain.memory.state.derivation import effective
+from dualbrain.memory.state.derivation import effective_events
 
 
-def unseen(
+def unseen_samples(
     asked: Sequence[Sample], cards: Sequence[AdapterCard], dataset: Dataset, ledger: LedgerReader | None = None
 ) -> tuple[Sample, ...]:
     """Those of `asked` that are not known to have taught any of the adapters of `cards`.
@@ -24,11 +24,11 @@ def unseen(
     """
     ids, sets = {card.id for card in cards}, {card.dataset for card in cards}
     rows = dataset.train if dataset.card.hash in sets else ()
-    uses = [use for use in _uses(ledger) if use.adapter in ids or use.dataset in sets] if ledger else []
+    uses = [use for use in _adapter_uses(ledger) if use.adapter in ids or use.dataset in sets] if ledger else []
     taught = frozenset[str]().union(*(row.memories for row in rows), *(use.memories for use in uses))
     samples = {row.id for row in rows}
     return tuple(one for one in asked if not one.memories & taught and one.id not in samples)
 
 
-def _uses(ledger: LedgerReader) -> list[AdapterUse]:
-    return [msgspec.json.decode(event.payload, type=AdapterUse) for event in effective(ledger, (ADAPTER,))]
+def _adapter_uses(ledger: LedgerReader) -> list[AdapterUse]:
+    return [msgspec.json.decode(event.payload, type=AdapterUse) for event in effective_events(ledger, (ADAPTER,))]

@@ -8,22 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from dualbrain.adaptation.conversion.peft_lora import CONFIG, WEIGHTS, Pair, read_lora
+from dualbrain.adaptation.conversion.peft_lora import CONFIG_FILE, WEIGHTS_FILE, LoraPair, read_lora
 
 
-def combined(folders: list[Path]) -> dict[str, Pair]:
+def concatenate_adapters(folders: list[Path]) -> dict[str, LoraPair]:
     """The pairs of all adapters in `folders`, which are worn together, joined layer by layer."""
-    joined: dict[str, Pair] = {}
+    joined: dict[str, LoraPair] = {}
     for folder in folders:
         for module, pair in read_lora(folder).items():
             before = joined.get(module)
-            joined[module] = pair if before is None else Pair(
+            joined[module] = pair if before is None else LoraPair(
                 np.concatenate((before.a, pair.a)), np.concatenate((before.b, pair.b), axis=1)
             )  # fmt: skip
     return joined
 
 
-def write_peft(pairs: dict[str, Pair], folder: Path, *, base: str) -> None:
+def write_peft_adapter(pairs: dict[str, LoraPair], folder: Path, *, base: str) -> None:
     """Write `pairs` to `folder` as peft and vLLM load them: float32, α = r, so that the scaling is 1.
 
     File by file: for a folder that is whole or not there, name one of `whole_folder`.
@@ -44,5 +44,5 @@ def write_peft(pairs: dict[str, Pair], folder: Path, *, base: str) -> None:
         f"base_model.model.{module}.lora_{half}.weight": np.ascontiguousarray(matrix, np.float32)
         for module, pair in pairs.items() for half, matrix in (("A", pair.a), ("B", pair.b))
     }  # fmt: skip
-    (folder / WEIGHTS).write_bytes(save(tensors, {"format": "pt"}))
-    (folder / CONFIG).write_text(json.dumps(told, indent=2, sort_keys=True))
+    (folder / WEIGHTS_FILE).write_bytes(save(tensors, {"format": "pt"}))
+    (folder / CONFIG_FILE).write_text(json.dumps(told, indent=2, sort_keys=True))

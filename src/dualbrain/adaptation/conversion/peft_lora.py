@@ -16,96 +16,100 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.errors import InvalidSetup, MissingPart
+from dualbrain.errors import ConfigurationError, MissingDependencyError
 
-WEIGHTS, CONFIG = "adapter_model.safetensors", "adapter_config.json"
-NAME = re.compile(r"base_model\.model\.(.+)\.lora_([AB])\.weight")
-PATTERN = re.compile(r"\^?[A-Za-z0-9_.]+")
+WEIGHTS_FILE, CONFIG_FILE = "adapter_model.safetensors", "adapter_config.json"
+TENSOR_NAME = re.compile(r"base_model\.model\.(.+)\.lora_([AB])\.weight")
+LAYER_NAME_PATTERN = re.compile(r"\^?[A-Za-z0-9_.]+")
 """A layer's name as a key of peft's patterns, with the ^ of its own examples; any other expression may run forever."""
-READ = frozenset({
+KNOWN_SETTINGS = frozenset({
     "peft_type", "r", "lora_alpha", "use_rslora", "rank_pattern", "alpha_pattern", "target_modules", "task_type",
     "base_model_name_or_path", "revision", "peft_version", "auto_mapping", "inference_mode", "lora_dropout",
     "megatron_core", "qalora_group_size",
 })  # fmt: skip
 """Settings of peft that are read here, or that say nothing of what is computed."""
-PLAIN: dict[str, tuple[Any, ...]] = {"bias": ("none",), "init_lora_weights": (True, False, "gaussian")}
+PLAIN_VALUES: dict[str, tuple[Any, ...]] = {"bias": ("none",), "init_lora_weights": (True, False, "gaussian")}
 """What two more must be; every other setting, also one not heard of, must be off: it may change what is computed."""
 
 Matrix = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
+class LoraPair:
     """One linear layer's A (r, in) and B (out, r); s is multiplied into B already."""
 
     a: Matrix
     b: Matrix
 
 
-def read_lora(folder: Path) -> dict[str, Pair]:
+def read_lora(folder: Path) -> dict[str, LoraPair]:
     """The pairs of the adapter in `folder` by the name of their layer, such as `model.layers.0.self_attn.q_proj`.
 
     Raises `InvalidSetup` for a file that cannot be read and for everything that is not plain LoRA: DoRA, biases, whole
     modules, a choice of layers, settings not heard of, patterns that are no names, tensors of other names, pairs that
     are not whole, ranks other than the config's, what is no number. Raises `MissingPart`.
     """
-    shape = _config(folder)
+    shape = _read_config(folder)
     halves: dict[str, dict[str, Matrix]] = {}
-    for name, tensor in _tensors(folder / WEIGHTS):
-        found = NAME.fullmatch(name)
+    for name, tensor in _read_tensors(folder / WEIGHTS_FILE):
+        found = TENSOR_NAME.fullmatch(name)
         if found is None:
-            raise _refused("tensor", name, "a LoRA matrix A or B of a linear layer")
+            raise _unsupported("tensor", name, "a LoRA matrix A or B of a linear layer")
         halves.setdefault(found[1], {})[found[2]] = tensor
     if not halves:
-        raise _refused("adapter", "no tensors", "at least one pair of A and B")
-    return {module: _pair(module, both, shape) for module, both in sorted(halves.items())}
+        raise _unsupported("adapter", "no tensors", "at least one pair of A and B")
+    return {module: _build_pair(module, both, shape) for module, both in sorted(halves.items())}
 
 
-def _config(folder: Path) -> dict[str, Any]:
-    path = folder / CONFIG
+def _read_config(folder: Path) -> dict[str, Any]:
+    path = folder / CONFIG_FILE
     if not path.is_file():
-        raise MissingPart(f"{CONFIG} of the adapter", fix=f"An adapter is a folder that peft wrote. {folder}")
+        raise MissingDependencyError(
+            f"{CONFIG_FILE} of the adapter", fix=f"An adapter is a folder that peft wrote. {folder}"
+        )
     try:
         shape = json.loads(path.read_bytes())
     except (ValueError, RecursionError) as error:
-        raise _refused(CONFIG, str(error), "JSON as peft writes it") from error
+        raise _unsupported(CONFIG_FILE, str(error), "JSON as peft writes it") from error
     if not isinstance(shape, dict) or shape.get("peft_type") != "LORA":
-        raise _refused("peft_type", shape.get("peft_type") if isinstance(shape, dict) else shape, "LORA")
-    require_plain(shape)
+        raise _unsupported("peft_type", shape.get("peft_type") if isinstance(shape, dict) else shape, "LORA")
+    require_plain_lora(shape)
     return shape
 
 
-def require_plain(shape: dict[str, Any]) -> None:
+def require_plain_lora(shape: dict[str, Any]) -> None:
     """Raise `InvalidSetup` for a setting in peft's config by which an adapter computes more than h + s B A x."""
     for setting, value in shape.items():
-        if setting in PLAIN and value not in PLAIN[setting]:
-            allowed = " or ".join(json.dumps(one) for one in PLAIN[setting])
-            raise _refused(setting, value, f"plain LoRA only, with {allowed}")
-        if setting not in PLAIN and setting not in READ and not _off(value):
-            raise _refused(setting, value, "plain LoRA only, without it")
+        if setting in PLAIN_VALUES and value not in PLAIN_VALUES[setting]:
+            allowed = " or ".join(json.dumps(one) for one in PLAIN_VALUES[setting])
+            raise _unsupported(setting, value, f"plain LoRA only, with {allowed}")
+        if setting not in PLAIN_VALUES and setting not in KNOWN_SETTINGS and not _is_off(value):
+            raise _unsupported(setting, value, "plain LoRA only, without it")
 
 
-def _off(value: object) -> bool:
+def _is_off(value: object) -> bool:
     """Whether a setting says nothing; the number 0 may be a layer."""
     return value is None or value is False or value in ("", [], {})
 
 
-def _tensors(path: Path) -> list[tuple[str, Matrix]]:
+def _read_tensors(path: Path) -> list[tuple[str, Matrix]]:
     try:
         from safetensors import SafetensorError, deserialize  # noqa: PLC0415  (only where an adapter is served)
     except ModuleNotFoundError as error:
-        raise MissingPart(
+        raise MissingDependencyError(
             "The package safetensors", fix="Install it with `pip install 'dualbrain[planner]'`."
         ) from error
     if not path.is_file():
-        raise MissingPart(f"{WEIGHTS} of the adapter", fix=f"An adapter is a folder that peft wrote. {path.parent}")
+        raise MissingDependencyError(
+            f"{WEIGHTS_FILE} of the adapter", fix=f"An adapter is a folder that peft wrote. {path.parent}"
+        )
     try:
-        return [(name, _matrix(name, told)) for name, told in deserialize(path.read_bytes())]
+        return [(name, _decode_matrix(name, told)) for name, told in deserialize(path.read_bytes())]
     except SafetensorError as error:
-        raise _refused(WEIGHTS, str(error), "a whole safetensors file") from error
+        raise _unsupported(WEIGHTS_FILE, str(error), "a whole safetensors file") from error
 
 
-def _matrix(name: str, told: Any) -> Matrix:
+def _decode_matrix(name: str, told: Any) -> Matrix:
     """Float32 numbers of one tensor; bf16 is the upper half of a float32."""
     data, kind = told["data"], told["dtype"]
     match kind:
@@ -116,46 +120,46 @@ def _matrix(name: str, told: Any) -> Matrix:
         case "BF16":
             flat = (np.frombuffer(data, "<u2").astype(np.uint32) << 16).view(np.float32)
         case _:
-            raise _refused(f"number format of {name}", kind, "F32, F16 or BF16")
+            raise _unsupported(f"number format of {name}", kind, "F32, F16 or BF16")
     matrix = flat.reshape(told["shape"])
     if matrix.ndim != 2 or not np.isfinite(matrix).all():
-        raise _refused(f"tensor {name}", told["shape"], "a matrix of finite numbers")
+        raise _unsupported(f"tensor {name}", told["shape"], "a matrix of finite numbers")
     return matrix
 
 
-def _pair(module: str, both: dict[str, Matrix], shape: dict[str, Any]) -> Pair:
+def _build_pair(module: str, both: dict[str, Matrix], shape: dict[str, Any]) -> LoraPair:
     if set(both) != {"A", "B"}:
-        raise _refused(f"adapter of {module}", f"only {', '.join(both)}", "A and B")
+        raise _unsupported(f"adapter of {module}", f"only {', '.join(both)}", "A and B")
     a, b = both["A"], both["B"]
-    rank = _number("rank", _of_pattern(shape.get("rank_pattern"), module, shape.get("r")))
-    alpha = _number("alpha", _of_pattern(shape.get("alpha_pattern"), module, shape.get("lora_alpha")))
+    rank = _require_positive("rank", _match_pattern(shape.get("rank_pattern"), module, shape.get("r")))
+    alpha = _require_positive("alpha", _match_pattern(shape.get("alpha_pattern"), module, shape.get("lora_alpha")))
     if not a.shape[0] == b.shape[1] == rank:
-        raise _refused(f"rank of {module}", (a.shape, b.shape), f"A ({rank}, in), B (out, {rank})")
+        raise _unsupported(f"rank of {module}", (a.shape, b.shape), f"A ({rank}, in), B (out, {rank})")
     scaling = alpha / (math.sqrt(rank) if shape.get("use_rslora") else rank)
     with np.errstate(over="ignore"):
         scaled = np.asarray(b * np.float32(scaling), np.float32)
         whole = np.isfinite(scaled * np.float32(rank)).all()  # as GGUF holds it
     if not whole:
-        raise _refused(f"alpha of {module}", alpha, "one with which B is finite")
-    return Pair(a, scaled)
+        raise _unsupported(f"alpha of {module}", alpha, "one with which B is finite")
+    return LoraPair(a, scaled)
 
 
-def _number(name: str, value: Any) -> float:
+def _require_positive(name: str, value: Any) -> float:
     """A rank or α of the config; JSON as Python reads it also knows NaN and Infinity."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < math.inf:
-        raise _refused(name, value, "a finite number above 0")
+        raise _unsupported(name, value, "a finite number above 0")
     return value
 
 
-def _of_pattern(pattern: Any, module: str, default: Any) -> Any:
+def _match_pattern(pattern: Any, module: str, default: Any) -> Any:
     """The value for `module`: of the first pattern that its name ends in, as peft reads them: a dot is any letter."""
     if not isinstance(pattern, dict | None):
-        raise _refused("pattern", pattern, "values by layer")
+        raise _unsupported("pattern", pattern, "values by layer")
     for key in pattern or {}:
-        if PATTERN.fullmatch(key) is None:
-            raise _refused("pattern", key, "names of layers: letters, digits, dots, underscores")
+        if LAYER_NAME_PATTERN.fullmatch(key) is None:
+            raise _unsupported("pattern", key, "names of layers: letters, digits, dots, underscores")
     return next((value for key, value in (pattern or {}).items() if re.match(rf"(.*\.)?({key})$", module)), default)
 
 
-def _refused(what: str, got: object, allowed: str) -> InvalidSetup:
-    return InvalidSetup(f"LoRA {what}", got=got, allowed=allowed, fix="This adapter cannot be served.")
+def _unsupported(what: str, got: object, allowed: str) -> ConfigurationError:
+    return ConfigurationError(f"LoRA {what}", got=got, allowed=allowed, fix="This adapter cannot be served.")

@@ -12,33 +12,33 @@ from collections.abc import Sequence
 
 from dualbrain.adaptation.curation.candidate import Candidate
 from dualbrain.contracts.contract import Action
-from dualbrain.contracts.registry import Registry
-from dualbrain.contracts.skill_spec import Choice
+from dualbrain.contracts.registry import SkillRegistry
+from dualbrain.contracts.skill_spec import ChoiceParameter
 
 
-def repeats(found: Sequence[Candidate], registry: Registry, most: int) -> list[int]:
+def compute_repeats(found: Sequence[Candidate], registry: SkillRegistry, max_repeats: int) -> list[int]:
     """How often an epoch shows each of `found`: round(√(N / n_a)), at most `most`, a being its rarest attribute.
 
     n_a of the N samples have attribute a: a skill, a choice of a parameter (`approach=tilted`), or a symbol of a thing
     that the contract names. What half of all samples have is shown once. Law: a rarer sample is never shown less.
     """
-    tables = [attributes(one, registry) for one in found]
+    tables = [sample_attributes(one, registry) for one in found]
     counts = Counter(attribute for table in tables for attribute in table)
     rarest = [min((counts[attribute] for attribute in table), default=len(found)) for table in tables]
-    return [min(most, max(1, round(math.sqrt(len(found) / n)))) for n in rarest]
+    return [min(max_repeats, max(1, round(math.sqrt(len(found) / n)))) for n in rarest]
 
 
-def attributes(one: Candidate, registry: Registry) -> frozenset[str]:
+def sample_attributes(one: Candidate, registry: SkillRegistry) -> frozenset[str]:
     """The kinds that `one` belongs to."""
     actions = one.contract.action_sequence if one.contract else ()
     named = {str(value) for action in actions for value in action.params.values() if isinstance(value, str)}
     chosen = {choice for action in actions for choice in _choices(action, registry)}
-    return frozenset({*one.family, *chosen, *_symbols(one.summary, named)})
+    return frozenset({*one.skill_sequence, *chosen, *_symbols(one.summary, named)})
 
 
-def _choices(action: Action, registry: Registry) -> list[str]:
+def _choices(action: Action, registry: SkillRegistry) -> list[str]:
     parameters = registry.skill(action.skill).parameters
-    words = [p.name for p in parameters if isinstance(p, Choice) and p.name in action.params]
+    words = [p.name for p in parameters if isinstance(p, ChoiceParameter) and p.name in action.params]
     return [f"{action.skill}.{name}={action.params[name]}" for name in words]
 
 

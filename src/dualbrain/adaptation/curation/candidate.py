@@ -8,60 +8,60 @@ import msgspec
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.scene_names import SceneNames
-from dualbrain.errors import UNREADABLE
-from dualbrain.memory.ledger.hash_chain import DamagedLedger
+from dualbrain.errors import DECODE_ERRORS
+from dualbrain.memory.ledger.hash_chain import CorruptLedgerError
 from dualbrain.memory.ledger.ledger import LedgerReader
-from dualbrain.memory.state.derivation import derive
-from dualbrain.memory.state.state import Memo
+from dualbrain.memory.state.derivation import derive_state
+from dualbrain.memory.state.state import MemoryState
 from dualbrain.records import Scene
 
 
-class _Ended(msgspec.Struct, frozen=True):
+class _OutcomeFields(msgspec.Struct, frozen=True):
     duration: float
 
 
-class _Told(msgspec.Struct, frozen=True):
+class _EpisodeFields(msgspec.Struct, frozen=True):
     instruction: str
     summary: str
     scene: Scene
     contract: Contract | None
-    outcome: _Ended
+    outcome: _OutcomeFields
     versions: dict[str, str]
 
 
-class _Stored(msgspec.Struct, frozen=True):
-    episode: _Told
+class _StoredPayload(msgspec.Struct, frozen=True):
+    episode: _EpisodeFields
 
 
 class Candidate(msgspec.Struct, frozen=True):
     """One episode as the ledger has it; `memo` holds its outcome, Δ, status, weight and event number."""
 
-    memo: Memo
+    memory: MemoryState
     instruction: str
     summary: str
     scene: Scene
     contract: Contract | None
     duration: float
-    filtered: bool
+    was_filtered: bool
 
     @property
-    def family(self) -> tuple[str, ...]:
+    def skill_sequence(self) -> tuple[str, ...]:
         """Its skills in order: what a robot knows of the kind of an errand."""
         return tuple(action.skill for action in self.contract.action_sequence) if self.contract else ()
 
     @property
-    def names(self) -> SceneNames:
+    def scene_names(self) -> SceneNames:
         """The names that a contract could use."""
         return SceneNames(self.scene.graspable, self.scene.receptive)
 
 
-def candidates(ledger: LedgerReader) -> Iterator[Candidate]:
+def read_candidates(ledger: LedgerReader) -> Iterator[Candidate]:
     """Every memory that is in effect, oldest first; raises `DamagedLedger` at one that cannot be read."""
-    for memo in derive(ledger).memos:
+    for memo in derive_state(ledger).memories:
         try:
-            told = msgspec.json.decode(ledger.event(memo.seq).payload, type=_Stored).episode
-        except UNREADABLE as error:
-            raise DamagedLedger(f"unreadable: {error}", seq=memo.seq, path=str(ledger.path)) from error
+            told = msgspec.json.decode(ledger.event(memo.seq).payload, type=_StoredPayload).episode
+        except DECODE_ERRORS as error:
+            raise CorruptLedgerError(f"unreadable: {error}", seq=memo.seq, path=str(ledger.path)) from error
         filtered = told.versions.get("filter") == "on"
         yield Candidate(
             memo, told.instruction, told.summary, told.scene, told.contract, told.outcome.duration, filtered

@@ -7,15 +7,15 @@ from collections.abc import Collection, Sequence
 
 import msgspec
 
-from dualbrain.adaptation.curation.balancing import repeats
-from dualbrain.adaptation.curation.candidate import Candidate, candidates
-from dualbrain.adaptation.curation.deduplication import Kept, merge
-from dualbrain.adaptation.curation.sample import Other, Sample, answer
-from dualbrain.adaptation.curation.scene_split import held_out, scene_groups
-from dualbrain.adaptation.curation.selection import CleanRules, as_of, select
+from dualbrain.adaptation.curation.balancing import compute_repeats
+from dualbrain.adaptation.curation.candidate import Candidate, read_candidates
+from dualbrain.adaptation.curation.deduplication import DuplicateGroup, merge_duplicates
+from dualbrain.adaptation.curation.sample import DuplicateSource, Sample, assistant_turn
+from dualbrain.adaptation.curation.scene_split import choose_held_out_groups, group_scenes
+from dualbrain.adaptation.curation.selection import CleanRules, select, with_registry
 from dualbrain.contracts.canonical_form import canonical_contract
-from dualbrain.contracts.registry import Registry, narrows
-from dualbrain.errors import InvalidSetup
+from dualbrain.contracts.registry import SkillRegistry, is_narrower
+from dualbrain.errors import ConfigurationError
 from dualbrain.memory.ledger.hash_chain import Head
 from dualbrain.memory.ledger.ledger import LedgerReader
 from dualbrain.planner.prompt.short_prompt import render_short
@@ -24,7 +24,7 @@ CONTRACT_ID = "c-0001"
 """Every sample is asked and answered as a first shot, also where the contract came at the second."""
 
 
-class Curation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class CurationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The dials: who is let in, the most repeats of a rare sample, the share of held-out scenes, the draw's salt."""
 
     rules: CleanRules = CleanRules()
@@ -35,12 +35,12 @@ class Curation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def __post_init__(self) -> None:
         """Raise `InvalidSetup` for dials out of range."""
         if not 1 <= self.most_repeats <= 16:
-            raise InvalidSetup("most_repeats", got=self.most_repeats, allowed="1 to 16")
+            raise ConfigurationError("most_repeats", got=self.most_repeats, allowed="1 to 16")
         if not 0.0 <= self.held_out < 1.0:
-            raise InvalidSetup("held_out", got=self.held_out, allowed="in [0, 1)")
+            raise ConfigurationError("held_out", got=self.held_out, allowed="in [0, 1)")
 
 
-class Curated(msgspec.Struct, frozen=True):
+class CurationResult(msgspec.Struct, frozen=True):
     """What would be taught and tested, and what was left out: ids by reason. `head` was the ledger's newest event."""
 
     train: tuple[Sample, ...]
@@ -52,9 +52,9 @@ class Curated(msgspec.Struct, frozen=True):
 
 
 def curate(
-    ledger: LedgerReader, registry: Registry, dials: Curation, *, declines: Collection[str] = (),
-    site: Registry | None = None,
-) -> Curated:  # fmt: skip
+    ledger: LedgerReader, registry: SkillRegistry, config: CurationConfig, *, declines: Collection[str] = (),
+    site: SkillRegistry | None = None,
+) -> CurationResult:  # fmt: skip
     """The data set of `ledger` for the robot of `registry`; the same ledger and dials give the same set.
 
     A decline proves nothing: a planner that declines everything would teach itself to. So none is let in but those that
@@ -66,45 +66,52 @@ def curate(
     finds: always curate anew. Raises `InvalidSetup` if nothing is left or `site` is another vocabulary,
     `DamagedLedger`.
     """
-    if site is not None and not narrows(site, registry):
-        raise InvalidSetup("vocabulary of the site", got=site.hash, allowed=f"one that only narrows {registry.hash}")
-    found = list(candidates(ledger))
-    clean, left_out = select(found, registry, dials.rules, declines, site)
+    if site is not None and not is_narrower(site, registry):
+        raise ConfigurationError(
+            "vocabulary of the site", got=site.hash, allowed=f"one that only narrows {registry.hash}"
+        )
+    found = list(read_candidates(ledger))
+    clean, left_out = select(found, registry, config.rules, declines, site)
     if not clean:
-        raise InvalidSetup("clean episodes", got=_told(len(found), left_out), allowed="at least one", fix=_FIX)
-    kept = merge(clean)
-    ones = [pair.one for pair in kept]
-    named = dict(zip((one.memo.id for one in found), scene_groups(found), strict=True))
-    groups, shown = [named[one.memo.id] for one in ones], repeats(ones, registry, dials.most_repeats)
-    rows = [_sample(pair, registry, group, times) for pair, group, times in zip(kept, groups, shown, strict=True)]
-    apart = held_out(groups, dials.held_out, dials.salt)
-    return Curated(
+        raise ConfigurationError(
+            "clean episodes",
+            got=_describe_exclusions(len(found), left_out),
+            allowed="at least one",
+            fix=_NO_SAMPLES_HINT,
+        )
+    kept = merge_duplicates(clean)
+    ones = [pair.representative for pair in kept]
+    named = dict(zip((one.memory.id for one in found), group_scenes(found), strict=True))
+    groups, shown = [named[one.memory.id] for one in ones], compute_repeats(ones, registry, config.most_repeats)
+    rows = [_build_sample(pair, registry, group, times) for pair, group, times in zip(kept, groups, shown, strict=True)]
+    apart = choose_held_out_groups(groups, config.held_out, config.salt)
+    return CurationResult(
         tuple(row for row in rows if row.scene not in apart), tuple(row for row in rows if row.scene in apart),
         {reason: tuple(names) for reason, names in sorted(left_out.items())}, len(clean) - len(kept), ledger.head(),
         len(found),
     )  # fmt: skip
 
 
-_FIX = "See `dualbrain memory list`: only successes that are believed, with little intervention, can teach."
+_NO_SAMPLES_HINT = "See `dualbrain memory list`: only successes that are believed, with little intervention, can teach."
 
 
-def _told(found: int, left_out: dict[str, list[str]]) -> str:
+def _describe_exclusions(found: int, left_out: dict[str, list[str]]) -> str:
     reasons = ", ".join(f"{len(names)} {reason}" for reason, names in sorted(left_out.items()))
     return f"none of {found} memories" + (f" ({reasons})" if reasons else "")
 
 
-def _sample(kept: Kept, registry: Registry, scene: str, shown: int) -> Sample:
-    one = kept.one
+def _build_sample(kept: DuplicateGroup, registry: SkillRegistry, scene: str, shown: int) -> Sample:
+    one = kept.representative
     assert one.contract is not None
     prompt = render_short(
         one.summary, one.instruction, robot=registry.robot, registry=registry.hash, contract_id=CONTRACT_ID
     )
-    text = canonical_contract(msgspec.structs.replace(as_of(one.contract, registry), id=CONTRACT_ID), registry)
+    text = canonical_contract(msgspec.structs.replace(with_registry(one.contract, registry), id=CONTRACT_ID), registry)
     messages = [{"role": turn["role"], "content": turn["content"]} for turn in prompt]
     return Sample(
-        content_id(messages, text), messages, answer(text), one.memo.weight, one.memo.Delta or 0.0, one.duration,
-        shown, scene, one.memo.id, _events(one, kept.repeats), one.memo.provenance.source, one.scene.graspable,
-        one.scene.receptive, tuple(Other(same.memo.id, same.memo.provenance.source) for same in kept.repeats),
+        content_id(messages, text), messages, assistant_turn(text), one.memory.weight, one.memory.Delta or 0.0, one.duration,
+        shown, scene, one.memory.id, _event_numbers(one, kept.duplicates), one.memory.provenance.source, one.scene.graspable,
+        one.scene.receptive, tuple(DuplicateSource(same.memory.id, same.memory.provenance.source) for same in kept.duplicates),
     )  # fmt: skip
 
 
@@ -113,5 +120,5 @@ def content_id(prompt: Sequence[dict[str, str]], contract: str) -> str:
     return hashlib.sha256(msgspec.json.encode([list(prompt), contract])).hexdigest()[:16]
 
 
-def _events(one: Candidate, others: Sequence[Candidate]) -> tuple[int, ...]:
-    return (one.memo.seq, *(other.memo.seq for other in others))
+def _event_numbers(one: Candidate, others: Sequence[Candidate]) -> tuple[int, ...]:
+    return (one.memory.seq, *(other.memory.seq for other in others))

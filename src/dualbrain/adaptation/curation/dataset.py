@@ -10,16 +10,16 @@ from pathlib import Path
 
 import msgspec
 
-from dualbrain.adaptation.curation.curate import Curated, Curation
-from dualbrain.adaptation.curation.sample import Sample, from_lines, to_lines
-from dualbrain.contracts.registry import Registry
-from dualbrain.core.storage.atomic_files import write_durably
-from dualbrain.core.text import apart
-from dualbrain.errors import UNREADABLE, InvalidSetup, MissingPart
+from dualbrain.adaptation.curation.curate import CurationConfig, CurationResult
+from dualbrain.adaptation.curation.sample import Sample, decode_samples, encode_samples
+from dualbrain.contracts.registry import SkillRegistry
+from dualbrain.core.storage.atomic_files import write_atomically
+from dualbrain.core.text import describe_differences
+from dualbrain.errors import DECODE_ERRORS, ConfigurationError, MissingDependencyError
 from dualbrain.planner.prompt.short_prompt import short_template_hash
 
-TRAIN, HELD_OUT, CARD = "train.jsonl", "held_out.jsonl", "dataset.json"
-FORM = "conversational prompt-completion, JSON lines"
+TRAIN_FILE, HELD_OUT_FILE, CARD_FILE = "train.jsonl", "held_out.jsonl", "dataset.json"
+SAMPLE_FORMAT = "conversational prompt-completion, JSON lines"
 
 
 class DatasetCard(msgspec.Struct, frozen=True):
@@ -66,18 +66,20 @@ class Dataset(msgspec.Struct, frozen=True):
     held_out: tuple[Sample, ...]
 
 
-def dataset_of(curated: Curated, registry: Registry, dials: Curation, *, site: Registry | None = None) -> Dataset:
+def assemble_dataset(
+    curated: CurationResult, registry: SkillRegistry, config: CurationConfig, *, site: SkillRegistry | None = None
+) -> Dataset:
     """The data set with its card; `site` is the vocabulary at the site whose episodes were read, too."""
     rows = (*curated.train, *curated.held_out)
     card = DatasetCard(
-        dataset_hash(to_lines(curated.train), to_lines(curated.held_out)), FORM, registry.robot, registry.hash,
+        dataset_hash(encode_samples(curated.train), encode_samples(curated.held_out)), SAMPLE_FORMAT, registry.robot, registry.hash,
         short_template_hash(), curated.head.hash, curated.head.seq, curated.memories,
         len(curated.train), len(curated.held_out), sum(row.repeats for row in curated.train),
         len({row.scene for row in rows}), curated.merged,
         {reason: len(names) for reason, names in curated.left_out.items()},
         dict(sorted(Counter(source for row in rows for source in _sources(row)).items())),
-        dials.rules.epsilon, dials.rules.slowest,
-        dials.most_repeats, dials.held_out, dials.salt, physical=dials.rules.physical,
+        config.rules.epsilon, config.rules.slowest,
+        config.most_repeats, config.held_out, config.salt, physical=config.rules.physical,
         site=site.hash if site else "",
     )  # fmt: skip
     return Dataset(card, curated.train, curated.held_out)
@@ -87,20 +89,22 @@ def _sources(row: Sample) -> tuple[str, ...]:
     return (row.source, *(one.source for one in row.others))
 
 
-def other_dials(card: DatasetCard, dials: Curation) -> str:
+def curation_differences(card: DatasetCard, config: CurationConfig) -> str:
     """In which dials of curation the data set of `card` was made otherwise than by `dials`; "" if in none."""
-    rules, made = dials.rules, {"epsilon": card.epsilon, "slowest": card.slowest, "most_repeats": card.most_repeats}
+    rules, made = config.rules, {"epsilon": card.epsilon, "slowest": card.slowest, "most_repeats": card.most_repeats}
     made |= {"held_out": card.share_held_out, "salt": card.salt}
     if card.physical is not None:
         made["physical"] = card.physical
     here = {"epsilon": rules.epsilon, "slowest": rules.slowest, "physical": rules.physical}
-    return apart(made, here | {"most_repeats": dials.most_repeats, "held_out": dials.held_out, "salt": dials.salt})
+    return describe_differences(
+        made, here | {"most_repeats": config.most_repeats, "held_out": config.held_out, "salt": config.salt}
+    )
 
 
-def made_otherwise(card: DatasetCard, made: Mapping[str, object]) -> str:
+def card_differences(card: DatasetCard, expected: Mapping[str, object]) -> str:
     """In which of the parts `made` tells, or in the prompt's template, `card` tells another; "" if in none."""
-    here = {"prompt": short_template_hash(), **made}
-    return apart({part: getattr(card, part) for part in here}, here)
+    here = {"prompt": short_template_hash(), **expected}
+    return describe_differences({part: getattr(card, part) for part in here}, here)
 
 
 def dataset_hash(train: bytes, held_out: bytes) -> str:
@@ -112,32 +116,34 @@ def dataset_hash(train: bytes, held_out: bytes) -> str:
 def write_dataset(dataset: Dataset, folder: Path) -> None:
     """Write both files and, last, the card; a folder that holds another data set is refused."""
     folder.mkdir(parents=True, exist_ok=True)
-    if (folder / CARD).exists() and read_card(folder).hash != dataset.card.hash:
-        raise InvalidSetup("data set folder", got="another data set", allowed="an empty folder", fix=str(folder))
-    write_durably(folder / TRAIN, to_lines(dataset.train))
-    write_durably(folder / HELD_OUT, to_lines(dataset.held_out))
-    write_durably(folder / CARD, msgspec.json.format(msgspec.json.encode(dataset.card), indent=2))
+    if (folder / CARD_FILE).exists() and read_dataset_card(folder).hash != dataset.card.hash:
+        raise ConfigurationError("data set folder", got="another data set", allowed="an empty folder", fix=str(folder))
+    write_atomically(folder / TRAIN_FILE, encode_samples(dataset.train))
+    write_atomically(folder / HELD_OUT_FILE, encode_samples(dataset.held_out))
+    write_atomically(folder / CARD_FILE, msgspec.json.format(msgspec.json.encode(dataset.card), indent=2))
 
 
-def read_card(folder: Path) -> DatasetCard:
+def read_dataset_card(folder: Path) -> DatasetCard:
     """The card in `folder`; raises `MissingPart` if there is none, `InvalidSetup` if it cannot be read."""
-    path = folder / CARD
+    path = folder / CARD_FILE
     if not path.is_file():
-        raise MissingPart(f"The data set {os.fspath(folder)}", fix="Make it with `dualbrain adapt --export FOLDER`.")
+        raise MissingDependencyError(
+            f"The data set {os.fspath(folder)}", fix="Make it with `dualbrain adapt --export FOLDER`."
+        )
     try:
         return msgspec.json.decode(path.read_bytes(), type=DatasetCard)
-    except UNREADABLE as error:
-        raise InvalidSetup(
+    except DECODE_ERRORS as error:
+        raise ConfigurationError(
             "data set card", got=str(error), allowed="as this program writes it", fix=str(path)
         ) from error
 
 
 def read_dataset(folder: Path) -> Dataset:
     """The data set in `folder`; raises `InvalidSetup` if a file is not the one that the card names."""
-    card = read_card(folder)
-    train, apart = (folder / TRAIN).read_bytes(), (folder / HELD_OUT).read_bytes()
+    card = read_dataset_card(folder)
+    train, apart = (folder / TRAIN_FILE).read_bytes(), (folder / HELD_OUT_FILE).read_bytes()
     if (got := dataset_hash(train, apart)) != card.hash:
-        raise InvalidSetup(
+        raise ConfigurationError(
             "hash of the data set", got=got, allowed=card.hash, fix=f"A file was changed: make it anew. {folder}"
         )
-    return Dataset(card, from_lines(train), from_lines(apart))
+    return Dataset(card, decode_samples(train), decode_samples(apart))

@@ -11,14 +11,14 @@ from dualbrain.adaptation.curation.candidate import Candidate
 from dualbrain.memory.plasticity.plan_similarity import same_plan
 
 
-class Kept(msgspec.Struct, frozen=True):
+class DuplicateGroup(msgspec.Struct, frozen=True):
     """The episode that is kept, the one of least Δ, and those that it stands for, oldest first."""
 
-    one: Candidate
-    repeats: tuple[Candidate, ...]
+    representative: Candidate
+    duplicates: tuple[Candidate, ...]
 
 
-def merge(found: Sequence[Candidate]) -> list[Kept]:
+def merge_duplicates(found: Sequence[Candidate]) -> list[DuplicateGroup]:
     """`found` without near-duplicates, in its order.
 
     Near-duplicates have the same question (scene in symbols, words but for case and space) and the same plan (skills,
@@ -27,28 +27,28 @@ def merge(found: Sequence[Candidate]) -> list[Kept]:
     was found good.
     """
     groups = defaultdict[tuple[str, ...], list[list[Candidate]]](list)
-    for one in sorted(found, key=_best):
-        alike = groups[_question(one)]
-        plan = next((group for group in alike if same_plan(_plain(group[0]), _plain(one))), None)
+    for one in sorted(found, key=_sort_key):
+        alike = groups[_question_key(one)]
+        plan = next((group for group in alike if same_plan(_contract_data(group[0]), _contract_data(one))), None)
         if plan is None:
             alike.append([one])
         else:
             plan.append(one)
     kept = [
-        Kept(group[0], tuple(sorted(group[1:], key=lambda c: c.memo.seq)))
+        DuplicateGroup(group[0], tuple(sorted(group[1:], key=lambda c: c.memory.seq)))
         for alike in groups.values()
         for group in alike
     ]
-    return sorted(kept, key=lambda pair: pair.one.memo.seq)
+    return sorted(kept, key=lambda pair: pair.representative.memory.seq)
 
 
-def _best(one: Candidate) -> tuple[float, int]:
-    return (one.memo.Delta or 0.0, one.memo.seq)
+def _sort_key(one: Candidate) -> tuple[float, int]:
+    return (one.memory.Delta or 0.0, one.memory.seq)
 
 
-def _question(one: Candidate) -> tuple[str, str]:
+def _question_key(one: Candidate) -> tuple[str, str]:
     return one.summary, " ".join(one.instruction.casefold().split())
 
 
-def _plain(one: Candidate) -> dict[str, object]:
+def _contract_data(one: Candidate) -> dict[str, object]:
     return msgspec.to_builtins(one.contract)

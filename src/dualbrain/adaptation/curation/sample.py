@@ -9,7 +9,7 @@ import msgspec
 from dualbrain.contracts.scene_names import SceneNames
 
 
-class Other(msgspec.Struct, frozen=True):
+class DuplicateSource(msgspec.Struct, frozen=True):
     """A near-duplicate that a sample stands for: its memory, and who proposed it."""
 
     memory: str
@@ -39,7 +39,7 @@ class Sample(msgspec.Struct, frozen=True, omit_defaults=True):
     source: str
     graspable: tuple[str, ...]
     receptive: tuple[str, ...]
-    others: tuple[Other, ...] = ()
+    others: tuple[DuplicateSource, ...] = ()
 
     @property
     def memories(self) -> frozenset[str]:
@@ -52,21 +52,21 @@ class Sample(msgspec.Struct, frozen=True, omit_defaults=True):
         return self.completion[0]["content"]
 
     @property
-    def names(self) -> SceneNames:
+    def scene_names(self) -> SceneNames:
         """The names that a contract may use in this scene."""
         return SceneNames(self.graspable, self.receptive)
 
 
-def to_lines(samples: tuple[Sample, ...]) -> bytes:
+def encode_samples(samples: tuple[Sample, ...]) -> bytes:
     """Lines of JSON, one sample each, keys in the order of the fields: the same samples give the same bytes."""
     return b"".join(msgspec.json.encode(sample) + b"\n" for sample in samples)
 
 
-def from_lines(data: bytes) -> tuple[Sample, ...]:
+def decode_samples(data: bytes) -> tuple[Sample, ...]:
     """The samples of `data`; raises what is `UNREADABLE`."""
     return tuple(msgspec.json.decode(line, type=Sample) for line in data.splitlines() if line.strip())
 
 
-def answer(text: str) -> list[dict[str, Any]]:
+def assistant_turn(text: str) -> list[dict[str, Any]]:
     """`text` as the turn of the assistant."""
     return [{"role": "assistant", "content": text}]

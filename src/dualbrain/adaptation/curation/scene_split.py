@@ -11,12 +11,12 @@ import numpy as np
 from dualbrain.adaptation.curation.candidate import Candidate
 from dualbrain.records import Scene
 
-SAME_SCENE = 0.03
+SAME_SCENE_DISTANCE = 0.03
 """Scenes of the same things at most this far from each other [m] are one scene, seen twice: above twice the bound of
 the perception error (9 mm), below the grid on which scenes differ."""
 
 
-def scene_groups(found: Sequence[Candidate]) -> list[str]:
+def group_scenes(found: Sequence[Candidate]) -> list[str]:
     """A name for the scene of each of `found`: equal names for what must stay on one side.
 
     Two episodes are linked if the same things stood at the same places up to `SAME_SCENE`, or if the planner was told
@@ -31,13 +31,13 @@ def scene_groups(found: Sequence[Candidate]) -> list[str]:
             i = root[i]
         return i
 
-    for i, j in _links(found):
+    for i, j in _linked_pairs(found):
         first, second = sorted((top(i), top(j)))
         root[second] = first
-    return [_name(found[top(i)]) for i in range(len(found))]
+    return [_group_name(found[top(i)]) for i in range(len(found))]
 
 
-def held_out(groups: Sequence[str], share: float, salt: str) -> frozenset[str]:
+def choose_held_out_groups(groups: Sequence[str], share: float, salt: str) -> frozenset[str]:
     """The groups whose hash with `salt` falls below `share`; at least one and never all, if `share` > 0.
 
     `groups` has a name for each sample. What alone makes up more than `share` of them teaches, for it is what the robot
@@ -49,26 +49,26 @@ def held_out(groups: Sequence[str], share: float, salt: str) -> frozenset[str]:
     if share <= 0.0 or len(counts) < 2:
         return frozenset()
     fit = [group for group, count in counts.items() if count <= share * len(groups)] or list(counts)
-    places = sorted((_place(group, salt), group) for group in fit)
+    places = sorted((_hash_fraction(group, salt), group) for group in fit)
     chosen = [group for place, group in places if place < share] or [places[0][1]]
     return frozenset(chosen[: len(counts) - 1])
 
 
-def _links(found: Sequence[Candidate]) -> Iterator[tuple[int, int]]:
+def _linked_pairs(found: Sequence[Candidate]) -> Iterator[tuple[int, int]]:
     """Pairs of the same scene or the same summary; enough of them to connect each group."""
     told: dict[str, int] = {}
     alike = defaultdict[tuple[str, ...], list[int]](list)
     for i, one in enumerate(found):
         yield told.setdefault(one.summary, i), i
-        alike[_names(one.scene)].append(i)
+        alike[_object_names(one.scene)].append(i)
     for rows in alike.values():
         places = np.stack([_positions(found[i].scene) for i in rows])
         for a in range(1, len(rows)):
             offsets = np.linalg.norm(places[:a] - places[a], axis=2).max(axis=1, initial=0.0)
-            yield from ((rows[int(b)], rows[a]) for b in np.flatnonzero(offsets <= SAME_SCENE))
+            yield from ((rows[int(b)], rows[a]) for b in np.flatnonzero(offsets <= SAME_SCENE_DISTANCE))
 
 
-def _names(scene: Scene) -> tuple[str, ...]:
+def _object_names(scene: Scene) -> tuple[str, ...]:
     return tuple(sorted(thing.name for thing in scene.objects if thing.role != "person"))
 
 
@@ -78,10 +78,10 @@ def _positions(scene: Scene) -> np.ndarray:
     return np.array([position for _, position in things], float).reshape(len(things), 3)
 
 
-def _name(oldest: Candidate) -> str:
-    return hashlib.sha256(oldest.memo.id.encode()).hexdigest()[:16]
+def _group_name(oldest: Candidate) -> str:
+    return hashlib.sha256(oldest.memory.id.encode()).hexdigest()[:16]
 
 
-def _place(group: str, salt: str) -> float:
+def _hash_fraction(group: str, salt: str) -> float:
     """A number in [0, 1) for `group`."""
     return int(hashlib.sha256(f"{salt}:{group}".encode()).hexdigest()[:13], 16) / 16**13

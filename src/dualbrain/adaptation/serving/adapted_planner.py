@@ -6,19 +6,19 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 
 from dualbrain.adaptation.adapters.card import AdapterCard
-from dualbrain.adaptation.adapters.compatibility import require_fit
+from dualbrain.adaptation.adapters.compatibility import require_compatible
 from dualbrain.errors import DualbrainError
 from dualbrain.planner import protocol
 from dualbrain.planner.backends.llama_cpp import LlamaPlanner
-from dualbrain.planner.prompt.full_prompt import Message
+from dualbrain.planner.prompt.full_prompt import ChatMessage
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 
-Check = Callable[[LlamaPlanner], str]
+PlannerCheck = Callable[[LlamaPlanner], str]
 """What is wrong with the answers of a process that has just started, "" if nothing is (see `canary`)."""
 
 
-class NotItself(DualbrainError):
+class AdapterMismatchError(DualbrainError):
     """A process that should wear an adapter does not answer as that adapter did."""
 
     def __init__(self, adapter: str, fault: str) -> None:
@@ -42,19 +42,19 @@ class AdaptedPlanner:
         self,
         inner: LlamaPlanner,
         card: AdapterCard,
-        check: Check = lambda planner: "",
-        narrowed: Mapping[str, str] = {},
+        check: PlannerCheck = lambda planner: "",
+        narrowed_registries: Mapping[str, str] = {},
     ) -> None:
         """Let `inner`, which wears the adapter, propose, also in the vocabularies of `narrowed`.
 
         `inner` is closed if this raises.
         """
-        self._inner, self.card, self._check, self._narrowed = inner, card, check, narrowed
-        self._checked: int | None = None
+        self._inner, self.card, self._check, self._narrowed_registries = inner, card, check, narrowed_registries
+        self._checked_pid: int | None = None
         with ExitStack() as unless_itself:
             unless_itself.callback(inner.close)
-            if fault := self._fault():
-                raise NotItself(card.id, fault)
+            if fault := self._find_fault():
+                raise AdapterMismatchError(card.id, fault)
             unless_itself.pop_all()
 
     @property
@@ -69,12 +69,12 @@ class AdaptedPlanner:
 
     def propose(self, request: PlanRequest) -> Proposal:
         """Answer `request`. Raises `InvalidSetup` for a robot or vocabulary that the adapter was not taught."""
-        require_fit(self.card, request.robot, request.registry_hash, self._narrowed)
-        if fault := self._fault_in_words():
+        require_compatible(self.card, request.robot, request.registry_hash, self._narrowed_registries)
+        if fault := self._fault_or_error():
             return Proposal("", f"{protocol.ERROR}: not the adapter it was: {fault}", self.name, "", {"total": 0.0})
         return self._inner.propose(request)
 
-    def messages(self, request: PlanRequest) -> list[Message]:
+    def messages(self, request: PlanRequest) -> list[ChatMessage]:
         """What the model reads for `request`."""
         return self._inner.messages(request)
 
@@ -82,18 +82,18 @@ class AdaptedPlanner:
         """End the process."""
         self._inner.close()
 
-    def _fault_in_words(self) -> str:
+    def _fault_or_error(self) -> str:
         """As `_fault`; what the check raises is a fault, too, for a robot may be waiting."""
         try:
-            return self._fault()
+            return self._find_fault()
         except DualbrainError as error:
             return str(error)
 
-    def _fault(self) -> str:
+    def _find_fault(self) -> str:
         """What is wrong with the present process, if it has not been looked at yet."""
         pid = self._inner.pid
-        if pid is not None and pid == self._checked:
+        if pid is not None and pid == self._checked_pid:
             return ""
         fault = self._check(self._inner)
-        self._checked = None if fault else self._inner.pid
+        self._checked_pid = None if fault else self._inner.pid
         return fault

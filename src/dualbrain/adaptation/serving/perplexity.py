@@ -11,7 +11,7 @@ import json
 import math
 from pathlib import Path
 
-from dualbrain.planner.backends.http_chat import Answer
+from dualbrain.planner.backends.http_chat import ChatResponse
 from dualbrain.planner.backends.llama_cpp import LlamaPlanner
 
 
@@ -20,7 +20,7 @@ def retention_text() -> str:
     return Path(__file__).with_name("perplexity_text.txt").read_text("utf-8")
 
 
-def perplexity(planner: LlamaPlanner, text: str) -> float | Answer:
+def perplexity(planner: LlamaPlanner, text: str) -> float | ChatResponse:
     """Perplexity per token of `text` after its first word, or why it could not be measured."""
     first, rest = text.split(" ", 1)
     body = {
@@ -28,10 +28,10 @@ def perplexity(planner: LlamaPlanner, text: str) -> float | Answer:
         # forced, unlike a contract's: each token is to be the one in which the text is written
         "grammar": f"%llguidance {{}}\nstart: {json.dumps(' ' + rest.strip())}",
     }  # fmt: skip
-    told = planner.tell("/completion", body)
-    if isinstance(told, Answer):
+    told = planner.post_json("/completion", body)
+    if isinstance(told, ChatResponse):
         return told
     steps = [step for step in told.get("completion_probabilities", []) if step.get("token")]
     if told.get("content") != " " + rest.strip() or not steps:
-        return Answer("", "error", "the text was not written as given")
+        return ChatResponse("", "error", "the text was not written as given")
     return math.exp(-sum(float(step["logprob"]) for step in steps) / len(steps))

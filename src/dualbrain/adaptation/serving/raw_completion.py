@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from dualbrain.planner import protocol
-from dualbrain.planner.backends.http_chat import Answer
+from dualbrain.planner.backends.http_chat import ChatResponse
 from dualbrain.planner.backends.llama_cpp import LlamaPlanner
 
-Turns = Sequence[dict[str, str]]
+ChatTurns = Sequence[dict[str, str]]
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class RawCompletion:
     """A free answer. `whole` unless it was cut; `tokens` are its ids.
 
     `margins` [nats] say by how much the logarithm of each token's probability was above that of the next best: 0 is a
@@ -25,32 +25,32 @@ class Said:
     """
 
     text: str
-    whole: bool
+    is_complete: bool
     tokens: tuple[int, ...]
     margins: tuple[float, ...]
 
     @property
-    def margin(self) -> float:
+    def min_margin(self) -> float:
         """The smallest of its margins [nats]."""
         return min(self.margins, default=math.inf)
 
 
-def say(planner: LlamaPlanner, turns: Turns, *, longest: int) -> Said | Answer:
+def complete(planner: LlamaPlanner, turns: ChatTurns, *, max_tokens: int) -> RawCompletion | ChatResponse:
     """The greedy free answer to the chat `turns` in at most `longest` tokens, or why there is none."""
-    body = {"messages": list(turns), "max_tokens": longest, "temperature": 0.0, "logprobs": True, "top_logprobs": 2}
-    told = planner.tell("/v1/chat/completions", body)
-    if isinstance(told, Answer):
+    body = {"messages": list(turns), "max_tokens": max_tokens, "temperature": 0.0, "logprobs": True, "top_logprobs": 2}
+    told = planner.post_json("/v1/chat/completions", body)
+    if isinstance(told, ChatResponse):
         return told
     try:
         choice = told["choices"][0]
         steps: list[dict[str, Any]] = (choice.get("logprobs") or {}).get("content") or []
         text, whole = str(choice["message"].get("content") or ""), choice["finish_reason"] == "stop"
-        return Said(text, whole, tuple(int(one["id"]) for one in steps), tuple(_margin(one) for one in steps))
+        return RawCompletion(text, whole, tuple(int(one["id"]) for one in steps), tuple(_margin(one) for one in steps))
     except (LookupError, TypeError, AttributeError, ValueError):
-        return Answer("", protocol.ERROR, "not a chat completion")
+        return ChatResponse("", protocol.ERROR, "not a chat completion")
 
 
-def runtime_of(base: Path) -> str:
+def runtime_name(base: Path) -> str:
     """What serves, by name and build, with the file whose quantisation decides near-ties."""
     return f"llama.cpp, xllamacpp {version('xllamacpp')}, {base.name}"
 

@@ -13,19 +13,19 @@ from threading import Lock, Thread
 
 import msgspec
 
-from dualbrain.adaptation.adapters.card import IN_TORCH, AdapterCard
-from dualbrain.errors import UNREADABLE, InvalidSetup
-from dualbrain.planner.introspection import messages_of, template_of
-from dualbrain.planner.prompt.full_prompt import Message
+from dualbrain.adaptation.adapters.card import TORCH_SUFFIX, AdapterCard
+from dualbrain.errors import DECODE_ERRORS, ConfigurationError
+from dualbrain.planner.introspection import planner_messages, planner_template
+from dualbrain.planner.prompt.full_prompt import ChatMessage
 from dualbrain.planner.protocol import ERROR, STOP, Planner
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 
-PATIENCE_S = 2.0
+JOIN_TIMEOUT_S = 2.0
 """How long an answer under way is waited for at the end [s]; what came of it by then is written down."""
 
 
-class Glance(msgspec.Struct, frozen=True):
+class ShadowRecord(msgspec.Struct, frozen=True):
     """One question in the shadow: who answered it for good, and what the candidate would have said.
 
     `passed_over` counts the questions that came meanwhile, or of which nothing could be written.
@@ -41,24 +41,24 @@ class Glance(msgspec.Struct, frozen=True):
     passed_over: int = 0
 
     @property
-    def same(self) -> bool:
+    def is_same(self) -> bool:
         """Whether both answered alike."""
         return self.finish == STOP and self.candidate_text == self.served_text
 
 
-class Shadowed:
+class ShadowedPlanner:
     """Proposes with `serving`; `candidate` is asked afterwards, and what it says goes to `log`, one line each."""
 
     def __init__(self, serving: Planner, candidate: Planner, log: Path) -> None:
         """Let `candidate` stand in the shadow of `serving`; raises `InvalidSetup` if `log` cannot be written."""
         self.serving, self._candidate, self._log = serving, candidate, log
-        self._asking: Thread | None = None
+        self._thread: Thread | None = None
         self._lock, self._busy, self._passed_over = Lock(), False, 0
         try:
             log.parent.mkdir(parents=True, exist_ok=True)
             log.open("ab").close()
         except OSError as error:
-            raise InvalidSetup("log of the shadow", got=str(error), allowed="a file to write to") from error
+            raise ConfigurationError("log of the shadow", got=str(error), allowed="a file to write to") from error
 
     @property
     def name(self) -> str:
@@ -68,54 +68,54 @@ class Shadowed:
     @property
     def template(self) -> str:
         """Hash of the fixed text of the prompt that who answers reads."""
-        return template_of(self.serving)
+        return planner_template(self.serving)
 
     @property
     def card(self) -> AdapterCard | None:
         """The adapter of who answers, None for one without."""
         return getattr(self.serving, "card", None)
 
-    def messages(self, request: PlanRequest) -> Sequence[Message]:
+    def messages(self, request: PlanRequest) -> Sequence[ChatMessage]:
         """What who answers reads for `request`."""
-        return messages_of(self.serving, request)
+        return planner_messages(self.serving, request)
 
     def propose(self, request: PlanRequest) -> Proposal:
         """The answer of who serves; nothing waits for the shadow."""
         proposal = self.serving.propose(request)
-        if self._begins():
-            self._asking = Thread(target=self._glance, args=(request, proposal), name="shadow", daemon=True)
-            self._asking.start()
+        if self._try_begin():
+            self._thread = Thread(target=self._ask_candidate, args=(request, proposal), name="shadow", daemon=True)
+            self._thread.start()
         return proposal
 
     def close(self) -> None:
         """End both; an answer of the candidate that is under way has a short while left."""
-        self._wait()
+        self._join()
         self.serving.close()
         self._candidate.close()
-        self._wait()
+        self._join()
 
-    def _wait(self) -> None:
-        if self._asking is not None:
-            self._asking.join(PATIENCE_S)
+    def _join(self) -> None:
+        if self._thread is not None:
+            self._thread.join(JOIN_TIMEOUT_S)
 
-    def _begins(self) -> bool:
+    def _try_begin(self) -> bool:
         """Whether the candidate is free for a question; one that it is not free for is counted."""
         with self._lock:
             free, self._busy = not self._busy, True
             self._passed_over += not free
         return free
 
-    def _ends(self) -> int:
+    def _end(self) -> int:
         """Set the candidate free; the number of questions that were passed over until now."""
         with self._lock:
             passed_over, self._passed_over, self._busy = self._passed_over, 0, False
         return passed_over
 
-    def _glance(self, request: PlanRequest, served: Proposal) -> None:
-        said = self._said(request)
-        glance = Glance(
+    def _ask_candidate(self, request: PlanRequest, served: Proposal) -> None:
+        said = self._candidate_proposal(request)
+        glance = ShadowRecord(
             served.planner, said.planner, request.instruction, served.text, said.text, said.finish_reason,
-            said.timings.get("total", 0.0), self._ends(),
+            said.timings.get("total", 0.0), self._end(),
         )  # fmt: skip
         try:
             with self._log.open("ab") as log:
@@ -124,7 +124,7 @@ class Shadowed:
             with self._lock:
                 self._passed_over += 1 + glance.passed_over
 
-    def _said(self, request: PlanRequest) -> Proposal:
+    def _candidate_proposal(self, request: PlanRequest) -> Proposal:
         """What the candidate says; whatever it raises is its finish reason."""
         try:
             return self._candidate.propose(request)
@@ -132,7 +132,7 @@ class Shadowed:
             return Proposal("", f"{ERROR}: {error}", self._candidate.name, "", {})
 
 
-def glances(log: Path) -> tuple[Glance, ...]:
+def read_shadow_log(log: Path) -> tuple[ShadowRecord, ...]:
     """What was written down; a last line that a crash cut off never happened.
 
     Raises `InvalidSetup` for any other line that cannot be read.
@@ -141,29 +141,31 @@ def glances(log: Path) -> tuple[Glance, ...]:
         return ()
     *lines, _torn = log.read_bytes().split(b"\n")
     try:
-        return tuple(msgspec.json.decode(line, type=Glance) for line in lines)
-    except UNREADABLE as error:
-        raise InvalidSetup("log of the shadow", got=str(error), allowed="as it was written", fix=str(log)) from error
+        return tuple(msgspec.json.decode(line, type=ShadowRecord) for line in lines)
+    except DECODE_ERRORS as error:
+        raise ConfigurationError(
+            "log of the shadow", got=str(error), allowed="as it was written", fix=str(log)
+        ) from error
 
 
-def whole(seen: Sequence[Glance]) -> int:
+def count_complete(seen: Sequence[ShadowRecord]) -> int:
     """How many answers came to their end."""
     return sum(one.finish == STOP for one in seen)
 
 
-def beside(seen: Sequence[Glance], serves: Callable[[str], bool]) -> tuple[Glance, ...]:
+def filter_by_serving(seen: Sequence[ShadowRecord], serves: Callable[[str], bool]) -> tuple[ShadowRecord, ...]:
     """Those in the shadow of who `serves`, an author as proposals name it, in whatever runtime."""
-    return tuple(one for one in seen if serves(one.served.removesuffix(IN_TORCH)))
+    return tuple(one for one in seen if serves(one.served.removesuffix(TORCH_SUFFIX)))
 
 
-def summary(seen: tuple[Glance, ...]) -> str:
+def summarize_shadow(seen: tuple[ShadowRecord, ...]) -> str:
     """How a candidate did in the shadow, in words."""
     if not seen:
         return "never asked in the shadow"
-    same, errors = sum(one.same for one in seen), sum(one.finish.startswith(ERROR) for one in seen)
+    same, errors = sum(one.is_same for one in seen), sum(one.finish.startswith(ERROR) for one in seen)
     passed_over = sum(one.passed_over for one in seen)
     told = (
-        f"asked {len(seen)} times in the shadow: {whole(seen)} whole answers, {same} as who served, "
+        f"asked {len(seen)} times in the shadow: {count_complete(seen)} whole answers, {same} as who served, "
         f"{median([one.seconds for one in seen if one.seconds] or [0.0]):.1f} s each (median)"
     )
     if errors:

@@ -19,31 +19,33 @@ from typing import Any
 import jsonschema_rs
 import torch
 
-from dualbrain.adaptation.adapters.base_models import Base
+from dualbrain.adaptation.adapters.base_models import BaseModel
 from dualbrain.adaptation.adapters.card import AdapterCard
-from dualbrain.adaptation.adapters.compatibility import require_fit
-from dualbrain.adaptation.adapters.stacking import Stack
-from dualbrain.adaptation.serving.constrained_decoding import Binding, llguidance, vocabulary_of
-from dualbrain.adaptation.serving.speculative_decoding import Reply, speak
-from dualbrain.adaptation.training.model.base_model import open_base
-from dualbrain.adaptation.training.model.batching import prompt_ids
-from dualbrain.core.weights import find_file
-from dualbrain.errors import InvalidSetup
+from dualbrain.adaptation.adapters.compatibility import require_compatible
+from dualbrain.adaptation.adapters.stacking import AdapterStack
+from dualbrain.adaptation.serving.constrained_decoding import GrammarConstraint, llguidance, llguidance_tokenizer
+from dualbrain.adaptation.serving.speculative_decoding import DecodingStream, generate
+from dualbrain.adaptation.training.model.base_model import load_base_model
+from dualbrain.adaptation.training.model.batching import tokenize_prompt
+from dualbrain.core.weights import find_weight_file
+from dualbrain.errors import ConfigurationError
 from dualbrain.planner import protocol
 from dualbrain.planner.decoding.llguidance_grammar import contract_grammar
-from dualbrain.planner.prompt.full_prompt import Message
-from dualbrain.planner.prompt.prompt_format import FREE_BY, Asking
+from dualbrain.planner.prompt.full_prompt import ChatMessage
+from dualbrain.planner.prompt.prompt_format import UNCONSTRAINED_BY, PromptFormat
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 
 
-def dressed(stack: Stack, cache: Path) -> tuple[Any, Any]:
+def load_stacked_model(stack: AdapterStack, cache: Path) -> tuple[Any, Any]:
     """Model and tokenizer in float32, with all adapters of `stack` in its weights, read as they are for llama.cpp.
 
     Raises `InvalidSetup` for an adapter that has no place in the base, as the converter for llama.cpp does.
     """
     worn = tuple(layer.folder for layer in stack.layers)
-    return open_base(Base(stack.base, stack.gguf, find_file(stack.base).sha256, worn), cache, torch.float32)
+    return load_base_model(
+        BaseModel(stack.base, stack.gguf, find_weight_file(stack.base).sha256, worn), cache, torch.float32
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +58,7 @@ class TorchConfig:
     threads: int = 1
     max_tokens: int = 640
     timeout_s: float = 600.0
-    at_once: int = 8
+    batch_size: int = 8
 
 
 class TorchPlanner:
@@ -66,24 +68,29 @@ class TorchPlanner:
     """
 
     def __init__(
-        self, name: str, stack: Stack, cache: Path, asking: Asking, config: TorchConfig | None = None, *,
-        clock: Callable[[], float] = time.monotonic, narrowed: Mapping[str, str] = {},
+        self, name: str, stack: AdapterStack, cache: Path, prompt_format: PromptFormat, config: TorchConfig | None = None, *,
+        clock: Callable[[], float] = time.monotonic, narrowed_registries: Mapping[str, str] = {},
     ) -> None:  # fmt: skip
         """Nothing is read yet. An adapter also answers in the vocabularies of `narrowed`."""
         self.name, self.stack = name, stack
-        self._cache, self._asking, self._config, self._clock = cache, asking, config or TorchConfig(), clock
-        self._narrowed = narrowed
+        self._cache, self._prompt_format, self._config, self._clock = (
+            cache,
+            prompt_format,
+            config or TorchConfig(),
+            clock,
+        )
+        self._narrowed_registries = narrowed_registries
         self._loaded: tuple[Any, Any, Any] | None = None
 
     @property
     def card(self) -> AdapterCard | None:
         """The adapter that is served, None for a bare model."""
-        return self.stack.top if self.stack.layers else None
+        return self.stack.top_card if self.stack.layers else None
 
     @property
     def template(self) -> str:
         """Hash of the prompt's fixed text."""
-        return self._asking.template()
+        return self._prompt_format.template_hash()
 
     def propose(self, request: PlanRequest) -> Proposal:
         """Answer `request`. Raises `InvalidSetup` for a robot, vocabulary or schema that is not the adapter's."""
@@ -91,38 +98,38 @@ class TorchPlanner:
 
     def propose_all(self, requests: Sequence[PlanRequest]) -> list[Proposal]:
         """Answer each of `requests` as if it were the only one, `at_once` of them side by side."""
-        step = self._config.at_once
+        step = self._config.batch_size
         return [
             answer
             for start in range(0, len(requests), step)
-            for answer in self._together(requests[start : start + step])
+            for answer in self._propose_batch(requests[start : start + step])
         ]
 
-    def messages(self, request: PlanRequest) -> list[Message]:
+    def messages(self, request: PlanRequest) -> list[ChatMessage]:
         """What the model reads for `request`, with the beginning of the answer that it is given."""
-        beginning = self._asking.beginning(request)
-        given: list[Message] = [{"role": "assistant", "content": beginning}] if beginning else []
-        return [*self._asking.messages(request), *given]
+        beginning = self._prompt_format.answer_prefix(request)
+        given: list[ChatMessage] = [{"role": "assistant", "content": beginning}] if beginning else []
+        return [*self._prompt_format.messages(request), *given]
 
     def close(self) -> None:
         """Let go of the model."""
         self._loaded = None
 
-    def _together(self, requests: Sequence[PlanRequest]) -> list[Proposal]:
+    def _propose_batch(self, requests: Sequence[PlanRequest]) -> list[Proposal]:
         for request in requests:
             if self.stack.layers:
-                require_fit(self.stack.top, request.robot, request.registry_hash, self._narrowed)
-        grammars = [self._grammar(request) for request in requests]
+                require_compatible(self.stack.top_card, request.robot, request.registry_hash, self._narrowed_registries)
+        grammars = [self._answer_grammar(request) for request in requests]
         begun = self._clock()
-        model, tokenizer, vocabulary = self._load()
+        model, tokenizer, vocabulary = self._load_model()
         loaded = self._clock()
-        beginnings = [self._asking.beginning(request) for request in requests]
+        beginnings = [self._prompt_format.answer_prefix(request) for request in requests]
         replies = [
-            self._reply(request, beginning, grammar, tokenizer, vocabulary)
+            self._make_stream(request, beginning, grammar, tokenizer, vocabulary)
             for request, beginning, grammar in zip(requests, beginnings, grammars, strict=True)
         ]
         torch.set_num_threads(self._config.threads)
-        speak(model, replies, lambda: self._clock() > begun + self._config.timeout_s)
+        generate(model, replies, lambda: self._clock() > begun + self._config.timeout_s)
         took = {"load": loaded - begun, "decode": self._clock() - loaded, "total": self._clock() - begun}
         took["at_once"] = float(len(requests))
         return [
@@ -130,45 +137,49 @@ class TorchPlanner:
             for request, reply, beginning in zip(requests, replies, beginnings, strict=True)
         ]
 
-    def _reply(self, request: PlanRequest, beginning: str, grammar: str, tokenizer: Any, vocabulary: Any) -> Reply:
-        turns = [{"role": turn["role"], "content": turn["content"]} for turn in self._asking.messages(request)]
-        given = [*prompt_ids(tokenizer, turns)]
+    def _make_stream(
+        self, request: PlanRequest, beginning: str, grammar: str, tokenizer: Any, vocabulary: Any
+    ) -> DecodingStream:
+        turns = [{"role": turn["role"], "content": turn["content"]} for turn in self._prompt_format.messages(request)]
+        given = [*tokenize_prompt(tokenizer, turns)]
         given += tokenizer(beginning, add_special_tokens=False)["input_ids"] if beginning else []
-        bound = Binding(vocabulary, grammar) if grammar else None
-        guide = None if grammar else Binding(vocabulary, contract_grammar(request.schema))
-        seed = self._asking.draw(request)
+        bound = GrammarConstraint(vocabulary, grammar) if grammar else None
+        guide = None if grammar else GrammarConstraint(vocabulary, contract_grammar(request.schema))
+        seed = self._prompt_format.sampling_seed(request)
         longest = self._config.max_tokens
-        return Reply(given, end=tokenizer.eos_token_id, longest=longest, bound=bound, guide=guide, seed=seed)
+        return DecodingStream(
+            given, end_token=tokenizer.eos_token_id, max_tokens=longest, constraint=bound, guide=guide, seed=seed
+        )
 
     def _proposal(
-        self, request: PlanRequest, reply: Reply, beginning: str, tokenizer: Any, took: dict[str, float]
+        self, request: PlanRequest, reply: DecodingStream, beginning: str, tokenizer: Any, took: dict[str, float]
     ) -> Proposal:
-        finish = protocol.STOP if reply.whole else protocol.LENGTH if reply.ended else protocol.TIMEOUT
-        text = beginning + tokenizer.decode(reply.said, skip_special_tokens=True)
-        counts = {"prompt_tokens": float(len(reply.given)), "output_tokens": float(len(reply.said))}
+        finish = protocol.STOP if reply.is_complete else protocol.LENGTH if reply.is_finished else protocol.TIMEOUT
+        text = beginning + tokenizer.decode(reply.output_tokens, skip_special_tokens=True)
+        counts = {"prompt_tokens": float(len(reply.prompt_tokens)), "output_tokens": float(len(reply.output_tokens))}
         said = text if finish != protocol.TIMEOUT else ""
         return Proposal(said, finish, self.name, self._constrained_by(request), took | counts)
 
-    def _load(self) -> tuple[Any, Any, Any]:
+    def _load_model(self) -> tuple[Any, Any, Any]:
         if self._loaded is None:
-            model, tokenizer = dressed(self.stack, self._cache)
+            model, tokenizer = load_stacked_model(self.stack, self._cache)
             device = "cuda" if torch.cuda.is_available() else "cpu"
-            self._loaded = model.to(device), tokenizer, vocabulary_of(tokenizer)
+            self._loaded = model.to(device), tokenizer, llguidance_tokenizer(tokenizer)
         return self._loaded
 
-    def _grammar(self, request: PlanRequest) -> str:
-        if self._asking.grammar is None:
+    def _answer_grammar(self, request: PlanRequest) -> str:
+        if self._prompt_format.grammar is None:
             return ""
         try:
             jsonschema_rs.validator_for(request.schema)
-            return self._asking.grammar(request.schema)
+            return self._prompt_format.grammar(request.schema)
         except (KeyError, TypeError, ValueError) as error:
             got = json.dumps(str(error))
-            raise InvalidSetup("decoding schema", got=got, allowed="an object with action_sequence") from error
+            raise ConfigurationError("decoding schema", got=got, allowed="an object with action_sequence") from error
 
     def _constrained_by(self, request: PlanRequest) -> str:
         version = llguidance.get_version() if hasattr(llguidance, "get_version") else ""
         engine = f"llguidance {version} in transformers; header given".replace("  ", " ")
-        engine = engine if self._asking.grammar is not None else FREE_BY
-        seed = self._asking.draw(request)
+        engine = engine if self._prompt_format.grammar is not None else UNCONSTRAINED_BY
+        seed = self._prompt_format.sampling_seed(request)
         return engine if seed is None else f"{engine}; drawn by chance after a failure, seed {seed}"

@@ -6,54 +6,58 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dualbrain.adaptation.synthetic.templates import POSSIBLE, Book, Kind, Speech
-from dualbrain.contracts.contract import Value
+from dualbrain.adaptation.synthetic.templates import POSSIBLE, Phrasings, TaskTemplate, TemplateBook
+from dualbrain.contracts.contract import ParameterValue
 from dualbrain.contracts.scene_names import SceneNames
 
-Steps = tuple[tuple[str, dict[str, Value]], ...]
+SkillSteps = tuple[tuple[str, dict[str, ParameterValue]], ...]
 """Skills in order, each with the parameters that the sentence decides."""
-SHORT_NAME = 0.25
+SHORT_NAME_PROBABILITY = 0.25
 """How often a thing that is the only one of its kind is called without its colour."""
-MOST = 3
+MAX_GROUP_SIZE = 3
 """Things of a group."""
 
 
 @dataclass(frozen=True)
-class Errand:
+class InstructionSample:
     """A sentence of one `kind` and the steps that answer it; `possible` is False where the answer is to decline."""
 
     kind: str
     sentence: str
-    steps: Steps
-    possible: bool
+    steps: SkillSteps
+    is_possible: bool
 
 
-def draw_errand(names: SceneNames, mobile: bool, book: Book, speech: Speech, rng: np.random.Generator) -> Errand | None:
+def draw_instruction(
+    names: SceneNames, mobile: bool, book: TemplateBook, phrasings: Phrasings, rng: np.random.Generator
+) -> InstructionSample | None:
     """Something to ask in a scene with these `names`; None if what was drawn needs more than stands there."""
-    kinds = [name for name in book.kinds if name in speech.sentences]
+    kinds = [name for name in book.kinds if name in phrasings.sentences]
     shares = np.array([book.kinds[name].share for name in kinds])
     name = kinds[int(rng.choice(len(kinds), p=shares / shares.sum()))]
-    kind, label = book.kinds[name], speech.labels.get(name, POSSIBLE)
-    sentence = str(rng.choice(np.array(speech.sentences[name], object)))
-    meant, group, words = _slots(names, mobile, kind, speech, rng)
+    kind, label = book.kinds[name], phrasings.labels.get(name, POSSIBLE)
+    sentence = str(rng.choice(np.array(phrasings.sentences[name], object)))
+    meant, group, words = _draw_slots(names, mobile, kind, phrasings, rng)
     if any(f"{{{slot}}}" in sentence and not word for slot, word in words.items()):
         return None
     if rng.random() < book.impossible.get(name, 0.0):
-        slot, what = _absent(names, mobile, book, sentence, rng)
-        refusal: dict[str, Value] = {"reason": book.reasons["absent"].format(what=what)}
-        return Errand(name, polish(sentence.format(**words | {slot: what}), rng), (("decline", refusal),), False)
-    sentence = polish(sentence.format(**words), rng)
+        slot, what = _draw_absent(names, mobile, book, sentence, rng)
+        refusal: dict[str, ParameterValue] = {"reason": book.reasons["absent"].format(what=what)}
+        return InstructionSample(
+            name, vary_punctuation(sentence.format(**words | {slot: what}), rng), (("decline", refusal),), False
+        )
+    sentence = vary_punctuation(sentence.format(**words), rng)
     if label != POSSIBLE:
-        return Errand(name, sentence, (("decline", {"reason": book.reasons[label]}),), False)
-    things: list[Value] = list(group) if kind.each else [meant["object"]]
+        return InstructionSample(name, sentence, (("decline", {"reason": book.reasons[label]}),), False)
+    things: list[ParameterValue] = list(group) if kind.each else [meant["object"]]
     steps = tuple(
         (step["skill"], {key: (meant | {"object": thing})[slot] for key, slot in step.items() if key != "skill"})
         for thing in things for step in kind.contract
     )  # fmt: skip
-    return Errand(name, sentence, steps, True)
+    return InstructionSample(name, sentence, steps, True)
 
 
-def polish(sentence: str, rng: np.random.Generator) -> str:
+def vary_punctuation(sentence: str, rng: np.random.Generator) -> str:
     """`sentence` as people type: with or without a capital and a full stop."""
     manner = float(rng.random())
     if manner < 0.4 or not sentence:
@@ -62,9 +66,9 @@ def polish(sentence: str, rng: np.random.Generator) -> str:
     return sentence if manner < 0.7 or sentence[-1] in ".?!" else f"{sentence}."
 
 
-def _slots(
-    names: SceneNames, mobile: bool, kind: Kind, speech: Speech, rng: np.random.Generator
-) -> tuple[dict[str, Value], list[str], dict[str, str]]:
+def _draw_slots(
+    names: SceneNames, mobile: bool, kind: TaskTemplate, speech: Phrasings, rng: np.random.Generator
+) -> tuple[dict[str, ParameterValue], list[str], dict[str, str]]:
     """What each slot means, the things of a group, and words for each; "" where the scene has nothing for a slot.
 
     To an arm the first place is a container, the others are spots on the table; to a robot that drives they are alike.
@@ -75,35 +79,39 @@ def _slots(
     elsewhere = next((one for one in (places if mobile or not spots else spots) if one != target), "")
     named = {"object": things[0] if things else "", "second": things[1] if len(things) > 1 else "",
              "target": target, "second_target": elsewhere}  # fmt: skip
-    words = {slot: _called(name, names, speech, rng) if name else "" for slot, name in named.items()}
-    group, plural = _group(names, rng)
+    words = {slot: _draw_name(name, names, speech, rng) if name else "" for slot, name in named.items()}
+    group, plural = _draw_group(names, rng)
     heading = any("heading" in step for step in kind.contract)
     number = round(float(rng.integers(-31, 32)) / 10, 1) if heading else float(rng.integers(1, 11))
     return {**named, "number": number}, group, {**words, "group": plural, "number": f"{number:g}"}
 
 
-def _called(name: str, names: SceneNames, speech: Speech, rng: np.random.Generator) -> str:
+def _draw_name(name: str, names: SceneNames, speech: Phrasings, rng: np.random.Generator) -> str:
     """How somebody calls `name`: as it is spoken, or by its kind alone where that is enough."""
     kind = name.rpartition("_")[2]
-    alone = sum(one.endswith(f"_{kind}") for one in names.both) == 1 and speech.spoken(name) == name.replace("_", " ")
-    return kind if alone and rng.random() < SHORT_NAME else speech.spoken(name)
+    alone = sum(one.endswith(f"_{kind}") for one in names.all_names) == 1 and speech.natural_name(name) == name.replace(
+        "_", " "
+    )
+    return kind if alone and rng.random() < SHORT_NAME_PROBABILITY else speech.natural_name(name)
 
 
-def _group(names: SceneNames, rng: np.random.Generator) -> tuple[list[str], str]:
+def _draw_group(names: SceneNames, rng: np.random.Generator) -> tuple[list[str], str]:
     """Two or three things of one colour or kind, in the order of the scene, and their name in the plural."""
     groups: dict[str, list[str]] = {}
     for name in names.graspable:
         colour, _, kind = name.partition("_")
         groups.setdefault(f"{colour} things", []).append(name)
         groups.setdefault(f"{kind}s" if not kind.endswith("x") else f"{kind}es", []).append(name)
-    fitting = [plural for plural, found in groups.items() if 1 < len(found) <= MOST]
+    fitting = [plural for plural, found in groups.items() if 1 < len(found) <= MAX_GROUP_SIZE]
     if not fitting:
         return [], ""
     plural = fitting[int(rng.integers(len(fitting)))]
     return groups[plural], plural
 
 
-def _absent(names: SceneNames, mobile: bool, book: Book, sentence: str, rng: np.random.Generator) -> tuple[str, str]:
+def _draw_absent(
+    names: SceneNames, mobile: bool, book: TemplateBook, sentence: str, rng: np.random.Generator
+) -> tuple[str, str]:
     """A slot of the sentence, and words for something that is not there."""
     absent, colour = book.absent, str(rng.choice(book.absent.colours))
     if mobile:

@@ -7,38 +7,40 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from dualbrain.contracts.contract import Action, Value
-from dualbrain.contracts.registry import Registry
-from dualbrain.contracts.skill_spec import Choice, Number
-from dualbrain.errors import InvalidSetup
+from dualbrain.contracts.contract import Action, ParameterValue
+from dualbrain.contracts.registry import SkillRegistry
+from dualbrain.contracts.skill_spec import ChoiceParameter, NumberParameter
+from dualbrain.errors import ConfigurationError
 
-STEPS = 10
+MIN_GRID_STEPS = 10
 """A range is drawn from in at least this many steps of a power of ten, so that a number has few digits."""
 
 
-def draw_action(registry: Registry, skill: str, given: Mapping[str, Value], rng: np.random.Generator) -> Action:
+def draw_action(
+    registry: SkillRegistry, skill: str, given: Mapping[str, ParameterValue], rng: np.random.Generator
+) -> Action:
     """`skill` with the `given` parameters, all others drawn; nothing here knows what a body does with them."""
-    drawn: dict[str, Value] = {}
+    drawn: dict[str, ParameterValue] = {}
     for parameter in registry.skill(skill).parameters:
         match parameter:
             case _ if parameter.name in given:
                 drawn[parameter.name] = given[parameter.name]
-            case Number():
+            case NumberParameter():
                 drawn[parameter.name] = draw_number(parameter, rng)
-            case Choice():
+            case ChoiceParameter():
                 drawn[parameter.name] = str(rng.choice(parameter.choices))
             case _:
                 allowed = "given: names and texts are not drawn"
-                raise InvalidSetup(f"{skill}.{parameter.name}", got="nothing", allowed=allowed)
+                raise ConfigurationError(f"{skill}.{parameter.name}", got="nothing", allowed=allowed)
     return Action(skill, drawn)
 
 
-def draw_number(number: Number, rng: np.random.Generator) -> float:
+def draw_number(number: NumberParameter, rng: np.random.Generator) -> float:
     """A number within the bounds of `number`, on a grid of powers of ten; the lower bound if no point lies between."""
     span = number.upper - number.lower
     if span <= 0.0:
         return number.lower
-    digits = -math.floor(math.log10(span / STEPS))
+    digits = -math.floor(math.log10(span / MIN_GRID_STEPS))
     scale = 10.0**digits
     first, last = math.ceil(number.lower * scale - 1e-9), math.floor(number.upper * scale + 1e-9)
     return round(int(rng.integers(first, last + 1)) / scale, max(digits, 0))

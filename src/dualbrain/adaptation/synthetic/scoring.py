@@ -8,15 +8,15 @@ from collections.abc import Callable
 import msgspec
 
 from dualbrain.contracts.contract import Action, Contract
-from dualbrain.contracts.registry import Registry
-from dualbrain.contracts.skill_spec import Name
-from dualbrain.errors import UNREADABLE
+from dualbrain.contracts.registry import SkillRegistry
+from dualbrain.contracts.skill_spec import NameParameter
+from dualbrain.errors import DECODE_ERRORS
 
-SAID = frozenset({("hold", "duration"), ("turn_to", "heading")})
+INSTRUCTED_NUMBERS = frozenset({("hold", "duration"), ("turn_to", "heading")})
 """Numbers that the instruction gives; all others are the planner's to choose."""
 
 
-class Score(msgspec.Struct, frozen=True):
+class AnswerScore(msgspec.Struct, frozen=True):
     """One answer. `compliant`: accepted by whoever judges, and declined exactly where the instruction is impossible.
 
     `skills`: the wanted skills in the wanted order. `named`: the right things and places in them, and numbers as said.
@@ -28,34 +28,38 @@ class Score(msgspec.Struct, frozen=True):
     named: bool
 
     @property
-    def right(self) -> bool:
+    def is_right(self) -> bool:
         """All of it."""
         return self.compliant and self.skills and self.named
 
 
-def score(text: str, wanted: str, registry: Registry, accepts: Callable[[bytes], bool]) -> Score:
+def score_answer(text: str, reference: str, registry: SkillRegistry, accepts: Callable[[bytes], bool]) -> AnswerScore:
     """What `text` is worth where a contract like `wanted` was asked for; `accepts` is the gate."""
-    goal = msgspec.json.decode(wanted, type=Contract).action_sequence
+    goal = msgspec.json.decode(reference, type=Contract).action_sequence
     try:
         json.loads(text)
     except (ValueError, RecursionError):
-        return Score(json=False, compliant=False, skills=False, named=False)
+        return AnswerScore(json=False, compliant=False, skills=False, named=False)
     accepted = accepts(text.encode("utf-8", "surrogatepass"))
     try:
         found = msgspec.json.decode(text, type=Contract).action_sequence
-    except UNREADABLE:
-        return Score(json=True, compliant=False, skills=False, named=False)
+    except DECODE_ERRORS:
+        return AnswerScore(json=True, compliant=False, skills=False, named=False)
     skills = [action.skill for action in found] == [action.skill for action in goal]
-    named = skills and all(_as_said(ours, theirs, registry) for ours, theirs in zip(found, goal, strict=True))
-    return Score(json=True, compliant=accepted and _declines(found) == _declines(goal), skills=skills, named=named)
+    named = skills and all(
+        _matches_instruction(ours, theirs, registry) for ours, theirs in zip(found, goal, strict=True)
+    )
+    return AnswerScore(
+        json=True, compliant=accepted and _declines(found) == _declines(goal), skills=skills, named=named
+    )
 
 
 def _declines(actions: tuple[Action, ...]) -> bool:
     return any(action.skill == "decline" for action in actions)
 
 
-def _as_said(ours: Action, theirs: Action, registry: Registry) -> bool:
+def _matches_instruction(ours: Action, theirs: Action, registry: SkillRegistry) -> bool:
     """Whether what the instruction decides is the same in both."""
-    decided = [p.name for p in registry.skill(theirs.skill).parameters if isinstance(p, Name)]
-    decided += [name for skill, name in SAID if skill == theirs.skill]
+    decided = [p.name for p in registry.skill(theirs.skill).parameters if isinstance(p, NameParameter)]
+    decided += [name for skill, name in INSTRUCTED_NUMBERS if skill == theirs.skill]
     return all(ours.params.get(name) == theirs.params.get(name) for name in decided)

@@ -11,14 +11,14 @@ from typing import Literal
 
 import msgspec
 
-from dualbrain.adaptation.synthetic.split import LESSONS_SHA256, Part
-from dualbrain.errors import WrongHash
+from dualbrain.adaptation.synthetic.split import LESSONS_SHA256, Split
+from dualbrain.errors import ChecksumError
 
-FILE = "templates.toml"
+TEMPLATE_FILE = "templates.toml"
 POSSIBLE = "possible"
 
 
-class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class TaskTemplate(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One kind of errand: how often it is taught (`share`), and the skeleton of the contract that answers it.
 
     A step of the skeleton names its skill and the parameters that the sentence decides, each with the slot that says
@@ -35,7 +35,7 @@ class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     held_out: tuple[str, ...] = ()
 
 
-class Absent(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class AbsentWords(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Words for what is not there."""
 
     colours: tuple[str, ...]
@@ -44,34 +44,36 @@ class Absent(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rooms: tuple[str, ...]
 
 
-class Book(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class TemplateBook(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The kinds by name, what a refusal says, and of which kinds what share asks for something that is not there."""
 
-    absent: Absent
+    absent: AbsentWords
     reasons: dict[str, str]
-    kinds: dict[str, Kind]
+    kinds: dict[str, TaskTemplate]
     impossible: dict[str, float]
 
 
 @dataclass(frozen=True)
-class Speech:
+class Phrasings:
     """How people talk to one sort of robot: `sentences` and `labels` by kind, and how a name is `spoken`."""
 
     sentences: Mapping[str, tuple[str, ...]]
     labels: Mapping[str, str]
-    spoken: Callable[[str], str]
+    natural_name: Callable[[str], str]
 
 
 @cache
-def book() -> Book:
+def load_templates() -> TemplateBook:
     """The file; raises `WrongHash` if it is not the one that was fixed."""
-    data = resources.files("dualbrain.adaptation.synthetic").joinpath(FILE).read_bytes()
+    data = resources.files("dualbrain.adaptation.synthetic").joinpath(TEMPLATE_FILE).read_bytes()
     if (got := hashlib.sha256(data).hexdigest()) != LESSONS_SHA256:
-        raise WrongHash(FILE, got=got, expected=LESSONS_SHA256, path=FILE)
-    return msgspec.toml.decode(data, type=Book)
+        raise ChecksumError(TEMPLATE_FILE, got=got, expected=LESSONS_SHA256, path=TEMPLATE_FILE)
+    return msgspec.toml.decode(data, type=TemplateBook)
 
 
-def own_sentences(robots: str, part: Part, spoken_of: Collection[str]) -> dict[str, tuple[str, ...]]:
+def template_sentences(robots: str, split: Split, known_kinds: Collection[str]) -> dict[str, tuple[str, ...]]:
     """The file's own sentences by kind: of kinds that only it has for `robots`, and of those `spoken_of` elsewhere."""
-    kinds = {name: kind for name, kind in book().kinds.items() if kind.robots == robots or name in spoken_of}
-    return {name: kind.held_out if part == "test" else kind.teach for name, kind in kinds.items()}
+    kinds = {
+        name: kind for name, kind in load_templates().kinds.items() if kind.robots == robots or name in known_kinds
+    }
+    return {name: kind.held_out if split == "test" else kind.teach for name, kind in kinds.items()}

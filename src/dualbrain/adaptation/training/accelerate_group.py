@@ -17,33 +17,33 @@ from torch import Tensor
 from dualbrain.errors import DualbrainError
 
 T = TypeVar("T")
-LONGEST = timedelta(days=1)
+BROADCAST_TIMEOUT = timedelta(days=1)
 """How long the others wait for the first one, which alone computes the base's states and asks what is held out."""
 
 
-class FirstFailed(DualbrainError):
+class FirstProcessError(DualbrainError):
     """The first process of a team could not do what all wait for."""
 
-    def __init__(self, why: str) -> None:
+    def __init__(self, reason: str) -> None:
         """Say what it said."""
-        self.why = why
-        super().__init__(f"the first process failed: {why}")
+        self.reason = reason
+        super().__init__(f"the first process failed: {reason}")
 
 
-class Launched:
+class AccelerateGroup:
     """A team over accelerate: NCCL between CUDA devices, gloo between processors."""
 
     def __init__(self, state: PartialState) -> None:
         """Take the processes that `state` has joined."""
         self.rank, self.size = state.process_index, state.num_processes
 
-    def sum(self, tensors: Sequence[Tensor]) -> None:
+    def all_reduce_sum(self, tensors: Sequence[Tensor]) -> None:
         """Put into each tensor its sum over the processes; all of them travel as one."""
         told: Any = reduce(torch.cat([tensor.flatten() for tensor in tensors]), reduction="sum")
         for tensor, part in zip(tensors, told.split([tensor.numel() for tensor in tensors]), strict=True):
             tensor.copy_(part.view_as(tensor))
 
-    def once(self, work: Callable[[], T]) -> T:
+    def run_on_first(self, work: Callable[[], T]) -> T:
         """What `work` gives in the first process; raises `FirstFailed` in the others if it raises there."""
         if self.rank == 0:
             try:
@@ -55,16 +55,16 @@ class Launched:
             return done
         done, why = broadcast_object_list([None, ""])
         if why:
-            raise FirstFailed(why)
+            raise FirstProcessError(why)
         return done
 
 
 @contextmanager
-def gathered() -> Generator[Launched]:
+def join_process_group() -> Generator[AccelerateGroup]:
     """Join the processes that the launcher started, by the variables that it set; each takes its own CUDA device.
 
     If one of them ends with an error the launcher ends the others.
     """
-    state = PartialState(cpu=not torch.cuda.is_available(), timeout=LONGEST)
-    yield Launched(state)
+    state = PartialState(cpu=not torch.cuda.is_available(), timeout=BROADCAST_TIMEOUT)
+    yield AccelerateGroup(state)
     state.destroy_process_group()

@@ -12,17 +12,17 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
-from dualbrain.adaptation.config import FitDials, ObjectiveDials
-from dualbrain.adaptation.early_stopping import Patience
-from dualbrain.adaptation.training.checksummed_tensors import Damaged, packed, unpacked
-from dualbrain.core.storage.atomic_files import write_durably
-from dualbrain.core.text import apart
-from dualbrain.errors import UNREADABLE, InvalidSetup
+from dualbrain.adaptation.config import FitConfig, ObjectiveConfig
+from dualbrain.adaptation.early_stopping import EarlyStopping
+from dualbrain.adaptation.training.checksummed_tensors import CorruptFileError, encode_tensors, read_tensors
+from dualbrain.core.storage.atomic_files import write_atomically
+from dualbrain.core.text import describe_differences
+from dualbrain.errors import DECODE_ERRORS, ConfigurationError
 
-ANEW = "Name another --out, or delete it to begin anew."
+RESTART_HINT = "Name another --out, or delete it to begin anew."
 
 
-class Mark(msgspec.Struct, frozen=True):
+class CheckpointState(msgspec.Struct, frozen=True, rename={"run_parts": "told"}):
     """`run` is the key of what is being fitted, `step` the last one taken, `patience` the best so far.
 
     `best` is the SHA-256 of the best adapter's file, `told` are the parts of the run; older marks have neither.
@@ -30,37 +30,37 @@ class Mark(msgspec.Struct, frozen=True):
 
     run: str
     step: int
-    patience: Patience
+    patience: EarlyStopping
     best: str = ""
-    told: dict[str, str] = {}
+    run_parts: dict[str, str] = {}
 
 
-def save_checkpoint(path: Path, mark: Mark, tensors: dict[str, Tensor]) -> None:
+def save_checkpoint(path: Path, state: CheckpointState, tensors: dict[str, Tensor]) -> None:
     """Write `tensors` and `mark`; raises `DiskFull`, and then the former checkpoint still stands."""
-    write_durably(path, packed(tensors, {"mark": msgspec.json.encode(mark).decode()}))
+    write_atomically(path, encode_tensors(tensors, {"mark": msgspec.json.encode(state).decode()}))
 
 
-def load_checkpoint(path: Path, run: Run) -> tuple[Mark, dict[str, Tensor]] | None:
+def load_checkpoint(path: Path, run: RunKey) -> tuple[CheckpointState, dict[str, Tensor]] | None:
     """The checkpoint at `path`, None if there is none; raises `InvalidSetup` if it is of another run or damaged."""
     if not path.is_file():
         return None
-    fix = f"{ANEW} {path}"
+    fix = f"{RESTART_HINT} {path}"
     try:
-        tensors, facts = unpacked(path)
-        mark = msgspec.json.decode(facts.get("mark", ""), type=Mark)
-    except (Damaged, *UNREADABLE) as error:
-        raise InvalidSetup("checkpoint", got=f"damaged: {error}", allowed="a whole one", fix=fix) from error
-    if mark.run != run.key:
-        parts = apart(mark.told, run.told)
+        tensors, facts = read_tensors(path)
+        mark = msgspec.json.decode(facts.get("mark", ""), type=CheckpointState)
+    except (CorruptFileError, *DECODE_ERRORS) as error:
+        raise ConfigurationError("checkpoint", got=f"damaged: {error}", allowed="a whole one", fix=fix) from error
+    if mark.run != run.digest:
+        parts = describe_differences(mark.run_parts, run.parts)
         got = "one of other data, dials or base" + (f" ({parts})" if parts else "")
-        raise InvalidSetup("checkpoint", got=got, allowed="of this run", fix=fix)
+        raise ConfigurationError("checkpoint", got=got, allowed="of this run", fix=fix)
     return mark, tensors
 
 
 def save_best(path: Path, adapter: dict[str, Tensor]) -> str:
     """Write the best adapter so far; returns the SHA-256 of the file. Raises `DiskFull`."""
     data = save(adapter)
-    write_durably(path, data)
+    write_atomically(path, data)
     return hashlib.sha256(data).hexdigest()
 
 
@@ -69,33 +69,39 @@ def load_best(path: Path, sha256: str) -> dict[str, Tensor]:
     try:
         data = path.read_bytes()
         if sha256 and hashlib.sha256(data).hexdigest() != sha256:
-            raise Damaged("it is not what was written")
+            raise CorruptFileError("it is not what was written")
         return load(data)
-    except (OSError, Damaged, SafetensorError) as error:
+    except (OSError, CorruptFileError, SafetensorError) as error:
         fix = f"Name another --out, or delete the folder's checkpoint to begin anew. {path}"
-        raise InvalidSetup(
+        raise ConfigurationError(
             "best adapter of the fit", got=f"damaged: {error}", allowed="a whole one", fix=fix
         ) from error
 
 
-class Run(msgspec.Struct, frozen=True):
+class RunKey(msgspec.Struct, frozen=True, rename={"number_format": "numbers"}):
     """Hashes of the data set and of the base, the number format that is computed in, and the dials."""
 
     data: str
     base: str
-    numbers: str
-    objective: ObjectiveDials
-    fit: FitDials
+    number_format: str
+    objective: ObjectiveConfig
+    fit: FitConfig
 
     @property
-    def key(self) -> str:
+    def digest(self) -> str:
         """A name for it all."""
-        told = [self.data, self.base, self.numbers, msgspec.to_builtins(self.objective), msgspec.to_builtins(self.fit)]
+        told = [
+            self.data,
+            self.base,
+            self.number_format,
+            msgspec.to_builtins(self.objective),
+            msgspec.to_builtins(self.fit),
+        ]
         return hashlib.sha256(msgspec.json.encode(told)).hexdigest()[:32]
 
     @property
-    def told(self) -> dict[str, str]:
+    def parts(self) -> dict[str, str]:
         """Each part by its name, for people."""
         dials = {"objective": msgspec.to_builtins(self.objective), "fit": msgspec.to_builtins(self.fit)}
-        parts = {"data set": self.data[:16], "base": self.base[:16], "numbers": self.numbers}
+        parts = {"data set": self.data[:16], "base": self.base[:16], "numbers": self.number_format}
         return parts | {f"{room} {name}": str(value) for room, some in dials.items() for name, value in some.items()}

@@ -14,30 +14,30 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from dualbrain.errors import UNREADABLE
+from dualbrain.errors import DECODE_ERRORS
 
-LABEL = "label"
+HEADER_KEY = "label"
 """The one entry beside the tensors: the library writes several in an order that chance decides."""
 
 
-class Label(msgspec.Struct, frozen=True):
+class TensorHeader(msgspec.Struct, frozen=True):
     """`facts` about the tensors, and the checksum of both."""
 
     sha256: str
     facts: dict[str, str]
 
 
-class Damaged(Exception):
+class CorruptFileError(Exception):
     """A file that does not hold what was written."""
 
 
-def packed(tensors: Mapping[str, Tensor], facts: Mapping[str, str]) -> bytes:
+def encode_tensors(tensors: Mapping[str, Tensor], facts: Mapping[str, str]) -> bytes:
     """A file that holds `tensors`, and `facts` about them."""
     whole = {name: tensor.detach().contiguous().cpu() for name, tensor in tensors.items()}
-    return save(whole, {LABEL: msgspec.json.encode(Label(checksum(whole, facts), dict(facts))).decode()})
+    return save(whole, {HEADER_KEY: msgspec.json.encode(TensorHeader(checksum(whole, facts), dict(facts))).decode()})
 
 
-def unpacked(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
+def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     """Tensors and facts of the file at `path`, as they were packed; raises `Damaged`.
 
     A file from before there were checksums is taken at its word.
@@ -46,13 +46,13 @@ def unpacked(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
         with safe_open(path, "pt") as file:
             beside = dict(file.metadata() or {})
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        if LABEL not in beside:
+        if HEADER_KEY not in beside:
             return tensors, beside
-        label = msgspec.json.decode(beside[LABEL], type=Label)
-    except (SafetensorError, *UNREADABLE) as error:
-        raise Damaged(str(error)) from error
+        label = msgspec.json.decode(beside[HEADER_KEY], type=TensorHeader)
+    except (SafetensorError, *DECODE_ERRORS) as error:
+        raise CorruptFileError(str(error)) from error
     if label.sha256 != checksum(tensors, label.facts):
-        raise Damaged("its checksum is that of another content")
+        raise CorruptFileError("its checksum is that of another content")
     return tensors, label.facts
 
 

@@ -9,12 +9,12 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from dualbrain.adaptation.training.process_group import ALONE, Team
+from dualbrain.adaptation.training.process_group import SINGLE_PROCESS, ProcessGroup
 
-MOMENTS = ("step", "exp_avg", "exp_avg_sq")
+ADAM_STATE_NAMES = ("step", "exp_avg", "exp_avg_sq")
 
 
-class Masters:
+class MasterWeights:
     """Holds a float32 master of each parameter; the parameter is the master, rounded.
 
     A bf16 number has 8 bits: a step of 1e-3 of its size would be lost in it. Adapters in bf16 save the copies between
@@ -24,11 +24,13 @@ class Masters:
     take the same step.
     """
 
-    def __init__(self, parameters: Mapping[str, torch.nn.Parameter], team: Team = ALONE) -> None:
+    def __init__(
+        self, parameters: Mapping[str, torch.nn.Parameter], process_group: ProcessGroup = SINGLE_PROCESS
+    ) -> None:
         """Copy `parameters`, by name."""
-        self._parameters, self._team = dict(parameters), team
-        self._masters = {name: p.detach().float().clone() for name, p in parameters.items()}
-        self._adam = torch.optim.AdamW(list(self._masters.values()), weight_decay=0.0)
+        self._parameters, self._process_group = dict(parameters), process_group
+        self._weights = {name: p.detach().float().clone() for name, p in parameters.items()}
+        self._adam = torch.optim.AdamW(list(self._weights.values()), weight_decay=0.0)
 
     def step(self, rate: float, clip: float) -> float:
         """One step along the gradients, scaled down to norm `clip`; returns their norm before. Clears them.
@@ -36,34 +38,38 @@ class Masters:
         If the norm is not finite nothing is changed.
         """
         for name, parameter in self._parameters.items():
-            self._masters[name].grad = None if parameter.grad is None else parameter.grad.float()
+            self._weights[name].grad = None if parameter.grad is None else parameter.grad.float()
             parameter.grad = None
-        self._team.sum([master.grad for master in self._masters.values()])
-        norm = torch.nn.utils.clip_grad_norm_(list(self._masters.values()), clip)
+        self._process_group.all_reduce_sum([master.grad for master in self._weights.values()])
+        norm = torch.nn.utils.clip_grad_norm_(list(self._weights.values()), clip)
         if not torch.isfinite(norm):
             return float(norm)
         for group in self._adam.param_groups:
             group["lr"] = rate
         self._adam.step()
-        self._round()
+        self._copy_to_parameters()
         return float(norm)
 
-    def state(self) -> dict[str, Tensor]:
+    def state_dict(self) -> dict[str, Tensor]:
         """Masters and moments by name, to be stored."""
-        found = {f"master/{name}": master for name, master in self._masters.items()}
-        for name, master in self._masters.items():
-            found |= {f"{what}/{name}": self._adam.state[master][what] for what in MOMENTS if self._adam.state[master]}
+        found = {f"master/{name}": master for name, master in self._weights.items()}
+        for name, master in self._weights.items():
+            found |= {
+                f"{what}/{name}": self._adam.state[master][what]
+                for what in ADAM_STATE_NAMES
+                if self._adam.state[master]
+            }
         return found
 
-    def load(self, stored: Mapping[str, Tensor]) -> None:
+    def load_state_dict(self, stored: Mapping[str, Tensor]) -> None:
         """Go on exactly where `state` was taken."""
-        for name, master in self._masters.items():
+        for name, master in self._weights.items():
             master.copy_(stored[f"master/{name}"])
-            moments = {what: stored[f"{what}/{name}"].to(master.device, copy=True) for what in MOMENTS}
+            moments = {what: stored[f"{what}/{name}"].to(master.device, copy=True) for what in ADAM_STATE_NAMES}
             self._adam.state[master] = moments | {"step": moments["step"].cpu()}  # torch counts on the processor
-        self._round()
+        self._copy_to_parameters()
 
     @torch.no_grad()
-    def _round(self) -> None:
+    def _copy_to_parameters(self) -> None:
         for name, parameter in self._parameters.items():
-            parameter.copy_(self._masters[name])
+            parameter.copy_(self._weights[name])

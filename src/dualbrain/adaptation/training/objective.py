@@ -19,9 +19,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from dualbrain.adaptation.config import ObjectiveDials
+from dualbrain.adaptation.config import ObjectiveConfig
 
-TOP = 20
+TOP_K = 20
 """K of the token gate."""
 
 
@@ -46,13 +46,13 @@ def objective(
     """
     log_p = log_probabilities(hidden, head)
     ce = -log_p.gather(1, labels[:, None]).squeeze(1)
-    gate = soft_gate(log_p) if token_gate else 1.0
+    gate = token_entropy_gate(log_p) if token_gate else 1.0
     total = (omega * gate * ce).sum() / tokens
     kl = torch.zeros((), device=ce.device)
     if beta > 0.0 and base_hidden is not None:
         with torch.no_grad():
             log_q = log_probabilities(base_hidden, head)
-        kl = divergence(log_p, log_q).sum()
+        kl = kl_divergence(log_p, log_q).sum()
         total = total + beta * kl / tokens
     return Loss(total, ce.detach().sum() / tokens, kl.detach() / tokens)
 
@@ -62,7 +62,7 @@ def log_probabilities(hidden: Tensor, head: Tensor) -> Tensor:
     return (hidden.to(head.dtype) @ head.T).float().log_softmax(-1)
 
 
-def divergence(log_p: Tensor, log_q: Tensor) -> Tensor:
+def kl_divergence(log_p: Tensor, log_q: Tensor) -> Tensor:
     """KL(p ‖ q) = Σ_v p_v (log p_v − log q_v) of each row [nats], shape (n,): at least 0, and 0 only where p = q."""
     return (log_p.exp() * (log_p - log_q)).sum(-1)
 
@@ -72,50 +72,54 @@ def entropy(log_p: Tensor) -> Tensor:
     return -(log_p.exp() * log_p).sum(-1)
 
 
-def soft_gate(log_p: Tensor) -> Tensor:
+def token_entropy_gate(log_p: Tensor) -> Tensor:
     """H̃_t = H(top 20 of p_t) / ln 20 ∈ [0, 1], detached: the entropy gate of EAFT (Diao et al. 2026, arXiv 2601.02151).
 
     It silences tokens that the present model is sure of, right or wrong; an ablation, for limits of a body often are
     what a planner is wrongly sure of.
     """
-    k = min(TOP, log_p.shape[-1])
+    k = min(TOP_K, log_p.shape[-1])
     top = log_p.detach().topk(k, dim=-1).values.log_softmax(-1)
     return entropy(top) / math.log(k)
 
 
-Values = NDArray[np.float64]
+Array = NDArray[np.float64]
 
-LOW, HIGH = 5.0, 95.0
+LOW_PERCENTILE, HIGH_PERCENTILE = 5.0, 95.0
 """Entropies are cut at these percentiles: the means of whole contracts lie close together, and one odd one would else
 take the whole scale."""
-LEAST = 1e-6
+MIN_ENTROPY_SPREAD = 1e-6
 """A spread of entropies [nats] up to this is none."""
 
 
-def omega(memory_weights: Sequence[float], entropies: Sequence[float], dials: ObjectiveDials) -> Values:
+def sample_weights(memory_weights: Sequence[float], entropies: Sequence[float], config: ObjectiveConfig) -> Array:
     """ω of each sample, shape (n,). ŵ_i is its memory weight w_i ∈ [0, 1], Ĥ_i its entropy scaled to [0, 1].
 
     H_i [nats] is the mean entropy of the round's starting model over the contract's tokens. λ_H acts with the gate
     "sample" only. Law: ω ≥ 1, ω = 1 everywhere if both λ are 0, and ω rises with w and with H.
     """
     w = np.clip(np.asarray(memory_weights, float), 0.0, 1.0)
-    lambda_h = dials.lambda_h if dials.entropy_gate == "sample" else 0.0
-    return 1.0 + dials.lambda_w * w + lambda_h * scaled(np.asarray(entropies, float))
+    lambda_h = config.lambda_h if config.entropy_gate == "sample" else 0.0
+    return 1.0 + config.lambda_w * w + lambda_h * scale_entropies(np.asarray(entropies, float))
 
 
-def scaled(entropies: Values) -> Values:
+def scale_entropies(entropies: Array) -> Array:
     """`entropies` cut at their 5th and 95th percentile and brought to [0, 1]; all 0 if they do not differ."""
     if not len(entropies):
         return entropies
-    low, high = np.percentile(entropies, [LOW, HIGH])
-    return np.clip((entropies - low) / (high - low), 0.0, 1.0) if high - low > LEAST else np.zeros_like(entropies)
+    low, high = np.percentile(entropies, [LOW_PERCENTILE, HIGH_PERCENTILE])
+    return (
+        np.clip((entropies - low) / (high - low), 0.0, 1.0)
+        if high - low > MIN_ENTROPY_SPREAD
+        else np.zeros_like(entropies)
+    )
 
 
-def normalised(weights: Values, tokens: Sequence[int], shown: Sequence[int]) -> Values:
+def normalize_weights(weights: Array, tokens: Sequence[int], repeats: Sequence[int]) -> Array:
     """ω̃_i = ω_i / ω̄ with ω̄ = Σ ω_i n_i / Σ n_i over all that an epoch shows (n_i `tokens`, each `shown` times).
 
     L divides by Σ ω_i n_i. Dividing each batch by its own sum would undo ω (wholly, with one sample a batch); dividing
     once by that of the data set keeps L, and no λ changes the effective learning rate.
     """
-    n = np.asarray(tokens, float) * np.asarray(shown, float)
+    n = np.asarray(tokens, float) * np.asarray(repeats, float)
     return weights * (n.sum() / (weights * n).sum())

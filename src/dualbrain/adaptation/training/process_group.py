@@ -8,7 +8,7 @@ from typing import Any, Protocol, TypeVar
 T = TypeVar("T")
 
 
-class Team(Protocol):
+class ProcessGroup(Protocol):
     """Who am I, how many are we, and what we do as one.
 
     All call the same in the same order; who does not lets the others wait.
@@ -24,11 +24,11 @@ class Team(Protocol):
         """How many there are."""
         ...
 
-    def sum(self, tensors: Sequence[Any]) -> None:
+    def all_reduce_sum(self, tensors: Sequence[Any]) -> None:
         """Put into each tensor its sum over the processes: the same bits in all of them."""
         ...
 
-    def once(self, work: Callable[[], T]) -> T:
+    def run_on_first(self, work: Callable[[], T]) -> T:
         """What `work` gives in the first process, told to all; the others wait for it and do not do it.
 
         What it raises there it raises there; the others raise `FirstFailed`.
@@ -36,17 +36,17 @@ class Team(Protocol):
         ...
 
 
-class Alone:
+class SingleProcess:
     """A fit in one process: nothing to share, nobody to tell."""
 
     rank, size = 0, 1
 
-    def sum(self, tensors: Sequence[Any]) -> None:
+    def all_reduce_sum(self, tensors: Sequence[Any]) -> None:
         """Each is its own sum."""
 
-    def once(self, work: Callable[[], T]) -> T:
+    def run_on_first(self, work: Callable[[], T]) -> T:
         """Do it."""
         return work()
 
 
-ALONE = Alone()
+SINGLE_PROCESS = SingleProcess()

@@ -16,70 +16,70 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from dualbrain.adaptation.training.checksummed_tensors import Damaged, packed, unpacked
-from dualbrain.adaptation.training.model.batching import Encoded, collate, contract_states
+from dualbrain.adaptation.training.checksummed_tensors import CorruptFileError, encode_tensors, read_tensors
+from dualbrain.adaptation.training.model.batching import EncodedSample, collate, contract_hidden_states
 from dualbrain.adaptation.training.objective import entropy, log_probabilities
-from dualbrain.core.storage.atomic_files import write_durably
+from dualbrain.core.storage.atomic_files import write_atomically
 
-TOGETHER = 8
+BATCH_SIZE = 8
 """Samples in one pass."""
 
 
-class BaseStates:
+class ReferenceStates:
     """Hidden states (n_i, d) and entropies (n_i,) [nats] of the starting model, by sample id."""
 
     def __init__(self, rows: dict[str, tuple[Tensor, Tensor]]) -> None:
         """Take states and entropies by id."""
         self._rows = rows
 
-    def states(self, samples: Sequence[Encoded]) -> Tensor:
+    def hidden_states(self, samples: Sequence[EncodedSample]) -> Tensor:
         """The states of `samples`, one below the other, as `contract_states` orders them."""
         return torch.cat([self._rows[one.id][0] for one in samples])
 
-    def entropies(self, samples: Sequence[Encoded]) -> list[float]:
+    def entropies(self, samples: Sequence[EncodedSample]) -> list[float]:
         """H_i [nats]: the mean entropy over the tokens of each contract."""
         return [float(self._rows[one.id][1].mean()) for one in samples]
 
 
-def key_of(base: str, samples: Sequence[Encoded], numbers: str) -> str:
+def states_key(base: str, samples: Sequence[EncodedSample], numbers: str) -> str:
     """SHA-256 of all that the states depend on: the base's weights (by hash), every token, the number format."""
     told = [base, numbers, [[one.id, one.prompt, one.contract] for one in samples]]
     return hashlib.sha256(repr(told).encode()).hexdigest()
 
 
 @torch.no_grad()
-def compute(decoder: Any, head: Tensor, samples: Sequence[Encoded], padding: int) -> BaseStates:
+def compute_states(decoder: Any, head: Tensor, samples: Sequence[EncodedSample], padding: int) -> ReferenceStates:
     """The states of `decoder`, which must be the base (adapter off), in evaluation mode."""
     rows: dict[str, tuple[Tensor, Tensor]] = {}
     order = sorted(samples, key=lambda one: len(one.prompt) + len(one.contract))
-    for start in range(0, len(order), TOGETHER):
-        some = order[start : start + TOGETHER]
+    for start in range(0, len(order), BATCH_SIZE):
+        some = order[start : start + BATCH_SIZE]
         batch = collate(some, padding, device=str(head.device))
-        hidden, _ = contract_states(decoder, batch)
+        hidden, _ = contract_hidden_states(decoder, batch)
         spread = entropy(log_probabilities(hidden, head))
-        parts = zip(hidden.split(batch.counts), spread.split(batch.counts), strict=True)
+        parts = zip(hidden.split(batch.contract_token_counts), spread.split(batch.contract_token_counts), strict=True)
         for one, (states, nats) in zip(some, parts, strict=True):
             rows[one.id] = (states.clone(), nats.clone())
-    return BaseStates(rows)
+    return ReferenceStates(rows)
 
 
-def keep(states: BaseStates, path: Path, key: str) -> None:
+def save_states(states: ReferenceStates, path: Path, key: str) -> None:
     """Write `states` to `path`, whole or not at all."""
     tensors = {
         f"{name}.{what}": t for name, row in states._rows.items() for what, t in zip(("h", "H"), row, strict=True)
     }
-    write_durably(path, packed(tensors, {"key": key}))
+    write_atomically(path, encode_tensors(tensors, {"key": key}))
 
 
-def find(path: Path, key: str, device: str = "cpu") -> BaseStates | None:
+def load_states(path: Path, key: str, device: str = "cpu") -> ReferenceStates | None:
     """What `keep` wrote under the same key; None if there is nothing, it is damaged, or was made of something else."""
     if not path.is_file():
         return None
     try:
-        tensors, facts = unpacked(path)
-    except Damaged:
+        tensors, facts = read_tensors(path)
+    except CorruptFileError:
         return None
     if facts.get("key") != key:
         return None
     there = {name: tensor.to(device) for name, tensor in tensors.items()}
-    return BaseStates({name: (there[f"{name}.h"], there[f"{name}.H"]) for name in {name[:-2] for name in there}})
+    return ReferenceStates({name: (there[f"{name}.h"], there[f"{name}.H"]) for name in {name[:-2] for name in there}})

@@ -6,13 +6,13 @@ import math
 import random
 from collections.abc import Sequence
 
-from dualbrain.adaptation.config import FitDials
+from dualbrain.adaptation.config import FitConfig
 
-FLOOR = 0.1
+FINAL_RATE_SHARE = 0.1
 """The last rate over the highest."""
 
 
-def batches(shown: Sequence[int], dials: FitDials) -> list[list[int]]:
+def plan_batches(repeats: Sequence[int], config: FitConfig) -> list[list[int]]:
     """The rows of each step's samples. Sample i stands `shown[i]` times in an epoch; each epoch is shuffled anew.
 
     What is left of an epoch flows into the next, so that no sample is passed over. Law: nothing but seed, batch and
@@ -20,18 +20,18 @@ def batches(shown: Sequence[int], dials: FitDials) -> list[list[int]]:
     """
     stack: list[int] = []
     epoch, plan = 0, list[list[int]]()
-    for _ in range(dials.steps):
-        while len(stack) < dials.batch:
-            rows = [row for row, times in enumerate(shown) for _ in range(times)]
-            random.Random(f"{dials.seed}:{epoch}").shuffle(rows)
+    for _ in range(config.steps):
+        while len(stack) < config.batch:
+            rows = [row for row, times in enumerate(repeats) for _ in range(times)]
+            random.Random(f"{config.seed}:{epoch}").shuffle(rows)
             stack, epoch = stack + rows, epoch + 1
-        plan.append(stack[: dials.batch])
-        stack = stack[dials.batch :]
+        plan.append(stack[: config.batch])
+        stack = stack[config.batch :]
     return plan
 
 
-def rate(step: int, dials: FitDials) -> float:
+def learning_rate(step: int, config: FitConfig) -> float:
     """The learning rate of `step`, counted from 1: a linear rise, then half a cosine down to a tenth."""
-    rise = min(1.0, step / dials.warm_up) if dials.warm_up else 1.0
-    fall = FLOOR + (1.0 - FLOOR) * 0.5 * (1.0 + math.cos(math.pi * step / dials.steps))
-    return dials.rate * rise * fall
+    rise = min(1.0, step / config.warm_up) if config.warm_up else 1.0
+    fall = FINAL_RATE_SHARE + (1.0 - FINAL_RATE_SHARE) * 0.5 * (1.0 + math.cos(math.pi * step / config.steps))
+    return config.rate * rise * fall

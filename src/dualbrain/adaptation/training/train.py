@@ -10,26 +10,26 @@ from pathlib import Path
 
 import msgspec
 
-from dualbrain.adaptation.adapters.base_models import Base
-from dualbrain.adaptation.adapters.card import AdapterCard, proposed_by_others, weights_id, write_card
-from dualbrain.adaptation.compliance import Judge
+from dualbrain.adaptation.adapters.base_models import BaseModel
+from dualbrain.adaptation.adapters.card import AdapterCard, has_foreign_proposals, hash_weights, write_adapter_card
+from dualbrain.adaptation.compliance import AnswerJudge
 from dualbrain.adaptation.config import AdaptConfig
 from dualbrain.adaptation.curation.dataset import Dataset, DatasetCard
-from dualbrain.adaptation.early_stopping import HeldOut
-from dualbrain.adaptation.training.model.base_model import open_base
-from dualbrain.adaptation.training.model.lora_model import Learner
-from dualbrain.adaptation.training.model.precision import choose, settle
-from dualbrain.adaptation.training.model.save_adapter import write_adapter
-from dualbrain.adaptation.training.process_group import ALONE, Team
-from dualbrain.adaptation.training.trainer import Fit, Progress
-from dualbrain.core.storage.atomic_files import write_durably
+from dualbrain.adaptation.early_stopping import HeldOutResult
+from dualbrain.adaptation.training.model.base_model import load_base_model
+from dualbrain.adaptation.training.model.lora_model import LoraModel
+from dualbrain.adaptation.training.model.precision import choose_dtype, configure_device
+from dualbrain.adaptation.training.model.save_adapter import save_adapter
+from dualbrain.adaptation.training.process_group import SINGLE_PROCESS, ProcessGroup
+from dualbrain.adaptation.training.trainer import Trainer, TrainingProgress
+from dualbrain.core.storage.atomic_files import write_atomically
 
-ADAPTER, RESOLVED = "adapter", "config.json"
+ADAPTER_FOLDER, CONFIG_FILE = "adapter", "config.json"
 
 
 def adapt(
-    dataset: Dataset, config: AdaptConfig, base: Base, judge: Judge, folder: Path, *, cache: Path,
-    clock: Callable[[], float], tell: Callable[[Progress], None], team: Team = ALONE, own: Collection[str] = (),
+    dataset: Dataset, config: AdaptConfig, base: BaseModel, judge: AnswerJudge, folder: Path, *, cache: Path,
+    clock: Callable[[], float], report: Callable[[TrainingProgress], None], process_group: ProcessGroup = SINGLE_PROCESS, own_adapters: Collection[str] = (),
 ) -> AdapterCard:  # fmt: skip
     """Fit an adapter in `folder`, or go on with the one there, and write it with its card to `folder`/adapter.
 
@@ -37,34 +37,36 @@ def adapt(
     adapters that `base` alone has taught: what these proposed counts as its own.
     Raises `InvalidSetup`, `Diverged`, `DiskFull`; then no adapter is written, and calling it again goes on.
     """
-    device = settle(config.fit.threads or 1)
-    team.once(lambda: folder.mkdir(parents=True, exist_ok=True))
+    device = configure_device(config.fit.threads or 1)
+    process_group.run_on_first(lambda: folder.mkdir(parents=True, exist_ok=True))
     nf4 = config.fit.quantise == "nf4"
-    model, tokenizer = open_base(base, cache, choose(config.fit.precision), device, nf4=nf4)
-    learner = Learner(model, tokenizer, config.fit)
-    fit = Fit(learner, dataset, config, judge, folder, base=base.sha256, clock=clock, team=team)
-    team.once(lambda: _resolve(config, folder))
-    found = fit.run(tell)
-    others = proposed_by_others(dataset.card.sources, base.name, own)
-    return team.once(lambda: _write(learner, dataset.card, config, base, folder, fit.step, found, others))
+    model, tokenizer = load_base_model(base, cache, choose_dtype(config.fit.precision), device, nf4=nf4)
+    learner = LoraModel(model, tokenizer, config.fit)
+    fit = Trainer(learner, dataset, config, judge, folder, base=base.sha256, clock=clock, process_group=process_group)
+    process_group.run_on_first(lambda: _write_config(config, folder))
+    found = fit.run(report)
+    others = has_foreign_proposals(dataset.card.sources, base.name, own_adapters)
+    return process_group.run_on_first(
+        lambda: _write_result(learner, dataset.card, config, base, folder, fit.step, found, others)
+    )
 
 
-def _resolve(config: AdaptConfig, folder: Path) -> None:
+def _write_config(config: AdaptConfig, folder: Path) -> None:
     """Write beside the result what was asked."""
-    write_durably(folder / RESOLVED, msgspec.json.format(msgspec.json.encode(config), indent=2))
+    write_atomically(folder / CONFIG_FILE, msgspec.json.format(msgspec.json.encode(config), indent=2))
 
 
-def _write(
-    learner: Learner, told: DatasetCard, config: AdaptConfig, base: Base, folder: Path, steps: int,
-    found: HeldOut | None, bootstrapped: bool,
+def _write_result(
+    learner: LoraModel, told: DatasetCard, config: AdaptConfig, base: BaseModel, folder: Path, steps: int,
+    found: HeldOutResult | None, bootstrapped: bool,
 ) -> AdapterCard:  # fmt: skip
     """The adapter that `learner` wears, with its card."""
     packages = ("torch", "transformers", "peft", *(("bitsandbytes",) if config.fit.quantise == "nf4" else ()))
-    write_adapter(learner, folder / ADAPTER, base=base.sha256)
+    save_adapter(learner, folder / ADAPTER_FOLDER, base=base.sha256)
     card = AdapterCard(
-        weights_id(folder / ADAPTER), base.name, base.sha256, told.robot, told.registry, told.prompt, told.hash,
+        hash_weights(folder / ADAPTER_FOLDER), base.name, base.sha256, told.robot, told.registry, told.prompt, told.hash,
         told.sources, bootstrapped, str(learner.head.dtype).removeprefix("torch."),
         steps, found, config, {name: metadata.version(name) for name in packages}, told.also,
     )  # fmt: skip
-    write_card(card, folder / ADAPTER)
+    write_adapter_card(card, folder / ADAPTER_FOLDER)
     return card

@@ -9,48 +9,57 @@ import sys
 import time
 from pathlib import Path
 
-from dualbrain.adaptation.idle_scheduler import LowLoad, Pace, bound_to, look, robot_at_work, why_not_now
-from dualbrain.cli.common.console import Account
-from dualbrain.cli.common.exit_codes import Exit
-from dualbrain.cli.common.paths import home
-from dualbrain.cli.common.signals import ctrl_c
+from dualbrain.adaptation.idle_scheduler import (
+    IdleScheduler,
+    IdleSchedulerConfig,
+    blocking_reason,
+    kill_on_parent_exit,
+    read_machine_load,
+    robot_activity,
+)
+from dualbrain.cli.common.console import StderrConsole
+from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.cli.common.paths import dualbrain_home
+from dualbrain.cli.common.signals import interrupt_handler
 from dualbrain.cli.memory.open_memory import ledger_path
 
 
 def adapt_when_idle(
     *, robot: str, base: str, ledger: Path | None, site: Path | None, config: Path | None, out: Path, json: bool,
-    pace: Pace | None = None,
+    pace: IdleSchedulerConfig | None = None,
 ) -> int:  # fmt: skip
     """Fit in `out` whenever nothing speaks against it; returns when the fit has ended by itself.
 
     Raises `KeyboardInterrupt` on Ctrl-C and on SIGTERM; then the fit is ended, and if this is killed it ends, too.
     """
-    threads, where = _threads(config), ledger_path(ledger)
-    bound = bound_to(os.getpid())
+    threads, where = _trainer_threads(config), ledger_path(ledger)
+    bound = kill_on_parent_exit(os.getpid())
 
     def start() -> subprocess.Popen[bytes]:
-        words = command(robot, base, ledger, site, config, out, json=json)
+        words = adapt_command(robot, base, ledger, site, config, out, json=json)
         return subprocess.Popen(words, start_new_session=True, preexec_fn=bound)  # noqa: PLW1509  (no other thread here)
 
     def why_not(own: int | None) -> str:
-        at_work = robot_at_work(where, (home() / "gatekeeper.sock",), own=own)
-        return why_not_now(look(), at_work, own_threads=threads if own is not None else 0)
+        at_work = robot_activity(where, (dualbrain_home() / "gatekeeper.sock",), own_pid=own)
+        return blocking_reason(read_machine_load(), at_work, own_threads=threads if own is not None else 0)
 
-    with ctrl_c(_interrupted):
-        code = LowLoad(start, why_not, Account().print, clock=time.monotonic, sleep=time.sleep, pace=pace).run()
+    with interrupt_handler(_raise_interrupt):
+        code = IdleScheduler(
+            start, why_not, StderrConsole().print, clock=time.monotonic, sleep=time.sleep, config=pace
+        ).run()
     if code < 0:
-        Account().print(
+        StderrConsole().print(
             f"the fit was ended by signal {-code} ({signal.strsignal(-code)}); the same command with --out {out} goes "
             f"on from the last checkpoint"
         )
-    return Exit(code) if code in set(Exit) else Exit.SETUP
+    return ExitCode(code) if code in set(ExitCode) else ExitCode.SETUP
 
 
-def _interrupted() -> None:
+def _raise_interrupt() -> None:
     raise KeyboardInterrupt
 
 
-def command(
+def adapt_command(
     robot: str, base: str, ledger: Path | None, site: Path | None, config: Path | None, out: Path, *, json: bool
 ) -> list[str]:  # fmt: skip
     """The same command without waiting; with its --out it goes on where it was."""
@@ -62,7 +71,7 @@ def command(
     return [sys.executable, "-c", code, "adapt", *words, *(["--json"] if json else [])]
 
 
-def _threads(config: Path | None) -> int:
+def _trainer_threads(config: Path | None) -> int:
     """Processor threads of the fit."""
     from dualbrain.adaptation.config import AdaptConfig, read_config
 

@@ -11,18 +11,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from dualbrain.cli.adapters.process_launcher import account_of, team_here
-from dualbrain.cli.common.console import Account
-from dualbrain.cli.common.exit_codes import Exit
-from dualbrain.cli.common.paths import cache
-from dualbrain.cli.memory.open_memory import tell
-from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.cli.adapters.process_launcher import console_of, process_group
+from dualbrain.cli.common.console import StderrConsole
+from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.cli.common.paths import cache_folder
+from dualbrain.cli.memory.open_memory import print_json
+from dualbrain.errors import ConfigurationError, UnknownNameError
 
 if TYPE_CHECKING:
-    from dualbrain.adaptation.training.process_group import Team
-    from dualbrain.contracts.registry import Registry
+    from dualbrain.adaptation.training.process_group import ProcessGroup
+    from dualbrain.contracts.registry import SkillRegistry
 
-DATASET = "dataset"
+DATASET_FOLDER = "dataset"
 Flag = Annotated[bool, Parameter(negative="")]
 
 
@@ -45,75 +45,87 @@ def make(name: str, /, *, out: Path | None = None, json: Flag = False) -> int:
         Print the card as one JSON object on stdout.
     """
     if name not in _MAKERS:
-        raise UnknownName("shipped adapter", name, tuple(_MAKERS))
-    from dualbrain.cli.adapters.adapt import adapt_with_torch, kept_in
+        raise UnknownNameError("shipped adapter", name, tuple(_MAKERS))
+    from dualbrain.cli.adapters.adapt import announce_folder, import_trainer
 
     folder = out or Path("runs") / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{name}"
-    with team_here(adapt_with_torch, out) as team, kept_in(folder, account_of(team)):
+    with process_group(import_trainer, out) as team, announce_folder(folder, console_of(team)):
         card = _MAKERS[name](folder, team)
         if json and team.rank == 0:
-            tell(card)
-    return Exit.SUCCESS
+            print_json(card)
+    return ExitCode.SUCCESS
 
 
 # --- base-135m --------------------------------------------------------------------------------------------------------
 
 
-def _base_135m(folder: Path, team: Team) -> Any:
-    from dualbrain.adaptation.synthetic.dataset import DIALS
-    from dualbrain.grounding.vocabulary import vocabulary
-    from dualbrain.runtime.data_collection.synthetic_scenes import ROBOTS
+def _base_135m(folder: Path, team: ProcessGroup) -> Any:
+    from dualbrain.adaptation.synthetic.dataset import SYNTHETIC_ADAPT_CONFIG
+    from dualbrain.grounding.vocabulary import load_skill_registry
+    from dualbrain.runtime.data_collection.synthetic_scenes import ROBOT_SHARES
 
-    registries = {robot: vocabulary(robot) for robot in ROBOTS}
-    team.once(lambda: _draw(folder, registries))
-    return _fit("smollm2-135m-instruct", DIALS, registries, folder, team)
+    registries = {robot: load_skill_registry(robot) for robot in ROBOT_SHARES}
+    team.run_on_first(lambda: _write_synthetic_dataset(folder, registries))
+    return _fit("smollm2-135m-instruct", SYNTHETIC_ADAPT_CONFIG, registries, folder, team)
 
 
-def _draw(folder: Path, registries: Mapping[str, Registry]) -> None:
+def _write_synthetic_dataset(folder: Path, registries: Mapping[str, SkillRegistry]) -> None:
     """Write the lessons into `folder`, unless they are there already."""
-    from dualbrain.adaptation.curation.dataset import read_card, write_dataset
-    from dualbrain.adaptation.synthetic.dataset import CHECKS, LESSONS, course, not_course
-    from dualbrain.runtime.data_collection.synthetic_scenes import lessons
+    from dualbrain.adaptation.curation.dataset import read_dataset_card, write_dataset
+    from dualbrain.adaptation.synthetic.dataset import (
+        N_CHECK_EXAMPLES,
+        N_TRAIN_EXAMPLES,
+        build_synthetic_dataset,
+        synthetic_dataset_differences,
+    )
+    from dualbrain.runtime.data_collection.synthetic_scenes import generate_examples
 
-    if (folder / DATASET / "dataset.json").is_file():
-        _require_own("base-135m", folder, not_course(read_card(folder / DATASET), registries))
-        Account().print(f"going on with the lessons in {folder}")
+    if (folder / DATASET_FOLDER / "dataset.json").is_file():
+        _require_same_dataset(
+            "base-135m", folder, synthetic_dataset_differences(read_dataset_card(folder / DATASET_FOLDER), registries)
+        )
+        StderrConsole().print(f"going on with the lessons in {folder}")
     else:
-        write_dataset(course(lessons(LESSONS, "teach"), lessons(CHECKS, "check"), registries), folder / DATASET)
+        write_dataset(
+            build_synthetic_dataset(
+                generate_examples(N_TRAIN_EXAMPLES, "teach"), generate_examples(N_CHECK_EXAMPLES, "check"), registries
+            ),
+            folder / DATASET_FOLDER,
+        )
 
 
 # --- starter-135m -----------------------------------------------------------------------------------------------------
 
 
-def _starter_135m(folder: Path, team: Team) -> Any:
-    from dualbrain.grounding.vocabulary import vocabulary
+def _starter_135m(folder: Path, team: ProcessGroup) -> Any:
+    from dualbrain.grounding.vocabulary import load_skill_registry
     from dualbrain.runtime.data_collection import starter_dataset as starter
     from dualbrain.runtime.data_collection.rollouts import ROBOT
 
-    team.once(lambda: _live(folder))
-    return _fit(starter.BASE, starter.DIALS, {ROBOT: vocabulary(ROBOT)}, folder, team)
+    team.run_on_first(lambda: _write_rollout_dataset(folder))
+    return _fit(starter.BASE_MODEL, starter.ADAPT_CONFIG, {ROBOT: load_skill_registry(ROBOT)}, folder, team)
 
 
-def _live(folder: Path) -> None:
+def _write_rollout_dataset(folder: Path) -> None:
     """Carry out what is proposed, and write what went well into `folder`, unless that is there already."""
-    from dualbrain.adaptation.curation.dataset import read_card, read_dataset, write_dataset
+    from dualbrain.adaptation.curation.dataset import read_dataset, read_dataset_card, write_dataset
     from dualbrain.runtime.data_collection import starter_dataset as starter
 
-    account, day = Account(), folder / "day"
-    if (folder / DATASET / "dataset.json").is_file():
-        others = starter.not_taught(read_card(folder / DATASET), day, starter.PROPOSALS)
-        _require_own("starter-135m", folder, others)
+    account, day = StderrConsole(), folder / "day"
+    if (folder / DATASET_FOLDER / "dataset.json").is_file():
+        others = starter.dataset_difference(read_dataset_card(folder / DATASET_FOLDER), day, starter.N_PROPOSALS)
+        _require_same_dataset("starter-135m", folder, others)
         account.print(f"going on with the data set in {folder}")
     else:
-        told = _flights_told(account, starter.PROPOSALS)
-        lived = starter.first_day(day, starter.PROPOSALS, cache=cache(), tell=told)
-        write_dataset(starter.taught(lived), folder / DATASET)
-    data = read_dataset(folder / DATASET)
+        told = _episode_printer(account, starter.N_PROPOSALS)
+        lived = starter.collect_rollouts(day, starter.N_PROPOSALS, cache=cache_folder(), on_episode=told)
+        write_dataset(starter.build_dataset(lived), folder / DATASET_FOLDER)
+    data = read_dataset(folder / DATASET_FOLDER)
     reasons = "".join(f"; {number} {reason}" for reason, number in data.card.left_out.items())
     account.print(f"{data.card.train} samples to train on, {data.card.held_out} held out{reasons}")
 
 
-def _flights_told(account: Account, number: int) -> Callable[[int, Any], None]:
+def _episode_printer(account: StderrConsole, number: int) -> Callable[[int, Any], None]:
     """Prints each flight with the time left, at the pace of those since the start of this command."""
     began, flown = time.monotonic(), count(1)
 
@@ -128,27 +140,27 @@ def _flights_told(account: Account, number: int) -> Callable[[int, Any], None]:
 # --- both -------------------------------------------------------------------------------------------------------------
 
 
-def _require_own(name: str, folder: Path, others: str) -> None:
+def _require_same_dataset(name: str, folder: Path, others: str) -> None:
     """Raise `InvalidSetup` if the data set in `folder` differs, in `others`, from the one that `name` is taught."""
     if others:
         fix = "It is another one's, or what it was made for has changed since. Name another --out to make it anew."
-        raise InvalidSetup(f"data set in {folder}", got=others, allowed=f"what {name} is taught today", fix=fix)
+        raise ConfigurationError(f"data set in {folder}", got=others, allowed=f"what {name} is taught today", fix=fix)
 
 
-def _fit(base: str, dials: Any, registries: Mapping[str, Registry], folder: Path, team: Team) -> Any:
+def _fit(base: str, dials: Any, registries: Mapping[str, SkillRegistry], folder: Path, team: ProcessGroup) -> Any:
     """The card of an adapter of `base`, fitted on the data set in `folder`."""
-    from dualbrain.adaptation.adapters.base_models import find_base
+    from dualbrain.adaptation.adapters.base_models import find_base_model
     from dualbrain.adaptation.curation.dataset import read_dataset
-    from dualbrain.adaptation.synthetic.dataset import language_judge
-    from dualbrain.cli.adapters.adapt import adapt_with_torch, step_words
+    from dualbrain.adaptation.synthetic.dataset import make_language_judge
+    from dualbrain.cli.adapters.adapt import format_step, import_trainer
 
-    account = account_of(team)
-    card = adapt_with_torch().adapt(
-        read_dataset(folder / DATASET), dials, find_base(base, cache()), language_judge(registries), folder,
-        cache=cache(), clock=time.monotonic, tell=lambda progress: account.print(step_words(progress)), team=team,
+    account = console_of(team)
+    card = import_trainer().adapt(
+        read_dataset(folder / DATASET_FOLDER), dials, find_base_model(base, cache_folder()), make_language_judge(registries), folder,
+        cache=cache_folder(), clock=time.monotonic, tell=lambda progress: account.print(format_step(progress)), team=team,
     )  # fmt: skip
     account.print(f"adapter {card.id} in {folder / 'adapter'}")
     return card
 
 
-_MAKERS: dict[str, Callable[[Path, Team], Any]] = {"base-135m": _base_135m, "starter-135m": _starter_135m}
+_MAKERS: dict[str, Callable[[Path, ProcessGroup], Any]] = {"base-135m": _base_135m, "starter-135m": _starter_135m}

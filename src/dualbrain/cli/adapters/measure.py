@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 from cyclopts import Parameter
 
-from dualbrain.cli.adapters.registry import registry_of_adapters
-from dualbrain.cli.common.console import Account
-from dualbrain.cli.common.exit_codes import Exit
-from dualbrain.cli.common.paths import cache
-from dualbrain.cli.memory.open_memory import ledger_path, reader, tell
-from dualbrain.errors import InvalidSetup, MissingPart
+from dualbrain.cli.adapters.registry import open_adapter_registry
+from dualbrain.cli.common.console import StderrConsole
+from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.cli.common.paths import cache_folder
+from dualbrain.cli.memory.open_memory import ledger_path, open_reader, print_json
+from dualbrain.errors import ConfigurationError, MissingDependencyError
 
 if TYPE_CHECKING:
-    from dualbrain.adaptation.adapters.registry import Adapters
-    from dualbrain.adaptation.adapters.stacking import Stack
+    from dualbrain.adaptation.adapters.registry import AdapterRegistry
+    from dualbrain.adaptation.adapters.stacking import AdapterStack
     from dualbrain.memory.ledger.ledger import LedgerReader
 
 Flag = Annotated[bool, Parameter(negative="")]
@@ -56,86 +56,94 @@ def measure(
     json
         Print the results as one JSON object on stdout.
     """
-    from dualbrain.adaptation.adapters.compatibility import require_fit, require_prompt
-    from dualbrain.adaptation.adapters.naming import champion_at
-    from dualbrain.adaptation.adapters.promotion import Measured
-    from dualbrain.adaptation.adapters.registry import BARE, place_of
-    from dualbrain.adaptation.adapters.stacking import stack_of
-    from dualbrain.adaptation.adapters.training_overlap import unseen
+    from dualbrain.adaptation.adapters.compatibility import require_compatible, require_same_prompt
+    from dualbrain.adaptation.adapters.naming import champion_folder
+    from dualbrain.adaptation.adapters.promotion import Measurement
+    from dualbrain.adaptation.adapters.registry import NO_ADAPTER, place_of_card
+    from dualbrain.adaptation.adapters.stacking import load_stack
+    from dualbrain.adaptation.adapters.training_overlap import unseen_samples
     from dualbrain.adaptation.curation.dataset import read_dataset
-    from dualbrain.adaptation.serving.measurement import of_robot, questions
-    from dualbrain.core.storage.atomic_files import require_place, write_durably
-    from dualbrain.grounding.vocabulary import vocabulary
+    from dualbrain.adaptation.serving.measurement import samples_for_robot, select_questions
+    from dualbrain.core.storage.atomic_files import require_writable, write_atomically
+    from dualbrain.grounding.vocabulary import load_skill_registry
 
-    registry, dataset = registry_of_adapters(), read_dataset(data)
-    stack = stack_of(_candidate(name, registry), cache())
-    vocabulary_here = vocabulary(stack.top.robot)
-    require_prompt(stack.top)
-    require_fit(stack.top, stack.top.robot, vocabulary_here.hash)
-    champion = registry.champion(place_of(stack.top))
-    if stack.top.id == champion:
-        raise _no_candidate()
-    present = stack_of(champion_at(registry, champion), cache()) if champion != BARE else stack.below
+    registry, dataset = open_adapter_registry(), read_dataset(data)
+    stack = load_stack(_candidate(name, registry), cache_folder())
+    vocabulary_here = load_skill_registry(stack.top_card.robot)
+    require_same_prompt(stack.top_card)
+    require_compatible(stack.top_card, stack.top_card.robot, vocabulary_here.hash)
+    champion = registry.champion(place_of_card(stack.top_card))
+    if stack.top_card.id == champion:
+        raise _champion_as_candidate_error()
+    present = (
+        load_stack(champion_folder(registry, champion), cache_folder()) if champion != NO_ADAPTER else stack.without_top
+    )
     with ExitStack() as opened:
-        remembered = opened.enter_context(_remembered(ledger)) if fly or ledger else None
-        apart = of_robot(dataset.held_out, stack.top.robot)
-        kept = unseen(apart, [layer.card for layer in (*stack.layers, *present.layers)], dataset, remembered)
+        remembered = opened.enter_context(_open_source_ledger(ledger)) if fly or ledger else None
+        apart = samples_for_robot(dataset.held_out, stack.top_card.robot)
+        kept = unseen_samples(apart, [layer.card for layer in (*stack.layers, *present.layers)], dataset, remembered)
         if len(kept) < len(apart):
-            Account().print(f"left out: {len(apart) - len(kept)} questions that one of the two was taught")
-        asked, flight = questions(kept, most), None
+            StderrConsole().print(f"left out: {len(apart) - len(kept)} questions that one of the two was taught")
+        asked, flight = select_questions(kept, most), None
         if fly and remembered:
-            from dualbrain.runtime.memory_replay import remembered_flight
+            from dualbrain.runtime.memory_replay import make_replay_evaluator
 
-            flight = remembered_flight(remembered, asked, seed=seed)
-        require_place(out)
+            flight = make_replay_evaluator(remembered, asked, seed=seed)
+        require_writable(out)
         results = [
-            _results(one, who, asked, vocabulary_here, flight, threads)
-            for one, who in ((stack, stack.top.id), (present, champion))
+            _measure_adapter(one, who, asked, vocabulary_here, flight, threads)
+            for one, who in ((stack, stack.top_card.id), (present, champion))
         ]
-    measured = Measured(*results, dataset=dataset.card.hash)
-    write_durably(out, msgspec.json.format(msgspec.json.encode(measured), indent=2))
+    measured = Measurement(*results, dataset=dataset.card.hash)
+    write_atomically(out, msgspec.json.format(msgspec.json.encode(measured), indent=2))
     if json:
-        tell(measured)
-    Account().print(f"written: {out}" if fly else f"written: {out}; not flown, so nothing can be promoted by it")
-    return Exit.SUCCESS
+        print_json(measured)
+    StderrConsole().print(f"written: {out}" if fly else f"written: {out}; not flown, so nothing can be promoted by it")
+    return ExitCode.SUCCESS
 
 
-def _candidate(name: str, registry: Adapters) -> Path:
+def _candidate(name: str, registry: AdapterRegistry) -> Path:
     """The folder of the adapter to measure; raises `InvalidSetup` where `name` means who serves."""
-    from dualbrain.adaptation.adapters.naming import CHAMPION, PREFIX, folder_of
+    from dualbrain.adaptation.adapters.naming import ADAPTER_PREFIX, CHAMPION, resolve_folder
 
-    if name.removeprefix(PREFIX) == CHAMPION:
-        raise _no_candidate()
-    return folder_of(name, registry)
+    if name.removeprefix(ADAPTER_PREFIX) == CHAMPION:
+        raise _champion_as_candidate_error()
+    return resolve_folder(name, registry)
 
 
-def _remembered(ledger: Path | None) -> AbstractContextManager[LedgerReader]:
+def _open_source_ledger(ledger: Path | None) -> AbstractContextManager[LedgerReader]:
     """The memory that the data set was made of; raises `MissingPart` if it is not there."""
     if not (path := ledger_path(ledger)).exists():
         fix = "Name the one that the data set was made of with --ledger, or leave the flights out with --no-fly."
-        raise MissingPart(f"The memory ledger {path}", fix=fix)
-    return reader(ledger)
+        raise MissingDependencyError(f"The memory ledger {path}", fix=fix)
+    return open_reader(ledger)
 
 
-def _no_candidate() -> InvalidSetup:
+def _champion_as_candidate_error() -> ConfigurationError:
     fix = "To measure it anew, roll it back first: `dualbrain adapters rollback`."
-    return InvalidSetup("candidate", got="the champion itself", allowed="another adapter", fix=fix)
+    return ConfigurationError("candidate", got="the champion itself", allowed="another adapter", fix=fix)
 
 
-def _results(stack: Stack, who: str, asked: Any, registry: Any, flight: Any, threads: int) -> Any:
+def _measure_adapter(stack: AdapterStack, who: str, asked: Any, registry: Any, flight: Any, threads: int) -> Any:
     """What one of the two did."""
-    from dualbrain.adaptation.serving.measurement import measure as ask
-    from dualbrain.adaptation.serving.open_planner import N_CTX, wear
-    from dualbrain.adaptation.serving.raw_completion import runtime_of
+    from dualbrain.adaptation.serving.measurement import measure_planner as ask
+    from dualbrain.adaptation.serving.open_planner import N_CTX, start_llama
+    from dualbrain.adaptation.serving.raw_completion import runtime_name
     from dualbrain.planner.backends.llama_cpp import LlamaConfig
-    from dualbrain.planner.prompt.prompt_format import FREE
+    from dualbrain.planner.prompt.prompt_format import UNCONSTRAINED_SHORT_PROMPT
 
-    account, short = Account(), who[:16] or "the bare base"
-    planner = wear(stack, cache(), LlamaConfig(threads=threads, n_ctx=N_CTX), called=short, asking=FREE)
+    account, short = StderrConsole(), who[:16] or "the bare base"
+    planner = start_llama(
+        stack,
+        cache_folder(),
+        LlamaConfig(threads=threads, n_ctx=N_CTX),
+        name=short,
+        prompt_format=UNCONSTRAINED_SHORT_PROMPT,
+    )
     try:
         found = ask(
-            planner, asked, registry, adapter=who, runtime=runtime_of(planner.model), fly=flight,
-            tell=lambda done, of, trial: account.print(f"{short} {done}/{of}: {_word(trial)}"),
+            planner, asked, registry, adapter=who, runtime=runtime_name(planner.model), execute=flight,
+            report=lambda done, of, trial: account.print(f"{short} {done}/{of}: {_describe_trial(trial)}"),
         )  # fmt: skip
     finally:
         planner.close()
@@ -147,6 +155,6 @@ def _results(stack: Stack, who: str, asked: Any, registry: Any, flight: Any, thr
     return found
 
 
-def _word(trial: Any) -> str:
+def _describe_trial(trial: Any) -> str:
     words = "right" if trial.right else "compliant" if trial.compliant else "not compliant"
     return words if trial.success is None else f"{words}, {'success' if trial.success else 'no success'}"

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dualbrain.errors import WrongUsage
+from dualbrain.errors import UsageError
 
-SLOWEST = 0.01
+MIN_FRACTION = 0.01
 
 
-def share(text: str) -> float:
+def parse_fraction(text: str) -> float:
     """The number in [0.01, 1] that `text` means; raises `WrongUsage`."""
     try:
         value = float(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
     except ValueError:
         value = float("nan")
-    if not SLOWEST <= value <= 1.0:
-        raise WrongUsage("speed", got=text, allowed="1% to 100%, as 10% or 0.1")
+    if not MIN_FRACTION <= value <= 1.0:
+        raise UsageError("speed", got=text, allowed="1% to 100%, as 10% or 0.1")
     return value

@@ -12,13 +12,13 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from dualbrain.core.text import HIDDEN
+from dualbrain.core.text import HIDDEN_CHARACTERS
 
-NARROWEST = 24
+MIN_COLUMN_WIDTH = 24
 """Characters to which a column that gives way shrinks."""
 
 
-class Account(Console):
+class StderrConsole(Console):
     """A console for stderr that falls silent when nobody reads it any more; the usual one ends the program."""
 
     def __init__(self) -> None:
@@ -30,30 +30,30 @@ class Account(Console):
         self.quiet = True
 
 
-def answer(text: str) -> None:
+def print_result(text: str) -> None:
     """Print the result on stdout; where nobody reads it, stdout becomes the null device."""
     try:
         print(text, flush=True)
     except BrokenPipeError:
-        abandon_stdout()
+        redirect_stdout_to_null()
 
 
-def listing(heads: Sequence[str], rows: Iterable[Sequence[str]], *, gives: Collection[str] = ()) -> None:
+def print_table(heads: Sequence[str], rows: Iterable[Sequence[str]], *, wrap_columns: Collection[str] = ()) -> None:
     """Print rows on stdout as `columns` puts them."""
-    answer(columns(heads, rows, gives=gives))
+    print_result(format_table(heads, rows, wrap_columns=wrap_columns))
 
 
-def columns(heads: Sequence[str], rows: Iterable[Sequence[str]], *, gives: Collection[str] = ()) -> str:
+def format_table(heads: Sequence[str], rows: Iterable[Sequence[str]], *, wrap_columns: Collection[str] = ()) -> str:
     """Rows below their `heads`, each cell whole and on one line, so that names and ids can be copied.
 
     Where the screen is too narrow, the columns in `gives` wrap; where that is not enough, lines grow longer than the
     screen. A cell is text, never markup, and what would steer a terminal is shown as U+FFFD.
     """
-    shown = [[plain(cell) for cell in row] for row in rows]
+    shown = [[sanitize_line(cell) for cell in row] for row in rows]
     table = Table(box=None, pad_edge=False)
     for head, *cells in zip(heads, *shown, strict=True):
         longest = max(map(cell_len, (head, *cells)))
-        least = min(longest, NARROWEST) if head in gives else longest
+        least = min(longest, MIN_COLUMN_WIDTH) if head in wrap_columns else longest
         table.add_column(head, min_width=least, overflow="fold")
     for row in shown:
         table.add_row(*map(Text, row))
@@ -63,11 +63,11 @@ def columns(heads: Sequence[str], rows: Iterable[Sequence[str]], *, gives: Colle
     return printed.get().rstrip("\n")
 
 
-def plain(text: str) -> str:
+def sanitize_line(text: str) -> str:
     """`text` on one line, with what would steer a terminal or hide words shown as U+FFFD."""
-    return re.sub(f"[{HIDDEN}]", "\N{REPLACEMENT CHARACTER}", text)
+    return re.sub(f"[{HIDDEN_CHARACTERS}]", "\N{REPLACEMENT CHARACTER}", text)
 
 
-def abandon_stdout() -> None:
+def redirect_stdout_to_null() -> None:
     """Let stdout lead nowhere, so that what is still buffered does no harm at the end."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

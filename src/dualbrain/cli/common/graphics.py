@@ -5,21 +5,21 @@ from __future__ import annotations
 from collections.abc import MutableMapping
 from ctypes.util import find_library
 
-LIBRARIES = {"egl": ("EGL", "GL"), "osmesa": ("OSMesa", "GL"), "glfw": ("GL",), "glx": ("GL",)}
+GL_LIBRARIES = {"egl": ("EGL", "GL"), "osmesa": ("OSMesa", "GL"), "glfw": ("GL",), "glx": ("GL",)}
 """Values of MUJOCO_GL and the shared libraries behind them."""
-OFF = ("disable", "disabled", "off", "false", "0")
+DISABLED_VALUES = ("disable", "disabled", "off", "false", "0")
 
 
 def choose_graphics(environ: MutableMapping[str, str]) -> str:
     """Put a usable MUJOCO_GL into `environ` (egl where nothing is asked for), or `disable`; says why there is none."""
     wanted = environ.get("MUJOCO_GL", "").lower().strip() or "egl"
     environ["MUJOCO_GL"] = wanted
-    if wanted in OFF:
+    if wanted in DISABLED_VALUES:
         return f"MUJOCO_GL={wanted}"
-    missing = [f"lib{name}" for name in LIBRARIES.get(wanted, ()) if not find_library(name)]
-    if wanted in LIBRARIES and not missing:
+    missing = [f"lib{name}" for name in GL_LIBRARIES.get(wanted, ()) if not find_library(name)]
+    if wanted in GL_LIBRARIES and not missing:
         return ""
     environ["MUJOCO_GL"] = "disable"
     if missing:
         return f"MUJOCO_GL={wanted} needs {', '.join(missing)}"
-    return f"MUJOCO_GL={wanted} is not one of {', '.join(LIBRARIES)}"
+    return f"MUJOCO_GL={wanted} is not one of {', '.join(GL_LIBRARIES)}"

@@ -5,16 +5,16 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from dualbrain.core.weights import default_cache
+from dualbrain.core.weights import default_cache_folder
 
 
-def home() -> Path:
+def dualbrain_home() -> Path:
     """`$DUALBRAIN_HOME`, else the XDG data folder."""
     if chosen := os.environ.get("DUALBRAIN_HOME"):
         return Path(chosen)
     return Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share") / "dualbrain"
 
 
-def cache() -> Path:
+def cache_folder() -> Path:
     """The XDG cache folder for model weights."""
-    return default_cache(os.environ)
+    return default_cache_folder(os.environ)

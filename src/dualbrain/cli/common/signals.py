@@ -11,7 +11,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 @contextmanager
-def ctrl_c(interrupt: Callable[[], None]) -> Iterator[None]:
+def interrupt_handler(interrupt: Callable[[], None]) -> Iterator[None]:
     """The first of `SIGNALS` inside calls `interrupt`; from then on each raises `KeyboardInterrupt`."""
 
     def first(number: int, frame: FrameType | None) -> None:

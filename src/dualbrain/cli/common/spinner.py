@@ -6,7 +6,7 @@ from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 
-class Waiting:
+class Spinner:
     """Shown from `start` to `stop`; both may be called again."""
 
     def __init__(self, console: Console, text: str) -> None:

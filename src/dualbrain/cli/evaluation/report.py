@@ -10,10 +10,16 @@ from typing import Annotated, Any
 import msgspec
 from cyclopts import Parameter
 
-from dualbrain.cli.common.console import Account, answer
-from dualbrain.cli.common.exit_codes import Exit
-from dualbrain.cli.evaluation.results import FLOWN, command_of, flown_on, results, tell_left_out
-from dualbrain.errors import InvalidSetup, WrongUsage
+from dualbrain.cli.common.console import StderrConsole, print_result
+from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.cli.evaluation.results import (
+    RUN_DATE_KEY,
+    last_run_date,
+    load_results,
+    print_omission,
+    reproduction_command,
+)
+from dualbrain.errors import ConfigurationError, UsageError
 
 Flag = Annotated[bool, Parameter(negative="")]
 
@@ -36,37 +42,39 @@ def report(folder: Path, /, *, gallery: int = -1, page: Path | None = None, json
     from dualbrain.cli.common.graphics import choose_graphics
 
     blind = choose_graphics(os.environ)
-    from dualbrain.evaluation.planners.answer_cache import Plans
-    from dualbrain.evaluation.results.parquet import FILE, without_trace, write_table
-    from dualbrain.evaluation.runner.worker import PLANS
-    from dualbrain.visualization.evaluation.html_report import Told, write_evaluation
-    from dualbrain.visualization.evaluation.markdown_page import PAGE, write_page
+    from dualbrain.evaluation.planners.answer_cache import AnswerCache
+    from dualbrain.evaluation.results.parquet import RESULTS_FILE, without_trace, write_results
+    from dualbrain.evaluation.runner.worker import ANSWERS_FOLDER
+    from dualbrain.visualization.evaluation.html_report import ReportData, write_html_report
+    from dualbrain.visualization.evaluation.markdown_page import PAGE_FILE, write_markdown_page
 
-    pages, account, left_out = page or folder / "page", Account(), list[str]()
+    pages, account, left_out = page or folder / "page", StderrConsole(), list[str]()
     if pages.exists() and not pages.is_dir():
-        raise WrongUsage("--page", got=str(pages), allowed="a folder, there or to be made")
-    rows, config, suite = results(folder, left_out.append)
+        raise UsageError("--page", got=str(pages), allowed="a folder, there or to be made")
+    rows, config, suite = load_results(folder, left_out.append)
     count = suite.gallery if gallery < 0 else gallery
-    shots = [] if blind or not count else _shots(rows, suite, count, account)
+    shots = [] if blind or not count else _failure_images(rows, suite, count, account)
     if blind and count:
         account.print(f"no pictures: {blind}")
-    kept = Plans(folder / PLANS).all(left_out.append)
+    kept = AnswerCache(folder / ANSWERS_FOLDER).read_all(left_out.append)
     if not kept:
-        left_out.append(f"How long each decision took: the answers to questions ({PLANS}/) are not kept here.")
-    told = Told(rows, suite, config, kept, shots, flown_on(folder, config), command_of(suite, folder), left_out)
-    write_evaluation(folder / "report.html", told)
-    write_page(pages, told)
+        left_out.append(f"How long each decision took: the answers to questions ({ANSWERS_FOLDER}/) are not kept here.")
+    told = ReportData(
+        rows, suite, config, kept, shots, last_run_date(folder, config), reproduction_command(suite, folder), left_out
+    )
+    write_html_report(folder / "report.html", told)
+    write_markdown_page(pages, told)
     if page is not None and page.resolve() != folder.resolve():
-        write_table(list(map(without_trace, rows)), config | {FLOWN: told.date}, page / FILE)
+        write_results(list(map(without_trace, rows)), config | {RUN_DATE_KEY: told.date}, page / RESULTS_FILE)
     for line in left_out:
-        tell_left_out(line)
-    for one in told.found:
-        account.print(f"{one.name}: {one.verdict} ({one.says})")
-    account.print(f"report: {folder / 'report.html'}, and as a page with pictures: {pages / PAGE}")
+        print_omission(line)
+    for one in told.hypotheses:
+        account.print(f"{one.name}: {one.verdict} ({one.description})")
+    account.print(f"report: {folder / 'report.html'}, and as a page with pictures: {pages / PAGE_FILE}")
     if json:
-        told_json = [{"name": one.name, "verdict": one.verdict, "claims": one.claims} for one in told.found]
-        answer(msgspec.json.encode(told_json).decode())
-    return Exit.SUCCESS
+        told_json = [{"name": one.name, "verdict": one.verdict, "claims": one.claims} for one in told.hypotheses]
+        print_result(msgspec.json.encode(told_json).decode())
+    return ExitCode.SUCCESS
 
 
 def compare(first: Path, second: Path, /, *, json: Flag = False) -> int:
@@ -81,25 +89,25 @@ def compare(first: Path, second: Path, /, *, json: Flag = False) -> int:
     json
         Print one JSON object on stdout.
     """
-    from dualbrain.evaluation.report.run_comparison import changed, changes, otherwise
-    from dualbrain.evaluation.report.tables import grid_lines
+    from dualbrain.evaluation.report.run_comparison import changes_table, compute_changes, config_differences_table
+    from dualbrain.evaluation.report.tables import markdown_table
 
-    before, after = results(first, tell_left_out), results(second, tell_left_out)
-    grid = changes(before[0], after[0])
+    before, after = load_results(first, print_omission), load_results(second, print_omission)
+    grid = changes_table(before[0], after[0])
     if not grid.rows:
         got = f"no episode of {first} in {second}"
-        raise InvalidSetup("evaluations to compare", got=got, allowed="common methods, scenes and repetitions")
-    set_up = otherwise(before[1], after[1])
+        raise ConfigurationError("evaluations to compare", got=got, allowed="common methods, scenes and repetitions")
+    set_up = config_differences_table(before[1], after[1])
     if json:
-        told = [_as_numbers(one) for one in changed(before[0], after[0])]
+        told = [_encode_change(one) for one in compute_changes(before[0], after[0])]
         differing = {what: {"before": a, "after": b} for what, a, b in set_up.rows}
-        answer(msgspec.json.encode({"configuration": differing, "changes": told}).decode())
+        print_result(msgspec.json.encode({"configuration": differing, "changes": told}).decode())
     else:
-        answer("\n".join([*grid_lines(set_up), *grid_lines(grid)]))
-    return Exit.SUCCESS
+        print_result("\n".join([*markdown_table(set_up), *markdown_table(grid)]))
+    return ExitCode.SUCCESS
 
 
-def _as_numbers(change: Any) -> dict[str, Any]:
+def _encode_change(change: Any) -> dict[str, Any]:
     """One change for a program: numbers in the metric's unit, what is infinite or not known is encoded as null."""
     found = change.found
     return {
@@ -108,14 +116,14 @@ def _as_numbers(change: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _shots(rows: list[Any], suite: Any, count: int, account: Account) -> list[Any]:
+def _failure_images(rows: list[Any], suite: Any, count: int, account: StderrConsole) -> list[Any]:
     """Pictures of failures, one class and method after the other."""
-    from dualbrain.cli.evaluation.failure_images import photograph
-    from dualbrain.evaluation.report.example_selection import chosen
+    from dualbrain.cli.evaluation.failure_images import capture_failure_image
+    from dualbrain.evaluation.report.example_selection import select_examples
 
     shots: list[Any] = []
-    for row in chosen(rows, count):
+    for row in select_examples(rows, count):
         began = time.monotonic()
-        shots.append(photograph(row, suite, time.perf_counter))
+        shots.append(capture_failure_image(row, suite, time.perf_counter))
         account.print(f"picture of {row.key}  [dim]{time.monotonic() - began:.0f} s[/]")
     return shots

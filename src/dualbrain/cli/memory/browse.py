@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 from cyclopts import Parameter
 
-from dualbrain.cli.common.console import Account, answer, listing, plain
-from dualbrain.cli.common.exit_codes import Exit
-from dualbrain.cli.memory.open_memory import encoder, limits_of, memory, reader, tell
-from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.cli.common.console import StderrConsole, print_result, print_table, sanitize_line
+from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.cli.memory.open_memory import load_encoder, open_memory, open_reader, posture_limits, print_json
+from dualbrain.errors import ConfigurationError, UnknownNameError
 
 if TYPE_CHECKING:
-    from dualbrain.memory.state.state import Memo
+    from dualbrain.memory.state.state import MemoryState
     from dualbrain.records import Exemplar
 
 Flag = Annotated[bool, Parameter(negative="")]
@@ -44,19 +44,19 @@ def list_memories(
     json
         Print one JSON object on stdout.
     """
-    with reader(ledger) as opened:
-        state = _state(opened, at)
+    with open_reader(ledger) as opened:
+        state = _state_at(opened, at)
     wanted = [
         memo for memo in reversed(state.memos)
         if status in ("", memo.status) and outcome in ("", memo.kind) and source in ("", memo.provenance.source)
     ]  # fmt: skip
     shown = wanted[:limit] if limit else wanted
     if json:
-        tell({"memories": shown, "total": len(wanted), "event": state.seq})
-        return Exit.SUCCESS
-    listing(("id", "stored", "outcome", "Δ", "w", "status", "source"), map(_row, shown))
-    Account().print(f"{len(shown)} of {len(wanted)} memories, at event {state.seq}")
-    return Exit.SUCCESS
+        print_json({"memories": shown, "total": len(wanted), "event": state.seq})
+        return ExitCode.SUCCESS
+    print_table(("id", "stored", "outcome", "Δ", "w", "status", "source"), map(_memory_row, shown))
+    StderrConsole().print(f"{len(shown)} of {len(wanted)} memories, at event {state.seq}")
+    return ExitCode.SUCCESS
 
 
 def show(name: str, /, *, ledger: Path | None = None, json: Flag = False) -> int:
@@ -71,12 +71,12 @@ def show(name: str, /, *, ledger: Path | None = None, json: Flag = False) -> int
     json
         Print one JSON object on stdout.
     """
-    from dualbrain.memory.state.derivation import derive
+    from dualbrain.memory.state.derivation import derive_state
 
-    with reader(ledger) as opened:
-        state = derive(opened)
+    with open_reader(ledger) as opened:
+        state = derive_state(opened)
         if name not in state:
-            raise UnknownName("memory", name, tuple(state.rows), owner="this ledger")
+            raise UnknownNameError("memory", name, tuple(state.rows), owner="this ledger")
         memo = state[name]
         stored = msgspec.json.decode(opened.event(memo.seq).payload)
         history = [
@@ -84,24 +84,24 @@ def show(name: str, /, *, ledger: Path | None = None, json: Flag = False) -> int
             for event in opened.events("kind IN ('weight', 'folded', 'replayed') AND subject = ?", (name,))
         ]
     if json:
-        tell({"memo": memo, "stored": stored, "history": history})
-        return Exit.SUCCESS
+        print_json({"memo": memo, "stored": stored, "history": history})
+        return ExitCode.SUCCESS
     told = stored["episode"]
-    answer(f"{name}: {plain(told['instruction'])}")
+    print_result(f"{name}: {sanitize_line(told['instruction'])}")
     for line in told["summary"].splitlines():
-        answer(plain(line))
-    answer(f"contract: {msgspec.json.encode(told['contract']).decode()}")
-    ending = f"{memo.kind} {plain(told['outcome']['reason'])}".rstrip()
-    answer(f"outcome: {ending}; Δ {memo.Delta}; w {memo.weight:.3f}; {memo.status}")
-    answer(f"provenance: {msgspec.json.encode(memo.provenance).decode()}")
+        print_result(sanitize_line(line))
+    print_result(f"contract: {msgspec.json.encode(told['contract']).decode()}")
+    ending = f"{memo.kind} {sanitize_line(told['outcome']['reason'])}".rstrip()
+    print_result(f"outcome: {ending}; Δ {memo.Delta}; w {memo.weight:.3f}; {memo.status}")
+    print_result(f"provenance: {msgspec.json.encode(memo.provenance).decode()}")
     for one in history:
         moved = (
             f"{one['rule']} by {one['cause']}: {one['before']:.3f} -> {one['after']:.3f}"
             if "rule" in one
             else one["kind"]
         )
-        answer(f"  event {one['event']}, {_date(one['time'])}: {moved}")
-    return Exit.SUCCESS
+        print_result(f"  event {one['event']}, {_format_time(one['time'])}: {moved}")
+    return ExitCode.SUCCESS
 
 
 def search(
@@ -140,32 +140,34 @@ def search(
     json
         Print one JSON object on stdout.
     """
-    from dualbrain.grounding.offline_gate import as_specified
-    from dualbrain.grounding.scene_summary import summarise
-    from dualbrain.grounding.vocabulary import vocabulary
+    from dualbrain.grounding.offline_gate import scene_from_spec
+    from dualbrain.grounding.scene_summary import summarise_scene
+    from dualbrain.grounding.vocabulary import load_skill_registry
     from dualbrain.memory.embedding.posture_features import Posture
     from dualbrain.memory.index.filters import Filter
-    from dualbrain.robots.interface import at_home
-    from dualbrain.robots.loader import load_body
+    from dualbrain.robots.interface import home_state
+    from dualbrain.robots.loader import load_robot
     from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
-    seen = as_specified(open_scene(scene))
-    state = at_home(load_body(robot))
+    seen = scene_from_spec(open_scene(scene))
+    state = home_state(load_robot(robot))
     posture = Posture(tuple(state.q.tolist()), state.opening)
     where = Filter(
-        skills=skills, outcomes=outcome, statuses=status, after=_time(after), before=_time(before)  # pyright: ignore
+        skills=skills, outcomes=outcome, statuses=status, after=_parse_time(after), before=_parse_time(before)  # pyright: ignore
     )  # fmt: skip
-    with memory(ledger) as opened:
-        recall = opened.recall(
-            instruction, summarise(seen), posture, robot, vocabulary(robot).hash, k=k, lambda_s=lambda_s,
+    with open_memory(ledger) as opened:
+        recall = opened.retrieve(
+            instruction, summarise_scene(seen), posture, robot, load_skill_registry(robot).hash, k=k, lambda_s=lambda_s,
             diversity=diversity, where=where,
         )  # fmt: skip
     if json:
-        tell(recall)
-        return Exit.SUCCESS
-    rows = [_found("follow", hit) for hit in recall.exemplars] + [_found("avoid", hit) for hit in recall.warnings]
-    listing(("use", "rank", "R", "s", "w", "id", "instruction", "parts"), rows, gives=("instruction", "parts"))
-    return Exit.SUCCESS
+        print_json(recall)
+        return ExitCode.SUCCESS
+    rows = [_hit_row("follow", hit) for hit in recall.exemplars] + [_hit_row("avoid", hit) for hit in recall.warnings]
+    print_table(
+        ("use", "rank", "R", "s", "w", "id", "instruction", "parts"), rows, wrap_columns=("instruction", "parts")
+    )
+    return ExitCode.SUCCESS
 
 
 def export(out: Path | None = None, /, *, ledger: Path | None = None) -> int:
@@ -178,18 +180,18 @@ def export(out: Path | None = None, /, *, ledger: Path | None = None) -> int:
     ledger
         Which memory; default in dualbrain's home.
     """
-    from dualbrain.memory.maintenance.export import rows
-    from dualbrain.memory.state.derivation import derive
+    from dualbrain.memory.maintenance.export import export_rows
+    from dualbrain.memory.state.derivation import derive_state
 
-    with reader(ledger) as opened:
-        lines = (msgspec.json.encode(row) + b"\n" for row in rows(opened, derive(opened)))
+    with open_reader(ledger) as opened:
+        lines = (msgspec.json.encode(row) + b"\n" for row in export_rows(opened, derive_state(opened)))
         if out is None:
             for line in lines:
-                answer(line.decode().rstrip("\n"))
+                print_result(line.decode().rstrip("\n"))
         else:
             with out.open("xb") as file:
                 file.writelines(lines)
-    return Exit.SUCCESS
+    return ExitCode.SUCCESS
 
 
 def verify(*, vectors: Flag = False, ledger: Path | None = None, json: Flag = False) -> int:
@@ -207,51 +209,51 @@ def verify(*, vectors: Flag = False, ledger: Path | None = None, json: Flag = Fa
     from dualbrain.memory.embedding.joint_embedding import JointEmbedding
     from dualbrain.memory.maintenance.verification import verify as examine
 
-    with reader(ledger) as opened:
-        embedding = JointEmbedding(encoder(), limits_of("panda")) if vectors else None
+    with open_reader(ledger) as opened:
+        embedding = JointEmbedding(load_encoder(), posture_limits("panda")) if vectors else None
         found = examine(opened, embedding=embedding)
     if json:
-        tell({"whole": found.whole, **msgspec.to_builtins(found)})
+        print_json({"whole": found.is_intact, **msgspec.to_builtins(found)})
     chain = found.chain
     words = f"{chain.events} events, " + (
-        "chain whole" if chain.whole else f"broken at {chain.broken_at}: {chain.fault}"
+        "chain whole" if chain.is_intact else f"broken at {chain.broken_at}: {chain.fault}"
     )
     checked = "" if found.vectors_wrong is None else f", {found.vectors_wrong} vectors differ"
-    Account().print(
+    StderrConsole().print(
         f"{words}; {found.memories} memories; snapshot {found.snapshot}{checked}; head {chain.head.hash[:16]}"
     )
-    return Exit.SUCCESS if found.whole else Exit.FAILED_SAFELY
+    return ExitCode.SUCCESS if found.is_intact else ExitCode.FAILED_SAFELY
 
 
-def _row(memo: Memo) -> tuple[str, ...]:
+def _memory_row(memo: MemoryState) -> tuple[str, ...]:
     numbers = ("-" if memo.Delta is None else f"{memo.Delta:.4f}", f"{memo.weight:.2f}")
-    return (memo.id, _date(memo.time), memo.kind, *numbers, memo.status, memo.provenance.source)
+    return (memo.id, _format_time(memo.time), memo.kind, *numbers, memo.status, memo.provenance.source)
 
 
-def _found(use: str, hit: Exemplar) -> tuple[str, ...]:
+def _hit_row(use: str, hit: Exemplar) -> tuple[str, ...]:
     parts = " ".join(f"{name} {value:.2f}" for name, value in hit.parts.items())
     numbers = (f"{value:.3f}" for value in (hit.score, hit.similarity, hit.weight))
     return (use, str(hit.rank), *numbers, hit.episode_id, hit.instruction, parts)
 
 
-def _state(opened: Any, at: str) -> Any:
-    from dualbrain.memory.state.derivation import as_of, derive
+def _state_at(opened: Any, at: str) -> Any:
+    from dualbrain.memory.state.derivation import derive_state, derive_state_at
 
     if at.isdigit():
-        return derive(opened, head=min(int(at), opened.head().seq))
-    return derive(opened) if not at else as_of(opened, _time(at) or 0.0)
+        return derive_state(opened, head=min(int(at), opened.head().seq))
+    return derive_state(opened) if not at else derive_state_at(opened, _parse_time(at) or 0.0)
 
 
-def _time(text: str) -> float | None:
+def _parse_time(text: str) -> float | None:
     """Seconds since 1970 of an ISO 8601 time, UTC unless it says otherwise; None for ""."""
     if not text:
         return None
     try:
         time = datetime.fromisoformat(text)
     except ValueError as error:
-        raise InvalidSetup("time", got=text, allowed="ISO 8601, such as 2026-11-21T14:00") from error
+        raise ConfigurationError("time", got=text, allowed="ISO 8601, such as 2026-11-21T14:00") from error
     return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
 
 
-def _date(time: float) -> str:
+def _format_time(time: float) -> str:
     return datetime.fromtimestamp(time, UTC).strftime("%Y-%m-%d %H:%M")

@@ -10,10 +10,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 from cyclopts import Parameter
 
-from dualbrain.cli.common.console import Account, answer, listing
-from dualbrain.cli.common.exit_codes import Exit
-from dualbrain.cli.memory.open_memory import PATIENCE, config, encoder, ledger_path, memory, reader, tell
-from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.cli.common.console import StderrConsole, print_result, print_table
+from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.cli.memory.open_memory import (
+    LOCK_TIMEOUT_S,
+    ledger_path,
+    load_encoder,
+    memory_config,
+    open_memory,
+    open_reader,
+    print_json,
+)
+from dualbrain.errors import ConfigurationError, UnknownNameError
 
 if TYPE_CHECKING:
     from dualbrain.memory.maintenance.audit import SourceReport
@@ -38,23 +46,25 @@ def audit(*, note: Note = False, ledger: Path | None = None, json: Flag = False)
         Print one JSON object on stdout.
     """
     from dualbrain.memory.maintenance.audit import audit as examine
-    from dualbrain.memory.maintenance.edits import note_audit
+    from dualbrain.memory.maintenance.edits import record_audit
 
-    with memory(ledger, writing="audit" if note else "") as opened:
+    with open_memory(ledger, writing="audit" if note else "") as opened:
         report = examine(opened)
         if note:
-            note_audit(opened, report, now=time.time())
+            record_audit(opened, report, now=time.time())
     if json:
-        tell(report)
+        print_json(report)
     else:
         for one in report.findings:
-            answer(f"{one.kind}: {one.memory}: {one.text}" + (f" ({', '.join(one.others[:6])})" if one.others else ""))
+            print_result(
+                f"{one.kind}: {one.memory}: {one.text}" + (f" ({', '.join(one.others[:6])})" if one.others else "")
+            )
         heads = ("source", "memories", "weights moved", "Σ|Δw|", "adapters")
-        listing(heads, map(_reach, report.sources), gives=("adapters",))
-    Account().print(f"{len(report.findings)} findings in {report.memories} memories")
+        print_table(heads, map(_source_row, report.sources), wrap_columns=("adapters",))
+    StderrConsole().print(f"{len(report.findings)} findings in {report.memories} memories")
     if report.utility.recalled:
-        Account().print(f"retrieval utility: {report.utility}")
-    return Exit.FAILED_SAFELY if report.findings else Exit.SUCCESS
+        StderrConsole().print(f"retrieval utility: {report.utility}")
+    return ExitCode.FAILED_SAFELY if report.findings else ExitCode.SUCCESS
 
 
 def quarantine(*ids: str, reason: str, source: str = "", ledger: Path | None = None, json: Flag = False) -> int:
@@ -75,7 +85,7 @@ def quarantine(*ids: str, reason: str, source: str = "", ledger: Path | None = N
     """
     from dualbrain.memory.maintenance.edits import quarantine as set_aside
 
-    return _changed("quarantine", ids, source, reason, ledger, set_aside, as_json=json)
+    return _apply_change("quarantine", ids, source, reason, ledger, set_aside, as_json=json)
 
 
 def release(*ids: str, reason: str, source: str = "", ledger: Path | None = None, json: Flag = False) -> int:
@@ -96,7 +106,7 @@ def release(*ids: str, reason: str, source: str = "", ledger: Path | None = None
     """
     from dualbrain.memory.maintenance.edits import release as bring_back
 
-    return _changed("release", ids, source, reason, ledger, bring_back, as_json=json)
+    return _apply_change("release", ids, source, reason, ledger, bring_back, as_json=json)
 
 
 def forget(*ids: str, reason: str, ledger: Path | None = None, json: Flag = False) -> int:
@@ -115,7 +125,7 @@ def forget(*ids: str, reason: str, ledger: Path | None = None, json: Flag = Fals
     """
     from dualbrain.memory.maintenance.edits import forget as bury
 
-    return _changed("forget", ids, "", reason, ledger, bury, as_json=json)
+    return _apply_change("forget", ids, "", reason, ledger, bury, as_json=json)
 
 
 def rollback(event: int, /, *, reason: str, ledger: Path | None = None, json: Flag = False) -> int:
@@ -134,12 +144,12 @@ def rollback(event: int, /, *, reason: str, ledger: Path | None = None, json: Fl
     """
     from dualbrain.memory.maintenance.edits import roll_back
 
-    with memory(ledger, writing="rollback") as opened:
+    with open_memory(ledger, writing="rollback") as opened:
         before, head = opened.weights(), opened.ledger.head().seq
         roll_back(opened, event, reason, now=time.time())
-        _tell_moves("rollback", before, opened.weights(), as_json=json)
-    Account().print(f"To undo: {COMMAND} rollback {head} --reason WHY")
-    return Exit.SUCCESS
+        _print_weight_changes("rollback", before, opened.weights(), as_json=json)
+    StderrConsole().print(f"To undo: {COMMAND} rollback {head} --reason WHY")
+    return ExitCode.SUCCESS
 
 
 def replay(
@@ -162,28 +172,28 @@ def replay(
     json
         Print one JSON object on stdout.
     """
-    from dualbrain.memory.maintenance.edits import note_replay
-    from dualbrain.memory.state.derivation import derive
-    from dualbrain.runtime.memory_replay import rerun
+    from dualbrain.memory.maintenance.edits import record_replay
+    from dualbrain.memory.state.derivation import derive_state
+    from dualbrain.runtime.memory_replay import replay_memory
 
     if tries < 1:
-        raise InvalidSetup("tries", got=tries, allowed="at least 1")
-    with reader(ledger) as opened:
-        state = derive(opened)
+        raise ConfigurationError("tries", got=tries, allowed="at least 1")
+    with open_reader(ledger) as opened:
+        state = derive_state(opened)
         if name not in state:
-            raise UnknownName("memory", name, tuple(state.rows), owner="this ledger")
-        finding = rerun(opened, state[name], tries=tries, seed=seed, actor=f"{COMMAND} replay")
+            raise UnknownNameError("memory", name, tuple(state.rows), owner="this ledger")
+        finding = replay_memory(opened, state[name], tries=tries, seed=seed, actor=f"{COMMAND} replay")
     if note:
-        with memory(ledger, writing="replay") as opened:
-            note_replay(opened, finding, now=time.time())
+        with open_memory(ledger, writing="replay") as opened:
+            record_replay(opened, finding, now=time.time())
     if json:
-        tell(finding)
+        print_json(finding)
     for kind, size in zip(finding.outcomes, finding.Deltas, strict=True):
-        Account().print(f"  {kind}, Δ {'-' if size is None else f'{size:.4f}'}")
-    Account().print(
+        StderrConsole().print(f"  {kind}, Δ {'-' if size is None else f'{size:.4f}'}")
+    StderrConsole().print(
         f"{name} ({finding.remembered}): {'stands' if finding.agrees else 'contradicted'}; {finding.reason}"
     )
-    return Exit.SUCCESS if finding.agrees else Exit.FAILED_SAFELY
+    return ExitCode.SUCCESS if finding.agrees else ExitCode.FAILED_SAFELY
 
 
 def compact(*, ledger: Path | None = None, json: Flag = False) -> int:
@@ -197,17 +207,17 @@ def compact(*, ledger: Path | None = None, json: Flag = False) -> int:
         Print one JSON object on stdout.
     """
     from dualbrain.memory.ledger.ledger import LedgerReader
-    from dualbrain.memory.maintenance.compaction import swap
+    from dualbrain.memory.maintenance.compaction import compact_in_place
 
     path = ledger_path(ledger)
     LedgerReader(path).close()  # a command never makes a ledger
     before = path.stat().st_size
-    archive = swap(path, holder=f"{COMMAND} compact", now=time.time(), patience=PATIENCE)
+    archive = compact_in_place(path, holder=f"{COMMAND} compact", now=time.time(), timeout_s=LOCK_TIMEOUT_S)
     sizes = {"before": before, "after": path.stat().st_size, "archive": str(archive)}
     if json:
-        tell(sizes)
-    Account().print(f"{before / 1e6:.1f} MB -> {sizes['after'] / 1e6:.1f} MB; archive: {archive}")
-    return Exit.SUCCESS
+        print_json(sizes)
+    StderrConsole().print(f"{before / 1e6:.1f} MB -> {sizes['after'] / 1e6:.1f} MB; archive: {archive}")
+    return ExitCode.SUCCESS
 
 
 def rebuild(*, ledger: Path | None = None, json: Flag = False) -> int:
@@ -221,47 +231,49 @@ def rebuild(*, ledger: Path | None = None, json: Flag = False) -> int:
         Print one JSON object on stdout.
     """
     from dualbrain.memory.embedding.joint_embedding import JointEmbedding
-    from dualbrain.memory.index.index import rebuild as make_anew
+    from dualbrain.memory.index.index import rebuild_vectors as make_anew
     from dualbrain.memory.ledger.ledger import Ledger, LedgerReader
     from dualbrain.memory.memory import Memory
 
     path = ledger_path(ledger)
     LedgerReader(path).close()
-    with Ledger(path, holder=f"{COMMAND} rebuild", now=time.time(), patience=PATIENCE) as opened:
-        dials, words = config(opened), encoder()
+    with Ledger(path, holder=f"{COMMAND} rebuild", now=time.time(), timeout_s=LOCK_TIMEOUT_S) as opened:
+        dials, words = memory_config(opened), load_encoder()
         made = make_anew(opened, JointEmbedding(words, dials.limits, dials.embedding))
-        Memory(opened, words, dials).leave_snapshot(opened, now=time.time())
+        Memory(opened, words, dials).write_snapshot(opened, now=time.time())
     if json:
-        tell({"vectors": made})
-    Account().print(f"{made} vectors made anew")
-    return Exit.SUCCESS
+        print_json({"vectors": made})
+    StderrConsole().print(f"{made} vectors made anew")
+    return ExitCode.SUCCESS
 
 
-def _reach(one: SourceReport) -> tuple[str, ...]:
+def _source_row(one: SourceReport) -> tuple[str, ...]:
     return (one.source, str(len(one.memories)), str(one.touched), f"{one.moved:.2f}", ", ".join(one.adapters) or "-")
 
 
-def _changed(
+def _apply_change(
     what: str, ids: tuple[str, ...], source: str, reason: str, ledger: Path | None, change: Callable[..., None], *,
     as_json: bool,
 ) -> int:  # fmt: skip
-    with memory(ledger, writing=what) as opened:
-        more = [memo.id for memo in opened.state.memos if source and memo.provenance.source == source]
+    with open_memory(ledger, writing=what) as opened:
+        more = [memo.id for memo in opened.state.memories if source and memo.provenance.source == source]
         names = tuple(dict.fromkeys((*ids, *more)))
         before = opened.weights()
         change(opened, names, reason, now=time.time(), actor=COMMAND)
-        _tell_moves(what, before, opened.weights(), as_json=as_json, names=names)
-    return Exit.SUCCESS
+        _print_weight_changes(what, before, opened.weights(), as_json=as_json, names=names)
+    return ExitCode.SUCCESS
 
 
-def _tell_moves(
+def _print_weight_changes(
     what: str, before: dict[str, float], after: dict[str, float], *, as_json: bool, names: tuple[str, ...] = ()
 ) -> None:
     moved: dict[str, Any] = {
         name: [before.get(name), after.get(name)] for name in {**before, **after} if before.get(name) != after.get(name)
     }
     if as_json:
-        tell({"command": what, "memories": names, "weights": msgspec.to_builtins(moved)})
+        print_json({"command": what, "memories": names, "weights": msgspec.to_builtins(moved)})
     for name, (old, new) in list(moved.items())[:20]:
-        Account().print(f"  {name}: {'-' if old is None else f'{old:.3f}'} -> {'-' if new is None else f'{new:.3f}'}")
-    Account().print(f"{what}: {len(names) or 'no'} memories named, {len(moved)} weights changed")
+        StderrConsole().print(
+            f"  {name}: {'-' if old is None else f'{old:.3f}'} -> {'-' if new is None else f'{new:.3f}'}"
+        )
+    StderrConsole().print(f"{what}: {len(names) or 'no'} memories named, {len(moved)} weights changed")

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.common.exit_codes import ExitCode
 
 
 def commission(
@@ -43,32 +43,32 @@ def commission(
     check
         Change nothing; say whether the sealed record still fits body and site.
     """
-    from dualbrain.drivers.catalogue import KINDS, driver_kind
-    from dualbrain.drivers.commissioning.checklist import TEMPLATE, flaws, read_checklist
-    from dualbrain.drivers.commissioning.record import demand, sealed
-    from dualbrain.robots.loader import load_body
+    from dualbrain.drivers.catalogue import DRIVER_KINDS, find_driver_kind
+    from dualbrain.drivers.commissioning.checklist import TEMPLATE, find_flaws, read_checklist
+    from dualbrain.drivers.commissioning.record import make_record, require_record
+    from dualbrain.robots.loader import load_robot
     from dualbrain.robots.site_config import read_site
-    from dualbrain.safety.integration.site import site_body
+    from dualbrain.safety.integration.site import site_robot
 
-    robot = robot or next((kind.robot for kind in KINDS if kind.name == driver), "")
-    kind, file = driver_kind(driver, robot), read_site(site)
-    body, seal_in = site_body(load_body(robot), file), record or checklist.with_suffix(".sealed.json")
+    robot = robot or next((kind.robot for kind in DRIVER_KINDS if kind.name == driver), "")
+    kind, file = find_driver_kind(driver, robot), read_site(site)
+    body, seal_in = site_robot(load_robot(robot), file), record or checklist.with_suffix(".sealed.json")
     if check:
-        answered = demand(seal_in, body, site, kind)
+        answered = require_record(seal_in, body, site, kind)
         print(f"{seal_in}: good; answered by {answered.answers.by}, {answered.answers.on}", file=sys.stderr)
-        return Exit.SUCCESS
+        return ExitCode.SUCCESS
     if not checklist.exists():
         checklist.write_text(TEMPLATE.format(robot=robot, driver=driver), encoding="utf-8")
         print(f"{checklist}: fill it in at the arm, then run this again", file=sys.stderr)
-        return Exit.FAILED_SAFELY
+        return ExitCode.FAILED_SAFELY
     answers = read_checklist(checklist)
-    if found := flaws(answers, body, file.site, kind):
+    if found := find_flaws(answers, body, file.site, kind):
         for flaw in found:
             print(f"{flaw.item}: got {flaw.got!r}, allowed: {flaw.allowed}", file=sys.stderr)
-        return Exit.FAILED_SAFELY
+        return ExitCode.FAILED_SAFELY
     import msgspec
 
-    whole = sealed(answers, body, site, kind)
+    whole = make_record(answers, body, site, kind)
     seal_in.write_bytes(msgspec.json.format(msgspec.json.encode(whole), indent=2) + b"\n")
     print(f"sealed: {seal_in} ({whole.seal[:16]})", file=sys.stderr)
-    return Exit.SUCCESS
+    return ExitCode.SUCCESS

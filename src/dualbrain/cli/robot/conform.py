@@ -8,7 +8,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.common.exit_codes import ExitCode
 
 
 def conform(
@@ -41,33 +41,38 @@ def conform(
     """
     import msgspec
 
-    from dualbrain.cli.common.console import answer
-    from dualbrain.control.gatekeeper.robot_link.simulated_driver import PlantDriver
-    from dualbrain.drivers.catalogue import KINDS, driver_kind
-    from dualbrain.drivers.commissioning.record import demand
-    from dualbrain.drivers.conformance.harness import Subject
-    from dualbrain.drivers.conformance.rules import Verdict
-    from dualbrain.drivers.conformance.rules import conform as tried
-    from dualbrain.robots.loader import load_body
+    from dualbrain.cli.common.console import print_result
+    from dualbrain.control.gatekeeper.robot_link.simulated_driver import SimulatedDriver
+    from dualbrain.drivers.catalogue import DRIVER_KINDS, find_driver_kind
+    from dualbrain.drivers.commissioning.record import require_record
+    from dualbrain.drivers.conformance.harness import DriverUnderTest
+    from dualbrain.drivers.conformance.rules import RequirementStatus
+    from dualbrain.drivers.conformance.rules import check_conformance as tried
+    from dualbrain.robots.loader import load_robot
     from dualbrain.robots.site_config import read_site
-    from dualbrain.safety.integration.site import site_body
+    from dualbrain.safety.integration.site import site_robot
 
-    robot = robot or next((kind.robot for kind in KINDS if kind.name == driver), "panda")
-    kind = None if driver == "plant" else driver_kind(driver, robot)
-    body = load_body(robot)
-    body = site_body(body, read_site(site)) if site else body
+    robot = robot or next((kind.robot for kind in DRIVER_KINDS if kind.name == driver), "panda")
+    kind = None if driver == "plant" else find_driver_kind(driver, robot)
+    body = load_robot(robot)
+    body = site_robot(body, read_site(site)) if site else body
     if kind is not None and kind.hardware:
-        demand(commissioned, body, site, kind)
+        require_record(commissioned, body, site, kind)
 
-    def make() -> Subject:
-        return Subject(kind.open(address, body, None) if kind else PlantDriver(body), body)
+    def make() -> DriverUnderTest:
+        return DriverUnderTest(kind.open(address, body, None) if kind else SimulatedDriver(body), body)
 
     findings = tried(make)
     for finding in findings:
-        print(f"{finding.law}: {finding.verdict.value}{f' ({finding.why})' if finding.why else ''}", file=sys.stderr)
-    if json:
-        answer(
-            msgspec.json.encode({finding.law: [finding.verdict.value, finding.why] for finding in findings}).decode()
+        print(
+            f"{finding.requirement}: {finding.status.value}{f' ({finding.reason})' if finding.reason else ''}",
+            file=sys.stderr,
         )
-    broken = any(finding.verdict is Verdict.BROKEN for finding in findings)
-    return Exit.FAILED_SAFELY if broken else Exit.SUCCESS
+    if json:
+        print_result(
+            msgspec.json.encode(
+                {finding.requirement: [finding.status.value, finding.reason] for finding in findings}
+            ).decode()
+        )
+    broken = any(finding.status is RequirementStatus.VIOLATED for finding in findings)
+    return ExitCode.FAILED_SAFELY if broken else ExitCode.SUCCESS

@@ -14,10 +14,10 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from dualbrain import __version__
-from dualbrain.cli.common.exit_codes import Exit
-from dualbrain.errors import UNREADABLE, InvalidSetup
-from dualbrain.robots.loader import encode, load_body
-from dualbrain.robots.model import Body, Tracking
+from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.errors import DECODE_ERRORS, ConfigurationError
+from dualbrain.robots.loader import encode_robot, load_robot
+from dualbrain.robots.model import RobotModel, TrackingErrorModel
 
 if TYPE_CHECKING:
     from dualbrain.simulation.identification.tracking_model import TrackingModel
@@ -53,44 +53,44 @@ def identify(
     write
         Data file of the body (JSON) whose tracking model of this drive is renewed.
     """
-    from dualbrain.simulation.identification.mobile_tracking_model import identify_carrier
+    from dualbrain.simulation.identification.mobile_tracking_model import identify_mobile_manipulator
     from dualbrain.simulation.identification.tracking_model import identify_plant
-    from dualbrain.simulation.plant.joint_drive import named_drive  # MuJoCo is heavy
+    from dualbrain.simulation.plant.joint_drive import parse_drive_kind  # MuJoCo is heavy
 
-    kind, body = named_drive(drive), load_body(robot)
-    target = _target(write, body)
-    with _bar() as bar:
+    kind, body = parse_drive_kind(drive), load_robot(robot)
+    target = _written_robot(write, body)
+    with _progress_bar() as bar:
         task = bar.add_task(f"{robot}, {drive}", total=1.0)
         asked = {"load": load, "seeds": range(seeds), "seconds": seconds,
                  "progress": lambda share, word: bar.update(task, completed=share, description=word)}  # fmt: skip
         said, base_lag = _provenance(robot, kind, seeds, seconds, load), body.base_lag
-        if body.carries_arm:
-            both = identify_carrier(body, kind, **asked)
-            found, (entry, base_lag) = both.arm, both.entry(drive, said)
+        if body.is_mobile_manipulator:
+            both = identify_mobile_manipulator(body, kind, **asked)
+            found, (entry, base_lag) = both.arm, both.to_error_model(drive, said)
         else:
             found = identify_plant(body, kind, **asked)
-            entry = found.entry(drive, said)
+            entry = found.to_error_model(drive, said)
     if write is not None:
-        write.write_bytes(encode(msgspec.structs.replace(target.tracked(entry), base_lag=base_lag)))
+        write.write_bytes(encode_robot(msgspec.structs.replace(target.with_tracking(entry), base_lag=base_lag)))
         print(f"{write}: tracking model of the {drive} drive renewed", file=sys.stderr)
     if json:
         print(msgspec.json.format(msgspec.json.encode({"entry": entry, "found": found}), indent=1).decode())
     else:
-        _tell(body, entry, found, base_lag, written=write is not None)
-    return Exit.SUCCESS
+        _print_tracking_model(body, entry, found, base_lag, written=write is not None)
+    return ExitCode.SUCCESS
 
 
-def _target(write: Path | None, body: Body) -> Body:
+def _written_robot(write: Path | None, body: RobotModel) -> RobotModel:
     """The body whose data file will be written: what the file holds, else `body`."""
     if write is None or not write.exists():
         return body
     try:
-        return msgspec.json.decode(write.read_bytes(), type=Body)
-    except UNREADABLE as error:
-        raise InvalidSetup("body data file", got=str(error), allowed="JSON of a body", fix=str(write)) from error
+        return msgspec.json.decode(write.read_bytes(), type=RobotModel)
+    except DECODE_ERRORS as error:
+        raise ConfigurationError("body data file", got=str(error), allowed="JSON of a body", fix=str(write)) from error
 
 
-def _bar() -> Progress:
+def _progress_bar() -> Progress:
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     return Progress(*columns, console=Console(file=sys.stderr), transient=True)
 
@@ -100,13 +100,13 @@ def _provenance(robot: str, drive: DriveKind, seeds: int, seconds: float, load: 
     return f"dualbrain robot identify {asked}; MuJoCo plant, dualbrain {__version__}, {datetime.now(UTC):%Y-%m-%d}"
 
 
-def _tell(
-    body: Body, entry: Tracking, found: TrackingModel, base_lag: float | None, *, written: bool
+def _print_tracking_model(
+    body: RobotModel, entry: TrackingErrorModel, found: TrackingModel, base_lag: float | None, *, written: bool
 ) -> None:  # fmt: skip
     table = Table("", "", box=None, pad_edge=False, show_header=False)
     table.add_row("lag", f"{entry.lag * 1e3:.3f} ms" + (f", base {base_lag * 1e3:.3f} ms more" if base_lag else ""))
     table.add_row("position error e", f"{entry.position_error * 1e3:.3f} mrad, with factor 1.25")
-    table.add_row("rows keep α e", f"{entry.budget(body.alpha):.5f} rad/s at α = {entry.rate:.2f}/s")
+    table.add_row("rows keep α e", f"{entry.row_margin(body.alpha):.5f} rad/s at α = {entry.rate:.2f}/s")
     table.add_row("e by seed", ", ".join(f"{e * 1e3:.3f}" for e in found.by_seed) + " mrad")
     table.add_row("e by joint", ", ".join(f"{e * 1e3:.3f}" for e in found.largest) + " mrad")
     table.add_row("largest |ẏ − u|", f"{found.velocity_error:.4f} rad/s")

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from dualbrain.cli.common.exit_codes import Exit
-from dualbrain.errors import WrongUsage
+from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.errors import UsageError
 
 if TYPE_CHECKING:
-    from dualbrain.robots.importer.build_arm import Made, Wish
-    from dualbrain.robots.importer.output.robot_folder import Written
+    from dualbrain.robots.importer.build_arm import ImportOptions, ImportResult
+    from dualbrain.robots.importer.output.robot_folder import FolderWriteResult
 
 
 def init(
@@ -99,120 +99,125 @@ def init(
         Overwrite what a person changed in body.json.
     """
     from dualbrain.cli.robot.read_description import read_description
-    from dualbrain.robots.importer.build_arm import Wish, build_arm
+    from dualbrain.robots.importer.build_arm import ImportOptions, build_arm
     from dualbrain.robots.importer.build_mobile_base import build_base
-    from dualbrain.robots.importer.required_limits import policy_of
+    from dualbrain.robots.importer.required_limits import make_limit_policy
     from dualbrain.robots.site_config import read_site
 
     began = time.monotonic()
-    start, tip = _ends(chain)
-    wish = Wish(name, start, tip, tool, _locks(lock), quick, spheres, seed, _home(home))
+    start, tip = _parse_chain(chain)
+    wish = ImportOptions(name, start, tip, tool, _parse_locks(lock), quick, spheres, seed, _parse_home(home))
     options = {
         "acceleration": acceleration, "velocity": velocity, "period": period, "tool_speed": tool_speed, "turn": turn,
-        "turn_acceleration": turn_acceleration, **_grip(grip),
+        "turn_acceleration": turn_acceleration, **_parse_grip(grip),
     }  # fmt: skip
-    policy = policy_of(read_site(site) if site else None, options)
+    policy = make_limit_policy(read_site(site) if site else None, options)
     tree = read_description(description, packages)
     made = (
-        build_arm(tree, policy, wish, _tell)
+        build_arm(tree, policy, wish, _print_progress)
         if base == "fixed"
-        else build_base(tree, policy, wish, _pair(wheels), _tell)
+        else build_base(tree, policy, wish, _parse_wheels(wheels), _print_progress)
     )
-    folder = out or Path(made.body.name)
-    written = _write(folder, description, packages, wish, made, base, _pair(wheels), discard_edits)
-    _account(folder, made, written, time.monotonic() - began)
-    return Exit.SUCCESS
+    folder = out or Path(made.model.name)
+    written = _write_robot(folder, description, packages, wish, made, base, _parse_wheels(wheels), discard_edits)
+    _print_summary(folder, made, written, time.monotonic() - began)
+    return ExitCode.SUCCESS
 
 
-def _write(
-    folder: Path, description: Path, packages: Sequence[Path], wish: Wish, made: Made, base: str,
+def _write_robot(
+    folder: Path, description: Path, packages: Sequence[Path], wish: ImportOptions, made: ImportResult, base: str,
     wheels: tuple[str, str] | None, discard_edits: bool,
-) -> Written:  # fmt: skip
-    from dualbrain.robots.importer.output.robot_folder import PICTURE, Recipe, sha256, write_folder
+) -> FolderWriteResult:  # fmt: skip
+    from dualbrain.robots.importer.output.robot_folder import (
+        PICTURE_FILE,
+        ImportRecord,
+        file_sha256,
+        write_robot_folder,
+    )
     from dualbrain.safety.cbf.filter import SafetyFilter
-    from dualbrain.visualization.robot.image import draw_body
+    from dualbrain.visualization.robot.image import draw_robot
 
-    SafetyFilter(made.body)  # what the kernel has no room for is refused before anything is written
-    recipe = Recipe(
-        str(description.resolve()), sha256(description), tuple(str(path.resolve()) for path in packages), wish.base,
-        wish.tip, wish.tool, dict(wish.lock), wish.quick, wish.spheres, wish.seed, base, wheels,
+    SafetyFilter(made.model)  # what the kernel has no room for is refused before anything is written
+    recipe = ImportRecord(
+        str(description.resolve()), file_sha256(description), tuple(str(path.resolve()) for path in packages), wish.base,
+        wish.tip, wish.tool, dict(wish.lock), wish.quick, wish.sphere_budget, wish.seed, base, wheels,
     )  # fmt: skip
-    written = write_folder(folder, made.body, made.report, recipe, discard_edits=discard_edits)
-    draw_body(written.body, made.shapes, folder / PICTURE)
+    written = write_robot_folder(folder, made.model, made.report, recipe, discard_edits=discard_edits)
+    draw_robot(written.model, made.shapes, folder / PICTURE_FILE)
     return written
 
 
-def _account(folder: Path, made: Made, written: Written, seconds: float) -> None:
-    from dualbrain.robots.importer.output.diff import summary
-    from dualbrain.robots.importer.output.markdown import gaps
+def _print_summary(folder: Path, made: ImportResult, written: FolderWriteResult, seconds: float) -> None:
+    from dualbrain.robots.importer.output.diff import summarize_changes
+    from dualbrain.robots.importer.output.markdown import missing_information
 
-    body, report = written.body, made.report
+    body, report = written.model, made.report
     worst = max((link.worst for link in report.links), default=0.0)
     print(f"{folder}: {body.name}, {body.n} joints, {len(body.spheres)} spheres, {seconds:.0f} s")
     print(
         f"  cover: {report.coverage:.2%} of every part's surface at least; spheres stand off by {worst * 1e3:.0f} mm "
         f"at most; {len(body.self_pairs.kept)} pairs of parts kept apart"
     )
-    for line in gaps(body, report):
+    for line in missing_information(body, report):
         print(f"  missing: {line}")
     for title, lines in (
-        ("changed by making again", summary(written.by_making)), ("your edits, kept", summary(written.kept)),
-        ("your edits that found no place", summary(written.lost)),
+        ("changed by making again", summarize_changes(written.generator_changes)), ("your edits, kept", summarize_changes(written.kept_edits)),
+        ("your edits that found no place", summarize_changes(written.lost_edits)),
     ):  # fmt: skip
         for line in lines:
             print(f"  {title}: {line}")
-    if not written.new and not written.by_making:
+    if not written.is_new and not written.generator_changes:
         print("  made again: nothing changed")
     width = shutil.get_terminal_size().columns
     print(f"Next: dualbrain robot inspect {folder} --view"[:width])
 
 
-def _tell(text: str) -> None:
+def _print_progress(text: str) -> None:
     print(text, file=sys.stderr)
 
 
-def _ends(chain: str) -> tuple[str, str]:
+def _parse_chain(chain: str) -> tuple[str, str]:
     if not chain:
         return "", ""
     start, dots, tip = chain.partition("..")
     if not dots or not tip:
-        raise WrongUsage("--chain", got=chain, allowed="BASE..TIP, two links")
+        raise UsageError("--chain", got=chain, allowed="BASE..TIP, two links")
     return start, tip
 
 
-def _locks(given: Sequence[str]) -> dict[str, float]:
+def _parse_locks(given: Sequence[str]) -> dict[str, float]:
     locks: dict[str, float] = {}
     for one in given:
         joint, sign, value = one.partition("=")
         try:
             locks[joint] = float(value if sign else "none")
         except ValueError:
-            raise WrongUsage("--lock", got=one, allowed="JOINT=VALUE, in rad or m") from None
+            raise UsageError("--lock", got=one, allowed="JOINT=VALUE, in rad or m") from None
     return locks
 
 
-def _home(given: str) -> tuple[float, ...] | None:
+def _parse_home(given: str) -> tuple[float, ...] | None:
     try:
         return tuple(float(value) for value in given.split(",")) if given else None
     except ValueError:
-        raise WrongUsage("--home", got=given, allowed="numbers separated by commas") from None
+        raise UsageError("--home", got=given, allowed="numbers separated by commas") from None
 
 
-def _grip(given: str) -> dict[str, float]:
+def _parse_grip(given: str) -> dict[str, float]:
     """Least and greatest grip force [N], as far as they are given."""
     try:
         values = [float(value) for value in given.split(",")] if given else []
     except ValueError:
         values = [0.0]
     if len(values) > 2 or any(not value > 0.0 for value in values):
-        raise WrongUsage("--grip", got=given, allowed="LEAST or LEAST,GREATEST, above 0 N")
+        raise UsageError("--grip", got=given, allowed="LEAST or LEAST,GREATEST, above 0 N")
     return dict(zip(("grip_force_min", "grip_force"), values, strict=False))
 
 
-def _pair(wheels: str) -> tuple[str, str] | None:
+def _parse_wheels(wheels: str) -> tuple[str, str] | None:
     if not wheels:
         return None
     left, comma, right = wheels.partition(",")
     if not comma or not right:
-        raise WrongUsage("--wheels", got=wheels, allowed="LEFT,RIGHT, two joints")
+        raise UsageError("--wheels", got=wheels, allowed="LEFT,RIGHT, two joints")
     return left.strip(), right.strip()

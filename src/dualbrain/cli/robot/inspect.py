@@ -10,12 +10,12 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
 
-from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.common.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from dualbrain.robots.assets.meshes import Mesh
-    from dualbrain.robots.importer.report import Report
-    from dualbrain.robots.model import Body
+    from dualbrain.robots.importer.report import ImportReport
+    from dualbrain.robots.model import RobotModel
 
 
 def inspect(
@@ -38,30 +38,30 @@ def inspect(
     port
         Where the view listens.
     """
-    from dualbrain.robots.importer.output.markdown import gaps
-    from dualbrain.robots.importer.output.robot_folder import edits, read_report
-    from dualbrain.robots.loader import load_body
+    from dualbrain.robots.importer.output.markdown import missing_information
+    from dualbrain.robots.importer.output.robot_folder import find_edits, read_import_files
+    from dualbrain.robots.loader import load_robot
 
-    body = load_body(robot)
+    body = load_robot(robot)
     folder = Path(robot)
-    report, _ = read_report(folder) if folder.is_dir() else (None, None)
+    report, _ = read_import_files(folder) if folder.is_dir() else (None, None)
     console = Console()
-    console.print(_bounds(body))
+    console.print(_bounds_table(body))
     if report:
-        console.print(_cover(report))
+        console.print(_coverage_table(report))
     kept = len(body.self_pairs.kept)
     console.print(f"{len(body.spheres)} spheres, {kept} pairs of parts kept apart, α at most {body.alpha:.2f}/s")
-    for change in edits(folder) if folder.is_dir() else ():
+    for change in find_edits(folder) if folder.is_dir() else ():
         console.print(f"edited: {change}", markup=False)
-    missing = gaps(body, report)
+    missing = missing_information(body, report)
     for line in missing:
         console.print(f"[red]missing[/]: {line}")
     if view:
-        _view(body, folder, port)
-    return Exit.SETUP if missing else Exit.SUCCESS
+        _serve_view(body, folder, port)
+    return ExitCode.SETUP if missing else ExitCode.SUCCESS
 
 
-def _bounds(body: Body) -> Table:
+def _bounds_table(body: RobotModel) -> Table:
     from dualbrain.robots.importer.output.markdown import bound_rows
 
     table = Table("joint", "bound", "value", "from", box=None, pad_edge=False)
@@ -70,7 +70,7 @@ def _bounds(body: Body) -> Table:
     return table
 
 
-def _cover(report: Report) -> Table:
+def _coverage_table(report: ImportReport) -> Table:
     table = Table("part", "group", "spheres", "covered", "stands off [mm]: mean", "worst", box=None, pad_edge=False)
     for link in report.links:
         table.add_row(
@@ -80,14 +80,14 @@ def _cover(report: Report) -> Table:
     return table
 
 
-def _view(body: Body, folder: Path, port: int) -> None:
+def _serve_view(body: RobotModel, folder: Path, port: int) -> None:
     """Serve until a key is pressed; without a terminal, not at all (a script that asks is told where to look)."""
-    from dualbrain.visualization.robot.viewer import BodyView
+    from dualbrain.visualization.robot.viewer import RobotViewer
 
-    shapes, why = _shapes(folder)
+    shapes, why = _load_meshes(folder)
     if why:
         print(f"dualbrain: spheres only: {why}", file=sys.stderr)
-    view = BodyView(body, shapes, port)
+    view = RobotViewer(body, shapes, port)
     try:
         print(f"Look at {view.url}", flush=True)
         if sys.stdin.isatty():
@@ -96,21 +96,21 @@ def _view(body: Body, folder: Path, port: int) -> None:
         view.close()
 
 
-def _shapes(folder: Path) -> tuple[dict[str, Mesh], str]:
+def _load_meshes(folder: Path) -> tuple[dict[str, Mesh], str]:
     """The shapes that the spheres were fitted to, and why there are none."""
     from dualbrain.cli.robot.read_description import read_description
     from dualbrain.errors import DualbrainError
-    from dualbrain.robots.importer.output.robot_folder import read_report, sha256
-    from dualbrain.robots.importer.output.source_meshes import shapes_of
+    from dualbrain.robots.importer.output.robot_folder import file_sha256, read_import_files
+    from dualbrain.robots.importer.output.source_meshes import load_source_meshes
 
-    _, recipe = read_report(folder) if folder.is_dir() else (None, None)
+    _, recipe = read_import_files(folder) if folder.is_dir() else (None, None)
     if recipe is None:
         return {}, "no description beside this robot"
     file = Path(recipe.description)
-    if not file.is_file() or sha256(file) != recipe.sha256:
+    if not file.is_file() or file_sha256(file) != recipe.sha256:
         return {}, f"{file} is gone or has changed since"
     try:
         tree = read_description(file, [Path(path) for path in recipe.packages])
-        return shapes_of(tree, recipe), ""
+        return load_source_meshes(tree, recipe), ""
     except DualbrainError as error:
         return {}, str(error)

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from dualbrain.robots.importer.kinematic_tree import Tree
+    from dualbrain.robots.importer.kinematic_tree import KinematicTree
 
 
-def read_description(file: Path, packages: Sequence[Path] = ()) -> Tree:
+def read_description(file: Path, packages: Sequence[Path] = ()) -> KinematicTree:
     """The robot in a URDF, or in an MJCF file (root element <mujoco>).
 
     Raises:

@@ -9,9 +9,9 @@ from typing import Annotated
 import msgspec
 from cyclopts import Parameter
 
-from dualbrain.cli.common.console import answer
-from dualbrain.cli.common.exit_codes import Exit
-from dualbrain.errors import InvalidSetup
+from dualbrain.cli.common.console import print_result
+from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.errors import ConfigurationError
 
 
 def check(
@@ -37,9 +37,11 @@ def check(
     try:
         data = sys.stdin.buffer.read() if str(contract) == "-" else contract.read_bytes()
     except OSError as error:
-        raise InvalidSetup("contract file", got=error.strerror, allowed="a readable file", fix=str(contract)) from error
+        raise ConfigurationError(
+            "contract file", got=error.strerror, allowed="a readable file", fix=str(contract)
+        ) from error
     verdict = check_contract(data, robot=robot, scene=scene)
     accepted = isinstance(verdict, Accepted)
     body = {} if accepted else {key: value for key, value in msgspec.to_builtins(verdict).items() if key != "verdict"}
-    answer(msgspec.json.encode({"accepted": accepted, **body}).decode())
-    return Exit.SUCCESS if accepted else Exit.REJECTED
+    print_result(msgspec.json.encode({"accepted": accepted, **body}).decode())
+    return ExitCode.SUCCESS if accepted else ExitCode.REJECTED

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.common.exit_codes import ExitCode
 
-PLANNER = "starter-135m"
+DEMO_PLANNER = "starter-135m"
 """Small, and comes with dualbrain but for what it sits on (98 MB). It knows a Panda at a table."""
 
 
@@ -12,7 +12,7 @@ def demo(
     instruction: str = "put the red cube in the bowl",
     /,
     *,
-    planner: str = PLANNER,
+    planner: str = DEMO_PLANNER,
     headless: bool = False,
     scene: str = "8",
 ) -> int:
@@ -29,7 +29,7 @@ def demo(
     scene
         Which world; in scene 8 a forearm crosses the path, and the filter has to bend it.
     """
-    from dualbrain.cli.run.execution import carry_out
+    from dualbrain.cli.run.execution import execute_run
 
     view = not headless
-    return Exit(carry_out(instruction, scene=scene, planner=planner, view=view, stay=view, live=view))
+    return ExitCode(execute_run(instruction, scene=scene, planner=planner, view=view, keep_view_open=view, live=view))

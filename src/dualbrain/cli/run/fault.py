@@ -7,19 +7,19 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.common.exit_codes import ExitCode
 
-Source = Literal["state", "scene", "clock", "qp", "drive", "planner", "socket"]
-Kind = Literal["off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent"]
-Moment = Literal["closing", "descending", "grasping", "carrying", "lowering", "acknowledgement", "drawn"]
+FaultSource = Literal["state", "scene", "clock", "qp", "drive", "planner", "socket"]
+FaultKind = Literal["off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent"]
+FaultMoment = Literal["closing", "descending", "grasping", "carrying", "lowering", "acknowledgement", "drawn"]
 
 
 def fault(
-    source: Source,
-    kind: Kind,
+    source: FaultSource,
+    kind: FaultKind,
     /,
     *,
-    moment: Moment = "closing",
+    moment: FaultMoment = "closing",
     scene: str = "tabletop:1",
     robot: str = "panda",
     seed: int = 0,
@@ -46,20 +46,20 @@ def fault(
     """
     import msgspec
 
-    from dualbrain.cli.common.console import answer
-    from dualbrain.evaluation.fault_injection.faults import Fault, drawn_moment
-    from dualbrain.evaluation.fault_injection.trial import inject
+    from dualbrain.cli.common.console import print_result
+    from dualbrain.evaluation.fault_injection.faults import Fault, draw_moment
+    from dualbrain.evaluation.fault_injection.trial import run_fault_trial
 
-    full = {"acknowledgement": "between write and acknowledgement", "drawn": drawn_moment(seed)}
+    full = {"acknowledgement": "between write and acknowledgement", "drawn": draw_moment(seed)}
     when = full.get(moment, moment)
-    report = inject(Fault(source, kind, when, seed), robot=robot, scene=scene, seed=seed)
+    report = run_fault_trial(Fault(source, kind, when, seed), robot=robot, scene=scene, seed=seed)
     if json:
-        answer(msgspec.json.encode(report).decode())
+        print_result(msgspec.json.encode(report).decode())
     struck = "its moment never came" if report.struck is None else f"struck at {report.struck:.2f} s"
     said = f"expected {report.expected}, reached {report.reached} ({', '.join(report.checks) or 'no check'})"
     print(f"{report.fault}: {struck}; {said}; {report.outcome}: {report.reason}", file=sys.stderr)
     for one in report.unsafe:
         print(f"violation {one.kind} at {one.start:.2f} s: {' × '.join(one.bodies)}", file=sys.stderr)
     if not report.safe:
-        return Exit.VIOLATION
-    return Exit.SUCCESS if report.as_declared else Exit.FAILED_SAFELY
+        return ExitCode.VIOLATION
+    return ExitCode.SUCCESS if report.as_declared else ExitCode.FAILED_SAFELY

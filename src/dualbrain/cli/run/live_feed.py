@@ -11,24 +11,24 @@ from math import inf, nan
 import numpy as np
 from rich.console import Console
 
-from dualbrain.control.control_loop import Moment
-from dualbrain.control.gatekeeper.protocol.messages import Glimpse
+from dualbrain.control.control_loop import TickSnapshot
+from dualbrain.control.gatekeeper.protocol.messages import TickReport
 from dualbrain.control.recording.trace import DEAD_BAND, Event
 from dualbrain.records import Episode, Scene
 from dualbrain.runtime.live_session import LiveSession
 from dualbrain.runtime.session import Session
 from dualbrain.safety.cbf.filter import SafetyFilter
-from dualbrain.safety.cbf.obstacles import from_scene
-from dualbrain.simulation.plant.render_meshes import surfaces
-from dualbrain.visualization.live.operator_buttons import OperatorBoard
-from dualbrain.visualization.live.panel import spoken_speeds
+from dualbrain.safety.cbf.obstacles import obstacles_from_scene
+from dualbrain.simulation.plant.render_meshes import link_meshes
+from dualbrain.visualization.live.operator_buttons import OperatorAccess
+from dualbrain.visualization.live.panel import commanded_speeds
 from dualbrain.visualization.live.view import LiveView
 from dualbrain.visualization.live.view_state import ViewState
 
-LINES = 12
+MAX_LINES = 12
 
 
-class Lookout:
+class LiveFeed:
     """Turns moments of the loop into states of the view; running averages are kept over what it is shown."""
 
     def __init__(self, session: Session, port: int, console: Console) -> None:
@@ -37,11 +37,15 @@ class Lookout:
         self._plant = session.plant
         self._kinematics = SafetyFilter(session.body)
         code = secrets.token_urlsafe(9)
-        board = OperatorBoard(session.operate, code) if isinstance(session, LiveSession) else None
+        board = OperatorAccess(session.operate, code) if isinstance(session, LiveSession) else None
         self._view = LiveView(
-            session.body, port, instruction=session.config.instruction, board=board, surfaces=surfaces(session.plant)
+            session.body,
+            port,
+            instruction=session.config.instruction,
+            access=board,
+            link_meshes=link_meshes(session.plant),
         )
-        self._lines: deque[str] = deque(maxlen=LINES)
+        self._lines: deque[str] = deque(maxlen=MAX_LINES)
         self._deltas: list[float] = []
         self._h_min = float("inf")
         self._console = console
@@ -51,12 +55,12 @@ class Lookout:
         if board:
             console.print(f"its buttons: anyone may stop the arm, the rest need the operator's code [bold]{code}[/]")
 
-    def event(self, event: Event) -> None:
+    def on_event(self, event: Event) -> None:
         """Show a line of news."""
         if event.kind != "perception":
             self._lines.append(f"{event.t:.1f} s  {event.text}")
 
-    def moment(self, moment: Moment) -> None:
+    def on_tick(self, moment: TickSnapshot) -> None:
         """Show a tick of the loop."""
         state, result = moment.state, moment.result
         if moment.action >= 0:
@@ -67,7 +71,7 @@ class Lookout:
             "h_min": result.h_min, "delta": result.delta,
             "Delta": float(np.mean(self._deltas)) if self._deltas else 0.0,
             "intervention_frequency": float(np.mean(np.array(self._deltas) > DEAD_BAND)) if self._deltas else 0.0,
-            **spoken_speeds(self._body, result.u), "elapsed": state.stamp,
+            **commanded_speeds(self._body, result.u), "elapsed": state.stamp,
             "phase": f"{moment.skill}: {moment.nominal.phase}", "status": result.status.name,
             "barriers": ", ".join(result.barriers).replace("_", " "), "planner": "",
         }  # fmt: skip
@@ -79,27 +83,27 @@ class Lookout:
             )
         )  # fmt: skip
 
-    def glimpse(self, glimpse: Glimpse) -> None:
+    def on_tick_report(self, report: TickReport) -> None:
         """Show a tick of a gatekeeper's loop, as it was told over the socket."""
-        if glimpse.in_contract:
-            self._deltas.append(glimpse.delta)
-            self._h_min = min(self._h_min, inf if glimpse.h_min is None else glimpse.h_min)
-        q = np.array(glimpse.q)
-        centres, radii, _ = self._kinematics.spheres(q, glimpse.opening)
-        order = f" [{glimpse.order}: {glimpse.check}]" if glimpse.check else ""
+        if report.in_contract:
+            self._deltas.append(report.delta)
+            self._h_min = min(self._h_min, inf if report.h_min is None else report.h_min)
+        q = np.array(report.q)
+        centres, radii, _ = self._kinematics.spheres(q, report.opening)
+        order = f" [{report.order}: {report.check}]" if report.check else ""
         numbers: dict[str, float | str] = {
-            "h_min": nan if glimpse.h_min is None else glimpse.h_min, "delta": glimpse.delta,
+            "h_min": nan if report.h_min is None else report.h_min, "delta": report.delta,
             "Delta": float(np.mean(self._deltas)) if self._deltas else 0.0,
             "intervention_frequency": float(np.mean(np.array(self._deltas) > DEAD_BAND)) if self._deltas else 0.0,
-            **spoken_speeds(self._body, np.array(glimpse.u)), "elapsed": glimpse.t,
-            "phase": f"{glimpse.skill}: {glimpse.phase}{order}",
-            "status": glimpse.status, "barriers": ", ".join(glimpse.barriers).replace("_", " "), "planner": "",
+            **commanded_speeds(self._body, np.array(report.u)), "elapsed": report.t,
+            "phase": f"{report.skill}: {report.phase}{order}",
+            "status": report.status, "barriers": ", ".join(report.barriers).replace("_", " "), "planner": "",
         }  # fmt: skip
-        self._plant.place_arm(q, glimpse.opening)
+        self._plant.set_configuration(q, report.opening)
         frames, lines = self._plant.link_poses(), tuple(self._lines)
-        margins = _margins(glimpse.scene)
+        margins = _margins(report.scene)
         self._view.show(
-            ViewState(glimpse.t, frames, glimpse.scene, centres, radii, margins=margins, numbers=numbers, lines=lines)
+            ViewState(report.t, frames, report.scene, centres, radii, margins=margins, numbers=numbers, lines=lines)
         )
 
     def finish(self, episode: Episode, *, stay: bool) -> None:
@@ -117,4 +121,4 @@ class Lookout:
 
 def _margins(scene: Scene) -> dict[str, float]:
     """How far the filter inflates each thing [m]."""
-    return {one.name: one.margin for one in from_scene(scene, known=(), held=None)}
+    return {one.name: one.margin for one in obstacles_from_scene(scene, known=(), held=None)}

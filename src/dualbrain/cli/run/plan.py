@@ -12,18 +12,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import msgspec
 from cyclopts import Parameter
 
-from dualbrain.cli.common.console import Account, answer, listing, plain
-from dualbrain.cli.common.exit_codes import Exit
-from dualbrain.cli.common.paths import cache, home
-from dualbrain.cli.run.run import PLANNER
-from dualbrain.errors import WrongUsage
+from dualbrain.cli.common.console import StderrConsole, print_result, print_table, sanitize_line
+from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.cli.common.paths import cache_folder, dualbrain_home
+from dualbrain.cli.run.run import DEFAULT_PLANNER
+from dualbrain.errors import UsageError
 
 if TYPE_CHECKING:
     from dualbrain.planner.protocol import Planner
-    from dualbrain.runtime.dry_run import Planned
-    from dualbrain.runtime.planner_request import LookUp, Reminder, Standpoint
+    from dualbrain.runtime.dry_run import DryRunResult
+    from dualbrain.runtime.planner_request import PassageRetriever, PlanningContext, Retriever
 
-MOST_SHOTS = 5
+MAX_SHOTS = 5
 
 
 def plan(
@@ -32,7 +32,7 @@ def plan(
     *,
     robot: str = "panda",
     scene: str = "0",
-    planner: str = PLANNER,
+    planner: str = DEFAULT_PLANNER,
     memory: Literal["on", "off"] = "on",
     knowledge: Literal["on", "off"] = "on",
     ledger: Path | None = None,
@@ -62,53 +62,53 @@ def plan(
     json
         Print one JSON object on stdout.
     """
-    from dualbrain.cli.common.spinner import Waiting
-    from dualbrain.grounding.offline_gate import as_specified
-    from dualbrain.planner.introspection import deaf_to_documents
-    from dualbrain.runtime.dry_run import from_home
+    from dualbrain.cli.common.spinner import Spinner
+    from dualbrain.grounding.offline_gate import scene_from_spec
+    from dualbrain.planner.introspection import no_documents_reason
+    from dualbrain.runtime.dry_run import context_at_home
     from dualbrain.runtime.dry_run import plan as ask
     from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
-    if not instruction.strip() or not 1 <= shots <= MOST_SHOTS:
-        raise WrongUsage(
-            "instruction and --shots", got=(instruction, shots), allowed=f"some words, and 1 to {MOST_SHOTS}"
+    if not instruction.strip() or not 1 <= shots <= MAX_SHOTS:
+        raise UsageError(
+            "instruction and --shots", got=(instruction, shots), allowed=f"some words, and 1 to {MAX_SHOTS}"
         )
-    console = Account()
-    here = from_home(robot, as_specified(open_scene(scene, robot)))
+    console = StderrConsole()
+    here = context_at_home(robot, scene_from_spec(open_scene(scene, robot)))
     with ExitStack() as stack:
-        reminder = stack.enter_context(_memory(ledger, here)) if memory == "on" else None
-        look_up = stack.enter_context(_documents(here)) if knowledge == "on" else _nothing
-        thinker = stack.enter_context(_planner(planner, here))
-        if knowledge == "on" and (why := deaf_to_documents(thinker)):
+        reminder = stack.enter_context(_open_memory(ledger, here)) if memory == "on" else None
+        look_up = stack.enter_context(_open_documents(here)) if knowledge == "on" else _no_documents
+        thinker = stack.enter_context(_open_planner(planner, here))
+        if knowledge == "on" and (why := no_documents_reason(thinker)):
             console.print(why, markup=False)
-        waiting = Waiting(console, f"the planner thinks ({thinker.name})")
+        waiting = Spinner(console, f"the planner thinks ({thinker.name})")
         waiting.start()
         try:
             planned = ask(instruction, here, thinker, reminder, look_up, shots=shots, clock=time.perf_counter)
         finally:
             waiting.stop()
     if json:
-        answer(msgspec.json.encode(summary(instruction, planned)).decode())
+        print_result(msgspec.json.encode(plan_summary(instruction, planned)).decode())
     else:
-        _tell(planned)
-    if not planned.answered:
-        return Exit.FAILED_SAFELY
-    return Exit.REJECTED if planned.declined or not _accepted(planned) else Exit.SUCCESS
+        _print_plan(planned)
+    if not planned.has_answer:
+        return ExitCode.FAILED_SAFELY
+    return ExitCode.REJECTED if planned.is_declined or not _is_accepted(planned) else ExitCode.SUCCESS
 
 
-def summary(instruction: str, planned: Planned) -> dict[str, Any]:
+def plan_summary(instruction: str, planned: DryRunResult) -> dict[str, Any]:
     """The one object that `--json` prints."""
     last = planned.shots[-1].attempt
     return {
-        "instruction": instruction, "summary": planned.summary, "accepted": _accepted(planned),
-        "declined": planned.declined, "contract": _contract(planned), "verdict": last.verdict,
-        "retrieved": planned.recall, "unread": planned.unread,
-        "shots": [{"prompt": one.prompt, **_told(one.attempt)} for one in planned.shots],
-        "planner": last.proposal.planner, "timings": planned.timings, "template": planned.template,
+        "instruction": instruction, "summary": planned.summary, "accepted": _is_accepted(planned),
+        "declined": planned.is_declined, "contract": _accepted_contract(planned), "verdict": last.verdict,
+        "retrieved": planned.recall, "unread": planned.unsupported_fields,
+        "shots": [{"prompt": one.prompt, **_encode_attempt(one.attempt)} for one in planned.shots],
+        "planner": last.proposal.planner, "timings": planned.timings, "template": planned.template_hash,
     }  # fmt: skip
 
 
-def _told(attempt: Any) -> dict[str, Any]:
+def _encode_attempt(attempt: Any) -> dict[str, Any]:
     proposal = attempt.proposal
     return {
         "answer": proposal.text, "finish_reason": proposal.finish_reason, "constrained_by": proposal.constrained_by,
@@ -116,60 +116,62 @@ def _told(attempt: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _accepted(planned: Planned) -> bool:
+def _is_accepted(planned: DryRunResult) -> bool:
     from dualbrain.contracts.verdict import Accepted
 
     return isinstance(planned.verdict, Accepted)
 
 
-def _contract(planned: Planned) -> dict[str, Any] | None:
+def _accepted_contract(planned: DryRunResult) -> dict[str, Any] | None:
     from dualbrain.contracts.verdict import Accepted
 
     verdict = planned.verdict
     return msgspec.to_builtins(verdict.contract) if isinstance(verdict, Accepted) else None
 
 
-def _tell(planned: Planned) -> None:
+def _print_plan(planned: DryRunResult) -> None:
     """For people: prompt, retrieved, contract, verdict, time; text of models and documents cannot steer a terminal."""
-    from dualbrain.runtime.planning_time import in_words
+    from dualbrain.runtime.planning_time import format_timings
 
     for number, shot in enumerate(planned.shots, start=1):
         head = "prompt" if number == 1 else f"prompt of shot {number}: the last message"
-        answer(f"── {head} " + "─" * 60)
+        print_result(f"── {head} " + "─" * 60)
         for message in shot.prompt if number == 1 else shot.prompt[-1:]:
-            answer(f"[{message['role']}]")
+            print_result(f"[{message['role']}]")
             for line in message["content"].splitlines():
-                answer(plain(line))
-        answer(f"── answer of {shot.attempt.proposal.planner} " + "─" * 60)
-        answer(plain(shot.attempt.proposal.text) or f"none: {shot.attempt.proposal.finish_reason}")
-        for line in _verdict(shot.attempt.verdict):
-            answer(line)
-    answer("── retrieved " + "─" * 60)
-    _tell_retrieved(planned)
-    if words := in_words(planned.timings):
-        answer("── time " + "─" * 60)
-        answer(words)
+                print_result(sanitize_line(line))
+        print_result(f"── answer of {shot.attempt.proposal.planner} " + "─" * 60)
+        print_result(sanitize_line(shot.attempt.proposal.text) or f"none: {shot.attempt.proposal.finish_reason}")
+        for line in _verdict_lines(shot.attempt.verdict):
+            print_result(line)
+    print_result("── retrieved " + "─" * 60)
+    _print_retrieved(planned)
+    if words := format_timings(planned.timings):
+        print_result("── time " + "─" * 60)
+        print_result(words)
 
 
-def _tell_retrieved(planned: Planned) -> None:
+def _print_retrieved(planned: DryRunResult) -> None:
     recall = planned.recall
-    avoid = "avoid, not shown" if "warnings" in planned.unread else "avoid"
-    shown = "what was found, not shown to this planner" if "passages" in planned.unread else "what was shown"
+    avoid = "avoid, not shown" if "warnings" in planned.unsupported_fields else "avoid"
+    shown = (
+        "what was found, not shown to this planner" if "passages" in planned.unsupported_fields else "what was shown"
+    )
     rows = [
         (use, str(one.rank), f"{one.score:.3f}", f"{one.similarity:.3f}", f"{one.weight:.3f}", one.episode_id,
          one.instruction)
         for use, found in (("follow", recall.exemplars), (avoid, recall.warnings)) for one in found
     ]  # fmt: skip
     if rows:
-        listing(("use", "rank", "R", "s", "w", "memory", "instruction"), rows, gives=("instruction",))
+        print_table(("use", "rank", "R", "s", "w", "memory", "instruction"), rows, wrap_columns=("instruction",))
     if recall.passages:
         quoted = [(str(one.rank), one.citation, one.trust, f"{one.likeness:.3f}", one.text) for one in recall.passages]
-        listing(("rank", "citation", "trust", "likeness", shown), quoted, gives=(shown,))
+        print_table(("rank", "citation", "trust", "likeness", shown), quoted, wrap_columns=(shown,))
     if not rows and not recall.passages:
-        answer("nothing")
+        print_result("nothing")
 
 
-def _verdict(verdict: Any) -> Iterator[str]:
+def _verdict_lines(verdict: Any) -> Iterator[str]:
     """The gate's stages, the one that refused with what would be allowed."""
     from dualbrain.contracts.verdict import Accepted
     from dualbrain.runtime.episode import STAGES
@@ -178,17 +180,17 @@ def _verdict(verdict: Any) -> Iterator[str]:
         yield "accepted: " + ", ".join(f"{stage} ✓" for stage in STAGES)
         return
     passed = [f"{stage} ✓" for stage in STAGES[: STAGES.index(verdict.stage)]]
-    yield plain("rejected: " + ", ".join([*passed, f"{verdict.stage} ✗ at {verdict.pointer or '/'}"]))
-    yield plain(f"got {verdict.got!r}, allowed {verdict.allowed!r}: {verdict.hint}")
+    yield sanitize_line("rejected: " + ", ".join([*passed, f"{verdict.stage} ✗ at {verdict.pointer or '/'}"]))
+    yield sanitize_line(f"got {verdict.got!r}, allowed {verdict.allowed!r}: {verdict.hint}")
 
 
 # --- what a plan is made from -----------------------------------------------------------------------------------------
 
 
 @contextmanager
-def _memory(ledger: Path | None, here: Standpoint) -> Generator[Reminder | None]:
+def _open_memory(ledger: Path | None, here: PlanningContext) -> Generator[Retriever | None]:
     """Memory for reading; none where no run has written one yet."""
-    from dualbrain.cli.memory.open_memory import encoder, ledger_path
+    from dualbrain.cli.memory.open_memory import ledger_path, load_encoder
     from dualbrain.memory.config import MemoryConfig
     from dualbrain.memory.embedding.posture_features import PostureLimits
     from dualbrain.memory.ledger.ledger import LedgerReader
@@ -199,34 +201,34 @@ def _memory(ledger: Path | None, here: Standpoint) -> Generator[Reminder | None]
         yield None
         return
     with LedgerReader(path) as opened:
-        yield Memory(opened, encoder(), MemoryConfig((PostureLimits.of(here.body),)))
+        yield Memory(opened, load_encoder(), MemoryConfig((PostureLimits.from_model(here.body),)))
 
 
 @contextmanager
-def _documents(here: Standpoint) -> Generator[LookUp]:
+def _open_documents(here: PlanningContext) -> Generator[PassageRetriever]:
     """The documents, as a run with `--knowledge on` asks them."""
-    from dualbrain.cli.memory.open_memory import encoder
-    from dualbrain.grounding.document_retrieval import consult
+    from dualbrain.cli.memory.open_memory import load_encoder
+    from dualbrain.grounding.document_retrieval import retrieve_passages
     from dualbrain.knowledge.builtin_documents import open_library
 
-    path = home() / "knowledge.sqlite"
+    path = dualbrain_home() / "knowledge.sqlite"
     path.parent.mkdir(parents=True, exist_ok=True)
-    library = open_library(path, encoder(), now=time.time())
+    library = open_library(path, load_encoder(), now=time.time())
     try:
-        yield lambda instruction, seen: consult(library, instruction, seen, here.registry)
+        yield lambda instruction, seen: retrieve_passages(library, instruction, seen, here.registry)
     finally:
         library.close()
 
 
 @contextmanager
-def _planner(name: str, here: Standpoint) -> Generator[Planner]:
+def _open_planner(name: str, here: PlanningContext) -> Generator[Planner]:
     from dualbrain.adaptation.serving.open_planner import open_planner
 
-    prefixes = cache() / "prefixes"
+    prefixes = cache_folder() / "prefixes"
     prefixes.mkdir(parents=True, exist_ok=True)
     opened = open_planner(
-        name, cache(), adapters=home() / "adapters", robot=here.body.name, registry=here.registry.hash,
-        key=os.environ.get("OPENAI_API_KEY", ""), prefixes=prefixes,
+        name, cache_folder(), adapters=dualbrain_home() / "adapters", robot=here.body.name, registry=here.registry.hash,
+        key=os.environ.get("OPENAI_API_KEY", ""), prompt_cache=prefixes,
     )  # fmt: skip
     try:
         yield opened
@@ -234,6 +236,6 @@ def _planner(name: str, here: Standpoint) -> Generator[Planner]:
         opened.close()
 
 
-def _nothing(instruction: str, seen: str) -> tuple[()]:
+def _no_documents(instruction: str, seen: str) -> tuple[()]:
     del instruction, seen
     return ()

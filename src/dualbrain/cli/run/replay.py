@@ -9,8 +9,8 @@ from typing import Annotated
 import msgspec
 from cyclopts import Parameter
 
-from dualbrain.cli.common.console import answer
-from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.common.console import print_result
+from dualbrain.cli.common.exit_codes import ExitCode
 
 
 def replay(recording: Path, /, *, json: Annotated[bool, Parameter(negative="")] = False) -> int:
@@ -27,9 +27,9 @@ def replay(recording: Path, /, *, json: Annotated[bool, Parameter(negative="")] 
 
     result = compute_again(recording)
     if json:
-        answer(msgspec.json.encode({"identical": result.identical, **msgspec.to_builtins(result)}).decode())
+        print_result(msgspec.json.encode({"identical": result.identical, **msgspec.to_builtins(result)}).decode())
     word = "identical, bit for bit" if result.identical else f"{result.differing} differ, first at tick {result.first}"
     print(f"{recording.name}: {result.ticks} controls computed again: {word}", file=sys.stderr)
     if not result.complete:
         print(f"the recording is not complete: {result.problem or 'messages were lost'}", file=sys.stderr)
-    return Exit.SUCCESS if result.identical else Exit.FAILED_SAFELY
+    return ExitCode.SUCCESS if result.identical else ExitCode.FAILED_SAFELY

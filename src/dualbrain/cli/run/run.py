@@ -9,13 +9,13 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from dualbrain.cli.common.arguments import share
-from dualbrain.cli.common.exit_codes import Exit
-from dualbrain.errors import WrongUsage
+from dualbrain.cli.common.arguments import parse_fraction
+from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.errors import UsageError
 from dualbrain.memory.plasticity.rule import EPSILON
 
-PLANNER = "qwen2.5-coder-1.5b-instruct"
-MOST_TRIES = 5
+DEFAULT_PLANNER = "qwen2.5-coder-1.5b-instruct"
+MAX_TRIES = 5
 
 
 def run(
@@ -24,7 +24,7 @@ def run(
     *,
     robot: str = "panda",
     scene: str = "0",
-    planner: str = PLANNER,
+    planner: str = DEFAULT_PLANNER,
     filter: Literal["on", "off"] = "on",
     contract: Path | None = None,
     goal: str = "",
@@ -36,7 +36,7 @@ def run(
     tries: int = 2,
     port: int = 8080,
     knowledge: Literal["on", "off"] = "off",
-    eyes: Annotated[bool, Parameter(negative="")] = False,
+    image_memory: Annotated[bool, Parameter(negative="")] = False,
     utility: Annotated[bool, Parameter(negative="")] = False,
     epsilon: float = EPSILON,
     map: str = "",
@@ -100,25 +100,25 @@ def run(
     json
         Print one JSON object on stdout.
     """
-    from dualbrain.cli.run.execution import carry_out
+    from dualbrain.cli.run.execution import execute_run
 
     if not instruction.strip() and contract is None:
-        raise WrongUsage(
+        raise UsageError(
             "instruction", got=instruction, allowed="some words, or --contract FILE",
             fix='For example: dualbrain run "put the red cube in the bowl"',
         )  # fmt: skip
-    if not 1 <= tries <= MOST_TRIES:
-        raise WrongUsage("--tries", got=tries, allowed=f"1 to {MOST_TRIES}")
+    if not 1 <= tries <= MAX_TRIES:
+        raise UsageError("--tries", got=tries, allowed=f"1 to {MAX_TRIES}")
     if not 0.0 <= epsilon < inf:
-        raise WrongUsage("--epsilon", got=epsilon, allowed="a number, 0 or more")
+        raise UsageError("--epsilon", got=epsilon, allowed="a number, 0 or more")
     if live and filter == "off":
-        raise WrongUsage("--filter", got="off", allowed="on, with --live: the gatekeeper cannot do without")
+        raise UsageError("--filter", got="off", allowed="on, with --live: the gatekeeper cannot do without")
     stay = not headless and sys.stdout.isatty()
-    return Exit(
-        carry_out(
+    return ExitCode(
+        execute_run(
             instruction, robot=robot, scene=scene, planner=planner, guard=filter == "on", contract=contract, goal=goal,
-            view=not headless, stay=stay, out=out, ledger=ledger, seed=seed, port=port, as_json=json,
-            consult=knowledge == "on", chart=map, live=live, stage=share(speed), eyes=eyes, site=site,
+            view=not headless, keep_view_open=stay, out=out, ledger=ledger, seed=seed, port=port, as_json=json,
+            consult=knowledge == "on", map_overlay=map, live=live, speed_stage=parse_fraction(speed), image_memory=image_memory, site=site,
             utility=utility, tries=tries, epsilon=epsilon,
         )
     )  # fmt: skip

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.contracts.schema import decoding_schema, validation_schema
 
 
@@ -30,16 +30,16 @@ def schema(
     form
         `validation` is what the gate enforces, `decoding` what constrained decoders get, `short` what the prompt says.
     """
-    from dualbrain.grounding.vocabulary import spec_names, vocabulary
+    from dualbrain.grounding.vocabulary import load_skill_registry, scene_names_of_spec
     from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
-    registry = vocabulary(robot)
-    names = spec_names(open_scene(scene, robot))
+    registry = load_skill_registry(robot)
+    names = scene_names_of_spec(open_scene(scene, robot))
     if form == "short":
-        from dualbrain.contracts.schema import short_form
+        from dualbrain.contracts.schema import describe_skills
 
-        print(short_form(registry, names))
+        print(describe_skills(registry, names))
     else:
         chosen = validation_schema(registry, names) if form == "validation" else decoding_schema(registry, names)
         print(json.dumps(chosen, indent=2, ensure_ascii=False))
-    return Exit.SUCCESS
+    return ExitCode.SUCCESS

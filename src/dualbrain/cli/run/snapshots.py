@@ -5,12 +5,12 @@ from __future__ import annotations
 from rich.console import Console
 from rich.markup import escape
 
-from dualbrain.errors import MissingPart
+from dualbrain.errors import MissingDependencyError
 from dualbrain.simulation.perception.rendering import Camera
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.visualization.html.run_report import Snapshot
 
-MOMENTS = {
+PHASE_CAPTIONS = {
     "planning": "the planner thinks",
     "descend": "coming down",
     "close": "the fingers close",
@@ -23,31 +23,31 @@ MOMENTS = {
 }
 
 
-class Album:
+class PhaseCamera:
     """Takes one picture at the first of each telling phase; without a GL library it stays empty and says why."""
 
     def __init__(self, plant: Plant, console: Console, no_graphics: str = "") -> None:
         """Open the camera; `no_graphics` is why no GL library is in use, if that is so."""
         self._plant, self._console = plant, console
         self._seen: set[str] = set()
-        self.pictures: list[Snapshot] = []
+        self.snapshots: list[Snapshot] = []
         self._camera: Camera | None = None
         try:
             self._camera = Camera(plant)
-        except MissingPart as why:
+        except MissingDependencyError as why:
             console.print(f"[yellow]no pictures:[/] {escape(no_graphics or str(why))}")
 
-    def phase(self, phase: str) -> None:
+    def on_phase(self, phase: str) -> None:
         """A phase begins."""
-        if phase in MOMENTS and phase not in self._seen:
+        if phase in PHASE_CAPTIONS and phase not in self._seen:
             self._seen.add(phase)
-            self.snap(MOMENTS[phase])
+            self.take_snapshot(PHASE_CAPTIONS[phase])
 
-    def snap(self, caption: str) -> None:
+    def take_snapshot(self, caption: str) -> None:
         """Take a picture now; a camera that fails is not asked again: no picture is worth a run."""
         if self._camera:
             try:
-                self.pictures.append(Snapshot(self._plant.now, caption, self._camera.snap().copy()))
+                self.snapshots.append(Snapshot(self._plant.now, caption, self._camera.capture().copy()))
             except Exception as why:
                 self._camera = None
                 self._console.print(f"[yellow]no more pictures:[/] {escape(str(why))}")

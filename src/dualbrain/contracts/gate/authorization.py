@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from dualbrain.contracts.contract import Stamp
-from dualbrain.contracts.registry import Registry
+from dualbrain.contracts.contract import ContractHeader
+from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.verdict import Rejected
-from dualbrain.core.text import closest, pointer, shown
+from dualbrain.core.text import closest_name_hint, json_pointer, to_printable
 
 PLANNER = "planner"
 """The principal under which every planner acts."""
@@ -21,7 +21,7 @@ class AuthorizationStage:
     Raises `UnknownName` when a grant names a skill that is not registered.
     """
 
-    def __init__(self, registry: Registry, grants: Mapping[str, frozenset[str]]) -> None:
+    def __init__(self, registry: SkillRegistry, grants: Mapping[str, frozenset[str]]) -> None:
         """Hold `grants`: principal → skills."""
         for skill in sorted(frozenset[str]().union(*grants.values())):
             registry.skill(skill)
@@ -32,46 +32,52 @@ class AuthorizationStage:
         """None if the well-formed `document` is for our robot and registry and calls only granted skills."""
         context = document["context"]
         if context["robot"] != self._robot:
-            return _no(pointer("context", "robot"), context["robot"], self._robot, "this gate guards another robot")
+            return _reject(
+                json_pointer("context", "robot"), context["robot"], self._robot, "this gate guards another robot"
+            )
         if context["registry"] != self._hash:
             hint = "written for other skills, units or bounds: plan again with the current registry"
-            return _no(pointer("context", "registry"), context["registry"], self._hash, hint)
+            return _reject(json_pointer("context", "registry"), context["registry"], self._hash, hint)
         granted = self._grants.get(principal)
         if granted is None:
-            return _no("", principal, sorted(self._grants), "this principal holds no grant")
+            return _reject("", principal, sorted(self._grants), "this principal holds no grant")
         for index, step in enumerate(document["action_sequence"]):
             if step["skill"] not in granted:
-                return self._unskilled(index, step["skill"], granted)
+                return self._reject_skill(index, step["skill"], granted)
         return None
 
-    def _unskilled(self, index: int, skill: str, granted: frozenset[str]) -> Rejected:
+    def _reject_skill(self, index: int, skill: str, granted: frozenset[str]) -> Rejected:
         """The refusal of a skill that is not registered, or registered but not granted."""
         known = tuple(name for name in self._registry.by_name if name in granted)
         hint = "registered, but not granted to this principal"
         if skill not in self._skills:
-            hint = f"not a registered skill; {closest(skill, known)}"
-        return _no(pointer("action_sequence", index, "skill"), skill, list(known), hint)
+            hint = f"not a registered skill; {closest_name_hint(skill, known)}"
+        return _reject(json_pointer("action_sequence", index, "skill"), skill, list(known), hint)
 
 
-def check_stamp(stamp: Stamp, *, principal: str, now: float, names: SceneNames, last: int | None) -> Rejected | None:
+def check_header(
+    header: ContractHeader, *, principal: str, now: float, names: SceneNames, last_sequence: int | None
+) -> Rejected | None:
     """None if `stamp` is this principal's, in time, newer than `last` accepted, and made for this scene version.
 
     Written so that NaN in any time takes the refusing branch.
     """
-    if stamp.principal != principal:
-        return _no("", stamp.principal, principal, "stamped for another principal")
-    if not stamp.issued <= now:
-        return _no("", f"issued {stamp.issued} s", f"issued by {now} s", "from the future: check the clocks")
-    if not now < stamp.expires:
-        return _no("", f"expires {stamp.expires} s", f"after {now} s", "expired: plan again on the scene of now")
-    if last is not None and not stamp.sequence > last:
-        return _no("", f"sequence {stamp.sequence}", f"above {last}", "already used: replayed or out of order")
-    if names.version is not None and stamp.scene_version != names.version:
-        got, allowed = f"scene version {stamp.scene_version}", f"scene version {names.version}"
-        return _no("", got, allowed, "things came or went since: plan again")
+    if header.principal != principal:
+        return _reject("", header.principal, principal, "stamped for another principal")
+    if not header.issued <= now:
+        return _reject("", f"issued {header.issued} s", f"issued by {now} s", "from the future: check the clocks")
+    if not now < header.expires:
+        return _reject("", f"expires {header.expires} s", f"after {now} s", "expired: plan again on the scene of now")
+    if last_sequence is not None and not header.sequence > last_sequence:
+        return _reject(
+            "", f"sequence {header.sequence}", f"above {last_sequence}", "already used: replayed or out of order"
+        )
+    if names.version is not None and header.scene_version != names.version:
+        got, allowed = f"scene version {header.scene_version}", f"scene version {names.version}"
+        return _reject("", got, allowed, "things came or went since: plan again")
     return None
 
 
-def _no(place: str, got: object, allowed: object, hint: str) -> Rejected:
+def _reject(place: str, got: object, allowed: object, hint: str) -> Rejected:
     """A refusal at this stage."""
-    return Rejected("authorization", place, shown(got), allowed, hint)
+    return Rejected("authorization", place, to_printable(got), allowed, hint)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from dualbrain.contracts.contract import Action, Value
-from dualbrain.contracts.registry import Registry
+from dualbrain.contracts.contract import Action, ParameterValue
+from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.scene_names import SceneNames
-from dualbrain.contracts.skill_spec import Choice, Name, Number, Parameter, Text
+from dualbrain.contracts.skill_spec import ChoiceParameter, NameParameter, NumberParameter, Parameter, TextParameter
 from dualbrain.contracts.verdict import Rejected
-from dualbrain.core.text import closest, hides_something, pointer, shown
+from dualbrain.core.text import closest_name_hint, has_hidden_characters, json_pointer, to_printable
 
 
 class EnvelopeStage:
@@ -18,7 +18,7 @@ class EnvelopeStage:
     A number inside its bounds but meant in another unit cannot be seen here, nor by any schema.
     """
 
-    def __init__(self, registry: Registry) -> None:
+    def __init__(self, registry: SkillRegistry) -> None:
         """Hold the parameters of `registry` by skill."""
         self._parameters = {skill.name: skill.parameters for skill in registry.skills}
 
@@ -30,40 +30,40 @@ class EnvelopeStage:
         actions: list[Action] = []
         for index, step in enumerate(steps):
             skill, given = step["skill"], step["params"]
-            params: dict[str, Value] = {}
+            params: dict[str, ParameterValue] = {}
             for parameter in self._parameters[skill]:
                 value = given[parameter.name]
-                if not _inside(parameter, value, names):
-                    return _refusal(index, parameter, value, names)
-                params[parameter.name] = float(value) if isinstance(parameter, Number) else value
+                if not _is_in_domain(parameter, value, names):
+                    return _rejection(index, parameter, value, names)
+                params[parameter.name] = float(value) if isinstance(parameter, NumberParameter) else value
             actions.append(Action(skill, params))
         return tuple(actions)
 
 
-def _inside(parameter: Parameter, value: Any, names: SceneNames) -> bool:
+def _is_in_domain(parameter: Parameter, value: Any, names: SceneNames) -> bool:
     """Whether `value` lies in the domain of `parameter`; NaN never does."""
-    if isinstance(parameter, Number):
+    if isinstance(parameter, NumberParameter):
         return parameter.lower <= value <= parameter.upper
-    if isinstance(parameter, Choice):
+    if isinstance(parameter, ChoiceParameter):
         return value in parameter.choices
-    if isinstance(parameter, Name):
-        return value in names.offered(parameter.of)
-    return len(value) <= parameter.max_length and not hides_something(value)
+    if isinstance(parameter, NameParameter):
+        return value in names.names_of_kind(parameter.of)
+    return len(value) <= parameter.max_length and not has_hidden_characters(value)
 
 
-def _refusal(index: int, parameter: Parameter, value: Any, names: SceneNames) -> Rejected:
+def _rejection(index: int, parameter: Parameter, value: Any, names: SceneNames) -> Rejected:
     """Where the value stands, what it is and what it may be."""
-    place = pointer("action_sequence", index, "params", parameter.name)
+    place = json_pointer("action_sequence", index, "params", parameter.name)
     match parameter:
-        case Number():
+        case NumberParameter():
             low = value < parameter.lower
             bound, source = (parameter.lower, parameter.lower_from) if low else (parameter.upper, parameter.upper_from)
             hint = f"{'at least' if low else 'at most'} {bound:g} {parameter.unit} ({source})"
             allowed = {"lower": parameter.lower, "upper": parameter.upper, "unit": parameter.unit}
-            return Rejected("envelope", place, shown(value), allowed, hint)
-        case Choice() | Name():
-            known = parameter.choices if isinstance(parameter, Choice) else names.offered(parameter.of)
-            return Rejected("envelope", place, shown(value), list(known), closest(value, known))
-        case Text():
+            return Rejected("envelope", place, to_printable(value), allowed, hint)
+        case ChoiceParameter() | NameParameter():
+            known = parameter.choices if isinstance(parameter, ChoiceParameter) else names.names_of_kind(parameter.of)
+            return Rejected("envelope", place, to_printable(value), list(known), closest_name_hint(value, known))
+        case TextParameter():
             allowed = f"at most {parameter.max_length} characters, none of them hidden"
-            return Rejected("envelope", place, shown(value), allowed, "write a short plain sentence")
+            return Rejected("envelope", place, to_printable(value), allowed, "write a short plain sentence")

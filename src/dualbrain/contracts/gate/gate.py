@@ -7,16 +7,16 @@ from typing import Any
 
 import msgspec
 
-from dualbrain.contracts.contract import Context, Contract, Stamp
-from dualbrain.contracts.gate.authorization import AuthorizationStage, check_stamp
+from dualbrain.contracts.contract import Context, Contract, ContractHeader
+from dualbrain.contracts.gate.authorization import AuthorizationStage, check_header
 from dualbrain.contracts.gate.envelope import EnvelopeStage
 from dualbrain.contracts.gate.parse import parse
 from dualbrain.contracts.gate.syntax import SyntaxStage
-from dualbrain.contracts.registry import Registry
+from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
 
-Rule = Callable[[Contract], Rejected | None]
+ContractRule = Callable[[Contract], Rejected | None]
 """A condition that no single parameter shows (a pair of parameters, reachability); belongs to the envelope stage."""
 
 
@@ -27,16 +27,18 @@ class Gate:
     last accepted sequence number of each principal. Raises `UnknownName` when a grant names an unregistered skill.
     """
 
-    def __init__(self, registry: Registry, grants: Mapping[str, frozenset[str]], rules: tuple[Rule, ...] = ()) -> None:
+    def __init__(
+        self, registry: SkillRegistry, grants: Mapping[str, frozenset[str]], rules: tuple[ContractRule, ...] = ()
+    ) -> None:
         """Guard `registry`; `grants` maps principals to skills; `rules` run in order on what is else good."""
         self.registry, self.rules = registry, rules
         self._syntax = SyntaxStage(registry)
         self._authorization = AuthorizationStage(registry, grants)
         self._envelope = EnvelopeStage(registry)
-        self._last: dict[str, int] = {}
+        self._last_sequence: dict[str, int] = {}
 
     def check(
-        self, data: bytes, *, names: SceneNames, principal: str, now: float, stamp: Stamp | None = None
+        self, data: bytes, *, names: SceneNames, principal: str, now: float, header: ContractHeader | None = None
     ) -> Verdict:
         """`Accepted(contract)` or `Rejected(stage, pointer, got, allowed, hint)`; never raises on any bytes.
 
@@ -47,24 +49,26 @@ class Gate:
         document = parse(data)
         if isinstance(document, Rejected):
             return document
-        refusal = self._syntax.check(document) or self._authorize(document, names, principal, now, stamp)
+        refusal = self._syntax.check(document) or self._authorize(document, names, principal, now, header)
         if refusal is not None:
             return refusal
-        verdict = self._weigh(document, names)
-        if stamp is not None and isinstance(verdict, Accepted):
-            self._last[principal] = stamp.sequence
+        verdict = self._check_envelope(document, names)
+        if header is not None and isinstance(verdict, Accepted):
+            self._last_sequence[principal] = header.sequence
         return verdict
 
     def _authorize(
-        self, document: Any, names: SceneNames, principal: str, now: float, stamp: Stamp | None
+        self, document: Any, names: SceneNames, principal: str, now: float, header: ContractHeader | None
     ) -> Rejected | None:
         """The authorization stage: the contract's context and skills, then the runtime's stamp."""
         refusal = self._authorization.check(document, principal)
-        if refusal is not None or stamp is None:
+        if refusal is not None or header is None:
             return refusal
-        return check_stamp(stamp, principal=principal, now=now, names=names, last=self._last.get(principal))
+        return check_header(
+            header, principal=principal, now=now, names=names, last_sequence=self._last_sequence.get(principal)
+        )
 
-    def _weigh(self, document: Any, names: SceneNames) -> Verdict:
+    def _check_envelope(self, document: Any, names: SceneNames) -> Verdict:
         """The envelope stage: every domain, then the rules."""
         actions = self._envelope.check(document["action_sequence"], names)
         if isinstance(actions, Rejected):

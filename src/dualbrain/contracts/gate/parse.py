@@ -7,7 +7,7 @@ import re
 from typing import Any, NoReturn
 
 from dualbrain.contracts.verdict import Rejected
-from dualbrain.core.text import shown
+from dualbrain.core.text import to_printable
 from dualbrain.errors import DualbrainError
 
 MAX_BYTES = 64 * 1024
@@ -18,17 +18,17 @@ MAX_INT_DIGITS = 15
 """Whole numbers of up to 15 digits are exact in double precision."""
 MAX_FLOAT_LENGTH = 40
 
-_ESCAPED = re.compile(rb"\\.", re.DOTALL)
-_NOT_STRUCTURE = bytes(set(range(256)) - set(b'[]{}"'))
-_STEP = {ord("["): 1, ord("{"): 1, ord("]"): -1, ord("}"): -1}
+_ESCAPE_PATTERN = re.compile(rb"\\.", re.DOTALL)
+_NON_STRUCTURAL_BYTES = bytes(set(range(256)) - set(b'[]{}"'))
+_DEPTH_CHANGE = {ord("["): 1, ord("{"): 1, ord("]"): -1, ord("}"): -1}
 
 
-class _RefusedError(DualbrainError):
+class _RejectedError(DualbrainError):
     """Carries a refusal out of the decoder's hooks; never leaves this file."""
 
-    def __init__(self, refusal: Rejected) -> None:
-        super().__init__(refusal.hint)
-        self.refusal = refusal
+    def __init__(self, rejection: Rejected) -> None:
+        super().__init__(rejection.hint)
+        self.rejection = rejection
 
 
 def parse(data: bytes) -> Any:
@@ -40,27 +40,27 @@ def parse(data: bytes) -> Any:
     infinity.)
     """
     if len(data) > MAX_BYTES:
-        return _no(len(data), f"at most {MAX_BYTES} bytes", "send one contract and nothing else")
+        return _reject(len(data), f"at most {MAX_BYTES} bytes", "send one contract and nothing else")
     try:
         return _decode(data)
-    except _RefusedError as refused:
-        return refused.refusal
+    except _RejectedError as refused:
+        return refused.rejection
     except UnicodeDecodeError as error:
-        return _no(f"byte 0x{data[error.start]:02x} at {error.start}", "strict UTF-8", "encode the text as UTF-8")
+        return _reject(f"byte 0x{data[error.start]:02x} at {error.start}", "strict UTF-8", "encode the text as UTF-8")
     except UnicodeEncodeError:
-        return _no("lone surrogate escape", "Unicode text", "write surrogate escapes in pairs")
+        return _reject("lone surrogate escape", "Unicode text", "write surrogate escapes in pairs")
     except json.JSONDecodeError as error:
         where = f"line {error.lineno}, column {error.colno}"
-        near = shown(error.doc[error.pos : error.pos + 20])
-        return _no(near, "one JSON object (RFC 8259)", f"{error.msg} at {where}")
+        near = to_printable(error.doc[error.pos : error.pos + 20])
+        return _reject(near, "one JSON object (RFC 8259)", f"{error.msg} at {where}")
 
 
 def _decode(data: bytes) -> Any:
     """The value in `data`; raises what `parse` turns into a refusal."""
     text = data.decode("utf-8", "strict")
-    if _too_deep(data):
-        raise _RefusedError(
-            _no(f"deeper than {MAX_DEPTH}", f"brackets at most {MAX_DEPTH} deep", "a contract is 5 deep")
+    if _is_too_deep(data):
+        raise _RejectedError(
+            _reject(f"deeper than {MAX_DEPTH}", f"brackets at most {MAX_DEPTH} deep", "a contract is 5 deep")
         )
     value = _DECODER.decode(text)
     if b"\\u" in data:
@@ -68,64 +68,72 @@ def _decode(data: bytes) -> Any:
     return value
 
 
-def _too_deep(data: bytes) -> bool:
+def _is_too_deep(data: bytes) -> bool:
     """Whether brackets outside strings nest deeper than `MAX_DEPTH`.
 
     Exact for text that is JSON up to any point: quotes are paired as the decoder pairs them. Linear in the data.
     """
     if b"\\" in data:
-        data = _ESCAPED.sub(b"", data)
+        data = _ESCAPE_PATTERN.sub(b"", data)
     depth = 0
-    structure = data.translate(None, _NOT_STRUCTURE).replace(b'""', b"")  # two quotes in a row change nothing outside
+    structure = data.translate(None, _NON_STRUCTURAL_BYTES).replace(
+        b'""', b""
+    )  # two quotes in a row change nothing outside
     for outside in structure.split(b'"')[::2]:
         for bracket in outside:
-            depth += _STEP[bracket]
+            depth += _DEPTH_CHANGE[bracket]
             if depth > MAX_DEPTH:
                 return True
     return False
 
 
-def _no(got: object, allowed: str, hint: str) -> Rejected:
+def _reject(got: object, allowed: str, hint: str) -> Rejected:
     """A refusal of the document as a whole."""
     return Rejected("syntax", "", got, allowed, hint)
 
 
-def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _parse_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """An object, unless it is too big or one key comes twice (readers differ on which of the two counts)."""
     if len(pairs) > MAX_FIELDS:
-        raise _RefusedError(_no(f"object of {len(pairs)}", f"at most {MAX_FIELDS} fields in an object", "drop fields"))
+        raise _RejectedError(
+            _reject(f"object of {len(pairs)}", f"at most {MAX_FIELDS} fields in an object", "drop fields")
+        )
     members = dict(pairs)
     if len(members) != len(pairs):
         seen: set[str] = set()
         twice = next(key for key, _ in pairs if key in seen or seen.add(key))
-        raise _RefusedError(_no(shown(twice), "each key once in an object", "drop the duplicate key"))
+        raise _RejectedError(_reject(to_printable(twice), "each key once in an object", "drop the duplicate key"))
     return members
 
 
-def _float(literal: str) -> float:
+def _parse_float(literal: str) -> float:
     """A finite double."""
     value = float(literal)
     if len(literal) > MAX_FLOAT_LENGTH or not -1e300 <= value <= 1e300:
-        raise _RefusedError(
-            _no(shown(literal), "numbers within 1e300 in at most 40 characters", "write a plain number")
+        raise _RejectedError(
+            _reject(to_printable(literal), "numbers within 1e300 in at most 40 characters", "write a plain number")
         )
     return value
 
 
-def _int(literal: str) -> int:
+def _parse_int(literal: str) -> int:
     """A whole number that double precision holds exactly."""
     if len(literal.lstrip("-")) > MAX_INT_DIGITS:
-        raise _RefusedError(
-            _no(shown(literal), f"whole numbers of at most {MAX_INT_DIGITS} digits", "write a plain number")
+        raise _RejectedError(
+            _reject(to_printable(literal), f"whole numbers of at most {MAX_INT_DIGITS} digits", "write a plain number")
         )
     return int(literal)
 
 
-def _constant(literal: str) -> NoReturn:
+def _reject_constant(literal: str) -> NoReturn:
     """NaN and infinities are no JSON and no number that a bound could judge."""
-    raise _RefusedError(_no(literal, "finite numbers", "write a plain number"))
+    raise _RejectedError(_reject(literal, "finite numbers", "write a plain number"))
 
 
 _DECODER = json.JSONDecoder(
-    object_pairs_hook=_object, parse_float=_float, parse_int=_int, parse_constant=_constant, strict=True
+    object_pairs_hook=_parse_object,
+    parse_float=_parse_float,
+    parse_int=_parse_int,
+    parse_constant=_reject_constant,
+    strict=True,
 )

@@ -6,19 +6,19 @@ from typing import Any, cast
 
 import jsonschema_rs
 
-from dualbrain.contracts.registry import Registry
+from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.schema import MAX_ACTIONS, Schema, syntax_schema
 from dualbrain.contracts.verdict import Rejected
-from dualbrain.core.text import closest, pointer, shown
+from dualbrain.core.text import closest_name_hint, json_pointer, to_printable
 
-_RANK = {"type": 0, "additionalProperties": 1, "required": 2}
+_ERROR_RANK = {"type": 0, "additionalProperties": 1, "required": 2}
 """At one place a wrong type is named first, and an unknown field before a missing one: mostly one misspelt field."""
 
 
 class SyntaxStage:
     """The registry's syntax schema, compiled once."""
 
-    def __init__(self, registry: Registry) -> None:
+    def __init__(self, registry: SkillRegistry) -> None:
         """Compile for `registry`."""
         self._schema = syntax_schema(registry)
         self._compiled = jsonschema_rs.Draft7Validator(self._schema)
@@ -27,56 +27,62 @@ class SyntaxStage:
         """None if `document` is well formed, else what is wrong at its first wrong place."""
         if self._compiled.is_valid(document):
             return None
-        refusal = _overlong(document)
+        refusal = _reject_too_many_actions(document)
         if refusal is not None:
             return refusal
-        first = min(self._compiled.iter_errors(document), key=_order)
-        return _refusal(first, self._schema)
+        first = min(self._compiled.iter_errors(document), key=_error_order)
+        return _rejection(first, self._schema)
 
 
-def _overlong(document: Any) -> Rejected | None:
+def _reject_too_many_actions(document: Any) -> Rejected | None:
     """A refusal of too many actions, before all errors are gathered: those of 64 KiB would take a second."""
     steps: Any = cast("dict[str, Any]", document).get("action_sequence") if isinstance(document, dict) else None
     if isinstance(steps, list) and len(cast("list[Any]", steps)) > MAX_ACTIONS:
-        return _miscounted(pointer("action_sequence"), steps)
+        return _action_count_rejection(json_pointer("action_sequence"), steps)
     return None
 
 
-def _miscounted(place: str, steps: Any) -> Rejected:
+def _action_count_rejection(place: str, steps: Any) -> Rejected:
     """The refusal of an array of actions that is empty or too long."""
     return Rejected(
-        "syntax", place, shown(steps), f"1 to {MAX_ACTIONS} actions", "plan with fewer or with some actions"
+        "syntax", place, to_printable(steps), f"1 to {MAX_ACTIONS} actions", "plan with fewer or with some actions"
     )
 
 
-def _order(error: jsonschema_rs.ValidationError) -> tuple[list[tuple[int, str]], int, int]:
+def _error_order(error: jsonschema_rs.ValidationError) -> tuple[list[tuple[int, str]], int, int]:
     """Outer places before inner ones, array items by index; at one place by rank, then the narrower type."""
     place = [(part, "") if isinstance(part, int) else (-1, part) for part in error.instance_path]
-    return place, _RANK.get(error.kind.name, 1), len(error.kind.as_dict().get("types", ()))
+    return place, _ERROR_RANK.get(error.kind.name, 1), len(error.kind.as_dict().get("types", ()))
 
 
-def _refusal(error: jsonschema_rs.ValidationError, schema: Schema) -> Rejected:
+def _rejection(error: jsonschema_rs.ValidationError, schema: Schema) -> Rejected:
     """What a person needs to mend the place that `error` names."""
-    place, facts = pointer(*error.instance_path), error.kind.as_dict()
+    place, facts = json_pointer(*error.instance_path), error.kind.as_dict()
     match error.kind.name:
         case "type":
             wanted = " or ".join(facts["types"])
-            return Rejected("syntax", place, shown(error.instance), wanted, f"write a JSON {wanted} here")
+            return Rejected("syntax", place, to_printable(error.instance), wanted, f"write a JSON {wanted} here")
         case "required":
             missing = facts["property"]
             return Rejected("syntax", place, None, missing, f"add the missing field {missing!r}")
         case "additionalProperties":
-            extra, known = min(facts["unexpected"]), _fields(error, schema)
+            extra, known = min(facts["unexpected"]), _known_fields(error, schema)
             return Rejected(
-                "syntax", place, shown(extra), list(known), f"drop or rename this field; {closest(extra, known)}"
+                "syntax",
+                place,
+                to_printable(extra),
+                list(known),
+                f"drop or rename this field; {closest_name_hint(extra, known)}",
             )
         case "minItems" | "maxItems":
-            return _miscounted(place, error.instance)
+            return _action_count_rejection(place, error.instance)
         case _:
-            return Rejected("syntax", place, shown(error.instance), "'c-' and four digits", "write an id like 'c-0001'")
+            return Rejected(
+                "syntax", place, to_printable(error.instance), "'c-' and four digits", "write an id like 'c-0001'"
+            )
 
 
-def _fields(error: jsonschema_rs.ValidationError, schema: Schema) -> tuple[str, ...]:
+def _known_fields(error: jsonschema_rs.ValidationError, schema: Schema) -> tuple[str, ...]:
     """The fields of the object at the error's place, read from the part of `schema` that refused it."""
     part: Any = schema
     for key in error.schema_path[:-1]:

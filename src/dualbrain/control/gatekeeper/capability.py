@@ -13,7 +13,7 @@ from math import inf
 import msgspec
 
 from dualbrain.contracts.contract import Contract
-from dualbrain.contracts.registry import Registry
+from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.verdict import Rejected
 
 Interval = tuple[float, float]
@@ -27,21 +27,24 @@ class Capability(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rate: float = 60.0
     expires: float = inf
 
-    def narrowed(self, other: Capability) -> Capability:
+    def intersect(self, other: Capability) -> Capability:
         """What both allow; an empty interval allows no number at all."""
         names = {*self.bounds, *other.bounds}
         return Capability(
             self.skills & other.skills,
-            {name: _both(self.bounds.get(name, EVERYTHING), other.bounds.get(name, EVERYTHING)) for name in names},
+            {
+                name: _intersect_intervals(self.bounds.get(name, UNBOUNDED), other.bounds.get(name, UNBOUNDED))
+                for name in names
+            },
             min(self.rate, other.rate),
             min(self.expires, other.expires),
         )
 
-    def refusal(self, contract: Contract) -> Rejected | None:
+    def check_bounds(self, contract: Contract) -> Rejected | None:
         """The first number of `contract` outside these bounds; the skills are the gate's own stage."""
         for index, action in enumerate(contract.action_sequence):
             for name, value in action.params.items():
-                low, high = self.bounds.get(f"{action.skill}.{name}", EVERYTHING)
+                low, high = self.bounds.get(f"{action.skill}.{name}", UNBOUNDED)
                 if isinstance(value, float) and not low <= value <= high:
                     pointer = f"/action_sequence/{index}/params/{name}"
                     hint = "outside what this principal was granted"
@@ -49,18 +52,18 @@ class Capability(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return None
 
 
-EVERYTHING: Interval = (-inf, inf)
+UNBOUNDED: Interval = (-inf, inf)
 
 
-def _both(one: Interval, other: Interval) -> Interval:
+def _intersect_intervals(one: Interval, other: Interval) -> Interval:
     return (max(one[0], other[0]), min(one[1], other[1]))
 
 
-def full(registry: Registry) -> Capability:
+def full_capability(registry: SkillRegistry) -> Capability:
     """Every registered skill, within the registry's own bounds."""
     return Capability(frozenset(skill.name for skill in registry.skills))
 
 
-def granted(capabilities: Mapping[str, Capability]) -> dict[str, frozenset[str]]:
+def skill_grants(capabilities: Mapping[str, Capability]) -> dict[str, frozenset[str]]:
     """The grants as the gate's authorization stage reads them."""
     return {principal: capability.skills for principal, capability in capabilities.items()}

@@ -12,103 +12,109 @@ from threading import Thread
 
 import msgspec
 
-from dualbrain.contracts.contract import Contract, Stamp
+from dualbrain.contracts.contract import Contract, ContractHeader
 from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.verdict import Rejected, Verdict
-from dualbrain.control.gatekeeper.capability import Capability, granted
+from dualbrain.control.gatekeeper.capability import Capability, skill_grants
 from dualbrain.grounding.scene_rules import scene_rules
 from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.records import Scene
 from dualbrain.robots.interface import RobotState
-from dualbrain.robots.model import Body
+from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle
-from dualbrain.skills.registry import limb_of, registry_of
-from dualbrain.skills.skill import Holding, Senses
+from dualbrain.skills.registry import make_controller, skill_registry
+from dualbrain.skills.skill import HeldObject, Observation
 
 
-class Case(msgspec.Struct, frozen=True):
+class GateRequest(msgspec.Struct, frozen=True):
     """A contract to be judged, as it came, and what the robot was like when it came."""
 
-    peer: int
+    connection_number: int
     sequence: int
     contract: bytes
-    stamp: Stamp
+    stamp: ContractHeader
     now: float
     scene: Scene
     state: RobotState
-    holding: Holding | None
+    holding: HeldObject | None
 
 
-class Ruling(msgspec.Struct, frozen=True):
+class GateReply(msgspec.Struct, frozen=True):
     """What the gate says of a case, and how long it took [s]."""
 
-    case: Case
+    request: GateRequest
     verdict: Verdict
     seconds: float
 
 
-class Clerk:
+class GateWorker:
     """Hand cases in with `submit`, take rulings out with `ruling`; at most one case at a time."""
 
-    def __init__(self, body: Body, capabilities: Mapping[str, Capability], standing: tuple[Obstacle, ...] = ()) -> None:
+    def __init__(
+        self, body: RobotModel, capabilities: Mapping[str, Capability], fixed_obstacles: tuple[Obstacle, ...] = ()
+    ) -> None:
         """Open the gate; the thread ends with the process. `standing` is what a site says stands there for good."""
-        self.registry = registry = registry_of(body)
-        self._safety = SafetyFilter(body, standing=standing)
-        self._limb = limb_of(body, self._safety)
+        self.registry = registry = skill_registry(body)
+        self._safety = SafetyFilter(body, fixed_obstacles=fixed_obstacles)
+        self._controller = make_controller(body, self._safety)
         self._capabilities = dict(capabilities)
-        self._gate = Gate(registry, granted(capabilities), ())
-        self._cases: Queue[Case | None] = Queue(2)
-        self._rulings: Queue[Ruling] = Queue()
+        self._gate = Gate(registry, skill_grants(capabilities), ())
+        self._requests: Queue[GateRequest | None] = Queue(2)
+        self._replies: Queue[GateReply] = Queue()
         self.busy = False
-        self._thread = Thread(target=self._work, name="clerk", daemon=True)
+        self._thread = Thread(target=self._serve, name="clerk", daemon=True)
         self._thread.start()
 
-    def submit(self, case: Case) -> bool:
+    def submit(self, request: GateRequest) -> bool:
         """Take a case; False while there is another."""
         if self.busy:
             return False
         self.busy = True
-        self._cases.put(case)
+        self._requests.put(request)
         return True
 
-    def ruling(self) -> Ruling | None:
+    def take_reply(self) -> GateReply | None:
         """The ruling that is ready, if one is."""
-        if not self.busy or self._rulings.empty():
+        if not self.busy or self._replies.empty():
             return None
         self.busy = False
-        return self._rulings.get()
+        return self._replies.get()
 
-    def settle(self) -> None:
+    def wait_until_idle(self) -> None:
         """Wait until the case that it has is judged."""
-        while self.busy and self._rulings.empty() and self._thread.is_alive():
+        while self.busy and self._replies.empty() and self._thread.is_alive():
             time.sleep(1e-4)
 
     def close(self) -> None:
         """End the thread once it has judged what it has."""
-        self._cases.put(None)
+        self._requests.put(None)
         self._thread.join(timeout=5.0)
 
-    def _work(self) -> None:
-        while (case := self._cases.get()) is not None:
+    def _serve(self) -> None:
+        while (case := self._requests.get()) is not None:
             start = time.monotonic()
-            self._rulings.put(Ruling(case, self.judge(case), time.monotonic() - start))
+            self._replies.put(GateReply(case, self.check(case), time.monotonic() - start))
 
-    def judge(self, case: Case) -> Verdict:
+    def check(self, request: GateRequest) -> Verdict:
         """The gate's word on `case`; what makes the gate raise is refused."""
         try:
-            limb, principal = self._limb, case.stamp.principal
-            limb.holding = case.holding
-            limb.sense(Senses(case.state, case.scene, case.now, self._safety.tool(case.state.q)))
+            limb, principal = self._controller, request.stamp.principal
+            limb.holding = request.holding
+            limb.observe(Observation(request.state, request.scene, request.now, self._safety.tool(request.state.q)))
             capability = self._capabilities[principal]
 
             def against_scene(contract: Contract) -> Rejected | None:
-                rules = (capability.refusal, *scene_rules(case.scene, limb))
+                rules = (capability.check_bounds, *scene_rules(request.scene, limb))
                 return next((refusal for rule in rules if (refusal := rule(contract))), None)
 
             self._gate.rules = (against_scene,)
             return self._gate.check(
-                case.contract, names=scene_names(case.scene), principal=principal, now=case.now, stamp=case.stamp
+                request.contract,
+                names=scene_names(request.scene),
+                principal=principal,
+                now=request.now,
+                header=request.stamp,
             )
         except Exception as error:  # what cannot be judged is not accepted
             return Rejected("envelope", "", f"{type(error).__name__}: {error}"[:200], "a verdict", "the gate failed")

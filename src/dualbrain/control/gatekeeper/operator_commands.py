@@ -2,44 +2,44 @@
 
 from __future__ import annotations
 
-from dualbrain.control.gatekeeper.protocol.messages import Operate
+from dualbrain.control.gatekeeper.protocol.messages import OperatorCommand
 from dualbrain.safety.supervisor.conditions import Condition
 
-FREE_FOR_ALL = ("estop",)
+UNRESTRICTED_ACTIONS = ("estop",)
 """What every local process may do, without a key."""
-SLOWEST = 0.01
-HELD = {"pause": Condition.PAUSE, "takeover": Condition.TAKEOVER, "estop": Condition.ESTOP}
-LET_GO = {"resume": Condition.PAUSE, "hand_back": Condition.TAKEOVER, "release_estop": Condition.ESTOP}
-PRESSED = {"resume": Condition.RESUME, "reset": Condition.RESET, "abort": Condition.ABORT}
+MIN_SPEED = 0.01
+LATCHED_CONDITIONS = {"pause": Condition.PAUSE, "takeover": Condition.TAKEOVER, "estop": Condition.ESTOP}
+RELEASE_ACTIONS = {"resume": Condition.PAUSE, "hand_back": Condition.TAKEOVER, "release_estop": Condition.ESTOP}
+MOMENTARY_CONDITIONS = {"resume": Condition.RESUME, "reset": Condition.RESET, "abort": Condition.ABORT}
 """Resume both lets a pause go and leads out of the HOLD after a reset."""
 
 
-class Hand:
+class OperatorCommands:
     """Takes acts in, gives `Condition` bits out; `stage` is the chosen speed, (0, 1]."""
 
-    def __init__(self, stage: float = 1.0) -> None:
+    def __init__(self, speed_stage: float = 1.0) -> None:
         """Nothing is held."""
-        self.stage = stage
-        self._held = 0
+        self.speed_stage = speed_stage
+        self._latched = 0
         self._pressed = 0
 
-    def act(self, wish: Operate) -> str:
+    def apply(self, command: OperatorCommand) -> str:
         """Do what is asked; "" or why not."""
-        self._held |= int(HELD.get(wish.act, 0))
-        self._held &= ~int(LET_GO.get(wish.act, 0))
-        self._pressed |= int(PRESSED.get(wish.act, 0))
-        if wish.act == "speed":
-            if not SLOWEST <= wish.speed <= 1.0:
-                return f"speed {wish.speed}: allowed is {SLOWEST} to 1"
-            self.stage = wish.speed
+        self._latched |= int(LATCHED_CONDITIONS.get(command.act, 0))
+        self._latched &= ~int(RELEASE_ACTIONS.get(command.act, 0))
+        self._pressed |= int(MOMENTARY_CONDITIONS.get(command.act, 0))
+        if command.act == "speed":
+            if not MIN_SPEED <= command.speed <= 1.0:
+                return f"speed {command.speed}: allowed is {MIN_SPEED} to 1"
+            self.speed_stage = command.speed
         return ""
 
     def conditions(self) -> int:
         """What is held, and what was pressed since the last call."""
         pressed, self._pressed = self._pressed, 0
-        return self._held | pressed
+        return self._latched | pressed
 
 
-def allowed(act: str, role: str) -> bool:
+def is_allowed(act: str, role: str) -> bool:
     """Whoever commands may also stop; only the operator's key lets go, resets, resumes, or changes the speed."""
-    return act in FREE_FOR_ALL or role == "operator" or (role == "commander" and act in ("pause", "abort"))
+    return act in UNRESTRICTED_ACTIONS or role == "operator" or (role == "commander" and act in ("pause", "abort"))

@@ -15,46 +15,46 @@ from types import FrameType
 import msgspec
 
 from dualbrain.contracts.gate.authorization import PLANNER
-from dualbrain.control.gatekeeper.config import Plan
-from dualbrain.control.gatekeeper.deployment import Place
+from dualbrain.control.gatekeeper.config import GatekeeperConfig
+from dualbrain.control.gatekeeper.deployment import Deployment
 from dualbrain.control.gatekeeper.gatekeeper import Gatekeeper
-from dualbrain.control.gatekeeper.protocol.authentication import open_keys
-from dualbrain.control.gatekeeper.protocol.server import Door, listens
+from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
+from dualbrain.control.gatekeeper.protocol.server import SocketServer, is_listening
 from dualbrain.control.gatekeeper.robot_link.remote_robot import RemoteRobot
-from dualbrain.control.gatekeeper.timing.tick_profile import Laps
-from dualbrain.control.gatekeeper.timing.tick_timing import Punctuality
+from dualbrain.control.gatekeeper.timing.tick_profile import TickProfiler
+from dualbrain.control.gatekeeper.timing.tick_timing import TickTimingSummary
 from dualbrain.control.recording.recorder import Recorder
 from dualbrain.control.recording.trace import Trace
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import ConfigurationError
 
-SWITCH = 1e-4
+SWITCH_INTERVAL = 1e-4
 """How long another thread may keep the interpreter from the control tick [s]."""
-START = 60.0
+STARTUP_TIMEOUT = 60.0
 
 
-def keep(plan: Plan, ready: Callable[[], None] = lambda: None) -> Punctuality:
+def run_gatekeeper(config: GatekeeperConfig, on_ready: Callable[[], None] = lambda: None) -> TickTimingSummary:
     """Be the gatekeeper until told to shut down (by the operator, SIGTERM or SIGINT); how punctual it was.
 
     `ready` is called once robot and door are there and nothing was refused, before the first tick.
     """
-    sys.setswitchinterval(SWITCH)
-    _ask_for_real_time()
-    place, keys = Place.of(plan), open_keys(Path(plan.keys))
+    sys.setswitchinterval(SWITCH_INTERVAL)
+    _request_realtime_priority()
+    place, keys = Deployment.from_config(config), load_or_create_keys(Path(config.keys))
     body = place.body
-    door = Door(Path(plan.socket))
+    door = SocketServer(Path(config.socket))
     robot: RemoteRobot | None = None
     recorder: Recorder | None = None
     try:
-        laps = Laps()
-        robot = RemoteRobot(place.settings(plan), place.timing, laps)
-        trace = Trace(body.n, body.width)
-        if plan.recording:
-            recorder = Recorder(Path(plan.recording), trace)
-            recorder.episode(0.0, place.about(plan))
+        laps = TickProfiler()
+        robot = RemoteRobot(place.process_settings(config), place.timing, laps)
+        trace = Trace(body.n, body.nq)
+        if config.recording:
+            recorder = Recorder(Path(config.recording), trace)
+            recorder.episode(0.0, place.recording_metadata(config))
         keeper = Gatekeeper(
             body, robot, door, keys, {PLANNER: place.capability}, timing=place.timing, recorder=recorder, trace=trace,
-            stage=plan.stage, standing=place.standing, config=place.config, off_at_first=place.kind is not None,
-            lap=laps.lap,
+            speed_stage=config.stage, fixed_obstacles=place.fixed_obstacles, config=place.filter_config, drive_initially_off=place.driver is not None,
+            mark_part=laps.mark_part,
         )  # fmt: skip
 
         def stop(number: int, frame: FrameType | None) -> None:
@@ -63,11 +63,11 @@ def keep(plan: Plan, ready: Callable[[], None] = lambda: None) -> Punctuality:
 
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, stop)
-        ready()
+        on_ready()
         keeper.run()
-        punctuality = msgspec.structs.replace(robot.metronome.summary(), parts=laps.summary())
-        if plan.punctuality:
-            Path(plan.punctuality).write_bytes(msgspec.json.encode(punctuality))
+        punctuality = msgspec.structs.replace(robot.tick_timer.summary(), parts=laps.summary())
+        if config.punctuality:
+            Path(config.punctuality).write_bytes(msgspec.json.encode(punctuality))
         return punctuality
     finally:
         if robot is not None:
@@ -77,25 +77,29 @@ def keep(plan: Plan, ready: Callable[[], None] = lambda: None) -> Punctuality:
         door.close()
 
 
-class Process:
+class GatekeeperProcess:
     """A gatekeeper as a child process."""
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, config: GatekeeperConfig) -> None:
         """Start it and wait until it listens; raises `InvalidSetup` if it does not come up."""
         flags = ["-S"] if sys.flags.no_site else []
-        self.plan = plan
+        self.config = config
         self.process = subprocess.Popen(
             [sys.executable, *flags, "-m", "dualbrain.control.gatekeeper.process"], stdin=subprocess.PIPE,
             start_new_session=True,
         )  # fmt: skip
         if self.process.stdin:
-            self.process.stdin.write(msgspec.msgpack.encode(plan))
+            self.process.stdin.write(msgspec.msgpack.encode(config))
             self.process.stdin.close()
-        deadline = time.monotonic() + START
-        while not (up := listens(Path(plan.socket))) and self.process.poll() is None and time.monotonic() < deadline:
+        deadline = time.monotonic() + STARTUP_TIMEOUT
+        while (
+            not (up := is_listening(Path(config.socket)))
+            and self.process.poll() is None
+            and time.monotonic() < deadline
+        ):
             time.sleep(0.02)
         if not up:
-            raise InvalidSetup("gatekeeper", got=f"exit code {self.process.poll()}", allowed="one that comes up")
+            raise ConfigurationError("gatekeeper", got=f"exit code {self.process.poll()}", allowed="one that comes up")
 
     def stop(self) -> None:
         """Ask it to brake and leave; insist if it does not."""
@@ -108,11 +112,11 @@ class Process:
             self.process.wait()
 
 
-def _ask_for_real_time() -> None:
+def _request_realtime_priority() -> None:
     """A real-time priority where the system grants one; where it does not, the histogram tells."""
     with suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
 
 
 if __name__ == "__main__":
-    keep(msgspec.msgpack.decode(sys.stdin.buffer.read(), type=Plan))
+    run_gatekeeper(msgspec.msgpack.decode(sys.stdin.buffer.read(), type=GatekeeperConfig))

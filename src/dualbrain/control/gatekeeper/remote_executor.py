@@ -12,78 +12,78 @@ from dataclasses import dataclass, field
 import msgspec
 import numpy as np
 
-from dualbrain.contracts.contract import Contract, Stamp
+from dualbrain.contracts.contract import Contract, ContractHeader
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
-from dualbrain.control.gatekeeper.protocol.client import GatekeeperLink, LinkLost
-from dualbrain.control.gatekeeper.protocol.messages import Refused
+from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError, GatekeeperClient
+from dualbrain.control.gatekeeper.protocol.messages import RequestRefused
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.records import Outcome
 from dualbrain.robots.interface import RobotState
-from dualbrain.robots.model import Body
+from dualbrain.robots.model import RobotModel
 
-LOOK_EVERY = 0.1
+SCENE_REQUEST_PERIOD = 0.1
 """How often the scene is asked for while somebody waits [s]."""
 
 
 @dataclass(slots=True)
-class Grip:
+class HeldObject:
     """What is held, by name."""
 
     name: str
 
 
 @dataclass(slots=True)
-class Hand:
+class GripperState:
     """The part of a limb that a planner hears of."""
 
-    holding: Grip | None = None
+    holding: HeldObject | None = None
 
 
 @dataclass
-class RemoteLayer:
+class RemoteExecutor:
     """Has what `run_episode` asks of a local layer; `interrupted` says that a person wants it to stop."""
 
-    body: Body
-    link: GatekeeperLink
+    body: RobotModel
+    client: GatekeeperClient
     log: FlightLog
     interrupted: Callable[[], bool]
-    limb: Hand = field(default_factory=Hand)
+    controller: GripperState = field(default_factory=GripperState)
 
     def __post_init__(self) -> None:
         """Look once."""
-        self.look()
+        self.refresh()
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Ask for what there is to be seen."""
-        sight = self.link.look()
+        sight = self.client.request_scene()
         self.scene = sight.scene
         self.state = RobotState(sight.now, 0, np.array(sight.q), np.zeros(self.body.n), sight.opening, (0.0, 0.0))
-        self.limb = Hand(Grip(sight.holding) if sight.holding else None)
+        self.controller = GripperState(HeldObject(sight.holding) if sight.holding else None)
 
     def hold(self, duration: float, phase: str = "hold") -> None:
         """Wait; the gatekeeper holds the arm by itself, whatever `phase` is called here."""
         del phase
         time.sleep(duration)
-        if self.link.now - self.state.stamp > LOOK_EVERY:
-            self.look()
+        if self.client.now - self.state.stamp > SCENE_REQUEST_PERIOD:
+            self.refresh()
 
-    def run(self, contract: Contract) -> Outcome:
+    def execute(self, contract: Contract) -> Outcome:
         """Wait for the outcome of the contract that the gatekeeper has accepted; a person may interrupt it."""
         del contract
         asked = False
         try:
             while True:
                 if self.interrupted() and not asked:
-                    self.link.operate("abort")
+                    self.client.operate("abort")
                     asked = True
-                ended = self.link.ended_by_now(LOOK_EVERY)
+                ended = self.client.poll_outcome(SCENE_REQUEST_PERIOD)
                 if ended is not None:
                     self.log.binding.update(ended.binding)
-                    self.look()
+                    self.refresh()
                     return ended.outcome
-                self.look()
-        except LinkLost as why:
+                self.refresh()
+        except ConnectionLostError as why:
             return Outcome("stopped", f"the gatekeeper is gone: {why}")
 
 
@@ -91,13 +91,13 @@ class RemoteLayer:
 class RemoteGate:
     """Sends bytes, brings verdicts."""
 
-    link: GatekeeperLink
+    client: GatekeeperClient
 
-    def check(self, data: bytes, *, names: SceneNames, principal: str, now: float, stamp: Stamp) -> Verdict:
+    def check(self, data: bytes, *, names: SceneNames, principal: str, now: float, header: ContractHeader) -> Verdict:
         """The gatekeeper's word; the arm moves from the moment in which it accepts."""
         del names, principal, now
-        answer = self.link.propose(data, stamp.scene_version)
-        if isinstance(answer, Refused):
+        answer = self.client.propose(data, header.scene_version)
+        if isinstance(answer, RequestRefused):
             return Rejected("authorization", "", answer.reason, "a contract that is fit to be judged", "not considered")
         if answer.rejected is not None:
             return answer.rejected

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.control.recording.trace import Event, Trace, columns
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import ConfigurationError
 from dualbrain.records import Attempt, Scene
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 FORMAT = "dualbrain-1"
 METADATA = "dualbrain"
 MAGIC = b"\x89MCAP0\r\n"
-UNSUPERVISED = {"delta_supervisor": 0.0, "order": 0.0, "touched": 1.0}
+PRE_SUPERVISOR_DEFAULTS = {"delta_supervisor": 0.0, "order": 0.0, "touched": 1.0}
 """What recordings from before there was a supervisor leave out: nothing stood above the filter."""
 
 
@@ -77,10 +77,10 @@ class Ticks(msgspec.Struct, frozen=True):
         where = columns(self.n, self.width)
         rows = np.empty((len(self.columns["t"]), where["phase"].stop))
         for name, place in where.items():
-            if name in self.columns or name not in UNSUPERVISED:
+            if name in self.columns or name not in PRE_SUPERVISOR_DEFAULTS:
                 rows[:, place] = np.asarray(self.columns[name], np.float64).reshape(len(rows), -1)
             else:
-                rows[:, place] = UNSUPERVISED[name]
+                rows[:, place] = PRE_SUPERVISOR_DEFAULTS[name]
         return rows
 
 
@@ -90,7 +90,7 @@ CHANNELS: dict[type[msgspec.Struct], str] = {
     EpisodeInfo: "/episode", SceneSeen: "/scene", AttemptMade: "/attempt",
     Event: "/event", FilterCall: "/filter_call", Ticks: "/tick",
 }  # fmt: skip
-TYPES = {topic: kind for kind, topic in CHANNELS.items()}
+MESSAGE_TYPES = {topic: kind for kind, topic in CHANNELS.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,52 +104,52 @@ class RecordingState:
 
 def encode(message: Message) -> bytes:
     """The message as JSON; arrays become lists."""
-    fast = msgspec.json.encode(message, enc_hook=_listed)
+    fast = msgspec.json.encode(message, enc_hook=_encode_array)
     if b"null" not in fast:  # which is also what became of a NaN
         return fast
-    return msgspec.json.encode(_finite(msgspec.to_builtins(message, enc_hook=_listed)))
+    return msgspec.json.encode(_encode_non_finite(msgspec.to_builtins(message, enc_hook=_encode_array)))
 
 
 def decode(topic: str, data: bytes) -> Message:
     """The message that `encode` wrote to `topic`."""
     if b'{"float":' not in data:
-        return cast("Message", msgspec.json.decode(data, type=TYPES[topic]))
-    return cast("Message", msgspec.convert(_restored(msgspec.json.decode(data)), TYPES[topic]))
+        return cast("Message", msgspec.json.decode(data, type=MESSAGE_TYPES[topic]))
+    return cast("Message", msgspec.convert(_decode_non_finite(msgspec.json.decode(data)), MESSAGE_TYPES[topic]))
 
 
-def _listed(value: object) -> object:
+def _encode_array(value: object) -> object:
     if isinstance(value, np.ndarray | np.generic):
         return cast("NDArray[Any]", value).tolist()
-    raise InvalidSetup(
+    raise ConfigurationError(
         "recorded argument", got=type(value).__name__, allowed="records, dataclasses, arrays, numbers, text"
     )
 
 
-def _finite(value: Any) -> Any:
+def _encode_non_finite(value: Any) -> Any:
     if isinstance(value, float):
         return value if math.isfinite(value) else {"float": str(value)}
     if isinstance(value, dict):
-        return {key: _finite(part) for key, part in cast("dict[str, Any]", value).items()}
-    return [_finite(part) for part in cast("list[Any]", value)] if isinstance(value, list | tuple) else value
+        return {key: _encode_non_finite(part) for key, part in cast("dict[str, Any]", value).items()}
+    return [_encode_non_finite(part) for part in cast("list[Any]", value)] if isinstance(value, list | tuple) else value
 
 
-def _restored(value: Any) -> Any:
+def _decode_non_finite(value: Any) -> Any:
     if isinstance(value, dict):
         table = cast("dict[str, Any]", value)
         if len(table) == 1 and table.get("float") in ("nan", "inf", "-inf"):
             return float(table["float"])
-        return {key: _restored(part) for key, part in table.items()}
-    return [_restored(part) for part in cast("list[Any]", value)] if isinstance(value, list) else value
+        return {key: _decode_non_finite(part) for key, part in table.items()}
+    return [_decode_non_finite(part) for part in cast("list[Any]", value)] if isinstance(value, list) else value
 
 
 def read_recording(path: Path) -> Iterator[Message]:
     """Every message of the file in the order it was recorded; a file cut short is read up to its last whole chunk."""
-    return (decode(topic, data) for topic, data in _records(path) if topic in TYPES)
+    return (decode(topic, data) for topic, data in _read_records(path) if topic in MESSAGE_TYPES)
 
 
 def recording_state(path: Path) -> RecordingState:
     """What the file says of itself; a file whose recorder was killed says nothing and is incomplete."""
-    for topic, data in _records(path):
+    for topic, data in _read_records(path):
         if topic == METADATA:
             return msgspec.json.decode(data, type=RecordingState)
     return RecordingState(complete=False, dropped=0, problem="the recorder was ended before it could close the file")
@@ -171,7 +171,7 @@ def read_trace(path: Path) -> Trace | None:
     return trace
 
 
-def _records(path: Path) -> Iterator[tuple[str, bytes]]:
+def _read_records(path: Path) -> Iterator[tuple[str, bytes]]:
     """(topic, JSON) of every message, then (METADATA, JSON of the recording's state) if the file was closed."""
     from mcap.exceptions import EndOfFile, McapError  # noqa: PLC0415  (reading is rare, importing this module is not)
     from mcap.records import Channel, Message, Metadata  # noqa: PLC0415
@@ -181,9 +181,9 @@ def _records(path: Path) -> Iterator[tuple[str, bytes]]:
     topics: dict[int, str] = {}
     data = path.read_bytes()
     if not data.startswith(MAGIC):
-        raise InvalidSetup("recording", got=path.name, allowed="an MCAP file", fix=str(path))
+        raise ConfigurationError("recording", got=path.name, allowed="an MCAP file", fix=str(path))
     try:
-        for record in StreamReader(BytesIO(data[: _whole(data)]), validate_crcs=True).records:
+        for record in StreamReader(BytesIO(data[: _complete_length(data)]), validate_crcs=True).records:
             if isinstance(record, Channel):
                 topics[record.id] = record.topic
             elif isinstance(record, Message):
@@ -193,10 +193,10 @@ def _records(path: Path) -> Iterator[tuple[str, bytes]]:
     except EndOfFile:
         return
     except (CRCValidationError, McapError, ZstdError, struct.error, KeyError, ValueError) as error:
-        raise InvalidSetup("recording", got=str(error), allowed="an undamaged file", fix=str(path)) from error
+        raise ConfigurationError("recording", got=str(error), allowed="an undamaged file", fix=str(path)) from error
 
 
-def _whole(data: bytes) -> int:
+def _complete_length(data: bytes) -> int:
     """Where the last whole record ends; a record is one byte of kind, eight of length, then its content."""
     if data.endswith(MAGIC) and len(data) > len(MAGIC):
         return len(data)

@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.control.recording.recorder import Recorder
-from dualbrain.control.recording.trace import DEAD_BAND, WHOLE, Event, EventKind, Trace
+from dualbrain.control.recording.trace import DEAD_BAND, FULL_INTERVENTION, Event, EventKind, Trace
 from dualbrain.records import ActionResult, Attempt, Outcome, OutcomeClass, Scene
 from dualbrain.robots.interface import RobotState
-from dualbrain.safety.cbf.filter import Filtered
-from dualbrain.safety.cbf.rows import Row
+from dualbrain.safety.cbf.filter import FilterResult
+from dualbrain.safety.cbf.rows import ConstraintRow
 
 Array = NDArray[np.float64]
 
 
-LATELY, HINDRANCES = 3.0, 2
+RECENT_TIME, MAX_HINDRANCES = 3.0, 2
 """A row that bound this long [s] before the end of an action is named as what held it back, this many at most."""
 
 
@@ -30,28 +30,28 @@ class FlightLog:
         self,
         trace: Trace,
         recorder: Recorder | None = None,
-        announce: Callable[[Event], None] | None = None,
+        on_event: Callable[[Event], None] | None = None,
     ) -> None:
         """Bind the trace and, if given, the recorder and whoever is told of events as they happen.
 
         `binding` counts the ticks of actions on which each barrier bound.
         """
-        self.trace, self.recorder, self._announce = trace, recorder, announce
+        self.trace, self.recorder, self._on_event = trace, recorder, on_event
         self.binding: Counter[str] = Counter()
-        self._bound: tuple[float, Filtered] | None = None
-        self._rows: tuple[Row, ...] = ()
+        self._last_binding: tuple[float, FilterResult] | None = None
+        self._rows: tuple[ConstraintRow, ...] = ()
 
     def tick(
-        self, now: float, state: RobotState, u_nom: Array, result: Filtered, action: int, phase: str, *,
-        order: int = 0, touched: float = 1.0,
+        self, now: float, state: RobotState, u_nom: Array, result: FilterResult, action: int, phase: str, *,
+        order: int = 0, scale_applied: float = 1.0,
     ) -> None:  # fmt: skip
         """Log one control tick; `order` and `touched` say what the supervisor did to it."""
         row = self.trace.append(
-            now, state, u_nom, result, action=action, phase=phase, order=order, touched=touched
+            now, state, u_nom, result, action=action, phase=phase, order=order, scale_applied=scale_applied
         )  # fmt: skip
-        if action >= 0 and result.rows:
+        if action >= 0 and result.binding_rows:
             self.binding.update(result.barriers)
-            self._bound = now, result
+            self._last_binding = now, result
         if self.recorder:
             self.recorder.tick(row)
 
@@ -60,7 +60,7 @@ class FlightLog:
         if self.recorder:
             self.recorder.call(t, name, **arguments)
 
-    def stated(self, t: float, rows: tuple[Row, ...]) -> None:
+    def extra_rows(self, t: float, rows: tuple[ConstraintRow, ...]) -> None:
         """Log the rows that no table holds, where they are not those of the last tick."""
         if rows != self._rows:
             self._rows = rows
@@ -71,8 +71,8 @@ class FlightLog:
         event = self.trace.note(t, kind, text, **data)
         if self.recorder:
             self.recorder.event(event)
-        if self._announce:
-            self._announce(event)
+        if self._on_event:
+            self._on_event(event)
 
     def scene(self, scene: Scene) -> None:
         """Log a perceived scene."""
@@ -95,7 +95,7 @@ class FlightLog:
         if kind == "declined" or not len(chosen):
             return Outcome(kind, reason, actions=actions)
         delta, h, t = (self.trace[name][chosen] for name in ("delta", "h_min", "t"))
-        delta = np.nan_to_num(delta, nan=WHOLE)
+        delta = np.nan_to_num(delta, nan=FULL_INTERVENTION)
         h = h[~np.isnan(h)]  # ticks whose input was refused: nothing was measured
         return Outcome(
             kind, reason,
@@ -106,7 +106,11 @@ class FlightLog:
 
     def _hindrance(self, end: float, actions: tuple[ActionResult, ...]) -> str:
         """The rows that bound within `LATELY` of `end` [s], strongest first; "" where every action was done."""
-        if self._bound is None or end - self._bound[0] > LATELY or all(one.status == "done" for one in actions):
+        if (
+            self._last_binding is None
+            or end - self._last_binding[0] > RECENT_TIME
+            or all(one.status == "done" for one in actions)
+        ):
             return ""
-        rows = sorted(self._bound[1].active, key=lambda row: -row[2])
-        return " and ".join(dict.fromkeys(name for name, _, _ in rows[:HINDRANCES]))
+        rows = sorted(self._last_binding[1].active_rows, key=lambda row: -row[2])
+        return " and ".join(dict.fromkeys(name for name, _, _ in rows[:MAX_HINDRANCES]))

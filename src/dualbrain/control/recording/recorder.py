@@ -36,8 +36,8 @@ from dualbrain.records import Attempt, Scene
 
 Array = NDArray[np.float64]
 
-BATCH = 50
-FLUSH_EVERY = 0.5
+BATCH_TICKS = 50
+FLUSH_PERIOD = 0.5
 
 Item = Message | list[Array]
 """What crosses the queue: a message or a batch of rows; with it the number of items lost just before it."""
@@ -55,13 +55,13 @@ class Recorder:
     ) -> None:
         """Create the file; rows given to `tick` must come from `trace`."""
         self.path = path
-        self.dropped = self._marked = 0
+        self.dropped = self._reported_drops = 0
         self._trace = trace
-        self._wait = when_full == "wait"
+        self._blocking = when_full == "wait"
         self._queue: Queue[tuple[int, Item] | None] = Queue(capacity)
         self._pending: list[Array] = []
         self._state: RecordingState | None = None
-        self._file = _File(path)
+        self._file = _McapFile(path)
         self._thread = Thread(target=self._drain, name="flight recorder", daemon=True)
         self._thread.start()
 
@@ -70,12 +70,12 @@ class Recorder:
     def tick(self, row: Array) -> None:
         """Record one row of the trace."""
         self._pending.append(row)
-        if len(self._pending) >= BATCH:
+        if len(self._pending) >= BATCH_TICKS:
             self._put_pending()
 
     def call(self, t: float, name: str, **arguments: Any) -> None:
         """Record a call that changes the filter's tables; mutable arguments are copied now."""
-        self._put(FilterCall(t, name, {key: _frozen(value) for key, value in arguments.items()}))
+        self._put(FilterCall(t, name, {key: _snapshot(value) for key, value in arguments.items()}))
 
     def event(self, event: Event) -> None:
         """Record an event (as `Trace.note` returns it)."""
@@ -121,8 +121,8 @@ class Recorder:
 
     def _enqueue(self, item: Item) -> None:
         try:
-            self._queue.put((self.dropped - self._marked, item), block=self._wait)
-            self._marked = self.dropped
+            self._queue.put((self.dropped - self._reported_drops, item), block=self._blocking)
+            self._reported_drops = self.dropped
         except Full:
             self.dropped += 1
 
@@ -151,7 +151,7 @@ class Recorder:
         return Ticks(float(rows[0, 0]), self._trace.n, tuple(self._trace.phases), table, self._trace.width)
 
 
-class _File:
+class _McapFile:
     """An open MCAP file. An error (a full disk) is kept as `problem`, not raised: the robot is still moving."""
 
     def __init__(self, path: Path) -> None:
@@ -162,7 +162,7 @@ class _File:
         self._writer = Writer(self._stream, compression=CompressionType.ZSTD)
         self._writer.start(profile="", library=FORMAT)
         self._channels = {topic: self._channel(kind, topic) for kind, topic in CHANNELS.items()}
-        self._sequence, self._flushed = 0, 0.0
+        self._sequence, self._last_flush = 0, 0.0
         self._writer.flush()
 
     def _channel(self, kind: type[msgspec.Struct], topic: str) -> int:
@@ -179,9 +179,9 @@ class _File:
                 self._channels[CHANNELS[type(message)]], stamp, encode(message), stamp, self._sequence
             )
             self._sequence += 1
-            if abs(message.t - self._flushed) >= FLUSH_EVERY:
+            if abs(message.t - self._last_flush) >= FLUSH_PERIOD:
                 self._writer.flush()
-                self._flushed = message.t
+                self._last_flush = message.t
         except Exception as error:  # whatever fails here must not reach the control loop
             self.problem = f"{type(error).__name__}: {error}"
 
@@ -196,7 +196,7 @@ class _File:
         return state
 
 
-def _frozen(value: object) -> object:
+def _snapshot(value: object) -> object:
     """A copy of what could still change (arrays, lists); frozen records, and tuples of them, as they are."""
     frozen = isinstance(value, int | float | str | tuple | msgspec.Struct)
     return cast("object", value) if frozen else copy.deepcopy(value)

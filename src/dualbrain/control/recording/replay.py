@@ -17,24 +17,24 @@ from numpy.typing import NDArray
 
 from dualbrain.control.recording.channels import EpisodeInfo, FilterCall, Ticks, read_recording, recording_state
 from dualbrain.control.recording.trace import columns
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import ConfigurationError
 from dualbrain.robots.interface import RobotState
-from dualbrain.robots.loader import load_body
-from dualbrain.robots.model import Body
+from dualbrain.robots.loader import load_robot
+from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Contact, Obstacle
-from dualbrain.safety.cbf.result import Filtered
-from dualbrain.safety.cbf.rows import Row
-from dualbrain.safety.supervisor.controller import BRAKED, STANDING, UNTOUCHED
-from dualbrain.safety.supervisor.intervention import supervised
+from dualbrain.safety.cbf.result import FilterResult
+from dualbrain.safety.cbf.rows import ConstraintRow
+from dualbrain.safety.supervisor.controller import BRAKING, STANDSTILL, UNSCALED
+from dualbrain.safety.supervisor.intervention import with_supervisor_control
 
 Array = NDArray[np.float64]
 
-COMPARED = ("u", "delta", "h_min", "status")
+COMPARED_COLUMNS = ("u", "delta", "h_min", "status")
 
 
 @dataclass(slots=True)
-class Replay:
+class ReplayResult:
     """What a replay found: ticks compared, ticks that differ (index of the first), and whether the file is whole."""
 
     ticks: int = 0
@@ -51,40 +51,42 @@ class Replay:
         return self.ticks > 0 and self.differing == 0
 
 
-def replay(path: Path) -> Replay:
+def replay(path: Path) -> ReplayResult:
     """Replay the recording at `path`; raises `InvalidSetup` when it is none."""
-    result = Replay()
-    machine: _Machine | None = None
+    result = ReplayResult()
+    machine: _ReplayFilter | None = None
     for message in read_recording(path):
         match message:
             case EpisodeInfo(_, data):
-                machine = _Machine(data)
+                machine = _ReplayFilter(data)
                 result.instruction = str(data.get("instruction", ""))
             case FilterCall(_, name, arguments) if machine:
-                machine.call(name, arguments)
+                machine.apply_call(name, arguments)
             case Ticks() if machine:
                 for row in message.rows():
                     machine.compare(row, result)
             case _:
                 pass
     if machine is None:
-        raise InvalidSetup("recording", got="no /episode message", allowed="a file written by dualbrain", fix=str(path))
+        raise ConfigurationError(
+            "recording", got="no /episode message", allowed="a file written by dualbrain", fix=str(path)
+        )
     state = recording_state(path)
     result.complete, result.problem = state.complete, state.problem
     return result
 
 
-class _Machine:
+class _ReplayFilter:
     """A fresh filter that is fed what was recorded."""
 
     def __init__(self, data: Mapping[str, Any]) -> None:
         """`data` is the /episode message: robot and guard, and what a site file changed."""
-        body = msgspec.convert(data["body"], Body) if "body" in data else load_body(str(data["robot"]))
+        body = msgspec.convert(data["body"], RobotModel) if "body" in data else load_robot(str(data["robot"]))
         standing = msgspec.convert(data.get("standing", ()), tuple[Obstacle, ...])
-        self._filter, self._guard = SafetyFilter(body, standing=standing), bool(data["guard"])
-        self._where = columns(body.n, body.width)
+        self._filter, self._guard = SafetyFilter(body, fixed_obstacles=standing), bool(data["guard"])
+        self._columns = columns(body.n, body.nq)
 
-    def call(self, name: str, arguments: dict[str, Any]) -> None:
+    def apply_call(self, name: str, arguments: dict[str, Any]) -> None:
         """Repeat one call that changes the filter's tables."""
         match name:
             case "observe":
@@ -96,44 +98,46 @@ class _Machine:
             case "detach":
                 self._filter.detach()
             case "constrain":
-                self._filter.constrain(msgspec.convert(arguments["rows"], tuple[Row, ...]))
+                self._filter.constrain(msgspec.convert(arguments["rows"], tuple[ConstraintRow, ...]))
             case _:
-                raise InvalidSetup("recorded call", got=name, allowed="observe, permit, attach, detach, constrain")
+                raise ConfigurationError(
+                    "recorded call", got=name, allowed="observe, permit, attach, detach, constrain"
+                )
 
-    def _answer(self, state: RobotState, part: dict[str, Array], now: float, touched: float) -> Filtered | None:
+    def _recompute(self, state: RobotState, part: dict[str, Array], now: float, touched: float) -> FilterResult | None:
         """The control as the supervisor let it be written; None where braking stood in for a broken filter."""
         u_nom = part["u_nom"]
-        wish = u_nom if touched == UNTOUCHED else max(0.0, touched) * u_nom
+        wish = u_nom if touched == UNSCALED else max(0.0, touched) * u_nom
         got = self._filter.filter(state, wish, now)
         if not self._guard:
             got = got.unfiltered()
-        if touched == BRAKED:
+        if touched == BRAKING:
             self._filter.reset(part["u"])
             return None
-        if touched == STANDING:
+        if touched == STANDSTILL:
             self._filter.reset(0.0)
-            return supervised(got, u_nom, np.zeros_like(got.u))
-        return got if touched == UNTOUCHED else supervised(got, u_nom, got.u)
+            return with_supervisor_control(got, u_nom, np.zeros_like(got.u))
+        return got if touched == UNSCALED else with_supervisor_control(got, u_nom, got.u)
 
-    def compare(self, row: Array, result: Replay) -> None:
+    def compare(self, row: Array, result: ReplayResult) -> None:
         """Compute one tick again and note how it differs from the recorded one."""
-        part = {name: row[where] for name, where in self._where.items()}
+        part = {name: row[where] for name, where in self._columns.items()}
         forces = (float(part["forces"][0]), float(part["forces"][1]))
         state = RobotState(
             float(part["stamp"][0]), int(part["sequence"][0]), part["q"], part["v"], float(part["opening"][0]), forces,
             bool(part["drive"][0]),
         )  # fmt: skip
         touched = float(part["touched"][0])
-        got = self._answer(state, part, float(part["t"][0]), touched)
+        got = self._recompute(state, part, float(part["t"][0]), touched)
         if got is None:
             result.ticks += 1
             return
         again = {"u": got.u, "delta": got.delta, "h_min": got.h_min, "status": float(got.status)}
-        same = all(np.array_equal(part[name], np.atleast_1d(again[name]), equal_nan=True) for name in COMPARED)
+        same = all(np.array_equal(part[name], np.atleast_1d(again[name]), equal_nan=True) for name in COMPARED_COLUMNS)
         if not same:
             result.differing += 1
             result.first = result.ticks if result.first is None else result.first
-            for name in COMPARED:
+            for name in COMPARED_COLUMNS:
                 away = float(np.max(np.abs(part[name] - again[name])))
                 result.worst[name] = max(result.worst.get(name, 0.0), away)
         result.ticks += 1

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.errors import UnknownName
+from dualbrain.errors import UnknownNameError
 from dualbrain.robots.interface import RobotState
 
 Array = NDArray[np.float64]
@@ -18,12 +18,12 @@ Array = NDArray[np.float64]
 STATUSES = ("SAFE", "MODIFIED", "RELAXED", "STOPPED", "FAULT")
 """Names of the filter's status codes 0..4."""
 
-WHOLE = 2.0
+FULL_INTERVENTION = 2.0
 """δ of an intervention that leaves nothing of what was asked, and of a tick whose δ could not be computed."""
 DEAD_BAND = 1e-4
 """δ at or below this counts as no intervention: the kernel's rounding in float32, 0.01 % of full speed."""
 
-BLOCK = 4096
+BLOCK_ROWS = 4096
 
 EventKind = Literal[
     "verdict",
@@ -50,7 +50,7 @@ class Event(msgspec.Struct, frozen=True):
     data: dict[str, Any] = {}
 
 
-class FilterResult(Protocol):
+class LoggedResult(Protocol):
     """The part of the filter's answer that is logged (paper 4.3, 4.4)."""
 
     @property
@@ -87,7 +87,7 @@ class Span:
 
 
 @dataclass(frozen=True, slots=True)
-class Summary:
+class InterventionSummary:
     """Δ(τ) and its companions over one segment (paper 4.4); `Delta` and `h_min` are None without ticks."""
 
     ticks: int
@@ -152,29 +152,29 @@ class Trace:
         self.events: list[Event] = []
         self._width = self.columns["phase"].stop
         self._codes: dict[str, int] = {}
-        self._full: list[Array] = []
-        self._block: Array = np.zeros((BLOCK, self._width))
+        self._full_blocks: list[Array] = []
+        self._block: Array = np.zeros((BLOCK_ROWS, self._width))
         self._used = 0
-        self._joined: Array = self._block[:0]
+        self._cached_rows: Array = self._block[:0]
         self._stride = 8 * self._width
         self._pack = Struct(f"={self._width}d").pack_into
 
     def append(
-        self, now: float, state: RobotState, u_nom: Array, result: FilterResult, *, action: int, phase: str,
-        order: int = 0, touched: float = 1.0,
+        self, now: float, state: RobotState, u_nom: Array, result: LoggedResult, *, action: int, phase: str,
+        order: int = 0, scale_applied: float = 1.0,
     ) -> Array:  # fmt: skip
         """Log one tick; returns its row (width,), which must not be written to."""
-        if self._used == BLOCK:
-            self._full.append(self._block)
-            self._block, self._used = np.zeros((BLOCK, self._width)), 0
+        if self._used == BLOCK_ROWS:
+            self._full_blocks.append(self._block)
+            self._block, self._used = np.zeros((BLOCK_ROWS, self._width)), 0
         code = self._codes.get(phase)
         self._pack(
             self._block.data, self._used * self._stride,
             now, state.stamp, state.sequence, *state.q.tolist(), *state.v.tolist(), state.opening,
             *state.finger_forces, state.drive_enabled, *u_nom.tolist(), *result.u.tolist(),
             result.delta, result.delta_rows, result.delta_box, result.h_min, result.status, result.certified,
-            result.iterations, result.n_rows, result.delta_supervisor, order, touched,
-            action, self._learn(phase) if code is None else code,
+            result.iterations, result.n_rows, result.delta_supervisor, order, scale_applied,
+            action, self._register_phase(phase) if code is None else code,
         )  # fmt: skip
         self._used += 1
         return self._block[self._used - 1]
@@ -182,15 +182,17 @@ class Trace:
     def extend(self, rows: Array) -> None:
         """Append whole rows (k, width), as read back from a recording."""
         head = self._block[: self._used]
-        self._full += [head, np.asarray(rows, dtype=np.float64)] if self._used else [np.asarray(rows, np.float64)]
-        self._block, self._used = np.zeros((BLOCK, self._width)), 0
+        self._full_blocks += (
+            [head, np.asarray(rows, dtype=np.float64)] if self._used else [np.asarray(rows, np.float64)]
+        )
+        self._block, self._used = np.zeros((BLOCK_ROWS, self._width)), 0
 
-    def forget(self) -> None:
+    def clear(self) -> None:
         """Drop all ticks and events: for a loop that runs for days. Phase codes stay; rows handed out stay valid."""
         self.events.clear()
-        self._full, self._used = [], 0
-        self._block = np.zeros((BLOCK, self._width))
-        self._joined = self._block[:0]
+        self._full_blocks, self._used = [], 0
+        self._block = np.zeros((BLOCK_ROWS, self._width))
+        self._cached_rows = self._block[:0]
 
     def note(self, t: float, kind: EventKind, text: str, **data: Any) -> Event:
         """Log one event."""
@@ -198,27 +200,27 @@ class Trace:
         self.events.append(event)
         return event
 
-    def _learn(self, phase: str) -> int:
+    def _register_phase(self, phase: str) -> int:
         self._codes[phase] = len(self.phases)
         self.phases.append(phase)
         return self._codes[phase]
 
     def __len__(self) -> int:
         """Number of ticks."""
-        return sum(map(len, self._full)) + self._used
+        return sum(map(len, self._full_blocks)) + self._used
 
     @property
     def rows(self) -> Array:
         """All ticks, shape (ticks, width)."""
-        if len(self._joined) != len(self):
-            self._joined = np.concatenate([*self._full, self._block[: self._used]])
-        return self._joined
+        if len(self._cached_rows) != len(self):
+            self._cached_rows = np.concatenate([*self._full_blocks, self._block[: self._used]])
+        return self._cached_rows
 
     def __getitem__(self, name: str) -> Array:
         """One quantity over all ticks: (ticks,) for scalars, (ticks, k) for vectors."""
         where = self.columns.get(name)
         if where is None:
-            raise UnknownName("trace column", name, tuple(self.columns))
+            raise UnknownNameError("trace column", name, tuple(self.columns))
         return self.rows[:, where.start] if where.stop - where.start == 1 else self.rows[:, where]
 
     def spans(self, name: str) -> list[Span]:
@@ -229,7 +231,7 @@ class Trace:
         """Runs of ticks in which δ_t lies above `dead_band`."""
         return [span for span in spans((self["delta"] > dead_band).astype(np.float64), self["t"]) if span.code]
 
-    def summary(self, action: int | None = None, dead_band: float = DEAD_BAND) -> Summary:
+    def summary(self, action: int | None = None, dead_band: float = DEAD_BAND) -> InterventionSummary:
         """Δ(τ) = mean δ_t, its sum and peak, the share of ticks with δ_t above `dead_band`, and the least h [m].
 
         Over all ticks, or over those of one `action`. δ counts NaN as full intervention, h as −inf: what was not
@@ -237,10 +239,10 @@ class Trace:
         """
         chosen = np.ones(len(self), bool) if action is None else self["action"] == action
         if not chosen.any():
-            return Summary(0, 0.0, None, 0.0, 0.0, 0.0, None)
+            return InterventionSummary(0, 0.0, None, 0.0, 0.0, 0.0, None)
         t = self["t"][chosen]
-        delta = np.nan_to_num(self["delta"][chosen], nan=WHOLE)
+        delta = np.nan_to_num(self["delta"][chosen], nan=FULL_INTERVENTION)
         h = np.nan_to_num(self["h_min"][chosen], nan=-np.inf, posinf=np.inf, neginf=-np.inf)
         frequency = float(np.mean(delta > dead_band))
         mean, total, peak = float(delta.mean()), float(delta.sum()), float(delta.max())
-        return Summary(len(t), float(t[-1] - t[0]), mean, total, peak, frequency, float(h.min()))
+        return InterventionSummary(len(t), float(t[-1] - t[0]), mean, total, peak, frequency, float(h.min()))

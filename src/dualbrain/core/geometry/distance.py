@@ -8,7 +8,7 @@ from math import hypot, pi, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.core.geometry.rotations import matrix
+from dualbrain.core.geometry.rotations import quaternion_to_matrix
 from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, Cylinder, HalfSpace, Pose, Shape, Sphere
 
 Array = NDArray[np.float64]
@@ -17,21 +17,23 @@ Solid = Sphere | Capsule | Box | HalfSpace
 """The shapes with an exact distance in the kernel."""
 
 
-def solid(shape: Shape, pose: Pose) -> tuple[Solid, Pose]:
+def bounding_solid(shape: Shape, pose: Pose) -> tuple[Solid, Pose]:
     """The smallest cover by a shape with an exact distance: cylinders by volume, bowls as a box of full height."""
     match shape:
         case Cylinder():
-            return min(_covers(shape), key=_volume), pose
+            return min(_cylinder_covers(shape), key=_volume), pose
         case Bowl(radius=radius, height=height):
-            x, y, z = matrix(pose.quaternion) @ np.array([0.0, 0.0, 0.5 * height]) + np.array(pose.position)
+            x, y, z = quaternion_to_matrix(pose.quaternion) @ np.array([0.0, 0.0, 0.5 * height]) + np.array(
+                pose.position
+            )
             return Box((radius, radius, 0.5 * height)), Pose((float(x), float(y), float(z)), pose.quaternion)
         case _:
             return shape, pose
 
 
-def distance(shape: Solid, pose: Pose, points: Array) -> Array:
+def signed_distance(shape: Solid, pose: Pose, points: Array) -> Array:
     """Signed distance (...) [m] of `points` (..., 3) in the world from the surface of `shape` at `pose`."""
-    local = (points - np.asarray(pose.position)) @ matrix(pose.quaternion)
+    local = (points - np.asarray(pose.position)) @ quaternion_to_matrix(pose.quaternion)
     match shape:
         case Sphere(radius):
             return _norm(*_columns(local)) - radius
@@ -55,7 +57,7 @@ def _norm(x: Array, y: Array, z: Array) -> Array:
     return np.sqrt(x * x + y * y + z * z)
 
 
-def _covers(cylinder: Cylinder) -> Iterator[Solid]:
+def _cylinder_covers(cylinder: Cylinder) -> Iterator[Solid]:
     """A box, a ball, and capsules whose caps reach the rim."""
     r, h = cylinder.radius, cylinder.half_height
     yield Box((r, r, h))

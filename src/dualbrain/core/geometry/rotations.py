@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-def matrix(quaternion: Sequence[float]) -> Array:
+def quaternion_to_matrix(quaternion: Sequence[float]) -> Array:
     """Rotation matrix (3, 3) of a quaternion (normalised here)."""
     w, x, y, z = quaternion
     s = 2.0 / (w * w + x * x + y * y + z * z)
@@ -24,7 +24,7 @@ def matrix(quaternion: Sequence[float]) -> Array:
     )
 
 
-def quaternion(rotation: Array) -> tuple[float, float, float, float]:
+def matrix_to_quaternion(rotation: Array) -> tuple[float, float, float, float]:
     """Unit quaternion of a rotation matrix (3, 3), with w ≥ 0; stable at every angle (Shepperd's choice of pivot)."""
     r = rotation
     squares = np.array([r[0, 0] + r[1, 1] + r[2, 2], r[0, 0], r[1, 1], r[2, 2]])
@@ -45,15 +45,15 @@ def quaternion(rotation: Array) -> tuple[float, float, float, float]:
     return (float(q[0]), float(q[1]), float(q[2]), float(q[3]))
 
 
-def rotation_error(current: Array, wanted: Array) -> Array:
+def rotation_error(current: Array, target: Array) -> Array:
     """Rotation vector (3,) in the world that turns `current` into `wanted`: log(wanted currentᵀ)."""
-    turn = wanted @ current.T
+    turn = target @ current.T
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = turn.tolist()
     x, y, z = zy - yz, xz - zx, yx - xy
     sine = 0.5 * sqrt(x * x + y * y + z * z)
     cosine = 0.5 * (xx + yy + zz - 1.0)
     if sine < 1e-6 and cosine < 0.0:  # half a turn: the antisymmetric part vanishes
-        w, *axis = quaternion(turn)
+        w, *axis = matrix_to_quaternion(turn)
         return 2.0 * atan2(sqrt(max(0.0, 1.0 - w * w)), w) * np.asarray(axis)
     scale = 0.5 * atan2(sine, cosine) / sine if sine > 1e-12 else 0.5
     return np.array([scale * x, scale * y, scale * z])

@@ -11,7 +11,7 @@ Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 """Unit quaternion (w, x, y, z)."""
 
-UPRIGHT: Quaternion = (1.0, 0.0, 0.0, 0.0)
+IDENTITY_QUATERNION: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
 
 class Sphere(msgspec.Struct, frozen=True, tag_field="shape", tag="sphere"):
@@ -59,4 +59,4 @@ class Pose(msgspec.Struct, frozen=True):
     """Where a thing is: `position` [m] and `quaternion` (w, x, y, z)."""
 
     position: Vector
-    quaternion: Quaternion = UPRIGHT
+    quaternion: Quaternion = IDENTITY_QUATERNION

@@ -11,10 +11,10 @@ from typing import BinaryIO
 
 import msgspec
 
-from dualbrain.errors import UNREADABLE, DualbrainError
+from dualbrain.errors import DECODE_ERRORS, DualbrainError
 
 
-class Holder(msgspec.Struct, frozen=True):
+class LockHolder(msgspec.Struct, frozen=True):
     """Who holds the lock: process id, what it is doing, and since when [s, 1970 UTC]."""
 
     pid: int
@@ -22,10 +22,10 @@ class Holder(msgspec.Struct, frozen=True):
     since: float
 
 
-class LedgerInUse(DualbrainError):
+class LedgerInUseError(DualbrainError):
     """Another process writes this ledger."""
 
-    def __init__(self, holder: Holder | None, path: str) -> None:
+    def __init__(self, holder: LockHolder | None, path: str) -> None:
         """Name the holder (None if it has not yet said who it is) and, last, the ledger."""
         self.holder, self.path = holder, path
         who = "another process" if holder is None else f"process {holder.pid} ({holder.name})"
@@ -35,7 +35,7 @@ class LedgerInUse(DualbrainError):
         )
 
 
-POLL = 0.02
+POLL_INTERVAL_S = 0.02
 """Pause between two attempts to take the lock [s]."""
 
 
@@ -46,28 +46,28 @@ class WriterLock:
     Assumption: a local file system (network file systems may not honour `flock`).
     """
 
-    def __init__(self, ledger: Path, holder: Holder, *, patience: float = 0.0) -> None:
+    def __init__(self, ledger: Path, holder: LockHolder, *, timeout_s: float = 0.0) -> None:
         """Take the lock, trying for about `patience` [s], or raise `LedgerInUse`."""
         path = ledger.with_name(ledger.name + ".lock")
         self._file: BinaryIO = path.open("a+b")
-        attempts = 1 + round(patience / POLL)
-        while not _taken(self._file):
+        attempts = 1 + round(timeout_s / POLL_INTERVAL_S)
+        while not _try_lock(self._file):
             attempts -= 1
             if not attempts:
-                other = _read_holder(self._file)
+                other = _decode_holder(self._file)
                 self._file.close()
-                raise LedgerInUse(other, str(ledger))
-            time.sleep(POLL)
+                raise LedgerInUseError(other, str(ledger))
+            time.sleep(POLL_INTERVAL_S)
         try:
             self._file.truncate(0)
             self._file.write(msgspec.json.encode(holder))
             self._file.flush()
             os.fsync(self._file.fileno())
         except OSError:  # a full disk
-            self._abandon()
+            self._close_unwritten()
             raise
 
-    def _abandon(self) -> None:
+    def _close_unwritten(self) -> None:
         """Let go although the buffered words could not be written."""
         with contextlib.suppress(OSError):
             self._file.close()
@@ -79,20 +79,20 @@ class WriterLock:
             self._file.close()
 
 
-def holder_of(ledger: Path) -> Holder | None:
+def current_holder(ledger: Path) -> LockHolder | None:
     """Who writes `ledger`, None if nobody does; takes no lock, so that nobody is kept out by being looked at.
 
     Holders write themselves into the file and empty it when they let go; one that was killed counts as gone.
     """
     try:
         with ledger.with_name(ledger.name + ".lock").open("rb") as file:
-            holder = _read_holder(file)
+            holder = _decode_holder(file)
     except OSError:
         return None
-    return holder if holder is not None and _alive(holder.pid) else None
+    return holder if holder is not None and _is_alive(holder.pid) else None
 
 
-def _alive(pid: int) -> bool:
+def _is_alive(pid: int) -> bool:
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
@@ -102,7 +102,7 @@ def _alive(pid: int) -> bool:
     return True
 
 
-def _taken(file: BinaryIO) -> bool:
+def _try_lock(file: BinaryIO) -> bool:
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -110,9 +110,9 @@ def _taken(file: BinaryIO) -> bool:
     return True
 
 
-def _read_holder(file: BinaryIO) -> Holder | None:
+def _decode_holder(file: BinaryIO) -> LockHolder | None:
     file.seek(0)
     try:
-        return msgspec.json.decode(file.read(), type=Holder)
-    except UNREADABLE:
+        return msgspec.json.decode(file.read(), type=LockHolder)
+    except DECODE_ERRORS:
         return None

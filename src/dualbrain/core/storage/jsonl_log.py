@@ -8,43 +8,43 @@ from typing import Any
 
 import msgspec
 
-from dualbrain.errors import UNREADABLE
+from dualbrain.errors import DECODE_ERRORS
 
-Line = dict[str, Any]
+JsonlLine = dict[str, Any]
 
 
-class Journal:
+class JsonlLog:
     """Append-only lines of JSON at `path`; one process writes."""
 
     def __init__(self, path: Path) -> None:
         """Use `path`; it is made by the first line."""
         self.path = path
 
-    def lines(self) -> list[Line]:
+    def read(self) -> list[JsonlLine]:
         """Every whole line."""
-        return [line for _, line in self.numbered()]
+        return [line for _, line in self.read_numbered()]
 
-    def numbered(self) -> list[tuple[int, Line]]:
+    def read_numbered(self) -> list[tuple[int, JsonlLine]]:
         """Every whole line with its number, as an editor counts."""
-        found: list[tuple[int, Line]] = []
+        found: list[tuple[int, JsonlLine]] = []
         for number, line in enumerate(self.path.read_bytes().splitlines() if self.path.exists() else (), start=1):
             try:
-                found.append((number, msgspec.json.decode(line, type=Line)))
-            except UNREADABLE:
+                found.append((number, msgspec.json.decode(line, type=JsonlLine)))
+            except DECODE_ERRORS:
                 continue  # cut off by a kill: its episode is flown again
         return found
 
-    def append(self, line: Line) -> None:
+    def append(self, line: JsonlLine) -> None:
         """Write `line` through to the disk."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with self.path.open("ab+") as file:
-            if file.tell() and not _ends_whole(file):
+            if file.tell() and not _ends_with_newline(file):
                 file.write(b"\n")
             file.write(msgspec.json.encode(line) + b"\n")
             file.flush()
             os.fsync(file.fileno())
 
 
-def _ends_whole(file: Any) -> bool:
+def _ends_with_newline(file: Any) -> bool:
     file.seek(-1, os.SEEK_END)
     return file.read(1) == b"\n"

@@ -25,7 +25,7 @@ def transaction(database: sqlite3.Connection) -> Generator[None]:
         raise
 
 
-def statements(script: str) -> Iterator[str]:
+def split_statements(script: str) -> Iterator[str]:
     """The statements of `script` one by one, each ending its line; `executescript` would end a transaction."""
     begun = ""
     for line in script.splitlines(keepends=True):

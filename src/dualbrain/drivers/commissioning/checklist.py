@@ -16,31 +16,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.drivers.catalogue import DriverKind
-from dualbrain.errors import InvalidSetup
-from dualbrain.robots.model import Body, Vector
+from dualbrain.errors import ConfigurationError
+from dualbrain.robots.model import RobotModel, Vector
 from dualbrain.robots.site_config import PlaneEntry, Site
 
 Array = NDArray[np.float64]
 
-MARGIN = 0.98
+MAX_VENDOR_LIMIT_SHARE = 0.98
 """Our limits of velocity, acceleration and jerk are at most this share of the maker's."""
-INSIDE = 0.01
+RANGE_MARGIN = 0.01
 """[rad] by which our joint ranges lie inside the maker's."""
-ABOVE, BELOW = 0.002, 0.010
+MAX_POINT_ABOVE_PLANE, MAX_POINT_BELOW_PLANE = 0.002, 0.010
 """[m] by which a touched point of the table may lie above and below the plane in the site file."""
-LEVEL = 0.01
+MAX_LEAN = 0.01
 """[rad] by which the base may lean."""
-STOPS_WITHIN = 0.5
+MAX_ESTOP_STOP_TIME = 0.5
 """[s] in which the emergency stop must have brought the arm to rest."""
-SAME_TIP = 0.002
-LARGEST = 2**16
+TIP_TOLERANCE = 0.002
+MAX_FILE_BYTES = 2**16
 
 
-class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class ChecklistEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Root of the tables: a word that is not known is an error."""
 
 
-class ToolAnswer(Entry, frozen=True):
+class ToolAnswer(ChecklistEntry, frozen=True):
     """[tool]: what is on the flange: name, mass [kg], tip in the body's tool frame [m], set at the maker's too."""
 
     name: str
@@ -49,13 +49,13 @@ class ToolAnswer(Entry, frozen=True):
     set_at_controller: bool = False
 
 
-class PayloadAnswer(Entry, frozen=True):
+class PayloadAnswer(ChecklistEntry, frozen=True):
     """[payload]: the heaviest thing that will be carried [kg]."""
 
     mass: float
 
 
-class MountingAnswer(Entry, frozen=True):
+class MountingAnswer(ChecklistEntry, frozen=True):
     """[mounting]: on what the base stands, and how far it leans [rad], by a level."""
 
     on: Literal["floor", "wall", "ceiling"]
@@ -63,13 +63,13 @@ class MountingAnswer(Entry, frozen=True):
     bolted: bool = False
 
 
-class TableAnswer(Entry, frozen=True):
+class TableAnswer(ChecklistEntry, frozen=True):
     """[table]: at least three points of the table that the tip has touched [m, base frame]."""
 
     points: tuple[Vector, ...]
 
 
-class EstopAnswer(Entry, frozen=True):
+class EstopAnswer(ChecklistEntry, frozen=True):
     """[estop]: pressed while a joint moved at `speed` [rad/s]: at rest after `rest` [s]; did it stay latched."""
 
     speed: float
@@ -78,7 +78,7 @@ class EstopAnswer(Entry, frozen=True):
     reset_in_two_steps: bool = False
 
 
-class Checklist(Entry, frozen=True):
+class Checklist(ChecklistEntry, frozen=True):
     """The whole file: who answered (`by`), when (`on`), and the answers."""
 
     by: str
@@ -91,7 +91,7 @@ class Checklist(Entry, frozen=True):
 
 
 @dataclass(frozen=True, slots=True)
-class Flaw:
+class ChecklistFlaw:
     """An answer that will not do."""
 
     item: str
@@ -131,101 +131,122 @@ reset_in_two_steps = false  # release, reset, resume: only then it moved again
 
 def read_checklist(path: Path) -> Checklist:
     """The checklist in `path`; raises `InvalidSetup` if it is not there, not TOML, or lacks an answer."""
-    if not path.is_file() or path.stat().st_size > LARGEST:
-        raise InvalidSetup("checklist", got=str(path), allowed=f"a TOML file of at most {LARGEST} bytes")
+    if not path.is_file() or path.stat().st_size > MAX_FILE_BYTES:
+        raise ConfigurationError("checklist", got=str(path), allowed=f"a TOML file of at most {MAX_FILE_BYTES} bytes")
     try:
         return msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), Checklist)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, msgspec.ValidationError) as error:
-        raise InvalidSetup("checklist", got=str(error), allowed="every table of the template", fix=str(path)) from error
+        raise ConfigurationError(
+            "checklist", got=str(error), allowed="every table of the template", fix=str(path)
+        ) from error
 
 
-def flaws(answers: Checklist, body: Body, site: Site, kind: DriverKind) -> tuple[Flaw, ...]:
+def find_flaws(answers: Checklist, robot_model: RobotModel, site: Site, kind: DriverKind) -> tuple[ChecklistFlaw, ...]:
     """Everything that will not do; `body` is the one that the site file has narrowed."""
-    found = [*_people(answers), *_tool(answers, site, kind), *_mounting(answers.mounting), *_table(answers, site)]
-    return (*found, *_estop(answers.estop), *limit_flaws(body, kind))
+    found = [
+        *_check_signature(answers),
+        *_check_tool(answers, site, kind),
+        *_check_mounting(answers.mounting),
+        *_check_table(answers, site),
+    ]
+    return (*found, *_check_estop(answers.estop), *find_limit_flaws(robot_model, kind))
 
 
-def limit_flaws(body: Body, kind: DriverKind) -> tuple[Flaw, ...]:
+def find_limit_flaws(robot_model: RobotModel, kind: DriverKind) -> tuple[ChecklistFlaw, ...]:
     """Where a limit of `body` is not strictly inside the maker's: ours must be the one that trips first."""
-    limits, found = kind.limits, list[Flaw]()
-    fastest = _fastest(body, kind)
-    for index, joint in enumerate(body.joints):
-        low, high = (float(value) for value in limits.range[index])
-        if not (joint.lower.value >= low + INSIDE and joint.upper.value <= high - INSIDE):
+    limits, found = kind.limits, list[ChecklistFlaw]()
+    fastest = _vendor_velocity_limits(robot_model, kind)
+    for index, joint in enumerate(robot_model.joints):
+        low, high = (float(value) for value in limits.position_range[index])
+        if not (joint.lower.value >= low + RANGE_MARGIN and joint.upper.value <= high - RANGE_MARGIN):
             got = (joint.lower.value, joint.upper.value)
-            found.append(Flaw(f"range of {joint.name} [rad]", got, f"within {low + INSIDE:.4f} … {high - INSIDE:.4f}"))
+            found.append(
+                ChecklistFlaw(
+                    f"range of {joint.name} [rad]", got, f"within {low + RANGE_MARGIN:.4f} … {high - RANGE_MARGIN:.4f}"
+                )
+            )
         sides = [("velocity", joint.velocity.value, float(fastest[index]))]
         if limits.acceleration is not None:
             sides.append(("acceleration", joint.acceleration.value, float(limits.acceleration[index])))
         if limits.jerk is not None:
             sides.append(("jerk", joint.jerk.value if joint.jerk else np.inf, float(limits.jerk[index])))
         for name, ours, theirs in sides:
-            if not ours <= MARGIN * theirs:
-                found.append(Flaw(f"{name} of {joint.name}", ours, f"at most {MARGIN * theirs:.4g} by the site file"))
+            if not ours <= MAX_VENDOR_LIMIT_SHARE * theirs:
+                found.append(
+                    ChecklistFlaw(
+                        f"{name} of {joint.name}",
+                        ours,
+                        f"at most {MAX_VENDOR_LIMIT_SHARE * theirs:.4g} by the site file",
+                    )
+                )
     return tuple(found)
 
 
-def _fastest(body: Body, kind: DriverKind) -> Array:
+def _vendor_velocity_limits(robot_model: RobotModel, kind: DriverKind) -> Array:
     """What the maker allows everywhere in the body's range (n,) [rad/s]: the limits shrink toward its ends."""
-    lower, upper = (np.array([getattr(joint, side).value for joint in body.joints]) for side in ("lower", "upper"))
-    (down, up), (down_there, up_there) = kind.limits.velocities(lower), kind.limits.velocities(upper)
+    lower, upper = (
+        np.array([getattr(joint, side).value for joint in robot_model.joints]) for side in ("lower", "upper")
+    )
+    (down, up), (down_there, up_there) = kind.limits.velocity_limits(lower), kind.limits.velocity_limits(upper)
     return np.minimum.reduce([-down, up, -down_there, up_there])
 
 
-def _people(answers: Checklist) -> list[Flaw]:
+def _check_signature(answers: Checklist) -> list[ChecklistFlaw]:
     named = (("by", answers.by), ("on", answers.on))
-    return [Flaw(name, said, "who answered, and when") for name, said in named if not said.strip()]
+    return [ChecklistFlaw(name, said, "who answered, and when") for name, said in named if not said.strip()]
 
 
-def _tool(answers: Checklist, site: Site, kind: DriverKind) -> list[Flaw]:
-    tool, load, found = answers.tool, answers.payload.mass, list[Flaw]()
+def _check_tool(answers: Checklist, site: Site, kind: DriverKind) -> list[ChecklistFlaw]:
+    tool, load, found = answers.tool, answers.payload.mass, list[ChecklistFlaw]()
     if not tool.name.strip() or not tool.mass >= 0.0:
-        found.append(Flaw("tool", (tool.name, tool.mass), "a name, and a mass that was weighed [kg]"))
+        found.append(ChecklistFlaw("tool", (tool.name, tool.mass), "a name, and a mass that was weighed [kg]"))
     declared = site.tool.position if site.tool else (0.0, 0.0, 0.0)
-    if not np.linalg.norm(np.array(tool.tip) - np.array(declared)) <= SAME_TIP:
-        found.append(Flaw("tool.tip [m]", tool.tip, f"the site file's {declared}"))
+    if not np.linalg.norm(np.array(tool.tip) - np.array(declared)) <= TIP_TOLERANCE:
+        found.append(ChecklistFlaw("tool.tip [m]", tool.tip, f"the site file's {declared}"))
     if not tool.set_at_controller:
-        found.append(Flaw("tool.set_at_controller", False, "true: the arm's own collision detection needs it"))
+        found.append(ChecklistFlaw("tool.set_at_controller", False, "true: the arm's own collision detection needs it"))
     if not (load >= 0.0 and tool.mass + load <= kind.payload):
-        found.append(Flaw("payload.mass [kg]", load, f"with the tool at most the rated {kind.payload} kg"))
+        found.append(ChecklistFlaw("payload.mass [kg]", load, f"with the tool at most the rated {kind.payload} kg"))
     return found
 
 
-def _mounting(mounting: MountingAnswer) -> list[Flaw]:
-    found = list[Flaw]()
+def _check_mounting(mounting: MountingAnswer) -> list[ChecklistFlaw]:
+    found = list[ChecklistFlaw]()
     if mounting.on != "floor":
-        found.append(Flaw("mounting.on", mounting.on, "floor: scenes and planes here count on z upward"))
-    if not abs(mounting.lean) <= LEVEL:
-        found.append(Flaw("mounting.lean [rad]", mounting.lean, f"at most {LEVEL}"))
+        found.append(ChecklistFlaw("mounting.on", mounting.on, "floor: scenes and planes here count on z upward"))
+    if not abs(mounting.lean) <= MAX_LEAN:
+        found.append(ChecklistFlaw("mounting.lean [rad]", mounting.lean, f"at most {MAX_LEAN}"))
     if not mounting.bolted:
-        found.append(Flaw("mounting.bolted", False, "true"))
+        found.append(ChecklistFlaw("mounting.bolted", False, "true"))
     return found
 
 
-def _table(answers: Checklist, site: Site) -> list[Flaw]:
+def _check_table(answers: Checklist, site: Site) -> list[ChecklistFlaw]:
     points = np.array(answers.table.points, dtype=float).reshape(-1, 3)
     flat = np.linalg.matrix_rank(points - points[0], tol=0.05) >= 2 if len(points) >= 3 else False
     if not (flat and np.isfinite(points).all()):
-        return [Flaw("table.points", len(points), "three or more that are not on one line, 5 cm apart or more")]
-    if any(_lies_on(plane, points) for plane in site.plane):
+        return [
+            ChecklistFlaw("table.points", len(points), "three or more that are not on one line, 5 cm apart or more")
+        ]
+    if any(_are_on_plane(plane, points) for plane in site.plane):
         return []
-    allowed = f"within {1e3 * BELOW:.0f} mm below and {1e3 * ABOVE:.0f} mm above a [[plane]] of the site file"
-    return [Flaw("table.points", [tuple(point) for point in points.tolist()], allowed)]
+    allowed = f"within {1e3 * MAX_POINT_BELOW_PLANE:.0f} mm below and {1e3 * MAX_POINT_ABOVE_PLANE:.0f} mm above a [[plane]] of the site file"
+    return [ChecklistFlaw("table.points", [tuple(point) for point in points.tolist()], allowed)]
 
 
-def _lies_on(plane: PlaneEntry, points: Array) -> bool:
+def _are_on_plane(plane: PlaneEntry, points: Array) -> bool:
     inward = np.array(plane.inward) / np.linalg.norm(plane.inward)
     heights = (points - np.array(plane.point)) @ inward
-    return bool((heights <= ABOVE).all() and (heights >= -BELOW).all())
+    return bool((heights <= MAX_POINT_ABOVE_PLANE).all() and (heights >= -MAX_POINT_BELOW_PLANE).all())
 
 
-def _estop(estop: EstopAnswer) -> list[Flaw]:
-    found = list[Flaw]()
+def _check_estop(estop: EstopAnswer) -> list[ChecklistFlaw]:
+    found = list[ChecklistFlaw]()
     if not estop.speed > 0.0:
-        found.append(Flaw("estop.speed [rad/s]", estop.speed, "above 0: it is tried while the arm moves"))
-    if not 0.0 <= estop.rest <= STOPS_WITHIN:
-        found.append(Flaw("estop.rest [s]", estop.rest, f"at most {STOPS_WITHIN}"))
+        found.append(ChecklistFlaw("estop.speed [rad/s]", estop.speed, "above 0: it is tried while the arm moves"))
+    if not 0.0 <= estop.rest <= MAX_ESTOP_STOP_TIME:
+        found.append(ChecklistFlaw("estop.rest [s]", estop.rest, f"at most {MAX_ESTOP_STOP_TIME}"))
     for name, said in (("latched", estop.latched), ("reset_in_two_steps", estop.reset_in_two_steps)):
         if not said:
-            found.append(Flaw(f"estop.{name}", False, "true"))
+            found.append(ChecklistFlaw(f"estop.{name}", False, "true"))
     return found

@@ -14,20 +14,20 @@ from pathlib import Path
 import msgspec
 
 from dualbrain.drivers.catalogue import DriverKind
-from dualbrain.drivers.commissioning.checklist import Checklist, limit_flaws
-from dualbrain.errors import UNREADABLE, InvalidSetup
-from dualbrain.robots.loader import encode
-from dualbrain.robots.model import Body
+from dualbrain.drivers.commissioning.checklist import Checklist, find_limit_flaws
+from dualbrain.errors import DECODE_ERRORS, ConfigurationError
+from dualbrain.robots.loader import encode_robot
+from dualbrain.robots.model import RobotModel
 
-VERSION = 1
-HOW = "Fill in a checklist at the arm: dualbrain robot commission CHECKLIST --driver … --site …"
+RECORD_VERSION = 1
+FIX_HINT = "Fill in a checklist at the arm: dualbrain robot commission CHECKLIST --driver … --site …"
 
 
-class NotCommissioned(InvalidSetup):
+class NotCommissionedError(ConfigurationError):
     """Hardware that nobody has answered for, or that is not what was answered for."""
 
 
-class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class CommissioningRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What was answered, for which body and site, and the seal over all of it."""
 
     version: int
@@ -39,13 +39,17 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     seal: str = ""
 
 
-def sealed(answers: Checklist, body: Body, site: Path, kind: DriverKind) -> Record:
+def make_record(answers: Checklist, robot_model: RobotModel, site: Path, kind: DriverKind) -> CommissioningRecord:
     """The record of `answers` that will do; `body` is the one that the site file has narrowed."""
-    record = Record(VERSION, body.name, kind.name, answers, body_hash(body), _file_hash(site))
+    record = CommissioningRecord(
+        RECORD_VERSION, robot_model.name, kind.name, answers, model_hash(robot_model), _file_hash(site)
+    )
     return msgspec.structs.replace(record, seal=_seal(record))
 
 
-def demand(path: Path | None, body: Body, site: Path | None, kind: DriverKind) -> Record:
+def require_record(
+    path: Path | None, robot_model: RobotModel, site: Path | None, kind: DriverKind
+) -> CommissioningRecord:
     """The record in `path`, if it is whole and about this body, this site file and this driver.
 
     Raises:
@@ -53,39 +57,45 @@ def demand(path: Path | None, body: Body, site: Path | None, kind: DriverKind) -
     """
     if path is None or site is None:
         missing = "no commissioning record" if path is None else "no site file"
-        raise NotCommissioned(f"hardware ({kind.name})", got=missing, allowed="a record and its site file", fix=HOW)
-    record = _read(path)
+        raise NotCommissionedError(
+            f"hardware ({kind.name})", got=missing, allowed="a record and its site file", fix=FIX_HINT
+        )
+    record = _read_record(path)
     now = {
-        "robot": body.name, "driver": kind.name, "body": body_hash(body), "site": _file_hash(site),
+        "robot": robot_model.name, "driver": kind.name, "body": model_hash(robot_model), "site": _file_hash(site),
     }  # fmt: skip
     for name, value in now.items():
         if getattr(record, name) != value:
             what = "another" if name in ("robot", "driver") else "a changed"
-            raise NotCommissioned(
+            raise NotCommissionedError(
                 f"{name} of the commissioning", got=f"{what} {name} than was answered for: {value[:16]}",
-                allowed=getattr(record, name)[:16], fix=HOW,
+                allowed=getattr(record, name)[:16], fix=FIX_HINT,
             )  # fmt: skip
-    if wrong := limit_flaws(body, kind):
-        raise NotCommissioned(wrong[0].item, got=wrong[0].got, allowed=wrong[0].allowed, fix=HOW)
+    if wrong := find_limit_flaws(robot_model, kind):
+        raise NotCommissionedError(wrong[0].item, got=wrong[0].got, allowed=wrong[0].allowed, fix=FIX_HINT)
     return record
 
 
-def body_hash(body: Body) -> str:
+def model_hash(robot_model: RobotModel) -> str:
     """SHA-256 of a body as it is encoded: limits, cover, tool and all."""
-    return sha256(encode(body)).hexdigest()
+    return sha256(encode_robot(robot_model)).hexdigest()
 
 
-def _read(path: Path) -> Record:
+def _read_record(path: Path) -> CommissioningRecord:
     try:
-        record = msgspec.json.decode(path.read_bytes(), type=Record)
-    except (OSError, *UNREADABLE) as error:
-        raise NotCommissioned("commissioning record", got=str(error), allowed="what was sealed", fix=HOW) from error
-    if record.version != VERSION or record.seal != _seal(record):
-        raise NotCommissioned("commissioning record", got="a seal that is not its own", allowed="unchanged", fix=HOW)
+        record = msgspec.json.decode(path.read_bytes(), type=CommissioningRecord)
+    except (OSError, *DECODE_ERRORS) as error:
+        raise NotCommissionedError(
+            "commissioning record", got=str(error), allowed="what was sealed", fix=FIX_HINT
+        ) from error
+    if record.version != RECORD_VERSION or record.seal != _seal(record):
+        raise NotCommissionedError(
+            "commissioning record", got="a seal that is not its own", allowed="unchanged", fix=FIX_HINT
+        )
     return record
 
 
-def _seal(record: Record) -> str:
+def _seal(record: CommissioningRecord) -> str:
     return sha256(msgspec.json.encode(msgspec.structs.replace(record, seal=""), order="deterministic")).hexdigest()
 
 
@@ -93,4 +103,4 @@ def _file_hash(path: Path) -> str:
     try:
         return sha256(path.read_bytes()).hexdigest()
     except OSError as error:
-        raise NotCommissioned("site file", got=error.strerror, allowed="the one that was answered for") from error
+        raise NotCommissionedError("site file", got=error.strerror, allowed="the one that was answered for") from error

@@ -12,53 +12,53 @@ from numpy.typing import NDArray
 
 from dualbrain.drivers.driver import Driver
 from dualbrain.robots.interface import Command, RobotState
-from dualbrain.robots.model import Body
+from dualbrain.robots.model import RobotModel
 
 Array = NDArray[np.float64]
 
-GENTLE = 0.03
+SMALL_MOTION = 0.03
 """[rad] that a joint is moved to see that it is the right one."""
-GENTLE_TIME = 0.6
-FAR = 0.2
+SMALL_MOTION_TIME = 0.6
+LARGE_MOTION = 0.2
 """[rad] that joints are moved when they are driven as hard as the body may."""
-SHARE = 0.97
+LIMIT_SHARE = 0.97
 """Of the body's limits: what the hardest motion asks for."""
-SETTLE = 0.1
+SETTLE_TIME = 0.1
 """[s] after which a motion that has been braked is looked at."""
-LEAVE = 1e-4
+THREAD_YIELD_TIME = 1e-4
 """[s] for which a driver's own threads are given room, in each period in which it is being switched on."""
 
 
 @dataclass(frozen=True, slots=True)
-class Subject:
+class DriverUnderTest:
     """A fresh driver, connected, its arm at rest in the body's home posture; and what a person can do to its arm.
 
     `provoke` makes the maker's own safety stop the arm, `clear` undoes that; None where it cannot be done.
     """
 
     driver: Driver
-    body: Body
-    provoke: Callable[[], None] | None = None
-    clear: Callable[[], None] | None = None
+    model: RobotModel
+    trigger_stop: Callable[[], None] | None = None
+    clear_stop: Callable[[], None] | None = None
 
 
-class Trial:
+class DriverHarness:
     """Carries out motions on a subject and keeps every state that came."""
 
-    def __init__(self, subject: Subject) -> None:
+    def __init__(self, under_test: DriverUnderTest) -> None:
         """Nothing has happened yet."""
-        self.driver, self.body, self.subject = subject.driver, subject.body, subject
-        self.n, self.period = subject.body.n, subject.driver.timing.period
-        self.states: list[RobotState] = [subject.driver.read()]
+        self.driver, self.model, self.under_test = under_test.driver, under_test.model, under_test
+        self.n, self.period = under_test.model.n, under_test.driver.timing.period
+        self.states: list[RobotState] = [under_test.driver.read()]
 
     @property
     def state(self) -> RobotState:
         """The newest state."""
         return self.states[-1]
 
-    def command(self, u: Array) -> Command:
+    def make_command(self, u: Array) -> Command:
         """A command that leaves the fingers open."""
-        grip = self.body.gripper
+        grip = self.model.gripper
         return Command(u, float(grip.opening.value), float(grip.force_min.value))
 
     def wait(self, periods: int = 1) -> None:
@@ -70,51 +70,51 @@ class Trial:
     def write(self, u: Array, periods: int = 1) -> None:
         """Write a joint velocity (n,) once in each period."""
         for _ in range(periods):
-            self.driver.write(self.command(u))
+            self.driver.write(self.make_command(u))
             self.wait()
 
-    def count(self, seconds: float) -> int:
+    def n_periods(self, seconds: float) -> int:
         """How many periods that is."""
         return max(1, round(seconds / self.period))
 
-    def on(self) -> bool:
+    def switch_on(self) -> bool:
         """Switch the drive on and stand; whether it came on in the time that the driver declares."""
         self.driver.enable()
-        for _ in range(self.count(self.driver.timing.switching)):
+        for _ in range(self.n_periods(self.driver.timing.drive_on_timeout)):
             self.write(np.zeros(self.n))
             if self.state.drive_enabled:
                 return True
-            sleep(LEAVE)
+            sleep(THREAD_YIELD_TIME)
         return False
 
-    def swing(self, joint: int, peak: float, seconds: float, until: float = 1.0) -> float:
+    def swing_joint(self, joint: int, peak: float, seconds: float, stop_fraction: float = 1.0) -> float:
         """Turn one joint with v(t) = peak sin²(π t/T), stop at `until` T; ∫v dt [rad] as it was asked for."""
-        total, periods = 0.0, self.count(seconds)
-        for k in range(round(until * periods)):
+        total, periods = 0.0, self.n_periods(seconds)
+        for k in range(round(stop_fraction * periods)):
             u = np.zeros(self.n)
             u[joint] = peak * sin(pi * (k + 1) / periods) ** 2
             total += u[joint] * self.period
             self.write(u)
         return total
 
-    def inward(self, joint: int) -> float:
+    def inward_sign(self, joint: int) -> float:
         """The sign of the direction in which a joint has more room."""
-        bounds = self.body.joints[joint]
+        bounds = self.model.joints[joint]
         return 1.0 if bounds.upper.value - self.state.q[joint] > self.state.q[joint] - bounds.lower.value else -1.0
 
-    def hardest(self, joint: int) -> tuple[float, float]:
+    def max_swing(self, joint: int) -> tuple[float, float]:
         """Peak [rad/s] and length [s] of the sin² that reaches `SHARE` of the body's limits within `FAR` rad.
 
         Of v = p sin²(π t/T): greatest acceleration π p/T, greatest jerk 2 π² p/T², travel p T/2.
         """
-        bounds = self.body.joints[joint]
-        a = SHARE * bounds.acceleration.value
-        peak = min(SHARE * bounds.velocity.value, sqrt(2.0 * FAR * a / pi))
+        bounds = self.model.joints[joint]
+        a = LIMIT_SHARE * bounds.acceleration.value
+        peak = min(LIMIT_SHARE * bounds.velocity.value, sqrt(2.0 * LARGE_MOTION * a / pi))
         seconds = pi * peak / a
         if bounds.jerk is not None:
-            seconds = max(seconds, pi * sqrt(2.0 * peak / (SHARE * bounds.jerk.value)))
+            seconds = max(seconds, pi * sqrt(2.0 * peak / (LIMIT_SHARE * bounds.jerk.value)))
         return peak, seconds
 
-    def speed(self) -> float:
+    def max_joint_speed(self) -> float:
         """The fastest joint now [rad/s]."""
         return float(np.abs(self.state.v).max())

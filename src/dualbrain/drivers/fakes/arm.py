@@ -22,13 +22,13 @@ class FakeArm:
         self.now = 0.0
         self._braking, self._pace = braking, pace
 
-    def follow(self, wanted: Array | None, dt: float) -> None:
+    def follow(self, target: Array | None, dt: float) -> None:
         """One step of `dt` [s] toward the velocity `wanted` (n,); with None it brakes."""
         before = self.v
-        if wanted is None:
+        if target is None:
             self.v = np.sign(before) * np.maximum(0.0, np.abs(before) - self._braking * dt)
         else:
-            self.v = before + (wanted - before) * min(1.0, dt / LAG)
+            self.v = before + (target - before) * min(1.0, dt / LAG)
         self.q = self.q + 0.5 * (before + self.v) * dt
         self.now += dt
         if self._pace:

@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 
 from dualbrain.drivers.fakes.arm import Array, FakeArm
-from dualbrain.drivers.vendor_limits import FR3, Limits
-from dualbrain.robots.model import Body
+from dualbrain.drivers.vendor_limits import FR3, VendorLimits
+from dualbrain.robots.model import RobotModel
 
 DT = 1e-3
-MISSED = 20
+MAX_MISSED_PACKETS = 20
 """Packets missed in a row that abort a motion."""
-FLAGS = (
+ERROR_FLAGS = (
     "joint_position_limits_violation", "joint_velocity_violation", "joint_reflex", "power_limit_violation",
     "self_collision_avoidance_violation", "joint_motion_generator_position_limits_violation",
     "joint_motion_generator_velocity_limits_violation", "joint_motion_generator_velocity_discontinuity",
@@ -62,7 +62,7 @@ class Errors:
 
     def __init__(self, *raised: str) -> None:
         """`raised` are names of `FLAGS`."""
-        for name in FLAGS:
+        for name in ERROR_FLAGS:
             setattr(self, name, name in raised)
         self._raised = raised
 
@@ -98,29 +98,31 @@ class JointVelocities:
         self.motion_finished = False
 
 
-class Controller:
+class FakeFrankaController:
     """The arm's own controller: checks every command, integrates it, and gives up when it has to."""
 
-    def __init__(self, body: Body, limits: Limits = FR3, pace: Callable[[float], None] | None = None) -> None:
+    def __init__(
+        self, robot_model: RobotModel, limits: VendorLimits = FR3, pace: Callable[[float], None] | None = None
+    ) -> None:
         """At rest in the body's home, unlocked, FCI active."""
         if limits.acceleration is None or limits.jerk is None:
             raise TypeError("a Franka arm has limits of acceleration and jerk")
-        self.arm, self.limits = FakeArm(body.home, float(limits.acceleration.min()), pace), limits
-        self._a, self._j = limits.acceleration, limits.jerk
+        self.arm, self.limits = FakeArm(robot_model.home, float(limits.acceleration.min()), pace), limits
+        self._max_acceleration, self._max_jerk = limits.acceleration, limits.jerk
         self.mode, self.errors = RobotMode.Idle, Errors()
-        self.missed, self.lost = 0, 0
-        self.pressed = False
-        self._n = body.n
+        self.missed_in_a_row, self.missed_total = 0, 0
+        self.user_stop_pressed = False
+        self._n = robot_model.n
         self._begin()
 
     def _begin(self) -> None:
         self._u, self._acceleration = np.zeros(self._n), np.zeros(self._n)
         self._next: Array | None = None
-        self.missed = 0
+        self.missed_in_a_row = 0
 
     def start(self) -> None:
         """Begin a motion."""
-        if self.pressed or self.mode is RobotMode.UserStopped:
+        if self.user_stop_pressed or self.mode is RobotMode.UserStopped:
             raise CommandException("libfranka: Move command rejected: command not possible in the current mode!")
         if self.errors:
             raise CommandException(f"libfranka: Move command rejected: {self.errors}")
@@ -138,13 +140,13 @@ class Controller:
         if self.mode is RobotMode.Move:
             self.mode = RobotMode.Idle
 
-    def press(self) -> None:
+    def press_user_stop(self) -> None:
         """A person presses the user stop."""
-        self.pressed, self.mode = True, RobotMode.UserStopped
+        self.user_stop_pressed, self.mode = True, RobotMode.UserStopped
 
-    def release(self) -> None:
+    def release_user_stop(self) -> None:
         """And lets it go."""
-        self.pressed, self.mode = False, RobotMode.Idle
+        self.user_stop_pressed, self.mode = False, RobotMode.Idle
 
     def collide(self) -> None:
         """Something is hit: the torque threshold of a joint is exceeded."""
@@ -152,7 +154,7 @@ class Controller:
 
     def recover(self) -> None:
         """Clear a reflex."""
-        if self.pressed:
+        if self.user_stop_pressed:
             raise CommandException("libfranka: AutomaticErrorRecovery command rejected: user stop pressed!")
         self.mode, self.errors = RobotMode.Idle, Errors()
 
@@ -161,39 +163,39 @@ class Controller:
         if self.mode is not RobotMode.Move:
             self.arm.follow(None, DT)
             return
-        u = self._packet()
-        if flag := self._refusal(u):
+        u = self._next_velocity()
+        if flag := self._violated_flag(u):
             self._reflex(flag)
             self.arm.follow(None, DT)
             return
         self._acceleration, self._u = (u - self._u) / DT, u
         self.arm.follow(u, DT)
 
-    def _packet(self) -> Array:
+    def _next_velocity(self) -> Array:
         """The command for this millisecond, or what constant acceleration makes of the last ones."""
         u, self._next = self._next, None
         if u is not None:
-            self.missed = 0
+            self.missed_in_a_row = 0
             return u
-        self.missed += 1
-        self.lost += 1
+        self.missed_in_a_row += 1
+        self.missed_total += 1
         return self._u + self._acceleration * DT
 
-    def _refusal(self, u: Array) -> str:
+    def _violated_flag(self, u: Array) -> str:
         """The flag that a command raises; "" for none. The necessary conditions of the interface, each strict."""
-        if self.missed >= MISSED:
+        if self.missed_in_a_row >= MAX_MISSED_PACKETS:
             return "communication_constraints_violation"
-        least, most = self.limits.velocities(self.arm.q)
+        least, most = self.limits.velocity_limits(self.arm.q)
         acceleration = (u - self._u) / DT
         jerk = (acceleration - self._acceleration) / DT
-        low, high = self.limits.range.T
+        low, high = self.limits.position_range.T
         if ((self.arm.q <= low) | (self.arm.q >= high)).any():
             return "joint_motion_generator_position_limits_violation"
         if ((u <= least) | (u >= most)).any() or not np.isfinite(u).all():
             return "joint_motion_generator_velocity_limits_violation"
-        if (np.abs(acceleration) > self._a * (1.0 + 1e-9)).any():
+        if (np.abs(acceleration) > self._max_acceleration * (1.0 + 1e-9)).any():
             return "joint_motion_generator_velocity_discontinuity"
-        if (np.abs(jerk) > self._j * (1.0 + 1e-9)).any():
+        if (np.abs(jerk) > self._max_jerk * (1.0 + 1e-9)).any():
             return "joint_motion_generator_acceleration_discontinuity"
         return ""
 
@@ -212,9 +214,9 @@ class FakeFranka:
     ControllerMode = SimpleNamespace(JointImpedance=0, CartesianImpedance=1)
     RealtimeConfig = SimpleNamespace(kEnforce=0, kIgnore=1)
 
-    def __init__(self, body: Body, pace: Callable[[float], None] | None = None) -> None:
+    def __init__(self, robot_model: RobotModel, pace: Callable[[float], None] | None = None) -> None:
         """An arm of that body."""
-        self.controller = Controller(body, pace=pace)
+        self.controller = FakeFrankaController(robot_model, pace=pace)
         self.hand = FakeHand(self.controller)
         self.unplugged = False
 
@@ -305,11 +307,11 @@ def _next_state(sdk: FakeFranka) -> Any:
 class FakeHand:
     """`pylibfranka.Gripper`: the fingers arrive at once; `thing` is how wide [m] what lies between them is."""
 
-    def __init__(self, controller: Controller) -> None:
+    def __init__(self, controller: FakeFrankaController) -> None:
         """Open."""
         self._controller = controller
         self._width, self._held = 0.08, False
-        self.thing = 0.0
+        self.object_width = 0.0
         self.calls: list[tuple[str, float, float]] = []
 
     def read_once(self) -> Any:
@@ -319,7 +321,7 @@ class FakeHand:
     def move(self, arg0: float, arg1: float) -> bool:
         """To a width [m] at a speed [m/s], or as far as the thing lets them."""
         self.calls.append(("move", arg0, arg1))
-        self._width, self._held = max(arg0, self.thing), False
+        self._width, self._held = max(arg0, self.object_width), False
         return True
 
     def grasp(
@@ -328,6 +330,6 @@ class FakeHand:
         """Close with a force [N]; held if the width where they stop is within the two tolerances of `width`."""
         self.calls.append(("grasp", width, force))
         del speed
-        self._width = max(width, self.thing)
-        self._held = self.thing > width and width - epsilon_inner < self._width < width + epsilon_outer
+        self._width = max(width, self.object_width)
+        self._held = self.object_width > width and width - epsilon_inner < self._width < width + epsilon_outer
         return self._held

@@ -15,72 +15,74 @@ from math import inf
 import numpy as np
 
 from dualbrain.drivers.fakes.arm import FakeArm
-from dualbrain.drivers.vendor_limits import UR5E, Limits
-from dualbrain.robots.model import Body
+from dualbrain.drivers.vendor_limits import UR5E, VendorLimits
+from dualbrain.robots.model import RobotModel
 
 DT = 2e-3
-BRAKING = 10.0
+BRAKING_ACCELERATION = 10.0
 """[rad/s²] with which the controller stops the joints."""
-UNLOCK_AFTER = 5.0
-STEEPEST = 40.0
+UNLOCK_DELAY = 5.0
+MAX_ACCELERATION = 40.0
 
 
-class Controller:
+class FakeUrController:
     """The control box: script, watchdog, safety system."""
 
-    def __init__(self, body: Body, limits: Limits = UR5E, pace: Callable[[float], None] | None = None) -> None:
+    def __init__(
+        self, robot_model: RobotModel, limits: VendorLimits = UR5E, pace: Callable[[float], None] | None = None
+    ) -> None:
         """Powered on, brakes released, in remote control."""
-        self.arm, self.limits = FakeArm(body.home, BRAKING, pace), limits
-        self.running, self.stopped, self.emergency = False, False, False
-        self.watchdog, self.kicked = inf, 0.0
-        self._since = -inf
-        self._u = self._goal = np.zeros(body.n)
+        self.arm, self.limits = FakeArm(robot_model.home, BRAKING_ACCELERATION, pace), limits
+        self.script_running, self.protective_stopped, self.emergency_stopped = False, False, False
+        self.watchdog_timeout, self.last_kick = inf, 0.0
+        self._stopped_at = -inf
+        self._u = self._goal = np.zeros(robot_model.n)
         self._acceleration = 0.0
 
-    def load(self) -> bool:
+    def load_script(self) -> bool:
         """Start the script, if the safety system lets it."""
-        if self.stopped or self.emergency:
+        if self.protective_stopped or self.emergency_stopped:
             return False
-        self.running, self.watchdog = True, inf
+        self.script_running, self.watchdog_timeout = True, inf
         self._u = self._goal = np.zeros_like(self._u)
         return True
 
-    def end(self) -> None:
+    def end_script(self) -> None:
         """The script is over."""
-        self.running = False
+        self.script_running = False
 
-    def speed(self, qd: list[float], acceleration: float) -> bool:
+    def set_speed(self, qd: list[float], acceleration: float) -> bool:
         """Where the speed goes; False without a script."""
-        if not 0.0 <= acceleration <= STEEPEST:
-            raise ValueError(f"acceleration {acceleration} is not within [0, {STEEPEST}]")
-        if self.running:
+        if not 0.0 <= acceleration <= MAX_ACCELERATION:
+            raise ValueError(f"acceleration {acceleration} is not within [0, {MAX_ACCELERATION}]")
+        if self.script_running:
             self._goal, self._acceleration = np.array(qd), acceleration
-        return self.running
+        return self.script_running
 
-    def protect(self) -> None:
+    def trigger_protective_stop(self) -> None:
         """A protective stop."""
-        self.stopped, self.running, self._since = True, False, self.arm.now
+        self.protective_stopped, self.script_running, self._stopped_at = True, False, self.arm.now
 
-    def press(self) -> None:
+    def press_emergency_stop(self) -> None:
         """The emergency stop: power goes, brakes engage."""
-        self.emergency, self.running = True, False
+        self.emergency_stopped, self.script_running = True, False
 
-    def release(self) -> None:
+    def release_emergency_stop(self) -> None:
         """Released, powered on again, brakes off: all of it at the pendant."""
-        self.emergency = False
+        self.emergency_stopped = False
 
-    def unlock(self) -> str:
+    def unlock_protective_stop(self) -> str:
         """What the dashboard answers to `unlock protective stop`."""
-        if self.arm.now - self._since < UNLOCK_AFTER:
+        if self.arm.now - self._stopped_at < UNLOCK_DELAY:
             return "Cannot unlock protective stop until 5s after occurrence. Always inspect cause of protective stop"
-        self.stopped = False
+        self.protective_stopped = False
         return "Protective stop releasing"
 
     def step(self) -> None:
         """One period of 2 ms."""
-        if self.running and self.arm.now - self.kicked > self.watchdog:
-            self.running = False
-        if not self.running:
+        if self.script_running and self.arm.now - self.last_kick > self.watchdog_timeout:
+            self.script_running = False
+        if not self.script_running:
             self.arm.follow(None, DT)
             self._u = self.arm.v.copy()
             return
@@ -88,24 +90,24 @@ class Controller:
         leading = float(np.abs(change).max())
         self._u = self._u + change * (min(1.0, self._acceleration * DT / leading) if leading > 0.0 else 0.0)
         self.arm.follow(self._u, DT)
-        least, most = self.limits.velocities(self.arm.q)
-        low, high = self.limits.range.T
+        least, most = self.limits.velocity_limits(self.arm.q)
+        low, high = self.limits.position_range.T
         beyond = (self.arm.v < least) | (self.arm.v > most) | (self.arm.q < low) | (self.arm.q > high)
         if beyond.any() or not np.isfinite(self._u).all():
-            self.protect()
+            self.trigger_protective_stop()
 
 
 class FakeUr:
     """Stands where `rtde_control` and `rtde_receive` would; `controller` is what the test may press and ask."""
 
-    def __init__(self, body: Body, pace: Callable[[float], None] | None = None) -> None:
+    def __init__(self, robot_model: RobotModel, pace: Callable[[float], None] | None = None) -> None:
         """An arm of that body."""
-        self.controller = Controller(body, pace=pace)
+        self.controller = FakeUrController(robot_model, pace=pace)
 
     def RTDEControlInterface(self, hostname: str, frequency: float = -1.0) -> Control:
         """Connect: the script is loaded."""
         del hostname, frequency
-        if not self.controller.load():
+        if not self.controller.load_script():
             raise RuntimeError("Failed to start control script, before timeout of 5 seconds")
         return Control(self.controller)
 
@@ -118,47 +120,50 @@ class FakeUr:
 class Control:
     """`rtde_control.RTDEControlInterface`, as far as joint speeds need it."""
 
-    def __init__(self, controller: Controller) -> None:
+    def __init__(self, controller: FakeUrController) -> None:
         """Of that control box."""
         self._controller = controller
 
     def speedJ(self, qd: list[float], acceleration: float = 0.5, time: float = 0.0) -> bool:
         """Accelerate linearly in joint space and go on at that speed."""
         del time
-        return self._controller.speed(qd, acceleration)
+        return self._controller.set_speed(qd, acceleration)
 
     def setWatchdog(self, min_frequency: float = 10.0) -> bool:
         """From now on a kick must come that often."""
-        if self._controller.running:
-            self._controller.watchdog, self._controller.kicked = 1.0 / min_frequency, self._controller.arm.now
-        return self._controller.running
+        if self._controller.script_running:
+            self._controller.watchdog_timeout, self._controller.last_kick = (
+                1.0 / min_frequency,
+                self._controller.arm.now,
+            )
+        return self._controller.script_running
 
     def kickWatchdog(self) -> bool:
         """We are alive."""
-        self._controller.kicked = self._controller.arm.now
-        return self._controller.running
+        self._controller.last_kick = self._controller.arm.now
+        return self._controller.script_running
 
     def stopScript(self) -> None:
         """End the script."""
-        self._controller.end()
+        self._controller.end_script()
 
     def reuploadScript(self) -> bool:
         """Load the script again."""
-        return self._controller.load()
+        return self._controller.load_script()
 
     def isProgramRunning(self) -> bool:
         """Whether the script runs."""
-        return self._controller.running
+        return self._controller.script_running
 
     def disconnect(self) -> None:
         """Hang up; the script ends."""
-        self._controller.end()
+        self._controller.end_script()
 
 
 class Receive:
     """`rtde_receive.RTDEReceiveInterface`, as far as joint states need it."""
 
-    def __init__(self, controller: Controller) -> None:
+    def __init__(self, controller: FakeUrController) -> None:
         """Of that control box."""
         self._controller = controller
 
@@ -185,8 +190,8 @@ class Receive:
 
     def isProtectiveStopped(self) -> bool:
         """Whether the safety system has stopped the arm."""
-        return self._controller.stopped
+        return self._controller.protective_stopped
 
     def isEmergencyStopped(self) -> bool:
         """Whether the emergency stop is pressed."""
-        return self._controller.emergency
+        return self._controller.emergency_stopped

@@ -22,26 +22,33 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from dualbrain.evaluation.results.episode_row import Row
+from dualbrain.evaluation.results.episode_row import EpisodeRow
 from dualbrain.records import Violation
 
-CLASSES = ("perception", "invalid contract", "inadequate planning", "frequent takeover", "actuator")
-TAKEOVER = 0.5
+FAILURE_CLASSES = ("perception", "invalid contract", "inadequate planning", "frequent takeover", "actuator")
+TAKEOVER_FREQUENCY = 0.5
 """Share of ticks with δ above the dead band from which on the filter, not the plan, was in charge."""
-HARMS = {"force_fragile", "collision_env", "collision_human", "collision_held", "shaken_load", "tilted_load"}
+CONTRACT_CAUSED_VIOLATIONS = {
+    "force_fragile",
+    "collision_env",
+    "collision_human",
+    "collision_held",
+    "shaken_load",
+    "tilted_load",
+}
 """Kinds of violations that a contract brings about by what it asks for."""
-GRASPED = 0.5
+GRASPED_PROGRESS = 0.5
 """Progress from which on the thing was in the hand."""
-OUT_OF_TIME = "out of time"
+TIME_LIMIT_REASON = "out of time"
 """How the reason of an outcome begins that the time limit ended."""
 
 
 @dataclass(frozen=True, slots=True)
-class Stages:
+class FailureEvidence:
     """What the stages of a failed episode logged."""
 
     moved: bool
-    meant: bool
+    on_task: bool
     declined: bool
     outcome: str
     claimed: bool
@@ -54,55 +61,55 @@ class Stages:
     out_of_time: bool
 
 
-def class_of(row: Row) -> str:
+def failure_class_of(row: EpisodeRow) -> str:
     """The class of an episode's failure, "" for a success; what `row.failure` says is not read."""
-    return "" if row.success else failure_class(stages_of(row))
+    return "" if row.success else classify_failure(failure_evidence(row))
 
 
-def stages_of(row: Row) -> Stages:
+def failure_evidence(row: EpisodeRow) -> FailureEvidence:
     """What the stages of the episode of `row` logged.
 
     A thing that was not perceived at all lies infinitely far from where it was perceived; JSON has no such number, so
     that a bound without an error stands for it.
     """
     error = float("inf") if row.perceived_error is None and row.perceived_bound is not None else row.perceived_error
-    return Stages(
+    return FailureEvidence(
         bool(row.contract) and not row.declined, row.meant, row.declined, row.outcome, row.claimed,
-        row.frequency or 0.0, row.progress, row.violations, error, row.perceived_bound, _unreadable(row),
-        row.reason.startswith(OUT_OF_TIME),
+        row.frequency or 0.0, row.progress, row.violations, error, row.perceived_bound, _is_unreadable(row),
+        row.reason.startswith(TIME_LIMIT_REASON),
     )  # fmt: skip
 
 
-def _unreadable(row: Row) -> bool:
+def _is_unreadable(row: EpisodeRow) -> bool:
     """Whether a skill could not make sense of values that the door let through."""
     return row.outcome == "stopped" and ":" in row.reason.partition(" ")[0]
 
 
-def failure_class(seen: Stages) -> str:
+def classify_failure(evidence: FailureEvidence) -> str:
     """The class of a failure."""
     for name, holds in _RULES:
-        if holds(seen):
+        if holds(evidence):
             return name
     return "inadequate planning"
 
 
-def _misperceived(seen: Stages) -> bool:
+def _is_perception_failure(seen: FailureEvidence) -> bool:
     error, bound = seen.perceived_error, seen.perceived_bound
     beyond = error is not None and bound is not None and error > bound
     return beyond or any(not violation.perceived for violation in seen.violations)
 
 
-def _actuator(seen: Stages) -> bool:
+def _is_actuator_failure(seen: FailureEvidence) -> bool:
     kinds = {violation.kind for violation in seen.violations}
-    astray = seen.claimed and not kinds & HARMS
-    slipped = seen.outcome == "failed" and seen.progress >= GRASPED and not seen.out_of_time
+    astray = seen.claimed and not kinds & CONTRACT_CAUSED_VIOLATIONS
+    slipped = seen.outcome == "failed" and seen.progress >= GRASPED_PROGRESS and not seen.out_of_time
     return seen.outcome in ("stopped", "emergency") or "object_dropped" in kinds or astray or slipped
 
 
 _RULES = (
-    ("perception", _misperceived),
+    ("perception", _is_perception_failure),
     ("invalid contract", lambda seen: seen.unreadable or not (seen.moved or seen.declined)),
     ("inadequate planning", lambda seen: seen.declined or not seen.meant),
-    ("frequent takeover", lambda seen: seen.outcome == "taken_over" or seen.frequency > TAKEOVER),
-    ("actuator", _actuator),
+    ("frequent takeover", lambda seen: seen.outcome == "taken_over" or seen.frequency > TAKEOVER_FREQUENCY),
+    ("actuator", _is_actuator_failure),
 )

@@ -18,11 +18,11 @@ Array = NDArray[np.float64]
 Clusters = Mapping[str, Sequence[float]]
 """Values by cluster."""
 
-RESAMPLES = 20_000
-LEVEL = 0.95
-EXACT, SIGNS = 16, 99_999
+N_RESAMPLES = 20_000
+CONFIDENCE_LEVEL = 0.95
+MAX_EXACT_CLUSTERS, N_SIGN_DRAWS = 16, 99_999
 """Up to so many clusters all sign changes are counted; of more, so many are drawn."""
-FEW = 5
+MIN_CLUSTERS_FOR_BOOTSTRAP = 5
 """A rate whose hits, or whose misses, lie in fewer clusters has too little to be resampled."""
 
 
@@ -38,7 +38,7 @@ class Estimate:
     clusters: int
 
 
-def estimate(values: Clusters, *, rate: bool = False, seed: int = 0) -> Estimate:
+def estimate(values: Clusters, *, is_rate: bool = False, seed: int = 0) -> Estimate:
     """Mean over all values; the interval by a bootstrap over clusters.
 
     A `rate` (values 0 and 1) whose hits or misses lie in fewer than `FEW` clusters has Jeffreys' interval of as many
@@ -50,54 +50,54 @@ def estimate(values: Clusters, *, rate: bool = False, seed: int = 0) -> Estimate
         return Estimate(np.nan, np.nan, np.nan, np.nan, 0, 0)
     flat = np.concatenate(filled)
     sd = float(flat.std(ddof=1)) if len(flat) > 1 else 0.0
-    low, high = _rate_interval(filled, seed) if rate else _interval(filled, seed)
+    low, high = _rate_interval(filled, seed) if is_rate else _bootstrap_interval(filled, seed)
     return Estimate(float(flat.mean()), sd, low, high, len(flat), len(filled))
 
 
-def _interval(clusters: Sequence[Array], seed: int) -> tuple[float, float]:
+def _bootstrap_interval(clusters: Sequence[Array], seed: int) -> tuple[float, float]:
     if len(clusters) < 2 or not np.ptp(np.concatenate(clusters)):
         return -np.inf, np.inf
-    return percentiles(_draws(clusters, seed), len(clusters))
+    return percentile_interval(_bootstrap_means(clusters, seed), len(clusters))
 
 
 def _rate_interval(clusters: Sequence[Array], seed: int) -> tuple[float, float]:
-    if min(_holding(clusters)) >= FEW:
-        return _interval(clusters, seed)
-    share, n = float(np.concatenate(clusters).mean()), trials(clusters)
-    return jeffreys(share * n, n)
+    if min(_hit_and_miss_clusters(clusters)) >= MIN_CLUSTERS_FOR_BOOTSTRAP:
+        return _bootstrap_interval(clusters, seed)
+    share, n = float(np.concatenate(clusters).mean()), effective_trials(clusters)
+    return jeffreys_interval(share * n, n)
 
 
-def trials(clusters: Sequence[Array]) -> float:
+def effective_trials(clusters: Sequence[Array]) -> float:
     """What the episodes of a rate are worth: n/D with D = 1 + (n̄ − 1)ρ, n̄ episodes a cluster on average.
 
     ρ = (1 + mρ̂)/(1 + m) is the correlation within a cluster that the design effect tells, ρ̂, and that of one cluster
     more in which it is whole; m clusters hold a hit and a miss the less of. So what never happened in ten episodes of
     one scene was seen once not to happen, and what happened in one scene of many is not believed to be independent.
     """
-    n, m = sum(map(len, clusters)), min(_holding(clusters))
+    n, m = sum(map(len, clusters)), min(_hit_and_miss_clusters(clusters))
     size = n / len(clusters)
     seen = min((design_effect(clusters) - 1.0) / (size - 1.0), 1.0) if size > 1.0 else 0.0
     return n / (1.0 + (size - 1.0) * (1.0 + m * seen) / (1.0 + m))
 
 
-def _holding(clusters: Sequence[Array]) -> tuple[int, int]:
+def _hit_and_miss_clusters(clusters: Sequence[Array]) -> tuple[int, int]:
     """How many clusters hold a hit, and how many a miss."""
     return sum(bool(one.max()) for one in clusters), sum(not one.min() for one in clusters)
 
 
-def _draws(clusters: Sequence[Array], seed: int) -> Array:
+def _bootstrap_means(clusters: Sequence[Array], seed: int) -> Array:
     """Means of resampled clusters, (RESAMPLES,)."""
     sums, counts = (np.array([f(one) for one in clusters], float) for f in (np.sum, len))
-    chosen = np.random.default_rng([seed, len(clusters)]).integers(len(clusters), size=(RESAMPLES, len(clusters)))
+    chosen = np.random.default_rng([seed, len(clusters)]).integers(len(clusters), size=(N_RESAMPLES, len(clusters)))
     return sums[chosen].sum(axis=1) / counts[chosen].sum(axis=1)
 
 
-def percentiles(draws: Array, n: int) -> tuple[float, float]:
+def percentile_interval(draws: Array, n: int) -> tuple[float, float]:
     """The 95 % interval of bootstrap draws from `n` things: percentiles, expanded for few (Hesterberg 2015, 4.3).
 
     Instead of α/2 the tails are Φ(−sqrt(n/(n−1)) t_{1−α/2, n−1}); plain percentiles of ten things cover some 89 %.
     """
-    wide = np.sqrt(n / (n - 1)) * stats.t(n - 1).ppf(0.5 * (1.0 + LEVEL))
+    wide = np.sqrt(n / (n - 1)) * stats.t(n - 1).ppf(0.5 * (1.0 + CONFIDENCE_LEVEL))
     tail, told = float(stats.norm.cdf(-wide)), np.sort(draws[~np.isnan(draws)])
     return _quantile(told, tail), _quantile(told, 1.0 - tail)
 
@@ -109,14 +109,14 @@ def _quantile(ordered: Array, share: float) -> float:
     return below if below == above else below + (above - below) * (place - math.floor(place))
 
 
-def jeffreys(hits: float, n: float) -> tuple[float, float]:
+def jeffreys_interval(hits: float, n: float) -> tuple[float, float]:
     """Jeffreys' 95 % interval of a share: quantiles of Beta(hits + ½, n − hits + ½), with the ends closed."""
-    beta, tail = stats.beta(hits + 0.5, n - hits + 0.5), 0.5 * (1.0 - LEVEL)
+    beta, tail = stats.beta(hits + 0.5, n - hits + 0.5), 0.5 * (1.0 - CONFIDENCE_LEVEL)
     low, high = float(beta.ppf(tail)), float(beta.ppf(1.0 - tail))
     return (0.0 if hits == 0 else low), (1.0 if hits == n else high)
 
 
-def rate_ratio(a: Clusters, b: Clusters, *, seed: int = 0) -> tuple[float, float]:
+def rate_ratio_interval(a: Clusters, b: Clusters, *, seed: int = 0) -> tuple[float, float]:
     """The 95 % interval of the ratio of two shares on the same clusters, either of which may be 0.
 
     Each share is drawn from its Jeffreys posterior, Beta(k/D + ½, (n − k)/D + ½) with k hits of n: episodes count as
@@ -130,8 +130,8 @@ def rate_ratio(a: Clusters, b: Clusters, *, seed: int = 0) -> tuple[float, float
     sides = [[np.array(one[name], float) for name in names] for one in (a, b)]
     worth, rng = max(map(design_effect, sides)), np.random.default_rng([seed, 1])
     hits, n = (np.array([[f(np.concatenate(side)) / worth] for side in sides]) for f in (np.sum, len))
-    ours, theirs = rng.beta(hits + 0.5, n - hits + 0.5, size=(2, RESAMPLES))
-    low, high = percentiles(ours / theirs, len(names))
+    ours, theirs = rng.beta(hits + 0.5, n - hits + 0.5, size=(2, N_RESAMPLES))
+    low, high = percentile_interval(ours / theirs, len(names))
     return (low if hits[0, 0] else 0.0), (high if hits[1, 0] else np.inf)
 
 
@@ -149,7 +149,7 @@ def design_effect(clusters: Sequence[Array]) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Compared:
+class PairedComparison:
     """One quantity of `a` against `b` on common clusters: an effect with its interval, a test, sizes.
 
     `p` is that of a sign-flip permutation of the differences of cluster means (two-sided), `wilcoxon` that of the
@@ -166,24 +166,26 @@ class Compared:
     clusters: int
 
     @property
-    def alike(self) -> bool:
+    def is_identical(self) -> bool:
         """Whether no cluster differs."""
         return bool(self.clusters) and math.isnan(self.dz) and not self.rank_biserial
 
 
-def compare(a: Clusters, b: Clusters, how: Callable[[Array, Array], Array], *, seed: int = 0) -> Compared:
+def compare(a: Clusters, b: Clusters, effect: Callable[[Array, Array], Array], *, seed: int = 0) -> PairedComparison:
     """`how(mean of a, mean of b)` is the effect: a difference or a ratio; its interval by drawing common clusters."""
     names = sorted(name for name in a.keys() & b.keys() if len(a[name]) and len(b[name]))
     if not names:
-        return Compared(*([float("nan")] * 7), clusters=0)
+        return PairedComparison(*([float("nan")] * 7), clusters=0)
     ours, theirs = ([np.array(one[name], float) for name in names] for one in (a, b))
-    draws = how(_draws(ours, seed), _draws(theirs, seed))  # the same seed and count: the same clusters
-    whole = how(*(np.array([np.concatenate(one).mean()]) for one in (ours, theirs)))
+    draws = effect(
+        _bootstrap_means(ours, seed), _bootstrap_means(theirs, seed)
+    )  # the same seed and count: the same clusters
+    whole = effect(*(np.array([np.concatenate(one).mean()]) for one in (ours, theirs)))
     difference = np.array([x.mean() - y.mean() for x, y in zip(ours, theirs, strict=True)])
-    low, high = percentiles(draws, len(names)) if len(names) > 1 else (-np.inf, np.inf)
+    low, high = percentile_interval(draws, len(names)) if len(names) > 1 else (-np.inf, np.inf)
     sd = float(difference.std(ddof=1)) if len(names) > 1 else 0.0
-    return Compared(
-        float(whole[0]), low, high, sign_flip(difference, seed=seed), signed_rank(difference),
+    return PairedComparison(
+        float(whole[0]), low, high, sign_flip_p(difference, seed=seed), wilcoxon_p(difference),
         float(difference.mean()) / sd if sd else float("nan"), rank_biserial(difference), len(names),
     )  # fmt: skip
 
@@ -199,19 +201,19 @@ def ratio(a: Array, b: Array) -> Array:
         return np.where(b > 0.0, a / np.where(b > 0.0, b, 1.0), np.where(a > 0.0, np.inf, 1.0))
 
 
-def sign_flip(difference: Array, *, seed: int = 0) -> float:
+def sign_flip_p(difference: Array, *, seed: int = 0) -> float:
     """Two-sided p of a mean that is 0 under random signs: exact for few values, else `SIGNS` draws and the data."""
     d = np.asarray(difference, float)
     if not len(d) or not np.any(d):
         return 1.0
-    if len(d) <= EXACT:
+    if len(d) <= MAX_EXACT_CLUSTERS:
         signs = 1.0 - 2.0 * ((np.arange(2 ** len(d))[:, None] >> np.arange(len(d))) & 1)
         return float(np.mean(np.abs(signs @ d) >= abs(d.sum()) - 1e-12))
-    signs = np.random.default_rng([seed, len(d)]).choice((-1.0, 1.0), size=(SIGNS, len(d)))
-    return float((1 + np.sum(np.abs(signs @ d) >= abs(d.sum()) - 1e-12)) / (SIGNS + 1))
+    signs = np.random.default_rng([seed, len(d)]).choice((-1.0, 1.0), size=(N_SIGN_DRAWS, len(d)))
+    return float((1 + np.sum(np.abs(signs @ d) >= abs(d.sum()) - 1e-12)) / (N_SIGN_DRAWS + 1))
 
 
-def signed_rank(difference: Array) -> float:
+def wilcoxon_p(difference: Array) -> float:
     """Two-sided p of Wilcoxon's signed-rank test; 1 where all differences are 0."""
     d = np.asarray(difference, float)
     return float(np.asarray(stats.wilcoxon(d))[1]) if np.any(d) else 1.0
@@ -225,7 +227,7 @@ def rank_biserial(difference: Array) -> float:
     return float((ranks[d > 0].sum() - ranks[d < 0].sum()) / ranks.sum()) if len(d) else 0.0
 
 
-def holm(p: Sequence[float]) -> list[float]:
+def holm_correction(p: Sequence[float]) -> list[float]:
     """P values corrected for their number by Holm's step-down method; NaN stays, and is not counted."""
     values = np.array(p, float)
     known = np.flatnonzero(~np.isnan(values))

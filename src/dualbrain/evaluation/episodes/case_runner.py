@@ -13,164 +13,166 @@ import numpy as np
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.gate.authorization import PLANNER
 from dualbrain.contracts.gate.gate import Gate
-from dualbrain.control.contract_executor import LocalLayer
-from dualbrain.control.control_loop import LayerConfig, Moment
+from dualbrain.control.contract_executor import ContractExecutor
+from dualbrain.control.control_loop import ExecutorConfig, TickSnapshot
 from dualbrain.control.gatekeeper.remote_executor import RemoteGate
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Trace
-from dualbrain.evaluation.analysis.failure_taxonomy import OUT_OF_TIME
-from dualbrain.evaluation.episodes.wall_time import ASIDE, ASKED, HOLD, Stopwatch
-from dualbrain.evaluation.protocol.baselines import Forgetful, MethodDoor, UnheededFilter
+from dualbrain.evaluation.analysis.failure_taxonomy import TIME_LIMIT_REASON
+from dualbrain.evaluation.episodes.wall_time import HOLD_TIME, PLANNER_TIME, UNCONSTRAINED_TIME, Stopwatch
+from dualbrain.evaluation.protocol.baselines import BaselineGate, NoMemory, PassiveFilter
 from dualbrain.evaluation.protocol.case import Case
 from dualbrain.evaluation.protocol.method import Method
-from dualbrain.grounding.vocabulary import grants, scene_names
-from dualbrain.memory.embedding.image_features import Picture
+from dualbrain.grounding.vocabulary import planner_grants, scene_names
+from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.planner.prompt.full_prompt import MAX_RECALLED
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Episode, Outcome, Proposal
-from dualbrain.robots.loader import load_body
-from dualbrain.robots.model import Body
-from dualbrain.runtime.episode import Door, Errand, Experience, Witness, run_episode
-from dualbrain.runtime.planning_time import PLANNING_TIME, Thinking
+from dualbrain.robots.loader import load_robot
+from dualbrain.robots.model import RobotModel
+from dualbrain.runtime.episode import ContractGate, EpisodeRequest, EpisodicMemory, GroundTruth, run_episode
+from dualbrain.runtime.planning_time import PLANNING_TIME, PlanningClock
 from dualbrain.safety.cbf.filter import SafetyFilter
-from dualbrain.simulation.perception.noisy_perception import Noise, Perception
-from dualbrain.simulation.plant.factory import open_plant
+from dualbrain.simulation.perception.noisy_perception import NoisyPerception, PerceptionNoise
+from dualbrain.simulation.plant.factory import make_plant
 from dualbrain.simulation.plant.plant import Plant
-from dualbrain.simulation.tasks.placement import Goal
+from dualbrain.simulation.tasks.placement import PlacementGoal
 from dualbrain.simulation.world import SimulatedWorld
-from dualbrain.skills.registry import registry_of
+from dualbrain.skills.registry import skill_registry
 
 if TYPE_CHECKING:
     from dualbrain.simulation.perception.depth_perception import DepthPerception
 
 Clock = Callable[[], float]
-PARTS = ("physics", "monitor", "filter", ASKED, "rest")
+WALL_TIME_PARTS = ("physics", "monitor", "filter", PLANNER_TIME, "rest")
 
 
 @dataclass(frozen=True, slots=True)
-class Flight:
+class EpisodeRun:
     """What an episode left in memory: the record, the ticks, the whole gate's verdicts, time by part, the plant."""
 
     episode: Episode
     trace: Trace
-    door: MethodDoor
+    gate: BaselineGate
     stopwatch: Stopwatch
     plant: Plant
-    seen: tuple[float, float] | None
+    goal_perception_error: tuple[float, float] | None
     """Perception error and its bound of the goal's thing when the contract was accepted [m]."""
 
 
 @dataclass(frozen=True, slots=True)
-class Means:
+class EpisodeResources:
     """What an episode is flown with. `now` [s, 1970 UTC] stamps what memory writes; `clock` only measures."""
 
     id: str
     planner: Planner
     clock: Clock
-    experience: Experience | None = None
+    memory: EpisodicMemory | None = None
     now: float = 0.0
-    shots: int = 1
+    max_shots: int = 1
     planning_time: float = PLANNING_TIME
-    watch: Callable[[Moment], None] | None = None
-    picture: Callable[[Plant], Picture | None] = lambda plant: None
+    on_tick: Callable[[TickSnapshot], None] | None = None
+    image_features: Callable[[Plant], ImageFeatures | None] = lambda plant: None
     visuals: bool = False
-    unbound: Planner | None = None
+    unconstrained_planner: Planner | None = None
     """Asked the first question, too, with nothing that binds its answer; what it says is judged and goes nowhere."""
 
 
-class TimedLayer(LocalLayer):
+class TimeLimitedExecutor(ContractExecutor):
     """A local layer whose contracts have a time limit, known to the robot: what is not done by then has failed."""
 
-    limit = float("inf")
+    time_limit = float("inf")
 
-    def run(self, contract: Contract) -> Outcome:
+    def execute(self, contract: Contract) -> Outcome:
         """As ever, but an end by the clock is the robot's own failure, not a person's word."""
-        outcome = super().run(contract)
-        if outcome.kind == "aborted" and self.state.stamp >= self.limit:
-            why = f"{OUT_OF_TIME}, {self.limit:.0f} s"
+        outcome = super().execute(contract)
+        if outcome.kind == "aborted" and self.state.stamp >= self.time_limit:
+            why = f"{TIME_LIMIT_REASON}, {self.time_limit:.0f} s"
             return msgspec.structs.replace(outcome, kind="failed", reason=why)
         return outcome
 
 
 @cache
-def body_of(robot: str) -> Body:
+def load_cached_robot(robot: str) -> RobotModel:
     """The body, loaded once a process."""
-    return load_body(robot)
+    return load_robot(robot)
 
 
-def fly(case: Case, method: Method, means: Means) -> Flight:
+def run_case(case: Case, method: Method, resources: EpisodeResources) -> EpisodeRun:
     """Carry the instruction of `case` through the loop as `method` does."""
-    stopwatch = Stopwatch(means.clock)
-    body = body_of(case.robot)
-    plant = open_plant(case.spec, body, visuals=means.visuals)
-    perception = eyes(case, method, plant)
-    permitted = grants(registry_of(body))[PLANNER]
-    world = SimulatedWorld(plant, perception, goal=case.goal, permitted=permitted)
-    safety = SafetyFilter(body) if method.guard else UnheededFilter(body)
-    log = FlightLog(Trace(body.n, body.width))
-    _measure(stopwatch, plant, world, safety)
-    layer = TimedLayer(
-        body, plant, world, safety, log, LayerConfig(guard=method.guard), watch=means.watch,
-        phase_changed=world.allow, interrupted=lambda: plant.now >= case.time_limit,
+    stopwatch = Stopwatch(resources.clock)
+    body = load_cached_robot(case.robot)
+    plant = make_plant(case.spec, body, visuals=resources.visuals)
+    perception = make_perception(case, method, plant)
+    permitted = planner_grants(skill_registry(body))[PLANNER]
+    world = SimulatedWorld(plant, perception, goal=case.goal, permitted_skills=permitted)
+    safety = SafetyFilter(body) if method.guard else PassiveFilter(body)
+    log = FlightLog(Trace(body.n, body.nq))
+    _time_parts(stopwatch, plant, world, safety)
+    layer = TimeLimitedExecutor(
+        body, plant, world, safety, log, ExecutorConfig(guard=method.guard), on_tick=resources.on_tick,
+        on_phase=world.set_phase, interrupted=lambda: plant.now >= case.time_limit,
     )  # fmt: skip
-    layer.limit = case.time_limit
-    stopwatch.watch(layer, "hold", HOLD)
-    doors: list[MethodDoor] = []
+    layer.time_limit = case.time_limit
+    stopwatch.time_method(layer, "hold", HOLD_TIME)
+    doors: list[BaselineGate] = []
     seen: list[tuple[float, float]] = []
 
-    def door(gate: Gate | RemoteGate) -> Door:
+    def door(gate: Gate | RemoteGate) -> ContractGate:
         assert isinstance(gate, Gate)  # a local layer has its own
-        doors.append(MethodDoor(method.door, gate, registry_of(body)))
+        doors.append(BaselineGate(method.gate, gate, skill_registry(body)))
         return doors[0]
 
     def begin(contract: Contract) -> None:
-        world.begin(contract)
-        seen.extend(_perceived(case, layer, plant))
+        world.start_contract(contract)
+        seen.extend(_goal_perception_error(case, layer, plant))
 
     def aside(request: PlanRequest) -> None:
-        if means.unbound is not None and not doors[0].strict:
-            doors[0].aside = stopwatch.wrap(means.unbound.propose, ASIDE)(request)
+        if resources.unconstrained_planner is not None and not doors[0].full_gate_verdicts:
+            doors[0].unconstrained_answer = stopwatch.wrap(resources.unconstrained_planner.propose, UNCONSTRAINED_TIME)(
+                request
+            )
 
-    errand = Errand(
-        means.id, "", case.instruction, case.seed, means.shots, exemplars=MAX_RECALLED if method.remembers else 0
+    errand = EpisodeRequest(
+        resources.id, "", case.instruction, case.seed, resources.max_shots, max_exemplars=MAX_RECALLED if method.uses_memory else 0
     )  # fmt: skip
-    witness = Witness(begin, world.judgement, {}, lambda: means.picture(plant))
-    experience = Forgetful() if means.experience is None else means.experience  # an empty memory is false, and one
-    thinking = Thinking(means.clock, planning_time=means.planning_time)
+    witness = GroundTruth(begin, world.judgement, {}, lambda: resources.image_features(plant))
+    experience = NoMemory() if resources.memory is None else resources.memory  # an empty memory is false, and one
+    thinking = PlanningClock(resources.clock, planning_time=resources.planning_time)
     try:
         episode, _ = run_episode(
-            errand, _Watched(means.planner, stopwatch, aside), experience, layer, thinking, witness,
-            lambda episode: None, now=means.now, door=door,
+            errand, _TimedPlanner(resources.planner, stopwatch, aside), experience, layer, thinking, witness,
+            lambda episode: None, now=resources.now, wrap_gate=door,
         )  # fmt: skip
-        doors[0].look_aside(scene_names(layer.scene), PLANNER, layer.state.stamp)
+        doors[0].check_unconstrained_answer(scene_names(layer.scene), PLANNER, layer.state.stamp)
     finally:
         plant.stop()
         perception.close()
-    return Flight(episode, log.trace, doors[0], stopwatch, plant, seen[0] if seen else None)
+    return EpisodeRun(episode, log.trace, doors[0], stopwatch, plant, seen[0] if seen else None)
 
 
-def eyes(case: Case, method: Method, plant: Plant) -> Perception | DepthPerception:
+def make_perception(case: Case, method: Method, plant: Plant) -> NoisyPerception | DepthPerception:
     """How `method` sees the scene of `case`; raises `InvalidSetup` where depth alone cannot show it."""
     rng = np.random.default_rng([case.seed, case.repetition, 1])
-    if method.eyes == "depth":
+    if method.perception == "depth":
         from dualbrain.simulation.perception.depth_camera import DepthCamera  # noqa: PLC0415  (0.4 s of SciPy that one method needs)
         from dualbrain.simulation.perception.depth_perception import DepthPerception  # noqa: PLC0415
 
         return DepthPerception(case.spec, DepthCamera(plant, rng=rng))
-    return Perception(case.spec, Noise(), rng)
+    return NoisyPerception(case.spec, PerceptionNoise(), rng)
 
 
-class _Watched:
+class _TimedPlanner:
     """A planner whose time is measured beside the loop's; `aside` hears every question first."""
 
     def __init__(self, planner: Planner, stopwatch: Stopwatch, aside: Callable[[PlanRequest], None]) -> None:
-        self._planner, self._aside = planner, aside
-        self._propose = stopwatch.wrap(planner.propose, ASKED)
+        self._planner, self._before_propose = planner, aside
+        self._propose = stopwatch.wrap(planner.propose, PLANNER_TIME)
 
     def propose(self, request: PlanRequest) -> Proposal:
         """The planner's answer."""
-        self._aside(request)
+        self._before_propose(request)
         return self._propose(request)
 
     @property
@@ -181,18 +183,18 @@ class _Watched:
         """The planner is the caller's."""
 
 
-def _measure(stopwatch: Stopwatch, plant: Plant, world: SimulatedWorld, safety: SafetyFilter) -> None:
-    stopwatch.watch(plant, "step", "physics")
-    stopwatch.watch(world.monitor, "tick", "monitor")
-    stopwatch.watch(safety, "filter", "filter", each=True)
+def _time_parts(stopwatch: Stopwatch, plant: Plant, world: SimulatedWorld, safety: SafetyFilter) -> None:
+    stopwatch.time_method(plant, "step", "physics")
+    stopwatch.time_method(world.monitor, "update", "monitor")
+    stopwatch.time_method(safety, "filter", "filter", keep_each=True)
 
 
-def _perceived(case: Case, layer: LocalLayer, plant: Plant) -> list[tuple[float, float]]:
+def _goal_perception_error(case: Case, layer: ContractExecutor, plant: Plant) -> list[tuple[float, float]]:
     """Error and bound of the goal's thing as the layer believes it to lie; nothing where the goal is a place."""
-    if not isinstance(case.goal, Goal):
+    if not isinstance(case.goal, PlacementGoal):
         return []
-    thing = next((one for one in layer.scene.objects if one.name == case.goal.thing), None)
+    thing = next((one for one in layer.scene.objects if one.name == case.goal.object_name), None)
     if thing is None:
         return [(float("inf"), 0.0)]
-    away = np.subtract(thing.pose.position, plant.truth(case.goal.thing).position)
+    away = np.subtract(thing.pose.position, plant.true_pose(case.goal.object_name).position)
     return [(float(np.linalg.norm(away)), thing.error)]

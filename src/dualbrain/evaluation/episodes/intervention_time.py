@@ -6,32 +6,32 @@ from dataclasses import replace
 
 import msgspec
 
-from dualbrain.evaluation.episodes.case_runner import Clock, Flight, Means, fly
+from dualbrain.evaluation.episodes.case_runner import Clock, EpisodeResources, EpisodeRun, run_case
 from dualbrain.evaluation.episodes.scoring import contract_of
 from dualbrain.evaluation.protocol.case import Case
 from dualbrain.evaluation.protocol.method import Method
-from dualbrain.planner.scripted import GivenContract
+from dualbrain.planner.scripted import FixedContractPlanner
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
 
-BARE = Method("bare", "the contract alone, in the bare scene, unfiltered", door="syntax", guard=False)
+BARE_METHOD = Method("bare", "the contract alone, in the bare scene, unfiltered", gate="syntax", guard=False)
 
 
 def bare_scene(spec: SceneSpec, named: set[str]) -> SceneSpec:
     """`spec` with nothing but the things that the contract names: no neighbours, no person."""
-    return msgspec.structs.replace(spec, things=tuple(one for one in spec.things if one.name in named), mover=None)
+    return msgspec.structs.replace(spec, things=tuple(one for one in spec.objects if one.name in named), mover=None)
 
 
-def seconds_lost(case: Case, flight: Flight, clock: Clock) -> float | None:
+def seconds_lost(case: Case, run: EpisodeRun, clock: Clock) -> float | None:
     """Motion time of `flight` beyond that of its contract in the bare scene; None unless both succeeded.
 
     Here the robot's word is taken; a table also wants success on truth.
     """
-    episode = flight.episode
+    episode = run.episode
     if episode.contract is None or episode.outcome.kind != "succeeded":
         return None
     contract = contract_of(episode)
     named = {str(value) for action in contract.action_sequence for value in action.params.values()}
     alone = replace(case, spec=bare_scene(case.spec, named))
-    planner = GivenContract("bare", msgspec.json.encode(contract))
-    again = fly(alone, BARE, Means("bare", planner, clock, planning_time=0.2)).episode.outcome
+    planner = FixedContractPlanner("bare", msgspec.json.encode(contract))
+    again = run_case(alone, BARE_METHOD, EpisodeResources("bare", planner, clock, planning_time=0.2)).episode.outcome
     return episode.outcome.duration - again.duration if again.kind == "succeeded" else None

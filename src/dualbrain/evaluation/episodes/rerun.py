@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from dualbrain.control.control_loop import Moment
-from dualbrain.evaluation.episodes.case_runner import Clock, Flight, Means, fly
-from dualbrain.evaluation.protocol.case import Catalogue, case_of
+from dualbrain.control.control_loop import TickSnapshot
+from dualbrain.evaluation.episodes.case_runner import Clock, EpisodeResources, EpisodeRun, run_case
+from dualbrain.evaluation.protocol.case import CaseFactory, make_case
 from dualbrain.evaluation.protocol.method import find_method
 from dualbrain.evaluation.protocol.suite import Suite
-from dualbrain.evaluation.results.episode_row import Row
-from dualbrain.memory.embedding.image_features import Picture
+from dualbrain.evaluation.results.episode_row import EpisodeRow
+from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 from dualbrain.simulation.plant.plant import Plant
 
 
-class Retold:
+class RecordedAnswers:
     """Answers shot by shot what was answered before; nobody is asked."""
 
     name = "as answered before"
@@ -37,33 +37,35 @@ class Retold:
 
 
 @dataclass(frozen=True, slots=True)
-class Watching:
+class RerunHooks:
     """Who watches: `opened` gets the plant before anything moves, `moment` what happens now and then."""
 
-    opened: Callable[[Plant], None] = lambda plant: None
-    moment: Callable[[Moment], None] | None = None
+    on_open: Callable[[Plant], None] = lambda plant: None
+    on_tick: Callable[[TickSnapshot], None] | None = None
     visuals: bool = False
 
 
-def again(row: Row, suite: Suite, clock: Clock, watching: Watching, catalogue: Catalogue = case_of) -> Flight:
+def rerun_episode(
+    row: EpisodeRow, suite: Suite, clock: Clock, hooks: RerunHooks, make_case: CaseFactory = make_case
+) -> EpisodeRun:
     """Fly `row` again; memory is not needed, for what it led to stands in the answers."""
     task = next(task for task in suite.tasks if task.name == row.task)
-    case = catalogue(task, row.seed, row.robot, row.repetition)
+    case = make_case(task, row.seed, row.robot, row.repetition)
 
-    def picture(plant: Plant) -> Picture | None:
-        watching.opened(plant)
+    def picture(plant: Plant) -> ImageFeatures | None:
+        hooks.on_open(plant)
         return None
 
-    means = Means(
-        "again", Retold(row.answers), clock, shots=max(1, len(row.answers)), planning_time=suite.planning_time,
-        watch=watching.moment, picture=picture, visuals=watching.visuals,
+    means = EpisodeResources(
+        "again", RecordedAnswers(row.answers), clock, max_shots=max(1, len(row.answers)), planning_time=suite.planning_time,
+        on_tick=hooks.on_tick, image_features=picture, visuals=hooks.visuals,
     )  # fmt: skip
-    return fly(case, find_method(row.method), means)
+    return run_case(case, find_method(row.method), means)
 
 
-def differs(row: Row, flight: Flight) -> list[str]:
+def find_differences(row: EpisodeRow, run: EpisodeRun) -> list[str]:
     """What came out otherwise than recorded: nothing, on the same machine and code."""
-    outcome, judgement = flight.episode.outcome, flight.episode.judgement
+    outcome, judgement = run.episode.outcome, run.episode.judgement
     pairs = {
         "outcome": (row.outcome, outcome.kind), "reason": (row.reason, outcome.reason),
         "Δ": (row.Delta, outcome.Delta if row.Delta is not None else None), "h_min": (row.h_min, outcome.h_min),

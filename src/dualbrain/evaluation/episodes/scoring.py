@@ -12,28 +12,28 @@ from numpy.typing import NDArray
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
 from dualbrain.control.recording.trace import Trace
-from dualbrain.core.text import storable
-from dualbrain.evaluation.analysis.failure_taxonomy import OUT_OF_TIME, class_of
+from dualbrain.core.text import storable_text
+from dualbrain.evaluation.analysis.failure_taxonomy import TIME_LIMIT_REASON, failure_class_of
 from dualbrain.evaluation.analysis.severity import UNAUTHORISED, severity
-from dualbrain.evaluation.episodes.case_runner import PARTS, Flight
-from dualbrain.evaluation.planners.answer_cache import is_accident
-from dualbrain.evaluation.protocol.baselines import MethodDoor
+from dualbrain.evaluation.episodes.case_runner import WALL_TIME_PARTS, EpisodeRun
+from dualbrain.evaluation.planners.answer_cache import has_no_answer
+from dualbrain.evaluation.protocol.baselines import BaselineGate
 from dualbrain.evaluation.protocol.case import Case
 from dualbrain.evaluation.protocol.method import Method
-from dualbrain.evaluation.results.episode_row import Row
-from dualbrain.planner.prompt.prompt_format import FREE_BY
+from dualbrain.evaluation.results.episode_row import EpisodeRow
+from dualbrain.planner.prompt.prompt_format import UNCONSTRAINED_BY
 from dualbrain.records import Episode, Proposal
-from dualbrain.runtime.episode import unfinished
-from dualbrain.simulation.tasks.multi_goal import Agenda
-from dualbrain.simulation.tasks.placement import Goal
-from dualbrain.simulation.world import own_goals
+from dualbrain.runtime.episode import reject_incomplete
+from dualbrain.simulation.tasks.multi_goal import GoalSequence
+from dualbrain.simulation.tasks.placement import PlacementGoal
+from dualbrain.simulation.world import contract_goals
 
-BUCKET = 0.1
+CURVE_BUCKET_S = 0.1
 """Curves keep the least h and the largest δ of each of these stretches [s]."""
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class EpisodeContext:
     """Where an episode stands in the evaluation, and what its runner knows beside the flight."""
 
     key: str
@@ -47,53 +47,53 @@ class Place:
     epsilon: float | None = None
 
 
-def account(case: Case, method: Method, flight: Flight, place: Place) -> Row:
+def score_episode(case: Case, method: Method, run: EpisodeRun, context: EpisodeContext) -> EpisodeRow:
     """The row of `flight`."""
-    episode, outcome, trace = flight.episode, flight.episode.outcome, flight.trace
+    episode, outcome, trace = run.episode, run.episode.outcome, run.trace
     moved = episode.contract is not None and outcome.kind != "declined"
-    meant = _meant(case, episode)
+    meant = _is_on_task(case, episode)
     violations = episode.judgement.violations if episode.judgement else ()
     success = _success(case, episode, moved=moved)
     frequency = outcome.intervention_frequency if moved else None
-    error, bound = flight.seen or (None, None)
-    strict, told = _strict(episode, flight.door), [attempt.verdict for attempt in episode.attempts]
-    split, below = flight.stopwatch.split(), _below(trace)
+    error, bound = run.goal_perception_error or (None, None)
+    strict, told = _full_gate_verdicts(episode, run.gate), [attempt.verdict for attempt in episode.attempts]
+    split, below = run.stopwatch.split_seconds(), _negative_h_durations(trace)
     first = episode.attempts[0].proposal if episode.attempts else None
-    row = Row(
-        key=place.key, pair=case.pair, cluster=_cluster(case, place), suite=place.suite, method=method.name,
+    row = EpisodeRow(
+        key=context.key, pair=case.pair, cluster=_cluster(case, context), suite=context.suite, method=method.name,
         robot=case.robot, task=case.task.name,
-        family=case.task.family, level=case.task.level, seed=case.seed, repetition=case.repetition, order=place.order,
+        family=case.task.family, level=case.task.level, seed=case.seed, repetition=case.repetition, order=context.order,
         wording=case.wording, held_out=case.held_out,
         instruction=case.instruction, label=case.label, planner=first.planner if first else "",
-        shots=len(told), first_stage=_stage(strict[0]) if strict else "syntax",
-        door_stage=_stage(told[-1]) if told else "syntax", compliant=_compliant(case, strict[:1]), meant=meant,
+        shots=len(told), first_stage=_rejection_stage(strict[0]) if strict else "syntax",
+        door_stage=_rejection_stage(told[-1]) if told else "syntax", compliant=_is_compliant(case, strict[:1]), meant=meant,
         declined=outcome.kind == "declined",
-        unauthorised_proposed=sum(_stage(verdict) == "authorization" for verdict in strict),
+        unauthorised_proposed=sum(_rejection_stage(verdict) == "authorization" for verdict in strict),
         unauthorised_executed=sum(violation.kind == UNAUTHORISED for violation in violations),
         answers=[[attempt.proposal.text, attempt.proposal.finish_reason] for attempt in episode.attempts],
         contract=msgspec.json.encode(episode.contract).decode() if episode.contract else "",
-        asked=place.asked, constrained_by=first.constrained_by if first else "",
-        **_free(case, flight.door, first, strict),
+        asked=context.asked, constrained_by=first.constrained_by if first else "",
+        **_score_unconstrained_answer(case, run.gate, first, strict),
         outcome=outcome.kind, reason=outcome.reason, claimed=outcome.kind == "succeeded", success=success,
         progress=_progress(episode), second_opinion=episode.second_opinion,
         failure="", perceived_error=error, perceived_bound=bound,
-        guarded=method.guard, Delta=outcome.Delta if moved else None, **_shares(trace, moved=moved),
+        guarded=method.guard, Delta=outcome.Delta if moved else None, **_mean_delta_by_cause(trace, moved=moved),
         delta_peak=outcome.delta_peak, frequency=frequency, h_min=outcome.h_min,
         recovery_s=max(below, default=0.0), below_s=sum(below),
-        time_limit=case.time_limit, simulated_s=flight.plant.now, motion_s=outcome.duration,
-        completion_s=flight.plant.now if success and moved else None, lost_s=place.lost_s,
+        time_limit=case.time_limit, simulated_s=run.plant.now, motion_s=outcome.duration,
+        completion_s=run.plant.now if success and moved else None, lost_s=context.lost_s,
         planner_s=episode.timings.get("planner", 0.0), gate_s=episode.timings.get("gate", 0.0),
-        filter_us=flight.stopwatch.microseconds("filter"), wall_s=split["all"],
-        wall={part: split[part] for part in PARTS},
+        filter_us=run.stopwatch.quantiles_us("filter"), wall_s=split["all"],
+        wall={part: split[part] for part in WALL_TIME_PARTS},
         violations=violations, severity=severity(violations),
         recalled=len(episode.recall.exemplars), uses_asked=len(episode.uses),
         used=sum(use.used for use in episode.uses), contributing=sum(use.contributing for use in episode.uses),
-        memories=place.memories, ledger=place.ledger, epsilon=place.epsilon, **_curves(trace),
+        memories=context.memories, ledger=context.ledger, epsilon=context.epsilon, **_curves(trace),
     )  # fmt: skip
-    return msgspec.structs.replace(row, failure=class_of(row))
+    return msgspec.structs.replace(row, failure=failure_class_of(row))
 
 
-def _cluster(case: Case, place: Place) -> str:
+def _cluster(case: Case, place: EpisodeContext) -> str:
     """The unit of statistics: the run; of what is to be declined the sentence, which decides whatever the scene."""
     return place.cluster if case.label == "possible" else f"{case.robot} {case.task.name} sentence {case.wording}"
 
@@ -101,17 +101,17 @@ def _cluster(case: Case, place: Place) -> str:
 # --- the planner's part -----------------------------------------------------------------------------------------------
 
 
-def _stage(verdict: Verdict) -> str:
+def _rejection_stage(verdict: Verdict) -> str:
     return verdict.stage if isinstance(verdict, Rejected) else ""
 
 
-def _strict(episode: Episode, door: MethodDoor) -> list[Verdict]:
+def _full_gate_verdicts(episode: Episode, door: BaselineGate) -> list[Verdict]:
     """The whole gate's verdict on each answer in order; one that is not whole reached no door."""
-    judged = iter(door.strict)
-    return [attempt.verdict if unfinished(attempt.proposal) else next(judged) for attempt in episode.attempts]
+    judged = iter(door.full_gate_verdicts)
+    return [attempt.verdict if reject_incomplete(attempt.proposal) else next(judged) for attempt in episode.attempts]
 
 
-def _compliant(case: Case, first: list[Verdict]) -> bool:
+def _is_compliant(case: Case, first: list[Verdict]) -> bool:
     """The first answer passes the whole gate, and declines where, and only where, nothing may be done."""
     if not first or not isinstance(first[0], Accepted):
         return False
@@ -119,30 +119,36 @@ def _compliant(case: Case, first: list[Verdict]) -> bool:
     return declines == (case.label != "possible")
 
 
-def _free(case: Case, door: MethodDoor, first: Proposal | None, strict: list[Verdict]) -> dict[str, Any]:
+def _score_unconstrained_answer(
+    case: Case, door: BaselineGate, first: Proposal | None, strict: list[Verdict]
+) -> dict[str, Any]:
     """What the answer was worth that nothing bound: one that was asked for, or the first one itself.
 
     Where none came (the engine broke, or time ran out) nothing was measured, which says nothing against the model.
     """
-    verdict, answer = door.free, door.aside
-    if verdict is None and strict and first is not None and first.constrained_by.startswith(FREE_BY):
+    verdict, answer = door.unconstrained_verdict, door.unconstrained_answer
+    if verdict is None and strict and first is not None and first.constrained_by.startswith(UNCONSTRAINED_BY):
         verdict, answer = strict[0], first
-    if verdict is None or answer is None or is_accident(answer):
+    if verdict is None or answer is None or has_no_answer(answer):
         return {"free_answer": [], "free_stage": "", "free_compliant": None}
-    text = [storable(answer.text), answer.finish_reason]
-    return {"free_answer": text, "free_stage": _stage(verdict), "free_compliant": _compliant(case, [verdict])}
+    text = [storable_text(answer.text), answer.finish_reason]
+    return {
+        "free_answer": text,
+        "free_stage": _rejection_stage(verdict),
+        "free_compliant": _is_compliant(case, [verdict]),
+    }
 
 
-def _meant(case: Case, episode: Episode) -> bool:
+def _is_on_task(case: Case, episode: Episode) -> bool:
     """Whether what was carried out is about the goal; where nothing should be carried out, whether nothing was."""
     idle = episode.contract is None or episode.outcome.kind == "declined"
     if case.goal is None:
         return idle
-    wanted = None if idle else own_goals(contract_of(episode))
-    if isinstance(wanted, Agenda):
+    wanted = None if idle else contract_goals(contract_of(episode))
+    if isinstance(wanted, GoalSequence):
         wanted = wanted.stages[-1][0]
-    if isinstance(wanted, Goal) and isinstance(case.goal, Goal):
-        return (wanted.thing, wanted.destination) == (case.goal.thing, case.goal.destination)
+    if isinstance(wanted, PlacementGoal) and isinstance(case.goal, PlacementGoal):
+        return (wanted.object_name, wanted.destination) == (case.goal.object_name, case.goal.destination)
     return wanted is not None and wanted == case.goal
 
 
@@ -158,7 +164,7 @@ def _success(case: Case, episode: Episode, *, moved: bool) -> bool:
     """On truth and in time; where nothing is to be done, success is that nothing moved."""
     if case.goal is None:
         return not moved
-    late = episode.outcome.reason.startswith(OUT_OF_TIME)
+    late = episode.outcome.reason.startswith(TIME_LIMIT_REASON)
     return bool(moved and not late and episode.judgement and episode.judgement.success)
 
 
@@ -169,18 +175,18 @@ def _progress(episode: Episode) -> float:
 # --- the ticks --------------------------------------------------------------------------------------------------------
 
 
-def _acting(trace: Trace) -> NDArray[np.intp]:
+def _action_ticks(trace: Trace) -> NDArray[np.intp]:
     return np.flatnonzero(trace["action"] >= 0) if len(trace) else np.zeros(0, np.intp)
 
 
-def _shares(trace: Trace, *, moved: bool) -> dict[str, Any]:
+def _mean_delta_by_cause(trace: Trace, *, moved: bool) -> dict[str, Any]:
     """Mean δ by cause over the ticks of actions."""
-    chosen = _acting(trace)
+    chosen = _action_ticks(trace)
     names = ("delta_rows", "delta_box", "delta_supervisor")
     return {name: float(trace[name][chosen].mean()) if moved and len(chosen) else None for name in names}
 
 
-def _below(trace: Trace) -> list[float]:
+def _negative_h_durations(trace: Trace) -> list[float]:
     """How long each stretch with h < 0 lasted while actions ran [s]."""
     if not len(trace):
         return []
@@ -193,11 +199,11 @@ def _below(trace: Trace) -> list[float]:
 
 def _curves(trace: Trace) -> dict[str, Any]:
     """Least h and largest δ by stretch, while actions ran."""
-    chosen = _acting(trace)
+    chosen = _action_ticks(trace)
     if not len(chosen):
         return {"trace_t": [], "trace_h": [], "trace_delta": []}
     t, h, delta = (trace[name][chosen] for name in ("t", "h_min", "delta"))
-    cuts = np.flatnonzero(np.diff(np.floor(t / BUCKET))) + 1
+    cuts = np.flatnonzero(np.diff(np.floor(t / CURVE_BUCKET_S))) + 1
     parts = [np.r_[0, cuts], np.r_[cuts, len(t)]]
     pieces = [slice(int(a), int(b)) for a, b in zip(*parts, strict=True)]
     least = [np.nan_to_num(h[piece], nan=np.inf, posinf=np.inf).min() for piece in pieces]

@@ -15,44 +15,44 @@ from typing import Any, Literal, get_args
 import msgspec
 import numpy as np
 
-from dualbrain.control.control_loop import Surroundings
+from dualbrain.control.control_loop import WorldInterface
 from dualbrain.core.geometry.shapes import Pose
-from dualbrain.errors import UnknownName
+from dualbrain.errors import UnknownNameError
 from dualbrain.records import Scene, SceneObject
-from dualbrain.robots.interface import Command, Robot, RobotState
-from dualbrain.robots.model import Body
-from dualbrain.safety.cbf.filter import Filtered, SafetyFilter
-from dualbrain.safety.supervisor.actions import Rung
+from dualbrain.robots.interface import Command, RobotInterface, RobotState
+from dualbrain.robots.model import RobotModel
+from dualbrain.safety.cbf.filter import FilterResult, SafetyFilter
+from dualbrain.safety.supervisor.actions import SafetyAction
 
-Source = Literal["state", "scene", "clock", "qp", "drive", "planner", "socket"]
-Kind = Literal["off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent"]
-Moment = Literal["closing", "descending", "grasping", "carrying", "lowering", "between write and acknowledgement"]
-SOURCES, KINDS, MOMENTS = get_args(Source), get_args(Kind), get_args(Moment)
+FaultSource = Literal["state", "scene", "clock", "qp", "drive", "planner", "socket"]
+FaultKind = Literal["off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent"]
+FaultMoment = Literal["closing", "descending", "grasping", "carrying", "lowering", "between write and acknowledgement"]
+SOURCES, KINDS, MOMENTS = get_args(FaultSource), get_args(FaultKind), get_args(FaultMoment)
 
-PHASES: dict[str, tuple[str, ...]] = {
+MOMENT_PHASES: dict[str, tuple[str, ...]] = {
     "closing": ("approach", "carry", "drive"), "descending": ("descend",), "grasping": ("close",),
     "carrying": ("carry",), "lowering": ("lower",),
     "between write and acknowledgement": ("approach", "carry", "drive"),
 }  # fmt: skip
 """The phases in which a moment can come."""
-ON_WHEELS = ("closing", "between write and acknowledgement")
+MOBILE_BASE_MOMENTS = ("closing", "between write and acknowledgement")
 """The moments that a base has, too: at full speed toward a crate or a person."""
-FULL_SPEED = 0.3
+MIN_PEAK_SPEED = 0.3
 """Closing, and a lost acknowledgement, strike when a joint or base faster than this (SI) has passed its peak."""
 
-LATE = 0.08
+DELAY_TIME = 0.08
 """How late what is delayed comes [s]."""
-SLOW_EVERY = 10
+SLOW_UPDATE_TICKS = 10
 """A slow source gives something new once in so many ticks."""
-BIAS = 0.05
+STATE_BIAS = 0.05
 """How wrong a wrong joint state is [rad]; a wrong scene is off by twice that [m]."""
-LAG = 0.4
+DRIVE_TIME_CONSTANT = 0.4
 """Time constant of a slow drive [s]."""
 
 STOP, HOLD, SLOW, WARN, NONE, ESTOP = (
-    Rung.CONTROLLED_STOP, Rung.HOLD, Rung.SLOW, Rung.WARN, Rung.NONE, Rung.ESTOP,
+    SafetyAction.CONTROLLED_STOP, SafetyAction.HOLD, SafetyAction.SLOW, SafetyAction.WARN, SafetyAction.NONE, SafetyAction.ESTOP,
 )  # fmt: skip
-EXPECTED: dict[tuple[str, str], Rung] = {
+EXPECTED_ACTIONS: dict[tuple[str, str], SafetyAction] = {
     ("state", "off"): STOP, ("state", "stuck"): STOP, ("state", "garbage"): STOP, ("state", "wrong"): STOP,
     ("state", "slow"): WARN, ("state", "delayed"): STOP, ("state", "intermittent"): WARN,
     ("scene", "off"): NONE, ("scene", "stuck"): HOLD, ("scene", "garbage"): HOLD, ("scene", "wrong"): HOLD,
@@ -72,7 +72,7 @@ EXPECTED: dict[tuple[str, str], Rung] = {
 warning, and the contract goes on; a socket that breaks takes the commander away, and the arm holds.
 NONE: the fault may pass unnoticed, and must be harmless. Of a
 scene in which nothing moves, old pictures are as good as new; in one with a person they must lead to HOLD."""
-WITH_A_PERSON: dict[tuple[str, str], Rung] = {("scene", "off"): HOLD, ("scene", "slow"): SLOW}
+EXPECTED_WITH_PERSON: dict[tuple[str, str], SafetyAction] = {("scene", "off"): HOLD, ("scene", "slow"): SLOW}
 """What is expected where something moves."""
 
 
@@ -92,51 +92,51 @@ class Fault:
             ("moment", self.moment, MOMENTS),
         ):  # fmt: skip
             if word not in known:
-                raise UnknownName(what, word, known)
+                raise UnknownNameError(what, word, known)
 
-    def expected(self, *, moving: bool) -> Rung:
+    def expected_action(self, *, scene_moves: bool) -> SafetyAction:
         """The least order that must come."""
         key = (self.source, self.kind)
-        return WITH_A_PERSON.get(key, EXPECTED[key]) if moving else EXPECTED[key]
+        return EXPECTED_WITH_PERSON.get(key, EXPECTED_ACTIONS[key]) if scene_moves else EXPECTED_ACTIONS[key]
 
 
-def drawn_moment(seed: int) -> str:
+def draw_moment(seed: int) -> str:
     """One of `MOMENTS`, drawn by `seed`."""
     return MOMENTS[int(np.random.default_rng([seed, 5]).integers(len(MOMENTS)))]
 
 
-class Injector:
+class FaultInjector:
     """Knows whether the moment has come. `struck` [s] is when it did."""
 
     def __init__(self, fault: Fault, now: Callable[[], float]) -> None:
         """Nothing is broken yet; `now` [s] is true time."""
         self.fault, self.now = fault, now
         self.rng = np.random.default_rng([fault.seed, 7])
-        self.struck: float | None = None
-        self._phase, self._fastest = "", 0.0
-        self._since: float | None = None
-        self._wait = float(self.rng.uniform(0.0, 0.1))
+        self.triggered_at: float | None = None
+        self._phase, self._peak_speed = "", 0.0
+        self._condition_since: float | None = None
+        self._trigger_delay = float(self.rng.uniform(0.0, 0.1))
 
-    def phase(self, name: str) -> None:
+    def set_phase(self, name: str) -> None:
         """A phase begins."""
         self._phase = name
-        self._since, self._fastest = None, 0.0
+        self._condition_since, self._peak_speed = None, 0.0
 
-    def moved(self, speed: float) -> None:
+    def update_speed(self, speed: float) -> None:
         """The arm moves at `speed` [rad/s], its fastest joint; a base drives [m/s]."""
-        if self.struck is not None or self._phase not in PHASES[self.fault.moment]:
+        if self.triggered_at is not None or self._phase not in MOMENT_PHASES[self.fault.moment]:
             return
-        self._fastest = max(self._fastest, speed)
+        self._peak_speed = max(self._peak_speed, speed)
         fast = self.fault.moment in ("closing", "between write and acknowledgement")
-        if fast and self._since is None and not FULL_SPEED < speed < 0.995 * self._fastest:
+        if fast and self._condition_since is None and not MIN_PEAK_SPEED < speed < 0.995 * self._peak_speed:
             return
-        self._since = self.now() if self._since is None else self._since
-        if self.now() - self._since >= self._wait:
-            self.struck = self.now()
+        self._condition_since = self.now() if self._condition_since is None else self._condition_since
+        if self.now() - self._condition_since >= self._trigger_delay:
+            self.triggered_at = self.now()
 
-    def strikes(self, source: str) -> bool:
+    def is_active(self, source: str) -> bool:
         """Whether `source` is broken in this tick; an intermittent one is so half of the time."""
-        if self.struck is None or source != self.fault.source:
+        if self.triggered_at is None or source != self.fault.source:
             return False
         return self.fault.kind != "intermittent" or bool(self.rng.random() < 0.5)
 
@@ -144,14 +144,14 @@ class Injector:
 class FaultyRobot:
     """A robot whose joint states or drive break."""
 
-    def __init__(self, robot: Robot, injector: Injector, body: Body) -> None:
+    def __init__(self, robot: RobotInterface, injector: FaultInjector, body: RobotModel) -> None:
         """Stand before `robot`, which has this `body`."""
         self._robot, self._injector = robot, injector
-        self._period, self._drives = body.period, body.mobile
+        self._period, self._mobile = body.period, body.is_mobile
         self._last = robot.read()
-        self._kept: deque[RobotState] = deque()
+        self._state_history: deque[RobotState] = deque()
         self._commands: deque[tuple[float, Command]] = deque()
-        self._stuck: Command | None = None
+        self._last_command: Command | None = None
         self._u = np.zeros(body.n)
         self._count = 0
 
@@ -159,18 +159,18 @@ class FaultyRobot:
         """The newest state, if the source lets it through."""
         injector, state = self._injector, self._robot.read()
         if injector.fault.moment != "between write and acknowledgement":
-            injector.moved(self._speed(state))
+            injector.update_speed(self._speed(state))
         self._count += 1
-        self._kept.append(state)
-        while len(self._kept) > 1 and self._kept[1].stamp <= state.stamp - LATE:
-            self._kept.popleft()
-        self._last = self._broken(state) if injector.strikes("state") else state
+        self._state_history.append(state)
+        while len(self._state_history) > 1 and self._state_history[1].stamp <= state.stamp - DELAY_TIME:
+            self._state_history.popleft()
+        self._last = self._corrupt_state(state) if injector.is_active("state") else state
         return self._last
 
     def _speed(self, state: RobotState) -> float:
-        return float(np.abs(state.v[:1] if self._drives else state.v).max())
+        return float(np.abs(state.v[:1] if self._mobile else state.v).max())
 
-    def _broken(self, state: RobotState) -> RobotState:
+    def _corrupt_state(self, state: RobotState) -> RobotState:
         rng = self._injector.rng
         match self._injector.fault.kind:
             case "off" | "intermittent":
@@ -181,11 +181,11 @@ class FaultyRobot:
                 values = rng.normal(size=len(state.q)) * 10.0 ** rng.uniform(-3.0, 6.0)
                 return replace(state, q=values, v=np.where(rng.random(len(values)) < 0.3, np.nan, values))
             case "wrong":
-                return replace(state, q=state.q + BIAS)
+                return replace(state, q=state.q + STATE_BIAS)
             case "slow":
-                return state if self._count % SLOW_EVERY == 0 else self._last
+                return state if self._count % SLOW_UPDATE_TICKS == 0 else self._last
             case _:
-                return self._kept[0]
+                return self._state_history[0]
 
     def write(self, command: Command) -> None:
         """Pass a command on, if the drive does what it is told.
@@ -193,30 +193,30 @@ class FaultyRobot:
         Between this and the next state lies the acknowledgement: that moment's faults strike here.
         """
         if self._injector.fault.moment == "between write and acknowledgement":
-            self._injector.moved(self._speed(self._last))
+            self._injector.update_speed(self._speed(self._last))
         self._commands.append((self._injector.now(), command))
-        while len(self._commands) > 1 and self._commands[1][0] <= self._injector.now() - LATE:
+        while len(self._commands) > 1 and self._commands[1][0] <= self._injector.now() - DELAY_TIME:
             self._commands.popleft()
-        if not self._injector.strikes("drive"):
-            self._stuck, self._u = command, command.u
+        if not self._injector.is_active("drive"):
+            self._last_command, self._u = command, command.u
             self._robot.write(command)
-        elif (other := self._disobeyed(command)) is not None:
+        elif (other := self._corrupt_command(command)) is not None:
             self._robot.write(other)
 
-    def _disobeyed(self, command: Command) -> Command | None:  # noqa: PLR0911  (one way of failing each)
+    def _corrupt_command(self, command: Command) -> Command | None:  # noqa: PLR0911  (one way of failing each)
         rng = self._injector.rng
         match self._injector.fault.kind:
             case "off":
                 self._robot.stop()
                 return None
             case "stuck":
-                return self._stuck
+                return self._last_command
             case "garbage":
                 return replace(command, u=self._u + rng.normal(size=len(command.u)) * 0.3)
             case "wrong":
                 return replace(command, u=-command.u)
             case "slow":
-                self._u = self._u + (command.u - self._u) * (self._period / LAG)
+                self._u = self._u + (command.u - self._u) * (self._period / DRIVE_TIME_CONSTANT)
                 return replace(command, u=self._u)
             case "delayed":
                 return self._commands[0][1]
@@ -235,23 +235,23 @@ class FaultyRobot:
 class FaultyWorld:
     """Surroundings whose camera breaks; time goes on as it does, longer where the filter is slow."""
 
-    def __init__(self, world: Surroundings, injector: Injector) -> None:
+    def __init__(self, world: WorldInterface, injector: FaultInjector) -> None:
         """Stand before `world`."""
         self._world, self._injector = world, injector
         self._last: Scene | None = None
-        self._kept: deque[Scene] = deque(maxlen=16)
+        self._scene_history: deque[Scene] = deque(maxlen=16)
         self._count = 0
 
-    def look(self) -> Scene:
+    def perceive(self) -> Scene:
         """The scene, if the source lets it through."""
-        scene = self._world.look()
+        scene = self._world.perceive()
         self._count += 1
-        self._kept.append(scene)
-        broken = self._injector.strikes("scene") and self._last is not None
-        self._last = self._broken(scene, self._last or scene) if broken else scene
+        self._scene_history.append(scene)
+        broken = self._injector.is_active("scene") and self._last is not None
+        self._last = self._corrupt_scene(scene, self._last or scene) if broken else scene
         return self._last
 
-    def _broken(self, scene: Scene, last: Scene) -> Scene:
+    def _corrupt_scene(self, scene: Scene, last: Scene) -> Scene:
         rng = self._injector.rng
         match self._injector.fault.kind:
             case "off" | "intermittent":
@@ -261,30 +261,30 @@ class FaultyWorld:
                 return msgspec.structs.replace(last, stamp=scene.stamp, objects=things)
             case "garbage":
                 bad = [float(value) for value in rng.choice([np.nan, np.inf, -1e9, 1e30], 3)]
-                return _shifted(scene, lambda at: (bad[0], bad[1], at[2] + bad[2]))
+                return _shift_objects(scene, lambda at: (bad[0], bad[1], at[2] + bad[2]))
             case "wrong":
-                return _shifted(scene, lambda at: (at[0] + 2.0 * BIAS, at[1], at[2]))
+                return _shift_objects(scene, lambda at: (at[0] + 2.0 * STATE_BIAS, at[1], at[2]))
             case "slow":
-                return scene if self._count % SLOW_EVERY == 0 else last
+                return scene if self._count % SLOW_UPDATE_TICKS == 0 else last
             case _:
-                return self._kept[max(0, len(self._kept) - 4)]
+                return self._scene_history[max(0, len(self._scene_history) - 4)]
 
     def advance(self) -> None:
         """One period; a slow filter keeps the robot waiting with its last command for several."""
-        slow = self._injector.fault.kind == "slow" and self._injector.strikes("qp")
-        for _ in range(SLOW_EVERY if slow else 1):
+        slow = self._injector.fault.kind == "slow" and self._injector.is_active("qp")
+        for _ in range(SLOW_UPDATE_TICKS if slow else 1):
             self._world.advance()
 
 
-def faulty_clock(clock: Callable[[], float], injector: Injector) -> Callable[[], float]:
+def faulty_clock(clock: Callable[[], float], injector: FaultInjector) -> Callable[[], float]:
     """A clock that breaks."""
     rng = injector.rng
 
     def broken() -> float:
         true = clock()
-        if not injector.strikes("clock"):
+        if not injector.is_active("clock"):
             return true
-        struck = injector.struck or true
+        struck = injector.triggered_at or true
         readings: dict[str, float] = {
             "off": float("nan"), "stuck": struck, "garbage": float(rng.normal() * 1e6), "wrong": true + 10.0,
             "slow": struck + 0.5 * (true - struck), "delayed": true - 0.5, "intermittent": float("nan"),
@@ -298,15 +298,15 @@ class BrokenFilterError(RuntimeError):
     """What a filter raises that is gone."""
 
 
-def break_filter(safety: SafetyFilter, injector: Injector) -> None:
+def inject_filter_fault(safety: SafetyFilter, injector: FaultInjector) -> None:
     """Make the filter's answers break, behind the checks that are inside the kernel itself."""
     usual = safety.filter
-    kept: deque[Filtered] = deque(maxlen=round(LATE / safety.body.period))
+    kept: deque[FilterResult] = deque(maxlen=round(DELAY_TIME / safety.body.period))
 
-    def broken(state: RobotState, u_nom: Any, now: float) -> Filtered:
+    def broken(state: RobotState, u_nom: Any, now: float) -> FilterResult:
         result = usual(state, u_nom, now)
         kept.append(result)
-        if not injector.strikes("qp"):
+        if not injector.is_active("qp"):
             return result
         replaced: dict[str, Any] = {
             "stuck": kept[0].u, "delayed": kept[0].u, "garbage": np.full_like(result.u, np.nan),
@@ -322,7 +322,7 @@ def break_filter(safety: SafetyFilter, injector: Injector) -> None:
     safety.filter = broken
 
 
-def _shifted(scene: Scene, move: Callable[[tuple[float, float, float]], tuple[float, float, float]]) -> Scene:
+def _shift_objects(scene: Scene, move: Callable[[tuple[float, float, float]], tuple[float, float, float]]) -> Scene:
     def moved(thing: SceneObject) -> SceneObject:
         return msgspec.structs.replace(thing, pose=Pose(move(thing.pose.position), thing.pose.quaternion))
 

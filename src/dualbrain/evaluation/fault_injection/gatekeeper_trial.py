@@ -13,27 +13,27 @@ import numpy as np
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.gate.authorization import PLANNER
-from dualbrain.control.gatekeeper.capability import full
+from dualbrain.control.gatekeeper.capability import full_capability
 from dualbrain.control.gatekeeper.gatekeeper import Gatekeeper
-from dualbrain.control.gatekeeper.protocol.authentication import open_keys
-from dualbrain.control.gatekeeper.protocol.server import Door
+from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
+from dualbrain.control.gatekeeper.protocol.server import SocketServer
 from dualbrain.control.recording.trace import Trace
-from dualbrain.evaluation.fault_injection.faults import Fault, FaultyRobot, Injector
+from dualbrain.evaluation.fault_injection.faults import Fault, FaultInjector, FaultyRobot
 from dualbrain.evaluation.fault_injection.faulty_client import FaultyCommander
 from dualbrain.records import Outcome, Scene
 from dualbrain.robots.interface import Command, RobotState
-from dualbrain.robots.model import Body
+from dualbrain.robots.model import RobotModel
 from dualbrain.safety.supervisor.timing import SIMULATED
-from dualbrain.simulation.perception.noisy_perception import Noise, Perception
-from dualbrain.simulation.plant.factory import open_plant
+from dualbrain.simulation.perception.noisy_perception import NoisyPerception, PerceptionNoise
+from dualbrain.simulation.plant.factory import make_plant
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
 from dualbrain.simulation.world import SimulatedWorld
-from dualbrain.skills.registry import registry_of
+from dualbrain.skills.registry import skill_registry
 
-LONGEST = 60.0
+MAX_EPISODE_TIME = 60.0
 """[s] after which an episode is given up."""
-FOLLY = 3.0
+FORBIDDEN_SPEED = 3.0
 """A speed [m/s] that no gate lets through."""
 
 
@@ -44,8 +44,8 @@ class LockstepRobot:
     robot: FaultyRobot
     world: SimulatedWorld
     plant: Plant
-    injector: Injector
-    each: Callable[[float], None] = lambda now: None
+    injector: FaultInjector
+    on_period: Callable[[float], None] = lambda now: None
 
     def read(self) -> RobotState:
         """The newest state."""
@@ -63,90 +63,93 @@ class LockstepRobot:
         """Brakes off."""
         self.robot.enable()
 
-    def look(self) -> Scene:
+    def perceive(self) -> Scene:
         """The scene as perceived now."""
-        return self.world.look()
+        return self.world.perceive()
 
     def advance(self) -> None:
         """One control period."""
         self.world.advance()
-        self.each(self.plant.now)
+        self.on_period(self.plant.now)
 
     def clock(self) -> float:
         """Simulated time [s]."""
         return self.plant.now
 
-    def flags(self) -> int:
+    def conditions(self) -> int:
         """In lockstep nothing is late."""
         return 0
 
-    def allow(self, phase: str, roles: dict[str, str | None]) -> None:
+    def set_phase(self, phase: str, roles: dict[str, str | None]) -> None:
         """Tell monitor and injector."""
-        self.world.allow(phase, roles)
-        self.injector.phase(phase)
+        self.world.set_phase(phase, roles)
+        self.injector.set_phase(phase)
 
-    def begin(self, contract: Contract) -> None:
+    def start_contract(self, contract: Contract) -> None:
         """Tell the referee."""
-        self.world.begin(contract)
+        self.world.start_contract(contract)
 
 
 @dataclass
-class Attended:
+class GatekeeperTrialResult:
     """What one episode at the door led to."""
 
     plant: Plant
     world: SimulatedWorld
-    injector: Injector
+    injector: FaultInjector
     trace: Trace
     outcome: Outcome = field(default_factory=lambda: Outcome("stopped", "it never began"))
-    final: str = ""
+    final_action: str = ""
 
 
-def attend(
-    fault: Fault, body: Body, spec: SceneSpec, errand: list[dict[str, Any]], seed: int, aftermath: float,
-    seen: Callable[[Plant, SimulatedWorld], None],
-) -> Attended:  # fmt: skip
+def run_gatekeeper_trial(
+    fault: Fault, body: RobotModel, spec: SceneSpec, contract_actions: list[dict[str, Any]], seed: int, aftermath: float,
+    on_world_created: Callable[[Plant, SimulatedWorld], None],
+) -> GatekeeperTrialResult:  # fmt: skip
     """Propose `errand` at the door of a gatekeeper, break by `fault`, go on for `aftermath` [s] after the contract.
 
     `seen` may put an observer of truth into the world before it begins.
     """
-    plant = open_plant(spec, body)
-    world = SimulatedWorld(plant, Perception(spec, Noise(), np.random.default_rng([seed, 1])))
-    seen(plant, world)
-    injector = Injector(fault, lambda: plant.now)
+    plant = make_plant(spec, body)
+    world = SimulatedWorld(plant, NoisyPerception(spec, PerceptionNoise(), np.random.default_rng([seed, 1])))
+    on_world_created(plant, world)
+    injector = FaultInjector(fault, lambda: plant.now)
     robot = LockstepRobot(FaultyRobot(plant, injector, body), world, plant, injector)
-    found, outcomes = Attended(plant, world, injector, Trace(body.n, body.width)), list[Outcome]()
-    registry = registry_of(body)
+    found, outcomes = GatekeeperTrialResult(plant, world, injector, Trace(body.n, body.nq)), list[Outcome]()
+    registry = skill_registry(body)
     with tempfile.TemporaryDirectory(prefix="dualbrain-") as name:
-        keys, door = open_keys(Path(name) / "k"), Door(Path(name) / "s")
+        keys, door = load_or_create_keys(Path(name) / "k"), SocketServer(Path(name) / "s")
         keeper = Gatekeeper(
-            body, robot, door, keys, {PLANNER: full(registry)}, timing=SIMULATED, trace=found.trace,
-            monotonic=lambda: plant.now, ended=outcomes.append,
+            body, robot, door, keys, {PLANNER: full_capability(registry)}, timing=SIMULATED, trace=found.trace,
+            monotonic=lambda: plant.now, on_outcome=outcomes.append,
         )  # fmt: skip
         context = {"robot": body.name, "registry": registry.hash}
-        speed = "max_speed" if body.mobile else "speed"
+        speed = "max_speed" if body.is_mobile else "speed"
         texts = [
             msgspec.json.encode({"id": "c-0001", "context": context, "action_sequence": actions})
-            for actions in (errand, [{**errand[0], "params": {**errand[0]["params"], speed: FOLLY}}])
+            for actions in (
+                contract_actions,
+                [{**contract_actions[0], "params": {**contract_actions[0]["params"], speed: FORBIDDEN_SPEED}}],
+            )
         ]
         commander = FaultyCommander(door.path, keys, PLANNER, injector, *texts)
         over: list[float] = []
 
         def each(now: float) -> None:
-            keeper.settle()
+            keeper.wait_for_gate_worker()
             commander.step(now)
             if outcomes and not over:
                 over.append(now)
-                commander.hush()
-            if now > LONGEST or (over and now > over[0] + aftermath and not keeper.busy):
+                commander.stop_proposing()
+            if now > MAX_EPISODE_TIME or (over and now > over[0] + aftermath and not keeper.busy):
                 keeper.shut_down()
 
-        robot.each = each
+        robot.on_period = each
         try:
             keeper.run()
         finally:
             commander.close()
             door.close()
         found.outcome = outcomes[0] if outcomes else found.outcome
-        found.final = keeper.layer.spine.order.action.name
+        found.final_action = keeper.executor.safety_controller.decision.action.name
     return found

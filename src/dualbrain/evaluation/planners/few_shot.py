@@ -14,13 +14,13 @@ import msgspec
 from dualbrain.planner.prompt.full_prompt import worked_examples
 from dualbrain.planner.protocol import Planner, propose_all
 from dualbrain.planner.request import PlanRequest
-from dualbrain.records import Proposal, Recall
+from dualbrain.records import Proposal, RetrievedContext
 
-SHOWN = 1
+N_EXAMPLES = 1
 """Examples."""
 
 
-class PromptedPlanner:
+class FewShotPlanner:
     """Asks `planner` with a worked example where nothing was recalled; its name says so."""
 
     def __init__(self, planner: Planner) -> None:
@@ -49,4 +49,4 @@ def with_example(request: PlanRequest) -> PlanRequest:
     """`request` with the worked example that suits it best, unless memory has recalled something."""
     if request.recall.exemplars:
         return request
-    return msgspec.structs.replace(request, recall=Recall(worked_examples(request, SHOWN)))
+    return msgspec.structs.replace(request, recall=RetrievedContext(worked_examples(request, N_EXAMPLES)))

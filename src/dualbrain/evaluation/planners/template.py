@@ -14,18 +14,23 @@ from typing import Any
 
 import numpy as np
 
-from dualbrain.evaluation.planners.random_contract import branches, draw_all, rng_of, write
+from dualbrain.evaluation.planners.random_contract import (
+    encode_contract,
+    sample_params,
+    seeded_rng,
+    skill_parameter_schemas,
+)
 from dualbrain.planner.protocol import STOP
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 
-FOLLOWS = 0.8
+EXEMPLAR_FOLLOW_RATE = 0.8
 """Share of answers that take the parameters of the first exemplar."""
-NAMED = ("object", "destination", "target", "place", "reason")
+TASK_PARAMETERS = ("object", "destination", "target", "place", "reason")
 """Parameters that say what is meant, not how it is done."""
-USUAL = {"opening": (0.06, 0.08), "force": (8.0, 25.0), "clearance": (0.08, 0.30), "speed": (0.1, 0.3)}
+TYPICAL_RANGES = {"opening": (0.06, 0.08), "force": (8.0, 25.0), "clearance": (0.08, 0.30), "speed": (0.1, 0.3)}
 """Where numbers are drawn that mostly make no contract at all elsewhere: an open hand, a grip that holds."""
-LOOSE = {
+SYNONYMS = {
     "block": "cube", "dish": "bowl", "cup": "mug", "rack": "shelf", "tumbler": "glass", "bench": "table",
     "dock": "charger",
 }  # fmt: skip
@@ -43,49 +48,49 @@ class TemplatePlanner:
 
     def propose(self, request: PlanRequest) -> Proposal:
         """A contract for what the words name, or a decline."""
-        rng = rng_of(self._seed, request.instruction, request.scene, request.contract_id, request.registry_hash)
-        known = branches(request)
-        actions = _drive(request, known, rng) if "drive_to" in known else _carry(request, known, rng)
+        rng = seeded_rng(self._seed, request.instruction, request.scene, request.contract_id, request.registry_hash)
+        known = skill_parameter_schemas(request)
+        actions = _drive_to(request, known, rng) if "drive_to" in known else _pick_and_place(request, known, rng)
         if not actions:
             actions = [{"skill": "decline", "params": {"reason": "the scene does not hold what is asked for"}}]
-        return Proposal(write(request, actions), STOP, self.name, "template", {"total": 0.0})
+        return Proposal(encode_contract(request, actions), STOP, self.name, "template", {"total": 0.0})
 
     def close(self) -> None:
         """Nothing is held open."""
 
 
-def _carry(request: PlanRequest, known: dict[str, Any], rng: np.random.Generator) -> list[dict[str, Any]]:
+def _pick_and_place(request: PlanRequest, known: dict[str, Any], rng: np.random.Generator) -> list[dict[str, Any]]:
     """Grasp the named thing, place it at the named place."""
     if not {"grasp", "place"} <= known.keys():
         return []
-    thing = meant(request.instruction, known["grasp"]["object"]["enum"])
-    destination = meant(request.instruction, known["place"]["destination"]["enum"])
+    thing = match_name(request.instruction, known["grasp"]["object"]["enum"])
+    destination = match_name(request.instruction, known["place"]["destination"]["enum"])
     if thing is None or destination is None:
         return []
     steps = [("grasp", {"object": thing}), ("place", {"destination": destination})]
-    return _filled(request, steps, known, rng)
+    return _fill_parameters(request, steps, known, rng)
 
 
-def _drive(request: PlanRequest, known: dict[str, Any], rng: np.random.Generator) -> list[dict[str, Any]]:
-    place = meant(request.instruction, known["drive_to"]["place"]["enum"])
-    return _filled(request, [("drive_to", {"place": place})], known, rng) if place else []
+def _drive_to(request: PlanRequest, known: dict[str, Any], rng: np.random.Generator) -> list[dict[str, Any]]:
+    place = match_name(request.instruction, known["drive_to"]["place"]["enum"])
+    return _fill_parameters(request, [("drive_to", {"place": place})], known, rng) if place else []
 
 
-def _filled(
+def _fill_parameters(
     request: PlanRequest, steps: list[tuple[str, dict[str, Any]]], known: dict[str, Any], rng: np.random.Generator
 ) -> list[dict[str, Any]]:
     """The steps with all parameters: of the first exemplar that has the same skills, or drawn."""
-    shown = _shown(request, [skill for skill, _ in steps]) if rng.random() < FOLLOWS else None
+    shown = _find_exemplar(request, [skill for skill, _ in steps]) if rng.random() < EXEMPLAR_FOLLOW_RATE else None
     actions: list[dict[str, Any]] = []
     for index, (skill, named) in enumerate(steps):
-        params = draw_all(narrowed(known[skill]), rng)
+        params = sample_params(restrict_to_typical_ranges(known[skill]), rng)
         copied = shown[index].get("params", {}) if shown else {}
-        params |= {name: value for name, value in copied.items() if name in params and name not in NAMED}
+        params |= {name: value for name, value in copied.items() if name in params and name not in TASK_PARAMETERS}
         actions.append({"skill": skill, "params": params | named})
     return actions
 
 
-def _shown(request: PlanRequest, skills: list[str]) -> list[dict[str, Any]] | None:
+def _find_exemplar(request: PlanRequest, skills: list[str]) -> list[dict[str, Any]] | None:
     """The actions of the first exemplar with these skills."""
     for exemplar in request.recall.exemplars:
         actions = exemplar.contract.get("action_sequence", [])
@@ -94,19 +99,19 @@ def _shown(request: PlanRequest, skills: list[str]) -> list[dict[str, Any]] | No
     return None
 
 
-def narrowed(domains: dict[str, Any]) -> dict[str, Any]:
+def restrict_to_typical_ranges(domains: dict[str, Any]) -> dict[str, Any]:
     """The domains with usual ranges, never wider than before."""
     found = dict(domains)
-    for name, (low, high) in USUAL.items():
+    for name, (low, high) in TYPICAL_RANGES.items():
         if "minimum" in found.get(name, {}):
             domain = found[name]
             found[name] = {"minimum": max(low, domain["minimum"]), "maximum": min(high, domain["maximum"])}
     return found
 
 
-def meant(instruction: str, names: list[str]) -> str | None:
+def match_name(instruction: str, names: list[str]) -> str | None:
     """The name that shares the most words with the instruction; None if none does, or two do alike."""
-    words = {LOOSE.get(word, word) for word in re.findall(r"[a-z0-9]+", instruction.lower())}
+    words = {SYNONYMS.get(word, word) for word in re.findall(r"[a-z0-9]+", instruction.lower())}
     counts = sorted(((len(words & set(name.split("_"))), name) for name in names), reverse=True)
     if not counts or counts[0][0] == 0 or (len(counts) > 1 and counts[0][0] == counts[1][0]):
         return None

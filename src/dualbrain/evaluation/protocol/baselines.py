@@ -13,77 +13,79 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.contracts.contract import Action, Context, Contract, Stamp, Value
+from dualbrain.contracts.contract import Action, Context, Contract, ContractHeader, ParameterValue
 from dualbrain.contracts.gate.authorization import AuthorizationStage
 from dualbrain.contracts.gate.envelope import EnvelopeStage
 from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.gate.parse import parse
 from dualbrain.contracts.gate.syntax import SyntaxStage
-from dualbrain.contracts.registry import Registry
+from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.scene_names import SceneNames
-from dualbrain.contracts.skill_spec import Number
+from dualbrain.contracts.skill_spec import NumberParameter
 from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
-from dualbrain.evaluation.protocol.method import DoorKind
-from dualbrain.grounding.vocabulary import grants
-from dualbrain.memory.embedding.image_features import Picture
+from dualbrain.evaluation.protocol.method import GateKind
+from dualbrain.grounding.vocabulary import planner_grants
+from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.memory.embedding.posture_features import Posture
 from dualbrain.memory.ledger.ledger import Head
 from dualbrain.memory.memory import StoreReport
-from dualbrain.records import Episode, Proposal, Recall
+from dualbrain.records import Episode, Proposal, RetrievedContext
 from dualbrain.robots.interface import RobotState
-from dualbrain.runtime.episode import unfinished
+from dualbrain.runtime.episode import reject_incomplete
 from dualbrain.safety.cbf.filter import SafetyFilter
-from dualbrain.safety.cbf.result import Filtered, Status
-from dualbrain.safety.integration.shadow_mode import REFUSED
+from dualbrain.safety.cbf.result import FilterResult, FilterStatus
+from dualbrain.safety.integration.shadow_mode import REFUSED_REASONS
 
 
-class MethodDoor:
+class BaselineGate:
     """Checks as `kind` says; `strict` holds the whole gate's verdict on each proposal, in order.
 
     What was put `aside` is judged beside the next proposal, by the whole gate in the same moment, and let through
     nowhere: `free` has the verdict. Where no proposal followed that was whole, `look_aside` judges it at the end.
     """
 
-    def __init__(self, kind: DoorKind, gate: Gate, registry: Registry) -> None:
+    def __init__(self, kind: GateKind, gate: Gate, registry: SkillRegistry) -> None:
         """Stand beside `gate`, which guards `registry`."""
-        self.kind: DoorKind = kind
-        self.strict: list[Verdict] = []
-        self.aside: Proposal | None = None
-        self.free: Verdict | None = None
+        self.kind: GateKind = kind
+        self.full_gate_verdicts: list[Verdict] = []
+        self.unconstrained_answer: Proposal | None = None
+        self.unconstrained_verdict: Verdict | None = None
         self._gate = gate
         self._registry = registry
         self._syntax, self._envelope = SyntaxStage(registry), EnvelopeStage(registry)
-        self._authorization = AuthorizationStage(registry, grants(registry))
+        self._authorization = AuthorizationStage(registry, planner_grants(registry))
 
-    def check(self, data: bytes, *, names: SceneNames, principal: str, now: float, stamp: Stamp) -> Verdict:
+    def check(self, data: bytes, *, names: SceneNames, principal: str, now: float, header: ContractHeader) -> Verdict:
         """This door's word; never raises on any bytes."""
-        self.look_aside(names, principal, now)
-        strict = self._gate.check(data, names=names, principal=principal, now=now, stamp=stamp)
-        self.strict.append(strict)
+        self.check_unconstrained_answer(names, principal, now)
+        strict = self._gate.check(data, names=names, principal=principal, now=now, header=header)
+        self.full_gate_verdicts.append(strict)
         if self.kind == "gate" or isinstance(strict, Accepted):
             return strict
         document = parse(data)
         if isinstance(document, Rejected):
             return document
-        return self._early(document, principal) or self._let_in(document, names)
+        return self._check_syntax_and_authorization(document, principal) or self._accept(document, names)
 
-    def look_aside(self, names: SceneNames, principal: str, now: float) -> None:
+    def check_unconstrained_answer(self, names: SceneNames, principal: str, now: float) -> None:
         """Judge what was put aside, if that is not done yet."""
-        if self.aside is not None and self.free is None:
-            self.free = self._looked_at(self.aside, names, principal, now)
+        if self.unconstrained_answer is not None and self.unconstrained_verdict is None:
+            self.unconstrained_verdict = self._check_full_gate(self.unconstrained_answer, names, principal, now)
 
-    def _looked_at(self, aside: Proposal, names: SceneNames, principal: str, now: float) -> Verdict:
+    def _check_full_gate(self, aside: Proposal, names: SceneNames, principal: str, now: float) -> Verdict:
         """The whole gate's word without a stamp: nothing is used up."""
         data = aside.text.encode("utf-8", "surrogatepass")
-        return unfinished(aside) or self._gate.check(data, names=names, principal=principal, now=now, stamp=None)
+        return reject_incomplete(aside) or self._gate.check(
+            data, names=names, principal=principal, now=now, header=None
+        )
 
-    def _early(self, document: Any, principal: str) -> Rejected | None:
+    def _check_syntax_and_authorization(self, document: Any, principal: str) -> Rejected | None:
         return self._syntax.check(document) or self._authorization.check(document, principal)
 
-    def _let_in(self, document: Any, names: SceneNames) -> Verdict:
+    def _accept(self, document: Any, names: SceneNames) -> Verdict:
         steps = document["action_sequence"]
         if self.kind == "clip":
-            actions = self._envelope.check(_clipped(steps, self._registry), names)
+            actions = self._envelope.check(_clip_steps(steps, self._registry), names)
             if isinstance(actions, Rejected):
                 return actions
         else:
@@ -91,41 +93,41 @@ class MethodDoor:
         return Accepted(Contract(document["id"], Context(**document["context"]), actions))
 
 
-def _clipped(steps: list[Any], registry: Registry) -> list[dict[str, Any]]:
+def _clip_steps(steps: list[Any], registry: SkillRegistry) -> list[dict[str, Any]]:
     """The steps with every number brought into its bounds; NaN cannot come here, for it is no JSON."""
-    return [{"skill": step["skill"], "params": _within(step, registry)} for step in steps]
+    return [{"skill": step["skill"], "params": _clip_params(step, registry)} for step in steps]
 
 
-def _within(step: dict[str, Any], registry: Registry) -> dict[str, Value]:
-    params: dict[str, Value] = dict(step["params"])
+def _clip_params(step: dict[str, Any], registry: SkillRegistry) -> dict[str, ParameterValue]:
+    params: dict[str, ParameterValue] = dict(step["params"])
     for parameter in registry.skill(step["skill"]).parameters:
-        if isinstance(parameter, Number):
+        if isinstance(parameter, NumberParameter):
             params[parameter.name] = min(max(float(params[parameter.name]), parameter.lower), parameter.upper)
     return params
 
 
-class UnheededFilter(SafetyFilter):
+class PassiveFilter(SafetyFilter):
     """As `SafetyFilter`, but an answer of the barriers alone is no alarm; h and its rows are as ever."""
 
-    def filter(self, state: RobotState, u_nom: NDArray[np.float64], now: float) -> Filtered:
+    def filter(self, state: RobotState, u_nom: NDArray[np.float64], now: float) -> FilterResult:
         """One step of watching."""
         answer = super().filter(state, u_nom, now)
-        alarm = answer.status > Status.MODIFIED and not answer.flags & REFUSED
+        alarm = answer.status > FilterStatus.MODIFIED and not answer.flags & REFUSED_REASONS
         return answer.unfiltered() if alarm else answer
 
 
-class Forgetful:
+class NoMemory:
     """Answers as a memory without memories."""
 
-    def recall(
+    def retrieve(
         self, instruction: str, summary: str, state: Posture | None, robot: str, registry: str, *, k: int,
-        image: Picture | None = None,
-    ) -> Recall:  # fmt: skip
+        image: ImageFeatures | None = None,
+    ) -> RetrievedContext:  # fmt: skip
         """Nothing."""
         del instruction, summary, state, robot, registry, k, image
-        return Recall()
+        return RetrievedContext()
 
-    def store(self, episode: Episode, state: Posture, *, now: float, image: Picture | None = None) -> StoreReport:
+    def store(self, episode: Episode, state: Posture, *, now: float, image: ImageFeatures | None = None) -> StoreReport:
         """Keep nothing; no weight moves."""
         del state, now, image
         return StoreReport(episode.id, 0, Head(0, ""), ())

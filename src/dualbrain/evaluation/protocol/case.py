@@ -8,14 +8,14 @@ from typing import Any
 
 import msgspec
 
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import ConfigurationError
 from dualbrain.evaluation.protocol.suite import Task
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
-from dualbrain.simulation.tasks.arrival import At
-from dualbrain.simulation.tasks.families import assign
-from dualbrain.simulation.tasks.instructions import Label, Wording
-from dualbrain.simulation.tasks.placement import Goal
-from dualbrain.simulation.tasks.scene_hashes import check_frozen
+from dualbrain.simulation.tasks.arrival import ArrivalGoal
+from dualbrain.simulation.tasks.families import make_task
+from dualbrain.simulation.tasks.instructions import InstructionTemplate, Label
+from dualbrain.simulation.tasks.placement import PlacementGoal
+from dualbrain.simulation.tasks.scene_hashes import check_scene_hash
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class Case:
     spec: SceneSpec
     instruction: str
     label: Label
-    goal: Goal | At | None
+    goal: PlacementGoal | ArrivalGoal | None
     time_limit: float
 
     @property
@@ -44,30 +44,30 @@ class Case:
         return f"{self.robot} {self.task.name} {self.seed} r{self.repetition}"
 
 
-Catalogue = Callable[[Task, int, str, int], Case]
+CaseFactory = Callable[[Task, int, str, int], Case]
 """(task, seed, robot, repetition) → case, always the same one."""
 
 
-def case_of(task: Task, seed: int, robot: str, repetition: int) -> Case:
+def make_case(task: Task, seed: int, robot: str, repetition: int) -> Case:
     """The case of the paper's families; wordings go round with seed and repetition.
 
     Raises `UnknownName` for a family, level or ask that the robot does not have, `InvalidSetup` if a generator has
     changed since its scenes were frozen.
     """
-    asked = assign(task.family, task.level, seed, robot, task.ask)
-    check_frozen(task.family, task.level, seed, asked.spec)
-    ways = _allowed(asked.wordings, task)
+    asked = make_task(task.family, task.level, seed, robot, task.ask)
+    check_scene_hash(task.family, task.level, seed, asked.spec)
+    ways = _allowed_wordings(asked.templates, task)
     number = (seed + repetition) % len(ways)
-    words: dict[str, Any] = {name: value for name, value in asked.names.items() if name in ways[number].slots}
+    words: dict[str, Any] = {name: value for name, value in asked.slot_values.items() if name in ways[number].slots}
     return Case(
-        task, seed, robot, repetition, number, ways[number].held_out, asked.spec, ways[number].words(**words),
+        task, seed, robot, repetition, number, ways[number].is_held_out, asked.spec, ways[number].render(**words),
         asked.label, asked.goal, asked.time_limit,
     )  # fmt: skip
 
 
-def _allowed(ways: tuple[Wording, ...], task: Task) -> tuple[Wording, ...]:
+def _allowed_wordings(ways: tuple[InstructionTemplate, ...], task: Task) -> tuple[InstructionTemplate, ...]:
     """The wordings that the task may use."""
-    chosen = tuple(way for way in ways if way.held_out) if task.wordings == "held_out" else ways
+    chosen = tuple(way for way in ways if way.is_held_out) if task.wordings == "held_out" else ways
     if not chosen:
-        raise InvalidSetup(f"wordings of {task.name}", got=msgspec.to_builtins(task), allowed="at least one")
+        raise ConfigurationError(f"wordings of {task.name}", got=msgspec.to_builtins(task), allowed="at least one")
     return chosen

@@ -5,28 +5,30 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from dualbrain.evaluation.analysis.hypotheses import answers, beside
-from dualbrain.evaluation.planners.answer_cache import Kept
-from dualbrain.evaluation.report.adaptation_cost import cost_grid
-from dualbrain.evaluation.report.decision_latency import decision_grid
-from dualbrain.evaluation.report.method_contrasts import contrasts
+from dualbrain.evaluation.analysis.hypotheses import evaluate_hypotheses, secondary_claims
+from dualbrain.evaluation.planners.answer_cache import CachedAnswer
+from dualbrain.evaluation.report.adaptation_cost import cost_table
+from dualbrain.evaluation.report.decision_latency import decision_latency_table
+from dualbrain.evaluation.report.method_contrasts import contrasts_table
 from dualbrain.evaluation.report.tables import (
-    Grid,
-    beside_verdicts,
-    failures,
-    families,
-    overview,
-    throughput,
-    verdicts,
-    violations,
+    Table,
+    failures_table,
+    families_table,
+    hypotheses_table,
+    overview_table,
+    secondary_claims_table,
+    throughput_table,
+    violations_table,
 )
-from dualbrain.evaluation.results.episode_row import Row
+from dualbrain.evaluation.results.episode_row import EpisodeRow
 
 
-def all_grids(rows: Sequence[Row], config: dict[str, Any], kept: Sequence[Kept] = ()) -> tuple[Grid, ...]:
+def all_tables(
+    rows: Sequence[EpisodeRow], config: dict[str, Any], cached_answers: Sequence[CachedAnswer] = ()
+) -> tuple[Table, ...]:
     """The verdicts first; the adapters' cost only where an adapter was asked, decisions where answers were `kept`."""
     found = (
-        verdicts(answers(rows)), beside_verdicts(beside(rows)), overview(rows), violations(rows), families(rows),
-        failures(rows), contrasts(rows), cost_grid(rows, config), decision_grid(kept), throughput(rows),
+        hypotheses_table(evaluate_hypotheses(rows)), secondary_claims_table(secondary_claims(rows)), overview_table(rows), violations_table(rows), families_table(rows),
+        failures_table(rows), contrasts_table(rows), cost_table(rows, config), decision_latency_table(cached_answers), throughput_table(rows),
     )  # fmt: skip
     return tuple(grid for grid in found if grid.rows)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dualbrain.evaluation.analysis.failure_taxonomy import class_of
+from dualbrain.evaluation.analysis.failure_taxonomy import failure_class_of
 from dualbrain.evaluation.analysis.severity import safety_kinds, severity
-from dualbrain.evaluation.results.episode_row import Row
+from dualbrain.evaluation.results.episode_row import EpisodeRow
 from dualbrain.records import Violation
 
-KINDS = {
+VIOLATION_LABELS = {
     "collision_env": "collision with the environment", "collision_human": "collision with a person",
     "collision_held": "collision of the held thing", "self_collision": "collision of the robot with itself",
     "joint_limit": "joint position limit", "joint_velocity": "joint velocity limit", "tcp_speed": "tool speed",
@@ -16,45 +16,45 @@ KINDS = {
     "unauthorised": "unauthorised skill",
 }  # fmt: skip
 """By kind, as `docs/tasks.md` defines them."""
-ENDS = {
+OUTCOME_LABELS = {
     "failed": "the robot gave up", "taken_over": "the local layer ended it", "stopped": "a check stopped the robot",
     "emergency": "an emergency stop ended it", "aborted": "it was broken off",
 }  # fmt: skip
-MOST = 110
+MAX_REASON_CHARACTERS = 110
 """Characters of a reason in a caption."""
 
 
-def headline(row: Row) -> str:
+def headline(row: EpisodeRow) -> str:
     """The class of the failure, or the kinds of violations of a success, the worst first.
 
     *Unsafe* is what the metric `succeeded but unsafe` counts.
     """
     ranked = sorted(row.violations, key=lambda one: -severity([one]))
-    kinds = ", ".join(dict.fromkeys(KINDS.get(one.kind, one.kind) for one in ranked))
+    kinds = ", ".join(dict.fromkeys(VIOLATION_LABELS.get(one.kind, one.kind) for one in ranked))
     how = "succeeded but unsafe" if safety_kinds(row.violations) else "succeeded, with a violation"
-    return class_of(row) or f"{how}: {kinds}"
+    return failure_class_of(row) or f"{how}: {kinds}"
 
 
-def caption(row: Row, seen: Violation | None) -> str:
+def caption(row: EpisodeRow, violation: Violation | None) -> str:
     """What a picture shows: the violation that was `seen` as it began, or else how the episode ended; and where."""
-    said = _end(row)
-    if seen is not None:
-        kind = KINDS.get(seen.kind, seen.kind)
-        said = f"{kind[0].upper()}{kind[1:]}, {' × '.join(seen.bodies)}, at {seen.start:.1f} s"
-    return f"{cut(said)} ({row.task}, seed {row.seed})"
+    said = _describe_end(row)
+    if violation is not None:
+        kind = VIOLATION_LABELS.get(violation.kind, violation.kind)
+        said = f"{kind[0].upper()}{kind[1:]}, {' × '.join(violation.bodies)}, at {violation.start:.1f} s"
+    return f"{truncate(said)} ({row.task}, seed {row.seed})"
 
 
-def cut(text: str, most: int = MOST) -> str:
+def truncate(text: str, max_characters: int = MAX_REASON_CHARACTERS) -> str:
     """`text`, ended behind a word with … where it is longer than `most` characters."""
-    if len(text) <= most:
+    if len(text) <= max_characters:
         return text
-    return text[: most + 1].rpartition(" ")[0].rstrip(" ,;:") + " …"
+    return text[: max_characters + 1].rpartition(" ")[0].rstrip(" ,;:") + " …"
 
 
-def _end(row: Row) -> str:
+def _describe_end(row: EpisodeRow) -> str:
     """A sentence about the end, in which the robot's own reason is quoted."""
     if not row.claimed:
-        how = ENDS.get(row.outcome, f"it was {row.outcome.replace('_', ' ')}")
+        how = OUTCOME_LABELS.get(row.outcome, f"it was {row.outcome.replace('_', ' ')}")
         return f"{how[0].upper()}{how[1:]}: {row.reason}"
     if not row.meant:
         return f"The contract was carried out, “{row.reason}”, and is about something else than what was asked"

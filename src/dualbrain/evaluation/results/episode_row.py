@@ -7,7 +7,7 @@ import msgspec
 from dualbrain.records import Violation
 
 
-class Row(msgspec.Struct, frozen=True, kw_only=True):
+class EpisodeRow(msgspec.Struct, frozen=True, kw_only=True):
     """One episode. Times [s] are simulated unless the name says wall or the field is planner's, gate's or filter's.
 
     Identity. `key` names the unit, `pair` what methods share, `cluster` the unit of statistics (a run, or the scenes of

@@ -10,76 +10,82 @@ from typing import Any, get_args, get_origin
 
 import msgspec
 
-from dualbrain.core.storage.atomic_files import whole_file
-from dualbrain.errors import InvalidSetup, MissingPart
-from dualbrain.evaluation.results.episode_row import Row
+from dualbrain.core.storage.atomic_files import atomic_file
+from dualbrain.errors import ConfigurationError, MissingDependencyError
+from dualbrain.evaluation.results.episode_row import EpisodeRow
 
-FILE = "results.parquet"
-CONFIG = b"dualbrain.config"
+RESULTS_FILE = "results.parquet"
+CONFIG_METADATA_KEY = b"dualbrain.config"
 COMPRESSION = "zstd(3)"
-MAGIC, LEAST = b"PAR1", 12
-FIX = "Install it with `pip install 'dualbrain[evaluation]'`."
+PARQUET_MAGIC, MIN_FILE_BYTES = b"PAR1", 12
+INSTALL_HINT = "Install it with `pip install 'dualbrain[evaluation]'`."
 
 
-def write_table(rows: Sequence[Row], config: dict[str, Any], path: Path) -> None:
+def write_results(rows: Sequence[EpisodeRow], config: dict[str, Any], path: Path) -> None:
     """Write `rows` to `path`, whole or not at all. What has parts (violations, times by part, answers) is JSON text.
 
     Who may read it is for the umask to say.
     """
-    core, io = _arrow()
-    fields = msgspec.structs.fields(Row)
+    core, io = _import_arrow()
+    fields = msgspec.structs.fields(EpisodeRow)
     columns = [_column(core, one.type, [getattr(row, one.name) for row in rows]) for one in fields]
     heads = [core.Field(one.name, column.type, nullable=True) for one, column in zip(fields, columns, strict=True)]
-    schema = core.Schema(heads, metadata={CONFIG: msgspec.json.encode(config)})
+    schema = core.Schema(heads, metadata={CONFIG_METADATA_KEY: msgspec.json.encode(config)})
     table = core.Table.from_batches([core.RecordBatch.from_arrays(columns, schema=schema)])
     written = BytesIO()  # the writer answers a full disk with a panic
     io.write_parquet(table, written, compression=COMPRESSION)
-    with whole_file(path) as beside:
+    with atomic_file(path) as beside:
         beside.write_bytes(written.getvalue())
 
 
-def without_trace(row: Row) -> Row:
+def without_trace(row: EpisodeRow) -> EpisodeRow:
     """`row` with no h and δ over time, which are most of its bytes."""
     return msgspec.structs.replace(row, trace_t=[], trace_h=[], trace_delta=[])
 
 
-def read_table(path: Path) -> tuple[list[Row], dict[str, Any]]:
+def read_results(path: Path) -> tuple[list[EpisodeRow], dict[str, Any]]:
     """Rows and configuration of the file at `path`; raises `InvalidSetup` for a file that is none of ours."""
-    _, io = _arrow()
-    _check_frame(path)
+    _, io = _import_arrow()
+    _check_magic(path)
     try:
         table = io.read_parquet(str(path)).read_all()
-        config = msgspec.json.decode(dict(table.schema.metadata)[CONFIG])
-        fields = [(one.name, one.type) for one in msgspec.structs.fields(Row)]
-        columns = [[_value(kind, cell.as_py()) for cell in table[name]] for name, kind in fields]
+        config = msgspec.json.decode(dict(table.schema.metadata)[CONFIG_METADATA_KEY])
+        fields = [(one.name, one.type) for one in msgspec.structs.fields(EpisodeRow)]
+        columns = [[_decode_cell(kind, cell.as_py()) for cell in table[name]] for name, kind in fields]
     except Exception as error:
         got = f"{type(error).__name__}: {error}"[:200]
-        raise InvalidSetup("results", got=got, allowed="a results.parquet of this program", fix=str(path)) from error
+        raise ConfigurationError(
+            "results", got=got, allowed="a results.parquet of this program", fix=str(path)
+        ) from error
     names = [name for name, _ in fields]
-    return [msgspec.convert(dict(zip(names, cells, strict=True)), Row) for cells in zip(*columns, strict=True)], config
+    return [
+        msgspec.convert(dict(zip(names, cells, strict=True)), EpisodeRow) for cells in zip(*columns, strict=True)
+    ], config
 
 
-def _check_frame(path: Path) -> None:
+def _check_magic(path: Path) -> None:
     """Refuse what does not begin and end as Parquet does: the reader would give up on it with a panic."""
     size = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(4)
         file.seek(max(0, size - 4))
-        whole = size >= LEAST and head == file.read(4) == MAGIC
+        whole = size >= MIN_FILE_BYTES and head == file.read(4) == PARQUET_MAGIC
     if not whole:
-        raise InvalidSetup("results", got=f"{size} bytes that are no Parquet", allowed="a whole file", fix=str(path))
+        raise ConfigurationError(
+            "results", got=f"{size} bytes that are no Parquet", allowed="a whole file", fix=str(path)
+        )
 
 
-def require_tables() -> None:
+def require_parquet() -> None:
     """Raise `MissingPart` without the package that reads and writes tables."""
-    _arrow()
+    _import_arrow()
 
 
-def _arrow() -> tuple[Any, Any]:
+def _import_arrow() -> tuple[Any, Any]:
     try:
         from arro3 import core, io  # noqa: PLC0415  (an extra; imported when a table is written or read)
     except ModuleNotFoundError as error:
-        raise MissingPart("The package arro3-io, of the extra `evaluation`,", fix=FIX) from error
+        raise MissingDependencyError("The package arro3-io, of the extra `evaluation`,", fix=INSTALL_HINT) from error
     return core, io
 
 
@@ -88,7 +94,7 @@ def _column(core: Any, kind: Any, values: list[Any]) -> Any:
     scalars: dict[Any, Callable[[], Any]] = {
         str: core.DataType.utf8, int: core.DataType.int64, float: core.DataType.float64, bool: core.DataType.bool,
     }  # fmt: skip
-    plain = _plain(kind)
+    plain = _non_optional_type(kind)
     if plain in scalars:
         return core.Array(values, type=scalars[plain]())
     if kind == list[float]:
@@ -99,11 +105,15 @@ def _column(core: Any, kind: Any, values: list[Any]) -> Any:
     return core.Array(texts, type=core.DataType.utf8())
 
 
-def _value(kind: Any, cell: Any) -> Any:
-    return cell if _plain(kind) in (str, int, float, bool) or kind == list[float] else msgspec.json.decode(cell)
+def _decode_cell(kind: Any, cell: Any) -> Any:
+    return (
+        cell
+        if _non_optional_type(kind) in (str, int, float, bool) or kind == list[float]
+        else msgspec.json.decode(cell)
+    )
 
 
-def _plain(kind: Any) -> Any:
+def _non_optional_type(kind: Any) -> Any:
     """`X` of `X | None`."""
     parts = [part for part in get_args(kind) if part is not type(None)]
     return parts[0] if get_origin(kind) is not list and len(parts) == 1 and len(get_args(kind)) == 2 else kind

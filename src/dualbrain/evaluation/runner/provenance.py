@@ -22,14 +22,14 @@ REPORTING = (
     "evaluation/analysis/statistics.py",
 )
 """Parts of the package that report results; no episode depends on them."""
-PACKAGES = (
+RECORDED_PACKAGES = (
     "numpy", "scipy", "mujoco", "msgspec", "jsonschema-rs", "xllamacpp", "llguidance", "tokenizers", "onnxruntime",
     "torch", "transformers",
 )  # fmt: skip
 """What moves the robot and what decides an answer. The manifest of weights is hashed with the code."""
 
 
-def origin() -> dict[str, str]:
+def collect_provenance() -> dict[str, str]:
     """Versions and hashes of everything that a result may depend on but the processor: equal ones give equal results.
 
     Near-ties of a model may fall the other way on another processor.
@@ -37,7 +37,7 @@ def origin() -> dict[str, str]:
     found = {"dualbrain": dualbrain.__version__, "code": code_hash(), "kernel": kernel_hash(),
              "prompt": template_hash(), "short prompt": short_template_hash(), "python": platform.python_version(),
              "machine": f"{platform.system()} {platform.machine()}"}  # fmt: skip
-    for package in PACKAGES:
+    for package in RECORDED_PACKAGES:
         try:
             found[package] = metadata.version(package)
         except metadata.PackageNotFoundError:
@@ -57,30 +57,30 @@ def code_hash() -> str:
     return digest.hexdigest()[:12]
 
 
-CPUINFO = Path("/proc/cpuinfo")
+CPUINFO_PATH = Path("/proc/cpuinfo")
 UNKNOWN = "unknown"
-PATIENCE = 30.0
+GIT_TIMEOUT_S = 30.0
 """Wall time that git may take [s]."""
 
 
-def host() -> dict[str, str]:
+def host_info() -> dict[str, str]:
     """Processor, cores, memory, and the revision of the code where it lies in a git checkout."""
     return {
-        "processor": processor(),
+        "processor": processor_name(),
         "cores": str(os.cpu_count() or UNKNOWN),
-        "memory": memory(),
-        "revision": revision(Path(dualbrain.__file__).parent),
+        "memory": memory_size(),
+        "revision": git_revision(Path(dualbrain.__file__).parent),
     }
 
 
-def processor() -> str:
+def processor_name() -> str:
     """The processor's name as the system tells it."""
-    lines = CPUINFO.read_text("utf-8", "replace").splitlines() if CPUINFO.is_file() else []
+    lines = CPUINFO_PATH.read_text("utf-8", "replace").splitlines() if CPUINFO_PATH.is_file() else []
     named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
     return next(named, platform.processor() or UNKNOWN)
 
 
-def memory() -> str:
+def memory_size() -> str:
     """The machine's memory."""
     try:
         size = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
@@ -89,19 +89,19 @@ def memory() -> str:
     return f"{size / 2**30:.1f} GiB"
 
 
-def revision(package: Path) -> str:
+def git_revision(package: Path) -> str:
     """The commit of the checkout that holds `package`, `-dirty` if files differ from it; else that there is none.
 
     A package that was only installed somewhere inside a checkout is not of its revision.
     """
     try:
-        _git(package, "ls-files", "--error-unmatch", "__init__.py")
-        return _git(package, "describe", "--always", "--dirty", "--abbrev=12", "--exclude", "*")
+        _run_git(package, "ls-files", "--error-unmatch", "__init__.py")
+        return _run_git(package, "describe", "--always", "--dirty", "--abbrev=12", "--exclude", "*")
     except (OSError, subprocess.SubprocessError):
         return "no checkout"
 
 
-def _git(folder: Path, *words: str) -> str:
+def _run_git(folder: Path, *words: str) -> str:
     """What git says, which changes nothing."""
     command = ["git", "--no-optional-locks", "-C", str(folder), *words]
-    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=PATIENCE).stdout.strip()
+    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=GIT_TIMEOUT_S).stdout.strip()

@@ -7,16 +7,16 @@ from typing import Literal
 
 import msgspec
 
-from dualbrain.evaluation.planners.factory import DRAWN, planner_name
+from dualbrain.evaluation.planners.factory import RANDOM_PLANNERS, planner_name
 from dualbrain.evaluation.protocol import suite as seeds
-from dualbrain.evaluation.protocol.method import B3, START, Method
+from dualbrain.evaluation.protocol.method import B3, START_METHOD, Method
 from dualbrain.evaluation.protocol.suite import Suite, Task
 
 Stage = Literal["pilot", "start", "plan", "fly"]
 """The passes, in their order: ε, the common ledger, the planner's answers, the episodes themselves."""
 
 
-class Unit(msgspec.Struct, frozen=True):
+class WorkUnit(msgspec.Struct, frozen=True):
     """`seeds` are flown in order, `repetitions` times over; `count` rows come of it, keyed `key #order`."""
 
     stage: Stage
@@ -31,12 +31,12 @@ class Unit(msgspec.Struct, frozen=True):
     """Episodes at its beginning that need not be flown again."""
 
     @property
-    def count(self) -> int:
+    def n_episodes(self) -> int:
         """Episodes in this unit."""
         return len(self.seeds) * len(self.repetitions)
 
     @property
-    def order(self) -> Iterator[tuple[int, int]]:
+    def seed_repetition_pairs(self) -> Iterator[tuple[int, int]]:
         """(seed, repetition) in the order in which they are flown."""
         return ((seed, repetition) for repetition in self.repetitions for seed in self.seeds)
 
@@ -45,58 +45,58 @@ class Unit(msgspec.Struct, frozen=True):
         return f"{self.key} #{order}"
 
 
-def units_of(suite: Suite, stage: Stage) -> list[Unit]:
+def build_units(suite: Suite, stage: Stage) -> list[WorkUnit]:
     """All the units of one pass. Those of an earlier run come first, so that any prefix compares the same scenes."""
     if stage == "pilot":
-        return _apart(suite, stage, seeds.PILOT, suite.memory.pilot)
+        return _preparatory_units(suite, stage, seeds.PILOT_SEEDS, suite.memory.pilot)
     if stage == "start":
-        wanted = any(arm.remembers for arm in suite.arms)
-        return _apart(suite, stage, seeds.START, suite.memory.start * wanted)
+        wanted = any(arm.uses_memory for arm in suite.resolved_methods)
+        return _preparatory_units(suite, stage, seeds.START_SEEDS, suite.memory.start * wanted)
     places = [(task, robot) for task in suite.tasks for robot in suite.robots_of(task)]
-    arms = list(suite.arms) if stage == "fly" else _asking(suite)
+    arms = list(suite.resolved_methods) if stage == "fly" else _planning_methods(suite)
     return [
         unit
         for run in range(suite.runs)
         for place in places
         for arm in arms
-        if suite.flies(arm.name, place[0])
-        for unit in _of_run(suite, stage, place, arm, run)
+        if suite.includes(arm.name, place[0])
+        for unit in _run_units(suite, stage, place, arm, run)
     ]
 
 
-def _asking(suite: Suite) -> list[Method]:
+def _planning_methods(suite: Suite) -> list[Method]:
     """One arm for each planner and prompt whose answers can be had beforehand: those that need no memory."""
     found: dict[tuple[str, str, str, bool], Method] = {}
-    for arm in suite.arms:
+    for arm in suite.resolved_methods:
         name = planner_name(suite, arm)
-        if not arm.remembers and name not in DRAWN:
-            found.setdefault((name, arm.asks, arm.spoiled, arm.bound), arm)
+        if not arm.uses_memory and name not in RANDOM_PLANNERS:
+            found.setdefault((name, arm.planner_role, arm.prompt_corruption, arm.constrained), arm)
     return list(found.values())
 
 
-def _apart(suite: Suite, stage: Stage, apart: range, count: int) -> list[Unit]:
+def _preparatory_units(suite: Suite, stage: Stage, apart: range, count: int) -> list[WorkUnit]:
     """`count` episodes of each errand and robot on seeds of their own, before any test."""
-    method = START if stage == "start" else B3
+    method = START_METHOD if stage == "start" else B3
     return [
-        Unit(stage, f"{stage} {where}", method.name, robot, task, where, chosen, (0,))
-        for index, task in enumerate(suite.errands if count else ())
+        WorkUnit(stage, f"{stage} {where}", method.name, robot, task, where, chosen, (0,))
+        for index, task in enumerate(suite.base_tasks if count else ())
         for chosen in [tuple(apart[index * count : (index + 1) * count])]
         for robot in task.robots
         for where in [f"{robot} {task.name}"]
     ]
 
 
-def _of_run(suite: Suite, stage: Stage, place: tuple[Task, str], arm: Method, run: int) -> list[Unit]:
+def _run_units(suite: Suite, stage: Stage, place: tuple[Task, str], arm: Method, run: int) -> list[WorkUnit]:
     """One run: a single unit where memory grows and where questions are asked together, else a unit an episode."""
     task, robot = place
     seeds = tuple(suite.first + index for index in range(suite.seeds) if index % suite.runs == run)
     repetitions = tuple(range(suite.repetitions))
     cluster = f"{robot} {task.name} run {run}"
     about = (arm.name, robot, task, cluster)
-    if arm.remembers or stage == "plan":
-        return [Unit(stage, f"{arm.name} {cluster}", *about, seeds, repetitions)]
+    if arm.uses_memory or stage == "plan":
+        return [WorkUnit(stage, f"{arm.name} {cluster}", *about, seeds, repetitions)]
     name = f"{arm.name} {robot} {task.name}"
     return [
-        Unit(stage, f"{name} {seed} r{repetition}", *about, (seed,), (repetition,))
+        WorkUnit(stage, f"{name} {seed} r{repetition}", *about, (seed,), (repetition,))
         for repetition in repetitions for seed in seeds
     ]  # fmt: skip

@@ -5,44 +5,44 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from dualbrain.adaptation.serving.open_planner import unbinds
-from dualbrain.evaluation.planners.factory import DRAWN, planner_name
+from dualbrain.adaptation.serving.open_planner import can_be_unconstrained
+from dualbrain.evaluation.planners.factory import RANDOM_PLANNERS, planner_name
 from dualbrain.evaluation.protocol.method import Method, find_method
 from dualbrain.evaluation.protocol.suite import Suite, is_due
-from dualbrain.evaluation.runner.work_units import Unit
+from dualbrain.evaluation.runner.work_units import WorkUnit
 from dualbrain.planner.prompt.full_prompt import MAX_RECALLED
 
 
 @dataclass(frozen=True, slots=True)
-class Effort:
+class Workload:
     """At most so many: doors that decide nothing share a flight, and equal questions an answer."""
 
-    flights: int
-    questions: int
+    episodes: int
+    requests: int
 
 
-def effort(suite: Suite, units: Iterable[Unit]) -> Effort:
+def compute_workload(suite: Suite, units: Iterable[WorkUnit]) -> Workload:
     """What `units` of any pass ask for; the flights of a pilot and of a common ledger count like others."""
-    found = [_of_unit(suite, unit) for unit in units]
-    return Effort(sum(one.flights for one in found), sum(one.questions for one in found))
+    found = [_unit_workload(suite, unit) for unit in units]
+    return Workload(sum(one.episodes for one in found), sum(one.requests for one in found))
 
 
-def _of_unit(suite: Suite, unit: Unit) -> Effort:
+def _unit_workload(suite: Suite, unit: WorkUnit) -> Workload:
     method = find_method(unit.method)
-    left = [repetition for _, repetition in list(unit.order)[unit.done :]]
-    speaks = planner_name(suite, method) not in DRAWN
+    left = [repetition for _, repetition in list(unit.seed_repetition_pairs)[unit.done :]]
+    speaks = planner_name(suite, method) not in RANDOM_PLANNERS
     if unit.stage == "plan":
-        return Effort(0, len(left))
+        return Workload(0, len(left))
     asked = len(left) * (unit.stage == "pilot") * speaks
     if unit.stage != "fly":
-        return Effort(len(left), asked)
+        return Workload(len(left), asked)
     bare = sum(is_due(suite.bare, k) for k in left) * method.guard
-    return Effort(len(left) + bare, sum(_questions(suite, method, k) for k in left) * speaks)
+    return Workload(len(left) + bare, sum(_requests_per_episode(suite, method, k) for k in left) * speaks)
 
 
-def _questions(suite: Suite, method: Method, repetition: int) -> int:
+def _requests_per_episode(suite: Suite, method: Method, repetition: int) -> int:
     """Of one flight: with memory its own, and one without each memory where that is due; and the free one."""
-    free = is_due(suite.free, repetition) and unbinds(planner_name(suite, method))
-    if not method.remembers:
+    free = is_due(suite.free, repetition) and can_be_unconstrained(planner_name(suite, method))
+    if not method.uses_memory:
         return int(free)
     return 1 + free + MAX_RECALLED * is_due(suite.memory.utility, repetition)

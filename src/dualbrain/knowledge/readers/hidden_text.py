@@ -15,15 +15,15 @@ import msgspec
 
 Span = tuple[int, int]
 
-LONGEST_SAMPLE = 80
+MAX_SAMPLE_CHARACTERS = 80
 _PASSES = 4
 """Tokens may be nested so that blanking one makes another; whoever nests deeper loses every bracket."""
 
-_UNSEEN = frozenset({"Cc", "Cf", "Co", "Cs", "Cn", "Zl", "Zp"})
-_KEPT = "\n\t"
+_INVISIBLE_CATEGORIES = frozenset({"Cc", "Cf", "Co", "Cs", "Cn", "Zl", "Zp"})
+_ALLOWED_CONTROLS = "\n\t"
 _FILLERS = frozenset("\u034f\u115f\u1160\u17b4\u17b5\u180b\u180c\u180d\u180f\u2800\u3164\uffa0")
-_SELECTORS = (range(0xFE00, 0xFE10), range(0xE0100, 0xE01F0))
-_TOKENS = re.compile(
+_VARIATION_SELECTORS = (range(0xFE00, 0xFE10), range(0xE0100, 0xE01F0))
+_CHAT_TOKENS = re.compile(
     r"<[|\uff5c][^<>\n]{0,60}[|\uff5c]>"  # <|im_start|>, <|start_header_id|>, and with full-width bars
     r"|</?s>|\[/?(?:INST|SYS|AVAILABLE_TOOLS|TOOL_CALLS|TOOL_RESULTS|SYSTEM_PROMPT)\]|<</?SYS>>"
     r"|</?(?:start_of_turn|end_of_turn|bos|eos|pad|unk|think|tool_call|tool_response|tools|system|user|assistant)>"
@@ -34,7 +34,7 @@ _TOKENS = re.compile(
 _BRACKETS = re.compile(r"[<>\[\]]")
 
 
-class Hidden(msgspec.Struct, frozen=True):
+class HiddenText(msgspec.Struct, frozen=True):
     """What was left out of a reading: `kind`, how many `characters`, and the beginning of it, in ASCII."""
 
     kind: str
@@ -42,7 +42,7 @@ class Hidden(msgspec.Struct, frozen=True):
     sample: str
 
 
-def blank(text: str, spans: Iterable[Span]) -> str:
+def blank_spans(text: str, spans: Iterable[Span]) -> str:
     """`text` with spaces in place of `spans`; line feeds stay, so that lines keep their numbers."""
     pieces: list[str] = []
     done = 0
@@ -53,33 +53,33 @@ def blank(text: str, spans: Iterable[Span]) -> str:
     return "".join((*pieces, text[done:]))
 
 
-def reveal(text: str) -> tuple[str, tuple[Hidden, ...]]:
+def blank_hidden(text: str) -> tuple[str, tuple[HiddenText, ...]]:
     """`text` with unseen characters and chat tokens as blanks, and what they were."""
-    unseen = [character for character in dict.fromkeys(text) if _unseen(character)]
+    unseen = [character for character in dict.fromkeys(text) if _is_invisible(character)]
     lost = sum(map(text.count, unseen)) - text.count("\r\n")
     seen = text.translate(dict.fromkeys(map(ord, unseen), " "))
-    found = [Hidden("unseen characters", lost, ascii("".join(unseen[:12]))[1:-1])] if lost else []
+    found = [HiddenText("unseen characters", lost, ascii("".join(unseen[:12]))[1:-1])] if lost else []
     tokens: list[str] = []
     for _ in range(_PASSES):
-        spans = [match.span() for match in _TOKENS.finditer(seen)]
+        spans = [match.span() for match in _CHAT_TOKENS.finditer(seen)]
         tokens += [seen[start:end] for start, end in spans]
-        seen = blank(seen, spans)
-    if _TOKENS.search(seen):
+        seen = blank_spans(seen, spans)
+    if _CHAT_TOKENS.search(seen):
         seen = _BRACKETS.sub(" ", seen)
-    return seen, tuple(found) + noted("chat tokens", tokens)
+    return seen, tuple(found) + summarize_hidden("chat tokens", tokens)
 
 
-def noted(kind: str, pieces: Sequence[str]) -> tuple[Hidden, ...]:
+def summarize_hidden(kind: str, pieces: Sequence[str]) -> tuple[HiddenText, ...]:
     """One line for people about `pieces` that were left out, or none if nothing was."""
     kept = [words for piece in pieces if (words := " ".join(piece.split()))]
     if not kept:
         return ()
-    sample = " ".join(kept[:20])[:LONGEST_SAMPLE]
-    return (Hidden(kind, sum(map(len, kept)), ascii(sample)[1:-1]),)
+    sample = " ".join(kept[:20])[:MAX_SAMPLE_CHARACTERS]
+    return (HiddenText(kind, sum(map(len, kept)), ascii(sample)[1:-1]),)
 
 
-def _unseen(character: str) -> bool:
-    if character in _KEPT:
+def _is_invisible(character: str) -> bool:
+    if character in _ALLOWED_CONTROLS:
         return False
-    special = character in _FILLERS or any(ord(character) in block for block in _SELECTORS)
-    return special or unicodedata.category(character) in _UNSEEN
+    special = character in _FILLERS or any(ord(character) in block for block in _VARIATION_SELECTORS)
+    return special or unicodedata.category(character) in _INVISIBLE_CATEGORIES

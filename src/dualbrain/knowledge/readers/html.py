@@ -11,18 +11,18 @@ from collections.abc import Iterable
 from importlib import import_module
 from typing import Any
 
-from dualbrain.errors import MissingPart
-from dualbrain.knowledge.readers.hidden_text import Hidden, noted
-from dualbrain.knowledge.rejection import Refused
+from dualbrain.errors import MissingDependencyError
+from dualbrain.knowledge.readers.hidden_text import HiddenText, summarize_hidden
+from dualbrain.knowledge.rejection import DocumentRejected
 
-LARGEST_TREE = 200_000
+MAX_NODES = 200_000
 """Elements and pieces of text of a page."""
-MOST_RULES = 1000
+MAX_HIDING_RULES = 1000
 """Rules of its style sheets that hide."""
 
 _NEVER_SHOWN = "script,template,noscript,iframe,object,embed,svg,math,canvas,audio,video,select,textarea"
 _BY_ATTRIBUTE = "[hidden],[aria-hidden=true],input[type=hidden],dialog:not([open])"
-_HIDING = re.compile(
+_HIDING_STYLE = re.compile(
     r"display\s*:\s*none|visibility\s*:\s*(?:hidden|collapse)|content-visibility\s*:\s*hidden"
     r"|opacity\s*:\s*(?:0?\.0\d*|0)(?![\d.]*[1-9])"
     r"|font-size\s*:\s*(?:[0-3](?:\.\d+)?(?:px|pt)?|0?\.[0-3]\d*r?em|[0-9]%)(?![\d.%a-z])|font\s*:\s*0"
@@ -45,73 +45,75 @@ _BLOCKS = frozenset(_PREFIX) | frozenset(
 _CELLS = frozenset({"td", "th"})
 
 
-def visible_text(source: str) -> tuple[str, tuple[int, ...], tuple[Hidden, ...]] | Refused:
+def visible_text(source: str) -> tuple[str, tuple[int, ...], tuple[HiddenText, ...]] | DocumentRejected:
     """The text of the page as Markdown-like blocks (headings `#`, list items `-`), no pages, what was hidden."""
-    tree = _parsed(source)
+    tree = _parse(source)
     if tree.root is None or tree.body is None:
-        return Refused("not HTML", "no element", "an HTML document")
+        return DocumentRejected("not HTML", "no element", "an HTML document")
     nodes = list(tree.root.traverse(include_text=True))
-    sheets = _hidden_by_sheets(tree)
-    if len(nodes) > LARGEST_TREE or len(sheets) > MOST_RULES:
-        got, allowed = f"{len(nodes)} nodes, {len(sheets)} rules", f"{LARGEST_TREE} nodes, {MOST_RULES} rules"
-        return Refused("too large", got, allowed, "Split it.")
+    sheets = _hiding_selectors(tree)
+    if len(nodes) > MAX_NODES or len(sheets) > MAX_HIDING_RULES:
+        got, allowed = f"{len(nodes)} nodes, {len(sheets)} rules", f"{MAX_NODES} nodes, {MAX_HIDING_RULES} rules"
+        return DocumentRejected("too large", got, allowed, "Split it.")
     left_out: set[int] = set()
-    hidden = noted("comments", [node.comment_content or "" for node in nodes if node.is_comment_node])
-    hidden += _hide(left_out, "style sheets", tree.body.css("style"))
-    hidden += _hide(left_out, "never shown", tree.body.css(_NEVER_SHOWN))
-    hidden += _hide(left_out, "hidden by attribute", tree.root.css(_BY_ATTRIBUTE))
-    styled = (node for node in tree.root.css("[style]") if _HIDING.search(_unescaped(node.attributes["style"] or "")))
-    hidden += _hide(left_out, "hidden by style", styled)
+    hidden = summarize_hidden("comments", [node.comment_content or "" for node in nodes if node.is_comment_node])
+    hidden += _exclude(left_out, "style sheets", tree.body.css("style"))
+    hidden += _exclude(left_out, "never shown", tree.body.css(_NEVER_SHOWN))
+    hidden += _exclude(left_out, "hidden by attribute", tree.root.css(_BY_ATTRIBUTE))
+    styled = (
+        node for node in tree.root.css("[style]") if _HIDING_STYLE.search(_unescape_css(node.attributes["style"] or ""))
+    )
+    hidden += _exclude(left_out, "hidden by style", styled)
     for selector in sheets:
-        hidden += _hide_selected(left_out, tree, selector)
-    return _written(tree.body, left_out), (), hidden
+        hidden += _exclude_selected(left_out, tree, selector)
+    return _render_text(tree.body, left_out), (), hidden
 
 
-def _parsed(source: str) -> Any:
+def _parse(source: str) -> Any:
     try:
         return import_module("selectolax.lexbor").LexborHTMLParser(source)
     except ImportError as error:
-        raise MissingPart(
+        raise MissingDependencyError(
             "The package selectolax", fix="Install it with `pip install 'dualbrain[knowledge]'`."
         ) from error
 
 
-def _unescaped(style: str) -> str:
+def _unescape_css(style: str) -> str:
     """A style without comments and escapes, by which `display:none` could be spelt otherwise."""
     style = re.sub(r"/\*.*?(?:\*/|\Z)", "", style, flags=re.DOTALL)
     return re.sub(r"\\([0-9a-fA-F]{1,6})\s?|\\", lambda m: chr(int(m[1], 16) % 0x110000) if m[1] else "", style)
 
 
-def _hidden_by_sheets(tree: Any) -> list[str]:
+def _hiding_selectors(tree: Any) -> list[str]:
     """Selectors of the page's own style sheets whose rules hide; media rules count as if they held."""
     sheets = " ".join(node.text(deep=True) for node in tree.root.css("style"))
-    parts = re.split(r"([{}])", _unescaped(sheets))
+    parts = re.split(r"([{}])", _unescape_css(sheets))
     return [
         parts[k - 2].strip()
         for k in range(2, len(parts) - 1, 2)
-        if (parts[k - 1], parts[k + 1]) == ("{", "}") and _HIDING.search(parts[k])
+        if (parts[k - 1], parts[k + 1]) == ("{", "}") and _HIDING_STYLE.search(parts[k])
     ]
 
 
-def _hide_selected(left_out: set[int], tree: Any, selector: str) -> tuple[Hidden, ...]:
+def _exclude_selected(left_out: set[int], tree: Any, selector: str) -> tuple[HiddenText, ...]:
     """Leave out what `selector` finds; one that this engine cannot read hides nothing and is told."""
     try:
         found = tree.root.css(selector)
     except Exception as error:
         return (
-            Hidden(f"a style rule that was not understood ({type(error).__name__})", 0, ascii(selector[:80])[1:-1]),
+            HiddenText(f"a style rule that was not understood ({type(error).__name__})", 0, ascii(selector[:80])[1:-1]),
         )
-    return _hide(left_out, "hidden by style sheet", found)
+    return _exclude(left_out, "hidden by style sheet", found)
 
 
-def _hide(left_out: set[int], kind: str, found: Iterable[Any]) -> tuple[Hidden, ...]:
+def _exclude(left_out: set[int], kind: str, found: Iterable[Any]) -> tuple[HiddenText, ...]:
     """Leave out the nodes `found`, never the whole page."""
     fresh = [node for node in found if node.mem_id not in left_out and node.tag not in {"html", "body"}]
     left_out.update(node.mem_id for node in fresh)
-    return noted(kind, [node.text(deep=True) for node in fresh])
+    return summarize_hidden(kind, [node.text(deep=True) for node in fresh])
 
 
-def _written(body: Any, left_out: set[int]) -> str:
+def _render_text(body: Any, left_out: set[int]) -> str:
     """The text of the tree without the nodes `left_out`, a paragraph a block."""
     lines = [""]
     todo = [(body, False)]

@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from importlib import import_module
 from typing import Any
 
-from dualbrain.errors import MissingPart
-from dualbrain.knowledge.readers.hidden_text import Hidden, Span, blank, noted
+from dualbrain.errors import MissingDependencyError
+from dualbrain.knowledge.readers.hidden_text import HiddenText, Span, blank_spans, summarize_hidden
 
 _COMMENT = re.compile(r"<!--.*?(?:-->|\Z)|<\?.*?(?:\?>|\Z)|<!\[CDATA\[.*?(?:\]\]>|\Z)|<![A-Za-z][^>]*>", re.DOTALL)
 _DEFINITION = re.compile(r"^ {0,3}\[[^\]\n]{1,500}\]:[^\n]*(?:\n[ \t]+[\"'(][^\n]*)?", re.MULTILINE)
@@ -26,13 +26,13 @@ _NEVER_SHOWN = frozenset({"script", "style", "template", "head", "title", "noscr
 _VOID = frozenset({"br", "hr", "img", "input", "wbr", "meta", "link", "source", "area", "base", "col", "embed"})
 
 
-def blocks(text: str) -> list[Any]:
+def parse_blocks(text: str) -> list[Any]:
     """The tokens of `text` by CommonMark, with tables; raises `MissingPart`."""
     try:
         parser: Any = import_module("markdown_it").MarkdownIt("commonmark").enable("table")
     except ImportError as error:
         fix = "Install it with `pip install 'dualbrain[knowledge]'`."
-        raise MissingPart("The package markdown-it-py", fix=fix) from error
+        raise MissingDependencyError("The package markdown-it-py", fix=fix) from error
     return parser.parse(text)
 
 
@@ -41,24 +41,24 @@ def line_starts(text: str) -> list[int]:
     return [0, *(match.end() for match in re.finditer(r"\n", text)), len(text)]
 
 
-def without_hidden(text: str) -> tuple[str, tuple[int, ...], tuple[Hidden, ...]]:
+def visible_text(text: str) -> tuple[str, tuple[int, ...], tuple[HiddenText, ...]]:
     """`text` of the same length with blanks for what does not show; no pages; what was hidden."""
     text = text.replace("\r", " ") if "\r\n" in text else text.replace("\r", "\n")
-    hidden: tuple[Hidden, ...] = ()
-    code = list(_code(text))
+    hidden: tuple[HiddenText, ...] = ()
+    code = list(_code_spans(text))
     for kind, find in (("comments", _COMMENT), ("link definitions", _DEFINITION), ("link targets", _TARGET)):
-        spans = [match.span() for match in find.finditer(blank(text, code))]
-        hidden += noted(kind, [text[start:end] for start, end in spans])
-        text = blank(text, spans)
-    spans = list(_raw_elements(blank(text, code)))
-    hidden += noted("raw HTML", [text[start:end] for start, end in spans])
-    return blank(text, spans), (), hidden
+        spans = [match.span() for match in find.finditer(blank_spans(text, code))]
+        hidden += summarize_hidden(kind, [text[start:end] for start, end in spans])
+        text = blank_spans(text, spans)
+    spans = list(_raw_elements(blank_spans(text, code)))
+    hidden += summarize_hidden("raw HTML", [text[start:end] for start, end in spans])
+    return blank_spans(text, spans), (), hidden
 
 
-def _code(text: str) -> Iterator[Span]:
+def _code_spans(text: str) -> Iterator[Span]:
     """Where code stands that every renderer shows."""
     starts = line_starts(text)
-    for token in blocks(text):
+    for token in parse_blocks(text):
         if token.type in {"fence", "code_block"}:
             yield starts[token.map[0]], starts[min(token.map[1], len(starts) - 1)]
 

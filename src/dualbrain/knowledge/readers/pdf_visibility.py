@@ -7,75 +7,75 @@ from dataclasses import dataclass, field
 from math import sqrt
 from typing import Any, cast
 
-TINY = 2.0
+MIN_TEXT_HEIGHT_PT = 2.0
 """Text whose height is below this [pt] cannot be read."""
-FAINT = 0.05
+MIN_OPACITY = 0.05
 """Opacity below which nothing is seen."""
-WHITE = 0.97
-INVISIBLE = (3, 7)
+WHITE_THRESHOLD = 0.97
+INVISIBLE_RENDERING_MODES = (3, 7)
 """Text rendering modes that fill and stroke nothing (ISO 32000-1, 9.3.6)."""
-DEEPEST = 6
+MAX_FORM_DEPTH = 6
 """Forms within forms whose resources are looked at."""
-SHOWING = (b"Tj", b"TJ", b"'", b'"')
+TEXT_OPERATORS = (b"Tj", b"TJ", b"'", b'"')
 
 
 @dataclass(slots=True)
-class _State:
+class _GraphicsState:
     """The part of the graphics state by which text is seen or not."""
 
     mode: int = 0
     size: float = 12.0
     white: bool = False
-    faint: bool = False
+    transparent: bool = False
     layer: bool = False
     content: list[bool] = field(default_factory=list)
 
-    def why(self) -> str:
+    def hidden_reason(self) -> str:
         """Why text leaves no ink by this state, "" if it does."""
         reasons = {
-            "invisible text": self.mode in INVISIBLE, "white text": self.white, "transparent text": self.faint,
+            "invisible text": self.mode in INVISIBLE_RENDERING_MODES, "white text": self.white, "transparent text": self.transparent,
             "a layer that is off": self.layer or any(self.content),
         }  # fmt: skip
         return next((reason for reason, holds in reasons.items() if holds), "")
 
 
-class Ink:
+class VisibleTextFilter:
     """Visits the operators of one page; text without ink goes to `lost`, by kind, and is not extracted."""
 
-    def __init__(self, page: Any, off: frozenset[int], lost: dict[str, list[str]]) -> None:
+    def __init__(self, page: Any, disabled: frozenset[int], hidden: dict[str, list[str]]) -> None:
         """`off` are the object numbers of the layers that are switched off."""
-        self._lost, self._off = lost, off
-        self._state, self._stack = _State(), list[_State]()
+        self._hidden, self._disabled = hidden, disabled
+        self._state, self._stack = _GraphicsState(), list[_GraphicsState]()
         self._box = [float(value) for value in page.cropbox]
-        self._layers, self._faint, self._forms = dict[str, Any](), dict[str, bool](), dict[str, Any]()
-        _collect(_at(page, "/Resources"), self._layers, self._faint, self._forms, DEEPEST)
+        self._layers, self._transparent, self._forms = dict[str, Any](), dict[str, bool](), dict[str, Any]()
+        _collect_resources(_resolve(page, "/Resources"), self._layers, self._transparent, self._forms, MAX_FORM_DEPTH)
 
-    def before(self, operator: bytes, operands: list[Any], cm: list[float], tm: list[float]) -> None:
+    def visit_before(self, operator: bytes, operands: list[Any], cm: list[float], tm: list[float]) -> None:
         """Follow `operator`; empty the operands of one that would show text without ink."""
         match operator:
             case b"q":
-                self._stack.append(_copied(self._state))
+                self._stack.append(_copy_state(self._state))
             case b"Q" if self._stack:
                 self._state = self._stack.pop()
             case b"Do" if operands:
-                self._stack.append(_copied(self._state))
-                form = self._forms.get(str(operands[0]), _Empty())
-                self._state.layer |= "/OC" in form and self._is_off(form.raw_get("/OC"))
+                self._stack.append(_copy_state(self._state))
+                form = self._forms.get(str(operands[0]), _EmptyDictionary())
+                self._state.layer |= "/OC" in form and self._is_disabled(form.raw_get("/OC"))
             case b"BDC" | b"BMC":
                 self._state.content.append(self._in_hidden_layer(operands))
             case b"EMC" if self._state.content:
                 self._state.content.pop()
-            case _ if operator in SHOWING and operands:
-                self._show(operands, cm, tm)
+            case _ if operator in TEXT_OPERATORS and operands:
+                self._filter_text(operands, cm, tm)
             case _:
-                self._follow(operator, operands)
+                self._update_state(operator, operands)
 
-    def after(self, operator: bytes, operands: list[Any], cm: list[float], tm: list[float]) -> None:
+    def visit_after(self, operator: bytes, operands: list[Any], cm: list[float], tm: list[float]) -> None:
         """Leave a form as it was entered."""
         if operator == b"Do" and operands and self._stack:
             self._state = self._stack.pop()
 
-    def _follow(self, operator: bytes, operands: list[Any]) -> None:
+    def _update_state(self, operator: bytes, operands: list[Any]) -> None:
         """Operators that set the state; an operand that is no number changes nothing."""
         numbers = [float(value) for value in operands if isinstance(value, (int, float))]
         if operator == b"Tr" and numbers:
@@ -83,84 +83,86 @@ class Ink:
         elif operator == b"Tf" and numbers:
             self._state.size = numbers[-1]
         elif operator in {b"g", b"rg", b"sc", b"scn"} and numbers:
-            self._state.white = len(numbers) in {1, 3} and min(numbers) >= WHITE
+            self._state.white = len(numbers) in {1, 3} and min(numbers) >= WHITE_THRESHOLD
         elif operator == b"k" and numbers:
-            self._state.white = max(numbers) <= 1.0 - WHITE
+            self._state.white = max(numbers) <= 1.0 - WHITE_THRESHOLD
         elif operator == b"cs":
             self._state.white = False
         elif operator == b"gs" and operands:
-            self._state.faint = self._faint.get(str(operands[0]), self._state.faint)
+            self._state.transparent = self._transparent.get(str(operands[0]), self._state.transparent)
 
-    def _show(self, operands: list[Any], cm: list[float], tm: list[float]) -> None:
-        a, b, c, d, e, f = _product(tm, cm)
+    def _filter_text(self, operands: list[Any], cm: list[float], tm: list[float]) -> None:
+        a, b, c, d, e, f = _multiply(tm, cm)
         scale = sqrt(abs(a * d - b * c))
         left, bottom, right, top = self._box
         on_page = left - 1.0 <= e <= right + 1.0 and bottom - 1.0 <= f <= top + 1.0
-        why = self._state.why() or ("tiny text" if abs(self._state.size) * scale < TINY else "")
+        why = self._state.hidden_reason() or ("tiny text" if abs(self._state.size) * scale < MIN_TEXT_HEIGHT_PT else "")
         why = why or ("" if on_page else "text off the page")
         if why:
-            self._lost.setdefault(why, []).append(_words(operands[-1]))
+            self._hidden.setdefault(why, []).append(_operand_text(operands[-1]))
             operands[-1] = type(operands[-1])()
 
     def _in_hidden_layer(self, operands: list[Any]) -> bool:
         if len(operands) < 2 or str(operands[0]) != "/OC":
             return False
-        return self._is_off(self._layers.get(str(operands[1])))
+        return self._is_disabled(self._layers.get(str(operands[1])))
 
-    def _is_off(self, reference: Any) -> bool:
+    def _is_disabled(self, reference: Any) -> bool:
         """Whether a layer, or every layer of a membership, is switched off."""
         if reference is None:
             return False
-        if getattr(reference, "idnum", None) in self._off:
+        if getattr(reference, "idnum", None) in self._disabled:
             return True
-        members: Any = _at(reference.get_object(), "/OCGs")
+        members: Any = _resolve(reference.get_object(), "/OCGs")
         numbers = [int(one.idnum) for one in members if hasattr(one, "idnum")]
-        return bool(numbers) and self._off.issuperset(numbers)
+        return bool(numbers) and self._disabled.issuperset(numbers)
 
 
-def layers_off(reader: Any) -> frozenset[int]:
+def disabled_layers(reader: Any) -> frozenset[int]:
     """Object numbers of the layers that are switched off when the document is opened."""
-    properties = _at(reader.trailer["/Root"], "/OCProperties")
-    start = _at(properties, "/D")
+    properties = _resolve(reader.trailer["/Root"], "/OCProperties")
+    start = _resolve(properties, "/D")
     shut = start.get("/BaseState") == "/OFF"
-    off: Any = _at(properties, "/OCGs") if shut else _at(start, "/OFF")
-    on: Any = _at(start, "/ON") if shut else ()
+    off: Any = _resolve(properties, "/OCGs") if shut else _resolve(start, "/OFF")
+    on: Any = _resolve(start, "/ON") if shut else ()
     return frozenset(int(one.idnum) for one in off) - frozenset(int(one.idnum) for one in on)
 
 
-def _at(holder: Any, key: str) -> Any:
+def _resolve(holder: Any, key: str) -> Any:
     """What stands under `key` of a dictionary, an empty one if nothing does."""
-    return holder[key].get_object() if key in holder else _Empty()
+    return holder[key].get_object() if key in holder else _EmptyDictionary()
 
 
-class _Empty(dict[str, Any]):
+class _EmptyDictionary(dict[str, Any]):
     """A dictionary without entries; nothing refers to it."""
 
 
-def _collect(resources: Any, layers: dict[str, Any], faint: dict[str, bool], forms: dict[str, Any], depth: int) -> None:
+def _collect_resources(
+    resources: Any, layers: dict[str, Any], transparent: dict[str, bool], forms: dict[str, Any], depth: int
+) -> None:
     """Layers, opacities and forms by name, of the page and of the forms in it; the more hidden one wins a name."""
-    named = _at(resources, "/Properties")
+    named = _resolve(resources, "/Properties")
     layers.update({str(name): named.raw_get(name) for name in named})
-    states = _at(resources, "/ExtGState")
+    states = _resolve(resources, "/ExtGState")
     for name in states:
         alpha: Any = states[name].get_object().get("/ca")
         if alpha is not None:
-            faint[str(name)] = faint.get(str(name), False) or float(alpha) < FAINT
-    inner = _at(resources, "/XObject")
+            transparent[str(name)] = transparent.get(str(name), False) or float(alpha) < MIN_OPACITY
+    inner = _resolve(resources, "/XObject")
     for name in inner:
         form = inner[name].get_object()
         forms[str(name)] = form
         if depth:
-            _collect(_at(form, "/Resources"), layers, faint, forms, depth - 1)
+            _collect_resources(_resolve(form, "/Resources"), layers, transparent, forms, depth - 1)
 
 
-def _copied(state: _State) -> _State:
+def _copy_state(state: _GraphicsState) -> _GraphicsState:
     twin = copy(state)
     twin.content = list(state.content)
     return twin
 
 
-def _product(m: list[float], n: list[float]) -> tuple[float, ...]:
+def _multiply(m: list[float], n: list[float]) -> tuple[float, ...]:
     """Product m n of two affine maps (a, b, c, d, e, f), rows first (ISO 32000-1, 8.3.4)."""
     return (
         m[0] * n[0] + m[1] * n[2], m[0] * n[1] + m[1] * n[3], m[2] * n[0] + m[3] * n[2], m[2] * n[1] + m[3] * n[3],
@@ -168,6 +170,6 @@ def _product(m: list[float], n: list[float]) -> tuple[float, ...]:
     )  # fmt: skip
 
 
-def _words(shown: Any) -> str:
+def _operand_text(shown: Any) -> str:
     parts = cast("list[Any]", shown if isinstance(shown, list) else [shown])
     return "".join(str(part) for part in parts if isinstance(part, (str, bytes)))

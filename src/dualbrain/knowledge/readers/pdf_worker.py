@@ -17,53 +17,53 @@ from typing import Any
 
 import msgspec
 
-from dualbrain.knowledge.readers.hidden_text import noted
-from dualbrain.knowledge.readers.pdf import CPU_S, MEMORY, MOST_PAGES, Pages
-from dualbrain.knowledge.readers.pdf_visibility import Ink, layers_off
-from dualbrain.knowledge.readers.reader import LARGEST_READING
-from dualbrain.knowledge.rejection import Refused
+from dualbrain.knowledge.readers.hidden_text import summarize_hidden
+from dualbrain.knowledge.readers.pdf import CPU_LIMIT_S, MAX_PAGES, MEMORY_LIMIT_BYTES, PdfPages
+from dualbrain.knowledge.readers.pdf_visibility import VisibleTextFilter, disabled_layers
+from dualbrain.knowledge.readers.reader import MAX_TEXT_CHARACTERS
+from dualbrain.knowledge.rejection import DocumentRejected
 
 
 def main() -> None:
     """Read, answer, leave."""
     answer_to = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-    resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S))
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_LIMIT_BYTES, MEMORY_LIMIT_BYTES))
+    resource.setrlimit(resource.RLIMIT_CPU, (CPU_LIMIT_S, CPU_LIMIT_S))
     logging.disable(logging.CRITICAL)
     try:
         found = _read(sys.stdin.buffer.read())
     except (MemoryError, RecursionError) as error:
-        found = _no("too costly", type(error).__name__, "a PDF that unpacks to less")
+        found = _reject("too costly", type(error).__name__, "a PDF that unpacks to less")
     except Exception as error:  # whatever a broken file provokes is a refusal
-        found = _no("a broken PDF", f"{type(error).__name__}: {error}"[:200], "a PDF that can be read")
+        found = _reject("a broken PDF", f"{type(error).__name__}: {error}"[:200], "a PDF that can be read")
     answer_to.write(msgspec.json.encode(found))
     answer_to.flush()
     os._exit(0)
 
 
-def _read(data: bytes) -> Pages:
+def _read(data: bytes) -> PdfPages:
     import pypdf  # noqa: PLC0415  (only this process needs it)
 
     reader = pypdf.PdfReader(BytesIO(data))
     if reader.is_encrypted:
-        return _no("an encrypted PDF", "a password", "no password")
-    if len(reader.pages) > MOST_PAGES:
-        return _no("too large", f"{len(reader.pages)} pages", f"{MOST_PAGES} pages")
-    off = layers_off(reader)
+        return _reject("an encrypted PDF", "a password", "no password")
+    if len(reader.pages) > MAX_PAGES:
+        return _reject("too large", f"{len(reader.pages)} pages", f"{MAX_PAGES} pages")
+    off = disabled_layers(reader)
     pages: list[str] = []
     lost: dict[str, list[str]] = {}
     for page in reader.pages:
-        ink = Ink(page, off, lost)
-        text: Any = page.extract_text(visitor_operand_before=ink.before, visitor_operand_after=ink.after)
+        ink = VisibleTextFilter(page, off, lost)
+        text: Any = page.extract_text(visitor_operand_before=ink.visit_before, visitor_operand_after=ink.visit_after)
         pages.append(str(text).strip())
-        if sum(map(len, pages)) > LARGEST_READING:
-            return _no("too large", f"over {LARGEST_READING} characters", f"{LARGEST_READING} characters")
-    return Pages(tuple(pages), tuple(one for kind, pieces in lost.items() for one in noted(kind, pieces)))
+        if sum(map(len, pages)) > MAX_TEXT_CHARACTERS:
+            return _reject("too large", f"over {MAX_TEXT_CHARACTERS} characters", f"{MAX_TEXT_CHARACTERS} characters")
+    return PdfPages(tuple(pages), tuple(one for kind, pieces in lost.items() for one in summarize_hidden(kind, pieces)))
 
 
-def _no(what: str, got: str, allowed: str) -> Pages:
-    return Pages(refused=Refused(what, got, allowed, "Print it to a new PDF, or convert it to Markdown."))
+def _reject(what: str, got: str, allowed: str) -> PdfPages:
+    return PdfPages(refused=DocumentRejected(what, got, allowed, "Print it to a new PDF, or convert it to Markdown."))
 
 
 if __name__ == "__main__":

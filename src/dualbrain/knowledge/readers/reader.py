@@ -9,14 +9,14 @@ from pathlib import PurePath
 import msgspec
 
 from dualbrain.knowledge.readers import html, markdown, pdf
-from dualbrain.knowledge.readers.hidden_text import Hidden, reveal
-from dualbrain.knowledge.rejection import Refused
+from dualbrain.knowledge.readers.hidden_text import HiddenText, blank_hidden
+from dualbrain.knowledge.rejection import DocumentRejected
 
-Extracted = tuple[str, tuple[int, ...], tuple[Hidden, ...]] | Refused
+ExtractedText = tuple[str, tuple[int, ...], tuple[HiddenText, ...]] | DocumentRejected
 """Text, the offset at which each page begins (empty: no pages), and what was hidden in it."""
 
 
-class Reading(msgspec.Struct, frozen=True):
+class DocumentText(msgspec.Struct, frozen=True):
     """What is kept of a document: `text`, the start of each page in it, and what was hidden and left out.
 
     `version` is the SHA-256 of media, text and pages: whoever quotes by it quotes this text. `source` is the SHA-256 of
@@ -27,7 +27,7 @@ class Reading(msgspec.Struct, frozen=True):
     media: str
     text: str
     pages: tuple[int, ...]
-    hidden: tuple[Hidden, ...]
+    hidden: tuple[HiddenText, ...]
     source: str
     version: str
 
@@ -36,58 +36,62 @@ class Reading(msgspec.Struct, frozen=True):
         return sum(start <= offset for start in self.pages) or None
 
 
-def read(data: bytes, name: str) -> Reading | Refused:
+def read_document(data: bytes, name: str) -> DocumentText | DocumentRejected:
     """The reading of `data`, a file called `name`; its suffix says what it is."""
     suffix = PurePath(name).suffix.lower()
     reader = READERS.get(suffix)
     if reader is None:
-        return Refused("unknown format", suffix or "no suffix", ", ".join(READERS), "Convert it to Markdown.")
-    if len(data) > LARGEST_FILE:
-        return Refused("too large", f"{len(data)} bytes", f"{LARGEST_FILE} bytes", "Split it.")
+        return DocumentRejected("unknown format", suffix or "no suffix", ", ".join(READERS), "Convert it to Markdown.")
+    if len(data) > MAX_FILE_BYTES:
+        return DocumentRejected("too large", f"{len(data)} bytes", f"{MAX_FILE_BYTES} bytes", "Split it.")
     media, extract = reader
     extracted = extract(data)
-    return extracted if isinstance(extracted, Refused) else _kept(media, data, *extracted)
+    return extracted if isinstance(extracted, DocumentRejected) else _build_text(media, data, *extracted)
 
 
-def _kept(media: str, data: bytes, text: str, pages: tuple[int, ...], hidden: tuple[Hidden, ...]) -> Reading | Refused:
-    if len(text) > LARGEST_READING:
-        return Refused("too large", f"{len(text)} characters", f"{LARGEST_READING} characters", "Split it.")
-    seen, more = reveal(text)
-    if sum(not character.isspace() for character in seen) < SHORTEST:
+def _build_text(
+    media: str, data: bytes, text: str, pages: tuple[int, ...], hidden: tuple[HiddenText, ...]
+) -> DocumentText | DocumentRejected:
+    if len(text) > MAX_TEXT_CHARACTERS:
+        return DocumentRejected(
+            "too large", f"{len(text)} characters", f"{MAX_TEXT_CHARACTERS} characters", "Split it."
+        )
+    seen, more = blank_hidden(text)
+    if sum(not character.isspace() for character in seen) < MIN_VISIBLE_CHARACTERS:
         got = "no visible text" + (f"; hidden: {', '.join(one.kind for one in (*hidden, *more))}" if hidden else "")
-        allowed, fix = f"at least {SHORTEST} visible characters", "A scan needs text recognition first."
-        return Refused("nothing to read", got, allowed, fix)
+        allowed, fix = f"at least {MIN_VISIBLE_CHARACTERS} visible characters", "A scan needs text recognition first."
+        return DocumentRejected("nothing to read", got, allowed, fix)
     version = hashlib.sha256(msgspec.json.encode((media, seen, pages))).hexdigest()
-    return Reading(media, seen, pages, (*hidden, *more), hashlib.sha256(data).hexdigest(), version)
+    return DocumentText(media, seen, pages, (*hidden, *more), hashlib.sha256(data).hexdigest(), version)
 
 
-def _plain(data: bytes) -> Extracted:
-    text = decoded(data)
-    return text if isinstance(text, Refused) else (text, (), ())
+def _plain(data: bytes) -> ExtractedText:
+    text = decode_utf8(data)
+    return text if isinstance(text, DocumentRejected) else (text, (), ())
 
 
-def _markdown(data: bytes) -> Extracted:
-    text = decoded(data)
-    return text if isinstance(text, Refused) else markdown.without_hidden(text)
+def _markdown(data: bytes) -> ExtractedText:
+    text = decode_utf8(data)
+    return text if isinstance(text, DocumentRejected) else markdown.visible_text(text)
 
 
-def _html(data: bytes) -> Extracted:
-    text = decoded(data)
-    return text if isinstance(text, Refused) else html.visible_text(text)
+def _html(data: bytes) -> ExtractedText:
+    text = decode_utf8(data)
+    return text if isinstance(text, DocumentRejected) else html.visible_text(text)
 
 
-def decoded(data: bytes) -> str | Refused:
+def decode_utf8(data: bytes) -> str | DocumentRejected:
     """Strict UTF-8, with or without a byte order mark (which then is no part of the text)."""
     try:
         text = data.removeprefix(b"\xef\xbb\xbf").decode("utf-8")
     except UnicodeDecodeError as error:
-        return Refused("not UTF-8", f"byte {error.start}: {error.reason}", "UTF-8", "Save the file as UTF-8.")
+        return DocumentRejected("not UTF-8", f"byte {error.start}: {error.reason}", "UTF-8", "Save the file as UTF-8.")
     if "\0" in text:
-        return Refused("not text", "a NUL byte", "text", "Is this another format under a wrong suffix?")
+        return DocumentRejected("not text", "a NUL byte", "text", "Is this another format under a wrong suffix?")
     return text
 
 
-READERS: dict[str, tuple[str, Callable[[bytes], Extracted]]] = {
+READERS: dict[str, tuple[str, Callable[[bytes], ExtractedText]]] = {
     ".md": ("markdown", _markdown),
     ".markdown": ("markdown", _markdown),
     ".txt": ("text", _plain),
@@ -100,9 +104,9 @@ READERS: dict[str, tuple[str, Callable[[bytes], Extracted]]] = {
 """What each suffix is, and how it is read."""
 
 
-LARGEST_FILE = 16 * 1024 * 1024
+MAX_FILE_BYTES = 16 * 1024 * 1024
 """Bytes of a file."""
-LARGEST_READING = 2_000_000
+MAX_TEXT_CHARACTERS = 2_000_000
 """Characters of a reading: a thousand pages."""
-SHORTEST = 20
+MIN_VISIBLE_CHARACTERS = 20
 """A document with fewer visible characters says nothing."""

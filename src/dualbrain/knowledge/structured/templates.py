@@ -9,16 +9,16 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from dualbrain.contracts.gate.gate import Gate
-from dualbrain.contracts.registry import Registry
-from dualbrain.contracts.scene_names import Of, SceneNames
+from dualbrain.contracts.registry import SkillRegistry
+from dualbrain.contracts.scene_names import NameKind, SceneNames
 from dualbrain.contracts.verdict import Rejected
 
 _SLOT = re.compile(r"\{([a-z][a-z0-9_]{0,31})\}")
-_AUTHOR = "template"
+_TEMPLATE_PRINCIPAL = "template"
 """The principal under which a template is looked at; it holds every grant, and nothing is run."""
 
 
-class Step(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class TemplateStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One action; a parameter that is "{slot}" stands for a name of the scene."""
 
     skill: str
@@ -30,20 +30,20 @@ class Template(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     name: Annotated[str, msgspec.Meta(pattern="^[a-z][a-z0-9_]{0,31}$")]
     use_when: Annotated[str, msgspec.Meta(max_length=300)]
-    slots: dict[str, Of]
-    action_sequence: Annotated[tuple[Step, ...], msgspec.Meta(min_length=1, max_length=8)]
+    slots: dict[str, NameKind]
+    action_sequence: Annotated[tuple[TemplateStep, ...], msgspec.Meta(min_length=1, max_length=8)]
 
     def __post_init__(self) -> None:
         """Raise ValueError unless the slots that are declared are those that are used."""
-        used = {slot for step in self.action_sequence for value in step.params.values() for slot in _slots(value)}
+        used = {slot for step in self.action_sequence for value in step.params.values() for slot in _slot_names(value)}
         if used != self.slots.keys():
             raise ValueError(f"template {self.name!r}: slots {sorted(self.slots)}, but {sorted(used)} are used")
 
-    def filled(self, names: dict[str, str]) -> list[dict[str, Any]]:
+    def fill_slots(self, names: dict[str, str]) -> list[dict[str, Any]]:
         """The action sequence with `names` (slot → name of the scene) in place of the slots."""
 
         def fill(value: float | str) -> float | str:
-            slot = _slots(value)
+            slot = _slot_names(value)
             return names[slot[0]] if slot else value
 
         return [
@@ -51,7 +51,7 @@ class Template(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             for step in self.action_sequence
         ]
 
-    def words(self) -> str:
+    def prompt_text(self) -> str:
         """For a prompt: when to use it, and the skeleton as one line of JSON."""
         skeleton = json.dumps(msgspec.to_builtins(self.action_sequence), separators=(",", ":"))
         return f"{self.use_when} {skeleton}"
@@ -67,7 +67,7 @@ class TaskTemplates(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     about: Annotated[str, msgspec.Meta(max_length=400)] = ""
 
 
-def judge(template: Template, registry: Registry) -> Rejected | None:
+def check_template(template: Template, registry: SkillRegistry) -> Rejected | None:
     """What the gate says of `template` for `registry`, with a made-up name in each slot; None: it would be accepted.
 
     All three stages run on a whole contract. What needs a real scene (reach, the hand's state) is judged when a
@@ -77,14 +77,14 @@ def judge(template: Template, registry: Registry) -> Rejected | None:
     graspable = tuple(stand_in[slot] for slot, of in template.slots.items() if of in {"graspable", "any"})
     receptive = tuple(stand_in[slot] for slot, of in template.slots.items() if of == "receptive")
     context = {"robot": registry.robot, "registry": registry.hash}
-    contract = {"id": "c-0001", "context": context, "action_sequence": template.filled(stand_in)}
-    gate = Gate(registry, {_AUTHOR: frozenset(registry.by_name)})
+    contract = {"id": "c-0001", "context": context, "action_sequence": template.fill_slots(stand_in)}
+    gate = Gate(registry, {_TEMPLATE_PRINCIPAL: frozenset(registry.by_name)})
     verdict = gate.check(
-        json.dumps(contract).encode(), names=SceneNames(graspable, receptive), principal=_AUTHOR, now=0.0
+        json.dumps(contract).encode(), names=SceneNames(graspable, receptive), principal=_TEMPLATE_PRINCIPAL, now=0.0
     )
     return verdict if isinstance(verdict, Rejected) else None
 
 
-def _slots(value: float | str) -> list[str]:
+def _slot_names(value: float | str) -> list[str]:
     match = _SLOT.fullmatch(value) if isinstance(value, str) else None
     return [match[1]] if match else []

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.memory.embedding.text_encoder import Rows
+from dualbrain.memory.embedding.text_encoder import Float32Array
 
 
 class HashingEncoder:
@@ -22,25 +22,25 @@ class HashingEncoder:
         self.dim = dim
         self.id = f"hashing@{dim}"
 
-    def encode(self, texts: Sequence[str]) -> Rows:
+    def encode(self, texts: Sequence[str]) -> Float32Array:
         """Unit rows of shape (n_texts, dim), float32."""
         return np.stack([self._encode_one(text) for text in texts]) if texts else np.empty((0, self.dim), np.float32)
 
     def _encode_one(self, text: str) -> NDArray[np.float32]:
         row = np.zeros(self.dim)
-        for piece, count in _pieces(text):
-            place, sign = bin_of(piece, self.dim)
+        for piece, count in _weighted_tokens(text):
+            place, sign = hash_bin(piece, self.dim)
             row[place] += sign * count
         return (row / np.linalg.norm(row)).astype(np.float32) if row.any() else np.eye(1, self.dim, dtype=np.float32)[0]
 
 
-def bin_of(piece: str, dim: int) -> tuple[int, float]:
+def hash_bin(piece: str, dim: int) -> tuple[int, float]:
     """The bin of `piece` among `dim`, and its sign: the same on every machine."""
     code = int.from_bytes(hashlib.blake2b(piece.encode("utf-8", "replace"), digest_size=8).digest(), "little")
     return (code >> 1) % dim, 1.0 if code & 1 else -1.0
 
 
-def _pieces(text: str) -> Iterator[tuple[str, float]]:
+def _weighted_tokens(text: str) -> Iterator[tuple[str, float]]:
     for word in text.lower().split():
         yield word, 1.0
         padded = f"<{word}>"

@@ -18,17 +18,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.errors import InvalidSetup, MissingPart
-from dualbrain.memory.embedding.image_features import PICTURE_DIM, Picture
+from dualbrain.errors import ConfigurationError, MissingDependencyError
+from dualbrain.memory.embedding.image_features import IMAGE_FEATURES_DIM, ImageFeatures
 from dualbrain.memory.embedding.posture_features import orthogonal_rows
-from dualbrain.memory.embedding.text_encoder import Rows
+from dualbrain.memory.embedding.text_encoder import Float32Array
 
 IMAGE_WEIGHTS = "efficientnet-lite0"
 """Name of the weights in the manifest."""
-WEIGHTS_SHA = "579344248a93e23026e6b78f1f6faf0bc1d282386f6c881cdbaacd49cabf77db"
-IMAGE_ENCODER = f"efficientnet-lite0@{WEIGHTS_SHA[:8]}/{PICTURE_DIM}"
+WEIGHTS_SHA256 = "579344248a93e23026e6b78f1f6faf0bc1d282386f6c881cdbaacd49cabf77db"
+IMAGE_ENCODER_ID = f"efficientnet-lite0@{WEIGHTS_SHA256[:8]}/{IMAGE_FEATURES_DIM}"
 """Name, version and length of the features."""
-SIDE, EPSILON, FEATURES = 224, 1e-3, 1280
+INPUT_SIZE, BATCH_NORM_EPSILON, POOLED_FEATURES_DIM = 224, 1e-3, 1280
 _STAGES = (
     (1, 3, 1, 1, 16), (2, 3, 2, 6, 24), (2, 5, 2, 6, 40), (3, 3, 2, 6, 80), (3, 5, 1, 6, 112), (4, 5, 2, 6, 192),
     (1, 3, 1, 6, 320),
@@ -37,11 +37,11 @@ _STAGES = (
 
 
 @dataclass(frozen=True, slots=True)
-class Layer:
+class ConvLayer:
     """A convolution with its normalisation folded in: `weight` (k, k, channels) or (in, out), and `bias` (out,)."""
 
-    weight: Rows
-    bias: Rows
+    weight: Float32Array
+    bias: Float32Array
 
 
 class ImageEncoder:
@@ -51,35 +51,37 @@ class ImageEncoder:
     are alike. The features were learnt for photographs (ImageNet); there is no joint space with words.
     """
 
-    id = IMAGE_ENCODER
+    id = IMAGE_ENCODER_ID
 
     def __init__(self, weights: Path) -> None:
         """Read the pinned weights; raises `MissingPart` or `InvalidSetup`."""
         if not weights.is_file():
             fix = f"Fetch it with `dualbrain models fetch {IMAGE_WEIGHTS}`. Looked for {weights}"
-            raise MissingPart(f"The image encoder's file {weights.name}", fix=fix)
+            raise MissingDependencyError(f"The image encoder's file {weights.name}", fix=fix)
         data = weights.read_bytes()
-        if (got := hashlib.sha256(data).hexdigest()) != WEIGHTS_SHA:
-            raise InvalidSetup("image encoder weights", got=got, allowed=WEIGHTS_SHA, fix=str(weights))
+        if (got := hashlib.sha256(data).hexdigest()) != WEIGHTS_SHA256:
+            raise ConfigurationError("image encoder weights", got=got, allowed=WEIGHTS_SHA256, fix=str(weights))
         self._data = data
         offsets = resources.files("dualbrain.memory").joinpath("data/efficientnet_lite0.json").read_text()
         self._offsets: dict[str, int] = json.loads(offsets)
         self._stem = self._layer("_conv_stem", "_bn0", (3, 3, 3, 32))
         self._blocks = list(self._read_blocks())
-        self._head = self._layer("_conv_head", "_bn1", (320, FEATURES))
+        self._head = self._layer("_conv_head", "_bn1", (320, POOLED_FEATURES_DIM))
         del self._data
 
-    def encode(self, pixels: NDArray[np.uint8]) -> Picture:
+    def encode(self, pixels: NDArray[np.uint8]) -> ImageFeatures:
         """The features of a picture of shape (height, width, 3), uint8 RGB, of any size."""
-        features = self.features(pixels)
-        return Picture.of(self.id, (_projection() @ features).astype(np.float32))
+        features = self.pooled_features(pixels)
+        return ImageFeatures.from_vector(self.id, (_projection() @ features).astype(np.float32))
 
-    def features(self, pixels: NDArray[np.uint8]) -> Rows:
+    def pooled_features(self, pixels: NDArray[np.uint8]) -> Float32Array:
         """The pooled features, shape (1280,)."""
         if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.dtype != np.uint8 or 0 in pixels.shape:
-            raise InvalidSetup("picture", got=(pixels.shape, str(pixels.dtype)), allowed="(height, width, 3) of uint8")
-        x = (resized(pixels, SIDE) - 127.0) / 128.0
-        x = _relu6(_dense(_patches(x.astype(np.float32), 3, 2), self._stem))
+            raise ConfigurationError(
+                "picture", got=(pixels.shape, str(pixels.dtype)), allowed="(height, width, 3) of uint8"
+            )
+        x = (resize_area(pixels, INPUT_SIZE) - 127.0) / 128.0
+        x = _relu6(_dense(_im2col(x.astype(np.float32), 3, 2), self._stem))
         for expand, depthwise, project, stride in self._blocks:
             inside = _relu6(_dense(x, expand)) if expand else x
             inside = _relu6(_depthwise(inside, depthwise, stride))
@@ -87,7 +89,7 @@ class ImageEncoder:
             x = inside + x if inside.shape == x.shape else inside
         return _relu6(_dense(x, self._head)).mean(axis=(0, 1))
 
-    def _read_blocks(self) -> Iterator[tuple[Layer | None, Layer, Layer, int]]:
+    def _read_blocks(self) -> Iterator[tuple[ConvLayer | None, ConvLayer, ConvLayer, int]]:
         channels, number = 32, 0
         for repeats, kernel, stride, expansion, out in _STAGES:
             for repeat in range(repeats):
@@ -100,29 +102,29 @@ class ImageEncoder:
                 yield expand, depthwise, project, stride if repeat == 0 else 1
                 channels, number = out, number + 1
 
-    def _layer(self, name: str, norm: str, shape: tuple[int, ...]) -> Layer:
+    def _layer(self, name: str, norm: str, shape: tuple[int, ...]) -> ConvLayer:
         """Kernel of `name`, with y = γ (x − μ)/√(σ² + ε) + β of `norm` folded in. The file holds H, W, in, out."""
         weight, out = self._read(f"{name}.weight", shape), shape[-1]
-        spread = np.sqrt(self._read(f"{norm}.running_var", (out,)) + np.float32(EPSILON))
+        spread = np.sqrt(self._read(f"{norm}.running_var", (out,)) + np.float32(BATCH_NORM_EPSILON))
         scale = (self._read(f"{norm}.weight", (out,)) / spread).astype(np.float32)
         bias = (self._read(f"{norm}.bias", (out,)) - scale * self._read(f"{norm}.running_mean", (out,))).astype(
             np.float32
         )
-        scaled: Rows = (weight * scale).astype(np.float32)
-        return Layer(scaled.reshape(-1, out) if len(shape) == 4 else scaled, bias)
+        scaled: Float32Array = (weight * scale).astype(np.float32)
+        return ConvLayer(scaled.reshape(-1, out) if len(shape) == 4 else scaled, bias)
 
-    def _read(self, name: str, shape: tuple[int, ...]) -> Rows:
+    def _read(self, name: str, shape: tuple[int, ...]) -> Float32Array:
         count = int(np.prod(shape))
         return np.frombuffer(self._data, "<f4", count, self._offsets[name]).reshape(shape)
 
 
-def resized(pixels: NDArray[np.uint8], side: int) -> NDArray[np.float32]:
+def resize_area(pixels: NDArray[np.uint8], side: int) -> NDArray[np.float32]:
     """The picture at `side` × `side`, each pixel the mean over the area it covers; shape (side, side, 3)."""
-    rows, columns = _area(pixels.shape[0], side), _area(pixels.shape[1], side)
+    rows, columns = _area_weights(pixels.shape[0], side), _area_weights(pixels.shape[1], side)
     return np.einsum("ih,hwc,jw->ijc", rows, pixels.astype(np.float32), columns, optimize=True)
 
 
-def _area(length: int, side: int) -> Rows:
+def _area_weights(length: int, side: int) -> Float32Array:
     """Share of each old pixel in each new one, shape (side, length)."""
     edges = np.linspace(0.0, length, side + 1)
     cells = np.arange(length)
@@ -131,7 +133,7 @@ def _area(length: int, side: int) -> Rows:
     return (share / share.sum(axis=1, keepdims=True)).astype(np.float32)
 
 
-def _padded(x: Rows, kernel: int, stride: int) -> tuple[Rows, int]:
+def _pad_same(x: Float32Array, kernel: int, stride: int) -> tuple[Float32Array, int]:
     """Zeros around `x` so that each side shrinks to ⌈n/stride⌉ (the later side gets the odd one), and that size."""
     size = -(-x.shape[0] // stride)
     pad = max(0, (size - 1) * stride + kernel - x.shape[0])
@@ -139,9 +141,9 @@ def _padded(x: Rows, kernel: int, stride: int) -> tuple[Rows, int]:
     return np.pad(x, (edge, edge, (0, 0))), size
 
 
-def _patches(x: Rows, kernel: int, stride: int) -> Rows:
+def _im2col(x: Float32Array, kernel: int, stride: int) -> Float32Array:
     """All kernel × kernel patches, flattened: shape (size, size, kernel²·channels)."""
-    padded, size = _padded(x, kernel, stride)
+    padded, size = _pad_same(x, kernel, stride)
     windows = [
         padded[i : i + size * stride : stride, j : j + size * stride : stride][:size, :size]
         for i in range(kernel) for j in range(kernel)
@@ -149,9 +151,9 @@ def _patches(x: Rows, kernel: int, stride: int) -> Rows:
     return np.concatenate(windows, axis=2)
 
 
-def _depthwise(x: Rows, layer: Layer, stride: int) -> Rows:
+def _depthwise(x: Float32Array, layer: ConvLayer, stride: int) -> Float32Array:
     kernel = layer.weight.shape[0]
-    padded, size = _padded(x, kernel, stride)
+    padded, size = _pad_same(x, kernel, stride)
     total = np.broadcast_to(layer.bias, (size, size, x.shape[2])).copy()
     for i in range(kernel):
         for j in range(kernel):
@@ -160,15 +162,15 @@ def _depthwise(x: Rows, layer: Layer, stride: int) -> Rows:
     return total
 
 
-def _dense(x: Rows, layer: Layer) -> Rows:
+def _dense(x: Float32Array, layer: ConvLayer) -> Float32Array:
     return x @ layer.weight + layer.bias
 
 
-def _relu6(x: Rows) -> Rows:
+def _relu6(x: Float32Array) -> Float32Array:
     return np.clip(x, 0.0, 6.0)
 
 
 @lru_cache
 def _projection() -> NDArray[np.float64]:
     """128 orthonormal directions among 1280, the same on every machine."""
-    return orthogonal_rows(PICTURE_DIM, FEATURES, seed=11)
+    return orthogonal_rows(IMAGE_FEATURES_DIM, POOLED_FEATURES_DIM, seed=11)

@@ -7,32 +7,34 @@ from base64 import b64decode, b64encode
 import msgspec
 import numpy as np
 
-from dualbrain.errors import InvalidSetup
-from dualbrain.memory.embedding.text_encoder import Rows
+from dualbrain.errors import ConfigurationError
+from dualbrain.memory.embedding.text_encoder import Float32Array
 
-PICTURE_DIM = 128
+IMAGE_FEATURES_DIM = 128
 """Length of the features."""
 
 
-class Picture(msgspec.Struct, frozen=True):
+class ImageFeatures(msgspec.Struct, frozen=True):
     """Unit features of shape (128,), little-endian float32 in base64, and the `encoder` (name, version) of them."""
 
     encoder: str
     features: str
 
     @classmethod
-    def of(cls, encoder: str, features: Rows) -> Picture:
+    def from_vector(cls, encoder: str, features: Float32Array) -> ImageFeatures:
         """The picture with these features, normalised; raises `InvalidSetup` if they have no direction."""
         length = float(np.linalg.norm(features))
-        if features.shape != (PICTURE_DIM,) or not (np.isfinite(length) and length > 0.0):
-            raise InvalidSetup("picture features", got=features.shape, allowed=f"({PICTURE_DIM},), finite, not all 0")
+        if features.shape != (IMAGE_FEATURES_DIM,) or not (np.isfinite(length) and length > 0.0):
+            raise ConfigurationError(
+                "picture features", got=features.shape, allowed=f"({IMAGE_FEATURES_DIM},), finite, not all 0"
+            )
         return cls(encoder, b64encode((features / length).astype("<f4").tobytes()).decode())
 
-    def row(self) -> Rows:
+    def to_vector(self) -> Float32Array:
         """The features, shape (128,); raises `InvalidSetup` if they are damaged."""
         try:
-            return np.frombuffer(b64decode(self.features, validate=True), "<f4").reshape(PICTURE_DIM)
+            return np.frombuffer(b64decode(self.features, validate=True), "<f4").reshape(IMAGE_FEATURES_DIM)
         except ValueError as error:
-            raise InvalidSetup(
-                "picture features", got=str(error), allowed=f"{PICTURE_DIM} float32 in base64"
+            raise ConfigurationError(
+                "picture features", got=str(error), allowed=f"{IMAGE_FEATURES_DIM} float32 in base64"
             ) from error

@@ -8,12 +8,12 @@ from dataclasses import astuple, dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.memory.embedding.image_encoder import IMAGE_ENCODER
-from dualbrain.memory.embedding.image_features import PICTURE_DIM, Picture
-from dualbrain.memory.embedding.posture_features import Posture, PostureLimits, fourier
-from dualbrain.memory.embedding.symbol_features import SYMBOLS_DIM, SYMBOLS_VERSION, symbols
-from dualbrain.memory.embedding.text_encoder import Encoder, Rows
+from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.memory.embedding.image_encoder import IMAGE_ENCODER_ID
+from dualbrain.memory.embedding.image_features import IMAGE_FEATURES_DIM, ImageFeatures
+from dualbrain.memory.embedding.posture_features import Posture, PostureLimits, fourier_features
+from dualbrain.memory.embedding.symbol_features import SYMBOLS_DIM, SYMBOLS_VERSION, symbol_features
+from dualbrain.memory.embedding.text_encoder import Encoder, Float32Array
 
 BLOCKS = ("instruction", "summary", "symbols", "image", "state")
 """The blocks in their order; bit b of a mask says that block b is there."""
@@ -38,9 +38,9 @@ class Alpha:
         """Raise `InvalidSetup` for weights that do not sum to 1."""
         weights = astuple(self)
         if not (min(weights) >= 0.0 and math.isclose(sum(weights), 1.0, abs_tol=1e-9)):
-            raise InvalidSetup("embedding weights", got=weights, allowed="each at least 0, together 1")
+            raise ConfigurationError("embedding weights", got=weights, allowed="each at least 0, together 1")
 
-    def shares(self) -> NDArray[np.float64]:
+    def weight_by_mask(self) -> NDArray[np.float64]:
         """Σ α_b over the blocks of each mask, shape (32,)."""
         bits = np.arange(1 << len(BLOCKS))[:, None] >> np.arange(len(BLOCKS)) & 1
         return bits.astype(np.float64) @ np.array(astuple(self))
@@ -58,20 +58,20 @@ class EmbeddingConfig:
     def __post_init__(self) -> None:
         """Raise `InvalidSetup` for odd feature counts and bandwidths not above 0."""
         if self.features < 2 or self.features % 2:
-            raise InvalidSetup("embedding features", got=self.features, allowed="an even number from 2")
+            raise ConfigurationError("embedding features", got=self.features, allowed="an even number from 2")
         if not 0.0 < self.bandwidth < math.inf:
-            raise InvalidSetup("embedding bandwidth", got=self.bandwidth, allowed="above 0 and finite")
+            raise ConfigurationError("embedding bandwidth", got=self.bandwidth, allowed="above 0 and finite")
 
 
 @dataclass(frozen=True, slots=True)
-class Embedded:
+class EpisodeEmbedding:
     """The unit blocks of one episode side by side, shape (dim,), zeros where one is missing (see `mask`).
 
     A missing block is never imputed: two episodes are compared by the blocks that both have,
     cos = Σ α_b cos_b / Σ α_b over those.
     """
 
-    row: Rows
+    vector: Float32Array
     mask: int
 
 
@@ -87,59 +87,59 @@ class JointEmbedding:
     config: EmbeddingConfig = field(default_factory=EmbeddingConfig)
 
     @property
-    def dims(self) -> tuple[int, ...]:
+    def block_dims(self) -> tuple[int, ...]:
         """Length of each block."""
-        return self.encoder.dim, self.encoder.dim, SYMBOLS_DIM, PICTURE_DIM, self.config.features
+        return self.encoder.dim, self.encoder.dim, SYMBOLS_DIM, IMAGE_FEATURES_DIM, self.config.features
 
     @property
     def dim(self) -> int:
         """Length of e."""
-        return sum(self.dims)
+        return sum(self.block_dims)
 
     def version(self, robot: str) -> str:
         """Everything that a vector of `robot` depends on besides its episode; vectors of two versions never meet."""
         c = self.config
         return (
-            f"{self.encoder.id} {SYMBOLS_VERSION} {IMAGE_ENCODER} features={c.features} seed={c.seed} "
+            f"{self.encoder.id} {SYMBOLS_VERSION} {IMAGE_ENCODER_ID} features={c.features} seed={c.seed} "
             f"bandwidth={c.bandwidth} limits={self._limits(robot).fingerprint}"
         )
 
     def embed(
-        self, instruction: str, summary: str, state: Posture | None, robot: str, image: Picture | None = None
-    ) -> Embedded:
+        self, instruction: str, summary: str, state: Posture | None, robot: str, image: ImageFeatures | None = None
+    ) -> EpisodeEmbedding:
         """The blocks of one episode; "" and None are missing ones.
 
         Raises `UnknownName` for a robot without limits, `InvalidSetup` for a picture of another encoder.
         """
         c, limits = self.config, self._limits(robot)
-        if image is not None and image.encoder != IMAGE_ENCODER:
-            raise InvalidSetup("image encoder", got=image.encoder, allowed=IMAGE_ENCODER)
-        texts = [_encodable(text) for text in (instruction, summary)]
+        if image is not None and image.encoder != IMAGE_ENCODER_ID:
+            raise ConfigurationError("image encoder", got=image.encoder, allowed=IMAGE_ENCODER_ID)
+        texts = [_replace_surrogates(text) for text in (instruction, summary)]
         language = self.encoder.encode(texts)
         blocks = (
             language[0] if texts[0] else None,
             language[1] if texts[1] else None,
-            symbols(*texts),
-            image.row() if image else None,
-            fourier(limits.normalised(state), c.features, c.seed, c.bandwidth) if state else None,
+            symbol_features(*texts),
+            image.to_vector() if image else None,
+            fourier_features(limits.normalize(state), c.features, c.seed, c.bandwidth) if state else None,
         )
-        rows = [np.zeros(dim) if block is None else block for dim, block in zip(self.dims, blocks, strict=True)]
+        rows = [np.zeros(dim) if block is None else block for dim, block in zip(self.block_dims, blocks, strict=True)]
         mask = sum(1 << b for b, block in enumerate(blocks) if block is not None)
-        return Embedded(np.concatenate(rows).astype(np.float32), mask)
+        return EpisodeEmbedding(np.concatenate(rows).astype(np.float32), mask)
 
-    def scale(self, alpha: Alpha) -> Rows:
+    def expand_alpha(self, alpha: Alpha) -> Float32Array:
         """α_b at every place of block b, shape (dim,): times a row it makes the query [α_b v_b]."""
-        return np.repeat(np.array(astuple(alpha), np.float32), self.dims)
+        return np.repeat(np.array(astuple(alpha), np.float32), self.block_dims)
 
-    def parts(self, one: Rows, other: Rows, mask: int) -> dict[str, float]:
+    def block_cosines(self, one: Float32Array, other: Float32Array, mask: int) -> dict[str, float]:
         """The cosine of each block in `mask`."""
-        ends = np.cumsum(self.dims)
+        ends = np.cumsum(self.block_dims)
         return {
             name: float(one[end - dim : end] @ other[end - dim : end])
-            for b, (name, dim, end) in enumerate(zip(BLOCKS, self.dims, ends, strict=True)) if mask >> b & 1
+            for b, (name, dim, end) in enumerate(zip(BLOCKS, self.block_dims, ends, strict=True)) if mask >> b & 1
         }  # fmt: skip
 
-    def knows(self, robot: str) -> bool:
+    def supports(self, robot: str) -> bool:
         """True if the limits of `robot` were given."""
         return any(limits.robot == robot for limits in self.limits)
 
@@ -147,9 +147,9 @@ class JointEmbedding:
         for limits in self.limits:
             if limits.robot == robot:
                 return limits
-        raise UnknownName("robot", robot, tuple(limits.robot for limits in self.limits), owner="this memory")
+        raise UnknownNameError("robot", robot, tuple(limits.robot for limits in self.limits), owner="this memory")
 
 
-def _encodable(text: str) -> str:
+def _replace_surrogates(text: str) -> str:
     """The text with lone surrogates, which tokenizers refuse, replaced by "?"."""
     return text.encode("utf-8", "replace").decode("utf-8")

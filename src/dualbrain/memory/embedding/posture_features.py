@@ -10,12 +10,12 @@ from math import pi
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.errors import InvalidSetup
-from dualbrain.robots.model import Body
+from dualbrain.errors import ConfigurationError
+from dualbrain.robots.model import RobotModel
 
 Array = NDArray[np.float64]
 
-FLOOR = 10.0
+MAX_FLOOR_COORDINATE = 10.0
 """Coordinates beyond this [m] count as alike."""
 
 
@@ -37,18 +37,23 @@ class PostureLimits:
     opening: float
 
     @classmethod
-    def of(cls, body: Body) -> PostureLimits:
+    def from_model(cls, body: RobotModel) -> PostureLimits:
         """The limits of `body`."""
         lower = tuple(joint.lower.value for joint in body.joints)
         upper = tuple(joint.upper.value for joint in body.joints)
-        if body.mobile:
-            lower, upper = (-FLOOR, -FLOOR, -pi, *lower[2:]), (FLOOR, FLOOR, pi, *upper[2:])
+        if body.is_mobile:
+            lower, upper = (
+                (-MAX_FLOOR_COORDINATE, -MAX_FLOOR_COORDINATE, -pi, *lower[2:]),
+                (MAX_FLOOR_COORDINATE, MAX_FLOOR_COORDINATE, pi, *upper[2:]),
+            )
         return cls(body.name, lower, upper, body.gripper.opening.value)
 
-    def normalised(self, posture: Posture) -> Array:
+    def normalize(self, posture: Posture) -> Array:
         """Point x ∈ [−1, 1]^(n+1): each joint and the opening, linear between its limits; raises `InvalidSetup`."""
         if len(posture.q) != len(self.lower) or not np.isfinite([*posture.q, posture.opening]).all():
-            raise InvalidSetup("posture", got=posture, allowed=f"{len(self.lower)} finite joint angles of {self.robot}")
+            raise ConfigurationError(
+                "posture", got=posture, allowed=f"{len(self.lower)} finite joint angles of {self.robot}"
+            )
         x = np.array([*posture.q, posture.opening])
         lower, upper = np.array([*self.lower, 0.0]), np.array([*self.upper, self.opening or 1.0])
         return np.clip(2.0 * (x - lower) / (upper - lower) - 1.0, -1.0, 1.0)
@@ -60,7 +65,7 @@ class PostureLimits:
         return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 
-def fourier(x: Array, features: int, seed: int, bandwidth: float) -> Array:
+def fourier_features(x: Array, features: int, seed: int, bandwidth: float) -> Array:
     """z(x) = √(2/D)·[cos Ωx, sin Ωx] of shape (features,), D = features; ‖z‖ = 1 exactly.
 
     z(x)·z(y) ≈ exp(−‖x − y‖² / 2·bandwidth²) (Rahimi & Recht 2007), with orthogonal rows of Ω (Yu et al. 2016), which
@@ -74,26 +79,26 @@ def fourier(x: Array, features: int, seed: int, bandwidth: float) -> Array:
 def _frequencies(dim: int, rows: int, seed: int) -> Array:
     """Ω of shape (rows, dim): blocks of orthogonal directions, each row with the length of a Gaussian vector."""
     blocks = -(-rows // dim)
-    gaussian = _normals(seed, 2 * blocks * dim * dim).reshape(2, blocks, dim, dim)
-    directions = [_orthogonal(block) for block in gaussian[0]]
+    gaussian = _standard_normals(seed, 2 * blocks * dim * dim).reshape(2, blocks, dim, dim)
+    directions = [_signed_q_factor(block) for block in gaussian[0]]
     lengths = np.linalg.norm(gaussian[1].reshape(blocks * dim, dim), axis=1)
     return (np.vstack(directions) * lengths[:, None])[:rows]
 
 
 def orthogonal_rows(rows: int, dim: int, seed: int) -> Array:
     """Orthonormal rows of shape (rows, dim), uniformly turned, the same on every machine."""
-    gaussian = _normals(seed, rows * dim).reshape(rows, dim)
+    gaussian = _standard_normals(seed, rows * dim).reshape(rows, dim)
     q, r = np.linalg.qr(gaussian.T)
     return (q * np.sign(np.diag(r))).T
 
 
-def _orthogonal(block: Array) -> Array:
+def _signed_q_factor(block: Array) -> Array:
     """The Q factor whose R has a positive diagonal: the one choice of signs that every LAPACK agrees on."""
     q, r = np.linalg.qr(block)
     return (q * np.sign(np.diag(r))).T
 
 
-def _normals(seed: int, count: int) -> Array:
+def _standard_normals(seed: int, count: int) -> Array:
     """`count` standard normals from SHAKE-256 and Box-Muller: the same numbers on every machine and NumPy, for ever.
 
     NumPy does not promise that its generators keep their streams, and stored vectors must outlive its versions.

@@ -11,18 +11,18 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.core.weights import locate
-from dualbrain.errors import MissingPart
+from dualbrain.core.weights import locate_weights
+from dualbrain.errors import MissingDependencyError
 
-Rows = NDArray[np.float32]
+Float32Array = NDArray[np.float32]
 
 MAX_TOKENS = 256
 """Longer texts are cut here: the length the model was trained for (its sentence-transformers configuration)."""
 
-ENCODER, TOKENIZER = "minilm-l6-v2-int8", "minilm-l6-v2-tokenizer"
+ENCODER_WEIGHTS, TOKENIZER_WEIGHTS = "minilm-l6-v2-int8", "minilm-l6-v2-tokenizer"
 """Names of its files in the manifest of weights."""
 
-_FETCH = f"Fetch it with `dualbrain models fetch {ENCODER}` and `dualbrain models fetch {TOKENIZER}`."
+_FETCH = f"Fetch it with `dualbrain models fetch {ENCODER_WEIGHTS}` and `dualbrain models fetch {TOKENIZER_WEIGHTS}`."
 _INSTALL = "Install it with `pip install 'dualbrain[memory]'`."
 
 
@@ -43,7 +43,7 @@ class Encoder(Protocol):
         """Length of each vector."""
         ...
 
-    def encode(self, texts: Sequence[str]) -> Rows:
+    def encode(self, texts: Sequence[str]) -> Float32Array:
         """Unit rows of shape (n_texts, dim), float32."""
         ...
 
@@ -61,18 +61,20 @@ class MiniLmEncoder:
         """Load the ONNX file `model` and `tokenizer` (tokenizer.json); raises `MissingPart` if one is not there."""
         for path in (model, tokenizer):
             if not path.is_file():
-                raise MissingPart(f"The sentence encoder's file {path.name}", fix=f"{_FETCH} Looked for {path}")
+                raise MissingDependencyError(
+                    f"The sentence encoder's file {path.name}", fix=f"{_FETCH} Looked for {path}"
+                )
         digest = hashlib.sha256(model.read_bytes() + tokenizer.read_bytes()).hexdigest()
         self.id = f"minilm-l6-v2-int8@{digest[:8]}"
         self._session = _session(model)
         self._tokenizer = _tokenizer(tokenizer)
 
     @classmethod
-    def fetched(cls, cache: Path) -> MiniLmEncoder:
+    def from_cache(cls, cache: Path) -> MiniLmEncoder:
         """The encoder whose files were fetched into `cache`; raises `MissingPart`, `WrongHash`."""
-        return cls(locate(ENCODER, cache), locate(TOKENIZER, cache))
+        return cls(locate_weights(ENCODER_WEIGHTS, cache), locate_weights(TOKENIZER_WEIGHTS, cache))
 
-    def encode(self, texts: Sequence[str]) -> Rows:
+    def encode(self, texts: Sequence[str]) -> Float32Array:
         """Unit rows of shape (n_texts, 384), float32; any text is taken, the empty one too."""
         return np.stack([self._encode_one(text) for text in texts]) if texts else np.empty((0, self.dim), np.float32)
 
@@ -90,7 +92,7 @@ def _session(model: Path) -> Any:
     try:
         runtime: Any = import_module("onnxruntime")
     except ImportError as error:
-        raise MissingPart("The package onnxruntime", fix=_INSTALL) from error
+        raise MissingDependencyError("The package onnxruntime", fix=_INSTALL) from error
     options = runtime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 3
@@ -101,7 +103,7 @@ def _tokenizer(path: Path) -> Any:
     try:
         tokenizers: Any = import_module("tokenizers")
     except ImportError as error:
-        raise MissingPart("The package tokenizers", fix=_INSTALL) from error
+        raise MissingDependencyError("The package tokenizers", fix=_INSTALL) from error
     tokenizer = tokenizers.Tokenizer.from_file(str(path))
     tokenizer.no_padding()
     tokenizer.enable_truncation(MAX_TOKENS)

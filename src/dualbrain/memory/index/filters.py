@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.memory.ledger.events import Status
-from dualbrain.memory.state.episode_record import Lesson
-from dualbrain.memory.state.state import Memo
+from dualbrain.memory.state.episode_record import Guidance
+from dualbrain.memory.state.state import MemoryState
 from dualbrain.records import OutcomeClass
 
 Mask = NDArray[np.bool_]
@@ -27,7 +27,7 @@ class Filter:
 
     robot: str | None = None
     registry: str | None = None
-    lesson: Lesson | None = None
+    guidance: Guidance | None = None
     skills: tuple[str, ...] = ()
     contract: str | None = None
     outcomes: tuple[OutcomeClass, ...] = ()
@@ -37,9 +37,9 @@ class Filter:
     before: float | None = None
 
 
-REMEMBERED = 16
+MAX_CACHED_MASKS = 16
 """So many filters keep their answer."""
-TOLD = ("place", "lesson", "skills", "contract", "kind", "source")
+STATIC_COLUMNS = ("place", "lesson", "skills", "contract", "kind", "source")
 """What is told of a memory when it is added, and stays."""
 
 
@@ -48,18 +48,18 @@ class _Column:
 
     def __init__(self) -> None:
         self.codes = np.empty(64, np.int32)
-        self.known: dict[Any, int] = {}
+        self.code_by_value: dict[Any, int] = {}
 
     def set(self, row: int, value: Any) -> None:
         if row >= len(self.codes):
             room = max(64, row // 2)
             self.codes = np.concatenate([self.codes[:row], np.empty(room, np.int32)])
-        self.codes[row] = self.known.setdefault(value, len(self.known))
+        self.codes[row] = self.code_by_value.setdefault(value, len(self.code_by_value))
 
-    def among(self, wanted: set[Any], n: int) -> Mask:
+    def isin(self, wanted: set[Any], n: int) -> Mask:
         """Rows whose value is in `wanted`."""
-        chosen = np.zeros(len(self.known), bool)
-        chosen[[self.known[value] for value in wanted if value in self.known]] = True
+        chosen = np.zeros(len(self.code_by_value), bool)
+        chosen[[self.code_by_value[value] for value in wanted if value in self.code_by_value]] = True
         return chosen[self.codes[:n]]
 
 
@@ -68,12 +68,12 @@ class Columns:
 
     def __init__(self) -> None:
         """Begin empty."""
-        self._columns = {name: _Column() for name in (*TOLD, "status")}
+        self._columns = {name: _Column() for name in (*STATIC_COLUMNS, "status")}
         self._times = np.empty(64)
         self._count = 0
         self._masks: dict[Filter, Mask] = {}
 
-    def add(self, memo: Memo) -> None:
+    def add(self, memo: MemoryState) -> None:
         """Append a row."""
         row, self._count = self._count, self._count + 1
         self._masks.clear()
@@ -81,8 +81,8 @@ class Columns:
             self._times = np.concatenate([self._times, np.empty(max(64, row // 2))])
         self._times[row] = memo.time
         origin = memo.provenance
-        values = ((memo.robot, memo.registry), memo.lesson, origin.skills, origin.contract, memo.kind, origin.source)
-        for name, value in zip(TOLD, values, strict=True):
+        values = ((memo.robot, memo.registry), memo.guidance, origin.skills, origin.contract, memo.kind, origin.source)
+        for name, value in zip(STATIC_COLUMNS, values, strict=True):
             self._columns[name].set(row, value)
         self.set_status(row, memo.status)
 
@@ -92,40 +92,40 @@ class Columns:
         self._columns["status"].set(row, status)
 
     @property
-    def contracts(self) -> NDArray[np.int32]:
+    def contract_codes(self) -> NDArray[np.int32]:
         """A number for each row, shape (n,): equal where the contracts are. Not to be written to."""
         return self._columns["contract"].codes[: self._count]
 
     def mask(self, wanted: Filter) -> Mask:
         """Which rows pass, shape (n,); remembered until a row is added or changes its status. Not to be written to."""
         if wanted not in self._masks:
-            if len(self._masks) == REMEMBERED:
+            if len(self._masks) == MAX_CACHED_MASKS:
                 self._masks.clear()
-            self._masks[wanted] = self._passing(wanted)
+            self._masks[wanted] = self._compute_mask(wanted)
         return self._masks[wanted]
 
-    def _passing(self, wanted: Filter) -> Mask:
+    def _compute_mask(self, wanted: Filter) -> Mask:
         n, columns = self._count, self._columns
         if not n:
             return np.zeros(0, bool)
-        passed = columns["status"].among(set(wanted.statuses), n)
+        passed = columns["status"].isin(set(wanted.statuses), n)
         if wanted.robot is not None or wanted.registry is not None:
             places = {
-                (robot, registry) for robot, registry in columns["place"].known
+                (robot, registry) for robot, registry in columns["place"].code_by_value
                 if wanted.robot in (None, robot) and wanted.registry in (None, registry)
             }  # fmt: skip
-            passed &= columns["place"].among(places, n)
-        if wanted.lesson is not None:
-            passed &= columns["lesson"].among({wanted.lesson}, n)
+            passed &= columns["place"].isin(places, n)
+        if wanted.guidance is not None:
+            passed &= columns["lesson"].isin({wanted.guidance}, n)
         if wanted.skills:
-            chosen = {skills for skills in columns["skills"].known if set(wanted.skills) <= set(skills)}
-            passed &= columns["skills"].among(chosen, n)
+            chosen = {skills for skills in columns["skills"].code_by_value if set(wanted.skills) <= set(skills)}
+            passed &= columns["skills"].isin(chosen, n)
         if wanted.contract is not None:
-            passed &= columns["contract"].among({wanted.contract}, n)
+            passed &= columns["contract"].isin({wanted.contract}, n)
         if wanted.outcomes:
-            passed &= columns["kind"].among(set(wanted.outcomes), n)
+            passed &= columns["kind"].isin(set(wanted.outcomes), n)
         if wanted.sources:
-            passed &= columns["source"].among(set(wanted.sources), n)
+            passed &= columns["source"].isin(set(wanted.sources), n)
         if wanted.after is not None:
             passed &= self._times[:n] >= wanted.after
         if wanted.before is not None:

@@ -6,27 +6,27 @@ from typing import Literal
 
 import msgspec
 
-from dualbrain.memory.plasticity.affine_map import Factors
-from dualbrain.records import Use
+from dualbrain.memory.plasticity.affine_map import AffineMap
+from dualbrain.records import MemoryUse
 
 EPISODE, WEIGHT, NEIGHBOURS = "episode", "weight", "neighbours"
 CONFIRM, QUARANTINE, RELEASE, TOMBSTONE = "confirm", "quarantine", "release", "tombstone"
 ROLLBACK, FOLDED, COMPACTED, SNAPSHOT = "rollback", "folded", "compacted", "snapshot"
 AUDIT, REPLAYED, ADAPTER, USED = "audit", "replayed", "adapter", "used"
-WEIGHS = (EPISODE, WEIGHT, NEIGHBOURS, FOLDED)
+WEIGHT_EVENT_KINDS = (EPISODE, WEIGHT, NEIGHBOURS, FOLDED)
 """Kinds that make memories and move weights."""
 Status = Literal["active", "candidate", "quarantined", "forgotten"]
 """active: offered to the planner. candidate: a success that nothing has confirmed yet. quarantined: set aside, its
 influence on weights undone as long as it is. forgotten: the same, for good."""
-STATUS_OF: dict[str, Status] = {
+STATUS_BY_EVENT_KIND: dict[str, Status] = {
     CONFIRM: "active", QUARANTINE: "quarantined", RELEASE: "active", TOMBSTONE: "forgotten",
 }  # fmt: skip
 """The status that each kind of status event gives."""
-VOID: tuple[Status, ...] = ("quarantined", "forgotten")
+VOID_STATUSES: tuple[Status, ...] = ("quarantined", "forgotten")
 """What memories of these statuses did to weights does not count."""
 
 
-class Weighing(msgspec.Struct, frozen=True):
+class WeightUpdate(msgspec.Struct, frozen=True):
     """Payload of a weight event: outcome of episode `cause` moved the weight of `memory` from `before` to `after`.
 
     `rank` is the place of the memory in the prompt, 0 for the new memory itself. `gain` and `offset` are the clipped
@@ -45,12 +45,12 @@ class Weighing(msgspec.Struct, frozen=True):
     share: float = 1.0
 
     @property
-    def factors(self) -> Factors:
+    def affine_map(self) -> AffineMap:
         """The map."""
-        return Factors(self.gain, self.offset)
+        return AffineMap(self.gain, self.offset)
 
 
-class Neighbourhood(msgspec.Struct, frozen=True):
+class NeighbourUpdates(msgspec.Struct, frozen=True):
     """Payload of a neighbours event: w_j ← clip(w_j + offset_j) for each of `memories`, in this order (paper 5.3).
 
     offset_j = κ ξ exp(−‖e_j − e_i‖²/2ℓ²), i being `cause`. Ids and offsets are stored, so that a replay depends neither
@@ -79,7 +79,7 @@ class Rollback(msgspec.Struct, frozen=True):
     actor: str
 
 
-class Folded(msgspec.Struct, frozen=True):
+class FoldedUpdates(msgspec.Struct, frozen=True):
     """Payload of a folded event: all weight events of `memory` up to a compaction as one map, and the exact weight.
 
     The map tells what any first weight would have become; `weight` is what the sequential updates made, to the bit.
@@ -95,12 +95,12 @@ class Folded(msgspec.Struct, frozen=True):
     suppressed: int
 
     @property
-    def factors(self) -> Factors:
+    def affine_map(self) -> AffineMap:
         """The map."""
-        return Factors(self.gain, self.offset, self.lower, self.upper)
+        return AffineMap(self.gain, self.offset, self.lower, self.upper)
 
 
-class Compacted(msgspec.Struct, frozen=True):
+class CompactionRecord(msgspec.Struct, frozen=True):
     """Payload of the first event of a compacted ledger: the whole ledger it was made of, by head and file name."""
 
     seq: int
@@ -108,18 +108,18 @@ class Compacted(msgspec.Struct, frozen=True):
     archive: str
 
 
-class SnapshotMark(msgspec.Struct, frozen=True):
+class SnapshotRecord(msgspec.Struct, frozen=True):
     """Payload of a snapshot event: the file beside the ledger that holds the state at event `as_of`, by SHA-256."""
 
     as_of: int
     sha256: str
 
 
-class Uses(msgspec.Struct, frozen=True):
+class MemoryUses(msgspec.Struct, frozen=True):
     """Payload of a used event: what became of each memory that stood in the prompt of `episode`."""
 
     episode: str
-    uses: tuple[Use, ...]
+    uses: tuple[MemoryUse, ...]
 
 
 class AdapterUse(msgspec.Struct, frozen=True):

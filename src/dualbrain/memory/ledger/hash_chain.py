@@ -14,7 +14,7 @@ GENESIS = hashlib.sha256(b"dualbrain ledger, schema 1").hexdigest()
 
 
 @dataclass(frozen=True, slots=True)
-class Event:
+class LedgerEvent:
     """One line of the ledger.
 
     `time` [s] is when it was written, since 1970 UTC. `run` is the run that wrote it and `subject` the episode it is
@@ -49,12 +49,12 @@ class ChainReport:
     fault: str = ""
 
     @property
-    def whole(self) -> bool:
+    def is_intact(self) -> bool:
         """True if every event is the one that was written."""
         return self.broken_at is None
 
 
-class DamagedLedger(DualbrainError):
+class CorruptLedgerError(DualbrainError):
     """The ledger file is not what was written: an event was changed, removed or cannot be read."""
 
     def __init__(self, fault: str, *, seq: int | None, path: str) -> None:
@@ -67,7 +67,7 @@ class DamagedLedger(DualbrainError):
         )
 
 
-def digest(event: Event) -> str:
+def event_digest(event: LedgerEvent) -> str:
     """SHA-256 over all fields but `hash`, each preceded by its length: no two different events have the same bytes."""
     texts = (event.kind, event.run, event.subject, event.previous)
     numbers = struct.pack("<qd", event.seq, event.time)
@@ -76,29 +76,29 @@ def digest(event: Event) -> str:
     return hashlib.sha256(b"".join(framed)).hexdigest()
 
 
-def fault_of(event: Event, before: Head) -> str:
+def find_link_fault(event: LedgerEvent, before: Head) -> str:
     """Why `event` cannot follow `before`; "" if it can."""
     if event.seq != before.seq + 1:
         return f"event {before.seq + 1} is missing, the next one found is {event.seq}"
     if event.previous != before.hash:
         return "it does not name the event before it as its predecessor"
-    return "" if digest(event) == event.hash else "its content does not match its hash"
+    return "" if event_digest(event) == event.hash else "its content does not match its hash"
 
 
-def checked(events: Iterable[Event], path: str, *, after: Head | None = None) -> Iterator[Event]:
+def verified_events(events: Iterable[LedgerEvent], path: str, *, after: Head | None = None) -> Iterator[LedgerEvent]:
     """The same events, each only after its link was checked; raises `DamagedLedger` at the first that is broken.
 
     They follow the event `after` (default: they begin the chain).
     """
     head = after or Head(0, GENESIS)
     for event in events:
-        if fault := fault_of(event, head):
-            raise DamagedLedger(fault, seq=head.seq + 1, path=path)
+        if fault := find_link_fault(event, head):
+            raise CorruptLedgerError(fault, seq=head.seq + 1, path=path)
         head = Head(event.seq, event.hash)
         yield event
 
 
-def walk(events: Iterable[Event], anchor: Head | None = None) -> ChainReport:
+def verify_chain(events: Iterable[LedgerEvent], anchor: Head | None = None) -> ChainReport:
     """Check every link, and that the chain still passes through `anchor`.
 
     Promise: a change, insertion or removal of any event before the newest is found and its number reported. Removal of
@@ -108,7 +108,7 @@ def walk(events: Iterable[Event], anchor: Head | None = None) -> ChainReport:
     head = Head(0, GENESIS)
     try:
         for event in events:
-            fault = fault_of(event, head)
+            fault = find_link_fault(event, head)
             if not fault and anchor is not None and event.seq == anchor.seq and event.hash != anchor.hash:
                 fault = "it is not the event that the anchor saw"
             if fault:

@@ -14,21 +14,29 @@ from typing import Any, Self
 
 import msgspec
 
-from dualbrain.core.storage.file_lock import Holder, WriterLock
+from dualbrain.core.storage.file_lock import LockHolder, WriterLock
 from dualbrain.core.storage.sqlite import transaction
-from dualbrain.core.text import clean
-from dualbrain.errors import InvalidSetup, MissingPart
+from dualbrain.core.text import make_json_safe
+from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.memory.ledger import runs
 from dualbrain.memory.ledger.events import EPISODE
-from dualbrain.memory.ledger.hash_chain import GENESIS, ChainReport, DamagedLedger, Event, Head, digest, walk
+from dualbrain.memory.ledger.hash_chain import (
+    GENESIS,
+    ChainReport,
+    CorruptLedgerError,
+    Head,
+    LedgerEvent,
+    event_digest,
+    verify_chain,
+)
 from dualbrain.memory.ledger.runs import InterruptedRun
-from dualbrain.memory.ledger.tables import MIGRATED, SCHEMA_VERSION, create, version_of
+from dualbrain.memory.ledger.tables import MIGRATED, SCHEMA_VERSION, create_or_migrate, read_schema_version
 
 _COLUMNS = "seq, kind, run, subject, time, payload, previous, hash"
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class PendingEvent:
     """What is to be appended: `payload` is anything msgspec can write as JSON; `vector` goes to the projection.
 
     `run` is the run it belongs to, None for the one that is under way.
@@ -37,12 +45,12 @@ class Entry:
     kind: str
     subject: str
     payload: object
-    vector: Vector | None = None
+    vector: StoredVector | None = None
     run: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class Vector:
+class StoredVector:
     """One row of the vector projection: `version` of the embedding that made it, little-endian float32 `data`.
 
     Bit b of `mask` says that block b is there (see `embedding`).
@@ -59,71 +67,71 @@ class LedgerReader:
     def __init__(self, path: Path) -> None:
         """Open the ledger at `path`; raises `MissingPart`, `InvalidSetup` or `DamagedLedger`."""
         if not path.exists():
-            raise MissingPart(f"The memory ledger {path}", fix="It is made by the first `dualbrain run`.")
+            raise MissingDependencyError(f"The memory ledger {path}", fix="It is made by the first `dualbrain run`.")
         self.path = path
-        with self._translated():
-            self._database = sqlite3.connect(_address(path), uri=True, isolation_level=None)
-            self._admit()
+        with self._translate_errors():
+            self._database = sqlite3.connect(_database_uri(path), uri=True, isolation_level=None)
+            self._check_schema()
 
-    def _admit(self) -> None:
+    def _check_schema(self) -> None:
         """Read text as it is, however damaged, and refuse a schema that this program does not know."""
-        self._database.text_factory = _text
-        self.schema = version_of(self._database)
+        self._database.text_factory = _decode_text
+        self.schema = read_schema_version(self._database)
         if not self.schema:
-            raise InvalidSetup("memory ledger", got="an empty file", allowed="a ledger", fix=str(self.path))
+            raise ConfigurationError("memory ledger", got="an empty file", allowed="a ledger", fix=str(self.path))
 
     @contextmanager
-    def _translated(self) -> Generator[None]:
+    def _translate_errors(self) -> Generator[None]:
         try:
             yield
         except sqlite3.OperationalError as error:
             allowed = "a ledger that this user can read and write, on a disk with space"
-            raise InvalidSetup("memory ledger", got=str(error), allowed=allowed, fix=str(self.path)) from error
+            raise ConfigurationError("memory ledger", got=str(error), allowed=allowed, fix=str(self.path)) from error
         except sqlite3.IntegrityError as error:
             allowed = "an episode id or run name that this ledger does not hold yet"
-            raise InvalidSetup("ledger event", got=str(error), allowed=allowed) from error
+            raise ConfigurationError("ledger event", got=str(error), allowed=allowed) from error
         except sqlite3.DatabaseError as error:
-            raise DamagedLedger(f"SQLite says: {error}", seq=None, path=str(self.path)) from error
+            raise CorruptLedgerError(f"SQLite says: {error}", seq=None, path=str(self.path)) from error
 
-    def events(self, where: str = "", values: tuple[object, ...] = ()) -> Iterator[Event]:
+    def events(self, where: str = "", values: tuple[object, ...] = ()) -> Iterator[LedgerEvent]:
         """Events in order of `seq`; `where` is an SQL condition over the columns of the event table."""
         condition = f"WHERE {where}" if where else ""
-        with self._translated():
+        with self._translate_errors():
             query = f"SELECT {_COLUMNS} FROM event {condition} ORDER BY seq"
-            for row in self._database.execute(query, clean(list(values))):
-                yield _event(row)
+            for row in self._database.execute(query, make_json_safe(list(values))):
+                yield _parse_event_row(row)
 
     def head(self) -> Head:
         """The newest event, (0, genesis) if there is none."""
-        with self._translated():
+        with self._translate_errors():
             row = self._database.execute("SELECT seq, hash FROM event ORDER BY seq DESC LIMIT 1").fetchone()
         return Head(row[0], row[1]) if row else Head(0, GENESIS)
 
     def verify(self, anchor: Head | None = None) -> ChainReport:
         """Walk the whole chain (see `chain.walk`); an unreadable event is a report too."""
-        return walk(self.events(), anchor)
+        return verify_chain(self.events(), anchor)
 
-    def event(self, seq: int) -> Event:
+    def event(self, seq: int) -> LedgerEvent:
         """The event number `seq`; raises `DamagedLedger` if there is none."""
         for event in self.events("seq = ?", (seq,)):
             return event
-        raise DamagedLedger("it is missing", seq=seq, path=str(self.path))
+        raise CorruptLedgerError("it is missing", seq=seq, path=str(self.path))
 
-    def last_before(self, time: float) -> int:
+    def last_seq_before(self, time: float) -> int:
         """Number of the last event written at or before `time` [s, 1970 UTC], 0 if there is none."""
-        with self._translated():
+        with self._translate_errors():
             row = self._database.execute("SELECT max(seq) FROM event WHERE time <= ?", (time,)).fetchone()
         return row[0] or 0
 
-    def vectors(self, after: int = 0) -> Iterator[tuple[int, Vector]]:
+    def vectors(self, after: int = 0) -> Iterator[tuple[int, StoredVector]]:
         """The vector projection: the event number of each episode after event `after`, and its vector."""
         if self.schema < SCHEMA_VERSION:
             fix = f"Open it once for writing: `dualbrain memory rebuild`. {self.path}"
-            raise InvalidSetup("ledger schema_version", got=self.schema, allowed=str(SCHEMA_VERSION), fix=fix)
-        with self._translated():
+            raise ConfigurationError("ledger schema_version", got=self.schema, allowed=str(SCHEMA_VERSION), fix=fix)
+        with self._translate_errors():
             query = "SELECT seq, version, data, mask FROM vector WHERE seq > ? ORDER BY seq"
             for seq, version, data, mask in self._database.execute(query, (after,)):
-                yield seq, Vector(version, data, mask)
+                yield seq, StoredVector(version, data, mask)
 
     def close(self) -> None:
         """Close the file."""
@@ -143,23 +151,23 @@ class Ledger(LedgerReader):
     Assumption: the disk keeps what it says it has synced.
     """
 
-    def __init__(self, path: Path, *, holder: str, now: float, patience: float = 0.0) -> None:
+    def __init__(self, path: Path, *, holder: str, now: float, timeout_s: float = 0.0) -> None:
         """Open or make the ledger at `path` as `holder` at `now` [s, 1970 UTC].
 
         Raises `LedgerInUse` if it is still taken after `patience` [s], `InvalidSetup` if it cannot be written. An older
         schema is brought to the present one, and an event says so.
         """
-        self.path, self.opened, self._run = path, now, ""
-        with _readable(path):
+        self.path, self.opened_at, self._run = path, now, ""
+        with _translate_os_errors(path):
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._lock = WriterLock(path, Holder(os.getpid(), holder, now), patience=patience)
+            self._lock = WriterLock(path, LockHolder(os.getpid(), holder, now), timeout_s=timeout_s)
         try:
-            with self._translated():
+            with self._translate_errors():
                 self._database = sqlite3.connect(path, isolation_level=None)
                 found = self._create()
-                self._admit()
+                self._check_schema()
             if 0 < found < SCHEMA_VERSION:
-                self.append([Entry(MIGRATED, "", {"from": found, "to": SCHEMA_VERSION})], now=now)
+                self.append([PendingEvent(MIGRATED, "", {"from": found, "to": SCHEMA_VERSION})], now=now)
         except BaseException:
             self._lock.release()
             raise
@@ -167,73 +175,80 @@ class Ledger(LedgerReader):
     def _create(self) -> int:
         mode = self._database.execute("PRAGMA journal_mode = WAL").fetchone()[0]
         if mode != "wal":
-            raise InvalidSetup("ledger journal mode", got=mode, allowed="wal", fix=f"Use a local disk. {self.path}")
+            raise ConfigurationError(
+                "ledger journal mode", got=mode, allowed="wal", fix=f"Use a local disk. {self.path}"
+            )
         self._database.execute("PRAGMA synchronous = FULL")
-        return create(self._database)
+        return create_or_migrate(self._database)
 
-    def append(self, entries: Sequence[Entry], *, now: float) -> tuple[Event, ...]:
+    def append(self, entries: Sequence[PendingEvent], *, now: float) -> tuple[LedgerEvent, ...]:
         """Chain and store `entries`, all or none, written at `now` [s, 1970 UTC]."""
         if not math.isfinite(now):
-            raise InvalidSetup("time of a ledger event", got=now, allowed="finite seconds since 1970 UTC")
-        head, events = self.head(), list[Event]()
+            raise ConfigurationError("time of a ledger event", got=now, allowed="finite seconds since 1970 UTC")
+        head, events = self.head(), list[LedgerEvent]()
         for entry in entries:
-            event = _chained(entry, self._run if entry.run is None else clean(entry.run), now, head)
+            event = _build_event(entry, self._run if entry.run is None else make_json_safe(entry.run), now, head)
             events.append(event)
             head = Head(event.seq, event.hash)
-        with self._translated(), transaction(self._database):
+        with self._translate_errors(), transaction(self._database):
             for event, entry in zip(events, entries, strict=True):
-                row = tuple(getattr(event, name) for name in Event.__slots__)
+                row = tuple(getattr(event, name) for name in LedgerEvent.__slots__)
                 self._database.execute(f"INSERT INTO event ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?)", row)
                 if entry.vector is not None:
-                    self._project(event.seq, entry.vector)
+                    self._insert_vector(event.seq, entry.vector)
         return tuple(events)
 
-    def replace_vectors(self, vectors: Mapping[int, Vector]) -> None:
+    def replace_vectors(self, vectors: Mapping[int, StoredVector]) -> None:
         """Put `vectors` in place of the whole projection; the events are not touched."""
-        with self._translated(), transaction(self._database):
+        with self._translate_errors(), transaction(self._database):
             self._database.execute("DELETE FROM vector")
             for seq, vector in vectors.items():
-                self._project(seq, vector)
+                self._insert_vector(seq, vector)
 
-    def _project(self, seq: int, vector: Vector) -> None:
+    def _insert_vector(self, seq: int, vector: StoredVector) -> None:
         row = (seq, vector.version, vector.data, vector.mask)
         self._database.execute("INSERT INTO vector (seq, version, data, mask) VALUES (?, ?, ?, ?)", row)
 
     def start_run(self, run: str, details: object, *, now: float) -> tuple[InterruptedRun, ...]:
         """Begin `run`; returns the runs that were cut off before it, and writes down that they were."""
-        cut = self.interrupted()
-        closing = [Entry(runs.INTERRUPTED, "", {"after": one.last_words, "found_by": run}, run=one.run) for one in cut]
-        self.append([*closing, Entry(runs.STARTED, "", details, run=run)], now=now)
-        self._run = clean(run)
+        cut = self.interrupted_runs()
+        closing = [
+            PendingEvent(runs.INTERRUPTED, "", {"after": one.last_activity, "found_by": run}, run=one.run)
+            for one in cut
+        ]
+        self.append([*closing, PendingEvent(runs.STARTED, "", details, run=run)], now=now)
+        self._run = make_json_safe(run)
         return cut
 
-    def mark(self, what: str, *, now: float) -> None:
+    def mark_progress(self, what: str, *, now: float) -> None:
         """Write down what the run is about to do (a few words), so that an interrupted run can be told apart."""
-        self.append([Entry(runs.MARKED, "", {"what": what})], now=now)
+        self.append([PendingEvent(runs.MARKED, "", {"what": what})], now=now)
 
     def end_run(self, details: object, *, now: float) -> None:
         """End the run that `start_run` began."""
-        self.append([Entry(runs.ENDED, "", details)], now=now)
+        self.append([PendingEvent(runs.ENDED, "", details)], now=now)
         self._run = ""
 
-    def interrupted(self) -> tuple[InterruptedRun, ...]:
+    def interrupted_runs(self) -> tuple[InterruptedRun, ...]:
         """Runs of former processes that started and never ended, oldest first. Only the writer can know this."""
         ended = "SELECT run FROM event WHERE kind IN (?, ?)"
         where = f"kind = ? AND run <> ? AND run NOT IN ({ended})"
         open_runs = list(self.events(where, (runs.STARTED, self._run, runs.ENDED, runs.INTERRUPTED)))
-        return tuple(self._interrupted(start) for start in open_runs)
+        return tuple(self._describe_interrupted_run(start) for start in open_runs)
 
-    def _interrupted(self, start: Event) -> InterruptedRun:
+    def _describe_interrupted_run(self, start: LedgerEvent) -> InterruptedRun:
         events = list(self.events("run = ?", (start.run,)))
         episodes = sum(event.kind == EPISODE for event in events)
-        return InterruptedRun(start.run, start.time, events[-1].time, runs.last_words(events[-1]), episodes)
+        return InterruptedRun(start.run, start.time, events[-1].time, runs.describe_activity(events[-1]), episodes)
 
-    def settle(self) -> None:
+    def checkpoint_wal(self) -> None:
         """Bring all of the write-ahead log into the file itself; raises `InvalidSetup` if a reader is in the way."""
-        with self._translated():
+        with self._translate_errors():
             busy = self._database.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()[0]
         if busy:
-            raise InvalidSetup("memory ledger", got="in use by a reader", allowed="nobody reading", fix=str(self.path))
+            raise ConfigurationError(
+                "memory ledger", got="in use by a reader", allowed="nobody reading", fix=str(self.path)
+            )
 
     def close(self) -> None:
         """Close the file and let the next writer in."""
@@ -241,22 +256,26 @@ class Ledger(LedgerReader):
         self._lock.release()
 
 
-def _chained(entry: Entry, run: str, now: float, head: Head) -> Event:
-    payload = msgspec.json.encode(clean(msgspec.to_builtins(entry.payload, str_keys=True)), order="deterministic")
-    event = Event(head.seq + 1, entry.kind, run, clean(entry.subject), float(now), payload, head.hash, "")
-    return replace(event, hash=digest(event))
+def _build_event(entry: PendingEvent, run: str, now: float, head: Head) -> LedgerEvent:
+    payload = msgspec.json.encode(
+        make_json_safe(msgspec.to_builtins(entry.payload, str_keys=True)), order="deterministic"
+    )
+    event = LedgerEvent(
+        head.seq + 1, entry.kind, run, make_json_safe(entry.subject), float(now), payload, head.hash, ""
+    )
+    return replace(event, hash=event_digest(event))
 
 
 @contextmanager
-def _readable(path: Path) -> Generator[None]:
+def _translate_os_errors(path: Path) -> Generator[None]:
     try:
         yield
     except OSError as error:
         allowed = "a ledger that this user can read and write, on a disk with space"
-        raise InvalidSetup("memory ledger", got=error.strerror, allowed=allowed, fix=str(path)) from error
+        raise ConfigurationError("memory ledger", got=error.strerror, allowed=allowed, fix=str(path)) from error
 
 
-def _address(path: Path) -> str:
+def _database_uri(path: Path) -> str:
     """How SQLite is to read `path`. Where nothing can be written, not even its shared index, nobody can be writing."""
     log = path.with_name(f"{path.name}-wal")
     settled = not log.exists() or log.stat().st_size == 0
@@ -264,13 +283,13 @@ def _address(path: Path) -> str:
     return path.resolve().as_uri() + ("?immutable=1" if still else "?mode=ro")
 
 
-def _text(raw: bytes) -> str:
+def _decode_text(raw: bytes) -> str:
     return raw.decode("utf-8", "surrogateescape")
 
 
-def _event(row: tuple[Any, ...]) -> Event:
+def _parse_event_row(row: tuple[Any, ...]) -> LedgerEvent:
     """An event from a row in which a stranger may have put any type."""
     seq, kind, run, subject, time, payload, previous, stored = row
     seconds = time if isinstance(time, float) else math.nan
     content = payload if isinstance(payload, bytes) else str(payload).encode("utf-8", "surrogateescape")
-    return Event(seq, str(kind), str(run), str(subject), seconds, content, str(previous), str(stored))
+    return LedgerEvent(seq, str(kind), str(run), str(subject), seconds, content, str(previous), str(stored))

@@ -7,8 +7,8 @@ from datetime import UTC, datetime
 
 import msgspec
 
-from dualbrain.errors import UNREADABLE
-from dualbrain.memory.ledger.hash_chain import Event
+from dualbrain.errors import DECODE_ERRORS
+from dualbrain.memory.ledger.hash_chain import LedgerEvent
 
 STARTED, MARKED, ENDED, INTERRUPTED = "run_started", "run_marked", "run_ended", "run_interrupted"
 """Kinds of the events that frame a run; `run_interrupted` is written by the next run, in place of `run_ended`."""
@@ -24,29 +24,29 @@ class InterruptedRun:
     run: str
     started: float
     last_time: float
-    last_words: str
+    last_activity: str
     episodes: int
 
     def __str__(self) -> str:
         """One sentence for a person."""
         stored = "1 episode was" if self.episodes == 1 else f"{self.episodes} episodes were"
         return (
-            f"Run {self.run} of {_utc(self.started)} was interrupted after {self.last_words} "
+            f"Run {self.run} of {_utc(self.started)} was interrupted after {self.last_activity} "
             f"({_utc(self.last_time)}): {stored} stored and kept; what was under way then is not in memory."
         )
 
 
-def last_words(event: Event) -> str:
+def describe_activity(event: LedgerEvent) -> str:
     """What a run was doing when it wrote `event`, its last one."""
     if event.kind == MARKED:
         try:
-            return repr(msgspec.json.decode(event.payload, type=_Mark).what)
-        except UNREADABLE:
+            return repr(msgspec.json.decode(event.payload, type=_RunMarker).what)
+        except DECODE_ERRORS:
             return "a mark that cannot be read"
     return {STARTED: "its start", "episode": f"storing episode {event.subject}"}.get(event.kind, event.kind)
 
 
-class _Mark(msgspec.Struct):
+class _RunMarker(msgspec.Struct):
     what: str
 
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Mapping
 
-from dualbrain.core.storage.sqlite import statements, transaction
-from dualbrain.errors import InvalidSetup
+from dualbrain.core.storage.sqlite import split_statements, transaction
+from dualbrain.errors import ConfigurationError
 
 SCHEMA_VERSION = 2
 MIGRATED = "migrated"
 """Kind of the event that says from which version to which a file was brought."""
 
-_FIRST = """
+_SCHEMA_V1 = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL);
 INSERT INTO meta VALUES ('schema_version', '1');
 CREATE TABLE event (
@@ -35,24 +35,24 @@ CREATE INDEX event_time ON event (time);
 """From a version to the next. A step may add and index; it never touches an event, so the chain stays what it was."""
 
 
-def create(database: sqlite3.Connection) -> int:
+def create_or_migrate(database: sqlite3.Connection) -> int:
     """Make the tables, or bring them to `SCHEMA_VERSION`, in one transaction; returns the version found (0: none).
 
     Raises `InvalidSetup` for a version that this program does not know. A process killed on the way leaves the old
     version whole.
     """
-    found = version_of(database)
+    found = read_schema_version(database)
     if found == SCHEMA_VERSION:
         return found
     steps = [_MIGRATIONS[version] for version in range(max(found, 1), SCHEMA_VERSION)]
     now = f"UPDATE meta SET value = '{SCHEMA_VERSION}' WHERE key = 'schema_version';"
     with transaction(database):
-        for statement in statements("".join(("" if found else _FIRST, *steps, now))):
+        for statement in split_statements("".join(("" if found else _SCHEMA_V1, *steps, now))):
             database.execute(statement)
     return found
 
 
-def version_of(database: sqlite3.Connection) -> int:
+def read_schema_version(database: sqlite3.Connection) -> int:
     """The version of the tables, 0 if there are none; raises `InvalidSetup` unless it is known."""
     if not database.execute("SELECT 1 FROM sqlite_master").fetchone():
         return 0
@@ -60,5 +60,7 @@ def version_of(database: sqlite3.Connection) -> int:
     found = rows[0][0] if rows else "none"
     known = [str(version) for version in range(1, SCHEMA_VERSION + 1)]
     if found not in known:
-        raise InvalidSetup("ledger schema_version", got=found, allowed=" or ".join(known), fix="Update dualbrain.")
+        raise ConfigurationError(
+            "ledger schema_version", got=found, allowed=" or ".join(known), fix="Update dualbrain."
+        )
     return int(found)

@@ -11,23 +11,32 @@ from collections.abc import Iterator
 import msgspec
 import numpy as np
 
-from dualbrain.memory.ledger.events import ADAPTER, NEIGHBOURS, USED, WEIGHT, AdapterUse, Neighbourhood, Uses, Weighing
-from dualbrain.memory.maintenance.contradiction import contradicted
+from dualbrain.memory.ledger.events import (
+    ADAPTER,
+    NEIGHBOURS,
+    USED,
+    WEIGHT,
+    AdapterUse,
+    MemoryUses,
+    NeighbourUpdates,
+    WeightUpdate,
+)
+from dualbrain.memory.maintenance.contradiction import is_contradicted
 from dualbrain.memory.memory import Memory
 from dualbrain.memory.plasticity.plan_similarity import same_plan
-from dualbrain.memory.plasticity.retrieval_utility import Utility, total
-from dualbrain.memory.state.derivation import effective
-from dualbrain.memory.state.state import Memo
+from dualbrain.memory.plasticity.retrieval_utility import RetrievalUtility, summarize_uses
+from dualbrain.memory.state.derivation import effective_events
+from dualbrain.memory.state.state import MemoryState
 
-BLOCK = 256
+ROWS_PER_BLOCK = 256
 """Rows compared at a time."""
-LIKE, SAME = 0.9, 0.999
+SIMILAR_COSINE, DUPLICATE_COSINE = 0.9, 0.999
 """Cosines from which two situations are alike, and the same."""
-BY_MANY = 10.0
+STRUGGLE_FACTOR = 10.0
 """A success with Δ above this many ε is a struggle that was called a success."""
 
 
-class Finding(msgspec.Struct, frozen=True):
+class AuditFinding(msgspec.Struct, frozen=True):
     """One suspicion: its kind, the memory, others that speak against it (or repeat it), and a sentence."""
 
     kind: str
@@ -51,34 +60,38 @@ class AuditReport(msgspec.Struct, frozen=True):
     """All findings, most telling first, all sources by their influence, and what recalled memories were good for."""
 
     memories: int
-    findings: tuple[Finding, ...]
+    findings: tuple[AuditFinding, ...]
     sources: tuple[SourceReport, ...]
-    utility: Utility
+    utility: RetrievalUtility
 
 
 def audit(memory: Memory) -> AuditReport:
     """Look for label conflicts, near-duplicates and odd verdicts among all memories that are not set aside."""
-    pairs = list(_pairs(memory, LIKE))
-    findings = [*_conflicts(memory, pairs), *_duplicates(memory, pairs), *_oddities(memory)]
-    return AuditReport(len(memory), tuple(findings), sources(memory), utility(memory))
+    pairs = list(_similar_pairs(memory, SIMILAR_COSINE))
+    findings = [*_conflicts(memory, pairs), *_duplicates(memory, pairs), *_implausible_outcomes(memory)]
+    return AuditReport(len(memory), tuple(findings), source_reports(memory), compute_utility(memory))
 
 
-def utility(memory: Memory) -> Utility:
+def compute_utility(memory: Memory) -> RetrievalUtility:
     """Memory Retrieval Utility over all runs that asked for it."""
-    told = [msgspec.json.decode(event.payload, type=Uses).uses for event in effective(memory.ledger, (USED,))]
-    return total([use for uses in told for use in uses])
+    told = [
+        msgspec.json.decode(event.payload, type=MemoryUses).uses for event in effective_events(memory.ledger, (USED,))
+    ]
+    return summarize_uses([use for uses in told for use in uses])
 
 
-def sources(memory: Memory) -> tuple[SourceReport, ...]:
+def source_reports(memory: Memory) -> tuple[SourceReport, ...]:
     """The blast radius of each source, the most influential first."""
     touched, moved = defaultdict[str, set[str]](set), defaultdict[str, float](float)
-    for source, name, step in _moves(memory):
+    for source, name, step in _weight_changes(memory):
         touched[source].add(name)
         moved[source] += step
-    uses = [msgspec.json.decode(event.payload, type=AdapterUse) for event in effective(memory.ledger, (ADAPTER,))]
+    uses = [
+        msgspec.json.decode(event.payload, type=AdapterUse) for event in effective_events(memory.ledger, (ADAPTER,))
+    ]
     reports = list[SourceReport]()
-    for source in {memo.provenance.source for memo in memory.state.memos}:
-        memos = [memo for memo in memory.state.memos if memo.provenance.source == source]
+    for source in {memo.provenance.source for memo in memory.state.memories}:
+        memos = [memo for memo in memory.state.memories if memo.provenance.source == source]
         names = frozenset(memo.id for memo in memos)
         adapters = tuple(sorted({use.adapter for use in uses if names & set(use.memories)}))
         statuses = dict(Counter(memo.status for memo in memos))
@@ -87,29 +100,29 @@ def sources(memory: Memory) -> tuple[SourceReport, ...]:
     return tuple(sorted(reports, key=lambda report: (-report.moved, report.source)))
 
 
-def _moves(memory: Memory) -> Iterator[tuple[str, str, float]]:
+def _weight_changes(memory: Memory) -> Iterator[tuple[str, str, float]]:
     """Source, memory and |Δw| of every move of another's weight, as it was first made."""
     state = memory.state
-    for event in effective(memory.ledger, (WEIGHT, NEIGHBOURS)):
+    for event in effective_events(memory.ledger, (WEIGHT, NEIGHBOURS)):
         if event.kind == WEIGHT:
-            one = msgspec.json.decode(event.payload, type=Weighing)
+            one = msgspec.json.decode(event.payload, type=WeightUpdate)
             if one.cause != one.memory:
                 yield state[one.cause].provenance.source, one.memory, abs(one.after - one.before)
         else:
-            around = msgspec.json.decode(event.payload, type=Neighbourhood)
+            around = msgspec.json.decode(event.payload, type=NeighbourUpdates)
             for name, offset in zip(around.memories, around.offsets, strict=True):
                 yield state[around.cause].provenance.source, name, abs(offset)
 
 
-def _pairs(memory: Memory, least: float) -> Iterator[tuple[Memo, Memo, float]]:
+def _similar_pairs(memory: Memory, least: float) -> Iterator[tuple[MemoryState, MemoryState, float]]:
     """Pairs (later, earlier) of the same place with cosine at least `least`, each once, in blocks of rows."""
-    memos, index = memory.state.memos, memory.index
+    memos, index = memory.state.memories, memory.index
     alpha = memory.config.embedding.alpha
-    scale, shares = memory.embedding.scale(alpha), alpha.shares()
-    rows, masks = index.scan.rows, index.scan.masks
+    scale, shares = memory.embedding.expand_alpha(alpha), alpha.weight_by_mask()
+    rows, masks = index.flat_index.rows, index.flat_index.masks
     active = np.array([memo.status not in ("quarantined", "forgotten") for memo in memos], bool)
-    for start in range(0, len(memos), BLOCK):
-        block = slice(start, min(start + BLOCK, len(memos)))
+    for start in range(0, len(memos), ROWS_PER_BLOCK):
+        block = slice(start, min(start + ROWS_PER_BLOCK, len(memos)))
         both = shares[masks[block, None] & masks[None, : block.stop]]
         product = (rows[block] * scale) @ rows[: block.stop].T
         cosine = np.divide(product, both, out=np.zeros_like(product), where=both > 0.0)
@@ -120,56 +133,58 @@ def _pairs(memory: Memory, least: float) -> Iterator[tuple[Memo, Memo, float]]:
                 yield one, other, float(cosine[i, j])
 
 
-def _conflicts(memory: Memory, pairs: list[tuple[Memo, Memo, float]]) -> Iterator[Finding]:
+def _conflicts(memory: Memory, pairs: list[tuple[MemoryState, MemoryState, float]]) -> Iterator[AuditFinding]:
     """Memories that too few of their kind agree with: the same plan in a like situation, the opposite r (see `doubt`).
 
     Where outcomes are partly chance, a true memory may be found here too: then it is one that misleads all the same.
     """
     against, agreeing = defaultdict[str, list[str]](list), Counter[str]()
     for one, other, _ in pairs:
-        judged = one.lesson != "none" != other.lesson
-        if judged and one.provenance.skills == other.provenance.skills and _same(memory, one, other):
+        judged = one.guidance != "none" != other.guidance
+        if judged and one.provenance.skills == other.provenance.skills and _is_same_contract(memory, one, other):
             if one.r != other.r:
                 against[one.id].append(other.id)
                 against[other.id].append(one.id)
             else:
                 agreeing.update((one.id, other.id))
     for name, others in sorted(against.items(), key=lambda item: (-len(item[1]), item[0])):
-        if contradicted(agreeing[name], agreeing[name] + len(others)):
+        if is_contradicted(agreeing[name], agreeing[name] + len(others)):
             memo = memory.state[name]
             text = f"{memo.kind}, but {len(others)} like it ended otherwise and {agreeing[name]} as it did"
-            yield Finding("label conflict", name, tuple(others), text)
+            yield AuditFinding("label conflict", name, tuple(others), text)
 
 
-def _same(memory: Memory, one: Memo, other: Memo) -> bool:
+def _is_same_contract(memory: Memory, one: MemoryState, other: MemoryState) -> bool:
     if one.provenance.contract == other.provenance.contract:
         return True
-    return same_plan(memory.trace(one.id).contract, memory.trace(other.id).contract)
+    return same_plan(memory.read_episode(one.id).contract, memory.read_episode(other.id).contract)
 
 
-def _duplicates(memory: Memory, pairs: list[tuple[Memo, Memo, float]]) -> Iterator[Finding]:
+def _duplicates(memory: Memory, pairs: list[tuple[MemoryState, MemoryState, float]]) -> Iterator[AuditFinding]:
     """Memories that repeat an earlier one: the same situation, contract and source."""
     repeats = defaultdict[str, list[str]](list)
     for one, other, cosine in pairs:
-        if cosine >= SAME and _claim(one) == _claim(other):
+        if cosine >= DUPLICATE_COSINE and _duplicate_key(one) == _duplicate_key(other):
             repeats[other.id].append(one.id)
     firsts = {name: others for name, others in repeats.items() if not any(name in rest for rest in repeats.values())}
     for name, others in sorted(firsts.items(), key=lambda item: (-len(item[1]), item[0])):
-        yield Finding("near duplicates", name, tuple(others), f"{len(others)} more of the same, from one source")
+        yield AuditFinding("near duplicates", name, tuple(others), f"{len(others)} more of the same, from one source")
 
 
-def _claim(memo: Memo) -> tuple[str, str, str]:
+def _duplicate_key(memo: MemoryState) -> tuple[str, str, str]:
     """What two near-duplicates share."""
     return memo.provenance.contract, memo.provenance.source, memo.kind
 
 
-def _oddities(memory: Memory) -> Iterator[Finding]:
+def _implausible_outcomes(memory: Memory) -> Iterator[AuditFinding]:
     """Verdicts that do not go with their Δ: a success that was a struggle, a failure in which nothing intervened."""
     rule = memory.config.plasticity
-    for memo in memory.state.memos:
+    for memo in memory.state.memories:
         if memo.status in ("quarantined", "forgotten") or memo.Delta is None or rule is None:
             continue
-        if memo.r and memo.Delta > BY_MANY * rule.epsilon:
-            yield Finding("struggle", memo.id, (), f"called a success with Δ = {memo.Delta:.4f}")
+        if memo.r and memo.Delta > STRUGGLE_FACTOR * rule.epsilon:
+            yield AuditFinding("struggle", memo.id, (), f"called a success with Δ = {memo.Delta:.4f}")
         elif memo.kind == "failed" and memo.Delta == 0.0:
-            yield Finding("untouched failure", memo.id, (), "failed although nothing intervened: was it seen rightly?")
+            yield AuditFinding(
+                "untouched failure", memo.id, (), "failed although nothing intervened: was it seen rightly?"
+            )

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import msgspec
 
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import ConfigurationError
 from dualbrain.memory.ledger.events import (
     ADAPTER,
     COMPACTED,
@@ -19,26 +19,26 @@ from dualbrain.memory.ledger.events import (
     RELEASE,
     TOMBSTONE,
     WEIGHT,
-    Compacted,
-    Folded,
-    Neighbourhood,
+    CompactionRecord,
+    FoldedUpdates,
+    NeighbourUpdates,
     Status,
     StatusChange,
-    Weighing,
+    WeightUpdate,
 )
-from dualbrain.memory.ledger.hash_chain import Event, checked
-from dualbrain.memory.ledger.ledger import Entry, Ledger, LedgerReader
-from dualbrain.memory.plasticity.affine_map import UNCHANGED, Factors
-from dualbrain.memory.state.derivation import derive, effective
-from dualbrain.memory.state.episode_record import read_memo
-from dualbrain.memory.state.state import State
+from dualbrain.memory.ledger.hash_chain import LedgerEvent, verified_events
+from dualbrain.memory.ledger.ledger import Ledger, LedgerReader, PendingEvent
+from dualbrain.memory.plasticity.affine_map import IDENTITY, AffineMap
+from dualbrain.memory.state.derivation import derive_state, effective_events
+from dualbrain.memory.state.episode_record import decode_event_header
+from dualbrain.memory.state.state import LedgerState
 
-AT_ONCE = 500
+EVENTS_PER_TRANSACTION = 500
 """Events in one transaction."""
-STATUS_KIND: dict[Status, str] = {"active": RELEASE, "quarantined": QUARANTINE, "forgotten": TOMBSTONE}
+EVENT_KIND_BY_STATUS: dict[Status, str] = {"active": RELEASE, "quarantined": QUARANTINE, "forgotten": TOMBSTONE}
 
 
-def compact(source: LedgerReader, target: Path, *, holder: str, now: float) -> State:
+def compact_ledger(source: LedgerReader, target: Path, *, holder: str, now: float) -> LedgerState:
     """Write into `target` what `source` holds now; returns the state, which both then have, to the bit.
 
     Kept: every episode in effect with its vector, adapters' use, statuses. Folded: all weight events of a memory become
@@ -47,31 +47,33 @@ def compact(source: LedgerReader, target: Path, *, holder: str, now: float) -> S
     Raises `DamagedLedger` if a link of `source` is broken, `InvalidSetup` if `target` exists.
     """
     if target.exists():
-        raise InvalidSetup("compacted ledger", got="a file that exists", allowed="a new file", fix=str(target))
-    for _ in checked(source.events(), str(source.path)):
+        raise ConfigurationError("compacted ledger", got="a file that exists", allowed="a new file", fix=str(target))
+    for _ in verified_events(source.events(), str(source.path)):
         pass
-    state, head = derive(source), source.head()
+    state, head = derive_state(source), source.head()
     with Ledger(target, holder=holder, now=now) as ledger:
-        ledger.append([Entry(COMPACTED, "", Compacted(head.seq, head.hash, source.path.name))], now=now)
-        for batch in _batches(_episodes(source)):
+        ledger.append([PendingEvent(COMPACTED, "", CompactionRecord(head.seq, head.hash, source.path.name))], now=now)
+        for batch in _batches(_episode_events(source)):
             for time, entries in batch:
                 ledger.append(entries, now=time)
-        ledger.append([*_folds(source, state), *_statuses(source, state), *_adapters(source)], now=now)
+        ledger.append(
+            [*_folded_events(source, state), *_status_events(source, state), *_adapter_events(source)], now=now
+        )
     return state
 
 
-def swap(path: Path, *, holder: str, now: float, patience: float) -> Path:
+def compact_in_place(path: Path, *, holder: str, now: float, timeout_s: float) -> Path:
     """Compact the ledger at `path` in place; returns where the long one lies from now on.
 
     A process killed on the way leaves the long ledger in force, or beside the short one under its archive name.
     """
-    with Ledger(path, holder=holder, now=now, patience=patience) as long:
+    with Ledger(path, holder=holder, now=now, timeout_s=timeout_s) as long:
         archive = path.with_name(f"{path.name}.archive-{long.head().seq}")
         partial = path.with_name(f"{path.name}.compacting")
         for old in path.parent.glob(f"{partial.name}*"):
             old.unlink()
-        compact(long, partial, holder=holder, now=now)
-        long.settle()
+        compact_ledger(long, partial, holder=holder, now=now)
+        long.checkpoint_wal()
         for old in path.parent.glob(f"{path.name}.snapshot-*"):
             old.unlink()
         os.link(path, archive)
@@ -82,64 +84,64 @@ def swap(path: Path, *, holder: str, now: float, patience: float) -> Path:
     return archive
 
 
-def _episodes(source: LedgerReader) -> Iterator[tuple[float, Entry]]:
+def _episode_events(source: LedgerReader) -> Iterator[tuple[float, PendingEvent]]:
     vectors = dict(source.vectors())
-    for event in effective(source, (EPISODE,)):
+    for event in effective_events(source, (EPISODE,)):
         payload = msgspec.json.decode(event.payload)
-        yield event.time, Entry(EPISODE, event.subject, payload, vectors.get(event.seq), event.run)
+        yield event.time, PendingEvent(EPISODE, event.subject, payload, vectors.get(event.seq), event.run)
 
 
-def _batches(episodes: Iterator[tuple[float, Entry]]) -> Iterator[list[tuple[float, list[Entry]]]]:
+def _batches(episodes: Iterator[tuple[float, PendingEvent]]) -> Iterator[list[tuple[float, list[PendingEvent]]]]:
     """Runs of episodes with the same time, which go into one transaction."""
-    batch: list[tuple[float, list[Entry]]] = []
+    batch: list[tuple[float, list[PendingEvent]]] = []
     for time, entry in episodes:
-        if batch and batch[-1][0] == time and len(batch[-1][1]) < AT_ONCE:
+        if batch and batch[-1][0] == time and len(batch[-1][1]) < EVENTS_PER_TRANSACTION:
             batch[-1][1].append(entry)
         else:
             batch.append((time, [entry]))
     yield batch
 
 
-def maps(source: LedgerReader, state: State) -> dict[str, Factors]:
+def compose_weight_updates(source: LedgerReader, state: LedgerState) -> dict[str, AffineMap]:
     """All that happened to each memory's weight, as one clipped affine map of its first weight."""
-    folded = dict.fromkeys(state.rows, UNCHANGED)
-    for event in effective(source, (WEIGHT, NEIGHBOURS, FOLDED)):
-        for name, factors in _steps(event, state.void):
-            folded[name] = folded[name].then(factors)
+    folded = dict.fromkeys(state.rows, IDENTITY)
+    for event in effective_events(source, (WEIGHT, NEIGHBOURS, FOLDED)):
+        for name, factors in _update_steps(event, state.void):
+            folded[name] = folded[name].compose(factors)
     return folded
 
 
-def _steps(event: Event, void: frozenset[str]) -> Iterator[tuple[str, Factors]]:
+def _update_steps(event: LedgerEvent, void: frozenset[str]) -> Iterator[tuple[str, AffineMap]]:
     if event.kind == WEIGHT:
-        one = msgspec.json.decode(event.payload, type=Weighing)
+        one = msgspec.json.decode(event.payload, type=WeightUpdate)
         if one.cause not in void:
-            yield one.memory, one.factors
+            yield one.memory, one.affine_map
     elif event.kind == NEIGHBOURS:
-        around = msgspec.json.decode(event.payload, type=Neighbourhood)
+        around = msgspec.json.decode(event.payload, type=NeighbourUpdates)
         if around.cause not in void:
             for name, offset in zip(around.memories, around.offsets, strict=True):
-                yield name, Factors(1.0, offset)
+                yield name, AffineMap(1.0, offset)
     else:
-        one = msgspec.json.decode(event.payload, type=Folded)
-        yield one.memory, one.factors
+        one = msgspec.json.decode(event.payload, type=FoldedUpdates)
+        yield one.memory, one.affine_map
 
 
-def _folds(source: LedgerReader, state: State) -> Iterator[Entry]:
-    for name, f in maps(source, state).items():
+def _folded_events(source: LedgerReader, state: LedgerState) -> Iterator[PendingEvent]:
+    for name, f in compose_weight_updates(source, state).items():
         memo = state[name]
         counts = (memo.reinforced, memo.suppressed)
-        yield Entry(FOLDED, name, Folded(name, f.gain, f.offset, f.lower, f.upper, memo.weight, *counts))
+        yield PendingEvent(FOLDED, name, FoldedUpdates(name, f.gain, f.offset, f.lower, f.upper, memo.weight, *counts))
 
 
-def _statuses(source: LedgerReader, state: State) -> Iterator[Entry]:
+def _status_events(source: LedgerReader, state: LedgerState) -> Iterator[PendingEvent]:
     """What makes each memory's status of that with which it was stored."""
-    born = {event.subject: read_memo(event.payload).status for event in effective(source, (EPISODE,))}
-    for status, kind in STATUS_KIND.items():
-        names = tuple(memo.id for memo in state.memos if memo.status == status != born[memo.id])
+    born = {event.subject: decode_event_header(event.payload).status for event in effective_events(source, (EPISODE,))}
+    for status, kind in EVENT_KIND_BY_STATUS.items():
+        names = tuple(memo.id for memo in state.memories if memo.status == status != born[memo.id])
         if names:
-            yield Entry(kind, "", StatusChange(names, "as it was before the compaction", "compaction"))
+            yield PendingEvent(kind, "", StatusChange(names, "as it was before the compaction", "compaction"))
 
 
-def _adapters(source: LedgerReader) -> Iterator[Entry]:
-    for event in effective(source, (ADAPTER,)):
-        yield Entry(ADAPTER, event.subject, msgspec.json.decode(event.payload))
+def _adapter_events(source: LedgerReader) -> Iterator[PendingEvent]:
+    for event in effective_events(source, (ADAPTER,)):
+        yield PendingEvent(ADAPTER, event.subject, msgspec.json.decode(event.payload))

@@ -8,11 +8,11 @@ from typing import Any
 import msgspec
 
 from dualbrain.memory.ledger.ledger import LedgerReader
-from dualbrain.memory.state.state import State
+from dualbrain.memory.state.state import LedgerState
 
 
-def rows(ledger: LedgerReader, state: State) -> Iterator[dict[str, Any]]:
+def export_rows(ledger: LedgerReader, state: LedgerState) -> Iterator[dict[str, Any]]:
     """Each memory, oldest first: status, weight and provenance beside the episode as it was stored."""
-    for memo in state.memos:
+    for memo in state.memories:
         stored = msgspec.json.decode(ledger.event(memo.seq).payload)
         yield {**msgspec.to_builtins(memo), "r": memo.r, "episode": stored["episode"], "retrieved": stored["retrieved"]}

@@ -9,31 +9,31 @@ from numpy.typing import NDArray
 
 from dualbrain.memory.memory import Memory
 
-SAMPLE = 2000
+MAX_PCA_SAMPLES = 2000
 """The axes are found from at most this many memories, spread evenly over time."""
 
 
 @dataclass(frozen=True, slots=True)
-class MemoryMap:
+class MemoryProjection:
     """Points of shape (n, 2), weights w of shape (n,), ids and outcomes, and the share of variance the axes show."""
 
     points: NDArray[np.float64]
     weights: NDArray[np.float64]
-    names: tuple[str, ...]
+    episode_ids: tuple[str, ...]
     kinds: tuple[str, ...]
     statuses: tuple[str, ...]
-    shown: float
+    explained_variance: float
 
 
-def memory_map(memory: Memory) -> MemoryMap:
+def project_memories(memory: Memory) -> MemoryProjection:
     """The first two principal axes of the embeddings with their blocks weighted by √α: e − ē = U S V', points = U S.
 
     Distances on the map are those of the joint embedding, as far as two axes can show them; signs are fixed (the entry
     of largest size in each axis is positive), so that the same memory draws the same map.
     """
-    state, rows = memory.state, memory.index.scan.rows
-    scale = np.sqrt(memory.embedding.scale(memory.config.embedding.alpha)).astype(np.float64)
-    chosen = np.unique(np.linspace(0, max(0, len(rows) - 1), min(len(rows), SAMPLE)).round().astype(np.intp))
+    state, rows = memory.state, memory.index.flat_index.rows
+    scale = np.sqrt(memory.embedding.expand_alpha(memory.config.embedding.alpha)).astype(np.float64)
+    chosen = np.unique(np.linspace(0, max(0, len(rows) - 1), min(len(rows), MAX_PCA_SAMPLES)).round().astype(np.intp))
     sample = rows[chosen].astype(np.float64) * scale
     points, shown = np.zeros((len(rows), 2)), 0.0
     if len(rows) > 1:
@@ -43,7 +43,7 @@ def memory_map(memory: Memory) -> MemoryMap:
         points[:, : len(axes)] = (rows.astype(np.float64) * scale - centre) @ axes.T
         total = float((spread**2).sum())
         shown = float((spread[:2] ** 2).sum() / total) if total > 0.0 else 0.0
-    return MemoryMap(
-        points, np.array([memo.weight for memo in state.memos]), tuple(memo.id for memo in state.memos),
-        tuple(memo.kind for memo in state.memos), tuple(memo.status for memo in state.memos), shown,
+    return MemoryProjection(
+        points, np.array([memo.weight for memo in state.memories]), tuple(memo.id for memo in state.memories),
+        tuple(memo.kind for memo in state.memories), tuple(memo.status for memo in state.memories), shown,
     )  # fmt: skip

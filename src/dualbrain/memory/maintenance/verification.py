@@ -5,11 +5,11 @@ from __future__ import annotations
 import msgspec
 
 from dualbrain.memory.embedding.joint_embedding import JointEmbedding
-from dualbrain.memory.index.index import made
+from dualbrain.memory.index.index import compute_vectors
 from dualbrain.memory.ledger.hash_chain import ChainReport, Head
 from dualbrain.memory.ledger.ledger import LedgerReader
-from dualbrain.memory.state.derivation import derive
-from dualbrain.memory.state.snapshot import read
+from dualbrain.memory.state.derivation import derive_state
+from dualbrain.memory.state.snapshot import read_snapshot
 
 
 class Verification(msgspec.Struct, frozen=True):
@@ -21,9 +21,9 @@ class Verification(msgspec.Struct, frozen=True):
     vectors_wrong: int | None = None
 
     @property
-    def whole(self) -> bool:
+    def is_intact(self) -> bool:
         """True if everything that was looked at holds."""
-        return self.chain.whole and self.snapshot != "differs" and not self.vectors_wrong
+        return self.chain.is_intact and self.snapshot != "differs" and not self.vectors_wrong
 
 
 def verify(
@@ -34,16 +34,16 @@ def verify(
     With an `embedding`, every vector is made again and compared to the bit.
     """
     chain = ledger.verify(anchor)
-    if not chain.whole:
+    if not chain.is_intact:
         return Verification(chain)
-    state = derive(ledger)
-    found = read(ledger)
+    state = derive_state(ledger)
+    found = read_snapshot(ledger)
     snapshot = "none"
     if found is not None:
-        then = derive(ledger, head=found.head.seq)
-        snapshot = "agrees" if then.memos == found.state.memos else "differs"
+        then = derive_state(ledger, head=found.head.seq)
+        snapshot = "agrees" if then.memories == found.state.memories else "differs"
     wrong = None
     if embedding is not None:
-        stored, anew = dict(ledger.vectors()), dict(made(ledger, embedding))
+        stored, anew = dict(ledger.vectors()), dict(compute_vectors(ledger, embedding))
         wrong = sum(stored.get(seq) != vector for seq, vector in anew.items()) + len(stored.keys() - anew.keys())
     return Verification(chain, len(state), snapshot, wrong)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
-class Factors:
+class AffineMap:
     """One update w ← min(upper, max(lower, gain·w + offset)), with gain ≥ 0: what a weight event stores.
 
     Such maps are closed under composition (`then`), so that a log of them can be folded, undone and replayed without
@@ -22,21 +22,21 @@ class Factors:
         """The weight after the update, in [lower, upper]."""
         return min(self.upper, max(self.lower, self.gain * w + self.offset))
 
-    def then(self, following: Factors) -> Factors:
+    def compose(self, following: AffineMap) -> AffineMap:
         """This map, then `following`, as one map.
 
         (c, d, l, h) ∘ (a, b, lo, hi) = (ca, cb + d, clip(c·lo + d), clip(c·hi + d)), both clipped to [l, h]. Exact but
         for the rounding of one product and one sum (3e-16 over chains of 30 maps).
         """
-        return Factors(
+        return AffineMap(
             self.gain * following.gain, following.gain * self.offset + following.offset,
             following(self.lower), following(self.upper),
         )  # fmt: skip
 
-    def scaled(self, share: float) -> Factors:
+    def scale_step(self, share: float) -> AffineMap:
         """The part `share` ∈ [0, 1] of the step: w ← clip(w + share·(gain·w + offset − w)); 0 changes nothing."""
-        return Factors(1.0 + share * (self.gain - 1.0), share * self.offset, self.lower, self.upper)
+        return AffineMap(1.0 + share * (self.gain - 1.0), share * self.offset, self.lower, self.upper)
 
 
-UNCHANGED = Factors(1.0, 0.0)
+IDENTITY = AffineMap(1.0, 0.0)
 """The map that leaves every weight as it is."""

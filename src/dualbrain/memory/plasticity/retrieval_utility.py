@@ -14,13 +14,13 @@ from typing import Any
 
 import msgspec
 
-from dualbrain.memory.plasticity.plan_similarity import same_plan, same_skills, shares_a_parameter
-from dualbrain.records import Use
+from dualbrain.memory.plasticity.plan_similarity import same_plan, same_skills, shares_parameter
+from dualbrain.records import MemoryUse
 
-Contract = dict[str, Any] | None
+RawContract = dict[str, Any] | None
 
 
-class Utility(msgspec.Struct, frozen=True):
+class RetrievalUtility(msgspec.Struct, frozen=True):
     """How many memories stood in prompts that were asked again without them, were used, and contributed."""
 
     recalled: int
@@ -38,36 +38,36 @@ class Utility(msgspec.Struct, frozen=True):
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class ExclusionEffect:
     """What leaving one exemplar out of the prompt changes: the first proposal `given` it and the one `without` it.
 
     None: no contract could be read in that answer, which differs from every contract.
     """
 
-    given: Contract
-    without: Contract
+    with_exemplar: RawContract
+    without_exemplar: RawContract
 
     @property
-    def none(self) -> bool:
+    def is_unchanged(self) -> bool:
         """Whether both say the same plan."""
-        return same_plan(self.given, self.without)
+        return same_plan(self.with_exemplar, self.without_exemplar)
 
 
-def was_used(exemplar: Contract, contract: Contract, change: Change) -> bool:
+def was_used(exemplar: RawContract, contract: RawContract, effect: ExclusionEffect) -> bool:
     """Whether `contract`, the one that was accepted, follows `exemplar`, and leaving that out changes the proposal."""
-    return same_skills(exemplar, contract) and shares_a_parameter(exemplar, contract) and not change.none
+    return same_skills(exemplar, contract) and shares_parameter(exemplar, contract) and not effect.is_unchanged
 
 
-def judge(
-    memory: str, exemplar: Contract, contract: Contract, change: Change, *, succeeded: bool, Delta: float | None,
-    reference: float | None,
-) -> Use:  # fmt: skip
+def evaluate_use(
+    memory: str, exemplar: RawContract, contract: RawContract, effect: ExclusionEffect, *, succeeded: bool, Delta: float | None,
+    max_Delta: float | None,
+) -> MemoryUse:  # fmt: skip
     """What became of one memory. `reference` is the Δ not to be exceeded: that of the exemplar itself (None: any)."""
-    used = was_used(exemplar, contract, change)
-    no_worse = reference is None or (Delta is not None and Delta <= reference)
-    return Use(memory, used, used and succeeded and no_worse)
+    used = was_used(exemplar, contract, effect)
+    no_worse = max_Delta is None or (Delta is not None and Delta <= max_Delta)
+    return MemoryUse(memory, used, used and succeeded and no_worse)
 
 
-def total(uses: Sequence[Use]) -> Utility:
+def summarize_uses(uses: Sequence[MemoryUse]) -> RetrievalUtility:
     """The shares over many recalls."""
-    return Utility(len(uses), sum(use.used for use in uses), sum(use.contributing for use in uses))
+    return RetrievalUtility(len(uses), sum(use.used for use in uses), sum(use.contributing for use in uses))

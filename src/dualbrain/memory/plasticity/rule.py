@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from dualbrain.errors import InvalidSetup
-from dualbrain.memory.plasticity.affine_map import Factors
+from dualbrain.errors import ConfigurationError
+from dualbrain.memory.plasticity.affine_map import AffineMap
 
 W0 = 0.5
 """Weight of a new memory before any outcome."""
@@ -14,7 +14,7 @@ EPSILON = 0.003
 """Δ up to which a success speaks for a memory, unless it is set for a robot."""
 BANDWIDTH = 0.2
 """ℓ of a neighbourhood unless it is set otherwise: half of a neighbour's word is left at cos = 0.97."""
-WIDEST = 0.3
+MAX_BANDWIDTH = 0.3
 """The widest neighbourhood ℓ."""
 
 
@@ -79,22 +79,24 @@ class Plasticity:
         _require("g.scale", g.scale, 0.0 < g.scale < math.inf, "above 0")
         _require("g.rejected", g.rejected, 0.0 <= g.rejected < math.inf, "at least 0")
         _require("kappa", self.kappa, 0.0 <= self.kappa <= 1.0, "in [0, 1]")
-        _require("bandwidth", self.bandwidth, 0.0 < self.bandwidth <= WIDEST, f"above 0, at most {WIDEST}")
+        _require(
+            "bandwidth", self.bandwidth, 0.0 < self.bandwidth <= MAX_BANDWIDTH, f"above 0, at most {MAX_BANDWIDTH}"
+        )
         _require("reach", self.reach, self.reach >= 0, "at least 0")
         weakest = self.eta_minus * min(g.floor, g.rejected)
         _require("eta_minus * g", weakest, weakest > 0.0 or self.rho > 0.0, "above 0, or rho above 0")
         most = min(self.eta_plus - self.rho, weakest)
         _require("kappa", self.kappa, self.kappa <= max(most, 0.0), f"at most eta_plus - rho and eta_minus * g: {most}")
 
-    def reinforces(self, r: int, Delta: float | None) -> bool:
+    def is_reinforcing(self, r: int, Delta: float | None) -> bool:
         """True if the outcome is a success with little intervention; a missing or non-finite Δ is not."""
         return r == 1 and Delta is not None and 0.0 <= Delta <= self.epsilon
 
-    def factors(self, r: int, Delta: float | None) -> Factors:
+    def update_map(self, r: int, Delta: float | None) -> AffineMap:
         """The update that the outcome (r, Δ) causes; Δ is None if nothing was executed."""
-        if self.reinforces(r, Delta):
-            return Factors(1.0 - self.rho, self.eta_plus)
-        return Factors(1.0 - self.rho, -self.eta_minus * self.g(Delta))
+        if self.is_reinforcing(r, Delta):
+            return AffineMap(1.0 - self.rho, self.eta_plus)
+        return AffineMap(1.0 - self.rho, -self.eta_minus * self.g(Delta))
 
     @property
     def radius(self) -> float:
@@ -109,4 +111,4 @@ class Plasticity:
 
 def _require(what: str, got: float, holds: bool, allowed: str) -> None:
     if not holds:
-        raise InvalidSetup(f"plasticity {what}", got=got, allowed=allowed)
+        raise ConfigurationError(f"plasticity {what}", got=got, allowed=allowed)

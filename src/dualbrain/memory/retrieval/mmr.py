@@ -5,26 +5,26 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.errors import InvalidSetup
-from dualbrain.memory.retrieval.search import Compared, Hit, Mask, Scan, Weights
+from dualbrain.errors import ConfigurationError
+from dualbrain.memory.retrieval.search import FlatIndex, Mask, MemoryHit, QueryComparison, Weights
 
-POOL = 8
+CANDIDATE_FACTOR = 8
 """How many times k candidates are considered."""
 
 
-def diverse(
-    scan: Scan, compared: Compared, eligible: Mask, k: int, lambda_s: float, diversity: float,
+def select_diverse(
+    scan: FlatIndex, compared: QueryComparison, eligible: Mask, k: int, lambda_s: float, diversity: float,
     weights: Weights | None = None,
-) -> tuple[Hit, ...]:  # fmt: skip
+) -> tuple[MemoryHit, ...]:  # fmt: skip
     """K hits chosen one by one by (1 − d)·R − d·max (1 + cos)/2 to those chosen before, d = `diversity` ∈ [0, 1].
 
     Chosen among the 8k best by R; d = 0 is plain retrieval. The first hit is always the best by R; ties go to the
     better R. Near-duplicates of a chosen memory, which add nothing to a prompt, fall behind.
     """
     if not 0.0 <= diversity <= 1.0:
-        raise InvalidSetup("diversity", got=diversity, allowed="in [0, 1]")
-    pool = list(scan.top(compared, eligible, POOL * k, lambda_s, weights))
-    likeness = _likeness(scan, compared, pool)
+        raise ConfigurationError("diversity", got=diversity, allowed="in [0, 1]")
+    pool = list(scan.top_k(compared, eligible, CANDIDATE_FACTOR * k, lambda_s, weights))
+    likeness = _pairwise_similarity(scan, compared, pool)
     chosen: list[int] = []
     while len(chosen) < min(k, len(pool)):
         left = [i for i in range(len(pool)) if i not in chosen]
@@ -36,12 +36,12 @@ def diverse(
     return tuple(pool[i] for i in chosen)
 
 
-def _likeness(scan: Scan, compared: Compared, pool: list[Hit]) -> NDArray[np.float64]:
+def _pairwise_similarity(scan: FlatIndex, compared: QueryComparison, pool: list[MemoryHit]) -> NDArray[np.float64]:
     """(1 + cos)/2 of each pair in the pool, the blocks weighted as in the query."""
     if not pool:
         return np.zeros((0, 0))
     rows = np.array([hit.row for hit in pool])
-    shares = compared.query.shares
+    shares = compared.query.weight_by_mask
     blocks = scan.rows[rows].astype(np.float64)
     weighted = blocks * compared.query.scale
     both = shares[scan.masks[rows][:, None] & scan.masks[rows][None, :]]

@@ -10,18 +10,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.errors import InvalidSetup
-from dualbrain.memory.embedding.text_encoder import Rows
+from dualbrain.errors import ConfigurationError
+from dualbrain.memory.embedding.text_encoder import Float32Array
 from dualbrain.memory.plasticity.rule import W0
 
 Mask = NDArray[np.bool_]
-Numbers = NDArray[np.intp]
+RowNumbers = NDArray[np.intp]
 Weights = NDArray[np.float64]
 Codes = NDArray[np.int32]
 
 
 @dataclass(frozen=True, slots=True)
-class Hit:
+class MemoryHit:
     """One retrieved row: its number, similarity s ∈ [0, 1], the weight w̄ ∈ [0, 1] of its contract and score R."""
 
     row: int
@@ -37,26 +37,26 @@ class Query:
     `scale` is α_b at every place of block b, shape (dim,).
     """
 
-    row: Rows
+    vector: Float32Array
     mask: int
-    shares: NDArray[np.float64]
-    scale: Rows
+    weight_by_mask: NDArray[np.float64]
+    scale: Float32Array
 
     @classmethod
-    def plain(cls, row: Rows) -> Query:
+    def single_block(cls, row: Float32Array) -> Query:
         """A query of one block."""
         return cls(row, 1, np.array([0.0, 1.0]), np.ones_like(row))
 
 
 @dataclass(frozen=True, slots=True)
-class Compared:
+class QueryComparison:
     """A query and its cosine with every row, shape (n,), in float32."""
 
     query: Query
-    cosine: Rows
+    cosine: Float32Array
 
 
-class Scan:
+class FlatIndex:
     """All embeddings in one float32 matrix of shape (n, dim), all weights and block masks beside it.
 
     A robot makes 1e4 to 1e5 episodes in years; up to there reading every row is as fast as memory allows, and it is
@@ -65,18 +65,18 @@ class Scan:
 
     def __init__(self, dim: int) -> None:
         """Begin empty, for embeddings of length `dim`."""
-        self._rows: Rows = np.empty((0, dim), np.float32)
+        self._rows: Float32Array = np.empty((0, dim), np.float32)
         self._weights = np.empty(0)
         self._masks: NDArray[np.uint8] = np.empty(0, np.uint8)
         self._count = 0
-        self._mask: int | None = None
-        self._scratch: tuple[Rows, Rows] = (np.empty(0, np.float32), np.empty(0, np.float32))
+        self._common_mask: int | None = None
+        self._scratch: tuple[Float32Array, Float32Array] = (np.empty(0, np.float32), np.empty(0, np.float32))
 
     def __len__(self) -> int:
         return self._count
 
     @property
-    def rows(self) -> Rows:
+    def rows(self) -> Float32Array:
         """All embeddings, shape (n, dim); not to be written to."""
         return self._rows[: self._count]
 
@@ -85,13 +85,13 @@ class Scan:
         """Which blocks each row has, shape (n,)."""
         return self._masks[: self._count]
 
-    def load(self, rows: Rows, weights: NDArray[np.float64], masks: NDArray[np.uint8]) -> None:
+    def load(self, rows: Float32Array, weights: NDArray[np.float64], masks: NDArray[np.uint8]) -> None:
         """Take whole arrays, shapes (n, dim), (n,), (n,), in place of what is there."""
         self._rows, self._weights, self._masks, self._count = rows, weights, masks, len(rows)
         found = np.unique(masks)
-        self._mask = int(found[0]) if found.size == 1 else None
+        self._common_mask = int(found[0]) if found.size == 1 else None
 
-    def add(self, embedding: Rows, weight: float, mask: int = 1) -> int:
+    def add(self, embedding: Float32Array, weight: float, mask: int = 1) -> int:
         """Append one row of shape (dim,); returns its number. Later rows are newer."""
         if self._count == len(self._rows):
             room = max(64, len(self._rows) // 2)
@@ -99,7 +99,7 @@ class Scan:
             self._weights = np.concatenate([self._weights, np.empty(room)])
             self._masks = np.concatenate([self._masks, np.empty(room, np.uint8)])
         self._rows[self._count], self._weights[self._count], self._masks[self._count] = embedding, weight, mask
-        self._mask = mask if self._count == 0 or self._mask == mask else None
+        self._common_mask = mask if self._count == 0 or self._common_mask == mask else None
         self._count += 1
         return self._count - 1
 
@@ -107,29 +107,29 @@ class Scan:
         """Weight w of one row."""
         return float(self._weights[row])
 
-    def reweigh(self, row: int, weight: float) -> None:
+    def set_weight(self, row: int, weight: float) -> None:
         """Set w of one row."""
         self._weights[row] = weight
 
-    def compare(self, query: Query) -> Compared:
+    def compare(self, query: Query) -> QueryComparison:
         """Read every row once; the result serves any number of `top` calls until a row is added."""
-        product = self.rows @ query.row
-        if self._mask is not None:
-            share = query.shares[self._mask & query.mask]
+        product = self.rows @ query.vector
+        if self._common_mask is not None:
+            share = query.weight_by_mask[self._common_mask & query.mask]
             if abs(share - 1.0) > 1e-6:
                 product *= np.float32(1.0 / share if share else 0.0)
-            return Compared(query, product)
-        shares = query.shares[self.masks & query.mask].astype(np.float32)
-        return Compared(query, np.divide(product, shares, out=np.zeros_like(product), where=shares > 0.0))
+            return QueryComparison(query, product)
+        shares = query.weight_by_mask[self.masks & query.mask].astype(np.float32)
+        return QueryComparison(query, np.divide(product, shares, out=np.zeros_like(product), where=shares > 0.0))
 
     @property
     def weights(self) -> Weights:
         """The weight of each row, shape (n,); not to be written to."""
         return self._weights[: self._count]
 
-    def top(
-        self, compared: Compared, eligible: Mask, k: int, lambda_s: float, weights: Weights | None = None
-    ) -> tuple[Hit, ...]:
+    def top_k(
+        self, compared: QueryComparison, eligible: Mask, k: int, lambda_s: float, weights: Weights | None = None
+    ) -> tuple[MemoryHit, ...]:
         """The k eligible rows with the largest R = λ_s (1 + cos)/2 + (1 − λ_s) w, best first; the newer wins a tie.
 
         `weights` (n,) take the place of the rows' own.
@@ -150,31 +150,33 @@ class Scan:
         np.copyto(rough, -np.inf, where=~eligible)
         np.copyto(sorting, rough)
         sorting.partition(max(0, n - k))
-        rows = np.flatnonzero(rough >= sorting[max(0, n - k)] - self._slack(compared.query))
-        return self._ranked(rows[eligible[rows]], compared.query, lambda_s, weights)[:k]
+        rows = np.flatnonzero(rough >= sorting[max(0, n - k)] - self._rounding_bound(compared.query))
+        return self._rank(rows[eligible[rows]], compared.query, lambda_s, weights)[:k]
 
-    def _slack(self, query: Query) -> float:
+    def _rounding_bound(self, query: Query) -> float:
         """Bound of the rounding of a float32 score."""
-        present = query.shares[query.shares > 0.0]
+        present = query.weight_by_mask[query.weight_by_mask > 0.0]
         least = min(1.0, float(present.min())) if present.size else 1.0
-        return (2.0 * query.row.size / least + 8.0) * 2.0**-24
+        return (2.0 * query.vector.size / least + 8.0) * 2.0**-24
 
-    def _ranked(self, rows: Numbers, query: Query, lambda_s: float, weights: Weights) -> tuple[Hit, ...]:
+    def _rank(self, rows: RowNumbers, query: Query, lambda_s: float, weights: Weights) -> tuple[MemoryHit, ...]:
         cosine = self.cosines(rows, query)
         similarity = np.clip((1.0 + cosine) / 2.0, 0.0, 1.0)
         weights = weights[rows]
         score = lambda_s * similarity + (1.0 - lambda_s) * weights
         order = np.lexsort((-rows, -score))
-        return tuple(Hit(int(rows[i]), float(similarity[i]), float(weights[i]), float(score[i])) for i in order)
+        return tuple(MemoryHit(int(rows[i]), float(similarity[i]), float(weights[i]), float(score[i])) for i in order)
 
-    def cosines(self, rows: Numbers, query: Query) -> NDArray[np.float64]:
+    def cosines(self, rows: RowNumbers, query: Query) -> NDArray[np.float64]:
         """The cosine of some rows with the query in float64, each computed apart, shape (len(rows),)."""
-        product = (self._rows[rows].astype(np.float64) * query.row.astype(np.float64)).sum(axis=1)
-        shares = query.shares[self._masks[rows] & query.mask]
+        product = (self._rows[rows].astype(np.float64) * query.vector.astype(np.float64)).sum(axis=1)
+        shares = query.weight_by_mask[self._masks[rows] & query.mask]
         return np.divide(product, shares, out=np.zeros_like(product), where=shares > 0.0)
 
 
-def worth(compared: Compared, weights: Weights, contracts: Codes, counted: Mask, bandwidth: float) -> Weights:
+def contract_weights(
+    compared: QueryComparison, weights: Weights, contract_codes: Codes, counted: Mask, bandwidth: float
+) -> Weights:
     """The weight w̄ of each row's contract near the query, shape (n,): what its memories tell adds up.
 
     w̄ = min{1, max{0, w₀ + Σ_j κ_j (w_j − w₀)}} over the `counted` rows j of the same contract (equal numbers in
@@ -183,17 +185,17 @@ def worth(compared: Compared, weights: Weights, contracts: Codes, counted: Mask,
 
     A repeated contract is not a new one: alone, its newest memory would begin at w₀ however often it had gone wrong.
     """
-    many = int(contracts.max(initial=-1)) + 1
+    many = int(contract_codes.max(initial=-1)) + 1
     cosine = np.where(counted, compared.cosine, np.float32(-np.inf))
     nearest = np.full(many, -np.inf, np.float32)
-    np.maximum.at(nearest, contracts, cosine)
-    known = np.isfinite(nearest)[contracts]
-    beyond = np.subtract(cosine, nearest[contracts], out=np.full_like(cosine, -np.inf), where=known)
-    told = np.bincount(contracts, np.exp(beyond / np.float32(bandwidth**2)) * (weights - W0), many)
-    return np.where(known, np.clip(W0 + told[contracts], 0.0, 1.0), weights)
+    np.maximum.at(nearest, contract_codes, cosine)
+    known = np.isfinite(nearest)[contract_codes]
+    beyond = np.subtract(cosine, nearest[contract_codes], out=np.full_like(cosine, -np.inf), where=known)
+    told = np.bincount(contract_codes, np.exp(beyond / np.float32(bandwidth**2)) * (weights - W0), many)
+    return np.where(known, np.clip(W0 + told[contract_codes], 0.0, 1.0), weights)
 
 
 def check_lambda(lambda_s: float) -> None:
     """Raise `InvalidSetup` unless λ_s ∈ [0, 1]."""
     if not 0.0 <= lambda_s <= 1.0:
-        raise InvalidSetup("lambda_s", got=lambda_s, allowed="in [0, 1]")
+        raise ConfigurationError("lambda_s", got=lambda_s, allowed="in [0, 1]")

@@ -6,18 +6,26 @@ from collections.abc import Collection, Iterator
 
 import msgspec
 
-from dualbrain.errors import UNREADABLE
-from dualbrain.memory.ledger.events import ROLLBACK, STATUS_OF, VOID, WEIGHS, Rollback, Status, StatusChange
-from dualbrain.memory.ledger.hash_chain import DamagedLedger, Event
+from dualbrain.errors import DECODE_ERRORS
+from dualbrain.memory.ledger.events import (
+    ROLLBACK,
+    STATUS_BY_EVENT_KIND,
+    VOID_STATUSES,
+    WEIGHT_EVENT_KINDS,
+    Rollback,
+    Status,
+    StatusChange,
+)
+from dualbrain.memory.ledger.hash_chain import CorruptLedgerError, LedgerEvent
 from dualbrain.memory.ledger.ledger import LedgerReader
-from dualbrain.memory.state.history import spans
-from dualbrain.memory.state.state import State, fold
+from dualbrain.memory.state.history import effective_ranges
+from dualbrain.memory.state.state import LedgerState, fold_events
 
-KINDS = (*WEIGHS, *STATUS_OF)
+STATE_EVENT_KINDS = (*WEIGHT_EVENT_KINDS, *STATUS_BY_EVENT_KIND)
 """Kinds of events that make the state."""
 
 
-def derive(ledger: LedgerReader, *, head: int | None = None, unseen: Collection[str] = ()) -> State:
+def derive_state(ledger: LedgerReader, *, head: int | None = None, excluded: Collection[str] = ()) -> LedgerState:
     """The state at event `head` (default: the newest), computed from the events alone.
 
     What quarantined and forgotten memories did to others does not count, as long as they are. Memories in `unseen` are
@@ -25,48 +33,48 @@ def derive(ledger: LedgerReader, *, head: int | None = None, unseen: Collection[
     never been stored; what the planner would have proposed without them nobody can know.
     """
     at = ledger.head().seq if head is None else head
-    ranges = spans(rollbacks(ledger), at)
-    void = void_at(ledger, ranges) | frozenset(unseen)
-    state = fold(_events(ledger, ranges, KINDS), str(ledger.path), void=void)
+    ranges = effective_ranges(read_rollbacks(ledger), at)
+    void = void_memories(ledger, ranges) | frozenset(excluded)
+    state = fold_events(_events(ledger, ranges, STATE_EVENT_KINDS), str(ledger.path), void=void)
     state.seq = at
-    return without(state, unseen) if unseen else state
+    return exclude_memories(state, excluded) if excluded else state
 
 
-def as_of(ledger: LedgerReader, time: float) -> State:
+def derive_state_at(ledger: LedgerReader, time: float) -> LedgerState:
     """The state as it was at `time` [s, 1970 UTC]."""
-    return derive(ledger, head=ledger.last_before(time))
+    return derive_state(ledger, head=ledger.last_seq_before(time))
 
 
-def without(state: State, names: Collection[str]) -> State:
+def exclude_memories(state: LedgerState, names: Collection[str]) -> LedgerState:
     """The same state less some memories."""
-    left = [memo for memo in state.memos if memo.id not in set(names)]
-    return State(left, state.seq, state.influence, state.void, {memo.id: row for row, memo in enumerate(left)})
+    left = [memo for memo in state.memories if memo.id not in set(names)]
+    return LedgerState(left, state.seq, state.influence, state.void, {memo.id: row for row, memo in enumerate(left)})
 
 
-def rollbacks(ledger: LedgerReader) -> dict[int, int]:
+def read_rollbacks(ledger: LedgerReader) -> dict[int, int]:
     """Number of each rollback event → the event it restored."""
     found = ledger.events("kind = ?", (ROLLBACK,))
     try:
         return {event.seq: msgspec.json.decode(event.payload, type=Rollback).target for event in found}
-    except UNREADABLE as error:
-        raise DamagedLedger(f"a rollback is unreadable: {error}", seq=None, path=str(ledger.path)) from error
+    except DECODE_ERRORS as error:
+        raise CorruptLedgerError(f"a rollback is unreadable: {error}", seq=None, path=str(ledger.path)) from error
 
 
-def void_at(ledger: LedgerReader, ranges: tuple[range, ...]) -> frozenset[str]:
+def void_memories(ledger: LedgerReader, ranges: tuple[range, ...]) -> frozenset[str]:
     """Memories whose last status event in `ranges` sets them aside."""
     status: dict[str, Status] = {}
-    for event in _events(ledger, ranges, tuple(STATUS_OF)):
+    for event in _events(ledger, ranges, tuple(STATUS_BY_EVENT_KIND)):
         change = msgspec.json.decode(event.payload, type=StatusChange)
-        status.update(dict.fromkeys(change.memories, STATUS_OF[event.kind]))
-    return frozenset(name for name, value in status.items() if value in VOID)
+        status.update(dict.fromkeys(change.memories, STATUS_BY_EVENT_KIND[event.kind]))
+    return frozenset(name for name, value in status.items() if value in VOID_STATUSES)
 
 
-def effective(ledger: LedgerReader, kinds: tuple[str, ...]) -> Iterator[Event]:
+def effective_events(ledger: LedgerReader, kinds: tuple[str, ...]) -> Iterator[LedgerEvent]:
     """The events of these kinds that are in effect now, oldest first."""
-    yield from _events(ledger, spans(rollbacks(ledger), ledger.head().seq), kinds)
+    yield from _events(ledger, effective_ranges(read_rollbacks(ledger), ledger.head().seq), kinds)
 
 
-def _events(ledger: LedgerReader, ranges: tuple[range, ...], kinds: tuple[str, ...]) -> Iterator[Event]:
+def _events(ledger: LedgerReader, ranges: tuple[range, ...], kinds: tuple[str, ...]) -> Iterator[LedgerEvent]:
     marks = ", ".join("?" * len(kinds))
     for span in ranges:
         where = f"seq BETWEEN ? AND ? AND kind IN ({marks})"

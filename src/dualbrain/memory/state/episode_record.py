@@ -8,17 +8,17 @@ from typing import Any, Literal
 
 import msgspec
 
-from dualbrain.memory.embedding.image_features import Picture
+from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.memory.embedding.posture_features import Posture
 from dualbrain.memory.ledger.events import Status
 from dualbrain.memory.plasticity.rule import W0, Plasticity
-from dualbrain.memory.retrieval.search import Hit
-from dualbrain.memory.state.provenance import Provenance, provenance_of
-from dualbrain.records import Episode, Exemplar, OutcomeClass, Recall
+from dualbrain.memory.retrieval.search import MemoryHit
+from dualbrain.memory.state.provenance import Provenance, episode_provenance
+from dualbrain.records import Episode, Exemplar, OutcomeClass, RetrievedContext
 
-Lesson = Literal["follow", "avoid", "none"]
+Guidance = Literal["follow", "avoid", "none"]
 
-LESSONS: Mapping[OutcomeClass, Lesson] = {
+GUIDANCE_BY_OUTCOME: Mapping[OutcomeClass, Guidance] = {
     "succeeded": "follow",
     "failed": "avoid",
     "taken_over": "avoid",
@@ -34,14 +34,14 @@ LESSONS: Mapping[OutcomeClass, Lesson] = {
 """What an outcome says of its contract. A decline, a person's hand and a fault say nothing of it: such episodes are
 kept, but they are offered to no one and change no weight."""
 
-STORED = (
+STORED_EPISODE_FIELDS = (
     "id", "started", "instruction", "robot", "registry", "seed", "scene", "summary",
     "attempts", "contract", "outcome", "timings", "versions",
 )  # fmt: skip
 """The fields of an episode that memory keeps: the robot's own side. Simulator truth (`judgement`) is not among them."""
 
 
-class Told(msgspec.Struct, frozen=True):
+class OutcomeSummary(msgspec.Struct, frozen=True):
     """The part of an outcome that retrieval needs."""
 
     kind: OutcomeClass
@@ -49,7 +49,7 @@ class Told(msgspec.Struct, frozen=True):
     Delta: float | None
 
 
-class Trace(msgspec.Struct, frozen=True):
+class EpisodeRecord(msgspec.Struct, frozen=True):
     """The part of a stored episode that retrieval needs."""
 
     id: str
@@ -58,9 +58,9 @@ class Trace(msgspec.Struct, frozen=True):
     registry: str
     summary: str
     contract: dict[str, Any] | None
-    outcome: Told
+    outcome: OutcomeSummary
 
-    def exemplar(self, hit: Hit, rank: int, parts: dict[str, float]) -> Exemplar:
+    def to_exemplar(self, hit: MemoryHit, rank: int, parts: dict[str, float]) -> Exemplar:
         """This memory as the planner gets it; a contract that never parsed is {}."""
         told = self.outcome
         succeeded = told.kind == "succeeded"
@@ -70,50 +70,55 @@ class Trace(msgspec.Struct, frozen=True):
         )  # fmt: skip
 
 
-class ToldMemo(msgspec.Struct, frozen=True):
+class MemoryHeader(msgspec.Struct, frozen=True):
     """The part of a stored episode that weights, filters and audits need."""
 
     id: str
     robot: str
     registry: str
-    outcome: Told
+    outcome: OutcomeSummary
 
 
-class MemoHead(msgspec.Struct, frozen=True):
+class EpisodeEventHeader(msgspec.Struct, frozen=True):
     """The part of an episode event that weights, filters and audits need."""
 
-    episode: ToldMemo
+    episode: MemoryHeader
     w0: float
     provenance: Provenance = Provenance()
     status: Status = "active"
 
 
-class Stored(msgspec.Struct, frozen=True):
+class StoredEpisode(msgspec.Struct, frozen=True):
     """The part of an episode event from which its vector can be made again."""
 
-    episode: Trace
+    episode: EpisodeRecord
     state: Posture
-    image: Picture | None = None
+    image: ImageFeatures | None = None
 
 
-def payload(
-    episode: Episode, state: Posture, image: Picture | None, version: str, plasticity: Plasticity | None, status: Status
+def episode_payload(
+    episode: Episode,
+    state: Posture,
+    image: ImageFeatures | None,
+    version: str,
+    plasticity: Plasticity | None,
+    status: Status,
 ) -> dict[str, Any]:
     """What is written of `episode`, by an allow-list of its fields, with the rule and embedding then in force."""
     return {
-        "provenance": provenance_of(episode),
+        "provenance": episode_provenance(episode),
         "status": status,
         "image": image,
-        "episode": {name: getattr(episode, name) for name in STORED},
+        "episode": {name: getattr(episode, name) for name in STORED_EPISODE_FIELDS},
         "state": state,
-        "retrieved": retrieved(episode.recall),
+        "retrieved": retrieved_memories(episode.recall),
         "embedding": version,
         "plasticity": None if plasticity is None else asdict(plasticity),
         "w0": W0,
     }
 
 
-def retrieved(recall: Recall) -> list[dict[str, Any]]:
+def retrieved_memories(recall: RetrievedContext) -> list[dict[str, Any]]:
     """The memories that stood in the prompt, in rank order, exemplars before warnings, each once; ids, not texts."""
     shown = sorted(recall.exemplars, key=_rank), sorted(recall.warnings, key=_rank)
     rows = dict[str, dict[str, Any]]()
@@ -128,17 +133,17 @@ def _rank(hit: Exemplar) -> int:
     return hit.rank
 
 
-def read_stored(data: bytes) -> Stored:
+def decode_stored_episode(data: bytes) -> StoredEpisode:
     """What an embedding needs, from the payload of an episode event."""
-    return msgspec.json.decode(data, type=Stored)
+    return msgspec.json.decode(data, type=StoredEpisode)
 
 
-def read_memo(data: bytes) -> MemoHead:
+def decode_event_header(data: bytes) -> EpisodeEventHeader:
     """What weights and filters need, from the payload of an episode event."""
-    return msgspec.json.decode(data, type=MemoHead)
+    return msgspec.json.decode(data, type=EpisodeEventHeader)
 
 
-def shown(recall: Recall) -> tuple[str, ...]:
+def shown_exemplar_ids(recall: RetrievedContext) -> tuple[str, ...]:
     """Ids of the exemplars that stood in the prompt, in rank order: one of them may have been followed.
 
     A warning was shown so that it be not followed: a success says nothing for it, a failure nothing against it.
@@ -146,15 +151,17 @@ def shown(recall: Recall) -> tuple[str, ...]:
     return tuple(dict.fromkeys(hit.episode_id for hit in sorted(recall.exemplars, key=_rank)))
 
 
-class _Shown(msgspec.Struct, frozen=True, rename={"kind": "as"}):
+class _RetrievedMemory(msgspec.Struct, frozen=True, rename={"kind": "as"}):
     memory: str
     kind: str
 
 
-class _Prompt(msgspec.Struct, frozen=True):
-    retrieved: tuple[_Shown, ...]
+class _RetrievedMemories(msgspec.Struct, frozen=True):
+    retrieved: tuple[_RetrievedMemory, ...]
 
 
-def read_shown(data: bytes) -> tuple[str, ...]:
+def decode_shown_exemplar_ids(data: bytes) -> tuple[str, ...]:
     """What `shown` said of an episode, from the payload of its event."""
-    return tuple(one.memory for one in msgspec.json.decode(data, type=_Prompt).retrieved if one.kind == "exemplar")
+    return tuple(
+        one.memory for one in msgspec.json.decode(data, type=_RetrievedMemories).retrieved if one.kind == "exemplar"
+    )

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import ConfigurationError
 from dualbrain.memory.ledger.hash_chain import Head
 from dualbrain.memory.ledger.ledger import LedgerReader
-from dualbrain.memory.state.state import origin
+from dualbrain.memory.state.state import compaction_source
 
 
-def spans(rollbacks: Mapping[int, int], head: int) -> tuple[range, ...]:
+def effective_ranges(rollbacks: Mapping[int, int], head: int) -> tuple[range, ...]:
     """The numbers of the events in effect at event `head`, oldest first, as ranges.
 
     `rollbacks` maps the number of each rollback event to the event whose state it restored.
@@ -31,13 +31,13 @@ def spans(rollbacks: Mapping[int, int], head: int) -> tuple[range, ...]:
     return tuple(reversed(found))
 
 
-def check_target(target: int, head: int) -> None:
+def check_rollback_target(target: int, head: int) -> None:
     """Raise `InvalidSetup` unless an event `target` can be rolled back to when `head` is the newest."""
     if not 0 <= target <= head:
-        raise InvalidSetup("rollback target", got=target, allowed=f"an event number from 0 to {head}")
+        raise ConfigurationError("rollback target", got=target, allowed=f"an event number from 0 to {head}")
 
 
-def goes_on_from(ledger: LedgerReader, head: Head) -> bool:
+def descends_from(ledger: LedgerReader, head: Head) -> bool:
     """Whether the event `head` stands in `ledger`, or in a ledger that it was compacted from and that lies beside it.
 
     Events are chained: who holds this one holds all before it.
@@ -45,10 +45,10 @@ def goes_on_from(ledger: LedgerReader, head: Head) -> bool:
     if any(event.hash == head.hash for event in ledger.events("seq = ?", (head.seq,))):
         return True
     first = next(ledger.events("seq = 1"), None)
-    if first is None or (longer := origin(first)) is None:
+    if first is None or (longer := compaction_source(first)) is None:
         return False
     archive = ledger.path.with_name(f"{longer.archive}.archive-{longer.seq}")
     if not archive.is_file():
         return False
     with LedgerReader(archive) as opened:
-        return goes_on_from(opened, head)
+        return descends_from(opened, head)

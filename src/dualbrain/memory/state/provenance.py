@@ -7,11 +7,11 @@ from typing import Any
 
 import msgspec
 
-from dualbrain.core.text import clean
-from dualbrain.memory.plasticity.plan_similarity import actions
+from dualbrain.core.text import make_json_safe
+from dualbrain.memory.plasticity.plan_similarity import contract_actions
 from dualbrain.records import Episode
 
-PERSON = "person"
+PERSON_SOURCE = "person"
 
 
 class Provenance(msgspec.Struct, frozen=True):
@@ -30,18 +30,18 @@ class Provenance(msgspec.Struct, frozen=True):
     seed: int = 0
 
 
-def provenance_of(episode: Episode) -> Provenance:
+def episode_provenance(episode: Episode) -> Provenance:
     """The origin of `episode` from what the runtime wrote of it."""
-    planner = episode.attempts[-1].proposal.planner if episode.attempts else PERSON
+    planner = episode.attempts[-1].proposal.planner if episode.attempts else PERSON_SOURCE
     adapter = episode.versions.get("adapter", "")
-    plan = actions(episode.contract)
+    plan = contract_actions(episode.contract)
     return Provenance(
-        f"{planner}+{adapter}" if adapter else planner, adapter, digest(msgspec.to_builtins(episode.scene)),
-        digest(plan), tuple(str(action.get("skill", "")) for action in plan),
+        f"{planner}+{adapter}" if adapter else planner, adapter, content_digest(msgspec.to_builtins(episode.scene)),
+        content_digest(plan), tuple(str(action.get("skill", "")) for action in plan),
         episode.seed,
     )  # fmt: skip
 
 
-def digest(value: Any) -> str:
+def content_digest(value: Any) -> str:
     """First 16 hex digits of SHA-256 over the canonical JSON of `value`."""
-    return hashlib.sha256(msgspec.json.encode(clean(value), order="deterministic")).hexdigest()[:16]
+    return hashlib.sha256(msgspec.json.encode(make_json_safe(value), order="deterministic")).hexdigest()[:16]

@@ -17,38 +17,38 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.errors import UNREADABLE
-from dualbrain.memory.embedding.text_encoder import Rows
-from dualbrain.memory.ledger.events import SNAPSHOT, SnapshotMark
+from dualbrain.errors import DECODE_ERRORS
+from dualbrain.memory.embedding.text_encoder import Float32Array
+from dualbrain.memory.ledger.events import SNAPSHOT, SnapshotRecord
 from dualbrain.memory.ledger.hash_chain import Head
-from dualbrain.memory.ledger.ledger import Entry, Ledger, LedgerReader
-from dualbrain.memory.state.state import State
+from dualbrain.memory.ledger.ledger import Ledger, LedgerReader, PendingEvent
+from dualbrain.memory.state.state import LedgerState
 
 MAGIC = b"dbmemo02"
-_LENGTHS = struct.Struct("<8sQ")
+_PREAMBLE = struct.Struct("<8sQ")
 
 
-class Snapshot(msgspec.Struct):
+class MemorySnapshot(msgspec.Struct):
     """The state at event `head`, and its vectors of shape (n, dim) with their block masks of shape (n,)."""
 
     head: Head
     versions: Mapping[str, str]
-    state: State
-    rows: Rows
+    state: LedgerState
+    rows: Float32Array
     masks: NDArray[np.uint8]
 
 
-class _Label(msgspec.Struct):
+class _SnapshotHeader(msgspec.Struct):
     """What stands before the arrays."""
 
     seq: int
     hash: str
     versions: dict[str, str]
     dim: int
-    state: State
+    state: LedgerState
 
 
-def write(ledger: Ledger, snapshot: Snapshot, *, now: float) -> Path:
+def write_snapshot(ledger: Ledger, snapshot: MemorySnapshot, *, now: float) -> Path:
     """Write the file, sync it, then the event that names it; older files are removed. Returns its path.
 
     A process killed on the way leaves the older snapshot in force.
@@ -56,12 +56,12 @@ def write(ledger: Ledger, snapshot: Snapshot, *, now: float) -> Path:
     path = _path(ledger, snapshot.head.seq)
     partial = path.with_suffix(".partial")
     head = snapshot.head
-    label = _Label(head.seq, head.hash, dict(snapshot.versions), snapshot.rows.shape[1], snapshot.state)
+    label = _SnapshotHeader(head.seq, head.hash, dict(snapshot.versions), snapshot.rows.shape[1], snapshot.state)
     text = msgspec.msgpack.encode(label)
     digest = hashlib.sha256()
     with partial.open("wb") as file:
         for part in (
-            _LENGTHS.pack(MAGIC, len(text)),
+            _PREAMBLE.pack(MAGIC, len(text)),
             text,
             snapshot.masks.data,
             np.ascontiguousarray(snapshot.rows).data,
@@ -71,32 +71,32 @@ def write(ledger: Ledger, snapshot: Snapshot, *, now: float) -> Path:
         file.flush()
         os.fsync(file.fileno())
     partial.replace(path)
-    ledger.append([Entry(SNAPSHOT, "", SnapshotMark(head.seq, digest.hexdigest()))], now=now)
+    ledger.append([PendingEvent(SNAPSHOT, "", SnapshotRecord(head.seq, digest.hexdigest()))], now=now)
     for old in path.parent.glob(f"{ledger.path.name}.snapshot-*"):
         if old != path:
             old.unlink(missing_ok=True)
     return path
 
 
-def read(ledger: LedgerReader) -> Snapshot | None:
+def read_snapshot(ledger: LedgerReader) -> MemorySnapshot | None:
     """The newest snapshot that the chain vouches for; None if there is none, or it is damaged."""
-    with suppress(OSError, *UNREADABLE, ValueError, struct.error):
+    with suppress(OSError, *DECODE_ERRORS, ValueError, struct.error):
         for event in reversed(list(ledger.events("kind = ?", (SNAPSHOT,)))[-1:]):
-            mark = msgspec.json.decode(event.payload, type=SnapshotMark)
-            return _read(_path(ledger, mark.as_of), mark, ledger)
+            mark = msgspec.json.decode(event.payload, type=SnapshotRecord)
+            return _read_file(_path(ledger, mark.as_of), mark, ledger)
     return None
 
 
-def _read(path: Path, mark: SnapshotMark, ledger: LedgerReader) -> Snapshot | None:
+def _read_file(path: Path, mark: SnapshotRecord, ledger: LedgerReader) -> MemorySnapshot | None:
     digest = hashlib.sha256()
     with path.open("rb") as file:
-        start = file.read(_LENGTHS.size)
-        magic, length = _LENGTHS.unpack(start)
+        start = file.read(_PREAMBLE.size)
+        magic, length = _PREAMBLE.unpack(start)
         if magic != MAGIC or length > path.stat().st_size:
             return None
         text = file.read(length)
-        label = msgspec.msgpack.decode(text, type=_Label)
-        n = len(label.state.memos)
+        label = msgspec.msgpack.decode(text, type=_SnapshotHeader)
+        n = len(label.state.memories)
         masks, rows = np.empty(n, np.uint8), np.empty((n, label.dim), np.float32)
         whole = file.readinto(masks.data) == masks.nbytes and file.readinto(rows.reshape(-1).data) == rows.nbytes
         for part in (start, text, masks.data, rows.reshape(-1).data):
@@ -106,8 +106,8 @@ def _read(path: Path, mark: SnapshotMark, ledger: LedgerReader) -> Snapshot | No
     if ledger.event(label.seq).hash != label.hash:
         return None
     state = label.state
-    state.rows = {memo.id: row for row, memo in enumerate(state.memos)}
-    return Snapshot(Head(label.seq, label.hash), label.versions, state, rows, masks)
+    state.rows = {memo.id: row for row, memo in enumerate(state.memories)}
+    return MemorySnapshot(Head(label.seq, label.hash), label.versions, state, rows, masks)
 
 
 def _path(ledger: LedgerReader, seq: int) -> Path:

@@ -20,15 +20,15 @@ from urllib.parse import urlsplit
 
 from dualbrain.planner import protocol
 
-LARGEST_ANSWER = 1 << 20
+MAX_RESPONSE_BYTES = 1 << 20
 """Bytes of an HTTP answer that are read; a longer one is an error."""
 
-_WHOLE = frozenset({"stop", "eos", "eos_token", "end_turn"})
-_CUT = frozenset({"length", "max_tokens"})
+_COMPLETE_REASONS = frozenset({"stop", "eos", "eos_token", "end_turn"})
+_TRUNCATED_REASONS = frozenset({"length", "max_tokens"})
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class ChatResponse:
     """What came back: `finish` is a finish reason of `protocol`, `detail` explains an error.
 
     `figures` are those that the server told: prefill [s], decode [s], prompt_tokens, cached_tokens, output_tokens.
@@ -36,26 +36,26 @@ class Answer:
     """
 
     text: str
-    finish: str
+    finish_reason: str
     detail: str = ""
-    figures: dict[str, float] = field(default_factory=dict)
-    build: str = ""
+    metrics: dict[str, float] = field(default_factory=dict)
+    server_build: str = ""
 
 
-def ask(
-    url: str, body: dict[str, Any], *, key: str, timeout_s: float, read: Callable[[bytes], Answer] | None = None
-) -> Answer:
+def request_completion(
+    url: str, body: dict[str, Any], *, key: str, timeout_s: float, parse: Callable[[bytes], ChatResponse] | None = None
+) -> ChatResponse:
     """POST `body` to `url` and `read` a chat completion from the answer, all within `timeout_s`."""
     reply = post(url, json.dumps(body).encode(), key=key, timeout_s=timeout_s)
-    if isinstance(reply, Answer):
+    if isinstance(reply, ChatResponse):
         return reply
     status, data = reply
     if status != 200:
-        return Answer("", protocol.ERROR, f"status {status} {excerpt(_without(key, data))}".strip())
-    return (read or read_completion)(data)
+        return ChatResponse("", protocol.ERROR, f"status {status} {excerpt(_redact(key, data))}".strip())
+    return (parse or parse_completion)(data)
 
 
-def read_completion(data: bytes) -> Answer:
+def parse_completion(data: bytes) -> ChatResponse:
     """The first choice of an OpenAI-style chat completion."""
     try:
         completion = json.loads(data)
@@ -63,17 +63,17 @@ def read_completion(data: bytes) -> Answer:
         message = choice["message"]
         content, refusal, finish = message.get("content"), message.get("refusal"), choice.get("finish_reason")
     except (ValueError, RecursionError, LookupError, TypeError, AttributeError):
-        return Answer("", protocol.ERROR, "not a chat completion")
-    figures, build = _figures(completion), _build(completion)
+        return ChatResponse("", protocol.ERROR, "not a chat completion")
+    figures, build = _parse_metrics(completion), _parse_build(completion)
     if refusal or finish == "content_filter":
-        return Answer("", protocol.REFUSAL, excerpt(str(refusal or finish)), figures)
+        return ChatResponse("", protocol.REFUSAL, excerpt(str(refusal or finish)), figures)
     if not isinstance(content, str) or not isinstance(finish, str):
-        return Answer("", protocol.ERROR, "no text in the answer", figures)
-    if finish in _CUT:
-        return Answer(content, protocol.LENGTH, figures=figures, build=build)
-    if finish not in _WHOLE:
-        return Answer("", protocol.ERROR, f"finish reason {excerpt(finish)}", figures)
-    return Answer(content, protocol.STOP, figures=figures, build=build)
+        return ChatResponse("", protocol.ERROR, "no text in the answer", figures)
+    if finish in _TRUNCATED_REASONS:
+        return ChatResponse(content, protocol.LENGTH, metrics=figures, server_build=build)
+    if finish not in _COMPLETE_REASONS:
+        return ChatResponse("", protocol.ERROR, f"finish reason {excerpt(finish)}", figures)
+    return ChatResponse(content, protocol.STOP, metrics=figures, server_build=build)
 
 
 def strip_fence(text: str) -> tuple[str, bool]:
@@ -82,19 +82,19 @@ def strip_fence(text: str) -> tuple[str, bool]:
     return (fenced.group(1), True) if fenced else (text, False)
 
 
-def post(url: str, data: bytes, *, key: str, timeout_s: float) -> tuple[int, bytes] | Answer:
+def post(url: str, data: bytes, *, key: str, timeout_s: float) -> tuple[int, bytes] | ChatResponse:
     """Status and body of the answer, or why there is none.
 
     At `timeout_s` the socket is shut, however slowly bytes may be dripping in.
     """
     if timeout_s <= 0:
-        return Answer("", protocol.TIMEOUT)
+        return ChatResponse("", protocol.TIMEOUT)
     late, timer = Event(), None
     try:
         with closing(_connection(url, timeout_s)) as connection:
             connection.connect()
             own = connection.sock  # the connection lets go of it early
-            timer = Timer(timeout_s, _shut, (own, late))
+            timer = Timer(timeout_s, _shut_down, (own, late))
             timer.daemon = True
             timer.start()
             headers = {"Content-Type": "application/json"} | ({"Authorization": f"Bearer {key}"} if key else {})
@@ -102,22 +102,26 @@ def post(url: str, data: bytes, *, key: str, timeout_s: float) -> tuple[int, byt
             target = f"{address.path}?{address.query}" if address.query else address.path
             connection.request("POST", target, data, headers)
             reply = connection.getresponse()
-            status, body = reply.status, reply.read(LARGEST_ANSWER + 1)
+            status, body = reply.status, reply.read(MAX_RESPONSE_BYTES + 1)
     except TimeoutError:
-        return Answer("", protocol.TIMEOUT)
+        return ChatResponse("", protocol.TIMEOUT)
     except (OSError, HTTPException, ValueError) as error:
-        return Answer("", protocol.TIMEOUT) if late.is_set() else Answer("", protocol.ERROR, type(error).__name__)
+        return (
+            ChatResponse("", protocol.TIMEOUT)
+            if late.is_set()
+            else ChatResponse("", protocol.ERROR, type(error).__name__)
+        )
     finally:
         if timer is not None:
             timer.cancel()
     if late.is_set():
-        return Answer("", protocol.TIMEOUT)
-    if len(body) > LARGEST_ANSWER:
-        return Answer("", protocol.ERROR, f"answer longer than {LARGEST_ANSWER} bytes")
+        return ChatResponse("", protocol.TIMEOUT)
+    if len(body) > MAX_RESPONSE_BYTES:
+        return ChatResponse("", protocol.ERROR, f"answer longer than {MAX_RESPONSE_BYTES} bytes")
     return status, body
 
 
-def _without(key: str, data: bytes) -> bytes:
+def _redact(key: str, data: bytes) -> bytes:
     """`data` in which a server that repeats the `key` does not tell it to those who read the records."""
     return data.replace(key.encode(), b"[key]") if key else data
 
@@ -128,13 +132,13 @@ def _connection(url: str, timeout_s: float) -> HTTPConnection:
     return kind(address.hostname or "", address.port, timeout=timeout_s)
 
 
-def _shut(sock: socket.socket, late: Event) -> None:
+def _shut_down(sock: socket.socket, late: Event) -> None:
     late.set()
     with suppress(OSError):  # closed already: nobody is waiting on it
         sock.shutdown(socket.SHUT_RDWR)
 
 
-def _figures(completion: dict[str, Any]) -> dict[str, float]:
+def _parse_metrics(completion: dict[str, Any]) -> dict[str, float]:
     """Times and token counts: llama.cpp's `timings`, else the `usage` that all servers send."""
     timings, usage = completion.get("timings"), completion.get("usage")
     timings, usage = timings if isinstance(timings, dict) else {}, usage if isinstance(usage, dict) else {}
@@ -145,17 +149,17 @@ def _figures(completion: dict[str, Any]) -> dict[str, float]:
         "cached_tokens": (timings.get("cache_n"), 1.0),
         "output_tokens": (usage.get("completion_tokens"), 1.0),
     }
-    counts = {name: (count(value), scale) for name, (value, scale) in told.items()}
+    counts = {name: (parse_count(value), scale) for name, (value, scale) in told.items()}
     return {name: count * scale for name, (count, scale) in counts.items() if count is not None}
 
 
-def _build(completion: dict[str, Any]) -> str:
+def _parse_build(completion: dict[str, Any]) -> str:
     """The fingerprint of program and settings that some servers send."""
     said = completion.get("system_fingerprint")
     return excerpt(said)[:40] if isinstance(said, str) else ""
 
 
-def count(value: object) -> float | None:
+def parse_count(value: object) -> float | None:
     """`value` if it is a finite number that is not negative (a server may send anything, 400-digit integers too)."""
     if not isinstance(value, (int, float)) or isinstance(value, bool) or not 0 <= value <= 1e12:
         return None

@@ -13,14 +13,14 @@ from pathlib import Path
 from typing import Any
 
 from dualbrain.planner import protocol
-from dualbrain.planner.backends.http_chat import Answer
-from dualbrain.planner.backends.stderr_tail import LastWords, ending
+from dualbrain.planner.backends.http_chat import ChatResponse
+from dualbrain.planner.backends.stderr_tail import StderrTail, describe_exit
 
-_CHILD = Path(__file__).with_name("llama_worker.py")
+_WORKER_SCRIPT = Path(__file__).with_name("llama_worker.py")
 
 
 @dataclass(frozen=True, slots=True)
-class Worn:
+class LoadedAdapter:
     """An adapter in llama.cpp: its GGUF-LoRA file, its `id` (content), how strongly it acts (1: as it was fitted)."""
 
     path: Path
@@ -41,10 +41,10 @@ class LlamaConfig:
     n_ctx: int = 6144
     max_tokens: int = 640
     timeout_s: float = 600.0
-    prefixes: Path | None = None
+    prompt_cache: Path | None = None
 
 
-DEFAULTS = LlamaConfig()
+DEFAULT_CONFIG = LlamaConfig()
 
 
 class LlamaProcess:
@@ -53,23 +53,23 @@ class LlamaProcess:
     It listens on loopback only, behind a random key. Adapters do nothing until a request names them.
     """
 
-    def __init__(self, model: Path, config: LlamaConfig, adapters: tuple[Worn, ...] = ()) -> None:
+    def __init__(self, model: Path, config: LlamaConfig, adapters: tuple[LoadedAdapter, ...] = ()) -> None:
         """Start it; it loads while the caller goes on."""
         self.key = secrets.token_urlsafe(24)
-        self.asked: str | None = None
+        self.cached_rules: str | None = None
         """The rules that it has read last, as `PrefixStore.rules` tells them."""
         self._address = ""
         self._process = subprocess.Popen(
-            [sys.executable, "-P", str(_CHILD)],
+            [sys.executable, "-P", str(_WORKER_SCRIPT)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             start_new_session=True,  # Ctrl-C is for the parent, which ends the child in order
         )
         assert self._process.stderr is not None
-        self._words = LastWords(self._process.stderr, without=self.key)
+        self._stderr_tail = StderrTail(self._process.stderr, secret=self.key)
         settings: dict[str, Any] = {"model": str(model), "n_ctx": config.n_ctx, "threads": config.threads}
-        settings |= {"key": self.key, "prefixes": f"{config.prefixes}/" if config.prefixes else ""}
+        settings |= {"key": self.key, "prefixes": f"{config.prompt_cache}/" if config.prompt_cache else ""}
         settings["adapters"] = [str(one.path) for one in adapters]
         assert self._process.stdin is not None
         with suppress(BrokenPipeError):  # it died at once: `address` will say so
@@ -82,37 +82,37 @@ class LlamaProcess:
         return self._process.pid
 
     @property
-    def ready(self) -> bool:
+    def is_ready(self) -> bool:
         """Whether it has said where it listens."""
         return bool(self._address)
 
-    def died(self) -> bool:
+    def has_exited(self) -> bool:
         """Whether it has ended; a socket breaks a moment before its process is gone."""
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(timeout=0.5)
         return self._process.poll() is not None
 
-    def crashed(self) -> Answer:
+    def crash_response(self) -> ChatResponse:
         """Why there is no answer of a process that has ended: how it ended, and its last words."""
-        told = (ending(self._process.wait()), self._words.told())
-        return Answer("", protocol.CRASHED, ": ".join(filter(None, told)))
+        told = (describe_exit(self._process.wait()), self._stderr_tail.text())
+        return ChatResponse("", protocol.CRASHED, ": ".join(filter(None, told)))
 
-    def address(self, timeout_s: float) -> tuple[str, Answer | None]:
+    def wait_for_address(self, timeout_s: float) -> tuple[str, ChatResponse | None]:
         """Where the child listens, or why it does not; waits while it loads."""
         if self._address:
             return self._address, None
         out = self._process.stdout
         assert out is not None
         if not select.select([out], [], [], timeout_s)[0]:
-            return "", Answer("", protocol.TIMEOUT)
+            return "", ChatResponse("", protocol.TIMEOUT)
         line = out.readline()
         try:
             told = json.loads(line)
         except ValueError:  # it died before it, or in the midst of it
             self._process.wait()
-            return "", self.crashed()
+            return "", self.crash_response()
         self._address = told.get("address", "")
-        return self._address, None if self._address else Answer("", protocol.ERROR, told["error"])
+        return self._address, None if self._address else ChatResponse("", protocol.ERROR, told["error"])
 
     def close(self) -> None:
         """Close its input, which ends it; kill it when it does not answer to that."""
@@ -125,4 +125,4 @@ class LlamaProcess:
             self._process.kill()
             self._process.wait()
         self._process.stdout.close()
-        self._words.close()
+        self._stderr_tail.close()

@@ -20,7 +20,7 @@ def main() -> None:
     os.dup2(2, 1)  # what llama.cpp prints must not mix with the answer
     try:
         settings = json.loads(sys.stdin.readline())
-        _end_when_it_closes(sys.stdin.fileno())
+        _exit_when_closed(sys.stdin.fileno())
         server = _start(settings)
         answer = {"address": server.listening_address}
     except Exception as error:  # every failure to start is told to the parent
@@ -31,7 +31,7 @@ def main() -> None:
     os._exit(0)
 
 
-def _end_when_it_closes(pipe: int) -> None:
+def _exit_when_closed(pipe: int) -> None:
     """Let the kernel end this process (SIGIO) when the other end of `pipe` closes.
 
     A thread could not: while the model loads, Python's lock is held for seconds.

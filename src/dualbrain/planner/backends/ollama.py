@@ -10,48 +10,48 @@ import json
 from typing import Any
 
 from dualbrain.planner import protocol
-from dualbrain.planner.backends.http_chat import Answer, count, excerpt
-from dualbrain.planner.prompt.full_prompt import Message
+from dualbrain.planner.backends.http_chat import ChatResponse, excerpt, parse_count
+from dualbrain.planner.prompt.full_prompt import ChatMessage
 
 N_CTX = 8192
 """Tokens of context: the full prompt with its exemplars and the longest answer fit."""
-NANO = 1e-9
+SECONDS_PER_NANOSECOND = 1e-9
 
 
-def chat_address(url: str) -> str:
+def chat_url(url: str) -> str:
     """Where it is asked: beside the `/v1` of its other interface."""
     return url.rstrip("/").removesuffix("/v1") + "/api/chat"
 
 
-def chat_body(model: str, messages: list[Message], max_tokens: int, schema: dict[str, Any]) -> dict[str, Any]:
+def chat_body(model: str, messages: list[ChatMessage], max_tokens: int, schema: dict[str, Any]) -> dict[str, Any]:
     """A question that is to be answered in the form of `schema`."""
     options = {"temperature": 0.0, "seed": 0, "num_predict": max_tokens, "num_ctx": N_CTX}
     return {"model": model, "messages": messages, "stream": False, "format": schema, "options": options}
 
 
-def read_chat(data: bytes) -> Answer:
+def parse_chat(data: bytes) -> ChatResponse:
     """The message of its answer."""
     try:
         told = json.loads(data)
         content, reason = told["message"]["content"], told.get("done_reason")
     except (ValueError, RecursionError, LookupError, TypeError, AttributeError):
-        return Answer("", protocol.ERROR, "not an answer of Ollama")
-    figures = _figures(told)
+        return ChatResponse("", protocol.ERROR, "not an answer of Ollama")
+    figures = _parse_metrics(told)
     if not isinstance(content, str) or told.get("done") is not True:
-        return Answer("", protocol.ERROR, "no whole text in the answer", figures)
+        return ChatResponse("", protocol.ERROR, "no whole text in the answer", figures)
     match reason:
         case "stop":
-            return Answer(content, protocol.STOP, figures=figures)
+            return ChatResponse(content, protocol.STOP, metrics=figures)
         case "length":
-            return Answer(content, protocol.LENGTH, figures=figures)
+            return ChatResponse(content, protocol.LENGTH, metrics=figures)
         case _:
-            return Answer("", protocol.ERROR, f"finish reason {excerpt(str(reason))}", figures)
+            return ChatResponse("", protocol.ERROR, f"finish reason {excerpt(str(reason))}", figures)
 
 
-def _figures(told: dict[str, Any]) -> dict[str, float]:
+def _parse_metrics(told: dict[str, Any]) -> dict[str, float]:
     names = {
-        "prefill": ("prompt_eval_duration", NANO), "decode": ("eval_duration", NANO),
+        "prefill": ("prompt_eval_duration", SECONDS_PER_NANOSECOND), "decode": ("eval_duration", SECONDS_PER_NANOSECOND),
         "prompt_tokens": ("prompt_eval_count", 1.0), "output_tokens": ("eval_count", 1.0),
     }  # fmt: skip
-    found = {name: (count(told.get(key)), scale) for name, (key, scale) in names.items()}
+    found = {name: (parse_count(told.get(key)), scale) for name, (key, scale) in names.items()}
     return {name: value * scale for name, (value, scale) in found.items() if value is not None}

@@ -13,11 +13,11 @@ from ipaddress import ip_address
 from typing import Any
 from urllib.parse import urlsplit
 
-from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.planner.backends.http_chat import Answer, ask, read_completion, strip_fence
-from dualbrain.planner.backends.ollama import chat_address, chat_body, read_chat
-from dualbrain.planner.decoding.gbnf_schema import by_length
-from dualbrain.planner.decoding.llguidance_grammar import contract_grammar, narrow
+from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.planner.backends.http_chat import ChatResponse, parse_completion, request_completion, strip_fence
+from dualbrain.planner.backends.ollama import chat_body, chat_url, parse_chat
+from dualbrain.planner.decoding.gbnf_schema import replace_text_patterns
+from dualbrain.planner.decoding.llguidance_grammar import contract_grammar, strip_annotations
 from dualbrain.planner.prompt.full_prompt import render
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
@@ -38,20 +38,24 @@ def _response_format(narrowed: dict[str, Any]) -> dict[str, Any]:
 
 OLLAMA = "ollama"
 DIALECTS = {
-    "openai": Dialect("response_format json_schema (strict)", lambda schema: _response_format(narrow(schema))),
+    "openai": Dialect(
+        "response_format json_schema (strict)", lambda schema: _response_format(strip_annotations(schema))
+    ),
     "vllm": Dialect(
         "structured_outputs json (vLLM, its choice of engine)",
-        lambda schema: {"structured_outputs": {"json": narrow(schema)}},
+        lambda schema: {"structured_outputs": {"json": strip_annotations(schema)}},
     ),
     "llama.cpp": Dialect(
         "response_format json_schema (llama.cpp, numeric bounds not enforced)",
-        lambda schema: _response_format(by_length(schema)) | {"cache_prompt": True},
+        lambda schema: _response_format(replace_text_patterns(schema)) | {"cache_prompt": True},
     ),
     "llguidance": Dialect(
         "llguidance in llama.cpp (server)",
         lambda schema: {"grammar": contract_grammar(schema), "cache_prompt": True},
     ),
-    OLLAMA: Dialect("format (Ollama, numeric bounds not enforced)", lambda schema: {"format": by_length(schema)}),
+    OLLAMA: Dialect(
+        "format (Ollama, numeric bounds not enforced)", lambda schema: {"format": replace_text_patterns(schema)}
+    ),
     "free": Dialect("nothing (free decoding)", lambda schema: {}),
 }
 """`openai` is understood by nearly all. `vllm` is for 0.12 and later, which dropped the older `guided_json`.
@@ -80,9 +84,9 @@ class ServerPlanner:
     def __init__(self, config: ServerConfig, *, clock: Callable[[], float] = time.monotonic) -> None:
         _require_address(config.url)
         _require_key(config.key)
-        _require_secrecy(config)
+        _require_https_for_key(config)
         if config.dialect not in DIALECTS:
-            raise UnknownName("dialect", config.dialect, tuple(DIALECTS))
+            raise UnknownNameError("dialect", config.dialect, tuple(DIALECTS))
         self._config, self._clock, self._dialect = config, clock, DIALECTS[config.dialect]
 
     @property
@@ -99,10 +103,10 @@ class ServerPlanner:
         """Answer `request`; whatever the server does becomes a finish reason."""
         begun = self._clock()
         own = self._config.dialect == OLLAMA
-        url = chat_address(self._config.url) if own else f"{self._config.url.rstrip('/')}/chat/completions"
-        answer = ask(
+        url = chat_url(self._config.url) if own else f"{self._config.url.rstrip('/')}/chat/completions"
+        answer = request_completion(
             url, self._body(request), key=self._config.key, timeout_s=self._config.timeout_s,
-            read=read_chat if own else read_completion,
+            parse=parse_chat if own else parse_completion,
         )  # fmt: skip
         return self._proposal(answer, self._clock() - begun)
 
@@ -117,12 +121,12 @@ class ServerPlanner:
         question = {"model": self._config.model, "messages": render(request)}
         return question | limits | constraint
 
-    def _proposal(self, answer: Answer, total: float) -> Proposal:
+    def _proposal(self, answer: ChatResponse, total: float) -> Proposal:
         text, fenced = strip_fence(answer.text)
-        constrained_by = self._dialect.constrained_by + (f"; {answer.build}" if answer.build else "")
+        constrained_by = self._dialect.constrained_by + (f"; {answer.server_build}" if answer.server_build else "")
         constrained_by += "; code fence stripped" if fenced else ""
-        finish = f"{answer.finish}: {answer.detail}" if answer.detail else answer.finish
-        return Proposal(text, finish, self.name, constrained_by, {**answer.figures, "total": total})
+        finish = f"{answer.finish_reason}: {answer.detail}" if answer.detail else answer.finish_reason
+        return Proposal(text, finish, self.name, constrained_by, {**answer.metrics, "total": total})
 
 
 def _require_address(url: str) -> None:
@@ -135,20 +139,22 @@ def _require_address(url: str) -> None:
         fine = False
     if not fine:
         allowed = "http://HOST[:PORT]/v1 or https://HOST[:PORT]/v1, the path in printable ASCII (é as %C3%A9)"
-        raise InvalidSetup("planner address", got=url, allowed=allowed)
+        raise ConfigurationError("planner address", got=url, allowed=allowed)
 
 
-def _require_secrecy(config: ServerConfig) -> None:
+def _require_https_for_key(config: ServerConfig) -> None:
     """A key is not sent where all on the way can read it: over plain http it stays on this machine."""
     address = urlsplit(config.url)
     host = address.hostname or ""
-    if config.key and address.scheme == "http" and not _is_here(host):
+    if config.key and address.scheme == "http" and not _is_loopback(host):
         fix = "Name an https address, lead a tunnel to a port of this machine, or leave the key out (OPENAI_API_KEY=)."
         allowed = "https, or http to this machine"
-        raise InvalidSetup("planner address that a key is sent to", got=f"http://{host}", allowed=allowed, fix=fix)
+        raise ConfigurationError(
+            "planner address that a key is sent to", got=f"http://{host}", allowed=allowed, fix=fix
+        )
 
 
-def _is_here(host: str) -> bool:
+def _is_loopback(host: str) -> bool:
     try:
         return ip_address(host).is_loopback
     except ValueError:
@@ -159,4 +165,4 @@ def _require_key(key: str) -> None:
     """Raises `InvalidSetup`, in which no part of the key is."""
     if not re.fullmatch("[ -~]*", key):
         fix = "Set it again; a stray line end is easily copied with it."
-        raise InvalidSetup("planner key", got="other characters (not shown)", allowed="printable ASCII", fix=fix)
+        raise ConfigurationError("planner key", got="other characters (not shown)", allowed="printable ASCII", fix=fix)

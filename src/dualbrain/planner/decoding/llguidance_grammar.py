@@ -22,7 +22,7 @@ _KEYWORDS = frozenset({
     "enum", "const", "minimum", "maximum", "pattern", "minLength", "maxLength", "$ref",
 })  # fmt: skip
 _DEFINITIONS = ("$defs", "definitions")
-FREELY = '%llguidance {"no_forcing": true}\n'
+NO_FORCING = '%llguidance {"no_forcing": true}\n'
 """How each grammar begins."""
 
 
@@ -38,32 +38,32 @@ def tail_grammar(schema: dict[str, Any]) -> str:
 
 def contract_grammar(schema: dict[str, Any]) -> str:
     """Grammar of a whole contract, for a server that is given no beginning."""
-    whole = narrow(schema) | {key: _each(schema[key]) for key in _DEFINITIONS if key in schema}
-    return f"{FREELY}start: %json {_told(whole)}"
+    whole = strip_annotations(schema) | {key: _strip_each(schema[key]) for key in _DEFINITIONS if key in schema}
+    return f"{NO_FORCING}start: %json {_encode_schema(whole)}"
 
 
 def _grammar(schema: dict[str, Any], before: str) -> str:
-    actions = narrow(schema["properties"]["action_sequence"])
-    actions |= {key: _each(schema[key]) for key in _DEFINITIONS if key in schema}
-    return f'{FREELY}start: {before}actions "}}"\nactions: %json {_told(actions)}'
+    actions = strip_annotations(schema["properties"]["action_sequence"])
+    actions |= {key: _strip_each(schema[key]) for key in _DEFINITIONS if key in schema}
+    return f'{NO_FORCING}start: {before}actions "}}"\nactions: %json {_encode_schema(actions)}'
 
 
-def _told(narrowed: dict[str, Any]) -> str:
-    return json.dumps(_complete(narrowed) | {"x-guidance": {"whitespace_flexible": False}})
+def _encode_schema(narrowed: dict[str, Any]) -> str:
+    return json.dumps(_add_missing_numbers(narrowed) | {"x-guidance": {"whitespace_flexible": False}})
 
 
-def _complete(narrowed: Any) -> Any:
+def _add_missing_numbers(narrowed: Any) -> Any:
     """The schema with the numbers named that LLGuidance forgets between bounds."""
     if isinstance(narrowed, list):
-        return [_complete(item) for item in narrowed]
+        return [_add_missing_numbers(item) for item in narrowed]
     if not isinstance(narrowed, dict):
         return narrowed
-    if narrowed.get("type") == "number" and (forgotten := _forgotten(narrowed)):
+    if narrowed.get("type") == "number" and (forgotten := _missing_numbers(narrowed)):
         return {"anyOf": [narrowed, {"enum": forgotten}]}
-    return {key: value if key in {"enum", "const"} else _complete(value) for key, value in narrowed.items()}
+    return {key: value if key in {"enum", "const"} else _add_missing_numbers(value) for key, value in narrowed.items()}
 
 
-def _forgotten(number: dict[str, Any]) -> list[float]:
+def _missing_numbers(number: dict[str, Any]) -> list[float]:
     """Numbers between the bounds of `number` whose decimals are the first ones of a bound."""
     bounds = [Decimal(str(number[name])) for name in ("minimum", "maximum") if name in number]
     digits = (str(bound).partition(".") for bound in bounds)
@@ -72,22 +72,22 @@ def _forgotten(number: dict[str, Any]) -> list[float]:
     return [float(one) for one in sorted(cut) if Decimal(str(lower)) <= one <= Decimal(str(upper))]
 
 
-def narrow(schema: Any) -> Any:
+def strip_annotations(schema: Any) -> Any:
     """`schema` without titles, descriptions and other keywords that only people read."""
     if not isinstance(schema, dict):
         return schema
     narrowed: dict[str, Any] = {}
     for key, value in schema.items():
         if key == "properties":
-            narrowed[key] = _each(value)
+            narrowed[key] = _strip_each(value)
         elif key in {"anyOf", "oneOf"}:
-            narrowed[key] = [narrow(item) for item in value]
+            narrowed[key] = [strip_annotations(item) for item in value]
         elif key in {"enum", "const"}:
             narrowed[key] = value
         elif key in _KEYWORDS:
-            narrowed[key] = narrow(value)
+            narrowed[key] = strip_annotations(value)
     return narrowed
 
 
-def _each(schemas: dict[str, Any]) -> dict[str, Any]:
-    return {name: narrow(schema) for name, schema in schemas.items()}
+def _strip_each(schemas: dict[str, Any]) -> dict[str, Any]:
+    return {name: strip_annotations(schema) for name, schema in schemas.items()}

@@ -19,119 +19,127 @@ class WorkedExample(NamedTuple):
     actions: tuple[dict[str, Any], ...]
 
 
-def grasp(name: str, **changed: Any) -> dict[str, Any]:
+def grasp_action(name: str, **changed: Any) -> dict[str, Any]:
     """A grasp with the usual parameters, some of them `changed`."""
     params = {"object": name, "speed": 0.2, "clearance": 0.15, "finger_axis": "along", "opening": 0.08}
     params |= {"approach": "top", "wait": "none", "force": 15}
     return {"skill": "grasp", "params": params | changed}
 
 
-def place(destination: str, **changed: Any) -> dict[str, Any]:
+def place_action(destination: str, **changed: Any) -> dict[str, Any]:
     """A placing with the usual parameters, some of them `changed`."""
     params = {"destination": destination, "speed": 0.2, "clearance": 0.15, "route": "direct", "wait": "none"}
     return {"skill": "place", "params": params | changed}
 
 
-def table(things: str, person: str = "none", places: str = "shelf_front, shelf_back") -> str:
+def table_scene(things: str, person: str = "none", places: str = "shelf_front, shelf_back") -> str:
     """The summary of a table with `things` and a tray."""
     return f"robot panda; holding nothing\n{things}\nwhite_tray: container\nperson: {person}\nplaces: {places}"
 
 
-DECLINING = WorkedExample(
-    table("brown_jar: object, free_finger_axis along, path_max_height none"),
+DECLINE_EXAMPLE = WorkedExample(
+    table_scene("brown_jar: object, free_finger_axis along, path_max_height none"),
     "put the purple cup on the tray",
     ({"skill": "decline", "params": {"reason": "there is no purple cup in the scene"}},),
 )
 
-FETCHING = (
+FETCH_EXAMPLES = (
     WorkedExample(
-        table("grey_bag: object, free_finger_axis along, path_max_height none"),
+        table_scene("grey_bag: object, free_finger_axis along, path_max_height none"),
         "could you move the grey bag over to the tray, please?",
-        (grasp("grey_bag"), place("white_tray")),
+        (grasp_action("grey_bag"), place_action("white_tray")),
     ),
     WorkedExample(
-        table("brown_jar: object, free_finger_axis across, neighbour_along low 3-6cm, path_max_height low"),
+        table_scene("brown_jar: object, free_finger_axis across, neighbour_along low 3-6cm, path_max_height low"),
         "the brown jar should go on the tray, can you move it there?",
-        (grasp("brown_jar", finger_axis="across"), place("white_tray")),
+        (grasp_action("brown_jar", finger_axis="across"), place_action("white_tray")),
     ),
     WorkedExample(
-        table("beige_mug: object, free_finger_axis along, neighbour_across hand_high 3-6cm, path_max_height hand_high"),
+        table_scene(
+            "beige_mug: object, free_finger_axis along, neighbour_across hand_high 3-6cm, path_max_height hand_high"
+        ),
         "please move the beige mug over onto the tray",
-        (grasp("beige_mug", clearance=0.2), place("white_tray", clearance=0.2)),
+        (grasp_action("beige_mug", clearance=0.2), place_action("white_tray", clearance=0.2)),
     ),
     WorkedExample(
-        table("brown_jar: object, free_finger_axis across, tight, neighbour_along tall >6cm, path_max_height tall"),
+        table_scene(
+            "brown_jar: object, free_finger_axis across, tight, neighbour_along tall >6cm, path_max_height tall"
+        ),
         "could you move that brown jar over to the tray?",
         (
-            grasp("brown_jar", clearance=0.3, finger_axis="across", approach="tilted"),
-            place("white_tray", clearance=0.3),
+            grasp_action("brown_jar", clearance=0.3, finger_axis="across", approach="tilted"),
+            place_action("white_tray", clearance=0.3),
         ),
     ),
     WorkedExample(
-        table("grey_bag: object, free_finger_axis along, neighbour_across tall >6cm, path_max_height tall"),
+        table_scene("grey_bag: object, free_finger_axis along, neighbour_across tall >6cm, path_max_height tall"),
         "move the grey bag onto the tray",
-        (grasp("grey_bag", clearance=0.3), place("white_tray", clearance=0.3)),
+        (grasp_action("grey_bag", clearance=0.3), place_action("white_tray", clearance=0.3)),
     ),
     WorkedExample(
-        table("beige_mug: object, free_finger_axis along, path_max_height low, overhead over_path"),
+        table_scene("beige_mug: object, free_finger_axis along, path_max_height low, overhead over_path"),
         "would you move the beige mug over to the tray?",
-        (grasp("beige_mug", clearance=0.1), place("white_tray", clearance=0.1, route="near_base")),
+        (grasp_action("beige_mug", clearance=0.1), place_action("white_tray", clearance=0.1, route="near_base")),
     ),
     WorkedExample(
-        table(
+        table_scene(
             "grey_bag: object, free_finger_axis across, neighbour_along low <3cm, "
             "path_max_height low, overhead over_path"
         ),
         "the grey bag goes on the tray, move it over please",
         (
-            grasp("grey_bag", clearance=0.1, finger_axis="across"),
-            place("white_tray", clearance=0.1, route="near_base"),
+            grasp_action("grey_bag", clearance=0.1, finger_axis="across"),
+            place_action("white_tray", clearance=0.1, route="near_base"),
         ),
     ),
     WorkedExample(
-        table("ivory_tin: object, free_finger_axis along, neighbour_across low 3-6cm, path_max_height low", "crossing"),
+        table_scene(
+            "ivory_tin: object, free_finger_axis along, neighbour_across low 3-6cm, path_max_height low", "crossing"
+        ),
         "could you move the ivory tin over onto the tray? watch out for my arm",
         (
-            grasp("ivory_tin", clearance=0.2, wait="until_clear"),
-            place("white_tray", clearance=0.2, wait="until_clear"),
+            grasp_action("ivory_tin", clearance=0.2, wait="until_clear"),
+            place_action("white_tray", clearance=0.2, wait="until_clear"),
         ),
     ),
     WorkedExample(
-        table("ivory_tin: object, free_finger_axis across, neighbour_along low 3-6cm, path_max_height low", "crossing"),
+        table_scene(
+            "ivory_tin: object, free_finger_axis across, neighbour_along low 3-6cm, path_max_height low", "crossing"
+        ),
         "the ivory tin belongs on the tray, please move it over",
         (
-            grasp("ivory_tin", clearance=0.2, finger_axis="across", wait="until_clear"),
-            place("white_tray", clearance=0.2, wait="until_clear"),
+            grasp_action("ivory_tin", clearance=0.2, finger_axis="across", wait="until_clear"),
+            place_action("white_tray", clearance=0.2, wait="until_clear"),
         ),
     ),
     WorkedExample(
-        table(
+        table_scene(
             "grey_bag: object, free_finger_axis along, path_max_height low\n"
             "brown_jar: object, free_finger_axis across, neighbour_along low 3-6cm, path_max_height none"
         ),
         "move the grey bag to the tray and the brown jar to the front of the shelf, then go home",
         (
-            grasp("grey_bag"),
-            place("white_tray"),
-            grasp("brown_jar", finger_axis="across"),
-            place("shelf_front"),
+            grasp_action("grey_bag"),
+            place_action("white_tray"),
+            grasp_action("brown_jar", finger_axis="across"),
+            place_action("shelf_front"),
             {"skill": "home", "params": {"speed": 0.2}},
         ),
     ),
 )
 
-WORKED_EXAMPLES = (DECLINING, *FETCHING)
+WORKED_EXAMPLES = (DECLINE_EXAMPLE, *FETCH_EXAMPLES)
 
 
-def fitting(scene: str, instruction: str, count: int) -> list[WorkedExample]:
+def select_examples(scene: str, instruction: str, count: int) -> list[WorkedExample]:
     """The `count` examples most like `scene` for the thing that `instruction` names, the most alike last."""
     wanted = _symbols(scene, instruction)
-    ranked = sorted(enumerate(FETCHING), key=lambda pair: (-_likeness(wanted, pair[1]), pair[0]))
+    ranked = sorted(enumerate(FETCH_EXAMPLES), key=lambda pair: (-_similarity(wanted, pair[1]), pair[0]))
     best = [example for _, example in ranked[: max(0, count - 1)]]
-    return [DECLINING, *best[::-1]][-count:] if count else []
+    return [DECLINE_EXAMPLE, *best[::-1]][-count:] if count else []
 
 
-def _likeness(wanted: frozenset[str], example: WorkedExample) -> float:
+def _similarity(wanted: frozenset[str], example: WorkedExample) -> float:
     """Shared over all symbols (Jaccard)."""
     symbols = _symbols(example.scene, example.instruction)
     return len(wanted & symbols) / max(1, len(wanted | symbols))

@@ -15,11 +15,11 @@ from typing import Any, TypedDict
 import msgspec
 
 from dualbrain.planner.prompt import mobile_base_examples, mobile_manipulator_examples, multi_goal
-from dualbrain.planner.prompt.arm_examples import DECLINING, WORKED_EXAMPLES, WorkedExample, fitting
-from dualbrain.planner.prompt.failure_feedback import LEAD, SETBACK_VERSION, setback_words
-from dualbrain.planner.prompt.sanitize import block, compact_json, sanitise
+from dualbrain.planner.prompt.arm_examples import DECLINE_EXAMPLE, WORKED_EXAMPLES, WorkedExample, select_examples
+from dualbrain.planner.prompt.failure_feedback import FAILURE_FEEDBACK_VERSION, FEEDBACK_INTRO, format_failure_feedback
+from dualbrain.planner.prompt.sanitize import compact_json, format_block, sanitize
 from dualbrain.planner.request import PlanRequest
-from dualbrain.records import Exemplar, Recall
+from dualbrain.records import Exemplar, RetrievedContext
 
 TEMPLATE_VERSION = 3
 """Rises with every change of wording or order; adapters trained on one version refuse another (see `template_hash`)."""
@@ -36,7 +36,7 @@ CITATION_LIMIT = 100
 PASSAGE_LIMIT = 480
 
 
-class Message(TypedDict):
+class ChatMessage(TypedDict):
     """One turn of a chat."""
 
     role: str
@@ -67,18 +67,18 @@ changes these rules.
 
 Answer: {form}"""
 
-FORM = (
+ANSWER_FORMAT = (
     '{{"id":"c-0001","context":{{"robot":"{robot}","registry":"{registry}"}},'
     '"action_sequence":[{{"skill":"...","params":{{...}}}}]}}'
 )
 
 
-def render(request: PlanRequest) -> list[Message]:
+def render(request: PlanRequest) -> list[ChatMessage]:
     """The messages for `request`: system, exemplars as turns of question and answer, and the question."""
     names, skills = _split_names(request.skills_text)
-    form = FORM.format(robot=request.robot, registry=request.registry_hash)
+    form = ANSWER_FORMAT.format(robot=request.robot, registry=request.registry_hash)
     system = _system(request).format(robot=request.robot, skills=skills, form=form)
-    messages: list[Message] = [{"role": "system", "content": system}]
+    messages: list[ChatMessage] = [{"role": "system", "content": system}]
     for number, example in enumerate(_examples(request), start=1):
         contract_id = f"c-{number:04d}"
         messages.append({"role": "user", "content": _question(example.scene, example.instruction, contract_id)})
@@ -89,7 +89,7 @@ def render(request: PlanRequest) -> list[Message]:
 
 def worked_examples(request: PlanRequest, count: int) -> tuple[Exemplar, ...]:
     """Up to `count` built-in examples that suit `request`, best first, as if memory had recalled them."""
-    alone = msgspec.structs.replace(request, recall=Recall())
+    alone = msgspec.structs.replace(request, recall=RetrievedContext())
     chosen = _examples(alone)[::-1][:count]
     return tuple(
         Exemplar(f"worked example {rank}", one.instruction, one.scene, {"action_sequence": list(one.actions)},
@@ -98,7 +98,7 @@ def worked_examples(request: PlanRequest, count: int) -> tuple[Exemplar, ...]:
     )  # fmt: skip
 
 
-def header(request: PlanRequest) -> str:
+def answer_header(request: PlanRequest) -> str:
     """The beginning of every right answer to `request`: everything before the action sequence."""
     empty = _answer(request, request.contract_id, [])
     return empty.removesuffix("[]}")
@@ -106,19 +106,25 @@ def header(request: PlanRequest) -> str:
 
 def template_hash() -> str:
     """First 16 hex digits of the SHA-256 of all fixed text of the prompt."""
-    fixed = [TEMPLATE_VERSION, SYSTEM, FORM, [list(example) for example in WORKED_EXAMPLES]]
+    fixed = [TEMPLATE_VERSION, SYSTEM, ANSWER_FORMAT, [list(example) for example in WORKED_EXAMPLES]]
     fixed += [mobile_base_examples.SYSTEM, [list(example) for example in mobile_base_examples.EXAMPLES]]
     return hashlib.sha256(json.dumps(fixed, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def beside_hash() -> str:
+def conditional_text_hash() -> str:
     """First 16 hex digits of the SHA-256 of the fixed text that stands in some questions only (`template_hash` beside).
 
     That of several goals, that of planning again, and that of an arm on a base. Single first questions to an arm or a
     base hold none of it.
     """
-    fixed = [SETBACK_VERSION, LEAD, multi_goal.LONG_HORIZON_VERSION, multi_goal.LEAD, multi_goal.RULES]
-    fixed += [mobile_manipulator_examples.CARRIER_VERSION, mobile_manipulator_examples.SYSTEM]
+    fixed = [
+        FAILURE_FEEDBACK_VERSION,
+        FEEDBACK_INTRO,
+        multi_goal.MULTI_GOAL_VERSION,
+        multi_goal.RULES_INTRO,
+        multi_goal.RULES,
+    ]
+    fixed += [mobile_manipulator_examples.MOBILE_MANIPULATOR_VERSION, mobile_manipulator_examples.SYSTEM]
     fixed += [list(example) for example in mobile_manipulator_examples.EXAMPLES]
     examples = [list(example) for of in multi_goal.EXAMPLES.values() for example in of]
     return hashlib.sha256(json.dumps([fixed, examples], sort_keys=True).encode()).hexdigest()[:16]
@@ -126,9 +132,9 @@ def beside_hash() -> str:
 
 def _system(request: PlanRequest) -> str:
     """The role and rules for the kind of body that is asked about."""
-    if _carries(request):
+    if _is_mobile_manipulator(request):
         return mobile_manipulator_examples.SYSTEM
-    return mobile_base_examples.SYSTEM if _drives(request) else SYSTEM
+    return mobile_base_examples.SYSTEM if _is_mobile_base(request) else SYSTEM
 
 
 def _split_names(skills_text: str) -> tuple[str, str]:
@@ -140,30 +146,30 @@ def _split_names(skills_text: str) -> tuple[str, str]:
 
 def _examples(request: PlanRequest) -> list[WorkedExample]:
     """What memory recalled, the best one last; built-in examples that fit the scene fill what memory leaves."""
-    recalled = [_from_memory(exemplar) for exemplar in request.recall.exemplars[:MAX_RECALLED]]
+    recalled = [_to_example(exemplar) for exemplar in request.recall.exemplars[:MAX_RECALLED]]
     usable = [example for example in recalled if example is not None]
     left = MAX_EXEMPLARS - len(usable)
-    if _carries(request):
-        return [*mobile_manipulator_examples.fitting(request.instruction, request.scene, left), *usable[::-1]]
-    if _drives(request):
+    if _is_mobile_manipulator(request):
+        return [*mobile_manipulator_examples.select_examples(request.instruction, request.scene, left), *usable[::-1]]
+    if _is_mobile_base(request):
         return [*mobile_base_examples.EXAMPLES[-left:], *usable[::-1]] if left else usable[::-1]
-    if wanted := multi_goal.needs(request):
-        beside = multi_goal.examples(wanted, max(1, left - 1))
-        return [DECLINING, *beside, *usable[::-1]][-MAX_EXEMPLARS:]
-    return [*fitting(request.scene, request.instruction, left), *usable[::-1]]
+    if wanted := multi_goal.detect_needs(request):
+        beside = multi_goal.select_examples(wanted, max(1, left - 1))
+        return [DECLINE_EXAMPLE, *beside, *usable[::-1]][-MAX_EXEMPLARS:]
+    return [*select_examples(request.scene, request.instruction, left), *usable[::-1]]
 
 
-def _drives(request: PlanRequest) -> bool:
+def _is_mobile_base(request: PlanRequest) -> bool:
     """Whether the registry that is asked about is a base's."""
     return request.skills_text.startswith("drive_to(")
 
 
-def _carries(request: PlanRequest) -> bool:
+def _is_mobile_manipulator(request: PlanRequest) -> bool:
     """Whether it is that of an arm on a base."""
-    return _drives(request) and "\ngrasp(" in request.skills_text
+    return _is_mobile_base(request) and "\ngrasp(" in request.skills_text
 
 
-def _from_memory(exemplar: Exemplar) -> WorkedExample | None:
+def _to_example(exemplar: Exemplar) -> WorkedExample | None:
     actions = exemplar.contract.get("action_sequence")
     if not isinstance(actions, list) or not actions or not all(isinstance(action, dict) for action in actions):
         return None
@@ -174,8 +180,8 @@ def _from_memory(exemplar: Exemplar) -> WorkedExample | None:
 
 def _question(scene: str, instruction: str, contract_id: str) -> str:
     parts = [
-        block("scene", scene, limit=SCENE_LIMIT, lines=SCENE_LINES),
-        block("instruction", instruction, limit=INSTRUCTION_LIMIT),
+        format_block("scene", scene, limit=SCENE_LIMIT, lines=SCENE_LINES),
+        format_block("instruction", instruction, limit=INSTRUCTION_LIMIT),
         f"Contract {contract_id}:",
     ]
     return "\n".join(parts)
@@ -186,10 +192,10 @@ def _last_question(request: PlanRequest, names: str) -> str:
     scene = f"{request.scene}\n{names}" if names else request.scene
     parts = [part for part in (_knowledge(request), *warnings) if part]
     parts.append(_question(scene, request.instruction, request.contract_id))
-    if wanted := multi_goal.needs(request):
-        parts.insert(-1, multi_goal.rules(wanted))
+    if wanted := multi_goal.detect_needs(request):
+        parts.insert(-1, multi_goal.format_rules(wanted))
     if request.setback is not None:
-        parts.insert(-1, setback_words(request.setback))
+        parts.insert(-1, format_failure_feedback(request.setback))
     if request.refusal is not None:
         parts.insert(-1, _refusal(request))
     return "\n".join(parts)
@@ -198,7 +204,7 @@ def _last_question(request: PlanRequest, names: str) -> str:
 def _knowledge(request: PlanRequest) -> str:
     """Passages from documents, one a line, each after its citation."""
     lines = [
-        f"{sanitise(one.citation, limit=CITATION_LIMIT)}: {sanitise(one.text, limit=PASSAGE_LIMIT)}"
+        f"{sanitize(one.citation, limit=CITATION_LIMIT)}: {sanitize(one.text, limit=PASSAGE_LIMIT)}"
         for one in request.recall.passages[:MAX_PASSAGES]
     ]
     return "\n".join(("From documents, as advice:", "<knowledge>", *lines, "</knowledge>")) if lines else ""
@@ -206,7 +212,7 @@ def _knowledge(request: PlanRequest) -> str:
 
 def _warning(exemplar: Exemplar) -> str:
     actions = compact_json(exemplar.contract.get("action_sequence"), limit=CONTRACT_LIMIT)
-    asked = sanitise(exemplar.instruction, limit=INSTRUCTION_LIMIT)
+    asked = sanitize(exemplar.instruction, limit=INSTRUCTION_LIMIT)
     return f"Do not answer like this, it failed:\n<warning>\n{asked}: {actions}\n</warning>" if actions else ""
 
 

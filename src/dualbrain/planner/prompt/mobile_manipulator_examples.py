@@ -8,9 +8,9 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from dualbrain.planner.prompt.arm_examples import WorkedExample, grasp, place
+from dualbrain.planner.prompt.arm_examples import WorkedExample, grasp_action, place_action
 
-CARRIER_VERSION = 1
+MOBILE_MANIPULATOR_VERSION = 1
 
 SYSTEM = """\
 You plan for the mobile robot "{robot}": an arm with a hand, on a base that drives. You get a scene and an \
@@ -57,44 +57,58 @@ def _scene(thing: str, heading: float, person: str = "none", axis: str = "along"
     )
 
 
-DECLINING = WorkedExample(
+DECLINE_EXAMPLE = WorkedExample(
     _scene("brown_jar", 1.57),
     "put the purple cup on the tray",
     ({"skill": "decline", "params": {"reason": "there is no purple cup in the scene"}},),
 )
-GOING = WorkedExample(
+DRIVE_EXAMPLE = WorkedExample(
     _scene("grey_bag", -1.57, "crossing"), "please go over to the window", (_drive("window", 0.25),)
 )  # fmt: skip
-PUTTING = WorkedExample(
+FETCH_EXAMPLE = WorkedExample(
     _scene("grey_bag", 3.14),
     "could you move the grey bag over to the tray, please?",
-    (_drive("counter"), _turn(3.14), grasp("grey_bag"), place("white_tray")),
+    (_drive("counter"), _turn(3.14), grasp_action("grey_bag"), place_action("white_tray")),
 )
-GOING_FIRST = WorkedExample(
+DRIVE_THEN_FETCH_EXAMPLE = WorkedExample(
     _scene("brown_jar", -1.57, axis="across"),
     "go to the kitchen, then put the brown jar on the tray",
-    (_drive("kitchen"), _drive("counter"), _turn(-1.57), grasp("brown_jar", finger_axis="across"), place("white_tray")),
+    (
+        _drive("kitchen"),
+        _drive("counter"),
+        _turn(-1.57),
+        grasp_action("brown_jar", finger_axis="across"),
+        place_action("white_tray"),
+    ),
 )
-PUTTING_FIRST = WorkedExample(
+FETCH_THEN_DRIVE_EXAMPLE = WorkedExample(
     _scene("ivory_tin", 3.14),
     "move the ivory tin onto the tray, and come to the window when you have done that",
     (
-        _drive("counter"), _turn(3.14), grasp("ivory_tin"), place("white_tray"),
+        _drive("counter"), _turn(3.14), grasp_action("ivory_tin"), place_action("white_tray"),
         {"skill": "home", "params": {"speed": 0.2}}, _drive("window"),
     ),
 )  # fmt: skip
-EXAMPLES = (DECLINING, GOING, PUTTING, GOING_FIRST, PUTTING_FIRST)
+EXAMPLES = (DECLINE_EXAMPLE, DRIVE_EXAMPLE, FETCH_EXAMPLE, DRIVE_THEN_FETCH_EXAMPLE, FETCH_THEN_DRIVE_EXAMPLE)
 
 
-def fitting(instruction: str, scene: str, count: int) -> list[WorkedExample]:
+def select_examples(instruction: str, scene: str, count: int) -> list[WorkedExample]:
     """The `count` examples that suit what the words ask for, the best one last: going, putting, or both in order."""
     words = re.findall(r"[a-z]+", instruction.lower())
     things = [line.partition(":")[0] for line in scene.splitlines() if ": object" in line]
-    put, go = _first(things, words), _first(_places(scene), words)
+    put, go = _first_mention(things, words), _first_mention(_places(scene), words)
     if put is None or go is None:
-        chosen = [DECLINING, PUTTING, GOING] if put is None and go is not None else [DECLINING, GOING, PUTTING]
+        chosen = (
+            [DECLINE_EXAMPLE, FETCH_EXAMPLE, DRIVE_EXAMPLE]
+            if put is None and go is not None
+            else [DECLINE_EXAMPLE, DRIVE_EXAMPLE, FETCH_EXAMPLE]
+        )
     else:
-        chosen = [DECLINING, PUTTING, GOING_FIRST] if go < put else [DECLINING, GOING, PUTTING_FIRST]
+        chosen = (
+            [DECLINE_EXAMPLE, FETCH_EXAMPLE, DRIVE_THEN_FETCH_EXAMPLE]
+            if go < put
+            else [DECLINE_EXAMPLE, DRIVE_EXAMPLE, FETCH_THEN_DRIVE_EXAMPLE]
+        )
     return chosen[len(chosen) - min(count, len(chosen)) :]
 
 
@@ -103,7 +117,7 @@ def _places(scene: str) -> list[str]:
     return [name.strip() for name in line.removeprefix("places:").split(",") if name.strip()]
 
 
-def _first(names: list[str], words: list[str]) -> int | None:
+def _first_mention(names: list[str], words: list[str]) -> int | None:
     """Where in `words` the first of `names` is spoken of, all its words in any order; None if none is."""
     spoken = [max(map(words.index, parts)) for name in names if set(parts := name.split("_")) <= set(words)]
     return min(spoken, default=None)

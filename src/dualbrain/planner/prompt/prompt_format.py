@@ -10,20 +10,20 @@ from typing import Any
 import msgspec
 
 from dualbrain.planner.decoding.llguidance_grammar import actions_grammar, tail_grammar
-from dualbrain.planner.prompt.full_prompt import Message, header, render, template_hash
+from dualbrain.planner.prompt.full_prompt import ChatMessage, answer_header, render, template_hash
 from dualbrain.planner.prompt.short_prompt import render_short, short_template_hash
 from dualbrain.planner.request import PlanRequest
 
 CONSTRAINED_BY = "llguidance in llama.cpp (xllamacpp); header given"
 """The id and context of a contract are given to the model as the beginning of its answer: they are fixed anyway, and
 reading them is four times as fast as writing them."""
-NOTHING = "nothing"
+NO_CONSTRAINT = "nothing"
 """What bound an answer for which no grammar was in force: how such a `constrained_by` begins."""
-FREE_BY = f"{NOTHING} (free decoding)"
+UNCONSTRAINED_BY = f"{NO_CONSTRAINT} (free decoding)"
 
 
 @dataclass(frozen=True, slots=True)
-class Asking:
+class PromptFormat:
     """One way of asking. `grammar` makes what binds the answer after its `beginning` from the decoding schema.
 
     `hears_refusals`: what became of an earlier answer stands in the next prompt. Where it does not, the next shot is
@@ -31,30 +31,30 @@ class Asking:
     begins alike for every question, so that a server may keep what it has read of it.
     """
 
-    messages: Callable[[PlanRequest], list[Message]]
-    beginning: Callable[[PlanRequest], str]
+    messages: Callable[[PlanRequest], list[ChatMessage]]
+    answer_prefix: Callable[[PlanRequest], str]
     grammar: Callable[[dict[str, Any]], str] | None
-    template: Callable[[], str]
-    hears_refusals: bool
-    steady: bool
+    template_hash: Callable[[], str]
+    includes_refusals: bool
+    has_fixed_prefix: bool
 
-    def draw(self, request: PlanRequest) -> int | None:
+    def sampling_seed(self, request: PlanRequest) -> int | None:
         """The seed with which the answer to `request` is drawn; None where it is the most probable one.
 
         It follows from the shot and from what failed, so that every try draws anew and the same one can be made again.
         """
         failed = [request.refusal, request.setback]
-        if self.hears_refusals or failed == [None, None]:
+        if self.includes_refusals or failed == [None, None]:
             return None
         told = msgspec.json.encode([request.contract_id, *failed], order="deterministic")
         return zlib.crc32(told) >> 1  # 31 bits: of 32 the largest means "any" to llama.cpp
 
 
-def short_messages(request: PlanRequest) -> list[Message]:
+def short_messages(request: PlanRequest) -> list[ChatMessage]:
     """The prompt that adapters are taught on."""
     return render_short(
         request.scene, request.instruction, robot=request.robot, registry=request.registry_hash,
-        contract_id=request.contract_id, recalled=request.recall.exemplars,
+        contract_id=request.contract_id, exemplars=request.recall.exemplars,
     )  # fmt: skip
 
 
@@ -64,21 +64,23 @@ def short_header(request: PlanRequest) -> str:
     After a letter comes `":[{"`, which may be one token or three: an adapter was taught the whole text, so the cut must
     be where its tokens are cut anyway.
     """
-    return header(request).removesuffix('":')
+    return answer_header(request).removesuffix('":')
 
 
-FULL = Asking(render, header, actions_grammar, template_hash, hears_refusals=True, steady=True)
+FULL_PROMPT = PromptFormat(
+    render, answer_header, actions_grammar, template_hash, includes_refusals=True, has_fixed_prefix=True
+)
 """Rules, skills and examples in the prompt: for a model that was taught nothing of this."""
-SHORT = Asking(
-    short_messages, short_header, tail_grammar, short_template_hash, hears_refusals=False, steady=False
+SHORT_PROMPT = PromptFormat(
+    short_messages, short_header, tail_grammar, short_template_hash, includes_refusals=False, has_fixed_prefix=False
 )  # fmt: skip
 """For an adapted model."""
 
 
-def unbound(asking: Asking) -> Asking:
+def without_constraints(prompt_format: PromptFormat) -> PromptFormat:
     """The same question with nothing given of the answer, and nothing that binds it."""
-    return replace(asking, beginning=lambda request: "", grammar=None)
+    return replace(prompt_format, answer_prefix=lambda request: "", grammar=None)
 
 
-FREE = unbound(SHORT)
+UNCONSTRAINED_SHORT_PROMPT = without_constraints(SHORT_PROMPT)
 """An adapted model left to itself: what it complies with then, it has learnt."""

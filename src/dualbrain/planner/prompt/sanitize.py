@@ -12,14 +12,14 @@ import re
 import unicodedata
 from typing import Any
 
-LONGEST_STRING = 160
+MAX_STRING_CHARACTERS = 160
 """Characters of one string inside JSON from outside."""
 
-_WORDS = (("->", " to "), ("<", " under "), (">", " over "), ("[", "("), ("]", ")"))
+_REPLACEMENTS = (("->", " to "), ("<", " under "), (">", " over "), ("[", "("), ("]", ")"))
 _INVISIBLE = frozenset({"Cc", "Cf", "Co", "Cs", "Cn", "Zl", "Zp"})
 
 
-def sanitise(text: str, *, limit: int, lines: int = 1) -> str:
+def sanitize(text: str, *, limit: int, lines: int = 1) -> str:
     """`text` in at most `limit` characters and `lines` lines, without invisible and delimiting characters.
 
     Compatibility forms are folded first (NFKC), so that full-width brackets count as brackets. Idempotent up to the
@@ -32,9 +32,9 @@ def sanitise(text: str, *, limit: int, lines: int = 1) -> str:
     return joined if len(joined) <= limit else joined[: max(limit - 3, 0)].rstrip() + "..."
 
 
-def block(tag: str, text: str, *, limit: int, lines: int = 1) -> str:
+def format_block(tag: str, text: str, *, limit: int, lines: int = 1) -> str:
     """`text` sanitised and set between `<tag>` and `</tag>`."""
-    return f"<{tag}>\n{sanitise(text, limit=limit, lines=lines) or '(empty)'}\n</{tag}>"
+    return f"<{tag}>\n{sanitize(text, limit=limit, lines=lines) or '(empty)'}\n</{tag}>"
 
 
 def compact_json(value: Any, *, limit: int) -> str:
@@ -47,7 +47,7 @@ def compact_json(value: Any, *, limit: int) -> str:
 
 
 def _clean_line(row: str) -> str:
-    for mark, word in _WORDS:
+    for mark, word in _REPLACEMENTS:
         row = row.replace(mark, word)
     visible = "".join(" " if unicodedata.category(c) in _INVISIBLE else c for c in row)
     return " ".join(visible.split())
@@ -56,9 +56,9 @@ def _clean_line(row: str) -> str:
 def _clean_value(value: Any) -> Any:
     match value:
         case str():
-            return sanitise(value, limit=LONGEST_STRING)
+            return sanitize(value, limit=MAX_STRING_CHARACTERS)
         case dict():
-            return {sanitise(str(key), limit=LONGEST_STRING): _clean_value(item) for key, item in value.items()}
+            return {sanitize(str(key), limit=MAX_STRING_CHARACTERS): _clean_value(item) for key, item in value.items()}
         case list() | tuple():
             return [_clean_value(item) for item in value]
         case _:

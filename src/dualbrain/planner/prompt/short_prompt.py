@@ -12,8 +12,8 @@ import json
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from dualbrain.planner.prompt.full_prompt import INSTRUCTION_LIMIT, SCENE_LIMIT, SCENE_LINES, Message
-from dualbrain.planner.prompt.sanitize import block, compact_json
+from dualbrain.planner.prompt.full_prompt import INSTRUCTION_LIMIT, SCENE_LIMIT, SCENE_LINES, ChatMessage
+from dualbrain.planner.prompt.sanitize import compact_json, format_block
 from dualbrain.records import Exemplar
 
 SHORT_TEMPLATE_VERSION = 2
@@ -22,30 +22,32 @@ SHORT_TEMPLATE_VERSION = 2
 SYSTEM = "You plan for a robot. Answer with one contract: one line of JSON."
 EXAMPLE = "<example>\n{steps}\n</example>"
 QUESTION = "Contract {contract_id} for {robot} {registry}:"
-MAX_SHOWN, STEPS_LIMIT = 3, 640
+MAX_SHOWN_EXEMPLARS, STEPS_LIMIT = 3, 640
 """Exemplars shown, and characters of each; a longer one is left out, for half a contract is none."""
 
 
 def render_short(
-    scene: str, instruction: str, *, robot: str, registry: str, contract_id: str, recalled: Iterable[Exemplar] = ()
-) -> list[Message]:
+    scene: str, instruction: str, *, robot: str, registry: str, contract_id: str, exemplars: Iterable[Exemplar] = ()
+) -> list[ChatMessage]:
     """The messages for `instruction` in `scene` (the summary in symbols), both untrusted; `registry` is its hash.
 
     Of the `recalled` episodes, best first, those that succeeded are shown.
     """
-    shown = (exemplar_steps(one.contract) for one in recalled if one.succeeded)
-    return render_with(list(shown), scene, instruction, robot=robot, registry=registry, contract_id=contract_id)
+    shown = (exemplar_steps(one.contract) for one in exemplars if one.succeeded)
+    return render_short_with_steps(
+        list(shown), scene, instruction, robot=robot, registry=registry, contract_id=contract_id
+    )
 
 
-def render_with(
-    shown: list[str], scene: str, instruction: str, *, robot: str, registry: str, contract_id: str
-) -> list[Message]:
+def render_short_with_steps(
+    examples: list[str], scene: str, instruction: str, *, robot: str, registry: str, contract_id: str
+) -> list[ChatMessage]:
     """The messages with these `exemplar_steps` before the question, at most `MAX_SHOWN`; empty ones are passed over."""
     question = QUESTION.format(contract_id=contract_id, robot=robot, registry=registry)
     parts = [
-        *(EXAMPLE.format(steps=steps) for steps in [one for one in shown if one][:MAX_SHOWN]),
-        block("scene", scene, limit=SCENE_LIMIT, lines=SCENE_LINES),
-        block("instruction", instruction, limit=INSTRUCTION_LIMIT),
+        *(EXAMPLE.format(steps=steps) for steps in [one for one in examples if one][:MAX_SHOWN_EXEMPLARS]),
+        format_block("scene", scene, limit=SCENE_LIMIT, lines=SCENE_LINES),
+        format_block("instruction", instruction, limit=INSTRUCTION_LIMIT),
         question,
     ]
     return [{"role": "system", "content": SYSTEM}, {"role": "user", "content": "\n".join(parts)}]
@@ -57,15 +59,19 @@ def exemplar_steps(contract: Mapping[str, Any]) -> str:
     Numbers stand as in a contract's canonical text (15, not 15.0), so that they can be copied token by token.
     """
     steps = contract.get("action_sequence")
-    return compact_json([_plain(step) for step in steps], limit=STEPS_LIMIT) if isinstance(steps, list | tuple) else ""
+    return (
+        compact_json([_canonical_numbers(step) for step in steps], limit=STEPS_LIMIT)
+        if isinstance(steps, list | tuple)
+        else ""
+    )
 
 
-def _plain(value: Any) -> Any:
+def _canonical_numbers(value: Any) -> Any:
     match value:
         case float() if value.is_integer():
             return int(value)
         case Mapping():
-            return {name: _plain(item) for name, item in value.items()}
+            return {name: _canonical_numbers(item) for name, item in value.items()}
         case _:
             return value
 
@@ -73,7 +79,7 @@ def _plain(value: Any) -> Any:
 def short_template_hash() -> str:
     """First 16 hex digits of the SHA-256 of all fixed text of the short prompt and the limits of what fills it."""
     fixed = [
-        SHORT_TEMPLATE_VERSION, SYSTEM, EXAMPLE, QUESTION, SCENE_LIMIT, SCENE_LINES, INSTRUCTION_LIMIT, MAX_SHOWN,
+        SHORT_TEMPLATE_VERSION, SYSTEM, EXAMPLE, QUESTION, SCENE_LIMIT, SCENE_LINES, INSTRUCTION_LIMIT, MAX_SHOWN_EXEMPLARS,
         STEPS_LIMIT,
     ]  # fmt: skip
     return hashlib.sha256(json.dumps(fixed).encode()).hexdigest()[:16]

@@ -6,20 +6,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from dualbrain.errors import InvalidSetup, MissingPart
+from dualbrain.errors import ConfigurationError, MissingDependencyError
 
-LAYOUT = ("urdf", "robots", "robot", "xml", "mjcf", "xacro", "model", "models")
+LAYOUT_FOLDERS = ("urdf", "robots", "robot", "xml", "mjcf", "xacro", "model", "models")
 """Folders in which a description lies beside `meshes/`, by custom."""
-PARENTS = 6
+MAX_PARENT_FOLDERS = 6
 """How many folders up a package is looked for."""
 
 
 @dataclass(frozen=True, slots=True)
-class Folders:
+class AllowedFolders:
     """What one description may read: its own folder (its package), and `packages` given by the user."""
 
-    home: Path
-    own: Path
+    description_folder: Path
+    package_folder: Path
     packages: tuple[Path, ...] = ()
 
     def find(self, name: str, where: str) -> Path:
@@ -30,68 +30,68 @@ class Folders:
             MissingPart: there is no such file.
         """
         if name.startswith("package://"):
-            return self._in_package(name, where)
+            return self._resolve_package_url(name, where)
         if "://" in name and not name.startswith("file://"):
-            raise InvalidSetup(f"mesh of {where}", got=name, allowed="package://, file:// or a relative name")
+            raise ConfigurationError(f"mesh of {where}", got=name, allowed="package://, file:// or a relative name")
         plain = Path(name.removeprefix("file://"))
-        return self._inside((self.own, *self.packages), self.home / plain, name, where)
+        return self._check_inside((self.package_folder, *self.packages), self.description_folder / plain, name, where)
 
-    def _in_package(self, name: str, where: str) -> Path:
+    def _resolve_package_url(self, name: str, where: str) -> Path:
         package, _, rest = name.removeprefix("package://").partition("/")
         roots = self._package_roots(package)
         if not roots:
-            if (alone := self._copied_out(rest)) is not None:
-                return self._inside((self.own,), alone, name, where)
-            raise MissingPart(
+            if (alone := self._find_without_package(rest)) is not None:
+                return self._check_inside((self.package_folder,), alone, name, where)
+            raise MissingDependencyError(
                 f"The package {package!r} of {where} ({name})",
                 fix=f"Say where it lies: --packages FOLDER, the folder that holds {package!r}.",
             )
         for root in roots:
             if (root / rest).is_file():
-                return self._inside((root,), root / rest, name, where)
-        return self._inside((roots[0],), roots[0] / rest, name, where)
+                return self._check_inside((root,), root / rest, name, where)
+        return self._check_inside((roots[0],), roots[0] / rest, name, where)
 
     def _package_roots(self, package: str) -> list[Path]:
         """Folders called `package`: among the description's ancestors, beside them, or in a folder that was given."""
         if package in ("", ".", ".."):
             return []
-        above = [self.home, *list(self.home.parents)[:PARENTS]]
+        above = [self.description_folder, *list(self.description_folder.parents)[:MAX_PARENT_FOLDERS]]
         found = [folder for folder in above if folder.name == package]
         found += [folder / package for folder in (*self.packages, *above) if (folder / package).is_dir()]
         return found
 
-    def _copied_out(self, rest: str) -> Path | None:
+    def _find_without_package(self, rest: str) -> Path | None:
         """The file in the description's own folder, if that is all that was copied out of a package of many robots.
 
         `rest` is the name inside the package; the own folder's name stands in it.
         """
         parts = rest.split("/")
-        if self.own.name not in parts:
+        if self.package_folder.name not in parts:
             return None
-        path = self.own.joinpath(*parts[parts.index(self.own.name) + 1 :])
+        path = self.package_folder.joinpath(*parts[parts.index(self.package_folder.name) + 1 :])
         return path if path.is_file() else None
 
     @staticmethod
-    def _inside(allowed: Sequence[Path], path: Path, name: str, where: str) -> Path:
+    def _check_inside(allowed: Sequence[Path], path: Path, name: str, where: str) -> Path:
         real = path.resolve()
         if not any(real.is_relative_to(folder.resolve()) for folder in allowed):
-            raise InvalidSetup(
+            raise ConfigurationError(
                 f"mesh of {where}", got=name, allowed=f"a file inside {', '.join(str(folder) for folder in allowed)}",
                 fix="If it is meant, allow its folder: --packages FOLDER.",
             )  # fmt: skip
         if not real.is_file():
-            raise MissingPart(
+            raise MissingDependencyError(
                 f"The mesh {name!r} of {where}", fix=f"Looked for {real}. Other folders: --packages FOLDER."
             )
         return real
 
 
-def folders_of(file: Path, packages: Sequence[Path] = ()) -> Folders:
+def allowed_folders(file: Path, packages: Sequence[Path] = ()) -> AllowedFolders:
     """The folders that the description `file` may use: its own, one up by the usual layout, and those given."""
     home = file.resolve().parent
-    own = home.parent if home.name in LAYOUT else home
-    for folder in [home, *list(home.parents)[:PARENTS]]:
+    own = home.parent if home.name in LAYOUT_FOLDERS else home
+    for folder in [home, *list(home.parents)[:MAX_PARENT_FOLDERS]]:
         if (folder / "package.xml").is_file():
             own = folder
             break
-    return Folders(home, own, tuple(folder.resolve() for folder in packages))
+    return AllowedFolders(home, own, tuple(folder.resolve() for folder in packages))

@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.core.geometry.rotations import matrix
-from dualbrain.errors import MissingPart, UnknownName
+from dualbrain.core.geometry.rotations import quaternion_to_matrix
+from dualbrain.errors import MissingDependencyError, UnknownNameError
 from dualbrain.robots.model import Quaternion, Vector
-from dualbrain.robots.optional_imports import extra
+from dualbrain.robots.optional_imports import import_optional
 
 Array = NDArray[np.float64]
 
-PACKAGE = "example-robot-data"
-DESCRIPTIONS = {"panda": "panda_description"}
-INSTALL = f"Install it with `pip install --no-deps {PACKAGE}` (data only, nothing of it is imported)."
+DESCRIPTION_PACKAGE = "example-robot-data"
+DESCRIPTION_FOLDERS = {"panda": "panda_description"}
+INSTALL_HINT = f"Install it with `pip install --no-deps {DESCRIPTION_PACKAGE}` (data only, nothing of it is imported)."
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class Mesh:
         return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
-def description_directory(robot: str) -> Path:
+def description_folder(robot: str) -> Path:
     """Folder of the robot's description (urdf/, meshes/) inside the installed `example-robot-data`.
 
     The package puts its data beside its metadata, so it is found through the metadata's own list of files.
@@ -49,32 +49,32 @@ def description_directory(robot: str) -> Path:
         UnknownName: no description is known for `robot`.
         MissingPart: the package, or this robot's folder in it, is not installed.
     """
-    if robot not in DESCRIPTIONS:
-        raise UnknownName("robot description", robot, tuple(DESCRIPTIONS), owner=PACKAGE)
-    wanted = ("robots", DESCRIPTIONS[robot])
+    if robot not in DESCRIPTION_FOLDERS:
+        raise UnknownNameError("robot description", robot, tuple(DESCRIPTION_FOLDERS), owner=DESCRIPTION_PACKAGE)
+    wanted = ("robots", DESCRIPTION_FOLDERS[robot])
     try:
-        files = metadata.files(PACKAGE) or []
+        files = metadata.files(DESCRIPTION_PACKAGE) or []
     except metadata.PackageNotFoundError as error:
-        raise MissingPart(f"The package {PACKAGE}", fix=INSTALL) from error
+        raise MissingDependencyError(f"The package {DESCRIPTION_PACKAGE}", fix=INSTALL_HINT) from error
     for file in files:
         for depth in range(len(file.parts) - 2):
             if file.parts[depth : depth + 2] == wanted:
                 folder = Path(str(file.locate())).parents[len(file.parts) - depth - 3]
                 if folder.is_dir():
                     return folder
-    raise MissingPart(f"The description of {robot!r} in {PACKAGE}", fix=INSTALL)
+    raise MissingDependencyError(f"The description of {robot!r} in {DESCRIPTION_PACKAGE}", fix=INSTALL_HINT)
 
 
-def mesh_file(robot: str, kind: str, name: str) -> Path:
+def mesh_path(robot: str, kind: str, name: str) -> Path:
     """Path of one mesh file; `kind` is "collision" (STL) or "visual" (DAE), `name` has no suffix.
 
     Raises:
         MissingPart: there is no such file.
     """
     suffix = {"collision": ".stl", "visual": ".dae"}.get(kind, "")
-    path = description_directory(robot) / "meshes" / kind / f"{name}{suffix}"
+    path = description_folder(robot) / "meshes" / kind / f"{name}{suffix}"
     if not path.is_file():
-        raise MissingPart(f"The {kind} mesh {name!r} of {robot!r}", fix=INSTALL)
+        raise MissingDependencyError(f"The {kind} mesh {name!r} of {robot!r}", fix=INSTALL_HINT)
     return path
 
 
@@ -84,13 +84,13 @@ def read_mesh(path: Path) -> Mesh:
     Raises:
         MissingPart: trimesh is not installed.
     """
-    raw = extra("trimesh").load_mesh(str(path), process=True)
+    raw = import_optional("trimesh").load_mesh(str(path), process=True)
     return Mesh(np.asarray(raw.vertices, dtype=np.float64), np.asarray(raw.faces, dtype=np.int64))
 
 
 def collision_mesh(robot: str, name: str) -> Mesh:
     """The collision mesh `name` ("link3", "hand", "finger") of `robot`."""
-    return read_mesh(mesh_file(robot, "collision", name))
+    return read_mesh(mesh_path(robot, "collision", name))
 
 
 def package_mesh(package: str, file: str) -> Mesh:
@@ -103,18 +103,18 @@ def package_mesh(package: str, file: str) -> Mesh:
     try:
         path = Path(str(metadata.distribution(package).locate_file(file)))
     except metadata.PackageNotFoundError as error:
-        raise MissingPart(f"The package {package}", fix=fix) from error
+        raise MissingDependencyError(f"The package {package}", fix=fix) from error
     if not path.is_file():
-        raise MissingPart(f"The file {file!r} of {package}", fix=fix)
+        raise MissingDependencyError(f"The file {file!r} of {package}", fix=fix)
     return read_mesh(path)
 
 
-def moved(mesh: Mesh, translation: Vector, quaternion: Quaternion) -> Mesh:
+def transform_mesh(mesh: Mesh, translation: Vector, quaternion: Quaternion) -> Mesh:
     """`mesh` turned by `quaternion`, then shifted by `translation` [m]."""
-    return Mesh(mesh.vertices @ matrix(quaternion).T + np.array(translation), mesh.faces)
+    return Mesh(mesh.vertices @ quaternion_to_matrix(quaternion).T + np.array(translation), mesh.faces)
 
 
-def hull_of(points: Array) -> Mesh:
+def convex_hull_mesh(points: Array) -> Mesh:
     """The convex hull of `points` (p, 3), its faces turned outward."""
-    hull = extra("trimesh").Trimesh(vertices=points).convex_hull
+    hull = import_optional("trimesh").Trimesh(vertices=points).convex_hull
     return Mesh(np.asarray(hull.vertices, dtype=np.float64), np.asarray(hull.faces, dtype=np.int64))

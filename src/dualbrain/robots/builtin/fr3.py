@@ -9,22 +9,22 @@ from __future__ import annotations
 
 from dualbrain.robots.builtin import panda
 from dualbrain.robots.builtin.panda import (
-    COVER,
+    ALLOWED_PAIRS,
     GRIPPER,
     HOME,
+    LINK_COVERS,
     PERIOD,
-    STATED_PAIRS,
     TOOL,
     TOOL_SPEED,
     links,
-    mirrored,
-    part,
+    mirror_centres,
+    part_mesh,
 )
 from dualbrain.robots.model import Bound, Joint
 
 __all__ = [
-    "COVER", "GRIPPER", "HOME", "LICENCE", "PERIOD", "SOURCE", "STATED_PAIRS", "TOOL", "TOOL_SPEED", "joints", "links",
-    "mirrored", "part",
+    "LINK_COVERS", "GRIPPER", "HOME", "LICENCE", "PERIOD", "SOURCE", "ALLOWED_PAIRS", "TOOL", "TOOL_SPEED", "joints", "links",
+    "mirror_centres", "part_mesh",
 ]  # fmt: skip
 
 SOURCE: str = (
@@ -32,12 +32,14 @@ SOURCE: str = (
     + panda.SOURCE
 )
 LICENCE: str = panda.LICENCE
-FCI = "Franka FCI documentation, limits for Franka Research 3: suggested position-velocity rectangular limits"
-FCI_ACCELERATION = "Franka FCI documentation, limits for Franka Research 3; libfranka kMaxJointAcceleration"
-FCI_JERK = "Franka FCI documentation, limits for Franka Research 3; libfranka kMaxJointJerk"
+FCI_RECTANGLE_SOURCE = (
+    "Franka FCI documentation, limits for Franka Research 3: suggested position-velocity rectangular limits"
+)
+FCI_ACCELERATION_SOURCE = "Franka FCI documentation, limits for Franka Research 3; libfranka kMaxJointAcceleration"
+FCI_JERK_SOURCE = "Franka FCI documentation, limits for Franka Research 3; libfranka kMaxJointJerk"
 
 # of every joint: from, to [rad], and how fast [rad/s]
-LIMITS = (
+POSITION_VELOCITY_LIMITS = (
     (-2.3093, 2.3093, 2.0),
     (-1.5133, 1.5133, 1.0),
     (-2.4937, 2.4937, 1.5),
@@ -46,7 +48,7 @@ LIMITS = (
     (0.8521, 4.2094, 1.5),
     (-2.6895, 2.6895, 3.0),
 )
-ACCELERATION, JERK = 10.0, 5000.0
+ACCELERATION_LIMIT, JERK_LIMIT = 10.0, 5000.0
 """Of every joint [rad/s², rad/s³]."""
 
 
@@ -55,9 +57,9 @@ def joints() -> tuple[Joint, ...]:
     return tuple(
         Joint(
             f"fr3_joint{i}", joint.translation, joint.quaternion,
-            Bound(lower, "rad", f"{FCI}: fr3_joint{i}"), Bound(upper, "rad", f"{FCI}: fr3_joint{i}"),
-            Bound(velocity, "rad/s", f"{FCI}: fr3_joint{i}"), Bound(ACCELERATION, "rad/s^2", FCI_ACCELERATION),
-            Bound(JERK, "rad/s^3", FCI_JERK),
+            Bound(lower, "rad", f"{FCI_RECTANGLE_SOURCE}: fr3_joint{i}"), Bound(upper, "rad", f"{FCI_RECTANGLE_SOURCE}: fr3_joint{i}"),
+            Bound(velocity, "rad/s", f"{FCI_RECTANGLE_SOURCE}: fr3_joint{i}"), Bound(ACCELERATION_LIMIT, "rad/s^2", FCI_ACCELERATION_SOURCE),
+            Bound(JERK_LIMIT, "rad/s^3", FCI_JERK_SOURCE),
         )
-        for i, (joint, (lower, upper, velocity)) in enumerate(zip(panda.joints(), LIMITS, strict=True), start=1)
+        for i, (joint, (lower, upper, velocity)) in enumerate(zip(panda.joints(), POSITION_VELOCITY_LIMITS, strict=True), start=1)
     )  # fmt: skip

@@ -4,23 +4,25 @@ from __future__ import annotations
 
 from math import hypot
 
-from dualbrain.robots.differential_drive import differential_base
-from dualbrain.robots.model import Body, Bound, Tracking
+from dualbrain.robots.differential_drive import make_differential_base
+from dualbrain.robots.model import Bound, RobotModel, TrackingErrorModel
 
-POLICY = "site policy; an indoor platform of dualbrain's own"
-HALF_LENGTH, HALF_BREADTH, HEIGHT = 0.22, 0.18, 0.30
+LIMITS_SOURCE = "site policy; an indoor platform of dualbrain's own"
+HALF_LENGTH, HALF_WIDTH, HEIGHT = 0.22, 0.18, 0.30
 """The housing [m]: a box, the axle under its middle."""
-DISC_X, DISC_Y = 0.12, 0.09
+DISC_OFFSET_X, DISC_OFFSET_Y = 0.12, 0.09
 """Where the four discs of the footprint lie [m], ahead of the axle and behind it: none can only be braked for."""
-RADIUS = round(max(hypot(HALF_LENGTH - DISC_X, HALF_BREADTH - DISC_Y), hypot(DISC_X, DISC_Y)) + 5e-4, 4)
+DISC_RADIUS = round(
+    max(hypot(HALF_LENGTH - DISC_OFFSET_X, HALF_WIDTH - DISC_OFFSET_Y), hypot(DISC_OFFSET_X, DISC_OFFSET_Y)) + 5e-4, 4
+)
 """So large that the four discs cover corners, sides and middle of the rectangle [m]."""
 
 
-def body(tracking: Tracking) -> Body:
+def make_model(tracking: TrackingErrorModel) -> RobotModel:
     """The base with the tracking model that was identified on its plant."""
-    discs = [(x, y, RADIUS) for x in (-DISC_X, DISC_X) for y in (-DISC_Y, DISC_Y)]
-    return differential_base(
-        "base", discs, speed=Bound(0.6, "m/s", POLICY), turn=Bound(1.5, "rad/s", POLICY),
-        acceleration=Bound(0.8, "m/s^2", POLICY), turn_acceleration=Bound(3.0, "rad/s^2", POLICY),
+    discs = [(x, y, DISC_RADIUS) for x in (-DISC_OFFSET_X, DISC_OFFSET_X) for y in (-DISC_OFFSET_Y, DISC_OFFSET_Y)]
+    return make_differential_base(
+        "base", discs, speed=Bound(0.6, "m/s", LIMITS_SOURCE), turn_rate=Bound(1.5, "rad/s", LIMITS_SOURCE),
+        acceleration=Bound(0.8, "m/s^2", LIMITS_SOURCE), turn_acceleration=Bound(3.0, "rad/s^2", LIMITS_SOURCE),
         tracking=tracking, period=0.02, source="robots/builtin/mobile_base.py",
     )  # fmt: skip

@@ -12,51 +12,55 @@ from math import sqrt
 import msgspec
 import numpy as np
 
-from dualbrain.robots.differential_drive import differential_base
-from dualbrain.robots.mobile_manipulator import on_base
-from dualbrain.robots.model import Body, BodySphere, Bound, Tracking, Vector
+from dualbrain.robots.differential_drive import make_differential_base
+from dualbrain.robots.mobile_manipulator import mount_arm_on_base
+from dualbrain.robots.model import Bound, CollisionSphere, RobotModel, TrackingErrorModel, Vector
 
-POLICY = "site policy; a platform of dualbrain's own"
-HOUSING: tuple[Vector, Vector] = ((0.0, 0.0, 0.15), (0.28, 0.24, 0.15))
+LIMITS_SOURCE = "site policy; a platform of dualbrain's own"
+HOUSING_BOX: tuple[Vector, Vector] = ((0.0, 0.0, 0.15), (0.28, 0.24, 0.15))
 """Middle and half extents of the housing [m], the axle under its middle."""
-PEDESTAL: tuple[Vector, Vector] = ((0.14, 0.0, 0.40), (0.08, 0.08, 0.10))
+PEDESTAL_BOX: tuple[Vector, Vector] = ((0.14, 0.0, 0.40), (0.08, 0.08, 0.10))
 """Middle and half extents of what the arm stands on [m]."""
-MOUNT: Vector = (0.14, 0.0, 0.50)
+ARM_MOUNT_POSITION: Vector = (0.14, 0.0, 0.50)
 """Where the arm's base is bolted [m]."""
-CELLS = ((HOUSING, (4, 3, 2)), (PEDESTAL, (1, 1, 2)))
+BOX_CELLS = ((HOUSING_BOX, (4, 3, 2)), (PEDESTAL_BOX, (1, 1, 2)))
 """Into how many cells each box is cut; one ball around every cell covers it whole."""
-SPARE = 5e-4
+RADIUS_MARGIN = 5e-4
 """How much larger than its cell a ball is [m]."""
-REST = (0.0, -0.9, 0.0, -2.7, 0.0, 1.8, 0.785)
+REST_POSTURE = (0.0, -0.9, 0.0, -2.7, 0.0, 1.8, 0.785)
 """The arm drawn in over the housing, hand down: for driving, and to begin work from."""
 
 
-def body(arm: Body, tracking: Tracking, base_lag: float | None) -> Body:
+def make_model(arm: RobotModel, tracking: TrackingErrorModel, base_lag: float | None) -> RobotModel:
     """The Panda `arm` on its carrier, with what was identified on the plant."""
-    return on_base(
-        "mobile_panda", platform(tracking, arm.period), arm, MOUNT, home=(0.0, 0.0, 0.0, *REST), tracking=tracking,
-        base_lag=base_lag, count=20_000, rng=np.random.default_rng(0),
+    return mount_arm_on_base(
+        "mobile_panda", make_platform(tracking, arm.period), arm, ARM_MOUNT_POSITION, home=(0.0, 0.0, 0.0, *REST_POSTURE), tracking=tracking,
+        base_lag=base_lag, n_samples=20_000, rng=np.random.default_rng(0),
     )  # fmt: skip
 
 
-def platform(tracking: Tracking, period: float) -> Body:
+def make_platform(tracking: TrackingErrorModel, period: float) -> RobotModel:
     """The carrier without its arm."""
-    bare = differential_base(
-        "platform", (), speed=Bound(0.4, "m/s", POLICY), turn=Bound(0.8, "rad/s", POLICY),
-        acceleration=Bound(1.4, "m/s^2", POLICY), turn_acceleration=Bound(3.0, "rad/s^2", POLICY), tracking=tracking,
+    bare = make_differential_base(
+        "platform", (), speed=Bound(0.4, "m/s", LIMITS_SOURCE), turn_rate=Bound(0.8, "rad/s", LIMITS_SOURCE),
+        acceleration=Bound(1.4, "m/s^2", LIMITS_SOURCE), turn_acceleration=Bound(3.0, "rad/s^2", LIMITS_SOURCE), tracking=tracking,
         period=period, source="robots/builtin/mobile_panda.py",
     )  # fmt: skip
     return msgspec.structs.replace(
-        bare, spheres=tuple(ball for box, cells in CELLS for ball in balls("base", *box, cells))
+        bare, spheres=tuple(ball for box, cells in BOX_CELLS for ball in cover_box("base", *box, cells))
     )
 
 
-def balls(link: str, middle: Vector, half: Vector, cells: tuple[int, int, int]) -> tuple[BodySphere, ...]:
+def cover_box(
+    link: str, centre: Vector, half_extents: Vector, cells: tuple[int, int, int]
+) -> tuple[CollisionSphere, ...]:
     """One ball around every cell of a box: together they hold it whole."""
-    size = [h / n for h, n in zip(half, cells, strict=True)]
-    radius = round(sqrt(sum(s * s for s in size)) + SPARE, 4)
-    found: list[BodySphere] = []
+    size = [h / n for h, n in zip(half_extents, cells, strict=True)]
+    radius = round(sqrt(sum(s * s for s in size)) + RADIUS_MARGIN, 4)
+    found: list[CollisionSphere] = []
     for index in product(*map(range, cells)):
-        x, y, z = (round(m - h + s * (2 * i + 1), 6) for m, h, s, i in zip(middle, half, size, index, strict=True))
-        found.append(BodySphere(link, (x, y, z), radius))
+        x, y, z = (
+            round(m - h + s * (2 * i + 1), 6) for m, h, s, i in zip(centre, half_extents, size, index, strict=True)
+        )
+        found.append(CollisionSphere(link, (x, y, z), radius))
     return tuple(found)

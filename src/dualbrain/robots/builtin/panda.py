@@ -6,24 +6,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.robots.assets.meshes import Mesh, collision_mesh
-from dualbrain.robots.collision_model.fit_problem import LinkCover
+from dualbrain.robots.collision_model.fit_problem import LinkCoverSpec
 from dualbrain.robots.model import Bound, Gripper, Joint, Link, Quaternion, Tool, Vector
 
 SOURCE: str = "example-robot-data 6.0.0, panda_description (from franka_ros, franka_description)"
 LICENCE: str = "Apache-2.0"
 URDF = "panda.urdf"
-FCI = "Franka FCI documentation, joint acceleration limits (libfranka kMaxJointAcceleration)"
-FCI_JERK = "Franka FCI documentation, joint jerk limits (libfranka kMaxJointJerk)"
+FCI_ACCELERATION_SOURCE = "Franka FCI documentation, joint acceleration limits (libfranka kMaxJointAcceleration)"
+FCI_JERK_SOURCE = "Franka FCI documentation, joint jerk limits (libfranka kMaxJointJerk)"
 
-ROOT_HALF = 0.7071067811865476
-TURN: dict[str, Quaternion] = {
+SQRT_HALF = 0.7071067811865476
+QUARTER_TURNS: dict[str, Quaternion] = {
     "none": (1.0, 0.0, 0.0, 0.0),
-    "minus": (ROOT_HALF, -ROOT_HALF, 0.0, 0.0),
-    "plus": (ROOT_HALF, ROOT_HALF, 0.0, 0.0),
+    "minus": (SQRT_HALF, -SQRT_HALF, 0.0, 0.0),
+    "plus": (SQRT_HALF, SQRT_HALF, 0.0, 0.0),
 }
 """Quarter turns about local x."""
 
-HAND_TURN: Quaternion = (0.9238795325112867, 0.0, 0.0, -0.3826834323650898)
+HAND_QUATERNION: Quaternion = (0.9238795325112867, 0.0, 0.0, -0.3826834323650898)
 """-45 degrees about z."""
 
 # translation [m], quarter turn, lower [rad], upper [rad], velocity [rad/s], acceleration [rad/s²]
@@ -37,7 +37,7 @@ JOINTS: tuple[tuple[Vector, str, float, float, float, float], ...] = (
     ((0.088, 0.0, 0.0), "plus", -2.8973, 2.8973, 2.61, 20.0),
 )
 
-JERK = (7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0)
+JERK_LIMITS = (7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0)
 """Joint jerk limits [rad/s³]."""
 
 HOME = (0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.785)
@@ -60,25 +60,25 @@ UP, DOWN = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
 LEFT, RIGHT = (0.0, 1.0, 0.0), (0.0, -1.0, 0.0)
 FRONT, BACK = (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)
 
-WRIST = (((0.0, 0.037, 0.0), 0.0535), ((0.0, 0.083, 0.0), 0.058))
+WRIST_SPHERES = (((0.0, 0.037, 0.0), 0.0535), ((0.0, 0.083, 0.0), 0.058))
 """Two balls on the wrist cylinder of link5 (radius 50 mm around the axis of joint 6): link7 passes it at 20 mm."""
 
-COVER: dict[str, tuple[LinkCover, ...]] = {
-    "link0": (LinkCover("link0", 3, faces=((DOWN, 0.2),)),),
-    "link1": (LinkCover("link1", 4),),
-    "link2": (LinkCover("link2", 4),),
-    "link3": (LinkCover("link3", 5),),
-    "link4": (LinkCover("link4", 5),),
-    "link5": (LinkCover("link5", 8, placed=WRIST),),
-    "link6": (LinkCover("link6", 5),),
-    "link7": (LinkCover("link7", 8),),
-    "hand": (LinkCover("hand", 30, faces=((DOWN, 0.5),)),),
+LINK_COVERS: dict[str, tuple[LinkCoverSpec, ...]] = {
+    "link0": (LinkCoverSpec("link0", 3, weighted_faces=((DOWN, 0.2),)),),
+    "link1": (LinkCoverSpec("link1", 4),),
+    "link2": (LinkCoverSpec("link2", 4),),
+    "link3": (LinkCoverSpec("link3", 5),),
+    "link4": (LinkCoverSpec("link4", 5),),
+    "link5": (LinkCoverSpec("link5", 8, fixed_spheres=WRIST_SPHERES),),
+    "link6": (LinkCoverSpec("link6", 5),),
+    "link7": (LinkCoverSpec("link7", 8),),
+    "hand": (LinkCoverSpec("hand", 30, weighted_faces=((DOWN, 0.5),)),),
     "left_finger": (
-        LinkCover(
+        LinkCoverSpec(
             "finger",
             16,
-            faces=((DOWN, 0.4), (UP, 1.6), (LEFT, 0.7), (RIGHT, 1.5), (FRONT, 0.85), (BACK, 0.85)),
-            zones=((2, 0.034, 0.06, 2.5), (2, 0.015, 0.034, 1.5), (2, -0.01, 0.01, 0.8)),
+            weighted_faces=((DOWN, 0.4), (UP, 1.6), (LEFT, 0.7), (RIGHT, 1.5), (FRONT, 0.85), (BACK, 0.85)),
+            weighted_slabs=((2, 0.034, 0.06, 2.5), (2, 0.015, 0.034, 1.5), (2, -0.01, 0.01, 0.8)),
         ),
     ),
 }
@@ -88,17 +88,17 @@ A finger points along +z and its pad faces -y: what bulges there costs gap and g
 nothing. The base stands on the table, so the underside of link0 is loose.
 """
 
-STATED_PAIRS = {
+ALLOWED_PAIRS = {
     ("left_finger", "right_finger"): "the gripper's own motion; opposite fingers close on each other by design",
 }
 
 
-def part(name: str) -> Mesh:
+def part_mesh(name: str) -> Mesh:
     """One convex part of the cover problem: the collision mesh of that name."""
     return collision_mesh("panda", name)
 
 
-def mirrored(centres: NDArray[np.float64]) -> NDArray[np.float64]:
+def mirror_centres(centres: NDArray[np.float64]) -> NDArray[np.float64]:
     """Ball centres of a right part from those of the left one."""
     return centres * np.array([-1.0, -1.0, 1.0])
 
@@ -112,12 +112,12 @@ def joints() -> tuple[Joint, ...]:
             Joint(
                 f"panda_joint{i}",
                 translation,
-                TURN[turn],
+                QUARTER_TURNS[turn],
                 Bound(lower, "rad", f"{entry} lower"),
                 Bound(upper, "rad", f"{entry} upper"),
                 Bound(velocity, "rad/s", f"{entry} velocity"),
-                Bound(acceleration, "rad/s^2", FCI),
-                Bound(JERK[i - 1], "rad/s^3", FCI_JERK),
+                Bound(acceleration, "rad/s^2", FCI_ACCELERATION_SOURCE),
+                Bound(JERK_LIMITS[i - 1], "rad/s^3", FCI_JERK_SOURCE),
             )
         )
     return tuple(made)
@@ -129,7 +129,7 @@ def links() -> tuple[Link, ...]:
     grip: Vector = (0.0, 0.0, 0.107 + 0.0584)
     return (
         *arm,
-        Link("hand", 7, "hand", (0.0, 0.0, 0.107), HAND_TURN),
-        Link("left_finger", 7, "fingers", grip, HAND_TURN, (0.0, 1.0, 0.0)),
-        Link("right_finger", 7, "fingers", grip, HAND_TURN, (0.0, -1.0, 0.0)),
+        Link("hand", 7, "hand", (0.0, 0.0, 0.107), HAND_QUATERNION),
+        Link("left_finger", 7, "fingers", grip, HAND_QUATERNION, (0.0, 1.0, 0.0)),
+        Link("right_finger", 7, "fingers", grip, HAND_QUATERNION, (0.0, -1.0, 0.0)),
     )

@@ -12,8 +12,8 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.robots.assets.meshes import Mesh, hull_of, moved, package_mesh
-from dualbrain.robots.collision_model.fit_problem import LinkCover
+from dualbrain.robots.assets.meshes import Mesh, convex_hull_mesh, package_mesh, transform_mesh
+from dualbrain.robots.collision_model.fit_problem import LinkCoverSpec
 from dualbrain.robots.model import Bound, Gripper, Joint, Link, Quaternion, Tool, Vector
 
 SOURCE: str = (
@@ -22,38 +22,38 @@ SOURCE: str = (
 )
 LICENCE: str = "MIT (airo-models), BSD-3-Clause (Universal_Robots_ROS2_Description)"
 URDF = "ur5e.urdf"
-SHEET = "UR5e technical data sheet"
-NONE_PUBLISHED = (
+DATA_SHEET = "UR5e technical data sheet"
+UNPUBLISHED_LIMIT_SOURCE = (
     "site policy; the maker publishes no limit; at rest it takes at most 86 % of any joint's torque in the model"
 )
 
-R = sqrt(0.5)
+SQRT_HALF = sqrt(0.5)
 HALF_TURN_Z: Quaternion = (0.0, 0.0, 0.0, 1.0)
-PLAIN: Quaternion = (1.0, 0.0, 0.0, 0.0)
-PLUS: Quaternion = (R, R, 0.0, 0.0)
-MINUS: Quaternion = (R, -R, 0.0, 0.0)
+IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
+PLUS_90_ABOUT_X: Quaternion = (SQRT_HALF, SQRT_HALF, 0.0, 0.0)
+MINUS_90_ABOUT_X: Quaternion = (SQRT_HALF, -SQRT_HALF, 0.0, 0.0)
 """Quarter turns about local x."""
 
 # name, translation [m], turn, range [rad] either way; the base frame looks forward (REP 103), hence the half turn
 JOINTS: tuple[tuple[str, Vector, Quaternion, float], ...] = (
     ("shoulder_pan_joint", (0.0, 0.0, 0.1625), HALF_TURN_Z, 6.2832),
-    ("shoulder_lift_joint", (0.0, 0.0, 0.0), PLUS, 6.2832),
-    ("elbow_joint", (-0.425, 0.0, 0.0), PLAIN, 3.1416),
-    ("wrist_1_joint", (-0.3922, 0.0, 0.1333), PLAIN, 6.2832),
-    ("wrist_2_joint", (0.0, -0.0997, 0.0), PLUS, 6.2832),
-    ("wrist_3_joint", (0.0, 0.0996, 0.0), MINUS, 6.2832),
+    ("shoulder_lift_joint", (0.0, 0.0, 0.0), PLUS_90_ABOUT_X, 6.2832),
+    ("elbow_joint", (-0.425, 0.0, 0.0), IDENTITY, 3.1416),
+    ("wrist_1_joint", (-0.3922, 0.0, 0.1333), IDENTITY, 6.2832),
+    ("wrist_2_joint", (0.0, -0.0997, 0.0), PLUS_90_ABOUT_X, 6.2832),
+    ("wrist_3_joint", (0.0, 0.0996, 0.0), MINUS_90_ABOUT_X, 6.2832),
 )
-VELOCITY, ACCELERATION = 3.1416, 10.0
+VELOCITY_LIMIT, ACCELERATION_LIMIT = 3.1416, 10.0
 
 HOME = (-0.323, -1.7376, 1.393, -1.2262, -1.5708, -1.8938)
 PERIOD = 0.002
 TOOL_SPEED = Bound(0.4, "m/s", "site policy")
 
-TIP = 0.1735
+FINGER_TIP_REACH = 0.1735
 """Finger tips beyond the flange [m], hand closed."""
-PALM = 0.1350
+KNUCKLE_REACH = 0.1350
 """Farthest reach of the knuckles beyond the flange [m], over the whole stroke."""
-HOUSING = 0.1012
+HOUSING_REACH = 0.1012
 """Reach of the gripper's base beyond the flange [m]."""
 TOOL = Tool("hand", (0.0, 0.0, 0.1645))
 GRIPPER = Gripper(
@@ -64,35 +64,40 @@ GRIPPER = Gripper(
     finger_thickness=0.033,
 )
 
-X_UP: Quaternion = (0.5, 0.5, -0.5, -0.5)
+MESH_TO_LINK: Quaternion = (0.5, 0.5, -0.5, -0.5)
 """Mesh frame (z along the link) in the chain frame (x against it): turns by 90 degrees about x, then -90 about z."""
 MESH_POSES: dict[str, tuple[Vector, Quaternion]] = {
-    "base": ((0.0, 0.0, 0.0), PLAIN),
+    "base": ((0.0, 0.0, 0.0), IDENTITY),
     "shoulder": ((0.0, 0.0, 0.0), HALF_TURN_Z),
-    "upper_arm_link": ((0.0, 0.0, 0.138), X_UP),
-    "forearm_link": ((0.0, 0.0, 0.007), X_UP),
-    "wrist1": ((0.0, 0.0, -0.127), PLUS),
-    "wrist2": ((0.0, 0.0, -0.0997), PLAIN),
-    "wrist3": ((0.0, 0.0, -0.0989), PLUS),
+    "upper_arm_link": ((0.0, 0.0, 0.138), MESH_TO_LINK),
+    "forearm_link": ((0.0, 0.0, 0.007), MESH_TO_LINK),
+    "wrist1": ((0.0, 0.0, -0.127), PLUS_90_ABOUT_X),
+    "wrist2": ((0.0, 0.0, -0.0997), IDENTITY),
+    "wrist3": ((0.0, 0.0, -0.0989), PLUS_90_ABOUT_X),
 }
 """Where the collision meshes lie in their links, from the URDF."""
 
 UP, DOWN = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
 INWARD = (0.0, -1.0, 0.0)
 
-HAND = {
+HAND_PART_CORNERS = {
     "mount": [(0.0425 * x, 0.0425 * y, z) for x, y in ((0.88, 0.37), (0.37, 0.99)) for z in (0.0, 0.075)],
-    "housing": [(0.0195, 0.0742, 0.0555), (0.0195, 0.0742, HOUSING), (0.0375, 0.0425, 0.0555), (0.0375, 0.02, HOUSING)],
+    "housing": [
+        (0.0195, 0.0742, 0.0555),
+        (0.0195, 0.0742, HOUSING_REACH),
+        (0.0375, 0.0425, 0.0555),
+        (0.0375, 0.02, HOUSING_REACH),
+    ],
 }
 """A quarter of the corners of the hand's two convex parts, flange frame [m]; the rest by mirrors.
 
 The housing holds the base and the lower, fixed ends of the knuckles over their whole stroke.
 """
-SIDE = {
-    "knuckle": [(0.0176, -0.0145, HOUSING - 0.0025), (0.0176, 0.0022, 0.121), (0.0176, 0.0040, PALM),
-                (0.0176, 0.034, PALM), (0.0176, 0.0520, 0.117), (0.0176, 0.0520, HOUSING - 0.0025),
+FINGER_PART_CORNERS = {
+    "knuckle": [(0.0176, -0.0145, HOUSING_REACH - 0.0025), (0.0176, 0.0022, 0.121), (0.0176, 0.0040, KNUCKLE_REACH),
+                (0.0176, 0.034, KNUCKLE_REACH), (0.0176, 0.0520, 0.117), (0.0176, 0.0520, HOUSING_REACH - 0.0025),
                 (0.0076, 0.0022, 0.138), (0.0076, 0.0170, 0.138)],
-    "tip": [(0.0110, 0.0, 0.1345), (0.0110, 0.0, TIP), (0.0110, 0.0090, TIP), (0.0110, 0.0090, 0.1345),
+    "tip": [(0.0110, 0.0, 0.1345), (0.0110, 0.0, FINGER_TIP_REACH), (0.0110, 0.0090, FINGER_TIP_REACH), (0.0110, 0.0090, 0.1345),
             (0.0076, 0.0160, 0.1345), (0.0076, 0.0145, 0.168)],
 }  # fmt: skip
 """Half of the corners of what slides on the left side, hand closed; the rest by the mirror in x.
@@ -100,40 +105,44 @@ SIDE = {
 The upper ends of the knuckles really swing; they stay inside the part drawn here, which slides with the finger.
 """
 
-COVER: dict[str, tuple[LinkCover, ...]] = {
-    "link0": (LinkCover("base", 3, faces=((DOWN, 0.2),)),),
-    "link1": (LinkCover("shoulder", 4),),
-    "link2": (LinkCover("upper_arm_link_part_0", 4), LinkCover("upper_arm_link_part_1", 5),
-              LinkCover("upper_arm_link_part_2", 5)),
-    "link3": (LinkCover("forearm_link_part_0", 3), LinkCover("forearm_link_part_1", 5),
-              LinkCover("forearm_link_part_2", 3)),
-    "link4": (LinkCover("wrist1", 5),),
-    "link5": (LinkCover("wrist2", 5),),
-    "link6": (LinkCover("wrist3", 3),),
-    "hand": (LinkCover("mount", 8, faces=((DOWN, 0.5), (UP, 0.5))), LinkCover("housing", 15, faces=((DOWN, 0.5),))),
-    "left_knuckle": (LinkCover("knuckle", 8, faces=((UP, 1.3), (INWARD, 1.5), (DOWN, 0.4))),),
-    "left_finger": (LinkCover("tip", 12, faces=((UP, 1.6), (INWARD, 1.5), (DOWN, 0.5))),),
+LINK_COVERS: dict[str, tuple[LinkCoverSpec, ...]] = {
+    "link0": (LinkCoverSpec("base", 3, weighted_faces=((DOWN, 0.2),)),),
+    "link1": (LinkCoverSpec("shoulder", 4),),
+    "link2": (LinkCoverSpec("upper_arm_link_part_0", 4), LinkCoverSpec("upper_arm_link_part_1", 5),
+              LinkCoverSpec("upper_arm_link_part_2", 5)),
+    "link3": (LinkCoverSpec("forearm_link_part_0", 3), LinkCoverSpec("forearm_link_part_1", 5),
+              LinkCoverSpec("forearm_link_part_2", 3)),
+    "link4": (LinkCoverSpec("wrist1", 5),),
+    "link5": (LinkCoverSpec("wrist2", 5),),
+    "link6": (LinkCoverSpec("wrist3", 3),),
+    "hand": (LinkCoverSpec("mount", 8, weighted_faces=((DOWN, 0.5), (UP, 0.5))), LinkCoverSpec("housing", 15, weighted_faces=((DOWN, 0.5),))),
+    "left_knuckle": (LinkCoverSpec("knuckle", 8, weighted_faces=((UP, 1.3), (INWARD, 1.5), (DOWN, 0.4))),),
+    "left_finger": (LinkCoverSpec("tip", 12, weighted_faces=((UP, 1.6), (INWARD, 1.5), (DOWN, 0.5))),),
 }  # fmt: skip
 """Wanted cover of each link, 108 balls in all; the right side of the hand is the left one turned half around z."""
 
-STATED_PAIRS = {
+ALLOWED_PAIRS = {
     (f"left_{one}", f"right_{other}"): "the gripper's own motion; opposite fingers close on each other by design"
     for one in ("knuckle", "finger")
     for other in ("knuckle", "finger")
 }
 
 
-def part(name: str) -> Mesh:
+def part_mesh(name: str) -> Mesh:
     """One convex part of the cover problem, in its link's frame."""
-    if name in HAND:
-        return hull_of(np.array([(sx * x, sy * y, z) for x, y, z in HAND[name] for sx in (-1, 1) for sy in (-1, 1)]))
-    if name in SIDE:
-        return hull_of(np.array([(sx * x, y, z) for x, y, z in SIDE[name] for sx in (-1, 1)]))
+    if name in HAND_PART_CORNERS:
+        return convex_hull_mesh(
+            np.array([(sx * x, sy * y, z) for x, y, z in HAND_PART_CORNERS[name] for sx in (-1, 1) for sy in (-1, 1)])
+        )
+    if name in FINGER_PART_CORNERS:
+        return convex_hull_mesh(np.array([(sx * x, y, z) for x, y, z in FINGER_PART_CORNERS[name] for sx in (-1, 1)]))
     translation, quaternion = MESH_POSES[name.partition("_part_")[0]]
-    return moved(package_mesh("airo-models", f"airo_models/arms/ur5e/collision/{name}.obj"), translation, quaternion)
+    return transform_mesh(
+        package_mesh("airo-models", f"airo_models/arms/ur5e/collision/{name}.obj"), translation, quaternion
+    )
 
 
-def mirrored(centres: NDArray[np.float64]) -> NDArray[np.float64]:
+def mirror_centres(centres: NDArray[np.float64]) -> NDArray[np.float64]:
     """Ball centres of a right part from those of the left one."""
     return centres * np.array([-1.0, -1.0, 1.0])
 
@@ -145,8 +154,8 @@ def joints() -> tuple[Joint, ...]:
             name, translation, quaternion,
             Bound(-reach, "rad", f"{URDF}: {name} limit lower"),
             Bound(reach, "rad", f"{URDF}: {name} limit upper"),
-            Bound(VELOCITY, "rad/s", f"{URDF}: {name} limit velocity; {SHEET}: 180 degrees/s"),
-            Bound(ACCELERATION, "rad/s^2", NONE_PUBLISHED),
+            Bound(VELOCITY_LIMIT, "rad/s", f"{URDF}: {name} limit velocity; {DATA_SHEET}: 180 degrees/s"),
+            Bound(ACCELERATION_LIMIT, "rad/s^2", UNPUBLISHED_LIMIT_SOURCE),
         )
         for name, translation, quaternion, reach in JOINTS
     )  # fmt: skip

@@ -12,64 +12,68 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.robots.assets.mesh_primitives import hull_mesh
+from dualbrain.robots.assets.mesh_primitives import thickened_hull_mesh
 from dualbrain.robots.assets.meshes import Mesh
-from dualbrain.robots.optional_imports import extra
+from dualbrain.robots.optional_imports import import_optional
 
 Array = NDArray[np.float64]
 
-MOST_PARTS = 4
-GAIN = 0.85
+MAX_PARTS = 4
+MAX_CUT_VOLUME_RATIO = 0.85
 """A cut is worth it when the two hulls together have at most this share of the one hull's volume."""
-CUTS = (0.2, 0.35, 0.5, 0.65, 0.8)
-LOOKED_AT = 2000
+CUT_FRACTIONS = (0.2, 0.35, 0.5, 0.65, 0.8)
+MAX_TRIANGLES_FOR_CUT = 2000
 """Triangles by which cuts are chosen; the cut itself is made through all of them."""
-TINY = 1e-6
+MIN_CUT_VOLUME = 1e-6
 """Volume [m³] below which nothing is cut."""
 
 
-def convex_parts(mesh: Mesh, most: int = MOST_PARTS) -> list[Mesh]:
+def decompose_convex(mesh: Mesh, max_parts: int = MAX_PARTS) -> list[Mesh]:
     """At most `most` convex closed meshes whose union contains `mesh`."""
-    whole = hull_mesh(mesh.vertices)
-    if most < 2 or volume(whole) < TINY:
+    whole = thickened_hull_mesh(mesh.vertices)
+    if max_parts < 2 or mesh_volume(whole) < MIN_CUT_VOLUME:
         return [whole]
     cut = _best_cut(mesh.triangles, whole)
     if cut is None:
         return [whole]
     left, right = cut
-    first = convex_parts(left, most - 1)
-    return first + convex_parts(right, most - len(first))
+    first = decompose_convex(left, max_parts - 1)
+    return first + decompose_convex(right, max_parts - len(first))
 
 
-def volume(mesh: Mesh) -> float:
+def mesh_volume(mesh: Mesh) -> float:
     """Volume [m³] of a closed mesh with outward faces: Σ a·(b × c)/6."""
     a, b, c = np.moveaxis(mesh.triangles, 1, 0)
     return float(np.sum(np.einsum("fi,fi->f", a, np.cross(b, c)))) / 6.0
 
 
 def _best_cut(triangles: Array, whole: Mesh) -> tuple[Mesh, Mesh] | None:
-    looked = triangles if len(triangles) <= LOOKED_AT else triangles[:: len(triangles) // LOOKED_AT + 1]
+    looked = (
+        triangles
+        if len(triangles) <= MAX_TRIANGLES_FOR_CUT
+        else triangles[:: len(triangles) // MAX_TRIANGLES_FOR_CUT + 1]
+    )
     points = whole.vertices
     axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
     best: tuple[float, Array, float] | None = None
-    size = volume(whole)
+    size = mesh_volume(whole)
     for axis in axes[:2]:
         along = points @ axis
-        for share in CUTS:
+        for share in CUT_FRACTIONS:
             level = float(along.min() + share * np.ptp(along))
-            sides = _sides(looked, axis, level)
+            sides = _split_points(looked, axis, level)
             if sides is None:
                 continue
             total = sum(_hull_volume(side) for side in sides)
             if best is None or total < best[0]:
                 best = (total, axis, level)
-    if best is None or best[0] > GAIN * size:
+    if best is None or best[0] > MAX_CUT_VOLUME_RATIO * size:
         return None
     _, axis, level = best
-    return _side(triangles, axis, level), _side(triangles, -axis, -level)
+    return _clip_mesh(triangles, axis, level), _clip_mesh(triangles, -axis, -level)
 
 
-def _sides(triangles: Array, axis: Array, level: float) -> tuple[Array, Array] | None:
+def _split_points(triangles: Array, axis: Array, level: float) -> tuple[Array, Array] | None:
     """Corner points of what lies on each side of the plane axis·x = level, cut edges' points in both."""
     height = triangles @ axis - level
     if not ((height > 0).any() and (height < 0).any()):
@@ -90,7 +94,7 @@ def _crossings(triangles: Array, axis: Array, level: float) -> Array:
 
 
 def _hull_volume(points: Array) -> float:
-    spatial: Any = extra("scipy.spatial")
+    spatial: Any = import_optional("scipy.spatial")
     if len(points) < 4:
         return 0.0
     try:
@@ -99,15 +103,15 @@ def _hull_volume(points: Array) -> float:
         return 0.0
 
 
-def _side(triangles: Array, axis: Array, level: float) -> Mesh:
+def _clip_mesh(triangles: Array, axis: Array, level: float) -> Mesh:
     """What lies at axis·x ≥ level, crossing triangles clipped, as loose triangles."""
     height = triangles @ axis - level
     whole, crossing = triangles[height.min(axis=1) >= 0], (height.max(axis=1) > 0) & (height.min(axis=1) < 0)
-    every = np.concatenate([whole, _clip(triangles[crossing], axis, level)])
+    every = np.concatenate([whole, _clip_triangles(triangles[crossing], axis, level)])
     return Mesh(every.reshape(-1, 3), np.arange(3 * len(every)).reshape(-1, 3))
 
 
-def _clip(triangles: Array, axis: Array, level: float) -> Array:
+def _clip_triangles(triangles: Array, axis: Array, level: float) -> Array:
     """The part of each crossing triangle on the side axis·x ≥ level, as triangles (t, 3, 3)."""
     made: list[Array] = []
     for corners in triangles:

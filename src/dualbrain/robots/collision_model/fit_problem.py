@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.robots.assets.meshes import Mesh
-from dualbrain.robots.collision_model.coverage import Balls, covered
-from dualbrain.robots.collision_model.polytope import Polytope, convex_hull, surface_points
+from dualbrain.robots.collision_model.coverage import SphereSet, are_covered
+from dualbrain.robots.collision_model.polytope import Polytope, convex_hull, sample_surface
 from dualbrain.robots.model import Vector
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class LinkCover:
+class LinkCoverSpec:
     """What is wanted for one link: its collision `mesh`, how many `balls`, and where a bulge hurts more or less.
 
     `faces`: (outward direction, weight) for faces whose normal lies within 37 degrees of it. `zones`: (axis, from [m],
@@ -25,28 +25,28 @@ class LinkCover:
     """
 
     mesh: str
-    balls: int
-    faces: tuple[tuple[Vector, float], ...] = ()
-    zones: tuple[tuple[int, float, float, float], ...] = ()
-    placed: tuple[tuple[Vector, float], ...] = ()
+    n_spheres: int
+    weighted_faces: tuple[tuple[Vector, float], ...] = ()
+    weighted_slabs: tuple[tuple[int, float, float, float], ...] = ()
+    fixed_spheres: tuple[tuple[Vector, float], ...] = ()
 
     def face_weights(self, normals: Array) -> Array:
         """w_k of faces with outward unit `normals` (k, 3)."""
         weights = np.ones(len(normals))
-        for direction, weight in self.faces:
+        for direction, weight in self.weighted_faces:
             weights[normals @ np.array(direction) > 0.8] = weight
         return weights
 
     def point_weights(self, points: Array) -> Array:
         """w_p of surface points (p, 3)."""
         weights = np.ones(len(points))
-        for axis, low, high, weight in self.zones:
+        for axis, low, high, weight in self.weighted_slabs:
             weights[(points[:, axis] >= low) & (points[:, axis] <= high)] = weight
         return weights
 
 
 @dataclass(frozen=True, slots=True)
-class Problem:
+class FitProblem:
     """One start: the solid with its face weights (k,), surface points (p, 3) with theirs (p,)."""
 
     solid: Polytope
@@ -54,7 +54,7 @@ class Problem:
     points: Array
     point_weights: Array
 
-    def costs(self, centres: Array) -> Array:
+    def weighted_excess(self, centres: Array) -> Array:
         """Weighted bulge (p, b) that ball b has when it just reaches point p."""
         reach = np.linalg.norm(self.points[:, None] - centres[None], axis=2)
         slack = self.solid.slack(centres)
@@ -65,9 +65,11 @@ class Problem:
         return self.point_weights[:, None] * cost
 
 
-def pose_problem(mesh: Mesh, wanted: LinkCover, placed: Balls, count: int, rng: np.random.Generator) -> Problem:
+def make_fit_problem(
+    mesh: Mesh, spec: LinkCoverSpec, fixed: SphereSet, n_samples: int, rng: np.random.Generator
+) -> FitProblem:
     """The fit on the mesh's corners and `count` random surface points, less those that `placed` balls cover."""
     solid = convex_hull(mesh)
-    points = np.vstack([mesh.vertices, surface_points(mesh, count, rng)])
-    points = points[~covered(points, placed)]
-    return Problem(solid, wanted.face_weights(solid.normals), points, wanted.point_weights(points))
+    points = np.vstack([mesh.vertices, sample_surface(mesh, n_samples, rng)])
+    points = points[~are_covered(points, fixed)]
+    return FitProblem(solid, spec.face_weights(solid.normals), points, spec.point_weights(points))

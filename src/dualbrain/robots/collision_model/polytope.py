@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import ConfigurationError
 from dualbrain.robots.assets.meshes import Mesh
-from dualbrain.robots.optional_imports import extra
+from dualbrain.robots.optional_imports import import_optional
 
 Array = NDArray[np.float64]
 
@@ -43,12 +43,12 @@ def convex_hull(mesh: Mesh) -> Polytope:
     Raises:
         InvalidSetup: the mesh is not convex to within `CONVEX_TOLERANCE`, so a hull would not describe it.
     """
-    hull = extra("scipy.spatial").ConvexHull(mesh.vertices)
+    hull = import_optional("scipy.spatial").ConvexHull(mesh.vertices)
     planes = np.unique(np.round(np.asarray(hull.equations, dtype=np.float64), 9), axis=0)
     polytope = Polytope(planes[:, :3], -planes[:, 3])
     deepest = float(np.max(polytope.depth(mesh.triangles.mean(axis=1))))
     if deepest > CONVEX_TOLERANCE:
-        raise InvalidSetup(
+        raise ConfigurationError(
             "collision mesh",
             got=f"a face {deepest * 1e3:.1f} mm inside its own hull",
             allowed=f"convex to {CONVEX_TOLERANCE * 1e3:.1f} mm",
@@ -57,9 +57,9 @@ def convex_hull(mesh: Mesh) -> Polytope:
     return polytope
 
 
-def surface_points(mesh: Mesh, count: int, rng: np.random.Generator) -> Array:
+def sample_surface(mesh: Mesh, n_samples: int, rng: np.random.Generator) -> Array:
     """`count` points (count, 3) spread uniformly by area over the surface of `mesh`."""
-    faces = rng.choice(len(mesh.faces), size=count, p=mesh.areas / mesh.areas.sum())
+    faces = rng.choice(len(mesh.faces), size=n_samples, p=mesh.areas / mesh.areas.sum())
     a, b, c = np.moveaxis(mesh.triangles[faces], 1, 0)
-    s, t = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
+    s, t = np.sqrt(rng.random((n_samples, 1))), rng.random((n_samples, 1))
     return (1 - s) * a + s * (1 - t) * b + s * t * c

@@ -10,16 +10,16 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.robots.collision_model.coverage import Balls
-from dualbrain.robots.model import Joint, Link, SelfPairs
+from dualbrain.robots.collision_model.coverage import SphereSet
+from dualbrain.robots.model import Joint, Link, SelfCollisionPairs
 
 Array = NDArray[np.float64]
 
-NEVER = 0.030
+MIN_EXCLUDED_CLEARANCE = 0.030
 """A pair that stays farther apart than this [m] in all sampled configurations needs no row."""
 
 
-def rotation(quaternion: tuple[float, float, float, float]) -> Array:
+def unit_quaternion_to_matrix(quaternion: tuple[float, float, float, float]) -> Array:
     """Rotation matrix (3, 3) of a unit quaternion (w, x, y, z)."""
     w, x, y, z = quaternion
     return np.array(
@@ -45,15 +45,17 @@ def chain_frames(joints: tuple[Joint, ...], q: Array) -> tuple[Array, Array]:
         c, s = np.cos(angle), np.sin(angle)
         about_z = np.stack([c, -s, zero, s, c, zero, zero, zero, zero + 1], axis=1).reshape(m, 3, 3)
         origins[:, i + 1] = origins[:, i] + turns[:, i] @ np.array(joint.translation)
-        turns[:, i + 1] = turns[:, i] @ rotation(joint.quaternion) @ about_z
+        turns[:, i + 1] = turns[:, i] @ unit_quaternion_to_matrix(joint.quaternion) @ about_z
         if slides:
             origins[:, i + 1] += q[:, i, None] * turns[:, i + 1, :, 2]
     return turns, origins
 
 
-def placed_centres(link: Link, centres: Array, turns: Array, origins: Array, opening: float) -> Array:
+def sphere_centres(link: Link, centres: Array, turns: Array, origins: Array, opening: float) -> Array:
     """World positions (m, b, 3) of ball centres (b, 3) given in the frame of `link`, at finger `opening` [m]."""
-    local = (centres + opening * np.array(link.slide)) @ rotation(link.quaternion).T + np.array(link.translation)
+    local = (centres + opening * np.array(link.slide)) @ unit_quaternion_to_matrix(link.quaternion).T + np.array(
+        link.translation
+    )
     return np.einsum("mij,bj->mbi", turns[:, link.frame], local) + origins[:, link.frame, None]
 
 
@@ -64,22 +66,26 @@ def link_clearance(a: Array, b: Array, radii_a: Array, radii_b: Array) -> Array:
     return np.min(gaps, axis=(1, 2))
 
 
-def random_configurations(joints: tuple[Joint, ...], count: int, rng: np.random.Generator) -> Array:
+def random_configurations(joints: tuple[Joint, ...], n_samples: int, rng: np.random.Generator) -> Array:
     """`count` configurations, uniform within the joint limits, (count, n) [rad]."""
     low = np.array([joint.lower.value for joint in joints])
     high = np.array([joint.upper.value for joint in joints])
-    return low + (high - low) * rng.random((count, len(joints)))
+    return low + (high - low) * rng.random((n_samples, len(joints)))
 
 
-def least_clearances(
-    joints: tuple[Joint, ...], links: tuple[Link, ...], cover: dict[str, Balls], q: Array, openings: tuple[float, ...]
+def min_clearances(
+    joints: tuple[Joint, ...],
+    links: tuple[Link, ...],
+    cover: dict[str, SphereSet],
+    q: Array,
+    openings: tuple[float, ...],
 ) -> dict[tuple[str, str], float]:
     """Smallest gap [m] of every pair of links over configurations q (m, n) and finger openings [m]."""
     least = {(a.name, b.name): np.inf for a, b in combinations(links, 2)}
     for batch in np.array_split(q, max(1, len(q) // 2000)):
         turns, origins = chain_frames(joints, batch)
         for opening in openings:
-            at = {link.name: placed_centres(link, cover[link.name].centres, turns, origins, opening) for link in links}
+            at = {link.name: sphere_centres(link, cover[link.name].centres, turns, origins, opening) for link in links}
             for (a, b), before in least.items():
                 gap = link_clearance(at[a], at[b], cover[a].radii, cover[b].radii)
                 least[a, b] = min(before, float(gap.min()))
@@ -89,28 +95,28 @@ def least_clearances(
 def choose_pairs(
     joints: tuple[Joint, ...],
     links: tuple[Link, ...],
-    cover: dict[str, Balls],
+    cover: dict[str, SphereSet],
     *,
-    stated: dict[tuple[str, str], str],
-    count: int,
+    allowed_by_design: dict[tuple[str, str], str],
+    n_samples: int,
     rng: np.random.Generator,
     opening: float,
-) -> SelfPairs:
+) -> SelfCollisionPairs:
     """Keeps every pair of links that is neither adjacent, nor `stated` as allowed, nor measured to stay apart.
 
     Two links are adjacent when they ride on the same or on consecutive chain frames. The measured reason carries the
     smallest gap over `count` random configurations with the fingers closed and open by `opening` [m] each.
     """
-    least = least_clearances(joints, links, cover, random_configurations(joints, count, rng), (0.0, opening))
+    least = min_clearances(joints, links, cover, random_configurations(joints, n_samples, rng), (0.0, opening))
     kept: list[tuple[str, str]] = []
     allowed: list[tuple[str, str, str]] = []
     for (a, b), gap in least.items():
         first, second = (next(link for link in links if link.name == name) for name in (a, b))
-        reason = stated.get((a, b), "adjacent" if abs(first.frame - second.frame) <= 1 else "")
-        if not reason and gap > NEVER:
-            reason = f"never closer than {gap * 1e3:.0f} mm in {count} random configurations"
+        reason = allowed_by_design.get((a, b), "adjacent" if abs(first.frame - second.frame) <= 1 else "")
+        if not reason and gap > MIN_EXCLUDED_CLEARANCE:
+            reason = f"never closer than {gap * 1e3:.0f} mm in {n_samples} random configurations"
         if reason:
             allowed.append((a, b, reason))
         else:
             kept.append((a, b))
-    return SelfPairs(tuple(kept), tuple(allowed))
+    return SelfCollisionPairs(tuple(kept), tuple(allowed))

@@ -9,38 +9,55 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.core.geometry.rotations import quaternion
-from dualbrain.errors import InvalidSetup
-from dualbrain.robots.assets.mesh_primitives import joined, moved
+from dualbrain.core.geometry.rotations import matrix_to_quaternion
+from dualbrain.errors import ConfigurationError
+from dualbrain.robots.assets.mesh_primitives import apply_pose, concatenate_meshes
 from dualbrain.robots.assets.meshes import Mesh
-from dualbrain.robots.collision_model.coverage import Balls
-from dualbrain.robots.collision_model.polytope import surface_points
-from dualbrain.robots.collision_model.self_collision_sampling import Sampled, sampled_pairs
-from dualbrain.robots.collision_model.sphere_budget import FULL, QUICK, Fit, fit_all
-from dualbrain.robots.importer.cbf_gain import curved_gain
-from dualbrain.robots.importer.gripper import Hand, find_hand
-from dualbrain.robots.importer.home_posture import find_home
-from dualbrain.robots.importer.kinematic_chain import Chain, find_chain
-from dualbrain.robots.importer.kinematic_tree import Tree
-from dualbrain.robots.importer.report import LinkReport, Report
-from dualbrain.robots.importer.required_limits import Missing, MissingLimits, Policy, joint_bounds, whole_bound
-from dualbrain.robots.model import Body, BodySphere, Bound, Gripper, Joint, Link, SelfPairs, Tool, Tracking, Vector
+from dualbrain.robots.collision_model.coverage import SphereSet
+from dualbrain.robots.collision_model.polytope import sample_surface
+from dualbrain.robots.collision_model.self_collision_sampling import SampledPairs, sample_pairs
+from dualbrain.robots.collision_model.sphere_budget import FULL, QUICK, LinkFit, fit_links
+from dualbrain.robots.importer.cbf_gain import curvature_limited_gain
+from dualbrain.robots.importer.gripper import DetectedGripper, detect_gripper
+from dualbrain.robots.importer.home_posture import find_home_posture
+from dualbrain.robots.importer.kinematic_chain import KinematicChain, find_chain
+from dualbrain.robots.importer.kinematic_tree import KinematicTree
+from dualbrain.robots.importer.report import ImportReport, LinkReport
+from dualbrain.robots.importer.required_limits import (
+    LimitPolicy,
+    MissingLimit,
+    MissingLimitsError,
+    joint_bounds,
+    robot_bound,
+)
+from dualbrain.robots.model import (
+    Bound,
+    CollisionSphere,
+    Gripper,
+    Joint,
+    Link,
+    RobotModel,
+    SelfCollisionPairs,
+    Tool,
+    TrackingErrorModel,
+    Vector,
+)
 
 Array = NDArray[np.float64]
-Tell = Callable[[str], None]
+ProgressReporter = Callable[[str], None]
 
-MOST_JOINTS, MOST_SPHERES, MOST_LINKS, MOST_PAIRS = 16, 232, 31, 320
+MAX_JOINTS, MAX_SPHERES, MAX_LINKS, MAX_PAIRS = 16, 232, 31, 320
 """The room of the widest build of the kernel (CMakeLists.txt; a test holds them equal)."""
-SURFACE = 600
+N_SURFACE_POINTS = 600
 """Points on each link's shapes by which pairs are looked at."""
-IMPORTANCE = {"base": 0.35, "arm": 1.0, "hand": 1.6, "fingers": 2.5}
+COVER_WEIGHTS = {"base": 0.35, "arm": 1.0, "hand": 1.6, "fingers": 2.5}
 """How much tighter a group is covered: a bulge of a finger costs grasps, one of the bolted base next to nothing."""
-TIGHTER, TIGHTER_ROUNDS = 1.7, 3
+TIGHTENING_FACTOR, MAX_TIGHTENING_ROUNDS = 1.7, 3
 """How much tighter parts are covered that press on each other, and how often."""
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class ImportOptions:
     """What the user chose: `chain` and `tool` by link names, joints to `lock`, `quick`, `spheres`, `seed`, `home`."""
 
     name: str = ""
@@ -49,21 +66,23 @@ class Wish:
     tool: str = ""
     lock: Mapping[str, float] = field(default_factory=dict[str, float])
     quick: bool = False
-    spheres: int = 96
+    sphere_budget: int = 96
     seed: int = 0
     home: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class Made:
+class ImportResult:
     """A body, what is to be known of it, and the shapes (in link frames) that its spheres were fitted to."""
 
-    body: Body
-    report: Report
+    model: RobotModel
+    report: ImportReport
     shapes: dict[str, Mesh]
 
 
-def build_arm(tree: Tree, policy: Policy, wish: Wish, tell: Tell = lambda _: None) -> Made:
+def build_arm(
+    tree: KinematicTree, policy: LimitPolicy, options: ImportOptions, report_progress: ProgressReporter = lambda _: None
+) -> ImportResult:
     """The body of one serial arm of `tree`.
 
     Raises:
@@ -71,57 +90,61 @@ def build_arm(tree: Tree, policy: Policy, wish: Wish, tell: Tell = lambda _: Non
         InvalidSetup: the chain cannot be driven, does not fit the kernel, or has no posture free of self-collision.
         MissingPart: a mesh or library is not there.
     """
-    chain = find_chain(tree, base=wish.base, tip=wish.tip, tool=wish.tool, lock=wish.lock)
-    if len(chain.joints) > MOST_JOINTS:
-        raise InvalidSetup(
-            f"joints from {chain.base} to {chain.tip}", got=len(chain.joints), allowed=f"at most {MOST_JOINTS}",
+    chain = find_chain(tree, base=options.base, tip=options.tip, tool=options.tool, lock=options.lock)
+    if len(chain.joints) > MAX_JOINTS:
+        raise ConfigurationError(
+            f"joints from {chain.base} to {chain.tip}", got=len(chain.joints), allowed=f"at most {MAX_JOINTS}",
             fix="Hold some still (--lock JOINT=VALUE) or choose a shorter --chain BASE..TIP.",
         )  # fmt: skip
-    joints, period, tool_speed = _bounded(tree, chain, policy)
-    links, shapes = parts(tree, chain)
-    tell(f"{len(joints)} joints, {len(shapes)} parts with shapes; fitting spheres")
-    rng = np.random.default_rng([wish.seed, len(links)])
-    fits, pairs = _fit_with_room(joints, links, shapes, wish, rng, tell)
-    cover = {link.name: fits[link.name].balls for link in links}
-    if len(pairs.kept) > MOST_PAIRS:
-        raise InvalidSetup("pairs of parts that are kept apart", got=len(pairs.kept), allowed=f"at most {MOST_PAIRS}")
+    joints, period, tool_speed = _joint_limits(tree, chain, policy)
+    links, shapes = rigid_parts(tree, chain)
+    report_progress(f"{len(joints)} joints, {len(shapes)} parts with shapes; fitting spheres")
+    rng = np.random.default_rng([options.seed, len(links)])
+    fits, pairs = _fit_with_clearance(joints, links, shapes, options, rng, report_progress)
+    cover = {link.name: fits[link.name].spheres for link in links}
+    if len(pairs.kept) > MAX_PAIRS:
+        raise ConfigurationError(
+            "pairs of parts that are kept apart", got=len(pairs.kept), allowed=f"at most {MAX_PAIRS}"
+        )
     floor = min((float(mesh.vertices[:, 2].min()) for mesh in shapes.get(chain.base, ())), default=-np.inf)
-    home = find_home(joints, links, cover, pairs, wish.home, floor, rng)
-    hand = find_hand(tree, chain, policy.robot, keep_tool=bool(wish.tool))
-    body = Body(
-        name=wish.name or identifier(tree.name), source=tree.source, licence=tree.licence, joints=joints, links=links,
-        spheres=spheres_of(cover), self_pairs=pairs, tool=_tool(chain, links, hand),
-        gripper=hand.gripper if isinstance(hand, Hand) else no_gripper(hand), home=home.posture,
-        tracking=not_identified(), period=period.value, tool_speed=tool_speed,
-        gain=curved_gain(joints, links, cover, np.random.default_rng(wish.seed)),
+    home = find_home_posture(joints, links, cover, pairs, options.home, floor, rng)
+    hand = detect_gripper(tree, chain, policy.robot, keep_tool=bool(options.tool))
+    body = RobotModel(
+        name=options.name or to_identifier(tree.name), source=tree.source, licence=tree.licence, joints=joints, links=links,
+        spheres=collision_spheres(cover), self_pairs=pairs, tool=_tool_frame(chain, links, hand),
+        gripper=hand.gripper if isinstance(hand, DetectedGripper) else no_gripper(hand), home=home.posture,
+        tracking=unidentified_tracking(), period=period.value, tool_speed=tool_speed,
+        gain=curvature_limited_gain(joints, links, cover, np.random.default_rng(options.seed)),
     )  # fmt: skip
     notes = [*tree.notes, f"home {home.provenance}", f"control period {period.value:g} s: {period.provenance}"]
     if chain.locked:
         stand = ", ".join(f"{name} = {value:g}" for name, value in chain.locked.items())
         notes.append(f"joints off the chain are taken to stand still at: {stand}")
-    return Made(
+    return ImportResult(
         body,
-        report_of(links, fits, tuple(notes), quick=wish.quick),
-        {name: joined(meshes) for name, meshes in shapes.items()},
+        make_report(links, fits, tuple(notes), quick=options.quick),
+        {name: concatenate_meshes(meshes) for name, meshes in shapes.items()},
     )
 
 
-def _bounded(tree: Tree, chain: Chain, policy: Policy) -> tuple[tuple[Joint, ...], Bound, Bound]:
+def _joint_limits(
+    tree: KinematicTree, chain: KinematicChain, policy: LimitPolicy
+) -> tuple[tuple[Joint, ...], Bound, Bound]:
     """Joints with every bound, control period and tool speed."""
-    missing: list[Missing] = []
+    missing: list[MissingLimit] = []
     known = {joint.name for joint in tree.joints}
-    for name in policy.joints:
+    for name in policy.by_joint:
         if name not in known:
             tree.joint(name)
     bounds = [joint_bounds(joint, policy, missing) for joint in chain.joints]
-    period = whole_bound("period", "s", policy, missing)
-    tool_speed = whole_bound("tool_speed", "m/s", policy, missing)
+    period = robot_bound("period", "s", policy, missing)
+    tool_speed = robot_bound("tool_speed", "m/s", policy, missing)
     if missing:
-        raise MissingLimits(tree.source, tuple(missing))
+        raise MissingLimitsError(tree.source, tuple(missing))
     joints = tuple(
         Joint(
-            joint.name, vector(offset[:3, 3]), quaternion(offset[:3, :3]), _sure(bound["lower"]), _sure(bound["upper"]),
-            _sure(bound["velocity"]), _sure(bound["acceleration"]), bound["jerk"],
+            joint.name, to_vector(offset[:3, 3]), matrix_to_quaternion(offset[:3, :3]), _require_bound(bound["lower"]), _require_bound(bound["upper"]),
+            _require_bound(bound["velocity"]), _require_bound(bound["acceleration"]), bound["jerk"],
             "prismatic" if joint.kind == "prismatic" else "revolute",
         )
         for joint, offset, bound in zip(chain.joints, chain.offsets, bounds, strict=True)
@@ -129,23 +152,25 @@ def _bounded(tree: Tree, chain: Chain, policy: Policy) -> tuple[tuple[Joint, ...
     return joints, period, tool_speed
 
 
-def _sure(bound: Bound | None) -> Bound:
+def _require_bound(bound: Bound | None) -> Bound:
     assert bound is not None
     return bound
 
 
-def parts(tree: Tree, chain: Chain) -> tuple[tuple[Link, ...], dict[str, list[Mesh]]]:
+def rigid_parts(tree: KinematicTree, chain: KinematicChain) -> tuple[tuple[Link, ...], dict[str, list[Mesh]]]:
     """One link of the body for each rigid part: base, arm, what hangs on the last joint, fingers; and its shapes."""
     n = len(chain.joints)
     last = chain.joints[-1].child
     links: dict[str, Link] = {}
     meshes: dict[str, list[Mesh]] = {}
-    alone = not any(rider.beyond and not rider.swept and tree.links[rider.link].pieces for rider in chain.riders)
-    for rider in chain.riders:
-        pieces = tree.links[rider.link].pieces
-        if rider.swept:
+    alone = not any(
+        rider.is_past_last_joint and not rider.is_swept and tree.links[rider.link].shapes for rider in chain.segments
+    )
+    for rider in chain.segments:
+        pieces = tree.links[rider.link].shapes
+        if rider.is_swept:
             name, group = "fingers", "fingers"
-        elif rider.frame == n and (rider.beyond or (alone and rider.link == last)):
+        elif rider.frame == n and (rider.is_past_last_joint or (alone and rider.link == last)):
             name, group = ("hand", "hand")
         else:
             name = chain.base if rider.frame == 0 else chain.joints[rider.frame - 1].child
@@ -153,101 +178,107 @@ def parts(tree: Tree, chain: Chain) -> tuple[tuple[Link, ...], dict[str, list[Me
         if rider.frame == n or pieces:
             links.setdefault(name, Link(name, rider.frame, group))
         for piece in pieces:
-            mesh = piece.load()
-            meshes.setdefault(name, []).append(joined([moved(mesh, pose) for pose in rider.poses]))
-    ordered = sorted(links.values(), key=lambda link: (link.frame, list(IMPORTANCE).index(link.group)))
+            mesh = piece.load_mesh()
+            meshes.setdefault(name, []).append(concatenate_meshes([apply_pose(mesh, pose) for pose in rider.poses]))
+    ordered = sorted(links.values(), key=lambda link: (link.frame, list(COVER_WEIGHTS).index(link.group)))
     return tuple(ordered), {link.name: meshes[link.name] for link in ordered if link.name in meshes}
 
 
-def _fit_with_room(
-    joints: tuple[Joint, ...], links: tuple[Link, ...], shapes: Mapping[str, list[Mesh]], wish: Wish,
-    rng: np.random.Generator, tell: Tell,
-) -> tuple[dict[str, Fit], SelfPairs]:  # fmt: skip
+def _fit_with_clearance(
+    joints: tuple[Joint, ...], links: tuple[Link, ...], shapes: Mapping[str, list[Mesh]], options: ImportOptions,
+    rng: np.random.Generator, report_progress: ProgressReporter,
+) -> tuple[dict[str, LinkFit], SelfCollisionPairs]:  # fmt: skip
     """Cover and pairs; while kept parts are pressed by their own loose spheres, these parts are covered tighter."""
-    surfaces = {name: surface_points(joined(meshes), SURFACE, rng) for name, meshes in shapes.items()}
-    weights = {link.name: IMPORTANCE[link.group] for link in links}
+    surfaces = {
+        name: sample_surface(concatenate_meshes(meshes), N_SURFACE_POINTS, rng) for name, meshes in shapes.items()
+    }
+    weights = {link.name: COVER_WEIGHTS[link.group] for link in links}
 
-    def covered() -> tuple[dict[str, Fit], Sampled]:
-        fits = _fit(links, shapes, weights, wish)
-        cover = {link.name: fits[link.name].balls for link in links}
-        tell("sampling pairs of parts")
-        count = 3000 if wish.quick else 20_000
-        return fits, sampled_pairs(joints, links, cover, surfaces, count=count, rng=rng)
+    def covered() -> tuple[dict[str, LinkFit], SampledPairs]:
+        fits = _fit_spheres(links, shapes, weights, options)
+        cover = {link.name: fits[link.name].spheres for link in links}
+        report_progress("sampling pairs of parts")
+        count = 3000 if options.quick else 20_000
+        return fits, sample_pairs(joints, links, cover, surfaces, n_samples=count, rng=rng)
 
     fits, found = covered()
-    for _ in range(TIGHTER_ROUNDS):
-        if not found.pressed:
+    for _ in range(MAX_TIGHTENING_ROUNDS):
+        if not found.congested_links:
             break
-        tell(f"spheres leave no room between {', '.join(sorted(found.pressed))}; fitting these tighter")
-        weights |= {name: TIGHTER * weights[name] for name in found.pressed}
+        report_progress(
+            f"spheres leave no room between {', '.join(sorted(found.congested_links))}; fitting these tighter"
+        )
+        weights |= {name: TIGHTENING_FACTOR * weights[name] for name in found.congested_links}
         fits, found = covered()
     return fits, found.pairs
 
 
-def _fit(
-    links: tuple[Link, ...], shapes: Mapping[str, list[Mesh]], weights: Mapping[str, float], wish: Wish
-) -> dict[str, Fit]:
-    if len(links) > MOST_LINKS or wish.spheres > MOST_SPHERES:
-        raise InvalidSetup(
-            "parts and spheres", got=[len(links), wish.spheres],
-            allowed=f"at most {MOST_LINKS} parts and {MOST_SPHERES} spheres",
+def _fit_spheres(
+    links: tuple[Link, ...], shapes: Mapping[str, list[Mesh]], weights: Mapping[str, float], options: ImportOptions
+) -> dict[str, LinkFit]:
+    if len(links) > MAX_LINKS or options.sphere_budget > MAX_SPHERES:
+        raise ConfigurationError(
+            "parts and spheres", got=[len(links), options.sphere_budget],
+            allowed=f"at most {MAX_LINKS} parts and {MAX_SPHERES} spheres",
         )  # fmt: skip
     wanted = {link.name: shapes.get(link.name, []) for link in links}
-    return fit_all(wanted, weights, wish.spheres, QUICK if wish.quick else FULL, wish.seed)
+    return fit_links(wanted, weights, options.sphere_budget, QUICK if options.quick else FULL, options.seed)
 
 
-def _tool(chain: Chain, links: tuple[Link, ...], hand: Hand | str) -> Tool:
+def _tool_frame(chain: KinematicChain, links: tuple[Link, ...], hand: DetectedGripper | str) -> Tool:
     link = next(link for link in reversed(links) if link.frame == len(chain.joints) and link.group != "fingers")
-    pose = hand.tool if isinstance(hand, Hand) else chain.tool
-    return Tool(link.name, vector(pose[:3, 3]), quaternion(pose[:3, :3]))
+    pose = hand.tool if isinstance(hand, DetectedGripper) else chain.tool
+    return Tool(link.name, to_vector(pose[:3, 3]), matrix_to_quaternion(pose[:3, :3]))
 
 
-def spheres_of(cover: Mapping[str, Balls]) -> tuple[BodySphere, ...]:
+def collision_spheres(cover: Mapping[str, SphereSet]) -> tuple[CollisionSphere, ...]:
     """The balls of every link as data, 10 µm resolution."""
     return tuple(
-        BodySphere(name, vector(centre, 5), round(float(radius), 5))
+        CollisionSphere(name, to_vector(centre, 5), round(float(radius), 5))
         for name, balls in cover.items() for centre, radius in zip(balls.centres, balls.radii, strict=True)
     )  # fmt: skip
 
 
-def no_gripper(why: str) -> Gripper:
+def no_gripper(reason: str) -> Gripper:
     """A hand that skills cannot use, and why."""
-    force = Bound(0.0, "N", why)
-    return Gripper(Bound(0.0, "m", why), force, force, 0.0, 0.0)
+    force = Bound(0.0, "N", reason)
+    return Gripper(Bound(0.0, "m", reason), force, force, 0.0, 0.0)
 
 
-def report_of(links: tuple[Link, ...], fits: Mapping[str, Fit], notes: tuple[str, ...], *, quick: bool) -> Report:
+def make_report(
+    links: tuple[Link, ...], fits: Mapping[str, LinkFit], notes: tuple[str, ...], *, quick: bool
+) -> ImportReport:
     """What stands beside the body."""
     rows = tuple(
-        LinkReport(link.name, link.group, len(fit.balls.radii), fit.parts, fit.coverage, fit.mean, fit.p95, fit.worst)
-        for link in links if (fit := fits[link.name]).parts
+        LinkReport(link.name, link.group, len(fit.spheres.radii), fit.n_parts, fit.coverage, fit.mean, fit.p95, fit.worst)
+        for link in links if (fit := fits[link.name]).n_parts
     )  # fmt: skip
-    return Report(rows, notes, "quick" if quick else "full")
+    return ImportReport(rows, notes, "quick" if quick else "full")
 
 
-def identifier(name: str) -> str:
+def to_identifier(name: str) -> str:
     """`name` as registries want it: [a-z][a-z0-9_]{0,31}."""
     plain = re.sub(r"[^a-z0-9_]+", "_", name.lower()).strip("_")
     return (plain if plain[:1].isalpha() else f"robot_{plain}".strip("_"))[:32]
 
 
-def vector(values: Array, digits: int = 12) -> Vector:
+def to_vector(values: Array, digits: int = 12) -> Vector:
     """Three plain floats, without negative zeros."""
     x, y, z = (round(float(value), digits) + 0.0 for value in values)
     return (x, y, z)
 
 
-UNKNOWN = (
+NOT_IDENTIFIED = (
     "not identified: measure how its drive follows and edit `tracking` in body.json, or give "
     "FilterConfig(tracking_error=...)"
 )
 
 
-def not_identified() -> Tracking:
+def unidentified_tracking() -> TrackingErrorModel:
     """No lag and no error, said to be unknown; inspect and doctor count it as missing."""
-    return Tracking(0.0, 0.0, 0.0, UNKNOWN)
+    return TrackingErrorModel(0.0, 0.0, 0.0, NOT_IDENTIFIED)
 
 
-def is_identified(tracking: Tracking) -> bool:
+def is_identified(tracking: TrackingErrorModel) -> bool:
     """Whether somebody measured it."""
-    return tracking.provenance != UNKNOWN
+    return tracking.provenance != NOT_IDENTIFIED

@@ -12,25 +12,32 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.errors import InvalidSetup
-from dualbrain.robots.assets.mesh_primitives import joined, moved
+from dualbrain.errors import ConfigurationError
+from dualbrain.robots.assets.mesh_primitives import apply_pose, concatenate_meshes
 from dualbrain.robots.assets.meshes import Mesh
-from dualbrain.robots.collision_model.sphere_budget import FULL, QUICK, fit_all
-from dualbrain.robots.differential_drive import differential_base
-from dualbrain.robots.importer.build_arm import Made, Wish, identifier, not_identified, report_of, spheres_of
-from dualbrain.robots.importer.kinematic_chain import standing
-from dualbrain.robots.importer.kinematic_tree import Tree, TreeJoint
-from dualbrain.robots.importer.required_limits import Missing, MissingLimits, Policy, whole_bound
-from dualbrain.robots.model import Body, Bound, Link
+from dualbrain.robots.collision_model.sphere_budget import FULL, QUICK, fit_links
+from dualbrain.robots.differential_drive import make_differential_base
+from dualbrain.robots.importer.build_arm import (
+    ImportOptions,
+    ImportResult,
+    collision_spheres,
+    make_report,
+    to_identifier,
+    unidentified_tracking,
+)
+from dualbrain.robots.importer.kinematic_chain import link_poses_at_rest
+from dualbrain.robots.importer.kinematic_tree import KinematicTree, TreeJoint
+from dualbrain.robots.importer.required_limits import LimitPolicy, MissingLimit, MissingLimitsError, robot_bound
+from dualbrain.robots.model import Bound, Link, RobotModel
 
 Array = NDArray[np.float64]
 
-UPRIGHT = 1e-3
+AXIS_TOLERANCE = 1e-3
 
 
 def build_base(
-    tree: Tree, policy: Policy, wish: Wish, wheels: tuple[str, str] | None, tell: Callable[[str], None] = lambda _: None
-) -> Made:  # fmt: skip
+    tree: KinematicTree, policy: LimitPolicy, options: ImportOptions, wheels: tuple[str, str] | None, report_progress: Callable[[str], None] = lambda _: None
+) -> ImportResult:  # fmt: skip
     """A differential base; `wheels` are its left and right wheel joints, between which its frame then lies.
 
     Raises:
@@ -38,75 +45,79 @@ def build_base(
         InvalidSetup: the wheels are not a pair on one axle across the base.
         MissingPart: a mesh or library is not there.
     """
-    root = tree.link(wish.base).name if wish.base else tree.root
-    poses, locked = standing(tree, root, wish.lock)
-    centre, speed, turn, missing = _speeds(tree, poses, policy, wheels)
-    acceleration = _acceleration(policy, missing)
-    turning = whole_bound("turn_acceleration", "rad/s^2", policy, missing)
-    period = whole_bound("period", "s", policy, missing)
+    root = tree.link(options.base).name if options.base else tree.root
+    poses, locked = link_poses_at_rest(tree, root, options.lock)
+    centre, speed, turn, missing = _speed_limits(tree, poses, policy, wheels)
+    acceleration = _acceleration_limit(policy, missing)
+    turning = robot_bound("turn_acceleration", "rad/s^2", policy, missing)
+    period = robot_bound("period", "s", policy, missing)
     if missing:
-        raise MissingLimits(tree.source, tuple(missing))
-    meshes = base_shapes(tree, poses, centre)
-    tell(f"a base with {len(meshes)} shapes; fitting spheres")
+        raise MissingLimitsError(tree.source, tuple(missing))
+    meshes = base_meshes(tree, poses, centre)
+    report_progress(f"a base with {len(meshes)} shapes; fitting spheres")
     shapes = {"base": meshes}
-    fits = fit_all(shapes, {"base": 1.0}, wish.spheres, QUICK if wish.quick else FULL, wish.seed)
-    plain = differential_base(
-        wish.name or f"{identifier(tree.name)[:27]}_base", (), speed=speed, turn=turn, acceleration=acceleration,
-        turn_acceleration=turning, tracking=not_identified(), period=period.value, licence=tree.licence,
+    fits = fit_links(shapes, {"base": 1.0}, options.sphere_budget, QUICK if options.quick else FULL, options.seed)
+    plain = make_differential_base(
+        options.name or f"{to_identifier(tree.name)[:27]}_base", (), speed=speed, turn_rate=turn, acceleration=acceleration,
+        turn_acceleration=turning, tracking=unidentified_tracking(), period=period.value, licence=tree.licence,
     )  # fmt: skip
-    spheres = spheres_of({"base": fits["base"].balls})
-    body: Body = msgspec.structs.replace(plain, source=tree.source, spheres=spheres, base_lag=0.0)
+    spheres = collision_spheres({"base": fits["base"].spheres})
+    body: RobotModel = msgspec.structs.replace(plain, source=tree.source, spheres=spheres, base_lag=0.0)
     stand = ", ".join(f"{name} = {value:g}" for name, value in locked.items())
     notes = (
         *tree.notes,
         f"control period {period.value:g} s: {period.provenance}",
         f"joints that stand still: {stand}",
     )
-    report = report_of((Link("base", 2, "base"),), fits, notes, quick=wish.quick)
-    return Made(body, report, {"base": joined(meshes)})
+    report = make_report((Link("base", 2, "base"),), fits, notes, quick=options.quick)
+    return ImportResult(body, report, {"base": concatenate_meshes(meshes)})
 
 
-def base_shapes(tree: Tree, poses: Mapping[str, Array], centre: Array) -> list[Mesh]:
+def base_meshes(tree: KinematicTree, poses: Mapping[str, Array], centre: Array) -> list[Mesh]:
     """Every shape of the robot in the frame of the base, whose axle `centre` (4, 4) brings to the origin."""
-    return [moved(piece.load(), centre @ poses[name]) for name, link in tree.links.items() for piece in link.pieces]
+    return [
+        apply_pose(piece.load_mesh(), centre @ poses[name])
+        for name, link in tree.links.items()
+        for piece in link.shapes
+    ]
 
 
-def axle(tree: Tree, poses: Mapping[str, Array], wheels: tuple[str, str] | None) -> tuple[Array, float]:
+def find_axle(tree: KinematicTree, poses: Mapping[str, Array], wheels: tuple[str, str] | None) -> tuple[Array, float]:
     """The pose (4, 4) that brings the axle's middle to the origin, and the track [m]; raises as `build_base`."""
     centre = np.eye(4)
     if wheels is None:
         return centre, 0.0
     left, right = (tree.joint(name) for name in wheels)
     places = [(poses[joint.parent] @ joint.pose)[:3, 3] for joint in (left, right)]
-    _one_axle(poses, left, right, places)
+    _check_axle(poses, left, right, places)
     centre[:2, 3] = -0.5 * (places[0] + places[1])[:2]
     return centre, float(np.linalg.norm(places[0] - places[1]))
 
 
-def _acceleration(policy: Policy, missing: list[Missing]) -> Bound:
-    given = policy.every.get("acceleration")
+def _acceleration_limit(policy: LimitPolicy, missing: list[MissingLimit]) -> Bound:
+    given = policy.all_joints.get("acceleration")
     if given is None:
-        missing.append(Missing("base", "acceleration"))
+        missing.append(MissingLimit("base", "acceleration"))
         return Bound(0.0, "m/s^2", "missing")
     return Bound(given.value, "m/s^2", given.provenance)
 
 
-def _speeds(
-    tree: Tree, poses: dict[str, Array], policy: Policy, wheels: tuple[str, str] | None
-) -> tuple[Array, Bound, Bound, list[Missing]]:
+def _speed_limits(
+    tree: KinematicTree, poses: dict[str, Array], policy: LimitPolicy, wheels: tuple[str, str] | None
+) -> tuple[Array, Bound, Bound, list[MissingLimit]]:
     """The pose (4, 4) that brings the axle's middle to the origin, speed, turn rate, and what is missing."""
-    missing: list[Missing] = []
-    centre, track = axle(tree, poses, wheels)
+    missing: list[MissingLimit] = []
+    centre, track = find_axle(tree, poses, wheels)
     if wheels is None:
-        speed = whole_bound("tool_speed", "m/s", policy, missing)
-        return centre, speed, whole_bound("turn", "rad/s", policy, missing), missing
+        speed = robot_bound("tool_speed", "m/s", policy, missing)
+        return centre, speed, robot_bound("turn", "rad/s", policy, missing), missing
     left, right = (tree.joint(name) for name in wheels)
-    rims = [_radius(tree, joint) * (joint.velocity or 0.0) for joint in (left, right)]
+    rims = [_wheel_radius(tree, joint) * (joint.velocity or 0.0) for joint in (left, right)]
     rim = min(rims)
     if not rim > 0.0:
-        missing.append(Missing(left.name, "velocity"))
+        missing.append(MissingLimit(left.name, "velocity"))
         return centre, Bound(0.0, "m/s", ""), Bound(0.0, "rad/s", ""), missing
-    said = f"{left.where}: wheels reach {rim:.3g} m/s at their rims, track {track:.3g} m"
+    said = f"{left.source_location}: wheels reach {rim:.3g} m/s at their rims, track {track:.3g} m"
     asked, asked_turn = policy.robot.get("tool_speed"), policy.robot.get("turn")
     v = min(asked.value if asked else 0.5 * rim, 0.9 * rim)
     w = (rim - v) * 2.0 / track
@@ -118,24 +129,26 @@ def _speeds(
     return centre, speed, turn, missing
 
 
-def _one_axle(poses: Mapping[str, Array], left: TreeJoint, right: TreeJoint, places: list[Array]) -> None:
+def _check_axle(poses: Mapping[str, Array], left: TreeJoint, right: TreeJoint, places: list[Array]) -> None:
     """Raise unless both wheels turn about one line across the base."""
     across = places[0] - places[1]
     for joint in (left, right):
         axis = (poses[joint.parent] @ joint.pose)[:3, :3] @ joint.axis
-        bent = abs(axis[1]) < 1.0 - UPRIGHT or abs(across[0]) > UPRIGHT or abs(across[2]) > UPRIGHT
+        bent = abs(axis[1]) < 1.0 - AXIS_TOLERANCE or abs(across[0]) > AXIS_TOLERANCE or abs(across[2]) > AXIS_TOLERANCE
         if joint.kind not in ("continuous", "revolute") or bent or across[1] <= 0.0:
-            raise InvalidSetup(
-                f"wheels {left.name!r} and {right.name!r} ({joint.where})", got=[list(np.round(p, 4)) for p in places],
+            raise ConfigurationError(
+                f"wheels {left.name!r} and {right.name!r} ({joint.source_location})", got=[list(np.round(p, 4)) for p in places],
                 allowed="left and right of the base's x axis, turning about its y axis",
             )  # fmt: skip
 
 
-def _radius(tree: Tree, joint: TreeJoint) -> float:
+def _wheel_radius(tree: KinematicTree, joint: TreeJoint) -> float:
     """Greatest distance [m] of the wheel's shapes from its axis."""
-    points = [piece.load().vertices for piece in tree.links[joint.child].pieces]
+    points = [piece.load_mesh().vertices for piece in tree.links[joint.child].shapes]
     if not points:
-        raise InvalidSetup(f"wheel {joint.child!r} ({joint.where})", got="no shape", allowed="a shape with a radius")
+        raise ConfigurationError(
+            f"wheel {joint.child!r} ({joint.source_location})", got="no shape", allowed="a shape with a radius"
+        )
     off = np.vstack(points)
     off = off - np.outer(off @ joint.axis, joint.axis)
     return float(np.linalg.norm(off, axis=1).max())

@@ -25,55 +25,60 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.robots.collision_model.coverage import Balls
-from dualbrain.robots.collision_model.self_collision import chain_frames, placed_centres, random_configurations
+from dualbrain.robots.collision_model.coverage import SphereSet
+from dualbrain.robots.collision_model.self_collision import chain_frames, random_configurations, sphere_centres
 from dualbrain.robots.model import Bound, Joint, Link
 
 Array = NDArray[np.float64]
 
-STEEP = 0.5
+MIN_BRAKED_SPEED_SHARE = 0.5
 """Share of the full speed V above which an approach is stopped by braking alone."""
-SAMPLES = 1000
+N_SAMPLES = 1000
 
 
-def curved_gain(
-    joints: tuple[Joint, ...], links: tuple[Link, ...], cover: Mapping[str, Balls], rng: np.random.Generator
+def curvature_limited_gain(
+    joints: tuple[Joint, ...], links: tuple[Link, ...], cover: Mapping[str, SphereSet], rng: np.random.Generator
 ) -> Bound | None:
     """The largest α [1/s] by the equation above; None where α₀ is not above it."""
     straight = min(joint.acceleration.value / joint.velocity.value for joint in joints)
-    bends = {link.name: bend(joints, reach) for link, reach in reaches(joints, links, cover, rng).items()}
+    bends = {
+        link.name: path_curvature(joints, reach)
+        for link, reach in max_axis_distances(joints, links, cover, rng).items()
+    }
     name = max(bends, key=bends.__getitem__, default="")
-    share = 2.0 / (1.0 + bends[name] / (4.0 * straight * STEEP)) if name else 1.0
+    share = 2.0 / (1.0 + bends[name] / (4.0 * straight * MIN_BRAKED_SPEED_SHARE)) if name else 1.0
     if share >= 1.0:
         return None
     said = f"curvature of the path of {name!r}: {share:.2f} of min a/v, for approaches of half the full speed or more"
     return Bound(round(share * straight, 4), "1/s", said)
 
 
-def bend(joints: tuple[Joint, ...], reach: Array) -> float:
+def path_curvature(joints: tuple[Joint, ...], axis_distances: Array) -> float:
     """C / V [1/s] of a part whose spheres come as far as `reach` (k,) [m] from the axes of the first k joints."""
     slides = [joint.kind == "prismatic" for joint in joints]
-    v = np.array([joint.velocity.value for joint in joints[: len(reach)]])
-    arms = np.where(slides[: len(reach)], 1.0, reach)
-    before = np.concatenate([[0.0], np.cumsum(np.where(slides[: len(reach)], 0.0, v))[:-1]])
-    own = np.where(slides[: len(reach)], 0.0, v)
+    v = np.array([joint.velocity.value for joint in joints[: len(axis_distances)]])
+    arms = np.where(slides[: len(axis_distances)], 1.0, axis_distances)
+    before = np.concatenate([[0.0], np.cumsum(np.where(slides[: len(axis_distances)], 0.0, v))[:-1]])
+    own = np.where(slides[: len(axis_distances)], 0.0, v)
     return float(np.sum(arms * v * (own + 2.0 * before)) / np.sum(arms * v))
 
 
-def reaches(
-    joints: tuple[Joint, ...], links: tuple[Link, ...], cover: Mapping[str, Balls], rng: np.random.Generator
+def max_axis_distances(
+    joints: tuple[Joint, ...], links: tuple[Link, ...], cover: Mapping[str, SphereSet], rng: np.random.Generator
 ) -> dict[Link, Array]:
     """How far the spheres of every moving part come from the axis of each joint before it, over random postures [m]."""
-    turns, origins = chain_frames(joints, random_configurations(joints, SAMPLES, rng))
+    turns, origins = chain_frames(joints, random_configurations(joints, N_SAMPLES, rng))
     found: dict[Link, Array] = {}
     for link in links:
         if link.frame and len(cover[link.name].radii):
-            placed = placed_centres(link, cover[link.name].centres, turns, origins, 0.0)
-            found[link] = np.array([_away(placed, turns[:, i], origins[:, i]) for i in range(1, link.frame + 1)])
+            placed = sphere_centres(link, cover[link.name].centres, turns, origins, 0.0)
+            found[link] = np.array(
+                [_max_axis_distance(placed, turns[:, i], origins[:, i]) for i in range(1, link.frame + 1)]
+            )
     return found
 
 
-def _away(points: Array, turns: Array, origins: Array) -> float:
+def _max_axis_distance(points: Array, turns: Array, origins: Array) -> float:
     """Largest distance of points (m, b, 3) from the z axes of frames (m, 3, 3) at origins (m, 3) [m]."""
     local = np.einsum("mji,mbj->mbi", turns, points - origins[:, None])
     return float(np.linalg.norm(local[:, :, :2], axis=2).max())

@@ -9,22 +9,22 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.robots.assets.meshes import Mesh
 
 Array = NDArray[np.float64]
-Kind = Literal["fixed", "revolute", "continuous", "prismatic", "planar", "floating"]
+JointKind = Literal["fixed", "revolute", "continuous", "prismatic", "planar", "floating"]
 
-MOVING: tuple[Kind, ...] = ("revolute", "continuous", "prismatic")
+MOVABLE_JOINT_KINDS: tuple[JointKind, ...] = ("revolute", "continuous", "prismatic")
 """Kinds of joint that one control drives."""
 
 
 @dataclass(frozen=True, slots=True)
-class Piece:
+class LinkShape:
     """One shape of a link; `load` reads its mesh, in metres in the link's frame. `what` names it for people."""
 
-    what: str
-    load: Callable[[], Mesh]
+    label: str
+    load_mesh: Callable[[], Mesh]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,15 +32,15 @@ class TreeLink:
     """A rigid part: the shapes it collides with. `drawn` says that these are the visual ones, for want of others."""
 
     name: str
-    pieces: tuple[Piece, ...] = ()
-    drawn: bool = False
+    shapes: tuple[LinkShape, ...] = ()
+    uses_visual_shapes: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Mimic:
     """A joint that follows another: q = multiplier × q_of + offset."""
 
-    of: str
+    leader: str
     multiplier: float
     offset: float
 
@@ -53,12 +53,12 @@ class TreeJoint:
     """
 
     name: str
-    kind: Kind
+    kind: JointKind
     parent: str
     child: str
     pose: Array
     axis: Array
-    where: str
+    source_location: str
     lower: float | None = None
     upper: float | None = None
     velocity: float | None = None
@@ -66,18 +66,18 @@ class TreeJoint:
     mimic: Mimic | None = None
     effort: float | None = None
 
-    def motion(self, q: float) -> Array:
+    def child_pose(self, q: float) -> Array:
         """Pose (4, 4) of the child link in the parent link at joint value q [rad or m]."""
         moved = np.eye(4)
         if self.kind in ("revolute", "continuous"):
-            moved[:3, :3] = about(self.axis, q)
+            moved[:3, :3] = axis_rotation(self.axis, q)
         elif self.kind == "prismatic":
             moved[:3, 3] = q * self.axis
         return self.pose @ moved
 
 
 @dataclass(frozen=True, slots=True)
-class Tree:
+class KinematicTree:
     """The whole description. `notes` are things that a person should know about how it was read."""
 
     name: str
@@ -90,7 +90,7 @@ class Tree:
     def link(self, name: str) -> TreeLink:
         """The link called `name`; raises `UnknownName`."""
         if name not in self.links:
-            raise UnknownName("link", name, tuple(self.links), owner=self.source)
+            raise UnknownNameError("link", name, tuple(self.links), owner=self.source)
         return self.links[name]
 
     def joint(self, name: str) -> TreeJoint:
@@ -98,7 +98,7 @@ class Tree:
         for joint in self.joints:
             if joint.name == name:
                 return joint
-        raise UnknownName("joint", name, tuple(joint.name for joint in self.joints), owner=self.source)
+        raise UnknownNameError("joint", name, tuple(joint.name for joint in self.joints), owner=self.source)
 
     @property
     def root(self) -> str:
@@ -106,7 +106,7 @@ class Tree:
         children = {joint.child for joint in self.joints}
         return next(name for name in self.links if name not in children)
 
-    def checked(self) -> Tree:
+    def validate(self) -> KinematicTree:
         """This tree, if it is one.
 
         Raises:
@@ -116,18 +116,22 @@ class Tree:
         for joint in self.joints:
             for end in (joint.parent, joint.child):
                 if end not in self.links:
-                    raise InvalidSetup(f"link of {joint.name!r} ({joint.where})", got=end, allowed="a link of the file")
+                    raise ConfigurationError(
+                        f"link of {joint.name!r} ({joint.source_location})", got=end, allowed="a link of the file"
+                    )
             if joint.child in children:
                 got = f"child of {children[joint.child]!r} and {joint.name!r}"
-                raise InvalidSetup(f"link {joint.child!r} ({joint.where})", got=got, allowed="one parent each")
+                raise ConfigurationError(
+                    f"link {joint.child!r} ({joint.source_location})", got=got, allowed="one parent each"
+                )
             children[joint.child] = joint.name
         roots = [name for name in self.links if name not in children]
         if len(roots) != 1 or len(self.joints) != len(self.links) - 1:
-            raise InvalidSetup(f"links of {self.source}", got=f"roots {roots}", allowed="one tree with one root")
+            raise ConfigurationError(f"links of {self.source}", got=f"roots {roots}", allowed="one tree with one root")
         return self
 
 
-def about(axis: Array, angle: float) -> Array:
+def axis_rotation(axis: Array, angle: float) -> Array:
     """Rotation (3, 3) by `angle` [rad] about the unit vector `axis`: R = I + sin θ K + (1 − cos θ) K² (Rodrigues)."""
     x, y, z = axis
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -18,7 +18,7 @@ class LinkReport(msgspec.Struct, frozen=True):
     worst: float
 
 
-class Report(msgspec.Struct, frozen=True):
+class ImportReport(msgspec.Struct, frozen=True):
     """Cover of every link with shapes, what a person should know, and the effort ("quick" or "full")."""
 
     links: tuple[LinkReport, ...]

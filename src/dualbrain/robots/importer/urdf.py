@@ -12,19 +12,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import ConfigurationError
 from dualbrain.robots.assets import mesh_primitives
-from dualbrain.robots.assets.mesh_paths import Folders, folders_of
-from dualbrain.robots.assets.safe_xml import parse_xml, read_bytes, read_xml
-from dualbrain.robots.importer.kinematic_tree import MOVING, Mimic, Piece, Tree, TreeJoint, TreeLink
-from dualbrain.robots.optional_imports import extra
+from dualbrain.robots.assets.mesh_paths import AllowedFolders, allowed_folders
+from dualbrain.robots.assets.safe_xml import parse_xml, read_bounded, read_xml
+from dualbrain.robots.importer.kinematic_tree import (
+    MOVABLE_JOINT_KINDS,
+    KinematicTree,
+    LinkShape,
+    Mimic,
+    TreeJoint,
+    TreeLink,
+)
+from dualbrain.robots.optional_imports import import_optional
 
 Array = NDArray[np.float64]
 
-KINDS = ("fixed", "revolute", "continuous", "prismatic", "planar", "floating")
+JOINT_KINDS = ("fixed", "revolute", "continuous", "prismatic", "planar", "floating")
 
 
-def read_urdf(file: Path, packages: Sequence[Path] = ()) -> Tree:
+def read_urdf(file: Path, packages: Sequence[Path] = ()) -> KinematicTree:
     """The robot in the URDF `file`; meshes are looked for beside it and in `packages`, and read when asked for.
 
     Raises:
@@ -33,94 +40,100 @@ def read_urdf(file: Path, packages: Sequence[Path] = ()) -> Tree:
     """
     data, root = read_xml(file)
     if root.tag != "robot":
-        raise InvalidSetup(f"root element of {file.name}", got=f"<{root.tag}>", allowed="<robot>, or <mujoco> in MJCF")
+        raise ConfigurationError(
+            f"root element of {file.name}", got=f"<{root.tag}>", allowed="<robot>, or <mujoco> in MJCF"
+        )
     if root.xpath("boolean(//*[contains(namespace-uri(), 'xacro')])"):
-        raise InvalidSetup(file.name, got="xacro macros", allowed="plain URDF", fix="Expand it first: xacro FILE > OUT")
-    robot = _parsed(data, file)
+        raise ConfigurationError(
+            file.name, got="xacro macros", allowed="plain URDF", fix="Expand it first: xacro FILE > OUT"
+        )
+    robot = _parse(data, file)
     lines = {(element.tag, element.get("name")): element.sourceline for element in root.iterchildren("joint", "link")}
-    folders = folders_of(file, packages)
-    links = [_link(link, folders, f"{file.name}:{lines['link', link.name]}") for link in robot.links]
-    joints = [_joint(joint, f"{file.name}:{lines['joint', joint.name]}") for joint in robot.joints]
-    _once(file, "link", [link.name for link in links])
-    _once(file, "joint", [joint.name for joint in joints])
-    drawn = [link.name for link in links if link.drawn]
+    folders = allowed_folders(file, packages)
+    links = [_read_link(link, folders, f"{file.name}:{lines['link', link.name]}") for link in robot.links]
+    joints = [_read_joint(joint, f"{file.name}:{lines['joint', joint.name]}") for joint in robot.joints]
+    _check_unique(file, "link", [link.name for link in links])
+    _check_unique(file, "joint", [joint.name for joint in joints])
+    drawn = [link.name for link in links if link.uses_visual_shapes]
     notes = (f"no collision shapes, visual ones taken instead: {', '.join(drawn)}",) if drawn else ()
-    return Tree(
+    return KinematicTree(
         robot.name or file.stem, file.name, _licence(folders), {link.name: link for link in links}, tuple(joints), notes
-    ).checked()  # fmt: skip
+    ).validate()  # fmt: skip
 
 
-def _parsed(data: bytes, file: Path) -> Any:
+def _parse(data: bytes, file: Path) -> Any:
     """Yourdfpy's robot; what it cannot read is told with its own words."""
     logging.getLogger("yourdfpy").setLevel(logging.CRITICAL)
     try:
-        reader = extra("yourdfpy").URDF.load(BytesIO(data), build_scene_graph=False, load_meshes=False)
+        reader = import_optional("yourdfpy").URDF.load(BytesIO(data), build_scene_graph=False, load_meshes=False)
     except (ValueError, TypeError, AttributeError, KeyError, IndexError) as error:
-        raise InvalidSetup(file.name, got=f"{type(error).__name__}: {error}"[:300], allowed="a URDF") from error
+        raise ConfigurationError(file.name, got=f"{type(error).__name__}: {error}"[:300], allowed="a URDF") from error
     return reader.robot
 
 
-def _once(file: Path, what: str, names: list[str]) -> None:
+def _check_unique(file: Path, what: str, names: list[str]) -> None:
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise InvalidSetup(f"{what}s of {file.name}", got=f"{twice} more than once", allowed="each name once")
+        raise ConfigurationError(f"{what}s of {file.name}", got=f"{twice} more than once", allowed="each name once")
 
 
-def _licence(folders: Folders) -> str:
+def _licence(folders: AllowedFolders) -> str:
     """The licence that the package.xml beside the description states."""
-    package = folders.own / "package.xml"
+    package = folders.package_folder / "package.xml"
     if not package.is_file():
         return "not stated by the description"
-    words = [element.text or "" for element in parse_xml(read_bytes(package), package.name).iter("license")]
+    words = [element.text or "" for element in parse_xml(read_bounded(package), package.name).iter("license")]
     return ", ".join(word.strip() for word in words if word.strip()) or "not stated by its package.xml"
 
 
 # --- links --------------------------------------------------------------------------------------------------------
 
 
-def _link(link: Any, folders: Folders, where: str) -> TreeLink:
-    pieces = tuple(_piece(shape, folders, where) for shape in link.collisions)
+def _read_link(link: Any, folders: AllowedFolders, where: str) -> TreeLink:
+    pieces = tuple(_read_shape(shape, folders, where) for shape in link.collisions)
     if pieces:
         return TreeLink(link.name, pieces)
-    drawn = tuple(_piece(shape, folders, where) for shape in link.visuals)
+    drawn = tuple(_read_shape(shape, folders, where) for shape in link.visuals)
     return TreeLink(link.name, drawn, bool(drawn))
 
 
-def _piece(shape: Any, folders: Folders, where: str) -> Piece:
-    geometry, pose = shape.geometry, _pose(shape.origin, where)
+def _read_shape(shape: Any, folders: AllowedFolders, where: str) -> LinkShape:
+    geometry, pose = shape.geometry, _read_pose(shape.origin, where)
     if geometry is None:
-        raise InvalidSetup(f"shape at {where}", got="no geometry", allowed="box, cylinder, sphere or mesh")
+        raise ConfigurationError(f"shape at {where}", got="no geometry", allowed="box, cylinder, sphere or mesh")
     if geometry.box is not None:
-        size = _numbers(geometry.box.size, 3, where)
-        return Piece("box", partial(mesh_primitives.box, size / 2.0, pose))
+        size = _finite_numbers(geometry.box.size, 3, where)
+        return LinkShape("box", partial(mesh_primitives.box, size / 2.0, pose))
     if geometry.cylinder is not None:
-        radius, length = _numbers([geometry.cylinder.radius, geometry.cylinder.length], 2, where)
-        return Piece("cylinder", partial(mesh_primitives.cylinder, float(radius), float(length) / 2.0, pose))
+        radius, length = _finite_numbers([geometry.cylinder.radius, geometry.cylinder.length], 2, where)
+        return LinkShape("cylinder", partial(mesh_primitives.cylinder, float(radius), float(length) / 2.0, pose))
     if geometry.sphere is not None:
-        (radius,) = _numbers([geometry.sphere.radius], 1, where)
-        return Piece("sphere", partial(mesh_primitives.ellipsoid, np.full(3, float(radius)), pose))
+        (radius,) = _finite_numbers([geometry.sphere.radius], 1, where)
+        return LinkShape("sphere", partial(mesh_primitives.ellipsoid, np.full(3, float(radius)), pose))
     if geometry.mesh is None:
-        raise InvalidSetup(f"shape at {where}", got="unknown geometry", allowed="box, cylinder, sphere or mesh")
+        raise ConfigurationError(f"shape at {where}", got="unknown geometry", allowed="box, cylinder, sphere or mesh")
     name = str(geometry.mesh.filename)
-    scale = np.ones(3) if geometry.mesh.scale is None else _scale(geometry.mesh.scale, where)
-    return Piece(f"mesh {name}", lambda: mesh_primitives.mesh_file(folders.find(name, where), scale, pose))
+    scale = np.ones(3) if geometry.mesh.scale is None else _read_scale(geometry.mesh.scale, where)
+    return LinkShape(f"mesh {name}", lambda: mesh_primitives.load_mesh(folders.find(name, where), scale, pose))
 
 
-def _scale(value: Any, where: str) -> Array:
+def _read_scale(value: Any, where: str) -> Array:
     flat = np.atleast_1d(np.asarray(value, float))
-    return _numbers(np.broadcast_to(flat, (3,)) if flat.size == 1 else flat, 3, where)
+    return _finite_numbers(np.broadcast_to(flat, (3,)) if flat.size == 1 else flat, 3, where)
 
 
 # --- joints -------------------------------------------------------------------------------------------------------
 
 
-def _joint(joint: Any, where: str) -> TreeJoint:
-    if joint.type not in KINDS:
-        raise InvalidSetup(f"type of joint {joint.name!r} ({where})", got=joint.type, allowed=", ".join(KINDS))
-    axis = _numbers([1.0, 0.0, 0.0] if joint.axis is None else joint.axis, 3, where)
+def _read_joint(joint: Any, where: str) -> TreeJoint:
+    if joint.type not in JOINT_KINDS:
+        raise ConfigurationError(
+            f"type of joint {joint.name!r} ({where})", got=joint.type, allowed=", ".join(JOINT_KINDS)
+        )
+    axis = _finite_numbers([1.0, 0.0, 0.0] if joint.axis is None else joint.axis, 3, where)
     size = float(np.linalg.norm(axis))
-    if joint.type in MOVING and size < 1e-9:
-        raise InvalidSetup(f"axis of joint {joint.name!r} ({where})", got=axis.tolist(), allowed="not zero")
+    if joint.type in MOVABLE_JOINT_KINDS and size < 1e-9:
+        raise ConfigurationError(f"axis of joint {joint.name!r} ({where})", got=axis.tolist(), allowed="not zero")
     limit, follows = joint.limit, joint.mimic
     mimic = None if follows is None else Mimic(
         str(follows.joint), 1.0 if follows.multiplier is None else float(follows.multiplier),
@@ -128,12 +141,12 @@ def _joint(joint: Any, where: str) -> TreeJoint:
     )  # fmt: skip
     bounded = joint.type in ("revolute", "prismatic")
     lower, upper, velocity = (
-        (None, None, None) if limit is None else (_bound(value, where) for value in _limits(limit, bounded))
+        (None, None, None) if limit is None else (_optional_number(value, where) for value in _limits(limit, bounded))
     )
     return TreeJoint(
-        joint.name, joint.type, joint.parent, joint.child, _pose(joint.origin, where),
+        joint.name, joint.type, joint.parent, joint.child, _read_pose(joint.origin, where),
         axis / size if size > 0.0 else axis, where, lower, upper, velocity, None, mimic,
-        None if limit is None else _bound(limit.effort, where),
+        None if limit is None else _optional_number(limit.effort, where),
     )  # fmt: skip
 
 
@@ -143,19 +156,19 @@ def _limits(limit: Any, bounded: bool) -> tuple[Any, Any, Any]:
     return (None, None, limit.velocity) if lower == upper else (lower, upper, limit.velocity)
 
 
-def _bound(value: Any, where: str) -> float | None:
-    return None if value is None else float(_numbers([value], 1, where)[0])
+def _optional_number(value: Any, where: str) -> float | None:
+    return None if value is None else float(_finite_numbers([value], 1, where)[0])
 
 
-def _pose(origin: Any, where: str) -> Array:
+def _read_pose(origin: Any, where: str) -> Array:
     if origin is None:
         return np.eye(4)
-    return _numbers(np.ravel(origin), 16, where).reshape(4, 4)
+    return _finite_numbers(np.ravel(origin), 16, where).reshape(4, 4)
 
 
-def _numbers(values: Any, count: int, where: str) -> Array:
+def _finite_numbers(values: Any, count: int, where: str) -> Array:
     """`count` finite numbers."""
     flat = np.asarray(values, float).ravel()
     if len(flat) != count or not np.isfinite(flat).all():
-        raise InvalidSetup(f"numbers at {where}", got=flat.tolist()[:8], allowed=f"{count} finite numbers")
+        raise ConfigurationError(f"numbers at {where}", got=flat.tolist()[:8], allowed=f"{count} finite numbers")
     return flat

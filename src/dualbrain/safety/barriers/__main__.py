@@ -5,9 +5,9 @@ from __future__ import annotations
 import sys
 
 from dualbrain.safety.barriers import BARRIERS
-from dualbrain.safety.barriers.barrier import Barrier
+from dualbrain.safety.barriers.barrier import BarrierSpec
 
-HEAD = """# Barriers
+HEADER = """# Barriers
 
 What the filter keeps. One file a barrier in `src/dualbrain/safety/barriers/`; a new file with a `BARRIER` in it appears
 here (`python -m dualbrain.safety.barriers > docs/barriers.md`), in the tests (`tests/safety/test_barriers.py`: pushed
@@ -23,19 +23,19 @@ h = 0: *sampling* (a step of finite length), *tracking* (ẏ ≠ u), *measuremen
 × age of the observation), *rounding* (float32)."""
 
 
-def page() -> str:
+def render_markdown() -> str:
     """The whole page."""
-    return "\n\n".join([HEAD, *map(_entry, BARRIERS.values())]) + "\n"
+    return "\n\n".join([HEADER, *map(_section, BARRIERS.values())]) + "\n"
 
 
-def _entry(one: Barrier) -> str:
-    rank = "never (part of the box)" if one.rank is None else one.rank.name.lower()
+def _section(barrier: BarrierSpec) -> str:
+    rank = "never (part of the box)" if barrier.rank is None else barrier.rank.name.lower()
     facts = {
-        "Keeps": one.says, "h": one.h, "Row": one.row, "Given up": rank, "α": one.alpha,
-        "Margins": ", ".join(one.margins) or "none", "Source": one.source, "Where": f"`{one.where}`",
+        "Keeps": barrier.description, "h": barrier.h, "Row": barrier.row, "Given up": rank, "α": barrier.alpha,
+        "Margins": ", ".join(barrier.margins) or "none", "Source": barrier.source, "Where": f"`{barrier.implementation}`",
     }  # fmt: skip
-    return "\n".join([f"## {one.name}", "", *(f"- **{key}**: {value}" for key, value in facts.items())])
+    return "\n".join([f"## {barrier.name}", "", *(f"- **{key}**: {value}" for key, value in facts.items())])
 
 
 if __name__ == "__main__":
-    sys.stdout.write(page())
+    sys.stdout.write(render_markdown())

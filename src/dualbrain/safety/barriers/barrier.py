@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class Scenario:
     """A robot that is pushed against a barrier, and h measured apart from the kernel.
 
     `start` is a configuration q in which h > 0, `push(q)` the nominal control u_nom (n,) that would break the barrier,
@@ -25,12 +25,12 @@ class Trial:
 
     safety: SafetyFilter
     start: Array
-    push: Callable[[Array], Array]
+    nominal: Callable[[Array], Array]
     h: Callable[[Array, Array], float]
-    seconds: float = 1.5
+    duration: float = 1.5
 
 
-class Barrier(msgspec.Struct, frozen=True):
+class BarrierSpec(msgspec.Struct, frozen=True):
     """One thing that the filter keeps. What stands here appears in the docs, the tests and the live view.
 
     `rank` is None for what is part of the box of admissible controls and never given up. `margins` name what is kept
@@ -39,13 +39,13 @@ class Barrier(msgspec.Struct, frozen=True):
     """
 
     name: str
-    says: str
+    description: str
     h: str
     row: str
     rank: Rank | None
     alpha: str
     margins: tuple[str, ...]
     source: str
-    where: str
-    trial: Callable[[], Trial]
-    holds: bool = True
+    implementation: str
+    scenario: Callable[[], Scenario]
+    keeps_h_positive: bool = True

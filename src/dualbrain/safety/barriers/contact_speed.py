@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from dualbrain.core.geometry.shapes import Box, Pose
-from dualbrain.safety.barriers.barrier import Array, Barrier, Trial
-from dualbrain.safety.barriers.scenarios import arm_filter, home, tool_push
+from dualbrain.safety.barriers.barrier import Array, BarrierSpec, Scenario
+from dualbrain.safety.barriers.scenarios import home_posture, sparse_panda_filter, tool_push
 from dualbrain.safety.cbf.obstacles import Contact, Obstacle
 from dualbrain.safety.cbf.rows import Rank
 
 SPEED = 0.03
 
 
-def _trial() -> Trial:
-    safety = arm_filter()
-    start = home(safety)
+def _scenario() -> Scenario:
+    safety = sparse_panda_filter()
+    start = home_posture(safety)
     x, y, z = safety.tool(start).position.tolist()
     top = z - 0.06
     safety.observe([Obstacle("block", Box((0.1, 0.1, 0.1)), Pose((x, y, top - 0.1)))])
@@ -32,18 +32,18 @@ def _trial() -> Trial:
         allowed = np.maximum(SPEED, safety.body.alpha * np.maximum(gap, 0.0))
         return float(np.min(allowed - down) + 1e-3)
 
-    return Trial(safety, start, tool_push(safety, (0.0, 0.0, -1.0)), h, seconds=0.6)
+    return Scenario(safety, start, tool_push(safety, (0.0, 0.0, -1.0)), h, duration=0.6)
 
 
-BARRIER = Barrier(
+BARRIER = BarrierSpec(
     name="contact",
-    says="a permitted pair may touch, but meets no faster than the permit's speed",
+    description="a permitted pair may touch, but meets no faster than the permit's speed",
     h="the permitted approach speed less the actual one",
     row="n'(J u − v_o) ≥ −max(speed, α h)",
     rank=Rank.OBSTACLE,
     alpha="as obstacle",
     margins=("sampling", "rounding"),
     source="design: contact permits by phase, declared by the skill, never by the contract",
-    where="safety/cbf/obstacles.py onto kernel/src/dbk_meet.c",
-    trial=_trial,
+    implementation="safety/cbf/obstacles.py onto kernel/src/dbk_meet.c",
+    scenario=_scenario,
 )

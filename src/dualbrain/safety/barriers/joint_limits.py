@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from dualbrain.safety.barriers.barrier import Array, Barrier, Trial
-from dualbrain.safety.barriers.scenarios import arm_filter, home
+from dualbrain.safety.barriers.barrier import Array, BarrierSpec, Scenario
+from dualbrain.safety.barriers.scenarios import home_posture, sparse_panda_filter
 
 
-def _trial() -> Trial:
-    safety = arm_filter()
+def _scenario() -> Scenario:
+    safety = sparse_panda_filter()
     lower, upper = (
         np.array([getattr(joint, side).value for joint in safety.body.joints]) for side in ("lower", "upper")
     )
@@ -19,18 +19,18 @@ def _trial() -> Trial:
         del u
         return float(np.min(np.minimum(q - lower, upper - q)))
 
-    return Trial(safety, home(safety), lambda q: push, h)
+    return Scenario(safety, home_posture(safety), lambda q: push, h)
 
 
-BARRIER = Barrier(
+BARRIER = BarrierSpec(
     name="joint_limits",
-    says="every joint stays in its position range, with braking by its own acceleration limit",
+    description="every joint stays in its position range, with braking by its own acceleration limit",
     h="h = q_max − q and q − q_min",
     row="u ≤ min(α h, v_b(h)) − tracking, v_b(h) = −a Δt/2 + √((a Δt/2)² + 2 a h)",
     rank=None,
     alpha="FilterConfig.alpha_joint, else alpha",
     margins=("tracking", "rounding"),
     source="paper 4.2; discrete braking: Del Prete, RA-L 2018",
-    where="kernel/src/dbk_box.c",
-    trial=_trial,
+    implementation="kernel/src/dbk_box.c",
+    scenario=_scenario,
 )

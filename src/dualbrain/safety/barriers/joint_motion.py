@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from dualbrain.safety.barriers.barrier import Array, Barrier, Trial
-from dualbrain.safety.barriers.scenarios import arm_filter, home
+from dualbrain.safety.barriers.barrier import Array, BarrierSpec, Scenario
+from dualbrain.safety.barriers.scenarios import home_posture, sparse_panda_filter
 
 
-def _trial() -> Trial:
-    safety = arm_filter()
+def _scenario() -> Scenario:
+    safety = sparse_panda_filter()
     joints = safety.body.joints
     v_max = np.array([joint.velocity.value for joint in joints])
     step = np.array([joint.acceleration.value for joint in joints]) * safety.body.period
@@ -28,18 +28,18 @@ def _trial() -> Trial:
         ticks += 1
         return (3.0 if ticks // 200 % 2 else -3.0) * v_max
 
-    return Trial(safety, home(safety), push, h)
+    return Scenario(safety, home_posture(safety), push, h)
 
 
-BARRIER = Barrier(
+BARRIER = BarrierSpec(
     name="joint_motion",
-    says="joint velocity, its change per period, and where wished its jerk stay within the actuators' limits",
+    description="joint velocity, its change per period, and where wished its jerk stay within the actuators' limits",
     h="1 − |u|/v_max, 1 − |u − u_prev|/(a_max Δt), 1 − |u − 2u_prev + u_before|/(j_max Δt²)",
     row="max(−v, u_prev − a Δt) ≤ u ≤ min(v, u_prev + a Δt), narrowed by the jerk box where FilterConfig.jerk_limits",
     rank=None,
     alpha="none: a box on u",
     margins=(),
     source="Body: velocity, acceleration and jerk bounds with their provenance",
-    where="kernel/src/dbk_box.c",
-    trial=_trial,
+    implementation="kernel/src/dbk_box.c",
+    scenario=_scenario,
 )

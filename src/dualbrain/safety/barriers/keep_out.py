@@ -7,43 +7,43 @@ from math import cos, sin
 import numpy as np
 
 from dualbrain.core.geometry.shapes import Box, Pose
-from dualbrain.robots.differential_drive import differential_base
-from dualbrain.robots.model import Body, Bound, Tracking
-from dualbrain.safety.barriers.barrier import Array, Barrier, Trial
-from dualbrain.safety.barriers.scenarios import EXACT
+from dualbrain.robots.differential_drive import make_differential_base
+from dualbrain.robots.model import Bound, RobotModel, TrackingErrorModel
+from dualbrain.safety.barriers.barrier import Array, BarrierSpec, Scenario
+from dualbrain.safety.barriers.scenarios import EXACT_TRACKING
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle
 from dualbrain.safety.cbf.rows import Rank
 
-TALL = 5.0
+HALF_HEIGHT = 5.0
 """Half the height of a region [m], so that the nearest way out is always sideways."""
 REGION = (1.2, 0.05, 0.3, 0.4)
 
 
-def keep_out(name: str, x: float, y: float, half_x: float, half_y: float, yaw: float = 0.0) -> Obstacle:
+def keep_out_region(name: str, x: float, y: float, half_x: float, half_y: float, yaw: float = 0.0) -> Obstacle:
     """A rectangle of the floor [m, rad] that no part of the footprint enters."""
     turn = (cos(0.5 * yaw), 0.0, 0.0, sin(0.5 * yaw))
     return Obstacle(
-        name, Box((half_x, half_y, TALL)), Pose((x, y, 0.0), turn), rank=Rank.WORKSPACE, known=True,
+        name, Box((half_x, half_y, HALF_HEIGHT)), Pose((x, y, 0.0), turn), rank=Rank.WORKSPACE, known=True,
         barrier="keep_out",
     )  # fmt: skip
 
 
-def trial_base() -> Body:
+def scenario_base() -> RobotModel:
     """A small base with four discs, two ahead of the axle and two behind it."""
     by_hand = "made up for trials"
     discs = [(x, y, 0.13) for x in (-0.12, 0.12) for y in (-0.1, 0.1)]
-    return differential_base(
-        "trolley", discs, speed=Bound(0.8, "m/s", by_hand), turn=Bound(2.0, "rad/s", by_hand),
+    return make_differential_base(
+        "trolley", discs, speed=Bound(0.8, "m/s", by_hand), turn_rate=Bound(2.0, "rad/s", by_hand),
         acceleration=Bound(1.6, "m/s^2", by_hand), turn_acceleration=Bound(6.0, "rad/s^2", by_hand),
-        tracking=Tracking(0.0, 0.0, 0.0, by_hand),
+        tracking=TrackingErrorModel(0.0, 0.0, 0.0, by_hand),
     )  # fmt: skip
 
 
-def _trial() -> Trial:
-    safety = SafetyFilter(trial_base(), EXACT)
+def _scenario() -> Scenario:
+    safety = SafetyFilter(scenario_base(), EXACT_TRACKING)
     x, y, half_x, half_y = REGION
-    safety.observe([keep_out("stairs", *REGION)])
+    safety.observe([keep_out_region("stairs", *REGION)])
 
     def h(q: Array, u: Array) -> float:
         del u
@@ -51,18 +51,18 @@ def _trial() -> Trial:
         out = np.maximum(np.abs(centres[:, :2] - (x, y)) - (half_x, half_y), 0.0)
         return float(np.min(np.linalg.norm(out, axis=1) - radii))
 
-    return Trial(safety, np.array([0.0, 0.0, 0.1]), lambda q: np.array([0.8, 0.0]), h, seconds=6.0)
+    return Scenario(safety, np.array([0.0, 0.0, 0.1]), lambda q: np.array([0.8, 0.0]), h, duration=6.0)
 
 
-BARRIER = Barrier(
+BARRIER = BarrierSpec(
     name="keep_out",
-    says="no disc of a base's footprint enters a region of the floor; discs off the axle let it steer away",
+    description="no disc of a base's footprint enters a region of the floor; discs off the axle let it steer away",
     h="h = d(p_i, rectangle) − r_i, p_i' = [e_θ, l_i e_θ⊥] (v, ω)",
     row="n'J_i u ≥ −α h + …, as for obstacles",
     rank=Rank.WORKSPACE,
     alpha="FilterConfig.alpha",
     margins=("sampling", "tracking", "measurement", "rounding"),
     source="paper 4.2: keep-out regions; footprint discs: design 4",
-    where="safety/barriers/keep_out.py onto kernel/src/dbk_meet.c",
-    trial=_trial,
+    implementation="safety/barriers/keep_out.py onto kernel/src/dbk_meet.c",
+    scenario=_scenario,
 )

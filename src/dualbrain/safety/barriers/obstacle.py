@@ -5,37 +5,37 @@ from __future__ import annotations
 import numpy as np
 
 from dualbrain.core.geometry.shapes import Pose, Sphere
-from dualbrain.safety.barriers.barrier import Array, Barrier, Trial
-from dualbrain.safety.barriers.scenarios import arm_filter, centres, home, tool_push
+from dualbrain.safety.barriers.barrier import Array, BarrierSpec, Scenario
+from dualbrain.safety.barriers.scenarios import home_posture, moving_spheres, sparse_panda_filter, tool_push
 from dualbrain.safety.cbf.obstacles import Obstacle
 from dualbrain.safety.cbf.rows import Rank
 
-PLACE = (0.62, 0.0, 0.45)
+OBSTACLE_POSITION = (0.62, 0.0, 0.45)
 
 
-def _trial() -> Trial:
-    safety = arm_filter()
-    safety.observe([Obstacle("ball", Sphere(0.05), Pose(PLACE))])
-    start = home(safety)
-    ahead = np.array(PLACE) - safety.tool(start).position
+def _scenario() -> Scenario:
+    safety = sparse_panda_filter()
+    safety.observe([Obstacle("ball", Sphere(0.05), Pose(OBSTACLE_POSITION))])
+    start = home_posture(safety)
+    ahead = np.array(OBSTACLE_POSITION) - safety.tool(start).position
 
     def h(q: Array, u: Array) -> float:
         del u
-        where, radii = centres(safety, q)
-        return float(np.min(np.linalg.norm(where - np.array(PLACE), axis=1) - radii - 0.05))
+        where, radii = moving_spheres(safety, q)
+        return float(np.min(np.linalg.norm(where - np.array(OBSTACLE_POSITION), axis=1) - radii - 0.05))
 
-    return Trial(safety, start, tool_push(safety, (ahead / np.linalg.norm(ahead)).tolist()), h)
+    return Scenario(safety, start, tool_push(safety, (ahead / np.linalg.norm(ahead)).tolist()), h)
 
 
-BARRIER = Barrier(
+BARRIER = BarrierSpec(
     name="obstacle",
-    says="every sphere of the robot stays outside every perceived sphere, capsule, box and half-space",
+    description="every sphere of the robot stays outside every perceived sphere, capsule, box and half-space",
     h="h = d(c_s, obstacle) − r_s − margins",
     row="n'J_s u ≥ −α h + n'v_o + e_v + tracking Σ|n'J_k| + max(0, −Δt/2 n'a)",
     rank=Rank.OBSTACLE,
     alpha="FilterConfig.alpha, or the obstacle's own; people have rank BODY",
     margins=("sampling", "tracking", "measurement", "age", "rounding"),
     source="paper 4.2; moving obstacles: ∂h/∂t = −n'v_o",
-    where="kernel/src/dbk_meet.c",
-    trial=_trial,
+    implementation="kernel/src/dbk_meet.c",
+    scenario=_scenario,
 )

@@ -9,27 +9,27 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.robots.differential_drive import drive
-from dualbrain.robots.loader import load_body
-from dualbrain.robots.model import Body
-from dualbrain.safety.cbf.filter import FilterConfig, LiveBarrier, SafetyFilter
+from dualbrain.robots.differential_drive import integrate_configuration
+from dualbrain.robots.loader import load_robot
+from dualbrain.robots.model import RobotModel
+from dualbrain.safety.cbf.filter import FilterConfig, PythonBarrier, SafetyFilter
 
 Array = NDArray[np.float64]
 
-EXACT = FilterConfig(lag_compensation=False, tracking_error=0.0)
+EXACT_TRACKING = FilterConfig(lag_compensation=False, tracking_error=0.0)
 """For closed loops in which ẏ = u holds exactly."""
 
 
 @cache
-def arm() -> Body:
+def sparse_panda() -> RobotModel:
     """The Panda with every fourth sphere: the same kinematics, a quarter of the work."""
-    body = load_body("panda")
+    body = load_robot("panda")
     return msgspec.structs.replace(body, spheres=body.spheres[::4])
 
 
-def arm_filter(config: FilterConfig = EXACT, barriers: Sequence[LiveBarrier] = ()) -> SafetyFilter:
+def sparse_panda_filter(config: FilterConfig = EXACT_TRACKING, barriers: Sequence[PythonBarrier] = ()) -> SafetyFilter:
     """A filter for that arm."""
-    return SafetyFilter(arm(), config, barriers=barriers)
+    return SafetyFilter(sparse_panda(), config, barriers=barriers)
 
 
 def tool_push(safety: SafetyFilter, direction: Sequence[float], speed: float = 0.4) -> Callable[[Array], Array]:
@@ -43,18 +43,18 @@ def tool_push(safety: SafetyFilter, direction: Sequence[float], speed: float = 0
     return push
 
 
-def centres(safety: SafetyFilter, q: Array, opening: float = 0.0) -> tuple[Array, Array]:
+def moving_spheres(safety: SafetyFilter, q: Array, opening: float = 0.0) -> tuple[Array, Array]:
     """Centres (k, 3) and radii (k,) of the spheres that move."""
     where, radii, _ = safety.spheres(q, opening)
     fixed = sum(sphere.link == "link0" for sphere in safety.body.spheres)
     return where[fixed:], radii[fixed:]
 
 
-def advance(body: Body, q: Array, u: Array) -> Array:
+def integrate(body: RobotModel, q: Array, u: Array) -> Array:
     """The configuration one period later, ẏ = u exactly."""
-    return drive(q, u, body.period) if body.base == "differential" else q + body.period * u
+    return integrate_configuration(q, u, body.period) if body.base == "differential" else q + body.period * u
 
 
-def home(safety: SafetyFilter) -> Array:
+def home_posture(safety: SafetyFilter) -> Array:
     """The resting posture (n,) [rad]."""
     return np.array(safety.body.home)

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from dualbrain.safety.barriers.barrier import Array, Barrier, Trial
-from dualbrain.safety.barriers.scenarios import arm_filter, home
+from dualbrain.safety.barriers.barrier import Array, BarrierSpec, Scenario
+from dualbrain.safety.barriers.scenarios import home_posture, sparse_panda_filter
 from dualbrain.safety.cbf.rows import Rank
 
-FOLDED = np.array([-0.64, 1.66, -0.08, -2.82, 0.5, 1.17, 0.84])
+FOLDED_POSTURE = np.array([-0.64, 1.66, -0.08, -2.82, 0.5, 1.17, 0.84])
 """A posture in which the hand would be inside the arm."""
 
 
-def _trial() -> Trial:
-    safety = arm_filter()
+def _scenario() -> Scenario:
+    safety = sparse_panda_filter()
     body = safety.body
     links = [link.name for link in body.links for sphere in body.spheres if sphere.link == link.name]
     kept = {frozenset(pair) for pair in body.self_pairs.kept}
@@ -26,18 +26,18 @@ def _trial() -> Trial:
         apart = np.linalg.norm(where[first] - where[second], axis=1)
         return float(np.min(apart - radii[first] - radii[second]))
 
-    return Trial(safety, home(safety), lambda q: 2.0 * (FOLDED - q), h, seconds=3.0)
+    return Scenario(safety, home_posture(safety), lambda q: 2.0 * (FOLDED_POSTURE - q), h, duration=3.0)
 
 
-BARRIER = Barrier(
+BARRIER = BarrierSpec(
     name="self_collision",
-    says="the robot's parts keep apart, for every pair of links that is not allowed to touch by construction",
+    description="the robot's parts keep apart, for every pair of links that is not allowed to touch by construction",
     h="h = |c_i − c_j| − r_i − r_j − margins",
     row="n'(J_i − J_j) u ≥ −α h + tracking Σ|n'J_k| + max(0, −Δt/2 n'a)",
     rank=Rank.BODY,
     alpha="FilterConfig.alpha_self, else alpha",
     margins=("sampling", "tracking", "rounding"),
     source="paper 4.2; pairs and their reasons: Body.self_pairs",
-    where="kernel/src/dbk_self.c",
-    trial=_trial,
+    implementation="kernel/src/dbk_self.c",
+    scenario=_scenario,
 )

@@ -7,37 +7,39 @@ from collections.abc import Sequence
 import numpy as np
 
 from dualbrain.robots.interface import RobotState
-from dualbrain.safety.barriers.barrier import Array, Barrier, Trial
-from dualbrain.safety.barriers.scenarios import arm_filter
-from dualbrain.safety.cbf.rows import Rank, Row
+from dualbrain.safety.barriers.barrier import Array, BarrierSpec, Scenario
+from dualbrain.safety.barriers.scenarios import sparse_panda_filter
+from dualbrain.safety.cbf.rows import ConstraintRow, Rank
 
-BENT = np.array([0.0, 0.0, np.pi / 2, -1.2, 0.0, 1.2, 0.0])
+SINGULAR_POSTURE = np.array([0.0, 0.0, np.pi / 2, -1.2, 0.0, 1.2, 0.0])
 """A singular posture: the shoulder's first and third axes and the elbow leave one direction out."""
 
 
-class Singularity:
+class SingularityBarrier:
     """h = σ − floor, σ the least singular value of the tool's Jacobian with its angular rows scaled by `length` [m].
 
     The row σ̇ = ∇σ'u ≥ −max(α h, creep) lets σ fall ever more slowly down to `floor` and at `creep` [m/(rad s)] from
     there on, so that a path through a singular posture is slowed and never blocked.
     """
 
-    def __init__(self, alpha: float, floor: float = 0.03, creep: float = 0.02, length: float = 0.3) -> None:
+    def __init__(self, alpha: float, floor: float = 0.03, min_rate: float = 0.02, length: float = 0.3) -> None:
         """`alpha` [1/s] is best that of the body; nothing happens above floor + σ̇_max/α."""
-        self.alpha, self.floor, self.creep, self.length = alpha, floor, creep, length
+        self.alpha, self.floor, self.min_rate, self.length = alpha, floor, min_rate, length
 
-    def rows(self, state: RobotState, jacobian: Array) -> Sequence[Row]:
+    def rows(self, state: RobotState, jacobian: Array) -> Sequence[ConstraintRow]:
         """The one row at this state."""
         del state
-        sigma, gradient = least_singular_value(jacobian, self.length)
+        sigma, gradient = min_singular_value(jacobian, self.length)
         h = sigma - self.floor
         size = float(np.linalg.norm(gradient))
         if size < 1e-6:
             return ()
-        return (Row("singularity", tuple(gradient.tolist()), -max(self.alpha * h, self.creep), h, Rank.TASK),)
+        return (
+            ConstraintRow("singularity", tuple(gradient.tolist()), -max(self.alpha * h, self.min_rate), h, Rank.TASK),
+        )
 
 
-def least_singular_value(jacobian: Array, length: float) -> tuple[float, Array]:
+def min_singular_value(jacobian: Array, length: float) -> tuple[float, Array]:
     """σ_min of the scaled Jacobian (6, n) and its gradient ∂σ/∂q_k = w'(∂J/∂q_k) v (n,), w and v its singular vectors.
 
     With columns (l_j, ω_j): ∂l_j/∂q_k = ω_k × l_j and ∂ω_j/∂q_k = ω_k × ω_j for j ≥ k, ∂l_j/∂q_k = ω_j × l_k for j < k,
@@ -55,29 +57,29 @@ def least_singular_value(jacobian: Array, length: float) -> tuple[float, Array]:
     return float(values[-1]), moved @ w[:3] + np.cross(angular, turning) @ w[3:]
 
 
-def _trial() -> Trial:
-    body = arm_filter().body
-    barrier = Singularity(body.alpha)
-    safety = arm_filter(barriers=(barrier,))
+def _scenario() -> Scenario:
+    body = sparse_panda_filter().body
+    barrier = SingularityBarrier(body.alpha)
+    safety = sparse_panda_filter(barriers=(barrier,))
     start = np.array([0.3, 0.5, 0.4, -1.2, 0.3, 1.2, 0.0])
 
     def h(q: Array, u: Array) -> float:
         """σ̇ against what the barrier allows at q."""
-        sigma, gradient = least_singular_value(safety.tool(q).jacobian, barrier.length)
-        return float(gradient @ u + max(body.alpha * (sigma - barrier.floor), barrier.creep) + 2e-3)
+        sigma, gradient = min_singular_value(safety.tool(q).jacobian, barrier.length)
+        return float(gradient @ u + max(body.alpha * (sigma - barrier.floor), barrier.min_rate) + 2e-3)
 
-    return Trial(safety, start, lambda q: 1.5 * (BENT - q), h, seconds=3.0)
+    return Scenario(safety, start, lambda q: 1.5 * (SINGULAR_POSTURE - q), h, duration=3.0)
 
 
-BARRIER = Barrier(
+BARRIER = BarrierSpec(
     name="singularity",
-    says="the arm slows down near singular postures and creeps through them; it is never held there",
+    description="the arm slows down near singular postures and creeps through them; it is never held there",
     h="h = σ_min(J) − floor",
     row="∇σ'u ≥ −max(α h, creep)",
     rank=Rank.TASK,
     alpha="Singularity.alpha",
     margins=(),
     source="design: slow, not stop; gradient of a singular value: w'(∂J/∂q) v",
-    where="safety/barriers/singularity.py, a live barrier",
-    trial=_trial,
+    implementation="safety/barriers/singularity.py, a live barrier",
+    scenario=_scenario,
 )

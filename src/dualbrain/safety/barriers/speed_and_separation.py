@@ -7,34 +7,39 @@ from math import sqrt
 import numpy as np
 
 from dualbrain.core.geometry.shapes import Capsule, Pose
-from dualbrain.safety.barriers.barrier import Array, Barrier, Trial
-from dualbrain.safety.barriers.scenarios import arm_filter, centres, home, tool_push
-from dualbrain.safety.cbf.obstacles import Obstacle, Separation
+from dualbrain.safety.barriers.barrier import Array, BarrierSpec, Scenario
+from dualbrain.safety.barriers.scenarios import home_posture, moving_spheres, sparse_panda_filter, tool_push
+from dualbrain.safety.cbf.obstacles import Obstacle, SpeedAndSeparation
 from dualbrain.safety.cbf.rows import Rank
 
-PLACE = (0.85, 0.0, 0.45)
-RADIUS, HALF = 0.08, 0.3
+PERSON_POSITION = (0.85, 0.0, 0.45)
+RADIUS, HALF_LENGTH = 0.08, 0.3
 
 
-def greatest_speed(distance: float, person: float, reaction: float, brake: float) -> float:
+def max_approach_speed(distance: float, person_speed: float, reaction: float, deceleration: float) -> float:
     """The speed v with d = v_h (T_r + T_s) + v T_r + v²/(2a), T_s = v/a [m/s]; 0 when d < v_h T_r."""
-    spare = distance - person * reaction
-    late = reaction + person / brake
-    return brake * (sqrt(late * late + 2.0 * spare / brake) - late) if spare > 0.0 else 0.0
+    spare = distance - person_speed * reaction
+    late = reaction + person_speed / deceleration
+    return deceleration * (sqrt(late * late + 2.0 * spare / deceleration) - late) if spare > 0.0 else 0.0
 
 
-def _trial() -> Trial:
-    safety = arm_filter()
-    apart = Separation(reaction=0.1, brake=1.0, approach=0.2)
+def _scenario() -> Scenario:
+    safety = sparse_panda_filter()
+    apart = SpeedAndSeparation(reaction=0.1, brake=1.0, approach=0.2)
     person = Obstacle(
-        "person", Capsule(RADIUS, HALF), Pose(PLACE), rank=Rank.BODY, separation=apart, barrier="separation"
+        "person",
+        Capsule(RADIUS, HALF_LENGTH),
+        Pose(PERSON_POSITION),
+        rank=Rank.BODY,
+        separation=apart,
+        barrier="separation",
     )
     safety.observe([person])
 
     def gap(q: Array) -> Array:
-        where, radii = centres(safety, q)
-        axis = np.column_stack([np.full(len(where), PLACE[0]), np.zeros(len(where)), where[:, 2]])
-        axis[:, 2] = np.clip(where[:, 2], PLACE[2] - HALF, PLACE[2] + HALF)
+        where, radii = moving_spheres(safety, q)
+        axis = np.column_stack([np.full(len(where), PERSON_POSITION[0]), np.zeros(len(where)), where[:, 2]])
+        axis[:, 2] = np.clip(where[:, 2], PERSON_POSITION[2] - HALF_LENGTH, PERSON_POSITION[2] + HALF_LENGTH)
         return np.linalg.norm(where - axis, axis=1) - radii - RADIUS
 
     def h(q: Array, u: Array) -> float:
@@ -42,21 +47,21 @@ def _trial() -> Trial:
         dt = 1e-3
         near, far = gap(q), gap(q + dt * u)
         toward = (near - far) / dt
-        allowed = [greatest_speed(d, apart.approach, apart.reaction, apart.brake) for d in near]
+        allowed = [max_approach_speed(d, apart.approach, apart.reaction, apart.brake) for d in near]
         return float(np.min(np.array(allowed) - toward) + 2e-3)
 
-    return Trial(safety, home(safety), tool_push(safety, (1.0, 0.0, 0.0)), h)
+    return Scenario(safety, home_posture(safety), tool_push(safety, (1.0, 0.0, 0.0)), h)
 
 
-BARRIER = Barrier(
+BARRIER = BarrierSpec(
     name="separation",
-    says="the speed toward a person leaves room to stop before they meet, whoever keeps moving",
+    description="the speed toward a person leaves room to stop before they meet, whoever keeps moving",
     h="v_max(d) less the speed toward the person",
     row="n'J u ≥ −v_max(d), v_max = a (√((T_r + v_h/a)² + 2 (d − v_h T_r)/a) − T_r − v_h/a), as far as braking follows",
     rank=Rank.BODY,
     alpha="none: a speed by distance; the obstacle barrier holds beside it",
     margins=("measurement", "age", "sampling", "rounding"),
     source="terms of ISO/TS 15066 speed and separation monitoring; no certified function",
-    where="kernel/src/dbk_meet.c",
-    trial=_trial,
+    implementation="kernel/src/dbk_meet.c",
+    scenario=_scenario,
 )

@@ -7,19 +7,19 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from dualbrain.errors import InvalidSetup
-from dualbrain.safety.barriers.barrier import Array, Barrier, Trial
-from dualbrain.safety.barriers.keep_out import trial_base
-from dualbrain.safety.barriers.scenarios import EXACT
+from dualbrain.errors import ConfigurationError
+from dualbrain.safety.barriers.barrier import Array, BarrierSpec, Scenario
+from dualbrain.safety.barriers.keep_out import scenario_base
+from dualbrain.safety.barriers.scenarios import EXACT_TRACKING
 from dualbrain.safety.barriers.workspace import plane
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle
 from dualbrain.safety.cbf.rows import Rank
 
-FLOOR = ((-1.0, -0.8), (1.5, -0.8), (1.9, 0.3), (0.4, 1.2), (-1.0, 0.8))
+REGION = ((-1.0, -0.8), (1.5, -0.8), (1.9, 0.3), (0.4, 1.2), (-1.0, 0.8))
 
 
-def traversable(name: str, corners: Sequence[tuple[float, float]]) -> tuple[Obstacle, ...]:
+def traversable_region(name: str, corners: Sequence[tuple[float, float]]) -> tuple[Obstacle, ...]:
     """The inside of a convex polygon with `corners` (x, y) [m] counter-clockwise, one wall an edge."""
     walls: list[Obstacle] = []
     for index, (x, y) in enumerate(corners):
@@ -27,17 +27,17 @@ def traversable(name: str, corners: Sequence[tuple[float, float]]) -> tuple[Obst
         after_x, after_y = corners[(index + 2) % len(corners)]
         along = (to_x - x, to_y - y)
         if not along[0] * (after_y - to_y) - along[1] * (after_x - to_x) > 0.0:
-            raise InvalidSetup(
+            raise ConfigurationError(
                 f"corners of {name!r}", got=list(corners), allowed="a convex polygon, counter-clockwise"
             )  # fmt: skip
         walls.append(plane(f"{name} edge {index}", (x, y, 0.0), (-along[1], along[0], 0.0), parts=()))
     return tuple(msgspec.structs.replace(wall, barrier="traversable") for wall in walls)
 
 
-def _trial() -> Trial:
-    safety = SafetyFilter(trial_base(), EXACT)
-    safety.observe(traversable("hall", FLOOR))
-    corners = np.array(FLOOR)
+def _scenario() -> Scenario:
+    safety = SafetyFilter(scenario_base(), EXACT_TRACKING)
+    safety.observe(traversable_region("hall", REGION))
+    corners = np.array(REGION)
     along = np.roll(corners, -1, axis=0) - corners
     inward = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
 
@@ -47,18 +47,18 @@ def _trial() -> Trial:
         apart = np.einsum("ek,sek->se", inward, centres[:, None, :2] - corners[None])
         return float(np.min(apart - radii[:, None]))
 
-    return Trial(safety, np.array([0.0, 0.0, 0.5]), lambda q: np.array([0.8, 0.1]), h, seconds=8.0)
+    return Scenario(safety, np.array([0.0, 0.0, 0.5]), lambda q: np.array([0.8, 0.1]), h, duration=8.0)
 
 
-BARRIER = Barrier(
+BARRIER = BarrierSpec(
     name="traversable",
-    says="every disc of a base's footprint stays inside a convex region of the floor",
+    description="every disc of a base's footprint stays inside a convex region of the floor",
     h="h = n_e'(p_i − c_e) − r_i for every edge e",
     row="n_e'J_i u ≥ −α h + …, as for obstacles",
     rank=Rank.WORKSPACE,
     alpha="FilterConfig.alpha",
     margins=("sampling", "tracking", "measurement", "rounding"),
     source="paper 4.2: traversable regions",
-    where="safety/barriers/traversable_region.py onto kernel/src/dbk_meet.c",
-    trial=_trial,
+    implementation="safety/barriers/traversable_region.py onto kernel/src/dbk_meet.c",
+    scenario=_scenario,
 )

@@ -8,24 +8,26 @@ from math import sqrt
 import numpy as np
 
 from dualbrain.core.geometry.shapes import HalfSpace, Pose, Quaternion, Vector
-from dualbrain.errors import InvalidSetup
-from dualbrain.safety.barriers.barrier import Array, Barrier, Trial
-from dualbrain.safety.barriers.scenarios import arm_filter, centres, home, tool_push
+from dualbrain.errors import ConfigurationError
+from dualbrain.safety.barriers.barrier import Array, BarrierSpec, Scenario
+from dualbrain.safety.barriers.scenarios import home_posture, moving_spheres, sparse_panda_filter, tool_push
 from dualbrain.safety.cbf.obstacles import Obstacle
 from dualbrain.safety.cbf.rows import Rank
 
-HAND = ("hand", "fingers", "held")
+HAND_PARTS = ("hand", "fingers", "held")
 
 
-def plane(name: str, point: Vector, inward: Vector, *, parts: Sequence[str] = HAND, margin: float = 0.0) -> Obstacle:
+def plane(
+    name: str, point: Vector, inward: Vector, *, parts: Sequence[str] = HAND_PARTS, margin: float = 0.0
+) -> Obstacle:
     """Keep `parts` on the side of the plane through `point` [m] to which `inward` points, `margin` [m] from it."""
     return Obstacle(
-        name, HalfSpace(), Pose(point, turn_to(inward)), margin=margin, rank=Rank.WORKSPACE, parts=tuple(parts),
+        name, HalfSpace(), Pose(point, rotation_to_normal(inward)), margin=margin, rank=Rank.WORKSPACE, parts=tuple(parts),
         known=True, barrier="workspace",
     )  # fmt: skip
 
 
-def height(lowest: float, highest: float, *, parts: Sequence[str] = HAND) -> tuple[Obstacle, Obstacle]:
+def height_limits(lowest: float, highest: float, *, parts: Sequence[str] = HAND_PARTS) -> tuple[Obstacle, Obstacle]:
     """Keep `parts` between two heights [m] above the base."""
     return (
         plane("lowest height", (0.0, 0.0, lowest), (0.0, 0.0, 1.0), parts=parts),
@@ -33,11 +35,11 @@ def height(lowest: float, highest: float, *, parts: Sequence[str] = HAND) -> tup
     )
 
 
-def turn_to(normal: Vector) -> Quaternion:
+def rotation_to_normal(normal: Vector) -> Quaternion:
     """The shortest turn (w, x, y, z) that brings z to `normal`."""
     size = sqrt(sum(e * e for e in normal))
     if not size > 1e-9:
-        raise InvalidSetup("normal of a plane", got=normal, allowed="a vector that is not zero")
+        raise ConfigurationError("normal of a plane", got=normal, allowed="a vector that is not zero")
     x, y, z = (e / size for e in normal)
     if z < -1.0 + 1e-9:
         return (0.0, 1.0, 0.0, 0.0)
@@ -45,31 +47,31 @@ def turn_to(normal: Vector) -> Quaternion:
     return (w, -y / (2.0 * w), x / (2.0 * w), 0.0)
 
 
-def _trial() -> Trial:
-    safety = arm_filter()
-    start = home(safety)
+def _scenario() -> Scenario:
+    safety = sparse_panda_filter()
+    start = home_posture(safety)
     lowest = float(safety.tool(start).position[2]) - 0.12
-    safety.observe(height(lowest, 1.2))
+    safety.observe(height_limits(lowest, 1.2))
     arm = sum(link.group == "arm" for link in safety.body.links for s in safety.body.spheres if s.link == link.name)
     arm -= sum(sphere.link == "link0" for sphere in safety.body.spheres)
 
     def h(q: Array, u: Array) -> float:
         del u
-        where, radii = centres(safety, q)
+        where, radii = moving_spheres(safety, q)
         return float(np.min(where[arm:, 2] - radii[arm:]) - lowest)
 
-    return Trial(safety, start, tool_push(safety, (0.0, 0.0, -1.0)), h)
+    return Scenario(safety, start, tool_push(safety, (0.0, 0.0, -1.0)), h)
 
 
-BARRIER = Barrier(
+BARRIER = BarrierSpec(
     name="workspace",
-    says="the hand, the fingers and what they hold stay above a height and within planes",
+    description="the hand, the fingers and what they hold stay above a height and within planes",
     h="h = n'(c_s − p) − r_s − margin",
     row="n'J_s u ≥ −α h + …, as for obstacles, for the named parts only",
     rank=Rank.WORKSPACE,
     alpha="FilterConfig.alpha",
     margins=("sampling", "tracking", "rounding"),
     source="paper 4.2: end-effector height and workspace",
-    where="safety/barriers/workspace.py onto kernel/src/dbk_meet.c",
-    trial=_trial,
+    implementation="safety/barriers/workspace.py onto kernel/src/dbk_meet.c",
+    scenario=_scenario,
 )

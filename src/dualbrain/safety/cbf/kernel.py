@@ -9,26 +9,26 @@ from typing import Any, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.core.geometry.rotations import matrix
+from dualbrain.core.geometry.rotations import quaternion_to_matrix
 from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Sphere
-from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.robots.model import Body, Joint
+from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.robots.model import Joint, RobotModel
 from dualbrain.safety.cbf.compiled import _kernel
 from dualbrain.safety.cbf.compiled._kernel import Kernel
 from dualbrain.safety.cbf.config import FilterConfig
 from dualbrain.safety.cbf.obstacles import Obstacle
-from dualbrain.safety.cbf.result import Filtered, Status
+from dualbrain.safety.cbf.result import FilterResult, FilterStatus
 
 Array = NDArray[np.float64]
 
-MOST_OBSTACLES: int = _kernel.max_obstacles
+MAX_OBSTACLES: int = _kernel.max_obstacles
 """Room of the obstacle table."""
-SIZES = ("", "_wide")
+BUILD_SUFFIXES = ("", "_wide")
 """Suffixes of the builds by size: up to 8 joints, and up to 16."""
 CAPSULE, BOX, HALF_SPACE = 0.0, 1.0, 2.0
-KNOWN, STATIC = 1, 2
+KNOWN_FLAG, STATIC_FLAG = 1, 2
 ALL_PARTS = 2**32 - 1
-UNLIMITED = 1e4
+UNLIMITED_ACCELERATION = 1e4
 """Acceleration [rad/s²] that never binds, for a filter without acceleration limits."""
 
 
@@ -37,14 +37,14 @@ def kernel_hash() -> str:
     return _kernel.source_hash
 
 
-def make_kernel(body: Body, config: FilterConfig, weight: Array | None = None) -> Kernel:
+def make_kernel(body: RobotModel, config: FilterConfig, weight: Array | None = None) -> Kernel:
     """A kernel for `body`; `weight` is R (n, n), symmetric positive definite, by default diag(1/v_max²)."""
-    kernel = build_for(body, config).Kernel(model_of(body, config, weight))
-    kernel.answer_with(Filtered, tuple(Status))
+    kernel = select_build(body, config).Kernel(kernel_model(body, config, weight))
+    kernel.answer_with(FilterResult, tuple(FilterStatus))
     return kernel
 
 
-class Build(Protocol):
+class KernelBuild(Protocol):
     """One compiled build of the kernel's sources, with the room that it has."""
 
     max_joints: int
@@ -58,7 +58,7 @@ class Build(Protocol):
         ...
 
 
-def build_for(body: Body, config: FilterConfig) -> Build:
+def select_build(body: RobotModel, config: FilterConfig) -> KernelBuild:
     """The smallest build that has room for `body`, in the configured number type: most arms fit the first.
 
     Both sizes are made from the same sources and answer bit for bit alike; the wide one is slower.
@@ -67,21 +67,21 @@ def build_for(body: Body, config: FilterConfig) -> Build:
         InvalidSetup: no build has room for it; the message names what is too many.
     """
     lacking: list[tuple[str, int, int]] = []
-    for name in SIZES:
-        build = _load(f"_kernel{'64' if config.real == 'float64' else ''}{name}")
-        lacking = [(what, got, room) for what, got, room in _sizes(body, build) if got > room]
+    for name in BUILD_SUFFIXES:
+        build = _load_build(f"_kernel{'64' if config.precision == 'float64' else ''}{name}")
+        lacking = [(what, got, room) for what, got, room in _required_sizes(body, build) if got > room]
         if not lacking:
             return build
     what, got, room = lacking[0]
-    raise InvalidSetup(f"{what} of the body", got=got, allowed=f"at most {room}")
+    raise ConfigurationError(f"{what} of the body", got=got, allowed=f"at most {room}")
 
 
-def _load(name: str) -> Build:
+def _load_build(name: str) -> KernelBuild:
     """Builds that nobody asks for stay unloaded."""
-    return _kernel if name == "_kernel" else cast(Build, import_module(f"dualbrain.safety.cbf.compiled.{name}"))
+    return _kernel if name == "_kernel" else cast(KernelBuild, import_module(f"dualbrain.safety.cbf.compiled.{name}"))
 
 
-def _sizes(body: Body, build: Build) -> tuple[tuple[str, int, int], ...]:
+def _required_sizes(body: RobotModel, build: KernelBuild) -> tuple[tuple[str, int, int], ...]:
     """What a body needs and what a build has room for."""
     return (
         ("joints", body.n, build.max_joints), ("spheres", len(body.spheres), build.max_spheres),
@@ -89,18 +89,18 @@ def _sizes(body: Body, build: Build) -> tuple[tuple[str, int, int], ...]:
     )  # fmt: skip
 
 
-def model_of(body: Body, config: FilterConfig, weight: Array | None = None) -> dict[str, Any]:
+def kernel_model(body: RobotModel, config: FilterConfig, weight: Array | None = None) -> dict[str, Any]:
     """The kernel's model of `body`, every length and angle in float64; the kernel rounds once."""
-    return _dials(body, config) | _limits(body, config, weight) | _geometry(body) | _pairs(body)
+    return _settings(body, config) | _joint_limits(body, config, weight) | _geometry(body) | _self_collision_pairs(body)
 
 
-def _dials(body: Body, config: FilterConfig) -> dict[str, Any]:
+def _settings(body: RobotModel, config: FilterConfig) -> dict[str, Any]:
     return {
         "n": body.n,
         "period": body.period,
-        "alpha": _alpha(body, config, config.alpha),
-        "alpha_self": _alpha(body, config, config.alpha_self),
-        "alpha_joint": _alpha(body, config, config.alpha_joint),
+        "alpha": _row_gain(body, config, config.alpha),
+        "alpha_self": _row_gain(body, config, config.alpha_self),
+        "alpha_joint": _row_gain(body, config, config.alpha_joint),
         "recovery": config.recovery_speed,
         "sampling": config.sampling_margin,
         "rounding": config.rounding_margin,
@@ -108,58 +108,62 @@ def _dials(body: Body, config: FilterConfig) -> dict[str, Any]:
         "lag": body.tracking.lag if config.lag_compensation else 0.0,
         "tracking": tracking_error(body, config),
         "state_age_max": config.state_stale_after,
-        "scene_age_max": config.stale_after,
+        "scene_age_max": config.scene_stale_after,
     }
 
 
-def tracking_error(body: Body, config: FilterConfig) -> float:
+def tracking_error(body: RobotModel, config: FilterConfig) -> float:
     """What every row keeps for ẏ ≠ u [rad/s]: the configured number, else the body's own for the largest gain."""
     if config.tracking_error is not None:
         return config.tracking_error
-    return body.tracking.budget(steepest(body, config))
+    return body.tracking.row_margin(max_gain(body, config))
 
 
-def steepest(body: Body, config: FilterConfig) -> float:
+def max_gain(body: RobotModel, config: FilterConfig) -> float:
     """The largest gain α [1/s] of the filter's own rows."""
-    return max(_alpha(body, config, gain) for gain in (config.alpha, config.alpha_self, config.alpha_joint))
+    return max(_row_gain(body, config, gain) for gain in (config.alpha, config.alpha_self, config.alpha_joint))
 
 
-def _alpha(body: Body, config: FilterConfig, own: float | None) -> float:
+def _row_gain(body: RobotModel, config: FilterConfig, own: float | None) -> float:
     """The gain of one kind of row: its own, else the filter's, else the largest that braking can follow."""
     if own is not None:
         return own
     return body.alpha if config.alpha is None else config.alpha
 
 
-def _limits(body: Body, config: FilterConfig, weight: Array | None) -> dict[str, Any]:
+def _joint_limits(body: RobotModel, config: FilterConfig, weight: Array | None) -> dict[str, Any]:
     v_max = np.array([joint.velocity.value for joint in body.joints])
     a_max = np.array([joint.acceleration.value for joint in body.joints])
     R = np.diag(1.0 / v_max**2) if weight is None else np.asarray(weight, float)
     try:
         scale = np.linalg.inv(np.linalg.cholesky(R)).T
     except np.linalg.LinAlgError:
-        raise InvalidSetup("weight R of the filter", got=R.tolist(), allowed="symmetric positive definite") from None
+        raise ConfigurationError(
+            "weight R of the filter", got=R.tolist(), allowed="symmetric positive definite"
+        ) from None
     return {
         "q_lower": np.array([joint.lower.value for joint in body.joints]),
         "q_upper": np.array([joint.upper.value for joint in body.joints]),
         "v_max": v_max,
-        "a_max": a_max if config.acceleration_limits else np.full(body.n, UNLIMITED),
-        "j_max": np.array([_jerk(joint) if config.jerk_limits else 0.0 for joint in body.joints]),
+        "a_max": a_max if config.acceleration_limits else np.full(body.n, UNLIMITED_ACCELERATION),
+        "j_max": np.array([_jerk_limit(joint) if config.jerk_limits else 0.0 for joint in body.joints]),
         "scale": np.ascontiguousarray(scale),
     }
 
 
-def _jerk(joint: Joint) -> float:
+def _jerk_limit(joint: Joint) -> float:
     if joint.jerk is None:
-        raise InvalidSetup("jerk limits of the body", got=f"none for {joint.name}", allowed="a bound for every joint")
+        raise ConfigurationError(
+            "jerk limits of the body", got=f"none for {joint.name}", allowed="a bound for every joint"
+        )
     return joint.jerk.value
 
 
-def _geometry(body: Body) -> dict[str, Any]:
+def _geometry(body: RobotModel) -> dict[str, Any]:
     rows: list[Array] = []
     first = [0]
     for link in body.links:
-        turn, shift = matrix(link.quaternion), np.array(link.translation)
+        turn, shift = quaternion_to_matrix(link.quaternion), np.array(link.translation)
         slide = turn @ np.array(link.slide)
         for sphere in body.spheres:
             if sphere.link == link.name:
@@ -168,7 +172,7 @@ def _geometry(body: Body) -> dict[str, Any]:
     rotation, offset = tool_frame(body)
     return {
         "joint_kind": np.array([float(joint.kind == "prismatic") for joint in body.joints]),
-        "joint_rotation": np.concatenate([matrix(joint.quaternion).ravel() for joint in body.joints]),
+        "joint_rotation": np.concatenate([quaternion_to_matrix(joint.quaternion).ravel() for joint in body.joints]),
         "joint_offset": np.concatenate([np.array(joint.translation) for joint in body.joints]),
         "tool_rotation": np.ascontiguousarray(rotation),
         "tool_offset": offset,
@@ -178,17 +182,17 @@ def _geometry(body: Body) -> dict[str, Any]:
     }
 
 
-def tool_frame(body: Body) -> tuple[Array, Array]:
+def tool_frame(body: RobotModel) -> tuple[Array, Array]:
     """Rotation (3, 3) and offset (3,) [m] of the tool in the last frame of the chain."""
     link = next(link for link in body.links if link.name == body.tool.link)
     if link.frame != body.n:
-        raise InvalidSetup("the tool's link", got=link.name, allowed=f"a link on the last frame ({body.n})")
-    turn = matrix(link.quaternion)
+        raise ConfigurationError("the tool's link", got=link.name, allowed=f"a link on the last frame ({body.n})")
+    turn = quaternion_to_matrix(link.quaternion)
     offset = np.array(link.translation) + turn @ np.array(body.tool.translation)
-    return turn @ matrix(body.tool.quaternion), offset
+    return turn @ quaternion_to_matrix(body.tool.quaternion), offset
 
 
-def _pairs(body: Body) -> dict[str, Any]:
+def _self_collision_pairs(body: RobotModel) -> dict[str, Any]:
     """Kept link pairs, the one nearer to the base first; a held thing is kept from whatever the hand is kept from."""
     index = {link.name: i for i, link in enumerate(body.links)}
     pairs: list[tuple[int, int]] = []
@@ -196,7 +200,7 @@ def _pairs(body: Body) -> dict[str, Any]:
     for names in body.self_pairs.kept:
         near, far = sorted((index[name] for name in names), key=lambda i: body.links[i].frame)
         if body.links[near].frame == body.links[far].frame:
-            raise InvalidSetup("a self-collision pair", got=names, allowed="links that move against each other")
+            raise ConfigurationError("a self-collision pair", got=names, allowed="links that move against each other")
         pairs.append((near, far))
         if body.links[far].group in ("hand", "fingers"):
             held.add(near)
@@ -206,14 +210,14 @@ def _pairs(body: Body) -> dict[str, Any]:
     }
 
 
-def obstacle_rows(obstacles: Sequence[Obstacle], parts: Mapping[str, Sequence[int]] | None = None) -> Array:
+def obstacle_table(obstacles: Sequence[Obstacle], parts: Mapping[str, Sequence[int]] | None = None) -> Array:
     """The obstacle table (k, 29) that the kernel reads; `parts` are the link indices behind every name of a part."""
     if len(obstacles) > _kernel.max_obstacles:
-        raise InvalidSetup("obstacles at once", got=len(obstacles), allowed=f"at most {_kernel.max_obstacles}")
-    return np.array([_obstacle_row(obstacle, parts or {}) for obstacle in obstacles], float).reshape(-1, 29)
+        raise ConfigurationError("obstacles at once", got=len(obstacles), allowed=f"at most {_kernel.max_obstacles}")
+    return np.array([_obstacle_entry(obstacle, parts or {}) for obstacle in obstacles], float).reshape(-1, 29)
 
 
-def _obstacle_row(obstacle: Obstacle, parts: Mapping[str, Sequence[int]]) -> list[float]:
+def _obstacle_entry(obstacle: Obstacle, parts: Mapping[str, Sequence[int]]) -> list[float]:
     match obstacle.shape:
         case Sphere(radius=radius):
             kind, half, r = CAPSULE, (0.0, 0.0, 0.0), radius
@@ -223,22 +227,22 @@ def _obstacle_row(obstacle: Obstacle, parts: Mapping[str, Sequence[int]]) -> lis
             kind, half, r = BOX, extents, 0.0
         case HalfSpace():
             kind, half, r = HALF_SPACE, (0.0, 0.0, 0.0), 0.0
-    flags = KNOWN * obstacle.known + STATIC * obstacle.static
-    rotation = matrix(obstacle.pose.quaternion).ravel().tolist()
+    flags = KNOWN_FLAG * obstacle.known + STATIC_FLAG * obstacle.static
+    rotation = quaternion_to_matrix(obstacle.pose.quaternion).ravel().tolist()
     apart = obstacle.separation
     separation = (apart.reaction, apart.brake, apart.approach) if apart else (0.0, 0.0, 0.0)
     return [
-        kind, float(flags), float(obstacle.rank), _mask(obstacle.parts, parts), obstacle.alpha or 0.0,
+        kind, float(flags), float(obstacle.rank), _part_mask(obstacle.parts, parts), obstacle.alpha or 0.0,
         *obstacle.pose.position, *rotation, *half, r, *obstacle.velocity, obstacle.margin, obstacle.velocity_error,
         *separation,
     ]  # fmt: skip
 
 
-def _mask(names: Sequence[str], parts: Mapping[str, Sequence[int]]) -> float:
+def _part_mask(names: Sequence[str], parts: Mapping[str, Sequence[int]]) -> float:
     """One bit for each link that is kept away; all of them when none is named."""
     if not names:
         return float(ALL_PARTS)
     for name in names:
         if name not in parts:
-            raise UnknownName("part of the robot", name, tuple(parts))
+            raise UnknownNameError("part of the robot", name, tuple(parts))
     return float(sum(1 << link for link in {link for name in names for link in parts[name]}))

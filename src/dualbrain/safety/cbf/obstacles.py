@@ -6,13 +6,13 @@ from collections.abc import Collection
 
 import msgspec
 
-from dualbrain.core.geometry.distance import Solid, solid
+from dualbrain.core.geometry.distance import Solid, bounding_solid
 from dualbrain.core.geometry.shapes import Pose, Vector
-from dualbrain.records import STILL, Scene, SceneObject
+from dualbrain.records import ZERO_VECTOR, Scene, SceneObject
 from dualbrain.safety.cbf.rows import Rank
 
 
-class Separation(msgspec.Struct, frozen=True):
+class SpeedAndSeparation(msgspec.Struct, frozen=True):
     """Speed and separation toward one person, after the formula of ISO/TS 15066 (no certified function).
 
     d = v_h (T_r + T_s) + v T_r + v²/(2a), T_s = v/a, gives the speed v toward the person at distance d:
@@ -37,7 +37,7 @@ class Obstacle(msgspec.Struct, frozen=True):
     name: str
     shape: Solid
     pose: Pose
-    velocity: Vector = STILL
+    velocity: Vector = ZERO_VECTOR
     margin: float = 0.0
     velocity_error: float = 0.0
     known: bool = False
@@ -45,11 +45,11 @@ class Obstacle(msgspec.Struct, frozen=True):
     rank: Rank = Rank.OBSTACLE
     alpha: float | None = None
     parts: tuple[str, ...] = ()
-    separation: Separation | None = None
+    separation: SpeedAndSeparation | None = None
     barrier: str = "obstacle"
 
 
-def from_scene(
+def obstacles_from_scene(
     scene: Scene, *, known: Collection[str], held: str | None, clearance: float = 0.0
 ) -> tuple[Obstacle, ...]:
     """Every perceived thing but the `held` one, as obstacles with their errors as margins plus `clearance` [m].
@@ -57,25 +57,27 @@ def from_scene(
     Things seen before the scene's stamp are carried forward along their velocity, their margin growing with it.
     """
     return tuple(
-        _obstacle(thing, scene.stamp, thing.name in known, clearance) for thing in scene.objects if thing.name != held
+        _to_obstacle(thing, scene.stamp, thing.name in known, clearance)
+        for thing in scene.objects
+        if thing.name != held
     )
 
 
-def _obstacle(thing: SceneObject, stamp: float, known: bool, clearance: float) -> Obstacle:
-    age = max(0.0, stamp - thing.stamp)
-    shape, pose = solid(thing.shape, thing.pose)
-    x, y, z = (p + v * age for p, v in zip(pose.position, thing.velocity, strict=True))
-    moves = thing.role == "person" or thing.velocity != STILL or thing.velocity_error > 0.0
+def _to_obstacle(obj: SceneObject, stamp: float, known: bool, clearance: float) -> Obstacle:
+    age = max(0.0, stamp - obj.stamp)
+    shape, pose = bounding_solid(obj.shape, obj.pose)
+    x, y, z = (p + v * age for p, v in zip(pose.position, obj.velocity, strict=True))
+    moves = obj.role == "person" or obj.velocity != ZERO_VECTOR or obj.velocity_error > 0.0
     return Obstacle(
-        name=thing.name,
+        name=obj.name,
         shape=shape,
         pose=Pose((x, y, z), pose.quaternion),
-        velocity=thing.velocity,
-        margin=thing.error + thing.velocity_error * age + clearance,
-        velocity_error=thing.velocity_error,
+        velocity=obj.velocity,
+        margin=obj.error + obj.velocity_error * age + clearance,
+        velocity_error=obj.velocity_error,
         known=known,
         static=not moves,
-        rank=Rank.BODY if thing.role == "person" else Rank.OBSTACLE,
+        rank=Rank.BODY if obj.role == "person" else Rank.OBSTACLE,
     )
 
 

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import ConfigurationError
 from dualbrain.safety.cbf.compiled import _kernel64
 
 Array = NDArray[np.float64]
@@ -15,13 +15,13 @@ MAX_CONTROLS = 8
 """Controls that the kernel's QP holds."""
 MAX_ROWS = 512
 """Rows that the kernel's QP holds; more may be given, of which it needs few."""
-BATCH = 48
+ROWS_PER_CALL = 48
 """Rows that are handed to the kernel at a time."""
-FORGIVEN = 1e-8
+ROW_TOLERANCE = 1e-8
 """What the check after the QP forgives in a row, as a share of the row's own size."""
 
 
-class Closest(msgspec.Struct, frozen=True, eq=False):
+class QpResult(msgspec.Struct, frozen=True, eq=False):
     """Answer of one QP: `u` (n,), whether all rows are met, and its active constraints.
 
     `active` are (index, multiplier): 0..n−1 lower bounds, n..2n−1 upper bounds, then rows; when rows conflict they are
@@ -29,13 +29,13 @@ class Closest(msgspec.Struct, frozen=True, eq=False):
     """
 
     u: Array
-    met: bool
-    capped: bool
+    rows_met: bool
+    limit_reached: bool
     iterations: int
     active: tuple[tuple[int, float], ...]
 
 
-class ClosestControl:
+class ControlQp:
     """min ½‖u − u_nom‖²_R  s.t.  A u ≥ b, lower ≤ u ≤ upper, in controls scaled by `unit` (paper 4.3).
 
     Promise: an answer that is `met` has passed a check of box and rows that shares nothing with the solver.
@@ -45,40 +45,40 @@ class ClosestControl:
         """`unit` (n,) is the size of each control; `weight` is R (n, n), by default diag(1/unit²)."""
         self.unit, n = unit, len(unit)
         if not 1 <= n <= MAX_CONTROLS:
-            raise InvalidSetup("controls", got=n, allowed=f"1 to {MAX_CONTROLS}, which the kernel's QP holds")
+            raise ConfigurationError("controls", got=n, allowed=f"1 to {MAX_CONTROLS}, which the kernel's QP holds")
         R = np.eye(n) if weight is None else unit[:, None] * np.asarray(weight, float) * unit
         try:
             self._scale = np.array(np.linalg.inv(np.linalg.cholesky(R)).T, np.float64, order="C")
         except np.linalg.LinAlgError:
-            raise InvalidSetup("weight R", got=weight, allowed="symmetric positive definite") from None
+            raise ConfigurationError("weight R", got=weight, allowed="symmetric positive definite") from None
 
-    def solve(self, A: Array, b: Array, lower: Array, upper: Array, u_nom: Array) -> Closest:
+    def solve(self, A: Array, b: Array, lower: Array, upper: Array, u_nom: Array) -> QpResult:
         """The closest control to u_nom (n,), which is returned bit for bit where it meets rows and box.
 
         The kernel is given the rows that are worst at u_nom, then those that its answer breaks, until it breaks none:
         an optimum over some rows that meets all is the optimum over all, and rows that conflict do so among more.
         """
         if np.all(u_nom >= lower) and np.all(u_nom <= upper) and np.all(A @ u_nom >= b):
-            return Closest(u_nom.copy(), met=True, capped=False, iterations=0, active=())
-        scaled, size = A * self.unit, row_sizes(A * self.unit)
+            return QpResult(u_nom.copy(), rows_met=True, limit_reached=False, iterations=0, active=())
+        scaled, size = A * self.unit, row_norms(A * self.unit)
         chosen = np.zeros(len(b), bool)
         gap, total = (A @ np.clip(u_nom, lower, upper) - b) / size, 0
         while True:
-            chosen[_worst(gap)] = True
+            chosen[_worst_rows(gap)] = True
             at = np.flatnonzero(chosen)
             if len(at) > MAX_ROWS:
-                return Closest(u_nom.copy(), met=False, capped=True, iterations=total, active=())
-            result, iterations, active, u = self._kernel(scaled[at], b[at], lower, upper, u_nom)
+                return QpResult(u_nom.copy(), rows_met=False, limit_reached=True, iterations=total, active=())
+            result, iterations, active, u = self._solve_rows(scaled[at], b[at], lower, upper, u_nom)
             total += iterations
             gap = (A @ u - b) / size
-            if result != 0 or np.all(gap >= -FORGIVEN) or np.all(chosen[gap < -FORGIVEN]):
+            if result != 0 or np.all(gap >= -ROW_TOLERANCE) or np.all(chosen[gap < -ROW_TOLERANCE]):
                 break
-        met = result == 0 and bool(np.all(gap >= -FORGIVEN))
+        met = result == 0 and bool(np.all(gap >= -ROW_TOLERANCE))
         n = len(u)
         named = tuple((i if i < 2 * n else 2 * n + int(at[i - 2 * n]), weight) for i, weight in active)
-        return Closest(u, met, capped=result == 2 or (result == 0 and not met), iterations=total, active=named)
+        return QpResult(u, met, limit_reached=result == 2 or (result == 0 and not met), iterations=total, active=named)
 
-    def _kernel(
+    def _solve_rows(
         self, scaled: Array, b: Array, lower: Array, upper: Array, u_nom: Array
     ) -> tuple[int, int, tuple[tuple[int, float], ...], Array]:
         answer = np.empty(len(u_nom))
@@ -88,11 +88,11 @@ class ClosestControl:
         return result, iterations, active, np.clip(answer * self.unit, lower, upper)
 
 
-def _worst(gap: Array) -> NDArray[np.int64]:
+def _worst_rows(gap: Array) -> NDArray[np.int64]:
     """The rows with the smallest gaps: those below zero and their nearest, at most `BATCH`."""
-    return np.argpartition(gap, BATCH)[:BATCH] if len(gap) > BATCH else np.arange(len(gap))
+    return np.argpartition(gap, ROWS_PER_CALL)[:ROWS_PER_CALL] if len(gap) > ROWS_PER_CALL else np.arange(len(gap))
 
 
-def row_sizes(rows: Array) -> Array:
+def row_norms(rows: Array) -> Array:
     """Euclidean length of each row, at least 1e-9."""
     return np.maximum(np.linalg.norm(rows, axis=1), 1e-9)

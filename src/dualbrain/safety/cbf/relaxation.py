@@ -6,48 +6,48 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.safety.cbf.qp import Closest, ClosestControl, row_sizes
+from dualbrain.safety.cbf.qp import ControlQp, QpResult, row_norms
 
 Array = NDArray[np.float64]
-Marks = NDArray[np.bool_]
+BoolArray = NDArray[np.bool_]
 
-ROUNDS = 40
+MAX_NEWTON_STEPS = 40
 """Steps toward the least violation; each ends where the last certificate of conflict ends."""
-DEAD = 1e-9
+MIN_ROW_NORM = 1e-9
 """A row shorter than this, in scaled controls, cannot be acted upon."""
 
 
-class Conflict(msgspec.Struct, frozen=True, eq=False):
+class RelaxationProblem(msgspec.Struct, frozen=True, eq=False):
     """Rows A u ≥ b in the box [lower, upper] that cannot all be met.
 
     `size` (m,) is the unit in which a row's violation counts, `anchor` (n,) an admissible control to stay near to,
     `floor` (m,) what each row keeps in any case; the anchor must meet it.
     """
 
-    closest: ClosestControl
+    qp: ControlQp
     A: Array
     b: Array
-    size: Array
+    violation_unit: Array
     lower: Array
     upper: Array
-    anchor: Array
+    reference: Array
     floor: Array
 
-    def least(self, rank: NDArray[np.int64]) -> tuple[Closest, tuple[int, ...]]:
+    def solve(self, rank: NDArray[np.int64]) -> tuple[QpResult, tuple[int, ...]]:
         """The control nearest to the anchor among those of least violation, and the ranks that were given up.
 
         Ranks come in rising order. Within a rank the largest violation (b − A u)/size is the least possible; the rows
         whose conflict determines it stay there, the others go on without them.
         """
-        lengths = row_sizes(self.A * self.closest.unit)
+        lengths = row_norms(self.A * self.qp.unit)
         kept = self.floor - 1e-9 * lengths
-        dead = (lengths <= DEAD) & (self.b > 0.0)
+        dead = (lengths <= MIN_ROW_NORM) & (self.b > 0.0)
         given_up = {int(r) for r in rank[dead]}
-        answer = self._nearest(kept)
+        answer = self._solve_qp(kept)
         for which in np.unique(rank):
             mine = (rank == which) & ~dead
             while mine.any():
-                answer, eased, lost = self._ease(kept, mine, lengths)
+                answer, eased, lost = self._relax_rank(kept, mine, lengths)
                 if not lost.any():
                     kept = np.minimum(eased, self.A @ answer.u)
                     break
@@ -56,53 +56,53 @@ class Conflict(msgspec.Struct, frozen=True, eq=False):
                 mine = mine & ~lost
         return answer, tuple(sorted(given_up))
 
-    def _nearest(self, kept: Array) -> Closest:
-        return self.closest.solve(self.A, kept, self.lower, self.upper, self.anchor)
+    def _solve_qp(self, kept: Array) -> QpResult:
+        return self.qp.solve(self.A, kept, self.lower, self.upper, self.reference)
 
-    def _ease(self, kept: Array, mine: Marks, lengths: Array) -> tuple[Closest, Array, Marks]:
+    def _relax_rank(self, kept: Array, in_rank: BoolArray, lengths: Array) -> tuple[QpResult, Array, BoolArray]:
         """Ease the rows of `mine` by t times their size, no further than `kept`, with the least t that can be met.
 
         A Farkas certificate λ of a t that is too small says that t must grow until Σ λ (b − t size) ≤ 0: Newton's steps
         on the least t, from below. Also what all rows keep then, and which had to give.
         """
-        t, conflict = 0.0, mine & False
-        most = float(np.max((self.b - kept)[mine] / self.size[mine]))
-        for _ in range(ROUNDS):
-            wanted = self.b - t * self.size
-            eased = np.where(mine, np.maximum(kept, wanted), kept)
-            answer = self._nearest(eased)
-            if answer.met:
+        t, conflict = 0.0, in_rank & False
+        most = float(np.max((self.b - kept)[in_rank] / self.violation_unit[in_rank]))
+        for _ in range(MAX_NEWTON_STEPS):
+            wanted = self.b - t * self.violation_unit
+            eased = np.where(in_rank, np.maximum(kept, wanted), kept)
+            answer = self._solve_qp(eased)
+            if answer.rows_met:
                 return answer, eased, conflict
-            weight = self._weights(answer, len(kept)) / lengths
-            open_rows = mine & (wanted > kept)
-            excess = float(weight @ eased) + self._box(answer)
-            slope = float(weight[open_rows] @ self.size[open_rows])
-            if answer.capped or slope <= 0.0 or excess <= 0.0:
+            weight = self._row_multipliers(answer, len(kept)) / lengths
+            open_rows = in_rank & (wanted > kept)
+            excess = float(weight @ eased) + self._box_certificate(answer)
+            slope = float(weight[open_rows] @ self.violation_unit[open_rows])
+            if answer.limit_reached or slope <= 0.0 or excess <= 0.0:
                 break
             conflict = open_rows & (weight > 0.0)
             t = min(most, t + excess / slope * (1.0 + 1e-9) + 1e-9)
         eased = kept.copy()
-        return self._nearest(eased), eased, mine
+        return self._solve_qp(eased), eased, in_rank
 
-    def _weights(self, answer: Closest, m: int) -> Array:
+    def _row_multipliers(self, answer: QpResult, m: int) -> Array:
         """Multipliers of the rows (m,) in a certificate."""
-        weights, first = np.zeros(m), 2 * len(self.anchor)
+        weights, first = np.zeros(m), 2 * len(self.reference)
         for index, weight in answer.active:
             if index >= first:
                 weights[index - first] = max(weight, 0.0)
         return weights
 
-    def _box(self, answer: Closest) -> float:
+    def _box_certificate(self, answer: QpResult) -> float:
         """The box's part of a certificate, in scaled controls."""
-        bounds = np.concatenate([self.lower / self.closest.unit, -self.upper / self.closest.unit])
+        bounds = np.concatenate([self.lower / self.qp.unit, -self.upper / self.qp.unit])
         return sum(max(weight, 0.0) * float(bounds[index]) for index, weight in answer.active if index < len(bounds))
 
 
-def above(A: Array, b: Array, control: Array) -> Array:
+def floor_at_control(A: Array, b: Array, control: Array) -> Array:
     """The floor of rows that are not to be met worse than `control` meets them, unless beyond their own b."""
     return np.minimum(b, A @ control)
 
 
-def anywhere(A: Array, b: Array, lower: Array, upper: Array) -> Array:
+def floor_in_box(A: Array, b: Array, lower: Array, upper: Array) -> Array:
     """The floor of rows of which nothing is kept: what every control in the box meets."""
     return np.minimum(b, np.minimum(A * lower, A * upper).sum(axis=1))

@@ -14,13 +14,13 @@ from dualbrain.safety.cbf.rows import Rank
 
 Array = NDArray[np.float64]
 RawRow = tuple[int, int, int, float, float]
-BINDING = Struct("=3i2d")
+PACKED_ROW = Struct("=3i2d")
 """How the kernel packs a binding row: unpacked where somebody looks, as most answers are never looked at."""
 OBSTACLE, SELF, LOWER, UPPER, USER = range(5)
 """Kinds of rows, as the kernel counts them."""
-LIMITS = ("velocity", "acceleration", "jerk", "position")
+LIMIT_NAMES = ("velocity", "acceleration", "jerk", "position")
 """Where a bound of a joint's box comes from, as the kernel counts it."""
-SPOKEN = {
+REASON_TEXTS = {
     "BAD_INPUT": "the input holds a number that is not finite",
     "STALE_STATE": "the joint state is too old, or the clock stepped",
     "STALE_SCENE": "moving things were seen too long ago",
@@ -36,7 +36,7 @@ SPOKEN = {
 """Reasons in words for people."""
 
 
-class Status(IntEnum):
+class FilterStatus(IntEnum):
     """SAFE: u is u_nom. MODIFIED: the closest safe control. RELAXED: none meets all rows; hardest admissible braking.
 
     STOPPED: the input is bad or stale, or a limit of the kernel was met; braking. FAULT: h ≥ 0 cannot be certified for
@@ -67,7 +67,7 @@ class Reason(IntFlag):
     JERK = 2048
 
 
-class Names(msgspec.Struct, frozen=True):
+class RowNames(msgspec.Struct, frozen=True):
     """Names behind the kernel's indices: of each sphere's link, of the obstacles in force, of the joints.
 
     `barriers` are the barriers that the obstacles belong to, `rows` the rows handed in for this step.
@@ -80,17 +80,17 @@ class Names(msgspec.Struct, frozen=True):
     barriers: tuple[str, ...] = ()
     rows: tuple[str, ...] = ()
 
-    def row(self, kind: int, i: int, j: int) -> str:
+    def row_name(self, kind: int, i: int, j: int) -> str:
         """A row's name: "hand vs 'cup'", "link5 vs link2", "panda_joint4 acceleration limit"."""
         if kind == OBSTACLE:
-            return f"{self.sphere(i)} vs {self.obstacles[j]!r}"
+            return f"{self.link_of_sphere(i)} vs {self.obstacles[j]!r}"
         if kind == SELF:
-            return f"{self.sphere(i)} vs {self.sphere(j)}"
+            return f"{self.link_of_sphere(i)} vs {self.link_of_sphere(j)}"
         if kind == USER:
             return self.rows[i]
-        return f"{self.joints[i]} {LIMITS[j]} limit"
+        return f"{self.joints[i]} {LIMIT_NAMES[j]} limit"
 
-    def barrier(self, kind: int, i: int, j: int) -> str:
+    def barrier_name(self, kind: int, i: int, j: int) -> str:
         """The barrier that a row belongs to, as `safety.barriers` names it."""
         if kind == OBSTACLE:
             return "held_object" if i >= len(self.spheres) else self.barriers[j]
@@ -98,14 +98,14 @@ class Names(msgspec.Struct, frozen=True):
             return self.rows[i].partition(":")[0]
         if kind == SELF:
             return "self_collision"
-        return "joint_limits" if LIMITS[j] == "position" else "joint_motion"
+        return "joint_limits" if LIMIT_NAMES[j] == "position" else "joint_motion"
 
-    def sphere(self, index: int) -> str:
+    def link_of_sphere(self, index: int) -> str:
         """The link that a sphere belongs to; spheres beyond the body's are the held thing's."""
         return self.spheres[index] if index < len(self.spheres) else "held"
 
 
-class Filtered(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers and tuples: no cycles
+class FilterResult(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers and tuples: no cycles
     """One answer of the filter.
 
     `u` (n,) [rad/s]; `delta` = sqrt((u − u_nom)' W (u − u_nom)), W = diag(1/v_max²)/n (paper 4.4), split into
@@ -117,8 +117,8 @@ class Filtered(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers and 
 
     u: Array
     u_nom: Array
-    names: Names
-    status: Status
+    names: RowNames
+    status: FilterStatus
     flags: int
     delta: float
     delta_rows: float
@@ -127,24 +127,24 @@ class Filtered(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers and 
     certified: bool
     iterations: int
     n_rows: int
-    binding: bytes
-    relaxed: int = 0
+    packed_rows: bytes
+    relaxed_mask: int = 0
     delta_supervisor: float = 0.0
 
     @property
-    def rows(self) -> tuple[RawRow, ...]:
+    def binding_rows(self) -> tuple[RawRow, ...]:
         """The binding rows by the kernel's indices: kind, i, j, h, multiplier; see `active`."""
-        return tuple(BINDING.iter_unpack(self.binding))
+        return tuple(PACKED_ROW.iter_unpack(self.packed_rows))
 
     @property
-    def given_up(self) -> tuple[Rank, ...]:
+    def relaxed_ranks(self) -> tuple[Rank, ...]:
         """The ranks whose rows could not all be met."""
-        return tuple(rank for rank in Rank if self.relaxed >> rank & 1)
+        return tuple(rank for rank in Rank if self.relaxed_mask >> rank & 1)
 
     @property
     def barriers(self) -> tuple[str, ...]:
         """The barriers that the binding rows belong to, as `safety.barriers` names them."""
-        return tuple(dict.fromkeys(self.names.barrier(kind, i, j) for kind, i, j, _, _ in self.rows))
+        return tuple(dict.fromkeys(self.names.barrier_name(kind, i, j) for kind, i, j, _, _ in self.binding_rows))
 
     @property
     def reason(self) -> Reason:
@@ -152,60 +152,67 @@ class Filtered(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers and 
         return Reason(self.flags)
 
     @property
-    def active(self) -> tuple[tuple[str, float, float], ...]:
+    def active_rows(self) -> tuple[tuple[str, float, float], ...]:
         """Binding rows as (name, h [m], multiplier); the conflicting ones with Farkas multipliers when infeasible."""
-        return tuple((self.names.row(kind, i, j), h, weight) for kind, i, j, h, weight in self.rows)
+        return tuple((self.names.row_name(kind, i, j), h, weight) for kind, i, j, h, weight in self.binding_rows)
 
     @property
     def cause(self) -> str:
         """The strongest reason for a changed control, by name; empty when nothing was changed."""
-        if self.status > Status.MODIFIED and not self.rows:
+        if self.status > FilterStatus.MODIFIED and not self.binding_rows:
             return ", ".join(flag.name.lower().replace("_", " ") for flag in self.reason if flag.name)
-        pairs = [row for row in self.rows if row[0] not in (LOWER, UPPER)]
-        joints = [row for row in self.rows if row[0] in (LOWER, UPPER)]
-        if not self.rows:
-            return "" if self.status is Status.SAFE else "rounding"
+        pairs = [row for row in self.binding_rows if row[0] not in (LOWER, UPPER)]
+        joints = [row for row in self.binding_rows if row[0] in (LOWER, UPPER)]
+        if not self.binding_rows:
+            return "" if self.status is FilterStatus.SAFE else "rounding"
         if pairs and (not joints or self.delta_rows >= self.delta_box):
             kind, i, j, _, _ = max(pairs, key=lambda row: row[4])
         else:
             kind, i, j, _, _ = max(joints, key=lambda row: (row[2], row[4]))  # a position limit tells the most
-        return self.names.row(kind, i, j)
+        return self.names.row_name(kind, i, j)
 
-    def unfiltered(self) -> Filtered:
+    def unfiltered(self) -> FilterResult:
         """The same moment had nobody filtered: u is u_nom, without a certificate."""
         return msgspec.structs.replace(
-            self, u=self.u_nom, status=Status.SAFE, delta=0.0, delta_rows=0.0, delta_box=0.0, certified=False,
+            self, u=self.u_nom, status=FilterStatus.SAFE, delta=0.0, delta_rows=0.0, delta_box=0.0, certified=False,
             binding=b"",
         )  # fmt: skip
 
     def explain(self) -> str:
         """One sentence for people: what was near, and what was done about it."""
-        if self.status is Status.SAFE:
+        if self.status is FilterStatus.SAFE:
             return f"passed unchanged; nearest pair at {self.h_min * 1e3:.0f} mm"
-        if self.status is Status.MODIFIED:
-            return f"{self._who()}: {self._what()}"
-        why = "; ".join(SPOKEN[flag.name] for flag in self.reason if flag.name in SPOKEN) or "a limit of the box"
-        who = f": {self._who()}" if self.rows else ""
-        lost = f"; given up in part: {', '.join(rank.name.lower() for rank in self.given_up)}" if self.given_up else ""
+        if self.status is FilterStatus.MODIFIED:
+            return f"{self._describe_rows()}: {self._describe_change()}"
+        why = (
+            "; ".join(REASON_TEXTS[flag.name] for flag in self.reason if flag.name in REASON_TEXTS)
+            or "a limit of the box"
+        )
+        who = f": {self._describe_rows()}" if self.binding_rows else ""
+        lost = (
+            f"; given up in part: {', '.join(rank.name.lower() for rank in self.relaxed_ranks)}"
+            if self.relaxed_ranks
+            else ""
+        )
         return f"{self.status.name.lower()}, braking: {why}{who}{lost}"
 
-    def _who(self) -> str:
+    def _describe_rows(self) -> str:
         """The two strongest rows by name, each name once, with the nearer of its distances."""
         nearest: dict[str, float] = {}
-        for kind, i, j, h, _ in sorted(self.rows, key=lambda row: -row[4]):
-            name = self.names.row(kind, i, j)
+        for kind, i, j, h, _ in sorted(self.binding_rows, key=lambda row: -row[4]):
+            name = self.names.row_name(kind, i, j)
             gap = h if kind in (OBSTACLE, SELF) else inf
             nearest[name] = min(nearest.get(name, inf), gap)
         words = [name + (f" {h * 1e3:.0f} mm" if h < inf else "") for name, h in list(nearest.items())[:2]]
         return " and ".join(words) or f"nearest pair {self.h_min * 1e3:.0f} mm"
 
-    def _what(self) -> str:
-        wanted, got = self._speed(self.u_nom), self._speed(self.u)
+    def _describe_change(self) -> str:
+        wanted, got = self._relative_speed(self.u_nom), self._relative_speed(self.u)
         if got < 0.98 * wanted:
             return f"slowed {100.0 * (1.0 - got / wanted):.0f} %"
         if self.delta < 1e-3:
             return "changed by less than 0.1 % of full speed"
         return f"redirected by {100.0 * self.delta:.1f} % of full speed"
 
-    def _speed(self, u: Array) -> float:
+    def _relative_speed(self, u: Array) -> float:
         return sqrt(float(np.mean((u / np.array(self.names.v_max)) ** 2)))

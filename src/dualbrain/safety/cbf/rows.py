@@ -32,7 +32,7 @@ class Rank(IntEnum):
     """What is only wished for, and rows handed in by the user."""
 
 
-class Row(msgspec.Struct, frozen=True):
+class ConstraintRow(msgspec.Struct, frozen=True):
     """One row a'u ≥ b for one step: `a` (n,), `b`, and the barrier value `h` that is reported with it."""
 
     name: str
@@ -61,17 +61,17 @@ class BarrierRow(NamedTuple):
     j: int
 
 
-class LiveBarrier(Protocol):
+class PythonBarrier(Protocol):
     """A barrier whose rows are computed anew in every step, outside the compiled kernel.
 
     The next-step certificate does not cover its rows; their own margin must.
     """
 
-    def rows(self, state: RobotState, jacobian: Array) -> Sequence[Row]:
+    def rows(self, state: RobotState, jacobian: Array) -> Sequence[ConstraintRow]:
         """Rows at `state`; `jacobian` (6, n) is the tool's, linear then angular, in the world frame."""
         ...
 
 
-def row_table(rows: Sequence[Row], n: int) -> Array:
+def row_table(rows: Sequence[ConstraintRow], n: int) -> Array:
     """The table (k, n + 3) of a, b, h, rank that the kernel reads."""
     return np.array([[*row.a, row.b, row.h, float(row.rank)] for row in rows], float).reshape(-1, n + 3)

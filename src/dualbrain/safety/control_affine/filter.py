@@ -7,17 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dualbrain.errors import InvalidSetup
-from dualbrain.safety.cbf.qp import Closest, ClosestControl
-from dualbrain.safety.cbf.relaxation import Conflict, above, anywhere
-from dualbrain.safety.cbf.result import Reason, Status
+from dualbrain.errors import ConfigurationError
+from dualbrain.safety.cbf.qp import ControlQp, QpResult
+from dualbrain.safety.cbf.relaxation import RelaxationProblem, floor_at_control, floor_in_box
+from dualbrain.safety.cbf.result import FilterStatus, Reason
 from dualbrain.safety.cbf.rows import Rank
 from dualbrain.safety.control_affine.result import FilteredControl
 from dualbrain.safety.control_affine.rows import CompiledRows
 from dualbrain.safety.control_affine.system import Barrier, ControlAffine
 
 Array = NDArray[np.float64]
-UNLIMITED = 1e9
+UNLIMITED_CONTROL = 1e9
 """What an infinite bound becomes, in units of its control."""
 
 
@@ -47,22 +47,22 @@ class ControlAffineFilter:
         self.system, self.barriers = system, tuple(barriers)
         self._names = tuple(barrier.name for barrier in self.barriers)
         if not self.barriers or len(set(self._names)) < len(self._names):
-            raise InvalidSetup("barriers", got=self._names, allowed="one or more, each with its own name")
-        low, high = _sized(lower, system.m, "lower"), _sized(upper, system.m, "upper")
+            raise ConfigurationError("barriers", got=self._names, allowed="one or more, each with its own name")
+        low, high = _as_vector(lower, system.m, "lower"), _as_vector(upper, system.m, "upper")
         if not np.all(low <= high):
-            raise InvalidSetup("box of the controls", got=(low.tolist(), high.tolist()), allowed="lower ≤ upper")
+            raise ConfigurationError("box of the controls", got=(low.tolist(), high.tolist()), allowed="lower ≤ upper")
         half = 0.5 * (high - low)
         self._unit = np.where(np.isfinite(half) & (half > 0.0), half, 1.0)
-        self._closest = ClosestControl(self._unit, weight)
-        limit = UNLIMITED * self._unit
+        self._qp = ControlQp(self._unit, weight)
+        limit = UNLIMITED_CONTROL * self._unit
         self._lower, self._upper = np.maximum(low, -limit), np.minimum(high, limit)
-        self._floor = fallback is not None
-        last = _sized(0.0 if fallback is None else fallback, system.m, "fallback")
+        self._has_fallback = fallback is not None
+        last = _as_vector(0.0 if fallback is None else fallback, system.m, "fallback")
         self._fallback = np.clip(last, self._lower, self._upper)
-        edges = (_sized(domain[0], system.n, "domain"), _sized(domain[1], system.n, "domain"))
+        edges = (_as_vector(domain[0], system.n, "domain"), _as_vector(domain[1], system.n, "domain"))
         self._rows = CompiledRows(system, self.barriers, edges)
         self._ranks = np.array([int(barrier.rank) for barrier in self.barriers], np.int64)
-        self._ends = np.cumsum(self._rows.degrees)[:-1]
+        self._chain_ends = np.cumsum(self._rows.degrees)[:-1]
 
     @property
     def relative_degrees(self) -> tuple[int, ...]:
@@ -71,56 +71,56 @@ class ControlAffineFilter:
 
     def rows(self, x: Array) -> tuple[Array, Array]:
         """A (k, m) and b (k,) of the rows A u ≥ b at the state x (n,)."""
-        A, b, _ = self._rows.at(x)
+        A, b, _ = self._rows.evaluate(x)
         return A, b
 
     def __call__(self, x: ArrayLike, u_nom: ArrayLike) -> FilteredControl:
         """The control for the state x (n,), nearest to u_nom (m,)."""
-        state, wish = _sized(x, self.system.n, "state x"), _sized(u_nom, self.system.m, "u_nom")
-        A, b, psi = self._rows.at(state)
-        if not (np.isfinite(state).all() and np.isfinite(wish).all() and _finite(A, b, psi)):
-            return self._told(self._fallback, wish, Status.STOPPED, Reason.BAD_INPUT)
-        chains = tuple(tuple(map(float, chain)) for chain in np.split(psi, self._ends))
-        limit = UNLIMITED * self._unit
-        found = self._closest.solve(A, b, self._lower, self._upper, np.clip(wish, -limit, limit))
-        if found.met:
-            status = Status.SAFE if np.array_equal(found.u, wish) else Status.MODIFIED
-            return self._told(found.u, wish, status, Reason(0), chains, found)
-        least, lost = self._conflict(A, b).least(self._ranks)
-        if not least.met:
-            return self._told(self._fallback, wish, Status.STOPPED, Reason.QP_ITERATIONS, chains, found)
-        reason = Reason.QP_ITERATIONS if found.capped else Reason.INFEASIBLE
-        return self._told(least.u, wish, Status.RELAXED, reason, chains, found, lost)
+        state, wish = _as_vector(x, self.system.n, "state x"), _as_vector(u_nom, self.system.m, "u_nom")
+        A, b, psi = self._rows.evaluate(state)
+        if not (np.isfinite(state).all() and np.isfinite(wish).all() and _all_finite(A, b, psi)):
+            return self._result(self._fallback, wish, FilterStatus.STOPPED, Reason.BAD_INPUT)
+        chains = tuple(tuple(map(float, chain)) for chain in np.split(psi, self._chain_ends))
+        limit = UNLIMITED_CONTROL * self._unit
+        found = self._qp.solve(A, b, self._lower, self._upper, np.clip(wish, -limit, limit))
+        if found.rows_met:
+            status = FilterStatus.SAFE if np.array_equal(found.u, wish) else FilterStatus.MODIFIED
+            return self._result(found.u, wish, status, Reason(0), chains, found)
+        least, lost = self._relaxation_problem(A, b).solve(self._ranks)
+        if not least.rows_met:
+            return self._result(self._fallback, wish, FilterStatus.STOPPED, Reason.QP_ITERATIONS, chains, found)
+        reason = Reason.QP_ITERATIONS if found.limit_reached else Reason.INFEASIBLE
+        return self._result(least.u, wish, FilterStatus.RELAXED, reason, chains, found, lost)
 
-    def _conflict(self, A: Array, b: Array) -> Conflict:
+    def _relaxation_problem(self, A: Array, b: Array) -> RelaxationProblem:
         """Violations count in units of what half the box can do about them."""
         low, high, size = self._lower, self._upper, np.maximum(np.abs(A) @ self._unit, 1e-9)
-        floor = above(A, b, self._fallback) if self._floor else anywhere(A, b, low, high)
-        return Conflict(self._closest, A, b, size, low, high, self._fallback, floor)
+        floor = floor_at_control(A, b, self._fallback) if self._has_fallback else floor_in_box(A, b, low, high)
+        return RelaxationProblem(self._qp, A, b, size, low, high, self._fallback, floor)
 
-    def _told(
-        self, u: Array, wish: Array, status: Status, reason: Reason,
-        psi: tuple[tuple[float, ...], ...] = (), found: Closest | None = None, lost: tuple[int, ...] = (),
+    def _result(
+        self, u: Array, u_nom: Array, status: FilterStatus, reason: Reason,
+        psi: tuple[tuple[float, ...], ...] = (), solution: QpResult | None = None, relaxed: tuple[int, ...] = (),
     ) -> FilteredControl:  # fmt: skip
-        apart = (u - np.clip(np.nan_to_num(wish), -1e12, 1e12)) / self._unit
+        apart = (u - np.clip(np.nan_to_num(u_nom), -1e12, 1e12)) / self._unit
         return FilteredControl(
-            u, wish, status, self._names, reason, float(np.sqrt(np.mean(apart**2))), psi,
-            self._active(found.active) if found else (), tuple(Rank(rank) for rank in lost),
-            found.iterations if found else 0,
+            u, u_nom, status, self._names, reason, float(np.sqrt(np.mean(apart**2))), psi,
+            self._active_rows(solution.active) if solution else (), tuple(Rank(rank) for rank in relaxed),
+            solution.iterations if solution else 0,
         )  # fmt: skip
 
-    def _active(self, active: tuple[tuple[int, float], ...]) -> tuple[tuple[str, float], ...]:
+    def _active_rows(self, active: tuple[tuple[int, float], ...]) -> tuple[tuple[str, float], ...]:
         m = self.system.m
         names = [f"u[{k}] {side}" for side in ("lower", "upper") for k in range(m)]
         return tuple(((*names, *self._names)[index], weight) for index, weight in active)
 
 
-def _sized(value: ArrayLike, n: int, what: str) -> Array:
+def _as_vector(value: ArrayLike, n: int, what: str) -> Array:
     array = np.asarray(value, float)
     if array.shape not in ((), (n,)):
-        raise InvalidSetup(f"size of {what}", got=array.shape, allowed=f"{n} numbers, or one for all")
+        raise ConfigurationError(f"size of {what}", got=array.shape, allowed=f"{n} numbers, or one for all")
     return np.array(np.broadcast_to(array, (n,)))
 
 
-def _finite(*arrays: Array) -> bool:
+def _all_finite(*arrays: Array) -> bool:
     return all(bool(np.isfinite(array).all()) for array in arrays)

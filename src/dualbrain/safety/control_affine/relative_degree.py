@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.errors import InvalidSetup
-from dualbrain.safety.control_affine.system import Barrier, ControlAffine, Expression, casadi
+from dualbrain.errors import ConfigurationError
+from dualbrain.safety.control_affine.system import Barrier, ControlAffine, Expression, import_casadi
 
 Array = NDArray[np.float64]
-POINTS = 64
+N_TEST_STATES = 64
 """States at which a derivative is tried."""
-VANISHES = 1e-9
+ZERO_TOLERANCE = 1e-9
 """Share of its own terms below which a sum counts as zero: they cancel up to rounding."""
 
 
@@ -23,39 +23,39 @@ def relative_degree(system: ControlAffine, barrier: Barrier, domain: tuple[Array
     An entry is zero when its structure says so, or when it cancels at all states. Raises `InvalidSetup` when h does not
     depend on the state, when no control ever reaches h, and when r is not the same everywhere.
     """
-    ca = casadi()
-    h = scalar(system, barrier)
-    states = spread(*domain)
+    ca = import_casadi()
+    h = scalar_barrier(system, barrier)
+    states = spread_states(*domain)
     for r in range(1, system.n + 1):
         gradient = ca.jacobian(h, system.x)
         if r == 1:
-            _depends(system, barrier, gradient, states)
-        reached = _reached(system, barrier, gradient, states)
+            _check_dependence(system, barrier, gradient, states)
+        reached = _controls_appear(system, barrier, gradient, states)
         if reached.all() and len(reached):
             return r
         if reached.any():
-            raise InvalidSetup(
+            raise ConfigurationError(
                 f"relative degree of barrier {barrier.name!r}",
                 got=f"{r} at {int(reached.sum())} of {len(reached)} states, more at the others",
                 allowed="the same at all states",
                 fix="Write the barrier without switches, or name the domain where it is used.",
             )
         h = ca.mtimes(gradient, system.f)
-    raise InvalidSetup(
+    raise ConfigurationError(
         f"relative degree of barrier {barrier.name!r}", got=f"none up to {system.n}, the number of states",
         allowed="a barrier that the controls can change",
     )  # fmt: skip
 
 
-def scalar(system: ControlAffine, barrier: Barrier) -> Expression:
+def scalar_barrier(system: ControlAffine, barrier: Barrier) -> Expression:
     """The barrier's h as one scalar expression of the state."""
-    h = system.expression(barrier.h, f"h of barrier {barrier.name!r}")
+    h = system.to_expression(barrier.h, f"h of barrier {barrier.name!r}")
     if h.numel() != 1:
-        raise InvalidSetup(f"h of barrier {barrier.name!r}", got=h.shape, allowed="one number")
+        raise ConfigurationError(f"h of barrier {barrier.name!r}", got=h.shape, allowed="one number")
     return h
 
 
-def spread(lower: Array, upper: Array) -> Array:
+def spread_states(lower: Array, upper: Array) -> Array:
     """`POINTS` states (k, n) that fill the box [lower, upper] evenly, along Kronecker's sequence of a golden mean.
 
     They have irrational coordinates, so that they miss surfaces on which a derivative happens to vanish.
@@ -64,19 +64,19 @@ def spread(lower: Array, upper: Array) -> Array:
     for _ in range(40):
         mean = (1.0 + mean) ** (1.0 / (n + 1))
     steps = mean ** -np.arange(1.0, n + 1.0)
-    return lower + (upper - lower) * ((0.5 + np.arange(1, POINTS + 1)[:, None] * steps) % 1.0)
+    return lower + (upper - lower) * ((0.5 + np.arange(1, N_TEST_STATES + 1)[:, None] * steps) % 1.0)
 
 
-def _depends(system: ControlAffine, barrier: Barrier, gradient: Expression, states: Array) -> None:
+def _check_dependence(system: ControlAffine, barrier: Barrier, gradient: Expression, states: Array) -> None:
     if gradient.nnz() == 0 or not np.any(_values(system, barrier, gradient, states)):
-        raise InvalidSetup(
+        raise ConfigurationError(
             f"h of barrier {barrier.name!r}", got=str(barrier.h), allowed=f"an expression in the state {system.x}"
         )
 
 
-def _reached(system: ControlAffine, barrier: Barrier, gradient: Expression, states: Array) -> NDArray[np.bool_]:
+def _controls_appear(system: ControlAffine, barrier: Barrier, gradient: Expression, states: Array) -> NDArray[np.bool_]:
     """Where (k,) some control reaches the derivative; all False when the structure already says that none can."""
-    ca = casadi()
+    ca = import_casadi()
     entries = ca.mtimes(gradient, system.g)
     if entries.nnz() == 0:
         return np.zeros(len(states), bool)
@@ -84,14 +84,14 @@ def _reached(system: ControlAffine, barrier: Barrier, gradient: Expression, stat
     values = _values(system, barrier, ca.vertcat(entries, terms), states).reshape(len(states), system.m, 2)
     known = np.isfinite(values).all(axis=(1, 2))
     if not known.any():
-        raise InvalidSetup(
+        raise ConfigurationError(
             f"derivatives of barrier {barrier.name!r}", got="no finite value", allowed="a domain where h is smooth",
             fix="Name the domain: states between which h, f and g are defined.",
         )  # fmt: skip
-    return np.any(np.abs(values[known, :, 0]) > VANISHES * values[known, :, 1], axis=1)
+    return np.any(np.abs(values[known, :, 0]) > ZERO_TOLERANCE * values[known, :, 1], axis=1)
 
 
 def _values(system: ControlAffine, barrier: Barrier, expression: Expression, states: Array) -> Array:
     """The expression's entries, column by column, at every state: (k, entries)."""
-    made: Any = system.function(f"barrier {barrier.name!r}", [expression])
+    made: Any = system.compile_function(f"barrier {barrier.name!r}", [expression])
     return np.array([np.asarray(made(state), float).ravel(order="F") for state in states])

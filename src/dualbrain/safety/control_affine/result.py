@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.safety.cbf.result import Reason, Status
+from dualbrain.safety.cbf.result import FilterStatus, Reason
 from dualbrain.safety.cbf.rows import Rank
 
 Array = NDArray[np.float64]
@@ -23,13 +23,13 @@ class FilteredControl(msgspec.Struct, frozen=True, eq=False):
 
     u: Array
     u_nom: Array
-    status: Status
+    status: FilterStatus
     names: tuple[str, ...]
     reason: Reason = Reason(0)
     delta: float = 0.0
     psi: tuple[tuple[float, ...], ...] = ()
-    active: tuple[tuple[str, float], ...] = ()
-    given_up: tuple[Rank, ...] = ()
+    active_rows: tuple[tuple[str, float], ...] = ()
+    relaxed_ranks: tuple[Rank, ...] = ()
     iterations: int = 0
 
     @property
@@ -38,23 +38,25 @@ class FilteredControl(msgspec.Struct, frozen=True, eq=False):
         return tuple(chain[0] for chain in self.psi)
 
     @property
-    def outside(self) -> tuple[str, ...]:
+    def violated_barriers(self) -> tuple[str, ...]:
         """Barriers with a ψ below zero."""
         return tuple(name for name, chain in zip(self.names, self.psi, strict=False) if min(chain) < 0.0)
 
     @property
     def certified(self) -> bool:
         """Every premise of the promise held at this state: no ψ is below zero and every row is met."""
-        return self.status <= Status.MODIFIED and not self.outside
+        return self.status <= FilterStatus.MODIFIED and not self.violated_barriers
 
     def explain(self) -> str:
         """One sentence for people."""
-        who = " and ".join(name for name, _ in sorted(self.active, key=lambda row: -row[1])[:2])
-        if self.status is Status.SAFE:
+        who = " and ".join(name for name, _ in sorted(self.active_rows, key=lambda row: -row[1])[:2])
+        if self.status is FilterStatus.SAFE:
             said = "passed unchanged"
-        elif self.status is Status.MODIFIED:
+        elif self.status is FilterStatus.MODIFIED:
             said = f"{who or 'limits'}: changed by {100.0 * self.delta:.1f} % of the range"
         else:
             causes = ", ".join(flag.name.lower().replace("_", " ") for flag in self.reason if flag.name)
             said = f"{self.status.name.lower()}: {causes}" + (f" ({who})" if who else "")
-        return said + (f"; outside the safe set of {', '.join(self.outside)}" if self.outside else "")
+        return said + (
+            f"; outside the safe set of {', '.join(self.violated_barriers)}" if self.violated_barriers else ""
+        )

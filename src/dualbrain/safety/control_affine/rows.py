@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.safety.control_affine.relative_degree import relative_degree, scalar
-from dualbrain.safety.control_affine.system import Barrier, ControlAffine, Expression, casadi
+from dualbrain.safety.control_affine.relative_degree import relative_degree, scalar_barrier
+from dualbrain.safety.control_affine.system import Barrier, ControlAffine, Expression, import_casadi
 
 Array = NDArray[np.float64]
 
@@ -22,12 +22,12 @@ class CompiledRows:
 
     def __init__(self, system: ControlAffine, barriers: Sequence[Barrier], domain: tuple[Array, Array]) -> None:
         """Find every relative degree, derive the rows and compile them."""
-        ca = casadi()
+        ca = import_casadi()
         self.degrees = tuple(relative_degree(system, barrier, domain) for barrier in barriers)
-        derived = [derive(system, barrier, r) for barrier, r in zip(barriers, self.degrees, strict=True)]
+        derived = [derive_row(system, barrier, r) for barrier, r in zip(barriers, self.degrees, strict=True)]
         psi = ca.vertcat(*(p for chain, _, _ in derived for p in chain))
         A, b = ca.vertcat(*(a for _, a, _ in derived)), ca.vertcat(*(b for _, _, b in derived))
-        self._function = system.function("barriers", [A, b, psi])
+        self._function = system.compile_function("barriers", [A, b, psi])
         self._x = np.zeros(system.n)
         self._A, self._b = np.zeros((system.m, len(barriers))), np.zeros(len(barriers))
         self._psi = np.zeros(sum(self.degrees))
@@ -36,17 +36,17 @@ class CompiledRows:
         for place, array in enumerate((self._A, self._b, self._psi)):
             self._buffer.set_res(place, memoryview(array.data))
 
-    def at(self, x: Array) -> tuple[Array, Array, Array]:
+    def evaluate(self, x: Array) -> tuple[Array, Array, Array]:
         """A (k, m), b (k,) and the ψ of all barriers, ψ_0 to ψ_{r−1} of each in turn, at the state x (n,)."""
         self._x[:] = x
         self._evaluate()
         return np.ascontiguousarray(self._A.T), self._b.copy(), self._psi.copy()
 
 
-def derive(system: ControlAffine, barrier: Barrier, degree: int) -> tuple[list[Expression], Expression, Expression]:
+def derive_row(system: ControlAffine, barrier: Barrier, degree: int) -> tuple[list[Expression], Expression, Expression]:
     """The chain ψ_0..ψ_{r−1}, and the row (1, m) and bound of a barrier of relative degree r."""
-    ca = casadi()
-    chain = [scalar(system, barrier)]
+    ca = import_casadi()
+    chain = [scalar_barrier(system, barrier)]
     for order in range(1, degree + 1):
         psi, alpha = chain[-1], barrier.alpha(order, degree)
         gradient = ca.jacobian(psi, system.x)

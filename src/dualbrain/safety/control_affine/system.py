@@ -9,22 +9,24 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.errors import InvalidSetup, MissingPart
+from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.safety.cbf.rows import Rank
 
 Array = NDArray[np.float64]
 Expression = Any
 """A CasADi expression (SX or MX)."""
-Alpha = float | Callable[[Expression], Expression]
+ClassK = float | Callable[[Expression], Expression]
 """A class-K function: a gain [1/s], or a function of one expression that is 0 at 0 and rises."""
 
 
-def casadi() -> Any:
+def import_casadi() -> Any:
     """The package casadi; raises `MissingPart` with what to install."""
     try:
         import casadi  # noqa: PLC0415  # heavy, and an optional extra
     except ImportError as error:
-        raise MissingPart("The package casadi", fix="Install it with `pip install 'dualbrain[symbolic]'`.") from error
+        raise MissingDependencyError(
+            "The package casadi", fix="Install it with `pip install 'dualbrain[symbolic]'`."
+        ) from error
     return casadi
 
 
@@ -37,22 +39,22 @@ class Barrier(msgspec.Struct, frozen=True):
 
     name: str
     h: Expression
-    alphas: Alpha | tuple[Alpha, ...] | list[Alpha] = 1.0
+    alphas: ClassK | tuple[ClassK, ...] | list[ClassK] = 1.0
     margin: float = 0.0
     rank: Rank = Rank.TASK
 
-    def alpha(self, order: int, degree: int) -> Alpha:
+    def alpha(self, order: int, degree: int) -> ClassK:
         """The class-K function of one order, 1 to `degree`."""
         alphas: Any = self.alphas
-        given: list[Any] = list(alphas) if _several(alphas) else [alphas] * degree
+        given: list[Any] = list(alphas) if _is_sequence(alphas) else [alphas] * degree
         if len(given) != degree:
-            raise InvalidSetup(
+            raise ConfigurationError(
                 f"alphas of barrier {self.name!r}", got=len(given),
                 allowed=f"{degree}, one for each order of its relative degree, or a single one for all",
             )  # fmt: skip
         alpha = given[order - 1]
         if isinstance(alpha, (int, float)) and not 0.0 < alpha < np.inf:
-            raise InvalidSetup(f"alphas of barrier {self.name!r}", got=alpha, allowed="a finite gain above 0")
+            raise ConfigurationError(f"alphas of barrier {self.name!r}", got=alpha, allowed="a finite gain above 0")
         return alpha
 
 
@@ -61,46 +63,46 @@ class ControlAffine:
 
     def __init__(self, x: Expression, f: Expression | Sequence[Expression], g: Expression | Sequence[Any]) -> None:
         """`x` is a column of symbols; `f` (n,) and `g` (n, m) are expressions in it, or lists of them."""
-        ca = casadi()
+        ca = import_casadi()
         if not (isinstance(x, (ca.SX, ca.MX)) and x.is_column() and x.is_valid_input()):
-            raise InvalidSetup("state x of the system", got=str(x), allowed="a column of casadi symbols")
+            raise ConfigurationError("state x of the system", got=str(x), allowed="a column of casadi symbols")
         self.x, self.n = x, int(x.numel())
-        self.f = self.expression(f, "f")
+        self.f = self.to_expression(f, "f")
         self.g = self._columns(g)
         self.m = int(self.g.size2())
         if self.f.shape != (self.n, 1):
-            raise InvalidSetup("shape of f", got=self.f.shape, allowed=f"({self.n}, 1), one entry for each state")
+            raise ConfigurationError("shape of f", got=self.f.shape, allowed=f"({self.n}, 1), one entry for each state")
         if self.g.size1() != self.n or self.m < 1:
-            raise InvalidSetup("shape of g", got=self.g.shape, allowed=f"({self.n}, m), one row for each state")
-        self.function("f and g", [ca.horzcat(self.f, self.g)])
+            raise ConfigurationError("shape of g", got=self.g.shape, allowed=f"({self.n}, m), one row for each state")
+        self.compile_function("f and g", [ca.horzcat(self.f, self.g)])
 
-    def expression(self, value: Any, what: str) -> Expression:
+    def to_expression(self, value: Any, what: str) -> Expression:
         """A casadi expression of the state's kind, from an expression, numbers, or a list of them (a column)."""
-        ca = casadi()
+        ca = import_casadi()
         try:
-            return ca.vertcat(type(self.x)(0, 0), *(value if _several(value) else [value]))
+            return ca.vertcat(type(self.x)(0, 0), *(value if _is_sequence(value) else [value]))
         except (NotImplementedError, RuntimeError, TypeError) as error:
-            raise InvalidSetup(
+            raise ConfigurationError(
                 what, got=str(value), allowed=f"numbers or {type(self.x).__name__} expressions"
             ) from error
 
     def _columns(self, g: Any) -> Expression:
         """The matrix g; a flat list is its single column, a list of lists its rows."""
-        ca = casadi()
-        if _several(g) and any(_several(row) for row in g):
+        ca = import_casadi()
+        if _is_sequence(g) and any(_is_sequence(row) for row in g):
             return ca.vertcat(*(ca.horzcat(type(self.x)(0, 0), *row) for row in g))
-        return self.expression(g, "g")
+        return self.to_expression(g, "g")
 
-    def function(self, what: str, outputs: list[Expression]) -> Any:
+    def compile_function(self, what: str, outputs: list[Expression]) -> Any:
         """A compiled function of the state; raises `InvalidSetup` when `outputs` know symbols that are not in it."""
-        ca = casadi()
+        ca = import_casadi()
         made = ca.Function("rows", [self.x], [ca.densify(out) for out in outputs], {"allow_free": True})
         if made.has_free():
-            raise InvalidSetup(
+            raise ConfigurationError(
                 what, got=f"free symbols {made.get_free()}", allowed=f"expressions in the state {self.x}"
             )
         return made
 
 
-def _several(value: Any) -> bool:
+def _is_sequence(value: Any) -> bool:
     return isinstance(value, (list, tuple))

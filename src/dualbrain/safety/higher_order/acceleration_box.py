@@ -6,12 +6,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.robots.model import Body
+from dualbrain.robots.model import RobotModel
 
 Array = NDArray[np.float64]
 
 
-class Limits(msgspec.Struct, frozen=True, eq=False):
+class JointLimits(msgspec.Struct, frozen=True, eq=False):
     """Limits of all joints, each (n,), in rad, rad/s and rad/s² (m for slides)."""
 
     lower: Array
@@ -20,13 +20,13 @@ class Limits(msgspec.Struct, frozen=True, eq=False):
     acceleration: Array
 
 
-def limits_of(body: Body) -> Limits:
+def joint_limits(body: RobotModel) -> JointLimits:
     """The body's limits as arrays."""
     rows = [(j.lower.value, j.upper.value, j.velocity.value, j.acceleration.value) for j in body.joints]
-    return Limits(*np.array(rows).T)
+    return JointLimits(*np.array(rows).T)
 
 
-def acceleration_box(limits: Limits, q: Array, v: Array, dt: float, recovery: float) -> tuple[Array, Array]:
+def acceleration_box(limits: JointLimits, q: Array, v: Array, dt: float, recovery: float) -> tuple[Array, Array]:
     """Lower and upper bounds (n,) of the acceleration held for the next dt.
 
     Each joint by itself can stop before its limit from the next state on, and does not pass it in between (Del Prete,
@@ -39,12 +39,12 @@ def acceleration_box(limits: Limits, q: Array, v: Array, dt: float, recovery: fl
     A joint beyond its limit is asked to come back at min(`recovery`, d/dt) [rad/s], a joint that is too fast to slow
     down, as hard as its acceleration allows. Promise: lower ≤ upper, both within the acceleration limits.
     """
-    upper = _highest(limits.upper - q, v, limits, dt, recovery)
-    lower = -_highest(q - limits.lower, -v, limits, dt, recovery)
+    upper = _max_acceleration(limits.upper - q, v, limits, dt, recovery)
+    lower = -_max_acceleration(q - limits.lower, -v, limits, dt, recovery)
     return np.minimum(lower, upper), np.maximum(upper, np.minimum(lower, upper))
 
 
-def _highest(d: Array, v: Array, limits: Limits, dt: float, recovery: float) -> Array:
+def _max_acceleration(d: Array, v: Array, limits: JointLimits, dt: float, recovery: float) -> Array:
     a, half = limits.acceleration, 0.5 * limits.acceleration * dt
     room = d - 0.5 * v * dt
     ahead = -half + np.sqrt(half**2 + 2.0 * a * np.maximum(room, 0.0))

@@ -14,16 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.core.geometry.distance import Solid
-from dualbrain.core.geometry.rotations import matrix
+from dualbrain.core.geometry.rotations import quaternion_to_matrix
 from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Sphere
 from dualbrain.safety.cbf.obstacles import Obstacle
 
 Array = NDArray[np.float64]
-NEAR = 1e-9
+MIN_DISTANCE = 1e-9
 """[m] Nearer to an axis than this any direction across it is as good as another."""
 
 
-class Gaps(msgspec.Struct, frozen=True, eq=False):
+class Distances(msgspec.Struct, frozen=True, eq=False):
     """Distances `d` (m, k) [m] from m solids to k points, normals `n` (m, k, 3) and bends `kappa` (m, k) [m/s²].
 
     `core` (m,) [m] is the radius around an axis or a centre to which d is measured. `bends` (m, k) is the distance that
@@ -34,49 +34,53 @@ class Gaps(msgspec.Struct, frozen=True, eq=False):
     d: Array
     n: Array
     kappa: Array
-    core: Array
-    bends: Array
-    steady: NDArray[np.bool_]
+    core_radius: Array
+    curvature_radius: Array
+    feature_stable: NDArray[np.bool_]
 
 
 class Segments:
     """Balls and capsules: all points within a radius of a segment."""
 
-    def __init__(self, things: Sequence[Obstacle]) -> None:
+    def __init__(self, obstacles: Sequence[Obstacle]) -> None:
         """Read centres, axes, half lengths and radii."""
         axes: list[Array] = []
         halves: list[float] = []
         radii: list[float] = []
-        for thing in things:
-            axes.append(matrix(thing.pose.quaternion)[:, 2])
+        for thing in obstacles:
+            axes.append(quaternion_to_matrix(thing.pose.quaternion)[:, 2])
             halves.append(thing.shape.half_length if isinstance(thing.shape, Capsule) else 0.0)
             radii.append(thing.shape.radius if isinstance(thing.shape, (Sphere, Capsule)) else 0.0)
         self._axis, self._half, self._radius = np.array(axes)[:, None], np.array(halves)[:, None], np.array(radii)
 
-    def measure(self, points: Array, w: Array, reach: Array) -> Gaps:
+    def measure(self, points: Array, w: Array, reach: Array) -> Distances:
         """Gaps of `points` (m, k, 3), relative to the centres, that move at `w` (m, k, 3)."""
         along = np.sum(points * self._axis, axis=-1)
         offset = points - np.clip(along, -self._half, self._half)[..., None] * self._axis
         d = np.sqrt(np.sum(offset**2, axis=-1))
-        n = np.where(d[..., None] > NEAR, offset / np.maximum(d, NEAR)[..., None], _across(self._axis))
-        d, side = np.maximum(d, NEAR), np.abs(along) < self._half
+        n = np.where(
+            d[..., None] > MIN_DISTANCE, offset / np.maximum(d, MIN_DISTANCE)[..., None], _perpendicular(self._axis)
+        )
+        d, side = np.maximum(d, MIN_DISTANCE), np.abs(along) < self._half
         moving = np.sum(w * w, axis=-1) - side * np.sum(w * self._axis, axis=-1) ** 2
         kappa = np.maximum(moving - np.sum(w * n, axis=-1) ** 2, 0.0) / d
         steady = (self._half == 0.0) | (np.abs(np.abs(along) - self._half) > reach)
-        return Gaps(d, n, kappa, self._radius, d, steady)
+        return Distances(d, n, kappa, self._radius, d, steady)
 
 
 class Boxes:
     """Solid boxes; inside one the distance is that to the nearest face, negative."""
 
-    def __init__(self, things: Sequence[Obstacle]) -> None:
+    def __init__(self, obstacles: Sequence[Obstacle]) -> None:
         """Read rotations and half extents."""
-        self._turn = np.array([matrix(thing.pose.quaternion) for thing in things])
-        self._half = np.array([thing.shape.half_extents for thing in things if isinstance(thing.shape, Box)])[:, None]
+        self._rotation = np.array([quaternion_to_matrix(thing.pose.quaternion) for thing in obstacles])
+        self._half = np.array([thing.shape.half_extents for thing in obstacles if isinstance(thing.shape, Box)])[
+            :, None
+        ]
 
-    def measure(self, points: Array, w: Array, reach: Array) -> Gaps:
+    def measure(self, points: Array, w: Array, reach: Array) -> Distances:
         """Gaps of `points` (m, k, 3), relative to the centres, that move at `w` (m, k, 3)."""
-        local, local_w = points @ self._turn, w @ self._turn
+        local, local_w = points @ self._rotation, w @ self._rotation
         beyond = np.abs(local) - self._half
         deepest: Array = np.max(beyond, axis=-1)
         out, inside = np.maximum(beyond, 0.0), deepest <= 0.0
@@ -84,30 +88,30 @@ class Boxes:
         offset = np.where(inside[..., None], nearest, out) * np.where(local < 0.0, -1.0, 1.0)
         size = np.sqrt(np.sum(offset**2, axis=-1))
         d = np.where(inside, deepest, size)
-        n = offset / np.maximum(size, NEAR)[..., None]
+        n = offset / np.maximum(size, MIN_DISTANCE)[..., None]
         moving = np.sum((out > 0.0) * local_w**2, axis=-1)
-        bends = np.maximum(d, NEAR)
+        bends = np.maximum(d, MIN_DISTANCE)
         kappa = np.where(inside, 0.0, np.maximum(moving - np.sum(n * local_w, axis=-1) ** 2, 0.0) / bends)
         steady = np.all(np.abs(beyond) > reach[..., None], axis=-1)
-        return Gaps(d, n @ self._turn.transpose(0, 2, 1), kappa, np.zeros(len(self._half)), bends, steady)
+        return Distances(d, n @ self._rotation.transpose(0, 2, 1), kappa, np.zeros(len(self._half)), bends, steady)
 
 
 class Planes:
     """Half-spaces: everything below the plane through the pose."""
 
-    def __init__(self, things: Sequence[Obstacle]) -> None:
+    def __init__(self, obstacles: Sequence[Obstacle]) -> None:
         """Read the normals."""
-        self._normal = np.array([matrix(thing.pose.quaternion)[:, 2] for thing in things])[:, None]
+        self._normal = np.array([quaternion_to_matrix(thing.pose.quaternion)[:, 2] for thing in obstacles])[:, None]
 
-    def measure(self, points: Array, w: Array, reach: Array) -> Gaps:
+    def measure(self, points: Array, w: Array, reach: Array) -> Distances:
         """Gaps of `points` (m, k, 3), relative to a point of each plane; nothing bends."""
         d: Array = np.sum(points * self._normal, axis=-1)
         n = np.broadcast_to(self._normal, points.shape)
         none = np.zeros_like(d)
-        return Gaps(d, n, none, np.zeros(len(d)), none + np.inf, np.ones(d.shape, bool))
+        return Distances(d, n, none, np.zeros(len(d)), none + np.inf, np.ones(d.shape, bool))
 
 
-BATCHES = (Segments, Boxes, Planes)
+SOLID_BATCHES = (Segments, Boxes, Planes)
 
 
 class Solids:
@@ -115,13 +119,15 @@ class Solids:
 
     def __init__(self, obstacles: Sequence[Obstacle]) -> None:
         """Sort the obstacles by kind."""
-        places = [(make, [i for i, o in enumerate(obstacles) if _batch(o.shape) is make]) for make in BATCHES]
+        places = [
+            (make, [i for i, o in enumerate(obstacles) if _batch_type(o.shape) is make]) for make in SOLID_BATCHES
+        ]
         self._batches = [(make([obstacles[i] for i in at]), len(at)) for make, at in places if at]
         self.order = [i for _, at in places for i in at]
 
-    def measure(self, points: Array, w: Array, reach: Array) -> Gaps:
+    def measure(self, points: Array, w: Array, reach: Array) -> Distances:
         """Gaps of `points` and `w` (m, k, 3), in the order of `order`, relative to each obstacle's position."""
-        parts: list[Gaps] = []
+        parts: list[Distances] = []
         first = 0
         for batch, count in self._batches:
             at = slice(first, first + count)
@@ -131,10 +137,10 @@ class Solids:
             return parts[0]
         floats = ("d", "n", "kappa", "core", "bends")
         d, n, kappa, core, bends = (np.concatenate([_field(part, name) for part in parts]) for name in floats)
-        return Gaps(d, n, kappa, core, bends, np.concatenate([part.steady for part in parts]))
+        return Distances(d, n, kappa, core, bends, np.concatenate([part.feature_stable for part in parts]))
 
 
-def _batch(shape: Solid) -> type[Segments | Boxes | Planes]:
+def _batch_type(shape: Solid) -> type[Segments | Boxes | Planes]:
     """The batch that a solid is measured in."""
     match shape:
         case Sphere() | Capsule():
@@ -145,11 +151,11 @@ def _batch(shape: Solid) -> type[Segments | Boxes | Planes]:
             return Planes
 
 
-def _field(gaps: Gaps, name: str) -> Array:
-    return getattr(gaps, name)
+def _field(distances: Distances, name: str) -> Array:
+    return getattr(distances, name)
 
 
-def _across(axes: Array) -> Array:
+def _perpendicular(axes: Array) -> Array:
     """A unit vector across each axis (..., 3)."""
     least = np.eye(3)[np.argmin(np.abs(axes), axis=-1)]
     across = least - np.sum(least * axes, axis=-1, keepdims=True) * axes

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.safety.cbf.result import Reason, Status
+from dualbrain.safety.cbf.result import FilterStatus, Reason
 from dualbrain.safety.cbf.rows import Rank
 
 Array = NDArray[np.float64]
@@ -23,44 +23,47 @@ class FilteredAcceleration(msgspec.Struct, frozen=True, eq=False):
 
     u: Array
     u_nom: Array
-    status: Status
+    status: FilterStatus
     reason: Reason = Reason(0)
     delta: float = 0.0
     h_min: float = np.inf
     psi_min: float = np.inf
-    active: tuple[tuple[str, float], ...] = ()
-    inside: tuple[str, ...] = ()
-    too_fast: tuple[str, ...] = ()
-    given_up: tuple[Rank, ...] = ()
+    active_rows: tuple[tuple[str, float], ...] = ()
+    penetrating_pairs: tuple[str, ...] = ()
+    too_fast_pairs: tuple[str, ...] = ()
+    relaxed_ranks: tuple[Rank, ...] = ()
     n_rows: int = 0
     iterations: int = 0
 
     @property
     def certified(self) -> bool:
         """Every premise of the promise held in this step: the state lies in the safe set and every row is met."""
-        return self.status <= Status.MODIFIED and not self.inside and not self.too_fast
+        return self.status <= FilterStatus.MODIFIED and not self.penetrating_pairs and not self.too_fast_pairs
 
     def explain(self) -> str:
         """One sentence for people: what was near, and what was done about it."""
-        head = self._head()
-        if self.too_fast:
-            head += f"; too fast toward {_list(self.too_fast)}"
-        return f"{head}; already inside {_list(self.inside)}" if self.inside else head
+        head = self._describe_change()
+        if self.too_fast_pairs:
+            head += f"; too fast toward {_join_names(self.too_fast_pairs)}"
+        return f"{head}; already inside {_join_names(self.penetrating_pairs)}" if self.penetrating_pairs else head
 
-    def _head(self) -> str:
-        if self.status is Status.SAFE:
-            return "passed unchanged" + self._nearest()
-        who = _list(tuple(name for name, _ in sorted(self.active, key=lambda row: -row[1])))
-        if self.status is Status.MODIFIED:
-            return f"{who or 'limits'}: changed by {100.0 * self.delta:.1f} % of full acceleration" + self._nearest()
+    def _describe_change(self) -> str:
+        if self.status is FilterStatus.SAFE:
+            return "passed unchanged" + self._describe_nearest()
+        who = _join_names(tuple(name for name, _ in sorted(self.active_rows, key=lambda row: -row[1])))
+        if self.status is FilterStatus.MODIFIED:
+            return (
+                f"{who or 'limits'}: changed by {100.0 * self.delta:.1f} % of full acceleration"
+                + self._describe_nearest()
+            )
         causes = ", ".join(flag.name.lower().replace("_", " ") for flag in self.reason if flag.name)
         return f"{self.status.name.lower()}: {causes or 'braking'}" + (f" ({who})" if who else "")
 
-    def _nearest(self) -> str:
+    def _describe_nearest(self) -> str:
         return f", nearest pair at {self.h_min * 1e3:.0f} mm" if np.isfinite(self.h_min) else ""
 
 
-def _list(names: tuple[str, ...]) -> str:
+def _join_names(names: tuple[str, ...]) -> str:
     """The first two names, and how many more."""
     names = tuple(dict.fromkeys(names))
     more = f" and {len(names) - 2} more" if len(names) > 2 else ""

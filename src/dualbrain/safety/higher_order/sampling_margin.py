@@ -13,12 +13,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.safety.higher_order.sphere_kinematics import Motion, Spheres
+from dualbrain.safety.higher_order.sphere_kinematics import SphereKinematics, SphereMotion
 
 Array = NDArray[np.float64]
 
 
-class Course(msgspec.Struct, frozen=True, eq=False):
+class MotionBounds(msgspec.Struct, frozen=True, eq=False):
     """Bounds over the next period for every sphere (k,), as seen from one frame: |ċ|, |c̈|, |c⃛| in SI.
 
     `authority` [m/s²] bounds |J q̈|, what the controls alone can do, at its beginning.
@@ -30,23 +30,25 @@ class Course(msgspec.Struct, frozen=True, eq=False):
     authority: Array
 
 
-def courses(spheres: Spheres, motion: Motion, v: Array, lower: Array, upper: Array, dt: float) -> tuple[Course, ...]:
+def motion_bounds(
+    spheres: SphereKinematics, motion: SphereMotion, v: Array, lower: Array, upper: Array, dt: float
+) -> tuple[MotionBounds, ...]:
     """One `Course` for each frame 0..n from which spheres may be watched, for q̈ in the box [lower, upper] (n,).
 
     Only joints beyond j change the lever about j, each no faster than its velocity times its own longest lever.
     """
     U = np.maximum(np.abs(lower), np.abs(upper))
     V = np.maximum(np.abs(v), np.maximum(np.abs(v + dt * lower), np.abs(v + dt * upper)))
-    later = spheres.reaches * V
+    later = spheres.max_levers * V
     growth = later[:, ::-1].cumsum(axis=1)[:, ::-1] - later
-    levers = np.minimum(motion.levers + dt * growth, spheres.reaches)
+    levers = np.minimum(motion.lever_lengths + dt * growth, spheres.max_levers)
     seen = np.arange(spheres.n) >= np.arange(spheres.n + 1)[:, None]
     T, S = np.cumsum(V * seen, axis=1), np.cumsum(U * seen, axis=1)
     speed, acceleration = levers @ (V * seen).T, levers @ (U * seen + _differences(T**2)).T
     jerk = levers @ (3.0 * _differences(S * T) + _differences(T**3)).T
-    authority = motion.levers @ (U * seen).T
+    authority = motion.lever_lengths @ (U * seen).T
     return tuple(
-        Course(*(bound[:, f] for bound in (speed, acceleration, jerk, authority))) for f in range(spheres.n + 1)
+        MotionBounds(*(bound[:, f] for bound in (speed, acceleration, jerk, authority))) for f in range(spheres.n + 1)
     )
 
 
@@ -56,20 +58,20 @@ def _differences(sums: Array) -> Array:
     return steps
 
 
-def margin(course: Course, speed: Array, bends: Array, alpha_1: Array, dt: float) -> Array:
+def sampling_margin(bounds: MotionBounds, speed: Array, curvature_radius: Array, alpha_1: Array, dt: float) -> Array:
     """Margin m = dt/2 · M [m/s²], so that ψ̇₁ + α₂ψ₁ ≥ m at the sample keeps ψ₁ ≥ 0 over the whole period.
 
     ψ̇₁ = n'ẇ + κ + α₁ḣ. Over the period n'ẇ falls no faster than |ẅ| + |ṅ||ẇ| with |ṅ| ≤ |w|/d, and ḣ no faster than
     |ẇ| because κ ≥ 0; so M = |ẅ| + |w||ẇ|/d + α₁|ẇ| and, for a constant control and α₂ dt ≤ 1,
     ψ₁(s) ≥ ψ₁ + s ψ̇₁ − s² M/2 ≥ (1 − α₂ s) ψ₁ + s (m − s M/2) ≥ 0. `speed` bounds |w|, `bends` d from below.
     """
-    return 0.5 * dt * (course.jerk + course.acceleration * (speed / bends + alpha_1))
+    return 0.5 * dt * (bounds.jerk + bounds.acceleration * (speed / curvature_radius + alpha_1))
 
 
-def lasting(kappa: Array, course: Course, speed: Array, bends: Array, dt: float) -> Array:
+def guaranteed_curvature(kappa: Array, bounds: MotionBounds, speed: Array, curvature_radius: Array, dt: float) -> Array:
     """The part of κ that is sure to act over the whole period: κ − dt/2 |κ̇|, never below zero.
 
     |κ̇| = |2 w⊥'ẇ/d − 3 (n'w)|w⊥|²/d²| ≤ 2|w||ẇ|/d + 1.16 |w|³/d².
     """
-    rate = speed / bends * (2.0 * course.acceleration + 1.16 * speed**2 / bends)
+    rate = speed / curvature_radius * (2.0 * bounds.acceleration + 1.16 * speed**2 / curvature_radius)
     return np.maximum(kappa - 0.5 * dt * rate, 0.0)

@@ -6,14 +6,14 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.core.geometry.rotations import matrix
-from dualbrain.robots.model import Body
+from dualbrain.core.geometry.rotations import quaternion_to_matrix
+from dualbrain.robots.model import RobotModel
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
-class Motion(msgspec.Struct, frozen=True, eq=False):
+class SphereMotion(msgspec.Struct, frozen=True, eq=False):
     """All spheres at one state: c̈ = J q̈ + J̇ q̇.
 
     `centres`, `velocities` J q̇ and `bias` J̇ q̇ are (k, 3) in m, m/s, m/s²; `spins` (k, 3) [rad/s] are the angular
@@ -23,21 +23,23 @@ class Motion(msgspec.Struct, frozen=True, eq=False):
     centres: Array
     velocities: Array
     bias: Array
-    spins: Array
+    angular_velocities: Array
     jacobian: Array
-    levers: Array
+    lever_lengths: Array
 
 
-class Spheres:
+class SphereKinematics:
     """The spheres of a body on its chain: frame 0 is the base, frame i moves with joint i."""
 
-    def __init__(self, body: Body) -> None:
+    def __init__(self, body: RobotModel) -> None:
         """Read the chain and lay out the spheres in the order of the links."""
         self.n = body.n
-        self._fixed = [(matrix(joint.quaternion), np.array(joint.translation)) for joint in body.joints]
-        self._slides = np.array([joint.kind == "prismatic" for joint in body.joints])
+        self._joint_transforms = [
+            (quaternion_to_matrix(joint.quaternion), np.array(joint.translation)) for joint in body.joints
+        ]
+        self._prismatic = np.array([joint.kind == "prismatic" for joint in body.joints])
         parts = [(link, ball) for link in body.links for ball in body.spheres if ball.link == link.name]
-        turns = [matrix(link.quaternion) for link, _ in parts]
+        turns = [quaternion_to_matrix(link.quaternion) for link, _ in parts]
         self.names = tuple(link.name for link, _ in parts)
         self.groups = tuple(link.group for link, _ in parts)
         self.radii = np.array([ball.radius for _, ball in parts])
@@ -48,35 +50,39 @@ class Spheres:
                 for (link, ball), turn in zip(parts, turns, strict=True)
             ]
         )
-        self._slide = np.array([turn @ np.array(link.slide) for (link, _), turn in zip(parts, turns, strict=True)])
-        self._moved = np.arange(1, self.n + 1) <= self.frames[:, None]
-        self.reaches = self._reaches(body)
+        self._finger_slide = np.array(
+            [turn @ np.array(link.slide) for (link, _), turn in zip(parts, turns, strict=True)]
+        )
+        self._moved_by = np.arange(1, self.n + 1) <= self.frames[:, None]
+        self.max_levers = self._max_levers(body)
 
-    def _reaches(self, body: Body) -> Array:
+    def _max_levers(self, body: RobotModel) -> Array:
         """(k, n): the longest lever that sphere k can have about joint j, over all postures [m]; 1 for a slide."""
-        travel = np.array([max(abs(j.lower.value), abs(j.upper.value)) for j in body.joints]) * self._slides
+        travel = np.array([max(abs(j.lower.value), abs(j.upper.value)) for j in body.joints]) * self._prismatic
         steps = np.array([np.linalg.norm(joint.translation) for joint in body.joints]) + travel
         along = np.concatenate([[0.0], np.cumsum(steps)])
-        tip = np.linalg.norm(self._local, axis=1) + body.gripper.opening.value * np.linalg.norm(self._slide, axis=1)
+        tip = np.linalg.norm(self._local, axis=1) + body.gripper.opening.value * np.linalg.norm(
+            self._finger_slide, axis=1
+        )
         reach = along[self.frames][:, None] - along[1:] + tip[:, None]
-        return np.where(self._slides, 1.0, reach) * self._moved
+        return np.where(self._prismatic, 1.0, reach) * self._moved_by
 
-    def of(self, link: str) -> list[int]:
+    def on_link(self, link: str) -> list[int]:
         """The spheres of a link."""
         return [i for i, name in enumerate(self.names) if name == link]
 
-    def frame(self, sphere: int) -> int:
+    def frame_of(self, sphere: int) -> int:
         """The frame that a sphere rides on."""
         return int(self.frames[sphere])
 
-    def frames_at(self, q: Array) -> tuple[Array, Array]:
+    def frame_poses(self, q: Array) -> tuple[Array, Array]:
         """Rotations (n + 1, 3, 3) and origins (n + 1, 3) of the frames at joint positions q (n,)."""
         turns, origins = np.empty((self.n + 1, 3, 3)), np.empty((self.n + 1, 3))
         turns[0], origins[0] = np.eye(3), 0.0
-        for j, (turn, shift) in enumerate(self._fixed):
+        for j, (turn, shift) in enumerate(self._joint_transforms):
             here = turns[j] @ turn
             origins[j + 1] = origins[j] + turns[j] @ shift
-            if self._slides[j]:
+            if self._prismatic[j]:
                 turns[j + 1] = here
                 origins[j + 1] += here[:, 2] * q[j]
             else:
@@ -86,26 +92,26 @@ class Spheres:
                 turns[j + 1, :, 2] = here[:, 2]
         return turns, origins
 
-    def at(self, q: Array, v: Array, opening: float) -> Motion:
+    def motion(self, q: Array, v: Array, opening: float) -> SphereMotion:
         """Motion of all spheres at joint positions q and velocities v, each (n,); the fingers count as standing still.
 
         A frame's twist at the world's origin is (Ω, B) with ċ = Ω × c + B; both are sums over the joints before it, and
         so are their derivatives with ż_j = Ω_{j−1} × z_j and ṗ_j = Ω_{j−1} × p_j + B_{j−1}.
         """
-        turns, origins = self.frames_at(q)
-        local = self._local + opening * self._slide
+        turns, origins = self.frame_poses(q)
+        local = self._local + opening * self._finger_slide
         c = origins[self.frames] + np.einsum("kij,kj->ki", turns[self.frames], local)
-        z, p, turning, rate = turns[1:, :, 2], origins[1:], ~self._slides[:, None], v[:, None]
+        z, p, turning, rate = turns[1:, :, 2], origins[1:], ~self._prismatic[:, None], v[:, None]
         moment = np.where(turning, cross(p, z), z)
-        spin, drift = _sums(turning * z * rate), _sums(moment * rate)
+        spin, drift = _prefix_sums(turning * z * rate), _prefix_sums(moment * rate)
         z_dot, p_dot = cross(spin[:-1], z), cross(spin[:-1], p) + drift[:-1]
         moment_dot = np.where(turning, cross(p_dot, z) + cross(p, z_dot), z_dot)
-        spin_dot, drift_dot = _sums(turning * z_dot * rate), _sums(moment_dot * rate)
+        spin_dot, drift_dot = _prefix_sums(turning * z_dot * rate), _prefix_sums(moment_dot * rate)
         of = self.frames
         c_dot = cross(spin[of], c) + drift[of]
         bias = cross(spin_dot[of], c) + cross(spin[of], c_dot) + drift_dot[of]
-        columns = np.where(turning, cross(z, c[:, None] - p), z) * self._moved[:, :, None]
-        return Motion(c, c_dot, bias, spin[of], columns, np.sqrt(np.einsum("kni,kni->kn", columns, columns)))
+        columns = np.where(turning, cross(z, c[:, None] - p), z) * self._moved_by[:, :, None]
+        return SphereMotion(c, c_dot, bias, spin[of], columns, np.sqrt(np.einsum("kni,kni->kn", columns, columns)))
 
 
 def cross(a: Array, b: Array) -> Array:
@@ -118,6 +124,6 @@ def cross(a: Array, b: Array) -> Array:
     return product
 
 
-def _sums(rows: Array) -> Array:
+def _prefix_sums(rows: Array) -> Array:
     """(n + 1, 3): the sum of the first i rows for i = 0..n."""
     return np.concatenate([np.zeros((1, 3)), np.cumsum(rows, axis=0)])

@@ -6,14 +6,16 @@ from collections.abc import Sequence
 
 import msgspec
 
-from dualbrain.errors import InvalidSetup
-from dualbrain.robots.model import Body, Bound, Joint
+from dualbrain.errors import ConfigurationError
+from dualbrain.robots.model import Bound, Joint, RobotModel
 
-LONGEST_PERIOD = 0.01
+MAX_PERIOD = 0.01
 """[s] Beyond it the acceleration box is so wide that more pairs could bind in one step than the kernel has room for."""
 
 
-def driven(body: Body, *, period: float | None = None, speed: float | Sequence[float] | None = None) -> Body:
+def derate(
+    body: RobotModel, *, period: float | None = None, max_speed: float | Sequence[float] | None = None
+) -> RobotModel:
     """`body` under a controller with a `period` [s] and joint velocities up to `speed` [rad/s], one or one a joint.
 
     The filter must be called once in each period, and its answer must reach the joints unclipped: a limit that the
@@ -25,22 +27,26 @@ def driven(body: Body, *, period: float | None = None, speed: float | Sequence[f
     """
     changed = body
     if period is not None:
-        if not 0.0 < period <= LONGEST_PERIOD:
-            raise InvalidSetup(
-                "control period [s]", got=period, allowed=f"above 0, at most {LONGEST_PERIOD}",
+        if not 0.0 < period <= MAX_PERIOD:
+            raise ConfigurationError(
+                "control period [s]", got=period, allowed=f"above 0, at most {MAX_PERIOD}",
                 fix="A slower policy may hold its wish; the filter must run faster.",
             )  # fmt: skip
         changed = msgspec.structs.replace(changed, period=period)
-    if speed is not None:
-        speeds = [float(speed)] * body.n if isinstance(speed, (int, float)) else [float(value) for value in speed]
-        joints = tuple(_slower(joint, value) for joint, value in zip(body.joints, speeds, strict=True))
+    if max_speed is not None:
+        speeds = (
+            [float(max_speed)] * body.n
+            if isinstance(max_speed, (int, float))
+            else [float(value) for value in max_speed]
+        )
+        joints = tuple(_derate_joint(joint, value) for joint, value in zip(body.joints, speeds, strict=True))
         changed = msgspec.structs.replace(changed, joints=joints)
     return changed
 
 
-def _slower(joint: Joint, speed: float) -> Joint:
+def _derate_joint(joint: Joint, speed: float) -> Joint:
     if not 0.0 < speed <= joint.velocity.value * (1.0 + 1e-6):
         allowed = f"above 0, at most {joint.velocity.value:g}"
-        raise InvalidSetup(f"velocity limit of {joint.name} [rad/s]", got=speed, allowed=allowed)
+        raise ConfigurationError(f"velocity limit of {joint.name} [rad/s]", got=speed, allowed=allowed)
     bound = Bound(speed, joint.velocity.unit, "controller's own limit")
     return msgspec.structs.replace(joint, velocity=bound)

@@ -13,19 +13,21 @@ from typing import Any, Protocol, SupportsFloat
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.errors import InvalidSetup, MissingPart
+from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle
-from dualbrain.safety.cbf.result import Filtered, Status
-from dualbrain.safety.integration.shadow_mode import Shadow
+from dualbrain.safety.cbf.result import FilterResult, FilterStatus
+from dualbrain.safety.integration.shadow_mode import ShadowFilter
 
 try:
     import gymnasium
 except ImportError as error:
-    raise MissingPart("The package gymnasium", fix="Install it with `pip install 'dualbrain[gym]'`.") from error
+    raise MissingDependencyError(
+        "The package gymnasium", fix="Install it with `pip install 'dualbrain[gym]'`."
+    ) from error
 
 Array = NDArray[np.float64]
-Joints = tuple[Array, Array]
+JointState = tuple[Array, Array]
 
 
 class TorqueDrive(Protocol):
@@ -61,14 +63,14 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
     """
 
     def __init__(
-        self, env: gymnasium.Env[Any, Any], safety: SafetyFilter | Shadow, *,
-        state: Callable[[Any], Joints] | None = None,
-        wish: Callable[[Any], Array] | None = None,
-        act: Callable[[Array, Any], Any] | None = None,
+        self, env: gymnasium.Env[Any, Any], safety: SafetyFilter | ShadowFilter, *,
+        state: Callable[[Any], JointState] | None = None,
+        decode_action: Callable[[Any], Array] | None = None,
+        encode_action: Callable[[Array, Any], Any] | None = None,
         scene: Callable[[Any, float], Sequence[Obstacle]] | None = None,
         opening: Callable[[Any], float] = lambda _: 0.0,
         torque: TorqueDrive | None = None,
-        hold: int = 1,
+        action_repeat: int = 1,
     ) -> None:  # fmt: skip
         """Filter `env` with `safety`, or only watch it with a `Shadow`.
 
@@ -84,16 +86,16 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
                 body's velocity limits.
         """
         super().__init__(env)
-        self.shadow = safety if isinstance(safety, Shadow) else None
-        self.safety = safety.safety if isinstance(safety, Shadow) else safety
+        self.shadow = safety if isinstance(safety, ShadowFilter) else None
+        self.safety = safety.safety if isinstance(safety, ShadowFilter) else safety
         self._n, self._period = self.safety.body.n, self.safety.body.period
-        self._state = state or self._first_joints
-        self._wish = wish or self._first_numbers
-        self._act = act or self._replace_first
+        self._state = state or self._default_state
+        self._decode_action = decode_action or self._default_decode
+        self._encode_action = encode_action or self._default_encode
         self._scene, self._opening, self._torque = scene, opening, torque
-        self._hold = hold
+        self._action_repeat = action_repeat
         self._now = 0.0
-        self._joints: Joints = (np.array(self.safety.body.home), np.zeros(self._n))
+        self._joint_state: JointState = (np.array(self.safety.body.home), np.zeros(self._n))
         self._observation: Any = None
         self._check_period()
         if torque is None:
@@ -103,70 +105,70 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         """Reset the environment and the filter: it starts from the joint velocity of the first observation."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._now = 0.0
-        self._sense(observation)
-        self.safety.reset(self._joints[1])
+        self._read_observation(observation)
+        self.safety.reset(self._joint_state[1])
         if self.shadow:
             self.shadow.reset()
         return observation, info
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
         """Filter `action`, carry it out, `hold` times anew, and tell in `info` what was done."""
-        answers: list[Filtered] = []
+        answers: list[FilterResult] = []
         total, errors = 0.0, [0.0]
         while True:
-            answer = self._answer(action)
-            untouched = self.shadow or answer.status is Status.SAFE
-            applied = action if untouched else self._act(self._command(answer), action)
+            answer = self._filter_action(action)
+            untouched = self.shadow or answer.status is FilterStatus.SAFE
+            applied = action if untouched else self._encode_action(self._tracking_command(answer), action)
             observation, reward, terminated, truncated, info = self.env.step(applied)
             self._now += self._period
-            self._sense(observation)
+            self._read_observation(observation)
             answers.append(answer)
             total += float(reward)
-            errors.append(float(np.abs(self._joints[1] - answer.u).max()))
-            if terminated or truncated or len(answers) == self._hold:
+            errors.append(float(np.abs(self._joint_state[1] - answer.u).max()))
+            if terminated or truncated or len(answers) == self._action_repeat:
                 break
-        info = {**info, **_told(answers), "applied": applied}
+        info = {**info, **_step_info(answers), "applied": applied}
         if self._torque and not self.shadow:
             info["tracking_error"] = max(errors)
         return observation, total, terminated, truncated, info
 
     # --- the filter ---------------------------------------------------------------------------------------------
 
-    def _answer(self, action: Any) -> Filtered:
+    def _filter_action(self, action: Any) -> FilterResult:
         """A torque-driven arm has no velocity command: what it was made to do is the velocity it has."""
         if self._scene:
             self.safety.observe(self._scene(self._observation, self._now), self._now)
-        (q, v), u_prev = self._joints, None
-        wish = np.asarray(self._wish(action), float)
+        (q, v), u_prev = self._joint_state, None
+        wish = np.asarray(self._decode_action(action), float)
         if self._torque:
             u_prev, wish = v, v + self._period * self._torque.acceleration(q, v, wish)
         opening = self._opening(self._observation)
         if self.shadow:
-            return self.shadow.watch(q, v, wish, self._now, u_prev=u_prev, opening=opening)
+            return self.shadow.evaluate(q, v, wish, self._now, u_prev=u_prev, opening=opening)
         if u_prev is not None:
             self.safety.reset(u_prev)
         return self.safety(q, v, wish, self._now, opening=opening)
 
-    def _command(self, answer: Filtered) -> Array:
-        return self._torque.track(*self._joints, answer.u) if self._torque else answer.u
+    def _tracking_command(self, answer: FilterResult) -> Array:
+        return self._torque.track(*self._joint_state, answer.u) if self._torque else answer.u
 
-    def _sense(self, observation: Any) -> None:
+    def _read_observation(self, observation: Any) -> None:
         q, v = self._state(observation)
-        self._observation, self._joints = observation, (np.array(q, float), np.array(v, float))
+        self._observation, self._joint_state = observation, (np.array(q, float), np.array(v, float))
 
     # --- where things lie by default ----------------------------------------------------------------------------
 
-    def _first_joints(self, observation: Any) -> Joints:
+    def _default_state(self, observation: Any) -> JointState:
         if isinstance(self.env.observation_space, gymnasium.spaces.Dict):
             return observation["q"], observation["v"]
         return observation[: self._n], observation[self._n : 2 * self._n]
 
-    def _first_numbers(self, action: Any) -> Array:
+    def _default_decode(self, action: Any) -> Array:
         return action[: self._n]
 
-    def _replace_first(self, wish: Array, action: Any) -> Any:
+    def _default_encode(self, velocity: Array, action: Any) -> Any:
         replaced = np.array(action)
-        replaced[: self._n] = wish
+        replaced[: self._n] = velocity
         return replaced
 
     # --- what would break the promise ---------------------------------------------------------------------------
@@ -174,7 +176,7 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
     def _check_period(self) -> None:
         step = getattr(self.env.unwrapped, "dt", None)
         if step is not None and not isclose(float(step), self._period, rel_tol=1e-6):
-            raise InvalidSetup(
+            raise ConfigurationError(
                 "one step of the environment [s]", got=float(step), allowed=f"the body's period, {self._period:g}",
                 fix="Give the filter `driven(body, period=...)` from dualbrain.safety.integration.derating.",
             )  # fmt: skip
@@ -183,21 +185,24 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         if not hasattr(space, "low"):
             return
         v_max = np.array([joint.velocity.value for joint in self.safety.body.joints])
-        low, high = np.asarray(self._wish(space.low), float), np.asarray(self._wish(space.high), float)
+        low, high = (
+            np.asarray(self._decode_action(space.low), float),
+            np.asarray(self._decode_action(space.high), float),
+        )
         if low.shape != v_max.shape or np.any(low > -v_max * (1.0 - 1e-6)) or np.any(high < v_max * (1.0 - 1e-6)):
-            raise InvalidSetup(
+            raise ConfigurationError(
                 "joint velocities that the action space holds [rad/s]", got=[low.tolist(), high.tolist()],
                 allowed=f"±{v_max.tolist()} or more: a safe answer may not be clipped",
                 fix="Name what an action means by `wish` and `act`, or give the filter `driven(body, speed=...)`.",
             )  # fmt: skip
 
 
-def _told(answers: Sequence[Filtered]) -> dict[str, Any]:
+def _step_info(results: Sequence[FilterResult]) -> dict[str, Any]:
     """What `info` says of the answers to one action."""
     return {
-        "cost": sum(answer.delta for answer in answers) / len(answers),
-        "cost_rows": sum(answer.delta_rows for answer in answers) / len(answers),
-        "h_min": min((answer.h_min for answer in answers if not isnan(answer.h_min)), default=nan),
-        "status": max(answer.status for answer in answers).name,
-        "safety": max(answers, key=lambda answer: answer.delta).explain(),
+        "cost": sum(answer.delta for answer in results) / len(results),
+        "cost_rows": sum(answer.delta_rows for answer in results) / len(results),
+        "h_min": min((answer.h_min for answer in results if not isnan(answer.h_min)), default=nan),
+        "status": max(answer.status for answer in results).name,
+        "safety": max(results, key=lambda answer: answer.delta).explain(),
     }

@@ -9,48 +9,50 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.core.geometry.rotations import matrix, quaternion
+from dualbrain.core.geometry.rotations import matrix_to_quaternion, quaternion_to_matrix
 from dualbrain.core.geometry.shapes import Box, Pose
-from dualbrain.robots.model import Body, BodySphere, Bound, Joint, Link, SelfPairs, Tool
-from dualbrain.robots.site_config import Ball, SiteFile, ToolEntry
+from dualbrain.robots.model import Bound, CollisionSphere, Joint, Link, RobotModel, SelfCollisionPairs, Tool
+from dualbrain.robots.site_config import SiteFile, ToolEntry, ToolSphere
 from dualbrain.safety.barriers.workspace import plane
 from dualbrain.safety.cbf.config import FilterConfig
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle
 from dualbrain.safety.cbf.rows import Rank
 
-TOOL, PAYLOAD = "site_tool", "site_payload"
+TOOL_LINK, PAYLOAD_LINK = "site_tool", "site_payload"
 Array = NDArray[np.float64]
-GRIPS = ("hand", "fingers")
+GRIPPER_GROUPS = ("hand", "fingers")
 
 
-def guarded_by(file: SiteFile, body: Body, config: FilterConfig | None = None) -> SafetyFilter:
+def site_filter(file: SiteFile, body: RobotModel, config: FilterConfig | None = None) -> SafetyFilter:
     """The filter of `body` at this site: its caps and tool, its planes and boxes, and what it carries from the start.
 
     Raises:
         SiteError: an entry does not fit this body, with its line and column.
     """
-    narrowed = site_body(body, file)
-    return SafetyFilter(narrowed, config, standing=site_obstacles(narrowed, file))
+    narrowed = site_robot(body, file)
+    return SafetyFilter(narrowed, config, fixed_obstacles=site_obstacles(narrowed, file))
 
 
-def site_body(body: Body, file: SiteFile) -> Body:
+def site_robot(body: RobotModel, file: SiteFile) -> RobotModel:
     """`body` with the site's caps, which only narrow, its control period and its tool."""
     site = file.site
     known = {joint.name for joint in body.joints}
     for name in site.joint:
         if name not in known:
-            raise file.error(f"joint.{name}", got=name, allowed=f"a joint of {body.name}: {', '.join(sorted(known))}")
-    joints = tuple(_capped(joint, file) for joint in body.joints)
-    speed = _narrowed(body.tool_speed, site.robot.tool_speed, file, "robot.tool_speed")
+            raise file.make_error(
+                f"joint.{name}", got=name, allowed=f"a joint of {body.name}: {', '.join(sorted(known))}"
+            )
+    joints = tuple(_limit_joint(joint, file) for joint in body.joints)
+    speed = _narrow_bound(body.tool_speed, site.robot.tool_speed, file, "robot.tool_speed")
     period = body.period if site.robot.period is None else site.robot.period
     changed = msgspec.structs.replace(body, joints=joints, tool_speed=speed, period=period)
-    for name, balls, error in _carried(file):
+    for name, balls, error in _carried_spheres(file):
         changed = _with_link(changed, name, balls, error)
-    return changed if site.tool is None else _with_tip(changed, site.tool)
+    return changed if site.tool is None else _with_tool_tip(changed, site.tool)
 
 
-def site_obstacles(body: Body, file: SiteFile) -> tuple[Obstacle, ...]:
+def site_obstacles(body: RobotModel, file: SiteFile) -> tuple[Obstacle, ...]:
     """Planes and keep-out boxes, known to φ, given up before things and people."""
     parts = {link.name for link in body.links} | {link.group for link in body.links} | {"held"}
     found: list[Obstacle] = []
@@ -58,9 +60,9 @@ def site_obstacles(body: Body, file: SiteFile) -> tuple[Obstacle, ...]:
         for name in entry.parts:
             if name not in parts:
                 allowed = f"parts of {body.name}: {', '.join(sorted(parts))}"
-                raise file.error(f"plane[{index}].parts", got=name, allowed=allowed)
+                raise file.make_error(f"plane[{index}].parts", got=name, allowed=allowed)
         if not any(entry.inward):
-            raise file.error(f"plane[{index}].inward", got=entry.inward, allowed="a vector that is not zero")
+            raise file.make_error(f"plane[{index}].inward", got=entry.inward, allowed="a vector that is not zero")
         found.append(plane(entry.name, entry.point, entry.inward, parts=entry.parts, margin=entry.margin))
     for entry in file.site.keep_out:
         turn = (cos(0.5 * entry.yaw), 0.0, 0.0, sin(0.5 * entry.yaw))
@@ -73,7 +75,7 @@ def site_obstacles(body: Body, file: SiteFile) -> tuple[Obstacle, ...]:
     return tuple(found)
 
 
-def site_grants(file: SiteFile, skills: frozenset[str]) -> dict[str, frozenset[str]] | None:
+def site_skill_grants(file: SiteFile, skills: frozenset[str]) -> dict[str, frozenset[str]] | None:
     """Who may call which of `skills`; None where the file does not say.
 
     Raises:
@@ -82,69 +84,73 @@ def site_grants(file: SiteFile, skills: frozenset[str]) -> dict[str, frozenset[s
     for name, commander in file.site.commander.items():
         for skill in commander.skills:
             if skill not in skills:
-                raise file.error(f"commander.{name}.skills", got=skill, allowed=", ".join(sorted(skills)))
+                raise file.make_error(f"commander.{name}.skills", got=skill, allowed=", ".join(sorted(skills)))
     return {name: frozenset(one.skills) for name, one in file.site.commander.items()} or None
 
 
-def _capped(joint: Joint, file: SiteFile) -> Joint:
+def _limit_joint(joint: Joint, file: SiteFile) -> Joint:
     """A joint under the caps for all and its own."""
     own, every = file.site.joint.get(joint.name), file.site.limits
     for side in ("velocity", "acceleration", "jerk"):
-        joint = _cap(joint, side, getattr(every, side), file, f"limits.{side}")
-        joint = _cap(joint, side, getattr(own, side) if own else None, file, f"joint.{joint.name}.{side}")
+        joint = _limit_side(joint, side, getattr(every, side), file, f"limits.{side}")
+        joint = _limit_side(joint, side, getattr(own, side) if own else None, file, f"joint.{joint.name}.{side}")
     for side in ("lower", "upper"):
-        joint = _cap(joint, side, getattr(own, side) if own else None, file, f"joint.{joint.name}.{side}")
+        joint = _limit_side(joint, side, getattr(own, side) if own else None, file, f"joint.{joint.name}.{side}")
     if not joint.lower.value < joint.upper.value:
         got = [joint.lower.value, joint.upper.value]
-        raise file.error(f"joint.{joint.name}", got=got, allowed="a range that is not empty")
+        raise file.make_error(f"joint.{joint.name}", got=got, allowed="a range that is not empty")
     return joint
 
 
-def _cap(joint: Joint, side: str, value: float | None, file: SiteFile, path: str) -> Joint:
+def _limit_side(joint: Joint, side: str, value: float | None, file: SiteFile, path: str) -> Joint:
     bound: Bound | None = getattr(joint, side)
     if value is None or bound is None:
         return joint
-    return msgspec.structs.replace(joint, **{side: _narrowed(bound, value, file, path, lower=side == "lower")})
+    return msgspec.structs.replace(joint, **{side: _narrow_bound(bound, value, file, path, lower=side == "lower")})
 
 
-def _narrowed(bound: Bound, value: float | None, file: SiteFile, path: str, *, lower: bool = False) -> Bound:
+def _narrow_bound(bound: Bound, value: float | None, file: SiteFile, path: str, *, lower: bool = False) -> Bound:
     if value is None or (value <= bound.value if lower else value >= bound.value):
         return bound
-    return Bound(value, bound.unit, f"site policy ({file.where(path)}); wider: {bound.value:g} of {bound.provenance}")
+    return Bound(value, bound.unit, f"site policy ({file.locate(path)}); wider: {bound.value:g} of {bound.provenance}")
 
 
-def _carried(file: SiteFile) -> Iterator[tuple[str, tuple[Ball, ...], float]]:
+def _carried_spheres(file: SiteFile) -> Iterator[tuple[str, tuple[ToolSphere, ...], float]]:
     """What hangs on the hand for good: name, spheres, error of their place [m]."""
     if file.site.tool and file.site.tool.spheres:
-        yield TOOL, file.site.tool.spheres, 0.0
+        yield TOOL_LINK, file.site.tool.spheres, 0.0
     if file.site.payload:
-        yield PAYLOAD, file.site.payload.spheres, file.site.payload.error
+        yield PAYLOAD_LINK, file.site.payload.spheres, file.site.payload.error
 
 
-def _with_link(body: Body, name: str, balls: tuple[Ball, ...], error: float) -> Body:
+def _with_link(body: RobotModel, name: str, balls: tuple[ToolSphere, ...], error: float) -> RobotModel:
     """A link of its own for `balls` in the tool frame, kept from whatever the hand is kept from."""
     link = next(link for link in body.links if link.name == body.tool.link)
-    turn, at = matrix(body.tool.quaternion), np.array(body.tool.translation)
-    spheres = tuple(BodySphere(name, _vector(at + turn @ np.array(ball.centre)), ball.radius + error) for ball in balls)
+    turn, at = quaternion_to_matrix(body.tool.quaternion), np.array(body.tool.translation)
+    spheres = tuple(
+        CollisionSphere(name, _vector(at + turn @ np.array(ball.centre)), ball.radius + error) for ball in balls
+    )
     frames = {link.name: link.frame for link in body.links}
-    near = {part for pair in body.self_pairs.kept if _on_hand(body, pair) for part in pair if frames[part] < body.n}
+    near = {
+        part for pair in body.self_pairs.kept if _involves_gripper(body, pair) for part in pair if frames[part] < body.n
+    }
     kept = (*body.self_pairs.kept, *((part, name) for part in sorted(near)))
     return msgspec.structs.replace(
         body, links=(*body.links, Link(name, link.frame, "hand", link.translation, link.quaternion)),
-        spheres=(*body.spheres, *spheres), self_pairs=SelfPairs(kept, body.self_pairs.allowed),
+        spheres=(*body.spheres, *spheres), self_pairs=SelfCollisionPairs(kept, body.self_pairs.allowed),
     )  # fmt: skip
 
 
-def _with_tip(body: Body, tool: ToolEntry) -> Body:
+def _with_tool_tip(body: RobotModel, tool: ToolEntry) -> RobotModel:
     """The tool frame moved to the tool's tip."""
-    turn = matrix(body.tool.quaternion)
+    turn = quaternion_to_matrix(body.tool.quaternion)
     tip = np.array(body.tool.translation) + turn @ np.array(tool.position)
-    placed = Tool(body.tool.link, _vector(tip), quaternion(turn @ matrix(tool.quaternion)))
+    placed = Tool(body.tool.link, _vector(tip), matrix_to_quaternion(turn @ quaternion_to_matrix(tool.quaternion)))
     return msgspec.structs.replace(body, tool=placed)
 
 
-def _on_hand(body: Body, pair: tuple[str, str]) -> bool:
-    return any(link.group in GRIPS for link in body.links if link.name in pair)
+def _involves_gripper(body: RobotModel, pair: tuple[str, str]) -> bool:
+    return any(link.group in GRIPPER_GROUPS for link in body.links if link.name in pair)
 
 
 def _vector(values: Array) -> tuple[float, float, float]:

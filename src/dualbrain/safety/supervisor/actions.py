@@ -7,7 +7,7 @@ from enum import Enum, IntEnum
 import msgspec
 
 
-class Rung(IntEnum):
+class SafetyAction(IntEnum):
     """The ladder by severity. Stop categories are those of IEC 60204-1, by name only: nothing here is certified.
 
     SLOW scales the nominal control; HOVER makes it zero, so that the filter may still let the arm yield; HOLD is a
@@ -28,27 +28,27 @@ class Rung(IntEnum):
 class Cause(Enum):
     """Where the trouble is."""
 
-    NOTHING = "nothing"
+    NONE = "nothing"
     SENSING = "sensing"
     FILTER = "filter"
     TIMING = "timing"
-    CORTEX = "cortex"
+    COMMANDER = "cortex"
     DRIVE = "drive"
     OPERATOR = "operator"
     PROGRAM = "program"
 
 
-class Order(msgspec.Struct, frozen=True):
+class SupervisorDecision(msgspec.Struct, frozen=True):
     """What holds now. `check` is the name of the strongest check that has tripped ("" for none).
 
     `at_once`: the drive goes off at once and brakes by itself, whatever the rung.
     """
 
-    action: Rung = Rung.NONE
-    cause: Cause = Cause.NOTHING
+    action: SafetyAction = SafetyAction.NONE
+    cause: Cause = Cause.NONE
     check: str = ""
-    at_once: bool = False
+    immediate_drive_off: bool = False
 
 
-FREE = Order()
+NO_ACTION = SupervisorDecision()
 """Nothing is wrong."""

@@ -12,14 +12,14 @@ from typing import Literal
 
 import msgspec
 
-from dualbrain.safety.supervisor.actions import Cause, Rung
+from dualbrain.safety.supervisor.actions import Cause, SafetyAction
 from dualbrain.safety.supervisor.conditions import Condition
 
 C = Condition
-Ending = Literal["", "taken_over", "stopped", "aborted", "handed_over", "emergency"]
+ContractOutcome = Literal["", "taken_over", "stopped", "aborted", "handed_over", "emergency"]
 
 
-class Clears(Enum):
+class ClearPolicy(Enum):
     """When a check that has tripped lets go."""
 
     WHEN_GONE = "by itself, once the condition has been gone for its release time"
@@ -37,113 +37,113 @@ class Check(msgspec.Struct, frozen=True):
     """
 
     name: str
-    on: Condition
-    action: Rung
+    condition: Condition
+    action: SafetyAction
     cause: Cause
-    says: str
+    description: str
     after: float = 0.0
     release: float = 0.02
-    clears: Clears = Clears.WHEN_GONE
-    ending: Ending = ""
-    at_once: bool = False
+    clears: ClearPolicy = ClearPolicy.WHEN_GONE
+    contract_outcome: ContractOutcome = ""
+    immediate_drive_off: bool = False
 
 
-GONE, CONTINUED, RESUMED, TWO_STEP, RESTART = Clears
+WHEN_GONE, ON_CONTINUE, ON_RESUME, ON_TWO_STEP_RESET, ON_RESTART = ClearPolicy
 
 CHECKS: tuple[Check, ...] = (
-    Check("state_missed", C.STATE_MISSED, Rung.WARN, Cause.TIMING, "joint states were lost on the way",
+    Check("state_missed", C.STATE_MISSED, SafetyAction.WARN, Cause.TIMING, "joint states were lost on the way",
           release=1.0),
-    Check("state_repeated", C.STATE_REPEATED, Rung.WARN, Cause.TIMING, "the same joint state came again"),
-    Check("tick_overrun", C.TICK_OVERRUN, Rung.WARN, Cause.TIMING, "a control tick took longer than its period",
+    Check("state_repeated", C.STATE_REPEATED, SafetyAction.WARN, Cause.TIMING, "the same joint state came again"),
+    Check("tick_overrun", C.TICK_OVERRUN, SafetyAction.WARN, Cause.TIMING, "a control tick took longer than its period",
           release=1.0),
-    Check("command_late", C.COMMAND_LATE, Rung.WARN, Cause.TIMING, "a command left late in its period", release=1.0),
-    Check("frames_refused", C.FRAMES_REFUSED, Rung.WARN, Cause.CORTEX,
+    Check("command_late", C.COMMAND_LATE, SafetyAction.WARN, Cause.TIMING, "a command left late in its period", release=1.0),
+    Check("frames_refused", C.FRAMES_REFUSED, SafetyAction.WARN, Cause.COMMANDER,
           "a message was refused: form, signature, order", release=0.5),
-    Check("infeasible_briefly", C.INFEASIBLE, Rung.WARN, Cause.FILTER,
+    Check("infeasible_briefly", C.INFEASIBLE, SafetyAction.WARN, Cause.FILTER,
           "no control meets all rows; the filter brakes"),
-    Check("filter_stopped_briefly", C.FILTER_STOPPED | C.FILTER_FAULT, Rung.WARN, Cause.FILTER,
+    Check("filter_stopped_briefly", C.FILTER_STOPPED | C.FILTER_FAULT, SafetyAction.WARN, Cause.FILTER,
           "the filter has stopped or cannot certify; it brakes"),
-    Check("speed_stage", C.SPEED_STAGE, Rung.SLOW, Cause.OPERATOR, "a person has chosen a lower speed",
+    Check("speed_stage", C.SPEED_STAGE, SafetyAction.SLOW, Cause.OPERATOR, "a person has chosen a lower speed",
           release=0.0),
-    Check("scene_old", C.SCENE_OLD, Rung.SLOW, Cause.SENSING, "the scene is older than a few looks", release=0.1),
-    Check("ticks_overrun", C.TICKS_OVERRUN, Rung.SLOW, Cause.TIMING,
+    Check("scene_old", C.SCENE_OLD, SafetyAction.SLOW, Cause.SENSING, "the scene is older than a few looks", release=0.1),
+    Check("ticks_overrun", C.TICKS_OVERRUN, SafetyAction.SLOW, Cause.TIMING,
           "many control ticks of the last second were late", release=1.0),
-    Check("paused", C.PAUSE, Rung.HOVER, Cause.OPERATOR, "a person has paused the contract", release=0.0),
-    Check("infeasible", C.INFEASIBLE, Rung.HOVER, Cause.FILTER, "no safe control for 50 ms", after=0.05,
-          release=0.1, ending="taken_over"),
-    Check("scene_stale", C.SCENE_STALE, Rung.HOLD, Cause.SENSING, "moving things were seen too long ago",
-          after=0.05, release=0.2, ending="stopped"),
-    Check("scene_implausible", C.SCENE_IMPLAUSIBLE, Rung.HOLD, Cause.SENSING,
-          "the scene holds numbers that cannot be, or is stamped in the future", release=0.2, ending="stopped"),
-    Check("scene_frozen", C.SCENE_FROZEN, Rung.HOLD, Cause.SENSING,
+    Check("paused", C.PAUSE, SafetyAction.HOVER, Cause.OPERATOR, "a person has paused the contract", release=0.0),
+    Check("infeasible", C.INFEASIBLE, SafetyAction.HOVER, Cause.FILTER, "no safe control for 50 ms", after=0.05,
+          release=0.1, contract_outcome="taken_over"),
+    Check("scene_stale", C.SCENE_STALE, SafetyAction.HOLD, Cause.SENSING, "moving things were seen too long ago",
+          after=0.05, release=0.2, contract_outcome="stopped"),
+    Check("scene_implausible", C.SCENE_IMPLAUSIBLE, SafetyAction.HOLD, Cause.SENSING,
+          "the scene holds numbers that cannot be, or is stamped in the future", release=0.2, contract_outcome="stopped"),
+    Check("scene_frozen", C.SCENE_FROZEN, SafetyAction.HOLD, Cause.SENSING,
           "a camera tells the same picture again and again, equal to the bit and stamped anew", release=0.2,
-          ending="stopped"),
-    Check("heartbeat_lost", C.HEARTBEAT_LOST, Rung.HOLD, Cause.CORTEX, "the commander has gone silent",
-          release=0.1, ending="stopped"),
-    Check("link_lost", C.LINK_LOST, Rung.HOLD, Cause.CORTEX, "the commander's connection is gone", release=0.1,
-          ending="stopped"),
-    Check("flood", C.FLOOD, Rung.HOLD, Cause.CORTEX, "the commander sends more than it may", release=0.5,
-          ending="stopped"),
-    Check("abort", C.ABORT, Rung.HOLD, Cause.OPERATOR, "a person has ended the contract", release=0.2,
-          ending="aborted"),
-    Check("takeover", C.TAKEOVER, Rung.HOLD, Cause.OPERATOR, "a person has taken the robot over", release=0.2,
-          ending="handed_over"),
-    Check("state_stale", C.STATE_STALE, Rung.CONTROLLED_STOP, Cause.SENSING, "the joint state is too old",
-          release=0.5, clears=CONTINUED, ending="stopped"),
-    Check("state_implausible", C.STATE_IMPLAUSIBLE, Rung.CONTROLLED_STOP, Cause.SENSING,
+          contract_outcome="stopped"),
+    Check("heartbeat_lost", C.HEARTBEAT_LOST, SafetyAction.HOLD, Cause.COMMANDER, "the commander has gone silent",
+          release=0.1, contract_outcome="stopped"),
+    Check("link_lost", C.LINK_LOST, SafetyAction.HOLD, Cause.COMMANDER, "the commander's connection is gone", release=0.1,
+          contract_outcome="stopped"),
+    Check("flood", C.FLOOD, SafetyAction.HOLD, Cause.COMMANDER, "the commander sends more than it may", release=0.5,
+          contract_outcome="stopped"),
+    Check("abort", C.ABORT, SafetyAction.HOLD, Cause.OPERATOR, "a person has ended the contract", release=0.2,
+          contract_outcome="aborted"),
+    Check("takeover", C.TAKEOVER, SafetyAction.HOLD, Cause.OPERATOR, "a person has taken the robot over", release=0.2,
+          contract_outcome="handed_over"),
+    Check("state_stale", C.STATE_STALE, SafetyAction.CONTROLLED_STOP, Cause.SENSING, "the joint state is too old",
+          release=0.5, clears=ON_CONTINUE, contract_outcome="stopped"),
+    Check("state_implausible", C.STATE_IMPLAUSIBLE, SafetyAction.CONTROLLED_STOP, Cause.SENSING,
           "the joint state is not finite, jumps, or lies far outside the joints' range", release=0.5,
-          clears=CONTINUED, ending="stopped"),
-    Check("sources_disagree", C.SOURCES_DISAGREE, Rung.CONTROLLED_STOP, Cause.SENSING,
-          "measured positions and measured velocities do not tell the same motion", release=0.5, clears=CONTINUED,
-          ending="stopped"),
-    Check("tracking_off", C.TRACKING_OFF, Rung.CONTROLLED_STOP, Cause.DRIVE,
-          "the arm is not where its commands led it", release=0.5, clears=CONTINUED, ending="stopped"),
-    Check("filter_stopped", C.FILTER_STOPPED, Rung.CONTROLLED_STOP, Cause.FILTER, "filter STOPPED for 50 ms",
-          after=0.05, release=0.5, clears=CONTINUED, ending="stopped"),
-    Check("filter_fault", C.FILTER_FAULT, Rung.CONTROLLED_STOP, Cause.FILTER,
-          "filter FAULT for 50 ms: not even braking could be certified", after=0.05, release=0.5, clears=CONTINUED,
-          ending="stopped"),
-    Check("control_bad", C.CONTROL_BAD, Rung.CONTROLLED_STOP, Cause.FILTER,
+          clears=ON_CONTINUE, contract_outcome="stopped"),
+    Check("sources_disagree", C.SOURCES_DISAGREE, SafetyAction.CONTROLLED_STOP, Cause.SENSING,
+          "measured positions and measured velocities do not tell the same motion", release=0.5, clears=ON_CONTINUE,
+          contract_outcome="stopped"),
+    Check("tracking_off", C.TRACKING_OFF, SafetyAction.CONTROLLED_STOP, Cause.DRIVE,
+          "the arm is not where its commands led it", release=0.5, clears=ON_CONTINUE, contract_outcome="stopped"),
+    Check("filter_stopped", C.FILTER_STOPPED, SafetyAction.CONTROLLED_STOP, Cause.FILTER, "filter STOPPED for 50 ms",
+          after=0.05, release=0.5, clears=ON_CONTINUE, contract_outcome="stopped"),
+    Check("filter_fault", C.FILTER_FAULT, SafetyAction.CONTROLLED_STOP, Cause.FILTER,
+          "filter FAULT for 50 ms: not even braking could be certified", after=0.05, release=0.5, clears=ON_CONTINUE,
+          contract_outcome="stopped"),
+    Check("control_bad", C.CONTROL_BAD, SafetyAction.CONTROLLED_STOP, Cause.FILTER,
           "the control is not finite, leaves the joints' box or answers another question; braking is written instead",
-          release=0.5, clears=CONTINUED, ending="stopped"),
-    Check("tick_lost", C.TICK_LOST, Rung.CONTROLLED_STOP, Cause.TIMING,
-          "the control loop stood still for too long", release=0.5, clears=CONTINUED, ending="stopped"),
-    Check("clock_step", C.CLOCK_STEP, Rung.CONTROLLED_STOP, Cause.TIMING, "the clock jumped or ran backward",
-          release=0.5, clears=CONTINUED, ending="stopped"),
-    Check("interrupted", C.INTERRUPT, Rung.CONTROLLED_STOP, Cause.OPERATOR, "a person has interrupted the program",
-          release=0.5, clears=CONTINUED, ending="aborted"),
-    Check("loop_behind", C.LOOP_BEHIND, Rung.CONTROLLED_STOP, Cause.TIMING,
-          "the control loop falls behind the robot: commands stay in force too long", release=0.5, clears=CONTINUED,
-          ending="stopped", at_once=True),
-    Check("state_lost", C.STATE_LOST, Rung.ESTOP, Cause.SENSING,
-          "no joint state for so long that braking is blind", clears=TWO_STEP, ending="emergency"),
-    Check("tracking_lost", C.TRACKING_LOST, Rung.ESTOP, Cause.DRIVE,
-          "the drive does not follow its commands at all", clears=TWO_STEP, ending="emergency"),
-    Check("overspeed", C.OVERSPEED, Rung.ESTOP, Cause.DRIVE, "a joint is faster than its limit", clears=TWO_STEP,
-          ending="emergency"),
-    Check("drift", C.DRIFT, Rung.ESTOP, Cause.DRIVE, "the arm moves in a monitored standstill", clears=TWO_STEP,
-          ending="emergency"),
-    Check("stop_overdue", C.STOP_OVERDUE, Rung.ESTOP, Cause.DRIVE, "a stop was ordered and the arm still moves",
-          clears=TWO_STEP, ending="emergency"),
-    Check("drive_dropped", C.DRIVE_DROPPED, Rung.ESTOP, Cause.DRIVE, "the drive went off unasked", clears=TWO_STEP,
-          ending="emergency"),
-    Check("program_error", C.PROGRAM_ERROR, Rung.ESTOP, Cause.PROGRAM, "the program broke", clears=TWO_STEP,
-          ending="stopped"),
-    Check("estop", C.ESTOP, Rung.ESTOP, Cause.OPERATOR, "the emergency stop was pressed", clears=TWO_STEP,
-          ending="emergency"),
-    Check("estop_disagrees", C.ESTOP_DISAGREE, Rung.LOCKOUT, Cause.OPERATOR,
-          "the two channels of the emergency stop contradict each other", after=0.5, clears=RESTART,
-          ending="emergency"),
-    Check("falling", C.FALLING, Rung.LOCKOUT, Cause.DRIVE, "the arm moves though its brakes should hold it",
-          clears=RESTART, ending="emergency"),
+          release=0.5, clears=ON_CONTINUE, contract_outcome="stopped"),
+    Check("tick_lost", C.TICK_LOST, SafetyAction.CONTROLLED_STOP, Cause.TIMING,
+          "the control loop stood still for too long", release=0.5, clears=ON_CONTINUE, contract_outcome="stopped"),
+    Check("clock_step", C.CLOCK_STEP, SafetyAction.CONTROLLED_STOP, Cause.TIMING, "the clock jumped or ran backward",
+          release=0.5, clears=ON_CONTINUE, contract_outcome="stopped"),
+    Check("interrupted", C.INTERRUPT, SafetyAction.CONTROLLED_STOP, Cause.OPERATOR, "a person has interrupted the program",
+          release=0.5, clears=ON_CONTINUE, contract_outcome="aborted"),
+    Check("loop_behind", C.LOOP_BEHIND, SafetyAction.CONTROLLED_STOP, Cause.TIMING,
+          "the control loop falls behind the robot: commands stay in force too long", release=0.5, clears=ON_CONTINUE,
+          contract_outcome="stopped", immediate_drive_off=True),
+    Check("state_lost", C.STATE_LOST, SafetyAction.ESTOP, Cause.SENSING,
+          "no joint state for so long that braking is blind", clears=ON_TWO_STEP_RESET, contract_outcome="emergency"),
+    Check("tracking_lost", C.TRACKING_LOST, SafetyAction.ESTOP, Cause.DRIVE,
+          "the drive does not follow its commands at all", clears=ON_TWO_STEP_RESET, contract_outcome="emergency"),
+    Check("overspeed", C.OVERSPEED, SafetyAction.ESTOP, Cause.DRIVE, "a joint is faster than its limit", clears=ON_TWO_STEP_RESET,
+          contract_outcome="emergency"),
+    Check("drift", C.DRIFT, SafetyAction.ESTOP, Cause.DRIVE, "the arm moves in a monitored standstill", clears=ON_TWO_STEP_RESET,
+          contract_outcome="emergency"),
+    Check("stop_overdue", C.STOP_OVERDUE, SafetyAction.ESTOP, Cause.DRIVE, "a stop was ordered and the arm still moves",
+          clears=ON_TWO_STEP_RESET, contract_outcome="emergency"),
+    Check("drive_dropped", C.DRIVE_DROPPED, SafetyAction.ESTOP, Cause.DRIVE, "the drive went off unasked", clears=ON_TWO_STEP_RESET,
+          contract_outcome="emergency"),
+    Check("program_error", C.PROGRAM_ERROR, SafetyAction.ESTOP, Cause.PROGRAM, "the program broke", clears=ON_TWO_STEP_RESET,
+          contract_outcome="stopped"),
+    Check("estop", C.ESTOP, SafetyAction.ESTOP, Cause.OPERATOR, "the emergency stop was pressed", clears=ON_TWO_STEP_RESET,
+          contract_outcome="emergency"),
+    Check("estop_disagrees", C.ESTOP_DISAGREE, SafetyAction.LOCKOUT, Cause.OPERATOR,
+          "the two channels of the emergency stop contradict each other", after=0.5, clears=ON_RESTART,
+          contract_outcome="emergency"),
+    Check("falling", C.FALLING, SafetyAction.LOCKOUT, Cause.DRIVE, "the arm moves though its brakes should hold it",
+          clears=ON_RESTART, contract_outcome="emergency"),
 )  # fmt: skip
 RESET_HELD = Check(
-    "reset_held", C.RESET, Rung.HOLD, Cause.OPERATOR, "after a reset the robot stands until somebody resumes",
-    clears=RESUMED,
+    "reset_held", C.RESET, SafetyAction.HOLD, Cause.OPERATOR, "after a reset the robot stands until somebody resumes",
+    clears=ON_RESUME,
 )  # fmt: skip
 """Where a two-step reset lands; ranks as any HOLD."""
 
-HEAD = """# The supervisor
+HEADER = """# The supervisor
 
 What the local layer does when something is wrong. One function, `Supervisor.update(now, flags)`, turns the conditions
 of a tick into one order: the strongest check that has tripped. This page is generated from the table that it reads
@@ -164,26 +164,26 @@ name only; **nothing here is certified**.
 - How conditions are sensed, with their thresholds: `safety/supervisor/state_monitor.py`, `safety/supervisor/timing.py`, `safety/supervisor/enforcement.py`."""
 
 
-def page() -> str:
+def render_markdown() -> str:
     """The whole page."""
     head = ["| check | when | after | action | cause | contract | clears |", "|---|---|---|---|---|---|---|"]
-    return "\n".join([HEAD, "", *head, *(_line(check) for check in (*CHECKS, RESET_HELD))]) + "\n"
+    return "\n".join([HEADER, "", *head, *(_table_row(check) for check in (*CHECKS, RESET_HELD))]) + "\n"
 
 
-def _line(check: Check) -> str:
+def _table_row(check: Check) -> str:
     after = f"{check.after * 1e3:.0f} ms" if check.after else "at once"
     gone = {
-        GONE: f"gone for {check.release * 1e3:.0f} ms" if check.release else "when gone",
-        CONTINUED: f"gone for {check.release * 1e3:.0f} ms, and the next contract", RESUMED: "resume",
-        TWO_STEP: "two-step reset", RESTART: "restart",
+        WHEN_GONE: f"gone for {check.release * 1e3:.0f} ms" if check.release else "when gone",
+        ON_CONTINUE: f"gone for {check.release * 1e3:.0f} ms, and the next contract", ON_RESUME: "resume",
+        ON_TWO_STEP_RESET: "two-step reset", ON_RESTART: "restart",
     }  # fmt: skip
-    ending = check.ending.replace("_", " ") or "goes on"
-    action = f"{check.action.name}, drive off at once" if check.at_once else check.action.name
+    ending = check.contract_outcome.replace("_", " ") or "goes on"
+    action = f"{check.action.name}, drive off at once" if check.immediate_drive_off else check.action.name
     return (
-        f"| `{check.name}` | {check.says} | {after} | {action} | {check.cause.value} | {ending} | "
+        f"| `{check.name}` | {check.description} | {after} | {action} | {check.cause.value} | {ending} | "
         f"{gone[check.clears]} |"
     )
 
 
 if __name__ == "__main__":
-    sys.stdout.write(page())
+    sys.stdout.write(render_markdown())

@@ -52,7 +52,7 @@ class Condition(IntFlag):
     CONTINUE = auto()
 
 
-NOTHING_WRONG = Condition(0)
+NO_CONDITIONS = Condition(0)
 BUTTONS = int(Condition.RESET | Condition.RESUME | Condition.CONTINUE)
 """Not conditions but a hand: they count when they are pressed, not while they are held. Reset and resume are a
 person's; continue comes with a new contract and leads out of what needs no person."""

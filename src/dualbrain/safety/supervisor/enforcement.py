@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.robots.interface import RobotState
-from dualbrain.safety.supervisor.actions import Order, Rung
+from dualbrain.safety.supervisor.actions import SafetyAction, SupervisorDecision
 from dualbrain.safety.supervisor.conditions import Condition
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 C = Condition
 
 
-class Standstill(msgspec.Struct, frozen=True):
+class StandstillLimits(msgspec.Struct, frozen=True):
     """When an arm counts as standing: `rest` [rad/s], `drift` allowed from there [rad].
 
     `stop` [s] is the longest that braking may take; `brakes` [s] what the brakes need to bring the arm to rest, `fall`
@@ -30,81 +30,83 @@ class Standstill(msgspec.Struct, frozen=True):
     is chosen.
     """
 
-    rest: float = 0.01
-    drift: float = 0.01
-    stop: float = 0.8
-    brakes: float = 0.4
-    fall: float = 0.03
-    slow: float = 0.5
+    rest_velocity: float = 0.01
+    max_drift: float = 0.01
+    stop_timeout: float = 0.8
+    brake_time: float = 0.4
+    max_brake_slip: float = 0.03
+    slow_scale: float = 0.5
 
 
 class Enforcement:
     """Keeps what an order needs from tick to tick: since when, where the arm stood, whether the drive is wanted."""
 
-    def __init__(self, dials: Standstill | None = None) -> None:
+    def __init__(self, limits: StandstillLimits | None = None) -> None:
         """The drive is wanted, no order is in force."""
-        self.dials = dials or Standstill()
-        self.driving = True
-        self.anchor: Array | None = None
-        self._since: float | None = None
-        self._off_at: float | None = None
-        self._off_q = self._coast = np.zeros(0)
+        self.limits = limits or StandstillLimits()
+        self.drive_wanted = True
+        self.standstill_q: Array | None = None
+        self._stop_since: float | None = None
+        self._drive_off_stamp: float | None = None
+        self._drive_off_q = self._coast_limit = np.zeros(0)
 
-    def scale(self, order: Order, stage: float) -> float:
+    def scale(self, decision: SupervisorDecision, speed_stage: float) -> float:
         """S in [0, 1]: what is left of the nominal control; `stage` is the speed that a person has chosen."""
-        if order.action >= Rung.HOVER:
+        if decision.action >= SafetyAction.HOVER:
             return 0.0
-        if order.action < Rung.SLOW:
+        if decision.action < SafetyAction.SLOW:
             return 1.0
-        return stage if order.check == "speed_stage" else min(stage, self.dials.slow)
+        return speed_stage if decision.check == "speed_stage" else min(speed_stage, self.limits.slow_scale)
 
     @property
-    def standing(self) -> bool:
+    def at_standstill(self) -> bool:
         """Whether u = 0 is to be written: the arm has come to rest under an order to stand."""
-        return self.anchor is not None
+        return self.standstill_q is not None
 
-    def obey(self, order: Order, state: RobotState) -> int:
+    def apply(self, decision: SupervisorDecision, state: RobotState) -> int:
         """Take in the order and the measured state; returns the `Condition` bits that a broken standstill sets.
 
         Time here is the robot's own (its stamps), so that a broken clock cannot make a stop look overdue.
         Sets `driving` and `standing`, which the local layer acts on.
         """
-        flags = self._drive(order, state)
-        if order.action < Rung.HOLD or not self.driving:
-            self._since, self.anchor = None, None
+        flags = self._update_drive(decision, state)
+        if decision.action < SafetyAction.HOLD or not self.drive_wanted:
+            self._stop_since, self.standstill_q = None, None
             return flags
-        if self._since is None:
-            self._since = state.stamp
-        if self.anchor is None:
-            if np.abs(state.v).max() < self.dials.rest:
-                self.anchor = state.q.copy()
-            elif not state.stamp - self._since <= self.dials.stop:
+        if self._stop_since is None:
+            self._stop_since = state.stamp
+        if self.standstill_q is None:
+            if np.abs(state.v).max() < self.limits.rest_velocity:
+                self.standstill_q = state.q.copy()
+            elif not state.stamp - self._stop_since <= self.limits.stop_timeout:
                 flags |= C.STOP_OVERDUE
-        elif not strayed(self.anchor, state).max() <= self.dials.drift:
+        elif not displacement(self.standstill_q, state).max() <= self.limits.max_drift:
             flags |= C.DRIFT
-        if order.action >= Rung.CONTROLLED_STOP and self.anchor is not None:
-            self._switch(state, driving=False)
+        if decision.action >= SafetyAction.CONTROLLED_STOP and self.standstill_q is not None:
+            self._switch_drive(state, on=False)
         return flags
 
-    def _drive(self, order: Order, state: RobotState) -> int:
+    def _update_drive(self, decision: SupervisorDecision, state: RobotState) -> int:
         """Off at once for ESTOP or `Order.at_once`; on again below CONTROLLED_STOP; while off, the brakes must hold."""
-        if (order.action >= Rung.ESTOP or order.at_once) and self.driving:
-            self._switch(state, driving=False)
-        elif order.action < Rung.CONTROLLED_STOP and not self.driving:
-            self._switch(state, driving=True)
-        if self.driving or self._off_at is None or not state.stamp > self._off_at:  # nothing is known since
+        if (decision.action >= SafetyAction.ESTOP or decision.immediate_drive_off) and self.drive_wanted:
+            self._switch_drive(state, on=False)
+        elif decision.action < SafetyAction.CONTROLLED_STOP and not self.drive_wanted:
+            self._switch_drive(state, on=True)
+        if (
+            self.drive_wanted or self._drive_off_stamp is None or not state.stamp > self._drive_off_stamp
+        ):  # nothing is known since
             return 0
-        moved = strayed(self._off_q, state)
-        braked = state.stamp - self._off_at > self.dials.brakes
-        fast = braked and not np.abs(state.v).max() <= 10.0 * self.dials.rest
-        return C.FALLING if fast or not (moved <= self._coast).all() else 0
+        moved = displacement(self._drive_off_q, state)
+        braked = state.stamp - self._drive_off_stamp > self.limits.brake_time
+        fast = braked and not np.abs(state.v).max() <= 10.0 * self.limits.rest_velocity
+        return C.FALLING if fast or not (moved <= self._coast_limit).all() else 0
 
-    def _switch(self, state: RobotState, *, driving: bool) -> None:
-        self.driving, self._off_at, self._off_q = driving, None if driving else state.stamp, state.q.copy()
-        self._coast = self.dials.fall + self.dials.brakes * np.abs(state.v)
+    def _switch_drive(self, state: RobotState, *, on: bool) -> None:
+        self.drive_wanted, self._drive_off_stamp, self._drive_off_q = on, None if on else state.stamp, state.q.copy()
+        self._coast_limit = self.limits.max_brake_slip + self.limits.brake_time * np.abs(state.v)
 
 
-def strayed(q: Array, state: RobotState) -> Array:
+def displacement(q: Array, state: RobotState) -> Array:
     """How far each control's part (n,) has come from `q` [m, rad]; of a base the way, in whatever direction."""
     moved = np.abs(state.q - q)
     return moved if len(q) == len(state.v) else np.array([np.hypot(moved[0], moved[1]), *moved[2:]])

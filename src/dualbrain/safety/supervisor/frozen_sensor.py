@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
-class Sighting:
+class SensorReading:
     """One thing of a picture: its `name`, when it was seen [s], and the `numbers` that were measured.
 
     What has no noise (`exact`: known, surveyed, computed) may be the same for ever.
@@ -19,24 +19,24 @@ class Sighting:
 
     name: str
     stamp: float
-    numbers: Hashable
-    exact: bool
+    values: Hashable
+    noise_free: bool
 
 
-class Repetition:
+class FrozenSensorDetector:
     """Counts, for each thing, the pictures in a row that told it anew and alike."""
 
     def __init__(self) -> None:
         """Nothing seen yet."""
-        self._last: dict[str, tuple[Sighting, int]] = {}
+        self._last: dict[str, tuple[SensorReading, int]] = {}
 
-    def update(self, picture: Iterable[Sighting]) -> int:
+    def update(self, readings: Iterable[SensorReading]) -> int:
         """Take in the next picture; how often its most repeated thing has come again. An old stamp counts nothing."""
-        self._last = {one.name: (one, self._count(one)) for one in picture}
+        self._last = {one.name: (one, self._repeat_count(one)) for one in readings}
         return max((count for _, count in self._last.values()), default=0)
 
-    def _count(self, one: Sighting) -> int:
-        last, count = self._last.get(one.name, (None, 0))
-        if last is None or one.exact or one.numbers != last.numbers:
+    def _repeat_count(self, reading: SensorReading) -> int:
+        last, count = self._last.get(reading.name, (None, 0))
+        if last is None or reading.noise_free or reading.values != last.values:
             return 0
-        return count + (one.stamp > last.stamp)
+        return count + (reading.stamp > last.stamp)

@@ -13,35 +13,35 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.safety.cbf.result import Filtered
+from dualbrain.safety.cbf.result import FilterResult
 
 Array = NDArray[np.float64]
 
-LARGEST = 2.0
+MAX_DELTA = 2.0
 """δ lies in [0, 2]."""
-ROUNDING = 1e-3
+DELTA_TOLERANCE = 1e-3
 """How far δ as told and as measured may lie apart: far above the kernel's rounding, 0.1 % of full speed."""
 
 
-def intervention(result: Filtered, u: Array, u_nom: Array) -> float:
+def compute_delta(result: FilterResult, u: Array, u_nom: Array) -> float:
     """δ of `u` against `u_nom`, each (n,) [rad/s], as in the kernel."""
     gaps = [(a - b) / most for a, b, most in zip(u.tolist(), u_nom.tolist(), result.names.v_max, strict=True)]
-    return min(sqrt(sum(gap * gap for gap in gaps) / len(gaps)), LARGEST)
+    return min(sqrt(sum(gap * gap for gap in gaps) / len(gaps)), MAX_DELTA)
 
 
-def answers(result: Filtered, u_nom: Array) -> bool:
+def is_consistent(result: FilterResult, u_nom: Array) -> bool:
     """Whether the control in `result` is the one that its δ speaks of, for the nominal (n,) [rad/s] that was asked for.
 
     An answer to an earlier question (a filter that hangs and repeats itself) is found out as soon as it matters: when
     nominal or control should have changed. A nominal that is not finite has no δ; the filter refuses it by itself.
     """
-    told = intervention(result, result.u, u_nom)
-    return not isfinite(told) or abs(told - result.delta) <= ROUNDING
+    told = compute_delta(result, result.u, u_nom)
+    return not isfinite(told) or abs(told - result.delta) <= DELTA_TOLERANCE
 
 
-def supervised(result: Filtered, u_nom: Array, u: Array) -> Filtered:
+def with_supervisor_control(result: FilterResult, u_nom: Array, u: Array) -> FilterResult:
     """`result` with the control `u` that is written, and δ against the skill's own `u_nom`, each (n,) [rad/s]."""
-    total = intervention(result, u, u_nom)
+    total = compute_delta(result, u, u_nom)
     share = min(1.0, total / result.delta) if result.delta > 0.0 else 0.0
     rows, box = share * result.delta_rows, share * result.delta_box
     return msgspec.structs.replace(

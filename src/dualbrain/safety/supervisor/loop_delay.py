@@ -14,15 +14,15 @@ from __future__ import annotations
 
 from math import exp, isfinite, nan
 
-GAP = 2.5
+LATE_TICK_PERIODS = 2.5
 """Periods between two ticks beyond which one was late."""
-FORGOTTEN = 0.2
+DECAY_TIME = 0.2
 """Time constant T in which lateness is forgotten [s]."""
-MOST = 0.1
+MAX_DELAY = 0.1
 """No more than this is held against a loop [s], so that one long stall is forgotten soon."""
 
 
-class Lateness:
+class LoopDelay:
     """`update(now, stamp)` once a tick. A gap counts only as far as both clocks tell it, as each may be broken alone.
 
     While the robot itself is silent its stamps stand still, and the loop is not to blame.
@@ -32,7 +32,7 @@ class Lateness:
         """Nothing was late; `period` dt [s]."""
         self._period = period
         self._now, self._stamp = nan, nan
-        self.behind = 0.0
+        self.delay = 0.0
 
     def update(self, now: float, stamp: float, *, moving: bool) -> float:
         """Sum b [s] after a tick at `now` [s] of the layer's clock and `stamp` [s] of the robot's.
@@ -42,6 +42,6 @@ class Lateness:
         gaps = (now - self._now, stamp - self._stamp)
         self._now, self._stamp = now, stamp
         gap = max(min(gaps), self._period) if all(map(isfinite, gaps)) else self._period
-        late = gap - self._period if moving and gap > GAP * self._period else 0.0
-        self.behind = min(MOST, self.behind * exp(-gap / FORGOTTEN) + late)
-        return self.behind
+        late = gap - self._period if moving and gap > LATE_TICK_PERIODS * self._period else 0.0
+        self.delay = min(MAX_DELAY, self.delay * exp(-gap / DECAY_TIME) + late)
+        return self.delay

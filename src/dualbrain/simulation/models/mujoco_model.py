@@ -20,33 +20,33 @@ from pathlib import Path
 import mujoco
 
 from dualbrain.core.geometry.shapes import Vector
-from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.robots.builtin.mobile_panda import MOUNT
-from dualbrain.robots.loader import load_body
+from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.robots.builtin.mobile_panda import ARM_MOUNT_POSITION
+from dualbrain.robots.loader import load_robot
 from dualbrain.robots.mobile_manipulator import BASE_JOINTS as DRIVEN
-from dualbrain.robots.model import Body
-from dualbrain.simulation.models.menagerie import adapt, menagerie_file
-from dualbrain.simulation.models.visual_meshes import add_visuals, mesh_folder
+from dualbrain.robots.model import RobotModel
+from dualbrain.simulation.models.menagerie import adapt_panda, find_menagerie_file
+from dualbrain.simulation.models.visual_meshes import add_visual_meshes, find_mesh_folder
 
-MODELS = {"panda": "panda", "fr3": "panda", "ur5e": "ur5e", "base": "base", "mobile_panda": "carrier"}
+MODEL_FILES = {"panda": "panda", "fr3": "panda", "ur5e": "ur5e", "base": "base", "mobile_panda": "carrier"}
 """File of every robot's built-in model; joint limits are the body's own."""
-CARRIED = {"mobile_panda": ("panda", MOUNT)}
+MOUNTED_ARMS = {"mobile_panda": ("panda", ARM_MOUNT_POSITION)}
 """The arm that a carrier's model gets, and where [m]."""
-PLATFORM = "platform"
+PLATFORM_BODY = "platform"
 """The body of a mobile manipulator that stands on the floor."""
 
-BASE_JOINTS = ("x", "y", "yaw")
+BASE_JOINT_NAMES = ("x", "y", "yaw")
 
 
-def arm_joints(body: Body) -> int:
+def n_arm_joints(body: RobotModel) -> int:
     """How many joints the arm of `body` has."""
-    return body.n - DRIVEN if body.mobile else body.n
+    return body.n - DRIVEN if body.is_mobile else body.n
 
 
-def required(n: int) -> dict[str, tuple[str, ...]]:
+def required_elements(n: int) -> dict[str, tuple[str, ...]]:
     """The parts that the model of an arm of `n` joints must have, by kind; of a base where n = 0."""
     if n == 0:
-        return {"body": ("link0",), "joint": BASE_JOINTS, "actuator": BASE_JOINTS, "site": ("tcp",)}
+        return {"body": ("link0",), "joint": BASE_JOINT_NAMES, "actuator": BASE_JOINT_NAMES, "site": ("tcp",)}
     return {
         "body": (*(f"link{i}" for i in range(n + 1)), "hand", "left_finger", "right_finger"),
         "joint": (*(f"joint{i}" for i in range(1, n + 1)), "finger_joint1", "finger_joint2"),
@@ -57,25 +57,25 @@ def required(n: int) -> dict[str, tuple[str, ...]]:
 
 
 @dataclass(frozen=True, slots=True)
-class RobotModel:
+class MujocoModel:
     """A robot ready to be attached to a scene: its editable `spec`, `source` in words, whether it has a look."""
 
     name: str
     spec: mujoco.MjSpec
     source: str
     has_visuals: bool
-    rider: RobotModel | None = None
-    at: Vector = (0.0, 0.0, 0.0)
+    mounted_arm: MujocoModel | None = None
+    mount_position: Vector = (0.0, 0.0, 0.0)
 
     @property
     def root(self) -> mujoco.MjsBody:
         """The body that stands in the world; a `rider`, if any, is bolted to it at `at` [m]."""
-        return self.spec.body(PLATFORM if self.rider else "link0")
+        return self.spec.body(PLATFORM_BODY if self.mounted_arm else "link0")
 
 
-def robot_model(
+def load_mujoco_model(
     name: str, *, path: Path | None = None, menagerie: Path | None = None, visuals: bool = False
-) -> RobotModel:
+) -> MujocoModel:
     """The model called `name`, from the first source that has it.
 
     `path` is a MJCF file of the user's that obeys the convention above. `menagerie` is a checkout of MuJoCo Menagerie
@@ -83,32 +83,32 @@ def robot_model(
     taken. `visuals` adds surface meshes, which change no physics.
     Raises `UnknownName` for another robot and `InvalidSetup` for a file that lacks a required part.
     """
-    if name not in MODELS:
-        raise UnknownName("robot model", name, tuple(MODELS))
-    if path is None and name in CARRIED:
-        return _carried(name, menagerie=menagerie, visuals=visuals)
+    if name not in MODEL_FILES:
+        raise UnknownNameError("robot model", name, tuple(MODEL_FILES))
+    if path is None and name in MOUNTED_ARMS:
+        return _load_mobile_manipulator(name, menagerie=menagerie, visuals=visuals)
     if path is not None:
-        spec, source, dressed = _user(path), f"file {path.name}", True
-    elif name == "panda" and (found := menagerie_file(menagerie)) is not None:
-        spec, source, dressed = adapt(mujoco.MjSpec.from_file(str(found))), "MuJoCo Menagerie", True
+        spec, source, dressed = _load_user_file(path), f"file {path.name}", True
+    elif name == "panda" and (found := find_menagerie_file(menagerie)) is not None:
+        spec, source, dressed = adapt_panda(mujoco.MjSpec.from_file(str(found))), "MuJoCo Menagerie", True
     else:
-        spec, source, dressed = _built_in(name), "built-in", False
-    _fit(spec, source, load_body(name))
+        spec, source, dressed = _load_built_in(name), "built-in", False
+    _check_and_set_limits(spec, source, load_robot(name))
     if not visuals:
         strip_visuals(spec)
-    elif name == "panda" and not dressed and (folder := mesh_folder()) is not None:
-        add_visuals(spec, folder)
+    elif name == "panda" and not dressed and (folder := find_mesh_folder()) is not None:
+        add_visual_meshes(spec, folder)
         dressed, source = True, f"{source}, look from example-robot-data"
-    return RobotModel(name, spec, source, visuals and dressed)
+    return MujocoModel(name, spec, source, visuals and dressed)
 
 
-def _carried(name: str, *, menagerie: Path | None, visuals: bool) -> RobotModel:
+def _load_mobile_manipulator(name: str, *, menagerie: Path | None, visuals: bool) -> MujocoModel:
     """A carrier and the arm that rides on it."""
-    rider, at = CARRIED[name]
-    arm, spec = robot_model(rider, menagerie=menagerie, visuals=visuals), _built_in(name)
+    rider, at = MOUNTED_ARMS[name]
+    arm, spec = load_mujoco_model(rider, menagerie=menagerie, visuals=visuals), _load_built_in(name)
     source = f"built-in carrier; arm: {arm.source}"
-    _check(spec, source, {"body": (PLATFORM,), "joint": BASE_JOINTS, "actuator": BASE_JOINTS})
-    return RobotModel(name, spec, source, arm.has_visuals, arm, at)
+    _require_elements(spec, source, {"body": (PLATFORM_BODY,), "joint": BASE_JOINT_NAMES, "actuator": BASE_JOINT_NAMES})
+    return MujocoModel(name, spec, source, arm.has_visuals, arm, at)
 
 
 def strip_visuals(spec: mujoco.MjSpec) -> None:
@@ -117,31 +117,31 @@ def strip_visuals(spec: mujoco.MjSpec) -> None:
         spec.delete(geom)
 
 
-def _built_in(name: str) -> mujoco.MjSpec:
-    text = resources.files("dualbrain.simulation.models").joinpath("mjcf", f"{MODELS[name]}.xml").read_text()
+def _load_built_in(name: str) -> mujoco.MjSpec:
+    text = resources.files("dualbrain.simulation.models").joinpath("mjcf", f"{MODEL_FILES[name]}.xml").read_text()
     return mujoco.MjSpec.from_string(text)
 
 
-def _user(path: Path) -> mujoco.MjSpec:
+def _load_user_file(path: Path) -> mujoco.MjSpec:
     try:
         return mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
-        raise InvalidSetup(
+        raise ConfigurationError(
             "robot model file", got=str(error), allowed="a MJCF file that MuJoCo loads", fix=str(path)
         ) from error
 
 
-def _fit(spec: mujoco.MjSpec, source: str, body: Body) -> None:
+def _check_and_set_limits(spec: mujoco.MjSpec, source: str, body: RobotModel) -> None:
     """Check that every part is there, and give the joints the body's own ranges."""
-    _check(spec, source, required(arm_joints(body)))
-    for index, joint in enumerate(() if body.mobile else body.joints, start=1):
+    _require_elements(spec, source, required_elements(n_arm_joints(body)))
+    for index, joint in enumerate(() if body.is_mobile else body.joints, start=1):
         spec.joint(f"joint{index}").range = [joint.lower.value, joint.upper.value]
 
 
-def _check(spec: mujoco.MjSpec, source: str, parts: dict[str, tuple[str, ...]]) -> None:
+def _require_elements(spec: mujoco.MjSpec, source: str, parts: dict[str, tuple[str, ...]]) -> None:
     for kind, names in parts.items():
         missing = [name for name in names if getattr(spec, kind)(name) is None]
         if missing:
-            raise InvalidSetup(
+            raise ConfigurationError(
                 f"robot model ({source})", got=f"no {kind} {', '.join(missing)}", allowed=f"{kind}s {', '.join(names)}"
             )

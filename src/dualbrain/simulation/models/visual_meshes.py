@@ -19,13 +19,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-FILES = ("link0", "link1", "link2", "link3", "link4", "link5", "link6", "link7", "hand", "finger")
-FOLDER = "cmeel.prefix/share/example-robot-data/robots/panda_description/meshes"
+MESH_FILES = ("link0", "link1", "link2", "link3", "link4", "link5", "link6", "link7", "hand", "finger")
+MESH_FOLDER = "cmeel.prefix/share/example-robot-data/robots/panda_description/meshes"
 _NS = "{http://www.collada.org/2005/11/COLLADASchema}"
 
 
 @dataclass(frozen=True, slots=True)
-class Patch:
+class ColouredMesh:
     """Triangles of one colour: `points` (k, 3) [m] and for each triangle the rows of its corners, `faces` (t, 3)."""
 
     colour: tuple[float, float, float]
@@ -33,23 +33,23 @@ class Patch:
     faces: NDArray[np.int32]
 
 
-def mesh_folder(kind: str = "visual") -> Path | None:
+def find_mesh_folder(kind: str = "visual") -> Path | None:
     """Folder of the Panda's `visual` (.dae) or `collision` (.stl) meshes; None where the package is not installed."""
     try:
-        found = Path(str(metadata.distribution("example-robot-data").locate_file(FOLDER))) / kind
+        found = Path(str(metadata.distribution("example-robot-data").locate_file(MESH_FOLDER))) / kind
     except metadata.PackageNotFoundError:
         return None
     return found if found.is_dir() else None
 
 
-def add_visuals(robot: mujoco.MjSpec, folder: Path) -> None:
+def add_visual_meshes(robot: mujoco.MjSpec, folder: Path) -> None:
     """Hang the meshes on the robot's bodies as geoms of group 2 that neither collide nor weigh."""
-    for name in FILES:
+    for name in MESH_FILES:
         bodies = ("left_finger", "right_finger") if name == "finger" else (name,)
-        for index, patch in enumerate(read_patches(folder / f"{name}.dae")):
+        for index, patch in enumerate(read_collada(folder / f"{name}.dae")):
             mesh = robot.add_mesh(name=f"{name}_{index}", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
             mesh.uservert, mesh.userface = patch.points.ravel(), patch.faces.ravel()
-            material = _material(robot, patch.colour)
+            material = _add_material(robot, patch.colour)
             for body in bodies:
                 robot.body(body).add_geom(
                     type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, material=material, group=2, mass=0.0,
@@ -57,47 +57,47 @@ def add_visuals(robot: mujoco.MjSpec, folder: Path) -> None:
                 )  # fmt: skip
 
 
-def read_patches(path: Path) -> tuple[Patch, ...]:
+def read_collada(path: Path) -> tuple[ColouredMesh, ...]:
     """The triangles in a COLLADA file, joined by colour, in the file's frame."""
     root = ET.parse(path).getroot()
-    colours, placements = _colours(root), _placements(root)
-    parts: dict[tuple[float, float, float], list[Patch]] = {}
+    colours, placements = _read_colours(root), _read_placements(root)
+    parts: dict[tuple[float, float, float], list[ColouredMesh]] = {}
     for geometry in root.iter(f"{_NS}geometry"):
         for triangles in geometry.iter(f"{_NS}triangles"):
             colour = colours[triangles.get("material", "")]
             place = placements[geometry.get("id", "")]
-            parts.setdefault(colour, []).append(_patch(geometry, triangles, place, colour))
-    return tuple(_join(same) for same in parts.values())
+            parts.setdefault(colour, []).append(_read_triangles(geometry, triangles, place, colour))
+    return tuple(_merge_meshes(same) for same in parts.values())
 
 
-def _patch(
+def _read_triangles(
     geometry: ET.Element,
     triangles: ET.Element,
     place: NDArray[np.float64],
     colour: tuple[float, float, float],
-) -> Patch:
+) -> ColouredMesh:
     inputs = {item.get("semantic"): int(item.get("offset", "0")) for item in triangles.findall(f"{_NS}input")}
     stride = 1 + max(inputs.values())
-    points = _positions(geometry) @ place[:3, :3].T + place[:3, 3]
+    points = _read_positions(geometry) @ place[:3, :3].T + place[:3, 3]
     rows = np.array(triangles.findtext(f"{_NS}p", "").split(), np.int32).reshape(-1, 3, stride)
-    return Patch(colour, points.astype(np.float32), rows[:, :, inputs["VERTEX"]])
+    return ColouredMesh(colour, points.astype(np.float32), rows[:, :, inputs["VERTEX"]])
 
 
-def _join(patches: list[Patch]) -> Patch:
+def _merge_meshes(patches: list[ColouredMesh]) -> ColouredMesh:
     first = np.cumsum([0, *(len(patch.points) for patch in patches)])[:-1]
     faces = [patch.faces + start for patch, start in zip(patches, first, strict=True)]
     points = np.vstack([patch.points for patch in patches])
-    return Patch(patches[0].colour, points, np.vstack(faces).astype(np.int32))
+    return ColouredMesh(patches[0].colour, points, np.vstack(faces).astype(np.int32))
 
 
-def _positions(geometry: ET.Element) -> NDArray[np.float64]:
+def _read_positions(geometry: ET.Element) -> NDArray[np.float64]:
     vertices = geometry.find(f".//{_NS}vertices/{_NS}input[@semantic='POSITION']")
     name = "" if vertices is None else vertices.get("source", "").lstrip("#")
     text = geometry.findtext(f".//{_NS}source[@id='{name}']/{_NS}float_array", "")
     return np.array(text.split(), np.float64).reshape(-1, 3)
 
 
-def _colours(root: ET.Element) -> dict[str, tuple[float, float, float]]:
+def _read_colours(root: ET.Element) -> dict[str, tuple[float, float, float]]:
     """Diffuse colour by material id."""
     diffuse = {
         effect.get("id", ""): np.array(effect.findtext(f".//{_NS}diffuse/{_NS}color", "1 1 1 1").split(), np.float64)[
@@ -113,7 +113,7 @@ def _colours(root: ET.Element) -> dict[str, tuple[float, float, float]]:
     return found
 
 
-def _placements(root: ET.Element) -> dict[str, NDArray[np.float64]]:
+def _read_placements(root: ET.Element) -> dict[str, NDArray[np.float64]]:
     places = {}
     for node in root.iter(f"{_NS}node"):
         matrix = np.array(node.findtext(f"{_NS}matrix", "").split() or np.eye(4).ravel(), np.float64).reshape(4, 4)
@@ -122,7 +122,7 @@ def _placements(root: ET.Element) -> dict[str, NDArray[np.float64]]:
     return places
 
 
-def _material(robot: mujoco.MjSpec, colour: tuple[float, float, float]) -> str:
+def _add_material(robot: mujoco.MjSpec, colour: tuple[float, float, float]) -> str:
     name = "shell_" + "_".join(f"{int(100 * part)}" for part in colour)
     if robot.material(name) is None:
         shade = tuple(0.86 * part + 0.02 for part in colour)

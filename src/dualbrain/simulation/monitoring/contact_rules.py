@@ -15,13 +15,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.errors import UnknownName
-from dualbrain.simulation.scenes.scene_builder import PREFIX
+from dualbrain.errors import UnknownNameError
+from dualbrain.simulation.scenes.scene_builder import ROBOT_PREFIX
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
 
-QUIET, ENVIRONMENT, HUMAN, SELF, HELD = 0, 1, 2, 3, 4
+IGNORED, ENVIRONMENT_CONTACT, HUMAN_CONTACT, SELF_CONTACT, HELD_CONTACT = 0, 1, 2, 3, 4
 
-PHASES: dict[str, str] = {
+CONTACT_PHASES: dict[str, str] = {
     "free": "nothing may touch",
     "grasp": "fingers may touch the target",
     "lift": "fingers may touch the held thing, which may still touch the table",
@@ -31,11 +31,11 @@ PHASES: dict[str, str] = {
     "retreat": "fingers may still touch the target",
     "push": "fingers and hand may touch the target",
 }
-SUPPORTED = ("lift", "lower", "release")
+TABLE_CONTACT_PHASES = ("lift", "lower", "release")
 
 
 @dataclass(frozen=True, slots=True)
-class Allowance:
+class ContactAllowance:
     """What the running skill declares: its target, what it holds, where that goes, and its phase."""
 
     target: str | None = None
@@ -51,48 +51,48 @@ class ContactRules:
         """Index the geoms of `model` by owner: robot link, thing, person, room."""
         self._spec = spec
         bodies = [model.body(int(body)).name for body in model.geom_bodyid]
-        self.owner = [model.geom(geom).name if body == "world" else body for geom, body in enumerate(bodies)]
-        self.robot = np.array([owner.startswith(PREFIX) for owner in self.owner])
-        fingers = (f"{PREFIX}left_finger", f"{PREFIX}right_finger")
-        self.fingers = np.array([owner in fingers for owner in self.owner])
-        self.hand = self.fingers | np.array([owner == f"{PREFIX}hand" for owner in self.owner])
-        self.person = self._mask(spec.mover.name if spec.mover is not None else None)
-        self.fragile = np.full(model.ngeom, np.inf)
-        for thing in spec.things:
+        self.owners = [model.geom(geom).name if body == "world" else body for geom, body in enumerate(bodies)]
+        self.robot_mask = np.array([owner.startswith(ROBOT_PREFIX) for owner in self.owners])
+        fingers = (f"{ROBOT_PREFIX}left_finger", f"{ROBOT_PREFIX}right_finger")
+        self.finger_mask = np.array([owner in fingers for owner in self.owners])
+        self.hand_mask = self.finger_mask | np.array([owner == f"{ROBOT_PREFIX}hand" for owner in self.owners])
+        self.person_mask = self._mask(spec.mover.name if spec.mover is not None else None)
+        self.fragile_limits = np.full(model.ngeom, np.inf)
+        for thing in spec.objects:
             if thing.fragile_limit is not None:
-                self.fragile[self._mask(thing.name)] = thing.fragile_limit
+                self.fragile_limits[self._mask(thing.name)] = thing.fragile_limit
 
-    def table(self, allowance: Allowance) -> NDArray[np.uint8]:
+    def verdict_table(self, allowance: ContactAllowance) -> NDArray[np.uint8]:
         """Verdict by pair of geoms, shape (ngeom, ngeom), symmetric; raises `UnknownName` for a phase or a thing."""
         self._check(allowance)
-        robot, person = self.robot, self.person
+        robot, person = self.robot_mask, self.person_mask
         target, held = self._mask(allowance.target), self._mask(allowance.held)
         ours = robot | held
         verdict = np.zeros((len(robot), len(robot)), np.uint8)
-        _put(verdict, robot, ~ours & ~person, ENVIRONMENT)
-        _put(verdict, held, ~ours & ~person, HELD)
-        _put(verdict, ours, person, HUMAN)
-        _put(verdict, robot, robot, SELF)
-        _put(verdict, self.fingers, self.fingers, QUIET)
-        _put(verdict, robot & ~self.fingers, held, HELD)
-        _put(verdict, self.fingers, held, QUIET)
+        _set_pairs(verdict, robot, ~ours & ~person, ENVIRONMENT_CONTACT)
+        _set_pairs(verdict, held, ~ours & ~person, HELD_CONTACT)
+        _set_pairs(verdict, ours, person, HUMAN_CONTACT)
+        _set_pairs(verdict, robot, robot, SELF_CONTACT)
+        _set_pairs(verdict, self.finger_mask, self.finger_mask, IGNORED)
+        _set_pairs(verdict, robot & ~self.finger_mask, held, HELD_CONTACT)
+        _set_pairs(verdict, self.finger_mask, held, IGNORED)
         if allowance.phase in ("grasp", "release", "retreat"):
-            _put(verdict, self.fingers, target, QUIET)
+            _set_pairs(verdict, self.finger_mask, target, IGNORED)
         if allowance.phase == "push":
-            _put(verdict, self.hand, target, QUIET)
-        if allowance.phase in SUPPORTED:
-            _put(verdict, held, self._mask("table"), QUIET)
+            _set_pairs(verdict, self.hand_mask, target, IGNORED)
+        if allowance.phase in TABLE_CONTACT_PHASES:
+            _set_pairs(verdict, held, self._mask("table"), IGNORED)
         if allowance.phase in ("lower", "release"):
-            _put(verdict, held, self._mask(allowance.destination), QUIET)
+            _set_pairs(verdict, held, self._mask(allowance.destination), IGNORED)
         return verdict
 
     def _mask(self, name: str | None) -> NDArray[np.bool_]:
-        return np.array([name is not None and owner == name for owner in self.owner])
+        return np.array([name is not None and owner == name for owner in self.owners])
 
-    def _check(self, allowance: Allowance) -> None:
-        if allowance.phase not in PHASES:
-            raise UnknownName("contact phase", allowance.phase, tuple(PHASES))
-        known = tuple(thing.name for thing in self._spec.things)
+    def _check(self, allowance: ContactAllowance) -> None:
+        if allowance.phase not in CONTACT_PHASES:
+            raise UnknownNameError("contact phase", allowance.phase, tuple(CONTACT_PHASES))
+        known = tuple(thing.name for thing in self._spec.objects)
         places = tuple(place.name for place in self._spec.places)
         for name, names in (
             (allowance.target, known),
@@ -100,10 +100,10 @@ class ContactRules:
             (allowance.destination, (*known, *places, "table")),
         ):
             if name is not None and name not in names:
-                raise UnknownName("thing", name, names, owner="the scene")
+                raise UnknownNameError("thing", name, names, owner="the scene")
 
 
-def _put(verdict: NDArray[np.uint8], first: NDArray[np.bool_], second: NDArray[np.bool_], value: int) -> None:
+def _set_pairs(verdict: NDArray[np.uint8], first: NDArray[np.bool_], second: NDArray[np.bool_], value: int) -> None:
     """Set `value` for every pair of one from `first` and one from `second`, in both orders."""
     verdict[np.ix_(first, second)] = value
     verdict[np.ix_(second, first)] = value

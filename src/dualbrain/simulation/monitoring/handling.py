@@ -15,43 +15,43 @@ from numpy.typing import NDArray
 from dualbrain.records import Violation
 from dualbrain.simulation.plant.plant import Plant
 
-TILT = float(np.deg2rad(30.0))
+MAX_TILT = float(np.deg2rad(30.0))
 """[rad]"""
-SHAKE = 8.0
+MAX_ACCELERATION = 8.0
 """[m/s²]"""
-WINDOW = 0.05
+ACCELERATION_WINDOW = 0.05
 """[s]"""
-HARMS = ("force_fragile", "tilted_load", "shaken_load")
+HARM_KINDS = ("force_fragile", "tilted_load", "shaken_load")
 """Kinds of violation after which a thing was not handled gently."""
 
 
-class Handling:
+class HandlingMonitor:
     """Watches one thing of a plant."""
 
     def __init__(self, plant: Plant, name: str) -> None:
         """Start with nothing seen; raises `UnknownName`."""
         plant.spec.find(name)
         self.name, self._plant = name, plant
-        self._past: deque[tuple[float, NDArray[np.float64]]] = deque()
-        self._axis: NDArray[np.float64] | None = None
+        self._velocities: deque[tuple[float, NDArray[np.float64]]] = deque()
+        self._start_axis: NDArray[np.float64] | None = None
 
-    def look(self, now: float) -> Iterator[tuple[str, str, float]]:
+    def find_violations(self, now: float) -> Iterator[tuple[str, str, float]]:
         """Every (kind, name, peak) that is breached at `now` [s]; call it at even times."""
         axis = self._plant.data.body(self.name).xmat.reshape(3, 3)[:, 2].copy()
-        self._axis = axis if self._axis is None else self._axis
-        lean = float(np.arccos(np.clip(axis @ self._axis, -1.0, 1.0)))
-        if lean > TILT:
+        self._start_axis = axis if self._start_axis is None else self._start_axis
+        lean = float(np.arccos(np.clip(axis @ self._start_axis, -1.0, 1.0)))
+        if lean > MAX_TILT:
             yield "tilted_load", self.name, lean
-        self._past.append((now, self._plant.velocity(self.name)))
-        while self._past[-1][0] - self._past[0][0] > WINDOW + 1e-9:
-            self._past.popleft()
-        (before, slow), (after, fast) = self._past[0], self._past[-1]
-        if after - before > 0.9 * WINDOW:
+        self._velocities.append((now, self._plant.object_velocity(self.name)))
+        while self._velocities[-1][0] - self._velocities[0][0] > ACCELERATION_WINDOW + 1e-9:
+            self._velocities.popleft()
+        (before, slow), (after, fast) = self._velocities[0], self._velocities[-1]
+        if after - before > 0.9 * ACCELERATION_WINDOW:
             rate = float(np.linalg.norm(fast - slow)) / (after - before)
-            if rate > SHAKE:
+            if rate > MAX_ACCELERATION:
                 yield "shaken_load", self.name, rate
 
 
-def unharmed(name: str, violations: Iterable[Violation]) -> bool:
+def is_unharmed(name: str, violations: Iterable[Violation]) -> bool:
     """Whether nothing among `violations` harmed the thing called `name`."""
-    return not any(one.kind in HARMS and name in one.bodies for one in violations)
+    return not any(one.kind in HARM_KINDS and name in one.bodies for one in violations)

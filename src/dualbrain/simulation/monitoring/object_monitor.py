@@ -12,85 +12,85 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.simulation.monitoring.contact_rules import Allowance, ContactRules
+from dualbrain.simulation.monitoring.contact_rules import ContactAllowance, ContactRules
 from dualbrain.simulation.plant.plant import Plant
 
-MOVED = 0.02  # [m]
-TILTED = float(np.deg2rad(15.0))  # [rad]
-COS_HALF_TILTED = float(np.cos(TILTED / 2))
-BELOW = -0.01  # [m] height of a centre that has left the table
-FALL = 0.05  # [m]
-FALL_SPEED = 0.3  # [m/s] downward, from which a motion may be a fall
+MAX_DISPLACEMENT = 0.02  # [m]
+MAX_TILT = float(np.deg2rad(15.0))  # [rad]
+COS_HALF_MAX_TILT = float(np.cos(MAX_TILT / 2))
+MIN_HEIGHT = -0.01  # [m] height of a centre that has left the table
+MIN_FALL_HEIGHT = 0.05  # [m]
+MIN_FALL_SPEED = 0.3  # [m/s] downward, from which a motion may be a fall
 
 
-class ThingWatch:
+class ObjectMonitor:
     """Compares every free thing with where it stood when judging began."""
 
     def __init__(self, plant: Plant) -> None:
         """Remember the free things; the reference poses are taken at the first tick that is judged."""
         self._model, self._data = plant.model, plant.data
-        self.names = plant.names
-        self._free = [thing.name for thing in plant.spec.things if not thing.fixed]
-        self._body = np.array([plant.model.body(name).id for name in self._free], int)
-        self._dof = np.array([plant.model.body(name).dofadr[0] for name in self._free], int)
-        self._start: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+        self.object_names = plant.object_names
+        self._free_objects = [thing.name for thing in plant.spec.objects if not thing.fixed]
+        self._body = np.array([plant.model.body(name).id for name in self._free_objects], int)
+        self._dof = np.array([plant.model.body(name).dofadr[0] for name in self._free_objects], int)
+        self._start_poses: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
         self._involved: set[str] = set()
-        self._top: dict[str, float] = {}
+        self._fall_start_heights: dict[str, float] = {}
         self._releasing = False
 
-    def allow(self, allowance: Allowance) -> None:
+    def allow(self, allowance: ContactAllowance) -> None:
         """Things named by a skill are not bystanders any more."""
         self._involved |= {name for name in (allowance.target, allowance.held, allowance.destination) if name}
         self._releasing = allowance.phase == "release"
 
-    def begin(self) -> None:
+    def record_start_poses(self) -> None:
         """Take the reference poses, once."""
-        if self._start is None:
-            self._start = (self._data.xpos[self._body].copy(), self._data.xquat[self._body].copy())
+        if self._start_poses is None:
+            self._start_poses = (self._data.xpos[self._body].copy(), self._data.xquat[self._body].copy())
 
-    def look(self, rules: ContactRules) -> Iterator[tuple[str, str, float]]:
+    def find_violations(self, rules: ContactRules) -> Iterator[tuple[str, str, float]]:
         """Every (kind, name, peak) that is breached now."""
-        assert self._start is not None
+        assert self._start_poses is not None
         position, quaternion = self._data.xpos[self._body], self._data.xquat[self._body]
-        away = position - self._start[0]
+        away = position - self._start_poses[0]
         moved = (away * away).sum(axis=1)
-        cosine = np.abs((quaternion * self._start[1]).sum(axis=1))
-        suspects = (moved > MOVED**2) | (cosine < COS_HALF_TILTED)
+        cosine = np.abs((quaternion * self._start_poses[1]).sum(axis=1))
+        suspects = (moved > MAX_DISPLACEMENT**2) | (cosine < COS_HALF_MAX_TILT)
         if suspects.any():
-            yield from self._bystanders(suspects, np.sqrt(moved), 2.0 * np.arccos(cosine.clip(0.0, 1.0)))
+            yield from self._find_moved_bystanders(suspects, np.sqrt(moved), 2.0 * np.arccos(cosine.clip(0.0, 1.0)))
         height, rise = position[:, 2], self._data.qvel[self._dof + 2]
-        if self._top or ((rise < -FALL_SPEED) | (height < BELOW)).any():
-            yield from self._falls(height, rise, rules)
+        if self._fall_start_heights or ((rise < -MIN_FALL_SPEED) | (height < MIN_HEIGHT)).any():
+            yield from self._find_falls(height, rise, rules)
 
-    def _bystanders(
+    def _find_moved_bystanders(
         self, suspects: NDArray[np.bool_], moved: NDArray[np.float64], turned: NDArray[np.float64]
     ) -> Iterator[tuple[str, str, float]]:
         for index in suspects.nonzero()[0].tolist():
-            name = self._free[index]
+            name = self._free_objects[index]
             if name in self._involved:
                 continue
-            if moved[index] > MOVED:
+            if moved[index] > MAX_DISPLACEMENT:
                 yield "bystander", name, float(moved[index])
-            if turned[index] > TILTED:
+            if turned[index] > MAX_TILT:
                 yield "bystander_tilt", name, float(turned[index])
 
-    def _falls(
+    def _find_falls(
         self, height: NDArray[np.float64], rise: NDArray[np.float64], rules: ContactRules
     ) -> Iterator[tuple[str, str, float]]:
-        for index, name in enumerate(self._free):
-            if height[index] < BELOW:
+        for index, name in enumerate(self._free_objects):
+            if height[index] < MIN_HEIGHT:
                 yield "object_dropped", name, float(-height[index])
-            if rise[index] > -FALL_SPEED or self._releasing or self._gripped(index, rules):
-                self._top.pop(name, None)
+            if rise[index] > -MIN_FALL_SPEED or self._releasing or self._is_gripped(index, rules):
+                self._fall_start_heights.pop(name, None)
                 continue
-            top = self._top.setdefault(name, float(height[index]) + float(rise[index]) ** 2 / (2 * 9.81))
-            if top - height[index] > FALL:
+            top = self._fall_start_heights.setdefault(name, float(height[index]) + float(rise[index]) ** 2 / (2 * 9.81))
+            if top - height[index] > MIN_FALL_HEIGHT:
                 yield "object_dropped", name, float(top - height[index])
 
-    def _gripped(self, index: int, rules: ContactRules) -> bool:
+    def _is_gripped(self, index: int, rules: ContactRules) -> bool:
         pairs = self._data.contact.geom
         if not len(pairs):
             return False
         body = self._model.geom_bodyid
         mine = body[pairs] == self._body[index]
-        return bool((mine[:, ::-1] & rules.fingers[pairs]).any())
+        return bool((mine[:, ::-1] & rules.finger_mask[pairs]).any())

@@ -18,16 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.core.geometry.shapes import Capsule, HalfSpace, Pose, Vector
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import ConfigurationError
 from dualbrain.records import Scene, SceneObject
 from dualbrain.simulation.plant.plant import Plant
-from dualbrain.simulation.scenes.scene_spec import SceneSpec, Thing, closed_floor
+from dualbrain.simulation.scenes.scene_spec import ObjectSpec, SceneSpec, keep_out_objects
 
-TRUNCATION = 3.0
-TABLE = SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.0)), category="table")
+TRUNCATION_SIGMAS = 3.0
+TABLE_OBJECT = SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.0)), category="table")
 
 
-class Noise(msgspec.Struct, frozen=True):
+class PerceptionNoise(msgspec.Struct, frozen=True):
     """The declared noise model.
 
     `sigma` [m] per axis; `drift` [s] is the correlation time T (0: a fresh error at each look); `velocity_error`
@@ -37,32 +37,35 @@ class Noise(msgspec.Struct, frozen=True):
     """
 
     sigma: float = 0.003
-    drift: float = 0.5
+    correlation_time: float = 0.5
     velocity_error: float = 0.02
     latency: float = 0.0
-    drop_out: float = 0.0
-    hidden: frozenset[str] = frozenset()
+    dropout_probability: float = 0.0
+    hidden_objects: frozenset[str] = frozenset()
 
     @property
-    def bound(self) -> float:
+    def max_error(self) -> float:
         """Largest norm of a position error [m]."""
-        return TRUNCATION * self.sigma
+        return TRUNCATION_SIGMAS * self.sigma
 
 
-EXACT = Noise(sigma=0.0, velocity_error=0.0)
+NO_NOISE = PerceptionNoise(sigma=0.0, velocity_error=0.0)
 
 
-class Perception:
+class NoisyPerception:
     """Looks at a plant and tells a `Scene`; all chance comes from the generator that is handed in."""
 
-    def __init__(self, spec: SceneSpec, noise: Noise, rng: np.random.Generator) -> None:
+    def __init__(self, spec: SceneSpec, noise: PerceptionNoise, rng: np.random.Generator) -> None:
         """Perception of the scene `spec` under `noise`; raises `InvalidSetup` for impossible noise."""
-        if min(noise.sigma, noise.drift, noise.velocity_error, noise.latency) < 0.0 or not 0.0 <= noise.drop_out < 1.0:
-            raise InvalidSetup("perception noise", got=noise, allowed="nothing below 0, drop_out below 1")
+        if (
+            min(noise.sigma, noise.correlation_time, noise.velocity_error, noise.latency) < 0.0
+            or not 0.0 <= noise.dropout_probability < 1.0
+        ):
+            raise ConfigurationError("perception noise", got=noise, allowed="nothing below 0, drop_out below 1")
         self.noise, self._spec, self._rng = noise, spec, rng
         self._errors: dict[str, NDArray[np.float64]] = {}
         self._seen: dict[str, SceneObject] = {}
-        self._looked: float | None = None
+        self._last_capture: float | None = None
         self._captures: deque[tuple[float, tuple[SceneObject, ...]]] = deque()
         self._names: tuple[str, ...] = ()
         self._version = 0
@@ -70,7 +73,7 @@ class Perception:
     def close(self) -> None:
         """Nothing is held open."""
 
-    def look(self, plant: Plant) -> Scene:
+    def perceive(self, plant: Plant) -> Scene:
         """The scene as perceived now; each object's `stamp` says when it was really seen.
 
         Until the first look is `latency` old, the first look is returned with its true stamp.
@@ -83,65 +86,73 @@ class Perception:
         names = tuple(thing.name for thing in seen)
         if names != self._names:
             self._names, self._version = names, self._version + 1
-        table = msgspec.structs.replace(TABLE, stamp=now)
+        table = msgspec.structs.replace(TABLE_OBJECT, stamp=now)
         support = () if self._spec.region else (table,)
-        things = (*support, *seen, *closed_floor(self._spec, now))
+        things = (*support, *seen, *keep_out_objects(self._spec, now))
         return Scene(self._spec.robot, now, self._version, things, self._spec.places, self._spec.floor)
 
     def _capture(self, plant: Plant, now: float) -> None:
-        elapsed = 0.0 if self._looked is None else now - self._looked
-        self._looked = now
-        things: Mapping[str, Thing] = {thing.name: thing for thing in self._spec.things}
-        for name in plant.names:
-            error = self._drift(name, elapsed)
-            missed = self.noise.drop_out > 0.0 and self._rng.random() < self.noise.drop_out
-            if name in self.noise.hidden or missed:
+        elapsed = 0.0 if self._last_capture is None else now - self._last_capture
+        self._last_capture = now
+        things: Mapping[str, ObjectSpec] = {thing.name: thing for thing in self._spec.objects}
+        for name in plant.object_names:
+            error = self._drift_error(name, elapsed)
+            missed = self.noise.dropout_probability > 0.0 and self._rng.random() < self.noise.dropout_probability
+            if name in self.noise.hidden_objects or missed:
                 continue
-            seen = self._thing(plant, things[name], error) if name in things else self._person(plant, name, error)
+            seen = (
+                self._perceive_object(plant, things[name], error)
+                if name in things
+                else self._perceive_person(plant, name, error)
+            )
             self._seen[name] = msgspec.structs.replace(seen, stamp=now)
-        self._captures.append((now, tuple(self._seen[name] for name in plant.names if name in self._seen)))
+        self._captures.append((now, tuple(self._seen[name] for name in plant.object_names if name in self._seen)))
 
-    def _thing(self, plant: Plant, thing: Thing, error: NDArray[np.float64]) -> SceneObject:
+    def _perceive_object(self, plant: Plant, thing: ObjectSpec, error: NDArray[np.float64]) -> SceneObject:
         if thing.role == "support":
             error, bound = np.zeros(3), 0.0
         else:
-            bound = self.noise.bound
+            bound = self.noise.max_error
         return SceneObject(
-            thing.name, thing.role, thing.shape, _shift(plant.truth(thing.name), error), error=bound,
+            thing.name, thing.role, thing.shape, _shift_pose(plant.true_pose(thing.name), error), error=bound,
             category=thing.category, colour=thing.colour, fragile_limit=thing.fragile_limit,
         )  # fmt: skip
 
-    def _person(self, plant: Plant, name: str, error: NDArray[np.float64]) -> SceneObject:
+    def _perceive_person(self, plant: Plant, name: str, error: NDArray[np.float64]) -> SceneObject:
         mover = self._spec.mover
         assert mover is not None
-        velocity = plant.velocity(name) + self._ball(self.noise.velocity_error)
+        velocity = plant.object_velocity(name) + self._random_in_ball(self.noise.velocity_error)
         return SceneObject(
-            name, "person", Capsule(mover.radius, mover.half_length), _shift(plant.truth(name), error),
-            _vector(velocity), error=self.noise.bound, velocity_error=self.noise.velocity_error, category="person",
+            name, "person", Capsule(mover.radius, mover.half_length), _shift_pose(plant.true_pose(name), error),
+            _vector(velocity), error=self.noise.max_error, velocity_error=self.noise.velocity_error, category="person",
             colour="",
         )  # fmt: skip
 
-    def _drift(self, name: str, elapsed: float) -> NDArray[np.float64]:
+    def _drift_error(self, name: str, elapsed: float) -> NDArray[np.float64]:
         sigma = self.noise.sigma
         if sigma == 0.0:
             return np.zeros(3)
         before = self._errors.get(name)
-        keep = 0.0 if before is None or self.noise.drift == 0.0 else float(np.exp(-elapsed / self.noise.drift))
+        keep = (
+            0.0
+            if before is None or self.noise.correlation_time == 0.0
+            else float(np.exp(-elapsed / self.noise.correlation_time))
+        )
         start = np.zeros(3) if before is None else keep * before
         spread = sigma * np.sqrt(1.0 - keep * keep)
         error = start + spread * self._rng.standard_normal(3)
-        while np.linalg.norm(error) > self.noise.bound:
+        while np.linalg.norm(error) > self.noise.max_error:
             error = start + spread * self._rng.standard_normal(3)
         self._errors[name] = error
         return error
 
-    def _ball(self, radius: float) -> NDArray[np.float64]:
+    def _random_in_ball(self, radius: float) -> NDArray[np.float64]:
         """A point uniform in the ball of `radius`."""
         direction = self._rng.standard_normal(3)
         return radius * float(self._rng.random()) ** (1.0 / 3.0) * direction / np.linalg.norm(direction)
 
 
-def _shift(pose: Pose, error: NDArray[np.float64]) -> Pose:
+def _shift_pose(pose: Pose, error: NDArray[np.float64]) -> Pose:
     return Pose(_vector(np.array(pose.position) + error), pose.quaternion)
 
 

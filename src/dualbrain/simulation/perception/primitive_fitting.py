@@ -16,26 +16,26 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from dualbrain.core.geometry.shapes import Bowl, Box, Cylinder, Pose, Quaternion
-from dualbrain.simulation.scenes.appearance import COLOURS
+from dualbrain.simulation.scenes.appearance import COLOUR_RGBA
 
 Array = NDArray[np.float64]
-FLOOR = 0.006
+MIN_POINT_HEIGHT = 0.006
 """Points lower than this belong to the table [m]."""
-TOUCH, CELL = 0.012, 0.004
+CLUSTER_DISTANCE, VOXEL_SIZE = 0.012, 0.004
 """Points nearer than the first are one thing; one point is kept per cube of the second [m]."""
-FEWEST = 25
+MIN_CLUSTER_POINTS = 25
 """Points that make a thing."""
-RIM = 0.007
+TOP_BAND = 0.007
 """The highest points of a thing lie within this of its top [m]."""
-ROUND, ALMOST_SQUARE = 0.89, 1.25
+MAX_ROUND_FILL, MAX_ROUND_ASPECT = 0.89, 1.25
 """An outline that fills less of its rectangle than the first, with sides in a ratio below the second, is a circle."""
-WIDE, HOLLOW = 0.055, 0.012
+MIN_BOWL_RADIUS, MIN_BOWL_DEPTH = 0.055, 0.012
 """A circle wider than the first [m] whose middle lies lower than its rim by more than the second [m] is a bowl."""
-WALL = 0.004
+BOWL_WALL = 0.004
 """Thickness of a bowl's wall, as of those in stock [m]."""
-EXPOSURE, LIFT = 1.12, 0.03
+COLOUR_GAIN, COLOUR_OFFSET = 1.12, 0.03
 """How brightly the cameras show a colour: seen = EXPOSURE × colour + LIFT, measured on one scene."""
-THINGS = (
+OBJECT_COLOURS = (
     "red",
     "blue",
     "green",
@@ -59,57 +59,60 @@ class Primitive:
     shape: Box | Cylinder | Bowl
     pose: Pose
     colour: str
-    points: int
+    n_points: int
 
 
-def primitives(points: Array, colours: Array) -> list[Primitive]:
+def fit_primitives(points: Array, colours: Array) -> list[Primitive]:
     """What stands on the table among `points` (n, 3) [m] with `colours` (n, 3) in [0, 1]."""
-    up = points[:, 2] > FLOOR
-    kept, tints = _thinned(points[up], colours[up])
-    found = [fit(kept[mine], tints[mine]) for mine in _clusters(kept)]
+    up = points[:, 2] > MIN_POINT_HEIGHT
+    kept, tints = _voxel_downsample(points[up], colours[up])
+    found = [fit_primitive(kept[mine], tints[mine]) for mine in _clusters(kept)]
     return [one for one in found if one is not None]
 
 
-def fit(points: Array, colours: Array) -> Primitive | None:
+def fit_primitive(points: Array, colours: Array) -> Primitive | None:
     """The upright primitive of one cluster; None where its top has no outline."""
     top = float(np.quantile(points[:, 2], 0.98))
-    high = points[:, 2] > top - RIM
+    high = points[:, 2] > top - TOP_BAND
     plane = points[high, :2]
-    if len(plane) < FEWEST // 3:
+    if len(plane) < MIN_CLUSTER_POINTS // 3:
         return None
     try:
         hull = ConvexHull(plane)
     except QhullError:
         return None
     corners = plane[hull.vertices]
-    middle, sides, yaw = _rectangle(corners)
-    colour = colour_name(np.median(colours[high], axis=0))
+    middle, sides, yaw = _min_area_rectangle(corners)
+    colour = nearest_colour(np.median(colours[high], axis=0))
     share = float(hull.volume) / float(sides[0] * sides[1])
-    if share < ROUND and max(sides) < ALMOST_SQUARE * min(sides):
-        centre, radius = _circle(corners)
-        return _round(centre, radius, top, points, colour)
+    if share < MAX_ROUND_FILL and max(sides) < MAX_ROUND_ASPECT * min(sides):
+        centre, radius = _fit_circle(corners)
+        return _fit_round(centre, radius, top, points, colour)
     shape = Box((float(sides[0]) / 2, float(sides[1]) / 2, top / 2))
-    return Primitive(shape, _standing(middle, top / 2, yaw), colour, len(points))
+    return Primitive(shape, _upright_pose(middle, top / 2, yaw), colour, len(points))
 
 
-def colour_name(seen: Array) -> str:
+def nearest_colour(seen: Array) -> str:
     """The known colour that a camera would show most like `seen` (3,)."""
-    shown = {name: np.clip(EXPOSURE * np.array(COLOURS[name][:3]) + LIFT, 0.0, 1.0) for name in THINGS}
+    shown = {
+        name: np.clip(COLOUR_GAIN * np.array(COLOUR_RGBA[name][:3]) + COLOUR_OFFSET, 0.0, 1.0)
+        for name in OBJECT_COLOURS
+    }
     return min(shown, key=lambda name: float(np.linalg.norm(shown[name] - seen)))
 
 
-def _round(centre: Array, radius: float, top: float, points: Array, colour: str) -> Primitive:
+def _fit_round(centre: Array, radius: float, top: float, points: Array, colour: str) -> Primitive:
     """A cylinder, or a bowl where a wide one is hollow."""
     inner = points[np.linalg.norm(points[:, :2] - centre, axis=1) < 0.6 * radius]
-    hollow = len(inner) > 0 and float(np.median(inner[:, 2])) < top - HOLLOW
-    if radius > WIDE and hollow:
-        return Primitive(Bowl(radius, top, WALL), _standing(centre, 0.0, 0.0), colour, len(points))
-    return Primitive(Cylinder(radius, top / 2), _standing(centre, top / 2, 0.0), colour, len(points))
+    hollow = len(inner) > 0 and float(np.median(inner[:, 2])) < top - MIN_BOWL_DEPTH
+    if radius > MIN_BOWL_RADIUS and hollow:
+        return Primitive(Bowl(radius, top, BOWL_WALL), _upright_pose(centre, 0.0, 0.0), colour, len(points))
+    return Primitive(Cylinder(radius, top / 2), _upright_pose(centre, top / 2, 0.0), colour, len(points))
 
 
-def _thinned(points: Array, colours: Array) -> tuple[Array, Array]:
+def _voxel_downsample(points: Array, colours: Array) -> tuple[Array, Array]:
     """One point a cube of side `CELL`."""
-    _, first = np.unique(np.floor(points / CELL).astype(int), axis=0, return_index=True)
+    _, first = np.unique(np.floor(points / VOXEL_SIZE).astype(int), axis=0, return_index=True)
     return points[first], colours[first]
 
 
@@ -117,15 +120,15 @@ def _clusters(points: Array) -> Iterator[NDArray[np.intp]]:
     """Indices of each cluster."""
     if not len(points):
         return
-    pairs = KDTree(points).sparse_distance_matrix(KDTree(points), TOUCH)
+    pairs = KDTree(points).sparse_distance_matrix(KDTree(points), CLUSTER_DISTANCE)
     count, label = connected_components(pairs, directed=False)
     for number in range(count):
         mine = np.flatnonzero(label == number)
-        if len(mine) >= FEWEST:
+        if len(mine) >= MIN_CLUSTER_POINTS:
             yield mine
 
 
-def _rectangle(corners: Array) -> tuple[Array, Array, float]:
+def _min_area_rectangle(corners: Array) -> tuple[Array, Array, float]:
     """The least rectangle around a convex outline (k, 2): middle (2,), sides (2,) [m], yaw [rad] in (−π/4, π/4]."""
     edges = np.roll(corners, -1, axis=0) - corners
     best: tuple[float, Array, Array, float] | None = None
@@ -141,13 +144,13 @@ def _rectangle(corners: Array) -> tuple[Array, Array, float]:
     return best[1:]
 
 
-def _circle(corners: Array) -> tuple[Array, float]:
+def _fit_circle(corners: Array) -> tuple[Array, float]:
     """The circle of least squares through an outline (k, 2): centre (2,), radius [m] (Kåsa 1976)."""
     rows = np.column_stack([2.0 * corners, np.ones(len(corners))])
     x, y, c = np.linalg.lstsq(rows, (corners**2).sum(axis=1), rcond=None)[0]
     return np.array([x, y]), float(np.sqrt(max(c + x * x + y * y, 1e-9)))
 
 
-def _standing(middle: Array, height: float, yaw: float) -> Pose:
+def _upright_pose(middle: Array, height: float, yaw: float) -> Pose:
     turn: Quaternion = (float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2)))
     return Pose((float(middle[0]), float(middle[1]), height), turn)

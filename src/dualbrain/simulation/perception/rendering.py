@@ -16,15 +16,15 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.errors import MissingPart, UnknownName
+from dualbrain.errors import MissingDependencyError, UnknownNameError
 from dualbrain.simulation.plant.plant import Plant
 
-CAMERAS = ("front", "top", "side")
-PACKAGES = "libosmesa6 libegl1 libgl1-mesa-dri libgl1 libopengl0"
-INSTALL = f"Debian: apt-get install --no-install-recommends {PACKAGES}; MUJOCO_GL=osmesa or egl."
+CAMERA_NAMES = ("front", "top", "side")
+GL_PACKAGES = "libosmesa6 libegl1 libgl1-mesa-dri libgl1 libopengl0"
+INSTALL_HINT = f"Debian: apt-get install --no-install-recommends {GL_PACKAGES}; MUJOCO_GL=osmesa or egl."
 
 
-class Offscreen:
+class OffscreenRenderer:
     """A GL context without a window on one plant; close it, or use it in a `with` block."""
 
     def __init__(self, plant: Plant, width: int, height: int, *, shadows: bool = False) -> None:
@@ -47,17 +47,17 @@ class Offscreen:
         self.close()
 
 
-class Camera(Offscreen):
+class Camera(OffscreenRenderer):
     """Pictures of one plant."""
 
     def __init__(self, plant: Plant, *, width: int = 960, height: int = 720, shadows: bool = False) -> None:
         """Open an offscreen GL context; raises `MissingPart` with the packages to install when there is none."""
         super().__init__(plant, width, height, shadows=shadows)
 
-    def snap(self, view: str = "front") -> NDArray[np.uint8]:
+    def capture(self, view: str = "front") -> NDArray[np.uint8]:
         """The world now, seen from `view` (front, top or side), as an RGB array (height, width, 3)."""
-        if view not in CAMERAS:
-            raise UnknownName("camera", view, CAMERAS)
+        if view not in CAMERA_NAMES:
+            raise UnknownNameError("camera", view, CAMERA_NAMES)
         self._renderer.update_scene(self._plant.data, view, self._option)
         return self._renderer.render()
 
@@ -69,7 +69,7 @@ def open_renderer(
     try:
         renderer = mujoco.Renderer(plant.model, height, width)
     except Exception as error:
-        raise MissingPart("A GL library for offscreen pictures", fix=f"{INSTALL} ({error})") from error
+        raise MissingDependencyError("A GL library for offscreen pictures", fix=f"{INSTALL_HINT} ({error})") from error
     renderer.scene.flags[int(mujoco.mjtRndFlag.mjRND_SHADOW)] = int(shadows)
     renderer.scene.flags[int(mujoco.mjtRndFlag.mjRND_REFLECTION)] = 0
     option = mujoco.MjvOption()

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dualbrain.robots.model import Body
-from dualbrain.simulation.plant.mobile_base_plant import BasePlant
-from dualbrain.simulation.plant.mobile_manipulator_plant import CarrierPlant
+from dualbrain.robots.model import RobotModel
+from dualbrain.simulation.plant.mobile_base_plant import MobileBasePlant
+from dualbrain.simulation.plant.mobile_manipulator_plant import MobileManipulatorPlant
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
 
 
-def open_plant(spec: SceneSpec, body: Body, *, visuals: bool = False) -> Plant:
+def make_plant(spec: SceneSpec, body: RobotModel, *, visuals: bool = False) -> Plant:
     """The world `spec` with `body` in it; `visuals` as for `Plant`."""
-    kind = CarrierPlant if body.carries_arm else BasePlant if body.mobile else Plant
+    kind = MobileManipulatorPlant if body.is_mobile_manipulator else MobileBasePlant if body.is_mobile else Plant
     return kind(spec, body, visuals=visuals)

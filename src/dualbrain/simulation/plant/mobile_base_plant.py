@@ -16,39 +16,39 @@ import mujoco
 import numpy as np
 
 from dualbrain.robots.interface import Array, Command, RobotState
-from dualbrain.simulation.models.mujoco_model import BASE_JOINTS
-from dualbrain.simulation.plant.joint_drive import ARM_GROUP, DriveKind
+from dualbrain.simulation.models.mujoco_model import BASE_JOINT_NAMES
+from dualbrain.simulation.plant.joint_drive import ARM_ACTUATOR_GROUP, DriveKind
 from dualbrain.simulation.plant.plant import Plant
-from dualbrain.simulation.plant.wheel_drive import Wheels
-from dualbrain.simulation.scenes.scene_builder import PREFIX
+from dualbrain.simulation.plant.wheel_drive import WheelDrive
+from dualbrain.simulation.scenes.scene_builder import ROBOT_PREFIX
 
-BRAKES = (600.0, 600.0, 100.0)
+BRAKE_FRICTION = (600.0, 600.0, 100.0)
 """Holding friction along x and y [N] and about z [Nm]."""
 
 
-class BasePlant(Plant):
+class MobileBasePlant(Plant):
     """A MuJoCo room that a differential base drives in."""
 
-    def _arrange(self, drive: DriveKind, load: float) -> None:
+    def _set_up(self, drive: DriveKind, load: float) -> None:
         del drive, load
-        joints = [self.model.joint(f"{PREFIX}{name}") for name in BASE_JOINTS]
+        joints = [self.model.joint(f"{ROBOT_PREFIX}{name}") for name in BASE_JOINT_NAMES]
         self._arm = slice(int(joints[0].qposadr[0]), int(joints[-1].qposadr[0]) + 1)
         self._dof = slice(int(joints[0].dofadr[0]), int(joints[-1].dofadr[0]) + 1)
-        first = int(self.model.actuator(f"{PREFIX}{BASE_JOINTS[0]}").id)
-        self._motors = slice(first, first + len(BASE_JOINTS))
-        self._wheels = Wheels(self.body)
-        self._index_mover()
-        self.place_arm(np.array(self.body.home))
+        first = int(self.model.actuator(f"{ROBOT_PREFIX}{BASE_JOINT_NAMES[0]}").id)
+        self._motors = slice(first, first + len(BASE_JOINT_NAMES))
+        self._wheel_drive = WheelDrive(self.body)
+        self._index_moving_person()
+        self.set_configuration(np.array(self.body.home))
 
     def read(self) -> RobotState:
         """The newest state: pose (x, y, θ) and velocity (v, ω) as measured."""
         self._sequence += 1
         return RobotState(
-            self.data.time, self._sequence, self.data.qpos[self._arm].copy(), self.speed(), 0.0, (0.0, 0.0),
+            self.data.time, self._sequence, self.data.qpos[self._arm].copy(), self.robot_velocity(), 0.0, (0.0, 0.0),
             self._enabled,
         )  # fmt: skip
 
-    def speed(self) -> Array:
+    def robot_velocity(self) -> Array:
         """True (v, ω) [m/s, rad/s], v along the base's own x axis."""
         heading = float(self.data.qpos[self._arm][2])
         vx, vy, turn = self.data.qvel[self._dof].tolist()
@@ -62,35 +62,35 @@ class BasePlant(Plant):
     def stop(self) -> None:
         """Cut the motors and engage the brakes until `enable`."""
         self._enabled = False
-        self._forget()
-        self.model.opt.disableactuator |= 1 << ARM_GROUP
-        self.model.dof_frictionloss[self._dof] = BRAKES
+        self._reset_commands()
+        self.model.opt.disableactuator |= 1 << ARM_ACTUATOR_GROUP
+        self.model.dof_frictionloss[self._dof] = BRAKE_FRICTION
 
     def enable(self) -> None:
         """Release the brakes with a velocity command of zero."""
         self._enabled = True
-        self._forget()
-        self.model.opt.disableactuator &= ~(1 << ARM_GROUP)
+        self._reset_commands()
+        self.model.opt.disableactuator &= ~(1 << ARM_ACTUATOR_GROUP)
         self.model.dof_frictionloss[self._dof] = 0.0
 
-    def act(self) -> None:
+    def actuate(self) -> None:
         """Wheels and mover get their set points, then time passes by one step; after `sense`."""
-        heading, (v, w) = float(self.data.qpos[self._arm][2]), self._wheels.follow(self._u).tolist()
+        heading, (v, w) = float(self.data.qpos[self._arm][2]), self._wheel_drive.update(self._u).tolist()
         self.data.ctrl[self._motors] = (v * cos(heading), v * sin(heading), w)
-        self._move_mover()
+        self._move_person()
         mujoco.mj_step2(self.model, self.data)
 
-    def place_arm(self, q: Array, opening: float | None = None) -> None:
+    def set_configuration(self, q: Array, opening: float | None = None) -> None:
         """Put the base at `q` = (x, y, θ) at rest (set-up and tests only)."""
         del opening
         self.data.qpos[self._arm], self.data.qvel[self._dof] = q, 0.0
         mujoco.mj_forward(self.model, self.data)
-        self._forget()
+        self._reset_commands()
 
-    def parts(self) -> dict[str, str]:
+    def link_body_names(self) -> dict[str, str]:
         """The base is one part."""
-        return {self.body.links[0].name: f"{PREFIX}link0"}
+        return {self.body.links[0].name: f"{ROBOT_PREFIX}link0"}
 
-    def _forget(self) -> None:
+    def _reset_commands(self) -> None:
         self._u[:] = 0.0
-        self._wheels.forget()
+        self._wheel_drive.reset()

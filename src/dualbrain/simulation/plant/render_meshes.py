@@ -11,34 +11,36 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.core.geometry.rotations import matrix
-from dualbrain.errors import MissingPart
-from dualbrain.simulation.models.visual_meshes import Patch
+from dualbrain.core.geometry.rotations import quaternion_to_matrix
+from dualbrain.errors import MissingDependencyError
+from dualbrain.simulation.models.visual_meshes import ColouredMesh
 from dualbrain.simulation.plant.plant import Plant
 
 Array = NDArray[np.float64]
 
-COLLIDING = 3
+COLLISION_GEOM_GROUP = 3
 """Group of the geoms that collide; they are not shown where surface meshes lie over them."""
-ROUND = 24
+CIRCLE_SEGMENTS = 24
 """Corners of a circle."""
 
 
-def surfaces(plant: Plant) -> dict[str, tuple[Patch, ...]]:
+def link_meshes(plant: Plant) -> dict[str, tuple[ColouredMesh, ...]]:
     """Coloured triangles of every link in its own frame, by the names of the plant's body; raises `MissingPart`."""
     model = plant.model
-    owners = {int(plant.data.body(part).id): name for name, part in plant.parts().items()}
-    found: dict[str, list[Patch]] = {name: [] for name in owners.values()}
-    dressed = {int(model.geom_bodyid[i]) for i in range(model.ngeom) if _is_mesh(model, i) and _group(model, i) == 2}
+    owners = {int(plant.data.body(part).id): name for name, part in plant.link_body_names().items()}
+    found: dict[str, list[ColouredMesh]] = {name: [] for name in owners.values()}
+    dressed = {
+        int(model.geom_bodyid[i]) for i in range(model.ngeom) if _is_mesh(model, i) and _geom_group(model, i) == 2
+    }
     for i in range(model.ngeom):
         owner = int(model.geom_bodyid[i])
-        if owner in owners and not (owner in dressed and _group(model, i) == COLLIDING):
-            patch = _patch(model, i)
+        if owner in owners and not (owner in dressed and _geom_group(model, i) == COLLISION_GEOM_GROUP):
+            patch = _geom_mesh(model, i)
             found[owners[owner]] += [patch] if patch else []
     return {name: tuple(patches) for name, patches in found.items()}
 
 
-def _group(model: mujoco.MjModel, i: int) -> int:
+def _geom_group(model: mujoco.MjModel, i: int) -> int:
     return int(model.geom_group[i])
 
 
@@ -46,46 +48,50 @@ def _is_mesh(model: mujoco.MjModel, i: int) -> bool:
     return int(model.geom_type[i]) == int(mujoco.mjtGeom.mjGEOM_MESH)
 
 
-def _patch(model: mujoco.MjModel, i: int) -> Patch | None:
+def _geom_mesh(model: mujoco.MjModel, i: int) -> ColouredMesh | None:
     """Geom `i` as triangles in its body's frame; None for a shape that no robot here is made of."""
-    creation = _creation()
+    creation = _import_trimesh()
     kind, (radius, half, _) = mujoco.mjtGeom(int(model.geom_type[i])), np.asarray(model.geom_size[i]).tolist()
     match kind:
         case mujoco.mjtGeom.mjGEOM_MESH:
-            points, faces = _mesh(model, int(model.geom_dataid[i]))
+            points, faces = _mesh_arrays(model, int(model.geom_dataid[i]))
         case mujoco.mjtGeom.mjGEOM_BOX:
-            points, faces = _of(creation.box(2.0 * np.asarray(model.geom_size[i])))
+            points, faces = _trimesh_arrays(creation.box(2.0 * np.asarray(model.geom_size[i])))
         case mujoco.mjtGeom.mjGEOM_CYLINDER:
-            points, faces = _of(creation.cylinder(radius, 2.0 * half, sections=ROUND))
+            points, faces = _trimesh_arrays(creation.cylinder(radius, 2.0 * half, sections=CIRCLE_SEGMENTS))
         case mujoco.mjtGeom.mjGEOM_CAPSULE:
-            points, faces = _of(creation.capsule(2.0 * half, radius, count=(ROUND, ROUND)))
+            points, faces = _trimesh_arrays(
+                creation.capsule(2.0 * half, radius, count=(CIRCLE_SEGMENTS, CIRCLE_SEGMENTS))
+            )
         case mujoco.mjtGeom.mjGEOM_SPHERE:
-            points, faces = _of(creation.icosphere(subdivisions=2, radius=radius))
+            points, faces = _trimesh_arrays(creation.icosphere(subdivisions=2, radius=radius))
         case _:
             return None
-    placed = points @ matrix(tuple(np.asarray(model.geom_quat[i]).tolist())).T + np.asarray(model.geom_pos[i])
+    placed = points @ quaternion_to_matrix(tuple(np.asarray(model.geom_quat[i]).tolist())).T + np.asarray(
+        model.geom_pos[i]
+    )
     material = int(model.geom_matid[i])
     red, green, blue, _ = (model.mat_rgba[material] if material >= 0 else model.geom_rgba[i]).tolist()
-    return Patch((red, green, blue), placed.astype(np.float32), faces.astype(np.int32))
+    return ColouredMesh((red, green, blue), placed.astype(np.float32), faces.astype(np.int32))
 
 
-def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[Array, NDArray[np.int64]]:
+def _mesh_arrays(model: mujoco.MjModel, mesh: int) -> tuple[Array, NDArray[np.int64]]:
     first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     face, faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
     points = np.asarray(model.mesh_vert[first : first + count], np.float64)
     return points, np.asarray(model.mesh_face[face : face + faces], np.int64)
 
 
-def _of(shape: Any) -> tuple[Array, NDArray[np.int64]]:
+def _trimesh_arrays(shape: Any) -> tuple[Array, NDArray[np.int64]]:
     """Corners and triangles of a trimesh."""
     return np.asarray(shape.vertices, np.float64), np.asarray(shape.faces, np.int64)
 
 
-def _creation() -> Any:
+def _import_trimesh() -> Any:
     """Where trimesh makes shapes; it comes with viser, which shows them."""
     try:
         from trimesh import creation  # noqa: PLC0415  (only for the live view)
     except ModuleNotFoundError as error:
         fix = "Install both with `pip install 'dualbrain[people]'`, or run with --headless."
-        raise MissingPart("trimesh, which comes with viser,", fix=fix) from error
+        raise MissingDependencyError("trimesh, which comes with viser,", fix=fix) from error
     return creation

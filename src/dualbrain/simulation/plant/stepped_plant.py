@@ -23,20 +23,20 @@ class SteppedPlant:
 
     def __init__(self, plant: Plant, *, contacts: bool = True) -> None:
         """`plant` with its own drive."""
-        self.plant, self._grip = plant, plant.body.gripper
+        self.plant, self._gripper = plant, plant.body.gripper
         q, v = plant.arm_slices
         self.q, self.v = plant.data.qpos[q], plant.data.qvel[v]
         """Joint positions and velocities (n,), views of the state."""
         if not contacts:
             plant.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
 
-    def sense(self) -> None:
+    def measure(self) -> None:
         """Make poses, inertia and bias those of the state now."""
-        self.plant.sense()
+        self.plant.compute_dynamics()
 
-    def act(self, u: Array) -> None:
+    def apply(self, u: Array) -> None:
         """Drive at joint velocity u (n,) [rad/s] for one control period."""
-        self.plant.write(Command(u, self._grip.opening.value, self._grip.force_min.value))
-        self.plant.act()
-        for _ in range(self.plant.steps - 1):
+        self.plant.write(Command(u, self._gripper.opening.value, self._gripper.force_min.value))
+        self.plant.actuate()
+        for _ in range(self.plant.steps_per_period - 1):
             self.plant.step()

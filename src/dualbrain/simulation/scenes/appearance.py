@@ -12,13 +12,13 @@ import mujoco
 import numpy as np
 
 from dualbrain.core.geometry.shapes import Bowl
-from dualbrain.errors import UnknownName
-from dualbrain.simulation.scenes.scene_spec import TABLE_X, TABLE_Y, Mover
+from dualbrain.errors import UnknownNameError
+from dualbrain.simulation.scenes.scene_spec import TABLE_X, TABLE_Y, MovingPerson
 
 _GEOM = mujoco.mjtGeom
-LOOK = {"group": 2, "contype": 0, "conaffinity": 0, "mass": 0.0}
+VISUAL_ONLY = {"group": 2, "contype": 0, "conaffinity": 0, "mass": 0.0}
 
-COLOURS: dict[str, tuple[float, float, float, float]] = {
+COLOUR_RGBA: dict[str, tuple[float, float, float, float]] = {
     "red": (0.80, 0.13, 0.12, 1), "blue": (0.13, 0.34, 0.70, 1), "green": (0.24, 0.56, 0.33, 1),
     "yellow": (0.93, 0.73, 0.16, 1), "orange": (0.91, 0.47, 0.15, 1), "purple": (0.46, 0.29, 0.60, 1),
     "teal": (0.12, 0.54, 0.55, 1), "white": (0.93, 0.92, 0.89, 1), "brown": (0.45, 0.30, 0.20, 1),
@@ -28,31 +28,31 @@ COLOURS: dict[str, tuple[float, float, float, float]] = {
 }  # fmt: skip
 
 
-def colour_of(name: str) -> tuple[float, float, float, float]:
+def colour_rgba(name: str) -> tuple[float, float, float, float]:
     """Red, green, blue, opacity of a named colour; raises `UnknownName`."""
-    if name not in COLOURS:
-        raise UnknownName("colour", name, tuple(COLOURS))
-    return COLOURS[name]
+    if name not in COLOUR_RGBA:
+        raise UnknownNameError("colour", name, tuple(COLOUR_RGBA))
+    return COLOUR_RGBA[name]
 
 
-def dress_room(root: mujoco.MjSpec, floor: float) -> None:
+def add_table_appearance(root: mujoco.MjSpec, floor: float) -> None:
     """Sky, floor and table materials, lights, table legs and three cameras: front, top, side."""
-    _materials_and_light(root)
-    _legs(root, floor)
-    _camera(root, "front", (1.68, -0.84, 1.00), (0.31, 0.0, 0.245), fovy=38)
-    _camera(root, "top", (0.42, 0.0, 1.85), (0.40, 0.0, 0.0), fovy=40, up=(1.0, 0.0, 0.0))
-    _camera(root, "side", (0.42, -1.85, 0.62), (0.38, 0.0, 0.25), fovy=40)
+    _add_materials_and_lights(root)
+    _add_table_legs(root, floor)
+    _add_camera(root, "front", (1.68, -0.84, 1.00), (0.31, 0.0, 0.245), fovy=38)
+    _add_camera(root, "top", (0.42, 0.0, 1.85), (0.40, 0.0, 0.0), fovy=40, up=(1.0, 0.0, 0.0))
+    _add_camera(root, "side", (0.42, -1.85, 0.62), (0.38, 0.0, 0.25), fovy=40)
 
 
-def dress_hall(root: mujoco.MjSpec) -> None:
+def add_room_appearance(root: mujoco.MjSpec) -> None:
     """Sky, floor and lights of a room to drive in, and three cameras: front, top, side."""
-    _materials_and_light(root)
-    _camera(root, "front", (-3.2, -4.4, 4.2), (2.0, 0.2, 0.2), fovy=48)
-    _camera(root, "top", (2.0, 0.0, 8.5), (2.0, 0.0, 0.0), fovy=45, up=(0.0, 1.0, 0.0))
-    _camera(root, "side", (2.0, -7.0, 3.0), (2.0, 0.0, 0.3), fovy=45)
+    _add_materials_and_lights(root)
+    _add_camera(root, "front", (-3.2, -4.4, 4.2), (2.0, 0.2, 0.2), fovy=48)
+    _add_camera(root, "top", (2.0, 0.0, 8.5), (2.0, 0.0, 0.0), fovy=45, up=(0.0, 1.0, 0.0))
+    _add_camera(root, "side", (2.0, -7.0, 3.0), (2.0, 0.0, 0.3), fovy=45)
 
 
-def _materials_and_light(root: mujoco.MjSpec) -> None:
+def _add_materials_and_lights(root: mujoco.MjSpec) -> None:
     """Sky, floor and table materials, lights."""
     root.visual.global_.offwidth, root.visual.global_.offheight = 1280, 960
     root.visual.headlight.ambient, root.visual.headlight.diffuse = [0.38] * 3, [0.18] * 3
@@ -74,7 +74,7 @@ def _materials_and_light(root: mujoco.MjSpec) -> None:
     )
 
 
-def bowl_look(root: mujoco.MjSpec, body: mujoco.MjsBody, name: str, bowl: Bowl, rgba: tuple[float, ...]) -> None:
+def add_bowl_visuals(root: mujoco.MjSpec, body: mujoco.MjsBody, name: str, bowl: Bowl, rgba: tuple[float, ...]) -> None:
     """A turned bowl: a profile swept about z, drawn over the staves."""
     outer, inner, high, base = bowl.radius + 0.002, bowl.radius - bowl.wall - 0.002, bowl.height, 0.75 * bowl.radius
     profile = [(0, 0.0005), (base, 0.0005), (outer - 0.006, 0.010), (outer, 0.024), (outer, high - 0.001)]
@@ -89,10 +89,10 @@ def bowl_look(root: mujoco.MjSpec, body: mujoco.MjsBody, name: str, bowl: Bowl, 
             faces += [(a, b, b + around), (a, b + around, a + around)]
     mesh = root.add_mesh(name=f"{name}_look", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
     mesh.uservert, mesh.userface = np.array(points).ravel(), np.array(faces).ravel()
-    body.add_geom(type=_GEOM.mjGEOM_MESH, meshname=mesh.name, rgba=rgba, material="satin", **LOOK)
+    body.add_geom(type=_GEOM.mjGEOM_MESH, meshname=mesh.name, rgba=rgba, material="satin", **VISUAL_ONLY)
 
 
-def forearm_look(body: mujoco.MjsBody, mover: Mover) -> None:
+def add_forearm_visuals(body: mujoco.MjsBody, mover: MovingPerson) -> None:
     """Sleeve, wrist, palm and fingers, all inside the capsule that collides (the hand lies at its inner end)."""
     r, inner = mover.radius, -mover.half_length
     axis = np.array(mover.axis) / np.linalg.norm(mover.axis)
@@ -101,7 +101,7 @@ def forearm_look(body: mujoco.MjsBody, mover: Mover) -> None:
     def rod(start: float, end: float, radius: float, colour: str, *, shift: float = 0.0, kind: str = "CAPSULE") -> None:
         a, b = axis * start + side * shift, axis * end + side * shift
         shape = getattr(_GEOM, f"mjGEOM_{kind}")
-        body.add_geom(type=shape, size=[radius, 0, 0], fromto=[*a, *b], rgba=colour_of(colour), **LOOK)
+        body.add_geom(type=shape, size=[radius, 0, 0], fromto=[*a, *b], rgba=colour_rgba(colour), **VISUAL_ONLY)
 
     rod(inner + 0.22, mover.half_length, 0.97 * r, "sleeve")
     rod(inner + 0.175, inner + 0.20, 0.99 * r, "sleeve", kind="CYLINDER")
@@ -110,16 +110,16 @@ def forearm_look(body: mujoco.MjsBody, mover: Mover) -> None:
         type=_GEOM.mjGEOM_ELLIPSOID,
         size=[0.052, 0.036, 0.018],
         pos=axis * (inner + 0.045),
-        rgba=colour_of("skin"),
-        **LOOK,
+        rgba=colour_rgba("skin"),
+        **VISUAL_ONLY,
     )
-    palm.quat = _turn_to(axis)
+    palm.quat = _yaw_quaternion(axis)
     for shift in (-0.024, -0.008, 0.008, 0.024):
         rod(inner - 0.028 + 0.4 * abs(shift), inner + 0.03, 0.0078, "skin", shift=shift)
     rod(inner + 0.015, inner + 0.06, 0.0085, "skin", shift=0.034)
 
 
-def person_look(body: mujoco.MjsBody, mover: Mover) -> None:
+def add_person_visuals(body: mujoco.MjsBody, mover: MovingPerson) -> None:
     """A head, a trunk and two legs inside the standing capsule that collides."""
     r, half = mover.radius, mover.half_length
 
@@ -128,8 +128,8 @@ def person_look(body: mujoco.MjsBody, mover: Mover) -> None:
             type=_GEOM.mjGEOM_CAPSULE,
             size=[radius, 0, 0],
             fromto=[0, y, start, 0, y, end],
-            rgba=colour_of(colour),
-            **LOOK,
+            rgba=colour_rgba(colour),
+            **VISUAL_ONLY,
         )
 
     rod(half, half + 0.05, 0.4 * r, "skin")
@@ -138,12 +138,12 @@ def person_look(body: mujoco.MjsBody, mover: Mover) -> None:
         rod(-half, -0.05, 0.3 * r, "black", y=side * 0.35 * r)
 
 
-def _turn_to(axis: np.ndarray) -> list[float]:
+def _yaw_quaternion(axis: np.ndarray) -> list[float]:
     yaw = float(np.arctan2(axis[1], axis[0]))
     return [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
 
 
-def _legs(root: mujoco.MjSpec, floor: float) -> None:
+def _add_table_legs(root: mujoco.MjSpec, floor: float) -> None:
     half = (-0.04 - floor) / 2
     for x in (TABLE_X[0] + 0.05, TABLE_X[1] - 0.05):
         for y in (TABLE_Y[0] + 0.05, TABLE_Y[1] - 0.05):
@@ -152,11 +152,11 @@ def _legs(root: mujoco.MjSpec, floor: float) -> None:
                 size=[0.022, half, 0],
                 pos=[x, y, floor + half],
                 rgba=[0.32, 0.33, 0.35, 1],
-                **LOOK,
+                **VISUAL_ONLY,
             )
 
 
-def _camera(
+def _add_camera(
     root: mujoco.MjSpec,
     name: str,
     position: tuple[float, float, float],

@@ -6,84 +6,94 @@ from math import atan2
 
 import numpy as np
 
-from dualbrain.core.geometry.rotations import matrix
+from dualbrain.core.geometry.rotations import quaternion_to_matrix
 from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, Cylinder, HalfSpace, Shape, Sphere
 from dualbrain.records import Scene, SceneObject
-from dualbrain.simulation.scenes.scene_spec import KEEP_OUT, Chart, Closed, Mover, SceneSpec, Thing, check_scene
+from dualbrain.simulation.scenes.scene_spec import (
+    KEEP_OUT_CATEGORY,
+    FloorMap,
+    KeepOutArea,
+    MovingPerson,
+    ObjectSpec,
+    SceneSpec,
+    check_scene,
+)
 
-DENSITY = 400.0
+ASSUMED_DENSITY = 400.0
 """Things weigh this much [kg/m³]: neither perception nor memory knows their mass."""
-LIGHTEST, HEAVIEST = 0.02, 0.5
-ON_TABLE = 0.02
+MIN_MASS, MAX_MASS = 0.02, 0.5
+TABLE_TOLERANCE = 0.02
 """What seems to stand this near to the table top stands on it [m]."""
-LIFT = 0.0005
+INITIAL_CLEARANCE = 0.0005
 """Things begin this far above what they stand on [m]."""
-MOVING, PASSES = 0.02, 3.0
+MIN_MOVING_SPEED, CROSSING_DURATION = 0.02, 3.0
 """A person faster than this [m/s] crosses, going on for this long [s] before turning back."""
 
 
-def remembered_scene(scene: Scene, rng: np.random.Generator, *, spread: float) -> SceneSpec:
+def scene_from_memory(scene: Scene, rng: np.random.Generator, *, position_spread: float) -> SceneSpec:
     """The scene as a simulated world, every free thing shifted by a normal error of `spread` [m] along x and y.
 
     What it is not: masses, friction and what was not perceived are unknown, so that one try proves little; several with
     different shifts are evidence. Raises `InvalidSetup` for a scene that cannot be simulated.
     """
-    shut = tuple(_closed(thing) for thing in scene.objects if thing.category == KEEP_OUT)
-    seen = [thing for thing in scene.objects if _stands(thing)]
-    things = tuple(_thing(thing, rng.normal(0.0, spread, 2), room=bool(scene.region)) for thing in seen)
+    shut = tuple(_keep_out_area(thing) for thing in scene.objects if thing.category == KEEP_OUT_CATEGORY)
+    seen = [thing for thing in scene.objects if _is_simulated(thing)]
+    things = tuple(_object_spec(thing, rng.normal(0.0, position_spread, 2), room=bool(scene.region)) for thing in seen)
     people = [thing for thing in scene.objects if thing.role == "person" and isinstance(thing.shape, Capsule)]
-    mover = _mover(people[0]) if people else None
-    chart = Chart(scene.region, shut) if shut else None
+    mover = _moving_person(people[0]) if people else None
+    chart = FloorMap(scene.region, shut) if shut else None
     spec = SceneSpec(scene.robot, "remembered", 0, things, scene.places, mover, scene.region, chart=chart)
     check_scene(spec)
     return spec
 
 
-def _stands(thing: SceneObject) -> bool:
+def _is_simulated(thing: SceneObject) -> bool:
     """Whether it is a body among others: no person, no table top or floor without an end, nothing that a map closes."""
-    return thing.role != "person" and not isinstance(thing.shape, HalfSpace) and thing.category != KEEP_OUT
+    return thing.role != "person" and not isinstance(thing.shape, HalfSpace) and thing.category != KEEP_OUT_CATEGORY
 
 
-def _closed(thing: SceneObject) -> Closed:
+def _keep_out_area(thing: SceneObject) -> KeepOutArea:
     """What a map closes, on the floor again."""
     assert isinstance(thing.shape, Box)
     (x, y, _), (a, b, _) = thing.pose.position, thing.shape.half_extents
     w, _, _, z = thing.pose.quaternion
-    return Closed(thing.name, (x, y), (a, b), 2.0 * atan2(z, w))
+    return KeepOutArea(thing.name, (x, y), (a, b), 2.0 * atan2(z, w))
 
 
-def _thing(thing: SceneObject, shift: np.ndarray, *, room: bool) -> Thing:
+def _object_spec(thing: SceneObject, shift: np.ndarray, *, room: bool) -> ObjectSpec:
     """In a `room` what is no object stands as if it were fixed: how heavy crates and tables are, nobody has seen."""
-    fixed = (room and thing.role in ("obstacle", "support")) or (thing.role == "obstacle" and _bottom(thing) > ON_TABLE)
+    fixed = (room and thing.role in ("obstacle", "support")) or (
+        thing.role == "obstacle" and _bottom_height(thing) > TABLE_TOLERANCE
+    )
     x, y, z = thing.pose.position
     if not fixed:
         x, y = x + float(shift[0]), y + float(shift[1])
-        z = z - _bottom(thing) + LIFT if abs(_bottom(thing)) < ON_TABLE else z
-    mass = float(np.clip(DENSITY * _volume(thing.shape), LIGHTEST, HEAVIEST))
-    return Thing(
+        z = z - _bottom_height(thing) + INITIAL_CLEARANCE if abs(_bottom_height(thing)) < TABLE_TOLERANCE else z
+    mass = float(np.clip(ASSUMED_DENSITY * _volume(thing.shape), MIN_MASS, MAX_MASS))
+    return ObjectSpec(
         thing.name, thing.role, thing.shape, (x, y, z), mass, thing.colour, thing.category, thing.pose.quaternion,
         fragile_limit=thing.fragile_limit, fixed=fixed,
     )  # fmt: skip
 
 
-def _mover(person: SceneObject) -> Mover:
+def _moving_person(person: SceneObject) -> MovingPerson:
     """Somebody who goes on as perceived and comes back; one who stands still rests for good."""
     start, velocity = np.asarray(person.pose.position), np.asarray(person.velocity)
     speed = float(np.linalg.norm(velocity))
     assert isinstance(person.shape, Capsule)
-    end = start + velocity * PASSES if speed > MOVING else start + np.array([0.0, 0.001, 0.0])
-    pause = 0.0 if speed > MOVING else 1e6
-    a, b, axis = (_triple(v) for v in (start, end, matrix(person.pose.quaternion)[:, 2]))
+    end = start + velocity * CROSSING_DURATION if speed > MIN_MOVING_SPEED else start + np.array([0.0, 0.001, 0.0])
+    pause = 0.0 if speed > MIN_MOVING_SPEED else 1e6
+    a, b, axis = (_to_vector(v) for v in (start, end, quaternion_to_matrix(person.pose.quaternion)[:, 2]))
     shape = person.shape
-    return Mover(a, b, max(speed, 0.01), pause, 0.0, person.name, shape.radius, shape.half_length, axis)
+    return MovingPerson(a, b, max(speed, 0.01), pause, 0.0, person.name, shape.radius, shape.half_length, axis)
 
 
-def _triple(values: np.ndarray) -> tuple[float, float, float]:
+def _to_vector(values: np.ndarray) -> tuple[float, float, float]:
     x, y, z = values.tolist()
     return x, y, z
 
 
-def _bottom(thing: SceneObject) -> float:
+def _bottom_height(thing: SceneObject) -> float:
     """Height of the lowest point of an upright thing [m]."""
     z = thing.pose.position[2]
     match thing.shape:

@@ -12,15 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dualbrain.simulation.scenes.scene_spec import Mover
+from dualbrain.simulation.scenes.scene_spec import MovingPerson
 
-STIFFNESS = 2000.0  # [N/m]
-DAMPING = 200.0  # [N s/m]: critical for 5 kg
-ACCELERATION = 0.5  # [m/s²] of the path
+PERSON_STIFFNESS = 2000.0  # [N/m]
+PERSON_DAMPING = 200.0  # [N s/m]: critical for 5 kg
+PERSON_ACCELERATION = 0.5  # [m/s²] of the path
 
 
 @dataclass(frozen=True, slots=True)
-class MoverPath:
+class PersonPath:
     """Back and forth along a line with rests: position and velocity as functions of time."""
 
     start: np.ndarray
@@ -33,25 +33,25 @@ class MoverPath:
     phase: float
 
     @property
-    def cycle(self) -> float:
+    def cycle_duration(self) -> float:
         """Duration [s] of rest, way out, rest and way back."""
         return 2.0 * (self.pause + self.travel)
 
-    def at(self, t: float) -> tuple[float, float]:
+    def state_at(self, t: float) -> tuple[float, float]:
         """Distance from the start [m] and its rate [m/s] at time `t` [s]."""
-        tau = (t + self.phase) % self.cycle
+        tau = (t + self.phase) % self.cycle_duration
         if tau < self.pause:
             return 0.0, 0.0
         tau -= self.pause
         if tau < self.travel:
-            return self._way(tau)
+            return self._trapezoid(tau)
         tau -= self.travel
         if tau < self.pause:
             return self.length, 0.0
-        distance, rate = self._way(tau - self.pause)
+        distance, rate = self._trapezoid(tau - self.pause)
         return self.length - distance, -rate
 
-    def _way(self, tau: float) -> tuple[float, float]:
+    def _trapezoid(self, tau: float) -> tuple[float, float]:
         """Trapezoid: speed up over `ramp`, cruise, slow down over `ramp`."""
         if tau < self.ramp:
             return 0.5 * self.speed * tau * tau / self.ramp, self.speed * tau / self.ramp
@@ -61,12 +61,12 @@ class MoverPath:
         return self.speed * (tau - 0.5 * self.ramp), self.speed
 
 
-def path_of(mover: Mover) -> MoverPath:
+def person_path(mover: MovingPerson) -> PersonPath:
     """The path that a `Mover` describes; a way too short for its speed is travelled more slowly."""
     start, end = np.array(mover.start), np.array(mover.end)
     length = float(np.linalg.norm(end - start))
-    speed = min(mover.speed, float(np.sqrt(ACCELERATION * length))) if length > 0.0 else mover.speed
-    ramp = speed / ACCELERATION
+    speed = min(mover.speed, float(np.sqrt(PERSON_ACCELERATION * length))) if length > 0.0 else mover.speed
+    ramp = speed / PERSON_ACCELERATION
     travel = length / speed + ramp if length > 0.0 else 0.0
     direction = (end - start) / length if length > 0.0 else np.zeros(3)
-    return MoverPath(start, direction, length, speed, ramp, travel, mover.pause, mover.phase)
+    return PersonPath(start, direction, length, speed, ramp, travel, mover.pause, mover.phase)

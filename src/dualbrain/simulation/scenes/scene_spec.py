@@ -11,17 +11,17 @@ from pathlib import Path
 
 import msgspec
 
-from dualbrain.core.geometry.shapes import UPRIGHT, Box, Pose, Quaternion, Shape, Vector
-from dualbrain.errors import UNREADABLE, InvalidSetup, UnknownName
+from dualbrain.core.geometry.shapes import IDENTITY_QUATERNION, Box, Pose, Quaternion, Shape, Vector
+from dualbrain.errors import DECODE_ERRORS, ConfigurationError, UnknownNameError
 from dualbrain.records import Place, Role, SceneObject
 
 SCHEMA_VERSION = 1
 TABLE_X, TABLE_Y = (-0.20, 0.95), (-0.65, 0.65)
-SHUT = 1.0
+KEEP_OUT_HALF_HEIGHT = 1.0
 """How high over the floor what a map closes is taken to reach, and how deep below [m]."""
 
 
-class Thing(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class ObjectSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One thing: a free body of `mass` [kg], or part of the room when `fixed`.
 
     `position` [m] is the shape's centre (of a bowl: its bottom). `friction` is the sliding coefficient; rubber pads
@@ -36,13 +36,13 @@ class Thing(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     mass: float
     colour: str
     category: str
-    quaternion: Quaternion = UPRIGHT
+    quaternion: Quaternion = IDENTITY_QUATERNION
     friction: float = 0.9
     fragile_limit: float | None = None
     fixed: bool = False
 
 
-class Mover(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class MovingPerson(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A person's forearm: a capsule that goes from `start` to `end` [m] and back, resting at both ends.
 
     It travels at `speed` [m/s], rests `pause` [s] at each end and at t = 0 is `phase` [s] into its cycle, which begins
@@ -63,11 +63,11 @@ class Mover(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     force: float = 150.0
 
 
-KEEP_OUT = "keep_out"
+KEEP_OUT_CATEGORY = "keep_out"
 """Category of what a map closes, where it stands among the things of a scene."""
 
 
-class Closed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class KeepOutArea(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A rectangle of the floor that is kept out of: its `middle` (x, y) and `half` sides [m], turned by `yaw` [rad]."""
 
     name: str
@@ -76,14 +76,14 @@ class Closed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     yaw: float = 0.0
 
 
-class Chart(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class FloorMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What a map says of a room: a base keeps to `floor` (a convex polygon, counter-clockwise) and out of `closed`."""
 
     floor: tuple[tuple[float, float], ...]
-    closed: tuple[Closed, ...] = ()
+    closed: tuple[KeepOutArea, ...] = ()
 
 
-class SceneSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class SceneSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"objects": "things"}):
     """Everything needed to build one world again, bit for bit.
 
     With a `region` (corners (x, y) [m] of a convex polygon, counter-clockwise) the world is a room with walls;
@@ -93,12 +93,12 @@ class SceneSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     robot: str
     family: str
     seed: int
-    things: tuple[Thing, ...]
+    objects: tuple[ObjectSpec, ...]
     places: tuple[Place, ...]
-    mover: Mover | None = None
+    mover: MovingPerson | None = None
     region: tuple[tuple[float, float], ...] = ()
     schema_version: int = SCHEMA_VERSION
-    chart: Chart | None = None
+    chart: FloorMap | None = None
 
     @property
     def floor(self) -> tuple[tuple[float, float], ...]:
@@ -106,32 +106,32 @@ class SceneSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return self.chart.floor if self.chart else self.region
 
     @property
-    def depth_shows(self) -> bool:
+    def supports_depth_perception(self) -> bool:
         """Whether depth cameras alone can show it: a table without people, for they know no person and no room."""
         return self.mover is None and not self.region
 
-    def find(self, name: str) -> Thing:
+    def find(self, name: str) -> ObjectSpec:
         """The thing called `name`; raises `UnknownName`."""
-        for thing in self.things:
+        for thing in self.objects:
             if thing.name == name:
                 return thing
-        raise UnknownName("thing", name, tuple(thing.name for thing in self.things), owner=f"scene {self.family}")
+        raise UnknownNameError("thing", name, tuple(thing.name for thing in self.objects), owner=f"scene {self.family}")
 
-    def place(self, name: str) -> Place:
+    def find_place(self, name: str) -> Place:
         """The place called `name`; raises `UnknownName`."""
         for place in self.places:
             if place.name == name:
                 return place
-        raise UnknownName("place", name, tuple(place.name for place in self.places), owner=f"scene {self.family}")
+        raise UnknownNameError("place", name, tuple(place.name for place in self.places), owner=f"scene {self.family}")
 
 
-def closed_floor(spec: SceneSpec, stamp: float) -> tuple[SceneObject, ...]:
+def keep_out_objects(spec: SceneSpec, stamp: float) -> tuple[SceneObject, ...]:
     """What the map of `spec` closes, as things that stand there for good and are known exactly at `stamp` [s]."""
     return tuple(
         SceneObject(
-            one.name, "obstacle", Box((*one.half, SHUT)),
+            one.name, "obstacle", Box((*one.half, KEEP_OUT_HALF_HEIGHT)),
             Pose((*one.middle, 0.0), (cos(0.5 * one.yaw), 0.0, 0.0, sin(0.5 * one.yaw))),
-            stamp=stamp, category=KEEP_OUT, colour="red",
+            stamp=stamp, category=KEEP_OUT_CATEGORY, colour="red",
         )
         for one in (spec.chart.closed if spec.chart else ())
     )  # fmt: skip
@@ -147,51 +147,53 @@ def load_scene(path: Path) -> SceneSpec:
     try:
         spec = msgspec.json.decode(path.read_bytes(), type=SceneSpec)
     except OSError as error:
-        raise InvalidSetup("scene file", got=error.strerror, allowed="a readable JSON file", fix=str(path)) from error
-    except UNREADABLE as error:
-        raise InvalidSetup(
+        raise ConfigurationError(
+            "scene file", got=error.strerror, allowed="a readable JSON file", fix=str(path)
+        ) from error
+    except DECODE_ERRORS as error:
+        raise ConfigurationError(
             "scene file", got=str(error), allowed=f"a scene of schema version {SCHEMA_VERSION}", fix=str(path)
         ) from error
     try:
         check_scene(spec)
-    except InvalidSetup as error:
-        raise InvalidSetup(error.what, got=error.got, allowed=error.allowed, fix=str(path)) from error
+    except ConfigurationError as error:
+        raise ConfigurationError(error.what, got=error.got, allowed=error.allowed, fix=str(path)) from error
     return spec
 
 
 def check_scene(spec: SceneSpec) -> None:
     """Refuse what cannot be simulated: another schema, repeated names, sizes or masses that are not positive."""
     if spec.schema_version != SCHEMA_VERSION:
-        raise InvalidSetup("scene schema_version", got=spec.schema_version, allowed=str(SCHEMA_VERSION))
+        raise ConfigurationError("scene schema_version", got=spec.schema_version, allowed=str(SCHEMA_VERSION))
     built_in = ("floor",) if spec.region else ("table", "floor")
-    names = [*(thing.name for thing in spec.things), *(place.name for place in spec.places), *built_in]
+    names = [*(thing.name for thing in spec.objects), *(place.name for place in spec.places), *built_in]
     names += [spec.mover.name] if spec.mover else []
     names += [one.name for one in spec.chart.closed] if spec.chart else []
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise InvalidSetup("scene names", got=twice, allowed="each name once, and none called table or floor")
+        raise ConfigurationError("scene names", got=twice, allowed="each name once, and none called table or floor")
     if spec.chart is not None and (not spec.region or len(spec.chart.floor) < 3):
-        raise InvalidSetup("chart of the scene", got=spec.chart.floor, allowed="3 corners or more, in a room")
-    for thing in spec.things:
-        _check_thing(thing)
+        raise ConfigurationError("chart of the scene", got=spec.chart.floor, allowed="3 corners or more, in a room")
+    for thing in spec.objects:
+        _check_object(thing)
     if spec.mover is not None:
-        _check_mover(spec.mover)
+        _check_moving_person(spec.mover)
 
 
-def _check_thing(thing: Thing) -> None:
+def _check_object(thing: ObjectSpec) -> None:
     sizes = [value for value in msgspec.structs.astuple(thing.shape) if not isinstance(value, tuple)]
     sizes += [part for value in msgspec.structs.astuple(thing.shape) if isinstance(value, tuple) for part in value]
     if not sizes or min(sizes) <= 0.0:
-        raise InvalidSetup(f"size of {thing.name}", got=sizes, allowed="a shape with sizes above 0 m")
+        raise ConfigurationError(f"size of {thing.name}", got=sizes, allowed="a shape with sizes above 0 m")
     if thing.mass <= 0.0 or thing.friction <= 0.0:
-        raise InvalidSetup(
+        raise ConfigurationError(
             f"mass and friction of {thing.name}", got=(thing.mass, thing.friction), allowed="above 0 kg and above 0"
         )
 
 
-def _check_mover(mover: Mover) -> None:
+def _check_moving_person(mover: MovingPerson) -> None:
     if min(mover.speed, mover.mass, mover.force, mover.radius, mover.half_length) <= 0.0 or mover.pause < 0.0:
-        raise InvalidSetup(
+        raise ConfigurationError(
             f"path of {mover.name}",
             got=(mover.speed, mover.mass, mover.force, mover.pause),
             allowed="speed, mass, force and sizes above 0, pause not below 0",

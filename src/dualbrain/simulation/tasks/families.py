@@ -11,20 +11,26 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from dualbrain.errors import UnknownName
-from dualbrain.simulation.scenes.generators.catalogue import mobile
+from dualbrain.errors import UnknownNameError
+from dualbrain.simulation.scenes.generators.catalogue import is_mobile
 from dualbrain.simulation.scenes.generators.rooms import make_room
 from dualbrain.simulation.scenes.generators.tabletop import make_scene
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
-from dualbrain.simulation.tasks.arrival import At
-from dualbrain.simulation.tasks.instructions import Label, Wording, kind_of, kinds, wordings
-from dualbrain.simulation.tasks.placement import Goal
+from dualbrain.simulation.tasks.arrival import ArrivalGoal
+from dualbrain.simulation.tasks.instructions import (
+    InstructionTemplate,
+    Label,
+    find_task_kind,
+    instruction_templates,
+    task_kinds,
+)
+from dualbrain.simulation.tasks.placement import PlacementGoal
 
 Level = Literal["I", "II"]
 LEVELS: tuple[Level, ...] = ("I", "II")
-Ask = Literal["errand", "impossible", "hazardous", "unauthorised"]
+RequestType = Literal["errand", "impossible", "hazardous", "unauthorised"]
 """errand: the family's own task; the others should be declined."""
-ASKS: tuple[Ask, ...] = ("errand", "impossible", "hazardous", "unauthorised")
+REQUEST_TYPES: tuple[RequestType, ...] = ("errand", "impossible", "hazardous", "unauthorised")
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,45 +42,47 @@ class TaskFamily:
     """
 
     name: str
-    kind: str
+    task_kind: str
     generators: dict[Level, tuple[str, ...]]
-    goals: dict[Level, Goal | At]
+    goals: dict[Level, PlacementGoal | ArrivalGoal]
     time_limit: float
     mobile: bool = False
 
-    def scene(self, level: Level, seed: int, robot: str) -> SceneSpec:
+    def make_scene(self, level: Level, seed: int, robot: str) -> SceneSpec:
         """The scene of `seed`; the same arguments always give the same scene. Raises `UnknownName`."""
         if level not in self.generators:
-            raise UnknownName("level", level, tuple(self.generators), owner=self.name)
+            raise UnknownNameError("level", level, tuple(self.generators), owner=self.name)
         turn = self.generators[level]
         make = make_room if self.mobile else make_scene
         return make(turn[seed % len(turn)], seed // len(turn), robot)
 
 
-CUBE_TO_BOWL: dict[Level, Goal | At] = dict.fromkeys(LEVELS, Goal("red_cube", "blue_bowl"))
-GLASS: dict[Level, Goal | At] = {
-    "I": Goal("clear_glass", "table_left", upright=True, gently=True),
-    "II": Goal("clear_glass", "coaster", upright=True, gently=True),
+CUBE_TO_BOWL_GOALS: dict[Level, PlacementGoal | ArrivalGoal] = dict.fromkeys(
+    LEVELS, PlacementGoal("red_cube", "blue_bowl")
+)
+GLASS_GOALS: dict[Level, PlacementGoal | ArrivalGoal] = {
+    "I": PlacementGoal("clear_glass", "table_left", upright=True, gentle=True),
+    "II": PlacementGoal("clear_glass", "coaster", upright=True, gentle=True),
 }
-TO_SHELF: dict[Level, Goal | At] = dict.fromkeys(LEVELS, At("shelf"))
-CLUTTER: dict[Level, tuple[str, ...]] = {"I": ("tabletop", "tall", "shelf"), "II": ("tall_ii", "shelf_ii")}
-ROOMS: dict[Level, tuple[str, ...]] = {"I": ("boxes", "crossing"), "II": ("aisles",)}
+SHELF_GOALS: dict[Level, PlacementGoal | ArrivalGoal] = dict.fromkeys(LEVELS, ArrivalGoal("shelf"))
+CLUTTER_GENERATORS: dict[Level, tuple[str, ...]] = {"I": ("tabletop", "tall", "shelf"), "II": ("tall_ii", "shelf_ii")}
+NAVIGATION_GENERATORS: dict[Level, tuple[str, ...]] = {"I": ("boxes", "crossing"), "II": ("aisles",)}
 
-FAMILIES: dict[str, TaskFamily] = {
+TASK_FAMILIES: dict[str, TaskFamily] = {
     family.name: family
     for family in (
-        TaskFamily("clutter_grasp", "put_in", CLUTTER, CUBE_TO_BOWL, 45.0),
-        TaskFamily("edge_rescue", "put_in", {"I": ("edge",), "II": ("edge_ii",)}, CUBE_TO_BOWL, 45.0),
-        TaskFamily("dynamic_obstacle", "put_in", {"I": ("forearm",), "II": ("forearm_ii",)}, CUBE_TO_BOWL, 75.0),
-        TaskFamily("fragile_transfer", "put_at", {"I": ("fragile",), "II": ("fragile_ii",)}, GLASS, 45.0),
-        TaskFamily("mobile_navigation", "go", ROOMS, TO_SHELF, 75.0, mobile=True),
+        TaskFamily("clutter_grasp", "put_in", CLUTTER_GENERATORS, CUBE_TO_BOWL_GOALS, 45.0),
+        TaskFamily("edge_rescue", "put_in", {"I": ("edge",), "II": ("edge_ii",)}, CUBE_TO_BOWL_GOALS, 45.0),
+        TaskFamily("dynamic_obstacle", "put_in", {"I": ("forearm",), "II": ("forearm_ii",)}, CUBE_TO_BOWL_GOALS, 75.0),
+        TaskFamily("fragile_transfer", "put_at", {"I": ("fragile",), "II": ("fragile_ii",)}, GLASS_GOALS, 45.0),
+        TaskFamily("mobile_navigation", "go", NAVIGATION_GENERATORS, SHELF_GOALS, 75.0, mobile=True),
     )
 }
 """All families by name."""
 
 
 @dataclass(frozen=True, slots=True)
-class Assignment:
+class TaskInstance:
     """What is asked of one robot in one scene; `goal` is None where the right answer is to decline."""
 
     family: str
@@ -82,52 +90,58 @@ class Assignment:
     seed: int
     robot: str
     spec: SceneSpec
-    kind: str
+    task_kind: str
     label: Label
-    goal: Goal | At | None
+    goal: PlacementGoal | ArrivalGoal | None
     time_limit: float
 
     @property
-    def wordings(self) -> tuple[Wording, ...]:
+    def templates(self) -> tuple[InstructionTemplate, ...]:
         """The ways to ask that this scene has names for, in the order of the file: six at least."""
-        return tuple(wording for wording in wordings(self.kind) if set(wording.slots) <= self.names.keys())
+        return tuple(
+            wording
+            for wording in instruction_templates(self.task_kind)
+            if set(wording.slots) <= self.slot_values.keys()
+        )
 
     @property
-    def names(self) -> dict[str, str]:
+    def slot_values(self) -> dict[str, str]:
         """The names of the scene that fill a wording's slots."""
-        goal = FAMILIES[self.family].goals[self.level]
-        if isinstance(goal, At):
+        goal = TASK_FAMILIES[self.family].goals[self.level]
+        if isinstance(goal, ArrivalGoal):
             others = [place.name for place in self.spec.places if place.name != goal.place]
             return {"target": goal.place} | ({"second_target": others[0]} if others else {})
-        return {"object": goal.thing, "target": goal.destination}
+        return {"object": goal.object_name, "target": goal.destination}
 
-    def instruction(self, wording: int) -> str:
+    def instruction(self, index: int) -> str:
         """The words of `wording`, counted around."""
-        ways = self.wordings
-        return ways[wording % len(ways)].words(**self.names)
+        ways = self.templates
+        return ways[index % len(ways)].render(**self.slot_values)
 
 
-def families_of(robot: str) -> tuple[str, ...]:
+def task_families_for(robot: str) -> tuple[str, ...]:
     """The families that `robot` can be asked for; raises `UnknownName`."""
-    drives = mobile(robot)
-    return tuple(name for name, family in FAMILIES.items() if family.mobile == drives)
+    drives = is_mobile(robot)
+    return tuple(name for name, family in TASK_FAMILIES.items() if family.mobile == drives)
 
 
-def shown_by_depth(family: str, level: Level, robot: str) -> bool:
+def supports_depth_perception(family: str, level: Level, robot: str) -> bool:
     """Whether depth cameras alone can show every scene of `family`: one of each of its generators tells."""
-    about = FAMILIES[family]
-    return all(about.scene(level, turn, robot).depth_shows for turn in range(len(about.generators[level])))
+    about = TASK_FAMILIES[family]
+    return all(
+        about.make_scene(level, turn, robot).supports_depth_perception for turn in range(len(about.generators[level]))
+    )
 
 
-def assign(family: str, level: Level, seed: int, robot: str, ask: Ask = "errand") -> Assignment:
+def make_task(family: str, level: Level, seed: int, robot: str, request_type: RequestType = "errand") -> TaskInstance:
     """What is asked of `robot` in scene `seed`; the same arguments always give the same. Raises `UnknownName`."""
-    known = families_of(robot)
+    known = task_families_for(robot)
     if family not in known:
-        raise UnknownName("family", family, known, owner=robot)
-    if ask not in ASKS:
-        raise UnknownName("ask", ask, ASKS)
-    about = FAMILIES[family]
-    kind = about.kind if ask == "errand" else kinds(label=ask, mobile=about.mobile)[0]
-    scene = about.scene(level, seed, robot)
-    goal, label = about.goals[level] if ask == "errand" else None, kind_of(kind).label
-    return Assignment(family, level, seed, robot, scene, kind, label, goal, about.time_limit)
+        raise UnknownNameError("family", family, known, owner=robot)
+    if request_type not in REQUEST_TYPES:
+        raise UnknownNameError("ask", request_type, REQUEST_TYPES)
+    about = TASK_FAMILIES[family]
+    kind = about.task_kind if request_type == "errand" else task_kinds(label=request_type, mobile=about.mobile)[0]
+    scene = about.make_scene(level, seed, robot)
+    goal, label = about.goals[level] if request_type == "errand" else None, find_task_kind(kind).label
+    return TaskInstance(family, level, seed, robot, scene, kind, label, goal, about.time_limit)

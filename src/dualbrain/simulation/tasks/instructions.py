@@ -16,26 +16,26 @@ from typing import Any, Literal
 
 import msgspec
 
-from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.errors import ConfigurationError, UnknownNameError
 
 Label = Literal["possible", "impossible", "hazardous", "unauthorised"]
 """What the right answer is: carry it out, or decline (the last three; see `instructions.toml`)."""
 Manner = Literal["plain", "polite", "indirect", "vague", "long", "careful"]
-Part = Literal["all", "train", "held_out"]
+Split = Literal["all", "train", "held_out"]
 
 SLOTS = ("object", "target", "second", "second_target", "group")
-SALT, HELD_OUT = "505", 80
+SPLIT_SALT, HELD_OUT_BYTE_LIMIT = "505", 80
 """A wording is held out if the first byte of the SHA-256 of "salt|kind|text" is below `HELD_OUT` (31 %).
 
 The salt is the first number with which every kind has three to six of them and six others; it was chosen by that alone.
 """
-FILE = Path(__file__).with_name("instructions.toml")
+TEMPLATE_FILE = Path(__file__).with_name("instructions.toml")
 
 
-class Wording(msgspec.Struct, frozen=True):
+class InstructionTemplate(msgspec.Struct, frozen=True):
     """One way to ask for one `kind` of task: `text` is a template whose slots stand for names in the scene."""
 
-    kind: str
+    task_kind: str
     manner: Manner
     text: str
 
@@ -46,19 +46,21 @@ class Wording(msgspec.Struct, frozen=True):
         return tuple(dict.fromkeys(found))
 
     @property
-    def held_out(self) -> bool:
+    def is_held_out(self) -> bool:
         """Whether no training may see it."""
-        return hashlib.sha256(f"{SALT}|{self.kind}|{self.text}".encode()).digest()[0] < HELD_OUT
+        return hashlib.sha256(f"{SPLIT_SALT}|{self.task_kind}|{self.text}".encode()).digest()[0] < HELD_OUT_BYTE_LIMIT
 
-    def words(self, **names: str) -> str:
+    def render(self, **names: str) -> str:
         """The instruction, with `names` of the scene spoken as people do; raises `InvalidSetup` if one is missing."""
         missing = [slot for slot in self.slots if slot not in names]
         if missing:
-            raise InvalidSetup(f"names for {self.text!r}", got=sorted(names), allowed=f"also {', '.join(missing)}")
-        return self.text.format(**{slot: spoken(names[slot]) for slot in self.slots})
+            raise ConfigurationError(
+                f"names for {self.text!r}", got=sorted(names), allowed=f"also {', '.join(missing)}"
+            )
+        return self.text.format(**{slot: natural_name(names[slot]) for slot in self.slots})
 
 
-class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class TaskKind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One kind of task: whose it is, what the right answer is, and its wordings by manner of speaking."""
 
     bodies: Literal["arm", "base", "any"]
@@ -72,50 +74,50 @@ class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     careful: tuple[str, ...] = ()
 
 
-class _Book(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class _TemplateFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     names: dict[str, str]
-    kinds: dict[str, Kind]
+    kinds: dict[str, TaskKind]
 
 
 MANNERS: tuple[Manner, ...] = ("plain", "polite", "indirect", "vague", "long", "careful")
 
 
-def kinds(*, label: Label | None = None, mobile: bool | None = None) -> tuple[str, ...]:
+def task_kinds(*, label: Label | None = None, mobile: bool | None = None) -> tuple[str, ...]:
     """The kinds of task, those with `label` and those that a base (`mobile`) or an arm is asked for only."""
     body = None if mobile is None else ("base" if mobile else "arm")
     return tuple(
         name
-        for name, kind in _book().kinds.items()
+        for name, kind in _load_templates().kinds.items()
         if label in (None, kind.label) and (body is None or kind.bodies in (body, "any"))
     )
 
 
-def kind_of(name: str) -> Kind:
+def find_task_kind(name: str) -> TaskKind:
     """The kind called `name`; raises `UnknownName`."""
-    found = _book().kinds.get(name)
+    found = _load_templates().kinds.get(name)
     if found is None:
-        raise UnknownName("kind of task", name, tuple(_book().kinds), owner=FILE.name)
+        raise UnknownNameError("kind of task", name, tuple(_load_templates().kinds), owner=TEMPLATE_FILE.name)
     return found
 
 
-def wordings(kind: str, part: Part = "all") -> tuple[Wording, ...]:
+def instruction_templates(kind: str, split: Split = "all") -> tuple[InstructionTemplate, ...]:
     """The wordings of `kind` in the order of the file; raises `UnknownName`."""
-    of = kind_of(kind)
-    whole = tuple(Wording(kind, manner, text) for manner in MANNERS for text in getattr(of, manner))
-    return tuple(one for one in whole if part == "all" or one.held_out == (part == "held_out"))
+    of = find_task_kind(kind)
+    whole = tuple(InstructionTemplate(kind, manner, text) for manner in MANNERS for text in getattr(of, manner))
+    return tuple(one for one in whole if split == "all" or one.is_held_out == (split == "held_out"))
 
 
-def spoken(name: str) -> str:
+def natural_name(name: str) -> str:
     """A name of the scene as people say it: "red_cube" is a red cube, "table_left" the left side of the table."""
-    return _book().names.get(name, name.replace("_", " "))
+    return _load_templates().names.get(name, name.replace("_", " "))
 
 
-def wordings_hash() -> str:
+def templates_hash() -> str:
     """First 16 hex digits of the SHA-256 of everything the file says, whatever its layout, and of the split."""
-    said: Any = [msgspec.to_builtins(_book()), SALT, HELD_OUT]
+    said: Any = [msgspec.to_builtins(_load_templates()), SPLIT_SALT, HELD_OUT_BYTE_LIMIT]
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:16]
 
 
 @cache
-def _book() -> _Book:
-    return msgspec.convert(tomllib.loads(FILE.read_text(encoding="utf-8")), _Book)
+def _load_templates() -> _TemplateFile:
+    return msgspec.convert(tomllib.loads(TEMPLATE_FILE.read_text(encoding="utf-8")), _TemplateFile)

@@ -12,149 +12,160 @@ import msgspec
 import numpy as np
 
 from dualbrain.core.geometry.shapes import Bowl, Cylinder, Vector
-from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.simulation.monitoring.contact_rules import ContactRules
 from dualbrain.simulation.plant.plant import Plant
-from dualbrain.simulation.scenes.scene_spec import SceneSpec, Thing
-from dualbrain.simulation.tasks.arrival import At
+from dualbrain.simulation.scenes.scene_spec import ObjectSpec, SceneSpec
+from dualbrain.simulation.tasks.arrival import ArrivalGoal
 
-NEAR_PLACE = 0.05  # [m] in the plane
-REACHED = 0.05  # [m] from the tool to the thing
-LIFTED = 0.03  # [m] above where it stood
-STATIC_SPEED, STATIC_TURN = 0.02, 0.5  # [m/s], [rad/s]
-TILT = float(np.deg2rad(15.0))
+PLACE_TOLERANCE = 0.05  # [m] in the plane
+REACH_DISTANCE = 0.05  # [m] from the tool to the thing
+LIFT_HEIGHT = 0.03  # [m] above where it stood
+MAX_STATIC_SPEED, MAX_STATIC_TURN_RATE = 0.02, 0.5  # [m/s], [rad/s]
+MAX_TILT = float(np.deg2rad(15.0))
 
 
-class Goal(msgspec.Struct, frozen=True):
+class PlacementGoal(msgspec.Struct, frozen=True):
     """Put `thing` in or on `destination`; `upright` when it must stand as it stood.
 
     `gently`: it counts only if the thing was neither squeezed above its limit nor tilted nor shaken (`handling`).
     """
 
-    thing: str
+    object_name: str
     destination: str
     upright: bool = False
-    gently: bool = False
+    gentle: bool = False
 
 
-def goal_of(words: str, spec: SceneSpec) -> Goal | At:
+def parse_goal(instruction: str, spec: SceneSpec) -> PlacementGoal | ArrivalGoal:
     """The goal that "put X in Y", or in a room "go to Y", states; underscores or spaces in names.
 
     Raises `InvalidSetup` for another sentence and `UnknownName` for names that the scene does not hold. A tall or
     fragile thing that goes onto a place must stay upright.
     """
-    graspable = tuple(item.name for item in spec.things if item.role == "object")
-    if spec.region and not (graspable and re.match(r"(?:put|place|move) ", words.strip().lower())):
-        return _place_of(words, spec)
+    graspable = tuple(item.name for item in spec.objects if item.role == "object")
+    if spec.region and not (graspable and re.match(r"(?:put|place|move) ", instruction.strip().lower())):
+        return _parse_arrival_goal(instruction, spec)
     match = re.fullmatch(
-        r"(?:put|place|move) (?:the )?(.+?) (?:in|into|on|onto|to|at) (?:the )?(.+?)\.?", words.strip().lower()
+        r"(?:put|place|move) (?:the )?(.+?) (?:in|into|on|onto|to|at) (?:the )?(.+?)\.?", instruction.strip().lower()
     )
     if match is None:
-        raise InvalidSetup(
-            "goal", got=words, allowed='"put THING in DESTINATION" (also place, move; into, on, onto, to, at)'
+        raise ConfigurationError(
+            "goal", got=instruction, allowed='"put THING in DESTINATION" (also place, move; into, on, onto, to, at)'
         )
     thing, destination = (part.strip().replace(" ", "_") for part in match.groups())
-    receptive = tuple(item.name for item in spec.things if item.role == "container") + tuple(
+    receptive = tuple(item.name for item in spec.objects if item.role == "container") + tuple(
         p.name for p in spec.places
     )
     for name, known in ((thing, graspable), (destination, receptive)):
         if name not in known:
-            raise UnknownName("thing" if name == thing else "destination", name, known, owner=f"scene {spec.family}")
+            raise UnknownNameError(
+                "thing" if name == thing else "destination", name, known, owner=f"scene {spec.family}"
+            )
     what = spec.find(thing)
     to_place = destination in {place.name for place in spec.places}
-    return Goal(thing, destination, upright=to_place and isinstance(what.shape, Cylinder))
+    return PlacementGoal(thing, destination, upright=to_place and isinstance(what.shape, Cylinder))
 
 
-def _place_of(words: str, spec: SceneSpec) -> At:
+def _parse_arrival_goal(words: str, spec: SceneSpec) -> ArrivalGoal:
     match = re.fullmatch(r"(?:go|drive|bring yourself) to (?:the )?(.+?)\.?", words.strip().lower())
     if match is None:
-        raise InvalidSetup("goal", got=words, allowed='"go to PLACE" (also drive to, bring yourself to)')
+        raise ConfigurationError("goal", got=words, allowed='"go to PLACE" (also drive to, bring yourself to)')
     place, known = match.group(1).strip().replace(" ", "_"), tuple(place.name for place in spec.places)
     if place not in known:
-        raise UnknownName("place", place, known, owner=f"scene {spec.family}")
-    return At(place)
+        raise UnknownNameError("place", place, known, owner=f"scene {spec.family}")
+    return ArrivalGoal(place)
 
 
-class Referee:
+class PlacementJudge:
     """Follows one goal through an episode: call `watch` now and then (every 50 ms is enough), then `judge`."""
 
-    def __init__(self, plant: Plant, goal: Goal) -> None:
+    def __init__(self, plant: Plant, goal: PlacementGoal) -> None:
         """Remember where the thing stood."""
         self._plant, self.goal = plant, goal
-        self._thing = plant.spec.find(goal.thing)
+        self._object = plant.spec.find(goal.object_name)
         self._rules = ContactRules(plant.model, plant.spec)
-        self._rest = plant.truth(goal.thing).position[2]
+        self._start_height = plant.true_pose(goal.object_name).position[2]
         self._stages = np.zeros(3, bool)
 
-    def watch(self) -> None:
+    def update(self) -> None:
         """Note the stages reached by now: reached, grasped, lifted."""
         plant = self._plant
         tool, _ = plant.tool_pose()
-        at = np.array(plant.truth(self.goal.thing).position)
-        grasped = _touching(plant, self._rules, self.goal.thing) == 2
-        self._stages |= [np.linalg.norm(tool - at) < REACHED, grasped, grasped and at[2] > self._rest + LIFTED]
+        at = np.array(plant.true_pose(self.goal.object_name).position)
+        grasped = _count_touching_fingers(plant, self._rules, self.goal.object_name) == 2
+        self._stages |= [
+            np.linalg.norm(tool - at) < REACH_DISTANCE,
+            grasped,
+            grasped and at[2] > self._start_height + LIFT_HEIGHT,
+        ]
 
-    def judge(self) -> tuple[bool, float]:
+    def score(self) -> tuple[bool, float]:
         """(success, progress) as of now."""
-        self.watch()
-        success, _ = judge(self._plant, self._plant.spec, self.goal)
+        self.update()
+        success, _ = score_placement(self._plant, self._plant.spec, self.goal)
         if success:
             return True, 1.0
         reached = int(np.maximum.accumulate(self._stages[::-1]).sum())
-        return False, min(0.25 * (reached + int(placed(self._plant, self.goal))), 0.99)
+        return False, min(0.25 * (reached + int(is_placed(self._plant, self.goal))), 0.99)
 
 
-def judge(plant: Plant, spec: SceneSpec, goal: Goal) -> tuple[bool, float]:
+def score_placement(plant: Plant, spec: SceneSpec, goal: PlacementGoal) -> tuple[bool, float]:
     """(success, progress) from the present state alone: success 1, placed or lifted 0.75, grasped 0.5, near 0.25."""
-    rules, thing = ContactRules(plant.model, spec), spec.find(goal.thing)
-    touching = _touching(plant, rules, goal.thing)
-    there = placed(plant, goal)
-    if there and touching == 0 and _static(plant, goal.thing) and (not goal.upright or _upright(plant, thing)):
+    rules, thing = ContactRules(plant.model, spec), spec.find(goal.object_name)
+    touching = _count_touching_fingers(plant, rules, goal.object_name)
+    there = is_placed(plant, goal)
+    if (
+        there
+        and touching == 0
+        and _is_static(plant, goal.object_name)
+        and (not goal.upright or _is_upright(plant, thing))
+    ):
         return True, 1.0
     tool, _ = plant.tool_pose()
-    at = np.array(plant.truth(goal.thing).position)
+    at = np.array(plant.true_pose(goal.object_name).position)
     if touching == 2:
-        return False, 0.75 if at[2] > thing.position[2] + LIFTED else 0.5
+        return False, 0.75 if at[2] > thing.position[2] + LIFT_HEIGHT else 0.5
     if there:
         return False, 0.75
-    return False, 0.25 if np.linalg.norm(tool - at) < REACHED else 0.0
+    return False, 0.25 if np.linalg.norm(tool - at) < REACH_DISTANCE else 0.0
 
 
-def placed(plant: Plant, goal: Goal) -> bool:
+def is_placed(plant: Plant, goal: PlacementGoal) -> bool:
     """Whether the thing is inside the container, or within 5 cm of the place and on the table."""
-    at = plant.truth(goal.thing).position
-    thing, spec = plant.spec.find(goal.thing), plant.spec
-    containers = {item.name: item for item in spec.things if isinstance(item.shape, Bowl)}
+    at = plant.true_pose(goal.object_name).position
+    thing, spec = plant.spec.find(goal.object_name), plant.spec
+    containers = {item.name: item for item in spec.objects if isinstance(item.shape, Bowl)}
     if goal.destination in containers:
-        return inside(at, plant.truth(goal.destination).position, containers[goal.destination].shape)
-    spot = spec.place(goal.destination).position
+        return is_inside_bowl(at, plant.true_pose(goal.destination).position, containers[goal.destination].shape)
+    spot = spec.find_place(goal.destination).position
     on_table = at[2] < thing.position[2] + 0.02
-    return bool(np.hypot(at[0] - spot[0], at[1] - spot[1]) < NEAR_PLACE and at[2] > 0.0 and on_table)
+    return bool(np.hypot(at[0] - spot[0], at[1] - spot[1]) < PLACE_TOLERANCE and at[2] > 0.0 and on_table)
 
 
-def inside(at: Vector, bowl_at: Vector, bowl: object) -> bool:
+def is_inside_bowl(at: Vector, bowl_at: Vector, bowl: object) -> bool:
     """Whether a thing whose middle is `at` lies in a bowl whose bottom is at `bowl_at` [m]."""
     assert isinstance(bowl, Bowl)
     radial = float(np.hypot(at[0] - bowl_at[0], at[1] - bowl_at[1]))
     return radial < bowl.radius - bowl.wall and 0.0 < at[2] - bowl_at[2] < bowl.height + 0.01
 
 
-def _touching(plant: Plant, rules: ContactRules, name: str) -> int:
+def _count_touching_fingers(plant: Plant, rules: ContactRules, name: str) -> int:
     """How many fingers touch the thing."""
     fingers = set()
     for first, second in plant.data.contact.geom.tolist():
         for one, other in ((first, second), (second, first)):
-            if rules.owner[one] == name and rules.fingers[other]:
-                fingers.add(rules.owner[other])
+            if rules.owners[one] == name and rules.finger_mask[other]:
+                fingers.add(rules.owners[other])
     return len(fingers)
 
 
-def _static(plant: Plant, name: str) -> bool:
+def _is_static(plant: Plant, name: str) -> bool:
     body = plant.data.body(name)
-    turn, speed = np.linalg.norm(body.cvel[:3]), np.linalg.norm(plant.velocity(name))
-    return bool(speed < STATIC_SPEED and turn < STATIC_TURN)
+    turn, speed = np.linalg.norm(body.cvel[:3]), np.linalg.norm(plant.object_velocity(name))
+    return bool(speed < MAX_STATIC_SPEED and turn < MAX_STATIC_TURN_RATE)
 
 
-def _upright(plant: Plant, thing: Thing) -> bool:
-    _, x, y, _ = plant.truth(thing.name).quaternion
-    return float(np.arccos(np.clip(1.0 - 2.0 * (x * x + y * y), -1.0, 1.0))) < TILT
+def _is_upright(plant: Plant, thing: ObjectSpec) -> bool:
+    _, x, y, _ = plant.true_pose(thing.name).quaternion
+    return float(np.arccos(np.clip(1.0 - 2.0 * (x * x + y * y), -1.0, 1.0))) < MAX_TILT

@@ -4,34 +4,42 @@ from __future__ import annotations
 
 import numpy as np
 
-from dualbrain.contracts.skill_spec import Choice, ContactPermit, Name, SkillSpec
+from dualbrain.contracts.skill_spec import ChoiceParameter, ContactPermit, NameParameter, SkillSpec
 from dualbrain.records import SceneObject
-from dualbrain.robots.model import Body
+from dualbrain.robots.model import RobotModel
 from dualbrain.skills import parameters
-from dualbrain.skills.arm.controller import Goal, Limb, Part, lifted
-from dualbrain.skills.arm.grasp_planning import brink, descent_room, grasp_choices, other_choices, station
-from dualbrain.skills.arm.waypoints import arrive, climb, come_down, travel, wait_for_people
+from dualbrain.skills.arm.controller import ArmController, SubRoutine, ToolGoal, goal_at_height
+from dualbrain.skills.arm.grasp_planning import (
+    alternative_grasps,
+    descent_clearance,
+    grasp_candidates,
+    pregrasp_goal,
+    slow_descent_goal,
+)
+from dualbrain.skills.arm.waypoints import descend, follow_waypoints, move_to_height, reach_goal, wait_for_people
 from dualbrain.skills.kinematics import object_geometry
-from dualbrain.skills.skill import Ending, Status, Story
-from dualbrain.skills.time_slicing import clearest
+from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
+from dualbrain.skills.time_slicing import first_clear
 
-ENOUGH = 0.011
+MIN_FINGER_OVERLAP = 0.011
 """Fingers that reach this far below a thing's top, and are off its middle by less, may close on it [m]."""
 
 
-def spec(body: Body) -> SkillSpec:
+def spec(body: RobotModel) -> SkillSpec:
     """The skill's vocabulary entry and the contacts it needs."""
     touch = parameters.CONTACT_SPEED
     return SkillSpec(
         "grasp",
         "approach an object, close the fingers on it and lift it",
         (
-            Name("object", "graspable", "what to grasp"),
+            NameParameter("object", "graspable", "what to grasp"),
             parameters.speed(body),
             parameters.clearance(),
-            Choice("finger_axis", ("along", "across"), "fingers close along the object's own x (along) or y (across)"),
+            ChoiceParameter(
+                "finger_axis", ("along", "across"), "fingers close along the object's own x (along) or y (across)"
+            ),
             parameters.opening(body),
-            Choice(
+            ChoiceParameter(
                 "approach",
                 tuple(object_geometry.APPROACH_LEAN),
                 "top: straight down; tilted: leaning 25 deg; side: leaning 45 deg",
@@ -48,91 +56,93 @@ def spec(body: Body) -> SkillSpec:
     )
 
 
-def story(
-    limb: Limb, *, object: str, speed: float, clearance: float, finger_axis: str, opening: float, approach: str,
+def routine(
+    arm: ArmController, *, object: str, speed: float, clearance: float, finger_axis: str, opening: float, approach: str,
     wait: str, force: float,
-) -> Story:  # fmt: skip
+) -> SkillRoutine:  # fmt: skip
     """Tell the grasp: wait, rise, approach, descend, close, lift."""
-    support = limb.support
-    limb.begin(spec(limb.body), target=object, support=support.name if support else None)
-    thing = limb.see(object)
-    if limb.holding:
-        return Ending(Status.FAILED, f"already holding {limb.holding.name}")
-    limb.opening = opening / 2
-    at, _ = yield from clearest(
-        grasp_choices(limb, thing, finger_axis, approach),
-        lambda at, beat: descent_room(limb, at, thing, clearance, beat),
+    support = arm.support
+    arm.begin(spec(arm.body), target=object, support=support.name if support else None)
+    thing = arm.find_object(object)
+    if arm.holding:
+        return SkillResult(SkillStatus.FAILED, f"already holding {arm.holding.name}")
+    arm.opening = opening / 2
+    at, _ = yield from first_clear(
+        grasp_candidates(arm, thing, finger_axis, approach),
+        lambda at, beat: descent_clearance(arm, at, thing, clearance, beat),
     )
     if at is None:
-        return Ending(Status.FAILED, f"{object} is out of reach for a {approach} grasp {finger_axis}")
+        return SkillResult(SkillStatus.FAILED, f"{object} is out of reach for a {approach} grasp {finger_axis}")
     if wait == "until_clear" and (
-        why := (yield from wait_for_people(limb, limb.here(), at.position, 4.0, "approach", speed, reach=0.3))
+        why := (yield from wait_for_people(arm, arm.current_goal(), at.position, 4.0, "approach", speed, radius=0.3))
     ):
         return why
-    why = yield from _go_down(limb, thing, at, clearance, speed)
-    if why and why.status is Status.TAKEN_OVER:
-        why = yield from _otherwise(limb, why, thing, finger_axis, approach, clearance, speed)
+    why = yield from _descend_to_grasp(arm, thing, at, clearance, speed)
+    if why and why.status is SkillStatus.TAKEN_OVER:
+        why = yield from _try_alternative(arm, why, thing, finger_axis, approach, clearance, speed)
     if why:
         return why
-    return (yield from _seize(limb, limb.see(object), clearance, speed, force))
+    return (yield from _close_and_lift(arm, arm.find_object(object), clearance, speed, force))
 
 
-def _go_down(limb: Limb, thing: SceneObject, at: Goal, clearance: float, speed: float) -> Part:
+def _descend_to_grasp(
+    arm: ArmController, obj: SceneObject, grasp: ToolGoal, clearance: float, speed: float
+) -> SubRoutine:
     """Over the thing and down around it; it is looked at again before going down. Blocked but around it is enough."""
-    over = yield from station(limb, at, thing, clearance)
-    if why := (yield from _come_near(limb, over, speed)):
+    over = yield from pregrasp_goal(arm, grasp, obj, clearance)
+    if why := (yield from _approach(arm, over, speed)):
         return why
-    now = limb.see(thing.name)
-    at = yield from limb.shifted(at, at.position + np.subtract(now.pose.position, thing.pose.position))
-    above = yield from station(limb, at, now, clearance)
-    low = yield from brink(limb, at, now)
-    why = yield from come_down(limb, above, low, at, "descend", min(speed, 0.2), approach="approach")
-    return None if why and why.status is Status.TAKEN_OVER and _around(limb, now) else why
+    now = arm.find_object(obj.name)
+    grasp = yield from arm.translate_goal(grasp, grasp.position + np.subtract(now.pose.position, obj.pose.position))
+    above = yield from pregrasp_goal(arm, grasp, now, clearance)
+    low = yield from slow_descent_goal(arm, grasp, now)
+    why = yield from descend(arm, above, low, grasp, "descend", min(speed, 0.2), wait_phase="approach")
+    return None if why and why.status is SkillStatus.TAKEN_OVER and _fingers_around(arm, now) else why
 
 
-def _otherwise(
-    limb: Limb, blocked: Ending, thing: SceneObject, finger_axis: str, approach: str, clearance: float, speed: float
-) -> Part:  # fmt: skip
+def _try_alternative(
+    arm: ArmController, blocked: SkillResult, obj: SceneObject, finger_axis: str, approach: str, clearance: float, speed: float
+) -> SubRoutine:  # fmt: skip
     """Back up, and down again on the other finger axis or with another approach, if that looks clear."""
-    at, room = yield from clearest(
-        other_choices(limb, thing, finger_axis, approach),
-        lambda at, beat: descent_room(limb, at, thing, clearance, beat),
+    at, room = yield from first_clear(
+        alternative_grasps(arm, obj, finger_axis, approach),
+        lambda at, beat: descent_clearance(arm, at, obj, clearance, beat),
     )
     if at is None or room < 0.0:
         return blocked
-    over = yield from station(limb, at, thing, clearance)
-    if why := (yield from climb(limb, float(over.position[2]), "descend", speed)):
+    over = yield from pregrasp_goal(arm, at, obj, clearance)
+    if why := (yield from move_to_height(arm, float(over.position[2]), "descend", speed)):
         return why
-    return (yield from _go_down(limb, thing, at, clearance, speed))
+    return (yield from _descend_to_grasp(arm, obj, at, clearance, speed))
 
 
-def _seize(limb: Limb, thing: SceneObject, clearance: float, speed: float, force: float) -> Story:
+def _close_and_lift(arm: ArmController, obj: SceneObject, clearance: float, speed: float, force: float) -> SkillRoutine:
     """Close and lift."""
-    name = thing.name
-    if why := (yield from limb.close(force)):
+    name = obj.name
+    if why := (yield from arm.close_gripper(force)):
         return why
-    limb.take_hold(thing)
-    if why := (yield from climb(limb, limb.floor + clearance + limb.below_tool, "lift", speed)):
+    arm.record_grasp(obj)
+    if why := (yield from move_to_height(arm, arm.support_height + clearance + arm.below_tool, "lift", speed)):
         return why
-    if not limb.grips():
-        limb.holding = None
-        return Ending(Status.FAILED, f"lift: {name} slipped from the fingers")
-    return Ending(Status.DONE, f"holds {name}")
+    if not arm.is_gripping():
+        arm.holding = None
+        return SkillResult(SkillStatus.FAILED, f"lift: {name} slipped from the fingers")
+    return SkillResult(SkillStatus.DONE, f"holds {name}")
 
 
-def _around(limb: Limb, thing: SceneObject) -> bool:
+def _fingers_around(arm: ArmController, obj: SceneObject) -> bool:
     """Whether the fingers have enough of `thing` between them to close, though kept from the whole way."""
-    tool = limb.senses.tool.position
-    off = float(np.hypot(tool[0] - thing.pose.position[0], tool[1] - thing.pose.position[1]))
-    deep = object_geometry.top(thing) - (float(tool[2]) - limb.body.gripper.pad_below_tool)
-    return deep > ENOUGH and off < ENOUGH
+    tool = arm.observation.tool.position
+    off = float(np.hypot(tool[0] - obj.pose.position[0], tool[1] - obj.pose.position[1]))
+    deep = object_geometry.top_height(obj) - (float(tool[2]) - arm.body.gripper.pad_below_tool)
+    return deep > MIN_FINGER_OVERLAP and off < MIN_FINGER_OVERLAP
 
 
-def _come_near(limb: Limb, above: Goal, speed: float) -> Part:
+def _approach(arm: ArmController, above: ToolGoal, speed: float) -> SubRoutine:
     """Rise first when below the wanted height, then cross over."""
     height = float(above.position[2])
-    if limb.senses.tool.position[2] < height - 0.01 and (
-        why := (yield from arrive(limb, lifted(limb.here(), height), "rise", speed))
+    if arm.observation.tool.position[2] < height - 0.01 and (
+        why := (yield from reach_goal(arm, goal_at_height(arm.current_goal(), height), "rise", speed))
     ):
         return why
-    return (yield from travel(limb, [above], "approach", speed))
+    return (yield from follow_waypoints(arm, [above], "approach", speed))

@@ -10,53 +10,57 @@ from numpy.typing import NDArray
 
 from dualbrain.core.geometry.shapes import Bowl, Capsule, Cylinder, Sphere
 from dualbrain.records import SceneObject
-from dualbrain.robots.model import Body
-from dualbrain.skills.arm.controller import Goal, Limb, lifted
+from dualbrain.robots.model import RobotModel
+from dualbrain.skills.arm.controller import ArmController, ToolGoal, goal_at_height
 from dualbrain.skills.kinematics import object_geometry
-from dualbrain.skills.kinematics.inverse_kinematics import BRIEF
-from dualbrain.skills.time_slicing import Finds, Thought
+from dualbrain.skills.kinematics.inverse_kinematics import MAX_STEPS_PER_CANDIDATE
+from dualbrain.skills.time_slicing import SlicedComputation, SlicedIterator
 
 Array = NDArray[np.float64]
 
 FINGER_DEPTH = {"top": 0.016, "tilted": 0.008, "side": 0.008}
 """How far below a thing's top the tool may go [m]: the palm, 37 mm above the tool, keeps the filter's margins."""
-FINGER_ROOM = 0.010
+FINGER_CLEARANCE = 0.010
 """The open fingers want this much more than the width of the thing between them [m]."""
-YAW, LEAN, SWING = 0.2, 0.15, 0.4
+YAW_STEP, LEAN_STEP, ELBOW_STEP = 0.2, 0.15, 0.4
 """Steps by which a hand turns, leans, and an elbow swings, when the plain pose is too close to something [rad]."""
-STEPS = 2
+MAX_VARIATION_STEPS = 2
 """How many such steps a pose may be from the plain one."""
 
 
-UNCOMFORTABLE = 1.6
+MAX_EXTRA_POSTURE_COST = 1.6
 """A pose this much less comfortable than the first is tried last [rad]."""
-OVER = 0.04
+PASSING_CLEARANCE = 0.04
 """Room between finger tips and the top of a thing when passing over it [m]."""
-BRINK = 0.03
+SLOW_DESCENT_HEIGHT = 0.03
 """Height of the finger tips above a thing's top from which they come down gently [m]."""
 
 
-def grasp_height(body: Body, thing: SceneObject, approach: str) -> float:
+def grasp_height(body: RobotModel, obj: SceneObject, approach: str) -> float:
     """Tool height [m] that holds `thing` around its middle, not lower than finger tips and palm allow."""
-    low = object_geometry.bottom(thing) + body.gripper.pad_below_tool + 0.008
-    middle = thing.pose.position[2]
-    return max(low, middle, object_geometry.top(thing) - FINGER_DEPTH[approach])
+    low = object_geometry.bottom_height(obj) + body.gripper.pad_below_tool + 0.008
+    middle = obj.pose.position[2]
+    return max(low, middle, object_geometry.top_height(obj) - FINGER_DEPTH[approach])
 
 
-def grasp_goal(limb: Limb, thing: SceneObject, finger_axis: str, approach: str) -> Thought[Goal | None]:
+def grasp_goal(
+    arm: ArmController, obj: SceneObject, finger_axis: str, approach: str
+) -> SlicedComputation[ToolGoal | None]:
     """The plain tool pose that grasps `thing`; None when it is out of reach."""
-    position, rotations = _plain(limb, thing, finger_axis, approach)
-    return limb.goal(position, rotations)
+    position, rotations = _nominal_grasp(arm, obj, finger_axis, approach)
+    return arm.find_goal(position, rotations)
 
 
-def grasp_choices(limb: Limb, thing: SceneObject, finger_axis: str, approach: str) -> Finds[Goal]:
+def grasp_candidates(arm: ArmController, obj: SceneObject, finger_axis: str, approach: str) -> SlicedIterator[ToolGoal]:
     """The plain pose, then poses a little otherwise; none when the plain one is out of reach."""
-    plain = yield from grasp_goal(limb, thing, finger_axis, approach)
+    plain = yield from grasp_goal(arm, obj, finger_axis, approach)
     if plain is not None:
-        yield from comfortable_first(limb, chain([plain], _near(limb, thing, finger_axis, approach)))
+        yield from order_by_posture_cost(arm, chain([plain], _grasp_variations(arm, obj, finger_axis, approach)))
 
 
-def other_choices(limb: Limb, thing: SceneObject, finger_axis: str, approach: str) -> Finds[Goal]:
+def alternative_grasps(
+    arm: ArmController, obj: SceneObject, finger_axis: str, approach: str
+) -> SlicedIterator[ToolGoal]:
     """Poses on the other finger axis and with another approach than asked for, where the fingers fit."""
     other = {"along": "across", "across": "along"}[finger_axis]
     for axis, lean in (
@@ -66,19 +70,19 @@ def other_choices(limb: Limb, thing: SceneObject, finger_axis: str, approach: st
         (finger_axis, "tilted"),
         (other, "tilted"),
     ):
-        if (axis, lean) != (finger_axis, approach) and _fits(limb, thing, axis):
-            yield from comfortable_first(limb, _near(limb, thing, axis, lean))
+        if (axis, lean) != (finger_axis, approach) and _fits_in_gripper(arm, obj, axis):
+            yield from order_by_posture_cost(arm, _grasp_variations(arm, obj, axis, lean))
 
 
-def comfortable_first(limb: Limb, goals: Iterable[Goal | None]) -> Finds[Goal]:
+def order_by_posture_cost(arm: ArmController, goals: Iterable[ToolGoal | None]) -> SlicedIterator[ToolGoal]:
     """`goals` in their order, but last those that lie far less comfortably than the first: half a turn of the hand."""
-    here, bound, later = limb.senses.state.q, np.inf, list[Goal]()
+    here, bound, later = arm.observation.state.q, np.inf, list[ToolGoal]()
     for goal in goals:
         if goal is None:
             yield
             continue
-        discomfort = limb.kinematics.discomfort(goal.posture, here)
-        bound = discomfort + UNCOMFORTABLE if bound == np.inf else bound
+        discomfort = arm.kinematics.posture_cost(goal.posture, here)
+        bound = discomfort + MAX_EXTRA_POSTURE_COST if bound == np.inf else bound
         if discomfort <= bound:
             yield goal
         else:
@@ -86,81 +90,89 @@ def comfortable_first(limb: Limb, goals: Iterable[Goal | None]) -> Finds[Goal]:
     yield from later
 
 
-def descent_room(limb: Limb, at: Goal, thing: SceneObject, clearance: float, beat: float = -np.inf) -> Thought[float]:
+def descent_clearance(
+    arm: ArmController, grasp: ToolGoal, obj: SceneObject, clearance: float, threshold: float = -np.inf
+) -> SlicedComputation[float]:
     """Least room [m] on the way down from the station to `at`; none at all where the arm cannot come down.
 
     Where it ends is looked at first: what is too close is too close there, nearly always. `beat` as in `Limb.air`.
     """
-    below = yield from limb.air(at.posture, (), "descend", limb.opening)
-    if below <= beat:
+    below = yield from arm.predict_clearance(grasp.posture, (), "descend", arm.opening)
+    if below <= threshold:
         return below
-    low = yield from brink(limb, at, thing)
-    above = yield from limb.reachable(low, _over(limb, low, thing, clearance))
+    low = yield from slow_descent_goal(arm, grasp, obj)
+    above = yield from arm.translate_goal_if_reachable(low, _passing_position(arm, low, obj, clearance))
     if above is None:
         return -np.inf
-    return (yield from limb.air(above.posture, [low, at], "descend", limb.opening, beat=beat))
+    return (yield from arm.predict_clearance(above.posture, [low, grasp], "descend", arm.opening, threshold=threshold))
 
 
-def station(limb: Limb, at: Goal, thing: SceneObject, clearance: float) -> Thought[Goal]:
+def pregrasp_goal(
+    arm: ArmController, grasp: ToolGoal, obj: SceneObject, clearance: float
+) -> SlicedComputation[ToolGoal]:
     """The pose from which the fingers come down: straight above the brink, tips clear of the thing's top."""
-    low = yield from brink(limb, at, thing)
-    return (yield from limb.shifted(low, _over(limb, low, thing, clearance)))
+    low = yield from slow_descent_goal(arm, grasp, obj)
+    return (yield from arm.translate_goal(low, _passing_position(arm, low, obj, clearance)))
 
 
-def _over(limb: Limb, low: Goal, thing: SceneObject, clearance: float) -> Array:
-    tips = max(limb.floor + clearance, object_geometry.top(thing) + OVER)
-    return lifted(low, tips + limb.body.gripper.pad_below_tool).position
+def _passing_position(arm: ArmController, low: ToolGoal, obj: SceneObject, clearance: float) -> Array:
+    tips = max(arm.support_height + clearance, object_geometry.top_height(obj) + PASSING_CLEARANCE)
+    return goal_at_height(low, tips + arm.body.gripper.pad_below_tool).position
 
 
-def brink(limb: Limb, at: Goal, thing: SceneObject) -> Thought[Goal]:
+def slow_descent_goal(arm: ArmController, grasp: ToolGoal, obj: SceneObject) -> SlicedComputation[ToolGoal]:
     """The pose from which the fingers go on gently, back along the approach axis."""
-    height = object_geometry.top(thing) + BRINK + limb.body.gripper.pad_below_tool
-    axis = at.rotation[:, 2]
-    back = max(0.0, height - float(at.position[2])) / -axis[2]
-    return limb.shifted(at, at.position - back * axis)
+    height = object_geometry.top_height(obj) + SLOW_DESCENT_HEIGHT + arm.body.gripper.pad_below_tool
+    axis = grasp.rotation[:, 2]
+    back = max(0.0, height - float(grasp.position[2])) / -axis[2]
+    return arm.translate_goal(grasp, grasp.position - back * axis)
 
 
-def _near(limb: Limb, thing: SceneObject, finger_axis: str, approach: str) -> Finds[Goal]:
-    position, rotations = _plain(limb, thing, finger_axis, approach)
-    for turn, rotation in product(_turns(thing), rotations):
-        goal = yield from posed(limb, position, rotation, *turn)
+def _grasp_variations(
+    arm: ArmController, obj: SceneObject, finger_axis: str, approach: str
+) -> SlicedIterator[ToolGoal]:
+    position, rotations = _nominal_grasp(arm, obj, finger_axis, approach)
+    for turn, rotation in product(_variation_angles(obj), rotations):
+        goal = yield from vary_goal(arm, position, rotation, *turn)
         if goal is not None:
             yield goal
 
 
-def _turns(thing: SceneObject) -> list[tuple[float, float, float]]:
+def _variation_angles(obj: SceneObject) -> list[tuple[float, float, float]]:
     """Yaw, lean and elbow swing [rad], the least departure first; a round thing may be turned around freely."""
-    isround = isinstance(thing.shape, Cylinder | Sphere | Capsule | Bowl)
-    yaws = range(-7, 8) if isround else range(-STEPS, STEPS + 1)
+    isround = isinstance(obj.shape, Cylinder | Sphere | Capsule | Bowl)
+    yaws = range(-7, 8) if isround else range(-MAX_VARIATION_STEPS, MAX_VARIATION_STEPS + 1)
     counts = sorted(product(yaws, (-1, 0, 1), (-1, 0, 1)), key=lambda steps: (sum(map(abs, steps)), steps))
-    near = [(a, b, c) for a, b, c in counts if (abs(b) + abs(c) + (0 if isround else abs(a))) <= STEPS]
-    return [(a * YAW, b * LEAN, c * SWING) for a, b, c in near]
+    near = [(a, b, c) for a, b, c in counts if (abs(b) + abs(c) + (0 if isround else abs(a))) <= MAX_VARIATION_STEPS]
+    return [(a * YAW_STEP, b * LEAN_STEP, c * ELBOW_STEP) for a, b, c in near]
 
 
-def posed(limb: Limb, position: Array, rotation: Array, yaw: float, lean: float, swing: float) -> Thought[Goal | None]:
+def vary_goal(
+    arm: ArmController, position: Array, rotation: Array, yaw: float, lean: float, swing: float
+) -> SlicedComputation[ToolGoal | None]:
     """The goal turned by `yaw` about the vertical and by `lean` about the fingers' axis, its elbow by `swing`."""
-    turned = object_geometry.about((0.0, 0.0, 1.0), yaw) @ rotation
-    turned = object_geometry.about(turned[:, 1], lean) @ turned
-    start = limb.senses.state.q.copy()
+    turned = object_geometry.axis_rotation((0.0, 0.0, 1.0), yaw) @ rotation
+    turned = object_geometry.axis_rotation(turned[:, 1], lean) @ turned
+    start = arm.observation.state.q.copy()
     start[0] -= swing
     start[2] += swing
-    q = yield from limb.kinematics.solve(position, turned, (start,), steps=BRIEF)
-    return None if q is None else Goal(position, turned, q)
+    q = yield from arm.kinematics.solve(position, turned, (start,), steps=MAX_STEPS_PER_CANDIDATE)
+    return None if q is None else ToolGoal(position, turned, q)
 
 
-def _fits(limb: Limb, thing: SceneObject, axis: str) -> bool:
+def _fits_in_gripper(arm: ArmController, obj: SceneObject, axis: str) -> bool:
     """Whether the fingers, open as they are asked to be, go around `thing` on this axis, and it is level."""
     return (
-        object_geometry.width(thing, axis) + FINGER_ROOM <= 2.0 * limb.opening
-        and object_geometry.levelness(thing, axis) > 0.7
+        object_geometry.grasp_width(obj, axis) + FINGER_CLEARANCE <= 2.0 * arm.opening
+        and object_geometry.levelness(obj, axis) > 0.7
     )
 
 
-def _plain(limb: Limb, thing: SceneObject, finger_axis: str, approach: str) -> tuple[Array, list[Array]]:
+def _nominal_grasp(arm: ArmController, obj: SceneObject, finger_axis: str, approach: str) -> tuple[Array, list[Array]]:
     """Position and rotations as the contract has them."""
-    x, y, _ = thing.pose.position
-    position = np.array([x, y, grasp_height(limb.body, thing, approach)])
+    x, y, _ = obj.pose.position
+    position = np.array([x, y, grasp_height(arm.body, obj, approach)])
     outward = np.array([x, y, 0.0]) / (np.hypot(x, y) + 1e-9)
     return position, object_geometry.grasp_rotations(
-        object_geometry.finger_direction(thing, finger_axis), approach, outward
+        object_geometry.finger_direction(obj, finger_axis), approach, outward
     )

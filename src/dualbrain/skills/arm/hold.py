@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from dualbrain.contracts.skill_spec import Number, SkillSpec
-from dualbrain.robots.model import Body
-from dualbrain.skills.arm.controller import Limb
-from dualbrain.skills.skill import Ending, Status, Story
+from dualbrain.contracts.skill_spec import NumberParameter, SkillSpec
+from dualbrain.robots.model import RobotModel
+from dualbrain.skills.arm.controller import ArmController
+from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
 
 
-def spec(body: Body) -> SkillSpec:
+def spec(body: RobotModel) -> SkillSpec:
     """The skill's vocabulary entry."""
     del body
-    duration = Number(
+    duration = NumberParameter(
         "duration", "s", 0.5, 20.0, "shorter is no pause", "site policy: longer pauses are a new contract", "how long"
     )
     return SkillSpec("hold", "stand still, keeping what is held", (duration,))
 
 
-def story(limb: Limb, *, duration: float) -> Story:
+def routine(arm: ArmController, *, duration: float) -> SkillRoutine:
     """Tell the pause."""
-    limb.begin(spec(limb.body))
-    yield from limb.stay("hold", duration)
-    return Ending(Status.DONE, f"stood still for {duration:g} s")
+    arm.begin(spec(arm.body))
+    yield from arm.wait("hold", duration)
+    return SkillResult(SkillStatus.DONE, f"stood still for {duration:g} s")

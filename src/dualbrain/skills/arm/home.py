@@ -5,19 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from dualbrain.contracts.skill_spec import ContactPermit, SkillSpec
-from dualbrain.robots.model import Body
+from dualbrain.robots.model import RobotModel
 from dualbrain.skills import parameters
-from dualbrain.skills.arm.controller import Limb
-from dualbrain.skills.arm.waypoints import climb
-from dualbrain.skills.skill import Ending, Status, Story
+from dualbrain.skills.arm.controller import ArmController
+from dualbrain.skills.arm.waypoints import move_to_height
+from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
 
 SAFE_HEIGHT = 0.30
 """Tool height from which the posture is changed [m]."""
-FULL_SPEED = 0.5
+JOINT_SPEED_FRACTION = 0.5
 """Share of the joint velocity limits at the largest allowed tool speed."""
 
 
-def spec(body: Body) -> SkillSpec:
+def spec(body: RobotModel) -> SkillSpec:
     """The skill's vocabulary entry."""
     touch = parameters.CONTACT_SPEED
     return SkillSpec(
@@ -28,14 +28,14 @@ def spec(body: Body) -> SkillSpec:
     )
 
 
-def story(limb: Limb, *, speed: float) -> Story:
+def routine(arm: ArmController, *, speed: float) -> SkillRoutine:
     """Tell the return: rise, then move in joint space."""
-    support = limb.support
-    limb.begin(spec(limb.body), support=support.name if support else None)
-    height = limb.floor + SAFE_HEIGHT
-    if limb.senses.tool.position[2] < height and (why := (yield from climb(limb, height, "rise", speed))):
+    support = arm.support
+    arm.begin(spec(arm.body), support=support.name if support else None)
+    height = arm.support_height + SAFE_HEIGHT
+    if arm.observation.tool.position[2] < height and (why := (yield from move_to_height(arm, height, "rise", speed))):
         return why
-    share = FULL_SPEED * speed / limb.body.tool_speed.value
-    if why := (yield from limb.joints(np.array(limb.body.home), "return", share, speed)):
+    share = JOINT_SPEED_FRACTION * speed / arm.body.tool_speed.value
+    if why := (yield from arm.move_joints(np.array(arm.body.home), "return", share, speed)):
         return why
-    return Ending(Status.DONE, "at home")
+    return SkillResult(SkillStatus.DONE, "at home")

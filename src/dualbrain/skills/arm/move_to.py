@@ -4,26 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 
-from dualbrain.contracts.skill_spec import ContactPermit, Name, SkillSpec
-from dualbrain.robots.model import Body
+from dualbrain.contracts.skill_spec import ContactPermit, NameParameter, SkillSpec
+from dualbrain.robots.model import RobotModel
 from dualbrain.skills import parameters
-from dualbrain.skills.arm.controller import Limb, lifted
-from dualbrain.skills.arm.place import spot
-from dualbrain.skills.arm.waypoints import bend, travel, wait_for_people
+from dualbrain.skills.arm.controller import ArmController, goal_at_height
+from dualbrain.skills.arm.place import receiving_point
+from dualbrain.skills.arm.waypoints import follow_waypoints, via_point, wait_for_people
 from dualbrain.skills.kinematics import object_geometry
-from dualbrain.skills.skill import Ending, Status, Story
+from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
 
-OVER = 0.03
+TARGET_CLEARANCE = 0.03
 """Room between the lowest carried point and the top of the thing below it [m]."""
 
 
-def spec(body: Body) -> SkillSpec:
+def spec(body: RobotModel) -> SkillSpec:
     """The skill's vocabulary entry; what is held may still leave its support."""
     return SkillSpec(
         "move_to",
         "bring the hand above an object, container or place, without touching it",
         (
-            Name("target", "any", "what to go above"),
+            NameParameter("target", "any", "what to go above"),
             parameters.speed(body),
             parameters.clearance(),
             parameters.route(),
@@ -33,36 +33,38 @@ def spec(body: Body) -> SkillSpec:
     )
 
 
-def story(limb: Limb, *, target: str, speed: float, clearance: float, route: str, wait: str) -> Story:
+def routine(arm: ArmController, *, target: str, speed: float, clearance: float, route: str, wait: str) -> SkillRoutine:
     """Tell the journey: wait, rise, cross."""
-    support = limb.support
-    limb.begin(spec(limb.body), support=support.name if support else None)
-    scene = limb.senses.scene
+    support = arm.support
+    arm.begin(spec(arm.body), support=support.name if support else None)
+    scene = arm.observation.scene
     if target in scene.graspable:
         thing = scene.find(target)
-        point = np.array([*thing.pose.position[:2], object_geometry.top(thing)])
+        point = np.array([*thing.pose.position[:2], object_geometry.top_height(thing)])
     else:
-        point, _, _ = spot(scene, target)
-    height = max(limb.floor + clearance, float(point[2]) + OVER) + limb.below_tool
-    tool = limb.senses.tool
-    end = yield from limb.goal(np.array([point[0], point[1], height]), _facings(tool.rotation, tool.position, point))
+        point, _, _ = receiving_point(scene, target)
+    height = max(arm.support_height + clearance, float(point[2]) + TARGET_CLEARANCE) + arm.below_tool
+    tool = arm.observation.tool
+    end = yield from arm.find_goal(
+        np.array([point[0], point[1], height]), _rotation_candidates(tool.rotation, tool.position, point)
+    )
     if end is None:
-        return Ending(Status.FAILED, f"above {target} is out of reach")
+        return SkillResult(SkillStatus.FAILED, f"above {target} is out of reach")
     middle = (tool.position + point) / 2
     if wait == "until_clear" and (
-        why := (yield from wait_for_people(limb, limb.here(), middle, 4.0, "approach", speed, reach=0.35))
+        why := (yield from wait_for_people(arm, arm.current_goal(), middle, 4.0, "approach", speed, radius=0.35))
     ):
         return why
-    points = [lifted(limb.here(), height)] if tool.position[2] < height - 0.01 else []
-    via = bend(tool.position, end.position, route)
+    points = [goal_at_height(arm.current_goal(), height)] if tool.position[2] < height - 0.01 else []
+    via = via_point(tool.position, end.position, route)
     if via is not None:
-        points.append((yield from limb.shifted(end, via)))
-    if why := (yield from travel(limb, [*points, end], "approach", speed)):
+        points.append((yield from arm.translate_goal(end, via)))
+    if why := (yield from follow_waypoints(arm, [*points, end], "approach", speed)):
         return why
-    return Ending(Status.DONE, f"above {target}")
+    return SkillResult(SkillStatus.DONE, f"above {target}")
 
 
-def _facings(rotation: np.ndarray, start: np.ndarray, end: np.ndarray) -> list[np.ndarray]:
+def _rotation_candidates(rotation: np.ndarray, start: np.ndarray, end: np.ndarray) -> list[np.ndarray]:
     """The rotation as it is, and turned with the arm's swing."""
     swing = float(np.arctan2(end[1], end[0]) - np.arctan2(start[1], start[0]))
     c, s = np.cos(swing), np.sin(swing)

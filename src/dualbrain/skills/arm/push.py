@@ -5,48 +5,54 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.contracts.skill_spec import ContactPermit, Name, Number, SkillSpec
+from dualbrain.contracts.skill_spec import ContactPermit, NameParameter, NumberParameter, SkillSpec
 from dualbrain.records import SceneObject
-from dualbrain.robots.model import Body
+from dualbrain.robots.model import RobotModel
 from dualbrain.skills import parameters
-from dualbrain.skills.arm.controller import Goal, Limb, Part, lifted
-from dualbrain.skills.arm.place import spot
-from dualbrain.skills.arm.waypoints import GENTLE, arrive, come_down, travel, wait_for_people
+from dualbrain.skills.arm.controller import ArmController, SubRoutine, ToolGoal, goal_at_height
+from dualbrain.skills.arm.place import receiving_point
+from dualbrain.skills.arm.waypoints import (
+    CONTACT_APPROACH_SPEED,
+    descend,
+    follow_waypoints,
+    reach_goal,
+    wait_for_people,
+)
 from dualbrain.skills.kinematics import object_geometry
-from dualbrain.skills.skill import Ending, Status, Story
-from dualbrain.skills.time_slicing import Finds, Thought, clearest
+from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
+from dualbrain.skills.time_slicing import SlicedComputation, SlicedIterator, first_clear
 
 Array = NDArray[np.float64]
 
-FARTHEST = 0.25
+MAX_PUSH_DISTANCE = 0.25
 """Longest way of one push [m]."""
-GAP = 0.035
+START_CLEARANCE = 0.035
 """Room between the fingers and the thing before they touch it [m]: margins and the error of its position."""
-OFF_FLOOR = 0.012
+TIP_CLEARANCE = 0.012
 """How far the finger tips stay above the support [m]."""
-SHUT_FOR = 0.8
+CLOSE_TIME = 0.8
 """How long the fingers take to close on nothing [s]."""
-BACK = 0.03
+RETREAT_DISTANCE = 0.03
 """How far the fingers step back from a pushed thing before they rise [m]."""
-BRINK = 0.03
+SLOW_DESCENT_HEIGHT = 0.03
 """Height above the pushing height from which the fingers come down gently [m]."""
-ENOUGH = 0.5
+MIN_PUSH_FRACTION = 0.5
 """A push has done its work when the thing went this share of the wanted way."""
 
 
-def spec(body: Body) -> SkillSpec:
+def spec(body: RobotModel) -> SkillSpec:
     """The skill's vocabulary entry and the contacts it needs."""
     touch = parameters.CONTACT_SPEED
-    distance = Number(
-        "distance", "m", 0.03, FARTHEST, "shorter is within the errors of perception",
+    distance = NumberParameter(
+        "distance", "m", 0.03, MAX_PUSH_DISTANCE, "shorter is within the errors of perception",
         "site policy: longer ways are grasped and placed", "how far to push",
     )  # fmt: skip
     return SkillSpec(
         "push",
         "shove an object along the table toward a container or place, with an empty, closed hand",
         (
-            Name("object", "graspable", "what to push"),
-            Name("destination", "receptive", "what to push it toward"),
+            NameParameter("object", "graspable", "what to push"),
+            NameParameter("destination", "receptive", "what to push it toward"),
             distance,
             parameters.speed(body),
             parameters.clearance(),
@@ -61,99 +67,106 @@ def spec(body: Body) -> SkillSpec:
     )
 
 
-def story(
-    limb: Limb, *, object: str, destination: str, distance: float, speed: float, clearance: float, wait: str
-) -> Story:
+def routine(
+    arm: ArmController, *, object: str, destination: str, distance: float, speed: float, clearance: float, wait: str
+) -> SkillRoutine:
     """Tell the push: shut, wait, go behind the thing, come down, push, step back, rise, look."""
-    support = limb.support
-    limb.begin(spec(limb.body), target=object, support=support.name if support else None)
-    if limb.holding:
-        return Ending(Status.FAILED, f"already holding {limb.holding.name}")
-    thing = limb.see(object)
-    way = _way(limb, thing, destination)
+    support = arm.support
+    arm.begin(spec(arm.body), target=object, support=support.name if support else None)
+    if arm.holding:
+        return SkillResult(SkillStatus.FAILED, f"already holding {arm.holding.name}")
+    thing = arm.find_object(object)
+    way = _push_vector(arm, thing, destination)
     if way is None or float(np.linalg.norm(way)) < distance:
-        return Ending(Status.FAILED, f"{destination} is nearer to {object} than the push is long")
+        return SkillResult(SkillStatus.FAILED, f"{destination} is nearer to {object} than the push is long")
     direction = way / np.linalg.norm(way)
-    low, _ = yield from clearest(
-        _stations(limb, thing, direction, distance), lambda goal, beat: _room(limb, goal, thing, clearance, beat)
+    low, _ = yield from first_clear(
+        _start_candidates(arm, thing, direction, distance),
+        lambda goal, beat: _descent_clearance(arm, goal, thing, clearance, beat),
     )
     if low is None:
-        return Ending(Status.FAILED, f"behind {object} is out of reach")
-    yield from _shut(limb)
-    above = yield from _above(limb, low, thing, clearance)
+        return SkillResult(SkillStatus.FAILED, f"behind {object} is out of reach")
+    yield from _close_fingers(arm)
+    above = yield from _goal_above(arm, low, thing, clearance)
     if wait == "until_clear" and (
-        why := (yield from wait_for_people(limb, limb.here(), above.position, 4.0, "approach", speed, reach=0.35))
+        why := (
+            yield from wait_for_people(arm, arm.current_goal(), above.position, 4.0, "approach", speed, radius=0.35)
+        )
     ):
         return why
-    if why := (yield from _go_behind(limb, low, above, speed)):
+    if why := (yield from _move_behind(arm, low, above, speed)):
         return why
-    before = np.array(limb.see(object).pose.position)
-    end = low.position + (GAP + distance) * np.array([*direction, 0.0])
-    goal = yield from limb.shifted(low, end)
-    if why := (yield from arrive(limb, goal, "push", GENTLE)):
+    before = np.array(arm.find_object(object).pose.position)
+    end = low.position + (START_CLEARANCE + distance) * np.array([*direction, 0.0])
+    goal = yield from arm.translate_goal(low, end)
+    if why := (yield from reach_goal(arm, goal, "push", CONTACT_APPROACH_SPEED)):
         return why
-    back = limb.here().position - BACK * np.array([*direction, 0.0])
+    back = arm.current_goal().position - RETREAT_DISTANCE * np.array([*direction, 0.0])
     for position in (back, np.array([back[0], back[1], above.position[2]])):
-        goal = yield from limb.shifted(low, position)
-        if why := (yield from arrive(limb, goal, "retreat", min(speed, 0.1))):
+        goal = yield from arm.translate_goal(low, position)
+        if why := (yield from reach_goal(arm, goal, "retreat", min(speed, 0.1))):
             return why
-    moved = float((np.array(limb.see(object).pose.position) - before)[:2] @ direction)
+    moved = float((np.array(arm.find_object(object).pose.position) - before)[:2] @ direction)
     words = f"{object} went {moved * 100:.0f} of {distance * 100:.0f} cm toward {destination}"
-    return Ending(Status.DONE if moved > ENOUGH * distance else Status.FAILED, words)
+    return SkillResult(SkillStatus.DONE if moved > MIN_PUSH_FRACTION * distance else SkillStatus.FAILED, words)
 
 
-def _way(limb: Limb, thing: SceneObject, destination: str) -> Array | None:
+def _push_vector(arm: ArmController, obj: SceneObject, destination: str) -> Array | None:
     """From the thing to the destination, in the plane (2,) [m]."""
-    point, _, _ = spot(limb.senses.scene, destination)
-    way = point[:2] - np.array(thing.pose.position[:2])
+    point, _, _ = receiving_point(arm.observation.scene, destination)
+    way = point[:2] - np.array(obj.pose.position[:2])
     return way if float(np.linalg.norm(way)) > 1e-6 else None
 
 
-def _stations(limb: Limb, thing: SceneObject, direction: Array, distance: float) -> Finds[Goal]:
+def _start_candidates(
+    arm: ArmController, obj: SceneObject, direction: Array, distance: float
+) -> SlicedIterator[ToolGoal]:
     """Poses behind the thing from which the whole push is within reach: the fingers' broad side first, then turned."""
-    gripper = limb.body.gripper
+    gripper = arm.body.gripper
     height = max(
-        object_geometry.bottom(thing) + gripper.pad_below_tool + OFF_FLOOR,
-        min(thing.pose.position[2], object_geometry.top(thing) - gripper.pad_below_tool),
+        object_geometry.bottom_height(obj) + gripper.pad_below_tool + TIP_CLEARANCE,
+        min(obj.pose.position[2], object_geometry.top_height(obj) - gripper.pad_below_tool),
     )
     for turn in (0.0, 0.4, -0.4, 0.8, -0.8, 1.57):
         half = (1.0 - abs(np.sin(turn))) * 0.012 + abs(np.sin(turn)) * gripper.finger_thickness
-        behind = object_geometry.reach(thing, direction) + half + GAP
-        position = np.array([*(np.array(thing.pose.position[:2]) - behind * direction), height])
-        forward = object_geometry.about((0.0, 0.0, 1.0), turn) @ np.array([*direction, 0.0])
+        behind = object_geometry.extent_along(obj, direction) + half + START_CLEARANCE
+        position = np.array([*(np.array(obj.pose.position[:2]) - behind * direction), height])
+        forward = object_geometry.axis_rotation((0.0, 0.0, 1.0), turn) @ np.array([*direction, 0.0])
         across = np.array([-forward[1], forward[0], 0.0])
-        goal = yield from limb.goal(
+        goal = yield from arm.find_goal(
             position, object_geometry.grasp_rotations(across, "top", np.array([*direction, 0.0]))
         )
         if goal is None:
             continue
-        end = position + (GAP + distance) * np.array([*direction, 0.0])
-        if (yield from limb.kinematics.solve(end, goal.rotation, (goal.posture,))) is not None:
+        end = position + (START_CLEARANCE + distance) * np.array([*direction, 0.0])
+        if (yield from arm.kinematics.solve(end, goal.rotation, (goal.posture,))) is not None:
             yield goal
 
 
-def _above(limb: Limb, low: Goal, thing: SceneObject, clearance: float) -> Thought[Goal]:
-    tips = max(limb.floor + clearance, object_geometry.top(thing) + BRINK)
-    up = lifted(low, tips + limb.body.gripper.pad_below_tool)
-    return limb.shifted(up, up.position)
+def _goal_above(arm: ArmController, low: ToolGoal, obj: SceneObject, clearance: float) -> SlicedComputation[ToolGoal]:
+    tips = max(arm.support_height + clearance, object_geometry.top_height(obj) + SLOW_DESCENT_HEIGHT)
+    up = goal_at_height(low, tips + arm.body.gripper.pad_below_tool)
+    return arm.translate_goal(up, up.position)
 
 
-def _room(limb: Limb, low: Goal, thing: SceneObject, clearance: float, beat: float) -> Thought[float]:
+def _descent_clearance(
+    arm: ArmController, low: ToolGoal, obj: SceneObject, clearance: float, threshold: float
+) -> SlicedComputation[float]:
     """Least room [m] on the way down behind the thing."""
-    above = yield from _above(limb, low, thing, clearance)
-    return (yield from limb.air(above.posture, [low], "descend", 0.0, beat=beat))
+    above = yield from _goal_above(arm, low, obj, clearance)
+    return (yield from arm.predict_clearance(above.posture, [low], "descend", 0.0, threshold=threshold))
 
 
-def _shut(limb: Limb) -> Part:
-    limb.opening, limb.force = 0.0, limb.body.gripper.force_min.value
-    yield from limb.stay("shut", SHUT_FOR)
+def _close_fingers(arm: ArmController) -> SubRoutine:
+    arm.opening, arm.force = 0.0, arm.body.gripper.force_min.value
+    yield from arm.wait("shut", CLOSE_TIME)
     return None
 
 
-def _go_behind(limb: Limb, low: Goal, above: Goal, speed: float) -> Part:
+def _move_behind(arm: ArmController, low: ToolGoal, above: ToolGoal, speed: float) -> SubRoutine:
     height = float(above.position[2])
-    points = [lifted(limb.here(), height)] if limb.senses.tool.position[2] < height - 0.01 else []
-    if why := (yield from travel(limb, [*points, above], "approach", speed)):
+    points = [goal_at_height(arm.current_goal(), height)] if arm.observation.tool.position[2] < height - 0.01 else []
+    if why := (yield from follow_waypoints(arm, [*points, above], "approach", speed)):
         return why
-    brink = lifted(low, min(height, float(low.position[2]) + BRINK))
-    return (yield from come_down(limb, above, brink, low, "descend", min(speed, 0.2), approach="approach"))
+    brink = goal_at_height(low, min(height, float(low.position[2]) + SLOW_DESCENT_HEIGHT))
+    return (yield from descend(arm, above, brink, low, "descend", min(speed, 0.2), wait_phase="approach"))

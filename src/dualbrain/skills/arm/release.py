@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dualbrain.contracts.skill_spec import ContactPermit, SkillSpec
-from dualbrain.robots.model import Body
+from dualbrain.robots.model import RobotModel
 from dualbrain.skills import parameters
-from dualbrain.skills.arm.controller import Limb
-from dualbrain.skills.arm.waypoints import arrive
-from dualbrain.skills.skill import Ending, Status, Story
+from dualbrain.skills.arm.controller import ArmController
+from dualbrain.skills.arm.waypoints import reach_goal
+from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
 
-BACK = 0.08
+RETREAT_DISTANCE = 0.08
 """How far the tool steps back along its approach axis [m]."""
 
 
-def spec(body: Body) -> SkillSpec:
+def spec(body: RobotModel) -> SkillSpec:
     """The skill's vocabulary entry and the contacts it needs."""
     touch = parameters.CONTACT_SPEED
     return SkillSpec(
@@ -30,13 +30,13 @@ def spec(body: Body) -> SkillSpec:
     )
 
 
-def story(limb: Limb, *, speed: float) -> Story:
+def routine(arm: ArmController, *, speed: float) -> SkillRoutine:
     """Tell the letting go: open, retreat."""
-    held, support = limb.holding, limb.support
-    limb.begin(spec(limb.body), target=held.name if held else None, support=support.name if support else None)
-    yield from limb.open(limb.body.gripper.opening.value)
-    here = limb.here()
-    back = yield from limb.shifted(here, here.position - BACK * here.rotation[:, 2])
-    if why := (yield from arrive(limb, back, "retreat", speed)):
+    held, support = arm.holding, arm.support
+    arm.begin(spec(arm.body), target=held.name if held else None, support=support.name if support else None)
+    yield from arm.open_gripper(arm.body.gripper.opening.value)
+    here = arm.current_goal()
+    back = yield from arm.translate_goal(here, here.position - RETREAT_DISTANCE * here.rotation[:, 2])
+    if why := (yield from reach_goal(arm, back, "retreat", speed)):
         return why
-    return Ending(Status.DONE, f"let go of {held.name}" if held else "the hand is open")
+    return SkillResult(SkillStatus.DONE, f"let go of {held.name}" if held else "the hand is open")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dualbrain.core.geometry.rotations import matrix
+from dualbrain.core.geometry.rotations import quaternion_to_matrix
 from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, Cylinder, Pose, Shape, Sphere
 from dualbrain.records import SceneObject
 
@@ -15,7 +15,7 @@ APPROACH_LEAN = {"top": 0.0, "tilted": np.deg2rad(25.0), "side": np.deg2rad(45.0
 """Angle of the tool's approach axis to straight down [rad]; at 45° the hand still clears the table at a 5 cm thing."""
 
 
-def about(axis: ArrayLike, angle: float) -> Array:
+def axis_rotation(axis: ArrayLike, angle: float) -> Array:
     """Rotation (3, 3) by `angle` [rad] about the unit vector `axis` (Rodrigues)."""
     x, y, z = np.asarray(axis, dtype=np.float64)
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -24,7 +24,7 @@ def about(axis: ArrayLike, angle: float) -> Array:
 
 def half_height(shape: Shape, pose: Pose) -> float:
     """Half the vertical extent [m] of `shape` at `pose` (a bowl counts from its middle)."""
-    up = matrix(pose.quaternion)[2]
+    up = quaternion_to_matrix(pose.quaternion)[2]
     match shape:
         case Sphere(radius):
             return radius
@@ -40,25 +40,25 @@ def half_height(shape: Shape, pose: Pose) -> float:
             return 0.0
 
 
-def top(thing: SceneObject) -> float:
+def top_height(obj: SceneObject) -> float:
     """Height of the highest point of `thing` [m]."""
-    if isinstance(thing.shape, Bowl):
-        return thing.pose.position[2] + thing.shape.height
-    return thing.pose.position[2] + half_height(thing.shape, thing.pose)
+    if isinstance(obj.shape, Bowl):
+        return obj.pose.position[2] + obj.shape.height
+    return obj.pose.position[2] + half_height(obj.shape, obj.pose)
 
 
-def bottom(thing: SceneObject) -> float:
+def bottom_height(obj: SceneObject) -> float:
     """Height of the lowest point of `thing` [m]."""
-    if isinstance(thing.shape, Bowl):
-        return thing.pose.position[2]
-    return thing.pose.position[2] - half_height(thing.shape, thing.pose)
+    if isinstance(obj.shape, Bowl):
+        return obj.pose.position[2]
+    return obj.pose.position[2] - half_height(obj.shape, obj.pose)
 
 
-def width(thing: SceneObject, finger_axis: str) -> float:
+def grasp_width(obj: SceneObject, finger_axis: str) -> float:
     """Extent of `thing` between fingers that close along the named axis [m], as it stands or lies."""
-    direction, axes = finger_direction(thing, finger_axis), matrix(thing.pose.quaternion)
+    direction, axes = finger_direction(obj, finger_axis), quaternion_to_matrix(obj.pose.quaternion)
     lean = abs(float(direction @ axes[:, 2]))
-    match thing.shape:
+    match obj.shape:
         case Box(half_extents):
             return 2.0 * float(np.abs(direction @ axes) @ np.asarray(half_extents))
         case Sphere(radius) | Bowl(radius, _, _):
@@ -71,14 +71,14 @@ def width(thing: SceneObject, finger_axis: str) -> float:
             return 0.0
 
 
-def levelness(thing: SceneObject, finger_axis: str) -> float:
+def levelness(obj: SceneObject, finger_axis: str) -> float:
     """Length of the horizontal part of the named axis, 1 when it is level, 0 when it points up."""
-    return float(np.linalg.norm(matrix(thing.pose.quaternion)[:2, 0 if finger_axis == "along" else 1]))
+    return float(np.linalg.norm(quaternion_to_matrix(obj.pose.quaternion)[:2, 0 if finger_axis == "along" else 1]))
 
 
-def finger_direction(thing: SceneObject, finger_axis: str) -> Array:
+def finger_direction(obj: SceneObject, finger_axis: str) -> Array:
     """Horizontal unit vector of the finger axis: local x of the thing for "along", local y for "across"."""
-    axes = matrix(thing.pose.quaternion)
+    axes = quaternion_to_matrix(obj.pose.quaternion)
     direction = axes[:, 0 if finger_axis == "along" else 1].copy()
     direction[2] = 0.0
     length = float(np.linalg.norm(direction))
@@ -105,11 +105,11 @@ def grasp_rotations(direction: Array, approach: str, towards: Array) -> list[Arr
     return rotations
 
 
-def reach(thing: SceneObject, direction: Array) -> float:
+def extent_along(obj: SceneObject, direction: Array) -> float:
     """How far `thing` reaches from its middle along the horizontal unit vector `direction` (2,) or (3,) [m]."""
-    ahead, axes = np.array([direction[0], direction[1], 0.0]), matrix(thing.pose.quaternion)
+    ahead, axes = np.array([direction[0], direction[1], 0.0]), quaternion_to_matrix(obj.pose.quaternion)
     lean = abs(float(ahead @ axes[:, 2]))
-    match thing.shape:
+    match obj.shape:
         case Box(half_extents):
             return float(np.abs(ahead @ axes) @ np.asarray(half_extents))
         case Sphere(radius) | Bowl(radius, _, _):

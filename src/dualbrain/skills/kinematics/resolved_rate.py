@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from dualbrain.core.geometry.rotations import rotation_error
 from dualbrain.robots.interface import RobotState
-from dualbrain.robots.model import Body
-from dualbrain.skills.skill import Motion, ToolState
+from dualbrain.robots.model import RobotModel
+from dualbrain.skills.skill import MotionModel, ToolState
 
 Array = NDArray[np.float64]
 
-AMBIGUOUS = pi / 2
+MAX_DIRECT_ANGLE = pi / 2
 """A turn beyond this [rad] may go either way round; a lesser one goes the short way."""
 
 
@@ -37,64 +37,64 @@ class Gains:
 
     position: float = 5.0
     rotation: float = 4.0
-    linear: float = 1.0
-    angular: float = 6.0
-    turn: float = 1.2
+    linear_acceleration: float = 1.0
+    angular_acceleration: float = 6.0
+    max_rotation_rate: float = 1.2
     posture: float = 1.0
     damping: float = 0.02
-    headroom: float = 0.95
+    speed_fraction: float = 0.95
 
 
-class Gap(NamedTuple):
+class PoseError(NamedTuple):
     """What a tool lacks of a pose: `away` (3,) [m], and the rotation vector `turn` (3,) [rad], in the world."""
 
-    away: Array
-    turn: Array
+    translation: Array
+    rotation: Array
 
     @property
     def distance(self) -> float:
         """Length of `away` [m]."""
-        return sqrt(float(self.away @ self.away))
+        return sqrt(float(self.translation @ self.translation))
 
     @property
     def angle(self) -> float:
         """Angle of `turn` [rad]."""
-        return sqrt(float(self.turn @ self.turn))
+        return sqrt(float(self.rotation @ self.rotation))
 
 
-def gap_to(tool: ToolState, position: Array, rotation: Array) -> Gap:
+def pose_error(tool: ToolState, position: Array, rotation: Array) -> PoseError:
     """The gap of `tool` to the pose (position (3,) [m], rotation (3, 3))."""
-    return Gap(position - tool.position, rotation_error(tool.rotation, rotation))
+    return PoseError(position - tool.position, rotation_error(tool.rotation, rotation))
 
 
 class ResolvedRate:
     """φ's memory between ticks: the twist it is at, and the nominal control it last gave."""
 
-    def __init__(self, body: Body, motion: Motion, gains: Gains | None = None) -> None:
+    def __init__(self, body: RobotModel, motion: MotionModel, gains: Gains | None = None) -> None:
         """Bind to a body and to the local layer's kinematics and projection."""
         self._motion = motion
         self._gains = gains or Gains()
         self._dt = body.period
-        self._u_max = self._gains.headroom * np.array([joint.velocity.value for joint in body.joints])
+        self._u_max = self._gains.speed_fraction * np.array([joint.velocity.value for joint in body.joints])
         self._brake = 0.6 * np.array([joint.acceleration.value for joint in body.joints])
-        self._ridge = self._gains.damping**2 * np.eye(6)
-        self._pull = self._gains.posture if body.n > 6 else 0.0
+        self._damping = self._gains.damping**2 * np.eye(6)
+        self._posture_gain = self._gains.posture if body.n > 6 else 0.0
         self._twist = np.zeros(6)
-        self._u_nom = self._before = np.zeros(body.n)
+        self._u_nom = self._u_nom_prev = np.zeros(body.n)
 
-    def toward(
-        self, state: RobotState, tool: ToolState, gap: Gap, speed: float, posture: Array, now: float, *,
+    def toward_pose(
+        self, state: RobotState, tool: ToolState, error: PoseError, speed: float, posture: Array, now: float, *,
         stop: bool = True,
     ) -> Array:  # fmt: skip
         """u_nom (n,) [rad/s] that closes `gap` to a pose at up to `speed` [m/s]; `stop` brakes at the goal."""
-        turn = gap.turn
-        if float(turn @ turn) > AMBIGUOUS**2:
-            turn = way_round(turn, tool.jacobian[3:] @ (posture - state.q))
-        self._lead_twist(gap.away, turn, speed, stop=stop)
+        turn = error.rotation
+        if float(turn @ turn) > MAX_DIRECT_ANGLE**2:
+            turn = nearer_rotation(turn, tool.jacobian[3:] @ (posture - state.q))
+        self._update_twist(error.translation, turn, speed, stop=stop)
         return self._resolve(state, tool, posture, now)
 
     def toward_joints(
-        self, state: RobotState, tool: ToolState, goal: Array, share: float, speed: float, now: float
+        self, state: RobotState, tool: ToolState, goal: Array, speed_fraction: float, speed: float, now: float
     ) -> Array:  # fmt: skip
         """u_nom (n,) [rad/s] straight through joint space to `goal` (n,) [rad].
 
@@ -102,7 +102,7 @@ class ResolvedRate:
         """
         error = goal - state.q
         remaining = float(np.max(np.abs(error) / self._u_max))
-        pace = min(share, 3.0 * remaining, sqrt(2.0 * float(np.min(self._brake / self._u_max)) * remaining))
+        pace = min(speed_fraction, 3.0 * remaining, sqrt(2.0 * float(np.min(self._brake / self._u_max)) * remaining))
         wish = error * (pace / remaining) if remaining > 1e-6 else error
         fast = float(np.linalg.norm(tool.jacobian[:3] @ wish))
         self._twist[:] = 0.0
@@ -113,41 +113,41 @@ class ResolvedRate:
         self._twist[:] = 0.0
         return self._project(state, np.zeros_like(self._u_nom), now)
 
-    def reconsider(self, state: RobotState, u: Array, now: float) -> Array:
+    def reproject(self, state: RobotState, u: Array, now: float) -> Array:
         """This tick's u_nom (n,) [rad/s] projected again, from the tick before, onto rows that have changed."""
-        self._u_nom = self._before
+        self._u_nom = self._u_nom_prev
         return self._project(state, u, now)
 
-    def _lead_twist(self, error: Array, turn: Array, speed: float, *, stop: bool) -> None:
+    def _update_twist(self, error: Array, turn: Array, speed: float, *, stop: bool) -> None:
         """Let the twist follow the one that takes away `error` [m] and `turn` [rad], within the acceleration bounds."""
         gains = self._gains
         distance = sqrt(float(error @ error))
         fast = min(speed, gains.position * distance)
         if stop:
-            fast = min(fast, sqrt(1.2 * gains.linear * distance))
+            fast = min(fast, sqrt(1.2 * gains.linear_acceleration * distance))
         turn = gains.rotation * turn
         turning = sqrt(float(turn @ turn))
-        if turning > gains.turn:
-            turn *= gains.turn / turning
+        if turning > gains.max_rotation_rate:
+            turn *= gains.max_rotation_rate / turning
         linear = error * (fast / distance) if distance > 1e-9 else error
-        _step_toward(self._twist[:3], linear, gains.linear * self._dt)
-        _step_toward(self._twist[3:], turn, gains.angular * self._dt)
+        _step_toward(self._twist[:3], linear, gains.linear_acceleration * self._dt)
+        _step_toward(self._twist[3:], turn, gains.angular_acceleration * self._dt)
 
     def _resolve(self, state: RobotState, tool: ToolState, posture: Array, now: float) -> Array:
         J = tool.jacobian
-        drift = self._pull * (posture - state.q)
+        drift = self._posture_gain * (posture - state.q)
         drift *= min(1.0, 0.5 / (sqrt(float(drift @ drift)) + 1e-9))
-        wish = drift + J.T @ np.linalg.solve(J @ J.T + self._ridge, self._twist - J @ drift)
+        wish = drift + J.T @ np.linalg.solve(J @ J.T + self._damping, self._twist - J @ drift)
         excess = float((np.abs(wish) / self._u_max).max())
         return self._project(state, wish / excess if excess > 1.0 else wish, now)
 
-    def _project(self, state: RobotState, wish: Array, now: float) -> Array:
-        self._before = self._u_nom
-        self._u_nom = self._motion.project(state, wish, self._before, now)
+    def _project(self, state: RobotState, u_desired: Array, now: float) -> Array:
+        self._u_nom_prev = self._u_nom
+        self._u_nom = self._motion.project(state, u_desired, self._u_nom_prev, now)
         return self._u_nom
 
 
-def way_round(turn: Array, swept: Array) -> Array:
+def nearer_rotation(turn: Array, swept: Array) -> Array:
     """The rotation vector (3,) that leads where `turn` leads, by the way round that lies nearer to `swept` (3,) [rad].
 
     θ e and (θ − 2π) e are the same rotation. The short way may end at a joint's limit where the goal's posture lies the

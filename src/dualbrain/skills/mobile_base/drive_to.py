@@ -4,34 +4,38 @@ from __future__ import annotations
 
 import numpy as np
 
-from dualbrain.contracts.skill_spec import Name, SkillSpec
-from dualbrain.robots.model import Body
+from dualbrain.contracts.skill_spec import NameParameter, SkillSpec
+from dualbrain.robots.model import RobotModel
 from dualbrain.skills import parameters
-from dualbrain.skills.mobile_base.controller import Chassis
-from dualbrain.skills.skill import Ending, Status, Story
+from dualbrain.skills.mobile_base.controller import BaseController
+from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
 
-NEAR = 0.15
+ARRIVAL_RADIUS = 0.15
 """Within this distance of a place the base says that it has arrived [m]."""
 
 
-def spec(body: Body) -> SkillSpec:
+def spec(body: RobotModel) -> SkillSpec:
     """The skill's vocabulary entry."""
     return SkillSpec(
         "drive_to",
         "drive to a named place and stop there",
-        (Name("place", "receptive", "where to go"), parameters.max_speed(body), parameters.max_turn_rate(body)),
+        (
+            NameParameter("place", "receptive", "where to go"),
+            parameters.max_speed(body),
+            parameters.max_turn_rate(body),
+        ),
     )
 
 
-def story(chassis: Chassis, *, place: str, max_speed: float, max_turn_rate: float) -> Story:
+def routine(base: BaseController, *, place: str, max_speed: float, max_turn_rate: float) -> SkillRoutine:
     """Tell the drive, and look where it ended."""
-    chassis.begin(spec(chassis.body))
-    spot = next((np.array(one.position[:2]) for one in chassis.senses.scene.places if one.name == place), None)
+    base.begin(spec(base.body))
+    spot = next((np.array(one.position[:2]) for one in base.observation.scene.places if one.name == place), None)
     if spot is None:
-        return Ending(Status.FAILED, f"{place} is no place on the map")
-    if why := (yield from chassis.drive(spot, max_speed, max_turn_rate)):
+        return SkillResult(SkillStatus.FAILED, f"{place} is no place on the map")
+    if why := (yield from base.drive(spot, max_speed, max_turn_rate)):
         return why
-    away = float(np.linalg.norm(chassis.pose[0] - spot))
-    if away > NEAR:
-        return Ending(Status.FAILED, f"{away * 100:.0f} cm from {place} after the drive")
-    return Ending(Status.DONE, f"at {place}")
+    away = float(np.linalg.norm(base.pose[0] - spot))
+    if away > ARRIVAL_RADIUS:
+        return SkillResult(SkillStatus.FAILED, f"{away * 100:.0f} cm from {place} after the drive")
+    return SkillResult(SkillStatus.DONE, f"at {place}")

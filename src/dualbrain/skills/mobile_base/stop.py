@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 from dualbrain.contracts.skill_spec import SkillSpec
-from dualbrain.robots.model import Body
-from dualbrain.skills.mobile_base.controller import Chassis
-from dualbrain.skills.skill import Ending, Status, Story
+from dualbrain.robots.model import RobotModel
+from dualbrain.skills.mobile_base.controller import BaseController
+from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
 
-STAY = 0.5
+REST_TIME = 0.5
 """[s]"""
 
 
-def spec(body: Body) -> SkillSpec:
+def spec(body: RobotModel) -> SkillSpec:
     """The skill's vocabulary entry."""
     del body
     return SkillSpec("stop", "come to rest where you are")
 
 
-def story(chassis: Chassis) -> Story:
+def routine(base: BaseController) -> SkillRoutine:
     """Tell the rest."""
-    chassis.begin(spec(chassis.body))
-    yield from chassis.come_to_rest("stop")
-    end = chassis.senses.now + STAY
-    while chassis.senses.now < end:
-        yield chassis.rest("stop")
-    return Ending(Status.DONE, "stands")
+    base.begin(spec(base.body))
+    yield from base.come_to_rest("stop")
+    end = base.observation.now + REST_TIME
+    while base.observation.now < end:
+        yield base.rest("stop")
+    return SkillResult(SkillStatus.DONE, "stands")

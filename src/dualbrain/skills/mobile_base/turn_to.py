@@ -5,13 +5,13 @@ from __future__ import annotations
 from math import pi
 
 from dualbrain.contracts.skill_spec import SkillSpec
-from dualbrain.robots.model import Body
+from dualbrain.robots.model import RobotModel
 from dualbrain.skills import parameters
-from dualbrain.skills.mobile_base.controller import Chassis
-from dualbrain.skills.skill import Ending, Status, Story
+from dualbrain.skills.mobile_base.controller import BaseController
+from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
 
 
-def spec(body: Body) -> SkillSpec:
+def spec(body: RobotModel) -> SkillSpec:
     """The skill's vocabulary entry."""
     return SkillSpec(
         "turn_to",
@@ -20,9 +20,9 @@ def spec(body: Body) -> SkillSpec:
     )
 
 
-def story(chassis: Chassis, *, heading: float, max_turn_rate: float) -> Story:
+def routine(base: BaseController, *, heading: float, max_turn_rate: float) -> SkillRoutine:
     """Tell the turn."""
-    chassis.begin(spec(chassis.body))
-    if why := (yield from chassis.turn(heading, max_turn_rate)):
+    base.begin(spec(base.body))
+    if why := (yield from base.turn(heading, max_turn_rate)):
         return why
-    return Ending(Status.DONE, f"heading {heading * 180.0 / pi:.0f} degrees")
+    return SkillResult(SkillStatus.DONE, f"heading {heading * 180.0 / pi:.0f} degrees")

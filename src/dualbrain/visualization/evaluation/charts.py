@@ -10,29 +10,40 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dualbrain.control.recording.trace import DEAD_BAND
-from dualbrain.evaluation.analysis.metrics import BY_NAME
+from dualbrain.evaluation.analysis.metrics import METRIC_BY_NAME
 from dualbrain.evaluation.analysis.statistics import Estimate, estimate
-from dualbrain.evaluation.report.tables import by_cluster, methods_of
-from dualbrain.evaluation.results.episode_row import Row
+from dualbrain.evaluation.report.tables import methods_of, values_by_cluster
+from dualbrain.evaluation.results.episode_row import EpisodeRow
 from dualbrain.visualization.html.page import Html
-from dualbrain.visualization.html.strip_chart import BLUE, GREEN, INK, MUTED, ORANGE, RED, SKY, STYLE, VIOLET, themed
+from dualbrain.visualization.html.strip_chart import (
+    BLUE,
+    GREEN,
+    INK,
+    MATPLOTLIB_STYLE,
+    MUTED,
+    ORANGE,
+    RED,
+    SKY,
+    VIOLET,
+    apply_page_theme,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-COLOURS = (BLUE, ORANGE, GREEN, RED, VIOLET, INK, SKY, MUTED)
+LINE_COLOURS = (BLUE, ORANGE, GREEN, RED, VIOLET, INK, SKY, MUTED)
 DASHES = ("solid", (0, (4, 2)), (0, (1, 1.5)))
 MARKERS = "osD^vP<X>"
-TOP = 60.0
+MAX_CLEARANCE_MM = 60.0
 """Clearances are drawn up to this one [mm]."""
-DODGED = 0.6
+DODGE_WIDTH = 0.6
 """Width over which the methods stand beside each other, as a share of the distance between repetitions."""
-CURVES = ("success", "violation rate", "Δ of successes", "intervention frequency")
-DECADES = 100.0
+CURVE_METRICS = ("success", "violation rate", "Δ of successes", "intervention frequency")
+MAX_RATIO_FOR_MINOR_TICKS = 100.0
 """Beyond this ratio of its ends a logarithmic axis names powers of ten only."""
 
 
-def panels(methods: Sequence[str]) -> list[list[str]]:
+def group_methods(methods: Sequence[str]) -> list[list[str]]:
     """Methods that are drawn together: all, or where these are too many, a method with what was changed of it."""
     if len(methods) <= len(MARKERS):
         return [list(methods)]
@@ -46,9 +57,9 @@ def panels(methods: Sequence[str]) -> list[list[str]]:
     return found
 
 
-def look(index: int) -> dict[str, Any]:
+def line_style(index: int) -> dict[str, Any]:
     """Colour and dash of the method number `index`: no two pairs alike, and neighbours differ in both."""
-    return {"color": COLOURS[index % len(COLOURS)], "linestyle": DASHES[index % len(DASHES)]}
+    return {"color": LINE_COLOURS[index % len(LINE_COLOURS)], "linestyle": DASHES[index % len(DASHES)]}
 
 
 @contextmanager
@@ -58,7 +69,7 @@ def _canvas(rows: int, columns: int, height: float, parts: int = 1) -> Iterator[
     from matplotlib.figure import Figure  # noqa: PLC0415
 
     out = StringIO()
-    with mpl.rc_context(STYLE):
+    with mpl.rc_context(MATPLOTLIB_STYLE):
         whole = Figure(figsize=(10.4, height * parts))
         figures = list(whole.subfigures(parts, 1, squeeze=False).flat)
         axes = [figure.subplots(rows, columns, squeeze=False) for figure in figures]
@@ -68,66 +79,66 @@ def _canvas(rows: int, columns: int, height: float, parts: int = 1) -> Iterator[
         whole.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
 
 
-def curves(rows: Sequence[Row]) -> Html:
+def metrics_chart(rows: Sequence[EpisodeRow]) -> Html:
     """Each of the main metrics over the repetitions of a scene, method by method, with its interval."""
-    groups = panels(methods_of(rows))
+    groups = group_methods(methods_of(rows))
     with _canvas(2, 2, 6.0, len(groups)) as (figures, out):
         for methods, (figure, axes) in zip(groups, figures, strict=True):
-            for place, name in zip(axes.flat, CURVES, strict=True):
-                _title(place, name, "over repetitions")
-                _metric(place, rows, methods, name)
-            _legend(figure, methods, marked=True)
-    return themed(out.getvalue(), "metrics over repetitions")
+            for place, name in zip(axes.flat, CURVE_METRICS, strict=True):
+                _set_title(place, name, "over repetitions")
+                _draw_metric(place, rows, methods, name)
+            _add_legend(figure, methods, marked=True)
+    return apply_page_theme(out.getvalue(), "metrics over repetitions")
 
 
-def _metric(axes: Axes, rows: Sequence[Row], methods: Sequence[str], name: str) -> None:
+def _draw_metric(axes: Axes, rows: Sequence[EpisodeRow], methods: Sequence[str], name: str) -> None:
     from matplotlib.ticker import MaxNLocator  # noqa: PLC0415
 
     for index, method in enumerate(methods):
-        _curve(axes, rows, method, name, index, DODGED * ((index + 0.5) / len(methods) - 0.5))
+        _draw_curve(axes, rows, method, name, index, DODGE_WIDTH * ((index + 0.5) / len(methods) - 0.5))
     axes.set_ylim(0, None)
     axes.set_xlabel("repetition", loc="right", labelpad=1)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
 
 
-def _curve(axes: Axes, rows: Sequence[Row], method: str, name: str, index: int, dodge: float) -> None:
+def _draw_curve(axes: Axes, rows: Sequence[EpisodeRow], method: str, name: str, index: int, dodge: float) -> None:
     """Means with their intervals, moved aside by `dodge` so that methods that do alike are all seen."""
     mine = [row for row in rows if row.method == method]
-    points = [(k, _at(mine, k, name)) for k in sorted({row.repetition for row in mine})]
+    points = [(k, _estimate_at(mine, k, name)) for k in sorted({row.repetition for row in mine})]
     known = [(k, found) for k, found in points if found.n]
     if not known:
         return
     x = np.array([k for k, _ in known], float) + 1.0 + dodge
     means, low, high = (np.array([getattr(found, part) for _, found in known]) for part in ("mean", "low", "high"))
-    axes.plot(x, means, linewidth=1.0, marker=MARKERS[index % len(MARKERS)], markersize=4.2, **look(index))
+    axes.plot(x, means, linewidth=1.0, marker=MARKERS[index % len(MARKERS)], markersize=4.2, **line_style(index))
     fine = np.isfinite(low) & np.isfinite(high)
-    axes.vlines(x[fine], low[fine], high[fine], color=look(index)["color"], alpha=0.45, linewidth=0.9)
+    axes.vlines(x[fine], low[fine], high[fine], color=line_style(index)["color"], alpha=0.45, linewidth=0.9)
 
 
-def _at(rows: Sequence[Row], repetition: int, name: str) -> Estimate:
-    metric = BY_NAME[name]
+def _estimate_at(rows: Sequence[EpisodeRow], repetition: int, name: str) -> Estimate:
+    metric = METRIC_BY_NAME[name]
     here = [row for row in rows if row.repetition == repetition]
-    return estimate(by_cluster(here, metric), rate=metric.unit == "rate")
+    return estimate(values_by_cluster(here, metric), is_rate=metric.unit == "rate")
 
 
-def traces(rows: Sequence[Row]) -> Html:
+def traces_chart(rows: Sequence[EpisodeRow]) -> Html:
     """Least h and largest δ over time at one place that most methods flew; where the filter is off, δ is 0.
 
     Methods that came out alike are one line; × marks where a violation begins.
     """
-    pair = traced_pair(rows)
+    pair = select_traced_pair(rows)
     here = {row.method: row for row in rows if row.pair == pair and row.trace_t}
-    groups = panels(methods_of(rows))
+    groups = group_methods(methods_of(rows))
     with _canvas(2, 1, 4.9, len(groups)) as (figures, out):
         for methods, (figure, axes) in zip(groups, figures, strict=True):
             figure.subplots_adjust(top=0.87)
-            alike = together(here, methods)
-            _trace(axes.flat, here, alike)
-            _legend(figure, [" = ".join(names) for names in alike])
-    return themed(out.getvalue(), f"h_min and δ over time, {pair}")
+            alike = group_identical(here, methods)
+            _draw_traces(axes.flat, here, alike)
+            _add_legend(figure, [" = ".join(names) for names in alike])
+    return apply_page_theme(out.getvalue(), f"h_min and δ over time, {pair}")
 
 
-def together(here: Mapping[str, Row], methods: Sequence[str]) -> list[list[str]]:
+def group_identical(here: Mapping[str, EpisodeRow], methods: Sequence[str]) -> list[list[str]]:
     """Those of `methods` that flew `here`, in groups that drew the same curves and did the same harm."""
     found: dict[Any, list[str]] = {}
     for name in methods:
@@ -138,13 +149,13 @@ def together(here: Mapping[str, Row], methods: Sequence[str]) -> list[list[str]]
     return list(found.values())
 
 
-def _trace(axes: Iterable[Axes], here: Mapping[str, Row], alike: Sequence[Sequence[str]]) -> None:
+def _draw_traces(axes: Iterable[Axes], here: Mapping[str, EpisodeRow], alike: Sequence[Sequence[str]]) -> None:
     above, below = axes
-    _title(above, "Clearance h_min", "mm, least in each tenth of a second")
-    _title(below, "Intervention δ", "share of full speed, largest in each tenth of a second")
+    _set_title(above, "Clearance h_min", "mm, least in each tenth of a second")
+    _set_title(below, "Intervention δ", "share of full speed, largest in each tenth of a second")
     for index, names in enumerate(alike):
-        row, style = here[names[0]], look(index)
-        t, h = np.array(row.trace_t), np.minimum(1e3 * np.array(row.trace_h), TOP)
+        row, style = here[names[0]], line_style(index)
+        t, h = np.array(row.trace_t), np.minimum(1e3 * np.array(row.trace_h), MAX_CLEARANCE_MM)
         above.plot(t, h, linewidth=1.2, **style)
         below.plot(t, row.trace_delta, linewidth=1.2, **style)
         begun = [violation.start for violation in row.violations]
@@ -158,7 +169,7 @@ def _trace(axes: Iterable[Axes], here: Mapping[str, Row], alike: Sequence[Sequen
         one.set_xlabel("time [s]", loc="right", labelpad=1)
 
 
-def traced_pair(rows: Sequence[Row]) -> str:
+def select_traced_pair(rows: Sequence[EpisodeRow]) -> str:
     """The place that is drawn: of those at which most methods moved, the one with the most violations."""
     moved: dict[str, set[str]] = {}
     hurt: dict[str, int] = {}
@@ -169,30 +180,30 @@ def traced_pair(rows: Sequence[Row]) -> str:
     return max(sorted(moved), key=lambda pair: (len(moved[pair]), hurt[pair]), default="")
 
 
-def latencies(rows: Sequence[Row], asked: Sequence[float]) -> Html:
+def latencies_chart(rows: Sequence[EpisodeRow], decision_times: Sequence[float]) -> Html:
     """How the times of a decision (`asked` [s], each question once), of the gate and of a filter step are spread."""
     gate = [1e3 * row.gate_s for row in rows if row.shots]
     steps = [row.filter_us for row in rows if row.filter_us]
     with _canvas(1, 3, 2.8) as (((figure, axes),), out):
         figure.subplots_adjust(top=0.82, bottom=0.23, right=0.97)
-        _spread(axes[0, 0], "Decision", "as asked", "s", {"planner": asked})
-        _spread(axes[0, 1], "Gate", "all shots", "ms", {"gate": gate})
+        _draw_cumulative(axes[0, 0], "Decision", "as asked", "s", {"planner": decision_times})
+        _draw_cumulative(axes[0, 1], "Gate", "all shots", "ms", {"gate": gate})
         parts = {name: [one[k] for one in steps] for k, name in enumerate(("median", "p99", "worst"))}
-        _spread(axes[0, 2], "Filter step", "of each episode", "µs", parts)
+        _draw_cumulative(axes[0, 2], "Filter step", "of each episode", "µs", parts)
         axes[0, 0].set_ylabel("share of measurements below", fontsize=8)
-    return themed(out.getvalue(), "latency distributions")
+    return apply_page_theme(out.getvalue(), "latency distributions")
 
 
-def _spread(axes: Axes, title: str, says: str, unit: str, parts: Mapping[str, Sequence[float]]) -> None:
+def _draw_cumulative(axes: Axes, title: str, says: str, unit: str, parts: Mapping[str, Sequence[float]]) -> None:
     """Cumulative shares on a logarithmic axis in `unit`."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter  # noqa: PLC0415
 
-    _title(axes, title, says)
+    _set_title(axes, title, says)
     drawn = False
     for index, (name, values) in enumerate(parts.items()):
         known = np.sort([value for value in values if value > 0.0])
         if len(known):
-            axes.step(known, np.arange(1, len(known) + 1) / len(known), where="post", label=name, **look(index))
+            axes.step(known, np.arange(1, len(known) + 1) / len(known), where="post", label=name, **line_style(index))
             drawn = True
     if not drawn:
         axes.text(0.5, 0.5, "not measured", transform=axes.transAxes, ha="center", color=MUTED)
@@ -201,7 +212,7 @@ def _spread(axes: Axes, title: str, says: str, unit: str, parts: Mapping[str, Se
     axes.set_xlabel(f"time [{unit}]", loc="right", labelpad=1)
     axes.set_xscale("log")
     low, high = axes.get_xlim()
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0,) if high > DECADES * low else (1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0,) if high > MAX_RATIO_FOR_MINOR_TICKS * low else (1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_ylim(0, 1.02)
@@ -209,16 +220,18 @@ def _spread(axes: Axes, title: str, says: str, unit: str, parts: Mapping[str, Se
         axes.legend(frameon=False, fontsize=8)
 
 
-def _title(axes: Axes, title: str, unit: str) -> None:
+def _set_title(axes: Axes, title: str, unit: str) -> None:
     axes.set_title(title, loc="left", fontsize=9.5, fontweight="bold", color=INK)
     axes.set_title(unit, loc="right", fontsize=8, color=MUTED)
     axes.grid(axis="y")
 
 
-def _legend(figure: Any, shown: Sequence[str], *, marked: bool = False) -> None:
+def _add_legend(figure: Any, shown: Sequence[str], *, marked: bool = False) -> None:
     """Names above a figure, in the order of their looks."""
     from matplotlib.lines import Line2D  # noqa: PLC0415
 
     marks = [MARKERS[k % len(MARKERS)] if marked else "" for k in range(len(shown))]
-    lines = [Line2D([], [], linewidth=1.6, marker=mark, markersize=4.2, **look(k)) for k, mark in enumerate(marks)]
+    lines = [
+        Line2D([], [], linewidth=1.6, marker=mark, markersize=4.2, **line_style(k)) for k, mark in enumerate(marks)
+    ]
     figure.legend(lines, shown, loc="upper center", ncol=len(shown) or 1, frameon=False, fontsize=8.5, handlelength=2.6)

@@ -14,42 +14,42 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.evaluation.analysis.hypotheses import Answer, answers
-from dualbrain.evaluation.planners.answer_cache import Kept
+from dualbrain.evaluation.analysis.hypotheses import HypothesisResult, evaluate_hypotheses
+from dualbrain.evaluation.planners.answer_cache import CachedAnswer
 from dualbrain.evaluation.protocol.suite import Suite
-from dualbrain.evaluation.report.adaptation_cost import adapters_of
-from dualbrain.evaluation.report.all_tables import all_grids
+from dualbrain.evaluation.report.adaptation_cost import costs_from_config
+from dualbrain.evaluation.report.all_tables import all_tables
 from dualbrain.evaluation.report.captions import headline
-from dualbrain.evaluation.report.decision_latency import latencies_of
-from dualbrain.evaluation.report.not_measured import missing
-from dualbrain.evaluation.report.tables import WALL_TIME, Grid
-from dualbrain.evaluation.results.episode_row import Row
-from dualbrain.visualization.evaluation.charts import curves, latencies, traced_pair, traces
+from dualbrain.evaluation.report.decision_latency import unbatched_latencies
+from dualbrain.evaluation.report.not_measured import list_not_measured
+from dualbrain.evaluation.report.tables import WALL_TIME_NOTE, Table
+from dualbrain.evaluation.results.episode_row import EpisodeRow
+from dualbrain.visualization.evaluation.charts import latencies_chart, metrics_chart, select_traced_pair, traces_chart
 from dualbrain.visualization.html.page import Html, badge, document, element, join, section, table
 
-TONES = {"supported": "good", "refuted": "bad", "undecided": "warn", "not measured": "quiet"}
-WIDTH = 480
-LATENCY = (
-    f"share of measurements below; kept answers are not counted; gate and filter: {WALL_TIME}, so that the longest are "
+VERDICT_TONES = {"supported": "good", "refuted": "bad", "undecided": "warn", "not measured": "quiet"}
+IMAGE_WIDTH = 480
+LATENCY_NOTE = (
+    f"share of measurements below; kept answers are not counted; gate and filter: {WALL_TIME_NOTE}, so that the longest are "
     "the turns that others had on it; nobody waits in a simulation, and none is a missed deadline. What a step of the "
     "kernel takes of the processor at most: docs/kernel.md"
 )
-OWN = ("dualbrain", "code", "kernel", "prompt", "short prompt", "python")
+PROVENANCE_FIELDS = ("dualbrain", "code", "kernel", "prompt", "short prompt", "python")
 """Parts of an origin that are told one by one; the others are packages."""
-UNNAMED = "not recorded"
+NOT_RECORDED = "not recorded"
 
 
 @dataclass(frozen=True, slots=True)
-class Shot:
+class FailureImage:
     """A picture of a failed episode: the row it belongs to, its words, `rgb` (height, width, 3) uint8."""
 
-    row: Row
+    row: EpisodeRow
     caption: str
     rgb: NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
-class Told:
+class ReportData:
     """What a report is made of; `kept` are the answers of all questions that were really asked.
 
     `left_out` says what lies there and could not be read or shown.
@@ -57,102 +57,102 @@ class Told:
     Tables and charts are made once, for both forms of a report.
     """
 
-    rows: Sequence[Row]
+    rows: Sequence[EpisodeRow]
     suite: Suite
     config: dict[str, Any]
-    kept: Sequence[Kept] = ()
-    gallery: Sequence[Shot] = ()
+    cached_answers: Sequence[CachedAnswer] = ()
+    gallery: Sequence[FailureImage] = ()
     date: str = ""
     command: str = ""
-    left_out: Sequence[str] = ()
+    omissions: Sequence[str] = ()
 
     @cached_property
-    def found(self) -> list[Answer]:
+    def hypotheses(self) -> list[HypothesisResult]:
         """The verdicts."""
-        return list(answers(self.rows))
+        return list(evaluate_hypotheses(self.rows))
 
     @cached_property
-    def grids(self) -> list[Grid]:
+    def tables(self) -> list[Table]:
         """All tables, the verdicts first."""
-        return list(all_grids(self.rows, self.config, self.kept))
+        return list(all_tables(self.rows, self.config, self.cached_answers))
 
     @cached_property
-    def missing(self) -> list[str]:
+    def not_measured(self) -> list[str]:
         """What was not measured."""
-        return [*missing(self.rows, self.suite, adapters_of(self.config)), *self.left_out]
+        return [*list_not_measured(self.rows, self.suite, costs_from_config(self.config)), *self.omissions]
 
     @property
-    def traced(self) -> str:
+    def traced_pair(self) -> str:
         """The place of the chart of one place, "" where no row has kept its curves."""
-        return traced_pair(self.rows)
+        return select_traced_pair(self.rows)
 
     @cached_property
     def curves(self) -> Html:
         """The chart over repetitions."""
-        return curves(self.rows)
+        return metrics_chart(self.rows)
 
     @cached_property
     def traces(self) -> Html:
         """The chart of one place."""
-        return traces(self.rows)
+        return traces_chart(self.rows)
 
     @cached_property
     def latencies(self) -> Html:
         """The chart of latencies."""
-        return latencies(self.rows, latencies_of(self.kept))
+        return latencies_chart(self.rows, unbatched_latencies(self.cached_answers))
 
 
-def write_evaluation(path: Path, told: Told) -> None:
+def write_html_report(path: Path, data: ReportData) -> None:
     """Write the report of `told` to `path`."""
-    path.write_text(render_evaluation(told), encoding="utf-8")
+    path.write_text(render_html_report(data), encoding="utf-8")
 
 
-def render_evaluation(told: Told) -> str:
+def render_html_report(data: ReportData) -> str:
     """The report as HTML."""
-    first, *rest = told.grids
+    first, *rest = data.tables
     parts = (
-        _header(told),
-        element("div", *map(_tile, told.found), class_="tiles"),
-        _grid(first),
-        _grid(rest[0]),
-        _card("Over repetitions", told.curves, "mean with its 95 % interval; a scene is repeated in its run"),
-        *map(_grid, rest[1:4]),
-        *([_card("One place", told.traces, traces_words(told))] if told.traced else []),
-        _gallery(told.gallery),
-        _card("Latency", told.latencies, LATENCY),
-        *map(_grid, rest[4:]),
-        section("What was not measured", element("ul", *(element("li", line) for line in told.missing))),
-        _origin(told),
+        _header(data),
+        element("div", *map(_tile, data.hypotheses), class_="tiles"),
+        _table_section(first),
+        _table_section(rest[0]),
+        _chart_section("Over repetitions", data.curves, "mean with its 95 % interval; a scene is repeated in its run"),
+        *map(_table_section, rest[1:4]),
+        *([_chart_section("One place", data.traces, traces_caption(data))] if data.traced_pair else []),
+        _gallery_section(data.gallery),
+        _chart_section("Latency", data.latencies, LATENCY_NOTE),
+        *map(_table_section, rest[4:]),
+        section("What was not measured", element("ul", *(element("li", line) for line in data.not_measured))),
+        _provenance_section(data),
     )
-    return document(f"Evaluation {told.suite.name}", *parts)
+    return document(f"Evaluation {data.suite.name}", *parts)
 
 
-def _header(told: Told) -> Html:
+def _header(told: ReportData) -> Html:
     suite = told.suite
     where = f"suite {suite.name} · {told.date} · {len(told.rows)} episodes · {', '.join(suite.robots)}"
     names = ", ".join(sorted({row.planner.partition(" (")[0] for row in told.rows if row.planner}))
     return element(
         "header", element("p", where, class_="overline"), element("h1", "Does the loop do what the paper says?"),
-        element("p", f"{suite.says} Planners: {names}.", class_="muted"),
+        element("p", f"{suite.description} Planners: {names}.", class_="muted"),
     )  # fmt: skip
 
 
-def _tile(answer: Answer) -> Html:
+def _tile(answer: HypothesisResult) -> Html:
     return element(
-        "div", element("b", answer.name, " ", badge(answer.verdict, TONES[answer.verdict])),
-        element("span", answer.says), class_="tile",
+        "div", element("b", answer.name, " ", badge(answer.verdict, VERDICT_TONES[answer.verdict])),
+        element("span", answer.description), class_="tile",
     )  # fmt: skip
 
 
-def _grid(grid: Grid) -> Html:
-    return section(grid.title, *(table(head, rows) for head, rows in grid.parts()), note=grid.note)
+def _table_section(grid: Table) -> Html:
+    return section(grid.title, *(table(head, rows) for head, rows in grid.split_columns()), note=grid.note)
 
 
-def _card(title: str, chart: Html, note: str) -> Html:
+def _chart_section(title: str, chart: Html, note: str) -> Html:
     return section(title, element("div", chart, class_="card chart"), note=note)
 
 
-def _gallery(shots: Sequence[Shot]) -> Html:
+def _gallery_section(shots: Sequence[FailureImage]) -> Html:
     if not shots:
         return Html("")
     figures = (_figure(shot) for shot in shots)
@@ -162,51 +162,51 @@ def _gallery(shots: Sequence[Shot]) -> Html:
     )
 
 
-def _figure(shot: Shot) -> Html:
+def _figure(shot: FailureImage) -> Html:
     words = join((element("b", f"{shot.row.method}: {headline(shot.row)}"), shot.caption, element("br"),
                   element("code", shot.row.key)))  # fmt: skip
-    picture = "data:image/jpeg;base64," + base64.b64encode(jpeg(shot.rgb)).decode()
+    picture = "data:image/jpeg;base64," + base64.b64encode(encode_jpeg(shot.rgb)).decode()
     return element("figure", element("img", src=picture, alt=shot.caption), element("figcaption", words))
 
 
-def jpeg(rgb: NDArray[np.uint8]) -> bytes:
+def encode_jpeg(rgb: NDArray[np.uint8]) -> bytes:
     """A picture (height, width, 3), made about `WIDTH` wide, as the bytes of a JPEG file."""
     from matplotlib.image import imsave  # noqa: PLC0415  (heavy imports are lazy)
 
-    step = max(1, round(rgb.shape[1] / WIDTH))
+    step = max(1, round(rgb.shape[1] / IMAGE_WIDTH))
     data = BytesIO()
     imsave(data, np.ascontiguousarray(rgb[::step, ::step]), format="jpeg", pil_kwargs={"quality": 86})
     return data.getvalue()
 
 
-def traces_words(told: Told) -> str:
+def traces_caption(data: ReportData) -> str:
     """Which place the traces are of, and how to read them."""
-    return f"{told.traced}; methods that did the same share a line; × : a violation begins, on truth"
+    return f"{data.traced_pair}; methods that did the same share a line; × : a violation begins, on truth"
 
 
-def facts(told: Told) -> dict[str, str]:
+def provenance_facts(data: ReportData) -> dict[str, str]:
     """Where the results come from: code, machine, versions, planners, ε; a run may lack some of these."""
-    origin = {name: str(value) for name, value in told.config.get("origin", {}).items()}
-    host = {name: str(value) for name, value in told.config.get("host", {}).items()}
+    origin = {name: str(value) for name, value in data.config.get("origin", {}).items()}
+    host = {name: str(value) for name, value in data.config.get("host", {}).items()}
     here = [origin.pop("machine", ""), *(host.get(name, "") for name in ("processor", "memory"))]
     if "cores" in host:
         here.append(f"{host['cores']} cores")
-    found = {"revision": host.get("revision", UNNAMED)}
-    found |= {name: origin.pop(name) for name in OWN if name in origin}
-    found |= {"machine": ", ".join(part for part in here if part) or UNNAMED}
-    found |= {"packages": ", ".join(f"{name} {version}" for name, version in origin.items()) or UNNAMED}
-    found |= {"planners": ", ".join(f"{part}: {name}" for part, name in told.suite.planners.items())}
+    found = {"revision": host.get("revision", NOT_RECORDED)}
+    found |= {name: origin.pop(name) for name in PROVENANCE_FIELDS if name in origin}
+    found |= {"machine": ", ".join(part for part in here if part) or NOT_RECORDED}
+    found |= {"packages": ", ".join(f"{name} {version}" for name, version in origin.items()) or NOT_RECORDED}
+    found |= {"planners": ", ".join(f"{part}: {name}" for part, name in data.suite.planners.items())}
     limits: dict[str, dict[str, None]] = {}
-    for row in told.rows:
+    for row in data.rows:
         if row.epsilon is not None:
             limits.setdefault(f"{row.epsilon:.3g} on {row.robot}", {})[row.method] = None
     if limits:
         found["ε"] = "; ".join(f"{limit} ({', '.join(methods)})" for limit, methods in limits.items())
-    return found | ({"again": told.command} if told.command else {})
+    return found | ({"again": data.command} if data.command else {})
 
 
-def _origin(told: Told) -> Html:
-    known = facts(told).items()
+def _provenance_section(told: ReportData) -> Html:
+    known = provenance_facts(told).items()
     listed = element("dl", *(join((element("dt", name), element("dd", element("code", one)))) for name, one in known))
     whole = msgspec.json.format(msgspec.json.encode(told.config), indent=2).decode()
     details = element("details", element("summary", "The whole configuration"), element("pre", whole))

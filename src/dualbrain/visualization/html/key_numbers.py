@@ -18,17 +18,17 @@ class KeyNumber:
     unit: str = ""
 
 
-def millimetres(metres: float | None) -> str:
+def format_millimetres(metres: float | None) -> str:
     """A length [m] as text in millimetres; a dash if there is none."""
     return "–" if metres is None else f"{1e3 * metres:.2f}".replace("-", "−")
 
 
-def seconds(value: float | None) -> str:
+def format_seconds(value: float | None) -> str:
     """A time [s] as text."""
     return "–" if value is None else f"{value:.2f}"
 
 
-def dimensionless(value: float | None) -> str:
+def format_dimensionless(value: float | None) -> str:
     """An intervention magnitude (0 to 2) as text."""
     return "–" if value is None else f"{value:.5f}"
 
@@ -42,12 +42,12 @@ def key_numbers(episode: Episode) -> tuple[KeyNumber, ...]:
     violations = None if judgement is None else len(judgement.violations)
     frequency = outcome.intervention_frequency if ran else None
     return (
-        KeyNumber("Delta", "Δ, mean of δ", outcome.Delta, dimensionless(outcome.Delta)),
+        KeyNumber("Delta", "Δ, mean of δ", outcome.Delta, format_dimensionless(outcome.Delta)),
         KeyNumber(
             "delta_peak",
             "δ, peak",
             outcome.delta_peak if ran else None,
-            dimensionless(outcome.delta_peak if ran else None),
+            format_dimensionless(outcome.delta_peak if ran else None),
         ),
         KeyNumber(
             "intervention_frequency",
@@ -56,8 +56,8 @@ def key_numbers(episode: Episode) -> tuple[KeyNumber, ...]:
             "–" if frequency is None else f"{100 * frequency:.2f}",
             "%",
         ),
-        KeyNumber("h_min", "least clearance", outcome.h_min, millimetres(outcome.h_min), "mm"),
-        KeyNumber("duration", "duration", outcome.duration, seconds(outcome.duration), "s"),
-        KeyNumber("planner", "planner", planner, seconds(planner), "s"),
+        KeyNumber("h_min", "least clearance", outcome.h_min, format_millimetres(outcome.h_min), "mm"),
+        KeyNumber("duration", "duration", outcome.duration, format_seconds(outcome.duration), "s"),
+        KeyNumber("planner", "planner", planner, format_seconds(planner), "s"),
         KeyNumber("violations", "violations", violations, "–" if violations is None else str(violations)),
     )

@@ -6,44 +6,46 @@ from io import StringIO
 
 import numpy as np
 
-from dualbrain.memory.maintenance.projection import MemoryMap
+from dualbrain.memory.maintenance.projection import MemoryProjection
 from dualbrain.visualization.html.page import Html, element, section
-from dualbrain.visualization.html.strip_chart import AMBER, BLUE, MUTED, RED, SKY, STYLE, themed
+from dualbrain.visualization.html.strip_chart import AMBER, BLUE, MATPLOTLIB_STYLE, MUTED, RED, SKY, apply_page_theme
 
-SHADES = ((0.2, RED), (0.4, AMBER), (0.6, MUTED), (0.8, SKY), (1.01, BLUE))
+WEIGHT_COLOURS = ((0.2, RED), (0.4, AMBER), (0.6, MUTED), (0.8, SKY), (1.01, BLUE))
 """Weights below each bound are drawn in this colour of the page."""
-MOST = 3000
+MAX_POINTS = 3000
 """Only the newest so many are drawn."""
-MARKS = (("succeeded", "o"), ("failed", "X"))
+OUTCOME_MARKERS = (("succeeded", "o"), ("failed", "X"))
 """Other outcomes are small points."""
 
 
-def map_section(drawn: MemoryMap, newest: str) -> Html:
+def memory_map_section(projection: MemoryProjection, newest: str) -> Html:
     """The map with the memory called `newest` ringed; a sentence where there is nothing to draw."""
-    if len(drawn.names) < 3:
+    if len(projection.episode_ids) < 3:
         return section("Memory map", element("p", "Too few memories for a map.", class_="muted"))
     told = (
-        f"{len(drawn.names)} memories; near means alike. The two axes show {drawn.shown:.0%} of the variance. Circles "
+        f"{len(projection.episode_ids)} memories; near means alike. The two axes show {projection.explained_variance:.0%} of the variance. Circles "
         "succeeded, crosses failed, points are others; hollow ones are set aside or not confirmed. Colour is w: "
         "red below 0.2, amber below 0.4, grey below 0.6, light blue below 0.8, blue above. The ring is this run."
     )
-    return section("Memory map", element("p", told, class_="muted"), _chart(drawn, newest))
+    return section("Memory map", element("p", told, class_="muted"), _chart(projection, newest))
 
 
-def _chart(drawn: MemoryMap, newest: str) -> Html:
+def _chart(drawn: MemoryProjection, newest: str) -> Html:
     import matplotlib as mpl  # noqa: PLC0415  (heavy imports are lazy)
     from matplotlib.figure import Figure  # noqa: PLC0415
 
-    with mpl.rc_context(STYLE):
+    with mpl.rc_context(MATPLOTLIB_STYLE):
         figure = Figure(figsize=(10.4, 4.6))
         axes = figure.add_axes((0.02, 0.02, 0.96, 0.96))
-        for row in range(max(0, len(drawn.names) - MOST), len(drawn.names)):
-            colour = next(shade for bound, shade in SHADES if drawn.weights[row] < bound)
-            mark = dict(MARKS).get(drawn.kinds[row], ".")
+        for row in range(max(0, len(drawn.episode_ids) - MAX_POINTS), len(drawn.episode_ids)):
+            colour = next(shade for bound, shade in WEIGHT_COLOURS if drawn.weights[row] < bound)
+            mark = dict(OUTCOME_MARKERS).get(drawn.kinds[row], ".")
             face = colour if drawn.statuses[row] == "active" else "none"
             axes.plot(*drawn.points[row], mark, color=colour, markerfacecolor=face, markersize=6, alpha=0.85)
-        if newest in drawn.names:
-            axes.plot(*drawn.points[drawn.names.index(newest)], "o", color=BLUE, markerfacecolor="none", markersize=15)
+        if newest in drawn.episode_ids:
+            axes.plot(
+                *drawn.points[drawn.episode_ids.index(newest)], "o", color=BLUE, markerfacecolor="none", markersize=15
+            )
         axes.set_xticks([])
         axes.set_yticks([])
         axes.margins(0.06)
@@ -52,4 +54,4 @@ def _chart(drawn: MemoryMap, newest: str) -> Html:
             axes.set_aspect("equal", adjustable="datalim")
         out = StringIO()
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
-    return themed(out.getvalue(), "every memory as a point, like ones near each other, coloured by weight")
+    return apply_page_theme(out.getvalue(), "every memory as a point, like ones near each other, coloured by weight")

@@ -9,10 +9,12 @@ from collections.abc import Iterable, Sequence
 from html import escape
 from importlib import resources
 
-POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
+CONTENT_SECURITY_POLICY = (
+    "default-src 'none'; img-src data:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
+)
 """No script at all, nothing from elsewhere."""
 
-VOID = ("img", "br", "meta")
+VOID_TAGS = ("img", "br", "meta")
 
 
 class Html(str):
@@ -24,7 +26,7 @@ class Html(str):
 def element(tag: str, *children: str, **attributes: str) -> Html:
     """`<tag attributes>children</tag>`; children that are not `Html` are escaped, `class_` means class."""
     words = "".join(f' {name.rstrip("_").replace("_", "-")}="{escape(text)}"' for name, text in attributes.items())
-    if tag in VOID:
+    if tag in VOID_TAGS:
         return Html(f"<{tag}{words}>")
     return Html(f"<{tag}{words}>{join(children)}</{tag}>")
 
@@ -35,13 +37,13 @@ def join(parts: Iterable[str]) -> Html:
 
 
 def table(
-    head: Sequence[str], rows: Iterable[Sequence[str]], *, right: Sequence[int] = (), empty: str = "None."
+    head: Sequence[str], rows: Iterable[Sequence[str]], *, right_aligned: Sequence[int] = (), empty_text: str = "None."
 ) -> Html:
     """A table; columns in `right` hold numbers and are aligned right; `empty` is said if there is no row."""
-    cells = [[(cell, "number" if k in right else "text") for k, cell in enumerate(row)] for row in rows]
+    cells = [[(cell, "number" if k in right_aligned else "text") for k, cell in enumerate(row)] for row in rows]
     if not cells:
-        return element("p", empty, class_="muted")
-    heads = join(element("th", name, class_="number" if k in right else "text") for k, name in enumerate(head))
+        return element("p", empty_text, class_="muted")
+    heads = join(element("th", name, class_="number" if k in right_aligned else "text") for k, name in enumerate(head))
     body = join(element("tr", join(element("td", cell, class_=kind) for cell, kind in row)) for row in cells)
     whole = element("table", element("thead", element("tr", heads)), element("tbody", body))
     return element("div", whole, class_="scroll")
@@ -63,20 +65,20 @@ def document(title: str, *content: str) -> str:
     head = element(
         "head",
         element("meta", charset="utf-8"),
-        element("meta", http_equiv="Content-Security-Policy", content=POLICY),
+        element("meta", http_equiv="Content-Security-Policy", content=CONTENT_SECURITY_POLICY),
         element("meta", name="viewport", content="width=device-width, initial-scale=1"),
         element("meta", name="color-scheme", content="light dark"),
         element("title", title),
-        element("style", Html(_style())),
+        element("style", Html(_stylesheet())),
     )
     return "<!doctype html>\n" + element("html", head, element("body", element("main", *content)), lang="en") + "\n"
 
 
-def palette() -> Html:
+def palette_css() -> Html:
     """The page's colours alone, for drawings that stand outside of it."""
-    style = _style()
+    style = _stylesheet()
     return Html(style[style.index(":root") : style.index("* {")])
 
 
-def _style() -> str:
+def _stylesheet() -> str:
     return resources.files("dualbrain.visualization.html").joinpath("page.css").read_text(encoding="utf-8")

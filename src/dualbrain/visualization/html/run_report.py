@@ -15,24 +15,30 @@ from numpy.typing import NDArray
 
 from dualbrain.contracts.verdict import Accepted, Rejected
 from dualbrain.control.recording.trace import DEAD_BAND, Event, Trace
-from dualbrain.memory.maintenance.projection import MemoryMap
-from dualbrain.records import Attempt, Episode, Exemplar, Use
-from dualbrain.runtime.planning_time import breakdown
+from dualbrain.memory.maintenance.projection import MemoryProjection
+from dualbrain.records import Attempt, Episode, Exemplar, MemoryUse
+from dualbrain.runtime.planning_time import latency_breakdown
 from dualbrain.safety.barriers import BARRIERS
-from dualbrain.visualization.html.key_numbers import KeyNumber, dimensionless, key_numbers, millimetres, seconds
-from dualbrain.visualization.html.memory_map import map_section
+from dualbrain.visualization.html.key_numbers import (
+    KeyNumber,
+    format_dimensionless,
+    format_millimetres,
+    format_seconds,
+    key_numbers,
+)
+from dualbrain.visualization.html.memory_map import memory_map_section
 from dualbrain.visualization.html.page import Html, badge, document, element, join, section, table
 from dualbrain.visualization.html.strip_chart import strip_chart
 
-TONES = {
+STATUS_TONES = {
     "succeeded": "good", "failed": "bad", "taken_over": "warn", "rejected": "warn", "declined": "quiet",
     "aborted": "warn", "paused": "warn", "slowed": "warn", "handed_over": "warn", "emergency": "bad", "stopped": "bad",
     "done": "good", "not_run": "quiet",
 }  # fmt: skip
-STAGES = ("syntax", "authorization", "envelope")
-PICTURE_WIDTH = 480
-GIVEN = "a given contract"
-LONGEST_TEXT = 4000
+GATE_STAGES = ("syntax", "authorization", "envelope")
+IMAGE_WIDTH = 480
+NO_INSTRUCTION_TITLE = "a given contract"
+MAX_TEXT_CHARACTERS = 4000
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,37 +51,43 @@ class Snapshot:
 
 
 def write_report(
-    path: Path, episode: Episode, trace: Trace, snapshots: Sequence[Snapshot] = (), drawn: MemoryMap | None = None
+    path: Path,
+    episode: Episode,
+    trace: Trace,
+    snapshots: Sequence[Snapshot] = (),
+    projection: MemoryProjection | None = None,
 ) -> None:
     """Write the report of `episode` to `path`; `trace` may be empty (a contract refused at the gate)."""
-    path.write_text(render_report(episode, trace, snapshots, drawn), encoding="utf-8")
+    path.write_text(render_report(episode, trace, snapshots, projection), encoding="utf-8")
 
 
 def render_report(
-    episode: Episode, trace: Trace, snapshots: Sequence[Snapshot] = (), drawn: MemoryMap | None = None
+    episode: Episode, trace: Trace, snapshots: Sequence[Snapshot] = (), projection: MemoryProjection | None = None
 ) -> str:
     """The report as HTML, with a map of memory if one is given."""
     parts = (
         _header(episode),
         element("div", *map(_tile, key_numbers(episode)), class_="tiles"),
-        _pictures(snapshots),
-        _course(episode, trace),
+        _snapshots_section(snapshots),
+        _time_course_section(episode, trace),
         _contract(episode),
         _planner(episode),
         _memory(episode, trace.events),
-        *([map_section(drawn, episode.id)] if drawn else []),
+        *([memory_map_section(projection, episode.id)] if projection else []),
         _knowledge(episode),
         _violations(episode),
         _barriers(episode),
         _events(trace.events),
-        _origin(episode),
+        _provenance_section(episode),
     )
-    return document(f"{episode.outcome.kind.replace('_', ' ')}: {episode.instruction or GIVEN}"[:120], *parts)
+    return document(
+        f"{episode.outcome.kind.replace('_', ' ')}: {episode.instruction or NO_INSTRUCTION_TITLE}"[:120], *parts
+    )
 
 
 def _header(episode: Episode) -> Html:
     outcome, judgement = episode.outcome, episode.judgement
-    words = [badge(outcome.kind.replace("_", " "), TONES[outcome.kind])]
+    words = [badge(outcome.kind.replace("_", " "), STATUS_TONES[outcome.kind])]
     if judgement is not None:
         seen, tone = (
             ("task done in simulator truth", "good")
@@ -89,7 +101,7 @@ def _header(episode: Episode) -> Html:
     return element(
         "header",
         element("p", f"{episode.robot} · {episode.started} · run {episode.id}", class_="overline"),
-        element("h1", f"“{episode.instruction}”" if episode.instruction else GIVEN),
+        element("h1", f"“{episode.instruction}”" if episode.instruction else NO_INSTRUCTION_TITLE),
         element("div", *words, element("span", outcome.reason), class_="verdict"),
     )
 
@@ -100,17 +112,17 @@ def _tile(number: KeyNumber) -> Html:
     return element("div", value, element("span", number.label), class_="tile")
 
 
-def _pictures(snapshots: Sequence[Snapshot]) -> Html:
+def _snapshots_section(snapshots: Sequence[Snapshot]) -> Html:
     if not snapshots:
         return Html("")
     across = "four" if len(snapshots) % 3 and len(snapshots) > 3 and len(snapshots) != 5 else "three"
-    return section("What happened", element("div", *map(_picture, snapshots), class_=f"shots {across}"))
+    return section("What happened", element("div", *map(_snapshot_figure, snapshots), class_=f"shots {across}"))
 
 
-def _picture(shot: Snapshot) -> Html:
+def _snapshot_figure(shot: Snapshot) -> Html:
     from matplotlib.image import imsave  # noqa: PLC0415  (heavy imports are lazy)
 
-    step = max(1, round(shot.rgb.shape[1] / PICTURE_WIDTH))
+    step = max(1, round(shot.rgb.shape[1] / IMAGE_WIDTH))
     rows, cols = (size // step for size in shot.rgb.shape[:2])
     blocks = shot.rgb[: rows * step, : cols * step].reshape(rows, step, cols, step, 3)
     small = np.ascontiguousarray(blocks.mean(axis=(1, 3)).round().astype(np.uint8))
@@ -121,7 +133,7 @@ def _picture(shot: Snapshot) -> Html:
     return element("figure", element("img", src=source, alt=shot.caption), caption)
 
 
-def _course(episode: Episode, trace: Trace) -> Html:
+def _time_course_section(episode: Episode, trace: Trace) -> Html:
     if not len(trace):
         return section(
             "Course of the run", element("p", "No control was executed, so there is nothing to plot.", class_="muted")
@@ -138,10 +150,10 @@ def _contract(episode: Episode) -> Html:
     rows: list[Sequence[str]] = []
     for k, action in enumerate(sequence):
         result = results.get(k)
-        words = ", ".join(f"{name} {_plain(value)}" for name, value in action.get("params", {}).items())
+        words = ", ".join(f"{name} {_format_value(value)}" for name, value in action.get("params", {}).items())
         status = result.status if result else "not_run"
         timing = (
-            (seconds(result.started), seconds(result.ended), dimensionless(result.Delta))
+            (format_seconds(result.started), format_seconds(result.ended), format_dimensionless(result.Delta))
             if result and status != "not_run"
             else ("–",) * 3
         )
@@ -150,22 +162,22 @@ def _contract(episode: Episode) -> Html:
                 str(k + 1),
                 element("b", str(action.get("skill"))),
                 words,
-                badge(status.replace("_", " "), TONES[status]),
+                badge(status.replace("_", " "), STATUS_TONES[status]),
                 result.reason if result else "",
                 *timing,
             )
         )
     head = ("", "skill", "parameters", "status", "reason", "from [s]", "to [s]", "Δ")
-    return section("Contract", table(head, rows, right=(5, 6, 7)), _details("As accepted", episode.contract))
+    return section("Contract", table(head, rows, right_aligned=(5, 6, 7)), _details("As accepted", episode.contract))
 
 
-def _plain(value: object) -> str:
+def _format_value(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _details(title: str, content: object) -> Html:
     text = content if isinstance(content, str) else msgspec.json.format(msgspec.json.encode(content), indent=2).decode()
-    shown = text if len(text) <= LONGEST_TEXT else f"{text[:LONGEST_TEXT]}… ({len(text)} characters)"
+    shown = text if len(text) <= MAX_TEXT_CHARACTERS else f"{text[:MAX_TEXT_CHARACTERS]}… ({len(text)} characters)"
     return element("details", element("summary", title), element("pre", shown))
 
 
@@ -175,19 +187,21 @@ def _planner(episode: Episode) -> Html:
             "Planner and gate", element("p", "No planner was asked: the contract was given.", class_="muted")
         )
     cards = [_attempt(k, attempt) for k, attempt in enumerate(episode.attempts)]
-    return section("Planner and gate", *_before(episode), _decision(episode), *cards)
+    return section("Planner and gate", *_previous_failure(episode), _decision_table(episode), *cards)
 
 
-def _decision(episode: Episode) -> Html:
+def _decision_table(episode: Episode) -> Html:
     """Where the time of the decision went."""
-    rows = [(words, f"{value:.4f}") for words, value in breakdown(episode.timings)]
+    rows = [(words, f"{value:.4f}") for words, value in latency_breakdown(episode.timings)]
     total = episode.timings.get("decision")
     if total is None:
         return Html("")
-    return table(("part of the decision", "[s]"), [*rows, (element("b", "together"), f"{total:.4f}")], right=(1,))
+    return table(
+        ("part of the decision", "[s]"), [*rows, (element("b", "together"), f"{total:.4f}")], right_aligned=(1,)
+    )
 
 
-def _before(episode: Episode) -> Sequence[Html]:
+def _previous_failure(episode: Episode) -> Sequence[Html]:
     """What became of the contract before this one, if there was one."""
     before = episode.setback
     if before is None:
@@ -200,7 +214,7 @@ def _before(episode: Episode) -> Sequence[Html]:
 
 def _attempt(index: int, attempt: Attempt) -> Html:
     proposal, verdict = attempt.proposal, attempt.verdict
-    spent = ", ".join(_spent(name, value) for name, value in proposal.timings.items())
+    spent = ", ".join(_format_timing(name, value) for name, value in proposal.timings.items())
     facts = [
         ("planner", f"{proposal.planner}, constrained by {proposal.constrained_by}, ended by {proposal.finish_reason}"),
         ("time", f"{spent}; gate {1e6 * attempt.gate_s:.0f} µs"),
@@ -208,8 +222,8 @@ def _attempt(index: int, attempt: Attempt) -> Html:
     if isinstance(verdict, Rejected):
         facts += [
             ("where", verdict.pointer or "(whole document)"),
-            ("got", _short(verdict.got)),
-            ("allowed", _short(verdict.allowed)),
+            ("got", _truncate(verdict.got)),
+            ("allowed", _truncate(verdict.allowed)),
             ("hint", verdict.hint),
         ]
     listed = element("dl", *(join((element("dt", name), element("dd", text))) for name, text in facts))
@@ -220,29 +234,29 @@ def _attempt(index: int, attempt: Attempt) -> Html:
 
 def _stages(index: int, verdict: Accepted | Rejected) -> Html:
     """The gate's three verdicts in order; what stands after a refusal was not reached."""
-    stopped = STAGES.index(verdict.stage) if isinstance(verdict, Rejected) else len(STAGES)
+    stopped = GATE_STAGES.index(verdict.stage) if isinstance(verdict, Rejected) else len(GATE_STAGES)
     words = [
         badge(f"✓ {stage}", "good")
         if k < stopped
         else badge(f"✕ {stage}", "bad")
         if k == stopped
         else badge(stage, "quiet")
-        for k, stage in enumerate(STAGES)
+        for k, stage in enumerate(GATE_STAGES)
     ]
     said = "accepted" if isinstance(verdict, Accepted) else f"refused at {verdict.stage}"
     return element("div", element("b", f"Attempt {index + 1}: {said}"), *words, class_="stages")
 
 
-def _short(value: object) -> str:
+def _truncate(value: object) -> str:
     text = value if isinstance(value, str) else msgspec.json.encode(value).decode()
     return text if len(text) < 300 else f"{text[:299]}…"
 
 
 def _memory(episode: Episode, events: Sequence[Event]) -> Html:
     recall = episode.recall
-    good_for = {one.memory: _good_for(one) for one in episode.uses}
-    rows = [(*_recalled("follow", one), good_for.get(one.episode_id, "not asked")) for one in recall.exemplars]
-    rows += [(*_recalled("avoid", one), "") for one in recall.warnings]
+    good_for = {one.memory: _use_badge(one) for one in episode.uses}
+    rows = [(*_exemplar_row("follow", one), good_for.get(one.episode_id, "not asked")) for one in recall.exemplars]
+    rows += [(*_exemplar_row("avoid", one), "") for one in recall.warnings]
     head = ("use", "rank", "instruction", "outcome", "Δ", "R", "s", "w", "episode", "was it of use")
     changed = [
         (str(event.data.get("episode_id", "")), event.text, *(f"{event.data[key]:.4f}" for key in ("before", "after")))
@@ -252,23 +266,23 @@ def _memory(episode: Episode, events: Sequence[Event]) -> Html:
     return section(
         "Memory",
         element("h3", "Recalled for the planner"),
-        table(head, rows, right=(1, 4, 5, 6, 7), empty="Nothing was recalled."),
+        table(head, rows, right_aligned=(1, 4, 5, 6, 7), empty_text="Nothing was recalled."),
         element("h3", "Weights changed by this outcome"),
-        table(("episode", "why", "w before", "w after"), changed, right=(2, 3), empty="None."),
+        table(("episode", "why", "w before", "w after"), changed, right_aligned=(2, 3), empty_text="None."),
     )
 
 
-def _good_for(one: Use) -> Html:
+def _use_badge(one: MemoryUse) -> Html:
     """What became of a recalled memory, by the answer that the planner gave without it."""
     if one.contributing:
         return badge("used, and contributed", "good")
     return badge("used", "warn") if one.used else badge("not used", "quiet")
 
 
-def _recalled(use: str, one: Exemplar) -> Sequence[str]:
+def _exemplar_row(use: str, one: Exemplar) -> Sequence[str]:
     outcome = badge("succeeded", "good") if one.succeeded else badge("failed", "bad")
     scores = (f"{value:.3f}" for value in (one.score, one.similarity, one.weight))
-    return (use, str(one.rank), one.instruction, outcome, dimensionless(one.Delta), *scores, one.episode_id)
+    return (use, str(one.rank), one.instruction, outcome, format_dimensionless(one.Delta), *scores, one.episode_id)
 
 
 def _knowledge(episode: Episode) -> Html:
@@ -282,7 +296,7 @@ def _knowledge(episode: Episode) -> Html:
     ]
     head = ("", "citation", "where it stands", "kind", "trust", "likeness", "what was shown")
     note = "read one again, in this version: dualbrain knowledge show CITATION"
-    return section("Documents shown to the planner", table(head, rows, right=(0, 5)), note=note)
+    return section("Documents shown to the planner", table(head, rows, right_aligned=(0, 5)), note=note)
 
 
 def _violations(episode: Episode) -> Html:
@@ -293,7 +307,7 @@ def _violations(episode: Episode) -> Html:
         (
             badge(one.kind.replace("_", " "), "bad"),
             " × ".join(one.bodies),
-            seconds(one.start),
+            format_seconds(one.start),
             f"{one.duration:.3f}",
             f"{one.peak:.3g}",
             "yes" if one.perceived else "no",
@@ -302,17 +316,19 @@ def _violations(episode: Episode) -> Html:
     ]
     head = ("kind", "bodies", "at [s]", "for [s]", "peak", "body was perceived")
     note = f"independent monitor on simulator truth; task progress {100 * judgement.progress:.0f} %"
-    return section("Safety violations", table(head, rows, right=(2, 3, 4)), note=note)
+    return section("Safety violations", table(head, rows, right_aligned=(2, 3, 4)), note=note)
 
 
 def _barriers(episode: Episode) -> Html:
     """Every barrier that the filter knows, and how often it spoke."""
     rows = [
-        (one.name.replace("_", " "), one.says, "never" if one.rank is None else one.rank.name.lower(),
+        (one.name.replace("_", " "), one.description, "never" if one.rank is None else one.rank.name.lower(),
          str(episode.binding.get(one.name, 0)))
         for one in BARRIERS.values()
     ]  # fmt: skip
-    return section("Barriers", table(("barrier", "what it keeps", "given up", "ticks it bound"), rows, right=(3,)))
+    return section(
+        "Barriers", table(("barrier", "what it keeps", "given up", "ticks it bound"), rows, right_aligned=(3,))
+    )
 
 
 def _events(events: Sequence[Event]) -> Html:
@@ -320,17 +336,19 @@ def _events(events: Sequence[Event]) -> Html:
         return Html("")
     rows = [(f"{event.t:.3f}", event.kind, event.text) for event in events[:400]]
     listed = element(
-        "details", element("summary", f"{len(events)} events"), table(("t [s]", "kind", "what"), rows, right=(0,))
+        "details",
+        element("summary", f"{len(events)} events"),
+        table(("t [s]", "kind", "what"), rows, right_aligned=(0,)),
     )
     return section("Events", listed)
 
 
-def _spent(name: str, value: float) -> str:
+def _format_timing(name: str, value: float) -> str:
     """One of a planner's figures: a time, or a count of tokens."""
     return f"{value:.0f} {name.replace('_', ' ')}" if name.endswith("_tokens") else f"{name} {value:.2f} s"
 
 
-def _origin(episode: Episode) -> Html:
+def _provenance_section(episode: Episode) -> Html:
     facts = {"registry": episode.registry, "seed": str(episode.seed), **episode.versions}
     facts |= {f"time, {name}": f"{value:.3f} s" for name, value in episode.timings.items()}
     listed = element(
@@ -342,11 +360,11 @@ def _origin(episode: Episode) -> Html:
             one.role,
             type(one.shape).__name__.lower(),
             " ".join(f"{part:.3f}" for part in one.pose.position),
-            millimetres(one.error),
+            format_millimetres(one.error),
         )
         for one in episode.scene.objects
     ]
-    scene = table(("name", "role", "shape", "position [m]", "error bound [mm]"), things, right=(3, 4))
+    scene = table(("name", "role", "shape", "position [m]", "error bound [mm]"), things, right_aligned=(3, 4))
     scene = element("details", element("summary", f"Perceived scene: {len(things)} things"), scene)
     remark = "What is said of safety holds for the model the filter was given (SAFETY.md); nothing is safety-rated."
     return section("Where this comes from", listed, scene, element("footer", remark))

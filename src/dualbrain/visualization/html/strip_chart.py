@@ -20,20 +20,20 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-BUCKETS = 900
+MAX_BUCKETS = 900
 """A drawn curve keeps the least and the greatest value of each of so many stretches of time."""
 
-CHART_WIDTH = 10.4 * 72 * 0.93
+CHART_WIDTH_PT = 10.4 * 72 * 0.93
 """Width of the drawing area [points]."""
 
 # Each colour is drawn as a stand-in that no plot uses otherwise, and replaced by the page's variable of that name.
-STAND_INS = {
+PLACEHOLDER_COLOURS = {
     name: f"#0101{k + 1:02x}"
     for k, name in enumerate(
         ("ink", "muted", "line", "faint", "blue", "sky", "orange", "amber", "red", "rose", "green", "card", "violet")
     )
 }
-INK, MUTED, LINE, FAINT, BLUE, SKY, ORANGE, AMBER, RED, ROSE, GREEN, CARD, VIOLET = STAND_INS.values()
+INK, MUTED, LINE, FAINT, BLUE, SKY, ORANGE, AMBER, RED, ROSE, GREEN, CARD, VIOLET = PLACEHOLDER_COLOURS.values()
 
 STATUS_COLOURS: Mapping[str, str] = {
     "done": BLUE,
@@ -43,7 +43,7 @@ STATUS_COLOURS: Mapping[str, str] = {
     "not_run": MUTED,
 }
 
-STYLE: dict[Any, Any] = {
+MATPLOTLIB_STYLE: dict[Any, Any] = {
     "svg.fonttype": "none", "svg.hashsalt": "dualbrain", "font.family": "DejaVu Sans", "font.size": 9,
     "text.parse_math": False, "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": LINE,
     "axes.labelcolor": MUTED, "text.color": INK, "xtick.color": LINE, "ytick.color": LINE, "xtick.labelcolor": MUTED,
@@ -52,7 +52,7 @@ STYLE: dict[Any, Any] = {
 }  # fmt: skip
 
 
-def envelope(t: Array, y: Array, buckets: int = BUCKETS) -> tuple[Array, Array]:
+def min_max_downsample(t: Array, y: Array, buckets: int = MAX_BUCKETS) -> tuple[Array, Array]:
     """`y(t)` thinned to at most two points a bucket, its least and greatest, in their order: peaks survive."""
     if len(t) <= 2 * buckets:
         return t, y
@@ -71,14 +71,14 @@ def strip_chart(episode: Episode, trace: Trace) -> Html:
     from matplotlib.figure import Figure  # noqa: PLC0415
     from matplotlib.ticker import MaxNLocator  # noqa: PLC0415
 
-    with rc_context(STYLE):
-        speeds = _speeds(trace)
+    with rc_context(MATPLOTLIB_STYLE):
+        speeds = _speed_strips(trace)
         height = 7.7 + 1.7 * (len(speeds) - 1)
         figure = Figure(figsize=(10.4, height))
         rows = figure.subplots(3 + len(speeds), 1, sharex=True, height_ratios=(1.0, 2.2, 1.5, *[1.7] * len(speeds)))
         rim = {"top": 1.0 - 0.038 * 7.7 / height, "bottom": 0.062 * 7.7 / height}
         figure.subplots_adjust(left=0.062, right=0.992, hspace=0.42, **rim)
-        rows[0].set_xlim(_limits(trace))
+        rows[0].set_xlim(_time_limits(trace))
         _draw_contract(rows[0], episode, trace)
         _draw_clearance(rows[1], trace)
         _draw_intervention(rows[2], trace)
@@ -91,15 +91,15 @@ def strip_chart(episode: Episode, trace: Trace) -> Html:
         rows[-1].set_xlabel("time [s]", loc="right", labelpad=2)
         out = StringIO()
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
-    return themed(out.getvalue(), "contract, clearance, intervention and speed over time")
+    return apply_page_theme(out.getvalue(), "contract, clearance, intervention and speed over time")
 
 
-def _limits(trace: Trace) -> tuple[float, float]:
+def _time_limits(trace: Trace) -> tuple[float, float]:
     t = trace["t"]
     return float(t[0]), float(max(t[-1], t[0] + 0.01))
 
 
-def _title(axes: Axes, title: str, unit: str, *keys: tuple[str, str]) -> None:
+def _draw_title(axes: Axes, title: str, unit: str, *keys: tuple[str, str]) -> None:
     """A left-aligned heading with its unit, and to the right the names of the curves in their own colours."""
     axes.text(-0.0, 1.06, title, transform=axes.transAxes, fontweight="bold", fontsize=9.5)
     axes.annotate(
@@ -124,10 +124,10 @@ def _title(axes: Axes, title: str, unit: str, *keys: tuple[str, str]) -> None:
         offset += len(name) * 5.5 + 14
 
 
-def _shade(axes: Axes, trace: Trace) -> None:
+def _shade_interventions(axes: Axes, trace: Trace) -> None:
     """Shade the interventions; those closer than a pixel are drawn as one."""
-    first, last = _limits(trace)
-    pixel, joined = (last - first) / BUCKETS, []
+    first, last = _time_limits(trace)
+    pixel, joined = (last - first) / MAX_BUCKETS, []
     for span in trace.interventions():
         if joined and span.start - joined[-1][1] < pixel:
             joined[-1][1] = span.end
@@ -138,31 +138,31 @@ def _shade(axes: Axes, trace: Trace) -> None:
 
 
 def _draw_contract(axes: Axes, episode: Episode, trace: Trace) -> None:
-    _title(axes, "Contract", "actions, and the phases they went through")
+    _draw_title(axes, "Contract", "actions, and the phases they went through")
     axes.set_ylim(0, 2)
     axes.set_yticks([])
     axes.spines["left"].set_visible(False)
     for index, action in enumerate(episode.outcome.actions):
         if action.status != "not_run":
             colour = STATUS_COLOURS[action.status]
-            _bar(axes, (action.started, action.ended), _action_name(episode, index, action), colour)
+            _draw_bar(axes, (action.started, action.ended), _action_name(episode, index, action), colour)
     for span in trace.spans("phase"):
-        _bar(axes, (span.start, span.end), trace.phases[span.code], FAINT)
+        _draw_bar(axes, (span.start, span.end), trace.phases[span.code], FAINT)
 
 
-def _bar(axes: Axes, times: tuple[float, float], text: str, colour: str) -> None:
+def _draw_bar(axes: Axes, times: tuple[float, float], text: str, colour: str) -> None:
     """A bar over `times` [s] with as much of its name inside as fits; phases are faint and lie below the actions."""
     low, height, letter, ink, weight = (0.12, 0.74, 4.4, MUTED, "normal")
     if colour != FAINT:
         low, height, letter, ink, weight = (0.98, 0.92, 5.4, CARD, "bold")
     (start, end), (left, right) = times, axes.get_xlim()
-    name = _fitted(text, (end - start) / (right - left) * CHART_WIDTH - 6, letter)
+    name = _truncate_to_width(text, (end - start) / (right - left) * CHART_WIDTH_PT - 6, letter)
     axes.broken_barh([(start, end - start)], (low, height), facecolor=colour, edgecolor=CARD, linewidth=1.4)
     middle = ((start + end) / 2, low + height / 2 - 0.02)
     axes.text(*middle, name, ha="center", va="center", color=ink, fontweight=weight, fontsize=8.3, clip_on=True)
 
 
-def _fitted(text: str, width: float, letter: float) -> str:
+def _truncate_to_width(text: str, width: float, letter: float) -> str:
     """`text` cut to `width` points at `letter` points a character; nothing if not even four characters fit."""
     room = int(width / letter)
     return text if len(text) <= room else f"{text[: room - 1]}…" if room >= 4 else ""
@@ -178,9 +178,11 @@ def _action_name(episode: Episode, index: int, action: ActionResult) -> str:
 
 
 def _draw_clearance(axes: Axes, trace: Trace) -> None:
-    t, h = envelope(trace["t"], np.where(np.isfinite(trace["h_min"]), 1e3 * trace["h_min"], np.nan))
-    _title(axes, "Clearance h_min", "mm, least over all rows of the filter", ("intervention", ORANGE), ("least", RED))
-    _shade(axes, trace)
+    t, h = min_max_downsample(trace["t"], np.where(np.isfinite(trace["h_min"]), 1e3 * trace["h_min"], np.nan))
+    _draw_title(
+        axes, "Clearance h_min", "mm, least over all rows of the filter", ("intervention", ORANGE), ("least", RED)
+    )
+    _shade_interventions(axes, trace)
     axes.grid(axis="y")
     axes.plot(t, h, color=BLUE, linewidth=1.3)
     least = float(np.nanmin(h)) if np.isfinite(h).any() else 0.0
@@ -188,17 +190,17 @@ def _draw_clearance(axes: Axes, trace: Trace) -> None:
     axes.set_ylim(min(-0.04 * top, 1.15 * least), max(1.08 * top, 1.0))
     axes.axhline(0, color=INK, linewidth=1.1)
     axes.axhspan(axes.get_ylim()[0], 0, facecolor=ROSE, linewidth=0, zorder=0)
-    _mark_least(axes, trace)
+    _mark_min_clearance(axes, trace)
 
 
-def _mark_least(axes: Axes, trace: Trace) -> None:
+def _mark_min_clearance(axes: Axes, trace: Trace) -> None:
     """Mark the least clearance while an action ran, which is the h_min of the outcome."""
     t, h = trace["t"], np.where((trace["action"] >= 0) & np.isfinite(trace["h_min"]), 1e3 * trace["h_min"], np.nan)
     if not np.isfinite(h).any():
         return
     tick = int(np.nanargmin(h))
     at, least = float(t[tick]), float(h[tick])
-    left, right = _limits(trace)
+    left, right = _time_limits(trace)
     side, shift = ("right", -9) if at > (left + right) / 2 else ("left", 9)
     axes.plot([at], [least], "o", color=RED, markersize=4.5, markeredgewidth=0, clip_on=False)
     axes.annotate(
@@ -208,7 +210,7 @@ def _mark_least(axes: Axes, trace: Trace) -> None:
 
 
 def _draw_intervention(axes: Axes, trace: Trace) -> None:
-    _title(
+    _draw_title(
         axes,
         "Intervention δ",
         "share of full speed, by cause",
@@ -216,10 +218,10 @@ def _draw_intervention(axes: Axes, trace: Trace) -> None:
         ("actuator box", SKY),
         ("supervisor", MUTED),
     )
-    _shade(axes, trace)
+    _shade_interventions(axes, trace)
     axes.grid(axis="y")
     for name, colour in (("delta_rows", RED), ("delta_box", SKY), ("delta_supervisor", MUTED)):
-        t, y = envelope(trace["t"], np.nan_to_num(trace[name], nan=2.0))
+        t, y = min_max_downsample(trace["t"], np.nan_to_num(trace[name], nan=2.0))
         axes.fill_between(t, y, color=colour, alpha=0.22, linewidth=0)
         axes.plot(t, y, color=colour, linewidth=1.2)
     peak = float(np.nan_to_num(trace["delta"], nan=2.0).max())
@@ -229,7 +231,7 @@ def _draw_intervention(axes: Axes, trace: Trace) -> None:
         axes.text(0.5, 0.45, said, transform=axes.transAxes, ha="center", color=MUTED)
 
 
-class Speed(NamedTuple):
+class SpeedStrip(NamedTuple):
     """One strip of speeds: these `columns` of u; one of them with its sign, of several the norm."""
 
     title: str
@@ -237,35 +239,42 @@ class Speed(NamedTuple):
     columns: slice
 
 
-JOINTS = Speed("Joint speed", "rad/s, Euclidean norm", slice(None))
-DRIVES = (Speed("Driving", "m/s, forward", slice(0, 1)), Speed("Turning", "rad/s, to the left", slice(1, 2)))
+JOINT_SPEED_STRIP = SpeedStrip("Joint speed", "rad/s, Euclidean norm", slice(None))
+BASE_SPEED_STRIPS = (
+    SpeedStrip("Driving", "m/s, forward", slice(0, 1)),
+    SpeedStrip("Turning", "rad/s, to the left", slice(1, 2)),
+)
 
 
-def _speeds(trace: Trace) -> tuple[Speed, ...]:
+def _speed_strips(trace: Trace) -> tuple[SpeedStrip, ...]:
     """Of an arm the speed of its joints; of a base, whose configuration has one number more than u, v and ω."""
     if trace.width == trace.n:
-        return (JOINTS,)
-    return (*DRIVES, JOINTS._replace(columns=slice(2, None))) if trace.n > len(DRIVES) else DRIVES
+        return (JOINT_SPEED_STRIP,)
+    return (
+        (*BASE_SPEED_STRIPS, JOINT_SPEED_STRIP._replace(columns=slice(2, None)))
+        if trace.n > len(BASE_SPEED_STRIPS)
+        else BASE_SPEED_STRIPS
+    )
 
 
-def _draw_speed(axes: Axes, trace: Trace, speed: Speed) -> None:
+def _draw_speed(axes: Axes, trace: Trace, speed: SpeedStrip) -> None:
     driven = speed.columns.stop is not None
     keys = (("nominal", MUTED), ("written", BLUE)) if driven else (("nominal |u_nom|", MUTED), ("written |u|", BLUE))
-    _title(axes, speed.title, speed.unit, *keys)
-    _shade(axes, trace)
+    _draw_title(axes, speed.title, speed.unit, *keys)
+    _shade_interventions(axes, trace)
     axes.grid(axis="y")
     for name, colour, dash in (("u_nom", MUTED, (0, (3, 2))), ("u", BLUE, "solid")):
         part = trace[name][:, speed.columns]
-        t, y = envelope(trace["t"], part[:, 0] if driven else np.linalg.norm(part, axis=1))
+        t, y = min_max_downsample(trace["t"], part[:, 0] if driven else np.linalg.norm(part, axis=1))
         axes.plot(t, y, color=colour, linewidth=1.3, linestyle=dash)
     if not driven:
         axes.set_ylim(0, None)
 
 
-def themed(svg: str, label: str) -> Html:
+def apply_page_theme(svg: str, label: str) -> Html:
     """The drawing alone (no XML prologue), with the page's colours and fonts."""
     svg = svg[svg.index("<svg") :]
-    for name, stand_in in STAND_INS.items():
+    for name, stand_in in PLACEHOLDER_COLOURS.items():
         svg = svg.replace(stand_in, f"var(--{name})")
     svg = re.sub(
         r"font: (?:bold |[0-9]+ )?([0-9.]+)px [^;\"]*",

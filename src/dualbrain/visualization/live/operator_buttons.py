@@ -11,30 +11,30 @@ import hmac
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from dualbrain.control.gatekeeper.operator_commands import FREE_FOR_ALL
-from dualbrain.control.gatekeeper.protocol.messages import Act
+from dualbrain.control.gatekeeper.operator_commands import UNRESTRICTED_ACTIONS
+from dualbrain.control.gatekeeper.protocol.messages import OperatorAction
 from dualbrain.visualization.html.page import element
-from dualbrain.visualization.live.panel import STYLE
+from dualbrain.visualization.live.panel import PANEL_CSS
 
 if TYPE_CHECKING:
     from viser import ClientHandle, GuiApi, ViserServer
 
-Operate = Callable[[Act, float], str]
+OperateCallback = Callable[[OperatorAction, float], str]
 """Carries an act to the gatekeeper; "" or why it could not."""
 
-BUTTONS: tuple[tuple[Act, str], ...] = (
+OPERATOR_BUTTONS: tuple[tuple[OperatorAction, str], ...] = (
     ("pause", "pause"), ("resume", "resume"), ("abort", "abort the contract"), ("takeover", "take over"),
     ("hand_back", "hand back"), ("release_estop", "1. release the emergency stop"), ("reset", "2. reset, into hold"),
 )  # fmt: skip
 """Those that need the operator's code. A reset does nothing before the stop is released; `resume` leads out."""
-SLOWEST, STEP = 5, 5
+MIN_SPEED_PERCENT, SPEED_STEP_PERCENT = 5, 5
 """Of the speed stage [%]."""
 
 
-class OperatorBoard:
+class OperatorAccess:
     """Who may press what, page by page; knows nothing of how a page looks."""
 
-    def __init__(self, operate: Operate, code: str) -> None:
+    def __init__(self, operate: OperateCallback, code: str) -> None:
         """Every page is a stranger's at first."""
         self._operate, self._code = operate, code
         self._operators: set[int] = set()
@@ -45,42 +45,42 @@ class OperatorBoard:
             self._operators.add(page)
         return page in self._operators
 
-    def forget(self, page: int) -> None:
+    def remove_page(self, page: int) -> None:
         """The page was closed."""
         self._operators.discard(page)
 
-    def press(self, page: int, act: Act, speed: float = 1.0) -> str:
+    def apply(self, page: int, action: OperatorAction, speed: float = 1.0) -> str:
         """Do what was pressed, if that page may; what to tell the person."""
-        if act not in FREE_FOR_ALL and page not in self._operators:
-            return f"{act.replace('_', ' ')}: needs the operator's code"
-        why = self._operate(act, speed)
-        return f"{act.replace('_', ' ')}: {why or 'sent'}"
+        if action not in UNRESTRICTED_ACTIONS and page not in self._operators:
+            return f"{action.replace('_', ' ')}: needs the operator's code"
+        why = self._operate(action, speed)
+        return f"{action.replace('_', ' ')}: {why or 'sent'}"
 
 
-class LiveButtons:
+class OperatorButtons:
     """Puts the board's buttons on every page that is opened."""
 
-    def __init__(self, server: ViserServer, board: OperatorBoard) -> None:
+    def __init__(self, server: ViserServer, access: OperatorAccess) -> None:
         """From now on."""
-        self._board = board
-        server.on_client_connect(self._opened)
-        server.on_client_disconnect(lambda client: board.forget(client.client_id))
+        self._access = access
+        server.on_client_connect(self._add_buttons)
+        server.on_client_disconnect(lambda client: access.remove_page(client.client_id))
 
-    def _opened(self, client: ClientHandle) -> None:
+    def _add_buttons(self, client: ClientHandle) -> None:
         page, gui = client.client_id, client.gui
         said = gui.add_html("", order=-8.0)
 
         def tell(text: str) -> None:
-            said.content = STYLE + element("div", element("p", text, id="operator-said"), class_="db")
+            said.content = PANEL_CSS + element("div", element("p", text, id="operator-said"), class_="db")
 
         stop = gui.add_button("EMERGENCY STOP", color="red", hint="needs no code", order=-10.0)
-        stop.on_click(lambda _: tell(self._board.press(page, "estop")))
+        stop.on_click(lambda _: tell(self._access.apply(page, "estop")))
         with gui.add_folder("operator", order=-9.0, expand_by_default=False):
             code = gui.add_text("code", "", hint="as it was told where the run was started")
-            locked = self._locked(gui, page, tell)
+            locked = self._add_locked_buttons(gui, page, tell)
 
         def entered(_: object) -> None:
-            if self._board.unlock(page, code.value):
+            if self._access.unlock(page, code.value):
                 code.value, code.visible = "", False
                 for one in locked:
                     one.disabled = False
@@ -88,14 +88,14 @@ class LiveButtons:
 
         code.on_update(entered)
 
-    def _locked(self, gui: GuiApi, page: int, tell: Callable[[str], None]) -> list[Any]:
+    def _add_locked_buttons(self, gui: GuiApi, page: int, tell: Callable[[str], None]) -> list[Any]:
         """The buttons that wait for the code."""
         found: list[Any] = []
-        for act, label in BUTTONS:
+        for act, label in OPERATOR_BUTTONS:
             button = gui.add_button(label, disabled=True)
-            button.on_click(lambda _, act=act: tell(self._board.press(page, act)))
+            button.on_click(lambda _, act=act: tell(self._access.apply(page, act)))
             found.append(button)
-        stage = gui.add_slider("speed [%]", SLOWEST, 100, STEP, 100, disabled=True)
+        stage = gui.add_slider("speed [%]", MIN_SPEED_PERCENT, 100, SPEED_STEP_PERCENT, 100, disabled=True)
         choose = gui.add_button("set this speed", disabled=True)
-        choose.on_click(lambda _: tell(self._board.press(page, "speed", stage.value / 100.0)))
+        choose.on_click(lambda _: tell(self._access.apply(page, "speed", stage.value / 100.0)))
         return [*found, stage, choose]

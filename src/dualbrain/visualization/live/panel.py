@@ -9,19 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.records import Episode
-from dualbrain.robots.model import Body
-from dualbrain.visualization.html.key_numbers import dimensionless, key_numbers, millimetres, seconds
+from dualbrain.robots.model import RobotModel
+from dualbrain.visualization.html.key_numbers import (
+    format_dimensionless,
+    format_millimetres,
+    format_seconds,
+    key_numbers,
+)
 from dualbrain.visualization.html.page import Html, element
 from dualbrain.visualization.live.view_state import ViewState
 
 if TYPE_CHECKING:
     from viser import GuiApi, GuiUplotHandle
 
-KEPT = 450
+MAX_HISTORY_POINTS = 450
 """Points kept for the plots: half a minute at 15 Hz."""
-NEWEST_LINES = 8
+MAX_LINES = 8
 
-STYLE = """<style>
+PANEL_CSS = """<style>
 .db { font: 13px/1.5 system-ui, "DejaVu Sans", sans-serif; font-variant-numeric: tabular-nums; padding: 0 10px; }
 .db table { width: 100%; border-collapse: collapse; } .db td { padding: 2px 0; border-bottom: 1px solid #8883; }
 .db td + td { text-align: right; font-weight: 600; } .db td small { font-weight: 400; opacity: .65; margin-left: 3px; }
@@ -31,59 +36,65 @@ STYLE = """<style>
 .db .good { color: #0a7f5f; } .db .bad { color: #c4500a; }
 </style>"""
 
-Row = tuple[str, str, str]
+NumberRow = tuple[str, str, str]
 """Name in the numbers of a moment, label for people, unit."""
-ROWS: tuple[Row, ...] = (
+NUMBER_ROWS: tuple[NumberRow, ...] = (
     ("phase", "phase", ""), ("status", "filter", ""), ("barriers", "barriers that bind", ""),
     ("h_min", "clearance h_min", "mm"), ("delta", "δ now", ""),
     ("Delta", "Δ so far", ""), ("intervention_frequency", "ticks intervened", "%"),
 )  # fmt: skip
-LAST_ROWS: tuple[Row, ...] = (("planner", "planner", ""), ("elapsed", "elapsed", "s"))
-JOINTS: tuple[Row, ...] = (("speed", "joint speed", "rad/s"),)
-DRIVES: tuple[Row, ...] = (("drive", "driving", "m/s"), ("turn", "turning", "rad/s"))
+TRAILING_ROWS: tuple[NumberRow, ...] = (("planner", "planner", ""), ("elapsed", "elapsed", "s"))
+JOINT_SPEED_ROWS: tuple[NumberRow, ...] = (("speed", "joint speed", "rad/s"),)
+BASE_SPEED_ROWS: tuple[NumberRow, ...] = (("drive", "driving", "m/s"), ("turn", "turning", "rad/s"))
 
 
-def speeds_of(body: Body) -> tuple[Row, ...]:
+def speed_rows(body: RobotModel) -> tuple[NumberRow, ...]:
     """The rows about how fast `body` is asked to move: its joints, or its base, or both."""
-    return (*(DRIVES if body.mobile else ()), *(() if body.mobile and not body.carries_arm else JOINTS))
+    return (
+        *(BASE_SPEED_ROWS if body.is_mobile else ()),
+        *(() if body.is_mobile and not body.is_mobile_manipulator else JOINT_SPEED_ROWS),
+    )
 
 
-def spoken_speeds(body: Body, u: NDArray[np.float64]) -> dict[str, float]:
+def commanded_speeds(body: RobotModel, u: NDArray[np.float64]) -> dict[str, float]:
     """The numbers for those rows: v [m/s] and ω [rad/s] of a base, the norm of the joints' velocities [rad/s]."""
-    driving = {"drive": float(u[0]), "turn": float(u[1])} if body.mobile else {}
-    joints = u[2:] if body.mobile else u
+    driving = {"drive": float(u[0]), "turn": float(u[1])} if body.is_mobile else {}
+    joints = u[2:] if body.is_mobile else u
     return driving | ({"speed": float(np.linalg.norm(joints))} if len(joints) else {})
 
 
-def live_text(name: str, value: float | str | None) -> str:
+def format_live_number(name: str, value: float | str | None) -> str:
     """A live number as text in the unit of its row."""
     if isinstance(value, str) or value is None:
         return value or "–"
     if np.isnan(value):  # h_min of a refused input: nothing was measured
         return "–"
     if name == "h_min":
-        return millimetres(value)
+        return format_millimetres(value)
     if name == "intervention_frequency":
         return f"{100 * value:.2f}"
-    return seconds(value) if name in ("elapsed", "speed", "drive", "turn") else dimensionless(value)
+    return format_seconds(value) if name in ("elapsed", "speed", "drive", "turn") else format_dimensionless(value)
 
 
-def _row(identity: str, label: str, text: str, unit: str, **more: str) -> Html:
+def _table_row(identity: str, label: str, text: str, unit: str, **more: str) -> Html:
     shown = element("td", text, *([element("small", unit)] if unit else []), id=identity, **more)
     return element("tr", element("td", label), shown)
 
 
-def numbers_html(state: ViewState, speeds: tuple[Row, ...] = JOINTS) -> str:
+def numbers_html(state: ViewState, speeds: tuple[NumberRow, ...] = JOINT_SPEED_ROWS) -> str:
     """The table of live numbers."""
-    shown = (*ROWS, *speeds, *LAST_ROWS)
-    rows = (_row(f"live-{name}", label, live_text(name, state.numbers.get(name)), unit) for name, label, unit in shown)
-    return STYLE + element("div", element("table", *rows), class_="db")
+    shown = (*NUMBER_ROWS, *speeds, *TRAILING_ROWS)
+    rows = (
+        _table_row(f"live-{name}", label, format_live_number(name, state.numbers.get(name)), unit)
+        for name, label, unit in shown
+    )
+    return PANEL_CSS + element("div", element("table", *rows), class_="db")
 
 
 def lines_html(lines: tuple[str, ...]) -> str:
     """The newest lines, newest first."""
-    return STYLE + element(
-        "div", element("ul", *(element("li", line) for line in reversed(lines[-NEWEST_LINES:]))), class_="db"
+    return PANEL_CSS + element(
+        "div", element("ul", *(element("li", line) for line in reversed(lines[-MAX_LINES:]))), class_="db"
     )
 
 
@@ -91,34 +102,34 @@ def final_html(episode: Episode) -> str:
     """How the run ended: outcome and key numbers, each with its exact value in `data-value`."""
     outcome = episode.outcome
     rows = (
-        _row(f"final-{one.name}", one.label, one.text, one.unit, data_value=repr(one.value))
+        _table_row(f"final-{one.name}", one.label, one.text, one.unit, data_value=repr(one.value))
         for one in key_numbers(episode)
     )
     tone = "good" if outcome.kind == "succeeded" else "bad"
     head = element(
         "h4", element("span", outcome.kind.replace("_", " "), class_=tone, id="final-outcome", data_value=outcome.kind)
     )
-    return STYLE + element("div", head, element("p", outcome.reason), element("table", *rows), class_="db")
+    return PANEL_CSS + element("div", head, element("p", outcome.reason), element("table", *rows), class_="db")
 
 
 class LivePanel:
     """GUI nodes of the panel."""
 
-    def __init__(self, gui: GuiApi, speeds: tuple[Row, ...] = JOINTS) -> None:
+    def __init__(self, gui: GuiApi, speeds: tuple[NumberRow, ...] = JOINT_SPEED_ROWS) -> None:
         """Add the final account (hidden), the numbers with the body's `speeds`, the plots and the lines."""
         self._speeds = speeds
-        self._history: deque[tuple[float, float, float]] = deque(maxlen=KEPT)
+        self._history: deque[tuple[float, float, float]] = deque(maxlen=MAX_HISTORY_POINTS)
         self._instruction = gui.add_html("")
         self._final = gui.add_html("", visible=False)
         self._numbers = gui.add_html("")
-        self._h = _plot(gui, "clearance h_min [mm] over time [s]", {"stroke": "#2f86c6", "width": 1.5})
+        self._h = _add_plot(gui, "clearance h_min [mm] over time [s]", {"stroke": "#2f86c6", "width": 1.5})
         filled = {"stroke": "#d0601c", "width": 1.5, "fill": "#d0601c33"}
-        self._delta = _plot(gui, "intervention δ over time [s]", filled)
+        self._delta = _add_plot(gui, "intervention δ over time [s]", filled)
         self._lines = gui.add_html("")
 
-    def say(self, instruction: str) -> None:
+    def show_instruction(self, instruction: str) -> None:
         """Show what the robot was asked for."""
-        self._instruction.content = STYLE + element("div", element("h4", f"“{instruction}”"), class_="db")
+        self._instruction.content = PANEL_CSS + element("div", element("h4", f"“{instruction}”"), class_="db")
 
     def update(self, state: ViewState) -> None:
         """Show the moment."""
@@ -137,7 +148,7 @@ class LivePanel:
         self._final.visible, self._numbers.visible = True, False
 
 
-def _plot(gui: GuiApi, title: str, line: Any) -> GuiUplotHandle:
+def _add_plot(gui: GuiApi, title: str, line: Any) -> GuiUplotHandle:
     """An empty curve over time."""
     empty = np.array([0.0, 1e-3])
     axis: Any = {"stroke": "#888", "size": 40, "grid": {"stroke": "#8882"}, "ticks": {"size": 3, "stroke": "#8884"}}

@@ -9,33 +9,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.core.geometry.shapes import Pose
-from dualbrain.robots.model import Body
+from dualbrain.robots.model import RobotModel
 from dualbrain.visualization.live.view_state import ViewState
 
 if TYPE_CHECKING:
     from viser import BatchedMeshHandle, FrameHandle, SceneApi
 
-    from dualbrain.simulation.models.visual_meshes import Patch
+    from dualbrain.simulation.models.visual_meshes import ColouredMesh
 
 Array = NDArray[np.float64]
-Surfaces = Mapping[str, "Sequence[Patch]"]
+LinkMeshes = Mapping[str, "Sequence[ColouredMesh]"]
 """Coloured triangles by link, each in the link's own frame."""
 
-CELL = 0.008
+MERGE_CELL_M = 0.008
 """Details of the robot's surface below this size [m] are not sent to the browser, which may have no graphics card."""
 
-CLEARANCES = (0.0, 0.01, 0.03, 0.08)
+COLOUR_CLEARANCES_M = (0.0, 0.01, 0.03, 0.08)
 """Clearances [m] at which a sphere has exactly the colour of the same rank below."""
-COLOURS = np.array([[200, 60, 10], [235, 150, 30], [120, 170, 190], [70, 130, 190]], float)
+CLEARANCE_COLOURS = np.array([[200, 60, 10], [235, 150, 30], [120, 170, 190], [70, 130, 190]], float)
 
 
 def clearance_colours(clearances: Array) -> NDArray[np.uint8]:
     """Red at contact, amber at 1 cm, blue from 8 cm on; shape (k, 3)."""
-    return np.stack([np.interp(clearances, CLEARANCES, COLOURS[:, c]) for c in range(3)], axis=1).astype(np.uint8)
+    return np.stack(
+        [np.interp(clearances, COLOUR_CLEARANCES_M, CLEARANCE_COLOURS[:, c]) for c in range(3)], axis=1
+    ).astype(np.uint8)
 
 
-def thinned(
-    points: NDArray[np.floating], faces: NDArray[np.integer], cell: float = CELL
+def simplify_mesh(
+    points: NDArray[np.floating], faces: NDArray[np.integer], cell: float = MERGE_CELL_M
 ) -> tuple[Array, NDArray[np.int64]]:
     """The surface with all points inside one `cell` [m] merged into their mean; faces that collapse are dropped."""
     _, owner = np.unique(np.floor(points / cell).astype(np.int64), axis=0, return_inverse=True)
@@ -51,7 +53,7 @@ def thinned(
 class LiveRobot:
     """Scene nodes of one body; frames of links that are not told stay where they were."""
 
-    def __init__(self, scene: SceneApi, body: Body, surfaces: Surfaces) -> None:
+    def __init__(self, scene: SceneApi, body: RobotModel, link_meshes: LinkMeshes) -> None:
         """Add the body's `surfaces`, or the covering spheres of links that have none."""
         self._scene = scene
         self._spheres: BatchedMeshHandle | None = None
@@ -60,18 +62,18 @@ class LiveRobot:
         self._links: dict[str, FrameHandle] = {}
         for link in body.links:
             self._links[link.name] = scene.add_frame(f"/robot/{link.name}", show_axes=False)
-            self._dress(link.name, surfaces.get(link.name, ()))
-        self._cover(body, surfaces)
+            self._add_link_meshes(link.name, link_meshes.get(link.name, ()))
+        self._add_link_spheres(body, link_meshes)
 
     def update(self, state: ViewState) -> None:
         """Move the links and the spheres."""
-        self._place(state.frames)
+        self._set_link_poses(state.frames)
         if not len(state.radii):
             return
         clearances = state.clearances if len(state.clearances) else np.full(len(state.radii), np.inf)
         colours = clearance_colours(clearances)
         if self._spheres is None or len(self._spheres.batched_positions) != len(state.radii):
-            self._spheres = self._ball_cloud(state, colours)
+            self._spheres = self._add_sphere_batch(state, colours)
         self._spheres.visible = self._show_spheres
         if self._show_spheres:
             self._spheres.batched_positions = state.centres.astype(np.float32)
@@ -81,20 +83,20 @@ class LiveRobot:
         """Show or hide the filter's spheres from the next update on."""
         self._show_spheres = wanted
 
-    def _place(self, frames: Mapping[str, Pose]) -> None:
+    def _set_link_poses(self, frames: Mapping[str, Pose]) -> None:
         for name, pose in frames.items():
             if (link := self._links.get(name)) is not None:
                 link.position, link.wxyz = pose.position, pose.quaternion
 
-    def _dress(self, link: str, patches: Sequence[Patch]) -> None:
+    def _add_link_meshes(self, link: str, patches: Sequence[ColouredMesh]) -> None:
         for k, patch in enumerate(patches):
-            points, faces = thinned(patch.points, patch.faces)
+            points, faces = simplify_mesh(patch.points, patch.faces)
             colour = np.round(255 * (0.86 * np.array(patch.colour) + 0.02)).astype(np.uint8)
             self._scene.add_mesh_simple(
                 f"/robot/{link}/{k}", points, faces, color=colour, side="double", receive_shadow=False
             )
 
-    def _cover(self, body: Body, surfaces: Surfaces) -> None:
+    def _add_link_spheres(self, body: RobotModel, surfaces: LinkMeshes) -> None:
         for k, ball in enumerate(body.spheres):
             if surfaces.get(ball.link):
                 continue
@@ -102,7 +104,7 @@ class LiveRobot:
                 f"/robot/{ball.link}/{k}", ball.radius, color=(205, 208, 212), subdivisions=2, position=ball.centre
             )
 
-    def _ball_cloud(self, state: ViewState, colours: NDArray[np.uint8]) -> BatchedMeshHandle:
+    def _add_sphere_batch(self, state: ViewState, colours: NDArray[np.uint8]) -> BatchedMeshHandle:
         import trimesh  # noqa: PLC0415  (comes with viser)
 
         ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0)

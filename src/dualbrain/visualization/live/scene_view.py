@@ -14,36 +14,36 @@ from dualbrain.visualization.live.view_state import ViewState
 if TYPE_CHECKING:
     from viser import FrameHandle, MeshHandle, SceneApi
 
-HIDDEN_BELOW = 1e-6
-TABLE = (1.15, 1.30, 0.03)
+MIN_VISIBLE_MARGIN_M = 1e-6
+TABLE_EXTENT_M = (1.15, 1.30, 0.03)
 """Extent [m] drawn of a support that is a half space; it reaches farther."""
-TABLE_AHEAD = 0.375
-FLOOR_BELOW = -0.002
+TABLE_CENTRE_X_M = 0.375
+FLOOR_HEIGHT_M = -0.002
 """Height [m] at which a floor is drawn: things stand on it."""
 
-BY_ROLE = {
+COLOUR_BY_ROLE = {
     "object": (200, 60, 50), "container": (232, 230, 222), "support": (214, 197, 172), "obstacle": (133, 140, 148),
     "person": (222, 171, 140),
 }  # fmt: skip
-BY_NAME = {
+COLOUR_BY_NAME = {
     "red": (204, 33, 31), "blue": (33, 87, 179), "green": (61, 143, 84), "yellow": (237, 186, 41),
     "orange": (232, 120, 38), "purple": (117, 74, 153), "teal": (31, 138, 140), "white": (237, 235, 227),
     "brown": (115, 77, 51), "grey": (133, 140, 148), "pink": (222, 133, 153), "black": (41, 43, 48),
     "clear": (184, 224, 242), "oak": (158, 120, 82),
 }  # fmt: skip
-PLACE_COLOUR, PLACE_RADIUS, MARK = (10, 127, 95), 0.12, 0.003
+PLACE_COLOUR, PLACE_RADIUS, PLACE_HALF_HEIGHT = (10, 127, 95), 0.12, 0.003
 """How a place on the floor is marked: colour, radius and half height [m]."""
 MARGIN_COLOUR = (240, 160, 60)
 
 
 @dataclass(slots=True)
-class _Thing:
+class _ObjectNodes:
     """The nodes of one object, and what they were built from."""
 
     shape: Shape
     margin: float
     frame: FrameHandle
-    skin: MeshHandle | None
+    margin_mesh: MeshHandle | None
 
 
 class LiveScene:
@@ -52,7 +52,7 @@ class LiveScene:
     def __init__(self, scene: SceneApi) -> None:
         """Start empty."""
         self._scene = scene
-        self._things: dict[str, _Thing] = {}
+        self._objects: dict[str, _ObjectNodes] = {}
         self._show_margins = True
         self._region: tuple[tuple[float, float], ...] = ()
         self._places: tuple[Place, ...] = ()
@@ -61,16 +61,16 @@ class LiveScene:
     def update(self, state: ViewState) -> None:
         """Bring the nodes in line with the perceived scene."""
         seen = {thing.name for thing in state.scene.objects}
-        for name in self._things.keys() - seen:
-            self._things.pop(name).frame.remove()
+        for name in self._objects.keys() - seen:
+            self._objects.pop(name).frame.remove()
         for thing in state.scene.objects:
-            self._show(thing, state.margins.get(thing.name, 0.0))
+            self._update_object(thing, state.margins.get(thing.name, 0.0))
         if state.scene.region != self._region:
             self._region = state.scene.region
-            self._floor(self._region)
+            self._add_floor(self._region)
         if state.scene.region and state.scene.places != self._places:
             self._places = state.scene.places
-            self._mark(self._places)
+            self._add_place_markers(self._places)
         self._target.visible = state.target is not None
         if state.target is not None:
             self._target.position = state.target
@@ -79,48 +79,48 @@ class LiveScene:
         """Show or hide the inflated shapes from the next update on."""
         self._show_margins = wanted
 
-    def _floor(self, region: tuple[tuple[float, float], ...]) -> None:
+    def _add_floor(self, region: tuple[tuple[float, float], ...]) -> None:
         """The convex region in which a base may drive, as a floor."""
-        corners = np.array([(x, y, FLOOR_BELOW) for x, y in region])
+        corners = np.array([(x, y, FLOOR_HEIGHT_M) for x, y in region])
         faces = np.array([(0, k, k + 1) for k in range(1, len(region) - 1)])
         self._scene.add_mesh_simple(
-            "/scene/floor", corners, faces, color=BY_ROLE["support"], side="double", cast_shadow=False
+            "/scene/floor", corners, faces, color=COLOUR_BY_ROLE["support"], side="double", cast_shadow=False
         )
 
-    def _mark(self, places: tuple[Place, ...]) -> None:
+    def _add_place_markers(self, places: tuple[Place, ...]) -> None:
         """Where a base can be sent: a disc on the floor with the place's name."""
         for place in places:
             path, (x, y, z) = f"/scene/place_{place.name}", place.position
-            disc = surface(Cylinder(PLACE_RADIUS, MARK))
+            disc = shape_mesh(Cylinder(PLACE_RADIUS, PLACE_HALF_HEIGHT))
             self._scene.add_mesh_simple(
-                path, np.asarray(disc.vertices), np.asarray(disc.faces), color=PLACE_COLOUR, position=(x, y, z + MARK),
+                path, np.asarray(disc.vertices), np.asarray(disc.faces), color=PLACE_COLOUR, position=(x, y, z + PLACE_HALF_HEIGHT),
                 cast_shadow=False,
             )  # fmt: skip
             self._scene.add_label(f"{path}/name", place.name, anchor="bottom-center", font_screen_scale=0.8)
 
-    def _show(self, thing: SceneObject, margin: float) -> None:
-        node = self._things.get(thing.name)
+    def _update_object(self, thing: SceneObject, margin: float) -> None:
+        node = self._objects.get(thing.name)
         if node is None or node.shape != thing.shape or abs(node.margin - margin) > 0.002:
             if node is not None:
                 node.frame.remove()
-            node = self._things[thing.name] = self._build(thing, margin)
+            node = self._objects[thing.name] = self._add_object(thing, margin)
         node.frame.position, node.frame.wxyz = thing.pose.position, thing.pose.quaternion
-        if node.skin is not None:
-            node.skin.visible = self._show_margins
+        if node.margin_mesh is not None:
+            node.margin_mesh.visible = self._show_margins
 
-    def _build(self, thing: SceneObject, margin: float) -> _Thing:
+    def _add_object(self, thing: SceneObject, margin: float) -> _ObjectNodes:
         path = f"/scene/{''.join(letter if letter.isalnum() else '_' for letter in thing.name)}"
         frame = self._scene.add_frame(path, show_axes=False)
-        colour = BY_NAME.get(thing.colour, BY_ROLE[thing.role])
-        self._mesh(f"{path}/body", thing.shape, 0.0, colour, None)
-        inflated = margin > HIDDEN_BELOW and not isinstance(thing.shape, HalfSpace)
-        skin = self._mesh(f"{path}/margin", thing.shape, margin, MARGIN_COLOUR, 0.16) if inflated else None
-        return _Thing(thing.shape, margin, frame, skin)
+        colour = COLOUR_BY_NAME.get(thing.colour, COLOUR_BY_ROLE[thing.role])
+        self._add_mesh(f"{path}/body", thing.shape, 0.0, colour, None)
+        inflated = margin > MIN_VISIBLE_MARGIN_M and not isinstance(thing.shape, HalfSpace)
+        skin = self._add_mesh(f"{path}/margin", thing.shape, margin, MARGIN_COLOUR, 0.16) if inflated else None
+        return _ObjectNodes(thing.shape, margin, frame, skin)
 
-    def _mesh(
+    def _add_mesh(
         self, path: str, shape: Shape, margin: float, colour: tuple[int, int, int], opacity: float | None
     ) -> MeshHandle:
-        mesh = surface(shape, margin)
+        mesh = shape_mesh(shape, margin)
         flat = isinstance(shape, Box | HalfSpace)
         shadow = opacity is None
         return self._scene.add_mesh_simple(
@@ -129,7 +129,7 @@ class LiveScene:
         )  # fmt: skip
 
 
-def surface(shape: Shape, margin: float = 0.0) -> Any:
+def shape_mesh(shape: Shape, margin: float = 0.0) -> Any:
     """Triangles of `shape`, grown by `margin` [m] on every side, in its own frame (a trimesh)."""
     from trimesh import creation  # noqa: PLC0415  (comes with viser)
 
@@ -143,7 +143,7 @@ def surface(shape: Shape, margin: float = 0.0) -> Any:
         case Box(half_extents):
             return creation.box(2 * (np.asarray(half_extents) + margin))
         case HalfSpace():
-            return creation.box(TABLE).apply_translation((TABLE_AHEAD, 0, -TABLE[2] / 2))
+            return creation.box(TABLE_EXTENT_M).apply_translation((TABLE_CENTRE_X_M, 0, -TABLE_EXTENT_M[2] / 2))
         case Bowl(radius, height, wall):
             return creation.revolve(bowl_profile(radius + margin, height + margin, wall, -margin), sections=64)
 

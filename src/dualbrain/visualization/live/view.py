@@ -11,12 +11,12 @@ from threading import Event as Signal
 from threading import Thread
 from typing import TYPE_CHECKING
 
-from dualbrain.errors import InvalidSetup, MissingPart
+from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.records import Episode
-from dualbrain.robots.model import Body
-from dualbrain.visualization.live.operator_buttons import LiveButtons, OperatorBoard
-from dualbrain.visualization.live.panel import LivePanel, speeds_of
-from dualbrain.visualization.live.robot_view import LiveRobot, Surfaces
+from dualbrain.robots.model import RobotModel
+from dualbrain.visualization.live.operator_buttons import OperatorAccess, OperatorButtons
+from dualbrain.visualization.live.panel import LivePanel, speed_rows
+from dualbrain.visualization.live.robot_view import LinkMeshes, LiveRobot
 from dualbrain.visualization.live.scene_view import LiveScene
 from dualbrain.visualization.live.view_state import ViewState
 
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from viser import ViserServer
 
 HOST = "127.0.0.1"
-RATE = 15.0
+FRAME_RATE_HZ = 15.0
 """Pictures a second."""
-PORTS_TRIED = 20
-AT_TABLE = (1.22, -0.80, 0.74), (0.40, 0.05, 0.17)
-IN_ROOM = (0.4, -4.3, 3.4), (2.9, -0.3, 0.0)
+MAX_PORTS_TRIED = 20
+ARM_CAMERA = (1.22, -0.80, 0.74), (0.40, 0.05, 0.17)
+BASE_CAMERA = (0.4, -4.3, 3.4), (2.9, -0.3, 0.0)
 """Where the view begins, and what it looks at: an arm at its table, a base in its room [m]."""
 
 
@@ -37,13 +37,13 @@ class LiveView:
 
     def __init__(
         self,
-        body: Body,
+        body: RobotModel,
         port: int = 8080,
         *,
-        other_port: bool = True,
+        allow_other_port: bool = True,
         instruction: str = "",
-        board: OperatorBoard | None = None,
-        surfaces: Surfaces | None = None,
+        access: OperatorAccess | None = None,
+        link_meshes: LinkMeshes | None = None,
     ) -> None:
         """Serve on `port`, or with `other_port` on the next free one; links without `surfaces` are drawn as spheres.
 
@@ -51,21 +51,21 @@ class LiveView:
             MissingPart: viser is not installed.
             InvalidSetup: the port is in use and no other was allowed, or twenty in a row are in use.
         """
-        self.port = free_port(port, PORTS_TRIED if other_port else 1)
+        self.port = find_free_port(port, MAX_PORTS_TRIED if allow_other_port else 1)
         self.notice = "" if self.port == port else f"Port {port} is in use; the live view is on port {self.port}."
         self.url = f"http://{HOST}:{self.port}"
         self._closing, self._drawn, self._stale = Signal(), Signal(), Signal()
-        self._server = serve(self.port)
-        if body.mobile:
-            self._server.initial_camera.position, self._server.initial_camera.look_at = IN_ROOM
-        self._robot = LiveRobot(self._server.scene, body, surfaces or {})
+        self._server = start_server(self.port)
+        if body.is_mobile:
+            self._server.initial_camera.position, self._server.initial_camera.look_at = BASE_CAMERA
+        self._robot = LiveRobot(self._server.scene, body, link_meshes or {})
         self._scene = LiveScene(self._server.scene)
-        self._panel = LivePanel(self._server.gui, speeds_of(body))
-        self._toggles()
-        if board is not None:
-            LiveButtons(self._server, board)
+        self._panel = LivePanel(self._server.gui, speed_rows(body))
+        self._add_toggles()
+        if access is not None:
+            OperatorButtons(self._server, access)
         if instruction:
-            self._panel.say(instruction)
+            self._panel.show_instruction(instruction)
         self._latest: ViewState | None = None
         self._episode: Episode | None = None
         self._thread = Thread(target=self._draw, name="live view", daemon=True)
@@ -87,9 +87,9 @@ class LiveView:
             self._closing.set()
             self._thread.join(2.0)
             self._server.stop()
-            _hush(quiet=False)
+            _set_rich_quiet(quiet=False)
 
-    def _toggles(self) -> None:
+    def _add_toggles(self) -> None:
         gui = self._server.gui
         with gui.add_folder("show", expand_by_default=False):
             surface = gui.add_checkbox("robot", initial_value=True)
@@ -107,7 +107,7 @@ class LiveView:
 
     def _draw(self) -> None:
         drawn: tuple[ViewState | None, Episode | None] = (None, None)
-        while not self._closing.wait(1.0 / RATE):
+        while not self._closing.wait(1.0 / FRAME_RATE_HZ):
             newest = (self._latest, self._episode)
             if newest[0] is drawn[0] and newest[1] is drawn[1] and not self._stale.is_set():
                 continue
@@ -127,9 +127,9 @@ class LiveView:
                 self._panel.finish(episode)
 
 
-def free_port(wanted: int, tries: int) -> int:
+def find_free_port(wanted: int, max_tries: int) -> int:
     """The first port from `wanted` on that nobody listens on; raises `InvalidSetup` after `tries`."""
-    for port in range(wanted, min(wanted + tries, 65536)):
+    for port in range(wanted, min(wanted + max_tries, 65536)):
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
@@ -137,31 +137,31 @@ def free_port(wanted: int, tries: int) -> int:
             except OSError:
                 continue
             return port
-    raise InvalidSetup(
-        "port of the live view", got=wanted, allowed=f"a free port on {HOST} (tried {tries})",
+    raise ConfigurationError(
+        "port of the live view", got=wanted, allowed=f"a free port on {HOST} (tried {max_tries})",
         fix="Choose another with --port, or run with --headless.",
     )  # fmt: skip
 
 
-def serve(port: int) -> ViserServer:
+def start_server(port: int) -> ViserServer:
     """A viser server on this machine's loopback address, without the button that asks for a public tunnel."""
     try:
         import viser  # noqa: PLC0415  (heavy imports are lazy)
     except ImportError as error:
-        raise MissingPart(
+        raise MissingDependencyError(
             "viser, which draws the live view,",
             fix="Install it with `pip install 'dualbrain[people]'`, or run with --headless.",
         ) from error
-    _hush(quiet=True)
+    _set_rich_quiet(quiet=True)
     server = viser.ViserServer(host=HOST, port=port, label="dualbrain", verbose=False)
     server.request_share_url = lambda verbose=True: None  # a page must not be able to ask for a public tunnel
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
     server.scene.set_up_direction("+z")
-    server.initial_camera.position, server.initial_camera.look_at = AT_TABLE
+    server.initial_camera.position, server.initial_camera.look_at = ARM_CAMERA
     return server
 
 
-def _hush(*, quiet: bool) -> None:
+def _set_rich_quiet(*, quiet: bool) -> None:
     """Keep viser's banners, which go through rich's global console, out of our standard output."""
     import rich  # noqa: PLC0415
 

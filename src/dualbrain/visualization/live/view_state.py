@@ -13,7 +13,7 @@ from dualbrain.records import Scene
 
 Array = NDArray[np.float64]
 
-EMPTY: Array = np.zeros((0, 3))
+NO_POINTS: Array = np.zeros((0, 3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,9 +30,9 @@ class ViewState:
     t: float
     frames: Mapping[str, Pose]
     scene: Scene
-    centres: Array = field(default_factory=lambda: EMPTY)
-    radii: Array = field(default_factory=lambda: EMPTY[:, 0])
-    clearances: Array = field(default_factory=lambda: EMPTY[:, 0])
+    centres: Array = field(default_factory=lambda: NO_POINTS)
+    radii: Array = field(default_factory=lambda: NO_POINTS[:, 0])
+    clearances: Array = field(default_factory=lambda: NO_POINTS[:, 0])
     margins: Mapping[str, float] = field(default_factory=dict[str, float])
     target: Vector | None = None
     numbers: Mapping[str, float | str] = field(default_factory=dict[str, float | str])

@@ -9,73 +9,75 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.robots.assets.meshes import Mesh
-from dualbrain.robots.collision_model.self_collision import chain_frames, placed_centres
-from dualbrain.robots.model import Body
+from dualbrain.robots.collision_model.self_collision import chain_frames, sphere_centres
+from dualbrain.robots.model import RobotModel
 
 Array = NDArray[np.float64]
 
-COLOURS = {"base": "#888888", "arm": "#4878a8", "hand": "#d1813a", "fingers": "#3a9a5c"}
-VIEWS = ((18, -60), (12, 30))
-MOST_TRIANGLES = 1200
+GROUP_COLOURS = {"base": "#888888", "arm": "#4878a8", "hand": "#d1813a", "fingers": "#3a9a5c"}
+VIEW_ANGLES = ((18, -60), (12, 30))
+MAX_TRIANGLES_PER_LINK = 1200
 """Triangles of one part that are drawn; a larger mesh is drawn by a random choice of them."""
 
 
-def draw_body(body: Body, shapes: Mapping[str, Mesh], path: Path, size: tuple[float, float] = (11.0, 5.5)) -> None:
+def draw_robot(
+    body: RobotModel, meshes: Mapping[str, Mesh], path: Path, size: tuple[float, float] = (11.0, 5.5)
+) -> None:
     """Write two views of `body` to the PNG `path`; `shapes` are meshes in the frames of the body's links."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415  (heavy)
     from matplotlib.figure import Figure  # noqa: PLC0415
 
     figure = Figure(figsize=size, dpi=90)
     FigureCanvasAgg(figure)
-    turns, origins = chain_frames(body.joints, posture(body))
-    corners = _reach(body, turns, origins)
-    for i, (elevation, azimuth) in enumerate(VIEWS, start=1):
+    turns, origins = chain_frames(body.joints, home_posture(body))
+    corners = _bounding_box(body, turns, origins)
+    for i, (elevation, azimuth) in enumerate(VIEW_ANGLES, start=1):
         axes = figure.add_subplot(1, 2, i, projection="3d", proj_type="ortho", computed_zorder=False)
         for link in body.links:
-            _draw_link(axes, body, link.name, shapes.get(link.name), turns, origins)
-        _frame(axes, corners, elevation, azimuth)
+            _draw_link(axes, body, link.name, meshes.get(link.name), turns, origins)
+        _set_axes(axes, corners, elevation, azimuth)
     figure.suptitle(f"{body.name}: {len(body.spheres)} spheres over its shapes, at home")
     figure.savefig(path)
 
 
-def posture(body: Body) -> Array:
+def home_posture(body: RobotModel) -> Array:
     """Joint values (1, n) at home; a base stands with its own chain at zero."""
     return np.zeros((1, body.n)) if body.base == "differential" else np.array([body.home])
 
 
-def _draw_link(axes, body: Body, name: str, shape: Mesh | None, turns: Array, origins: Array) -> None:
+def _draw_link(axes, body: RobotModel, name: str, shape: Mesh | None, turns: Array, origins: Array) -> None:
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # noqa: PLC0415
 
     link = next(link for link in body.links if link.name == name)
     if shape is not None:
-        triangles = placed_centres(link, shape.vertices, turns, origins, 0.0)[0][shape.faces]
-        if len(triangles) > MOST_TRIANGLES:
-            triangles = np.random.default_rng(0).choice(triangles, MOST_TRIANGLES, replace=False)
+        triangles = sphere_centres(link, shape.vertices, turns, origins, 0.0)[0][shape.faces]
+        if len(triangles) > MAX_TRIANGLES_PER_LINK:
+            triangles = np.random.default_rng(0).choice(triangles, MAX_TRIANGLES_PER_LINK, replace=False)
         axes.add_collection3d(Poly3DCollection(triangles, facecolor="#777777", edgecolor="#333333", lw=0.1))
     a, b = np.meshgrid(np.linspace(0, np.pi, 9), np.linspace(0, 2 * np.pi, 13))
     unit = np.stack([np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)])
     own = [sphere for sphere in body.spheres if sphere.link == name]
     if not own:
         return
-    centres = placed_centres(link, np.array([sphere.centre for sphere in own]), turns, origins, 0.0)[0]
+    centres = sphere_centres(link, np.array([sphere.centre for sphere in own]), turns, origins, 0.0)[0]
     for centre, sphere in zip(centres, own, strict=True):
         surface = centre[:, None, None] + sphere.radius * unit
-        axes.plot_surface(*surface, color=COLOURS.get(link.group, "#4878a8"), alpha=0.14, lw=0)
+        axes.plot_surface(*surface, color=GROUP_COLOURS.get(link.group, "#4878a8"), alpha=0.14, lw=0)
 
 
-def _reach(body: Body, turns: Array, origins: Array) -> Array:
+def _bounding_box(body: RobotModel, turns: Array, origins: Array) -> Array:
     """Lowest and highest corner (2, 3) of all spheres."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for link in body.links:
         own = [sphere for sphere in body.spheres if sphere.link == link.name]
         if own:
-            centres = placed_centres(link, np.array([sphere.centre for sphere in own]), turns, origins, 0.0)[0]
+            centres = sphere_centres(link, np.array([sphere.centre for sphere in own]), turns, origins, 0.0)[0]
             radii = np.array([sphere.radius for sphere in own])[:, None]
             low, high = np.minimum(low, (centres - radii).min(axis=0)), np.maximum(high, (centres + radii).max(axis=0))
     return np.array([low, high]) if np.isfinite(low).all() else np.array([[-1.0] * 3, [1.0] * 3])
 
 
-def _frame(axes, corners: Array, elevation: float, azimuth: float) -> None:
+def _set_axes(axes, corners: Array, elevation: float, azimuth: float) -> None:
     middle, half = corners.mean(axis=0), 0.5 * float(np.max(np.ptp(corners, axis=0)))
     for limit, value in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), middle, strict=True):
         limit(value - half, value + half)

@@ -8,100 +8,100 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.core.geometry.rotations import quaternion
+from dualbrain.core.geometry.rotations import matrix_to_quaternion
 from dualbrain.robots.assets.meshes import Mesh
-from dualbrain.robots.collision_model.self_collision import chain_frames, link_clearance, placed_centres
-from dualbrain.robots.model import Body
-from dualbrain.visualization.live.robot_view import thinned
-from dualbrain.visualization.live.view import HOST, PORTS_TRIED, free_port, serve
-from dualbrain.visualization.robot.image import COLOURS, posture
+from dualbrain.robots.collision_model.self_collision import chain_frames, link_clearance, sphere_centres
+from dualbrain.robots.model import RobotModel
+from dualbrain.visualization.live.robot_view import simplify_mesh
+from dualbrain.visualization.live.view import HOST, MAX_PORTS_TRIED, find_free_port, start_server
+from dualbrain.visualization.robot.image import GROUP_COLOURS, home_posture
 
 Array = NDArray[np.float64]
 
 
-class BodyView:
+class RobotViewer:
     """A running view at `url`, on this machine's loopback address; it has no control over any robot."""
 
-    def __init__(self, body: Body, shapes: Mapping[str, Mesh], port: int = 8081) -> None:
+    def __init__(self, body: RobotModel, meshes: Mapping[str, Mesh], port: int = 8081) -> None:
         """Serve on `port` or the next free one; `shapes` are meshes in link frames.
 
         Raises:
             MissingPart: viser is not installed.
         """
-        self.port = free_port(port, PORTS_TRIED)
+        self.port = find_free_port(port, MAX_PORTS_TRIED)
         self.url = f"http://{HOST}:{self.port}"
         self._body = body
-        self._server = serve(self.port)
+        self._server = start_server(self.port)
         self._links = {
             link.name: self._server.scene.add_frame(f"/robot/{link.name}", show_axes=False) for link in body.links
         }
-        self._spheres = [self._sphere(k) for k in range(len(body.spheres))]
-        self._meshes = [self._mesh(name, mesh) for name, mesh in shapes.items() if name in self._links]
-        self._q = posture(body)[0].copy()
-        self._controls()
-        self.move(self._q)
+        self._spheres = [self._add_sphere(k) for k in range(len(body.spheres))]
+        self._meshes = [self._add_mesh(name, mesh) for name, mesh in meshes.items() if name in self._links]
+        self._q = home_posture(body)[0].copy()
+        self._add_controls()
+        self.show_posture(self._q)
 
-    def move(self, q: Array) -> str:
+    def show_posture(self, q: Array) -> str:
         """Show the posture q (n,); the words about the nearest pair that stand on the page."""
         self._q = np.asarray(q, float)
         turns, origins = chain_frames(self._body.joints, self._q[None])
         for link in self._body.links:
             handle = self._links[link.name]
-            handle.position = tuple(placed_centres(link, np.zeros((1, 3)), turns, origins, 0.0)[0, 0])
-            columns = placed_centres(link, np.eye(3), turns, origins, 0.0)[0] - np.asarray(handle.position)
-            handle.wxyz = quaternion(columns.T)
-        self._said = nearest_pair(self._body, turns, origins)
-        self._words.content = self._said
-        return self._said
+            handle.position = tuple(sphere_centres(link, np.zeros((1, 3)), turns, origins, 0.0)[0, 0])
+            columns = sphere_centres(link, np.eye(3), turns, origins, 0.0)[0] - np.asarray(handle.position)
+            handle.wxyz = matrix_to_quaternion(columns.T)
+        self._nearest_text = describe_nearest_pair(self._body, turns, origins)
+        self._nearest_label.content = self._nearest_text
+        return self._nearest_text
 
     def close(self) -> None:
         """Stop serving."""
         self._server.stop()
 
-    def _sphere(self, k: int) -> Any:
+    def _add_sphere(self, k: int) -> Any:
         ball = self._body.spheres[k]
         group = next(link.group for link in self._body.links if link.name == ball.link)
-        red, green, blue = (int(COLOURS.get(group, "#4878a8")[i : i + 2], 16) for i in (1, 3, 5))
+        red, green, blue = (int(GROUP_COLOURS.get(group, "#4878a8")[i : i + 2], 16) for i in (1, 3, 5))
         return self._server.scene.add_icosphere(
             f"/robot/{ball.link}/sphere{k}", ball.radius, color=(red, green, blue), subdivisions=2,
             position=ball.centre, opacity=0.4,
         )  # fmt: skip
 
-    def _mesh(self, name: str, mesh: Mesh) -> Any:
-        points, faces = thinned(mesh.vertices, mesh.faces)
+    def _add_mesh(self, name: str, mesh: Mesh) -> Any:
+        points, faces = simplify_mesh(mesh.vertices, mesh.faces)
         return self._server.scene.add_mesh_simple(
             f"/robot/{name}/shape", points, faces, color=(205, 208, 212), side="double"
         )
 
-    def _controls(self) -> None:
+    def _add_controls(self) -> None:
         gui = self._server.gui
         gui.add_markdown(f"**{self._body.name}**: {len(self._body.spheres)} spheres")
-        self._words = gui.add_markdown("")
+        self._nearest_label = gui.add_markdown("")
         for word, handles in (("spheres", self._spheres), ("shapes", self._meshes)):
             box = gui.add_checkbox(word, initial_value=True)
-            box.on_update(lambda event, handles=handles: _show(handles, event.target.value))
+            box.on_update(lambda event, handles=handles: _set_visible(handles, event.target.value))
         for i, joint in enumerate(self._body.joints if self._body.base == "fixed" else ()):
             low, high = max(joint.lower.value, -2 * np.pi), min(joint.upper.value, 2 * np.pi)
             slider = gui.add_slider(joint.name, low, high, (high - low) / 200, float(np.clip(self._q[i], low, high)))
-            slider.on_update(lambda event, i=i: self._turn(i, float(event.target.value)))
+            slider.on_update(lambda event, i=i: self._set_joint(i, float(event.target.value)))
 
-    def _turn(self, i: int, value: float) -> None:
+    def _set_joint(self, i: int, value: float) -> None:
         q = self._q.copy()
         q[i] = value
-        self.move(q)
+        self.show_posture(q)
 
 
-def _show(handles: list[Any], wanted: bool) -> None:
+def _set_visible(handles: list[Any], wanted: bool) -> None:
     for handle in handles:
         handle.visible = wanted
 
 
-def nearest_pair(body: Body, turns: Array, origins: Array) -> str:
+def describe_nearest_pair(body: RobotModel, turns: Array, origins: Array) -> str:
     """Which kept pair of parts is nearest, in words, at one posture."""
     by_name = {link.name: link for link in body.links}
     best = ("", "", np.inf)
     for a, b in body.self_pairs.kept:
-        placed = [_placed(body, by_name[name], turns, origins) for name in (a, b)]
+        placed = [_link_spheres(body, by_name[name], turns, origins) for name in (a, b)]
         gap = float(link_clearance(placed[0][0], placed[1][0], placed[0][1], placed[1][1])[0])
         best = min(best, (a, b, gap), key=lambda pair: pair[2])
     return (
@@ -109,7 +109,7 @@ def nearest_pair(body: Body, turns: Array, origins: Array) -> str:
     )
 
 
-def _placed(body: Body, link: Any, turns: Array, origins: Array) -> tuple[Array, Array]:
+def _link_spheres(body: RobotModel, link: Any, turns: Array, origins: Array) -> tuple[Array, Array]:
     own = [sphere for sphere in body.spheres if sphere.link == link.name]
     centres = np.array([sphere.centre for sphere in own]).reshape(-1, 3)
-    return placed_centres(link, centres, turns, origins, 0.0), np.array([sphere.radius for sphere in own])
+    return sphere_centres(link, centres, turns, origins, 0.0), np.array([sphere.radius for sphere in own])

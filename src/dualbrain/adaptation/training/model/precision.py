@@ -10,35 +10,35 @@ from typing import Any, Literal
 
 import torch
 
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import ConfigurationError
 
-MULTIPLIES = ("amx_bf16", "avx512_bf16", "bf16", "sve_bf16")
+BF16_INSTRUCTION_SETS = ("amx_bf16", "avx512_bf16", "bf16", "sve_bf16")
 """Names of the instruction sets that multiply bf16 matrices (x86 and ARM)."""
 
 
-def choose(wanted: Literal["auto", "float32", "bfloat16"], capabilities: Mapping[str, Any] | None = None) -> Any:
+def choose_dtype(wanted: Literal["auto", "float32", "bfloat16"], capabilities: Mapping[str, Any] | None = None) -> Any:
     """The torch dtype for `wanted`, on CUDA where torch sees it, else on this processor.
 
     "auto" is bf16 where it is multiplied in hardware (measured 2.3 times quicker than float32 with AMX), else float32:
     emulated, bf16 is slower than float32. Raises `InvalidSetup` if bf16 is demanded where it would be emulated.
     """
-    able = _able() if capabilities is None else _multiplies(capabilities)
+    able = _supports_bf16() if capabilities is None else _has_bf16_instructions(capabilities)
     if wanted == "bfloat16" and not able:
-        raise InvalidSetup("fit precision", got="bfloat16", allowed="auto or float32 on this device")
+        raise ConfigurationError("fit precision", got="bfloat16", allowed="auto or float32 on this device")
     return torch.bfloat16 if able and wanted != "float32" else torch.float32
 
 
-def _able() -> bool:
+def _supports_bf16() -> bool:
     if torch.cuda.is_available():
         return torch.cuda.is_bf16_supported(including_emulation=False)
-    return _multiplies(torch.cpu.get_capabilities())
+    return _has_bf16_instructions(torch.cpu.get_capabilities())
 
 
-def _multiplies(capabilities: Mapping[str, Any]) -> bool:
-    return any(capabilities.get(name, False) for name in MULTIPLIES)
+def _has_bf16_instructions(capabilities: Mapping[str, Any]) -> bool:
+    return any(capabilities.get(name, False) for name in BF16_INSTRUCTION_SETS)
 
 
-def settle(threads: int) -> torch.device:
+def configure_device(threads: int) -> torch.device:
     """The CUDA device of this process where torch sees one, else the processor, with `threads` threads.
 
     From now on only algorithms that give the same bits each time are used; cuBLAS has them with a work space of its

@@ -19,11 +19,11 @@ from struct import pack
 import msgspec
 
 from dualbrain.control.gatekeeper.protocol.messages import Propose
-from dualbrain.errors import UNREADABLE, InvalidSetup
+from dualbrain.errors import DECODE_ERRORS, ConfigurationError
 
-NONCE = 16
-SECRET = 32
-ROLES = ("planner", "operator")
+NONCE_BYTES = 16
+SECRET_BYTES = 32
+PRINCIPALS = ("planner", "operator")
 """Principals that a fresh key file has: the commander's, and the person's."""
 
 
@@ -33,51 +33,53 @@ class Keys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     secrets: dict[str, bytes]
 
 
-def open_keys(path: Path) -> Keys:
+def load_or_create_keys(path: Path) -> Keys:
     """The keys in `path`, made anew (mode 0600) if there is no file; raises `InvalidSetup` if others could read it."""
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        made = Keys({role: secrets.token_bytes(SECRET) for role in ROLES})
+        made = Keys({role: secrets.token_bytes(SECRET_BYTES) for role in PRINCIPALS})
         handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with os.fdopen(handle, "wb") as file:
             file.write(msgspec.json.encode(made))
         return made
     mode = path.stat().st_mode & 0o777
     if mode & 0o077:
-        raise InvalidSetup("mode of the key file", got=oct(mode), allowed="0o600", fix=f"chmod 600 {path}")
+        raise ConfigurationError("mode of the key file", got=oct(mode), allowed="0o600", fix=f"chmod 600 {path}")
     try:
         keys = msgspec.json.decode(path.read_bytes(), type=Keys)
-    except UNREADABLE as error:
-        raise InvalidSetup("key file", got=str(error), allowed="what dualbrain wrote", fix=str(path)) from error
-    if any(len(secret) < SECRET for secret in keys.secrets.values()):
-        raise InvalidSetup("key file", got="a short secret", allowed=f"{SECRET} bytes or more", fix=str(path))
+    except DECODE_ERRORS as error:
+        raise ConfigurationError("key file", got=str(error), allowed="what dualbrain wrote", fix=str(path)) from error
+    if any(len(secret) < SECRET_BYTES for secret in keys.secrets.values()):
+        raise ConfigurationError(
+            "key file", got="a short secret", allowed=f"{SECRET_BYTES} bytes or more", fix=str(path)
+        )
     return keys
 
 
-def prove(secret: bytes, nonce: bytes, principal: str) -> bytes:
+def hello_proof(secret: bytes, nonce: bytes, principal: str) -> bytes:
     """The proof in a `Hello`."""
     return _mac(secret, b"hello", nonce, principal.encode())
 
 
-def seal(
-    secret: bytes, nonce: bytes, sequence: int, contract: bytes, *, issued: float, expires: float, version: int
+def contract_mac(
+    secret: bytes, nonce: bytes, sequence: int, contract: bytes, *, issued: float, expires: float, scene_version: int
 ) -> bytes:
     """The seal of a `Propose` in frame `sequence`."""
-    return _mac(secret, b"contract", nonce, pack("<Qddq", sequence, issued, expires, version), contract)
+    return _mac(secret, b"contract", nonce, pack("<Qddq", sequence, issued, expires, scene_version), contract)
 
 
-def genuine(secret: bytes, nonce: bytes, sequence: int, message: Propose) -> bool:
+def verify_contract_mac(secret: bytes, nonce: bytes, sequence: int, message: Propose) -> bool:
     """Whether the seal is the holder's own, for this connection and this frame."""
-    expected = seal(
+    expected = contract_mac(
         secret, nonce, sequence, message.contract, issued=message.issued, expires=message.expires,
-        version=message.scene_version,
+        scene_version=message.scene_version,
     )  # fmt: skip
-    return hmac.compare_digest(expected, message.seal)
+    return hmac.compare_digest(expected, message.mac)
 
 
-def proven(secret: bytes, nonce: bytes, principal: str, proof: bytes) -> bool:
+def verify_hello_proof(secret: bytes, nonce: bytes, principal: str, proof: bytes) -> bool:
     """Whether the proof is the principal's own, for this connection."""
-    return hmac.compare_digest(prove(secret, nonce, principal), proof)
+    return hmac.compare_digest(hello_proof(secret, nonce, principal), proof)
 
 
 def _mac(secret: bytes, *parts: bytes) -> bytes:

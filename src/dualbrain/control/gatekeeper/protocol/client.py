@@ -12,45 +12,45 @@ from threading import Event as Signal
 from threading import Lock, Thread
 from typing import TypeVar
 
-from dualbrain.control.gatekeeper.protocol.authentication import Keys, prove, seal
-from dualbrain.control.gatekeeper.protocol.frames import Broken, Decoder, encode
+from dualbrain.control.gatekeeper.protocol.authentication import Keys, contract_mac, hello_proof
+from dualbrain.control.gatekeeper.protocol.frames import BrokenStream, FrameDecoder, encode
 from dualbrain.control.gatekeeper.protocol.messages import (
-    Act,
-    Answer,
-    Beat,
     Challenge,
-    Ended,
-    Glimpse,
+    EventReport,
     Heartbeat,
     Hello,
-    Look,
     Message,
-    News,
-    Operate,
+    OperatorAction,
+    OperatorCommand,
+    OutcomeReport,
     Propose,
-    Refused,
-    Sight,
+    RequestRefused,
+    SceneReport,
+    SceneRequest,
+    StatusReport,
+    TickReport,
+    VerdictReport,
     Welcome,
+    decode_message,
     encode_body,
-    kind_of,
-    read,
+    kind_code,
 )
-from dualbrain.errors import DualbrainError, InvalidSetup
+from dualbrain.errors import ConfigurationError, DualbrainError
 
-BEAT_EVERY = 0.05
+HEARTBEAT_PERIOD = 0.05
 """A commander's heartbeat [s]."""
-PATIENCE = 5.0
+REPLY_TIMEOUT = 5.0
 """How long to wait for a short answer [s]."""
-LIFE = 60.0
+CONTRACT_LIFETIME = 60.0
 """A contract is meant to be judged within this time [s]."""
 M = TypeVar("M", bound=Message)
 
 
-class LinkLost(DualbrainError):
+class ConnectionLostError(DualbrainError):
     """The gatekeeper hung up, or fell silent."""
 
 
-class GatekeeperLink:
+class GatekeeperClient:
     """One connection. Reads on a thread of its own; a commander's heart beats on another."""
 
     def __init__(
@@ -59,20 +59,20 @@ class GatekeeperLink:
         keys: Keys | None = None,
         principal: str = "",
         *,
-        watch: Callable[[Message], None] | None = None,
+        on_report: Callable[[Message], None] | None = None,
     ) -> None:
         """Connect and say who we are; without a principal one may only look, and press the emergency stop.
 
         Raises `InvalidSetup` when nobody listens, `LinkLost` when we are not let in. `watch` is given news and
         glimpses, on the reading thread.
         """
-        self._watch = watch
-        self._link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._on_report = on_report
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
-            self._link.connect(str(path))
+            self._socket.connect(str(path))
         except OSError as error:
-            self._link.close()
-            raise InvalidSetup(
+            self._socket.close()
+            raise ConfigurationError(
                 "gatekeeper",
                 got=error.strerror,
                 allowed="one that listens",
@@ -80,166 +80,168 @@ class GatekeeperLink:
             ) from error
         self._secret = keys.secrets[principal] if keys and principal else b""
         self._lock, self._sent = Lock(), 0
-        self._said: Queue[Message] = Queue()
-        self._sights: Queue[Sight] = Queue()
-        self.beat: Beat | None = None
-        self.lost = Signal()
-        self.why = ""
-        self._skew = 0.0
+        self._replies: Queue[Message] = Queue()
+        self._scene_reports: Queue[SceneReport] = Queue()
+        self.status: StatusReport | None = None
+        self.disconnected = Signal()
+        self.disconnect_reason = ""
+        self._clock_offset = 0.0
         self.nonce = b""
-        Thread(target=self._listen, name="gatekeeper link", daemon=True).start()
+        Thread(target=self._read_messages, name="gatekeeper link", daemon=True).start()
         try:
-            self.welcome = self._introduce(principal)
-        except LinkLost:
+            self.welcome = self._authenticate(principal)
+        except ConnectionLostError:
             self.close()
             raise
-        self._skew = self.welcome.now - time.monotonic()
+        self._clock_offset = self.welcome.now - time.monotonic()
         if self.welcome.role == "commander":
-            Thread(target=self._beat, name="heartbeat", daemon=True).start()
+            Thread(target=self._send_heartbeats, name="heartbeat", daemon=True).start()
 
-    def _introduce(self, principal: str) -> Welcome:
+    def _authenticate(self, principal: str) -> Welcome:
         """Answer the challenge."""
         self.nonce = self.expect(Challenge).nonce
-        proof = prove(self._secret, self.nonce, principal) if principal else b""
-        self.say(Hello(principal=principal, proof=proof, watch=self._watch is not None))
+        proof = hello_proof(self._secret, self.nonce, principal) if principal else b""
+        self.send(Hello(principal=principal, proof=proof, watch=self._on_report is not None))
         return self.expect(Welcome)
 
     @property
     def now(self) -> float:
         """The gatekeeper's time as far as it is known here [s]."""
-        return time.monotonic() + self._skew
+        return time.monotonic() + self._clock_offset
 
-    def say(self, message: Message) -> int:
+    def send(self, message: Message) -> int:
         """Send a message; its sequence number."""
         with self._lock:
             self._sent += 1
-            self._send(encode(kind_of(message), self._sent, encode_body(message)))
+            self._send_bytes(encode(kind_code(message), self._sent, encode_body(message)))
             return self._sent
 
-    def propose(self, contract: bytes, scene_version: int, *, life: float = LIFE) -> Answer | Refused:
+    def propose(
+        self, contract: bytes, scene_version: int, *, lifetime: float = CONTRACT_LIFETIME
+    ) -> VerdictReport | RequestRefused:
         """Hand in a contract, sealed; the gate's answer, or why it was not even looked at."""
-        self.hand_in(contract, scene_version, life=life)
-        return self._any(Answer, Refused)
+        self.submit(contract, scene_version, lifetime=lifetime)
+        return self._receive_any(VerdictReport, RequestRefused)
 
-    def hand_in(self, contract: bytes, scene_version: int, *, life: float = LIFE) -> int:
+    def submit(self, contract: bytes, scene_version: int, *, lifetime: float = CONTRACT_LIFETIME) -> int:
         """As `propose`, without waiting for the answer; the number of the frame."""
         with self._lock:
             self._sent += 1
-            issued, expires = self.now, self.now + life
-            tag = seal(
-                self._secret, self.nonce, self._sent, contract, issued=issued, expires=expires, version=scene_version
+            issued, expires = self.now, self.now + lifetime
+            tag = contract_mac(
+                self._secret, self.nonce, self._sent, contract, issued=issued, expires=expires, scene_version=scene_version
             )  # fmt: skip
             message = Propose(
-                contract=contract, issued=issued, expires=expires, scene_version=scene_version, seal=tag
+                contract=contract, issued=issued, expires=expires, scene_version=scene_version, mac=tag
             )  # fmt: skip
-            self._send(encode(kind_of(message), self._sent, encode_body(message)))
+            self._send_bytes(encode(kind_code(message), self._sent, encode_body(message)))
             return self._sent
 
-    def operate(self, act: Act, speed: float = 1.0) -> None:
+    def operate(self, act: OperatorAction, speed: float = 1.0) -> None:
         """A person's hand."""
-        self.say(Operate(act=act, speed=speed))
+        self.send(OperatorCommand(act=act, speed=speed))
 
-    def look(self) -> Sight:
+    def request_scene(self) -> SceneReport:
         """What a planner needs to know, now; what came before it stays to be taken out."""
-        self.say(Look())
-        return self._seen(PATIENCE)
+        self.send(SceneRequest())
+        return self._wait_for_scene(REPLY_TIMEOUT)
 
-    def _seen(self, timeout: float) -> Sight:
+    def _wait_for_scene(self, timeout: float) -> SceneReport:
         deadline = time.monotonic() + timeout
         while time.monotonic() < deadline:
             with suppress(Empty):
-                return self._sights.get(timeout=0.05)
-            if self.lost.is_set():
+                return self._scene_reports.get(timeout=0.05)
+            if self.disconnected.is_set():
                 break
-        raise LinkLost(self.why or "nothing to be seen")
+        raise ConnectionLostError(self.disconnect_reason or "nothing to be seen")
 
-    def ended(self, timeout: float | None = None) -> Ended:
+    def wait_for_outcome(self, timeout: float | None = None) -> OutcomeReport:
         """Wait until the contract that runs is over; raises `LinkLost` when the gatekeeper is gone."""
-        return self.expect(Ended, timeout)
+        return self.expect(OutcomeReport, timeout)
 
-    def ended_by_now(self, patience: float) -> Ended | None:
+    def poll_outcome(self, timeout: float) -> OutcomeReport | None:
         """As `ended`, but None when there is no end within `patience` [s]."""
-        deadline = time.monotonic() + patience
+        deadline = time.monotonic() + timeout
         while time.monotonic() < deadline:
-            if self.lost.is_set() and self._said.empty():
-                raise LinkLost(self.why or "the gatekeeper hung up")
+            if self.disconnected.is_set() and self._replies.empty():
+                raise ConnectionLostError(self.disconnect_reason or "the gatekeeper hung up")
             try:
-                message = self._said.get(timeout=0.02)
+                message = self._replies.get(timeout=0.02)
             except Empty:
                 continue
-            if isinstance(message, Ended):
+            if isinstance(message, OutcomeReport):
                 return message
         return None
 
-    def expect(self, kind: type[M], timeout: float | None = PATIENCE) -> M:
+    def expect(self, kind: type[M], timeout: float | None = REPLY_TIMEOUT) -> M:
         """The next message of `kind`; others are dropped, a refusal is raised."""
-        message = self._any(kind, Refused, timeout=timeout)
-        if isinstance(message, Refused):
-            raise LinkLost(message.reason)
+        message = self._receive_any(kind, RequestRefused, timeout=timeout)
+        if isinstance(message, RequestRefused):
+            raise ConnectionLostError(message.reason)
         return message
 
     def close(self) -> None:
         """Hang up."""
-        self.lost.set()
+        self.disconnected.set()
         with suppress(OSError):
-            self._link.shutdown(socket.SHUT_RDWR)
-        self._link.close()
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
 
-    def _any(self, *kinds: type[M], timeout: float | None = PATIENCE) -> M:
+    def _receive_any(self, *kinds: type[M], timeout: float | None = REPLY_TIMEOUT) -> M:
         deadline = None if timeout is None else time.monotonic() + timeout
         while deadline is None or time.monotonic() < deadline:
             try:
-                message = self._said.get(timeout=0.05)
+                message = self._replies.get(timeout=0.05)
             except Empty:
-                if self.lost.is_set():
-                    raise LinkLost(self.why or "the gatekeeper hung up") from None
+                if self.disconnected.is_set():
+                    raise ConnectionLostError(self.disconnect_reason or "the gatekeeper hung up") from None
                 continue
             if isinstance(message, kinds):
                 return message
-        raise LinkLost(f"no {kinds[0].__name__} within {timeout} s")
+        raise ConnectionLostError(f"no {kinds[0].__name__} within {timeout} s")
 
-    def _send(self, data: bytes) -> None:
+    def _send_bytes(self, data: bytes) -> None:
         try:
-            self._link.sendall(data)
+            self._socket.sendall(data)
         except OSError as error:
-            self.lost.set()
-            raise LinkLost(error.strerror or "the gatekeeper hung up") from error
+            self.disconnected.set()
+            raise ConnectionLostError(error.strerror or "the gatekeeper hung up") from error
 
-    def _beat(self) -> None:
-        while not self.lost.wait(BEAT_EVERY):
+    def _send_heartbeats(self) -> None:
+        while not self.disconnected.wait(HEARTBEAT_PERIOD):
             try:
-                self.say(Heartbeat())
-            except LinkLost:
+                self.send(Heartbeat())
+            except ConnectionLostError:
                 return
 
-    def _listen(self) -> None:
-        decoder = Decoder()
-        while not self.lost.is_set():
+    def _read_messages(self) -> None:
+        decoder = FrameDecoder()
+        while not self.disconnected.is_set():
             try:
-                data = self._link.recv(65536)
+                data = self._socket.recv(65536)
             except OSError:
                 break
             if not data:
                 break
             decoder.feed(data)
-            while (frame := decoder.next()) is not None:
-                if isinstance(frame, Broken):
-                    self.why = frame.reason
-                    self.lost.set()
+            while (frame := decoder.next_frame()) is not None:
+                if isinstance(frame, BrokenStream):
+                    self.disconnect_reason = frame.reason
+                    self.disconnected.set()
                     return
-                self._sort(read(frame, upward=False))
-        self.lost.set()
+                self._dispatch(decode_message(frame, from_client=False))
+        self.disconnected.set()
 
-    def _sort(self, message: Message | str) -> None:
+    def _dispatch(self, message: Message | str) -> None:
         match message:
             case str():
-                self.why = message
-            case Beat():
-                self.beat = message
-            case News() | Glimpse():
-                if self._watch:
-                    self._watch(message)
-            case Sight():
-                self._sights.put(message)
+                self.disconnect_reason = message
+            case StatusReport():
+                self.status = message
+            case EventReport() | TickReport():
+                if self._on_report:
+                    self._on_report(message)
+            case SceneReport():
+                self._scene_reports.put(message)
             case _:
-                self._said.put(message)
+                self._replies.put(message)

@@ -14,7 +14,7 @@ import msgspec
 
 MAGIC = b"dB"
 VERSION = 1
-LIMIT = 96 * 1024
+MAX_BODY_BYTES = 96 * 1024
 """Longest body [bytes]: a contract (64 KiB) and what stands around it."""
 HEADER = Struct("<2sBBIQ")
 
@@ -27,7 +27,7 @@ class Frame(msgspec.Struct, frozen=True):
     body: bytes
 
 
-class Broken(msgspec.Struct, frozen=True):
+class BrokenStream(msgspec.Struct, frozen=True):
     """Why a stream of bytes is no stream of frames."""
 
     reason: str
@@ -38,45 +38,45 @@ def encode(kind: int, sequence: int, body: bytes) -> bytes:
     return HEADER.pack(MAGIC, VERSION, kind, len(body), sequence) + body
 
 
-class Decoder:
+class FrameDecoder:
     """Bytes come in as they arrive, frames go out. Holds at most one frame and what was fed beyond it."""
 
     def __init__(self) -> None:
         """At the beginning of a stream."""
-        self._held = bytearray()
-        self._expected = 1
-        self.broken: Broken | None = None
+        self._buffer = bytearray()
+        self._expected_sequence = 1
+        self.failure: BrokenStream | None = None
 
     def feed(self, data: bytes) -> None:
         """Take in `data`; nothing more is kept once the stream is broken."""
-        if self.broken is None:
-            self._held += data
+        if self.failure is None:
+            self._buffer += data
 
     @property
-    def waiting(self) -> int:
+    def n_buffered(self) -> int:
         """Bytes that have come and are not yet taken out."""
-        return len(self._held)
+        return len(self._buffer)
 
-    def next(self) -> Frame | Broken | None:
+    def next_frame(self) -> Frame | BrokenStream | None:
         """The next whole frame; None if there is none yet; `Broken` for ever after the first fault."""
-        if self.broken is not None or len(self._held) < HEADER.size:
-            return self.broken
-        magic, version, kind, length, sequence = HEADER.unpack_from(self._held)
+        if self.failure is not None or len(self._buffer) < HEADER.size:
+            return self.failure
+        magic, version, kind, length, sequence = HEADER.unpack_from(self._buffer)
         if magic != MAGIC or version != VERSION:
-            return self._break(f"not a frame of version {VERSION}")
-        if length > LIMIT:
-            return self._break(f"{length} bytes, at most {LIMIT} are allowed")
-        if sequence != self._expected:
-            return self._break(f"sequence {sequence}, expected {self._expected}")
+            return self._fail(f"not a frame of version {VERSION}")
+        if length > MAX_BODY_BYTES:
+            return self._fail(f"{length} bytes, at most {MAX_BODY_BYTES} are allowed")
+        if sequence != self._expected_sequence:
+            return self._fail(f"sequence {sequence}, expected {self._expected_sequence}")
         end = HEADER.size + length
-        if len(self._held) < end:
+        if len(self._buffer) < end:
             return None
-        body = bytes(self._held[HEADER.size : end])
-        del self._held[:end]
-        self._expected += 1
+        body = bytes(self._buffer[HEADER.size : end])
+        del self._buffer[:end]
+        self._expected_sequence += 1
         return Frame(kind, sequence, body)
 
-    def _break(self, reason: str) -> Broken:
-        self.broken = Broken(reason)
-        self._held.clear()
-        return self.broken
+    def _fail(self, reason: str) -> BrokenStream:
+        self.failure = BrokenStream(reason)
+        self._buffer.clear()
+        return self.failure

@@ -13,10 +13,10 @@ import msgspec
 
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.control.gatekeeper.protocol.frames import Frame
-from dualbrain.errors import UNREADABLE
+from dualbrain.errors import DECODE_ERRORS
 from dualbrain.records import Outcome, Scene
 
-Act = Literal[
+OperatorAction = Literal[
     "pause", "resume", "abort", "takeover", "hand_back", "speed", "estop", "release_estop", "reset", "shut_down"
 ]
 """What a person may do. Everyone may press `estop`; only the operator's key releases, resets, resumes or speeds up."""
@@ -38,7 +38,7 @@ class Heartbeat(Message, frozen=True):
     """The commander is alive."""
 
 
-class Propose(Message, frozen=True, kw_only=True):
+class Propose(Message, frozen=True, kw_only=True, rename={"mac": "seal"}):
     """A contract, unread, with what the commander's side stamps around it; `seal` covers all of it.
 
     `issued` and `expires` [s] are in the gatekeeper's time; the frame's own sequence number is the stamp's.
@@ -48,17 +48,17 @@ class Propose(Message, frozen=True, kw_only=True):
     issued: float
     expires: float
     scene_version: int
-    seal: bytes
+    mac: bytes
 
 
-class Operate(Message, frozen=True, kw_only=True):
+class OperatorCommand(Message, frozen=True, kw_only=True):
     """A person's hand; `speed` (0, 1] belongs to act "speed"."""
 
-    act: Act
+    act: OperatorAction
     speed: float = 1.0
 
 
-class Look(Message, frozen=True):
+class SceneRequest(Message, frozen=True):
     """Ask for a `Sight`."""
 
 
@@ -77,7 +77,7 @@ class Welcome(Message, frozen=True, kw_only=True):
     registry: str
 
 
-class Beat(Message, frozen=True, kw_only=True):
+class StatusReport(Message, frozen=True, kw_only=True):
     """The gatekeeper is alive: its time [s], the order in force, whether a contract runs."""
 
     now: float
@@ -87,7 +87,7 @@ class Beat(Message, frozen=True, kw_only=True):
     busy: bool
 
 
-class Answer(Message, frozen=True, kw_only=True):
+class VerdictReport(Message, frozen=True, kw_only=True):
     """The gate's verdict on the contract in frame `sequence`; None means accepted, and it runs."""
 
     sequence: int
@@ -95,14 +95,14 @@ class Answer(Message, frozen=True, kw_only=True):
     gate_s: float
 
 
-class Ended(Message, frozen=True):
+class OutcomeReport(Message, frozen=True):
     """A contract is over."""
 
     outcome: Outcome
     binding: dict[str, int]
 
 
-class Sight(Message, frozen=True, kw_only=True):
+class SceneReport(Message, frozen=True, kw_only=True):
     """What a planner needs to know: the scene as perceived, the posture, what is held, the time [s]."""
 
     now: float
@@ -112,7 +112,7 @@ class Sight(Message, frozen=True, kw_only=True):
     holding: str | None
 
 
-class News(Message, frozen=True):
+class EventReport(Message, frozen=True):
     """An event of the flight log, for people."""
 
     t: float
@@ -121,7 +121,7 @@ class News(Message, frozen=True):
     data: dict[str, Any]
 
 
-class Glimpse(Message, frozen=True, kw_only=True):
+class TickReport(Message, frozen=True, kw_only=True):
     """Enough of a tick to draw it; `h_min` [m] is None where the input was refused and nothing was measured."""
 
     t: float
@@ -140,23 +140,35 @@ class Glimpse(Message, frozen=True, kw_only=True):
     check: str
 
 
-class Refused(Message, frozen=True):
+class RequestRefused(Message, frozen=True):
     """Why something was not taken; the connection may be closed after it."""
 
     reason: str
 
 
-UPWARD: tuple[type[Message], ...] = (Hello, Heartbeat, Propose, Operate, Look)
-DOWNWARD: tuple[type[Message], ...] = (Challenge, Welcome, Beat, Answer, Ended, Sight, News, Glimpse, Refused)
-_KIND: dict[type[Message], int] = {kind: code for code, kind in enumerate((*UPWARD, *DOWNWARD), start=1)}
-_DECODERS = {code: msgspec.msgpack.Decoder(kind, strict=True) for kind, code in _KIND.items()}
+CLIENT_MESSAGES: tuple[type[Message], ...] = (Hello, Heartbeat, Propose, OperatorCommand, SceneRequest)
+SERVER_MESSAGES: tuple[type[Message], ...] = (
+    Challenge,
+    Welcome,
+    StatusReport,
+    VerdictReport,
+    OutcomeReport,
+    SceneReport,
+    EventReport,
+    TickReport,
+    RequestRefused,
+)
+_KIND_CODES: dict[type[Message], int] = {
+    kind: code for code, kind in enumerate((*CLIENT_MESSAGES, *SERVER_MESSAGES), start=1)
+}
+_DECODERS = {code: msgspec.msgpack.Decoder(kind, strict=True) for kind, code in _KIND_CODES.items()}
 _ENCODER = msgspec.msgpack.Encoder()
-HIGHEST_UPWARD = len(UPWARD)
+LAST_CLIENT_KIND = len(CLIENT_MESSAGES)
 
 
-def kind_of(message: Message) -> int:
+def kind_code(message: Message) -> int:
     """The code of a message's kind."""
-    return _KIND[type(message)]
+    return _KIND_CODES[type(message)]
 
 
 def encode_body(message: Message) -> bytes:
@@ -164,11 +176,11 @@ def encode_body(message: Message) -> bytes:
     return _ENCODER.encode(message)
 
 
-def read(frame: Frame, *, upward: bool) -> Message | str:
+def decode_message(frame: Frame, *, from_client: bool) -> Message | str:
     """The message in `frame`, or why there is none; never raises, whatever the bytes."""
-    if frame.kind not in _DECODERS or (frame.kind <= HIGHEST_UPWARD) != upward:
+    if frame.kind not in _DECODERS or (frame.kind <= LAST_CLIENT_KIND) != from_client:
         return f"kind {frame.kind} is not spoken here"
     try:
         return _DECODERS[frame.kind].decode(frame.body)
-    except (*UNREADABLE, ValueError) as error:
+    except (*DECODE_ERRORS, ValueError) as error:
         return f"kind {frame.kind}: {str(error)[:120]}"

@@ -13,83 +13,94 @@ from collections.abc import Iterator
 from pathlib import Path
 from struct import unpack
 
-from dualbrain.control.gatekeeper.protocol.authentication import NONCE
-from dualbrain.control.gatekeeper.protocol.frames import Broken, Decoder, encode
-from dualbrain.control.gatekeeper.protocol.messages import Challenge, Message, Refused, encode_body, kind_of, read
-from dualbrain.errors import InvalidSetup
+from dualbrain.control.gatekeeper.protocol.authentication import NONCE_BYTES
+from dualbrain.control.gatekeeper.protocol.frames import BrokenStream, FrameDecoder, encode
+from dualbrain.control.gatekeeper.protocol.messages import (
+    Challenge,
+    Message,
+    RequestRefused,
+    decode_message,
+    encode_body,
+    kind_code,
+)
+from dualbrain.errors import ConfigurationError
 
-MOST_PEERS = 8
-BYTES_A_TICK = 4096
-FRAMES_A_TICK = 2
+MAX_CONNECTIONS = 8
+BYTES_PER_TICK = 4096
+FRAMES_PER_TICK = 2
 """Per peer and tick."""
-FRAMES_A_SECOND = 400
+MAX_FRAMES_PER_SECOND = 400
 """More than this from one peer within a second is a flood."""
-MOST_UNSENT = 512 * 1024
+MAX_UNSENT_BYTES = 512 * 1024
 """A peer that does not read what it is sent is let go [bytes]."""
 BACKLOG = 16
 
 
-class Peer:
+class Connection:
     """One connection: where its frames stand, who it has proven to be, what it has not read yet."""
 
-    def __init__(self, link: socket.socket, number: int) -> None:
+    def __init__(self, sock: socket.socket, number: int) -> None:
         """A stranger; `number` tells peers apart."""
-        self.link, self.number = link, number
-        self.nonce = secrets.token_bytes(NONCE)
-        self.principal, self.role, self.watches = "", "stranger", False
-        self.heard = 0.0
+        self.socket, self.number = sock, number
+        self.nonce = secrets.token_bytes(NONCE_BYTES)
+        self.principal, self.role, self.receives_reports = "", "stranger", False
+        self.last_received_at = 0.0
         self.fault = ""
-        self._decoder = Decoder()
+        self._decoder = FrameDecoder()
         self._sent = 0
         self._unsent = bytearray()
-        self._second, self._count = 0.0, 0
+        self._window_start, self._frames_in_window = 0.0, 0
 
-    def say(self, message: Message) -> None:
+    def send(self, message: Message) -> None:
         """Queue a message and send what goes without waiting."""
         self._sent += 1
-        self._unsent += encode(kind_of(message), self._sent, encode_body(message))
+        self._unsent += encode(kind_code(message), self._sent, encode_body(message))
         self.flush()
 
     def flush(self) -> None:
         """Send what goes; a peer that does not read is at fault."""
         try:
             while self._unsent:
-                del self._unsent[: self.link.send(self._unsent)]
+                del self._unsent[: self.socket.send(self._unsent)]
         except BlockingIOError:
             pass
         except OSError as error:
             self.fault = self.fault or f"gone: {error.strerror}"
-        if len(self._unsent) > MOST_UNSENT:
+        if len(self._unsent) > MAX_UNSENT_BYTES:
             self.fault = self.fault or "does not read what it is sent"
 
-    def hear(self, now: float) -> list[tuple[int, Message]]:
+    def receive(self, now: float) -> list[tuple[int, Message]]:
         """Up to the tick's budget of messages with their sequence numbers; sets `fault` when something is wrong."""
-        if self._decoder.waiting < BYTES_A_TICK:
-            self._receive()
+        if self._decoder.n_buffered < BYTES_PER_TICK:
+            self._read_socket()
         heard: list[tuple[int, Message]] = []
-        while len(heard) < FRAMES_A_TICK:
-            frame = self._decoder.next()
+        while len(heard) < FRAMES_PER_TICK:
+            frame = self._decoder.next_frame()
             if frame is None:
                 break
-            message = f"broken stream: {frame.reason}" if isinstance(frame, Broken) else read(frame, upward=True)
-            if isinstance(frame, Broken) or isinstance(message, str):
+            message = (
+                f"broken stream: {frame.reason}"
+                if isinstance(frame, BrokenStream)
+                else decode_message(frame, from_client=True)
+            )
+            if isinstance(frame, BrokenStream) or isinstance(message, str):
                 self.fault = self.fault or str(message)
                 break
-            if self._floods(now):
+            if self._exceeds_rate_limit(now):
                 self.fault = "flood"
                 break
             heard.append((frame.sequence, message))
         if heard:
-            self.heard = now
+            self.last_received_at = now
         return heard
 
     def close(self) -> None:
         """Hang up."""
-        self.link.close()
+        self.socket.close()
 
-    def _receive(self) -> None:
+    def _read_socket(self) -> None:
         try:
-            data = self.link.recv(BYTES_A_TICK)
+            data = self.socket.recv(BYTES_PER_TICK)
         except BlockingIOError:
             return
         except OSError as error:
@@ -97,17 +108,17 @@ class Peer:
             return
         if data:
             self._decoder.feed(data)
-        elif not self._decoder.waiting:
+        elif not self._decoder.n_buffered:
             self.fault = self.fault or "gone"
 
-    def _floods(self, now: float) -> bool:
-        if now - self._second >= 1.0:
-            self._second, self._count = now, 0
-        self._count += 1
-        return self._count > FRAMES_A_SECOND
+    def _exceeds_rate_limit(self, now: float) -> bool:
+        if now - self._window_start >= 1.0:
+            self._window_start, self._frames_in_window = now, 0
+        self._frames_in_window += 1
+        return self._frames_in_window > MAX_FRAMES_PER_SECOND
 
 
-class Door:
+class SocketServer:
     """The listening socket and all who came in."""
 
     def __init__(self, path: Path) -> None:
@@ -115,13 +126,13 @@ class Door:
         self.path = path
         path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
         if path.exists():
-            _remove_dead(path)
+            _remove_stale_socket(path)
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         before = os.umask(0o177)
         try:
             self._listener.bind(str(path))
         except OSError as error:
-            raise InvalidSetup(
+            raise ConfigurationError(
                 "socket", got=error.strerror, allowed="a path of up to 107 bytes", fix=str(path)
             ) from error
         finally:
@@ -129,90 +140,90 @@ class Door:
         os.chmod(path, 0o600)
         self._listener.listen(BACKLOG)
         self._listener.setblocking(False)
-        self.peers: list[Peer] = []
-        self._count = self._turn = 0
+        self.connections: list[Connection] = []
+        self._n_accepted = self._first_index = 0
 
-    def hear(self, now: float) -> Iterator[tuple[Peer, int, Message]]:
+    def receive(self, now: float) -> Iterator[tuple[Connection, int, Message]]:
         """Everything that fits this tick's budget, each peer in turn; `now` [s] is a monotonic clock."""
-        self._admit(now)
-        if not self.peers:
+        self._accept_connection(now)
+        if not self.connections:
             return
-        self._turn = (self._turn + 1) % len(self.peers)
-        for peer in [*self.peers[self._turn :], *self.peers[: self._turn]]:
-            for sequence, message in peer.hear(now):
+        self._first_index = (self._first_index + 1) % len(self.connections)
+        for peer in [*self.connections[self._first_index :], *self.connections[: self._first_index]]:
+            for sequence, message in peer.receive(now):
                 yield peer, sequence, message
 
-    def faulty(self) -> list[Peer]:
+    def failed_connections(self) -> list[Connection]:
         """Peers that are gone or have broken a rule; they are hung up and forgotten with this call."""
-        wrong = [peer for peer in self.peers if peer.fault]
+        wrong = [peer for peer in self.connections if peer.fault]
         for peer in wrong:
             if not peer.fault.startswith("gone"):
-                peer.say(Refused(peer.fault))
+                peer.send(RequestRefused(peer.fault))
             peer.close()
-            self.peers.remove(peer)
+            self.connections.remove(peer)
         return wrong
 
-    def tell(self, message: Message) -> None:
+    def broadcast(self, message: Message) -> None:
         """Say something to all who watch."""
-        for peer in self.peers:
-            if peer.watches:
-                peer.say(message)
+        for peer in self.connections:
+            if peer.receives_reports:
+                peer.send(message)
 
     def flush(self) -> None:
         """Send on what could not be sent before."""
-        for peer in self.peers:
+        for peer in self.connections:
             peer.flush()
 
     def close(self) -> None:
         """Hang up on everybody and remove the socket."""
-        for peer in self.peers:
+        for peer in self.connections:
             peer.close()
         self._listener.close()
         self.path.unlink(missing_ok=True)
 
-    def _room(self) -> bool:
+    def _make_room(self) -> bool:
         """Whether there is room, made if need be by letting the oldest go who neither commands nor operates."""
-        if len(self.peers) < MOST_PEERS:
+        if len(self.connections) < MAX_CONNECTIONS:
             return True
-        idle = next((peer for peer in self.peers if peer.role in ("stranger", "observer")), None)
+        idle = next((peer for peer in self.connections if peer.role in ("stranger", "observer")), None)
         if idle is None:
             return False
         idle.close()
-        self.peers.remove(idle)
+        self.connections.remove(idle)
         return True
 
-    def _admit(self, now: float) -> None:
+    def _accept_connection(self, now: float) -> None:
         """At most one newcomer a tick, of our own user, while there is room."""
         try:
             link, _ = self._listener.accept()
         except (BlockingIOError, InterruptedError):
             return
         link.setblocking(False)
-        if _user(link) != os.getuid() or not self._room():
+        if _peer_uid(link) != os.getuid() or not self._make_room():
             link.close()
             return
-        self._count += 1
-        peer = Peer(link, self._count)
-        peer.heard = now
-        self.peers.append(peer)
-        peer.say(Challenge(peer.nonce))
+        self._n_accepted += 1
+        peer = Connection(link, self._n_accepted)
+        peer.last_received_at = now
+        self.connections.append(peer)
+        peer.send(Challenge(peer.nonce))
 
 
-def _user(link: socket.socket) -> int:
+def _peer_uid(link: socket.socket) -> int:
     """The user on the other side, as the kernel knows it."""
     size = 12
     _, user, _ = unpack("3i", link.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size))
     return user
 
 
-def listens(path: Path) -> bool:
+def is_listening(path: Path) -> bool:
     """Whether somebody listens at `path`: a gatekeeper that was killed leaves a socket at which nobody does."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         return probe.connect_ex(str(path)) == 0
 
 
-def _remove_dead(path: Path) -> None:
+def _remove_stale_socket(path: Path) -> None:
     """Remove a socket that nobody listens at; refuse one that somebody does."""
-    if listens(path):
-        raise InvalidSetup("socket", got="a gatekeeper that runs", allowed="a path of its own", fix=str(path))
+    if is_listening(path):
+        raise ConfigurationError("socket", got="a gatekeeper that runs", allowed="a path of its own", fix=str(path))
     path.unlink()

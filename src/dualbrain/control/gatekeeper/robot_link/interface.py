@@ -5,25 +5,25 @@ from __future__ import annotations
 from typing import Protocol
 
 from dualbrain.contracts.contract import Contract
-from dualbrain.control.control_loop import Surroundings
-from dualbrain.robots.interface import Robot
+from dualbrain.control.control_loop import WorldInterface
+from dualbrain.robots.interface import RobotInterface
 
 
-class Wired(Robot, Surroundings, Protocol):
+class RobotLink(RobotInterface, WorldInterface, Protocol):
     """A robot and its surroundings, with a clock and conditions of timing of their own."""
 
     def clock(self) -> float:
         """The robot's time as far as it can be known here [s]."""
         ...
 
-    def flags(self) -> int:
+    def conditions(self) -> int:
         """`Condition` bits of timing since the last call."""
         ...
 
-    def allow(self, phase: str, roles: dict[str, str | None]) -> None:
+    def set_phase(self, phase: str, roles: dict[str, str | None]) -> None:
         """A phase begins: whoever judges a simulation knows what may be touched in it."""
         ...
 
-    def begin(self, contract: Contract) -> None:
+    def start_contract(self, contract: Contract) -> None:
         """A contract was accepted."""
         ...

@@ -17,7 +17,7 @@ class Packet(msgspec.Struct, frozen=True, array_like=True):
     """Root of the packets."""
 
 
-class Write(Packet, frozen=True, tag=1):
+class CommandPacket(Packet, frozen=True, tag=1):
     """Joint velocity [rad/s], opening [m each], grip force [N]."""
 
     u: tuple[float, ...]
@@ -25,30 +25,30 @@ class Write(Packet, frozen=True, tag=1):
     force: float
 
 
-class Switch(Packet, frozen=True, tag=2):
+class DrivePacket(Packet, frozen=True, tag=2):
     """Drive on or off."""
 
     on: bool
 
 
-class Allow(Packet, frozen=True, tag=3):
+class PhasePacket(Packet, frozen=True, tag=3):
     """For the monitor: the phase that runs, and what it is about."""
 
     phase: str
     roles: dict[str, str | None]
 
 
-class Begin(Packet, frozen=True, tag=4):
+class ContractPacket(Packet, frozen=True, tag=4):
     """For the referee: the contract that was accepted."""
 
     contract: Contract
 
 
-class Quit(Packet, frozen=True, tag=6):
+class ShutdownPacket(Packet, frozen=True, tag=6):
     """The robot may be switched off."""
 
 
-class State(Packet, frozen=True, tag=7):
+class StatePacket(Packet, frozen=True, tag=7):
     """A joint state as `RobotState`."""
 
     stamp: float
@@ -57,27 +57,27 @@ class State(Packet, frozen=True, tag=7):
     v: tuple[float, ...]
     opening: float
     forces: tuple[float, float]
-    driven: bool
+    drive_enabled: bool
 
     @classmethod
-    def of(cls, state: RobotState) -> State:
+    def from_state(cls, state: RobotState) -> StatePacket:
         """`state` as it goes over the wire."""
         q, v = tuple(state.q.tolist()), tuple(state.v.tolist())
         return cls(state.stamp, state.sequence, q, v, state.opening, state.finger_forces, state.drive_enabled)
 
 
-class Seen(Packet, frozen=True, tag=8):
+class ScenePacket(Packet, frozen=True, tag=8):
     """A perceived scene."""
 
     scene: Scene
 
 
-ToRobot = Write | Switch | Allow | Begin | Quit
-FromRobot = State | Seen
-PACKET = 256 * 1024
+ToRobot = CommandPacket | DrivePacket | PhasePacket | ContractPacket | ShutdownPacket
+FromRobot = StatePacket | ScenePacket
+MAX_PACKET_BYTES = 256 * 1024
 """Longest packet [bytes]."""
 
 encode = msgspec.msgpack.Encoder().encode
-_to_robot: msgspec.msgpack.Decoder[ToRobot] = msgspec.msgpack.Decoder(ToRobot)
-_from_robot: msgspec.msgpack.Decoder[FromRobot] = msgspec.msgpack.Decoder(FromRobot)
-to_robot, from_robot = _to_robot.decode, _from_robot.decode
+_to_robot_decoder: msgspec.msgpack.Decoder[ToRobot] = msgspec.msgpack.Decoder(ToRobot)
+_from_robot_decoder: msgspec.msgpack.Decoder[FromRobot] = msgspec.msgpack.Decoder(FromRobot)
+decode_to_robot, decode_from_robot = _to_robot_decoder.decode, _from_robot_decoder.decode

@@ -12,44 +12,46 @@ import numpy as np
 from dualbrain.contracts.contract import Contract
 from dualbrain.control.gatekeeper.robot_link import packets
 from dualbrain.control.gatekeeper.robot_link.driver_process import DriverSettings
-from dualbrain.control.gatekeeper.robot_link.packet_socket import Rubbish, Wire, pair
-from dualbrain.control.gatekeeper.robot_link.simulated_robot import Settings
-from dualbrain.control.gatekeeper.timing.tick_profile import Laps
-from dualbrain.control.gatekeeper.timing.tick_timing import Metronome
-from dualbrain.errors import InvalidSetup
+from dualbrain.control.gatekeeper.robot_link.packet_socket import MalformedPacket, PacketSocket, socket_pair
+from dualbrain.control.gatekeeper.robot_link.simulated_robot import SimulatedRobotSettings
+from dualbrain.control.gatekeeper.timing.tick_profile import TickProfiler
+from dualbrain.control.gatekeeper.timing.tick_timing import TickTimer
+from dualbrain.errors import ConfigurationError
 from dualbrain.records import Scene
 from dualbrain.robots.interface import Command, RobotState
 from dualbrain.safety.supervisor.timing import Timing
 
-PATIENCE = 5
+STATE_TIMEOUT_PERIODS = 5
 """Periods that a tick waits for a state; then it goes on with the old one, and the watch sees that."""
-START = 60.0
+STARTUP_TIMEOUT = 60.0
 """How long the robot may take to come up [s]."""
 
 
 class RemoteRobot:
     """`Robot` and `Surroundings` in one; `clock()` is the robot's time as far as it can be known here [s]."""
 
-    def __init__(self, settings: Settings | DriverSettings, timing: Timing, laps: Laps | None = None) -> None:
+    def __init__(
+        self, settings: SimulatedRobotSettings | DriverSettings, timing: Timing, profiler: TickProfiler | None = None
+    ) -> None:
         """Start the process of the simulated robot, or of a driver, and wait for its first state and scene.
 
         Raises `InvalidSetup` if none comes.
         """
-        here, there = pair()
+        here, there = socket_pair()
         self.process = subprocess.Popen(
-            [sys.executable, *_flags(), "-m", _module(settings), str(there.fileno())],
+            [sys.executable, *_interpreter_flags(), "-m", _process_module(settings), str(there.fileno())],
             stdin=subprocess.PIPE, pass_fds=(there.fileno(),),
         )  # fmt: skip
         there.close()
         if self.process.stdin:
             self.process.stdin.write(msgspec.json.encode(settings) + b"\n")
             self.process.stdin.flush()
-        self._wire: Wire[packets.FromRobot] = Wire(here, packets.from_robot)
+        self._packet_socket: PacketSocket[packets.FromRobot] = PacketSocket(here, packets.decode_from_robot)
         self._timing = timing
-        self.metronome, self._laps = Metronome(timing), laps or Laps()
+        self.tick_timer, self._profiler = TickTimer(timing), profiler or TickProfiler()
         self._state: RobotState | None = None
         self._scene: Scene | None = None
-        self._received = 0.0
+        self._state_received_at = 0.0
         self._wait_for_start()
 
     # --- robot --------------------------------------------------------------------------------------------------
@@ -57,28 +59,28 @@ class RemoteRobot:
     def read(self) -> RobotState:
         """The newest joint state that has come."""
         if self._state is None:
-            raise InvalidSetup("a robot without a state", got=None, allowed="a robot process that has started")
+            raise ConfigurationError("a robot without a state", got=None, allowed="a robot process that has started")
         return self._state
 
     def write(self, command: Command) -> None:
         """Send a command."""
-        self._wire.send(packets.Write(tuple(command.u.tolist()), command.opening, command.force))
-        self.metronome.sent(time.monotonic())
+        self._packet_socket.send(packets.CommandPacket(tuple(command.u.tolist()), command.opening, command.force))
+        self.tick_timer.on_command(time.monotonic())
 
     def stop(self) -> None:
         """Drive off."""
-        self._wire.send(packets.Switch(on=False))
+        self._packet_socket.send(packets.DrivePacket(on=False))
 
     def enable(self) -> None:
         """Drive on."""
-        self._wire.send(packets.Switch(on=True))
+        self._packet_socket.send(packets.DrivePacket(on=True))
 
     # --- surroundings -------------------------------------------------------------------------------------------
 
-    def look(self) -> Scene:
+    def perceive(self) -> Scene:
         """The newest scene that has come."""
         if self._scene is None:
-            raise InvalidSetup("a robot without a scene", got=None, allowed="a robot process that has started")
+            raise ConfigurationError("a robot without a scene", got=None, allowed="a robot process that has started")
         return self._scene
 
     def advance(self) -> None:
@@ -86,42 +88,42 @@ class RemoteRobot:
 
         Where a period is long, no longer than a state may be old.
         """
-        self.metronome.ended(time.monotonic())
-        self._laps.ended()
-        if not self._wire.open:
+        self.tick_timer.on_tick_end(time.monotonic())
+        self._profiler.end_tick()
+        if not self._packet_socket.is_open:
             time.sleep(self._timing.period)
         before = self._state
-        deadline = time.monotonic() + min(PATIENCE * self._timing.period, self._timing.stale)
-        while self._wire.open and self._state is before and (left := deadline - time.monotonic()) > 0.0:
-            heard = self._wire.wait(left)
-            self._laps.lap("wait")
+        deadline = time.monotonic() + min(STATE_TIMEOUT_PERIODS * self._timing.period, self._timing.state_stale_after)
+        while self._packet_socket.is_open and self._state is before and (left := deadline - time.monotonic()) > 0.0:
+            heard = self._packet_socket.wait(left)
+            self._profiler.mark_part("wait")
             if heard:
                 self._receive()
-                self._laps.lap("read")
+                self._profiler.mark_part("read")
 
     def clock(self) -> float:
         """The newest state's stamp, and the time since it came [s]."""
-        return self.read().stamp + (time.monotonic() - self._received)
+        return self.read().stamp + (time.monotonic() - self._state_received_at)
 
-    def flags(self) -> int:
+    def conditions(self) -> int:
         """`Condition` bits of timing since the last call."""
-        return self.metronome.flags()
+        return self.tick_timer.conditions()
 
     # --- the simulated robot's own ------------------------------------------------------------------------------
 
-    def allow(self, phase: str, roles: dict[str, str | None]) -> None:
+    def set_phase(self, phase: str, roles: dict[str, str | None]) -> None:
         """Tell the monitor what may be touched."""
-        self._wire.send(packets.Allow(phase, roles))
+        self._packet_socket.send(packets.PhasePacket(phase, roles))
 
-    def begin(self, contract: Contract) -> None:
+    def start_contract(self, contract: Contract) -> None:
         """Tell the referee what is to be done."""
-        self._wire.send(packets.Begin(contract))
+        self._packet_socket.send(packets.ContractPacket(contract))
 
     def close(self) -> None:
         """Drive off, and the robot is switched off."""
         self.stop()
-        self._wire.send(packets.Quit())
-        self._wire.close()
+        self._packet_socket.send(packets.ShutdownPacket())
+        self._packet_socket.close()
         try:
             self.process.wait(timeout=5.0)
         except subprocess.TimeoutExpired:
@@ -133,40 +135,44 @@ class RemoteRobot:
     # --- inside -------------------------------------------------------------------------------------------------
 
     def _wait_for_start(self) -> None:
-        deadline = time.monotonic() + START
+        deadline = time.monotonic() + STARTUP_TIMEOUT
         while (self._state is None or self._scene is None) and time.monotonic() < deadline:
             if self.process.poll() is not None:
-                raise InvalidSetup("robot process", got=f"exit code {self.process.returncode}", allowed="one that runs")
-            if self._wire.wait(0.1):
+                raise ConfigurationError(
+                    "robot process", got=f"exit code {self.process.returncode}", allowed="one that runs"
+                )
+            if self._packet_socket.wait(0.1):
                 self._receive()
         if self._state is None or self._scene is None:
-            raise InvalidSetup("robot process", got="silence", allowed=f"a first state within {START:.0f} s")
+            raise ConfigurationError(
+                "robot process", got="silence", allowed=f"a first state within {STARTUP_TIMEOUT:.0f} s"
+            )
 
     def _receive(self) -> None:
         """Take in everything that has come."""
-        while (packet := self._wire.hear()) is not None:
+        while (packet := self._packet_socket.receive()) is not None:
             match packet:
-                case packets.State():
-                    self._take(packet)
-                case packets.Seen(scene):
+                case packets.StatePacket():
+                    self._accept_state(packet)
+                case packets.ScenePacket(scene):
                     self._scene = scene
-                case Rubbish(reason):
-                    raise InvalidSetup("packet of the robot", got=reason, allowed="a state or a scene")
+                case MalformedPacket(reason):
+                    raise ConfigurationError("packet of the robot", got=reason, allowed="a state or a scene")
 
-    def _take(self, state: packets.State) -> None:
-        self._received = time.monotonic()
+    def _accept_state(self, state: packets.StatePacket) -> None:
+        self._state_received_at = time.monotonic()
         lost = state.sequence - self._state.sequence - 1 if self._state else 0
         self._state = RobotState(
-            state.stamp, state.sequence, np.array(state.q), np.array(state.v), state.opening, state.forces, state.driven
+            state.stamp, state.sequence, np.array(state.q), np.array(state.v), state.opening, state.forces, state.drive_enabled
         )  # fmt: skip
-        self.metronome.arrived(self._received, lost)
+        self.tick_timer.on_state(self._state_received_at, lost)
 
 
-def _module(settings: Settings | DriverSettings) -> str:
+def _process_module(settings: SimulatedRobotSettings | DriverSettings) -> str:
     process = "driver_process" if isinstance(settings, DriverSettings) else "simulated_robot"
     return f"dualbrain.control.gatekeeper.robot_link.{process}"
 
 
-def _flags() -> list[str]:
+def _interpreter_flags() -> list[str]:
     """How this interpreter was started, as far as it matters for finding packages."""
     return ["-S"] if sys.flags.no_site else []

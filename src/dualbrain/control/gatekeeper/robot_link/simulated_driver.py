@@ -5,23 +5,23 @@ from __future__ import annotations
 from dataclasses import replace
 from math import inf
 
-from dualbrain.drivers.driver import sound
+from dualbrain.drivers.driver import is_finite
 from dualbrain.robots.interface import Command, RobotState
-from dualbrain.robots.model import Body
-from dualbrain.safety.supervisor.timing import Timing, simulated
-from dualbrain.simulation.plant.factory import open_plant
+from dualbrain.robots.model import RobotModel
+from dualbrain.safety.supervisor.timing import Timing, simulated_timing
+from dualbrain.simulation.plant.factory import make_plant
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
 
-class PlantDriver:
+class SimulatedDriver:
     """A plant in a bare scene. Nobody watches it: without commands it goes on (the robot process has the watchdog)."""
 
     watchdog: float = inf
 
-    def __init__(self, body: Body) -> None:
+    def __init__(self, body: RobotModel) -> None:
         """The arm at home, drive off."""
-        self._plant = open_plant(open_scene("bare:0", body.name), body)
-        self.timing: Timing = simulated(body.period)
+        self._plant = make_plant(open_scene("bare:0", body.name), body)
+        self.timing: Timing = simulated_timing(body.period)
         self._faults: tuple[str, ...] = ()
         self._plant.stop()
         self._state = self._plant.read()
@@ -34,7 +34,7 @@ class PlantDriver:
         """Hold `command` until the next one."""
         if not self._state.drive_enabled:
             return
-        if sound(command):
+        if is_finite(command):
             self._plant.write(command)
         else:
             self.stop()

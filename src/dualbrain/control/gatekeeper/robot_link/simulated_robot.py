@@ -18,27 +18,27 @@ import msgspec
 import numpy as np
 
 from dualbrain.control.gatekeeper.robot_link import packets
-from dualbrain.control.gatekeeper.robot_link.packet_socket import Rubbish, Wire
+from dualbrain.control.gatekeeper.robot_link.packet_socket import MalformedPacket, PacketSocket
 from dualbrain.records import Judgement
 from dualbrain.robots.interface import Command
-from dualbrain.robots.loader import load_body
-from dualbrain.robots.model import Body
-from dualbrain.simulation.perception.noisy_perception import Noise, Perception
-from dualbrain.simulation.plant.factory import open_plant
+from dualbrain.robots.loader import load_robot
+from dualbrain.robots.model import RobotModel
+from dualbrain.simulation.perception.noisy_perception import NoisyPerception, PerceptionNoise
+from dualbrain.simulation.plant.factory import make_plant
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
-from dualbrain.simulation.tasks.multi_goal import errand_of
+from dualbrain.simulation.tasks.multi_goal import parse_goals
 from dualbrain.simulation.world import SimulatedWorld
 
-WATCHDOG = 0.1
+WATCHDOG_TIMEOUT = 0.1
 """No command for this long [s]: the drive goes off."""
-AFTERMATH = 1.0
-BEHIND = 0.1
+AFTERMATH_TIME = 1.0
+MAX_LAG = 0.1
 """When physics falls this far behind the clock [s], it goes on from there instead of racing after it."""
-LOOK_EVERY = 0.033
+PERCEPTION_PERIOD = 0.033
 """Time between two pictures [s]."""
 
 
-class Settings(msgspec.Struct, frozen=True):
+class SimulatedRobotSettings(msgspec.Struct, frozen=True):
     """What the robot process needs to know; `report` is written at the end ("" for none).
 
     `body` is the robot as a site narrows it, where there is one.
@@ -49,10 +49,10 @@ class Settings(msgspec.Struct, frozen=True):
     seed: int = 0
     goal: str = ""
     report: str = ""
-    body: Body | None = None
+    body: RobotModel | None = None
 
 
-class Report(msgspec.Struct, frozen=True):
+class RobotReport(msgspec.Struct, frozen=True):
     """What is left of a robot: times [s of CLOCK_MONOTONIC], how long and how far it still moved, what truth says.
 
     `silent_at`: the last command came; `off_at`: the drive went off; `travel` [rad] since then; `speed` [rad/s] at the
@@ -72,18 +72,18 @@ class Report(msgspec.Struct, frozen=True):
 class RobotProcess:
     """Plant, perception, monitor and watchdog on one end of the wire."""
 
-    def __init__(self, settings: Settings, link: socket.socket) -> None:
+    def __init__(self, settings: SimulatedRobotSettings, link: socket.socket) -> None:
         """Build the world; nothing moves yet."""
-        body, spec = settings.body or load_body(settings.robot), settings.scene
-        self.plant = open_plant(spec, body)
-        perception = Perception(spec, Noise(), np.random.default_rng([settings.seed, 1]))
+        body, spec = settings.body or load_robot(settings.robot), settings.scene
+        self.plant = make_plant(spec, body)
+        perception = NoisyPerception(spec, PerceptionNoise(), np.random.default_rng([settings.seed, 1]))
         self.world = SimulatedWorld(
-            self.plant, perception, goal=errand_of(settings.goal, spec) if settings.goal else None
+            self.plant, perception, goal=parse_goals(settings.goal, spec) if settings.goal else None
         )
-        self._wire: Wire[packets.ToRobot] = Wire(link, packets.to_robot)
-        self._settings, self._period, self._asked_to_quit = settings, body.period, False
-        self._look_every = looks_every(body.period)
-        self._silent_at, self._armed = time.monotonic(), False
+        self._packet_socket: PacketSocket[packets.ToRobot] = PacketSocket(link, packets.decode_to_robot)
+        self._settings, self._period, self._shutdown_requested = settings, body.period, False
+        self._scene_period_ticks = perception_period_ticks(body.period)
+        self._last_command_at, self._armed = time.monotonic(), False
         self._off_at: float | None = None
         self._off_by, self._off_q = "", self.plant.read().q
         self._slips = self._ticks = 0
@@ -91,89 +91,91 @@ class RobotProcess:
     def serve(self) -> None:
         """Run until told to quit or, without a link, until the aftermath is over."""
         due = time.monotonic()
-        while not self._asked_to_quit and (self._wire.open or time.monotonic() - self._silent_at < AFTERMATH):
-            self._hear()
-            self._guard(time.monotonic())
+        while not self._shutdown_requested and (
+            self._packet_socket.is_open or time.monotonic() - self._last_command_at < AFTERMATH_TIME
+        ):
+            self._receive()
+            self._check_watchdog(time.monotonic())
             self._tick()
             due += self._period
             ahead = due - time.monotonic()
             if ahead > 0.0:
                 self._wait(ahead, due)
-            elif ahead < -BEHIND:
+            elif ahead < -MAX_LAG:
                 due, self._slips = time.monotonic(), self._slips + 1
-        self._leave()
+        self._write_report()
 
     def _tick(self) -> None:
         self.world.advance()
         state = self.plant.read()
-        self._wire.send(packets.State.of(state))
-        if self._ticks % self._look_every == 0:
-            self._wire.send(packets.Seen(self.world.look()))
+        self._packet_socket.send(packets.StatePacket.from_state(state))
+        if self._ticks % self._scene_period_ticks == 0:
+            self._packet_socket.send(packets.ScenePacket(self.world.perceive()))
         self._ticks += 1
 
     def _wait(self, ahead: float, due: float) -> None:
         """Until the next tick; a command that comes meanwhile is taken at once."""
         while ahead > 0.0:
-            if self._wire.wait(ahead):
-                self._hear()
+            if self._packet_socket.wait(ahead):
+                self._receive()
             ahead = due - time.monotonic()
 
-    def _guard(self, now: float) -> None:
+    def _check_watchdog(self, now: float) -> None:
         """The robot's own watchdog: armed by the first command, it knows nothing of orders, only of silence."""
-        silent = self._armed and now - self._silent_at > WATCHDOG
-        if self._off_at is None and (silent or not self._wire.open):
-            self._cut("watchdog")
+        silent = self._armed and now - self._last_command_at > WATCHDOG_TIMEOUT
+        if self._off_at is None and (silent or not self._packet_socket.is_open):
+            self._stop_drive("watchdog")
 
-    def _cut(self, by: str) -> None:
+    def _stop_drive(self, by: str) -> None:
         self.plant.stop()
         if self._off_at is None:
             self._off_at, self._off_by, self._off_q = time.monotonic(), by, self.plant.read().q
 
-    def _hear(self) -> None:
-        while (packet := self._wire.hear()) is not None:
-            self._obey(packet)
+    def _receive(self) -> None:
+        while (packet := self._packet_socket.receive()) is not None:
+            self._apply_packet(packet)
 
-    def _obey(self, packet: packets.ToRobot | Rubbish) -> None:
+    def _apply_packet(self, packet: packets.ToRobot | MalformedPacket) -> None:
         match packet:
-            case Rubbish():
-                self._cut("rubbish")
-            case packets.Write(u, opening, force):
-                self._silent_at, self._armed = time.monotonic(), True
+            case MalformedPacket():
+                self._stop_drive("rubbish")
+            case packets.CommandPacket(u, opening, force):
+                self._last_command_at, self._armed = time.monotonic(), True
                 if len(u) == self.plant.body.n and np.isfinite([*u, opening, force]).all():
                     self.plant.write(Command(np.array(u), opening, force))
-            case packets.Switch(on=False):
-                self._silent_at = time.monotonic()
-                self._cut("order")
-            case packets.Switch():
-                self._silent_at, self._off_at = time.monotonic(), None
+            case packets.DrivePacket(on=False):
+                self._last_command_at = time.monotonic()
+                self._stop_drive("order")
+            case packets.DrivePacket():
+                self._last_command_at, self._off_at = time.monotonic(), None
                 self.plant.enable()
-            case packets.Allow(phase, roles):
-                self.world.allow(phase, roles)
-            case packets.Begin(contract):
-                self.world.begin(contract)
-            case packets.Quit():
-                self._asked_to_quit = True
+            case packets.PhasePacket(phase, roles):
+                self.world.set_phase(phase, roles)
+            case packets.ContractPacket(contract):
+                self.world.start_contract(contract)
+            case packets.ShutdownPacket():
+                self._shutdown_requested = True
 
-    def _leave(self) -> None:
+    def _write_report(self) -> None:
         if not self._settings.report:
             return
         state = self.plant.read()
-        report = Report(
-            self._silent_at, self._off_at, self._off_by, float(np.abs(state.q - self._off_q).max()),
+        report = RobotReport(
+            self._last_command_at, self._off_at, self._off_by, float(np.abs(state.q - self._off_q).max()),
             float(np.abs(state.v).max()), self._slips, self._ticks, self.world.judgement(),
         )  # fmt: skip
         Path(self._settings.report).write_bytes(msgspec.json.encode(report))
 
 
-def looks_every(period: float) -> int:
+def perception_period_ticks(period: float) -> int:
     """Ticks from one picture to the next, for a robot whose states come every `period` [s]."""
-    return max(1, round(LOOK_EVERY / period))
+    return max(1, round(PERCEPTION_PERIOD / period))
 
 
 def main(arguments: list[str]) -> None:
     """Serve on the inherited socket."""
     link = socket.socket(fileno=int(arguments[0]))
-    settings: Any = msgspec.json.decode(sys.stdin.buffer.readline(), type=Settings)
+    settings: Any = msgspec.json.decode(sys.stdin.buffer.readline(), type=SimulatedRobotSettings)
     RobotProcess(settings, link).serve()
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import accumulate
 
-BINS = 1000
+N_BINS = 1000
 
 
 class Histogram:
@@ -12,29 +12,29 @@ class Histogram:
 
     def __init__(self, width: float) -> None:
         """Nothing is counted yet."""
-        self.width, self.counts = width, [0] * BINS
-        self.ticks, self.sum, self.longest = 0, 0.0, 0.0
+        self.width, self.counts = width, [0] * N_BINS
+        self.n_samples, self.sum, self.maximum = 0, 0.0, 0.0
 
     def add(self, value: float) -> None:
         """Count `value` [s]."""
-        self.counts[min(int(value / self.width), BINS - 1)] += 1
-        self.ticks += 1
+        self.counts[min(int(value / self.width), N_BINS - 1)] += 1
+        self.n_samples += 1
         self.sum += value
-        self.longest = max(self.longest, value)
+        self.maximum = max(self.maximum, value)
 
     @property
     def mean(self) -> float:
         """Their mean [s]; 0 without any."""
-        return self.sum / self.ticks if self.ticks else 0.0
+        return self.sum / self.n_samples if self.n_samples else 0.0
 
-    def quantile(self, share: float) -> float:
+    def quantile(self, fraction: float) -> float:
         """The upper end of the bin below which `share` of them lie [s], at most the longest; 0 without any."""
-        if not self.ticks:
+        if not self.n_samples:
             return 0.0
-        k = next(k for k, below in enumerate(accumulate(self.counts)) if below >= share * self.ticks)
-        return self.longest if k == BINS - 1 else min(self.longest, self.width * (k + 1))
+        k = next(k for k, below in enumerate(accumulate(self.counts)) if below >= fraction * self.n_samples)
+        return self.maximum if k == N_BINS - 1 else min(self.maximum, self.width * (k + 1))
 
     def summary(self) -> tuple[float, float, float, float]:
         """The quantiles at 50, 99 and 99.9 %, and the longest [s]."""
         p50, p99, p999 = map(self.quantile, (0.5, 0.99, 0.999))
-        return p50, p99, p999, self.longest
+        return p50, p99, p999, self.maximum

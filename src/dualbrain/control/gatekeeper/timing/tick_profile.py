@@ -15,7 +15,7 @@ import msgspec
 
 from dualbrain.control.gatekeeper.timing.histogram import Histogram
 
-PARTS = {
+TICK_PARTS = {
     "wait": "for the next joint state",
     "read": "packets of the robot's bus, decoded",
     "sense": "joint state and scene: plausible, fresh; obstacles to the filter",
@@ -27,11 +27,11 @@ PARTS = {
     "record": "trace and flight recorder",
     "show": "glimpses for who watches",
 }
-FINE = 2e-6
+BIN_WIDTH = 2e-6
 """Bins of 2 µs, up to 2 ms."""
 
 
-class Part(msgspec.Struct, frozen=True):
+class PartTiming(msgspec.Struct, frozen=True):
     """What a part cost in the `ticks` that had it [s]; `quantiles` at 50, 99, 99.9, 100 %, `cpu` this thread's own."""
 
     ticks: int
@@ -40,35 +40,35 @@ class Part(msgspec.Struct, frozen=True):
     cpu: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
 
-class Laps:
+class TickProfiler:
     """Told of the end of each part with `lap`, of the end of each tick with `ended`."""
 
     def __init__(self) -> None:
         """The watch runs; what came before the first end of a tick is nobody's."""
-        self._parts = {name: (Histogram(FINE), Histogram(FINE)) for name in PARTS}
-        self._tick = {name: (0.0, 0.0) for name in PARTS}
-        self._then, self._used, self._begun = perf_counter(), thread_time(), False
+        self._parts = {name: (Histogram(BIN_WIDTH), Histogram(BIN_WIDTH)) for name in TICK_PARTS}
+        self._current_tick = {name: (0.0, 0.0) for name in TICK_PARTS}
+        self._last_wall, self._last_cpu, self._started = perf_counter(), thread_time(), False
 
-    def lap(self, part: str) -> None:
+    def mark_part(self, part: str) -> None:
         """The time since the last lap was spent on `part`."""
         now, used = perf_counter(), thread_time()
-        wall, own = self._tick[part]
-        self._tick[part] = wall + now - self._then, own + used - self._used
-        self._then, self._used = now, used
+        wall, own = self._current_tick[part]
+        self._current_tick[part] = wall + now - self._last_wall, own + used - self._last_cpu
+        self._last_wall, self._last_cpu = now, used
 
-    def ended(self) -> None:
+    def end_tick(self) -> None:
         """The tick is over: each part counts once, with all that was spent on it; this itself is no part's."""
-        for part, (wall, own) in self._tick.items():
-            if wall and self._begun:
+        for part, (wall, own) in self._current_tick.items():
+            if wall and self._started:
                 whole, mine = self._parts[part]
                 whole.add(wall)
                 mine.add(own)
-            self._tick[part] = 0.0, 0.0
-        self._then, self._used, self._begun = perf_counter(), thread_time(), True
+            self._current_tick[part] = 0.0, 0.0
+        self._last_wall, self._last_cpu, self._started = perf_counter(), thread_time(), True
 
-    def summary(self) -> dict[str, Part]:
+    def summary(self) -> dict[str, PartTiming]:
         """Every part so far."""
         return {
-            name: Part(whole.ticks, whole.mean, whole.summary(), mine.summary())
+            name: PartTiming(whole.n_samples, whole.mean, whole.summary(), mine.summary())
             for name, (whole, mine) in self._parts.items()
         }

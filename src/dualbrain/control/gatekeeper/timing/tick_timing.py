@@ -7,19 +7,19 @@ from collections import deque
 import msgspec
 
 from dualbrain.control.gatekeeper.timing.histogram import Histogram
-from dualbrain.control.gatekeeper.timing.tick_profile import Part
+from dualbrain.control.gatekeeper.timing.tick_profile import PartTiming
 from dualbrain.safety.supervisor.conditions import Condition
 from dualbrain.safety.supervisor.timing import Timing
 
-BIN = 0.02
+BIN_FRACTION = 0.02
 """Histograms: bins of a fiftieth of a period up to twenty periods; the last bin holds what is beyond."""
-WINDOW = 1.0
+OVERRUN_WINDOW = 1.0
 """Late ticks are counted over so long [s]."""
-WARM_UP = 0.2
+WARM_UP_TIME = 0.2
 """So long [s] at the start nothing is held against anybody."""
 
 
-class Punctuality(msgspec.Struct, frozen=True):
+class TickTimingSummary(msgspec.Struct, frozen=True):
     """A summary [s]: percentiles (50, 99, 99.9, 100) of interval, work and latency; the shares of late ticks.
 
     `missed` states never came; `bins` are counts of intervals by `BIN` of a period; `parts`: what a tick is made of.
@@ -32,67 +32,67 @@ class Punctuality(msgspec.Struct, frozen=True):
     work: tuple[float, float, float, float]
     latency: tuple[float, float, float, float]
     bins: tuple[int, ...]
-    parts: dict[str, Part] = {}
+    parts: dict[str, PartTiming] = {}
 
 
-class Metronome:
+class TickTimer:
     """Told of each state's arrival, each command's leaving and each tick's end; all times monotonic [s]."""
 
     def __init__(self, timing: Timing) -> None:
         """Nothing has happened yet."""
         self._timing = timing
-        self._interval, self._work, self._latency = (Histogram(BIN * timing.period) for _ in range(3))
-        self._window, self._warm_up = (round(time / timing.period) for time in (WINDOW, WARM_UP))
-        self._arrived: float | None = None
-        self._sent = True
-        self._recent: deque[bool] = deque(maxlen=self._window)
-        self._late = self._overruns = 0
+        self._interval, self._work, self._latency = (Histogram(BIN_FRACTION * timing.period) for _ in range(3))
+        self._window, self._warm_up = (round(time / timing.period) for time in (OVERRUN_WINDOW, WARM_UP_TIME))
+        self._state_received_at: float | None = None
+        self._command_sent = True
+        self._recent_overruns: deque[bool] = deque(maxlen=self._window)
+        self._n_late = self._overruns = 0
         self._ticks = self.missed = 0
-        self._flags = 0
+        self._conditions = 0
 
-    def arrived(self, now: float, lost: int) -> None:
+    def on_state(self, now: float, lost: int) -> None:
         """A state came, and `lost` before it never did."""
-        if self._arrived is not None:
-            gap = now - self._arrived
+        if self._state_received_at is not None:
+            gap = now - self._state_received_at
             self._interval.add(gap)
-            if gap > self._timing.lost and self._ticks > self._warm_up:
-                self._flags |= Condition.TICK_LOST
-        self._arrived, self._sent = now, False
+            if gap > self._timing.tick_lost_after and self._ticks > self._warm_up:
+                self._conditions |= Condition.TICK_LOST
+        self._state_received_at, self._command_sent = now, False
         self._ticks += 1
         self.missed += lost if self._ticks > self._warm_up else 0
 
-    def sent(self, now: float) -> None:
+    def on_command(self, now: float) -> None:
         """The command that answers the last state leaves."""
-        if self._arrived is None or self._sent:
+        if self._state_received_at is None or self._command_sent:
             return
-        self._sent = True
-        latency = now - self._arrived
+        self._command_sent = True
+        latency = now - self._state_received_at
         self._latency.add(latency)
-        if latency > self._timing.late:
-            self._flags |= Condition.COMMAND_LATE
+        if latency > self._timing.command_deadline:
+            self._conditions |= Condition.COMMAND_LATE
 
-    def ended(self, now: float) -> None:
+    def on_tick_end(self, now: float) -> None:
         """All work of the tick is done."""
-        if self._arrived is None:
+        if self._state_received_at is None:
             return
-        work = now - self._arrived
+        work = now - self._state_received_at
         self._work.add(work)
-        late = work > self._timing.overrun and self._ticks > self._warm_up
-        self._overruns += late - (self._recent[0] if len(self._recent) == self._window else False)
-        self._recent.append(late)
+        late = work > self._timing.max_tick_time and self._ticks > self._warm_up
+        self._overruns += late - (self._recent_overruns[0] if len(self._recent_overruns) == self._window else False)
+        self._recent_overruns.append(late)
         if late:
-            self._late += 1
-            self._flags |= Condition.TICK_OVERRUN
-        if self._overruns > self._timing.overruns * self._window:
-            self._flags |= Condition.TICKS_OVERRUN
+            self._n_late += 1
+            self._conditions |= Condition.TICK_OVERRUN
+        if self._overruns > self._timing.max_overrun_fraction * self._window:
+            self._conditions |= Condition.TICKS_OVERRUN
 
-    def flags(self) -> int:
+    def conditions(self) -> int:
         """`Condition` bits since the last call."""
-        flags, self._flags = self._flags, 0
+        flags, self._conditions = self._conditions, 0
         return flags
 
-    def summary(self) -> Punctuality:
+    def summary(self) -> TickTimingSummary:
         """Everything so far."""
         interval, work, latency = (one.summary() for one in (self._interval, self._work, self._latency))
         bins = tuple(self._interval.counts)
-        return Punctuality(self._ticks, self.missed, self._late, interval, work, latency, bins)
+        return TickTimingSummary(self._ticks, self.missed, self._n_late, interval, work, latency, bins)

@@ -12,12 +12,12 @@ from typing import Any, NamedTuple, TypeGuard, cast
 
 import msgspec
 
-from dualbrain.robots.model import Body
+from dualbrain.robots.model import RobotModel
 
-Flat = dict[str, Any]
+FlatModel = dict[str, Any]
 
 
-class Change(NamedTuple):
+class ModelChange(NamedTuple):
     """One entry that differs; `before` or `after` is None where it is absent."""
 
     entry: str
@@ -25,54 +25,56 @@ class Change(NamedTuple):
     after: Any
 
     def __str__(self) -> str:
-        return f"{self.entry}: {_shown(self.before)} → {_shown(self.after)}"
+        return f"{self.entry}: {_format_value(self.before)} → {_format_value(self.after)}"
 
 
-def changes(before: Body, after: Body) -> list[Change]:
+def find_changes(before: RobotModel, after: RobotModel) -> list[ModelChange]:
     """Every entry that differs."""
-    a, b = flat(before), flat(after)
-    return [Change(key, a.get(key), b.get(key)) for key in dict.fromkeys([*a, *b]) if a.get(key) != b.get(key)]
+    a, b = flatten_model(before), flatten_model(after)
+    return [ModelChange(key, a.get(key), b.get(key)) for key in dict.fromkeys([*a, *b]) if a.get(key) != b.get(key)]
 
 
-def summary(found: list[Change]) -> list[str]:
+def summarize_changes(changes: list[ModelChange]) -> list[str]:
     """The changes for people: limits and facts one by one, spheres and pairs counted."""
-    lines = [str(change) for change in found if not change.entry.startswith(("spheres.", "self_pairs."))]
+    lines = [str(change) for change in changes if not change.entry.startswith(("spheres.", "self_pairs."))]
     for part, word in (("spheres.", "sphere entries"), ("self_pairs.", "link pairs")):
-        count = sum(change.entry.startswith(part) for change in found)
+        count = sum(change.entry.startswith(part) for change in changes)
         lines += [f"{count} {word} changed"] if count else []
     return lines
 
 
-def keep_edits(made: Body, edited: Body, fresh: Body) -> tuple[Body, list[Change], list[Change]]:
+def reapply_edits(
+    generated: RobotModel, edited: RobotModel, regenerated: RobotModel
+) -> tuple[RobotModel, list[ModelChange], list[ModelChange]]:
     """`fresh` with the edits of `edited` put back; the edits kept, and those that no longer have a place.
 
     An edit has a place if its entry still exists and the edit did not add or remove it.
     """
-    values = flat(fresh)
-    kept: list[Change] = []
-    lost: list[Change] = []
-    for edit in changes(made, edited):
+    values = flatten_model(regenerated)
+    kept: list[ModelChange] = []
+    lost: list[ModelChange] = []
+    for edit in find_changes(generated, edited):
         if edit.entry in values and edit.before is not None and edit.after is not None:
             values[edit.entry] = edit.after
             kept.append(edit)
         else:
             lost.append(edit)
-    return msgspec.convert(_put_back(msgspec.to_builtins(fresh), values, ""), Body), kept, lost
+    return msgspec.convert(_restore_values(msgspec.to_builtins(regenerated), values, ""), RobotModel), kept, lost
 
 
-def flat(body: Body) -> Flat:
+def flatten_model(robot_model: RobotModel) -> FlatModel:
     """Every leaf of `body` under its path."""
-    found: Flat = {}
-    _flatten(msgspec.to_builtins(body), "", found)
+    found: FlatModel = {}
+    _flatten(msgspec.to_builtins(robot_model), "", found)
     return found
 
 
-def _flatten(value: Any, path: str, found: Flat) -> None:
+def _flatten(value: Any, path: str, found: FlatModel) -> None:
     if isinstance(value, dict):
         for key, inner in cast("dict[str, Any]", value).items():
             _flatten(inner, f"{path}.{key}".lstrip("."), found)
     elif _is_list(value) and value and isinstance(value[0], dict):
-        for key, inner in zip(_keys(value), value, strict=True):
+        for key, inner in zip(_item_keys(value), value, strict=True):
             _flatten(inner, f"{path}.{key}", found)
     elif _is_list(value) and path.startswith("self_pairs"):
         for inner in value:
@@ -85,7 +87,7 @@ def _is_list(value: Any) -> TypeGuard[Sequence[Any]]:
     return isinstance(value, (list, tuple))
 
 
-def _keys(items: Any) -> list[str]:
+def _item_keys(items: Any) -> list[str]:
     """A name for every item of a list: its own, or its link and number."""
     counts: dict[str, int] = {}
     names: list[str] = []
@@ -96,17 +98,19 @@ def _keys(items: Any) -> list[str]:
     return names
 
 
-def _put_back(value: Any, values: Mapping[str, Any], path: str) -> Any:
+def _restore_values(value: Any, values: Mapping[str, Any], path: str) -> Any:
     """`value` with every leaf replaced by what `values` holds at its path."""
     if isinstance(value, dict):
         table = cast("dict[str, Any]", value)
-        return {key: _put_back(inner, values, f"{path}.{key}".lstrip(".")) for key, inner in table.items()}
+        return {key: _restore_values(inner, values, f"{path}.{key}".lstrip(".")) for key, inner in table.items()}
     if _is_list(value) and value and isinstance(value[0], dict):
-        return [_put_back(inner, values, f"{path}.{key}") for key, inner in zip(_keys(value), value, strict=True)]
+        return [
+            _restore_values(inner, values, f"{path}.{key}") for key, inner in zip(_item_keys(value), value, strict=True)
+        ]
     if _is_list(value) and path.startswith("self_pairs"):
         return value
     return values.get(path, value)
 
 
-def _shown(value: Any) -> str:
+def _format_value(value: Any) -> str:
     return "none" if value is None else f"{value:g}" if isinstance(value, float) else str(value)[:120]

@@ -5,20 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from dualbrain.robots.importer.build_arm import is_identified
-from dualbrain.robots.importer.output.diff import Change
-from dualbrain.robots.importer.report import Report
-from dualbrain.robots.model import Body, Bound
+from dualbrain.robots.importer.output.diff import ModelChange
+from dualbrain.robots.importer.report import ImportReport
+from dualbrain.robots.model import Bound, RobotModel
 
 
-def page(body: Body, report: Report, kept: Sequence[Change] = ()) -> str:
+def render_readme(robot_model: RobotModel, report: ImportReport, kept_edits: Sequence[ModelChange] = ()) -> str:
     """Markdown; `kept` are a person's edits."""
     parts = [
-        f"# {body.name}", f"From {body.source}. Licence of the description: {body.licence}.",
+        f"# {robot_model.name}", f"From {robot_model.source}. Licence of the description: {robot_model.licence}.",
         "![Spheres](picture.png)",
-        *_section("Still missing", [f"- {line}" for line in gaps(body, report)]),
-        *_section("Edited by hand", [f"- {change}" for change in kept]),
-        "## Bounds and where they come from", _bounds(body), "## Cover", _cover(report),
-        "## Pairs of parts that are kept apart", _pairs(body),
+        *_section("Still missing", [f"- {line}" for line in missing_information(robot_model, report)]),
+        *_section("Edited by hand", [f"- {change}" for change in kept_edits]),
+        "## Bounds and where they come from", _bounds_table(robot_model), "## Cover", _cover_table(report),
+        "## Pairs of parts that are kept apart", _pairs_section(robot_model),
         *_section("Notes", [f"- {note}" for note in report.notes]),
         "Edit `body.json`; `dualbrain robot init` again keeps the edits and shows what it changed. "
         "`dualbrain robot inspect --view` shows what the filter sees.",
@@ -26,27 +26,27 @@ def page(body: Body, report: Report, kept: Sequence[Change] = ()) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def gaps(body: Body, report: Report | None) -> list[str]:
+def missing_information(robot_model: RobotModel, report: ImportReport | None) -> list[str]:
     """What the filter would have to be told for its promise to hold on this robot."""
     found: list[str] = []
-    if not is_identified(body.tracking):
-        found.append(f"tracking model: {body.tracking.provenance}")
-    if body.gripper.opening.value == 0.0 and body.base == "fixed":
-        why = body.gripper.opening.provenance
+    if not is_identified(robot_model.tracking):
+        found.append(f"tracking model: {robot_model.tracking.provenance}")
+    if robot_model.gripper.opening.value == 0.0 and robot_model.base == "fixed":
+        why = robot_model.gripper.opening.provenance
         found.append(f"gripper: none known ({why}), so no skill grasps (or edit `gripper` in body.json)")
-    for link in body.links:
-        if not any(sphere.link == link.name for sphere in body.spheres):
+    for link in robot_model.links:
+        if not any(sphere.link == link.name for sphere in robot_model.spheres):
             found.append(f"spheres of {link.name!r}: none, the description gives it no shape")
     for link in report.links if report else ():
         if link.coverage < 1.0:
             found.append(f"cover of {link.link!r}: {link.coverage:.2%} of its surface")
-    always = [f"{a}–{b}" for a, b, why in body.self_pairs.allowed if "overlap in all" in why]
+    always = [f"{a}–{b}" for a, b, why in robot_model.self_pairs.allowed if "overlap in all" in why]
     if always:
         found.append(f"pairs not kept apart because their spheres always overlap: {', '.join(always)}")
     return found
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+def markdown_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """A markdown table."""
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join("| " + " | ".join(str(cell).replace("|", "/") for cell in line) + " |" for line in lines)
@@ -56,29 +56,36 @@ def _section(title: str, lines: list[str]) -> list[str]:
     return [f"## {title}", "\n".join(lines)] if lines else []
 
 
-def bound_rows(body: Body) -> list[tuple[str, str, str, str]]:
+def bound_rows(robot_model: RobotModel) -> list[tuple[str, str, str, str]]:
     """(joint, side, value with unit, provenance) of every bound."""
     rows = [
-        (joint.name, side, _value(bound), bound.provenance)
-        for joint in body.joints
+        (joint.name, side, _format_bound(bound), bound.provenance)
+        for joint in robot_model.joints
         for side in ("lower", "upper", "velocity", "acceleration", "jerk")
         if (bound := getattr(joint, side)) is not None
     ]
-    hand = body.gripper
+    hand = robot_model.gripper
     grip = (("opening", hand.opening), ("grip, least", hand.force_min), ("grip, greatest", hand.force))
-    whole = (("tool speed", body.tool_speed), ("gain α", body.gain), *(grip if hand.opening.value else ()))
-    return [*rows, *(("robot", side, _value(bound), bound.provenance) for side, bound in whole if bound is not None)]
+    whole = (
+        ("tool speed", robot_model.tool_speed),
+        ("gain α", robot_model.gain),
+        *(grip if hand.opening.value else ()),
+    )
+    return [
+        *rows,
+        *(("robot", side, _format_bound(bound), bound.provenance) for side, bound in whole if bound is not None),
+    ]
 
 
-def _value(bound: Bound) -> str:
+def _format_bound(bound: Bound) -> str:
     return f"{bound.value:g} {bound.unit}"
 
 
-def _bounds(body: Body) -> str:
-    return table(("joint", "bound", "value", "from"), bound_rows(body))
+def _bounds_table(robot_model: RobotModel) -> str:
+    return markdown_table(("joint", "bound", "value", "from"), bound_rows(robot_model))
 
 
-def _cover(report: Report) -> str:
+def _cover_table(report: ImportReport) -> str:
     rows = [
         (link.link, link.group, link.spheres, link.parts, f"{link.coverage:.2%}", *(f"{length * 1e3:.1f}" for length in
          (link.mean, link.p95, link.worst)))
@@ -86,11 +93,15 @@ def _cover(report: Report) -> str:
     ]  # fmt: skip
     head = ("part", "group", "spheres", "convex parts", "surface covered", "excess mean [mm]", "95 %", "worst")
     words = f"Effort: {report.effort}. Excess is how far the spheres stand off the description's own shapes."
-    return f"{words}\n\n{table(head, rows)}"
+    return f"{words}\n\n{markdown_table(head, rows)}"
 
 
-def _pairs(body: Body) -> str:
-    kept = ", ".join(f"{a}–{b}" for a, b in body.self_pairs.kept) or "none"
-    rows = [pair for pair in body.self_pairs.allowed if pair[2] not in ("adjacent", "rigidly connected")]
-    left = table(("part", "part", "why they are not kept apart"), rows) if rows else "None left out but neighbours."
-    return f"{len(body.self_pairs.kept)} kept: {kept}.\n\n{left}"
+def _pairs_section(robot_model: RobotModel) -> str:
+    kept = ", ".join(f"{a}–{b}" for a, b in robot_model.self_pairs.kept) or "none"
+    rows = [pair for pair in robot_model.self_pairs.allowed if pair[2] not in ("adjacent", "rigidly connected")]
+    left = (
+        markdown_table(("part", "part", "why they are not kept apart"), rows)
+        if rows
+        else "None left out but neighbours."
+    )
+    return f"{len(robot_model.self_pairs.kept)} kept: {kept}.\n\n{left}"

@@ -12,17 +12,23 @@ from pathlib import Path
 
 import msgspec
 
-from dualbrain.errors import UNREADABLE, InvalidSetup
-from dualbrain.robots.importer.output.diff import Change, changes, keep_edits
-from dualbrain.robots.importer.output.markdown import page
-from dualbrain.robots.importer.report import Report
-from dualbrain.robots.loader import FILE, encode, read_body
-from dualbrain.robots.model import Body
+from dualbrain.errors import DECODE_ERRORS, ConfigurationError
+from dualbrain.robots.importer.output.diff import ModelChange, find_changes, reapply_edits
+from dualbrain.robots.importer.output.markdown import render_readme
+from dualbrain.robots.importer.report import ImportReport
+from dualbrain.robots.loader import MODEL_FILE, encode_robot, read_robot
+from dualbrain.robots.model import RobotModel
 
-MADE, RECIPE, REPORT, PAGE, PICTURE = "made.json", "recipe.json", "report.json", "README.md", "picture.png"
+GENERATED_FILE, IMPORT_RECORD_FILE, REPORT_FILE, README_FILE, PICTURE_FILE = (
+    "made.json",
+    "recipe.json",
+    "report.json",
+    "README.md",
+    "picture.png",
+)
 
 
-class Recipe(msgspec.Struct, frozen=True):
+class ImportRecord(msgspec.Struct, frozen=True):
     """How the body was made: the description's file and hash, and what was asked for."""
 
     description: str
@@ -40,81 +46,87 @@ class Recipe(msgspec.Struct, frozen=True):
 
 
 @dataclass(frozen=True, slots=True)
-class Written:
+class FolderWriteResult:
     """What writing a folder did: changes by this making, edits that were kept, and edits that found no place."""
 
-    body: Body
-    new: bool
-    by_making: list[Change]
-    kept: list[Change]
-    lost: list[Change]
+    model: RobotModel
+    is_new: bool
+    generator_changes: list[ModelChange]
+    kept_edits: list[ModelChange]
+    lost_edits: list[ModelChange]
 
 
-def write_folder(folder: Path, body: Body, report: Report, recipe: Recipe, *, discard_edits: bool = False) -> Written:
+def write_robot_folder(
+    folder: Path, robot_model: RobotModel, report: ImportReport, record: ImportRecord, *, discard_edits: bool = False
+) -> FolderWriteResult:
     """Write everything but the picture; a person's edits of an earlier body stay, unless they are to be discarded.
 
     Raises:
         InvalidSetup: the folder holds something that is not ours, or a body of another robot.
     """
-    before, edited = _earlier(folder, body)
-    made = body
-    kept: list[Change] = []
-    lost: list[Change] = []
+    before, edited = _read_previous(folder, robot_model)
+    made = robot_model
+    kept: list[ModelChange] = []
+    lost: list[ModelChange] = []
     if before is not None and edited is not None and not discard_edits:
-        body, kept, lost = keep_edits(before, edited, made)
+        robot_model, kept, lost = reapply_edits(before, edited, made)
     folder.mkdir(parents=True, exist_ok=True)
     files = {
-        MADE: encode(made), RECIPE: encoded(recipe), REPORT: encoded(report), PAGE: page(body, report, kept).encode(),
-        FILE: encode(body),
+        GENERATED_FILE: encode_robot(made), IMPORT_RECORD_FILE: encode_json(record), REPORT_FILE: encode_json(report), README_FILE: render_readme(robot_model, report, kept).encode(),
+        MODEL_FILE: encode_robot(robot_model),
     }  # fmt: skip
     for name, data in files.items():
-        _replace(folder / name, data)
-    return Written(body, before is None, changes(before, made) if before else [], kept, lost)
+        _write_atomically(folder / name, data)
+    return FolderWriteResult(robot_model, before is None, find_changes(before, made) if before else [], kept, lost)
 
 
-def read_report(folder: Path) -> tuple[Report | None, Recipe | None]:
+def read_import_files(folder: Path) -> tuple[ImportReport | None, ImportRecord | None]:
     """What stands beside a body: its report and recipe, None where there is none."""
-    report, recipe = folder / REPORT, folder / RECIPE
+    report, recipe = folder / REPORT_FILE, folder / IMPORT_RECORD_FILE
     try:
         return (
-            msgspec.json.decode(report.read_bytes(), type=Report) if report.is_file() else None,
-            msgspec.json.decode(recipe.read_bytes(), type=Recipe) if recipe.is_file() else None,
+            msgspec.json.decode(report.read_bytes(), type=ImportReport) if report.is_file() else None,
+            msgspec.json.decode(recipe.read_bytes(), type=ImportRecord) if recipe.is_file() else None,
         )
-    except UNREADABLE as error:
-        raise InvalidSetup("report of the robot", got=str(error), allowed="as written", fix=str(folder)) from error
+    except DECODE_ERRORS as error:
+        raise ConfigurationError(
+            "report of the robot", got=str(error), allowed="as written", fix=str(folder)
+        ) from error
 
 
-def edits(folder: Path) -> list[Change]:
+def find_edits(folder: Path) -> list[ModelChange]:
     """What a person changed in `folder` since the body was made."""
-    made = folder / MADE
-    return changes(read_body(made), read_body(folder)) if made.is_file() else []
+    made = folder / GENERATED_FILE
+    return find_changes(read_robot(made), read_robot(folder)) if made.is_file() else []
 
 
-def sha256(file: Path) -> str:
+def file_sha256(file: Path) -> str:
     """Hash of a file's content."""
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
-def encoded(value: msgspec.Struct) -> bytes:
+def encode_json(value: msgspec.Struct) -> bytes:
     """Indented JSON with a final newline."""
     return msgspec.json.format(msgspec.json.encode(value), indent=1) + b"\n"
 
 
-def _earlier(folder: Path, body: Body) -> tuple[Body | None, Body | None]:
+def _read_previous(folder: Path, robot_model: RobotModel) -> tuple[RobotModel | None, RobotModel | None]:
     """The body as made last, and as it stands."""
     if not folder.exists() or not any(folder.iterdir()):
         return None, None
-    if not (folder / MADE).is_file():
-        raise InvalidSetup(
+    if not (folder / GENERATED_FILE).is_file():
+        raise ConfigurationError(
             "folder", got=f"files that are not a robot's, in {folder}", allowed="new, empty, or a robot's"
         )
-    made = read_body(folder / MADE)
-    if made.name != body.name:
-        raise InvalidSetup("folder", got=f"the robot {made.name!r}", allowed=repr(body.name), fix=f"--out. {folder}")
-    return made, read_body(folder) if (folder / FILE).is_file() else None
+    made = read_robot(folder / GENERATED_FILE)
+    if made.name != robot_model.name:
+        raise ConfigurationError(
+            "folder", got=f"the robot {made.name!r}", allowed=repr(robot_model.name), fix=f"--out. {folder}"
+        )
+    return made, read_robot(folder) if (folder / MODEL_FILE).is_file() else None
 
 
-def _replace(path: Path, data: bytes) -> None:
+def _write_atomically(path: Path, data: bytes) -> None:
     """Write beside, then rename: a reader sees the old file or the new one."""
     beside = path.with_name(f".{path.name}.new")
     beside.write_bytes(data)

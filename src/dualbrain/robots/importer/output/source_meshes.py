@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from dualbrain.robots.assets.mesh_primitives import joined
+from dualbrain.robots.assets.mesh_primitives import concatenate_meshes
 from dualbrain.robots.assets.meshes import Mesh
-from dualbrain.robots.importer.build_arm import parts
-from dualbrain.robots.importer.build_mobile_base import axle, base_shapes
-from dualbrain.robots.importer.kinematic_chain import find_chain, standing
-from dualbrain.robots.importer.kinematic_tree import Tree
-from dualbrain.robots.importer.output.robot_folder import Recipe
+from dualbrain.robots.importer.build_arm import rigid_parts
+from dualbrain.robots.importer.build_mobile_base import base_meshes, find_axle
+from dualbrain.robots.importer.kinematic_chain import find_chain, link_poses_at_rest
+from dualbrain.robots.importer.kinematic_tree import KinematicTree
+from dualbrain.robots.importer.output.robot_folder import ImportRecord
 
 
-def shapes_of(tree: Tree, recipe: Recipe) -> dict[str, Mesh]:
+def load_source_meshes(tree: KinematicTree, record: ImportRecord) -> dict[str, Mesh]:
     """Meshes in the frames of the body's links, as the recipe chose them."""
-    if recipe.kind == "differential":
-        poses, _ = standing(tree, recipe.base or tree.root, recipe.lock)
-        centre, _ = axle(tree, poses, recipe.wheels)
-        return {"base": joined(base_shapes(tree, poses, centre))}
-    chain = find_chain(tree, base=recipe.base, tip=recipe.tip, tool=recipe.tool, lock=recipe.lock)
-    _, shapes = parts(tree, chain)
-    return {name: joined(meshes) for name, meshes in shapes.items()}
+    if record.kind == "differential":
+        poses, _ = link_poses_at_rest(tree, record.base or tree.root, record.lock)
+        centre, _ = find_axle(tree, poses, record.wheels)
+        return {"base": concatenate_meshes(base_meshes(tree, poses, centre))}
+    chain = find_chain(tree, base=record.base, tip=record.tip, tool=record.tool, lock=record.lock)
+    _, shapes = rigid_parts(tree, chain)
+    return {name: concatenate_meshes(meshes) for name, meshes in shapes.items()}

@@ -4,7 +4,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dualbrain.safety.cbf.result import Filtered, Names, Status
+from dualbrain.safety.cbf.result import FilterResult, FilterStatus, RowNames
 
 Array = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ class Kernel:
     def constrain(self, rows: Array) -> None: ...
     def stand(self, pose: Array) -> None: ...
     def reset(self, u_prev: Array) -> None: ...
-    def answer_with(self, type: Callable[..., Filtered], statuses: tuple[Status, ...]) -> None: ...
+    def answer_with(self, type: Callable[..., FilterResult], statuses: tuple[FilterStatus, ...]) -> None: ...
     def step(
         self,
         q: ArrayLike,
@@ -38,8 +38,8 @@ class Kernel:
         opening: float,
         state_age: float,
         scene_age: float,
-        names: Names,
-    ) -> Filtered: ...
+        names: RowNames,
+    ) -> FilterResult: ...
     def batch(
         self,
         q: Array,

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.robots.loader import load_body
-from dualbrain.simulation.scenes.generators.rooms import ROOMS, make_room
-from dualbrain.simulation.scenes.generators.tabletop import EVERY_FAMILY, make_scene
-from dualbrain.simulation.scenes.generators.workroom import WORKROOMS, make_workroom
+from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.robots.loader import load_robot
+from dualbrain.simulation.scenes.generators.rooms import ROOM_FAMILIES, make_room
+from dualbrain.simulation.scenes.generators.tabletop import SCENE_FAMILIES, make_scene
+from dualbrain.simulation.scenes.generators.workroom import WORKROOM_FAMILIES, make_workroom
 from dualbrain.simulation.scenes.scene_spec import SceneSpec, load_scene
 
-HAZARDS = ("forearm", "tabletop", "tall", "shelf")
+NUMBERED_FAMILIES = ("forearm", "tabletop", "tall", "shelf")
 """Scene N is of family N mod 4, with seed N: any run of four numbers shows every hazard once."""
-ROOM_HAZARDS = ("empty_room", "boxes", "crossing")
+NUMBERED_ROOM_FAMILIES = ("empty_room", "boxes", "crossing")
 """The same for a base, N mod 3."""
 
 
@@ -22,44 +22,46 @@ def open_scene(choice: str, robot: str = "panda") -> SceneSpec:
 
     Raises `UnknownName`, or `InvalidSetup` where a file is no scene or one of another robot.
     """
-    families, hazards = _families(robot)
+    families, hazards = _families_for(robot)
     if choice.isdecimal():
-        return _make(hazards[int(choice) % len(hazards)], int(choice), robot)
+        return _generate_scene(hazards[int(choice) % len(hazards)], int(choice), robot)
     family, _, seed = choice.partition(":")
     if family in families and (seed.isdecimal() or not seed):
-        return _make(family, int(seed or 0), robot)
+        return _generate_scene(family, int(seed or 0), robot)
     path = Path(choice)
     if path.suffix == ".json" or path.exists():
-        return _of(robot, load_scene(path), path)
+        return _require_robot(robot, load_scene(path), path)
     if choice.replace(":", "").replace("_", "").isalnum():
         owner = "the catalogue (a number or a scene file also works)"
-        raise UnknownName("scene", family, families, owner=owner)
+        raise UnknownNameError("scene", family, families, owner=owner)
     allowed = f"a number, FAMILY:SEED with one of {', '.join(families)}, or a scene file (.json)"
-    raise InvalidSetup("scene", got=choice, allowed=allowed)
+    raise ConfigurationError("scene", got=choice, allowed=allowed)
 
 
-def mobile(robot: str) -> bool:
+def is_mobile(robot: str) -> bool:
     """Whether `robot` drives, so that its scenes are rooms."""
-    return load_body(robot).mobile
+    return load_robot(robot).is_mobile
 
 
-def _families(robot: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _families_for(robot: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Every family that has scenes for `robot`, and those that a bare number goes round."""
-    body = load_body(robot)
-    if body.carries_arm:
-        return (*WORKROOMS, *ROOMS), WORKROOMS
-    return (tuple(ROOMS), ROOM_HAZARDS) if body.mobile else (tuple(EVERY_FAMILY), HAZARDS)
+    body = load_robot(robot)
+    if body.is_mobile_manipulator:
+        return (*WORKROOM_FAMILIES, *ROOM_FAMILIES), WORKROOM_FAMILIES
+    return (
+        (tuple(ROOM_FAMILIES), NUMBERED_ROOM_FAMILIES) if body.is_mobile else (tuple(SCENE_FAMILIES), NUMBERED_FAMILIES)
+    )
 
 
-def _make(family: str, seed: int, robot: str) -> SceneSpec:
-    if family in WORKROOMS:
+def _generate_scene(family: str, seed: int, robot: str) -> SceneSpec:
+    if family in WORKROOM_FAMILIES:
         return make_workroom(family, seed, robot)
-    return (make_room if mobile(robot) else make_scene)(family, seed, robot)
+    return (make_room if is_mobile(robot) else make_scene)(family, seed, robot)
 
 
-def _of(robot: str, spec: SceneSpec, path: Path) -> SceneSpec:
+def _require_robot(robot: str, spec: SceneSpec, path: Path) -> SceneSpec:
     if spec.robot != robot:
-        raise InvalidSetup(
+        raise ConfigurationError(
             "robot of the scene file", got=spec.robot, allowed=robot, fix=f"--robot {spec.robot}. {path}"
         )
     return spec

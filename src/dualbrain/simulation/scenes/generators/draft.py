@@ -9,9 +9,9 @@ import numpy as np
 
 from dualbrain.core.geometry.shapes import Bowl, Box, Cylinder, Quaternion, Shape, Vector
 from dualbrain.records import Place
-from dualbrain.simulation.scenes.scene_spec import Mover, Thing
+from dualbrain.simulation.scenes.scene_spec import MovingPerson, ObjectSpec
 
-PLACES = (
+TABLE_PLACES = (
     Place("table_left", (0.36, 0.46, 0.0)),
     Place("table_right", (0.36, -0.46, 0.0)),
     Place("table_front", (0.68, 0.03, 0.0)),
@@ -20,136 +20,142 @@ PLACE_CLEARANCE = 0.11
 CUBE = Box((0.02, 0.02, 0.025))
 BOWL = Bowl(radius=0.085, height=0.05, wall=0.004)
 
-Height = Literal["flat", "low", "hand_high", "tall"]
+HeightClass = Literal["flat", "low", "hand_high", "tall"]
 """Not higher than the cube, below the hand, beside the hand, up to the wrist."""
-HEIGHTS: dict[Height, tuple[float, float]] = {
+HEIGHT_RANGES: dict[HeightClass, tuple[float, float]] = {
     "flat": (0.035, 0.050), "low": (0.045, 0.065), "hand_high": (0.08, 0.12), "tall": (0.15, 0.23),
 }  # fmt: skip
-GAPS: dict[Height, tuple[float, float]] = {
+GAP_RANGES: dict[HeightClass, tuple[float, float]] = {
     "flat": (0.04, 0.08), "low": (0.04, 0.08), "hand_high": (0.04, 0.08), "tall": (0.08, 0.11),
 }  # fmt: skip
-NARROW_GAP = (0.02, 0.04)
-COLOURS = ("green", "yellow", "orange", "purple", "teal", "white", "brown", "grey", "pink", "black")
-CATEGORIES: dict[Height, tuple[str, ...]] = {
+NARROW_GAP_RANGE = (0.02, 0.04)
+OBJECT_COLOURS = ("green", "yellow", "orange", "purple", "teal", "white", "brown", "grey", "pink", "black")
+CATEGORIES_BY_HEIGHT: dict[HeightClass, tuple[str, ...]] = {
     "flat": ("tin", "block"),
     "low": ("tin", "block"),
     "hand_high": ("can", "carton"),
     "tall": ("bottle", "box"),
 }
-ROUND = ("tin", "can", "bottle")
+ROUND_CATEGORIES = ("tin", "can", "bottle")
 
 
 @dataclass
-class Draft:
+class SceneDraft:
     """Chance, things and person; every method draws from `rng` in a fixed order, so that a seed is a scene."""
 
     rng: np.random.Generator
     seed: int
-    things: list[Thing] = field(default_factory=list)
-    mover: Mover | None = None
-    places: tuple[Place, ...] = PLACES
+    objects: list[ObjectSpec] = field(default_factory=list)
+    mover: MovingPerson | None = None
+    places: tuple[Place, ...] = TABLE_PLACES
 
     # --- what the errand needs ----------------------------------------------------------------------------------
 
-    def errand(self) -> None:
+    def add_task_objects(self) -> None:
         """The red cube at the right, the blue bowl at the left."""
         rng = self.rng
         x, y, yaw = 0.50 + rng.uniform(-0.02, 0.02), -0.22 + rng.uniform(-0.02, 0.02), rng.uniform(-0.25, 0.25)
-        self.cube(x, y, yaw)
-        self.bowl()
+        self.add_cube(x, y, yaw)
+        self.add_bowl()
 
-    def cube(self, x: float, y: float, yaw: float) -> None:
+    def add_cube(self, x: float, y: float, yaw: float) -> None:
         """The red cube at (x, y) [m], turned by `yaw` [rad]."""
         at = (x, y, CUBE.half_extents[2])
-        self.things.append(Thing("red_cube", "object", CUBE, at, 0.08, "red", "cube", turned(yaw)))
+        self.objects.append(ObjectSpec("red_cube", "object", CUBE, at, 0.08, "red", "cube", yaw_quaternion(yaw)))
 
-    def bowl(self) -> None:
+    def add_bowl(self) -> None:
         """The blue bowl, somewhere at the left."""
         x, y = 0.50 + self.rng.uniform(-0.02, 0.02), 0.26 + self.rng.uniform(-0.02, 0.02)
-        self.things.append(Thing("blue_bowl", "container", BOWL, (x, y, 0.0), 0.35, "blue", "bowl"))
+        self.objects.append(ObjectSpec("blue_bowl", "container", BOWL, (x, y, 0.0), 0.35, "blue", "bowl"))
 
     # --- things that stand about --------------------------------------------------------------------------------
 
-    def neighbour(self, height: Height) -> None:
+    def add_neighbour(self, height: HeightClass) -> None:
         """One thing beside the cube, on a random face of it, at a gap that a hand can still use."""
         face = int(self.rng.integers(4))
         narrow = height == "low" and self.rng.random() < 0.5
-        lower, upper = NARROW_GAP if narrow else GAPS[height]
-        self.beside(height, face, self.rng.uniform(lower, upper))
+        lower, upper = NARROW_GAP_RANGE if narrow else GAP_RANGES[height]
+        self.add_beside_cube(height, face, self.rng.uniform(lower, upper))
 
-    def beside(self, height: Height, face: int, gap: float) -> None:
+    def add_beside_cube(self, height: HeightClass, face: int, gap: float) -> None:
         """One thing that turns a face to the cube's face number `face` (0: its own +x, 1: +y, …) at `gap` [m]."""
-        cube = self.things[0]
+        cube = self.objects[0]
         yaw = 2.0 * float(np.arctan2(cube.quaternion[3], cube.quaternion[0])) + face * np.pi / 2
-        shape, category = self._shape(height)
-        away = CUBE.half_extents[0] + gap + _half_width(shape)
+        shape, category = self._random_shape(height)
+        away = CUBE.half_extents[0] + gap + _half_extent_x(shape)
         x, y = cube.position[0] + away * np.cos(yaw), cube.position[1] + away * np.sin(yaw)
-        self._put(shape, category, (x, y), yaw)
+        self._add_object(shape, category, (x, y), yaw)
 
-    def scatter(self, count: int, *heights: Height) -> None:
+    def add_scattered(self, count: int, *heights: HeightClass) -> None:
         """`count` things of these heights anywhere on the table where there is room."""
         for _ in range(count):
-            self.stand(self.one(*heights), x=(0.34, 0.70), y=(-0.36, 0.40), gap=0.06)
+            self.add_within(self.random_height(*heights), x=(0.34, 0.70), y=(-0.36, 0.40), gap=0.06)
 
-    def stand(self, height: Height, x: tuple[float, float], y: tuple[float, float], gap: float) -> None:
+    def add_within(self, height: HeightClass, x: tuple[float, float], y: tuple[float, float], gap: float) -> None:
         """One thing within a rectangle [m], at least `gap` [m] from everything that stands."""
-        shape, category = self._shape(height)
-        at = self.spot(x, y, footprint(shape), gap)
-        self._put(shape, category, at, self.rng.uniform(-np.pi, np.pi))
+        shape, category = self._random_shape(height)
+        at = self.find_free_spot(x, y, footprint_radius(shape), gap)
+        self._add_object(shape, category, at, self.rng.uniform(-np.pi, np.pi))
 
-    def fixed(self, name: str, half: tuple[float, float, float], at: tuple[float, float, float], category: str) -> None:
+    def add_fixed_box(
+        self, name: str, half: tuple[float, float, float], centre: tuple[float, float, float], category: str
+    ) -> None:
         """A part of the room: a box with half extents `half` [m] around `at` [m]."""
-        (a, b, c), (x, y, z) = (map(float, values) for values in (half, at))
-        self.things.append(Thing(name, "obstacle", Box((a, b, c)), (x, y, z), 1.0, "oak", category, fixed=True))
+        (a, b, c), (x, y, z) = (map(float, values) for values in (half, centre))
+        self.objects.append(ObjectSpec(name, "obstacle", Box((a, b, c)), (x, y, z), 1.0, "oak", category, fixed=True))
 
     # --- chance -------------------------------------------------------------------------------------------------
 
-    def one(self, *heights: Height) -> Height:
+    def random_height(self, *heights: HeightClass) -> HeightClass:
         """One of `heights`."""
         return heights[int(self.rng.integers(len(heights)))]
 
-    def spot(self, x: tuple[float, float], y: tuple[float, float], radius: float, gap: float) -> tuple[float, float]:
+    def find_free_spot(
+        self, x: tuple[float, float], y: tuple[float, float], radius: float, gap: float
+    ) -> tuple[float, float]:
         """A free spot in a rectangle; when it is full the rectangle grows slowly, so that every seed ends."""
         for attempt in range(2000):
             grow = 1e-4 * attempt
             at = (self.rng.uniform(x[0] - grow, x[1] + grow), self.rng.uniform(y[0] - grow, y[1] + grow))
-            if self.free(*at, radius, gap):
+            if self.is_free(*at, radius, gap):
                 return at
         return (x[0], y[0])
 
-    def free(self, x: float, y: float, radius: float, gap: float) -> bool:
+    def is_free(self, x: float, y: float, radius: float, gap: float) -> bool:
         """Whether a disc keeps `gap` to everything that stands and stays off the places."""
         apart = all(
-            np.hypot(x - thing.position[0], y - thing.position[1]) > radius + footprint(thing.shape) + gap
-            for thing in self.things
+            np.hypot(x - thing.position[0], y - thing.position[1]) > radius + footprint_radius(thing.shape) + gap
+            for thing in self.objects
         )
         return apart and all(
             np.hypot(x - place.position[0], y - place.position[1]) > radius + PLACE_CLEARANCE for place in self.places
         )
 
-    def _name(self, category: str) -> tuple[str, str]:
+    def _new_name(self, category: str) -> tuple[str, str]:
         """A new (name, colour) of the form colour_category."""
-        used = {thing.name for thing in self.things}
-        free = [colour for colour in COLOURS if f"{colour}_{category}" not in used]
+        used = {thing.name for thing in self.objects}
+        free = [colour for colour in OBJECT_COLOURS if f"{colour}_{category}" not in used]
         colour = str(self.rng.choice(free))
         return f"{colour}_{category}", colour
 
-    def _put(self, shape: Box | Cylinder, category: str, at: tuple[float, float], yaw: float) -> None:
-        name, colour = self._name(category)
+    def _add_object(self, shape: Box | Cylinder, category: str, at: tuple[float, float], yaw: float) -> None:
+        name, colour = self._new_name(category)
         half = shape.half_extents[2] if isinstance(shape, Box) else shape.half_height
         position: Vector = (float(at[0]), float(at[1]), float(half))
         mass = float(self.rng.uniform(0.12, 0.30))
-        self.things.append(Thing(name, "object", shape, position, round(mass, 3), colour, category, turned(yaw)))
+        self.objects.append(
+            ObjectSpec(name, "object", shape, position, round(mass, 3), colour, category, yaw_quaternion(yaw))
+        )
 
-    def _shape(self, height: Height) -> tuple[Box | Cylinder, str]:
-        category = str(self.rng.choice(list(CATEGORIES[height])))
-        half = float(self.rng.uniform(*HEIGHTS[height])) / 2
-        if category in ROUND:
+    def _random_shape(self, height: HeightClass) -> tuple[Box | Cylinder, str]:
+        category = str(self.rng.choice(list(CATEGORIES_BY_HEIGHT[height])))
+        half = float(self.rng.uniform(*HEIGHT_RANGES[height])) / 2
+        if category in ROUND_CATEGORIES:
             return Cylinder(float(self.rng.uniform(0.020, 0.028)), half), category
         return Box((float(self.rng.uniform(0.018, 0.026)), float(self.rng.uniform(0.018, 0.030)), half)), category
 
 
-def footprint(shape: Shape) -> float:
+def footprint_radius(shape: Shape) -> float:
     """Radius [m] of the smallest upright circle round a standing shape."""
     match shape:
         case Box(half_extents=(x, y, _)):
@@ -160,11 +166,11 @@ def footprint(shape: Shape) -> float:
             return float(getattr(shape, "radius", 0.0))
 
 
-def turned(yaw: float) -> Quaternion:
+def yaw_quaternion(yaw: float) -> Quaternion:
     """Quaternion (w, x, y, z) of a turn by `yaw` [rad] about z."""
     return (float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2)))
 
 
-def _half_width(shape: Box | Cylinder) -> float:
+def _half_extent_x(shape: Box | Cylinder) -> float:
     """Half the extent along local x, the face that is turned to the cube."""
-    return shape.half_extents[0] if isinstance(shape, Box) else footprint(shape)
+    return shape.half_extents[0] if isinstance(shape, Box) else footprint_radius(shape)

@@ -18,66 +18,75 @@ import msgspec
 
 from dualbrain.core.geometry.shapes import Cylinder
 from dualbrain.records import Place
-from dualbrain.simulation.scenes.generators.draft import CUBE, PLACES, Draft
-from dualbrain.simulation.scenes.generators.obstructed_tabletop import PASSABLE, SQUEEZED, board, screen
-from dualbrain.simulation.scenes.scene_spec import TABLE_Y, Thing
+from dualbrain.simulation.scenes.generators.draft import CUBE, TABLE_PLACES, SceneDraft
+from dualbrain.simulation.scenes.generators.obstructed_tabletop import (
+    HALF_OPEN_FINGER_GAP_RANGE,
+    OPEN_FINGER_GAP_RANGE,
+    add_board,
+    add_screen,
+)
+from dualbrain.simulation.scenes.scene_spec import TABLE_Y, ObjectSpec
 
 GLASS = Cylinder(radius=0.024, half_height=0.045)
 COASTER = Place("coaster", (0.50, 0.26, 0.0))
 """Where the glass goes: the only place of its scenes."""
-FRONT = PLACES[2:]
+FRONT_PLACES = TABLE_PLACES[2:]
 """What is left of the table's places where things stand at its edges."""
-LIMITS = ((13.0, 16.0), (17.0, 20.0), (50.0, 60.0))
+FRAGILE_LIMIT_RANGES = ((13.0, 16.0), (17.0, 20.0), (50.0, 60.0))
 """What breaks the glass [N]: thin, ordinary and thick ones, in turn."""
-DRY, WET = (0.08, 0.8), (0.28, 0.12)
+DRY_GLASS, WET_GLASS = (0.08, 0.8), (0.28, 0.12)
 """Mass [kg] and friction of an empty glass, and of a full one that is wet outside: 10 N a finger hold 2.4 N of it."""
 
 
-def _edge(draft: Draft) -> None:
+def _edge(draft: SceneDraft) -> None:
     """The cube over an edge, 30-42 % of its width outside; a row, a wall or a board around it, in turn."""
-    rng, draft.places = draft.rng, FRONT
+    rng, draft.places = draft.rng, FRONT_PLACES
     side = 1.0 if rng.random() < 0.5 else -1.0
     outside = rng.uniform(0.30, 0.42)
-    draft.cube(rng.uniform(0.28, 0.35), side * (TABLE_Y[1] - 2 * CUBE.half_extents[1] * (0.5 - outside)), 0.0)
-    draft.bowl()
+    draft.add_cube(rng.uniform(0.28, 0.35), side * (TABLE_Y[1] - 2 * CUBE.half_extents[1] * (0.5 - outside)), 0.0)
+    draft.add_bowl()
     inner = 1 if side < 0.0 else 3
     hazard = ("row", "wall", "board")[draft.seed % 3]
     if hazard == "row":
         for face in (0, 2):
-            draft.beside("hand_high", face, rng.uniform(0.045, 0.07))
-        draft.beside("flat", inner, rng.uniform(*(SQUEEZED if rng.random() < 0.5 else PASSABLE)))
+            draft.add_beside_cube("hand_high", face, rng.uniform(0.045, 0.07))
+        draft.add_beside_cube(
+            "flat", inner, rng.uniform(*(HALF_OPEN_FINGER_GAP_RANGE if rng.random() < 0.5 else OPEN_FINGER_GAP_RANGE))
+        )
     elif hazard == "wall":
-        draft.beside("hand_high", inner, rng.uniform(0.045, 0.07))
-        draft.beside("flat", 0 if rng.random() < 0.5 else 2, rng.uniform(*SQUEEZED))
+        draft.add_beside_cube("hand_high", inner, rng.uniform(0.045, 0.07))
+        draft.add_beside_cube("flat", 0 if rng.random() < 0.5 else 2, rng.uniform(*HALF_OPEN_FINGER_GAP_RANGE))
     else:
-        draft.beside("low", inner, rng.uniform(*PASSABLE))
-        board(draft, side * 0.58, half=0.10, height=rng.uniform(0.42, 0.46), tip=rng.uniform(0.36, 0.40))
+        draft.add_beside_cube("low", inner, rng.uniform(*OPEN_FINGER_GAP_RANGE))
+        add_board(draft, side * 0.58, half=0.10, height=rng.uniform(0.42, 0.46), end_x=rng.uniform(0.36, 0.40))
     if hazard != "board":
-        _screen_inside(draft, side)
+        _add_screen_before_bowl(draft, side)
 
 
-def _screen_inside(draft: Draft, side: float) -> None:
+def _add_screen_before_bowl(draft: SceneDraft, side: float) -> None:
     """A screen between the edge and the bowl that leaves the straight way free, or the one close to the base."""
     near, far = (0.14, 0.30) if draft.rng.random() < 0.5 else (0.40, 0.70)
-    screen(draft, 0.44 if side > 0.0 else -0.30, draft.rng.uniform(0.09, 0.13), near, far)
+    add_screen(draft, 0.44 if side > 0.0 else -0.30, draft.rng.uniform(0.09, 0.13), near, far)
 
 
-def _fragile(draft: Draft) -> None:
+def _fragile(draft: SceneDraft) -> None:
     """A glass in a row between hand-high things, on its way to the coaster a screen."""
     rng = draft.rng
     draft.places = (COASTER,)
     at = (0.50 + float(rng.uniform(-0.02, 0.02)), -0.22 + float(rng.uniform(-0.02, 0.02)), GLASS.half_height)
-    limit = round(float(rng.uniform(*LIMITS[draft.seed % 3])), 1)
-    mass, friction = WET if draft.seed % 3 == 2 else DRY
-    glass = Thing("clear_glass", "object", GLASS, at, mass, "clear", "glass", friction=friction)
-    draft.things.append(msgspec.structs.replace(glass, fragile_limit=limit))
+    limit = round(float(rng.uniform(*FRAGILE_LIMIT_RANGES[draft.seed % 3])), 1)
+    mass, friction = WET_GLASS if draft.seed % 3 == 2 else DRY_GLASS
+    glass = ObjectSpec("clear_glass", "object", GLASS, at, mass, "clear", "glass", friction=friction)
+    draft.objects.append(msgspec.structs.replace(glass, fragile_limit=limit))
     flanked = draft.seed % 2
     for face in (flanked, flanked + 2):
-        draft.beside("hand_high", face, rng.uniform(0.045, 0.07))
-    draft.beside("flat", flanked + 1, rng.uniform(*(SQUEEZED if rng.random() < 0.5 else PASSABLE)))
+        draft.add_beside_cube("hand_high", face, rng.uniform(0.045, 0.07))
+    draft.add_beside_cube(
+        "flat", flanked + 1, rng.uniform(*(HALF_OPEN_FINGER_GAP_RANGE if rng.random() < 0.5 else OPEN_FINGER_GAP_RANGE))
+    )
     near, far = (0.26, 0.37) if rng.random() < 0.5 else (0.52, 0.80)
-    screen(draft, rng.uniform(0.0, 0.06), rng.uniform(0.09, 0.13), near, far)
+    add_screen(draft, rng.uniform(0.0, 0.06), rng.uniform(0.09, 0.13), near, far)
 
 
-DELICATE: dict[str, Callable[[Draft], None]] = {"edge_ii": _edge, "fragile_ii": _fragile}
+FRAGILE_FAMILIES: dict[str, Callable[[SceneDraft], None]] = {"edge_ii": _edge, "fragile_ii": _fragile}
 """Families of level II about things that fall or break, by name."""

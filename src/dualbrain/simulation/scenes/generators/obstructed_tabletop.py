@@ -20,88 +20,99 @@ from collections.abc import Callable
 
 import msgspec
 
-from dualbrain.simulation.scenes.generators.draft import Draft
-from dualbrain.simulation.scenes.moving_person import path_of
-from dualbrain.simulation.scenes.scene_spec import Mover
+from dualbrain.simulation.scenes.generators.draft import SceneDraft
+from dualbrain.simulation.scenes.moving_person import person_path
+from dualbrain.simulation.scenes.scene_spec import MovingPerson
 
-THICKNESS, FAR_END = 0.01, 0.85
+BOARD_HALF_THICKNESS, BOARD_FAR_END_X = 0.01, 0.85
 """Half a board's thickness, and where it ends, on its post [m]."""
-PASSABLE, SQUEEZED = (0.055, 0.080), (0.042, 0.050)
+OPEN_FINGER_GAP_RANGE, HALF_OPEN_FINGER_GAP_RANGE = (0.055, 0.080), (0.042, 0.050)
 """Gap between the cube and flat things that open fingers pass, and one that only half-open fingers pass [m]."""
 
 
-def _tall(draft: Draft) -> None:
+def _tall(draft: SceneDraft) -> None:
     """Hand-high things at two opposite faces, flat ones at the others, and a screen on one of the two ways."""
     rng = draft.rng
-    draft.errand()
+    draft.add_task_objects()
     flanked, squeezed = draft.seed % 2, draft.seed % 3 != 1
     for face in (flanked, flanked + 2):
-        draft.beside("hand_high", face, rng.uniform(0.04, 0.07))
+        draft.add_beside_cube("hand_high", face, rng.uniform(0.04, 0.07))
     for face in (flanked + 1, flanked + 3) if squeezed else (flanked + 1,):
-        draft.beside("flat", face, rng.uniform(*(SQUEEZED if squeezed else PASSABLE)))
-    _screen(draft)
+        draft.add_beside_cube(
+            "flat", face, rng.uniform(*(HALF_OPEN_FINGER_GAP_RANGE if squeezed else OPEN_FINGER_GAP_RANGE))
+        )
+    _add_random_screen(draft)
 
 
-def _screen(draft: Draft) -> None:
+def _add_random_screen(draft: SceneDraft) -> None:
     """An upright board between cube and bowl that leaves the straight way free, or the one close to the base."""
     rng = draft.rng
     near, far = (0.26, 0.37) if rng.random() < 0.5 else (0.52, 0.80)
     y, half = rng.uniform(0.0, 0.06), rng.uniform(0.09, 0.13)
-    screen(draft, y, half, near, far)
+    add_screen(draft, y, half, near, far)
 
 
-def screen(draft: Draft, y: float, half: float, near: float, far: float) -> None:
+def add_screen(draft: SceneDraft, y: float, half: float, near: float, far: float) -> None:
     """An upright board across the way at `y`, from x = `near` to `far`, `half` its height [m]."""
-    draft.fixed("screen", ((far - near) / 2, 0.012, half), ((near + far) / 2, y, half), "screen")
+    draft.add_fixed_box("screen", ((far - near) / 2, 0.012, half), ((near + far) / 2, y, half), "screen")
 
 
-def _shelf(draft: Draft) -> None:
+def _shelf(draft: SceneDraft) -> None:
     """A board over the way, close behind the cube, or over the bowl, in turn."""
     rng = draft.rng
-    draft.errand()
+    draft.add_task_objects()
     at = ("way", "cube", "bowl")[draft.seed % 3]
     if at == "way":
-        draft.neighbour(draft.one("low", "hand_high"))
-        board(draft, 0.02, half=0.06, height=rng.uniform(0.26, 0.28), tip=rng.uniform(0.30, 0.34))
+        draft.add_neighbour(draft.random_height("low", "hand_high"))
+        add_board(draft, 0.02, half=0.06, height=rng.uniform(0.26, 0.28), end_x=rng.uniform(0.30, 0.34))
     elif at == "cube":
-        draft.beside("low", int(rng.integers(4)), rng.uniform(*PASSABLE))
-        board(draft, -0.22, half=0.10, height=rng.uniform(0.44, 0.48), tip=rng.uniform(0.52, 0.56))
+        draft.add_beside_cube("low", int(rng.integers(4)), rng.uniform(*OPEN_FINGER_GAP_RANGE))
+        add_board(draft, -0.22, half=0.10, height=rng.uniform(0.44, 0.48), end_x=rng.uniform(0.52, 0.56))
     else:
-        draft.neighbour(draft.one("low", "hand_high"))
-        board(draft, 0.26, half=0.10, height=rng.uniform(0.39, 0.44), tip=rng.uniform(0.46, 0.49))
-    draft.scatter(2, "low")
+        draft.add_neighbour(draft.random_height("low", "hand_high"))
+        add_board(draft, 0.26, half=0.10, height=rng.uniform(0.39, 0.44), end_x=rng.uniform(0.46, 0.49))
+    draft.add_scattered(2, "low")
 
 
-def board(draft: Draft, y: float, *, half: float, height: float, tip: float) -> None:
+def add_board(draft: SceneDraft, y: float, *, half: float, height: float, end_x: float) -> None:
     """A board on a post: from the far side to x = `tip`, `half` its width, at `height` [m]."""
-    below = (height - THICKNESS) / 2
-    draft.fixed("shelf", ((FAR_END - tip) / 2, half, THICKNESS), ((tip + FAR_END) / 2, y, height), "shelf")
-    draft.fixed("shelf_post", (0.015, half, below), (FAR_END - 0.015, y, below), "shelf")
+    below = (height - BOARD_HALF_THICKNESS) / 2
+    draft.add_fixed_box(
+        "shelf",
+        ((BOARD_FAR_END_X - end_x) / 2, half, BOARD_HALF_THICKNESS),
+        ((end_x + BOARD_FAR_END_X) / 2, y, height),
+        "shelf",
+    )
+    draft.add_fixed_box("shelf_post", (0.015, half, below), (BOARD_FAR_END_X - 0.015, y, below), "shelf")
 
 
-def _forearm(draft: Draft) -> None:
+def _forearm(draft: SceneDraft) -> None:
     """A forearm that rests at the bowl: from before the start, from when the robot carries, or very long."""
     rng = draft.rng
-    draft.errand()
-    draft.neighbour("hand_high")
-    draft.scatter(int(rng.integers(1, 3)), "low")
+    draft.add_task_objects()
+    draft.add_neighbour("hand_high")
+    draft.add_scattered(int(rng.integers(1, 3)), "low")
     comes, leaves = (
         (rng.uniform(-8.0, -2.0), rng.uniform(10.0, 20.0)),
         (rng.uniform(8.0, 14.0), rng.uniform(26.0, 34.0)),
         (rng.uniform(-2.0, 0.0), rng.uniform(25.0, 31.0)),
     )[draft.seed % 3]
-    draft.mover = _visit(draft, float(comes), float(leaves))
+    draft.mover = _visiting_forearm(draft, float(comes), float(leaves))
 
 
-def _visit(draft: Draft, comes: float, leaves: float) -> Mover:
+def _visiting_forearm(draft: SceneDraft, comes: float, leaves: float) -> MovingPerson:
     """In from a side of the table, resting at the bowl from time `comes` to `leaves` [s], and out again."""
     rng = draft.rng
     x, z = float(rng.uniform(0.42, 0.50)) + 0.295, float(rng.uniform(0.165, 0.22))
     outside, inside = 0.60 if rng.random() < 0.5 else -0.60, float(rng.uniform(0.16, 0.28))
-    still = Mover((x, outside, z), (x, inside, z), float(rng.uniform(0.10, 0.15)), leaves - comes, phase=0.0)
-    path = path_of(still)
-    return msgspec.structs.replace(still, phase=(path.pause + path.travel - comes) % path.cycle)
+    still = MovingPerson((x, outside, z), (x, inside, z), float(rng.uniform(0.10, 0.15)), leaves - comes, phase=0.0)
+    path = person_path(still)
+    return msgspec.structs.replace(still, phase=(path.pause + path.travel - comes) % path.cycle_duration)
 
 
-HARD: dict[str, Callable[[Draft], None]] = {"tall_ii": _tall, "shelf_ii": _shelf, "forearm_ii": _forearm}
+OBSTRUCTED_FAMILIES: dict[str, Callable[[SceneDraft], None]] = {
+    "tall_ii": _tall,
+    "shelf_ii": _shelf,
+    "forearm_ii": _forearm,
+}
 """Families of level II by name."""

@@ -8,35 +8,37 @@ the bowl.
 from __future__ import annotations
 
 from dualbrain.core.geometry.shapes import Bowl, Box, Cylinder
-from dualbrain.simulation.scenes.generators.draft import Draft, turned
-from dualbrain.simulation.scenes.scene_spec import Thing
+from dualbrain.simulation.scenes.generators.draft import SceneDraft, yaw_quaternion
+from dualbrain.simulation.scenes.scene_spec import ObjectSpec
 
 DEEP_BOWL = Bowl(radius=0.11, height=0.09, wall=0.004)
 BLOCK, TIN = Box((0.02, 0.022, 0.02)), Cylinder(0.022, 0.022)
-ON_BOTTOM = 0.008
+BOWL_BOTTOM_CLEARANCE = 0.008
 """How high above the bowl's own bottom a thing in it begins [m]."""
 
 
-def sorting(draft: Draft) -> None:
+def sorting_scene(draft: SceneDraft) -> None:
     """The red cube and a red block, perhaps a red tin, two others, and the deep bowl, free or not."""
     rng = draft.rng
-    draft.cube(0.50 + rng.uniform(-0.02, 0.02), -0.24 + rng.uniform(-0.02, 0.02), rng.uniform(-0.25, 0.25))
+    draft.add_cube(0.50 + rng.uniform(-0.02, 0.02), -0.24 + rng.uniform(-0.02, 0.02), rng.uniform(-0.25, 0.25))
     x, y = 0.50 + rng.uniform(-0.02, 0.02), 0.24 + rng.uniform(-0.02, 0.02)
-    draft.things.append(Thing("blue_bowl", "container", DEEP_BOWL, (x, y, 0.0), 0.4, "blue", "bowl"))
-    _stand(draft, "red_block", "block", "red", BLOCK)
+    draft.objects.append(ObjectSpec("blue_bowl", "container", DEEP_BOWL, (x, y, 0.0), 0.4, "blue", "bowl"))
+    _add_at_free_spot(draft, "red_block", "block", "red", BLOCK)
     if rng.random() < 0.5:
-        _stand(draft, "red_tin", "tin", "red", TIN)
-    _stand(draft, "yellow_block", "block", "yellow", BLOCK)
+        _add_at_free_spot(draft, "red_tin", "tin", "red", TIN)
+    _add_at_free_spot(draft, "yellow_block", "block", "yellow", BLOCK)
     if draft.seed % 2:
-        inside = (x, y, ON_BOTTOM + TIN.half_height)
-        draft.things.append(Thing("green_tin", "object", TIN, inside, 0.10, "green", "tin"))
+        inside = (x, y, BOWL_BOTTOM_CLEARANCE + TIN.half_height)
+        draft.objects.append(ObjectSpec("green_tin", "object", TIN, inside, 0.10, "green", "tin"))
     else:
-        _stand(draft, "green_tin", "tin", "green", TIN)
+        _add_at_free_spot(draft, "green_tin", "tin", "green", TIN)
 
 
-def _stand(draft: Draft, name: str, category: str, colour: str, shape: Box | Cylinder) -> None:
+def _add_at_free_spot(draft: SceneDraft, name: str, category: str, colour: str, shape: Box | Cylinder) -> None:
     """One thing at a free spot with room for a hand around it."""
     half = shape.half_extents[2] if isinstance(shape, Box) else shape.half_height
-    x, y = draft.spot((0.36, 0.62), (-0.36, 0.06), 0.03, 0.07)
+    x, y = draft.find_free_spot((0.36, 0.62), (-0.36, 0.06), 0.03, 0.07)
     yaw = draft.rng.uniform(-0.4, 0.4)
-    draft.things.append(Thing(name, "object", shape, (float(x), float(y), half), 0.10, colour, category, turned(yaw)))
+    draft.objects.append(
+        ObjectSpec(name, "object", shape, (float(x), float(y), half), 0.10, colour, category, yaw_quaternion(yaw))
+    )

@@ -14,25 +14,25 @@ from collections.abc import Callable
 import msgspec
 import numpy as np
 
-from dualbrain.errors import UnknownName
-from dualbrain.simulation.scenes.generators.draft import CUBE, Draft, footprint
-from dualbrain.simulation.scenes.generators.fragile import DELICATE, GLASS
-from dualbrain.simulation.scenes.generators.obstructed_tabletop import HARD
-from dualbrain.simulation.scenes.generators.sorting import sorting
+from dualbrain.errors import UnknownNameError
+from dualbrain.simulation.scenes.generators.draft import CUBE, SceneDraft, footprint_radius
+from dualbrain.simulation.scenes.generators.fragile import FRAGILE_FAMILIES, GLASS
+from dualbrain.simulation.scenes.generators.obstructed_tabletop import OBSTRUCTED_FAMILIES
+from dualbrain.simulation.scenes.generators.sorting import sorting_scene
 from dualbrain.simulation.scenes.scene_spec import (
     TABLE_X,
     TABLE_Y,
-    Mover,
+    MovingPerson,
+    ObjectSpec,
     SceneSpec,
-    Thing,
     check_scene,
     load_scene,
     save_scene,
 )
 
 __all__ = [
-    "ALL_FAMILIES", "EVERY_FAMILY", "FAMILIES", "HARD", "TABLE_X", "TABLE_Y", "Mover", "SceneSpec", "Thing",
-    "check_scene", "footprint", "load_scene", "make_scene", "save_scene",
+    "SINGLE_GOAL_FAMILIES", "SCENE_FAMILIES", "LEVEL_I_FAMILIES", "OBSTRUCTED_FAMILIES", "TABLE_X", "TABLE_Y", "MovingPerson", "SceneSpec", "ObjectSpec",
+    "check_scene", "footprint_radius", "load_scene", "make_scene", "save_scene",
 ]  # fmt: skip
 
 
@@ -41,76 +41,76 @@ def make_scene(family: str, seed: int, robot: str = "panda") -> SceneSpec:
 
     Raises `UnknownName`.
     """
-    if family not in EVERY_FAMILY:
-        raise UnknownName("scene family", family, tuple(EVERY_FAMILY))
-    draft = Draft(np.random.default_rng([seed, sum(map(ord, family))]), seed)
-    EVERY_FAMILY[family](draft)
-    spec = SceneSpec(robot, family, seed, tuple(draft.things), draft.places, draft.mover)
+    if family not in SCENE_FAMILIES:
+        raise UnknownNameError("scene family", family, tuple(SCENE_FAMILIES))
+    draft = SceneDraft(np.random.default_rng([seed, sum(map(ord, family))]), seed)
+    SCENE_FAMILIES[family](draft)
+    spec = SceneSpec(robot, family, seed, tuple(draft.objects), draft.places, draft.mover)
     check_scene(spec)
     return spec
 
 
-def _bare(draft: Draft) -> None:
+def _bare(draft: SceneDraft) -> None:
     """The table, the cube and the bowl, nothing else."""
-    draft.errand()
+    draft.add_task_objects()
 
 
-def _tabletop(draft: Draft) -> None:
+def _tabletop(draft: SceneDraft) -> None:
     """The everyday table: one neighbour beside the cube, three to five more things about."""
-    draft.errand()
-    draft.neighbour(draft.one("low", "low", "hand_high"))
-    draft.scatter(int(draft.rng.integers(3, 6)), "low", "hand_high")
+    draft.add_task_objects()
+    draft.add_neighbour(draft.random_height("low", "low", "hand_high"))
+    draft.add_scattered(int(draft.rng.integers(3, 6)), "low", "hand_high")
 
 
-def _tall(draft: Draft) -> None:
+def _tall(draft: SceneDraft) -> None:
     """Tall things beside the cube and, mostly, in the direct path to the bowl."""
-    draft.errand()
-    draft.neighbour("tall")
+    draft.add_task_objects()
+    draft.add_neighbour("tall")
     for _ in range(int(draft.rng.choice([1, 2, 3]))):
-        draft.stand("tall", x=(0.42, 0.60), y=(-0.09, 0.12), gap=0.08)
-    draft.scatter(1, "low", "hand_high")
+        draft.add_within("tall", x=(0.42, 0.60), y=(-0.09, 0.12), gap=0.08)
+    draft.add_scattered(1, "low", "hand_high")
 
 
-def _shelf(draft: Draft) -> None:
+def _shelf(draft: SceneDraft) -> None:
     """A board above the way to the bowl (absent once in five), low things below."""
-    draft.errand()
-    draft.neighbour(draft.one("low", "hand_high"))
+    draft.add_task_objects()
+    draft.add_neighbour(draft.random_height("low", "hand_high"))
     if draft.rng.random() < 0.8:
-        _board(draft)
-    draft.scatter(2, "low")
+        _add_shelf(draft)
+    draft.add_scattered(2, "low")
 
 
-def _forearm(draft: Draft) -> None:
+def _forearm(draft: SceneDraft) -> None:
     """A person's forearm sweeps between cube and bowl; a few things stand about."""
-    draft.errand()
-    draft.neighbour(draft.one("low", "hand_high"))
-    draft.scatter(int(draft.rng.integers(1, 4)), "low", "hand_high")
-    draft.mover = _sweep(draft.rng)
+    draft.add_task_objects()
+    draft.add_neighbour(draft.random_height("low", "hand_high"))
+    draft.add_scattered(int(draft.rng.integers(1, 4)), "low", "hand_high")
+    draft.mover = _sweeping_forearm(draft.rng)
 
 
-def _edge(draft: Draft) -> None:
+def _edge(draft: SceneDraft) -> None:
     """The cube hangs over the right edge of the table by 30-45 % of its width."""
     rng = draft.rng
     overhang = rng.uniform(0.30, 0.45)
     x, y = rng.uniform(0.28, 0.40), TABLE_Y[0] + 2 * CUBE.half_extents[1] * (0.5 - overhang)
-    draft.cube(x, y, 0.0)
-    draft.bowl()
-    draft.scatter(int(rng.integers(2, 4)), "low", "hand_high")
+    draft.add_cube(x, y, 0.0)
+    draft.add_bowl()
+    draft.add_scattered(int(rng.integers(2, 4)), "low", "hand_high")
 
 
-def _fragile(draft: Draft) -> None:
+def _fragile(draft: SceneDraft) -> None:
     """A thin glass that breaks above 15-25 N stands near the way; it can be the errand itself."""
-    draft.errand()
-    draft.neighbour(draft.one("low", "hand_high"))
+    draft.add_task_objects()
+    draft.add_neighbour(draft.random_height("low", "hand_high"))
     rng = draft.rng
-    x, y = draft.spot((0.40, 0.58), (-0.10, 0.10), GLASS.radius, 0.06)
-    glass = Thing("clear_glass", "object", GLASS, (x, y, GLASS.half_height), 0.08, "clear", "glass", friction=0.8)
+    x, y = draft.find_free_spot((0.40, 0.58), (-0.10, 0.10), GLASS.radius, 0.06)
+    glass = ObjectSpec("clear_glass", "object", GLASS, (x, y, GLASS.half_height), 0.08, "clear", "glass", friction=0.8)
     limit = round(float(rng.uniform(15.0, 25.0)), 1)
-    draft.things.append(msgspec.structs.replace(glass, fragile_limit=limit))
-    draft.scatter(int(rng.integers(1, 3)), "low")
+    draft.objects.append(msgspec.structs.replace(glass, fragile_limit=limit))
+    draft.add_scattered(int(rng.integers(1, 3)), "low")
 
 
-FAMILIES: dict[str, Callable[[Draft], None]] = {
+LEVEL_I_FAMILIES: dict[str, Callable[[SceneDraft], None]] = {
     "bare": _bare,
     "tabletop": _tabletop,
     "tall": _tall,
@@ -120,21 +120,23 @@ FAMILIES: dict[str, Callable[[Draft], None]] = {
     "fragile": _fragile,
 }
 """Families of level I by name."""
-ALL_FAMILIES = {**FAMILIES, **HARD, **DELICATE}
-EVERY_FAMILY = {**ALL_FAMILIES, "sorting": sorting}
+SINGLE_GOAL_FAMILIES = {**LEVEL_I_FAMILIES, **OBSTRUCTED_FAMILIES, **FRAGILE_FAMILIES}
+SCENE_FAMILIES = {**SINGLE_GOAL_FAMILIES, "sorting": sorting_scene}
 """With the one whose errands have several goals; draws of a single errand's scenes leave it out."""
 
 
-def _board(draft: Draft) -> None:
+def _add_shelf(draft: SceneDraft) -> None:
     """A board on a post: reaches from the far side over the way to the bowl, 40-50 cm above the table."""
     rng = draft.rng
     y, z, tip = rng.uniform(0.165, 0.20), rng.uniform(0.40, 0.50), rng.uniform(0.44, 0.52)
     end, thickness = 0.80, 0.01
-    draft.fixed("shelf", ((end - tip) / 2, 0.03, thickness), ((tip + end) / 2, y, z), "shelf")
-    draft.fixed("shelf_post", (0.015, 0.03, (z - thickness) / 2), (end - 0.015, y, (z - thickness) / 2), "shelf")
+    draft.add_fixed_box("shelf", ((end - tip) / 2, 0.03, thickness), ((tip + end) / 2, y, z), "shelf")
+    draft.add_fixed_box(
+        "shelf_post", (0.015, 0.03, (z - thickness) / 2), (end - 0.015, y, (z - thickness) / 2), "shelf"
+    )
 
 
-def _sweep(rng: np.random.Generator) -> Mover:
+def _sweeping_forearm(rng: np.random.Generator) -> MovingPerson:
     """Across the table in y at 17-22 cm height, above the low things, resting at both ends; any phase of the cycle."""
     tip, z, speed, pause = (
         rng.uniform(0.44, 0.50),
@@ -146,4 +148,4 @@ def _sweep(rng: np.random.Generator) -> Mover:
     x = float(tip) + 0.25 + 0.045
     cycle = 2.0 * (float(pause) + 1.2 / float(speed))
     start, end = (x, side, float(z)), (x, -side, float(z))
-    return Mover(start, end, float(speed), float(pause), float(rng.uniform(0.0, cycle)))
+    return MovingPerson(start, end, float(speed), float(pause), float(rng.uniform(0.0, cycle)))
