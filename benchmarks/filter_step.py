@@ -31,12 +31,12 @@ N_SPHERES = 10
 
 def thin_body():
     """The Panda with `SPHERES` moving spheres and no self pairs, so that rows are obstacle rows only."""
-    body = load_robot("panda")
+    robot_model = load_robot("panda")
     chosen = []
     for link in ("link3", "link4", "link5", "link6", "hand"):
-        chosen += [s for s in body.spheres if s.link == link][:2]
-    pairs = msgspec.structs.replace(body.self_pairs, kept=())
-    return msgspec.structs.replace(body, spheres=tuple(chosen[:N_SPHERES]), self_pairs=pairs)
+        chosen += [s for s in robot_model.spheres if s.link == link][:2]
+    pairs = msgspec.structs.replace(robot_model.self_pairs, kept=())
+    return msgspec.structs.replace(robot_model, spheres=tuple(chosen[:N_SPHERES]), self_pairs=pairs)
 
 
 def make_filter(body, obstacles, *, limits):
@@ -96,9 +96,9 @@ def measure():
     settings = [("rows", thin_body(), n, n // N_SPHERES, False) for n in (10, 50, 100, 400)]
     panda = load_robot("panda")
     settings += [("shipped", panda, 100 * k, k, True) for k in (1, 4, 10, 40)]
-    for name, body, pairs, obstacles, limits in settings:
-        log, u_nom, rows, iterations = record_episode(body, obstacles, limits=limits)
-        safety = make_filter(body, obstacles, limits=limits)
+    for name, robot_model, pairs, obstacles, limits in settings:
+        log, u_nom, rows, iterations = record_episode(robot_model, obstacles, limits=limits)
+        safety = make_filter(robot_model, obstacles, limits=limits)
         records.append({
             "setting": name, "pairs": pairs, "obstacles": obstacles, "rows": round(rows, 1),
             "iterations": round(iterations, 3), "c_warm_us": 1e6 * c_time(safety, log, u_nom, cold=False),

@@ -62,17 +62,19 @@ def two_pandas() -> RobotModel:
 SYNTHETIC_ROBOTS = {"two_pandas": two_pandas}
 
 
-def robot_scene(body: RobotModel) -> Scene:
+def robot_scene(robot_model: RobotModel) -> Scene:
     """The scene that a body stands in."""
-    family = "workroom:0" if body.is_mobile_manipulator else "empty_room:0" if body.is_mobile else "bare:0"
-    robot = body.name if body.name in BUILTIN_ROBOTS else "panda"
+    family = (
+        "workroom:0" if robot_model.is_mobile_manipulator else "empty_room:0" if robot_model.is_mobile else "bare:0"
+    )
+    robot = robot_model.name if robot_model.name in BUILTIN_ROBOTS else "panda"
     return scene_from_spec(open_scene(family, robot))
 
 
 def make_filter(name: str) -> SafetyFilter:
-    body = SYNTHETIC_ROBOTS[name]() if name in SYNTHETIC_ROBOTS else load_robot(name)
-    scene = robot_scene(body)
-    safety = SafetyFilter(body)
+    robot_model = SYNTHETIC_ROBOTS[name]() if name in SYNTHETIC_ROBOTS else load_robot(name)
+    scene = robot_scene(robot_model)
+    safety = SafetyFilter(robot_model)
     safety.observe(
         (
             *obstacles_from_scene(scene, known=(), held=None),
@@ -83,8 +85,8 @@ def make_filter(name: str) -> SafetyFilter:
 
 
 def mean_us(safety: SafetyFilter) -> float:
-    state = home_state(safety.body)
-    wish = 0.5 * np.array([joint.velocity.value for joint in safety.body.joints])
+    state = home_state(safety.robot_model)
+    wish = 0.5 * np.array([joint.velocity.value for joint in safety.robot_model.joints])
     start = time.thread_time()
     for _ in range(STEPS):
         safety.filter(state, wish, 0.0)
@@ -102,10 +104,10 @@ def main() -> None:
             times[name].append(mean_us(safety))
     print("| body | n | spheres | pairs kept | obstacles | µs | ratio to the Panda |\n|---|---|---|---|---|---|---|")
     for name, safety in filters.items():
-        middle, body = statistics.median(times[name]), safety.body
+        middle, robot_model = statistics.median(times[name]), safety.robot_model
         ratios = [mine / panda for mine, panda in zip(times[name], times["panda"], strict=True)]
         low, ratio, high = statistics.quantiles(ratios, n=4, method="inclusive")
-        sizes = f"{body.n} | {len(body.spheres)} | {len(body.self_pairs.kept)} | {len(safety._obstacles)}"
+        sizes = f"{robot_model.n} | {len(robot_model.spheres)} | {len(robot_model.self_pairs.kept)} | {len(safety._obstacles)}"
         print(f"| {name} | {sizes} | {middle:.1f} | {ratio:.2f} ({low:.2f}–{high:.2f}) |")
 
 

@@ -34,11 +34,13 @@ PLACE = {"destination": "blue_bowl", "speed": 0.3, "clearance": 0.10, "route": "
 
 def main() -> None:
     """Put the red cube into the bowl of the bare scene and print what happened."""
-    body, registry, spec = load_robot("panda"), load_skill_registry("panda"), make_scene("bare", 1)
-    plant = Plant(spec, body)
+    robot_model, registry, spec = load_robot("panda"), load_skill_registry("panda"), make_scene("bare", 1)
+    plant = Plant(spec, robot_model)
     world = SimulatedWorld(plant, NoisyPerception(spec, PerceptionNoise(), np.random.default_rng(0)))
-    log = FlightLog(Trace(body.n), on_event=lambda event: print(f"{event.t:6.2f} s  {event.text}"))
-    layer = ContractExecutor(body, plant, world, SafetyFilter(body), log, ExecutorConfig(), on_phase=world.set_phase)
+    log = FlightLog(Trace(robot_model.n), on_event=lambda event: print(f"{event.t:6.2f} s  {event.text}"))
+    layer = ContractExecutor(
+        robot_model, plant, world, SafetyFilter(robot_model), log, ExecutorConfig(), on_phase=world.set_phase
+    )
 
     written = {
         "id": "c-0001",

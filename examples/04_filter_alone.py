@@ -36,12 +36,12 @@ def what_to_do(answer: FilterResult) -> str:
 
 def main() -> None:
     """Drive for four seconds between a crate that stands still and a ball that flies by."""
-    body = load_robot("panda")  # 1
-    safety = SafetyFilter(body)  # 2
+    robot_model = load_robot("panda")  # 1
+    safety = SafetyFilter(robot_model)  # 2
     table = Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)))
     crate = Obstacle("crate", Box((0.1, 0.1, 0.2)), Pose((0.45, 0.42, 0.2)), margin=0.01)
 
-    q, v, dt, told = np.array(body.home), np.zeros(body.n), body.period, ""
+    q, v, dt, told = np.array(robot_model.home), np.zeros(robot_model.n), robot_model.period, ""
     for tick in range(4000):
         now = tick * dt
         if tick % 33 == 0:  # a camera at 30 Hz; velocity and its error bound let the filter look ahead in between
@@ -52,7 +52,7 @@ def main() -> None:
         if (words := f"{answer.status.name}, {what_to_do(answer)}") != told or tick % 500 == 0:
             told = words
             print(f"{now:5.3f} s  h {answer.h_min * 1e3:5.1f} mm  {words}: {answer.explain()}")  # 5
-        v = v + (answer.u - v) * dt / body.tracking.lag
+        v = v + (answer.u - v) * dt / robot_model.tracking.lag
         q = q + dt * v
 
 

@@ -92,7 +92,7 @@ for frame, stamp in (("lens", 0.0), ("lense", 0.0), ("lens", -1.0)):
         case SourceRefused(_, reason):
             print(f"refused: {reason}")
 safety = SafetyFilter(load_robot("panda"), EXACT_TRACKING, fixed_obstacles=[Obstacle("table", *TABLE)])
-q, u, least = np.array(safety.body.home), np.zeros(7), np.inf
+q, u, least = np.array(safety.robot_model.home), np.zeros(7), np.inf
 for tick in range(1500):
     now = 1e-3 * tick
     if tick % 50 == 0 and tick < 1000:

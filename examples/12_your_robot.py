@@ -56,16 +56,16 @@ print(f"  skills: {', '.join(line.split('(')[0] for line in said.splitlines() if
 code, said = dualbrain("robot", "inspect", str(folder), "--view", "--port", "18210")
 print("  " + next(line for line in said.splitlines() if "Look at" in line))
 
-body = load_robot(str(folder))
-safety = SafetyFilter(body, FilterConfig(tracking_error=0.0, lag_compensation=False))
-q, u, least = np.array(body.home), np.zeros(body.n), np.inf
+robot_model = load_robot(str(folder))
+safety = SafetyFilter(robot_model, FilterConfig(tracking_error=0.0, lag_compensation=False))
+q, u, least = np.array(robot_model.home), np.zeros(robot_model.n), np.inf
 table = float(min(safety.spheres(q, 0.0)[0][:, 2])) - 0.4
 safety.observe([Obstacle("table", HalfSpace(), Pose((0.0, 0.0, table)))])
 for _ in range(4000):
     J = safety.tool(q).jacobian[:3]
     answer = safety(q, u, J.T @ np.linalg.solve(J @ J.T + 1e-3 * np.eye(3), np.array([0.0, 0.0, -0.5])))
-    q, u, least = q + body.period * answer.u, answer.u, min(least, answer.h_min)
-print(f"pushed at the table for {4000 * body.period:.0f} s: {answer.explain()}; least h {least * 1e3:.2f} mm")
+    q, u, least = q + robot_model.period * answer.u, answer.u, min(least, answer.h_min)
+print(f"pushed at the table for {4000 * robot_model.period:.0f} s: {answer.explain()}; least h {least * 1e3:.2f} mm")
 busy = sum(sum(getrusage(who)[:2]) for who in (RUSAGE_SELF, RUSAGE_CHILDREN))
 print(f"four commands, {time.monotonic() - began:.0f} s, {busy:.0f} s of one processor; folder {folder.name}: "
       f"{', '.join(sorted(path.name for path in folder.iterdir()))}")  # fmt: skip

@@ -112,12 +112,12 @@ def _fuzz_in_process(seed: int, frames: int) -> Row:
 
 def _gate_worker_and_request() -> tuple[GateWorker, GateRequest]:
     """A clerk, and what he is handed beside the contract."""
-    body = load_robot("panda")
+    robot_model = load_robot("panda")
     scene = scene_from_spec(open_scene(SCENE))
-    q = np.array(body.home)
-    state = RobotState(0.0, 1, q, np.zeros(body.n), 0.04, (0.0, 0.0), drive_enabled=True)
+    q = np.array(robot_model.home)
+    state = RobotState(0.0, 1, q, np.zeros(robot_model.n), 0.04, (0.0, 0.0), drive_enabled=True)
     stamp = ContractHeader(1, 0.0, 60.0, PLANNER, scene.version)
-    return GateWorker(body, {PLANNER: full_capability(skill_registry(body))}), GateRequest(
+    return GateWorker(robot_model, {PLANNER: full_capability(skill_registry(robot_model))}), GateRequest(
         1, 1, b"", stamp, 1.0, scene, state, None
     )
 

@@ -125,14 +125,14 @@ def _planning_loop(
     session: LiveSession, link: GatekeeperClient, decided: Queue[bytes], day: LoadSummary, over: Signal
 ) -> None:
     """Ask the planner again and again; the newest answer waits to be carried out."""
-    registry = skill_registry(session.body)
+    registry = skill_registry(session.robot_model)
     for count, instruction in enumerate(cycle(INSTRUCTIONS)):
         if over.is_set():
             return
         scene = link.request_scene().scene
         names = scene_names(scene)
         request = PlanRequest(
-            instruction, summarise_scene(scene, None), RetrievedContext(), session.body.name, registry.hash,
+            instruction, summarise_scene(scene, None), RetrievedContext(), session.robot_model.name, registry.hash,
             describe_skills(registry, names), decoding_schema(registry, names), contract_id=f"c-{count % 10_000:04d}",
         )  # fmt: skip
         began = time.monotonic()

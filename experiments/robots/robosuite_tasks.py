@@ -53,8 +53,8 @@ class RobosuiteTasks:
 
     def run(self, about: dict[str, Any]) -> Row:
         """One flight; the environment is made if it is missing."""
-        suite, body = _open_suite()
-        return run_episode(suite, body, about)
+        suite, robot_model = _open_suite()
+        return run_episode(suite, robot_model, about)
 
     def summarize_row(self, row: Row) -> str:
         """How it ended."""

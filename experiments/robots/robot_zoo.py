@@ -54,16 +54,16 @@ class RobotZoo:
         robot, began = ROBOTS_BY_NAME[about["robot"]], time.monotonic()
         tree, made = import_robot(robot, quick=True)
         seconds = time.monotonic() - began
-        pose, jacobian = compare_kinematics(robot, tree, made.model, states, np.random.default_rng(0))
-        fights = [run_attack(made.model, seed, steps) for seed in range(scenes)]
-        body, links = made.model, made.report.links
+        pose, jacobian = compare_kinematics(robot, tree, made.robot_model, states, np.random.default_rng(0))
+        fights = [run_attack(made.robot_model, seed, steps) for seed in range(scenes)]
+        robot_model, links = made.robot_model, made.report.links
         weights = [link.spheres for link in links]
         return {
-            **about, "file": Path(robot.file).name, "tip": body.tool.link, "n": body.n, "spheres": len(body.spheres),
-            "kept": len(body.self_pairs.kept), "coverage": made.report.coverage,
+            **about, "file": Path(robot.file).name, "tip": robot_model.tool.link, "n": robot_model.n, "spheres": len(robot_model.spheres),
+            "kept": len(robot_model.self_pairs.kept), "coverage": made.report.coverage,
             "mean": float(np.average([link.mean for link in links], weights=weights)),
             "worst": max(link.worst for link in links if link.group != "base" or len(links) == 1),
-            "always": [f"{a}–{b}" for a, b, why in body.self_pairs.allowed if "overlap in all" in why],
+            "always": [f"{a}–{b}" for a, b, why in robot_model.self_pairs.allowed if "overlap in all" in why],
             "made_s": seconds, "pose": pose, "jacobian": jacobian, "steps": scenes * steps,
             "status": np.sum([one.status for one in fights], axis=0).tolist(), "below": sum(f.n_below_zero for f in fights),
             "h_things": min(f.h_obstacles for f in fights), "h_self": min(f.h_self for f in fights),

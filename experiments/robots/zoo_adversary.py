@@ -40,26 +40,28 @@ class AttackResult:
 class DistanceChecker:
     """True h of one body among solids at any posture."""
 
-    def __init__(self, body: RobotModel) -> None:
+    def __init__(self, robot_model: RobotModel) -> None:
         """Collect spheres by link; those bolted to the world make no h with things."""
-        self.body = body
-        self.mobile = body.base == "differential"
-        self.links = [link for link in body.links if any(sphere.link == link.name for sphere in body.spheres)]
+        self.robot_model = robot_model
+        self.mobile = robot_model.base == "differential"
+        self.links = [
+            link for link in robot_model.links if any(sphere.link == link.name for sphere in robot_model.spheres)
+        ]
         self.centres = {
-            link.name: np.array([sphere.centre for sphere in body.spheres if sphere.link == link.name])
+            link.name: np.array([sphere.centre for sphere in robot_model.spheres if sphere.link == link.name])
             for link in self.links
         }
         self.radii = {
-            link.name: np.array([sphere.radius for sphere in body.spheres if sphere.link == link.name])
+            link.name: np.array([sphere.radius for sphere in robot_model.spheres if sphere.link == link.name])
             for link in self.links
         }
-        self.low = np.array([joint.lower.value for joint in body.joints])
-        self.high = np.array([joint.upper.value for joint in body.joints])
+        self.low = np.array([joint.lower.value for joint in robot_model.joints])
+        self.high = np.array([joint.upper.value for joint in robot_model.joints])
 
     def sphere_centres(self, q: Array) -> dict[str, Array]:
         """Centres (m, k, 3) of every link's spheres at configurations q (m, n), of what drives (m, n + 1)."""
         chain = np.hstack([np.zeros((len(q), 2)), q[:, 3:]]) if self.mobile else q
-        turns, origins = chain_frames(self.body.joints, chain)
+        turns, origins = chain_frames(self.robot_model.joints, chain)
         found = {link.name: sphere_centres(link, self.centres[link.name], turns, origins, 0.0) for link in self.links}
         if self.mobile:
             c, s, zero = np.cos(q[:, 2]), np.sin(q[:, 2]), np.zeros(len(q))
@@ -81,7 +83,7 @@ class DistanceChecker:
     def self_distance(self, placed: dict[str, Array]) -> Array:
         """Least gap (m,) of all kept pairs."""
         least = np.full(len(next(iter(placed.values()))), np.inf)
-        for a, b in self.body.self_pairs.kept:
+        for a, b in self.robot_model.self_pairs.kept:
             for k in range(placed[a].shape[1]):
                 gap = np.linalg.norm(placed[b] - placed[a][:, k, None], axis=2) - self.radii[b] - self.radii[a][k]
                 least = np.minimum(least, gap.min(axis=1))
@@ -98,15 +100,15 @@ class DistanceChecker:
         return np.minimum(self.obstacle_distance(placed, obstacles), self.self_distance(placed))
 
 
-def run_attack(body: RobotModel, seed: int, steps: int) -> AttackResult:
+def run_attack(robot_model: RobotModel, seed: int, steps: int) -> AttackResult:
     """One random scene around `body` at home, `steps` steps of an adversary."""
-    rng, judge = np.random.default_rng(seed), DistanceChecker(body)
-    q = np.array(body.home, float)
+    rng, judge = np.random.default_rng(seed), DistanceChecker(robot_model)
+    q = np.array(robot_model.home, float)
     obstacles = _random_obstacles(judge, q, rng, 10)
-    safety = SafetyFilter(body, EXACT_TRACKING)
+    safety = SafetyFilter(robot_model, EXACT_TRACKING)
     safety.observe(obstacles)
-    v_max = np.array([joint.velocity.value for joint in body.joints])
-    u, hold, wish = np.zeros(body.n), 0, np.zeros(body.n)
+    v_max = np.array([joint.velocity.value for joint in robot_model.joints])
+    u, hold, wish = np.zeros(robot_model.n), 0, np.zeros(robot_model.n)
     path, counts = np.empty((steps, len(q))), [0] * len(FilterStatus)
     for step in range(steps):
         if hold == 0:
@@ -114,13 +116,13 @@ def run_attack(body: RobotModel, seed: int, steps: int) -> AttackResult:
             wish = (
                 _worst_control(judge, q, obstacles, v_max)
                 if rng.random() < 0.7
-                else rng.choice([-1.5, 1.5], body.n) * v_max
+                else rng.choice([-1.5, 1.5], robot_model.n) * v_max
             )
         hold -= 1
         answer = safety(q, u, wish)
         u = answer.u
         counts[answer.status] += 1
-        q = integrate_configuration(q, u, body.period) if judge.mobile else q + body.period * u
+        q = integrate_configuration(q, u, robot_model.period) if judge.mobile else q + robot_model.period * u
         path[step] = q
     return _evaluate_path(judge, path, obstacles, tuple(counts))
 
@@ -161,7 +163,11 @@ def _random_obstacles(judge: DistanceChecker, q: Array, rng: np.random.Generator
         shape = (Sphere(size), Capsule(0.5 * size, size), Box((size, float(rng.uniform(0.3, 1.0)) * size, 0.5 * size)))
         turn = rng.normal(size=4)
         w, x, y, z = (float(value) for value in turn / np.linalg.norm(turn))
-        away = rng.normal(size=3) * (1.0, 1.0, 0.1 if judge.mobile and not judge.body.is_mobile_manipulator else 0.7)
+        away = rng.normal(size=3) * (
+            1.0,
+            1.0,
+            0.1 if judge.mobile and not judge.robot_model.is_mobile_manipulator else 0.7,
+        )
         place = middle + rng.uniform(0.3, 1.0) * reach * away / np.linalg.norm(away)
         thing = Obstacle(
             f"thing{len(found)}", shape[int(rng.integers(3))], Pose(tuple(map(float, place)), (w, x, y, z))
@@ -174,10 +180,10 @@ def _random_obstacles(judge: DistanceChecker, q: Array, rng: np.random.Generator
 def _reach(judge: DistanceChecker, q: Array, rng: np.random.Generator) -> float:
     """How far any sphere comes from the first joint [m]; of a base, how far it should drive."""
     if judge.mobile:
-        return 1.5 if judge.body.is_mobile_manipulator else 3.0
+        return 1.5 if judge.robot_model.is_mobile_manipulator else 3.0
     low, high = np.maximum(judge.low, -np.pi), np.minimum(judge.high, np.pi)
     tries = np.vstack([q, low + (high - low) * rng.random((200, len(low)))])
-    turns, origins = chain_frames(judge.body.joints, tries)
+    turns, origins = chain_frames(judge.robot_model.joints, tries)
     del turns
     far = [centres - origins[:, 1, None] for name, centres in judge.sphere_centres(tries).items()]
     return float(max(np.linalg.norm(one, axis=2).max() for one in far))

@@ -17,10 +17,10 @@ Array = NDArray[np.float64]
 
 
 def compare_kinematics(
-    robot: ZooRobot, tree: KinematicTree, body: RobotModel, states: int, rng: np.random.Generator
+    robot: ZooRobot, tree: KinematicTree, robot_model: RobotModel, states: int, rng: np.random.Generator
 ) -> tuple[float, float]:
     """Largest difference of the tool's pose and of its Jacobian over random states, entry by entry; float64 kernel."""
-    safety = SafetyFilter(body, FilterConfig(precision="float64"))
+    safety = SafetyFilter(robot_model, FilterConfig(precision="float64"))
     return _compare_mobile_base(safety, states, rng) if robot.mobile else _compare_arm(robot, tree, safety, states, rng)
 
 
@@ -36,7 +36,10 @@ def _compare_arm(
     pose_off = jacobian_off = 0.0
     for _ in range(states):
         q = np.array(
-            [rng.uniform(max(joint.lower.value, -7.0), min(joint.upper.value, 7.0)) for joint in safety.body.joints]
+            [
+                rng.uniform(max(joint.lower.value, -7.0), min(joint.upper.value, 7.0))
+                for joint in safety.robot_model.joints
+            ]
         )
         full = _full_configuration(pin, model, chain, dict(zip(names, q, strict=True)))
         pin.computeJointJacobians(model, data, full)

@@ -87,16 +87,16 @@ def run_episode(kind: AdversaryClass, seed: int, steps: int = STEPS_PER_EPISODE)
 
 def run_trial(kind: AdversaryClass, seed: int, steps: int, *, log: bool = False) -> tuple[Row, np.ndarray, list[Any]]:
     """Account, true postures (steps, n) if asked for, and the true obstacles at the start."""
-    body, judge = load_panda()
+    robot_model, judge = load_panda()
     rng = np.random.default_rng([seed, zlib.crc32(kind.name.encode())])
-    q = random_scenes.random_posture(body, judge, rng)
+    q = random_scenes.random_posture(robot_model, judge, rng)
     truth = random_scenes.random_obstacles(judge, q, rng, int(rng.integers(4, 15)))
     if kind.has_moving_obstacle:
         truth.append(random_scenes.random_moving_obstacle(judge, q, rng))
-    safety = SafetyFilter(body, kind.filter_config())
+    safety = SafetyFilter(robot_model, kind.filter_config())
     safety.observe([kind.perceived_obstacle(thing) for thing in truth], 0.0)
     safety.reset()
-    q, path = q.copy(), np.empty((steps, body.n) if log else 0)
+    q, path = q.copy(), np.empty((steps, robot_model.n) if log else 0)
     account = judge.trial(safety._kernel.parts(), obstacle_rows(truth), kind.trial_parameters(seed, steps), q, path)
     return account, path, truth
 
@@ -104,8 +104,8 @@ def run_trial(kind: AdversaryClass, seed: int, steps: int, *, log: bool = False)
 @cache
 def load_panda() -> tuple[RobotModel, Judge]:
     """The Panda with every sphere, fingers closed, and its judge."""
-    body = load_robot("panda")
-    return body, build_judge(body)
+    robot_model = load_robot("panda")
+    return robot_model, build_judge(robot_model)
 
 
 def aggregate(accounts: Iterable[Row]) -> Row:

@@ -83,15 +83,15 @@ def run_contract(
 
     The filter is on unless `guard` is False; `watch` sees a moment now and then.
     """
-    body = load_robot(spec.robot)
-    plant = make_plant(spec, body)
+    robot_model = load_robot(spec.robot)
+    plant = make_plant(spec, robot_model)
     world = SimulatedWorld(plant, NoisyPerception(spec, PerceptionNoise(), np.random.default_rng([seed, 1])), goal=goal)
-    log = FlightLog(Trace(body.n, body.nq))
+    log = FlightLog(Trace(robot_model.n, robot_model.nq))
     layer = ContractExecutor(
-        body,
+        robot_model,
         plant,
         world,
-        SafetyFilter(body),
+        SafetyFilter(robot_model),
         log,
         ExecutorConfig(guard=guard),
         on_tick=on_tick,
@@ -106,7 +106,7 @@ def run_contract(
 
 
 def _check_contract(layer: ContractExecutor, actions: list[dict[str, Any]]):
-    registry = load_skill_registry(layer.body.name)
+    registry = load_skill_registry(layer.robot_model.name)
     context = {"robot": registry.robot, "registry": registry.hash}
     data = msgspec.json.encode({"id": "c-0001", "context": context, "action_sequence": actions})
     gate = Gate(registry, planner_grants(registry), scene_rules(layer.scene, layer.controller))

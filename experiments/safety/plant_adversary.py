@@ -78,13 +78,15 @@ class PlantAdversary:
 
 def run_episode(kind: DriveKind, seed: int, steps: int = STEPS_PER_EPISODE) -> Row:
     """One random scene, start posture and adversary; judged at every state the plant went through."""
-    body, judge = load_panda(kind)
+    robot_model, judge = load_panda(kind)
     rng = np.random.default_rng([seed, DRIVE_KINDS.index(kind), 3])
-    start = random_scenes.random_posture(body, judge, rng)
+    start = random_scenes.random_posture(robot_model, judge, rng)
     truth = random_scenes.random_obstacles(judge, start, rng, int(rng.integers(4, 12)))
-    plant = Plant(SceneSpec("panda", "hazards", seed, tuple(map(_scene_object, truth[1:])), ()), body, drive=kind)
+    plant = Plant(
+        SceneSpec("panda", "hazards", seed, tuple(map(_scene_object, truth[1:])), ()), robot_model, drive=kind
+    )
     plant.set_configuration(start)
-    safety = SafetyFilter(body)
+    safety = SafetyFilter(robot_model)
     safety.observe(truth, 0.0)
     began = process_time()
     q, status, shapes = run_closed_loop(SteppedPlant(plant, contacts=False), safety, PlantJudge(plant), rng, steps)
@@ -102,9 +104,9 @@ def run_closed_loop(
     robot: SteppedPlant, safety: SafetyFilter, shapes: PlantJudge, rng: np.random.Generator, steps: int
 ) -> tuple[np.ndarray, np.ndarray, PlantJudge]:
     """The loop: sense, judge, filter at the measured state, act. True postures (steps, n) and statuses (steps,)."""
-    n = safety.body.n
-    v_max = np.array([joint.velocity.value for joint in safety.body.joints])
-    opening = float(safety.body.gripper.opening.value)
+    n = safety.robot_model.n
+    v_max = np.array([joint.velocity.value for joint in safety.robot_model.joints])
+    opening = float(safety.robot_model.gripper.opening.value)
     path, status, wish = np.empty((steps, n)), np.empty(steps, np.int64), np.zeros(n)
     until = 0
     for t in range(steps):
@@ -131,8 +133,8 @@ def _worst_nominal(rows: tuple[BarrierRow, ...], v_max: np.ndarray, rng: np.rand
 @cache
 def load_panda(kind: str) -> tuple[RobotModel, Judge]:
     """The Panda with what was identified of this drive, fingers open, and the judge of its spheres."""
-    body = load_robot("panda").with_drive(kind)
-    return body, build_judge(body, float(body.gripper.opening.value))
+    robot_model = load_robot("panda").with_drive(kind)
+    return robot_model, build_judge(robot_model, float(robot_model.gripper.opening.value))
 
 
 def aggregate(rows: list[Row]) -> Row:

@@ -34,12 +34,12 @@ class PlantJudge:
 
     def __init__(self, plant: Plant) -> None:
         """All pairs of `plant` that the filter keeps apart; the base is bolted down and meets no scene."""
-        self._model, self._data, body = plant.model, plant.data, plant.body
-        frames = {link.name: link.frame for link in body.links}
+        self._model, self._data, robot_model = plant.model, plant.data, plant.robot_model
+        frames = {link.name: link.frame for link in robot_model.links}
         arm = {g: frames[name] for g in range(self._model.ngeom) if (name := self._link_name(g)) in frames}
         scene = [g for g in range(self._model.ngeom) if g not in arm]
         moving = [g for g, frame in arm.items() if frame > 0]
-        own = _self_pairs(arm, {g: self._link_name(g) for g in arm}, body)
+        own = _self_pairs(arm, {g: self._link_name(g) for g in arm}, robot_model)
         self._pairs = np.array([*((g, s) for g in moving for s in scene), *own])
         self._n_scene = len(moving) * len(scene)
         self._share = np.where(np.arange(len(self._pairs)) < self._n_scene, 1.0, 0.5)  # in own pairs both may move
@@ -48,7 +48,7 @@ class PlantJudge:
         self._plane = self._model.geom_rbound[self._pairs].min(axis=1) <= 0.0  # planes have no bounding ball
         self._q, self._positions = plant.data.qpos[plant.arm_slices[0]], plant.data.geom_xpos
         self._last, self._last_q, self._last_positions = self._q.copy(), self._q.copy(), self._positions.copy()
-        self._lever_arms = _longest_lever_arms(body)
+        self._lever_arms = _longest_lever_arms(robot_model)
         self._slack, self._remaining_travel = np.zeros(len(self._pairs)), 0.0
         self.min_scene_distance, self.min_self_distance, self.n_below_zero, self.n_measurements = np.inf, np.inf, 0, 0
 
@@ -87,13 +87,13 @@ class PlantJudge:
         return name.removeprefix(ROBOT_PREFIX) if name.startswith(ROBOT_PREFIX) else ""
 
 
-def _longest_lever_arms(body: RobotModel) -> Array:
+def _longest_lever_arms(robot_model: RobotModel) -> Array:
     """Longest lever arm (n,) of each joint on any point of the arm, hand and fingers in any posture [m]."""
-    lengths = [float(np.linalg.norm(joint.translation)) for joint in body.joints]
-    return np.array([sum(lengths[k + 1 :]) + MAX_TOOL_REACH for k in range(body.n)])
+    lengths = [float(np.linalg.norm(joint.translation)) for joint in robot_model.joints]
+    return np.array([sum(lengths[k + 1 :]) + MAX_TOOL_REACH for k in range(robot_model.n)])
 
 
-def _self_pairs(arm: dict[int, int], links: dict[int, str], body: RobotModel) -> list[tuple[int, int]]:
+def _self_pairs(arm: dict[int, int], links: dict[int, str], robot_model: RobotModel) -> list[tuple[int, int]]:
     """Shapes of link pairs that are kept apart, the one nearer to the base first."""
-    kept = {frozenset(pair) for pair in body.self_pairs.kept}
+    kept = {frozenset(pair) for pair in robot_model.self_pairs.kept}
     return [(a, b) for a in arm for b in arm if arm[a] < arm[b] and frozenset((links[a], links[b])) in kept]

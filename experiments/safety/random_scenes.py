@@ -15,15 +15,15 @@ Array = NDArray[np.float64]
 TABLE = Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)))
 
 
-def random_posture(body: RobotModel, judge: Judge, rng: np.random.Generator, gap: float = 0.05) -> Array:
+def random_posture(robot_model: RobotModel, judge: Judge, rng: np.random.Generator, gap: float = 0.05) -> Array:
     """Joint angles (n,) at least `gap` from own pairs, the table and joint limits; home if none is found."""
-    low = np.array([joint.lower.value for joint in body.joints])
-    high = np.array([joint.upper.value for joint in body.joints])
+    low = np.array([joint.lower.value for joint in robot_model.joints])
+    high = np.array([joint.upper.value for joint in robot_model.joints])
     for _ in range(60):
         q = rng.uniform(low + 0.2, high - 0.2)
         if np.min(true_h(judge, q[None], [TABLE])[0, :4]) > gap:
             return q
-    return np.array(body.home)
+    return np.array(robot_model.home)
 
 
 def random_obstacles(judge: Judge, q: Array, rng: np.random.Generator, count: int, gap: float = 0.05) -> list[Obstacle]:

@@ -16,29 +16,29 @@ Array = NDArray[np.float64]
 N_COLUMNS = 24
 
 
-def build_judge(body: RobotModel, opening: float = 0.0) -> Judge:
+def build_judge(robot_model: RobotModel, opening: float = 0.0) -> Judge:
     """A judge for `body` with the fingers held at `opening` [m]."""
     centres, radii, first = [], [], [0]
-    for link in body.links:
+    for link in robot_model.links:
         turn, shift = rotation_matrix(link.quaternion), np.array(link.translation) + 0.0
-        for sphere in (s for s in body.spheres if s.link == link.name):
+        for sphere in (s for s in robot_model.spheres if s.link == link.name):
             centres.append(shift + turn @ (np.array(sphere.centre) + opening * np.array(link.slide)))
             radii.append(sphere.radius)
         first.append(len(radii))
-    names = [link.name for link in body.links]
-    joints = body.joints
+    names = [link.name for link in robot_model.links]
+    joints = robot_model.joints
     return Judge(
         {
-            "n": body.n,
+            "n": robot_model.n,
             "rotation": np.concatenate([rotation_matrix(j.quaternion).ravel() for j in joints]),
             "offset": np.concatenate([np.array(j.translation) for j in joints]),
             "lower": np.array([j.lower.value for j in joints]),
             "upper": np.array([j.upper.value for j in joints]),
             "v_max": np.array([j.velocity.value for j in joints]),
             "a_max": np.array([j.acceleration.value for j in joints]),
-            "frame": np.array([float(link.frame) for link in body.links]),
+            "frame": np.array([float(link.frame) for link in robot_model.links]),
             "first": np.array(first, float),
-            "pairs": np.array([float(names.index(n)) for pair in body.self_pairs.kept for n in pair]),
+            "pairs": np.array([float(names.index(n)) for pair in robot_model.self_pairs.kept for n in pair]),
             "centres": np.ascontiguousarray(centres),
             "radii": np.array(radii),
         }

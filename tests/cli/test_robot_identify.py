@@ -36,21 +36,23 @@ def test_json_and_a_new_data_file(tell, tmp_path):
     assert code == ExitCode.SUCCESS
     entry = json.loads(out)["entry"]
     assert "body.json" in err
-    body = msgspec.json.decode((tmp_path / "body.json").read_bytes(), type=RobotModel)
-    assert msgspec.to_builtins(body.with_drive("velocity").tracking) == entry
-    assert body.tracking == PANDA.tracking, "the other drive is left alone"
+    robot_model = msgspec.json.decode((tmp_path / "body.json").read_bytes(), type=RobotModel)
+    assert msgspec.to_builtins(robot_model.with_drive("velocity").tracking) == entry
+    assert robot_model.tracking == PANDA.tracking, "the other drive is left alone"
     assert "--drive velocity --seeds 1 --seconds 0.5 --load 0.5" in entry["provenance"]
-    assert encode_robot(body) == (tmp_path / "body.json").read_bytes()
+    assert encode_robot(robot_model) == (tmp_path / "body.json").read_bytes()
 
 
 def test_what_is_written_enters_the_rows(tell, tmp_path):
     (tmp_path / "body.json").write_bytes(encode_robot(PANDA))
     tell("robot", "identify", *SHORT, "--load", 1, "--write", "body.json")
-    body = msgspec.json.decode((tmp_path / "body.json").read_bytes(), type=RobotModel)
-    assert body.tracking != PANDA.tracking
-    assert tracking_error(body, FilterConfig()) == pytest.approx(body.alpha * body.tracking.position_error)
-    assert tracking_error(body, FilterConfig(alpha=10.0)) > 10.0 * body.tracking.position_error
-    assert tracking_error(body, FilterConfig(tracking_error=0.5)) == 0.5
+    robot_model = msgspec.json.decode((tmp_path / "body.json").read_bytes(), type=RobotModel)
+    assert robot_model.tracking != PANDA.tracking
+    assert tracking_error(robot_model, FilterConfig()) == pytest.approx(
+        robot_model.alpha * robot_model.tracking.position_error
+    )
+    assert tracking_error(robot_model, FilterConfig(alpha=10.0)) > 10.0 * robot_model.tracking.position_error
+    assert tracking_error(robot_model, FilterConfig(tracking_error=0.5)) == 0.5
 
 
 @pytest.mark.parametrize("bad", [

@@ -81,8 +81,8 @@ def test_what_has_no_noise_or_is_not_seen_anew_may_stay_the_same():
 @pytest.mark.parametrize("noise", NOISES, ids=str)
 @pytest.mark.parametrize("name", ["tabletop:1", "forearm:0"])
 def test_the_simulated_eyes_never_look_as_if_they_hung(noise, name):
-    spec, body = open_scene(name, "panda"), load_robot("panda")
-    plant = make_plant(spec, body, visuals=False)
+    spec, robot_model = open_scene(name, "panda"), load_robot("panda")
+    plant = make_plant(spec, robot_model, visuals=False)
     eyes, watch = NoisyPerception(spec, noise, np.random.default_rng(0)), SceneMonitor()
     for _ in range(20):
         picture = eyes.perceive(plant)

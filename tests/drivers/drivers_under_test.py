@@ -11,29 +11,34 @@ from dualbrain.drivers.ur import UrDriver
 from dualbrain.robots.loader import load_robot
 
 
-def franka(body=None):
-    body = body or load_robot("fr3")
-    sdk = FakeFranka(body)
+def franka(robot_model=None):
+    robot_model = robot_model or load_robot("fr3")
+    sdk = FakeFranka(robot_model)
     return DriverUnderTest(
-        FrankaDriver(sdk, "fake", body), body, sdk.controller.press_user_stop, sdk.controller.release_user_stop
+        FrankaDriver(sdk, "fake", robot_model),
+        robot_model,
+        sdk.controller.press_user_stop,
+        sdk.controller.release_user_stop,
     )
 
 
 def ur():
-    body = load_robot("ur5e")
-    sdk = FakeUr(body)
+    robot_model = load_robot("ur5e")
+    sdk = FakeUr(robot_model)
 
     def clear():
         while sdk.controller.protective_stopped:
             sdk.controller.step()
             sdk.controller.unlock_protective_stop()
 
-    return DriverUnderTest(UrDriver(sdk, "fake", body), body, sdk.controller.trigger_protective_stop, clear)
+    return DriverUnderTest(
+        UrDriver(sdk, "fake", robot_model), robot_model, sdk.controller.trigger_protective_stop, clear
+    )
 
 
 def plant(robot):
-    body = load_robot(robot)
-    return DriverUnderTest(SimulatedDriver(body), body)
+    robot_model = load_robot(robot)
+    return DriverUnderTest(SimulatedDriver(robot_model), robot_model)
 
 
 DRIVERS_UNDER_TEST = {

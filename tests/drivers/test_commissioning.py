@@ -68,8 +68,8 @@ def told(folder, **changes):
         text = text.replace(old, new)
     (folder / "answers.toml").write_text(text)
     file = read_site(folder / "lab.toml")
-    body = site_robot(load_robot("fr3"), file)
-    return [flaw.item for flaw in find_flaws(read_checklist(folder / "answers.toml"), body, file.site, KIND)]
+    robot_model = site_robot(load_robot("fr3"), file)
+    return [flaw.item for flaw in find_flaws(read_checklist(folder / "answers.toml"), robot_model, file.site, KIND)]
 
 
 def command(folder, *more):
@@ -126,11 +126,11 @@ def test_an_answer_that_will_not_do_is_named_and_nothing_is_sealed(lab, capsys, 
 
 def test_our_limits_lie_strictly_inside_the_makers(lab):
     """The shipped body has the maker's own numbers: without a site that narrows it, every joint is a flaw."""
-    body = load_robot("fr3")
-    sides = {flaw.item.split(" of ")[0] for flaw in find_limit_flaws(body, KIND)}
+    robot_model = load_robot("fr3")
+    sides = {flaw.item.split(" of ")[0] for flaw in find_limit_flaws(robot_model, KIND)}
     assert sides == {"velocity", "acceleration", "jerk"}
-    assert len(find_limit_flaws(body, KIND)) == 3 * body.n
-    assert find_limit_flaws(site_robot(body, read_site(lab / "lab.toml")), KIND) == ()
+    assert len(find_limit_flaws(robot_model, KIND)) == 3 * robot_model.n
+    assert find_limit_flaws(site_robot(robot_model, read_site(lab / "lab.toml")), KIND) == ()
     ur = find_driver_kind("ur", "ur5e")
     assert {flaw.item.split(" of ")[0] for flaw in find_limit_flaws(load_robot("ur5e"), ur)} == {"range", "velocity"}
 
@@ -184,8 +184,8 @@ def _edit(lab: Path, old: bytes, new: bytes) -> None:
 
 def test_another_body_is_refused(lab):
     assert command(lab) == 0
-    body = site_robot(load_robot("fr3"), read_site(lab / "lab.toml"))
-    other = msgspec.structs.replace(body, spheres=body.spheres[1:])
+    robot_model = site_robot(load_robot("fr3"), read_site(lab / "lab.toml"))
+    other = msgspec.structs.replace(robot_model, spheres=robot_model.spheres[1:])
     with pytest.raises(NotCommissionedError, match="body"):
         require_record(lab / "answers.sealed.json", other, lab / "lab.toml", KIND)
 

@@ -24,12 +24,12 @@ from dualbrain.safety.cbf.filter import SafetyFilter
 ONE = np.eye(7)
 
 
-def at_work(sdk=None, body=None):
+def at_work(sdk=None, robot_model=None):
     """A Franka driver under way at zero velocity, and its controller."""
-    body = body or load_robot("fr3")
-    sdk = sdk or FakeFranka(body)
-    driver = FrankaDriver(sdk, "fake", body)
-    trial = DriverHarness(DriverUnderTest(driver, body))
+    robot_model = robot_model or load_robot("fr3")
+    sdk = sdk or FakeFranka(robot_model)
+    driver = FrankaDriver(sdk, "fake", robot_model)
+    trial = DriverHarness(DriverUnderTest(driver, robot_model))
     assert trial.switch_on()
     return trial, sdk
 
@@ -131,8 +131,8 @@ def inside(body, share=0.98):
 
 def fly(config, seconds=1.2):
     """The filter between a wild wish and the fake arm; what the controller said."""
-    trial, sdk = at_work(body=inside(load_robot("fr3")))
-    safety = SafetyFilter(trial.model, config)
+    trial, sdk = at_work(robot_model=inside(load_robot("fr3")))
+    safety = SafetyFilter(trial.robot_model, config)
     rng = np.random.default_rng(5)
     wish = np.zeros(7)
     for k in range(trial.n_periods(seconds)):
@@ -171,9 +171,9 @@ def test_the_hand_closes_on_what_is_there_and_says_whether_it_holds_it():
 
 
 def ur_at_work():
-    body = load_robot("ur5e")
-    sdk = FakeUr(body)
-    trial = DriverHarness(DriverUnderTest(UrDriver(sdk, "fake", body), body))
+    robot_model = load_robot("ur5e")
+    sdk = FakeUr(robot_model)
+    trial = DriverHarness(DriverUnderTest(UrDriver(sdk, "fake", robot_model), robot_model))
     assert trial.switch_on()
     return trial, sdk.controller
 

@@ -135,13 +135,13 @@ def test_the_floor_is_exactly_what_the_map_gives(x: float, y: float, frame: str)
 
 def test_a_base_stays_on_the_floor_of_the_shipped_map() -> None:
     """Driven blindly at every border, the filtered base stays inside the hall and out of what it must keep out of."""
-    one, body = shipped_map(), scenario_base()
+    one, robot_model = shipped_map(), scenario_base()
     spec = msgspec.structs.replace(open_scene("empty_room:0", "base"), things=(), places=(), region=WIDE)
     scene = scene_from_spec(msgspec.structs.replace(spec, chart=drivable_floor(one, "room", (3.0, 1.0), WIDE)))
     closed = {thing.name for thing in scene.objects}
     rng = np.random.default_rng(3)
     for goal in ((5.3, 0.5), (2.0, 2.4), (3.55, 1.9), (-1.0, 3.0)):
-        safety = SafetyFilter(body)
+        safety = SafetyFilter(robot_model)
         q = np.array([3.0, 1.0, float(rng.uniform(-3, 3))])
         safety.observe(
             (*obstacles_from_scene(scene, known=closed, held=None), *traversable_region("floor", scene.region))
@@ -153,8 +153,8 @@ def test_a_base_stays_on_the_floor_of_the_shipped_map() -> None:
             answer = safety(q, u, wish, now)
             assert answer.status is not FilterStatus.FAULT
             u = answer.u
-            q = q + np.array([u[0] * np.cos(q[2]), u[0] * np.sin(q[2]), u[1]]) * body.period
-            now += body.period
+            q = q + np.array([u[0] * np.cos(q[2]), u[0] * np.sin(q[2]), u[1]]) * robot_model.period
+            now += robot_model.period
             assert 0.15 < q[0] < 5.4
             assert 0.15 < q[1] < 4.3
             assert not any(is_inside_polygon((q[0], q[1]), corners) for _, corners in one.polygons("room", "keep_out"))

@@ -13,9 +13,9 @@ from dualbrain.safety.cbf.filter import ConstraintRow, SafetyFilter
 def gaps(safety, q, x, y, half_x, half_y):
     """Gap of every disc to a rectangle, in float64."""
     c, s = np.cos(q[2]), np.sin(q[2])
-    discs = np.array([ball.centre[:2] for ball in safety.body.spheres]) @ np.array([[c, s], [-s, c]]) + q[:2]
+    discs = np.array([ball.centre[:2] for ball in safety.robot_model.spheres]) @ np.array([[c, s], [-s, c]]) + q[:2]
     out = np.maximum(np.abs(discs - (x, y)) - (half_x, half_y), 0.0)
-    return np.linalg.norm(out, axis=1) - safety.body.spheres[0].radius
+    return np.linalg.norm(out, axis=1) - safety.robot_model.spheres[0].radius
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -56,7 +56,7 @@ def test_spheres_and_tool_are_given_in_the_world():
     q = np.array([1.0, -2.0, np.pi / 2])
     np.testing.assert_allclose(safety.tool(q).position, [1.0, -2.0, 0.0], atol=1e-6)
     centres, _, _ = safety.spheres(q, 0.0)
-    x, y, _ = safety.body.spheres[0].centre
+    x, y, _ = safety.robot_model.spheres[0].centre
     np.testing.assert_allclose(centres[0], [1.0 - y, -2.0 + x, 0.0], atol=1e-6)
 
 

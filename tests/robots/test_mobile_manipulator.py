@@ -111,28 +111,29 @@ def test_rows_are_derivatives_of_h_along_the_true_motion(seed):
 
 def least_after_one_step(base_lag, gap=2.5e-4, radius=0.05):
     """Least gap one period later, over bases at speed that pass a post at `gap` [m]; no answer relaxed."""
-    body, rng, least, count = (
+    robot_model, rng, least, count = (
         msgspec.structs.replace(scenario_base(), base_lag=base_lag),
         np.random.default_rng(1),
         1.0,
         0,
     )
-    fast = np.array([joint.velocity.value for joint in body.joints])
+    fast = np.array([joint.velocity.value for joint in robot_model.joints])
     for _ in range(600):
-        v, disc = rng.uniform(0.5, 1.0, 2) * fast * rng.choice([-1.0, 1.0], 2), body.spheres[rng.integers(4)]
+        v, disc = rng.uniform(0.5, 1.0, 2) * fast * rng.choice([-1.0, 1.0], 2), robot_model.spheres[rng.integers(4)]
         way = v[0] * np.array([1.0, 0.0]) + v[1] * np.array([-disc.centre[1], disc.centre[0]])
         out = rng.choice([-1.0, 1.0]) * np.array([-way[1], way[0]]) / np.linalg.norm(way)
         post = np.array(disc.centre[:2]) + (disc.radius + radius + gap) * out
-        if nearest(body, np.zeros(3), post) - radius < gap - 1e-9:
+        if nearest(robot_model, np.zeros(3), post) - radius < gap - 1e-9:
             continue
-        safety = SafetyFilter(body, EXACT_TRACKING)
+        safety = SafetyFilter(robot_model, EXACT_TRACKING)
         safety.observe([Obstacle("post", Sphere(radius), Pose((*map(float, post), 0.0)))])
         safety.reset(v)
         answer = safety(np.zeros(3), v, v)
         if answer.status <= 1:
             count += 1
             least = min(
-                least, nearest(body, integrate_configuration(np.zeros(3), answer.u, body.period), post) - radius
+                least,
+                nearest(robot_model, integrate_configuration(np.zeros(3), answer.u, robot_model.period), post) - radius,
             )
     assert count > 50
     return least
@@ -154,8 +155,8 @@ def test_a_base_that_is_taken_along_its_arcs_keeps_its_distance():
 
 def test_what_lags_is_ahead_along_its_arc():
     """With a lag of its own the base stands where its last command takes it; the arm stays where it is."""
-    body = msgspec.structs.replace(BODY, base_lag=0.05)
-    safety, late = SafetyFilter(body), SafetyFilter(msgspec.structs.replace(body, base_lag=0.0))
+    robot_model = msgspec.structs.replace(BODY, base_lag=0.05)
+    safety, late = SafetyFilter(robot_model), SafetyFilter(msgspec.structs.replace(robot_model, base_lag=0.0))
     q, v = np.array(BODY.home), np.array([0.4, 0.8, *np.zeros(7)])
     thing = [Obstacle("post", Sphere(0.05), Pose((0.9, 0.0, 0.2)))]
     for one in (safety, late):

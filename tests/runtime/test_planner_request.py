@@ -39,9 +39,11 @@ def test_an_example_from_memory_reads_to_the_letter_as_the_answer_that_was_taugh
 
 
 def test_a_question_holds_what_was_recalled_in_that_order():
-    body, spec = load_robot("panda"), make_scene("tabletop", 1)
-    scene = NoisyPerception(spec, NO_NOISE, np.random.default_rng(0)).perceive(make_plant(spec, body, visuals=False))
-    here = PlanningContext(body, scene, None, Posture(tuple(body.home), 0.04))
+    robot_model, spec = load_robot("panda"), make_scene("tabletop", 1)
+    scene = NoisyPerception(spec, NO_NOISE, np.random.default_rng(0)).perceive(
+        make_plant(spec, robot_model, visuals=False)
+    )
+    here = PlanningContext(robot_model, scene, None, Posture(tuple(robot_model.home), 0.04))
     (one,) = generate_examples(1, "teach", 3, {"panda": 1.0}, exemplar_share=0.0)
     asked = build_request("words", here, RetrievedContext((remembered(one.contract),)))
     assert exemplar_steps(asked.recall.exemplars[0].contract) in one.contract

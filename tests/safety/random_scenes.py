@@ -46,7 +46,7 @@ class LoopResult:
 
 def closed_loop(safety: SafetyFilter, q0, steps, seed, *, hold=150, toward=0.7):
     """An adversary drives `safety` from rest at q0; q integrates exactly in float64."""
-    n = safety.body.n
+    n = safety.robot_model.n
     safety.reset()
     q, q_log, u_log = np.array(q0, float), np.empty((steps, n)), np.empty((steps, n))
     status = np.empty(steps, np.int8)

@@ -21,9 +21,9 @@ TELL = {"contact": "obstacle"}
 
 def fly(trial, *, filtered=True):
     """Every h of the trial, the barriers that were named, and the statuses met."""
-    q, rest = trial.start.copy(), np.zeros(trial.safety.body.n)
+    q, rest = trial.start.copy(), np.zeros(trial.safety.robot_model.n)
     values, named, statuses = [], set(), set()
-    for _ in range(int(trial.seconds / trial.safety.body.period)):
+    for _ in range(int(trial.seconds / trial.safety.robot_model.period)):
         u = np.asarray(trial.push(q), float)
         if filtered:
             answer = trial.safety(q, rest, u)
@@ -31,7 +31,7 @@ def fly(trial, *, filtered=True):
             named.update(answer.barriers)
             statuses.add(answer.status)
         values.append(trial.h(q, u))
-        q = integrate(trial.safety.body, q, u)
+        q = integrate(trial.safety.robot_model, q, u)
     return np.array(values), named, statuses
 
 
@@ -88,10 +88,10 @@ def along_the_path(safety, seed, seconds=20.0):
     """Whether a joint-space servo arrives at the end of the path, and the statuses on the way."""
     start, end = path(seed)
     q, statuses = start.copy(), set()
-    for _ in range(int(seconds / safety.body.period)):
+    for _ in range(int(seconds / safety.robot_model.period)):
         answer = safety(q, np.zeros(7), 2.0 * (end - q))
         statuses.add(answer.status)
-        q = q + safety.body.period * answer.u
+        q = q + safety.robot_model.period * answer.u
         if np.max(np.abs(end - q)) < 0.01:
             return True, statuses
     return False, statuses

@@ -25,9 +25,9 @@ LIMITS = joint_limits(PANDA)
 TABLE = Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)))
 
 
-def moving(rng, body=PANDA, share=0.5):
+def moving(rng, robot_model=PANDA, share=0.5):
     """A posture inside the limits and velocities up to `share` of the fastest."""
-    limits = joint_limits(body)
+    limits = joint_limits(robot_model)
     q = rng.uniform(limits.lower + 0.2, limits.upper - 0.2)
     return q, share * rng.uniform(-limits.velocity, limits.velocity)
 
@@ -256,7 +256,7 @@ def adversary(safety, things, seed, steps, q=None, hold=400):
     """Full acceleration toward the speed that closes one near pair (or bang-bang): postures, statuses, least ψ₁."""
     rng, dt = np.random.default_rng(seed), safety.period
     safety.observe(things)
-    q, v = np.array(safety.body.home if q is None else q, float), np.zeros(7)
+    q, v = np.array(safety.robot_model.home if q is None else q, float), np.zeros(7)
     log, statuses, least = np.empty((steps, 7)), [], np.inf
     for k in range(steps):
         if k % hold == 0:
@@ -275,11 +275,11 @@ def adversary(safety, things, seed, steps, q=None, hold=400):
     return log, statuses, least
 
 
-def least_h(log, things, body=SMALL):
+def least_h(log, things, robot_model=SMALL):
     return min(
-        geometry_oracle.h_obstacles(body, log, things).min(),
-        geometry_oracle.h_self(body, log).min(),
-        geometry_oracle.h_joints(body, log).min(),
+        geometry_oracle.h_obstacles(robot_model, log, things).min(),
+        geometry_oracle.h_self(robot_model, log).min(),
+        geometry_oracle.h_joints(robot_model, log).min(),
     )
 
 
@@ -356,8 +356,8 @@ def falling(speed):
     return wall, q, -speed * np.sign(A[np.argmin(np.where(pairs.near_sphere < 0, pairs.h, 9.0))]) * LIMITS.velocity
 
 
-def filtered(*things, body=PANDA):
-    safety = AccelerationFilter(body)
+def filtered(*things, robot_model=PANDA):
+    safety = AccelerationFilter(robot_model)
     safety.observe(things)
     return safety
 

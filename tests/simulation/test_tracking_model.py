@@ -168,8 +168,8 @@ def test_what_enters_the_body_is_never_rounded_down():
 
 @pytest.mark.parametrize("kind", EXCITATION_KINDS)
 def test_excitations_repeat_from_their_seed(kind):
-    body = load_robot("panda")
-    first, second = (excite(FirstOrder(7, 0.002), body, kind, 200, np.random.default_rng(5)) for _ in range(2))
+    robot_model = load_robot("panda")
+    first, second = (excite(FirstOrder(7, 0.002), robot_model, kind, 200, np.random.default_rng(5)) for _ in range(2))
     assert np.array_equal(first.u, second.u)
     change = np.abs(np.diff(first.u, axis=0)).max(axis=0)
-    assert np.all(change <= np.array([j.acceleration.value for j in body.joints]) * PERIOD * (1 + 1e-5) + 1e-6)
+    assert np.all(change <= np.array([j.acceleration.value for j in robot_model.joints]) * PERIOD * (1 + 1e-5) + 1e-6)

@@ -102,9 +102,9 @@ def crowded(robot):
 @pytest.mark.parametrize("robot", BODIES)
 def test_no_tick_thinks_longer_than_its_share(robot):
     """In a crowd, where a grasp is chosen among dozens: thousands of postures, a few in every tick."""
-    body = load_robot(robot)
-    lent, state, scene = Counted(SafetyFilter(body)), home_state(body), crowded(robot)
-    limb = make_controller(body, lent)
+    robot_model = load_robot(robot)
+    lent, state, scene = Counted(SafetyFilter(robot_model)), home_state(robot_model), crowded(robot)
+    limb = make_controller(robot_model, lent)
     assert isinstance(limb, ArmController)
     tool = lent.tool(state.q)
     words = {"object": "cube", "speed": 0.2, "clearance": 0.15, "finger_axis": "along", "opening": 0.06}
@@ -120,10 +120,10 @@ def test_no_tick_thinks_longer_than_its_share(robot):
         ticks += 1
     assert isinstance(said, Nominal)
     assert worst <= 2 * steps_per_tick(
-        body.period
+        robot_model.period
     )  # a glance is a posture, or two where one way ends and the next begins
     assert lent.count > 20 * worst
-    assert ticks * body.period < 3.0
+    assert ticks * robot_model.period < 3.0
 
 
 def test_thinking_takes_the_same_share_of_every_period():

@@ -17,25 +17,25 @@ def _transform(translation: tuple[float, ...], turn: tuple[float, ...]) -> Array
     return T
 
 
-def link_frames(body: RobotModel, q: Array, opening: float) -> dict[str, Array]:
+def link_frames(robot_model: RobotModel, q: Array, opening: float) -> dict[str, Array]:
     """T_world_link (4, 4) by link name."""
     chain = [np.eye(4)]
-    for joint, angle in zip(body.joints, q, strict=True):
+    for joint, angle in zip(robot_model.joints, q, strict=True):
         turn = _transform((0, 0, 0), (np.cos(angle / 2), 0, 0, np.sin(angle / 2)))
         chain.append(chain[-1] @ _transform(joint.translation, joint.quaternion) @ turn)
     return {
         link.name: chain[link.frame]
         @ _transform(link.translation, link.quaternion)
         @ _transform(tuple(opening * np.array(link.slide)), (1, 0, 0, 0))
-        for link in body.links
+        for link in robot_model.links
     }
 
 
-def view_state_at(body: RobotModel, trace: Trace, scene: Scene, k: int) -> ViewState:
+def view_state_at(robot_model: RobotModel, trace: Trace, scene: Scene, k: int) -> ViewState:
     """What the view shows at tick `k`."""
-    frames = link_frames(body, trace["q"][k], float(trace["opening"][k]))
-    centres = np.array([(frames[ball.link] @ np.array([*ball.centre, 1.0]))[:3] for ball in body.spheres])
-    radii = np.array([ball.radius for ball in body.spheres])
+    frames = link_frames(robot_model, trace["q"][k], float(trace["opening"][k]))
+    centres = np.array([(frames[ball.link] @ np.array([*ball.centre, 1.0]))[:3] for ball in robot_model.spheres])
+    radii = np.array([ball.radius for ball in robot_model.spheres])
     t = float(trace["t"][k])
     arm = scene.find("forearm")
     pose = Pose((arm.pose.position[0], 0.4 - 0.03 * t, arm.pose.position[2]), arm.pose.quaternion)

@@ -31,13 +31,13 @@ return {
 
 def test_the_page_shows_the_run_and_its_end(tmp_path: Path, trace: Trace, episode: Episode) -> None:
     (tmp_path / "episode.json").write_bytes(msgspec.json.encode(episode))
-    body = load_robot("panda")
-    body = msgspec.structs.replace(body, spheres=body.spheres[::12])
-    view = LiveView(body, 18100, instruction=episode.instruction)
+    robot_model = load_robot("panda")
+    robot_model = msgspec.structs.replace(robot_model, spheres=robot_model.spheres[::12])
+    view = LiveView(robot_model, 18100, instruction=episode.instruction)
     try:
         with Browser(tmp_path / "profile", (700, 500)) as browser:
             browser.open(view.url)
-            view.show(view_state_at(body, trace, scene(), 10_600))
+            view.show(view_state_at(robot_model, trace, scene(), 10_600))
             live = browser.wait_for(LIVE, 90.0)
             view.finish(episode, timeout=20.0)
             final = browser.wait_for(FINAL, 90.0)

@@ -56,10 +56,12 @@ def test_thinning_a_surface_keeps_its_place() -> None:
 
 
 def test_the_test_kinematics_is_right() -> None:
-    body = load_robot("panda")
-    tip = link_frames(body, np.array(body.home), 0.04)["hand"] @ np.array([*body.tool.translation, 1.0])
+    robot_model = load_robot("panda")
+    tip = link_frames(robot_model, np.array(robot_model.home), 0.04)["hand"] @ np.array(
+        [*robot_model.tool.translation, 1.0]
+    )
     assert tip[2] == pytest.approx(0.4, abs=0.3)
-    stretched = link_frames(body, np.zeros(7), 0.0)["link7"]
+    stretched = link_frames(robot_model, np.zeros(7), 0.0)["link7"]
     assert stretched[:3, 3] == pytest.approx((0.088, 0.0, 0.333 + 0.316 + 0.384), abs=1e-9)
 
 
@@ -87,11 +89,11 @@ def test_without_viser_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_showing_never_waits(trace: Trace, episode: Episode, capsys: pytest.CaptureFixture[str]) -> None:
-    body = load_robot("panda")
+    robot_model = load_robot("panda")
     things: Scene = made_up_scene()
-    view = LiveView(body, 18090)
+    view = LiveView(robot_model, 18090)
     try:
-        states = [view_state_at(body, trace, things, k) for k in (0, 9000, 10600)]
+        states = [view_state_at(robot_model, trace, things, k) for k in (0, 9000, 10600)]
         begun = time.perf_counter()
         for _ in range(2000):
             for state in states:

@@ -107,9 +107,9 @@ return said && said.textContent.includes('sent') ? {
 
 
 def test_a_browser_stops_the_arm_and_nothing_else_is_free(tmp_path: Path) -> None:
-    body = load_robot("panda")
+    robot_model = load_robot("panda")
     one, told = board()
-    view = LiveView(msgspec.structs.replace(body, spheres=body.spheres[::12]), 18130, access=one)
+    view = LiveView(msgspec.structs.replace(robot_model, spheres=robot_model.spheres[::12]), 18130, access=one)
     try:
         with Browser(tmp_path / "profile", (700, 500)) as browser:
             browser.open(view.url)

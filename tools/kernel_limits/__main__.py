@@ -58,18 +58,18 @@ def parse(arguments: list[str]) -> argparse.Namespace:
 
 def measure_steps(scenes: int, count: int, tries: int) -> dict[str, object]:
     """Quantiles over all steps of all loops, their worst moments again, and what the search made of them."""
-    body, rng = load_panda(), np.random.default_rng(0)
+    robot_model, rng = load_panda(), np.random.default_rng(0)
     seen, worst = [], []
     for seed in range(scenes):
-        moments = list(adversarial_loop(body, seed, count))
+        moments = list(adversarial_loop(robot_model, seed, count))
         seen += [(m.iterations, m.rows, m.seconds) for m in moments]
         worst += sorted(moments, key=lambda m: (m.iterations, m.rows))[-2:]
         worst += sorted(moments, key=lambda m: m.seconds)[-2:]
         print(f"scene {seed + 1}/{scenes}", file=sys.stderr, flush=True)
     iterations, rows, seconds = (np.array(column) for column in zip(*seen, strict=True))
-    cold = [repeat_cold(make_filter(body, m.scene), m, times=50) for m in worst]
+    cold = [repeat_cold(make_filter(robot_model, m.scene), m, times=50) for m in worst]
     top = sorted(cold, key=lambda m: (m.iterations, m.rows))[-8:]
-    hardest = search_worst_step(body, top, rng, tries)
+    hardest = search_worst_step(robot_model, top, rng, tries)
     program = search_worst_qp(rng, 20 * tries)
     return {
         "scenes": scenes, "steps": len(seen), "iterations": quantiles(iterations), "rows": quantiles(rows),

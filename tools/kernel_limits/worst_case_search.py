@@ -47,37 +47,41 @@ def random_obstacles(rng: np.random.Generator, count: int, *, moving: bool) -> l
     return things
 
 
-def make_filter(body: RobotModel, seed: int) -> SafetyFilter:
+def make_filter(robot_model: RobotModel, seed: int) -> SafetyFilter:
     """The filter of scene `seed`: as shipped, states at rest."""
     rng = np.random.default_rng(seed)
     count, moving = OBSTACLE_COUNTS[seed % len(OBSTACLE_COUNTS)], seed % 2 == 1
-    safety = SafetyFilter(body, FilterConfig())
+    safety = SafetyFilter(robot_model, FilterConfig())
     safety.observe(random_obstacles(rng, count, moving=moving), 0.0)
     return safety
 
 
-def adversarial_loop(body: RobotModel, seed: int, steps: int) -> Iterator[StepCase]:
+def adversarial_loop(robot_model: RobotModel, seed: int, steps: int) -> Iterator[StepCase]:
     """Bang-bang, or straight at the row with the smallest h; a twin filter is timed in C on the same inputs.
 
     The scene stands still for the loop (velocities enter the rows), so that both see the same at every step.
     """
-    safety, twin, rng = make_filter(body, seed), make_filter(body, seed), np.random.default_rng(seed + 10_000)
-    v_max = np.array([joint.velocity.value for joint in body.joints])
-    q, u_nom, u_prev = np.array(body.home), np.zeros(body.n), np.zeros(body.n)
-    rest, hold = np.zeros(body.n), (20, 150, 400)[seed % 3]
+    safety, twin, rng = (
+        make_filter(robot_model, seed),
+        make_filter(robot_model, seed),
+        np.random.default_rng(seed + 10_000),
+    )
+    v_max = np.array([joint.velocity.value for joint in robot_model.joints])
+    q, u_nom, u_prev = np.array(robot_model.home), np.zeros(robot_model.n), np.zeros(robot_model.n)
+    rest, hold = np.zeros(robot_model.n), (20, 150, 400)[seed % 3]
     for step in range(steps):
         if step % hold == 0:
-            u_nom = v_max * rng.choice([-1.0, 1.0], body.n)
+            u_nom = v_max * rng.choice([-1.0, 1.0], robot_model.n)
             rows = safety.rows() if rng.random() < 0.7 else ()
             if rows:
                 u_nom = -v_max * np.sign(min(rows, key=lambda row: row.h).a)
         if step % 2000 == 0:
-            q = np.array(body.home) + rng.uniform(-0.3, 0.3, body.n)
+            q = np.array(robot_model.home) + rng.uniform(-0.3, 0.3, robot_model.n)
         answer = safety(q, rest, u_nom)
         seconds = twin._kernel.time_steps(q[None], u_nom[None], False)
         yield StepCase(seed, q.copy(), u_prev.copy(), u_nom.copy(), answer.iterations, answer.n_rows, seconds)
         u_prev = answer.u
-        q = q + body.period * answer.u
+        q = q + robot_model.period * answer.u
 
 
 def repeat_cold(safety: SafetyFilter, m: StepCase, *, times: int = 1) -> StepCase:
@@ -91,19 +95,19 @@ def repeat_cold(safety: SafetyFilter, m: StepCase, *, times: int = 1) -> StepCas
     return StepCase(m.scene, m.q, m.u_prev, m.u_nom, answer.iterations, answer.n_rows, least)
 
 
-def search_worst_step(body: RobotModel, start: list[StepCase], rng: np.random.Generator, tries: int) -> StepCase:
+def search_worst_step(robot_model: RobotModel, start: list[StepCase], rng: np.random.Generator, tries: int) -> StepCase:
     """Random changes of posture, last control and wish that need more iterations (then more rows) are kept."""
-    v_max = np.array([joint.velocity.value for joint in body.joints])
+    v_max = np.array([joint.velocity.value for joint in robot_model.joints])
     best: StepCase | None = None
     for first in start:
-        safety = make_filter(body, first.scene)
+        safety = make_filter(robot_model, first.scene)
         here = repeat_cold(safety, first)
         for k in range(tries):
             size = (0.3, 0.1, 0.02)[k % 3]
             there = repeat_cold(safety, StepCase(
-                first.scene, here.q + size * rng.normal(size=body.n),
-                np.clip(here.u_prev + size * v_max * rng.normal(size=body.n), -v_max, v_max),
-                np.clip(here.u_nom + size * v_max * rng.normal(size=body.n), -v_max, v_max), 0, 0, 0.0,
+                first.scene, here.q + size * rng.normal(size=robot_model.n),
+                np.clip(here.u_prev + size * v_max * rng.normal(size=robot_model.n), -v_max, v_max),
+                np.clip(here.u_nom + size * v_max * rng.normal(size=robot_model.n), -v_max, v_max), 0, 0, 0.0,
             ))  # fmt: skip
             if (there.iterations, there.rows) >= (here.iterations, here.rows):
                 here = there

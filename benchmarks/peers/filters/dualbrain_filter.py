@@ -26,14 +26,14 @@ class Filter:
     def __init__(self, problem: Problem, *, how: str = "call", limited: bool = False) -> None:
         if len(problem.kind) > _kernel.max_obstacles:
             raise ConfigurationError("obstacles", got=len(problem.kind), allowed=f"at most {_kernel.max_obstacles}")
-        body = load_robot("panda") if problem.whole_body else thin_body()
+        robot_model = load_robot("panda") if problem.whole_body else thin_body()
         config = FilterConfig(
             lag_compensation=problem.whole_body,
             tracking_error=None if problem.whole_body else 0.0,
             acceleration_limits=problem.whole_body or limited,
         )
         self.margin = config.sampling_margin + config.rounding_margin
-        self.filter = SafetyFilter(body, config, weight=None if problem.whole_body else np.eye(body.n))
+        self.filter = SafetyFilter(robot_model, config, weight=None if problem.whole_body else np.eye(robot_model.n))
         self.filter.observe([_obstacle(problem, i) for i in range(len(problem.kind))])
         self._zero_velocity, self.opening, self.last_result = np.zeros(problem.n), 0.0, None
         self.call_mode = how

@@ -35,10 +35,10 @@ def thin_body() -> RobotModel:
     """The Panda with ten spheres and no self pairs, so that its rows are obstacle rows only."""
     import msgspec  # noqa: PLC0415  # peers read this package without it
 
-    body = load_robot("panda")
-    chosen = [s for link in THIN_ARM_LINKS for s in [s for s in body.spheres if s.link == link][:2]]
-    pairs = msgspec.structs.replace(body.self_pairs, kept=())
-    return msgspec.structs.replace(body, spheres=tuple(chosen), self_pairs=pairs)
+    robot_model = load_robot("panda")
+    chosen = [s for link in THIN_ARM_LINKS for s in [s for s in robot_model.spheres if s.link == link][:2]]
+    pairs = msgspec.structs.replace(robot_model.self_pairs, kept=())
+    return msgspec.structs.replace(robot_model, spheres=tuple(chosen), self_pairs=pairs)
 
 
 def rows_problem(n: int, seed: int = 0) -> Problem:
@@ -55,17 +55,17 @@ def primitives_problem(n: int, seed: int = 0) -> Problem:
     return with_obstacles(empty, things)
 
 
-def arm_problem(body: RobotModel, *, whole: bool) -> Problem:
+def arm_problem(robot_model: RobotModel, *, whole: bool) -> Problem:
     """The body's chain, limits and spheres without obstacles; fingers closed."""
     frame, centre, radius = [], [], []
-    for link in body.links:
+    for link in robot_model.links:
         turn, shift = quaternion_to_matrix(link.quaternion), np.array(link.translation)
-        for sphere in body.spheres:
+        for sphere in robot_model.spheres:
             if sphere.link == link.name:
                 frame.append(link.frame)
                 centre.append(shift + turn @ np.array(sphere.centre))
                 radius.append(sphere.radius)
-    joints = body.joints
+    joints = robot_model.joints
     return Problem(
         joint_rotation=np.array([quaternion_to_matrix(j.quaternion) for j in joints]),
         joint_offset=np.array([j.translation for j in joints], float),
@@ -73,7 +73,7 @@ def arm_problem(body: RobotModel, *, whole: bool) -> Problem:
         q_upper=np.array([j.upper.value for j in joints]),
         v_max=np.array([j.velocity.value for j in joints]),
         a_max=np.array([j.acceleration.value for j in joints]),
-        home=np.array(body.home),
+        home=np.array(robot_model.home),
         sphere_frame=np.array(frame),
         sphere_centre=np.array(centre),
         sphere_radius=np.array(radius),
@@ -82,8 +82,8 @@ def arm_problem(body: RobotModel, *, whole: bool) -> Problem:
         rotation=np.zeros((0, 3, 3)),
         half=np.zeros((0, 3)),
         radius=np.zeros(0),
-        alpha=body.alpha,
-        period=body.period,
+        alpha=robot_model.alpha,
+        period=robot_model.period,
         whole_body=whole,
     )
 

@@ -56,10 +56,10 @@ class EpisodeRecord:
         """What tracking is measured from."""
         return ExcitationLog(np.array(self.q), np.array(self.v), np.array(self.u))
 
-    def metrics(self, body: RobotModel) -> dict[str, Any]:
+    def metrics(self, robot_model: RobotModel) -> dict[str, Any]:
         """Times [s], shares of the data sheet's speed, the tracking error's leaky integral [rad], the filter's part."""
-        log, tracking = self.tracking_log(), body.tracking
-        error = leaky_error(log, tracking.lag, tracking.rate, body.period)
+        log, tracking = self.tracking_log(), robot_model.tracking
+        error = leaky_error(log, tracking.lag, tracking.rate, robot_model.period)
         found: dict[str, Any] = {
             "time": round(self.time, 3), "ended": self.unfinished_waypoint, "pushed": round(self.pushed, 5), "apart": self.model_disagreement,
             "asked": round(float(np.max(np.abs(log.u) / MAX_JOINT_SPEED)), 4),
@@ -79,7 +79,7 @@ class ControlPath:
 
     def __init__(self, how: str, safety: SafetyFilter, watch: ObstacleTracker) -> None:
         self._mode, self._safety, self._obstacle_tracker = how, safety, watch
-        self._velocity_limits = np.array([joint.velocity.value for joint in safety.body.joints])
+        self._velocity_limits = np.array([joint.velocity.value for joint in safety.robot_model.joints])
         self.record = EpisodeRecord()
 
     def control(self, state: State, tool: ToolState, policy: Policy, wish: Array) -> Array:
@@ -104,9 +104,9 @@ class ControlPath:
 def calibrated_robot(suite: SuiteProcess) -> RobotModel:
     """The body that the filter is told of: the suite's period, its motors, and how its arm was seen to follow."""
 
-    def flights(body: RobotModel) -> list[list[ExcitationLog]]:
+    def flights(robot_model: RobotModel) -> list[list[ExcitationLog]]:
         return [
-            [_run(suite, body, {"task": task, "policy": policy, "seed": seed, "how": "filtered"}).tracking_log()
+            [_run(suite, robot_model, {"task": task, "policy": policy, "seed": seed, "how": "filtered"}).tracking_log()
              for task in TASKS for policy in SPEED_PROFILES]
             for seed in CALIBRATION_SEEDS
         ]  # fmt: skip
@@ -114,18 +114,18 @@ def calibrated_robot(suite: SuiteProcess) -> RobotModel:
     return calibrate(suite, flights)
 
 
-def run_episode(suite: SuiteProcess, body: RobotModel, about: dict[str, Any]) -> dict[str, Any]:
+def run_episode(suite: SuiteProcess, robot_model: RobotModel, about: dict[str, Any]) -> dict[str, Any]:
     """One flight of `about` (task, policy, seed, how), from the suite's own start to the script's end."""
-    course = _run(suite, body, about)
+    course = _run(suite, robot_model, about)
     return {
-        **about, **suite.limit_report(), **course.metrics(body), "lag": body.tracking.lag,
-        "allowed_error": body.tracking.position_error, "versions": suite.versions,
+        **about, **suite.limit_report(), **course.metrics(robot_model), "lag": robot_model.tracking.lag,
+        "allowed_error": robot_model.tracking.position_error, "versions": suite.versions,
     }  # fmt: skip
 
 
-def _run(suite: SuiteProcess, body: RobotModel, about: dict[str, Any]) -> EpisodeRecord:
+def _run(suite: SuiteProcess, robot_model: RobotModel, about: dict[str, Any]) -> EpisodeRecord:
     opened = suite.open(about["task"], about["seed"])
-    safety = SafetyFilter(body, fixed_obstacles=static_obstacles(opened.things))
+    safety = SafetyFilter(robot_model, fixed_obstacles=static_obstacles(opened.things))
     apart, _ = model_disagreement(suite, safety, np.random.default_rng(about["seed"]))
     state = suite.parse_state(opened.state)
     policy = _make_policy(about, opened, state)

@@ -40,18 +40,19 @@ DRIVE = "robosuite"
 
 def derated_robot(period: float) -> RobotModel:
     """Our Panda with the suite's period and what its motors can do; its tracking is assumed, not known."""
-    body = load_robot("panda")
-    fastest = np.array([joint.velocity.value for joint in body.joints])
-    body = derate(body, period=period, max_speed=(SPEED_SHARES * fastest).tolist())
+    robot_model = load_robot("panda")
+    fastest = np.array([joint.velocity.value for joint in robot_model.joints])
+    robot_model = derate(robot_model, period=period, max_speed=(SPEED_SHARES * fastest).tolist())
     joints = tuple(
         msgspec.structs.replace(
             joint, acceleration=Bound(share * joint.acceleration.value, "rad/s^2", "suite's motors")
         )
-        for joint, share in zip(body.joints, ACCELERATION_SHARES.tolist(), strict=True)
+        for joint, share in zip(robot_model.joints, ACCELERATION_SHARES.tolist(), strict=True)
     )
-    body = msgspec.structs.replace(body, joints=joints)
+    robot_model = msgspec.structs.replace(robot_model, joints=joints)
     return _with_tracking(
-        body, TrackingErrorModel(ASSUMED_LAG, ASSUMED_ERROR, body.alpha, "assumed while nothing is known", DRIVE)
+        robot_model,
+        TrackingErrorModel(ASSUMED_LAG, ASSUMED_ERROR, robot_model.alpha, "assumed while nothing is known", DRIVE),
     )
 
 
@@ -60,17 +61,20 @@ def calibrate(suite: SuiteProcess, flights: Callable[[RobotModel], list[list[Exc
 
     It is kept beside the environment, for the next process, until something changes that it depends on.
     """
-    body = derated_robot(suite.open("Lift", 0).period)
+    robot_model = derated_robot(suite.open("Lift", 0).period)
     path = ENVIRONMENT_FOLDER / f"tracking-{_calibration_digest()}.json"
     if not path.exists():
         said = ", ".join(f"{name} {version}" for name, version in suite.versions.items())
         model = fit_tracking_model(
-            flights(body), body.alpha, body.period, source=f"{said}: filtered flights of seeds not counted"
+            flights(robot_model),
+            robot_model.alpha,
+            robot_model.period,
+            source=f"{said}: filtered flights of seeds not counted",
         )
         path.write_bytes(
             msgspec.json.format(msgspec.json.encode(model.to_error_model(DRIVE, model.provenance)), indent=1)
         )
-    return _with_tracking(body, msgspec.json.decode(path.read_bytes(), type=TrackingErrorModel))
+    return _with_tracking(robot_model, msgspec.json.decode(path.read_bytes(), type=TrackingErrorModel))
 
 
 def model_disagreement(suite: SuiteProcess, safety: SafetyFilter, rng: np.random.Generator) -> tuple[float, float]:
@@ -78,7 +82,7 @@ def model_disagreement(suite: SuiteProcess, safety: SafetyFilter, rng: np.random
 
     Raises `InvalidSetup` where the two are not the same arm; a task must be open.
     """
-    joints = safety.body.joints
+    joints = safety.robot_model.joints
     low, high = np.array([j.lower.value for j in joints]), np.array([j.upper.value for j in joints])
     postures = low + (high - low) * rng.random((N_POSTURES, len(low)))
     return check_agreement(suite.grip_sites(postures), [safety.tool(q) for q in postures])
@@ -98,8 +102,8 @@ def check_agreement(sites: Array, tools: Sequence[ToolState]) -> tuple[float, fl
     return apart, turned
 
 
-def _with_tracking(body: RobotModel, tracking: TrackingErrorModel) -> RobotModel:
-    return body.with_tracking(tracking).with_drive(DRIVE)
+def _with_tracking(robot_model: RobotModel, tracking: TrackingErrorModel) -> RobotModel:
+    return robot_model.with_tracking(tracking).with_drive(DRIVE)
 
 
 def _calibration_digest() -> str:

@@ -56,13 +56,13 @@ def _robot(robot: str) -> list[Finding]:
     from dualbrain.robots.loader import load_robot
     from dualbrain.safety.cbf.filter import SafetyFilter
 
-    body, folder = load_robot(robot), Path(robot)
-    SafetyFilter(body)
+    robot_model, folder = load_robot(robot), Path(robot)
+    SafetyFilter(robot_model)
     report, _ = read_import_files(folder) if folder.is_dir() else (None, None)
-    found = f"{body.n} joints, {len(body.spheres)} spheres, every bound with its provenance"
+    found = f"{robot_model.n} joints, {len(robot_model.spheres)} spheres, every bound with its provenance"
     return [
-        Finding(body.name, True, found),
-        *(Finding("missing", False, line) for line in missing_information(body, report)),
+        Finding(robot_model.name, True, found),
+        *(Finding("missing", False, line) for line in missing_information(robot_model, report)),
     ]
 
 
@@ -103,19 +103,19 @@ def _latency() -> list[Finding]:
     from dualbrain.safety.cbf.obstacles import obstacles_from_scene
     from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
-    body = load_robot("panda")
-    safety, state = SafetyFilter(body), home_state(body)
+    robot_model = load_robot("panda")
+    safety, state = SafetyFilter(robot_model), home_state(robot_model)
     safety.observe(obstacles_from_scene(scene_from_spec(open_scene("0")), known=(), held=None), 0.0)
     times: list[float] = []
     for _ in range(2000):
         start = time.perf_counter()
         safety.filter(state, state.v, 0.0)
         times.append((time.perf_counter() - start) * 1e6)
-    tracking = body.tracking
-    lag = f"lag {tracking.lag * 1e3:.2f} ms, rows keep {tracking.row_margin(body.alpha):.4f} rad/s"
+    tracking = robot_model.tracking
+    lag = f"lag {tracking.lag * 1e3:.2f} ms, rows keep {tracking.row_margin(robot_model.alpha):.4f} rad/s"
     return [
         Finding("filter step", True, f"{statistics.median(times):.1f} µs median, scene 0, from Python"),
-        Finding("tracking model", True, f"{body.name}: {lag} ({tracking.provenance})"),
+        Finding("tracking model", True, f"{robot_model.name}: {lag} ({tracking.provenance})"),
     ]
 
 

@@ -65,7 +65,7 @@ class ContractExecutor(ControlLoop):
 
     def _clear_stop(self) -> None:
         """A new contract leads out of a stop whose condition is gone; not out of what needs a person."""
-        for tick in range(round(CLEARING_TIMEOUT / self.body.period)):
+        for tick in range(round(CLEARING_TIMEOUT / self.robot_model.period)):
             if not self.safety_controller.contract_outcome:
                 return
             if tick % 2 == 0:  # pressed anew, as it counts only once the condition is gone
@@ -127,7 +127,7 @@ class ContractExecutor(ControlLoop):
                 self.safety_controller.decision.action >= SafetyAction.HOVER
             ):  # paused: the story waits, and so does its patience
                 self._rest_tick("paused", index)
-                self._paused_time, end = self._paused_time + self.body.period, end + self.body.period
+                self._paused_time, end = self._paused_time + self.robot_model.period, end + self.robot_model.period
                 continue
             nominal = running.nominal(self._observation())
             self._mark_part("skills")
@@ -137,7 +137,7 @@ class ContractExecutor(ControlLoop):
                 return SkillResult(SkillStatus.TAKEN_OVER, f"{self._phase}: not done after {MAX_ACTION_TIME:.0f} s")
             self._last_result = self._rest_tick("think", index) if nominal is None else self._tick(nominal, index)
             if self.safety_controller.scale_applied < 1.0:
-                self._paused_time += (1.0 - max(0.0, self.safety_controller.scale_applied)) * self.body.period
+                self._paused_time += (1.0 - max(0.0, self.safety_controller.scale_applied)) * self.robot_model.period
         self.log.note(self.state.stamp, "takeover", "interrupted by a person: braking to rest")
         return SkillResult(SkillStatus.RUNNING, INTERRUPTED_REASON)
 

@@ -83,7 +83,7 @@ class ControlLoop:
     """
 
     def __init__(
-        self, body: RobotModel, robot: RobotInterface, world: WorldInterface, safety: SafetyFilter, log: FlightLog,
+        self, robot_model: RobotModel, robot: RobotInterface, world: WorldInterface, safety: SafetyFilter, log: FlightLog,
         config: ExecutorConfig, *, on_tick: Callable[[TickSnapshot], None] | None = None,
         on_phase: Callable[[str, dict[str, str | None]], None] | None = None,
         interrupted: Callable[[], bool] = lambda: False, clock: Callable[[], float] | None = None,
@@ -96,13 +96,13 @@ class ControlLoop:
         own, independent of the robot's stamps; without one, the newest state's stamp is the time. `lap` hears what part
         of a tick has just been done.
         """
-        self.body, self.robot, self.world, self.safety = body, robot, world, safety
+        self.robot_model, self.robot, self.world, self.safety = robot_model, robot, world, safety
         self.log, self.config = log, config
         self._perception_ticks, self._snapshot_ticks = (
-            max(1, round(every / body.period)) for every in (config.perception_period, config.snapshot_period)
+            max(1, round(every / robot_model.period)) for every in (config.perception_period, config.snapshot_period)
         )
-        self.controller = make_controller(body, safety)
-        self._ground_obstacles = (GROUND_PLANE,) if body.is_mobile_manipulator else ()
+        self.controller = make_controller(robot_model, safety)
+        self._ground_obstacles = (GROUND_PLANE,) if robot_model.is_mobile_manipulator else ()
         self.interrupted, self._external_conditions, self._clock, self._mark_part = (
             interrupted,
             external_conditions,
@@ -141,7 +141,7 @@ class ControlLoop:
         Contacts that the last phase allowed stay allowed: a hand that was stopped around a thing is still around it.
         """
         self._skill = phase
-        for _ in range(round(duration / self.body.period)):
+        for _ in range(round(duration / self.robot_model.period)):
             self._rest_tick(phase, IDLE_ACTION)
 
     @property
@@ -303,4 +303,4 @@ class ControlLoop:
 
     def _mapped_obstacles(self) -> set[str]:
         """A base knows its room: what stands there for good is known to φ."""
-        return {thing.name for thing in self.scene.objects if self.body.is_mobile and thing.role == "obstacle"}
+        return {thing.name for thing in self.scene.objects if self.robot_model.is_mobile and thing.role == "obstacle"}

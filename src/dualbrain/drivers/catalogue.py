@@ -38,13 +38,13 @@ class DriverKind:
 
 DRIVER_KINDS: tuple[DriverKind, ...] = (
     DriverKind("franka", "fr3", True, FRANKA, FR3, 3.0, True,
-               lambda address, body, pace: FrankaDriver(import_franka_sdk(), address, body)),
+               lambda address, robot_model, pace: FrankaDriver(import_franka_sdk(), address, robot_model)),
     DriverKind("ur", "ur5e", True, UR, UR5E, 5.0, False,
-               lambda address, body, pace: UrDriver(UrSdk(), address, body)),
+               lambda address, robot_model, pace: UrDriver(UrSdk(), address, robot_model)),
     DriverKind("fake_franka", "fr3", False, FRANKA, FR3, 3.0, True,
-               lambda address, body, pace: FrankaDriver(FakeFranka(body, pace), address, body)),
+               lambda address, robot_model, pace: FrankaDriver(FakeFranka(robot_model, pace), address, robot_model)),
     DriverKind("fake_ur", "ur5e", False, UR, UR5E, 5.0, False,
-               lambda address, body, pace: UrDriver(FakeUr(body, pace), address, body)),
+               lambda address, robot_model, pace: UrDriver(FakeUr(robot_model, pace), address, robot_model)),
 )  # fmt: skip
 
 

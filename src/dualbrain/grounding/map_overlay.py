@@ -35,10 +35,14 @@ FRAME_HINT = (
 )
 
 
-def apply_map(spec: SceneSpec, body: RobotModel, library: Library, map_ref: str) -> SceneSpec:
+def apply_map(spec: SceneSpec, robot_model: RobotModel, library: Library, map_ref: str) -> SceneSpec:
     """The scene as `body` knows it from the map that `where` names: with its places, and for a base with its floor."""
     chart, frame = load_map(library, map_ref)
-    return with_floor(spec, chart, frame, body) if body.is_mobile and spec.region else with_places(spec, chart, frame)
+    return (
+        with_floor(spec, chart, frame, robot_model)
+        if robot_model.is_mobile and spec.region
+        else with_places(spec, chart, frame)
+    )
 
 
 def load_map(library: Library, map_ref: str) -> tuple[RoomMap, str]:
@@ -76,13 +80,13 @@ def with_places(spec: SceneSpec, chart: RoomMap, frame: str) -> SceneSpec:
     return known
 
 
-def with_floor(spec: SceneSpec, chart: RoomMap, frame: str, body: RobotModel) -> SceneSpec:
+def with_floor(spec: SceneSpec, chart: RoomMap, frame: str, robot_model: RobotModel) -> SceneSpec:
     """The room with the map's places on its floor, and with what the map leaves of that floor to `body`.
 
     Names are the scene's own as in `with_places`. Raises `InvalidSetup` if the base does not start on the map's floor
     with room around it, or if one of those places lies off that floor: nobody could drive there, or should.
     """
-    start = home_state(body).q[:2]
+    start = home_state(robot_model).q[:2]
     known = msgspec.structs.replace(
         spec, chart=drivable_floor(chart, frame, (float(start[0]), float(start[1])), spec.region)
     )
@@ -91,7 +95,7 @@ def with_floor(spec: SceneSpec, chart: RoomMap, frame: str, body: RobotModel) ->
     check_scene(known)
     drawn = Scene(spec.robot, 0.0, 1, keep_out_objects(known, 0.0), region=known.floor)
     room = float(clearance(drawn, start))
-    footprint = max(float(np.hypot(*ball.centre[:2])) + ball.radius for ball in extract_base(body).spheres)
+    footprint = max(float(np.hypot(*ball.centre[:2])) + ball.radius for ball in extract_base(robot_model).spheres)
     if room < footprint:
         raise ConfigurationError(
             f"start of the base, {room:.2f} m inside the map's floor", got=start.tolist(),

@@ -32,10 +32,10 @@ def check_contract(data: bytes, *, robot: str, scene: str) -> Verdict:
 
 def controller_at_home(robot: str, scene: Scene) -> ArmController | BaseController | MobileManipulatorController:
     """An arm at its home posture, a base at its start, or both, that sees `scene`."""
-    body = load_robot(robot)
-    safety = SafetyFilter(body)
-    limb = make_controller(body, safety)
-    state = home_state(body)
+    robot_model = load_robot(robot)
+    safety = SafetyFilter(robot_model)
+    limb = make_controller(robot_model, safety)
+    state = home_state(robot_model)
     limb.observe(Observation(state, scene, 0.0, safety.tool(state.q)))
     return limb
 

@@ -116,7 +116,7 @@ def _check_grasps(contract: Contract, scene: Scene, limb: ArmController) -> Reje
             hint = f"{thing.name} lies so that this axis points up: no finger can close along it"
             return Rejected("envelope", f"{pointer}/finger_axis", params["finger_axis"], [other], hint)
         needed = grasp_width(thing, str(params["finger_axis"])) + FINGER_MARGIN
-        widest = 2.0 * limb.body.gripper.opening.value
+        widest = 2.0 * limb.robot_model.gripper.opening.value
         if float(params["opening"]) < needed:
             hint = (
                 f"open wider than {thing.name} ({needed * 1000:.0f} mm with room)"
@@ -163,7 +163,11 @@ def _check_reach_after_driving(
 ) -> Rejected | None:
     """After a drive to a place, what the arm is to work at lies within its reach there, for any heading."""
     places = {place.name: np.array(place.position[:2]) for place in scene.places}
-    far = _max_reach(carrier.arm.body) + float(np.hypot(*carrier.arm.body.joints[0].translation[:2])) + ARRIVAL_RADIUS
+    far = (
+        _max_reach(carrier.arm.robot_model)
+        + float(np.hypot(*carrier.arm.robot_model.joints[0].translation[:2]))
+        + ARRIVAL_RADIUS
+    )
     stands: str | None = None
     for index, action in enumerate(contract.action_sequence):
         if action.skill == "drive_to":

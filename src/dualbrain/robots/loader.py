@@ -63,12 +63,12 @@ def read_robot(path: Path) -> RobotModel:
             "robot", got=str(path), allowed=f"a known name, a folder with {MODEL_FILE}, or a body's JSON file"
         )
     try:
-        body = msgspec.json.decode(file.read_bytes(), type=RobotModel)
+        robot_model = msgspec.json.decode(file.read_bytes(), type=RobotModel)
     except DECODE_ERRORS as error:
         raise ConfigurationError(file.name, got=str(error), allowed="JSON of a body", fix=str(file)) from error
-    for what, got, allowed in find_model_faults(body):
+    for what, got, allowed in find_model_faults(robot_model):
         raise ConfigurationError(f"{what} in {file.name}", got=got, allowed=allowed, fix=str(file))
-    return body
+    return robot_model
 
 
 def find_model_faults(robot_model: RobotModel) -> Iterator[ModelFault]:

@@ -77,9 +77,9 @@ def _mount_link(link: Link, at: Vector) -> Link:
 def _spheres_by_link(base: RobotModel, arm: RobotModel) -> dict[str, SphereSet]:
     """Balls of every link, in the link's frame."""
     found: dict[str, SphereSet] = {}
-    for body in (base, arm):
-        for link in body.links:
-            own = [sphere for sphere in body.spheres if sphere.link == link.name]
+    for robot_model in (base, arm):
+        for link in robot_model.links:
+            own = [sphere for sphere in robot_model.spheres if sphere.link == link.name]
             centres = np.array([sphere.centre for sphere in own]).reshape(-1, 3)
             found[link.name] = SphereSet(centres, np.array([sphere.radius for sphere in own]))
     return found

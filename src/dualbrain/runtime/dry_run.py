@@ -78,9 +78,9 @@ class DryRunResult:
 
 def context_at_home(robot: str, scene: Scene) -> PlanningContext:
     """`robot` at rest at home with an empty hand before `scene`."""
-    body = load_robot(robot)
-    state = home_state(body)
-    return PlanningContext(body, scene, None, Posture(tuple(state.q.tolist()), state.opening))
+    robot_model = load_robot(robot)
+    state = home_state(robot_model)
+    return PlanningContext(robot_model, scene, None, Posture(tuple(state.q.tolist()), state.opening))
 
 
 def plan(
@@ -90,7 +90,7 @@ def plan(
     """Ask `planner` for a contract, at most `shots` times, each time with the gate's last refusal in the prompt."""
     recall, retrieval = _timed(clock, lambda: _retrieve(instruction, context, memory, retrieve_passages))
     request = build_request(instruction, context, recall)
-    limb = controller_at_home(context.body.name, context.scene)
+    limb = controller_at_home(context.robot_model.name, context.scene)
     gate = Gate(context.registry, planner_grants(context.registry), scene_rules(context.scene, limb))
     done: list[Shot] = []
     while len(done) < shots:

@@ -98,10 +98,10 @@ def run_episode(
 
     The episode is handed to `keep` before memory has it: what moved is on record, whatever happens to the ledger.
     """
-    registry, scene = skill_registry(executor.body), executor.scene
+    registry, scene = skill_registry(executor.robot_model), executor.scene
     held = executor.controller.holding.name if executor.controller.holding else None
     posture = Posture(tuple(executor.state.q.tolist()), executor.state.opening)
-    here = PlanningContext(executor.body, scene, held, posture, ground_truth.image_features())
+    here = PlanningContext(executor.robot_model, scene, held, posture, ground_truth.image_features())
     recall, retrieval = planning_clock.measure(
         lambda: retrieve(episode_request.instruction, here, memory, episode_request.max_exemplars, retrieve_passages)
     )
@@ -133,7 +133,7 @@ def run_episode(
         ground_truth.start_contract(contract)
     outcome = executor.execute(contract) if contract else _outcome_without_motion(executor, attempts)
     episode = Episode(
-        episode_request.id, episode_request.started, episode_request.instruction, executor.body.name, registry.hash, episode_request.seed, scene, here.summary,
+        episode_request.id, episode_request.started, episode_request.instruction, executor.robot_model.name, registry.hash, episode_request.seed, scene, here.summary,
         recall, tuple(attempts), msgspec.to_builtins(contract) if contract else None, outcome,
         None if should_retry(outcome, episode_request.tries_left) else ground_truth.judge(),
         decision_timings(attempts, retrieval) | {"motion": outcome.duration}, ground_truth.versions,

@@ -77,7 +77,7 @@ class LiveSession(Session):
             out.joinpath(ADDRESS_FILE).write_text(f"{plan.socket}\n{plan.keys}\n", encoding="utf-8")
             stack.callback(out.joinpath(ADDRESS_FILE).unlink)
             tries = self._run_live_episodes(process, observer)
-        return self._finish(tries, read_trace(out / "episode.mcap") or Trace(self.body.n))
+        return self._finish(tries, read_trace(out / "episode.mcap") or Trace(self.robot_model.n))
 
     def _run_live_episodes(self, process: GatekeeperProcess, onlooker: RunObserver) -> tuple[TryResult, ...]:
         config, plan = self.config, process.config
@@ -102,8 +102,8 @@ class LiveSession(Session):
         keys = load_or_create_keys(Path(plan.keys))
         link = GatekeeperClient(Path(plan.socket), keys, PLANNER, on_report=watch)
         self._operator_client = hand = GatekeeperClient(Path(plan.socket), keys, OPERATOR)
-        log = FlightLog(Trace(self.body.n), None, onlooker.on_event)
-        layer = RemoteExecutor(self.body, link, log, lambda: self._stop_requested)
+        log = FlightLog(Trace(self.robot_model.n), None, onlooker.on_event)
+        layer = RemoteExecutor(self.robot_model, link, log, lambda: self._stop_requested)
         thinking = PlanningClock(time.monotonic, measured=True)
         witness = GroundTruth(lambda contract: None, judge, self._versions(), self._image_features)
 

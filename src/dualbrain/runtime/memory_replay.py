@@ -117,22 +117,22 @@ def run_alternative(ledger: LedgerReader, memory: MemoryState, contract: dict[st
 def _run_once(
     stored: _StoredPayload, contract: dict[str, Any] | None, robot: str, rng: np.random.Generator
 ) -> ReplayTry:
-    body = load_robot(robot)
+    robot_model = load_robot(robot)
     spec = scene_from_memory(stored.episode.scene, rng, position_spread=POSITION_SPREAD)
-    plant = make_plant(spec, body, visuals=False)
+    plant = make_plant(spec, robot_model, visuals=False)
     plant.set_configuration(np.asarray(stored.state.q), stored.state.opening)
     world = SimulatedWorld(plant, NoisyPerception(spec, PerceptionNoise(), rng))
     layer = ContractExecutor(
-        body,
+        robot_model,
         plant,
         world,
-        SafetyFilter(body),
-        FlightLog(Trace(body.n, body.nq)),
+        SafetyFilter(robot_model),
+        FlightLog(Trace(robot_model.n, robot_model.nq)),
         ExecutorConfig(),
         on_phase=world.set_phase,
     )
     layer.hold(0.5)
-    accepted = _check_contract(layer, body, contract)
+    accepted = _check_contract(layer, robot_model, contract)
     if isinstance(accepted, Rejected):
         return ReplayTry("refused", None, accepted.hint)
     outcome = layer.execute(accepted)
@@ -145,9 +145,11 @@ def _outcome_kind(layer: ContractExecutor, contract: Contract, outcome: Outcome)
     return "disputed" if disputed else outcome.kind
 
 
-def _check_contract(layer: ContractExecutor, body: RobotModel, contract: dict[str, Any] | None) -> Contract | Rejected:
+def _check_contract(
+    layer: ContractExecutor, robot_model: RobotModel, contract: dict[str, Any] | None
+) -> Contract | Rejected:
     """The contract through today's gate: a memory that no longer passes it is no memory to follow."""
-    registry = load_skill_registry(body.name)
+    registry = load_skill_registry(robot_model.name)
     gate = Gate(registry, planner_grants(registry), scene_rules(layer.scene, layer.controller))
     data, names = msgspec.json.encode(contract), scene_names(layer.scene)
     said = gate.check(data, names=names, principal=PLANNER, now=layer.state.stamp)

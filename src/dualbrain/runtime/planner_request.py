@@ -39,7 +39,7 @@ class Retriever(Protocol):
 class PlanningContext:
     """From where a question is asked: the body, the scene as perceived, what is held, posture, the camera's picture."""
 
-    body: RobotModel
+    robot_model: RobotModel
     scene: Scene
     holding: str | None
     posture: Posture
@@ -48,7 +48,7 @@ class PlanningContext:
     @property
     def registry(self) -> SkillRegistry:
         """The vocabulary of the body."""
-        return skill_registry(self.body)
+        return skill_registry(self.robot_model)
 
     @property
     def summary(self) -> str:
@@ -67,7 +67,7 @@ def retrieve(
     summary, recall = context.summary, RetrievedContext()
     if max_exemplars:
         recall = memory.retrieve(
-            instruction, summary, context.posture, context.body.name, context.registry.hash, k=max_exemplars, image=context.image
+            instruction, summary, context.posture, context.robot_model.name, context.registry.hash, k=max_exemplars, image=context.image
         )  # fmt: skip
     return msgspec.structs.replace(recall, passages=retrieve_passages(instruction, summary))
 
@@ -78,7 +78,7 @@ def build_request(
     """The first question for `instruction`; `setback` is what became of the contract before, if there was one."""
     registry, names = context.registry, scene_names(context.scene)
     return PlanRequest(
-        instruction, context.summary, in_prompt_order(recall, registry), context.body.name, registry.hash,
+        instruction, context.summary, in_prompt_order(recall, registry), context.robot_model.name, registry.hash,
         describe_skills(registry, names), decoding_schema(registry, names), contract_id="c-0001", setback=setback,
     )  # fmt: skip
 

@@ -91,14 +91,14 @@ class Session:
         config = self.config
         _check_folder(config.out)
         site = read_site(config.site) if config.site else None
-        self.body = site_robot(load_robot(config.robot), site) if site else load_robot(config.robot)
-        self.fixed_obstacles = site_obstacles(self.body, site) if site else ()
-        self.grants = site_skill_grants(site, frozenset(skill_registry(self.body).by_name)) if site else None
+        self.robot_model = site_robot(load_robot(config.robot), site) if site else load_robot(config.robot)
+        self.fixed_obstacles = site_obstacles(self.robot_model, site) if site else ()
+        self.grants = site_skill_grants(site, frozenset(skill_registry(self.robot_model).by_name)) if site else None
         self.spec = open_scene(config.scene, config.robot)
         encoder = MiniLmEncoder.from_cache(config.cache)
         self.library = self._open_library(encoder)
         if self.library is not None and config.map:
-            self.spec = apply_map(self.spec, self.body, self.library, config.map)
+            self.spec = apply_map(self.spec, self.robot_model, self.library, config.map)
         goal = parse_goals(config.goal, self.spec) if config.goal else None
         self._image_encoder = (
             ImageEncoder(weights.locate_weights(IMAGE_WEIGHTS, config.cache)) if config.image_memory else None
@@ -112,8 +112,10 @@ class Session:
         self._stack.callback(ledger.close)
         self.ledger = ledger
         rule = None if config.static else Plasticity(epsilon=config.epsilon)
-        self.memory = Memory(ledger, encoder, MemoryConfig((PostureLimits.from_model(self.body),), plasticity=rule))
-        self.plant = make_plant(self.spec, self.body, visuals=config.visuals)
+        self.memory = Memory(
+            ledger, encoder, MemoryConfig((PostureLimits.from_model(self.robot_model),), plasticity=rule)
+        )
+        self.plant = make_plant(self.spec, self.robot_model, visuals=config.visuals)
         perception = NoisyPerception(self.spec, PerceptionNoise(), np.random.default_rng([config.seed, 1]))
         self.world = SimulatedWorld(self.plant, perception, goal=goal, pace=self.clocks.pace)
         self.interrupted_runs: tuple[InterruptedRun, ...] = ()
@@ -134,9 +136,9 @@ class Session:
         prefixes.mkdir(parents=True, exist_ok=True)
         key = environ.get("OPENAI_API_KEY", "")
         adapters = self.config.adapters or self.config.ledger.with_name("adapters")
-        registry, own = skill_registry(self.body), skill_registry(load_robot(self.config.robot))
+        registry, own = skill_registry(self.robot_model), skill_registry(load_robot(self.config.robot))
         return open_planner(
-            self.config.planner, self.config.cache, adapters=adapters, robot=self.body.name, registry=registry.hash,
+            self.config.planner, self.config.cache, adapters=adapters, robot=self.robot_model.name, registry=registry.hash,
             key=key, prompt_cache=prefixes, narrowed_registries={registry.hash: own.hash} if is_narrower(registry, own) else {},
         )  # fmt: skip
 
@@ -150,12 +152,12 @@ class Session:
         self.interrupted_runs = self.ledger.start_run(
             out.name, {"instruction": config.instruction}, now=self.clocks.now()
         )
-        trace = Trace(self.body.n, self.body.nq)
+        trace = Trace(self.robot_model.n, self.robot_model.nq)
         with Recorder(out / "episode.mcap", trace, when_full="wait") as recorder:
             log = FlightLog(trace, recorder, observer.on_event)
             about = {"robot": config.robot, "guard": config.guard, "instruction": config.instruction}
             if config.site:
-                about |= {"body": self.body, "standing": self.fixed_obstacles}
+                about |= {"body": self.robot_model, "standing": self.fixed_obstacles}
             recorder.episode(0.0, {**about, "versions": self._versions()})
             try:
                 tries = self._run_episodes(log, observer)
@@ -182,7 +184,7 @@ class Session:
             onlooker.on_phase(phase)
 
         layer = ContractExecutor(
-            self.body, self.plant, world, SafetyFilter(self.body, fixed_obstacles=self.fixed_obstacles), log,
+            self.robot_model, self.plant, world, SafetyFilter(self.robot_model, fixed_obstacles=self.fixed_obstacles), log,
             ExecutorConfig(guard=config.guard),
             on_tick=onlooker.on_tick, on_phase=phase_changed,
             interrupted=lambda: self._stop_requested, clock=lambda: self.plant.now,
@@ -226,7 +228,7 @@ class Session:
         if not self.config.utility or self.config.contract is not None:
             return episode
         kept = self.config.ledger.with_name("counterfactuals")
-        asking = CounterfactualQueries(self.planner, skill_registry(self.body), kept)
+        asking = CounterfactualQueries(self.planner, skill_registry(self.robot_model), kept)
         uses = asking.memory_uses(episode, should_stop=lambda: self._stop_requested)
         if uses:
             episode = msgspec.structs.replace(episode, uses=uses)
@@ -238,7 +240,7 @@ class Session:
         """What the documents say to this, if they are to be asked."""
         if self.library is None or not self.config.consult:
             return ()
-        return retrieve_passages(self.library, instruction, summary, skill_registry(self.body))
+        return retrieve_passages(self.library, instruction, summary, skill_registry(self.robot_model))
 
     def _image_features(self) -> ImageFeatures | None:
         """What the camera at the front sees now, as features."""

@@ -90,7 +90,7 @@ class SimulatedWorld:
 
     def _judge_period_ticks(self) -> int:
         several = isinstance(self._judge, GoalSequenceJudge)
-        return max(1, round(MULTI_GOAL_JUDGE_PERIOD / self.plant.body.period)) if several else JUDGE_PERIOD_TICKS
+        return max(1, round(MULTI_GOAL_JUDGE_PERIOD / self.plant.robot_model.period)) if several else JUDGE_PERIOD_TICKS
 
     def start_contract(self, contract: Contract) -> None:
         """A contract was accepted: judge its own goal unless one was stated beforehand."""

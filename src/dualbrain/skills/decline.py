@@ -8,9 +8,9 @@ from dualbrain.skills.arm.controller import ArmController
 from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
 
 
-def spec(body: RobotModel) -> SkillSpec:
+def spec(robot_model: RobotModel) -> SkillSpec:
     """The skill's vocabulary entry."""
-    del body
+    del robot_model
     return SkillSpec(
         "decline", "refuse the instruction, with a reason for people", (TextParameter("reason", 120, "why not"),)
     )
@@ -18,6 +18,6 @@ def spec(body: RobotModel) -> SkillSpec:
 
 def routine(arm: ArmController, *, reason: str) -> SkillRoutine:
     """Tell nothing but the reason."""
-    arm.begin(spec(arm.body))
+    arm.begin(spec(arm.robot_model))
     yield from ()
     return SkillResult(SkillStatus.DONE, f"declined: {reason}")

@@ -128,10 +128,10 @@ class PartMotionModel:
 class MobileManipulatorController:
     """A base and its arm, as the skills move them. State: the two parts' own, and which of them is at work."""
 
-    def __init__(self, body: RobotModel, motion: MotionModel) -> None:
+    def __init__(self, robot_model: RobotModel, motion: MotionModel) -> None:
         """Bind to a body and to what the local layer lends; call `sense` before every step of a story."""
-        self.body = body
-        base, arm = extract_base(body), extract_arm(body)
+        self.robot_model = robot_model
+        base, arm = extract_base(robot_model), extract_arm(robot_model)
         self._base_model = PartMotionModel(motion, slice(0, BASE_JOINTS), slice(0, BASE_NQ))
         self._arm_model = PartMotionModel(motion, slice(BASE_JOINTS, None), slice(BASE_NQ, None))
         self.base, self.arm = BaseController(base, self._base_model), ArmController(arm, self._arm_model)

@@ -9,10 +9,10 @@ CONTACT_SPEED = 0.05
 """How fast the fingers or a held thing may approach what they are allowed to touch [m/s]."""
 
 
-def speed(body: RobotModel) -> NumberParameter:
+def speed(robot_model: RobotModel) -> NumberParameter:
     """Tool speed on the way [m/s]."""
     return NumberParameter(
-        "speed", "m/s", 0.05, body.tool_speed.value, "slower wastes time without safety", body.tool_speed.provenance,
+        "speed", "m/s", 0.05, robot_model.tool_speed.value, "slower wastes time without safety", robot_model.tool_speed.provenance,
         "tool speed on the way",
     )  # fmt: skip
 
@@ -37,32 +37,32 @@ def wait() -> ChoiceParameter:
     return ChoiceParameter("wait", ("none", "until_clear"), "until_clear: start only when no person crosses the path")
 
 
-def force(body: RobotModel) -> NumberParameter:
+def force(robot_model: RobotModel) -> NumberParameter:
     """Grip force [N]."""
-    low, high = body.gripper.force_min, body.gripper.force
+    low, high = robot_model.gripper.force_min, robot_model.gripper.force
     return NumberParameter("force", "N", low.value, high.value, low.provenance, high.provenance, "grip force")
 
 
-def opening(body: RobotModel) -> NumberParameter:
+def opening(robot_model: RobotModel) -> NumberParameter:
     """Distance between the fingers before the grasp [m]."""
-    limit = body.gripper.opening
+    limit = robot_model.gripper.opening
     return NumberParameter(
         "opening", "m", 0.02, 2.0 * limit.value, "narrower than any graspable thing", f"twice {limit.provenance}",
         "distance between the fingers before the grasp",
     )  # fmt: skip
 
 
-def max_speed(body: RobotModel) -> NumberParameter:
+def max_speed(robot_model: RobotModel) -> NumberParameter:
     """Speed of a base on its way [m/s]."""
-    limit = body.joints[0].velocity
+    limit = robot_model.joints[0].velocity
     return NumberParameter(
         "max_speed", "m/s", 0.1, limit.value, "slower wastes time without safety", limit.provenance, "speed on the way"
     )
 
 
-def max_turn_rate(body: RobotModel) -> NumberParameter:
+def max_turn_rate(robot_model: RobotModel) -> NumberParameter:
     """Turn rate of a base [rad/s]."""
-    limit = body.joints[1].velocity
+    limit = robot_model.joints[1].velocity
     return NumberParameter(
         "max_turn_rate", "rad/s", 0.2, limit.value, "slower wastes time without safety", limit.provenance,
         "turn rate on the way",

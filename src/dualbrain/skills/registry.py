@@ -43,41 +43,48 @@ MOBILE_MANIPULATOR_SKILLS: Mapping[str, ModuleType] = {**BASE_SKILLS, **ARM_SKIL
 """Those of a mobile manipulator: each is told with the part of the body that it is about."""
 
 
-def skill_modules(body: RobotModel) -> Mapping[str, ModuleType]:
+def skill_modules(robot_model: RobotModel) -> Mapping[str, ModuleType]:
     """The skills that suit `body`."""
-    return MOBILE_MANIPULATOR_SKILLS if body.is_mobile_manipulator else BASE_SKILLS if body.is_mobile else ARM_SKILLS
+    return (
+        MOBILE_MANIPULATOR_SKILLS
+        if robot_model.is_mobile_manipulator
+        else BASE_SKILLS
+        if robot_model.is_mobile
+        else ARM_SKILLS
+    )
 
 
 def make_controller(
-    body: RobotModel, motion: MotionModel
+    robot_model: RobotModel, motion: MotionModel
 ) -> ArmController | BaseController | MobileManipulatorController:
     """What the stories of `body` are told with."""
-    if body.is_mobile_manipulator:
-        return MobileManipulatorController(body, motion)
-    return BaseController(body, motion) if body.is_mobile else ArmController(body, motion)
+    if robot_model.is_mobile_manipulator:
+        return MobileManipulatorController(robot_model, motion)
+    return BaseController(robot_model, motion) if robot_model.is_mobile else ArmController(robot_model, motion)
 
 
-def skill_registry(body: RobotModel) -> SkillRegistry:
+def skill_registry(robot_model: RobotModel) -> SkillRegistry:
     """The vocabulary P of `body`, bounded by it (paper 3.3)."""
-    if not body.is_mobile:
-        return arm_skill_registry(body)
-    driving = tuple(module.spec(extract_base(body)) for module in BASE_SKILLS.values())
-    if not body.is_mobile_manipulator:
-        return SkillRegistry(body.name, driving)
+    if not robot_model.is_mobile:
+        return arm_skill_registry(robot_model)
+    driving = tuple(module.spec(extract_base(robot_model)) for module in BASE_SKILLS.values())
+    if not robot_model.is_mobile_manipulator:
+        return SkillRegistry(robot_model.name, driving)
     taken = {spec.name for spec in driving}
-    reaching = tuple(spec for spec in arm_skill_registry(extract_arm(body)).skills if spec.name not in taken)
-    return SkillRegistry(body.name, (*driving, *reaching))
+    reaching = tuple(spec for spec in arm_skill_registry(extract_arm(robot_model)).skills if spec.name not in taken)
+    return SkillRegistry(robot_model.name, (*driving, *reaching))
 
 
 GRIPPER_SKILLS = ("grasp", "place", "release")
 """Skills that a hand which does not open cannot have."""
 
 
-def arm_skill_registry(body: RobotModel) -> SkillRegistry:
+def arm_skill_registry(robot_model: RobotModel) -> SkillRegistry:
     """The vocabulary P of an arm, bounded by `body` (paper 3.3); an arm without a gripper offers nothing that grips."""
-    opens = body.gripper.opening.value > 0.0
+    opens = robot_model.gripper.opening.value > 0.0
     return SkillRegistry(
-        body.name, tuple(ARM_SKILLS[name].spec(body) for name in ARM_SKILLS if opens or name not in GRIPPER_SKILLS)
+        robot_model.name,
+        tuple(ARM_SKILLS[name].spec(robot_model) for name in ARM_SKILLS if opens or name not in GRIPPER_SKILLS),
     )
 
 
@@ -97,8 +104,8 @@ class SkillExecution:
             if isinstance(controller, MobileManipulatorController)
             else controller
         )
-        self._routine: SkillRoutine = skill_modules(controller.body)[skill].story(teller, **params)
-        self._steps_per_tick = steps_per_tick(controller.body.period)
+        self._routine: SkillRoutine = skill_modules(controller.robot_model)[skill].story(teller, **params)
+        self._steps_per_tick = steps_per_tick(controller.robot_model.period)
 
     def nominal(self, observation: Observation) -> Nominal | SkillResult | None:
         """The next tick's intent, or how the skill ended; None while it thinks: then the robot is to rest as it is."""

@@ -24,8 +24,8 @@ SECONDS = 2.0
 
 
 def test_glimpses_come_some_fifteen_times_a_second_of_the_robots_time(tmp_path):
-    body, spec = load_robot("panda"), open_scene("bare:0")
-    plant = Plant(spec, body)
+    robot_model, spec = load_robot("panda"), open_scene("bare:0")
+    plant = Plant(spec, robot_model)
     world = SimulatedWorld(plant, NoisyPerception(spec, PerceptionNoise(), np.random.default_rng(0)))
     injector = FaultInjector(Fault("state", "off", "closing"), lambda: plant.now)
     keys, door, seen = load_or_create_keys(tmp_path / "keys"), SocketServer(tmp_path / "s"), []
@@ -39,9 +39,9 @@ def test_glimpses_come_some_fifteen_times_a_second_of_the_robots_time(tmp_path):
             if came and now > came[0] + SECONDS:
                 keeper.shut_down()
 
-        robot = LockstepRobot(FaultyRobot(plant, injector, body), world, plant, injector, each)
+        robot = LockstepRobot(FaultyRobot(plant, injector, robot_model), world, plant, injector, each)
         keeper = Gatekeeper(
-            body, robot, door, keys, {"planner": full_capability(skill_registry(body))}, timing=SIMULATED
+            robot_model, robot, door, keys, {"planner": full_capability(skill_registry(robot_model))}, timing=SIMULATED
         )
         keeper.run()
         door.close()

@@ -208,12 +208,12 @@ def test_the_filter_is_told_less_than_the_data_sheet_says():
 
 
 def test_a_flights_figures_are_shares_of_the_data_sheet_and_no_unit_is_called_broken():
-    body, course = derated_robot(PERIOD), EpisodeRecord(delta=[0.0, 1.0], status=[0, 1])
+    robot_model, course = derated_robot(PERIOD), EpisodeRecord(delta=[0.0, 1.0], status=[0, 1])
     for k in range(2):
         course.q.append(np.full(7, k * PERIOD))
         course.v.append(np.ones(7))
         course.u.append(2.0 * MAX_JOINT_SPEED)
-    figures = course.metrics(body)
+    figures = course.metrics(robot_model)
     assert figures["asked"] == 2.0
     assert figures["speed"] == pytest.approx(1.0 / MAX_JOINT_SPEED.min(), abs=1e-4)
     assert figures["delta"] == 0.5

@@ -29,45 +29,47 @@ SEEN = (
 
 
 def postures(count, seed=0):
-    body, _ = load_panda()
+    robot_model, _ = load_panda()
     rng = np.random.default_rng(seed)
-    bounds = [[getattr(joint, side).value for joint in body.joints] for side in ("lower", "upper")]
-    return body, rng.uniform(*bounds, (count, body.n))
+    bounds = [[getattr(joint, side).value for joint in robot_model.joints] for side in ("lower", "upper")]
+    return robot_model, rng.uniform(*bounds, (count, robot_model.n))
 
 
 def test_the_judge_is_the_oracle():
     """Single postures, inside and outside: things, own links, joint limits."""
-    body, q = postures(60)
+    robot_model, q = postures(60)
     _, judge = load_panda()
     said = np.vstack([true_h(judge, one[None], SEEN) for one in q])
-    assert said[:, 0] == pytest.approx(geometry_oracle.h_obstacles(body, q, SEEN), abs=1e-12)
-    assert said[:, 2] == pytest.approx(geometry_oracle.h_self(body, q), abs=1e-12)
-    assert said[:, 3] == pytest.approx(geometry_oracle.h_joints(body, q), abs=1e-12)
+    assert said[:, 0] == pytest.approx(geometry_oracle.h_obstacles(robot_model, q, SEEN), abs=1e-12)
+    assert said[:, 2] == pytest.approx(geometry_oracle.h_self(robot_model, q), abs=1e-12)
+    assert said[:, 3] == pytest.approx(geometry_oracle.h_joints(robot_model, q), abs=1e-12)
     assert said[:, 0].min() < -0.05 < 0.05 < said[:, 0].max()
 
 
 def test_along_a_path_nothing_near_is_missed():
     """What is not measured again is at 2 cm or more."""
-    body, ends = postures(2, seed=4)
+    robot_model, ends = postures(2, seed=4)
     _, judge = load_panda()
     q = ends[0] + np.linspace(0.0, 1.0, 700)[:, None] * (ends[1] - ends[0])
     said = true_h(judge, q, SEEN)[1:]
-    assert said[:, 0] == pytest.approx(np.minimum(geometry_oracle.h_obstacles(body, q, SEEN), 0.02)[1:], abs=1e-12)
-    assert said[:, 2] == pytest.approx(np.minimum(geometry_oracle.h_self(body, q), 0.02)[1:], abs=1e-12)
+    assert said[:, 0] == pytest.approx(
+        np.minimum(geometry_oracle.h_obstacles(robot_model, q, SEEN), 0.02)[1:], abs=1e-12
+    )
+    assert said[:, 2] == pytest.approx(np.minimum(geometry_oracle.h_self(robot_model, q), 0.02)[1:], abs=1e-12)
     assert np.any(said[:, 0] < 0.02)
 
 
 def test_own_approach_is_the_speed_of_what_touches():
     """Joint 1 turns the arm into a moving wall at rest: the approach is ω times the lever arm of the deepest sphere."""
-    body, judge = load_panda()
-    q = np.tile(np.array(body.home), (2, 1))
+    robot_model, judge = load_panda()
+    q = np.tile(np.array(robot_model.home), (2, 1))
     q[1, 0] += 1e-3
-    tip = geometry_oracle.sphere_centres(body, q)[0][:, :, :]
+    tip = geometry_oracle.sphere_centres(robot_model, q)[0][:, :, :]
     ahead = tip[1, :, 1].max() + 0.05
     wall = Obstacle("wall", HalfSpace(), Pose((0.0, ahead - 0.1, 0.0), (0.5**0.5, 0.5**0.5, 0.0, 0.0)), static=False)
     said = true_h(judge, q, [wall])[1]
-    moving = [i for i, name in enumerate(geometry_oracle.sphere_centres(body, q)[2]) if name != "link0"]
-    radii = geometry_oracle.sphere_centres(body, q)[1]
+    moving = [i for i, name in enumerate(geometry_oracle.sphere_centres(robot_model, q)[2]) if name != "link0"]
+    radii = geometry_oracle.sphere_centres(robot_model, q)[1]
     deep = [i for i in moving if ahead - 0.1 - tip[1, i, 1] < radii[i]]
     assert said[1] < 0.0
     assert said[4] == pytest.approx(max((tip[1, i, 1] - tip[0, i, 1]) / 1e-3 for i in deep), rel=1e-5)
@@ -81,10 +83,10 @@ def test_rotation_is_scipys():
 
 def test_what_the_lab_saw_is_what_the_oracle_sees():
     account, path, truth = run_trial(CLASSES["drops"], 3, 600, log=True)
-    body, _ = load_panda()
-    h = geometry_oracle.h_obstacles(body, path, truth)
+    robot_model, _ = load_panda()
+    h = geometry_oracle.h_obstacles(robot_model, path, truth)
     assert account["h_still"] == pytest.approx(min(h.min(), 0.02), abs=1e-12)
-    assert account["h_self"] == pytest.approx(min(geometry_oracle.h_self(body, path).min(), 0.02), abs=1e-12)
+    assert account["h_self"] == pytest.approx(min(geometry_oracle.h_self(robot_model, path).min(), 0.02), abs=1e-12)
     assert account["steps"] == 600
 
 
@@ -132,11 +134,11 @@ def test_what_is_told_covers_what_goes_wrong():
 
 
 def test_hazards_keep_their_distance():
-    body, judge = load_panda()
+    robot_model, judge = load_panda()
     rng = np.random.default_rng(2)
-    q = random_scenes.random_posture(body, judge, rng)
+    q = random_scenes.random_posture(robot_model, judge, rng)
     found = random_scenes.random_obstacles(judge, q, rng, 5)
-    assert geometry_oracle.h_obstacles(body, q[None], found)[0] > 0.05
+    assert geometry_oracle.h_obstacles(robot_model, q[None], found)[0] > 0.05
     assert true_h(judge, q[None], [random_scenes.random_moving_obstacle(judge, q, rng)])[0, 1] > 0.25
 
 

@@ -30,9 +30,9 @@ def test_everywhere_in_our_range_our_velocity_is_one_that_the_maker_allows(k):
 
 
 def test_acceleration_and_jerk_are_the_makers_and_say_so():
-    body = load_robot("fr3")
-    assert body.joints == fr3.joints()
-    for joint in body.joints:
+    robot_model = load_robot("fr3")
+    assert robot_model.joints == fr3.joints()
+    for joint in robot_model.joints:
         assert (joint.acceleration.value, joint.jerk.value) == (10.0, 5000.0)
         assert "kMaxJointAcceleration" in joint.acceleration.provenance
         assert "kMaxJointJerk" in joint.jerk.provenance

@@ -110,8 +110,8 @@ def test_a_tool_frame_that_was_named_stays_or_is_said_not_to_fit(tmp_path):
 def test_the_body_offers_skills_that_grip_once_its_hand_is_told(tmp_path):
     tree, plain = read_urdf(write_file(tmp_path, hand())), limit_policy()
     wish = ImportOptions(quick=True, sphere_budget=30, base="base", tip="palm")
-    gripping = build_arm(tree, LimitPolicy(plain.all_joints, {}, {**plain.robot, **GRIP}), wish).model
-    bare = build_arm(tree, plain, wish).model
+    gripping = build_arm(tree, LimitPolicy(plain.all_joints, {}, {**plain.robot, **GRIP}), wish).robot_model
+    bare = build_arm(tree, plain, wish).robot_model
     assert "grasp" in skill_registry(gripping).by_name
     assert gripping.gripper.force_min.value == 5.0
     assert "grasp" not in skill_registry(bare).by_name

@@ -131,14 +131,18 @@ def snake(n):
 def test_arms_of_many_joints_are_made_and_filtered(tmp_path, n):
     """The kernel's build is chosen by the body; the tool against a walk through the tree."""
     tree = read_urdf(write_file(tmp_path, snake(n)))
-    body = build_arm(tree, limit_policy(), ImportOptions(quick=True, sphere_budget=30, home=tuple([0.1] * n))).model
-    safety = SafetyFilter(body)
+    robot_model = build_arm(
+        tree, limit_policy(), ImportOptions(quick=True, sphere_budget=30, home=tuple([0.1] * n))
+    ).robot_model
+    safety = SafetyFilter(robot_model)
     q = np.random.default_rng(n).uniform(-0.5, 0.5, n)
-    poses, _ = link_poses_at_rest(tree, "l0", {joint.name: value for joint, value in zip(body.joints, q, strict=True)})
+    poses, _ = link_poses_at_rest(
+        tree, "l0", {joint.name: value for joint, value in zip(robot_model.joints, q, strict=True)}
+    )
     tool = safety.tool(q)
     assert np.allclose(tool.position, poses[f"l{n}"][:3, 3], atol=3e-6)
     assert np.allclose(tool.rotation, poses[f"l{n}"][:3, :3], atol=3e-6)
-    answer = safety(np.array(body.home), np.zeros(n), np.ones(n))
+    answer = safety(np.array(robot_model.home), np.zeros(n), np.ones(n))
     assert answer.certified
     assert answer.u.shape == (n,)
 
@@ -146,7 +150,7 @@ def test_arms_of_many_joints_are_made_and_filtered(tmp_path, n):
 def test_the_body_moves_as_the_tree_says(everything):
     """The kernel's tool against a walk through the tree, joint by joint."""
     made = build_arm(everything, limit_policy(), ImportOptions(quick=True, sphere_budget=40))
-    safety = SafetyFilter(made.model)
+    safety = SafetyFilter(made.robot_model)
     rng = np.random.default_rng(1)
     for _ in range(20):
         q = dict(zip(("lift", "shoulder", "elbow"), rng.uniform(0.0, 0.5, 3), strict=True))
@@ -154,9 +158,9 @@ def test_the_body_moves_as_the_tree_says(everything):
         tool = safety.tool(np.array(list(q.values())))
         assert np.allclose(tool.position, poses["lower"][:3, 3], atol=2e-6)
         assert np.allclose(tool.rotation, poses["lower"][:3, :3], atol=2e-6)
-    assert made.model.name == "test_arm_7"
+    assert made.robot_model.name == "test_arm_7"
     assert made.report.coverage == 1.0
-    groups = {sphere.link for sphere in made.model.spheres}
+    groups = {sphere.link for sphere in made.robot_model.spheres}
     assert {"base", "hand", "fingers"} <= groups
 
 

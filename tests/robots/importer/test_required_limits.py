@@ -24,7 +24,7 @@ def tree(tmp_path_factory):
 
 
 def test_a_bound_tells_file_line_and_entry_or_who_said_it(tree):
-    lift, shoulder, elbow = build_arm(tree, limit_policy(velocity=1.0), QUICK).model.joints
+    lift, shoulder, elbow = build_arm(tree, limit_policy(velocity=1.0), QUICK).robot_model.joints
     assert shoulder.lower.provenance == "robot.urdf:12: shoulder limit lower"
     assert shoulder.velocity.value == 1.0
     assert shoulder.velocity.provenance == "test; wider: 1.5 of robot.urdf:12: shoulder limit velocity"

@@ -36,7 +36,7 @@ def first(made):
 
 @pytest.fixture
 def folder(first, tmp_path):
-    write_robot_folder(tmp_path / "arm", first.body, first.report, RECIPE)
+    write_robot_folder(tmp_path / "arm", first.robot_model, first.report, RECIPE)
     return tmp_path / "arm"
 
 
@@ -47,9 +47,9 @@ def edit(folder, change):
 
 
 def test_the_filter_takes_the_folder_as_it_lies(folder, first):
-    body = load_robot(str(folder))
-    assert body == first.body == load_robot(str(folder / "body.json"))
-    answer = SafetyFilter(body)(np.array(body.home), np.zeros(3), np.full(3, 0.1))
+    robot_model = load_robot(str(folder))
+    assert robot_model == first.robot_model == load_robot(str(folder / "body.json"))
+    answer = SafetyFilter(robot_model)(np.array(robot_model.home), np.zeros(3), np.full(3, 0.1))
     assert answer.certified
     assert read_import_files(folder) == (first.report, RECIPE)
 
@@ -58,7 +58,7 @@ def test_the_page_names_every_bound_and_what_is_missing(folder, first):
     page = (folder / "README.md").read_text()
     for bound in ("robot.urdf:12: shoulder limit upper", "not identified", "100.00%"):
         assert bound in page
-    assert all(pair[0] in page for pair in first.body.self_pairs.kept)
+    assert all(pair[0] in page for pair in first.robot_model.self_pairs.kept)
 
 
 def test_making_again_shows_what_changed_and_keeps_edits(folder, made):
@@ -67,7 +67,7 @@ def test_making_again_shows_what_changed_and_keeps_edits(folder, made):
         "joints.shoulder.velocity.value", "joints.shoulder.velocity.provenance"
     ]  # fmt: skip
     again = made(acceleration=5.0)
-    written = write_robot_folder(folder, again.body, again.report, RECIPE)
+    written = write_robot_folder(folder, again.robot_model, again.report, RECIPE)
     assert "joints.shoulder.acceleration.value: 10 → 5" in summarize_changes(written.generator_changes)
     assert len(written.kept_edits) == 2
     assert not written.lost_edits
@@ -78,12 +78,12 @@ def test_making_again_shows_what_changed_and_keeps_edits(folder, made):
 
 def test_edits_go_only_when_asked_to(folder, first):
     edit(folder, lambda data: data.update(period=0.004))
-    write_robot_folder(folder, first.body, first.report, RECIPE, discard_edits=True)
-    assert load_robot(str(folder)) == first.body
+    write_robot_folder(folder, first.robot_model, first.report, RECIPE, discard_edits=True)
+    assert load_robot(str(folder)) == first.robot_model
 
 
 def test_an_edit_that_has_no_place_any_more_is_told(first):
-    body = first.body
+    body = first.robot_model
     edited = msgspec.structs.replace(body, spheres=body.spheres[:-1])
     fresh, kept, lost = reapply_edits(body, edited, body)
     assert fresh == body
@@ -93,13 +93,13 @@ def test_an_edit_that_has_no_place_any_more_is_told(first):
 
 
 def test_another_robots_folder_and_foreign_files_are_left_alone(folder, first, tmp_path):
-    other = msgspec.structs.replace(first.body, name="other")
+    other = msgspec.structs.replace(first.robot_model, name="other")
     with pytest.raises(ConfigurationError, match="test_arm_7"):
         write_robot_folder(folder, other, first.report, RECIPE)
     (tmp_path / "home").mkdir()
     (tmp_path / "home" / "thesis.txt").write_text("dear")
     with pytest.raises(ConfigurationError, match="not a robot's"):
-        write_robot_folder(tmp_path / "home", first.body, first.report, RECIPE)
+        write_robot_folder(tmp_path / "home", first.robot_model, first.report, RECIPE)
 
 
 @pytest.mark.parametrize(

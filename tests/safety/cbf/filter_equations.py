@@ -20,7 +20,7 @@ DIFFERENCE_STEP = 1e-6
 class FilterCase:
     """All that the filter is told."""
 
-    body: object
+    robot_model: object
     config: FilterConfig
     obstacles: list[Obstacle]
     permits: list[Contact] = field(default_factory=list)
@@ -59,36 +59,36 @@ def tool_pose(body, q):
 
 def sphere_centres(s, q):
     """Centres (k, 3) of the body's spheres in the order of its links, held ones last."""
-    chain, points = joint_frames(s.body, q), []
-    for link in s.body.links:
+    chain, points = joint_frames(s.robot_model, q), []
+    for link in s.robot_model.links:
         R, p = chain[link.frame]
         R, p = R @ geometry_oracle.rotation_matrix(link.quaternion), p + R @ np.array(link.translation)
         points += [
             p + R @ (np.array(ball.centre) + s.opening * np.array(link.slide))
-            for ball in s.body.spheres
+            for ball in s.robot_model.spheres
             if ball.link == link.name
         ]
-    p, R = tool_pose(s.body, q)
+    p, R = tool_pose(s.robot_model, q)
     return np.array([*points, *(p + s.held[:, :3] @ R.T)])
 
 
 def sphere_owners(s):
     """Link index of every sphere (len(links): held), its radius, and the frame it moves with."""
     link, radius = [], []
-    for index, part in enumerate(s.body.links):
-        radii = [ball.radius for ball in s.body.spheres if ball.link == part.name]
+    for index, part in enumerate(s.robot_model.links):
+        radii = [ball.radius for ball in s.robot_model.spheres if ball.link == part.name]
         link += [index] * len(radii)
         radius += radii
-    link += [len(s.body.links)] * len(s.held)
-    frame = np.array([*(part.frame for part in s.body.links), s.body.n])[link]
+    link += [len(s.robot_model.links)] * len(s.held)
+    frame = np.array([*(part.frame for part in s.robot_model.links), s.robot_model.n])[link]
     return np.array(link), np.array([*radius, *s.held[:, 3]]), frame
 
 
 def control_bounds(s, q, u_prev):
     """Velocity limit, acceleration around u_prev, and joint position: min(alpha d, discrete braking)."""
-    c, dt = s.config, s.body.period
-    low, high = np.empty(s.body.n), np.empty(s.body.n)
-    for k, joint in enumerate(s.body.joints):
+    c, dt = s.config, s.robot_model.period
+    low, high = np.empty(s.robot_model.n), np.empty(s.robot_model.n)
+    for k, joint in enumerate(s.robot_model.joints):
         v, a = joint.velocity.value, joint.acceleration.value
         floor, ceiling = max(-v, u_prev[k] - a * dt), min(v, u_prev[k] + a * dt)
         above = joint.upper.value - c.rounding_margin - q[k]
@@ -100,7 +100,7 @@ def control_bounds(s, q, u_prev):
 
 def max_approach_speed(s, d, a):
     """Greatest speed toward a joint limit at distance d: from it the joint can stop by a dt each period."""
-    dt, alpha = s.body.period, s.config.alpha_joint or s.config.alpha or s.body.alpha
+    dt, alpha = s.robot_model.period, s.config.alpha_joint or s.config.alpha or s.robot_model.alpha
     if d <= 0.0:
         return max(alpha * d, -4.0 * s.config.recovery_speed) - s.config.tracking_error
     half = 0.5 * a * dt
@@ -110,7 +110,7 @@ def max_approach_speed(s, d, a):
 def sphere_jacobians(s, q, middle):
     """Jacobians (k, 3, n) of the centres, and their second derivative (k, 3) along `middle`."""
     J = np.stack([
-        (sphere_centres(s, q + DIFFERENCE_STEP * e) - sphere_centres(s, q - DIFFERENCE_STEP * e)) / (2.0 * DIFFERENCE_STEP) for e in np.eye(s.body.n)
+        (sphere_centres(s, q + DIFFERENCE_STEP * e) - sphere_centres(s, q - DIFFERENCE_STEP * e)) / (2.0 * DIFFERENCE_STEP) for e in np.eye(s.robot_model.n)
     ], axis=2)  # fmt: skip
     step = 1e-4
     here = sphere_centres(s, q)
@@ -144,7 +144,7 @@ def _obstacle_rows(s, j, thing, here, J, bend, link, radius, frame, low, high):
         (geometry_oracle.surface_distance(thing.shape, thing.pose, points + DIFFERENCE_STEP * e)
          - geometry_oracle.surface_distance(thing.shape, thing.pose, points - DIFFERENCE_STEP * e)) / (2.0 * DIFFERENCE_STEP) for e in np.eye(3)
     ], axis=1)  # fmt: skip
-    alpha = thing.alpha or c.alpha or s.body.alpha
+    alpha = thing.alpha or c.alpha or s.robot_model.alpha
     out = []
     for i in np.flatnonzero(frame > 0):
         if not applies_to_link(s, thing, link[i]):
@@ -153,14 +153,14 @@ def _obstacle_rows(s, j, thing, here, J, bend, link, radius, frame, low, high):
             thing.margin
             + thing.velocity_error * s.age
             + _common_margin(s)
-            + s.held_error * (link[i] == len(s.body.links))
+            + s.held_error * (link[i] == len(s.robot_model.links))
         )
         h, permit = gap[i] - radius[i] - margin, permitted_speed(s, thing.name, link[i])
         a = n[i] @ J[i]
         barrier = (
             -max(permit, alpha * h) if permit is not None else min(-alpha * h, c.recovery_speed) + thing.velocity_error
         )
-        b = barrier + n[i] @ v + max(0.0, -0.5 * s.body.period * (n[i] @ bend[i]))
+        b = barrier + n[i] @ v + max(0.0, -0.5 * s.robot_model.period * (n[i] @ bend[i]))
         if thing.separation is not None and permit is None:
             b = max(b, -separation_speed(thing, h, n[i] @ v))
         b += c.tracking_error * np.abs(a).sum()
@@ -172,20 +172,25 @@ def _obstacle_rows(s, j, thing, here, J, bend, link, radius, frame, low, high):
 
 def _self_rows(s, here, J, bend, link, radius, low, high):
     c = s.config
-    alpha = c.alpha_self or c.alpha or s.body.alpha
-    index = {part.name: k for k, part in enumerate(s.body.links)}
-    pairs = [sorted((index[a], index[b]), key=lambda k: s.body.links[k].frame) for a, b in s.body.self_pairs.kept]
-    hand = {near for near, far in pairs if s.body.links[far].group in ("hand", "fingers")}
+    alpha = c.alpha_self or c.alpha or s.robot_model.alpha
+    index = {part.name: k for k, part in enumerate(s.robot_model.links)}
+    pairs = [
+        sorted((index[a], index[b]), key=lambda k: s.robot_model.links[k].frame)
+        for a, b in s.robot_model.self_pairs.kept
+    ]
+    hand = {near for near, far in pairs if s.robot_model.links[far].group in ("hand", "fingers")}
     out = []
-    for near, far in [*pairs, *((near, len(s.body.links)) for near in hand if len(s.held))]:
-        margin = c.self_margin + _common_margin(s) + s.held_error * (far == len(s.body.links))
+    for near, far in [*pairs, *((near, len(s.robot_model.links)) for near in hand if len(s.held))]:
+        margin = c.self_margin + _common_margin(s) + s.held_error * (far == len(s.robot_model.links))
         for i in np.flatnonzero(link == near):
             for k in np.flatnonzero(link == far):
                 way = here[k] - here[i]
                 distance = np.linalg.norm(way)
                 n, h = way / distance, distance - radius[i] - radius[k] - margin
                 a = n @ (J[k] - J[i])
-                b = min(-alpha * h, c.recovery_speed) + max(0.0, -0.5 * s.body.period * (n @ (bend[k] - bend[i])))
+                b = min(-alpha * h, c.recovery_speed) + max(
+                    0.0, -0.5 * s.robot_model.period * (n @ (bend[k] - bend[i]))
+                )
                 b += c.tracking_error * np.abs(a).sum()
                 if h < 0.0:
                     b = min(b, np.maximum(a * low, a * high).sum())
@@ -195,7 +200,11 @@ def _self_rows(s, here, J, bend, link, radius, low, high):
 
 def link_names(s, link):
     """What a permit or a list of parts may call this link."""
-    return ("held",) if link == len(s.body.links) else (s.body.links[link].name, s.body.links[link].group)
+    return (
+        ("held",)
+        if link == len(s.robot_model.links)
+        else (s.robot_model.links[link].name, s.robot_model.links[link].group)
+    )
 
 
 def permitted_speed(s, obstacle, link):

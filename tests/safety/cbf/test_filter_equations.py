@@ -51,7 +51,7 @@ def things(s, q, rng, *, moving=False):
 
 def told(s):
     """A float64 filter that knows the setting."""
-    safety = SafetyFilter(s.body, s.config)
+    safety = SafetyFilter(s.robot_model, s.config)
     safety.observe(s.obstacles, 0.0)
     safety.permit(s.permits)
     safety.constrain(s.rows)
@@ -70,7 +70,7 @@ def unit_rows(rows):
 
 def nearest(s, low, high, A, b, u_nom):
     """The control nearest to u_nom under all rows, or None."""
-    R = np.diag([1.0 / joint.velocity.value**2 for joint in s.body.joints])
+    R = np.diag([1.0 / joint.velocity.value**2 for joint in s.robot_model.joints])
     upper, lower = np.concatenate([high, np.full(len(b), 1e30)]), np.concatenate([low, b])
     x, _, flag, _ = daqp.solve(R, -R @ u_nom, np.ascontiguousarray(A), upper, lower, np.zeros(len(upper), dtype=c_int))
     return x if flag == 1 else None
@@ -109,8 +109,8 @@ def lifted(s, row):
 
 def drive(s, q, rng, at, steps=400, every=50):
     """(q, u_prev, u_nom) along a closed loop: anywhere at full speed, or straight at what is near."""
-    safety, n = told(s), s.body.n
-    v = np.array([joint.velocity.value for joint in s.body.joints])
+    safety, n = told(s), s.robot_model.n
+    v = np.array([joint.velocity.value for joint in s.robot_model.joints])
     u = np.zeros(n)
     for step in range(steps):
         if step % every == 0:
@@ -122,7 +122,7 @@ def drive(s, q, rng, at, steps=400, every=50):
             yield q.copy(), u.copy(), wish
         state = at(q, t=s.age, opening=s.opening)
         u = safety.project(state, wish, u, s.age) if s.known_only else safety.filter(state, wish, s.age).u
-        q = q + s.body.period * u
+        q = q + s.robot_model.period * u
 
 
 def setting(kind, body, q, rng):

@@ -90,7 +90,7 @@ def moment(body, rng, *, count=9, moving=False, parts=False, holding=False, mobi
 
 def ask(safety, setting, rng, *, mobile):
     """One step of `safety` in the setting, at a random speed; its box goes into the setting."""
-    body = safety.body
+    body = safety.robot_model
     safety.observe(setting.obstacles, 0.0)
     permits = {(("fingers" if "finger" in link else link), j): speed for (link, j), speed in setting.permits.items()}
     safety.permit([Contact(part, f"o{j}", speed) for (part, j), speed in permits.items()])
@@ -109,7 +109,10 @@ def ask(safety, setting, rng, *, mobile):
 
 def compare(safety, setting, answer, tolerance):
     """Nothing missing, nothing wrong, h_min found; returns how many pairs could bind."""
-    every, sampling = exhaustive_rows.all_pair_rows(safety.body, safety.config, setting), safety.config.sampling_margin
+    every, sampling = (
+        exhaustive_rows.all_pair_rows(safety.robot_model, safety.config, setting),
+        safety.config.sampling_margin,
+    )
     rows = safety._kernel.rows()
     worst = np.where(every.a > 0, every.a * setting.low, every.a * setting.high).sum(axis=1)
     best = np.where(every.a > 0, every.a * setting.high, every.a * setting.low).sum(axis=1)

@@ -40,7 +40,7 @@ def crowd(body, rng, count):
 
 def loop(safety, rng, steps, hold):
     """(answer, u_nom) along a bang-bang closed loop."""
-    body = safety.body
+    body = safety.robot_model
     v_max = np.array([joint.velocity.value for joint in body.joints])
     q, wish, rest = np.array(body.home), np.zeros(body.n), np.zeros(body.n)
     for step in range(steps):

@@ -118,8 +118,8 @@ class TorqueEnv(gymnasium.Env):
         return full[arm, arm], (data.qfrc_bias - data.qfrc_passive)[arm]
 
 
-def make_filter(body=DERATED_PANDA, things=OBSTACLES, config=EXACT_CONFIG):
-    safety = SafetyFilter(body, config)
+def make_filter(robot_model=DERATED_PANDA, things=OBSTACLES, config=EXACT_CONFIG):
+    safety = SafetyFilter(robot_model, config)
     safety.observe(things)
     return safety
 

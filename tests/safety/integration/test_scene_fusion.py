@@ -108,7 +108,7 @@ def test_a_required_source_that_falls_silent_stops_the_robot_and_speech_frees_it
         SceneFusion({"camera": SceneSource(0.0, 0.2), "clock": SceneSource(0.0, 9.0, required=False)}),
         SafetyFilter(load_robot("panda")),
     )
-    q, u = np.array(safety.body.home), np.full(7, 0.01)
+    q, u = np.array(safety.robot_model.home), np.full(7, 0.01)
     assert one.apply_to(safety, 0.0) == ("camera",)
     assert safety(q, np.zeros(7), u, 0.0).status is FilterStatus.STOPPED
     one.update("camera", "world", 1.0, [], now=1.0)

@@ -90,49 +90,49 @@ def test_an_error_names_its_line_and_column(tmp_path, text, line, column, said):
     ],
 )
 def test_what_does_not_fit_the_body_names_its_line(tmp_path, text, line, said):
-    file, body = site(tmp_path, text), load_robot("panda")
+    file, robot_model = site(tmp_path, text), load_robot("panda")
     with pytest.raises(SiteError) as caught:
-        site_obstacles(site_robot(body, file), file)
+        site_obstacles(site_robot(robot_model, file), file)
     assert caught.value.line == line
     assert said in str(caught.value)
 
 
 def test_caps_only_narrow_and_say_so(tmp_path):
-    body = load_robot("panda")
-    narrowed = site_robot(body, site(tmp_path, WHOLE))
+    robot_model = load_robot("panda")
+    narrowed = site_robot(robot_model, site(tmp_path, WHOLE))
     fourth = narrowed.joints[3]
     assert [joint.velocity.value for joint in narrowed.joints] == [2.0] * 7
     assert (fourth.acceleration.value, fourth.lower.value) == (5.0, -2.9)
     assert fourth.acceleration.provenance.startswith("site policy (lab.toml:9); wider: 12.5 of")
     assert narrowed.tool_speed.value == 0.2
-    wide = site_robot(body, site(tmp_path, "[limits]\nvelocity = 9.0\n[joint.panda_joint1]\nlower = -9.0\n"))
-    assert wide == body
+    wide = site_robot(robot_model, site(tmp_path, "[limits]\nvelocity = 9.0\n[joint.panda_joint1]\nlower = -9.0\n"))
+    assert wide == robot_model
 
 
 def test_tool_and_payload_belong_to_the_body_and_are_kept_from_what_the_hand_is(tmp_path):
-    body, file = load_robot("panda"), site(tmp_path, WHOLE)
-    narrowed = site_robot(body, file)
-    plain, longer = site_filter(site(tmp_path, ""), body), site_filter(file, body)
-    q = np.array(body.home)
+    robot_model, file = load_robot("panda"), site(tmp_path, WHOLE)
+    narrowed = site_robot(robot_model, file)
+    plain, longer = site_filter(site(tmp_path, ""), robot_model), site_filter(file, robot_model)
+    q = np.array(robot_model.home)
     assert np.allclose(longer.tool(q).position, plain.tool(q).position + 0.1 * plain.tool(q).rotation[:, 2], atol=1e-6)
     where, radii, groups = longer.spheres(q, 0.0)
-    assert len(radii) == len(body.spheres) + 2
+    assert len(radii) == len(robot_model.spheres) + 2
     assert groups[-2:] == ("hand", "hand")
     assert radii[-2:] == pytest.approx([0.04, 0.03 + 0.01], abs=1e-6)
     centre = plain.tool(q).position + 0.14 * plain.tool(q).rotation[:, 2]
     assert np.allclose(where[-1], centre, atol=1e-6)
     kept = {pair for pair in narrowed.self_pairs.kept if "site_payload" in pair}
     assert kept
-    assert {part for part, _ in kept} <= {part for pair in body.self_pairs.kept for part in pair}
+    assert {part for part, _ in kept} <= {part for pair in robot_model.self_pairs.kept for part in pair}
 
 
 def test_the_filter_keeps_the_payload_above_the_table(tmp_path):
     safety = site_filter(site(tmp_path, WHOLE), load_robot("panda"), EXACT_TRACKING)
-    q, u = np.array(safety.body.home), np.zeros(7)
+    q, u = np.array(safety.robot_model.home), np.zeros(7)
     for _ in range(3000):
         J = safety.tool(q).jacobian[:3]
         u = safety(q, u, J.T @ np.linalg.solve(J @ J.T + 1e-3 * np.eye(3), np.array([0.0, 0.0, -0.3]))).u
-        q = q + safety.body.period * u
+        q = q + safety.robot_model.period * u
     where, radii, groups = safety.spheres(q, 0.0)
     hand = np.array([group == "hand" for group in groups])
     assert 0.0 <= np.min(where[hand, 2] - radii[hand]) < 0.01

@@ -56,14 +56,14 @@ def run_step(safety, step):
 
 def record_vectors(steps=120):
     """A loop past a ball, a box and the table, with a permit, in which the lag and the obstacle's motion matter."""
-    body = load_robot("panda")
+    robot_model = load_robot("panda")
     recording = Recording("panda", FilterConfig(), [
         Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)), known=True),
         Obstacle("cube", Box((0.02, 0.02, 0.02)), Pose((0.5, 0.0, 0.3), (0.9, 0.1, 0.2, 0.3))),
         Obstacle("ball", Sphere(0.05), Pose((0.75, 0.1, 0.4)), (-0.3, 0.0, 0.0), 0.005, 0.02, static=False),
     ], [Contact("fingers", "cube", 0.05)], [])  # fmt: skip
     safety, rng = build_filter(recording), np.random.default_rng(0)
-    q, v = np.array(body.home), np.zeros(7)
+    q, v = np.array(robot_model.home), np.zeros(7)
     for k in range(steps):
         if k % 40 == 0:
             wish = rng.choice([-1.0, 1.0], 7) * 2.0
@@ -72,7 +72,7 @@ def record_vectors(steps=120):
         step.u, step.status = answer.u.tolist(), int(answer.status)
         step.delta, step.h_min = answer.delta, answer.h_min
         recording.steps.append(step)
-        v = v + (answer.u - v) * 1e-3 / body.tracking.lag
+        v = v + (answer.u - v) * 1e-3 / robot_model.tracking.lag
         q = q + 1e-3 * v
     return recording
 

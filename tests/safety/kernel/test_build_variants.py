@@ -28,23 +28,23 @@ def wide_only(monkeypatch):
 
 @pytest.mark.parametrize(("name", "real"), [("panda", "float32"), ("ur5e", "float32"), ("panda", "float64")])
 def test_both_sizes_answer_bit_for_bit_alike(name, real, wide_only, rng):
-    body, config = load_robot(name), FilterConfig(precision=real)
-    things, v_max = random_scene(body, rng, 12), np.array([joint.velocity.value for joint in body.joints])
-    narrow, wide = SafetyFilter(body, config), wide_only(body, config)
+    robot_model, config = load_robot(name), FilterConfig(precision=real)
+    things, v_max = random_scene(robot_model, rng, 12), np.array([joint.velocity.value for joint in robot_model.joints])
+    narrow, wide = SafetyFilter(robot_model, config), wide_only(robot_model, config)
     assert type(narrow._kernel) is not type(wide._kernel)
     for safety in (narrow, wide):
         safety.observe(things)
-    q, u, wish, bound = np.array(body.home), np.zeros(body.n), np.zeros(body.n), 0
+    q, u, wish, bound = np.array(robot_model.home), np.zeros(robot_model.n), np.zeros(robot_model.n), 0
     for step in range(STEPS):
         if step % 60 == 0:
-            wish = rng.choice([-1.0, 1.0], body.n) * v_max
+            wish = rng.choice([-1.0, 1.0], robot_model.n) * v_max
         one, other = narrow(q, u, wish), wide(q, u, wish)
         assert one.u.tobytes() == other.u.tobytes()
         assert (one.status, one.flags, one.delta, one.h_min, one.binding_rows) == (
             other.status, other.flags, other.delta, other.h_min, other.rows,
         )  # fmt: skip
         bound += len(one.binding_rows) > 1
-        u, q = one.u, q + body.period * one.u
+        u, q = one.u, q + robot_model.period * one.u
     assert bound > STEPS / 10
 
 

@@ -18,17 +18,17 @@ BODIES = ("panda", "ur5e", "fr3", "base")
 
 def wandering(name, rng, steps=600):
     """(nominal, answer) of a filter whose arm is thrown about, at nominals from slow to far beyond the limits."""
-    body = load_robot(name)
-    safety = SafetyFilter(body)
+    robot_model = load_robot(name)
+    safety = SafetyFilter(robot_model)
     safety.observe(obstacles_from_scene(scene_from_spec(open_scene("1", name)), known=(), held=None), 0.0)
-    q, v, nominal = np.array(body.home), np.zeros(body.n), np.zeros(body.n)
+    q, v, nominal = np.array(robot_model.home), np.zeros(robot_model.n), np.zeros(robot_model.n)
     for k in range(steps):
         if k % 40 == 0:
-            nominal = rng.normal(size=body.n) * rng.choice([0.1, 0.5, 2.0, 10.0])
+            nominal = rng.normal(size=robot_model.n) * rng.choice([0.1, 0.5, 2.0, 10.0])
         answer = safety.filter(RobotState(k * 1e-3, k, q, v, 0.04, (0.0, 0.0), drive_enabled=True), nominal, k * 1e-3)
         yield nominal, answer
         v = answer.u
-        q = q if body.is_mobile else q + v * body.period
+        q = q if robot_model.is_mobile else q + v * robot_model.period
 
 
 @pytest.mark.parametrize("name", BODIES)
@@ -55,8 +55,8 @@ def test_a_nominal_that_is_no_number_is_left_to_the_filter(rng):
 
 
 def test_the_spine_writes_braking_in_the_place_of_an_old_answer(rng):
-    body = load_robot("panda")
-    spine, kept = SafetyController(SafetyFilter(body)), []
+    robot_model = load_robot("panda")
+    spine, kept = SafetyController(SafetyFilter(robot_model)), []
     usual = spine.safety.filter
 
     def hanging(state, nominal, now):
@@ -64,14 +64,14 @@ def test_the_spine_writes_braking_in_the_place_of_an_old_answer(rng):
         return kept[min(len(kept) - 1, 60)]
 
     spine.safety.filter = hanging
-    q, wanted = np.array(body.home), np.zeros(7)
+    q, wanted = np.array(robot_model.home), np.zeros(7)
     for k in range(200):
         now = k * 1e-3
         wanted[0] = 0.4 * min(1.0, k / 100)
         state = RobotState(now, k, q, np.zeros(7), 0.04, (0.0, 0.0), drive_enabled=True)
         order = spine.decide(state, now)
         written = spine.control(state, wanted.copy(), now)
-        q = q + written.u * body.period
+        q = q + written.u * robot_model.period
         if order.check == "control_bad":
             break
     assert order.check == "control_bad"

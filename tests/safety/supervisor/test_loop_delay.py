@@ -70,9 +70,9 @@ def test_until_a_late_loop_is_stopped_no_joint_reaches_its_limit(robot, timing, 
 
 @pytest.mark.parametrize("robot", DRIVERS)
 def test_a_loop_of_ten_periods_a_tick_is_stopped_by_the_drive_itself_and_a_hiccup_is_not(robot):
-    body, (timing, _) = load_robot(robot), DRIVERS[robot]
-    spine, state, checks = SafetyController(SafetyFilter(body), timing=timing), home_state(body), []
-    v = np.zeros(body.n)
+    robot_model, (timing, _) = load_robot(robot), DRIVERS[robot]
+    spine, state, checks = SafetyController(SafetyFilter(robot_model), timing=timing), home_state(robot_model), []
+    v = np.zeros(robot_model.n)
     for count in range(400):
         gap = (10 if count >= 200 else 3 if count == 50 else 1) * timing.period
         state = replace(state, stamp=state.stamp + gap, sequence=count + 1, q=state.q + gap * v, v=v)
@@ -80,7 +80,7 @@ def test_a_loop_of_ten_periods_a_tick_is_stopped_by_the_drive_itself_and_a_hiccu
         checks.append(spine.decide(state, state.stamp).check)
         if not spine.drive_wanted:
             break
-        v = spine.control(state, np.full(body.n, 0.05), state.stamp).u
+        v = spine.control(state, np.full(robot_model.n, 0.05), state.stamp).u
     assert set(checks[:200]) <= {"", "tick_overrun"}
     assert (checks[-1], spine.decision.action) == ("loop_behind", SafetyAction.CONTROLLED_STOP)
     assert (len(checks) - 201) * 10 * timing.period < timing.max_loop_delay + 0.02
@@ -89,10 +89,10 @@ def test_a_loop_of_ten_periods_a_tick_is_stopped_by_the_drive_itself_and_a_hiccu
 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_a_tick_is_as_long_as_the_body_says_and_not_late_for_that(robot):
-    body = load_robot(robot)
-    spine, state = SafetyController(SafetyFilter(body)), home_state(body)
-    u = np.array([0.5 * joint.velocity.value for joint in body.joints]) * 0.01
+    robot_model = load_robot(robot)
+    spine, state = SafetyController(SafetyFilter(robot_model)), home_state(robot_model)
+    u = np.array([0.5 * joint.velocity.value for joint in robot_model.joints]) * 0.01
     for count in range(30):
-        state = replace(state, stamp=state.stamp + body.period, sequence=count + 1)
+        state = replace(state, stamp=state.stamp + robot_model.period, sequence=count + 1)
         assert spine.decide(state, state.stamp).check == ""
         spine.control(state, u, state.stamp)

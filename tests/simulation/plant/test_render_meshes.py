@@ -13,8 +13,8 @@ from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
 @pytest.mark.parametrize("robot", BUILTIN_ROBOTS)
 def test_every_link_that_collides_is_drawn_where_it_is(robot):
-    body = load_robot(robot)
-    plant = make_plant(open_scene("0", robot), body)
+    robot_model = load_robot(robot)
+    plant = make_plant(open_scene("0", robot), robot_model)
     found, poses, model = link_meshes(plant), plant.link_poses(), plant.model
     for name, part in plant.link_body_names().items():
         owner = plant.data.body(part).id
@@ -45,7 +45,7 @@ def test_a_wheel_and_a_box_have_their_size_and_look_outward():
 def test_a_dressed_arm_does_not_hide_what_carries_it():
     """Pictures leave out what collides where meshes lie over it (group 3); the platform has no meshes."""
     plant = make_plant(open_scene("workroom:0", "mobile_panda"), load_robot("mobile_panda"), visuals=True)
-    platform = plant.data.body(plant.link_body_names()[plant.body.links[0].name]).id
+    platform = plant.data.body(plant.link_body_names()[plant.robot_model.links[0].name]).id
     shown = [i for i in range(plant.model.ngeom) if plant.model.geom_bodyid[i] == platform]
     assert shown
     assert all(plant.model.geom_group[i] != COLLISION_GEOM_GROUP for i in shown)

@@ -23,14 +23,14 @@ class SkillCell:
     """A scene, an arm and a local layer, without planner and memory."""
 
     def __init__(self, family="bare", seed=0, noise=NO_NOISE, ghost=None, robot="panda"):
-        self.spec, body = make_scene(family, seed, robot), load_robot(robot)
-        self.plant = Plant(self.spec, body)
-        self.trace = Trace(body.n)
+        self.spec, robot_model = make_scene(family, seed, robot), load_robot(robot)
+        self.plant = Plant(self.spec, robot_model)
+        self.trace = Trace(robot_model.n)
         world = SimulatedWorld(self.plant, NoisyPerception(self.spec, noise, np.random.default_rng(seed)))
         self.world = Ghosts(world, ghost) if ghost else world
         self.monitor = world.monitor
         self.layer = ContractExecutor(
-            body, self.plant, self.world, SafetyFilter(body), FlightLog(self.trace), ExecutorConfig(settle_time=0.1),
+            robot_model, self.plant, self.world, SafetyFilter(robot_model), FlightLog(self.trace), ExecutorConfig(settle_time=0.1),
             on_phase=world.set_phase,
         )  # fmt: skip
 

@@ -31,16 +31,16 @@ def test_either_way_round_ends_at_the_same_rotation_and_the_nearer_is_taken(axis
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_hand_that_must_turn_past_its_joint_limit_the_short_way_turns_the_long_way(side):
     """The last joint goes from one side of its range to the other: 3.6 rad, while 2.68 rad would lead out of it."""
-    body = load_robot("panda")
-    safety = SafetyFilter(body)
-    phi = ResolvedRate(body, safety)
-    q, goal = np.array(body.home), np.array(body.home)
+    robot_model = load_robot("panda")
+    safety = SafetyFilter(robot_model)
+    phi = ResolvedRate(robot_model, safety)
+    q, goal = np.array(robot_model.home), np.array(robot_model.home)
     q[6], goal[6] = side * -1.8, side * 1.8
     there = safety.tool(goal)
     for k in range(6000):
         now = k * PERIOD
         tool = safety.tool(q)
-        state = RobotState(now, k, q, np.zeros(body.n), 0.04, (0.0, 0.0), drive_enabled=True)
+        state = RobotState(now, k, q, np.zeros(robot_model.n), 0.04, (0.0, 0.0), drive_enabled=True)
         q = q + PERIOD * phi.toward_pose(state, tool, pose_error(tool, there.position, there.rotation), 0.2, goal, now)
     tool = safety.tool(q)
     assert np.linalg.norm(rotation_error(tool.rotation, there.rotation)) < 0.01

@@ -197,7 +197,7 @@ def check_canaries(folder: Path, cache: Path, adapters: Path) -> str:
     require_same_prompt(stack.top_card)
     planner = start_llama(stack, cache, config)
     try:
-        return make_canary_check(planner, stack, cache, adapters, config)(planner, max_questions=len(CANARY_QUESTIONS))
+        return make_canary_check(planner, stack, cache, adapters, config)(planner, max_canaries=len(CANARY_QUESTIONS))
     finally:
         planner.close()
 

@@ -52,9 +52,9 @@ def commission(
 
     robot = robot or next((kind.robot for kind in DRIVER_KINDS if kind.name == driver), "")
     kind, file = find_driver_kind(driver, robot), read_site(site)
-    body, seal_in = site_robot(load_robot(robot), file), record or checklist.with_suffix(".sealed.json")
+    robot_model, seal_in = site_robot(load_robot(robot), file), record or checklist.with_suffix(".sealed.json")
     if check:
-        answered = require_record(seal_in, body, site, kind)
+        answered = require_record(seal_in, robot_model, site, kind)
         print(f"{seal_in}: good; answered by {answered.answers.by}, {answered.answers.on}", file=sys.stderr)
         return ExitCode.SUCCESS
     if not checklist.exists():
@@ -62,13 +62,13 @@ def commission(
         print(f"{checklist}: fill it in at the arm, then run this again", file=sys.stderr)
         return ExitCode.FAILED_SAFELY
     answers = read_checklist(checklist)
-    if found := find_flaws(answers, body, file.site, kind):
+    if found := find_flaws(answers, robot_model, file.site, kind):
         for flaw in found:
             print(f"{flaw.item}: got {flaw.got!r}, allowed: {flaw.allowed}", file=sys.stderr)
         return ExitCode.FAILED_SAFELY
     import msgspec
 
-    whole = make_record(answers, body, site, kind)
+    whole = make_record(answers, robot_model, site, kind)
     seal_in.write_bytes(msgspec.json.format(msgspec.json.encode(whole), indent=2) + b"\n")
     print(f"sealed: {seal_in} ({whole.seal[:16]})", file=sys.stderr)
     return ExitCode.SUCCESS

@@ -54,13 +54,15 @@ def conform(
 
     robot = robot or next((kind.robot for kind in DRIVER_KINDS if kind.name == driver), "panda")
     kind = None if driver == "plant" else find_driver_kind(driver, robot)
-    body = load_robot(robot)
-    body = site_robot(body, read_site(site)) if site else body
+    robot_model = load_robot(robot)
+    robot_model = site_robot(robot_model, read_site(site)) if site else robot_model
     if kind is not None and kind.hardware:
-        require_record(commissioned, body, site, kind)
+        require_record(commissioned, robot_model, site, kind)
 
     def make() -> DriverUnderTest:
-        return DriverUnderTest(kind.open(address, body, None) if kind else SimulatedDriver(body), body)
+        return DriverUnderTest(
+            kind.open(address, robot_model, None) if kind else SimulatedDriver(robot_model), robot_model
+        )
 
     findings = tried(make)
     for finding in findings:

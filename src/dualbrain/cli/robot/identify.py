@@ -57,18 +57,18 @@ def identify(
     from dualbrain.simulation.identification.tracking_model import identify_plant
     from dualbrain.simulation.plant.joint_drive import parse_drive_kind  # MuJoCo is heavy
 
-    kind, body = parse_drive_kind(drive), load_robot(robot)
-    target = _written_robot(write, body)
+    kind, robot_model = parse_drive_kind(drive), load_robot(robot)
+    target = _written_robot(write, robot_model)
     with _progress_bar() as bar:
         task = bar.add_task(f"{robot}, {drive}", total=1.0)
         asked = {"load": load, "seeds": range(seeds), "seconds": seconds,
                  "progress": lambda share, word: bar.update(task, completed=share, description=word)}  # fmt: skip
-        said, base_lag = _provenance(robot, kind, seeds, seconds, load), body.base_lag
-        if body.is_mobile_manipulator:
-            both = identify_mobile_manipulator(body, kind, **asked)
+        said, base_lag = _provenance(robot, kind, seeds, seconds, load), robot_model.base_lag
+        if robot_model.is_mobile_manipulator:
+            both = identify_mobile_manipulator(robot_model, kind, **asked)
             found, (entry, base_lag) = both.arm, both.to_error_model(drive, said)
         else:
-            found = identify_plant(body, kind, **asked)
+            found = identify_plant(robot_model, kind, **asked)
             entry = found.to_error_model(drive, said)
     if write is not None:
         write.write_bytes(encode_robot(msgspec.structs.replace(target.with_tracking(entry), base_lag=base_lag)))
@@ -76,14 +76,14 @@ def identify(
     if json:
         print(msgspec.json.format(msgspec.json.encode({"entry": entry, "found": found}), indent=1).decode())
     else:
-        _print_tracking_model(body, entry, found, base_lag, written=write is not None)
+        _print_tracking_model(robot_model, entry, found, base_lag, written=write is not None)
     return ExitCode.SUCCESS
 
 
-def _written_robot(write: Path | None, body: RobotModel) -> RobotModel:
+def _written_robot(write: Path | None, robot_model: RobotModel) -> RobotModel:
     """The body whose data file will be written: what the file holds, else `body`."""
     if write is None or not write.exists():
-        return body
+        return robot_model
     try:
         return msgspec.json.decode(write.read_bytes(), type=RobotModel)
     except DECODE_ERRORS as error:
@@ -101,16 +101,18 @@ def _provenance(robot: str, drive: DriveKind, seeds: int, seconds: float, load: 
 
 
 def _print_tracking_model(
-    body: RobotModel, entry: TrackingErrorModel, found: TrackingModel, base_lag: float | None, *, written: bool
+    robot_model: RobotModel, entry: TrackingErrorModel, found: TrackingModel, base_lag: float | None, *, written: bool
 ) -> None:  # fmt: skip
     table = Table("", "", box=None, pad_edge=False, show_header=False)
     table.add_row("lag", f"{entry.lag * 1e3:.3f} ms" + (f", base {base_lag * 1e3:.3f} ms more" if base_lag else ""))
     table.add_row("position error e", f"{entry.position_error * 1e3:.3f} mrad, with factor 1.25")
-    table.add_row("rows keep α e", f"{entry.row_margin(body.alpha):.5f} rad/s at α = {entry.rate:.2f}/s")
+    table.add_row("rows keep α e", f"{entry.row_margin(robot_model.alpha):.5f} rad/s at α = {entry.rate:.2f}/s")
     table.add_row("e by seed", ", ".join(f"{e * 1e3:.3f}" for e in found.by_seed) + " mrad")
     table.add_row("e by joint", ", ".join(f"{e * 1e3:.3f}" for e in found.largest) + " mrad")
     table.add_row("largest |ẏ − u|", f"{found.velocity_error:.4f} rad/s")
-    known = {tracking.drive: tracking for tracking in (body.tracking, *body.other_drives)}.get(entry.drive)
+    known = {tracking.drive: tracking for tracking in (robot_model.tracking, *robot_model.other_drives)}.get(
+        entry.drive
+    )
     if known is not None:
         table.add_row("carried so far", f"lag {known.lag * 1e3:.3f} ms, e {known.position_error * 1e3:.3f} mrad")
     Console().print(table)

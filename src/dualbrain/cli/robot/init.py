@@ -118,7 +118,7 @@ def init(
         if base == "fixed"
         else build_base(tree, policy, wish, _parse_wheels(wheels), _print_progress)
     )
-    folder = out or Path(made.model.name)
+    folder = out or Path(made.robot_model.name)
     written = _write_robot(folder, description, packages, wish, made, base, _parse_wheels(wheels), discard_edits)
     _print_summary(folder, made, written, time.monotonic() - began)
     return ExitCode.SUCCESS
@@ -137,13 +137,13 @@ def _write_robot(
     from dualbrain.safety.cbf.filter import SafetyFilter
     from dualbrain.visualization.robot.image import draw_robot
 
-    SafetyFilter(made.model)  # what the kernel has no room for is refused before anything is written
+    SafetyFilter(made.robot_model)  # what the kernel has no room for is refused before anything is written
     recipe = ImportRecord(
         str(description.resolve()), file_sha256(description), tuple(str(path.resolve()) for path in packages), wish.base,
         wish.tip, wish.tool, dict(wish.lock), wish.quick, wish.sphere_budget, wish.seed, base, wheels,
     )  # fmt: skip
-    written = write_robot_folder(folder, made.model, made.report, recipe, discard_edits=discard_edits)
-    draw_robot(written.model, made.shapes, folder / PICTURE_FILE)
+    written = write_robot_folder(folder, made.robot_model, made.report, recipe, discard_edits=discard_edits)
+    draw_robot(written.robot_model, made.shapes, folder / PICTURE_FILE)
     return written
 
 
@@ -151,14 +151,14 @@ def _print_summary(folder: Path, made: ImportResult, written: FolderWriteResult,
     from dualbrain.robots.importer.output.diff import summarize_changes
     from dualbrain.robots.importer.output.markdown import missing_information
 
-    body, report = written.model, made.report
+    robot_model, report = written.robot_model, made.report
     worst = max((link.worst for link in report.links), default=0.0)
-    print(f"{folder}: {body.name}, {body.n} joints, {len(body.spheres)} spheres, {seconds:.0f} s")
+    print(f"{folder}: {robot_model.name}, {robot_model.n} joints, {len(robot_model.spheres)} spheres, {seconds:.0f} s")
     print(
         f"  cover: {report.coverage:.2%} of every part's surface at least; spheres stand off by {worst * 1e3:.0f} mm "
-        f"at most; {len(body.self_pairs.kept)} pairs of parts kept apart"
+        f"at most; {len(robot_model.self_pairs.kept)} pairs of parts kept apart"
     )
-    for line in missing_information(body, report):
+    for line in missing_information(robot_model, report):
         print(f"  missing: {line}")
     for title, lines in (
         ("changed by making again", summarize_changes(written.generator_changes)), ("your edits, kept", summarize_changes(written.kept_edits)),

@@ -42,30 +42,32 @@ def inspect(
     from dualbrain.robots.importer.output.robot_folder import find_edits, read_import_files
     from dualbrain.robots.loader import load_robot
 
-    body = load_robot(robot)
+    robot_model = load_robot(robot)
     folder = Path(robot)
     report, _ = read_import_files(folder) if folder.is_dir() else (None, None)
     console = Console()
-    console.print(_bounds_table(body))
+    console.print(_bounds_table(robot_model))
     if report:
         console.print(_coverage_table(report))
-    kept = len(body.self_pairs.kept)
-    console.print(f"{len(body.spheres)} spheres, {kept} pairs of parts kept apart, α at most {body.alpha:.2f}/s")
+    kept = len(robot_model.self_pairs.kept)
+    console.print(
+        f"{len(robot_model.spheres)} spheres, {kept} pairs of parts kept apart, α at most {robot_model.alpha:.2f}/s"
+    )
     for change in find_edits(folder) if folder.is_dir() else ():
         console.print(f"edited: {change}", markup=False)
-    missing = missing_information(body, report)
+    missing = missing_information(robot_model, report)
     for line in missing:
         console.print(f"[red]missing[/]: {line}")
     if view:
-        _serve_view(body, folder, port)
+        _serve_view(robot_model, folder, port)
     return ExitCode.SETUP if missing else ExitCode.SUCCESS
 
 
-def _bounds_table(body: RobotModel) -> Table:
+def _bounds_table(robot_model: RobotModel) -> Table:
     from dualbrain.robots.importer.output.markdown import bound_rows
 
     table = Table("joint", "bound", "value", "from", box=None, pad_edge=False)
-    for row in bound_rows(body):
+    for row in bound_rows(robot_model):
         table.add_row(*row)
     return table
 
@@ -80,14 +82,14 @@ def _coverage_table(report: ImportReport) -> Table:
     return table
 
 
-def _serve_view(body: RobotModel, folder: Path, port: int) -> None:
+def _serve_view(robot_model: RobotModel, folder: Path, port: int) -> None:
     """Serve until a key is pressed; without a terminal, not at all (a script that asks is told where to look)."""
     from dualbrain.visualization.robot.viewer import RobotViewer
 
     shapes, why = _load_meshes(folder)
     if why:
         print(f"dualbrain: spheres only: {why}", file=sys.stderr)
-    view = RobotViewer(body, shapes, port)
+    view = RobotViewer(robot_model, shapes, port)
     try:
         print(f"Look at {view.url}", flush=True)
         if sys.stdin.isatty():

@@ -33,13 +33,13 @@ class LiveFeed:
 
     def __init__(self, session: Session, port: int, console: Console) -> None:
         """Open the view and say where it is."""
-        self._body = session.body
+        self._body = session.robot_model
         self._plant = session.plant
-        self._kinematics = SafetyFilter(session.body)
+        self._kinematics = SafetyFilter(session.robot_model)
         code = secrets.token_urlsafe(9)
         board = OperatorAccess(session.operate, code) if isinstance(session, LiveSession) else None
         self._view = LiveView(
-            session.body,
+            session.robot_model,
             port,
             instruction=session.config.instruction,
             access=board,

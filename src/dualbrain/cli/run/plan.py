@@ -201,7 +201,7 @@ def _open_memory(ledger: Path | None, here: PlanningContext) -> Generator[Retrie
         yield None
         return
     with LedgerReader(path) as opened:
-        yield Memory(opened, load_encoder(), MemoryConfig((PostureLimits.from_model(here.body),)))
+        yield Memory(opened, load_encoder(), MemoryConfig((PostureLimits.from_model(here.robot_model),)))
 
 
 @contextmanager
@@ -227,7 +227,7 @@ def _open_planner(name: str, here: PlanningContext) -> Generator[Planner]:
     prefixes = cache_folder() / "prefixes"
     prefixes.mkdir(parents=True, exist_ok=True)
     opened = open_planner(
-        name, cache_folder(), adapters=dualbrain_home() / "adapters", robot=here.body.name, registry=here.registry.hash,
+        name, cache_folder(), adapters=dualbrain_home() / "adapters", robot=here.robot_model.name, registry=here.registry.hash,
         key=os.environ.get("OPENAI_API_KEY", ""), prompt_cache=prefixes,
     )  # fmt: skip
     try:

@@ -27,7 +27,7 @@ from dualbrain.skills.registry import skill_registry
 class Deployment:
     """What a plan comes to, checked before anything is connected. Without a `kind` the robot is simulated."""
 
-    body: RobotModel
+    robot_model: RobotModel
     fixed_obstacles: tuple[Obstacle, ...]
     capability: Capability
     driver: DriverKind | None
@@ -44,24 +44,24 @@ class Deployment:
         path = Path(config.site) if config.site else None
         site = read_site(path) if path else None
         whole = load_robot(config.robot)
-        body = site_robot(whole, site) if site else whole
-        kind = find_driver_kind(config.driver, body.name) if config.driver else None
+        robot_model = site_robot(whole, site) if site else whole
+        kind = find_driver_kind(config.driver, robot_model.name) if config.driver else None
         if kind is not None and kind.hardware:
-            require_record(Path(config.commissioned) if config.commissioned else None, body, path, kind)
+            require_record(Path(config.commissioned) if config.commissioned else None, robot_model, path, kind)
         if kind is not None:
             surveyed_scene(config.scene)
-        capability = full_capability(skill_registry(body))
+        capability = full_capability(skill_registry(robot_model))
         granted = site_skill_grants(site, capability.skills) if site else None
         if granted is not None:
             capability = capability.intersect(Capability(granted.get(PLANNER, frozenset())))
         if config.capability is not None:
             capability = capability.intersect(config.capability)
-        return cls(body, site_obstacles(body, site) if site else (), capability, kind)
+        return cls(robot_model, site_obstacles(robot_model, site) if site else (), capability, kind)
 
     @property
     def timing(self) -> Timing:
         """How punctual the robot's bus is."""
-        return self.driver.timing if self.driver else simulated_timing(self.body.period)
+        return self.driver.timing if self.driver else simulated_timing(self.robot_model.period)
 
     @property
     def filter_config(self) -> FilterConfig | None:
@@ -71,13 +71,13 @@ class Deployment:
     def process_settings(self, config: GatekeeperConfig) -> SimulatedRobotSettings | DriverSettings:
         """What the robot's process needs to know."""
         if self.driver is not None:
-            return DriverSettings(self.driver.name, config.address, self.body, config.scene)
-        body = self.body if config.site else None
-        return SimulatedRobotSettings(config.robot, config.scene, config.seed, config.goal, config.report, body)
+            return DriverSettings(self.driver.name, config.address, self.robot_model, config.scene)
+        robot_model = self.robot_model if config.site else None
+        return SimulatedRobotSettings(config.robot, config.scene, config.seed, config.goal, config.report, robot_model)
 
     def recording_metadata(self, config: GatekeeperConfig) -> dict[str, Any]:
         """What a recording says of itself; with a site, all that replay needs of it."""
         about: dict[str, Any] = {"robot": config.robot, "guard": True, "instruction": config.instruction}
         if config.site:
-            about |= {"body": self.body, "standing": self.fixed_obstacles}
+            about |= {"body": self.robot_model, "standing": self.fixed_obstacles}
         return about

@@ -52,12 +52,15 @@ class GateWorker:
     """Hand cases in with `submit`, take rulings out with `ruling`; at most one case at a time."""
 
     def __init__(
-        self, body: RobotModel, capabilities: Mapping[str, Capability], fixed_obstacles: tuple[Obstacle, ...] = ()
+        self,
+        robot_model: RobotModel,
+        capabilities: Mapping[str, Capability],
+        fixed_obstacles: tuple[Obstacle, ...] = (),
     ) -> None:
         """Open the gate; the thread ends with the process. `standing` is what a site says stands there for good."""
-        self.registry = registry = skill_registry(body)
-        self._safety = SafetyFilter(body, fixed_obstacles=fixed_obstacles)
-        self._controller = make_controller(body, self._safety)
+        self.registry = registry = skill_registry(robot_model)
+        self._safety = SafetyFilter(robot_model, fixed_obstacles=fixed_obstacles)
+        self._controller = make_controller(robot_model, self._safety)
         self._capabilities = dict(capabilities)
         self._gate = Gate(registry, skill_grants(capabilities), ())
         self._requests: Queue[GateRequest | None] = Queue(2)

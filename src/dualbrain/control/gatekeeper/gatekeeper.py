@@ -67,7 +67,7 @@ class Gatekeeper:
     """One robot, one door, one commander at a time."""
 
     def __init__(
-        self, body: RobotModel, robot: RobotLink, server: SocketServer, keys: Keys, capabilities: Mapping[str, Capability], *,
+        self, robot_model: RobotModel, robot: RobotLink, server: SocketServer, keys: Keys, capabilities: Mapping[str, Capability], *,
         timing: Timing, recorder: Recorder | None = None, trace: Trace | None = None, speed_stage: float = 1.0,
         fixed_obstacles: tuple[Obstacle, ...] = (), config: FilterConfig | None = None, drive_initially_off: bool = False,
         monotonic: Callable[[], float] = time.monotonic, on_outcome: Callable[[Outcome], None] = lambda outcome: None,
@@ -81,8 +81,8 @@ class Gatekeeper:
         """
         self.robot, self.server, self.operator_commands = robot, server, OperatorCommands(speed_stage)
         self._keys, self._capabilities = keys, dict(capabilities)
-        self._gate_worker = GateWorker(body, capabilities, fixed_obstacles)
-        self._trace = Trace(body.n) if trace is None else trace
+        self._gate_worker = GateWorker(robot_model, capabilities, fixed_obstacles)
+        self._trace = Trace(robot_model.n) if trace is None else trace
         self._log = FlightLog(self._trace, recorder, self._broadcast_event)
         self._commander: Connection | None = None
         self._had_commander = False
@@ -93,12 +93,12 @@ class Gatekeeper:
         self._drive_initially_off = drive_initially_off
         self._monotonic, self._on_outcome = monotonic, on_outcome
         self._rate_buckets: dict[str, tuple[float, float]] = {}
-        self._body = body
+        self._body = robot_model
         self._status_period_ticks, self._cleanup_period_ticks = (
-            max(1, round(t / body.period)) for t in (STATUS_PERIOD, CLEANUP_PERIOD)
+            max(1, round(t / robot_model.period)) for t in (STATUS_PERIOD, CLEANUP_PERIOD)
         )
         self.executor = ContractExecutor(
-            body, robot, robot, SafetyFilter(body, config, fixed_obstacles=fixed_obstacles), self._log,
+            robot_model, robot, robot, SafetyFilter(robot_model, config, fixed_obstacles=fixed_obstacles), self._log,
             ExecutorConfig(snapshot_period=TICK_REPORT_PERIOD),
             on_tick=self._broadcast_tick, on_phase=robot.set_phase, clock=robot.clock, external_conditions=self._service_connections, timing=timing,
             mark_part=mark_part,

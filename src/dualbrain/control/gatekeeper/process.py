@@ -40,19 +40,19 @@ def run_gatekeeper(config: GatekeeperConfig, on_ready: Callable[[], None] = lamb
     sys.setswitchinterval(SWITCH_INTERVAL)
     _request_realtime_priority()
     place, keys = Deployment.from_config(config), load_or_create_keys(Path(config.keys))
-    body = place.body
+    robot_model = place.robot_model
     door = SocketServer(Path(config.socket))
     robot: RemoteRobot | None = None
     recorder: Recorder | None = None
     try:
         laps = TickProfiler()
         robot = RemoteRobot(place.process_settings(config), place.timing, laps)
-        trace = Trace(body.n, body.nq)
+        trace = Trace(robot_model.n, robot_model.nq)
         if config.recording:
             recorder = Recorder(Path(config.recording), trace)
             recorder.episode(0.0, place.recording_metadata(config))
         keeper = Gatekeeper(
-            body, robot, door, keys, {PLANNER: place.capability}, timing=place.timing, recorder=recorder, trace=trace,
+            robot_model, robot, door, keys, {PLANNER: place.capability}, timing=place.timing, recorder=recorder, trace=trace,
             speed_stage=config.stage, fixed_obstacles=place.fixed_obstacles, config=place.filter_config, drive_initially_off=place.driver is not None,
             mark_part=laps.mark_part,
         )  # fmt: skip

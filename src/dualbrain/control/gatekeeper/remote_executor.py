@@ -44,7 +44,7 @@ class GripperState:
 class RemoteExecutor:
     """Has what `run_episode` asks of a local layer; `interrupted` says that a person wants it to stop."""
 
-    body: RobotModel
+    robot_model: RobotModel
     client: GatekeeperClient
     log: FlightLog
     interrupted: Callable[[], bool]
@@ -58,7 +58,9 @@ class RemoteExecutor:
         """Ask for what there is to be seen."""
         sight = self.client.request_scene()
         self.scene = sight.scene
-        self.state = RobotState(sight.now, 0, np.array(sight.q), np.zeros(self.body.n), sight.opening, (0.0, 0.0))
+        self.state = RobotState(
+            sight.now, 0, np.array(sight.q), np.zeros(self.robot_model.n), sight.opening, (0.0, 0.0)
+        )
         self.controller = GripperState(HeldObject(sight.holding) if sight.holding else None)
 
     def hold(self, duration: float, phase: str = "hold") -> None:

@@ -81,10 +81,10 @@ class _ReplayFilter:
 
     def __init__(self, data: Mapping[str, Any]) -> None:
         """`data` is the /episode message: robot and guard, and what a site file changed."""
-        body = msgspec.convert(data["body"], RobotModel) if "body" in data else load_robot(str(data["robot"]))
+        robot_model = msgspec.convert(data["body"], RobotModel) if "body" in data else load_robot(str(data["robot"]))
         standing = msgspec.convert(data.get("standing", ()), tuple[Obstacle, ...])
-        self._filter, self._guard = SafetyFilter(body, fixed_obstacles=standing), bool(data["guard"])
-        self._columns = columns(body.n, body.nq)
+        self._filter, self._guard = SafetyFilter(robot_model, fixed_obstacles=standing), bool(data["guard"])
+        self._columns = columns(robot_model.n, robot_model.nq)
 
     def apply_call(self, name: str, arguments: dict[str, Any]) -> None:
         """Repeat one call that changes the filter's tables."""

@@ -37,7 +37,7 @@ class DriverUnderTest:
     """
 
     driver: Driver
-    model: RobotModel
+    robot_model: RobotModel
     trigger_stop: Callable[[], None] | None = None
     clear_stop: Callable[[], None] | None = None
 
@@ -47,8 +47,8 @@ class DriverHarness:
 
     def __init__(self, under_test: DriverUnderTest) -> None:
         """Nothing has happened yet."""
-        self.driver, self.model, self.under_test = under_test.driver, under_test.model, under_test
-        self.n, self.period = under_test.model.n, under_test.driver.timing.period
+        self.driver, self.robot_model, self.under_test = under_test.driver, under_test.robot_model, under_test
+        self.n, self.period = under_test.robot_model.n, under_test.driver.timing.period
         self.states: list[RobotState] = [under_test.driver.read()]
 
     @property
@@ -58,7 +58,7 @@ class DriverHarness:
 
     def make_command(self, u: Array) -> Command:
         """A command that leaves the fingers open."""
-        grip = self.model.gripper
+        grip = self.robot_model.gripper
         return Command(u, float(grip.opening.value), float(grip.force_min.value))
 
     def wait(self, periods: int = 1) -> None:
@@ -99,7 +99,7 @@ class DriverHarness:
 
     def inward_sign(self, joint: int) -> float:
         """The sign of the direction in which a joint has more room."""
-        bounds = self.model.joints[joint]
+        bounds = self.robot_model.joints[joint]
         return 1.0 if bounds.upper.value - self.state.q[joint] > self.state.q[joint] - bounds.lower.value else -1.0
 
     def max_swing(self, joint: int) -> tuple[float, float]:
@@ -107,7 +107,7 @@ class DriverHarness:
 
         Of v = p sin²(π t/T): greatest acceleration π p/T, greatest jerk 2 π² p/T², travel p T/2.
         """
-        bounds = self.model.joints[joint]
+        bounds = self.robot_model.joints[joint]
         a = LIMIT_SHARE * bounds.acceleration.value
         peak = min(LIMIT_SHARE * bounds.velocity.value, sqrt(2.0 * LARGE_MOTION * a / pi))
         seconds = pi * peak / a

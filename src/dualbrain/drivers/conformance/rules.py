@@ -89,12 +89,12 @@ def _check_requirement(requirement: Requirement, under_test: DriverUnderTest) ->
 def _states_are_valid(trial: DriverHarness) -> str:
     trial.wait(20)
     for state in trial.states:
-        if len(state.q) != trial.model.nq or len(state.v) != trial.n:
+        if len(state.q) != trial.robot_model.nq or len(state.v) != trial.n:
             return f"{len(state.q)} positions and {len(state.v)} velocities for {trial.n} joints"
         numbers = np.concatenate((state.q, state.v, (state.opening, state.stamp)))
         if not np.isfinite(numbers).all():
             return f"a state that is not finite: {state}"
-        for joint, q in zip(trial.model.joints, state.q, strict=True):
+        for joint, q in zip(trial.robot_model.joints, state.q, strict=True):
             if not joint.lower.value <= q <= joint.upper.value:
                 return f"{joint.name} at {q:.3f} rad, outside of its range"
     return ""

@@ -102,16 +102,16 @@ def load_cached_robot(robot: str) -> RobotModel:
 def run_case(case: Case, method: Method, resources: EpisodeResources) -> EpisodeRun:
     """Carry the instruction of `case` through the loop as `method` does."""
     stopwatch = Stopwatch(resources.clock)
-    body = load_cached_robot(case.robot)
-    plant = make_plant(case.spec, body, visuals=resources.visuals)
+    robot_model = load_cached_robot(case.robot)
+    plant = make_plant(case.spec, robot_model, visuals=resources.visuals)
     perception = make_perception(case, method, plant)
-    permitted = planner_grants(skill_registry(body))[PLANNER]
+    permitted = planner_grants(skill_registry(robot_model))[PLANNER]
     world = SimulatedWorld(plant, perception, goal=case.goal, permitted_skills=permitted)
-    safety = SafetyFilter(body) if method.guard else PassiveFilter(body)
-    log = FlightLog(Trace(body.n, body.nq))
+    safety = SafetyFilter(robot_model) if method.guard else PassiveFilter(robot_model)
+    log = FlightLog(Trace(robot_model.n, robot_model.nq))
     _time_parts(stopwatch, plant, world, safety)
     layer = TimeLimitedExecutor(
-        body, plant, world, safety, log, ExecutorConfig(guard=method.guard), on_tick=resources.on_tick,
+        robot_model, plant, world, safety, log, ExecutorConfig(guard=method.guard), on_tick=resources.on_tick,
         on_phase=world.set_phase, interrupted=lambda: plant.now >= case.time_limit,
     )  # fmt: skip
     layer.time_limit = case.time_limit
@@ -121,7 +121,7 @@ def run_case(case: Case, method: Method, resources: EpisodeResources) -> Episode
 
     def door(gate: Gate | RemoteGate) -> ContractGate:
         assert isinstance(gate, Gate)  # a local layer has its own
-        doors.append(BaselineGate(method.gate, gate, skill_registry(body)))
+        doors.append(BaselineGate(method.gate, gate, skill_registry(robot_model)))
         return doors[0]
 
     def begin(contract: Contract) -> None:

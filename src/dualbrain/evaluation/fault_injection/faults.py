@@ -144,15 +144,15 @@ class FaultInjector:
 class FaultyRobot:
     """A robot whose joint states or drive break."""
 
-    def __init__(self, robot: RobotInterface, injector: FaultInjector, body: RobotModel) -> None:
+    def __init__(self, robot: RobotInterface, injector: FaultInjector, robot_model: RobotModel) -> None:
         """Stand before `robot`, which has this `body`."""
         self._robot, self._injector = robot, injector
-        self._period, self._mobile = body.period, body.is_mobile
+        self._period, self._mobile = robot_model.period, robot_model.is_mobile
         self._last = robot.read()
         self._state_history: deque[RobotState] = deque()
         self._commands: deque[tuple[float, Command]] = deque()
         self._last_command: Command | None = None
-        self._u = np.zeros(body.n)
+        self._u = np.zeros(robot_model.n)
         self._count = 0
 
     def read(self) -> RobotState:
@@ -301,7 +301,7 @@ class BrokenFilterError(RuntimeError):
 def inject_filter_fault(safety: SafetyFilter, injector: FaultInjector) -> None:
     """Make the filter's answers break, behind the checks that are inside the kernel itself."""
     usual = safety.filter
-    kept: deque[FilterResult] = deque(maxlen=round(DELAY_TIME / safety.body.period))
+    kept: deque[FilterResult] = deque(maxlen=round(DELAY_TIME / safety.robot_model.period))
 
     def broken(state: RobotState, u_nom: Any, now: float) -> FilterResult:
         result = usual(state, u_nom, now)

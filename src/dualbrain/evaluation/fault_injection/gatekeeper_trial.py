@@ -103,28 +103,31 @@ class GatekeeperTrialResult:
 
 
 def run_gatekeeper_trial(
-    fault: Fault, body: RobotModel, spec: SceneSpec, contract_actions: list[dict[str, Any]], seed: int, aftermath: float,
+    fault: Fault, robot_model: RobotModel, spec: SceneSpec, contract_actions: list[dict[str, Any]], seed: int, aftermath: float,
     on_world_created: Callable[[Plant, SimulatedWorld], None],
 ) -> GatekeeperTrialResult:  # fmt: skip
     """Propose `errand` at the door of a gatekeeper, break by `fault`, go on for `aftermath` [s] after the contract.
 
     `seen` may put an observer of truth into the world before it begins.
     """
-    plant = make_plant(spec, body)
+    plant = make_plant(spec, robot_model)
     world = SimulatedWorld(plant, NoisyPerception(spec, PerceptionNoise(), np.random.default_rng([seed, 1])))
     on_world_created(plant, world)
     injector = FaultInjector(fault, lambda: plant.now)
-    robot = LockstepRobot(FaultyRobot(plant, injector, body), world, plant, injector)
-    found, outcomes = GatekeeperTrialResult(plant, world, injector, Trace(body.n, body.nq)), list[Outcome]()
-    registry = skill_registry(body)
+    robot = LockstepRobot(FaultyRobot(plant, injector, robot_model), world, plant, injector)
+    found, outcomes = (
+        GatekeeperTrialResult(plant, world, injector, Trace(robot_model.n, robot_model.nq)),
+        list[Outcome](),
+    )
+    registry = skill_registry(robot_model)
     with tempfile.TemporaryDirectory(prefix="dualbrain-") as name:
         keys, door = load_or_create_keys(Path(name) / "k"), SocketServer(Path(name) / "s")
         keeper = Gatekeeper(
-            body, robot, door, keys, {PLANNER: full_capability(registry)}, timing=SIMULATED, trace=found.trace,
+            robot_model, robot, door, keys, {PLANNER: full_capability(registry)}, timing=SIMULATED, trace=found.trace,
             monotonic=lambda: plant.now, on_outcome=outcomes.append,
         )  # fmt: skip
-        context = {"robot": body.name, "registry": registry.hash}
-        speed = "max_speed" if body.is_mobile else "speed"
+        context = {"robot": robot_model.name, "registry": registry.hash}
+        speed = "max_speed" if robot_model.is_mobile else "speed"
         texts = [
             msgspec.json.encode({"id": "c-0001", "context": context, "action_sequence": actions})
             for actions in (

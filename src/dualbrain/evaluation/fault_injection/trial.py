@@ -93,13 +93,13 @@ def run_fault_trial(fault: Fault, *, robot: str = "panda", scene: str = "tableto
 
     Nothing of it reaches a memory.
     """
-    body, spec = load_robot(robot), open_scene(scene, robot)
+    robot_model, spec = load_robot(robot), open_scene(scene, robot)
     if fault.source in COMMANDER_SOURCES:
-        return _trial_through_gatekeeper(fault, body, spec, scene, seed)
-    plant = make_plant(spec, body)
+        return _trial_through_gatekeeper(fault, robot_model, spec, scene, seed)
+    plant = make_plant(spec, robot_model)
     world = SimulatedWorld(plant, NoisyPerception(spec, PerceptionNoise(), np.random.default_rng([seed, 1])))
     injector = FaultInjector(fault, lambda: plant.now)
-    safety = SafetyFilter(body)
+    safety = SafetyFilter(robot_model)
     inject_filter_fault(safety, injector)
 
     def phase_changed(phase: str, roles: dict[str, str | None]) -> None:
@@ -107,23 +107,23 @@ def run_fault_trial(fault: Fault, *, robot: str = "panda", scene: str = "tableto
         injector.set_phase(phase)
 
     told: list[tuple[float, Event]] = []  # with true times: the robot's own stamps may be what is broken
-    log = FlightLog(Trace(body.n, body.nq), None, lambda event: told.append((plant.now, event)))
+    log = FlightLog(Trace(robot_model.n, robot_model.nq), None, lambda event: told.append((plant.now, event)))
     layer = ContractExecutor(
-        body, FaultyRobot(plant, injector, body), FaultyWorld(world, injector), safety, log, ExecutorConfig(settle_time=SETTLE_TIME),
+        robot_model, FaultyRobot(plant, injector, robot_model), FaultyWorld(world, injector), safety, log, ExecutorConfig(settle_time=SETTLE_TIME),
         on_phase=phase_changed, clock=faulty_clock(lambda: plant.now, injector),
     )  # fmt: skip
-    contract = Contract("c-0001", Context(robot, ""), tuple(Action(*one) for one in trial_actions(body)))
+    contract = Contract("c-0001", Context(robot, ""), tuple(Action(*one) for one in trial_actions(robot_model)))
     watched = _MotionRecorder(plant)
     setattr(world, "advance", watched.wrap(world.advance))  # noqa: B010  (an observer of truth, for this one world)
     outcome = layer.execute(contract)
-    for _ in range(round(AFTERMATH_TIME / body.period)):  # the world goes on, whatever has ended
+    for _ in range(round(AFTERMATH_TIME / robot_model.period)):  # the world goes on, whatever has ended
         world.advance()
     struck = injector.triggered_at
     violations = world.judgement().violations
     unsafe = tuple(one for one in violations if one.kind in UNSAFE_VIOLATIONS and watched.was_moving_at(one.start))
     expected = fault.expected_action(scene_moves=spec.mover is not None)
     orders = [(t, SafetyAction[e.data["action"]]) for t, e in told if "action" in e.data and e.kind == "order"]
-    since = [(t, rung) for t, rung in orders if struck is not None and t >= struck - body.period]
+    since = [(t, rung) for t, rung in orders if struck is not None and t >= struck - robot_model.period]
     reached = max([layer.safety_controller.decision.action, *(rung for _, rung in since)])
     came = next((t for t, rung in since if rung >= expected), None) if expected else None
     return FaultReport(
@@ -135,26 +135,30 @@ def run_fault_trial(fault: Fault, *, robot: str = "panda", scene: str = "tableto
     )  # fmt: skip
 
 
-def trial_actions(body: RobotModel) -> tuple[tuple[str, dict[str, Any]], ...]:
+def trial_actions(robot_model: RobotModel) -> tuple[tuple[str, dict[str, Any]], ...]:
     """Skills and parameters of what is broken: a pick and place, or a drive at full speed."""
-    return (("drive_to", DRIVE_PARAMS),) if body.is_mobile else (("grasp", GRASP_PARAMS), ("place", PLACE_PARAMS))
+    return (
+        (("drive_to", DRIVE_PARAMS),) if robot_model.is_mobile else (("grasp", GRASP_PARAMS), ("place", PLACE_PARAMS))
+    )
 
 
-def _trial_through_gatekeeper(fault: Fault, body: RobotModel, spec: SceneSpec, scene: str, seed: int) -> FaultReport:
+def _trial_through_gatekeeper(
+    fault: Fault, robot_model: RobotModel, spec: SceneSpec, scene: str, seed: int
+) -> FaultReport:
     """The same errand, proposed to a gatekeeper; its stamps are true, for the robot is whole."""
-    asked = [{"skill": skill, "params": params} for skill, params in trial_actions(body)]
+    asked = [{"skill": skill, "params": params} for skill, params in trial_actions(robot_model)]
     watched: list[_MotionRecorder] = []
 
     def seen(plant: Plant, world: SimulatedWorld) -> None:
         watched.append(_MotionRecorder(plant))
         setattr(world, "advance", watched[0].wrap(world.advance))  # noqa: B010  (as above)
 
-    found = run_gatekeeper_trial(fault, body, spec, asked, seed, AFTERMATH_TIME, seen)
+    found = run_gatekeeper_trial(fault, robot_model, spec, asked, seed, AFTERMATH_TIME, seen)
     struck, expected = found.injector.triggered_at, fault.expected_action(scene_moves=spec.mover is not None)
     orders = [
         (e.t, SafetyAction[e.data["action"]]) for e in found.trace.events if e.kind == "order" and "action" in e.data
     ]
-    since = [(t, rung) for t, rung in orders if struck is not None and t >= struck - body.period]
+    since = [(t, rung) for t, rung in orders if struck is not None and t >= struck - robot_model.period]
     came = next((t for t, rung in since if rung >= expected), None) if expected else None
     violations = found.world.judgement().violations
     unsafe = tuple(one for one in violations if one.kind in UNSAFE_VIOLATIONS and watched[0].was_moving_at(one.start))

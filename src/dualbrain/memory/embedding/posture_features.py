@@ -37,16 +37,16 @@ class PostureLimits:
     opening: float
 
     @classmethod
-    def from_model(cls, body: RobotModel) -> PostureLimits:
+    def from_model(cls, robot_model: RobotModel) -> PostureLimits:
         """The limits of `body`."""
-        lower = tuple(joint.lower.value for joint in body.joints)
-        upper = tuple(joint.upper.value for joint in body.joints)
-        if body.is_mobile:
+        lower = tuple(joint.lower.value for joint in robot_model.joints)
+        upper = tuple(joint.upper.value for joint in robot_model.joints)
+        if robot_model.is_mobile:
             lower, upper = (
                 (-MAX_FLOOR_COORDINATE, -MAX_FLOOR_COORDINATE, -pi, *lower[2:]),
                 (MAX_FLOOR_COORDINATE, MAX_FLOOR_COORDINATE, pi, *upper[2:]),
             )
-        return cls(body.name, lower, upper, body.gripper.opening.value)
+        return cls(robot_model.name, lower, upper, robot_model.gripper.opening.value)
 
     def normalize(self, posture: Posture) -> Array:
         """Point x ∈ [−1, 1]^(n+1): each joint and the opening, linear between its limits; raises `InvalidSetup`."""

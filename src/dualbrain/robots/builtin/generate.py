@@ -184,11 +184,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise UnknownNameError("robot", asked.body, (*ARM_DEFINITIONS, *MOBILE_ROBOTS))
     if asked.body in MOBILE_ROBOTS:
         known = load_robot(asked.body) if data_file(asked.body).is_file() else None
-        body = MOBILE_ROBOTS[asked.body](known)
+        robot_model = MOBILE_ROBOTS[asked.body](known)
     else:
-        body = make_arm(asked.body, asked.seed, FitOptions(), N_CONFIGURATIONS, _to_stderr)
-    asked.out.write_bytes(encode_robot(body))
-    _to_stderr(f"{asked.out}: {len(body.spheres)} spheres, {len(body.self_pairs.kept)} link pairs kept")
+        robot_model = make_arm(asked.body, asked.seed, FitOptions(), N_CONFIGURATIONS, _to_stderr)
+    asked.out.write_bytes(encode_robot(robot_model))
+    _to_stderr(f"{asked.out}: {len(robot_model.spheres)} spheres, {len(robot_model.self_pairs.kept)} link pairs kept")
     return 0
 
 

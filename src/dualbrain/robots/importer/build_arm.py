@@ -75,7 +75,7 @@ class ImportOptions:
 class ImportResult:
     """A body, what is to be known of it, and the shapes (in link frames) that its spheres were fitted to."""
 
-    model: RobotModel
+    robot_model: RobotModel
     report: ImportReport
     shapes: dict[str, Mesh]
 
@@ -109,7 +109,7 @@ def build_arm(
     floor = min((float(mesh.vertices[:, 2].min()) for mesh in shapes.get(chain.base, ())), default=-np.inf)
     home = find_home_posture(joints, links, cover, pairs, options.home, floor, rng)
     hand = detect_gripper(tree, chain, policy.robot, keep_tool=bool(options.tool))
-    body = RobotModel(
+    robot_model = RobotModel(
         name=options.name or to_identifier(tree.name), source=tree.source, licence=tree.licence, joints=joints, links=links,
         spheres=collision_spheres(cover), self_pairs=pairs, tool=_tool_frame(chain, links, hand),
         gripper=hand.gripper if isinstance(hand, DetectedGripper) else no_gripper(hand), home=home.posture,
@@ -121,7 +121,7 @@ def build_arm(
         stand = ", ".join(f"{name} = {value:g}" for name, value in chain.locked.items())
         notes.append(f"joints off the chain are taken to stand still at: {stand}")
     return ImportResult(
-        body,
+        robot_model,
         make_report(links, fits, tuple(notes), quick=options.quick),
         {name: concatenate_meshes(meshes) for name, meshes in shapes.items()},
     )

@@ -62,7 +62,7 @@ def build_base(
         turn_acceleration=turning, tracking=unidentified_tracking(), period=period.value, licence=tree.licence,
     )  # fmt: skip
     spheres = collision_spheres({"base": fits["base"].spheres})
-    body: RobotModel = msgspec.structs.replace(plain, source=tree.source, spheres=spheres, base_lag=0.0)
+    robot_model: RobotModel = msgspec.structs.replace(plain, source=tree.source, spheres=spheres, base_lag=0.0)
     stand = ", ".join(f"{name} = {value:g}" for name, value in locked.items())
     notes = (
         *tree.notes,
@@ -70,7 +70,7 @@ def build_base(
         f"joints that stand still: {stand}",
     )
     report = make_report((Link("base", 2, "base"),), fits, notes, quick=options.quick)
-    return ImportResult(body, report, {"base": concatenate_meshes(meshes)})
+    return ImportResult(robot_model, report, {"base": concatenate_meshes(meshes)})
 
 
 def base_meshes(tree: KinematicTree, poses: Mapping[str, Array], centre: Array) -> list[Mesh]:

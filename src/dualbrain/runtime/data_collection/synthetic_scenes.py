@@ -97,9 +97,9 @@ def draw_scene(robot: str, part: Split, rng: np.random.Generator) -> SceneSpec:
 
 def make_scene_context(spec: SceneSpec) -> SceneContext:
     """The scene as it would be perceived at the start, with the gate that stands before the robot there."""
-    body, registry = load_robot(spec.robot), load_skill_registry(spec.robot)
+    robot_model, registry = load_robot(spec.robot), load_skill_registry(spec.robot)
     scene = NoisyPerception(spec, PerceptionNoise(), np.random.default_rng(spec.seed)).perceive(
-        make_plant(spec, body, visuals=False)
+        make_plant(spec, robot_model, visuals=False)
     )
     names = scene_names(scene)
     gate = Gate(registry, planner_grants(registry), scene_rules(scene, controller_at_home(spec.robot, scene)))
@@ -108,7 +108,7 @@ def make_scene_context(spec: SceneSpec) -> SceneContext:
         return isinstance(gate.check(data, names=names, principal=PLANNER, now=0.0), Accepted)
 
     name = f"{spec.robot} {spec.family}:{spec.seed}"
-    return SceneContext(registry, name, summarise_scene(scene), names, body.is_mobile, accepts)
+    return SceneContext(registry, name, summarise_scene(scene), names, robot_model.is_mobile, accepts)
 
 
 @cache

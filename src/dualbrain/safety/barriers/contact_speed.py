@@ -29,7 +29,7 @@ def _scenario() -> Scenario:
         there, _, _ = safety.spheres(q + dt * u, 0.0)
         down = (here[fingers, 2] - there[fingers, 2]) / dt
         gap = here[fingers, 2] - radii[fingers] - top
-        allowed = np.maximum(SPEED, safety.body.alpha * np.maximum(gap, 0.0))
+        allowed = np.maximum(SPEED, safety.robot_model.alpha * np.maximum(gap, 0.0))
         return float(np.min(allowed - down) + 1e-3)
 
     return Scenario(safety, start, tool_push(safety, (0.0, 0.0, -1.0)), h, duration=0.6)

@@ -11,7 +11,7 @@ from dualbrain.safety.barriers.scenarios import home_posture, sparse_panda_filte
 def _scenario() -> Scenario:
     safety = sparse_panda_filter()
     lower, upper = (
-        np.array([getattr(joint, side).value for joint in safety.body.joints]) for side in ("lower", "upper")
+        np.array([getattr(joint, side).value for joint in safety.robot_model.joints]) for side in ("lower", "upper")
     )
     push = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.6])
 

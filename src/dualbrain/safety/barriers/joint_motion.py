@@ -10,10 +10,10 @@ from dualbrain.safety.barriers.scenarios import home_posture, sparse_panda_filte
 
 def _scenario() -> Scenario:
     safety = sparse_panda_filter()
-    joints = safety.body.joints
+    joints = safety.robot_model.joints
     v_max = np.array([joint.velocity.value for joint in joints])
-    step = np.array([joint.acceleration.value for joint in joints]) * safety.body.period
-    last = np.zeros(safety.body.n)
+    step = np.array([joint.acceleration.value for joint in joints]) * safety.robot_model.period
+    last = np.zeros(safety.robot_model.n)
     ticks = 0
 
     def h(q: Array, u: Array) -> float:

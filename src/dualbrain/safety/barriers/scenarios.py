@@ -23,8 +23,8 @@ EXACT_TRACKING = FilterConfig(lag_compensation=False, tracking_error=0.0)
 @cache
 def sparse_panda() -> RobotModel:
     """The Panda with every fourth sphere: the same kinematics, a quarter of the work."""
-    body = load_robot("panda")
-    return msgspec.structs.replace(body, spheres=body.spheres[::4])
+    robot_model = load_robot("panda")
+    return msgspec.structs.replace(robot_model, spheres=robot_model.spheres[::4])
 
 
 def sparse_panda_filter(config: FilterConfig = EXACT_TRACKING, barriers: Sequence[PythonBarrier] = ()) -> SafetyFilter:
@@ -46,15 +46,19 @@ def tool_push(safety: SafetyFilter, direction: Sequence[float], speed: float = 0
 def moving_spheres(safety: SafetyFilter, q: Array, opening: float = 0.0) -> tuple[Array, Array]:
     """Centres (k, 3) and radii (k,) of the spheres that move."""
     where, radii, _ = safety.spheres(q, opening)
-    fixed = sum(sphere.link == "link0" for sphere in safety.body.spheres)
+    fixed = sum(sphere.link == "link0" for sphere in safety.robot_model.spheres)
     return where[fixed:], radii[fixed:]
 
 
-def integrate(body: RobotModel, q: Array, u: Array) -> Array:
+def integrate(robot_model: RobotModel, q: Array, u: Array) -> Array:
     """The configuration one period later, ẏ = u exactly."""
-    return integrate_configuration(q, u, body.period) if body.base == "differential" else q + body.period * u
+    return (
+        integrate_configuration(q, u, robot_model.period)
+        if robot_model.base == "differential"
+        else q + robot_model.period * u
+    )
 
 
 def home_posture(safety: SafetyFilter) -> Array:
     """The resting posture (n,) [rad]."""
-    return np.array(safety.body.home)
+    return np.array(safety.robot_model.home)

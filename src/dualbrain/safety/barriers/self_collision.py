@@ -14,9 +14,9 @@ FOLDED_POSTURE = np.array([-0.64, 1.66, -0.08, -2.82, 0.5, 1.17, 0.84])
 
 def _scenario() -> Scenario:
     safety = sparse_panda_filter()
-    body = safety.body
-    links = [link.name for link in body.links for sphere in body.spheres if sphere.link == link.name]
-    kept = {frozenset(pair) for pair in body.self_pairs.kept}
+    robot_model = safety.robot_model
+    links = [link.name for link in robot_model.links for sphere in robot_model.spheres if sphere.link == link.name]
+    kept = {frozenset(pair) for pair in robot_model.self_pairs.kept}
     pairs = [(i, j) for i in range(len(links)) for j in range(i) if frozenset((links[i], links[j])) in kept]
     first, second = np.array(pairs).T
 

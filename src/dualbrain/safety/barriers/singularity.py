@@ -58,15 +58,15 @@ def min_singular_value(jacobian: Array, length: float) -> tuple[float, Array]:
 
 
 def _scenario() -> Scenario:
-    body = sparse_panda_filter().body
-    barrier = SingularityBarrier(body.alpha)
+    robot_model = sparse_panda_filter().robot_model
+    barrier = SingularityBarrier(robot_model.alpha)
     safety = sparse_panda_filter(barriers=(barrier,))
     start = np.array([0.3, 0.5, 0.4, -1.2, 0.3, 1.2, 0.0])
 
     def h(q: Array, u: Array) -> float:
         """σ̇ against what the barrier allows at q."""
         sigma, gradient = min_singular_value(safety.tool(q).jacobian, barrier.length)
-        return float(gradient @ u + max(body.alpha * (sigma - barrier.floor), barrier.min_rate) + 2e-3)
+        return float(gradient @ u + max(robot_model.alpha * (sigma - barrier.floor), barrier.min_rate) + 2e-3)
 
     return Scenario(safety, start, lambda q: 1.5 * (SINGULAR_POSTURE - q), h, duration=3.0)
 

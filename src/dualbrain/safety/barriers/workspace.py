@@ -52,8 +52,13 @@ def _scenario() -> Scenario:
     start = home_posture(safety)
     lowest = float(safety.tool(start).position[2]) - 0.12
     safety.observe(height_limits(lowest, 1.2))
-    arm = sum(link.group == "arm" for link in safety.body.links for s in safety.body.spheres if s.link == link.name)
-    arm -= sum(sphere.link == "link0" for sphere in safety.body.spheres)
+    arm = sum(
+        link.group == "arm"
+        for link in safety.robot_model.links
+        for s in safety.robot_model.spheres
+        if s.link == link.name
+    )
+    arm -= sum(sphere.link == "link0" for sphere in safety.robot_model.spheres)
 
     def h(q: Array, u: Array) -> float:
         del u

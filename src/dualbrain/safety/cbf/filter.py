@@ -53,34 +53,37 @@ class SafetyFilter:
     """
 
     def __init__(
-        self, body: RobotModel, config: FilterConfig | None = None, *, weight: Array | None = None,
+        self, robot_model: RobotModel, config: FilterConfig | None = None, *, weight: Array | None = None,
         barriers: Sequence[PythonBarrier] = (), fixed_obstacles: Sequence[Obstacle] = (),
     ) -> None:  # fmt: skip
         """Compile `body` for the kernel; `weight` is R (n, n), by default diag(1/v_max²).
 
         `barriers` are asked for their rows in every step; `standing` obstacles stay beside whatever is observed.
         """
-        self.body, self.config = body, config or FilterConfig()
-        self._n = body.n
-        self._mobile = body.base == "differential"
-        self._base_lag = (body.base_lag or 0.0) if self.config.lag_compensation else 0.0
+        self.robot_model, self.config = robot_model, config or FilterConfig()
+        self._n = robot_model.n
+        self._mobile = robot_model.base == "differential"
+        self._base_lag = (robot_model.base_lag or 0.0) if self.config.lag_compensation else 0.0
         self._barriers = tuple(barriers)
         self._needs_state = self._mobile or bool(self._barriers)
         self._rows: tuple[ConstraintRow, ...] = ()
         self._extra_rows: tuple[ConstraintRow, ...] = ()
-        self._kernel = make_kernel(body, self.config, weight)
+        self._kernel = make_kernel(robot_model, self.config, weight)
         self._step = self._kernel.step
-        self._max_gain = max_gain(body, self.config) if self.config.tracking_error is None else np.inf
+        self._max_gain = max_gain(robot_model, self.config) if self.config.tracking_error is None else np.inf
         self._stamp = 0.0
         self._obstacles: tuple[Obstacle, ...] = ()
         self._permits: tuple[Contact, ...] = ()
-        self._tool_rotation, self._tool_offset = tool_frame(body)
-        self._part_links = _links_by_part(body)
-        links = [link.name for link in body.links for sphere in body.spheres if sphere.link == link.name]
+        self._tool_rotation, self._tool_offset = tool_frame(robot_model)
+        self._part_links = _links_by_part(robot_model)
+        links = [link.name for link in robot_model.links for sphere in robot_model.spheres if sphere.link == link.name]
         self._names = RowNames(
-            tuple(links), (), tuple(joint.name for joint in body.joints), tuple(j.velocity.value for j in body.joints)
+            tuple(links),
+            (),
+            tuple(joint.name for joint in robot_model.joints),
+            tuple(j.velocity.value for j in robot_model.joints),
         )
-        groups = {link.name: link.group for link in body.links}
+        groups = {link.name: link.group for link in robot_model.links}
         self._groups = tuple(groups[name] for name in self._names.spheres)
         self._fixed_obstacles = tuple(fixed_obstacles)
         self.keep_out_boxes = tuple(
@@ -128,11 +131,13 @@ class SafetyFilter:
 
     def _set_rows(self, rows: Sequence[ConstraintRow]) -> None:
         for row in rows:
-            if len(row.a) != self.body.n:
-                raise ConfigurationError(f"row {row.name!r}", got=len(row.a), allowed=f"{self.body.n} coefficients")
+            if len(row.a) != self.robot_model.n:
+                raise ConfigurationError(
+                    f"row {row.name!r}", got=len(row.a), allowed=f"{self.robot_model.n} coefficients"
+                )
         if len(rows) > MAX_ROWS:
             raise ConfigurationError("rows at once", got=len(rows), allowed=f"at most {MAX_ROWS}")
-        self._kernel.constrain(row_table(rows, self.body.n))
+        self._kernel.constrain(row_table(rows, self.robot_model.n))
         self._extra_rows = tuple(rows)
         self._names = msgspec.structs.replace(self._names, rows=tuple(row.name for row in rows))
 
@@ -147,7 +152,7 @@ class SafetyFilter:
         for contact in permits:
             if contact.robot_part not in self._part_links:
                 raise UnknownNameError(
-                    "part of the robot", contact.robot_part, tuple(self._part_links), owner=self.body.name
+                    "part of the robot", contact.robot_part, tuple(self._part_links), owner=self.robot_model.name
                 )
             if not contact.speed >= 0.0:
                 raise ConfigurationError("contact speed [m/s]", got=contact.speed, allowed="0 or more")
@@ -176,7 +181,7 @@ class SafetyFilter:
 
     def reset(self, u_prev: Array | float = 0.0) -> None:
         """Forget the past: the robot moves at `u_prev` (n,) [rad/s]."""
-        self._kernel.reset(np.ascontiguousarray(np.broadcast_to(np.asarray(u_prev, float), (self.body.n,))))
+        self._kernel.reset(np.ascontiguousarray(np.broadcast_to(np.asarray(u_prev, float), (self.robot_model.n,))))
 
     # --- control ----------------------------------------------------------------------------------------------
 
@@ -204,13 +209,13 @@ class SafetyFilter:
 
     def _shape_error(self, **given: object) -> ConfigurationError:
         """Which of the arrays is not (n,) numbers."""
-        allowed = f"an array ({self.body.n},) of numbers"
+        allowed = f"an array ({self.robot_model.n},) of numbers"
         for name, values in given.items():
             try:
                 shape = np.asarray(values, float).shape
             except (TypeError, ValueError):
                 return ConfigurationError(f"{name} of a step", got=values, allowed=allowed)
-            if shape != (self.body.n,):
+            if shape != (self.robot_model.n,):
                 return ConfigurationError(f"{name} of a step", got=shape, allowed=allowed)
         return ConfigurationError(
             "the arrays of a step", got=[type(v).__name__ for v in given.values()], allowed=allowed
@@ -244,10 +249,10 @@ class SafetyFilter:
         """
         if self._barriers or self._mobile:
             raise ConfigurationError(
-                "a batch", got=self.body.name, allowed="a bolted body, no barriers that are computed anew"
+                "a batch", got=self.robot_model.name, allowed="a bolted body, no barriers that are computed anew"
             )
         last = V if u_prev is None else u_prev
-        return run_batch(self._kernel, self.body.n, Q, V, U, last, opening, now - self._stamp)
+        return run_batch(self._kernel, self.robot_model.n, Q, V, U, last, opening, now - self._stamp)
 
     def project(self, state: RobotState, u_desired: Array, u_nom_prev: Array, now: float) -> Array:
         """φ's own projection of a wish (n,): known obstacles, the box around `u_nom_prev`, a little more clearance.
@@ -278,12 +283,12 @@ class SafetyFilter:
         dt/2, its turning joint back by as much: everything is where it is, and the slide points along the chord of
         the arc.
         """
-        if self.body.base_lag is None:
+        if self.robot_model.base_lag is None:
             return self._chain_q(state.q)
         x, y, heading, *joints = state.q.tolist()
         v, w = state.v[:2].tolist()
         x, y, heading = integrate_arc(x, y, heading, v, w, self._base_lag)
-        half = 0.5 * self.body.period * w
+        half = 0.5 * self.robot_model.period * w
         self._set_base_pose(x, y, heading + half)
         return np.array([0.0, -half, *joints])
 
@@ -316,10 +321,11 @@ class SafetyFilter:
         return flat[:count, :3], flat[:count, 3], self._groups + held
 
 
-def _links_by_part(body: RobotModel) -> dict[str, tuple[int, ...]]:
+def _links_by_part(robot_model: RobotModel) -> dict[str, tuple[int, ...]]:
     """Link indices behind every name that a permit may use: links, groups (they win over links), what is held."""
-    parts: dict[str, tuple[int, ...]] = {link.name: (i,) for i, link in enumerate(body.links)}
+    parts: dict[str, tuple[int, ...]] = {link.name: (i,) for i, link in enumerate(robot_model.links)}
     parts |= {
-        link.group: tuple(i for i, other in enumerate(body.links) if other.group == link.group) for link in body.links
+        link.group: tuple(i for i, other in enumerate(robot_model.links) if other.group == link.group)
+        for link in robot_model.links
     }
-    return parts | {HELD: (len(body.links),)}
+    return parts | {HELD: (len(robot_model.links),)}

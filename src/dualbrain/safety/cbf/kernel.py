@@ -37,9 +37,9 @@ def kernel_hash() -> str:
     return _kernel.source_hash
 
 
-def make_kernel(body: RobotModel, config: FilterConfig, weight: Array | None = None) -> Kernel:
+def make_kernel(robot_model: RobotModel, config: FilterConfig, weight: Array | None = None) -> Kernel:
     """A kernel for `body`; `weight` is R (n, n), symmetric positive definite, by default diag(1/v_max²)."""
-    kernel = select_build(body, config).Kernel(kernel_model(body, config, weight))
+    kernel = select_build(robot_model, config).Kernel(kernel_model(robot_model, config, weight))
     kernel.answer_with(FilterResult, tuple(FilterStatus))
     return kernel
 
@@ -58,7 +58,7 @@ class KernelBuild(Protocol):
         ...
 
 
-def select_build(body: RobotModel, config: FilterConfig) -> KernelBuild:
+def select_build(robot_model: RobotModel, config: FilterConfig) -> KernelBuild:
     """The smallest build that has room for `body`, in the configured number type: most arms fit the first.
 
     Both sizes are made from the same sources and answer bit for bit alike; the wide one is slower.
@@ -69,7 +69,7 @@ def select_build(body: RobotModel, config: FilterConfig) -> KernelBuild:
     lacking: list[tuple[str, int, int]] = []
     for name in BUILD_SUFFIXES:
         build = _load_build(f"_kernel{'64' if config.precision == 'float64' else ''}{name}")
-        lacking = [(what, got, room) for what, got, room in _required_sizes(body, build) if got > room]
+        lacking = [(what, got, room) for what, got, room in _required_sizes(robot_model, build) if got > room]
         if not lacking:
             return build
     what, got, room = lacking[0]
@@ -81,59 +81,64 @@ def _load_build(name: str) -> KernelBuild:
     return _kernel if name == "_kernel" else cast(KernelBuild, import_module(f"dualbrain.safety.cbf.compiled.{name}"))
 
 
-def _required_sizes(body: RobotModel, build: KernelBuild) -> tuple[tuple[str, int, int], ...]:
+def _required_sizes(robot_model: RobotModel, build: KernelBuild) -> tuple[tuple[str, int, int], ...]:
     """What a body needs and what a build has room for."""
     return (
-        ("joints", body.n, build.max_joints), ("spheres", len(body.spheres), build.max_spheres),
-        ("parts", len(body.links), build.max_links), ("pairs kept apart", len(body.self_pairs.kept), build.max_pairs),
+        ("joints", robot_model.n, build.max_joints), ("spheres", len(robot_model.spheres), build.max_spheres),
+        ("parts", len(robot_model.links), build.max_links), ("pairs kept apart", len(robot_model.self_pairs.kept), build.max_pairs),
     )  # fmt: skip
 
 
-def kernel_model(body: RobotModel, config: FilterConfig, weight: Array | None = None) -> dict[str, Any]:
+def kernel_model(robot_model: RobotModel, config: FilterConfig, weight: Array | None = None) -> dict[str, Any]:
     """The kernel's model of `body`, every length and angle in float64; the kernel rounds once."""
-    return _settings(body, config) | _joint_limits(body, config, weight) | _geometry(body) | _self_collision_pairs(body)
+    return (
+        _settings(robot_model, config)
+        | _joint_limits(robot_model, config, weight)
+        | _geometry(robot_model)
+        | _self_collision_pairs(robot_model)
+    )
 
 
-def _settings(body: RobotModel, config: FilterConfig) -> dict[str, Any]:
+def _settings(robot_model: RobotModel, config: FilterConfig) -> dict[str, Any]:
     return {
-        "n": body.n,
-        "period": body.period,
-        "alpha": _row_gain(body, config, config.alpha),
-        "alpha_self": _row_gain(body, config, config.alpha_self),
-        "alpha_joint": _row_gain(body, config, config.alpha_joint),
+        "n": robot_model.n,
+        "period": robot_model.period,
+        "alpha": _row_gain(robot_model, config, config.alpha),
+        "alpha_self": _row_gain(robot_model, config, config.alpha_self),
+        "alpha_joint": _row_gain(robot_model, config, config.alpha_joint),
         "recovery": config.recovery_speed,
         "sampling": config.sampling_margin,
         "rounding": config.rounding_margin,
         "self_margin": config.self_margin,
-        "lag": body.tracking.lag if config.lag_compensation else 0.0,
-        "tracking": tracking_error(body, config),
+        "lag": robot_model.tracking.lag if config.lag_compensation else 0.0,
+        "tracking": tracking_error(robot_model, config),
         "state_age_max": config.state_stale_after,
         "scene_age_max": config.scene_stale_after,
     }
 
 
-def tracking_error(body: RobotModel, config: FilterConfig) -> float:
+def tracking_error(robot_model: RobotModel, config: FilterConfig) -> float:
     """What every row keeps for ẏ ≠ u [rad/s]: the configured number, else the body's own for the largest gain."""
     if config.tracking_error is not None:
         return config.tracking_error
-    return body.tracking.row_margin(max_gain(body, config))
+    return robot_model.tracking.row_margin(max_gain(robot_model, config))
 
 
-def max_gain(body: RobotModel, config: FilterConfig) -> float:
+def max_gain(robot_model: RobotModel, config: FilterConfig) -> float:
     """The largest gain α [1/s] of the filter's own rows."""
-    return max(_row_gain(body, config, gain) for gain in (config.alpha, config.alpha_self, config.alpha_joint))
+    return max(_row_gain(robot_model, config, gain) for gain in (config.alpha, config.alpha_self, config.alpha_joint))
 
 
-def _row_gain(body: RobotModel, config: FilterConfig, own: float | None) -> float:
+def _row_gain(robot_model: RobotModel, config: FilterConfig, own: float | None) -> float:
     """The gain of one kind of row: its own, else the filter's, else the largest that braking can follow."""
     if own is not None:
         return own
-    return body.alpha if config.alpha is None else config.alpha
+    return robot_model.alpha if config.alpha is None else config.alpha
 
 
-def _joint_limits(body: RobotModel, config: FilterConfig, weight: Array | None) -> dict[str, Any]:
-    v_max = np.array([joint.velocity.value for joint in body.joints])
-    a_max = np.array([joint.acceleration.value for joint in body.joints])
+def _joint_limits(robot_model: RobotModel, config: FilterConfig, weight: Array | None) -> dict[str, Any]:
+    v_max = np.array([joint.velocity.value for joint in robot_model.joints])
+    a_max = np.array([joint.acceleration.value for joint in robot_model.joints])
     R = np.diag(1.0 / v_max**2) if weight is None else np.asarray(weight, float)
     try:
         scale = np.linalg.inv(np.linalg.cholesky(R)).T
@@ -142,11 +147,11 @@ def _joint_limits(body: RobotModel, config: FilterConfig, weight: Array | None) 
             "weight R of the filter", got=R.tolist(), allowed="symmetric positive definite"
         ) from None
     return {
-        "q_lower": np.array([joint.lower.value for joint in body.joints]),
-        "q_upper": np.array([joint.upper.value for joint in body.joints]),
+        "q_lower": np.array([joint.lower.value for joint in robot_model.joints]),
+        "q_upper": np.array([joint.upper.value for joint in robot_model.joints]),
         "v_max": v_max,
-        "a_max": a_max if config.acceleration_limits else np.full(body.n, UNLIMITED_ACCELERATION),
-        "j_max": np.array([_jerk_limit(joint) if config.jerk_limits else 0.0 for joint in body.joints]),
+        "a_max": a_max if config.acceleration_limits else np.full(robot_model.n, UNLIMITED_ACCELERATION),
+        "j_max": np.array([_jerk_limit(joint) if config.jerk_limits else 0.0 for joint in robot_model.joints]),
         "scale": np.ascontiguousarray(scale),
     }
 
@@ -159,50 +164,54 @@ def _jerk_limit(joint: Joint) -> float:
     return joint.jerk.value
 
 
-def _geometry(body: RobotModel) -> dict[str, Any]:
+def _geometry(robot_model: RobotModel) -> dict[str, Any]:
     rows: list[Array] = []
     first = [0]
-    for link in body.links:
+    for link in robot_model.links:
         turn, shift = quaternion_to_matrix(link.quaternion), np.array(link.translation)
         slide = turn @ np.array(link.slide)
-        for sphere in body.spheres:
+        for sphere in robot_model.spheres:
             if sphere.link == link.name:
                 rows.append(np.array([*(shift + turn @ np.array(sphere.centre)), sphere.radius, *slide]))
         first.append(len(rows))
-    rotation, offset = tool_frame(body)
+    rotation, offset = tool_frame(robot_model)
     return {
-        "joint_kind": np.array([float(joint.kind == "prismatic") for joint in body.joints]),
-        "joint_rotation": np.concatenate([quaternion_to_matrix(joint.quaternion).ravel() for joint in body.joints]),
-        "joint_offset": np.concatenate([np.array(joint.translation) for joint in body.joints]),
+        "joint_kind": np.array([float(joint.kind == "prismatic") for joint in robot_model.joints]),
+        "joint_rotation": np.concatenate(
+            [quaternion_to_matrix(joint.quaternion).ravel() for joint in robot_model.joints]
+        ),
+        "joint_offset": np.concatenate([np.array(joint.translation) for joint in robot_model.joints]),
         "tool_rotation": np.ascontiguousarray(rotation),
         "tool_offset": offset,
-        "link_frame": np.array([float(link.frame) for link in body.links]),
+        "link_frame": np.array([float(link.frame) for link in robot_model.links]),
         "link_first": np.array(first, float),
         "spheres": np.array(rows, float).reshape(-1, 7),
     }
 
 
-def tool_frame(body: RobotModel) -> tuple[Array, Array]:
+def tool_frame(robot_model: RobotModel) -> tuple[Array, Array]:
     """Rotation (3, 3) and offset (3,) [m] of the tool in the last frame of the chain."""
-    link = next(link for link in body.links if link.name == body.tool.link)
-    if link.frame != body.n:
-        raise ConfigurationError("the tool's link", got=link.name, allowed=f"a link on the last frame ({body.n})")
+    link = next(link for link in robot_model.links if link.name == robot_model.tool.link)
+    if link.frame != robot_model.n:
+        raise ConfigurationError(
+            "the tool's link", got=link.name, allowed=f"a link on the last frame ({robot_model.n})"
+        )
     turn = quaternion_to_matrix(link.quaternion)
-    offset = np.array(link.translation) + turn @ np.array(body.tool.translation)
-    return turn @ quaternion_to_matrix(body.tool.quaternion), offset
+    offset = np.array(link.translation) + turn @ np.array(robot_model.tool.translation)
+    return turn @ quaternion_to_matrix(robot_model.tool.quaternion), offset
 
 
-def _self_collision_pairs(body: RobotModel) -> dict[str, Any]:
+def _self_collision_pairs(robot_model: RobotModel) -> dict[str, Any]:
     """Kept link pairs, the one nearer to the base first; a held thing is kept from whatever the hand is kept from."""
-    index = {link.name: i for i, link in enumerate(body.links)}
+    index = {link.name: i for i, link in enumerate(robot_model.links)}
     pairs: list[tuple[int, int]] = []
     held: set[int] = set()
-    for names in body.self_pairs.kept:
-        near, far = sorted((index[name] for name in names), key=lambda i: body.links[i].frame)
-        if body.links[near].frame == body.links[far].frame:
+    for names in robot_model.self_pairs.kept:
+        near, far = sorted((index[name] for name in names), key=lambda i: robot_model.links[i].frame)
+        if robot_model.links[near].frame == robot_model.links[far].frame:
             raise ConfigurationError("a self-collision pair", got=names, allowed="links that move against each other")
         pairs.append((near, far))
-        if body.links[far].group in ("hand", "fingers"):
+        if robot_model.links[far].group in ("hand", "fingers"):
             held.add(near)
     return {
         "pairs": np.array(pairs, float).reshape(-1),

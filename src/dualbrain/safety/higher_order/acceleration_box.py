@@ -20,9 +20,9 @@ class JointLimits(msgspec.Struct, frozen=True, eq=False):
     acceleration: Array
 
 
-def joint_limits(body: RobotModel) -> JointLimits:
+def joint_limits(robot_model: RobotModel) -> JointLimits:
     """The body's limits as arrays."""
-    rows = [(j.lower.value, j.upper.value, j.velocity.value, j.acceleration.value) for j in body.joints]
+    rows = [(j.lower.value, j.upper.value, j.velocity.value, j.acceleration.value) for j in robot_model.joints]
     return JointLimits(*np.array(rows).T)
 
 

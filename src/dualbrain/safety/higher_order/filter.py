@@ -72,23 +72,23 @@ class AccelerationFilter:
     """
 
     def __init__(
-        self, body: RobotModel, config: AccelerationConfig | None = None, *, weight: Array | None = None
+        self, robot_model: RobotModel, config: AccelerationConfig | None = None, *, weight: Array | None = None
     ) -> None:
         """Lay out spheres and pairs of `body`; `weight` is R (n, n), by default diag(1/a_max²)."""
-        self.body, self.config = body, config or AccelerationConfig()
-        if body.base != "fixed":
-            raise ConfigurationError("base of the body", got=body.base, allowed="fixed")
-        self.alpha_1 = 0.8 * body.alpha if self.config.alpha_1 is None else self.config.alpha_1
-        self.period = self.config.period or body.period
+        self.robot_model, self.config = robot_model, config or AccelerationConfig()
+        if robot_model.base != "fixed":
+            raise ConfigurationError("base of the body", got=robot_model.base, allowed="fixed")
+        self.alpha_1 = 0.8 * robot_model.alpha if self.config.alpha_1 is None else self.config.alpha_1
+        self.period = self.config.period or robot_model.period
         if not (self.alpha_1 > 0.0 and 0.0 < self.config.alpha_2 * self.period <= 1.0):
             raise ConfigurationError(
                 "gains of the filter", got=(self.alpha_1, self.config.alpha_2), allowed="above 0, α₂dt ≤ 1"
             )
-        self._limits = joint_limits(body)
-        self._spheres = SphereKinematics(body)
-        self._self_pairs = SelfCollisionPairs(body, self._spheres, self.config.self_margin, self.alpha_1)
+        self._limits = joint_limits(robot_model)
+        self._spheres = SphereKinematics(robot_model)
+        self._self_pairs = SelfCollisionPairs(robot_model, self._spheres, self.config.self_margin, self.alpha_1)
         self._qp = ControlQp(self._limits.acceleration, weight)
-        self._v, self._u = np.zeros(body.n), np.zeros(body.n)
+        self._v, self._u = np.zeros(robot_model.n), np.zeros(robot_model.n)
         self.observe(())
 
     def observe(self, obstacles: Sequence[Obstacle], stamp: float = 0.0) -> None:
@@ -96,7 +96,7 @@ class AccelerationFilter:
         numbers = [_numbers(thing) for thing in obstacles]
         self._scene_valid = bool(np.isfinite(stamp) and all(np.isfinite(row).all() for row in numbers))
         usable = tuple(obstacles) if self._scene_valid else ()
-        self._obstacle_pairs = ObstaclePairs(self.body, self._spheres, usable, self.alpha_1) if usable else None
+        self._obstacle_pairs = ObstaclePairs(self.robot_model, self._spheres, usable, self.alpha_1) if usable else None
         self._names, self._stamp = tuple(thing.name for thing in usable), stamp
         self._has_moving_obstacles = any(not thing.static for thing in usable)
 
@@ -119,7 +119,7 @@ class AccelerationFilter:
         return answer
 
     def _input_faults(self, q: Array, v: Array, u_nom: Array, now: float, opening: float) -> Reason:
-        n, limits, bad = self.body.n, self._limits, Reason(0)
+        n, limits, bad = self.robot_model.n, self._limits, Reason(0)
         if any(x.shape != (n,) for x in (q, v, u_nom)):
             raise ConfigurationError(
                 "sizes of q, v and u_nom", got=(len(q), len(v), len(u_nom)), allowed=f"{n} numbers each"
@@ -212,7 +212,7 @@ class AccelerationFilter:
 
     def _active_rows(self, solution: QpResult, pairs: Pairs) -> tuple[tuple[str, float], ...]:
         n = self._spheres.n
-        names = [f"{joint.name} {side}" for side in ("lower", "upper") for joint in self.body.joints]
+        names = [f"{joint.name} {side}" for side in ("lower", "upper") for joint in self.robot_model.joints]
         return tuple(
             (names[i] if i < 2 * n else self._pair_name(pairs, i - 2 * n), weight) for i, weight in solution.active
         )

@@ -59,11 +59,11 @@ def concatenate(first: Pairs, second: Pairs) -> Pairs:
 class SelfCollisionPairs:
     """Pairs of spheres on links that are kept apart, the one nearer to the base as seen from which the other moves."""
 
-    def __init__(self, body: RobotModel, spheres: SphereKinematics, clearance: float, alpha_1: float) -> None:
+    def __init__(self, robot_model: RobotModel, spheres: SphereKinematics, clearance: float, alpha_1: float) -> None:
         """Lay out the pairs; spheres on one frame cannot move against each other and have none."""
         pairs = [
             sorted((i, j), key=spheres.frame_of)
-            for one, other in body.self_pairs.kept
+            for one, other in robot_model.self_pairs.kept
             for i in spheres.on_link(one)
             for j in spheres.on_link(other)
         ]
@@ -112,7 +112,7 @@ class ObstaclePairs:
     """Pairs of moving spheres and obstacles."""
 
     def __init__(
-        self, body: RobotModel, spheres: SphereKinematics, obstacles: Sequence[Obstacle], alpha_1: float
+        self, robot_model: RobotModel, spheres: SphereKinematics, obstacles: Sequence[Obstacle], alpha_1: float
     ) -> None:
         """Lay out the table; an obstacle may name the only parts of the robot that are kept from it."""
         self._solids = Solids(obstacles)
@@ -122,7 +122,7 @@ class ObstaclePairs:
         self._margin = np.array([thing.margin for thing in ordered])[:, None]
         self._error = np.array([thing.velocity_error for thing in ordered])[:, None]
         self._radii = spheres.radii
-        concerned = np.array([_affected_spheres(thing, body, spheres) for thing in ordered])
+        concerned = np.array([_affected_spheres(thing, robot_model, spheres) for thing in ordered])
         self._affected = concerned & (spheres.frames > 0)
         shape = (len(ordered), len(spheres.names))
         alpha = [alpha_1 if thing.alpha is None else thing.alpha for thing in ordered]
@@ -154,17 +154,17 @@ class ObstaclePairs:
         ).select(self._affected)  # fmt: skip
 
 
-def _affected_spheres(obstacle: Obstacle, body: RobotModel, spheres: SphereKinematics) -> NDArray[np.bool_]:
+def _affected_spheres(obstacle: Obstacle, robot_model: RobotModel, spheres: SphereKinematics) -> NDArray[np.bool_]:
     """Which spheres (k,) are kept from `thing`."""
     if obstacle.separation is not None:
         raise ConfigurationError(
             f"obstacle {obstacle.name!r}", got="speed and separation", allowed="a barrier on distance",
             fix="Speed and separation is a rule on velocities: use SafetyFilter.",
         )  # fmt: skip
-    known = (*dict.fromkeys(spheres.groups), *(link.name for link in body.links))
+    known = (*dict.fromkeys(spheres.groups), *(link.name for link in robot_model.links))
     for part in obstacle.parts:
         if part not in known:
-            raise UnknownNameError("part of the robot", part, known, owner=body.name)
+            raise UnknownNameError("part of the robot", part, known, owner=robot_model.name)
     named = zip(spheres.names, spheres.groups, strict=True)
     return np.array([not obstacle.parts or name in obstacle.parts or group in obstacle.parts for name, group in named])
 

@@ -31,14 +31,14 @@ class SphereMotion(msgspec.Struct, frozen=True, eq=False):
 class SphereKinematics:
     """The spheres of a body on its chain: frame 0 is the base, frame i moves with joint i."""
 
-    def __init__(self, body: RobotModel) -> None:
+    def __init__(self, robot_model: RobotModel) -> None:
         """Read the chain and lay out the spheres in the order of the links."""
-        self.n = body.n
+        self.n = robot_model.n
         self._joint_transforms = [
-            (quaternion_to_matrix(joint.quaternion), np.array(joint.translation)) for joint in body.joints
+            (quaternion_to_matrix(joint.quaternion), np.array(joint.translation)) for joint in robot_model.joints
         ]
-        self._prismatic = np.array([joint.kind == "prismatic" for joint in body.joints])
-        parts = [(link, ball) for link in body.links for ball in body.spheres if ball.link == link.name]
+        self._prismatic = np.array([joint.kind == "prismatic" for joint in robot_model.joints])
+        parts = [(link, ball) for link in robot_model.links for ball in robot_model.spheres if ball.link == link.name]
         turns = [quaternion_to_matrix(link.quaternion) for link, _ in parts]
         self.names = tuple(link.name for link, _ in parts)
         self.groups = tuple(link.group for link, _ in parts)
@@ -54,14 +54,14 @@ class SphereKinematics:
             [turn @ np.array(link.slide) for (link, _), turn in zip(parts, turns, strict=True)]
         )
         self._moved_by = np.arange(1, self.n + 1) <= self.frames[:, None]
-        self.max_levers = self._max_levers(body)
+        self.max_levers = self._max_levers(robot_model)
 
-    def _max_levers(self, body: RobotModel) -> Array:
+    def _max_levers(self, robot_model: RobotModel) -> Array:
         """(k, n): the longest lever that sphere k can have about joint j, over all postures [m]; 1 for a slide."""
-        travel = np.array([max(abs(j.lower.value), abs(j.upper.value)) for j in body.joints]) * self._prismatic
-        steps = np.array([np.linalg.norm(joint.translation) for joint in body.joints]) + travel
+        travel = np.array([max(abs(j.lower.value), abs(j.upper.value)) for j in robot_model.joints]) * self._prismatic
+        steps = np.array([np.linalg.norm(joint.translation) for joint in robot_model.joints]) + travel
         along = np.concatenate([[0.0], np.cumsum(steps)])
-        tip = np.linalg.norm(self._local, axis=1) + body.gripper.opening.value * np.linalg.norm(
+        tip = np.linalg.norm(self._local, axis=1) + robot_model.gripper.opening.value * np.linalg.norm(
             self._finger_slide, axis=1
         )
         reach = along[self.frames][:, None] - along[1:] + tip[:, None]

@@ -14,7 +14,7 @@ MAX_PERIOD = 0.01
 
 
 def derate(
-    body: RobotModel, *, period: float | None = None, max_speed: float | Sequence[float] | None = None
+    robot_model: RobotModel, *, period: float | None = None, max_speed: float | Sequence[float] | None = None
 ) -> RobotModel:
     """`body` under a controller with a `period` [s] and joint velocities up to `speed` [rad/s], one or one a joint.
 
@@ -25,7 +25,7 @@ def derate(
     Raises:
         InvalidSetup: the period is not within (0, 0.01], or a speed not above 0 and within the body's own limit.
     """
-    changed = body
+    changed = robot_model
     if period is not None:
         if not 0.0 < period <= MAX_PERIOD:
             raise ConfigurationError(
@@ -35,11 +35,11 @@ def derate(
         changed = msgspec.structs.replace(changed, period=period)
     if max_speed is not None:
         speeds = (
-            [float(max_speed)] * body.n
+            [float(max_speed)] * robot_model.n
             if isinstance(max_speed, (int, float))
             else [float(value) for value in max_speed]
         )
-        joints = tuple(_derate_joint(joint, value) for joint, value in zip(body.joints, speeds, strict=True))
+        joints = tuple(_derate_joint(joint, value) for joint, value in zip(robot_model.joints, speeds, strict=True))
         changed = msgspec.structs.replace(changed, joints=joints)
     return changed
 

@@ -88,14 +88,14 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         super().__init__(env)
         self.shadow = safety if isinstance(safety, ShadowFilter) else None
         self.safety = safety.safety if isinstance(safety, ShadowFilter) else safety
-        self._n, self._period = self.safety.body.n, self.safety.body.period
+        self._n, self._period = self.safety.robot_model.n, self.safety.robot_model.period
         self._state = state or self._default_state
         self._decode_action = decode_action or self._default_decode
         self._encode_action = encode_action or self._default_encode
         self._scene, self._opening, self._torque = scene, opening, torque
         self._action_repeat = action_repeat
         self._now = 0.0
-        self._joint_state: JointState = (np.array(self.safety.body.home), np.zeros(self._n))
+        self._joint_state: JointState = (np.array(self.safety.robot_model.home), np.zeros(self._n))
         self._observation: Any = None
         self._check_period()
         if torque is None:
@@ -184,7 +184,7 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
     def _check_actions(self, space: Any) -> None:
         if not hasattr(space, "low"):
             return
-        v_max = np.array([joint.velocity.value for joint in self.safety.body.joints])
+        v_max = np.array([joint.velocity.value for joint in self.safety.robot_model.joints])
         low, high = (
             np.asarray(self._decode_action(space.low), float),
             np.asarray(self._decode_action(space.high), float),

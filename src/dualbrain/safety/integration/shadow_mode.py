@@ -127,7 +127,7 @@ class ShadowFilter:
             merge_gap,
             max_duration,
         )
-        self._v_max = np.array([joint.velocity.value for joint in safety.body.joints])
+        self._v_max = np.array([joint.velocity.value for joint in safety.robot_model.joints])
         self._u_prev: Array | None = None
         self._now = -inf
         self._interval: OpenInterval | None = None
@@ -152,7 +152,7 @@ class ShadowFilter:
         last = self._previous_command(v, moment, u_prev)
         self.safety.reset(last)
         answer = self.safety(q, v, u_nom, now, opening=opening)
-        self._late += 1.5 * self.safety.body.period < moment - self._now < inf
+        self._late += 1.5 * self.safety.robot_model.period < moment - self._now < inf
         self._now, self._u_prev = moment, u_nom
         self._record(answer, moment, last)
         return answer
@@ -182,7 +182,7 @@ class ShadowFilter:
     def _previous_command(self, v: Array, now: float, u_prev: Array | None) -> Array:
         """The last command, as far as a velocity limit allows it; never NaN."""
         if u_prev is None:
-            fresh = now - self._now <= max(MAX_COMMAND_AGE, 2.0 * self.safety.body.period)
+            fresh = now - self._now <= max(MAX_COMMAND_AGE, 2.0 * self.safety.robot_model.period)
             u_prev = self._u_prev if fresh and self._u_prev is not None else v
         if not np.isfinite(u_prev).all():
             u_prev = np.where(np.isfinite(u_prev), u_prev, np.where(np.isfinite(v), v, 0.0))
@@ -224,7 +224,7 @@ class ShadowFilter:
     def _close_interval(self, interval: OpenInterval, *, continued: bool = False) -> None:
         self._interval = None
         self._intervals += 1
-        self._intervention_time += interval.end - interval.start + self.safety.body.period
+        self._intervention_time += interval.end - interval.start + self.safety.robot_model.period
         if self._on_interval:
             try:
                 self._on_interval(interval.finish(continued=continued))

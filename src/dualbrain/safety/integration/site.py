@@ -24,42 +24,42 @@ Array = NDArray[np.float64]
 GRIPPER_GROUPS = ("hand", "fingers")
 
 
-def site_filter(file: SiteFile, body: RobotModel, config: FilterConfig | None = None) -> SafetyFilter:
+def site_filter(file: SiteFile, robot_model: RobotModel, config: FilterConfig | None = None) -> SafetyFilter:
     """The filter of `body` at this site: its caps and tool, its planes and boxes, and what it carries from the start.
 
     Raises:
         SiteError: an entry does not fit this body, with its line and column.
     """
-    narrowed = site_robot(body, file)
+    narrowed = site_robot(robot_model, file)
     return SafetyFilter(narrowed, config, fixed_obstacles=site_obstacles(narrowed, file))
 
 
-def site_robot(body: RobotModel, file: SiteFile) -> RobotModel:
+def site_robot(robot_model: RobotModel, file: SiteFile) -> RobotModel:
     """`body` with the site's caps, which only narrow, its control period and its tool."""
     site = file.site
-    known = {joint.name for joint in body.joints}
+    known = {joint.name for joint in robot_model.joints}
     for name in site.joint:
         if name not in known:
             raise file.make_error(
-                f"joint.{name}", got=name, allowed=f"a joint of {body.name}: {', '.join(sorted(known))}"
+                f"joint.{name}", got=name, allowed=f"a joint of {robot_model.name}: {', '.join(sorted(known))}"
             )
-    joints = tuple(_limit_joint(joint, file) for joint in body.joints)
-    speed = _narrow_bound(body.tool_speed, site.robot.tool_speed, file, "robot.tool_speed")
-    period = body.period if site.robot.period is None else site.robot.period
-    changed = msgspec.structs.replace(body, joints=joints, tool_speed=speed, period=period)
+    joints = tuple(_limit_joint(joint, file) for joint in robot_model.joints)
+    speed = _narrow_bound(robot_model.tool_speed, site.robot.tool_speed, file, "robot.tool_speed")
+    period = robot_model.period if site.robot.period is None else site.robot.period
+    changed = msgspec.structs.replace(robot_model, joints=joints, tool_speed=speed, period=period)
     for name, balls, error in _carried_spheres(file):
         changed = _with_link(changed, name, balls, error)
     return changed if site.tool is None else _with_tool_tip(changed, site.tool)
 
 
-def site_obstacles(body: RobotModel, file: SiteFile) -> tuple[Obstacle, ...]:
+def site_obstacles(robot_model: RobotModel, file: SiteFile) -> tuple[Obstacle, ...]:
     """Planes and keep-out boxes, known to φ, given up before things and people."""
-    parts = {link.name for link in body.links} | {link.group for link in body.links} | {"held"}
+    parts = {link.name for link in robot_model.links} | {link.group for link in robot_model.links} | {"held"}
     found: list[Obstacle] = []
     for index, entry in enumerate(file.site.plane):
         for name in entry.parts:
             if name not in parts:
-                allowed = f"parts of {body.name}: {', '.join(sorted(parts))}"
+                allowed = f"parts of {robot_model.name}: {', '.join(sorted(parts))}"
                 raise file.make_error(f"plane[{index}].parts", got=name, allowed=allowed)
         if not any(entry.inward):
             raise file.make_error(f"plane[{index}].inward", got=entry.inward, allowed="a vector that is not zero")
@@ -123,34 +123,40 @@ def _carried_spheres(file: SiteFile) -> Iterator[tuple[str, tuple[ToolSphere, ..
         yield PAYLOAD_LINK, file.site.payload.spheres, file.site.payload.error
 
 
-def _with_link(body: RobotModel, name: str, balls: tuple[ToolSphere, ...], error: float) -> RobotModel:
+def _with_link(robot_model: RobotModel, name: str, balls: tuple[ToolSphere, ...], error: float) -> RobotModel:
     """A link of its own for `balls` in the tool frame, kept from whatever the hand is kept from."""
-    link = next(link for link in body.links if link.name == body.tool.link)
-    turn, at = quaternion_to_matrix(body.tool.quaternion), np.array(body.tool.translation)
+    link = next(link for link in robot_model.links if link.name == robot_model.tool.link)
+    turn, at = quaternion_to_matrix(robot_model.tool.quaternion), np.array(robot_model.tool.translation)
     spheres = tuple(
         CollisionSphere(name, _vector(at + turn @ np.array(ball.centre)), ball.radius + error) for ball in balls
     )
-    frames = {link.name: link.frame for link in body.links}
+    frames = {link.name: link.frame for link in robot_model.links}
     near = {
-        part for pair in body.self_pairs.kept if _involves_gripper(body, pair) for part in pair if frames[part] < body.n
+        part
+        for pair in robot_model.self_pairs.kept
+        if _involves_gripper(robot_model, pair)
+        for part in pair
+        if frames[part] < robot_model.n
     }
-    kept = (*body.self_pairs.kept, *((part, name) for part in sorted(near)))
+    kept = (*robot_model.self_pairs.kept, *((part, name) for part in sorted(near)))
     return msgspec.structs.replace(
-        body, links=(*body.links, Link(name, link.frame, "hand", link.translation, link.quaternion)),
-        spheres=(*body.spheres, *spheres), self_pairs=SelfCollisionPairs(kept, body.self_pairs.allowed),
+        robot_model, links=(*robot_model.links, Link(name, link.frame, "hand", link.translation, link.quaternion)),
+        spheres=(*robot_model.spheres, *spheres), self_pairs=SelfCollisionPairs(kept, robot_model.self_pairs.allowed),
     )  # fmt: skip
 
 
-def _with_tool_tip(body: RobotModel, tool: ToolEntry) -> RobotModel:
+def _with_tool_tip(robot_model: RobotModel, tool: ToolEntry) -> RobotModel:
     """The tool frame moved to the tool's tip."""
-    turn = quaternion_to_matrix(body.tool.quaternion)
-    tip = np.array(body.tool.translation) + turn @ np.array(tool.position)
-    placed = Tool(body.tool.link, _vector(tip), matrix_to_quaternion(turn @ quaternion_to_matrix(tool.quaternion)))
-    return msgspec.structs.replace(body, tool=placed)
+    turn = quaternion_to_matrix(robot_model.tool.quaternion)
+    tip = np.array(robot_model.tool.translation) + turn @ np.array(tool.position)
+    placed = Tool(
+        robot_model.tool.link, _vector(tip), matrix_to_quaternion(turn @ quaternion_to_matrix(tool.quaternion))
+    )
+    return msgspec.structs.replace(robot_model, tool=placed)
 
 
-def _involves_gripper(body: RobotModel, pair: tuple[str, str]) -> bool:
-    return any(link.group in GRIPPER_GROUPS for link in body.links if link.name in pair)
+def _involves_gripper(robot_model: RobotModel, pair: tuple[str, str]) -> bool:
+    return any(link.group in GRIPPER_GROUPS for link in robot_model.links if link.name in pair)
 
 
 def _vector(values: Array) -> tuple[float, float, float]:

@@ -42,17 +42,17 @@ class SafetyController:
         """Nothing is wrong yet; the drive is on."""
         self.safety, self.speed_stage = safety, 1.0
         self.supervisor = Supervisor()
-        self.monitor = StateMonitor(safety.body, timing, monitor_limits)
+        self.monitor = StateMonitor(safety.robot_model, timing, monitor_limits)
         self.enforcement = Enforcement(standstill_limits)
-        self._period = max(timing.period, safety.body.period)
+        self._period = max(timing.period, safety.robot_model.period)
         self.loop_delay = LoopDelay(self._period)
         self.scale_applied = UNSCALED
-        joints = safety.body.joints
-        self._braking_step = np.array([joint.acceleration.value for joint in joints]) * safety.body.period
+        joints = safety.robot_model.joints
+        self._braking_step = np.array([joint.acceleration.value for joint in joints]) * safety.robot_model.period
         self._pending = 0
         self._last_tick = nan
         self._drive_came_on, self._drive_request_stamp, self._drive_request_time = True, nan, nan
-        self._u = np.zeros(safety.body.n)
+        self._u = np.zeros(safety.robot_model.n)
 
     @property
     def decision(self) -> SupervisorDecision:

@@ -53,21 +53,23 @@ class MonitorLimits(msgspec.Struct, frozen=True):
 class StateMonitor:
     """Turns one tick's readings into `Condition` bits. Call `sensed` for each state, `commanded` for each control."""
 
-    def __init__(self, body: RobotModel, timing: Timing = SIMULATED, limits: MonitorLimits | None = None) -> None:
+    def __init__(
+        self, robot_model: RobotModel, timing: Timing = SIMULATED, limits: MonitorLimits | None = None
+    ) -> None:
         """Nothing has been seen yet."""
         self.timing, self.limits = timing, limits or MonitorLimits()
-        joints = body.joints
-        self._ranged_joints = slice(3 if body.is_mobile else 0, None)
+        joints = robot_model.joints
+        self._ranged_joints = slice(3 if robot_model.is_mobile else 0, None)
         """Where the joints with a range lie in q; a base may be anywhere."""
-        ranged = joints[2:] if body.is_mobile else joints
+        ranged = joints[2:] if robot_model.is_mobile else joints
         self._ranges = [(joint.lower.value - RANGE_TOLERANCE, joint.upper.value + RANGE_TOLERANCE) for joint in ranged]
         self._overspeed_limits = [self.limits.overspeed_factor * joint.velocity.value for joint in joints]
         self._control_limits = [1.001 * joint.velocity.value for joint in joints]
-        self._lag = max(body.tracking.lag, timing.period)
-        self._n = body.n
+        self._lag = max(robot_model.tracking.lag, timing.period)
+        self._n = robot_model.n
         self._last: RobotState | None = None
         self._last_plausible: RobotState | None = None
-        self._u = [0.0] * body.n
+        self._u = [0.0] * robot_model.n
         self.reset()
 
     def reset(self) -> None:

@@ -51,15 +51,15 @@ class ExcitationLog(msgspec.Struct, frozen=True, eq=False):
 
 
 def excite(
-    plant: IdentifiablePlant, body: RobotModel, kind: str, steps: int, rng: np.random.Generator
+    plant: IdentifiablePlant, robot_model: RobotModel, kind: str, steps: int, rng: np.random.Generator
 ) -> ExcitationLog:
     """Drive `plant` for `steps` periods by one kind of excitation, through the filter; what it did."""
-    assumed = TrackingErrorModel(ASSUMED_LAG, ASSUMED_ERROR, body.alpha, "assumed while nothing is known")
-    safety = SafetyFilter(msgspec.structs.replace(body, tracking=assumed), FilterConfig())
-    parts = tuple(sorted({link.group for link in body.links} - {BASE_GROUP})) if body.is_mobile else ()
+    assumed = TrackingErrorModel(ASSUMED_LAG, ASSUMED_ERROR, robot_model.alpha, "assumed while nothing is known")
+    safety = SafetyFilter(msgspec.structs.replace(robot_model, tracking=assumed), FilterConfig())
+    parts = tuple(sorted({link.group for link in robot_model.links} - {BASE_GROUP})) if robot_model.is_mobile else ()
     safety.observe([Obstacle("floor", HalfSpace(), Pose((0.0, 0.0, 0.0)), parts=parts)], 0.0)
-    wish = _SIGNALS[kind](body, rng)
-    q, v, u = (np.empty((steps, body.n)) for _ in range(3))
+    wish = _SIGNALS[kind](robot_model, rng)
+    q, v, u = (np.empty((steps, robot_model.n)) for _ in range(3))
     for t in range(steps):
         plant.measure()
         q[t], v[t] = getattr(plant, "path", plant.q), plant.v
@@ -72,34 +72,34 @@ ExcitationSignal = Callable[[int, SafetyFilter], Array]
 """What is wished, a joint velocity (n,), in period t."""
 
 
-def _sines(body: RobotModel, rng: np.random.Generator) -> ExcitationSignal:
+def _sines(robot_model: RobotModel, rng: np.random.Generator) -> ExcitationSignal:
     """Three sines a joint between 0.1 and 3 Hz, together at most the velocity limit."""
-    v_max = np.array([joint.velocity.value for joint in body.joints])
-    pace = 2.0 * np.pi * np.exp(rng.uniform(np.log(0.1), np.log(3.0), (3, body.n)))
-    phase, share = rng.uniform(0.0, 2.0 * np.pi, (3, body.n)), rng.dirichlet(np.ones(3), body.n).T
-    return lambda t, _: v_max * np.sum(share * np.sin(pace * (t * body.period) + phase), axis=0)
+    v_max = np.array([joint.velocity.value for joint in robot_model.joints])
+    pace = 2.0 * np.pi * np.exp(rng.uniform(np.log(0.1), np.log(3.0), (3, robot_model.n)))
+    phase, share = rng.uniform(0.0, 2.0 * np.pi, (3, robot_model.n)), rng.dirichlet(np.ones(3), robot_model.n).T
+    return lambda t, _: v_max * np.sum(share * np.sin(pace * (t * robot_model.period) + phase), axis=0)
 
 
-def _bang_bang(body: RobotModel, rng: np.random.Generator) -> ExcitationSignal:
+def _bang_bang(robot_model: RobotModel, rng: np.random.Generator) -> ExcitationSignal:
     """Full speed of every joint either way, changed after 0.15 to 1 s."""
-    return _hold_random(body, rng, lambda _: None)
+    return _hold_random(robot_model, rng, lambda _: None)
 
 
-def _rows(body: RobotModel, rng: np.random.Generator) -> ExcitationSignal:
+def _rows(robot_model: RobotModel, rng: np.random.Generator) -> ExcitationSignal:
     """Full speed down the row with the smallest h."""
-    return _hold_random(body, rng, _nearest_row)
+    return _hold_random(robot_model, rng, _nearest_row)
 
 
 def _hold_random(
-    body: RobotModel, rng: np.random.Generator, aim: Callable[[SafetyFilter], Array | None]
+    robot_model: RobotModel, rng: np.random.Generator, aim: Callable[[SafetyFilter], Array | None]
 ) -> ExcitationSignal:
-    v_max = np.array([joint.velocity.value for joint in body.joints])
-    until, now = 0, np.zeros(body.n)
+    v_max = np.array([joint.velocity.value for joint in robot_model.joints])
+    until, now = 0, np.zeros(robot_model.n)
 
     def wish(t: int, safety: SafetyFilter) -> Array:
         nonlocal until, now
         if t >= until:
-            coins, row = np.where(rng.random(body.n) < 0.5, -1.0, 1.0), aim(safety)
+            coins, row = np.where(rng.random(robot_model.n) < 0.5, -1.0, 1.0), aim(safety)
             signs = coins if row is None or rng.random() < 0.1 else np.where(row > 0.0, -1.0, 1.0)
             until, now = t + int(rng.integers(150, 1000)), signs * v_max
         return now

@@ -66,7 +66,7 @@ class SteppedMobileManipulator:
 
     def apply(self, u: Array) -> None:
         """Drive at u (n,) for one control period."""
-        grip = self.plant.body.gripper
+        grip = self.plant.robot_model.gripper
         self.plant.write(Command(u, grip.opening.value, grip.force_min.value))
         self.plant.actuate()
         for _ in range(self.plant.steps_per_period - 1):
@@ -74,11 +74,14 @@ class SteppedMobileManipulator:
 
 
 def identify_mobile_manipulator(
-    body: RobotModel, drive: DriveKind = "computed_torque", *, load: float = 0.5, seeds: Sequence[int] = (0, 1, 2, 3),
+    robot_model: RobotModel, drive: DriveKind = "computed_torque", *, load: float = 0.5, seeds: Sequence[int] = (0, 1, 2, 3),
     seconds: float = 10.0, progress: Callable[[float, str], None] | None = None,
 ) -> MobileTrackingModel:  # fmt: skip
     """Both models from the same runs, with empty hand and with `load` [kg] at the tool."""
-    spec, steps = SceneSpec(body.name, "identify", 0, (), (), None, DRIVE_REGION), round(seconds / body.period)
+    spec, steps = (
+        SceneSpec(robot_model.name, "identify", 0, (), (), None, DRIVE_REGION),
+        round(seconds / robot_model.period),
+    )
     loads = (0.0, load) if load > 0.0 else (0.0,)
     runs = [(kg, kind) for kg in loads for kind in EXCITATION_KINDS]
     logs: list[list[ExcitationLog]] = []
@@ -87,14 +90,14 @@ def identify_mobile_manipulator(
         for kg, kind in runs:
             if progress is not None:
                 progress((len(logs) * len(runs) + len(own)) / (len(seeds) * len(runs)), f"seed {seed}, {kind}")
-            plant = SteppedMobileManipulator(MobileManipulatorPlant(spec, body, drive=drive, load=kg))
-            own.append(excite(plant, body, kind, steps, np.random.default_rng(seed)))
+            plant = SteppedMobileManipulator(MobileManipulatorPlant(spec, robot_model, drive=drive, load=kg))
+            own.append(excite(plant, robot_model, kind, steps, np.random.default_rng(seed)))
         logs.append(own)
-    said = f"{body.name}, {len(seeds)} seeds x {', '.join(EXCITATION_KINDS)} x {seconds:g} s, loads {loads} kg"
+    said = f"{robot_model.name}, {len(seeds)} seeds x {', '.join(EXCITATION_KINDS)} x {seconds:g} s, loads {loads} kg"
     halves = (slice(BASE_JOINTS, None), slice(0, BASE_JOINTS))
     arm, base = (
         fit_tracking_model(
-            [[_slice_log(log, part) for log in own] for own in logs], body.alpha, body.period, source=said
+            [[_slice_log(log, part) for log in own] for own in logs], robot_model.alpha, robot_model.period, source=said
         )
         for part in halves
     )

@@ -64,7 +64,7 @@ class TrackingModel(msgspec.Struct, frozen=True):
 
 
 def identify_plant(
-    body: RobotModel, drive: DriveKind = "computed_torque", *, load: float = 0.5, seeds: Sequence[int] = (0, 1, 2, 3),
+    robot_model: RobotModel, drive: DriveKind = "computed_torque", *, load: float = 0.5, seeds: Sequence[int] = (0, 1, 2, 3),
     seconds: float = 10.0, progress: ProgressCallback | None = None,
 ) -> TrackingModel:  # fmt: skip
     """The tracking model of the simulated `body` with empty hand and with `load` [kg] at the tool: it covers both.
@@ -76,21 +76,21 @@ def identify_plant(
             "identification", got=f"{len(seeds)} seeds, {seconds:g} s, {load:g} kg",
             allowed=f"at least one seed, at least {MIN_DURATION:g} s, a load of zero or more",
         )  # fmt: skip
-    spec = SceneSpec(body.name, "identify", 0, (), ())
+    spec = SceneSpec(robot_model.name, "identify", 0, (), ())
 
     def make(kg: float) -> Callable[[], IdentifiablePlant]:
-        return lambda: SteppedPlant(Plant(spec, body, drive=drive, load=kg), contacts=False)
+        return lambda: SteppedPlant(Plant(spec, robot_model, drive=drive, load=kg), contacts=False)
 
     loads = (0.0, load) if load > 0.0 else (0.0,)
-    said = f"{body.name}, {drive} drive, loads {', '.join(f'{kg:g}' for kg in loads)} kg"
+    said = f"{robot_model.name}, {drive} drive, loads {', '.join(f'{kg:g}' for kg in loads)} kg"
     return identify_tracking(
-        [make(kg) for kg in loads], body, seeds=seeds, seconds=seconds, source=said, progress=progress
+        [make(kg) for kg in loads], robot_model, seeds=seeds, seconds=seconds, source=said, progress=progress
     )  # fmt: skip
 
 
 def identify_tracking(
     plants: Sequence[Callable[[], IdentifiablePlant]],
-    body: RobotModel,
+    robot_model: RobotModel,
     *,
     seeds: Sequence[int] = (0, 1, 2, 3),
     seconds: float = 10.0,
@@ -104,17 +104,17 @@ def identify_tracking(
     all through the filter, so that velocity, acceleration and joint limits are those of operation. `lag` [s] fixes the
     lag instead of choosing it. `progress` is told the share done and a word.
     """
-    steps, each = round(seconds / body.period), [(make, kind) for make in plants for kind in EXCITATION_KINDS]
+    steps, each = round(seconds / robot_model.period), [(make, kind) for make in plants for kind in EXCITATION_KINDS]
     logs: list[list[ExcitationLog]] = []
     for seed in seeds:
         runs: list[ExcitationLog] = []
         for make, kind in each:
             if progress is not None:
                 progress((len(logs) * len(each) + len(runs)) / (len(seeds) * len(each)), f"seed {seed}, {kind}")
-            runs.append(excite(make(), body, kind, steps, np.random.default_rng(seed)))
+            runs.append(excite(make(), robot_model, kind, steps, np.random.default_rng(seed)))
         logs.append(runs)
     source = f"{source}: {len(seeds)} seeds x {', '.join(EXCITATION_KINDS)} x {seconds:g} s at full speed"
-    return fit_tracking_model(logs, body.alpha, body.period, lag=lag, source=source)
+    return fit_tracking_model(logs, robot_model.alpha, robot_model.period, lag=lag, source=source)
 
 
 def fit_tracking_model(

@@ -38,9 +38,9 @@ PLATFORM_BODY = "platform"
 BASE_JOINT_NAMES = ("x", "y", "yaw")
 
 
-def n_arm_joints(body: RobotModel) -> int:
+def n_arm_joints(robot_model: RobotModel) -> int:
     """How many joints the arm of `body` has."""
-    return body.n - DRIVEN if body.is_mobile else body.n
+    return robot_model.n - DRIVEN if robot_model.is_mobile else robot_model.n
 
 
 def required_elements(n: int) -> dict[str, tuple[str, ...]]:
@@ -131,10 +131,10 @@ def _load_user_file(path: Path) -> mujoco.MjSpec:
         ) from error
 
 
-def _check_and_set_limits(spec: mujoco.MjSpec, source: str, body: RobotModel) -> None:
+def _check_and_set_limits(spec: mujoco.MjSpec, source: str, robot_model: RobotModel) -> None:
     """Check that every part is there, and give the joints the body's own ranges."""
-    _require_elements(spec, source, required_elements(n_arm_joints(body)))
-    for index, joint in enumerate(() if body.is_mobile else body.joints, start=1):
+    _require_elements(spec, source, required_elements(n_arm_joints(robot_model)))
+    for index, joint in enumerate(() if robot_model.is_mobile else robot_model.joints, start=1):
         spec.joint(f"joint{index}").range = [joint.lower.value, joint.upper.value]
 
 

@@ -70,21 +70,21 @@ class SafetyMonitor:
         self._object_monitor = ObjectMonitor(plant)
         self._handling_monitor: HandlingMonitor | None = None
         lower, upper, fastest = (
-            [getattr(j, k).value for j in plant.body.joints] for k in ("lower", "upper", "velocity")
+            [getattr(j, k).value for j in plant.robot_model.joints] for k in ("lower", "upper", "velocity")
         )
-        self._joint_middle, self._n = 0.5 * np.add(lower, upper), plant.body.n
+        self._joint_middle, self._n = 0.5 * np.add(lower, upper), plant.robot_model.n
         self._joint_half_range = 0.5 * np.subtract(upper, lower)
         self._bounds = np.r_[self._joint_half_range + JOINT_TOLERANCE, SPEED_TOLERANCE_FACTOR * np.array(fastest)]
         self._state = np.zeros(2 * self._n)
-        self._tool_speed = plant.body.tool_speed.value
+        self._tool_speed = plant.robot_model.tool_speed.value
         q, v = plant.arm_slices
-        count = n_arm_joints(plant.body)
+        count = n_arm_joints(plant.robot_model)
         self._q, self._v = plant.data.qpos[q][:count], plant.data.qvel[v]  # views: they follow the simulation
         self._names = tuple(f"joint{index + 1}" for index in range(self._n))
         self._positioned_joints = slice(self._n - count, self._n)
         """Which of the body's joints have a position; a base may be anywhere."""
-        if plant.body.is_mobile:
-            self._names = tuple(joint.name for joint in plant.body.joints)
+        if plant.robot_model.is_mobile:
+            self._names = tuple(joint.name for joint in plant.robot_model.joints)
         self._pair_stride = np.array([plant.model.ngeom, 1])
         self._open: dict[tuple[str, tuple[str, ...]], _OpenViolation] = {}
         self._closed: list[_OpenViolation] = []
@@ -167,7 +167,7 @@ class SafetyMonitor:
         state, n = self._state, self._n
         state[:n] = 0.0
         np.subtract(self._q, self._joint_middle[self._positioned_joints], out=state[self._positioned_joints])
-        state[n:] = self._plant.robot_velocity() if self._plant.body.is_mobile else self._v
+        state[n:] = self._plant.robot_velocity() if self._plant.robot_model.is_mobile else self._v
         np.abs(state, out=state)
         over = state > self._bounds
         if not np.count_nonzero(over):

@@ -40,7 +40,7 @@ class DepthCamera(OffscreenRenderer):
         `noise` [m] is the standard deviation of a depth, its chance comes from `rng` (none: always the same).
         """
         super().__init__(plant, width, height)
-        self._filter = SafetyFilter(plant.body)
+        self._filter = SafetyFilter(plant.robot_model)
         self._noise, self._rng = noise, np.random.default_rng(0) if rng is None else rng
         self._rays = {view: self._ray_directions(view, width, height) for view in CAMERA_VIEWS}
 
@@ -79,7 +79,7 @@ class DepthCamera(OffscreenRenderer):
     def _robot_mask(self, points: Array) -> NDArray[np.bool_]:
         """Which points lie on the robot itself."""
         q = self._plant.data.qpos[self._plant.arm_slices[0]].copy()
-        opened = self._plant.body.gripper.opening.value
+        opened = self._plant.robot_model.gripper.opening.value
         own = [self._filter.spheres(q, share * opened)[:2] for share in (0.0, 0.5, 1.0)]  # wherever the fingers are
         centres, radii = (np.concatenate(parts) for parts in zip(*own, strict=True))
         apart = (points**2).sum(axis=1)[:, None] - 2.0 * points @ centres.T + (centres**2).sum(axis=1)

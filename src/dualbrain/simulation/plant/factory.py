@@ -9,7 +9,13 @@ from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
 
 
-def make_plant(spec: SceneSpec, body: RobotModel, *, visuals: bool = False) -> Plant:
+def make_plant(spec: SceneSpec, robot_model: RobotModel, *, visuals: bool = False) -> Plant:
     """The world `spec` with `body` in it; `visuals` as for `Plant`."""
-    kind = MobileManipulatorPlant if body.is_mobile_manipulator else MobileBasePlant if body.is_mobile else Plant
-    return kind(spec, body, visuals=visuals)
+    kind = (
+        MobileManipulatorPlant
+        if robot_model.is_mobile_manipulator
+        else MobileBasePlant
+        if robot_model.is_mobile
+        else Plant
+    )
+    return kind(spec, robot_model, visuals=visuals)

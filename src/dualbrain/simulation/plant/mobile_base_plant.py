@@ -36,9 +36,9 @@ class MobileBasePlant(Plant):
         self._dof = slice(int(joints[0].dofadr[0]), int(joints[-1].dofadr[0]) + 1)
         first = int(self.model.actuator(f"{ROBOT_PREFIX}{BASE_JOINT_NAMES[0]}").id)
         self._motors = slice(first, first + len(BASE_JOINT_NAMES))
-        self._wheel_drive = WheelDrive(self.body)
+        self._wheel_drive = WheelDrive(self.robot_model)
         self._index_moving_person()
-        self.set_configuration(np.array(self.body.home))
+        self.set_configuration(np.array(self.robot_model.home))
 
     def read(self) -> RobotState:
         """The newest state: pose (x, y, θ) and velocity (v, ω) as measured."""
@@ -89,7 +89,7 @@ class MobileBasePlant(Plant):
 
     def link_body_names(self) -> dict[str, str]:
         """The base is one part."""
-        return {self.body.links[0].name: f"{ROBOT_PREFIX}link0"}
+        return {self.robot_model.links[0].name: f"{ROBOT_PREFIX}link0"}
 
     def _reset_commands(self) -> None:
         self._u[:] = 0.0

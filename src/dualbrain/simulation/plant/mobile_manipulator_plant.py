@@ -37,7 +37,7 @@ class MobileManipulatorPlant(Plant):
         self._base_qvel = slice(int(joints[0].dofadr[0]), int(joints[-1].dofadr[0]) + 1)
         first = int(self.model.actuator(f"{ROBOT_PREFIX}{BASE_JOINT_NAMES[0]}").id)
         self._motors = slice(first, first + len(BASE_JOINT_NAMES))
-        self._wheel_drive = WheelDrive(self.body)
+        self._wheel_drive = WheelDrive(self.robot_model)
         super()._set_up(drive, load)
 
     def read(self) -> RobotState:
@@ -89,7 +89,7 @@ class MobileManipulatorPlant(Plant):
 
     def link_body_names(self) -> dict[str, str]:
         """What MuJoCo calls the links; the first one is the platform."""
-        return super().link_body_names() | {self.body.links[0].name: f"{ROBOT_PREFIX}{PLATFORM_BODY}"}
+        return super().link_body_names() | {self.robot_model.links[0].name: f"{ROBOT_PREFIX}{PLATFORM_BODY}"}
 
     def _apply_drive(self) -> None:
         before, wheels = self._wheel_drive.velocity, self._wheel_drive.update(self._u[:DRIVEN])

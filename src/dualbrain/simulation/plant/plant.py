@@ -40,7 +40,7 @@ class Plant:
     def __init__(
         self,
         spec: SceneSpec,
-        body: RobotModel,
+        robot_model: RobotModel,
         *,
         drive: DriveKind = "computed_torque",
         load: float = 0.0,
@@ -54,14 +54,14 @@ class Plant:
         `visuals` adds the robot's surface meshes where the package is installed (no change in physics); `model_file`
         and `menagerie` name other robot models (see `model_provider.robot_model`).
         """
-        self.spec, self.body = spec, body
+        self.spec, self.robot_model = spec, robot_model
         robot = load_mujoco_model(spec.robot, path=model_file, menagerie=menagerie, visuals=visuals)
         self.model_source, self.has_visuals = robot.source, robot.has_visuals
         self.model = build_model(spec, robot, load=load)
         self.data = mujoco.MjData(self.model)
-        self.steps_per_period = round(body.period / PHYSICS_PERIOD)
+        self.steps_per_period = round(robot_model.period / PHYSICS_PERIOD)
         """Steps of physics in one control period."""
-        self._u = np.zeros(body.n)
+        self._u = np.zeros(robot_model.n)
         self._person_path = person_path(spec.mover) if spec.mover is not None else None
         self._sequence, self._enabled = 0, True
         self._set_up(drive, load)
@@ -71,9 +71,9 @@ class Plant:
         self._index()
         self._load_address = self.model.joint(LOAD_NAME).qposadr[0] if load > 0.0 else None
         self.drive = make_drive(drive, self.model, self.data)
-        self._target_opening = float(self.body.gripper.opening.value)
-        self._set_force(float(self.body.gripper.force_min.value))
-        self.set_configuration(np.array(self.body.home))
+        self._target_opening = float(self.robot_model.gripper.opening.value)
+        self._set_force(float(self.robot_model.gripper.force_min.value))
+        self.set_configuration(np.array(self.robot_model.home))
 
     # --- the robot protocol -------------------------------------------------------------------------------------
 
@@ -202,13 +202,13 @@ class Plant:
 
     def link_body_names(self) -> dict[str, str]:
         """What MuJoCo calls each link of the body."""
-        return {link.name: f"{ROBOT_PREFIX}{link.name}" for link in self.body.links}
+        return {link.name: f"{ROBOT_PREFIX}{link.name}" for link in self.robot_model.links}
 
     def set_configuration(self, q: Array, opening: float | None = None) -> None:
         """Put the arm at `q` at rest without passing in between (set-up and tests only)."""
         data = self.data
         data.qpos[self._arm], data.qvel[self._dof] = q, 0.0
-        self._finger_setpoint = float(self.body.gripper.opening.value) if opening is None else opening
+        self._finger_setpoint = float(self.robot_model.gripper.opening.value) if opening is None else opening
         self._target_opening = self._finger_setpoint
         data.qpos[self._fingers], data.qvel[self._finger_dofs] = self._finger_setpoint, 0.0
         data.ctrl[self._gripper_actuator] = self._finger_setpoint
@@ -228,7 +228,7 @@ class Plant:
         self.drive.apply(self._u)
 
     def _index(self) -> None:
-        model, n = self.model, n_arm_joints(self.body)
+        model, n = self.model, n_arm_joints(self.robot_model)
         arm = [model.joint(f"{ROBOT_PREFIX}joint{index + 1}") for index in range(n)]
         fingers = [model.joint(f"{ROBOT_PREFIX}finger_joint{index}") for index in (1, 2)]
         self._arm = slice(int(arm[0].qposadr[0]), int(arm[-1].qposadr[0]) + 1)

@@ -23,7 +23,7 @@ class SteppedPlant:
 
     def __init__(self, plant: Plant, *, contacts: bool = True) -> None:
         """`plant` with its own drive."""
-        self.plant, self._gripper = plant, plant.body.gripper
+        self.plant, self._gripper = plant, plant.robot_model.gripper
         q, v = plant.arm_slices
         self.q, self.v = plant.data.qpos[q], plant.data.qvel[v]
         """Joint positions and velocities (n,), views of the state."""

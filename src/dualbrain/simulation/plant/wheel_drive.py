@@ -22,9 +22,9 @@ class WheelDrive:
     wire that carries noise cannot make the base too fast.
     """
 
-    def __init__(self, body: RobotModel) -> None:
+    def __init__(self, robot_model: RobotModel) -> None:
         """At rest."""
-        self._velocity_limit = np.array([joint.velocity.value for joint in body.joints[:DRIVEN]])
+        self._velocity_limit = np.array([joint.velocity.value for joint in robot_model.joints[:DRIVEN]])
         self._decay = exp(-PHYSICS_PERIOD / WHEEL_LAG)
         self.velocity: Array = np.zeros(DRIVEN)
         """(v, ω) [m/s, rad/s]"""

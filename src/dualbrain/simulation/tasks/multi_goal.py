@@ -166,7 +166,7 @@ class HomeJudge:
     def score(self) -> tuple[bool, float]:
         """(success, progress) as of now."""
         q = self._plant.data.qpos[self._plant.arm_slices[0]]
-        there = float(np.max(np.abs(q - np.array(self._plant.body.home)[-len(q) :]))) < HOME_TOLERANCE
+        there = float(np.max(np.abs(q - np.array(self._plant.robot_model.home)[-len(q) :]))) < HOME_TOLERANCE
         still = bool(np.all(np.abs(self._plant.robot_velocity()) < MAX_HOME_SPEED))
         return there and still, float(there and still)
 

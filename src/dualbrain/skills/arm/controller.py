@@ -63,15 +63,15 @@ PERSON_WAIT_TIMEOUT = 20.0
 class ArmController:
     """One arm with its gripper, as the skills move it. State: φ's memory, the grip, and the current senses."""
 
-    def __init__(self, body: RobotModel, motion: MotionModel) -> None:
+    def __init__(self, robot_model: RobotModel, motion: MotionModel) -> None:
         """Bind to a body and to what the local layer lends; call `sense` before every step of a story."""
-        self.body = body
-        self.kinematics = InverseKinematics(body, motion.tool)
+        self.robot_model = robot_model
+        self.kinematics = InverseKinematics(robot_model, motion.tool)
         self.holding: HeldObject | None = None
-        self.opening = body.gripper.opening.value
-        self.force = body.gripper.force_min.value
-        self._phi = ResolvedRate(body, motion)
-        self._clearance_predictor = ClearancePredictor(body, motion)
+        self.opening = robot_model.gripper.opening.value
+        self.force = robot_model.gripper.force_min.value
+        self._phi = ResolvedRate(robot_model, motion)
+        self._clearance_predictor = ClearancePredictor(robot_model, motion)
         self._observation: Observation | None = None
         self._contacts_by_phase: dict[str, tuple[PermittedContact, ...]] = {}
         self._known_objects: tuple[str, ...] = ()
@@ -126,7 +126,7 @@ class ArmController:
 
         When a person is about to sweep by, the arm gets out of the way and the part ends with `YIELDED`.
         """
-        speed = min(speed, TOOL_SPEED_FRACTION * self.body.tool_speed.value)
+        speed = min(speed, TOOL_SPEED_FRACTION * self.robot_model.tool_speed.value)
         near, turned = (0.003, 0.02) if stop else (0.02, 0.3)
         progress = ProgressWatchdog(
             self.observation.active_time, time_limit=4.0 + 3.0 * self._distance(goal) / speed, timeout=timeout
@@ -181,7 +181,7 @@ class ArmController:
     def open_gripper(self, opening: float) -> SubRoutine:
         """Open the fingers to `opening` per finger [m] and let go of what was held."""
         self.opening, self.holding = opening, None
-        self.force = self.body.gripper.force_min.value
+        self.force = self.robot_model.gripper.force_min.value
         start = self.observation.now
         while self.observation.now - start < 1.0 and abs(self.observation.state.opening - opening) > 2e-3:
             yield self.rest("open")
@@ -277,7 +277,7 @@ class ArmController:
     @property
     def below_tool(self) -> float:
         """How far the lowest point of the load, or of the empty fingers, lies below the tool [m]."""
-        return self.holding.below_tool if self.holding else self.body.gripper.pad_below_tool
+        return self.holding.below_tool if self.holding else self.robot_model.gripper.pad_below_tool
 
     def person_threat_height(
         self, spot: Array, horizon: float = 1.5, radius: float = PERSON_CLEARANCE, *, any_height: bool = False

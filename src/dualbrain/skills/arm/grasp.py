@@ -25,7 +25,7 @@ MIN_FINGER_OVERLAP = 0.011
 """Fingers that reach this far below a thing's top, and are off its middle by less, may close on it [m]."""
 
 
-def spec(body: RobotModel) -> SkillSpec:
+def spec(robot_model: RobotModel) -> SkillSpec:
     """The skill's vocabulary entry and the contacts it needs."""
     touch = parameters.CONTACT_SPEED
     return SkillSpec(
@@ -33,19 +33,19 @@ def spec(body: RobotModel) -> SkillSpec:
         "approach an object, close the fingers on it and lift it",
         (
             NameParameter("object", "graspable", "what to grasp"),
-            parameters.speed(body),
+            parameters.speed(robot_model),
             parameters.clearance(),
             ChoiceParameter(
                 "finger_axis", ("along", "across"), "fingers close along the object's own x (along) or y (across)"
             ),
-            parameters.opening(body),
+            parameters.opening(robot_model),
             ChoiceParameter(
                 "approach",
                 tuple(object_geometry.APPROACH_LEAN),
                 "top: straight down; tilted: leaning 25 deg; side: leaning 45 deg",
             ),
             parameters.wait(),
-            parameters.force(body),
+            parameters.force(robot_model),
         ),
         (
             ContactPermit("descend", "fingers", "target", touch),
@@ -62,7 +62,7 @@ def routine(
 ) -> SkillRoutine:  # fmt: skip
     """Tell the grasp: wait, rise, approach, descend, close, lift."""
     support = arm.support
-    arm.begin(spec(arm.body), target=object, support=support.name if support else None)
+    arm.begin(spec(arm.robot_model), target=object, support=support.name if support else None)
     thing = arm.find_object(object)
     if arm.holding:
         return SkillResult(SkillStatus.FAILED, f"already holding {arm.holding.name}")
@@ -134,7 +134,7 @@ def _fingers_around(arm: ArmController, obj: SceneObject) -> bool:
     """Whether the fingers have enough of `thing` between them to close, though kept from the whole way."""
     tool = arm.observation.tool.position
     off = float(np.hypot(tool[0] - obj.pose.position[0], tool[1] - obj.pose.position[1]))
-    deep = object_geometry.top_height(obj) - (float(tool[2]) - arm.body.gripper.pad_below_tool)
+    deep = object_geometry.top_height(obj) - (float(tool[2]) - arm.robot_model.gripper.pad_below_tool)
     return deep > MIN_FINGER_OVERLAP and off < MIN_FINGER_OVERLAP
 
 

@@ -36,9 +36,9 @@ SLOW_DESCENT_HEIGHT = 0.03
 """Height of the finger tips above a thing's top from which they come down gently [m]."""
 
 
-def grasp_height(body: RobotModel, obj: SceneObject, approach: str) -> float:
+def grasp_height(robot_model: RobotModel, obj: SceneObject, approach: str) -> float:
     """Tool height [m] that holds `thing` around its middle, not lower than finger tips and palm allow."""
-    low = object_geometry.bottom_height(obj) + body.gripper.pad_below_tool + 0.008
+    low = object_geometry.bottom_height(obj) + robot_model.gripper.pad_below_tool + 0.008
     middle = obj.pose.position[2]
     return max(low, middle, object_geometry.top_height(obj) - FINGER_DEPTH[approach])
 
@@ -117,12 +117,12 @@ def pregrasp_goal(
 
 def _passing_position(arm: ArmController, low: ToolGoal, obj: SceneObject, clearance: float) -> Array:
     tips = max(arm.support_height + clearance, object_geometry.top_height(obj) + PASSING_CLEARANCE)
-    return goal_at_height(low, tips + arm.body.gripper.pad_below_tool).position
+    return goal_at_height(low, tips + arm.robot_model.gripper.pad_below_tool).position
 
 
 def slow_descent_goal(arm: ArmController, grasp: ToolGoal, obj: SceneObject) -> SlicedComputation[ToolGoal]:
     """The pose from which the fingers go on gently, back along the approach axis."""
-    height = object_geometry.top_height(obj) + SLOW_DESCENT_HEIGHT + arm.body.gripper.pad_below_tool
+    height = object_geometry.top_height(obj) + SLOW_DESCENT_HEIGHT + arm.robot_model.gripper.pad_below_tool
     axis = grasp.rotation[:, 2]
     back = max(0.0, height - float(grasp.position[2])) / -axis[2]
     return arm.translate_goal(grasp, grasp.position - back * axis)
@@ -171,7 +171,7 @@ def _fits_in_gripper(arm: ArmController, obj: SceneObject, axis: str) -> bool:
 def _nominal_grasp(arm: ArmController, obj: SceneObject, finger_axis: str, approach: str) -> tuple[Array, list[Array]]:
     """Position and rotations as the contract has them."""
     x, y, _ = obj.pose.position
-    position = np.array([x, y, grasp_height(arm.body, obj, approach)])
+    position = np.array([x, y, grasp_height(arm.robot_model, obj, approach)])
     outward = np.array([x, y, 0.0]) / (np.hypot(x, y) + 1e-9)
     return position, object_geometry.grasp_rotations(
         object_geometry.finger_direction(obj, finger_axis), approach, outward

@@ -8,9 +8,9 @@ from dualbrain.skills.arm.controller import ArmController
 from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
 
 
-def spec(body: RobotModel) -> SkillSpec:
+def spec(robot_model: RobotModel) -> SkillSpec:
     """The skill's vocabulary entry."""
-    del body
+    del robot_model
     duration = NumberParameter(
         "duration", "s", 0.5, 20.0, "shorter is no pause", "site policy: longer pauses are a new contract", "how long"
     )
@@ -19,6 +19,6 @@ def spec(body: RobotModel) -> SkillSpec:
 
 def routine(arm: ArmController, *, duration: float) -> SkillRoutine:
     """Tell the pause."""
-    arm.begin(spec(arm.body))
+    arm.begin(spec(arm.robot_model))
     yield from arm.wait("hold", duration)
     return SkillResult(SkillStatus.DONE, f"stood still for {duration:g} s")

@@ -17,13 +17,13 @@ JOINT_SPEED_FRACTION = 0.5
 """Share of the joint velocity limits at the largest allowed tool speed."""
 
 
-def spec(body: RobotModel) -> SkillSpec:
+def spec(robot_model: RobotModel) -> SkillSpec:
     """The skill's vocabulary entry."""
     touch = parameters.CONTACT_SPEED
     return SkillSpec(
         "home",
         "return to the resting posture, keeping what is held",
-        (parameters.speed(body),),
+        (parameters.speed(robot_model),),
         (ContactPermit("rise", "held", "support", touch),),
     )
 
@@ -31,11 +31,11 @@ def spec(body: RobotModel) -> SkillSpec:
 def routine(arm: ArmController, *, speed: float) -> SkillRoutine:
     """Tell the return: rise, then move in joint space."""
     support = arm.support
-    arm.begin(spec(arm.body), support=support.name if support else None)
+    arm.begin(spec(arm.robot_model), support=support.name if support else None)
     height = arm.support_height + SAFE_HEIGHT
     if arm.observation.tool.position[2] < height and (why := (yield from move_to_height(arm, height, "rise", speed))):
         return why
-    share = JOINT_SPEED_FRACTION * speed / arm.body.tool_speed.value
-    if why := (yield from arm.move_joints(np.array(arm.body.home), "return", share, speed)):
+    share = JOINT_SPEED_FRACTION * speed / arm.robot_model.tool_speed.value
+    if why := (yield from arm.move_joints(np.array(arm.robot_model.home), "return", share, speed)):
         return why
     return SkillResult(SkillStatus.DONE, "at home")

@@ -17,14 +17,14 @@ TARGET_CLEARANCE = 0.03
 """Room between the lowest carried point and the top of the thing below it [m]."""
 
 
-def spec(body: RobotModel) -> SkillSpec:
+def spec(robot_model: RobotModel) -> SkillSpec:
     """The skill's vocabulary entry; what is held may still leave its support."""
     return SkillSpec(
         "move_to",
         "bring the hand above an object, container or place, without touching it",
         (
             NameParameter("target", "any", "what to go above"),
-            parameters.speed(body),
+            parameters.speed(robot_model),
             parameters.clearance(),
             parameters.route(),
             parameters.wait(),
@@ -36,7 +36,7 @@ def spec(body: RobotModel) -> SkillSpec:
 def routine(arm: ArmController, *, target: str, speed: float, clearance: float, route: str, wait: str) -> SkillRoutine:
     """Tell the journey: wait, rise, cross."""
     support = arm.support
-    arm.begin(spec(arm.body), support=support.name if support else None)
+    arm.begin(spec(arm.robot_model), support=support.name if support else None)
     scene = arm.observation.scene
     if target in scene.graspable:
         thing = scene.find(target)

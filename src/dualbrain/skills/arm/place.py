@@ -44,7 +44,7 @@ DROP_HEIGHT = 0.004
 """Height above a support at which a thing is let go [m]."""
 
 
-def spec(body: RobotModel) -> SkillSpec:
+def spec(robot_model: RobotModel) -> SkillSpec:
     """The skill's vocabulary entry and the contacts it needs."""
     touch = parameters.CONTACT_SPEED
     return SkillSpec(
@@ -52,7 +52,7 @@ def spec(body: RobotModel) -> SkillSpec:
         "carry what is held to a container or place, put it there and let go",
         (
             NameParameter("destination", "receptive", "where to put it"),
-            parameters.speed(body),
+            parameters.speed(robot_model),
             parameters.clearance(),
             parameters.route(),
             parameters.wait(),
@@ -89,7 +89,9 @@ def routine(
     if held is None:
         return SkillResult(SkillStatus.FAILED, "nothing is held")
     support = arm.support
-    arm.begin(spec(arm.body), target=held.name, destination=destination, support=support.name if support else None)
+    arm.begin(
+        spec(arm.robot_model), target=held.name, destination=destination, support=support.name if support else None
+    )
     point, radius, room = receiving_point(arm.observation.scene, destination)
     spot_down = point + np.array([0.0, 0.0, room + held.below_tool])
     height = max(arm.support_height + clearance + held.below_tool, float(spot_down[2]) + SLOW_DESCENT_HEIGHT)
@@ -109,7 +111,7 @@ def routine(
     why = yield from descend(arm, above, brink, down, "lower", min(speed, 0.2), wait_phase="carry")
     if why or (why := _check_load_lost(arm, held.name)):
         return why
-    yield from arm.open_gripper(arm.body.gripper.opening.value)
+    yield from arm.open_gripper(arm.robot_model.gripper.opening.value)
     away = yield from _solve_at_height(arm, down, float(down.position[2]) + RETREAT_HEIGHT)
     why = yield from reach_goal(arm, away, "retreat", speed)
     risen = float(arm.observation.tool.position[2] - down.position[2])

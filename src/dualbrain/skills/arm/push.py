@@ -40,7 +40,7 @@ MIN_PUSH_FRACTION = 0.5
 """A push has done its work when the thing went this share of the wanted way."""
 
 
-def spec(body: RobotModel) -> SkillSpec:
+def spec(robot_model: RobotModel) -> SkillSpec:
     """The skill's vocabulary entry and the contacts it needs."""
     touch = parameters.CONTACT_SPEED
     distance = NumberParameter(
@@ -54,7 +54,7 @@ def spec(body: RobotModel) -> SkillSpec:
             NameParameter("object", "graspable", "what to push"),
             NameParameter("destination", "receptive", "what to push it toward"),
             distance,
-            parameters.speed(body),
+            parameters.speed(robot_model),
             parameters.clearance(),
             parameters.wait(),
         ),
@@ -72,7 +72,7 @@ def routine(
 ) -> SkillRoutine:
     """Tell the push: shut, wait, go behind the thing, come down, push, step back, rise, look."""
     support = arm.support
-    arm.begin(spec(arm.body), target=object, support=support.name if support else None)
+    arm.begin(spec(arm.robot_model), target=object, support=support.name if support else None)
     if arm.holding:
         return SkillResult(SkillStatus.FAILED, f"already holding {arm.holding.name}")
     thing = arm.find_object(object)
@@ -122,7 +122,7 @@ def _start_candidates(
     arm: ArmController, obj: SceneObject, direction: Array, distance: float
 ) -> SlicedIterator[ToolGoal]:
     """Poses behind the thing from which the whole push is within reach: the fingers' broad side first, then turned."""
-    gripper = arm.body.gripper
+    gripper = arm.robot_model.gripper
     height = max(
         object_geometry.bottom_height(obj) + gripper.pad_below_tool + TIP_CLEARANCE,
         min(obj.pose.position[2], object_geometry.top_height(obj) - gripper.pad_below_tool),
@@ -145,7 +145,7 @@ def _start_candidates(
 
 def _goal_above(arm: ArmController, low: ToolGoal, obj: SceneObject, clearance: float) -> SlicedComputation[ToolGoal]:
     tips = max(arm.support_height + clearance, object_geometry.top_height(obj) + SLOW_DESCENT_HEIGHT)
-    up = goal_at_height(low, tips + arm.body.gripper.pad_below_tool)
+    up = goal_at_height(low, tips + arm.robot_model.gripper.pad_below_tool)
     return arm.translate_goal(up, up.position)
 
 
@@ -158,7 +158,7 @@ def _descent_clearance(
 
 
 def _close_fingers(arm: ArmController) -> SubRoutine:
-    arm.opening, arm.force = 0.0, arm.body.gripper.force_min.value
+    arm.opening, arm.force = 0.0, arm.robot_model.gripper.force_min.value
     yield from arm.wait("shut", CLOSE_TIME)
     return None
 

@@ -13,13 +13,13 @@ RETREAT_DISTANCE = 0.08
 """How far the tool steps back along its approach axis [m]."""
 
 
-def spec(body: RobotModel) -> SkillSpec:
+def spec(robot_model: RobotModel) -> SkillSpec:
     """The skill's vocabulary entry and the contacts it needs."""
     touch = parameters.CONTACT_SPEED
     return SkillSpec(
         "release",
         "open the fingers here and step back",
-        (parameters.speed(body),),
+        (parameters.speed(robot_model),),
         (
             ContactPermit("open", "held", "support", touch),
             ContactPermit("open", "fingers", "target", touch),
@@ -33,8 +33,8 @@ def spec(body: RobotModel) -> SkillSpec:
 def routine(arm: ArmController, *, speed: float) -> SkillRoutine:
     """Tell the letting go: open, retreat."""
     held, support = arm.holding, arm.support
-    arm.begin(spec(arm.body), target=held.name if held else None, support=support.name if support else None)
-    yield from arm.open_gripper(arm.body.gripper.opening.value)
+    arm.begin(spec(arm.robot_model), target=held.name if held else None, support=support.name if support else None)
+    yield from arm.open_gripper(arm.robot_model.gripper.opening.value)
     here = arm.current_goal()
     back = yield from arm.translate_goal(here, here.position - RETREAT_DISTANCE * here.rotation[:, 2])
     if why := (yield from reach_goal(arm, back, "retreat", speed)):

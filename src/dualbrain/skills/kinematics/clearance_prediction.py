@@ -85,13 +85,15 @@ class CollisionObject:
 class ClearancePredictor:
     """Rehearses motions of one arm in its head."""
 
-    def __init__(self, body: RobotModel, motion: MotionModel) -> None:
+    def __init__(self, robot_model: RobotModel, motion: MotionModel) -> None:
         """Bind to the body and to the local layer's kinematics."""
         self._motion = motion
-        self._redundant = body.n > 6
-        self._lower = np.array([joint.lower.value for joint in body.joints])
-        self._upper = np.array([joint.upper.value for joint in body.joints])
-        frames = [link.frame for link in body.links for sphere in body.spheres if sphere.link == link.name]
+        self._redundant = robot_model.n > 6
+        self._lower = np.array([joint.lower.value for joint in robot_model.joints])
+        self._upper = np.array([joint.upper.value for joint in robot_model.joints])
+        frames = [
+            link.frame for link in robot_model.links for sphere in robot_model.spheres if sphere.link == link.name
+        ]
         self._on_fixed_frame = np.array(frames) == 0
         self._cached_objects: tuple[PredictionContext, list[CollisionObject]] | None = None
 

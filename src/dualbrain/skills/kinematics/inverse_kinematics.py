@@ -31,12 +31,12 @@ DAMPING = 1e-4 * np.eye(6)
 class InverseKinematics:
     """Damped least squares inside the joint limits, from given starting postures."""
 
-    def __init__(self, body: RobotModel, tool: Callable[[Array], ToolState], *, inset: float = 0.08) -> None:
+    def __init__(self, robot_model: RobotModel, tool: Callable[[Array], ToolState], *, inset: float = 0.08) -> None:
         """Bind to the body's limits (kept away from by `inset` [rad]) and to its forward kinematics."""
         self._tool = tool
-        self._lower = np.array([joint.lower.value for joint in body.joints]) + inset
-        self._upper = np.array([joint.upper.value for joint in body.joints]) - inset
-        self._home = np.array(body.home)
+        self._lower = np.array([joint.lower.value for joint in robot_model.joints]) + inset
+        self._upper = np.array([joint.upper.value for joint in robot_model.joints]) - inset
+        self._home = np.array(robot_model.home)
 
     def solve(
         self, position: Array, rotation: Array, starts: Sequence[Array] = (), *, steps: int = MAX_STEPS

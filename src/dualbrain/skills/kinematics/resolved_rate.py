@@ -70,17 +70,17 @@ def pose_error(tool: ToolState, position: Array, rotation: Array) -> PoseError:
 class ResolvedRate:
     """φ's memory between ticks: the twist it is at, and the nominal control it last gave."""
 
-    def __init__(self, body: RobotModel, motion: MotionModel, gains: Gains | None = None) -> None:
+    def __init__(self, robot_model: RobotModel, motion: MotionModel, gains: Gains | None = None) -> None:
         """Bind to a body and to the local layer's kinematics and projection."""
         self._motion = motion
         self._gains = gains or Gains()
-        self._dt = body.period
-        self._u_max = self._gains.speed_fraction * np.array([joint.velocity.value for joint in body.joints])
-        self._brake = 0.6 * np.array([joint.acceleration.value for joint in body.joints])
+        self._dt = robot_model.period
+        self._u_max = self._gains.speed_fraction * np.array([joint.velocity.value for joint in robot_model.joints])
+        self._brake = 0.6 * np.array([joint.acceleration.value for joint in robot_model.joints])
         self._damping = self._gains.damping**2 * np.eye(6)
-        self._posture_gain = self._gains.posture if body.n > 6 else 0.0
+        self._posture_gain = self._gains.posture if robot_model.n > 6 else 0.0
         self._twist = np.zeros(6)
-        self._u_nom = self._u_nom_prev = np.zeros(body.n)
+        self._u_nom = self._u_nom_prev = np.zeros(robot_model.n)
 
     def toward_pose(
         self, state: RobotState, tool: ToolState, error: PoseError, speed: float, posture: Array, now: float, *,

@@ -54,15 +54,15 @@ REPLAN_PERIOD = 1.0
 class BaseController:
     """One base, as the skills move it. State: φ's memory and the current senses."""
 
-    def __init__(self, body: RobotModel, motion: MotionModel) -> None:
+    def __init__(self, robot_model: RobotModel, motion: MotionModel) -> None:
         """Bind to a body and to what the local layer lends; call `sense` before every step of a story."""
-        self.body = body
+        self.robot_model = robot_model
         self.holding: HeldObject | None = None
-        self.footprint_radius = max(float(np.hypot(*ball.centre[:2])) + ball.radius for ball in body.spheres)
+        self.footprint_radius = max(float(np.hypot(*ball.centre[:2])) + ball.radius for ball in robot_model.spheres)
         """Of the circle round the footprint [m]."""
         self._motion = motion
-        self._brake = BRAKE_FRACTION * np.array([joint.acceleration.value for joint in body.joints[:2]])
-        self._u_nom = self._u_nom_prev = np.zeros(body.n)
+        self._brake = BRAKE_FRACTION * np.array([joint.acceleration.value for joint in robot_model.joints[:2]])
+        self._u_nom = self._u_nom_prev = np.zeros(robot_model.n)
         self._observation: Observation | None = None
 
     # --- senses -------------------------------------------------------------------------------------------------
@@ -123,7 +123,7 @@ class BaseController:
                 progress = self._make_watchdog(path, speed)
             if newer is None and self.observation.now - looked > REPLAN_PERIOD:
                 way = plan_path(self.with_keep_out_boxes(self.observation.scene), here, goal, self.footprint_radius)
-                newer = BackgroundComputation(way, steps_per_tick(self.body.period))
+                newer = BackgroundComputation(way, steps_per_tick(self.robot_model.period))
             if newer is not None and newer.advance():
                 path, looked, newer = newer.result or path, self.observation.now, None
             if why := progress.update(
@@ -157,7 +157,7 @@ class BaseController:
 
     def rest(self, phase: str) -> Nominal:
         """One tick of standing still."""
-        return self._nominal(np.zeros(self.body.n), phase)
+        return self._nominal(np.zeros(self.robot_model.n), phase)
 
     def detect_grasp(self, name: str) -> bool:
         """A base has no hand."""

@@ -14,22 +14,22 @@ ARRIVAL_RADIUS = 0.15
 """Within this distance of a place the base says that it has arrived [m]."""
 
 
-def spec(body: RobotModel) -> SkillSpec:
+def spec(robot_model: RobotModel) -> SkillSpec:
     """The skill's vocabulary entry."""
     return SkillSpec(
         "drive_to",
         "drive to a named place and stop there",
         (
             NameParameter("place", "receptive", "where to go"),
-            parameters.max_speed(body),
-            parameters.max_turn_rate(body),
+            parameters.max_speed(robot_model),
+            parameters.max_turn_rate(robot_model),
         ),
     )
 
 
 def routine(base: BaseController, *, place: str, max_speed: float, max_turn_rate: float) -> SkillRoutine:
     """Tell the drive, and look where it ended."""
-    base.begin(spec(base.body))
+    base.begin(spec(base.robot_model))
     spot = next((np.array(one.position[:2]) for one in base.observation.scene.places if one.name == place), None)
     if spot is None:
         return SkillResult(SkillStatus.FAILED, f"{place} is no place on the map")

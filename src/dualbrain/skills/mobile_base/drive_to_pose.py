@@ -16,7 +16,7 @@ MAX_COORDINATE = 20.0
 """Largest coordinate that may be asked for [m]; the scene's map narrows it further."""
 
 
-def spec(body: RobotModel) -> SkillSpec:
+def spec(robot_model: RobotModel) -> SkillSpec:
     """The skill's vocabulary entry."""
     edge = "site policy: the largest map"
     return SkillSpec(
@@ -26,8 +26,8 @@ def spec(body: RobotModel) -> SkillSpec:
             NumberParameter("x", "m", -MAX_COORDINATE, MAX_COORDINATE, edge, edge, "ahead of where the map begins"),
             NumberParameter("y", "m", -MAX_COORDINATE, MAX_COORDINATE, edge, edge, "to the left of it"),
             parameters.heading(),
-            parameters.max_speed(body),
-            parameters.max_turn_rate(body),
+            parameters.max_speed(robot_model),
+            parameters.max_turn_rate(robot_model),
         ),
     )
 
@@ -36,7 +36,7 @@ def routine(
     base: BaseController, *, x: float, y: float, heading: float, max_speed: float, max_turn_rate: float
 ) -> SkillRoutine:
     """Tell the drive and the turn."""
-    base.begin(spec(base.body))
+    base.begin(spec(base.robot_model))
     if why := (yield from base.drive(np.array([x, y]), max_speed, max_turn_rate)):
         return why
     if why := (yield from base.turn(heading, max_turn_rate)):

@@ -11,15 +11,15 @@ REST_TIME = 0.5
 """[s]"""
 
 
-def spec(body: RobotModel) -> SkillSpec:
+def spec(robot_model: RobotModel) -> SkillSpec:
     """The skill's vocabulary entry."""
-    del body
+    del robot_model
     return SkillSpec("stop", "come to rest where you are")
 
 
 def routine(base: BaseController) -> SkillRoutine:
     """Tell the rest."""
-    base.begin(spec(base.body))
+    base.begin(spec(base.robot_model))
     yield from base.come_to_rest("stop")
     end = base.observation.now + REST_TIME
     while base.observation.now < end:

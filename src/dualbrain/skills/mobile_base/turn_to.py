@@ -11,18 +11,18 @@ from dualbrain.skills.mobile_base.controller import BaseController
 from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
 
 
-def spec(body: RobotModel) -> SkillSpec:
+def spec(robot_model: RobotModel) -> SkillSpec:
     """The skill's vocabulary entry."""
     return SkillSpec(
         "turn_to",
         "turn on the spot to a heading (0: along the map's x, counter-clockwise)",
-        (parameters.heading(), parameters.max_turn_rate(body)),
+        (parameters.heading(), parameters.max_turn_rate(robot_model)),
     )
 
 
 def routine(base: BaseController, *, heading: float, max_turn_rate: float) -> SkillRoutine:
     """Tell the turn."""
-    base.begin(spec(base.body))
+    base.begin(spec(base.robot_model))
     if why := (yield from base.turn(heading, max_turn_rate)):
         return why
     return SkillResult(SkillStatus.DONE, f"heading {heading * 180.0 / pi:.0f} degrees")

@@ -48,18 +48,18 @@ JOINT_SPEED_ROWS: tuple[NumberRow, ...] = (("speed", "joint speed", "rad/s"),)
 BASE_SPEED_ROWS: tuple[NumberRow, ...] = (("drive", "driving", "m/s"), ("turn", "turning", "rad/s"))
 
 
-def speed_rows(body: RobotModel) -> tuple[NumberRow, ...]:
+def speed_rows(robot_model: RobotModel) -> tuple[NumberRow, ...]:
     """The rows about how fast `body` is asked to move: its joints, or its base, or both."""
     return (
-        *(BASE_SPEED_ROWS if body.is_mobile else ()),
-        *(() if body.is_mobile and not body.is_mobile_manipulator else JOINT_SPEED_ROWS),
+        *(BASE_SPEED_ROWS if robot_model.is_mobile else ()),
+        *(() if robot_model.is_mobile and not robot_model.is_mobile_manipulator else JOINT_SPEED_ROWS),
     )
 
 
-def commanded_speeds(body: RobotModel, u: NDArray[np.float64]) -> dict[str, float]:
+def commanded_speeds(robot_model: RobotModel, u: NDArray[np.float64]) -> dict[str, float]:
     """The numbers for those rows: v [m/s] and ω [rad/s] of a base, the norm of the joints' velocities [rad/s]."""
-    driving = {"drive": float(u[0]), "turn": float(u[1])} if body.is_mobile else {}
-    joints = u[2:] if body.is_mobile else u
+    driving = {"drive": float(u[0]), "turn": float(u[1])} if robot_model.is_mobile else {}
+    joints = u[2:] if robot_model.is_mobile else u
     return driving | ({"speed": float(np.linalg.norm(joints))} if len(joints) else {})
 
 

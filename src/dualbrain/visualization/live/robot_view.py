@@ -53,17 +53,17 @@ def simplify_mesh(
 class LiveRobot:
     """Scene nodes of one body; frames of links that are not told stay where they were."""
 
-    def __init__(self, scene: SceneApi, body: RobotModel, link_meshes: LinkMeshes) -> None:
+    def __init__(self, scene: SceneApi, robot_model: RobotModel, link_meshes: LinkMeshes) -> None:
         """Add the body's `surfaces`, or the covering spheres of links that have none."""
         self._scene = scene
         self._spheres: BatchedMeshHandle | None = None
         self._show_spheres = False
         self.root = scene.add_frame("/robot", show_axes=False)
         self._links: dict[str, FrameHandle] = {}
-        for link in body.links:
+        for link in robot_model.links:
             self._links[link.name] = scene.add_frame(f"/robot/{link.name}", show_axes=False)
             self._add_link_meshes(link.name, link_meshes.get(link.name, ()))
-        self._add_link_spheres(body, link_meshes)
+        self._add_link_spheres(robot_model, link_meshes)
 
     def update(self, state: ViewState) -> None:
         """Move the links and the spheres."""
@@ -96,8 +96,8 @@ class LiveRobot:
                 f"/robot/{link}/{k}", points, faces, color=colour, side="double", receive_shadow=False
             )
 
-    def _add_link_spheres(self, body: RobotModel, surfaces: LinkMeshes) -> None:
-        for k, ball in enumerate(body.spheres):
+    def _add_link_spheres(self, robot_model: RobotModel, surfaces: LinkMeshes) -> None:
+        for k, ball in enumerate(robot_model.spheres):
             if surfaces.get(ball.link):
                 continue
             self._scene.add_icosphere(

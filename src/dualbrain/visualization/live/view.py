@@ -37,7 +37,7 @@ class LiveView:
 
     def __init__(
         self,
-        body: RobotModel,
+        robot_model: RobotModel,
         port: int = 8080,
         *,
         allow_other_port: bool = True,
@@ -56,11 +56,11 @@ class LiveView:
         self.url = f"http://{HOST}:{self.port}"
         self._closing, self._drawn, self._stale = Signal(), Signal(), Signal()
         self._server = start_server(self.port)
-        if body.is_mobile:
+        if robot_model.is_mobile:
             self._server.initial_camera.position, self._server.initial_camera.look_at = BASE_CAMERA
-        self._robot = LiveRobot(self._server.scene, body, link_meshes or {})
+        self._robot = LiveRobot(self._server.scene, robot_model, link_meshes or {})
         self._scene = LiveScene(self._server.scene)
-        self._panel = LivePanel(self._server.gui, speed_rows(body))
+        self._panel = LivePanel(self._server.gui, speed_rows(robot_model))
         self._add_toggles()
         if access is not None:
             OperatorButtons(self._server, access)

@@ -21,7 +21,7 @@ MAX_TRIANGLES_PER_LINK = 1200
 
 
 def draw_robot(
-    body: RobotModel, meshes: Mapping[str, Mesh], path: Path, size: tuple[float, float] = (11.0, 5.5)
+    robot_model: RobotModel, meshes: Mapping[str, Mesh], path: Path, size: tuple[float, float] = (11.0, 5.5)
 ) -> None:
     """Write two views of `body` to the PNG `path`; `shapes` are meshes in the frames of the body's links."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415  (heavy)
@@ -29,26 +29,26 @@ def draw_robot(
 
     figure = Figure(figsize=size, dpi=90)
     FigureCanvasAgg(figure)
-    turns, origins = chain_frames(body.joints, home_posture(body))
-    corners = _bounding_box(body, turns, origins)
+    turns, origins = chain_frames(robot_model.joints, home_posture(robot_model))
+    corners = _bounding_box(robot_model, turns, origins)
     for i, (elevation, azimuth) in enumerate(VIEW_ANGLES, start=1):
         axes = figure.add_subplot(1, 2, i, projection="3d", proj_type="ortho", computed_zorder=False)
-        for link in body.links:
-            _draw_link(axes, body, link.name, meshes.get(link.name), turns, origins)
+        for link in robot_model.links:
+            _draw_link(axes, robot_model, link.name, meshes.get(link.name), turns, origins)
         _set_axes(axes, corners, elevation, azimuth)
-    figure.suptitle(f"{body.name}: {len(body.spheres)} spheres over its shapes, at home")
+    figure.suptitle(f"{robot_model.name}: {len(robot_model.spheres)} spheres over its shapes, at home")
     figure.savefig(path)
 
 
-def home_posture(body: RobotModel) -> Array:
+def home_posture(robot_model: RobotModel) -> Array:
     """Joint values (1, n) at home; a base stands with its own chain at zero."""
-    return np.zeros((1, body.n)) if body.base == "differential" else np.array([body.home])
+    return np.zeros((1, robot_model.n)) if robot_model.base == "differential" else np.array([robot_model.home])
 
 
-def _draw_link(axes, body: RobotModel, name: str, shape: Mesh | None, turns: Array, origins: Array) -> None:
+def _draw_link(axes, robot_model: RobotModel, name: str, shape: Mesh | None, turns: Array, origins: Array) -> None:
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # noqa: PLC0415
 
-    link = next(link for link in body.links if link.name == name)
+    link = next(link for link in robot_model.links if link.name == name)
     if shape is not None:
         triangles = sphere_centres(link, shape.vertices, turns, origins, 0.0)[0][shape.faces]
         if len(triangles) > MAX_TRIANGLES_PER_LINK:
@@ -56,7 +56,7 @@ def _draw_link(axes, body: RobotModel, name: str, shape: Mesh | None, turns: Arr
         axes.add_collection3d(Poly3DCollection(triangles, facecolor="#777777", edgecolor="#333333", lw=0.1))
     a, b = np.meshgrid(np.linspace(0, np.pi, 9), np.linspace(0, 2 * np.pi, 13))
     unit = np.stack([np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)])
-    own = [sphere for sphere in body.spheres if sphere.link == name]
+    own = [sphere for sphere in robot_model.spheres if sphere.link == name]
     if not own:
         return
     centres = sphere_centres(link, np.array([sphere.centre for sphere in own]), turns, origins, 0.0)[0]
@@ -65,11 +65,11 @@ def _draw_link(axes, body: RobotModel, name: str, shape: Mesh | None, turns: Arr
         axes.plot_surface(*surface, color=GROUP_COLOURS.get(link.group, "#4878a8"), alpha=0.14, lw=0)
 
 
-def _bounding_box(body: RobotModel, turns: Array, origins: Array) -> Array:
+def _bounding_box(robot_model: RobotModel, turns: Array, origins: Array) -> Array:
     """Lowest and highest corner (2, 3) of all spheres."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    for link in body.links:
-        own = [sphere for sphere in body.spheres if sphere.link == link.name]
+    for link in robot_model.links:
+        own = [sphere for sphere in robot_model.spheres if sphere.link == link.name]
         if own:
             centres = sphere_centres(link, np.array([sphere.centre for sphere in own]), turns, origins, 0.0)[0]
             radii = np.array([sphere.radius for sphere in own])[:, None]

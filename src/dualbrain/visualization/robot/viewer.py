@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 class RobotViewer:
     """A running view at `url`, on this machine's loopback address; it has no control over any robot."""
 
-    def __init__(self, body: RobotModel, meshes: Mapping[str, Mesh], port: int = 8081) -> None:
+    def __init__(self, robot_model: RobotModel, meshes: Mapping[str, Mesh], port: int = 8081) -> None:
         """Serve on `port` or the next free one; `shapes` are meshes in link frames.
 
         Raises:
@@ -30,14 +30,15 @@ class RobotViewer:
         """
         self.port = find_free_port(port, MAX_PORTS_TRIED)
         self.url = f"http://{HOST}:{self.port}"
-        self._body = body
+        self._body = robot_model
         self._server = start_server(self.port)
         self._links = {
-            link.name: self._server.scene.add_frame(f"/robot/{link.name}", show_axes=False) for link in body.links
+            link.name: self._server.scene.add_frame(f"/robot/{link.name}", show_axes=False)
+            for link in robot_model.links
         }
-        self._spheres = [self._add_sphere(k) for k in range(len(body.spheres))]
+        self._spheres = [self._add_sphere(k) for k in range(len(robot_model.spheres))]
         self._meshes = [self._add_mesh(name, mesh) for name, mesh in meshes.items() if name in self._links]
-        self._q = home_posture(body)[0].copy()
+        self._q = home_posture(robot_model)[0].copy()
         self._add_controls()
         self.show_posture(self._q)
 
@@ -96,12 +97,12 @@ def _set_visible(handles: list[Any], wanted: bool) -> None:
         handle.visible = wanted
 
 
-def describe_nearest_pair(body: RobotModel, turns: Array, origins: Array) -> str:
+def describe_nearest_pair(robot_model: RobotModel, turns: Array, origins: Array) -> str:
     """Which kept pair of parts is nearest, in words, at one posture."""
-    by_name = {link.name: link for link in body.links}
+    by_name = {link.name: link for link in robot_model.links}
     best = ("", "", np.inf)
-    for a, b in body.self_pairs.kept:
-        placed = [_link_spheres(body, by_name[name], turns, origins) for name in (a, b)]
+    for a, b in robot_model.self_pairs.kept:
+        placed = [_link_spheres(robot_model, by_name[name], turns, origins) for name in (a, b)]
         gap = float(link_clearance(placed[0][0], placed[1][0], placed[0][1], placed[1][1])[0])
         best = min(best, (a, b, gap), key=lambda pair: pair[2])
     return (
@@ -109,7 +110,7 @@ def describe_nearest_pair(body: RobotModel, turns: Array, origins: Array) -> str
     )
 
 
-def _link_spheres(body: RobotModel, link: Any, turns: Array, origins: Array) -> tuple[Array, Array]:
-    own = [sphere for sphere in body.spheres if sphere.link == link.name]
+def _link_spheres(robot_model: RobotModel, link: Any, turns: Array, origins: Array) -> tuple[Array, Array]:
+    own = [sphere for sphere in robot_model.spheres if sphere.link == link.name]
     centres = np.array([sphere.centre for sphere in own]).reshape(-1, 3)
     return sphere_centres(link, centres, turns, origins, 0.0), np.array([sphere.radius for sphere in own])

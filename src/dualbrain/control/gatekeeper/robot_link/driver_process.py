@@ -42,7 +42,7 @@ class DriverSettings(msgspec.Struct, frozen=True):
 
     driver: str
     address: str
-    body: RobotModel
+    robot_model: RobotModel
     scene: SceneSpec
 
 

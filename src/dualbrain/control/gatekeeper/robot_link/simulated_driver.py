@@ -18,10 +18,10 @@ class SimulatedDriver:
 
     watchdog: float = inf
 
-    def __init__(self, body: RobotModel) -> None:
+    def __init__(self, robot_model: RobotModel) -> None:
         """The arm at home, drive off."""
-        self._plant = make_plant(open_scene("bare:0", body.name), body)
-        self.timing: Timing = simulated_timing(body.period)
+        self._plant = make_plant(open_scene("bare:0", robot_model.name), robot_model)
+        self.timing: Timing = simulated_timing(robot_model.period)
         self._faults: tuple[str, ...] = ()
         self._plant.stop()
         self._state = self._plant.read()

@@ -49,7 +49,7 @@ class SimulatedRobotSettings(msgspec.Struct, frozen=True):
     seed: int = 0
     goal: str = ""
     report: str = ""
-    body: RobotModel | None = None
+    robot_model: RobotModel | None = None
 
 
 class RobotReport(msgspec.Struct, frozen=True):
@@ -74,15 +74,15 @@ class RobotProcess:
 
     def __init__(self, settings: SimulatedRobotSettings, link: socket.socket) -> None:
         """Build the world; nothing moves yet."""
-        body, spec = settings.body or load_robot(settings.robot), settings.scene
-        self.plant = make_plant(spec, body)
+        robot_model, spec = settings.robot_model or load_robot(settings.robot), settings.scene
+        self.plant = make_plant(spec, robot_model)
         perception = NoisyPerception(spec, PerceptionNoise(), np.random.default_rng([settings.seed, 1]))
         self.world = SimulatedWorld(
             self.plant, perception, goal=parse_goals(settings.goal, spec) if settings.goal else None
         )
         self._packet_socket: PacketSocket[packets.ToRobot] = PacketSocket(link, packets.decode_to_robot)
-        self._settings, self._period, self._shutdown_requested = settings, body.period, False
-        self._scene_period_ticks = perception_period_ticks(body.period)
+        self._settings, self._period, self._shutdown_requested = settings, robot_model.period, False
+        self._scene_period_ticks = perception_period_ticks(robot_model.period)
         self._last_command_at, self._armed = time.monotonic(), False
         self._off_at: float | None = None
         self._off_by, self._off_q = "", self.plant.read().q
@@ -141,7 +141,7 @@ class RobotProcess:
                 self._stop_drive("rubbish")
             case packets.CommandPacket(u, opening, force):
                 self._last_command_at, self._armed = time.monotonic(), True
-                if len(u) == self.plant.body.n and np.isfinite([*u, opening, force]).all():
+                if len(u) == self.plant.robot_model.n and np.isfinite([*u, opening, force]).all():
                     self.plant.write(Command(np.array(u), opening, force))
             case packets.DrivePacket(on=False):
                 self._last_command_at = time.monotonic()

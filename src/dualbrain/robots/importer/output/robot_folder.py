@@ -49,7 +49,7 @@ class ImportRecord(msgspec.Struct, frozen=True):
 class FolderWriteResult:
     """What writing a folder did: changes by this making, edits that were kept, and edits that found no place."""
 
-    model: RobotModel
+    robot_model: RobotModel
     is_new: bool
     generator_changes: list[ModelChange]
     kept_edits: list[ModelChange]

@@ -45,11 +45,13 @@ def is_mobile(robot: str) -> bool:
 
 def _families_for(robot: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Every family that has scenes for `robot`, and those that a bare number goes round."""
-    body = load_robot(robot)
-    if body.is_mobile_manipulator:
+    robot_model = load_robot(robot)
+    if robot_model.is_mobile_manipulator:
         return (*WORKROOM_FAMILIES, *ROOM_FAMILIES), WORKROOM_FAMILIES
     return (
-        (tuple(ROOM_FAMILIES), NUMBERED_ROOM_FAMILIES) if body.is_mobile else (tuple(SCENE_FAMILIES), NUMBERED_FAMILIES)
+        (tuple(ROOM_FAMILIES), NUMBERED_ROOM_FAMILIES)
+        if robot_model.is_mobile
+        else (tuple(SCENE_FAMILIES), NUMBERED_FAMILIES)
     )
 
 
