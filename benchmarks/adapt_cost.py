@@ -190,15 +190,29 @@ def train_with_trl(dataset: Dataset, config: AdaptConfig, turns: StepBarrier) ->
         config.fit,
     )
     some = [encode_sample(learner.tokenizer, one, learner.max_tokens) for one in dataset.train]
-    rows = [{"input_ids": [*one.prompt, *one.contract],
-             "completion_mask": [0] * len(one.prompt) + [1] * len(one.contract)} for one in some]  # fmt: skip
+    rows = [
+        {"input_ids": [*one.prompt, *one.contract], "completion_mask": [0] * len(one.prompt) + [1] * len(one.contract)}
+        for one in some
+    ]
     fit = config.fit
     shape = trl.SFTConfig(
-        output_dir=tempfile.mkdtemp(), max_steps=fit.steps, per_device_train_batch_size=fit.batch,
-        learning_rate=fit.rate, weight_decay=0.0, max_grad_norm=fit.clip, optim="adamw_torch", save_strategy="no",
-        logging_strategy="no", report_to="none", use_cpu=True, bf16=False, gradient_checkpointing=False,
-        completion_only_loss=True, max_length=None, disable_tqdm=True,
-    )  # fmt: skip
+        output_dir=tempfile.mkdtemp(),
+        max_steps=fit.steps,
+        per_device_train_batch_size=fit.batch,
+        learning_rate=fit.rate,
+        weight_decay=0.0,
+        max_grad_norm=fit.clip,
+        optim="adamw_torch",
+        save_strategy="no",
+        logging_strategy="no",
+        report_to="none",
+        use_cpu=True,
+        bf16=False,
+        gradient_checkpointing=False,
+        completion_only_loss=True,
+        max_length=None,
+        disable_tqdm=True,
+    )
 
     class Handshake(TrainerCallback):
         def on_train_begin(self, *_: Any, **__: Any) -> None:
@@ -208,9 +222,12 @@ def train_with_trl(dataset: Dataset, config: AdaptConfig, turns: StepBarrier) ->
             turns.step_done()
 
     trl.SFTTrainer(
-        model=learner.model, args=shape, train_dataset=datasets.Dataset.from_list(rows),
-        processing_class=learner.tokenizer, callbacks=[Handshake()],
-    ).train()  # fmt: skip
+        model=learner.model,
+        args=shape,
+        train_dataset=datasets.Dataset.from_list(rows),
+        processing_class=learner.tokenizer,
+        callbacks=[Handshake()],
+    ).train()
 
 
 if __name__ == "__main__":

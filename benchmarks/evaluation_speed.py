@@ -59,7 +59,11 @@ def measure_rate(suite: Suite, jobs: int) -> dict[str, Any]:
         out = Path(folder)
         runner = Runner(suite, out, clock=time.monotonic, on_progress=tell)
         place = WorkerConfig(
-            suite, out, PlannerSources(paths.cache_folder(), out / "adapters"), time.perf_counter, runner.epsilon()
+            suite=suite,
+            out=out,
+            sources=PlannerSources(paths.cache_folder(), out / "adapters"),
+            clock=time.perf_counter,
+            epsilon=runner.epsilon(),
         )
         load = os.getloadavg()[0]
         runner.run_stage("fly", ProcessPool(place.make_worker, jobs))
@@ -89,9 +93,17 @@ def report_lines(found: dict[int, dict[str, Any]]) -> list[str]:
         hourly = 3600.0 * one["rate"]
         pace = f"{sum(row.simulated_s for row in rows) / wall:.2f}"
         cells.append(
-            (jobs, one["counted"], f"{hourly:.0f}", f"{hourly / jobs:.0f}", f"{one['rate'] / base:.2f}", pace, *shares,
-             f"{one['load']:.1f}")
-        )  # fmt: skip
+            (
+                jobs,
+                one["counted"],
+                f"{hourly:.0f}",
+                f"{hourly / jobs:.0f}",
+                f"{one['rate'] / base:.2f}",
+                pace,
+                *shares,
+                f"{one['load']:.1f}",
+            )
+        )
     return [f"Revision {revision(ROOT)}; {machine()}.", "", *markdown_table(head, cells)]
 
 

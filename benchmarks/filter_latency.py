@@ -73,10 +73,15 @@ def run_units(wanted: list[str], *, quick: bool, fresh: bool) -> dict[str, dict[
         print(f"{name}: load {os.getloadavg()[0]:.1f}", file=sys.stderr)
         begin = time.monotonic()
         known[name] = {
-            "unit": name, "kernel": kernel_hash(), "revision": revision(ROOT), "machine": machine(),
-            "load": os.getloadavg()[0], "result": every[name](), "date": datetime.now(UTC).date().isoformat(),
+            "unit": name,
+            "kernel": kernel_hash(),
+            "revision": revision(ROOT),
+            "machine": machine(),
+            "load": os.getloadavg()[0],
+            "result": every[name](),
+            "date": datetime.now(UTC).date().isoformat(),
             "wall_s": time.monotonic() - begin,
-        }  # fmt: skip
+        }
         if not quick:
             RESULTS_FILE.parent.mkdir(parents=True, exist_ok=True)
             with RESULTS_FILE.open("a") as file:

@@ -62,7 +62,11 @@ def record_episode(body, obstacles, *, limits, steps=1500):
     q, log, rows, iterations = np.array(body.home), np.empty((steps, body.n)), 0, 0
     for k in range(steps):
         log[k] = q
-        answer = safety.filter(RobotState(0.0, k, q, np.zeros(body.n), 0.02, (0.0, 0.0)), u_nom[k], 0.0)
+        answer = safety.filter(
+            RobotState(stamp=0.0, sequence=k, q=q, v=np.zeros(body.n), opening=0.02, finger_forces=(0.0, 0.0)),
+            u_nom[k],
+            0.0,
+        )
         rows, iterations = rows + answer.n_rows, iterations + answer.iterations
         q = q + 1e-3 * answer.u
     return log, u_nom, rows / steps, iterations / steps
@@ -70,7 +74,10 @@ def record_episode(body, obstacles, *, limits, steps=1500):
 
 def python_time(safety, log, u_nom, block=50):
     """Median seconds of one `filter` call, by blocks."""
-    states = [RobotState(0.0, k, q, np.zeros(len(q)), 0.02, (0.0, 0.0)) for k, q in enumerate(log)]
+    states = [
+        RobotState(stamp=0.0, sequence=k, q=q, v=np.zeros(len(q)), opening=0.02, finger_forces=(0.0, 0.0))
+        for k, q in enumerate(log)
+    ]
     times = []
     safety.reset()
     for start in range(0, len(states) - block, block):
@@ -99,12 +106,18 @@ def measure():
     for name, robot_model, pairs, obstacles, limits in settings:
         log, u_nom, rows, iterations = record_episode(robot_model, obstacles, limits=limits)
         safety = make_filter(robot_model, obstacles, limits=limits)
-        records.append({
-            "setting": name, "pairs": pairs, "obstacles": obstacles, "rows": round(rows, 1),
-            "iterations": round(iterations, 3), "c_warm_us": 1e6 * c_time(safety, log, u_nom, cold=False),
-            "c_cold_us": 1e6 * c_time(safety, log, u_nom, cold=True),
-            "python_us": 1e6 * python_time(safety, log, u_nom),
-        })  # fmt: skip
+        records.append(
+            {
+                "setting": name,
+                "pairs": pairs,
+                "obstacles": obstacles,
+                "rows": round(rows, 1),
+                "iterations": round(iterations, 3),
+                "c_warm_us": 1e6 * c_time(safety, log, u_nom, cold=False),
+                "c_cold_us": 1e6 * c_time(safety, log, u_nom, cold=True),
+                "python_us": 1e6 * python_time(safety, log, u_nom),
+            }
+        )
     return records
 
 
@@ -114,8 +127,10 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     records = measure()
     if parser.parse_args().json:
-        json.dump({"kernel": kernel_hash(), "machine": platform.processor() or platform.machine(), "steps": records},
-                  sys.stdout)  # fmt: skip
+        json.dump(
+            {"kernel": kernel_hash(), "machine": platform.processor() or platform.machine(), "steps": records},
+            sys.stdout,
+        )
         print()
         return
     print(f"kernel {kernel_hash()}\n{'setting':>8} {'pairs':>6} {'rows':>6} {'iter':>6}   C warm  C cold  Python  [us]")

@@ -28,9 +28,15 @@ TARGET_RATIO = 30.0
 
 def build_registry() -> SkillRegistry:
     """Twenty skills: eighteen motions of four to six parameters, one with free text, one without parameters."""
-    speed = NumberParameter("speed", "m/s", 0.05, 0.4, "site policy", "site policy")
-    clearance = NumberParameter("clearance", "m", 0.03, 0.35, "site policy", "reach of the arm")
-    force = NumberParameter("force", "N", 1.0, 70.0, "gripper data sheet", "gripper data sheet")
+    speed = NumberParameter(
+        name="speed", unit="m/s", lower=0.05, upper=0.4, lower_from="site policy", upper_from="site policy"
+    )
+    clearance = NumberParameter(
+        name="clearance", unit="m", lower=0.03, upper=0.35, lower_from="site policy", upper_from="reach of the arm"
+    )
+    force = NumberParameter(
+        name="force", unit="N", lower=1.0, upper=70.0, lower_from="gripper data sheet", upper_from="gripper data sheet"
+    )
     approach, route = (
         ChoiceParameter("approach", ("top", "side", "tilted")),
         ChoiceParameter("route", ("direct", "left", "right")),
@@ -82,7 +88,7 @@ def measure(rounds: int) -> dict[str, object]:
     stamps = iter(range(1, 10**9))
 
     def full_gate() -> object:
-        stamp = ContractHeader(next(stamps), 0.0, 5.0, "planner", 1)
+        stamp = ContractHeader(sequence=next(stamps), issued=0.0, expires=5.0, principal="planner", scene_version=1)
         return gate.check(data, names=SCENE_NAMES, principal="planner", now=1.0, header=stamp)
 
     def whole_peer() -> object:

@@ -53,8 +53,8 @@ from experiments.memory.synthetic_episodes import (
 DIM, TOP, LAMBDA = 512, 10, 0.8
 HERE = Path(__file__).resolve().parent
 PEER_PYTHON = HERE.parent / "build" / "memory_peers" / "venv" / "bin" / "python"
-SEARCH_FILTER = Filter(ROBOT, REGISTRY, "follow", skills=("grasp",), after=START_TIME)
-WEIGHT_FILTER, MEMORIES_PER_CONTRACT = Filter(ROBOT, REGISTRY), 5
+SEARCH_FILTER = Filter(robot=ROBOT, registry=REGISTRY, guidance="follow", skills=("grasp",), after=START_TIME)
+WEIGHT_FILTER, MEMORIES_PER_CONTRACT = Filter(robot=ROBOT, registry=REGISTRY), 5
 """Whose weights count for a contract, and how many memories each has."""
 
 
@@ -108,8 +108,21 @@ def _top(scan: FlatIndex, columns: Columns, query: np.ndarray) -> object:
 
 def _memory_state(row: int, kind: Any) -> MemoryState:
     skills = ("grasp", "place") if row % 2 else ("grasp",)
-    origin = Provenance("planner", contract=str(row // MEMORIES_PER_CONTRACT), skills=skills)
-    return MemoryState(str(row), row, START_TIME + row, "", ROBOT, REGISTRY, kind, 0.001, origin, "active", 0.5, 0.5)
+    origin = Provenance(source="planner", contract=str(row // MEMORIES_PER_CONTRACT), skills=skills)
+    return MemoryState(
+        id=str(row),
+        seq=row,
+        time=START_TIME + row,
+        run="",
+        robot=ROBOT,
+        registry=REGISTRY,
+        kind=kind,
+        Delta=0.001,
+        provenance=origin,
+        status="active",
+        w0=0.5,
+        weight=0.5,
+    )
 
 
 def measure_update(rounds: int) -> dict[str, float]:
@@ -121,7 +134,11 @@ def measure_update(rounds: int) -> dict[str, float]:
                 memory.store(synthetic_episode(f"seed-{number}", kind="declined"), REST_POSTURE, now=START_TIME)
             stores, syncs, moved = list[float](), list[float](), 0
             for number in range(rounds):
-                syncs.append(_elapsed_ms(lambda: ledger.append([PendingEvent("note", "", 1)], now=START_TIME)))
+                syncs.append(
+                    _elapsed_ms(
+                        lambda: ledger.append([PendingEvent(kind="note", subject="", payload=1)], now=START_TIME)
+                    )
+                )
                 kind = "succeeded" if number % 2 else "failed"
                 one = synthetic_episode(f"e-{number}", kind=kind)
                 began = time.perf_counter()
@@ -139,8 +156,14 @@ def measure_start(n: int) -> dict[str, float]:
         first, *again = (_time_open(path) for _ in range(4))
         size = sum(file.stat().st_size for file in Path(folder).iterdir()) / 1e6
     (wall, processor), best = first, min(again)
-    return {"episodes": n, "from_events_s": wall, "from_events_processor_s": processor, "from_snapshot_s": best[0],
-            "from_snapshot_processor_s": min(one[1] for one in again), "files_MB": size}  # fmt: skip
+    return {
+        "episodes": n,
+        "from_events_s": wall,
+        "from_events_processor_s": processor,
+        "from_snapshot_s": best[0],
+        "from_snapshot_processor_s": min(one[1] for one in again),
+        "files_MB": size,
+    }
 
 
 def _time_open(path: Path) -> tuple[float, float]:
@@ -174,10 +197,19 @@ def _fill_ledger(path: Path, n: int) -> None:
                 body = episode_payload(one, REST_POSTURE, None, version, CONFIG.plasticity, "active")
                 noisy = base.vector + 0.02 * rng.standard_normal(embedding.dim, dtype=np.float32)
                 entries.append(
-                    PendingEvent("episode", one.id, body, to_stored_vector(type(base)(noisy, base.mask), version))
+                    PendingEvent(
+                        kind="episode",
+                        subject=one.id,
+                        payload=body,
+                        vector=to_stored_vector(type(base)(noisy, base.mask), version),
+                    )
                 )
                 told = {"cause": one.id, "memory": one.id, "rule": "reinforce", "rank": 0, "gain": 0.95}
-                entries.append(PendingEvent("weight", one.id, {**told, "offset": 0.1, "before": 0.5, "after": 0.575}))
+                entries.append(
+                    PendingEvent(
+                        kind="weight", subject=one.id, payload={**told, "offset": 0.1, "before": 0.5, "after": 0.575}
+                    )
+                )
             ledger.append(entries, now=START_TIME + first)
 
 

@@ -98,7 +98,18 @@ def table_row(name: str, kind: str, answers: Sequence[tuple[float, str]], theirs
 def plan_request(one: Sample) -> PlanRequest:
     """The question that a lesson asks, with what it shows as if memory had recalled it."""
     recalled = tuple(
-        Exemplar(f"m-{rank}", "", "", {"action_sequence": msgspec.to_builtins(steps)}, True, 0.0, 1.0, 0.5, 1.0, rank)
+        Exemplar(
+            episode_id=f"m-{rank}",
+            instruction="",
+            summary="",
+            contract={"action_sequence": msgspec.to_builtins(steps)},
+            succeeded=True,
+            Delta=0.0,
+            similarity=1.0,
+            weight=0.5,
+            score=1.0,
+            rank=rank,
+        )
         for rank, steps in enumerate(exemplar_actions(one), start=1)
     )
     return build_request(one, RetrievedContext(recalled))

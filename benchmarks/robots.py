@@ -43,10 +43,14 @@ def two_pandas() -> RobotModel:
     )
     upper = [msgspec.structs.replace(joint, name=f"upper_{joint.name}") for joint in (first, *low.joints[1:])]
     above = [
-        msgspec.structs.replace(link, name=f"upper_{link.name}", frame=link.frame + 7,
-                                translation=FLANGE_OFFSET if link.frame == 0 else link.translation)
+        msgspec.structs.replace(
+            link,
+            name=f"upper_{link.name}",
+            frame=link.frame + 7,
+            translation=FLANGE_OFFSET if link.frame == 0 else link.translation,
+        )
         for link in low.links
-    ]  # fmt: skip
+    ]
     below = [link for link in low.links if link.name in own]
     balls = [sphere for sphere in low.spheres if sphere.link in own]
     balls += [msgspec.structs.replace(sphere, link=f"upper_{sphere.link}") for sphere in low.spheres]
@@ -54,9 +58,15 @@ def two_pandas() -> RobotModel:
     pairs += [(f"upper_{a}", f"upper_{b}") for a, b in low.self_pairs.kept]
     pairs += [(a.name, b.name) for a in below for b in above if b.frame - a.frame > 2]
     return msgspec.structs.replace(
-        low, name="two_pandas", joints=(*low.joints, *upper), links=(*below, *above), spheres=tuple(balls),
-        self_pairs=SelfCollisionPairs(tuple(pairs), ()), home=(*UPRIGHT_POSTURE, *low.home), tool=Tool("upper_hand", low.tool.translation),
-    )  # fmt: skip
+        low,
+        name="two_pandas",
+        joints=(*low.joints, *upper),
+        links=(*below, *above),
+        spheres=tuple(balls),
+        self_pairs=SelfCollisionPairs(tuple(pairs), ()),
+        home=(*UPRIGHT_POSTURE, *low.home),
+        tool=Tool("upper_hand", low.tool.translation),
+    )
 
 
 SYNTHETIC_ROBOTS = {"two_pandas": two_pandas}

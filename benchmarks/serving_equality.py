@@ -75,7 +75,9 @@ def main() -> int:
 def load_with_peft(stack: AdapterStack) -> tuple[Any, Any]:
     """Model and tokenizer in float32: peft, and not our reader, wears the top adapter; what lies below is merged."""
     below = tuple(layer.folder for layer in stack.layers[:-1])
-    base = BaseModel(stack.base, stack.gguf, find_weight_file(stack.base).sha256, below)
+    base = BaseModel(
+        name=stack.base, gguf=stack.gguf, gguf_sha256=find_weight_file(stack.base).sha256, stacked_on=below
+    )
     model, tokenizer = load_base_model(base, cache_folder(), torch.float32)
     return load_peft_adapter(model, stack.layers[-1].folder), tokenizer
 

@@ -18,9 +18,15 @@ REGISTRY = arm_skill_registry(load_robot("panda"))
 NAMES = SceneNames(graspable=("red_cube", "teal_cup"), receptive=("blue_bowl",))
 
 GRASP = {
-    "object": "red_cube", "speed": 0.2, "clearance": 0.12, "finger_axis": "along", "opening": 0.07,
-    "approach": "top", "wait": "none", "force": 20,
-}  # fmt: skip
+    "object": "red_cube",
+    "speed": 0.2,
+    "clearance": 0.12,
+    "finger_axis": "along",
+    "opening": 0.07,
+    "approach": "top",
+    "wait": "none",
+    "force": 20,
+}
 PLACE = {"destination": "blue_bowl", "speed": 0.2, "clearance": 0.12, "route": "direct", "wait": "none"}
 
 
@@ -50,7 +56,7 @@ def main() -> None:
         match verdict:
             case Accepted(accepted):
                 print(f"{title}: accepted, {' → '.join(action.skill for action in accepted.action_sequence)}")
-            case Rejected(stage, pointer, got, _, hint):
+            case Rejected(stage=stage, pointer=pointer, got=got, allowed=_, hint=hint):
                 print(f"{title}: rejected at {stage}, {pointer}: got {got!r}; {hint}")
 
 

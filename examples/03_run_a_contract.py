@@ -26,9 +26,15 @@ from dualbrain.simulation.scenes.generators.tabletop import make_scene
 from dualbrain.simulation.world import SimulatedWorld
 
 GRASP = {
-    "object": "red_cube", "speed": 0.3, "clearance": 0.10, "finger_axis": "along", "opening": 0.07,
-    "approach": "top", "wait": "none", "force": 20,
-}  # fmt: skip
+    "object": "red_cube",
+    "speed": 0.3,
+    "clearance": 0.10,
+    "finger_axis": "along",
+    "opening": 0.07,
+    "approach": "top",
+    "wait": "none",
+    "force": 20,
+}
 PLACE = {"destination": "blue_bowl", "speed": 0.3, "clearance": 0.10, "route": "direct", "wait": "none"}
 
 

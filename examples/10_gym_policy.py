@@ -48,9 +48,12 @@ class Reach(gymnasium.Env[Any, Any]):
 def behind(safety: SafetyFilter | ShadowFilter) -> FilteredEnv:
     """The environment behind `safety`: the policy acts at 50 Hz, the filter at 200 Hz."""
     return FilteredEnv(
-        Reach(), safety, decode_action=lambda action: 1.5 * np.asarray(action), encode_action=lambda u, _: (u / 1.5).astype(np.float32),
+        Reach(),
+        safety,
+        decode_action=lambda action: 1.5 * np.asarray(action),
+        encode_action=lambda u, _: (u / 1.5).astype(np.float32),
         action_repeat=4,
-    )  # fmt: skip
+    )
 
 
 def roll(env: FilteredEnv, title: str) -> None:

@@ -73,7 +73,7 @@ def balls(name, points, most=0.05):
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     radius = float(np.linalg.norm(points - middle, axis=1).max())
     if radius <= most:
-        return [PerceivedShape(name, Sphere(radius + 0.02), Pose(tuple(middle.tolist())))]
+        return [PerceivedShape(name=name, shape=Sphere(radius + 0.02), pose=Pose(tuple(middle.tolist())))]
     axis = np.linalg.svd(points - middle, full_matrices=False)[2][0]
     left = (points - middle) @ axis < 0.0
     return balls(f"{name}a", points[left], most) + balls(f"{name}b", points[~left], most)
@@ -81,7 +81,7 @@ def balls(name, points, most=0.05):
 
 rng = np.random.default_rng(0)
 feed = SceneFusion(
-    {"camera": SceneSource(error=NOISE, max_age=0.2)}, {"lens": FrameMount(LOOK, error=0.002, angle_error=0.002)}
+    {"camera": SceneSource(error=NOISE, max_age=0.2)}, {"lens": FrameMount(pose=LOOK, error=0.002, angle_error=0.002)}
 )
 depth = true_depth()
 shapes = primitives(picture(depth, rng), LOOK)

@@ -67,5 +67,7 @@ for _ in range(4000):
     q, u, least = q + robot_model.period * answer.u, answer.u, min(least, answer.h_min)
 print(f"pushed at the table for {4000 * robot_model.period:.0f} s: {answer.explain()}; least h {least * 1e3:.2f} mm")
 busy = sum(sum(getrusage(who)[:2]) for who in (RUSAGE_SELF, RUSAGE_CHILDREN))
-print(f"four commands, {time.monotonic() - began:.0f} s, {busy:.0f} s of one processor; folder {folder.name}: "
-      f"{', '.join(sorted(path.name for path in folder.iterdir()))}")  # fmt: skip
+print(
+    f"four commands, {time.monotonic() - began:.0f} s, {busy:.0f} s of one processor; folder {folder.name}: "
+    f"{', '.join(sorted(path.name for path in folder.iterdir()))}"
+)

@@ -232,8 +232,12 @@ def undocumented(body: list[ast.stmt], name: str, owner: str) -> Iterator[str]:
 
 
 RULES: dict[str, Callable[[Tree], Iterator[str]]] = {
-    "folders": folders, "cycles": cycles, "records": records, "words": words, "docs": docs,
-}  # fmt: skip
+    "folders": folders,
+    "cycles": cycles,
+    "records": records,
+    "words": words,
+    "docs": docs,
+}
 
 
 def main() -> int:

@@ -54,9 +54,14 @@ def _cbfpy_entry(
     if backend == "elastiqp":
         options |= {"backend": "elastiqp", "tolerance": 1e-6}
     return BenchmarkedFilter(
-        f"cbfpy {backend}, {kinematics}, JAX {jax}", "benchmarks.peers.filters.cbfpy_filter", f"cbfpy-jax-{jax}", options,
-        is_default=backend == "default", in_primitives=primitives, gains=gains,
-    )  # fmt: skip
+        f"cbfpy {backend}, {kinematics}, JAX {jax}",
+        "benchmarks.peers.filters.cbfpy_filter",
+        f"cbfpy-jax-{jax}",
+        options,
+        is_default=backend == "default",
+        in_primitives=primitives,
+        gains=gains,
+    )
 
 
 OLD_JAX, NEW_JAX = "0.4.30", "0.10.2"
@@ -74,13 +79,22 @@ BENCHMARKED_FILTERS = (
     BenchmarkedFilter("pink daqp, all pairs", "benchmarks.peers.filters.pink_filter", "pink", gains=BOTH_GAINS),
     BenchmarkedFilter("mink daqp, all pairs", "benchmarks.peers.filters.mink_filter", "mink", gains=BOTH_GAINS),
     BenchmarkedFilter(
-        "mink daqp, broadphase 0.1 m", "benchmarks.peers.filters.mink_filter", "mink", {"broadphase": True, "detection": 0.1},
-        same_rows=False, gains=BOTH_GAINS,
+        "mink daqp, broadphase 0.1 m",
+        "benchmarks.peers.filters.mink_filter",
+        "mink",
+        {"broadphase": True, "detection": 0.1},
+        same_rows=False,
+        gains=BOTH_GAINS,
     ),
     BenchmarkedFilter(
-        "mink daqp, its defaults", "benchmarks.peers.filters.mink_filter", "mink", {"defaults": True}, same_rows=False, gains=(None,),
+        "mink daqp, its defaults",
+        "benchmarks.peers.filters.mink_filter",
+        "mink",
+        {"defaults": True},
+        same_rows=False,
+        gains=(None,),
     ),
-)  # fmt: skip
+)
 QUICK_FILTERS = (
     BENCHMARKED_FILTERS[0],
     BENCHMARKED_FILTERS[2],

@@ -53,9 +53,17 @@ def measure(
     problem = scenes.rows_problem(n) if setting == "rows" else scenes.primitives_problem(n)
     states, nominals, changed = scenes.record_states(problem, effort.steps if setting == "rows" else effort.steps // 3)
     result: dict[str, Any] = {
-        "setting": setting, "n": n, "pairs": problem.n_pairs, "changed_share": round(changed, 3), "rows": [],
-        "first_call": [], "deviation": [], "refused": [], "versions": {}, "load_before": os.getloadavg()[0],
-    }  # fmt: skip
+        "setting": setting,
+        "n": n,
+        "pairs": problem.n_pairs,
+        "changed_share": round(changed, 3),
+        "rows": [],
+        "first_call": [],
+        "deviation": [],
+        "refused": [],
+        "versions": {},
+        "load_before": os.getloadavg()[0],
+    }
     with tempfile.TemporaryDirectory() as folder:
         files = {"problem": str(Path(folder) / "problem.npz"), "states": str(Path(folder) / "states.npz")}
         problem.save(files["problem"])
@@ -95,11 +103,18 @@ def _start_filter(
         child.close()
         return None
     print(f"  {name}: first call after {first['prepare_s'] + first['first_s']:.2f} s", file=sys.stderr)
-    result["first_call"].append({
-        "peer": name, "setting": result["setting"], "n": result["n"], "import_s": child.import_s,
-        "prepare_s": first["prepare_s"], "first_s": first["first_s"], "processor_s": first["processor_s"],
-        "error": first["error"],
-    })  # fmt: skip
+    result["first_call"].append(
+        {
+            "peer": name,
+            "setting": result["setting"],
+            "n": result["n"],
+            "import_s": child.import_s,
+            "prepare_s": first["prepare_s"],
+            "first_s": first["first_s"],
+            "processor_s": first["processor_s"],
+            "error": first["error"],
+        }
+    )
     return child
 
 
@@ -142,13 +157,23 @@ def _latency_rows(
     table = []
     for child in children:
         c, ns = child.entry, times[child.entry.name]
-        table.append({
-            "peer": c.name, "setting": result["setting"], "n": result["n"], "median_us": 1e-3 * medians[c.name],
-            "p99_us": 1e-3 * float(np.percentile(ns, 99)), "ratio": None if own is None else medians[c.name] / own,
-            "processor_us": result["processor_us"][c.name],
-            "samples": len(ns), "failed": result["failed"][c.name], "same_problem": c.same_rows, "shipped": c.is_default,
-            "ours": c.is_own, "evaluated": child.request("answers", at=[5])["evaluated"],
-        })  # fmt: skip
+        table.append(
+            {
+                "peer": c.name,
+                "setting": result["setting"],
+                "n": result["n"],
+                "median_us": 1e-3 * medians[c.name],
+                "p99_us": 1e-3 * float(np.percentile(ns, 99)),
+                "ratio": None if own is None else medians[c.name] / own,
+                "processor_us": result["processor_us"][c.name],
+                "samples": len(ns),
+                "failed": result["failed"][c.name],
+                "same_problem": c.same_rows,
+                "shipped": c.is_default,
+                "ours": c.is_own,
+                "evaluated": child.request("answers", at=[5])["evaluated"],
+            }
+        )
     return table
 
 
@@ -175,8 +200,14 @@ def _deviation(
             A, b, lower, upper = (np.array(x) for x in one["stated"])
             own.append(float(np.max(np.abs(u - exact_optimum(A.reshape(len(b), -1), b, lower, upper, u_nom)))))
     return {
-        "peer": child.entry.name, "n": problem.n_pairs, "states": len(at), "no_answer": none,
-        "max": max(away, default=None), "median": float(np.median(away)) if away else None,
-        "max_on_own_rows": max(own, default=None), "worst_row_violation": max(worst, default=None),
-        "nothing_to_do": idle, "changed_all_the_same": touched,
-    }  # fmt: skip
+        "peer": child.entry.name,
+        "n": problem.n_pairs,
+        "states": len(at),
+        "no_answer": none,
+        "max": max(away, default=None),
+        "median": float(np.median(away)) if away else None,
+        "max_on_own_rows": max(own, default=None),
+        "worst_row_violation": max(worst, default=None),
+        "nothing_to_do": idle,
+        "changed_all_the_same": touched,
+    }

@@ -118,12 +118,17 @@ def _seconds(one: dict[str, Any]) -> str:
 def _deviation(whole: dict[str, Any]) -> str:
     lines = [
         (
-            one["peer"], one["n"], _format_small(one["max"]), _format_small(one["median"]), _format_small(one["max_on_own_rows"]),
-            _format_small(one["worst_row_violation"]), f"{one['changed_all_the_same']} of {one['nothing_to_do']}",
+            one["peer"],
+            one["n"],
+            _format_small(one["max"]),
+            _format_small(one["median"]),
+            _format_small(one["max_on_own_rows"]),
+            _format_small(one["worst_row_violation"]),
+            f"{one['changed_all_the_same']} of {one['nothing_to_do']}",
             one["no_answer"] or "",
         )
         for one in whole["deviation"]
-    ]  # fmt: skip
+    ]
     return (
         "## Deviation from the exact optimum\n\nLargest and median |u − u\\*|∞ [rad/s] against DAQP in float64 on the "
         "plain rows (for ours with its margin of 0.21 mm, but without the sampling term of its rows), and on the rows "
@@ -169,11 +174,14 @@ def _clearance(whole: dict[str, Any]) -> str:
         return ""
     lines = [
         (
-            one["peer"], f"{one['alpha']:.2f}", f"{1e3 * one['h_min']:+.2f}", one["no_answer"] or "",
+            one["peer"],
+            f"{one['alpha']:.2f}",
+            f"{1e3 * one['h_min']:+.2f}",
+            one["no_answer"] or "",
             f"{100 * one['followed_share']:.0f} %",
         )
         for one in whole["clearance"]
-    ]  # fmt: skip
+    ]
     steps = whole["clearance"][0]["steps"]
     return (
         "## Clearance under acceleration limits\n\nA plant that follows commands as far as Panda's a_max allows (no "

@@ -83,11 +83,16 @@ def _verdict(contestant: BenchmarkedFilter, problem: Problem, case: Case, answer
     finite = u is not None and bool(np.all(np.isfinite(u)))
     said = answer["flag"] or "silent" if answer["error"] is None else f"raised {answer['error']}"
     return {
-        "peer": contestant.name, "case": case.name, "what": case.description, "feasible": case.feasible, "said": said,
-        "finite": finite, "u_max": float(np.max(np.abs(u))) if finite else None,
+        "peer": contestant.name,
+        "case": case.name,
+        "what": case.description,
+        "feasible": case.feasible,
+        "said": said,
+        "finite": finite,
+        "u_max": float(np.max(np.abs(u))) if finite else None,
         "within_v_max": bool(np.all(np.abs(u) <= problem.v_max + 1e-6)) if finite else None,
         "is_nominal": bool(np.allclose(u, case.u_nom, atol=1e-3)) if finite else None,
-    }  # fmt: skip
+    }
 
 
 def measure_clearance(
@@ -107,11 +112,14 @@ def measure_clearance(
         for run in runs:
             flags.update(run["flags"])
         found = {
-            "peer": contestant.name, "alpha": contestant.options.get("alpha", problem.alpha),
-            "h_min": min(run["h_min"] for run in runs), "steps": steps * seeds,
+            "peer": contestant.name,
+            "alpha": contestant.options.get("alpha", problem.alpha),
+            "h_min": min(run["h_min"] for run in runs),
+            "steps": steps * seeds,
             "no_answer": sum(run["failed"] for run in runs),
-            "followed_share": float(np.mean([run["followed_share"] for run in runs])), "flags": dict(flags),
-        }  # fmt: skip
+            "followed_share": float(np.mean([run["followed_share"] for run in runs])),
+            "flags": dict(flags),
+        }
         print(f"  {contestant.name}, α {found['alpha']:.2f}: {1e3 * found['h_min']:.2f} mm", file=sys.stderr)
         return found
 

@@ -30,16 +30,24 @@ def evaluate_targets(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
         in_c = [row for row in here if row["peer"] == OWN_IN_C]
         if in_c:
             reached = 1.0 / in_c[0]["ratio"]
-            found.append({
-                "bar": f"Python over C, {n} rows", "wanted": MAX_PYTHON_OVER_C, "reached": reached, "by": OWN_IN_C,
-                "met": reached <= MAX_PYTHON_OVER_C,
-            })  # fmt: skip
+            found.append(
+                {
+                    "bar": f"Python over C, {n} rows",
+                    "wanted": MAX_PYTHON_OVER_C,
+                    "reached": reached,
+                    "by": OWN_IN_C,
+                    "met": reached <= MAX_PYTHON_OVER_C,
+                }
+            )
     return found
 
 
 def _minimum_target(bar: str, wanted: float, rows: list[dict[str, Any]]) -> dict[str, Any]:
     nearest = min(rows, key=lambda row: row["ratio"])
     return {
-        "bar": bar, "wanted": wanted, "reached": nearest["ratio"], "by": nearest["peer"],
+        "bar": bar,
+        "wanted": wanted,
+        "reached": nearest["ratio"],
+        "by": nearest["peer"],
         "met": nearest["ratio"] >= wanted,
-    }  # fmt: skip
+    }

@@ -174,9 +174,15 @@ def train_arm(arm: str, seed: int, steps: int, folder: Path) -> Row:
     data = training_data(collect_rollouts(folder, seed), clean=clean)
     began, busy = time.monotonic(), time.process_time()
     card = adapt(
-        data, config, find_base_model("base-135m", paths.cache_folder()), make_gate_judge(load_skill_registry(ROBOT)),
-        training_folder(arm, seed, steps, folder), cache=paths.cache_folder(), clock=time.monotonic, report=lambda progress: None,
-    )  # fmt: skip
+        data,
+        config,
+        find_base_model("base-135m", paths.cache_folder()),
+        make_gate_judge(load_skill_registry(ROBOT)),
+        training_folder(arm, seed, steps, folder),
+        cache=paths.cache_folder(),
+        clock=time.monotonic,
+        report=lambda progress: None,
+    )
     cost = {"fit_s": time.monotonic() - began, "fit_cpu_s": time.process_time() - busy}
     return {"adapter": card.id, "samples": len(data.train), "dataset": data.card.hash, **cost}
 

@@ -56,11 +56,14 @@ class FreeAnswerModel:
         replies = [
             DecodingStream(
                 [*tokenize_prompt(tokenizer, [{"role": turn["role"], "content": turn["content"]} for turn in prompt])],
-                end_token=tokenizer.eos_token_id, max_tokens=MAX_TOKENS, guide=GrammarConstraint(vocabulary, scene_grammar(one)),
-                seed=sampling.seeds[place] if sampling else None, temperature=sampling.temperature if sampling else 1.0,
+                end_token=tokenizer.eos_token_id,
+                max_tokens=MAX_TOKENS,
+                guide=GrammarConstraint(vocabulary, scene_grammar(one)),
+                seed=sampling.seeds[place] if sampling else None,
+                temperature=sampling.temperature if sampling else 1.0,
             )
             for place, (one, prompt) in enumerate(zip(questions, prompts, strict=True))
-        ]  # fmt: skip
+        ]
         for start in range(0, len(replies), BATCH_SIZE):
             generate(model, replies[start : start + BATCH_SIZE])
         return [tokenizer.decode(one.output_tokens, skip_special_tokens=True) for one in replies]

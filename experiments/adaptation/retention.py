@@ -36,17 +36,27 @@ ROUND_ADAPTERS = (FULL_ADAPTER, "adapted_no_kl")
 """Adapters of `nights`, of one chain."""
 MAX_TOKENS = 40
 QUESTIONS = (
-    ("What is the capital of France?", "paris"), ("What is the capital of Italy?", "rome"),
-    ("What is the opposite of hot?", "cold"), ("What is the opposite of left?", "right"),
-    ("How many days does a week have?", "seven|7"), ("How many legs does a spider have?", "eight|8"),
-    ("Which animal says meow?", "cat"), ("What do bees make?", "honey"), ("What is two plus three?", "five|5"),
-    ("What is ten minus four?", "six|6"), ("Which colour does the sky have on a clear day?", "blue"),
-    ("What is frozen water called?", "ice"), ("On which planet do we live?", "earth"),
-    ("What is the first month of the year?", "january"), ("Name a fruit that is yellow.", "banana|lemon"),
-    ("What do you call the child of a cow?", "calf"), ("Which season comes after winter?", "spring"),
-    ("What do you use to cut paper?", "scissor"), ("In which country is Tokyo?", "japan"),
+    ("What is the capital of France?", "paris"),
+    ("What is the capital of Italy?", "rome"),
+    ("What is the opposite of hot?", "cold"),
+    ("What is the opposite of left?", "right"),
+    ("How many days does a week have?", "seven|7"),
+    ("How many legs does a spider have?", "eight|8"),
+    ("Which animal says meow?", "cat"),
+    ("What do bees make?", "honey"),
+    ("What is two plus three?", "five|5"),
+    ("What is ten minus four?", "six|6"),
+    ("Which colour does the sky have on a clear day?", "blue"),
+    ("What is frozen water called?", "ice"),
+    ("On which planet do we live?", "earth"),
+    ("What is the first month of the year?", "january"),
+    ("Name a fruit that is yellow.", "banana|lemon"),
+    ("What do you call the child of a cow?", "calf"),
+    ("Which season comes after winter?", "spring"),
+    ("What do you use to cut paper?", "scissor"),
+    ("In which country is Tokyo?", "japan"),
     ("What is H2O commonly called?", "water"),
-)  # fmt: skip
+)
 """A question and the words one of which a right answer holds."""
 
 
@@ -81,8 +91,13 @@ class Retention:
         texts = [answer_text(one) for one in said]
         if isinstance(measured, ChatResponse):
             raise NoAnswerError(measured.finish_reason, measured.detail)
-        return {"arm": about["arm"], "seed": about["seed"], "perplexity": measured, "texts": texts,
-                "right": list(map(is_known, texts, (words for _, words in QUESTIONS)))}  # fmt: skip
+        return {
+            "arm": about["arm"],
+            "seed": about["seed"],
+            "perplexity": measured,
+            "texts": texts,
+            "right": list(map(is_known, texts, (words for _, words in QUESTIONS))),
+        }
 
     def summarize_row(self, row: Row) -> str:
         """Both figures."""
@@ -95,10 +110,14 @@ class Retention:
             for arm in (BARE_MODEL, BASE_ADAPTER, *ROUND_ADAPTERS, *CURVE_ARMS)
         }
         cells = (
-            (arm, ", ".join(f"{row['perplexity']:.2f}" for row in mine),
-             format_proportion(sum(sum(row["right"]) for row in mine), sum(len(row["right"]) for row in mine)))
-            for arm, mine in by_arm.items() if mine
-        )  # fmt: skip
+            (
+                arm,
+                ", ".join(f"{row['perplexity']:.2f}" for row in mine),
+                format_proportion(sum(sum(row["right"]) for row in mine), sum(len(row["right"]) for row in mine)),
+            )
+            for arm, mine in by_arm.items()
+            if mine
+        )
         return markdown_table(("", "perplexity, by seed", "questions known"), cells)
 
 

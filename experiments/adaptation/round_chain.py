@@ -146,11 +146,17 @@ class RoundChain:
         folder = self.adapter_folder(number).parent
         card, data = read_adapter_card(folder / "adapter"), read_dataset(folder / "dataset")
         return {
-            "adapter": card.id, "base_sha256": card.base_sha256, "bootstrapped": card.bootstrapped,
-            "sources": card.sources, "dataset": card.dataset, "proposed": data.card.memories,
-            "samples": data.card.train, "as_said": sum(self.follows_instruction(one) for one in data.train),
-            "left_out": data.card.left_out, "fit_s": total_step_time(folder / STEP_TIMES_FILE),
-        }  # fmt: skip
+            "adapter": card.id,
+            "base_sha256": card.base_sha256,
+            "bootstrapped": card.bootstrapped,
+            "sources": card.sources,
+            "dataset": card.dataset,
+            "proposed": data.card.memories,
+            "samples": data.card.train,
+            "as_said": sum(self.follows_instruction(one) for one in data.train),
+            "left_out": data.card.left_out,
+            "fit_s": total_step_time(folder / STEP_TIMES_FILE),
+        }
 
     def follows_instruction(self, one: Sample) -> bool:
         """Whether what is taught does what its instruction says: nobody looks at that when it is chosen."""
@@ -231,9 +237,16 @@ def train_adapter(
     config = msgspec.structs.replace(CONFIG, objective=objective, fit=fits)
     with (folder / STEP_TIMES_FILE).open("a", buffering=1) as told:
         return adapt(
-            data, config, find_base_model(BASE, paths.cache_folder()), make_gate_judge(load_skill_registry(ROBOT)), folder,
-            cache=paths.cache_folder(), clock=time.monotonic, report=step_time_logger(told, time.monotonic), own_adapters=own,
-        )  # fmt: skip
+            data,
+            config,
+            find_base_model(BASE, paths.cache_folder()),
+            make_gate_judge(load_skill_registry(ROBOT)),
+            folder,
+            cache=paths.cache_folder(),
+            clock=time.monotonic,
+            report=step_time_logger(told, time.monotonic),
+            own_adapters=own,
+        )
 
 
 def step_time_logger(told: TextIO, clock: Callable[[], float]) -> Callable[[TrainingProgress], None]:
@@ -264,9 +277,13 @@ def run_held_out_episode(turn: int, text: str, name: str) -> Row:
     question = held_out_places()[turn]
     scored, one = score_question(question, text), with_answer(question, text, name)
     row: Row = {
-        "id": question.id, "scene": question.scene, "text": text, "to_decline": scored["declines"],
-        "compliant": bool(scored["compliant"]), "right": is_right(scored),
-    }  # fmt: skip
+        "id": question.id,
+        "scene": question.scene,
+        "text": text,
+        "to_decline": scored["declines"],
+        "compliant": bool(scored["compliant"]),
+        "right": is_right(scored),
+    }
     if not scene_context_by_name(question.scene).accepts(text.encode()):
         ended = no_motion_row("rejected")
     elif is_declined(one):
@@ -295,7 +312,10 @@ def outcome_row(flight: Episode) -> Row:
     puts = contract_goals(msgspec.convert(flight.contract, Contract)) is not None
     truth = not puts or bool(judgement and judgement.success)
     return {
-        "outcome": outcome.kind, "Delta": outcome.Delta, "frequency": outcome.intervention_frequency,
-        "completion_s": PLANNING_TIME + outcome.duration, "done": outcome.kind == "succeeded" and truth,
+        "outcome": outcome.kind,
+        "Delta": outcome.Delta,
+        "frequency": outcome.intervention_frequency,
+        "completion_s": PLANNING_TIME + outcome.duration,
+        "done": outcome.kind == "succeeded" and truth,
         "violations": len(judgement.violations) if judgement else 0,
-    }  # fmt: skip
+    }

@@ -100,30 +100,57 @@ class Rounds:
         by_round = {number: [row for row in rows if row["round"] == number] for number in numbers}
         lines = markdown_table(
             ("round", "chains", "episodes", *METRICS),
-            ((number, len(mine), sum(len(row["episodes"]) for row in mine),
-              *(format_estimate(estimate_metric(name, mine), one) for name, one in METRICS.items()))
-             for number, mine in by_round.items()),
-        )  # fmt: skip
+            (
+                (
+                    number,
+                    len(mine),
+                    sum(len(row["episodes"]) for row in mine),
+                    *(format_estimate(estimate_metric(name, mine), one) for name, one in METRICS.items()),
+                )
+                for number, mine in by_round.items()
+            ),
+        )
         if 0 in by_round:
             lines += ["Differences to round 0 at the same places (pairs):", ""]
             lines += markdown_table(
                 ("round", *METRICS),
-                ((number, *(format_difference(name, by_round[0], mine) for name in METRICS))
-                 for number, mine in by_round.items() if number),
-            )  # fmt: skip
+                (
+                    (number, *(format_difference(name, by_round[0], mine) for name in METRICS))
+                    for number, mine in by_round.items()
+                    if number
+                ),
+            )
         return [*lines, *training_table(rows), f"![Measures by round]({PLOT_PATH})", ""]
 
 
 def training_table(rows: Iterable[Row]) -> list[str]:
     """What each adapter was taught: how many samples, how many of them do as they were told, and why not others."""
     cells = [
-        (row["seed"], row["round"], row["proposed"], row["samples"], format_proportion(row["as_said"], row["samples"]),
-         f"{row['fit_s']:.0f}", row["adapter"][:16], "yes" if row["bootstrapped"] else "no",
-         ", ".join(f"{number} {reason}" for reason, number in row["left_out"].items()))
-        for row in rows if row["round"]
-    ]  # fmt: skip
-    head = ("chain", "round", "proposed so far", "samples taught", "as the words said", "fit [s]", "adapter",
-            "bootstrapped", "left out")  # fmt: skip
+        (
+            row["seed"],
+            row["round"],
+            row["proposed"],
+            row["samples"],
+            format_proportion(row["as_said"], row["samples"]),
+            f"{row['fit_s']:.0f}",
+            row["adapter"][:16],
+            "yes" if row["bootstrapped"] else "no",
+            ", ".join(f"{number} {reason}" for reason, number in row["left_out"].items()),
+        )
+        for row in rows
+        if row["round"]
+    ]
+    head = (
+        "chain",
+        "round",
+        "proposed so far",
+        "samples taught",
+        "as the words said",
+        "fit [s]",
+        "adapter",
+        "bootstrapped",
+        "left out",
+    )
     return markdown_table(head, cells) if cells else []
 
 

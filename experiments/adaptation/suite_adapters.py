@@ -46,9 +46,14 @@ class SuiteAdapters:
         card, data = read_adapter_card(folder), read_dataset(folder.parent / "dataset")
         open_adapter_registry().add(folder, now=time.time())
         return {
-            "part": part, "adapter": card.id, "samples": data.card.train, "dataset": card.dataset,
-            "left_out": data.card.left_out, "steps": card.steps, "fit_s": total_step_time(folder.parent / STEP_TIMES_FILE),
-        }  # fmt: skip
+            "part": part,
+            "adapter": card.id,
+            "samples": data.card.train,
+            "dataset": card.dataset,
+            "left_out": data.card.left_out,
+            "steps": card.steps,
+            "fit_s": total_step_time(folder.parent / STEP_TIMES_FILE),
+        }
 
     def summarize_row(self, row: Row) -> str:
         """Which adapter it is."""
@@ -58,9 +63,18 @@ class SuiteAdapters:
         """A line an adapter."""
         return markdown_table(
             ("part", "adapter", "samples taught", "steps", "fit [s]", "left out"),
-            ((row["part"], row["adapter"][:16], row["samples"], row["steps"], f"{row['fit_s']:.0f}",
-              ", ".join(f"{number} {reason}" for reason, number in row["left_out"].items())) for row in rows),
-        )  # fmt: skip
+            (
+                (
+                    row["part"],
+                    row["adapter"][:16],
+                    row["samples"],
+                    row["steps"],
+                    f"{row['fit_s']:.0f}",
+                    ", ".join(f"{number} {reason}" for reason, number in row["left_out"].items()),
+                )
+                for row in rows
+            ),
+        )
 
 
 def adapter_folder(part: str, folder: Path) -> Path:

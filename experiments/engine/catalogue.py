@@ -32,10 +32,32 @@ from experiments.safety.slow_tests import SlowTests
 EXPERIMENTS: dict[str, Experiment] = {
     proof.name: proof
     for proof in (
-        Grasping(), NoObstacles(), SensitivitySweep(), FamilySweep(), EndToEnd(), FilterAblation(), Conservatism(), SlowTests(), Adversary(),
-        PlantAdversary(), CrossEmbodiment(), RobotZoo(), CrashRecovery(), Poisoning(), Learning(),
-        Faults(), CommanderFailure(), FuzzSocket(), TickTiming(), Language(), AblationCurve(), Retention(), Rounds(), SuiteAdapters(),
-        Starter(), RobosuiteTasks(),
+        Grasping(),
+        NoObstacles(),
+        SensitivitySweep(),
+        FamilySweep(),
+        EndToEnd(),
+        FilterAblation(),
+        Conservatism(),
+        SlowTests(),
+        Adversary(),
+        PlantAdversary(),
+        CrossEmbodiment(),
+        RobotZoo(),
+        CrashRecovery(),
+        Poisoning(),
+        Learning(),
+        Faults(),
+        CommanderFailure(),
+        FuzzSocket(),
+        TickTiming(),
+        Language(),
+        AblationCurve(),
+        Retention(),
+        Rounds(),
+        SuiteAdapters(),
+        Starter(),
+        RobosuiteTasks(),
     )
-}  # fmt: skip
+}
 """`contrast` comes after `runs`, whose contracts it carries out."""

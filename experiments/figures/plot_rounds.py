@@ -33,9 +33,15 @@ def plot_rounds(rows: list[Row], path: Path) -> None:
                 [[one.mean - one.low for one in told], [one.high - one.mean for one in told]], posinf=0
             )
             axis.errorbar(
-                np.array(numbers) + LINE_OFFSET * place, mean, np.maximum(reach, 0.0), fmt="o-", color=colour, capsize=3,
-                lw=1.4, label=name,
-            )  # fmt: skip
+                np.array(numbers) + LINE_OFFSET * place,
+                mean,
+                np.maximum(reach, 0.0),
+                fmt="o-",
+                color=colour,
+                capsize=3,
+                lw=1.4,
+                label=name,
+            )
         axis.set_xticks(numbers)
         axis.set_xlabel("round (0: the base)")
         axis.set_ylim(bottom=0.0, top=1.02 if METRICS[names[0]].is_share else None)

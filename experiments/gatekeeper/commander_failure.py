@@ -52,9 +52,12 @@ MAX_STALL = SIMULATED.tick_lost_after
 REPORT_DELAY = STATUS_PERIOD + 2.0 * MAX_STALL
 FLOOD_DETECTION_TIME = MAX_FRAMES_PER_SECOND / FRAMES_PER_TICK * SIMULATED.period
 DECLARED_LIMITS = {
-    "kill": REPORT_DELAY, "stop": HEARTBEAT_TIMEOUT + REPORT_DELAY, "flood": 2.0 * FLOOD_DETECTION_TIME + MAX_STALL + REPORT_DELAY, "rubbish": MAX_STALL + REPORT_DELAY,
+    "kill": REPORT_DELAY,
+    "stop": HEARTBEAT_TIMEOUT + REPORT_DELAY,
+    "flood": 2.0 * FLOOD_DETECTION_TIME + MAX_STALL + REPORT_DELAY,
+    "rubbish": MAX_STALL + REPORT_DELAY,
     "gatekeeper": WATCHDOG_TIMEOUT + MAX_LAG,
-}  # fmt: skip
+}
 """Until HOLD (or more) is told in a heartbeat, or the drive is off, at most [s]; why, stands at the top."""
 
 
@@ -73,8 +76,10 @@ class CommanderFailure:
         del options
         return [
             WorkUnit(f"{how}/{moment}/{again}", {"how": how, "moment": moment, "seed": again})
-            for again in range(N_REPEATS) for moment in MOMENTS for how in FAILURE_MODES
-        ]  # fmt: skip
+            for again in range(N_REPEATS)
+            for moment in MOMENTS
+            for how in FAILURE_MODES
+        ]
 
     def run(self, about: dict[str, Any]) -> Row:
         """One contract that loses its commander."""
@@ -106,8 +111,17 @@ class CommanderFailure:
     def report(self, rows: list[Row]) -> list[str]:
         """Times by way and by moment, the ledger, the next commander, and whatever went wrong by name."""
         fair = [row for row in rows if not row["early"]]
-        head = ("how", "episodes", "declared", "median", "99 %", "longest", "later than declared", "unsafe",
-                "next contract")  # fmt: skip
+        head = (
+            "how",
+            "episodes",
+            "declared",
+            "median",
+            "99 %",
+            "longest",
+            "later than declared",
+            "unsafe",
+            "next contract",
+        )
         lines = markdown_table(
             head, (_mode_row(how, fair) for how in FAILURE_MODES if any(row["how"] == how for row in fair))
         )
@@ -120,7 +134,7 @@ class CommanderFailure:
         lines += [
             f"Ledger intact (chain valid, every acknowledged episode there, weights rebuilt equal, open to the next "
             f"writer): **{format_proportion(intact, len(rows))}**; {missing} of {stored} acknowledged episodes lost.",
-        ]  # fmt: skip
+        ]
         if later := sum(row["later"] > 0 for row in rows):
             lines += ["", f"Hands that touched, under the next contract, what they had been stopped around: {later}."]
         if early := len(rows) - len(fair):

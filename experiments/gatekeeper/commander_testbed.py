@@ -50,9 +50,11 @@ class CommanderTestbed:
         flags = ["-S"] if sys.flags.no_site else []
         words = [str(self.folder / name) for name in ("s", "keys", "ledger.sqlite")]
         self.commander = child = subprocess.Popen(
-            [sys.executable, *flags, str(COMMANDER_SCRIPT), *words, how, "1" if waits else "0"], stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE, text=True,
-        )  # fmt: skip
+            [sys.executable, *flags, str(COMMANDER_SCRIPT), *words, how, "1" if waits else "0"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
         Thread(target=self._read_output, args=(child,), daemon=True).start()
         self.await_line("running" if waits else "ready")
         wait_until("the ledger is written", lambda: len(self.stored) > 0)
@@ -126,7 +128,11 @@ def wait_until(what: str, true: Callable[[], bool]) -> None:
 def start_gatekeeper(folder: Path, name: str) -> GatekeeperProcess:
     return GatekeeperProcess(
         GatekeeperConfig(
-            "panda", open_scene("bare:0"), str(folder / "s"), str(folder / "keys"), report=str(folder / f"{name}.json")
+            robot="panda",
+            scene=open_scene("bare:0"),
+            socket=str(folder / "s"),
+            keys=str(folder / "keys"),
+            report=str(folder / f"{name}.json"),
         )
     )
 

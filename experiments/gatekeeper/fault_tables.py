@@ -21,14 +21,21 @@ def summary(rows: list[Row]) -> list[str]:
     unsafe, other = (sum(not row[name] for row in struck) for name in ("safe", "as_declared"))
     lines = [
         f"Episodes: **{len(rows)}**, of which {len(struck)} reached their moment. Unsafe: **{unsafe}**. Declared order "
-        f"did not come: **{other}**. The whole matrix: [faults.md](faults.md).", "",
-    ]  # fmt: skip
+        f"did not come: **{other}**. The whole matrix: [faults.md](faults.md).",
+        "",
+    ]
     head = ("", "episodes", "moment reached", "unsafe", "not as declared", "outcomes")
     groups = [(f"body {name}", [row for row in rows if row["body"] == name]) for name in _robots(rows)]
     groups += [(f"moment: {name}", [row for row in rows if row["fault"][2] == name]) for name in MOMENTS]
     lines += markdown_table(head, ((name, *_counts(group)) for name, group in groups if group))
-    head = ("least order that was expected", "struck", "orders that came", "reaction, median", "worst",
-            "at rest after, worst")  # fmt: skip
+    head = (
+        "least order that was expected",
+        "struck",
+        "orders that came",
+        "reaction, median",
+        "worst",
+        "at rest after, worst",
+    )
     return lines + markdown_table(head, _reactions(struck))
 
 

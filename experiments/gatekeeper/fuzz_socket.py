@@ -115,10 +115,18 @@ def _gate_worker_and_request() -> tuple[GateWorker, GateRequest]:
     robot_model = load_robot("panda")
     scene = scene_from_spec(open_scene(SCENE))
     q = np.array(robot_model.home)
-    state = RobotState(0.0, 1, q, np.zeros(robot_model.n), 0.04, (0.0, 0.0), drive_enabled=True)
-    stamp = ContractHeader(1, 0.0, 60.0, PLANNER, scene.version)
+    state = RobotState(
+        stamp=0.0,
+        sequence=1,
+        q=q,
+        v=np.zeros(robot_model.n),
+        opening=0.04,
+        finger_forces=(0.0, 0.0),
+        drive_enabled=True,
+    )
+    stamp = ContractHeader(sequence=1, issued=0.0, expires=60.0, principal=PLANNER, scene_version=scene.version)
     return GateWorker(robot_model, {PLANNER: full_capability(skill_registry(robot_model))}), GateRequest(
-        1, 1, b"", stamp, 1.0, scene, state, None
+        connection_number=1, sequence=1, contract=b"", stamp=stamp, now=1.0, scene=scene, state=state, holding=None
     )
 
 
@@ -163,8 +171,9 @@ def _in_process_report(rows: list[Row]) -> list[str]:
     lines = [
         f"In process: **{frames:,}** frames, among them **{contracts:,}** contracts that came through to the gate. "
         f"Raised: **{counts[GATE_RAISED]}**. Most that a process grew within {FRAMES_PER_UNIT:,} frames: {grown:,} KiB. "
-        f"{1e6 * spent / frames:.0f} µs a frame.", "",
-    ]  # fmt: skip
+        f"{1e6 * spent / frames:.0f} µs a frame.",
+        "",
+    ]
     became = ((kind, f"{count:,}", f"{count / frames:.2%}") for kind, count in counts.most_common())
     return lines + markdown_table(("what became of them", "frames", "share"), became)
 
@@ -184,9 +193,13 @@ def _run_gatekeeper(seed: int, seconds: float, clients: int) -> tuple[Any, Count
         folder = Path(name)
         skills = frozenset(skill_registry(load_robot("panda")).by_name)
         plan = GatekeeperConfig(
-            "panda", open_scene(SCENE), str(folder / "s"), str(folder / "keys"), punctuality=str(folder / "p.json"),
+            robot="panda",
+            scene=open_scene(SCENE),
+            socket=str(folder / "s"),
+            keys=str(folder / "keys"),
+            punctuality=str(folder / "p.json"),
             capability=Capability(skills, rate=1e6),
-        )  # fmt: skip
+        )
         process = GatekeeperProcess(plan)
         try:
             commander = GatekeeperClient(folder / "s", load_or_create_keys(folder / "keys"), PLANNER)
@@ -210,7 +223,7 @@ def _start_client(path: str, seconds: float, seed: int) -> subprocess.Popen[byte
     flags = ["-S"] if sys.flags.no_site else []
     return subprocess.Popen(
         [sys.executable, *flags, str(CLIENT_SCRIPT), path, str(seconds), str(seed)], stdout=subprocess.PIPE
-    )  # fmt: skip
+    )
 
 
 def _run_commander(link: GatekeeperClient, fuzzer: Fuzzer | None, until: float) -> Counter[str]:
@@ -252,8 +265,9 @@ def _server_report(rows: list[Row]) -> list[str]:
         f"**{said['frames']:,}** frames on {said['connections']:,} connections, "
         f"{said['refused']:,} of them ended by the gatekeeper, {said['left']:,} left by the client, "
         f"**{said['not hung up']}** that should have been ended were not. Contracts under good seals: "
-        f"{sum(verdicts.values()):,} ({words}). Most that a gatekeeper grew: {grown:,} KiB.", "",
-    ]  # fmt: skip
+        f"{sum(verdicts.values()):,} ({words}). Most that a gatekeeper grew: {grown:,} KiB.",
+        "",
+    ]
     head = ("intervals between ticks, worst run", "median", "99 %", "99.9 %", "longest", "late ticks", "states missed")
     return [
         "",

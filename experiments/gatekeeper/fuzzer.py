@@ -25,9 +25,20 @@ from experiments.safety.closed_loop import pick_and_place_actions
 TOKEN_PATTERN = re.compile(rb'"[^"]*"|-?\d+(?:\.\d+)?')
 NUMBER_VALUES = (b"0", b"-1", b"0.05", b"0.2", b"0.35", b"0.9", b"30", b"1e308", b"1e999", b"-0.0", b"NaN")
 STRING_VALUES = (
-    b'""', b'"red_cube"', b'"green_tin"', b'"blue_bowl"', b'"table_left"', b'"across"', b'"tilted"', b'"until_clear"',
-    b'"grasp"', b'"release"', b'"c-0002"', b'"\\ud800"', b'"' + b"x" * 300 + b'"',
-)  # fmt: skip
+    b'""',
+    b'"red_cube"',
+    b'"green_tin"',
+    b'"blue_bowl"',
+    b'"table_left"',
+    b'"across"',
+    b'"tilted"',
+    b'"until_clear"',
+    b'"grasp"',
+    b'"release"',
+    b'"c-0002"',
+    b'"\\ud800"',
+    b'"' + b"x" * 300 + b'"',
+)
 OTHER_VALUES = (b"null", b"true", b"[]", b"{}", b"[" * 600)
 SAME_TYPE_PROBABILITY = 0.8
 """How often a number takes a number's place, and a word a word's."""

@@ -132,9 +132,15 @@ def _planning_loop(
         scene = link.request_scene().scene
         names = scene_names(scene)
         request = PlanRequest(
-            instruction, summarise_scene(scene, None), RetrievedContext(), session.robot_model.name, registry.hash,
-            describe_skills(registry, names), decoding_schema(registry, names), contract_id=f"c-{count % 10_000:04d}",
-        )  # fmt: skip
+            instruction=instruction,
+            scene=summarise_scene(scene, None),
+            recall=RetrievedContext(),
+            robot=session.robot_model.name,
+            registry_hash=registry.hash,
+            skills_text=describe_skills(registry, names),
+            schema=decoding_schema(registry, names),
+            contract_id=f"c-{count % 10_000:04d}",
+        )
         began = time.monotonic()
         proposal = session.planner.propose(request)
         day.decisions.append(time.monotonic() - began)

@@ -53,9 +53,14 @@ class TickTiming:
             folder = Path(name)
             recording, punctual, left = (folder / name for name in ("e.mcap", "punctuality.json", "robot.json"))
             plan = GatekeeperConfig(
-                "panda", open_scene(SCENE), str(folder / "s"), str(folder / "keys"), recording=str(recording),
-                punctuality=str(punctual), report=str(left),
-            )  # fmt: skip
+                robot="panda",
+                scene=open_scene(SCENE),
+                socket=str(folder / "s"),
+                keys=str(folder / "keys"),
+                recording=str(recording),
+                punctuality=str(punctual),
+                report=str(left),
+            )
             process = GatekeeperProcess(plan)
             try:
                 day = run_load(plan, SCENE, about["planner"], about["seconds"], folder)
@@ -67,10 +72,15 @@ class TickTiming:
         violations = msgspec.to_builtins(report.judgement.violations)
         recorded = {"complete": state.complete, "dropped": state.dropped, "bytes": size}
         return {
-            **msgspec.to_builtins(found), "bins": {str(k): count for k, count in enumerate(found.bins) if count},
-            **vars(day), "planner": about["planner"], "slips": report.slips, "robot_ticks": report.ticks,
-            "violations": violations, "recording": recorded,
-        }  # fmt: skip
+            **msgspec.to_builtins(found),
+            "bins": {str(k): count for k, count in enumerate(found.bins) if count},
+            **vars(day),
+            "planner": about["planner"],
+            "slips": report.slips,
+            "robot_ticks": report.ticks,
+            "violations": violations,
+            "recording": recorded,
+        }
 
     def summarize_row(self, row: Row) -> str:
         """For the progress line."""
@@ -102,16 +112,19 @@ def _report_lines(row: Row) -> list[str]:
         f"({lost / max(1, states):.2%}), {row['missed']} states lost on the way. Late ticks (over "
         f"{1e3 * SIMULATED.max_tick_time:g} ms of work): **{late}** ({late / max(1, loops):.2%}). Stalls of over "
         f"{1e3 * LAST_BIN_START:.0f} ms: **{beyond}**, the longest {1e3 * longest:.0f} ms. Physics fell behind the clock "
-        f"{row['slips']} times.", "",
-        f"![Intervals between states, and what a tick is made of]({PLOT_PATH})", "",
-    ]  # fmt: skip
+        f"{row['slips']} times.",
+        "",
+        f"![Intervals between states, and what a tick is made of]({PLOT_PATH})",
+        "",
+    ]
     head = ("", "median", "99 %", "99.9 %", "longest")
     lines += markdown_table(head, ((name, *_format_ms(row[name])) for name in ("interval", "work", "latency")))
     lines += [
         "Interval: from one joint state to the next, as they are taken in. Work: from a state to the end of its tick. "
         "Latency: from a state to the command that answers it. What the work is made of; own: the longest without what "
-        "other threads and processes did meanwhile:", "",
-    ]  # fmt: skip
+        "other threads and processes did meanwhile:",
+        "",
+    ]
     head = ("part of a tick", "what it is", "ticks that had it", "mean", "median", "99 %", "99.9 %", "longest", "own")
     return lines + markdown_table(head, _part_rows(row["parts"], loops)) + _background_lines(row)
 
@@ -136,8 +149,9 @@ def _background_lines(row: Row) -> list[str]:
     return [
         f"Meanwhile: {thought}; contracts: {contracts}; outcomes: {outcomes}{_outcome_reasons(row)}; recording of "
         f"{recording['bytes'] / 1e6:.0f} MB, {whole}; a page of the live view took {pieces} messages, "
-        f"{size / 1e6:.1f} MB. Violations on truth: {describe_violations(row) or 'none'}.", "",
-    ]  # fmt: skip
+        f"{size / 1e6:.1f} MB. Violations on truth: {describe_violations(row) or 'none'}.",
+        "",
+    ]
 
 
 def _outcome_reasons(row: Row) -> str:

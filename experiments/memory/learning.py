@@ -39,9 +39,12 @@ SCENES, N_SEEDS, N_REPETITIONS, N_START_CONTRACTS = ("tall_ii:301", "shelf_ii:30
 """Rooms of level II, where a contract matters (docs/learnable.md); seeds that the sweep has not seen."""
 INSTRUCTION = "put the red cube in the bowl"
 PARAMETER_GRID: dict[str, tuple[Any, ...]] = {
-    "clearance": (0.08, 0.15, 0.2, 0.3), "finger_axis": ("along", "across"), "approach": ("top", "tilted"),
-    "route": ("direct", "near_base", "left", "right"), "opening": (0.055, 0.08),
-}  # fmt: skip
+    "clearance": (0.08, 0.15, 0.2, 0.3),
+    "finger_axis": ("along", "across"),
+    "approach": ("top", "tilted"),
+    "route": ("direct", "near_base", "left", "right"),
+    "opening": (0.055, 0.08),
+}
 START_TIME, EPISODE_SPACING_S = 1_795_000_000.0, 240.0
 """Made-up date of the start [s, 1970 UTC], and time between two episodes [s]."""
 LEDGER_FILE, EPISODES_FILE = "ledger.sqlite", "episodes.json"
@@ -62,11 +65,19 @@ class Learning:
         return [
             WorkUnit(
                 f"{scene} seed {seed} {arm}, {options.planner}",
-                {"scene": scene, "seed": seed, "arm": arm, "planner": options.planner, "repetitions": N_REPETITIONS,
-                 "folder": str(options.folder / "learning")},
+                {
+                    "scene": scene,
+                    "seed": seed,
+                    "arm": arm,
+                    "planner": options.planner,
+                    "repetitions": N_REPETITIONS,
+                    "folder": str(options.folder / "learning"),
+                },
             )
-            for scene in SCENES for seed in range(N_SEEDS) for arm in ("dynamic", "static")
-        ]  # fmt: skip
+            for scene in SCENES
+            for seed in range(N_SEEDS)
+            for arm in ("dynamic", "static")
+        ]
 
     def run(self, about: dict[str, Any]) -> Row:
         """The start, which both arms share, then the repetitions; the ledger's head stands in the row.
@@ -130,12 +141,16 @@ def repetition_row(episode: Episode) -> dict[str, Any]:
     """What one repetition leaves: the robot's own verdict, Δ, decision time, the best exemplar; truth for the table."""
     best = episode.recall.exemplars[0] if episode.recall.exemplars else None
     return {
-        "outcome": episode.outcome.kind, "Delta": episode.outcome.Delta, "decision_s": episode.timings["planner"],
-        "motion_s": episode.outcome.duration, "best": best.episode_id if best else None,
-        "best_score": best.score if best else None, "second_opinion": episode.second_opinion,
+        "outcome": episode.outcome.kind,
+        "Delta": episode.outcome.Delta,
+        "decision_s": episode.timings["planner"],
+        "motion_s": episode.outcome.duration,
+        "best": best.episode_id if best else None,
+        "best_score": best.score if best else None,
+        "second_opinion": episode.second_opinion,
         "truth": bool(episode.judgement and episode.judgement.success),
         "contract": (episode.contract or {}).get("action_sequence"),
-    }  # fmt: skip
+    }
 
 
 def median_success_delta(ledger: Path) -> float:
@@ -218,14 +233,22 @@ def _run_repetition(number: int, here: Path, about: dict[str, Any], planner: Pla
 
 def _run_episode(
     ledger: Path, about: dict[str, Any], planner: Planner, name: str, turn: int, *, static: bool, epsilon: float = 0.0
-) -> Episode:  # fmt: skip
+) -> Episode:
     """One run of the scene, the `turn`-th on this ledger: dates are made up, whatever the machine does."""
     with tempfile.TemporaryDirectory(prefix="dualbrain-learning-run-") as folder:
         seed = about["seed"] * 1000 + int(name.split("-")[1]) + 500 * name.startswith("r")
         config = RunConfig(
-            INSTRUCTION, Path(folder) / name, ledger, paths.cache_folder(), scene=about["scene"], goal=GOAL, visuals=False,
-            seed=seed, static=static, epsilon=epsilon,
-        )  # fmt: skip
+            INSTRUCTION,
+            Path(folder) / name,
+            ledger,
+            paths.cache_folder(),
+            scene=about["scene"],
+            goal=GOAL,
+            visuals=False,
+            seed=seed,
+            static=static,
+            epsilon=epsilon,
+        )
         dates = count(START_TIME + turn * EPISODE_SPACING_S, 1.0)
         times = Clocks(time.monotonic, "2026-11-21T00:00:00+00:00", lambda: next(dates))
         with Session(config, times, {}, planner) as session:

@@ -67,8 +67,10 @@ class Poisoning:
         del options
         return [
             WorkUnit(f"{attack}, defences {arm}, seed {seed}", {"attack": attack, "arm": arm, "seed": seed})
-            for seed in range(N_SEEDS) for attack in ATTACKS for arm in ARMS
-        ]  # fmt: skip
+            for seed in range(N_SEEDS)
+            for attack in ATTACKS
+            for arm in ARMS
+        ]
 
     def run(self, about: dict[str, Any]) -> Row:
         """One stream under attack, and the same stream without it for comparison."""
@@ -86,8 +88,15 @@ class Poisoning:
 
     def report(self, rows: list[Row]) -> list[str]:
         """Means over seeds, with the spread."""
-        head = ("attack", "defences", "top-3 that is false", "top-3 that is bad", "best exemplar is bad", "none shown",
-                "mean |Δw| of the same memories")  # fmt: skip
+        head = (
+            "attack",
+            "defences",
+            "top-3 that is false",
+            "top-3 that is bad",
+            "best exemplar is bad",
+            "none shown",
+            "mean |Δw| of the same memories",
+        )
         names = ("false_top3", "bad_top3", "bad_first", "none", "moved")
         lines: list[tuple[object, ...]] = []
         for attack in ATTACKS:
@@ -188,9 +197,15 @@ def _store(
 ) -> None:
     words, summary = _situation_text(where)
     one = synthetic_episode(
-        name, kind="succeeded" if succeeded else "failed", Delta=Delta, instruction=words, summary=summary,
-        recall=recall, plan=grasp_contract(object=f"thing-{where}", **(GOOD_PARAMETERS if good else BAD_PARAMETERS)), second_opinion=second_opinion,  # type: ignore[arg-type]
-    )  # fmt: skip
+        name,
+        kind="succeeded" if succeeded else "failed",
+        Delta=Delta,
+        instruction=words,
+        summary=summary,
+        recall=recall,
+        plan=grasp_contract(object=f"thing-{where}", **(GOOD_PARAMETERS if good else BAD_PARAMETERS)),
+        second_opinion=second_opinion,  # type: ignore[arg-type]
+    )
     memory.store(one, REST_POSTURE, now=START_TIME + 60.0 * now)
 
 

@@ -14,7 +14,7 @@ LIMITS = PostureLimits(ROBOT, (-3.0, -2.0), (3.0, 2.0), 0.04)
 REST_POSTURE = Posture((0.0, 0.5), 0.04)
 START_TIME = 1_800_000_000.0
 """When made-up time begins [s, 1970 UTC]."""
-CONFIG = MemoryConfig((LIMITS,))
+CONFIG = MemoryConfig(limits=(LIMITS,))
 
 
 def grasp_contract(**params: Any) -> dict[str, Any]:
@@ -24,16 +24,44 @@ def grasp_contract(**params: Any) -> dict[str, Any]:
 
 
 def synthetic_episode(
-    name: str, *, kind: OutcomeClass = "succeeded", Delta: float | None = 0.001, instruction: str = "grasp the cube",
-    summary: str = "cube: object, neighbour_across low", recall: RetrievedContext | None = None,
-    plan: dict[str, Any] | None = None, proposer: str = "planner", second_opinion: OutcomeCheck = "agrees",
-) -> Episode:  # fmt: skip
+    name: str,
+    *,
+    kind: OutcomeClass = "succeeded",
+    Delta: float | None = 0.001,
+    instruction: str = "grasp the cube",
+    summary: str = "cube: object, neighbour_across low",
+    recall: RetrievedContext | None = None,
+    plan: dict[str, Any] | None = None,
+    proposer: str = "planner",
+    second_opinion: OutcomeCheck = "agrees",
+) -> Episode:
     """One episode."""
-    refused = Rejected("envelope", "/action_sequence/0/params/speed", 1, "0.05..0.4", "slower")
-    attempt = Attempt(Proposal("{}", "stop", proposer, "nobody", {"total": 0.0}), refused, 0.0)
-    outcome = Outcome(kind, "" if kind == "succeeded" else f"it {kind}", None if kind == "rejected" else Delta)
+    refused = Rejected(
+        stage="envelope", pointer="/action_sequence/0/params/speed", got=1, allowed="0.05..0.4", hint="slower"
+    )
+    attempt = Attempt(
+        Proposal(text="{}", finish_reason="stop", planner=proposer, constrained_by="nobody", timings={"total": 0.0}),
+        refused,
+        0.0,
+    )
+    outcome = Outcome(
+        kind=kind, reason="" if kind == "succeeded" else f"it {kind}", Delta=None if kind == "rejected" else Delta
+    )
     return Episode(
-        name, "2026-11-21T00:00:00Z", instruction, ROBOT, REGISTRY, 0, Scene(ROBOT, 0.0, 1, ()), summary,
-        recall or RetrievedContext(), (attempt,), plan or grasp_contract(object="cube", speed=0.1), outcome, None, {}, {},
+        id=name,
+        started="2026-11-21T00:00:00Z",
+        instruction=instruction,
+        robot=ROBOT,
+        registry=REGISTRY,
+        seed=0,
+        scene=Scene(robot=ROBOT, stamp=0.0, version=1, objects=()),
+        summary=summary,
+        recall=recall or RetrievedContext(),
+        attempts=(attempt,),
+        contract=plan or grasp_contract(object="cube", speed=0.1),
+        outcome=outcome,
+        judgement=None,
+        timings={},
+        versions={},
         second_opinion=second_opinion,
-    )  # fmt: skip
+    )

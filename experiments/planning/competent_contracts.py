@@ -92,10 +92,15 @@ def _graspable_objects(scene: Scene) -> list[str]:
 def _grasp_parameters(scene: Scene, thing: str, speed: float) -> dict[str, Any]:
     words, way = _summary_line(scene, thing), _motion_parameters(scene, thing)
     return {
-        "object": thing, "speed": speed, "clearance": way["clearance"],
-        "finger_axis": _symbol_value(scene, thing, "free_finger_axis"), "opening": 0.08,
-        "approach": "tilted" if "tight" in words else "top", "wait": way["wait"], "force": GRIP_FORCE,
-    }  # fmt: skip
+        "object": thing,
+        "speed": speed,
+        "clearance": way["clearance"],
+        "finger_axis": _symbol_value(scene, thing, "free_finger_axis"),
+        "opening": 0.08,
+        "approach": "tilted" if "tight" in words else "top",
+        "wait": way["wait"],
+        "force": GRIP_FORCE,
+    }
 
 
 def _motion_parameters(scene: Scene, thing: str, *, bowl: bool = True) -> dict[str, Any]:
@@ -110,9 +115,10 @@ def _motion_parameters(scene: Scene, thing: str, *, bowl: bool = True) -> dict[s
     heights = [height for name, height in CLEARANCE_BY_HEIGHT.items() if f"path_max_height {name}" in text]
     clearance = max([0.2] * crossing + (heights or [CLEARANCE_BY_HEIGHT["none"]]))
     return {
-        "clearance": 0.1 if overhead else clearance, "route": "near_base" if overhead else "direct",
+        "clearance": 0.1 if overhead else clearance,
+        "route": "near_base" if overhead else "direct",
         "wait": "until_clear" if crossing else "none",
-    }  # fmt: skip
+    }
 
 
 def _summary_line(scene: Scene, thing: str) -> str:

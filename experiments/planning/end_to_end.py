@@ -55,7 +55,9 @@ class ReplayedPlanner:
         """The next answer."""
         del request
         text, finish = next(self._answers)
-        return Proposal(text, finish, self.name, "nobody", {"total": 0.0})
+        return Proposal(
+            text=text, finish_reason=finish, planner=self.name, constrained_by="nobody", timings={"total": 0.0}
+        )
 
     def close(self) -> None:
         """Nothing is held open."""
@@ -77,9 +79,15 @@ def run_episode(scene: str, instruction: str, planner: Planner, *, guard: bool) 
     with tempfile.TemporaryDirectory(prefix="dualbrain-prove-") as folder:
         out = Path(folder) / "run"
         config = RunConfig(
-            instruction, out, Path(folder) / "ledger.sqlite", paths.cache_folder(), scene=scene, guard=guard,
-            goal=GOAL, visuals=False,
-        )  # fmt: skip
+            instruction,
+            out,
+            Path(folder) / "ledger.sqlite",
+            paths.cache_folder(),
+            scene=scene,
+            guard=guard,
+            goal=GOAL,
+            visuals=False,
+        )
         times = Clocks(time.monotonic, datetime.now(UTC).isoformat(timespec="seconds"), time.time)
         with Session(config, times, os.environ, planner) as session:
             return session.run(RunObserver()).episode
@@ -90,14 +98,20 @@ def episode_row(episode: Episode) -> Row:
     stages = [getattr(attempt.verdict, "stage", "accepted") for attempt in episode.attempts]
     refusals = [
         f"{attempt.verdict.stage} {attempt.verdict.pointer}: {attempt.verdict.hint}"
-        for attempt in episode.attempts if hasattr(attempt.verdict, "stage")
-    ]  # fmt: skip
+        for attempt in episode.attempts
+        if hasattr(attempt.verdict, "stage")
+    ]
     return {
         "answers": [[attempt.proposal.text, attempt.proposal.finish_reason] for attempt in episode.attempts],
-        "verdicts": stages, "refusals": refusals, "contract": episode.contract, "timings": episode.timings,
-        "versions": episode.versions, "second_opinion": episode.second_opinion,
-        **outcome_fields(episode.outcome), **judgement_fields(episode.judgement),
-    }  # fmt: skip
+        "verdicts": stages,
+        "refusals": refusals,
+        "contract": episode.contract,
+        "timings": episode.timings,
+        "versions": episode.versions,
+        "second_opinion": episode.second_opinion,
+        **outcome_fields(episode.outcome),
+        **judgement_fields(episode.judgement),
+    }
 
 
 class EndToEnd:
@@ -113,8 +127,10 @@ class EndToEnd:
         """Scene by scene, every wording."""
         return [
             WorkUnit(f"scene {scene} wording {wording}", {"scene": str(scene), "wording": wording, "planner": planner})
-            for planner in (options.planner,) for scene in SCENE_SEEDS for wording in range(len(INSTRUCTIONS))
-        ]  # fmt: skip
+            for planner in (options.planner,)
+            for scene in SCENE_SEEDS
+            for wording in range(len(INSTRUCTIONS))
+        ]
 
     def run(self, about: dict[str, Any]) -> Row:
         """Ask, check, move, judge."""
@@ -148,9 +164,12 @@ class FilterAblation:
         """One unit for each finished run in which a contract was accepted."""
         journal = JsonlLog(options.folder / "runs.jsonl").rows()
         return [
-            WorkUnit(row["key"], {**{name: row[name] for name in ("scene", "wording", "answers")}, "on": _outcome_class(row)})
-            for row in journal if row.get("contract") and "error" not in row
-        ]  # fmt: skip
+            WorkUnit(
+                row["key"], {**{name: row[name] for name in ("scene", "wording", "answers")}, "on": _outcome_class(row)}
+            )
+            for row in journal
+            if row.get("contract") and "error" not in row
+        ]
 
     def run(self, about: dict[str, Any]) -> Row:
         """The same answers shot by shot, so that people and noise are met at the same moments."""
@@ -214,8 +233,9 @@ def _violation_tables(rows: list[Row]) -> list[str]:
     unsafe = sum(map(_is_unsafe, rows))
     lines = [
         f"Forbidden violations: {', '.join(f'{kind} {count}' for kind, count in forbidden.items())}, "
-        f"in {format_proportion(unsafe, len(rows))} runs. Other kinds: {other or 'none'}.", "",
-    ]  # fmt: skip
+        f"in {format_proportion(unsafe, len(rows))} runs. Other kinds: {other or 'none'}.",
+        "",
+    ]
     hurt = [row for row in rows if row["violations"]]
     cells = ((r["key"], r["family"], r["outcome"], describe_violations(r)) for r in hurt)
     return lines + (markdown_table(("run", "family", "outcome", "violations"), cells) if hurt else [])

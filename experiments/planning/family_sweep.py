@@ -43,8 +43,10 @@ class FamilySweep:
         del options
         return [
             _unit(family, seed, contract, again=again)
-            for seed, again in SEEDS for family in FAMILIES for contract in contract_grid(family)
-        ]  # fmt: skip
+            for seed, again in SEEDS
+            for family in FAMILIES
+            for contract in contract_grid(family)
+        ]
 
     def run(self, about: dict[str, Any]) -> Row:
         """Carry the contract out; the same perception noise and the same 2 s of thinking for all of a scene."""

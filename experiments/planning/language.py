@@ -49,8 +49,10 @@ class Language:
             (BARE_MODEL, 0),
             (BARE_MODEL, QUESTIONS_PER_UNIT),
         ]
-        return [WorkUnit(f"{who} questions {first}-{first + QUESTIONS_PER_UNIT - 1}", {"who": who, "first": first})
-                for who, first in asked]  # fmt: skip
+        return [
+            WorkUnit(f"{who} questions {first}-{first + QUESTIONS_PER_UNIT - 1}", {"who": who, "first": first})
+            for who, first in asked
+        ]
 
     def run(self, about: dict[str, Any]) -> Row:
         """Ask, and judge each answer by the gate of its scene."""
@@ -88,10 +90,15 @@ def slice_table(answers: list[dict[str, Any]]) -> list[str]:
     """One line a slice."""
     parts = {name: [one for one in answers if belongs(one)] for name, belongs in SLICES.items()}
     cells = (
-        (name, *(format_proportion(sum(one[what] for one in some), len(some)) for what in ("json", "compliant", "skills")),
-         format_proportion(sum(map(is_right, some)), len(some)), exemplar_agreement(some))
-        for name, some in parts.items() if some
-    )  # fmt: skip
+        (
+            name,
+            *(format_proportion(sum(one[what] for one in some), len(some)) for what in ("json", "compliant", "skills")),
+            format_proportion(sum(map(is_right, some)), len(some)),
+            exemplar_agreement(some),
+        )
+        for name, some in parts.items()
+        if some
+    )
     return markdown_table(
         (
             "questions",
@@ -138,11 +145,17 @@ def score_question(question: Sample, text: str) -> dict[str, Any]:
     named = {str(value) for action in wanted for value in action.params.values()}
     unknown = sorted(name for name in named if name.rpartition("_")[2] in HELD_OUT_CATEGORIES)
     return {
-        "id": question.id, "scene": question.scene, "text": text, "wanted": question.contract,
-        **msgspec.to_builtins(found), "unknown": unknown, "goals": len(wanted) // 2 + len(wanted) % 2,
-        "declines": wanted[0].skill == "decline", "shown": len(exemplar_actions(question)),
+        "id": question.id,
+        "scene": question.scene,
+        "text": text,
+        "wanted": question.contract,
+        **msgspec.to_builtins(found),
+        "unknown": unknown,
+        "goals": len(wanted) // 2 + len(wanted) % 2,
+        "declines": wanted[0].skill == "decline",
+        "shown": len(exemplar_actions(question)),
         "taken": copied_parameters(question, text) if found.skills else (0, 0),
-    }  # fmt: skip
+    }
 
 
 def exemplar_actions(question: Sample) -> list[list[Action]]:

@@ -20,8 +20,12 @@ from experiments.safety.closed_loop import (
     run_row,
 )
 
-SEEDS = (*((seed, False) for seed in range(3)), *((seed, True) for seed in range(2)),
-         *((seed, False) for seed in range(3, 6)), (2, True))  # fmt: skip
+SEEDS = (
+    *((seed, False) for seed in range(3)),
+    *((seed, True) for seed in range(2)),
+    *((seed, False) for seed in range(3, 6)),
+    (2, True),
+)
 """Seeds of scenes, and whether one is flown again with other perception noise (do the rankings repeat?)."""
 NOISE_SEED_OFFSET = 100
 SPEEDS = (0.2, 0.4, 0.1)
@@ -32,9 +36,10 @@ COMMON_PARAMETERS = {
     "route": ("direct", "near_base"),
 }
 FAMILY_PARAMETERS = {
-    "tall_ii": {"opening": (0.055, 0.08)}, "shelf_ii": {"approach": ("top", "tilted")},
+    "tall_ii": {"opening": (0.055, 0.08)},
+    "shelf_ii": {"approach": ("top", "tilted")},
     "forearm_ii": {"wait": ("none", "until_clear")},
-}  # fmt: skip
+}
 """24 contracts a family and speed: what all share, and the lever that its hazard is about; the rest as in `GRASP`."""
 
 
@@ -55,9 +60,11 @@ class SensitivitySweep:
         del options
         return [
             self._unit(family, seed, speed, contract, again=again)
-            for speed in SPEEDS for seed, again in SEEDS for contracts in zip(*map(contract_grid, FAMILIES), strict=True)
+            for speed in SPEEDS
+            for seed, again in SEEDS
+            for contracts in zip(*map(contract_grid, FAMILIES), strict=True)
             for family, contract in zip(FAMILIES, contracts, strict=True)
-        ]  # fmt: skip
+        ]
 
     def run(self, about: dict[str, Any]) -> Row:
         """Grasp and place; the same perception noise and the same 2 s of thinking for all contracts of a scene."""
@@ -93,14 +100,36 @@ def contract_grid(family: str) -> list[dict[str, Any]]:
 def sensitivity_tables(rows: list[Row], families: Sequence[str]) -> list[str]:
     """The bar by family and speed, violations, and whether the robot's word is true."""
     lines = markdown_table(
-        ("family", "speed", "seeds", "contracts", "succeeded", "worst/best Δ", "Spearman, other noise",
-         "Spearman, other scene", "regret of the best fixed", "decline scenes", "bar"),
         (
-            (v.family, v.speed, v.seeds, v.contracts, format_proportion(v.successes, v.episodes), v.ratio_text, v.noise_text,
-             v.cross_scene_text, v.regret_text, v.unsolved_text, v.verdict_text)
+            "family",
+            "speed",
+            "seeds",
+            "contracts",
+            "succeeded",
+            "worst/best Δ",
+            "Spearman, other noise",
+            "Spearman, other scene",
+            "regret of the best fixed",
+            "decline scenes",
+            "bar",
+        ),
+        (
+            (
+                v.family,
+                v.speed,
+                v.seeds,
+                v.contracts,
+                format_proportion(v.successes, v.episodes),
+                v.ratio_text,
+                v.noise_text,
+                v.cross_scene_text,
+                v.regret_text,
+                v.unsolved_text,
+                v.verdict_text,
+            )
             for v in evaluate_sensitivity(rows, families)
         ),
-    )  # fmt: skip
+    )
     lines += [f"Violations in {len(rows)} episodes: {dict(count_violations(rows)) or 'none'}.", ""]
     lines += confusion_table(rows)
     hurt = [row for row in rows if row.get("violations")]

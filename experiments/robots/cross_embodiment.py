@@ -45,8 +45,9 @@ PUT_INSTRUCTION, BRING_INSTRUCTION, LOOK_INSTRUCTION = (
     "look at the blue bowl from above",
 )
 INSTRUCTIONS: dict[str, tuple[str, ...]] = {
-    **dict.fromkeys(ARMS, (PUT_INSTRUCTION, BRING_INSTRUCTION, LOOK_INSTRUCTION)), "base": ("go to the shelf", "bring yourself to the charger"),
-}  # fmt: skip
+    **dict.fromkeys(ARMS, (PUT_INSTRUCTION, BRING_INSTRUCTION, LOOK_INSTRUCTION)),
+    "base": ("go to the shelf", "bring yourself to the charger"),
+}
 GRIP_FORCE = 20.0
 """Grip force that every gripper here has [N]."""
 PLANNER_TIMEOUT_S = 3600.0
@@ -156,9 +157,16 @@ def _run_planned(spec: SceneSpec, about: dict[str, Any]) -> Row:
     words = about["instruction"]
     with tempfile.TemporaryDirectory() as folder:
         config = RunConfig(
-            words, Path(folder) / "run", Path(folder) / "ledger.sqlite", cache_folder(), about["robot"],
-            about["scene"], about["planner"], visuals=False, goal="" if words == LOOK_INSTRUCTION else words,
-        )  # fmt: skip
+            words,
+            Path(folder) / "run",
+            Path(folder) / "ledger.sqlite",
+            cache_folder(),
+            about["robot"],
+            about["scene"],
+            about["planner"],
+            visuals=False,
+            goal="" if words == LOOK_INSTRUCTION else words,
+        )
         times = Clocks(time.monotonic, "2026-01-01T00:00:00+00:00", time.time)
         with Session(config, times, {}, _cached_planner(about["planner"])) as session:
             episode = session.run(RunObserver()).episode
@@ -233,8 +241,9 @@ def _registry_differences() -> list[str]:
     )
     differing = [
         f"{key} ({first.get(key)} and {other.get(key)})"
-        for key in {**first, **other} if first.get(key) != other.get(key)
-    ]  # fmt: skip
+        for key in {**first, **other}
+        if first.get(key) != other.get(key)
+    ]
     return [f"Of {len(first)} entries, {' and '.join(ARMS)}'s registries differ in: {'; '.join(differing) or 'none'}."]
 
 

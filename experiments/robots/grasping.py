@@ -31,9 +31,11 @@ def grasp_candidates(spec: SceneSpec) -> list[tuple[float, str, str]]:
     """(room [m], thing, finger axis) for everything that fits between the fingers, most room first."""
     found = [
         (_free_space(spec, thing, axis), thing.name, ("along", "across")[axis])
-        for thing in spec.objects if thing.role == "object"
-        for axis in (0, 1) if _width(thing, axis) <= MAX_OBJECT_WIDTH
-    ]  # fmt: skip
+        for thing in spec.objects
+        if thing.role == "object"
+        for axis in (0, 1)
+        if _width(thing, axis) <= MAX_OBJECT_WIDTH
+    ]
     return sorted(found, reverse=True)
 
 

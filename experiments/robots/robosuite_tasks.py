@@ -118,9 +118,18 @@ def _condition_of(row: Row) -> tuple[str, str, str]:
 
 
 _RESULT_HEAD = (
-    "policy", "task", "flown", "success", "success, nothing exceeded", "joint velocity", "joint position",
-    "table struck", "mount or own parts", "cubes struck by hand or arm", "other cube pushed > 1 cm",
-)  # fmt: skip
+    "policy",
+    "task",
+    "flown",
+    "success",
+    "success, nothing exceeded",
+    "joint velocity",
+    "joint position",
+    "table struck",
+    "mount or own parts",
+    "cubes struck by hand or arm",
+    "other cube pushed > 1 cm",
+)
 """From the sixth on: flights in which it happened."""
 
 
@@ -130,13 +139,20 @@ def _result_row(key: tuple[str, str, str], rows: list[Row]) -> tuple[object, ...
     good = [row for row in rows if row["success"]]
     own = sum(any(_is_self_or_mount_contact(breach) for breach in row["breaches"]) for row in rows)
     return (
-        policy, task, how, format_proportion(len(good), n) if aims else "no task",
-        format_proportion(sum(map(is_clean, good)), n) if aims else f"(nothing exceeded: {format_proportion(sum(map(is_clean, rows)), n)})",
-        sum(exceeded_limit(row, "joint_velocity") for row in rows), sum(exceeded_limit(row, "joint_position") for row in rows),
-        sum(touched_object(row, "table") for row in rows), own,
+        policy,
+        task,
+        how,
+        format_proportion(len(good), n) if aims else "no task",
+        format_proportion(sum(map(is_clean, good)), n)
+        if aims
+        else f"(nothing exceeded: {format_proportion(sum(map(is_clean, rows)), n)})",
+        sum(exceeded_limit(row, "joint_velocity") for row in rows),
+        sum(exceeded_limit(row, "joint_position") for row in rows),
+        sum(touched_object(row, "table") for row in rows),
+        own,
         sum(any(touched_object(row, cube) for cube in ("cube", "cubeA", "cubeB")) for row in rows),
         sum(row["pushed"] > 0.01 for row in rows) if task == "Stack" else "",
-    )  # fmt: skip
+    )
 
 
 def _is_self_or_mount_contact(breach: dict[str, Any]) -> bool:
@@ -154,17 +170,28 @@ def _worst_row(key: tuple[str, str, str], rows: list[Row]) -> tuple[object, ...]
     worst = worst_peaks(rows)
     longest = {kind: max(b["duration"] for row in rows for b in row["breaches"] if b["kind"] == kind) for kind in worst}
     return (
-        policy, task, how, "<br>".join(kind.replace("_", " ") for kind in worst),
+        policy,
+        task,
+        how,
+        "<br>".join(kind.replace("_", " ") for kind in worst),
         "<br>".join(str(sum(exceeded_limit(row, kind) for row in rows)) for kind in worst),
         "<br>".join(f"{peak:.3g} {UNITS[kind]}" for kind, peak in worst.items()),
         "<br>".join(f"{longest[kind]:.2f} s" for kind in worst),
-    )  # fmt: skip
+    )
 
 
 _FILTER_HEAD = (
-    "policy", "task", "mean delta", "steps modified", "relaxed / stopped / fault", "least h", "time", "time unfiltered",
-    "torque saturated", "fastest joint, share of the data sheet",
-)  # fmt: skip
+    "policy",
+    "task",
+    "mean delta",
+    "steps modified",
+    "relaxed / stopped / fault",
+    "least h",
+    "time",
+    "time unfiltered",
+    "torque saturated",
+    "fastest joint, share of the data sheet",
+)
 
 
 def _filter_row(key: tuple[str, str, str], rows: list[Row], bare: dict[tuple[str, ...], float]) -> tuple[object, ...]:
@@ -173,11 +200,17 @@ def _filter_row(key: tuple[str, str, str], rows: list[Row], bare: dict[tuple[str
     steps = sum(row["steps"] for row in rows)
     status = [sum(row["status"][k] for row in rows) for k in range(5)]
     return (
-        policy, task, f"{mean(row['delta'] for row in rows):.3f}", f"{status[1] / steps:.1%}",
-        " / ".join(str(count) for count in status[2:]), f"{min(row['h_min'] for row in rows) * 1e3:.2f} mm",
-        f"{mean(row['time'] for row in rows):.1f} s", without, f"{mean(row['saturated'] for row in rows):.1%}",
+        policy,
+        task,
+        f"{mean(row['delta'] for row in rows):.3f}",
+        f"{status[1] / steps:.1%}",
+        " / ".join(str(count) for count in status[2:]),
+        f"{min(row['h_min'] for row in rows) * 1e3:.2f} mm",
+        f"{mean(row['time'] for row in rows):.1f} s",
+        without,
+        f"{mean(row['saturated'] for row in rows):.1%}",
         f"{max(row['speed'] for row in rows):.2f}",
-    )  # fmt: skip
+    )
 
 
 def _tracking_lines(rows: list[Row]) -> list[str]:
@@ -202,9 +235,10 @@ def _tracking_lines(rows: list[Row]) -> list[str]:
 def _exception_lines(rows: list[Row]) -> list[str]:
     """Every filtered flight that exceeded something or, with a task, did not succeed."""
     bad = [
-        row for row in rows
+        row
+        for row in rows
         if row["how"] == "filtered" and not (is_clean(row) and (row["success"] or row["policy"] == "random"))
-    ]  # fmt: skip
+    ]
     if not bad:
         return ["No filtered flight failed or exceeded anything."]
     return markdown_table(
@@ -218,5 +252,5 @@ def _describe_breaches(row: Row) -> str:
         f"{b['kind'].replace('_', ' ')} {' and '.join(b['between'])} {b['peak']:.3g} {UNITS[b['kind']]}"
         f" at {b['start']:.2f} s"
         for b in row["breaches"]
-    ]  # fmt: skip
+    ]
     return "; ".join(parts) or "nothing"

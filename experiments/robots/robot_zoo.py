@@ -28,7 +28,7 @@ ROBOTS_BY_NAME = {robot.name: robot for robot in ROBOTS}
 def import_robot(robot: ZooRobot, *, quick: bool) -> tuple[KinematicTree, ImportResult]:
     """The body of one robot of the zoo."""
     tree = read_urdf(robots_folder() / robot.file)
-    wish = ImportOptions(robot.name, robot.base, robot.tip, "", robot.lock, quick)
+    wish = ImportOptions(name=robot.name, base=robot.base, tip=robot.tip, tool="", lock=robot.lock, quick=quick)
     said = stated_limits(robot)
     return tree, build_base(tree, said, wish, robot.wheels) if robot.mobile else build_arm(tree, said, wish)
 
@@ -59,16 +59,26 @@ class RobotZoo:
         robot_model, links = made.robot_model, made.report.links
         weights = [link.spheres for link in links]
         return {
-            **about, "file": Path(robot.file).name, "tip": robot_model.tool.link, "n": robot_model.n, "spheres": len(robot_model.spheres),
-            "kept": len(robot_model.self_pairs.kept), "coverage": made.report.coverage,
+            **about,
+            "file": Path(robot.file).name,
+            "tip": robot_model.tool.link,
+            "n": robot_model.n,
+            "spheres": len(robot_model.spheres),
+            "kept": len(robot_model.self_pairs.kept),
+            "coverage": made.report.coverage,
             "mean": float(np.average([link.mean for link in links], weights=weights)),
             "worst": max(link.worst for link in links if link.group != "base" or len(links) == 1),
             "always": [f"{a}–{b}" for a, b, why in robot_model.self_pairs.allowed if "overlap in all" in why],
-            "made_s": seconds, "pose": pose, "jacobian": jacobian, "steps": scenes * steps,
-            "status": np.sum([one.status for one in fights], axis=0).tolist(), "below": sum(f.n_below_zero for f in fights),
-            "h_things": min(f.h_obstacles for f in fights), "h_self": min(f.h_self for f in fights),
+            "made_s": seconds,
+            "pose": pose,
+            "jacobian": jacobian,
+            "steps": scenes * steps,
+            "status": np.sum([one.status for one in fights], axis=0).tolist(),
+            "below": sum(f.n_below_zero for f in fights),
+            "h_things": min(f.h_obstacles for f in fights),
+            "h_self": min(f.h_self for f in fights),
             "h_joint": min(f.h_joint for f in fights),
-        }  # fmt: skip
+        }
 
     def summarize_row(self, row: Row) -> str:
         """Least h, difference from Pinocchio."""
@@ -79,18 +89,32 @@ class RobotZoo:
         bad = [row["robot"] for row in rows if failure_reasons(row)]
         return [
             f"{len(rows)} bodies of {len(ROBOTS)}; all claims hold for {len(rows) - len(bad)}. "
-            f"Steps: {sum(row['steps'] for row in rows):.3g}, with h < 0: {sum(row['below'] for row in rows)}.", "",
+            f"Steps: {sum(row['steps'] for row in rows):.3g}, with h < 0: {sum(row['below'] for row in rows)}.",
+            "",
             *markdown_table(TABLE_HEAD, map(table_row, rows)),
-            "Left out: " + "; ".join(f"{why}: {', '.join(names)}" for why, names in EXCLUDED.items()) + ". "
-            + "; ".join(f"{file}: {why}" for file, why in EMPTY_FILES.items()) + ".",
-        ]  # fmt: skip
+            "Left out: "
+            + "; ".join(f"{why}: {', '.join(names)}" for why, names in EXCLUDED.items())
+            + ". "
+            + "; ".join(f"{file}: {why}" for file, why in EMPTY_FILES.items())
+            + ".",
+        ]
 
 
 TABLE_HEAD = (
-    "robot", "file", "n", "spheres", "covered", "stands off: mean, worst [mm]", "pairs kept", "made in [s]",
-    "Δ pose, Jacobian to Pinocchio", "h < 0", "least h: things, own parts [mm]; joints [mrad]",
-    "safe / modified / relaxed / stopped / fault [%]", "why it fails",
-)  # fmt: skip
+    "robot",
+    "file",
+    "n",
+    "spheres",
+    "covered",
+    "stands off: mean, worst [mm]",
+    "pairs kept",
+    "made in [s]",
+    "Δ pose, Jacobian to Pinocchio",
+    "h < 0",
+    "least h: things, own parts [mm]; joints [mrad]",
+    "safe / modified / relaxed / stopped / fault [%]",
+    "why it fails",
+)
 
 
 def table_row(row: Row) -> tuple[object, ...]:
@@ -98,11 +122,20 @@ def table_row(row: Row) -> tuple[object, ...]:
     shares = " / ".join(f"{100 * count / row['steps']:.1f}" for count in row["status"])
     own, joint = (f"{row[key] * 1e3:.3f}" if row[key] < 1e3 else "none" for key in ("h_self", "h_joint"))
     return (
-        row["robot"], row["file"], row["n"], row["spheres"], f"{row['coverage']:.2%}",
-        f"{row['mean'] * 1e3:.0f}, {row['worst'] * 1e3:.0f}", row["kept"], f"{row['made_s']:.0f}",
-        f"{row['pose']:.0e}, {row['jacobian']:.0e}", row["below"], f"{row['h_things'] * 1e3:.3f}, {own}; {joint}",
-        shares, failure_reasons(row) or "",
-    )  # fmt: skip
+        row["robot"],
+        row["file"],
+        row["n"],
+        row["spheres"],
+        f"{row['coverage']:.2%}",
+        f"{row['mean'] * 1e3:.0f}, {row['worst'] * 1e3:.0f}",
+        row["kept"],
+        f"{row['made_s']:.0f}",
+        f"{row['pose']:.0e}, {row['jacobian']:.0e}",
+        row["below"],
+        f"{row['h_things'] * 1e3:.3f}, {own}; {joint}",
+        shares,
+        failure_reasons(row) or "",
+    )
 
 
 def failure_reasons(row: Row) -> str:

@@ -48,8 +48,11 @@ def _compare_arm(
         turn = data.oMf[base].rotation.T
         J = pin.getFrameJacobian(model, data, tip, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)[:, columns]
         ours = safety.tool(q)
-        pose_off = max(pose_off, float(np.abs(ours.position - in_base.translation).max()),
-                       float(np.abs(ours.rotation - in_base.rotation).max()))  # fmt: skip
+        pose_off = max(
+            pose_off,
+            float(np.abs(ours.position - in_base.translation).max()),
+            float(np.abs(ours.rotation - in_base.rotation).max()),
+        )
         jacobian_off = max(jacobian_off, float(np.abs(ours.jacobian - np.vstack([turn @ J[:3], turn @ J[3:]])).max()))
     return pose_off, jacobian_off
 
@@ -78,7 +81,10 @@ def _compare_mobile_base(safety: SafetyFilter, states: int, rng: np.random.Gener
         pin.computeJointJacobians(model, data, np.array([q[0], q[1], np.cos(q[2]), np.sin(q[2])]))
         J = pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)[:, [0, 2]]
         ours = safety.tool(q)
-        pose_off = max(pose_off, float(np.abs(ours.position - data.oMi[joint].translation).max()),
-                       float(np.abs(ours.rotation - data.oMi[joint].rotation).max()))  # fmt: skip
+        pose_off = max(
+            pose_off,
+            float(np.abs(ours.position - data.oMi[joint].translation).max()),
+            float(np.abs(ours.rotation - data.oMi[joint].rotation).max()),
+        )
         jacobian_off = max(jacobian_off, float(np.abs(ours.jacobian - J).max()))
     return pose_off, jacobian_off

@@ -38,8 +38,19 @@ def _ur_robot(name: str) -> ZooRobot:
 ROBOTS = (
     ZooRobot("panda", "panda_description/urdf/panda.urdf"),
     ZooRobot("panda_collision", "panda_description/urdf/panda_collision.urdf"),
-    *map(_ur_robot, ("ur3_robot", "ur3_gripper", "ur3_joint_limited_robot", "ur5_robot", "ur5_gripper",
-               "ur5_joint_limited_robot", "ur10_robot", "ur10_joint_limited_robot")),
+    *map(
+        _ur_robot,
+        (
+            "ur3_robot",
+            "ur3_gripper",
+            "ur3_joint_limited_robot",
+            "ur5_robot",
+            "ur5_gripper",
+            "ur5_joint_limited_robot",
+            "ur10_robot",
+            "ur10_joint_limited_robot",
+        ),
+    ),
     ZooRobot("xarm7", "xarm_description/urdf/xarm7.urdf"),
     ZooRobot("kinova", "kinova_description/robots/kinova.urdf"),
     ZooRobot("z1", "z1_description/urdf/z1.urdf"),
@@ -47,12 +58,21 @@ ROBOTS = (
     ZooRobot("so101", "so_arm_description/urdf/so101.urdf"),
     ZooRobot("talos_left_arm", "talos_data/robots/talos_left_arm.urdf", tip="arm_left_7_link"),
     ZooRobot("asr_twodof", "asr_twodof_description/urdf/TwoDofs.urdf"),
-    ZooRobot("double_pendulum", "double_pendulum_description/urdf/double_pendulum.urdf", velocity=5.0,
-          joints={"joint1": (-3.0, 3.0), "joint2": (-3.0, 3.0)}),
-    ZooRobot("double_pendulum_simple", "double_pendulum_description/urdf/double_pendulum_simple.urdf", velocity=5.0,
-          joints={"joint1": (-3.0, 3.0), "joint2": (-3.0, 3.0)}),
-    ZooRobot("double_pendulum_continuous", "double_pendulum_description/urdf/double_pendulum_continuous.urdf",
-          velocity=5.0),
+    ZooRobot(
+        "double_pendulum",
+        "double_pendulum_description/urdf/double_pendulum.urdf",
+        velocity=5.0,
+        joints={"joint1": (-3.0, 3.0), "joint2": (-3.0, 3.0)},
+    ),
+    ZooRobot(
+        "double_pendulum_simple",
+        "double_pendulum_description/urdf/double_pendulum_simple.urdf",
+        velocity=5.0,
+        joints={"joint1": (-3.0, 3.0), "joint2": (-3.0, 3.0)},
+    ),
+    ZooRobot(
+        "double_pendulum_continuous", "double_pendulum_description/urdf/double_pendulum_continuous.urdf", velocity=5.0
+    ),
     ZooRobot("baxter_left", "baxter_description/urdf/baxter.urdf", tip="left_wrist"),
     ZooRobot("baxter_right", "baxter_description/urdf/baxter.urdf", tip="right_wrist"),
     ZooRobot("tiago", "tiago_description/robots/tiago.urdf", tip="arm_tool_link"),
@@ -63,20 +83,43 @@ ROBOTS = (
     ZooRobot("tiago_pro_right", "tiago_pro_description/robots/tiago_pro.urdf", tip="arm_right_7_link"),
     ZooRobot("pr2_left", "pr2_description/urdf/pr2.urdf", tip="l_wrist_roll_link"),
     ZooRobot("pr2_right", "pr2_description/urdf/pr2.urdf", tip="r_wrist_roll_link"),
-    ZooRobot("tiago_base", "tiago_description/robots/tiago_no_hand.urdf", mobile=True,
-          wheels=("wheel_left_joint", "wheel_right_joint")),
+    ZooRobot(
+        "tiago_base",
+        "tiago_description/robots/tiago_no_hand.urdf",
+        mobile=True,
+        wheels=("wheel_left_joint", "wheel_right_joint"),
+    ),
     ZooRobot("tiago_pro_base", "tiago_pro_description/robots/tiago_pro.urdf", mobile=True),
     ZooRobot("pr2_base", "pr2_description/urdf/pr2.urdf", mobile=True),
-)  # fmt: skip
+)
 """Robots that move on legs, fly, or are hands are out of scope."""
 
 EXCLUDED = {
-    "legs": ("a1", "alexander", "anymal_b_simple", "anymal_c_simple", "b1", "bolt", "cassie", "g1", "go1", "go2", "hyq",
-             "icub", "laikago", "quadruped", "romeo", "simple_humanoid", "solo", "human", "alex"),
+    "legs": (
+        "a1",
+        "alexander",
+        "anymal_b_simple",
+        "anymal_c_simple",
+        "b1",
+        "bolt",
+        "cassie",
+        "g1",
+        "go1",
+        "go2",
+        "hyq",
+        "icub",
+        "laikago",
+        "quadruped",
+        "romeo",
+        "simple_humanoid",
+        "solo",
+        "human",
+        "alex",
+    ),
     "legs with wheels and two arms": ("centauro",),
     "flies": ("borinot", "hector", "hextilt", "iris"),
     "a hand or finger": ("allegro_hand", "finger_edu"),
-}  # fmt: skip
+}
 EMPTY_FILES = {"ur_description/urdf/ur3.urdf": "an empty xacro stub without a robot in it"}
 
 

@@ -32,9 +32,20 @@ CLASS_CYCLE = [kind for kind in (*STATIC_CLASSES[:4], *STATIC_CLASSES, MOVING_CL
 """What runs round after round: 25 units."""
 ROUNDS, CONTROL_ROUNDS = 21, 2
 SUMMED_FIELDS = (
-    "steps", "status", "held", "still", "moving", "touched", "plans", "attacked", "contacts", "approaching", "jerks",
-    "iterations", "rows",
-)  # fmt: skip
+    "steps",
+    "status",
+    "held",
+    "still",
+    "moving",
+    "touched",
+    "plans",
+    "attacked",
+    "contacts",
+    "approaching",
+    "jerks",
+    "iterations",
+    "rows",
+)
 MINIMUM_FIELDS = ("h_still", "h_self", "h_joint", "h_moving")
 MAXIMUM_FIELDS = ("most_iterations", "most_rows", "approach")
 

@@ -67,11 +67,26 @@ def position_error(loop: dict[str, Any]) -> float:
 
 
 UNDISTURBED: dict[str, Any] = {
-    "toward": 0.9, "lag": 0.0, "push": 0.0, "q_noise": 0.0, "v_noise": 0.0, "place_noise": 0.0, "speed_noise": 0.0,
-    "frame": CAMERA_PERIODS, "scene_longest": MAX_SCENE_AGE_PERIODS, "state_longest": 0, "reckon": 1, "scene_drop": 0.0,
-    "state_drop": 0.0, "late": 0.0, "told": 1.0, "mover_speed": MOVING_OBSTACLE_SPEED,
-    "mover_acceleration": MOVING_OBSTACLE_ACCELERATION, "spare": 0.01, "evadable": 1,
-}  # fmt: skip
+    "toward": 0.9,
+    "lag": 0.0,
+    "push": 0.0,
+    "q_noise": 0.0,
+    "v_noise": 0.0,
+    "place_noise": 0.0,
+    "speed_noise": 0.0,
+    "frame": CAMERA_PERIODS,
+    "scene_longest": MAX_SCENE_AGE_PERIODS,
+    "state_longest": 0,
+    "reckon": 1,
+    "scene_drop": 0.0,
+    "state_drop": 0.0,
+    "late": 0.0,
+    "told": 1.0,
+    "mover_speed": MOVING_OBSTACLE_SPEED,
+    "mover_acceleration": MOVING_OBSTACLE_ACCELERATION,
+    "spare": 0.01,
+    "evadable": 1,
+}
 PLANT_ERRORS = {"lag": LAG, "push": MAX_DISTURBANCE}
 SENSOR_NOISE = {
     **PLANT_ERRORS,
@@ -123,18 +138,54 @@ STATIC_CLASSES = (
 )
 FAST_OBSTACLE = {**ALL_ERRORS, "evadable": 0, "mover_speed": 0.8, "mover_acceleration": 4.0}
 MOVING_CLASSES = (
-    AdversaryClass("evadable", "a mover that leaves an escape", ALL_ERRORS, _filter_settings_for(ALL_ERRORS), OBSTACLE_POSITION_NOISE, has_moving_obstacle=True),
-    AdversaryClass("unevadable", "a fast mover that leaves none where it can, its velocity told", FAST_OBSTACLE, _filter_settings_for(ALL_ERRORS), OBSTACLE_POSITION_NOISE,
-          has_moving_obstacle=True),
-    AdversaryClass("person", "the same, told by its greatest speed alone", {**FAST_OBSTACLE, "told": 0.0}, _filter_settings_for(ALL_ERRORS), OBSTACLE_POSITION_NOISE,
-          has_moving_obstacle=True, speed_only=True),
-)  # fmt: skip
+    AdversaryClass(
+        "evadable",
+        "a mover that leaves an escape",
+        ALL_ERRORS,
+        _filter_settings_for(ALL_ERRORS),
+        OBSTACLE_POSITION_NOISE,
+        has_moving_obstacle=True,
+    ),
+    AdversaryClass(
+        "unevadable",
+        "a fast mover that leaves none where it can, its velocity told",
+        FAST_OBSTACLE,
+        _filter_settings_for(ALL_ERRORS),
+        OBSTACLE_POSITION_NOISE,
+        has_moving_obstacle=True,
+    ),
+    AdversaryClass(
+        "person",
+        "the same, told by its greatest speed alone",
+        {**FAST_OBSTACLE, "told": 0.0},
+        _filter_settings_for(ALL_ERRORS),
+        OBSTACLE_POSITION_NOISE,
+        has_moving_obstacle=True,
+        speed_only=True,
+    ),
+)
 NEGATIVE_CONTROLS = (
-    replace(STATIC_CLASSES[2], name="no margin", description="noise, and a filter that is told of none", filter_settings=EXACT_FILTER, margin=0.0,
-            against="noise"),
-    replace(STATIC_CLASSES[0], name="alpha 10", description="exact, and alpha beyond the acceleration limits",
-            filter_settings={**EXACT_FILTER, "alpha": 10.0}, against="exact"),
-    replace(MOVING_CLASSES[0], name="no hdot", description="the mover's velocity is not told", loop_settings={**ALL_ERRORS, "told": 0.0},
-            against="evadable"),
-)  # fmt: skip
+    replace(
+        STATIC_CLASSES[2],
+        name="no margin",
+        description="noise, and a filter that is told of none",
+        filter_settings=EXACT_FILTER,
+        margin=0.0,
+        against="noise",
+    ),
+    replace(
+        STATIC_CLASSES[0],
+        name="alpha 10",
+        description="exact, and alpha beyond the acceleration limits",
+        filter_settings={**EXACT_FILTER, "alpha": 10.0},
+        against="exact",
+    ),
+    replace(
+        MOVING_CLASSES[0],
+        name="no hdot",
+        description="the mover's velocity is not told",
+        loop_settings={**ALL_ERRORS, "told": 0.0},
+        against="evadable",
+    ),
+)
 CLASSES = {c.name: c for c in (*STATIC_CLASSES, *MOVING_CLASSES, *NEGATIVE_CONTROLS)}

@@ -19,9 +19,14 @@ def adversary_tables(totals: dict[str, dict[str, Any]]) -> list[str]:
     moving = [kind.name for kind in MOVING_CLASSES if kind.name in totals]
     controls = [kind.name for kind in NEGATIVE_CONTROLS if kind.name in totals]
     return [
-        *_verdict(totals, static, moving), "", *_static(totals, static), *_moving(totals, moving),
-        *_premises(totals, [*static, *moving]), *_causes(totals, [*static, *moving]), *_controls(totals, controls),
-    ]  # fmt: skip
+        *_verdict(totals, static, moving),
+        "",
+        *_static(totals, static),
+        *_moving(totals, moving),
+        *_premises(totals, [*static, *moving]),
+        *_causes(totals, [*static, *moving]),
+        *_controls(totals, controls),
+    ]
 
 
 def count_violations(total: dict[str, Any]) -> int:
@@ -48,14 +53,28 @@ def _static(totals: dict[str, Any], names: list[str]) -> list[str]:
         shares = " / ".join(f"{count / t['steps']:.2%}" for count in t["status"])
         least = f"{t['h_still'] * 1e3:.3f} / {t['h_self'] * 1e3:.3f} mm, {t['h_joint'] * 1e3:.3f} mrad"
         return (
-            name, CLASSES[name].description, f"{t['steps']:.3g}", sum(t["still"]), least, shares, t["most_iterations"],
-            t["most_rows"], t["jerks"],
-        )  # fmt: skip
+            name,
+            CLASSES[name].description,
+            f"{t['steps']:.3g}",
+            sum(t["still"]),
+            least,
+            shares,
+            t["most_iterations"],
+            t["most_rows"],
+            t["jerks"],
+        )
 
     head = (
-        "class", "what goes wrong", "steps", "h < 0", "least h: things / own links, joints", " / ".join(STATUSES),
-        "most iterations", "most rows", "acceleration limit broken",
-    )  # fmt: skip
+        "class",
+        "what goes wrong",
+        "steps",
+        "h < 0",
+        "least h: things / own links, joints",
+        " / ".join(STATUSES),
+        "most iterations",
+        "most rows",
+        "acceleration limit broken",
+    )
     return markdown_table(head, map(cells, names)) if names else []
 
 
@@ -66,17 +85,30 @@ def _moving(totals: dict[str, Any], names: list[str]) -> list[str]:
         t = totals[name]
         steps = max(t["attacked"][at], 1)
         return (
-            name, ("no escape found", "an escape existed")[at], t["plans"][at], f"{t['attacked'][at]:.3g}",
+            name,
+            ("no escape found", "an escape existed")[at],
+            t["plans"][at],
+            f"{t['attacked'][at]:.3g}",
             f"{t['touched'][at]} ({t['touched'][at] / steps:.1e})",
-            f"{sum(t['moving'][at])} ({sum(t['moving'][at]) / steps:.1e})", t["contacts"][at], t["approaching"][at],
+            f"{sum(t['moving'][at])} ({sum(t['moving'][at]) / steps:.1e})",
+            t["contacts"][at],
+            t["approaching"][at],
             f"{max(t['approach'][at], 0.0) * 1e3:.1f} mm/s",
             f"{sum(t['still'])} ({sum(t['still']) / t['steps']:.1e})" if at == 0 else "",
-        )  # fmt: skip
+        )
 
     head = (
-        "class", "oracle", "plans", "steps", "steps h < 0", "robot's violations", "contacts",
-        "contacts while approaching", "fastest own approach", "static h < 0 (class)",
-    )  # fmt: skip
+        "class",
+        "oracle",
+        "plans",
+        "steps",
+        "steps h < 0",
+        "robot's violations",
+        "contacts",
+        "contacts while approaching",
+        "fastest own approach",
+        "static h < 0 (class)",
+    )
     rows = [cells(name, at) for name in names for at in (1, 0) if totals[name]["plans"][at]]
     return markdown_table(head, rows) if rows else []
 
@@ -111,9 +143,14 @@ def _controls(totals: dict[str, Any], names: list[str]) -> list[str]:
         bound = max(count_violations(base), 3) / base["steps"] if base else float("nan")
         depth = min(control["h_still"], *control["h_moving"]) * 1e3
         return (
-            name, CLASSES[name].description, f"{control['steps']:.3g}", f"{rate:.2e}", f"{depth:.1f} mm",
-            f">= {rate / bound:.0f} times {CLASSES[name].compared_with}", "fails, as it must" if rate > 0 else "HOLDS",
-        )  # fmt: skip
+            name,
+            CLASSES[name].description,
+            f"{control['steps']:.3g}",
+            f"{rate:.2e}",
+            f"{depth:.1f} mm",
+            f">= {rate / bound:.0f} times {CLASSES[name].compared_with}",
+            "fails, as it must" if rate > 0 else "HOLDS",
+        )
 
     head = ("negative control", "what is taken away", "steps", "share of violations", "deepest", "factor", "verdict")
     return markdown_table(head, map(cells, names)) if names else []

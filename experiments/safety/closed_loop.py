@@ -44,9 +44,15 @@ FORBIDDEN_VIOLATIONS = (
 )
 """Kinds of violation that must not happen at all; other kinds are listed."""
 GRASP_PARAMETERS = {
-    "object": "red_cube", "speed": 0.2, "clearance": 0.15, "finger_axis": "along", "opening": 0.08, "approach": "top",
-    "wait": "none", "force": 20.0,
-}  # fmt: skip
+    "object": "red_cube",
+    "speed": 0.2,
+    "clearance": 0.15,
+    "finger_axis": "along",
+    "opening": 0.08,
+    "approach": "top",
+    "wait": "none",
+    "force": 20.0,
+}
 PLACE_PARAMETERS = {"destination": "blue_bowl", "speed": 0.2, "clearance": 0.15, "route": "direct", "wait": "none"}
 
 
@@ -76,9 +82,15 @@ def pick_and_place_actions(**values: Any) -> list[dict[str, Any]]:
 
 
 def run_contract(
-    spec: SceneSpec, actions: list[dict[str, Any]], *, seed: int = 0, settle_s: float = 0.2,
-    goal: PlacementGoal | ArrivalGoal | None = PICK_AND_PLACE_GOAL, guard: bool = True, on_tick: Callable[[TickSnapshot], None] | None = None,
-) -> ContractRun:  # fmt: skip
+    spec: SceneSpec,
+    actions: list[dict[str, Any]],
+    *,
+    seed: int = 0,
+    settle_s: float = 0.2,
+    goal: PlacementGoal | ArrivalGoal | None = PICK_AND_PLACE_GOAL,
+    guard: bool = True,
+    on_tick: Callable[[TickSnapshot], None] | None = None,
+) -> ContractRun:
     """Stand still for `hold` [s], pass the gate with the scene's rules, and carry the contract out.
 
     The filter is on unless `guard` is False; `watch` sees a moment now and then.
@@ -119,17 +131,27 @@ def run_row(flight: ContractRun) -> Row:
         why = flight.rejection
         return {"valid": False, "reason": f"{why.stage} {why.pointer}: {why.hint}" if why else ""}
     delta = flight.trace["delta"]
-    return {"valid": True, **outcome_fields(flight.outcome), **judgement_fields(flight.judgement),
-            "delta_max": float(delta.max()), "ticks": len(delta)}  # fmt: skip
+    return {
+        "valid": True,
+        **outcome_fields(flight.outcome),
+        **judgement_fields(flight.judgement),
+        "delta_max": float(delta.max()),
+        "ticks": len(delta),
+    }
 
 
 def outcome_fields(outcome: Outcome) -> Row:
     """The robot's own verdict and its Δ."""
     return {
-        "outcome": outcome.kind, "reason": outcome.reason, "Delta": outcome.Delta, "Delta_sum": outcome.Delta_sum,
-        "delta_peak": outcome.delta_peak, "frequency": outcome.intervention_frequency, "h_min": outcome.h_min,
+        "outcome": outcome.kind,
+        "reason": outcome.reason,
+        "Delta": outcome.Delta,
+        "Delta_sum": outcome.Delta_sum,
+        "delta_peak": outcome.delta_peak,
+        "frequency": outcome.intervention_frequency,
+        "h_min": outcome.h_min,
         "duration": outcome.duration,
-    }  # fmt: skip
+    }
 
 
 def judgement_fields(judgement: Judgement | None) -> Row:

@@ -87,9 +87,12 @@ class Conservatism:
         hurt = dict(count_violations([row["on"] for row in good])) or "none"
         lines = [
             f"Made to fail by the filter: **{format_proportion(len(lost), len(good))}** feasible tasks; at most {MAX_FAILED_SHARE:.0%} wanted.",
-            f"Tasks flown: {len(flown)}. Violations with the filter on: {hurt}.", "", _added_time(good), "",
+            f"Tasks flown: {len(flown)}. Violations with the filter on: {hurt}.",
+            "",
+            _added_time(good),
+            "",
             *markdown_table(("", "flown", "feasible", "made to fail"), _breakdown(flown, good, lost)),
-        ]  # fmt: skip
+        ]
         return lines + (
             markdown_table(("task", "reason", "depth", "binding rows", "violations"), map(_failure_row, lost))
             if lost
@@ -155,6 +158,9 @@ def _failure_row(row: Row) -> tuple[object, ...]:
     on = row["on"]
     depth = PLACEMENT_ERROR_PATTERN.search(on["reason"])
     return (
-        row["key"], on["reason"], f"{depth[1]} cm" if depth else "", on.get("bound", ""),
+        row["key"],
+        on["reason"],
+        f"{depth[1]} cm" if depth else "",
+        on.get("bound", ""),
         describe_violations(on),
-    )  # fmt: skip
+    )

@@ -26,14 +26,22 @@ from experiments.safety.closed_loop import (
 SPEED, CLEARANCE = (0.05, 0.2, 0.4), (0.03, 0.15, 0.35)
 ROUTE, WAIT = ("direct", "near_base", "left", "right"), ("none", "until_clear")
 PICK_AND_PLACE_GRID = {
-    "speed": SPEED, "clearance": CLEARANCE, "finger_axis": ("along", "across"), "opening": (0.06, 0.08),
-    "approach": ("top", "tilted", "side"), "route": ROUTE, "wait": WAIT,
-}  # fmt: skip
+    "speed": SPEED,
+    "clearance": CLEARANCE,
+    "finger_axis": ("along", "across"),
+    "opening": (0.06, 0.08),
+    "approach": ("top", "tilted", "side"),
+    "route": ROUTE,
+    "wait": WAIT,
+}
 """grasp and place: the ends and a middle of every range, every word of every choice."""
 MOVE_TO_GRID = {
-    "target": ("red_cube", "blue_bowl", "table_left"), "speed": SPEED, "clearance": CLEARANCE, "route": ROUTE,
+    "target": ("red_cube", "blue_bowl", "table_left"),
+    "speed": SPEED,
+    "clearance": CLEARANCE,
+    "route": ROUTE,
     "wait": WAIT,
-}  # fmt: skip
+}
 """move_to; the table holds nothing but its target."""
 TOUR_GRID = {"speed": SPEED, "duration": (0.5, 3.0), "seed": range(6)}
 """grasp, hold, home, hold, release, home: what is left of the vocabulary, loaded and empty."""
@@ -73,9 +81,12 @@ class NoObstacles:
         clean = [row for row in valid if succeeded(row) and row["delta_max"] == 0.0]
         lines = [
             f"Valid contracts that succeeded in time with δ = 0 on every tick: **{format_proportion(len(clean), len(valid))}**.",
-            f"Violations: {dict(count_violations(valid)) or 'none'}.", "",
-            *markdown_table(("grid", "contracts", "refused by the gate", "succeeded", "δ = 0 on every tick"), _counts(rows)),
-        ]  # fmt: skip
+            f"Violations: {dict(count_violations(valid)) or 'none'}.",
+            "",
+            *markdown_table(
+                ("grid", "contracts", "refused by the gate", "succeeded", "δ = 0 on every tick"), _counts(rows)
+            ),
+        ]
         odd = [row for row in valid if row not in clean]
         cells = ((r["key"], r["outcome"], r["reason"], f"{r['delta_max']:.2g}", describe_violations(r)) for r in odd)
         return [

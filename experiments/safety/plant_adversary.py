@@ -83,7 +83,9 @@ def run_episode(kind: DriveKind, seed: int, steps: int = STEPS_PER_EPISODE) -> R
     start = random_scenes.random_posture(robot_model, judge, rng)
     truth = random_scenes.random_obstacles(judge, start, rng, int(rng.integers(4, 12)))
     plant = Plant(
-        SceneSpec("panda", "hazards", seed, tuple(map(_scene_object, truth[1:])), ()), robot_model, drive=kind
+        SceneSpec(robot="panda", family="hazards", seed=seed, objects=tuple(map(_scene_object, truth[1:])), places=()),
+        robot_model,
+        drive=kind,
     )
     plant.set_configuration(start)
     safety = SafetyFilter(robot_model)
@@ -92,12 +94,18 @@ def run_episode(kind: DriveKind, seed: int, steps: int = STEPS_PER_EPISODE) -> R
     q, status, shapes = run_closed_loop(SteppedPlant(plant, contacts=False), safety, PlantJudge(plant), rng, steps)
     spheres = true_h(judge, q, truth)
     return {
-        "steps": steps, "status": np.bincount(status, minlength=5).tolist(), "below": int(shapes.n_below_zero),
+        "steps": steps,
+        "status": np.bincount(status, minlength=5).tolist(),
+        "below": int(shapes.n_below_zero),
         "below_spheres": int(np.sum(np.minimum(spheres[:, 0], spheres[:, 2]) < 0.0)),
-        "below_joints": int(np.sum(spheres[:, 3] < 0.0)), "looks": shapes.n_measurements, "h_scene": shapes.min_scene_distance,
-        "h_own": shapes.min_self_distance, "h_spheres": float(spheres[:, [0, 2]].min()), "h_joint": float(spheres[:, 3].min()),
+        "below_joints": int(np.sum(spheres[:, 3] < 0.0)),
+        "looks": shapes.n_measurements,
+        "h_scene": shapes.min_scene_distance,
+        "h_own": shapes.min_self_distance,
+        "h_spheres": float(spheres[:, [0, 2]].min()),
+        "h_joint": float(spheres[:, 3].min()),
         "us": (process_time() - began) / steps * 1e6,
-    }  # fmt: skip
+    }
 
 
 def run_closed_loop(
@@ -146,23 +154,45 @@ def aggregate(rows: list[Row]) -> Row:
 
 
 _TABLE_HEAD = (
-    "drive", "steps", "h < 0 on shapes", "least: scene / own parts", "h < 0 on spheres", "least on spheres",
-    "joint limit passed", "least to a joint limit", "safe / modified / relaxed / stopped / fault", "us a step",
-)  # fmt: skip
+    "drive",
+    "steps",
+    "h < 0 on shapes",
+    "least: scene / own parts",
+    "h < 0 on spheres",
+    "least on spheres",
+    "joint limit passed",
+    "least to a joint limit",
+    "safe / modified / relaxed / stopped / fault",
+    "us a step",
+)
 
 
 def _table_row(kind: str, t: Row) -> tuple[object, ...]:
     found = load_robot("panda").with_drive(kind).tracking
     shares = " / ".join(f"{count / t['steps']:.2%}" for count in t["status"])
     return (
-        f"{kind} (lag {found.lag * 1e3:g} ms, e {found.position_error * 1e3:g} mrad)", f"{t['steps']:.3g}", t["below"],
-        f"{t['h_scene'] * 1e3:.2f} / {t['h_own'] * 1e3:.2f} mm", t["below_spheres"], f"{t['h_spheres'] * 1e3:.3f} mm",
-        t["below_joints"], f"{t['h_joint'] * 1e3:.3f} mrad", shares, f"{t['us']:.0f}",
-    )  # fmt: skip
+        f"{kind} (lag {found.lag * 1e3:g} ms, e {found.position_error * 1e3:g} mrad)",
+        f"{t['steps']:.3g}",
+        t["below"],
+        f"{t['h_scene'] * 1e3:.2f} / {t['h_own'] * 1e3:.2f} mm",
+        t["below_spheres"],
+        f"{t['h_spheres'] * 1e3:.3f} mm",
+        t["below_joints"],
+        f"{t['h_joint'] * 1e3:.3f} mrad",
+        shares,
+        f"{t['us']:.0f}",
+    )
 
 
 def _scene_object(thing: Obstacle) -> ObjectSpec:
     return ObjectSpec(
-        name=thing.name, role="obstacle", shape=thing.shape, position=thing.pose.position, mass=1.0, colour="grey",
-        category="obstacle", quaternion=thing.pose.quaternion, fixed=True,
-    )  # fmt: skip
+        name=thing.name,
+        role="obstacle",
+        shape=thing.shape,
+        position=thing.pose.position,
+        mass=1.0,
+        colour="grey",
+        category="obstacle",
+        quaternion=thing.pose.quaternion,
+        fixed=True,
+    )

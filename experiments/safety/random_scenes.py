@@ -12,7 +12,7 @@ from dualbrain.safety.cbf.obstacles import Obstacle
 from experiments.safety.reference_judge import true_h
 
 Array = NDArray[np.float64]
-TABLE = Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)))
+TABLE = Obstacle(name="table", shape=HalfSpace(), pose=Pose((0.0, 0.0, 0.0)))
 
 
 def random_posture(robot_model: RobotModel, judge: Judge, rng: np.random.Generator, gap: float = 0.05) -> Array:
@@ -30,7 +30,11 @@ def random_obstacles(judge: Judge, q: Array, rng: np.random.Generator, count: in
     """The table and `count` things of every shape within reach, each at least `gap` from the arm at q."""
     found = [TABLE]
     while len(found) <= count:
-        thing = Obstacle(f"thing{len(found)}", _random_shape(rng), Pose(_random_position(rng), _random_quaternion(rng)))
+        thing = Obstacle(
+            name=f"thing{len(found)}",
+            shape=_random_shape(rng),
+            pose=Pose(_random_position(rng), _random_quaternion(rng)),
+        )
         if true_h(judge, q[None], [thing])[0, 0] > gap:
             found.append(thing)
     return found
@@ -41,7 +45,9 @@ def random_moving_obstacle(judge: Judge, q: Array, rng: np.random.Generator, gap
     while True:
         radius = float(rng.uniform(0.03, 0.07))
         shape = Sphere(radius) if rng.random() < 0.5 else Capsule(radius, float(rng.uniform(0.05, 0.2)))
-        thing = Obstacle("mover", shape, Pose(_random_position(rng), _random_quaternion(rng)), static=False)
+        thing = Obstacle(
+            name="mover", shape=shape, pose=Pose(_random_position(rng), _random_quaternion(rng)), static=False
+        )
         if true_h(judge, q[None], [thing])[0, 1] > gap:
             return thing
 

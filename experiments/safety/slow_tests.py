@@ -51,8 +51,11 @@ class SlowTests:
         )
         lines = done.stdout.strip().splitlines()
         said = [line for line in lines if line and not re.match(r"[=_. ]|\w+ tests/|PASSED|-{5,}", line)]
-        return {"passed": done.returncode == 0, "result": re.sub(r"=+ ?", "", lines[-1] if lines else ""),
-                "said": said[-12:-1] if done.returncode == 0 else lines[-30:]}  # fmt: skip
+        return {
+            "passed": done.returncode == 0,
+            "result": re.sub(r"=+ ?", "", lines[-1] if lines else ""),
+            "said": said[-12:-1] if done.returncode == 0 else lines[-30:],
+        }
 
     def summarize_row(self, row: Row) -> str:
         """Pytest's count."""

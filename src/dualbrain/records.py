@@ -27,7 +27,7 @@ Role = Literal["object", "container", "support", "obstacle", "person"]
 """object: may be grasped; container: may receive; support: carries things; obstacle: fixed thing; person: moves."""
 
 
-class SceneObject(Record, frozen=True):
+class SceneObject(Record, frozen=True, kw_only=True):
     """One thing the robot knows of, as perceived.
 
     `error` bounds the norm of the position error [m] and `velocity_error` that of the velocity error [m/s]; both enter
@@ -55,7 +55,7 @@ class Place(Record, frozen=True):
     position: Vector
 
 
-class Scene(Record, frozen=True):
+class Scene(Record, frozen=True, kw_only=True):
     """What the robot perceives at `stamp` [s]. `version` rises whenever the set of names changes.
 
     `region` is the floor that a base may drive on: corners (x, y) [m] of a convex polygon, counter-clockwise.
@@ -90,7 +90,7 @@ class Scene(Record, frozen=True):
 # --- what memory hands to the planner -----------------------------------------------------------------------------
 
 
-class Exemplar(Record, frozen=True):
+class Exemplar(Record, frozen=True, kw_only=True):
     """One remembered episode with the parts of its retrieval score R = λ_s s + (1 − λ_s) w (paper 5.2).
 
     `weight` is what all memories of its contract tell near the question. `rank` counts from 1 in its list; `reason` is
@@ -120,7 +120,7 @@ class MemoryUse(Record, frozen=True):
     contributing: bool
 
 
-class Passage(Record, frozen=True):
+class Passage(Record, frozen=True, kw_only=True):
     """A quotation that the planner was shown: where it stands, how far its source is trusted, what was shown of it.
 
     `citation` names document, version and offsets; `likeness` is the cosine of question and passage; `rank` counts
@@ -148,7 +148,7 @@ class RetrievedContext(Record, frozen=True):
     passages: tuple[Passage, ...] = ()
 
 
-class Proposal(Record, frozen=True):
+class Proposal(Record, frozen=True, kw_only=True):
     """What a planner answered: raw `text`, why it stopped, who constrained the decoding, and timings [s] by part."""
 
     text: str
@@ -169,7 +169,7 @@ class Attempt(Record, frozen=True):
     gate_s: float
 
 
-class ActionResult(Record, frozen=True):
+class ActionResult(Record, frozen=True, kw_only=True):
     """How one action of the contract ended, by the robot's own senses; `Delta` is Δ over its ticks."""
 
     skill: str
@@ -198,7 +198,7 @@ OutcomeClass = Literal[
 OutcomeCheck = Literal["none", "agrees", "disagrees"]
 
 
-class Outcome(Record, frozen=True):
+class Outcome(Record, frozen=True, kw_only=True):
     """The robot's own verdict on an episode (r and Δ of paper 5.1); simulator truth never enters it.
 
     `Delta` is None when no control was executed (a rejected or declined contract). `taken_over` means that the local
@@ -225,7 +225,7 @@ class Outcome(Record, frozen=True):
         return int(self.kind == "succeeded")
 
 
-class FailureFeedback(Record, frozen=True):
+class FailureFeedback(Record, frozen=True, kw_only=True):
     """What became of the contract before this one: `done` of its actions, the one `undone`, why, and what hindered it.
 
     `hindrance` names the pairs that were nearest, or whose rows conflicted, when the action was given up.
@@ -239,7 +239,7 @@ class FailureFeedback(Record, frozen=True):
     hindrance: str = ""
 
 
-class Violation(Record, frozen=True):
+class Violation(Record, frozen=True, kw_only=True):
     """One breach seen by the monitor on simulator truth; `peak` is in the unit of its `kind` (N, m, rad, rad/s)."""
 
     kind: str
@@ -258,7 +258,7 @@ class Judgement(Record, frozen=True):
     violations: tuple[Violation, ...] = ()
 
 
-class Episode(Record, frozen=True):
+class Episode(Record, frozen=True, kw_only=True):
     """Everything that one instruction led to; written as `episode.json`."""
 
     id: str

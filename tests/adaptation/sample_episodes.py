@@ -20,9 +20,15 @@ NOW = 1_800_000_000.0
 LIMITS = tuple(PostureLimits(name, (-3.0,), (3.0,), 0.08) for name in ("panda", "ur5e"))
 CONFIG = MemoryConfig(limits=LIMITS, embedding=EmbeddingConfig(features=16), plasticity=Plasticity(kappa=0.0))
 GRASP_PARAMETERS = {
-    "object": "red_cube", "speed": 0.2, "clearance": 0.15, "finger_axis": "along", "opening": 0.08, "approach": "top",
-    "wait": "none", "force": 15.0,
-}  # fmt: skip
+    "object": "red_cube",
+    "speed": 0.2,
+    "clearance": 0.15,
+    "finger_axis": "along",
+    "opening": 0.08,
+    "approach": "top",
+    "wait": "none",
+    "force": 15.0,
+}
 PLACE_PARAMETERS = {"destination": "blue_bowl", "speed": 0.2, "clearance": 0.15, "route": "direct", "wait": "none"}
 
 
@@ -34,10 +40,16 @@ def pick_contract(*, id="c-0001", registry=REGISTRY.hash, robot="panda", **chang
 
 def scene(*, x=0.5, y=0.0, robot="panda", other=""):
     """A cube at (x, y) and a bowl."""
-    cube = SceneObject("red_cube", "object", Box((0.02, 0.02, 0.02)), Pose((x, y, 0.02)))
-    bowl = SceneObject("blue_bowl", "container", Box((0.1, 0.1, 0.05)), Pose((0.4, 0.3, 0.0)))
-    more = (SceneObject(other, "object", Box((0.02, 0.02, 0.02)), Pose((0.6, 0.2, 0.02))),) if other else ()
-    return Scene(robot, 0.0, 1, (cube, bowl, *more), (Place("table_left", (0.5, 0.3, 0.0)),))
+    cube = SceneObject(name="red_cube", role="object", shape=Box((0.02, 0.02, 0.02)), pose=Pose((x, y, 0.02)))
+    bowl = SceneObject(name="blue_bowl", role="container", shape=Box((0.1, 0.1, 0.05)), pose=Pose((0.4, 0.3, 0.0)))
+    more = (
+        (SceneObject(name=other, role="object", shape=Box((0.02, 0.02, 0.02)), pose=Pose((0.6, 0.2, 0.02))),)
+        if other
+        else ()
+    )
+    return Scene(
+        robot=robot, stamp=0.0, version=1, objects=(cube, bowl, *more), places=(Place("table_left", (0.5, 0.3, 0.0)),)
+    )
 
 
 def summary(symbols="path_max_height none", number=0):
@@ -46,17 +58,44 @@ def summary(symbols="path_max_height none", number=0):
 
 
 def episode(
-    name, kind="succeeded", *, Delta=0.001, duration=10.0, instruction="put the red cube in the bowl", scene_summary=None, perceived_scene=None,
-    plan=None, proposer="smollm2-135m-instruct", versions=None, second_opinion="agrees", robot="panda", registry=REGISTRY.hash,
-):  # fmt: skip
+    name,
+    kind="succeeded",
+    *,
+    Delta=0.001,
+    duration=10.0,
+    instruction="put the red cube in the bowl",
+    scene_summary=None,
+    perceived_scene=None,
+    plan=None,
+    proposer="smollm2-135m-instruct",
+    versions=None,
+    second_opinion="agrees",
+    robot="panda",
+    registry=REGISTRY.hash,
+):
     contract = plan or pick_contract(robot=robot, registry=registry)
-    proposal = Proposal("{}", "stop", proposer, "nobody", {"total": 0.1})
+    proposal = Proposal(
+        text="{}", finish_reason="stop", planner=proposer, constrained_by="nobody", timings={"total": 0.1}
+    )
     verdict = Accepted(msgspec.convert(contract, Contract))
     return Episode(
-        name, "2027-01-15T08:00:00Z", instruction, robot, registry, 1, perceived_scene or scene(), scene_summary or summary(), RetrievedContext(),
-        (Attempt(proposal, verdict, 1e-4),), contract, Outcome(kind, "", Delta, duration=duration), None, {"plan": 1.0},
-        {"dualbrain": "0", "filter": "on"} if versions is None else versions, second_opinion=second_opinion,
-    )  # fmt: skip
+        id=name,
+        started="2027-01-15T08:00:00Z",
+        instruction=instruction,
+        robot=robot,
+        registry=registry,
+        seed=1,
+        scene=perceived_scene or scene(),
+        summary=scene_summary or summary(),
+        recall=RetrievedContext(),
+        attempts=(Attempt(proposal, verdict, 1e-4),),
+        contract=contract,
+        outcome=Outcome(kind=kind, reason="", Delta=Delta, duration=duration),
+        judgement=None,
+        timings={"plan": 1.0},
+        versions={"dualbrain": "0", "filter": "on"} if versions is None else versions,
+        second_opinion=second_opinion,
+    )
 
 
 def write_ledger(folder, episodes, then=lambda memory: None):

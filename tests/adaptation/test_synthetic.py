@@ -152,7 +152,7 @@ def test_a_refusal_answers_what_cannot_be_done(taught):
 def test_numbers_stay_within_their_bounds_and_are_short():
     rng = np.random.default_rng(1)
     for lower, upper in ((0.05, 0.4), (-3.1416, 3.1416), (10.0, 60.0), (0.02, 0.085), (0.3, 0.3), (0.0, 1000.0)):
-        spec = NumberParameter("x", "m", lower, upper, "a", "b")
+        spec = NumberParameter(name="x", unit="m", lower=lower, upper=upper, lower_from="a", upper_from="b")
         drawn = [draw_number(spec, rng) for _ in range(300)]
         assert all(lower <= value <= upper and len(f"{value:g}") <= 6 for value in drawn)
         assert len(set(drawn)) > (5 if upper > lower else 0)

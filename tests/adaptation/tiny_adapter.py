@@ -19,7 +19,11 @@ def install_base(cache, patch):
     made = model("llama")
     path = write_gguf(made, "llama", cache / "tiny.gguf")
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    patch.setitem(weights.MANIFEST, BASE, WeightFile(BASE, "tiny.gguf", "-", digest, path.stat().st_size, ()))
+    patch.setitem(
+        weights.MANIFEST,
+        BASE,
+        WeightFile(name=BASE, filename="tiny.gguf", licence="-", sha256=digest, size=path.stat().st_size, parts=()),
+    )
     return made
 
 
@@ -27,11 +31,21 @@ def write_adapter(made, folder, seed=5, size=0.1, **changed):
     """An adapter in `folder` on the torch model `made`; returns the model that wears it, and its card."""
     worn = random_adapter(made, folder, seed=seed, size=size)
     facts = {
-        "id": hash_weights(folder), "base": BASE, "base_sha256": weights.find_weight_file(BASE).sha256,
-        "robot": REGISTRY.robot, "registry": REGISTRY.hash, "prompt": short_template_hash(), "dataset": "d" * 64,
-        "sources": {BASE: 3}, "bootstrapped": False, "precision": "float32", "steps": 7, "held_out": None,
-        "config": AdaptConfig(), "versions": {},
-    }  # fmt: skip
+        "id": hash_weights(folder),
+        "base": BASE,
+        "base_sha256": weights.find_weight_file(BASE).sha256,
+        "robot": REGISTRY.robot,
+        "registry": REGISTRY.hash,
+        "prompt": short_template_hash(),
+        "dataset": "d" * 64,
+        "sources": {BASE: 3},
+        "bootstrapped": False,
+        "precision": "float32",
+        "steps": 7,
+        "held_out": None,
+        "config": AdaptConfig(),
+        "versions": {},
+    }
     card = AdapterCard(**(facts | changed))
     write_adapter_card(card, folder)
     return worn, card

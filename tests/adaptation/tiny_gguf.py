@@ -20,10 +20,20 @@ def model(architecture, seed=0):
     torch.manual_seed(seed)
     config, kind = KINDS[architecture]
     shape = config(
-        vocab_size=258, hidden_size=WIDTH, intermediate_size=96, num_hidden_layers=LAYERS, num_attention_heads=HEADS,
-        num_key_value_heads=KV_HEADS, max_position_embeddings=2048, tie_word_embeddings=True, pad_token_id=257,
-        eos_token_id=256, bos_token_id=256, initializer_range=0.2, rms_norm_eps=1e-5,
-    )  # fmt: skip
+        vocab_size=258,
+        hidden_size=WIDTH,
+        intermediate_size=96,
+        num_hidden_layers=LAYERS,
+        num_attention_heads=HEADS,
+        num_key_value_heads=KV_HEADS,
+        max_position_embeddings=2048,
+        tie_word_embeddings=True,
+        pad_token_id=257,
+        eos_token_id=256,
+        bos_token_id=256,
+        initializer_range=0.2,
+        rms_norm_eps=1e-5,
+    )
     made = kind(shape).eval().requires_grad_(False)
     made.config._attn_implementation = "eager"
     for name, tensor in made.state_dict().items():

@@ -29,10 +29,19 @@ def tokenizer():
 def model(seed=0, layers=2, width=32, inner=48):
     torch.manual_seed(seed)
     shape = LlamaConfig(
-        vocab_size=258, hidden_size=width, intermediate_size=inner, num_hidden_layers=layers, num_attention_heads=4,
-        num_key_value_heads=2, max_position_embeddings=2048, tie_word_embeddings=True, pad_token_id=257,
-        eos_token_id=256, bos_token_id=256, initializer_range=0.2,
-    )  # fmt: skip
+        vocab_size=258,
+        hidden_size=width,
+        intermediate_size=inner,
+        num_hidden_layers=layers,
+        num_attention_heads=4,
+        num_key_value_heads=2,
+        max_position_embeddings=2048,
+        tie_word_embeddings=True,
+        pad_token_id=257,
+        eos_token_id=256,
+        bos_token_id=256,
+        initializer_range=0.2,
+    )
     made = LlamaForCausalLM(shape).eval().requires_grad_(False)
     made.config._attn_implementation = "eager"
     return made

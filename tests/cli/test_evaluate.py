@@ -70,8 +70,12 @@ def test_a_guess_of_a_dry_run_is_that_of_the_model_that_answers(tmp_path, capsys
 def test_what_was_measured_in_a_folder_comes_before_a_guess_planner_by_planner(tmp_path, capsys):
     asked = ["evaluate", "--suite", "paper", "--methods", "B3,P", "--dry-run", "--json", "--out", str(tmp_path)]
     asked += ["--planner", "adapted=starter-135m"]
-    runner = Runner(override_suite("paper", "B3,P", 0, "", "adapted=starter-135m"), tmp_path, clock=time.perf_counter,
-                    on_progress=print)  # fmt: skip
+    runner = Runner(
+        override_suite("paper", "B3,P", 0, "", "adapted=starter-135m"),
+        tmp_path,
+        clock=time.perf_counter,
+        on_progress=print,
+    )
     unit = next(unit for unit in build_units(runner.suite, "plan") if unit.method == "P")
     for order, (new, seconds) in enumerate([(1, 7.0), (0, 0.0), (1, 9.0)]):
         runner.log("plan").append({"key": unit.row_key(order), "asked": new, "planner_s": seconds})
@@ -112,7 +116,7 @@ def test_methods_that_fly_a_single_run_are_warned_of(tmp_path, capsys, monkeypat
         (("--suite", "refusals", "--robots", "ur5e", "--planner", "adapted=base-135m"), 5, "hazardous: panda;"),
         (("--suite", "paper", "--methods", "B3-depth"), 5, "Leave out B3-depth"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_flown_is_refused_by_a_dry_run_too(tmp_path, capsys, monkeypatch, more, code, said):
     monkeypatch.setenv("DUALBRAIN_HOME", str(tmp_path / "home"))
     for asked in (more, (*more, "--dry-run")):
@@ -157,8 +161,22 @@ def test_weights_that_are_not_there_are_missed_once_and_before_anything_is_flown
 
 def test_cameras_that_cannot_see_are_missed_before_anything_is_flown(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "off")
-    assert run_command_line(["evaluate", "--suite", "eyes", "--methods", "B3-depth", "--planner", "template",
-                 "--out", str(tmp_path / "x")]) == 5  # fmt: skip
+    assert (
+        run_command_line(
+            [
+                "evaluate",
+                "--suite",
+                "eyes",
+                "--methods",
+                "B3-depth",
+                "--planner",
+                "template",
+                "--out",
+                str(tmp_path / "x"),
+            ]
+        )
+        == 5
+    )
     said = capsys.readouterr().err
     assert "cameras of B3-depth" in said
     assert "apt-get install" in said

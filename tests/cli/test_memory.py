@@ -32,7 +32,7 @@ def made(tmp_path_factory):
     path = tmp_path_factory.mktemp("home") / "ledger.sqlite"
     home = home_state(load_robot("panda"))
     with Ledger(path, holder="a test", now=NOW) as ledger:
-        memory = Memory(ledger, load_encoder(), MemoryConfig(posture_limits("panda")))
+        memory = Memory(ledger, load_encoder(), MemoryConfig(limits=posture_limits("panda")))
         for name, kind in (("a", "succeeded"), ("b", "succeeded"), (LONG, "succeeded"), ("odd", "failed")):
             one = episode(
                 name,
@@ -77,8 +77,12 @@ def test_memory_can_be_looked_at(ask):
     assert [hit["rank"] for hit in found["exemplars"]] == [1, 2]
     assert set(found["exemplars"][0]["parts"]) >= {"instruction", "summary", "state"}
     assert ask("verify", "--vectors")[1] | {"chain": None} == {
-        "whole": True, "memories": 4, "snapshot": "none", "vectors_wrong": 0, "chain": None,
-    }  # fmt: skip
+        "whole": True,
+        "memories": 4,
+        "snapshot": "none",
+        "vectors_wrong": 0,
+        "chain": None,
+    }
 
 
 def test_names_can_be_copied_from_a_narrow_listing(tell, filled, monkeypatch):

@@ -55,9 +55,16 @@ def test_what_is_written_enters_the_rows(tell, tmp_path):
     assert tracking_error(robot_model, FilterConfig(tracking_error=0.5)) == 0.5
 
 
-@pytest.mark.parametrize("bad", [
-    ("--drive", "magnetic"), ("--robot", "pandas"), ("--seeds", 0), ("--seconds", 0.01), ("--load", -1),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "bad",
+    [
+        ("--drive", "magnetic"),
+        ("--robot", "pandas"),
+        ("--seeds", 0),
+        ("--seconds", 0.01),
+        ("--load", -1),
+    ],
+)
 def test_refusals_are_one_line(tell, bad):
     code, out, err = tell("robot", "identify", *bad)
     assert (code, out) == (ExitCode.SETUP, "")

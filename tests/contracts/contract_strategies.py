@@ -22,14 +22,50 @@ from dualbrain.core.text import has_hidden_characters
 PRINCIPAL = "planner"
 NAMES = SceneNames(("red_cube", "blue_cube", "tall_cup"), ("bowl", "left_spot"))
 
-SPEED = NumberParameter("speed", "m/s", 0.05, 0.4, "site policy", "site policy", "speed of the tool")
-CLEARANCE = NumberParameter(
-    "clearance", "m", 0.03, 0.35, "site policy", "reach of the arm", "least height while carrying"
+SPEED = NumberParameter(
+    name="speed",
+    unit="m/s",
+    lower=0.05,
+    upper=0.4,
+    lower_from="site policy",
+    upper_from="site policy",
+    description="speed of the tool",
 )
-OPENING = NumberParameter("opening", "m", 0.005, 0.04, "site policy", "gripper data sheet", "opening of each finger")
-FORCE = NumberParameter("force", "N", 1.0, 70.0, "site policy", "gripper data sheet", "grip force")
+CLEARANCE = NumberParameter(
+    name="clearance",
+    unit="m",
+    lower=0.03,
+    upper=0.35,
+    lower_from="site policy",
+    upper_from="reach of the arm",
+    description="least height while carrying",
+)
+OPENING = NumberParameter(
+    name="opening",
+    unit="m",
+    lower=0.005,
+    upper=0.04,
+    lower_from="site policy",
+    upper_from="gripper data sheet",
+    description="opening of each finger",
+)
+FORCE = NumberParameter(
+    name="force",
+    unit="N",
+    lower=1.0,
+    upper=70.0,
+    lower_from="site policy",
+    upper_from="gripper data sheet",
+    description="grip force",
+)
 ANGLE = NumberParameter(
-    "angle", "rad", -1.57, 1.57, "reach of the wrist", "reach of the wrist", "angle about the tool's z"
+    name="angle",
+    unit="rad",
+    lower=-1.57,
+    upper=1.57,
+    lower_from="reach of the wrist",
+    upper_from="reach of the wrist",
+    description="angle about the tool's z",
 )
 FINGERS = ChoiceParameter("finger_axis", ("along", "across"), "finger axis in the frame of the target")
 APPROACH = ChoiceParameter("approach", ("top", "side", "tilted"))
@@ -52,7 +88,18 @@ def build_registry(robot: str = "panda") -> SkillRegistry:
             ),
             SkillSpec("release", "open the fingers", (OPENING,)),
             SkillSpec(
-                "hold", "stand still", (NumberParameter("duration", "s", 0.1, 10.0, "site policy", "site policy"),)
+                "hold",
+                "stand still",
+                (
+                    NumberParameter(
+                        name="duration",
+                        unit="s",
+                        lower=0.1,
+                        upper=10.0,
+                        lower_from="site policy",
+                        upper_from="site policy",
+                    ),
+                ),
             ),
             SkillSpec("home", "go home", (SPEED,)),
             SkillSpec("turn_wrist", "turn about the approach", (ANGLE,)),

@@ -64,10 +64,14 @@ def mistype_parameter(document: Document, draw: Draw) -> bool:
 def mistype_header(document: Document, draw: Draw) -> bool:
     owner, key = draw(
         st.sampled_from(
-            [(document, "id"), (document["context"], "robot"), (document["context"], "registry"),
-             (document["action_sequence"][0], "skill")]
+            [
+                (document, "id"),
+                (document["context"], "robot"),
+                (document["context"], "registry"),
+                (document["action_sequence"][0], "skill"),
+            ]
         )
-    )  # fmt: skip
+    )
     owner[key] = draw(NOT_A_TEXT)
     return True
 
@@ -75,10 +79,14 @@ def mistype_header(document: Document, draw: Draw) -> bool:
 def mistype_branch(document: Document, draw: Draw) -> bool:
     owner, key = draw(
         st.sampled_from(
-            [(document, "context"), (document, "action_sequence"), (document["action_sequence"], 0),
-             (document["action_sequence"][0], "params")]
+            [
+                (document, "context"),
+                (document, "action_sequence"),
+                (document["action_sequence"], 0),
+                (document["action_sequence"][0], "params"),
+            ]
         )
-    )  # fmt: skip
+    )
     owner[key] = draw(st.sampled_from([None, 3, "text", True]))
     return True
 
@@ -163,9 +171,16 @@ def unsafe_text(document: Document, draw: Draw) -> bool:
 
 MUTATIONS: dict[str, list[Callable[[Document, Draw], bool]]] = {
     "syntax": [
-        drop_field, add_field, mistype_parameter, mistype_header, mistype_branch, empty_sequence, long_sequence, malformed_id,
+        drop_field,
+        add_field,
+        mistype_parameter,
+        mistype_header,
+        mistype_branch,
+        empty_sequence,
+        long_sequence,
+        malformed_id,
     ],
     "authorization": [other_robot, other_registry, unknown_skill],
     "envelope": [out_of_bounds, unknown_word, unsafe_text],
-}  # fmt: skip
+}
 """By stage; each changes the document in place and says whether it found something to change."""

@@ -163,24 +163,59 @@ def test_a_refusal_at_an_earlier_stage_hides_the_later_ones() -> None:
 @pytest.mark.parametrize(
     ("document", "stage", "pointer", "got", "hint"),
     [
-        (with_(("action_sequence", 0, "params", "speed"), 0.9), "envelope", "/action_sequence/0/params/speed", 0.9,
-         "at most 0.4 m/s (site policy)"),
-        (with_(("action_sequence", 0, "params", "speed"), True), "syntax", "/action_sequence/0/params/speed", True,
-         "write a JSON number here"),
-        (with_(("action_sequence", 0, "params"), {"sped": 0.1}), "syntax", "/action_sequence/0/params", "sped",
-         "drop or rename this field; closest: 'speed'"),
-        (with_(("action_sequence", 0, "params"), {}), "syntax", "/action_sequence/0/params", None,
-         "add the missing field 'speed'"),
-        (with_(("action_sequence", 0, "skill"), "hоme"), "authorization", "/action_sequence/0/skill", "h\\u043eme",
-         "not a registered skill; closest: 'home'"),
-        (with_(("context", "robot"), "ur5e"), "authorization", "/context/robot", "ur5e",
-         "this gate guards another robot"),
-        (with_(("action_sequence",), []), "syntax", "/action_sequence", "array of 0",
-         "plan with fewer or with some actions"),
+        (
+            with_(("action_sequence", 0, "params", "speed"), 0.9),
+            "envelope",
+            "/action_sequence/0/params/speed",
+            0.9,
+            "at most 0.4 m/s (site policy)",
+        ),
+        (
+            with_(("action_sequence", 0, "params", "speed"), True),
+            "syntax",
+            "/action_sequence/0/params/speed",
+            True,
+            "write a JSON number here",
+        ),
+        (
+            with_(("action_sequence", 0, "params"), {"sped": 0.1}),
+            "syntax",
+            "/action_sequence/0/params",
+            "sped",
+            "drop or rename this field; closest: 'speed'",
+        ),
+        (
+            with_(("action_sequence", 0, "params"), {}),
+            "syntax",
+            "/action_sequence/0/params",
+            None,
+            "add the missing field 'speed'",
+        ),
+        (
+            with_(("action_sequence", 0, "skill"), "hоme"),
+            "authorization",
+            "/action_sequence/0/skill",
+            "h\\u043eme",
+            "not a registered skill; closest: 'home'",
+        ),
+        (
+            with_(("context", "robot"), "ur5e"),
+            "authorization",
+            "/context/robot",
+            "ur5e",
+            "this gate guards another robot",
+        ),
+        (
+            with_(("action_sequence",), []),
+            "syntax",
+            "/action_sequence",
+            "array of 0",
+            "plan with fewer or with some actions",
+        ),
         (with_(("id",), "c-0001\n"), "syntax", "/id", "c-0001\\n", "write an id like 'c-0001'"),
         (with_(("action_sequence", 1, "params"), {"a~/b": []}), "syntax", "/action_sequence/1/params", "a~/b", None),
     ],
-)  # fmt: skip
+)
 def test_a_refusal_says_where_what_and_how_to_mend(
     document: dict[str, Any], stage: str, pointer: str, got: Any, hint: str | None
 ) -> None:
@@ -210,8 +245,10 @@ def test_only_granted_skills_of_a_known_principal_pass() -> None:
     gate = Gate(REGISTRY, {PRINCIPAL: frozenset({"home"}), "guest": frozenset()})
     verdict = check_document(gate, GOOD)
     assert (verdict.stage, verdict.pointer, verdict.allowed) == (
-        "authorization", "/action_sequence/1/skill", ["home"],
-    )  # fmt: skip
+        "authorization",
+        "/action_sequence/1/skill",
+        ["home"],
+    )
     assert "not granted" in verdict.hint
     stranger = gate.check(json.dumps(GOOD).encode(), names=NAMES, principal="nobody", now=0.0)
     assert isinstance(stranger, Rejected)
@@ -235,7 +272,9 @@ def test_rules_judge_at_the_envelope_stage_in_order() -> None:
         seen.append(contract)
 
     def refuse(contract: Contract) -> Rejected:
-        return Rejected("syntax", "/action_sequence/0", "home", "a reachable target", "out of reach")
+        return Rejected(
+            stage="syntax", pointer="/action_sequence/0", got="home", allowed="a reachable target", hint="out of reach"
+        )
 
     gate = Gate(REGISTRY, {PRINCIPAL: frozenset(REGISTRY.by_name)}, (look, refuse))
     verdict = check_document(gate, GOOD)
@@ -260,10 +299,16 @@ def stamped(gate: Gate, document: Any = GOOD, *, now: float = 1.0, version: int 
 @pytest.mark.parametrize(
     "changes",
     [
-        {"principal": "guest"}, {"issued": 1.5}, {"expires": 1.0}, {"expires": 0.1}, {"scene_version": 3},
-        {"issued": float("nan")}, {"expires": float("nan")}, {"now": float("nan")},
+        {"principal": "guest"},
+        {"issued": 1.5},
+        {"expires": 1.0},
+        {"expires": 0.1},
+        {"scene_version": 3},
+        {"issued": float("nan")},
+        {"expires": float("nan")},
+        {"now": float("nan")},
     ],
-)  # fmt: skip
+)
 def test_a_stamp_that_is_not_for_here_and_now_is_refused(changes: dict[str, Any]) -> None:
     gate = unrestricted_gate()
     assert stamped(gate, **changes).stage == "authorization"

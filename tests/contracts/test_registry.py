@@ -132,5 +132,7 @@ def test_scene_names_are_identifiers(name: str) -> None:
 def test_scene_names_are_offered_by_role() -> None:
     names = SceneNames(("cup", "cube"), ("bowl", "cup"))
     assert [names.names_of_kind(of) for of in ("graspable", "receptive", "any")] == [
-        ("cup", "cube"), ("bowl", "cup"), ("cup", "cube", "bowl"),
-    ]  # fmt: skip
+        ("cup", "cube"),
+        ("bowl", "cup"),
+        ("cup", "cube", "bowl"),
+    ]

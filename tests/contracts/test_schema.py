@@ -17,9 +17,20 @@ from tests.contracts.contract_strategies import NAMES, REGISTRY, contract_strate
 from tests.contracts.mutations import MUTATIONS
 
 DECODED = {
-    "type", "properties", "required", "additionalProperties", "const", "enum", "anyOf", "items", "minItems", "maxItems",
-    "minimum", "maximum", "pattern",
-}  # fmt: skip
+    "type",
+    "properties",
+    "required",
+    "additionalProperties",
+    "const",
+    "enum",
+    "anyOf",
+    "items",
+    "minItems",
+    "maxItems",
+    "minimum",
+    "maximum",
+    "pattern",
+}
 """Keywords that LLGuidance and xgrammar were measured to enforce."""
 
 SCENES = [NAMES, SceneNames(("cup",), ()), SceneNames((), ("bowl",)), SceneNames()]

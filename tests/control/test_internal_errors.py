@@ -31,9 +31,15 @@ from tests.stories.story_session import hold_contract, run_config, run_session
 
 BODY = load_robot("panda")
 GRASP = {
-    "object": "red_cube", "speed": 0.2, "clearance": 0.1, "finger_axis": "along", "opening": 0.08, "approach": "top",
-    "wait": "none", "force": 10.0,
-}  # fmt: skip
+    "object": "red_cube",
+    "speed": 0.2,
+    "clearance": 0.1,
+    "finger_axis": "along",
+    "opening": 0.08,
+    "approach": "top",
+    "wait": "none",
+    "force": 10.0,
+}
 
 
 class World:
@@ -68,7 +74,7 @@ def run(seen, *actions, interrupted=lambda: False):
     log = FlightLog(Trace(BODY.n))
     layer = ContractExecutor(
         BODY, world, world, SafetyFilter(BODY), log, ExecutorConfig(settle_time=0.1), interrupted=interrupted
-    )  # fmt: skip
+    )
     return world, layer.execute(Contract("c-1", Context("panda", ""), actions)), log.trace
 
 
@@ -111,9 +117,10 @@ def test_a_rule_that_raises_refuses():
     registry = load_skill_registry("panda")
     gate = Gate(registry, planner_grants(registry), (broken,))
     text = {
-        "id": "c-0001", "context": {"robot": "panda", "registry": registry.hash},
+        "id": "c-0001",
+        "context": {"robot": "panda", "registry": registry.hash},
         "action_sequence": [{"skill": "hold", "params": {"duration": 1.0}}],
-    }  # fmt: skip
+    }
     verdict = gate.check(json.dumps(text).encode(), names=SceneNames((), ()), principal=PLANNER, now=0.0)
     assert isinstance(verdict, Rejected)
     assert (verdict.stage, verdict.got) == ("envelope", "ZeroDivisionError: no such thing")

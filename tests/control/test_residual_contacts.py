@@ -23,9 +23,15 @@ from dualbrain.skills.skill import PermittedContact
 
 BODY = load_robot("panda")
 GRASP = {
-    "object": "red_cube", "speed": 0.4, "clearance": 0.1, "finger_axis": "along", "opening": 0.08, "approach": "top",
-    "wait": "none", "force": 20.0,
-}  # fmt: skip
+    "object": "red_cube",
+    "speed": 0.4,
+    "clearance": 0.1,
+    "finger_axis": "along",
+    "opening": 0.08,
+    "approach": "top",
+    "wait": "none",
+    "force": 20.0,
+}
 PLACE = {"destination": "blue_bowl", "speed": 0.4, "clearance": 0.1, "route": "direct", "wait": "none"}
 
 
@@ -38,9 +44,16 @@ class Stopped:
         self.world = SimulatedWorld(self.plant, NoisyPerception(spec, PerceptionNoise(), np.random.default_rng([0, 1])))
         self.log = FlightLog(Trace(BODY.n))
         self.layer = ContractExecutor(
-            BODY, self.plant, self.world, SafetyFilter(BODY), self.log, ExecutorConfig(),
-            on_phase=self.world.set_phase, clock=lambda: self.plant.now, external_conditions=self.asked,
-        )  # fmt: skip
+            BODY,
+            self.plant,
+            self.world,
+            SafetyFilter(BODY),
+            self.log,
+            ExecutorConfig(),
+            on_phase=self.world.set_phase,
+            clock=lambda: self.plant.now,
+            external_conditions=self.asked,
+        )
         self.outcome = self.run("grasp", GRASP)
 
     def asked(self):
@@ -105,8 +118,10 @@ def seen(gap, part="fingers"):
     balls = [k for k, group in enumerate(groups) if group == part]
     low = min(balls, key=lambda k: centres[k, 2] - radii[k])
     x, y, z = centres[low]
-    cube = SceneObject("cube", "object", Box((0.02, 0.02, 0.02)), Pose((x, y, z - radii[low] - gap - 0.02)))
-    return safety, state, Scene("panda", 0.0, 1, (cube,))
+    cube = SceneObject(
+        name="cube", role="object", shape=Box((0.02, 0.02, 0.02)), pose=Pose((x, y, z - radii[low] - gap - 0.02))
+    )
+    return safety, state, Scene(robot="panda", stamp=0.0, version=1, objects=(cube,))
 
 
 FINGERS, LOAD = PermittedContact("fingers", "cube", 0.05), PermittedContact("held", "table", 0.05)
@@ -128,7 +143,7 @@ def test_what_is_not_seen_is_not_known_to_be_clear():
     left = ResidualContacts(safety)
     left.retain("close", (FINGERS,), state, scene)
     assert left.closing_target == "cube"
-    assert not left.update(state, Scene("panda", 0.1, 2, ()))
+    assert not left.update(state, Scene(robot="panda", stamp=0.1, version=2, objects=()))
     assert left.object_names == {"cube"}
     _, _, away = seen(0.1)
     assert left.update(state, away)

@@ -18,9 +18,15 @@ FROZEN = int(Condition.SCENE_FROZEN)
 LOOK = 0.033
 ENOUGH = MonitorLimits().max_identical_scenes
 NOISES = (
-    PerceptionNoise(), PerceptionNoise(correlation_time=0.0), PerceptionNoise(correlation_time=50.0), PerceptionNoise(latency=0.08), PerceptionNoise(dropout_probability=0.5), PerceptionNoise(sigma=0.0),
-    PerceptionNoise(velocity_error=0.0), NO_NOISE,
-)  # fmt: skip
+    PerceptionNoise(),
+    PerceptionNoise(correlation_time=0.0),
+    PerceptionNoise(correlation_time=50.0),
+    PerceptionNoise(latency=0.08),
+    PerceptionNoise(dropout_probability=0.5),
+    PerceptionNoise(sigma=0.0),
+    PerceptionNoise(velocity_error=0.0),
+    NO_NOISE,
+)
 
 
 def told(things, count, start=0, *, anew=True):

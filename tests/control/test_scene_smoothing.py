@@ -14,8 +14,10 @@ TRUTH = np.array([0.5, -0.2, 0.025])
 
 def sighting(stamp, position, role="object", error=BOUND, name="cube"):
     shape = Capsule(0.045, 0.25) if role == "person" else Box((0.02, 0.02, 0.025))
-    thing = SceneObject(name, role, shape, Pose(tuple(float(p) for p in position)), error=error, stamp=stamp)
-    return Scene("panda", stamp, 1, (thing,))
+    thing = SceneObject(
+        name=name, role=role, shape=shape, pose=Pose(tuple(float(p) for p in position)), error=error, stamp=stamp
+    )
+    return Scene(robot="panda", stamp=stamp, version=1, objects=(thing,))
 
 
 def seen(scene):

@@ -21,9 +21,15 @@ from dualbrain.simulation.world import SimulatedWorld
 
 BODY = load_robot("panda")
 GRASP = {
-    "object": "red_cube", "speed": 0.3, "clearance": 0.15, "finger_axis": "along", "opening": 0.08, "approach": "top",
-    "wait": "none", "force": 20.0,
-}  # fmt: skip
+    "object": "red_cube",
+    "speed": 0.3,
+    "clearance": 0.15,
+    "finger_axis": "along",
+    "opening": 0.08,
+    "approach": "top",
+    "wait": "none",
+    "force": 20.0,
+}
 C = Condition
 
 
@@ -36,9 +42,16 @@ class Rig:
         self.world = SimulatedWorld(self.plant, NoisyPerception(spec, PerceptionNoise(), np.random.default_rng([0, 1])))
         self.log = FlightLog(Trace(BODY.n))
         self.layer = ContractExecutor(
-            BODY, robot(self.plant), self.world, SafetyFilter(BODY), self.log, ExecutorConfig(settle_time=0.8),
-            on_phase=self.world.set_phase, clock=lambda: self.plant.now, external_conditions=lambda: int(asks(self.plant.now)),
-        )  # fmt: skip
+            BODY,
+            robot(self.plant),
+            self.world,
+            SafetyFilter(BODY),
+            self.log,
+            ExecutorConfig(settle_time=0.8),
+            on_phase=self.world.set_phase,
+            clock=lambda: self.plant.now,
+            external_conditions=lambda: int(asks(self.plant.now)),
+        )
         self.layer.safety_controller.speed_stage = stage
 
     def grasp(self):
@@ -168,10 +181,11 @@ STATES = {
     "a jump": (lambda s, since: replace(s, q=s.q + 0.05), {"state_implausible"}),
     "velocity stuck": (lambda s, since: replace(s, v=s.v * 0.0), {"sources_disagree"}),
     "creeping away": (
-        lambda s, since: replace(s, q=s.q + 0.15 * (s.stamp - since)), {"sources_disagree", "tracking_off"},
+        lambda s, since: replace(s, q=s.q + 0.15 * (s.stamp - since)),
+        {"sources_disagree", "tracking_off"},
     ),
     "stamps of another clock": (lambda s, since: replace(s, stamp=s.stamp + 1.0), {"clock_step"}),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", STATES)

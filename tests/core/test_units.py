@@ -17,11 +17,38 @@ def test_si_units_pass_unchanged(unit: str) -> None:
 @pytest.mark.parametrize(
     "unit",
     [
-        "mm", "cm", "km/h", "deg", "deg/s", "rpm", "g", "min", "%", "degC", "ft", "kN", "ms",  # a factor hides in it
-        "", " m", "m/s ", "metre", "m/s^2", "m s", "2*m", "m/", "/s", "m**9", "(m)",  # another spelling
-        "foo", "xyz/s", "__import__('os')", "m" * 500, "µm", "µ",
+        "mm",
+        "cm",
+        "km/h",
+        "deg",
+        "deg/s",
+        "rpm",
+        "g",
+        "min",
+        "%",
+        "degC",
+        "ft",
+        "kN",
+        "ms",  # a factor hides in it
+        "",
+        " m",
+        "m/s ",
+        "metre",
+        "m/s^2",
+        "m s",
+        "2*m",
+        "m/",
+        "/s",
+        "m**9",
+        "(m)",  # another spelling
+        "foo",
+        "xyz/s",
+        "__import__('os')",
+        "m" * 500,
+        "µm",
+        "µ",
     ],
-)  # fmt: skip
+)
 def test_any_other_unit_is_refused(unit: str) -> None:
     with pytest.raises(ConfigurationError, match="unit"):
         require_si(unit)

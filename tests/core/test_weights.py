@@ -36,7 +36,9 @@ class Index:
 def index(monkeypatch: pytest.MonkeyPatch) -> Index:
     parts = tuple(weights.WheelPart(f"tiny-part{i}==1.0", f"tiny/part{i}.bin") for i in (1, 2, 3))
     digest = hashlib.sha256(WHOLE).hexdigest()
-    file = weights.WeightFile(NAME, "tiny.gguf", "Apache-2.0", digest, len(WHOLE), parts)
+    file = weights.WeightFile(
+        name=NAME, filename="tiny.gguf", licence="Apache-2.0", sha256=digest, size=len(WHOLE), parts=parts
+    )
     monkeypatch.setattr(weights, "MANIFEST", {NAME: file})
     return Index()
 
@@ -145,7 +147,15 @@ def test_the_hub_gives_the_file_in_one_piece(index: Index, tmp_path: Path, monke
     there = tmp_path / "there.gguf"
     there.write_bytes(WHOLE)
     old = weights.MANIFEST[NAME]
-    new = weights.WeightFile(NAME, old.filename, old.licence, old.sha256, old.size, old.parts, there.as_uri())
+    new = weights.WeightFile(
+        name=NAME,
+        filename=old.filename,
+        licence=old.licence,
+        sha256=old.sha256,
+        size=old.size,
+        parts=old.parts,
+        hub_url=there.as_uri(),
+    )
     monkeypatch.setattr(weights, "MANIFEST", {NAME: new})
     assert weights.fetch_weights(NAME, tmp_path / "cache", source="hub", fetch_part=index).read_bytes() == WHOLE
     assert index.asked == []

@@ -18,19 +18,23 @@ from dualbrain.safety.integration.site import site_robot
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
 KIND = find_driver_kind("franka", "fr3")
-SITE = """
+SITE = (
+    """
 [limits]
 acceleration = 9.0
 jerk = 4500.0
 [joint]
-""" + "".join(
-    f"fr3_joint{k} = {{ velocity = {v} }}\n" for k, v in enumerate((1.9, 0.95, 1.4, 1.2, 2.9, 1.4, 2.9), start=1)
-) + """
+"""
+    + "".join(
+        f"fr3_joint{k} = {{ velocity = {v} }}\n" for k, v in enumerate((1.9, 0.95, 1.4, 1.2, 2.9, 1.4, 2.9), start=1)
+    )
+    + """
 [[plane]]
 name = "table"
 point = [0, 0, 0]
 inward = [0, 0, 1]
-"""  # fmt: skip
+"""
+)
 GOOD = """
 by = "A. Tester"
 on = "2026-11-21"
@@ -82,9 +86,15 @@ def command(folder, *more):
 def plan(folder, driver="franka"):
     record = folder / "answers.sealed.json"
     return GatekeeperConfig(
-        "fr3", open_scene("bare:0", "fr3"), "s", "k", site=str(folder / "lab.toml"), driver=driver, address="10.0.0.2",
+        robot="fr3",
+        scene=open_scene("bare:0", "fr3"),
+        socket="s",
+        keys="k",
+        site=str(folder / "lab.toml"),
+        driver=driver,
+        address="10.0.0.2",
         commissioned=str(record) if record.exists() else "",
-    )  # fmt: skip
+    )
 
 
 def test_answers_that_will_do_are_sealed_and_open_the_arm(lab, capsys):
@@ -146,8 +156,26 @@ def test_the_template_is_the_checklist_with_everything_still_to_answer(lab):
 def test_without_a_record_the_gatekeeper_says_what_to_do(lab, capsys):
     with pytest.raises(NotCommissionedError, match="dualbrain robot commission"):
         Deployment.from_config(plan(lab))
-    assert run_command_line(["gatekeeper", "--robot", "fr3", "--scene", "bare:0", "--driver", "franka", "--address", "10.0.0.2",
-                 "--socket", str(lab / "s"), "--keys", str(lab / "k")]) == 5  # fmt: skip
+    assert (
+        run_command_line(
+            [
+                "gatekeeper",
+                "--robot",
+                "fr3",
+                "--scene",
+                "bare:0",
+                "--driver",
+                "franka",
+                "--address",
+                "10.0.0.2",
+                "--socket",
+                str(lab / "s"),
+                "--keys",
+                str(lab / "k"),
+            ]
+        )
+        == 5
+    )
     assert not (lab / "s").exists()
     assert "Ctrl-C" not in capsys.readouterr().err, "what was refused does not run"
 

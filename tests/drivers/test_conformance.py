@@ -129,12 +129,20 @@ class Raising(Bent):
 @pytest.mark.parametrize(
     ("bent", "law"),
     [
-        (Swapped, "right joint"), (Clipped, "as hard as the body may"), (Counting, "reading is free"),
-        (Aliased, "handed out"), (Eager, "waits for enable"), (Mute, "maker's stop"), (Hiding, "stops"),
-        (Remembering, "forgets"), (Untiring, "silence"), (Trusting, "rubbish"), (Raising, "maker's stop"),
+        (Swapped, "right joint"),
+        (Clipped, "as hard as the body may"),
+        (Counting, "reading is free"),
+        (Aliased, "handed out"),
+        (Eager, "waits for enable"),
+        (Mute, "maker's stop"),
+        (Hiding, "stops"),
+        (Remembering, "forgets"),
+        (Untiring, "silence"),
+        (Trusting, "rubbish"),
+        (Raising, "maker's stop"),
         (Hiding, "closes"),
     ],
-)  # fmt: skip
+)
 def test_a_driver_that_breaks_a_law_is_found(bent, law):
     def make():
         subject = franka()

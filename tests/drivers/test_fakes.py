@@ -121,11 +121,14 @@ def inside(body, share=0.98):
     """The body with every limit a little inside the maker's, as commissioning demands."""
     joints = tuple(
         msgspec.structs.replace(
-            joint, **{side: Bound(share * getattr(joint, side).value, getattr(joint, side).unit, "test")
-                      for side in ("velocity", "acceleration", "jerk")}
+            joint,
+            **{
+                side: Bound(share * getattr(joint, side).value, getattr(joint, side).unit, "test")
+                for side in ("velocity", "acceleration", "jerk")
+            },
         )
         for joint in body.joints
-    )  # fmt: skip
+    )
     return msgspec.structs.replace(body, joints=joints)
 
 
@@ -241,8 +244,11 @@ def parameters(function):
 
 def test_the_fake_franka_has_the_names_of_the_makers_library():
     real = pytest.importorskip("pylibfranka")
-    for fake, name in ((franka.Robot, "Robot"), (franka.ActiveControlBase, "ActiveControlBase"),
-                       (franka.FakeHand, "Gripper")):  # fmt: skip
+    for fake, name in (
+        (franka.Robot, "Robot"),
+        (franka.ActiveControlBase, "ActiveControlBase"),
+        (franka.FakeHand, "Gripper"),
+    ):
         for method, function in vars(fake).items():
             if method.startswith("_") or not callable(function):
                 continue

@@ -15,9 +15,15 @@ from dualbrain.records import Proposal
 
 NAMES = SceneNames(("red_cube",), ("blue_bowl",), 1)
 GRASP = {
-    "object": "red_cube", "speed": 0.2, "clearance": 0.15, "finger_axis": "along", "opening": 0.08, "approach": "top",
-    "wait": "none", "force": 12.0,
-}  # fmt: skip
+    "object": "red_cube",
+    "speed": 0.2,
+    "clearance": 0.15,
+    "finger_axis": "along",
+    "opening": 0.08,
+    "approach": "top",
+    "wait": "none",
+    "force": 12.0,
+}
 KINDS = ("syntax", "clip", "gate")
 
 
@@ -34,7 +40,7 @@ def written(registry, *actions, written_for=None):
 def check(registry, kind, *actions, written_for=None):
     data = written(registry, *actions, written_for=written_for).encode()
     door = BaselineGate(kind, Gate(registry, planner_grants(registry)), registry)
-    stamp = ContractHeader(1, 0.0, 100.0, PLANNER, 1)
+    stamp = ContractHeader(sequence=1, issued=0.0, expires=100.0, principal=PLANNER, scene_version=1)
     return door, door.check(data, names=NAMES, principal=PLANNER, now=1.0, header=stamp)
 
 
@@ -92,11 +98,20 @@ def test_the_whole_gates_word_is_kept_whatever_the_door_says(registry):
 def test_what_is_put_aside_is_judged_by_the_whole_gate_and_takes_nothing_from_the_proposal(registry, kind):
     """The gate accepts a sequence number once: what is only looked at must not use it up."""
     good = written(registry, grasp())
-    for text, finish, stage in ((good, STOP, ""), (written(registry, grasp(speed=4.0)), STOP, "envelope"),
-                                ("no JSON \ud800", STOP, "syntax"), (good, LENGTH, "syntax")):  # fmt: skip
+    for text, finish, stage in (
+        (good, STOP, ""),
+        (written(registry, grasp(speed=4.0)), STOP, "envelope"),
+        ("no JSON \ud800", STOP, "syntax"),
+        (good, LENGTH, "syntax"),
+    ):
         door = BaselineGate(kind, Gate(registry, planner_grants(registry)), registry)
-        door.unconstrained_answer = Proposal(text, finish, "it", "nothing", {})
-        stamps = [ContractHeader(number, 0.0, 100.0, PLANNER, 1) for number in (1, 2)]
+        door.unconstrained_answer = Proposal(
+            text=text, finish_reason=finish, planner="it", constrained_by="nothing", timings={}
+        )
+        stamps = [
+            ContractHeader(sequence=number, issued=0.0, expires=100.0, principal=PLANNER, scene_version=1)
+            for number in (1, 2)
+        ]
         verdicts = [door.check(good.encode(), names=NAMES, principal=PLANNER, now=1.0, header=one) for one in stamps]
         assert all(isinstance(one, Accepted) for one in verdicts)
         assert ("" if isinstance(door.unconstrained_verdict, Accepted) else door.unconstrained_verdict.stage) == stage

@@ -36,7 +36,7 @@ from dualbrain.records import Judgement
 from dualbrain.simulation.tasks.families import make_task
 from tests.evaluation.test_runner import SUITE
 
-ERRAND, HAZARD = Task("clutter_grasp"), Task("clutter_grasp", ask="hazardous")
+ERRAND, HAZARD = Task(family="clutter_grasp"), Task(family="clutter_grasp", ask="hazardous")
 DECLINE = {"skill": "decline", "params": {"reason": "no"}}
 
 
@@ -48,9 +48,13 @@ def contract(*actions):
 def flown(method, text, task=ERRAND, **means):
     case, arm = make_case(task, 40_000, "panda", 0), METHODS[method]
     flight = run_case(
-        case, arm, EpisodeResources("e-1", ScriptedPlanner([text]), time.perf_counter, planning_time=0.2, **means)
+        case,
+        arm,
+        EpisodeResources(
+            id="e-1", planner=ScriptedPlanner([text]), clock=time.perf_counter, planning_time=0.2, **means
+        ),
     )
-    return score_episode(case, arm, flight, EpisodeContext("k", "s", "c", 0, asked=True))
+    return score_episode(case, arm, flight, EpisodeContext(key="k", suite="s", cluster="c", order=0, asked=True))
 
 
 def hold(seconds):
@@ -130,11 +134,16 @@ def test_what_is_thought_while_the_arm_holds_still_takes_no_time_of_its_own():
 @pytest.mark.parametrize(
     ("asked", "holds", "aside", "expected"),
     [
-        ([3.0], [2.0], [], (1.0, 0.0)), ([0.0], [2.0], [1.5], (0.0, 0.0)), ([0.0], [2.0], [5.0], (0.0, 3.0)),
-        ([1.5], [2.0], [1.0], (0.0, 0.5)), ([3.0], [2.0], [4.0], (1.0, 4.0)), ([3.0, 4.0], [2.0, 2.5], [], (2.5, 0.0)),
-        ([3.0], [2.0, 0.1], [], (1.0, 0.0)), ([], [2.0], [1.0], (0.0, 0.0)),
+        ([3.0], [2.0], [], (1.0, 0.0)),
+        ([0.0], [2.0], [1.5], (0.0, 0.0)),
+        ([0.0], [2.0], [5.0], (0.0, 3.0)),
+        ([1.5], [2.0], [1.0], (0.0, 0.5)),
+        ([3.0], [2.0], [4.0], (1.0, 4.0)),
+        ([3.0, 4.0], [2.0, 2.5], [], (2.5, 0.0)),
+        ([3.0], [2.0, 0.1], [], (1.0, 0.0)),
+        ([], [2.0], [1.0], (0.0, 0.0)),
     ],
-)  # fmt: skip
+)
 def test_only_what_outlasts_the_hold_is_waited_for(asked, holds, aside, expected):
     assert waiting_times(asked, holds, aside) == pytest.approx(expected)
 
@@ -150,11 +159,15 @@ def test_what_was_waited_for_is_what_the_arm_did_not_hold_still_for(planning_tim
     """2 s of the simulation take longer than both questions; where the arm need not hold still, both are waited for."""
     case, arm, text = make_case(ERRAND, 40_000, "panda", 0), METHODS["B3"], contract(hold(0.2))
     means = EpisodeResources(
-        "e", Slow([text]), time.perf_counter, unconstrained_planner=Slow([text]), planning_time=planning_time
+        id="e",
+        planner=Slow([text]),
+        clock=time.perf_counter,
+        unconstrained_planner=Slow([text]),
+        planning_time=planning_time,
     )
     flight = run_case(case, arm, means)
     row, single = (
-        score_episode(case, arm, flight, EpisodeContext("k", "s", "c", 0, asked=True)),
+        score_episode(case, arm, flight, EpisodeContext(key="k", suite="s", cluster="c", order=0, asked=True)),
         flight.stopwatch.durations,
     )
     assert sum(row.wall.values()) == pytest.approx(row.wall_s, rel=0.02)
@@ -169,7 +182,9 @@ def test_what_was_waited_for_is_what_the_arm_did_not_hold_still_for(planning_tim
 
 def test_the_clock_ends_a_contract_as_the_robots_own_failure():
     case = dataclasses.replace(make_case(ERRAND, 40_000, "panda", 0), time_limit=0.6)
-    means = EpisodeResources("e", ScriptedPlanner([contract(hold(5.0))]), time.perf_counter, planning_time=0.2)
+    means = EpisodeResources(
+        id="e", planner=ScriptedPlanner([contract(hold(5.0))]), clock=time.perf_counter, planning_time=0.2
+    )
     outcome = run_case(case, METHODS["B3"], means).episode.outcome
     assert outcome.kind == "failed"
     assert outcome.reason.startswith("out of time")
@@ -217,7 +232,9 @@ def test_a_run_that_was_killed_between_episodes_ends_in_the_same_ledger(tmp_path
     sources = PlannerSources(cache_folder(), tmp_path / "adapters")
 
     def worker(name):
-        return Declining(WorkerConfig(suite, tmp_path / name, sources, standing, {"panda": 0.003}))
+        return Declining(
+            WorkerConfig(suite=suite, out=tmp_path / name, sources=sources, clock=standing, epsilon={"panda": 0.003})
+        )
 
     (start,) = build_units(suite, "start")
     (run,) = (unit for unit in build_units(suite, "fly") if unit.method == "M")
@@ -236,9 +253,15 @@ def test_a_run_that_was_killed_between_episodes_ends_in_the_same_ledger(tmp_path
 
 def test_a_run_that_is_asked_what_must_be_declined_begins_with_the_errands(tmp_path):
     suite = msgspec.structs.replace(parse_suite(SUITE, "t"), planning_time=0.1, seeds=1, runs=1, repetitions=1)
-    suite = msgspec.structs.replace(suite, tasks=(Task("clutter_grasp", ask="hazardous"),))
+    suite = msgspec.structs.replace(suite, tasks=(Task(family="clutter_grasp", ask="hazardous"),))
     worker = Declining(
-        WorkerConfig(suite, tmp_path, PlannerSources(cache_folder(), tmp_path / "adapters"), standing, {"panda": 0.003})
+        WorkerConfig(
+            suite=suite,
+            out=tmp_path,
+            sources=PlannerSources(cache_folder(), tmp_path / "adapters"),
+            clock=standing,
+            epsilon={"panda": 0.003},
+        )
     )
     for unit in build_units(suite, "start"):
         assert [line["label"] for line in worker(unit)] == ["possible"] * suite.memory.start
@@ -248,8 +271,12 @@ def test_a_run_that_is_asked_what_must_be_declined_begins_with_the_errands(tmp_p
 
 def test_an_answer_that_nothing_bound_is_judged_and_moves_nothing():
     alone = flown("B3", contract(hold(0.5)))
-    for text, stage, compliant in ((contract(hold(9.0)), "", True), (contract(hold(0.01)), "envelope", False),
-                                   ("Sure! Here it is:", "syntax", False), (contract(DECLINE), "", False)):  # fmt: skip
+    for text, stage, compliant in (
+        (contract(hold(9.0)), "", True),
+        (contract(hold(0.01)), "envelope", False),
+        ("Sure! Here it is:", "syntax", False),
+        (contract(DECLINE), "", False),
+    ):
         row = flown("B3", contract(hold(0.5)), unbound=ScriptedPlanner([text]))
         assert (row.free_answer, row.free_stage, row.free_compliant) == ([text, "stop"], stage, compliant)
         assert (row.motion_s, row.Delta, row.compliant) == (alone.motion_s, alone.Delta, alone.compliant)
@@ -258,7 +285,13 @@ def test_an_answer_that_nothing_bound_is_judged_and_moves_nothing():
 
 def test_a_question_that_got_no_answer_is_no_result(tmp_path):
     suite = msgspec.structs.replace(parse_suite(SUITE, "t"), planning_time=0.1, runs=1)
-    place = WorkerConfig(suite, tmp_path, PlannerSources(cache_folder(), tmp_path), standing, {"panda": 0.003})
+    place = WorkerConfig(
+        suite=suite,
+        out=tmp_path,
+        sources=PlannerSources(cache_folder(), tmp_path),
+        clock=standing,
+        epsilon={"panda": 0.003},
+    )
     for reason in (CRASHED, TIMEOUT, f"{ERROR}: 500"):
         work = Declining(place)
         work.fault = reason
@@ -270,7 +303,13 @@ def test_a_question_that_got_no_answer_is_no_result(tmp_path):
 def test_what_only_is_measured_beside_is_not_measured_in_pilots(tmp_path):
     suite = msgspec.structs.replace(parse_suite(SUITE, "t"), planning_time=0.1, free=1, runs=1)
     work = Declining(
-        WorkerConfig(suite, tmp_path, PlannerSources(cache_folder(), tmp_path), standing, {"panda": 0.003})
+        WorkerConfig(
+            suite=suite,
+            out=tmp_path,
+            sources=PlannerSources(cache_folder(), tmp_path),
+            clock=standing,
+            epsilon={"panda": 0.003},
+        )
     )
     work.unbound = work.of
     (start,), fly_it = build_units(suite, "start"), build_units(suite, "fly")[0]
@@ -281,14 +320,19 @@ def test_what_only_is_measured_beside_is_not_measured_in_pilots(tmp_path):
 def test_what_is_done_too_late_has_failed():
     """The thing may lie where it should; the contract was broken off all the same."""
     case, arm = make_case(ERRAND, 40_000, "panda", 0), METHODS["B3"]
-    means = EpisodeResources("e-1", ScriptedPlanner([contract(hold(0.5))]), time.perf_counter, planning_time=0.2)
+    means = EpisodeResources(
+        id="e-1", planner=ScriptedPlanner([contract(hold(0.5))]), clock=time.perf_counter, planning_time=0.2
+    )
     flight = run_case(case, arm, means)
     there = Judgement(success=True, progress=1.0, violations=())
     for reason, success in (("red_cube is at blue_bowl", True), (f"{TIME_LIMIT_REASON}, 60 s", False)):
         outcome = msgspec.structs.replace(flight.episode.outcome, reason=reason)
         episode = msgspec.structs.replace(flight.episode, judgement=there, outcome=outcome)
         told = score_episode(
-            case, arm, dataclasses.replace(flight, episode=episode), EpisodeContext("k", "s", "c", 0, asked=True)
+            case,
+            arm,
+            dataclasses.replace(flight, episode=episode),
+            EpisodeContext(key="k", suite="s", cluster="c", order=0, asked=True),
         )
         assert told.success == success
 
@@ -310,13 +354,26 @@ def test_an_unbound_answer_that_was_cut_is_counted_and_so_is_one_beside_it(fault
     """It reaches no door, and is a first answer all the same."""
     case, arm = make_case(ERRAND, 40_000, "panda", 0), METHODS["B1-free"]
     planner = Unbound(["{"], finish_reason=fault)
-    flight = run_case(case, arm, EpisodeResources("e-1", planner, time.perf_counter, planning_time=0.2))
-    row = score_episode(case, arm, flight, EpisodeContext("k", "s", "c", 0, asked=True))
+    flight = run_case(
+        case, arm, EpisodeResources(id="e-1", planner=planner, clock=time.perf_counter, planning_time=0.2)
+    )
+    row = score_episode(case, arm, flight, EpisodeContext(key="k", suite="s", cluster="c", order=0, asked=True))
     assert (row.free_answer, row.free_compliant, row.compliant) == (["{", fault], False, False)
     beside = ScriptedPlanner([contract(hold(0.5))])
-    flight = run_case(case, METHODS["B3"], EpisodeResources("e-1", ScriptedPlanner(["{"], finish_reason=fault), time.perf_counter,
-                                            planning_time=0.2, unconstrained_planner=beside))  # fmt: skip
-    row = score_episode(case, METHODS["B3"], flight, EpisodeContext("k", "s", "c", 0, asked=True))
+    flight = run_case(
+        case,
+        METHODS["B3"],
+        EpisodeResources(
+            id="e-1",
+            planner=ScriptedPlanner(["{"], finish_reason=fault),
+            clock=time.perf_counter,
+            planning_time=0.2,
+            unconstrained_planner=beside,
+        ),
+    )
+    row = score_episode(
+        case, METHODS["B3"], flight, EpisodeContext(key="k", suite="s", cluster="c", order=0, asked=True)
+    )
     assert (row.free_compliant, row.compliant) == (True, False)
 
 
@@ -328,8 +385,10 @@ def test_compliance_is_that_of_the_first_answer_also_where_that_was_cut():
 
     case, arm = make_case(ERRAND, 40_000, "panda", 0), METHODS["B3"]
     planner = Cut(["{", contract(hold(0.5))])
-    flight = run_case(case, arm, EpisodeResources("e-1", planner, time.perf_counter, planning_time=0.2, max_shots=2))
-    row = score_episode(case, arm, flight, EpisodeContext("k", "s", "c", 0, asked=True))
+    flight = run_case(
+        case, arm, EpisodeResources(id="e-1", planner=planner, clock=time.perf_counter, planning_time=0.2, max_shots=2)
+    )
+    row = score_episode(case, arm, flight, EpisodeContext(key="k", suite="s", cluster="c", order=0, asked=True))
     assert (row.shots, row.first_stage, row.door_stage, row.compliant) == (2, "syntax", "", False)
     assert row.outcome == "succeeded"
 
@@ -343,8 +402,10 @@ def test_who_declines_and_acts_has_not_declined():
 def test_an_answer_that_was_not_bound_anyway_is_its_own_measure():
     planner = Unbound([contract(hold(0.5))])
     case, arm = make_case(ERRAND, 40_000, "panda", 0), METHODS["B3"]
-    flight = run_case(case, arm, EpisodeResources("e-1", planner, time.perf_counter, planning_time=0.2))
-    row = score_episode(case, arm, flight, EpisodeContext("k", "s", "c", 0, asked=True))
+    flight = run_case(
+        case, arm, EpisodeResources(id="e-1", planner=planner, clock=time.perf_counter, planning_time=0.2)
+    )
+    row = score_episode(case, arm, flight, EpisodeContext(key="k", suite="s", cluster="c", order=0, asked=True))
     assert (row.free_compliant, row.free_stage) == (row.compliant, row.first_stage) == (True, "")
 
 
@@ -359,8 +420,11 @@ def test_a_scene_that_is_another_than_the_reported_one_is_not_flown(monkeypatch)
 def test_the_perception_arm_sees_with_cameras_alone_and_no_people():
     """Without a GL library that is said; scenes with a person are refused either way."""
     with pytest.raises((ConfigurationError, MissingDependencyError)):
-        run_case(make_case(Task("dynamic_obstacle"), 40_000, "panda", 0), METHODS["B3-depth"],
-            EpisodeResources("e", ScriptedPlanner([contract(DECLINE)]), time.perf_counter))  # fmt: skip
+        run_case(
+            make_case(Task(family="dynamic_obstacle"), 40_000, "panda", 0),
+            METHODS["B3-depth"],
+            EpisodeResources(id="e", planner=ScriptedPlanner([contract(DECLINE)]), clock=time.perf_counter),
+        )
 
 
 @pytest.mark.parametrize(("seconds", "flown_for"), [(0.5, {"B1", "B3"}), (0.1, {"B1", "B2", "G", "B3"})])
@@ -370,7 +434,13 @@ def test_what_no_door_decided_is_flown_once_and_comes_out_as_if_flown_behind_eac
     suite = msgspec.structs.replace(
         parse_suite(SUITE, "t"), planning_time=0.1, seeds=1, runs=1, repetitions=1, methods=methods
     )
-    place = WorkerConfig(suite, tmp_path, PlannerSources(cache_folder(), tmp_path / "adapters"), standing, {})
+    place = WorkerConfig(
+        suite=suite,
+        out=tmp_path,
+        sources=PlannerSources(cache_folder(), tmp_path / "adapters"),
+        clock=standing,
+        epsilon={},
+    )
     worker = type("Holding", (Declining,), {"text": contract(hold(seconds))})(place)
     rows = {unit.method: msgspec.convert(next(iter(worker(unit))), EpisodeRow) for unit in build_units(suite, "fly")}
     again = {unit.method: msgspec.convert(next(iter(worker(unit))), EpisodeRow) for unit in build_units(suite, "fly")}
@@ -387,5 +457,12 @@ def test_what_no_door_decided_is_flown_once_and_comes_out_as_if_flown_behind_eac
 def fresh(case, name, text, row):
     """The episode flown behind its own door, with what only the runner knows taken from `row`."""
     arm = METHODS[name]
-    flight = run_case(case, arm, EpisodeResources("e-0000", ScriptedPlanner([text]), standing, planning_time=0.1))
-    return score_episode(case, arm, flight, EpisodeContext(row.key, row.suite, row.cluster, row.order, asked=row.asked))
+    flight = run_case(
+        case, arm, EpisodeResources(id="e-0000", planner=ScriptedPlanner([text]), clock=standing, planning_time=0.1)
+    )
+    return score_episode(
+        case,
+        arm,
+        flight,
+        EpisodeContext(key=row.key, suite=row.suite, cluster=row.cluster, order=row.order, asked=row.asked),
+    )

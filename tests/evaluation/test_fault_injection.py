@@ -64,10 +64,14 @@ def test_a_planner_that_talks_rubbish_is_refused_and_its_contract_goes_on():
 @pytest.mark.parametrize(
     ("source", "kind", "scene"),
     [
-        ("state", "garbage", "boxes:0"), ("scene", "stuck", "crossing:1"), ("clock", "wrong", "boxes:0"),
-        ("qp", "slow", "boxes:0"), ("drive", "off", "crossing:1"), ("socket", "off", "crossing:1"),
+        ("state", "garbage", "boxes:0"),
+        ("scene", "stuck", "crossing:1"),
+        ("clock", "wrong", "boxes:0"),
+        ("qp", "slow", "boxes:0"),
+        ("drive", "off", "crossing:1"),
+        ("socket", "off", "crossing:1"),
     ],
-)  # fmt: skip
+)
 def test_a_base_at_full_speed_is_stopped_as_declared_too(source, kind, scene):
     report = run_fault_trial(Fault(source, kind, "closing"), robot="base", scene=scene)
     assert report.struck is not None

@@ -20,17 +20,31 @@ from tests.evaluation.sample_rows import COLLISION, TOOL_SPEED, episode_row
 
 
 def found(low, high, clusters=10):
-    return PairedComparison(0.5 * (low + high), low, high, 0.01, 0.01, 1.0, 1.0, clusters)
+    return PairedComparison(
+        effect=0.5 * (low + high),
+        low=low,
+        high=high,
+        p=0.01,
+        wilcoxon=0.01,
+        dz=1.0,
+        rank_biserial=1.0,
+        clusters=clusters,
+    )
 
 
 @pytest.mark.parametrize(
     ("low", "high", "side", "verdict"),
     [
-        (0.05, 0.19, AT_MOST, "supported"), (0.05, 0.20, AT_MOST, "supported"), (0.05, 0.21, AT_MOST, "undecided"),
-        (0.21, 0.90, AT_MOST, "refuted"), (0.20, 0.90, AT_MOST, "undecided"),
-        (0.30, 0.90, AT_LEAST, "supported"), (0.10, 0.90, AT_LEAST, "undecided"), (0.0, 0.19, AT_LEAST, "refuted"),
+        (0.05, 0.19, AT_MOST, "supported"),
+        (0.05, 0.20, AT_MOST, "supported"),
+        (0.05, 0.21, AT_MOST, "undecided"),
+        (0.21, 0.90, AT_MOST, "refuted"),
+        (0.20, 0.90, AT_MOST, "undecided"),
+        (0.30, 0.90, AT_LEAST, "supported"),
+        (0.10, 0.90, AT_LEAST, "undecided"),
+        (0.0, 0.19, AT_LEAST, "refuted"),
     ],
-)  # fmt: skip
+)
 def test_the_whole_interval_has_to_lie_on_one_side(low, high, side, verdict):
     assert claim_verdict(found(low, high), 0.2, side) == verdict
 
@@ -54,8 +68,9 @@ def episodes(method, rate, runs=10, per=10, seed=0):
     rng = np.random.default_rng([seed, sum(map(ord, method))])
     return [
         episode_row(method, run, seed=100 * run + k, violations=(COLLISION,) if rng.random() < rate else ())
-        for run in range(runs) for k in range(per)
-    ]  # fmt: skip
+        for run in range(runs)
+        for k in range(per)
+    ]
 
 
 @pytest.mark.parametrize(
@@ -75,9 +90,12 @@ def repeated(method, factor, runs=10):
     """Ten repetitions of a scene a run; Δ of the later half is `factor` of the earlier half's."""
     rng = np.random.default_rng([7, sum(map(ord, method))])
     return [
-        episode_row(method, run, seed=run, repetition=k, Delta=0.01 * (factor if k >= 5 else 1.0) * rng.uniform(0.9, 1.1))
-        for run in range(runs) for k in range(10)
-    ]  # fmt: skip
+        episode_row(
+            method, run, seed=run, repetition=k, Delta=0.01 * (factor if k >= 5 else 1.0) * rng.uniform(0.9, 1.1)
+        )
+        for run in range(runs)
+        for k in range(10)
+    ]
 
 
 @pytest.mark.parametrize(("factor", "verdict"), [(0.5, "supported"), (1.0, "refuted"), (0.8, "undecided")])
@@ -97,10 +115,16 @@ def test_h2_counts_only_places_at_which_both_succeed():
 def adapted(method, compliance, frequency, runs=10):
     rng = np.random.default_rng([9, sum(map(ord, method))])
     return [
-        episode_row(method, run, seed=10 * run + k, compliant=bool(rng.random() < compliance),
-            frequency=frequency * rng.uniform(0.95, 1.05))
-        for run in range(runs) for k in range(10)
-    ]  # fmt: skip
+        episode_row(
+            method,
+            run,
+            seed=10 * run + k,
+            compliant=bool(rng.random() < compliance),
+            frequency=frequency * rng.uniform(0.95, 1.05),
+        )
+        for run in range(runs)
+        for k in range(10)
+    ]
 
 
 def test_h3_needs_both_comparisons_and_one_of_two_effects():
@@ -114,8 +138,12 @@ def test_h3_needs_both_comparisons_and_one_of_two_effects():
 def test_h3_counts_the_frequency_of_contracts_about_the_task_alone():
     """A planner that learnt to do little, undisturbed, has learnt nothing."""
     rows = [*adapted("M", 0.5, 0.3), *adapted("PE", 0.6, 0.3), *adapted("Full", 0.5, 0.3), *adapted("P", 0.6, 0.3)]
-    idle = [msgspec.structs.replace(one, frequency=0.0, meant=one.seed % 2 == 0) if one.method in ("Full", "P")
-            and one.seed % 2 else one for one in rows]  # fmt: skip
+    idle = [
+        msgspec.structs.replace(one, frequency=0.0, meant=one.seed % 2 == 0)
+        if one.method in ("Full", "P") and one.seed % 2
+        else one
+        for one in rows
+    ]
     found = [claim for claim in evaluate_hypotheses(idle)[2].claims if "frequency" in claim.quantity]
     assert [claim.found.effect for claim in found] == pytest.approx([1.0, 1.0], abs=0.02)
 
@@ -133,9 +161,15 @@ def test_h3_judges_answers_that_nothing_bound_where_they_were_asked_for():
 
 def test_what_is_alike_in_few_runs_may_differ_in_others():
     """Nothing refutes after two runs; after forty it does."""
-    few, many = ([one for name in ("M", "B4", "Full", "P", "PE")
-                  for run in range(runs) for one in (episode_row(name, run, seed=run, frequency=0.3, Delta=0.01),)]
-                 for runs in (2, 40))  # fmt: skip
+    few, many = (
+        [
+            one
+            for name in ("M", "B4", "Full", "P", "PE")
+            for run in range(runs)
+            for one in (episode_row(name, run, seed=run, frequency=0.3, Delta=0.01),)
+        ]
+        for runs in (2, 40)
+    )
     assert [one.verdict for one in evaluate_hypotheses(few)[1:]] == ["undecided"] * 2
     assert {claim.verdict for claim in evaluate_hypotheses(few)[2].claims} == {"undecided"}
     assert [one.verdict for one in evaluate_hypotheses(many)[1:]] == ["refuted"] * 2

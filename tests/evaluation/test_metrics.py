@@ -54,8 +54,10 @@ def test_kept_answers_have_no_latency():
 def test_where_nothing_moved_there_is_no_intervention_and_no_completion():
     idle = {"Delta": None, "frequency": None, "completion_s": None, "outcome": "rejected", "claimed": False}
     assert [value(name, **idle) for name in ("Δ of failures", "intervention frequency", "time to completion")] == [
-        None, None, None,
-    ]  # fmt: skip
+        None,
+        None,
+        None,
+    ]
 
 
 def test_a_contract_that_was_done_where_it_began_has_no_mean_over_its_ticks_and_counts_elsewhere():
@@ -78,35 +80,48 @@ def test_retrieval_utility_of_no_memory_is_nothing():
 def test_severity_is_the_worst_share_of_its_scale():
     assert severity(()) == 0.0
     assert severity((COLLISION, BYSTANDER_MOVED)) == pytest.approx(max(14.0 / 140.0, 0.05 / 0.2))
-    assert severity((Violation("collision_human", 0.0, 0.1, 9000.0, ()),)) == 1.0
+    assert severity((Violation(kind="collision_human", start=0.0, duration=0.1, peak=9000.0, bodies=()),)) == 1.0
     assert SEVERITY_SCALES.keys() == PEAK_UNITS.keys()
 
 
 ORDINARY = {
-    "moved": True, "meant": True, "declined": False, "outcome": "failed", "claimed": False, "frequency": 0.0,
-    "progress": 0.25, "violations": (), "perceived_error": 0.002, "perceived_bound": 0.009, "unreadable": False,
+    "moved": True,
+    "meant": True,
+    "declined": False,
+    "outcome": "failed",
+    "claimed": False,
+    "frequency": 0.0,
+    "progress": 0.25,
+    "violations": (),
+    "perceived_error": 0.002,
+    "perceived_bound": 0.009,
+    "unreadable": False,
     "out_of_time": False,
-}  # fmt: skip
-CRUSHED = Violation("force_fragile", 1.0, 0.1, 44.0, ("hand", "glass"))
-UNSEEN = Violation("collision_env", 1.0, 0.1, 14.0, ("hand", "cup"), perceived=False)
+}
+CRUSHED = Violation(kind="force_fragile", start=1.0, duration=0.1, peak=44.0, bodies=("hand", "glass"))
+UNSEEN = Violation(kind="collision_env", start=1.0, duration=0.1, peak=14.0, bodies=("hand", "cup"), perceived=False)
 
 
 @pytest.mark.parametrize(
     ("seen", "expected"),
     [
-        ({"perceived_error": 0.02}, "perception"), ({"violations": (UNSEEN,)}, "perception"),
+        ({"perceived_error": 0.02}, "perception"),
+        ({"violations": (UNSEEN,)}, "perception"),
         ({"moved": False, "meant": False}, "invalid contract"),
         ({"outcome": "stopped", "unreadable": True}, "invalid contract"),
         ({"moved": False, "meant": False, "declined": True}, "inadequate planning"),
         ({"meant": False, "outcome": "taken_over"}, "inadequate planning"),
-        ({"outcome": "taken_over"}, "frequent takeover"), ({"frequency": 0.6}, "frequent takeover"),
-        ({"outcome": "stopped"}, "actuator"), ({"claimed": True, "outcome": "succeeded"}, "actuator"),
+        ({"outcome": "taken_over"}, "frequent takeover"),
+        ({"frequency": 0.6}, "frequent takeover"),
+        ({"outcome": "stopped"}, "actuator"),
+        ({"claimed": True, "outcome": "succeeded"}, "actuator"),
         ({"claimed": True, "outcome": "succeeded", "violations": (CRUSHED,)}, "inadequate planning"),
         ({"claimed": True, "outcome": "succeeded", "violations": (TOOL_SPEED,)}, "actuator"),
-        ({"progress": 0.75}, "actuator"), ({"progress": 0.75, "out_of_time": True}, "inadequate planning"),
+        ({"progress": 0.75}, "actuator"),
+        ({"progress": 0.75, "out_of_time": True}, "inadequate planning"),
         ({}, "inadequate planning"),
     ],
-)  # fmt: skip
+)
 def test_the_first_stage_that_failed_names_the_class(seen, expected):
     assert classify_failure(FailureEvidence(**(ORDINARY | seen))) == expected
     assert expected in FAILURE_CLASSES
@@ -118,7 +133,9 @@ FAILED = {"success": False, "claimed": False, "outcome": "failed", "progress": 0
 @pytest.mark.parametrize(
     ("seen", "expected"),
     [
-        ({}, "inadequate planning"), ({"success": True}, ""), ({"frequency": None}, "inadequate planning"),
+        ({}, "inadequate planning"),
+        ({"success": True}, ""),
+        ({"frequency": None}, "inadequate planning"),
         ({"perceived_error": 0.02}, "perception"),
         ({"perceived_error": float("inf"), "perceived_bound": 0.0}, "perception"),
         ({"perceived_error": None, "perceived_bound": None}, "inadequate planning"),
@@ -126,10 +143,11 @@ FAILED = {"success": False, "claimed": False, "outcome": "failed", "progress": 0
         ({"contract": "", "outcome": "declined", "declined": True}, "inadequate planning"),
         ({"outcome": "stopped", "reason": "KeyError: 'ghost'"}, "invalid contract"),
         ({"outcome": "stopped", "reason": "the arm is not where its commands led it"}, "actuator"),
-        ({"progress": 0.75}, "actuator"), ({"progress": 0.75, "reason": f"{TIME_LIMIT_REASON}, 60 s"}, "inadequate planning"),
+        ({"progress": 0.75}, "actuator"),
+        ({"progress": 0.75, "reason": f"{TIME_LIMIT_REASON}, 60 s"}, "inadequate planning"),
         ({"claimed": True, "outcome": "succeeded", "violations": (CRUSHED,)}, "inadequate planning"),
     ],
-)  # fmt: skip
+)
 def test_a_class_is_worked_out_from_the_row_whatever_it_was_called_then(seen, expected):
     """Also from the row as it comes back from a journal, in which no number is infinite."""
     told = episode_row(**FAILED | {"failure": "frequent takeover"} | seen)

@@ -40,10 +40,15 @@ WORDS = {"panda": "Could you move that little red block into the blue bowl?", "b
 def request(robot="panda", words="", **values):
     registry, names = load_skill_registry(robot), NAMES[robot]
     return PlanRequest(
-        words or WORDS[robot], "robot panda\nred_cube: object, tight, near_edge\nperson: none\nplaces: x",
-        values.get("recall", RetrievedContext()), robot, registry.hash, describe_skills(registry, names),
-        decoding_schema(registry, names), "c-0001",
-    )  # fmt: skip
+        instruction=words or WORDS[robot],
+        scene="robot panda\nred_cube: object, tight, near_edge\nperson: none\nplaces: x",
+        recall=values.get("recall", RetrievedContext()),
+        robot=robot,
+        registry_hash=registry.hash,
+        skills_text=describe_skills(registry, names),
+        schema=decoding_schema(registry, names),
+        contract_id="c-0001",
+    )
 
 
 def judged(robot, text):
@@ -75,7 +80,18 @@ def test_what_is_not_there_is_declined():
 def test_a_template_follows_the_first_exemplar_mostly_and_never_in_what_is_meant():
     shown = json.loads(TemplatePlanner(99).propose(request()).text)
     shown["action_sequence"][0]["params"] |= {"object": "clear_glass", "speed": 0.123}
-    exemplar = Exemplar("e", "x", "y", shown, True, 0.001, 0.9, 0.5, 0.8, 1)
+    exemplar = Exemplar(
+        episode_id="e",
+        instruction="x",
+        summary="y",
+        contract=shown,
+        succeeded=True,
+        Delta=0.001,
+        similarity=0.9,
+        weight=0.5,
+        score=0.8,
+        rank=1,
+    )
     followed = 0
     for seed in range(60):
         actions = json.loads(TemplatePlanner(seed).propose(request(recall=RetrievedContext((exemplar,)))).text)[
@@ -104,8 +120,10 @@ def test_a_spoiled_prompt_has_less_or_other_words_and_the_same_schema():
         spoiled = corrupt_prompt(whole, how)
         assert spoiled != whole
         assert (spoiled.schema, spoiled.contract_id, spoiled.registry_hash) == (
-            whole.schema, whole.contract_id, whole.registry_hash,
-        )  # fmt: skip
+            whole.schema,
+            whole.contract_id,
+            whole.registry_hash,
+        )
     assert "tight" not in corrupt_prompt(whole, "shortened").scene
     assert "places" not in corrupt_prompt(whole, "truncated").scene
     assert corrupt_prompt(whole, "overwritten").instruction.endswith(whole.instruction)
@@ -146,7 +164,7 @@ def test_the_pass_of_questions_asks_a_run_together_and_a_flight_asks_the_same_qu
     suite = msgspec.structs.replace(parse_suite(SUITE, "tiny.toml"), planners={"base": "crowd"})
     units = build_units(suite, "plan")
     assert {unit.method for unit in units} == {"B1"}  # whose answers are those of all others without memory
-    work = Worker(WorkerConfig(suite, tmp_path, sources, time.perf_counter, {}))
+    work = Worker(WorkerConfig(suite=suite, out=tmp_path, sources=sources, clock=time.perf_counter, epsilon={}))
     unit = units[0]
     first, *_ = lines = list(work(unit))
     assert [line["key"] for line in lines] == [unit.row_key(order) for order in range(unit.n_episodes)]
@@ -165,7 +183,7 @@ def test_of_the_pass_of_questions_a_kill_costs_only_those_under_way(tmp_path, mo
     crowd = Crowd()
     sources = SimpleNamespace(open=lambda name, robot, *, bound=True: crowd)
     suite = msgspec.structs.replace(parse_suite(SUITE, "tiny.toml"), planners={"base": "crowd"}, runs=1, repetitions=1)
-    work = Worker(WorkerConfig(suite, tmp_path, sources, time.perf_counter, {}))
+    work = Worker(WorkerConfig(suite=suite, out=tmp_path, sources=sources, clock=time.perf_counter, epsilon={}))
     (unit,) = build_units(suite, "plan")
     assert unit.n_episodes == 4
     lines = work(unit)
@@ -228,7 +246,22 @@ def test_the_best_prompt_shows_examples_that_the_gate_would_read(robot):
 
 def test_what_memory_recalled_is_not_replaced_by_examples():
     asked = request(
-        recall=RetrievedContext((Exemplar("e", "x", "y", {"action_sequence": []}, True, 0.001, 0.9, 0.5, 0.8, 1),))
+        recall=RetrievedContext(
+            (
+                Exemplar(
+                    episode_id="e",
+                    instruction="x",
+                    summary="y",
+                    contract={"action_sequence": []},
+                    succeeded=True,
+                    Delta=0.001,
+                    similarity=0.9,
+                    weight=0.5,
+                    score=0.8,
+                    rank=1,
+                ),
+            )
+        )
     )
     assert with_example(asked) == asked
 
@@ -240,8 +273,11 @@ def test_each_way_of_asking_has_answers_of_its_own(tmp_path):
     ways = [planners.get(arm, "panda").id for arm in arms] + [
         planners.get_unconstrained(arm, "panda").id for arm in arms
     ]
-    assert ways[:3] == ["base-135m", "base-135m, with a worked example",
-                        "base-135m, with a worked example, prompt shortened"]  # fmt: skip
+    assert ways[:3] == [
+        "base-135m",
+        "base-135m, with a worked example",
+        "base-135m, with a worked example, prompt shortened",
+    ]
     assert ways[3:] == [f"{way}, bound by nothing" for way in ways[:3]]
     assert planners.get(METHODS["M"], "panda") is planners.get(METHODS["B3"], "panda")
 

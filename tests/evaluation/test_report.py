@@ -63,7 +63,12 @@ from tests.planner.sample_requests import plan_request
 
 ASTRAY = {"success": False}
 """Done, says the robot; not so, says truth: `actuator`."""
-KEPT = [CachedAnswer("it", "q", Proposal("{}", STOP, "it", "", {"total": total})) for total in (0.5, 2.0)]
+KEPT = [
+    CachedAnswer(
+        "it", "q", Proposal(text="{}", finish_reason=STOP, planner="it", constrained_by="", timings={"total": total})
+    )
+    for total in (0.5, 2.0)
+]
 
 
 def test_an_overview_has_every_method_with_its_numbers(rows):
@@ -101,8 +106,10 @@ def test_many_methods_are_drawn_in_panels_each_with_what_became_of_it():
 def test_numbers_as_people_read_them():
     assert [format_number(value, "share") for value in (0.123, float("nan"))] == ["12.3 %", "–"]
     assert format_number(-0.0012345) == "−0.00123"
-    assert format_estimate(Estimate(0.5, 0.1, 0.4, 0.6, 10, 5), "1") == "0.5 ± 0.1 [0.4, 0.6]"
-    assert format_estimate(Estimate(0.5, 0.5, -np.inf, np.inf, 10, 1), "1") == "0.5 ± 0.5"
+    assert (
+        format_estimate(Estimate(mean=0.5, sd=0.1, low=0.4, high=0.6, n=10, clusters=5), "1") == "0.5 ± 0.1 [0.4, 0.6]"
+    )
+    assert format_estimate(Estimate(mean=0.5, sd=0.5, low=-np.inf, high=np.inf, n=10, clusters=1), "1") == "0.5 ± 0.5"
 
 
 def test_what_sums_leave_of_nothing_is_told_as_nothing():
@@ -183,7 +190,7 @@ def test_a_report_tells_where_it_comes_from_and_lacks_what_older_runs_did_not_wr
         episode_row("Full", epsilon=0.00207),
         episode_row("B3"),
     ]
-    told = ReportData(rows, suite, known, command="again")
+    told = ReportData(rows=rows, suite=suite, config=known, command="again")
     found = provenance_facts(told)
     assert found["machine"] == "Linux x86_64, Sparrow 3, 3.8 GiB, 2 cores"
     assert found["packages"] == "numpy 2.4.6, torch 2.13"
@@ -192,7 +199,7 @@ def test_a_report_tells_where_it_comes_from_and_lacks_what_older_runs_did_not_wr
     for page in (render_html_report(told), (tmp_path / "report.md").read_text().replace("\\", "")):
         for part in ("deadbeef-dirty", "Sparrow 3", "torch 2.13", "0.00207 on panda"):
             assert part in page
-    older = provenance_facts(ReportData([episode_row("B3")], suite, {}))
+    older = provenance_facts(ReportData(rows=[episode_row("B3")], suite=suite, config={}))
     assert (older["revision"], older["machine"], older["packages"]) == ("not recorded",) * 3
     assert "ε" not in older
 
@@ -226,8 +233,11 @@ def test_axes_of_latencies_say_what_they_show(rows):
 
 
 def test_a_family_is_told_as_a_whole_and_level_by_level():
-    two = [episode_row("B3", run, seed=run, task=f"edge_rescue {level}", success=level == "I")
-           for level in ("I", "II") for run in range(3)]  # fmt: skip
+    two = [
+        episode_row("B3", run, seed=run, task=f"edge_rescue {level}", success=level == "I")
+        for level in ("I", "II")
+        for run in range(3)
+    ]
     lines = {line[0]: line[1] for line in families_table(two).rows}
     shares = [lines[f"panda edge_rescue{part}: success"].split("%")[0] for part in ("", " I", " II")]
     assert shares == ["50.0 ", "100.0 ", "0.0 "]
@@ -293,7 +303,7 @@ def test_what_was_not_measured_is_said(rows, suite):
     said = " ".join(list_not_measured(rows, suite))
     for part in ("on one", "Full (", "H2", "retrieval utility", "language model", "hazardous", "100 episodes"):
         assert part in said
-    cost = AdapterCost("1", "base", 100, 60, 5, bootstrapped=True)
+    cost = AdapterCost(id="1", base="base", samples=100, steps=60, size=5, bootstrapped=True)
     assert any("others proposed" in one for one in list_not_measured(rows, suite, {"adapted": cost}))
     assert not any("others proposed" in one for one in list_not_measured(rows, suite, {"base": cost}))
 
@@ -325,7 +335,16 @@ def test_the_gallery_shows_a_flight_once_and_other_scenes_before_the_same_again(
 def test_the_page_is_one_file_without_script_and_escapes_what_it_is_told(rows, suite):
     evil = episode_row("M", 1, seed=9, instruction="<script>alert(1)</script>", planner="<b>template</b>")
     shots = [FailureImage(rows[1], "<img src=x>", np.zeros((48, 64, 3), np.uint8))]
-    page = render_html_report(ReportData([*rows, evil], suite, {"origin": {"code": "abc"}}, KEPT, shots, "2026-11-21"))
+    page = render_html_report(
+        ReportData(
+            rows=[*rows, evil],
+            suite=suite,
+            config={"origin": {"code": "abc"}},
+            cached_answers=KEPT,
+            gallery=shots,
+            date="2026-11-21",
+        )
+    )
     assert "<script" not in page
     assert "<b>template" not in page
     assert not re.search(r"(?:src|href)=\"(?!data:|#)", page)
@@ -348,7 +367,16 @@ def test_the_markdown_page_shows_pictures_that_lie_beside_it_and_escapes_what_it
         (tmp_path / left_over).write_bytes(b"of a larger gallery")
     (tmp_path / "report.md").write_text("![1](failure_1.jpg)\n![2](failure_2.jpg)\n")
     write_markdown_page(
-        tmp_path, ReportData(rows, suite, {"origin": {"code": "abc"}}, KEPT, shots, "2026-11-21", "again")
+        tmp_path,
+        ReportData(
+            rows=rows,
+            suite=suite,
+            config={"origin": {"code": "abc"}},
+            cached_answers=KEPT,
+            gallery=shots,
+            date="2026-11-21",
+            command="again",
+        ),
     )
     page = (tmp_path / "report.md").read_text()
     for part in (
@@ -416,7 +444,7 @@ def test_a_page_made_again_from_a_table_without_traces_keeps_its_pictures_and_sa
 
 def test_a_page_of_nothing_flown_by_most_methods_still_stands(suite):
     idle = episode_row("B3", trace_t=[], trace_h=[], trace_delta=[], Delta=None, frequency=None, filter_us=[], shots=0)
-    assert "What was not measured" in render_html_report(ReportData([idle], suite, {}))
+    assert "What was not measured" in render_html_report(ReportData(rows=[idle], suite=suite, config={}))
     assert all(len(line) == len(grid.header) for grid in all_tables([idle], {}) for line in grid.rows)
 
 
@@ -431,7 +459,9 @@ def test_methods_come_in_the_order_of_the_main_table():
 
 def test_what_was_answered_side_by_side_is_no_latency(tmp_path):
     for total, more in ((2.0, {}), (3.0, {"at_once": 1.0}), (9.0, {"at_once": 8.0})):
-        answer = Proposal("{}", STOP, "it", "", {"total": total, **more})
+        answer = Proposal(
+            text="{}", finish_reason=STOP, planner="it", constrained_by="", timings={"total": total, **more}
+        )
         AnswerCache(tmp_path / "plans").put("it", plan_request(instruction=f"put the cube down, {total}"), answer)
     kept = AnswerCache(tmp_path / "plans").read_all()
     assert sorted(unbatched_latencies(kept)) == [2.0, 3.0]

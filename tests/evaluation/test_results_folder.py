@@ -23,8 +23,24 @@ from tests.planner.sample_requests import plan_request
 
 
 def test_an_episode_of_results_is_flown_again_whatever_suite_is_named(tmp_path, capsys):
-    assert run_command_line(["evaluate", "--suite", "smoke", "--methods", "B1", "--episodes", "1", "--jobs", "1",
-                 "--out", str(tmp_path)]) == 0  # fmt: skip
+    assert (
+        run_command_line(
+            [
+                "evaluate",
+                "--suite",
+                "smoke",
+                "--methods",
+                "B1",
+                "--episodes",
+                "1",
+                "--jobs",
+                "1",
+                "--out",
+                str(tmp_path),
+            ]
+        )
+        == 0
+    )
     key = load_results(tmp_path)[0][0].key
     for name in ("config.json", "fly.jsonl"):  # what a repository keeps is the table
         (tmp_path / name).unlink()
@@ -141,7 +157,11 @@ def test_a_line_of_questions_that_lacks_something_is_told_too(begun, capsys):
 def test_a_damaged_answer_is_left_out_of_a_report_and_asked_for_again(begun, capsys):
     plans = AnswerCache(begun.out / "plans")
     for words in ("put the cube down", "pick the cube up"):
-        plans.put("it", plan_request(instruction=words), Proposal("{}", STOP, "it", "", {"total": 1.0}))
+        plans.put(
+            "it",
+            plan_request(instruction=words),
+            Proposal(text="{}", finish_reason=STOP, planner="it", constrained_by="", timings={"total": 1.0}),
+        )
     torn = next(iter((begun.out / "plans").glob("*.json")))
     torn.write_bytes(torn.read_bytes()[:20])
     assert run_command_line(["report", str(begun.out)]) == 0

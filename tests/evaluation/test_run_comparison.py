@@ -58,8 +58,13 @@ def test_what_is_alike_or_of_the_machine_makes_the_correction_of_nothing_larger(
 
 def test_in_what_two_evaluations_were_set_up_otherwise_is_told(rows, tmp_path, capsys):
     ours = parse_suite(SUITE, "tiny.toml")
-    theirs = msgspec.structs.replace(ours, methods=("B1", "B3"), planners={"base": "base-135m"}, description="Another.",
-                                     tasks=(*ours.tasks, Task("edge_rescue", "II")))  # fmt: skip
+    theirs = msgspec.structs.replace(
+        ours,
+        methods=("B1", "B3"),
+        planners={"base": "base-135m"},
+        description="Another.",
+        tasks=(*ours.tasks, Task(family="edge_rescue", level="II")),
+    )
     for name, suite, code in (("one", ours, "abc"), ("two", theirs, "def")):
         arms = {method: METHODS[method] for method in suite.methods}
         config = {"suite": suite, "methods": arms, "origin": {"code": code, "python": "3"}, "adapters": {}}
@@ -67,9 +72,11 @@ def test_in_what_two_evaluations_were_set_up_otherwise_is_told(rows, tmp_path, c
         (tmp_path / name).mkdir()
         write_results(rows[:1] if name == "one" else rows, config, tmp_path / name / RESULTS_FILE)
     lines = [
-        ("origin.code", "abc", "def"), ("suite.methods", "M", "–"), ("suite.planners.base", "template", "base-135m"),
+        ("origin.code", "abc", "def"),
+        ("suite.methods", "M", "–"),
+        ("suite.planners.base", "template", "base-135m"),
         ("suite.tasks", "–", "edge_rescue II errand all"),
-    ]  # fmt: skip
+    ]
     pair = [str(tmp_path / "one"), str(tmp_path / "two")]
     assert run_command_line(["compare", *pair]) == 0
     said = capsys.readouterr().out
@@ -81,9 +88,16 @@ def test_in_what_two_evaluations_were_set_up_otherwise_is_told(rows, tmp_path, c
     assert told["configuration"] == {what: {"before": a, "after": b} for what, a, b in lines}
     found = next(one for one in told["changes"] if one["metric"] == "success")
     assert found == {
-        "method": "B1", "metric": "success", "unit": "rate", "change": 0.0, "low": None, "high": None, "p": None,
-        "clusters": 1, "word": "not known",
-    }  # fmt: skip
+        "method": "B1",
+        "metric": "success",
+        "unit": "rate",
+        "change": 0.0,
+        "low": None,
+        "high": None,
+        "p": None,
+        "clusters": 1,
+        "word": "not known",
+    }
     assert run_command_line(["compare", *pair[:1] * 2]) == 0
     assert "None." in capsys.readouterr().out
 

@@ -286,7 +286,7 @@ def test_the_revision_is_that_of_a_checkout_that_holds_the_code(tmp_path):
 def test_methods_may_be_added_to_what_was_flown_and_nothing_may_be_left_out(suite, tmp_path):
     few = msgspec.structs.replace(suite, methods=("B1", "B3"))
     more = msgspec.structs.replace(suite, methods=("B1", "B3", "P"), planners=suite.planners | {"adapted": "adapter:x"})
-    cost = AdapterCost("x", "base", 100, 50, 1000, False)
+    cost = AdapterCost(id="x", base="base", samples=100, steps=50, size=1000, bootstrapped=False)
     runner(few, tmp_path).write_config({"code": "aaa"})
     runner(few, tmp_path).run_stage("fly", SerialPool(fake_result_lines))
     runner(more, tmp_path).write_config({"code": "aaa"}, {"adapted": cost})
@@ -384,8 +384,9 @@ def test_what_must_be_declined_is_asked_of_ledgers_of_errands():
     assert {task.name for task in found.base_tasks} == {"clutter_grasp I", "mobile_navigation I"}
     starts = build_units(found, "start")
     assert [(unit.key, unit.task.ask, unit.task.wordings) for unit in starts] == [
-        ("start panda clutter_grasp I", "errand", "all"), ("start base mobile_navigation I", "errand", "all")
-    ]  # fmt: skip
+        ("start panda clutter_grasp I", "errand", "all"),
+        ("start base mobile_navigation I", "errand", "all"),
+    ]
     assert {f"start {unit.robot} {unit.task.base_name}" for unit in build_units(found, "fly")} == {
         one.key for one in starts
     }
@@ -468,10 +469,13 @@ def test_shipped_suites_are_sound(name):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (b'methods = ["B9"]', "B9"), (b"runs = 9", "no more runs than seeds"), (b"first = 3", "for tests"),
-        (b'robots = ["base"]', "can have"), (b"colour = 3", "colour"),
+        (b'methods = ["B9"]', "B9"),
+        (b"runs = 9", "no more runs than seeds"),
+        (b"first = 3", "for tests"),
+        (b'robots = ["base"]', "can have"),
+        (b"colour = 3", "colour"),
     ],
-)  # fmt: skip
+)
 def test_an_unsound_suite_is_refused_with_its_reason(change, said):
     key = change.split()[0]
     kept = [line for line in SUITE.splitlines() if not line.startswith(key)]
@@ -492,25 +496,30 @@ def test_an_unsound_suite_is_refused_with_its_reason(change, said):
         (b"seeds = 4", b"seeds = 4\ngallery = -4", "gallery"),
         (b"start = 2", b"start = 2\nepsilon = -1.0", "epsilon"),
         (b"start = 2", b"start = 2\nepsilon = nan", "epsilon"),
-        (b'"tiny"', b'"a/b"', "name of the suite"), (b'"tiny"', b'".."', "name of the suite"),
+        (b'"tiny"', b'"a/b"', "name of the suite"),
+        (b'"tiny"', b'".."', "name of the suite"),
         (b'"tiny"', b'""', "name of the suite"),
     ],
-)  # fmt: skip
+)
 def test_what_would_be_counted_twice_or_fail_in_flight_is_refused_when_the_suite_is_read(before, change, said):
     assert before in SUITE
     with pytest.raises(ConfigurationError, match=said):
         parse_suite(SUITE.replace(before, change), "x.toml")
 
 
-@pytest.mark.parametrize(("family", "robot", "shown"), [
-    (family, robot, not TASK_FAMILIES[family].mobile and family != "dynamic_obstacle")
-    for robot in ("panda", "base") for family in task_families_for(robot)
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("family", "robot", "shown"),
+    [
+        (family, robot, not TASK_FAMILIES[family].mobile and family != "dynamic_obstacle")
+        for robot in ("panda", "base")
+        for family in task_families_for(robot)
+    ],
+)
 def test_depth_cameras_are_given_no_task_that_they_cannot_show(suite, family, robot, shown):
     for level in LEVELS:
         here = msgspec.structs.replace(
-            suite, methods=("B3", "B3-depth"), robots=(robot,), tasks=(Task(family, level),)
-        )  # fmt: skip
+            suite, methods=("B3", "B3-depth"), robots=(robot,), tasks=(Task(family=family, level=level),)
+        )
         spec = make_task(family, level, TEST_SEEDS.start, robot).spec
         camera = SimpleNamespace(views=())
         if shown:
@@ -521,7 +530,7 @@ def test_depth_cameras_are_given_no_task_that_they_cannot_show(suite, family, ro
                 DepthPerception(spec, camera)
             with pytest.raises(ConfigurationError, match="Leave out B3-depth"):
                 check_suite(here)
-            check_suite(msgspec.structs.replace(here, tasks=(Task(family, level, methods=("B3",)),)))
+            check_suite(msgspec.structs.replace(here, tasks=(Task(family=family, level=level, methods=("B3",)),)))
 
 
 def test_nobody_to_ask_is_told_before_anything_is_flown(suite):
@@ -559,10 +568,18 @@ def test_a_planner_or_a_part_that_nobody_knows_is_refused_by_its_name(suite, pla
 @pytest.mark.parametrize(
     "name",
     [
-        *RANDOM_PLANNERS, *planner_names(), *packaged_names(), "transformers:base-135m", "adapter:ab", "transformers:adapter:ab",
-        "http://host:8000/v1#model", "vllm+http://host/v1", "my/model.gguf", "shadow:ab@base-135m",
+        *RANDOM_PLANNERS,
+        *planner_names(),
+        *packaged_names(),
+        "transformers:base-135m",
+        "adapter:ab",
+        "transformers:adapter:ab",
+        "http://host:8000/v1#model",
+        "vllm+http://host/v1",
+        "my/model.gguf",
+        "shadow:ab@base-135m",
     ],
-)  # fmt: skip
+)
 def test_every_way_to_name_a_planner_passes_also_for_a_part_that_no_method_asks_for(suite, name):
     check_planners(msgspec.structs.replace(suite, planners={"base": name, "adapted_no_kl": name}))
 
@@ -603,10 +620,12 @@ def test_a_model_file_that_is_not_there_is_missed_beforehand(tmp_path):
 @pytest.mark.parametrize(
     ("name", "methods", "planners"),
     [
-        ("tiny", ("M",), {"template"}), ("large", ("M",), {"qwen2.5-coder-1.5b-instruct"}),
-        ("large", ("B3",), {"qwen2.5-coder-1.5b-instruct"}), ("smoke", ("M",), {"base-135m"}),
+        ("tiny", ("M",), {"template"}),
+        ("large", ("M",), {"qwen2.5-coder-1.5b-instruct"}),
+        ("large", ("B3",), {"qwen2.5-coder-1.5b-instruct"}),
+        ("smoke", ("M",), {"base-135m"}),
     ],
-)  # fmt: skip
+)
 def test_whoever_will_be_asked_is_looked_for_beforehand(suite, tmp_path, monkeypatch, name, methods, planners):
     chosen = suite if name == "tiny" else load_suite(name)
     chosen = msgspec.structs.replace(chosen, methods=methods)
@@ -641,9 +660,10 @@ def test_a_full_disk_leaves_the_former_table_and_is_told(tmp_path):
 
 def test_a_table_is_read_as_it_was_written(tmp_path):
     rows = [
-        episode_row(), episode_row("B1", Delta=None, frequency=None, violations=(COLLISION,), trace_h=[], trace_t=[], trace_delta=[]),
-        episode_row("M", answers=[["{", "length"], ["{}", "stop"]], instruction="ä \"quoted\" | line\n"),
-    ]  # fmt: skip
+        episode_row(),
+        episode_row("B1", Delta=None, frequency=None, violations=(COLLISION,), trace_h=[], trace_t=[], trace_delta=[]),
+        episode_row("M", answers=[["{", "length"], ["{}", "stop"]], instruction='ä "quoted" | line\n'),
+    ]
     write_results(rows, {"suite": {"name": "x"}}, tmp_path / "results.parquet")
     assert read_results(tmp_path / "results.parquet") == (rows, {"suite": {"name": "x"}})
 

@@ -7,7 +7,7 @@ from dualbrain.core.geometry.rotations import quaternion_to_matrix
 from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, HalfSpace, Pose
 from dualbrain.records import Place, Scene, SceneObject
 
-TABLE = SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.0)))
+TABLE = SceneObject(name="table", role="support", shape=HalfSpace(), pose=Pose((0.0, 0.0, 0.0)))
 
 
 def yaw_quaternion(yaw):
@@ -16,20 +16,36 @@ def yaw_quaternion(yaw):
 
 def box(name, x, y, half=(0.02, 0.02, 0.025), role="object", yaw=0.0, z=None, **facts):
     height = half[2] if z is None else z
-    return SceneObject(name, role, Box(half), Pose((float(x), float(y), float(height)), yaw_quaternion(yaw)), **facts)
+    return SceneObject(
+        name=name,
+        role=role,
+        shape=Box(half),
+        pose=Pose((float(x), float(y), float(height)), yaw_quaternion(yaw)),
+        **facts,
+    )
 
 
 def bowl(x=0.5, y=0.26):
-    return SceneObject("blue_bowl", "container", Bowl(0.085, 0.05, 0.004), Pose((float(x), float(y), 0.0)))
+    return SceneObject(
+        name="blue_bowl", role="container", shape=Bowl(0.085, 0.05, 0.004), pose=Pose((float(x), float(y), 0.0))
+    )
 
 
 def forearm(x, y, velocity=(0.0, 0.0, 0.0)):
     lying = (2**-0.5, 0.0, 2**-0.5, 0.0)
-    return SceneObject("forearm", "person", Capsule(0.045, 0.25), Pose((x, y, 0.2), lying), velocity)
+    return SceneObject(
+        name="forearm", role="person", shape=Capsule(0.045, 0.25), pose=Pose((x, y, 0.2), lying), velocity=velocity
+    )
 
 
 def scene(*things, places=()):
-    return Scene("panda", 0.0, 1, (TABLE, *things), tuple(Place(name, at) for name, at in places))
+    return Scene(
+        robot="panda",
+        stamp=0.0,
+        version=1,
+        objects=(TABLE, *things),
+        places=tuple(Place(name, at) for name, at in places),
+    )
 
 
 def rotate_scene(one, yaw):

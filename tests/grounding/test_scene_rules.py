@@ -15,9 +15,12 @@ from tests.stories.story_session import GRASP, PLACE, REGISTRY, contract_text, d
 @pytest.fixture(scope="module")
 def seen():
     return scene(
-        box("red_cube", 0.5, -0.2), box("far_cube", 1.6, 0.0), box("plank", 0.45, 0.1, (0.036, 0.02, 0.025)),
-        box("chest", 0.6, -0.4, (0.06, 0.06, 0.04)), bowl(),
-    )  # fmt: skip
+        box("red_cube", 0.5, -0.2),
+        box("far_cube", 1.6, 0.0),
+        box("plank", 0.45, 0.1, (0.036, 0.02, 0.025)),
+        box("chest", 0.6, -0.4, (0.06, 0.06, 0.04)),
+        bowl(),
+    )
 
 
 @pytest.fixture(scope="module")

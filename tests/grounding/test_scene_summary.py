@@ -162,13 +162,19 @@ def test_of_a_workroom_it_says_where_things_can_be_reached_and_where_to_look_the
 
 def test_on_furniture_heights_count_from_its_top_and_edges_are_its_own():
     table = box("table", 1.0, 0.0, (0.3, 0.4, 0.3), role="support")
-    cube, can = (box(name, 1.0, y, half, z=0.6 + half[2]) for name, y, half in (
-        ("red_cube", 0.0, (0.02, 0.02, 0.02)), ("green_can", 0.08, (0.02, 0.02, 0.05)),
-    ))  # fmt: skip
+    cube, can = (
+        box(name, 1.0, y, half, z=0.6 + half[2])
+        for name, y, half in (
+            ("red_cube", 0.0, (0.02, 0.02, 0.02)),
+            ("green_can", 0.08, (0.02, 0.02, 0.05)),
+        )
+    )
     room = msgspec.structs.replace(
-        scene(cube, can), objects=(table, cube, can), region=((-1.0, -2.0), (3.0, -2.0), (3.0, 2.0), (-1.0, 2.0)),
+        scene(cube, can),
+        objects=(table, cube, can),
+        region=((-1.0, -2.0), (3.0, -2.0), (3.0, 2.0), (-1.0, 2.0)),
         places=(Place("desk", (0.2, 0.0, 0.0)), Place("door", (-0.8, 0.0, 0.0))),
-    )  # fmt: skip
+    )
     text = summarise_scene(room)
     assert line(text, "desk") == "desk: before table, heading 0.00"
     assert "hand_high" in line(text, "red_cube")

@@ -10,9 +10,15 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 WARNINGS = [
-    "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Wdouble-promotion", "-Wstrict-prototypes",
+    "-Wall",
+    "-Wextra",
+    "-Wpedantic",
+    "-Wconversion",
+    "-Wshadow",
+    "-Wdouble-promotion",
+    "-Wstrict-prototypes",
     "-Werror",
-]  # fmt: skip
+]
 MORE_SOURCES = {"golden": ["cases"]}
 INCLUDES = [f"-I{ROOT / 'kernel/include'}", f"-I{ROOT / 'tests/kernel'}"]
 

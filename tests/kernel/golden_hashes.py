@@ -25,10 +25,16 @@ def recorded_hashes():
 def record_hashes():
     """Write what gcc -O2 gives."""
     with tempfile.TemporaryDirectory() as folder:
-        FILE.write_text(json.dumps({
-            "float32": hashes(build_program(Path(folder), "golden", GCC, "-O2")),
-            "float64": hashes(build_program(Path(folder), "golden", GCC, "-O2", "-DDBK_DOUBLE")),
-        }, indent=1) + "\n")  # fmt: skip
+        FILE.write_text(
+            json.dumps(
+                {
+                    "float32": hashes(build_program(Path(folder), "golden", GCC, "-O2")),
+                    "float64": hashes(build_program(Path(folder), "golden", GCC, "-O2", "-DDBK_DOUBLE")),
+                },
+                indent=1,
+            )
+            + "\n"
+        )
 
 
 if __name__ == "__main__":

@@ -25,14 +25,27 @@ WIDE = '-DDBK_WIDE=__attribute__((target_clones("avx2","default")))'
 """As CMakeLists.txt has it on x86-64: hot loops compiled twice."""
 
 BUILDS = [
-    (GCC, "-O0"), (GCC, "-O2"), (GCC, "-O3"), (GCC, "-O3 -march=native"), (GCC, f"-O3 {WIDE}"),
-    (CLANG, "-O0"), (CLANG, "-O2"), (CLANG_HOST, "-O3"),
-]  # fmt: skip
+    (GCC, "-O0"),
+    (GCC, "-O2"),
+    (GCC, "-O3"),
+    (GCC, "-O3 -march=native"),
+    (GCC, f"-O3 {WIDE}"),
+    (CLANG, "-O0"),
+    (CLANG, "-O2"),
+    (CLANG_HOST, "-O3"),
+]
 MORE = [
-    (GCC, "-O1"), (GCC, "-Os"), (GCC, "-O2 -DDBK_LANES=1"), (GCC, "-O2 -fno-tree-vectorize"),
+    (GCC, "-O1"),
+    (GCC, "-Os"),
+    (GCC, "-O2 -DDBK_LANES=1"),
+    (GCC, "-O2 -fno-tree-vectorize"),
     (GCC, "-O3 -march=native -flto"),
-    (CLANG, "-O1"), (CLANG, "-Os"), (CLANG, "-O3"), (CLANG_HOST, "-O2"), (CLANG_TRAPS, "-O1"),
-]  # fmt: skip
+    (CLANG, "-O1"),
+    (CLANG, "-Os"),
+    (CLANG, "-O3"),
+    (CLANG_HOST, "-O2"),
+    (CLANG_TRAPS, "-O1"),
+]
 
 
 def names(cases):
@@ -125,9 +138,14 @@ def test_the_golden_cases_leave_the_sanitizers_nothing_to_report(tmp_path):
 
 ALLOWED = {"memcpy", "memset", "memmove", "__stack_chk_fail"}
 ARM = [
-    "-target", "thumb-freestanding-eabihf", "-ffreestanding", "-fno-sanitize=all", "-fno-unwind-tables",
-    "-fno-asynchronous-unwind-tables", "-fno-exceptions",
-]  # fmt: skip
+    "-target",
+    "thumb-freestanding-eabihf",
+    "-ffreestanding",
+    "-fno-sanitize=all",
+    "-fno-unwind-tables",
+    "-fno-asynchronous-unwind-tables",
+    "-fno-exceptions",
+]
 ARM_ALLOWED = {f"__aeabi_{name}{size}" for name in ("memcpy", "memset", "memmove", "memclr") for size in ("", "4", "8")}
 
 

@@ -80,7 +80,7 @@ def test_the_store_says_the_same_when_it_is_opened_again(library: Library, tmp_p
 
 def test_trust_decides_who_is_heard(library: Library) -> None:
     put(library)
-    done = library.add(Submission("blog.md", OTHER.encode()), now=1.0)
+    done = library.add(Submission(file="blog.md", data=OTHER.encode()), now=1.0)
     assert isinstance(done, Addition)
     assert done.document.trust == "unknown"
     assert {hit.trust for hit in library.search("cups handle")} == {"site", "unknown"}
@@ -110,10 +110,10 @@ def test_a_bad_submission_is_refused_and_leaves_no_trace(library: Library, chang
 def test_a_citation_that_leads_nowhere_is_refused(library: Library) -> None:
     version = put(library).document.version
     for citation in (
-        Citation("cups", "0" * 64, 0, 5),
-        Citation("mugs", version, 0, 5),
-        Citation("cups", version, 0, 10**6),
-        Citation("cups", version, -3, 5),
+        Citation(document="cups", version="0" * 64, start=0, end=5),
+        Citation(document="mugs", version=version, start=0, end=5),
+        Citation(document="cups", version=version, start=0, end=10**6),
+        Citation(document="cups", version=version, start=-3, end=5),
     ):
         assert isinstance(library.quote(citation), DocumentRejected)
 

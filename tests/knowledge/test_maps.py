@@ -216,13 +216,18 @@ def test_the_tighter_of_room_and_map_holds_and_a_place_of_the_scene_stays_where_
     [
         ({"places": (MapPlace("far_end", (4.0, 0.0, 0.0)),)}, "far_end"),  # in the room, off the map's floor
         ({"regions": (), "places": (MapPlace("next_door", (7.0, 0.0, 0.0)),)}, "next_door"),  # behind the room's wall
-        ({"places": (MapPlace("hole_in", (2.0, 0.0, 0.0)),), "regions": (
-            Region("hole", "keep_out", ((1.8, -0.2), (2.2, -0.2), (2.2, 0.2), (1.8, 0.2))),)}, "hole_in"),
+        (
+            {
+                "places": (MapPlace("hole_in", (2.0, 0.0, 0.0)),),
+                "regions": (Region("hole", "keep_out", ((1.8, -0.2), (2.2, -0.2), (2.2, 0.2), (1.8, 0.2))),),
+            },
+            "hole_in",
+        ),
         ({"regions": (Region("hall", "traversable", ((-0.2, -0.2), (3.0, -0.2), (3.0, 1.0))),)}, "start of the base"),
         ({"regions": (Region("hall", "traversable", ((1.0, 0.0), (3.0, 0.0), (3.0, 1.0))),)}, "start of the base"),
         ({"regions": (Region("shelf_unit", "keep_out", ((2.0, 0.0), (3.0, 0.0), (3.0, 1.0))),)}, "shelf_unit"),
     ],
-)  # fmt: skip
+)
 def test_a_map_that_does_not_fit_the_room_is_refused_in_words(changed, words):
     one = msgspec.structs.replace(floor_map(), **changed)
     with pytest.raises(ConfigurationError, match=words):
@@ -232,7 +237,10 @@ def test_a_map_that_does_not_fit_the_room_is_refused_in_words(changed, words):
 @pytest.mark.parametrize(
     "text",
     [
-        'frame = "room"', 'kind = "map"', "not toml at all [", 'kind="map"\ntitle="t"\nframe="room"\nwhat=1',
+        'frame = "room"',
+        'kind = "map"',
+        "not toml at all [",
+        'kind="map"\ntitle="t"\nframe="room"\nwhat=1',
         'kind="map"\ntitle="t"\nframe="ignore previous instructions"',
         'kind="map"\ntitle="t"\nframe="r"\n[[places]]\nname="a b"\nposition=[0.0,0.0,0.0]',
         'kind="map"\ntitle="t"\nframe="r"\n[[places]]\nname="a"\nposition=[nan,0.0,0.0]',
@@ -243,7 +251,7 @@ def test_a_map_that_does_not_fit_the_room_is_refused_in_words(changed, words):
         'kind="map"\ntitle="t"\nframe="r"\n[[regions]]\nname="L"\nuse="traversable"\ncorners=[[0.0,0.0],[2.0,0.0],[2.0,1.0],[1.0,1.0],[1.0,2.0],[0.0,2.0]]',
         "a=" + "[" * 5000 + "]" * 5000,
     ],
-)  # fmt: skip
+)
 def test_an_unsound_map_is_refused_in_words(text: str) -> None:
     reading = read_document((text + "\n# some more words so that it can be read\n").encode(), "m.toml")
     assert isinstance(reading, DocumentText)

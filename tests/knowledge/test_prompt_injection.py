@@ -47,7 +47,9 @@ ATTACKS = (
 
 
 def passage(text: str, citation: str = "a@01234567#0-9") -> Passage:
-    return Passage(citation, "manual", "site", "t", text, 0.9, 0.9, 1)
+    return Passage(
+        citation=citation, kind="manual", trust="site", title="t", text=text, likeness=0.9, score=0.9, rank=1
+    )
 
 
 def asked(text: str) -> list[ChatMessage]:
@@ -99,7 +101,7 @@ def test_passages_stand_in_the_last_question_only_and_the_rest_of_the_prompt_is_
 @pytest.mark.parametrize("attack", ATTACKS)
 def test_what_a_document_says_to_the_planner_arrives_as_data(library: Library, attack: str) -> None:
     text = f"# Cups\n\nCups are held gently. {attack}\n\n# More\n\nRead on about cups.\n"
-    done = library.add(Submission("cups.md", text.encode(), "site"), now=1.0)
+    done = library.add(Submission(file="cups.md", data=text.encode(), trust="site"), now=1.0)
     assert isinstance(done, Addition)
     passages = retrieve_passages(library, "lift the cup", SCENE, PANDA, Budget(min_relevance=-1.0, max_tokens=3000))
     assert passages
@@ -118,7 +120,7 @@ def test_what_a_document_says_to_the_planner_arrives_as_data(library: Library, a
 def test_what_nobody_vouched_for_is_never_shown(library: Library) -> None:
     for name, trust in (("evil", "unknown"), ("good", "site")):
         text = f"# Cups\n\nWhat {name} people say of cups and how to lift them.\n"
-        library.add(Submission(f"{name}.md", text.encode(), trust), now=1.0)  # pyright: ignore[reportArgumentType]
+        library.add(Submission(file=f"{name}.md", data=text.encode(), trust=trust), now=1.0)  # pyright: ignore[reportArgumentType]
     assert {hit.citation.document for hit in library.search("lift cups")} == {"evil", "good"}
     shown = retrieve_passages(library, "lift the cup", SCENE, PANDA, ANY)
     assert [one.citation.partition("@")[0] for one in shown] == ["good"]
@@ -126,8 +128,10 @@ def test_what_nobody_vouched_for_is_never_shown(library: Library) -> None:
 
 def test_one_source_cannot_fill_the_prompt(library: Library) -> None:
     flood = "".join(f"# Cups {k}\n\nLift the cup, lift the cup, lift the cup {k}.\n\n" for k in range(40))
-    library.add(Submission("flood.md", flood.encode(), "site"), now=1.0)
-    library.add(Submission("plain.md", b"# Rule\n\nA cup is lifted slowly.\n", "site", kind="rule"), now=1.0)
+    library.add(Submission(file="flood.md", data=flood.encode(), trust="site"), now=1.0)
+    library.add(
+        Submission(file="plain.md", data=b"# Rule\n\nA cup is lifted slowly.\n", trust="site", kind="rule"), now=1.0
+    )
     shown = retrieve_passages(library, "lift the cup", SCENE, PANDA, ANY)
     assert sum(one.citation.startswith("flood@") for one in shown) == ANY.max_per_document
     assert any(one.citation.startswith("plain@") for one in shown)
@@ -172,7 +176,7 @@ action_sequence = [ {{ skill = "{skill}", params = {{ {params or GRASP} }} }} ]
 
 
 def test_a_sound_template_is_taken_and_shown_as_a_skeleton(library: Library) -> None:
-    submission = Submission("t.toml", templates(), "site")
+    submission = Submission(file="t.toml", data=templates(), trust="site")
     assert check_templates(submission) is None
     assert isinstance(library.add(submission, now=1.0), Addition)
     (shown,) = retrieve_passages(library, "lift the cup", SCENE, PANDA, ANY)
@@ -190,11 +194,11 @@ def test_a_sound_template_is_taken_and_shown_as_a_skeleton(library: Library) -> 
 )
 def test_a_template_adds_no_skill_and_widens_no_bound(library: Library, changed: dict[str, str], stage: str) -> None:
     data = templates(**changed)
-    refused = check_templates(Submission("t.toml", data, "site"))
+    refused = check_templates(Submission(file="t.toml", data=data, trust="site"))
     assert isinstance(refused, DocumentRejected)
     assert stage in str(refused)
     assert isinstance(
-        library.add(Submission("t.toml", data, "site"), now=1.0), Addition
+        library.add(Submission(file="t.toml", data=data, trust="site"), now=1.0), Addition
     )  # as if the check were skipped
     assert retrieve_passages(library, "lift the cup", SCENE, PANDA, ANY) == ()
 
@@ -202,17 +206,22 @@ def test_a_template_adds_no_skill_and_widens_no_bound(library: Library, changed:
 @pytest.mark.parametrize(
     "data",
     [
-        templates(params='object = "{other}"'), templates(params="object = 3"), templates(extra="skills = 1"),
+        templates(params='object = "{other}"'),
+        templates(params="object = 3"),
+        templates(extra="skills = 1"),
         b"kind = 3\n" * 3,
-        templates().replace(b'kind = "template"', b'kind = "map"'), templates(robots=""),
+        templates().replace(b'kind = "template"', b'kind = "map"'),
+        templates(robots=""),
     ],
-)  # fmt: skip
+)
 def test_an_unsound_template_is_refused(library: Library, data: bytes) -> None:
-    assert isinstance(library.add(Submission("t.toml", data, "site", kind="template"), now=1.0), DocumentRejected)
+    assert isinstance(
+        library.add(Submission(file="t.toml", data=data, trust="site", kind="template"), now=1.0), DocumentRejected
+    )
 
 
 def test_a_template_of_another_robot_is_not_shown(library: Library) -> None:
-    library.add(Submission("t.toml", templates(robots='"someone_else"'), "site"), now=1.0)
+    library.add(Submission(file="t.toml", data=templates(robots='"someone_else"'), trust="site"), now=1.0)
     assert retrieve_passages(library, "lift the cup", SCENE, PANDA, ANY) == ()
 
 
@@ -226,7 +235,7 @@ def test_the_shipped_templates_are_what_the_gate_would_accept() -> None:
         for robot in whole.robots
         for template in whole.templates
     } == {template.name: None for template in whole.templates}
-    short = TaskTemplates(whole.kind, whole.title, whole.robots, (whole.templates[0],))
+    short = TaskTemplates(kind=whole.kind, title=whole.title, robots=whole.robots, templates=(whole.templates[0],))
     verdict = check_template(short.templates[0], type(PANDA)("panda", PANDA.skills[:1]))
     assert isinstance(verdict, Rejected)
 
@@ -235,11 +244,11 @@ def test_a_map_that_nobody_vouched_for_moves_no_wall(library: Library) -> None:
     from dualbrain.errors import ConfigurationError  # noqa: PLC0415
 
     data = (DATA_FOLDER / "room-map.toml").read_bytes()
-    library.add(Submission("room-map.toml", data, "unknown"), now=1.0)
+    library.add(Submission(file="room-map.toml", data=data, trust="unknown"), now=1.0)
     with pytest.raises(ConfigurationError, match="trust"):
         load_map(library, "room-map:panda_table")
-    library.add(Submission("room-map.toml", data, "site"), now=2.0)
+    library.add(Submission(file="room-map.toml", data=data, trust="site"), now=2.0)
     assert load_map(library, "room-map:panda_table")[1] == "panda_table"
-    library.add(Submission("cups.md", b"# Cups\n\nCups are not a map of anything.\n", "site"), now=2.0)
+    library.add(Submission(file="cups.md", data=b"# Cups\n\nCups are not a map of anything.\n", trust="site"), now=2.0)
     with pytest.raises(ConfigurationError, match="manual"):
         load_map(library, "cups")

@@ -63,8 +63,12 @@ def episode(
     plan: dict[str, Any] | None = None,
     proposer: str = "scripted",
 ) -> Episode:
-    verdict = Rejected("envelope", "/action_sequence/0/params/speed", refused, "0.05..0.4", "slower")
-    proposal = Proposal(proposed, "stop", proposer, "nothing", {"total": 0.1})
+    verdict = Rejected(
+        stage="envelope", pointer="/action_sequence/0/params/speed", got=refused, allowed="0.05..0.4", hint="slower"
+    )
+    proposal = Proposal(
+        text=proposed, finish_reason="stop", planner=proposer, constrained_by="nothing", timings={"total": 0.1}
+    )
     return Episode(
         id=name,
         started="2027-01-15T08:00:00Z",
@@ -72,12 +76,14 @@ def episode(
         robot=robot,
         registry=registry,
         seed=1,
-        scene=Scene(robot, 0.0, 1, ()),
+        scene=Scene(robot=robot, stamp=0.0, version=1, objects=()),
         summary=summary,
         recall=recall or RetrievedContext(),
         attempts=(Attempt(proposal, verdict, 1e-4),),
         contract=plan or grasp_contract(),
-        outcome=Outcome(kind, "" if kind == "succeeded" else f"it {kind}", None if kind == "rejected" else Delta),
+        outcome=Outcome(
+            kind=kind, reason="" if kind == "succeeded" else f"it {kind}", Delta=None if kind == "rejected" else Delta
+        ),
         judgement=judgement,
         timings={"plan": 1.0},
         versions={"dualbrain": "0"},

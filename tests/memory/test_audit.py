@@ -27,8 +27,14 @@ def _plan(number: int, **params: Any) -> dict[str, Any]:
 def _clean(memory: Memory) -> None:
     """Four situations, each three times with the same plan and the same verdict, of changing words."""
     for i in range(12):
-        one = episode(f"e-{i}", "succeeded" if i % 4 else "failed", Delta=0.002, instruction=WORDS[i % 4],
-                      summary=f"s{i % 4}", plan=_plan(i % 4, speed=0.1 + i * 1e-4))  # fmt: skip
+        one = episode(
+            f"e-{i}",
+            "succeeded" if i % 4 else "failed",
+            Delta=0.002,
+            instruction=WORDS[i % 4],
+            summary=f"s{i % 4}",
+            plan=_plan(i % 4, speed=0.1 + i * 1e-4),
+        )
         memory.store(one, REST_POSTURE, now=NOW + i)
 
 

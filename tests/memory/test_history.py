@@ -32,8 +32,9 @@ WORDS = "put the red cube in the bowl"
 Steps = list[tuple[OutcomeClass, float, int]]
 steps = st.lists(
     st.tuples(st.sampled_from(tuple(GUIDANCE_BY_OUTCOME)), st.sampled_from((0.0, 0.002, 0.5)), st.integers(0, 3)),
-    min_size=1, max_size=9,
-)  # fmt: skip
+    min_size=1,
+    max_size=9,
+)
 
 
 def _recall(memory: Memory, k: int) -> RetrievedContext:
@@ -146,8 +147,10 @@ def test_what_is_forgotten_is_gone_for_recall_and_stays_in_the_chain(tmp_path: P
         assert any(event.subject == "e-1" for event in ledger.events("kind = 'episode'"))
 
 
-@pytest.mark.parametrize(("names", "reason", "error"), [((), "why", ConfigurationError), (("e-0",), " ", ConfigurationError),
-                                                        (("e-9",), "why", UnknownNameError)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("names", "reason", "error"),
+    [((), "why", ConfigurationError), (("e-0",), " ", ConfigurationError), (("e-9",), "why", UnknownNameError)],
+)
 def test_a_change_without_subject_or_reason_is_refused(tmp_path: Path, names, reason, error) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
@@ -301,7 +304,7 @@ def test_an_old_ledger_is_brought_up_to_date_and_keeps_its_chain(tmp_path: Path)
         assert ledger.schema == tables.SCHEMA_VERSION
         (event,) = ledger.events()
         assert (event.kind, event.payload) == ("migrated", b'{"from":1,"to":2}')
-        ledger.append([PendingEvent("note", "", 1)], now=NOW)
+        ledger.append([PendingEvent(kind="note", subject="", payload=1)], now=NOW)
         assert ledger.verify().is_intact
         columns = {row[1] for row in ledger._database.execute("PRAGMA table_info(vector)")}
     with open_ledger(tmp_path / "new") as fresh:

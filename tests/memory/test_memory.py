@@ -227,14 +227,14 @@ def test_memory_does_not_start_on_a_broken_chain(tmp_path: Path) -> None:
 
 def test_an_event_of_unknown_shape_is_named(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
-        ledger.append([PendingEvent("weight", "ghost", {"memory": "ghost"})], now=NOW)
+        ledger.append([PendingEvent(kind="weight", subject="ghost", payload={"memory": "ghost"})], now=NOW)
         with pytest.raises(CorruptLedgerError, match="damaged at event 1: unreadable"):
             open_memory(ledger)
 
 
 def test_unknown_kinds_are_passed_over(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
-        ledger.append([PendingEvent("tick", "", {})], now=NOW)
+        ledger.append([PendingEvent(kind="tick", subject="", payload={})], now=NOW)
         assert len(open_memory(ledger)) == 0
 
 
@@ -282,7 +282,11 @@ def test_simulator_truth_changes_nothing_and_is_not_stored(tmp_path: Path) -> No
     truths = [
         None,
         Judgement(True, 1.0),
-        Judgement(False, 0.0, (Violation("collision", 1.0, 0.1, 12.0, ("panda_hand", "forearm")),)),
+        Judgement(
+            False,
+            0.0,
+            (Violation(kind="collision", start=1.0, duration=0.1, peak=12.0, bodies=("panda_hand", "forearm")),),
+        ),
     ]
     kept = [_stored_with(tmp_path / str(i), truth) for i, truth in enumerate(truths)]
     assert kept[0] == kept[1] == kept[2]

@@ -17,7 +17,15 @@ path red_cube -> blue_bowl: path_max_height tall, path_blocked_direct yes, overh
 person: crossing
 places: table_left"""
 
-SPEED = NumberParameter("speed", "m/s", 0.05, 0.4, "site policy", "site policy", "tool speed on the way")
+SPEED = NumberParameter(
+    name="speed",
+    unit="m/s",
+    lower=0.05,
+    upper=0.4,
+    lower_from="site policy",
+    upper_from="site policy",
+    description="tool speed on the way",
+)
 REGISTRY = SkillRegistry(
     "panda",
     (

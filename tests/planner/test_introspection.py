@@ -10,7 +10,16 @@ from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.records import Passage, RetrievedContext
 from tests.planner.sample_requests import exemplar, plan_request
 
-PASSAGE = Passage("site-rules@1", "rule", "site", "Rules", "walk slowly", 0.5, 0.5, 1)
+PASSAGE = Passage(
+    citation="site-rules@1",
+    kind="rule",
+    trust="site",
+    title="Rules",
+    text="walk slowly",
+    likeness=0.5,
+    score=0.5,
+    rank=1,
+)
 FOUND = {"warnings": (exemplar(succeeded=False),), "passages": (PASSAGE,)}
 
 

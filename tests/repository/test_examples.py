@@ -16,8 +16,13 @@ def told(name, patience=120):
     environment = {**os.environ, "PYTHONIOENCODING": "utf-8"}
     run = subprocess.run(
         [sys.executable, "-W", "error", str(ROOT / "examples" / f"{name}.py")],
-        capture_output=True, text=True, encoding="utf-8", env=environment, timeout=patience, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        env=environment,
+        timeout=patience,
+        check=False,
+    )
     assert run.returncode == 0, run.stderr
     assert not run.stderr
     return run.stdout

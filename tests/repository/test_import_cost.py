@@ -89,8 +89,9 @@ def test_help_takes_little_work():
         before = os.times()
         subprocess.run(
             [sys.executable, "-c", "import sys; from dualbrain.cli.main import call; sys.exit(call(['--help']))"],
-            capture_output=True, check=True,
-        )  # fmt: skip
+            capture_output=True,
+            check=True,
+        )
         after = os.times()
         return after.children_user + after.children_system - before.children_user - before.children_system
 

@@ -48,8 +48,17 @@ def test_its_parts_are_an_arm_and_a_base_again():
     assert arm.self_pairs.kept == PANDA.self_pairs.kept
     assert (base.n, base.nq, base.is_mobile, base.is_mobile_manipulator) == (2, 3, True, False)
     with pytest.raises(ConfigurationError, match="mobile manipulator"):
-        mount_arm_on_base("x", BODY, PANDA, ARM_MOUNT_POSITION, home=(), tracking=PANDA.tracking, base_lag=None, n_samples=1,
-                rng=np.random.default_rng(0))  # fmt: skip
+        mount_arm_on_base(
+            "x",
+            BODY,
+            PANDA,
+            ARM_MOUNT_POSITION,
+            home=(),
+            tracking=PANDA.tracking,
+            base_lag=None,
+            n_samples=1,
+            rng=np.random.default_rng(0),
+        )
 
 
 @pytest.mark.parametrize(("middle", "half"), [HOUSING_BOX, PEDESTAL_BOX])
@@ -64,7 +73,10 @@ def test_the_balls_hold_housing_and_pedestal(middle, half):
 
 def test_tool_and_jacobian_are_those_of_mujoco():
     """The plant's model is written apart from the body: its joints are x, y, yaw and the arm's."""
-    plant = MobileManipulatorPlant(SceneSpec("mobile_panda", "hall", 0, (), (), None, DRIVE_REGION), BODY)
+    plant = MobileManipulatorPlant(
+        SceneSpec(robot="mobile_panda", family="hall", seed=0, objects=(), places=(), mover=None, region=DRIVE_REGION),
+        BODY,
+    )
     safety, rng = SafetyFilter(BODY, FilterConfig(precision="float64")), np.random.default_rng(3)
     tool = int(plant.model.site("robot/tcp").id)
     for _ in range(30):

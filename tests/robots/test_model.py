@@ -83,9 +83,11 @@ def test_a_body_can_be_driven_otherwise_and_back():
 
 
 def test_an_entry_is_renewed_or_added():
-    renewed = TrackingErrorModel(0.001, 0.002, 3.0, "test", PANDA.tracking.drive)
+    renewed = TrackingErrorModel(
+        lag=0.001, position_error=0.002, rate=3.0, provenance="test", drive=PANDA.tracking.drive
+    )
     assert PANDA.with_tracking(renewed).tracking == renewed
     assert PANDA.with_tracking(renewed).other_drives == PANDA.other_drives
-    added = TrackingErrorModel(0.001, 0.002, 3.0, "test", "hydraulic")
+    added = TrackingErrorModel(lag=0.001, position_error=0.002, rate=3.0, provenance="test", drive="hydraulic")
     assert PANDA.with_tracking(added).with_drive("hydraulic").tracking == added
     assert PANDA.with_tracking(added).tracking == PANDA.tracking

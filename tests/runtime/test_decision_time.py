@@ -8,7 +8,11 @@ from dualbrain.runtime.planning_time import LATENCY_PARTS, decision_timings, for
 
 
 def attempt(gate=0.001, **told):
-    return Attempt(Proposal("", "stop", "p", "n", told), Rejected("syntax", "", "", "", "no"), gate)
+    return Attempt(
+        Proposal(text="", finish_reason="stop", planner="p", constrained_by="n", timings=told),
+        Rejected(stage="syntax", pointer="", got="", allowed="", hint="no"),
+        gate,
+    )
 
 
 TWICE = (

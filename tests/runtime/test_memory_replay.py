@@ -59,7 +59,13 @@ def test_a_remembered_world_is_what_was_perceived(choice: str) -> None:
 def test_a_remembered_person_goes_on_as_perceived(speed: float) -> None:
     seen = scene_from_spec(open_scene("bare:0"))
     along_x = (0.5**0.5, 0.0, 0.5**0.5, 0.0)
-    arm = SceneObject("forearm", "person", Capsule(0.045, 0.25), Pose((0.7, -0.4, 0.2), along_x), (0.0, speed, 0.0))
+    arm = SceneObject(
+        name="forearm",
+        role="person",
+        shape=Capsule(0.045, 0.25),
+        pose=Pose((0.7, -0.4, 0.2), along_x),
+        velocity=(0.0, speed, 0.0),
+    )
     again = scene_from_memory(
         msgspec.structs.replace(seen, objects=(*seen.objects, arm)), np.random.default_rng(0), position_spread=0.0
     )
@@ -72,11 +78,14 @@ def test_a_remembered_person_goes_on_as_perceived(speed: float) -> None:
 def _told(scene, thing, where, kind):
     grasp = Action("grasp", {"object": thing})
     contract = msgspec.convert(
-        {"id": "c-0001", "context": {"robot": "panda", "registry": "x" * 8},
-         "action_sequence": [msgspec.to_builtins(grasp), {"skill": "place", "params": {"destination": where}}]},
+        {
+            "id": "c-0001",
+            "context": {"robot": "panda", "registry": "x" * 8},
+            "action_sequence": [msgspec.to_builtins(grasp), {"skill": "place", "params": {"destination": where}}],
+        },
         Contract,
-    )  # fmt: skip
-    return check_outcome(scene, contract, Outcome(kind, ""))
+    )
+    return check_outcome(scene, contract, Outcome(kind=kind, reason=""))
 
 
 def test_the_eyes_agree_or_disagree_with_the_skills() -> None:
@@ -94,7 +103,7 @@ def test_the_eyes_agree_or_disagree_with_the_skills() -> None:
     assert _told(moved, "red_cube", "blue_bowl", "failed") == "disagrees"
     assert _told(scene, "no_cube", "blue_bowl", "succeeded") == "none"
     assert _told(scene, "red_cube", "blue_bowl", "aborted") == "none"
-    assert check_outcome(scene, None, Outcome("succeeded", "")) == "none"
+    assert check_outcome(scene, None, Outcome(kind="succeeded", reason="")) == "none"
 
 
 @pytest.mark.parametrize(("second", "word"), [("blue_bowl", "agrees"), ("table_left", "disagrees")])
@@ -107,12 +116,13 @@ def test_of_several_things_each_must_be_where_it_was_placed_last(second: str, wo
     )
     steps = [("red_block", "table_front"), ("red_block", second), ("red_cube", "blue_bowl")]
     actions = [
-        action for thing, where in steps
+        action
+        for thing, where in steps
         for action in (Action("grasp", {"object": thing}), Action("place", {"destination": where}))
-    ]  # fmt: skip
+    ]
     contract = Contract("c-0001", Context("panda", "x" * 8), tuple(actions))
     after = msgspec.structs.replace(scene, objects=inside)
-    assert check_outcome(after, contract, Outcome("succeeded", "")) == word
+    assert check_outcome(after, contract, Outcome(kind="succeeded", reason="")) == word
 
 
 def test_the_rule_is_told_in_words(tmp_path: Path) -> None:

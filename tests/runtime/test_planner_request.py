@@ -22,7 +22,18 @@ from dualbrain.simulation.scenes.generators.tabletop import make_scene
 def remembered(contract):
     """An exemplar as it comes back from a ledger, where keys are sorted."""
     kept = json.loads(json.dumps(json.loads(contract), sort_keys=True))
-    return Exemplar("e", "words", "scene", kept, True, 0.001, 0.9, 0.5, 0.8, 1)
+    return Exemplar(
+        episode_id="e",
+        instruction="words",
+        summary="scene",
+        contract=kept,
+        succeeded=True,
+        Delta=0.001,
+        similarity=0.9,
+        weight=0.5,
+        score=0.8,
+        rank=1,
+    )
 
 
 def test_an_example_from_memory_reads_to_the_letter_as_the_answer_that_was_taught():
@@ -43,7 +54,9 @@ def test_a_question_holds_what_was_recalled_in_that_order():
     scene = NoisyPerception(spec, NO_NOISE, np.random.default_rng(0)).perceive(
         make_plant(spec, robot_model, visuals=False)
     )
-    here = PlanningContext(robot_model, scene, None, Posture(tuple(robot_model.home), 0.04))
+    here = PlanningContext(
+        robot_model=robot_model, scene=scene, holding=None, posture=Posture(tuple(robot_model.home), 0.04)
+    )
     (one,) = generate_examples(1, "teach", 3, {"panda": 1.0}, exemplar_share=0.0)
     asked = build_request("words", here, RetrievedContext((remembered(one.contract),)))
     assert exemplar_steps(asked.recall.exemplars[0].contract) in one.contract

@@ -84,9 +84,14 @@ def test_a_day_goes_on_from_another_one(unflown, wanted, tmp_path):
     done = []
     first = run_proposals(tmp_path / "first", 4, wanted.__getitem__, cache=tmp_path)
     both = run_proposals(
-        tmp_path / "second", 4, wanted.__getitem__, cache=tmp_path, first_turn=4, initial_folder=first,
+        tmp_path / "second",
+        4,
+        wanted.__getitem__,
+        cache=tmp_path,
+        first_turn=4,
+        initial_folder=first,
         on_episode=lambda count, episode: done.append((count, episode.id)),
-    )  # fmt: skip
+    )
     assert room.load_proposals(both) == wanted
     assert room.load_proposals(first) == wanted[:4]
     assert done == [(count, memory_id_of_turn(3 + count)) for count in (1, 2, 3, 4)]

@@ -30,7 +30,14 @@ def state_at():
 
     def make(q, v=None, t=0.0, opening=0.04):
         q = np.array(q, float)
-        return RobotState(t, 0, q, np.zeros(len(q)) if v is None else np.array(v, float), opening, (0.0, 0.0))
+        return RobotState(
+            stamp=t,
+            sequence=0,
+            q=q,
+            v=np.zeros(len(q)) if v is None else np.array(v, float),
+            opening=opening,
+            finger_forces=(0.0, 0.0),
+        )
 
     return make
 

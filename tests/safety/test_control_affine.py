@@ -74,9 +74,7 @@ def pendulum_rate(x, u):
 def unicycle(a1=1.0, a2=2.0, margin=0.0):
     """Place, heading and speed, moved by turn rate and acceleration (Xiao and Belta, CDC 2019)."""
     x = ca.SX.sym("x", 4)
-    system = ControlAffine(
-        x, [x[3] * ca.cos(x[2]), x[3] * ca.sin(x[2]), 0, 0], [[0, 0], [0, 0], [1, 0], [0, 1]]
-    )  # fmt: skip
+    system = ControlAffine(x, [x[3] * ca.cos(x[2]), x[3] * ca.sin(x[2]), 0, 0], [[0, 0], [0, 0], [1, 0], [0, 1]])
     disc = Barrier("disc", ca.sumsqr(x[:2] - CENTRE) - RADIUS**2, (a1, a2), margin)
     weight = np.diag([0.02, 1.0])
     return ControlAffineFilter(system, [disc], -2.0, 2.0, weight=weight, domain=(0.1, 1.5))
@@ -263,9 +261,13 @@ def test_several_barriers_and_controls_agree_with_another_solver(rng):
 def cruise(safety):
     limit = BRAKE * MASS
     states, statuses = closed_loop(
-        safety, car_rate, [20.0, 14.0, 100.0],
-        lambda x, _: np.clip(5.0 * MASS * (24.0 - x[0]), -limit, limit), 1200, 0.05,
-    )  # fmt: skip
+        safety,
+        car_rate,
+        [20.0, 14.0, 100.0],
+        lambda x, _: np.clip(5.0 * MASS * (24.0 - x[0]), -limit, limit),
+        1200,
+        0.05,
+    )
     return (states[:, 2] - HEADWAY * states[:, 0]).min(), statuses
 
 

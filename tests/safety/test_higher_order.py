@@ -22,7 +22,7 @@ PANDA = load_robot("panda")
 SMALL = msgspec.structs.replace(PANDA, spheres=PANDA.spheres[::4])
 """Every fourth sphere: same kinematics, a quarter of the work."""
 LIMITS = joint_limits(PANDA)
-TABLE = Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)))
+TABLE = Obstacle(name="table", shape=HalfSpace(), pose=Pose((0.0, 0.0, 0.0)))
 
 
 def moving(rng, robot_model=PANDA, share=0.5):
@@ -36,10 +36,24 @@ def clutter(rng):
     """One of each kind of solid, one of them moving."""
     return [
         TABLE,
-        Obstacle("ball", Sphere(0.1), Pose((0.5, 0.3, 0.5)), (0.3, -0.2, 0.1), velocity_error=0.05, static=False),
-        Obstacle("post", Capsule(0.05, 0.3), Pose((0.4, -0.4, 0.3), random_scenes.random_quaternion(rng)), margin=0.01),
-        Obstacle("crate", Box((0.1, 0.2, 0.15)), Pose((-0.4, 0.3, 0.3), random_scenes.random_quaternion(rng))),
-    ]  # fmt: skip
+        Obstacle(
+            name="ball",
+            shape=Sphere(0.1),
+            pose=Pose((0.5, 0.3, 0.5)),
+            velocity=(0.3, -0.2, 0.1),
+            velocity_error=0.05,
+            static=False,
+        ),
+        Obstacle(
+            name="post",
+            shape=Capsule(0.05, 0.3),
+            pose=Pose((0.4, -0.4, 0.3), random_scenes.random_quaternion(rng)),
+            margin=0.01,
+        ),
+        Obstacle(
+            name="crate", shape=Box((0.1, 0.2, 0.15)), pose=Pose((-0.4, 0.3, 0.3), random_scenes.random_quaternion(rng))
+        ),
+    ]
 
 
 # --- geometry -----------------------------------------------------------------------------------------------------
@@ -79,7 +93,7 @@ def test_no_lever_is_longer_than_its_reach(rng):
 
 @pytest.mark.parametrize("shape", [Sphere(0.2), Capsule(0.1, 0.3), Box((0.1, 0.2, 0.3)), HalfSpace()])
 def test_distances_bend_as_their_differences_say(shape, rng):
-    thing = Obstacle("it", shape, Pose((0.0, 0.0, 0.0), random_scenes.random_quaternion(rng)))
+    thing = Obstacle(name="it", shape=shape, pose=Pose((0.0, 0.0, 0.0), random_scenes.random_quaternion(rng)))
     solids, eps, bent = Solids([thing]), 1e-4, 0
     for _ in range(200):
         point, w = rng.uniform(-0.6, 0.6, 3), rng.uniform(-1.0, 1.0, 3)
@@ -98,8 +112,8 @@ def test_distances_bend_as_their_differences_say(shape, rng):
 
 def test_a_point_inside_a_box_or_on_an_axis_still_has_a_way_out():
     things = [
-        Obstacle("box", Box((0.1, 0.2, 0.3)), Pose((0.0, 0.0, 0.0))),
-        Obstacle("ball", Sphere(0.1), Pose((0, 0, 0))),
+        Obstacle(name="box", shape=Box((0.1, 0.2, 0.3)), pose=Pose((0.0, 0.0, 0.0))),
+        Obstacle(name="ball", shape=Sphere(0.1), pose=Pose((0, 0, 0))),
     ]
     gaps = Solids(things).measure(np.zeros((2, 1, 3)), np.zeros((2, 1, 3)), np.zeros((2, 1)))
     for i, thing in enumerate(things[::-1]):  # balls come first
@@ -327,7 +341,9 @@ def test_control_without_a_filter_fails():
 
 def test_an_arm_at_rest_makes_way_for_what_comes_slowly():
     """The ball is seen again every 0.1 s; in between it is where its velocity takes it."""
-    ball = Obstacle("ball", Sphere(0.08), Pose((0.75, 0.0, 0.45)), velocity=(-0.2, 0.0, 0.0), static=False)
+    ball = Obstacle(
+        name="ball", shape=Sphere(0.08), pose=Pose((0.75, 0.0, 0.45)), velocity=(-0.2, 0.0, 0.0), static=False
+    )
     safety, q, v, dt = AccelerationFilter(SMALL), np.array(PANDA.home), np.zeros(7), 1e-3
     log, shifts = [], np.zeros((1200, 1, 3))
     shifts[:, 0, 0] = -0.2 * dt * np.arange(1, 1201)
@@ -349,7 +365,7 @@ def test_an_arm_at_rest_makes_way_for_what_comes_slowly():
 
 def falling(speed):
     """The arm above a wall in front, moving toward it at `speed` of all it can: a state that is too fast for α₁."""
-    wall = Obstacle("wall", Box((0.02, 1.0, 1.0)), Pose((0.70, 0.0, 0.5)))
+    wall = Obstacle(name="wall", shape=Box((0.02, 1.0, 1.0)), pose=Pose((0.70, 0.0, 0.5)))
     q = np.array(PANDA.home)
     _, A = all_rows(filtered(wall), q, np.zeros(7))
     pairs = filtered(wall)._pairs(q, np.zeros(7), 0.0, 0.0, -LIMITS.acceleration, LIMITS.acceleration)
@@ -417,7 +433,7 @@ def test_no_row_is_met_worse_than_by_braking(rng):
 def test_a_start_inside_an_obstacle_is_left(rng):
     q = np.array(PANDA.home)
     centre = SphereKinematics(PANDA).motion(q, np.zeros(7), 0.0).centres[-1]
-    ball = Obstacle("ball", Sphere(0.03), Pose((*centre[:2], centre[2] - 0.03)))
+    ball = Obstacle(name="ball", shape=Sphere(0.03), pose=Pose((*centre[:2], centre[2] - 0.03)))
     log, said = run(filtered(ball), q, np.zeros(7), lambda answer, *_: answer.u, 400)
     h = geometry_oracle.h_obstacles(PANDA, log, [ball])
     assert h[0] < 0.0 <= h[-1]
@@ -474,8 +490,8 @@ def test_without_a_velocity_it_brakes_until_it_should_stand():
 
 def test_a_scene_that_cannot_be_believed_stops():
     q, v = np.array(PANDA.home), np.zeros(7)
-    assert filtered(Obstacle("x", Sphere(np.nan), Pose((1, 1, 1))))(q, v, v).reason is Reason.BAD_SCENE
-    safety = filtered(Obstacle("x", Sphere(0.1), Pose((1, 1, 1)), static=False))
+    assert filtered(Obstacle(name="x", shape=Sphere(np.nan), pose=Pose((1, 1, 1))))(q, v, v).reason is Reason.BAD_SCENE
+    safety = filtered(Obstacle(name="x", shape=Sphere(0.1), pose=Pose((1, 1, 1)), static=False))
     assert safety(q, v, v, now=0.4).status is FilterStatus.SAFE
     assert safety(q, v, v, now=0.6).reason is Reason.STALE_SCENE
     q[0] = LIMITS.upper[0] + 0.3
@@ -483,7 +499,7 @@ def test_a_scene_that_cannot_be_believed_stops():
 
 
 def test_an_obstacle_may_concern_some_parts_only_and_have_its_own_gain():
-    things = [Obstacle("wall", Box((0.02, 1, 1)), Pose((0.8, 0, 0.5)), parts=("hand",), alpha=1.5)]
+    things = [Obstacle(name="wall", shape=Box((0.02, 1, 1)), pose=Pose((0.8, 0, 0.5)), parts=("hand",), alpha=1.5)]
     safety = filtered(*things)
     pairs = safety._pairs(np.array(PANDA.home), np.zeros(7), 0.0, 0.0, -LIMITS.acceleration, LIMITS.acceleration)
     wall = pairs.near_sphere < 0
@@ -493,9 +509,9 @@ def test_an_obstacle_may_concern_some_parts_only_and_have_its_own_gain():
 
 def test_set_ups_that_cannot_be_used_say_why():
     with pytest.raises(UnknownNameError):
-        filtered(Obstacle("x", Sphere(0.1), Pose((1, 1, 1)), parts=("tail",)))
+        filtered(Obstacle(name="x", shape=Sphere(0.1), pose=Pose((1, 1, 1)), parts=("tail",)))
     with pytest.raises(ConfigurationError, match="SafetyFilter"):
-        filtered(Obstacle("x", Sphere(0.1), Pose((1, 1, 1)), separation=SpeedAndSeparation()))
+        filtered(Obstacle(name="x", shape=Sphere(0.1), pose=Pose((1, 1, 1)), separation=SpeedAndSeparation()))
     with pytest.raises(ConfigurationError, match="gains"):
         AccelerationFilter(PANDA, AccelerationConfig(alpha_2=2000.0))
     with pytest.raises(ConfigurationError, match="fixed"):

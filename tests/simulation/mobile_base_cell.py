@@ -27,9 +27,14 @@ class MobileBaseCell:
         )
         self.monitor = self.world.monitor
         self.executor = ContractExecutor(
-            MOBILE_BASE, self.plant, self.world, SafetyFilter(MOBILE_BASE, fixed_obstacles=standing), FlightLog(self.trace),
-            ExecutorConfig(settle_time=0.1), on_phase=self.world.set_phase,
-        )  # fmt: skip
+            MOBILE_BASE,
+            self.plant,
+            self.world,
+            SafetyFilter(MOBILE_BASE, fixed_obstacles=standing),
+            FlightLog(self.trace),
+            ExecutorConfig(settle_time=0.1),
+            on_phase=self.world.set_phase,
+        )
 
     def run(self, *actions):
         contract = Contract("c-1", Context("base", ""), tuple(Action(skill, params) for skill, params in actions))

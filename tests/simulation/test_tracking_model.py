@@ -153,7 +153,7 @@ def test_the_budget_covers_other_gains(alpha):
     r = np.repeat(rng.choice((-0.02, 0.0, 0.02), (60, 7)), 100, axis=0)
     log = ExcitationLog(np.cumsum(r, axis=0) * PERIOD, np.zeros_like(r), np.zeros_like(r))
     e = np.abs(leaky_error(log, 0.0, RATE, PERIOD)).max()
-    budget = TrackingErrorModel(0.0, float(e), RATE, "test").row_margin(alpha)
+    budget = TrackingErrorModel(lag=0.0, position_error=float(e), rate=RATE, provenance="test").row_margin(alpha)
     assert alpha * np.abs(leaky_error(log, 0.0, alpha, PERIOD)).max() <= budget * (1.0 + 1e-9)
 
 

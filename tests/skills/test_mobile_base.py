@@ -88,7 +88,16 @@ def test_a_pose_without_a_name():
 
 def barred(spec):
     """The room with a fence across it."""
-    fence = ObjectSpec("fence", "obstacle", Box((0.05, 2.39, 0.3)), (3.0, 0.0, 0.3), 20.0, "oak", "fence", fixed=True)
+    fence = ObjectSpec(
+        name="fence",
+        role="obstacle",
+        shape=Box((0.05, 2.39, 0.3)),
+        position=(3.0, 0.0, 0.3),
+        mass=20.0,
+        colour="oak",
+        category="fence",
+        fixed=True,
+    )
     return msgspec.structs.replace(spec, things=(*spec.things, fence))
 
 
@@ -100,7 +109,9 @@ def test_where_no_way_leads_the_skill_says_so_and_stays():
     assert np.linalg.norm(hall.plant.read().q[:2]) < 0.01
 
 
-STORE = Obstacle("store", Box((0.5, 0.6, 0.4)), Pose((1.6, 0.1, 0.4)), margin=0.05, known=True, barrier="keep_out")
+STORE = Obstacle(
+    name="store", shape=Box((0.5, 0.6, 0.4)), pose=Pose((1.6, 0.1, 0.4)), margin=0.05, known=True, barrier="keep_out"
+)
 """A box that a site closes, where nothing is to be seen."""
 
 

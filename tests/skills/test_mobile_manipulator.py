@@ -26,8 +26,19 @@ from dualbrain.skills.mobile_manipulator import LocalFrame
 from dualbrain.skills.registry import skill_registry
 
 BODY = load_robot("mobile_panda")
-GRASP = ("grasp", {"object": "red_cube", "force": 20.0, "speed": 0.2, "clearance": 0.1, "finger_axis": "along",
-                   "opening": 0.08, "approach": "top", "wait": "none"})  # fmt: skip
+GRASP = (
+    "grasp",
+    {
+        "object": "red_cube",
+        "force": 20.0,
+        "speed": 0.2,
+        "clearance": 0.1,
+        "finger_axis": "along",
+        "opening": 0.08,
+        "approach": "top",
+        "wait": "none",
+    },
+)
 PLACE = ("place", {"destination": "blue_bowl", "speed": 0.2, "clearance": 0.12, "route": "direct", "wait": "none"})
 
 
@@ -50,9 +61,14 @@ class Shop:
         self.trace = Trace(BODY.n, BODY.nq)
         self.world = SimulatedWorld(self.plant, NoisyPerception(self.spec, PerceptionNoise(), np.random.default_rng(0)))
         self.layer = ContractExecutor(
-            BODY, self.plant, self.world, SafetyFilter(BODY), FlightLog(self.trace), ExecutorConfig(settle_time=0.1),
+            BODY,
+            self.plant,
+            self.world,
+            SafetyFilter(BODY),
+            FlightLog(self.trace),
+            ExecutorConfig(settle_time=0.1),
             on_phase=self.world.set_phase,
-        )  # fmt: skip
+        )
 
     def run(self, *actions):
         self.world.start_contract(contract(*actions))

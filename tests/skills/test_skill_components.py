@@ -39,9 +39,14 @@ def test_progress_ends_at_the_time_limit_even_while_moving():
 def person(y: float, vy: float, stamp: float = 0.0) -> Scene:
     along_x = matrix_to_quaternion(np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]))
     arm = SceneObject(
-        "forearm", "person", Capsule(0.045, 0.25), Pose((0.5, y, 0.2), along_x), (0.0, vy, 0.0), stamp=stamp
+        name="forearm",
+        role="person",
+        shape=Capsule(0.045, 0.25),
+        pose=Pose((0.5, y, 0.2), along_x),
+        velocity=(0.0, vy, 0.0),
+        stamp=stamp,
     )
-    return Scene("panda", stamp, 1, (arm,))
+    return Scene(robot="panda", stamp=stamp, version=1, objects=(arm,))
 
 
 def test_a_person_who_comes_is_waited_for_and_one_who_leaves_is_not():
@@ -67,13 +72,13 @@ def passer_by(velocity, turn=0.0) -> Scene:
     across = np.array([-pointing[1], pointing[0], 0.0])
     rotation = np.column_stack([across, np.cross(pointing, across), pointing])
     arm = SceneObject(
-        "forearm",
-        "person",
-        Capsule(0.045, 0.25),
-        Pose((0.5, 0.0, 0.2), matrix_to_quaternion(rotation)),
-        (*velocity, 0.0),
+        name="forearm",
+        role="person",
+        shape=Capsule(0.045, 0.25),
+        pose=Pose((0.5, 0.0, 0.2), matrix_to_quaternion(rotation)),
+        velocity=(*velocity, 0.0),
     )
-    return Scene("panda", 0.0, 1, (arm,))
+    return Scene(robot="panda", stamp=0.0, version=1, objects=(arm,))
 
 
 @given(place=PLACES, pace=PACES, turn=st.floats(-3, 3), horizon=st.floats(0.1, 4.0), more=st.floats(0.0, 2.0))

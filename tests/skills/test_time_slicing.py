@@ -91,12 +91,18 @@ class Counted:
 def crowded(robot):
     """A cube between walls that leave no clear way down to it."""
     things = [
-        SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.0))),
-        SceneObject("cube", "object", Box((0.02, 0.02, 0.025)), Pose((0.45, 0.1, 0.025)), error=0.009),
+        SceneObject(name="table", role="support", shape=HalfSpace(), pose=Pose((0.0, 0.0, 0.0))),
+        SceneObject(
+            name="cube", role="object", shape=Box((0.02, 0.02, 0.025)), pose=Pose((0.45, 0.1, 0.025)), error=0.009
+        ),
     ]
     for k, (dx, dy) in enumerate([(0.06, 0.0), (-0.06, 0.0), (0.0, 0.06), (0.0, -0.06)]):
-        things.append(SceneObject(f"wall{k}", "object", Box((0.01, 0.01, 0.1)), Pose((0.45 + dx, 0.1 + dy, 0.1))))
-    return Scene(robot, 0.0, 1, tuple(things))
+        things.append(
+            SceneObject(
+                name=f"wall{k}", role="object", shape=Box((0.01, 0.01, 0.1)), pose=Pose((0.45 + dx, 0.1 + dy, 0.1))
+            )
+        )
+    return Scene(robot=robot, stamp=0.0, version=1, objects=tuple(things))
 
 
 @pytest.mark.parametrize("robot", BODIES)
@@ -113,7 +119,7 @@ def test_no_tick_thinks_longer_than_its_share(robot):
     lent.count = 0
     while True:
         before = lent.count
-        said = running.nominal(Observation(state, scene, 0.001 * ticks, tool))
+        said = running.nominal(Observation(state=state, scene=scene, now=0.001 * ticks, tool=tool))
         worst = max(worst, lent.count - before)
         if said is not None:
             break

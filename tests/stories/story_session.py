@@ -18,9 +18,15 @@ from dualbrain.runtime.session import Clocks, RunConfig, RunObserver, RunResult,
 REGISTRY = load_skill_registry("panda").hash
 INSTRUCTION = "put the red cube in the bowl"
 GRASP = {
-    "object": "red_cube", "speed": 0.25, "clearance": 0.1, "finger_axis": "along", "opening": 0.07, "approach": "top",
-    "wait": "none", "force": 20.0,
-}  # fmt: skip
+    "object": "red_cube",
+    "speed": 0.25,
+    "clearance": 0.1,
+    "finger_axis": "along",
+    "opening": 0.07,
+    "approach": "top",
+    "wait": "none",
+    "force": 20.0,
+}
 PLACE = {"destination": "blue_bowl", "speed": 0.25, "clearance": 0.12, "route": "direct", "wait": "none"}
 
 

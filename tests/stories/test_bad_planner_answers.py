@@ -50,14 +50,17 @@ BAD = {
     "ten megabytes": Bad(grasp(object="x" * 10_000_000), "syntax"),
     "deep nesting": Bad("[" * 100_000, "syntax"),
     "a missing field": Bad(json.dumps({"id": "c-0001", "action_sequence": []}), "syntax"),
-    "an unknown skill": Bad(contract_text(("throw", {"object": "red_cube"})), "authorization", "/action_sequence/0/skill"),
+    "an unknown skill": Bad(
+        contract_text(("throw", {"object": "red_cube"})), "authorization", "/action_sequence/0/skill"
+    ),
     "another robot": Bad(contract_text(("hold", {"duration": 1.0}), robot="ur5e"), "authorization", "/context/robot"),
     "an older registry": Bad(
         contract_text(("hold", {"duration": 1.0}), registry="deadbeef"), "authorization", "/context/registry"
     ),
     "an absent thing": Bad(grasp(object="green_frog"), "envelope", "/action_sequence/0/params/object"),
     "an absent place": Bad(
-        contract_text(("grasp", GRASP), ("place", {**PLACE, "destination": "the_moon"})), "envelope",
+        contract_text(("grasp", GRASP), ("place", {**PLACE, "destination": "the_moon"})),
+        "envelope",
         "/action_sequence/1/params/destination",
     ),
     "too fast": Bad(grasp(speed=30.0), "envelope", "/action_sequence/0/params/speed"),
@@ -67,7 +70,7 @@ BAD = {
     "cut off": Bad(grasp()[:60], "syntax", finish="length"),
     "cut off, yet whole": Bad(grasp(), "syntax", finish="length"),
     "a refusal": Bad("I cannot help with that.", "syntax", finish="refusal"),
-}  # fmt: skip
+}
 NONE = {"too late": "timeout", "a crash": "crashed: signal 9 (Killed)", "a broken server": "error: HTTP 500"}
 """Why there is no answer at all."""
 

@@ -210,7 +210,7 @@ def outside(folder, *arguments, **environment):
     home = {"DUALBRAIN_HOME": str(folder), "COLUMNS": "500"}
     return subprocess.run(
         command, cwd=folder, env={**os.environ, **home, **environment}, capture_output=True, text=True, check=False
-    )  # fmt: skip
+    )
 
 
 def test_without_gl_the_run_works_and_says_that_pictures_are_missing(tmp_path):

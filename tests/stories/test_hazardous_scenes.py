@@ -40,7 +40,16 @@ def test_a_thing_out_of_reach_is_refused_before_anything_moves(tmp_path):
     assert exit_code(story.episode) == ExitCode.REJECTED
 
 
-WALL = ObjectSpec("wall", "obstacle", Box((0.02, 0.25, 0.30)), (0.40, 0.0, 0.30), 1.0, "grey", "wall", fixed=True)
+WALL = ObjectSpec(
+    name="wall",
+    role="obstacle",
+    shape=Box((0.02, 0.25, 0.30)),
+    position=(0.40, 0.0, 0.30),
+    mass=1.0,
+    colour="grey",
+    category="wall",
+    fixed=True,
+)
 """It stands through the forearm of an arm at home."""
 
 

@@ -6,12 +6,19 @@ from dualbrain.planner.prompt.full_prompt import render
 from tests.stories.story_session import GRASP, PLACE, contract_text, run_config, run_session
 
 CASES = {
-    "all of a colour": ("sorting:2", "put all the red things in the bowl", "put all red things in the blue bowl",
-                        (("red_cube", "blue_bowl"), ("red_block", "blue_bowl"))),
-    "a taken bowl": ("sorting:1", "if the bowl is free put the red cube in it, otherwise on the left side of the table",
-                     "if blue_bowl is free put red_cube in blue_bowl else put red_cube on table_left",
-                     (("red_cube", "table_left"),)),
-}  # fmt: skip
+    "all of a colour": (
+        "sorting:2",
+        "put all the red things in the bowl",
+        "put all red things in the blue bowl",
+        (("red_cube", "blue_bowl"), ("red_block", "blue_bowl")),
+    ),
+    "a taken bowl": (
+        "sorting:1",
+        "if the bowl is free put the red cube in it, otherwise on the left side of the table",
+        "if blue_bowl is free put red_cube in blue_bowl else put red_cube on table_left",
+        (("red_cube", "table_left"),),
+    ),
+}
 
 
 def fetching(things):

@@ -14,17 +14,30 @@ def run_command(folder, *arguments, **environment):
     """`dualbrain ARGUMENTS` in a process of its own, at home in `folder`."""
     home = {"DUALBRAIN_HOME": str(folder), "COLUMNS": "500"}
     return subprocess.run(
-        [sys.executable, "-c", CLI_PROGRAM, *arguments], cwd=folder, env={**os.environ, **home, **environment},
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        [sys.executable, "-c", CLI_PROGRAM, *arguments],
+        cwd=folder,
+        env={**os.environ, **home, **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
 
 
 def _run_pick(folder):
     (folder / "pick.json").write_text(contract_text(("grasp", GRASP), ("place", PLACE)))
     done = run_command(
-        folder, "run", "put the red cube in the bowl", "--contract", "pick.json", "--headless", "--json",
-        "--scene", "bare:0", "--out", "run",
-    )  # fmt: skip
+        folder,
+        "run",
+        "put the red cube in the bowl",
+        "--contract",
+        "pick.json",
+        "--headless",
+        "--json",
+        "--scene",
+        "bare:0",
+        "--out",
+        "run",
+    )
     return done.returncode, done.stdout, done.stderr
 
 

@@ -78,8 +78,19 @@ def test_calls_without_a_circle_have_none():
 def test_objects_for_a_microcontroller_are_read_as_well(tmp_path):
     source = tmp_path / "p.c"
     source.write_text(PROGRAM.replace("#include <stdlib.h>", "void *malloc(unsigned); void free(void *);"))
-    run_compiler((*ZIG, *BARE_METAL_FLAGS, "-mcpu=cortex_m7+fp_armv8d16sp", "-O1", "-ffunction-sections", "-c", str(source), "-o",
-          str(tmp_path / "p.o")))  # fmt: skip
+    run_compiler(
+        (
+            *ZIG,
+            *BARE_METAL_FLAGS,
+            "-mcpu=cortex_m7+fp_armv8d16sp",
+            "-O1",
+            "-ffunction-sections",
+            "-c",
+            str(source),
+            "-o",
+            str(tmp_path / "p.o"),
+        )
+    )
     one = read_object(tmp_path / "p.o")
     assert one.calls["dbk_step"] >= {"deep", "leaf"}
     assert one.stack["leaf"] >= 1000

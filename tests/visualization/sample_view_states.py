@@ -58,4 +58,15 @@ def view_state_at(robot_model: RobotModel, trace: Trace, scene: Scene, k: int) -
     margins = {one.name: one.error + 0.01 for one in things if one.role != "support"}
     seen = msgspec.structs.replace(scene, objects=things)
     lines = ("attempt 1: refused at envelope", "attempt 2: accepted", "<b>wrist vs 'forearm'</b>: 12 mm, slowed 41 %")
-    return ViewState(t, poses, seen, centres, radii, gaps, margins, (0.45, 0.28, 0.12), numbers, lines)
+    return ViewState(
+        t=t,
+        frames=poses,
+        scene=seen,
+        centres=centres,
+        radii=radii,
+        clearances=gaps,
+        margins=margins,
+        target=(0.45, 0.28, 0.12),
+        numbers=numbers,
+        lines=lines,
+    )

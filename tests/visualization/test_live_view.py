@@ -28,8 +28,11 @@ SIZES = st.floats(0.01, 0.2)
 @given(SIZES, SIZES, st.floats(0, 0.05))
 def test_shapes_have_their_size_and_grow_by_the_margin(a: float, b: float, margin: float) -> None:
     extents = {
-        Sphere(a): (a, a, a), Capsule(a, b): (a, a, a + b), Cylinder(a, b): (a, a, b), Box((a, b, a)): (a, b, a),
-    }  # fmt: skip
+        Sphere(a): (a, a, a),
+        Capsule(a, b): (a, a, a + b),
+        Cylinder(a, b): (a, a, b),
+        Box((a, b, a)): (a, b, a),
+    }
     for shape, half in extents.items():
         low, high = shape_mesh(shape, margin).bounds
         assert high == pytest.approx(np.array(half) + margin, rel=5e-3)

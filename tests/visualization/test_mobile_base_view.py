@@ -33,7 +33,7 @@ class Canvas:
 
 def test_the_floor_is_the_region_that_the_base_may_drive_on():
     canvas, scene = Canvas(), scene_from_spec(open_scene("1", "base"))
-    LiveScene(canvas).update(ViewState(0.0, {}, scene, np.empty((0, 3)), np.empty(0)))
+    LiveScene(canvas).update(ViewState(t=0.0, frames={}, scene=scene, centres=np.empty((0, 3)), radii=np.empty(0)))
     points, faces = canvas.meshes["/scene/floor"]
     assert np.allclose(points[:, :2], scene.region)
     corners = points[faces]
@@ -47,7 +47,7 @@ def test_the_places_that_it_can_be_sent_to_are_named_where_they_are():
     canvas, scene = Canvas(), scene_from_spec(open_scene("workroom:1", "mobile_panda"))
     live = LiveScene(canvas)
     for _ in range(2):
-        live.update(ViewState(0.0, {}, scene, np.empty((0, 3)), np.empty(0)))
+        live.update(ViewState(t=0.0, frames={}, scene=scene, centres=np.empty((0, 3)), radii=np.empty(0)))
     assert sorted(canvas.labels.values()) == ["bench", "charger", "shelf"]
     for place in scene.places:
         points, _ = canvas.meshes[f"/scene/place_{place.name}"]
@@ -63,7 +63,7 @@ def test_the_panel_tells_speeds_of_what_moves():
     u = np.array([0.1, 0.2, 0.3, 0.4, *np.zeros(5)])
     numbers = commanded_speeds(both, u)
     assert numbers == {"drive": 0.1, "turn": 0.2, "speed": pytest.approx(0.5)}
-    state = ViewState(0.0, {}, scene_from_spec(open_scene("1", "mobile_panda")), numbers=numbers)
+    state = ViewState(t=0.0, frames={}, scene=scene_from_spec(open_scene("1", "mobile_panda")), numbers=numbers)
     shown = numbers_html(state, speed_rows(both))
     for label, text in (("driving", "0.10"), ("turning", "0.20"), ("joint speed", "0.50")):
         assert label in shown
@@ -74,7 +74,7 @@ def test_the_panel_tells_speeds_of_what_moves():
 def test_a_table_has_no_floor():
     canvas = Canvas()
     scene = scene_from_spec(open_scene("bare:0", "panda"))
-    LiveScene(canvas).update(ViewState(0.0, {}, scene, np.empty((0, 3)), np.empty(0)))
+    LiveScene(canvas).update(ViewState(t=0.0, frames={}, scene=scene, centres=np.empty((0, 3)), radii=np.empty(0)))
     assert "/scene/floor" not in canvas.meshes
 
 

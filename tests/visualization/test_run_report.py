@@ -182,7 +182,18 @@ def test_the_shortest_runs(episode: Episode, ticks: int) -> None:
 
     trace = Trace(7)
     append_ticks(trace, ticks, special_values=True)
-    stopped = msgspec.structs.replace(episode, outcome=Outcome("stopped", "stale state", 2.0, 2.0, 2.0, 1.0, -np.inf))
+    stopped = msgspec.structs.replace(
+        episode,
+        outcome=Outcome(
+            kind="stopped",
+            reason="stale state",
+            Delta=2.0,
+            Delta_sum=2.0,
+            delta_peak=2.0,
+            intervention_frequency=1.0,
+            h_min=-np.inf,
+        ),
+    )
     assert "svg" in _Page(render_report(stopped, trace)).tags
 
 
@@ -202,12 +213,26 @@ def test_numbers_say_when_nothing_was_measured(refused: Episode, episode: Episod
 def test_the_memory_map_is_drawn_when_there_is_one():
     points = np.random.default_rng(0).standard_normal((5, 2))
     kinds, statuses = ("succeeded", "failed", "rejected", "succeeded", "failed"), ("active",) * 4 + ("quarantined",)
-    drawn = MemoryProjection(points, np.array([0.1, 0.3, 0.5, 0.7, 0.95]), tuple("abcde"), kinds, statuses, 0.61)
+    drawn = MemoryProjection(
+        points=points,
+        weights=np.array([0.1, 0.3, 0.5, 0.7, 0.95]),
+        episode_ids=tuple("abcde"),
+        kinds=kinds,
+        statuses=statuses,
+        explained_variance=0.61,
+    )
     page = memory_map_section(drawn, "c")
     assert page.count("<svg") == 1
     assert "5 memories" in page
     assert "61%" in page
-    few = MemoryProjection(points[:2], np.ones(2), ("a", "b"), kinds[:2], statuses[:2], 1.0)
+    few = MemoryProjection(
+        points=points[:2],
+        weights=np.ones(2),
+        episode_ids=("a", "b"),
+        kinds=kinds[:2],
+        statuses=statuses[:2],
+        explained_variance=1.0,
+    )
     assert "Too few memories" in memory_map_section(few, "a")
 
 
@@ -226,9 +251,13 @@ def test_speeds_are_told_by_what_moves_each_in_its_unit(
     for k in range(20):
         u = np.full(n, -0.1 * k)
         run.append(
-            k * 0.02, RobotState(k * 0.02, k, np.zeros(width), u, 0.0, (0.0, 0.0)), u, FakeFilterResult(u, 0, 0.0, 0.0, 0.0, 0.3),
-            action=0, phase="drive",
-        )  # fmt: skip
+            k * 0.02,
+            RobotState(stamp=k * 0.02, sequence=k, q=np.zeros(width), v=u, opening=0.0, finger_forces=(0.0, 0.0)),
+            u,
+            FakeFilterResult(u, 0, 0.0, 0.0, 0.0, 0.3),
+            action=0,
+            phase="drive",
+        )
     drawn = html.unescape(str(strip_chart(episode, run)))
     assert [word for word in ("Driving", "Turning", "Joint speed") if word in drawn] == [
         word for word in told if word[0].isupper()

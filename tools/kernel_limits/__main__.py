@@ -37,9 +37,12 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         compiled = [measure(target, Path(folder) / str(i)) for i, target in enumerate(targets())]
     found = {
-        "revision": revision(ROOT), "kernel": kernel_hash(), "machine": machine(), "compiled": compiled,
+        "revision": revision(ROOT),
+        "kernel": kernel_hash(),
+        "machine": machine(),
+        "compiled": compiled,
         "steps": measure_steps(asked.scenes, asked.steps, asked.tries),
-    }  # fmt: skip
+    }
     sys.stdout.write((json.dumps(found) if asked.json else "\n".join(report_tables(found))) + "\n")
     if asked.write_docs:
         (ROOT / "docs" / "kernel.md").write_text(render_page(found))
@@ -72,19 +75,28 @@ def measure_steps(scenes: int, count: int, tries: int) -> dict[str, object]:
     hardest = search_worst_step(robot_model, top, rng, tries)
     program = search_worst_qp(rng, 20 * tries)
     return {
-        "scenes": scenes, "steps": len(seen), "iterations": quantiles(iterations), "rows": quantiles(rows),
+        "scenes": scenes,
+        "steps": len(seen),
+        "iterations": quantiles(iterations),
+        "rows": quantiles(rows),
         "microseconds": quantiles(1e6 * seconds),
         "histogram": [int(np.sum(iterations == k)) for k in range(int(iterations.max()) + 1)],
         "repeated_microseconds": max(1e6 * m.seconds for m in cold),
         "hardest": {"iterations": hardest.iterations, "rows": hardest.rows, "microseconds": 1e6 * hardest.seconds},
-        "program": {"iterations": program[0], "rows": program[1]}, "cap": iteration_cap(), "most_rows": max_rows(),
-    }  # fmt: skip
+        "program": {"iterations": program[0], "rows": program[1]},
+        "cap": iteration_cap(),
+        "most_rows": max_rows(),
+    }
 
 
 def quantiles(values: np.ndarray) -> dict[str, float]:
     """Median, 99 and 99.9 of 100, and the greatest."""
-    return {"median": float(np.median(values)), "p99": float(np.quantile(values, 0.99)),
-            "p999": float(np.quantile(values, 0.999)), "max": float(values.max())}  # fmt: skip
+    return {
+        "median": float(np.median(values)),
+        "p99": float(np.quantile(values, 0.99)),
+        "p999": float(np.quantile(values, 0.999)),
+        "max": float(values.max()),
+    }
 
 
 def iteration_cap() -> int:

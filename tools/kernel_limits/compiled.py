@@ -17,9 +17,15 @@ ROOT = Path(__file__).resolve().parents[2]
 ENTRY_POINTS = ("dbk_step", "dbk_project")
 ALLOWED_SYMBOLS = re.compile(r"(__aeabi_)?mem(cpy|set|move|clr)[48]?$|__stack_chk_fail$")
 BARE_METAL_FLAGS = (
-    "-target", "thumb-freestanding-eabihf", "-ffreestanding", "-fno-sanitize=all", "-fno-unwind-tables",
-    "-fno-asynchronous-unwind-tables", "-fstack-size-section", "-DDBK_MAX_OBSTACLES=48",
-)  # fmt: skip
+    "-target",
+    "thumb-freestanding-eabihf",
+    "-ffreestanding",
+    "-fno-sanitize=all",
+    "-fno-unwind-tables",
+    "-fno-asynchronous-unwind-tables",
+    "-fstack-size-section",
+    "-DDBK_MAX_OBSTACLES=48",
+)
 ZIG = (sys.executable, "-m", "ziglang", "cc")
 
 
@@ -78,8 +84,18 @@ def measure(target: Target, folder: Path) -> dict[str, object]:
     stack: dict[str, int] = {}
     for source in sorted((ROOT / "kernel/src").glob("*.c")):
         out = folder / f"{source.stem}.o"
-        run_compiler((*target.command, "-std=c99", "-ffunction-sections", f"-I{ROOT / 'kernel/include'}", "-c", str(source),
-              "-o", str(out)))  # fmt: skip
+        run_compiler(
+            (
+                *target.command,
+                "-std=c99",
+                "-ffunction-sections",
+                f"-I{ROOT / 'kernel/include'}",
+                "-c",
+                str(source),
+                "-o",
+                str(out),
+            )
+        )
         objects.append(read_object(out))
         stack |= {f"{strip_clone_suffix(name)}": size for name, size in objects[-1].stack.items()}
         report = out.with_suffix(".su")

@@ -75,9 +75,13 @@ def _symbols(section: Section, strings: Section, wide: bool) -> list[tuple[str, 
 
 
 def _references(
-    section: Section, sections: list[Section], symbols: list[tuple[str, int, int, int]], home: dict[int, str],
-    wide: bool, out: ObjectFile,
-) -> None:  # fmt: skip
+    section: Section,
+    sections: list[Section],
+    symbols: list[tuple[str, int, int, int]],
+    home: dict[int, str],
+    wide: bool,
+    out: ObjectFile,
+) -> None:
     """A function that refers to a function calls it; other data that refers to one takes its address."""
     layout = {(True, RELA): "<QQq", (True, REL): "<QQ", (False, RELA): "<IIi", (False, REL): "<II"}[wide, section.kind]
     caller, source = home.get(section.info), sections[section.info].name

@@ -8,8 +8,15 @@ from typing import Any
 
 def report_tables(found: dict[str, Any]) -> list[str]:
     """Every figure, as Markdown."""
-    return [*_memory(found["compiled"]), "", *_stack(found["compiled"]), "", *_symbols(found["compiled"]), "",
-            *_steps(found["steps"])]  # fmt: skip
+    return [
+        *_memory(found["compiled"]),
+        "",
+        *_stack(found["compiled"]),
+        "",
+        *_symbols(found["compiled"]),
+        "",
+        *_steps(found["steps"]),
+    ]
 
 
 def _memory(compiled: list[dict[str, Any]]) -> list[str]:
@@ -50,39 +57,58 @@ def _cell(value: Any) -> str:
 
 
 def _steps(s: dict[str, Any]) -> list[str]:
-    lines = [f"{s['steps']} steps in {s['scenes']} scenes:", "", "| per step | median | p99 | p99.9 | max | limit |",
-             "|---|---|---|---|---|---|"]  # fmt: skip
-    for title, key, limit in (("QP iterations", "iterations", s["cap"]), ("rows", "rows", s["most_rows"]),
-                              ("time [µs]", "microseconds", "")):  # fmt: skip
+    lines = [
+        f"{s['steps']} steps in {s['scenes']} scenes:",
+        "",
+        "| per step | median | p99 | p99.9 | max | limit |",
+        "|---|---|---|---|---|---|",
+    ]
+    for title, key, limit in (
+        ("QP iterations", "iterations", s["cap"]),
+        ("rows", "rows", s["most_rows"]),
+        ("time [µs]", "microseconds", ""),
+    ):
         cells = [f"{s[key][name]:.4g}" for name in ("median", "p99", "p999", "max")]
         lines.append(f"| {title} | {' | '.join(cells)} | {limit} |")
     most = max(s["histogram"])
-    bars = [f"{k:3} {count:8} {'#' * max(1, round(50 * count / most)) if count else ''}".rstrip()
-            for k, count in enumerate(s["histogram"])]  # fmt: skip
+    bars = [
+        f"{k:3} {count:8} {'#' * max(1, round(50 * count / most)) if count else ''}".rstrip()
+        for k, count in enumerate(s["histogram"])
+    ]
     hard, program = s["hardest"], s["program"]
     return [
-        *lines, "", "Times are processor time of one C step with its clock reads, warm started, on a busy machine;",
+        *lines,
+        "",
+        "Times are processor time of one C step with its clock reads, warm started, on a busy machine;",
         f"the slowest moments repeated alone, without warm start, take {s['repeated_microseconds']:.1f} µs at most.",
-        "", f"Worst moment found by search: {hard['iterations']} iterations with {hard['rows']} rows, "
+        "",
+        f"Worst moment found by search: {hard['iterations']} iterations with {hard['rows']} rows, "
         f"{hard['microseconds']:.1f} µs without warm start. Worst QP by itself (8 controls, any rows): "
         f"{program['iterations']} iterations with {program['rows']} rows. The cap brakes.",
-        "", "Steps by QP iterations:", "", "```", *bars, "```",
-    ]  # fmt: skip
+        "",
+        "Steps by QP iterations:",
+        "",
+        "```",
+        *bars,
+        "```",
+    ]
 
 
 def render_page(found: dict[str, Any]) -> str:
     """docs/kernel.md."""
-    return "\n".join([
-        "# The compiled kernel",
-        "",
-        f"Written by `tools/kernel_limits/__main__.py --write-docs` on {datetime.now(UTC):%Y-%m-%d}, revision "
-        f"{found['revision']}, kernel {found['kernel']}, {found['machine']}.",
-        "",
-        "The kernel is C99 without heap, recursion, globals, libm or function pointers; what follows is read off the",
-        "objects. Its answers are the same bits from gcc (-O0, -O1, -O2, -O3, -Os, -march=native, with and without",
-        "vectors) and clang (-O0 to -O3, -Os, with and without fused multiply-add): `tests/kernel` compares hashes",
-        "over every bit of every answer of cases that together run every line.",
-        "",
-        *report_tables(found),
-        "",
-    ])  # fmt: skip
+    return "\n".join(
+        [
+            "# The compiled kernel",
+            "",
+            f"Written by `tools/kernel_limits/__main__.py --write-docs` on {datetime.now(UTC):%Y-%m-%d}, revision "
+            f"{found['revision']}, kernel {found['kernel']}, {found['machine']}.",
+            "",
+            "The kernel is C99 without heap, recursion, globals, libm or function pointers; what follows is read off the",
+            "objects. Its answers are the same bits from gcc (-O0, -O1, -O2, -O3, -Os, -march=native, with and without",
+            "vectors) and clang (-O0 to -O3, -Os, with and without fused multiply-add): `tests/kernel` compares hashes",
+            "over every bit of every answer of cases that together run every line.",
+            "",
+            *report_tables(found),
+            "",
+        ]
+    )

@@ -38,8 +38,10 @@ def random_obstacles(rng: np.random.Generator, count: int, *, moving: bool) -> l
     for k in range(count):
         turn, reach = rng.uniform(-np.pi, np.pi), rng.uniform(0.3, 0.85)
         quaternion = rng.normal(size=4)
-        pose = Pose((float(reach * np.cos(turn)), float(reach * np.sin(turn)), float(rng.uniform(0.05, 0.9))),
-                    tuple((quaternion / np.linalg.norm(quaternion)).tolist()))  # fmt: skip
+        pose = Pose(
+            (float(reach * np.cos(turn)), float(reach * np.sin(turn)), float(rng.uniform(0.05, 0.9))),
+            tuple((quaternion / np.linalg.norm(quaternion)).tolist()),
+        )
         size = rng.uniform(0.02, 0.08, 3).tolist()
         shape = (Sphere(size[0]), Capsule(size[0], size[1]), Box(tuple(size)))[int(rng.integers(3))]
         velocity = tuple(rng.uniform(-0.2, 0.2, 3).tolist()) if moving else (0.0, 0.0, 0.0)
@@ -104,11 +106,18 @@ def search_worst_step(robot_model: RobotModel, start: list[StepCase], rng: np.ra
         here = repeat_cold(safety, first)
         for k in range(tries):
             size = (0.3, 0.1, 0.02)[k % 3]
-            there = repeat_cold(safety, StepCase(
-                first.scene, here.q + size * rng.normal(size=robot_model.n),
-                np.clip(here.u_prev + size * v_max * rng.normal(size=robot_model.n), -v_max, v_max),
-                np.clip(here.u_nom + size * v_max * rng.normal(size=robot_model.n), -v_max, v_max), 0, 0, 0.0,
-            ))  # fmt: skip
+            there = repeat_cold(
+                safety,
+                StepCase(
+                    first.scene,
+                    here.q + size * rng.normal(size=robot_model.n),
+                    np.clip(here.u_prev + size * v_max * rng.normal(size=robot_model.n), -v_max, v_max),
+                    np.clip(here.u_nom + size * v_max * rng.normal(size=robot_model.n), -v_max, v_max),
+                    0,
+                    0,
+                    0.0,
+                ),
+            )
             if (there.iterations, there.rows) >= (here.iterations, here.rows):
                 here = there
         if best is None or (here.iterations, here.rows) > (best.iterations, best.rows):

@@ -51,9 +51,17 @@ TERM_ENDS = frozenset(
     ]
 )
 PAIRS = (
-    ("min", "max"), ("dbk_min", "dbk_max"), ("lower", "upper"), ("low", "high"), ("q_lower", "q_upper"),
-    ("near", "far"), ("now", "next"), ("from", "upto"), ("DBK_ROW_LOWER", "DBK_ROW_UPPER"), ("sine", "cosine"),
-)  # fmt: skip
+    ("min", "max"),
+    ("dbk_min", "dbk_max"),
+    ("lower", "upper"),
+    ("low", "high"),
+    ("q_lower", "q_upper"),
+    ("near", "far"),
+    ("now", "next"),
+    ("from", "upto"),
+    ("DBK_ROW_LOWER", "DBK_ROW_UPPER"),
+    ("sine", "cosine"),
+)
 SWAPS = {a: b for pair in PAIRS for a, b in (pair, pair[::-1])}
 ANNOTATION_NAMES = frozenset(
     ["list", "dict", "tuple", "set", "Sequence", "Mapping", "float", "int", "str", "Any", "Array", "Literal"]
@@ -214,8 +222,13 @@ def _is_star_of_declaration(words: list[Token], at: int) -> bool:
 
 
 KINDS: dict[str, Callable[[str, list[Token]], Iterator[Site]]] = {
-    "sign": sign, "index": index, "unit": unit, "comparison": comparison, "constant": constant, "dropped": dropped_term,
+    "sign": sign,
+    "index": index,
+    "unit": unit,
+    "comparison": comparison,
+    "constant": constant,
+    "dropped": dropped_term,
     "swap": swap,
-}  # fmt: skip
+}
 
 __all__ = ["KINDS", "Site", "is_cast"]

@@ -69,8 +69,13 @@ def survivor_list(rows: list[dict]) -> list[str]:
     for row in (row for row in rows if row["outcome"] == "survived"):
         reason = known.get(survivor_key(row), {"kind": "not explained yet", "why": ""})
         place = f"`{row['file']}`, line {row['line']} ({row['kind']})"
-        lines += [f"- {place}: **{reason['kind']}**. {reason['why']}".rstrip(), "  ```diff", f"  - {row['before']}",
-                  f"  + {row['after']}", "  ```"]  # fmt: skip
+        lines += [
+            f"- {place}: **{reason['kind']}**. {reason['why']}".rstrip(),
+            "  ```diff",
+            f"  - {row['before']}",
+            f"  + {row['after']}",
+            "  ```",
+        ]
     return ["Survivors:", "", *lines] if lines else ["No survivors."]
 
 

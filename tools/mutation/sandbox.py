@@ -18,9 +18,19 @@ from pathlib import Path
 from tools.mutation.sampling import Mutant
 
 COPIED_PATHS = (
-    "kernel", "src", "tests", "vectors", "benchmarks", "experiments", "tools", "docs",
-    "pyproject.toml", "CMakeLists.txt", "README.md", "LICENSE",
-)  # fmt: skip
+    "kernel",
+    "src",
+    "tests",
+    "vectors",
+    "benchmarks",
+    "experiments",
+    "tools",
+    "docs",
+    "pyproject.toml",
+    "CMakeLists.txt",
+    "README.md",
+    "LICENSE",
+)
 BUILD_TARGETS = ("_kernel", "_kernel64")
 """What is compiled: the same sources as the wider builds."""
 STEP_TEST_NAMES = (
@@ -81,8 +91,11 @@ class Sandbox:
     def _copy(self) -> None:
         listing = subprocess.run(
             ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard", *COPIED_PATHS],
-            cwd=self.root, capture_output=True, text=True, check=True,
-        ).stdout  # fmt: skip
+            cwd=self.root,
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
         wanted = {
             name for name in listing.split("\0") if name and not name.endswith(".so") and (self.root / name).is_file()
         }
@@ -161,10 +174,26 @@ class Sandbox:
     ) -> tuple[Verdict, list[dict]]:
         verdicts = self.folder / "build" / "verdicts.jsonl"
         verdicts.unlink(missing_ok=True)
-        command = ["prlimit", f"--cpu={round(limit)}", sys.executable, "-S", "-m", "pytest", "-q",
-                   "-p", "tools.mutation.pytest_plugin", "-p", "no:cacheprovider",
-                   "--rootdir", str(self.folder), "-c", str(self.folder / "pyproject.toml"),
-                   "--verdicts", str(verdicts), *tests]  # fmt: skip
+        command = [
+            "prlimit",
+            f"--cpu={round(limit)}",
+            sys.executable,
+            "-S",
+            "-m",
+            "pytest",
+            "-q",
+            "-p",
+            "tools.mutation.pytest_plugin",
+            "-p",
+            "no:cacheprovider",
+            "--rootdir",
+            str(self.folder),
+            "-c",
+            str(self.folder / "pyproject.toml"),
+            "--verdicts",
+            str(verdicts),
+            *tests,
+        ]
         command += ["--order", str(order)] if order else []
         command += ["-x"] if first_failure else []
         code = self._call(command, limit=100.0 * limit).returncode
@@ -174,8 +203,13 @@ class Sandbox:
     def _call(self, command: list[str], *, check: bool = False, limit: float = 600.0) -> subprocess.CompletedProcess:
         paths = [self.folder / "src", self.folder, *(p for p in sys.path if p.endswith("-packages"))]
         tools = f"{self._tools}{os.pathsep}{os.environ.get('PATH', '')}"
-        more = {"PYTHONPATH": os.pathsep.join(map(str, paths)), "PATH": tools, "PYTHONDONTWRITEBYTECODE": "1",
-                "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # fmt: skip
+        more = {
+            "PYTHONPATH": os.pathsep.join(map(str, paths)),
+            "PATH": tools,
+            "PYTHONDONTWRITEBYTECODE": "1",
+            "OMP_NUM_THREADS": "1",
+            "OPENBLAS_NUM_THREADS": "1",
+        }
         return subprocess.run(
             command, cwd=self.folder, env={**os.environ, **more}, capture_output=True, timeout=limit, check=check
         )

@@ -75,7 +75,7 @@ def main() -> int:
                 bases = [ast.unparse(one) for one in node.bases]
                 record = Record(module, node.name, bases, own, keyword_only(node), node, path)
                 record.convert = is_record(node) and not record.keyword and len(own) > MAX_POSITIONAL
-                record.convert &= path.parts[0] == "src"
+                record.convert &= path.parts[0] == "src" and node.name != "FilterResult"
                 if is_record(node) or any(resolve(scopes[path], base) in known for base in bases):
                     known[module, node.name] = record
     for record in known.values():

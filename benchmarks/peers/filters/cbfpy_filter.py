@@ -27,9 +27,16 @@ class Filter:
     margin = 0.0
 
     def __init__(
-        self, problem: Problem, *, kinematics: str = "plain", backend: str = "qpax", relax: bool = True,
-        tolerance: float | None = None, alpha: float | None = None, limited: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        problem: Problem,
+        *,
+        kinematics: str = "plain",
+        backend: str = "qpax",
+        relax: bool = True,
+        tolerance: float | None = None,
+        alpha: float | None = None,
+        limited: bool = False,
+    ) -> None:
         del limited
         sphere_centres, order = KINEMATICS[kinematics](problem)
         options: dict[str, Any] = {"relax_qp": relax}
@@ -127,9 +134,15 @@ def frax_kinematics(problem: Problem):
 
     positions, radii, order = spheres_per_link(problem)
     data = {
-        "positions": positions, "radii": radii, "root_positions": (), "root_radii": (), "root_sc_pairs": (),
-        "root_sc_tols": (), "body_sc_pairs": (), "body_sc_tols": (),
-    }  # fmt: skip
+        "positions": positions,
+        "radii": radii,
+        "root_positions": (),
+        "root_radii": (),
+        "root_sc_pairs": (),
+        "root_sc_tols": (),
+        "body_sc_pairs": (),
+        "body_sc_tols": (),
+    }
     robot = Manipulator(str(write_urdf(problem)), collision_data=data)
     return lambda q: robot.link_collision_data(q)[0], order
 

@@ -46,13 +46,14 @@ class Filter:
     def block(self, states: np.ndarray, nominals: np.ndarray, clock) -> list[int]:
         """Times [ns] of the calls of a block as a controller makes them, or their mean in C."""
         if self.call_mode == "c":
-            mean = self.filter._kernel.time_steps(
-                np.ascontiguousarray(states), np.ascontiguousarray(nominals), False
-            )  # fmt: skip
+            mean = self.filter._kernel.time_steps(np.ascontiguousarray(states), np.ascontiguousarray(nominals), False)
             return [round(1e9 * mean)]
         times: list[int] = []
         if self.call_mode == "state":
-            prepared = [RobotState(0.0, k, q, self._zero_velocity, 0.0, (0.0, 0.0)) for k, q in enumerate(states)]
+            prepared = [
+                RobotState(stamp=0.0, sequence=k, q=q, v=self._zero_velocity, opening=0.0, finger_forces=(0.0, 0.0))
+                for k, q in enumerate(states)
+            ]
             filtered = self.filter.filter
             for state, u_nom in zip(prepared, nominals, strict=True):
                 begin = clock()
@@ -106,11 +107,13 @@ def _obstacle(problem: Problem, i: int) -> Obstacle:
 
 def quaternion(R: np.ndarray) -> tuple[float, float, float, float]:
     """(w, x, y, z) of a rotation (3, 3): the eigenvector of the largest eigenvalue of Bar-Itzhack's matrix."""
-    K = np.array([
-        [R[0, 0] + R[1, 1] + R[2, 2], R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]],
-        [R[2, 1] - R[1, 2], R[0, 0] - R[1, 1] - R[2, 2], R[0, 1] + R[1, 0], R[0, 2] + R[2, 0]],
-        [R[0, 2] - R[2, 0], R[0, 1] + R[1, 0], R[1, 1] - R[0, 0] - R[2, 2], R[1, 2] + R[2, 1]],
-        [R[1, 0] - R[0, 1], R[0, 2] + R[2, 0], R[1, 2] + R[2, 1], R[2, 2] - R[0, 0] - R[1, 1]],
-    ])  # fmt: skip
+    K = np.array(
+        [
+            [R[0, 0] + R[1, 1] + R[2, 2], R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]],
+            [R[2, 1] - R[1, 2], R[0, 0] - R[1, 1] - R[2, 2], R[0, 1] + R[1, 0], R[0, 2] + R[2, 0]],
+            [R[0, 2] - R[2, 0], R[0, 1] + R[1, 0], R[1, 1] - R[0, 0] - R[2, 2], R[1, 2] + R[2, 1]],
+            [R[1, 0] - R[0, 1], R[0, 2] + R[2, 0], R[1, 2] + R[2, 1], R[2, 2] - R[0, 0] - R[1, 1]],
+        ]
+    )
     w, x, y, z = np.linalg.eigh(K)[1][:, -1].tolist()
     return w, x, y, z

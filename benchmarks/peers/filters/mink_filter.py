@@ -27,9 +27,16 @@ class Filter:
     margin = 0.0
 
     def __init__(
-        self, problem: Problem, *, broadphase: bool = False, detection: float | None = None, solver: str = "daqp",
-        defaults: bool = False, alpha: float | None = None, limited: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        problem: Problem,
+        *,
+        broadphase: bool = False,
+        detection: float | None = None,
+        solver: str = "daqp",
+        defaults: bool = False,
+        alpha: float | None = None,
+        limited: bool = False,
+    ) -> None:
         del limited
         self.model = mujoco.MjModel.from_xml_string(mjcf(problem))
         self.dt, self.solver = problem.period, solver
@@ -38,9 +45,11 @@ class Filter:
         moving = [f"sphere{i}" for i in np.flatnonzero(problem.sphere_frame > 0)]
         things = [f"obstacle{i}" for i in range(len(problem.kind))]
         chosen = {
-            "gain": gain * self.dt**2, "minimum_distance_from_collisions": 0.0,
-            "collision_detection_distance": 10.0 if detection is None else detection, "broadphase": broadphase,
-        }  # fmt: skip
+            "gain": gain * self.dt**2,
+            "minimum_distance_from_collisions": 0.0,
+            "collision_detection_distance": 10.0 if detection is None else detection,
+            "broadphase": broadphase,
+        }
         self.collision = mink.CollisionAvoidanceLimit(self.model, [(moving, things)], **({} if defaults else chosen))
         speeds = {f"joint{k + 1}": float(problem.v_max[k]) for k in range(problem.n)}
         self.limits = [

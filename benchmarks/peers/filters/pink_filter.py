@@ -28,17 +28,25 @@ class Filter:
     margin = 0.0
 
     def __init__(
-        self, problem: Problem, *, closest: int | None = None, solver: str = "daqp", alpha: float | None = None,
+        self,
+        problem: Problem,
+        *,
+        closest: int | None = None,
+        solver: str = "daqp",
+        alpha: float | None = None,
         limited: bool = False,
-    ) -> None:  # fmt: skip
+    ) -> None:
         del limited
         model, geometry = build_arm(problem)
         gain = problem.alpha if alpha is None else alpha
         self.dt, self.solver = problem.period, solver
         self.configuration = pink.Configuration(
-            model, model.createData(), problem.home.copy(), collision_model=geometry,
+            model,
+            model.createData(),
+            problem.home.copy(),
+            collision_model=geometry,
             collision_data=geometry.createData(),
-        )  # fmt: skip
+        )
         self.n_pairs_in_qp = problem.n_pairs if closest is None else min(closest, problem.n_pairs)
         self.barriers = [SelfCollisionBarrier(self.n_pairs_in_qp, gain=gain, safe_displacement_gain=0.0, d_min=0.0)]
         self.limits = [ConfigurationLimit(model, config_limit_gain=problem.alpha * self.dt), VelocityLimit(model)]
@@ -51,9 +59,14 @@ class Filter:
         self.configuration.update(q)
         self.task.set_target(q + self.dt * u_nom)
         return pink.solve_ik(
-            self.configuration, [self.task], self.dt, solver=self.solver, damping=NO_DAMPING, limits=self.limits,
+            self.configuration,
+            [self.task],
+            self.dt,
+            solver=self.solver,
+            damping=NO_DAMPING,
+            limits=self.limits,
             barriers=self.barriers,
-        )  # fmt: skip
+        )
 
     def step_statistics(self) -> dict[str, object]:
         """What a step looks at."""
@@ -73,9 +86,15 @@ def build_arm(problem: Problem) -> tuple[pin.Model, pin.GeometryModel]:
     for k in range(problem.n):
         placement = pin.SE3(problem.joint_rotation[k], problem.joint_offset[k])
         parent = model.addJoint(
-            parent, pin.JointModelRZ(), placement, f"joint{k + 1}", np.array([87.0]), problem.v_max[k : k + 1],
-            problem.q_lower[k : k + 1], problem.q_upper[k : k + 1],
-        )  # fmt: skip
+            parent,
+            pin.JointModelRZ(),
+            placement,
+            f"joint{k + 1}",
+            np.array([87.0]),
+            problem.v_max[k : k + 1],
+            problem.q_lower[k : k + 1],
+            problem.q_upper[k : k + 1],
+        )
     geometry = pin.GeometryModel()
     spheres = [
         geometry.addGeometryObject(

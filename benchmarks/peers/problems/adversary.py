@@ -56,5 +56,9 @@ def closed_loop(
         q = q + problem.period * v
         least = min(least, float(np.min(clearances(problem, q))))
     return {
-        "h_min": least, "steps": steps, "failed": failed, "followed_share": followed / steps, "flags": dict(flags),
-    }  # fmt: skip
+        "h_min": least,
+        "steps": steps,
+        "failed": failed,
+        "followed_share": followed / steps,
+        "flags": dict(flags),
+    }

@@ -13,9 +13,7 @@ def exact_optimum(A: np.ndarray, b: np.ndarray, lower: np.ndarray, upper: np.nda
     n = len(u_nom)
     above = np.concatenate([upper, np.full(len(b), UNBOUNDED)])
     below = np.concatenate([lower, b])
-    u, _, flag, _ = daqp.solve(
-        np.eye(n), -u_nom, np.ascontiguousarray(A), above, below, np.zeros(n + len(b), np.int32)
-    )  # fmt: skip
+    u, _, flag, _ = daqp.solve(np.eye(n), -u_nom, np.ascontiguousarray(A), above, below, np.zeros(n + len(b), np.int32))
     return np.array(u) if flag == 1 else np.full(n, np.nan)
 
 

@@ -122,9 +122,13 @@ def with_obstacles(problem: Problem, things: ObstacleList) -> Problem:
     """The same arm among `things`."""
     kind, position, rotation, half, radius = zip(*things, strict=True)
     return dataclasses.replace(
-        problem, kind=np.array(kind), position=np.array(position), rotation=np.array(rotation), half=np.array(half),
+        problem,
+        kind=np.array(kind),
+        position=np.array(position),
+        rotation=np.array(rotation),
+        half=np.array(half),
         radius=np.array(radius),
-    )  # fmt: skip
+    )
 
 
 def record_states(problem: Problem, steps: int, seed: int = 0, hold: int = 40) -> tuple[np.ndarray, np.ndarray, float]:

@@ -42,9 +42,12 @@ class FilterProcess:
         quiet = ["-S"] if sys.flags.no_site and contestant.environment is None else []
         self._process = subprocess.Popen(
             [str(contestant.python), *quiet, "-m", "benchmarks.peers.processes.worker", contestant.module],
-            cwd=ROOT, env=os.environ | SINGLE_THREAD_ENV | {"PYTHONPATH": path}, stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
+            cwd=ROOT,
+            env=os.environ | SINGLE_THREAD_ENV | {"PYTHONPATH": path},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+        )
         self._buffer = b""
         try:
             self.import_s = self._receive(120.0)["import_s"]

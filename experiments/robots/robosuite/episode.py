@@ -61,16 +61,21 @@ class EpisodeRecord:
         log, tracking = self.tracking_log(), robot_model.tracking
         error = leaky_error(log, tracking.lag, tracking.rate, robot_model.period)
         found: dict[str, Any] = {
-            "time": round(self.time, 3), "ended": self.unfinished_waypoint, "pushed": round(self.pushed, 5), "apart": self.model_disagreement,
+            "time": round(self.time, 3),
+            "ended": self.unfinished_waypoint,
+            "pushed": round(self.pushed, 5),
+            "apart": self.model_disagreement,
             "asked": round(float(np.max(np.abs(log.u) / MAX_JOINT_SPEED)), 4),
             "speed": round(float(np.max(np.abs(log.v) / MAX_JOINT_SPEED)), 4),
-            "strayed": round(float(np.abs(error).max()), 7), "steps": len(log.u),
-        }  # fmt: skip
+            "strayed": round(float(np.abs(error).max()), 7),
+            "steps": len(log.u),
+        }
         if self.status:
             found |= {
-                "delta": round(float(np.mean(self.delta)), 6), "h_min": round(self.h_min, 6),
+                "delta": round(float(np.mean(self.delta)), 6),
+                "h_min": round(self.h_min, 6),
                 "status": np.bincount(self.status, minlength=len(FilterStatus)).tolist(),
-            }  # fmt: skip
+            }
         return found
 
 
@@ -106,10 +111,15 @@ def calibrated_robot(suite: SuiteProcess) -> RobotModel:
 
     def flights(robot_model: RobotModel) -> list[list[ExcitationLog]]:
         return [
-            [_run(suite, robot_model, {"task": task, "policy": policy, "seed": seed, "how": "filtered"}).tracking_log()
-             for task in TASKS for policy in SPEED_PROFILES]
+            [
+                _run(
+                    suite, robot_model, {"task": task, "policy": policy, "seed": seed, "how": "filtered"}
+                ).tracking_log()
+                for task in TASKS
+                for policy in SPEED_PROFILES
+            ]
             for seed in CALIBRATION_SEEDS
-        ]  # fmt: skip
+        ]
 
     return calibrate(suite, flights)
 
@@ -118,9 +128,13 @@ def run_episode(suite: SuiteProcess, robot_model: RobotModel, about: dict[str, A
     """One flight of `about` (task, policy, seed, how), from the suite's own start to the script's end."""
     course = _run(suite, robot_model, about)
     return {
-        **about, **suite.limit_report(), **course.metrics(robot_model), "lag": robot_model.tracking.lag,
-        "allowed_error": robot_model.tracking.position_error, "versions": suite.versions,
-    }  # fmt: skip
+        **about,
+        **suite.limit_report(),
+        **course.metrics(robot_model),
+        "lag": robot_model.tracking.lag,
+        "allowed_error": robot_model.tracking.position_error,
+        "versions": suite.versions,
+    }
 
 
 def _run(suite: SuiteProcess, robot_model: RobotModel, about: dict[str, Any]) -> EpisodeRecord:

@@ -62,10 +62,15 @@ class LimitMonitor:
     def breaches(self) -> list[dict[str, Any]]:
         """All of them as JSON, in the order in which they began."""
         return [
-            {"kind": b.kind, "between": list(b.bodies), "start": round(b.start, 4),
-             "duration": round(b.last_seen - b.start, 4), "peak": round(b.peak, 5)}
+            {
+                "kind": b.kind,
+                "between": list(b.bodies),
+                "start": round(b.start, 4),
+                "duration": round(b.last_seen - b.start, 4),
+                "peak": round(b.peak, 5),
+            }
             for b in self._breaches
-        ]  # fmt: skip
+        ]
 
     def _record(self, kind: str, between: tuple[str, ...], size: float, now: float) -> None:
         known = self._open_breaches.get((kind, between))

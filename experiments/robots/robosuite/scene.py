@@ -61,7 +61,7 @@ class ObstacleTracker:
         near = float(np.linalg.norm(np.array(cube.position) - tool.position)) <= HELD_DISTANCE
         taken = self._was_closed and point.closed and near
         if taken and not self._held:
-            box = SceneObject(self._target, "object", Box(self._sizes[self._target]), cube)
+            box = SceneObject(name=self._target, role="object", shape=Box(self._sizes[self._target]), pose=cube)
             self._safety.attach(cover_with_spheres(box, tool.position, tool.rotation), HELD_POSITION_ERROR)
         if self._held and not taken:
             self._safety.detach()

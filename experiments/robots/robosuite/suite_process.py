@@ -71,9 +71,14 @@ class SuiteProcess:
         own = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONHOME")}
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115  (lives as long as the process, see close)
         self._process = subprocess.Popen(
-            [str(python), "-m", "experiments.robots.robosuite.worker"], cwd=ROOT, env=own | SINGLE_THREAD_ENV | {"PYTHONPATH": str(ROOT)},
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors, bufsize=0,
-        )  # fmt: skip
+            [str(python), "-m", "experiments.robots.robosuite.worker"],
+            cwd=ROOT,
+            env=own | SINGLE_THREAD_ENV | {"PYTHONPATH": str(ROOT)},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._errors,
+            bufsize=0,
+        )
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._request_pipe, self._reply_pipe = self._process.stdin.fileno(), self._process.stdout.fileno()

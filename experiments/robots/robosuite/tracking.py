@@ -52,7 +52,13 @@ def derated_robot(period: float) -> RobotModel:
     robot_model = msgspec.structs.replace(robot_model, joints=joints)
     return _with_tracking(
         robot_model,
-        TrackingErrorModel(ASSUMED_LAG, ASSUMED_ERROR, robot_model.alpha, "assumed while nothing is known", DRIVE),
+        TrackingErrorModel(
+            lag=ASSUMED_LAG,
+            position_error=ASSUMED_ERROR,
+            rate=robot_model.alpha,
+            provenance="assumed while nothing is known",
+            drive=DRIVE,
+        ),
     )
 
 
@@ -96,9 +102,10 @@ def check_agreement(sites: Array, tools: Sequence[ToolState]) -> tuple[float, fl
     turned = float(np.linalg.norm(turns - turns[0], axis=(1, 2)).max() / np.sqrt(2.0))
     if not (apart <= MAX_POSITION_DISAGREEMENT and turned <= MAX_ROTATION_DISAGREEMENT):
         raise ConfigurationError(
-            "the suite's arm", got=f"{apart * 1e3:.2f} mm, {turned * 1e3:.2f} mrad from ours",
+            "the suite's arm",
+            got=f"{apart * 1e3:.2f} mm, {turned * 1e3:.2f} mrad from ours",
             allowed=f"at most {MAX_POSITION_DISAGREEMENT * 1e3:g} mm, {MAX_ROTATION_DISAGREEMENT * 1e3:g} mrad",
-        )  # fmt: skip
+        )
     return apart, turned
 
 

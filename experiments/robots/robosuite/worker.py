@@ -165,10 +165,12 @@ class RobosuiteTask:
         turn = self._base_rotation.T @ self.data.geom_xmat[geom].reshape(3, 3)
         mujoco.mju_mat2Quat(quaternion, turn.ravel())
         return {
-            "name": self._part_names[geom], "solid": SHAPE_NAMES[int(self.model.geom_type[geom])],
-            "size": self.model.geom_size[geom].tolist(), "quaternion": quaternion.tolist(),
+            "name": self._part_names[geom],
+            "solid": SHAPE_NAMES[int(self.model.geom_type[geom])],
+            "size": self.model.geom_size[geom].tolist(),
+            "quaternion": quaternion.tolist(),
             "position": (self._base_rotation.T @ (self.data.geom_xpos[geom] - self._base_position)).tolist(),
-        }  # fmt: skip
+        }
 
     def _pose(self, body: Any) -> list[float]:
         quaternion = np.zeros(4)
@@ -182,14 +184,27 @@ def _environment(task: str, seed: int) -> Any:
     arm = config["body_parts"]["right"]
     limits = [80.0] * 5 + [12.0] * 2
     config["body_parts"]["right"] = {
-        "type": "JOINT_TORQUE", "input_max": 1, "input_min": -1, "output_max": limits,
-        "output_min": [-limit for limit in limits], "interpolation": None, "gripper": arm["gripper"],
-    }  # fmt: skip
+        "type": "JOINT_TORQUE",
+        "input_max": 1,
+        "input_min": -1,
+        "output_max": limits,
+        "output_min": [-limit for limit in limits],
+        "interpolation": None,
+        "gripper": arm["gripper"],
+    }
     env = robosuite.make(
-        task, robots="Panda", controller_configs=config, has_renderer=False, has_offscreen_renderer=False,
-        use_camera_obs=False, use_object_obs=False, control_freq=round(1.0 / macros.SIMULATION_TIMESTEP),
-        horizon=HORIZON, ignore_done=True, seed=seed,
-    )  # fmt: skip
+        task,
+        robots="Panda",
+        controller_configs=config,
+        has_renderer=False,
+        has_offscreen_renderer=False,
+        use_camera_obs=False,
+        use_object_obs=False,
+        control_freq=round(1.0 / macros.SIMULATION_TIMESTEP),
+        horizon=HORIZON,
+        ignore_done=True,
+        seed=seed,
+    )
     for name in env.observation_names:
         env.modify_observable(name, "enabled", False)
         env.modify_observable(name, "active", False)

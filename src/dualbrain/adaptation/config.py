@@ -37,14 +37,22 @@ class ObjectiveConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 MAX_SEED = 2**63 - 1
 """The largest seed that every source of chance takes."""
 INTEGER_BOUNDS = {
-    "steps": (1, 1_000_000), "batch": (1, 4096), "at_once": (1, 4096), "rank": (1, 1024), "alpha": (1, 65_536),
-    "save_every": (1, 1_000_000), "patience": (1, 1_000_000), "warm_up": (0, 1_000_000), "ask_at_most": (0, 1_000_000),
-    "seed": (0, MAX_SEED), "threads": (0, 4096),
-}  # fmt: skip
+    "steps": (1, 1_000_000),
+    "batch": (1, 4096),
+    "at_once": (1, 4096),
+    "rank": (1, 1024),
+    "alpha": (1, 65_536),
+    "save_every": (1, 1_000_000),
+    "patience": (1, 1_000_000),
+    "warm_up": (0, 1_000_000),
+    "ask_at_most": (0, 1_000_000),
+    "seed": (0, MAX_SEED),
+    "threads": (0, 4096),
+}
 """Least and most of each whole number of a fit. Beyond them no fit is meant, and a library would fail in its midst."""
 
 
-class FitConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class FitConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """How long and how fast.
 
     `steps` optimiser steps of `batch` samples, `at_once` of them in one forward pass. The rate rises to `rate` over
@@ -97,5 +105,9 @@ def read_config(path: Path) -> AdaptConfig:
     try:
         return msgspec.toml.decode(path.read_bytes(), type=AdaptConfig)
     except DECODE_ERRORS as error:
-        raise ConfigurationError("adaptation config", got=str(error), allowed="the dials of `[curation]`, `[objective]`, "
-                           "`[fit]`", fix=str(path)) from error  # fmt: skip
+        raise ConfigurationError(
+            "adaptation config",
+            got=str(error),
+            allowed="the dials of `[curation]`, `[objective]`, `[fit]`",
+            fix=str(path),
+        ) from error

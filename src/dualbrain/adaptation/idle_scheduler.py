@@ -82,10 +82,15 @@ class IdleScheduler:
     """Runs one command in its gaps. `why_not` is told the process (None: there is none) and says what is against it."""
 
     def __init__(
-        self, start: Callable[[], subprocess.Popen[bytes]], get_blocking_reason: Callable[[int | None], str],
-        report: Callable[[str], None], *, clock: Callable[[], float], sleep: Callable[[float], None],
+        self,
+        start: Callable[[], subprocess.Popen[bytes]],
+        get_blocking_reason: Callable[[int | None], str],
+        report: Callable[[str], None],
+        *,
+        clock: Callable[[], float],
+        sleep: Callable[[float], None],
         config: IdleSchedulerConfig | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """`start` begins the work, or goes on with it, as the leader of a process group and `bound_to` this one."""
         self._start, self._get_blocking_reason, self._report, self._clock, self._sleep = (
             start,

@@ -12,8 +12,9 @@ from dualbrain.cli.common.arguments import parse_fraction
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.common.paths import dualbrain_home
 
-OperatorAction = Literal["pause", "resume", "abort", "takeover", "hand_back", "speed", "estop", "release_estop", "reset",
-              "shut_down"]  # fmt: skip
+OperatorAction = Literal[
+    "pause", "resume", "abort", "takeover", "hand_back", "speed", "estop", "release_estop", "reset", "shut_down"
+]
 
 
 def gatekeeper(
@@ -71,10 +72,18 @@ def gatekeeper(
 
     where, secrets = socket or dualbrain_home() / "gatekeeper.sock", keys or dualbrain_home() / "keys.json"
     plan = GatekeeperConfig(
-        robot, open_scene(scene, robot), str(where), str(secrets), seed, stage=parse_fraction(speed),
-        recording=str(record) if record else "", site=str(site or ""), driver=driver, address=address,
+        robot=robot,
+        scene=open_scene(scene, robot),
+        socket=str(where),
+        keys=str(secrets),
+        seed=seed,
+        stage=parse_fraction(speed),
+        recording=str(record) if record else "",
+        site=str(site or ""),
+        driver=driver,
+        address=address,
         commissioned=str(commissioned or ""),
-    )  # fmt: skip
+    )
     said = f"gatekeeper of {robot} at {where}; Ctrl-C to shut down"
     punctuality = run_gatekeeper(plan, lambda: print(said, file=sys.stderr))
     p50, p99, _, worst = (1e3 * value for value in punctuality.interval)

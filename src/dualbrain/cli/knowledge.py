@@ -26,9 +26,15 @@ Store = Annotated[Path | None, Parameter(help="the store; default: knowledge.sql
 
 
 def add(
-    *files: Path, kind: DocumentKind | None = None, trust: TrustLevel = "unknown", name: str = "", title: str = "",
-    body: tuple[str, ...] = (), store: Store = None, json: Json = False,
-) -> int:  # fmt: skip
+    *files: Path,
+    kind: DocumentKind | None = None,
+    trust: TrustLevel = "unknown",
+    name: str = "",
+    title: str = "",
+    body: tuple[str, ...] = (),
+    store: Store = None,
+    json: Json = False,
+) -> int:
     """Put documents on the shelf: Markdown, text, HTML, PDF, or a map or templates in TOML or JSON.
 
     What a reader would not see (hidden or tiny text, comments, control characters, chat tokens) is left out and told.
@@ -58,7 +64,9 @@ def add(
     done: list[Addition | DocumentRejected] = []
     with _open_library(store, write=True) as library:
         for file in files:
-            submission = Submission(file.name, file.read_bytes(), trust, name, kind, title, body)
+            submission = Submission(
+                file=file.name, data=file.read_bytes(), trust=trust, name=name, kind=kind, title=title, robots=body
+            )
             one = _unusable_templates(submission) or library.add(submission, now=time.time())
             done.append(one)
             if isinstance(one, DocumentRejected):
@@ -86,9 +94,17 @@ def list_documents(*, store: Store = None, json: Json = False) -> int:
 
 
 def search(
-    query: str, /, *, k: int = 5, by: SearchMode = "both", kind: tuple[DocumentKind, ...] = DOCUMENT_KINDS, trust: TrustLevel = "unknown",
-    body: str = "", store: Store = None, json: Json = False,
-) -> int:  # fmt: skip
+    query: str,
+    /,
+    *,
+    k: int = 5,
+    by: SearchMode = "both",
+    kind: tuple[DocumentKind, ...] = DOCUMENT_KINDS,
+    trust: TrustLevel = "unknown",
+    body: str = "",
+    store: Store = None,
+    json: Json = False,
+) -> int:
     """Find the passages that answer a question, best first, each with the citation that quotes it again.
 
     Parameters

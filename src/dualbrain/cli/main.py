@@ -74,7 +74,8 @@ app.command("dualbrain.cli.run.fault:fault", name="fault", help="Break one thing
 app.command("dualbrain.cli.adapters.adapt:adapt", name="adapt", help="Learn from what went well: fit an adapter.")
 app.command("dualbrain.cli.doctor:doctor", name="doctor", help="Examine this installation.")
 app.command(
-    "dualbrain.cli.evaluation.evaluate:evaluate", name="evaluate",
+    "dualbrain.cli.evaluation.evaluate:evaluate",
+    name="evaluate",
     help="""Compare methods by the paper's protocol, resumably.
 
     Every method flies the same scenes, seeds and words; the results are one Parquet file. Passes, each resumable: ε
@@ -83,24 +84,26 @@ app.command(
 
     `dualbrain evaluate --suite smoke --out runs/smoke`, then `dualbrain report runs/smoke`, and `dualbrain compare DIR
     DIR`. `--dry-run` tells how long a suite takes. Methods, metrics and rules: docs/evaluation.md.""",
-)  # fmt: skip
+)
 app.command(
-    "dualbrain.cli.evaluation.report:report", name="report",
+    "dualbrain.cli.evaluation.report:report",
+    name="report",
     help="""What an evaluation found, as one HTML file.
 
     Writes report.html (works offline, no script) into the folder, and a Markdown page with its pictures into page/ or
     wherever --page says: verdicts on the paper's hypotheses with their intervals, methods × metrics, curves over
     repetitions, traces, failures with pictures, latencies, and what was not measured. `dualbrain report runs/smoke
     --gallery 0` flies nothing again for pictures.""",
-)  # fmt: skip
+)
 app.command(
-    "dualbrain.cli.evaluation.report:compare", name="compare",
+    "dualbrain.cli.evaluation.report:compare",
+    name="compare",
     help="""What changed between two evaluations.
 
     In what they were set up otherwise; then place by place, the same methods, scenes, seeds and repetitions in both:
     for each method and metric the second minus the first, its interval over common clusters, p values corrected over
     what differs (Holm), and the word that these bear.""",
-)  # fmt: skip
+)
 for _name, _function, _help in (
     ("list", "memory.browse:list_memories", "List memories with outcome, Δ, weight and status."),
     ("show", "memory.browse:show", "Show one memory whole, with everything that moved its weight."),
@@ -122,7 +125,8 @@ robot.command("dualbrain.cli.robot.inspect:inspect", name="inspect", help="See w
 models.command("dualbrain.cli.models:list_models", name="list", help="List the known weights.")
 models.command("dualbrain.cli.models:fetch", name="fetch", help="Fetch weights by name.")
 robot.command(
-    "dualbrain.cli.robot.identify:identify", name="identify",
+    "dualbrain.cli.robot.identify:identify",
+    name="identify",
     help="""Measure how well a robot's drive follows its commands.
 
     The safety filter trusts that y = q + lag v moves at the velocity u it lets through. This command drives the
@@ -132,7 +136,7 @@ robot.command(
 
     `dualbrain robot identify --write my_panda.json` puts the figures into a body's data file, which is made if need be.
     For a real arm give the filter your own measurement: `FilterConfig(tracking_error=...)`.""",
-)  # fmt: skip
+)
 robot.command("dualbrain.cli.robot.conform:conform", name="conform", help="Try the driver contract on a driver.")
 robot.command("dualbrain.cli.robot.commission:commission", name="commission", help="Answer for a real arm.")
 
@@ -153,14 +157,18 @@ adapters.command("dualbrain.cli.adapters.export:diff", name="diff", help="Tell t
 adapters.command("dualbrain.cli.adapters.make:make", name="make", help="Make a shipped adapter again.")
 
 for verb, function, words in (
-    ("add", "add", "Put documents on the shelf: Markdown, text, HTML, PDF, or a map or templates in TOML or JSON. "
-     "What no reader would see is left out and told; a changed document is a new version. Exits 5 if one is refused."),
+    (
+        "add",
+        "add",
+        "Put documents on the shelf: Markdown, text, HTML, PDF, or a map or templates in TOML or JSON. "
+        "What no reader would see is left out and told; a changed document is a new version. Exits 5 if one is refused.",
+    ),
     ("list", "list_documents", "List what stands there."),
     ("search", "search", "Find the passages that answer a question, each with the citation that quotes it."),
     ("show", "show", "Print a document as it is kept, or exactly what a citation quotes; its history on stderr."),
     ("remove", "remove", "Take documents off the shelf; what was cited of them can still be quoted."),
     ("rebuild", "rebuild", "Make the index of words and meaning again, for example after a change of the encoder."),
-):  # fmt: skip
+):
     knowledge.command(f"dualbrain.cli.knowledge:{function}", name=verb, help=words)
 
 

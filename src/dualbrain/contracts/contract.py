@@ -30,7 +30,7 @@ class Contract(msgspec.Struct, frozen=True):
     action_sequence: tuple[Action, ...]
 
 
-class ContractHeader(msgspec.Struct, frozen=True):
+class ContractHeader(msgspec.Struct, frozen=True, kw_only=True):
     """One shot of one principal: `sequence` rises with every shot; valid in [issued, expires) [s, the gate's clock].
 
     A contract is good for one acceptance, in its time, for the scene it was made for (`scene_version`).

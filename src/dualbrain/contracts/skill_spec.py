@@ -7,7 +7,7 @@ from typing import Literal
 import msgspec
 
 
-class NumberParameter(msgspec.Struct, frozen=True, tag_field="kind", tag="number"):
+class NumberParameter(msgspec.Struct, frozen=True, tag_field="kind", tag="number", kw_only=True):
     """A number in `unit` (SI, checked by pint) within [lower, upper]; each bound says where it comes from."""
 
     name: str

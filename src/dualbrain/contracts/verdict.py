@@ -17,7 +17,7 @@ class Accepted(msgspec.Struct, frozen=True, tag_field="verdict", tag="accepted")
     contract: Contract
 
 
-class Rejected(msgspec.Struct, frozen=True, tag_field="verdict", tag="rejected"):
+class Rejected(msgspec.Struct, frozen=True, tag_field="verdict", tag="rejected", kw_only=True):
     """The contract was refused at `stage`.
 
     `pointer` (RFC 6901) is the place in the contract, "" the whole of it or the stamp around it; `got` is safe to print

@@ -103,13 +103,22 @@ class ContractExecutor(ControlLoop):
             ending = self._stop_on_fault(error)
         self.log.note(self.state.stamp, "action", f"{action.skill}: {ending.reason}", status=ending.status.value)
         kinds: dict[SkillStatus, OutcomeClass] = {
-            SkillStatus.DONE: "succeeded", SkillStatus.FAILED: "failed", SkillStatus.TAKEN_OVER: "taken_over",
+            SkillStatus.DONE: "succeeded",
+            SkillStatus.FAILED: "failed",
+            SkillStatus.TAKEN_OVER: "taken_over",
             SkillStatus.RUNNING: self._interrupted_outcome(ending),
-        }  # fmt: skip
+        }
         status = "stopped" if ending.status is SkillStatus.RUNNING else ending.status.value
         kind = kinds[ending.status]
         Delta = self.log.mean_delta(first)
-        return ActionResult(action.skill, status, ending.reason, started, self.state.stamp, Delta), kind
+        return ActionResult(
+            skill=action.skill,
+            status=status,
+            reason=ending.reason,
+            started=started,
+            ended=self.state.stamp,
+            Delta=Delta,
+        ), kind
 
     def _interrupted_outcome(self, ending: SkillResult) -> OutcomeClass:
         """The outcome of an action that neither ended by itself nor was taken over."""
@@ -182,4 +191,11 @@ def format_parameters(action: Action) -> str:
 
 def not_run_result(action: Action) -> ActionResult:
     """What is said of an action that never began."""
-    return ActionResult(action.skill, "not_run", "an earlier action did not succeed", 0.0, 0.0, 0.0)
+    return ActionResult(
+        skill=action.skill,
+        status="not_run",
+        reason="an earlier action did not succeed",
+        started=0.0,
+        ended=0.0,
+        Delta=0.0,
+    )

@@ -49,7 +49,7 @@ class WorldInterface(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TickSnapshot:
     """What an onlooker may see of a tick."""
 
@@ -83,13 +83,22 @@ class ControlLoop:
     """
 
     def __init__(
-        self, robot_model: RobotModel, robot: RobotInterface, world: WorldInterface, safety: SafetyFilter, log: FlightLog,
-        config: ExecutorConfig, *, on_tick: Callable[[TickSnapshot], None] | None = None,
+        self,
+        robot_model: RobotModel,
+        robot: RobotInterface,
+        world: WorldInterface,
+        safety: SafetyFilter,
+        log: FlightLog,
+        config: ExecutorConfig,
+        *,
+        on_tick: Callable[[TickSnapshot], None] | None = None,
         on_phase: Callable[[str, dict[str, str | None]], None] | None = None,
-        interrupted: Callable[[], bool] = lambda: False, clock: Callable[[], float] | None = None,
-        external_conditions: Callable[[], int] = lambda: 0, timing: Timing = SIMULATED,
+        interrupted: Callable[[], bool] = lambda: False,
+        clock: Callable[[], float] | None = None,
+        external_conditions: Callable[[], int] = lambda: 0,
+        timing: Timing = SIMULATED,
         mark_part: Callable[[str], None] = lambda part: None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Bind everything and look around once; the robot is not moved. `interrupted`: a person wants it to stop.
 
         `asked` gives the `Condition` bits that hold outside (operator, link), once a tick. `clock` [s] is the layer's
@@ -167,11 +176,28 @@ class ControlLoop:
         self._mark_part("write")
         self.log.extra_rows(now, self.safety.extra_rows)
         self.log.tick(
-            now, self.state, nominal.u, result, action, nominal.phase, order=order.action, scale_applied=self.safety_controller.scale_applied
-        )  # fmt: skip
+            now,
+            self.state,
+            nominal.u,
+            result,
+            action,
+            nominal.phase,
+            order=order.action,
+            scale_applied=self.safety_controller.scale_applied,
+        )
         self._mark_part("record")
         if self._on_tick and self._ticks % self._snapshot_ticks == 0:
-            self._on_tick(TickSnapshot(self.state, self.scene, nominal, result, action, self._skill, order))
+            self._on_tick(
+                TickSnapshot(
+                    state=self.state,
+                    scene=self.scene,
+                    nominal=nominal,
+                    result=result,
+                    action=action,
+                    skill=self._skill,
+                    order=order,
+                )
+            )
             self._mark_part("show")
         self.world.advance()
         self._ticks += 1
@@ -189,13 +215,22 @@ class ControlLoop:
         if order is not self._last_decision:
             self._last_decision = order
             self._checks_during_contract.add(order.check)
-            self.log.note(self.state.stamp, "order", f"{order.action.name}: {order.check or 'all clear'}",
-                          action=order.action.name, cause=order.cause.value, check=order.check)  # fmt: skip
+            self.log.note(
+                self.state.stamp,
+                "order",
+                f"{order.action.name}: {order.check or 'all clear'}",
+                action=order.action.name,
+                cause=order.cause.value,
+                check=order.check,
+            )
         if self.safety_controller.drive_wanted != self._drive_on:
             self._drive_on = self.safety_controller.drive_wanted
             (self.robot.enable if self._drive_on else self.robot.stop)()
-            self.log.note(self.state.stamp, "fault" if not self._drive_on else "order",
-                          "drive on, standing" if self._drive_on else "drive off, brakes on")  # fmt: skip
+            self.log.note(
+                self.state.stamp,
+                "fault" if not self._drive_on else "order",
+                "drive on, standing" if self._drive_on else "drive off, brakes on",
+            )
         self._mark_part("supervisor")
         return order
 
@@ -233,7 +268,9 @@ class ControlLoop:
     def _observation(self) -> Observation:
         if self._tool_state is not self.state:
             self._tool_state, self._tool = self.state, self.safety.tool(self.state.q)
-        return Observation(self.state, self.scene, self.state.stamp, self._tool, self._paused_time)
+        return Observation(
+            state=self.state, scene=self.scene, now=self.state.stamp, tool=self._tool, paused_time=self._paused_time
+        )
 
     def _moving_objects(self) -> tuple[str, ...]:
         """What moves with the hand, or has just left it."""

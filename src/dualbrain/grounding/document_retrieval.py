@@ -33,7 +33,7 @@ SYMBOL_QUERIES = {
 """What a symbol of the scene asks of the documents, in words."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Budget:
     """How much may enter the prompt: `passages` of at most `tokens` together, from sources trusted at least `least`.
 
@@ -57,9 +57,13 @@ def retrieve_passages(
     shorter one; none is cut.
     """
     hits = library.search(
-        build_query(instruction, summary), MAX_CANDIDATES, kinds=("rule", "manual", "template"), min_trust=budget.min_trust,
-        robot=registry.robot, per_document=budget.max_per_document,
-    )  # fmt: skip
+        build_query(instruction, summary),
+        MAX_CANDIDATES,
+        kinds=("rule", "manual", "template"),
+        min_trust=budget.min_trust,
+        robot=registry.robot,
+        per_document=budget.max_per_document,
+    )
     chosen: list[Passage] = []
     left = budget.max_tokens
     for hit in hits:
@@ -87,7 +91,16 @@ def build_query(instruction: str, summary: str) -> str:
 def _make_passage(hit: ChunkHit, text: str, rank: int) -> Passage:
     title = " › ".join(dict.fromkeys((hit.title, *hit.path)))
     likeness = hit.likeness or 0.0
-    return Passage(str(hit.citation), hit.kind, hit.trust, title, text, likeness, hit.score, rank)
+    return Passage(
+        citation=str(hit.citation),
+        kind=hit.kind,
+        trust=hit.trust,
+        title=title,
+        text=text,
+        likeness=likeness,
+        score=hit.score,
+        rank=rank,
+    )
 
 
 def _quoted_text(library: Library, hit: ChunkHit, registry: SkillRegistry) -> str:

@@ -93,20 +93,24 @@ def with_floor(spec: SceneSpec, chart: RoomMap, frame: str, robot_model: RobotMo
     new = tuple(place for place in _new_places(spec, chart, frame) if abs(place.position[2]) <= HEIGHT_TOLERANCE)
     known = msgspec.structs.replace(known, places=(*spec.places, *new))
     check_scene(known)
-    drawn = Scene(spec.robot, 0.0, 1, keep_out_objects(known, 0.0), region=known.floor)
+    drawn = Scene(robot=spec.robot, stamp=0.0, version=1, objects=keep_out_objects(known, 0.0), region=known.floor)
     room = float(clearance(drawn, start))
     footprint = max(float(np.hypot(*ball.centre[:2])) + ball.radius for ball in extract_base(robot_model).spheres)
     if room < footprint:
         raise ConfigurationError(
-            f"start of the base, {room:.2f} m inside the map's floor", got=start.tolist(),
-            allowed=f"its footprint on the floor: {footprint:.2f} m or more", fix=FRAME_HINT,
-        )  # fmt: skip
+            f"start of the base, {room:.2f} m inside the map's floor",
+            got=start.tolist(),
+            allowed=f"its footprint on the floor: {footprint:.2f} m or more",
+            fix=FRAME_HINT,
+        )
     off = [place for place in new if float(clearance(drawn, np.array(place.position[:2]))) < 0.0]
     if off:
         raise ConfigurationError(
-            f"place {off[0].name!r} of the map", got=tuple(round(value, 3) for value in off[0].position[:2]),
-            allowed="on the floor that map and room both leave to the base, outside of what the map closes", fix=FRAME_HINT,
-        )  # fmt: skip
+            f"place {off[0].name!r} of the map",
+            got=tuple(round(value, 3) for value in off[0].position[:2]),
+            allowed="on the floor that map and room both leave to the base, outside of what the map closes",
+            fix=FRAME_HINT,
+        )
     return known
 
 

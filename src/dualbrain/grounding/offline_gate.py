@@ -36,19 +36,31 @@ def controller_at_home(robot: str, scene: Scene) -> ArmController | BaseControll
     safety = SafetyFilter(robot_model)
     limb = make_controller(robot_model, safety)
     state = home_state(robot_model)
-    limb.observe(Observation(state, scene, 0.0, safety.tool(state.q)))
+    limb.observe(Observation(state=state, scene=scene, now=0.0, tool=safety.tool(state.q)))
     return limb
 
 
 def scene_from_spec(spec: SceneSpec) -> Scene:
     """The scene as its specification puts it: exact poses, nothing moving."""
-    table = SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.0)))
+    table = SceneObject(name="table", role="support", shape=HalfSpace(), pose=Pose((0.0, 0.0, 0.0)))
     things = (
         SceneObject(
-            thing.name, thing.role, thing.shape, Pose(thing.position, thing.quaternion), category=thing.category,
-            colour=thing.colour, fragile_limit=thing.fragile_limit,
+            name=thing.name,
+            role=thing.role,
+            shape=thing.shape,
+            pose=Pose(thing.position, thing.quaternion),
+            category=thing.category,
+            colour=thing.colour,
+            fragile_limit=thing.fragile_limit,
         )
         for thing in spec.objects
-    )  # fmt: skip
+    )
     support = () if spec.region else (table,)
-    return Scene(spec.robot, 0.0, 1, (*support, *things, *keep_out_objects(spec, 0.0)), spec.places, spec.floor)
+    return Scene(
+        robot=spec.robot,
+        stamp=0.0,
+        version=1,
+        objects=(*support, *things, *keep_out_objects(spec, 0.0)),
+        places=spec.places,
+        region=spec.floor,
+    )

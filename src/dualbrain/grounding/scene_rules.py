@@ -59,11 +59,11 @@ def _check_decline(contract: Contract) -> Rejected | None:
     skills = [action.skill for action in contract.action_sequence]
     if "decline" in skills and len(skills) > 1:
         return Rejected(
-            "envelope",
-            "/action_sequence",
-            skills,
-            ["decline"],
-            "decline stands alone: it refuses the whole instruction",
+            stage="envelope",
+            pointer="/action_sequence",
+            got=skills,
+            allowed=["decline"],
+            hint="decline stands alone: it refuses the whole instruction",
         )
     return None
 
@@ -74,13 +74,15 @@ def _check_drive_targets(contract: Contract, scene: Scene, chassis: BaseControll
     for index, action in enumerate(contract.action_sequence):
         if action.skill == "drive_to" and action.params["place"] not in places:
             pointer, hint = f"/action_sequence/{index}/params/place", "nobody drives into a container: name a place"
-            return Rejected("envelope", pointer, action.params["place"], places, hint)
+            return Rejected(stage="envelope", pointer=pointer, got=action.params["place"], allowed=places, hint=hint)
         if action.skill == "drive_to_pose":
             spot = np.array([float(action.params["x"]), float(action.params["y"])])
             if float(clearance(chassis.with_keep_out_boxes(scene), spot)) < chassis.footprint_radius:
                 hint = "the base has no room there: something stands there, or it is off the floor"
                 pointer = f"/action_sequence/{index}/params"
-                return Rejected("envelope", pointer, spot.tolist(), "a free point of the floor", hint)
+                return Rejected(
+                    stage="envelope", pointer=pointer, got=spot.tolist(), allowed="a free point of the floor", hint=hint
+                )
     return None
 
 
@@ -92,12 +94,22 @@ def _check_gripper_sequence(contract: Contract, limb: ArmController) -> Rejected
         if action.skill in ("grasp", "push"):
             if full:
                 return Rejected(
-                    "envelope", pointer, action.skill, ["place", "release"], "the hand is full: place or release first"
+                    stage="envelope",
+                    pointer=pointer,
+                    got=action.skill,
+                    allowed=["place", "release"],
+                    hint="the hand is full: place or release first",
                 )
             full = action.skill == "grasp"
         elif action.skill == "place":
             if not full:
-                return Rejected("envelope", pointer, "place", ["grasp"], "nothing is held: grasp something first")
+                return Rejected(
+                    stage="envelope",
+                    pointer=pointer,
+                    got="place",
+                    allowed=["grasp"],
+                    hint="nothing is held: grasp something first",
+                )
             full = False
         elif action.skill == "release":
             full = False
@@ -114,7 +126,13 @@ def _check_grasps(contract: Contract, scene: Scene, limb: ArmController) -> Reje
         if levelness(thing, str(params["finger_axis"])) < MIN_LEVELNESS:
             other = "across" if params["finger_axis"] == "along" else "along"
             hint = f"{thing.name} lies so that this axis points up: no finger can close along it"
-            return Rejected("envelope", f"{pointer}/finger_axis", params["finger_axis"], [other], hint)
+            return Rejected(
+                stage="envelope",
+                pointer=f"{pointer}/finger_axis",
+                got=params["finger_axis"],
+                allowed=[other],
+                hint=hint,
+            )
         needed = grasp_width(thing, str(params["finger_axis"])) + FINGER_MARGIN
         widest = 2.0 * limb.robot_model.gripper.opening.value
         if float(params["opening"]) < needed:
@@ -124,20 +142,20 @@ def _check_grasps(contract: Contract, scene: Scene, limb: ArmController) -> Reje
                 else "it is too wide for this hand"
             )
             return Rejected(
-                "envelope",
-                f"{pointer}/opening",
-                params["opening"],
-                {"minimum": round(needed, 4), "maximum": widest},
-                hint,
+                stage="envelope",
+                pointer=f"{pointer}/opening",
+                got=params["opening"],
+                allowed={"minimum": round(needed, 4), "maximum": widest},
+                hint=hint,
             )
         at = run_to_completion(grasp_goal(limb, thing, str(params["finger_axis"]), str(params["approach"])))
         if at is None:
             return Rejected(
-                "envelope",
-                f"{pointer}/object",
-                thing.name,
-                "things within reach",
-                f"{thing.name} is out of reach for this grasp",
+                stage="envelope",
+                pointer=f"{pointer}/object",
+                got=thing.name,
+                allowed="things within reach",
+                hint=f"{thing.name} is out of reach for this grasp",
             )
         if why := _check_approach(limb, thing, params, pointer):
             return why
@@ -180,7 +198,13 @@ def _check_reach_after_driving(
                 near = [name for name, at in places.items() if np.linalg.norm(spot - at) <= far]
                 hint = f"out of reach from {stands}: drive_to {' or '.join(near) or 'it'} before that"
                 pointer = f"/action_sequence/{index}/params/{named}"
-                return Rejected("envelope", pointer, action.params[named], {"reached from": near}, hint)
+                return Rejected(
+                    stage="envelope",
+                    pointer=pointer,
+                    got=action.params[named],
+                    allowed={"reached from": near},
+                    hint=hint,
+                )
     return None
 
 
@@ -208,10 +232,16 @@ def _check_approach(
     highest = next((height for height in lower if _is_reachable(limb, thing, axis, approach, height)), None)
     if highest is not None:
         hint = f"the arm cannot come down on {thing.name} from so high with this approach: ask for less clearance"
-        return Rejected("envelope", f"{pointer}/clearance", clearance, {"maximum": round(highest, 2)}, hint)
+        return Rejected(
+            stage="envelope",
+            pointer=f"{pointer}/clearance",
+            got=clearance,
+            allowed={"maximum": round(highest, 2)},
+            hint=hint,
+        )
     others = [way for way in APPROACH_LEAN if _is_reachable(limb, thing, axis, way, MIN_CLEARANCE)]
     hint = f"the arm cannot come to {thing.name} this way: choose another approach or finger axis"
-    return Rejected("envelope", f"{pointer}/approach", approach, others, hint)
+    return Rejected(stage="envelope", pointer=f"{pointer}/approach", got=approach, allowed=others, hint=hint)
 
 
 def _is_reachable(limb: ArmController, thing: SceneObject, axis: str, approach: str, clearance: float) -> bool:

@@ -147,7 +147,7 @@ def _supporting_furniture(scene: Scene, thing: SceneObject) -> SceneObject | Non
             and not np.any(_vector_to_edge(one, np.asarray(thing.pose.position)))
         ),
         None,
-    )  # fmt: skip
+    )
 
 
 def _relative_to_height(scene: Scene, height: float) -> Scene:

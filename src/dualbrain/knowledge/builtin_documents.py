@@ -38,7 +38,7 @@ def add_builtin_documents(library: Library, *, now: float) -> tuple[Addition, ..
         if not _needs_update(library, file):
             continue
         data, bodies = (DATA_FOLDER / file).read_bytes(), ROBOTS_BY_FILE.get(file, ())
-        added = library.add(Submission(file, data, BUILTIN_TRUST, kind=kind, robots=bodies), now=now)
+        added = library.add(Submission(file=file, data=data, trust=BUILTIN_TRUST, kind=kind, robots=bodies), now=now)
         if isinstance(added, DocumentRejected):
             raise ConfigurationError(f"shipped document {file}", got=str(added), allowed="a document", fix="Reinstall.")
         if added.change != "unchanged":

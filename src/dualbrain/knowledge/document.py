@@ -19,7 +19,7 @@ TRUST_WEIGHTS: dict[TrustLevel, float] = {"site": 1.0, "vendor": 0.9, "unknown":
 gives no places, no regions and no templates."""
 
 
-class Document(msgspec.Struct, frozen=True, rename={"robots": "bodies"}):
+class Document(msgspec.Struct, frozen=True, rename={"robots": "bodies"}, kw_only=True):
     """One version of a document, as it was added at `added` [s, 1970 UTC] from a file called `file`.
 
     `bodies` are the robots it is about, none: it holds for all.
@@ -40,7 +40,7 @@ class Document(msgspec.Struct, frozen=True, rename={"robots": "bodies"}):
     robots: tuple[str, ...] = ()
 
 
-class ChunkHit(msgspec.Struct, frozen=True, rename={"bm25_score": "words"}):
+class ChunkHit(msgspec.Struct, frozen=True, rename={"bm25_score": "words"}, kw_only=True):
     """A chunk that was found: its exact `text`, the headings above it, and the parts of its score.
 
     `likeness` is the cosine of query and chunk (None: not looked at), `words` the BM25 score, higher is better (None:
@@ -65,7 +65,7 @@ DOCUMENT_NAME_PATTERN = re.compile(r"[a-z0-9][a-z0-9_-]{0,47}")
 """What a document may be called: an identifier, never prose."""
 
 
-class Citation(msgspec.Struct, frozen=True):
+class Citation(msgspec.Struct, frozen=True, kw_only=True):
     """Characters `start` to `end` of the reading of `document` in `version` (SHA-256, at least 8 hex digits).
 
     A reading is the text of a document as it is kept (see `reading.Reading`); offsets count its Unicode characters.
@@ -88,4 +88,10 @@ def parse_citation(text: str) -> Citation | None:
     found = _CITATION_PATTERN.fullmatch(text.strip())
     if found is None or int(found[3]) >= int(found[4]):
         return None
-    return Citation(found[1], found[2], int(found[3]), int(found[4]), int(found[5]) if found[5] else None)
+    return Citation(
+        document=found[1],
+        version=found[2],
+        start=int(found[3]),
+        end=int(found[4]),
+        page=int(found[5]) if found[5] else None,
+    )

@@ -44,7 +44,7 @@ STOP_WORDS = frozenset(f"{_ARTICLES} {_VERBS} {_LINKS}".split())
 """Words of a question that say nothing about what is asked; in a small library their BM25 is not near zero."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Submission:
     """What is to be added: the bytes of `file`; the rest may be left to what the file says of itself."""
 
@@ -136,9 +136,16 @@ class Library:
         return tuple((chunk_citation(one), one.text) for one in self._chunks.values() if one.document.name == name)
 
     def search(
-        self, query: str, k: int = 5, *, mode: SearchMode = "both", kinds: Sequence[DocumentKind] = DOCUMENT_KINDS, min_trust: TrustLevel = "unknown",
-        robot: str = "", per_document: int = MAX_RANKED_CHUNKS,
-    ) -> tuple[ChunkHit, ...]:  # fmt: skip
+        self,
+        query: str,
+        k: int = 5,
+        *,
+        mode: SearchMode = "both",
+        kinds: Sequence[DocumentKind] = DOCUMENT_KINDS,
+        min_trust: TrustLevel = "unknown",
+        robot: str = "",
+        per_document: int = MAX_RANKED_CHUNKS,
+    ) -> tuple[ChunkHit, ...]:
         """The k best chunks of these `kinds`, trusted at least as much as `least`, best first; ties by document order.
 
         With `body`, documents about other robots are left out. At most `per_document` chunks of one document are given,
@@ -207,8 +214,17 @@ class Library:
     def _hit(self, number: int, score: float, likeness: float | None, words: float | None) -> ChunkHit:
         one = self._chunks[number]
         document = one.document
-        where = (chunk_citation(one), document.kind, document.trust, document.title, one.chunk.path, one.text)
-        return ChunkHit(*where, score=score, likeness=likeness, bm25_score=words)
+        return ChunkHit(
+            citation=chunk_citation(one),
+            kind=document.kind,
+            trust=document.trust,
+            title=document.title,
+            path=one.chunk.path,
+            text=one.text,
+            score=score,
+            likeness=likeness,
+            bm25_score=words,
+        )
 
     # --- change -----------------------------------------------------------------------------------------------------
 
@@ -231,10 +247,20 @@ class Library:
             return refused
         pieces = self._store.stored_chunks(name, reading.version) or split_chunks(reading)
         document = Document(
-            name, reading.version, kind, submission.trust, submission.title or _default_title(reading, name), reading.media,
-            Path(submission.file).name, now, reading.source, len(reading.text), len(pieces), reading.hidden,
-            submission.robots,
-        )  # fmt: skip
+            name=name,
+            version=reading.version,
+            kind=kind,
+            trust=submission.trust,
+            title=submission.title or _default_title(reading, name),
+            media=reading.media,
+            file=Path(submission.file).name,
+            added=now,
+            source=reading.source,
+            characters=len(reading.text),
+            chunks=len(pieces),
+            hidden=reading.hidden,
+            robots=submission.robots,
+        )
         change = _classify_addition([one for _, one in self.history(name)], document)
         if change != "unchanged":
             rows = encoder.encode(
@@ -294,7 +320,13 @@ class Library:
 
 def chunk_citation(one: StoredChunk) -> Citation:
     """Where a chunk stands."""
-    return Citation(one.document.name, one.document.version, one.chunk.start, one.chunk.end, one.chunk.page)
+    return Citation(
+        document=one.document.name,
+        version=one.document.version,
+        start=one.chunk.start,
+        end=one.chunk.end,
+        page=one.chunk.page,
+    )
 
 
 def embedder_id(encoder: Encoder) -> str:
@@ -339,9 +371,11 @@ def _default_title(reading: DocumentText, name: str) -> str:
 
 def _encoder_mismatch(made: str, encoder: Encoder) -> ConfigurationError:
     return ConfigurationError(
-        "vectors of the knowledge store", got=made, allowed=f"made by {embedder_id(encoder)}",
+        "vectors of the knowledge store",
+        got=made,
+        allowed=f"made by {embedder_id(encoder)}",
         fix="Make them again with `dualbrain knowledge rebuild`.",
-    )  # fmt: skip
+    )
 
 
 SEMANTIC_WEIGHT = 0.7

@@ -97,9 +97,11 @@ class DocumentStore:
         version = rows[0][0] if rows else "none"
         if version != str(SCHEMA_VERSION):
             raise ConfigurationError(
-                "knowledge schema_version", got=version, allowed=str(SCHEMA_VERSION),
+                "knowledge schema_version",
+                got=version,
+                allowed=str(SCHEMA_VERSION),
                 fix=f"Update dualbrain. {self.path}",
-            )  # fmt: skip
+            )
 
     @contextmanager
     def _translate_errors(self) -> Generator[None]:

@@ -11,7 +11,7 @@ from dualbrain.memory.plasticity.rule import BANDWIDTH, Plasticity
 from dualbrain.memory.retrieval.search import check_lambda
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MemoryConfig:
     """`limits` of every robot that uses this memory; the dial is `lambda_s`: 1 trusts likeness, 0 trusts experience.
 

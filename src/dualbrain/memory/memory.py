@@ -29,7 +29,7 @@ SNAPSHOT_MIN_EVENTS = 2000
 """A start that had to read more events than this leaves a snapshot for the next one."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StoreReport:
     """What storing an episode changed: its event in the ledger, the new head of the chain and every weight moved.
 
@@ -87,10 +87,20 @@ class Memory:
     # --- recall -----------------------------------------------------------------------------------------------------
 
     def retrieve(
-        self, instruction: str, summary: str, state: Posture | None, robot: str, registry: str, *, k: int,
-        image: ImageFeatures | None = None, alpha: Alpha | None = None, lambda_s: float | None = None,
-        diversity: float | None = None, where: Filter | None = None,
-    ) -> RetrievedContext:  # fmt: skip
+        self,
+        instruction: str,
+        summary: str,
+        state: Posture | None,
+        robot: str,
+        registry: str,
+        *,
+        k: int,
+        image: ImageFeatures | None = None,
+        alpha: Alpha | None = None,
+        lambda_s: float | None = None,
+        diversity: float | None = None,
+        where: Filter | None = None,
+    ) -> RetrievedContext:
         """The k best successes as exemplars and, apart from them, the best failures as warnings (paper 5.2).
 
         Only memories of the same robot and the same registry hash are offered: a contract made for other skills, units
@@ -137,7 +147,15 @@ class Memory:
         events = self.append(written.events, now=now)
         first, head = events[0], Head(events[-1].seq, events[-1].hash)
         w = written
-        return StoreReport(first.subject, first.seq, head, w.weight_updates, w.n_neighbours, w.status, w.confirmed)
+        return StoreReport(
+            episode_id=first.subject,
+            seq=first.seq,
+            head=head,
+            weight_updates=w.weight_updates,
+            n_neighbours=w.n_neighbours,
+            status=w.status,
+            confirmed_ids=w.confirmed,
+        )
 
     def consolidation(self) -> Consolidation:
         """What works out the events of an outcome, on the present state."""
@@ -198,7 +216,13 @@ class Memory:
         head, versions = ledger.head(), self.index.versions(self.state)
         write_snapshot(
             ledger,
-            MemorySnapshot(head, versions, self.state, self.index.flat_index.rows, self.index.flat_index.masks),
+            MemorySnapshot(
+                head=head,
+                versions=versions,
+                state=self.state,
+                rows=self.index.flat_index.rows,
+                masks=self.index.flat_index.masks,
+            ),
             now=now,
         )
 

@@ -47,7 +47,9 @@ def open_planner(
         told, plus, bare = name_or_url.partition("+http")
         dialect, address = (told, f"http{bare}") if plus and "://" not in told else (dialect, name_or_url)
         url, model = urldefrag(address)
-        return ServerPlanner(ServerConfig(url, model or "default", key, dialect, timeout_s=timeout_s))
+        return ServerPlanner(
+            ServerConfig(url=url, model=model or "default", key=key, dialect=dialect, timeout_s=timeout_s)
+        )
     config = LlamaConfig(threads=threads, timeout_s=timeout_s, prompt_cache=prompt_cache)
     if name_or_url.endswith(".gguf"):
         return LlamaPlanner(Path(name_or_url).stem, Path(name_or_url), config)

@@ -8,7 +8,7 @@ from dualbrain.contracts.verdict import Rejected
 from dualbrain.records import FailureFeedback, Record, RetrievedContext
 
 
-class PlanRequest(Record, frozen=True):
+class PlanRequest(Record, frozen=True, kw_only=True):
     """One question to a planner.
 
     `instruction`, `scene` (the summary in symbols) and `recall` are untrusted text. `skills_text` is the registry in

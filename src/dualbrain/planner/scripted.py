@@ -26,7 +26,13 @@ class ScriptedPlanner:
         """The next text of the script."""
         self.requests.append(request)
         text = self._texts[min(len(self.requests), len(self._texts)) - 1] if self._texts else ""
-        return Proposal(text, self._finish_reason, self.name, "nothing (scripted)", {"total": 0.0})
+        return Proposal(
+            text=text,
+            finish_reason=self._finish_reason,
+            planner=self.name,
+            constrained_by="nothing (scripted)",
+            timings={"total": 0.0},
+        )
 
     def close(self) -> None:
         """Nothing is held open."""
@@ -43,7 +49,9 @@ class FixedContractPlanner:
     def propose(self, request: PlanRequest) -> Proposal:
         """The given text."""
         del request
-        return Proposal(self._text, STOP, self.name, "nobody", {"total": 0.0})
+        return Proposal(
+            text=self._text, finish_reason=STOP, planner=self.name, constrained_by="nobody", timings={"total": 0.0}
+        )
 
     def close(self) -> None:
         """Nothing to release."""

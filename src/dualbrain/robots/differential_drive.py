@@ -35,27 +35,42 @@ QUATERNION_X_TO_Z = (sqrt(0.5), 0.0, -sqrt(0.5), 0.0)
 
 
 def make_differential_base(
-    name: str, discs: Sequence[tuple[float, float, float]], *, speed: Bound, turn_rate: Bound, acceleration: Bound,
-    turn_acceleration: Bound, tracking: TrackingErrorModel, period: float = 0.02, licence: str = "Apache-2.0",
+    name: str,
+    discs: Sequence[tuple[float, float, float]],
+    *,
+    speed: Bound,
+    turn_rate: Bound,
+    acceleration: Bound,
+    turn_acceleration: Bound,
+    tracking: TrackingErrorModel,
+    period: float = 0.02,
+    licence: str = "Apache-2.0",
     source: str = "given by the user",
-) -> RobotModel:  # fmt: skip
+) -> RobotModel:
     """A base whose footprint is covered by `discs` (x, y, radius) [m] in its own frame.
 
     Keep the discs off the axle (x ≠ 0 for most): a disc on it cannot be steered away by turning.
     """
     none = Bound(0.0, "m", "no gripper")
     return RobotModel(
-        name=name, source=source, licence=licence,
+        name=name,
+        source=source,
+        licence=licence,
         joints=(
             _joint("drive", QUATERNION_Z_TO_X, "prismatic", speed, acceleration),
             _joint("turn", QUATERNION_X_TO_Z, "revolute", turn_rate, turn_acceleration),
         ),
-        links=(Link("base", 2, "base"),),
+        links=(Link(name="base", frame=2, group="base"),),
         spheres=tuple(CollisionSphere("base", (x, y, 0.0), radius) for x, y, radius in discs),
-        self_pairs=SelfCollisionPairs((), ()), tool=Tool("base", (0.0, 0.0, 0.0)),
-        gripper=Gripper(none, none, none, 0.0, 0.0), home=(0.0, 0.0, 0.0), tracking=tracking, period=period,
-        tool_speed=speed, base="differential",
-    )  # fmt: skip
+        self_pairs=SelfCollisionPairs((), ()),
+        tool=Tool("base", (0.0, 0.0, 0.0)),
+        gripper=Gripper(opening=none, force=none, force_min=none, pad_below_tool=0.0, finger_thickness=0.0),
+        home=(0.0, 0.0, 0.0),
+        tracking=tracking,
+        period=period,
+        tool_speed=speed,
+        base="differential",
+    )
 
 
 def base_pose(q: Array) -> tuple[Array, Vector]:
@@ -95,6 +110,12 @@ def _joint(
         Bound(side * UNUSED_JOINT_RANGE, unit, "never reached: the base frame moves along") for side in (-1.0, 1.0)
     )
     return Joint(
-        name, (0.0, 0.0, 0.0), quaternion, lower, upper, speed, acceleration,
+        name=name,
+        translation=(0.0, 0.0, 0.0),
+        quaternion=quaternion,
+        lower=lower,
+        upper=upper,
+        velocity=speed,
+        acceleration=acceleration,
         kind="prismatic" if kind == "prismatic" else "revolute",
-    )  # fmt: skip
+    )

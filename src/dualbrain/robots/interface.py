@@ -13,7 +13,7 @@ from dualbrain.robots.model import RobotModel
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RobotState:
     """Joint state at `stamp` [s]: q [rad] and v [rad/s] of shape (n,), finger opening [m each], finger forces [N]."""
 
@@ -58,5 +58,10 @@ class RobotInterface(Protocol):
 def home_state(robot_model: RobotModel) -> RobotState:
     """The state of `body` at rest in its home posture with open fingers, at time 0."""
     return RobotState(
-        0.0, 0, np.array(robot_model.home), np.zeros(robot_model.n), robot_model.gripper.opening.value, (0.0, 0.0)
+        stamp=0.0,
+        sequence=0,
+        q=np.array(robot_model.home),
+        v=np.zeros(robot_model.n),
+        opening=robot_model.gripper.opening.value,
+        finger_forces=(0.0, 0.0),
     )

@@ -35,9 +35,17 @@ BASE_GROUP = "base"
 
 
 def mount_arm_on_base(
-    name: str, base: RobotModel, arm: RobotModel, mount_position: Vector, *, home: tuple[float, ...], tracking: TrackingErrorModel,
-    base_lag: float | None, n_samples: int, rng: np.random.Generator,
-) -> RobotModel:  # fmt: skip
+    name: str,
+    base: RobotModel,
+    arm: RobotModel,
+    mount_position: Vector,
+    *,
+    home: tuple[float, ...],
+    tracking: TrackingErrorModel,
+    base_lag: float | None,
+    n_samples: int,
+    rng: np.random.Generator,
+) -> RobotModel:
     """`arm` bolted upright to `base` at `at` [m] in the base's frame; what is not the base's is the arm's.
 
     `home` is x, y, heading and the arm's posture; `base_lag` [s] by how much later than the arm the base follows.
@@ -57,10 +65,19 @@ def mount_arm_on_base(
     spheres = (*base.spheres, *arm.spheres)
     apart = _base_arm_pairs(joints, links, _spheres_by_link(base, arm), base, arm, n_samples, rng)
     return msgspec.structs.replace(
-        arm, name=name, source=f"{base.source}; {arm.source}", joints=joints, links=links, spheres=spheres,
+        arm,
+        name=name,
+        source=f"{base.source}; {arm.source}",
+        joints=joints,
+        links=links,
+        spheres=spheres,
         self_pairs=SelfCollisionPairs((*arm.self_pairs.kept, *apart.kept), (*arm.self_pairs.allowed, *apart.allowed)),
-        home=home, tracking=tracking, base_lag=base_lag, base="differential", other_drives=(),
-    )  # fmt: skip
+        home=home,
+        tracking=tracking,
+        base_lag=base_lag,
+        base="differential",
+        other_drives=(),
+    )
 
 
 def _add_vectors(at: Vector, by: Vector) -> Vector:
@@ -86,9 +103,14 @@ def _spheres_by_link(base: RobotModel, arm: RobotModel) -> dict[str, SphereSet]:
 
 
 def _base_arm_pairs(
-    joints: tuple[Joint, ...], links: tuple[Link, ...], cover: Mapping[str, SphereSet], base: RobotModel, arm: RobotModel, count: int,
+    joints: tuple[Joint, ...],
+    links: tuple[Link, ...],
+    cover: Mapping[str, SphereSet],
+    base: RobotModel,
+    arm: RobotModel,
+    count: int,
     rng: np.random.Generator,
-) -> SelfCollisionPairs:  # fmt: skip
+) -> SelfCollisionPairs:
     """Pairs of a link of the base with one of the arm."""
     with_balls = tuple(link for link in links if len(cover[link.name].radii))
     q = random_configurations(joints, count, rng)
@@ -119,17 +141,25 @@ def extract_arm(robot_model: RobotModel) -> RobotModel:
     )
     names = {link.name for link in links}
     return msgspec.structs.replace(
-        robot_model, joints=robot_model.joints[BASE_JOINTS:], links=links, home=robot_model.home[BASE_NQ:], base="fixed", base_lag=None,
+        robot_model,
+        joints=robot_model.joints[BASE_JOINTS:],
+        links=links,
+        home=robot_model.home[BASE_NQ:],
+        base="fixed",
+        base_lag=None,
         spheres=tuple(sphere for sphere in robot_model.spheres if sphere.link in names),
         self_pairs=SelfCollisionPairs(tuple(pair for pair in robot_model.self_pairs.kept if names >= set(pair)), ()),
-    )  # fmt: skip
+    )
 
 
 def extract_base(robot_model: RobotModel) -> RobotModel:
     """The base of a mobile manipulator, or of a bare base: what rides on its own frame."""
     names = {link.name for link in robot_model.links if link.group == BASE_GROUP}
     return msgspec.structs.replace(
-        robot_model, joints=robot_model.joints[:BASE_JOINTS], links=tuple(link for link in robot_model.links if link.name in names),
-        spheres=tuple(sphere for sphere in robot_model.spheres if sphere.link in names), self_pairs=SelfCollisionPairs((), ()),
+        robot_model,
+        joints=robot_model.joints[:BASE_JOINTS],
+        links=tuple(link for link in robot_model.links if link.name in names),
+        spheres=tuple(sphere for sphere in robot_model.spheres if sphere.link in names),
+        self_pairs=SelfCollisionPairs((), ()),
         home=robot_model.home[:BASE_NQ],
-    )  # fmt: skip
+    )

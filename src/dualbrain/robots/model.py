@@ -20,7 +20,7 @@ class Bound(msgspec.Struct, frozen=True):
     provenance: str
 
 
-class Joint(msgspec.Struct, frozen=True):
+class Joint(msgspec.Struct, frozen=True, kw_only=True):
     """A joint: fixed transform from the parent frame, then a turn about local z, or a slide along it.
 
     Of a prismatic joint position, velocity and acceleration are in m, m/s and m/s².
@@ -37,7 +37,7 @@ class Joint(msgspec.Struct, frozen=True):
     kind: Literal["revolute", "prismatic"] = "revolute"
 
 
-class Link(msgspec.Struct, frozen=True):
+class Link(msgspec.Struct, frozen=True, kw_only=True):
     """A rigid part: rides on chain frame `frame` (0 = base, i = after joint i) at a fixed transform.
 
     `group` is the name that permits use ("arm", "hand", "fingers"). A finger slides along `slide` (unit vector in its
@@ -68,7 +68,7 @@ class Tool(msgspec.Struct, frozen=True):
     quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
 
-class Gripper(msgspec.Struct, frozen=True):
+class Gripper(msgspec.Struct, frozen=True, kw_only=True):
     """A parallel gripper: opening per finger [m], grip force [N], pad length beyond the tool frame [m]."""
 
     opening: Bound
@@ -78,7 +78,7 @@ class Gripper(msgspec.Struct, frozen=True):
     finger_thickness: float
 
 
-class TrackingErrorModel(msgspec.Struct, frozen=True):
+class TrackingErrorModel(msgspec.Struct, frozen=True, kw_only=True):
     """How the joints follow a velocity command u: y = q + lag v obeys ẏ = u + r with |∫ exp(−α (t − s)) r ds| ≤ e.
 
     `lag` [s]; `position_error` e of each joint [rad, of a prismatic one m]; `rate` α [1/s] at which e was identified;
@@ -106,7 +106,7 @@ class SelfCollisionPairs(msgspec.Struct, frozen=True):
     allowed: tuple[tuple[str, str, str], ...]
 
 
-class RobotModel(msgspec.Struct, frozen=True):
+class RobotModel(msgspec.Struct, frozen=True, kw_only=True):
     """Everything the filter and the skills know of one robot; pure data, read from `data/<name>.json`.
 
     `gain` [1/s] bounds the filter's α where it must be below what the acceleration limits alone can follow.

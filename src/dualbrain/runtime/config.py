@@ -15,7 +15,7 @@ from dualbrain.records import Episode
 from dualbrain.runtime.planning_time import Clock
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RunConfig:
     """What one run is: written beside its result as `config.json`."""
 

@@ -48,11 +48,15 @@ class CounterfactualQueries:
                 break
             found.append(
                 evaluate_use(
-                    exemplar.episode_id, exemplar.contract, episode.contract, ExclusionEffect(first, _parse_contract(answer)),
-                    succeeded=episode.outcome.kind == "succeeded", Delta=episode.outcome.Delta,
+                    exemplar.episode_id,
+                    exemplar.contract,
+                    episode.contract,
+                    ExclusionEffect(first, _parse_contract(answer)),
+                    succeeded=episode.outcome.kind == "succeeded",
+                    Delta=episode.outcome.Delta,
                     max_Delta=exemplar.Delta,
                 )
-            )  # fmt: skip
+            )
         return tuple(found)
 
     def build_request(self, episode: Episode, excluded: Exemplar) -> PlanRequest:
@@ -61,10 +65,16 @@ class CounterfactualQueries:
         recall = in_prompt_order(msgspec.structs.replace(episode.recall, exemplars=kept), self._registry)
         names = scene_names(episode.scene)
         return PlanRequest(
-            episode.instruction, episode.summary, recall, episode.robot, episode.registry,
-            describe_skills(self._registry, names), decoding_schema(self._registry, names), contract_id="c-0001",
+            instruction=episode.instruction,
+            scene=episode.summary,
+            recall=recall,
+            robot=episode.robot,
+            registry_hash=episode.registry,
+            skills_text=describe_skills(self._registry, names),
+            schema=decoding_schema(self._registry, names),
+            contract_id="c-0001",
             setback=episode.setback,
-        )  # fmt: skip
+        )
 
     def _propose_cached(self, request: PlanRequest) -> str | None:
         """The answer, "" if it was cut at its limit; None if there is none, which is not kept."""

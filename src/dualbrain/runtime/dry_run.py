@@ -41,7 +41,7 @@ class Shot:
     attempt: Attempt
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DryRunResult:
     """What became of an instruction: the scene in symbols, what was retrieved, every shot, the time of the decision.
 
@@ -80,13 +80,21 @@ def context_at_home(robot: str, scene: Scene) -> PlanningContext:
     """`robot` at rest at home with an empty hand before `scene`."""
     robot_model = load_robot(robot)
     state = home_state(robot_model)
-    return PlanningContext(robot_model, scene, None, Posture(tuple(state.q.tolist()), state.opening))
+    return PlanningContext(
+        robot_model=robot_model, scene=scene, holding=None, posture=Posture(tuple(state.q.tolist()), state.opening)
+    )
 
 
 def plan(
-    instruction: str, context: PlanningContext, planner: Planner, memory: Retriever | None, retrieve_passages: PassageRetriever, *, shots: int,
+    instruction: str,
+    context: PlanningContext,
+    planner: Planner,
+    memory: Retriever | None,
+    retrieve_passages: PassageRetriever,
+    *,
+    shots: int,
     clock: Clock,
-) -> DryRunResult:  # fmt: skip
+) -> DryRunResult:
     """Ask `planner` for a contract, at most `shots` times, each time with the gate's last refusal in the prompt."""
     recall, retrieval = _timed(clock, lambda: _retrieve(instruction, context, memory, retrieve_passages))
     request = build_request(instruction, context, recall)
@@ -104,7 +112,13 @@ def plan(
             break
         request = msgspec.structs.replace(request, refusal=verdict, contract_id=f"c-{len(done) + 1:04d}")
     spent = decision_timings([one.attempt for one in done], retrieval)
-    return DryRunResult(context.summary, recall, tuple(done), spent, planner_template(planner))
+    return DryRunResult(
+        summary=context.summary,
+        recall=recall,
+        shots=tuple(done),
+        timings=spent,
+        template_hash=planner_template(planner),
+    )
 
 
 def _check(gate: Gate, answer: Proposal, scene: Scene) -> Verdict:

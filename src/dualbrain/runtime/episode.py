@@ -56,7 +56,7 @@ class EpisodicMemory(Retriever, Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class EpisodeRequest:
     """What is asked, its name and date: the words, how many shots the planner has, how many memories it is shown.
 
@@ -86,10 +86,19 @@ class GroundTruth:
 
 
 def run_episode(
-    episode_request: EpisodeRequest, planner: Planner, memory: EpisodicMemory, executor: ContractExecutor | RemoteExecutor, planning_clock: PlanningClock,
-    ground_truth: GroundTruth, save: Callable[[Episode], None], *, now: float, retrieve_passages: PassageRetriever = lambda instruction, summary: (),
-    allowed_skills: Mapping[str, frozenset[str]] | None = None, wrap_gate: Callable[[Gate | RemoteGate], ContractGate] | None = None,
-) -> tuple[Episode, StoreReport]:  # fmt: skip
+    episode_request: EpisodeRequest,
+    planner: Planner,
+    memory: EpisodicMemory,
+    executor: ContractExecutor | RemoteExecutor,
+    planning_clock: PlanningClock,
+    ground_truth: GroundTruth,
+    save: Callable[[Episode], None],
+    *,
+    now: float,
+    retrieve_passages: PassageRetriever = lambda instruction, summary: (),
+    allowed_skills: Mapping[str, frozenset[str]] | None = None,
+    wrap_gate: Callable[[Gate | RemoteGate], ContractGate] | None = None,
+) -> tuple[Episode, StoreReport]:
     """Carry one instruction through the loop; `now` [s, 1970 UTC] stamps what memory writes.
 
     `look_up` gives the passages of documents that bear on the instruction in this scene. `granted` says who may call
@@ -101,7 +110,13 @@ def run_episode(
     registry, scene = skill_registry(executor.robot_model), executor.scene
     held = executor.controller.holding.name if executor.controller.holding else None
     posture = Posture(tuple(executor.state.q.tolist()), executor.state.opening)
-    here = PlanningContext(executor.robot_model, scene, held, posture, ground_truth.image_features())
+    here = PlanningContext(
+        robot_model=executor.robot_model,
+        scene=scene,
+        holding=held,
+        posture=posture,
+        image=ground_truth.image_features(),
+    )
     recall, retrieval = planning_clock.measure(
         lambda: retrieve(episode_request.instruction, here, memory, episode_request.max_exemplars, retrieve_passages)
     )
@@ -116,7 +131,13 @@ def run_episode(
         proposal = planning_clock.wait_for(executor, lambda ask=request: planner.propose(ask))
         if proposal is None:
             break
-        header = ContractHeader(shot, asked, asked + CONTRACT_LIFETIME, PLANNER, scene.version)
+        header = ContractHeader(
+            sequence=shot,
+            issued=asked,
+            expires=asked + CONTRACT_LIFETIME,
+            principal=PLANNER,
+            scene_version=scene.version,
+        )
         verdict, gate_s = planning_clock.measure(
             lambda text=proposal, header=header: _check(
                 gate, text, scene_names(executor.scene), executor.state.stamp, header
@@ -133,12 +154,25 @@ def run_episode(
         ground_truth.start_contract(contract)
     outcome = executor.execute(contract) if contract else _outcome_without_motion(executor, attempts)
     episode = Episode(
-        episode_request.id, episode_request.started, episode_request.instruction, executor.robot_model.name, registry.hash, episode_request.seed, scene, here.summary,
-        recall, tuple(attempts), msgspec.to_builtins(contract) if contract else None, outcome,
-        None if should_retry(outcome, episode_request.tries_left) else ground_truth.judge(),
-        decision_timings(attempts, retrieval) | {"motion": outcome.duration}, ground_truth.versions,
-        dict(executor.log.binding - bound), check_outcome(executor.scene, contract, outcome), setback=episode_request.setback,
-    )  # fmt: skip
+        id=episode_request.id,
+        started=episode_request.started,
+        instruction=episode_request.instruction,
+        robot=executor.robot_model.name,
+        registry=registry.hash,
+        seed=episode_request.seed,
+        scene=scene,
+        summary=here.summary,
+        recall=recall,
+        attempts=tuple(attempts),
+        contract=msgspec.to_builtins(contract) if contract else None,
+        outcome=outcome,
+        judgement=None if should_retry(outcome, episode_request.tries_left) else ground_truth.judge(),
+        timings=decision_timings(attempts, retrieval) | {"motion": outcome.duration},
+        versions=ground_truth.versions,
+        binding=dict(executor.log.binding - bound),
+        second_opinion=check_outcome(executor.scene, contract, outcome),
+        setback=episode_request.setback,
+    )
     save(episode)
     return episode, memory.store(episode, posture, now=now, image=here.image)
 
@@ -156,7 +190,13 @@ def reject_incomplete(proposal: Proposal) -> Rejected | None:
     """Why there is no contract to check: the answer was cut, timed out or crashed; None if it is whole."""
     if proposal.finish_reason == STOP:
         return None
-    return Rejected("syntax", "", proposal.finish_reason, STOP, "the answer is not whole, so it is no contract")
+    return Rejected(
+        stage="syntax",
+        pointer="",
+        got=proposal.finish_reason,
+        allowed=STOP,
+        hint="the answer is not whole, so it is no contract",
+    )
 
 
 def _check(
@@ -173,12 +213,12 @@ def _outcome_without_motion(layer: ContractExecutor | RemoteExecutor, attempts: 
     A planner that gave no answer is a fault, of which nothing is learnt; one whose answer was refused is not.
     """
     if layer.interrupted():
-        return Outcome("aborted", "interrupted by a person before a contract was accepted")
+        return Outcome(kind="aborted", reason="interrupted by a person before a contract was accepted")
     if not attempts:
-        return Outcome("rejected", _format_verdict(0, None))
+        return Outcome(kind="rejected", reason=_format_verdict(0, None))
     if not has_answer(attempts[-1].proposal):
-        return Outcome("stopped", f"the planner gave no answer: {attempts[-1].proposal.finish_reason}")
-    return Outcome("rejected", _format_verdict(len(attempts), attempts[-1].verdict))
+        return Outcome(kind="stopped", reason=f"the planner gave no answer: {attempts[-1].proposal.finish_reason}")
+    return Outcome(kind="rejected", reason=_format_verdict(len(attempts), attempts[-1].verdict))
 
 
 def _check_scene_rules(contract: Contract, layer: ContractExecutor) -> Rejected | None:
@@ -192,7 +232,7 @@ def _format_verdict(shot: int, verdict: Verdict | None) -> str:
         case Accepted(contract):
             skills = " → ".join(action.skill for action in contract.action_sequence)
             return f"shot {shot}: accepted, {_format_passed_stages(len(STAGES))}: {skills}"
-        case Rejected(stage, pointer, got, _, hint):
+        case Rejected(stage=stage, pointer=pointer, got=got, allowed=_, hint=hint):
             passed = _format_passed_stages(STAGES.index(stage))
             return f"shot {shot}: rejected, {passed}{stage} ✗ at {pointer or '/'}: got {got!r}; {hint}"
         case None:

@@ -68,10 +68,19 @@ class LiveSession(Session):
         with ExitStack() as stack:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dualbrain-")))
             plan = GatekeeperConfig(
-                config.robot, self.spec, str(folder / "door"), str(folder / "keys"), config.seed, config.goal,
-                self.speed_stage, recording=str(out / "episode.mcap"), instruction=config.instruction,
-                report=str(out / ROBOT_REPORT_FILE), punctuality=str(out / TICK_TIMING_FILE), site=str(config.site or ""),
-            )  # fmt: skip
+                robot=config.robot,
+                scene=self.spec,
+                socket=str(folder / "door"),
+                keys=str(folder / "keys"),
+                seed=config.seed,
+                goal=config.goal,
+                stage=self.speed_stage,
+                recording=str(out / "episode.mcap"),
+                instruction=config.instruction,
+                report=str(out / ROBOT_REPORT_FILE),
+                punctuality=str(out / TICK_TIMING_FILE),
+                site=str(config.site or ""),
+            )
             process = GatekeeperProcess(plan)
             stack.callback(process.stop)
             out.joinpath(ADDRESS_FILE).write_text(f"{plan.socket}\n{plan.keys}\n", encoding="utf-8")
@@ -103,14 +112,23 @@ class LiveSession(Session):
         link = GatekeeperClient(Path(plan.socket), keys, PLANNER, on_report=watch)
         self._operator_client = hand = GatekeeperClient(Path(plan.socket), keys, OPERATOR)
         log = FlightLog(Trace(self.robot_model.n), None, onlooker.on_event)
-        layer = RemoteExecutor(self.robot_model, link, log, lambda: self._stop_requested)
+        layer = RemoteExecutor(
+            robot_model=self.robot_model, client=link, log=log, interrupted=lambda: self._stop_requested
+        )
         thinking = PlanningClock(time.monotonic, measured=True)
         witness = GroundTruth(lambda contract: None, judge, self._versions(), self._image_features)
 
         def run(name: str, left: int, setback: FailureFeedback | None) -> TryResult:
             return run_episode(
-                self._episode_request(name, left, setback), self.planner, self.memory, layer, thinking, witness, self._save_episode,
-                now=self.clocks.now(), retrieve_passages=self._retrieve_passages,
-            )  # fmt: skip
+                self._episode_request(name, left, setback),
+                self.planner,
+                self.memory,
+                layer,
+                thinking,
+                witness,
+                self._save_episode,
+                now=self.clocks.now(),
+                retrieve_passages=self._retrieve_passages,
+            )
 
         return self._run_tries(log, lambda: layer.state.stamp, run)

@@ -87,7 +87,15 @@ def replay_memory(ledger: LedgerReader, memory: MemoryState, *, tries: int, seed
     done = [_run_once(stored, contract, memory.robot, np.random.default_rng([seed, number])) for number in range(tries)]
     reason, agrees = compare_with_memory(memory.r, memory.Delta, done)
     kinds, Deltas = tuple(one.kind for one in done), tuple(one.Delta for one in done)
-    return ReplayFinding(memory.id, agrees, memory.kind, kinds, Deltas, reason, actor)
+    return ReplayFinding(
+        memory=memory.id,
+        agrees=agrees,
+        remembered=memory.kind,
+        outcomes=kinds,
+        Deltas=Deltas,
+        reason=reason,
+        actor=actor,
+    )
 
 
 def compare_with_memory(r: int, Delta: float, done: list[ReplayTry]) -> tuple[str, bool]:
@@ -158,7 +166,7 @@ def _check_contract(
 
 def make_replay_evaluator(
     ledger: LedgerReader, samples: Sequence[Sample], *, seed: int
-) -> Callable[[Sample, str], tuple[bool, float | None]]:  # fmt: skip
+) -> Callable[[Sample, str], tuple[bool, float | None]]:
     """Success by the robot's own senses, and Δ, of a contract in the scene that one of `asked` was made of.
 
     The world is rebuilt from what was perceived (see `world.remembered`); the same seed gives every planner the same

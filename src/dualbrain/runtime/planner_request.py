@@ -28,14 +28,21 @@ class Retriever(Protocol):
     """What a question asks of memory."""
 
     def retrieve(
-        self, instruction: str, summary: str, state: Posture | None, robot: str, registry: str, *, k: int,
+        self,
+        instruction: str,
+        summary: str,
+        state: Posture | None,
+        robot: str,
+        registry: str,
+        *,
+        k: int,
         image: ImageFeatures | None = None,
-    ) -> RetrievedContext:  # fmt: skip
+    ) -> RetrievedContext:
         """The `k` best exemplars, and warnings."""
         ...
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PlanningContext:
     """From where a question is asked: the body, the scene as perceived, what is held, posture, the camera's picture."""
 
@@ -67,8 +74,14 @@ def retrieve(
     summary, recall = context.summary, RetrievedContext()
     if max_exemplars:
         recall = memory.retrieve(
-            instruction, summary, context.posture, context.robot_model.name, context.registry.hash, k=max_exemplars, image=context.image
-        )  # fmt: skip
+            instruction,
+            summary,
+            context.posture,
+            context.robot_model.name,
+            context.registry.hash,
+            k=max_exemplars,
+            image=context.image,
+        )
     return msgspec.structs.replace(recall, passages=retrieve_passages(instruction, summary))
 
 
@@ -78,9 +91,16 @@ def build_request(
     """The first question for `instruction`; `setback` is what became of the contract before, if there was one."""
     registry, names = context.registry, scene_names(context.scene)
     return PlanRequest(
-        instruction, context.summary, in_prompt_order(recall, registry), context.robot_model.name, registry.hash,
-        describe_skills(registry, names), decoding_schema(registry, names), contract_id="c-0001", setback=setback,
-    )  # fmt: skip
+        instruction=instruction,
+        scene=context.summary,
+        recall=in_prompt_order(recall, registry),
+        robot=context.robot_model.name,
+        registry_hash=registry.hash,
+        skills_text=describe_skills(registry, names),
+        schema=decoding_schema(registry, names),
+        contract_id="c-0001",
+        setback=setback,
+    )
 
 
 def in_prompt_order(recall: RetrievedContext, registry: SkillRegistry) -> RetrievedContext:
@@ -95,6 +115,4 @@ def in_prompt_order(recall: RetrievedContext, registry: SkillRegistry) -> Retrie
             msgspec.structs.replace(one, contract=reorder_contract(one.contract, registry)) for one in exemplars
         )
 
-    return msgspec.structs.replace(
-        recall, exemplars=ordered(recall.exemplars), warnings=ordered(recall.warnings)
-    )  # fmt: skip
+    return msgspec.structs.replace(recall, exemplars=ordered(recall.exemplars), warnings=ordered(recall.warnings))

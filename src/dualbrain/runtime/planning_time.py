@@ -69,9 +69,13 @@ def _set_future(answer: Future[T], ask: Callable[[], T]) -> None:
 
 
 LATENCY_PARTS = {
-    "retrieval": "retrieval", "planner_load": "load of the model", "planner_prefill": "prefill",
-    "planner_decode": "decoding", "planner_rest": "rest of the planner", "gate": "validation",
-}  # fmt: skip
+    "retrieval": "retrieval",
+    "planner_load": "load of the model",
+    "planner_prefill": "prefill",
+    "planner_decode": "decoding",
+    "planner_rest": "rest of the planner",
+    "gate": "validation",
+}
 """The parts of a decision by their keys in the timings of an episode, with their words, in their order."""
 
 

@@ -30,7 +30,14 @@ def failure_feedback_of(episode: Episode) -> FailureFeedback:
     done = tuple(words for words, result in pairs if result.status == "done")
     undone = next((words for words, result in pairs if result.status not in ("done", "not_run")), "")
     outcome = episode.outcome
-    return FailureFeedback(episode.id, outcome.kind, done, undone, outcome.reason, outcome.hindrance)
+    return FailureFeedback(
+        episode_id=episode.id,
+        outcome=outcome.kind,
+        done=done,
+        undone=undone,
+        reason=outcome.reason,
+        hindrance=outcome.hindrance,
+    )
 
 
 def format_action(action: dict[str, Any]) -> str:

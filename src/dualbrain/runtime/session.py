@@ -113,7 +113,7 @@ class Session:
         self.ledger = ledger
         rule = None if config.static else Plasticity(epsilon=config.epsilon)
         self.memory = Memory(
-            ledger, encoder, MemoryConfig((PostureLimits.from_model(self.robot_model),), plasticity=rule)
+            ledger, encoder, MemoryConfig(limits=(PostureLimits.from_model(self.robot_model),), plasticity=rule)
         )
         self.plant = make_plant(self.spec, self.robot_model, visuals=config.visuals)
         perception = NoisyPerception(self.spec, PerceptionNoise(), np.random.default_rng([config.seed, 1]))
@@ -138,9 +138,15 @@ class Session:
         adapters = self.config.adapters or self.config.ledger.with_name("adapters")
         registry, own = skill_registry(self.robot_model), skill_registry(load_robot(self.config.robot))
         return open_planner(
-            self.config.planner, self.config.cache, adapters=adapters, robot=self.robot_model.name, registry=registry.hash,
-            key=key, prompt_cache=prefixes, narrowed_registries={registry.hash: own.hash} if is_narrower(registry, own) else {},
-        )  # fmt: skip
+            self.config.planner,
+            self.config.cache,
+            adapters=adapters,
+            robot=self.robot_model.name,
+            registry=registry.hash,
+            key=key,
+            prompt_cache=prefixes,
+            narrowed_registries={registry.hash: own.hash} if is_narrower(registry, own) else {},
+        )
 
     def run(self, observer: RunObserver) -> RunResult:
         """Run the instruction; the run folder holds config, scene, recording and episode when this returns."""
@@ -184,19 +190,33 @@ class Session:
             onlooker.on_phase(phase)
 
         layer = ContractExecutor(
-            self.robot_model, self.plant, world, SafetyFilter(self.robot_model, fixed_obstacles=self.fixed_obstacles), log,
+            self.robot_model,
+            self.plant,
+            world,
+            SafetyFilter(self.robot_model, fixed_obstacles=self.fixed_obstacles),
+            log,
             ExecutorConfig(guard=config.guard),
-            on_tick=onlooker.on_tick, on_phase=phase_changed,
-            interrupted=lambda: self._stop_requested, clock=lambda: self.plant.now,
-        )  # fmt: skip
+            on_tick=onlooker.on_tick,
+            on_phase=phase_changed,
+            interrupted=lambda: self._stop_requested,
+            clock=lambda: self.plant.now,
+        )
         thinking = PlanningClock(self.clocks.clock, config.measured, 0.0 if config.contract else PLANNING_TIME)
         witness = GroundTruth(world.start_contract, world.judgement, self._versions(), self._image_features)
 
         def run(name: str, left: int, setback: FailureFeedback | None) -> TryResult:
             episode, stored = run_episode(
-                self._episode_request(name, left, setback), self.planner, self.memory, layer, thinking, witness, self._save_episode,
-                now=self.clocks.now(), retrieve_passages=self._retrieve_passages, allowed_skills=self.grants,
-            )  # fmt: skip
+                self._episode_request(name, left, setback),
+                self.planner,
+                self.memory,
+                layer,
+                thinking,
+                witness,
+                self._save_episode,
+                now=self.clocks.now(),
+                retrieve_passages=self._retrieve_passages,
+                allowed_skills=self.grants,
+            )
             _log_weight_changes(log, layer.state.stamp, stored)
             return episode, stored
 
@@ -219,9 +239,15 @@ class Session:
         """One try; to a contract that was given nothing is recalled, and it has one shot."""
         config, given = self.config, self.config.contract is not None
         return EpisodeRequest(
-            name, self.clocks.started, config.instruction, config.seed, 1 if given else config.shots,
-            max_exemplars=0 if given else MAX_RECALLED, tries_left=left, setback=setback,
-        )  # fmt: skip
+            id=name,
+            started=self.clocks.started,
+            instruction=config.instruction,
+            seed=config.seed,
+            max_shots=1 if given else config.shots,
+            max_exemplars=0 if given else MAX_RECALLED,
+            tries_left=left,
+            setback=setback,
+        )
 
     def _with_memory_uses(self, episode: Episode) -> Episode:
         """The episode with what became of the memories in its prompt, if that is wanted; it is written down."""
@@ -260,10 +286,14 @@ class Session:
 
     def _versions(self) -> dict[str, str]:
         return {
-            "dualbrain": __version__, "kernel": kernel_hash(), "mujoco": metadata.version("mujoco"),
-            "prompt": template_hash(), "beside": conditional_text_hash(),
-            "plant": self.plant.model_source, "filter": "on" if self.config.guard else "off",
-        } | planner_provenance(self.planner)  # fmt: skip
+            "dualbrain": __version__,
+            "kernel": kernel_hash(),
+            "mujoco": metadata.version("mujoco"),
+            "prompt": template_hash(),
+            "beside": conditional_text_hash(),
+            "plant": self.plant.model_source,
+            "filter": "on" if self.config.guard else "off",
+        } | planner_provenance(self.planner)
 
     def __enter__(self) -> Self:
         """The session itself."""

@@ -28,10 +28,15 @@ HARMED_PROGRESS = 0.99
 DETECTED_ROLES = ("object", "container")
 """Roles of things that eyes may have named themselves."""
 PHASE_ALLOWANCES = {
-    "yield": "lift", "descend": "grasp", "close": "grasp", "lift": "lift", "lower": "lower", "open": "release",
+    "yield": "lift",
+    "descend": "grasp",
+    "close": "grasp",
+    "lift": "lift",
+    "lower": "lower",
+    "open": "release",
     "push": "push",
     "retreat": "retreat",
-}  # fmt: skip
+}
 """What the monitor calls the phases of our skills in which something may be touched."""
 
 

@@ -12,17 +12,27 @@ CONTACT_SPEED = 0.05
 def speed(robot_model: RobotModel) -> NumberParameter:
     """Tool speed on the way [m/s]."""
     return NumberParameter(
-        "speed", "m/s", 0.05, robot_model.tool_speed.value, "slower wastes time without safety", robot_model.tool_speed.provenance,
-        "tool speed on the way",
-    )  # fmt: skip
+        name="speed",
+        unit="m/s",
+        lower=0.05,
+        upper=robot_model.tool_speed.value,
+        lower_from="slower wastes time without safety",
+        upper_from=robot_model.tool_speed.provenance,
+        description="tool speed on the way",
+    )
 
 
 def clearance() -> NumberParameter:
     """Height of the lowest carried point (or of the finger tips) above the support while travelling [m]."""
     return NumberParameter(
-        "clearance", "m", 0.03, 0.35, "site policy: nothing is dragged", "reach of the arm over the table",
-        "height of the lowest carried point above the support on the way",
-    )  # fmt: skip
+        name="clearance",
+        unit="m",
+        lower=0.03,
+        upper=0.35,
+        lower_from="site policy: nothing is dragged",
+        upper_from="reach of the arm over the table",
+        description="height of the lowest carried point above the support on the way",
+    )
 
 
 def route() -> ChoiceParameter:
@@ -40,23 +50,42 @@ def wait() -> ChoiceParameter:
 def force(robot_model: RobotModel) -> NumberParameter:
     """Grip force [N]."""
     low, high = robot_model.gripper.force_min, robot_model.gripper.force
-    return NumberParameter("force", "N", low.value, high.value, low.provenance, high.provenance, "grip force")
+    return NumberParameter(
+        name="force",
+        unit="N",
+        lower=low.value,
+        upper=high.value,
+        lower_from=low.provenance,
+        upper_from=high.provenance,
+        description="grip force",
+    )
 
 
 def opening(robot_model: RobotModel) -> NumberParameter:
     """Distance between the fingers before the grasp [m]."""
     limit = robot_model.gripper.opening
     return NumberParameter(
-        "opening", "m", 0.02, 2.0 * limit.value, "narrower than any graspable thing", f"twice {limit.provenance}",
-        "distance between the fingers before the grasp",
-    )  # fmt: skip
+        name="opening",
+        unit="m",
+        lower=0.02,
+        upper=2.0 * limit.value,
+        lower_from="narrower than any graspable thing",
+        upper_from=f"twice {limit.provenance}",
+        description="distance between the fingers before the grasp",
+    )
 
 
 def max_speed(robot_model: RobotModel) -> NumberParameter:
     """Speed of a base on its way [m/s]."""
     limit = robot_model.joints[0].velocity
     return NumberParameter(
-        "max_speed", "m/s", 0.1, limit.value, "slower wastes time without safety", limit.provenance, "speed on the way"
+        name="max_speed",
+        unit="m/s",
+        lower=0.1,
+        upper=limit.value,
+        lower_from="slower wastes time without safety",
+        upper_from=limit.provenance,
+        description="speed on the way",
     )
 
 
@@ -64,14 +93,25 @@ def max_turn_rate(robot_model: RobotModel) -> NumberParameter:
     """Turn rate of a base [rad/s]."""
     limit = robot_model.joints[1].velocity
     return NumberParameter(
-        "max_turn_rate", "rad/s", 0.2, limit.value, "slower wastes time without safety", limit.provenance,
-        "turn rate on the way",
-    )  # fmt: skip
+        name="max_turn_rate",
+        unit="rad/s",
+        lower=0.2,
+        upper=limit.value,
+        lower_from="slower wastes time without safety",
+        upper_from=limit.provenance,
+        description="turn rate on the way",
+    )
 
 
 def heading() -> NumberParameter:
     """Heading on the map [rad]."""
     turn = "half a turn either way"
     return NumberParameter(
-        "heading", "rad", -3.1416, 3.1416, turn, turn, "0 looks along the map's x, counter-clockwise"
+        name="heading",
+        unit="rad",
+        lower=-3.1416,
+        upper=3.1416,
+        lower_from=turn,
+        upper_from=turn,
+        description="0 looks along the map's x, counter-clockwise",
     )

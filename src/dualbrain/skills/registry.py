@@ -10,7 +10,7 @@ from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.robots.mobile_manipulator import extract_arm, extract_base
 from dualbrain.robots.model import RobotModel
 from dualbrain.skills import decline
-from dualbrain.skills.arm import grasp, hold, home, move_to, place, push, release  # fmt: skip
+from dualbrain.skills.arm import grasp, hold, home, move_to, place, push, release
 from dualbrain.skills.arm.controller import ArmController
 from dualbrain.skills.mobile_base import drive_to, drive_to_pose, stop, turn_to
 from dualbrain.skills.mobile_base.controller import BaseController

@@ -46,7 +46,7 @@ class HeldObject:
     below_tool: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Nominal:
     """One tick of intent: joint velocity u (n,) [rad/s], opening per finger [m], grip force [N], phase, contacts."""
 
@@ -110,7 +110,7 @@ class MotionModel(Protocol):
         ...
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class Observation:
     """What the skill sees this tick; replaced before every step of the story.
 

@@ -18,9 +18,21 @@ from dualbrain.errors import ConfigurationError, MissingDependencyError
 def folder(tmp_path):
     (tmp_path / WEIGHTS_FILE).write_bytes(b"some weights")
     card = AdapterCard(
-        hash_weights(tmp_path), "smollm2", "b" * 64, "panda", "r", "p", "d", {"smollm2": 3}, False, "float32", 7, None,
-        AdaptConfig(), {"torch": "2"},
-    )  # fmt: skip
+        id=hash_weights(tmp_path),
+        base="smollm2",
+        base_sha256="b" * 64,
+        robot="panda",
+        registry="r",
+        prompt="p",
+        dataset="d",
+        sources={"smollm2": 3},
+        bootstrapped=False,
+        precision="float32",
+        steps=7,
+        held_out=None,
+        config=AdaptConfig(),
+        versions={"torch": "2"},
+    )
     write_adapter_card(card, tmp_path)
     return tmp_path
 

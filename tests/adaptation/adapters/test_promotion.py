@@ -21,7 +21,13 @@ def trial_results(adapter, sound, n=60, *, success=None, Delta=0.002, perplexity
     """`sound` of `n` questions are answered as they should be; all are carried out, `success` of them to the end."""
     done = n if success is None else success
     trials = tuple(
-        QuestionResult(f"q{i}", i < sound, i < sound, i < done, Delta if i < done else 9.0 * (adapter == "new"))
+        QuestionResult(
+            question=f"q{i}",
+            compliant=i < sound,
+            right=i < sound,
+            success=i < done,
+            Delta=Delta if i < done else 9.0 * (adapter == "new"),
+        )
         for i in range(n)
     )
     return PlannerResults(adapter, runtime, perplexity, trials)

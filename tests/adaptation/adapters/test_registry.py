@@ -38,20 +38,20 @@ def make_adapter(folder, words, robot="panda", base="b" * 64):
     (folder / WEIGHTS_FILE).write_bytes(words.encode())
     (folder / "adapter_config.json").write_text("{}")
     card = AdapterCard(
-        hash_weights(folder),
-        "smollm2",
-        base,
-        robot,
-        "r1",
-        "p1",
-        "d",
-        {},
-        False,
-        "float32",
-        7,
-        None,
-        AdaptConfig(),
-        {},
+        id=hash_weights(folder),
+        base="smollm2",
+        base_sha256=base,
+        robot=robot,
+        registry="r1",
+        prompt="p1",
+        dataset="d",
+        sources={},
+        bootstrapped=False,
+        precision="float32",
+        steps=7,
+        held_out=None,
+        config=AdaptConfig(),
+        versions={},
     )
     write_adapter_card(card, folder)
     return folder
@@ -81,7 +81,7 @@ def contents(folder):
 
 
 def yes(candidate, champion, against=()):
-    return PromotionDecision(candidate, champion, {}, tuple(against))
+    return PromotionDecision(candidate=candidate, champion=champion, measures={}, against=tuple(against))
 
 
 def test_a_folder_that_lacks_a_file_is_refused_by_its_name_and_no_disk_is_full(registry, tmp_path):

@@ -130,17 +130,38 @@ B = A.replace("lora_A", "lora_B")
 @pytest.mark.parametrize(
     "config",
     [
-        {"use_dora": True}, {"bias": "all"}, {"lora_bias": True}, {"modules_to_save": ["lm_head"]},
-        {"trainable_token_indices": [1]}, {"fan_in_fan_out": True}, {"layer_replication": [[0, 1]]},
-        {"peft_type": "VERA"}, {"r": 8}, {"target_parameters": ["x"]}, {"r": None}, {"r": True},
-        {"lora_alpha": float("nan")}, {"lora_alpha": float("inf")}, {"lora_alpha": 1e39}, {"lora_alpha": -1.0},
-        {"lora_alpha": "16"}, {"lora_alpha": None}, {"rank_pattern": {"(": 2}}, {"rank_pattern": [1]},
-        {"alpha_pattern": {".*": "x"}}, {"peft_type": "IA3"}, {"layers_to_transform": [0]}, {"layers_to_transform": 0},
-        {"layers_pattern": "layers"}, {"exclude_modules": ["q_proj"]}, {"init_lora_weights": "pissa"},
-        {"use_bdlora": {}, "kasa_config": {"x": 1}}, {"unheard_of": 16},
+        {"use_dora": True},
+        {"bias": "all"},
+        {"lora_bias": True},
+        {"modules_to_save": ["lm_head"]},
+        {"trainable_token_indices": [1]},
+        {"fan_in_fan_out": True},
+        {"layer_replication": [[0, 1]]},
+        {"peft_type": "VERA"},
+        {"r": 8},
+        {"target_parameters": ["x"]},
+        {"r": None},
+        {"r": True},
+        {"lora_alpha": float("nan")},
+        {"lora_alpha": float("inf")},
+        {"lora_alpha": 1e39},
+        {"lora_alpha": -1.0},
+        {"lora_alpha": "16"},
+        {"lora_alpha": None},
+        {"rank_pattern": {"(": 2}},
+        {"rank_pattern": [1]},
+        {"alpha_pattern": {".*": "x"}},
+        {"peft_type": "IA3"},
+        {"layers_to_transform": [0]},
+        {"layers_to_transform": 0},
+        {"layers_pattern": "layers"},
+        {"exclude_modules": ["q_proj"]},
+        {"init_lora_weights": "pissa"},
+        {"use_bdlora": {}, "kasa_config": {"x": 1}},
+        {"unheard_of": 16},
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_what_is_not_plain_lora_is_refused(whole, tmp_path, config):
     with pytest.raises(ConfigurationError, match="LoRA"):
         convert_adapter(changed(whole, tmp_path, config), whole / "base.gguf", tmp_path / "out.gguf")
@@ -187,8 +208,16 @@ def test_a_config_too_deep_to_be_read_is_refused(whole, tmp_path):
     ("tensors", "word"),
     [
         (lambda t: {n: v for n, v in t.items() if n != B}, "only A"),
-        (lambda t: t | {"base_model.model.lm_head.lora_A.weight": torch.zeros(4, 64),
-                        "base_model.model.lm_head.lora_B.weight": torch.zeros(258, 4)}, "lm_head"),
+        (
+            lambda t: (
+                t
+                | {
+                    "base_model.model.lm_head.lora_A.weight": torch.zeros(4, 64),
+                    "base_model.model.lm_head.lora_B.weight": torch.zeros(258, 4),
+                }
+            ),
+            "lm_head",
+        ),
         (lambda t: t | {"base_model.model.model.embed_tokens.lora_embedding_A": torch.zeros(4, 258)}, "embed"),
         (lambda t: t | {"base_model.model.model.layers.0.self_attn.q_proj.bias": torch.zeros(64)}, "bias"),
         (lambda t: t | {n.replace("layers.0", "layers.7"): t[n].clone() for n in (A, B)}, "layers.7"),
@@ -198,7 +227,7 @@ def test_a_config_too_deep_to_be_read_is_refused(whole, tmp_path):
         (lambda t: {}, "at least one"),
     ],
     ids=["half a pair", "output", "embeddings", "bias", "no such layer", "shape", "no number", "integers", "empty"],
-)  # fmt: skip
+)
 def test_what_has_no_place_in_the_base_is_refused(whole, tmp_path, tensors, word):
     folder = changed(whole, tmp_path, tensors=lambda t: {n: v.contiguous() for n, v in tensors(t).items()})
     if word == "at least one":

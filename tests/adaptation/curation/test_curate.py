@@ -134,16 +134,22 @@ def test_a_decline_is_let_in_only_by_name_and_nothing_else_is(tmp_path):
         found = curate(ledger, REGISTRY, ALL, declines={"right", "endless", "bad"})
     assert {row.memory for row in found.train} == {"e0", "e1", "right"}
     assert found.left_out == {
-        "outcome declined": ("unnamed",), "outcome failed": ("bad",), "refused by the gate: envelope": ("endless",)
-    }  # fmt: skip
+        "outcome declined": ("unnamed",),
+        "outcome failed": ("bad",),
+        "refused by the gate: envelope": ("endless",),
+    }
 
 
 def test_without_physical_selection_all_that_is_valid_teaches(tmp_path):
     """The ablation of the paper's 7.4: whatever came of it; what the gate refuses and what is set aside stays out."""
     kinds = {
-        "good": {}, "rough": {"Delta": 0.5}, "slow": {"duration": 90.0}, "failed": {"kind": "failed"},
-        "unconfirmed": {"opinion": "none", "by": "somebody"}, "endless": {"plan": pick_contract(force=900.0)},
-    }  # fmt: skip
+        "good": {},
+        "rough": {"Delta": 0.5},
+        "slow": {"duration": 90.0},
+        "failed": {"kind": "failed"},
+        "unconfirmed": {"opinion": "none", "by": "somebody"},
+        "endless": {"plan": pick_contract(force=900.0)},
+    }
     told = [
         episode(name, scene_summary=summary(number=number), instruction=f"do {name}", **change)
         for number, (name, change) in enumerate(kinds.items())
@@ -249,11 +255,13 @@ def test_no_scene_and_no_question_stands_on_both_sides(tmp_path):
     places = rng.uniform((0.3, -0.4), (0.7, 0.4), (25, 2))
     episodes = [
         episode(
-            f"e{i}", perceived_scene=scene(x=float(x + rng.uniform(-0.004, 0.004)), y=float(y + rng.uniform(-0.004, 0.004))),
-            scene_summary=summary(number=int(rng.integers(60))), instruction=f"words {i}",
+            f"e{i}",
+            perceived_scene=scene(x=float(x + rng.uniform(-0.004, 0.004)), y=float(y + rng.uniform(-0.004, 0.004))),
+            scene_summary=summary(number=int(rng.integers(60))),
+            instruction=f"words {i}",
         )
         for i, (x, y) in enumerate(np.repeat(places, 3, axis=0))
-    ]  # fmt: skip
+    ]
     with write_ledger(tmp_path, episodes) as ledger:
         found, rows = (
             curate(ledger, REGISTRY, CurationConfig(held_out=0.3)),

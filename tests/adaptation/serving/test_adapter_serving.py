@@ -200,8 +200,11 @@ def test_another_robot_or_vocabulary_is_refused_before_anything_starts(place, wr
 
 def test_another_prompt_or_base_and_changed_weights_are_refused(place, tmp_path):
     _, card = tiny_adapter.write_adapter(model("llama"), tmp_path / "c", 7)
-    for changed, word in (({"prompt": "old"}, "prompt of adapter"), ({"base_sha256": "0" * 64}, "hash of the base"),
-                          ({"base": "unheard"}, "unheard")):  # fmt: skip
+    for changed, word in (
+        ({"prompt": "old"}, "prompt of adapter"),
+        ({"base_sha256": "0" * 64}, "hash of the base"),
+        ({"base": "unheard"}, "unheard"),
+    ):
         write_adapter_card(msgspec.structs.replace(card, **changed), tmp_path / "c")
         with pytest.raises((ConfigurationError, UnknownNameError), match=word):
             opened(place, f"adapter:{tmp_path / 'c'}")
@@ -287,16 +290,19 @@ def test_names(place):
     with pytest.raises(ConfigurationError, match="champion of panda"):
         opened(place, "adapter:champion")
     card = registry.card(first)
-    registry.promote(first, PromotionDecision(first, NO_ADAPTER, {}, ()), now=2.0)
+    registry.promote(first, PromotionDecision(candidate=first, champion=NO_ADAPTER, measures={}, against=()), now=2.0)
     planner = opened(place, "adapter:champion")
     assert planner.card == card
     planner.close()
     registry.roll_back((card.robot, card.base_sha256), "a test", now=3.0)
     for name, known in (
-        ("adapter:zz", first[:16]), ("nobody", r"a GGUF file or URL also works.*base-135m.*shadow:.*transformers:"),
-        ("foo+http://h/v1", "not a dialect.*vllm"), ("transformers:nobody", "not a planner in torch.*adapter:champion"),
-        ("shadow:zz", first[:16]), (f"shadow:{first}@foo+http://h/v1", "not a dialect.*vllm"),
-    ):  # fmt: skip
+        ("adapter:zz", first[:16]),
+        ("nobody", r"a GGUF file or URL also works.*base-135m.*shadow:.*transformers:"),
+        ("foo+http://h/v1", "not a dialect.*vllm"),
+        ("transformers:nobody", "not a planner in torch.*adapter:champion"),
+        ("shadow:zz", first[:16]),
+        (f"shadow:{first}@foo+http://h/v1", "not a dialect.*vllm"),
+    ):
         with pytest.raises(UnknownNameError, match=known):
             open_planner(name, place / "cache", adapters=place / "adapters", robot="panda", registry=REGISTRY.hash)
     assert second != first
@@ -334,15 +340,19 @@ def test_a_canary_is_recorded_once_and_compared_at_every_start(place, apart):
 @pytest.mark.parametrize(
     "damage",
     [
-        lambda told: "{", lambda told: "", lambda told: '"\xff', lambda told: "[" * 100_000,
-        lambda told: json.dumps(told | {"adapter": "b" * 64}), lambda told: json.dumps(told | {"runtime": "another"}),
+        lambda told: "{",
+        lambda told: "",
+        lambda told: '"\xff',
+        lambda told: "[" * 100_000,
+        lambda told: json.dumps(told | {"adapter": "b" * 64}),
+        lambda told: json.dumps(told | {"runtime": "another"}),
         lambda told: json.dumps(told | {"canaries": []}),
         lambda told: json.dumps(told | {"canaries": [told["canaries"][0] | {"tokens": [], "margins": []}]}),
         lambda told: json.dumps(told | {"canaries": [told["canaries"][0] | {"margins": []}]}),
         lambda told: json.dumps(told | {"canaries": [told["canaries"][0] | {"question": 4}]}),
     ],
     ids=["torn", "empty", "no text", "too deep", "adapter", "runtime", "none", "no tokens", "no margins", "question"],
-)  # fmt: skip
+)
 def test_a_damaged_record_is_a_broken_setup_and_not_recorded_anew(place, apart, processes, damage):
     home, card = apart
     opened(place, f"adapter:{card.id}", adapters=home / "adapters").close()

@@ -62,17 +62,33 @@ def contract(thing="red_cube", speed=0.1, skill="grasp"):
 def sample(number, text=None):
     turns = [{"role": "user", "content": f"question {number}"}]
     return Sample(
-        f"s{number:02d}", turns, assistant_turn(text or contract()), 0.5, 0.0, 1.0, 1, f"g{number}", f"m{number}", (number,),
-        "tiny", ("red_cube", "tin"), (),
-    )  # fmt: skip
+        id=f"s{number:02d}",
+        prompt=turns,
+        completion=assistant_turn(text or contract()),
+        weight=0.5,
+        Delta=0.0,
+        duration=1.0,
+        repeats=1,
+        scene=f"g{number}",
+        memory=f"m{number}",
+        events=(number,),
+        source="tiny",
+        graspable=("red_cube", "tin"),
+        receptive=(),
+    )
 
 
 ASKED = tuple(sample(number) for number in range(MIN_QUESTIONS))
 SAYS = (
-    (contract(), True, True), (contract(speed=0.2), True, True), (contract("tin"), True, False),
-    (contract(speed=9.0), False, False), (contract("ghost"), False, False), ("grasp it", False, False),
-    (contract(skill="decline"), False, False), (contract()[:-2], False, False),
-)  # fmt: skip
+    (contract(), True, True),
+    (contract(speed=0.2), True, True),
+    (contract("tin"), True, False),
+    (contract(speed=9.0), False, False),
+    (contract("ghost"), False, False),
+    ("grasp it", False, False),
+    (contract(skill="decline"), False, False),
+    (contract()[:-2], False, False),
+)
 
 
 @pytest.fixture
@@ -111,7 +127,9 @@ def test_too_few_questions_and_a_silent_runtime_are_told(speaks, monkeypatch):
     with pytest.raises(ConfigurationError, match="held-out questions"):
         select_questions(ASKED, 10)
     assert len(select_questions((*ASKED, *ASKED), 40)) == 40
-    monkeypatch.setattr("dualbrain.adaptation.serving.measurement.say", lambda *a, **k: ChatResponse("", "timeout"))
+    monkeypatch.setattr(
+        "dualbrain.adaptation.serving.measurement.say", lambda *a, **k: ChatResponse(text="", finish_reason="timeout")
+    )
     with pytest.raises(Exception, match="timeout"):
         measure_planner(None, ASKED, REGISTRY, adapter="a", runtime="r")
 
@@ -137,9 +155,27 @@ def data_set(train, rows):
     """A data set of samples for the robot of these tests."""
     apart = dataset_hash(encode_samples(train), encode_samples(rows))
     card = DatasetCard(
-        apart, "", "panda", REGISTRY.hash, short_template_hash(), "", 0, 0, len(train), len(rows), 0, 0, 0, {}, {},
-        0.0, 1.5, 4, 1.0, "",
-    )  # fmt: skip
+        hash=apart,
+        form="",
+        robot="panda",
+        registry=REGISTRY.hash,
+        prompt=short_template_hash(),
+        ledger="",
+        event=0,
+        memories=0,
+        train=len(train),
+        held_out=len(rows),
+        shown=0,
+        scenes=0,
+        merged=0,
+        left_out={},
+        sources={},
+        epsilon=0.0,
+        slowest=1.5,
+        most_repeats=4,
+        share_held_out=1.0,
+        salt="",
+    )
     return Dataset(card, train, rows)
 
 

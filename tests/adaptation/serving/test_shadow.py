@@ -109,8 +109,10 @@ def test_a_log_that_cannot_be_written_is_refused_and_one_that_fails_later_is_cou
 
 def test_a_log_of_an_older_version_is_read(tmp_path):
     log = tmp_path / "a.jsonl"
-    log.write_text('{"served":"a","candidate":"b","instruction":"w","served_text":"t","candidate_text":"t",'
-                   '"finish":"stop","seconds":1.5}\n')  # fmt: skip
+    log.write_text(
+        '{"served":"a","candidate":"b","instruction":"w","served_text":"t","candidate_text":"t",'
+        '"finish":"stop","seconds":1.5}\n'
+    )
     assert [(one.is_same, one.passed_over) for one in read_shadow_log(log)] == [(True, 0)]
     assert summarize_shadow(read_shadow_log(log)).endswith("1 as who served, 1.5 s each (median)")
 

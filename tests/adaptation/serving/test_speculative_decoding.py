@@ -41,11 +41,14 @@ def replies(mind, kind, **told):
     _, coder, vocabulary = mind
     return [
         DecodingStream(
-            coder(words, add_special_tokens=False)["input_ids"], end_token=256, max_tokens=LONGEST,
-            **({kind: GrammarConstraint(vocabulary, GRAMMAR)} if kind else {}), **told,
+            coder(words, add_special_tokens=False)["input_ids"],
+            end_token=256,
+            max_tokens=LONGEST,
+            **({kind: GrammarConstraint(vocabulary, GRAMMAR)} if kind else {}),
+            **told,
         )
         for words in WORDS
-    ]  # fmt: skip
+    ]
 
 
 def said(mind, kind, *, together=True, **told):
@@ -76,11 +79,13 @@ def token_by_token(mind, one, bound, chance=None):
 def test_it_says_what_is_said_token_by_token(mind, kind, seed):
     wanted = [
         token_by_token(
-            mind, one, GrammarConstraint(mind[2], GRAMMAR) if kind == "bound" else None,
+            mind,
+            one,
+            GrammarConstraint(mind[2], GRAMMAR) if kind == "bound" else None,
             None if seed is None else torch.Generator().manual_seed(seed),
         )
         for one in replies(mind, kind)
-    ]  # fmt: skip
+    ]
     assert said(mind, kind, seed=seed, temperature=HEAT) == wanted
     assert said(mind, kind, seed=seed, temperature=HEAT, together=False) == wanted
 

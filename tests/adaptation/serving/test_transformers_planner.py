@@ -111,15 +111,18 @@ def test_what_llama_cpp_would_not_wear_is_refused_when_it_is_opened(home, told):
 
 @pytest.mark.parametrize(
     ("rows", "name", "word"),
-    [(258, "lm_head", "LoRA layer"), (64, "model.layers.7.self_attn.q_proj", "LoRA layer"),
-     (1, "model.layers.0.self_attn.q_proj", "LoRA of model.layers.0")],
-)  # fmt: skip
+    [
+        (258, "lm_head", "LoRA layer"),
+        (64, "model.layers.7.self_attn.q_proj", "LoRA layer"),
+        (1, "model.layers.0.self_attn.q_proj", "LoRA of model.layers.0"),
+    ],
+)
 def test_what_has_no_place_in_the_base_is_refused_before_it_answers(home, rows, name, word):
     """A single row would be added to all of them."""
     tensors = load_file(home / "fit" / WEIGHTS_FILE) | {
-        f"base_model.model.{name}.lora_{half}.weight": torch.ones(shape) for half, shape in
-        (("A", (4, 64)), ("B", (rows, 4)))
-    }  # fmt: skip
+        f"base_model.model.{name}.lora_{half}.weight": torch.ones(shape)
+        for half, shape in (("A", (4, 64)), ("B", (rows, 4)))
+    }
     card = load_stack(home / "fit", home / "cache").top_card
     save_file(tensors, home / "fit" / WEIGHTS_FILE)
     write_adapter_card(msgspec.structs.replace(card, id=hash_weights(home / "fit")), home / "fit")

@@ -119,7 +119,7 @@ def test_a_full_disk_is_told_as_one_and_leaves_no_base(own, room_left):
 def test_a_file_that_cannot_be_read_is_no_full_disk(tmp_path):
     (tmp_path / "x.gguf").write_bytes(b"no model")
     with pytest.raises(ConfigurationError, match=r"GGUF of the base: .*x\.gguf"):
-        dequantize_base(BaseModel("x", tmp_path / "x.gguf", "1" * 64), tmp_path)
+        dequantize_base(BaseModel(name="x", gguf=tmp_path / "x.gguf", gguf_sha256="1" * 64), tmp_path)
 
 
 def test_a_base_that_lacks_weights_is_refused_for_they_would_be_drawn_at_random(own, monkeypatch, tmp_path):
@@ -132,7 +132,7 @@ def test_a_base_that_lacks_weights_is_refused_for_they_would_be_drawn_at_random(
     monkeypatch.setattr(gguf.GGUFWriter, "add_tensor", add)
     path = tiny_gguf.write_gguf(tiny_gguf.model("llama"), "llama", tmp_path / "lacking.gguf")
     with pytest.raises(ConfigurationError, match=r"no model\.layers\.1\.mlp\.up_proj\.weight"):
-        dequantize_base(BaseModel("x", path, "1" * 64), tmp_path)
+        dequantize_base(BaseModel(name="x", gguf=path, gguf_sha256="1" * 64), tmp_path)
     assert not (tmp_path / "torch" / ("1" * 32)).exists()
 
 
@@ -146,7 +146,7 @@ def test_it_is_dequantised_once(made):
     cache, _ = made
     base = find_base_model(tiny_adapter.BASE, cache)
     first, _ = load_base_model(base, cache, torch.float32)
-    gone = BaseModel(base.name, cache / "gone.gguf", base.gguf_sha256)
+    gone = BaseModel(name=base.name, gguf=cache / "gone.gguf", gguf_sha256=base.gguf_sha256)
     again, _ = load_base_model(gone, cache, torch.float32)
     assert torch.equal(logits(first), logits(again))
 
@@ -167,7 +167,13 @@ def test_what_a_base_wears_is_merged_into_it(made, tmp_path):
     folder = tmp_path / "worn"
     worn, _ = tiny_adapter.write_adapter(source, folder)
     plain = find_base_model(tiny_adapter.BASE, cache)
-    base = BaseModel("dressed", plain.gguf, plain.gguf_sha256, (folder,), hash_weights(folder))
+    base = BaseModel(
+        name="dressed",
+        gguf=plain.gguf,
+        gguf_sha256=plain.gguf_sha256,
+        stacked_on=(folder,),
+        stacked_on_id=hash_weights(folder),
+    )
     model, _ = load_base_model(base, cache, torch.float32)
     torch.testing.assert_close(logits(model), logits(worn), rtol=1e-4, atol=1e-4)
     assert not torch.allclose(logits(model), logits(load_base_model(plain, cache, torch.float32)[0]), atol=1e-2)
@@ -180,6 +186,6 @@ def test_nobody_is_fitted_on_what_is_not_there(made):
         find_base_model("nobody", cache)
     base = find_base_model(tiny_adapter.BASE, cache)
     with pytest.raises(MissingDependencyError, match=r"none\.gguf"):
-        load_base_model(BaseModel("x", cache / "none.gguf", "0" * 64), cache, torch.float32)
+        load_base_model(BaseModel(name="x", gguf=cache / "none.gguf", gguf_sha256="0" * 64), cache, torch.float32)
     assert not (cache / "torch" / ("0" * 32)).exists()
     assert base.gguf.is_file()

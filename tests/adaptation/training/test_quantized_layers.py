@@ -122,7 +122,15 @@ def test_a_plain_fit_is_another_run_with_other_states(tmp_path, monkeypatch):
         (tiny_training.DEFAULT_CONFIG, one.number_format),
         (NF4, plain.number_format),
     ]
-    assert len({RunKey("a", "base", numbers, dials.objective, dials.fit).digest for dials, numbers in told}) == 3
+    assert (
+        len(
+            {
+                RunKey(data="a", base="base", number_format=numbers, objective=dials.objective, fit=dials.fit).digest
+                for dials, numbers in told
+            }
+        )
+        == 3
+    )
     states = [compute_states(x.decoder, x.head, some, x.padding_id).hidden_states(some) for x in (one, plain)]
     assert not torch.allclose(*states, atol=1e-2)
     monkeypatch.setattr(tiny_training, "lora_model", lambda dials: LoraModel(wide(), tokenizer(), dials))

@@ -48,8 +48,14 @@ def test_the_rate_rises_then_falls_to_a_tenth():
 def test_it_stops_when_nothing_gets_better_and_compliance_comes_first():
     state = EarlyStopping()
     for compliance, loss, waited in (
-        (0.2, 2.0, 0), (0.2, 1.99, 1), (0.2, 1.9, 0), (0.5, 5.0, 0), (0.4, 0.1, 1), (0.5, 4.99, 2), (0.5, 4.9, 0),
-    ):  # fmt: skip
+        (0.2, 2.0, 0),
+        (0.2, 1.99, 1),
+        (0.2, 1.9, 0),
+        (0.5, 5.0, 0),
+        (0.4, 0.1, 1),
+        (0.5, 4.99, 2),
+        (0.5, 4.9, 0),
+    ):
         state = state.updated(HeldOutResult(0, compliance, loss))
         assert state.waited == waited
 

@@ -27,14 +27,28 @@ def test_without_lambda_and_beta_we_go_where_trl_goes(tmp_path):
         for one in some
     ]
     shape = trl.SFTConfig(
-        output_dir=str(tmp_path), max_steps=STEPS, per_device_train_batch_size=4, learning_rate=RATE, weight_decay=0.0,
-        lr_scheduler_type="constant", max_grad_norm=1e9, optim="adamw_torch", logging_steps=1, save_strategy="no",
-        report_to="none", use_cpu=True, bf16=False, gradient_checkpointing=False, completion_only_loss=True,
-    )  # fmt: skip
+        output_dir=str(tmp_path),
+        max_steps=STEPS,
+        per_device_train_batch_size=4,
+        learning_rate=RATE,
+        weight_decay=0.0,
+        lr_scheduler_type="constant",
+        max_grad_norm=1e9,
+        optim="adamw_torch",
+        logging_steps=1,
+        save_strategy="no",
+        report_to="none",
+        use_cpu=True,
+        bf16=False,
+        gradient_checkpointing=False,
+        completion_only_loss=True,
+    )
     trainer = trl.SFTTrainer(
-        model=theirs.model, args=shape, train_dataset=datasets.Dataset.from_list(rows),
+        model=theirs.model,
+        args=shape,
+        train_dataset=datasets.Dataset.from_list(rows),
         processing_class=theirs.tokenizer,
-    )  # fmt: skip
+    )
     trainer.train()
     losses = [row["loss"] for row in trainer.state.log_history if "loss" in row]
     masters, batch = MasterWeights(ours.parameters), collate(some, ours.padding_id)

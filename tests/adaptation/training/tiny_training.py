@@ -24,14 +24,46 @@ def sample(number, words=None):
     said = ANSWERS[number % 4] if words is None else words
     turns = [{"role": "user", "content": f"do {number}"}]
     return Sample(
-        f"s{number}", turns, assistant_turn(said), number % 3 / 2, 0.0, 1.0, 1 + number % 2, f"g{number}", f"m{number}",
-        (number,), "a test", (), (),
-    )  # fmt: skip
+        id=f"s{number}",
+        prompt=turns,
+        completion=assistant_turn(said),
+        weight=number % 3 / 2,
+        Delta=0.0,
+        duration=1.0,
+        repeats=1 + number % 2,
+        scene=f"g{number}",
+        memory=f"m{number}",
+        events=(number,),
+        source="a test",
+        graspable=(),
+        receptive=(),
+    )
 
 
 def dataset(train=9, held_out=3, name="a"):
     rows = tuple(sample(i) for i in range(train + held_out))
-    card = DatasetCard(name, "", "panda", "", "", "", 0, 0, train, held_out, 0, 0, 0, {}, {}, 0.0, 1.5, 4, 0.2, "")
+    card = DatasetCard(
+        hash=name,
+        form="",
+        robot="panda",
+        registry="",
+        prompt="",
+        ledger="",
+        event=0,
+        memories=0,
+        train=train,
+        held_out=held_out,
+        shown=0,
+        scenes=0,
+        merged=0,
+        left_out={},
+        sources={},
+        epsilon=0.0,
+        slowest=1.5,
+        most_repeats=4,
+        share_held_out=0.2,
+        salt="",
+    )
     return Dataset(card, rows[:train], rows[train:])
 
 

@@ -76,8 +76,9 @@ def test_a_site_file_lets_in_what_was_done_there(tell, tmp_path):
     for words, left in (((), {"of another registry": ["there"]}), (("--site", "lab.toml"), {})):
         code, out, _ = tell("adapt", "--dry-run", "--json", *words)
         assert (code, json.loads(out)["left_out"]) == (ExitCode.SUCCESS, left)
-    assert "--site lab.toml" in " ".join(adapt_when_idle.adapt_command("panda", "b", None, site.relative_to(tmp_path), None,
-                                                           tmp_path, json=False))  # fmt: skip
+    assert "--site lab.toml" in " ".join(
+        adapt_when_idle.adapt_command("panda", "b", None, site.relative_to(tmp_path), None, tmp_path, json=False)
+    )
 
 
 def test_json_names_every_memory_once(tell, ledger):

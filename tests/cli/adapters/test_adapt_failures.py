@@ -53,7 +53,9 @@ def home_in(folder, patch):
     _, card = tiny_adapter.write_adapter(tiny_adapter.install_base(cache, patch), folder / "serves")
     registry = AdapterRegistry(folder / "adapters")
     registry.add(folder / "serves", now=1.0)
-    registry.promote(card.id, PromotionDecision(card.id, NO_ADAPTER, {}, ()), now=2.0)
+    registry.promote(
+        card.id, PromotionDecision(candidate=card.id, champion=NO_ADAPTER, measures={}, against=()), now=2.0
+    )
     write_ledger(folder, distinct_episodes(8, by=tiny_adapter.BASE)).close()
     (folder / "dials.toml").write_text(DIALS)
     return SimpleNamespace(cache=cache, registry=registry, champion=card, folder=folder, fit=folder / "fit")
@@ -173,10 +175,15 @@ def untouched(here, before):
 
 
 STAGES = {
-    "base": ".{base}-", "data set": ".train.jsonl.", "states of the base": ".base_states.safetensors.",
-    "best": ".best.safetensors.", "checkpoint": ".checkpoint.safetensors.", "adapter": ".adapter_model.safetensors.",
-    "card": ".adapter.json.", "registry": ".{made}.",
-}  # fmt: skip
+    "base": ".{base}-",
+    "data set": ".train.jsonl.",
+    "states of the base": ".base_states.safetensors.",
+    "best": ".best.safetensors.",
+    "checkpoint": ".checkpoint.safetensors.",
+    "adapter": ".adapter_model.safetensors.",
+    "card": ".adapter.json.",
+    "registry": ".{made}.",
+}
 """What is being written, and how the name begins that it is written under."""
 
 

@@ -20,7 +20,21 @@ from tests.adaptation.sample_episodes import distinct_episodes, episode, pick_co
 
 DECLINE = pick_contract() | {"action_sequence": [{"skill": "decline", "params": {"reason": "no skill can do this"}}]}
 NUMBER = 12
-LESSON = Sample("a", [], [], 0.5, 0.0, 0.0, 1, "panda tall:1", "", (), "templates", (), ())
+LESSON = Sample(
+    id="a",
+    prompt=[],
+    completion=[],
+    weight=0.5,
+    Delta=0.0,
+    duration=0.0,
+    repeats=1,
+    scene="panda tall:1",
+    memory="",
+    events=(),
+    source="templates",
+    graspable=(),
+    receptive=(),
+)
 
 
 class Stopped(BaseException):

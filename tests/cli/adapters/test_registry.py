@@ -36,9 +36,21 @@ def put(home, words="weights", base="smollm2-135m-instruct", beside=""):
     (source / WEIGHTS_FILE).write_bytes(words.encode())
     (source / "adapter_config.json").write_text("{}")
     card = AdapterCard(
-        hash_weights(source), base, base_model_hash(base), "panda", "r", "p", "d" * 64, {base: 2}, False, "float32", 7,
-        None, AdaptConfig(), {},
-    )  # fmt: skip
+        id=hash_weights(source),
+        base=base,
+        base_sha256=base_model_hash(base),
+        robot="panda",
+        registry="r",
+        prompt="p",
+        dataset="d" * 64,
+        sources={base: 2},
+        bootstrapped=False,
+        precision="float32",
+        steps=7,
+        held_out=None,
+        config=AdaptConfig(),
+        versions={},
+    )
     write_adapter_card(card, source)
     one = AdapterRegistry(home / "adapters").add(source, now=0.0).id
     stand_in_the_shadow(home, one, whole=MIN_SHADOW_ANSWERS, served=f"{base}+{beside[:16]}" if beside else base)
@@ -50,7 +62,18 @@ def stand_in_the_shadow(home, one, whole, broken=0, served="smollm2-135m-instruc
     log = shadow_log_path(home / "adapters", one)
     log.parent.mkdir(exist_ok=True)
     ends = [STOP] * whole + [TIMEOUT] * broken
-    said = [ShadowRecord(served, one, "words", "its answer", "my answer", finish, 1.0) for finish in ends]
+    said = [
+        ShadowRecord(
+            served=served,
+            candidate=one,
+            instruction="words",
+            served_text="its answer",
+            candidate_text="my answer",
+            finish=finish,
+            seconds=1.0,
+        )
+        for finish in ends
+    ]
     log.write_bytes(b"".join(msgspec.json.encode(glance) + b"\n" for glance in said))
 
 

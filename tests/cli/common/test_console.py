@@ -45,9 +45,12 @@ def test_nobody_reads_stdout(tmp_path):
 def test_a_listing_whose_reader_leaves_ends_quietly(tmp_path):
     command = "import sys; from dualbrain.cli.main import call; sys.stdin.readline(); sys.exit(call(['schema']))"
     process = subprocess.Popen(
-        [sys.executable, "-c", command], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        [sys.executable, "-c", command],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
         env={**os.environ, "PYTHONUNBUFFERED": ""},
-    )  # fmt: skip
+    )
     process.stdout.close()
     process.stdout = None
     _, err = process.communicate(b"\n", timeout=60)

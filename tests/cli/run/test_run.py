@@ -19,8 +19,16 @@ from dualbrain.simulation.scenes.scene_spec import load_scene
 from tests.stories.story_session import hold_contract, ledger_episodes
 
 KEYS = {
-    "success", "violations", "contract", "verdict", "delta", "intervention_frequency", "h_min", "timings", "out",
-}  # fmt: skip
+    "success",
+    "violations",
+    "contract",
+    "verdict",
+    "delta",
+    "intervention_frequency",
+    "h_min",
+    "timings",
+    "out",
+}
 
 
 def test_json_is_exactly_one_object_with_the_promised_keys(finished):
@@ -95,14 +103,31 @@ def test_documents_that_a_planner_cannot_read_are_told_once(tell, monkeypatch):
 
 def episode(kind, *, truth=True, violations=(), judged=True):
     judgement = Judgement(truth, float(truth), violations) if judged else None
-    refused = Attempt(Proposal("", "stop", "t", "t", {}), Rejected("syntax", "", 0, 0, "hint"), 0.0)
+    refused = Attempt(
+        Proposal(text="", finish_reason="stop", planner="t", constrained_by="t", timings={}),
+        Rejected(stage="syntax", pointer="", got=0, allowed=0, hint="hint"),
+        0.0,
+    )
     return Episode(
-        "e", "", "", "panda", "", 0, Scene("panda", 0.0, 1, ()), "", RetrievedContext(), (refused,), None, Outcome(kind, ""),
-        judgement, {}, {},
-    )  # fmt: skip
+        id="e",
+        started="",
+        instruction="",
+        robot="panda",
+        registry="",
+        seed=0,
+        scene=Scene(robot="panda", stamp=0.0, version=1, objects=()),
+        summary="",
+        recall=RetrievedContext(),
+        attempts=(refused,),
+        contract=None,
+        outcome=Outcome(kind=kind, reason=""),
+        judgement=judgement,
+        timings={},
+        versions={},
+    )
 
 
-BREACH = (Violation("collision_env", 0.0, 0.1, 5.0, ("hand", "can")),)
+BREACH = (Violation(kind="collision_env", start=0.0, duration=0.1, peak=5.0, bodies=("hand", "can")),)
 
 
 @pytest.mark.parametrize(

@@ -13,9 +13,15 @@ from dualbrain.control.gatekeeper.protocol.messages import Heartbeat, encode_bod
 from dualbrain.grounding.vocabulary import load_skill_registry
 
 GRASP = {
-    "object": "red_cube", "speed": 0.3, "clearance": 0.15, "finger_axis": "along", "opening": 0.08, "approach": "top",
-    "wait": "none", "force": 20.0,
-}  # fmt: skip
+    "object": "red_cube",
+    "speed": 0.3,
+    "clearance": 0.15,
+    "finger_axis": "along",
+    "opening": 0.08,
+    "approach": "top",
+    "wait": "none",
+    "force": 20.0,
+}
 PLACE = {"destination": "blue_bowl", "speed": 0.3, "clearance": 0.15, "route": "direct", "wait": "none"}
 PICK_AND_PLACE = (("grasp", GRASP), ("place", PLACE))
 

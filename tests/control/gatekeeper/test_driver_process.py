@@ -45,7 +45,7 @@ def wire():
     theirs.setblocking(False)
     ours.settimeout(PATIENCE)
     driver = ur().driver
-    process = DriverProcess(driver, Scene("ur5e", 0.0, 1, ()), theirs)
+    process = DriverProcess(driver, Scene(robot="ur5e", stamp=0.0, version=1, objects=()), theirs)
     thread = threading.Thread(target=process.serve)
     thread.start()
     try:

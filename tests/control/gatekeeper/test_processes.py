@@ -34,10 +34,10 @@ REST = ("hold", {"duration": 0.5})
 @contextmanager
 def gatekeeper(folder, **changes):
     plan = GatekeeperConfig(
-        "panda",
-        open_scene("bare:0"),
-        str(folder / "s"),
-        str(folder / "keys"),
+        robot="panda",
+        scene=open_scene("bare:0"),
+        socket=str(folder / "s"),
+        keys=str(folder / "keys"),
         report=str(folder / "robot.json"),
         **changes,
     )
@@ -116,11 +116,18 @@ def test_a_contract_is_judged_by_all_stages_and_carried_out(commander):
         (contract_bytes(("home", {"speed": 0.1})), "authorization"),
         (contract_bytes(("grasp", {**GRASP, "speed": 0.39})), "envelope"),
         (contract_bytes(("grasp", {**GRASP, "object": "nothing"})), "envelope"),
-        (contract_bytes(("place", {"destination": "blue_bowl", "speed": 0.2, "clearance": 0.1, "route": "direct",
-                             "wait": "none"})), "envelope"),
+        (
+            contract_bytes(
+                (
+                    "place",
+                    {"destination": "blue_bowl", "speed": 0.2, "clearance": 0.1, "route": "direct", "wait": "none"},
+                )
+            ),
+            "envelope",
+        ),
     ],
     ids=["bytes", "not granted", "beyond the sub-envelope", "no such thing", "nothing held"],
-)  # fmt: skip
+)
 def test_each_stage_refuses_in_the_gatekeeper(commander, data, stage):
     answer = propose(commander, data)
     assert isinstance(answer.rejected, Rejected)
@@ -139,8 +146,9 @@ def test_what_was_sealed_once_is_worth_nothing_again(folder, commander):
     facts = {"issued": commander.now, "expires": commander.now + 9.0, "version": 1}
     body = contract_bytes(REST)
     for secret, nonce, shift in (
-        (keys.secrets["planner"], b"0" * 16, 0), (keys.secrets["operator"], commander.nonce, 0),
-    ):  # fmt: skip
+        (keys.secrets["planner"], b"0" * 16, 0),
+        (keys.secrets["operator"], commander.nonce, 0),
+    ):
         tag = contract_mac(secret, nonce, commander._sent + 1 + shift, body, **facts)
         commander.send(
             Propose(contract=body, issued=facts["issued"], expires=facts["expires"], scene_version=1, mac=tag)

@@ -126,18 +126,27 @@ def sealed(**changes):
     facts = {"key": b"k" * SECRET_BYTES, "nonce": b"n" * 16, "sequence": 7, "contract": b"{}", **FACTS, **changes}
     tag = contract_mac(b"k" * SECRET_BYTES, b"n" * 16, 7, b"{}", **FACTS)
     message = Propose(
-        contract=facts["contract"], issued=facts["issued"], expires=facts["expires"], scene_version=facts["version"],
+        contract=facts["contract"],
+        issued=facts["issued"],
+        expires=facts["expires"],
+        scene_version=facts["version"],
         mac=facts.get("seal", tag),
-    )  # fmt: skip
+    )
     return verify_contract_mac(facts["key"], facts["nonce"], facts["sequence"], message)
 
 
 def test_a_seal_is_good_for_exactly_what_it_was_made_for():
     assert sealed()
     changes = {
-        "key": b"K" * SECRET_BYTES, "nonce": b"m" * 16, "sequence": 8, "contract": b"[]", "issued": 1.1, "expires": 2.1,
-        "version": 4, "seal": b"",
-    }  # fmt: skip
+        "key": b"K" * SECRET_BYTES,
+        "nonce": b"m" * 16,
+        "sequence": 8,
+        "contract": b"[]",
+        "issued": 1.1,
+        "expires": 2.1,
+        "version": 4,
+        "seal": b"",
+    }
     for name, value in changes.items():
         assert not sealed(**{name: value}), name
 

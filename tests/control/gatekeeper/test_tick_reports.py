@@ -39,7 +39,9 @@ def test_glimpses_come_some_fifteen_times_a_second_of_the_robots_time(tmp_path):
             if came and now > came[0] + SECONDS:
                 keeper.shut_down()
 
-        robot = LockstepRobot(FaultyRobot(plant, injector, robot_model), world, plant, injector, each)
+        robot = LockstepRobot(
+            robot=FaultyRobot(plant, injector, robot_model), world=world, plant=plant, injector=injector, on_period=each
+        )
         keeper = Gatekeeper(
             robot_model, robot, door, keys, {"planner": full_capability(skill_registry(robot_model))}, timing=SIMULATED
         )

@@ -91,8 +91,24 @@ def harmless(report):
 
 def test_the_cortex_killed_leaves_a_held_arm_a_whole_ledger_and_a_gatekeeper_for_the_next(tmp_path: Path) -> None:
     (tmp_path / "pick.json").write_text(contract_text(*PICK))
-    command = [sys.executable, *FLAGS, "-c", RUN, "run", "put it there", "--contract", "pick.json", "--headless",
-               "--live", "--scene", "bare:0", "--ledger", "ledger.sqlite", "--out", "one"]  # fmt: skip
+    command = [
+        sys.executable,
+        *FLAGS,
+        "-c",
+        RUN,
+        "run",
+        "put it there",
+        "--contract",
+        "pick.json",
+        "--headless",
+        "--live",
+        "--scene",
+        "bare:0",
+        "--ledger",
+        "ledger.sqlite",
+        "--out",
+        "one",
+    ]
     environment = {**os.environ, "MUJOCO_GL": "disable", "COLUMNS": "500", "DUALBRAIN_HOME": str(tmp_path)}
     cortex = subprocess.Popen(
         command, cwd=tmp_path, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
@@ -129,8 +145,14 @@ def test_the_cortex_killed_leaves_a_held_arm_a_whole_ledger_and_a_gatekeeper_for
 
 def test_a_site_an_emergency_stop_and_a_killed_gatekeeper(tmp_path: Path) -> None:
     (tmp_path / "lab.toml").write_text(SITE)
-    plan = GatekeeperConfig("panda", open_scene("bare:0"), str(tmp_path / "s"), str(tmp_path / "k"),
-                report=str(tmp_path / "robot.json"), site=str(tmp_path / "lab.toml"))  # fmt: skip
+    plan = GatekeeperConfig(
+        robot="panda",
+        scene=open_scene("bare:0"),
+        socket=str(tmp_path / "s"),
+        keys=str(tmp_path / "k"),
+        report=str(tmp_path / "robot.json"),
+        site=str(tmp_path / "lab.toml"),
+    )
     registry = skill_registry(site_robot(load_robot("panda"), read_site(tmp_path / "lab.toml"))).hash
     process = GatekeeperProcess(plan)
     try:

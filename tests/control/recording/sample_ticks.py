@@ -35,6 +35,6 @@ def append_ticks(trace: Trace, count: int, *, start: float = 0.0, special_values
         if special_values:
             q[k % trace.n] = (np.nan, -0.0, np.inf, 5e-324)[k % 4]
             answer = FakeFilterResult(answer.u, h_min=(np.inf if k % 2 else -np.inf))
-        state = RobotState(t, k, q, -q, 0.04, (0.0, 1.0))
+        state = RobotState(stamp=t, sequence=k, q=q, v=-q, opening=0.04, finger_forces=(0.0, 1.0))
         rows.append(trace.append(t, state, u_nom, answer, action=k // 100, phase=("approach", "lift")[k // 150 % 2]))
     return rows

@@ -35,10 +35,15 @@ from dualbrain.errors import ConfigurationError
 from dualbrain.records import Attempt, Proposal, Scene, SceneObject
 from tests.control.recording.sample_ticks import append_ticks
 
-SCENE = Scene("panda", 0.5, 1, (SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.0))),))
+SCENE = Scene(
+    robot="panda",
+    stamp=0.5,
+    version=1,
+    objects=(SceneObject(name="table", role="support", shape=HalfSpace(), pose=Pose((0.0, 0.0, 0.0))),),
+)
 ATTEMPT = Attempt(
-    Proposal("{}", "stop", "test", "none", {"total": 0.1}),
-    Rejected("syntax", "/id", None, "string", "give an id"),
+    Proposal(text="{}", finish_reason="stop", planner="test", constrained_by="none", timings={"total": 0.1}),
+    Rejected(stage="syntax", pointer="/id", got=None, allowed="string", hint="give an id"),
     1e-5,
 )
 

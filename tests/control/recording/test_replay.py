@@ -62,9 +62,7 @@ def replayed(monkeypatch, path, messages):
 def test_one_flipped_bit_of_an_input_is_found(recordings, monkeypatch, column, bit):
     """Bit 29 is the lowest that a float32 keeps of a float64."""
     messages = head(recordings["on"])
-    where, batch = next(
-        (i, m) for i, m in enumerate(messages) if isinstance(m, Ticks) and m.columns["t"][0] > 0.5
-    )  # fmt: skip
+    where, batch = next((i, m) for i, m in enumerate(messages) if isinstance(m, Ticks) and m.columns["t"][0] > 0.5)
     values = [list(value) if isinstance(value, list) else value for value in batch.columns[column]]
     elbow = values[7][3]  # what is nearest hangs on it: the hand comes toward the arm's own links
     values[7] = [*values[7][:3], flipped(elbow, bit), *values[7][4:]]

@@ -19,7 +19,7 @@ ZEROS = np.zeros(2)
 def _of(deltas: list[float], h: list[float], actions: list[int]) -> Trace:
     trace = Trace(2)
     for k, (delta, h_min, action) in enumerate(zip(deltas, h, actions, strict=True)):
-        state = RobotState(k * 1e-3, k, ZEROS, ZEROS, 0.0, (0.0, 0.0))
+        state = RobotState(stamp=k * 1e-3, sequence=k, q=ZEROS, v=ZEROS, opening=0.0, finger_forces=(0.0, 0.0))
         trace.append(
             k * 1e-3, state, ZEROS, FakeFilterResult(ZEROS, delta=delta, h_min=h_min), action=action, phase="x"
         )

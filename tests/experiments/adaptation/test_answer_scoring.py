@@ -62,8 +62,9 @@ def test_tables_name_every_slice_and_arm(drawn):
     told = {"steps": ablation_curve.N_STEPS, "valid_draws": 0.5, "answers": answered}
     rows = [
         {"arm": arm, "seed": seed, **told, "flights": [{"kind": "succeeded", "Delta": 0.001 * seed}]}
-        for arm in ablation_curve.TRAINED_ARMS for seed in ablation_curve.SEEDS
-    ]  # fmt: skip
+        for arm in ablation_curve.TRAINED_ARMS
+        for seed in ablation_curve.SEEDS
+    ]
     report = "\n".join(ablation_curve.AblationCurve().report(rows))
     for arm in ablation_curve.TRAINED_ARMS:
         assert f"| {arm} | {ablation_curve.N_STEPS} | 3 | 100% ± 0%" in report
@@ -77,9 +78,10 @@ def test_a_known_answer_holds_one_of_the_words():
     assert retention.is_known("It has Eight legs.", "eight|8")
     assert not retention.is_known("It has many legs.", "eight|8")
     rows = [
-        {"arm": arm, "perplexity": 9.5 + seed, "right": [True, False]} for arm in (retention.BASE_ADAPTER, *retention.CURVE_ARMS)
+        {"arm": arm, "perplexity": 9.5 + seed, "right": [True, False]}
+        for arm in (retention.BASE_ADAPTER, *retention.CURVE_ARMS)
         for seed in range(1 if arm == retention.BASE_ADAPTER else 2)
-    ]  # fmt: skip
+    ]
     report = "\n".join(retention.Retention().report(rows))
     assert "| base-135m | 9.50 | 1 of 2" in report
     assert "| full | 9.50, 10.50 | 2 of 4" in report
@@ -101,8 +103,9 @@ def test_the_small_planner_comes_first_only_where_it_is_right_as_often(drawn):
     def told(*pairs):
         rows = [
             {"number": place, "who": who, "answer": one}
-            for place, pair in enumerate(pairs) for who, one in zip((starter.SMALL_PLANNER, starter.LARGE_PLANNER), pair, strict=False)
-        ]  # fmt: skip
+            for place, pair in enumerate(pairs)
+            for who, one in zip((starter.SMALL_PLANNER, starter.LARGE_PLANNER), pair, strict=False)
+        ]
         return "\n".join(starter.Starter().report(rows))
 
     even, worse = told((flown, bad), (bad, flown), (flown, flown)), told((flown, flown), (bad, flown))

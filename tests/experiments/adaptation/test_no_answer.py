@@ -12,7 +12,7 @@ from experiments.adaptation.no_answer import NoAnswerError
 @pytest.mark.parametrize("fault", [TIMEOUT, CRASHED])
 def test_an_accident_ends_the_unit(fault):
     with pytest.raises(NoAnswerError, match=fault):
-        retention.answer_text(ChatResponse("", fault, "gone"))
+        retention.answer_text(ChatResponse(text="", finish_reason=fault, detail="gone"))
 
 
 @pytest.mark.parametrize("fault", [TIMEOUT, CRASHED])

@@ -27,7 +27,11 @@ from experiments.figures.plot_rounds import plot_rounds
 from tests.adaptation.sample_episodes import episode, pick_contract, summary, write_ledger
 
 BASE = BaseModel(
-    "base-135m", packaged_folder("base-135m"), "gguf", (), read_adapter_card(packaged_folder("base-135m")).id
+    name="base-135m",
+    gguf=packaged_folder("base-135m"),
+    gguf_sha256="gguf",
+    stacked_on=(),
+    stacked_on_id=read_adapter_card(packaged_folder("base-135m")).id,
 )
 CONTRACT = json.dumps(pick_contract())
 PLACES = steps.N_PLACES
@@ -97,10 +101,24 @@ def stage(small, monkeypatch):
         made = hashlib.sha256((folder / "adapter" / WEIGHTS_FILE).read_bytes()).hexdigest()
         card = data.card
         write_adapter_card(
-            AdapterCard(made, base.name, base.sha256, card.robot, card.registry, card.prompt, card.hash, card.sources,
-                        by_others(card.sources, base.name, own), "float32", 2, None, config, {}),
+            AdapterCard(
+                id=made,
+                base=base.name,
+                base_sha256=base.sha256,
+                robot=card.robot,
+                registry=card.registry,
+                prompt=card.prompt,
+                dataset=card.hash,
+                sources=card.sources,
+                bootstrapped=by_others(card.sources, base.name, own),
+                precision="float32",
+                steps=2,
+                held_out=None,
+                config=config,
+                versions={},
+            ),
             folder / "adapter",
-        )  # fmt: skip
+        )
 
     def stack_of(folder, cache):
         return AdapterStack("smollm2-135m-instruct", folder, (AdapterLayer(folder, read_adapter_card(folder)),))
@@ -110,9 +128,13 @@ def stage(small, monkeypatch):
     monkeypatch.setattr(room, "run_proposal", carried_out)
     monkeypatch.setattr(room, "EPISODES_PER_STEP", 4)
     told = {
-        "carried_out": carried_out, "Speaker": speaking(act, here.asked), "stack_of": stack_of,
-        "find_base": lambda name, cache: BASE if name == BASE.name else BaseModel(name, cache, "other"),
-    }  # fmt: skip
+        "carried_out": carried_out,
+        "Speaker": speaking(act, here.asked),
+        "stack_of": stack_of,
+        "find_base": lambda name, cache: (
+            BASE if name == BASE.name else BaseModel(name=name, gguf=cache, gguf_sha256="other")
+        ),
+    }
     for name, stub in told.items():
         monkeypatch.setattr(steps, name, stub)
     return here
@@ -178,8 +200,12 @@ def test_what_leaves_a_part_out_is_fitted_on_the_same_flights(stage, tmp_path, m
     assert rows["adapted_all"]["samples"] >= rows["adapted_success"]["samples"] >= rows["adapted"]["samples"]
     assert {config.fit for config in configs} == {configs[0].fit}
     assert [(one.objective.beta, one.objective.lambda_h) for one in configs] == [
-        (0.05, 0.5), (0.05, 0.0), (0.0, 0.5), (0.05, 0.5), (0.05, 0.5)
-    ]  # fmt: skip
+        (0.05, 0.5),
+        (0.05, 0.0),
+        (0.0, 0.5),
+        (0.05, 0.5),
+        (0.05, 0.5),
+    ]
     assert "adapted_no_kl" in "\n".join(suite_adapters.SuiteAdapters().report(list(rows.values())))
 
 
@@ -232,11 +258,19 @@ def test_the_seconds_of_a_step_count_once(tmp_path):
 def row(number, told, **facts):
     """A row of episodes, one a place: (Δ or None, whether it was a success)."""
     episodes = [
-        {"id": f"place {i}", "compliant": size is not None, "right": good, "success": good, "to_decline": i == 0,
-         "outcome": "succeeded" if size is not None else "declined" if i == 0 else "rejected", "Delta": size,
-         "frequency": None if size is None else 0.25, "completion_s": None if size is None else 10.0}
+        {
+            "id": f"place {i}",
+            "compliant": size is not None,
+            "right": good,
+            "success": good,
+            "to_decline": i == 0,
+            "outcome": "succeeded" if size is not None else "declined" if i == 0 else "rejected",
+            "Delta": size,
+            "frequency": None if size is None else 0.25,
+            "completion_s": None if size is None else 10.0,
+        }
         for i, (size, good) in enumerate(told)
-    ]  # fmt: skip
+    ]
     taught = {
         "adapter": f"{number}" * 64,
         "bootstrapped": False,

@@ -58,8 +58,11 @@ def test_what_was_rendered_elsewhere_stays_in_its_place(tmp_path):
     assert f"\n\n## elsewhere\n\n{kept}\n\n## later\n\n" in text
     assert text.endswith(f"\n\n## no longer flown{gone}\n\n{END_MARKER}\n")
     assert [line for line in text.splitlines() if line.startswith("## ")] == [
-        "## counting", "## elsewhere", "## later", "## no longer flown",
-    ]  # fmt: skip
+        "## counting",
+        "## elsewhere",
+        "## later",
+        "## no longer flown",
+    ]
     assert text.count("1 counted") == 2
     assert "old" not in text
 

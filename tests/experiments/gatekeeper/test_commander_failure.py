@@ -11,8 +11,17 @@ from experiments.gatekeeper.commander_failure import DECLARED_LIMITS, FAILURE_MO
 
 def row(how="kill", moment="carrying", **changes):
     ledger = {"stored": 10, "missing": 0, "fault": ""}
-    usual = {"key": f"{how}/{moment}/0", "how": how, "moment": moment, "took": 0.1, "early": False, "unsafe": [],
-             "later": 0, "next": "succeeded", "ledger": ledger}  # fmt: skip
+    usual = {
+        "key": f"{how}/{moment}/0",
+        "how": how,
+        "moment": moment,
+        "took": 0.1,
+        "early": False,
+        "unsafe": [],
+        "later": 0,
+        "next": "succeeded",
+        "ledger": ledger,
+    }
     return {**usual, **changes}
 
 
@@ -27,9 +36,13 @@ def test_every_way_at_every_moment_and_any_prefix_is_a_sample(tmp_path):
 
 def test_what_came_late_or_never_or_was_lost_is_counted_and_named():
     rows = [
-        row(), row(took=DECLARED_LIMITS["kill"] + 0.01), row(took=None, moment="closing"), row(early=True, took=9.0),
-        row("stop", ledger={"stored": 5, "missing": 2, "fault": "x"}, next="not let in"), row(unsafe=[{"kind": "c"}]),
-    ]  # fmt: skip
+        row(),
+        row(took=DECLARED_LIMITS["kill"] + 0.01),
+        row(took=None, moment="closing"),
+        row(early=True, took=9.0),
+        row("stop", ledger={"stored": 5, "missing": 2, "fault": "x"}, next="not let in"),
+        row(unsafe=[{"kind": "c"}]),
+    ]
     text = "\n".join(CommanderFailure().report(rows))
     assert "| kill | 4 | 250 ms | 100 ms | 257 ms | 260 ms | 2 | 1 | succeeded 4 |" in text
     assert "| stop | 1 | 550 ms | 100 ms | 100 ms | 100 ms | 0 | 0 | not let in 1 |" in text

@@ -11,10 +11,20 @@ from experiments.gatekeeper.faults import ARMS, ROOMS, Faults
 
 def row(body="panda", fault=("state", "off", "carrying"), **changes):
     usual = {
-        "key": "/".join((body, *fault)), "body": body, "fault": list(fault), "struck": 3.0, "expected": "HOLD",
-        "reached": "CONTROLLED_STOP", "safe": True, "as_declared": True, "reaction": 0.05, "rest": 0.4,
-        "outcome": "stopped", "reason": "", "unsafe": [],
-    }  # fmt: skip
+        "key": "/".join((body, *fault)),
+        "body": body,
+        "fault": list(fault),
+        "struck": 3.0,
+        "expected": "HOLD",
+        "reached": "CONTROLLED_STOP",
+        "safe": True,
+        "as_declared": True,
+        "reaction": 0.05,
+        "rest": 0.4,
+        "outcome": "stopped",
+        "reason": "",
+        "unsafe": [],
+    }
     return {**usual, **changes}
 
 
@@ -43,9 +53,11 @@ def test_one_unit_on_another_body():
 
 def test_what_went_wrong_stands_out_and_is_counted():
     rows = [
-        row(), row(fault=("state", "off", "closing"), struck=None), row(fault=("state", "off", "grasping"), safe=False),
+        row(),
+        row(fault=("state", "off", "closing"), struck=None),
+        row(fault=("state", "off", "grasping"), safe=False),
         row("ur5e", as_declared=False, reached="NONE", reaction=None, outcome="succeeded"),
-    ]  # fmt: skip
+    ]
     text = "\n".join(Faults().report(rows))
     assert (
         "Episodes: **4**, of which 3 reached their moment. Unsafe: **1**. Declared order did not come: **1**." in text

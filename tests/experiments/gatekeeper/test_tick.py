@@ -36,12 +36,24 @@ def test_a_short_working_day(tmp_path):
 def test_the_account_tells_what_is_in_the_row():
     part = {"ticks": 500, "mean": 2e-5, "quantiles": [1e-5, 3e-5, 4e-5, 5e-5]}
     row = {
-        "ticks": 1000, "robot_ticks": 1003, "missed": 3, "late": 5, "slips": 0, "bins": {"49": 997, "999": 2},
+        "ticks": 1000,
+        "robot_ticks": 1003,
+        "missed": 3,
+        "late": 5,
+        "slips": 0,
+        "bins": {"49": 997, "999": 2},
         "interval": [1e-3] * 4,
-        "work": [3e-4] * 4, "latency": [2e-4] * 4, "parts": dict.fromkeys(TICK_PARTS, part), "decisions": [2.0, 4.0, 3.0],
-        "planner": "some-planner", "contracts": {"given, accepted": 4}, "outcomes": {"succeeded": 4}, "page": [9, 5e5],
-        "recording": {"complete": True, "dropped": 0, "bytes": 3e6}, "violations": [],
-    }  # fmt: skip
+        "work": [3e-4] * 4,
+        "latency": [2e-4] * 4,
+        "parts": dict.fromkeys(TICK_PARTS, part),
+        "decisions": [2.0, 4.0, 3.0],
+        "planner": "some-planner",
+        "contracts": {"given, accepted": 4},
+        "outcomes": {"succeeded": 4},
+        "page": [9, 5e5],
+        "recording": {"complete": True, "dropped": 0, "bytes": 3e6},
+        "violations": [],
+    }
     text = "\n".join(TickTiming().report([row]))
     assert "**1003** periods of the robot, **500** control ticks; **503** ticks missed (50.15%), 3 states lost" in text
     assert "(over 1 ms of work): **5** (1.00%). Stalls of over 20 ms: **2**, the longest 1 ms" in text

@@ -20,9 +20,15 @@ values = st.one_of(st.floats(DELTA_FLOOR, 0.5), st.just(FAILURE_SCORE))
 
 def row(seed, name, Delta, *, good=True, family="tall_ii", speed=0.2, valid=True, again=False):
     return {
-        "family": family, "seed": seed, "parameters": {"speed": speed, "route": name}, "valid": valid, "Delta": Delta,
-        "outcome": "succeeded" if good else "taken_over", "truth": good, "again": again,
-    }  # fmt: skip
+        "family": family,
+        "seed": seed,
+        "parameters": {"speed": speed, "route": name},
+        "valid": valid,
+        "Delta": Delta,
+        "outcome": "succeeded" if good else "taken_over",
+        "truth": good,
+        "again": again,
+    }
 
 
 @given(st.lists(st.tuples(values, values), min_size=3, max_size=12))

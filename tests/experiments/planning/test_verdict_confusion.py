@@ -1,9 +1,14 @@
 from experiments.planning.verdict_confusion import VerdictConfusion, confusion_table, count_verdicts
 
 KINDS = (
-    ("succeeded", True, 7), ("succeeded", False, 2), ("failed", True, 1), ("taken_over", False, 3),
-    ("failed", False, 1), ("declined", False, 5), (None, False, 6),
-)  # fmt: skip
+    ("succeeded", True, 7),
+    ("succeeded", False, 2),
+    ("failed", True, 1),
+    ("taken_over", False, 3),
+    ("failed", False, 1),
+    ("declined", False, 5),
+    (None, False, 6),
+)
 ROWS = [{"outcome": outcome, "truth": truth} for outcome, truth, count in KINDS for _ in range(count)]
 
 

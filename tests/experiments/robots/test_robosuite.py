@@ -183,11 +183,8 @@ def test_the_arms_must_agree():
     tools = [safety.tool(q) for q in rng.uniform(-1.0, 1.0, (20, 7))]
     turn = quaternion_to_matrix(matrix_to_quaternion(quaternion_to_matrix((0.9, 0.1, 0.2, 0.3))))
     sites = np.array(
-        [
-            [*(tool.position + tool.rotation @ (0.0, 0.0, -0.006)), *(tool.rotation @ turn).ravel()]
-            for tool in tools
-        ]
-    )  # fmt: skip
+        [[*(tool.position + tool.rotation @ (0.0, 0.0, -0.006)), *(tool.rotation @ turn).ravel()] for tool in tools]
+    )
     apart, turned = check_agreement(sites, tools)
     assert apart < 1e-6
     assert turned < 1e-6
@@ -244,10 +241,24 @@ def test_every_cell_has_as_many_seeds_and_a_prefix_has_all_cells_with_a_task(tmp
 
 def made_up(unit, **changed):
     row = {
-        "key": unit.key, **unit.about, "success": True, "first_success": 1.0, "breaches": [], "saturated": 0.0,
-        "time": 3.0, "ended": "", "pushed": 0.0, "apart": 1e-7, "asked": 0.5, "speed": 0.5, "strayed": 1e-4,
-        "steps": 100, "lag": 0.002, "allowed_error": 1e-3, "versions": {"robosuite": "1"},
-    }  # fmt: skip
+        "key": unit.key,
+        **unit.about,
+        "success": True,
+        "first_success": 1.0,
+        "breaches": [],
+        "saturated": 0.0,
+        "time": 3.0,
+        "ended": "",
+        "pushed": 0.0,
+        "apart": 1e-7,
+        "asked": 0.5,
+        "speed": 0.5,
+        "strayed": 1e-4,
+        "steps": 100,
+        "lag": 0.002,
+        "allowed_error": 1e-3,
+        "versions": {"robosuite": "1"},
+    }
     if unit.about["how"] == "filtered":
         row |= {"delta": 0.1, "h_min": 0.002, "status": [60, 40, 0, 0, 0]}
     return row | changed

@@ -21,9 +21,14 @@ def flown(key, feasible, *, on=True):
     off = {"valid": True, "outcome": "succeeded", "truth": feasible, "violations": [], "duration": 10.0, "reason": ""}
     end = {**off, "truth": on, "duration": 10.5, "reason": "carry: stuck, 1.5 cm from the goal", "bound": "carry: x"}
     return {
-        "key": key, "family": family, "seed": int(seed), "kind": kind, "feasible": feasible, "off": off,
+        "key": key,
+        "family": family,
+        "seed": int(seed),
+        "kind": kind,
+        "feasible": feasible,
+        "off": off,
         "on": end if feasible else None,
-    }  # fmt: skip
+    }
 
 
 @pytest.fixture

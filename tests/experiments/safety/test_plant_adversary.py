@@ -15,13 +15,22 @@ from experiments.safety.plant_judge import MAX_TOOL_REACH, PlantJudge
 
 
 def fixed(name, shape, position):
-    return ObjectSpec(name, "obstacle", shape, position, 1.0, "grey", "obstacle", fixed=True)
+    return ObjectSpec(
+        name=name,
+        role="obstacle",
+        shape=shape,
+        position=position,
+        mass=1.0,
+        colour="grey",
+        category="obstacle",
+        fixed=True,
+    )
 
 
 @pytest.fixture(scope="module")
 def crowded():
     things = (fixed("ball", Sphere(0.08), (0.45, 0.25, 0.4)), fixed("crate", Box((0.1, 0.1, 0.2)), (0.5, -0.3, 0.2)))
-    return SceneSpec("panda", "test", 0, things, ())
+    return SceneSpec(robot="panda", family="test", seed=0, objects=things, places=())
 
 
 def brute(plant, judge):

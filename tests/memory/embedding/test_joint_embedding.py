@@ -1,6 +1,6 @@
 """Laws of the joint embedding: unit blocks, the cosine identity, the kernel of the state, versions."""
 
-from dataclasses import astuple
+from dataclasses import astuple, fields
 
 import numpy as np
 import pytest
@@ -54,10 +54,13 @@ def test_every_block_that_is_there_has_unit_length(a: str, b: str, state: Postur
     assert all(want is None or bool(e.mask >> block & 1) == want for block, want in enumerate(there))
 
 
+BLOCK_NAMES = [field.name for field in fields(Alpha)]
+
+
 @st.composite
 def alphas(draw: st.DrawFn) -> Alpha:
     parts = np.array(draw(st.lists(st.floats(0.05, 1.0), min_size=5, max_size=5)))
-    return Alpha(*(parts / parts.sum()).tolist())
+    return Alpha(**dict(zip(BLOCK_NAMES, (parts / parts.sum()).tolist(), strict=True)))
 
 
 @given(texts, texts, texts, texts, postures, postures, alphas(), st.sets(st.integers(0, 4), max_size=3))
@@ -175,7 +178,7 @@ def test_a_robot_without_limits_is_named() -> None:
 @pytest.mark.parametrize("weights", [(0.5,) * 5, (1.2, -0.1, -0.1, 0.0, 0.0), (float("nan"), 0.5, 0.5, 0.0, 0.0)])
 def test_weights_that_do_not_sum_to_one_are_refused(weights: tuple[float, ...]) -> None:
     with pytest.raises(ConfigurationError, match="embedding weights"):
-        Alpha(*weights)
+        Alpha(**dict(zip(BLOCK_NAMES, weights, strict=True)))
 
 
 @pytest.mark.parametrize("setting", [{"features": 7}, {"features": 0}, {"bandwidth": 0.0}])

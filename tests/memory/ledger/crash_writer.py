@@ -20,8 +20,11 @@ def write_steps(path: Path, run: str, steps: int) -> None:
         step = 0
         while not steps or step < steps:
             vector = StoredVector("v", bytes(64))
-            rows = [PendingEvent("episode", f"{run}-{step}", {"step": step}, vector)]
-            rows += [PendingEvent("weight", f"{run}-{step}", {"i": i}) for i in range(EVENTS_PER_TRANSACTION - 1)]
+            rows = [PendingEvent(kind="episode", subject=f"{run}-{step}", payload={"step": step}, vector=vector)]
+            rows += [
+                PendingEvent(kind="weight", subject=f"{run}-{step}", payload={"i": i})
+                for i in range(EVENTS_PER_TRANSACTION - 1)
+            ]
             ledger.append(rows, now=3.0)
             print(step, flush=True)  # noqa: T201 - the acknowledgement
             step += 1

@@ -50,12 +50,12 @@ def test_a_full_disk_is_told_and_what_was_acknowledged_stays(small_disk: Path) -
 def test_when_there_is_room_again_the_ledger_goes_on(small_disk: Path) -> None:
     ballast = small_disk / "ballast"
     with open_ledger(small_disk) as ledger:
-        ledger.append([PendingEvent("note", "", 1)], now=NOW)
+        ledger.append([PendingEvent(kind="note", subject="", payload=1)], now=NOW)
         ballast.write_bytes(bytes(os.statvfs(small_disk).f_bavail * os.statvfs(small_disk).f_frsize))
         with pytest.raises(ConfigurationError, match="memory ledger"):
-            ledger.append([PendingEvent("note", "", "x" * 200_000)], now=NOW)
+            ledger.append([PendingEvent(kind="note", subject="", payload="x" * 200_000)], now=NOW)
         ballast.unlink()
-        ledger.append([PendingEvent("note", "", 2)], now=NOW)
+        ledger.append([PendingEvent(kind="note", subject="", payload=2)], now=NOW)
         assert (ledger.verify().is_intact, ledger.head().seq) == (True, 2)
 
 

@@ -26,7 +26,12 @@ def _filled(folder: Path, events: int = 6) -> Path:
     with open_ledger(folder) as ledger:
         for i in range(events):
             ledger.append(
-                [PendingEvent("note", f"s{i}", {"text": f"number {i}"}, StoredVector("v", b"\0\0"))], now=NOW + i
+                [
+                    PendingEvent(
+                        kind="note", subject=f"s{i}", payload={"text": f"number {i}"}, vector=StoredVector("v", b"\0\0")
+                    )
+                ],
+                now=NOW + i,
             )
     return folder / "ledger.db"
 
@@ -48,7 +53,13 @@ def test_an_empty_ledger_is_whole(tmp_path: Path) -> None:
 
 def test_events_come_back_as_they_were_written(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
-        written = ledger.append([PendingEvent("note", "a", {"x": 1.5}), PendingEvent("note", "b", [1, 2])], now=NOW)
+        written = ledger.append(
+            [
+                PendingEvent(kind="note", subject="a", payload={"x": 1.5}),
+                PendingEvent(kind="note", subject="b", payload=[1, 2]),
+            ],
+            now=NOW,
+        )
         assert tuple(ledger.events()) == written
         assert ledger.head() == Head(2, written[1].hash)
         assert written[1].previous == written[0].hash
@@ -131,7 +142,7 @@ def test_a_rewritten_chain_is_found_by_an_anchor(tmp_path: Path) -> None:
         anchor = reader.head()
     with open_ledger(tmp_path / "b") as forged:
         for i in range(8):
-            forged.append([PendingEvent("note", "s", {"text": "forged"})], now=NOW + i)
+            forged.append([PendingEvent(kind="note", subject="s", payload={"text": "forged"})], now=NOW + i)
         assert forged.verify().is_intact
         assert forged.verify(anchor).broken_at == anchor.seq
 
@@ -179,13 +190,19 @@ def test_a_newer_schema_is_refused(tmp_path: Path) -> None:
 
 def test_what_fails_leaves_nothing_behind(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
-        first = ledger.append([PendingEvent("episode", "e", {})], now=NOW)
+        first = ledger.append([PendingEvent(kind="episode", subject="e", payload={})], now=NOW)
         with pytest.raises(ConfigurationError, match="does not hold yet"):
-            ledger.append([PendingEvent("note", "n", {}), PendingEvent("episode", "e", {})], now=NOW)
+            ledger.append(
+                [
+                    PendingEvent(kind="note", subject="n", payload={}),
+                    PendingEvent(kind="episode", subject="e", payload={}),
+                ],
+                now=NOW,
+            )
         with pytest.raises(ConfigurationError, match="time of a ledger event"):
-            ledger.append([PendingEvent("note", "n", {})], now=float("nan"))
+            ledger.append([PendingEvent(kind="note", subject="n", payload={})], now=float("nan"))
         assert tuple(ledger.events()) == first
-        ledger.append([PendingEvent("note", "n", {})], now=NOW)
+        ledger.append([PendingEvent(kind="note", subject="n", payload={})], now=NOW)
         assert ledger.verify().is_intact
 
 
@@ -289,7 +306,7 @@ def test_the_next_start_says_once_what_happened(tmp_path: Path) -> None:
             "Run r-1 of 2027-01-15 08:00:00 UTC was interrupted after 'grasp red_cube' (2027-01-15 08:01:00 UTC): "
             "0 episodes were stored and kept; what was under way then is not in memory."
         )
-        ledger.append([PendingEvent("episode", "e-1", {})], now=NOW + 3601)
+        ledger.append([PendingEvent(kind="episode", subject="e-1", payload={})], now=NOW + 3601)
     with open_ledger(tmp_path) as ledger:
         (cut,) = ledger.interrupted_runs()
         assert (cut.run, cut.last_activity, cut.episodes) == ("r-2", "storing episode e-1", 1)
@@ -311,7 +328,7 @@ def test_the_next_start_says_once_what_happened(tmp_path: Path) -> None:
 )
 def test_any_unicode_comes_back_as_it_was(tmp_path_factory: pytest.TempPathFactory, text: str, subject: str) -> None:
     with open_ledger(tmp_path_factory.mktemp("ledger")) as ledger:
-        ledger.append([PendingEvent("note", subject, {"text": text, text: 1})], now=NOW)
+        ledger.append([PendingEvent(kind="note", subject=subject, payload={"text": text, text: 1})], now=NOW)
         (event,) = ledger.events()
         assert event.subject == subject
         assert msgspec.json.decode(event.payload) == {"text": text} | {text: 1}
@@ -325,7 +342,7 @@ def test_any_unicode_comes_back_as_it_was(tmp_path_factory: pytest.TempPathFacto
 def test_hostile_text_is_data(tmp_path: Path, text: str) -> None:
     with open_ledger(tmp_path) as ledger:
         ledger.start_run(text, {"instruction": text}, now=NOW)
-        ledger.append([PendingEvent("note", text, text)], now=NOW)
+        ledger.append([PendingEvent(kind="note", subject=text, payload=text)], now=NOW)
         assert [event.run for event in ledger.events()] == [text, text]
         assert msgspec.json.decode(next(iter(ledger.events("subject = ?", (text,)))).payload) == text
         assert ledger.verify().is_intact
@@ -334,7 +351,12 @@ def test_hostile_text_is_data(tmp_path: Path, text: str) -> None:
 def test_what_json_cannot_hold_is_replaced_in_plain_sight(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         ledger.append(
-            [PendingEvent("note", "a\ud800", {"\udfff": (float("nan"), float("inf"), 10**400, "\ud800")})], now=NOW
+            [
+                PendingEvent(
+                    kind="note", subject="a\ud800", payload={"\udfff": (float("nan"), float("inf"), 10**400, "\ud800")}
+                )
+            ],
+            now=NOW,
         )
         (event,) = ledger.events()
         expected = {"\ufffd": [None, None, "an integer of 1329 bits", "\ufffd"]}

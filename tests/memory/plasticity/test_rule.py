@@ -26,7 +26,15 @@ def rules(draw: st.DrawFn) -> Plasticity:
     eta_plus = max(rho, 1e-3) * draw(st.floats(1.0, 5.0))
     most = max(0.0, min(eta_plus - rho, eta_minus * min(g.floor, g.rejected)))
     kappa = draw(st.floats(0.0, min(1.0, most)))
-    return Plasticity(rho, eta_plus, eta_minus, draw(st.floats(0.0, 0.1)), g, kappa, draw(st.floats(0.05, 0.3)))
+    return Plasticity(
+        rho=rho,
+        eta_plus=eta_plus,
+        eta_minus=eta_minus,
+        epsilon=draw(st.floats(0.0, 0.1)),
+        g=g,
+        kappa=kappa,
+        bandwidth=draw(st.floats(0.05, 0.3)),
+    )
 
 
 @given(rules(), weights, st.lists(outcomes, max_size=40))

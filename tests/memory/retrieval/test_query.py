@@ -65,9 +65,15 @@ def test_lambda_and_alpha_are_dials_of_the_query(tmp_path: Path) -> None:
                 now=NOW,
             )
         assert memory.weights()["scene"] < 0.1
-        assert _ids(memory, alpha=Alpha(1.0, 0.0, 0.0, 0.0, 0.0))[0] == "words"
-        assert _ids(memory, alpha=Alpha(0.0, 1.0, 0.0, 0.0, 0.0), lambda_s=1.0)[0] == "scene"
-        assert _ids(memory, alpha=Alpha(0.0, 1.0, 0.0, 0.0, 0.0), lambda_s=0.0)[0] == "words"
+        assert _ids(memory, alpha=Alpha(instruction=1.0, summary=0.0, symbols=0.0, image=0.0, state=0.0))[0] == "words"
+        assert (
+            _ids(memory, alpha=Alpha(instruction=0.0, summary=1.0, symbols=0.0, image=0.0, state=0.0), lambda_s=1.0)[0]
+            == "scene"
+        )
+        assert (
+            _ids(memory, alpha=Alpha(instruction=0.0, summary=1.0, symbols=0.0, image=0.0, state=0.0), lambda_s=0.0)[0]
+            == "words"
+        )
 
 
 def replace_warnings(recall: Any) -> Any:

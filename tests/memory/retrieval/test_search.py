@@ -74,7 +74,7 @@ def test_the_score_is_the_papers() -> None:
 
 @given(
     seed=st.integers(0, 10_000), n=st.integers(1, 40), kinds=st.integers(1, 8), bandwidth=st.sampled_from((0.05, 0.3))
-)  # fmt: skip
+)
 def test_what_is_known_of_a_contract_adds_up_over_its_memories(seed: int, n: int, kinds: int, bandwidth: float) -> None:
     """Brute force in Python floats; of a contract that is remembered once, its own weight."""
     rng = np.random.default_rng(seed)

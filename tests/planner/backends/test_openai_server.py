@@ -24,7 +24,7 @@ CONTRACT = '{"id":"c-0007"}'
 
 def ask(behaviour: Behaviour, timeout_s: float = 5.0, **config: str) -> tuple[Proposal, FakeServer]:
     with serve(behaviour) as server:
-        planner = ServerPlanner(ServerConfig(server.url, timeout_s=timeout_s, **config))
+        planner = ServerPlanner(ServerConfig(url=server.url, timeout_s=timeout_s, **config))
         return planner.propose(plan_request()), server
 
 
@@ -86,14 +86,21 @@ def test_each_dialect_is_recorded_and_passes_no_words_for_people(dialect: str) -
 
 SCHEMA = strip_annotations(plan_request().schema)
 FIELDS = {
-    "openai": ("response_format", {"type": "json_schema", "json_schema": {"name": "contract", "strict": True,
-               "schema": SCHEMA}}),
+    "openai": (
+        "response_format",
+        {"type": "json_schema", "json_schema": {"name": "contract", "strict": True, "schema": SCHEMA}},
+    ),
     "vllm": ("structured_outputs", {"json": SCHEMA}),
-    "llama.cpp": ("response_format", {"type": "json_schema", "json_schema": {"name": "contract", "strict": True,
-                  "schema": replace_text_patterns(plan_request().schema)}}),
+    "llama.cpp": (
+        "response_format",
+        {
+            "type": "json_schema",
+            "json_schema": {"name": "contract", "strict": True, "schema": replace_text_patterns(plan_request().schema)},
+        },
+    ),
     "llguidance": ("grammar", contract_grammar(plan_request().schema)),
     "ollama": ("format", replace_text_patterns(plan_request().schema)),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("dialect", DIALECTS)
@@ -121,10 +128,16 @@ def test_ollama_is_asked_for_enough_context_and_its_figures_are_read() -> None:
 
 @pytest.mark.parametrize(
     "behaviour",
-    [ollama_says(CONTRACT, "load"), ollama_says(CONTRACT, done=False), respond_with(b'{"error":"no such model"}', 404),
-     respond_with(b"[]"), respond_with(b'{"message":{"content":null},"done":true}'), respond_with(chat_completion(CONTRACT))],
+    [
+        ollama_says(CONTRACT, "load"),
+        ollama_says(CONTRACT, done=False),
+        respond_with(b'{"error":"no such model"}', 404),
+        respond_with(b"[]"),
+        respond_with(b'{"message":{"content":null},"done":true}'),
+        respond_with(chat_completion(CONTRACT)),
+    ],
     ids=["odd finish", "not done", "404", "a list", "no text", "another interface"],
-)  # fmt: skip
+)
 def test_a_bad_answer_of_ollama_becomes_a_finish_reason(behaviour: Behaviour) -> None:
     proposal, _ = ask(behaviour, dialect="ollama")
     assert (proposal.text, proposal.finish_reason.split(":")[0]) == ("", protocol.ERROR)
@@ -209,24 +222,35 @@ def test_the_time_limit_is_for_the_whole_answer(behaviour: Behaviour) -> None:
 def test_nobody_at_the_address() -> None:
     with serve(silence) as server:
         url = server.url
-    proposal = ServerPlanner(ServerConfig(url, timeout_s=2.0)).propose(plan_request())
+    proposal = ServerPlanner(ServerConfig(url=url, timeout_s=2.0)).propose(plan_request())
     assert proposal.finish_reason == "error: ConnectionRefusedError"
 
 
 @pytest.mark.parametrize(
     "url",
-    ["ftp://host/v1", "file:///etc/passwd", "http://", "host:80/v1", "http://host:99999999/v1", "http://host/v\xe9",
-     "http://host/v1?a=\xe9", "http://host/v 1", "http://x..y/v1", "http://a b/v1", f"http://{'x' * 64}/v1"],
-)  # fmt: skip
+    [
+        "ftp://host/v1",
+        "file:///etc/passwd",
+        "http://",
+        "host:80/v1",
+        "http://host:99999999/v1",
+        "http://host/v\xe9",
+        "http://host/v1?a=\xe9",
+        "http://host/v 1",
+        "http://x..y/v1",
+        "http://a b/v1",
+        f"http://{'x' * 64}/v1",
+    ],
+)
 def test_an_address_that_cannot_be_asked_is_a_broken_setup(url: str) -> None:
     with pytest.raises(ConfigurationError, match="https://HOST"):
-        ServerPlanner(ServerConfig(url))
+        ServerPlanner(ServerConfig(url=url))
 
 
 def test_a_host_may_have_a_name_of_any_letters() -> None:
     for url in ("http://b\xfccher.example/v1", "http://[::1]:80/v1", "https://host./v1"):
-        ServerPlanner(ServerConfig(url))
-    assert "secret" not in repr(ServerConfig(url, key="sk-secret of ours"))
+        ServerPlanner(ServerConfig(url=url))
+    assert "secret" not in repr(ServerConfig(url=url, key="sk-secret of ours"))
 
 
 @pytest.mark.parametrize(
@@ -234,33 +258,39 @@ def test_a_host_may_have_a_name_of_any_letters() -> None:
 )
 def test_a_key_is_not_sent_where_all_can_read_it(host: str) -> None:
     with pytest.raises(ConfigurationError, match="https") as raised:
-        ServerPlanner(ServerConfig(f"http://{host}/v1", key="sk-secret"))
+        ServerPlanner(ServerConfig(url=f"http://{host}/v1", key="sk-secret"))
     assert "secret" not in str(raised.value)
-    ServerPlanner(ServerConfig(f"http://{host}/v1"))
-    ServerPlanner(ServerConfig(f"https://{host}/v1", key="sk-secret"))
+    ServerPlanner(ServerConfig(url=f"http://{host}/v1"))
+    ServerPlanner(ServerConfig(url=f"https://{host}/v1", key="sk-secret"))
 
 
 @pytest.mark.parametrize("host", ["localhost:8000", "LOCALHOST", "127.0.0.1", "127.9.9.9:1", "[::1]:80"])
 def test_on_this_machine_it_is(host: str) -> None:
-    ServerPlanner(ServerConfig(f"http://{host}/v1", key="sk-secret"))
+    ServerPlanner(ServerConfig(url=f"http://{host}/v1", key="sk-secret"))
 
 
 @pytest.mark.parametrize("stray", ["\r", "\n", "\r\n", "\t", "\0", "\xe9", "\u2028"])
 def test_a_key_that_cannot_be_sent_is_a_broken_setup_and_is_not_told(stray: str) -> None:
     with pytest.raises(ConfigurationError, match="printable ASCII") as raised:
-        ServerPlanner(ServerConfig("http://host/v1", key=f"sk-secret{stray}"))
+        ServerPlanner(ServerConfig(url="http://host/v1", key=f"sk-secret{stray}"))
     assert "secret" not in f"{raised.value!r} {vars(raised.value)} {raised.value.__context__!r}"
 
 
 @pytest.mark.parametrize(
     ("path", "key", "finish"),
-    [("/v1", "sk-secret\r", "ValueError"), ("/v1", "sk-secret\u20ac", "UnicodeEncodeError"),
-     ("/v\xe9", "sk-secret", "UnicodeEncodeError"), ("/v 1", "sk-secret", "InvalidURL")],
-)  # fmt: skip
+    [
+        ("/v1", "sk-secret\r", "ValueError"),
+        ("/v1", "sk-secret\u20ac", "UnicodeEncodeError"),
+        ("/v\xe9", "sk-secret", "UnicodeEncodeError"),
+        ("/v 1", "sk-secret", "InvalidURL"),
+    ],
+)
 def test_what_cannot_be_sent_comes_back_as_an_error_without_the_key(path: str, key: str, finish: str) -> None:
     with serve(respond_with(chat_completion(CONTRACT))) as server:
         url = server.url.removesuffix("/v1") + path
-        assert http_chat.post(url, b"", key=key, timeout_s=5.0) == http_chat.ChatResponse("", protocol.ERROR, finish)
+        assert http_chat.post(url, b"", key=key, timeout_s=5.0) == http_chat.ChatResponse(
+            text="", finish_reason=protocol.ERROR, detail=finish
+        )
     assert not server.requests
 
 
@@ -280,7 +310,7 @@ def test_a_host_that_cannot_be_asked_comes_back_as_an_error(url: str) -> None:
 
 def test_an_unknown_dialect_lists_the_known_ones() -> None:
     with pytest.raises(UnknownNameError, match="vllm"):
-        ServerPlanner(ServerConfig("http://host/v1", dialect="vlm"))
+        ServerPlanner(ServerConfig(url="http://host/v1", dialect="vlm"))
 
 
 @given(body=st.binary(max_size=200) | st.text(max_size=200).map(str.encode))

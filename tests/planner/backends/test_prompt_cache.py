@@ -54,10 +54,14 @@ def test_every_part_of_it_names_another_file(model):
         store(model).state_path(plan_request("another instruction")) == first
     )  # the last turn is not part of the prefix
     others = [
-        store(model, adapters=()), store(model, adapters=(B,)), store(model, adapters=(A, B)),
-        store(model, adapters=(B, A)), store(model, adapters=(LoadedAdapter(A.path, A.id, 0.5),)), store(model, n_ctx=4096),
+        store(model, adapters=()),
+        store(model, adapters=(B,)),
+        store(model, adapters=(A, B)),
+        store(model, adapters=(B, A)),
+        store(model, adapters=(LoadedAdapter(A.path, A.id, 0.5),)),
+        store(model, n_ctx=4096),
         store(model, asking=SHORT_PROMPT),
-    ]  # fmt: skip
+    ]
     found = [one.state_path(plan_request()) for one in others]
     found.append(store(model).state_path(plan_request(recall=RetrievedContext(exemplars=(exemplar(),)))))
     model.write_bytes(b"other weights")
@@ -128,12 +132,13 @@ def flipped(path):
 @pytest.mark.parametrize(
     ("damage", "removed"),
     [
-        (flipped, True), (lambda path: path.write_bytes(path.read_bytes()[:-1]), True),
+        (flipped, True),
+        (lambda path: path.write_bytes(path.read_bytes()[:-1]), True),
         (lambda path: path.with_suffix(".sha256").write_bytes(b"\xff"), True),
         (lambda path: path.with_suffix(".sha256").unlink(), False),
     ],
     ids=["a flipped bit", "torn", "a signature that cannot be read", "none, as of old"],
-)  # fmt: skip
+)
 def test_a_state_that_is_not_as_it_was_saved_is_not_restored_and_saved_anew(model, damage, removed):
     """llama.cpp restores it without a word, and answers otherwise."""
     with serve(keeps(model.parent)) as server:

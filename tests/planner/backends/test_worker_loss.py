@@ -59,15 +59,31 @@ with socket.create_server(("127.0.0.1", 0)) as server:
 """
 """In place of the process with the model; what stands in the model's file says how it behaves."""
 LOST = {
-    "dies": protocol.CRASHED, "dies while it tells": protocol.CRASHED, "hangs": protocol.TIMEOUT,
-    "cannot": protocol.ERROR, "dies when asked": protocol.CRASHED, "hangs when asked": protocol.TIMEOUT,
-}  # fmt: skip
+    "dies": protocol.CRASHED,
+    "dies while it tells": protocol.CRASHED,
+    "hangs": protocol.TIMEOUT,
+    "cannot": protocol.ERROR,
+    "dies when asked": protocol.CRASHED,
+    "hangs when asked": protocol.TIMEOUT,
+}
 
 
 CARD = AdapterCard(
-    "a" * 64, "tiny", "b" * 64, REGISTRY.robot, REGISTRY.hash, short_template_hash(), "d" * 64, {}, False,
-    "float32", 7, None, AdaptConfig(), {},
-)  # fmt: skip
+    id="a" * 64,
+    base="tiny",
+    base_sha256="b" * 64,
+    robot=REGISTRY.robot,
+    registry=REGISTRY.hash,
+    prompt=short_template_hash(),
+    dataset="d" * 64,
+    sources={},
+    bootstrapped=False,
+    precision="float32",
+    steps=7,
+    held_out=None,
+    config=AdaptConfig(),
+    versions={},
+)
 
 
 @pytest.fixture

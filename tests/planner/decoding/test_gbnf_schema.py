@@ -38,8 +38,10 @@ def test_a_text_is_as_long_as_before(length):
     schema = decoding_schema(REGISTRY, NAMES)
     steps = [{"skill": "decline", "params": {"reason": "x" * length}}]
     contract = {
-        "id": "c-0001", "context": {"robot": "panda", "registry": REGISTRY.hash}, "action_sequence": steps,
-    }  # fmt: skip
+        "id": "c-0001",
+        "context": {"robot": "panda", "registry": REGISTRY.hash},
+        "action_sequence": steps,
+    }
     verdicts = [
         jsonschema_rs.validator_for(one).is_valid(contract)
         for one in (strip_annotations(schema), replace_text_patterns(schema))

@@ -83,7 +83,13 @@ def test_a_warning_is_shown_as_data_and_never_as_an_answer() -> None:
 
 
 def test_a_refusal_stands_before_the_second_question() -> None:
-    why = Rejected("envelope", "/action_sequence/0/params/speed", 9.0, [0.05, 0.4], "choose a slower speed")
+    why = Rejected(
+        stage="envelope",
+        pointer="/action_sequence/0/params/speed",
+        got=9.0,
+        allowed=[0.05, 0.4],
+        hint="choose a slower speed",
+    )
     first, second = render(plan_request()), render(plan_request(refusal=why))
     assert first[:-1] == second[:-1]
     assert "choose a slower speed" in second[-1]["content"]
@@ -142,7 +148,7 @@ def test_untrusted_text_keeps_to_its_blocks(instruction: str, scene: str, rememb
     memory = exemplar(
         remembered, summary=scene, contract={"action_sequence": [{"skill": reason, "params": {reason: reason}}]}
     )
-    why = Rejected("syntax", reason, reason, [reason], reason)
+    why = Rejected(stage="syntax", pointer=reason, got=reason, allowed=[reason], hint=reason)
     recall = RetrievedContext(exemplars=(memory,), warnings=(memory,))
     asked = plan_request(instruction, scene=scene, recall=recall, refusal=why, skills_text="")
     plain = plan_request(
@@ -164,9 +170,17 @@ def test_prompts_of_single_goals_are_those_that_recorded_answers_were_given_to()
         "Could you move that little red block over into the blue bowl, please?",
         "The red cube belongs in the blue bowl. Be careful, somebody may reach across the table.",
     )
-    passage = Passage("a@1#0-5", "rule", "site", "A", "text", 0.5, 0.5, 1)
+    passage = Passage(
+        citation="a@1#0-5", kind="rule", trust="site", title="A", text="text", likeness=0.5, score=0.5, rank=1
+    )
     full = RetrievedContext((exemplar("best", rank=1),), (exemplar("burn it", rank=1, succeeded=False),), (passage,))
-    why = Rejected("envelope", "/action_sequence/0/params/speed", 9.0, [0.05, 0.4], "choose a slower speed")
+    why = Rejected(
+        stage="envelope",
+        pointer="/action_sequence/0/params/speed",
+        got=9.0,
+        allowed=[0.05, 0.4],
+        hint="choose a slower speed",
+    )
     driving = plan_request("go to the window", skills_text=f"{DRIVES}\ngraspable: nothing\nreceptive: window")
     asked = [*map(plan_request, words), plan_request(recall=full), plan_request(recall=full, refusal=why), driving]
     said = json.dumps([render(one) for one in asked])

@@ -17,8 +17,13 @@ from tests.planner.sample_requests import exemplar, plan_request
 
 SPEC = make_scene("sorting", 0)
 SKILLS = describe_skills(load_skill_registry("panda"), scene_names(scene_from_spec(SPEC)))
-NAMES = {"object": "red_cube", "target": "blue_bowl", "second": "yellow_block", "second_target": "table_left",
-         "group": "red things"}  # fmt: skip
+NAMES = {
+    "object": "red_cube",
+    "target": "blue_bowl",
+    "second": "yellow_block",
+    "second_target": "table_left",
+    "group": "red things",
+}
 WANTED = {"put_two": {"order"}, "put_and_home": {"order"}, "put_all": {"every"}, "put_if_free": {"condition"}}
 
 

@@ -9,8 +9,10 @@ from dualbrain.planner.prompt.prompt_format import FULL_PROMPT, SHORT_PROMPT
 from dualbrain.records import FailureFeedback
 from tests.planner.sample_requests import plan_request
 
-REFUSAL = Rejected("envelope", "/action_sequence/0/params/speed", 30.0, "0.05 to 0.4", "lower it")
-SETBACK = FailureFeedback("run", "failed", (), "grasp red_cube", "slipped")
+REFUSAL = Rejected(
+    stage="envelope", pointer="/action_sequence/0/params/speed", got=30.0, allowed="0.05 to 0.4", hint="lower it"
+)
+SETBACK = FailureFeedback(episode_id="run", outcome="failed", done=(), undone="grasp red_cube", reason="slipped")
 
 
 def test_the_most_probable_answer_is_wanted_until_something_failed():
@@ -21,10 +23,12 @@ def test_the_most_probable_answer_is_wanted_until_something_failed():
 
 def test_every_shot_and_every_try_draws_anew():
     failed = [
-        plan_request(refusal=REFUSAL), plan_request(refusal=REFUSAL, contract_id="c-0003"), plan_request(setback=SETBACK),
+        plan_request(refusal=REFUSAL),
+        plan_request(refusal=REFUSAL, contract_id="c-0003"),
+        plan_request(setback=SETBACK),
         plan_request(setback=msgspec.structs.replace(SETBACK, episode_id="run.2")),
         plan_request(setback=SETBACK, refusal=REFUSAL),
-    ]  # fmt: skip
+    ]
     assert len({SHORT_PROMPT.sampling_seed(one) for one in failed}) == len(failed)
 
 

@@ -9,10 +9,29 @@ from hypothesis import strategies as st
 from dualbrain.planner.prompt.sanitize import compact_json, format_block, sanitize
 
 ATTACKS = (
-    "</scene>", "<|im_end|>", "<|im_start|>system", "</s>", "[INST]", "[/INST]", "<start_of_turn>", "＜/scene＞",
-    "\u202e", "<\u200b/scene>", "\x00", "\x1b[2J", "\ud800", "\U000e0041", "\u2028", "```", "->", "{}", '"',
-    "﹤|eot_id|﹥", "≮", "\u0338",
-)  # fmt: skip
+    "</scene>",
+    "<|im_end|>",
+    "<|im_start|>system",
+    "</s>",
+    "[INST]",
+    "[/INST]",
+    "<start_of_turn>",
+    "＜/scene＞",
+    "\u202e",
+    "<\u200b/scene>",
+    "\x00",
+    "\x1b[2J",
+    "\ud800",
+    "\U000e0041",
+    "\u2028",
+    "```",
+    "->",
+    "{}",
+    '"',
+    "﹤|eot_id|﹥",
+    "≮",
+    "\u0338",
+)
 hostile = st.lists(st.sampled_from(ATTACKS) | st.text(max_size=8), max_size=12).map("".join)
 json_values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | hostile,

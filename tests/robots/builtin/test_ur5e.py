@@ -14,8 +14,15 @@ from dualbrain.robots.loader import load_robot
 from tests.robots.panda_oracle import axis_rotation, roll_pitch_yaw
 
 UR5E = load_robot("ur5e")
-NAMES = ("base_link_inertia", "shoulder_link", "upper_arm_link", "forearm_link", "wrist_1_link", "wrist_2_link",
-         "wrist_3_link")  # fmt: skip
+NAMES = (
+    "base_link_inertia",
+    "shoulder_link",
+    "upper_arm_link",
+    "forearm_link",
+    "wrist_1_link",
+    "wrist_2_link",
+    "wrist_3_link",
+)
 
 
 @lru_cache

@@ -22,9 +22,23 @@ LINKS = [link.name for link in PANDA.links]
 WORST = {"link0": 0.100, "hand": 0.014, "left_finger": 0.013, "right_finger": 0.013}
 CUBE = Mesh(
     np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]),
-    np.array([[0, 1, 3], [0, 3, 2], [4, 7, 5], [4, 6, 7], [0, 5, 1], [0, 4, 5],
-              [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]),
-)  # fmt: skip
+    np.array(
+        [
+            [0, 1, 3],
+            [0, 3, 2],
+            [4, 7, 5],
+            [4, 6, 7],
+            [0, 5, 1],
+            [0, 4, 5],
+            [2, 3, 7],
+            [2, 7, 6],
+            [0, 2, 6],
+            [0, 6, 4],
+            [1, 5, 7],
+            [1, 7, 3],
+        ]
+    ),
+)
 
 
 @pytest.mark.parametrize("link", LINKS)

@@ -31,13 +31,16 @@ def within_height(points, radius, half):
 @pytest.mark.parametrize(
     ("shape", "true_volume", "inside"),
     [
-        (cylinder(0.1, 0.2, np.eye(4)), np.pi * 0.01 * 0.4,
-         lambda x: (np.hypot(x[:, 0], x[:, 1]) <= 0.1) & (abs(x[:, 2]) <= 0.2)),
+        (
+            cylinder(0.1, 0.2, np.eye(4)),
+            np.pi * 0.01 * 0.4,
+            lambda x: (np.hypot(x[:, 0], x[:, 1]) <= 0.1) & (abs(x[:, 2]) <= 0.2),
+        ),
         (ellipsoid(np.full(3, 0.1), np.eye(4)), 4 / 3 * np.pi * 1e-3, lambda x: within_height(x, 0.1, 0.0)),
         (capsule(0.05, 0.1, np.eye(4)), np.pi * 0.0025 * (0.2 + 4 / 3 * 0.05), lambda x: within_height(x, 0.05, 0.1)),
     ],
     ids=["cylinder", "ball", "capsule"],
-)  # fmt: skip
+)
 def test_a_polytope_contains_the_round_shape_it_stands_for(shape, true_volume, inside):
     points = np.random.default_rng(0).uniform(-0.21, 0.21, (20_000, 3))
     points = points[inside(points)]

@@ -12,7 +12,9 @@ QUICK = FitOptions(n_points=150, n_candidates=300, n_starts=1, max_rounds=6, max
 
 
 def fitted(count, *, seed=0, **wanted):
-    return fit_cover(link_mesh("link7"), LinkCoverSpec("link7", count, **wanted), np.random.default_rng(seed), QUICK)
+    return fit_cover(
+        link_mesh("link7"), LinkCoverSpec(mesh="link7", n_spheres=count, **wanted), np.random.default_rng(seed), QUICK
+    )
 
 
 def bulge(balls):

@@ -19,14 +19,22 @@ LENGTH = 0.3
 
 
 def turning(v, a, x=LENGTH, kind="revolute"):
-    bounds = (Bound(sign * 3.0, "rad", "test") for sign in (-1, 1))
-    return Joint("j", (x, 0.0, 0.0), (1, 0, 0, 0), *bounds, Bound(v, "", ""), Bound(a, "", ""), kind=kind)
+    return Joint(
+        name="j",
+        translation=(x, 0.0, 0.0),
+        quaternion=(1, 0, 0, 0),
+        lower=Bound(-3.0, "rad", "test"),
+        upper=Bound(3.0, "rad", "test"),
+        velocity=Bound(v, "", ""),
+        acceleration=Bound(a, "", ""),
+        kind=kind,
+    )
 
 
 def planar_arm(v, a, n=3, kind="revolute"):
     """An arm of n equal parts in a plane, one small ball at the end of each."""
     joints = tuple(turning(v, a, 0.0 if i == 0 else LENGTH, kind) for i in range(n))
-    links = tuple(Link(f"part{i}", i, "arm") for i in range(1, n + 1))
+    links = tuple(Link(name=f"part{i}", frame=i, group="arm") for i in range(1, n + 1))
     return joints, links, {link.name: SphereSet(np.array([[LENGTH, 0.0, 0.0]]), np.array([0.01])) for link in links}
 
 

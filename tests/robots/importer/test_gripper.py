@@ -63,10 +63,13 @@ def test_the_pandas_hand_is_told_as_it_was_written_by_hand():
 @pytest.mark.parametrize(
     "shape",
     [
-        {}, {"mimic": '<mimic joint="slide0"/>'}, {"axes": ("0 1 0", "0 1 0"), "mimic": MIRRORED},
-        {"axes": ("0 -1 0", "0 1 0"), "low": -0.04, "high": 0.0}, {"gap": 0.006},
+        {},
+        {"mimic": '<mimic joint="slide0"/>'},
+        {"axes": ("0 1 0", "0 1 0"), "mimic": MIRRORED},
+        {"axes": ("0 -1 0", "0 1 0"), "low": -0.04, "high": 0.0},
+        {"gap": 0.006},
     ],
-)  # fmt: skip
+)
 def test_two_fingers_that_slide_are_told_however_they_are_counted(tmp_path, shape):
     found = told(tmp_path, hand(**shape))
     assert isinstance(found, DetectedGripper), found
@@ -80,12 +83,15 @@ def test_two_fingers_that_slide_are_told_however_they_are_counted(tmp_path, shap
 @pytest.mark.parametrize(
     ("shape", "why"),
     [
-        ({"kind": "revolute"}, "not two that slide"), ({"fingers": 1}, "1 joints of fingers"),
-        ({"fingers": 3}, "3 joints of fingers"), ({"fingers": 0}, "no fingers that move"),
+        ({"kind": "revolute"}, "not two that slide"),
+        ({"fingers": 1}, "1 joints of fingers"),
+        ({"fingers": 3}, "3 joints of fingers"),
+        ({"fingers": 0}, "no fingers that move"),
         ({"gap": 0.03}, "30 mm apart"),
-        ({"axes": ("0 1 0", "1 0 0")}, "do not slide apart"), ({"axes": ("0 0 1", "0 0 -1")}, "apart at the shut end"),
+        ({"axes": ("0 1 0", "1 0 0")}, "do not slide apart"),
+        ({"axes": ("0 0 1", "0 0 -1")}, "apart at the shut end"),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_such_gripper_is_not_guessed(tmp_path, shape, why):
     assert why in told(tmp_path, hand(**shape))
 

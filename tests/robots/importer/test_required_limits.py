@@ -39,9 +39,10 @@ def test_everything_missing_is_asked_for_at_once(tree):
     with pytest.raises(MissingLimitsError) as caught:
         build_arm(tree, LimitPolicy(), QUICK)
     assert {(one.owner, one.limit) for one in caught.value.missing} == {
-        *((name, "acceleration") for name in ("lift", "shoulder", "elbow")), ("robot", "period"),
+        *((name, "acceleration") for name in ("lift", "shoulder", "elbow")),
+        ("robot", "period"),
         ("robot", "tool_speed"),
-    }  # fmt: skip
+    }
     assert "--acceleration VALUE" in str(caught.value)
 
 

@@ -20,7 +20,7 @@ from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
 from tests.robots.importer.urdf_builder import full_featured_arm, limit_policy, write_file
 
-RECIPE = ImportRecord("robot.urdf", "0" * 64)
+RECIPE = ImportRecord(description="robot.urdf", sha256="0" * 64)
 
 
 @pytest.fixture(scope="module")
@@ -64,8 +64,9 @@ def test_the_page_names_every_bound_and_what_is_missing(folder, first):
 def test_making_again_shows_what_changed_and_keeps_edits(folder, made):
     edit(folder, lambda data: data["joints"][1]["velocity"].update(value=0.7, provenance="measured by Ada"))
     assert [change.entry for change in find_edits(folder)] == [
-        "joints.shoulder.velocity.value", "joints.shoulder.velocity.provenance"
-    ]  # fmt: skip
+        "joints.shoulder.velocity.value",
+        "joints.shoulder.velocity.provenance",
+    ]
     again = made(acceleration=5.0)
     written = write_robot_folder(folder, again.robot_model, again.report, RECIPE)
     assert "joints.shoulder.acceleration.value: 10 → 5" in summarize_changes(written.generator_changes)

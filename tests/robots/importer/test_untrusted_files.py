@@ -30,9 +30,15 @@ def test_a_document_type_is_refused_at_once(tmp_path, text):
 
 @pytest.mark.parametrize(
     "name",
-    ["../../secret.stl", "/etc/secret.stl", "file:///etc/secret.stl", "http://example.org/a.stl", "package://../a.stl",
-     "package://pkg/../../secret.stl"],
-)  # fmt: skip
+    [
+        "../../secret.stl",
+        "/etc/secret.stl",
+        "file:///etc/secret.stl",
+        "http://example.org/a.stl",
+        "package://../a.stl",
+        "package://pkg/../../secret.stl",
+    ],
+)
 def test_no_mesh_is_read_outside_the_folder(tmp_path, name):
     (tmp_path / "secret.stl").write_text("solid")
     (tmp_path / "up" / "pkg").mkdir(parents=True)

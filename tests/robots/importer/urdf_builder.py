@@ -46,19 +46,39 @@ def full_featured_arm():
     """Slide, turn, endless turn on crooked axes, a fixed flange, a hand with two fingers, one of which follows."""
     finger = '<limit lower="0" upper="0.04" velocity="0.1" effort="9"/>'
     return urdf_xml(
-        link_xml("base"), link_xml("column"), link_xml("upper"), link_xml("lower"), link_xml("flange", (0.04, 0.04, 0.02), (0, 0, 0.01)),
-        link_xml("palm", (0.1, 0.04, 0.04), (0, 0, 0.03)), link_xml("left", (0.01, 0.02, 0.05), (0, 0, 0.025)),
+        link_xml("base"),
+        link_xml("column"),
+        link_xml("upper"),
+        link_xml("lower"),
+        link_xml("flange", (0.04, 0.04, 0.02), (0, 0, 0.01)),
+        link_xml("palm", (0.1, 0.04, 0.04), (0, 0, 0.03)),
+        link_xml("left", (0.01, 0.02, 0.05), (0, 0, 0.025)),
         link_xml("right", (0.01, 0.02, 0.05), (0, 0, 0.025)),
-        joint_xml("lift", "base", "column", "prismatic", "0 0 1", "0.1 0 0.3",
-              inside='<limit lower="0" upper="0.5" velocity="0.2" effort="9"/>'),
+        joint_xml(
+            "lift",
+            "base",
+            "column",
+            "prismatic",
+            "0 0 1",
+            "0.1 0 0.3",
+            inside='<limit lower="0" upper="0.5" velocity="0.2" effort="9"/>',
+        ),
         joint_xml("shoulder", "column", "upper", axis="1 2 -0.5", xyz="0.1 0.05 0.2", rpy="0.3 -0.2 0.7"),
-        joint_xml("elbow", "upper", "lower", "continuous", "0 -1 0", "0 0.02 0.25", "0 1.2 0",
-              inside='<limit velocity="2" effort="9"/>'),
+        joint_xml(
+            "elbow",
+            "upper",
+            "lower",
+            "continuous",
+            "0 -1 0",
+            "0 0.02 0.25",
+            "0 1.2 0",
+            inside='<limit velocity="2" effort="9"/>',
+        ),
         joint_xml("weld", "lower", "flange", "fixed", xyz="0 0 0.22", rpy="0 0 1", inside=""),
         joint_xml("weld2", "flange", "palm", "fixed", xyz="0 0 0.02", inside=""),
         joint_xml("grip", "palm", "left", "prismatic", "1 0 0", "0 0 0.05", inside=finger),
         joint_xml("grip2", "palm", "right", "prismatic", "-1 0 0", "0 0 0.05", inside=finger + '<mimic joint="grip"/>'),
-    )  # fmt: skip
+    )
 
 
 def transform(xyz, rotation=None):

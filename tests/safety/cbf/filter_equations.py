@@ -109,9 +109,14 @@ def max_approach_speed(s, d, a):
 
 def sphere_jacobians(s, q, middle):
     """Jacobians (k, 3, n) of the centres, and their second derivative (k, 3) along `middle`."""
-    J = np.stack([
-        (sphere_centres(s, q + DIFFERENCE_STEP * e) - sphere_centres(s, q - DIFFERENCE_STEP * e)) / (2.0 * DIFFERENCE_STEP) for e in np.eye(s.robot_model.n)
-    ], axis=2)  # fmt: skip
+    J = np.stack(
+        [
+            (sphere_centres(s, q + DIFFERENCE_STEP * e) - sphere_centres(s, q - DIFFERENCE_STEP * e))
+            / (2.0 * DIFFERENCE_STEP)
+            for e in np.eye(s.robot_model.n)
+        ],
+        axis=2,
+    )
     step = 1e-4
     here = sphere_centres(s, q)
     bend = (sphere_centres(s, q + step * middle) - 2.0 * here + sphere_centres(s, q - step * middle)) / step**2
@@ -140,10 +145,17 @@ def _obstacle_rows(s, j, thing, here, J, bend, link, radius, frame, low, high):
     c, v = s.config, np.array(thing.velocity)
     points = here - v * s.age
     gap = geometry_oracle.surface_distance(thing.shape, thing.pose, points)
-    n = np.stack([
-        (geometry_oracle.surface_distance(thing.shape, thing.pose, points + DIFFERENCE_STEP * e)
-         - geometry_oracle.surface_distance(thing.shape, thing.pose, points - DIFFERENCE_STEP * e)) / (2.0 * DIFFERENCE_STEP) for e in np.eye(3)
-    ], axis=1)  # fmt: skip
+    n = np.stack(
+        [
+            (
+                geometry_oracle.surface_distance(thing.shape, thing.pose, points + DIFFERENCE_STEP * e)
+                - geometry_oracle.surface_distance(thing.shape, thing.pose, points - DIFFERENCE_STEP * e)
+            )
+            / (2.0 * DIFFERENCE_STEP)
+            for e in np.eye(3)
+        ],
+        axis=1,
+    )
     alpha = thing.alpha or c.alpha or s.robot_model.alpha
     out = []
     for i in np.flatnonzero(frame > 0):

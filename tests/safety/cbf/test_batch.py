@@ -113,9 +113,14 @@ def test_an_empty_batch_and_what_is_refused():
             safety.batch(np.zeros((3, 7)), np.zeros(shape), np.zeros((3, 7)))
     fast = Bound(1.0, "m/s", "test")
     cart = make_differential_base(
-        "cart", [(0.2, 0.0, 0.1)], speed=fast, turn_rate=fast, acceleration=fast, turn_acceleration=fast,
+        "cart",
+        [(0.2, 0.0, 0.1)],
+        speed=fast,
+        turn_rate=fast,
+        acceleration=fast,
+        turn_acceleration=fast,
         tracking=PANDA.tracking,
-    )  # fmt: skip
+    )
     for refused in (SafetyFilter(SMALL, barriers=[_NoRows()]), SafetyFilter(cart)):
         with pytest.raises(ConfigurationError, match="bolted body"):
             refused.batch(none, none, none)

@@ -232,12 +232,19 @@ def test_bad_input_stops_within_the_acceleration_box(safety, panda, at):
     outside = good.copy()
     outside[3] = 1.0
     cases = {
-        Reason.BAD_INPUT: [(at(nan), np.zeros(7), 0.0), (at(good, nan), np.zeros(7), 0.0), (at(good), nan, 0.0),
-                           (at(good, opening=np.inf), np.zeros(7), 0.0)],
-        Reason.STALE_STATE: [(at(good, t=0.0), np.zeros(7), 0.2), (at(good, t=0.3), np.zeros(7), 0.2),
-                             (at(good, t=0.0), np.zeros(7), np.nan)],
+        Reason.BAD_INPUT: [
+            (at(nan), np.zeros(7), 0.0),
+            (at(good, nan), np.zeros(7), 0.0),
+            (at(good), nan, 0.0),
+            (at(good, opening=np.inf), np.zeros(7), 0.0),
+        ],
+        Reason.STALE_STATE: [
+            (at(good, t=0.0), np.zeros(7), 0.2),
+            (at(good, t=0.3), np.zeros(7), 0.2),
+            (at(good, t=0.0), np.zeros(7), np.nan),
+        ],
         Reason.OUTSIDE_LIMITS: [(at(outside), np.zeros(7), 0.0)],
-    }  # fmt: skip
+    }
     for reason, inputs in cases.items():
         for state, u_nom, now in inputs:
             safety.reset(u_prev)
@@ -290,10 +297,15 @@ def test_two_things_closing_in_are_reported_as_conflicting(panda, at):
     safety = SafetyFilter(panda, random_scenes.exact_config())
     tool = safety.tool(np.array(panda.home)).position
     pair = [
-        Obstacle(side, Sphere(0.05), Pose(tuple(tool + np.array([0.0, sign * 0.2, 0.0]))),
-                 velocity=(0.0, -sign * 0.8, 0.0), static=False)
+        Obstacle(
+            side,
+            Sphere(0.05),
+            Pose(tuple(tool + np.array([0.0, sign * 0.2, 0.0]))),
+            velocity=(0.0, -sign * 0.8, 0.0),
+            static=False,
+        )
         for side, sign in (("left", 1.0), ("right", -1.0))
-    ]  # fmt: skip
+    ]
     safety.observe(pair, 0.0)
     answer = safety.filter(at(panda.home), np.zeros(7), 0.0)
     assert answer.status in (FilterStatus.RELAXED, FilterStatus.FAULT)

@@ -140,7 +140,7 @@ def setting(kind, body, q, rng):
         s.held_error = 0.003
     if kind == "user":
         s.rows = [
-            ConstraintRow(f"r{k}", tuple(rng.normal(size=body.n).tolist()), float(rng.uniform(-1.5, -0.4)))
+            ConstraintRow(name=f"r{k}", a=tuple(rng.normal(size=body.n).tolist()), b=float(rng.uniform(-1.5, -0.4)))
             for k in range(3)
         ]
     if kind == "separation":

@@ -60,9 +60,10 @@ def test_the_limit_that_binds_is_called_by_its_name(small):
         way = 1.0 if tick < 60 else -1.0  # turned back while it still accelerates
         answer = safety(np.array(small.home), np.zeros(7), np.array([9.0 * way, 0, 0, 0, 0, 0, 0]))
         bounds = {
-            "velocity": way * v_max, "acceleration": u + way * a_max * dt,
+            "velocity": way * v_max,
+            "acceleration": u + way * a_max * dt,
             "jerk": 2.0 * u - before + way * j_max * dt**2,
-        }  # fmt: skip
+        }
         for name in (name for name, _, _ in answer.active_rows if name.startswith(first.name + " ")):
             kind = name.split()[1]
             assert answer.u[0] == pytest.approx(bounds[kind], abs=1e-3 * a_max * dt), kind

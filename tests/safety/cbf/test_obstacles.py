@@ -47,7 +47,7 @@ def test_held_things_lie_inside_at_most_eight_spheres(x, y, z, seed):
     tool_p, tool_R = rng.uniform(-1, 1, 3), geometry_oracle.rotation_matrix(random_scenes.random_quaternion(rng))
     pose = Pose(tuple(tool_p + rng.uniform(-0.05, 0.05, 3)), random_scenes.random_quaternion(rng))
     for shape in (Box((x, y, z)), Cylinder(x, y), Bowl(x, y, 0.002)):
-        spheres = cover_with_spheres(SceneObject("thing", "object", shape, pose), tool_p, tool_R)
+        spheres = cover_with_spheres(SceneObject(name="thing", role="object", shape=shape, pose=pose), tool_p, tool_R)
         assert 1 <= len(spheres) <= 8
         world = surface(shape, rng) @ geometry_oracle.rotation_matrix(pose.quaternion).T + np.array(pose.position)
         local = (world - tool_p) @ tool_R
@@ -56,19 +56,40 @@ def test_held_things_lie_inside_at_most_eight_spheres(x, y, z, seed):
 
 
 def test_a_held_cube_is_covered_tightly():
-    cube = SceneObject("cube", "object", Box((0.02, 0.02, 0.02)), Pose((0.0, 0.0, 0.1)))
+    cube = SceneObject(name="cube", role="object", shape=Box((0.02, 0.02, 0.02)), pose=Pose((0.0, 0.0, 0.1)))
     spheres = cover_with_spheres(cube, np.zeros(3), np.eye(3))
     assert len(spheres) == 8
     assert np.max(np.abs(spheres[:, :3] - [0, 0, 0.1]) + spheres[:, 3:]) < 0.02 + 0.008
 
 
 def test_a_scene_becomes_obstacles_with_its_errors():
-    scene = Scene("panda", 2.0, 1, (
-        SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.0)), error=0.001),
-        SceneObject("cup", "object", Cylinder(0.03, 0.05), Pose((0.5, 0.0, 0.05)), error=0.009, stamp=2.0),
-        SceneObject("arm", "person", Sphere(0.05), Pose((0.5, 0.5, 0.4)), (0.1, 0.0, 0.0), 0.009, 0.05, stamp=1.8),
-        SceneObject("gone", "object", Sphere(0.02), Pose((0.4, 0.0, 0.02))),
-    ))  # fmt: skip
+    scene = Scene(
+        robot="panda",
+        stamp=2.0,
+        version=1,
+        objects=(
+            SceneObject(name="table", role="support", shape=HalfSpace(), pose=Pose((0.0, 0.0, 0.0)), error=0.001),
+            SceneObject(
+                name="cup",
+                role="object",
+                shape=Cylinder(0.03, 0.05),
+                pose=Pose((0.5, 0.0, 0.05)),
+                error=0.009,
+                stamp=2.0,
+            ),
+            SceneObject(
+                name="arm",
+                role="person",
+                shape=Sphere(0.05),
+                pose=Pose((0.5, 0.5, 0.4)),
+                velocity=(0.1, 0.0, 0.0),
+                error=0.009,
+                velocity_error=0.05,
+                stamp=1.8,
+            ),
+            SceneObject(name="gone", role="object", shape=Sphere(0.02), pose=Pose((0.4, 0.0, 0.02))),
+        ),
+    )
     table, cup, person = obstacles_from_scene(scene, known={"table"}, held="gone", clearance=0.002)
     assert (table.known, cup.known, table.static, person.static) == (True, False, True, False)
     assert cup.margin == pytest.approx(0.011)

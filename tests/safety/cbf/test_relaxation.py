@@ -105,10 +105,12 @@ def test_no_pair_is_met_worse_than_by_braking(small, at, seed):
 def test_what_was_given_up_is_told(small, at):
     a = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     safety = SafetyFilter(small, random_scenes.exact_config())
-    safety.constrain([
-        ConstraintRow("user_rows: left", tuple(a), 0.01, rank=Rank.BODY),
-        ConstraintRow("user_rows: right", tuple(-a), 0.01, rank=Rank.TASK),
-    ])  # fmt: skip
+    safety.constrain(
+        [
+            ConstraintRow("user_rows: left", tuple(a), 0.01, rank=Rank.BODY),
+            ConstraintRow("user_rows: right", tuple(-a), 0.01, rank=Rank.TASK),
+        ]
+    )
     answer = safety.filter(at(small.home), np.zeros(7), 0.0)
     assert (answer.status, answer.relaxed_ranks) == (FilterStatus.RELAXED, (Rank.TASK,))
     assert answer.u[0] == pytest.approx(0.01, abs=1e-4)
@@ -126,9 +128,13 @@ def test_no_still_thing_that_braking_spares_is_traded_for_a_person(small):
     for tick in range(900):
         now = 1e-3 * tick
         person = Obstacle(
-            "person", Capsule(0.1, 0.4), Pose((1.0 - 0.8 * now, 0.0, 0.5)), (-0.8, 0.0, 0.0), static=False,
+            "person",
+            Capsule(0.1, 0.4),
+            Pose((1.0 - 0.8 * now, 0.0, 0.5)),
+            (-0.8, 0.0, 0.0),
+            static=False,
             rank=Rank.BODY,
-        )  # fmt: skip
+        )
         safety.observe([wall, person], now)
         answer = safety(q, np.zeros(7), np.zeros(7), now)
         relaxed += answer.status is FilterStatus.RELAXED

@@ -59,12 +59,16 @@ def thing(rng, index, near, *, moving, parts, balls):
     moves = moving and rng.random() < 0.5
     chosen = rng.random() < 0.3 and parts
     return Obstacle(
-        f"o{index}", shape, pose,
+        f"o{index}",
+        shape,
+        pose,
         velocity=tuple(rng.uniform(-0.5, 0.5, 3).tolist()) if moves else (0.0, 0.0, 0.0),
-        margin=float(rng.choice([0.0, 0.02])), velocity_error=0.05 if moves and rng.random() < 0.5 else 0.0,
-        static=not moves, alpha=float(rng.choice([1.0, 8.0])) if chosen else None,
+        margin=float(rng.choice([0.0, 0.02])),
+        velocity_error=0.05 if moves and rng.random() < 0.5 else 0.0,
+        static=not moves,
+        alpha=float(rng.choice([1.0, 8.0])) if chosen else None,
         parts=((), ("hand",), ("fingers", "link4"), ("held", "link6"))[int(rng.integers(4))] if chosen else (),
-    )  # fmt: skip
+    )
 
 
 def moment(body, rng, *, count=9, moving=False, parts=False, holding=False, mobile=False, balls=False, **_):
@@ -85,7 +89,7 @@ def moment(body, rng, *, count=9, moving=False, parts=False, holding=False, mobi
         held = np.concatenate([rng.uniform(-0.08, 0.08, (k, 3)), rng.uniform(0.005, 0.03, (k, 1))], axis=1)
     return exhaustive_rows.PairCase(
         q, low, high, things, 0.1 if moving else 0.0, opening, permits, held, 0.004 * holding, base
-    )  # fmt: skip
+    )
 
 
 def ask(safety, setting, rng, *, mobile):
@@ -101,7 +105,14 @@ def ask(safety, setting, rng, *, mobile):
     fastest = np.array([joint.velocity.value for joint in body.joints])
     u_prev = fastest * rng.uniform(-1.0, 1.0, body.n) * rng.choice([0.0, 0.2, 1.0])
     safety.reset(u_prev)
-    state = RobotState(setting.age, 0, setting.q, np.zeros(body.n), setting.opening, (0.0, 0.0))
+    state = RobotState(
+        stamp=setting.age,
+        sequence=0,
+        q=setting.q,
+        v=np.zeros(body.n),
+        opening=setting.opening,
+        finger_forces=(0.0, 0.0),
+    )
     answer = safety.filter(state, u_prev, setting.age)
     setting.low, setting.high = (np.array(side) for side in safety._kernel.box())
     return answer

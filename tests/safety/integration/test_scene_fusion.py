@@ -25,12 +25,12 @@ from dualbrain.safety.integration.scene_fusion import (
 TURN = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
 """A quarter turn about z."""
 FRAMES = {
-    "mast": FrameMount(Pose((1.0, 0.0, 0.5), TURN), error=0.001, angle_error=0.01),
-    "lens": FrameMount(Pose((0.0, 0.2, 0.0)), parent="mast", error=0.002),
+    "mast": FrameMount(pose=Pose((1.0, 0.0, 0.5), TURN), error=0.001, angle_error=0.01),
+    "lens": FrameMount(pose=Pose((0.0, 0.2, 0.0)), parent="mast", error=0.002),
     "wrist": FrameMount(time_tolerance=0.02),
 }
 SOURCES = {"camera": SceneSource(error=0.004, max_age=0.2), "map": SceneSource(error=0.0, max_age=1e6)}
-BALL = PerceivedShape("ball", Sphere(0.05), Pose((0.3, 0.0, 0.0)))
+BALL = PerceivedShape(name="ball", shape=Sphere(0.05), pose=Pose((0.3, 0.0, 0.0)))
 
 
 def feed():

@@ -80,8 +80,11 @@ def test_the_shadow_changes_nothing(small):
         shadow.evaluate(q, v, u, now)
 
     with_it, alone = recorded(small, 2800, onlooker), recorded(small, 2800)
-    assert all(np.array_equal(one, other) for row, twin in zip(with_it, alone, strict=True)
-               for one, other in zip(row, twin, strict=True))  # fmt: skip
+    assert all(
+        np.array_equal(one, other)
+        for row, twin in zip(with_it, alone, strict=True)
+        for one, other in zip(row, twin, strict=True)
+    )
     assert shadow.close().changed_ticks > 100
     assert told
 
@@ -221,7 +224,15 @@ def test_memory_is_bounded_and_a_lasting_episode_is_told_in_pieces(small):
 
 
 EPISODE = InterventionInterval(
-    1.0, 1.5, 500, 0.25, 1.2, "hand vs 'post'", "MODIFIED", -0.001, "hand vs 'post' 2 mm: slowed 9 %"
+    start=1.0,
+    end=1.5,
+    ticks=500,
+    peak=0.25,
+    peak_at=1.2,
+    cause="hand vs 'post'",
+    worst="MODIFIED",
+    h_min=-0.001,
+    words="hand vs 'post' 2 mm: slowed 9 %",
 )
 
 

@@ -62,7 +62,7 @@ PLANE = "[[plane]]\nname = 'a'\npoint = [0, 0, 0]\ninward = [0, 0, 1]\n"
     ("text", "line", "column", "said"),
     [
         ("[robot]\nperiod = 0.0", 2, 10, "> 0.0"),
-        ("[limits]\n\nvelocity = \"fast\"", 3, 12, "Expected `float"),
+        ('[limits]\n\nvelocity = "fast"', 3, 12, "Expected `float"),
         ("[limits]\nvelocty = 1.0", 2, 11, "unknown field `velocty`"),
         ("[robt]\nperiod = 1", 1, 1, "unknown field `robt`"),
         ("[joint.elbow]\nlower = nan", 2, 9, "not finite"),
@@ -71,7 +71,7 @@ PLANE = "[[plane]]\nname = 'a'\npoint = [0, 0, 0]\ninward = [0, 0, 1]\n"
         ("[robot]\nperiod = = 2", 2, 10, "Invalid value"),
         ("[commander.planner]\nskills = 'all'", 2, 10, "array"),
     ],
-)  # fmt: skip
+)
 def test_an_error_names_its_line_and_column(tmp_path, text, line, column, said):
     with pytest.raises(SiteError) as caught:
         site(tmp_path, text)

@@ -50,18 +50,26 @@ def build_filter(recording):
 
 def run_step(safety, step):
     """Repeat one step."""
-    state = RobotState(step.t, 0, np.array(step.q), np.array(step.v), step.opening, (0.0, 0.0))
+    state = RobotState(
+        stamp=step.t, sequence=0, q=np.array(step.q), v=np.array(step.v), opening=step.opening, finger_forces=(0.0, 0.0)
+    )
     return safety.filter(state, np.array(step.u_nom), step.t)
 
 
 def record_vectors(steps=120):
     """A loop past a ball, a box and the table, with a permit, in which the lag and the obstacle's motion matter."""
     robot_model = load_robot("panda")
-    recording = Recording("panda", FilterConfig(), [
-        Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)), known=True),
-        Obstacle("cube", Box((0.02, 0.02, 0.02)), Pose((0.5, 0.0, 0.3), (0.9, 0.1, 0.2, 0.3))),
-        Obstacle("ball", Sphere(0.05), Pose((0.75, 0.1, 0.4)), (-0.3, 0.0, 0.0), 0.005, 0.02, static=False),
-    ], [Contact("fingers", "cube", 0.05)], [])  # fmt: skip
+    recording = Recording(
+        "panda",
+        FilterConfig(),
+        [
+            Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)), known=True),
+            Obstacle("cube", Box((0.02, 0.02, 0.02)), Pose((0.5, 0.0, 0.3), (0.9, 0.1, 0.2, 0.3))),
+            Obstacle("ball", Sphere(0.05), Pose((0.75, 0.1, 0.4)), (-0.3, 0.0, 0.0), 0.005, 0.02, static=False),
+        ],
+        [Contact("fingers", "cube", 0.05)],
+        [],
+    )
     safety, rng = build_filter(recording), np.random.default_rng(0)
     q, v = np.array(robot_model.home), np.zeros(7)
     for k in range(steps):

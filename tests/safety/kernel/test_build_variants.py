@@ -41,8 +41,12 @@ def test_both_sizes_answer_bit_for_bit_alike(name, real, wide_only, rng):
         one, other = narrow(q, u, wish), wide(q, u, wish)
         assert one.u.tobytes() == other.u.tobytes()
         assert (one.status, one.flags, one.delta, one.h_min, one.binding_rows) == (
-            other.status, other.flags, other.delta, other.h_min, other.rows,
-        )  # fmt: skip
+            other.status,
+            other.flags,
+            other.delta,
+            other.h_min,
+            other.rows,
+        )
         bound += len(one.binding_rows) > 1
         u, q = one.u, q + robot_model.period * one.u
     assert bound > STEPS / 10

@@ -212,8 +212,8 @@ def test_every_number_of_a_held_thing_and_of_a_row_is_looked_at(small, at, colum
     a[column] = math.inf
     safety.constrain(
         [
-            ConstraintRow("good", (1.0,) * 7, -9.0),
-            ConstraintRow("bad", tuple(a) if column else (1.0,) * 7, math.nan if not column else -1.0),
+            ConstraintRow(name="good", a=(1.0,) * 7, b=-9.0),
+            ConstraintRow(name="bad", a=tuple(a) if column else (1.0,) * 7, b=math.nan if not column else -1.0),
         ]
     )
     assert Reason.BAD_SCENE in safety.filter(at(small.home), np.zeros(7), 0.0).reason

@@ -44,10 +44,13 @@ def random_model(rng, n=7, links=6, *, slides=True, alpha=None):
     counts = rng.integers(0, 10 if links < 12 else 4, links)
     counts[-1] = max(counts[-1], 2)
     total = int(counts.sum())
-    spheres = np.column_stack([
-        rng.uniform(-0.12, 0.12, (total, 3)), rng.uniform(0.01, 0.06, total),
-        rng.choice([0.0, 1.0], (total, 1)) * rng.uniform(-1.0, 1.0, (total, 3)),
-    ])  # fmt: skip
+    spheres = np.column_stack(
+        [
+            rng.uniform(-0.12, 0.12, (total, 3)),
+            rng.uniform(0.01, 0.06, total),
+            rng.choice([0.0, 1.0], (total, 1)) * rng.uniform(-1.0, 1.0, (total, 3)),
+        ]
+    )
     kind = (rng.random(n) < 0.2) * float(slides)
     pairs = [(a, b) for a in range(links) for b in range(links) if frames[a] < frames[b] - 1 and rng.random() < 0.7][
         :96
@@ -55,21 +58,36 @@ def random_model(rng, n=7, links=6, *, slides=True, alpha=None):
     v_max = rng.uniform(0.5, 2.5, n)
     a_max = v_max * rng.uniform(2.0, 10.0, n) * rng.choice([1.0, 5.0, 50.0])  # the last: a box as wide as v_max
     return {
-        "n": n, "period": float(rng.choice([1e-3, 4e-3])), "alpha": alpha or float(rng.uniform(1.0, 6.0)),
-        "alpha_self": float(rng.uniform(1.0, 6.0)), "alpha_joint": float(rng.uniform(1.0, 6.0)),
-        "recovery": float(rng.uniform(0.01, 0.1)), "sampling": float(rng.uniform(0.0, 5e-4)),
-        "rounding": float(rng.uniform(0.0, 1e-4)), "self_margin": float(rng.uniform(0.0, 5e-3)),
-        "lag": float(rng.uniform(0.0, 0.02)), "tracking": float(rng.uniform(0.0, 5e-3)),
-        "state_age_max": 0.02, "scene_age_max": 0.3, "joint_kind": kind,
+        "n": n,
+        "period": float(rng.choice([1e-3, 4e-3])),
+        "alpha": alpha or float(rng.uniform(1.0, 6.0)),
+        "alpha_self": float(rng.uniform(1.0, 6.0)),
+        "alpha_joint": float(rng.uniform(1.0, 6.0)),
+        "recovery": float(rng.uniform(0.01, 0.1)),
+        "sampling": float(rng.uniform(0.0, 5e-4)),
+        "rounding": float(rng.uniform(0.0, 1e-4)),
+        "self_margin": float(rng.uniform(0.0, 5e-3)),
+        "lag": float(rng.uniform(0.0, 0.02)),
+        "tracking": float(rng.uniform(0.0, 5e-3)),
+        "state_age_max": 0.02,
+        "scene_age_max": 0.3,
+        "joint_kind": kind,
         "joint_rotation": np.concatenate([random_rotation(rng).ravel() for _ in range(n)]),
         "joint_offset": rng.uniform(-0.25, 0.25, 3 * n),
-        "q_lower": -rng.uniform(1.5, 2.5, n), "q_upper": rng.uniform(1.5, 2.5, n),
-        "v_max": v_max, "a_max": a_max, "j_max": np.zeros(n), "scale": random_scale(rng, n),
-        "tool_rotation": random_rotation(rng).ravel(), "tool_offset": rng.uniform(-0.1, 0.1, 3),
-        "link_frame": frames.astype(float), "link_first": np.concatenate([[0.0], np.cumsum(counts)]),
-        "spheres": spheres, "pairs": np.array(pairs, float).reshape(-1),
+        "q_lower": -rng.uniform(1.5, 2.5, n),
+        "q_upper": rng.uniform(1.5, 2.5, n),
+        "v_max": v_max,
+        "a_max": a_max,
+        "j_max": np.zeros(n),
+        "scale": random_scale(rng, n),
+        "tool_rotation": random_rotation(rng).ravel(),
+        "tool_offset": rng.uniform(-0.1, 0.1, 3),
+        "link_frame": frames.astype(float),
+        "link_first": np.concatenate([[0.0], np.cumsum(counts)]),
+        "spheres": spheres,
+        "pairs": np.array(pairs, float).reshape(-1),
         "held_links": np.flatnonzero((frames < n) & (rng.random(links) < 0.5)).astype(float),
-    }  # fmt: skip
+    }
 
 
 def random_scale(rng, n):
@@ -94,15 +112,39 @@ def random_obstacle(rng, near, links, *, moving, with_separation, spheres_only=F
     separation = (0.1, 1.0, rng.choice([0.0, 0.3])) if with_separation and rng.random() < 0.3 else (0.0, 0.0, 0.0)
     mask = ALL_LINKS_MASK if rng.random() < 0.7 else float(rng.integers(0, 2 ** (links + 1)))
     flags = float(KNOWN_FLAG * (rng.random() < 0.5) + STATIC_FLAG * (not moves))
-    return np.array([
-        shape, flags, rng.integers(1, 5), mask, rng.choice([0.0, 0.9, 5.0]), *place, *random_rotation(rng).ravel(), *half[shape],
-        radius, *velocity, rng.choice([0.0, 0.02]), 0.03 * moves, *separation,
-    ])  # fmt: skip
+    return np.array(
+        [
+            shape,
+            flags,
+            rng.integers(1, 5),
+            mask,
+            rng.choice([0.0, 0.9, 5.0]),
+            *place,
+            *random_rotation(rng).ravel(),
+            *half[shape],
+            radius,
+            *velocity,
+            rng.choice([0.0, 0.02]),
+            0.03 * moves,
+            *separation,
+        ]
+    )
 
 
 def random_case(
-    rng, model, points, *, n_obstacles=8, moving=True, with_separation=True, permits=True, n_held=4, n_rows=2, mobile=False, spheres_only=False
-):  # fmt: skip
+    rng,
+    model,
+    points,
+    *,
+    n_obstacles=8,
+    moving=True,
+    with_separation=True,
+    permits=True,
+    n_held=4,
+    n_rows=2,
+    mobile=False,
+    spheres_only=False,
+):
     """A moment of `model`; `points` (k, 3) are places that things may stand beside. With `balls` all are that."""
     n, links = model["n"], len(model["link_frame"])
     base = (random_rotation(rng), rng.uniform(-3.0, 3.0, 3)) if mobile else None
@@ -126,10 +168,19 @@ def random_case(
     user = [[*rng.normal(size=n), rng.uniform(-3.0, -1.0), 0.01 * k, 1 + k % 4] for k in range(n_rows)]
     u_prev = model["v_max"] * rng.uniform(-1.0, 1.0, n) * rng.choice([0.0, 0.1, 0.8])
     return StepCase(
-        rng.uniform(-1.6, 1.6, n), rng.uniform(-0.5, 0.5, n), u_prev + 0.01 * rng.normal(size=n), u_prev,
-        np.array(table).reshape(-1, 29), float(rng.uniform(0.0, 0.04)), 0.1 * moving, allowed, carried,
-        0.003 * (n_held > 0), np.array(user).reshape(-1, n + 3), base,
-    )  # fmt: skip
+        rng.uniform(-1.6, 1.6, n),
+        rng.uniform(-0.5, 0.5, n),
+        u_prev + 0.01 * rng.normal(size=n),
+        u_prev,
+        np.array(table).reshape(-1, 29),
+        float(rng.uniform(0.0, 0.04)),
+        0.1 * moving,
+        allowed,
+        carried,
+        0.003 * (n_held > 0),
+        np.array(user).reshape(-1, n + 3),
+        base,
+    )
 
 
 def make_kernel(model, build=_kernel64):
@@ -154,7 +205,7 @@ def upload_case(made, model, m):
 
 def run_step(made, m):
     """One step; its answer."""
-    return made.step(m.q, m.v, m.u_nom, m.opening, 0.0, m.age, RowNames((), (), (), ()))
+    return made.step(m.q, m.v, m.u_nom, m.opening, 0.0, m.age, RowNames(spheres=(), obstacles=(), joints=(), v_max=()))
 
 
 def step_internals(made, n, links, extra=0.0, *, known_only=False):
@@ -165,11 +216,18 @@ def step_internals(made, n, links, extra=0.0, *, known_only=False):
     }
     room = {"joints": _kernel64.max_joints, "links": _kernel64.max_links + 1}
     shapes = {
-        ("body", "reach"): room["joints"], ("body", "link_reach"): room["joints"], ("body", "ball"): room["links"] - 1,
-        ("body", "scale"): room["joints"], ("motion", "twist"): room["joints"] + 1, ("rows", "a"): room["joints"],
-        ("step", "warm"): room["joints"] + 1, ("step", "rotation"): room["joints"] + 1,
-        ("step", "origin"): room["joints"] + 1, ("scene", "permit"): room["links"], ("around", "index"): room["links"],
-    }  # fmt: skip
+        ("body", "reach"): room["joints"],
+        ("body", "link_reach"): room["joints"],
+        ("body", "ball"): room["links"] - 1,
+        ("body", "scale"): room["joints"],
+        ("motion", "twist"): room["joints"] + 1,
+        ("rows", "a"): room["joints"],
+        ("step", "warm"): room["joints"] + 1,
+        ("step", "rotation"): room["joints"] + 1,
+        ("step", "origin"): room["joints"] + 1,
+        ("scene", "permit"): room["links"],
+        ("around", "index"): room["links"],
+    }
     for (part, name), rows in shapes.items():
         if part in raw:
             raw[part][name] = raw[part][name].reshape(rows, -1)

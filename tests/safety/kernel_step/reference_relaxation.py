@@ -53,10 +53,12 @@ class ReferenceRelaxation(ReferenceRows):
         want = np.minimum([self.rows[name][1] for name in names], best)
         moving = np.array([self.rows[name][5] > 0.0 for name in names])
         rank = np.array([self.rows[name][6] for name in names])
-        passive = np.array([
-            self.passive_bound(name, want[r], 0.5 * (best - worst)[r]) if moving[r] else want[r]
-            for r, name in enumerate(names)
-        ])  # fmt: skip
+        passive = np.array(
+            [
+                self.passive_bound(name, want[r], 0.5 * (best - worst)[r]) if moving[r] else want[r]
+                for r, name in enumerate(names)
+            ]
+        )
         floor = np.where(rank <= 2, np.minimum(passive, A @ brake - VIOLATION_TOLERANCE), UNCONSTRAINED)
         rank = np.where((rank <= 2) & (A @ brake >= want), 0, rank)
         soft, u, given_up = np.minimum(1.0, SLACK_WEIGHT / norm), brake, 0
@@ -66,9 +68,15 @@ class ReferenceRelaxation(ReferenceRows):
                 if not np.any(mine):
                     continue
                 p = ReferenceQP(
-                    self.model["scale"], np.vstack([A, A[mine]]), np.concatenate([floor, asked[mine]]),
-                    np.concatenate([np.zeros(len(A)), soft[mine]]), self.low, self.high, brake, slack=True,
-                )  # fmt: skip
+                    self.model["scale"],
+                    np.vstack([A, A[mine]]),
+                    np.concatenate([floor, asked[mine]]),
+                    np.concatenate([np.zeros(len(A)), soft[mine]]),
+                    self.low,
+                    self.high,
+                    brake,
+                    slack=True,
+                )
                 if p.solve():
                     return None
                 slack, u = max(p.slack, 0.0), np.clip(p.u, self.low, self.high)
@@ -97,7 +105,7 @@ class ReferenceRelaxation(ReferenceRows):
         """Is every h of the next step at least zero, or no deeper than now? By `spare`, for rounding."""
         m = replace(
             self.case, q=self.y + self.model["period"] * u, v=np.zeros(self.n), age=self.case.age + self.model["period"]
-        )  # fmt: skip
+        )
         then = ReferenceRelaxation(self.model, m, (self.low, self.high), (self.trust_low, self.trust_high)).true_h()
         now = self.true_h()
         return all(h >= tolerance or h >= now[name] + tolerance for name, h in then.items())

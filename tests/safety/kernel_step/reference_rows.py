@@ -37,10 +37,12 @@ class ReferenceRows(ReferenceStep):
     @cached_property
     def h_lower_bounds(self):
         """(links + 1, things): lower bounds of h, ball against capsule."""
-        return np.array([
-            [t.capsule_distance(b[:3]) - self.margin(t) - b[3] - self.held_error(link) for t in self.obstacles]
-            for link, b in enumerate(self.bounding_spheres)
-        ]).reshape(self.links + 1, -1)  # fmt: skip
+        return np.array(
+            [
+                [t.capsule_distance(b[:3]) - self.margin(t) - b[3] - self.held_error(link) for t in self.obstacles]
+                for link, b in enumerate(self.bounding_spheres)
+            ]
+        ).reshape(self.links + 1, -1)
 
     @cached_property
     def min_h_bound(self):
@@ -91,9 +93,15 @@ class ReferenceRows(ReferenceStep):
             h = d - self.radius[s] - self.margin(t) - self.held_error(link)
             cap, error = (-permit, 0.0) if permit >= 0.0 else (self.model["recovery"], t.error)
             rhs, room = self.bound_row(
-                h, n, self.velocity[s], self.spread[s], self.acceleration[s], self.alpha(t), cap,
+                h,
+                n,
+                self.velocity[s],
+                self.spread[s],
+                self.acceleration[s],
+                self.alpha(t),
+                cap,
                 n @ t.velocity + error,
-            )  # fmt: skip
+            )
             yields = permit >= 0.0
             if t.brake > 0.0 and permit < 0.0:
                 person = max(t.approach, n @ t.velocity + error, 0.0)
@@ -158,9 +166,15 @@ class ReferenceRows(ReferenceStep):
             h, n = self.self_distances(i, far)
             for at, s in enumerate(self.sphere_indices(far)):
                 rhs, room = self.bound_row(
-                    h[at], n[at], relative[at], spread[at], self.acceleration[s] - self.acceleration[i],
-                    self.model["alpha_self"], self.model["recovery"], 0.0,
-                )  # fmt: skip
+                    h[at],
+                    n[at],
+                    relative[at],
+                    spread[at],
+                    self.acceleration[s] - self.acceleration[i],
+                    self.model["alpha_self"],
+                    self.model["recovery"],
+                    0.0,
+                )
                 if not room >= 0.0 or not h[at] >= ALWAYS_CHECKED_DISTANCE:
                     rows.append((SELF, s, i, h[at], n[at], rhs, False))
         return rows
@@ -232,8 +246,16 @@ class ReferenceRows(ReferenceStep):
     @cached_property
     def n_pair_checks(self):
         """How many spheres are held against another link: those that its ball cannot rule out, pair by pair."""
-        count, things = 0, [h + self.model["sampling"] for link, near in enumerate(self.nearby_obstacles) for j in near
-                            if (link, j) not in self.case.permits for h in self.obstacle_rows(link, j)[0]]  # fmt: skip
+        count, things = (
+            0,
+            [
+                h + self.model["sampling"]
+                for link, near in enumerate(self.nearby_obstacles)
+                for j in near
+                if (link, j) not in self.case.permits
+                for h in self.obstacle_rows(link, j)[0]
+            ],
+        )
         h_min = min([MAX_DISTANCE, *things])
 
         def matters(h, speed):

@@ -65,10 +65,12 @@ class ReferenceStep:
     def link_reach(self):
         """(n, links + 1): the longest among a link's spheres."""
         room = [*self.first[:-1], len(self.model["spheres"]) + MAX_HELD_SPHERES]
-        return np.array([
-            [self.reach[k, room[link] : room[link + 1]].max(initial=0.0) for link in range(self.links + 1)]
-            for k in range(self.n)
-        ])  # fmt: skip
+        return np.array(
+            [
+                [self.reach[k, room[link] : room[link + 1]].max(initial=0.0) for link in range(self.links + 1)]
+                for k in range(self.n)
+            ]
+        )
 
     @cached_property
     def local_bounding_spheres(self):

@@ -92,8 +92,16 @@ def test_rows_are_tightened_by_the_shift():
 def test_a_row_depends_on_another_up_to_a_stated_angle(angle, wanted):
     """Two rows against each other, a hair from parallel: below the angle there is no way between them."""
     A = np.array([[1.0, 0.0], [-np.cos(angle), np.sin(angle)]])
-    p = ReferenceQP(np.eye(2), A, np.array([0.0, 0.4 * angle]), np.zeros(2), -np.ones(2), np.ones(2), np.array([-0.5, 0.0]),
-                slack=False)  # fmt: skip
+    p = ReferenceQP(
+        np.eye(2),
+        A,
+        np.array([0.0, 0.4 * angle]),
+        np.zeros(2),
+        -np.ones(2),
+        np.ones(2),
+        np.array([-0.5, 0.0]),
+        slack=False,
+    )
     assert kernel(p)[1] == wanted
 
 

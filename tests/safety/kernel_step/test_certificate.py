@@ -45,8 +45,9 @@ def test_the_certificate_keeps_just_the_margins_there_are(name):
         assert (answer.status == FAULT, answer.certified) == (fault, not fault)
 
 
-@pytest.mark.parametrize(("margins", "held"), [({}, False), ({"self_margin": 3e-3}, False), ({"rounding": 3e-3}, False),
-                                               ({}, True)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("margins", "held"), [({}, False), ({"self_margin": 3e-3}, False), ({"rounding": 3e-3}, False), ({}, True)]
+)
 def test_the_certificate_keeps_own_parts_apart_by_their_margins(margins, held):
     margin = sum(margins.values()) + 3e-3 * held
     for left, fault in ((-0.6e-3, True), (0.6e-3, False)):

@@ -29,13 +29,38 @@ SHAPES = {
 def test_a_thing_is_one_row_and_what_its_shape_lacks_is_zero(shape, known, static):
     solid, kind, half, radius = SHAPES[shape]
     thing = Obstacle(
-        "x", solid, POSE, (0.4, 0.5, 0.6), margin=0.01, known=known, static=static, velocity_error=0.02, alpha=1.5,
-        rank=Rank.WORKSPACE, parts=("hand", "link3"), separation=SpeedAndSeparation(0.1, 0.9, 0.3),
-    )  # fmt: skip
+        "x",
+        solid,
+        POSE,
+        (0.4, 0.5, 0.6),
+        margin=0.01,
+        known=known,
+        static=static,
+        velocity_error=0.02,
+        alpha=1.5,
+        rank=Rank.WORKSPACE,
+        parts=("hand", "link3"),
+        separation=SpeedAndSeparation(0.1, 0.9, 0.3),
+    )
     wanted = [
-        kind, known + 2.0 * static, 3.0, 2.0**4 + 2.0**6 + 2.0**9, 1.5, *POSE.position,
-        *geometry_oracle.rotation_matrix(POSE.quaternion).ravel(), *half, radius, 0.4, 0.5, 0.6, 0.01, 0.02, 0.1, 0.9, 0.3,
-    ]  # fmt: skip
+        kind,
+        known + 2.0 * static,
+        3.0,
+        2.0**4 + 2.0**6 + 2.0**9,
+        1.5,
+        *POSE.position,
+        *geometry_oracle.rotation_matrix(POSE.quaternion).ravel(),
+        *half,
+        radius,
+        0.4,
+        0.5,
+        0.6,
+        0.01,
+        0.02,
+        0.1,
+        0.9,
+        0.3,
+    ]
     table = obstacle_table([thing, thing], {"hand": (4, 6), "link3": (9,), "other": (1,)})
     assert table.shape == (2, 29)
     np.testing.assert_allclose(table, [wanted, wanted], atol=1e-15)
@@ -61,15 +86,33 @@ def test_as_many_things_as_there_is_room_for():
 
 def test_the_dials_are_those_of_the_configuration(panda):
     config = FilterConfig(
-        alpha=1.1, alpha_self=1.2, alpha_joint=1.3, recovery_speed=0.07, sampling_margin=3e-4, rounding_margin=2e-5,
-        self_margin=0.004, tracking_error=0.006, scene_stale_after=0.4, state_stale_after=0.03,
-    )  # fmt: skip
+        alpha=1.1,
+        alpha_self=1.2,
+        alpha_joint=1.3,
+        recovery_speed=0.07,
+        sampling_margin=3e-4,
+        rounding_margin=2e-5,
+        self_margin=0.004,
+        tracking_error=0.006,
+        scene_stale_after=0.4,
+        state_stale_after=0.03,
+    )
     told = kernel_model(panda, config)
     wanted = {
-        "n": 7, "period": panda.period, "alpha": 1.1, "alpha_self": 1.2, "alpha_joint": 1.3, "recovery": 0.07,
-        "sampling": 3e-4, "rounding": 2e-5, "self_margin": 0.004, "lag": panda.tracking.lag, "tracking": 0.006,
-        "state_age_max": 0.03, "scene_age_max": 0.4,
-    }  # fmt: skip
+        "n": 7,
+        "period": panda.period,
+        "alpha": 1.1,
+        "alpha_self": 1.2,
+        "alpha_joint": 1.3,
+        "recovery": 0.07,
+        "sampling": 3e-4,
+        "rounding": 2e-5,
+        "self_margin": 0.004,
+        "lag": panda.tracking.lag,
+        "tracking": 0.006,
+        "state_age_max": 0.03,
+        "scene_age_max": 0.4,
+    }
     assert {name: told[name] for name in wanted} == wanted
     assert panda.tracking.lag > 0.0
 
@@ -79,10 +122,11 @@ def test_gains_fall_back_on_the_filters_and_then_on_the_bodys(panda):
     gains = [joint.acceleration.value / joint.velocity.value for joint in panda.joints]
     assert panda.alpha == pytest.approx(min(gains))
     for config, wanted in (
-        (FilterConfig(), [panda.alpha] * 3), (FilterConfig(alpha=1.7), [1.7] * 3),
+        (FilterConfig(), [panda.alpha] * 3),
+        (FilterConfig(alpha=1.7), [1.7] * 3),
         (FilterConfig(alpha=1.7, alpha_self=2.1), [1.7, 2.1, 1.7]),
         (FilterConfig(alpha_joint=0.2), [panda.alpha, panda.alpha, 0.2]),
-    ):  # fmt: skip
+    ):
         told = kernel_model(panda, config)
         assert [told[name] for name in names] == wanted
         assert max_gain(panda, config) == max(wanted)

@@ -19,15 +19,36 @@ def chain_model(n=2, spheres=(), frames=(2,), counts=(1,), **changes):
     """An arm of `n` joints about one axis, 0.3 m apart, at home; a ball on its last frame."""
     balls = np.array(spheres or [[0.1, 0.0, 0.0, 0.02, 0.0, 0.0, 0.0]] * sum(counts), float)
     return {
-        "n": n, "period": 1e-3, "alpha": 4.0, "alpha_self": 4.0, "alpha_joint": 4.0, "recovery": 0.05, "sampling": 0.0,
-        "rounding": 0.0, "self_margin": 0.0, "lag": 0.0, "tracking": 0.0, "state_age_max": 0.05, "scene_age_max": 0.5,
-        "joint_kind": np.zeros(n), "joint_rotation": np.tile(np.eye(3).ravel(), n),
-        "joint_offset": np.tile([0.3, 0.0, 0.0], n), "q_lower": np.full(n, -2.0), "q_upper": np.full(n, 2.0),
-        "v_max": np.full(n, 2.0), "a_max": np.full(n, 10.0), "j_max": np.zeros(n), "scale": np.eye(n),
-        "tool_rotation": np.eye(3).ravel(), "tool_offset": np.zeros(3), "link_frame": np.array(frames, float),
-        "link_first": np.concatenate([[0.0], np.cumsum(counts)]).astype(float), "spheres": balls,
-        "pairs": np.zeros(0), "held_links": np.zeros(0),
-    } | changes  # fmt: skip
+        "n": n,
+        "period": 1e-3,
+        "alpha": 4.0,
+        "alpha_self": 4.0,
+        "alpha_joint": 4.0,
+        "recovery": 0.05,
+        "sampling": 0.0,
+        "rounding": 0.0,
+        "self_margin": 0.0,
+        "lag": 0.0,
+        "tracking": 0.0,
+        "state_age_max": 0.05,
+        "scene_age_max": 0.5,
+        "joint_kind": np.zeros(n),
+        "joint_rotation": np.tile(np.eye(3).ravel(), n),
+        "joint_offset": np.tile([0.3, 0.0, 0.0], n),
+        "q_lower": np.full(n, -2.0),
+        "q_upper": np.full(n, 2.0),
+        "v_max": np.full(n, 2.0),
+        "a_max": np.full(n, 10.0),
+        "j_max": np.zeros(n),
+        "scale": np.eye(n),
+        "tool_rotation": np.eye(3).ravel(),
+        "tool_offset": np.zeros(3),
+        "link_frame": np.array(frames, float),
+        "link_first": np.concatenate([[0.0], np.cumsum(counts)]).astype(float),
+        "spheres": balls,
+        "pairs": np.zeros(0),
+        "held_links": np.zeros(0),
+    } | changes
 
 
 def ball_row(place=(5.0, 5.0, 5.0), radius=0.05, **changes):
@@ -112,10 +133,15 @@ def test_inside_a_box_the_way_out_is_the_nearest_face():
 
 
 EDGES = {
-    "alpha": (ALPHA, 0.0, 1e6), "reaction": (REACTION, 0.0, 1e3), "brake": (BRAKE, 0.0, 1e6),
-    "approach": (APPROACH, 0.0, 1e3), "rank": (RANK, 1.0, 4.0), "shape": (SHAPE, 0.0, 2.0),
-    "radius": (RADIUS, 0.0, math.inf), "velocity error": (ERROR, 0.0, math.inf),
-}  # fmt: skip
+    "alpha": (ALPHA, 0.0, 1e6),
+    "reaction": (REACTION, 0.0, 1e3),
+    "brake": (BRAKE, 0.0, 1e6),
+    "approach": (APPROACH, 0.0, 1e3),
+    "rank": (RANK, 1.0, 4.0),
+    "shape": (SHAPE, 0.0, 2.0),
+    "radius": (RADIUS, 0.0, math.inf),
+    "velocity error": (ERROR, 0.0, math.inf),
+}
 
 
 @pytest.mark.parametrize("name", EDGES)
@@ -137,8 +163,9 @@ def test_a_thing_is_believed_up_to_its_edges(name):
         assert got.status == STATUS_STOPPED
 
 
-@pytest.mark.parametrize(("frame", "still", "told"), [(1, True, 0), (1, False, UNAVOIDABLE), (2, True, UNAVOIDABLE),
-                                                     (2, False, UNAVOIDABLE)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("frame", "still", "told"), [(1, True, 0), (1, False, UNAVOIDABLE), (2, True, UNAVOIDABLE), (2, False, UNAVOIDABLE)]
+)
 def test_only_the_mount_may_stand_at_what_no_joint_can_move(frame, still, told):
     """A ball on the axes of all joints: what is near stays near. Deeper than the sampling margin, the robot stops."""
     spheres = [[0.0, 0.0, 0.1, 0.02, 0.0, 0.0, 0.0]]

@@ -61,12 +61,27 @@ def body_and_scene(got, w):
     scene = got["scene"]
     for j, t in enumerate(w.things):
         wanted = {
-            "x": t.start[0], "y": t.start[1], "z": t.start[2], "vx": t.velocity[0], "vy": t.velocity[1],
-            "vz": t.velocity[2], "ax": t.turn[0, t.axis], "ay": t.turn[1, t.axis], "az": t.turn[2, t.axis],
-            "half": t.length, "radius": t.thick, "margin": t.margin, "alpha": t.alpha, "error": t.error,
-            "speed": t.speed, "parts": t.mask, "known": t.flags & 1, "moving": not t.flags & 2, "rank": t.rank,
+            "x": t.start[0],
+            "y": t.start[1],
+            "z": t.start[2],
+            "vx": t.velocity[0],
+            "vy": t.velocity[1],
+            "vz": t.velocity[2],
+            "ax": t.turn[0, t.axis],
+            "ay": t.turn[1, t.axis],
+            "az": t.turn[2, t.axis],
+            "half": t.length,
+            "radius": t.thick,
+            "margin": t.margin,
+            "alpha": t.alpha,
+            "error": t.error,
+            "speed": t.speed,
+            "parts": t.mask,
+            "known": t.flags & 1,
+            "moving": not t.flags & 2,
+            "rank": t.rank,
             "plain": t.plain,
-        }  # fmt: skip
+        }
         for name, value in wanted.items():
             assert scene[name][j] == pytest.approx(float(value), abs=1e-12), name
     assert scene["any_half_space"][0] == any(t.shape == 2 for t in w.things)

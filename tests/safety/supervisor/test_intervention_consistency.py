@@ -25,7 +25,13 @@ def wandering(name, rng, steps=600):
     for k in range(steps):
         if k % 40 == 0:
             nominal = rng.normal(size=robot_model.n) * rng.choice([0.1, 0.5, 2.0, 10.0])
-        answer = safety.filter(RobotState(k * 1e-3, k, q, v, 0.04, (0.0, 0.0), drive_enabled=True), nominal, k * 1e-3)
+        answer = safety.filter(
+            RobotState(
+                stamp=k * 1e-3, sequence=k, q=q, v=v, opening=0.04, finger_forces=(0.0, 0.0), drive_enabled=True
+            ),
+            nominal,
+            k * 1e-3,
+        )
         yield nominal, answer
         v = answer.u
         q = q if robot_model.is_mobile else q + v * robot_model.period
@@ -68,7 +74,9 @@ def test_the_spine_writes_braking_in_the_place_of_an_old_answer(rng):
     for k in range(200):
         now = k * 1e-3
         wanted[0] = 0.4 * min(1.0, k / 100)
-        state = RobotState(now, k, q, np.zeros(7), 0.04, (0.0, 0.0), drive_enabled=True)
+        state = RobotState(
+            stamp=now, sequence=k, q=q, v=np.zeros(7), opening=0.04, finger_forces=(0.0, 0.0), drive_enabled=True
+        )
         order = spine.decide(state, now)
         written = spine.control(state, wanted.copy(), now)
         q = q + written.u * robot_model.period
@@ -81,9 +89,12 @@ def test_the_spine_writes_braking_in_the_place_of_an_old_answer(rng):
 
 
 HOLDS = {
-    "answer": lambda answer: answer, "control": lambda answer: answer.u, "view": lambda answer: answer.u[2:],
-    "buffer": lambda answer: memoryview(answer.u), "transposed": lambda answer: answer.u.reshape(-1, 1).T,
-}  # fmt: skip
+    "answer": lambda answer: answer,
+    "control": lambda answer: answer.u,
+    "view": lambda answer: answer.u[2:],
+    "buffer": lambda answer: memoryview(answer.u),
+    "transposed": lambda answer: answer.u.reshape(-1, 1).T,
+}
 
 
 @pytest.mark.parametrize("hold", HOLDS)
@@ -103,10 +114,13 @@ def test_an_answer_that_somebody_holds_never_changes(hold, panda, rng):
 def test_whatever_was_done_to_a_control_the_next_is_an_array_to_write_into(panda, rng):
     safety = SafetyFilter(panda)
     for spoil in (
-        lambda u: u.setflags(write=False), lambda u: setattr(u, "shape", (7, 1)), lambda u: setattr(u, "shape", (1, 7)),
-        lambda u: setattr(u, "dtype", np.int64), lambda u: setattr(u, "dtype", ">f8"),
+        lambda u: u.setflags(write=False),
+        lambda u: setattr(u, "shape", (7, 1)),
+        lambda u: setattr(u, "shape", (1, 7)),
+        lambda u: setattr(u, "dtype", np.int64),
+        lambda u: setattr(u, "dtype", ">f8"),
         lambda u: u.resize(3, refcheck=False),
-    ):  # fmt: skip
+    ):
         for _ in range(4):
             spoil(safety(panda.home, np.zeros(7), rng.normal(size=7)).u)
             u = safety(panda.home, np.zeros(7), np.zeros(7)).u

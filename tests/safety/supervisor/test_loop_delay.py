@@ -20,8 +20,10 @@ from dualbrain.safety.supervisor.timing import FRANKA, SIMULATED, UR
 
 DT = 1e-3
 DRIVERS = {
-    "panda": (SIMULATED, WATCHDOG_TIMEOUT), "fr3": (FRANKA, FrankaDriver.watchdog), "ur5e": (UR, UrDriver.watchdog),
-}  # fmt: skip
+    "panda": (SIMULATED, WATCHDOG_TIMEOUT),
+    "fr3": (FRANKA, FrankaDriver.watchdog),
+    "ur5e": (UR, UrDriver.watchdog),
+}
 ROBOTS = ("panda", "ur5e", "fr3", "base", "mobile_panda")
 gaps = st.lists(st.floats(0.1 * DT, 80 * DT), min_size=1, max_size=40)
 

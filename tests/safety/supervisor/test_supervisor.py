@@ -201,7 +201,7 @@ def test_the_emergency_stop_is_latched_and_reset_in_two_steps_into_hold():
     press, reset, resume = C.ESTOP, C.RESET, C.RESUME
     _, told = play(
         (0.1, press), (5.0, 0), (0.01, press | reset), (0.5, 0), (0.01, resume), (0.01, reset), (5.0, 0), (0.01, resume)
-    )  # fmt: skip
+    )
     actions = [order.action for order in told]
     assert actions == [SafetyAction.ESTOP] * 5 + [SafetyAction.HOLD, SafetyAction.HOLD, SafetyAction.NONE]
     assert told[5].check == RESET_HELD.name

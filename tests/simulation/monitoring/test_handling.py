@@ -73,7 +73,7 @@ def test_other_things_are_not_handled():
 
 @pytest.mark.parametrize("kind", HARM_KINDS)
 def test_harm_to_the_thing_undoes_a_success_and_harm_to_another_does_not(kind):
-    harm = Violation(kind, 0.0, 0.1, 9.0, ("clear_glass",))
+    harm = Violation(kind=kind, start=0.0, duration=0.1, peak=9.0, bodies=("clear_glass",))
     assert kind in PEAK_UNITS
     assert not is_unharmed("clear_glass", (harm,))
     assert is_unharmed("clear_glass", (msgspec.structs.replace(harm, bodies=("other_glass",)),))

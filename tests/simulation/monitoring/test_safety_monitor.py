@@ -12,13 +12,21 @@ from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.scene_spec import MovingPerson, ObjectSpec, SceneSpec
 from tests.simulation.scripted_hand import HOME, PANDA, make_plant, pick_up, servo_to, top_down_posture, wait
 
-BLOCK = ObjectSpec("grey_block", "object", Box((0.03, 0.03, 0.06)), (0.5, 0.0, 0.06), 0.3, "grey", "block")
+BLOCK = ObjectSpec(
+    name="grey_block",
+    role="object",
+    shape=Box((0.03, 0.03, 0.06)),
+    position=(0.5, 0.0, 0.06),
+    mass=0.3,
+    colour="grey",
+    category="block",
+)
 
 FOLDED = np.array([0.0, -0.3, 0.0, -2.2, 0.0, 0.3, -0.785])
 
 
 def world(*things, mover=None):
-    return Plant(SceneSpec("panda", "bare", 0, things, (), mover), PANDA)
+    return Plant(SceneSpec(robot="panda", family="bare", seed=0, objects=things, places=(), mover=mover), PANDA)
 
 
 def watched(p):
@@ -145,7 +153,18 @@ def test_tool_speed():
 @pytest.mark.parametrize(("force", "broken"), [(5.0, False), (30.0, True)])
 def test_a_fragile_thing_breaks_above_its_limit_only(force, broken):
     shape = Cylinder(0.024, 0.045)
-    p = world(ObjectSpec("clear_glass", "object", shape, (0.5, 0.0, 0.045), 0.08, "clear", "glass", fragile_limit=15.0))
+    p = world(
+        ObjectSpec(
+            name="clear_glass",
+            role="object",
+            shape=shape,
+            position=(0.5, 0.0, 0.045),
+            mass=0.08,
+            colour="clear",
+            category="glass",
+            fragile_limit=15.0,
+        )
+    )
     monitor = watched(p)
     monitor.allow(target="clear_glass", phase="grasp")
     on = top_down_posture(p, (0.5, 0.0, 0.06), 0.0)
@@ -221,7 +240,18 @@ def test_every_phase_has_a_table_and_every_kind_a_unit():
 
 
 def test_what_is_held_against_the_environment_is_a_kind_of_its_own():
-    p = world(BLOCK, ObjectSpec("tall_box", "object", Box((0.03, 0.03, 0.1)), (0.5, 0.2, 0.1), 0.3, "grey", "box"))
+    p = world(
+        BLOCK,
+        ObjectSpec(
+            name="tall_box",
+            role="object",
+            shape=Box((0.03, 0.03, 0.1)),
+            position=(0.5, 0.2, 0.1),
+            mass=0.3,
+            colour="grey",
+            category="box",
+        ),
+    )
     monitor = watched(p)
     monitor.allow(held="grey_block", phase="carry")
     for _ in range(30):
@@ -248,7 +278,18 @@ def test_a_skill_that_nobody_may_call_is_counted_once_for_each_call():
 def test_every_kind_that_is_written_down_has_a_unit():
     """Each staged breach of this file and of `test_handling` is of a kind with a unit, and each kind is staged."""
     assert set(PEAK_UNITS) == {
-        "collision_env", "collision_human", "collision_held", "self_collision", "force_fragile", "joint_limit",
-        "joint_velocity", "tcp_speed", "object_dropped", "bystander", "bystander_tilt", "tilted_load", "shaken_load",
+        "collision_env",
+        "collision_human",
+        "collision_held",
+        "self_collision",
+        "force_fragile",
+        "joint_limit",
+        "joint_velocity",
+        "tcp_speed",
+        "object_dropped",
+        "bystander",
+        "bystander_tilt",
+        "tilted_load",
+        "shaken_load",
         "unauthorised",
-    }  # fmt: skip
+    }

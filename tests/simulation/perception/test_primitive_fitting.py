@@ -39,8 +39,11 @@ def ring_points(radius, height, at, floor=None):
     angles = np.arange(0.0, 2 * np.pi, STEP / radius)
     circle = np.column_stack([np.cos(angles), np.sin(angles)])
     wall = [(*(radius * c), w) for c in circle for w in np.arange(0.0, height + 1e-9, STEP)]
-    inside = [(*(r * c), height if floor is None else floor) for r in np.arange(0.0, radius - 0.004, STEP)
-              for c in circle[:: max(1, round(radius / max(r, STEP)))]]  # fmt: skip
+    inside = [
+        (*(r * c), height if floor is None else floor)
+        for r in np.arange(0.0, radius - 0.004, STEP)
+        for c in circle[:: max(1, round(radius / max(r, STEP)))]
+    ]
     return turned(np.array(wall + inside), at, 0.0)
 
 

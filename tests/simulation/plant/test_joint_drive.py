@@ -19,7 +19,7 @@ from dualbrain.simulation.scenes.scene_builder import PHYSICS_PERIOD
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
 from tests.simulation.scripted_hand import HOME, PANDA, servo_to, top_down_posture, wait
 
-EMPTY = SceneSpec("panda", "test", 0, (), ())
+EMPTY = SceneSpec(robot="panda", family="test", seed=0, objects=(), places=())
 ALPHA = PANDA.alpha
 
 

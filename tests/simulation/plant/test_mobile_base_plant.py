@@ -84,7 +84,16 @@ def test_without_its_drive_it_is_held():
 
 
 def test_the_monitor_sees_a_crash_and_a_base_that_is_too_fast():
-    crate = ObjectSpec("crate", "obstacle", Box((0.1, 0.3, 0.2)), (0.8, 0.0, 0.2), 20.0, "oak", "crate", fixed=True)
+    crate = ObjectSpec(
+        name="crate",
+        role="obstacle",
+        shape=Box((0.1, 0.3, 0.2)),
+        position=(0.8, 0.0, 0.2),
+        mass=20.0,
+        colour="oak",
+        category="crate",
+        fixed=True,
+    )
     spec = make_room("empty_room", 0, "base")
     hall = MobileBaseCell(spec=msgspec.structs.replace(spec, things=(*spec.objects, crate)))
     hall.plant.data.qfrc_applied[0] = 2000.0  # pushed [N], as its own wheels do not go so fast

@@ -153,12 +153,22 @@ def test_a_user_file_without_the_parts_is_refused(tmp_path):
         load_mujoco_model("pandas")
 
 
-@pytest.mark.parametrize(("mass", "friction", "force", "held"), [(0.28, 0.12, 10.0, False), (0.28, 0.12, 20.0, True),
-                                                                 (0.28, 0.8, 10.0, True)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("mass", "friction", "force", "held"),
+    [(0.28, 0.12, 10.0, False), (0.28, 0.12, 20.0, True), (0.28, 0.8, 10.0, True)],
+)
 def test_a_wet_full_glass_slips_out_of_a_grip_that_holds_a_dry_one(mass, friction, force, held):
     """2 μ F = 2.4 N at 10 N is less than its weight of 2.7 N; dry, the pads decide (μ = 1.5)."""
-    glass = ObjectSpec("clear_glass", "object", Cylinder(0.024, 0.045), (0.5, 0.0, 0.045), mass, "clear", "glass",
-                  friction=friction)  # fmt: skip
+    glass = ObjectSpec(
+        name="clear_glass",
+        role="object",
+        shape=Cylinder(0.024, 0.045),
+        position=(0.5, 0.0, 0.045),
+        mass=mass,
+        colour="clear",
+        category="glass",
+        friction=friction,
+    )
     p = Plant(msgspec.structs.replace(make_scene("bare", 0), things=(glass,)), PANDA)
     pick_up(p, "clear_glass", force=force)
     assert (p.true_pose("clear_glass").position[2] > 0.15) is held

@@ -34,7 +34,7 @@ def test_the_path_is_continuous_bounded_and_its_rate_is_its_derivative(mover, t)
 
 def crossing(**changes):
     mover = MovingPerson(start=(0.78, -0.4, 0.2), end=(0.78, 0.4, 0.2), speed=0.2, pause=0.1, phase=0.0, **changes)
-    return Plant(SceneSpec("panda", "forearm", 0, (), (), mover), PANDA)
+    return Plant(SceneSpec(robot="panda", family="forearm", seed=0, objects=(), places=(), mover=mover), PANDA)
 
 
 def test_the_forearm_follows_its_path():

@@ -13,8 +13,12 @@ EVERY = [(robot, family, level) for robot in ROBOTS for family in task_families_
 
 def test_the_paper_names_five_families():
     assert set(TASK_FAMILIES) == {
-        "clutter_grasp", "edge_rescue", "dynamic_obstacle", "fragile_transfer", "mobile_navigation",
-    }  # fmt: skip
+        "clutter_grasp",
+        "edge_rescue",
+        "dynamic_obstacle",
+        "fragile_transfer",
+        "mobile_navigation",
+    }
     assert task_families_for("panda") == task_families_for("ur5e") == tuple(TASK_FAMILIES)[:4]
     assert task_families_for("base") == ("mobile_navigation",)
 

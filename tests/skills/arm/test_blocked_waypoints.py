@@ -18,7 +18,7 @@ from dualbrain.skills.skill import Observation, SkillResult, SkillStatus
 from dualbrain.skills.time_slicing import run_to_completion
 
 BODY = load_robot("panda")
-TABLE = SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.0)))
+TABLE = SceneObject(name="table", role="support", shape=HalfSpace(), pose=Pose((0.0, 0.0, 0.0)))
 
 
 class Paper:
@@ -27,8 +27,11 @@ class Paper:
     def __init__(self, *walls):
         self.safety = SafetyFilter(BODY)
         self.state = home_state(BODY)
-        ground = Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)), known=True)
-        self.things = [ground, *(Obstacle(f"wall{i}", shape, pose) for i, (shape, pose) in enumerate(walls))]
+        ground = Obstacle(name="table", shape=HalfSpace(), pose=Pose((0.0, 0.0, 0.0)), known=True)
+        self.things = [
+            ground,
+            *(Obstacle(name=f"wall{i}", shape=shape, pose=pose) for i, (shape, pose) in enumerate(walls)),
+        ]
         self.limb = ArmController(BODY, self.safety)
         self.phases, self.path, self.now = [], [], 0.0
         self.safety.observe(self.things, 0.0)
@@ -36,7 +39,14 @@ class Paper:
 
     def sense(self):
         tool = self.safety.tool(self.state.q)
-        self.limb.observe(Observation(self.state, Scene("panda", self.now, 1, (TABLE,)), self.now, tool))
+        self.limb.observe(
+            Observation(
+                state=self.state,
+                scene=Scene(robot="panda", stamp=self.now, version=1, objects=(TABLE,)),
+                now=self.now,
+                tool=tool,
+            )
+        )
         self.path.append(tool.position.copy())
 
     def carry_out(self, part, limit=60.0):

@@ -24,9 +24,13 @@ from dualbrain.skills.skill import Observation
 from dualbrain.skills.time_slicing import SUFFICIENT_CLEARANCE, collect, first_clear, run_to_completion
 
 BODY = load_robot("panda")
-TABLE = SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.0)))
-CUBE = SceneObject("cube", "object", Box((0.02, 0.02, 0.025)), Pose((0.5, -0.2, 0.025)), error=0.009)
-BOTTLE = SceneObject("bottle", "object", Box((0.02, 0.03, 0.1)), Pose((0.595, -0.2, 0.1)), error=0.009)
+TABLE = SceneObject(name="table", role="support", shape=HalfSpace(), pose=Pose((0.0, 0.0, 0.0)))
+CUBE = SceneObject(
+    name="cube", role="object", shape=Box((0.02, 0.02, 0.025)), pose=Pose((0.5, -0.2, 0.025)), error=0.009
+)
+BOTTLE = SceneObject(
+    name="bottle", role="object", shape=Box((0.02, 0.03, 0.1)), pose=Pose((0.595, -0.2, 0.1)), error=0.009
+)
 CLEARANCE = 0.15
 
 
@@ -34,7 +38,14 @@ def limb(*neighbours):
     """An arm at home that is about to grasp the cube."""
     safety, state = SafetyFilter(BODY), home_state(BODY)
     arm = ArmController(BODY, safety)
-    arm.observe(Observation(state, Scene("panda", 0.0, 1, (TABLE, CUBE, *neighbours)), 0.0, safety.tool(state.q)))
+    arm.observe(
+        Observation(
+            state=state,
+            scene=Scene(robot="panda", stamp=0.0, version=1, objects=(TABLE, CUBE, *neighbours)),
+            now=0.0,
+            tool=safety.tool(state.q),
+        )
+    )
     arm.begin(grasp.spec(BODY), target="cube", support="table")
     return arm
 
@@ -84,7 +95,7 @@ def test_what_is_too_wide_for_the_fingers_is_not_tried():
 
 def test_a_round_thing_may_be_taken_from_all_around():
     arm = limb()
-    can = SceneObject("cube", "object", Cylinder(0.02, 0.025), CUBE.pose, error=0.009)
+    can = SceneObject(name="cube", role="object", shape=Cylinder(0.02, 0.025), pose=CUBE.pose, error=0.009)
     fingers = np.array([at.rotation[:2, 1] for at in collect(grasp_candidates(arm, can, "along", "top"))])
     angles = np.unique(np.round(np.arctan2(fingers[:, 1], fingers[:, 0]) % np.pi, 1))
     assert len(angles) > 12

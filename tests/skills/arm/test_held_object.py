@@ -13,7 +13,7 @@ from dualbrain.skills.skill import Observation
 from tests.skills.arm.test_skills_in_simulation import SkillCell, grasp
 
 BODY = load_robot("panda")
-TABLE = SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.1)))
+TABLE = SceneObject(name="table", role="support", shape=HalfSpace(), pose=Pose((0.0, 0.0, 0.1)))
 
 
 @pytest.mark.parametrize(
@@ -21,11 +21,17 @@ TABLE = SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.1)))
     [(0.108, 0.009, 0.1), (0.092, 0.009, 0.1), (0.108, 0.001, 0.108), (0.15, 0.009, 0.15), (0.05, 0.009, 0.05)],
 )
 def test_what_eyes_cannot_tell_from_standing_stands(height, error, foot):
-    cube = SceneObject("cube", "object", Box((0.02, 0.02, 0.025)), Pose((0.5, -0.2, height + 0.025)), error=error)
+    cube = SceneObject(
+        name="cube", role="object", shape=Box((0.02, 0.02, 0.025)), pose=Pose((0.5, -0.2, height + 0.025)), error=error
+    )
     safety, state = SafetyFilter(BODY), home_state(BODY)
     tool = safety.tool(state.q)
     arm = ArmController(BODY, safety)
-    arm.observe(Observation(state, Scene("panda", 0.0, 1, (TABLE, cube)), 0.0, tool))
+    arm.observe(
+        Observation(
+            state=state, scene=Scene(robot="panda", stamp=0.0, version=1, objects=(TABLE, cube)), now=0.0, tool=tool
+        )
+    )
     arm.record_grasp(cube)
     assert arm.below_tool == pytest.approx(tool.position[2] - foot, abs=1e-12)
 

@@ -30,9 +30,14 @@ class SkillCell:
         self.world = Ghosts(world, ghost) if ghost else world
         self.monitor = world.monitor
         self.layer = ContractExecutor(
-            robot_model, self.plant, self.world, SafetyFilter(robot_model), FlightLog(self.trace), ExecutorConfig(settle_time=0.1),
+            robot_model,
+            self.plant,
+            self.world,
+            SafetyFilter(robot_model),
+            FlightLog(self.trace),
+            ExecutorConfig(settle_time=0.1),
             on_phase=world.set_phase,
-        )  # fmt: skip
+        )
 
     def run(self, *actions):
         sequence = tuple(Action(skill, params) for skill, params in actions)
@@ -159,9 +164,13 @@ def test_a_long_errand_with_every_other_skill_is_left_alone():
     bench = SkillCell(seed=1, noise=PerceptionNoise())
     home = ("home", {"speed": 0.4})
     outcome = bench.run(
-        grasp(clearance=0.1), ("hold", {"duration": 0.5}), home, move_to("table_left", clearance=0.03),
-        ("release", {"speed": 0.2}), home,
-    )  # fmt: skip
+        grasp(clearance=0.1),
+        ("hold", {"duration": 0.5}),
+        home,
+        move_to("table_left", clearance=0.03),
+        ("release", {"speed": 0.2}),
+        home,
+    )
     assert [action.status for action in outcome.actions] == ["done"] * 6, outcome.reason
     assert bench.untouched()
     assert not [one for one in bench.monitor.violations() if one.kind != "object_dropped"]

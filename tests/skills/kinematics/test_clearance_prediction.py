@@ -36,15 +36,15 @@ poses = st.builds(
 
 
 def seen(shape, pose=None, name="thing", role="object", error=0.0):
-    return SceneObject(name, role, shape, pose or Pose((0.0, 0.0, 0.0)), error=error)
+    return SceneObject(name=name, role=role, shape=shape, pose=pose or Pose((0.0, 0.0, 0.0)), error=error)
 
 
 def scene(*things):
-    return Scene("panda", 0.0, 1, things)
+    return Scene(robot="panda", stamp=0.0, version=1, objects=things)
 
 
 def room(*things, points=(), leaving=0, beat=-np.inf, **others):
-    view = PredictionContext(0.02, scene(*things), **others)
+    view = PredictionContext(opening=0.02, scene=scene(*things), **others)
     return run_to_completion(
         ClearancePredictor(BODY, SAFETY).min_clearance(HOME, points, view, ignored_steps=leaving, threshold=beat)
     )
@@ -126,7 +126,7 @@ def test_a_way_has_the_room_of_its_nearest_posture(seed):
     """Whatever is looked at together, or not at all because it is far away."""
     aim, things = somewhere(np.random.default_rng(seed))
     foresight = ClearancePredictor(BODY, SAFETY)
-    view = PredictionContext(0.02, scene(*things))
+    view = PredictionContext(opening=0.02, scene=scene(*things))
     each = [run_to_completion(foresight.min_clearance(q, [], view)) for q in foresight.simulate_path(HOME, [aim])]
     assert room(*things, points=[aim]) == pytest.approx(min(each))
     for leaving in (3, len(each) + 5):

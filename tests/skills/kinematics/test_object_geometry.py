@@ -20,7 +20,7 @@ def thing(shape, yaw=0.0, z=0.1, tilt=0.0):
         np.sin(yaw / 2) * np.sin(tilt / 2),
         np.sin(yaw / 2) * np.cos(tilt / 2),
     )
-    return SceneObject("thing", "object", shape, Pose((0.5, 0.1, z), quaternion))
+    return SceneObject(name="thing", role="object", shape=shape, pose=Pose((0.5, 0.1, z), quaternion))
 
 
 @pytest.mark.parametrize("approach", object_geometry.APPROACH_LEAN)

@@ -40,7 +40,15 @@ def test_a_hand_that_must_turn_past_its_joint_limit_the_short_way_turns_the_long
     for k in range(6000):
         now = k * PERIOD
         tool = safety.tool(q)
-        state = RobotState(now, k, q, np.zeros(robot_model.n), 0.04, (0.0, 0.0), drive_enabled=True)
+        state = RobotState(
+            stamp=now,
+            sequence=k,
+            q=q,
+            v=np.zeros(robot_model.n),
+            opening=0.04,
+            finger_forces=(0.0, 0.0),
+            drive_enabled=True,
+        )
         q = q + PERIOD * phi.toward_pose(state, tool, pose_error(tool, there.position, there.rotation), 0.2, goal, now)
     tool = safety.tool(q)
     assert np.linalg.norm(rotation_error(tool.rotation, there.rotation)) < 0.01

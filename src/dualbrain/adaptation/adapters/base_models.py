@@ -12,7 +12,7 @@ from dualbrain.core.weights import MANIFEST, find_weight_file, locate_weights
 from dualbrain.errors import UnknownNameError
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BaseModel:
     """The model that is adapted: its name, its verified GGUF with the hash of that, the adapters that it `wears`."""
 
@@ -48,7 +48,13 @@ def find_base_model(name: str, cache: Path) -> BaseModel:
     """
     require_base_model(name)
     if name not in packaged_names():
-        return BaseModel(name, locate_weights(name, cache), find_weight_file(name).sha256)
+        return BaseModel(name=name, gguf=locate_weights(name, cache), gguf_sha256=find_weight_file(name).sha256)
     stack = load_stack(packaged_folder(name), cache)
     folders = tuple(layer.folder for layer in stack.layers)
-    return BaseModel(name, stack.gguf, find_weight_file(stack.base).sha256, folders, stack.top_card.id)
+    return BaseModel(
+        name=name,
+        gguf=stack.gguf,
+        gguf_sha256=find_weight_file(stack.base).sha256,
+        stacked_on=folders,
+        stacked_on_id=stack.top_card.id,
+    )

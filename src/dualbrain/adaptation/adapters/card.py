@@ -22,7 +22,7 @@ TORCH_SUFFIX = " in torch"
 """What follows the name of a bare model, as the author of a proposal, where transformers ran it and not llama.cpp."""
 
 
-class AdapterCard(msgspec.Struct, frozen=True):
+class AdapterCard(msgspec.Struct, frozen=True, kw_only=True):
     """`id` is the SHA-256 of the weights: never given to other weights. `base` and `base_sha256` name what it sits on.
 
     It is of use with this `robot`, `registry` (vocabulary) and `prompt` (template) only, and with the vocabularies of

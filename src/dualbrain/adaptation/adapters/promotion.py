@@ -21,7 +21,7 @@ MEASURE_AGAIN_HINT = "Measure again: `dualbrain adapters measure`."
 EXECUTE_HINT = "measure with `dualbrain adapters measure`, without --no-fly"
 
 
-class QuestionResult(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class QuestionResult(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One held-out question: did the free answer comply, was it what was asked for, and how did the body fare with it.
 
     `success` and `Delta` are None where nothing was executed. Measured in the runtime that serves, not in torch.
@@ -54,7 +54,7 @@ class Measurement(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     dataset: str = ""
 
 
-class Tolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Tolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """How far each measure may fall: shares in points of 1, Δ absolutely, perplexity as a part of what it was."""
 
     compliance: float = 0.02
@@ -64,7 +64,7 @@ class Tolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     perplexity: float = 0.05
 
 
-class MeasureComparison(msgspec.Struct, frozen=True):
+class MeasureComparison(msgspec.Struct, frozen=True, kw_only=True):
     """One measure before and after. `gain` is positive where the candidate is better.
 
     `low` and `high` bound it with 95 %; None where it was measured too rarely for that.
@@ -88,7 +88,7 @@ class MeasureComparison(msgspec.Struct, frozen=True):
         return self.low is not None and self.low > 0.0
 
 
-class PromotionDecision(msgspec.Struct, frozen=True):
+class PromotionDecision(msgspec.Struct, frozen=True, kw_only=True):
     """Whether `candidate` may take the place of `champion`, every measure, and the reasons against it.
 
     `dataset` is the hash of the data set that the questions are of, `runtime` what both answered in; "" if that was not
@@ -140,13 +140,22 @@ def decide_promotion(
     }
     ratio = math.log(champion.perplexity) - math.log(candidate.perplexity)
     allowed = math.log1p(tolerances.perplexity)
-    kept = MeasureComparison(champion.perplexity, candidate.perplexity, ratio, None, None, allowed)
+    kept = MeasureComparison(
+        before=champion.perplexity, after=candidate.perplexity, gain=ratio, low=None, high=None, tolerance=allowed
+    )
     measures["perplexity"] = kept
     against = [f"{name} fell from {m.before:.4g} to {m.after:.4g}" for name, m in measures.items() if m.is_worse]
     against += _not_executed(candidate, champion) or _missing_delta(pairs)
     if not any(measure.is_better for measure in measures.values()):
         against.append("nothing is better beyond chance")
-    return PromotionDecision(candidate.adapter, champion.adapter, measures, tuple(against), dataset, candidate.runtime)
+    return PromotionDecision(
+        candidate=candidate.adapter,
+        champion=champion.adapter,
+        measures=measures,
+        against=tuple(against),
+        dataset=dataset,
+        runtime=candidate.runtime,
+    )
 
 
 def _not_executed(candidate: PlannerResults, champion: PlannerResults) -> list[str]:
@@ -199,9 +208,12 @@ def _require_valid_numbers(results: PlannerResults) -> None:
 
 
 def _compare_measure(
-    pairs: list[tuple[QuestionResult, QuestionResult]], read: Callable[[QuestionResult], float], sign: float, tolerance: float,
+    pairs: list[tuple[QuestionResult, QuestionResult]],
+    read: Callable[[QuestionResult], float],
+    sign: float,
+    tolerance: float,
     rng: np.random.Generator,
-) -> MeasureComparison | None:  # fmt: skip
+) -> MeasureComparison | None:
     """One measure over the questions on which both have it; None if there is no such question."""
     values = np.array([(read(ours), read(theirs)) for ours, theirs in pairs])
     both = values[~np.isnan(values).any(axis=1)]
@@ -211,4 +223,6 @@ def _compare_measure(
     means = gains[rng.integers(len(gains), size=(N_RESAMPLES, len(gains)))].mean(axis=1)
     low, high = map(float, np.percentile(means, [2.5, 97.5])) if len(both) >= MIN_PAIRED_QUESTIONS else (None, None)
     after, before = both.mean(axis=0)
-    return MeasureComparison(float(before), float(after), float(gains.mean()), low, high, tolerance)
+    return MeasureComparison(
+        before=float(before), after=float(after), gain=float(gains.mean()), low=low, high=high, tolerance=tolerance
+    )

@@ -42,7 +42,7 @@ UNRECORDED_FAULT = (
 )
 
 
-class RegistryEntry(msgspec.Struct, frozen=True):
+class RegistryEntry(msgspec.Struct, frozen=True, kw_only=True):
     """One line of the journal: what was done to `adapter`, at `time` [s, 1970 UTC], why, and on what measurement.
 
     `place` is robot and hash of the base: each place has one champion. After "rolled back", `adapter` serves again.
@@ -91,7 +91,13 @@ class AdapterRegistry:
                 raise ConfigurationError(f"adapter in {source}", got=got, allowed="what is recorded of them", fix=fix)
             if not any(entry.adapter == card.id for entry in self.entries()):
                 self._append(
-                    RegistryEntry("added", card.id, place_of_card(card), now, files=hash_metadata_files(target))
+                    RegistryEntry(
+                        kind="added",
+                        adapter=card.id,
+                        place=place_of_card(card),
+                        time=now,
+                        files=hash_metadata_files(target),
+                    )
                 )
         return card
 
@@ -160,7 +166,16 @@ class AdapterRegistry:
             if not decision.promotes:
                 raise NotPromotedError(card.id, decision.against)
             self._require_single_base(place_of_card(card))
-            self._append(RegistryEntry("promoted", card.id, place_of_card(card), now, reason, decision))
+            self._append(
+                RegistryEntry(
+                    kind="promoted",
+                    adapter=card.id,
+                    place=place_of_card(card),
+                    time=now,
+                    reason=reason,
+                    decision=decision,
+                )
+            )
 
     def require_decision_about(self, name: str, decision: PromotionDecision) -> None:
         """Raise `InvalidSetup` if `decision` is not about `name` and the present champion of its place."""
@@ -196,7 +211,7 @@ class AdapterRegistry:
             if len(history) < 2:
                 raise ConfigurationError("champion", got="the bare base", allowed="a promoted adapter")
             for former in reversed(history[:-1]):
-                self._append(RegistryEntry("rolled back", former, place, now, reason))
+                self._append(RegistryEntry(kind="rolled back", adapter=former, place=place, time=now, reason=reason))
                 if former == NO_ADAPTER or not (reason := self.find_fault(former)):
                     return former
             return NO_ADAPTER

@@ -17,9 +17,11 @@ def concatenate_adapters(folders: list[Path]) -> dict[str, LoraPair]:
     for folder in folders:
         for module, pair in read_lora(folder).items():
             before = joined.get(module)
-            joined[module] = pair if before is None else LoraPair(
-                np.concatenate((before.a, pair.a)), np.concatenate((before.b, pair.b), axis=1)
-            )  # fmt: skip
+            joined[module] = (
+                pair
+                if before is None
+                else LoraPair(np.concatenate((before.a, pair.a)), np.concatenate((before.b, pair.b), axis=1))
+            )
     return joined
 
 
@@ -35,14 +37,26 @@ def write_peft_adapter(pairs: dict[str, LoraPair], folder: Path, *, base: str) -
     most = max(ranks.values())
     other = {module: rank for module, rank in ranks.items() if rank != most}
     told: dict[str, Any] = {
-        "peft_type": "LORA", "task_type": "CAUSAL_LM", "base_model_name_or_path": base, "inference_mode": True,
-        "r": most, "lora_alpha": most, "rank_pattern": other, "alpha_pattern": other, "lora_dropout": 0.0,
-        "bias": "none", "use_dora": False, "use_rslora": False, "fan_in_fan_out": False, "modules_to_save": None,
+        "peft_type": "LORA",
+        "task_type": "CAUSAL_LM",
+        "base_model_name_or_path": base,
+        "inference_mode": True,
+        "r": most,
+        "lora_alpha": most,
+        "rank_pattern": other,
+        "alpha_pattern": other,
+        "lora_dropout": 0.0,
+        "bias": "none",
+        "use_dora": False,
+        "use_rslora": False,
+        "fan_in_fan_out": False,
+        "modules_to_save": None,
         "target_modules": sorted({module.rpartition(".")[2] for module in pairs}),
-    }  # fmt: skip
+    }
     tensors = {
         f"base_model.model.{module}.lora_{half}.weight": np.ascontiguousarray(matrix, np.float32)
-        for module, pair in pairs.items() for half, matrix in (("A", pair.a), ("B", pair.b))
-    }  # fmt: skip
+        for module, pair in pairs.items()
+        for half, matrix in (("A", pair.a), ("B", pair.b))
+    }
     (folder / WEIGHTS_FILE).write_bytes(save(tensors, {"format": "pt"}))
     (folder / CONFIG_FILE).write_text(json.dumps(told, indent=2, sort_keys=True))

@@ -14,7 +14,7 @@ PERMUTED_ARCHITECTURES, UNPERMUTED_ARCHITECTURES = frozenset({"llama"}), frozens
 Others are refused until a golden test shows that they answer alike."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class GgufBase:
     """`shapes` are (in, out) by tensor name; `heads` counts query heads, `kv_heads` those of keys and values."""
 
@@ -61,10 +61,12 @@ def read_gguf_base(path: Path) -> GgufBase:
     kind = {name: arch for arch, name in gguf.MODEL_ARCH_NAMES.items()}[architecture]
     names = gguf.get_tensor_name_map(kind, _read_field(reader, f"{architecture}.block_count", int))
     return GgufBase(
-        architecture, _read_field(reader, f"{architecture}.attention.head_count", int),
-        _read_field(reader, f"{architecture}.attention.head_count_kv", int),
-        {tensor.name: tuple(int(n) for n in tensor.shape) for tensor in reader.tensors}, names.get_name,
-    )  # fmt: skip
+        architecture=architecture,
+        heads=_read_field(reader, f"{architecture}.attention.head_count", int),
+        kv_heads=_read_field(reader, f"{architecture}.attention.head_count_kv", int),
+        shapes={tensor.name: tuple(int(n) for n in tensor.shape) for tensor in reader.tensors},
+        tensor_name_of=names.get_name,
+    )
 
 
 def _read_field(reader: Any, key: str, kind: type[Any]) -> Any:

@@ -22,11 +22,26 @@ WEIGHTS_FILE, CONFIG_FILE = "adapter_model.safetensors", "adapter_config.json"
 TENSOR_NAME = re.compile(r"base_model\.model\.(.+)\.lora_([AB])\.weight")
 LAYER_NAME_PATTERN = re.compile(r"\^?[A-Za-z0-9_.]+")
 """A layer's name as a key of peft's patterns, with the ^ of its own examples; any other expression may run forever."""
-KNOWN_SETTINGS = frozenset({
-    "peft_type", "r", "lora_alpha", "use_rslora", "rank_pattern", "alpha_pattern", "target_modules", "task_type",
-    "base_model_name_or_path", "revision", "peft_version", "auto_mapping", "inference_mode", "lora_dropout",
-    "megatron_core", "qalora_group_size",
-})  # fmt: skip
+KNOWN_SETTINGS = frozenset(
+    {
+        "peft_type",
+        "r",
+        "lora_alpha",
+        "use_rslora",
+        "rank_pattern",
+        "alpha_pattern",
+        "target_modules",
+        "task_type",
+        "base_model_name_or_path",
+        "revision",
+        "peft_version",
+        "auto_mapping",
+        "inference_mode",
+        "lora_dropout",
+        "megatron_core",
+        "qalora_group_size",
+    }
+)
 """Settings of peft that are read here, or that say nothing of what is computed."""
 PLAIN_VALUES: dict[str, tuple[Any, ...]] = {"bias": ("none",), "init_lora_weights": (True, False, "gaussian")}
 """What two more must be; every other setting, also one not heard of, must be off: it may change what is computed."""

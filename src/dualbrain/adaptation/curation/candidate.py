@@ -20,7 +20,7 @@ class _OutcomeFields(msgspec.Struct, frozen=True):
     duration: float
 
 
-class _EpisodeFields(msgspec.Struct, frozen=True):
+class _EpisodeFields(msgspec.Struct, frozen=True, kw_only=True):
     instruction: str
     summary: str
     scene: Scene
@@ -33,7 +33,7 @@ class _StoredPayload(msgspec.Struct, frozen=True):
     episode: _EpisodeFields
 
 
-class Candidate(msgspec.Struct, frozen=True):
+class Candidate(msgspec.Struct, frozen=True, kw_only=True):
     """One episode as the ledger has it; `memo` holds its outcome, Δ, status, weight and event number."""
 
     memory: MemoryState
@@ -64,5 +64,11 @@ def read_candidates(ledger: LedgerReader) -> Iterator[Candidate]:
             raise CorruptLedgerError(f"unreadable: {error}", seq=memo.seq, path=str(ledger.path)) from error
         filtered = told.versions.get("filter") == "on"
         yield Candidate(
-            memo, told.instruction, told.summary, told.scene, told.contract, told.outcome.duration, filtered
-        )  # fmt: skip
+            memory=memo,
+            instruction=told.instruction,
+            summary=told.summary,
+            scene=told.scene,
+            contract=told.contract,
+            duration=told.outcome.duration,
+            was_filtered=filtered,
+        )

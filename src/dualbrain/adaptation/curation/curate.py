@@ -40,7 +40,7 @@ class CurationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             raise ConfigurationError("held_out", got=self.held_out, allowed="in [0, 1)")
 
 
-class CurationResult(msgspec.Struct, frozen=True):
+class CurationResult(msgspec.Struct, frozen=True, kw_only=True):
     """What would be taught and tested, and what was left out: ids by reason. `head` was the ledger's newest event."""
 
     train: tuple[Sample, ...]
@@ -52,9 +52,13 @@ class CurationResult(msgspec.Struct, frozen=True):
 
 
 def curate(
-    ledger: LedgerReader, registry: SkillRegistry, config: CurationConfig, *, declines: Collection[str] = (),
+    ledger: LedgerReader,
+    registry: SkillRegistry,
+    config: CurationConfig,
+    *,
+    declines: Collection[str] = (),
     site: SkillRegistry | None = None,
-) -> CurationResult:  # fmt: skip
+) -> CurationResult:
     """The data set of `ledger` for the robot of `registry`; the same ledger and dials give the same set.
 
     A decline proves nothing: a planner that declines everything would teach itself to. So none is let in but those that
@@ -86,10 +90,13 @@ def curate(
     rows = [_build_sample(pair, registry, group, times) for pair, group, times in zip(kept, groups, shown, strict=True)]
     apart = choose_held_out_groups(groups, config.held_out, config.salt)
     return CurationResult(
-        tuple(row for row in rows if row.scene not in apart), tuple(row for row in rows if row.scene in apart),
-        {reason: tuple(names) for reason, names in sorted(left_out.items())}, len(clean) - len(kept), ledger.head(),
-        len(found),
-    )  # fmt: skip
+        train=tuple(row for row in rows if row.scene not in apart),
+        held_out=tuple(row for row in rows if row.scene in apart),
+        left_out={reason: tuple(names) for reason, names in sorted(left_out.items())},
+        merged=len(clean) - len(kept),
+        head=ledger.head(),
+        memories=len(found),
+    )
 
 
 _NO_SAMPLES_HINT = "See `dualbrain memory list`: only successes that are believed, with little intervention, can teach."
@@ -109,10 +116,21 @@ def _build_sample(kept: DuplicateGroup, registry: SkillRegistry, scene: str, sho
     text = canonical_contract(msgspec.structs.replace(with_registry(one.contract, registry), id=CONTRACT_ID), registry)
     messages = [{"role": turn["role"], "content": turn["content"]} for turn in prompt]
     return Sample(
-        content_id(messages, text), messages, assistant_turn(text), one.memory.weight, one.memory.Delta or 0.0, one.duration,
-        shown, scene, one.memory.id, _event_numbers(one, kept.duplicates), one.memory.provenance.source, one.scene.graspable,
-        one.scene.receptive, tuple(DuplicateSource(same.memory.id, same.memory.provenance.source) for same in kept.duplicates),
-    )  # fmt: skip
+        id=content_id(messages, text),
+        prompt=messages,
+        completion=assistant_turn(text),
+        weight=one.memory.weight,
+        Delta=one.memory.Delta or 0.0,
+        duration=one.duration,
+        repeats=shown,
+        scene=scene,
+        memory=one.memory.id,
+        events=_event_numbers(one, kept.duplicates),
+        source=one.memory.provenance.source,
+        graspable=one.scene.graspable,
+        receptive=one.scene.receptive,
+        others=tuple(DuplicateSource(same.memory.id, same.memory.provenance.source) for same in kept.duplicates),
+    )
 
 
 def content_id(prompt: Sequence[dict[str, str]], contract: str) -> str:

@@ -22,7 +22,7 @@ TRAIN_FILE, HELD_OUT_FILE, CARD_FILE = "train.jsonl", "held_out.jsonl", "dataset
 SAMPLE_FORMAT = "conversational prompt-completion, JSON lines"
 
 
-class DatasetCard(msgspec.Struct, frozen=True):
+class DatasetCard(msgspec.Struct, frozen=True, kw_only=True):
     """What a data set is, where it came from and what was left out; `hash` is over the bytes of both files.
 
     `ledger` is the hash of the newest event that was read, `event` its number. `left_out` counts episodes by reason,
@@ -72,16 +72,29 @@ def assemble_dataset(
     """The data set with its card; `site` is the vocabulary at the site whose episodes were read, too."""
     rows = (*curated.train, *curated.held_out)
     card = DatasetCard(
-        dataset_hash(encode_samples(curated.train), encode_samples(curated.held_out)), SAMPLE_FORMAT, registry.robot, registry.hash,
-        short_template_hash(), curated.head.hash, curated.head.seq, curated.memories,
-        len(curated.train), len(curated.held_out), sum(row.repeats for row in curated.train),
-        len({row.scene for row in rows}), curated.merged,
-        {reason: len(names) for reason, names in curated.left_out.items()},
-        dict(sorted(Counter(source for row in rows for source in _sources(row)).items())),
-        config.rules.epsilon, config.rules.slowest,
-        config.most_repeats, config.held_out, config.salt, physical=config.rules.physical,
+        hash=dataset_hash(encode_samples(curated.train), encode_samples(curated.held_out)),
+        form=SAMPLE_FORMAT,
+        robot=registry.robot,
+        registry=registry.hash,
+        prompt=short_template_hash(),
+        ledger=curated.head.hash,
+        event=curated.head.seq,
+        memories=curated.memories,
+        train=len(curated.train),
+        held_out=len(curated.held_out),
+        shown=sum(row.repeats for row in curated.train),
+        scenes=len({row.scene for row in rows}),
+        merged=curated.merged,
+        left_out={reason: len(names) for reason, names in curated.left_out.items()},
+        sources=dict(sorted(Counter(source for row in rows for source in _sources(row)).items())),
+        epsilon=config.rules.epsilon,
+        slowest=config.rules.slowest,
+        most_repeats=config.most_repeats,
+        share_held_out=config.held_out,
+        salt=config.salt,
+        physical=config.rules.physical,
         site=site.hash if site else "",
-    )  # fmt: skip
+    )
     return Dataset(card, curated.train, curated.held_out)
 
 

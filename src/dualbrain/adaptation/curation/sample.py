@@ -16,7 +16,7 @@ class DuplicateSource(msgspec.Struct, frozen=True):
     source: str
 
 
-class Sample(msgspec.Struct, frozen=True, omit_defaults=True):
+class Sample(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
     """One line of the data set: a prompt and its completion in conversational form, as TRL and others read it.
 
     `id` names prompt and completion by content. `weight` is the memory weight w ∈ [0, 1] when the set was made, `Delta`

@@ -115,9 +115,7 @@ def _gate_rejection(one: Candidate, registry: SkillRegistry, gate: Gate) -> str:
 
 def with_registry(contract: Contract, registry: SkillRegistry) -> Contract:
     """`contract` as it would have been written for `registry`, whose words it uses."""
-    return msgspec.structs.replace(
-        contract, context=msgspec.structs.replace(contract.context, registry=registry.hash)
-    )  # fmt: skip
+    return msgspec.structs.replace(contract, context=msgspec.structs.replace(contract.context, registry=registry.hash))
 
 
 def _duration_limits(good: Sequence[Candidate], slowest: float) -> dict[tuple[str, ...], float]:

@@ -71,7 +71,13 @@ class AdaptedPlanner:
         """Answer `request`. Raises `InvalidSetup` for a robot or vocabulary that the adapter was not taught."""
         require_compatible(self.card, request.robot, request.registry_hash, self._narrowed_registries)
         if fault := self._fault_or_error():
-            return Proposal("", f"{protocol.ERROR}: not the adapter it was: {fault}", self.name, "", {"total": 0.0})
+            return Proposal(
+                text="",
+                finish_reason=f"{protocol.ERROR}: not the adapter it was: {fault}",
+                planner=self.name,
+                constrained_by="",
+                timings={"total": 0.0},
+            )
         return self._inner.propose(request)
 
     def messages(self, request: PlanRequest) -> list[ChatMessage]:

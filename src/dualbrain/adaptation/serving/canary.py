@@ -30,14 +30,23 @@ MAX_MARGIN_DIFFERENCE = 0.1
 N_AT_START = 1
 """How many are asked when a process starts; all of them by `dualbrain adapters verify`."""
 CANARY_QUESTIONS = (
-    ("robot {robot}; holding nothing\nred_cube: object, free_finger_axis along, path_max_height none\n"
-     "blue_bowl: container\nperson: none\nplaces: table_left", "put the red cube in the blue bowl"),
-    ("robot {robot}; holding nothing\ngreen_can: object, free_finger_axis across, neighbour_along tall >6cm, "
-     "path_max_height tall\nwhite_tray: container\nperson: crossing\nplaces: shelf", "the green can goes on the tray"),
+    (
+        "robot {robot}; holding nothing\nred_cube: object, free_finger_axis along, path_max_height none\n"
+        "blue_bowl: container\nperson: none\nplaces: table_left",
+        "put the red cube in the blue bowl",
+    ),
+    (
+        "robot {robot}; holding nothing\ngreen_can: object, free_finger_axis across, neighbour_along tall >6cm, "
+        "path_max_height tall\nwhite_tray: container\nperson: crossing\nplaces: shelf",
+        "the green can goes on the tray",
+    ),
     ("robot {robot}\nplaces: kitchen, window, desk\nstanding about: crate_7\nperson: none", "please go to the window"),
-    ("robot {robot}; holding nothing\nyellow_ball: object, near_edge, free_finger_axis along, path_max_height low\n"
-     "blue_bowl: container\nperson: none\nplaces: table_left", "bring the purple cup"),
-)  # fmt: skip
+    (
+        "robot {robot}; holding nothing\nyellow_ball: object, near_edge, free_finger_axis along, path_max_height low\n"
+        "blue_bowl: container\nperson: none\nplaces: table_left",
+        "bring the purple cup",
+    ),
+)
 
 
 class Canary(msgspec.Struct, frozen=True):

@@ -52,9 +52,15 @@ def samples_for_robot(samples: Sequence[Sample], robot: str) -> tuple[Sample, ..
 
 
 def measure_planner(
-    planner: LlamaPlanner, asked: Sequence[Sample], registry: SkillRegistry, *, adapter: str, runtime: str,
-    execute: ExecuteContract | None = None, report: ReportResult = lambda done, of, trial: None,
-) -> PlannerResults:  # fmt: skip
+    planner: LlamaPlanner,
+    asked: Sequence[Sample],
+    registry: SkillRegistry,
+    *,
+    adapter: str,
+    runtime: str,
+    execute: ExecuteContract | None = None,
+    report: ReportResult = lambda done, of, trial: None,
+) -> PlannerResults:
     """One free greedy answer to each question, judged by gate, by the contract that did it, and by `fly`.
 
     Declining complies only where the contract that is known to be right declines. Of the envelope only bounds and names
@@ -82,6 +88,8 @@ def _measure_question(
 
     found = score_answer(said.text if said.is_complete else "", sample.contract, registry, accepts)
     if fly is None:
-        return QuestionResult(sample.id, found.compliant, found.is_right)
+        return QuestionResult(question=sample.id, compliant=found.compliant, right=found.is_right)
     success, Delta = fly(sample, said.text) if found.compliant else (False, None)
-    return QuestionResult(sample.id, found.compliant, found.is_right, success, Delta)
+    return QuestionResult(
+        question=sample.id, compliant=found.compliant, right=found.is_right, success=success, Delta=Delta
+    )

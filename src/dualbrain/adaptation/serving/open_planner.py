@@ -42,10 +42,19 @@ CANARY_FOLDER, SHADOW_FOLDER = "canaries", "shadows"
 
 
 def open_planner(
-    name: str, cache: Path, *, adapters: Path, robot: str = "", registry: str = "", key: str = "",
-    dialect: str = "openai", threads: int = 1, timeout_s: float = 600.0, prompt_cache: Path | None = None,
+    name: str,
+    cache: Path,
+    *,
+    adapters: Path,
+    robot: str = "",
+    registry: str = "",
+    key: str = "",
+    dialect: str = "openai",
+    threads: int = 1,
+    timeout_s: float = 600.0,
+    prompt_cache: Path | None = None,
     narrowed_registries: Mapping[str, str] = {},
-) -> Planner:  # fmt: skip
+) -> Planner:
     """The planner called `name`, ready to propose.
 
     `adapter:ID`, `adapter:champion`, the name of a packaged adapter, `shadow:ID@PLANNER` for a candidate that is asked
@@ -70,9 +79,18 @@ def open_planner(
             )
             unless_both.callback(shadow.close)
             served = open_planner(
-                serving, cache, adapters=adapters, robot=robot, registry=registry, key=key, dialect=dialect,
-                threads=threads, timeout_s=timeout_s, prompt_cache=prompt_cache, narrowed_registries=narrowed_registries,
-            )  # fmt: skip
+                serving,
+                cache,
+                adapters=adapters,
+                robot=robot,
+                registry=registry,
+                key=key,
+                dialect=dialect,
+                threads=threads,
+                timeout_s=timeout_s,
+                prompt_cache=prompt_cache,
+                narrowed_registries=narrowed_registries,
+            )
             unless_both.callback(served.close)
             both = ShadowedPlanner(served, shadow, shadow_log_path(adapters, shadow.card.id))
             unless_both.pop_all()
@@ -138,9 +156,16 @@ def open_unconstrained(name: str, cache: Path, *, adapters: Path, robot: str = "
 
 
 def open_adapter(
-    name: str, cache: Path, *, adapters: Path, robot: str = "", registry: str = "", config: LlamaConfig | None = None,
-    prompt_format: PromptFormat = SHORT_PROMPT, narrowed_registries: Mapping[str, str] = {},
-) -> AdaptedPlanner:  # fmt: skip
+    name: str,
+    cache: Path,
+    *,
+    adapters: Path,
+    robot: str = "",
+    registry: str = "",
+    config: LlamaConfig | None = None,
+    prompt_format: PromptFormat = SHORT_PROMPT,
+    narrowed_registries: Mapping[str, str] = {},
+) -> AdaptedPlanner:
     """The adapter called `name` as a planner; its canary has been asked when this returns."""
     stack = load_stack(resolve_folder(name, AdapterRegistry(adapters), robot), cache)
     card = stack.top_card
@@ -159,9 +184,16 @@ def open_adapter(
 
 
 def _open_in_torch(
-    name: str, cache: Path, adapters: Path, *, robot: str, registry: str, limits: tuple[int, float] = (1, 600.0),
-    unconstrained: bool = False, narrowed_registries: Mapping[str, str] = {},
-) -> Planner:  # fmt: skip
+    name: str,
+    cache: Path,
+    adapters: Path,
+    *,
+    robot: str,
+    registry: str,
+    limits: tuple[int, float] = (1, 600.0),
+    unconstrained: bool = False,
+    narrowed_registries: Mapping[str, str] = {},
+) -> Planner:
     """A model of the manifest, or an adapter, in transformers; raises `MissingPart` without the extra."""
     try:
         from dualbrain.adaptation.serving.transformers_planner import TorchConfig, TorchPlanner  # noqa: PLC0415  (torch is an extra)

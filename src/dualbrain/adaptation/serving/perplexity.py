@@ -24,14 +24,17 @@ def perplexity(planner: LlamaPlanner, text: str) -> float | ChatResponse:
     """Perplexity per token of `text` after its first word, or why it could not be measured."""
     first, rest = text.split(" ", 1)
     body = {
-        "prompt": first, "n_predict": 2 * len(rest), "temperature": 0.0, "n_probs": 1,
+        "prompt": first,
+        "n_predict": 2 * len(rest),
+        "temperature": 0.0,
+        "n_probs": 1,
         # forced, unlike a contract's: each token is to be the one in which the text is written
         "grammar": f"%llguidance {{}}\nstart: {json.dumps(' ' + rest.strip())}",
-    }  # fmt: skip
+    }
     told = planner.post_json("/completion", body)
     if isinstance(told, ChatResponse):
         return told
     steps = [step for step in told.get("completion_probabilities", []) if step.get("token")]
     if told.get("content") != " " + rest.strip() or not steps:
-        return ChatResponse("", "error", "the text was not written as given")
+        return ChatResponse(text="", finish_reason="error", detail="the text was not written as given")
     return math.exp(-sum(float(step["logprob"]) for step in steps) / len(steps))

@@ -47,7 +47,7 @@ def complete(planner: LlamaPlanner, turns: ChatTurns, *, max_tokens: int) -> Raw
         text, whole = str(choice["message"].get("content") or ""), choice["finish_reason"] == "stop"
         return RawCompletion(text, whole, tuple(int(one["id"]) for one in steps), tuple(_margin(one) for one in steps))
     except (LookupError, TypeError, AttributeError, ValueError):
-        return ChatResponse("", protocol.ERROR, "not a chat completion")
+        return ChatResponse(text="", finish_reason=protocol.ERROR, detail="not a chat completion")
 
 
 def runtime_name(base: Path) -> str:

@@ -25,7 +25,7 @@ JOIN_TIMEOUT_S = 2.0
 """How long an answer under way is waited for at the end [s]; what came of it by then is written down."""
 
 
-class ShadowRecord(msgspec.Struct, frozen=True):
+class ShadowRecord(msgspec.Struct, frozen=True, kw_only=True):
     """One question in the shadow: who answered it for good, and what the candidate would have said.
 
     `passed_over` counts the questions that came meanwhile, or of which nothing could be written.
@@ -114,9 +114,15 @@ class ShadowedPlanner:
     def _ask_candidate(self, request: PlanRequest, served: Proposal) -> None:
         said = self._candidate_proposal(request)
         glance = ShadowRecord(
-            served.planner, said.planner, request.instruction, served.text, said.text, said.finish_reason,
-            said.timings.get("total", 0.0), self._end(),
-        )  # fmt: skip
+            served=served.planner,
+            candidate=said.planner,
+            instruction=request.instruction,
+            served_text=served.text,
+            candidate_text=said.text,
+            finish=said.finish_reason,
+            seconds=said.timings.get("total", 0.0),
+            passed_over=self._end(),
+        )
         try:
             with self._log.open("ab") as log:
                 log.write(msgspec.json.encode(glance) + b"\n")
@@ -129,7 +135,9 @@ class ShadowedPlanner:
         try:
             return self._candidate.propose(request)
         except Exception as error:
-            return Proposal("", f"{ERROR}: {error}", self._candidate.name, "", {})
+            return Proposal(
+                text="", finish_reason=f"{ERROR}: {error}", planner=self._candidate.name, constrained_by="", timings={}
+            )
 
 
 def read_shadow_log(log: Path) -> tuple[ShadowRecord, ...]:

@@ -33,9 +33,16 @@ class DecodingStream:
     """
 
     def __init__(
-        self, prompt_tokens: Sequence[int], *, end_token: int, max_tokens: int, constraint: GrammarConstraint | None = None,
-        guide: GrammarConstraint | None = None, seed: int | None = None, temperature: float = 1.0,
-    ) -> None:  # fmt: skip
+        self,
+        prompt_tokens: Sequence[int],
+        *,
+        end_token: int,
+        max_tokens: int,
+        constraint: GrammarConstraint | None = None,
+        guide: GrammarConstraint | None = None,
+        seed: int | None = None,
+        temperature: float = 1.0,
+    ) -> None:
         """Nothing is said yet."""
         self.prompt_tokens, self.output_tokens = list(prompt_tokens), list[int]()
         self._end_token, self._max_tokens, self._constraint, self._guide = end_token, max_tokens, constraint, guide
@@ -142,9 +149,12 @@ class _KeyValueCache:
         self._mask = (torch.arange(width, device=self._device) >= missing).long()
         self._lengths = self._mask.sum(1, keepdim=True)
         told = self._model(
-            input_ids=ids, attention_mask=self._mask, position_ids=(self._mask.cumsum(1) - 1).clamp(min=0),
-            use_cache=True, logits_to_keep=1,
-        )  # fmt: skip
+            input_ids=ids,
+            attention_mask=self._mask,
+            position_ids=(self._mask.cumsum(1) - 1).clamp(min=0),
+            use_cache=True,
+            logits_to_keep=1,
+        )
         self._cache = told.past_key_values
         return told.logits.float().cpu()
 
@@ -156,9 +166,12 @@ class _KeyValueCache:
         steps = torch.arange(width, device=self._device)
         self._mask = torch.cat((self._mask, (steps < lengths).long()), 1)
         told = self._model(
-            input_ids=ids, attention_mask=self._mask, position_ids=self._lengths + steps,
-            past_key_values=self._cache, use_cache=True,
-        )  # fmt: skip
+            input_ids=ids,
+            attention_mask=self._mask,
+            position_ids=self._lengths + steps,
+            past_key_values=self._cache,
+            use_cache=True,
+        )
         self._width = width
         return told.logits.float().cpu()
 

@@ -44,7 +44,9 @@ def load_stacked_model(stack: AdapterStack, cache: Path) -> tuple[Any, Any]:
     """
     worn = tuple(layer.folder for layer in stack.layers)
     return load_base_model(
-        BaseModel(stack.base, stack.gguf, find_weight_file(stack.base).sha256, worn), cache, torch.float32
+        BaseModel(name=stack.base, gguf=stack.gguf, gguf_sha256=find_weight_file(stack.base).sha256, stacked_on=worn),
+        cache,
+        torch.float32,
     )
 
 
@@ -68,9 +70,16 @@ class TorchPlanner:
     """
 
     def __init__(
-        self, name: str, stack: AdapterStack, cache: Path, prompt_format: PromptFormat, config: TorchConfig | None = None, *,
-        clock: Callable[[], float] = time.monotonic, narrowed_registries: Mapping[str, str] = {},
-    ) -> None:  # fmt: skip
+        self,
+        name: str,
+        stack: AdapterStack,
+        cache: Path,
+        prompt_format: PromptFormat,
+        config: TorchConfig | None = None,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        narrowed_registries: Mapping[str, str] = {},
+    ) -> None:
         """Nothing is read yet. An adapter also answers in the vocabularies of `narrowed`."""
         self.name, self.stack = name, stack
         self._cache, self._prompt_format, self._config, self._clock = (
@@ -158,7 +167,13 @@ class TorchPlanner:
         text = beginning + tokenizer.decode(reply.output_tokens, skip_special_tokens=True)
         counts = {"prompt_tokens": float(len(reply.prompt_tokens)), "output_tokens": float(len(reply.output_tokens))}
         said = text if finish != protocol.TIMEOUT else ""
-        return Proposal(said, finish, self.name, self._constrained_by(request), took | counts)
+        return Proposal(
+            text=said,
+            finish_reason=finish,
+            planner=self.name,
+            constrained_by=self._constrained_by(request),
+            timings=took | counts,
+        )
 
     def _load_model(self) -> tuple[Any, Any, Any]:
         if self._loaded is None:

@@ -38,11 +38,28 @@ def build_synthetic_dataset(
     first = next(iter(hashes))
     rows = (*train, *held_out)
     card = DatasetCard(
-        dataset_hash(encode_samples(tuple(train)), encode_samples(tuple(held_out))), SAMPLE_FORMAT, first, hashes.pop(first),
-        short_template_hash(), "", 0, 0, len(train), len(held_out), sum(row.repeats for row in train),
-        len({row.scene for row in rows}), 0, {}, dict(Counter(row.source for row in rows)), 0.0, 0.0, 1,
-        len(held_out) / len(rows), "", also=hashes,
-    )  # fmt: skip
+        hash=dataset_hash(encode_samples(tuple(train)), encode_samples(tuple(held_out))),
+        form=SAMPLE_FORMAT,
+        robot=first,
+        registry=hashes.pop(first),
+        prompt=short_template_hash(),
+        ledger="",
+        event=0,
+        memories=0,
+        train=len(train),
+        held_out=len(held_out),
+        shown=sum(row.repeats for row in train),
+        scenes=len({row.scene for row in rows}),
+        merged=0,
+        left_out={},
+        sources=dict(Counter(row.source for row in rows)),
+        epsilon=0.0,
+        slowest=0.0,
+        most_repeats=1,
+        share_held_out=len(held_out) / len(rows),
+        salt="",
+        also=hashes,
+    )
     return Dataset(card, tuple(train), tuple(held_out))
 
 
@@ -59,9 +76,7 @@ def make_language_judge(registries: Mapping[str, SkillRegistry]) -> AnswerJudge:
 
     Without the rules on geometry and body, as `gate_judge`; no lesson was drawn that the whole gate refuses.
     """
-    gates = {
-        name: Gate(registry, {"planner": frozenset(registry.by_name)}) for name, registry in registries.items()
-    }  # fmt: skip
+    gates = {name: Gate(registry, {"planner": frozenset(registry.by_name)}) for name, registry in registries.items()}
 
     def sound(text: str, sample: Sample) -> bool:
         robot = msgspec.json.decode(sample.contract, type=Contract).context.robot

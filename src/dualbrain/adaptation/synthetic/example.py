@@ -39,7 +39,7 @@ FOREIGN_CATEGORIES = ("tin", "block", "can", "box", "cube")
 """Kinds of things that exemplars from other scenes are about."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SceneContext:
     """Where a lesson is taught: the `scene`'s name, its `summary` in symbols, the names in it.
 
@@ -90,7 +90,7 @@ def _try_example(
     follow = shown[0] if shown and rng.random() < FOLLOW_SHARE else []
     contract = Contract(
         CONTRACT_ID, Context(registry.robot, registry.hash), _draw_actions(registry, errand.steps, follow, rng)
-    )  # fmt: skip
+    )
     text = canonical_contract(contract, registry)
     if not setting.accepts(text.encode()):
         return None
@@ -100,9 +100,20 @@ def _try_example(
     )
     messages = [{"role": turn["role"], "content": turn["content"]} for turn in prompt]
     return Sample(
-        content_id(messages, text), messages, assistant_turn(text), 0.5, 0.0, 0.0, 1, setting.scene, "", (), SOURCE,
-        setting.names.graspable, setting.names.receptive,
-    )  # fmt: skip
+        id=content_id(messages, text),
+        prompt=messages,
+        completion=assistant_turn(text),
+        weight=0.5,
+        Delta=0.0,
+        duration=0.0,
+        repeats=1,
+        scene=setting.scene,
+        memory="",
+        events=(),
+        source=SOURCE,
+        graspable=setting.names.graspable,
+        receptive=setting.names.receptive,
+    )
 
 
 def _draw_actions(

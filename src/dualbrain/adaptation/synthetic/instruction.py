@@ -52,8 +52,9 @@ def draw_instruction(
     things: list[ParameterValue] = list(group) if kind.each else [meant["object"]]
     steps = tuple(
         (step["skill"], {key: (meant | {"object": thing})[slot] for key, slot in step.items() if key != "skill"})
-        for thing in things for step in kind.contract
-    )  # fmt: skip
+        for thing in things
+        for step in kind.contract
+    )
     return InstructionSample(name, sentence, steps, True)
 
 
@@ -77,8 +78,12 @@ def _draw_slots(
     containers, spots = (_shuffled(some, rng) for some in (names.receptive[:1], names.receptive[1:]))
     target = next(iter({"container": containers, "place": spots, "any": places}[kind.target]), "")
     elsewhere = next((one for one in (places if mobile or not spots else spots) if one != target), "")
-    named = {"object": things[0] if things else "", "second": things[1] if len(things) > 1 else "",
-             "target": target, "second_target": elsewhere}  # fmt: skip
+    named = {
+        "object": things[0] if things else "",
+        "second": things[1] if len(things) > 1 else "",
+        "target": target,
+        "second_target": elsewhere,
+    }
     words = {slot: _draw_name(name, names, speech, rng) if name else "" for slot, name in named.items()}
     group, plural = _draw_group(names, rng)
     heading = any("heading" in step for step in kind.contract)

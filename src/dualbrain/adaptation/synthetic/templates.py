@@ -18,7 +18,7 @@ TEMPLATE_FILE = "templates.toml"
 POSSIBLE = "possible"
 
 
-class TaskTemplate(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class TaskTemplate(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One kind of errand: how often it is taught (`share`), and the skeleton of the contract that answers it.
 
     A step of the skeleton names its skill and the parameters that the sentence decides, each with the slot that says

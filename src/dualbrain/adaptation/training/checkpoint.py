@@ -22,7 +22,7 @@ from dualbrain.errors import DECODE_ERRORS, ConfigurationError
 RESTART_HINT = "Name another --out, or delete it to begin anew."
 
 
-class CheckpointState(msgspec.Struct, frozen=True, rename={"run_parts": "told"}):
+class CheckpointState(msgspec.Struct, frozen=True, rename={"run_parts": "told"}, kw_only=True):
     """`run` is the key of what is being fitted, `step` the last one taken, `patience` the best so far.
 
     `best` is the SHA-256 of the best adapter's file, `told` are the parts of the run; older marks have neither.
@@ -78,7 +78,7 @@ def load_best(path: Path, sha256: str) -> dict[str, Tensor]:
         ) from error
 
 
-class RunKey(msgspec.Struct, frozen=True, rename={"number_format": "numbers"}):
+class RunKey(msgspec.Struct, frozen=True, rename={"number_format": "numbers"}, kw_only=True):
     """Hashes of the data set and of the base, the number format that is computed in, and the dials."""
 
     data: str

@@ -34,9 +34,16 @@ class Loss(NamedTuple):
 
 
 def objective(
-    hidden: Tensor, head: Tensor, labels: Tensor, omega: Tensor, tokens: float, *, beta: float = 0.0,
-    base_hidden: Tensor | None = None, token_gate: bool = False,
-) -> Loss:  # fmt: skip
+    hidden: Tensor,
+    head: Tensor,
+    labels: Tensor,
+    omega: Tensor,
+    tokens: float,
+    *,
+    beta: float = 0.0,
+    base_hidden: Tensor | None = None,
+    token_gate: bool = False,
+) -> Loss:
     """L of some tokens as their share of a step of `tokens` tokens: the parts of a step sum to it.
 
     `hidden` (n, d) are final-norm hidden states at the places that predict `labels` (n,), `head` (V, d) the frozen

@@ -27,7 +27,7 @@ from dualbrain.adaptation.training.reference_states import (
 from dualbrain.errors import ConfigurationError
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PreparedData:
     """What a fit reads. `omega` (n,) is ω̃ of each training sample, `shown` how often an epoch shows it.
 
@@ -70,7 +70,13 @@ def prepare_data(
     shown = tuple(row.repeats for row in dataset.train)
     weights = sample_weights([row.weight for row in dataset.train], entropies, config)
     tokens = [len(one.contract) for one in train]
-    return PreparedData(train, held_out, shown, normalize_weights(weights, tokens, shown), states)
+    return PreparedData(
+        train=train,
+        held_out=held_out,
+        repeats=shown,
+        omega=normalize_weights(weights, tokens, shown),
+        reference_states=states,
+    )
 
 
 def _needs_reference_states(dials: ObjectiveConfig) -> bool:

@@ -28,9 +28,18 @@ ADAPTER_FOLDER, CONFIG_FILE = "adapter", "config.json"
 
 
 def adapt(
-    dataset: Dataset, config: AdaptConfig, base: BaseModel, judge: AnswerJudge, folder: Path, *, cache: Path,
-    clock: Callable[[], float], report: Callable[[TrainingProgress], None], process_group: ProcessGroup = SINGLE_PROCESS, own_adapters: Collection[str] = (),
-) -> AdapterCard:  # fmt: skip
+    dataset: Dataset,
+    config: AdaptConfig,
+    base: BaseModel,
+    judge: AnswerJudge,
+    folder: Path,
+    *,
+    cache: Path,
+    clock: Callable[[], float],
+    report: Callable[[TrainingProgress], None],
+    process_group: ProcessGroup = SINGLE_PROCESS,
+    own_adapters: Collection[str] = (),
+) -> AdapterCard:
     """Fit an adapter in `folder`, or go on with the one there, and write it with its card to `folder`/adapter.
 
     Every process of `team` calls this with the same; the first one writes, and all get the card. `own` are the ids of
@@ -57,16 +66,34 @@ def _write_config(config: AdaptConfig, folder: Path) -> None:
 
 
 def _write_result(
-    learner: LoraModel, told: DatasetCard, config: AdaptConfig, base: BaseModel, folder: Path, steps: int,
-    found: HeldOutResult | None, bootstrapped: bool,
-) -> AdapterCard:  # fmt: skip
+    learner: LoraModel,
+    told: DatasetCard,
+    config: AdaptConfig,
+    base: BaseModel,
+    folder: Path,
+    steps: int,
+    found: HeldOutResult | None,
+    bootstrapped: bool,
+) -> AdapterCard:
     """The adapter that `learner` wears, with its card."""
     packages = ("torch", "transformers", "peft", *(("bitsandbytes",) if config.fit.quantise == "nf4" else ()))
     save_adapter(learner, folder / ADAPTER_FOLDER, base=base.sha256)
     card = AdapterCard(
-        hash_weights(folder / ADAPTER_FOLDER), base.name, base.sha256, told.robot, told.registry, told.prompt, told.hash,
-        told.sources, bootstrapped, str(learner.head.dtype).removeprefix("torch."),
-        steps, found, config, {name: metadata.version(name) for name in packages}, told.also,
-    )  # fmt: skip
+        id=hash_weights(folder / ADAPTER_FOLDER),
+        base=base.name,
+        base_sha256=base.sha256,
+        robot=told.robot,
+        registry=told.registry,
+        prompt=told.prompt,
+        dataset=told.hash,
+        sources=told.sources,
+        bootstrapped=bootstrapped,
+        precision=str(learner.head.dtype).removeprefix("torch."),
+        steps=steps,
+        held_out=found,
+        config=config,
+        versions={name: metadata.version(name) for name in packages},
+        also=told.also,
+    )
     write_adapter_card(card, folder / ADAPTER_FOLDER)
     return card

@@ -49,7 +49,7 @@ class TrainingDivergedError(DualbrainError):
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingProgress:
     """How far a fit is: mean cross-entropy and divergence of the last step [nats/token], time left [s] at its pace."""
 
@@ -73,9 +73,17 @@ class Trainer:
     """
 
     def __init__(
-        self, lora_model: LoraModel, dataset: Dataset, config: AdaptConfig, judge: AnswerJudge, folder: Path, *, base: str,
-        clock: Callable[[], float], process_group: ProcessGroup = SINGLE_PROCESS,
-    ) -> None:  # fmt: skip
+        self,
+        lora_model: LoraModel,
+        dataset: Dataset,
+        config: AdaptConfig,
+        judge: AnswerJudge,
+        folder: Path,
+        *,
+        base: str,
+        clock: Callable[[], float],
+        process_group: ProcessGroup = SINGLE_PROCESS,
+    ) -> None:
         """Begin, or go on where the checkpoint in `folder` stands; `clock` [s] only tells the time left.
 
         `base` is the hash of what `learner` was. Raises `InvalidSetup` if a process of the team would have nothing to
@@ -87,7 +95,13 @@ class Trainer:
             )
         self._lora_model, self._held_out_samples = lora_model, dataset.held_out
         self._config, self._judge, self._folder, self._clock = config, judge, folder, clock
-        self._run_key = RunKey(dataset.card.hash, base, lora_model.number_format, config.objective, config.fit)
+        self._run_key = RunKey(
+            data=dataset.card.hash,
+            base=base,
+            number_format=lora_model.number_format,
+            objective=config.objective,
+            fit=config.fit,
+        )
         found = load_checkpoint(folder / CHECKPOINT_FILE, self._run_key)
         self._data = prepare_data(lora_model, dataset, config.objective, base, folder / STATES_FILE, process_group)
         self._process_group, self._master_weights = process_group, MasterWeights(lora_model.parameters, process_group)
@@ -119,7 +133,16 @@ class Trainer:
                 self._process_group.run_on_first(self._save_checkpoint)
             pace = (self._clock() - began) / (self.step - first)
             left = pace * (dials.steps - self.step)
-            report(TrainingProgress(self.step, dials.steps, cross_entropy, divergence, left, found))
+            report(
+                TrainingProgress(
+                    step=self.step,
+                    steps=dials.steps,
+                    cross_entropy=cross_entropy,
+                    divergence=divergence,
+                    seconds_left=left,
+                    held_out=found,
+                )
+            )
         self._lora_model.load_adapter(load_best(self._folder / BEST_FILE, self._best_sha256))
         return self.early_stopping.best
 
@@ -156,10 +179,15 @@ class Trainer:
         counts = torch.tensor(batch.contract_token_counts)
         weights = torch.tensor(self._data.omega[list(rows)], dtype=torch.float32).repeat_interleave(counts)
         return objective(
-            hidden, learner.head, labels, weights.to(learner.head.device), tokens, beta=dials.beta,
+            hidden,
+            learner.head,
+            labels,
+            weights.to(learner.head.device),
+            tokens,
+            beta=dials.beta,
             base_hidden=self._data.reference_states.hidden_states(some) if self._data.reference_states else None,
             token_gate=dials.entropy_gate == "token",
-        )  # fmt: skip
+        )
 
     def _evaluate(self) -> HeldOutResult | None:
         """Ask what is held out; keep the adapter if it is the best so far, or if there is nothing to ask."""
@@ -182,7 +210,11 @@ class Trainer:
     def _save_checkpoint(self) -> None:
         """Write the checkpoint."""
         mark = CheckpointState(
-            self._run_key.digest, self.step, self.early_stopping, self._best_sha256, self._run_key.parts
+            run=self._run_key.digest,
+            step=self.step,
+            patience=self.early_stopping,
+            best=self._best_sha256,
+            run_parts=self._run_key.parts,
         )
         save_checkpoint(self._folder / CHECKPOINT_FILE, mark, self._master_weights.state_dict())
 

@@ -28,10 +28,18 @@ Flag = Annotated[bool, Parameter(negative="")]
 
 
 def adapt(
-    *, robot: str = "panda", base: str = "smollm2-135m-instruct", ledger: Path | None = None,
-    site: Path | None = None, config: Path | None = None, out: Path | None = None, export: Path | None = None,
-    dry_run: Flag = False, when_idle: Flag = False, json: Flag = False,
-) -> int:  # fmt: skip
+    *,
+    robot: str = "panda",
+    base: str = "smollm2-135m-instruct",
+    ledger: Path | None = None,
+    site: Path | None = None,
+    config: Path | None = None,
+    out: Path | None = None,
+    export: Path | None = None,
+    dry_run: Flag = False,
+    when_idle: Flag = False,
+    json: Flag = False,
+) -> int:
     """Learn from what went well: choose the clean episodes of a robot and fit an adapter of the planner on them.
 
     Clean are believed successes of this robot and vocabulary with little intervention, not slower than their kind; not
@@ -109,9 +117,7 @@ def _print_unwrapped(account: StderrConsole, words: str) -> None:
     account.print(words, markup=False, soft_wrap=True)
 
 
-def _curate_only(
-    ledger: Path | None, registry: Any, there: Any, dials: Any, export: Path | None, *, json: bool
-) -> int:  # fmt: skip
+def _curate_only(ledger: Path | None, registry: Any, there: Any, dials: Any, export: Path | None, *, json: bool) -> int:
     """Tell what would be taught; write it to `export`, if that is named."""
     from dualbrain.adaptation.curation.dataset import write_dataset
 
@@ -173,7 +179,7 @@ def _curate(ledger: Path | None, registry: Any, there: Any, dials: Any, *, json:
 
 def _fit(
     dials: Any, registry: Any, base: str, folder: Path, ledger: Path | None, team: ProcessGroup, *, json: bool
-) -> int:  # fmt: skip
+) -> int:
     """Fit an adapter on the data set in `folder`, with its progress on stderr."""
     from dualbrain.adaptation.adapters.base_models import find_base_model
     from dualbrain.adaptation.compliance import make_gate_judge
@@ -186,10 +192,17 @@ def _fit(
     night = import_trainer()
     account = console_of(team)
     card = night.adapt(
-        dataset, dials, find_base_model(base, cache_folder()), make_gate_judge(registry), folder, cache=cache_folder(),
-        clock=time.monotonic, tell=lambda progress: account.print(format_step(progress)), team=team,
+        dataset,
+        dials,
+        find_base_model(base, cache_folder()),
+        make_gate_judge(registry),
+        folder,
+        cache=cache_folder(),
+        clock=time.monotonic,
+        tell=lambda progress: account.print(format_step(progress)),
+        team=team,
         own=_unbootstrapped_adapters(),
-    )  # fmt: skip
+    )
     return team.run_on_first(lambda: _register_adapter(card, dataset, folder, ledger, json=json))
 
 

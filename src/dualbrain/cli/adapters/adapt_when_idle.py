@@ -25,9 +25,16 @@ from dualbrain.cli.memory.open_memory import ledger_path
 
 
 def adapt_when_idle(
-    *, robot: str, base: str, ledger: Path | None, site: Path | None, config: Path | None, out: Path, json: bool,
+    *,
+    robot: str,
+    base: str,
+    ledger: Path | None,
+    site: Path | None,
+    config: Path | None,
+    out: Path,
+    json: bool,
     pace: IdleSchedulerConfig | None = None,
-) -> int:  # fmt: skip
+) -> int:
     """Fit in `out` whenever nothing speaks against it; returns when the fit has ended by itself.
 
     Raises `KeyboardInterrupt` on Ctrl-C and on SIGTERM; then the fit is ended, and if this is killed it ends, too.
@@ -61,11 +68,16 @@ def _raise_interrupt() -> None:
 
 def adapt_command(
     robot: str, base: str, ledger: Path | None, site: Path | None, config: Path | None, out: Path, *, json: bool
-) -> list[str]:  # fmt: skip
+) -> list[str]:
     """The same command without waiting; with its --out it goes on where it was."""
     told: dict[str, Path | str | None] = {
-        "--robot": robot, "--base": base, "--ledger": ledger, "--site": site, "--config": config, "--out": out,
-    }  # fmt: skip
+        "--robot": robot,
+        "--base": base,
+        "--ledger": ledger,
+        "--site": site,
+        "--config": config,
+        "--out": out,
+    }
     words = [word for name, value in told.items() if value is not None for word in (name, str(value))]
     code = "import sys; from dualbrain.cli.main import main; sys.exit(main())"
     return [sys.executable, "-c", code, "adapt", *words, *(["--json"] if json else [])]

@@ -156,9 +156,16 @@ def _fit(base: str, dials: Any, registries: Mapping[str, SkillRegistry], folder:
 
     account = console_of(team)
     card = import_trainer().adapt(
-        read_dataset(folder / DATASET_FOLDER), dials, find_base_model(base, cache_folder()), make_language_judge(registries), folder,
-        cache=cache_folder(), clock=time.monotonic, tell=lambda progress: account.print(format_step(progress)), team=team,
-    )  # fmt: skip
+        read_dataset(folder / DATASET_FOLDER),
+        dials,
+        find_base_model(base, cache_folder()),
+        make_language_judge(registries),
+        folder,
+        cache=cache_folder(),
+        clock=time.monotonic,
+        tell=lambda progress: account.print(format_step(progress)),
+        team=team,
+    )
     account.print(f"adapter {card.id} in {folder / 'adapter'}")
     return card
 

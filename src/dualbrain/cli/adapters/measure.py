@@ -25,9 +25,18 @@ Flag = Annotated[bool, Parameter(negative="")]
 
 
 def measure(
-    name: str, /, *, data: Path, out: Path, most: int = 0, fly: bool = True, ledger: Path | None = None,
-    seed: int = 0, threads: int = 1, json: Flag = False,
-) -> int:  # fmt: skip
+    name: str,
+    /,
+    *,
+    data: Path,
+    out: Path,
+    most: int = 0,
+    fly: bool = True,
+    ledger: Path | None = None,
+    seed: int = 0,
+    threads: int = 1,
+    json: Flag = False,
+) -> int:
     """Ask an adapter and the present champion the same held-out questions, and write what the gate wants to know.
 
     Both answer freely, in the runtime that serves: no grammar, no schema, no examples. What they answer is carried out
@@ -142,9 +151,14 @@ def _measure_adapter(stack: AdapterStack, who: str, asked: Any, registry: Any, f
     )
     try:
         found = ask(
-            planner, asked, registry, adapter=who, runtime=runtime_name(planner.model), execute=flight,
+            planner,
+            asked,
+            registry,
+            adapter=who,
+            runtime=runtime_name(planner.model),
+            execute=flight,
             report=lambda done, of, trial: account.print(f"{short} {done}/{of}: {_describe_trial(trial)}"),
-        )  # fmt: skip
+        )
     finally:
         planner.close()
     rows = found.trials

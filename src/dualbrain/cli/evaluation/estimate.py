@@ -38,8 +38,10 @@ def print_estimate(runner: Any, sources: Any, jobs: int, console: StderrConsole,
     ]
     console.print(
         f"about {hours['planning']:.1f} h of planning and {hours['flying']:.1f} h of flying on {jobs} cores, at "
-        + ", ".join(told), markup=False, soft_wrap=True,
-    )  # fmt: skip
+        + ", ".join(told),
+        markup=False,
+        soft_wrap=True,
+    )
     if as_json:
         found = {"left": left, "hours": hours, "episode_s": episode, "question_s": seconds, "basis": basis}
         print_result(msgspec.json.encode(found).decode())
@@ -51,8 +53,10 @@ def warn_of_single_runs(suite: Any, console: StderrConsole) -> None:
     if alone:
         console.print(
             f"fewer than two runs of {', '.join(alone)}: the report will have no interval of anything but shares; "
-            "state more seeds and runs in a suite file", markup=False, soft_wrap=True,
-        )  # fmt: skip
+            "state more seeds and runs in a suite file",
+            markup=False,
+            soft_wrap=True,
+        )
 
 
 def default_request_time(planner: str, sources: Any) -> float:

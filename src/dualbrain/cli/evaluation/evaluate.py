@@ -24,11 +24,19 @@ REQUIRED_STAGES = ("pilot", "start")
 
 
 def evaluate(
-    *, suite: str = "smoke", methods: Annotated[str, Parameter(name="--methods")] = "",
-    episodes: int = 0, robots: str = "", planner: str = "",
-    out: Path | None = None, jobs: int = 0, dry_run: Flag = False, plan_only: Flag = False, again: str = "",
+    *,
+    suite: str = "smoke",
+    methods: Annotated[str, Parameter(name="--methods")] = "",
+    episodes: int = 0,
+    robots: str = "",
+    planner: str = "",
+    out: Path | None = None,
+    jobs: int = 0,
+    dry_run: Flag = False,
+    plan_only: Flag = False,
+    again: str = "",
     json: Flag = False,
-) -> int:  # fmt: skip
+) -> int:
     """Compare methods by the paper's protocol, resumably.
 
     Parameters
@@ -158,7 +166,7 @@ def _run_stage(runner: Any, stage: Any, sources: Any, jobs: int) -> bool:
     from dualbrain.evaluation.runner.worker_pool import ProcessPool, SerialPool
 
     epsilon = {} if stage == "pilot" else runner.epsilon()
-    place = WorkerConfig(runner.suite, runner.out, sources, time.perf_counter, epsilon)
+    place = WorkerConfig(suite=runner.suite, out=runner.out, sources=sources, clock=time.perf_counter, epsilon=epsilon)
     if jobs > 1:
         return runner.advance(stage, ProcessPool(place.make_worker, jobs))
     with closing(place.make_worker()) as work:

@@ -60,7 +60,14 @@ def report(folder: Path, /, *, gallery: int = -1, page: Path | None = None, json
     if not kept:
         left_out.append(f"How long each decision took: the answers to questions ({ANSWERS_FOLDER}/) are not kept here.")
     told = ReportData(
-        rows, suite, config, kept, shots, last_run_date(folder, config), reproduction_command(suite, folder), left_out
+        rows=rows,
+        suite=suite,
+        config=config,
+        cached_answers=kept,
+        gallery=shots,
+        date=last_run_date(folder, config),
+        command=reproduction_command(suite, folder),
+        omissions=left_out,
     )
     write_html_report(folder / "report.html", told)
     write_markdown_page(pages, told)
@@ -111,9 +118,16 @@ def _encode_change(change: Any) -> dict[str, Any]:
     """One change for a program: numbers in the metric's unit, what is infinite or not known is encoded as null."""
     found = change.found
     return {
-        "method": change.method, "metric": change.metric.name, "unit": change.metric.unit, "change": found.effect,
-        "low": found.low, "high": found.high, "p": change.p, "clusters": found.clusters, "word": change.word,
-    }  # fmt: skip
+        "method": change.method,
+        "metric": change.metric.name,
+        "unit": change.metric.unit,
+        "change": found.effect,
+        "low": found.low,
+        "high": found.high,
+        "p": change.p,
+        "clusters": found.clusters,
+        "word": change.word,
+    }
 
 
 def _failure_images(rows: list[Any], suite: Any, count: int, account: StderrConsole) -> list[Any]:

@@ -24,7 +24,7 @@ def print_omission(line: str) -> None:
 
 def load_results(
     folder: Path, on_omission: Callable[[str], None] | None = None
-) -> tuple[list[Any], dict[str, Any], Any]:  # fmt: skip
+) -> tuple[list[Any], dict[str, Any], Any]:
     """Rows, configuration and suite of the results in `folder`; of a run under way, what is done of it.
 
     `left_out` is told of what cannot be read where the rest can be; without it, and where nothing can be read, raises

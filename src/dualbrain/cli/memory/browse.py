@@ -22,9 +22,15 @@ Flag = Annotated[bool, Parameter(negative="")]
 
 
 def list_memories(
-    *, status: str = "", outcome: str = "", source: str = "", at: str = "", limit: int = 50,
-    ledger: Path | None = None, json: Flag = False,
-) -> int:  # fmt: skip
+    *,
+    status: str = "",
+    outcome: str = "",
+    source: str = "",
+    at: str = "",
+    limit: int = 50,
+    ledger: Path | None = None,
+    json: Flag = False,
+) -> int:
     """List memories, the newest first: id, time, outcome, Δ, weight w, status, source.
 
     Parameters
@@ -47,9 +53,10 @@ def list_memories(
     with open_reader(ledger) as opened:
         state = _state_at(opened, at)
     wanted = [
-        memo for memo in reversed(state.memos)
+        memo
+        for memo in reversed(state.memos)
         if status in ("", memo.status) and outcome in ("", memo.kind) and source in ("", memo.provenance.source)
-    ]  # fmt: skip
+    ]
     shown = wanted[:limit] if limit else wanted
     if json:
         print_json({"memories": shown, "total": len(wanted), "event": state.seq})
@@ -105,10 +112,22 @@ def show(name: str, /, *, ledger: Path | None = None, json: Flag = False) -> int
 
 
 def search(
-    instruction: str, /, *, scene: str = "0", robot: str = "panda", k: int = 5, lambda_s: float | None = None,
-    diversity: float | None = None, skills: tuple[str, ...] = (), outcome: tuple[str, ...] = (), after: str = "",
-    before: str = "", status: tuple[str, ...] = ("active",), ledger: Path | None = None, json: Flag = False,
-) -> int:  # fmt: skip
+    instruction: str,
+    /,
+    *,
+    scene: str = "0",
+    robot: str = "panda",
+    k: int = 5,
+    lambda_s: float | None = None,
+    diversity: float | None = None,
+    skills: tuple[str, ...] = (),
+    outcome: tuple[str, ...] = (),
+    after: str = "",
+    before: str = "",
+    status: tuple[str, ...] = ("active",),
+    ledger: Path | None = None,
+    json: Flag = False,
+) -> int:
     """Search memory as the planner would: the best exemplars and warnings for words and a scene, with all score parts.
 
     Parameters
@@ -153,13 +172,24 @@ def search(
     state = home_state(load_robot(robot))
     posture = Posture(tuple(state.q.tolist()), state.opening)
     where = Filter(
-        skills=skills, outcomes=outcome, statuses=status, after=_parse_time(after), before=_parse_time(before)  # pyright: ignore
-    )  # fmt: skip
+        skills=skills,
+        outcomes=outcome,
+        statuses=status,
+        after=_parse_time(after),
+        before=_parse_time(before),  # pyright: ignore
+    )
     with open_memory(ledger) as opened:
         recall = opened.retrieve(
-            instruction, summarise_scene(seen), posture, robot, load_skill_registry(robot).hash, k=k, lambda_s=lambda_s,
-            diversity=diversity, where=where,
-        )  # fmt: skip
+            instruction,
+            summarise_scene(seen),
+            posture,
+            robot,
+            load_skill_registry(robot).hash,
+            k=k,
+            lambda_s=lambda_s,
+            diversity=diversity,
+            where=where,
+        )
     if json:
         print_json(recall)
         return ExitCode.SUCCESS

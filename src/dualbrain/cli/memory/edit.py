@@ -252,9 +252,15 @@ def _source_row(one: SourceReport) -> tuple[str, ...]:
 
 
 def _apply_change(
-    what: str, ids: tuple[str, ...], source: str, reason: str, ledger: Path | None, change: Callable[..., None], *,
+    what: str,
+    ids: tuple[str, ...],
+    source: str,
+    reason: str,
+    ledger: Path | None,
+    change: Callable[..., None],
+    *,
     as_json: bool,
-) -> int:  # fmt: skip
+) -> int:
     with open_memory(ledger, writing=what) as opened:
         more = [memo.id for memo in opened.state.memories if source and memo.provenance.source == source]
         names = tuple(dict.fromkeys((*ids, *more)))

@@ -73,7 +73,7 @@ def memory_config(ledger: LedgerReader) -> MemoryConfig:
     from dualbrain.memory.config import MemoryConfig
 
     robots = {row.episode.robot for row in _read_headers(ledger)}
-    return MemoryConfig(tuple(limits for robot in sorted(robots) for limits in posture_limits(robot)))
+    return MemoryConfig(limits=tuple(limits for robot in sorted(robots) for limits in posture_limits(robot)))
 
 
 def posture_limits(robot: str) -> tuple[PostureLimits, ...]:

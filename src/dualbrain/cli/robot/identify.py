@@ -61,8 +61,12 @@ def identify(
     target = _written_robot(write, robot_model)
     with _progress_bar() as bar:
         task = bar.add_task(f"{robot}, {drive}", total=1.0)
-        asked = {"load": load, "seeds": range(seeds), "seconds": seconds,
-                 "progress": lambda share, word: bar.update(task, completed=share, description=word)}  # fmt: skip
+        asked = {
+            "load": load,
+            "seeds": range(seeds),
+            "seconds": seconds,
+            "progress": lambda share, word: bar.update(task, completed=share, description=word),
+        }
         said, base_lag = _provenance(robot, kind, seeds, seconds, load), robot_model.base_lag
         if robot_model.is_mobile_manipulator:
             both = identify_mobile_manipulator(robot_model, kind, **asked)
@@ -102,7 +106,7 @@ def _provenance(robot: str, drive: DriveKind, seeds: int, seconds: float, load: 
 
 def _print_tracking_model(
     robot_model: RobotModel, entry: TrackingErrorModel, found: TrackingModel, base_lag: float | None, *, written: bool
-) -> None:  # fmt: skip
+) -> None:
     table = Table("", "", box=None, pad_edge=False, show_header=False)
     table.add_row("lag", f"{entry.lag * 1e3:.3f} ms" + (f", base {base_lag * 1e3:.3f} ms more" if base_lag else ""))
     table.add_row("position error e", f"{entry.position_error * 1e3:.3f} mrad, with factor 1.25")

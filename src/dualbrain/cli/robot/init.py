@@ -106,11 +106,26 @@ def init(
 
     began = time.monotonic()
     start, tip = _parse_chain(chain)
-    wish = ImportOptions(name, start, tip, tool, _parse_locks(lock), quick, spheres, seed, _parse_home(home))
+    wish = ImportOptions(
+        name=name,
+        base=start,
+        tip=tip,
+        tool=tool,
+        lock=_parse_locks(lock),
+        quick=quick,
+        sphere_budget=spheres,
+        seed=seed,
+        home=_parse_home(home),
+    )
     options = {
-        "acceleration": acceleration, "velocity": velocity, "period": period, "tool_speed": tool_speed, "turn": turn,
-        "turn_acceleration": turn_acceleration, **_parse_grip(grip),
-    }  # fmt: skip
+        "acceleration": acceleration,
+        "velocity": velocity,
+        "period": period,
+        "tool_speed": tool_speed,
+        "turn": turn,
+        "turn_acceleration": turn_acceleration,
+        **_parse_grip(grip),
+    }
     policy = make_limit_policy(read_site(site) if site else None, options)
     tree = read_description(description, packages)
     made = (
@@ -125,9 +140,15 @@ def init(
 
 
 def _write_robot(
-    folder: Path, description: Path, packages: Sequence[Path], wish: ImportOptions, made: ImportResult, base: str,
-    wheels: tuple[str, str] | None, discard_edits: bool,
-) -> FolderWriteResult:  # fmt: skip
+    folder: Path,
+    description: Path,
+    packages: Sequence[Path],
+    wish: ImportOptions,
+    made: ImportResult,
+    base: str,
+    wheels: tuple[str, str] | None,
+    discard_edits: bool,
+) -> FolderWriteResult:
     from dualbrain.robots.importer.output.robot_folder import (
         PICTURE_FILE,
         ImportRecord,
@@ -139,9 +160,19 @@ def _write_robot(
 
     SafetyFilter(made.robot_model)  # what the kernel has no room for is refused before anything is written
     recipe = ImportRecord(
-        str(description.resolve()), file_sha256(description), tuple(str(path.resolve()) for path in packages), wish.base,
-        wish.tip, wish.tool, dict(wish.lock), wish.quick, wish.sphere_budget, wish.seed, base, wheels,
-    )  # fmt: skip
+        description=str(description.resolve()),
+        sha256=file_sha256(description),
+        packages=tuple(str(path.resolve()) for path in packages),
+        base=wish.base,
+        tip=wish.tip,
+        tool=wish.tool,
+        lock=dict(wish.lock),
+        quick=wish.quick,
+        spheres=wish.sphere_budget,
+        seed=wish.seed,
+        kind=base,
+        wheels=wheels,
+    )
     written = write_robot_folder(folder, made.robot_model, made.report, recipe, discard_edits=discard_edits)
     draw_robot(written.robot_model, made.shapes, folder / PICTURE_FILE)
     return written
@@ -161,9 +192,10 @@ def _print_summary(folder: Path, made: ImportResult, written: FolderWriteResult,
     for line in missing_information(robot_model, report):
         print(f"  missing: {line}")
     for title, lines in (
-        ("changed by making again", summarize_changes(written.generator_changes)), ("your edits, kept", summarize_changes(written.kept_edits)),
+        ("changed by making again", summarize_changes(written.generator_changes)),
+        ("your edits, kept", summarize_changes(written.kept_edits)),
         ("your edits that found no place", summarize_changes(written.lost_edits)),
-    ):  # fmt: skip
+    ):
         for line in lines:
             print(f"  {title}: {line}")
     if not written.is_new and not written.generator_changes:

@@ -76,9 +76,13 @@ def _coverage_table(report: ImportReport) -> Table:
     table = Table("part", "group", "spheres", "covered", "stands off [mm]: mean", "worst", box=None, pad_edge=False)
     for link in report.links:
         table.add_row(
-            link.link, link.group, str(link.spheres), f"{link.coverage:.2%}", f"{link.mean * 1e3:.1f}",
+            link.link,
+            link.group,
+            str(link.spheres),
+            f"{link.coverage:.2%}",
+            f"{link.mean * 1e3:.1f}",
             f"{link.worst * 1e3:.1f}",
-        )  # fmt: skip
+        )
     return table
 
 

@@ -38,27 +38,70 @@ from dualbrain.runtime.planning_time import format_timings
 from dualbrain.runtime.session import Clocks, RunConfig, RunObserver, RunResult, Session
 from dualbrain.visualization.html.run_report import write_report
 
-EVENT_STYLES = {"verdict": "bold cyan", "action": "bold", "phase": "dim", "intervention": "yellow", "takeover": "red",
-         "order": "yellow", "operator": "magenta"}  # fmt: skip
+EVENT_STYLES = {
+    "verdict": "bold cyan",
+    "action": "bold",
+    "phase": "dim",
+    "intervention": "yellow",
+    "takeover": "red",
+    "order": "yellow",
+    "operator": "magenta",
+}
 
 
 def execute_run(
-    instruction: str, *, robot: str = "panda", scene: str = "0", planner: str = "", guard: bool = True,
-    contract: Path | None = None, goal: str = "", view: bool = True, keep_view_open: bool = False, out: Path | None = None,
-    ledger: Path | None = None, seed: int = 0, port: int = 8080, as_json: bool = False,
-    consult: bool = False, map_overlay: str = "", live: bool = False, speed_stage: float = 1.0, image_memory: bool = False,
-    site: Path | None = None, utility: bool = False, tries: int = 1, epsilon: float = EPSILON,
-) -> int:  # fmt: skip
+    instruction: str,
+    *,
+    robot: str = "panda",
+    scene: str = "0",
+    planner: str = "",
+    guard: bool = True,
+    contract: Path | None = None,
+    goal: str = "",
+    view: bool = True,
+    keep_view_open: bool = False,
+    out: Path | None = None,
+    ledger: Path | None = None,
+    seed: int = 0,
+    port: int = 8080,
+    as_json: bool = False,
+    consult: bool = False,
+    map_overlay: str = "",
+    live: bool = False,
+    speed_stage: float = 1.0,
+    image_memory: bool = False,
+    site: Path | None = None,
+    utility: bool = False,
+    tries: int = 1,
+    epsilon: float = EPSILON,
+) -> int:
     """Run, tell, draw, report; returns the exit code. `live`: in two processes and real time, beginning at `stage`."""
     console = StderrConsole()
     started = datetime.now(UTC)
     out = out or Path("runs") / f"{started:%Y%m%dT%H%M%SZ}-{token_hex(3)}"
     config = RunConfig(
-        instruction, out, ledger or dualbrain_home() / "ledger.sqlite", cache_folder(), robot, scene, planner, contract, guard, seed,
-        goal=goal, measured=view and contract is None, knowledge=dualbrain_home() / "knowledge.sqlite", consult=consult,
-        map=map_overlay, image_memory=image_memory, site=site, utility=utility, tries=tries, epsilon=epsilon,
+        instruction=instruction,
+        out=out,
+        ledger=ledger or dualbrain_home() / "ledger.sqlite",
+        cache=cache_folder(),
+        robot=robot,
+        scene=scene,
+        planner=planner,
+        contract=contract,
+        guard=guard,
+        seed=seed,
+        goal=goal,
+        measured=view and contract is None,
+        knowledge=dualbrain_home() / "knowledge.sqlite",
+        consult=consult,
+        map=map_overlay,
+        image_memory=image_memory,
+        site=site,
+        utility=utility,
+        tries=tries,
+        epsilon=epsilon,
         adapters=dualbrain_home() / "adapters",
-    )  # fmt: skip
+    )
     pace = _RealTimePacer() if view else None
     times = Clocks(time.monotonic, started.isoformat(timespec="seconds"), time.time, pace)
     console.print(
@@ -116,13 +159,22 @@ def run_summary(episode: Episode, out: Path, earlier: Sequence[Episode] = ()) ->
     outcome = episode.outcome
     last = episode.attempts[-1].verdict if episode.attempts else None
     return {
-        "success": is_success(episode), "outcome": outcome.kind, "reason": outcome.reason,
+        "success": is_success(episode),
+        "outcome": outcome.kind,
+        "reason": outcome.reason,
         "violations": episode.judgement.violations if episode.judgement else [],
-        "contract": episode.contract, "verdict": last, "shots": len(episode.attempts),
+        "contract": episode.contract,
+        "verdict": last,
+        "shots": len(episode.attempts),
         "earlier": [{"outcome": one.outcome.kind, "reason": one.outcome.reason} for one in earlier],
-        "delta": outcome.Delta, "intervention_frequency": outcome.intervention_frequency, "h_min": outcome.h_min,
-        "uses": episode.uses, "duration": outcome.duration, "timings": episode.timings, "out": str(out),
-    }  # fmt: skip
+        "delta": outcome.Delta,
+        "intervention_frequency": outcome.intervention_frequency,
+        "h_min": outcome.h_min,
+        "uses": episode.uses,
+        "duration": outcome.duration,
+        "timings": episode.timings,
+        "out": str(out),
+    }
 
 
 def _make_observer(console: Console, album: PhaseCamera, lookout: LiveFeed | None, waiting: Spinner) -> RunObserver:

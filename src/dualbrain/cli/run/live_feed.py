@@ -68,20 +68,30 @@ class LiveFeed:
             self._h_min = min(self._h_min, result.h_min)
         centres, radii, _ = self._kinematics.spheres(state.q, state.opening)
         numbers: dict[str, float | str] = {
-            "h_min": result.h_min, "delta": result.delta,
+            "h_min": result.h_min,
+            "delta": result.delta,
             "Delta": float(np.mean(self._deltas)) if self._deltas else 0.0,
             "intervention_frequency": float(np.mean(np.array(self._deltas) > DEAD_BAND)) if self._deltas else 0.0,
-            **commanded_speeds(self._body, result.u), "elapsed": state.stamp,
-            "phase": f"{moment.skill}: {moment.nominal.phase}", "status": result.status.name,
-            "barriers": ", ".join(result.barriers).replace("_", " "), "planner": "",
-        }  # fmt: skip
+            **commanded_speeds(self._body, result.u),
+            "elapsed": state.stamp,
+            "phase": f"{moment.skill}: {moment.nominal.phase}",
+            "status": result.status.name,
+            "barriers": ", ".join(result.barriers).replace("_", " "),
+            "planner": "",
+        }
         frames = self._plant.link_poses()
         self._view.show(
             ViewState(
-                state.stamp, frames, moment.scene, centres, radii, margins=_margins(moment.scene), numbers=numbers,
+                t=state.stamp,
+                frames=frames,
+                scene=moment.scene,
+                centres=centres,
+                radii=radii,
+                margins=_margins(moment.scene),
+                numbers=numbers,
                 lines=tuple(self._lines),
             )
-        )  # fmt: skip
+        )
 
     def on_tick_report(self, report: TickReport) -> None:
         """Show a tick of a gatekeeper's loop, as it was told over the socket."""
@@ -92,18 +102,31 @@ class LiveFeed:
         centres, radii, _ = self._kinematics.spheres(q, report.opening)
         order = f" [{report.order}: {report.check}]" if report.check else ""
         numbers: dict[str, float | str] = {
-            "h_min": nan if report.h_min is None else report.h_min, "delta": report.delta,
+            "h_min": nan if report.h_min is None else report.h_min,
+            "delta": report.delta,
             "Delta": float(np.mean(self._deltas)) if self._deltas else 0.0,
             "intervention_frequency": float(np.mean(np.array(self._deltas) > DEAD_BAND)) if self._deltas else 0.0,
-            **commanded_speeds(self._body, np.array(report.u)), "elapsed": report.t,
+            **commanded_speeds(self._body, np.array(report.u)),
+            "elapsed": report.t,
             "phase": f"{report.skill}: {report.phase}{order}",
-            "status": report.status, "barriers": ", ".join(report.barriers).replace("_", " "), "planner": "",
-        }  # fmt: skip
+            "status": report.status,
+            "barriers": ", ".join(report.barriers).replace("_", " "),
+            "planner": "",
+        }
         self._plant.set_configuration(q, report.opening)
         frames, lines = self._plant.link_poses(), tuple(self._lines)
         margins = _margins(report.scene)
         self._view.show(
-            ViewState(report.t, frames, report.scene, centres, radii, margins=margins, numbers=numbers, lines=lines)
+            ViewState(
+                t=report.t,
+                frames=frames,
+                scene=report.scene,
+                centres=centres,
+                radii=radii,
+                margins=margins,
+                numbers=numbers,
+                lines=lines,
+            )
         )
 
     def finish(self, episode: Episode, *, stay: bool) -> None:

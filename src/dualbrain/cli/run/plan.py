@@ -100,20 +100,31 @@ def plan_summary(instruction: str, planned: DryRunResult) -> dict[str, Any]:
     """The one object that `--json` prints."""
     last = planned.shots[-1].attempt
     return {
-        "instruction": instruction, "summary": planned.summary, "accepted": _is_accepted(planned),
-        "declined": planned.is_declined, "contract": _accepted_contract(planned), "verdict": last.verdict,
-        "retrieved": planned.recall, "unread": planned.unsupported_fields,
+        "instruction": instruction,
+        "summary": planned.summary,
+        "accepted": _is_accepted(planned),
+        "declined": planned.is_declined,
+        "contract": _accepted_contract(planned),
+        "verdict": last.verdict,
+        "retrieved": planned.recall,
+        "unread": planned.unsupported_fields,
         "shots": [{"prompt": one.prompt, **_encode_attempt(one.attempt)} for one in planned.shots],
-        "planner": last.proposal.planner, "timings": planned.timings, "template": planned.template_hash,
-    }  # fmt: skip
+        "planner": last.proposal.planner,
+        "timings": planned.timings,
+        "template": planned.template_hash,
+    }
 
 
 def _encode_attempt(attempt: Any) -> dict[str, Any]:
     proposal = attempt.proposal
     return {
-        "answer": proposal.text, "finish_reason": proposal.finish_reason, "constrained_by": proposal.constrained_by,
-        "timings": proposal.timings, "verdict": attempt.verdict, "gate_s": attempt.gate_s,
-    }  # fmt: skip
+        "answer": proposal.text,
+        "finish_reason": proposal.finish_reason,
+        "constrained_by": proposal.constrained_by,
+        "timings": proposal.timings,
+        "verdict": attempt.verdict,
+        "gate_s": attempt.gate_s,
+    }
 
 
 def _is_accepted(planned: DryRunResult) -> bool:
@@ -158,10 +169,18 @@ def _print_retrieved(planned: DryRunResult) -> None:
         "what was found, not shown to this planner" if "passages" in planned.unsupported_fields else "what was shown"
     )
     rows = [
-        (use, str(one.rank), f"{one.score:.3f}", f"{one.similarity:.3f}", f"{one.weight:.3f}", one.episode_id,
-         one.instruction)
-        for use, found in (("follow", recall.exemplars), (avoid, recall.warnings)) for one in found
-    ]  # fmt: skip
+        (
+            use,
+            str(one.rank),
+            f"{one.score:.3f}",
+            f"{one.similarity:.3f}",
+            f"{one.weight:.3f}",
+            one.episode_id,
+            one.instruction,
+        )
+        for use, found in (("follow", recall.exemplars), (avoid, recall.warnings))
+        for one in found
+    ]
     if rows:
         print_table(("use", "rank", "R", "s", "w", "memory", "instruction"), rows, wrap_columns=("instruction",))
     if recall.passages:
@@ -201,7 +220,7 @@ def _open_memory(ledger: Path | None, here: PlanningContext) -> Generator[Retrie
         yield None
         return
     with LedgerReader(path) as opened:
-        yield Memory(opened, load_encoder(), MemoryConfig((PostureLimits.from_model(here.robot_model),)))
+        yield Memory(opened, load_encoder(), MemoryConfig(limits=(PostureLimits.from_model(here.robot_model),)))
 
 
 @contextmanager
@@ -227,9 +246,14 @@ def _open_planner(name: str, here: PlanningContext) -> Generator[Planner]:
     prefixes = cache_folder() / "prefixes"
     prefixes.mkdir(parents=True, exist_ok=True)
     opened = open_planner(
-        name, cache_folder(), adapters=dualbrain_home() / "adapters", robot=here.robot_model.name, registry=here.registry.hash,
-        key=os.environ.get("OPENAI_API_KEY", ""), prompt_cache=prefixes,
-    )  # fmt: skip
+        name,
+        cache_folder(),
+        adapters=dualbrain_home() / "adapters",
+        robot=here.robot_model.name,
+        registry=here.registry.hash,
+        key=os.environ.get("OPENAI_API_KEY", ""),
+        prompt_cache=prefixes,
+    )
     try:
         yield opened
     finally:

@@ -104,9 +104,11 @@ def run(
 
     if not instruction.strip() and contract is None:
         raise UsageError(
-            "instruction", got=instruction, allowed="some words, or --contract FILE",
+            "instruction",
+            got=instruction,
+            allowed="some words, or --contract FILE",
             fix='For example: dualbrain run "put the red cube in the bowl"',
-        )  # fmt: skip
+        )
     if not 1 <= tries <= MAX_TRIES:
         raise UsageError("--tries", got=tries, allowed=f"1 to {MAX_TRIES}")
     if not 0.0 <= epsilon < inf:
@@ -116,9 +118,28 @@ def run(
     stay = not headless and sys.stdout.isatty()
     return ExitCode(
         execute_run(
-            instruction, robot=robot, scene=scene, planner=planner, guard=filter == "on", contract=contract, goal=goal,
-            view=not headless, keep_view_open=stay, out=out, ledger=ledger, seed=seed, port=port, as_json=json,
-            consult=knowledge == "on", map_overlay=map, live=live, speed_stage=parse_fraction(speed), image_memory=image_memory, site=site,
-            utility=utility, tries=tries, epsilon=epsilon,
+            instruction,
+            robot=robot,
+            scene=scene,
+            planner=planner,
+            guard=filter == "on",
+            contract=contract,
+            goal=goal,
+            view=not headless,
+            keep_view_open=stay,
+            out=out,
+            ledger=ledger,
+            seed=seed,
+            port=port,
+            as_json=json,
+            consult=knowledge == "on",
+            map_overlay=map,
+            live=live,
+            speed_stage=parse_fraction(speed),
+            image_memory=image_memory,
+            site=site,
+            utility=utility,
+            tries=tries,
+            epsilon=epsilon,
         )
-    )  # fmt: skip
+    )

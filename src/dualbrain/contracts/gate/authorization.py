@@ -80,4 +80,4 @@ def check_header(
 
 def _reject(place: str, got: object, allowed: object, hint: str) -> Rejected:
     """A refusal at this stage."""
-    return Rejected("authorization", place, to_printable(got), allowed, hint)
+    return Rejected(stage="authorization", pointer=place, got=to_printable(got), allowed=allowed, hint=hint)

@@ -60,10 +60,22 @@ def _rejection(index: int, parameter: Parameter, value: Any, names: SceneNames) 
             bound, source = (parameter.lower, parameter.lower_from) if low else (parameter.upper, parameter.upper_from)
             hint = f"{'at least' if low else 'at most'} {bound:g} {parameter.unit} ({source})"
             allowed = {"lower": parameter.lower, "upper": parameter.upper, "unit": parameter.unit}
-            return Rejected("envelope", place, to_printable(value), allowed, hint)
+            return Rejected(stage="envelope", pointer=place, got=to_printable(value), allowed=allowed, hint=hint)
         case ChoiceParameter() | NameParameter():
             known = parameter.choices if isinstance(parameter, ChoiceParameter) else names.names_of_kind(parameter.of)
-            return Rejected("envelope", place, to_printable(value), list(known), closest_name_hint(value, known))
+            return Rejected(
+                stage="envelope",
+                pointer=place,
+                got=to_printable(value),
+                allowed=list(known),
+                hint=closest_name_hint(value, known),
+            )
         case TextParameter():
             allowed = f"at most {parameter.max_length} characters, none of them hidden"
-            return Rejected("envelope", place, to_printable(value), allowed, "write a short plain sentence")
+            return Rejected(
+                stage="envelope",
+                pointer=place,
+                got=to_printable(value),
+                allowed=allowed,
+                hint="write a short plain sentence",
+            )

@@ -78,7 +78,13 @@ class Gate:
             try:
                 refusal = rule(contract)
             except Exception as error:  # what cannot be judged is not accepted
-                return Rejected("envelope", "", f"{type(error).__name__}: {error}", "a rule's word", "a rule failed")
+                return Rejected(
+                    stage="envelope",
+                    pointer="",
+                    got=f"{type(error).__name__}: {error}",
+                    allowed="a rule's word",
+                    hint="a rule failed",
+                )
             if refusal is not None:
                 return msgspec.structs.replace(refusal, stage="envelope")
         return Accepted(contract)

@@ -89,7 +89,7 @@ def _is_too_deep(data: bytes) -> bool:
 
 def _reject(got: object, allowed: str, hint: str) -> Rejected:
     """A refusal of the document as a whole."""
-    return Rejected("syntax", "", got, allowed, hint)
+    return Rejected(stage="syntax", pointer="", got=got, allowed=allowed, hint=hint)
 
 
 def _parse_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

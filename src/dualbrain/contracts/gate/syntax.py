@@ -45,7 +45,11 @@ def _reject_too_many_actions(document: Any) -> Rejected | None:
 def _action_count_rejection(place: str, steps: Any) -> Rejected:
     """The refusal of an array of actions that is empty or too long."""
     return Rejected(
-        "syntax", place, to_printable(steps), f"1 to {MAX_ACTIONS} actions", "plan with fewer or with some actions"
+        stage="syntax",
+        pointer=place,
+        got=to_printable(steps),
+        allowed=f"1 to {MAX_ACTIONS} actions",
+        hint="plan with fewer or with some actions",
     )
 
 
@@ -61,24 +65,36 @@ def _rejection(error: jsonschema_rs.ValidationError, schema: Schema) -> Rejected
     match error.kind.name:
         case "type":
             wanted = " or ".join(facts["types"])
-            return Rejected("syntax", place, to_printable(error.instance), wanted, f"write a JSON {wanted} here")
+            return Rejected(
+                stage="syntax",
+                pointer=place,
+                got=to_printable(error.instance),
+                allowed=wanted,
+                hint=f"write a JSON {wanted} here",
+            )
         case "required":
             missing = facts["property"]
-            return Rejected("syntax", place, None, missing, f"add the missing field {missing!r}")
+            return Rejected(
+                stage="syntax", pointer=place, got=None, allowed=missing, hint=f"add the missing field {missing!r}"
+            )
         case "additionalProperties":
             extra, known = min(facts["unexpected"]), _known_fields(error, schema)
             return Rejected(
-                "syntax",
-                place,
-                to_printable(extra),
-                list(known),
-                f"drop or rename this field; {closest_name_hint(extra, known)}",
+                stage="syntax",
+                pointer=place,
+                got=to_printable(extra),
+                allowed=list(known),
+                hint=f"drop or rename this field; {closest_name_hint(extra, known)}",
             )
         case "minItems" | "maxItems":
             return _action_count_rejection(place, error.instance)
         case _:
             return Rejected(
-                "syntax", place, to_printable(error.instance), "'c-' and four digits", "write an id like 'c-0001'"
+                stage="syntax",
+                pointer=place,
+                got=to_printable(error.instance),
+                allowed="'c-' and four digits",
+                hint="write an id like 'c-0001'",
             )
 
 

@@ -48,7 +48,9 @@ class Capability(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                 if isinstance(value, float) and not low <= value <= high:
                     pointer = f"/action_sequence/{index}/params/{name}"
                     hint = "outside what this principal was granted"
-                    return Rejected("envelope", pointer, value, {"lower": low, "upper": high}, hint)
+                    return Rejected(
+                        stage="envelope", pointer=pointer, got=value, allowed={"lower": low, "upper": high}, hint=hint
+                    )
         return None
 
 

@@ -8,7 +8,7 @@ from dualbrain.control.gatekeeper.capability import Capability
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
 
 
-class GatekeeperConfig(msgspec.Struct, frozen=True):
+class GatekeeperConfig(msgspec.Struct, frozen=True, kw_only=True):
     """What a gatekeeper is to be: which robot in which scene, where it listens, what it writes ("" for nothing).
 
     `capability` narrows what the planner may ask for; `stage` is the speed to begin with. `report` and `punctuality`

@@ -73,7 +73,14 @@ class Deployment:
         if self.driver is not None:
             return DriverSettings(self.driver.name, config.address, self.robot_model, config.scene)
         robot_model = self.robot_model if config.site else None
-        return SimulatedRobotSettings(config.robot, config.scene, config.seed, config.goal, config.report, robot_model)
+        return SimulatedRobotSettings(
+            robot=config.robot,
+            scene=config.scene,
+            seed=config.seed,
+            goal=config.goal,
+            report=config.report,
+            robot_model=robot_model,
+        )
 
     def recording_metadata(self, config: GatekeeperConfig) -> dict[str, Any]:
         """What a recording says of itself; with a site, all that replay needs of it."""

@@ -27,7 +27,7 @@ from dualbrain.skills.registry import make_controller, skill_registry
 from dualbrain.skills.skill import HeldObject, Observation
 
 
-class GateRequest(msgspec.Struct, frozen=True):
+class GateRequest(msgspec.Struct, frozen=True, kw_only=True):
     """A contract to be judged, as it came, and what the robot was like when it came."""
 
     connection_number: int
@@ -104,7 +104,11 @@ class GateWorker:
         try:
             limb, principal = self._controller, request.stamp.principal
             limb.holding = request.holding
-            limb.observe(Observation(request.state, request.scene, request.now, self._safety.tool(request.state.q)))
+            limb.observe(
+                Observation(
+                    state=request.state, scene=request.scene, now=request.now, tool=self._safety.tool(request.state.q)
+                )
+            )
             capability = self._capabilities[principal]
 
             def against_scene(contract: Contract) -> Rejected | None:
@@ -120,4 +124,10 @@ class GateWorker:
                 header=request.stamp,
             )
         except Exception as error:  # what cannot be judged is not accepted
-            return Rejected("envelope", "", f"{type(error).__name__}: {error}"[:200], "a verdict", "the gate failed")
+            return Rejected(
+                stage="envelope",
+                pointer="",
+                got=f"{type(error).__name__}: {error}"[:200],
+                allowed="a verdict",
+                hint="the gate failed",
+            )

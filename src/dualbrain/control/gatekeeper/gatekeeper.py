@@ -67,12 +67,24 @@ class Gatekeeper:
     """One robot, one door, one commander at a time."""
 
     def __init__(
-        self, robot_model: RobotModel, robot: RobotLink, server: SocketServer, keys: Keys, capabilities: Mapping[str, Capability], *,
-        timing: Timing, recorder: Recorder | None = None, trace: Trace | None = None, speed_stage: float = 1.0,
-        fixed_obstacles: tuple[Obstacle, ...] = (), config: FilterConfig | None = None, drive_initially_off: bool = False,
-        monotonic: Callable[[], float] = time.monotonic, on_outcome: Callable[[Outcome], None] = lambda outcome: None,
+        self,
+        robot_model: RobotModel,
+        robot: RobotLink,
+        server: SocketServer,
+        keys: Keys,
+        capabilities: Mapping[str, Capability],
+        *,
+        timing: Timing,
+        recorder: Recorder | None = None,
+        trace: Trace | None = None,
+        speed_stage: float = 1.0,
+        fixed_obstacles: tuple[Obstacle, ...] = (),
+        config: FilterConfig | None = None,
+        drive_initially_off: bool = False,
+        monotonic: Callable[[], float] = time.monotonic,
+        on_outcome: Callable[[Outcome], None] = lambda outcome: None,
         mark_part: Callable[[str], None] = lambda part: None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Bind everything; the robot stands still until a contract is accepted.
 
         `standing` is what a site says stands there for good; `config` are the filter's dials for this robot, and
@@ -98,11 +110,19 @@ class Gatekeeper:
             max(1, round(t / robot_model.period)) for t in (STATUS_PERIOD, CLEANUP_PERIOD)
         )
         self.executor = ContractExecutor(
-            robot_model, robot, robot, SafetyFilter(robot_model, config, fixed_obstacles=fixed_obstacles), self._log,
+            robot_model,
+            robot,
+            robot,
+            SafetyFilter(robot_model, config, fixed_obstacles=fixed_obstacles),
+            self._log,
             ExecutorConfig(snapshot_period=TICK_REPORT_PERIOD),
-            on_tick=self._broadcast_tick, on_phase=robot.set_phase, clock=robot.clock, external_conditions=self._service_connections, timing=timing,
+            on_tick=self._broadcast_tick,
+            on_phase=robot.set_phase,
+            clock=robot.clock,
+            external_conditions=self._service_connections,
+            timing=timing,
             mark_part=mark_part,
-        )  # fmt: skip
+        )
         self.executor.safety_controller.speed_stage = speed_stage
 
     def run(self) -> None:
@@ -182,9 +202,12 @@ class Gatekeeper:
     def _send_status(self, now: float) -> None:
         order = self.executor.safety_controller.decision
         beat = StatusReport(
-            now=self.robot.clock(), action=order.action.name, cause=order.cause.value, check=order.check,
+            now=self.robot.clock(),
+            action=order.action.name,
+            cause=order.cause.value,
+            check=order.check,
             busy=self.busy,
-        )  # fmt: skip
+        )
         for peer in self.server.connections:
             if peer.role == "stranger" and now - peer.last_received_at > AUTHENTICATION_TIMEOUT:
                 peer.fault = peer.fault or "nobody"
@@ -267,18 +290,21 @@ class Gatekeeper:
             state = self.executor.state
             moment = self.robot.clock()
             stamp = ContractHeader(
-                (peer.number << 32) + sequence, message.issued, min(message.expires, message.issued + MAX_CONTRACT_LIFETIME),
-                peer.principal, message.scene_version,
-            )  # fmt: skip
+                sequence=(peer.number << 32) + sequence,
+                issued=message.issued,
+                expires=min(message.expires, message.issued + MAX_CONTRACT_LIFETIME),
+                principal=peer.principal,
+                scene_version=message.scene_version,
+            )
             case = GateRequest(
-                peer.number,
-                sequence,
-                message.contract,
-                stamp,
-                moment,
-                self.executor.scene,
-                state,
-                self.executor.controller.holding,
+                connection_number=peer.number,
+                sequence=sequence,
+                contract=message.contract,
+                stamp=stamp,
+                now=moment,
+                scene=self.executor.scene,
+                state=state,
+                holding=self.executor.controller.holding,
             )
             why = "" if self._gate_worker.submit(case) else "another contract is being judged"
         if why:
@@ -326,9 +352,12 @@ class Gatekeeper:
         layer = self.executor
         holding = layer.controller.holding
         return SceneReport(
-            now=self.robot.clock(), scene=layer.scene, q=tuple(layer.state.q.tolist()), opening=layer.state.opening,
+            now=self.robot.clock(),
+            scene=layer.scene,
+            q=tuple(layer.state.q.tolist()),
+            opening=layer.state.opening,
             holding=holding.name if holding else None,
-        )  # fmt: skip
+        )
 
     def _broadcast_event(self, event: Event) -> None:
         data = {key: value for key, value in event.data.items() if isinstance(value, str | float | int | bool)}
@@ -340,10 +369,19 @@ class Gatekeeper:
         state, result = moment.state, moment.result
         self.server.broadcast(
             TickReport(
-                t=state.stamp, scene=moment.scene, q=tuple(state.q.tolist()), opening=state.opening,
-                u=tuple(result.u.tolist()), delta=result.delta,
-                h_min=None if isnan(result.h_min) else result.h_min, status=result.status.name,
-                barriers=result.barriers, skill=moment.skill, phase=moment.nominal.phase,
-                in_contract=moment.action >= 0, order=moment.order.action.name, check=moment.order.check,
+                t=state.stamp,
+                scene=moment.scene,
+                q=tuple(state.q.tolist()),
+                opening=state.opening,
+                u=tuple(result.u.tolist()),
+                delta=result.delta,
+                h_min=None if isnan(result.h_min) else result.h_min,
+                status=result.status.name,
+                barriers=result.barriers,
+                skill=moment.skill,
+                phase=moment.nominal.phase,
+                in_contract=moment.action >= 0,
+                order=moment.order.action.name,
+                check=moment.order.check,
             )
-        )  # fmt: skip
+        )

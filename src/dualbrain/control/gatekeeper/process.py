@@ -52,10 +52,20 @@ def run_gatekeeper(config: GatekeeperConfig, on_ready: Callable[[], None] = lamb
             recorder = Recorder(Path(config.recording), trace)
             recorder.episode(0.0, place.recording_metadata(config))
         keeper = Gatekeeper(
-            robot_model, robot, door, keys, {PLANNER: place.capability}, timing=place.timing, recorder=recorder, trace=trace,
-            speed_stage=config.stage, fixed_obstacles=place.fixed_obstacles, config=place.filter_config, drive_initially_off=place.driver is not None,
+            robot_model,
+            robot,
+            door,
+            keys,
+            {PLANNER: place.capability},
+            timing=place.timing,
+            recorder=recorder,
+            trace=trace,
+            speed_stage=config.stage,
+            fixed_obstacles=place.fixed_obstacles,
+            config=place.filter_config,
+            drive_initially_off=place.driver is not None,
             mark_part=laps.mark_part,
-        )  # fmt: skip
+        )
 
         def stop(number: int, frame: FrameType | None) -> None:
             del number, frame
@@ -85,9 +95,10 @@ class GatekeeperProcess:
         flags = ["-S"] if sys.flags.no_site else []
         self.config = config
         self.process = subprocess.Popen(
-            [sys.executable, *flags, "-m", "dualbrain.control.gatekeeper.process"], stdin=subprocess.PIPE,
+            [sys.executable, *flags, "-m", "dualbrain.control.gatekeeper.process"],
+            stdin=subprocess.PIPE,
             start_new_session=True,
-        )  # fmt: skip
+        )
         if self.process.stdin:
             self.process.stdin.write(msgspec.msgpack.encode(config))
             self.process.stdin.close()

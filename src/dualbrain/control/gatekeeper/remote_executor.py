@@ -40,7 +40,7 @@ class GripperState:
     holding: HeldObject | None = None
 
 
-@dataclass
+@dataclass(kw_only=True)
 class RemoteExecutor:
     """Has what `run_episode` asks of a local layer; `interrupted` says that a person wants it to stop."""
 
@@ -59,7 +59,12 @@ class RemoteExecutor:
         sight = self.client.request_scene()
         self.scene = sight.scene
         self.state = RobotState(
-            sight.now, 0, np.array(sight.q), np.zeros(self.robot_model.n), sight.opening, (0.0, 0.0)
+            stamp=sight.now,
+            sequence=0,
+            q=np.array(sight.q),
+            v=np.zeros(self.robot_model.n),
+            opening=sight.opening,
+            finger_forces=(0.0, 0.0),
         )
         self.controller = GripperState(HeldObject(sight.holding) if sight.holding else None)
 
@@ -86,7 +91,7 @@ class RemoteExecutor:
                     return ended.outcome
                 self.refresh()
         except ConnectionLostError as why:
-            return Outcome("stopped", f"the gatekeeper is gone: {why}")
+            return Outcome(kind="stopped", reason=f"the gatekeeper is gone: {why}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +105,13 @@ class RemoteGate:
         del names, principal, now
         answer = self.client.propose(data, header.scene_version)
         if isinstance(answer, RequestRefused):
-            return Rejected("authorization", "", answer.reason, "a contract that is fit to be judged", "not considered")
+            return Rejected(
+                stage="authorization",
+                pointer="",
+                got=answer.reason,
+                allowed="a contract that is fit to be judged",
+                hint="not considered",
+            )
         if answer.rejected is not None:
             return answer.rejected
         return Accepted(msgspec.json.decode(data, type=Contract))

@@ -63,7 +63,7 @@ class FilterCall(msgspec.Struct, frozen=True):
     arguments: dict[str, Any]
 
 
-class Ticks(msgspec.Struct, frozen=True):
+class Ticks(msgspec.Struct, frozen=True, kw_only=True):
     """Consecutive ticks by column, as `trace.columns` names them; `phases` decodes the phase codes."""
 
     t: float
@@ -87,9 +87,13 @@ class Ticks(msgspec.Struct, frozen=True):
 Message = EpisodeInfo | SceneSeen | AttemptMade | Event | FilterCall | Ticks
 
 CHANNELS: dict[type[msgspec.Struct], str] = {
-    EpisodeInfo: "/episode", SceneSeen: "/scene", AttemptMade: "/attempt",
-    Event: "/event", FilterCall: "/filter_call", Ticks: "/tick",
-}  # fmt: skip
+    EpisodeInfo: "/episode",
+    SceneSeen: "/scene",
+    AttemptMade: "/attempt",
+    Event: "/event",
+    FilterCall: "/filter_call",
+    Ticks: "/tick",
+}
 MESSAGE_TYPES = {topic: kind for kind, topic in CHANNELS.items()}
 
 

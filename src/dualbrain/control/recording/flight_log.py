@@ -42,13 +42,21 @@ class FlightLog:
         self._rows: tuple[ConstraintRow, ...] = ()
 
     def tick(
-        self, now: float, state: RobotState, u_nom: Array, result: FilterResult, action: int, phase: str, *,
-        order: int = 0, scale_applied: float = 1.0,
-    ) -> None:  # fmt: skip
+        self,
+        now: float,
+        state: RobotState,
+        u_nom: Array,
+        result: FilterResult,
+        action: int,
+        phase: str,
+        *,
+        order: int = 0,
+        scale_applied: float = 1.0,
+    ) -> None:
         """Log one control tick; `order` and `touched` say what the supervisor did to it."""
         row = self.trace.append(
             now, state, u_nom, result, action=action, phase=phase, order=order, scale_applied=scale_applied
-        )  # fmt: skip
+        )
         if action >= 0 and result.binding_rows:
             self.binding.update(result.barriers)
             self._last_binding = now, result
@@ -93,16 +101,22 @@ class FlightLog:
         """The outcome of the segment that began at tick `first`; only ticks of its actions count (design 4)."""
         chosen = np.flatnonzero(self.trace["action"][first:] >= 0) + first
         if kind == "declined" or not len(chosen):
-            return Outcome(kind, reason, actions=actions)
+            return Outcome(kind=kind, reason=reason, actions=actions)
         delta, h, t = (self.trace[name][chosen] for name in ("delta", "h_min", "t"))
         delta = np.nan_to_num(delta, nan=FULL_INTERVENTION)
         h = h[~np.isnan(h)]  # ticks whose input was refused: nothing was measured
         return Outcome(
-            kind, reason,
-            Delta=float(delta.mean()), Delta_sum=float(delta.sum()), delta_peak=float(delta.max()),
-            intervention_frequency=float(np.mean(delta > DEAD_BAND)), h_min=float(h.min()) if len(h) else None,
-            duration=float(t[-1] - t[0]), actions=actions, hindrance=self._hindrance(float(t[-1]), actions),
-        )  # fmt: skip
+            kind=kind,
+            reason=reason,
+            Delta=float(delta.mean()),
+            Delta_sum=float(delta.sum()),
+            delta_peak=float(delta.max()),
+            intervention_frequency=float(np.mean(delta > DEAD_BAND)),
+            h_min=float(h.min()) if len(h) else None,
+            duration=float(t[-1] - t[0]),
+            actions=actions,
+            hindrance=self._hindrance(float(t[-1]), actions),
+        )
 
     def _hindrance(self, end: float, actions: tuple[ActionResult, ...]) -> str:
         """The rows that bound within `LATELY` of `end` [s], strongest first; "" where every action was done."""

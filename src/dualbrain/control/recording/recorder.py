@@ -148,7 +148,13 @@ class Recorder:
             name: (rows[:, where] if where.stop - where.start > 1 else rows[:, where.start]).tolist()
             for name, where in self._trace.columns.items()
         }
-        return Ticks(float(rows[0, 0]), self._trace.n, tuple(self._trace.phases), table, self._trace.width)
+        return Ticks(
+            t=float(rows[0, 0]),
+            n=self._trace.n,
+            phases=tuple(self._trace.phases),
+            columns=table,
+            width=self._trace.width,
+        )
 
 
 class _McapFile:

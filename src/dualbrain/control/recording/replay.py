@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 COMPARED_COLUMNS = ("u", "delta", "h_min", "status")
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class ReplayResult:
     """What a replay found: ticks compared, ticks that differ (index of the first), and whether the file is whole."""
 
@@ -124,9 +124,14 @@ class _ReplayFilter:
         part = {name: row[where] for name, where in self._columns.items()}
         forces = (float(part["forces"][0]), float(part["forces"][1]))
         state = RobotState(
-            float(part["stamp"][0]), int(part["sequence"][0]), part["q"], part["v"], float(part["opening"][0]), forces,
-            bool(part["drive"][0]),
-        )  # fmt: skip
+            stamp=float(part["stamp"][0]),
+            sequence=int(part["sequence"][0]),
+            q=part["q"],
+            v=part["v"],
+            opening=float(part["opening"][0]),
+            finger_forces=forces,
+            drive_enabled=bool(part["drive"][0]),
+        )
         touched = float(part["touched"][0])
         got = self._recompute(state, part, float(part["t"][0]), touched)
         if got is None:

@@ -75,7 +75,7 @@ class LoggedResult(Protocol):
     def delta_supervisor(self) -> float: ...  # noqa: D102
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Span:
     """A run of ticks `first`..`last` (inclusive) with one `code`, from `start` to `end` [s]."""
 
@@ -86,7 +86,7 @@ class Span:
     end: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class InterventionSummary:
     """Δ(τ) and its companions over one segment (paper 4.4); `Delta` and `h_min` are None without ticks."""
 
@@ -132,7 +132,9 @@ def spans(codes: Array, t: Array) -> list[Span]:
     starts = np.flatnonzero(np.r_[True, codes[1:] != codes[:-1]]).tolist()
     after = [*starts[1:], len(codes)]
     return [
-        Span(int(codes[first]), first, end - 1, float(t[first]), float(t[min(end, len(t) - 1)]))
+        Span(
+            code=int(codes[first]), first=first, last=end - 1, start=float(t[first]), end=float(t[min(end, len(t) - 1)])
+        )
         for first, end in zip(starts, after, strict=True)
     ]
 
@@ -160,22 +162,49 @@ class Trace:
         self._pack = Struct(f"={self._width}d").pack_into
 
     def append(
-        self, now: float, state: RobotState, u_nom: Array, result: LoggedResult, *, action: int, phase: str,
-        order: int = 0, scale_applied: float = 1.0,
-    ) -> Array:  # fmt: skip
+        self,
+        now: float,
+        state: RobotState,
+        u_nom: Array,
+        result: LoggedResult,
+        *,
+        action: int,
+        phase: str,
+        order: int = 0,
+        scale_applied: float = 1.0,
+    ) -> Array:
         """Log one tick; returns its row (width,), which must not be written to."""
         if self._used == BLOCK_ROWS:
             self._full_blocks.append(self._block)
             self._block, self._used = np.zeros((BLOCK_ROWS, self._width)), 0
         code = self._codes.get(phase)
         self._pack(
-            self._block.data, self._used * self._stride,
-            now, state.stamp, state.sequence, *state.q.tolist(), *state.v.tolist(), state.opening,
-            *state.finger_forces, state.drive_enabled, *u_nom.tolist(), *result.u.tolist(),
-            result.delta, result.delta_rows, result.delta_box, result.h_min, result.status, result.certified,
-            result.iterations, result.n_rows, result.delta_supervisor, order, scale_applied,
-            action, self._register_phase(phase) if code is None else code,
-        )  # fmt: skip
+            self._block.data,
+            self._used * self._stride,
+            now,
+            state.stamp,
+            state.sequence,
+            *state.q.tolist(),
+            *state.v.tolist(),
+            state.opening,
+            *state.finger_forces,
+            state.drive_enabled,
+            *u_nom.tolist(),
+            *result.u.tolist(),
+            result.delta,
+            result.delta_rows,
+            result.delta_box,
+            result.h_min,
+            result.status,
+            result.certified,
+            result.iterations,
+            result.n_rows,
+            result.delta_supervisor,
+            order,
+            scale_applied,
+            action,
+            self._register_phase(phase) if code is None else code,
+        )
         self._used += 1
         return self._block[self._used - 1]
 
@@ -239,10 +268,20 @@ class Trace:
         """
         chosen = np.ones(len(self), bool) if action is None else self["action"] == action
         if not chosen.any():
-            return InterventionSummary(0, 0.0, None, 0.0, 0.0, 0.0, None)
+            return InterventionSummary(
+                ticks=0, duration=0.0, Delta=None, Delta_sum=0.0, delta_peak=0.0, intervention_frequency=0.0, h_min=None
+            )
         t = self["t"][chosen]
         delta = np.nan_to_num(self["delta"][chosen], nan=FULL_INTERVENTION)
         h = np.nan_to_num(self["h_min"][chosen], nan=-np.inf, posinf=np.inf, neginf=-np.inf)
         frequency = float(np.mean(delta > dead_band))
         mean, total, peak = float(delta.mean()), float(delta.sum()), float(delta.max())
-        return InterventionSummary(len(t), float(t[-1] - t[0]), mean, total, peak, frequency, float(h.min()))
+        return InterventionSummary(
+            ticks=len(t),
+            duration=float(t[-1] - t[0]),
+            Delta=mean,
+            Delta_sum=total,
+            delta_peak=peak,
+            intervention_frequency=frequency,
+            h_min=float(h.min()),
+        )

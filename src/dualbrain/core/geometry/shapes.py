@@ -60,3 +60,7 @@ class Pose(msgspec.Struct, frozen=True):
 
     position: Vector
     quaternion: Quaternion = IDENTITY_QUATERNION
+
+
+IDENTITY_POSE = Pose((0.0, 0.0, 0.0))
+"""The origin, not rotated."""

@@ -27,7 +27,7 @@ class NotCommissionedError(ConfigurationError):
     """Hardware that nobody has answered for, or that is not what was answered for."""
 
 
-class CommissioningRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class CommissioningRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """What was answered, for which body and site, and the seal over all of it."""
 
     version: int
@@ -42,7 +42,12 @@ class CommissioningRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
 def make_record(answers: Checklist, robot_model: RobotModel, site: Path, kind: DriverKind) -> CommissioningRecord:
     """The record of `answers` that will do; `body` is the one that the site file has narrowed."""
     record = CommissioningRecord(
-        RECORD_VERSION, robot_model.name, kind.name, answers, model_hash(robot_model), _file_hash(site)
+        version=RECORD_VERSION,
+        robot=robot_model.name,
+        driver=kind.name,
+        answers=answers,
+        body=model_hash(robot_model),
+        site=_file_hash(site),
     )
     return msgspec.structs.replace(record, seal=_seal(record))
 
@@ -62,15 +67,20 @@ def require_record(
         )
     record = _read_record(path)
     now = {
-        "robot": robot_model.name, "driver": kind.name, "body": model_hash(robot_model), "site": _file_hash(site),
-    }  # fmt: skip
+        "robot": robot_model.name,
+        "driver": kind.name,
+        "body": model_hash(robot_model),
+        "site": _file_hash(site),
+    }
     for name, value in now.items():
         if getattr(record, name) != value:
             what = "another" if name in ("robot", "driver") else "a changed"
             raise NotCommissionedError(
-                f"{name} of the commissioning", got=f"{what} {name} than was answered for: {value[:16]}",
-                allowed=getattr(record, name)[:16], fix=FIX_HINT,
-            )  # fmt: skip
+                f"{name} of the commissioning",
+                got=f"{what} {name} than was answered for: {value[:16]}",
+                allowed=getattr(record, name)[:16],
+                fix=FIX_HINT,
+            )
     if wrong := find_limit_flaws(robot_model, kind):
         raise NotCommissionedError(wrong[0].item, got=wrong[0].got, allowed=wrong[0].allowed, fix=FIX_HINT)
     return record

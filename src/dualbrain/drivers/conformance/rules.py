@@ -344,14 +344,26 @@ REQUIREMENTS: tuple[Requirement, ...] = (
     Requirement("waits for enable", "no command moves an arm whose drive is off", _waits_for_enable),
     Requirement("stands when enabled", "an arm that is switched on stands", _rests_when_enabled),
     Requirement("right joint", "a velocity moves its joint, by its integral, and no other", _moves_right_joint),
-    Requirement("as hard as the body may", "what lies within the body's limits is carried out unclipped",
-        _reaches_model_limits),
+    Requirement(
+        "as hard as the body may", "what lies within the body's limits is carried out unclipped", _reaches_model_limits
+    ),
     Requirement("stops", "a stop is told within 10 ms and ends in rest; another one changes nothing", _stops),
     Requirement("forgets", "a command from before a stop is never carried out after it", _discards_old_command),
     Requirement("goes on", "after a stop the drive comes on again, as often as one likes", _restarts_after_stop),
-    Requirement("silence", "without commands the arm stops by itself within the declared time", _stops_without_commands, _has_watchdog),
-    Requirement("rubbish", "a command that is not finite ends the motion and never reaches the arm", _rejects_non_finite),
-    Requirement("maker's stop", "a stop by the arm's own safety is told and obeyed, and left only on purpose", _reports_vendor_stop,
-        _can_trigger_stop),
+    Requirement(
+        "silence",
+        "without commands the arm stops by itself within the declared time",
+        _stops_without_commands,
+        _has_watchdog,
+    ),
+    Requirement(
+        "rubbish", "a command that is not finite ends the motion and never reaches the arm", _rejects_non_finite
+    ),
+    Requirement(
+        "maker's stop",
+        "a stop by the arm's own safety is told and obeyed, and left only on purpose",
+        _reports_vendor_stop,
+        _can_trigger_stop,
+    ),
     Requirement("closes", "after closing nothing moves", _closes),
-)  # fmt: skip
+)

@@ -24,11 +24,17 @@ DT = 1e-3
 MAX_MISSED_PACKETS = 20
 """Packets missed in a row that abort a motion."""
 ERROR_FLAGS = (
-    "joint_position_limits_violation", "joint_velocity_violation", "joint_reflex", "power_limit_violation",
-    "self_collision_avoidance_violation", "joint_motion_generator_position_limits_violation",
-    "joint_motion_generator_velocity_limits_violation", "joint_motion_generator_velocity_discontinuity",
-    "joint_motion_generator_acceleration_discontinuity", "communication_constraints_violation",
-)  # fmt: skip
+    "joint_position_limits_violation",
+    "joint_velocity_violation",
+    "joint_reflex",
+    "power_limit_violation",
+    "self_collision_avoidance_violation",
+    "joint_motion_generator_position_limits_violation",
+    "joint_motion_generator_velocity_limits_violation",
+    "joint_motion_generator_velocity_discontinuity",
+    "joint_motion_generator_acceleration_discontinuity",
+    "communication_constraints_violation",
+)
 """Those of the 41 that a joint velocity can raise."""
 
 
@@ -299,9 +305,13 @@ def _next_state(sdk: FakeFranka) -> Any:
     controller.step()
     arm = controller.arm
     return SimpleNamespace(
-        q=arm.q.tolist(), dq=arm.v.tolist(), time=Duration(arm.now), robot_mode=controller.mode,
-        current_errors=controller.errors, last_motion_errors=controller.errors,
-    )  # fmt: skip
+        q=arm.q.tolist(),
+        dq=arm.v.tolist(),
+        time=Duration(arm.now),
+        robot_mode=controller.mode,
+        current_errors=controller.errors,
+        last_motion_errors=controller.errors,
+    )
 
 
 class FakeHand:

@@ -43,7 +43,7 @@ TIME_LIMIT_REASON = "out of time"
 """How the reason of an outcome begins that the time limit ended."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FailureEvidence:
     """What the stages of a failed episode logged."""
 
@@ -74,10 +74,19 @@ def failure_evidence(row: EpisodeRow) -> FailureEvidence:
     """
     error = float("inf") if row.perceived_error is None and row.perceived_bound is not None else row.perceived_error
     return FailureEvidence(
-        bool(row.contract) and not row.declined, row.meant, row.declined, row.outcome, row.claimed,
-        row.frequency or 0.0, row.progress, row.violations, error, row.perceived_bound, _is_unreadable(row),
-        row.reason.startswith(TIME_LIMIT_REASON),
-    )  # fmt: skip
+        moved=bool(row.contract) and not row.declined,
+        on_task=row.meant,
+        declined=row.declined,
+        outcome=row.outcome,
+        claimed=row.claimed,
+        frequency=row.frequency or 0.0,
+        progress=row.progress,
+        violations=row.violations,
+        perceived_error=error,
+        perceived_bound=row.perceived_bound,
+        unreadable=_is_unreadable(row),
+        out_of_time=row.reason.startswith(TIME_LIMIT_REASON),
+    )
 
 
 def _is_unreadable(row: EpisodeRow) -> bool:

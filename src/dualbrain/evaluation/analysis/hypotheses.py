@@ -51,7 +51,7 @@ ROUNDING_TOLERANCE = 1e-9
 """An end of an interval that is the minimum but for rounding is the minimum."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Claim:
     """`a` against `b`: the effect on a quantity, the least that counts, what was found, `p` corrected after Holm."""
 
@@ -128,12 +128,14 @@ def secondary_claims(rows: Sequence[EpisodeRow]) -> tuple[Claim, ...]:
     """
     hard = [row for row in rows if row.level == "II"]
     claims = [
-        _violation_claim(rows, "A3", "A1"), _violation_claim(rows, "A3", "A2"),
-        _violation_claim(rows, "B3", "B1", RATE_WITH_TOOL_SPEED), _violation_claim(rows, "A3", "A1", RATE_WITH_TOOL_SPEED),
+        _violation_claim(rows, "A3", "A1"),
+        _violation_claim(rows, "A3", "A2"),
+        _violation_claim(rows, "B3", "B1", RATE_WITH_TOOL_SPEED),
+        _violation_claim(rows, "A3", "A1", RATE_WITH_TOOL_SPEED),
         _intervention_claim(hard, "M", "B4", ", level II"),
         *(_intervention_claim(rows, name, "B4") for name in ("M-half", "M-double", "M-success")),
         *(claim for how in PROMPT_CORRUPTIONS for claim in _adaptation_claims(rows, f"P-{how}", f"PE-{how}")),
-    ]  # fmt: skip
+    ]
     told = [claim for claim in claims if claim.verdict != "not measured"]
     p = holm_correction([claim.found.p for claim in told])
     return tuple(replace(claim, p=value) for claim, value in zip(told, p, strict=True))
@@ -197,7 +199,17 @@ def _make_claim(
     hypothesis: str, a: str, b: str, quantity: str, effect: str, minimum: float, side: int, found: PairedComparison
 ) -> Claim:
     verdict = claim_verdict(found, minimum, side)
-    return Claim(hypothesis, a, b, quantity, effect, minimum, side, found, verdict)
+    return Claim(
+        hypothesis=hypothesis,
+        a=a,
+        b=b,
+        quantity=quantity,
+        effect=effect,
+        minimum=minimum,
+        side=side,
+        found=found,
+        verdict=verdict,
+    )
 
 
 def _compare_ratio(pairs: PairedValues) -> PairedComparison:

@@ -11,18 +11,33 @@ from collections.abc import Iterable
 from dualbrain.records import Violation
 
 SEVERITY_SCALES = {
-    "collision_env": 140.0, "collision_human": 140.0, "self_collision": 140.0, "force_fragile": 140.0,
-    "collision_held": 140.0, "joint_limit": 0.1, "joint_velocity": 5.0, "tcp_speed": 3.0, "object_dropped": 0.5,
+    "collision_env": 140.0,
+    "collision_human": 140.0,
+    "self_collision": 140.0,
+    "force_fragile": 140.0,
+    "collision_held": 140.0,
+    "joint_limit": 0.1,
+    "joint_velocity": 5.0,
+    "tcp_speed": 3.0,
+    "object_dropped": 0.5,
     "bystander": 0.2,
-    "bystander_tilt": 1.57, "tilted_load": 1.57, "shaken_load": 80.0, "unauthorised": 1.0,
-}  # fmt: skip
+    "bystander_tilt": 1.57,
+    "tilted_load": 1.57,
+    "shaken_load": 80.0,
+    "unauthorised": 1.0,
+}
 """By kind, in the unit of its peak (`world.monitor.UNITS`)."""
 UNAUTHORISED = "unauthorised"
 """A skill that the principal does not hold, carried out."""
 SAFETY_KINDS = (
-    "collision_env", "collision_human", "collision_held", "self_collision", "joint_limit", "joint_velocity",
+    "collision_env",
+    "collision_human",
+    "collision_held",
+    "self_collision",
+    "joint_limit",
+    "joint_velocity",
     UNAUTHORISED,
-)  # fmt: skip
+)
 """The paper's kinds (7.3, metric 1): their rate is the violation rate. Other kinds are told beside it."""
 
 

@@ -26,7 +26,7 @@ MIN_CLUSTERS_FOR_BOOTSTRAP = 5
 """A rate whose hits, or whose misses, lie in fewer clusters has too little to be resampled."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Estimate:
     """Mean ± standard deviation over `n` values of `clusters` clusters, with a 95 % interval; NaN without values."""
 
@@ -47,11 +47,11 @@ def estimate(values: Clusters, *, is_rate: bool = False, seed: int = 0) -> Estim
     """
     filled = [np.array(one, float) for one in values.values() if len(one)]
     if not filled:
-        return Estimate(np.nan, np.nan, np.nan, np.nan, 0, 0)
+        return Estimate(mean=np.nan, sd=np.nan, low=np.nan, high=np.nan, n=0, clusters=0)
     flat = np.concatenate(filled)
     sd = float(flat.std(ddof=1)) if len(flat) > 1 else 0.0
     low, high = _rate_interval(filled, seed) if is_rate else _bootstrap_interval(filled, seed)
-    return Estimate(float(flat.mean()), sd, low, high, len(flat), len(filled))
+    return Estimate(mean=float(flat.mean()), sd=sd, low=low, high=high, n=len(flat), clusters=len(filled))
 
 
 def _bootstrap_interval(clusters: Sequence[Array], seed: int) -> tuple[float, float]:
@@ -148,7 +148,7 @@ def design_effect(clusters: Sequence[Array]) -> float:
     return max(1.0, float(spread * n.sum() / (share * (1.0 - share))))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PairedComparison:
     """One quantity of `a` against `b` on common clusters: an effect with its interval, a test, sizes.
 
@@ -171,11 +171,24 @@ class PairedComparison:
         return bool(self.clusters) and math.isnan(self.dz) and not self.rank_biserial
 
 
+NO_COMPARISON = PairedComparison(
+    effect=math.nan,
+    low=math.nan,
+    high=math.nan,
+    p=math.nan,
+    wilcoxon=math.nan,
+    dz=math.nan,
+    rank_biserial=math.nan,
+    clusters=0,
+)
+"""The result without a common cluster."""
+
+
 def compare(a: Clusters, b: Clusters, effect: Callable[[Array, Array], Array], *, seed: int = 0) -> PairedComparison:
     """`how(mean of a, mean of b)` is the effect: a difference or a ratio; its interval by drawing common clusters."""
     names = sorted(name for name in a.keys() & b.keys() if len(a[name]) and len(b[name]))
     if not names:
-        return PairedComparison(*([float("nan")] * 7), clusters=0)
+        return NO_COMPARISON
     ours, theirs = ([np.array(one[name], float) for name in names] for one in (a, b))
     draws = effect(
         _bootstrap_means(ours, seed), _bootstrap_means(theirs, seed)
@@ -185,9 +198,15 @@ def compare(a: Clusters, b: Clusters, effect: Callable[[Array, Array], Array], *
     low, high = percentile_interval(draws, len(names)) if len(names) > 1 else (-np.inf, np.inf)
     sd = float(difference.std(ddof=1)) if len(names) > 1 else 0.0
     return PairedComparison(
-        float(whole[0]), low, high, sign_flip_p(difference, seed=seed), wilcoxon_p(difference),
-        float(difference.mean()) / sd if sd else float("nan"), rank_biserial(difference), len(names),
-    )  # fmt: skip
+        effect=float(whole[0]),
+        low=low,
+        high=high,
+        p=sign_flip_p(difference, seed=seed),
+        wilcoxon=wilcoxon_p(difference),
+        dz=float(difference.mean()) / sd if sd else float("nan"),
+        rank_biserial=rank_biserial(difference),
+        clusters=len(names),
+    )
 
 
 def difference(a: Array, b: Array) -> Array:

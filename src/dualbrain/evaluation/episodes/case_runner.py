@@ -48,7 +48,7 @@ Clock = Callable[[], float]
 WALL_TIME_PARTS = ("physics", "monitor", "filter", PLANNER_TIME, "rest")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class EpisodeRun:
     """What an episode left in memory: the record, the ticks, the whole gate's verdicts, time by part, the plant."""
 
@@ -61,7 +61,7 @@ class EpisodeRun:
     """Perception error and its bound of the goal's thing when the contract was accepted [m]."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class EpisodeResources:
     """What an episode is flown with. `now` [s, 1970 UTC] stamps what memory writes; `clock` only measures."""
 
@@ -111,9 +111,16 @@ def run_case(case: Case, method: Method, resources: EpisodeResources) -> Episode
     log = FlightLog(Trace(robot_model.n, robot_model.nq))
     _time_parts(stopwatch, plant, world, safety)
     layer = TimeLimitedExecutor(
-        robot_model, plant, world, safety, log, ExecutorConfig(guard=method.guard), on_tick=resources.on_tick,
-        on_phase=world.set_phase, interrupted=lambda: plant.now >= case.time_limit,
-    )  # fmt: skip
+        robot_model,
+        plant,
+        world,
+        safety,
+        log,
+        ExecutorConfig(guard=method.guard),
+        on_tick=resources.on_tick,
+        on_phase=world.set_phase,
+        interrupted=lambda: plant.now >= case.time_limit,
+    )
     layer.time_limit = case.time_limit
     stopwatch.time_method(layer, "hold", HOLD_TIME)
     doors: list[BaselineGate] = []
@@ -135,21 +142,40 @@ def run_case(case: Case, method: Method, resources: EpisodeResources) -> Episode
             )
 
     errand = EpisodeRequest(
-        resources.id, "", case.instruction, case.seed, resources.max_shots, max_exemplars=MAX_RECALLED if method.uses_memory else 0
-    )  # fmt: skip
+        id=resources.id,
+        started="",
+        instruction=case.instruction,
+        seed=case.seed,
+        max_shots=resources.max_shots,
+        max_exemplars=MAX_RECALLED if method.uses_memory else 0,
+    )
     witness = GroundTruth(begin, world.judgement, {}, lambda: resources.image_features(plant))
     experience = NoMemory() if resources.memory is None else resources.memory  # an empty memory is false, and one
     thinking = PlanningClock(resources.clock, planning_time=resources.planning_time)
     try:
         episode, _ = run_episode(
-            errand, _TimedPlanner(resources.planner, stopwatch, aside), experience, layer, thinking, witness,
-            lambda episode: None, now=resources.now, wrap_gate=door,
-        )  # fmt: skip
+            errand,
+            _TimedPlanner(resources.planner, stopwatch, aside),
+            experience,
+            layer,
+            thinking,
+            witness,
+            lambda episode: None,
+            now=resources.now,
+            wrap_gate=door,
+        )
         doors[0].check_unconstrained_answer(scene_names(layer.scene), PLANNER, layer.state.stamp)
     finally:
         plant.stop()
         perception.close()
-    return EpisodeRun(episode, log.trace, doors[0], stopwatch, plant, seen[0] if seen else None)
+    return EpisodeRun(
+        episode=episode,
+        trace=log.trace,
+        gate=doors[0],
+        stopwatch=stopwatch,
+        plant=plant,
+        goal_perception_error=seen[0] if seen else None,
+    )
 
 
 def make_perception(case: Case, method: Method, plant: Plant) -> NoisyPerception | DepthPerception:

@@ -13,7 +13,9 @@ from dualbrain.evaluation.protocol.method import Method
 from dualbrain.planner.scripted import FixedContractPlanner
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
 
-BARE_METHOD = Method("bare", "the contract alone, in the bare scene, unfiltered", gate="syntax", guard=False)
+BARE_METHOD = Method(
+    name="bare", description="the contract alone, in the bare scene, unfiltered", gate="syntax", guard=False
+)
 
 
 def bare_scene(spec: SceneSpec, named: set[str]) -> SceneSpec:
@@ -33,5 +35,7 @@ def seconds_lost(case: Case, run: EpisodeRun, clock: Clock) -> float | None:
     named = {str(value) for action in contract.action_sequence for value in action.params.values()}
     alone = replace(case, spec=bare_scene(case.spec, named))
     planner = FixedContractPlanner("bare", msgspec.json.encode(contract))
-    again = run_case(alone, BARE_METHOD, EpisodeResources("bare", planner, clock, planning_time=0.2)).episode.outcome
+    again = run_case(
+        alone, BARE_METHOD, EpisodeResources(id="bare", planner=planner, clock=clock, planning_time=0.2)
+    ).episode.outcome
     return episode.outcome.duration - again.duration if again.kind == "succeeded" else None

@@ -30,7 +30,9 @@ class RecordedAnswers:
         """The next answer."""
         del request
         text, finish = next(self._answers)
-        return Proposal(text, finish, self.name, "nobody", {"total": 0.0})
+        return Proposal(
+            text=text, finish_reason=finish, planner=self.name, constrained_by="nobody", timings={"total": 0.0}
+        )
 
     def close(self) -> None:
         """Nothing is held open."""
@@ -57,9 +59,15 @@ def rerun_episode(
         return None
 
     means = EpisodeResources(
-        "again", RecordedAnswers(row.answers), clock, max_shots=max(1, len(row.answers)), planning_time=suite.planning_time,
-        on_tick=hooks.on_tick, image_features=picture, visuals=hooks.visuals,
-    )  # fmt: skip
+        id="again",
+        planner=RecordedAnswers(row.answers),
+        clock=clock,
+        max_shots=max(1, len(row.answers)),
+        planning_time=suite.planning_time,
+        on_tick=hooks.on_tick,
+        image_features=picture,
+        visuals=hooks.visuals,
+    )
     return run_case(case, find_method(row.method), means)
 
 
@@ -67,9 +75,11 @@ def find_differences(row: EpisodeRow, run: EpisodeRun) -> list[str]:
     """What came out otherwise than recorded: nothing, on the same machine and code."""
     outcome, judgement = run.episode.outcome, run.episode.judgement
     pairs = {
-        "outcome": (row.outcome, outcome.kind), "reason": (row.reason, outcome.reason),
-        "Δ": (row.Delta, outcome.Delta if row.Delta is not None else None), "h_min": (row.h_min, outcome.h_min),
+        "outcome": (row.outcome, outcome.kind),
+        "reason": (row.reason, outcome.reason),
+        "Δ": (row.Delta, outcome.Delta if row.Delta is not None else None),
+        "h_min": (row.h_min, outcome.h_min),
         "motion": (row.motion_s, outcome.duration),
         "violations": (len(row.violations), len(judgement.violations) if judgement else 0),
-    }  # fmt: skip
+    }
     return [f"{name}: {before}, now {now}" for name, (before, now) in pairs.items() if before != now]

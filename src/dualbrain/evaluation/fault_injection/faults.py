@@ -30,10 +30,13 @@ FaultMoment = Literal["closing", "descending", "grasping", "carrying", "lowering
 SOURCES, KINDS, MOMENTS = get_args(FaultSource), get_args(FaultKind), get_args(FaultMoment)
 
 MOMENT_PHASES: dict[str, tuple[str, ...]] = {
-    "closing": ("approach", "carry", "drive"), "descending": ("descend",), "grasping": ("close",),
-    "carrying": ("carry",), "lowering": ("lower",),
+    "closing": ("approach", "carry", "drive"),
+    "descending": ("descend",),
+    "grasping": ("close",),
+    "carrying": ("carry",),
+    "lowering": ("lower",),
     "between write and acknowledgement": ("approach", "carry", "drive"),
-}  # fmt: skip
+}
 """The phases in which a moment can come."""
 MOBILE_BASE_MOMENTS = ("closing", "between write and acknowledgement")
 """The moments that a base has, too: at full speed toward a crate or a person."""
@@ -50,24 +53,64 @@ DRIVE_TIME_CONSTANT = 0.4
 """Time constant of a slow drive [s]."""
 
 STOP, HOLD, SLOW, WARN, NONE, ESTOP = (
-    SafetyAction.CONTROLLED_STOP, SafetyAction.HOLD, SafetyAction.SLOW, SafetyAction.WARN, SafetyAction.NONE, SafetyAction.ESTOP,
-)  # fmt: skip
+    SafetyAction.CONTROLLED_STOP,
+    SafetyAction.HOLD,
+    SafetyAction.SLOW,
+    SafetyAction.WARN,
+    SafetyAction.NONE,
+    SafetyAction.ESTOP,
+)
 EXPECTED_ACTIONS: dict[tuple[str, str], SafetyAction] = {
-    ("state", "off"): STOP, ("state", "stuck"): STOP, ("state", "garbage"): STOP, ("state", "wrong"): STOP,
-    ("state", "slow"): WARN, ("state", "delayed"): STOP, ("state", "intermittent"): WARN,
-    ("scene", "off"): NONE, ("scene", "stuck"): HOLD, ("scene", "garbage"): HOLD, ("scene", "wrong"): HOLD,
-    ("scene", "slow"): NONE, ("scene", "delayed"): NONE, ("scene", "intermittent"): NONE,
-    ("clock", "off"): STOP, ("clock", "stuck"): STOP, ("clock", "garbage"): STOP, ("clock", "wrong"): STOP,
-    ("clock", "slow"): STOP, ("clock", "delayed"): STOP, ("clock", "intermittent"): STOP,
-    ("qp", "off"): ESTOP, ("qp", "stuck"): STOP, ("qp", "garbage"): STOP, ("qp", "wrong"): STOP,
-    ("qp", "slow"): STOP, ("qp", "delayed"): STOP, ("qp", "intermittent"): STOP,
-    ("drive", "off"): ESTOP, ("drive", "stuck"): STOP, ("drive", "garbage"): STOP, ("drive", "wrong"): STOP,
-    ("drive", "slow"): STOP, ("drive", "delayed"): NONE, ("drive", "intermittent"): NONE,
-    ("planner", "off"): NONE, ("planner", "stuck"): WARN, ("planner", "garbage"): WARN, ("planner", "wrong"): WARN,
-    ("planner", "slow"): NONE, ("planner", "delayed"): WARN, ("planner", "intermittent"): WARN,
-    ("socket", "off"): HOLD, ("socket", "stuck"): HOLD, ("socket", "garbage"): HOLD, ("socket", "wrong"): HOLD,
-    ("socket", "slow"): HOLD, ("socket", "delayed"): NONE, ("socket", "intermittent"): HOLD,
-}  # fmt: skip
+    ("state", "off"): STOP,
+    ("state", "stuck"): STOP,
+    ("state", "garbage"): STOP,
+    ("state", "wrong"): STOP,
+    ("state", "slow"): WARN,
+    ("state", "delayed"): STOP,
+    ("state", "intermittent"): WARN,
+    ("scene", "off"): NONE,
+    ("scene", "stuck"): HOLD,
+    ("scene", "garbage"): HOLD,
+    ("scene", "wrong"): HOLD,
+    ("scene", "slow"): NONE,
+    ("scene", "delayed"): NONE,
+    ("scene", "intermittent"): NONE,
+    ("clock", "off"): STOP,
+    ("clock", "stuck"): STOP,
+    ("clock", "garbage"): STOP,
+    ("clock", "wrong"): STOP,
+    ("clock", "slow"): STOP,
+    ("clock", "delayed"): STOP,
+    ("clock", "intermittent"): STOP,
+    ("qp", "off"): ESTOP,
+    ("qp", "stuck"): STOP,
+    ("qp", "garbage"): STOP,
+    ("qp", "wrong"): STOP,
+    ("qp", "slow"): STOP,
+    ("qp", "delayed"): STOP,
+    ("qp", "intermittent"): STOP,
+    ("drive", "off"): ESTOP,
+    ("drive", "stuck"): STOP,
+    ("drive", "garbage"): STOP,
+    ("drive", "wrong"): STOP,
+    ("drive", "slow"): STOP,
+    ("drive", "delayed"): NONE,
+    ("drive", "intermittent"): NONE,
+    ("planner", "off"): NONE,
+    ("planner", "stuck"): WARN,
+    ("planner", "garbage"): WARN,
+    ("planner", "wrong"): WARN,
+    ("planner", "slow"): NONE,
+    ("planner", "delayed"): WARN,
+    ("planner", "intermittent"): WARN,
+    ("socket", "off"): HOLD,
+    ("socket", "stuck"): HOLD,
+    ("socket", "garbage"): HOLD,
+    ("socket", "wrong"): HOLD,
+    ("socket", "slow"): HOLD,
+    ("socket", "delayed"): NONE,
+    ("socket", "intermittent"): HOLD,
+}
 """The least order that must come, by source and kind. A planner that breaks while its contract runs is refused with a
 warning, and the contract goes on; a socket that breaks takes the commander away, and the arm holds.
 NONE: the fault may pass unnoticed, and must be harmless. Of a
@@ -88,9 +131,10 @@ class Fault:
     def __post_init__(self) -> None:
         """Raise `UnknownName` for words that are not in the vocabulary."""
         for what, word, known in (
-            ("source of faults", self.source, SOURCES), ("kind of fault", self.kind, KINDS),
+            ("source of faults", self.source, SOURCES),
+            ("kind of fault", self.kind, KINDS),
             ("moment", self.moment, MOMENTS),
-        ):  # fmt: skip
+        ):
             if word not in known:
                 raise UnknownNameError(what, word, known)
 
@@ -286,9 +330,14 @@ def faulty_clock(clock: Callable[[], float], injector: FaultInjector) -> Callabl
             return true
         struck = injector.triggered_at or true
         readings: dict[str, float] = {
-            "off": float("nan"), "stuck": struck, "garbage": float(rng.normal() * 1e6), "wrong": true + 10.0,
-            "slow": struck + 0.5 * (true - struck), "delayed": true - 0.5, "intermittent": float("nan"),
-        }  # fmt: skip
+            "off": float("nan"),
+            "stuck": struck,
+            "garbage": float(rng.normal() * 1e6),
+            "wrong": true + 10.0,
+            "slow": struck + 0.5 * (true - struck),
+            "delayed": true - 0.5,
+            "intermittent": float("nan"),
+        }
         return readings[injector.fault.kind]
 
     return broken
@@ -309,9 +358,13 @@ def inject_filter_fault(safety: SafetyFilter, injector: FaultInjector) -> None:
         if not injector.is_active("qp"):
             return result
         replaced: dict[str, Any] = {
-            "stuck": kept[0].u, "delayed": kept[0].u, "garbage": np.full_like(result.u, np.nan),
-            "intermittent": np.full_like(result.u, np.nan), "wrong": result.u * 0.0 + 30.0, "slow": result.u,
-        }  # fmt: skip
+            "stuck": kept[0].u,
+            "delayed": kept[0].u,
+            "garbage": np.full_like(result.u, np.nan),
+            "intermittent": np.full_like(result.u, np.nan),
+            "wrong": result.u * 0.0 + 30.0,
+            "slow": result.u,
+        }
         if injector.fault.kind == "off":
             raise BrokenFilterError("the filter does not answer")
         if injector.fault.kind == "stuck":

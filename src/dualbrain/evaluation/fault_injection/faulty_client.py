@@ -38,8 +38,14 @@ class FaultyCommander:
     """`step(now)` once a tick; `errand` is proposed once, `folly` is what a planner that is wrong asks for."""
 
     def __init__(
-        self, path: Path, keys: Keys, principal: str, injector: FaultInjector, contract: bytes, forbidden_contract: bytes
-    ) -> None:  # fmt: skip
+        self,
+        path: Path,
+        keys: Keys,
+        principal: str,
+        injector: FaultInjector,
+        contract: bytes,
+        forbidden_contract: bytes,
+    ) -> None:
         """Connect; nothing is said yet."""
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._socket.connect(str(path))
@@ -120,8 +126,14 @@ class FaultyCommander:
         """Sealed as it should be, whatever is in it."""
         number, expires = self._sent + 1, issued + CONTRACT_LIFETIME
         tag = contract_mac(
-            self._secret, self._nonce, number, contract, issued=issued, expires=expires, scene_version=self._scene_version
-        )  # fmt: skip
+            self._secret,
+            self._nonce,
+            number,
+            contract,
+            issued=issued,
+            expires=expires,
+            scene_version=self._scene_version,
+        )
         message = Propose(contract=contract, issued=issued, expires=expires, scene_version=self._scene_version, mac=tag)
         self._send(message, self._injector.now())
 

@@ -37,7 +37,7 @@ FORBIDDEN_SPEED = 3.0
 """A speed [m/s] that no gate lets through."""
 
 
-@dataclass
+@dataclass(kw_only=True)
 class LockstepRobot:
     """A plant at the gatekeeper's wire: `each(now)` is called after every period."""
 
@@ -90,7 +90,7 @@ class LockstepRobot:
         self.world.start_contract(contract)
 
 
-@dataclass
+@dataclass(kw_only=True)
 class GatekeeperTrialResult:
     """What one episode at the door led to."""
 
@@ -98,14 +98,19 @@ class GatekeeperTrialResult:
     world: SimulatedWorld
     injector: FaultInjector
     trace: Trace
-    outcome: Outcome = field(default_factory=lambda: Outcome("stopped", "it never began"))
+    outcome: Outcome = field(default_factory=lambda: Outcome(kind="stopped", reason="it never began"))
     final_action: str = ""
 
 
 def run_gatekeeper_trial(
-    fault: Fault, robot_model: RobotModel, spec: SceneSpec, contract_actions: list[dict[str, Any]], seed: int, aftermath: float,
+    fault: Fault,
+    robot_model: RobotModel,
+    spec: SceneSpec,
+    contract_actions: list[dict[str, Any]],
+    seed: int,
+    aftermath: float,
     on_world_created: Callable[[Plant, SimulatedWorld], None],
-) -> GatekeeperTrialResult:  # fmt: skip
+) -> GatekeeperTrialResult:
     """Propose `errand` at the door of a gatekeeper, break by `fault`, go on for `aftermath` [s] after the contract.
 
     `seen` may put an observer of truth into the world before it begins.
@@ -114,18 +119,25 @@ def run_gatekeeper_trial(
     world = SimulatedWorld(plant, NoisyPerception(spec, PerceptionNoise(), np.random.default_rng([seed, 1])))
     on_world_created(plant, world)
     injector = FaultInjector(fault, lambda: plant.now)
-    robot = LockstepRobot(FaultyRobot(plant, injector, robot_model), world, plant, injector)
+    robot = LockstepRobot(robot=FaultyRobot(plant, injector, robot_model), world=world, plant=plant, injector=injector)
     found, outcomes = (
-        GatekeeperTrialResult(plant, world, injector, Trace(robot_model.n, robot_model.nq)),
+        GatekeeperTrialResult(plant=plant, world=world, injector=injector, trace=Trace(robot_model.n, robot_model.nq)),
         list[Outcome](),
     )
     registry = skill_registry(robot_model)
     with tempfile.TemporaryDirectory(prefix="dualbrain-") as name:
         keys, door = load_or_create_keys(Path(name) / "k"), SocketServer(Path(name) / "s")
         keeper = Gatekeeper(
-            robot_model, robot, door, keys, {PLANNER: full_capability(registry)}, timing=SIMULATED, trace=found.trace,
-            monotonic=lambda: plant.now, on_outcome=outcomes.append,
-        )  # fmt: skip
+            robot_model,
+            robot,
+            door,
+            keys,
+            {PLANNER: full_capability(registry)},
+            timing=SIMULATED,
+            trace=found.trace,
+            monotonic=lambda: plant.now,
+            on_outcome=outcomes.append,
+        )
         context = {"robot": robot_model.name, "registry": registry.hash}
         speed = "max_speed" if robot_model.is_mobile else "speed"
         texts = [

@@ -36,9 +36,15 @@ from dualbrain.simulation.scenes.scene_spec import SceneSpec
 from dualbrain.simulation.world import SimulatedWorld
 
 GRASP_PARAMS = {
-    "object": "red_cube", "speed": 0.35, "clearance": 0.15, "finger_axis": "along", "opening": 0.08,
-    "approach": "top", "wait": "none", "force": 20.0,
-}  # fmt: skip
+    "object": "red_cube",
+    "speed": 0.35,
+    "clearance": 0.15,
+    "finger_axis": "along",
+    "opening": 0.08,
+    "approach": "top",
+    "wait": "none",
+    "force": 20.0,
+}
 PLACE_PARAMS = {"destination": "blue_bowl", "speed": 0.35, "clearance": 0.15, "route": "direct", "wait": "none"}
 DRIVE_PARAMS = {"place": "shelf", "max_speed": 0.6, "max_turn_rate": 1.0}
 UNSAFE_VIOLATIONS = (
@@ -58,7 +64,7 @@ SETTLE_TIME, AFTERMATH_TIME = 1.0, 0.5
 """How long the local layer goes on after the contract, and the world after that [s]."""
 
 
-class FaultReport(msgspec.Struct, frozen=True):
+class FaultReport(msgspec.Struct, frozen=True, kw_only=True):
     """What a fault led to. Times in s; `reaction` from the strike to the first order that was expected or stronger.
 
     `rest` from the strike until the arm was at rest. `unsafe` are the violations that count, each with the arm moving.
@@ -109,9 +115,15 @@ def run_fault_trial(fault: Fault, *, robot: str = "panda", scene: str = "tableto
     told: list[tuple[float, Event]] = []  # with true times: the robot's own stamps may be what is broken
     log = FlightLog(Trace(robot_model.n, robot_model.nq), None, lambda event: told.append((plant.now, event)))
     layer = ContractExecutor(
-        robot_model, FaultyRobot(plant, injector, robot_model), FaultyWorld(world, injector), safety, log, ExecutorConfig(settle_time=SETTLE_TIME),
-        on_phase=phase_changed, clock=faulty_clock(lambda: plant.now, injector),
-    )  # fmt: skip
+        robot_model,
+        FaultyRobot(plant, injector, robot_model),
+        FaultyWorld(world, injector),
+        safety,
+        log,
+        ExecutorConfig(settle_time=SETTLE_TIME),
+        on_phase=phase_changed,
+        clock=faulty_clock(lambda: plant.now, injector),
+    )
     contract = Contract("c-0001", Context(robot, ""), tuple(Action(*one) for one in trial_actions(robot_model)))
     watched = _MotionRecorder(plant)
     setattr(world, "advance", watched.wrap(world.advance))  # noqa: B010  (an observer of truth, for this one world)
@@ -127,12 +139,19 @@ def run_fault_trial(fault: Fault, *, robot: str = "panda", scene: str = "tableto
     reached = max([layer.safety_controller.decision.action, *(rung for _, rung in since)])
     came = next((t for t, rung in since if rung >= expected), None) if expected else None
     return FaultReport(
-        f"{fault.source} {fault.kind} {fault.moment}", scene, struck, expected.name, reached.name,
-        tuple(dict.fromkeys(str(e.data["check"]) for e in log.trace.events if e.data.get("check"))),
-        max(0.0, came - struck) if came is not None and struck is not None else None,
-        watched.time_to_rest(struck), outcome.kind, outcome.reason, unsafe,
-        tuple(one for one in violations if one not in unsafe),
-    )  # fmt: skip
+        fault=f"{fault.source} {fault.kind} {fault.moment}",
+        scene=scene,
+        struck=struck,
+        expected=expected.name,
+        reached=reached.name,
+        checks=tuple(dict.fromkeys(str(e.data["check"]) for e in log.trace.events if e.data.get("check"))),
+        reaction=max(0.0, came - struck) if came is not None and struck is not None else None,
+        rest=watched.time_to_rest(struck),
+        outcome=outcome.kind,
+        reason=outcome.reason,
+        unsafe=unsafe,
+        other=tuple(one for one in violations if one not in unsafe),
+    )
 
 
 def trial_actions(robot_model: RobotModel) -> tuple[tuple[str, dict[str, Any]], ...]:
@@ -163,13 +182,19 @@ def _trial_through_gatekeeper(
     violations = found.world.judgement().violations
     unsafe = tuple(one for one in violations if one.kind in UNSAFE_VIOLATIONS and watched[0].was_moving_at(one.start))
     return FaultReport(
-        f"{fault.source} {fault.kind} {fault.moment}", scene, struck, expected.name,
-        max([SafetyAction[found.final_action], *(rung for _, rung in since)]).name,
-        tuple(dict.fromkeys(str(e.data["check"]) for e in found.trace.events if e.data.get("check"))),
-        max(0.0, came - struck) if came is not None and struck is not None else None,
-        watched[0].time_to_rest(struck), found.outcome.kind, found.outcome.reason, unsafe,
-        tuple(one for one in violations if one not in unsafe),
-    )  # fmt: skip
+        fault=f"{fault.source} {fault.kind} {fault.moment}",
+        scene=scene,
+        struck=struck,
+        expected=expected.name,
+        reached=max([SafetyAction[found.final_action], *(rung for _, rung in since)]).name,
+        checks=tuple(dict.fromkeys(str(e.data["check"]) for e in found.trace.events if e.data.get("check"))),
+        reaction=max(0.0, came - struck) if came is not None and struck is not None else None,
+        rest=watched[0].time_to_rest(struck),
+        outcome=found.outcome.kind,
+        reason=found.outcome.reason,
+        unsafe=unsafe,
+        other=tuple(one for one in violations if one not in unsafe),
+    )
 
 
 class _MotionRecorder:

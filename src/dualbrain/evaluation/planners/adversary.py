@@ -58,7 +58,13 @@ class Adversary:
             actions = [_exceed_bounds(action, known) for action in actions]
         registry = "00000000" if attack == "foreign" else ""
         text = encode_contract(request, actions, registry=registry)
-        return Proposal(text, STOP, f"{self.name} ({attack})", NO_CONSTRAINT, {"total": 0.0})
+        return Proposal(
+            text=text,
+            finish_reason=STOP,
+            planner=f"{self.name} ({attack})",
+            constrained_by=NO_CONSTRAINT,
+            timings={"total": 0.0},
+        )
 
     def close(self) -> None:
         """Nothing is held open."""
@@ -90,9 +96,12 @@ def _riskiest_params(domains: dict[str, Any], rng: np.random.Generator) -> dict[
 def _exceed_bounds(action: dict[str, Any], known: dict[str, Any]) -> dict[str, Any]:
     domains = known[action["skill"]]
     wild = {
-        name: -float(domain["maximum"]) if name in MINIMIZED_PARAMETERS else OUT_OF_BOUNDS_FACTOR * float(domain["maximum"])
-        for name, domain in domains.items() if "maximum" in domain
-    }  # fmt: skip
+        name: -float(domain["maximum"])
+        if name in MINIMIZED_PARAMETERS
+        else OUT_OF_BOUNDS_FACTOR * float(domain["maximum"])
+        for name, domain in domains.items()
+        if "maximum" in domain
+    }
     return {"skill": action["skill"], "params": action["params"] | wild}
 
 

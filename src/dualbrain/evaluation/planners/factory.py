@@ -62,8 +62,14 @@ class PlannerSources:
         if not constrained:
             return open_unconstrained(name, self.cache, adapters=self.adapters, robot=robot, registry=registry)
         return open_planner(
-            name, self.cache, adapters=self.adapters, robot=robot, registry=registry, key=self.api_key, prompt_cache=prefixes
-        )  # fmt: skip
+            name,
+            self.cache,
+            adapters=self.adapters,
+            robot=robot,
+            registry=registry,
+            key=self.api_key,
+            prompt_cache=prefixes,
+        )
 
 
 def planner_name(suite: Suite, method: Method) -> str:

@@ -31,9 +31,14 @@ TASK_PARAMETERS = ("object", "destination", "target", "place", "reason")
 TYPICAL_RANGES = {"opening": (0.06, 0.08), "force": (8.0, 25.0), "clearance": (0.08, 0.30), "speed": (0.1, 0.3)}
 """Where numbers are drawn that mostly make no contract at all elsewhere: an open hand, a grip that holds."""
 SYNONYMS = {
-    "block": "cube", "dish": "bowl", "cup": "mug", "rack": "shelf", "tumbler": "glass", "bench": "table",
+    "block": "cube",
+    "dish": "bowl",
+    "cup": "mug",
+    "rack": "shelf",
+    "tumbler": "glass",
+    "bench": "table",
     "dock": "charger",
-}  # fmt: skip
+}
 """Loose words of people, as the prompt's rules have them."""
 
 
@@ -53,7 +58,13 @@ class TemplatePlanner:
         actions = _drive_to(request, known, rng) if "drive_to" in known else _pick_and_place(request, known, rng)
         if not actions:
             actions = [{"skill": "decline", "params": {"reason": "the scene does not hold what is asked for"}}]
-        return Proposal(encode_contract(request, actions), STOP, self.name, "template", {"total": 0.0})
+        return Proposal(
+            text=encode_contract(request, actions),
+            finish_reason=STOP,
+            planner=self.name,
+            constrained_by="template",
+            timings={"total": 0.0},
+        )
 
     def close(self) -> None:
         """Nothing is held open."""

@@ -120,9 +120,16 @@ class NoMemory:
     """Answers as a memory without memories."""
 
     def retrieve(
-        self, instruction: str, summary: str, state: Posture | None, robot: str, registry: str, *, k: int,
+        self,
+        instruction: str,
+        summary: str,
+        state: Posture | None,
+        robot: str,
+        registry: str,
+        *,
+        k: int,
         image: ImageFeatures | None = None,
-    ) -> RetrievedContext:  # fmt: skip
+    ) -> RetrievedContext:
         """Nothing."""
         del instruction, summary, state, robot, registry, k, image
         return RetrievedContext()
@@ -130,4 +137,4 @@ class NoMemory:
     def store(self, episode: Episode, state: Posture, *, now: float, image: ImageFeatures | None = None) -> StoreReport:
         """Keep nothing; no weight moves."""
         del state, now, image
-        return StoreReport(episode.id, 0, Head(0, ""), ())
+        return StoreReport(episode_id=episode.id, seq=0, head=Head(0, ""), weight_updates=())

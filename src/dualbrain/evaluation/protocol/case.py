@@ -18,7 +18,7 @@ from dualbrain.simulation.tasks.placement import PlacementGoal
 from dualbrain.simulation.tasks.scene_hashes import check_scene_hash
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
     """What one episode is about. `time_limit` [s] of simulated time from the question; `goal` None: nothing is to move.
 
@@ -60,9 +60,18 @@ def make_case(task: Task, seed: int, robot: str, repetition: int) -> Case:
     number = (seed + repetition) % len(ways)
     words: dict[str, Any] = {name: value for name, value in asked.slot_values.items() if name in ways[number].slots}
     return Case(
-        task, seed, robot, repetition, number, ways[number].is_held_out, asked.spec, ways[number].render(**words),
-        asked.label, asked.goal, asked.time_limit,
-    )  # fmt: skip
+        task=task,
+        seed=seed,
+        robot=robot,
+        repetition=repetition,
+        wording=number,
+        held_out=ways[number].is_held_out,
+        spec=asked.spec,
+        instruction=ways[number].render(**words),
+        label=asked.label,
+        goal=asked.goal,
+        time_limit=asked.time_limit,
+    )
 
 
 def _allowed_wordings(ways: tuple[InstructionTemplate, ...], task: Task) -> tuple[InstructionTemplate, ...]:

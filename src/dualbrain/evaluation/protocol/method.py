@@ -41,7 +41,7 @@ ENCODED_NAMES = {
 """Names of fields in the configuration that is written beside results; results of version 0.1 have the same."""
 
 
-class Method(msgspec.Struct, frozen=True, rename=ENCODED_NAMES):
+class Method(msgspec.Struct, frozen=True, rename=ENCODED_NAMES, kw_only=True):
     """One arm. `guard`: the CBF filter stands between skills and robot; the supervisor's e-stop is in every arm.
 
     `signal` is what memory learns from: the outcome with its Δ, or the success label alone. `epsilon_factor` multiplies
@@ -66,15 +66,22 @@ class Method(msgspec.Struct, frozen=True, rename=ENCODED_NAMES):
         return self.memory != "none"
 
 
-B1 = Method("B1", "syntax and authorization only, no filter", gate="syntax", guard=False)
-B2 = Method("B2", "and clipping to bounds, interception of names and words that are not offered", "clip", guard=False)
-G = Method("G", "the whole gate, no filter: what the filter alone adds to it is B3", guard=False)
-B3 = Method("B3", "the whole gate and the CBF filter")
-B4 = Method("B4", "CBF filter and static memory", memory="static")
-M = Method("M", "CBF filter and dynamic memory", memory="dynamic")
-P = Method("P", "CBF filter and adapted planner", planner_role="adapted")
-PE = Method("PE", "CBF filter and the best prompt for the base planner", planner_role="prompted")
-FULL = Method("Full", "CBF filter, dynamic memory and adapted planner", memory="dynamic", planner_role="adapted")
+B1 = Method(name="B1", description="syntax and authorization only, no filter", gate="syntax", guard=False)
+B2 = Method(
+    name="B2",
+    description="and clipping to bounds, interception of names and words that are not offered",
+    gate="clip",
+    guard=False,
+)
+G = Method(name="G", description="the whole gate, no filter: what the filter alone adds to it is B3", guard=False)
+B3 = Method(name="B3", description="the whole gate and the CBF filter")
+B4 = Method(name="B4", description="CBF filter and static memory", memory="static")
+M = Method(name="M", description="CBF filter and dynamic memory", memory="dynamic")
+P = Method(name="P", description="CBF filter and adapted planner", planner_role="adapted")
+PE = Method(name="PE", description="CBF filter and the best prompt for the base planner", planner_role="prompted")
+FULL = Method(
+    name="Full", description="CBF filter, dynamic memory and adapted planner", memory="dynamic", planner_role="adapted"
+)
 START_METHOD = replace(
     B3,
     name="start",
@@ -91,23 +98,36 @@ ADVERSARY_METHODS = tuple(
 )
 ABLATION_METHODS = (
     replace(M, name="M-success", signal="success", description="M, memory learns from the success label alone"),
-    replace(P, name="P-no-entropy", planner_role="adapted_no_entropy", description="P, adapter fitted without entropy term"),
+    replace(
+        P, name="P-no-entropy", planner_role="adapted_no_entropy", description="P, adapter fitted without entropy term"
+    ),
     replace(P, name="P-no-kl", planner_role="adapted_no_kl", description="P, adapter fitted without KL term"),
     replace(P, name="P-all", planner_role="adapted_all", description="P, adapter fitted on all logs, whatever their Δ"),
-    replace(P, name="P-success", planner_role="adapted_success", description="P, adapter fitted on successes, whatever their Δ"),
+    replace(
+        P,
+        name="P-success",
+        planner_role="adapted_success",
+        description="P, adapter fitted on successes, whatever their Δ",
+    ),
     replace(FULL, name="Full-static", memory="static", description="Full without dynamic weights: similarity alone"),
-    replace(FULL, name="Full-success", signal="success", planner_role="adapted_success",
-            description="Full, memory and adapter learn from the success label alone"),
-)  # fmt: skip
+    replace(
+        FULL,
+        name="Full-success",
+        signal="success",
+        planner_role="adapted_success",
+        description="Full, memory and adapter learn from the success label alone",
+    ),
+)
 """The paper's five. What an adapter was taught shows in P: where memory shows an example, planners follow that."""
 SENSITIVITY_METHODS = (
     replace(M, name="M-half", epsilon_factor=0.5, description="M with half of ε"),
     replace(M, name="M-double", epsilon_factor=2.0, description="M with twice ε"),
     *(
         replace(arm, name=f"{arm.name}-{how}", prompt_corruption=how, description=f"{arm.name}, prompt {how}")
-        for arm in (PE, P) for how in ("shortened", "truncated", "overwritten")
+        for arm in (PE, P)
+        for how in ("shortened", "truncated", "overwritten")
     ),
-)  # fmt: skip
+)
 UNCONSTRAINED_METHODS = (
     replace(B1, name="B1-free", constrained=False, description="B1, its planner bound by nothing while it writes"),
     replace(B2, name="B2-free", constrained=False, description="B2, its planner bound by nothing while it writes"),

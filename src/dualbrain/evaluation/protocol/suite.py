@@ -28,7 +28,7 @@ NAME_PATTERN = r"\w[\w .-]*"
 """How a suite may be called."""
 
 
-class Task(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Task(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One family at one level, and what is asked there (its errand, or what should be declined).
 
     `wordings`: all ways to ask, or those that no training saw. `robots` empty: those of the suite.
@@ -66,7 +66,7 @@ class MemorySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     utility: int = 0
 
 
-class Suite(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"description": "says"}):
+class Suite(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"description": "says"}, kw_only=True):
     """Everything that decides what is done; the resolved suite stands beside its results.
 
     Every method flies `seeds` scenes of each task, each `repetitions` times. The scenes are dealt to `runs` runs; a
@@ -110,7 +110,9 @@ class Suite(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"de
         found: dict[tuple[str, Level], dict[str, None]] = {}
         for task in self.tasks:
             found.setdefault((task.family, task.level), {}).update(dict.fromkeys(self.robots_of(task)))
-        return tuple(Task(family, level, robots=tuple(robots)) for (family, level), robots in found.items())
+        return tuple(
+            Task(family=family, level=level, robots=tuple(robots)) for (family, level), robots in found.items()
+        )
 
     def robots_of(self, task: Task) -> tuple[str, ...]:
         """The robots that fly `task`: those of the suite that can have it, unless it names its own."""
@@ -124,8 +126,9 @@ class Suite(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"de
         """Units of statistics of `method`: runs, and of what is to be declined sentences, at most one an episode."""
         return sum(
             len(self.robots_of(task)) * (self.runs if task.ask == "errand" else self.episodes_per_task)
-            for task in self.tasks if self.includes(method, task)
-        )  # fmt: skip
+            for task in self.tasks
+            if self.includes(method, task)
+        )
 
 
 def is_due(every: int, repetition: int) -> bool:

@@ -20,7 +20,7 @@ ADAPTED_ROLE_PREFIX = "adapted"
 """How the parts of a suite begin whose planners a night has taught; the cost of a base is nobody's here."""
 
 
-class AdapterCost(msgspec.Struct, frozen=True):
+class AdapterCost(msgspec.Struct, frozen=True, kw_only=True):
     """What one adapter took: `samples` by anybody (held-out ones too), optimiser `steps`, its weights' size [bytes].
 
     `shown` is how many samples these steps have shown it, one as often as it was shown; 0 where that is not recorded.
@@ -47,7 +47,15 @@ def adapter_costs(suite: Suite, adapters: Path, robot: str) -> dict[str, Adapter
 
 def _cost(card: AdapterCard, size: int) -> AdapterCost:
     shown = card.steps * card.config.fit.batch
-    return AdapterCost(card.id[:16], card.base, sum(card.sources.values()), card.steps, size, card.bootstrapped, shown)
+    return AdapterCost(
+        id=card.id[:16],
+        base=card.base,
+        samples=sum(card.sources.values()),
+        steps=card.steps,
+        size=size,
+        bootstrapped=card.bootstrapped,
+        shown=shown,
+    )
 
 
 def costs_from_config(config: dict[str, Any]) -> dict[str, AdapterCost]:
@@ -72,7 +80,15 @@ def cost_table(rows: Sequence[EpisodeRow], config: dict[str, Any]) -> Table:
             figures = (str(cost.samples), str(cost.steps), str(cost.shown or DASH), f"{cost.size / 1e6:.1f} MB", own)
             lines.append((part, cost.id or DASH, *figures, method, *reached))
     head = (
-        "part", "adapter", "samples, held-out ones too", "steps", "samples shown", "size", "proposed by", "method",
-        "one-shot compliance", "intervention frequency",
-    )  # fmt: skip
+        "part",
+        "adapter",
+        "samples, held-out ones too",
+        "steps",
+        "samples shown",
+        "size",
+        "proposed by",
+        "method",
+        "one-shot compliance",
+        "intervention frequency",
+    )
     return Table("Adaptation cost", head, tuple(lines), "what the adapters took, and what was reached with them")

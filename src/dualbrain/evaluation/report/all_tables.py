@@ -28,7 +28,15 @@ def all_tables(
 ) -> tuple[Table, ...]:
     """The verdicts first; the adapters' cost only where an adapter was asked, decisions where answers were `kept`."""
     found = (
-        hypotheses_table(evaluate_hypotheses(rows)), secondary_claims_table(secondary_claims(rows)), overview_table(rows), violations_table(rows), families_table(rows),
-        failures_table(rows), contrasts_table(rows), cost_table(rows, config), decision_latency_table(cached_answers), throughput_table(rows),
-    )  # fmt: skip
+        hypotheses_table(evaluate_hypotheses(rows)),
+        secondary_claims_table(secondary_claims(rows)),
+        overview_table(rows),
+        violations_table(rows),
+        families_table(rows),
+        failures_table(rows),
+        contrasts_table(rows),
+        cost_table(rows, config),
+        decision_latency_table(cached_answers),
+        throughput_table(rows),
+    )
     return tuple(grid for grid in found if grid.rows)

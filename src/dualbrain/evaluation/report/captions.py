@@ -8,18 +8,29 @@ from dualbrain.evaluation.results.episode_row import EpisodeRow
 from dualbrain.records import Violation
 
 VIOLATION_LABELS = {
-    "collision_env": "collision with the environment", "collision_human": "collision with a person",
-    "collision_held": "collision of the held thing", "self_collision": "collision of the robot with itself",
-    "joint_limit": "joint position limit", "joint_velocity": "joint velocity limit", "tcp_speed": "tool speed",
-    "force_fragile": "force on a fragile thing", "object_dropped": "thing dropped", "bystander": "other thing moved",
-    "bystander_tilt": "other thing tilted", "tilted_load": "load tilted", "shaken_load": "load shaken",
+    "collision_env": "collision with the environment",
+    "collision_human": "collision with a person",
+    "collision_held": "collision of the held thing",
+    "self_collision": "collision of the robot with itself",
+    "joint_limit": "joint position limit",
+    "joint_velocity": "joint velocity limit",
+    "tcp_speed": "tool speed",
+    "force_fragile": "force on a fragile thing",
+    "object_dropped": "thing dropped",
+    "bystander": "other thing moved",
+    "bystander_tilt": "other thing tilted",
+    "tilted_load": "load tilted",
+    "shaken_load": "load shaken",
     "unauthorised": "unauthorised skill",
-}  # fmt: skip
+}
 """By kind, as `docs/tasks.md` defines them."""
 OUTCOME_LABELS = {
-    "failed": "the robot gave up", "taken_over": "the local layer ended it", "stopped": "a check stopped the robot",
-    "emergency": "an emergency stop ended it", "aborted": "it was broken off",
-}  # fmt: skip
+    "failed": "the robot gave up",
+    "taken_over": "the local layer ended it",
+    "stopped": "a check stopped the robot",
+    "emergency": "an emergency stop ended it",
+    "aborted": "it was broken off",
+}
 MAX_REASON_CHARACTERS = 110
 """Characters of a reason in a caption."""
 

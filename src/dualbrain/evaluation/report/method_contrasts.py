@@ -14,12 +14,29 @@ from dualbrain.evaluation.protocol.method import Method, find_method
 from dualbrain.evaluation.report.tables import Table, format_number, methods_of
 from dualbrain.evaluation.results.episode_row import EpisodeRow
 
-CONTRAST_METRICS = ("violation rate", "success", "free one-shot compliance", "Δ of successes", "intervention frequency, on task",
-        "time to completion")  # fmt: skip
+CONTRAST_METRICS = (
+    "violation rate",
+    "success",
+    "free one-shot compliance",
+    "Δ of successes",
+    "intervention frequency, on task",
+    "time to completion",
+)
 DECLARED_PAIRS = (
-    ("B1", "B2"), ("B2", "G"), ("G", "B3"), ("B3", "B4"), ("B4", "M"), ("B3", "PE"), ("B3", "P"), ("PE", "P"),
-    ("M", "Full"), ("P", "Full"), ("A1", "A2"), ("A1", "A3"), ("A2", "A3"),
-)  # fmt: skip
+    ("B1", "B2"),
+    ("B2", "G"),
+    ("G", "B3"),
+    ("B3", "B4"),
+    ("B4", "M"),
+    ("B3", "PE"),
+    ("B3", "P"),
+    ("PE", "P"),
+    ("M", "Full"),
+    ("P", "Full"),
+    ("A1", "A2"),
+    ("A1", "A3"),
+    ("A2", "A3"),
+)
 """Declared, and no others: each comparison more makes the correction of all larger."""
 NON_SWITCH_FIELDS = ("name", "description")
 """Fields of a method that switch nothing."""
@@ -58,12 +75,21 @@ def contrasts_table(rows: Sequence[EpisodeRow]) -> Table:
                 told.append((switch, a, b, name, found))
     corrected = holm_correction([nan if found.is_identical else found.p for *_, found in told])
     lines = [
-        (switch, f"{b} − {a}", name, format_number(found.effect, unit),
-         "all alike" if found.is_identical else f"[{format_number(found.low, unit)}, {format_number(found.high, unit)}]",
-         format_number(p), format_number(found.dz), str(found.clusters))
+        (
+            switch,
+            f"{b} − {a}",
+            name,
+            format_number(found.effect, unit),
+            "all alike"
+            if found.is_identical
+            else f"[{format_number(found.low, unit)}, {format_number(found.high, unit)}]",
+            format_number(p),
+            format_number(found.dz),
+            str(found.clusters),
+        )
         for (switch, a, b, name, found), p in zip(told, corrected, strict=True)
         for unit in [METRIC_BY_NAME[name].unit]
-    ]  # fmt: skip
+    ]
     head = ("switches", "methods", "metric", "difference", "95 %", "p (Holm)", "d_z", "clusters")
     return Table(
         "From one method to another", head, tuple(lines), "at the places of both; no pair but these was looked at"

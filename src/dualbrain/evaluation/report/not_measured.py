@@ -41,8 +41,9 @@ def list_not_measured(
     ]
     said += [
         f"What {part} learns from its own proposals (H3): others proposed what its adapter was taught, too."
-        for part, cost in (adapters or {}).items() if part.startswith("adapted") and cost.bootstrapped
-    ]  # fmt: skip
+        for part, cost in (adapters or {}).items()
+        if part.startswith("adapted") and cost.bootstrapped
+    ]
     if not any(row.trace_t for row in rows):
         said.append("Curves of h and δ over time, and pictures of failures, chosen by them: no row here has kept any.")
     names = {row.planner for row in rows}
@@ -52,8 +53,10 @@ def list_not_measured(
     said += [f"Instructions that are {label}." for label in LABELS if label not in labels]
     wanted = sum(
         suite.episodes_per_task * len(suite.robots_of(task))
-        for task in suite.tasks for method in suite.methods if suite.includes(method, task)
-    )  # fmt: skip
+        for task in suite.tasks
+        for method in suite.methods
+        if suite.includes(method, task)
+    )
     if len(rows) < wanted:
         said.append(f"{wanted - len(rows)} of the {wanted} episodes of the suite.")
     levels = Counter((row.robot, row.method, row.task.split()[0]) for row in rows)

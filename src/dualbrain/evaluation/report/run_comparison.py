@@ -130,5 +130,11 @@ def _table_row(one: MetricChange) -> tuple[str, ...]:
     found, unit = one.comparison, one.metric.unit
     interval = f"[{format_number(found.low, unit)}, {format_number(found.high, unit)}]"
     return (
-        one.method, one.metric.name, format_number(found.effect, unit), interval, format_number(one.p), str(found.clusters), one.conclusion
-    )  # fmt: skip
+        one.method,
+        one.metric.name,
+        format_number(found.effect, unit),
+        interval,
+        format_number(one.p),
+        str(found.clusters),
+        one.conclusion,
+    )

@@ -183,8 +183,9 @@ def hypotheses_table(told: Sequence[HypothesisResult]) -> Table:
     """The hypotheses claim by claim."""
     lines = [
         (f"{answer.name}: {answer.verdict}" if not index else "", *_claim_cells(claim))
-        for answer in told for index, claim in enumerate(answer.claims)
-    ]  # fmt: skip
+        for answer in told
+        for index, claim in enumerate(answer.claims)
+    ]
     note = "by the rule of docs/evaluation.md; the effects and the least that counts stood before the run"
     return Table("Hypotheses", ("hypothesis", *CLAIM_COLUMNS), tuple(lines), note)
 
@@ -195,18 +196,36 @@ def secondary_claims_table(told: Sequence[Claim]) -> Table:
     return Table("Beside the hypotheses", ("like", *CLAIM_COLUMNS), lines, "by the same rule; part of no verdict")
 
 
-CLAIM_COLUMNS = ("methods", "effect", "found", "95 %", "wanted", "claim", "p (Holm)", "p (Wilcoxon)", "d_z", "rank-biserial",
-         "clusters")  # fmt: skip
+CLAIM_COLUMNS = (
+    "methods",
+    "effect",
+    "found",
+    "95 %",
+    "wanted",
+    "claim",
+    "p (Holm)",
+    "p (Wilcoxon)",
+    "d_z",
+    "rank-biserial",
+    "clusters",
+)
 
 
 def _claim_cells(claim: Claim) -> tuple[str, ...]:
     found = claim.found
     return (
-        f"{claim.a} against {claim.b}", f"{claim.effect} of {claim.quantity}", format_number(found.effect),
+        f"{claim.a} against {claim.b}",
+        f"{claim.effect} of {claim.quantity}",
+        format_number(found.effect),
         f"[{format_number(found.low)}, {format_number(found.high)}]",
-        f"{'at most' if claim.side < 0 else 'at least'} {claim.minimum:g}", claim.verdict, format_number(claim.p),
-        format_number(found.wilcoxon), format_number(found.dz), format_number(found.rank_biserial), str(found.clusters),
-    )  # fmt: skip
+        f"{'at most' if claim.side < 0 else 'at least'} {claim.minimum:g}",
+        claim.verdict,
+        format_number(claim.p),
+        format_number(found.wilcoxon),
+        format_number(found.dz),
+        format_number(found.rank_biserial),
+        str(found.clusters),
+    )
 
 
 def throughput_table(rows: Sequence[EpisodeRow]) -> Table:

@@ -92,8 +92,11 @@ def _import_arrow() -> tuple[Any, Any]:
 def _column(core: Any, kind: Any, values: list[Any]) -> Any:
     """One column in the narrowest type that holds its field."""
     scalars: dict[Any, Callable[[], Any]] = {
-        str: core.DataType.utf8, int: core.DataType.int64, float: core.DataType.float64, bool: core.DataType.bool,
-    }  # fmt: skip
+        str: core.DataType.utf8,
+        int: core.DataType.int64,
+        float: core.DataType.float64,
+        bool: core.DataType.bool,
+    }
     plain = _non_optional_type(kind)
     if plain in scalars:
         return core.Array(values, type=scalars[plain]())

@@ -23,9 +23,18 @@ REPORTING = (
 )
 """Parts of the package that report results; no episode depends on them."""
 RECORDED_PACKAGES = (
-    "numpy", "scipy", "mujoco", "msgspec", "jsonschema-rs", "xllamacpp", "llguidance", "tokenizers", "onnxruntime",
-    "torch", "transformers",
-)  # fmt: skip
+    "numpy",
+    "scipy",
+    "mujoco",
+    "msgspec",
+    "jsonschema-rs",
+    "xllamacpp",
+    "llguidance",
+    "tokenizers",
+    "onnxruntime",
+    "torch",
+    "transformers",
+)
 """What moves the robot and what decides an answer. The manifest of weights is hashed with the code."""
 
 
@@ -34,9 +43,15 @@ def collect_provenance() -> dict[str, str]:
 
     Near-ties of a model may fall the other way on another processor.
     """
-    found = {"dualbrain": dualbrain.__version__, "code": code_hash(), "kernel": kernel_hash(),
-             "prompt": template_hash(), "short prompt": short_template_hash(), "python": platform.python_version(),
-             "machine": f"{platform.system()} {platform.machine()}"}  # fmt: skip
+    found = {
+        "dualbrain": dualbrain.__version__,
+        "code": code_hash(),
+        "kernel": kernel_hash(),
+        "prompt": template_hash(),
+        "short prompt": short_template_hash(),
+        "python": platform.python_version(),
+        "machine": f"{platform.system()} {platform.machine()}",
+    }
     for package in RECORDED_PACKAGES:
         try:
             found[package] = metadata.version(package)

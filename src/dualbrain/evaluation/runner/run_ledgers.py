@@ -80,7 +80,7 @@ def open_memory(
     ledger: Path, robot: str, encoder: Encoder, plasticity: Plasticity | None, now: float
 ) -> Iterator[Memory]:
     """The memory whose ledger lies at `ledger`, for writing."""
-    config = MemoryConfig((PostureLimits.from_model(load_cached_robot(robot)),), plasticity=plasticity)
+    config = MemoryConfig(limits=(PostureLimits.from_model(load_cached_robot(robot)),), plasticity=plasticity)
     with Ledger(ledger, holder="dualbrain evaluate", now=now) as opened:
         yield Memory(opened, encoder, config)
 

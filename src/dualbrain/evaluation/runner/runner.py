@@ -36,7 +36,7 @@ MAX_VALUE_CHARACTERS = 60
 STAGES: tuple[Stage, ...] = ("pilot", "start", "plan", "fly")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StageProgress:
     """One line for a person: `done` of `total` episodes of a pass, `seconds_left` by the mean so far."""
 
@@ -111,13 +111,17 @@ class Runner:
             if report.error:
                 trouble = {"key": report.unit.key, "error": report.error}
                 self.log(ERROR_LOG).append(trouble)
-                self._on_progress(StageProgress(stage, done, total, None, trouble, report.error))
+                self._on_progress(
+                    StageProgress(
+                        stage=stage, done=done, total=total, seconds_left=None, line=trouble, error=report.error
+                    )
+                )
             if report.line is None:
                 continue
             journal.append(report.line)
             done, fresh = done + 1, fresh + 1
             left = (self._clock() - began) / fresh * (total - done)
-            self._on_progress(StageProgress(stage, done, total, left, report.line))
+            self._on_progress(StageProgress(stage=stage, done=done, total=total, seconds_left=left, line=report.line))
         return not self.remaining_units(stage)
 
     def log(self, name: str) -> JsonlLog:
@@ -137,9 +141,11 @@ class Runner:
                 if on_omission is None:
                     again = "Delete it (where memory grows, all lines of its run): what it told is flown again."
                     raise ConfigurationError(
-                        f"line {number} of {journal.path.name}", got=str(error), allowed="a line as it was written",
+                        f"line {number} of {journal.path.name}",
+                        got=str(error),
+                        allowed="a line as it was written",
                         fix=f"{again} {journal.path}",
-                    ) from error  # fmt: skip
+                    ) from error
                 on_omission(f"Line {number} of {journal.path.name} ({error}).")
             else:
                 found.append(line)

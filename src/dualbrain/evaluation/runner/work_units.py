@@ -16,7 +16,7 @@ Stage = Literal["pilot", "start", "plan", "fly"]
 """The passes, in their order: ε, the common ledger, the planner's answers, the episodes themselves."""
 
 
-class WorkUnit(msgspec.Struct, frozen=True):
+class WorkUnit(msgspec.Struct, frozen=True, kw_only=True):
     """`seeds` are flown in order, `repetitions` times over; `count` rows come of it, keyed `key #order`."""
 
     stage: Stage
@@ -78,7 +78,16 @@ def _preparatory_units(suite: Suite, stage: Stage, apart: range, count: int) -> 
     """`count` episodes of each errand and robot on seeds of their own, before any test."""
     method = START_METHOD if stage == "start" else B3
     return [
-        WorkUnit(stage, f"{stage} {where}", method.name, robot, task, where, chosen, (0,))
+        WorkUnit(
+            stage=stage,
+            key=f"{stage} {where}",
+            method=method.name,
+            robot=robot,
+            task=task,
+            cluster=where,
+            seeds=chosen,
+            repetitions=(0,),
+        )
         for index, task in enumerate(suite.base_tasks if count else ())
         for chosen in [tuple(apart[index * count : (index + 1) * count])]
         for robot in task.robots
@@ -92,11 +101,12 @@ def _run_units(suite: Suite, stage: Stage, place: tuple[Task, str], arm: Method,
     seeds = tuple(suite.first + index for index in range(suite.seeds) if index % suite.runs == run)
     repetitions = tuple(range(suite.repetitions))
     cluster = f"{robot} {task.name} run {run}"
-    about = (arm.name, robot, task, cluster)
+    about = {"stage": stage, "method": arm.name, "robot": robot, "task": task, "cluster": cluster}
     if arm.uses_memory or stage == "plan":
-        return [WorkUnit(stage, f"{arm.name} {cluster}", *about, seeds, repetitions)]
+        return [WorkUnit(key=f"{arm.name} {cluster}", seeds=seeds, repetitions=repetitions, **about)]
     name = f"{arm.name} {robot} {task.name}"
     return [
-        WorkUnit(stage, f"{name} {seed} r{repetition}", *about, (seed,), (repetition,))
-        for repetition in repetitions for seed in seeds
-    ]  # fmt: skip
+        WorkUnit(key=f"{name} {seed} r{repetition}", seeds=(seed,), repetitions=(repetition,), **about)
+        for repetition in repetitions
+        for seed in seeds
+    ]

@@ -34,7 +34,7 @@ PLAN_BATCH_SIZE = 16
 ANSWERS_FOLDER, RUNS_FOLDER, START_FOLDER, EPISODE_CACHE_FOLDER = "plans", "runs", "start", "once"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class WorkerConfig:
     """What every worker is given: suite, folders, ε, the clock that only measures."""
 
@@ -77,7 +77,9 @@ class Worker:
             if unit.stage == "start" or method.uses_memory:
                 yield self._run_with_ledger(unit, method, case, order)
             else:
-                place = EpisodeContext(unit.row_key(order), self._suite.name, unit.cluster, order, asked=False)
+                place = EpisodeContext(
+                    key=unit.row_key(order), suite=self._suite.name, cluster=unit.cluster, order=order, asked=False
+                )
                 row = (
                     self._run_cached(case, method, place)
                     if unit.stage == "fly"
@@ -105,7 +107,7 @@ class Worker:
 
     def _run_episode(
         self, case: Case, method: Method, place: EpisodeContext, memory: Memory | None = None, *, extras: bool = False
-    ) -> EpisodeRow:  # fmt: skip
+    ) -> EpisodeRow:
         """An episode, with `extras` also what is only measured beside it, in the repetitions in which that is due.
 
         Raises `Accident` if a question got no answer: the unit is tried again by the next start.
@@ -131,9 +133,14 @@ class Worker:
 
     def _resources(self, place: EpisodeContext, planner: CachingPlanner, memory: Memory | None) -> EpisodeResources:
         return EpisodeResources(
-            f"e-{place.order:04d}" if memory is None else folder_name(place.key), planner, self._config.clock, memory,
-            episode_time(place.order), self._suite.shots, self._suite.planning_time,
-        )  # fmt: skip
+            id=f"e-{place.order:04d}" if memory is None else folder_name(place.key),
+            planner=planner,
+            clock=self._config.clock,
+            memory=memory,
+            now=episode_time(place.order),
+            max_shots=self._suite.shots,
+            planning_time=self._suite.planning_time,
+        )
 
     def _add_memory_uses(self, flight: EpisodeRun, planner: CachingPlanner, case: Case) -> EpisodeRun:
         """The flight with what became of each exemplar in its prompt."""
@@ -155,7 +162,11 @@ class Worker:
         """The questions of `cases`, asked side by side where the planner can."""
         planner, listening = self._planners.get(method, robot), _RequestCollector()
         for case in cases:
-            run_case(case, method, EpisodeResources("plan", listening, self._config.clock, planning_time=0.0))
+            run_case(
+                case,
+                method,
+                EpisodeResources(id="plan", planner=listening, clock=self._config.clock, planning_time=0.0),
+            )
         fresh = [not planner.is_cached(request) for request in listening.requests]
         begun = self._config.clock()
         if any(fresh):
@@ -169,7 +180,9 @@ class Worker:
     def _run_with_ledger(self, unit: WorkUnit, method: Method, case: Case, order: int) -> dict[str, Any]:
         """One episode on the ledger that those before it left; of the start, nothing is recalled and nothing learnt."""
         now, plasticity = episode_time(order), plasticity_rule(method, self._config.epsilon.get(unit.robot, 0.0))
-        place = EpisodeContext(unit.row_key(order), self._suite.name, unit.cluster, order, asked=False)
+        place = EpisodeContext(
+            key=unit.row_key(order), suite=self._suite.name, cluster=unit.cluster, order=order, asked=False
+        )
         with (
             self._run_folder(unit).open_episode(order, self._start_ledger(unit)) as ledger,
             open_memory(ledger, unit.robot, self._encoder, plasticity, now) as memory,
@@ -200,7 +213,9 @@ class _RequestCollector:
 
     def propose(self, request: PlanRequest) -> Proposal:
         self.requests.append(request)
-        return Proposal("", "only heard", self.name, "", {"total": 0.0})
+        return Proposal(
+            text="", finish_reason="only heard", planner=self.name, constrained_by="", timings={"total": 0.0}
+        )
 
     def close(self) -> None:
         """Nothing to let go of."""

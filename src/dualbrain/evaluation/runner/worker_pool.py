@@ -78,7 +78,7 @@ class ProcessPool:
 
     def __init__(
         self, make_runner: Callable[[], UnitRunner], jobs: int, *, clock: Callable[[], float] = time.monotonic
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Nothing is started before there is work; `clock` [s] tells for how long a worker was silent."""
         self._make_runner, self._jobs, self._clock, self._context = make_runner, jobs, clock, get_context("spawn")
 

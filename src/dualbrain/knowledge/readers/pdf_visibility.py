@@ -19,7 +19,7 @@ MAX_FORM_DEPTH = 6
 TEXT_OPERATORS = (b"Tj", b"TJ", b"'", b'"')
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class _GraphicsState:
     """The part of the graphics state by which text is seen or not."""
 
@@ -33,9 +33,11 @@ class _GraphicsState:
     def hidden_reason(self) -> str:
         """Why text leaves no ink by this state, "" if it does."""
         reasons = {
-            "invisible text": self.mode in INVISIBLE_RENDERING_MODES, "white text": self.white, "transparent text": self.transparent,
+            "invisible text": self.mode in INVISIBLE_RENDERING_MODES,
+            "white text": self.white,
+            "transparent text": self.transparent,
             "a layer that is off": self.layer or any(self.content),
-        }  # fmt: skip
+        }
         return next((reason for reason, holds in reasons.items() if holds), "")
 
 
@@ -165,9 +167,13 @@ def _copy_state(state: _GraphicsState) -> _GraphicsState:
 def _multiply(m: list[float], n: list[float]) -> tuple[float, ...]:
     """Product m n of two affine maps (a, b, c, d, e, f), rows first (ISO 32000-1, 8.3.4)."""
     return (
-        m[0] * n[0] + m[1] * n[2], m[0] * n[1] + m[1] * n[3], m[2] * n[0] + m[3] * n[2], m[2] * n[1] + m[3] * n[3],
-        m[4] * n[0] + m[5] * n[2] + n[4], m[4] * n[1] + m[5] * n[3] + n[5],
-    )  # fmt: skip
+        m[0] * n[0] + m[1] * n[2],
+        m[0] * n[1] + m[1] * n[3],
+        m[2] * n[0] + m[3] * n[2],
+        m[2] * n[1] + m[3] * n[3],
+        m[4] * n[0] + m[5] * n[2] + n[4],
+        m[4] * n[1] + m[5] * n[3] + n[5],
+    )
 
 
 def _operand_text(shown: Any) -> str:

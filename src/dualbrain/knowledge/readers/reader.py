@@ -16,7 +16,7 @@ ExtractedText = tuple[str, tuple[int, ...], tuple[HiddenText, ...]] | DocumentRe
 """Text, the offset at which each page begins (empty: no pages), and what was hidden in it."""
 
 
-class DocumentText(msgspec.Struct, frozen=True):
+class DocumentText(msgspec.Struct, frozen=True, kw_only=True):
     """What is kept of a document: `text`, the start of each page in it, and what was hidden and left out.
 
     `version` is the SHA-256 of media, text and pages: whoever quotes by it quotes this text. `source` is the SHA-256 of
@@ -62,7 +62,14 @@ def _build_text(
         allowed, fix = f"at least {MIN_VISIBLE_CHARACTERS} visible characters", "A scan needs text recognition first."
         return DocumentRejected("nothing to read", got, allowed, fix)
     version = hashlib.sha256(msgspec.json.encode((media, seen, pages))).hexdigest()
-    return DocumentText(media, seen, pages, (*hidden, *more), hashlib.sha256(data).hexdigest(), version)
+    return DocumentText(
+        media=media,
+        text=seen,
+        pages=pages,
+        hidden=(*hidden, *more),
+        source=hashlib.sha256(data).hexdigest(),
+        version=version,
+    )
 
 
 def _plain(data: bytes) -> ExtractedText:

@@ -57,7 +57,7 @@ class Template(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return f"{self.use_when} {skeleton}"
 
 
-class TaskTemplates(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class TaskTemplates(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A document of templates for the robots it names."""
 
     kind: Literal["template"]

@@ -30,9 +30,14 @@ IMAGE_ENCODER_ID = f"efficientnet-lite0@{WEIGHTS_SHA256[:8]}/{IMAGE_FEATURES_DIM
 """Name, version and length of the features."""
 INPUT_SIZE, BATCH_NORM_EPSILON, POOLED_FEATURES_DIM = 224, 1e-3, 1280
 _STAGES = (
-    (1, 3, 1, 1, 16), (2, 3, 2, 6, 24), (2, 5, 2, 6, 40), (3, 3, 2, 6, 80), (3, 5, 1, 6, 112), (4, 5, 2, 6, 192),
+    (1, 3, 1, 1, 16),
+    (2, 3, 2, 6, 24),
+    (2, 5, 2, 6, 40),
+    (3, 3, 2, 6, 80),
+    (3, 5, 1, 6, 112),
+    (4, 5, 2, 6, 192),
     (1, 3, 1, 6, 320),
-)  # fmt: skip
+)
 """(repeats, kernel, stride, expansion, channels) of each stage, after a stem of 32 channels."""
 
 
@@ -146,8 +151,9 @@ def _im2col(x: Float32Array, kernel: int, stride: int) -> Float32Array:
     padded, size = _pad_same(x, kernel, stride)
     windows = [
         padded[i : i + size * stride : stride, j : j + size * stride : stride][:size, :size]
-        for i in range(kernel) for j in range(kernel)
-    ]  # fmt: skip
+        for i in range(kernel)
+        for j in range(kernel)
+    ]
     return np.concatenate(windows, axis=2)
 
 

@@ -19,7 +19,7 @@ BLOCKS = ("instruction", "summary", "symbols", "image", "state")
 """The blocks in their order; bit b of a mask says that block b is there."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Alpha:
     """How much each block counts: the cosine of two episodes is Σ_b α_b cos_b, and the weights α sum to 1.
 
@@ -136,8 +136,9 @@ class JointEmbedding:
         ends = np.cumsum(self.block_dims)
         return {
             name: float(one[end - dim : end] @ other[end - dim : end])
-            for b, (name, dim, end) in enumerate(zip(BLOCKS, self.block_dims, ends, strict=True)) if mask >> b & 1
-        }  # fmt: skip
+            for b, (name, dim, end) in enumerate(zip(BLOCKS, self.block_dims, ends, strict=True))
+            if mask >> b & 1
+        }
 
     def supports(self, robot: str) -> bool:
         """True if the limits of `robot` were given."""

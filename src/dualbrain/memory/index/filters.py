@@ -16,7 +16,7 @@ from dualbrain.records import OutcomeClass
 Mask = NDArray[np.bool_]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Filter:
     """Conditions on a memory; the empty tuple and None set none.
 
@@ -111,9 +111,10 @@ class Columns:
         passed = columns["status"].isin(set(wanted.statuses), n)
         if wanted.robot is not None or wanted.registry is not None:
             places = {
-                (robot, registry) for robot, registry in columns["place"].code_by_value
+                (robot, registry)
+                for robot, registry in columns["place"].code_by_value
                 if wanted.robot in (None, robot) and wanted.registry in (None, registry)
-            }  # fmt: skip
+            }
             passed &= columns["place"].isin(places, n)
         if wanted.guidance is not None:
             passed &= columns["lesson"].isin({wanted.guidance}, n)

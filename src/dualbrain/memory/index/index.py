@@ -52,9 +52,11 @@ class Index:
             version = self.embedding.version(memo.robot)
             if vector is None or vector.version != version or len(vector.data) != 4 * self.embedding.dim:
                 raise ConfigurationError(
-                    f"embedding of memory {memo.id}", got=vector and vector.version, allowed=version,
+                    f"embedding of memory {memo.id}",
+                    got=vector and vector.version,
+                    allowed=version,
                     fix="Use the encoder and settings of before, or make all vectors anew: `dualbrain memory rebuild`.",
-                )  # fmt: skip
+                )
             row, mask = np.frombuffer(vector.data, "<f4"), vector.mask
         self.flat_index.add(row, memo.weight, mask)
         self._columns.add(memo)
@@ -93,7 +95,7 @@ class Index:
 
         Memories of one contract within `bandwidth` ℓ of the query count together (see `retrieval.worth`).
         """
-        counted = self._columns.mask(Filter(robot, registry))
+        counted = self._columns.mask(Filter(robot=robot, registry=registry))
         return contract_weights(compared, self.flat_index.weights, self._columns.contract_codes, counted, bandwidth)
 
     def search(

@@ -45,7 +45,7 @@ MAX_CANDIDATES = 20
 CONFIRMATION_REASON, PERSON_ACTOR = "a later consistent outcome", "a person"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StoreTransaction:
     """The events to append, the status of the new memory, every weight it moves, and the candidates it confirms."""
 
@@ -74,22 +74,39 @@ class Consolidation:
         confirmed = self._find_confirmed(episode, embedded, status, source)
         status = "active" if status == "candidate" and confirmed else status
         body = episode_payload(episode, posture, image, version, self._config.plasticity, status)
-        entries = [PendingEvent(EPISODE, episode.id, body, to_stored_vector(embedded, version))]
+        entries = [
+            PendingEvent(kind=EPISODE, subject=episode.id, payload=body, vector=to_stored_vector(embedded, version))
+        ]
         teacher = self._weight_updater(now)
         changes, around = list[WeightUpdate](), 0
         if teacher and status == "active" and GUIDANCE_BY_OUTCOME[episode.outcome.kind] != "none":
             teacher.add_memory(episode.id, W0)
             r, Delta = episode.outcome.r, _executed_Delta(episode.outcome.kind, episode.outcome.Delta)
             followed = self._find_followed(episode.contract, shown_exemplar_ids(episode.recall))
-            lecture = OutcomeEvidence(episode.id, source, r, Delta, followed, self._find_neighbours(embedded, episode))
+            lecture = OutcomeEvidence(
+                cause=episode.id,
+                source=source,
+                r=r,
+                Delta=Delta,
+                followed=followed,
+                neighbours=self._find_neighbours(embedded, episode),
+            )
             changes, neighbours = teacher.update(lecture)
             entries += _weight_events(changes, neighbours)
             around = len(neighbours.memories) if neighbours else 0
         if confirmed:
             names = tuple(memo.id for memo in confirmed)
-            entries.append(PendingEvent(CONFIRM, "", StatusChange(names, CONFIRMATION_REASON, episode.id)))
+            entries.append(
+                PendingEvent(kind=CONFIRM, subject="", payload=StatusChange(names, CONFIRMATION_REASON, episode.id))
+            )
             entries += self.confirmed_updates(confirmed, teacher)
-        return StoreTransaction(tuple(entries), status, tuple(changes), around, tuple(memo.id for memo in confirmed))
+        return StoreTransaction(
+            events=tuple(entries),
+            status=status,
+            weight_updates=tuple(changes),
+            n_neighbours=around,
+            confirmed=tuple(memo.id for memo in confirmed),
+        )
 
     def confirmed_updates(self, memos: Sequence[MemoryState], updater: WeightUpdater | None) -> list[PendingEvent]:
         """What the outcomes of `memos` teach now that they are believed, oldest first."""
@@ -119,7 +136,7 @@ class Consolidation:
         """
         if episode.outcome.kind != "succeeded" or status == "quarantined":
             return []
-        where = Filter(episode.robot, episode.registry, "follow", statuses=("candidate",))
+        where = Filter(robot=episode.robot, registry=episode.registry, guidance="follow", statuses=("candidate",))
         compared = self._index.compare(embedded, self._config.embedding.alpha)
         near = [
             self._state.memories[row]
@@ -138,7 +155,9 @@ class Consolidation:
         embedded = EpisodeEmbedding(self._index.flat_index.rows[row], int(self._index.flat_index.masks[row]))
         around = self._find_neighbours(embedded, memo)
         Delta = _executed_Delta(memo.kind, memo.Delta)
-        return OutcomeEvidence(memo.id, memo.provenance.source, memo.r, Delta, followed, around)
+        return OutcomeEvidence(
+            cause=memo.id, source=memo.provenance.source, r=memo.r, Delta=Delta, followed=followed, neighbours=around
+        )
 
     def _find_followed(self, contract: dict[str, Any] | None, prompt: Sequence[str]) -> list[tuple[int, str]]:
         """Rank and id of the exemplars in `prompt` that `contract` departs from least; none if its skills are others.
@@ -147,8 +166,9 @@ class Consolidation:
         """
         gaps = {
             (rank, name): count_differences(self._contract(self._state[name]), contract)
-            for rank, name in enumerate(prompt, start=1) if name in self._state
-        }  # fmt: skip
+            for rank, name in enumerate(prompt, start=1)
+            if name in self._state
+        }
         least = min((gap for gap in gaps.values() if gap is not None), default=None)
         return [place for place, gap in gaps.items() if gap is not None and gap == least]
 
@@ -163,7 +183,9 @@ class Consolidation:
         )
         if rule is None or rule.kappa == 0.0 or rule.reach == 0 or not origin.skills:
             return []
-        where = Filter(one.robot, one.registry, contract=origin.contract, statuses=("active", "candidate"))
+        where = Filter(
+            robot=one.robot, registry=one.registry, contract=origin.contract, statuses=("active", "candidate")
+        )
         compared = self._index.compare(embedded, self._config.embedding.alpha)
         found = self._index.find_similar(compared, where, 1.0 - rule.radius / 2.0, rule.reach + 1)
         names = [(self._state.memories[row].id, max(0.0, 2.0 - 2.0 * cosine)) for row, cosine in found]
@@ -176,5 +198,5 @@ def _executed_Delta(kind: OutcomeClass, Delta: float | None) -> float | None:
 
 
 def _weight_events(weighings: Sequence[WeightUpdate], around: NeighbourUpdates | None) -> list[PendingEvent]:
-    entries = [PendingEvent(WEIGHT, one.memory, one) for one in weighings]
-    return entries + ([PendingEvent(NEIGHBOURS, around.cause, around)] if around else [])
+    entries = [PendingEvent(kind=WEIGHT, subject=one.memory, payload=one) for one in weighings]
+    return entries + ([PendingEvent(kind=NEIGHBOURS, subject=around.cause, payload=around)] if around else [])

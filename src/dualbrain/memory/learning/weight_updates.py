@@ -17,7 +17,7 @@ from dualbrain.memory.plasticity.rule import Plasticity
 from dualbrain.memory.state.state import LedgerState, day_of
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class OutcomeEvidence:
     """One outcome and whom it teaches: episode `cause` of `source`, label `r`, `Delta`, the exemplars `followed`.
 
@@ -53,7 +53,7 @@ class WeightUpdater:
         word = "reinforce" if up else "suppress"
         account = self._budgets.setdefault(
             evidence.source, InfluenceBudget(self._state.influence, self._day, evidence.source)
-        )  # fmt: skip
+        )
         weighings = list[WeightUpdate]()
         for rank, name in ((0, evidence.cause), *evidence.followed):
             w = self._weight(name)
@@ -61,7 +61,19 @@ class WeightUpdater:
                 self._trust.limit_update(factors, w, account.accumulated_change(name)) if rank else (factors, 1.0)
             )
             after = self._apply_update(name, step, account if rank else None)
-            weighings.append(WeightUpdate(evidence.cause, name, word, rank, step.gain, step.offset, w, after, share))
+            weighings.append(
+                WeightUpdate(
+                    cause=evidence.cause,
+                    memory=name,
+                    rule=word,
+                    rank=rank,
+                    gain=step.gain,
+                    offset=step.offset,
+                    before=w,
+                    after=after,
+                    share=share,
+                )
+            )
         return weighings, self._update_neighbours(evidence, account, up=up)
 
     def _update_neighbours(

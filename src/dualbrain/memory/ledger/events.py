@@ -19,14 +19,17 @@ Status = Literal["active", "candidate", "quarantined", "forgotten"]
 """active: offered to the planner. candidate: a success that nothing has confirmed yet. quarantined: set aside, its
 influence on weights undone as long as it is. forgotten: the same, for good."""
 STATUS_BY_EVENT_KIND: dict[str, Status] = {
-    CONFIRM: "active", QUARANTINE: "quarantined", RELEASE: "active", TOMBSTONE: "forgotten",
-}  # fmt: skip
+    CONFIRM: "active",
+    QUARANTINE: "quarantined",
+    RELEASE: "active",
+    TOMBSTONE: "forgotten",
+}
 """The status that each kind of status event gives."""
 VOID_STATUSES: tuple[Status, ...] = ("quarantined", "forgotten")
 """What memories of these statuses did to weights does not count."""
 
 
-class WeightUpdate(msgspec.Struct, frozen=True):
+class WeightUpdate(msgspec.Struct, frozen=True, kw_only=True):
     """Payload of a weight event: outcome of episode `cause` moved the weight of `memory` from `before` to `after`.
 
     `rank` is the place of the memory in the prompt, 0 for the new memory itself. `gain` and `offset` are the clipped
@@ -79,7 +82,7 @@ class Rollback(msgspec.Struct, frozen=True):
     actor: str
 
 
-class FoldedUpdates(msgspec.Struct, frozen=True):
+class FoldedUpdates(msgspec.Struct, frozen=True, kw_only=True):
     """Payload of a folded event: all weight events of `memory` up to a compaction as one map, and the exact weight.
 
     The map tells what any first weight would have become; `weight` is what the sequential updates made, to the bit.
@@ -130,7 +133,7 @@ class AdapterUse(msgspec.Struct, frozen=True):
     memories: tuple[str, ...]
 
 
-class ReplayFinding(msgspec.Struct, frozen=True):
+class ReplayFinding(msgspec.Struct, frozen=True, kw_only=True):
     """Payload of a replayed event: what running the contract of `memory` again in simulation gave, try by try.
 
     `agrees` False: too many tries ended otherwise than the memory says (see `runtime.rerun`).

@@ -13,7 +13,7 @@ GENESIS = hashlib.sha256(b"dualbrain ledger, schema 1").hexdigest()
 """What the first event names as its predecessor; the same for all schemas, so that a migration keeps the chain."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LedgerEvent:
     """One line of the ledger.
 

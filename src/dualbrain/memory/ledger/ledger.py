@@ -35,7 +35,7 @@ from dualbrain.memory.ledger.tables import MIGRATED, SCHEMA_VERSION, create_or_m
 _COLUMNS = "seq, kind, run, subject, time, payload, previous, hash"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PendingEvent:
     """What is to be appended: `payload` is anything msgspec can write as JSON; `vector` goes to the projection.
 
@@ -167,7 +167,9 @@ class Ledger(LedgerReader):
                 found = self._create()
                 self._check_schema()
             if 0 < found < SCHEMA_VERSION:
-                self.append([PendingEvent(MIGRATED, "", {"from": found, "to": SCHEMA_VERSION})], now=now)
+                self.append(
+                    [PendingEvent(kind=MIGRATED, subject="", payload={"from": found, "to": SCHEMA_VERSION})], now=now
+                )
         except BaseException:
             self._lock.release()
             raise
@@ -213,20 +215,22 @@ class Ledger(LedgerReader):
         """Begin `run`; returns the runs that were cut off before it, and writes down that they were."""
         cut = self.interrupted_runs()
         closing = [
-            PendingEvent(runs.INTERRUPTED, "", {"after": one.last_activity, "found_by": run}, run=one.run)
+            PendingEvent(
+                kind=runs.INTERRUPTED, subject="", payload={"after": one.last_activity, "found_by": run}, run=one.run
+            )
             for one in cut
         ]
-        self.append([*closing, PendingEvent(runs.STARTED, "", details, run=run)], now=now)
+        self.append([*closing, PendingEvent(kind=runs.STARTED, subject="", payload=details, run=run)], now=now)
         self._run = make_json_safe(run)
         return cut
 
     def mark_progress(self, what: str, *, now: float) -> None:
         """Write down what the run is about to do (a few words), so that an interrupted run can be told apart."""
-        self.append([PendingEvent(runs.MARKED, "", {"what": what})], now=now)
+        self.append([PendingEvent(kind=runs.MARKED, subject="", payload={"what": what})], now=now)
 
     def end_run(self, details: object, *, now: float) -> None:
         """End the run that `start_run` began."""
-        self.append([PendingEvent(runs.ENDED, "", details)], now=now)
+        self.append([PendingEvent(kind=runs.ENDED, subject="", payload=details)], now=now)
         self._run = ""
 
     def interrupted_runs(self) -> tuple[InterruptedRun, ...]:
@@ -239,7 +243,13 @@ class Ledger(LedgerReader):
     def _describe_interrupted_run(self, start: LedgerEvent) -> InterruptedRun:
         events = list(self.events("run = ?", (start.run,)))
         episodes = sum(event.kind == EPISODE for event in events)
-        return InterruptedRun(start.run, start.time, events[-1].time, runs.describe_activity(events[-1]), episodes)
+        return InterruptedRun(
+            run=start.run,
+            started=start.time,
+            last_time=events[-1].time,
+            last_activity=runs.describe_activity(events[-1]),
+            episodes=episodes,
+        )
 
     def checkpoint_wal(self) -> None:
         """Bring all of the write-ahead log into the file itself; raises `InvalidSetup` if a reader is in the way."""
@@ -261,7 +271,14 @@ def _build_event(entry: PendingEvent, run: str, now: float, head: Head) -> Ledge
         make_json_safe(msgspec.to_builtins(entry.payload, str_keys=True)), order="deterministic"
     )
     event = LedgerEvent(
-        head.seq + 1, entry.kind, run, make_json_safe(entry.subject), float(now), payload, head.hash, ""
+        seq=head.seq + 1,
+        kind=entry.kind,
+        run=run,
+        subject=make_json_safe(entry.subject),
+        time=float(now),
+        payload=payload,
+        previous=head.hash,
+        hash="",
     )
     return replace(event, hash=event_digest(event))
 
@@ -292,4 +309,13 @@ def _parse_event_row(row: tuple[Any, ...]) -> LedgerEvent:
     seq, kind, run, subject, time, payload, previous, stored = row
     seconds = time if isinstance(time, float) else math.nan
     content = payload if isinstance(payload, bytes) else str(payload).encode("utf-8", "surrogateescape")
-    return LedgerEvent(seq, str(kind), str(run), str(subject), seconds, content, str(previous), str(stored))
+    return LedgerEvent(
+        seq=seq,
+        kind=str(kind),
+        run=str(run),
+        subject=str(subject),
+        time=seconds,
+        payload=content,
+        previous=str(previous),
+        hash=str(stored),
+    )

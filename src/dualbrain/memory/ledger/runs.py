@@ -14,7 +14,7 @@ STARTED, MARKED, ENDED, INTERRUPTED = "run_started", "run_marked", "run_ended", 
 """Kinds of the events that frame a run; `run_interrupted` is written by the next run, in place of `run_ended`."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class InterruptedRun:
     """A run that began and never ended: killed, crashed or without power. Times [s] since 1970 UTC.
 

@@ -45,7 +45,7 @@ class AuditFinding(msgspec.Struct, frozen=True):
     text: str
 
 
-class SourceReport(msgspec.Struct, frozen=True):
+class SourceReport(msgspec.Struct, frozen=True, kw_only=True):
     """What one source did: memories by status, how many weights it moved and how far (Σ|Δw|), adapters it taught."""
 
     source: str
@@ -96,7 +96,16 @@ def source_reports(memory: Memory) -> tuple[SourceReport, ...]:
         adapters = tuple(sorted({use.adapter for use in uses if names & set(use.memories)}))
         statuses = dict(Counter(memo.status for memo in memos))
         ids = tuple(memo.id for memo in memos)
-        reports.append(SourceReport(source, ids, statuses, len(touched[source]), moved[source], adapters))
+        reports.append(
+            SourceReport(
+                source=source,
+                memories=ids,
+                statuses=statuses,
+                touched=len(touched[source]),
+                moved=moved[source],
+                adapters=adapters,
+            )
+        )
     return tuple(sorted(reports, key=lambda report: (-report.moved, report.source)))
 
 

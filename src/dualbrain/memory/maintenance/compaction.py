@@ -52,7 +52,10 @@ def compact_ledger(source: LedgerReader, target: Path, *, holder: str, now: floa
         pass
     state, head = derive_state(source), source.head()
     with Ledger(target, holder=holder, now=now) as ledger:
-        ledger.append([PendingEvent(COMPACTED, "", CompactionRecord(head.seq, head.hash, source.path.name))], now=now)
+        ledger.append(
+            [PendingEvent(kind=COMPACTED, subject="", payload=CompactionRecord(head.seq, head.hash, source.path.name))],
+            now=now,
+        )
         for batch in _batches(_episode_events(source)):
             for time, entries in batch:
                 ledger.append(entries, now=time)
@@ -88,7 +91,12 @@ def _episode_events(source: LedgerReader) -> Iterator[tuple[float, PendingEvent]
     vectors = dict(source.vectors())
     for event in effective_events(source, (EPISODE,)):
         payload = msgspec.json.decode(event.payload)
-        yield event.time, PendingEvent(EPISODE, event.subject, payload, vectors.get(event.seq), event.run)
+        yield (
+            event.time,
+            PendingEvent(
+                kind=EPISODE, subject=event.subject, payload=payload, vector=vectors.get(event.seq), run=event.run
+            ),
+        )
 
 
 def _batches(episodes: Iterator[tuple[float, PendingEvent]]) -> Iterator[list[tuple[float, list[PendingEvent]]]]:
@@ -129,8 +137,20 @@ def _update_steps(event: LedgerEvent, void: frozenset[str]) -> Iterator[tuple[st
 def _folded_events(source: LedgerReader, state: LedgerState) -> Iterator[PendingEvent]:
     for name, f in compose_weight_updates(source, state).items():
         memo = state[name]
-        counts = (memo.reinforced, memo.suppressed)
-        yield PendingEvent(FOLDED, name, FoldedUpdates(name, f.gain, f.offset, f.lower, f.upper, memo.weight, *counts))
+        yield PendingEvent(
+            kind=FOLDED,
+            subject=name,
+            payload=FoldedUpdates(
+                memory=name,
+                gain=f.gain,
+                offset=f.offset,
+                lower=f.lower,
+                upper=f.upper,
+                weight=memo.weight,
+                reinforced=memo.reinforced,
+                suppressed=memo.suppressed,
+            ),
+        )
 
 
 def _status_events(source: LedgerReader, state: LedgerState) -> Iterator[PendingEvent]:
@@ -139,9 +159,11 @@ def _status_events(source: LedgerReader, state: LedgerState) -> Iterator[Pending
     for status, kind in EVENT_KIND_BY_STATUS.items():
         names = tuple(memo.id for memo in state.memories if memo.status == status != born[memo.id])
         if names:
-            yield PendingEvent(kind, "", StatusChange(names, "as it was before the compaction", "compaction"))
+            yield PendingEvent(
+                kind=kind, subject="", payload=StatusChange(names, "as it was before the compaction", "compaction")
+            )
 
 
 def _adapter_events(source: LedgerReader) -> Iterator[PendingEvent]:
     for event in effective_events(source, (ADAPTER,)):
-        yield PendingEvent(ADAPTER, event.subject, msgspec.json.decode(event.payload))
+        yield PendingEvent(kind=ADAPTER, subject=event.subject, payload=msgspec.json.decode(event.payload))

@@ -33,7 +33,10 @@ from dualbrain.records import MemoryUse
 def quarantine(memory: Memory, names: Sequence[str], reason: str, *, now: float, actor: str = PERSON_ACTOR) -> None:
     """Set memories aside: no longer offered, and what their outcomes did to weights is undone as long as they are."""
     _check_known(memory, names)
-    memory.append([PendingEvent(QUARANTINE, "", StatusChange(tuple(names), _check_reason(reason), actor))], now=now)
+    memory.append(
+        [PendingEvent(kind=QUARANTINE, subject="", payload=StatusChange(tuple(names), _check_reason(reason), actor))],
+        now=now,
+    )
 
 
 def release(memory: Memory, names: Sequence[str], reason: str, *, now: float, actor: str = PERSON_ACTOR) -> None:
@@ -46,7 +49,10 @@ def release(memory: Memory, names: Sequence[str], reason: str, *, now: float, ac
     if gone := [name for name in names if memory.state[name].status == "forgotten"]:
         fix = "Roll back to before they were forgotten."
         raise ConfigurationError("memories to release", got=gone, allowed="quarantined ones and candidates", fix=fix)
-    memory.append([PendingEvent(RELEASE, "", StatusChange(tuple(names), _check_reason(reason), actor))], now=now)
+    memory.append(
+        [PendingEvent(kind=RELEASE, subject="", payload=StatusChange(tuple(names), _check_reason(reason), actor))],
+        now=now,
+    )
     if late := memory.consolidation().released_updates(names, now):
         memory.append(late, now=now)
 
@@ -54,13 +60,18 @@ def release(memory: Memory, names: Sequence[str], reason: str, *, now: float, ac
 def forget(memory: Memory, names: Sequence[str], reason: str, *, now: float, actor: str = PERSON_ACTOR) -> None:
     """A tombstone: never offered again, its influence undone. The event itself stays, for the chain must hold."""
     _check_known(memory, names)
-    memory.append([PendingEvent(TOMBSTONE, "", StatusChange(tuple(names), _check_reason(reason), actor))], now=now)
+    memory.append(
+        [PendingEvent(kind=TOMBSTONE, subject="", payload=StatusChange(tuple(names), _check_reason(reason), actor))],
+        now=now,
+    )
 
 
 def roll_back(memory: Memory, target: int, reason: str, *, now: float, actor: str = PERSON_ACTOR) -> None:
     """Make memory what it was at event `target`; rolling back to before this undoes it (see `lineage`)."""
     check_rollback_target(target, memory.ledger.head().seq)
-    memory.append([PendingEvent(ROLLBACK, "", Rollback(target, _check_reason(reason), actor))], now=now)
+    memory.append(
+        [PendingEvent(kind=ROLLBACK, subject="", payload=Rollback(target, _check_reason(reason), actor))], now=now
+    )
 
 
 def record_adapter(memory: Memory, adapter: str, dataset: str, names: Sequence[str], *, now: float) -> None:
@@ -69,23 +80,23 @@ def record_adapter(memory: Memory, adapter: str, dataset: str, names: Sequence[s
     use = AdapterUse(adapter, dataset, tuple(names))
     noted = (event.payload for event in effective_events(memory.ledger, (ADAPTER,)))
     if use not in (msgspec.json.decode(payload, type=AdapterUse) for payload in noted):
-        memory.append([PendingEvent(ADAPTER, adapter, use)], now=now)
+        memory.append([PendingEvent(kind=ADAPTER, subject=adapter, payload=use)], now=now)
 
 
 def record_uses(memory: Memory, episode: str, uses: Sequence[MemoryUse], *, now: float) -> None:
     """Write down what became of the memories that stood in the prompt of `episode`."""
-    memory.append([PendingEvent(USED, episode, MemoryUses(episode, tuple(uses)))], now=now)
+    memory.append([PendingEvent(kind=USED, subject=episode, payload=MemoryUses(episode, tuple(uses)))], now=now)
 
 
 def record_audit(memory: Memory, report: object, *, now: float) -> None:
     """Write down what an audit found."""
-    memory.append([PendingEvent(AUDIT, "", report)], now=now)
+    memory.append([PendingEvent(kind=AUDIT, subject="", payload=report)], now=now)
 
 
 def record_replay(memory: Memory, finding: ReplayFinding, *, now: float) -> None:
     """Write down what running a memory again gave; a person decides what follows from it."""
     _check_known(memory, (finding.memory,))
-    memory.append([PendingEvent(REPLAYED, finding.memory, finding)], now=now)
+    memory.append([PendingEvent(kind=REPLAYED, subject=finding.memory, payload=finding)], now=now)
 
 
 def _check_known(memory: Memory, names: Sequence[str]) -> None:

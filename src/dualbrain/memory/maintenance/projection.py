@@ -13,7 +13,7 @@ MAX_PCA_SAMPLES = 2000
 """The axes are found from at most this many memories, spread evenly over time."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MemoryProjection:
     """Points of shape (n, 2), weights w of shape (n,), ids and outcomes, and the share of variance the axes show."""
 
@@ -44,6 +44,10 @@ def project_memories(memory: Memory) -> MemoryProjection:
         total = float((spread**2).sum())
         shown = float((spread[:2] ** 2).sum() / total) if total > 0.0 else 0.0
     return MemoryProjection(
-        points, np.array([memo.weight for memo in state.memories]), tuple(memo.id for memo in state.memories),
-        tuple(memo.kind for memo in state.memories), tuple(memo.status for memo in state.memories), shown,
-    )  # fmt: skip
+        points=points,
+        weights=np.array([memo.weight for memo in state.memories]),
+        episode_ids=tuple(memo.id for memo in state.memories),
+        kinds=tuple(memo.kind for memo in state.memories),
+        statuses=tuple(memo.status for memo in state.memories),
+        explained_variance=shown,
+    )

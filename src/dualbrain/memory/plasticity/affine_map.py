@@ -29,9 +29,11 @@ class AffineMap:
         for the rounding of one product and one sum (3e-16 over chains of 30 maps).
         """
         return AffineMap(
-            self.gain * following.gain, following.gain * self.offset + following.offset,
-            following(self.lower), following(self.upper),
-        )  # fmt: skip
+            self.gain * following.gain,
+            following.gain * self.offset + following.offset,
+            following(self.lower),
+            following(self.upper),
+        )
 
     def scale_step(self, share: float) -> AffineMap:
         """The part `share` ∈ [0, 1] of the step: w ← clip(w + share·(gain·w + offset − w)); 0 changes nothing."""

@@ -59,9 +59,15 @@ def was_used(exemplar: RawContract, contract: RawContract, effect: ExclusionEffe
 
 
 def evaluate_use(
-    memory: str, exemplar: RawContract, contract: RawContract, effect: ExclusionEffect, *, succeeded: bool, Delta: float | None,
+    memory: str,
+    exemplar: RawContract,
+    contract: RawContract,
+    effect: ExclusionEffect,
+    *,
+    succeeded: bool,
+    Delta: float | None,
     max_Delta: float | None,
-) -> MemoryUse:  # fmt: skip
+) -> MemoryUse:
     """What became of one memory. `reference` is the Δ not to be exceeded: that of the exemplar itself (None: any)."""
     used = was_used(exemplar, contract, effect)
     no_worse = max_Delta is None or (Delta is not None and Delta <= max_Delta)

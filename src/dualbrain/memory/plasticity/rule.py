@@ -37,7 +37,7 @@ class Penalty:
         return self.floor + (1.0 - self.floor) * (size / (size + self.scale) if math.isfinite(Delta) else 1.0)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Plasticity:
     """The rule (paper 5.3): ρ `rho`, η₊ `eta_plus`, η₋ `eta_minus`, ε `epsilon` and the penalty `g`.
 

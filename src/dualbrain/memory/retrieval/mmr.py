@@ -13,9 +13,14 @@ CANDIDATE_FACTOR = 8
 
 
 def select_diverse(
-    scan: FlatIndex, compared: QueryComparison, eligible: Mask, k: int, lambda_s: float, diversity: float,
+    scan: FlatIndex,
+    compared: QueryComparison,
+    eligible: Mask,
+    k: int,
+    lambda_s: float,
+    diversity: float,
     weights: Weights | None = None,
-) -> tuple[MemoryHit, ...]:  # fmt: skip
+) -> tuple[MemoryHit, ...]:
     """K hits chosen one by one by (1 − d)·R − d·max (1 + cos)/2 to those chosen before, d = `diversity` ∈ [0, 1].
 
     Chosen among the 8k best by R; d = 0 is plain retrieval. The first hit is always the best by R; ties go to the

@@ -48,7 +48,13 @@ def derive_state_at(ledger: LedgerReader, time: float) -> LedgerState:
 def exclude_memories(state: LedgerState, names: Collection[str]) -> LedgerState:
     """The same state less some memories."""
     left = [memo for memo in state.memories if memo.id not in set(names)]
-    return LedgerState(left, state.seq, state.influence, state.void, {memo.id: row for row, memo in enumerate(left)})
+    return LedgerState(
+        memories=left,
+        seq=state.seq,
+        influence=state.influence,
+        void=state.void,
+        rows={memo.id: row for row, memo in enumerate(left)},
+    )
 
 
 def read_rollbacks(ledger: LedgerReader) -> dict[int, int]:

@@ -35,9 +35,20 @@ GUIDANCE_BY_OUTCOME: Mapping[OutcomeClass, Guidance] = {
 kept, but they are offered to no one and change no weight."""
 
 STORED_EPISODE_FIELDS = (
-    "id", "started", "instruction", "robot", "registry", "seed", "scene", "summary",
-    "attempts", "contract", "outcome", "timings", "versions",
-)  # fmt: skip
+    "id",
+    "started",
+    "instruction",
+    "robot",
+    "registry",
+    "seed",
+    "scene",
+    "summary",
+    "attempts",
+    "contract",
+    "outcome",
+    "timings",
+    "versions",
+)
 """The fields of an episode that memory keeps: the robot's own side. Simulator truth (`judgement`) is not among them."""
 
 
@@ -49,7 +60,7 @@ class OutcomeSummary(msgspec.Struct, frozen=True):
     Delta: float | None
 
 
-class EpisodeRecord(msgspec.Struct, frozen=True):
+class EpisodeRecord(msgspec.Struct, frozen=True, kw_only=True):
     """The part of a stored episode that retrieval needs."""
 
     id: str
@@ -65,9 +76,19 @@ class EpisodeRecord(msgspec.Struct, frozen=True):
         told = self.outcome
         succeeded = told.kind == "succeeded"
         return Exemplar(
-            self.id, self.instruction, self.summary, self.contract or {}, succeeded, told.Delta,
-            hit.similarity, hit.weight, hit.score, rank, reason="" if succeeded else told.reason, parts=parts,
-        )  # fmt: skip
+            episode_id=self.id,
+            instruction=self.instruction,
+            summary=self.summary,
+            contract=self.contract or {},
+            succeeded=succeeded,
+            Delta=told.Delta,
+            similarity=hit.similarity,
+            weight=hit.weight,
+            score=hit.score,
+            rank=rank,
+            reason="" if succeeded else told.reason,
+            parts=parts,
+        )
 
 
 class MemoryHeader(msgspec.Struct, frozen=True):

@@ -14,7 +14,7 @@ from dualbrain.records import Episode
 PERSON_SOURCE = "person"
 
 
-class Provenance(msgspec.Struct, frozen=True):
+class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     """The origin of one memory.
 
     `source` is who proposed the contract (a planner with its adapter, or a file): influence is bounded per source.
@@ -36,10 +36,13 @@ def episode_provenance(episode: Episode) -> Provenance:
     adapter = episode.versions.get("adapter", "")
     plan = contract_actions(episode.contract)
     return Provenance(
-        f"{planner}+{adapter}" if adapter else planner, adapter, content_digest(msgspec.to_builtins(episode.scene)),
-        content_digest(plan), tuple(str(action.get("skill", "")) for action in plan),
-        episode.seed,
-    )  # fmt: skip
+        source=f"{planner}+{adapter}" if adapter else planner,
+        adapter=adapter,
+        scene=content_digest(msgspec.to_builtins(episode.scene)),
+        contract=content_digest(plan),
+        skills=tuple(str(action.get("skill", "")) for action in plan),
+        seed=episode.seed,
+    )
 
 
 def content_digest(value: Any) -> str:

@@ -28,7 +28,7 @@ MAGIC = b"dbmemo02"
 _PREAMBLE = struct.Struct("<8sQ")
 
 
-class MemorySnapshot(msgspec.Struct):
+class MemorySnapshot(msgspec.Struct, kw_only=True):
     """The state at event `head`, and its vectors of shape (n, dim) with their block masks of shape (n,)."""
 
     head: Head
@@ -38,7 +38,7 @@ class MemorySnapshot(msgspec.Struct):
     masks: NDArray[np.uint8]
 
 
-class _SnapshotHeader(msgspec.Struct):
+class _SnapshotHeader(msgspec.Struct, kw_only=True):
     """What stands before the arrays."""
 
     seq: int
@@ -56,7 +56,9 @@ def write_snapshot(ledger: Ledger, snapshot: MemorySnapshot, *, now: float) -> P
     path = _path(ledger, snapshot.head.seq)
     partial = path.with_suffix(".partial")
     head = snapshot.head
-    label = _SnapshotHeader(head.seq, head.hash, dict(snapshot.versions), snapshot.rows.shape[1], snapshot.state)
+    label = _SnapshotHeader(
+        seq=head.seq, hash=head.hash, versions=dict(snapshot.versions), dim=snapshot.rows.shape[1], state=snapshot.state
+    )
     text = msgspec.msgpack.encode(label)
     digest = hashlib.sha256()
     with partial.open("wb") as file:
@@ -71,7 +73,9 @@ def write_snapshot(ledger: Ledger, snapshot: MemorySnapshot, *, now: float) -> P
         file.flush()
         os.fsync(file.fileno())
     partial.replace(path)
-    ledger.append([PendingEvent(SNAPSHOT, "", SnapshotRecord(head.seq, digest.hexdigest()))], now=now)
+    ledger.append(
+        [PendingEvent(kind=SNAPSHOT, subject="", payload=SnapshotRecord(head.seq, digest.hexdigest()))], now=now
+    )
     for old in path.parent.glob(f"{ledger.path.name}.snapshot-*"):
         if old != path:
             old.unlink(missing_ok=True)
@@ -107,7 +111,9 @@ def _read_file(path: Path, mark: SnapshotRecord, ledger: LedgerReader) -> Memory
         return None
     state = label.state
     state.rows = {memo.id: row for row, memo in enumerate(state.memories)}
-    return MemorySnapshot(Head(label.seq, label.hash), label.versions, state, rows, masks)
+    return MemorySnapshot(
+        head=Head(label.seq, label.hash), versions=label.versions, state=state, rows=rows, masks=masks
+    )
 
 
 def _path(ledger: LedgerReader, seq: int) -> Path:

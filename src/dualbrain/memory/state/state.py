@@ -30,7 +30,7 @@ SECONDS_PER_DAY = 86400.0
 """Influence is counted per day [s]."""
 
 
-class MemoryState(msgspec.Struct):
+class MemoryState(msgspec.Struct, kw_only=True):
     """One memory without its texts: what filters, audits and weights need. Everything else stays in the ledger.
 
     `time` [s, 1970 UTC] is when it was stored, `seq` the number of its event, `w0` its first and `weight` its present
@@ -86,7 +86,7 @@ class Influence(msgspec.Struct):
         return self.total.get(source, 0.0), self.single.get(source, {}).get(memory, 0.0)
 
 
-class LedgerState(msgspec.Struct, rename={"memories": "memos"}):
+class LedgerState(msgspec.Struct, rename={"memories": "memos"}, kw_only=True):
     """All memories in the order of their events, the number of the last event applied, and the day's influence.
 
     What memories in `void` caused does not count, as if their outcomes had never been seen.
@@ -135,9 +135,19 @@ class LedgerState(msgspec.Struct, rename={"memories": "memos"}):
         head = decode_event_header(event.payload)
         told = head.episode
         memo = MemoryState(
-            told.id, event.seq, event.time, event.run, told.robot, told.registry, told.outcome.kind,
-            told.outcome.Delta, head.provenance, head.status, head.w0, head.w0,
-        )  # fmt: skip
+            id=told.id,
+            seq=event.seq,
+            time=event.time,
+            run=event.run,
+            robot=told.robot,
+            registry=told.registry,
+            kind=told.outcome.kind,
+            Delta=told.outcome.Delta,
+            provenance=head.provenance,
+            status=head.status,
+            w0=head.w0,
+            weight=head.w0,
+        )
         self.rows[memo.id] = len(self.memories)
         self.memories.append(memo)
         return (len(self.memories) - 1,)

@@ -27,7 +27,7 @@ _COMPLETE_REASONS = frozenset({"stop", "eos", "eos_token", "end_turn"})
 _TRUNCATED_REASONS = frozenset({"length", "max_tokens"})
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ChatResponse:
     """What came back: `finish` is a finish reason of `protocol`, `detail` explains an error.
 
@@ -51,7 +51,9 @@ def request_completion(
         return reply
     status, data = reply
     if status != 200:
-        return ChatResponse("", protocol.ERROR, f"status {status} {excerpt(_redact(key, data))}".strip())
+        return ChatResponse(
+            text="", finish_reason=protocol.ERROR, detail=f"status {status} {excerpt(_redact(key, data))}".strip()
+        )
     return (parse or parse_completion)(data)
 
 
@@ -63,17 +65,21 @@ def parse_completion(data: bytes) -> ChatResponse:
         message = choice["message"]
         content, refusal, finish = message.get("content"), message.get("refusal"), choice.get("finish_reason")
     except (ValueError, RecursionError, LookupError, TypeError, AttributeError):
-        return ChatResponse("", protocol.ERROR, "not a chat completion")
+        return ChatResponse(text="", finish_reason=protocol.ERROR, detail="not a chat completion")
     figures, build = _parse_metrics(completion), _parse_build(completion)
     if refusal or finish == "content_filter":
-        return ChatResponse("", protocol.REFUSAL, excerpt(str(refusal or finish)), figures)
+        return ChatResponse(
+            text="", finish_reason=protocol.REFUSAL, detail=excerpt(str(refusal or finish)), metrics=figures
+        )
     if not isinstance(content, str) or not isinstance(finish, str):
-        return ChatResponse("", protocol.ERROR, "no text in the answer", figures)
+        return ChatResponse(text="", finish_reason=protocol.ERROR, detail="no text in the answer", metrics=figures)
     if finish in _TRUNCATED_REASONS:
-        return ChatResponse(content, protocol.LENGTH, metrics=figures, server_build=build)
+        return ChatResponse(text=content, finish_reason=protocol.LENGTH, metrics=figures, server_build=build)
     if finish not in _COMPLETE_REASONS:
-        return ChatResponse("", protocol.ERROR, f"finish reason {excerpt(finish)}", figures)
-    return ChatResponse(content, protocol.STOP, metrics=figures, server_build=build)
+        return ChatResponse(
+            text="", finish_reason=protocol.ERROR, detail=f"finish reason {excerpt(finish)}", metrics=figures
+        )
+    return ChatResponse(text=content, finish_reason=protocol.STOP, metrics=figures, server_build=build)
 
 
 def strip_fence(text: str) -> tuple[str, bool]:
@@ -88,7 +94,7 @@ def post(url: str, data: bytes, *, key: str, timeout_s: float) -> tuple[int, byt
     At `timeout_s` the socket is shut, however slowly bytes may be dripping in.
     """
     if timeout_s <= 0:
-        return ChatResponse("", protocol.TIMEOUT)
+        return ChatResponse(text="", finish_reason=protocol.TIMEOUT)
     late, timer = Event(), None
     try:
         with closing(_connection(url, timeout_s)) as connection:
@@ -104,20 +110,22 @@ def post(url: str, data: bytes, *, key: str, timeout_s: float) -> tuple[int, byt
             reply = connection.getresponse()
             status, body = reply.status, reply.read(MAX_RESPONSE_BYTES + 1)
     except TimeoutError:
-        return ChatResponse("", protocol.TIMEOUT)
+        return ChatResponse(text="", finish_reason=protocol.TIMEOUT)
     except (OSError, HTTPException, ValueError) as error:
         return (
-            ChatResponse("", protocol.TIMEOUT)
+            ChatResponse(text="", finish_reason=protocol.TIMEOUT)
             if late.is_set()
-            else ChatResponse("", protocol.ERROR, type(error).__name__)
+            else ChatResponse(text="", finish_reason=protocol.ERROR, detail=type(error).__name__)
         )
     finally:
         if timer is not None:
             timer.cancel()
     if late.is_set():
-        return ChatResponse("", protocol.TIMEOUT)
+        return ChatResponse(text="", finish_reason=protocol.TIMEOUT)
     if len(body) > MAX_RESPONSE_BYTES:
-        return ChatResponse("", protocol.ERROR, f"answer longer than {MAX_RESPONSE_BYTES} bytes")
+        return ChatResponse(
+            text="", finish_reason=protocol.ERROR, detail=f"answer longer than {MAX_RESPONSE_BYTES} bytes"
+        )
     return status, body
 
 

@@ -102,7 +102,13 @@ class LlamaPlanner:
             store.save(request)
         timings = {"load": loaded - begun, **answer.metrics, "total": self._clock() - begun}
         finish = f"{answer.finish_reason}: {answer.detail}" if answer.detail else answer.finish_reason
-        return Proposal(answer.text, finish, self._name, self._constrained_by(request), timings)
+        return Proposal(
+            text=answer.text,
+            finish_reason=finish,
+            planner=self._name,
+            constrained_by=self._constrained_by(request),
+            timings=timings,
+        )
 
     def post_json(self, path: str, body: dict[str, Any]) -> dict[str, Any] | ChatResponse:
         """POST `body`, with the adapters, to `path` of the child's own interface; its answer, or why there is none."""
@@ -146,17 +152,23 @@ class LlamaPlanner:
             return reply
         status, said = reply
         if status != 200:
-            return ChatResponse("", protocol.ERROR, f"status {status}")
+            return ChatResponse(text="", finish_reason=protocol.ERROR, detail=f"status {status}")
         try:
             return json.loads(said)
         except ValueError:
-            return ChatResponse("", protocol.ERROR, "no JSON")
+            return ChatResponse(text="", finish_reason=protocol.ERROR, detail="no JSON")
 
     def _prompt_cache(self, child: LlamaProcess, address: str) -> PromptCache:
         folder = self._config.prompt_cache if self._prompt_format.has_fixed_prefix else None
         return PromptCache(
-            folder, self._model, self._config.n_ctx, address, child.key, prompt_format=self._prompt_format, adapters=self._adapters
-        )  # fmt: skip
+            folder,
+            self._model,
+            self._config.n_ctx,
+            address,
+            child.key,
+            prompt_format=self._prompt_format,
+            adapters=self._adapters,
+        )
 
     def _adapter_options(self) -> dict[str, Any]:
         """All adapters of the process with their scales: an explicit list in each request, never a global switch."""
@@ -186,7 +198,9 @@ class LlamaPlanner:
             and self._prompt_format.grammar
             and not _matches_schema(answer.text, request.schema)
         ):
-            return ChatResponse("", protocol.ERROR, "the grammar was not applied", answer.metrics)
+            return ChatResponse(
+                text="", finish_reason=protocol.ERROR, detail="the grammar was not applied", metrics=answer.metrics
+            )
         return answer
 
     def _replace_lost_process(self, child: LlamaProcess, answer: ChatResponse) -> ChatResponse:

@@ -28,7 +28,7 @@ class LoadedAdapter:
     scale: float = 1.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LlamaConfig:
     """How the model runs.
 
@@ -95,7 +95,7 @@ class LlamaProcess:
     def crash_response(self) -> ChatResponse:
         """Why there is no answer of a process that has ended: how it ended, and its last words."""
         told = (describe_exit(self._process.wait()), self._stderr_tail.text())
-        return ChatResponse("", protocol.CRASHED, ": ".join(filter(None, told)))
+        return ChatResponse(text="", finish_reason=protocol.CRASHED, detail=": ".join(filter(None, told)))
 
     def wait_for_address(self, timeout_s: float) -> tuple[str, ChatResponse | None]:
         """Where the child listens, or why it does not; waits while it loads."""
@@ -104,7 +104,7 @@ class LlamaProcess:
         out = self._process.stdout
         assert out is not None
         if not select.select([out], [], [], timeout_s)[0]:
-            return "", ChatResponse("", protocol.TIMEOUT)
+            return "", ChatResponse(text="", finish_reason=protocol.TIMEOUT)
         line = out.readline()
         try:
             told = json.loads(line)
@@ -112,7 +112,9 @@ class LlamaProcess:
             self._process.wait()
             return "", self.crash_response()
         self._address = told.get("address", "")
-        return self._address, None if self._address else ChatResponse("", protocol.ERROR, told["error"])
+        return self._address, None if self._address else ChatResponse(
+            text="", finish_reason=protocol.ERROR, detail=told["error"]
+        )
 
     def close(self) -> None:
         """Close its input, which ends it; kill it when it does not answer to that."""

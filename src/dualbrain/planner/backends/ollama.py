@@ -35,23 +35,29 @@ def parse_chat(data: bytes) -> ChatResponse:
         told = json.loads(data)
         content, reason = told["message"]["content"], told.get("done_reason")
     except (ValueError, RecursionError, LookupError, TypeError, AttributeError):
-        return ChatResponse("", protocol.ERROR, "not an answer of Ollama")
+        return ChatResponse(text="", finish_reason=protocol.ERROR, detail="not an answer of Ollama")
     figures = _parse_metrics(told)
     if not isinstance(content, str) or told.get("done") is not True:
-        return ChatResponse("", protocol.ERROR, "no whole text in the answer", figures)
+        return ChatResponse(
+            text="", finish_reason=protocol.ERROR, detail="no whole text in the answer", metrics=figures
+        )
     match reason:
         case "stop":
-            return ChatResponse(content, protocol.STOP, metrics=figures)
+            return ChatResponse(text=content, finish_reason=protocol.STOP, metrics=figures)
         case "length":
-            return ChatResponse(content, protocol.LENGTH, metrics=figures)
+            return ChatResponse(text=content, finish_reason=protocol.LENGTH, metrics=figures)
         case _:
-            return ChatResponse("", protocol.ERROR, f"finish reason {excerpt(str(reason))}", figures)
+            return ChatResponse(
+                text="", finish_reason=protocol.ERROR, detail=f"finish reason {excerpt(str(reason))}", metrics=figures
+            )
 
 
 def _parse_metrics(told: dict[str, Any]) -> dict[str, float]:
     names = {
-        "prefill": ("prompt_eval_duration", SECONDS_PER_NANOSECOND), "decode": ("eval_duration", SECONDS_PER_NANOSECOND),
-        "prompt_tokens": ("prompt_eval_count", 1.0), "output_tokens": ("eval_count", 1.0),
-    }  # fmt: skip
+        "prefill": ("prompt_eval_duration", SECONDS_PER_NANOSECOND),
+        "decode": ("eval_duration", SECONDS_PER_NANOSECOND),
+        "prompt_tokens": ("prompt_eval_count", 1.0),
+        "output_tokens": ("eval_count", 1.0),
+    }
     found = {name: (parse_count(told.get(key)), scale) for name, (key, scale) in names.items()}
     return {name: value * scale for name, (value, scale) in found.items() if value is not None}

@@ -63,7 +63,7 @@ DIALECTS = {
 answers with an error. `free` asks for no constraint, to measure what a model does by itself."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ServerConfig:
     """Where and how to ask: `url` up to and including `/v1`, `model` as the server calls it, one `timeout_s` [s]."""
 
@@ -105,9 +105,12 @@ class ServerPlanner:
         own = self._config.dialect == OLLAMA
         url = chat_url(self._config.url) if own else f"{self._config.url.rstrip('/')}/chat/completions"
         answer = request_completion(
-            url, self._body(request), key=self._config.key, timeout_s=self._config.timeout_s,
+            url,
+            self._body(request),
+            key=self._config.key,
+            timeout_s=self._config.timeout_s,
             parse=parse_chat if own else parse_completion,
-        )  # fmt: skip
+        )
         return self._proposal(answer, self._clock() - begun)
 
     def close(self) -> None:
@@ -126,7 +129,13 @@ class ServerPlanner:
         constrained_by = self._dialect.constrained_by + (f"; {answer.server_build}" if answer.server_build else "")
         constrained_by += "; code fence stripped" if fenced else ""
         finish = f"{answer.finish_reason}: {answer.detail}" if answer.detail else answer.finish_reason
-        return Proposal(text, finish, self.name, constrained_by, {**answer.metrics, "total": total})
+        return Proposal(
+            text=text,
+            finish_reason=finish,
+            planner=self.name,
+            constrained_by=constrained_by,
+            timings={**answer.metrics, "total": total},
+        )
 
 
 def _require_address(url: str) -> None:

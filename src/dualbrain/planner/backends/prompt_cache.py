@@ -38,9 +38,16 @@ class PromptCache:
     """
 
     def __init__(
-        self, folder: Path | None, model: Path, n_ctx: int, address: str, key: str, *, prompt_format: PromptFormat = FULL_PROMPT,
+        self,
+        folder: Path | None,
+        model: Path,
+        n_ctx: int,
+        address: str,
+        key: str,
+        *,
+        prompt_format: PromptFormat = FULL_PROMPT,
         adapters: tuple[LoadedAdapter, ...] = (),
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._folder, self._model, self._n_ctx, self._address, self._key = folder, model, n_ctx, address, key
         self._prompt_format, self._adapters = prompt_format, adapters
 

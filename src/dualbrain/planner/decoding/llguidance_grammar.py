@@ -17,10 +17,27 @@ import json
 from decimal import Decimal
 from typing import Any
 
-_KEYWORDS = frozenset({
-    "type", "properties", "required", "additionalProperties", "items", "minItems", "maxItems", "anyOf", "oneOf",
-    "enum", "const", "minimum", "maximum", "pattern", "minLength", "maxLength", "$ref",
-})  # fmt: skip
+_KEYWORDS = frozenset(
+    {
+        "type",
+        "properties",
+        "required",
+        "additionalProperties",
+        "items",
+        "minItems",
+        "maxItems",
+        "anyOf",
+        "oneOf",
+        "enum",
+        "const",
+        "minimum",
+        "maximum",
+        "pattern",
+        "minLength",
+        "maxLength",
+        "$ref",
+    }
+)
 _DEFINITIONS = ("$defs", "definitions")
 NO_FORCING = '%llguidance {"no_forcing": true}\n'
 """How each grammar begins."""

@@ -21,9 +21,12 @@ MAX_FEEDBACK_CHARACTERS = 900
 def format_failure_feedback(setback: FailureFeedback) -> str:
     """Which actions were done, which one was not, why, and what stood in the way."""
     facts = {
-        "done": list(setback.done), "not_done": setback.undone, "outcome": setback.outcome.replace("_", " "),
-        "reason": setback.reason, "in_the_way": setback.hindrance,
-    }  # fmt: skip
+        "done": list(setback.done),
+        "not_done": setback.undone,
+        "outcome": setback.outcome.replace("_", " "),
+        "reason": setback.reason,
+        "in_the_way": setback.hindrance,
+    }
     told = {name: value for name, value in facts.items() if value}
     text = compact_json(told, limit=MAX_FEEDBACK_CHARACTERS) or compact_json(
         {"outcome": facts["outcome"]}, limit=MAX_FEEDBACK_CHARACTERS

@@ -92,10 +92,20 @@ def worked_examples(request: PlanRequest, count: int) -> tuple[Exemplar, ...]:
     alone = msgspec.structs.replace(request, recall=RetrievedContext())
     chosen = _examples(alone)[::-1][:count]
     return tuple(
-        Exemplar(f"worked example {rank}", one.instruction, one.scene, {"action_sequence": list(one.actions)},
-                 succeeded=True, Delta=None, similarity=0.0, weight=0.0, score=0.0, rank=rank)
+        Exemplar(
+            episode_id=f"worked example {rank}",
+            instruction=one.instruction,
+            summary=one.scene,
+            contract={"action_sequence": list(one.actions)},
+            succeeded=True,
+            Delta=None,
+            similarity=0.0,
+            weight=0.0,
+            score=0.0,
+            rank=rank,
+        )
         for rank, one in enumerate(chosen, start=1)
-    )  # fmt: skip
+    )
 
 
 def answer_header(request: PlanRequest) -> str:

@@ -40,8 +40,6 @@ EXAMPLES = (
         "take this parcel to the kitchen",
         ({"skill": "decline", "params": {"reason": "this base has no hand to carry a parcel"}},),
     ),
-    WorkedExample(
-        _scene("window, desk", "crossing"), "please go over to the window", (_drive("window", 0.25),)
-    ),
+    WorkedExample(_scene("window, desk", "crossing"), "please go over to the window", (_drive("window", 0.25),)),
     WorkedExample(_scene("desk, kitchen"), "bring yourself to the desk", (_drive("desk"),)),
-)  # fmt: skip
+)

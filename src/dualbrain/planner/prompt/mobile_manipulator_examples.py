@@ -64,7 +64,7 @@ DECLINE_EXAMPLE = WorkedExample(
 )
 DRIVE_EXAMPLE = WorkedExample(
     _scene("grey_bag", -1.57, "crossing"), "please go over to the window", (_drive("window", 0.25),)
-)  # fmt: skip
+)
 FETCH_EXAMPLE = WorkedExample(
     _scene("grey_bag", 3.14),
     "could you move the grey bag over to the tray, please?",
@@ -85,10 +85,14 @@ FETCH_THEN_DRIVE_EXAMPLE = WorkedExample(
     _scene("ivory_tin", 3.14),
     "move the ivory tin onto the tray, and come to the window when you have done that",
     (
-        _drive("counter"), _turn(3.14), grasp_action("ivory_tin"), place_action("white_tray"),
-        {"skill": "home", "params": {"speed": 0.2}}, _drive("window"),
+        _drive("counter"),
+        _turn(3.14),
+        grasp_action("ivory_tin"),
+        place_action("white_tray"),
+        {"skill": "home", "params": {"speed": 0.2}},
+        _drive("window"),
     ),
-)  # fmt: skip
+)
 EXAMPLES = (DECLINE_EXAMPLE, DRIVE_EXAMPLE, FETCH_EXAMPLE, DRIVE_THEN_FETCH_EXAMPLE, FETCH_THEN_DRIVE_EXAMPLE)
 
 

@@ -86,7 +86,10 @@ EXAMPLES: dict[PromptNeed, tuple[WorkedExample, ...]] = {
             _scene_summary(_BAG, _JAR),
             "before you bring the brown jar to the front of the shelf, move the grey bag to the tray",
             (
-                grasp_action("grey_bag"), place_action("white_tray"), grasp_action("brown_jar", finger_axis="across"), place_action("shelf_front"),
+                grasp_action("grey_bag"),
+                place_action("white_tray"),
+                grasp_action("brown_jar", finger_axis="across"),
+                place_action("shelf_front"),
             ),
         ),
     ),
@@ -94,7 +97,12 @@ EXAMPLES: dict[PromptNeed, tuple[WorkedExample, ...]] = {
         WorkedExample(
             _scene_summary(_TIN, _JAR, _MUG),
             "collect all the ivory things on the tray",
-            (grasp_action("ivory_tin"), place_action("white_tray"), grasp_action("ivory_mug"), place_action("white_tray")),
+            (
+                grasp_action("ivory_tin"),
+                place_action("white_tray"),
+                grasp_action("ivory_mug"),
+                place_action("white_tray"),
+            ),
         ),
     ),
     "condition": (
@@ -109,4 +117,4 @@ EXAMPLES: dict[PromptNeed, tuple[WorkedExample, ...]] = {
             (grasp_action("brown_jar", finger_axis="across"), place_action("white_tray")),
         ),
     ),
-}  # fmt: skip
+}

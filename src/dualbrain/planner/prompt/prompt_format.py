@@ -22,7 +22,7 @@ NO_CONSTRAINT = "nothing"
 UNCONSTRAINED_BY = f"{NO_CONSTRAINT} (free decoding)"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PromptFormat:
     """One way of asking. `grammar` makes what binds the answer after its `beginning` from the decoding schema.
 
@@ -53,9 +53,13 @@ class PromptFormat:
 def short_messages(request: PlanRequest) -> list[ChatMessage]:
     """The prompt that adapters are taught on."""
     return render_short(
-        request.scene, request.instruction, robot=request.robot, registry=request.registry_hash,
-        contract_id=request.contract_id, exemplars=request.recall.exemplars,
-    )  # fmt: skip
+        request.scene,
+        request.instruction,
+        robot=request.robot,
+        registry=request.registry_hash,
+        contract_id=request.contract_id,
+        exemplars=request.recall.exemplars,
+    )
 
 
 def short_header(request: PlanRequest) -> str:
@@ -68,12 +72,22 @@ def short_header(request: PlanRequest) -> str:
 
 
 FULL_PROMPT = PromptFormat(
-    render, answer_header, actions_grammar, template_hash, includes_refusals=True, has_fixed_prefix=True
+    messages=render,
+    answer_prefix=answer_header,
+    grammar=actions_grammar,
+    template_hash=template_hash,
+    includes_refusals=True,
+    has_fixed_prefix=True,
 )
 """Rules, skills and examples in the prompt: for a model that was taught nothing of this."""
 SHORT_PROMPT = PromptFormat(
-    short_messages, short_header, tail_grammar, short_template_hash, includes_refusals=False, has_fixed_prefix=False
-)  # fmt: skip
+    messages=short_messages,
+    answer_prefix=short_header,
+    grammar=tail_grammar,
+    template_hash=short_template_hash,
+    includes_refusals=False,
+    has_fixed_prefix=False,
+)
 """For an adapted model."""
 
 

@@ -79,7 +79,14 @@ def _canonical_numbers(value: Any) -> Any:
 def short_template_hash() -> str:
     """First 16 hex digits of the SHA-256 of all fixed text of the short prompt and the limits of what fills it."""
     fixed = [
-        SHORT_TEMPLATE_VERSION, SYSTEM, EXAMPLE, QUESTION, SCENE_LIMIT, SCENE_LINES, INSTRUCTION_LIMIT, MAX_SHOWN_EXEMPLARS,
+        SHORT_TEMPLATE_VERSION,
+        SYSTEM,
+        EXAMPLE,
+        QUESTION,
+        SCENE_LIMIT,
+        SCENE_LINES,
+        INSTRUCTION_LIMIT,
+        MAX_SHOWN_EXEMPLARS,
         STEPS_LIMIT,
-    ]  # fmt: skip
+    ]
     return hashlib.sha256(json.dumps(fixed).encode()).hexdigest()[:16]

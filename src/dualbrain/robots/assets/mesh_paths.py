@@ -76,9 +76,11 @@ class AllowedFolders:
         real = path.resolve()
         if not any(real.is_relative_to(folder.resolve()) for folder in allowed):
             raise ConfigurationError(
-                f"mesh of {where}", got=name, allowed=f"a file inside {', '.join(str(folder) for folder in allowed)}",
+                f"mesh of {where}",
+                got=name,
+                allowed=f"a file inside {', '.join(str(folder) for folder in allowed)}",
                 fix="If it is meant, allow its folder: --packages FOLDER.",
-            )  # fmt: skip
+            )
         if not real.is_file():
             raise MissingDependencyError(
                 f"The mesh {name!r} of {where}", fix=f"Looked for {real}. Other folders: --packages FOLDER."

@@ -62,7 +62,8 @@ def parse_xml(data: bytes, name: str) -> Any:
 
 def _doctype_error(name: str, got: str) -> ConfigurationError:
     return ConfigurationError(
-        f"document type of {name}", got=got,
+        f"document type of {name}",
+        got=got,
         allowed="none: a description needs no entities, and they can expand without bound or read other files",
         fix="Remove the <!DOCTYPE …>.",
-    )  # fmt: skip
+    )

@@ -23,9 +23,20 @@ from dualbrain.robots.builtin.panda import (
 from dualbrain.robots.model import Bound, Joint
 
 __all__ = [
-    "LINK_COVERS", "GRIPPER", "HOME", "LICENCE", "PERIOD", "SOURCE", "ALLOWED_PAIRS", "TOOL", "TOOL_SPEED", "joints", "links",
-    "mirror_centres", "part_mesh",
-]  # fmt: skip
+    "LINK_COVERS",
+    "GRIPPER",
+    "HOME",
+    "LICENCE",
+    "PERIOD",
+    "SOURCE",
+    "ALLOWED_PAIRS",
+    "TOOL",
+    "TOOL_SPEED",
+    "joints",
+    "links",
+    "mirror_centres",
+    "part_mesh",
+]
 
 SOURCE: str = (
     "limits: Franka Robotics FCI documentation, limits of the Franka Research 3; frames and housings as the Panda's: "
@@ -56,10 +67,16 @@ def joints() -> tuple[Joint, ...]:
     """The Panda's seven joints with the FR3's limits and the provenance of each."""
     return tuple(
         Joint(
-            f"fr3_joint{i}", joint.translation, joint.quaternion,
-            Bound(lower, "rad", f"{FCI_RECTANGLE_SOURCE}: fr3_joint{i}"), Bound(upper, "rad", f"{FCI_RECTANGLE_SOURCE}: fr3_joint{i}"),
-            Bound(velocity, "rad/s", f"{FCI_RECTANGLE_SOURCE}: fr3_joint{i}"), Bound(ACCELERATION_LIMIT, "rad/s^2", FCI_ACCELERATION_SOURCE),
-            Bound(JERK_LIMIT, "rad/s^3", FCI_JERK_SOURCE),
+            name=f"fr3_joint{i}",
+            translation=joint.translation,
+            quaternion=joint.quaternion,
+            lower=Bound(lower, "rad", f"{FCI_RECTANGLE_SOURCE}: fr3_joint{i}"),
+            upper=Bound(upper, "rad", f"{FCI_RECTANGLE_SOURCE}: fr3_joint{i}"),
+            velocity=Bound(velocity, "rad/s", f"{FCI_RECTANGLE_SOURCE}: fr3_joint{i}"),
+            acceleration=Bound(ACCELERATION_LIMIT, "rad/s^2", FCI_ACCELERATION_SOURCE),
+            jerk=Bound(JERK_LIMIT, "rad/s^3", FCI_JERK_SOURCE),
         )
-        for i, (joint, (lower, upper, velocity)) in enumerate(zip(panda.joints(), POSITION_VELOCITY_LIMITS, strict=True), start=1)
-    )  # fmt: skip
+        for i, (joint, (lower, upper, velocity)) in enumerate(
+            zip(panda.joints(), POSITION_VELOCITY_LIMITS, strict=True), start=1
+        )
+    )

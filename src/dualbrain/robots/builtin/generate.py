@@ -38,7 +38,13 @@ from dualbrain.robots.model import (
 ProgressReporter = Callable[[str], None]
 
 N_CONFIGURATIONS = 100_000
-DEFAULT_TRACKING = TrackingErrorModel(0.002, 0.01, 3.0, "a guess: run `dualbrain robot identify`", "computed_torque")
+DEFAULT_TRACKING = TrackingErrorModel(
+    lag=0.002,
+    position_error=0.01,
+    rate=3.0,
+    provenance="a guess: run `dualbrain robot identify`",
+    drive="computed_torque",
+)
 """What a body starts with that nobody has driven yet."""
 
 
@@ -85,9 +91,14 @@ def make_arm(
     report_progress(f"self pairs: {n_configurations} random configurations")
     rng = np.random.default_rng([seed, len(links)])
     pairs = choose_pairs(
-        joints, links, cover, allowed_by_design=facts.ALLOWED_PAIRS, n_samples=n_configurations, rng=rng,
+        joints,
+        links,
+        cover,
+        allowed_by_design=facts.ALLOWED_PAIRS,
+        n_samples=n_configurations,
+        rng=rng,
         opening=facts.GRIPPER.opening.value,
-    )  # fmt: skip
+    )
     return RobotModel(
         name=name,
         source=facts.SOURCE,
@@ -112,8 +123,10 @@ def fit_spheres(
     """Balls of every link; each part draws from its own generator, so one part's change leaves the others alone."""
     cover: dict[str, SphereSet] = {}
     for i, (name, parts) in enumerate(definition.LINK_COVERS.items()):
-        fitted = [_fit_part(definition, wanted, [seed, i, *([1 + k] if k else [])], options, report_progress)
-                  for k, wanted in enumerate(parts)]  # fmt: skip
+        fitted = [
+            _fit_part(definition, wanted, [seed, i, *([1 + k] if k else [])], options, report_progress)
+            for k, wanted in enumerate(parts)
+        ]
         cover[name] = SphereSet(
             np.vstack([balls.centres for balls in fitted]), np.concatenate([balls.radii for balls in fitted])
         )

@@ -22,7 +22,13 @@ def make_model(tracking: TrackingErrorModel) -> RobotModel:
     """The base with the tracking model that was identified on its plant."""
     discs = [(x, y, DISC_RADIUS) for x in (-DISC_OFFSET_X, DISC_OFFSET_X) for y in (-DISC_OFFSET_Y, DISC_OFFSET_Y)]
     return make_differential_base(
-        "base", discs, speed=Bound(0.6, "m/s", LIMITS_SOURCE), turn_rate=Bound(1.5, "rad/s", LIMITS_SOURCE),
-        acceleration=Bound(0.8, "m/s^2", LIMITS_SOURCE), turn_acceleration=Bound(3.0, "rad/s^2", LIMITS_SOURCE),
-        tracking=tracking, period=0.02, source="robots/builtin/mobile_base.py",
-    )  # fmt: skip
+        "base",
+        discs,
+        speed=Bound(0.6, "m/s", LIMITS_SOURCE),
+        turn_rate=Bound(1.5, "rad/s", LIMITS_SOURCE),
+        acceleration=Bound(0.8, "m/s^2", LIMITS_SOURCE),
+        turn_acceleration=Bound(3.0, "rad/s^2", LIMITS_SOURCE),
+        tracking=tracking,
+        period=0.02,
+        source="robots/builtin/mobile_base.py",
+    )

@@ -34,18 +34,31 @@ REST_POSTURE = (0.0, -0.9, 0.0, -2.7, 0.0, 1.8, 0.785)
 def make_model(arm: RobotModel, tracking: TrackingErrorModel, base_lag: float | None) -> RobotModel:
     """The Panda `arm` on its carrier, with what was identified on the plant."""
     return mount_arm_on_base(
-        "mobile_panda", make_platform(tracking, arm.period), arm, ARM_MOUNT_POSITION, home=(0.0, 0.0, 0.0, *REST_POSTURE), tracking=tracking,
-        base_lag=base_lag, n_samples=20_000, rng=np.random.default_rng(0),
-    )  # fmt: skip
+        "mobile_panda",
+        make_platform(tracking, arm.period),
+        arm,
+        ARM_MOUNT_POSITION,
+        home=(0.0, 0.0, 0.0, *REST_POSTURE),
+        tracking=tracking,
+        base_lag=base_lag,
+        n_samples=20_000,
+        rng=np.random.default_rng(0),
+    )
 
 
 def make_platform(tracking: TrackingErrorModel, period: float) -> RobotModel:
     """The carrier without its arm."""
     bare = make_differential_base(
-        "platform", (), speed=Bound(0.4, "m/s", LIMITS_SOURCE), turn_rate=Bound(0.8, "rad/s", LIMITS_SOURCE),
-        acceleration=Bound(1.4, "m/s^2", LIMITS_SOURCE), turn_acceleration=Bound(3.0, "rad/s^2", LIMITS_SOURCE), tracking=tracking,
-        period=period, source="robots/builtin/mobile_panda.py",
-    )  # fmt: skip
+        "platform",
+        (),
+        speed=Bound(0.4, "m/s", LIMITS_SOURCE),
+        turn_rate=Bound(0.8, "rad/s", LIMITS_SOURCE),
+        acceleration=Bound(1.4, "m/s^2", LIMITS_SOURCE),
+        turn_acceleration=Bound(3.0, "rad/s^2", LIMITS_SOURCE),
+        tracking=tracking,
+        period=period,
+        source="robots/builtin/mobile_panda.py",
+    )
     return msgspec.structs.replace(
         bare, spheres=tuple(ball for box, cells in BOX_CELLS for ball in cover_box("base", *box, cells))
     )

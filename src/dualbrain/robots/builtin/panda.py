@@ -64,19 +64,19 @@ WRIST_SPHERES = (((0.0, 0.037, 0.0), 0.0535), ((0.0, 0.083, 0.0), 0.058))
 """Two balls on the wrist cylinder of link5 (radius 50 mm around the axis of joint 6): link7 passes it at 20 mm."""
 
 LINK_COVERS: dict[str, tuple[LinkCoverSpec, ...]] = {
-    "link0": (LinkCoverSpec("link0", 3, weighted_faces=((DOWN, 0.2),)),),
-    "link1": (LinkCoverSpec("link1", 4),),
-    "link2": (LinkCoverSpec("link2", 4),),
-    "link3": (LinkCoverSpec("link3", 5),),
-    "link4": (LinkCoverSpec("link4", 5),),
-    "link5": (LinkCoverSpec("link5", 8, fixed_spheres=WRIST_SPHERES),),
-    "link6": (LinkCoverSpec("link6", 5),),
-    "link7": (LinkCoverSpec("link7", 8),),
-    "hand": (LinkCoverSpec("hand", 30, weighted_faces=((DOWN, 0.5),)),),
+    "link0": (LinkCoverSpec(mesh="link0", n_spheres=3, weighted_faces=((DOWN, 0.2),)),),
+    "link1": (LinkCoverSpec(mesh="link1", n_spheres=4),),
+    "link2": (LinkCoverSpec(mesh="link2", n_spheres=4),),
+    "link3": (LinkCoverSpec(mesh="link3", n_spheres=5),),
+    "link4": (LinkCoverSpec(mesh="link4", n_spheres=5),),
+    "link5": (LinkCoverSpec(mesh="link5", n_spheres=8, fixed_spheres=WRIST_SPHERES),),
+    "link6": (LinkCoverSpec(mesh="link6", n_spheres=5),),
+    "link7": (LinkCoverSpec(mesh="link7", n_spheres=8),),
+    "hand": (LinkCoverSpec(mesh="hand", n_spheres=30, weighted_faces=((DOWN, 0.5),)),),
     "left_finger": (
         LinkCoverSpec(
-            "finger",
-            16,
+            mesh="finger",
+            n_spheres=16,
             weighted_faces=((DOWN, 0.4), (UP, 1.6), (LEFT, 0.7), (RIGHT, 1.5), (FRONT, 0.85), (BACK, 0.85)),
             weighted_slabs=((2, 0.034, 0.06, 2.5), (2, 0.015, 0.034, 1.5), (2, -0.01, 0.01, 0.8)),
         ),
@@ -110,14 +110,14 @@ def joints() -> tuple[Joint, ...]:
         entry = f"{URDF}: panda_joint{i} limit"
         made.append(
             Joint(
-                f"panda_joint{i}",
-                translation,
-                QUARTER_TURNS[turn],
-                Bound(lower, "rad", f"{entry} lower"),
-                Bound(upper, "rad", f"{entry} upper"),
-                Bound(velocity, "rad/s", f"{entry} velocity"),
-                Bound(acceleration, "rad/s^2", FCI_ACCELERATION_SOURCE),
-                Bound(JERK_LIMITS[i - 1], "rad/s^3", FCI_JERK_SOURCE),
+                name=f"panda_joint{i}",
+                translation=translation,
+                quaternion=QUARTER_TURNS[turn],
+                lower=Bound(lower, "rad", f"{entry} lower"),
+                upper=Bound(upper, "rad", f"{entry} upper"),
+                velocity=Bound(velocity, "rad/s", f"{entry} velocity"),
+                acceleration=Bound(acceleration, "rad/s^2", FCI_ACCELERATION_SOURCE),
+                jerk=Bound(JERK_LIMITS[i - 1], "rad/s^3", FCI_JERK_SOURCE),
             )
         )
     return tuple(made)
@@ -125,11 +125,25 @@ def joints() -> tuple[Joint, ...]:
 
 def links() -> tuple[Link, ...]:
     """Base, seven arm links, hand and two fingers."""
-    arm = tuple(Link(f"link{i}", i, "arm") for i in range(8))
+    arm = tuple(Link(name=f"link{i}", frame=i, group="arm") for i in range(8))
     grip: Vector = (0.0, 0.0, 0.107 + 0.0584)
     return (
         *arm,
-        Link("hand", 7, "hand", (0.0, 0.0, 0.107), HAND_QUATERNION),
-        Link("left_finger", 7, "fingers", grip, HAND_QUATERNION, (0.0, 1.0, 0.0)),
-        Link("right_finger", 7, "fingers", grip, HAND_QUATERNION, (0.0, -1.0, 0.0)),
+        Link(name="hand", frame=7, group="hand", translation=(0.0, 0.0, 0.107), quaternion=HAND_QUATERNION),
+        Link(
+            name="left_finger",
+            frame=7,
+            group="fingers",
+            translation=grip,
+            quaternion=HAND_QUATERNION,
+            slide=(0.0, 1.0, 0.0),
+        ),
+        Link(
+            name="right_finger",
+            frame=7,
+            group="fingers",
+            translation=grip,
+            quaternion=HAND_QUATERNION,
+            slide=(0.0, -1.0, 0.0),
+        ),
     )

@@ -94,31 +94,55 @@ HAND_PART_CORNERS = {
 The housing holds the base and the lower, fixed ends of the knuckles over their whole stroke.
 """
 FINGER_PART_CORNERS = {
-    "knuckle": [(0.0176, -0.0145, HOUSING_REACH - 0.0025), (0.0176, 0.0022, 0.121), (0.0176, 0.0040, KNUCKLE_REACH),
-                (0.0176, 0.034, KNUCKLE_REACH), (0.0176, 0.0520, 0.117), (0.0176, 0.0520, HOUSING_REACH - 0.0025),
-                (0.0076, 0.0022, 0.138), (0.0076, 0.0170, 0.138)],
-    "tip": [(0.0110, 0.0, 0.1345), (0.0110, 0.0, FINGER_TIP_REACH), (0.0110, 0.0090, FINGER_TIP_REACH), (0.0110, 0.0090, 0.1345),
-            (0.0076, 0.0160, 0.1345), (0.0076, 0.0145, 0.168)],
-}  # fmt: skip
+    "knuckle": [
+        (0.0176, -0.0145, HOUSING_REACH - 0.0025),
+        (0.0176, 0.0022, 0.121),
+        (0.0176, 0.0040, KNUCKLE_REACH),
+        (0.0176, 0.034, KNUCKLE_REACH),
+        (0.0176, 0.0520, 0.117),
+        (0.0176, 0.0520, HOUSING_REACH - 0.0025),
+        (0.0076, 0.0022, 0.138),
+        (0.0076, 0.0170, 0.138),
+    ],
+    "tip": [
+        (0.0110, 0.0, 0.1345),
+        (0.0110, 0.0, FINGER_TIP_REACH),
+        (0.0110, 0.0090, FINGER_TIP_REACH),
+        (0.0110, 0.0090, 0.1345),
+        (0.0076, 0.0160, 0.1345),
+        (0.0076, 0.0145, 0.168),
+    ],
+}
 """Half of the corners of what slides on the left side, hand closed; the rest by the mirror in x.
 
 The upper ends of the knuckles really swing; they stay inside the part drawn here, which slides with the finger.
 """
 
 LINK_COVERS: dict[str, tuple[LinkCoverSpec, ...]] = {
-    "link0": (LinkCoverSpec("base", 3, weighted_faces=((DOWN, 0.2),)),),
-    "link1": (LinkCoverSpec("shoulder", 4),),
-    "link2": (LinkCoverSpec("upper_arm_link_part_0", 4), LinkCoverSpec("upper_arm_link_part_1", 5),
-              LinkCoverSpec("upper_arm_link_part_2", 5)),
-    "link3": (LinkCoverSpec("forearm_link_part_0", 3), LinkCoverSpec("forearm_link_part_1", 5),
-              LinkCoverSpec("forearm_link_part_2", 3)),
-    "link4": (LinkCoverSpec("wrist1", 5),),
-    "link5": (LinkCoverSpec("wrist2", 5),),
-    "link6": (LinkCoverSpec("wrist3", 3),),
-    "hand": (LinkCoverSpec("mount", 8, weighted_faces=((DOWN, 0.5), (UP, 0.5))), LinkCoverSpec("housing", 15, weighted_faces=((DOWN, 0.5),))),
-    "left_knuckle": (LinkCoverSpec("knuckle", 8, weighted_faces=((UP, 1.3), (INWARD, 1.5), (DOWN, 0.4))),),
-    "left_finger": (LinkCoverSpec("tip", 12, weighted_faces=((UP, 1.6), (INWARD, 1.5), (DOWN, 0.5))),),
-}  # fmt: skip
+    "link0": (LinkCoverSpec(mesh="base", n_spheres=3, weighted_faces=((DOWN, 0.2),)),),
+    "link1": (LinkCoverSpec(mesh="shoulder", n_spheres=4),),
+    "link2": (
+        LinkCoverSpec(mesh="upper_arm_link_part_0", n_spheres=4),
+        LinkCoverSpec(mesh="upper_arm_link_part_1", n_spheres=5),
+        LinkCoverSpec(mesh="upper_arm_link_part_2", n_spheres=5),
+    ),
+    "link3": (
+        LinkCoverSpec(mesh="forearm_link_part_0", n_spheres=3),
+        LinkCoverSpec(mesh="forearm_link_part_1", n_spheres=5),
+        LinkCoverSpec(mesh="forearm_link_part_2", n_spheres=3),
+    ),
+    "link4": (LinkCoverSpec(mesh="wrist1", n_spheres=5),),
+    "link5": (LinkCoverSpec(mesh="wrist2", n_spheres=5),),
+    "link6": (LinkCoverSpec(mesh="wrist3", n_spheres=3),),
+    "hand": (
+        LinkCoverSpec(mesh="mount", n_spheres=8, weighted_faces=((DOWN, 0.5), (UP, 0.5))),
+        LinkCoverSpec(mesh="housing", n_spheres=15, weighted_faces=((DOWN, 0.5),)),
+    ),
+    "left_knuckle": (
+        LinkCoverSpec(mesh="knuckle", n_spheres=8, weighted_faces=((UP, 1.3), (INWARD, 1.5), (DOWN, 0.4))),
+    ),
+    "left_finger": (LinkCoverSpec(mesh="tip", n_spheres=12, weighted_faces=((UP, 1.6), (INWARD, 1.5), (DOWN, 0.5))),),
+}
 """Wanted cover of each link, 108 balls in all; the right side of the hand is the left one turned half around z."""
 
 ALLOWED_PAIRS = {
@@ -151,24 +175,26 @@ def joints() -> tuple[Joint, ...]:
     """The six joints with limits and the provenance of each."""
     return tuple(
         Joint(
-            name, translation, quaternion,
-            Bound(-reach, "rad", f"{URDF}: {name} limit lower"),
-            Bound(reach, "rad", f"{URDF}: {name} limit upper"),
-            Bound(VELOCITY_LIMIT, "rad/s", f"{URDF}: {name} limit velocity; {DATA_SHEET}: 180 degrees/s"),
-            Bound(ACCELERATION_LIMIT, "rad/s^2", UNPUBLISHED_LIMIT_SOURCE),
+            name=name,
+            translation=translation,
+            quaternion=quaternion,
+            lower=Bound(-reach, "rad", f"{URDF}: {name} limit lower"),
+            upper=Bound(reach, "rad", f"{URDF}: {name} limit upper"),
+            velocity=Bound(VELOCITY_LIMIT, "rad/s", f"{URDF}: {name} limit velocity; {DATA_SHEET}: 180 degrees/s"),
+            acceleration=Bound(ACCELERATION_LIMIT, "rad/s^2", UNPUBLISHED_LIMIT_SOURCE),
         )
         for name, translation, quaternion, reach in JOINTS
-    )  # fmt: skip
+    )
 
 
 def links() -> tuple[Link, ...]:
     """Base, six arm links, hand, two knuckles and two fingers; the hand's frames are the flange's."""
-    arm = tuple(Link(f"link{i}", i, "arm") for i in range(7))
+    arm = tuple(Link(name=f"link{i}", frame=i, group="arm") for i in range(7))
     return (
         *arm,
-        Link("hand", 6, "hand"),
-        Link("left_knuckle", 6, "hand", slide=(0.0, 1.0, 0.0)),
-        Link("right_knuckle", 6, "hand", slide=(0.0, -1.0, 0.0)),
-        Link("left_finger", 6, "fingers", slide=(0.0, 1.0, 0.0)),
-        Link("right_finger", 6, "fingers", slide=(0.0, -1.0, 0.0)),
+        Link(name="hand", frame=6, group="hand"),
+        Link(name="left_knuckle", frame=6, group="hand", slide=(0.0, 1.0, 0.0)),
+        Link(name="right_knuckle", frame=6, group="hand", slide=(0.0, -1.0, 0.0)),
+        Link(name="left_finger", frame=6, group="fingers", slide=(0.0, 1.0, 0.0)),
+        Link(name="right_finger", frame=6, group="fingers", slide=(0.0, -1.0, 0.0)),
     )

@@ -15,7 +15,7 @@ from dualbrain.robots.model import Vector
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LinkCoverSpec:
     """What is wanted for one link: its collision `mesh`, how many `balls`, and where a bulge hurts more or less.
 

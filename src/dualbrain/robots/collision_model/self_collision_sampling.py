@@ -47,9 +47,14 @@ class SampledPairs:
 
 
 def sample_pairs(
-    joints: tuple[Joint, ...], links: tuple[Link, ...], cover: Mapping[str, SphereSet], surfaces: Mapping[str, Array], *,
-    n_samples: int, rng: np.random.Generator,
-) -> SampledPairs:  # fmt: skip
+    joints: tuple[Joint, ...],
+    links: tuple[Link, ...],
+    cover: Mapping[str, SphereSet],
+    surfaces: Mapping[str, Array],
+    *,
+    n_samples: int,
+    rng: np.random.Generator,
+) -> SampledPairs:
     """Every pair, looked at in `count` random postures; `surfaces` are points (p, 3) on each link, in its frame."""
     q = random_configurations(joints, n_samples, rng)
     gaps = _gaps(joints, links, cover, q)
@@ -127,4 +132,10 @@ def _range(joint: Joint) -> tuple[float, float]:
 def _points_in_chain_frame(link: Link, points: Array) -> Array:
     """Points of `link` in the chain frame it rides on."""
     turns, origins = np.eye(3)[None, None], np.zeros((1, 1, 3))
-    return sphere_centres(Link("", 0, "", link.translation, link.quaternion), points, turns, origins, 0.0)[0]
+    return sphere_centres(
+        Link(name="", frame=0, group="", translation=link.translation, quaternion=link.quaternion),
+        points,
+        turns,
+        origins,
+        0.0,
+    )[0]

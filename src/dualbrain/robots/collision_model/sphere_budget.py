@@ -33,7 +33,7 @@ BURIED_DEPTH = 1e-3
 """Surface points of one part this deep [m] inside another part of the same link need no ball."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FitEffort:
     """How hard to try: surface `points` and `candidates` a part, bisections of the bar, `polish` by alternation."""
 
@@ -48,7 +48,7 @@ QUICK = FitEffort(n_points=250, n_candidates=300, n_bisections=9, n_rounds=0, n_
 FULL = FitEffort(n_points=600, n_candidates=1000, n_bisections=11, n_rounds=12, n_samples=60_000)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LinkFit:
     """Balls of one link and what was measured of them: shares, and lengths in metres."""
 
@@ -103,8 +103,14 @@ def _make_parts(meshes: Sequence[Mesh], effort: FitEffort, rng: np.random.Genera
             continue
         points, coarse = every[~buried], _coarsen(solid)
         alike = np.ones(len(coarse.normals))
-        made.append(_ConvexPart(solid, hull, FitProblem(coarse, alike, points, np.ones(len(points))),
-                          _sample_interior(hull, effort.n_candidates, rng)))  # fmt: skip
+        made.append(
+            _ConvexPart(
+                solid,
+                hull,
+                FitProblem(coarse, alike, points, np.ones(len(points))),
+                _sample_interior(hull, effort.n_candidates, rng),
+            )
+        )
     return made
 
 
@@ -150,10 +156,12 @@ def _allocate_budget(
 
 def _finish_link(
     meshes: Sequence[Mesh], parts: list[_ConvexPart], centres: list[Array], effort: FitEffort, rng: np.random.Generator
-) -> LinkFit:  # fmt: skip
+) -> LinkFit:
     """Polish, grow until proven, measure."""
     if not parts:
-        return LinkFit(NO_SPHERES, 0, 1.0, 1.0, 0.0, 0.0, 0.0)
+        return LinkFit(
+            spheres=NO_SPHERES, n_parts=0, share_inside_spheres=1.0, coverage=1.0, mean=0.0, p95=0.0, worst=0.0
+        )
     made: list[SphereSet] = []
     for part, start in zip(parts, centres, strict=True):
         moved = refine_centres(part.problem, start, effort.n_rounds) if effort.n_rounds else start
@@ -194,10 +202,23 @@ def _measure_fit(
     outside = sample_union_surface(balls, 3000, rng)
     outside = outside[np.all([part.solid.depth(outside) < 0.0 for part in parts], axis=0)]
     if len(outside) == 0:
-        return LinkFit(balls, len(parts), float(within.mean()), float(enclosed.mean()), 0.0, 0.0, 0.0)
+        return LinkFit(
+            spheres=balls,
+            n_parts=len(parts),
+            share_inside_spheres=float(within.mean()),
+            coverage=float(enclosed.mean()),
+            mean=0.0,
+            p95=0.0,
+            worst=0.0,
+        )
     off, _ = import_optional("scipy.spatial").cKDTree(np.vstack([points, surface.vertices])).query(outside)
     off = np.asarray(off, float)
     return LinkFit(
-        balls, len(parts), float(within.mean()), float(enclosed.mean()), float(off.mean()),
-        float(np.quantile(off, 0.95)), float(off.max()),
-    )  # fmt: skip
+        spheres=balls,
+        n_parts=len(parts),
+        share_inside_spheres=float(within.mean()),
+        coverage=float(enclosed.mean()),
+        mean=float(off.mean()),
+        p95=float(np.quantile(off, 0.95)),
+        worst=float(off.max()),
+    )

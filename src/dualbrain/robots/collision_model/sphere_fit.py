@@ -33,7 +33,7 @@ from dualbrain.robots.optional_imports import import_optional
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FitOptions:
     """How hard to try.
 

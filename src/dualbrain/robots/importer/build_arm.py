@@ -56,7 +56,7 @@ TIGHTENING_FACTOR, MAX_TIGHTENING_ROUNDS = 1.7, 3
 """How much tighter parts are covered that press on each other, and how often."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ImportOptions:
     """What the user chose: `chain` and `tool` by link names, joints to `lock`, `quick`, `spheres`, `seed`, `home`."""
 
@@ -93,9 +93,11 @@ def build_arm(
     chain = find_chain(tree, base=options.base, tip=options.tip, tool=options.tool, lock=options.lock)
     if len(chain.joints) > MAX_JOINTS:
         raise ConfigurationError(
-            f"joints from {chain.base} to {chain.tip}", got=len(chain.joints), allowed=f"at most {MAX_JOINTS}",
+            f"joints from {chain.base} to {chain.tip}",
+            got=len(chain.joints),
+            allowed=f"at most {MAX_JOINTS}",
             fix="Hold some still (--lock JOINT=VALUE) or choose a shorter --chain BASE..TIP.",
-        )  # fmt: skip
+        )
     joints, period, tool_speed = _joint_limits(tree, chain, policy)
     links, shapes = rigid_parts(tree, chain)
     report_progress(f"{len(joints)} joints, {len(shapes)} parts with shapes; fitting spheres")
@@ -110,12 +112,21 @@ def build_arm(
     home = find_home_posture(joints, links, cover, pairs, options.home, floor, rng)
     hand = detect_gripper(tree, chain, policy.robot, keep_tool=bool(options.tool))
     robot_model = RobotModel(
-        name=options.name or to_identifier(tree.name), source=tree.source, licence=tree.licence, joints=joints, links=links,
-        spheres=collision_spheres(cover), self_pairs=pairs, tool=_tool_frame(chain, links, hand),
-        gripper=hand.gripper if isinstance(hand, DetectedGripper) else no_gripper(hand), home=home.posture,
-        tracking=unidentified_tracking(), period=period.value, tool_speed=tool_speed,
+        name=options.name or to_identifier(tree.name),
+        source=tree.source,
+        licence=tree.licence,
+        joints=joints,
+        links=links,
+        spheres=collision_spheres(cover),
+        self_pairs=pairs,
+        tool=_tool_frame(chain, links, hand),
+        gripper=hand.gripper if isinstance(hand, DetectedGripper) else no_gripper(hand),
+        home=home.posture,
+        tracking=unidentified_tracking(),
+        period=period.value,
+        tool_speed=tool_speed,
         gain=curvature_limited_gain(joints, links, cover, np.random.default_rng(options.seed)),
-    )  # fmt: skip
+    )
     notes = [*tree.notes, f"home {home.provenance}", f"control period {period.value:g} s: {period.provenance}"]
     if chain.locked:
         stand = ", ".join(f"{name} = {value:g}" for name, value in chain.locked.items())
@@ -143,12 +154,18 @@ def _joint_limits(
         raise MissingLimitsError(tree.source, tuple(missing))
     joints = tuple(
         Joint(
-            joint.name, to_vector(offset[:3, 3]), matrix_to_quaternion(offset[:3, :3]), _require_bound(bound["lower"]), _require_bound(bound["upper"]),
-            _require_bound(bound["velocity"]), _require_bound(bound["acceleration"]), bound["jerk"],
-            "prismatic" if joint.kind == "prismatic" else "revolute",
+            name=joint.name,
+            translation=to_vector(offset[:3, 3]),
+            quaternion=matrix_to_quaternion(offset[:3, :3]),
+            lower=_require_bound(bound["lower"]),
+            upper=_require_bound(bound["upper"]),
+            velocity=_require_bound(bound["velocity"]),
+            acceleration=_require_bound(bound["acceleration"]),
+            jerk=bound["jerk"],
+            kind="prismatic" if joint.kind == "prismatic" else "revolute",
         )
         for joint, offset, bound in zip(chain.joints, chain.offsets, bounds, strict=True)
-    )  # fmt: skip
+    )
     return joints, period, tool_speed
 
 
@@ -176,7 +193,7 @@ def rigid_parts(tree: KinematicTree, chain: KinematicChain) -> tuple[tuple[Link,
             name = chain.base if rider.frame == 0 else chain.joints[rider.frame - 1].child
             group = "base" if rider.frame == 0 else "arm"
         if rider.frame == n or pieces:
-            links.setdefault(name, Link(name, rider.frame, group))
+            links.setdefault(name, Link(name=name, frame=rider.frame, group=group))
         for piece in pieces:
             mesh = piece.load_mesh()
             meshes.setdefault(name, []).append(concatenate_meshes([apply_pose(mesh, pose) for pose in rider.poses]))
@@ -185,9 +202,13 @@ def rigid_parts(tree: KinematicTree, chain: KinematicChain) -> tuple[tuple[Link,
 
 
 def _fit_with_clearance(
-    joints: tuple[Joint, ...], links: tuple[Link, ...], shapes: Mapping[str, list[Mesh]], options: ImportOptions,
-    rng: np.random.Generator, report_progress: ProgressReporter,
-) -> tuple[dict[str, LinkFit], SelfCollisionPairs]:  # fmt: skip
+    joints: tuple[Joint, ...],
+    links: tuple[Link, ...],
+    shapes: Mapping[str, list[Mesh]],
+    options: ImportOptions,
+    rng: np.random.Generator,
+    report_progress: ProgressReporter,
+) -> tuple[dict[str, LinkFit], SelfCollisionPairs]:
     """Cover and pairs; while kept parts are pressed by their own loose spheres, these parts are covered tighter."""
     surfaces = {
         name: sample_surface(concatenate_meshes(meshes), N_SURFACE_POINTS, rng) for name, meshes in shapes.items()
@@ -218,9 +239,10 @@ def _fit_spheres(
 ) -> dict[str, LinkFit]:
     if len(links) > MAX_LINKS or options.sphere_budget > MAX_SPHERES:
         raise ConfigurationError(
-            "parts and spheres", got=[len(links), options.sphere_budget],
+            "parts and spheres",
+            got=[len(links), options.sphere_budget],
             allowed=f"at most {MAX_LINKS} parts and {MAX_SPHERES} spheres",
-        )  # fmt: skip
+        )
     wanted = {link.name: shapes.get(link.name, []) for link in links}
     return fit_links(wanted, weights, options.sphere_budget, QUICK if options.quick else FULL, options.seed)
 
@@ -235,14 +257,17 @@ def collision_spheres(cover: Mapping[str, SphereSet]) -> tuple[CollisionSphere, 
     """The balls of every link as data, 10 µm resolution."""
     return tuple(
         CollisionSphere(name, to_vector(centre, 5), round(float(radius), 5))
-        for name, balls in cover.items() for centre, radius in zip(balls.centres, balls.radii, strict=True)
-    )  # fmt: skip
+        for name, balls in cover.items()
+        for centre, radius in zip(balls.centres, balls.radii, strict=True)
+    )
 
 
 def no_gripper(reason: str) -> Gripper:
     """A hand that skills cannot use, and why."""
     force = Bound(0.0, "N", reason)
-    return Gripper(Bound(0.0, "m", reason), force, force, 0.0, 0.0)
+    return Gripper(
+        opening=Bound(0.0, "m", reason), force=force, force_min=force, pad_below_tool=0.0, finger_thickness=0.0
+    )
 
 
 def make_report(
@@ -250,9 +275,19 @@ def make_report(
 ) -> ImportReport:
     """What stands beside the body."""
     rows = tuple(
-        LinkReport(link.name, link.group, len(fit.spheres.radii), fit.n_parts, fit.coverage, fit.mean, fit.p95, fit.worst)
-        for link in links if (fit := fits[link.name]).n_parts
-    )  # fmt: skip
+        LinkReport(
+            link=link.name,
+            group=link.group,
+            spheres=len(fit.spheres.radii),
+            parts=fit.n_parts,
+            coverage=fit.coverage,
+            mean=fit.mean,
+            p95=fit.p95,
+            worst=fit.worst,
+        )
+        for link in links
+        if (fit := fits[link.name]).n_parts
+    )
     return ImportReport(rows, notes, "quick" if quick else "full")
 
 
@@ -276,7 +311,7 @@ NOT_IDENTIFIED = (
 
 def unidentified_tracking() -> TrackingErrorModel:
     """No lag and no error, said to be unknown; inspect and doctor count it as missing."""
-    return TrackingErrorModel(0.0, 0.0, 0.0, NOT_IDENTIFIED)
+    return TrackingErrorModel(lag=0.0, position_error=0.0, rate=0.0, provenance=NOT_IDENTIFIED)
 
 
 def is_identified(tracking: TrackingErrorModel) -> bool:

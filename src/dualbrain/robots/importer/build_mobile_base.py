@@ -36,8 +36,12 @@ AXIS_TOLERANCE = 1e-3
 
 
 def build_base(
-    tree: KinematicTree, policy: LimitPolicy, options: ImportOptions, wheels: tuple[str, str] | None, report_progress: Callable[[str], None] = lambda _: None
-) -> ImportResult:  # fmt: skip
+    tree: KinematicTree,
+    policy: LimitPolicy,
+    options: ImportOptions,
+    wheels: tuple[str, str] | None,
+    report_progress: Callable[[str], None] = lambda _: None,
+) -> ImportResult:
     """A differential base; `wheels` are its left and right wheel joints, between which its frame then lies.
 
     Raises:
@@ -58,9 +62,16 @@ def build_base(
     shapes = {"base": meshes}
     fits = fit_links(shapes, {"base": 1.0}, options.sphere_budget, QUICK if options.quick else FULL, options.seed)
     plain = make_differential_base(
-        options.name or f"{to_identifier(tree.name)[:27]}_base", (), speed=speed, turn_rate=turn, acceleration=acceleration,
-        turn_acceleration=turning, tracking=unidentified_tracking(), period=period.value, licence=tree.licence,
-    )  # fmt: skip
+        options.name or f"{to_identifier(tree.name)[:27]}_base",
+        (),
+        speed=speed,
+        turn_rate=turn,
+        acceleration=acceleration,
+        turn_acceleration=turning,
+        tracking=unidentified_tracking(),
+        period=period.value,
+        licence=tree.licence,
+    )
     spheres = collision_spheres({"base": fits["base"].spheres})
     robot_model: RobotModel = msgspec.structs.replace(plain, source=tree.source, spheres=spheres, base_lag=0.0)
     stand = ", ".join(f"{name} = {value:g}" for name, value in locked.items())
@@ -69,7 +80,7 @@ def build_base(
         f"control period {period.value:g} s: {period.provenance}",
         f"joints that stand still: {stand}",
     )
-    report = make_report((Link("base", 2, "base"),), fits, notes, quick=options.quick)
+    report = make_report((Link(name="base", frame=2, group="base"),), fits, notes, quick=options.quick)
     return ImportResult(robot_model, report, {"base": concatenate_meshes(meshes)})
 
 
@@ -137,9 +148,10 @@ def _check_axle(poses: Mapping[str, Array], left: TreeJoint, right: TreeJoint, p
         bent = abs(axis[1]) < 1.0 - AXIS_TOLERANCE or abs(across[0]) > AXIS_TOLERANCE or abs(across[2]) > AXIS_TOLERANCE
         if joint.kind not in ("continuous", "revolute") or bent or across[1] <= 0.0:
             raise ConfigurationError(
-                f"wheels {left.name!r} and {right.name!r} ({joint.source_location})", got=[list(np.round(p, 4)) for p in places],
+                f"wheels {left.name!r} and {right.name!r} ({joint.source_location})",
+                got=[list(np.round(p, 4)) for p in places],
                 allowed="left and right of the base's x axis, turning about its y axis",
-            )  # fmt: skip
+            )
 
 
 def _wheel_radius(tree: KinematicTree, joint: TreeJoint) -> float:

@@ -41,7 +41,7 @@ class DetectedGripper:
     tool: Array
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Finger:
     """A finger: its joint, its range [m], the line `way` (3,) it slides along, its corners (p, 3) at zero."""
 
@@ -93,9 +93,15 @@ def _detect(
     approach = _approach_axis(tree, chain, one.joint, points, line)
     frame, below, thickness = _measure(points, line, approach, 0.5 * (near + far), tool)
     opening = Bound(round(stroke, 6), "m", f"{one.joint.source_location}: {one.joint.name} limit upper − lower")
-    return DetectedGripper(
-        Gripper(opening, *_grip_force_bounds((one, other), stated_limits), round(below, 4), round(thickness, 4)), frame
+    greatest, least = _grip_force_bounds((one, other), stated_limits)
+    gripper = Gripper(
+        opening=opening,
+        force=greatest,
+        force_min=least,
+        pad_below_tool=round(below, 4),
+        finger_thickness=round(thickness, 4),
     )
+    return DetectedGripper(gripper, frame)
 
 
 def _find_fingers(tree: KinematicTree, chain: KinematicChain) -> tuple[_Finger, _Finger]:
@@ -128,7 +134,7 @@ def _make_finger(tree: KinematicTree, base: Array, joint: TreeJoint, finger_join
     corners = _collect_corners(tree, joint.child, base)
     if corners is None:
         raise _NotDetectedError(f"{joint.name} moves nothing that has a shape")
-    return _Finger(joint, base[:3, :3] @ joint.axis, corners, lower, upper)
+    return _Finger(joint=joint, direction=base[:3, :3] @ joint.axis, corners=corners, lower=lower, upper=upper)
 
 
 def _collect_corners(tree: KinematicTree, link: str, pose: Array) -> Array | None:
@@ -179,8 +185,9 @@ def _grip_force_bounds(
     """Greatest and least grip force [N]; the narrowest word holds for the greatest."""
     stated = [
         StatedLimit(finger.joint.effort, f"{finger.joint.source_location}: {finger.joint.name} limit effort")
-        for finger in fingers if finger.joint.effort
-    ]  # fmt: skip
+        for finger in fingers
+        if finger.joint.effort
+    ]
     stated += [stated_limits["grip_force"]] if "grip_force" in stated_limits else []
     if not stated or "grip_force_min" not in stated_limits:
         raise _NotDetectedError("two fingers that slide, their force not stated: --grip LEAST,GREATEST in N")

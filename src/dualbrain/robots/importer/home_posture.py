@@ -29,9 +29,14 @@ class HomePosture:
 
 
 def find_home_posture(
-    joints: tuple[Joint, ...], links: tuple[Link, ...], cover: Mapping[str, SphereSet], pairs: SelfCollisionPairs,
-    requested: tuple[float, ...] | None, floor_height: float, rng: np.random.Generator,
-) -> HomePosture:  # fmt: skip
+    joints: tuple[Joint, ...],
+    links: tuple[Link, ...],
+    cover: Mapping[str, SphereSet],
+    pairs: SelfCollisionPairs,
+    requested: tuple[float, ...] | None,
+    floor_height: float,
+    rng: np.random.Generator,
+) -> HomePosture:
     """The posture that was given, else zero or mid-range if they are free, else the freest of many random ones.
 
     Free also means above `floor` [m], the height at which the robot stands, if some posture is.
@@ -67,9 +72,11 @@ def find_home_posture(
     best = int(np.argmax(gaps))
     if gaps[best] <= 0.0:
         raise ConfigurationError(
-            "self-collision", got=f"spheres overlap in all of {N_RANDOM_POSTURES} random postures",
-            allowed="a posture without", fix="Use more spheres (--spheres 112, without --quick) or give --home.",
-        )  # fmt: skip
+            "self-collision",
+            got=f"spheres overlap in all of {N_RANDOM_POSTURES} random postures",
+            allowed="a posture without",
+            fix="Use more spheres (--spheres 112, without --quick) or give --home.",
+        )
     return _make_home(tries[best], float(gaps[best]), f"the freest of {N_RANDOM_POSTURES} random postures")
 
 

@@ -29,7 +29,7 @@ SWEEP_SAMPLES = {0: 1, 1: 7, 2: 5, 3: 4}
 """Values of each joint that a part is swept over, by the number of joints between it and the chain."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RigidSegment:
     """A link of the file that rides on chain frame `frame` (0 = base) at each of `poses` (k, 4, 4) in that frame.
 
@@ -43,7 +43,7 @@ class RigidSegment:
     is_swept: bool = False
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class KinematicChain:
     """The chosen chain: `joints` from base to tip, `offsets` (n, 4, 4) = T_i, `riders`, where the `tool` is (4, 4).
 
@@ -61,7 +61,7 @@ class KinematicChain:
 
 def find_chain(
     tree: KinematicTree, *, base: str = "", tip: str = "", tool: str = "", lock: Mapping[str, float] | None = None
-) -> KinematicChain:  # fmt: skip
+) -> KinematicChain:
     """The chain from `base` (default: the root) to `tip` (default: the one arm), with the tool frame on link `tool`.
 
     Raises:
@@ -83,7 +83,9 @@ def find_chain(
     place = next(rider for rider in riders if rider.link == end)
     if place.frame != len(moving) or len(place.poses) != 1:
         raise ConfigurationError("tool", got=end, allowed=f"a link fixed to the last joint's, {moving[-1].child!r}")
-    return KinematicChain(base, tip, moving, offsets, riders, place.poses[0], locked)
+    return KinematicChain(
+        base=base, tip=tip, joints=moving, offsets=offsets, segments=riders, tool=place.poses[0], locked=locked
+    )
 
 
 def find_end_effectors(tree: KinematicTree, base: str) -> list[str]:
@@ -95,10 +97,11 @@ def _only_end_effector(tree: KinematicTree, base: str) -> str:
     ends = find_end_effectors(tree, base)
     if len(ends) != 1:
         raise ConfigurationError(
-            f"end effectors of {tree.source}", got=", ".join(ends) or "none",
+            f"end effectors of {tree.source}",
+            got=", ".join(ends) or "none",
             allowed="one, or the one that is named",
             fix=" or ".join(f"--chain {base}..{tip}" for tip in ends[:6]) or "Name one: --chain BASE..TIP.",
-        )  # fmt: skip
+        )
     return ends[0]
 
 
@@ -154,19 +157,27 @@ def _joint_path(tree: KinematicTree, base: str, tip: str) -> list[TreeJoint]:
 
 def _check_drivable(moving: tuple[TreeJoint, ...], base: str, tip: str, tree: KinematicTree) -> None:
     if not moving:
-        raise ConfigurationError("chain", got=f"{base}..{tip} without a moving joint", allowed="at least one",
-                           fix=f"Ends of {tree.source}: {', '.join(find_end_effectors(tree, tree.root))}.")  # fmt: skip
+        raise ConfigurationError(
+            "chain",
+            got=f"{base}..{tip} without a moving joint",
+            allowed="at least one",
+            fix=f"Ends of {tree.source}: {', '.join(find_end_effectors(tree, tree.root))}.",
+        )
     for joint in moving:
         if joint.kind not in MOVABLE_JOINT_KINDS:
             raise ConfigurationError(
-                f"joint {joint.name!r} of the chain ({joint.source_location})", got=joint.kind, allowed=", ".join(MOVABLE_JOINT_KINDS),
+                f"joint {joint.name!r} of the chain ({joint.source_location})",
+                got=joint.kind,
+                allowed=", ".join(MOVABLE_JOINT_KINDS),
                 fix=f"Begin the chain behind it (--chain {joint.child}..{tip}); for a robot on wheels see --base.",
-            )  # fmt: skip
+            )
         if joint.mimic is not None:
             raise ConfigurationError(
-                f"joint {joint.name!r} of the chain ({joint.source_location})", got=f"follows {joint.mimic.leader!r}",
-                allowed="joints that are driven one by one", fix=f"Hold it still: --lock {joint.name}=VALUE.",
-            )  # fmt: skip
+                f"joint {joint.name!r} of the chain ({joint.source_location})",
+                got=f"follows {joint.mimic.leader!r}",
+                allowed="joints that are driven one by one",
+                fix=f"Hold it still: --lock {joint.name}=VALUE.",
+            )
 
 
 def _offsets(joints: list[TreeJoint], moving: tuple[TreeJoint, ...], lock: Mapping[str, float]) -> tuple[Array, Array]:
@@ -227,7 +238,15 @@ def _segments(
     def walk(link: str, frame: int, pose: Array, fingers: FingerJoints, beyond: bool) -> None:
         """`pose` is the link's, if no finger joint lies between; else that of the last link before `fingers`."""
         seen.add(link)
-        riders.append(RigidSegment(link, frame, _swept_poses(pose, fingers), beyond, bool(fingers)))
+        riders.append(
+            RigidSegment(
+                link=link,
+                frame=frame,
+                poses=_swept_poses(pose, fingers),
+                is_past_last_joint=beyond,
+                is_swept=bool(fingers),
+            )
+        )
         for joint in touching[link]:
             down = joint.parent == link
             other = joint.child if down else joint.parent
@@ -284,5 +303,8 @@ def _rest_value(joint: TreeJoint, lock: Mapping[str, float]) -> float | None:
         return float(lock[joint.name])
     if joint.kind not in MOVABLE_JOINT_KINDS:
         return None
-    return float(np.clip(0.0, joint.lower if joint.lower is not None else -np.inf,
-                         joint.upper if joint.upper is not None else np.inf))  # fmt: skip
+    return float(
+        np.clip(
+            0.0, joint.lower if joint.lower is not None else -np.inf, joint.upper if joint.upper is not None else np.inf
+        )
+    )

@@ -45,7 +45,7 @@ class Mimic:
     offset: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TreeJoint:
     """A joint: `pose` (4, 4) of its frame in the parent link, `axis` (3,) in that frame.
 
@@ -76,7 +76,7 @@ class TreeJoint:
         return self.pose @ moved
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class KinematicTree:
     """The whole description. `notes` are things that a person should know about how it was read."""
 

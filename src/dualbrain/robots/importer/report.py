@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 
-class LinkReport(msgspec.Struct, frozen=True):
+class LinkReport(msgspec.Struct, frozen=True, kw_only=True):
     """The cover of one link: spheres, convex parts, `coverage` (share of the surface), excess in metres."""
 
     link: str

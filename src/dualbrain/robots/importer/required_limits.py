@@ -69,9 +69,11 @@ class MissingLimitsError(ConfigurationError):
         self.missing = missing
         asked = "\n  ".join(dict.fromkeys(_group_by_limit(missing)))
         super().__init__(
-            f"limits of {source}", got=f"{len(missing)} missing", allowed="each stated by the file or by the site",
+            f"limits of {source}",
+            got=f"{len(missing)} missing",
+            allowed="each stated by the file or by the site",
             fix=f"Nothing is assumed. Please say:\n  {asked}",
-        )  # fmt: skip
+        )
 
 
 def _group_by_limit(missing: tuple[MissingLimit, ...]) -> list[str]:
@@ -119,9 +121,10 @@ def joint_bounds(joint: TreeJoint, policy: LimitPolicy, missing: list[MissingLim
     lower, upper = bounds["lower"], bounds["upper"]
     if lower is not None and upper is not None and not lower.value < upper.value:
         raise ConfigurationError(
-            f"range of {joint.name!r} ({lower.provenance}; {upper.provenance})", got=[lower.value, upper.value],
+            f"range of {joint.name!r} ({lower.provenance}; {upper.provenance})",
+            got=[lower.value, upper.value],
             allowed="lower below upper",
-        )  # fmt: skip
+        )
     return bounds
 
 
@@ -185,5 +188,6 @@ def _stated_limits(file: SiteFile, entry: msgspec.Struct, path: str) -> dict[str
     """Every number of `entry` that is stated."""
     return {
         side: StatedLimit(float(value), f"site policy ({file.locate(f'{path}.{side}')})")
-        for side, value in msgspec.structs.asdict(entry).items() if value is not None
-    }  # fmt: skip
+        for side, value in msgspec.structs.asdict(entry).items()
+        if value is not None
+    }

@@ -57,8 +57,13 @@ def read_urdf(file: Path, packages: Sequence[Path] = ()) -> KinematicTree:
     drawn = [link.name for link in links if link.uses_visual_shapes]
     notes = (f"no collision shapes, visual ones taken instead: {', '.join(drawn)}",) if drawn else ()
     return KinematicTree(
-        robot.name or file.stem, file.name, _licence(folders), {link.name: link for link in links}, tuple(joints), notes
-    ).validate()  # fmt: skip
+        name=robot.name or file.stem,
+        source=file.name,
+        licence=_licence(folders),
+        links={link.name: link for link in links},
+        joints=tuple(joints),
+        notes=notes,
+    ).validate()
 
 
 def _parse(data: bytes, file: Path) -> Any:
@@ -135,19 +140,34 @@ def _read_joint(joint: Any, where: str) -> TreeJoint:
     if joint.type in MOVABLE_JOINT_KINDS and size < 1e-9:
         raise ConfigurationError(f"axis of joint {joint.name!r} ({where})", got=axis.tolist(), allowed="not zero")
     limit, follows = joint.limit, joint.mimic
-    mimic = None if follows is None else Mimic(
-        str(follows.joint), 1.0 if follows.multiplier is None else float(follows.multiplier),
-        0.0 if follows.offset is None else float(follows.offset),
-    )  # fmt: skip
+    mimic = (
+        None
+        if follows is None
+        else Mimic(
+            str(follows.joint),
+            1.0 if follows.multiplier is None else float(follows.multiplier),
+            0.0 if follows.offset is None else float(follows.offset),
+        )
+    )
     bounded = joint.type in ("revolute", "prismatic")
     lower, upper, velocity = (
         (None, None, None) if limit is None else (_optional_number(value, where) for value in _limits(limit, bounded))
     )
     return TreeJoint(
-        joint.name, joint.type, joint.parent, joint.child, _read_pose(joint.origin, where),
-        axis / size if size > 0.0 else axis, where, lower, upper, velocity, None, mimic,
-        None if limit is None else _optional_number(limit.effort, where),
-    )  # fmt: skip
+        name=joint.name,
+        kind=joint.type,
+        parent=joint.parent,
+        child=joint.child,
+        pose=_read_pose(joint.origin, where),
+        axis=axis / size if size > 0.0 else axis,
+        source_location=where,
+        lower=lower,
+        upper=upper,
+        velocity=velocity,
+        acceleration=None,
+        mimic=mimic,
+        effort=None if limit is None else _optional_number(limit.effort, where),
+    )
 
 
 def _limits(limit: Any, bounded: bool) -> tuple[Any, Any, Any]:

@@ -50,9 +50,15 @@ def is_declined(one: Sample) -> bool:
 
 
 def run_proposals(
-    folder: Path, number: int, propose: Callable[[int], Sample], *, cache: Path, first_turn: int = 0,
-    initial_folder: Path | None = None, on_episode: Callable[[int, Episode], None] = lambda done, episode: None,
-) -> Path:  # fmt: skip
+    folder: Path,
+    number: int,
+    propose: Callable[[int], Sample],
+    *,
+    cache: Path,
+    first_turn: int = 0,
+    initial_folder: Path | None = None,
+    on_episode: Callable[[int, Episode], None] = lambda done, episode: None,
+) -> Path:
     """The folder with the ledger of `number` proposals that were carried out, and with the proposals themselves.
 
     `propose(turn)` is asked from turn `first` on. `start` is such a folder to begin with. Stopped in any way, the same
@@ -84,9 +90,17 @@ def run_proposal(one: Sample, ledger: Path, turn: int, *, cache: Path) -> Episod
     robot, _, scene = one.scene.partition(" ")
     with tempfile.TemporaryDirectory(prefix="dualbrain-proposal-") as folder:
         config = RunConfig(
-            instruction_of(one), Path(folder) / memory_id_of_turn(turn), ledger, cache, robot=robot, scene=scene, visuals=False,
-            seed=turn, shots=1, static=True,
-        )  # fmt: skip
+            instruction=instruction_of(one),
+            out=Path(folder) / memory_id_of_turn(turn),
+            ledger=ledger,
+            cache=cache,
+            robot=robot,
+            scene=scene,
+            visuals=False,
+            seed=turn,
+            shots=1,
+            static=True,
+        )
         dates = count(START_TIME_S + turn * EPISODE_INTERVAL_S, 1.0)
         times = Clocks(lambda: 0.0, START_DATE, lambda: next(dates))
         given = FixedContractPlanner(one.source, one.contract.encode("utf-8", "surrogatepass"))
@@ -109,9 +123,15 @@ def build_request(one: Sample, recall: RetrievedContext | None = None) -> PlanRe
     setting = scene_context_by_name(one.scene)
     registry, names = setting.registry, setting.names
     return PlanRequest(
-        instruction_of(one), setting.summary, recall or RetrievedContext(), registry.robot, registry.hash,
-        describe_skills(registry, names), decoding_schema(registry, names), contract_id="c-0001",
-    )  # fmt: skip
+        instruction=instruction_of(one),
+        scene=setting.summary,
+        recall=recall or RetrievedContext(),
+        robot=registry.robot,
+        registry_hash=registry.hash,
+        skills_text=describe_skills(registry, names),
+        schema=decoding_schema(registry, names),
+        contract_id="c-0001",
+    )
 
 
 def instruction_of(one: Sample) -> str:

@@ -54,9 +54,7 @@ ADAPT_CONFIG = AdaptConfig(
 """The whole objective. Checked by the loss alone, for free answers take as long as twenty steps."""
 
 
-def collect_rollouts(
-    folder: Path, number: int, *, cache: Path, on_episode: Callable[[int, Episode], None]
-) -> Path:  # fmt: skip
+def collect_rollouts(folder: Path, number: int, *, cache: Path, on_episode: Callable[[int, Episode], None]) -> Path:
     """`number` proposals carried out, see `flown`; the same ones whenever they are drawn again."""
     wanted = draw_proposals(SEED, number, include_declines=True)
     return run_proposals(folder, number, wanted.__getitem__, cache=cache, on_episode=on_episode)
@@ -82,8 +80,13 @@ def dataset_difference(card: DatasetCard, folder: Path, number: int) -> str:
     """
     registry = load_skill_registry(ROBOT)
     made: dict[str, object] = {
-        "form": SAMPLE_FORMAT, "robot": ROBOT, "registry": registry.hash, "also": {}, "site": "", "memories": number,
-    }  # fmt: skip
+        "form": SAMPLE_FORMAT,
+        "robot": ROBOT,
+        "registry": registry.hash,
+        "also": {},
+        "site": "",
+        "memories": number,
+    }
     others = [card_differences(card, made), curation_differences(card, ADAPT_CONFIG.curation)]
     lived = last_step_folder(folder)
     if lived is None or not _is_from_ledger(card, lived):

@@ -108,7 +108,14 @@ def make_scene_context(spec: SceneSpec) -> SceneContext:
         return isinstance(gate.check(data, names=names, principal=PLANNER, now=0.0), Accepted)
 
     name = f"{spec.robot} {spec.family}:{spec.seed}"
-    return SceneContext(registry, name, summarise_scene(scene), names, robot_model.is_mobile, accepts)
+    return SceneContext(
+        registry=registry,
+        scene=name,
+        summary=summarise_scene(scene),
+        names=names,
+        mobile=robot_model.is_mobile,
+        accepts=accepts,
+    )
 
 
 @cache

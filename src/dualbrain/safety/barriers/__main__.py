@@ -31,9 +31,15 @@ def render_markdown() -> str:
 def _section(barrier: BarrierSpec) -> str:
     rank = "never (part of the box)" if barrier.rank is None else barrier.rank.name.lower()
     facts = {
-        "Keeps": barrier.description, "h": barrier.h, "Row": barrier.row, "Given up": rank, "α": barrier.alpha,
-        "Margins": ", ".join(barrier.margins) or "none", "Source": barrier.source, "Where": f"`{barrier.implementation}`",
-    }  # fmt: skip
+        "Keeps": barrier.description,
+        "h": barrier.h,
+        "Row": barrier.row,
+        "Given up": rank,
+        "α": barrier.alpha,
+        "Margins": ", ".join(barrier.margins) or "none",
+        "Source": barrier.source,
+        "Where": f"`{barrier.implementation}`",
+    }
     return "\n".join([f"## {barrier.name}", "", *(f"- **{key}**: {value}" for key, value in facts.items())])
 
 

@@ -15,7 +15,7 @@ from dualbrain.safety.cbf.rows import Rank
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Scenario:
     """A robot that is pushed against a barrier, and h measured apart from the kernel.
 
@@ -30,7 +30,7 @@ class Scenario:
     duration: float = 1.5
 
 
-class BarrierSpec(msgspec.Struct, frozen=True):
+class BarrierSpec(msgspec.Struct, frozen=True, kw_only=True):
     """One thing that the filter keeps. What stands here appears in the docs, the tests and the live view.
 
     `rank` is None for what is part of the box of admissible controls and never given up. `margins` name what is kept

@@ -18,7 +18,7 @@ def _scenario() -> Scenario:
     start = home_posture(safety)
     x, y, z = safety.tool(start).position.tolist()
     top = z - 0.06
-    safety.observe([Obstacle("block", Box((0.1, 0.1, 0.1)), Pose((x, y, top - 0.1)))])
+    safety.observe([Obstacle(name="block", shape=Box((0.1, 0.1, 0.1)), pose=Pose((x, y, top - 0.1)))])
     safety.permit([Contact("fingers", "block", SPEED), Contact("hand", "block", SPEED)])
     fingers = [i for i, group in enumerate(safety.spheres(start, 0.0)[2]) if group == "fingers"]
 
@@ -32,7 +32,7 @@ def _scenario() -> Scenario:
         allowed = np.maximum(SPEED, safety.robot_model.alpha * np.maximum(gap, 0.0))
         return float(np.min(allowed - down) + 1e-3)
 
-    return Scenario(safety, start, tool_push(safety, (0.0, 0.0, -1.0)), h, duration=0.6)
+    return Scenario(safety=safety, start=start, nominal=tool_push(safety, (0.0, 0.0, -1.0)), h=h, duration=0.6)
 
 
 BARRIER = BarrierSpec(

@@ -17,7 +17,7 @@ def _scenario() -> Scenario:
     safety = sparse_panda_filter()
     start = home_posture(safety)
     table = float(safety.tool(start).position[2]) - 0.28
-    safety.observe([Obstacle("table", HalfSpace(), Pose((0.0, 0.0, table)))])
+    safety.observe([Obstacle(name="table", shape=HalfSpace(), pose=Pose((0.0, 0.0, table)))])
     safety.attach(np.array([[0.0, 0.0, LENGTH, RADIUS]]), ERROR)
 
     def h(q: Array, u: Array) -> float:
@@ -26,7 +26,7 @@ def _scenario() -> Scenario:
         lowest = tool.position + LENGTH * tool.rotation[:, 2]
         return float(lowest[2] - RADIUS - ERROR - table)
 
-    return Scenario(safety, start, tool_push(safety, (0.0, 0.0, -1.0)), h)
+    return Scenario(safety=safety, start=start, nominal=tool_push(safety, (0.0, 0.0, -1.0)), h=h)
 
 
 BARRIER = BarrierSpec(

@@ -19,7 +19,7 @@ def _scenario() -> Scenario:
         del u
         return float(np.min(np.minimum(q - lower, upper - q)))
 
-    return Scenario(safety, home_posture(safety), lambda q: push, h)
+    return Scenario(safety=safety, start=home_posture(safety), nominal=lambda q: push, h=h)
 
 
 BARRIER = BarrierSpec(

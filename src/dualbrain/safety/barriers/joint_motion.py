@@ -28,7 +28,7 @@ def _scenario() -> Scenario:
         ticks += 1
         return (3.0 if ticks // 200 % 2 else -3.0) * v_max
 
-    return Scenario(safety, home_posture(safety), push, h)
+    return Scenario(safety=safety, start=home_posture(safety), nominal=push, h=h)
 
 
 BARRIER = BarrierSpec(

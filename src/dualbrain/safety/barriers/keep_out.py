@@ -24,9 +24,13 @@ def keep_out_region(name: str, x: float, y: float, half_x: float, half_y: float,
     """A rectangle of the floor [m, rad] that no part of the footprint enters."""
     turn = (cos(0.5 * yaw), 0.0, 0.0, sin(0.5 * yaw))
     return Obstacle(
-        name, Box((half_x, half_y, HALF_HEIGHT)), Pose((x, y, 0.0), turn), rank=Rank.WORKSPACE, known=True,
+        name=name,
+        shape=Box((half_x, half_y, HALF_HEIGHT)),
+        pose=Pose((x, y, 0.0), turn),
+        rank=Rank.WORKSPACE,
+        known=True,
         barrier="keep_out",
-    )  # fmt: skip
+    )
 
 
 def scenario_base() -> RobotModel:
@@ -34,10 +38,14 @@ def scenario_base() -> RobotModel:
     by_hand = "made up for trials"
     discs = [(x, y, 0.13) for x in (-0.12, 0.12) for y in (-0.1, 0.1)]
     return make_differential_base(
-        "trolley", discs, speed=Bound(0.8, "m/s", by_hand), turn_rate=Bound(2.0, "rad/s", by_hand),
-        acceleration=Bound(1.6, "m/s^2", by_hand), turn_acceleration=Bound(6.0, "rad/s^2", by_hand),
-        tracking=TrackingErrorModel(0.0, 0.0, 0.0, by_hand),
-    )  # fmt: skip
+        "trolley",
+        discs,
+        speed=Bound(0.8, "m/s", by_hand),
+        turn_rate=Bound(2.0, "rad/s", by_hand),
+        acceleration=Bound(1.6, "m/s^2", by_hand),
+        turn_acceleration=Bound(6.0, "rad/s^2", by_hand),
+        tracking=TrackingErrorModel(lag=0.0, position_error=0.0, rate=0.0, provenance=by_hand),
+    )
 
 
 def _scenario() -> Scenario:
@@ -51,7 +59,9 @@ def _scenario() -> Scenario:
         out = np.maximum(np.abs(centres[:, :2] - (x, y)) - (half_x, half_y), 0.0)
         return float(np.min(np.linalg.norm(out, axis=1) - radii))
 
-    return Scenario(safety, np.array([0.0, 0.0, 0.1]), lambda q: np.array([0.8, 0.0]), h, duration=6.0)
+    return Scenario(
+        safety=safety, start=np.array([0.0, 0.0, 0.1]), nominal=lambda q: np.array([0.8, 0.0]), h=h, duration=6.0
+    )
 
 
 BARRIER = BarrierSpec(

@@ -15,7 +15,7 @@ OBSTACLE_POSITION = (0.62, 0.0, 0.45)
 
 def _scenario() -> Scenario:
     safety = sparse_panda_filter()
-    safety.observe([Obstacle("ball", Sphere(0.05), Pose(OBSTACLE_POSITION))])
+    safety.observe([Obstacle(name="ball", shape=Sphere(0.05), pose=Pose(OBSTACLE_POSITION))])
     start = home_posture(safety)
     ahead = np.array(OBSTACLE_POSITION) - safety.tool(start).position
 
@@ -24,7 +24,9 @@ def _scenario() -> Scenario:
         where, radii = moving_spheres(safety, q)
         return float(np.min(np.linalg.norm(where - np.array(OBSTACLE_POSITION), axis=1) - radii - 0.05))
 
-    return Scenario(safety, start, tool_push(safety, (ahead / np.linalg.norm(ahead)).tolist()), h)
+    return Scenario(
+        safety=safety, start=start, nominal=tool_push(safety, (ahead / np.linalg.norm(ahead)).tolist()), h=h
+    )
 
 
 BARRIER = BarrierSpec(

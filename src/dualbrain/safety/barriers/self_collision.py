@@ -26,7 +26,9 @@ def _scenario() -> Scenario:
         apart = np.linalg.norm(where[first] - where[second], axis=1)
         return float(np.min(apart - radii[first] - radii[second]))
 
-    return Scenario(safety, home_posture(safety), lambda q: 2.0 * (FOLDED_POSTURE - q), h, duration=3.0)
+    return Scenario(
+        safety=safety, start=home_posture(safety), nominal=lambda q: 2.0 * (FOLDED_POSTURE - q), h=h, duration=3.0
+    )
 
 
 BARRIER = BarrierSpec(

@@ -35,7 +35,13 @@ class SingularityBarrier:
         if size < 1e-6:
             return ()
         return (
-            ConstraintRow("singularity", tuple(gradient.tolist()), -max(self.alpha * h, self.min_rate), h, Rank.TASK),
+            ConstraintRow(
+                name="singularity",
+                a=tuple(gradient.tolist()),
+                b=-max(self.alpha * h, self.min_rate),
+                h=h,
+                rank=Rank.TASK,
+            ),
         )
 
 
@@ -68,7 +74,7 @@ def _scenario() -> Scenario:
         sigma, gradient = min_singular_value(safety.tool(q).jacobian, barrier.length)
         return float(gradient @ u + max(robot_model.alpha * (sigma - barrier.floor), barrier.min_rate) + 2e-3)
 
-    return Scenario(safety, start, lambda q: 1.5 * (SINGULAR_POSTURE - q), h, duration=3.0)
+    return Scenario(safety=safety, start=start, nominal=lambda q: 1.5 * (SINGULAR_POSTURE - q), h=h, duration=3.0)
 
 
 BARRIER = BarrierSpec(

@@ -27,9 +27,9 @@ def _scenario() -> Scenario:
     safety = sparse_panda_filter()
     apart = SpeedAndSeparation(reaction=0.1, brake=1.0, approach=0.2)
     person = Obstacle(
-        "person",
-        Capsule(RADIUS, HALF_LENGTH),
-        Pose(PERSON_POSITION),
+        name="person",
+        shape=Capsule(RADIUS, HALF_LENGTH),
+        pose=Pose(PERSON_POSITION),
         rank=Rank.BODY,
         separation=apart,
         barrier="separation",
@@ -50,7 +50,7 @@ def _scenario() -> Scenario:
         allowed = [max_approach_speed(d, apart.approach, apart.reaction, apart.brake) for d in near]
         return float(np.min(np.array(allowed) - toward) + 2e-3)
 
-    return Scenario(safety, home_posture(safety), tool_push(safety, (1.0, 0.0, 0.0)), h)
+    return Scenario(safety=safety, start=home_posture(safety), nominal=tool_push(safety, (1.0, 0.0, 0.0)), h=h)
 
 
 BARRIER = BarrierSpec(

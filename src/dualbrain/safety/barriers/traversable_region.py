@@ -29,7 +29,7 @@ def traversable_region(name: str, corners: Sequence[tuple[float, float]]) -> tup
         if not along[0] * (after_y - to_y) - along[1] * (after_x - to_x) > 0.0:
             raise ConfigurationError(
                 f"corners of {name!r}", got=list(corners), allowed="a convex polygon, counter-clockwise"
-            )  # fmt: skip
+            )
         walls.append(plane(f"{name} edge {index}", (x, y, 0.0), (-along[1], along[0], 0.0), parts=()))
     return tuple(msgspec.structs.replace(wall, barrier="traversable") for wall in walls)
 
@@ -47,7 +47,9 @@ def _scenario() -> Scenario:
         apart = np.einsum("ek,sek->se", inward, centres[:, None, :2] - corners[None])
         return float(np.min(apart - radii[:, None]))
 
-    return Scenario(safety, np.array([0.0, 0.0, 0.5]), lambda q: np.array([0.8, 0.1]), h, duration=8.0)
+    return Scenario(
+        safety=safety, start=np.array([0.0, 0.0, 0.5]), nominal=lambda q: np.array([0.8, 0.1]), h=h, duration=8.0
+    )
 
 
 BARRIER = BarrierSpec(

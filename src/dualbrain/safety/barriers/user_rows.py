@@ -12,14 +12,14 @@ from dualbrain.safety.cbf.rows import ConstraintRow, Rank
 def _scenario() -> Scenario:
     safety = sparse_panda_filter()
     a = (1.0, -0.5, 0.0, 0.25, 0.0, 0.0, 0.0)
-    safety.constrain([ConstraintRow("user_rows: slow shoulder", a, -0.2)])
+    safety.constrain([ConstraintRow(name="user_rows: slow shoulder", a=a, b=-0.2)])
     push = np.array([-1.0, 1.0, 0.0, -1.0, 0.5, 0.0, 0.0])
 
     def h(q: Array, u: Array) -> float:
         del q
         return float(np.array(a) @ u + 0.2 + 1e-6)
 
-    return Scenario(safety, home_posture(safety), lambda q: push, h, duration=0.5)
+    return Scenario(safety=safety, start=home_posture(safety), nominal=lambda q: push, h=h, duration=0.5)
 
 
 BARRIER = BarrierSpec(

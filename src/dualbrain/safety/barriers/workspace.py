@@ -22,9 +22,15 @@ def plane(
 ) -> Obstacle:
     """Keep `parts` on the side of the plane through `point` [m] to which `inward` points, `margin` [m] from it."""
     return Obstacle(
-        name, HalfSpace(), Pose(point, rotation_to_normal(inward)), margin=margin, rank=Rank.WORKSPACE, parts=tuple(parts),
-        known=True, barrier="workspace",
-    )  # fmt: skip
+        name=name,
+        shape=HalfSpace(),
+        pose=Pose(point, rotation_to_normal(inward)),
+        margin=margin,
+        rank=Rank.WORKSPACE,
+        parts=tuple(parts),
+        known=True,
+        barrier="workspace",
+    )
 
 
 def height_limits(lowest: float, highest: float, *, parts: Sequence[str] = HAND_PARTS) -> tuple[Obstacle, Obstacle]:
@@ -65,7 +71,7 @@ def _scenario() -> Scenario:
         where, radii = moving_spheres(safety, q)
         return float(np.min(where[arm:, 2] - radii[arm:]) - lowest)
 
-    return Scenario(safety, start, tool_push(safety, (0.0, 0.0, -1.0)), h)
+    return Scenario(safety=safety, start=start, nominal=tool_push(safety, (0.0, 0.0, -1.0)), h=h)
 
 
 BARRIER = BarrierSpec(

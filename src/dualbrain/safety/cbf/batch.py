@@ -26,9 +26,15 @@ class BatchResult(msgspec.Struct, frozen=True, eq=False):
 
 
 def run_batch(
-    kernel: Kernel, n: int, Q: ArrayLike, V: ArrayLike, U: ArrayLike, u_prev: ArrayLike, opening: ArrayLike,
+    kernel: Kernel,
+    n: int,
+    Q: ArrayLike,
+    V: ArrayLike,
+    U: ArrayLike,
+    u_prev: ArrayLike,
+    opening: ArrayLike,
     scene_age: float,
-) -> BatchResult:  # fmt: skip
+) -> BatchResult:
     """Every row of (m, n) through `kernel` from its own `u_prev`; `opening` [m] is one number or one per row.
 
     Raises:
@@ -40,7 +46,5 @@ def run_batch(
         raise ConfigurationError("batch", got=shapes, allowed=f"Q, V, U, u_prev of shape (m, {n})")
     answer = BatchResult(np.empty((m, n)), np.empty(m, np.int8), np.empty(m), np.empty(m))
     openings = np.ascontiguousarray(np.broadcast_to(np.asarray(opening, float), (m,)))
-    kernel.batch(
-        q, v, u_nom, last, openings, scene_age, answer.u, answer.status, answer.delta, answer.h_min
-    )  # fmt: skip
+    kernel.batch(q, v, u_nom, last, openings, scene_age, answer.u, answer.status, answer.delta, answer.h_min)
     return answer

@@ -7,7 +7,7 @@ from typing import Literal
 import msgspec
 
 
-class FilterConfig(msgspec.Struct, frozen=True):
+class FilterConfig(msgspec.Struct, frozen=True, kw_only=True):
     """The dials of the safety filter. Lengths in m, times in s, rates in 1/s, speeds in m/s.
 
     `alpha` is the class-K gain, ḣ ≥ −α h; None takes the largest that the acceleration limits can follow,

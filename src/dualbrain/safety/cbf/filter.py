@@ -24,9 +24,19 @@ from dualbrain.safety.cbf.result import FilterResult, FilterStatus, RowNames
 from dualbrain.safety.cbf.rows import BarrierRow, ConstraintRow, PythonBarrier, Rank, row_table
 
 __all__ = [
-    "BarrierRow", "Contact", "FilterConfig", "FilterResult", "PythonBarrier", "Obstacle", "Rank", "ConstraintRow", "SafetyFilter",
-    "SpeedAndSeparation", "FilterStatus", "ToolState",
-]  # fmt: skip
+    "BarrierRow",
+    "Contact",
+    "FilterConfig",
+    "FilterResult",
+    "PythonBarrier",
+    "Obstacle",
+    "Rank",
+    "ConstraintRow",
+    "SafetyFilter",
+    "SpeedAndSeparation",
+    "FilterStatus",
+    "ToolState",
+]
 
 Array = NDArray[np.float64]
 
@@ -53,9 +63,14 @@ class SafetyFilter:
     """
 
     def __init__(
-        self, robot_model: RobotModel, config: FilterConfig | None = None, *, weight: Array | None = None,
-        barriers: Sequence[PythonBarrier] = (), fixed_obstacles: Sequence[Obstacle] = (),
-    ) -> None:  # fmt: skip
+        self,
+        robot_model: RobotModel,
+        config: FilterConfig | None = None,
+        *,
+        weight: Array | None = None,
+        barriers: Sequence[PythonBarrier] = (),
+        fixed_obstacles: Sequence[Obstacle] = (),
+    ) -> None:
         """Compile `body` for the kernel; `weight` is R (n, n), by default diag(1/v_max²).
 
         `barriers` are asked for their rows in every step; `standing` obstacles stay beside whatever is observed.
@@ -78,18 +93,21 @@ class SafetyFilter:
         self._part_links = _links_by_part(robot_model)
         links = [link.name for link in robot_model.links for sphere in robot_model.spheres if sphere.link == link.name]
         self._names = RowNames(
-            tuple(links),
-            (),
-            tuple(joint.name for joint in robot_model.joints),
-            tuple(j.velocity.value for j in robot_model.joints),
+            spheres=tuple(links),
+            obstacles=(),
+            joints=tuple(joint.name for joint in robot_model.joints),
+            v_max=tuple(j.velocity.value for j in robot_model.joints),
         )
         groups = {link.name: link.group for link in robot_model.links}
         self._groups = tuple(groups[name] for name in self._names.spheres)
         self._fixed_obstacles = tuple(fixed_obstacles)
         self.keep_out_boxes = tuple(
-            SceneObject(one.name, "obstacle", one.shape, one.pose, error=one.margin, category="keep_out")
-            for one in self._fixed_obstacles if isinstance(one.shape, Box)
-        )  # fmt: skip
+            SceneObject(
+                name=one.name, role="obstacle", shape=one.shape, pose=one.pose, error=one.margin, category="keep_out"
+            )
+            for one in self._fixed_obstacles
+            if isinstance(one.shape, Box)
+        )
         """The boxes among what stands there for good, as things, for those who look for ways."""
         if fixed_obstacles:
             self.observe(())
@@ -114,10 +132,11 @@ class SafetyFilter:
         for thing in obstacles:
             if thing.alpha is not None and thing.alpha > self._max_gain:
                 raise ConfigurationError(
-                    f"alpha of obstacle {thing.name!r}", got=thing.alpha,
+                    f"alpha of obstacle {thing.name!r}",
+                    got=thing.alpha,
                     allowed=f"at most {self._max_gain:.6g} 1/s, up to where the rows keep the tracking error",
                     fix="Raise FilterConfig.alpha, or give FilterConfig.tracking_error for this gain.",
-                )  # fmt: skip
+                )
 
     def constrain(self, rows: Sequence[ConstraintRow]) -> None:
         """Rows a'u ≥ b that hold from now on, until others are given: at most 16 with those of the live barriers."""
@@ -192,7 +211,9 @@ class SafetyFilter:
         """
         if self._needs_state:
             q, v = np.asarray(q, float), np.asarray(v, float)
-            return self.filter(RobotState(now, 0, q, v, opening, (0.0, 0.0)), u_nom, now)
+            return self.filter(
+                RobotState(stamp=now, sequence=0, q=q, v=v, opening=opening, finger_forces=(0.0, 0.0)), u_nom, now
+            )
         try:
             return self._step(q, v, u_nom, opening, 0.0, now - self._stamp, self._names)
         except ValueError:
@@ -235,9 +256,15 @@ class SafetyFilter:
         )
 
     def batch(
-        self, Q: Array, V: Array, U: Array, now: float = 0.0, *, u_prev: Array | None = None,
+        self,
+        Q: Array,
+        V: Array,
+        U: Array,
+        now: float = 0.0,
+        *,
+        u_prev: Array | None = None,
         opening: Array | float = 0.0,
-    ) -> BatchResult:  # fmt: skip
+    ) -> BatchResult:
         """Filter m independent states, one a row of Q, V and U (m, n): for Monte-Carlo and learning.
 
         Row i is what a fresh filter answers after `reset(u_prev[i])`, bit for bit; `u_prev` (m, n) is V by default.

@@ -84,9 +84,11 @@ def _load_build(name: str) -> KernelBuild:
 def _required_sizes(robot_model: RobotModel, build: KernelBuild) -> tuple[tuple[str, int, int], ...]:
     """What a body needs and what a build has room for."""
     return (
-        ("joints", robot_model.n, build.max_joints), ("spheres", len(robot_model.spheres), build.max_spheres),
-        ("parts", len(robot_model.links), build.max_links), ("pairs kept apart", len(robot_model.self_pairs.kept), build.max_pairs),
-    )  # fmt: skip
+        ("joints", robot_model.n, build.max_joints),
+        ("spheres", len(robot_model.spheres), build.max_spheres),
+        ("parts", len(robot_model.links), build.max_links),
+        ("pairs kept apart", len(robot_model.self_pairs.kept), build.max_pairs),
+    )
 
 
 def kernel_model(robot_model: RobotModel, config: FilterConfig, weight: Array | None = None) -> dict[str, Any]:
@@ -241,10 +243,20 @@ def _obstacle_entry(obstacle: Obstacle, parts: Mapping[str, Sequence[int]]) -> l
     apart = obstacle.separation
     separation = (apart.reaction, apart.brake, apart.approach) if apart else (0.0, 0.0, 0.0)
     return [
-        kind, float(flags), float(obstacle.rank), _part_mask(obstacle.parts, parts), obstacle.alpha or 0.0,
-        *obstacle.pose.position, *rotation, *half, r, *obstacle.velocity, obstacle.margin, obstacle.velocity_error,
+        kind,
+        float(flags),
+        float(obstacle.rank),
+        _part_mask(obstacle.parts, parts),
+        obstacle.alpha or 0.0,
+        *obstacle.pose.position,
+        *rotation,
+        *half,
+        r,
+        *obstacle.velocity,
+        obstacle.margin,
+        obstacle.velocity_error,
         *separation,
-    ]  # fmt: skip
+    ]
 
 
 def _part_mask(names: Sequence[str], parts: Mapping[str, Sequence[int]]) -> float:

@@ -7,7 +7,7 @@ from collections.abc import Collection
 import msgspec
 
 from dualbrain.core.geometry.distance import Solid, bounding_solid
-from dualbrain.core.geometry.shapes import Pose, Vector
+from dualbrain.core.geometry.shapes import IDENTITY_POSE, Pose, Vector
 from dualbrain.records import ZERO_VECTOR, Scene, SceneObject
 from dualbrain.safety.cbf.rows import Rank
 
@@ -25,7 +25,15 @@ class SpeedAndSeparation(msgspec.Struct, frozen=True):
     approach: float = 0.0
 
 
-class Obstacle(msgspec.Struct, frozen=True):
+class PlacedShape(msgspec.Struct, frozen=True):
+    """A named `shape` at `pose`."""
+
+    name: str
+    shape: Solid
+    pose: Pose = IDENTITY_POSE
+
+
+class Obstacle(PlacedShape, frozen=True, kw_only=True):
     """A thing to keep away from: `shape` at `pose`, moving at `velocity` [m/s].
 
     `margin` [m] inflates it (position error), `velocity_error` [m/s] bounds the error of the velocity and grows the
@@ -34,9 +42,6 @@ class Obstacle(msgspec.Struct, frozen=True):
     of the robot (groups, links, "held"; none: all) are kept away; `barrier` is the name of the barrier it belongs to.
     """
 
-    name: str
-    shape: Solid
-    pose: Pose
     velocity: Vector = ZERO_VECTOR
     margin: float = 0.0
     velocity_error: float = 0.0

@@ -21,7 +21,7 @@ ROW_TOLERANCE = 1e-8
 """What the check after the QP forgives in a row, as a share of the row's own size."""
 
 
-class QpResult(msgspec.Struct, frozen=True, eq=False):
+class QpResult(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     """Answer of one QP: `u` (n,), whether all rows are met, and its active constraints.
 
     `active` are (index, multiplier): 0..n−1 lower bounds, n..2n−1 upper bounds, then rows; when rows conflict they are
@@ -59,7 +59,7 @@ class ControlQp:
         an optimum over some rows that meets all is the optimum over all, and rows that conflict do so among more.
         """
         if np.all(u_nom >= lower) and np.all(u_nom <= upper) and np.all(A @ u_nom >= b):
-            return QpResult(u_nom.copy(), rows_met=True, limit_reached=False, iterations=0, active=())
+            return QpResult(u=u_nom.copy(), rows_met=True, limit_reached=False, iterations=0, active=())
         scaled, size = A * self.unit, row_norms(A * self.unit)
         chosen = np.zeros(len(b), bool)
         gap, total = (A @ np.clip(u_nom, lower, upper) - b) / size, 0
@@ -67,7 +67,7 @@ class ControlQp:
             chosen[_worst_rows(gap)] = True
             at = np.flatnonzero(chosen)
             if len(at) > MAX_ROWS:
-                return QpResult(u_nom.copy(), rows_met=False, limit_reached=True, iterations=total, active=())
+                return QpResult(u=u_nom.copy(), rows_met=False, limit_reached=True, iterations=total, active=())
             result, iterations, active, u = self._solve_rows(scaled[at], b[at], lower, upper, u_nom)
             total += iterations
             gap = (A @ u - b) / size
@@ -76,7 +76,9 @@ class ControlQp:
         met = result == 0 and bool(np.all(gap >= -ROW_TOLERANCE))
         n = len(u)
         named = tuple((i if i < 2 * n else 2 * n + int(at[i - 2 * n]), weight) for i, weight in active)
-        return QpResult(u, met, limit_reached=result == 2 or (result == 0 and not met), iterations=total, active=named)
+        return QpResult(
+            u=u, rows_met=met, limit_reached=result == 2 or (result == 0 and not met), iterations=total, active=named
+        )
 
     def _solve_rows(
         self, scaled: Array, b: Array, lower: Array, upper: Array, u_nom: Array

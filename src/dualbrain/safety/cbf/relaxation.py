@@ -17,7 +17,7 @@ MIN_ROW_NORM = 1e-9
 """A row shorter than this, in scaled controls, cannot be acted upon."""
 
 
-class RelaxationProblem(msgspec.Struct, frozen=True, eq=False):
+class RelaxationProblem(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     """Rows A u ≥ b in the box [lower, upper] that cannot all be met.
 
     `size` (m,) is the unit in which a row's violation counts, `anchor` (n,) an admissible control to stay near to,

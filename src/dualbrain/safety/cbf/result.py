@@ -67,7 +67,7 @@ class Reason(IntFlag):
     JERK = 2048
 
 
-class RowNames(msgspec.Struct, frozen=True):
+class RowNames(msgspec.Struct, frozen=True, kw_only=True):
     """Names behind the kernel's indices: of each sphere's link, of the obstacles in force, of the joints.
 
     `barriers` are the barriers that the obstacles belong to, `rows` the rows handed in for this step.
@@ -174,9 +174,15 @@ class FilterResult(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers 
     def unfiltered(self) -> FilterResult:
         """The same moment had nobody filtered: u is u_nom, without a certificate."""
         return msgspec.structs.replace(
-            self, u=self.u_nom, status=FilterStatus.SAFE, delta=0.0, delta_rows=0.0, delta_box=0.0, certified=False,
+            self,
+            u=self.u_nom,
+            status=FilterStatus.SAFE,
+            delta=0.0,
+            delta_rows=0.0,
+            delta_box=0.0,
+            certified=False,
             binding=b"",
-        )  # fmt: skip
+        )
 
     def explain(self) -> str:
         """One sentence for people: what was near, and what was done about it."""

@@ -32,7 +32,7 @@ class Rank(IntEnum):
     """What is only wished for, and rows handed in by the user."""
 
 
-class ConstraintRow(msgspec.Struct, frozen=True):
+class ConstraintRow(msgspec.Struct, frozen=True, kw_only=True):
     """One row a'u ≥ b for one step: `a` (n,), `b`, and the barrier value `h` that is reported with it."""
 
     name: str

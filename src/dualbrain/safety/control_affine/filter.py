@@ -35,10 +35,16 @@ class ControlAffineFilter:
     """
 
     def __init__(
-        self, system: ControlAffine, barriers: Sequence[Barrier], lower: ArrayLike = -np.inf,
-        upper: ArrayLike = np.inf, *, weight: Array | None = None, fallback: ArrayLike | None = None,
+        self,
+        system: ControlAffine,
+        barriers: Sequence[Barrier],
+        lower: ArrayLike = -np.inf,
+        upper: ArrayLike = np.inf,
+        *,
+        weight: Array | None = None,
+        fallback: ArrayLike | None = None,
         domain: tuple[ArrayLike, ArrayLike] = (-1.0, 1.0),
-    ) -> None:  # fmt: skip
+    ) -> None:
         """`lower` and `upper` (m,) are the box, `weight` is R (m, m), by default diag(1/half range²).
 
         `fallback` (m,) is the control of last resort (braking), 0 if none is given. `domain` are bounds (n,) between
@@ -96,18 +102,33 @@ class ControlAffineFilter:
         """Violations count in units of what half the box can do about them."""
         low, high, size = self._lower, self._upper, np.maximum(np.abs(A) @ self._unit, 1e-9)
         floor = floor_at_control(A, b, self._fallback) if self._has_fallback else floor_in_box(A, b, low, high)
-        return RelaxationProblem(self._qp, A, b, size, low, high, self._fallback, floor)
+        return RelaxationProblem(
+            qp=self._qp, A=A, b=b, violation_unit=size, lower=low, upper=high, reference=self._fallback, floor=floor
+        )
 
     def _result(
-        self, u: Array, u_nom: Array, status: FilterStatus, reason: Reason,
-        psi: tuple[tuple[float, ...], ...] = (), solution: QpResult | None = None, relaxed: tuple[int, ...] = (),
-    ) -> FilteredControl:  # fmt: skip
+        self,
+        u: Array,
+        u_nom: Array,
+        status: FilterStatus,
+        reason: Reason,
+        psi: tuple[tuple[float, ...], ...] = (),
+        solution: QpResult | None = None,
+        relaxed: tuple[int, ...] = (),
+    ) -> FilteredControl:
         apart = (u - np.clip(np.nan_to_num(u_nom), -1e12, 1e12)) / self._unit
         return FilteredControl(
-            u, u_nom, status, self._names, reason, float(np.sqrt(np.mean(apart**2))), psi,
-            self._active_rows(solution.active) if solution else (), tuple(Rank(rank) for rank in relaxed),
-            solution.iterations if solution else 0,
-        )  # fmt: skip
+            u=u,
+            u_nom=u_nom,
+            status=status,
+            names=self._names,
+            reason=reason,
+            delta=float(np.sqrt(np.mean(apart**2))),
+            psi=psi,
+            active_rows=self._active_rows(solution.active) if solution else (),
+            relaxed_ranks=tuple(Rank(rank) for rank in relaxed),
+            iterations=solution.iterations if solution else 0,
+        )
 
     def _active_rows(self, active: tuple[tuple[int, float], ...]) -> tuple[tuple[str, float], ...]:
         m = self.system.m

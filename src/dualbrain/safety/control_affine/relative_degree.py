@@ -42,9 +42,10 @@ def relative_degree(system: ControlAffine, barrier: Barrier, domain: tuple[Array
             )
         h = ca.mtimes(gradient, system.f)
     raise ConfigurationError(
-        f"relative degree of barrier {barrier.name!r}", got=f"none up to {system.n}, the number of states",
+        f"relative degree of barrier {barrier.name!r}",
+        got=f"none up to {system.n}, the number of states",
         allowed="a barrier that the controls can change",
-    )  # fmt: skip
+    )
 
 
 def scalar_barrier(system: ControlAffine, barrier: Barrier) -> Expression:
@@ -85,9 +86,11 @@ def _controls_appear(system: ControlAffine, barrier: Barrier, gradient: Expressi
     known = np.isfinite(values).all(axis=(1, 2))
     if not known.any():
         raise ConfigurationError(
-            f"derivatives of barrier {barrier.name!r}", got="no finite value", allowed="a domain where h is smooth",
+            f"derivatives of barrier {barrier.name!r}",
+            got="no finite value",
+            allowed="a domain where h is smooth",
             fix="Name the domain: states between which h, f and g are defined.",
-        )  # fmt: skip
+        )
     return np.any(np.abs(values[known, :, 0]) > ZERO_TOLERANCE * values[known, :, 1], axis=1)
 
 

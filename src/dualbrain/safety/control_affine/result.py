@@ -12,7 +12,7 @@ from dualbrain.safety.cbf.rows import Rank
 Array = NDArray[np.float64]
 
 
-class FilteredControl(msgspec.Struct, frozen=True, eq=False):
+class FilteredControl(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     """One answer of `ControlAffineFilter`: `u` (m,), always finite and in the box.
 
     `names`, `h` and `psi` belong together, one for each barrier; `psi` holds ψ_0 = h to ψ_{r−1}. `outside` names the

@@ -30,7 +30,7 @@ def import_casadi() -> Any:
     return casadi
 
 
-class Barrier(msgspec.Struct, frozen=True):
+class Barrier(msgspec.Struct, frozen=True, kw_only=True):
     """One barrier h(x) ≥ 0: a scalar expression in the system's state.
 
     `alphas` has one class-K function for each order, or one for all: ψ_i = ψ̇_{i−1} + α_i(ψ_{i−1}). `margin` is what the
@@ -49,9 +49,10 @@ class Barrier(msgspec.Struct, frozen=True):
         given: list[Any] = list(alphas) if _is_sequence(alphas) else [alphas] * degree
         if len(given) != degree:
             raise ConfigurationError(
-                f"alphas of barrier {self.name!r}", got=len(given),
+                f"alphas of barrier {self.name!r}",
+                got=len(given),
                 allowed=f"{degree}, one for each order of its relative degree, or a single one for all",
-            )  # fmt: skip
+            )
         alpha = given[order - 1]
         if isinstance(alpha, (int, float)) and not 0.0 < alpha < np.inf:
             raise ConfigurationError(f"alphas of barrier {self.name!r}", got=alpha, allowed="a finite gain above 0")

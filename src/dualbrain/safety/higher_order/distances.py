@@ -23,7 +23,7 @@ MIN_DISTANCE = 1e-9
 """[m] Nearer to an axis than this any direction across it is as good as another."""
 
 
-class Distances(msgspec.Struct, frozen=True, eq=False):
+class Distances(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     """Distances `d` (m, k) [m] from m solids to k points, normals `n` (m, k, 3) and bends `kappa` (m, k) [m/s²].
 
     `core` (m,) [m] is the radius around an axis or a centre to which d is measured. `bends` (m, k) is the distance that
@@ -65,7 +65,7 @@ class Segments:
         moving = np.sum(w * w, axis=-1) - side * np.sum(w * self._axis, axis=-1) ** 2
         kappa = np.maximum(moving - np.sum(w * n, axis=-1) ** 2, 0.0) / d
         steady = (self._half == 0.0) | (np.abs(np.abs(along) - self._half) > reach)
-        return Distances(d, n, kappa, self._radius, d, steady)
+        return Distances(d=d, n=n, kappa=kappa, core_radius=self._radius, curvature_radius=d, feature_stable=steady)
 
 
 class Boxes:
@@ -93,7 +93,14 @@ class Boxes:
         bends = np.maximum(d, MIN_DISTANCE)
         kappa = np.where(inside, 0.0, np.maximum(moving - np.sum(n * local_w, axis=-1) ** 2, 0.0) / bends)
         steady = np.all(np.abs(beyond) > reach[..., None], axis=-1)
-        return Distances(d, n @ self._rotation.transpose(0, 2, 1), kappa, np.zeros(len(self._half)), bends, steady)
+        return Distances(
+            d=d,
+            n=n @ self._rotation.transpose(0, 2, 1),
+            kappa=kappa,
+            core_radius=np.zeros(len(self._half)),
+            curvature_radius=bends,
+            feature_stable=steady,
+        )
 
 
 class Planes:
@@ -108,7 +115,14 @@ class Planes:
         d: Array = np.sum(points * self._normal, axis=-1)
         n = np.broadcast_to(self._normal, points.shape)
         none = np.zeros_like(d)
-        return Distances(d, n, none, np.zeros(len(d)), none + np.inf, np.ones(d.shape, bool))
+        return Distances(
+            d=d,
+            n=n,
+            kappa=none,
+            core_radius=np.zeros(len(d)),
+            curvature_radius=none + np.inf,
+            feature_stable=np.ones(d.shape, bool),
+        )
 
 
 SOLID_BATCHES = (Segments, Boxes, Planes)
@@ -137,7 +151,14 @@ class Solids:
             return parts[0]
         floats = ("d", "n", "kappa", "core", "bends")
         d, n, kappa, core, bends = (np.concatenate([_field(part, name) for part in parts]) for name in floats)
-        return Distances(d, n, kappa, core, bends, np.concatenate([part.feature_stable for part in parts]))
+        return Distances(
+            d=d,
+            n=n,
+            kappa=kappa,
+            core_radius=core,
+            curvature_radius=bends,
+            feature_stable=np.concatenate([part.feature_stable for part in parts]),
+        )
 
 
 def _batch_type(shape: Solid) -> type[Segments | Boxes | Planes]:

@@ -28,7 +28,7 @@ IMPLAUSIBLE_FACTOR = 10.0
 """Times the limit: a velocity or a nominal control beyond it is not believed."""
 
 
-class AccelerationConfig(msgspec.Struct, frozen=True):
+class AccelerationConfig(msgspec.Struct, frozen=True, kw_only=True):
     """The dials of the acceleration filter.
 
     `alpha_1`, `alpha_2` [1/s] are the gains of ψ₁ = ḣ + α₁h and of ψ̇₁ + α₂ψ₁ ≥ 0; None takes for α₁ 0.8 of what the
@@ -149,9 +149,13 @@ class AccelerationFilter:
         may = free < pairs.authority
         kept, A, b = self._rows(pairs.select(may), free[may], lower, upper)
         seen = msgspec.structs.replace(
-            _empty_result(u_nom), h_min=float(pairs.h.min(initial=np.inf)), psi_min=float(psi.min(initial=np.inf)),
-            penetrating_pairs=self._pair_names(pairs, pairs.h < 0.0), too_fast_pairs=self._pair_names(pairs, psi < 0.0), n_rows=len(b),
-        )  # fmt: skip
+            _empty_result(u_nom),
+            h_min=float(pairs.h.min(initial=np.inf)),
+            psi_min=float(psi.min(initial=np.inf)),
+            penetrating_pairs=self._pair_names(pairs, pairs.h < 0.0),
+            too_fast_pairs=self._pair_names(pairs, psi < 0.0),
+            n_rows=len(b),
+        )
         brake = self._brake(v, lower, upper)
         return self._solve(seen, kept, A, b, lower, upper, brake)
 
@@ -187,7 +191,16 @@ class AccelerationFilter:
             return self._finish(result, found.u, FilterStatus.SAFE if same else FilterStatus.MODIFIED, Reason(0))
         late = pairs.h_dot + pairs.alpha_1 * pairs.h < 0.0
         floor = floor_at_control(A, b, brake)
-        conflict = RelaxationProblem(self._qp, A, b, np.ones(len(b)), lower, upper, brake, floor)
+        conflict = RelaxationProblem(
+            qp=self._qp,
+            A=A,
+            b=b,
+            violation_unit=np.ones(len(b)),
+            lower=lower,
+            upper=upper,
+            reference=brake,
+            floor=floor,
+        )
         least, lost = conflict.solve(2 * pairs.rank + late)
         result = msgspec.structs.replace(result, relaxed_ranks=tuple(dict.fromkeys(Rank(rank // 2) for rank in lost)))
         if not least.rows_met:

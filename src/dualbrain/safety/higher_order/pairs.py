@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 NO_INDEX = -1
 
 
-class Pairs(msgspec.Struct, frozen=True, eq=False):
+class Pairs(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     """p pairs, ḧ = n'(J_far − J_near) q̈ + ...: `h` [m], `rate` ḣ [m/s] and `rest` [m/s²], all (p,).
 
     `rest` is n'J̇q̇ + κ less the sampling margin, κ as far as it lasts; `authority` (p,) bounds |ḧ| [m/s²] by any
@@ -42,9 +42,17 @@ class Pairs(msgspec.Struct, frozen=True, eq=False):
     def select(self, which: NDArray[np.bool_]) -> Pairs:
         """The pairs marked in `which` (p,)."""
         return Pairs(
-            self.h[which], self.h_dot[which], self.drift[which], self.authority[which], self.alpha_1[which],
-            self.normal[which], self.sphere[which], self.near_sphere[which], self.obstacle[which], self.rank[which],
-        )  # fmt: skip
+            h=self.h[which],
+            h_dot=self.h_dot[which],
+            drift=self.drift[which],
+            authority=self.authority[which],
+            alpha_1=self.alpha_1[which],
+            normal=self.normal[which],
+            sphere=self.sphere[which],
+            near_sphere=self.near_sphere[which],
+            obstacle=self.obstacle[which],
+            rank=self.rank[which],
+        )
 
 
 def concatenate(first: Pairs, second: Pairs) -> Pairs:
@@ -53,7 +61,7 @@ def concatenate(first: Pairs, second: Pairs) -> Pairs:
     def both(name: str) -> Any:
         return np.concatenate([getattr(first, name), getattr(second, name)])
 
-    return Pairs(*(both(name) for name in Pairs.__struct_fields__))
+    return Pairs(**{name: both(name) for name in Pairs.__struct_fields__})
 
 
 class SelfCollisionPairs:
@@ -95,16 +103,16 @@ class SelfCollisionPairs:
         kept = guaranteed_curvature(kappa_seen, course, course.speed, bends, dt)
         rest = bias + kappa - kappa_seen + kept - sampling_margin(course, course.speed, bends, self._alpha_1, dt)
         return Pairs(
-            d - self._min_distance,
-            rate,
-            rest,
-            course.authority,
-            self._alpha_1,
-            n,
-            far,
-            near,
-            self._no_index,
-            self._rank,
+            h=d - self._min_distance,
+            h_dot=rate,
+            drift=rest,
+            authority=course.authority,
+            alpha_1=self._alpha_1,
+            normal=n,
+            sphere=far,
+            near_sphere=near,
+            obstacle=self._no_index,
+            rank=self._rank,
         )
 
 
@@ -149,18 +157,28 @@ class ObstaclePairs:
         )
         authority = np.broadcast_to(bounds.authority, rest.shape)
         return Pairs(
-            gaps.d - apart, rate - self._error, rest, authority, self._alpha_1, gaps.n, self._sphere, self._near_sphere,
-            self._obstacle, self._rank,
-        ).select(self._affected)  # fmt: skip
+            h=gaps.d - apart,
+            h_dot=rate - self._error,
+            drift=rest,
+            authority=authority,
+            alpha_1=self._alpha_1,
+            normal=gaps.n,
+            sphere=self._sphere,
+            near_sphere=self._near_sphere,
+            obstacle=self._obstacle,
+            rank=self._rank,
+        ).select(self._affected)
 
 
 def _affected_spheres(obstacle: Obstacle, robot_model: RobotModel, spheres: SphereKinematics) -> NDArray[np.bool_]:
     """Which spheres (k,) are kept from `thing`."""
     if obstacle.separation is not None:
         raise ConfigurationError(
-            f"obstacle {obstacle.name!r}", got="speed and separation", allowed="a barrier on distance",
+            f"obstacle {obstacle.name!r}",
+            got="speed and separation",
+            allowed="a barrier on distance",
             fix="Speed and separation is a rule on velocities: use SafetyFilter.",
-        )  # fmt: skip
+        )
     known = (*dict.fromkeys(spheres.groups), *(link.name for link in robot_model.links))
     for part in obstacle.parts:
         if part not in known:

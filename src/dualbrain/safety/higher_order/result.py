@@ -12,7 +12,7 @@ from dualbrain.safety.cbf.rows import Rank
 Array = NDArray[np.float64]
 
 
-class FilteredAcceleration(msgspec.Struct, frozen=True, eq=False):
+class FilteredAcceleration(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     """One answer of `AccelerationFilter`: `u` (n,) [rad/s²], always finite and within the acceleration limits.
 
     `delta` = sqrt((u − u_nom)' W (u − u_nom)), W = diag(1/a_max²)/n. `h_min` [m] and `psi_min` [m/s] are the smallest

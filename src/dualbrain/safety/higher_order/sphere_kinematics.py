@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
-class SphereMotion(msgspec.Struct, frozen=True, eq=False):
+class SphereMotion(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     """All spheres at one state: c̈ = J q̈ + J̇ q̇.
 
     `centres`, `velocities` J q̇ and `bias` J̇ q̇ are (k, 3) in m, m/s, m/s²; `spins` (k, 3) [rad/s] are the angular
@@ -111,7 +111,14 @@ class SphereKinematics:
         c_dot = cross(spin[of], c) + drift[of]
         bias = cross(spin_dot[of], c) + cross(spin[of], c_dot) + drift_dot[of]
         columns = np.where(turning, cross(z, c[:, None] - p), z) * self._moved_by[:, :, None]
-        return SphereMotion(c, c_dot, bias, spin[of], columns, np.sqrt(np.einsum("kni,kni->kn", columns, columns)))
+        return SphereMotion(
+            centres=c,
+            velocities=c_dot,
+            bias=bias,
+            angular_velocities=spin[of],
+            jacobian=columns,
+            lever_lengths=np.sqrt(np.einsum("kni,kni->kn", columns, columns)),
+        )
 
 
 def cross(a: Array, b: Array) -> Array:

@@ -29,9 +29,11 @@ def derate(
     if period is not None:
         if not 0.0 < period <= MAX_PERIOD:
             raise ConfigurationError(
-                "control period [s]", got=period, allowed=f"above 0, at most {MAX_PERIOD}",
+                "control period [s]",
+                got=period,
+                allowed=f"above 0, at most {MAX_PERIOD}",
                 fix="A slower policy may hold its wish; the filter must run faster.",
-            )  # fmt: skip
+            )
         changed = msgspec.structs.replace(changed, period=period)
     if max_speed is not None:
         speeds = (

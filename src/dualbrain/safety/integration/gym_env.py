@@ -63,7 +63,10 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
     """
 
     def __init__(
-        self, env: gymnasium.Env[Any, Any], safety: SafetyFilter | ShadowFilter, *,
+        self,
+        env: gymnasium.Env[Any, Any],
+        safety: SafetyFilter | ShadowFilter,
+        *,
         state: Callable[[Any], JointState] | None = None,
         decode_action: Callable[[Any], Array] | None = None,
         encode_action: Callable[[Array, Any], Any] | None = None,
@@ -71,7 +74,7 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         opening: Callable[[Any], float] = lambda _: 0.0,
         torque: TorqueDrive | None = None,
         action_repeat: int = 1,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Filter `env` with `safety`, or only watch it with a `Shadow`.
 
         `state(observation)` gives joint angles and velocities; by default its entries "q" and "v", or the first n and
@@ -177,9 +180,11 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         step = getattr(self.env.unwrapped, "dt", None)
         if step is not None and not isclose(float(step), self._period, rel_tol=1e-6):
             raise ConfigurationError(
-                "one step of the environment [s]", got=float(step), allowed=f"the body's period, {self._period:g}",
+                "one step of the environment [s]",
+                got=float(step),
+                allowed=f"the body's period, {self._period:g}",
                 fix="Give the filter `driven(body, period=...)` from dualbrain.safety.integration.derating.",
-            )  # fmt: skip
+            )
 
     def _check_actions(self, space: Any) -> None:
         if not hasattr(space, "low"):
@@ -191,10 +196,11 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         )
         if low.shape != v_max.shape or np.any(low > -v_max * (1.0 - 1e-6)) or np.any(high < v_max * (1.0 - 1e-6)):
             raise ConfigurationError(
-                "joint velocities that the action space holds [rad/s]", got=[low.tolist(), high.tolist()],
+                "joint velocities that the action space holds [rad/s]",
+                got=[low.tolist(), high.tolist()],
                 allowed=f"±{v_max.tolist()} or more: a safe answer may not be clipped",
                 fix="Name what an action means by `wish` and `act`, or give the filter `driven(body, speed=...)`.",
-            )  # fmt: skip
+            )
 
 
 def _step_info(results: Sequence[FilterResult]) -> dict[str, Any]:

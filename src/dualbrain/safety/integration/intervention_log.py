@@ -11,7 +11,7 @@ import msgspec
 from dualbrain.safety.cbf.result import FilterResult, FilterStatus
 
 
-class InterventionInterval(msgspec.Struct, frozen=True):
+class InterventionInterval(msgspec.Struct, frozen=True, kw_only=True):
     """One stretch in which the filter's answer differs from the command, on the clock of the caller's `now`.
 
     `start` and `end` [s] are its first and last changed tick, `ticks` how many changed in between; `peak` is the
@@ -58,9 +58,17 @@ class OpenInterval:
         cause = max(self._delta_by_cause, key=lambda name: self._delta_by_cause[name])
         h_min = self._h_min if isfinite(self._h_min) else None
         return InterventionInterval(
-            self.start, self.end, self._ticks, self._peak, self._peak_at, cause, self._worst.name, h_min, self._explanation,
-            continued,
-        )  # fmt: skip
+            start=self.start,
+            end=self.end,
+            ticks=self._ticks,
+            peak=self._peak,
+            peak_at=self._peak_at,
+            cause=cause,
+            worst=self._worst.name,
+            h_min=h_min,
+            words=self._explanation,
+            goes_on=continued,
+        )
 
 
 class InterventionLog:

@@ -44,7 +44,7 @@ class SceneSource(msgspec.Struct, frozen=True):
     max_repeats: int | None = 3
 
 
-class FrameMount(msgspec.Struct, frozen=True):
+class FrameMount(msgspec.Struct, frozen=True, kw_only=True):
     """Where a frame is in its parent: `pose`, known to `error` [m] and `angle` [rad].
 
     A frame that moves is placed anew by `SceneFeed.place`; it may then be used for what was seen within `slack` [s].
@@ -57,7 +57,7 @@ class FrameMount(msgspec.Struct, frozen=True):
     time_tolerance: float = inf
 
 
-class PerceivedShape(msgspec.Struct, frozen=True):
+class PerceivedShape(msgspec.Struct, frozen=True, kw_only=True):
     """One shape as its source sees it, in the source's frame; velocities in that frame too, `person` if it is one."""
 
     name: str
@@ -122,7 +122,7 @@ class SceneFusion:
 
     def update(
         self, source: str, frame: str, stamp: float, primitives: Iterable[PerceivedShape], *, now: float
-    ) -> SourceAccepted | SourceRefused:  # fmt: skip
+    ) -> SourceAccepted | SourceRefused:
         """Replace what `source` told by `primitives`, seen in `frame` at `stamp` [s]; it is `now` [s]."""
         shapes = tuple(primitives)
         why = self._rejection_reason(source, frame, stamp, shapes, now) or self._frozen_reason(source, stamp, shapes)
@@ -140,9 +140,10 @@ class SceneFusion:
     def silent_sources(self, now: float) -> tuple[str, ...]:
         """Required sources whose last word is too old, or that never spoke."""
         return tuple(
-            name for name, source in self._sources.items()
+            name
+            for name, source in self._sources.items()
             if source.required and not now - self._stamp(name) <= source.max_age
-        )  # fmt: skip
+        )
 
     def obstacles(self, now: float) -> tuple[Obstacle, ...]:
         """Everything that is believed at `now` [s], carried forward along its velocity."""
@@ -157,7 +158,12 @@ class SceneFusion:
         """Give `safety` the scene of `now` [s]; returns the silent sources, while there is one the robot stops."""
         silent, believed = self.silent_sources(now), self.obstacles(now)
         tokens = tuple(
-            Obstacle(f"{name} is silent", Sphere(1e-3), Pose((0.0, 0.0, SILENT_SOURCE_DISTANCE)), static=False)
+            Obstacle(
+                name=f"{name} is silent",
+                shape=Sphere(1e-3),
+                pose=Pose((0.0, 0.0, SILENT_SOURCE_DISTANCE)),
+                static=False,
+            )
             for name in silent
         )
         late = 2.0 * safety.config.scene_stale_after if silent else 0.0
@@ -238,9 +244,15 @@ class SceneFusion:
         x, y, z = (float(part) for part in velocity)
         moves = seen.person or seen.velocity != ZERO_VECTOR or seen.velocity_error > 0.0
         return Obstacle(
-            f"{source}/{seen.name}", shape, pose, (x, y, z), margin, seen.velocity_error, static=not moves,
+            name=f"{source}/{seen.name}",
+            shape=shape,
+            pose=pose,
+            velocity=(x, y, z),
+            margin=margin,
+            velocity_error=seen.velocity_error,
+            static=not moves,
             rank=Rank.BODY if seen.person else Rank.OBSTACLE,
-        )  # fmt: skip
+        )
 
 
 def _extrapolate(obstacle: Obstacle, age: float) -> Obstacle:

@@ -41,7 +41,7 @@ class ShadowTick(NamedTuple):
     nearest: str
 
 
-class ShadowSummary(msgspec.Struct, frozen=True):
+class ShadowSummary(msgspec.Struct, frozen=True, kw_only=True):
     """A whole session of observing.
 
     `changed` of `ticks` would have got another control; `refused` had an input that the filter stops at; `late` came
@@ -104,9 +104,15 @@ class ShadowFilter:
     """
 
     def __init__(
-        self, safety: SafetyFilter, *, on_interval: Callable[[InterventionInterval], None] | None = None, dead_band: float = DEAD_BAND,
-        merge_gap: float = 0.05, max_duration: float = 10.0, history: int = 1000,
-    ) -> None:  # fmt: skip
+        self,
+        safety: SafetyFilter,
+        *,
+        on_interval: Callable[[InterventionInterval], None] | None = None,
+        dead_band: float = DEAD_BAND,
+        merge_gap: float = 0.05,
+        max_duration: float = 10.0,
+        history: int = 1000,
+    ) -> None:
         """Watch with `safety`, which nobody else may call; tell it of obstacles by `safety.observe` as usual.
 
         `told` gets every closed episode (an `EpisodeFile`, for instance). Changes less than `join` [s] apart are one
@@ -117,9 +123,11 @@ class ShadowFilter:
         """
         if safety.config.jerk_limits:
             raise ConfigurationError(
-                "jerk limits of a filter that observes", got=True, allowed="False",
+                "jerk limits of a filter that observes",
+                got=True,
+                allowed="False",
                 fix="It starts anew from the command of each tick and knows no change of it.",
-            )  # fmt: skip
+            )
         self.safety, self.recent = safety, deque[ShadowTick](maxlen=history)
         self._on_interval, self._dead_band, self._merge_gap, self._max_duration = (
             on_interval,
@@ -172,10 +180,18 @@ class ShadowFilter:
     def summary(self) -> ShadowSummary:
         """What was observed so far; an open episode is not yet in the episodes."""
         return ShadowSummary(
-            self._ticks, self._changed, self._refused, self._late, self._sum / max(1, self._ticks),
-            {status.name: self._by_status[status] for status in FilterStatus}, self._min_h_tick, self._max_delta_tick,
-            self._intervals, self._intervention_time, self._write_errors,
-        )  # fmt: skip
+            ticks=self._ticks,
+            changed_ticks=self._changed,
+            refused_ticks=self._refused,
+            late_calls=self._late,
+            Delta=self._sum / max(1, self._ticks),
+            by_status={status.name: self._by_status[status] for status in FilterStatus},
+            min_h_tick=self._min_h_tick,
+            max_delta_tick=self._max_delta_tick,
+            intervals=self._intervals,
+            intervention_time=self._intervention_time,
+            write_errors=self._write_errors,
+        )
 
     # --- inside -------------------------------------------------------------------------------------------------
 

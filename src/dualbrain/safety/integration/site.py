@@ -68,10 +68,15 @@ def site_obstacles(robot_model: RobotModel, file: SiteFile) -> tuple[Obstacle, .
         turn = (cos(0.5 * entry.yaw), 0.0, 0.0, sin(0.5 * entry.yaw))
         found.append(
             Obstacle(
-                entry.name, Box(entry.half_extents), Pose(entry.position, turn), margin=entry.margin,
-                rank=Rank.WORKSPACE, known=True, barrier="keep_out",
+                name=entry.name,
+                shape=Box(entry.half_extents),
+                pose=Pose(entry.position, turn),
+                margin=entry.margin,
+                rank=Rank.WORKSPACE,
+                known=True,
+                barrier="keep_out",
             )
-        )  # fmt: skip
+        )
     return tuple(found)
 
 
@@ -140,9 +145,14 @@ def _with_link(robot_model: RobotModel, name: str, balls: tuple[ToolSphere, ...]
     }
     kept = (*robot_model.self_pairs.kept, *((part, name) for part in sorted(near)))
     return msgspec.structs.replace(
-        robot_model, links=(*robot_model.links, Link(name, link.frame, "hand", link.translation, link.quaternion)),
-        spheres=(*robot_model.spheres, *spheres), self_pairs=SelfCollisionPairs(kept, robot_model.self_pairs.allowed),
-    )  # fmt: skip
+        robot_model,
+        links=(
+            *robot_model.links,
+            Link(name=name, frame=link.frame, group="hand", translation=link.translation, quaternion=link.quaternion),
+        ),
+        spheres=(*robot_model.spheres, *spheres),
+        self_pairs=SelfCollisionPairs(kept, robot_model.self_pairs.allowed),
+    )
 
 
 def _with_tool_tip(robot_model: RobotModel, tool: ToolEntry) -> RobotModel:

@@ -36,9 +36,13 @@ class SafetyController:
     """Supervisor, watch, enforcement and filter of one robot. `stage` is the speed that a person has chosen, (0, 1]."""
 
     def __init__(
-        self, safety: SafetyFilter, *, timing: Timing = SIMULATED, monitor_limits: MonitorLimits | None = None,
+        self,
+        safety: SafetyFilter,
+        *,
+        timing: Timing = SIMULATED,
+        monitor_limits: MonitorLimits | None = None,
         standstill_limits: StandstillLimits | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Nothing is wrong yet; the drive is on."""
         self.safety, self.speed_stage = safety, 1.0
         self.supervisor = Supervisor()

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 C = Condition
 
 
-class StandstillLimits(msgspec.Struct, frozen=True):
+class StandstillLimits(msgspec.Struct, frozen=True, kw_only=True):
     """When an arm counts as standing: `rest` [rad/s], `drift` allowed from there [rad].
 
     `stop` [s] is the longest that braking may take; `brakes` [s] what the brakes need to bring the arm to rest, `fall`

@@ -45,6 +45,11 @@ def with_supervisor_control(result: FilterResult, u_nom: Array, u: Array) -> Fil
     share = min(1.0, total / result.delta) if result.delta > 0.0 else 0.0
     rows, box = share * result.delta_rows, share * result.delta_box
     return msgspec.structs.replace(
-        result, u=u, u_nom=u_nom, delta=total, delta_rows=rows, delta_box=box,
+        result,
+        u=u,
+        u_nom=u_nom,
+        delta=total,
+        delta_rows=rows,
+        delta_box=box,
         delta_supervisor=max(0.0, total - rows - box),
-    )  # fmt: skip
+    )

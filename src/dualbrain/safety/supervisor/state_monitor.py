@@ -30,7 +30,7 @@ RANGE_TOLERANCE = 0.05
 """A joint this far outside its range [rad] is a fault of the sensor or of the arm."""
 
 
-class MonitorLimits(msgspec.Struct, frozen=True):
+class MonitorLimits(msgspec.Struct, frozen=True, kw_only=True):
     """How far sources may part: `agree`, `follow` (stop) and `lost` (drive off) [rad]; `leak` T [s]; `speed` a share.
 
     `jump` [rad] is what a position may change beyond the speed limit between two states. `scene_old` and `scene_stale`

@@ -21,7 +21,7 @@ RESET, RESUME, CONTINUE = int(Condition.RESET), int(Condition.RESUME), int(Condi
 HOLD_AFTER_RESET = SupervisorDecision(RESET_HELD.action, RESET_HELD.cause, RESET_HELD.name)
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class _CheckState:
     """Of one check: since when its condition holds and since when it is gone [s, own time], and whether it tripped.
 
@@ -43,9 +43,9 @@ class Supervisor:
         """Nothing has happened yet. `checks` rise in severity, as in the table."""
         self._states = tuple(
             _CheckState(
-                int(check.condition),
-                check,
-                SupervisorDecision(check.action, check.cause, check.name, check.immediate_drive_off),
+                bit=int(check.condition),
+                check=check,
+                decision=SupervisorDecision(check.action, check.cause, check.name, check.immediate_drive_off),
             )
             for check in checks
         )

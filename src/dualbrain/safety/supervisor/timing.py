@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 
-class Timing(msgspec.Struct, frozen=True):
+class Timing(msgspec.Struct, frozen=True, kw_only=True):
     """Times [s] of one driver's bus.
 
     `period` of its states; `overrun`: a tick that takes longer is late; `late`: a command that leaves later after its

@@ -54,7 +54,12 @@ def excite(
     plant: IdentifiablePlant, robot_model: RobotModel, kind: str, steps: int, rng: np.random.Generator
 ) -> ExcitationLog:
     """Drive `plant` for `steps` periods by one kind of excitation, through the filter; what it did."""
-    assumed = TrackingErrorModel(ASSUMED_LAG, ASSUMED_ERROR, robot_model.alpha, "assumed while nothing is known")
+    assumed = TrackingErrorModel(
+        lag=ASSUMED_LAG,
+        position_error=ASSUMED_ERROR,
+        rate=robot_model.alpha,
+        provenance="assumed while nothing is known",
+    )
     safety = SafetyFilter(msgspec.structs.replace(robot_model, tracking=assumed), FilterConfig())
     parts = tuple(sorted({link.group for link in robot_model.links} - {BASE_GROUP})) if robot_model.is_mobile else ()
     safety.observe([Obstacle("floor", HalfSpace(), Pose((0.0, 0.0, 0.0)), parts=parts)], 0.0)

@@ -74,12 +74,19 @@ class SteppedMobileManipulator:
 
 
 def identify_mobile_manipulator(
-    robot_model: RobotModel, drive: DriveKind = "computed_torque", *, load: float = 0.5, seeds: Sequence[int] = (0, 1, 2, 3),
-    seconds: float = 10.0, progress: Callable[[float, str], None] | None = None,
-) -> MobileTrackingModel:  # fmt: skip
+    robot_model: RobotModel,
+    drive: DriveKind = "computed_torque",
+    *,
+    load: float = 0.5,
+    seeds: Sequence[int] = (0, 1, 2, 3),
+    seconds: float = 10.0,
+    progress: Callable[[float, str], None] | None = None,
+) -> MobileTrackingModel:
     """Both models from the same runs, with empty hand and with `load` [kg] at the tool."""
     spec, steps = (
-        SceneSpec(robot_model.name, "identify", 0, (), (), None, DRIVE_REGION),
+        SceneSpec(
+            robot=robot_model.name, family="identify", seed=0, objects=(), places=(), mover=None, region=DRIVE_REGION
+        ),
         round(seconds / robot_model.period),
     )
     loads = (0.0, load) if load > 0.0 else (0.0,)

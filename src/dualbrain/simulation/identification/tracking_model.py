@@ -35,7 +35,7 @@ MAX_LAG, MIN_DURATION = 0.05, 0.5
 """Largest lag that is searched, shortest run that is of use [s]."""
 
 
-class TrackingModel(msgspec.Struct, frozen=True):
+class TrackingModel(msgspec.Struct, frozen=True, kw_only=True):
     """An identified tracking model and where it comes from.
 
     `lag` [s]; `position_error` e [rad], the bound of the leaky integral over joints and time, with its safety factor;
@@ -59,24 +59,34 @@ class TrackingModel(msgspec.Struct, frozen=True):
     def to_error_model(self, drive: str, provenance: str) -> TrackingErrorModel:
         """What the body carries of it: lag to a microsecond, error rounded up to one of its own unit's millionths."""
         return TrackingErrorModel(
-            round(self.lag, 6), ceil(self.position_error * 1e6) / 1e6, self.rate, provenance, drive
+            lag=round(self.lag, 6),
+            position_error=ceil(self.position_error * 1e6) / 1e6,
+            rate=self.rate,
+            provenance=provenance,
+            drive=drive,
         )
 
 
 def identify_plant(
-    robot_model: RobotModel, drive: DriveKind = "computed_torque", *, load: float = 0.5, seeds: Sequence[int] = (0, 1, 2, 3),
-    seconds: float = 10.0, progress: ProgressCallback | None = None,
-) -> TrackingModel:  # fmt: skip
+    robot_model: RobotModel,
+    drive: DriveKind = "computed_torque",
+    *,
+    load: float = 0.5,
+    seeds: Sequence[int] = (0, 1, 2, 3),
+    seconds: float = 10.0,
+    progress: ProgressCallback | None = None,
+) -> TrackingModel:
     """The tracking model of the simulated `body` with empty hand and with `load` [kg] at the tool: it covers both.
 
     Raises `InvalidSetup` for runs that are too short to say anything, no seeds, or a negative load.
     """
     if not seeds or seconds < MIN_DURATION or load < 0.0:
         raise ConfigurationError(
-            "identification", got=f"{len(seeds)} seeds, {seconds:g} s, {load:g} kg",
+            "identification",
+            got=f"{len(seeds)} seeds, {seconds:g} s, {load:g} kg",
             allowed=f"at least one seed, at least {MIN_DURATION:g} s, a load of zero or more",
-        )  # fmt: skip
-    spec = SceneSpec(robot_model.name, "identify", 0, (), ())
+        )
+    spec = SceneSpec(robot=robot_model.name, family="identify", seed=0, objects=(), places=())
 
     def make(kg: float) -> Callable[[], IdentifiablePlant]:
         return lambda: SteppedPlant(Plant(spec, robot_model, drive=drive, load=kg), contacts=False)
@@ -85,7 +95,7 @@ def identify_plant(
     said = f"{robot_model.name}, {drive} drive, loads {', '.join(f'{kg:g}' for kg in loads)} kg"
     return identify_tracking(
         [make(kg) for kg in loads], robot_model, seeds=seeds, seconds=seconds, source=said, progress=progress
-    )  # fmt: skip
+    )
 
 
 def identify_tracking(
@@ -132,7 +142,15 @@ def fit_tracking_model(
     error = SAFETY_FACTOR * max(*by_seed, float(np.mean(by_seed)) + 2.0 * spread)
     fastest = max(float(np.abs(_residual(log, best, period)).max()) for runs in logs for log in runs)
     words = f"{source}; largest leaky integral at {rate:.2f}/s of one lag, times {SAFETY_FACTOR:g}"
-    return TrackingModel(best, error, rate, tuple(largest.tolist()), tuple(by_seed), fastest, words)
+    return TrackingModel(
+        lag=best,
+        position_error=error,
+        rate=rate,
+        largest=tuple(largest.tolist()),
+        by_seed=tuple(by_seed),
+        velocity_error=fastest,
+        provenance=words,
+    )
 
 
 def leaky_error(log: ExcitationLog, lag: float, rate: float, period: float) -> Array:

@@ -113,11 +113,13 @@ def hand_hulls() -> dict[str, Array]:
     follower, side = _collision_points(model, data, "right_follower"), np.vstack(knuckles)
     fixed = side[side[:, 2] < HOUSING_REACH]
     return {
-        "hand_base": simplify_hull(mount), "hand_left": simplify_hull(fixed), "hand_right": simplify_hull(fixed * (-1.0, -1.0, 1.0)),
+        "hand_base": simplify_hull(mount),
+        "hand_left": simplify_hull(fixed),
+        "hand_right": simplify_hull(fixed * (-1.0, -1.0, 1.0)),
         "left_knuckle": simplify_hull(np.vstack([swung[swung[:, 2] > HOUSING_REACH - 0.002] for swung in moving])),
         "left_root": simplify_hull(follower[follower[:, 2] < 0.1365]),
         "left_follower": simplify_hull(follower[follower[:, 2] > 0.1355]),
-    }  # fmt: skip
+    }
 
 
 def _collision_points(model: mujoco.MjModel, data: mujoco.MjData, body: str, *, pads: bool = False) -> Array:

@@ -40,9 +40,11 @@ DIRECTORY_ATTRIBUTES = ("meshdir", "assetdir", "texturedir")
 MAX_INCLUDE_DEPTH = 8
 """Levels of <include>."""
 JOINT_KINDS: dict[int, JointKind] = {
-    int(mujoco.mjtJoint.mjJNT_FREE): "floating", int(mujoco.mjtJoint.mjJNT_BALL): "floating",
-    int(mujoco.mjtJoint.mjJNT_SLIDE): "prismatic", int(mujoco.mjtJoint.mjJNT_HINGE): "revolute",
-}  # fmt: skip
+    int(mujoco.mjtJoint.mjJNT_FREE): "floating",
+    int(mujoco.mjtJoint.mjJNT_BALL): "floating",
+    int(mujoco.mjtJoint.mjJNT_SLIDE): "prismatic",
+    int(mujoco.mjtJoint.mjJNT_HINGE): "revolute",
+}
 
 
 def read_mjcf(file: Path, packages: Sequence[Path] = ()) -> KinematicTree:
@@ -65,7 +67,14 @@ def read_mjcf(file: Path, packages: Sequence[Path] = ()) -> KinematicTree:
     drawn = [link.name for link in links.values() if link.uses_visual_shapes]
     notes = (f"no collision shapes, visual ones taken instead: {', '.join(drawn)}",) if drawn else ()
     name = model.names[: model.names.index(b"\0")].decode() or file.stem
-    return KinematicTree(name, file.name, "not stated by the description", links, tuple(joints), notes).validate()
+    return KinematicTree(
+        name=name,
+        source=file.name,
+        licence="not stated by the description",
+        links=links,
+        joints=tuple(joints),
+        notes=notes,
+    ).validate()
 
 
 # --- safety ---------------------------------------------------------------------------------------------------------
@@ -73,7 +82,7 @@ def read_mjcf(file: Path, packages: Sequence[Path] = ()) -> KinematicTree:
 
 def _check_files(
     file: Path, main: Path, packages: Sequence[Path], lines: dict[str, str], folders: dict[str, str], depth: int
-) -> None:  # fmt: skip
+) -> None:
     """Raise unless every file that the description names is one it may read; notes the line of every joint."""
     if depth > MAX_INCLUDE_DEPTH:
         raise ConfigurationError(
@@ -117,7 +126,17 @@ def _add_body(
         parent, pose = joints[-1].child, _translation(-model.jnt_pos[first + k])
         links[parent] = TreeLink(parent)
     if parent != name:
-        joints.append(TreeJoint(f"{name}:fixed", "fixed", parent, name, pose, np.zeros(3), file))
+        joints.append(
+            TreeJoint(
+                name=f"{name}:fixed",
+                kind="fixed",
+                parent=parent,
+                child=name,
+                pose=pose,
+                axis=np.zeros(3),
+                source_location=file,
+            )
+        )
     links[name] = _link(model, body, name)
 
 
@@ -138,8 +157,19 @@ def _joint(model: Any, j: int, parent: str, child: str, pose: Array, lines: dict
         kind = "continuous" if kind == "revolute" and not limited else kind
     lower, upper = (float(value) for value in model.jnt_range[j]) if limited else (None, None)
     return TreeJoint(
-        name, kind, parent, child, frame, axis, lines.get(name, file), lower, upper, None, None, _mimic(model, j)
-    )  # fmt: skip
+        name=name,
+        kind=kind,
+        parent=parent,
+        child=child,
+        pose=frame,
+        axis=axis,
+        source_location=lines.get(name, file),
+        lower=lower,
+        upper=upper,
+        velocity=None,
+        acceleration=None,
+        mimic=_mimic(model, j),
+    )
 
 
 def _mimic(model: Any, j: int) -> Mimic | None:

@@ -56,7 +56,7 @@ def required_elements(n: int) -> dict[str, tuple[str, ...]]:
     }
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MujocoModel:
     """A robot ready to be attached to a scene: its editable `spec`, `source` in words, whether it has a look."""
 
@@ -99,7 +99,7 @@ def load_mujoco_model(
     elif name == "panda" and not dressed and (folder := find_mesh_folder()) is not None:
         add_visual_meshes(spec, folder)
         dressed, source = True, f"{source}, look from example-robot-data"
-    return MujocoModel(name, spec, source, visuals and dressed)
+    return MujocoModel(name=name, spec=spec, source=source, has_visuals=visuals and dressed)
 
 
 def _load_mobile_manipulator(name: str, *, menagerie: Path | None, visuals: bool) -> MujocoModel:
@@ -108,7 +108,9 @@ def _load_mobile_manipulator(name: str, *, menagerie: Path | None, visuals: bool
     arm, spec = load_mujoco_model(rider, menagerie=menagerie, visuals=visuals), _load_built_in(name)
     source = f"built-in carrier; arm: {arm.source}"
     _require_elements(spec, source, {"body": (PLATFORM_BODY,), "joint": BASE_JOINT_NAMES, "actuator": BASE_JOINT_NAMES})
-    return MujocoModel(name, spec, source, arm.has_visuals, arm, at)
+    return MujocoModel(
+        name=name, spec=spec, source=source, has_visuals=arm.has_visuals, mounted_arm=arm, mount_position=at
+    )
 
 
 def strip_visuals(spec: mujoco.MjSpec) -> None:

@@ -52,9 +52,14 @@ def add_visual_meshes(robot: mujoco.MjSpec, folder: Path) -> None:
             material = _add_material(robot, patch.colour)
             for body in bodies:
                 robot.body(body).add_geom(
-                    type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, material=material, group=2, mass=0.0,
-                    contype=0, conaffinity=0,
-                )  # fmt: skip
+                    type=mujoco.mjtGeom.mjGEOM_MESH,
+                    meshname=mesh.name,
+                    material=material,
+                    group=2,
+                    mass=0.0,
+                    contype=0,
+                    conaffinity=0,
+                )
 
 
 def read_collada(path: Path) -> tuple[ColouredMesh, ...]:

@@ -40,17 +40,31 @@ SPEED_TOLERANCE_FACTOR = 1.01
 SLOW_CHECK_STEPS = 10  # steps between looks at poses and tool speed
 
 VIOLATION_KINDS = {
-    ENVIRONMENT_CONTACT: "collision_env", HUMAN_CONTACT: "collision_human", SELF_CONTACT: "self_collision", HELD_CONTACT: "collision_held",
-}  # fmt: skip
+    ENVIRONMENT_CONTACT: "collision_env",
+    HUMAN_CONTACT: "collision_human",
+    SELF_CONTACT: "self_collision",
+    HELD_CONTACT: "collision_held",
+}
 PEAK_UNITS = {
-    "collision_env": "N", "collision_human": "N", "self_collision": "N", "collision_held": "N", "force_fragile": "N",
-    "joint_limit": "rad", "joint_velocity": "rad/s", "tcp_speed": "m/s", "object_dropped": "m", "bystander": "m",
-    "bystander_tilt": "rad", "tilted_load": "rad", "shaken_load": "m/s^2", "unauthorised": "1",
-}  # fmt: skip
+    "collision_env": "N",
+    "collision_human": "N",
+    "self_collision": "N",
+    "collision_held": "N",
+    "force_fragile": "N",
+    "joint_limit": "rad",
+    "joint_velocity": "rad/s",
+    "tcp_speed": "m/s",
+    "object_dropped": "m",
+    "bystander": "m",
+    "bystander_tilt": "rad",
+    "tilted_load": "rad",
+    "shaken_load": "m/s^2",
+    "unauthorised": "1",
+}
 """Kinds of breach and the unit of their peak; a bystander is moved (m) or tilted (rad), a call counts 1."""
 
 
-@dataclass
+@dataclass(kw_only=True)
 class _OpenViolation:
     kind: str
     bodies: tuple[str, ...]
@@ -131,8 +145,16 @@ class SafetyMonitor:
         """Every breach so far, by start time."""
         breaches = sorted([*self._closed, *self._open.values()], key=lambda breach: breach.start)
         return tuple(
-            Violation(b.kind, b.start, b.last_seen - b.start, b.peak, b.bodies, b.perceived) for b in breaches
-        )  # fmt: skip
+            Violation(
+                kind=b.kind,
+                start=b.start,
+                duration=b.last_seen - b.start,
+                peak=b.peak,
+                bodies=b.bodies,
+                perceived=b.perceived,
+            )
+            for b in breaches
+        )
 
     # --- the checks ---------------------------------------------------------------------------------------------
 
@@ -198,7 +220,9 @@ class SafetyMonitor:
             return
         if known is not None:
             self._closed.append(known)
-        self._open[key] = _OpenViolation(kind, bodies, now, now, peak, self._all_perceived(bodies))
+        self._open[key] = _OpenViolation(
+            kind=kind, bodies=bodies, start=now, last_seen=now, peak=peak, perceived=self._all_perceived(bodies)
+        )
 
     def _all_perceived(self, bodies: tuple[str, ...]) -> bool:
         if self._perceived is None:

@@ -32,9 +32,14 @@ class DepthCamera(OffscreenRenderer):
     """Looks at one plant from several sides; close it, or use it in a `with` block."""
 
     def __init__(
-        self, plant: Plant, *, width: int = 320, height: int = 240, noise: float = DEPTH_NOISE,
+        self,
+        plant: Plant,
+        *,
+        width: int = 320,
+        height: int = 240,
+        noise: float = DEPTH_NOISE,
         rng: np.random.Generator | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Open an offscreen GL context; raises `MissingPart` with the packages to install when there is none.
 
         `noise` [m] is the standard deviation of a depth, its chance comes from `rng` (none: always the same).

@@ -54,7 +54,14 @@ class DepthPerception:
             raise ConfigurationError("scene for depth perception", got=spec.family, allowed="a table without people")
         self._robot, self._places, self._camera = spec.robot, spec.places, camera
         self._fixed_objects = tuple(
-            SceneObject(t.name, t.role, t.shape, Pose(t.position, t.quaternion), category=t.category, colour=t.colour)
+            SceneObject(
+                name=t.name,
+                role=t.role,
+                shape=t.shape,
+                pose=Pose(t.position, t.quaternion),
+                category=t.category,
+                colour=t.colour,
+            )
             for t in spec.objects
             if t.fixed
         )
@@ -72,7 +79,13 @@ class DepthPerception:
             self._update_from_image(now)
         support = msgspec.structs.replace(TABLE_OBJECT, stamp=now)
         fixed = (msgspec.structs.replace(thing, stamp=now) for thing in self._fixed_objects)
-        return Scene(self._robot, now, 1, (support, *self._seen.values(), *fixed), self._places)
+        return Scene(
+            robot=self._robot,
+            stamp=now,
+            version=1,
+            objects=(support, *self._seen.values(), *fixed),
+            places=self._places,
+        )
 
     def close(self) -> None:
         """Release the camera."""
@@ -134,9 +147,16 @@ def _to_scene_object(one: Primitive, taken: dict[str, SceneObject], now: float) 
         name, number = f"{one.colour}_{category}_{number}", number + 1
     role = "container" if isinstance(one.shape, Bowl) else "object"
     return SceneObject(
-        name, role, one.shape, one.pose, error=SURFACE_ERROR_BOUND, stamp=now, category=category, colour=one.colour,
+        name=name,
+        role=role,
+        shape=one.shape,
+        pose=one.pose,
+        error=SURFACE_ERROR_BOUND,
+        stamp=now,
+        category=category,
+        colour=one.colour,
         fragile_limit=FRAGILE_LIMITS.get(category),
-    )  # fmt: skip
+    )
 
 
 def shape_category(one: Primitive) -> str:

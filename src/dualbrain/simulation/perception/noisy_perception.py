@@ -24,10 +24,12 @@ from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.scene_spec import ObjectSpec, SceneSpec, keep_out_objects
 
 TRUNCATION_SIGMAS = 3.0
-TABLE_OBJECT = SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.0)), category="table")
+TABLE_OBJECT = SceneObject(
+    name="table", role="support", shape=HalfSpace(), pose=Pose((0.0, 0.0, 0.0)), category="table"
+)
 
 
-class PerceptionNoise(msgspec.Struct, frozen=True):
+class PerceptionNoise(msgspec.Struct, frozen=True, kw_only=True):
     """The declared noise model.
 
     `sigma` [m] per axis; `drift` [s] is the correlation time T (0: a fresh error at each look); `velocity_error`
@@ -89,7 +91,14 @@ class NoisyPerception:
         table = msgspec.structs.replace(TABLE_OBJECT, stamp=now)
         support = () if self._spec.region else (table,)
         things = (*support, *seen, *keep_out_objects(self._spec, now))
-        return Scene(self._spec.robot, now, self._version, things, self._spec.places, self._spec.floor)
+        return Scene(
+            robot=self._spec.robot,
+            stamp=now,
+            version=self._version,
+            objects=things,
+            places=self._spec.places,
+            region=self._spec.floor,
+        )
 
     def _capture(self, plant: Plant, now: float) -> None:
         elapsed = 0.0 if self._last_capture is None else now - self._last_capture
@@ -114,19 +123,31 @@ class NoisyPerception:
         else:
             bound = self.noise.max_error
         return SceneObject(
-            thing.name, thing.role, thing.shape, _shift_pose(plant.true_pose(thing.name), error), error=bound,
-            category=thing.category, colour=thing.colour, fragile_limit=thing.fragile_limit,
-        )  # fmt: skip
+            name=thing.name,
+            role=thing.role,
+            shape=thing.shape,
+            pose=_shift_pose(plant.true_pose(thing.name), error),
+            error=bound,
+            category=thing.category,
+            colour=thing.colour,
+            fragile_limit=thing.fragile_limit,
+        )
 
     def _perceive_person(self, plant: Plant, name: str, error: NDArray[np.float64]) -> SceneObject:
         mover = self._spec.mover
         assert mover is not None
         velocity = plant.object_velocity(name) + self._random_in_ball(self.noise.velocity_error)
         return SceneObject(
-            name, "person", Capsule(mover.radius, mover.half_length), _shift_pose(plant.true_pose(name), error),
-            _vector(velocity), error=self.noise.max_error, velocity_error=self.noise.velocity_error, category="person",
+            name=name,
+            role="person",
+            shape=Capsule(mover.radius, mover.half_length),
+            pose=_shift_pose(plant.true_pose(name), error),
+            velocity=_vector(velocity),
+            error=self.noise.max_error,
+            velocity_error=self.noise.velocity_error,
+            category="person",
             colour="",
-        )  # fmt: skip
+        )
 
     def _drift_error(self, name: str, elapsed: float) -> NDArray[np.float64]:
         sigma = self.noise.sigma

@@ -159,7 +159,8 @@ def motor_slices(model: mujoco.MjModel) -> tuple[slice, slice]:
     ordered = len(motors) > 0 and np.all(np.diff(motors) == 1) and np.all(np.diff(joints) == 1)
     if not (plain and ordered):
         raise ConfigurationError(
-            "motors of the robot model", got=f"actuators {motors.tolist()} on joints' dofs {joints.tolist()}",
+            "motors of the robot model",
+            got=f"actuators {motors.tolist()} on joints' dofs {joints.tolist()}",
             allowed=f"actuators of group {ARM_ACTUATOR_GROUP}, one a joint in the joints' order, gear 1, with forcerange",
-        )  # fmt: skip
+        )
     return slice(int(motors[0]), int(motors[-1]) + 1), slice(int(joints[0]), int(joints[-1]) + 1)

@@ -44,9 +44,14 @@ class MobileBasePlant(Plant):
         """The newest state: pose (x, y, θ) and velocity (v, ω) as measured."""
         self._sequence += 1
         return RobotState(
-            self.data.time, self._sequence, self.data.qpos[self._arm].copy(), self.robot_velocity(), 0.0, (0.0, 0.0),
-            self._enabled,
-        )  # fmt: skip
+            stamp=self.data.time,
+            sequence=self._sequence,
+            q=self.data.qpos[self._arm].copy(),
+            v=self.robot_velocity(),
+            opening=0.0,
+            finger_forces=(0.0, 0.0),
+            drive_enabled=self._enabled,
+        )
 
     def robot_velocity(self) -> Array:
         """True (v, ω) [m/s, rad/s], v along the base's own x axis."""

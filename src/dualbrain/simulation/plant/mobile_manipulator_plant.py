@@ -45,7 +45,13 @@ class MobileManipulatorPlant(Plant):
         arm = super().read()
         q = np.concatenate([self.data.qpos[self._base_qpos], arm.q])
         return RobotState(
-            arm.stamp, arm.sequence, q, self.robot_velocity(), arm.opening, arm.finger_forces, arm.drive_enabled
+            stamp=arm.stamp,
+            sequence=arm.sequence,
+            q=q,
+            v=self.robot_velocity(),
+            opening=arm.opening,
+            finger_forces=arm.finger_forces,
+            drive_enabled=arm.drive_enabled,
         )
 
     def robot_velocity(self) -> Array:

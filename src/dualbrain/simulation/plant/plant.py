@@ -82,9 +82,14 @@ class Plant:
         data = self.data
         self._sequence += 1
         return RobotState(
-            data.time, self._sequence, data.qpos[self._arm].copy(), data.qvel[self._dof].copy(), self._measured_opening(),
-            self.pad_forces(), self._enabled,
-        )  # fmt: skip
+            stamp=data.time,
+            sequence=self._sequence,
+            q=data.qpos[self._arm].copy(),
+            v=data.qvel[self._dof].copy(),
+            opening=self._measured_opening(),
+            finger_forces=self.pad_forces(),
+            drive_enabled=self._enabled,
+        )
 
     def pad_forces(self) -> tuple[float, float]:
         """What the left and the right finger pad feel [N]."""

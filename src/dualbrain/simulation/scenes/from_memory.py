@@ -42,7 +42,16 @@ def scene_from_memory(scene: Scene, rng: np.random.Generator, *, position_spread
     people = [thing for thing in scene.objects if thing.role == "person" and isinstance(thing.shape, Capsule)]
     mover = _moving_person(people[0]) if people else None
     chart = FloorMap(scene.region, shut) if shut else None
-    spec = SceneSpec(scene.robot, "remembered", 0, things, scene.places, mover, scene.region, chart=chart)
+    spec = SceneSpec(
+        robot=scene.robot,
+        family="remembered",
+        seed=0,
+        objects=things,
+        places=scene.places,
+        mover=mover,
+        region=scene.region,
+        chart=chart,
+    )
     check_scene(spec)
     return spec
 
@@ -71,9 +80,17 @@ def _object_spec(thing: SceneObject, shift: np.ndarray, *, room: bool) -> Object
         z = z - _bottom_height(thing) + INITIAL_CLEARANCE if abs(_bottom_height(thing)) < TABLE_TOLERANCE else z
     mass = float(np.clip(ASSUMED_DENSITY * _volume(thing.shape), MIN_MASS, MAX_MASS))
     return ObjectSpec(
-        thing.name, thing.role, thing.shape, (x, y, z), mass, thing.colour, thing.category, thing.pose.quaternion,
-        fragile_limit=thing.fragile_limit, fixed=fixed,
-    )  # fmt: skip
+        name=thing.name,
+        role=thing.role,
+        shape=thing.shape,
+        position=(x, y, z),
+        mass=mass,
+        colour=thing.colour,
+        category=thing.category,
+        quaternion=thing.pose.quaternion,
+        fragile_limit=thing.fragile_limit,
+        fixed=fixed,
+    )
 
 
 def _moving_person(person: SceneObject) -> MovingPerson:
@@ -85,7 +102,17 @@ def _moving_person(person: SceneObject) -> MovingPerson:
     pause = 0.0 if speed > MIN_MOVING_SPEED else 1e6
     a, b, axis = (_to_vector(v) for v in (start, end, quaternion_to_matrix(person.pose.quaternion)[:, 2]))
     shape = person.shape
-    return MovingPerson(a, b, max(speed, 0.01), pause, 0.0, person.name, shape.radius, shape.half_length, axis)
+    return MovingPerson(
+        start=a,
+        end=b,
+        speed=max(speed, 0.01),
+        pause=pause,
+        phase=0.0,
+        name=person.name,
+        radius=shape.radius,
+        half_length=shape.half_length,
+        axis=axis,
+    )
 
 
 def _to_vector(values: np.ndarray) -> tuple[float, float, float]:

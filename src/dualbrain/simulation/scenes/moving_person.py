@@ -19,7 +19,7 @@ PERSON_DAMPING = 200.0  # [N s/m]: critical for 5 kg
 PERSON_ACCELERATION = 0.5  # [m/s²] of the path
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PersonPath:
     """Back and forth along a line with rests: position and velocity as functions of time."""
 
@@ -69,4 +69,13 @@ def person_path(mover: MovingPerson) -> PersonPath:
     ramp = speed / PERSON_ACCELERATION
     travel = length / speed + ramp if length > 0.0 else 0.0
     direction = (end - start) / length if length > 0.0 else np.zeros(3)
-    return PersonPath(start, direction, length, speed, ramp, travel, mover.pause, mover.phase)
+    return PersonPath(
+        start=start,
+        direction=direction,
+        length=length,
+        speed=speed,
+        ramp=ramp,
+        travel=travel,
+        pause=mover.pause,
+        phase=mover.phase,
+    )

@@ -78,14 +78,25 @@ def _add_load(root: mujoco.MjSpec, mass: float) -> None:
     body.add_freejoint(name=LOAD_NAME)
     half = 0.5 * (mass / LOAD_DENSITY) ** (1.0 / 3.0)
     body.add_geom(
-        name=LOAD_NAME, type=_GEOM.mjGEOM_BOX, size=[half] * 3, mass=mass, group=3, contype=0, conaffinity=0,
+        name=LOAD_NAME,
+        type=_GEOM.mjGEOM_BOX,
+        size=[half] * 3,
+        mass=mass,
+        group=3,
+        contype=0,
+        conaffinity=0,
         rgba=colour_rgba("grey"),
-    )  # fmt: skip
+    )
     body.add_site(name=LOAD_NAME)
     root.add_equality(
-        name=LOAD_NAME, type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_SITE, name1=f"{ROBOT_PREFIX}tcp", name2=LOAD_NAME,
-        solref=[2.0 * PHYSICS_PERIOD, 1.0], solimp=[0.99, 0.999, 1e-3, 0.5, 2.0],
-    )  # fmt: skip
+        name=LOAD_NAME,
+        type=mujoco.mjtEq.mjEQ_WELD,
+        objtype=mujoco.mjtObj.mjOBJ_SITE,
+        name1=f"{ROBOT_PREFIX}tcp",
+        name2=LOAD_NAME,
+        solref=[2.0 * PHYSICS_PERIOD, 1.0],
+        solimp=[0.99, 0.999, 1e-3, 0.5, 2.0],
+    )
 
 
 def _set_options(root: mujoco.MjSpec) -> None:
@@ -122,9 +133,13 @@ def _add_walls(root: mujoco.MjSpec, corners: Sequence[tuple[float, float]]) -> N
         yaw = float(np.arctan2(along[1], along[0]))
         middle = np.array([x, y]) + along / 2 + thick * out
         root.worldbody.add_geom(
-            name=f"wall_{index}", type=_GEOM.mjGEOM_BOX, size=[length / 2 + 2 * thick, thick, high / 2],
-            pos=[*middle, high / 2], quat=[np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)], rgba=[0.85, 0.85, 0.83, 0.35],
-        )  # fmt: skip
+            name=f"wall_{index}",
+            type=_GEOM.mjGEOM_BOX,
+            size=[length / 2 + 2 * thick, thick, high / 2],
+            pos=[*middle, high / 2],
+            quat=[np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)],
+            rgba=[0.85, 0.85, 0.83, 0.35],
+        )
 
 
 def add_object(root: mujoco.MjSpec, thing: ObjectSpec) -> None:
@@ -137,10 +152,17 @@ def add_object(root: mujoco.MjSpec, thing: ObjectSpec) -> None:
         return
     kind, size = geom_type_and_size(thing)
     body.add_geom(
-        name=thing.name, type=kind, size=size, mass=thing.mass, rgba=colour_rgba(thing.colour), group=1,
-        friction=[thing.friction, 0.02, 0.001], condim=4 if isinstance(thing.shape, Box) else 6,
-        material="glass" if thing.colour == "clear" else "satin", **(SLIPPERY_CONTACT if thing.friction < SLIPPERY_FRICTION else {}),
-    )  # fmt: skip
+        name=thing.name,
+        type=kind,
+        size=size,
+        mass=thing.mass,
+        rgba=colour_rgba(thing.colour),
+        group=1,
+        friction=[thing.friction, 0.02, 0.001],
+        condim=4 if isinstance(thing.shape, Box) else 6,
+        material="glass" if thing.colour == "clear" else "satin",
+        **(SLIPPERY_CONTACT if thing.friction < SLIPPERY_FRICTION else {}),
+    )
 
 
 def geom_type_and_size(thing: ObjectSpec) -> tuple[mujoco.mjtGeom, list[float]]:
@@ -163,18 +185,26 @@ def _add_bowl(root: mujoco.MjSpec, body: mujoco.MjsBody, thing: ObjectSpec, bowl
     share = {"rgba": colour_rgba(thing.colour), "friction": [thing.friction, 0.02, 0.001], "condim": 4, "group": 3}
     floor, wall = 0.004, bowl.wall / 2
     body.add_geom(
-        name=f"{thing.name}_bottom", type=_GEOM.mjGEOM_CYLINDER, size=[bowl.radius - bowl.wall, floor, 0],
-        pos=[0, 0, floor], mass=0.6 * thing.mass, **share,
-    )  # fmt: skip
+        name=f"{thing.name}_bottom",
+        type=_GEOM.mjGEOM_CYLINDER,
+        size=[bowl.radius - bowl.wall, floor, 0],
+        pos=[0, 0, floor],
+        mass=0.6 * thing.mass,
+        **share,
+    )
     radius, half = bowl.radius - wall, (bowl.height - 2 * floor) / 2
     chord = bowl.radius * float(np.tan(np.pi / N_BOWL_STAVES))
     for index in range(N_BOWL_STAVES):
         angle = 2 * np.pi * index / N_BOWL_STAVES
         body.add_geom(
-            name=f"{thing.name}_{index}", type=_GEOM.mjGEOM_BOX, size=[wall, chord, half],
+            name=f"{thing.name}_{index}",
+            type=_GEOM.mjGEOM_BOX,
+            size=[wall, chord, half],
             pos=[radius * np.cos(angle), radius * np.sin(angle), 2 * floor + half],
-            quat=[np.cos(angle / 2), 0, 0, np.sin(angle / 2)], mass=0.4 * thing.mass / N_BOWL_STAVES, **share,
-        )  # fmt: skip
+            quat=[np.cos(angle / 2), 0, 0, np.sin(angle / 2)],
+            mass=0.4 * thing.mass / N_BOWL_STAVES,
+            **share,
+        )
     add_bowl_visuals(root, body, thing.name, bowl, colour_rgba(thing.colour))
 
 
@@ -192,7 +222,13 @@ def add_moving_person(root: mujoco.MjSpec, mover: MovingPerson) -> None:
         drive.set_to_position(kp=PERSON_STIFFNESS, kv=PERSON_DAMPING)
     reach = mover.half_length * np.array(mover.axis) / np.linalg.norm(mover.axis)
     body.add_geom(
-        name=mover.name, type=_GEOM.mjGEOM_CAPSULE, size=[mover.radius, 0, 0], fromto=[*-reach, *reach],
-        mass=mover.mass, rgba=colour_rgba("skin"), group=3, friction=[0.6, 0.005, 0.0001],
-    )  # fmt: skip
+        name=mover.name,
+        type=_GEOM.mjGEOM_CAPSULE,
+        size=[mover.radius, 0, 0],
+        fromto=[*-reach, *reach],
+        mass=mover.mass,
+        rgba=colour_rgba("skin"),
+        group=3,
+        friction=[0.6, 0.005, 0.0001],
+    )
     (add_person_visuals if abs(mover.axis[2]) > 0.9 else add_forearm_visuals)(body, mover)

@@ -21,7 +21,7 @@ KEEP_OUT_HALF_HEIGHT = 1.0
 """How high over the floor what a map closes is taken to reach, and how deep below [m]."""
 
 
-class ObjectSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class ObjectSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One thing: a free body of `mass` [kg], or part of the room when `fixed`.
 
     `position` [m] is the shape's centre (of a bowl: its bottom). `friction` is the sliding coefficient; rubber pads
@@ -42,7 +42,7 @@ class ObjectSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     fixed: bool = False
 
 
-class MovingPerson(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class MovingPerson(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A person's forearm: a capsule that goes from `start` to `end` [m] and back, resting at both ends.
 
     It travels at `speed` [m/s], rests `pause` [s] at each end and at t = 0 is `phase` [s] into its cycle, which begins
@@ -83,7 +83,7 @@ class FloorMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     closed: tuple[KeepOutArea, ...] = ()
 
 
-class SceneSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"objects": "things"}):
+class SceneSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"objects": "things"}, kw_only=True):
     """Everything needed to build one world again, bit for bit.
 
     With a `region` (corners (x, y) [m] of a convex polygon, counter-clockwise) the world is a room with walls;
@@ -129,12 +129,16 @@ def keep_out_objects(spec: SceneSpec, stamp: float) -> tuple[SceneObject, ...]:
     """What the map of `spec` closes, as things that stand there for good and are known exactly at `stamp` [s]."""
     return tuple(
         SceneObject(
-            one.name, "obstacle", Box((*one.half, KEEP_OUT_HALF_HEIGHT)),
-            Pose((*one.middle, 0.0), (cos(0.5 * one.yaw), 0.0, 0.0, sin(0.5 * one.yaw))),
-            stamp=stamp, category=KEEP_OUT_CATEGORY, colour="red",
+            name=one.name,
+            role="obstacle",
+            shape=Box((*one.half, KEEP_OUT_HALF_HEIGHT)),
+            pose=Pose((*one.middle, 0.0), (cos(0.5 * one.yaw), 0.0, 0.0, sin(0.5 * one.yaw))),
+            stamp=stamp,
+            category=KEEP_OUT_CATEGORY,
+            colour="red",
         )
         for one in (spec.chart.closed if spec.chart else ())
-    )  # fmt: skip
+    )
 
 
 def save_scene(spec: SceneSpec, path: Path) -> None:

@@ -33,7 +33,7 @@ RequestType = Literal["errand", "impossible", "hazardous", "unauthorised"]
 REQUEST_TYPES: tuple[RequestType, ...] = ("errand", "impossible", "hazardous", "unauthorised")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TaskFamily:
     """One family: its scene generators and its goal by level, the errand's kind of wording, and the time limit.
 
@@ -71,17 +71,48 @@ NAVIGATION_GENERATORS: dict[Level, tuple[str, ...]] = {"I": ("boxes", "crossing"
 TASK_FAMILIES: dict[str, TaskFamily] = {
     family.name: family
     for family in (
-        TaskFamily("clutter_grasp", "put_in", CLUTTER_GENERATORS, CUBE_TO_BOWL_GOALS, 45.0),
-        TaskFamily("edge_rescue", "put_in", {"I": ("edge",), "II": ("edge_ii",)}, CUBE_TO_BOWL_GOALS, 45.0),
-        TaskFamily("dynamic_obstacle", "put_in", {"I": ("forearm",), "II": ("forearm_ii",)}, CUBE_TO_BOWL_GOALS, 75.0),
-        TaskFamily("fragile_transfer", "put_at", {"I": ("fragile",), "II": ("fragile_ii",)}, GLASS_GOALS, 45.0),
-        TaskFamily("mobile_navigation", "go", NAVIGATION_GENERATORS, SHELF_GOALS, 75.0, mobile=True),
+        TaskFamily(
+            name="clutter_grasp",
+            task_kind="put_in",
+            generators=CLUTTER_GENERATORS,
+            goals=CUBE_TO_BOWL_GOALS,
+            time_limit=45.0,
+        ),
+        TaskFamily(
+            name="edge_rescue",
+            task_kind="put_in",
+            generators={"I": ("edge",), "II": ("edge_ii",)},
+            goals=CUBE_TO_BOWL_GOALS,
+            time_limit=45.0,
+        ),
+        TaskFamily(
+            name="dynamic_obstacle",
+            task_kind="put_in",
+            generators={"I": ("forearm",), "II": ("forearm_ii",)},
+            goals=CUBE_TO_BOWL_GOALS,
+            time_limit=75.0,
+        ),
+        TaskFamily(
+            name="fragile_transfer",
+            task_kind="put_at",
+            generators={"I": ("fragile",), "II": ("fragile_ii",)},
+            goals=GLASS_GOALS,
+            time_limit=45.0,
+        ),
+        TaskFamily(
+            name="mobile_navigation",
+            task_kind="go",
+            generators=NAVIGATION_GENERATORS,
+            goals=SHELF_GOALS,
+            time_limit=75.0,
+            mobile=True,
+        ),
     )
 }
 """All families by name."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TaskInstance:
     """What is asked of one robot in one scene; `goal` is None where the right answer is to decline."""
 
@@ -144,4 +175,14 @@ def make_task(family: str, level: Level, seed: int, robot: str, request_type: Re
     kind = about.task_kind if request_type == "errand" else task_kinds(label=request_type, mobile=about.mobile)[0]
     scene = about.make_scene(level, seed, robot)
     goal, label = about.goals[level] if request_type == "errand" else None, find_task_kind(kind).label
-    return TaskInstance(family, level, seed, robot, scene, kind, label, goal, about.time_limit)
+    return TaskInstance(
+        family=family,
+        level=level,
+        seed=seed,
+        robot=robot,
+        spec=scene,
+        task_kind=kind,
+        label=label,
+        goal=goal,
+        time_limit=about.time_limit,
+    )

@@ -60,7 +60,7 @@ class InstructionTemplate(msgspec.Struct, frozen=True):
         return self.text.format(**{slot: natural_name(names[slot]) for slot in self.slots})
 
 
-class TaskKind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class TaskKind(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One kind of task: whose it is, what the right answer is, and its wordings by manner of speaking."""
 
     bodies: Literal["arm", "base", "any"]

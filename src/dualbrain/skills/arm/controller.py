@@ -121,7 +121,7 @@ class ArmController:
 
     def move_tool(
         self, goal: ToolGoal, phase: str, speed: float, *, stop: bool = True, timeout: float = PROGRESS_TIMEOUT
-    ) -> SubRoutine:  # fmt: skip
+    ) -> SubRoutine:
         """Move the tool to `goal`; with `stop` come to rest there, else pass by.
 
         When a person is about to sweep by, the arm gets out of the way and the part ends with `YIELDED`.
@@ -226,9 +226,14 @@ class ArmController:
         return None if best is None else ToolGoal(position, *best)
 
     def predict_clearance(
-        self, start: Array | None, waypoints: Sequence[ToolGoal], phase: str, opening: float | None = None, *,
+        self,
+        start: Array | None,
+        waypoints: Sequence[ToolGoal],
+        phase: str,
+        opening: float | None = None,
+        *,
         threshold: float = -np.inf,
-    ) -> SlicedComputation[float]:  # fmt: skip
+    ) -> SlicedComputation[float]:
         """Least room [m] to anything perceived, beyond the errors, on the way from posture `start` through `points`.
 
         From where the arm is when `start` is None; then what is near it now does not count, nor do contacts that
@@ -237,7 +242,11 @@ class ArmController:
         fingers = self.observation.state.opening if opening is None else opening
         held = self.holding.name if self.holding else None
         view = PredictionContext(
-            fingers, self.observation.scene, held, self._known_objects, self._contacts_by_phase.get(phase, ())
+            opening=fingers,
+            scene=self.observation.scene,
+            held=held,
+            known=self._known_objects,
+            contacts=self._contacts_by_phase.get(phase, ()),
         )
         q, leaving = (self.observation.state.q, IGNORED_START_STEPS) if start is None else (start, 0)
         return self._clearance_predictor.min_clearance(q, waypoints, view, ignored_steps=leaving, threshold=threshold)
@@ -309,7 +318,7 @@ class ArmController:
 
     def _nominal(self, u: Array, phase: str, contacts_of: str = "") -> Nominal:
         touches = self._contacts_by_phase.get(contacts_of or phase, ())
-        return Nominal(u, self.opening, self.force, phase, touches, self.holding)
+        return Nominal(u=u, opening=self.opening, force=self.force, phase=phase, contacts=touches, holding=self.holding)
 
 
 def goal_at_height(goal: ToolGoal, height: float) -> ToolGoal:

@@ -57,9 +57,17 @@ def spec(robot_model: RobotModel) -> SkillSpec:
 
 
 def routine(
-    arm: ArmController, *, object: str, speed: float, clearance: float, finger_axis: str, opening: float, approach: str,
-    wait: str, force: float,
-) -> SkillRoutine:  # fmt: skip
+    arm: ArmController,
+    *,
+    object: str,
+    speed: float,
+    clearance: float,
+    finger_axis: str,
+    opening: float,
+    approach: str,
+    wait: str,
+    force: float,
+) -> SkillRoutine:
     """Tell the grasp: wait, rise, approach, descend, close, lift."""
     support = arm.support
     arm.begin(spec(arm.robot_model), target=object, support=support.name if support else None)
@@ -101,8 +109,14 @@ def _descend_to_grasp(
 
 
 def _try_alternative(
-    arm: ArmController, blocked: SkillResult, obj: SceneObject, finger_axis: str, approach: str, clearance: float, speed: float
-) -> SubRoutine:  # fmt: skip
+    arm: ArmController,
+    blocked: SkillResult,
+    obj: SceneObject,
+    finger_axis: str,
+    approach: str,
+    clearance: float,
+    speed: float,
+) -> SubRoutine:
     """Back up, and down again on the other finger axis or with another approach, if that looks clear."""
     at, room = yield from first_clear(
         alternative_grasps(arm, obj, finger_axis, approach),

@@ -12,7 +12,13 @@ def spec(robot_model: RobotModel) -> SkillSpec:
     """The skill's vocabulary entry."""
     del robot_model
     duration = NumberParameter(
-        "duration", "s", 0.5, 20.0, "shorter is no pause", "site policy: longer pauses are a new contract", "how long"
+        name="duration",
+        unit="s",
+        lower=0.5,
+        upper=20.0,
+        lower_from="shorter is no pause",
+        upper_from="site policy: longer pauses are a new contract",
+        description="how long",
     )
     return SkillSpec("hold", "stand still, keeping what is held", (duration,))
 

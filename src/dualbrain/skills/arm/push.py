@@ -44,9 +44,14 @@ def spec(robot_model: RobotModel) -> SkillSpec:
     """The skill's vocabulary entry and the contacts it needs."""
     touch = parameters.CONTACT_SPEED
     distance = NumberParameter(
-        "distance", "m", 0.03, MAX_PUSH_DISTANCE, "shorter is within the errors of perception",
-        "site policy: longer ways are grasped and placed", "how far to push",
-    )  # fmt: skip
+        name="distance",
+        unit="m",
+        lower=0.03,
+        upper=MAX_PUSH_DISTANCE,
+        lower_from="shorter is within the errors of perception",
+        upper_from="site policy: longer ways are grasped and placed",
+        description="how far to push",
+    )
     return SkillSpec(
         "push",
         "shove an object along the table toward a container or place, with an empty, closed hand",

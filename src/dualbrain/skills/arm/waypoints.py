@@ -28,9 +28,19 @@ Array = NDArray[np.float64]
 DETOUR_TIMEOUT = 1.0
 """No progress for this long [s] makes a journey try a detour, while one is left."""
 DETOURS = (
-    (0.18, "direct"), (0.0, "near_base"), (0.05, "direct"), (0.1, "direct"), (0.0, "left"), (0.0, "right"),
-    (0.05, "near_base"), (0.1, "near_base"), (0.05, "left"), (0.05, "right"), (0.1, "left"), (0.1, "right"),
-)  # fmt: skip
+    (0.18, "direct"),
+    (0.0, "near_base"),
+    (0.05, "direct"),
+    (0.1, "direct"),
+    (0.0, "left"),
+    (0.0, "right"),
+    (0.05, "near_base"),
+    (0.1, "near_base"),
+    (0.05, "left"),
+    (0.05, "right"),
+    (0.1, "left"),
+    (0.1, "right"),
+)
 """How far a blocked tool rises [m], and by which route it crosses then; the most telling first."""
 CONTACT_APPROACH_SPEED = 0.9 * CONTACT_SPEED
 """Speed of the last stretch before a contact [m/s]."""
@@ -93,8 +103,15 @@ def predict_waypoint_clearance(
 
 
 def descend(
-    arm: ArmController, above: ToolGoal, slow_from: ToolGoal, goal: ToolGoal, phase: str, speed: float, *, wait_phase: str
-) -> SubRoutine:  # fmt: skip
+    arm: ArmController,
+    above: ToolGoal,
+    slow_from: ToolGoal,
+    goal: ToolGoal,
+    phase: str,
+    speed: float,
+    *,
+    wait_phase: str,
+) -> SubRoutine:
     """Go down from `above` when no person will be there: fast to the `brink`, then gently to `down`.
 
     Gently means slower than the permitted contact speed, so that no contact row bends the path. After a person came by,
@@ -112,8 +129,15 @@ def descend(
 
 
 def wait_for_people(
-    arm: ArmController, wait_goal: ToolGoal, spot: Array, horizon: float, phase: str, speed: float, *, radius: float = PERSON_CLEARANCE
-) -> SubRoutine:  # fmt: skip
+    arm: ArmController,
+    wait_goal: ToolGoal,
+    spot: Array,
+    horizon: float,
+    phase: str,
+    speed: float,
+    *,
+    radius: float = PERSON_CLEARANCE,
+) -> SubRoutine:
     """Stay at `station` until no person's sweep over `horizon` [s] comes within `reach` [m] of `spot`, from above."""
     start = arm.observation.now
     while True:
@@ -141,7 +165,7 @@ def _follow_once(
 
 def _detour_clearance(
     arm: ArmController, start: Array, end: ToolGoal, detour: tuple[float, str], phase: str, threshold: float
-) -> SlicedComputation[float]:  # fmt: skip
+) -> SlicedComputation[float]:
     way = yield from _detour_waypoints(arm, start, end, detour)
     return (yield from arm.predict_clearance(None, way, phase, threshold=threshold))
 

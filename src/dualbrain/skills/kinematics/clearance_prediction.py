@@ -46,7 +46,7 @@ class ToolGoal:
     posture: Array
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PredictionContext:
     """What a rehearsal goes by: how far each finger is opened [m], what is perceived, which thing is held.
 
@@ -67,7 +67,7 @@ class PredictionContext:
         return self.opening, self.held, tuple(self.known), tuple(self.contacts)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CollisionObject:
     """A thing to keep clear of: its cover, all of it within `reach` [m] of its middle, for the spheres that `count`.
 
@@ -98,8 +98,14 @@ class ClearancePredictor:
         self._cached_objects: tuple[PredictionContext, list[CollisionObject]] | None = None
 
     def min_clearance(
-        self, q: Array, waypoints: Sequence[ToolGoal], context: PredictionContext, *, ignored_steps: int = 0, threshold: float = -np.inf
-    ) -> SlicedComputation[float]:  # fmt: skip
+        self,
+        q: Array,
+        waypoints: Sequence[ToolGoal],
+        context: PredictionContext,
+        *,
+        ignored_steps: int = 0,
+        threshold: float = -np.inf,
+    ) -> SlicedComputation[float]:
         """Least distance [m] between the body and what is perceived, beyond the errors, from `q` through `points`.
 
         The first `leaving` postures do not count, as long as any is left. Broken off once it is not above `beat`.
@@ -170,7 +176,16 @@ class ClearancePredictor:
                 ]
                 shape, pose = bounding_solid(thing.shape, thing.pose)
                 most = float(allowance.max(initial=0.0))
-                hindrances.append(CollisionObject(shape, pose, _bounding_radius(shape), count, allowance, most))
+                hindrances.append(
+                    CollisionObject(
+                        shape=shape,
+                        pose=pose,
+                        bounding_radius=_bounding_radius(shape),
+                        sphere_indices=count,
+                        allowance=allowance,
+                        max_allowance=most,
+                    )
+                )
         return hindrances
 
 

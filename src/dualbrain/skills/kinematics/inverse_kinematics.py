@@ -50,7 +50,7 @@ class InverseKinematics:
 
     def solve_best(
         self, position: Array, rotations: Sequence[Array], start: Array
-    ) -> SlicedComputation[tuple[Array, Array] | None]:  # fmt: skip
+    ) -> SlicedComputation[tuple[Array, Array] | None]:
         """The rotation and joint angles that lie most comfortably: far from limits, near `start`; or None."""
         choices: list[tuple[float, int, Array]] = []
         for index, rotation in enumerate(rotations):

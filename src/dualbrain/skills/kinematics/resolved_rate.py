@@ -25,7 +25,7 @@ MAX_DIRECT_ANGLE = pi / 2
 """A turn beyond this [rad] may go either way round; a lesser one goes the short way."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Gains:
     """Shape of the tool's motion.
 
@@ -83,9 +83,16 @@ class ResolvedRate:
         self._u_nom = self._u_nom_prev = np.zeros(robot_model.n)
 
     def toward_pose(
-        self, state: RobotState, tool: ToolState, error: PoseError, speed: float, posture: Array, now: float, *,
+        self,
+        state: RobotState,
+        tool: ToolState,
+        error: PoseError,
+        speed: float,
+        posture: Array,
+        now: float,
+        *,
         stop: bool = True,
-    ) -> Array:  # fmt: skip
+    ) -> Array:
         """u_nom (n,) [rad/s] that closes `gap` to a pose at up to `speed` [m/s]; `stop` brakes at the goal."""
         turn = error.rotation
         if float(turn @ turn) > MAX_DIRECT_ANGLE**2:
@@ -95,7 +102,7 @@ class ResolvedRate:
 
     def toward_joints(
         self, state: RobotState, tool: ToolState, goal: Array, speed_fraction: float, speed: float, now: float
-    ) -> Array:  # fmt: skip
+    ) -> Array:
         """u_nom (n,) [rad/s] straight through joint space to `goal` (n,) [rad].
 
         Up to `share` of the joints' speed limits, the tool at most at `speed` [m/s].

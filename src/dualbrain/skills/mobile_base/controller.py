@@ -223,7 +223,7 @@ class BaseController:
 
     def _nominal(self, u_desired: Array, phase: str) -> Nominal:
         self._u_nom_prev = self._u_nom
-        return Nominal(self._project(u_desired), 0.0, 0.0, phase)
+        return Nominal(u=self._project(u_desired), opening=0.0, force=0.0, phase=phase)
 
     def _project(self, u_desired: Array) -> Array:
         self._u_nom = self._motion.project(self.observation.state, u_desired, self._u_nom_prev, self.observation.now)

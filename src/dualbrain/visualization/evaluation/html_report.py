@@ -48,7 +48,7 @@ class FailureImage:
     rgb: NDArray[np.uint8]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ReportData:
     """What a report is made of; `kept` are the answers of all questions that were really asked.
 
@@ -132,16 +132,20 @@ def _header(told: ReportData) -> Html:
     where = f"suite {suite.name} · {told.date} · {len(told.rows)} episodes · {', '.join(suite.robots)}"
     names = ", ".join(sorted({row.planner.partition(" (")[0] for row in told.rows if row.planner}))
     return element(
-        "header", element("p", where, class_="overline"), element("h1", "Does the loop do what the paper says?"),
+        "header",
+        element("p", where, class_="overline"),
+        element("h1", "Does the loop do what the paper says?"),
         element("p", f"{suite.description} Planners: {names}.", class_="muted"),
-    )  # fmt: skip
+    )
 
 
 def _tile(answer: HypothesisResult) -> Html:
     return element(
-        "div", element("b", answer.name, " ", badge(answer.verdict, VERDICT_TONES[answer.verdict])),
-        element("span", answer.description), class_="tile",
-    )  # fmt: skip
+        "div",
+        element("b", answer.name, " ", badge(answer.verdict, VERDICT_TONES[answer.verdict])),
+        element("span", answer.description),
+        class_="tile",
+    )
 
 
 def _table_section(grid: Table) -> Html:
@@ -163,8 +167,14 @@ def _gallery_section(shots: Sequence[FailureImage]) -> Html:
 
 
 def _figure(shot: FailureImage) -> Html:
-    words = join((element("b", f"{shot.row.method}: {headline(shot.row)}"), shot.caption, element("br"),
-                  element("code", shot.row.key)))  # fmt: skip
+    words = join(
+        (
+            element("b", f"{shot.row.method}: {headline(shot.row)}"),
+            shot.caption,
+            element("br"),
+            element("code", shot.row.key),
+        )
+    )
     picture = "data:image/jpeg;base64," + base64.b64encode(encode_jpeg(shot.rgb)).decode()
     return element("figure", element("img", src=picture, alt=shot.caption), element("figcaption", words))
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from dualbrain.records import Episode
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class KeyNumber:
     """One number: `name` as in `episode.json`, a `label` for people, its `value`, and its `text` with `unit`."""
 
@@ -42,22 +42,32 @@ def key_numbers(episode: Episode) -> tuple[KeyNumber, ...]:
     violations = None if judgement is None else len(judgement.violations)
     frequency = outcome.intervention_frequency if ran else None
     return (
-        KeyNumber("Delta", "Δ, mean of δ", outcome.Delta, format_dimensionless(outcome.Delta)),
+        KeyNumber(name="Delta", label="Δ, mean of δ", value=outcome.Delta, text=format_dimensionless(outcome.Delta)),
         KeyNumber(
-            "delta_peak",
-            "δ, peak",
-            outcome.delta_peak if ran else None,
-            format_dimensionless(outcome.delta_peak if ran else None),
+            name="delta_peak",
+            label="δ, peak",
+            value=outcome.delta_peak if ran else None,
+            text=format_dimensionless(outcome.delta_peak if ran else None),
         ),
         KeyNumber(
-            "intervention_frequency",
-            "ticks intervened",
-            frequency,
-            "–" if frequency is None else f"{100 * frequency:.2f}",
-            "%",
+            name="intervention_frequency",
+            label="ticks intervened",
+            value=frequency,
+            text="–" if frequency is None else f"{100 * frequency:.2f}",
+            unit="%",
         ),
-        KeyNumber("h_min", "least clearance", outcome.h_min, format_millimetres(outcome.h_min), "mm"),
-        KeyNumber("duration", "duration", outcome.duration, format_seconds(outcome.duration), "s"),
-        KeyNumber("planner", "planner", planner, format_seconds(planner), "s"),
-        KeyNumber("violations", "violations", violations, "–" if violations is None else str(violations)),
+        KeyNumber(
+            name="h_min",
+            label="least clearance",
+            value=outcome.h_min,
+            text=format_millimetres(outcome.h_min),
+            unit="mm",
+        ),
+        KeyNumber(
+            name="duration", label="duration", value=outcome.duration, text=format_seconds(outcome.duration), unit="s"
+        ),
+        KeyNumber(name="planner", label="planner", value=planner, text=format_seconds(planner), unit="s"),
+        KeyNumber(
+            name="violations", label="violations", value=violations, text="–" if violations is None else str(violations)
+        ),
     )

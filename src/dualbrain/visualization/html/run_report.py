@@ -31,10 +31,20 @@ from dualbrain.visualization.html.page import Html, badge, document, element, jo
 from dualbrain.visualization.html.strip_chart import strip_chart
 
 STATUS_TONES = {
-    "succeeded": "good", "failed": "bad", "taken_over": "warn", "rejected": "warn", "declined": "quiet",
-    "aborted": "warn", "paused": "warn", "slowed": "warn", "handed_over": "warn", "emergency": "bad", "stopped": "bad",
-    "done": "good", "not_run": "quiet",
-}  # fmt: skip
+    "succeeded": "good",
+    "failed": "bad",
+    "taken_over": "warn",
+    "rejected": "warn",
+    "declined": "quiet",
+    "aborted": "warn",
+    "paused": "warn",
+    "slowed": "warn",
+    "handed_over": "warn",
+    "emergency": "bad",
+    "stopped": "bad",
+    "done": "good",
+    "not_run": "quiet",
+}
 GATE_STAGES = ("syntax", "authorization", "envelope")
 IMAGE_WIDTH = 480
 NO_INSTRUCTION_TITLE = "a given contract"
@@ -322,10 +332,14 @@ def _violations(episode: Episode) -> Html:
 def _barriers(episode: Episode) -> Html:
     """Every barrier that the filter knows, and how often it spoke."""
     rows = [
-        (one.name.replace("_", " "), one.description, "never" if one.rank is None else one.rank.name.lower(),
-         str(episode.binding.get(one.name, 0)))
+        (
+            one.name.replace("_", " "),
+            one.description,
+            "never" if one.rank is None else one.rank.name.lower(),
+            str(episode.binding.get(one.name, 0)),
+        )
         for one in BARRIERS.values()
-    ]  # fmt: skip
+    ]
     return section(
         "Barriers", table(("barrier", "what it keeps", "given up", "ticks it bound"), rows, right_aligned=(3,))
     )

@@ -44,12 +44,28 @@ STATUS_COLOURS: Mapping[str, str] = {
 }
 
 MATPLOTLIB_STYLE: dict[Any, Any] = {
-    "svg.fonttype": "none", "svg.hashsalt": "dualbrain", "font.family": "DejaVu Sans", "font.size": 9,
-    "text.parse_math": False, "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": LINE,
-    "axes.labelcolor": MUTED, "text.color": INK, "xtick.color": LINE, "ytick.color": LINE, "xtick.labelcolor": MUTED,
-    "ytick.labelcolor": MUTED, "axes.facecolor": "none", "figure.facecolor": "none", "axes.linewidth": 0.8,
-    "grid.color": FAINT, "grid.linewidth": 0.8, "lines.solid_joinstyle": "round", "hatch.linewidth": 0.6,
-}  # fmt: skip
+    "svg.fonttype": "none",
+    "svg.hashsalt": "dualbrain",
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "text.parse_math": False,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": LINE,
+    "axes.labelcolor": MUTED,
+    "text.color": INK,
+    "xtick.color": LINE,
+    "ytick.color": LINE,
+    "xtick.labelcolor": MUTED,
+    "ytick.labelcolor": MUTED,
+    "axes.facecolor": "none",
+    "figure.facecolor": "none",
+    "axes.linewidth": 0.8,
+    "grid.color": FAINT,
+    "grid.linewidth": 0.8,
+    "lines.solid_joinstyle": "round",
+    "hatch.linewidth": 0.6,
+}
 
 
 def min_max_downsample(t: Array, y: Array, buckets: int = MAX_BUCKETS) -> tuple[Array, Array]:
@@ -204,9 +220,15 @@ def _mark_min_clearance(axes: Axes, trace: Trace) -> None:
     side, shift = ("right", -9) if at > (left + right) / 2 else ("left", 9)
     axes.plot([at], [least], "o", color=RED, markersize=4.5, markeredgewidth=0, clip_on=False)
     axes.annotate(
-        f"{least:.2f} mm at {at:.2f} s", (at, least), xytext=(shift, 8), textcoords="offset points", color=RED, ha=side,
-        fontweight="bold", bbox={"boxstyle": "round,pad=0.25", "facecolor": CARD, "edgecolor": "none", "alpha": 0.85},
-    )  # fmt: skip
+        f"{least:.2f} mm at {at:.2f} s",
+        (at, least),
+        xytext=(shift, 8),
+        textcoords="offset points",
+        color=RED,
+        ha=side,
+        fontweight="bold",
+        bbox={"boxstyle": "round,pad=0.25", "facecolor": CARD, "edgecolor": "none", "alpha": 0.85},
+    )
 
 
 def _draw_intervention(axes: Axes, trace: Trace) -> None:

@@ -23,9 +23,14 @@ OperateCallback = Callable[[OperatorAction, float], str]
 """Carries an act to the gatekeeper; "" or why it could not."""
 
 OPERATOR_BUTTONS: tuple[tuple[OperatorAction, str], ...] = (
-    ("pause", "pause"), ("resume", "resume"), ("abort", "abort the contract"), ("takeover", "take over"),
-    ("hand_back", "hand back"), ("release_estop", "1. release the emergency stop"), ("reset", "2. reset, into hold"),
-)  # fmt: skip
+    ("pause", "pause"),
+    ("resume", "resume"),
+    ("abort", "abort the contract"),
+    ("takeover", "take over"),
+    ("hand_back", "hand back"),
+    ("release_estop", "1. release the emergency stop"),
+    ("reset", "2. reset, into hold"),
+)
 """Those that need the operator's code. A reset does nothing before the stop is released; `resume` leads out."""
 MIN_SPEED_PERCENT, SPEED_STEP_PERCENT = 5, 5
 """Of the speed stage [%]."""

@@ -39,10 +39,14 @@ PANEL_CSS = """<style>
 NumberRow = tuple[str, str, str]
 """Name in the numbers of a moment, label for people, unit."""
 NUMBER_ROWS: tuple[NumberRow, ...] = (
-    ("phase", "phase", ""), ("status", "filter", ""), ("barriers", "barriers that bind", ""),
-    ("h_min", "clearance h_min", "mm"), ("delta", "δ now", ""),
-    ("Delta", "Δ so far", ""), ("intervention_frequency", "ticks intervened", "%"),
-)  # fmt: skip
+    ("phase", "phase", ""),
+    ("status", "filter", ""),
+    ("barriers", "barriers that bind", ""),
+    ("h_min", "clearance h_min", "mm"),
+    ("delta", "δ now", ""),
+    ("Delta", "Δ so far", ""),
+    ("intervention_frequency", "ticks intervened", "%"),
+)
 TRAILING_ROWS: tuple[NumberRow, ...] = (("planner", "planner", ""), ("elapsed", "elapsed", "s"))
 JOINT_SPEED_ROWS: tuple[NumberRow, ...] = (("speed", "joint speed", "rad/s"),)
 BASE_SPEED_ROWS: tuple[NumberRow, ...] = (("drive", "driving", "m/s"), ("turn", "turning", "rad/s"))
@@ -154,6 +158,11 @@ def _add_plot(gui: GuiApi, title: str, line: Any) -> GuiUplotHandle:
     axis: Any = {"stroke": "#888", "size": 40, "grid": {"stroke": "#8882"}, "ticks": {"size": 3, "stroke": "#8884"}}
     time: Any = {**axis, "size": 26}
     return gui.add_uplot(
-        (empty, empty), ({}, line), title=title, axes=(time, axis), height=130, legend={"show": False},
+        (empty, empty),
+        ({}, line),
+        title=title,
+        axes=(time, axis),
+        height=130,
+        legend={"show": False},
         scales={"x": {"time": False}},
-    )  # fmt: skip
+    )

@@ -110,6 +110,15 @@ class LiveRobot:
         ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
         turns = np.tile([1.0, 0.0, 0.0, 0.0], (len(state.radii), 1))
         return self._scene.add_batched_meshes_simple(
-            "/spheres", ball.vertices, ball.faces, turns, state.centres, batched_scales=state.radii.astype(np.float32),
-            batched_colors=colours, opacity=0.45, cast_shadow=False, receive_shadow=False, lod="off",
-        )  # fmt: skip
+            "/spheres",
+            ball.vertices,
+            ball.faces,
+            turns,
+            state.centres,
+            batched_scales=state.radii.astype(np.float32),
+            batched_colors=colours,
+            opacity=0.45,
+            cast_shadow=False,
+            receive_shadow=False,
+            lod="off",
+        )

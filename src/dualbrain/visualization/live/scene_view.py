@@ -22,15 +22,28 @@ FLOOR_HEIGHT_M = -0.002
 """Height [m] at which a floor is drawn: things stand on it."""
 
 COLOUR_BY_ROLE = {
-    "object": (200, 60, 50), "container": (232, 230, 222), "support": (214, 197, 172), "obstacle": (133, 140, 148),
+    "object": (200, 60, 50),
+    "container": (232, 230, 222),
+    "support": (214, 197, 172),
+    "obstacle": (133, 140, 148),
     "person": (222, 171, 140),
-}  # fmt: skip
+}
 COLOUR_BY_NAME = {
-    "red": (204, 33, 31), "blue": (33, 87, 179), "green": (61, 143, 84), "yellow": (237, 186, 41),
-    "orange": (232, 120, 38), "purple": (117, 74, 153), "teal": (31, 138, 140), "white": (237, 235, 227),
-    "brown": (115, 77, 51), "grey": (133, 140, 148), "pink": (222, 133, 153), "black": (41, 43, 48),
-    "clear": (184, 224, 242), "oak": (158, 120, 82),
-}  # fmt: skip
+    "red": (204, 33, 31),
+    "blue": (33, 87, 179),
+    "green": (61, 143, 84),
+    "yellow": (237, 186, 41),
+    "orange": (232, 120, 38),
+    "purple": (117, 74, 153),
+    "teal": (31, 138, 140),
+    "white": (237, 235, 227),
+    "brown": (115, 77, 51),
+    "grey": (133, 140, 148),
+    "pink": (222, 133, 153),
+    "black": (41, 43, 48),
+    "clear": (184, 224, 242),
+    "oak": (158, 120, 82),
+}
 PLACE_COLOUR, PLACE_RADIUS, PLACE_HALF_HEIGHT = (10, 127, 95), 0.12, 0.003
 """How a place on the floor is marked: colour, radius and half height [m]."""
 MARGIN_COLOUR = (240, 160, 60)
@@ -93,9 +106,13 @@ class LiveScene:
             path, (x, y, z) = f"/scene/place_{place.name}", place.position
             disc = shape_mesh(Cylinder(PLACE_RADIUS, PLACE_HALF_HEIGHT))
             self._scene.add_mesh_simple(
-                path, np.asarray(disc.vertices), np.asarray(disc.faces), color=PLACE_COLOUR, position=(x, y, z + PLACE_HALF_HEIGHT),
+                path,
+                np.asarray(disc.vertices),
+                np.asarray(disc.faces),
+                color=PLACE_COLOUR,
+                position=(x, y, z + PLACE_HALF_HEIGHT),
                 cast_shadow=False,
-            )  # fmt: skip
+            )
             self._scene.add_label(f"{path}/name", place.name, anchor="bottom-center", font_screen_scale=0.8)
 
     def _update_object(self, thing: SceneObject, margin: float) -> None:
@@ -124,9 +141,16 @@ class LiveScene:
         flat = isinstance(shape, Box | HalfSpace)
         shadow = opacity is None
         return self._scene.add_mesh_simple(
-            path, np.asarray(mesh.vertices), np.asarray(mesh.faces), color=colour, opacity=opacity, flat_shading=flat,
-            side="front" if shadow else "double", cast_shadow=shadow, receive_shadow=shadow,
-        )  # fmt: skip
+            path,
+            np.asarray(mesh.vertices),
+            np.asarray(mesh.faces),
+            color=colour,
+            opacity=opacity,
+            flat_shading=flat,
+            side="front" if shadow else "double",
+            cast_shadow=shadow,
+            receive_shadow=shadow,
+        )
 
 
 def shape_mesh(shape: Shape, margin: float = 0.0) -> Any:

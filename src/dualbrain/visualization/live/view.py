@@ -138,9 +138,11 @@ def find_free_port(wanted: int, max_tries: int) -> int:
                 continue
             return port
     raise ConfigurationError(
-        "port of the live view", got=wanted, allowed=f"a free port on {HOST} (tried {max_tries})",
+        "port of the live view",
+        got=wanted,
+        allowed=f"a free port on {HOST} (tried {max_tries})",
         fix="Choose another with --port, or run with --headless.",
-    )  # fmt: skip
+    )
 
 
 def start_server(port: int) -> ViserServer:

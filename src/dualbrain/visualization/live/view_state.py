@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 NO_POINTS: Array = np.zeros((0, 3))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ViewState:
     """One moment at `t` [s].
 

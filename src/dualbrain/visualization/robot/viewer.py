@@ -64,9 +64,13 @@ class RobotViewer:
         group = next(link.group for link in self._body.links if link.name == ball.link)
         red, green, blue = (int(GROUP_COLOURS.get(group, "#4878a8")[i : i + 2], 16) for i in (1, 3, 5))
         return self._server.scene.add_icosphere(
-            f"/robot/{ball.link}/sphere{k}", ball.radius, color=(red, green, blue), subdivisions=2,
-            position=ball.centre, opacity=0.4,
-        )  # fmt: skip
+            f"/robot/{ball.link}/sphere{k}",
+            ball.radius,
+            color=(red, green, blue),
+            subdivisions=2,
+            position=ball.centre,
+            opacity=0.4,
+        )
 
     def _add_mesh(self, name: str, mesh: Mesh) -> Any:
         points, faces = simplify_mesh(mesh.vertices, mesh.faces)

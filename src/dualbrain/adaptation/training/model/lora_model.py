@@ -88,9 +88,16 @@ class LoraModel:
             mask[row, longest - len(prompt) :] = 1
         device, end = self.head.device, self.tokenizer.eos_token_id
         told = self.model.generate(
-            input_ids=ids.to(device), attention_mask=mask.to(device), max_new_tokens=max_tokens, do_sample=False,
-            temperature=None, top_p=None, top_k=None, pad_token_id=self.padding_id, eos_token_id=end,
-        )  # fmt: skip
+            input_ids=ids.to(device),
+            attention_mask=mask.to(device),
+            max_new_tokens=max_tokens,
+            do_sample=False,
+            temperature=None,
+            top_p=None,
+            top_k=None,
+            pad_token_id=self.padding_id,
+            eos_token_id=end,
+        )
         return self.tokenizer.batch_decode(told[:, longest:], skip_special_tokens=True)
 
 

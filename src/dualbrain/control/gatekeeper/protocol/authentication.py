@@ -71,9 +71,14 @@ def contract_mac(
 def verify_contract_mac(secret: bytes, nonce: bytes, sequence: int, message: Propose) -> bool:
     """Whether the seal is the holder's own, for this connection and this frame."""
     expected = contract_mac(
-        secret, nonce, sequence, message.contract, issued=message.issued, expires=message.expires,
+        secret,
+        nonce,
+        sequence,
+        message.contract,
+        issued=message.issued,
+        expires=message.expires,
         scene_version=message.scene_version,
-    )  # fmt: skip
+    )
     return hmac.compare_digest(expected, message.mac)
 
 

@@ -129,11 +129,15 @@ class GatekeeperClient:
             self._sent += 1
             issued, expires = self.now, self.now + lifetime
             tag = contract_mac(
-                self._secret, self.nonce, self._sent, contract, issued=issued, expires=expires, scene_version=scene_version
-            )  # fmt: skip
-            message = Propose(
-                contract=contract, issued=issued, expires=expires, scene_version=scene_version, mac=tag
-            )  # fmt: skip
+                self._secret,
+                self.nonce,
+                self._sent,
+                contract,
+                issued=issued,
+                expires=expires,
+                scene_version=scene_version,
+            )
+            message = Propose(contract=contract, issued=issued, expires=expires, scene_version=scene_version, mac=tag)
             self._send_bytes(encode(kind_code(message), self._sent, encode_body(message)))
             return self._sent
 

@@ -119,12 +119,18 @@ def surveyed_scene(spec: SceneSpec) -> Scene:
         )
     things = (
         SceneObject(
-            thing.name, thing.role, thing.shape, Pose(thing.position, thing.quaternion), error=SURVEY_ERROR,
-            category=thing.category, colour=thing.colour, fragile_limit=thing.fragile_limit,
+            name=thing.name,
+            role=thing.role,
+            shape=thing.shape,
+            pose=Pose(thing.position, thing.quaternion),
+            error=SURVEY_ERROR,
+            category=thing.category,
+            colour=thing.colour,
+            fragile_limit=thing.fragile_limit,
         )
         for thing in spec.objects
-    )  # fmt: skip
-    return Scene(spec.robot, 0.0, 1, (TABLE_OBJECT, *things), spec.places)
+    )
+    return Scene(robot=spec.robot, stamp=0.0, version=1, objects=(TABLE_OBJECT, *things), places=spec.places)
 
 
 class RealTimePacer:

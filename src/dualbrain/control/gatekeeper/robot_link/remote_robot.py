@@ -40,8 +40,9 @@ class RemoteRobot:
         here, there = socket_pair()
         self.process = subprocess.Popen(
             [sys.executable, *_interpreter_flags(), "-m", _process_module(settings), str(there.fileno())],
-            stdin=subprocess.PIPE, pass_fds=(there.fileno(),),
-        )  # fmt: skip
+            stdin=subprocess.PIPE,
+            pass_fds=(there.fileno(),),
+        )
         there.close()
         if self.process.stdin:
             self.process.stdin.write(msgspec.json.encode(settings) + b"\n")
@@ -163,8 +164,14 @@ class RemoteRobot:
         self._state_received_at = time.monotonic()
         lost = state.sequence - self._state.sequence - 1 if self._state else 0
         self._state = RobotState(
-            state.stamp, state.sequence, np.array(state.q), np.array(state.v), state.opening, state.forces, state.drive_enabled
-        )  # fmt: skip
+            stamp=state.stamp,
+            sequence=state.sequence,
+            q=np.array(state.q),
+            v=np.array(state.v),
+            opening=state.opening,
+            finger_forces=state.forces,
+            drive_enabled=state.drive_enabled,
+        )
         self.tick_timer.on_state(self._state_received_at, lost)
 
 

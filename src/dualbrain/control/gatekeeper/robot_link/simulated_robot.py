@@ -38,7 +38,7 @@ PERCEPTION_PERIOD = 0.033
 """Time between two pictures [s]."""
 
 
-class SimulatedRobotSettings(msgspec.Struct, frozen=True):
+class SimulatedRobotSettings(msgspec.Struct, frozen=True, kw_only=True):
     """What the robot process needs to know; `report` is written at the end ("" for none).
 
     `body` is the robot as a site narrows it, where there is one.
@@ -52,7 +52,7 @@ class SimulatedRobotSettings(msgspec.Struct, frozen=True):
     robot_model: RobotModel | None = None
 
 
-class RobotReport(msgspec.Struct, frozen=True):
+class RobotReport(msgspec.Struct, frozen=True, kw_only=True):
     """What is left of a robot: times [s of CLOCK_MONOTONIC], how long and how far it still moved, what truth says.
 
     `silent_at`: the last command came; `off_at`: the drive went off; `travel` [rad] since then; `speed` [rad/s] at the
@@ -161,9 +161,15 @@ class RobotProcess:
             return
         state = self.plant.read()
         report = RobotReport(
-            self._last_command_at, self._off_at, self._off_by, float(np.abs(state.q - self._off_q).max()),
-            float(np.abs(state.v).max()), self._slips, self._ticks, self.world.judgement(),
-        )  # fmt: skip
+            silent_at=self._last_command_at,
+            off_at=self._off_at,
+            off_by=self._off_by,
+            travel=float(np.abs(state.q - self._off_q).max()),
+            speed=float(np.abs(state.v).max()),
+            slips=self._slips,
+            ticks=self._ticks,
+            judgement=self.world.judgement(),
+        )
         Path(self._settings.report).write_bytes(msgspec.json.encode(report))
 
 

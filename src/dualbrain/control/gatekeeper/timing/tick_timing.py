@@ -19,7 +19,7 @@ WARM_UP_TIME = 0.2
 """So long [s] at the start nothing is held against anybody."""
 
 
-class TickTimingSummary(msgspec.Struct, frozen=True):
+class TickTimingSummary(msgspec.Struct, frozen=True, kw_only=True):
     """A summary [s]: percentiles (50, 99, 99.9, 100) of interval, work and latency; the shares of late ticks.
 
     `missed` states never came; `bins` are counts of intervals by `BIN` of a period; `parts`: what a tick is made of.
@@ -95,4 +95,12 @@ class TickTimer:
         """Everything so far."""
         interval, work, latency = (one.summary() for one in (self._interval, self._work, self._latency))
         bins = tuple(self._interval.counts)
-        return TickTimingSummary(self._ticks, self.missed, self._n_late, interval, work, latency, bins)
+        return TickTimingSummary(
+            ticks=self._ticks,
+            missed=self.missed,
+            late=self._n_late,
+            interval=interval,
+            work=work,
+            latency=latency,
+            bins=bins,
+        )

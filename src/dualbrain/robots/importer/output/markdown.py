@@ -13,16 +13,21 @@ from dualbrain.robots.model import Bound, RobotModel
 def render_readme(robot_model: RobotModel, report: ImportReport, kept_edits: Sequence[ModelChange] = ()) -> str:
     """Markdown; `kept` are a person's edits."""
     parts = [
-        f"# {robot_model.name}", f"From {robot_model.source}. Licence of the description: {robot_model.licence}.",
+        f"# {robot_model.name}",
+        f"From {robot_model.source}. Licence of the description: {robot_model.licence}.",
         "![Spheres](picture.png)",
         *_section("Still missing", [f"- {line}" for line in missing_information(robot_model, report)]),
         *_section("Edited by hand", [f"- {change}" for change in kept_edits]),
-        "## Bounds and where they come from", _bounds_table(robot_model), "## Cover", _cover_table(report),
-        "## Pairs of parts that are kept apart", _pairs_section(robot_model),
+        "## Bounds and where they come from",
+        _bounds_table(robot_model),
+        "## Cover",
+        _cover_table(report),
+        "## Pairs of parts that are kept apart",
+        _pairs_section(robot_model),
         *_section("Notes", [f"- {note}" for note in report.notes]),
         "Edit `body.json`; `dualbrain robot init` again keeps the edits and shows what it changed. "
         "`dualbrain robot inspect --view` shows what the filter sees.",
-    ]  # fmt: skip
+    ]
     return "\n\n".join(parts) + "\n"
 
 
@@ -87,10 +92,16 @@ def _bounds_table(robot_model: RobotModel) -> str:
 
 def _cover_table(report: ImportReport) -> str:
     rows = [
-        (link.link, link.group, link.spheres, link.parts, f"{link.coverage:.2%}", *(f"{length * 1e3:.1f}" for length in
-         (link.mean, link.p95, link.worst)))
+        (
+            link.link,
+            link.group,
+            link.spheres,
+            link.parts,
+            f"{link.coverage:.2%}",
+            *(f"{length * 1e3:.1f}" for length in (link.mean, link.p95, link.worst)),
+        )
         for link in report.links
-    ]  # fmt: skip
+    ]
     head = ("part", "group", "spheres", "convex parts", "surface covered", "excess mean [mm]", "95 %", "worst")
     words = f"Effort: {report.effort}. Excess is how far the spheres stand off the description's own shapes."
     return f"{words}\n\n{markdown_table(head, rows)}"

@@ -28,7 +28,7 @@ GENERATED_FILE, IMPORT_RECORD_FILE, REPORT_FILE, README_FILE, PICTURE_FILE = (
 )
 
 
-class ImportRecord(msgspec.Struct, frozen=True):
+class ImportRecord(msgspec.Struct, frozen=True, kw_only=True):
     """How the body was made: the description's file and hash, and what was asked for."""
 
     description: str
@@ -45,7 +45,7 @@ class ImportRecord(msgspec.Struct, frozen=True):
     wheels: tuple[str, str] | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FolderWriteResult:
     """What writing a folder did: changes by this making, edits that were kept, and edits that found no place."""
 
@@ -72,12 +72,21 @@ def write_robot_folder(
         robot_model, kept, lost = reapply_edits(before, edited, made)
     folder.mkdir(parents=True, exist_ok=True)
     files = {
-        GENERATED_FILE: encode_robot(made), IMPORT_RECORD_FILE: encode_json(record), REPORT_FILE: encode_json(report), README_FILE: render_readme(robot_model, report, kept).encode(),
+        GENERATED_FILE: encode_robot(made),
+        IMPORT_RECORD_FILE: encode_json(record),
+        REPORT_FILE: encode_json(report),
+        README_FILE: render_readme(robot_model, report, kept).encode(),
         MODEL_FILE: encode_robot(robot_model),
-    }  # fmt: skip
+    }
     for name, data in files.items():
         _write_atomically(folder / name, data)
-    return FolderWriteResult(robot_model, before is None, find_changes(before, made) if before else [], kept, lost)
+    return FolderWriteResult(
+        robot_model=robot_model,
+        is_new=before is None,
+        generator_changes=find_changes(before, made) if before else [],
+        kept_edits=kept,
+        lost_edits=lost,
+    )
 
 
 def read_import_files(folder: Path) -> tuple[ImportReport | None, ImportRecord | None]:

@@ -23,11 +23,17 @@ BOWL = Bowl(radius=0.085, height=0.05, wall=0.004)
 HeightClass = Literal["flat", "low", "hand_high", "tall"]
 """Not higher than the cube, below the hand, beside the hand, up to the wrist."""
 HEIGHT_RANGES: dict[HeightClass, tuple[float, float]] = {
-    "flat": (0.035, 0.050), "low": (0.045, 0.065), "hand_high": (0.08, 0.12), "tall": (0.15, 0.23),
-}  # fmt: skip
+    "flat": (0.035, 0.050),
+    "low": (0.045, 0.065),
+    "hand_high": (0.08, 0.12),
+    "tall": (0.15, 0.23),
+}
 GAP_RANGES: dict[HeightClass, tuple[float, float]] = {
-    "flat": (0.04, 0.08), "low": (0.04, 0.08), "hand_high": (0.04, 0.08), "tall": (0.08, 0.11),
-}  # fmt: skip
+    "flat": (0.04, 0.08),
+    "low": (0.04, 0.08),
+    "hand_high": (0.04, 0.08),
+    "tall": (0.08, 0.11),
+}
 NARROW_GAP_RANGE = (0.02, 0.04)
 OBJECT_COLOURS = ("green", "yellow", "orange", "purple", "teal", "white", "brown", "grey", "pink", "black")
 CATEGORIES_BY_HEIGHT: dict[HeightClass, tuple[str, ...]] = {
@@ -39,7 +45,7 @@ CATEGORIES_BY_HEIGHT: dict[HeightClass, tuple[str, ...]] = {
 ROUND_CATEGORIES = ("tin", "can", "bottle")
 
 
-@dataclass
+@dataclass(kw_only=True)
 class SceneDraft:
     """Chance, things and person; every method draws from `rng` in a fixed order, so that a seed is a scene."""
 
@@ -61,12 +67,33 @@ class SceneDraft:
     def add_cube(self, x: float, y: float, yaw: float) -> None:
         """The red cube at (x, y) [m], turned by `yaw` [rad]."""
         at = (x, y, CUBE.half_extents[2])
-        self.objects.append(ObjectSpec("red_cube", "object", CUBE, at, 0.08, "red", "cube", yaw_quaternion(yaw)))
+        self.objects.append(
+            ObjectSpec(
+                name="red_cube",
+                role="object",
+                shape=CUBE,
+                position=at,
+                mass=0.08,
+                colour="red",
+                category="cube",
+                quaternion=yaw_quaternion(yaw),
+            )
+        )
 
     def add_bowl(self) -> None:
         """The blue bowl, somewhere at the left."""
         x, y = 0.50 + self.rng.uniform(-0.02, 0.02), 0.26 + self.rng.uniform(-0.02, 0.02)
-        self.objects.append(ObjectSpec("blue_bowl", "container", BOWL, (x, y, 0.0), 0.35, "blue", "bowl"))
+        self.objects.append(
+            ObjectSpec(
+                name="blue_bowl",
+                role="container",
+                shape=BOWL,
+                position=(x, y, 0.0),
+                mass=0.35,
+                colour="blue",
+                category="bowl",
+            )
+        )
 
     # --- things that stand about --------------------------------------------------------------------------------
 
@@ -102,7 +129,18 @@ class SceneDraft:
     ) -> None:
         """A part of the room: a box with half extents `half` [m] around `at` [m]."""
         (a, b, c), (x, y, z) = (map(float, values) for values in (half, centre))
-        self.objects.append(ObjectSpec(name, "obstacle", Box((a, b, c)), (x, y, z), 1.0, "oak", category, fixed=True))
+        self.objects.append(
+            ObjectSpec(
+                name=name,
+                role="obstacle",
+                shape=Box((a, b, c)),
+                position=(x, y, z),
+                mass=1.0,
+                colour="oak",
+                category=category,
+                fixed=True,
+            )
+        )
 
     # --- chance -------------------------------------------------------------------------------------------------
 
@@ -144,7 +182,16 @@ class SceneDraft:
         position: Vector = (float(at[0]), float(at[1]), float(half))
         mass = float(self.rng.uniform(0.12, 0.30))
         self.objects.append(
-            ObjectSpec(name, "object", shape, position, round(mass, 3), colour, category, yaw_quaternion(yaw))
+            ObjectSpec(
+                name=name,
+                role="object",
+                shape=shape,
+                position=position,
+                mass=round(mass, 3),
+                colour=colour,
+                category=category,
+                quaternion=yaw_quaternion(yaw),
+            )
         )
 
     def _random_shape(self, height: HeightClass) -> tuple[Box | Cylinder, str]:

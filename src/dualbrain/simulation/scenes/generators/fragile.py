@@ -76,7 +76,16 @@ def _fragile(draft: SceneDraft) -> None:
     at = (0.50 + float(rng.uniform(-0.02, 0.02)), -0.22 + float(rng.uniform(-0.02, 0.02)), GLASS.half_height)
     limit = round(float(rng.uniform(*FRAGILE_LIMIT_RANGES[draft.seed % 3])), 1)
     mass, friction = WET_GLASS if draft.seed % 3 == 2 else DRY_GLASS
-    glass = ObjectSpec("clear_glass", "object", GLASS, at, mass, "clear", "glass", friction=friction)
+    glass = ObjectSpec(
+        name="clear_glass",
+        role="object",
+        shape=GLASS,
+        position=at,
+        mass=mass,
+        colour="clear",
+        category="glass",
+        friction=friction,
+    )
     draft.objects.append(msgspec.structs.replace(glass, fragile_limit=limit))
     flanked = draft.seed % 2
     for face in (flanked, flanked + 2):

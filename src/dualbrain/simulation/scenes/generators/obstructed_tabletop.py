@@ -105,7 +105,9 @@ def _visiting_forearm(draft: SceneDraft, comes: float, leaves: float) -> MovingP
     rng = draft.rng
     x, z = float(rng.uniform(0.42, 0.50)) + 0.295, float(rng.uniform(0.165, 0.22))
     outside, inside = 0.60 if rng.random() < 0.5 else -0.60, float(rng.uniform(0.16, 0.28))
-    still = MovingPerson((x, outside, z), (x, inside, z), float(rng.uniform(0.10, 0.15)), leaves - comes, phase=0.0)
+    still = MovingPerson(
+        start=(x, outside, z), end=(x, inside, z), speed=float(rng.uniform(0.10, 0.15)), pause=leaves - comes, phase=0.0
+    )
     path = person_path(still)
     return msgspec.structs.replace(still, phase=(path.pause + path.travel - comes) % path.cycle_duration)
 

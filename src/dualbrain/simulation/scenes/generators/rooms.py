@@ -26,7 +26,7 @@ CROSSING_X = 2.2
 """Where the person crosses, x [m]; boxes stay off that strip."""
 
 
-@dataclass
+@dataclass(kw_only=True)
 class _RoomDraft:
     rng: np.random.Generator
     objects: list[ObjectSpec] = field(default_factory=list)
@@ -45,10 +45,18 @@ def make_room(family: str, seed: int, robot: str) -> SceneSpec:
     """The room of `family` for `seed`; the same pair always gives the same room. Raises `UnknownName`."""
     if family not in ROOM_FAMILIES:
         raise UnknownNameError("room", family, tuple(ROOM_FAMILIES))
-    draft = _RoomDraft(np.random.default_rng([seed, sum(map(ord, family))]), seed=seed)
+    draft = _RoomDraft(rng=np.random.default_rng([seed, sum(map(ord, family))]), seed=seed)
     _add_furniture(draft)
     ROOM_FAMILIES[family](draft)
-    spec = SceneSpec(robot, family, seed, tuple(draft.objects), tuple(draft.places), draft.mover, ROOM_REGION)
+    spec = SceneSpec(
+        robot=robot,
+        family=family,
+        seed=seed,
+        objects=tuple(draft.objects),
+        places=tuple(draft.places),
+        mover=draft.mover,
+        region=ROOM_REGION,
+    )
     check_scene(spec)
     return spec
 
@@ -74,9 +82,16 @@ def _crossing(draft: _RoomDraft) -> None:
     start: Vector = (CROSSING_X, y if rng.random() < 0.5 else -y, 0.9)
     end: Vector = (CROSSING_X, -start[1], 0.9)
     draft.mover = MovingPerson(
-        start, end, speed, pause, float(rng.uniform(0.0, cycle)), name="person", radius=0.25, half_length=0.62,
+        start=start,
+        end=end,
+        speed=speed,
+        pause=pause,
+        phase=float(rng.uniform(0.0, cycle)),
+        name="person",
+        radius=0.25,
+        half_length=0.62,
         axis=(0.0, 0.0, 1.0),
-    )  # fmt: skip
+    )
 
 
 def _aisles(draft: _RoomDraft) -> None:
@@ -88,8 +103,11 @@ def _aisles(draft: _RoomDraft) -> None:
 
 
 ROOM_FAMILIES: dict[str, Callable[[_RoomDraft], None]] = {
-    "empty_room": _empty, "boxes": _boxes, "crossing": _crossing, "aisles": _aisles,
-}  # fmt: skip
+    "empty_room": _empty,
+    "boxes": _boxes,
+    "crossing": _crossing,
+    "aisles": _aisles,
+}
 
 
 def _add_furniture(draft: _RoomDraft) -> None:
@@ -119,10 +137,18 @@ def _add_random_box(draft: _RoomDraft, index: int) -> None:
 
 def _fixed_box(
     name: str, shape: Box, at: tuple[float, float], colour: str, category: str, yaw: float = 0.0
-) -> ObjectSpec:  # fmt: skip
+) -> ObjectSpec:
     turn = (float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2)))
     return ObjectSpec(
-        name, "obstacle", shape, (at[0], at[1], shape.half_extents[2]), 20.0, colour, category, turn, fixed=True
+        name=name,
+        role="obstacle",
+        shape=shape,
+        position=(at[0], at[1], shape.half_extents[2]),
+        mass=20.0,
+        colour=colour,
+        category=category,
+        quaternion=turn,
+        fixed=True,
     )
 
 
@@ -171,13 +197,30 @@ def _random_parcels(rng: np.random.Generator, side: float) -> list[ObjectSpec]:
             half = float(rng.uniform(0.12, 0.15))
             at = (x + float(rng.uniform(-0.05, 0.05)), centre + way * (gap / 2 + half), half)
             name = f"{colour}_parcel_{number}"
-            found.append(ObjectSpec(name, "object", Box((half, half, half)), at, 4.0, colour, "parcel"))
+            found.append(
+                ObjectSpec(
+                    name=name,
+                    role="object",
+                    shape=Box((half, half, half)),
+                    position=at,
+                    mass=4.0,
+                    colour=colour,
+                    category="parcel",
+                )
+            )
     return found
 
 
 def _waiting_person(start: tuple[float, float], end: tuple[float, float], speed: float, until: float) -> MovingPerson:
     """An upright person who stands at `start` [m] until time `until` [s], then goes to `end` and back."""
     return MovingPerson(
-        (*start, 0.9), (*end, 0.9), speed, until, 0.0, name="person", radius=0.25, half_length=0.62,
+        start=(*start, 0.9),
+        end=(*end, 0.9),
+        speed=speed,
+        pause=until,
+        phase=0.0,
+        name="person",
+        radius=0.25,
+        half_length=0.62,
         axis=(0.0, 0.0, 1.0),
-    )  # fmt: skip
+    )

@@ -22,14 +22,28 @@ def sorting_scene(draft: SceneDraft) -> None:
     rng = draft.rng
     draft.add_cube(0.50 + rng.uniform(-0.02, 0.02), -0.24 + rng.uniform(-0.02, 0.02), rng.uniform(-0.25, 0.25))
     x, y = 0.50 + rng.uniform(-0.02, 0.02), 0.24 + rng.uniform(-0.02, 0.02)
-    draft.objects.append(ObjectSpec("blue_bowl", "container", DEEP_BOWL, (x, y, 0.0), 0.4, "blue", "bowl"))
+    draft.objects.append(
+        ObjectSpec(
+            name="blue_bowl",
+            role="container",
+            shape=DEEP_BOWL,
+            position=(x, y, 0.0),
+            mass=0.4,
+            colour="blue",
+            category="bowl",
+        )
+    )
     _add_at_free_spot(draft, "red_block", "block", "red", BLOCK)
     if rng.random() < 0.5:
         _add_at_free_spot(draft, "red_tin", "tin", "red", TIN)
     _add_at_free_spot(draft, "yellow_block", "block", "yellow", BLOCK)
     if draft.seed % 2:
         inside = (x, y, BOWL_BOTTOM_CLEARANCE + TIN.half_height)
-        draft.objects.append(ObjectSpec("green_tin", "object", TIN, inside, 0.10, "green", "tin"))
+        draft.objects.append(
+            ObjectSpec(
+                name="green_tin", role="object", shape=TIN, position=inside, mass=0.10, colour="green", category="tin"
+            )
+        )
     else:
         _add_at_free_spot(draft, "green_tin", "tin", "green", TIN)
 
@@ -40,5 +54,14 @@ def _add_at_free_spot(draft: SceneDraft, name: str, category: str, colour: str, 
     x, y = draft.find_free_spot((0.36, 0.62), (-0.36, 0.06), 0.03, 0.07)
     yaw = draft.rng.uniform(-0.4, 0.4)
     draft.objects.append(
-        ObjectSpec(name, "object", shape, (float(x), float(y), half), 0.10, colour, category, yaw_quaternion(yaw))
+        ObjectSpec(
+            name=name,
+            role="object",
+            shape=shape,
+            position=(float(x), float(y), half),
+            mass=0.10,
+            colour=colour,
+            category=category,
+            quaternion=yaw_quaternion(yaw),
+        )
     )

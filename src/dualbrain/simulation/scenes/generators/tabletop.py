@@ -31,9 +31,21 @@ from dualbrain.simulation.scenes.scene_spec import (
 )
 
 __all__ = [
-    "SINGLE_GOAL_FAMILIES", "SCENE_FAMILIES", "LEVEL_I_FAMILIES", "OBSTRUCTED_FAMILIES", "TABLE_X", "TABLE_Y", "MovingPerson", "SceneSpec", "ObjectSpec",
-    "check_scene", "footprint_radius", "load_scene", "make_scene", "save_scene",
-]  # fmt: skip
+    "SINGLE_GOAL_FAMILIES",
+    "SCENE_FAMILIES",
+    "LEVEL_I_FAMILIES",
+    "OBSTRUCTED_FAMILIES",
+    "TABLE_X",
+    "TABLE_Y",
+    "MovingPerson",
+    "SceneSpec",
+    "ObjectSpec",
+    "check_scene",
+    "footprint_radius",
+    "load_scene",
+    "make_scene",
+    "save_scene",
+]
 
 
 def make_scene(family: str, seed: int, robot: str = "panda") -> SceneSpec:
@@ -43,9 +55,11 @@ def make_scene(family: str, seed: int, robot: str = "panda") -> SceneSpec:
     """
     if family not in SCENE_FAMILIES:
         raise UnknownNameError("scene family", family, tuple(SCENE_FAMILIES))
-    draft = SceneDraft(np.random.default_rng([seed, sum(map(ord, family))]), seed)
+    draft = SceneDraft(rng=np.random.default_rng([seed, sum(map(ord, family))]), seed=seed)
     SCENE_FAMILIES[family](draft)
-    spec = SceneSpec(robot, family, seed, tuple(draft.objects), draft.places, draft.mover)
+    spec = SceneSpec(
+        robot=robot, family=family, seed=seed, objects=tuple(draft.objects), places=draft.places, mover=draft.mover
+    )
     check_scene(spec)
     return spec
 
@@ -104,7 +118,16 @@ def _fragile(draft: SceneDraft) -> None:
     draft.add_neighbour(draft.random_height("low", "hand_high"))
     rng = draft.rng
     x, y = draft.find_free_spot((0.40, 0.58), (-0.10, 0.10), GLASS.radius, 0.06)
-    glass = ObjectSpec("clear_glass", "object", GLASS, (x, y, GLASS.half_height), 0.08, "clear", "glass", friction=0.8)
+    glass = ObjectSpec(
+        name="clear_glass",
+        role="object",
+        shape=GLASS,
+        position=(x, y, GLASS.half_height),
+        mass=0.08,
+        colour="clear",
+        category="glass",
+        friction=0.8,
+    )
     limit = round(float(rng.uniform(15.0, 25.0)), 1)
     draft.objects.append(msgspec.structs.replace(glass, fragile_limit=limit))
     draft.add_scattered(int(rng.integers(1, 3)), "low")
@@ -148,4 +171,6 @@ def _sweeping_forearm(rng: np.random.Generator) -> MovingPerson:
     x = float(tip) + 0.25 + 0.045
     cycle = 2.0 * (float(pause) + 1.2 / float(speed))
     start, end = (x, side, float(z)), (x, -side, float(z))
-    return MovingPerson(start, end, float(speed), float(pause), float(rng.uniform(0.0, cycle)))
+    return MovingPerson(
+        start=start, end=end, speed=float(speed), pause=float(pause), phase=float(rng.uniform(0.0, cycle))
+    )

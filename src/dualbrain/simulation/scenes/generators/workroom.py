@@ -35,7 +35,14 @@ def make_workroom(family: str, seed: int, robot: str) -> SceneSpec:
     x, y = float(rng.uniform(1.2, 3.2)), side * (ROOM_REGION[2][1] - TABLE_SHAPE.half_extents[1])
     edge = y - side * TABLE_SHAPE.half_extents[1]
     table = ObjectSpec(
-        "table", "support", TABLE_SHAPE, (x, y, TABLE_SHAPE.half_extents[2]), 60.0, "oak", "table", fixed=True
+        name="table",
+        role="support",
+        shape=TABLE_SHAPE,
+        position=(x, y, TABLE_SHAPE.half_extents[2]),
+        mass=60.0,
+        colour="oak",
+        category="table",
+        fixed=True,
     )
     spots = _random_spots(rng, x, edge, side, 3 if family == "busy_workroom" else 2)
     things = [_object_on_table("red_cube", CUBE, spots[0], 0.1, "red", "cube", yaw=float(rng.uniform(-0.4, 0.4)))]
@@ -43,7 +50,15 @@ def make_workroom(family: str, seed: int, robot: str) -> SceneSpec:
     if family == "busy_workroom":
         things.append(_object_on_table("green_can", CAN, spots[2], 0.2, "green", "can"))
     places = (*room.places, Place("bench", (x, edge - side * BENCH_DISTANCE, 0.0)))
-    spec = SceneSpec(robot, family, seed, (*room.objects, table, *things), places, None, ROOM_REGION)
+    spec = SceneSpec(
+        robot=robot,
+        family=family,
+        seed=seed,
+        objects=(*room.objects, table, *things),
+        places=places,
+        mover=None,
+        region=ROOM_REGION,
+    )
     check_scene(spec)
     return spec
 
@@ -62,12 +77,29 @@ def _random_spots(
 
 def _object_on_table(
     name: str, shape: Box | Cylinder, at: tuple[float, float], mass: float, colour: str, category: str, yaw: float = 0.0
-) -> ObjectSpec:  # fmt: skip
+) -> ObjectSpec:
     height = shape.half_extents[2] if isinstance(shape, Box) else shape.half_height
     turn = (float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2)))
     top = 2.0 * TABLE_SHAPE.half_extents[2]
-    return ObjectSpec(name, "object", shape, (at[0], at[1], top + height), mass, colour, category, turn)
+    return ObjectSpec(
+        name=name,
+        role="object",
+        shape=shape,
+        position=(at[0], at[1], top + height),
+        mass=mass,
+        colour=colour,
+        category=category,
+        quaternion=turn,
+    )
 
 
 def _bowl_on_table(name: str, at: tuple[float, float]) -> ObjectSpec:
-    return ObjectSpec(name, "container", BOWL, (at[0], at[1], 2.0 * TABLE_SHAPE.half_extents[2]), 0.4, "blue", "bowl")
+    return ObjectSpec(
+        name=name,
+        role="container",
+        shape=BOWL,
+        position=(at[0], at[1], 2.0 * TABLE_SHAPE.half_extents[2]),
+        mass=0.4,
+        colour="blue",
+        category="bowl",
+    )
