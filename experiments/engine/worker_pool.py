@@ -56,7 +56,7 @@ def run_units(
 
 def _start_worker(name: str, niceness: int, catalogue: str) -> tuple[Connection, BaseProcess]:
     ours, theirs = SPAWN.Pipe()
-    process = SPAWN.Process(target=_worker_main, args=(theirs, name, niceness, catalogue), daemon=True)
+    process = SPAWN.GatekeeperProcess(target=_worker_main, args=(theirs, name, niceness, catalogue), daemon=True)
     process.start()
     theirs.close()
     return ours, process
@@ -71,7 +71,7 @@ def _worker_main(pipe: Connection, name: str, niceness: int, catalogue: str) -> 
     """The life of a worker."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends its workers
     os.nice(niceness)
-    proof: Experiment = import_module(catalogue).PROOFS[name]
+    proof: Experiment = import_module(catalogue).EXPERIMENTS[name]
     while True:
         try:
             unit: WorkUnit = pipe.recv()

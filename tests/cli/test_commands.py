@@ -23,12 +23,12 @@ GOOD = contract_text(("grasp", GRASP), ("place", PLACE))
 
 
 @pytest.fixture
-def check(tell, tmp_path):
+def check(run_command, tmp_path):
     """`dualbrain check` on a text; returns (exit code, the printed object)."""
 
     def run(text, *more):
         (tmp_path / "contract.json").write_text(text)
-        code, out, err = tell("check", "contract.json", *more)
+        code, out, err = run_command("check", "contract.json", *more)
         assert err == ""
         return code, json.loads(out)
 
@@ -57,20 +57,20 @@ def test_check_refuses_with_3_and_says_where(check, text, stage, pointer):
     assert (told["accepted"], told["stage"], told["pointer"]) == (False, stage, pointer)
 
 
-def test_check_of_a_file_that_is_not_there(tell):
-    code, out, err = tell("check", "nope.json")
+def test_check_of_a_file_that_is_not_there(run_command):
+    code, out, err = run_command("check", "nope.json")
     assert (code, out) == (ExitCode.SETUP, "")
     assert "nope.json" in err
 
 
-def test_check_reads_standard_input(tell, monkeypatch):
+def test_check_reads_standard_input(run_command, monkeypatch):
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(hold_contract().encode())))
-    assert tell("check", "-")[0] == ExitCode.SUCCESS
+    assert run_command("check", "-")[0] == ExitCode.SUCCESS
 
 
 @pytest.mark.parametrize("form", ["validation", "decoding"])
-def test_schema_is_valid_draft_7_and_accepts_what_check_accepts(tell, form):
-    code, out, _ = tell("schema", "--scene", "bare:0", "--form", form)
+def test_schema_is_valid_draft_7_and_accepts_what_check_accepts(run_command, form):
+    code, out, _ = run_command("schema", "--scene", "bare:0", "--form", form)
     assert code == ExitCode.SUCCESS
     schema = json.loads(out)
     jsonschema.Draft7Validator.check_schema(schema)
@@ -83,16 +83,16 @@ def test_schema_is_valid_draft_7_and_accepts_what_check_accepts(tell, form):
         assert not validator.is_valid(json.loads(text))
 
 
-def test_the_short_form_is_for_people(tell):
-    code, out, _ = tell("schema", "--form", "short")
+def test_the_short_form_is_for_people(run_command):
+    code, out, _ = run_command("schema", "--form", "short")
     assert code == ExitCode.SUCCESS
     assert "grasp" in out
     assert "m/s" in out
 
 
-def test_replay_of_a_run_is_identical(tell, finished):
-    folder, *_ = finished
-    code, out, err = tell("replay", folder / "run" / "episode.mcap", "--json")
+def test_replay_of_a_run_is_identical(run_command, completed_run):
+    folder, *_ = completed_run
+    code, out, err = run_command("replay", folder / "run" / "episode.mcap", "--json")
     told = json.loads(out)
     assert code == ExitCode.SUCCESS
     assert told["identical"]
@@ -101,37 +101,37 @@ def test_replay_of_a_run_is_identical(tell, finished):
     assert "bit for bit" in err
 
 
-def test_replay_of_what_is_no_recording(tell, tmp_path):
+def test_replay_of_what_is_no_recording(run_command, tmp_path):
     (tmp_path / "no.mcap").write_bytes(b"hello")
     for name in ("no.mcap", "missing.mcap"):
-        code, out, err = tell("replay", name)
+        code, out, err = run_command("replay", name)
         assert (code, out) == (ExitCode.SETUP, "")
         assert name in err
 
 
-def test_models_list_names_every_file_with_its_licence(tell, monkeypatch):
+def test_models_list_names_every_file_with_its_licence(run_command, monkeypatch):
     monkeypatch.setenv("COLUMNS", "30")  # names stay whole, so that they can be copied
-    code, out, _ = tell("models", "list")
+    code, out, _ = run_command("models", "list")
     assert code == ExitCode.SUCCESS
     for name in ("qwen2.5-coder-1.5b-instruct", "smollm2-135m-instruct", "minilm-l6-v2-int8", "Apache-2.0"):
         assert name in out
 
 
-def test_an_unknown_model_is_answered_with_the_closest(tell):
-    code, _, err = tell("models", "fetch", "smolm2-135m-instruct")
+def test_an_unknown_model_is_answered_with_the_closest(run_command):
+    code, _, err = run_command("models", "fetch", "smolm2-135m-instruct")
     assert code == ExitCode.SETUP
     assert "Closest: 'smollm2-135m-instruct'" in err
 
 
-def test_doctor_examines_everything(tell, finished, monkeypatch, tmp_path):
-    folder, *_ = finished
+def test_doctor_examines_everything(run_command, completed_run, monkeypatch, tmp_path):
+    folder, *_ = completed_run
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setenv("DUALBRAIN_HOME", str(folder))
-    code, out, _ = tell("doctor")
+    code, out, _ = run_command("doctor")
     for word in ("kernel", "filter step", "rendering", "minilm-l6-v2-int8", "memory", "chain whole", "µs"):
         assert word in out
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "empty"))
-    code, out, _ = tell("doctor")
+    code, out, _ = run_command("doctor")
     assert code == ExitCode.SETUP
     assert "dualbrain models fetch" in out
 
@@ -139,23 +139,23 @@ def test_doctor_examines_everything(tell, finished, monkeypatch, tmp_path):
 @pytest.mark.parametrize(
     "arguments", [("run", "x", "--nonsense"), ("fly",), ("check",), ("run", "x", "--filter", "maybe")]
 )
-def test_wrong_usage_is_2(tell, arguments):
-    code, out, err = tell(*arguments)
+def test_wrong_usage_is_2(run_command, arguments):
+    code, out, err = run_command(*arguments)
     assert code == ExitCode.USAGE
     assert out + err  # it says what is wrong
 
 
-def test_help_lists_every_command(tell):
-    code, out, _ = tell("--help")
+def test_help_lists_every_command(run_command):
+    code, out, _ = run_command("--help")
     assert code == ExitCode.SUCCESS
     for name in ("run", "demo", "schema", "check", "replay", "doctor", "models", "robot"):
         assert name in out
 
 
 @pytest.mark.parametrize(("command", "function"), [("evaluate", evaluate), ("report", report), ("compare", compare)])
-def test_help_and_the_function_tell_one_text(tell, command, function):
+def test_help_and_the_function_tell_one_text(run_command, command, function):
     told = " ".join(inspect.getdoc(function).partition("Parameters\n")[0].split())
-    code, out, _ = tell(command, "--help")
+    code, out, _ = run_command(command, "--help")
     assert code == ExitCode.SUCCESS
     assert told
     assert told in " ".join(out.split())

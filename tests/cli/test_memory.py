@@ -54,11 +54,11 @@ def filled(made, tmp_path):
 
 
 @pytest.fixture
-def ask(tell, filled):
+def ask(run_command, filled):
     """`dualbrain memory … --json`; returns (exit code, the printed object)."""
 
     def run(*words):
-        code, out, _ = tell("memory", *words, "--ledger", filled, "--json")
+        code, out, _ = run_command("memory", *words, "--ledger", filled, "--json")
         return code, json.loads(out)
 
     return run
@@ -85,15 +85,17 @@ def test_memory_can_be_looked_at(ask):
     }
 
 
-def test_names_can_be_copied_from_a_narrow_listing(tell, filled, monkeypatch):
+def test_names_can_be_copied_from_a_narrow_listing(run_command, filled, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    code, out, _ = tell("memory", "list", "--ledger", filled)
+    code, out, _ = run_command("memory", "list", "--ledger", filled)
     assert code == ExitCode.SUCCESS
     (row,) = (line for line in out.splitlines() if LONG in line)
     assert row.rstrip().endswith(f"{SOURCE} {LONG}")
-    out = tell("memory", "search", "put the red cube in the bowl", "--scene", "bare:0", "--ledger", filled)[1]
+    out = run_command("memory", "search", "put the red cube in the bowl", "--scene", "bare:0", "--ledger", filled)[1]
     assert sum(LONG in line for line in out.splitlines()) == 1
-    assert tell("memory", "show", LONG, "--ledger", filled)[1].startswith(f"{LONG}: put the red cube in the bowl\n")
+    assert run_command("memory", "show", LONG, "--ledger", filled)[1].startswith(
+        f"{LONG}: put the red cube in the bowl\n"
+    )
 
 
 def test_what_is_changed_can_be_undone(ask):
@@ -117,22 +119,22 @@ def test_what_is_changed_can_be_undone(ask):
     assert ask("verify")[1]["snapshot"] == "agrees"
 
 
-def test_memories_can_be_taken_away_as_lines(tell, filled, tmp_path):
-    code, out, _ = tell("memory", "export", "--ledger", filled)
+def test_memories_can_be_taken_away_as_lines(run_command, filled, tmp_path):
+    code, out, _ = run_command("memory", "export", "--ledger", filled)
     assert code == ExitCode.SUCCESS
     assert [json.loads(line)["id"] for line in out.splitlines()] == ["a", "b", LONG, "odd"]
-    assert tell("memory", "export", tmp_path / "all.jsonl", "--ledger", filled)[0] == ExitCode.SUCCESS
+    assert run_command("memory", "export", tmp_path / "all.jsonl", "--ledger", filled)[0] == ExitCode.SUCCESS
     assert (tmp_path / "all.jsonl").read_text() == out
-    code, out, err = tell("memory", "export", tmp_path / "all.jsonl", "--ledger", filled)
+    code, out, err = run_command("memory", "export", tmp_path / "all.jsonl", "--ledger", filled)
     assert (code, out) == (ExitCode.SETUP, "")
     assert "File exists" in err
 
 
-def test_an_audit_and_a_replay_are_written_down_if_wanted(tell, filled, ask):
+def test_an_audit_and_a_replay_are_written_down_if_wanted(run_command, filled, ask):
     head = ask("list")[1]["event"]
-    assert tell("memory", "audit", "--ledger", filled)[0] == ExitCode.FAILED_SAFELY
+    assert run_command("memory", "audit", "--ledger", filled)[0] == ExitCode.FAILED_SAFELY
     assert ask("list")[1]["event"] == head
-    code, out, err = tell("memory", "audit", "--note", "--ledger", filled)
+    code, out, err = run_command("memory", "audit", "--note", "--ledger", filled)
     assert code == ExitCode.FAILED_SAFELY
     assert "label conflict: odd: " in out
     assert "1 findings in 4 memories" in err
@@ -145,10 +147,10 @@ def test_an_audit_and_a_replay_are_written_down_if_wanted(tell, filled, ask):
     assert ask("show", "odd")[1]["history"][-1]["kind"] == "replayed"
 
 
-def test_a_memory_of_a_real_run_stands_when_it_is_replayed(tell, tmp_path):
+def test_a_memory_of_a_real_run_stands_when_it_is_replayed(run_command, tmp_path):
     config = run_config(tmp_path, "one", instruction="rest a little")
     run_session(config, hold_contract(0.5))
-    code, out, err = tell("memory", "replay", "one", "--tries", "1", "--ledger", config.ledger)
+    code, out, err = run_command("memory", "replay", "one", "--tries", "1", "--ledger", config.ledger)
     assert (code, out) == (ExitCode.SUCCESS, "")
     assert "one (succeeded): stands; 1 of 1 tries ended as remembered" in err
 
@@ -171,9 +173,9 @@ NOT_THERE = "is not a memory of this ledger"
         (("list", "--at", "yesterday"), "time: got 'yesterday', allowed: ISO 8601"),
     ],
 )
-def test_what_cannot_be_done_is_told_and_nothing_is_changed(tell, filled, words, says):
+def test_what_cannot_be_done_is_told_and_nothing_is_changed(run_command, filled, words, says):
     before = _events(filled)
-    code, out, err = tell("memory", *words, "--ledger", filled)
+    code, out, err = run_command("memory", *words, "--ledger", filled)
     assert (code, out) == (ExitCode.SETUP, "")
     assert says in err
     assert _events(filled) == before
@@ -184,39 +186,39 @@ def _events(path):
         return database.execute("SELECT hash FROM event ORDER BY seq").fetchall()
 
 
-def test_a_ledger_that_is_not_there_is_not_made(tell, tmp_path):
+def test_a_ledger_that_is_not_there_is_not_made(run_command, tmp_path):
     for words in (("rebuild",), ("list",), ("compact",), ("forget", "a", "--reason", "x")):
-        code, out, err = tell("memory", *words, "--ledger", tmp_path / "none.sqlite")
+        code, out, err = run_command("memory", *words, "--ledger", tmp_path / "none.sqlite")
         assert (code, out) == (ExitCode.SETUP, "")
         assert "made by the first `dualbrain run`" in err
         assert not list(tmp_path.glob("none*"))
 
 
-def test_a_changed_event_is_found_and_memory_refused(tell, filled):
+def test_a_changed_event_is_found_and_memory_refused(run_command, filled):
     with sqlite3.connect(filled) as database:
         database.execute("DROP TRIGGER event_is_never_changed")
         database.execute("UPDATE event SET payload = replace(payload, 'red cube', 'red cub3') WHERE seq = 1")
-    code, out, err = tell("memory", "verify", "--ledger", filled, "--json")
+    code, out, err = run_command("memory", "verify", "--ledger", filled, "--json")
     assert (code, json.loads(out)["whole"]) == (ExitCode.FAILED_SAFELY, False)
     assert "broken at 1: its content does not match its hash" in err
-    code, out, err = tell("memory", "audit", "--ledger", filled)
+    code, out, err = run_command("memory", "audit", "--ledger", filled)
     assert (code, out) == (ExitCode.SETUP, "")
     assert "its content does not match its hash" in err
 
 
-def test_what_is_no_ledger_is_told(tell, tmp_path):
+def test_what_is_no_ledger_is_told(run_command, tmp_path):
     (tmp_path / "words.sqlite").write_text("words of a person, " * 100)
     for words in (("list",), ("verify",), ("compact",)):
-        code, out, err = tell("memory", *words, "--ledger", tmp_path / "words.sqlite")
+        code, out, err = run_command("memory", *words, "--ledger", tmp_path / "words.sqlite")
         assert (code, out) == (ExitCode.SETUP, "")
         assert "file is not a database" in err
 
 
-def test_who_writes_is_named_and_reading_goes_on(tell, filled, monkeypatch):
+def test_who_writes_is_named_and_reading_goes_on(run_command, filled, monkeypatch):
     monkeypatch.setattr(open_memory, "LOCK_TIMEOUT_S", 0.0)
     with Ledger(filled, holder="dualbrain run tuesday", now=NOW):
-        code, out, err = tell("memory", "forget", "a", "--reason", "x", "--ledger", filled)
+        code, out, err = run_command("memory", "forget", "a", "--reason", "x", "--ledger", filled)
         assert (code, out) == (ExitCode.SETUP, "")
         assert "(dualbrain run tuesday)" in err
-        assert tell("memory", "list", "--ledger", filled)[0] == ExitCode.SUCCESS
-    assert tell("memory", "forget", "a", "--reason", "x", "--ledger", filled)[0] == ExitCode.SUCCESS
+        assert run_command("memory", "list", "--ledger", filled)[0] == ExitCode.SUCCESS
+    assert run_command("memory", "forget", "a", "--reason", "x", "--ledger", filled)[0] == ExitCode.SUCCESS

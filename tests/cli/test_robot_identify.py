@@ -15,24 +15,24 @@ PANDA = load_robot("panda")
 SHORT = ("--seeds", 1, "--seconds", 0.5)
 
 
-def test_it_tells_the_model_and_what_to_do_with_it(tell):
-    code, out, _ = tell("robot", "identify", *SHORT, "--load", 0.3)
+def test_it_tells_the_model_and_what_to_do_with_it(run_command):
+    code, out, _ = run_command("robot", "identify", *SHORT, "--load", 0.3)
     assert code == ExitCode.SUCCESS
     for word in ("lag", "position error", "rows keep", "carried so far", "--write"):
         assert word in out
 
 
-def test_the_help_says_what_it_is_for(tell):
-    listed = " ".join(tell("robot", "--help")[1].split())
+def test_the_help_says_what_it_is_for(run_command):
+    listed = " ".join(run_command("robot", "--help")[1].split())
     assert "identify measures how it follows" in listed
     assert "identify Measure how well a robot's drive follows its commands." in listed
-    out = tell("robot", "identify", "--help")[1]
+    out = run_command("robot", "identify", "--help")[1]
     for word in ("y = q + lag v", "leaky integral", "--load", "FilterConfig(tracking_error=...)"):
         assert word in " ".join(out.split())
 
 
-def test_json_and_a_new_data_file(tell, tmp_path):
-    code, out, err = tell("robot", "identify", *SHORT, "--drive", "velocity", "--json", "--write", "body.json")
+def test_json_and_a_new_data_file(run_command, tmp_path):
+    code, out, err = run_command("robot", "identify", *SHORT, "--drive", "velocity", "--json", "--write", "body.json")
     assert code == ExitCode.SUCCESS
     entry = json.loads(out)["entry"]
     assert "body.json" in err
@@ -43,9 +43,9 @@ def test_json_and_a_new_data_file(tell, tmp_path):
     assert encode_robot(robot_model) == (tmp_path / "body.json").read_bytes()
 
 
-def test_what_is_written_enters_the_rows(tell, tmp_path):
+def test_what_is_written_enters_the_rows(run_command, tmp_path):
     (tmp_path / "body.json").write_bytes(encode_robot(PANDA))
-    tell("robot", "identify", *SHORT, "--load", 1, "--write", "body.json")
+    run_command("robot", "identify", *SHORT, "--load", 1, "--write", "body.json")
     robot_model = msgspec.json.decode((tmp_path / "body.json").read_bytes(), type=RobotModel)
     assert robot_model.tracking != PANDA.tracking
     assert tracking_error(robot_model, FilterConfig()) == pytest.approx(
@@ -65,15 +65,15 @@ def test_what_is_written_enters_the_rows(tell, tmp_path):
         ("--load", -1),
     ],
 )
-def test_refusals_are_one_line(tell, bad):
-    code, out, err = tell("robot", "identify", *bad)
+def test_refusals_are_one_line(run_command, bad):
+    code, out, err = run_command("robot", "identify", *bad)
     assert (code, out) == (ExitCode.SETUP, "")
     assert "Traceback" not in err
 
 
-def test_a_file_that_is_no_body_is_left_alone(tell, tmp_path):
+def test_a_file_that_is_no_body_is_left_alone(run_command, tmp_path):
     (tmp_path / "body.json").write_text("{}")
-    code, _, err = tell("robot", "identify", *SHORT, "--write", "body.json")
+    code, _, err = run_command("robot", "identify", *SHORT, "--write", "body.json")
     assert code == ExitCode.SETUP
     assert "body data file" in err
     assert (tmp_path / "body.json").read_text() == "{}"

@@ -80,7 +80,7 @@ def closing(layer):
 def around(layer):
     """The open fingers are around the cube: the last centimetre of the way down."""
     cube = layer.scene.find("red_cube").pose.position
-    return phase(layer) == "grasp: descend" and layer.limb.senses.tool.position[2] < cube[2] + 0.018
+    return phase(layer) == "grasp: descend" and layer.limb.observation.tool.position[2] < cube[2] + 0.018
 
 
 def test_a_thing_that_the_fingers_were_stopped_on_is_held_and_can_be_put_down():

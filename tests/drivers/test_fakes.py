@@ -214,7 +214,7 @@ def test_a_speed_is_reached_by_the_leading_axis_acceleration():
     with pytest.raises(ValueError, match="acceleration"):
         controller.set_speed([0.0] * 6, 41.0)
     assert (UR5E.position_range == 2.0 * np.pi * np.array((-1.0, 1.0))).all()
-    assert trial.driver._ramp == 15.0
+    assert trial.driver._acceleration == 15.0
 
 
 def test_after_an_emergency_stop_the_script_does_not_come_back_by_itself():

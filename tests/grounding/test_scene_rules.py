@@ -120,8 +120,8 @@ def test_the_desk_says_what_the_gate_says():
 
 
 def test_the_arm_on_the_desk_stands_at_home(seen, limb):
-    assert tuple(limb.senses.state.q) == load_robot("panda").home
-    assert limb.senses.scene is seen
+    assert tuple(limb.observation.state.q) == load_robot("panda").home
+    assert limb.observation.scene is seen
 
 
 def test_a_height_the_arm_does_not_reach_is_refused_and_the_allowed_one_passes():

@@ -49,8 +49,8 @@ def holds(body, seed, steps):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_no_h_below_zero(small, seed):  # noqa: F811
-    holds(small, seed, 5000)
+def test_no_h_below_zero(sparse_panda, seed):  # noqa: F811
+    holds(sparse_panda, seed, 5000)
 
 
 def test_no_h_below_zero_with_every_sphere(panda):  # noqa: F811
@@ -71,21 +71,21 @@ def say(control, h, step, which, seed):
     sys.stdout.write(f"{control}: {which} h = {h * 1e3:.3f} mm at step {step} of seed {seed}\n")
 
 
-def test_control_alpha_10_under_acceleration_limits_fails(small):  # noqa: F811
+def test_control_alpha_10_under_acceleration_limits_fails(sparse_panda):  # noqa: F811
     """α is 2.9 times what the acceleration limits can follow."""
-    run, things = loop(small, 6, 8000, hold=1000, things=14, alpha=10.0)
-    h, step, which = least_h(small, run, things)
+    run, things = loop(sparse_panda, 6, 8000, hold=1000, things=14, alpha=10.0)
+    h, step, which = least_h(sparse_panda, run, things)
     say("alpha 10", h, step, which, 6)
     assert h < -1e-2
-    run, things = loop(small, 6, 8000, hold=1000, things=14)
-    assert least_h(small, run, things)[0] >= 0.0
+    run, things = loop(sparse_panda, 6, 8000, hold=1000, things=14)
+    assert least_h(sparse_panda, run, things)[0] >= 0.0
 
 
-def test_control_without_margin_fails(small):  # noqa: F811
+def test_control_without_margin_fails(sparse_panda):  # noqa: F811
     """Things are seen 5 mm away from where they are; the obstacles' margin is that bound, or nothing."""
     for seed in range(3):
-        assert seen_wrongly(small, seed, 0.005)[0] >= 0.0
-    worst = min((*seen_wrongly(small, seed, 0.0), seed) for seed in range(3))
+        assert seen_wrongly(sparse_panda, seed, 0.005)[0] >= 0.0
+    worst = min((*seen_wrongly(sparse_panda, seed, 0.0), seed) for seed in range(3))
     say("margin 0", *worst)
     assert worst[0] < -1e-3
 
@@ -104,10 +104,10 @@ def seen_wrongly(body, seed, margin):
     return least_h(body, run, truth)
 
 
-def test_control_without_the_obstacles_velocity_fails(small):  # noqa: F811
+def test_control_without_the_obstacles_velocity_fails(sparse_panda):  # noqa: F811
     """A wall comes in at 6 cm/s while the arm pushes against it; the filter is told so, or that it stands still."""
-    assert pressed(small, 1.0)[0] >= 0.0
-    h, step = pressed(small, 0.0)
+    assert pressed(sparse_panda, 1.0)[0] >= 0.0
+    h, step = pressed(sparse_panda, 0.0)
     say("no n'v_o", h, step, "wall", "none")
     assert h < -1e-3
 
@@ -131,11 +131,11 @@ def pressed(body, told, steps=2500):
     return float(h.min()), int(h.argmin())
 
 
-def test_a_ball_that_starts_inside_is_left_monotonically(small):  # noqa: F811
+def test_a_ball_that_starts_inside_is_left_monotonically(sparse_panda):  # noqa: F811
     things = [Obstacle("ball", Sphere(0.06), Pose((0.5, 0.12, 0.45)))]
-    safety = SafetyFilter(small, random_scenes.exact_config())
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config())
     safety.observe(things, 0.0)
-    q, h = np.array(small.home), []
+    q, h = np.array(sparse_panda.home), []
     state = state_at.__wrapped__()
     for _ in range(2500):
         answer = safety.filter(state(q), np.zeros(7), 0.0)

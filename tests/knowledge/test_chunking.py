@@ -68,21 +68,21 @@ def test_an_entry_of_a_toml_file_is_one_chunk() -> None:
     assert len(named) == data.count(b"[[templates]]")
 
 
-def test_quoting_a_citation_gives_the_chunk(shipped: Library) -> None:
+def test_quoting_a_citation_gives_the_chunk(builtin_library: Library) -> None:
     count = 0
-    for document in shipped.documents():
-        for citation, text in shipped.chunks_of(document.name):
+    for document in builtin_library.documents():
+        for citation, text in builtin_library.chunks_of(document.name):
             again = parse_citation(str(citation))
             assert again is not None
-            assert shipped.quote(again) == text
+            assert builtin_library.quote(again) == text
             count += 1
-    assert count == len(shipped) > 60
+    assert count == len(builtin_library) > 60
 
 
 @pytest.mark.parametrize("file", [file for file in BUILTIN_DOCUMENTS if file.endswith(".md")])
-def test_offsets_of_markdown_are_those_of_the_file(shipped: Library, file: str) -> None:
+def test_offsets_of_markdown_are_those_of_the_file(builtin_library: Library, file: str) -> None:
     source = (DATA_FOLDER / file).read_text("utf-8")
-    for citation, text in shipped.chunks_of(file.removesuffix(".md")):
+    for citation, text in builtin_library.chunks_of(file.removesuffix(".md")):
         assert source[citation.start : citation.end] == text
 
 

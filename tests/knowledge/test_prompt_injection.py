@@ -138,13 +138,17 @@ def test_one_source_cannot_fill_the_prompt(library: Library) -> None:
 
 
 @pytest.mark.parametrize("tokens", [0, 40, 120, 300])
-def test_the_budget_holds_and_where_nothing_bears_on_the_task_nothing_is_shown(shipped: Library, tokens: int) -> None:
+def test_the_budget_holds_and_where_nothing_bears_on_the_task_nothing_is_shown(
+    builtin_library: Library, tokens: int
+) -> None:
     shown = retrieve_passages(
-        shipped, "put the cube in the bowl", SCENE, PANDA, Budget(min_relevance=-1.0, max_tokens=tokens)
+        builtin_library, "put the cube in the bowl", SCENE, PANDA, Budget(min_relevance=-1.0, max_tokens=tokens)
     )
     assert sum(len(one.text) + len(one.citation) for one in shown) <= tokens * CHARACTERS_PER_TOKEN
     assert len(shown) <= 3
-    assert retrieve_passages(shipped, "put the cube in the bowl", SCENE, PANDA, Budget(min_relevance=1.01)) == ()
+    assert (
+        retrieve_passages(builtin_library, "put the cube in the bowl", SCENE, PANDA, Budget(min_relevance=1.01)) == ()
+    )
 
 
 def test_the_question_tells_what_the_scene_shows() -> None:

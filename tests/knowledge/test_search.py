@@ -36,11 +36,11 @@ def test_normalised_fusion_is_bounded_and_each_part_alone_at_its_end(
     assert all(fuse_scores(words, meaning, 1.0)[item] == max(0.0, cosine) for item, cosine in meaning.items())
 
 
-def test_meaning_is_an_exact_scan(shipped: Library) -> None:
+def test_meaning_is_an_exact_scan(builtin_library: Library) -> None:
     encoder = HashingEncoder(64)
     query = "how hard may the fingers squeeze a cup"
-    texts = [(str(c), t) for d in shipped.documents() for c, t in shipped.chunks_of(d.name)]
-    hits = shipped.search(query, len(texts), mode="meaning")
+    texts = [(str(c), t) for d in builtin_library.documents() for c, t in builtin_library.chunks_of(d.name)]
+    hits = builtin_library.search(query, len(texts), mode="meaning")
     assert len(hits) == len(texts)
     vector = encoder.encode([query])[0]
     for hit in hits:
@@ -51,22 +51,24 @@ def test_meaning_is_an_exact_scan(shipped: Library) -> None:
     assert np.all(np.diff([hit.score for hit in hits]) <= 1e-12)
 
 
-def test_words_are_stemmed_optional_and_weighted_by_rarity(shipped: Library) -> None:
-    best = shipped.search("singularities of the wrists", 3, mode="words")
+def test_words_are_stemmed_optional_and_weighted_by_rarity(builtin_library: Library) -> None:
+    best = builtin_library.search("singularities of the wrists", 3, mode="words")
     assert section_name(best[0].citation.document, best[0].path) == "ur5e-notes/Singular postures"
-    assert shipped.search("xyzzy", mode="words") == ()
-    assert shipped.search("what is the", mode="words") == ()
+    assert builtin_library.search("xyzzy", mode="words") == ()
+    assert builtin_library.search("what is the", mode="words") == ()
 
 
-def test_kinds_and_bodies_are_filters(shipped: Library) -> None:
-    assert {hit.kind for hit in shipped.search("speed", 50, kinds=("rule",))} == {"rule"}
-    documents = {hit.citation.document for hit in shipped.search("payload and reach of the arm", 99, robot="panda")}
+def test_kinds_and_bodies_are_filters(builtin_library: Library) -> None:
+    assert {hit.kind for hit in builtin_library.search("speed", 50, kinds=("rule",))} == {"rule"}
+    documents = {
+        hit.citation.document for hit in builtin_library.search("payload and reach of the arm", 99, robot="panda")
+    }
     assert "ur5e-notes" not in documents
     assert {"panda-hand", "site-rules"} <= documents
 
 
-def test_every_question_names_places_that_are_there(shipped: Library) -> None:
-    there = {section_name(hit.citation.document, hit.path) for hit in shipped.search("x", 999, mode="meaning")}
+def test_every_question_names_places_that_are_there(builtin_library: Library) -> None:
+    there = {section_name(hit.citation.document, hit.path) for hit in builtin_library.search("x", 999, mode="meaning")}
     assert len(QUESTIONS) >= 40
     assert {answer for _, answers in QUESTIONS for answer in answers} <= there
 

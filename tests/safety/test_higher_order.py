@@ -398,15 +398,15 @@ def braking(_, q, v):
 def test_too_fast_toward_a_wall_is_told_and_restored_no_worse_than_by_braking():
     wall, q, v = falling(0.8)
     log, said = run(filtered(wall), q, v, lambda answer, *_: answer.u)
-    assert any("'wall'" in name for name in said[0].too_fast)
+    assert any("'wall'" in name for name in said[0].too_fast_pairs)
     assert said[0].psi_min < 0.0 <= said[0].h_min
     assert not said[0].certified
     assert said[0].status is FilterStatus.RELAXED
     assert "too fast toward" in said[0].explain()
-    restored = next(k for k, answer in enumerate(said) if not answer.too_fast)
-    braked = next(k for k, answer in enumerate(run(filtered(wall), q, v, braking)[1]) if not answer.too_fast)
+    restored = next(k for k, answer in enumerate(said) if not answer.too_fast_pairs)
+    braked = next(k for k, answer in enumerate(run(filtered(wall), q, v, braking)[1]) if not answer.too_fast_pairs)
     assert restored <= braked
-    assert not any(answer.too_fast for answer in said[restored:])
+    assert not any(answer.too_fast_pairs for answer in said[restored:])
     assert all(answer.certified for answer in said[restored:])
     assert geometry_oracle.h_obstacles(PANDA, log, [wall]).min() >= 0.0
 

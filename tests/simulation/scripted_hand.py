@@ -63,7 +63,7 @@ def wait(p, seconds, each=None):
 
 def pick_up(p, name, *, force=20.0, each=None):
     """Grasp a thing from the top and lift it by 15 cm; contact only."""
-    pose = p.truth(name)
+    pose = p.true_pose(name)
     at, yaw = np.array(pose.position), yaw_of(pose)
     over, on = top_down_posture(p, np.add(at, [0, 0, 0.12]), yaw), top_down_posture(p, np.add(at, [0, 0, 0.004]), yaw)
     servo_to(p, over, 1.6, force=force, each=each)

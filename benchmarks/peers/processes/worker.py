@@ -89,7 +89,7 @@ class Worker:
             if hasattr(self.filter, "stated"):
                 one["stated"] = [array.tolist() for array in self.filter.stated()]
             found.append(one)
-        return {"answers": found, "margin": self.filter.margin, "evaluated": self.filter.evaluated()}
+        return {"answers": found, "margin": self.filter.margin, "evaluated": self.filter.step_statistics()}
 
     def once(self, ask: dict[str, Any]) -> dict[str, Any]:
         """One step at any state; numbers may be NaN."""

@@ -235,7 +235,7 @@ def test_an_adapter_that_the_journal_does_not_tell_of_is_a_fault_until_it_is_add
     path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[:kept]))
     (registry.folder / "canaries").mkdir()
     lost = two[kept:]
-    assert set(registry.unrecorded()) == set(lost)
+    assert set(registry.unrecorded_ids()) == set(lost)
     for one in two:
         assert registry.verify()[one] == (UNRECORDED_FAULT if one in lost else "")
     for words in ("first", "second"):

@@ -42,5 +42,5 @@ def test_every_token_of_a_text_that_follows_it_is_admitted(coder, binding, seque
 
 def test_what_is_certain_is_foreseen_all_the_same(coder, binding):
     for _ in range(2):
-        assert coder.decode(binding.foresee(24, lambda ahead: None)) == '[{"skill":"'
+        assert coder.decode(binding.draft(24, lambda ahead: None)) == '[{"skill":"'
         assert not binding.take(coder("x")["input_ids"][0])

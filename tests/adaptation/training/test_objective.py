@@ -34,7 +34,7 @@ def part(one, some, tokens, weights=None, **more):
 
 
 def states(one, some):
-    with one.as_base():
+    with one.without_adapter():
         return compute_states(one.decoder, one.head, some, one.padding)
 
 

@@ -28,7 +28,7 @@ def in_processes(n, work):
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     ends = [FORK.Pipe(duplex=False) for _ in range(n)]
-    children = [FORK.Process(target=one_of, args=(n, rank, port, ends[rank][1], work)) for rank in range(n)]
+    children = [FORK.GatekeeperProcess(target=one_of, args=(n, rank, port, ends[rank][1], work)) for rank in range(n)]
     try:
         for child, (_, theirs) in zip(children, ends, strict=True):
             child.start()

@@ -36,11 +36,11 @@ def ledger(tmp_path):
     return tmp_path / "ledger.sqlite"
 
 
-def test_a_dry_run_tells_and_changes_nothing(tell, ledger, tmp_path):
+def test_a_dry_run_tells_and_changes_nothing(run_command, ledger, tmp_path):
     with LedgerReader(ledger) as opened:
         head = opened.head()
     before = {path.name for path in tmp_path.iterdir()}
-    code, out, err = tell("adapt", "--dry-run")
+    code, out, err = run_command("adapt", "--dry-run")
     assert (code, out) == (ExitCode.SUCCESS, "")
     assert "left out: 1 outcome failed" in err
     assert "of 9 memories" in err
@@ -49,24 +49,24 @@ def test_a_dry_run_tells_and_changes_nothing(tell, ledger, tmp_path):
         assert opened.head() == head
 
 
-def test_ids_of_a_dry_run_are_whole_in_a_narrow_terminal(tell, ledger, monkeypatch):
-    rows = json.loads(tell("adapt", "--dry-run", "--json")[1])["samples"]
+def test_ids_of_a_dry_run_are_whole_in_a_narrow_terminal(run_command, ledger, monkeypatch):
+    rows = json.loads(run_command("adapt", "--dry-run", "--json")[1])["samples"]
     monkeypatch.setenv("COLUMNS", "24")
-    lines = tell("adapt", "--dry-run")[2].splitlines()
+    lines = run_command("adapt", "--dry-run")[2].splitlines()
     for row in rows:
         (line,) = (line for line in lines if line.startswith(row["id"][:8]))
         assert line.split()[1:3] == [row["part"], row["memory"]]
         assert f"{row['repeats']}×" in line
 
 
-def test_a_dry_run_that_should_write_is_refused(tell, ledger, tmp_path):
-    code, out, err = tell("adapt", "--dry-run", "--export", "set")
+def test_a_dry_run_that_should_write_is_refused(run_command, ledger, tmp_path):
+    code, out, err = run_command("adapt", "--dry-run", "--export", "set")
     assert (code, out) == (ExitCode.USAGE, "")
     assert "a dry run writes nothing" in err
     assert not (tmp_path / "set").exists()
 
 
-def test_a_site_file_lets_in_what_was_done_there(tell, tmp_path):
+def test_a_site_file_lets_in_what_was_done_there(run_command, tmp_path):
     site = tmp_path / "lab.toml"
     site.write_text("[robot]\ntool_speed = 0.25\n")
     there = skill_registry_at_site("panda", site)
@@ -74,15 +74,15 @@ def test_a_site_file_lets_in_what_was_done_there(tell, tmp_path):
         tmp_path, [*distinct_episodes(2), episode("there", registry=there.hash, scene_summary=summary(number=9))]
     ).close()
     for words, left in (((), {"of another registry": ["there"]}), (("--site", "lab.toml"), {})):
-        code, out, _ = tell("adapt", "--dry-run", "--json", *words)
+        code, out, _ = run_command("adapt", "--dry-run", "--json", *words)
         assert (code, json.loads(out)["left_out"]) == (ExitCode.SUCCESS, left)
     assert "--site lab.toml" in " ".join(
         adapt_when_idle.adapt_command("panda", "b", None, site.relative_to(tmp_path), None, tmp_path, json=False)
     )
 
 
-def test_json_names_every_memory_once(tell, ledger):
-    code, out, _ = tell("adapt", "--dry-run", "--json")
+def test_json_names_every_memory_once(run_command, ledger):
+    code, out, _ = run_command("adapt", "--dry-run", "--json")
     told = json.loads(out)
     names = [row["memory"] for row in told["samples"]] + [name for all_ in told["left_out"].values() for name in all_]
     assert code == ExitCode.SUCCESS
@@ -90,8 +90,8 @@ def test_json_names_every_memory_once(tell, ledger):
     assert {row["part"] for row in told["samples"]} == {"train", "held_out"}
 
 
-def test_an_export_is_lines_of_prompt_and_completion(tell, ledger, tmp_path):
-    assert tell("adapt", "--export", "set")[0] == ExitCode.SUCCESS
+def test_an_export_is_lines_of_prompt_and_completion(run_command, ledger, tmp_path):
+    assert run_command("adapt", "--export", "set")[0] == ExitCode.SUCCESS
     lines = (tmp_path / "set" / "train.jsonl").read_text().splitlines()
     for line in map(json.loads, lines):
         assert line["prompt"][-1]["role"] == "user"
@@ -109,8 +109,8 @@ def test_an_export_is_lines_of_prompt_and_completion(tell, ledger, tmp_path):
         (("--robot", "ur5e"), "of another robot"),
     ],
 )
-def test_a_broken_set_up_is_told(tell, ledger, arguments, word):
-    code, out, err = tell("adapt", "--dry-run", *arguments)
+def test_a_broken_set_up_is_told(run_command, ledger, arguments, word):
+    code, out, err = run_command("adapt", "--dry-run", *arguments)
     assert (code, out) == (ExitCode.SETUP, "")
     assert word in err
     assert "Traceback" not in err
@@ -118,9 +118,9 @@ def test_a_broken_set_up_is_told(tell, ledger, arguments, word):
 
 @pytest.mark.parametrize("words", [("--dry-run",), ("--export", "set"), ("--out", "fit"), (), ("--when-idle",)])
 @pytest.mark.parametrize("base", ["nope", "minilm-l6-v2-int8"])
-def test_a_base_that_there_is_not_is_told_before_anything_is_written(tell, ledger, tmp_path, words, base):
+def test_a_base_that_there_is_not_is_told_before_anything_is_written(run_command, ledger, tmp_path, words, base):
     before = contents(tmp_path)
-    code, out, err = tell("adapt", "--base", base, *words)
+    code, out, err = run_command("adapt", "--base", base, *words)
     assert (code, out) == (ExitCode.SETUP, "")
     assert f"'{base}' is not a base" in err
     assert contents(tmp_path) == before
@@ -128,12 +128,12 @@ def test_a_base_that_there_is_not_is_told_before_anything_is_written(tell, ledge
 
 
 @pytest.mark.parametrize("words", [(), ("--out", "a fit [of] mine")])
-def test_the_folder_is_told_at_the_start_and_when_it_is_interrupted(tell, ledger, tmp_path, monkeypatch, words):
+def test_the_folder_is_told_at_the_start_and_when_it_is_interrupted(run_command, ledger, tmp_path, monkeypatch, words):
     def interrupted():
         raise KeyboardInterrupt
 
     monkeypatch.setattr(command, "import_trainer", interrupted)
-    code, _, err = tell("adapt", *words)
+    code, _, err = run_command("adapt", *words)
     (data,) = tmp_path.rglob(CARD_FILE)
     folder = data.parent.parent.relative_to(tmp_path)
     assert code == ExitCode.INTERRUPTED
@@ -144,7 +144,7 @@ def test_the_folder_is_told_at_the_start_and_when_it_is_interrupted(tell, ledger
 @pytest.mark.parametrize("ledger_named", [False, True])
 @pytest.mark.parametrize("serves", [False, True])
 def test_a_new_adapter_is_told_with_what_leads_to_its_service(
-    tell, ledger, tmp_path, monkeypatch, ledger_named, serves
+    run_command, ledger, tmp_path, monkeypatch, ledger_named, serves
 ):
     def champion(place):
         return "b" * 64 if serves else ""
@@ -157,7 +157,7 @@ def test_a_new_adapter_is_told_with_what_leads_to_its_service(
     monkeypatch.setattr(command, "import_trainer", lambda: night)
     monkeypatch.setattr("dualbrain.adaptation.adapters.base_models.find_base_model", lambda name, cache: name)
     of, one = " --ledger ledger.sqlite" if ledger_named else "", "a" * 16
-    code, _, err = tell("adapt", "--out", "fit", *of.split())
+    code, _, err = run_command("adapt", "--out", "fit", *of.split())
     assert code == ExitCode.SUCCESS
     assert err.splitlines()[-3:] == [
         f"  dualbrain adapters measure {one} --data fit/dataset --out fit/measured.json{of}",
@@ -166,24 +166,24 @@ def test_a_new_adapter_is_told_with_what_leads_to_its_service(
     ]
 
 
-def test_without_the_extra_it_says_what_to_install(tell, ledger, monkeypatch, tmp_path):
+def test_without_the_extra_it_says_what_to_install(run_command, ledger, monkeypatch, tmp_path):
     """Whatever other tests have imported before."""
     for name in [name for name in sys.modules if name.startswith("dualbrain.adaptation.training.")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.delattr("dualbrain.adaptation.training.train", raising=False)
     monkeypatch.setitem(sys.modules, "torch", None)
-    code, out, err = tell("adapt", "--out", "fit")
+    code, out, err = run_command("adapt", "--out", "fit")
     assert (code, out) == (ExitCode.SETUP, "")
     assert "torch, of the extra `adapt`, is missing" in err
     assert "dualbrain[adapt]" in err
     assert len(read_dataset(tmp_path / "fit" / "dataset").train)
 
 
-def test_a_fit_is_not_taken_up_with_another_vocabulary(tell, ledger, tmp_path):
-    tell("adapt", "--export", "fit/dataset")
+def test_a_fit_is_not_taken_up_with_another_vocabulary(run_command, ledger, tmp_path):
+    run_command("adapt", "--export", "fit/dataset")
     card = msgspec.structs.replace(read_dataset_card(tmp_path / "fit" / "dataset"), registry="00000000")
     (tmp_path / "fit" / "dataset" / CARD_FILE).write_bytes(msgspec.json.encode(card))
-    code, _, err = tell("adapt", "--out", "fit")
+    code, _, err = run_command("adapt", "--out", "fit")
     assert code == ExitCode.SETUP
     assert "The vocabulary has changed" in err
 
@@ -213,72 +213,74 @@ def no_torch(monkeypatch):
         ('[curation]\nsalt = "x"', "salt dualbrain, now x"),
     ],
 )
-def test_other_dials_of_curation_are_refused_where_a_data_set_lies(tell, ledger, no_torch, tmp_path, dials, words):
-    tell("adapt", "--out", "fit")
+def test_other_dials_of_curation_are_refused_where_a_data_set_lies(
+    run_command, ledger, no_torch, tmp_path, dials, words
+):
+    run_command("adapt", "--out", "fit")
     before = contents(tmp_path / "fit")
     (tmp_path / "dials.toml").write_text(dials)
-    code, _, err = tell("adapt", "--out", "fit", "--config", "dials.toml")
+    code, _, err = run_command("adapt", "--out", "fit", "--config", "dials.toml")
     assert code == ExitCode.SETUP
     assert words in err
     assert "another --out" in err
     assert contents(tmp_path / "fit") == before
 
 
-def test_another_ledger_is_refused_where_a_data_set_lies(tell, ledger, no_torch, tmp_path):
-    tell("adapt", "--out", "fit")
+def test_another_ledger_is_refused_where_a_data_set_lies(run_command, ledger, no_torch, tmp_path):
+    run_command("adapt", "--out", "fit")
     before = contents(tmp_path / "fit")
     (tmp_path / "other").mkdir()
     write_ledger(tmp_path / "other", distinct_episodes(12)).close()
-    code, _, err = tell("adapt", "--out", "fit", "--ledger", "other/ledger.sqlite")
+    code, _, err = run_command("adapt", "--out", "fit", "--ledger", "other/ledger.sqlite")
     assert code == ExitCode.SETUP
     assert "ledger of the data set in fit: got 'other/ledger.sqlite'" in err
     assert "another --out" in err
     assert contents(tmp_path / "fit") == before
 
 
-def test_another_site_is_refused_where_a_data_set_lies(tell, ledger, no_torch, tmp_path):
+def test_another_site_is_refused_where_a_data_set_lies(run_command, ledger, no_torch, tmp_path):
     (tmp_path / "lab.toml").write_text("[robot]\ntool_speed = 0.25\n")
-    tell("adapt", "--out", "here")
-    tell("adapt", "--out", "there", "--site", "lab.toml")
+    run_command("adapt", "--out", "here")
+    run_command("adapt", "--out", "there", "--site", "lab.toml")
     there = ("--site", "lab.toml")
     for folder, same, other in (("here", (), there), ("there", there, ())):
-        assert f"going on with the data set in {folder}" in tell("adapt", "--out", folder, *same)[2]
+        assert f"going on with the data set in {folder}" in run_command("adapt", "--out", folder, *same)[2]
         before = contents(tmp_path / folder)
-        code, _, err = tell("adapt", "--out", folder, *other)
+        code, _, err = run_command("adapt", "--out", folder, *other)
         assert code == ExitCode.SETUP
         assert f"site of the data set in {folder}" in err
         assert "another --out" in err
         assert contents(tmp_path / folder) == before
 
 
-def test_a_ledger_that_has_grown_or_was_compacted_is_the_same(tell, ledger, no_torch, tmp_path):
-    tell("adapt", "--out", "fit")
+def test_a_ledger_that_has_grown_or_was_compacted_is_the_same(run_command, ledger, no_torch, tmp_path):
+    run_command("adapt", "--out", "fit")
     before = contents(tmp_path / "fit")
     write_ledger(tmp_path, [episode("later", scene_summary=summary(number=55))]).close()
-    assert "going on with the data set in fit" in tell("adapt", "--out", "fit")[2]
+    assert "going on with the data set in fit" in run_command("adapt", "--out", "fit")[2]
     for _ in range(2):
         compact_in_place(ledger, holder="a test", now=NOW, timeout_s=1.0)
-        assert "going on with the data set in fit" in tell("adapt", "--out", "fit")[2]
+        assert "going on with the data set in fit" in run_command("adapt", "--out", "fit")[2]
     for archive in tmp_path.glob("*.archive-*"):
         archive.unlink()
-    assert "ledger of the data set in fit" in tell("adapt", "--out", "fit")[2]
+    assert "ledger of the data set in fit" in run_command("adapt", "--out", "fit")[2]
     assert contents(tmp_path / "fit") == before
 
 
-def test_a_data_set_whose_card_is_older_is_gone_on_with(tell, ledger, no_torch, tmp_path):
+def test_a_data_set_whose_card_is_older_is_gone_on_with(run_command, ledger, no_torch, tmp_path):
     """It does not tell whether anything was selected by what came of it."""
-    tell("adapt", "--out", "fit")
+    run_command("adapt", "--out", "fit")
     path = tmp_path / "fit" / "dataset" / CARD_FILE
     card = json.loads(path.read_text())
     del card["physical"]
     path.write_text(json.dumps(card))
-    assert "going on with the data set in fit" in tell("adapt", "--out", "fit")[2]
+    assert "going on with the data set in fit" in run_command("adapt", "--out", "fit")[2]
 
 
-def test_what_an_adapter_was_taught_is_written_into_the_ledger(tell, ledger, tmp_path, monkeypatch, capsys):
+def test_what_an_adapter_was_taught_is_written_into_the_ledger(run_command, ledger, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("dualbrain.cli.memory.open_memory.load_encoder", lambda: HashingEncoder(32))
     monkeypatch.setattr("dualbrain.cli.memory.open_memory.memory_config", lambda opened: CONFIG)
-    tell("adapt", "--export", "set")
+    run_command("adapt", "--export", "set")
     dataset = read_dataset(tmp_path / "set")
     card = SimpleNamespace(id="a" * 64, dataset=dataset.card.hash)
     assert command._record_in_ledger(card, dataset, tmp_path / "fit", ledger)
@@ -380,14 +382,14 @@ def test_however_it_is_ended_no_fit_goes_on_beside_the_robot(tmp_path, end, halt
             os.kill(fit, signal.SIGKILL)
 
 
-def test_several_processes_need_one_folder_and_only_fit(tell, ledger, monkeypatch):
+def test_several_processes_need_one_folder_and_only_fit(run_command, ledger, monkeypatch):
     monkeypatch.setenv("WORLD_SIZE", "2")
     for arguments in (("--out", "fit", "--dry-run"), ("--export", "set"), ("--out", "fit", "--when-idle")):
-        code, out, err = tell("adapt", *arguments)
+        code, out, err = run_command("adapt", *arguments)
         assert (code, out) == (ExitCode.SETUP, "")
         assert "adapt in several processes" in err
     for arguments in (("adapt",), ("adapters", "make", "base-135m")):
-        code, out, err = tell(*arguments)
+        code, out, err = run_command(*arguments)
         assert (code, out) == (ExitCode.SETUP, "")
         assert "--out of a fit in several processes: got 'none'" in err
 

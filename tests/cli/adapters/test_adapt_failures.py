@@ -62,13 +62,13 @@ def home_in(folder, patch):
 
 
 @pytest.fixture
-def here(tell, tmp_path, monkeypatch):
+def here(run_command, tmp_path, monkeypatch):
     """Such a home, and the command in it; whatever filled the disk, there is room when it has ended."""
     limits, home = resource.getrlimit(resource.RLIMIT_FSIZE), home_in(tmp_path, monkeypatch)
 
     def adapt():
         try:
-            return tell(*COMMAND)
+            return run_command(*COMMAND)
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 

@@ -72,8 +72,8 @@ def stage(monkeypatch):
     return here
 
 
-def test_it_flies_chooses_and_fits_its_base_by_the_whole_objective(tell, stage, tmp_path):
-    code, out, err = tell("adapters", "make", "starter-135m", "--out", tmp_path / "made")
+def test_it_flies_chooses_and_fits_its_base_by_the_whole_objective(run_command, stage, tmp_path):
+    code, out, err = run_command("adapters", "make", "starter-135m", "--out", tmp_path / "made")
     data = read_dataset(tmp_path / "made" / "dataset")
     assert (code, out) == (ExitCode.SUCCESS, "")
     assert stage.flown == list(range(NUMBER))
@@ -85,13 +85,13 @@ def test_it_flies_chooses_and_fits_its_base_by_the_whole_objective(tell, stage, 
 
 
 @pytest.mark.parametrize("stop", [0, 5, "fit"])
-def test_stopped_anywhere_it_ends_with_the_same_data_set(tell, stage, tmp_path, stop):
-    tell("adapters", "make", "starter-135m", "--out", tmp_path / "whole")
+def test_stopped_anywhere_it_ends_with_the_same_data_set(run_command, stage, tmp_path, stop):
+    run_command("adapters", "make", "starter-135m", "--out", tmp_path / "whole")
     stage.stop = stop
     with pytest.raises(Stopped):
-        tell("adapters", "make", "starter-135m", "--out", tmp_path / "again")
+        run_command("adapters", "make", "starter-135m", "--out", tmp_path / "again")
     stage.flown.clear()
-    tell("adapters", "make", "starter-135m", "--out", tmp_path / "again")
+    run_command("adapters", "make", "starter-135m", "--out", tmp_path / "again")
     assert stage.flown == ([] if stop == "fit" else list(range(stop - stop % 4, NUMBER)))
     assert len({one[0] for one in stage.fitted}) == 1
 
@@ -120,13 +120,13 @@ ANOTHER = {
 
 
 @pytest.mark.parametrize("part", ANOTHER)
-def test_a_starter_is_not_fitted_on_another_data_set(tell, stage, tmp_path, part):
+def test_a_starter_is_not_fitted_on_another_data_set(run_command, stage, tmp_path, part):
     parts, words = ANOTHER[part]
-    tell("adapters", "make", "starter-135m", "--out", "made")
+    run_command("adapters", "make", "starter-135m", "--out", "made")
     stage.fitted.clear()
     change(tmp_path / "made", **parts)
     before = contents(tmp_path / "made")
-    code, out, err = tell("adapters", "make", "starter-135m", "--out", "made")
+    code, out, err = run_command("adapters", "make", "starter-135m", "--out", "made")
     assert (code, out, stage.fitted) == (ExitCode.SETUP, "", [])
     assert "data set in made: got " in err
     assert words in err
@@ -134,51 +134,51 @@ def test_a_starter_is_not_fitted_on_another_data_set(tell, stage, tmp_path, part
     assert contents(tmp_path / "made") == before
 
 
-def test_a_data_set_that_was_split_by_another_rule_is_another_one(tell, stage, tmp_path, monkeypatch):
-    tell("adapters", "make", "starter-135m", "--out", "made")
+def test_a_data_set_that_was_split_by_another_rule_is_another_one(run_command, stage, tmp_path, monkeypatch):
+    run_command("adapters", "make", "starter-135m", "--out", "made")
     monkeypatch.setattr(curate, "is_held_out", lambda groups, share, salt: frozenset(groups[:1]))
     stage.fitted.clear()
-    code, _, err = tell("adapters", "make", "starter-135m", "--out", "made")
+    code, _, err = run_command("adapters", "make", "starter-135m", "--out", "made")
     assert (code, stage.fitted) == (ExitCode.SETUP, [])
     assert f"samples {read_dataset_card(tmp_path / 'made' / 'dataset').hash[:16]} of the same ledger, now " in err
 
 
-def test_what_adapt_left_is_no_starter(tell, stage, tmp_path):
+def test_what_adapt_left_is_no_starter(run_command, stage, tmp_path):
     """Also where the dials of both are the same: the day's ledger is not there."""
     write_ledger(tmp_path, distinct_episodes(8)).close()
     (tmp_path / "dials.toml").write_text(f"[curation.rules]\nepsilon = {starter_dataset.EPSILON}")
-    tell("adapt", "--export", "made/dataset", "--config", "dials.toml")
+    run_command("adapt", "--export", "made/dataset", "--config", "dials.toml")
     change(tmp_path / "made", memories=NUMBER)
-    code, _, err = tell("adapters", "make", "starter-135m", "--out", "made")
+    code, _, err = run_command("adapters", "make", "starter-135m", "--out", "made")
     assert (code, stage.flown, stage.fitted) == (ExitCode.SETUP, [], [])
     assert "now that of made/day" in err
     assert [path.name for path in (tmp_path / "made").iterdir()] == ["dataset"]
 
 
-def test_a_course_is_gone_on_with_only_as_it_is_taught_today(tell, stage, tmp_path, monkeypatch):
+def test_a_course_is_gone_on_with_only_as_it_is_taught_today(run_command, stage, tmp_path, monkeypatch):
     monkeypatch.setattr(synthetic_scenes, "generate_examples", lambda count, part: (LESSON,) * count)
     for _ in range(2):
-        assert tell("adapters", "make", "base-135m", "--out", "made")[0] == ExitCode.SUCCESS
+        assert run_command("adapters", "make", "base-135m", "--out", "made")[0] == ExitCode.SUCCESS
     assert len(stage.fitted) == 2
     change(tmp_path / "made", also={})
-    code, _, err = tell("adapters", "make", "base-135m", "--out", "made")
+    code, _, err = run_command("adapters", "make", "base-135m", "--out", "made")
     assert (code, len(stage.fitted)) == (ExitCode.SETUP, 2)
     assert "also {}, now {" in err
-    code, _, err = tell("adapters", "make", "starter-135m", "--out", "made")
+    code, _, err = run_command("adapters", "make", "starter-135m", "--out", "made")
     assert (code, len(stage.fitted)) == (ExitCode.SETUP, 2)
     assert "what starter-135m is taught today" in err
 
 
 @pytest.mark.slow
 @pytest.mark.llm
-def test_a_little_one_is_made_for_good(tell, tmp_path, monkeypatch):
+def test_a_little_one_is_made_for_good(run_command, tmp_path, monkeypatch):
     """Flown and fitted, a minute or two: its card calls it bootstrapped, and it is as large as the real one."""
     fit = {"steps": 1, "batch": 2, "at_once": 2, "save_every": 1, "ask_at_most": 0, "threads": 1}
     monkeypatch.setattr(starter_dataset, "N_PROPOSALS", 5)
     monkeypatch.setattr(
         starter_dataset, "ADAPT_CONFIG", starter_dataset.AdaptConfig(fit=starter_dataset.FitConfig(**fit))
     )
-    code, out, _ = tell("adapters", "make", "starter-135m", "--out", tmp_path / "made", "--json")
+    code, out, _ = run_command("adapters", "make", "starter-135m", "--out", tmp_path / "made", "--json")
     folder = tmp_path / "made" / "adapter"
     card = read_adapter_card(folder)
     assert code == ExitCode.SUCCESS

@@ -40,18 +40,18 @@ def script(monkeypatch, tmp_path):
     return answering
 
 
-def test_an_accepted_plan_shows_prompt_contract_verdict_and_time(tell, script):
+def test_an_accepted_plan_shows_prompt_contract_verdict_and_time(run_command, script):
     script(PICK)
-    code, out, _ = tell("plan", WORDS, "--scene", "bare:0", "--knowledge", "off")
+    code, out, _ = run_command("plan", WORDS, "--scene", "bare:0", "--knowledge", "off")
     assert code == ExitCode.SUCCESS
     for words in ("[system]", "You plan for the robot arm", WORDS, PICK, "nothing", "accepted: syntax ✓"):
         assert words in out
     assert "decided in" in out
 
 
-def test_a_refusal_stands_in_the_second_prompt_and_the_last_verdict_counts(tell, script):
+def test_a_refusal_stands_in_the_second_prompt_and_the_last_verdict_counts(run_command, script):
     planner = script(FAST, PICK)
-    code, out, _ = tell("plan", WORDS, "--scene", "bare:0", "--knowledge", "off", "--json")
+    code, out, _ = run_command("plan", WORDS, "--scene", "bare:0", "--knowledge", "off", "--json")
     told = json.loads(out)
     assert (code, told["accepted"], told["declined"]) == (ExitCode.SUCCESS, True, False)
     assert [shot["verdict"].get("stage") for shot in told["shots"]] == ["envelope", None]
@@ -64,9 +64,9 @@ def test_a_refusal_stands_in_the_second_prompt_and_the_last_verdict_counts(tell,
 @pytest.mark.parametrize(
     ("answers", "stage"), [((FAST,), "envelope"), (("no JSON",), "syntax"), ((decline_contract(),), None)]
 )
-def test_a_rejection_and_a_decline_exit_3(tell, script, answers, stage):
+def test_a_rejection_and_a_decline_exit_3(run_command, script, answers, stage):
     planner = script(*answers)
-    code, out, _ = tell("plan", WORDS, "--scene", "bare:0", "--knowledge", "off", "--shots", "1", "--json")
+    code, out, _ = run_command("plan", WORDS, "--scene", "bare:0", "--knowledge", "off", "--shots", "1", "--json")
     told = json.loads(out)
     assert code == ExitCode.REJECTED
     assert told["verdict"].get("stage") == stage
@@ -74,20 +74,20 @@ def test_a_rejection_and_a_decline_exit_3(tell, script, answers, stage):
     assert len(planner.asked) == 1
 
 
-def test_a_planner_that_does_not_answer_is_asked_once_and_refused_nothing(tell, script):
+def test_a_planner_that_does_not_answer_is_asked_once_and_refused_nothing(run_command, script):
     planner = script("", finish_reason="error: ConnectionRefusedError")
-    code, out, _ = tell("plan", WORDS, "--scene", "bare:0", "--knowledge", "off", "--shots", "5")
+    code, out, _ = run_command("plan", WORDS, "--scene", "bare:0", "--knowledge", "off", "--shots", "5")
     assert (code, len(planner.asked)) == (ExitCode.FAILED_SAFELY, 1)
     assert "error: ConnectionRefusedError" in out
 
 
-def test_memories_and_passages_are_shown_with_their_scores_and_citations(tell, script, tmp_path):
+def test_memories_and_passages_are_shown_with_their_scores_and_citations(run_command, script, tmp_path):
     config = run_config(tmp_path, ledger=tmp_path / "ledger.sqlite")
     run_session(config, hold_contract())
     before = config.ledger.read_bytes()
     planner = script(PICK)
     arguments = ("plan", WORDS, "--scene", "bare:0", "--ledger", str(config.ledger))
-    code, out, _ = tell(*arguments, "--json")
+    code, out, _ = run_command(*arguments, "--json")
     told = json.loads(out)["retrieved"]
     assert code == ExitCode.SUCCESS
     assert told["passages"]
@@ -95,7 +95,7 @@ def test_memories_and_passages_are_shown_with_their_scores_and_citations(tell, s
     found = [*told["exemplars"], *told["warnings"]]
     assert found
     assert len(planner.asked[0].recall.passages) == len(told["passages"])
-    code, out, _ = tell(*arguments)
+    code, out, _ = run_command(*arguments)
     assert told["passages"][0]["citation"] in out
     for one in found:
         assert one["episode_id"] in out
@@ -108,17 +108,17 @@ class Short(ScriptedPlanner):
     template, messages = short_template_hash(), staticmethod(short_messages)
 
 
-def test_what_an_adapted_planner_does_not_read_is_marked_and_said_once(tell, script, tmp_path, monkeypatch):
+def test_what_an_adapted_planner_does_not_read_is_marked_and_said_once(run_command, script, tmp_path, monkeypatch):
     config = run_config(tmp_path, ledger=tmp_path / "ledger.sqlite")
     run_session(replace(config, instruction=WORDS), hold_contract())
     script()
     monkeypatch.setattr(open_planner, "open_planner", lambda *_, **__: Short([FAST, PICK]))
     arguments = ("plan", WORDS, "--scene", "bare:0", "--ledger", str(config.ledger))
-    _, out, err = tell(*arguments)
+    _, out, err = run_command(*arguments)
     assert err.count("documents are not shown to scripted") == 1
     assert "what was found, not shown to this planner" in out
     assert "what was shown" not in out
-    _, out, _ = tell(*arguments, "--json")
+    _, out, _ = run_command(*arguments, "--json")
     told = json.loads(out)
     assert told["template"] == short_template_hash()
     found = {name for name in ("warnings", "passages") if told["retrieved"][name]}
@@ -126,12 +126,12 @@ def test_what_an_adapted_planner_does_not_read_is_marked_and_said_once(tell, scr
     assert set(told["unread"]) == found
     prompts = json.dumps([shot["prompt"] for shot in told["shots"]])
     assert not any(one["citation"] in prompts for one in told["retrieved"]["passages"])
-    assert "documents are not shown" not in tell(*arguments, "--knowledge", "off")[2]
+    assert "documents are not shown" not in run_command(*arguments, "--knowledge", "off")[2]
 
 
-def test_a_planner_with_the_full_prompt_reads_all_that_was_found(tell, script):
+def test_a_planner_with_the_full_prompt_reads_all_that_was_found(run_command, script):
     script(PICK)
-    _, out, err = tell("plan", WORDS, "--scene", "bare:0", "--json")
+    _, out, err = run_command("plan", WORDS, "--scene", "bare:0", "--json")
     told = json.loads(out)
     assert (told["unread"], told["template"]) == ([], template_hash())
     assert told["retrieved"]["passages"]
@@ -139,25 +139,25 @@ def test_a_planner_with_the_full_prompt_reads_all_that_was_found(tell, script):
 
 
 @pytest.mark.parametrize(("knowledge", "kept"), [("off", set()), ("on", {"knowledge.sqlite"})])
-def test_at_home_it_writes_the_shipped_documents_and_nothing_else(tell, script, tmp_path, knowledge, kept):
+def test_at_home_it_writes_the_shipped_documents_and_nothing_else(run_command, script, tmp_path, knowledge, kept):
     script(FAST, PICK)
     for _ in range(2):
-        tell("plan", WORDS, "--scene", "bare:0", "--knowledge", knowledge)
+        run_command("plan", WORDS, "--scene", "bare:0", "--knowledge", knowledge)
         home = tmp_path / "home"
         assert {path.name for path in (home.iterdir() if home.exists() else ())} == kept
 
 
-def test_an_unknown_ledger_and_an_empty_instruction_are_told(tell, script, tmp_path):
+def test_an_unknown_ledger_and_an_empty_instruction_are_told(run_command, script, tmp_path):
     script(PICK)
-    assert tell("plan", "  ")[0] == ExitCode.USAGE
-    assert tell("plan", WORDS, "--shots", "0")[0] == ExitCode.USAGE
-    code, _, err = tell("plan", WORDS, "--ledger", str(tmp_path / "none.sqlite"), "--knowledge", "off")
+    assert run_command("plan", "  ")[0] == ExitCode.USAGE
+    assert run_command("plan", WORDS, "--shots", "0")[0] == ExitCode.USAGE
+    code, _, err = run_command("plan", WORDS, "--ledger", str(tmp_path / "none.sqlite"), "--knowledge", "off")
     assert code == ExitCode.SETUP
     assert "none.sqlite" in err
 
 
-def test_help_teaches(tell):
-    code, out, _ = tell("plan", "--help")
+def test_help_teaches(run_command):
+    code, out, _ = run_command("plan", "--help")
     assert code == ExitCode.SUCCESS
     for words in ("memory is only read", "shipped documents", "citations", "--contract c.json", "Exits 0"):
         assert words in " ".join(out.replace("│", " ").split())

@@ -31,8 +31,8 @@ KEYS = {
 }
 
 
-def test_json_is_exactly_one_object_with_the_promised_keys(finished):
-    _, _, out, _ = finished
+def test_json_is_exactly_one_object_with_the_promised_keys(completed_run):
+    _, _, out, _ = completed_run
     told = json.loads(out)  # one object, and nothing beside it
     assert out.count("\n") == 1
     assert told.keys() >= KEYS
@@ -41,8 +41,8 @@ def test_json_is_exactly_one_object_with_the_promised_keys(finished):
     assert told["timings"].keys() >= {"gate", "motion", "planner"}
 
 
-def test_json_agrees_with_the_episode_on_disk(finished):
-    folder, _, out, _ = finished
+def test_json_agrees_with_the_episode_on_disk(completed_run):
+    folder, _, out, _ = completed_run
     told = json.loads(out)
     episode = msgspec.json.decode((folder / "run" / "episode.json").read_bytes(), type=Episode)
     assert told["success"] == is_success(episode)
@@ -52,15 +52,15 @@ def test_json_agrees_with_the_episode_on_disk(finished):
     assert told["out"] == "run"
 
 
-def test_the_pick_succeeds_by_robot_and_by_truth(finished):
-    _, code, out, err = finished
+def test_the_pick_succeeds_by_robot_and_by_truth(completed_run):
+    _, code, out, err = completed_run
     assert json.loads(out)["success"], err
     assert json.loads(out)["violations"] == []
     assert code == ExitCode.SUCCESS
 
 
-def test_the_account_is_on_stderr(finished):
-    _, _, out, err = finished
+def test_the_account_is_on_stderr(completed_run):
+    _, _, out, err = completed_run
     for words in (
         "shot 1: accepted, syntax ✓ authorization ✓ envelope ✓: grasp → place",
         "grasp: lift",
@@ -72,8 +72,8 @@ def test_the_account_is_on_stderr(finished):
         assert words not in out
 
 
-def test_the_run_folder_holds_everything(finished):
-    folder, *_ = finished
+def test_the_run_folder_holds_everything(completed_run):
+    folder, *_ = completed_run
     run = folder / "run"
     assert {path.name for path in run.iterdir()} == set(RUN_FILES)
     assert json.loads((run / "config.json").read_bytes())["scene"] == "bare:0"
@@ -81,20 +81,22 @@ def test_the_run_folder_holds_everything(finished):
     assert "data:image/" in (run / "report.html").read_text()
 
 
-def test_the_ledger_remembers_the_run_and_not_the_truth(finished):
-    folder, *_ = finished
+def test_the_ledger_remembers_the_run_and_not_the_truth(completed_run):
+    folder, *_ = completed_run
     (remembered,) = ledger_episodes(folder / "ledger.sqlite")
     assert remembered["episode"]["outcome"]["kind"] == "succeeded"
     assert "judgement" not in remembered["episode"]
 
 
-def test_documents_that_a_planner_cannot_read_are_told_once(tell, monkeypatch):
+def test_documents_that_a_planner_cannot_read_are_told_once(run_command, monkeypatch):
     class Short(ScriptedPlanner):
         template = short_template_hash()
 
     for kind, times in ((Short, 1), (ScriptedPlanner, 0)):
         monkeypatch.setattr(session, "open_planner", lambda *_, kind=kind, **__: kind([hold_contract()]))
-        _, _, err = tell("run", "rest", "--scene", "bare:0", "--headless", "--knowledge", "on", "--out", kind.__name__)
+        _, _, err = run_command(
+            "run", "rest", "--scene", "bare:0", "--headless", "--knowledge", "on", "--out", kind.__name__
+        )
         assert err.count("documents are not shown to scripted") == times
 
 

@@ -52,7 +52,7 @@ BODIES = st.lists(st.binary(max_size=200), max_size=6)
 
 def taken(decoder):
     out = []
-    while (frame := decoder.next()) is not None:
+    while (frame := decoder.next_frame()) is not None:
         out.append(frame)
         if isinstance(frame, BrokenStream):
             break
@@ -270,7 +270,7 @@ def test_a_tick_takes_no_more_than_its_share_and_a_flood_is_shut_out(door):
                 sent += 1
         got = len(list(door.hear(now)))
         heard, most, now = heard + got, max(most, got), now + 1e-3
-        if wrong := door.faulty():
+        if wrong := door.failed_connections():
             assert [peer.fault for peer in wrong] == ["flood"]
             break
     assert most == FRAMES_PER_TICK
@@ -293,7 +293,7 @@ def test_whoever_does_not_read_is_let_go(door):
         door.peers[0].say(Heartbeat())
         if door.peers[0].fault:
             break
-    assert [peer.fault for peer in door.faulty()] == ["does not read what it is sent"]
+    assert [peer.fault for peer in door.failed_connections()] == ["does not read what it is sent"]
 
 
 def test_there_is_always_room_for_one_more_of_those_who_only_look(door):

@@ -65,8 +65,8 @@ def test_a_part_without_a_name_is_a_mistake():
 def _beat(metronome, count, work, start=0.0, period=1e-3, lost=0):
     for k in range(count):
         now = start + k * period
-        metronome.arrived(now, lost)
-        metronome.sent(now + 0.5 * work)
+        metronome.on_state(now, lost)
+        metronome.on_command(now + 0.5 * work)
         metronome.ended(now + work)
 
 

@@ -21,10 +21,10 @@ def _unguarded(folder):
 
 
 @pytest.fixture(scope="module")
-def recordings(finished, tmp_path_factory):
+def recordings(completed_run, tmp_path_factory):
     folder, kind = run_once(tmp_path_factory, "unguarded", _unguarded)
     assert kind in ("succeeded", "failed", "taken_over")
-    return {"on": finished[0] / "run" / "episode.mcap", "off": folder / "run" / "episode.mcap"}
+    return {"on": completed_run[0] / "run" / "episode.mcap", "off": folder / "run" / "episode.mcap"}
 
 
 @pytest.mark.parametrize("guard", ["on", "off"])

@@ -185,7 +185,7 @@ def test_two_processes_may_prune_one_folder(model, monkeypatch):
     monkeypatch.setattr(Path, "unlink", gone)
     with serve(keeps(model.parent)) as server:
         assert store(model, server.url.removesuffix("/v1")).save(plan_request())
-    monkeypatch.undo()
+    monkeypatch.revert()
     assert len(list(model.parent.glob("model-*.slot"))) == MAX_CACHED_STATES
 
 

@@ -90,7 +90,7 @@ def test_the_velocity_is_the_last_control_unless_it_is_given():
     assert not np.array_equal(safety.batch(Q, V, U).u, safety.batch(Q, V, U, u_prev=0.0 * V).u)
 
 
-def test_a_batch_leaves_the_filters_own_memory_alone(at):
+def test_a_batch_leaves_the_filters_own_memory_alone(state_at):
     rng = np.random.default_rng(2)
     things = random_scenes.random_scene(SMALL, rng)
     asked, alone = made(things), made(things)
@@ -100,7 +100,7 @@ def test_a_batch_leaves_the_filters_own_memory_alone(at):
         answers = [safety(q, np.zeros(7), wish) for safety in (asked, alone)]
         assert np.array_equal(answers[0].u, answers[1].u)
         asked.batch(*states(rng, 3))
-        projected = [safety.project(at(q), wish, u_nom, 0.0) for safety in (asked, alone)]
+        projected = [safety.project(state_at(q), wish, u_nom, 0.0) for safety in (asked, alone)]
         assert np.array_equal(*projected)
         q, u_nom = q + 1e-3 * answers[0].u, projected[0]
 

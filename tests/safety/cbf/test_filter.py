@@ -67,35 +67,35 @@ def test_a_strictly_safe_nominal_passes_bit_identical(seed):
         assert (answer.delta, answer.status, answer.certified) == (0.0, FilterStatus.SAFE, True)
 
 
-def test_what_is_safe_is_left_alone(small, at):
+def test_what_is_safe_is_left_alone(sparse_panda, state_at):
     for seed in range(3):
-        things = random_scenes.random_scene(small, np.random.default_rng(seed))
-        safety, again = (SafetyFilter(small, random_scenes.exact_config()) for _ in range(2))
+        things = random_scenes.random_scene(sparse_panda, np.random.default_rng(seed))
+        safety, again = (SafetyFilter(sparse_panda, random_scenes.exact_config()) for _ in range(2))
         safety.observe(things, 0.0)
         again.observe(things, 0.0)
-        run = random_scenes.closed_loop(safety, small.home, 1500, seed)
+        run = random_scenes.closed_loop(safety, sparse_panda.home, 1500, seed)
         for k in range(100, 1500, 70):
             u_prev, q, wish = run.u[k - 1], run.q[k - 1], np.sign(run.u[k]) * 2.0
             safety.reset(u_prev)
             again.reset(u_prev)
-            once = safety.filter(at(q), wish, 0.0)
-            twice = again.filter(at(q), once.u, 0.0)
+            once = safety.filter(state_at(q), wish, 0.0)
+            twice = again.filter(state_at(q), once.u, 0.0)
             np.testing.assert_allclose(twice.u, once.u, atol=2e-6)
             assert twice.delta < 1e-6
 
 
-def test_answers_are_admissible_and_certified(small, at):
+def test_answers_are_admissible_and_certified(sparse_panda, state_at):
     rng = np.random.default_rng(0)
-    things = random_scenes.random_scene(small, rng)
-    safety = SafetyFilter(small, random_scenes.exact_config())
+    things = random_scenes.random_scene(sparse_panda, rng)
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config())
     safety.observe(things, 0.0)
-    v_max = np.array([j.velocity.value for j in small.joints])
-    step = np.array([j.acceleration.value for j in small.joints]) * 1e-3
-    q, before = np.array(small.home), np.zeros(7)
+    v_max = np.array([j.velocity.value for j in sparse_panda.joints])
+    step = np.array([j.acceleration.value for j in sparse_panda.joints]) * 1e-3
+    q, before = np.array(sparse_panda.home), np.zeros(7)
     for k in range(1500):
         if k % 150 == 0:
             wish = rng.choice([-1.0, 1.0], 7) * v_max
-        answer = safety.filter(at(q), wish, 0.0)
+        answer = safety.filter(state_at(q), wish, 0.0)
         assert answer.status in (FilterStatus.SAFE, FilterStatus.MODIFIED)
         assert answer.certified
         assert np.all(np.abs(answer.u) <= v_max)
@@ -103,8 +103,8 @@ def test_answers_are_admissible_and_certified(small, at):
         q, before = q + 1e-3 * answer.u, answer.u
 
 
-def test_the_table_stops_the_tool_and_the_reason_is_named(safety, panda, at):
-    _, answers = drive(safety, at, np.array(panda.home), toward(safety, (0, 0, -1), 0.3), 2500)
+def test_the_table_stops_the_tool_and_the_reason_is_named(safety, panda, state_at):
+    _, answers = drive(safety, state_at, np.array(panda.home), toward(safety, (0, 0, -1), 0.3), 2500)
     last = answers[-1]
     assert last.status is FilterStatus.MODIFIED
     assert min(a.h_min for a in answers) > 0.0
@@ -113,15 +113,15 @@ def test_the_table_stops_the_tool_and_the_reason_is_named(safety, panda, at):
     assert last.delta == pytest.approx(last.delta_rows + last.delta_box)
 
 
-def test_delta_is_the_weighted_distance(safety, panda, at):
+def test_delta_is_the_weighted_distance(safety, panda, state_at):
     u_nom = np.full(7, 2.0)
-    answer = safety.filter(at(panda.home), u_nom, 0.0)
+    answer = safety.filter(state_at(panda.home), u_nom, 0.0)
     v_max = np.array([j.velocity.value for j in panda.joints])
     assert answer.delta == pytest.approx(np.sqrt(np.mean(((answer.u - u_nom) / v_max) ** 2)), rel=1e-5)
     assert answer.delta_box > 0.95 * answer.delta  # a jump that φ itself could not have followed
 
 
-def test_projection_of_a_known_scene_passes_the_filter(panda, at):
+def test_projection_of_a_known_scene_passes_the_filter(panda, state_at):
     safety = SafetyFilter(panda, random_scenes.exact_config(lag_compensation=True))
     wall = Obstacle("wall", Box((0.02, 0.5, 0.5)), Pose((0.6, 0.0, 0.5)), known=True)
     safety.observe([TABLE, wall], 0.0)
@@ -131,7 +131,7 @@ def test_projection_of_a_known_scene_passes_the_filter(panda, at):
     for k in range(4000):
         if k % 500 == 0:
             wish = toward(safety, rng.normal(size=3), 0.4)
-        state = at(q, v, t=k * 1e-3)
+        state = state_at(q, v, t=k * 1e-3)
         u_nom = safety.project(state, wish(q), u_nom, k * 1e-3)
         answer = safety.filter(state, u_nom, k * 1e-3)
         assert np.array_equal(answer.u, u_nom)
@@ -142,22 +142,22 @@ def test_projection_of_a_known_scene_passes_the_filter(panda, at):
     assert 0.0 < near < 0.01
 
 
-def test_projection_does_not_know_the_unknown(panda, at):
+def test_projection_does_not_know_the_unknown(panda, state_at):
     safety = SafetyFilter(panda, random_scenes.exact_config())
     tool = safety.tool(np.array(panda.home)).position
     ball = Obstacle("ball", Sphere(0.03), Pose(tuple(tool + np.array([0.1, 0.0, 0.0]))))
     safety.observe([ball], 0.0)
     q, u_nom, deltas = np.array(panda.home), np.zeros(7), []
     for _ in range(1200):
-        u_nom = safety.project(at(q), toward(safety, (1, 0, 0), 0.2)(q), u_nom, 0.0)
-        answer = safety.filter(at(q), u_nom, 0.0)
+        u_nom = safety.project(state_at(q), toward(safety, (1, 0, 0), 0.2)(q), u_nom, 0.0)
+        answer = safety.filter(state_at(q), u_nom, 0.0)
         deltas.append(answer.delta)
         q = q + 1e-3 * answer.u
     assert max(deltas) > 0.01
     assert answer.h_min >= 0.0
 
 
-def test_a_grasp_without_a_permit_is_stopped_and_with_one_closes_in_slowly(panda, at):
+def test_a_grasp_without_a_permit_is_stopped_and_with_one_closes_in_slowly(panda, state_at):
     safety = SafetyFilter(panda, random_scenes.exact_config())
     q0 = np.array(panda.home)
     tool = safety.tool(q0)
@@ -165,21 +165,21 @@ def test_a_grasp_without_a_permit_is_stopped_and_with_one_closes_in_slowly(panda
     safety.observe([thing], 0.0)
     goal = np.array(thing.pose.position)
     ahead = straight(safety, goal, 0.05, tool.rotation)
-    q, answers = drive(safety, at, q0, ahead, 4000)
+    q, answers = drive(safety, state_at, q0, ahead, 4000)
     assert min(a.h_min for a in answers) >= 0.0
     assert np.linalg.norm(safety.tool(q).position - goal) > 0.02
     # the same with a permit: fingers and hand may touch at 2 cm/s
     safety.permit([Contact("fingers", "cube", 0.02), Contact("hand", "cube", 0.02)])
-    q, _ = drive(safety, at, q0, ahead, 6000)
+    q, _ = drive(safety, state_at, q0, ahead, 6000)
     assert np.linalg.norm(safety.tool(q).position - goal) < 0.004, "with a permit the tool reaches the cube"
     # the permit ends: the rows are back, and the arm is asked to leave
     safety.permit([])
-    back = safety.filter(at(q), ahead(q), 0.0)
+    back = safety.filter(state_at(q), ahead(q), 0.0)
     assert back.h_min < 0.0
     assert back.status is not FilterStatus.SAFE
 
 
-def test_contact_speed_is_kept_at_contact(panda, at):
+def test_contact_speed_is_kept_at_contact(panda, state_at):
     safety = SafetyFilter(panda, random_scenes.exact_config())
     q = np.array(panda.home)
     tool = safety.tool(q).position
@@ -188,7 +188,7 @@ def test_contact_speed_is_kept_at_contact(panda, at):
     safety.observe([Obstacle("pad", Box((0.15, 0.15, 0.05)), pad)], 0.0)
     safety.permit([Contact("fingers", "pad", 0.03), Contact("hand", "pad", 0.03)])
     for _ in range(2000):
-        answer = safety.filter(at(q), toward(safety, (0, 0, -1), 0.3)(q), 0.0)
+        answer = safety.filter(state_at(q), toward(safety, (0, 0, -1), 0.3)(q), 0.0)
         before, radii, groups = safety.spheres(q, 0.04)
         q = q + 1e-3 * answer.u
         speed = (before - safety.spheres(q, 0.04)[0])[:, 2] / 1e-3
@@ -199,12 +199,12 @@ def test_contact_speed_is_kept_at_contact(panda, at):
 
 
 @pytest.mark.parametrize("real", ["float32", "float64"])
-def test_recovers_from_inside_an_obstacle(panda, at, real):
+def test_recovers_from_inside_an_obstacle(panda, state_at, real):
     safety = SafetyFilter(panda, random_scenes.exact_config(real=real))
     q = np.array(panda.home)
     tool = safety.tool(q).position
     safety.observe([Obstacle("ball", Sphere(0.05), Pose(tuple(tool + np.array([0.07, 0.0, 0.08]))))], 0.0)
-    _, answers = drive(safety, at, q, lambda q: np.zeros(7), 4000)
+    _, answers = drive(safety, state_at, q, lambda q: np.zeros(7), 4000)
     h = np.array([a.h_min for a in answers])
     assert h[0] < -0.005
     assert np.all(np.diff(h) > -1e-6)
@@ -212,20 +212,20 @@ def test_recovers_from_inside_an_obstacle(panda, at, real):
     assert all(a.status in (FilterStatus.MODIFIED, FilterStatus.RELAXED, FilterStatus.SAFE) for a in answers)
 
 
-def test_moving_away_is_never_forbidden(panda, at):
+def test_moving_away_is_never_forbidden(panda, state_at):
     safety = SafetyFilter(panda, random_scenes.exact_config())
     q = np.array(panda.home)
     tool = safety.tool(q).position
     safety.observe([Obstacle("ball", Sphere(0.04), Pose(tuple(tool + np.array([0.05, 0.0, 0.0]))))], 0.0)
     speed = []
     for _ in range(400):
-        answer = safety.filter(at(q), toward(safety, (-1, 0, 0), 0.3)(q), 0.0)
+        answer = safety.filter(state_at(q), toward(safety, (-1, 0, 0), 0.3)(q), 0.0)
         speed.append((safety.tool(q).jacobian @ answer.u)[0])
         q = q + 1e-3 * answer.u
     assert min(speed) < -0.25
 
 
-def test_bad_input_stops_within_the_acceleration_box(safety, panda, at):
+def test_bad_input_stops_within_the_acceleration_box(safety, panda, state_at):
     step = np.array([j.acceleration.value for j in panda.joints]) * 1e-3
     nan, good = np.full(7, np.nan), np.array(panda.home)
     u_prev = np.array([0.5, -0.3, 0.2, 0.0, 0.1, 0.4, -1.0])
@@ -233,17 +233,17 @@ def test_bad_input_stops_within_the_acceleration_box(safety, panda, at):
     outside[3] = 1.0
     cases = {
         Reason.BAD_INPUT: [
-            (at(nan), np.zeros(7), 0.0),
-            (at(good, nan), np.zeros(7), 0.0),
-            (at(good), nan, 0.0),
-            (at(good, opening=np.inf), np.zeros(7), 0.0),
+            (state_at(nan), np.zeros(7), 0.0),
+            (state_at(good, nan), np.zeros(7), 0.0),
+            (state_at(good), nan, 0.0),
+            (state_at(good, opening=np.inf), np.zeros(7), 0.0),
         ],
         Reason.STALE_STATE: [
-            (at(good, t=0.0), np.zeros(7), 0.2),
-            (at(good, t=0.3), np.zeros(7), 0.2),
-            (at(good, t=0.0), np.zeros(7), np.nan),
+            (state_at(good, t=0.0), np.zeros(7), 0.2),
+            (state_at(good, t=0.3), np.zeros(7), 0.2),
+            (state_at(good, t=0.0), np.zeros(7), np.nan),
         ],
-        Reason.OUTSIDE_LIMITS: [(at(outside), np.zeros(7), 0.0)],
+        Reason.OUTSIDE_LIMITS: [(state_at(outside), np.zeros(7), 0.0)],
     }
     for reason, inputs in cases.items():
         for state, u_nom, now in inputs:
@@ -259,9 +259,9 @@ def test_bad_input_stops_within_the_acceleration_box(safety, panda, at):
             assert REASON_TEXTS[reason.name] in answer.explain()
 
 
-def test_moving_obstacles_go_stale_and_static_ones_do_not(safety, panda, at):
+def test_moving_obstacles_go_stale_and_static_ones_do_not(safety, panda, state_at):
     ball = Obstacle("ball", Sphere(0.05), Pose((2.0, 0.0, 0.5)), velocity=(0.1, 0.0, 0.0), static=False)
-    state = at(panda.home, t=1.0)
+    state = state_at(panda.home, t=1.0)
     safety.observe([TABLE], 0.0)
     assert safety.filter(state, np.zeros(7), 1.0).status is FilterStatus.SAFE
     safety.observe([TABLE, ball], 0.0)
@@ -270,30 +270,30 @@ def test_moving_obstacles_go_stale_and_static_ones_do_not(safety, panda, at):
     assert safety.filter(state, np.zeros(7), 1.0).status is FilterStatus.SAFE
 
 
-def test_obstacles_are_carried_forward_and_grow_with_age(panda, at):
+def test_obstacles_are_carried_forward_and_grow_with_age(panda, state_at):
     safety = SafetyFilter(panda, random_scenes.exact_config())
     tool = safety.tool(np.array(panda.home)).position
     place = tuple(tool + np.array([0.3, 0.0, 0.0]))
     moving = Obstacle("m", Sphere(0.05), Pose(place), velocity=(-0.2, 0.0, 0.0), velocity_error=0.1, static=False)
     safety.observe([moving], 0.0)
-    early = safety.filter(at(panda.home, t=0.0), np.zeros(7), 0.0).h_min
+    early = safety.filter(state_at(panda.home, t=0.0), np.zeros(7), 0.0).h_min
     safety.reset()
     moved = Obstacle("m", Sphere(0.05), Pose((place[0] - 0.08, *place[1:])), margin=0.04)
-    late = safety.filter(at(panda.home, t=0.4), np.zeros(7), 0.4).h_min
+    late = safety.filter(state_at(panda.home, t=0.4), np.zeros(7), 0.4).h_min
     safety.reset()
     safety.observe([moved], 0.0)
-    assert late == pytest.approx(safety.filter(at(panda.home), np.zeros(7), 0.0).h_min, abs=1e-5)
+    assert late == pytest.approx(safety.filter(state_at(panda.home), np.zeros(7), 0.0).h_min, abs=1e-5)
     assert late <= early
 
 
-def test_a_scene_with_a_hole_in_it_stops(safety, panda, at):
+def test_a_scene_with_a_hole_in_it_stops(safety, panda, state_at):
     safety.observe([Obstacle("ghost", Sphere(0.05), Pose((np.nan, 0.0, 0.5)))], 0.0)
-    answer = safety.filter(at(panda.home), np.zeros(7), 0.0)
+    answer = safety.filter(state_at(panda.home), np.zeros(7), 0.0)
     assert answer.status is FilterStatus.STOPPED
     assert Reason.BAD_SCENE in answer.reason
 
 
-def test_two_things_closing_in_are_reported_as_conflicting(panda, at):
+def test_two_things_closing_in_are_reported_as_conflicting(panda, state_at):
     safety = SafetyFilter(panda, random_scenes.exact_config())
     tool = safety.tool(np.array(panda.home)).position
     pair = [
@@ -307,14 +307,14 @@ def test_two_things_closing_in_are_reported_as_conflicting(panda, at):
         for side, sign in (("left", 1.0), ("right", -1.0))
     ]
     safety.observe(pair, 0.0)
-    answer = safety.filter(at(panda.home), np.zeros(7), 0.0)
+    answer = safety.filter(state_at(panda.home), np.zeros(7), 0.0)
     assert answer.status in (FilterStatus.RELAXED, FilterStatus.FAULT)
     assert Reason.INFEASIBLE in answer.reason
     assert len(answer.active_rows) >= 2
     assert all(weight >= -1e-6 for _, _, weight in answer.active_rows)
 
 
-def test_yields_to_what_moves_toward_it(panda, at):
+def test_yields_to_what_moves_toward_it(panda, state_at):
     safety = SafetyFilter(panda, random_scenes.exact_config())
     q = np.array(panda.home)
     place = safety.tool(q).position + np.array([0.35, 0.0, 0.0])
@@ -324,39 +324,39 @@ def test_yields_to_what_moves_toward_it(panda, at):
         safety.observe(
             [Obstacle("cart", Sphere(0.05), Pose(tuple(x)), velocity=(-0.1, 0.0, 0.0), static=False)], k * 1e-3
         )
-        answer = safety.filter(at(q, t=k * 1e-3), np.zeros(7), k * 1e-3)
+        answer = safety.filter(state_at(q, t=k * 1e-3), np.zeros(7), k * 1e-3)
         least = min(least, answer.h_min)
         q = q + 1e-3 * answer.u
     assert least >= 0.0
 
 
-def test_a_base_on_a_table_and_a_mount_do_not_stop_the_robot(panda, at):
+def test_a_base_on_a_table_and_a_mount_do_not_stop_the_robot(panda, state_at):
     safety = SafetyFilter(panda, random_scenes.exact_config())
     plate = Obstacle("plate", Box((0.2, 0.2, 0.05)), Pose((0.0, 0.0, -0.02)))
     safety.observe([TABLE, plate], 0.0)
-    answer = safety.filter(at(panda.home), np.zeros(7), 0.0)
+    answer = safety.filter(state_at(panda.home), np.zeros(7), 0.0)
     assert answer.status is FilterStatus.SAFE
 
 
-def test_something_over_the_arm_that_no_joint_can_leave_stops(panda, at):
+def test_something_over_the_arm_that_no_joint_can_leave_stops(panda, state_at):
     safety = SafetyFilter(panda, random_scenes.exact_config())
     safety.observe([Obstacle("block", Box((0.3, 0.3, 0.6)), Pose((0.0, 0.0, 0.6)), static=False)], 0.0)
-    answer = safety.filter(at(panda.home), np.full(7, 0.01), 0.0)
+    answer = safety.filter(state_at(panda.home), np.full(7, 0.01), 0.0)
     assert answer.status in (FilterStatus.STOPPED, FilterStatus.FAULT, FilterStatus.RELAXED)
     assert not np.array_equal(answer.u, np.full(7, 0.01))
 
 
-def test_held_things_are_kept_from_obstacles_and_from_the_arm(panda, at):
+def test_held_things_are_kept_from_obstacles_and_from_the_arm(panda, state_at):
     safety = SafetyFilter(panda, random_scenes.exact_config())
     safety.observe([TABLE], 0.0)
-    bare = safety.filter(at(panda.home), np.zeros(7), 0.0).h_min
+    bare = safety.filter(state_at(panda.home), np.zeros(7), 0.0).h_min
     safety.attach(np.array([[0.0, 0.0, 0.38, 0.02]]), 0.0)
-    assert safety.filter(at(panda.home), np.zeros(7), 0.0).h_min < bare
-    _, answers = drive(safety, at, np.array(panda.home), toward(safety, (0, 0, -1), 0.2), 1500)
+    assert safety.filter(state_at(panda.home), np.zeros(7), 0.0).h_min < bare
+    _, answers = drive(safety, state_at, np.array(panda.home), toward(safety, (0, 0, -1), 0.2), 1500)
     assert min(a.h_min for a in answers) >= 0.0
     assert any(name.startswith("held") for name, _, _ in answers[-1].active)
     safety.detach()
-    assert safety.filter(at(panda.home), np.zeros(7), 0.0).h_min == bare
+    assert safety.filter(state_at(panda.home), np.zeros(7), 0.0).h_min == bare
 
 
 def test_wrong_programs_are_told(safety):
@@ -381,20 +381,20 @@ def test_an_obstacle_steeper_than_the_tracking_budget_is_refused(panda):
     SafetyFilter(panda, random_scenes.exact_config(tracking_error=0.01)).observe([steep])
 
 
-def test_a_permit_for_what_is_not_there_lifts_nothing(safety, panda, at):
+def test_a_permit_for_what_is_not_there_lifts_nothing(safety, panda, state_at):
     safety.permit([Contact("fingers", "gone", 0.1)])
-    _, answers = drive(safety, at, np.array(panda.home), toward(safety, (0, 0, -1), 0.3), 1500)
+    _, answers = drive(safety, state_at, np.array(panda.home), toward(safety, (0, 0, -1), 0.3), 1500)
     assert min(a.h_min for a in answers) >= 0.0
 
 
-def test_unfiltered_is_the_nominal(safety, panda, at):
+def test_unfiltered_is_the_nominal(safety, panda, state_at):
     u_nom = np.full(7, 1.0)
-    bare = safety.filter(at(panda.home), u_nom, 0.0).unfiltered()
+    bare = safety.filter(state_at(panda.home), u_nom, 0.0).unfiltered()
     assert np.array_equal(bare.u, u_nom)
     assert (bare.delta, bare.certified) == (0.0, False)
 
 
-def test_a_general_weight_moves_the_answer(panda, at):
+def test_a_general_weight_moves_the_answer(panda, state_at):
     weight = np.diag([100.0, 1, 1, 1, 1, 1, 1])
     plain, other = (
         SafetyFilter(panda, random_scenes.exact_config()),
@@ -403,7 +403,7 @@ def test_a_general_weight_moves_the_answer(panda, at):
     ends = []
     for safety in (plain, other):
         safety.observe([TABLE], 0.0)
-        ends.append(drive(safety, at, np.array(panda.home), toward(safety, (0.3, 0.3, -1), 0.3), 1500)[0])
+        ends.append(drive(safety, state_at, np.array(panda.home), toward(safety, (0.3, 0.3, -1), 0.3), 1500)[0])
     assert np.max(np.abs(ends[0] - ends[1])) > 1e-3
 
 

@@ -164,13 +164,13 @@ KINDS = ["still", "moving", "permits", "held", "user", "separation", "parts", "k
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_answer_is_the_nearest_control_under_all_rows(small, at, kind):
-    body = sliding(small) if kind == "sliding" else small
+def test_the_answer_is_the_nearest_control_under_all_rows(sparse_panda, state_at, kind):
+    body = sliding(sparse_panda) if kind == "sliding" else sparse_panda
     rng, bound = np.random.default_rng(KINDS.index(kind)), 0  # bound: moments at which a row did bind
     while bound < 4:
         q = np.array(body.home) + rng.uniform(-0.5, 0.5, body.n)
         if kind == "sliding":
             q[:2] = rng.uniform(-0.3, 0.3, 2)
         s = setting(kind, body, q, rng)
-        if told(s).filter(at(q, t=s.age, opening=s.opening), np.zeros(body.n), s.age).h_min > 0.003:
-            bound += sum(compare(s, *moment, at) for moment in drive(s, q, rng, at))
+        if told(s).filter(state_at(q, t=s.age, opening=s.opening), np.zeros(body.n), s.age).h_min > 0.003:
+            bound += sum(compare(s, *moment, state_at) for moment in drive(s, q, rng, state_at))

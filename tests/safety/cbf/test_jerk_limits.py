@@ -10,21 +10,21 @@ from dualbrain.safety.cbf.result import Reason
 from tests.safety import geometry_oracle, random_scenes
 
 
-def test_a_body_without_jerk_limits_says_so(small):
-    bare = tuple(msgspec.structs.replace(joint, jerk=None) for joint in small.joints)
+def test_a_body_without_jerk_limits_says_so(sparse_panda):
+    bare = tuple(msgspec.structs.replace(joint, jerk=None) for joint in sparse_panda.joints)
     with pytest.raises(ConfigurationError, match="jerk"):
-        SafetyFilter(msgspec.structs.replace(small, joints=bare), random_scenes.exact_config(jerk_limits=True))
+        SafetyFilter(msgspec.structs.replace(sparse_panda, joints=bare), random_scenes.exact_config(jerk_limits=True))
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_jerk_stays_in_its_limit_under_an_adversary(small, seed):
+def test_jerk_stays_in_its_limit_under_an_adversary(sparse_panda, seed):
     rng = np.random.default_rng(seed)
-    things = random_scenes.random_scene(small, rng, 8)
-    safety = SafetyFilter(small, random_scenes.exact_config(jerk_limits=True))
+    things = random_scenes.random_scene(sparse_panda, rng, 8)
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config(jerk_limits=True))
     safety.observe(things)
-    v_max = np.array([joint.velocity.value for joint in small.joints])
-    limit = np.array([joint.jerk.value for joint in small.joints]) * small.period**2
-    q, log, yielded, u, before = np.array(small.home), [], 0, np.zeros(7), np.zeros(7)
+    v_max = np.array([joint.velocity.value for joint in sparse_panda.joints])
+    limit = np.array([joint.jerk.value for joint in sparse_panda.joints]) * sparse_panda.period**2
+    q, log, yielded, u, before = np.array(sparse_panda.home), [], 0, np.zeros(7), np.zeros(7)
     for tick in range(4000):
         if tick % 250 == 0:
             wish = np.where(rng.random(7) < 0.5, -1.0, 1.0) * v_max
@@ -35,30 +35,36 @@ def test_jerk_stays_in_its_limit_under_an_adversary(small, seed):
         elif answer.status is not FilterStatus.RELAXED:
             assert np.all(jerk <= limit * (1 + 1e-3) + 2e-6)
         u, before = answer.u, u
-        q = q + small.period * u
+        q = q + sparse_panda.period * u
         log.append(q)
     assert yielded < 40
     log = np.array(log)
-    assert min(geometry_oracle.h_obstacles(small, log, things).min(), geometry_oracle.h_self(small, log).min()) >= 0.0
-    assert geometry_oracle.h_joints(small, log).min() >= 0.0
+    assert (
+        min(
+            geometry_oracle.h_obstacles(sparse_panda, log, things).min(),
+            geometry_oracle.h_self(sparse_panda, log).min(),
+        )
+        >= 0.0
+    )
+    assert geometry_oracle.h_joints(sparse_panda, log).min() >= 0.0
 
 
-def test_without_the_box_jerk_is_larger(small):
-    safety = SafetyFilter(small, random_scenes.exact_config())
-    limit = np.array([joint.jerk.value for joint in small.joints]) * small.period**2
-    first = safety(np.array(small.home), np.zeros(7), np.full(7, 2.0)).u
+def test_without_the_box_jerk_is_larger(sparse_panda):
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config())
+    limit = np.array([joint.jerk.value for joint in sparse_panda.joints]) * sparse_panda.period**2
+    first = safety(np.array(sparse_panda.home), np.zeros(7), np.full(7, 2.0)).u
     assert np.any(np.abs(first) > 1.5 * limit)
 
 
-def test_the_limit_that_binds_is_called_by_its_name(small):
+def test_the_limit_that_binds_is_called_by_its_name(sparse_panda):
     """Full speed from rest, then back: jerk, acceleration and velocity in turn, each as its formula says."""
-    safety = SafetyFilter(small, random_scenes.exact_config(jerk_limits=True, real="float64"))
-    first = small.joints[0]
-    dt, v_max, a_max, j_max = small.period, first.velocity.value, first.acceleration.value, first.jerk.value
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config(jerk_limits=True, real="float64"))
+    first = sparse_panda.joints[0]
+    dt, v_max, a_max, j_max = sparse_panda.period, first.velocity.value, first.acceleration.value, first.jerk.value
     seen, u, before = [], 0.0, 0.0
     for tick in range(2000):
         way = 1.0 if tick < 60 else -1.0  # turned back while it still accelerates
-        answer = safety(np.array(small.home), np.zeros(7), np.array([9.0 * way, 0, 0, 0, 0, 0, 0]))
+        answer = safety(np.array(sparse_panda.home), np.zeros(7), np.array([9.0 * way, 0, 0, 0, 0, 0, 0]))
         bounds = {
             "velocity": way * v_max,
             "acceleration": u + way * a_max * dt,

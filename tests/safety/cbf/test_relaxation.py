@@ -44,12 +44,12 @@ def contradicting(rng, n):
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_violations_are_the_least_rank_by_rank(small, at, seed):
+def test_violations_are_the_least_rank_by_rank(sparse_panda, state_at, seed):
     rng = np.random.default_rng(seed)
     rows = contradicting(rng, 7)
-    safety = SafetyFilter(small, random_scenes.exact_config(real="float64"))
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config(real="float64"))
     safety.constrain(rows)
-    answer = safety.filter(at(small.home), np.zeros(7), 0.0)
+    answer = safety.filter(state_at(sparse_panda.home), np.zeros(7), 0.0)
     low, high = (np.array(side) for side in safety._kernel.box())
     best = [float(np.maximum(np.array(r.a) * low, np.array(r.a) * high).sum()) for r in rows]
     capped = [ConstraintRow(r.name, r.a, min(r.b, reach), rank=r.rank) for r, reach in zip(rows, best, strict=True)]
@@ -61,24 +61,24 @@ def test_violations_are_the_least_rank_by_rank(small, at, seed):
         assert got[rank] == pytest.approx(wanted[rank], abs=2e-5), (rank, got, wanted)
 
 
-def test_the_seeds_above_do_relax(small, at):
+def test_the_seeds_above_do_relax(sparse_panda, state_at):
     statuses = []
     for seed in range(40):
-        safety = SafetyFilter(small, random_scenes.exact_config(real="float64"))
+        safety = SafetyFilter(sparse_panda, random_scenes.exact_config(real="float64"))
         safety.constrain(contradicting(np.random.default_rng(seed), 7))
-        statuses.append(safety.filter(at(small.home), np.zeros(7), 0.0).status)
+        statuses.append(safety.filter(state_at(sparse_panda.home), np.zeros(7), 0.0).status)
     assert statuses.count(FilterStatus.RELAXED) > 10
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_relaxed_answer_depends_on_the_state_alone_and_is_its_own_answer(small, at, seed):
+def test_a_relaxed_answer_depends_on_the_state_alone_and_is_its_own_answer(sparse_panda, state_at, seed):
     rng = np.random.default_rng(100 + seed)
     rows, answers = contradicting(rng, 7), []
     nominal = np.zeros(7)
     for _ in range(3):
-        safety = SafetyFilter(small, random_scenes.exact_config())
+        safety = SafetyFilter(sparse_panda, random_scenes.exact_config())
         safety.constrain(rows)
-        answers.append(safety.filter(at(small.home), nominal, 0.0))
+        answers.append(safety.filter(state_at(sparse_panda.home), nominal, 0.0))
         nominal = answers[-1].u
     if answers[0].status is FilterStatus.RELAXED:
         np.testing.assert_array_equal(answers[1].u, answers[0].u)
@@ -86,41 +86,41 @@ def test_a_relaxed_answer_depends_on_the_state_alone_and_is_its_own_answer(small
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_no_pair_is_met_worse_than_by_braking(small, at, seed):
+def test_no_pair_is_met_worse_than_by_braking(sparse_panda, state_at, seed):
     """Passive safety: from any motion, no pair is approached faster than a braking robot would."""
     rng = np.random.default_rng(200 + seed)
-    rows, safety = contradicting(rng, 7), SafetyFilter(small, random_scenes.exact_config(real="float64"))
-    step = np.array([joint.acceleration.value for joint in small.joints]) * small.period
+    rows, safety = contradicting(rng, 7), SafetyFilter(sparse_panda, random_scenes.exact_config(real="float64"))
+    step = np.array([joint.acceleration.value for joint in sparse_panda.joints]) * sparse_panda.period
     u_prev = rng.uniform(-0.3, 0.3, 7)
     keep = max(0.0, float(np.max(1.0 - step / np.abs(u_prev))))
     brake = np.clip(keep * u_prev, u_prev - step, u_prev + step)
     safety.constrain(rows)
     safety.reset(u_prev)
-    answer = safety.filter(at(small.home), rng.uniform(-1, 1, 7), 0.0)
+    answer = safety.filter(state_at(sparse_panda.home), rng.uniform(-1, 1, 7), 0.0)
     assert answer.status in (FilterStatus.RELAXED, FilterStatus.MODIFIED)
     for row in (row for row in rows if row.rank <= Rank.OBSTACLE):
         assert np.dot(row.a, answer.u) >= min(row.b, np.dot(row.a, brake)) - 1e-7
 
 
-def test_what_was_given_up_is_told(small, at):
+def test_what_was_given_up_is_told(sparse_panda, state_at):
     a = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    safety = SafetyFilter(small, random_scenes.exact_config())
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config())
     safety.constrain(
         [
             ConstraintRow("user_rows: left", tuple(a), 0.01, rank=Rank.BODY),
             ConstraintRow("user_rows: right", tuple(-a), 0.01, rank=Rank.TASK),
         ]
     )
-    answer = safety.filter(at(small.home), np.zeros(7), 0.0)
+    answer = safety.filter(state_at(sparse_panda.home), np.zeros(7), 0.0)
     assert (answer.status, answer.relaxed_ranks) == (FilterStatus.RELAXED, (Rank.TASK,))
     assert answer.u[0] == pytest.approx(0.01, abs=1e-4)
     assert "user_rows" in answer.barriers
 
 
-def test_no_still_thing_that_braking_spares_is_traded_for_a_person(small):
+def test_no_still_thing_that_braking_spares_is_traded_for_a_person(sparse_panda):
     """A wall behind the arm, a person who comes from the front faster than it can evade: the wall is never entered."""
-    safety = SafetyFilter(small, random_scenes.exact_config())
-    q = np.array(small.home)
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config())
+    q = np.array(sparse_panda.home)
     where, radii = moving_spheres(safety, q)
     back = float(np.min(where[:, 0] - radii)) - 0.01
     wall = Obstacle("wall", HalfSpace(), Pose((back, 0.0, 0.0), (0.5**0.5, 0.0, 0.5**0.5, 0.0)))
@@ -139,7 +139,7 @@ def test_no_still_thing_that_braking_spares_is_traded_for_a_person(small):
         answer = safety(q, np.zeros(7), np.zeros(7), now)
         relaxed += answer.status is FilterStatus.RELAXED
         q = q + 1e-3 * answer.u
-        least = min(least, geometry_oracle.h_obstacles(small, q[None], [wall])[0])
+        least = min(least, geometry_oracle.h_obstacles(sparse_panda, q[None], [wall])[0])
     assert relaxed > 0
     assert least >= 0.0
 
@@ -164,19 +164,19 @@ def drift(safety, q, nominal, ticks=2500):
 
 
 @pytest.mark.parametrize("name", INSIDE)
-def test_a_start_inside_a_thing_is_left_monotonically(small, name):
-    safety = SafetyFilter(small, random_scenes.exact_config())
+def test_a_start_inside_a_thing_is_left_monotonically(sparse_panda, name):
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config())
     safety.observe([INSIDE[name]])
-    h, _ = drift(safety, np.array(small.home), lambda q: np.zeros(7), 4000)
+    h, _ = drift(safety, np.array(sparse_panda.home), lambda q: np.zeros(7), 4000)
     assert h[0] < -0.005
     assert np.all(np.diff(h) > -1e-6)
     assert h[-1] > -1.5e-3
 
 
-def test_a_start_outside_a_joint_limit_is_left_monotonically(small):
-    safety = SafetyFilter(small, random_scenes.exact_config())
-    q = np.array(small.home)
-    upper = small.joints[0].upper.value
+def test_a_start_outside_a_joint_limit_is_left_monotonically(sparse_panda):
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config())
+    q = np.array(sparse_panda.home)
+    upper = sparse_panda.joints[0].upper.value
     q[0] = upper + 0.1
     outside = []
     for _ in range(2000):
@@ -186,8 +186,8 @@ def test_a_start_outside_a_joint_limit_is_left_monotonically(small):
     assert outside[-1] < 2e-3
 
 
-def test_a_start_in_self_collision_is_left_monotonically(small):
-    safety = SafetyFilter(small, random_scenes.exact_config())
+def test_a_start_in_self_collision_is_left_monotonically(sparse_panda):
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config())
     folded = np.array([-0.64, 1.66, -0.08, -2.74, 0.5, 1.17, 0.84])
     h, _ = drift(safety, folded, lambda q: np.zeros(7), 4000)
     assert h[0] < -0.01
@@ -195,11 +195,11 @@ def test_a_start_in_self_collision_is_left_monotonically(small):
     assert h[-1] > -1.5e-3
 
 
-def test_moving_away_is_never_held_back(small):
+def test_moving_away_is_never_held_back(sparse_panda):
     """From inside, a nominal that leaves faster than recovery asks for passes unchanged."""
-    safety = SafetyFilter(small, random_scenes.exact_config(recovery_speed=0.02))
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config(recovery_speed=0.02))
     safety.observe([INSIDE["wall"]])
-    q, u = np.array(small.home), np.zeros(7)
+    q, u = np.array(sparse_panda.home), np.zeros(7)
     for tick in range(300):
         J = safety.tool(q).jacobian
         wish = J.T @ np.linalg.solve(J @ J.T + 1e-4 * np.eye(6), np.array([-min(0.1, tick * 4e-4), 0, 0, 0, 0, 0]))

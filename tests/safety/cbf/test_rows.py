@@ -36,15 +36,15 @@ def every_row(body, q, obstacles, **changes):
     return safety
 
 
-def test_rows_are_gradients_of_h(small, rng, posture, at):
+def test_rows_are_gradients_of_h(sparse_panda, rng, random_posture, state_at):
     checked = np.zeros(2, int)
     for _ in range(6):
-        q, obstacles = posture(rng), things(rng)
-        safety = every_row(small, q, obstacles)
-        safety.filter(at(q, opening=0.0), np.zeros(7), 0.0)
+        q, obstacles = random_posture(rng), things(rng)
+        safety = every_row(sparse_panda, q, obstacles)
+        safety.filter(state_at(q, opening=0.0), np.zeros(7), 0.0)
         rows = safety._kernel.rows()
         for kind, i, j, h, norm, _, a in (rows[r] for r in rng.choice(len(rows), min(25, len(rows)), replace=False)):
-            here = gap(small, None, q, kind, i, j, obstacles)
+            here = gap(sparse_panda, None, q, kind, i, j, obstacles)
             assert h == pytest.approx(here - safety.config.rounding_margin, abs=1e-6)
             if h < 0.0:
                 continue  # inside a box the normal changes from face to face
@@ -52,18 +52,18 @@ def test_rows_are_gradients_of_h(small, rng, posture, at):
             for k in range(7):
                 e = np.zeros(7)
                 e[k] = STEP
-                ahead = gap(small, None, q + e, kind, i, j, obstacles)
-                slope[k] = (ahead - gap(small, None, q - e, kind, i, j, obstacles)) / (2 * STEP)
+                ahead = gap(sparse_panda, None, q + e, kind, i, j, obstacles)
+                slope[k] = (ahead - gap(sparse_panda, None, q - e, kind, i, j, obstacles)) / (2 * STEP)
             np.testing.assert_allclose(np.array(a) * norm, slope, atol=1e-6)
             checked[kind] += 1
     assert np.all(checked > 10)
 
 
-def test_right_sides_are_alpha_h_plus_motion_of_the_obstacle(small, rng, posture, at):
+def test_right_sides_are_alpha_h_plus_motion_of_the_obstacle(sparse_panda, rng, random_posture, state_at):
     velocity = (0.1, -0.2, 0.15)
-    q, obstacles = posture(rng), things(rng, velocity)
-    safety = every_row(small, q, obstacles)
-    safety.filter(at(q, opening=0.0), np.zeros(7), 0.0)
+    q, obstacles = random_posture(rng), things(rng, velocity)
+    safety = every_row(sparse_panda, q, obstacles)
+    safety.filter(state_at(q, opening=0.0), np.zeros(7), 0.0)
     seen = 0
     for kind, i, j, h, norm, b, _ in safety._kernel.rows():
         if kind == 1 or h < 1e-3:
@@ -71,8 +71,10 @@ def test_right_sides_are_alpha_h_plus_motion_of_the_obstacle(small, rng, posture
         pose = obstacles[j].pose
         ahead = Pose(tuple(np.array(pose.position) + STEP * np.array(velocity)), pose.quaternion)
         moved = Obstacle("m", obstacles[j].shape, ahead)
-        approach = (gap(small, None, q, kind, i, 0, [moved]) - gap(small, None, q, kind, i, j, obstacles)) / STEP
-        wanted = -small.alpha * (h - safety.config.sampling_margin) - approach
+        approach = (
+            gap(sparse_panda, None, q, kind, i, 0, [moved]) - gap(sparse_panda, None, q, kind, i, j, obstacles)
+        ) / STEP
+        wanted = -sparse_panda.alpha * (h - safety.config.sampling_margin) - approach
         assert wanted - 2e-6 <= b * norm <= wanted + 2e-3  # the sampling term only ever asks for more
         seen += 1
         if seen == 60:
@@ -80,50 +82,51 @@ def test_right_sides_are_alpha_h_plus_motion_of_the_obstacle(small, rng, posture
     assert seen > 20
 
 
-def test_the_box_has_velocity_acceleration_and_braking_limits(small, at):
-    safety = SafetyFilter(small, random_scenes.exact_config(real="float64"))
-    q = np.array(small.home)
-    q[0] = small.joints[0].upper.value - 0.01
-    q[1] = small.joints[1].lower.value - 0.01  # outside
+def test_the_box_has_velocity_acceleration_and_braking_limits(sparse_panda, state_at):
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config(real="float64"))
+    q = np.array(sparse_panda.home)
+    q[0] = sparse_panda.joints[0].upper.value - 0.01
+    q[1] = sparse_panda.joints[1].lower.value - 0.01  # outside
     u_prev = np.array([0.03, 0.0, 1.0, 2.17, 0.0, 0.0, 0.0])
     safety.reset(u_prev)
-    safety.filter(at(q), np.zeros(7), 0.0)
+    safety.filter(state_at(q), np.zeros(7), 0.0)
     low, high = (np.array(side) for side in safety._kernel.box())
-    step = np.array([j.acceleration.value for j in small.joints]) * small.period
-    assert high[0] == pytest.approx(min(small.alpha * (0.01 - 1e-5), u_prev[0] + step[0]))
+    step = np.array([j.acceleration.value for j in sparse_panda.joints]) * sparse_panda.period
+    assert high[0] == pytest.approx(min(sparse_panda.alpha * (0.01 - 1e-5), u_prev[0] + step[0]))
     assert low[1] == high[1] == pytest.approx(step[1])  # hurries back as the acceleration allows
     assert (low[2], high[2]) == pytest.approx((1.0 - step[2], 1.0 + step[2]))
     assert high[3] == pytest.approx(2.175)
 
 
-def test_a_row_is_left_out_only_when_it_cannot_bind(small, rng, posture, at):
+def test_a_row_is_left_out_only_when_it_cannot_bind(sparse_panda, rng, random_posture, state_at):
     """Every pair that is missing from the rows is met by every corner of the box."""
     for _ in range(5):
-        q, obstacles = posture(rng), things(rng)
+        q, obstacles = random_posture(rng), things(rng)
         u_prev = rng.uniform(-1.0, 1.0, 7)
-        full = every_row(small, q, obstacles)
-        full.filter(at(q, opening=0.0), np.zeros(7), 0.0)
-        culled = SafetyFilter(small, random_scenes.exact_config(real="float64"))
+        full = every_row(sparse_panda, q, obstacles)
+        full.filter(state_at(q, opening=0.0), np.zeros(7), 0.0)
+        culled = SafetyFilter(sparse_panda, random_scenes.exact_config(real="float64"))
         culled.observe(obstacles, 0.0)
         culled.reset(u_prev)
-        culled.filter(at(q, opening=0.0), u_prev, 0.0)
+        culled.filter(state_at(q, opening=0.0), u_prev, 0.0)
         low, high = (np.array(side) for side in culled._kernel.box())
         kept = {row[:3] for row in culled._kernel.rows()}
         for kind, i, j, h, norm, _, row in full._kernel.rows():
             if (kind, i, j) not in kept:
                 a = np.array(row)
                 worst = np.sum(np.where(a > 0, a * low, a * high))
-                assert worst * norm >= -small.alpha * (h - 2e-4) - 1e-9
+                assert worst * norm >= -sparse_panda.alpha * (h - 2e-4) - 1e-9
                 assert h > 1e-3
 
 
-def test_h_min_is_the_smallest_h_of_all(small, rng, posture, at):
+def test_h_min_is_the_smallest_h_of_all(sparse_panda, rng, random_posture, state_at):
     for _ in range(10):
-        q, obstacles = posture(rng), things(rng)
-        safety = SafetyFilter(small, random_scenes.exact_config(real="float64"))
+        q, obstacles = random_posture(rng), things(rng)
+        safety = SafetyFilter(sparse_panda, random_scenes.exact_config(real="float64"))
         safety.observe(obstacles, 0.0)
-        got = safety.filter(at(q, opening=0.0), np.zeros(7), 0.0).h_min
+        got = safety.filter(state_at(q, opening=0.0), np.zeros(7), 0.0).h_min
         least = min(
-            geometry_oracle.h_obstacles(small, q[None], obstacles)[0], geometry_oracle.h_self(small, q[None])[0]
+            geometry_oracle.h_obstacles(sparse_panda, q[None], obstacles)[0],
+            geometry_oracle.h_self(sparse_panda, q[None])[0],
         )
         assert got == pytest.approx(least - safety.config.rounding_margin, abs=2e-6)

@@ -52,9 +52,9 @@ def loop(safety, rng, steps, hold):
 
 
 @pytest.mark.parametrize("period", [1e-3, 2e-2], ids=["no acceleration limits", "long periods"])
-def test_the_answer_is_that_of_all_rows(small, period):
-    rng, body = np.random.default_rng(3), msgspec.structs.replace(small, period=period)
-    config = random_scenes.exact_config(real="float64", acceleration_limits=period > 1e-3, alpha=small.alpha)
+def test_the_answer_is_that_of_all_rows(sparse_panda, period):
+    rng, body = np.random.default_rng(3), msgspec.structs.replace(sparse_panda, period=period)
+    config = random_scenes.exact_config(real="float64", acceleration_limits=period > 1e-3, alpha=sparse_panda.alpha)
     safety = SafetyFilter(body, config)
     safety.observe(crowd(body, rng, 12))
     modified = left_out = 0
@@ -73,16 +73,16 @@ def test_the_answer_is_that_of_all_rows(small, period):
     assert left_out > 100
 
 
-def test_a_safe_nominal_passes_bit_for_bit_wherever_the_last_control_was(small):
+def test_a_safe_nominal_passes_bit_for_bit_wherever_the_last_control_was(sparse_panda):
     """A nominal that meets all rows comes back unchanged, also right after a step that was far from it."""
     rng = np.random.default_rng(5)
-    safety = SafetyFilter(small, random_scenes.exact_config(acceleration_limits=False, alpha=small.alpha))
-    safety.observe(crowd(small, rng, 25))
-    q, rest, passed = np.array(small.home), np.zeros(small.n), 0
-    v_max = np.array([joint.velocity.value for joint in small.joints])
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config(acceleration_limits=False, alpha=sparse_panda.alpha))
+    safety.observe(crowd(sparse_panda, rng, 25))
+    q, rest, passed = np.array(sparse_panda.home), np.zeros(sparse_panda.n), 0
+    v_max = np.array([joint.velocity.value for joint in sparse_panda.joints])
     for _ in range(60):
-        safety(q, rest, v_max * rng.choice([-1.0, 1.0], small.n))
-        gentle = np.float32(rng.uniform(-0.05, 0.05, small.n)).astype(float)
+        safety(q, rest, v_max * rng.choice([-1.0, 1.0], sparse_panda.n))
+        gentle = np.float32(rng.uniform(-0.05, 0.05, sparse_panda.n)).astype(float)
         answer = safety(q, rest, gentle)
         if answer.status is FilterStatus.SAFE:
             passed += 1

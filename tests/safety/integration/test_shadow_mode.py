@@ -70,16 +70,16 @@ def runs(changed, times, join):
     return [tuple(run) for run in found]
 
 
-def test_the_shadow_changes_nothing(small):
+def test_the_shadow_changes_nothing(sparse_panda):
     told = []
-    shadow = ShadowFilter(made(small), on_interval=told.append)
+    shadow = ShadowFilter(made(sparse_panda), on_interval=told.append)
 
     def onlooker(q, v, u, now):
         for array in (q, v, u):
             array.flags.writeable = False
         shadow.evaluate(q, v, u, now)
 
-    with_it, alone = recorded(small, 2800, onlooker), recorded(small, 2800)
+    with_it, alone = recorded(sparse_panda, 2800, onlooker), recorded(sparse_panda, 2800)
     assert all(
         np.array_equal(one, other)
         for row, twin in zip(with_it, alone, strict=True)
@@ -89,11 +89,11 @@ def test_the_shadow_changes_nothing(small):
     assert told
 
 
-def test_episodes_agree_with_the_filter_run_by_hand(small):
-    log, told = recorded(small, 2800), []
-    shadow = ShadowFilter(made(small), on_interval=told.append, merge_gap=0.05)
+def test_episodes_agree_with_the_filter_run_by_hand(sparse_panda):
+    log, told = recorded(sparse_panda, 2800), []
+    shadow = ShadowFilter(made(sparse_panda), on_interval=told.append, merge_gap=0.05)
     watched = [shadow.evaluate(q, v, u, now) for now, q, v, u in log]
-    total, answers = shadow.close(), by_hand(small, log)
+    total, answers = shadow.close(), by_hand(sparse_panda, log)
     assert all(np.array_equal(one.u, other.u) for one, other in zip(watched, answers, strict=True))
     delta, h = np.array([a.delta for a in answers]), np.array([a.h_min for a in answers])
     status, times = np.array([a.status for a in answers]), np.array([row[0] for row in log])
@@ -120,43 +120,45 @@ def test_episodes_agree_with_the_filter_run_by_hand(small):
         assert words in total.explain()
 
 
-def test_what_was_commanded_is_the_last_control_and_not_the_own_answer(small):
+def test_what_was_commanded_is_the_last_control_and_not_the_own_answer(sparse_panda):
     """Against its own answers a filter drifts away from a controller that does not obey; the shadow does not."""
-    log = recorded(small, 700)
-    shadow, drifting = ShadowFilter(made(small)), made(small)
+    log = recorded(sparse_panda, 700)
+    shadow, drifting = ShadowFilter(made(sparse_panda)), made(sparse_panda)
     for now, q, v, u in log:
         seen, drifted = shadow.evaluate(q, v, u, now), drifting(q, v, u, now)
-    step = max(j.acceleration.value for j in small.joints) * PERIOD
+    step = max(j.acceleration.value for j in sparse_panda.joints) * PERIOD
     assert np.all(np.abs(seen.u - log[-2][3]) <= step * 1.01), "one period's acceleration away from the command"
     assert not np.allclose(drifted.u, seen.u, atol=1e-3)
     # what the drive got instead may be given
     limited = 0.5 * log[100][3]
-    twin = made(small)
+    twin = made(sparse_panda)
     twin.reset(limited)
     now, q, v, u = log[101]
-    assert np.array_equal(ShadowFilter(made(small)).evaluate(q, v, u, now, u_prev=limited).u, twin(q, v, u, now).u)
+    assert np.array_equal(
+        ShadowFilter(made(sparse_panda)).evaluate(q, v, u, now, u_prev=limited).u, twin(q, v, u, now).u
+    )
 
 
-def test_a_controller_within_all_limits_is_never_objected_to(small):
-    safety = SafetyFilter(small)
+def test_a_controller_within_all_limits_is_never_objected_to(sparse_panda):
+    safety = SafetyFilter(sparse_panda)
     safety.observe([TABLE])
-    shadow, q, v = ShadowFilter(safety), np.array(small.home), np.zeros(7)
+    shadow, q, v = ShadowFilter(safety), np.array(sparse_panda.home), np.zeros(7)
     for tick in range(1500):
         u = 0.2 * np.sin(2.0 * np.pi * 0.8 * tick * PERIOD) * np.ones(7)
         assert shadow.evaluate(q, v, u, tick * PERIOD).delta <= DEAD_BAND
-        v = v + (u - v) * PERIOD / small.tracking.lag
+        v = v + (u - v) * PERIOD / sparse_panda.tracking.lag
         q = q + PERIOD * v
     total = shadow.close()
     assert (total.changed_fraction, total.intervals, total.max_delta_tick) == (0.0, 0, None)
 
 
-def test_after_a_pause_or_a_new_clock_the_measured_velocity_counts(small):
-    home, fast = np.array(small.home), np.full(7, 0.2)
+def test_after_a_pause_or_a_new_clock_the_measured_velocity_counts(sparse_panda):
+    home, fast = np.array(sparse_panda.home), np.full(7, 0.2)
     for later in (0.001 + 0.2, 0.0005):
-        shadow = ShadowFilter(SafetyFilter(small, random_scenes.exact_config()))
+        shadow = ShadowFilter(SafetyFilter(sparse_panda, random_scenes.exact_config()))
         shadow.evaluate(home, np.zeros(7), np.zeros(7), 0.001)
         assert shadow.evaluate(home, fast, fast, later).status is FilterStatus.SAFE
-    shadow = ShadowFilter(SafetyFilter(small, random_scenes.exact_config()))
+    shadow = ShadowFilter(SafetyFilter(sparse_panda, random_scenes.exact_config()))
     shadow.evaluate(home, np.zeros(7), np.zeros(7), 0.0)
     assert shadow.evaluate(home, fast, fast, 0.001).status is FilterStatus.MODIFIED
     shadow.evaluate(home, fast, fast, 0.004)
@@ -165,9 +167,9 @@ def test_after_a_pause_or_a_new_clock_the_measured_velocity_counts(small):
 
 @settings(max_examples=40, deadline=None)
 @given(st.lists(st.sampled_from(["good", "nan q", "nan u", "nan v", "nan now", "far", "back", "huge"]), max_size=25))
-def test_no_input_breaks_the_shadow(small, kinds):
-    told, home, now = [], np.array(small.home), 0.0
-    shadow = ShadowFilter(made(small), on_interval=told.append)
+def test_no_input_breaks_the_shadow(sparse_panda, kinds):
+    told, home, now = [], np.array(sparse_panda.home), 0.0
+    shadow = ShadowFilter(made(sparse_panda), on_interval=told.append)
     for kind in kinds:
         now = 0.0 if kind == "back" else now + PERIOD
         q = np.full(7, np.nan) if kind == "nan q" else home + (9.0 if kind == "far" else 0.0)
@@ -187,10 +189,10 @@ def test_no_input_breaks_the_shadow(small, kinds):
     assert total.explain()
 
 
-def test_causes_name_the_limit_that_holds(small):
-    home, zero = np.array(small.home), np.zeros(7)
-    step = np.array([j.acceleration.value for j in small.joints]) * PERIOD
-    v_max = np.array([j.velocity.value for j in small.joints])
+def test_causes_name_the_limit_that_holds(sparse_panda):
+    home, zero = np.array(sparse_panda.home), np.zeros(7)
+    step = np.array([j.acceleration.value for j in sparse_panda.joints]) * PERIOD
+    v_max = np.array([j.velocity.value for j in sparse_panda.joints])
     only = np.eye(7)[1]
     cases = {
         "panda_joint2 acceleration limit": (home, zero, 0.2 * only),
@@ -199,17 +201,17 @@ def test_causes_name_the_limit_that_holds(small):
         "bad input": (home, zero, zero * np.nan),
     }
     for cause, (q, u_prev, u) in cases.items():
-        safety = SafetyFilter(small, random_scenes.exact_config())
+        safety = SafetyFilter(sparse_panda, random_scenes.exact_config())
         safety.reset(u_prev)
         answer = safety(q, u_prev, u)
         assert answer.cause == cause
-    quiet = SafetyFilter(small, random_scenes.exact_config())(home, zero, zero)
+    quiet = SafetyFilter(sparse_panda, random_scenes.exact_config())(home, zero, zero)
     assert quiet.cause == ""
 
 
-def test_memory_is_bounded_and_a_lasting_episode_is_told_in_pieces(small):
-    told, home, ball = [], np.array(small.home), Obstacle("ball", Sphere(0.05), Pose((0.5, 0.1, 0.5)))
-    safety = made(small)
+def test_memory_is_bounded_and_a_lasting_episode_is_told_in_pieces(sparse_panda):
+    told, home, ball = [], np.array(sparse_panda.home), Obstacle("ball", Sphere(0.05), Pose((0.5, 0.1, 0.5)))
+    safety = made(sparse_panda)
     tool = safety.tool(home).position
     safety.observe([TABLE, Obstacle("ball", ball.shape, Pose(tuple(tool + np.array([0.06, 0.0, 0.06]))))])
     shadow = ShadowFilter(safety, on_interval=told.append, max_duration=0.1, history=50)
@@ -270,12 +272,12 @@ def test_what_was_told_before_a_kill_is_there(tmp_path):
     assert [episode.start for episode in read_intervention_log(path)] == list(range(20))
 
 
-def test_changes_at_least_join_apart_are_two_episodes(small):
-    home, zero, jump = np.array(small.home), np.zeros(7), np.full(7, 0.1)
+def test_changes_at_least_join_apart_are_two_episodes(sparse_panda):
+    home, zero, jump = np.array(sparse_panda.home), np.zeros(7), np.full(7, 0.1)
     for join, starts in ((0.004, [0.0, 0.006]), (0.01, [0.0])):
         told = []
         shadow = ShadowFilter(
-            SafetyFilter(small, random_scenes.exact_config()), on_interval=told.append, merge_gap=join
+            SafetyFilter(sparse_panda, random_scenes.exact_config()), on_interval=told.append, merge_gap=join
         )
         for tick in range(12):
             shadow.evaluate(home, zero, jump if tick in (0, 1, 6) else zero, tick * PERIOD, u_prev=zero)
@@ -284,27 +286,27 @@ def test_changes_at_least_join_apart_are_two_episodes(small):
         assert sum(e.ticks for e in told) == 3
 
 
-def test_a_command_beyond_the_velocity_limit_is_followed_no_further(small):
+def test_a_command_beyond_the_velocity_limit_is_followed_no_further(sparse_panda):
     """The last command was never truly in force; what is admissible next is judged from the limit."""
-    shadow, limit = ShadowFilter(SafetyFilter(small, random_scenes.exact_config())), np.zeros(7)
-    limit[6] = small.joints[6].velocity.value
-    home = np.array(small.home)
+    shadow, limit = ShadowFilter(SafetyFilter(sparse_panda, random_scenes.exact_config())), np.zeros(7)
+    limit[6] = sparse_panda.joints[6].velocity.value
+    home = np.array(sparse_panda.home)
     shadow.evaluate(home, limit, 3.0 * limit, 0.0)
     answer = shadow.evaluate(home, limit, limit, PERIOD)
     assert answer.status is FilterStatus.SAFE
 
 
-def test_jerk_limits_are_refused(small):
+def test_jerk_limits_are_refused(sparse_panda):
     with pytest.raises(ConfigurationError, match="jerk"):
-        ShadowFilter(made(small, jerk_limits=True))
+        ShadowFilter(made(sparse_panda, jerk_limits=True))
 
 
-def test_a_full_disk_does_not_reach_the_controller(small):
+def test_a_full_disk_does_not_reach_the_controller(sparse_panda):
     def full(_):
         raise OSError(28, "No space left on device")
 
-    shadow = ShadowFilter(made(small), on_interval=full)
-    for now, q, v, u in recorded(small, 700):
+    shadow = ShadowFilter(made(sparse_panda), on_interval=full)
+    for now, q, v, u in recorded(sparse_panda, 700):
         shadow.evaluate(q, v, u, now)
     total = shadow.close()
     assert total.write_errors == total.intervals > 0

@@ -28,29 +28,29 @@ def test_sine_and_cosine_in_float32_are_within_one_unit_in_the_last_place():
 
 
 @pytest.mark.parametrize("real", ["float32", "float64"])
-def test_certified_means_that_the_next_step_is_safe_or_no_deeper(small, at, real):
+def test_certified_means_that_the_next_step_is_safe_or_no_deeper(sparse_panda, state_at, real):
     """Full speed toward things that appear too late: numpy judges the next step of every answer, both ways."""
-    v = np.array([joint.velocity.value for joint in small.joints])
+    v = np.array([joint.velocity.value for joint in sparse_panda.joints])
     seen = {True: 0, False: 0}
     for seed in range(70):
         rng = np.random.default_rng(seed)
-        q, u_prev = np.array(small.home) + rng.uniform(-0.3, 0.3, 7), 0.9 * v * rng.choice([-1.0, 1.0], 7)
-        points = geometry_oracle.sphere_centres(small, q[None])[0][0]
+        q, u_prev = np.array(sparse_panda.home) + rng.uniform(-0.3, 0.3, 7), 0.9 * v * rng.choice([-1.0, 1.0], 7)
+        points = geometry_oracle.sphere_centres(sparse_panda, q[None])[0][0]
         way = rng.normal(size=3)
         place = points[rng.integers(6, len(points))] + way / np.linalg.norm(way) * rng.uniform(0.08, 0.16)
         moving = seed % 3 == 0
         velocity = (0.0, 0.0, 0.3) if moving else (0.0, 0.0, 0.0)
         ball = Obstacle("late", Sphere(0.04), Pose(tuple(place.tolist())), velocity=velocity, static=not moving)
-        safety = SafetyFilter(small, random_scenes.exact_config(real=real))
+        safety = SafetyFilter(sparse_panda, random_scenes.exact_config(real=real))
         safety.observe([ball], 0.0)
         safety.reset(u_prev)
-        answer = safety.filter(at(q, opening=0.0), u_prev, 0.0)
+        answer = safety.filter(state_at(q, opening=0.0), u_prev, 0.0)
         if answer.status is FilterStatus.STOPPED:
             continue
-        after = q + small.period * answer.u
-        shift = np.tile(np.array(velocity) * small.period, (1, 1, 1))
-        now = np.concatenate([each_gap(small, q, ball, np.zeros((1, 1, 3))), self_gaps(small, q)])
-        then = np.concatenate([each_gap(small, after, ball, shift), self_gaps(small, after)])
+        after = q + sparse_panda.period * answer.u
+        shift = np.tile(np.array(velocity) * sparse_panda.period, (1, 1, 1))
+        now = np.concatenate([each_gap(sparse_panda, q, ball, np.zeros((1, 1, 3))), self_gaps(sparse_panda, q)])
+        then = np.concatenate([each_gap(sparse_panda, after, ball, shift), self_gaps(sparse_panda, after)])
         margin = safety.config.rounding_margin
         kept = np.all((then - margin >= -2e-6) | (then >= now - 2e-6))
         broken = np.any((then - margin < -2e-6) & (then < now - 2e-6))
@@ -82,32 +82,32 @@ def self_gaps(body, q):
     return np.concatenate(out)
 
 
-def test_delta_and_its_split_follow_their_equations(small, at):
+def test_delta_and_its_split_follow_their_equations(sparse_panda, state_at):
     """δ = |u − u_nom|_W; to the box what the box around the previous nominal takes, to the rows the rest; at most 2."""
     rng = np.random.default_rng(0)
-    v = np.array([joint.velocity.value for joint in small.joints])
-    step = np.array([joint.acceleration.value for joint in small.joints]) * small.period
-    safety = SafetyFilter(small, random_scenes.exact_config(real="float64"))
-    safety.observe(random_scenes.random_scene(small, rng), 0.0)
-    q, last = np.array(small.home), np.zeros(7)
+    v = np.array([joint.velocity.value for joint in sparse_panda.joints])
+    step = np.array([joint.acceleration.value for joint in sparse_panda.joints]) * sparse_panda.period
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config(real="float64"))
+    safety.observe(random_scenes.random_scene(sparse_panda, rng), 0.0)
+    q, last = np.array(sparse_panda.home), np.zeros(7)
 
     def size(e):
         return math.sqrt(float(np.mean((e / v) ** 2)))
 
     for k in range(600):
         wish = rng.uniform(-1.3, 1.3, 7) * v if k % 40 == 0 else np.clip(last + rng.uniform(-1, 1, 7) * step, -v, v)
-        answer = safety.filter(at(q), wish, 0.0)
+        answer = safety.filter(state_at(q), wish, 0.0)
         followed = np.clip(np.clip(wish, last - step, last + step), -v, v)
         delta, box = min(2.0, size(answer.u - wish)), min(2.0, size(followed - wish))
         assert answer.delta == pytest.approx(delta, abs=1e-9)
         assert answer.delta_box == pytest.approx(min(delta, box), abs=1e-9)
         assert answer.delta_rows == pytest.approx(delta - min(delta, box), abs=1e-9)
-        q, last = q + small.period * answer.u, wish
-    assert safety.filter(at(q), 100.0 * v, 0.0).delta == 2.0
-    assert safety.filter(at(q), np.full(7, np.nan), 0.0).delta == 2.0
+        q, last = q + sparse_panda.period * answer.u, wish
+    assert safety.filter(state_at(q), 100.0 * v, 0.0).delta == 2.0
+    assert safety.filter(state_at(q), np.full(7, np.nan), 0.0).delta == 2.0
 
 
-def test_the_jerk_box_follows_its_equation(panda, at):
+def test_the_jerk_box_follows_its_equation(panda, state_at):
     """Change of the control within last change ± j dt², and no faster toward v_max than can be taken back in time."""
     safety = SafetyFilter(panda, random_scenes.exact_config(real="float64", jerk_limits=True, recovery_speed=0.05))
     v = np.array([joint.velocity.value for joint in panda.joints])
@@ -117,7 +117,7 @@ def test_the_jerk_box_follows_its_equation(panda, at):
     plain = filter_equations.FilterCase(panda, safety.config, [])
     for k in range(900):
         wish = v * rng.choice([-1.0, 1.0], 7) if k % 300 == 0 else wish
-        answer = safety.filter(at(panda.home), wish, 0.0)
+        answer = safety.filter(state_at(panda.home), wish, 0.0)
         low, high = filter_equations.control_bounds(plain, np.array(panda.home), u)
         change, twist = u - before, j * dt * dt
         up, down = (
@@ -136,37 +136,37 @@ def test_the_jerk_box_follows_its_equation(panda, at):
     assert narrowed > 1000
 
 
-def test_a_limit_that_the_accelerations_cannot_keep_is_told(small, at):
+def test_a_limit_that_the_accelerations_cannot_keep_is_told(sparse_panda, state_at):
     """A joint too fast for its limit: the box keeps to the acceleration, and the answer says that nothing would do."""
     for side, at_limit in ((1.0, "upper"), (-1.0, "lower")):
-        q, u_prev = np.array(small.home), np.zeros(7)
-        q[2], u_prev[2] = side * (abs(getattr(small.joints[2], at_limit).value) - 0.01), side * 1.5
-        safety = SafetyFilter(small, random_scenes.exact_config())
+        q, u_prev = np.array(sparse_panda.home), np.zeros(7)
+        q[2], u_prev[2] = side * (abs(getattr(sparse_panda.joints[2], at_limit).value) - 0.01), side * 1.5
+        safety = SafetyFilter(sparse_panda, random_scenes.exact_config())
         safety.reset(u_prev)
-        answer = safety.filter(at(q), u_prev, 0.0)
+        answer = safety.filter(state_at(q), u_prev, 0.0)
         assert Reason.INFEASIBLE in answer.reason
         assert abs(answer.u[2]) < 1.5
         safety.reset(-u_prev)  # away from it: nothing is wrong
-        assert safety.filter(at(q), -u_prev, 0.0).reason == Reason(0)
+        assert safety.filter(state_at(q), -u_prev, 0.0).reason == Reason(0)
 
 
-def test_a_warm_start_changes_the_work_and_not_the_answer(small, at):
+def test_a_warm_start_changes_the_work_and_not_the_answer(sparse_panda, state_at):
     rng = np.random.default_rng(4)
-    things = random_scenes.random_scene(small, rng, 12)
-    warm, cold = (SafetyFilter(small, random_scenes.exact_config(real="float64")) for _ in range(2))
+    things = random_scenes.random_scene(sparse_panda, rng, 12)
+    warm, cold = (SafetyFilter(sparse_panda, random_scenes.exact_config(real="float64")) for _ in range(2))
     for safety in (warm, cold):
         safety.observe(things, 0.0)
-    v = np.array([joint.velocity.value for joint in small.joints])
-    q, u, work = np.array(small.home), np.zeros(7), np.zeros(2, int)
+    v = np.array([joint.velocity.value for joint in sparse_panda.joints])
+    q, u, work = np.array(sparse_panda.home), np.zeros(7), np.zeros(2, int)
     for k in range(2500):
         if k % 250 == 0:
             wish = v * rng.choice([-1.0, 1.0], 7)
-        one = warm.filter(at(q), wish, 0.0)
+        one = warm.filter(state_at(q), wish, 0.0)
         cold.reset(u)
-        two = cold.filter(at(q), wish, 0.0)
+        two = cold.filter(state_at(q), wish, 0.0)
         np.testing.assert_allclose(one.u, two.u, atol=1e-8)
         work += (one.iterations, two.iterations)
-        q, u = q + small.period * one.u, one.u
+        q, u = q + sparse_panda.period * one.u, one.u
     assert work[0] < 0.25 * work[1]
 
 
@@ -186,28 +186,28 @@ NUMBERS = {
 
 
 @pytest.mark.parametrize("change", NUMBERS)
-def test_every_number_of_an_obstacle_is_looked_at(small, at, change):
-    safety = SafetyFilter(small, random_scenes.exact_config())
+def test_every_number_of_an_obstacle_is_looked_at(sparse_panda, state_at, change):
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config())
     others = [Obstacle("table", HalfSpace(), Pose((0.0, 0.0, -0.1))), FINITE]
     safety.observe(others, 0.0)
-    assert safety.filter(at(small.home), np.zeros(7), 0.0).status is not FilterStatus.STOPPED
+    assert safety.filter(state_at(sparse_panda.home), np.zeros(7), 0.0).status is not FilterStatus.STOPPED
     for place in range(3):
         listed = [*others[:place], msgspec.structs.replace(FINITE, **NUMBERS[change]), *others[place:]]
         safety.observe(listed, 0.0)
-        answer = safety.filter(at(small.home), np.zeros(7), 0.0)
+        answer = safety.filter(state_at(sparse_panda.home), np.zeros(7), 0.0)
         assert answer.status is FilterStatus.STOPPED
         assert answer.reason == Reason.BAD_SCENE
 
 
 @pytest.mark.parametrize("column", range(4))
-def test_every_number_of_a_held_thing_and_of_a_row_is_looked_at(small, at, column):
-    safety = SafetyFilter(small, random_scenes.exact_config())
+def test_every_number_of_a_held_thing_and_of_a_row_is_looked_at(sparse_panda, state_at, column):
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config())
     held = np.array([[0.0, 0.0, 0.05, 0.02], [0.0, 0.0, 0.07, 0.02]])
     held[1, column] = math.nan if column == 3 else 0.01
     safety.attach(held, 0.0 if column == 3 else math.nan)
-    assert Reason.BAD_SCENE in safety.filter(at(small.home), np.zeros(7), 0.0).reason
+    assert Reason.BAD_SCENE in safety.filter(state_at(sparse_panda.home), np.zeros(7), 0.0).reason
     safety.detach()
-    assert safety.filter(at(small.home), np.zeros(7), 0.0).status is FilterStatus.SAFE
+    assert safety.filter(state_at(sparse_panda.home), np.zeros(7), 0.0).status is FilterStatus.SAFE
     a = [1.0] * 7
     a[column] = math.inf
     safety.constrain(
@@ -216,13 +216,13 @@ def test_every_number_of_a_held_thing_and_of_a_row_is_looked_at(small, at, colum
             ConstraintRow(name="bad", a=tuple(a) if column else (1.0,) * 7, b=math.nan if not column else -1.0),
         ]
     )
-    assert Reason.BAD_SCENE in safety.filter(at(small.home), np.zeros(7), 0.0).reason
+    assert Reason.BAD_SCENE in safety.filter(state_at(sparse_panda.home), np.zeros(7), 0.0).reason
     safety.constrain([])
-    assert safety.filter(at(small.home), np.zeros(7), 0.0).status is FilterStatus.SAFE
+    assert safety.filter(state_at(sparse_panda.home), np.zeros(7), 0.0).status is FilterStatus.SAFE
 
 
-def test_ages_are_believed_up_to_their_limits_and_a_little_skew_before(small, at):
-    safety = SafetyFilter(small, random_scenes.exact_config())
+def test_ages_are_believed_up_to_their_limits_and_a_little_skew_before(sparse_panda, state_at):
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config())
     safety.observe([FINITE], 10.0)
     most = safety.config.state_stale_after, safety.config.scene_stale_after
     for state_age, scene_age, wanted in (
@@ -234,69 +234,69 @@ def test_ages_are_believed_up_to_their_limits_and_a_little_skew_before(small, at
         (0.0, -0.0051, Reason.STALE_SCENE),
     ):
         now = 10.0 + scene_age
-        answer = safety.filter(at(small.home, t=now - state_age), np.zeros(7), now)
+        answer = safety.filter(state_at(sparse_panda.home, t=now - state_age), np.zeros(7), now)
         assert answer.reason & (Reason.STALE_STATE | Reason.STALE_SCENE) == wanted
 
 
-def test_a_joint_is_believed_up_to_a_fifth_of_a_radian_beyond_its_limits(small, at):
-    for k, joint in enumerate(small.joints):
+def test_a_joint_is_believed_up_to_a_fifth_of_a_radian_beyond_its_limits(sparse_panda, state_at):
+    for k, joint in enumerate(sparse_panda.joints):
         for limit, side in ((joint.upper.value, 1.0), (joint.lower.value, -1.0)):
             for beyond, stops in ((0.19, False), (0.21, True)):
-                q = np.array(small.home)
+                q = np.array(sparse_panda.home)
                 q[k] = limit + side * beyond
-                answer = SafetyFilter(small, random_scenes.exact_config()).filter(at(q), np.zeros(7), 0.0)
+                answer = SafetyFilter(sparse_panda, random_scenes.exact_config()).filter(state_at(q), np.zeros(7), 0.0)
                 assert (Reason.OUTSIDE_LIMITS in answer.reason) == stops
 
 
-def test_braking_slows_every_joint_by_the_same_factor(small, at):
+def test_braking_slows_every_joint_by_the_same_factor(sparse_panda, state_at):
     """The hardest braking that keeps the direction: one joint with its full deceleration, all stop together."""
     rng = np.random.default_rng(2)
-    step = np.array([joint.acceleration.value for joint in small.joints]) * small.period
+    step = np.array([joint.acceleration.value for joint in sparse_panda.joints]) * sparse_panda.period
     for _ in range(50):
         u_prev = rng.uniform(-2.0, 2.0, 7) * rng.choice([1.0, 0.003])
-        safety = SafetyFilter(small, random_scenes.exact_config(real="float64"))
+        safety = SafetyFilter(sparse_panda, random_scenes.exact_config(real="float64"))
         safety.reset(u_prev)
-        u = safety.filter(at(small.home), np.full(7, np.nan), 0.0).u
+        u = safety.filter(state_at(sparse_panda.home), np.full(7, np.nan), 0.0).u
         keep = max(0.0, *(1.0 - step / np.maximum(np.abs(u_prev), step)))
         np.testing.assert_allclose(u, keep * u_prev, atol=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_a_moving_arm_is_filtered_where_it_will_be_when_the_drive_has_caught_up(small, at, seed):
+def test_a_moving_arm_is_filtered_where_it_will_be_when_the_drive_has_caught_up(sparse_panda, state_at, seed):
     """The state of the rows is y = q + lag v, joint by joint: the same answer as at rest in y."""
     rng = np.random.default_rng(seed)
-    safety = SafetyFilter(small, random_scenes.exact_config(real="float64", lag_compensation=True))
-    safety.observe(random_scenes.random_scene(small, rng, 10), 0.0)
-    q, v = np.array(small.home) + rng.uniform(-0.2, 0.2, 7), rng.uniform(-1.0, 1.0, 7)
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config(real="float64", lag_compensation=True))
+    safety.observe(random_scenes.random_scene(sparse_panda, rng, 10), 0.0)
+    q, v = np.array(sparse_panda.home) + rng.uniform(-0.2, 0.2, 7), rng.uniform(-1.0, 1.0, 7)
     wish, u_prev = rng.uniform(-2.0, 2.0, 7), rng.uniform(-0.3, 0.3, 7)
     answers = []
-    for where, speed in ((q, v), (q + small.tracking.lag * v, np.zeros(7)), (q, np.zeros(7))):
+    for where, speed in ((q, v), (q + sparse_panda.tracking.lag * v, np.zeros(7)), (q, np.zeros(7))):
         safety.reset(u_prev)
-        answers.append(safety.filter(at(where, speed), wish, 0.0))
+        answers.append(safety.filter(state_at(where, speed), wish, 0.0))
     moving, there, here = answers
-    assert small.tracking.lag > 0.0
+    assert sparse_panda.tracking.lag > 0.0
     assert moving.h_min == pytest.approx(there.h_min, abs=1e-9)
     assert moving.u == pytest.approx(there.u, abs=1e-6)
     assert abs(moving.h_min - here.h_min) > 1e-7, "the lag moves something here"
 
 
-def test_the_parts_of_the_intervention_add_up_also_where_nothing_was_asked(small, at):
-    safety = SafetyFilter(small, random_scenes.exact_config())
+def test_the_parts_of_the_intervention_add_up_also_where_nothing_was_asked(sparse_panda, state_at):
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config())
     for wish in (np.full(7, np.nan), np.full(7, 1.0), np.zeros(7)):
-        answer = safety.filter(at(np.array(small.home)), wish, 0.0)
+        answer = safety.filter(state_at(np.array(sparse_panda.home)), wish, 0.0)
         assert answer.delta_rows + answer.delta_box == pytest.approx(answer.delta, abs=1e-6)
         assert answer.delta_rows >= 0.0
         assert answer.delta_box >= 0.0
 
 
 @pytest.mark.parametrize("joint", range(7))
-def test_an_arm_is_called_far_outside_by_where_it_will_be(small, at, joint):
+def test_an_arm_is_called_far_outside_by_where_it_will_be(sparse_panda, state_at, joint):
     """What lies beyond the range is counted at y = q + lag v."""
-    safety = SafetyFilter(small, random_scenes.exact_config(real="float64", lag_compensation=True))
-    lag, limit = small.tracking.lag, small.joints[joint].upper.value + FAR_OUTSIDE
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config(real="float64", lag_compensation=True))
+    lag, limit = sparse_panda.tracking.lag, sparse_panda.joints[joint].upper.value + FAR_OUTSIDE
     for beyond in (-0.1, 0.1):
-        q, v = np.array(small.home), np.zeros(7)
+        q, v = np.array(sparse_panda.home), np.zeros(7)
         v[joint] = 1.0
         q[joint] = limit - lag * (1.0 - beyond)
-        answer = safety.filter(at(q, v), np.zeros(7), 0.0)
+        answer = safety.filter(state_at(q, v), np.zeros(7), 0.0)
         assert (Reason.OUTSIDE_LIMITS in answer.reason) == (beyond > 0.0)

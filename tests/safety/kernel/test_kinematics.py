@@ -21,13 +21,13 @@ def test_sine_and_cosine_are_accurate_to_the_last_place(kernel, tolerance, rng):
 
 
 @pytest.mark.parametrize(("real", "tolerance"), [("float32", 2e-6), ("float64", 1e-12)])
-def test_tool_and_jacobian_agree_with_mujoco(panda, rng, posture, real, tolerance):
+def test_tool_and_jacobian_agree_with_mujoco(panda, rng, random_posture, real, tolerance):
     safety = SafetyFilter(panda, FilterConfig(precision=real))
     model = mujoco.MjModel.from_xml_string(mujoco_oracle.build_mjcf(panda))
     data = mujoco.MjData(model)
     site = model.site("tool").id
     for _ in range(50):
-        q = posture(rng)
+        q = random_posture(rng)
         data.qpos[:] = q
         mujoco.mj_forward(model, data)
         linear, angular = np.empty((3, 7)), np.empty((3, 7))
@@ -39,12 +39,12 @@ def test_tool_and_jacobian_agree_with_mujoco(panda, rng, posture, real, toleranc
 
 
 @pytest.mark.parametrize("opening", [0.0, 0.025, 0.04])
-def test_spheres_ride_on_their_links_and_fingers_slide(panda, rng, posture, opening):
+def test_spheres_ride_on_their_links_and_fingers_slide(panda, rng, random_posture, opening):
     safety = SafetyFilter(panda, FilterConfig(precision="float64"))
     model = mujoco.MjModel.from_xml_string(mujoco_oracle.build_mjcf(panda))
     data = mujoco.MjData(model)
     for _ in range(10):
-        q = posture(rng)
+        q = random_posture(rng)
         data.qpos[:] = q
         mujoco.mj_forward(model, data)
         centres, radii, groups = safety.spheres(q, opening)
@@ -57,11 +57,11 @@ def test_spheres_ride_on_their_links_and_fingers_slide(panda, rng, posture, open
             assert groups[k] == link.group
 
 
-def test_held_spheres_follow_the_tool(panda, rng, posture):
+def test_held_spheres_follow_the_tool(panda, rng, random_posture):
     safety = SafetyFilter(panda, FilterConfig(precision="float64"))
     held = np.array([[0.0, 0.01, 0.02, 0.03], [0.0, 0.0, 0.05, 0.02]])
     safety.attach(held, 0.0)
-    q = posture(rng)
+    q = random_posture(rng)
     tool = safety.tool(q)
     centres, radii, groups = safety.spheres(q, 0.01)
     np.testing.assert_allclose(centres[-2:], tool.position + held[:, :3] @ tool.rotation.T, atol=1e-12)
@@ -71,10 +71,10 @@ def test_held_spheres_follow_the_tool(panda, rng, posture):
     assert len(safety.spheres(q, 0.01)[0]) == len(panda.spheres)
 
 
-def test_the_numpy_oracle_agrees_with_mujoco(panda, rng, posture):
+def test_the_numpy_oracle_agrees_with_mujoco(panda, rng, random_posture):
     model = mujoco.MjModel.from_xml_string(mujoco_oracle.build_mjcf(panda))
     data = mujoco.MjData(model)
-    q = np.array([posture(rng) for _ in range(5)])
+    q = np.array([random_posture(rng) for _ in range(5)])
     centres, _, _ = geometry_oracle.sphere_centres(panda, q)
     for t in range(5):
         data.qpos[:] = q[t]

@@ -199,7 +199,7 @@ def upload_case(made, model, m):
     made.attach(np.ascontiguousarray(m.held), m.held_error)
     made.constrain(np.ascontiguousarray(m.rows))
     if m.base:
-        made.stand(np.concatenate([m.base[0].ravel(), m.base[1]]))
+        made.add_within(np.concatenate([m.base[0].ravel(), m.base[1]]))
     made.reset(m.u_prev)
 
 

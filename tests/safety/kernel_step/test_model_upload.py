@@ -130,7 +130,7 @@ def test_gains_fall_back_on_the_filters_and_then_on_the_bodys(panda):
         told = kernel_model(panda, config)
         assert [told[name] for name in names] == wanted
         assert max_gain(panda, config) == max(wanted)
-        assert tracking_error(panda, config) == told["tracking"] == panda.tracking.budget(max(wanted))
+        assert tracking_error(panda, config) == told["tracking"] == panda.tracking.row_margin(max(wanted))
     assert tracking_error(panda, FilterConfig(tracking_error=0.0)) == 0.0
     assert kernel_model(panda, FilterConfig(lag_compensation=False))["lag"] == 0.0
 

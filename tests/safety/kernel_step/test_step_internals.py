@@ -71,7 +71,7 @@ def body_and_scene(got, w):
             "ay": t.turn[1, t.axis],
             "az": t.turn[2, t.axis],
             "half": t.length,
-            "radius": t.thick,
+            "radius": t.capsule_radius,
             "margin": t.margin,
             "alpha": t.alpha,
             "error": t.error,
@@ -183,7 +183,7 @@ def rows(got, w):
 
 def optimal(answer, got, w):
     """What binds, by name, carries the answer off the nominal: R (u - u_nom) is the sum of multiplier times normal."""
-    assert (answer.n_rows, answer.relaxed) == (got["rows"]["count"][0], 0)
+    assert (answer.n_rows, answer.relaxed_mask) == (got["rows"]["count"][0], 0)
     S = w.model["scale"]
     pull = np.linalg.solve(S @ S.T, np.array(answer.u) - w.m.u_nom)
     for kind, i, j, h, weight in answer.rows:
@@ -225,7 +225,7 @@ def test_every_number_of_a_step_is_what_it_is_defined_as(kind, size):
             tuple(int(got["step"][e][r]) for e in ("visit_first", "visit_spheres", "visit_other"))
             for r in range(int(got["step"]["visits"][0]))
         }
-        assert visits == w.visits
+        assert visits == w.revisit_pairs
         assert got["step"]["glances"][0] == w.glances
         seen += 1
         if seen == 3:

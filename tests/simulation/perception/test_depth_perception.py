@@ -46,8 +46,8 @@ class Eyes:
         del above
         if self.shut:
             return np.zeros((0, 3)), np.zeros((0, 3))
-        at, bowl = (np.array(self.plant.truth(name).position) for name in ("red_cube", "blue_bowl"))
-        cube = box_points((0.02, 0.02, 0.025), at[:2], yaw_of(self.plant.truth("red_cube")))
+        at, bowl = (np.array(self.plant.true_pose(name).position) for name in ("red_cube", "blue_bowl"))
+        cube = box_points((0.02, 0.02, 0.025), at[:2], yaw_of(self.plant.true_pose("red_cube")))
         parts = ((cube, "red"), (ring_points(0.085, 0.05, bowl[:2], floor=0.008), "blue"))
         colours = [np.tile(rendered_colour(colour), (len(points), 1)) for points, colour in parts]
         points, colours = np.vstack([points for points, _ in parts]), np.vstack(colours)

@@ -19,7 +19,7 @@ def look(noise, seed=0, looks=1, p=SCENE):
 
 
 def error(p, thing):
-    return np.subtract(thing.pose.position, p.truth(thing.name).position)
+    return np.subtract(thing.pose.position, p.true_pose(thing.name).position)
 
 
 @given(st.floats(1e-4, 0.02), st.floats(0.0, 2.0), st.integers(0, 999))

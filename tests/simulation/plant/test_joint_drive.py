@@ -85,7 +85,7 @@ def test_without_the_integral_the_load_would_win():
 def press(p, height=-0.02):
     """From just above the table down to `height`, which is in it; the posture above."""
     over = top_down_posture(p, [0.5, 0.0, 0.02], 0.0)
-    p.place_arm(over)
+    p.set_configuration(over)
     servo_to(p, top_down_posture(p, [0.5, 0.0, height], 0.0), 1.0, opening=0.0)
     return over
 

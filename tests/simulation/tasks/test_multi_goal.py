@@ -67,7 +67,7 @@ def put(p, name, position):
 
 
 def into_bowl(p, name):
-    put(p, name, np.add(p.truth("blue_bowl").position, [0.0, 0.0, 0.06]))
+    put(p, name, np.add(p.true_pose("blue_bowl").position, [0.0, 0.0, 0.06]))
 
 
 def to_left(p, name):
