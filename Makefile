@@ -35,6 +35,7 @@ check: setup
 	$(BIN)/ruff check .
 	$(BIN)/basedpyright
 	$(BIN)/lint-imports
+	$(BIN)/python -m tools.structure
 
 kernel: setup
 	$(BIN)/python -m pytest -q tests/kernel

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from check_structure import MAX_POSITIONAL, is_class_variable, is_record, keyword_only
+from structure.__main__ import MAX_POSITIONAL, is_class_variable, is_record, keyword_only
 
 TOPS = ("src", "tests", "benchmarks", "experiments", "examples", "scripts", "tools")
 

@@ -1,10 +1,11 @@
 """Rules on names and layout that `make check` enforces; prints every finding and exits with 1 if there is one.
 
-    python tools/check_structure.py [--root FOLDER] [RULE ...]
+    python -m tools.structure [--root FOLDER] [RULE ...]
 
 Rules: `folders` (at most 12 entries in a folder), `cycles` (no import cycles between modules), `records` (records of
 more than four fields are keyword-only), `words` (no private vocabulary in sources, documents and help), `docs` (every
-public name is documented). Exceptions, each with its reason, are listed in `tools/structure.toml`.
+public name is documented). The rules and their exceptions, each with its reason, are in `rules.toml`; words that an area
+may use are in `allowed_AREA.toml`.
 """
 
 from __future__ import annotations
@@ -40,7 +41,10 @@ class Tree:
         """The tree in the git checkout `root`, with files that are not yet committed."""
         command = ["git", "-C", str(root), "ls-files", "--cached", "--others", "--exclude-standard"]
         listed = subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()
-        config = tomllib.loads((root / "tools" / "structure.toml").read_text("utf-8"))
+        folder = root / "tools" / "structure"
+        config = tomllib.loads((folder / "rules.toml").read_text("utf-8"))
+        for path in sorted(folder.glob("allowed_*.toml")):
+            config["words"].setdefault("allowed", []).extend(tomllib.loads(path.read_text("utf-8"))["allowed"])
         return cls(root, tuple(sorted({name for name in listed if (root / name).is_file()})), config)
 
     def text(self, name: str) -> str:
@@ -185,22 +189,22 @@ def words(tree: Tree) -> Iterator[str]:
     config = tree.config["words"]
     banned = {word: say for say, group in config["say"].items() for word in group}
     pattern = re.compile(rf"(?<![^\W_])({'|'.join(sorted(banned, key=len, reverse=True))})(?![^\W_])", re.IGNORECASE)
-    allowed: list[dict[str, Any]] = config["allowed"]
+    allowed: list[dict[str, Any]] = config.get("allowed", [])
     for name in tree.files:
         if not name.startswith(tuple(config["where"])) or not name.endswith(tuple(config["suffixes"])):
             continue
         here = [one for one in allowed if fnmatch(name, one["file"])]
-        if any("*" in one["words"] for one in here):
-            continue
-        free = {word for one in here for word in one["words"]}
-        lines = [re.compile(one["line"]) for one in here if "line" in one]
         for number, line in enumerate(tree.text(name).splitlines(), start=1):
-            if any(one.search(line) for one in lines):
-                continue
             for found in pattern.finditer(split_camel(line)):
                 word = found[1].lower()
-                if word not in free:
+                if not any(permits(one, word, line) for one in here):
                     yield f"{name}:{number}: {word!r}: say {banned[word]!r}"
+
+
+def permits(exception: dict[str, Any], word: str, line: str) -> bool:
+    """Whether an exception covers `word` in this line: one without a pattern `line` covers the whole file."""
+    covered = word in exception["words"] or "*" in exception["words"]
+    return covered and ("line" not in exception or re.search(exception["line"], line) is not None)
 
 
 def split_camel(line: str) -> str:
@@ -244,7 +248,7 @@ def main() -> int:
     """Check the rules that were asked for, by default all."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("rules", nargs="*", metavar="RULE", help=", ".join(RULES))
-    parser.add_argument("--root", type=Path, default=Path(__file__).resolve().parents[1])
+    parser.add_argument("--root", type=Path, default=Path(__file__).resolve().parents[2])
     asked = parser.parse_args()
     if unknown := set(asked.rules) - set(RULES):
         parser.error(f"unknown rule {', '.join(sorted(unknown))}; known: {', '.join(RULES)}")
