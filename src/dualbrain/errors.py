@@ -1,16 +1,19 @@
-"""Exceptions for broken set-ups and wrong programs.
+"""Exceptions for broken set-ups and programming errors.
 
-Expected refusals (a rejected contract, a stopped filter) are values, never exceptions. What is raised here says what is
-wrong, what was got, what is allowed and what to do, and carries the same facts as attributes.
+Expected refusals (a rejected contract, a stopped filter) are values, never exceptions. An exception of this module
+states the problem, the value found, the values allowed and the remedy, and carries the same facts as attributes.
 """
 
+from __future__ import annotations
+
 from difflib import get_close_matches
+from typing import Self
 
 import msgspec
 
 DECODE_ERRORS = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
-"""What is raised for bytes that are not what they should be: text that is no UTF-8 and nesting without end are passed
-on by msgspec as Python has them. Whoever reads what others wrote catches all three."""
+"""Errors of decoding untrusted bytes: msgspec passes on Python's own errors for invalid UTF-8 and for unlimited
+nesting. Code that decodes untrusted bytes must catch all three."""
 
 
 class DualbrainError(Exception):
@@ -21,7 +24,7 @@ class UnknownNameError(DualbrainError):
     """A name that is not in the closed set it must come from."""
 
     def __init__(self, kind: str, name: str, known: tuple[str, ...], *, owner: str = "") -> None:
-        """Say which `kind` of thing was asked for, by what `name`, and which names `owner` knows."""
+        """Report that `name` is not a `kind` of `owner`, with the closest and all known names."""
         self.kind, self.name, self.known, self.owner = kind, name, tuple(sorted(known)), owner
         close = get_close_matches(name, self.known, n=1)
         hint = f" Closest: {close[0]!r}." if close else ""
@@ -31,32 +34,43 @@ class UnknownNameError(DualbrainError):
 
 
 class ConfigurationError(DualbrainError):
-    """A configuration or data file that cannot be used; says what, got, allowed and how to mend it."""
+    """A setting or a file that cannot be used.
+
+    A wrong value is reported as "SETTING: got VALUE, allowed: RANGE."; a wrong state or file as a sentence (`stating`).
+    """
 
     def __init__(self, what: str, *, got: object, allowed: str, fix: str = "") -> None:
-        """Name the setting, the value found, the values allowed and the mend."""
+        """Report the setting `what`, the value `got`, the values `allowed` and the remedy `fix`."""
         self.what, self.got, self.allowed, self.fix = what, got, allowed, fix
         super().__init__(f"{what}: got {got!r}, allowed: {allowed}." + (f" {fix}" if fix else ""))
 
+    @classmethod
+    def stating(cls, sentence: str, *, fix: str = "") -> Self:
+        """An error that states a problem in a full `sentence`, followed by the remedy `fix`."""
+        error = cls.__new__(cls, sentence)
+        DualbrainError.__init__(error, f"{sentence} {fix}" if fix else sentence)
+        error.what, error.got, error.allowed, error.fix = sentence, None, "", fix
+        return error
+
 
 class UsageError(ConfigurationError):
-    """A command called with words it cannot take."""
+    """A command that was called with arguments it cannot take."""
 
 
 class MissingDependencyError(DualbrainError):
-    """Something the command needs is not installed here (a package, weights, a graphics library)."""
+    """A part that a command needs and that is not installed: a package, model weights, a graphics library."""
 
     def __init__(self, what: str, *, fix: str) -> None:
-        """Name the missing part and the command that installs it."""
+        """Report the missing part `what` and the command `fix` that installs it."""
         self.what, self.fix = what, fix
         super().__init__(f"{what} is missing. {fix}")
 
 
 class ChecksumError(DualbrainError):
-    """A file whose content is not the one that was pinned."""
+    """A file whose content differs from the pinned content."""
 
     def __init__(self, name: str, *, got: str, expected: str, path: str) -> None:
-        """Name the file, both SHA-256 digests and, last, where it lies."""
+        """Report the file, both SHA-256 digests, and the path last."""
         self.name, self.got, self.expected, self.path = name, got, expected, path
         super().__init__(
             f"{name}: SHA-256 is {got}, expected {expected}. The file is damaged or was replaced: "

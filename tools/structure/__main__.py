@@ -4,8 +4,8 @@
 
 Rules: `folders` (at most 12 entries in a folder), `cycles` (no import cycles between modules), `records` (records of
 more than four fields are keyword-only), `words` (no private vocabulary in sources, documents and help), `docs` (every
-public name is documented). The rules and their exceptions, each with its reason, are in `rules.toml`; words that an area
-may use are in `allowed_AREA.toml`.
+public name is documented). The rules and their exceptions, each with its reason, are in `rules.toml`; the words that an
+area may use are in `allowed_AREA.toml`.
 """
 
 from __future__ import annotations
