@@ -14,7 +14,7 @@ from tests.simulation.mobile_base_cell import MOBILE_BASE, MobileBaseCell, drive
 HALL = ((-0.7, -1.4), (2.6, -1.4), (3.2, 0.9), (-0.7, 0.9))
 CABLES = ((1.0, -0.3), (1.4, -0.3), (1.4, 0.4), (1.0, 0.4))
 SPOT = (2.3, 0.0)
-ROOM = msgspec.structs.replace(open_scene("empty_room:0", "base"), things=(), places=())
+ROOM = msgspec.structs.replace(open_scene("empty_room:0", "base"), objects=(), places=())
 
 
 def known(*regions):

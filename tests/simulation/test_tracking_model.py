@@ -32,10 +32,10 @@ class FirstOrder:
             0,
         )
 
-    def sense(self):
+    def measure(self):
         """Nothing to do."""
 
-    def act(self, u):
+    def apply(self, u):
         u = u + self.residual(self.t * PERIOD)
         fade = np.exp(-PERIOD / self.lag)
         self.q = self.q + u * PERIOD + (self.v - u) * self.lag * (1.0 - fade)
@@ -48,7 +48,7 @@ def driven(plant, u):
     q, v = np.empty_like(u), np.empty_like(u)
     for t, control in enumerate(u):
         q[t], v[t] = plant.q, plant.v
-        plant.act(control)
+        plant.apply(control)
     return ExcitationLog(q, v, u)
 
 
@@ -88,7 +88,7 @@ def test_the_leaky_integral_bounds_what_a_barrier_loses(seed, pace):
         y = plant.q + plant.lag * plant.v
         q[t], v[t], h[t] = plant.q, plant.v, 0.05 + a @ y
         u[t] = -RATE * h[t] * a / (a @ a)
-        plant.act(u[t])
+        plant.apply(u[t])
     e = leaky_error(ExcitationLog(q, v, u), plant.lag, RATE, PERIOD)
     assert np.all(h[1:] >= -np.abs(e) @ np.abs(a) - 1e-4)
     model = 0.05 * np.exp(-RATE * PERIOD * np.arange(1, steps))

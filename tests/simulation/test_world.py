@@ -16,7 +16,7 @@ class Naming:
     def __init__(self, spec, names):
         self._eyes, self._names = NoisyPerception(spec, NO_NOISE, np.random.default_rng(0)), names
 
-    def look(self, plant):
+    def perceive(self, plant):
         scene = self._eyes.perceive(plant)
         things = (msgspec.structs.replace(one, name=self._names.get(one.name, one.name)) for one in scene.objects)
         return msgspec.structs.replace(scene, objects=tuple(things))

@@ -12,11 +12,11 @@ from dualbrain.simulation.scenes.appearance import colour_rgba
 SNAP = """
 import numpy as np
 from dualbrain.simulation.perception.rendering import Camera
-from tests.simulation.scripted_hand import plant
-p = plant("tabletop", 3, visuals=True)
+from tests.simulation.scripted_hand import make_plant
+p = make_plant("tabletop", 3, visuals=True)
 with Camera(p, width=320, height=240) as camera:
     for view in ("front", "top", "side"):
-        picture = camera.snap(view)
+        picture = camera.capture(view)
         assert picture.shape == (240, 320, 3) and picture.dtype == np.uint8
         r, g, b = (picture[..., k].astype(int) for k in range(3))
         red, blue = (r > 2 * g) & (r > 2 * b), (b > 1.5 * r) & (b > 1.3 * g)
@@ -25,19 +25,19 @@ with Camera(p, width=320, height=240) as camera:
         assert blue.sum() > 100, "the blue bowl is in view"
         assert white.sum() > 500, "the white robot is in view"
     try:
-        camera.snap("back")
+        camera.capture("back")
     except Exception as error:
         assert "front" in str(error)
 """
 
 NO_GL = """
 import mujoco
-from dualbrain.errors import MissingPart
+from dualbrain.errors import MissingDependencyError
 from dualbrain.simulation.perception.rendering import Camera
-from tests.simulation.scripted_hand import plant
+from tests.simulation.scripted_hand import make_plant
 try:
-    Camera(plant())
-except MissingPart as error:
+    Camera(make_plant())
+except MissingDependencyError as error:
     assert "libosmesa6" in str(error) and "libgl1-mesa-dri" in str(error)
 else:
     raise SystemExit("a camera without GL")
@@ -53,7 +53,7 @@ def run_program(code, **environment):
 
 def test_the_scene_is_in_the_picture():
     code, said = run_program(SNAP, MUJOCO_GL="egl")
-    if "MissingPart" in said:
+    if "MissingDependencyError" in said:
         code, said = run_program(SNAP, MUJOCO_GL="osmesa")
     assert code == 0, said
 

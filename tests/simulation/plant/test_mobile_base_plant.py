@@ -95,7 +95,7 @@ def test_the_monitor_sees_a_crash_and_a_base_that_is_too_fast():
         fixed=True,
     )
     spec = make_room("empty_room", 0, "base")
-    hall = MobileBaseCell(spec=msgspec.structs.replace(spec, things=(*spec.objects, crate)))
+    hall = MobileBaseCell(spec=msgspec.structs.replace(spec, objects=(*spec.objects, crate)))
     hall.plant.data.qfrc_applied[0] = 2000.0  # pushed [N], as its own wheels do not go so fast
     for _ in range(80):
         hall.plant.write(Command(np.array([0.6, 0.0]), 0.0, 0.0))

@@ -169,6 +169,6 @@ def test_a_wet_full_glass_slips_out_of_a_grip_that_holds_a_dry_one(mass, frictio
         category="glass",
         friction=friction,
     )
-    p = Plant(msgspec.structs.replace(make_scene("bare", 0), things=(glass,)), PANDA)
+    p = Plant(msgspec.structs.replace(make_scene("bare", 0), objects=(glass,)), PANDA)
     pick_up(p, "clear_glass", force=force)
     assert (p.true_pose("clear_glass").position[2] > 0.15) is held

@@ -82,7 +82,7 @@ def test_consecutive_seeds_show_every_hazard(family):
 
 
 def rows_and_gaps(spec):
-    return len([thing for thing in spec.things if not thing.fixed]), spec.seed % 2
+    return len([thing for thing in spec.objects if not thing.fixed]), spec.seed % 2
 
 
 def board_is_over(spec):
@@ -122,7 +122,7 @@ def test_the_catalogue_opens_them(family):
 
 def local(spec, thing):
     """Position (2,) [m] of `thing` in the cube's own frame."""
-    cube = spec.things[0]
+    cube = spec.objects[0]
     yaw = 2.0 * np.arctan2(cube.quaternion[3], cube.quaternion[0])
     delta = np.subtract(thing.position, cube.position)[:2]
     return np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]]) @ delta

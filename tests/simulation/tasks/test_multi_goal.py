@@ -18,7 +18,7 @@ WORDS = "put the red cube in the blue bowl, then put the yellow block on the tab
 
 
 def reds(spec):
-    return tuple(PlacementGoal(thing.name, "blue_bowl") for thing in spec.things if thing.colour == "red")
+    return tuple(PlacementGoal(thing.name, "blue_bowl") for thing in spec.objects if thing.colour == "red")
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ def into_bowl(p, name):
 
 
 def to_left(p, name):
-    put(p, name, np.add(p.spec.place("table_left").position, [0.0, 0.0, p.spec.find(name).position[2] + 0.002]))
+    put(p, name, np.add(p.spec.find_place("table_left").position, [0.0, 0.0, p.spec.find(name).position[2] + 0.002]))
 
 
 @pytest.mark.parametrize(("first", "second", "right"), [(into_bowl, to_left, True), (to_left, into_bowl, False)])

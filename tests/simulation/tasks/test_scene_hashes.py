@@ -42,7 +42,7 @@ def test_a_thing_that_moved_by_two_micrometres_is_another_scene():
     x, y, z = thing.position
     for shift, same in ((1e-8, True), (2e-6, False)):
         moved = msgspec.structs.replace(thing, position=(x, y, z + shift))
-        other = msgspec.structs.replace(spec, things=(spec.objects[0], moved, *spec.objects[2:]))
+        other = msgspec.structs.replace(spec, objects=(spec.objects[0], moved, *spec.objects[2:]))
         assert (scene_hash(other) == scene_hash(spec)) is same
     with pytest.raises(ConfigurationError, match="edge_rescue"):
         check_scene_hash("edge_rescue", "II", FIRST, other)
