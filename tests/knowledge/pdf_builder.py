@@ -46,7 +46,7 @@ def make_pdf(*contents: str, off: str = "", password: str = "", compress: bool =
         box = ArrayObject([FloatObject(edge) for edge in (0, 0, 612, 792)])
         drawn.update(pdf_dictionary(Type=NameObject("/XObject"), Subtype=NameObject("/Form"), BBox=box))
         drawn[NameObject("/Resources")] = pdf_dictionary(Font=pdf_dictionary(F1=font))
-        resources[NameObject("/XObject")] = pdf_dictionary(ExportFormat=writer._add_object(drawn))
+        resources[NameObject("/XObject")] = pdf_dictionary(Form=writer._add_object(drawn))
     for content in contents:
         page = writer.add_blank_page(width=612, height=792)
         page[NameObject("/Resources")] = resources

@@ -90,11 +90,11 @@ def test_offsets_of_markdown_are_those_of_the_file(builtin_library: Library, fil
 @given(
     st.builds(
         Citation,
-        st.from_regex(r"[a-z0-9][a-z0-9_-]{0,47}", fullmatch=True),
-        st.from_regex(r"[0-9a-f]{64}", fullmatch=True),
-        st.integers(0, 10**8),
-        st.just(10**9 - 1),
-        st.none() | st.integers(1, 10**6 - 1),
+        document=st.from_regex(r"[a-z0-9][a-z0-9_-]{0,47}", fullmatch=True),
+        version=st.from_regex(r"[0-9a-f]{64}", fullmatch=True),
+        start=st.integers(0, 10**8),
+        end=st.just(10**9 - 1),
+        page=st.none() | st.integers(1, 10**6 - 1),
     )
 )
 def test_a_citation_is_what_it_is_written_as(citation: Citation) -> None:

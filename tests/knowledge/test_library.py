@@ -193,7 +193,7 @@ def test_writers_of_several_processes_lose_nothing(tmp_path: Path) -> None:
         "with Library(Path(sys.argv[1]), HashingEncoder(16), write=True) as l:\n"
         "  for n in range(8):\n"
         "    text = f'# D{n}\\n\\nwords of {sys.argv[2]} that are its own {n}'\n"
-        "    l.add(Submission(f'{sys.argv[2]}-{n}.md', text.encode()), now=1.0)\n"
+        "    l.add(Submission(file=f'{sys.argv[2]}-{n}.md', data=text.encode()), now=1.0)\n"
     )
     path = tmp_path / "k.sqlite"
     writers = [
@@ -208,7 +208,7 @@ def test_writers_of_several_processes_lose_nothing(tmp_path: Path) -> None:
 
 def test_a_killed_writer_loses_nothing_it_acknowledged(tmp_path: Path) -> None:
     path = tmp_path / "k.sqlite"
-    script = Path(__file__).with_name("killed_adder.py")
+    script = Path(__file__).with_name("crash_writer.py")
     for attempt in range(4):
         command = [sys.executable, *(["-S"] if sys.flags.no_site else []), str(script), str(path)]
         adder = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=Path.cwd())

@@ -136,7 +136,7 @@ def test_the_floor_is_exactly_what_the_map_gives(x: float, y: float, frame: str)
 def test_a_base_stays_on_the_floor_of_the_shipped_map() -> None:
     """Driven blindly at every border, the filtered base stays inside the hall and out of what it must keep out of."""
     one, robot_model = shipped_map(), scenario_base()
-    spec = msgspec.structs.replace(open_scene("empty_room:0", "base"), things=(), places=(), region=WIDE)
+    spec = msgspec.structs.replace(open_scene("empty_room:0", "base"), objects=(), places=(), region=WIDE)
     scene = scene_from_spec(msgspec.structs.replace(spec, chart=drivable_floor(one, "room", (3.0, 1.0), WIDE)))
     closed = {thing.name for thing in scene.objects}
     rng = np.random.default_rng(3)

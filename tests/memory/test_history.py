@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dualbrain.errors import ConfigurationError, UnknownNameError
-from dualbrain.memory import memory as store
+from dualbrain.memory import memory as memory_module
 from dualbrain.memory.learning.trust import TrustConfig
 from dualbrain.memory.ledger import tables
 from dualbrain.memory.ledger.ledger import Ledger, LedgerReader, PendingEvent
@@ -215,7 +215,7 @@ def _snapshot_of(folder: Path, sequence: Steps, monkeypatch: pytest.MonkeyPatch)
         _live(memory, sequence)
         memory.write_snapshot(ledger, now=NOW + 70)
         _live(memory, [("failed", 0.5, 2), ("succeeded", 0.0, 1)], start=70)
-        monkeypatch.setattr(store, "derive", _never)
+        monkeypatch.setattr(memory_module, "derive_state", _never)
         return memory.weights()
 
 
@@ -232,7 +232,7 @@ def test_a_start_from_a_snapshot_equals_one_from_the_first_event(
     weights = _snapshot_of(tmp_path, SEQUENCE, monkeypatch)
     with open_ledger(tmp_path) as ledger:
         quick = open_memory(ledger, LIVELY)
-        monkeypatch.revert()
+        monkeypatch.undo()
         slow = derive_state(ledger)
         assert quick.weights() == weights == slow.weights()
         assert quick.state.influence == slow.influence
@@ -244,7 +244,7 @@ def test_a_start_from_a_snapshot_equals_one_from_the_first_event(
 @pytest.mark.parametrize("where", [0, 9, 40, -1, -700])
 def test_a_damaged_snapshot_is_passed_over(tmp_path: Path, where: int, monkeypatch: pytest.MonkeyPatch) -> None:
     weights = _snapshot_of(tmp_path, SEQUENCE, monkeypatch)
-    monkeypatch.revert()
+    monkeypatch.undo()
     (path,) = tmp_path.glob("*.snapshot-*")
     raw = bytearray(path.read_bytes())
     raw[where] ^= 1
@@ -257,7 +257,7 @@ def test_a_damaged_snapshot_is_passed_over(tmp_path: Path, where: int, monkeypat
 @pytest.mark.parametrize("length", [0, 5, 300, -1])
 def test_a_torn_snapshot_is_passed_over(tmp_path: Path, length: int, monkeypatch: pytest.MonkeyPatch) -> None:
     weights = _snapshot_of(tmp_path, SEQUENCE, monkeypatch)
-    monkeypatch.revert()
+    monkeypatch.undo()
     (path,) = tmp_path.glob("*.snapshot-*")
     path.write_bytes(path.read_bytes()[:length])
     with open_ledger(tmp_path) as ledger:
@@ -265,21 +265,21 @@ def test_a_torn_snapshot_is_passed_over(tmp_path: Path, length: int, monkeypatch
 
 
 def test_a_long_start_leaves_a_snapshot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(store, "SNAPSHOT_MIN_EVENTS", 3)
+    monkeypatch.setattr(memory_module, "SNAPSHOT_MIN_EVENTS", 3)
     with open_ledger(tmp_path) as ledger:
         _live(open_memory(ledger, LIVELY), SEQUENCE)
     with open_ledger(tmp_path) as ledger:
         weights = open_memory(ledger, LIVELY).weights()
         assert snapshot.read_snapshot(ledger) is not None
         assert ledger.verify().is_intact
-    monkeypatch.setattr(store, "derive", _never)
+    monkeypatch.setattr(memory_module, "derive_state", _never)
     with open_ledger(tmp_path) as ledger:
         assert open_memory(ledger, LIVELY).weights() == weights
 
 
 def test_curation_after_a_snapshot_is_seen_at_the_next_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _snapshot_of(tmp_path, SEQUENCE, monkeypatch)
-    monkeypatch.revert()
+    monkeypatch.undo()
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger, LIVELY)
         quarantine(memory, ["e-0"], "odd", now=NOW + 80)
@@ -314,7 +314,7 @@ def test_an_old_ledger_is_brought_up_to_date_and_keeps_its_chain(tmp_path: Path)
 
 def test_rows_of_a_snapshot_are_those_of_the_projection(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _snapshot_of(tmp_path, SEQUENCE, monkeypatch)
-    monkeypatch.revert()
+    monkeypatch.undo()
     with open_ledger(tmp_path) as ledger:
         found = snapshot.read_snapshot(ledger)
         assert found is not None

@@ -64,7 +64,7 @@ def test_a_later_consistent_outcome_confirms_and_then_teaches(tmp_path: Path) ->
     ("other", "confirms"),
     [
         ({"second_opinion": "none"}, False),
-        ({"second_opinion": "none", "by": "another planner"}, True),
+        ({"second_opinion": "none", "proposer": "another planner"}, True),
         ({"plan": grasp_contract("green_cube")}, False),
         ({"instruction": "open the far drawer slowly", "summary": "person: crossing, overhead over_path"}, False),
         ({"registry": "bbbb2222"}, False),
@@ -124,7 +124,7 @@ def test_a_bounded_step_stays_in_its_room(w: float, gain: float, offset: float, 
     assert 0.0 <= share <= 1.0
 
 
-@pytest.mark.parametrize("setting", [{"per_source": 0.0}, {"per_memory": -1.0}, {"alike": 2.0}])
+@pytest.mark.parametrize("setting", [{"max_change_per_source": 0.0}, {"max_change_per_memory": -1.0}, {"min_similarity": 2.0}])
 def test_bounds_that_are_none_are_refused(setting: dict[str, float]) -> None:
     with pytest.raises(ConfigurationError, match="trust"):
         TrustConfig(**setting)

@@ -211,9 +211,9 @@ def test_what_fails_leaves_nothing_behind(tmp_path: Path) -> None:
 
 def test_a_second_writer_is_refused_by_name_and_readers_are_not(tmp_path: Path) -> None:
     ready = (
-        "import sys, time, pathlib; from dualbrain.memory.ledger.ledger import Entry, Ledger\n"
+        "import sys, time, pathlib; from dualbrain.memory.ledger.ledger import Ledger, PendingEvent\n"
         "ledger = Ledger(pathlib.Path(sys.argv[1]), holder='dualbrain run r-7', now=1.0)\n"
-        "ledger.append([Entry('note', '', 1)], now=1.0)\n"
+        "ledger.append([PendingEvent(kind='note', subject='', payload=1)], now=1.0)\n"
         "print('ready', flush=True); time.sleep(60)"
     )
     path = tmp_path / "ledger.db"

@@ -11,8 +11,8 @@ from dualbrain.planner.backends import llama_worker
 LOADING = f"""
 import ctypes, sys
 sys.path.insert(0, {str(Path(llama_worker.__file__).parent)!r})
-from llama_child import _end_when_it_closes
-_end_when_it_closes(sys.stdin.fileno())
+from llama_worker import _exit_when_closed
+_exit_when_closed(sys.stdin.fileno())
 print("loading", flush=True)
 ctypes.PyDLL(None).sleep(60)
 """

@@ -33,13 +33,13 @@ def drip(call: BaseHTTPRequestHandler) -> None:
     call.send_response(200)
     call.send_header("Content-Length", "1000000")
     call.end_headers()
-    while not call.server.over.wait(0.02):
+    while not call.server.closing.wait(0.02):
         call.wfile.write(b" ")
         call.wfile.flush()
 
 
 def silence(call: BaseHTTPRequestHandler) -> None:
-    call.server.over.wait(10.0)
+    call.server.closing.wait(10.0)
 
 
 def hang_up(call: BaseHTTPRequestHandler) -> None:

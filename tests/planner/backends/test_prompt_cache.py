@@ -29,9 +29,9 @@ def keeps(folder, state=b"state"):
     """A server that writes `state` when it is told to save, as llama.cpp does."""
 
     def behave(call):
-        action, told = call.server.asked[-1]
+        action, body = call.server.requests[-1]
         if action.endswith("action=save"):
-            (folder / told["filename"]).write_bytes(state)
+            (folder / body["filename"]).write_bytes(state)
         respond_with(b"{}")(call)
 
     return behave
@@ -44,8 +44,8 @@ def left(path, state=b"state"):
     return path
 
 
-def store(model, address="", *, n_ctx=2048, adapters=(A,), asking=FULL_PROMPT):
-    return PromptCache(model.parent, model, n_ctx, address, "key", prompt_format=asking, adapters=adapters)
+def store(model, address="", *, n_ctx=2048, adapters=(A,), prompt_format=FULL_PROMPT):
+    return PromptCache(model.parent, model, n_ctx, address, "key", prompt_format=prompt_format, adapters=adapters)
 
 
 def test_every_part_of_it_names_another_file(model):
@@ -60,7 +60,7 @@ def test_every_part_of_it_names_another_file(model):
         store(model, adapters=(B, A)),
         store(model, adapters=(LoadedAdapter(A.path, A.id, 0.5),)),
         store(model, n_ctx=4096),
-        store(model, asking=SHORT_PROMPT),
+        store(model, prompt_format=SHORT_PROMPT),
     ]
     found = [one.state_path(plan_request()) for one in others]
     found.append(store(model).state_path(plan_request(recall=RetrievedContext(exemplars=(exemplar(),)))))
@@ -185,7 +185,7 @@ def test_two_processes_may_prune_one_folder(model, monkeypatch):
     monkeypatch.setattr(Path, "unlink", gone)
     with serve(keeps(model.parent)) as server:
         assert store(model, server.url.removesuffix("/v1")).save(plan_request())
-    monkeypatch.revert()
+    monkeypatch.undo()
     assert len(list(model.parent.glob("model-*.slot"))) == MAX_CACHED_STATES
 
 

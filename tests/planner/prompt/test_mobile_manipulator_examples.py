@@ -50,12 +50,12 @@ def test_it_is_told_of_both_its_parts_and_others_are_not():
 
 @pytest.mark.parametrize("one", instruction_templates("go"), ids=lambda one: one.text[:30])
 def test_to_those_who_ask_it_to_go_a_drive_is_shown_last(one):
-    assert select_examples(one.words(target="shelf"), SUMMARY, MAX_EXEMPLARS)[-1] is DRIVE_EXAMPLE
+    assert select_examples(one.render(target="shelf"), SUMMARY, MAX_EXEMPLARS)[-1] is DRIVE_EXAMPLE
 
 
 @pytest.mark.parametrize("one", instruction_templates("put_in"), ids=lambda one: one.text[:30])
 def test_to_those_who_want_a_thing_put_away_a_grasp_is_shown_last(one):
-    assert select_examples(one.words(**NAMES), SUMMARY, MAX_EXEMPLARS)[-1] is FETCH_EXAMPLE
+    assert select_examples(one.render(**NAMES), SUMMARY, MAX_EXEMPLARS)[-1] is FETCH_EXAMPLE
 
 
 @pytest.mark.parametrize(
