@@ -26,17 +26,17 @@ def shuffled(value, rng):
 @settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(contract_strategy(), st.randoms(use_true_random=False))
 def test_the_text_says_the_same_in_whatever_order_it_came(document, rng):
-    contract = msgspec.convert_adapter(document, Contract)
+    contract = msgspec.convert(document, Contract)
     text = canonical_contract(contract, REGISTRY)
     assert msgspec.json.decode(text, type=Contract) == contract
-    other = msgspec.convert_adapter(shuffled(document, rng), Contract)
+    other = msgspec.convert(shuffled(document, rng), Contract)
     assert canonical_contract(other, REGISTRY) == text
 
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(contract_strategy())
 def test_what_was_kept_with_sorted_keys_is_put_in_the_order_of_the_text(document):
-    text = canonical_contract(msgspec.convert_adapter(document, Contract), REGISTRY)
+    text = canonical_contract(msgspec.convert(document, Contract), REGISTRY)
     kept = json.loads(json.dumps(document, sort_keys=True))
     assert list(written(reorder_contract(kept, REGISTRY))) == list(written(json.loads(text)))
 
@@ -74,7 +74,7 @@ def test_nothing_is_lost_or_made_up_whatever_was_kept(value):
 @settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(contract_strategy())
 def test_keys_stand_in_the_order_of_the_decoding_schema(document):
-    text = canonical_contract(msgspec.convert_adapter(document, Contract), REGISTRY)
+    text = canonical_contract(msgspec.convert(document, Contract), REGISTRY)
     assert follows(json.loads(text), decoding_schema(REGISTRY, NAMES))
     assert text.isascii()
     assert not set("\n\t") & set(text)
@@ -83,10 +83,10 @@ def test_keys_stand_in_the_order_of_the_decoding_schema(document):
 def test_a_number_is_written_in_one_way():
     steps = [{"skill": "home", "params": {"speed": value}} for value in (0.2, 0.20, 2e-1)]
     document = {"id": "c-1", "context": {"robot": "panda", "registry": "x"}, "action_sequence": steps}
-    text = canonical_contract(msgspec.convert_adapter(document, Contract), REGISTRY)
+    text = canonical_contract(msgspec.convert(document, Contract), REGISTRY)
     assert text.count('{"skill":"home","params":{"speed":0.2}}') == 3
     document["action_sequence"] = [{"skill": "hold", "params": {"duration": value}} for value in (1, 1.0)]
-    text = canonical_contract(msgspec.convert_adapter(document, Contract), REGISTRY)
+    text = canonical_contract(msgspec.convert(document, Contract), REGISTRY)
     assert text.count('"duration":1}') == 2
 
 

@@ -88,7 +88,11 @@ def test_help_takes_little_work():
     def cost():
         before = os.times()
         subprocess.run(
-            [sys.executable, "-c", "import sys; from dualbrain.cli.main import call; sys.exit(call(['--help']))"],
+            [
+                sys.executable,
+                "-c",
+                "import sys; from dualbrain.cli.main import run_command_line; sys.exit(run_command_line(['--help']))",
+            ],
             capture_output=True,
             check=True,
         )

@@ -65,7 +65,7 @@ class Limp:
 
     def rows(self, state, jacobian):
         assert state.q.shape == (3,), "a live barrier sees the configuration in the world"
-        return (ConstraintRow("user_rows: limp", (-1.0, 0.0), -0.1),)
+        return (ConstraintRow(name="user_rows: limp", a=(-1.0, 0.0), b=-0.1),)
 
 
 def test_live_barriers_work_on_a_base():

@@ -39,12 +39,12 @@ def test_a_heavier_face_gets_the_smaller_bulge():
     def below(balls):
         return np.max(balls.centres @ down + balls.radii) - np.max(link_mesh("link7").vertices @ down)
 
-    assert below(fitted(6, faces=(((0.0, 0.0, -1.0), 4.0),))) < 0.7 * below(fitted(6))
+    assert below(fitted(6, weighted_faces=(((0.0, 0.0, -1.0), 4.0),))) < 0.7 * below(fitted(6))
 
 
 def test_placed_balls_are_kept_as_they_are():
     placed = (((0.0, 0.0, 0.08), 0.05),)
-    balls = fitted(5, placed=placed)
+    balls = fitted(5, fixed_spheres=placed)
     assert tuple(balls.centres[0]) == placed[0][0]
     assert balls.radii[0] == placed[0][1]
     assert len(balls.radii) == 5

@@ -34,9 +34,9 @@ def test_what_presses_is_covered_tighter_until_there_is_room(tmp_path, monkeypat
         weights.append(dict(weight))
         return fit(shapes, weight, *rest)
 
-    monkeypatch.setattr(build_arm, "fit_all", fitted)
+    monkeypatch.setattr(build_arm, "fit_links", fitted)
     monkeypatch.setattr(
-        build_arm, "sampled_pairs", lambda *_, **__: SampledPairs(SelfCollisionPairs((), ()), answers[len(weights) - 1])
+        build_arm, "sample_pairs", lambda *_, **__: SampledPairs(SelfCollisionPairs((), ()), answers[len(weights) - 1])
     )
     build_arm.build_arm(
         read_urdf(write_file(tmp_path, full_featured_arm())),

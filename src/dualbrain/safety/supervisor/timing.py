@@ -35,7 +35,7 @@ SIMULATED = Timing()
 
 def simulated_timing(period: float) -> Timing:
     """The plant of a body whose states come every `period` [s]."""
-    return msgspec.structs.replace(SIMULATED, period=period, max_tick_time=period, late=0.8 * period)
+    return msgspec.structs.replace(SIMULATED, period=period, max_tick_time=period, command_deadline=0.8 * period)
 
 
 FRANKA = Timing(
