@@ -1,11 +1,23 @@
-"""Every bound has its provenance, the narrower word holds, and what nobody stated is asked for, never assumed."""
+"""Every bound has its provenance, the narrower bound holds, and a missing bound is requested, never assumed."""
+
+from importlib import metadata
+from pathlib import Path
 
 import pytest
 
 from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.robots.importer.build_arm import ImportOptions, build_arm
-from dualbrain.robots.importer.required_limits import LimitPolicy, MissingLimitsError, StatedLimit
+from dualbrain.robots.importer.required_limits import (
+    LimitPolicy,
+    MissingLimit,
+    MissingLimitsError,
+    StatedLimit,
+    joint_bounds,
+    make_limit_policy,
+)
 from dualbrain.robots.importer.urdf import read_urdf
+from dualbrain.robots.model import Bound
+from dualbrain.robots.site_config import read_site
 from tests.robots.importer.urdf_builder import (
     full_featured_arm,
     joint_xml,
@@ -44,6 +56,59 @@ def test_everything_missing_is_asked_for_at_once(tree):
         ("robot", "tool_speed"),
     }
     assert "--acceleration VALUE" in str(caught.value)
+
+
+DRAKE_LIMIT = '<limit lower="-1" upper="1" velocity="2" drake:acceleration="2.5" drake:jerk="40"/>'
+
+
+@pytest.mark.parametrize("declaration", ["", ' xmlns:drake="http://drake.mit.edu"'], ids=["undeclared", "declared"])
+def test_acceleration_and_jerk_are_read_from_the_attributes_of_drake(tmp_path, declaration):
+    text = urdf_xml(link_xml("a"), link_xml("b"), joint_xml("j", "a", "b", inside=DRAKE_LIMIT))
+    tree = read_urdf(write_file(tmp_path, text.replace("<robot", f"<robot{declaration}")))
+    policy = limit_policy()
+    (joint,) = build_arm(tree, LimitPolicy({}, {}, policy.robot), QUICK).robot_model.joints
+    assert (joint.acceleration.value, joint.acceleration.unit) == (2.5, "rad/s^2")
+    assert joint.acceleration.provenance == "robot.urdf:5: j limit acceleration"
+    assert joint.jerk is not None
+    assert (joint.jerk.value, joint.jerk.provenance) == (40.0, "robot.urdf:5: j limit jerk")
+
+
+@pytest.mark.parametrize(("stated", "value", "first"), [(1.0, 1.0, "test"), (9.0, 2.5, "robot.urdf:5")])
+def test_a_stated_acceleration_only_narrows_that_of_the_description(tmp_path, stated, value, first):
+    text = urdf_xml(link_xml("a"), link_xml("b"), joint_xml("j", "a", "b", inside=DRAKE_LIMIT))
+    tree = read_urdf(write_file(tmp_path, text))
+    (joint,) = build_arm(tree, limit_policy(acceleration=stated), QUICK).robot_model.joints
+    assert joint.acceleration.value == value
+    assert joint.acceleration.provenance.startswith(first)
+
+
+def test_a_site_file_narrows_the_acceleration_of_the_description(tmp_path):
+    text = urdf_xml(link_xml("a"), link_xml("b"), joint_xml("j", "a", "b", inside=DRAKE_LIMIT))
+    site = read_site(write_file(tmp_path, "[joint.j]\nacceleration = 1.5\n", "site.toml"))
+    policy = make_limit_policy(site, {"period": 0.002, "tool_speed": 0.25})
+    (joint,) = build_arm(read_urdf(write_file(tmp_path, text)), policy, QUICK).robot_model.joints
+    assert joint.acceleration.value == 1.5
+    assert "site.toml:2" in joint.acceleration.provenance
+    assert "wider: 2.5 of robot.urdf:5: j limit acceleration" in joint.acceleration.provenance
+
+
+@pytest.mark.parametrize("text", ["fast", "inf", "nan"])
+def test_an_acceleration_that_is_no_finite_number_is_refused(tmp_path, text):
+    limit = DRAKE_LIMIT.replace("2.5", text)
+    file = write_file(tmp_path, urdf_xml(link_xml("a"), link_xml("b"), joint_xml("j", "a", "b", inside=limit)))
+    with pytest.raises(ConfigurationError, match=r"robot\.urdf:5.*finite number"):
+        read_urdf(file)
+
+
+def test_the_accelerations_of_the_ur5e_come_from_its_urdf():
+    """The file of airo-models uses the prefix `drake` without declaring it."""
+    file = Path(str(metadata.distribution("airo-models").locate_file("airo_models/arms/ur5e/ur5e.urdf")))
+    moving = [joint for joint in read_urdf(file).joints if joint.kind == "revolute"]
+    assert [joint.acceleration for joint in moving] == 6 * [2.5]
+    missing: list[MissingLimit] = []
+    bounds = [joint_bounds(joint, LimitPolicy(), missing) for joint in moving]
+    assert not missing
+    assert bounds[0]["acceleration"] == Bound(2.5, "rad/s^2", "ur5e.urdf:161: shoulder_pan_joint limit acceleration")
 
 
 def test_a_range_that_the_description_leaves_out_is_asked_for(tmp_path):

@@ -125,6 +125,45 @@ def test_a_broken_description_says_what_is_wrong(tmp_path, text, said):
         read_urdf(write_file(tmp_path, text))
 
 
+def test_an_undeclared_namespace_prefix_is_ignored(tmp_path):
+    extension = '<drake:proximity_properties><joint name="hidden"/></drake:proximity_properties>'
+    text = urdf_xml(link_xml("a"), link_xml("b"), extension, joint_xml("j", "a", "b"))
+    tree = read_urdf(write_file(tmp_path, text.replace("<axis", '<axis tool:note="é"')))
+    assert [joint.name for joint in tree.joints] == ["j"]
+    assert [joint.source_location for joint in tree.joints] == ["robot.urdf:6"]
+
+
+def test_undeclared_names_get_a_namespace_of_their_own():
+    root = safe_xml.parse_xml(b'<robot>\n<x:link y:name="b" name="a"/><link name="c"/></robot>', "robot.urdf")
+    assert [element.tag for element in root] == ["{undeclared:x}link", "link"]
+    assert dict(root[0].attrib) == {"name": "a", "{undeclared:y}name": "b"}
+    assert root[0].sourceline == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("<robot a:b='1'><link></robot>", r"line 1, column \d+.*mismatch"),
+        ("<robot a:b='1' a:b='2'/>", "line 1, column 16.*duplicate attribute"),
+        ("<robot a:b='1'>&unknown;</robot>", "Entity 'unknown' not defined"),
+        ("<robot a:b='1'/><robot/>", "line 1, column 17.*junk after document element"),
+        ("<a:robot/>", "root element"),
+        ("<robot><xacro:arm/></robot>", "xacro"),
+        ('<?xml version="1.0" encoding="shift_jis"?><robot a:b="1"/>', "line 1, column 1.*encoding"),
+    ],
+)
+def test_an_undeclared_prefix_excuses_no_other_error(tmp_path, text, message):
+    with pytest.raises(ConfigurationError, match=message):
+        read_urdf(write_file(tmp_path, text))
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_a_document_type_beside_an_undeclared_prefix_is_refused(encoding):
+    text = f'<?xml version="1.0" encoding="{encoding}"?><!DOCTYPE robot [<!ENTITY x "y">]><robot a:b="1"/>'
+    with pytest.raises(ConfigurationError, match="document type"):
+        safe_xml.parse_xml(text.encode(encoding), "robot.urdf")
+
+
 def test_a_description_of_unbounded_size_is_not_read(tmp_path, monkeypatch):
     monkeypatch.setattr(safe_xml.read_bounded, "__defaults__", (100,))
     with pytest.raises(ConfigurationError, match=r"size of robot\.urdf"):

@@ -19,7 +19,7 @@ def read_description(file: Path, packages: Sequence[Path] = ()) -> KinematicTree
     """
     from dualbrain.robots.assets.safe_xml import read_xml
 
-    _, root = read_xml(file)
+    root = read_xml(file)
     if root.tag in ("mujoco", "mujocoinclude"):
         from dualbrain.simulation.models.mjcf_reader import read_mjcf
 

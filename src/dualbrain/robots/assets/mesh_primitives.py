@@ -40,7 +40,7 @@ def load_mesh(path: Path, scale: Array, pose: Array) -> Mesh:
         raw = import_optional("trimesh").load(BytesIO(data), file_type=kind[1:], process=True)
         whole = raw if hasattr(raw, "faces") else raw.to_mesh()
         vertices, faces = np.asarray(whole.vertices, float), np.asarray(whole.faces, np.int64)
-    except (ValueError, IndexError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, IndexError, KeyError, TypeError, AttributeError, SyntaxError) as error:
         raise ConfigurationError(f"mesh {path.name}", got=str(error)[:200], allowed="a readable mesh") from error
     if not len(faces) or not np.isfinite(vertices).all():
         raise ConfigurationError(f"mesh {path.name}", got=f"{len(faces)} triangles", allowed="finite triangles")

@@ -1,12 +1,17 @@
-"""Description files come from strangers: what is read of them, and what is refused before anything reads it.
+"""Safe XML reader for robot descriptions from untrusted sources.
 
-No document type (so no entities, neither expanding nor external), no network, bounded size, well-formed as it stands.
+The reader refuses document types (and with them all entities, expanding or external) and files above a size limit, uses
+no network, and repairs nothing. The only error it accepts is a namespace prefix that is not declared, which robot
+descriptions use for extensions of one tool (`drake:acceleration`): such a name is put into a namespace of its own
+(`undeclared_namespace`), so that readers ignore it unless they ask for it.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
+from urllib.parse import quote
+from xml.parsers import expat
 
 from dualbrain.errors import ConfigurationError
 from dualbrain.robots.optional_imports import import_optional
@@ -16,48 +21,110 @@ MAX_DESCRIPTION_BYTES = 32 * 2**20
 
 
 def read_bounded(path: Path, max_bytes: int = MAX_DESCRIPTION_BYTES) -> bytes:
-    """The content of `path`, if it is a regular file of at most `most` bytes.
+    """The content of the regular file `path`, of at most `max_bytes` bytes.
 
     Raises:
-        InvalidSetup: there is no such file, or it is larger.
+        ConfigurationError: The file does not exist or is larger.
     """
     if not path.is_file():
-        raise ConfigurationError("file", got=str(path), allowed="a file that is there")
+        raise ConfigurationError.stating(f"The file {path} does not exist.", fix="Check the path.")
     size = path.stat().st_size
     if size > max_bytes:
         raise ConfigurationError(f"size of {path.name}", got=f"{size} bytes", allowed=f"at most {max_bytes}")
     return path.read_bytes()
 
 
-def read_xml(path: Path) -> tuple[bytes, Any]:
-    """The bytes of `path` and its root element, which knows the line of every element.
+def read_xml(path: Path) -> Any:
+    """The root element of the file `path`; every element carries its line (`sourceline`).
 
     Raises:
-        InvalidSetup: it is not well-formed (with line and column), or it declares a document type or entities.
-        MissingPart: lxml is not installed.
+        ConfigurationError: The file is not well-formed (with line and column), or declares a document type.
+        MissingDependencyError: lxml is not installed.
     """
-    data = read_bounded(path)
-    return data, parse_xml(data, path.name)
+    return parse_xml(read_bounded(path), path.name)
 
 
 def parse_xml(data: bytes, name: str) -> Any:
-    """The root element of `data`; see `read_xml`."""
+    """The root element of `data`, read from the file called `name`; raises as `read_xml` does."""
     if (found := data.find(b"<!DOCTYPE")) >= 0:
         raise _doctype_error(name, data[found : found + 80].decode(errors="replace"))
     etree = import_optional("lxml.etree")
-    parser = etree.XMLParser(
-        resolve_entities=False, no_network=True, load_dtd=False, dtd_validation=False, huge_tree=False
-    )
+    parser = _make_parser(etree, recover=False)
     try:
         root = etree.fromstring(data, parser)
-    except etree.XMLSyntaxError as error:
-        line, column = error.position
-        raise ConfigurationError(
-            f"{name}, line {line}, column {column}", got=error.msg, allowed="well-formed XML"
-        ) from error
-    if root.getroottree().docinfo.doctype:  # in an encoding in which the bytes did not show it
+    except etree.XMLSyntaxError:
+        _check_only_undeclared_prefixes(etree, parser.error_log, name)
+        _check_without_namespaces(data, name)
+        root = etree.fromstring(data, _make_parser(etree, recover=True))
+        _bind_undeclared_prefixes(root)
+    if root.getroottree().docinfo.doctype:  # the encoding of the file hid it from the search in the bytes
         raise _doctype_error(name, root.getroottree().docinfo.doctype[:80])
     return root
+
+
+def undeclared_namespace(prefix: str) -> str:
+    """The namespace of names that were written with `prefix` although the file declares no such prefix."""
+    return f"undeclared:{quote(prefix)}"
+
+
+def _make_parser(etree: Any, *, recover: bool) -> Any:
+    return etree.XMLParser(
+        resolve_entities=False,
+        no_network=True,
+        load_dtd=False,
+        dtd_validation=False,
+        huge_tree=False,
+        recover=recover,
+    )
+
+
+def _check_only_undeclared_prefixes(etree: Any, errors: Any, name: str) -> None:
+    """Raise the first of `errors` that is not about an undeclared namespace prefix."""
+    for error in errors:
+        if error.type != etree.ErrorTypes.NS_ERR_UNDEFINED_NAMESPACE:
+            raise _syntax_error(name, error.line, error.column, error.message)
+
+
+def _check_without_namespaces(data: bytes, name: str) -> None:
+    """Raise unless `data` is well-formed apart from namespaces, and without a document type.
+
+    libxml2 overlooks some errors (duplicate attributes, content after the root) once it has met an undeclared prefix.
+    """
+
+    def refuse_doctype(root: str, *_: object) -> NoReturn:
+        raise _doctype_error(name, f"<!DOCTYPE {root[:60]}")
+
+    parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = refuse_doctype
+    try:
+        parser.Parse(data, True)
+    except expat.ExpatError as error:
+        raise _syntax_error(name, error.lineno, error.offset + 1, expat.ErrorString(error.code)) from error
+    except (ValueError, LookupError) as error:  # an encoding that expat cannot read
+        raise _syntax_error(name, 1, 1, str(error)) from error
+
+
+def _bind_undeclared_prefixes(root: Any) -> None:
+    """Move every element and attribute with an undeclared prefix into the namespace of that prefix."""
+    for element in root.iter("*"):
+        if _has_undeclared_prefix(element.tag):
+            element.tag = _bound_name(element.tag)
+        for key in filter(_has_undeclared_prefix, element.attrib.keys()):
+            element.set(_bound_name(key), element.attrib.pop(key))
+
+
+def _has_undeclared_prefix(name: str) -> bool:
+    """Whether the lxml name `name` still contains its prefix: bound names are written `{namespace}name`."""
+    return ":" in name and not name.startswith("{")
+
+
+def _bound_name(name: str) -> str:
+    prefix, _, local = name.partition(":")
+    return f"{{{undeclared_namespace(prefix)}}}{local}"
+
+
+def _syntax_error(name: str, line: int, column: int, got: str) -> ConfigurationError:
+    return ConfigurationError(f"{name}, line {line}, column {column}", got=got, allowed="well-formed XML")
 
 
 def _doctype_error(name: str, got: str) -> ConfigurationError:

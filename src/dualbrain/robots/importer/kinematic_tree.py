@@ -63,6 +63,7 @@ class TreeJoint:
     upper: float | None = None
     velocity: float | None = None
     acceleration: float | None = None
+    jerk: float | None = None
     mimic: Mimic | None = None
     effort: float | None = None
 

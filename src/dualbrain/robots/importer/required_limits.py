@@ -1,4 +1,7 @@
-"""What no description says and a site must: accelerations, control period, speeds. Nothing here has a default."""
+"""Limits that a description often leaves out and a site must state: accelerations, control period, speeds.
+
+No limit has a default. Where both the description and the site state a limit, the narrower one holds.
+"""
 
 from __future__ import annotations
 
@@ -102,10 +105,16 @@ def joint_bounds(joint: TreeJoint, policy: LimitPolicy, missing: list[MissingLim
         "acceleration": f"{unit}/s^2",
         "jerk": f"{unit}/s^3",
     }
-    told = {"lower": joint.lower, "upper": joint.upper, "velocity": joint.velocity, "acceleration": joint.acceleration}
+    described = {
+        "lower": joint.lower,
+        "upper": joint.upper,
+        "velocity": joint.velocity,
+        "acceleration": joint.acceleration,
+        "jerk": joint.jerk,
+    }
     bounds = {
         side: _narrower_bound(
-            side, _described_limit(joint, side, told.get(side)), policy.limit_of(joint.name, side), units[side]
+            side, _described_limit(joint, side, described[side]), policy.limit_of(joint.name, side), units[side]
         )
         for side in LIMIT_NAMES
     }

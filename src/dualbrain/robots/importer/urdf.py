@@ -1,4 +1,8 @@
-"""URDF, read by yourdfpy after the file has been found harmless; lines for provenance come from lxml."""
+"""Reader of URDF files: yourdfpy parses the file after the safe XML reader has accepted it.
+
+lxml gives the lines for the provenance, and the limits of acceleration and jerk, which plain URDF does not have: Drake's
+attributes `drake:acceleration` and `drake:jerk` of `<limit>`.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +19,7 @@ from numpy.typing import NDArray
 from dualbrain.errors import ConfigurationError
 from dualbrain.robots.assets import mesh_primitives
 from dualbrain.robots.assets.mesh_paths import AllowedFolders, allowed_folders
-from dualbrain.robots.assets.safe_xml import parse_xml, read_bounded, read_xml
+from dualbrain.robots.assets.safe_xml import parse_xml, read_bounded, read_xml, undeclared_namespace
 from dualbrain.robots.importer.kinematic_tree import (
     MOVABLE_JOINT_KINDS,
     KinematicTree,
@@ -29,6 +33,8 @@ from dualbrain.robots.optional_imports import import_optional
 Array = NDArray[np.float64]
 
 JOINT_KINDS = ("fixed", "revolute", "continuous", "prismatic", "planar", "floating")
+DRAKE_NAMESPACES = ("http://drake.mit.edu", undeclared_namespace("drake"))
+"""Namespaces of Drake's extensions of URDF; many files use the prefix `drake` without declaring it."""
 
 
 def read_urdf(file: Path, packages: Sequence[Path] = ()) -> KinematicTree:
@@ -38,7 +44,7 @@ def read_urdf(file: Path, packages: Sequence[Path] = ()) -> KinematicTree:
         InvalidSetup: the file is hostile, not well-formed, not a URDF, or not a tree of joints.
         MissingPart: a package or mesh is not there, or a library is not installed.
     """
-    data, root = read_xml(file)
+    root = read_xml(file)
     if root.tag != "robot":
         raise ConfigurationError(
             f"root element of {file.name}", got=f"<{root.tag}>", allowed="<robot>, or <mujoco> in MJCF"
@@ -47,11 +53,11 @@ def read_urdf(file: Path, packages: Sequence[Path] = ()) -> KinematicTree:
         raise ConfigurationError(
             file.name, got="xacro macros", allowed="plain URDF", fix="Expand it first: xacro FILE > OUT"
         )
-    robot = _parse(data, file)
-    lines = {(element.tag, element.get("name")): element.sourceline for element in root.iterchildren("joint", "link")}
+    robot = _parse(root, file)
+    elements = {(element.tag, element.get("name")): element for element in root.iterchildren("joint", "link")}
     folders = allowed_folders(file, packages)
-    links = [_read_link(link, folders, f"{file.name}:{lines['link', link.name]}") for link in robot.links]
-    joints = [_read_joint(joint, f"{file.name}:{lines['joint', joint.name]}") for joint in robot.joints]
+    links = [_read_link(link, folders, f"{file.name}:{elements['link', link.name].sourceline}") for link in robot.links]
+    joints = [_read_joint(joint, elements["joint", joint.name], file.name) for joint in robot.joints]
     _check_unique(file, "link", [link.name for link in links])
     _check_unique(file, "joint", [joint.name for joint in joints])
     drawn = [link.name for link in links if link.uses_visual_shapes]
@@ -66,11 +72,12 @@ def read_urdf(file: Path, packages: Sequence[Path] = ()) -> KinematicTree:
     ).validate()
 
 
-def _parse(data: bytes, file: Path) -> Any:
-    """Yourdfpy's robot; what it cannot read is told with its own words."""
+def _parse(root: Any, file: Path) -> Any:
+    """The robot as yourdfpy reads it from the checked element `root`."""
     logging.getLogger("yourdfpy").setLevel(logging.CRITICAL)
+    data = BytesIO(import_optional("lxml.etree").tostring(root))
     try:
-        reader = import_optional("yourdfpy").URDF.load(BytesIO(data), build_scene_graph=False, load_meshes=False)
+        reader = import_optional("yourdfpy").URDF.load(data, build_scene_graph=False, load_meshes=False)
     except (ValueError, TypeError, AttributeError, KeyError, IndexError) as error:
         raise ConfigurationError(file.name, got=f"{type(error).__name__}: {error}"[:300], allowed="a URDF") from error
     return reader.robot
@@ -130,7 +137,9 @@ def _read_scale(value: Any, where: str) -> Array:
 # --- joints -------------------------------------------------------------------------------------------------------
 
 
-def _read_joint(joint: Any, where: str) -> TreeJoint:
+def _read_joint(joint: Any, element: Any, file: str) -> TreeJoint:
+    """The `joint` that yourdfpy read from the XML `element` of the file called `file`."""
+    where = f"{file}:{element.sourceline}"
     if joint.type not in JOINT_KINDS:
         raise ConfigurationError(
             f"type of joint {joint.name!r} ({where})", got=joint.type, allowed=", ".join(JOINT_KINDS)
@@ -153,6 +162,7 @@ def _read_joint(joint: Any, where: str) -> TreeJoint:
     lower, upper, velocity = (
         (None, None, None) if limit is None else (_optional_number(value, where) for value in _limits(limit, bounded))
     )
+    described = element.find("limit")
     return TreeJoint(
         name=joint.name,
         kind=joint.type,
@@ -164,10 +174,21 @@ def _read_joint(joint: Any, where: str) -> TreeJoint:
         lower=lower,
         upper=upper,
         velocity=velocity,
-        acceleration=None,
+        acceleration=_drake_limit(described, "acceleration", where),
+        jerk=_drake_limit(described, "jerk", where),
         mimic=mimic,
         effort=None if limit is None else _optional_number(limit.effort, where),
     )
+
+
+def _drake_limit(limit: Any, name: str, where: str) -> float | None:
+    """The number in Drake's attribute `name` of the element `limit`, None if there is none."""
+    texts = [] if limit is None else [limit.get(f"{{{namespace}}}{name}") for namespace in DRAKE_NAMESPACES]
+    text = next((text for text in texts if text is not None), None)
+    try:
+        return _optional_number(text, where)
+    except ValueError as error:
+        raise ConfigurationError(f"drake:{name} at {where}", got=text, allowed="a finite number") from error
 
 
 def _limits(limit: Any, bounded: bool) -> tuple[Any, Any, Any]:

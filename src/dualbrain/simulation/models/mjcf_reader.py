@@ -88,7 +88,7 @@ def _check_files(
         raise ConfigurationError(
             f"includes of {main.name}", got=f"more than {MAX_INCLUDE_DEPTH} levels", allowed="fewer"
         )
-    _, root = read_xml(file)
+    root = read_xml(file)
     allowed = allowed_folders(main, packages)
     for element in root.iter("compiler"):
         folders.update({key: element.get(key) for key in DIRECTORY_ATTRIBUTES if element.get(key)})
