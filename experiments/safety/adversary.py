@@ -11,7 +11,7 @@ import numpy as np
 
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import RobotModel
-from dualbrain.safety.cbf.compiled._kernel import Judge
+from dualbrain.safety.cbf.compiled._kernel import ReferenceDistance
 from dualbrain.safety.cbf.filter import SafetyFilter
 from experiments.engine.experiment import Options, Row, WorkUnit
 from experiments.safety import random_scenes
@@ -108,12 +108,14 @@ def run_trial(kind: AdversaryClass, seed: int, steps: int, *, log: bool = False)
     safety.observe([kind.perceived_obstacle(thing) for thing in truth], 0.0)
     safety.reset()
     q, path = q.copy(), np.empty((steps, robot_model.n) if log else 0)
-    account = judge.trial(safety._kernel.parts(), obstacle_rows(truth), kind.trial_parameters(seed, steps), q, path)
+    account = judge.run_worst_case_loop(
+        safety._kernel.handles(), obstacle_rows(truth), kind.trial_parameters(seed, steps), q, path
+    )
     return account, path, truth
 
 
 @cache
-def load_panda() -> tuple[RobotModel, Judge]:
+def load_panda() -> tuple[RobotModel, ReferenceDistance]:
     """The Panda with every sphere, fingers closed, and its judge."""
     robot_model = load_robot("panda")
     return robot_model, build_judge(robot_model)

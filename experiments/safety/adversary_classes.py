@@ -56,7 +56,7 @@ class AdversaryClass:
         """A true thing with the bounds that the filter is told."""
         loop = {**UNDISTURBED, **self.loop_settings}
         changed = loop["speed_noise"] + loop["mover_acceleration"] * MAX_SCENE_AGE_PERIODS * PERIOD
-        error = loop["mover_speed"] if self.speed_only else changed * loop["told"]
+        error = loop["mover_speed"] if self.speed_only else changed * loop["velocity_share"]
         return msgspec.structs.replace(thing, margin=self.margin, velocity_error=0.0 if thing.static else error)
 
 
@@ -77,14 +77,14 @@ UNDISTURBED: dict[str, Any] = {
     "frame": CAMERA_PERIODS,
     "scene_longest": MAX_SCENE_AGE_PERIODS,
     "state_longest": 0,
-    "reckon": 1,
+    "dead_reckoning": 1,
     "scene_drop": 0.0,
     "state_drop": 0.0,
     "late": 0.0,
-    "told": 1.0,
+    "velocity_share": 1.0,
     "mover_speed": MOVING_OBSTACLE_SPEED,
     "mover_acceleration": MOVING_OBSTACLE_ACCELERATION,
-    "spare": 0.01,
+    "clearance": 0.01,
     "evadable": 1,
 }
 PLANT_ERRORS = {"lag": LAG, "push": MAX_DISTURBANCE}
@@ -124,7 +124,7 @@ STATIC_CLASSES = (
     AdversaryClass(
         "stale",
         "joint states up to 50 ms old are used as they are",
-        {**ALL_ERRORS, "state_longest": 49, "reckon": 0},
+        {**ALL_ERRORS, "state_longest": 49, "dead_reckoning": 0},
         _filter_settings_for(ALL_ERRORS),
         OBSTACLE_POSITION_NOISE,
     ),
@@ -157,7 +157,7 @@ MOVING_CLASSES = (
     AdversaryClass(
         "person",
         "the same, told by its greatest speed alone",
-        {**FAST_OBSTACLE, "told": 0.0},
+        {**FAST_OBSTACLE, "velocity_share": 0.0},
         _filter_settings_for(ALL_ERRORS),
         OBSTACLE_POSITION_NOISE,
         has_moving_obstacle=True,
@@ -184,7 +184,7 @@ NEGATIVE_CONTROLS = (
         MOVING_CLASSES[0],
         name="no hdot",
         description="the mover's velocity is not told",
-        loop_settings={**ALL_ERRORS, "told": 0.0},
+        loop_settings={**ALL_ERRORS, "velocity_share": 0.0},
         against="evadable",
     ),
 )

@@ -10,7 +10,7 @@ import numpy as np
 
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import RobotModel
-from dualbrain.safety.cbf.compiled._kernel import Judge
+from dualbrain.safety.cbf.compiled._kernel import ReferenceDistance
 from dualbrain.safety.cbf.filter import BarrierRow, SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle
 from dualbrain.simulation.plant.joint_drive import DRIVE_KINDS, DriveKind
@@ -139,7 +139,7 @@ def _worst_nominal(rows: tuple[BarrierRow, ...], v_max: np.ndarray, rng: np.rand
 
 
 @cache
-def load_panda(kind: str) -> tuple[RobotModel, Judge]:
+def load_panda(kind: str) -> tuple[RobotModel, ReferenceDistance]:
     """The Panda with what was identified of this drive, fingers open, and the judge of its spheres."""
     robot_model = load_robot("panda").with_drive(kind)
     return robot_model, build_judge(robot_model, float(robot_model.gripper.opening.value))

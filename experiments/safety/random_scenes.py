@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere, Vector
 from dualbrain.robots.model import RobotModel
-from dualbrain.safety.cbf.compiled._kernel import Judge
+from dualbrain.safety.cbf.compiled._kernel import ReferenceDistance
 from dualbrain.safety.cbf.obstacles import Obstacle
 from experiments.safety.reference_judge import true_h
 
@@ -15,7 +15,9 @@ Array = NDArray[np.float64]
 TABLE = Obstacle(name="table", shape=HalfSpace(), pose=Pose((0.0, 0.0, 0.0)))
 
 
-def random_posture(robot_model: RobotModel, judge: Judge, rng: np.random.Generator, gap: float = 0.05) -> Array:
+def random_posture(
+    robot_model: RobotModel, judge: ReferenceDistance, rng: np.random.Generator, gap: float = 0.05
+) -> Array:
     """Joint angles (n,) at least `gap` from own pairs, the table and joint limits; home if none is found."""
     low = np.array([joint.lower.value for joint in robot_model.joints])
     high = np.array([joint.upper.value for joint in robot_model.joints])
@@ -26,7 +28,9 @@ def random_posture(robot_model: RobotModel, judge: Judge, rng: np.random.Generat
     return np.array(robot_model.home)
 
 
-def random_obstacles(judge: Judge, q: Array, rng: np.random.Generator, count: int, gap: float = 0.05) -> list[Obstacle]:
+def random_obstacles(
+    judge: ReferenceDistance, q: Array, rng: np.random.Generator, count: int, gap: float = 0.05
+) -> list[Obstacle]:
     """The table and `count` things of every shape within reach, each at least `gap` from the arm at q."""
     found = [TABLE]
     while len(found) <= count:
@@ -40,7 +44,7 @@ def random_obstacles(judge: Judge, q: Array, rng: np.random.Generator, count: in
     return found
 
 
-def random_moving_obstacle(judge: Judge, q: Array, rng: np.random.Generator, gap: float = 0.25) -> Obstacle:
+def random_moving_obstacle(judge: ReferenceDistance, q: Array, rng: np.random.Generator, gap: float = 0.25) -> Obstacle:
     """A ball or a limb-like capsule at rest, `gap` from the arm, that will move."""
     while True:
         radius = float(rng.uniform(0.03, 0.07))

@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 
 from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Sphere
 from dualbrain.robots.model import RobotModel
-from dualbrain.safety.cbf.compiled._kernel import Judge
+from dualbrain.safety.cbf.compiled._kernel import ReferenceDistance
 from dualbrain.safety.cbf.obstacles import Obstacle
 
 Array = NDArray[np.float64]
 N_COLUMNS = 24
 
 
-def build_judge(robot_model: RobotModel, opening: float = 0.0) -> Judge:
+def build_judge(robot_model: RobotModel, opening: float = 0.0) -> ReferenceDistance:
     """A judge for `body` with the fingers held at `opening` [m]."""
     centres, radii, first = [], [], [0]
     for link in robot_model.links:
@@ -27,7 +27,7 @@ def build_judge(robot_model: RobotModel, opening: float = 0.0) -> Judge:
         first.append(len(radii))
     names = [link.name for link in robot_model.links]
     joints = robot_model.joints
-    return Judge(
+    return ReferenceDistance(
         {
             "n": robot_model.n,
             "rotation": np.concatenate([rotation_matrix(j.quaternion).ravel() for j in joints]),
@@ -71,8 +71,8 @@ def obstacle_rows(obstacles: Sequence[Obstacle]) -> Array:
     return rows
 
 
-def true_h(judge: Judge, q: Array, obstacles: Sequence[Obstacle], period: float = 1e-3) -> Array:
+def true_h(judge: ReferenceDistance, q: Array, obstacles: Sequence[Obstacle], period: float = 1e-3) -> Array:
     """True h at postures q (t, n), as columns (t, 5): still, moving, own links [m], joints [rad], approach [m/s]."""
     out = np.empty((len(q), 5))
-    judge.look(np.ascontiguousarray(q), obstacle_rows(obstacles), period, out)
+    judge.measure(np.ascontiguousarray(q), obstacle_rows(obstacles), period, out)
     return out

@@ -1,15 +1,16 @@
-// Python's door to the kernel: arrays are checked here once, then handed over.
+// The Python module: the Kernel class, the constants of the build, the functions for unit tests and the testing
+// library.
 #include <nanobind/nanobind.h>
 
 #include "kernel.h"
 
-void ready_numpy();               // step.cpp
-void bind_parts(nb::module_ &m);  // parts.cpp
-void bind_lab(nb::module_ &m);    // lab_binding.cpp
+void import_numpy();                // step.cpp
+void bind_units(nb::module_ &m);    // unit_access.cpp
+void bind_testing(nb::module_ &m);  // testing_binding.cpp
 
 NB_MODULE(DBK_MODULE, m) {
-  ready_numpy();
-  m.doc() = "The safety kernel, compiled.";
+  import_numpy();
+  m.doc() = "The compiled safety kernel.";
   m.attr("real") = sizeof(dbk_real) == 4 ? "float32" : "float64";
   m.attr("source_hash") = DBK_HASH;
   m.attr("flags") = DBK_FLAGS;
@@ -28,9 +29,9 @@ NB_MODULE(DBK_MODULE, m) {
       .def("permit", &Kernel::permit)
       .def("attach", &Kernel::attach)
       .def("constrain", &Kernel::constrain)
-      .def("stand", &Kernel::stand)
+      .def("set_base_pose", &Kernel::set_base_pose)
       .def("reset", &Kernel::reset)
-      .def("answer_with", &Kernel::answer_with)
+      .def("set_result_type", &Kernel::set_result_type)
       .def("step", &Kernel::step)
       .def("batch", &Kernel::batch)
       .def("project", &Kernel::project)
@@ -38,15 +39,15 @@ NB_MODULE(DBK_MODULE, m) {
       .def("spheres", &Kernel::spheres)
       .def("rows", &Kernel::rows)
       .def("box", &Kernel::box)
-      .def("inside", &Kernel::inside)
-      .def("stain", &Kernel::stain)
+      .def("debug_readout", &Kernel::debug_readout)
+      .def("fill_memory", &Kernel::fill_memory)
       .def("closed_loop", &Kernel::closed_loop)
-      .def("parts",
+      .def("handles",
            [](Kernel &k) {
              return nb::make_tuple(nb::capsule(k.model.get(), kBuild), nb::capsule(k.scene.get(), kBuild),
                                    nb::capsule(k.ctx.get(), kBuild));
            })
       .def("time_steps", &Kernel::time_steps);
-  bind_parts(m);
-  bind_lab(m);
+  bind_units(m);
+  bind_testing(m);
 }

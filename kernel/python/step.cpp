@@ -1,21 +1,21 @@
-// Control. A step of microseconds keeps the GIL: giving it away would let another thread hold the control period up by its
-// switch interval (5 ms). Batches release it.
+// Control. A step takes microseconds and keeps the GIL: if it released the GIL, another thread could delay the control
+// period by its switch interval (5 ms). Batches release the GIL.
 #include <cstring>
 #include <utility>
 
-#include "arrays.h"
+#include "conversion/arrays.h"
 #include "kernel.h"
 
-// a binding row as it is packed: kind, i, j, then h and multiplier, nothing between them
+// size of a packed active row: kind, i, j, h and multiplier without padding
 constexpr size_t kActiveSize = 3 * sizeof(int32_t) + 2 * sizeof(double);
 
-void ready_numpy() {
+void import_numpy() {
   if (PyArray_ImportNumPyAPI() < 0) { throw nb::python_error(); }
 }
 
-void Kernel::answer_with(nb::object type, nb::object names_of_status) {
-  answer_type = std::move(type);
-  statuses = std::move(names_of_status);
+void Kernel::set_result_type(nb::object type, nb::object status_objects) {
+  result_type = std::move(type);
+  statuses = std::move(status_objects);
 }
 
 void Kernel::reset(const Array &u_prev) {
@@ -25,12 +25,12 @@ void Kernel::reset(const Array &u_prev) {
 }
 
 nb::object Kernel::load(nb::handle q, nb::handle v, nb::handle u, double opening, double state_age, double scene_age) {
-  take(q, in.q, n, "q");
-  take(v, in.v, n, "v");
+  read_vector(q, in.q, n, "q");
+  read_vector(v, in.v, n, "v");
   in.opening = static_cast<dbk_real>(opening);
   in.state_age = static_cast<dbk_real>(state_age);
   in.scene_age = static_cast<dbk_real>(scene_age);
-  return take(u, in.u_nom, n, "u_nom");
+  return read_vector(u, in.u_nom, n, "u_nom");
 }
 
 nb::object Kernel::active() const {
@@ -39,33 +39,34 @@ nb::object Kernel::active() const {
   char *to = PyBytes_AS_STRING(packed.ptr());
   for (int a = 0; a < out.n_active; ++a, to += kActiveSize) {
     const dbk_active &e = out.active[a];
-    const int32_t which[3] = {e.kind, e.i, e.j};
-    const double found[2] = {double(e.h), double(e.multiplier)};
-    std::memcpy(to, which, sizeof which);
-    std::memcpy(to + sizeof which, found, sizeof found);
+    const int32_t id[3] = {e.kind, e.i, e.j};
+    const double values[2] = {double(e.h), double(e.multiplier)};
+    std::memcpy(to, id, sizeof id);
+    std::memcpy(to + sizeof id, values, sizeof values);
   }
   return packed;
 }
 
 nb::object Kernel::step(nb::handle q, nb::handle v, nb::handle u_nom, double opening, double state_age,
                         double scene_age, nb::handle names) {
-  expect(answer_type.is_valid(), "answer_with comes first");
-  const nb::object wish = load(q, v, u_nom, opening, state_age, scene_age);
+  expect(result_type.is_valid(), "set_result_type must be called first");
+  const nb::object nominal = load(q, v, u_nom, opening, state_age, scene_age);
   dbk_step(model.get(), scene.get(), ctx.get(), &in, &out);
-  return answer_type(give(out.u, n, controls), wish, names, nb::borrow(PyTuple_GET_ITEM(statuses.ptr(), out.status)),
-                     out.flags, double(out.delta), double(out.delta_rows), double(out.delta_box), double(out.h_min),
-                     out.certified != 0, out.iterations, out.n_rows, active(), out.relaxed);
+  return result_type(make_array(out.u, n, pool), nominal, names,
+                     nb::borrow(PyTuple_GET_ITEM(statuses.ptr(), out.status)), out.flags, double(out.delta),
+                     double(out.delta_rows), double(out.delta_box), double(out.h_min), out.certified != 0,
+                     out.iterations, out.n_rows, active(), out.relaxed);
 }
 
-int Kernel::project(nb::handle q, nb::handle v, nb::handle wish, const Array &u_prev, double opening, double state_age,
+int Kernel::project(nb::handle q, nb::handle v, nb::handle u_nom, const Array &u_prev, double opening, double state_age,
                     double scene_age, double extra, const Out &u) {
-  load(q, v, wish, opening, state_age, scene_age);
-  dbk_real last[DBK_MAX_DOF] = {0}, answer[DBK_MAX_DOF] = {0};
+  load(q, v, u_nom, opening, state_age, scene_age);
+  dbk_real last[DBK_MAX_DOF] = {0}, result[DBK_MAX_DOF] = {0};
   copy(u_prev, last, n, "u_nom_prev");
   expect(u.size() == n, "u");
   const dbk_status status =
-      dbk_project(model.get(), scene.get(), other.get(), &in, last, static_cast<dbk_real>(extra), answer);
-  for (size_t k = 0; k < n; ++k) { u.data()[k] = static_cast<double>(answer[k]); }
+      dbk_project(model.get(), scene.get(), projection_ctx.get(), &in, last, static_cast<dbk_real>(extra), result);
+  for (size_t k = 0; k < n; ++k) { u.data()[k] = static_cast<double>(result[k]); }
   return status;
 }
 
@@ -73,11 +74,12 @@ void Kernel::batch(const Array &q, const Array &v, const Array &u_nom, const Arr
                    double scene_age, const Out &u, const Bytes &status, const Out &delta, const Out &h_min) const {
   const size_t m = status.size(), all = m * n;
   expect(q.size() == all && v.size() == all && u_nom.size() == all && u_prev.size() == all && u.size() == all &&
-             opening.size() == m && delta.size() == m && h_min.size() == m, "batch of m states");
+             opening.size() == m && delta.size() == m && h_min.size() == m,
+         "batch of m states");
   const std::unique_ptr<dbk_ctx> work{new dbk_ctx()};
   const nb::gil_scoped_release release;
   dbk_in state{};
-  dbk_out answer{};
+  dbk_out result{};
   state.scene_age = static_cast<dbk_real>(scene_age);
   for (size_t r = 0; r < m; ++r) {
     dbk_init(work.get());
@@ -88,10 +90,10 @@ void Kernel::batch(const Array &q, const Array &v, const Array &u_nom, const Arr
       work->u_prev[k] = work->u_nom_prev[k] = static_cast<dbk_real>(u_prev.data()[r * n + k]);
     }
     state.opening = static_cast<dbk_real>(opening.data()[r]);
-    dbk_step(model.get(), scene.get(), work.get(), &state, &answer);
-    for (size_t k = 0; k < n; ++k) { u.data()[r * n + k] = static_cast<double>(answer.u[k]); }
-    status.data()[r] = static_cast<int8_t>(answer.status);
-    delta.data()[r] = static_cast<double>(answer.delta);
-    h_min.data()[r] = static_cast<double>(answer.h_min);
+    dbk_step(model.get(), scene.get(), work.get(), &state, &result);
+    for (size_t k = 0; k < n; ++k) { u.data()[r * n + k] = static_cast<double>(result.u[k]); }
+    status.data()[r] = static_cast<int8_t>(result.status);
+    delta.data()[r] = static_cast<double>(result.delta);
+    h_min.data()[r] = static_cast<double>(result.h_min);
   }
 }

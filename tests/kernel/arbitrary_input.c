@@ -1,4 +1,4 @@
-/* Arbitrary bits in every input: the answer is always finite, within the velocity box and the acceleration box. */
+/* Arbitrary bits in every input: the result is always finite and within the velocity and acceleration bounds. */
 #include <stdio.h>
 #include <stdlib.h>
 
@@ -8,12 +8,13 @@ static dbk_model model;
 static dbk_scene scene;
 static dbk_ctx ctx;
 
-/* mostly plausible numbers, sometimes any bit pattern */
-static dbk_real wild(uint64_t *state, double size) {
-  const double pick = chance(state);
-  dbk_real value = between(state, -size, size);
+/* a plausible number, or with a small probability an arbitrary bit pattern, infinity or a very large number */
+static dbk_real random_value(uint64_t *state, double size) {
+  const double pick = random_uniform(state);
+  dbk_real value = random_between(state, -size, size);
   if (pick < 0.02) {
-    const uint64_t bits = ((uint64_t)(chance(state) * 4294967296.0) << 32) | (uint64_t)(chance(state) * 4294967296.0);
+    const uint64_t bits =
+        ((uint64_t)(random_uniform(state) * 4294967296.0) << 32) | (uint64_t)(random_uniform(state) * 4294967296.0);
     memcpy(&value, &bits, sizeof value);
   } else if (pick < 0.03) {
     value = (dbk_real)1e30 * (dbk_real)1e30;
@@ -29,7 +30,8 @@ static int admissible(const dbk_real before[DBK_MAX_DOF], const dbk_out *out) {
     if (!(u >= -(double)model.v_max[k] && u <= (double)model.v_max[k])) { return 0; }
     if (!(u >= (double)before[k] - step && u <= (double)before[k] + step)) { return 0; }
   }
-  return out->delta >= 0 && out->delta <= 2 && out->delta_rows >= 0 && out->delta_box >= 0 && (out->h_min - out->h_min == 0 || out->status == DBK_STOPPED);
+  return out->delta >= 0 && out->delta <= 2 && out->delta_rows >= 0 && out->delta_box >= 0 &&
+         (out->h_min - out->h_min == 0 || out->status == DBK_STOPPED);
 }
 
 int main(int argc, char **argv) {
@@ -44,25 +46,30 @@ int main(int argc, char **argv) {
     dbk_real before[DBK_MAX_DOF], projected[DBK_MAX_DOF];
     memset(&in, 0, sizeof in);
     if (t % 50 == 0) {
-      arm_scene(&scene, &state, (int)(chance(&state) * 48.9));
-      if (chance(&state) < 0.2) { scene.obstacle[0].position[2] = wild(&state, 1.0); }
-      scene.n_held = (int32_t)(chance(&state) * 8.9);
+      arm_scene(&scene, &state, (int)(random_uniform(&state) * 48.9));
+      if (random_uniform(&state) < 0.2) { scene.obstacle[0].position[2] = random_value(&state, 1.0); }
+      scene.n_held = (int32_t)(random_uniform(&state) * 8.9);
       for (int s = 0; s < scene.n_held; ++s) {
-        scene.held_x[s] = scene.held_y[s] = between(&state, -0.05, 0.05);
-        scene.held_z[s] = between(&state, 0.15, 0.3);
-        scene.held_r[s] = between(&state, 0.0, 0.05);
+        scene.held_x[s] = scene.held_y[s] = random_between(&state, -0.05, 0.05);
+        scene.held_z[s] = random_between(&state, 0.15, 0.3);
+        scene.held_r[s] = random_between(&state, 0.0, 0.05);
       }
-      for (int p = 0; p < 5; ++p) { scene.permit[(int)(chance(&state) * 8.9)][(int)(chance(&state) * 47)] = between(&state, 0.0, 0.1); }
+      for (int p = 0; p < 5; ++p) {
+        scene.permit[(int)(random_uniform(&state) * 8.9)][(int)(random_uniform(&state) * 47)] =
+            random_between(&state, 0.0, 0.1);
+      }
       dbk_scene_prepare(&scene);
     }
     for (int k = 0; k < model.n; ++k) {
-      in.q[k] = chance(&state) < 0.002 ? wild(&state, 3.0) : between(&state, (double)model.q_lower[k], (double)model.q_upper[k]);
-      in.v[k] = chance(&state) < 0.002 ? wild(&state, 2.0) : between(&state, -1.0, 1.0);
-      in.u_nom[k] = chance(&state) < 0.01 ? wild(&state, 2.5) : between(&state, -2.5, 2.5);
+      in.q[k] = random_uniform(&state) < 0.002
+                    ? random_value(&state, 3.0)
+                    : random_between(&state, (double)model.q_lower[k], (double)model.q_upper[k]);
+      in.v[k] = random_uniform(&state) < 0.002 ? random_value(&state, 2.0) : random_between(&state, -1.0, 1.0);
+      in.u_nom[k] = random_uniform(&state) < 0.01 ? random_value(&state, 2.5) : random_between(&state, -2.5, 2.5);
     }
-    in.opening = chance(&state) < 0.01 ? wild(&state, 0.04) : (dbk_real)0.02;
-    in.state_age = chance(&state) < 0.01 ? wild(&state, 0.1) : (dbk_real)0.001;
-    in.scene_age = chance(&state) < 0.01 ? wild(&state, 1.0) : (dbk_real)0.01;
+    in.opening = random_uniform(&state) < 0.01 ? random_value(&state, 0.04) : (dbk_real)0.02;
+    in.state_age = random_uniform(&state) < 0.01 ? random_value(&state, 0.1) : (dbk_real)0.001;
+    in.scene_age = random_uniform(&state) < 0.01 ? random_value(&state, 1.0) : (dbk_real)0.01;
     memcpy(before, ctx.u_prev, sizeof before);
     dbk_step(&model, &scene, &ctx, &in, &out);
     ++count[out.status];

@@ -1,4 +1,4 @@
-/* A small seven-joint arm for C tests (modified DH of the Panda, few spheres), and a seeded stream of numbers. */
+/* A seven-joint arm for C tests (modified DH parameters of the Panda, twelve spheres), and seeded random numbers. */
 #ifndef ARM_H
 #define ARM_H
 
@@ -7,28 +7,30 @@
 
 #include "dbk/dbk.h"
 
-static inline double chance(uint64_t *state) {
+/* uniform in [0, 1), by splitmix64 */
+static inline double random_uniform(uint64_t *state) {
   uint64_t z = (*state += 0x9E3779B97F4A7C15u);
   z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9u;
   z = (z ^ (z >> 27)) * 0x94D049BB133111EBu;
   return (double)((z ^ (z >> 31)) >> 11) * (1.0 / 9007199254740992.0);
 }
 
-static inline dbk_real between(uint64_t *state, double low, double high) {
-  return (dbk_real)(low + (high - low) * chance(state));
+static inline dbk_real random_between(uint64_t *state, double low, double high) {
+  return (dbk_real)(low + (high - low) * random_uniform(state));
 }
 
 static inline void arm_model(dbk_model *m) {
-  static const double offset[7][3] = {{0, 0, 0.333},      {0, 0, 0},          {0, -0.316, 0}, {0.0825, 0, 0},
-                                      {-0.0825, 0.384, 0}, {0, 0, 0},          {0.088, 0, 0}};
-  static const int turn[7] = {0, -1, 1, 1, -1, 1, 1}; /* quarter turns about x */
+  static const double offset[7][3] = {{0, 0, 0.333},       {0, 0, 0}, {0, -0.316, 0}, {0.0825, 0, 0},
+                                      {-0.0825, 0.384, 0}, {0, 0, 0}, {0.088, 0, 0}};
+  static const int quarter[7] = {0, -1, 1, 1, -1, 1, 1}; /* rotations about x by 90 degrees */
   static const double low[7] = {-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973};
   static const double high[7] = {2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973};
   static const double v[7] = {2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61}, a[7] = {15, 7.5, 10, 12.5, 15, 20, 20};
-  static const double ball[12][5] = {{0, 0, 0, 0.05, 0.1},    {1, 0, -0.05, 0, 0.09}, {2, 0, -0.1, 0, 0.08},
-                                     {3, 0.06, 0, 0.02, 0.08}, {4, -0.08, 0.1, 0, 0.08}, {5, 0, 0.03, -0.2, 0.07},
-                                     {5, 0, 0.06, -0.08, 0.06}, {6, 0.06, 0, 0, 0.08},    {7, 0, 0, 0.06, 0.07},
-                                     {7, 0.04, 0.04, 0.16, 0.045}, {7, -0.04, -0.04, 0.16, 0.045}, {7, 0, 0, 0.2, 0.03}};
+  /* link, centre, radius */
+  static const double sphere[12][5] = {
+      {0, 0, 0, 0.05, 0.1},     {1, 0, -0.05, 0, 0.09},       {2, 0, -0.1, 0, 0.08},          {3, 0.06, 0, 0.02, 0.08},
+      {4, -0.08, 0.1, 0, 0.08}, {5, 0, 0.03, -0.2, 0.07},     {5, 0, 0.06, -0.08, 0.06},      {6, 0.06, 0, 0, 0.08},
+      {7, 0, 0, 0.06, 0.07},    {7, 0.04, 0.04, 0.16, 0.045}, {7, -0.04, -0.04, 0.16, 0.045}, {7, 0, 0, 0.2, 0.03}};
   memset(m, 0, sizeof *m);
   m->n = 7;
   m->period = (dbk_real)0.001;
@@ -43,7 +45,7 @@ static inline void arm_model(dbk_model *m) {
   m->state_age_max = (dbk_real)0.05;
   m->scene_age_max = (dbk_real)0.5;
   for (int k = 0; k < 7; ++k) {
-    const dbk_real s = (dbk_real)turn[k], c = turn[k] ? (dbk_real)0 : (dbk_real)1;
+    const dbk_real s = (dbk_real)quarter[k], c = quarter[k] ? (dbk_real)0 : (dbk_real)1;
     const dbk_real r[9] = {1, 0, 0, 0, c, -s, 0, s, c};
     memcpy(m->joint_rotation[k], r, sizeof r);
     for (int e = 0; e < 3; ++e) { m->joint_offset[k][e] = (dbk_real)offset[k][e]; }
@@ -61,11 +63,11 @@ static inline void arm_model(dbk_model *m) {
   for (int l = 0; l < 8; ++l) {
     m->link_frame[l] = l;
     m->link_first[l] = at;
-    for (; at < 12 && (int)ball[at][0] == l; ++at) {
-      m->x[at] = (dbk_real)ball[at][1];
-      m->y[at] = (dbk_real)ball[at][2];
-      m->z[at] = (dbk_real)ball[at][3];
-      m->radius[at] = (dbk_real)ball[at][4];
+    for (; at < 12 && (int)sphere[at][0] == l; ++at) {
+      m->x[at] = (dbk_real)sphere[at][1];
+      m->y[at] = (dbk_real)sphere[at][2];
+      m->z[at] = (dbk_real)sphere[at][3];
+      m->radius[at] = (dbk_real)sphere[at][4];
     }
   }
   m->link_first[8] = 12;
@@ -80,29 +82,30 @@ static inline void arm_model(dbk_model *m) {
   dbk_prepare(m);
 }
 
+/* `count` obstacles: a half-space, and random capsules and boxes, of which every third one moves */
 static inline void arm_scene(dbk_scene *s, uint64_t *state, int count) {
   dbk_scene_clear(s);
   s->n_obstacles = count;
   for (int o = 0; o < count; ++o) {
     dbk_obstacle *ob = &s->obstacle[o];
     memset(ob, 0, sizeof *ob);
-    ob->shape = o == 0 ? DBK_HALF_SPACE : (int32_t)(chance(state) * 2);
+    ob->shape = o == 0 ? DBK_HALF_SPACE : (int32_t)(random_uniform(state) * 2);
     ob->rank = o % 3 == 2 ? DBK_RANK_BODY : DBK_RANK_OBSTACLE;
-    ob->parts = ~0u;
+    ob->link_mask = ~0u;
     ob->flags = o % 3 == 2 ? 0 : DBK_STATIC | (o % 2 ? DBK_KNOWN : 0);
     for (int e = 0; e < 3; ++e) {
       ob->rotation[4 * e] = 1;
-      ob->half[e] = between(state, 0.02, 0.1);
-      ob->velocity[e] = ob->flags ? 0 : between(state, -0.3, 0.3);
+      ob->half[e] = random_between(state, 0.02, 0.1);
+      ob->velocity[e] = ob->flags ? 0 : random_between(state, -0.3, 0.3);
     }
     if (o > 0) {
-      ob->position[0] = between(state, -0.7, 0.7);
-      ob->position[1] = between(state, -0.7, 0.7);
-      ob->position[2] = between(state, 0.0, 0.9);
+      ob->position[0] = random_between(state, -0.7, 0.7);
+      ob->position[1] = random_between(state, -0.7, 0.7);
+      ob->position[2] = random_between(state, 0.0, 0.9);
     }
-    ob->radius = between(state, 0.02, 0.08);
-    ob->margin = between(state, 0.0, 0.01);
-    ob->velocity_error = ob->flags ? 0 : between(state, 0.0, 0.05);
+    ob->radius = random_between(state, 0.02, 0.08);
+    ob->margin = random_between(state, 0.0, 0.01);
+    ob->velocity_error = ob->flags ? 0 : random_between(state, 0.0, 0.05);
   }
   dbk_scene_prepare(s);
 }

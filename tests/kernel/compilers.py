@@ -19,8 +19,8 @@ WARNINGS = [
     "-Wstrict-prototypes",
     "-Werror",
 ]
-MORE_SOURCES = {"golden": ["cases"]}
-INCLUDES = [f"-I{ROOT / 'kernel/include'}", f"-I{ROOT / 'tests/kernel'}"]
+MORE_SOURCES = {"golden": ["golden_cases"]}
+INCLUDES = [f"-I{ROOT / 'kernel/include'}", f"-I{ROOT / 'kernel/src'}", f"-I{ROOT / 'tests/kernel'}"]
 
 
 @cache
@@ -73,7 +73,7 @@ class Program:
 
 def kernel_sources():
     """The kernel's files."""
-    return sorted(str(path) for path in (ROOT / "kernel/src").glob("*.c"))
+    return sorted(str(path) for path in (ROOT / "kernel/src").rglob("*.c"))
 
 
 def build_program(folder, name, compiler, *more):

@@ -1,7 +1,7 @@
-/* Prints one line a case: its name, the hash over every bit of every answer, and what was seen. */
+/* Prints one line per case: the name, the hash over all bits of all results, and the counts. */
 #include <stdio.h>
 
-#include "cases.h"
+#include "golden_cases.h"
 
 int main(void) {
   for (int c = 0; c < golden_count; ++c) {

@@ -1,7 +1,9 @@
-/* The cases behind the golden hashes; see cases.h. */
-#include "cases.h"
+/* The cases behind the golden hashes; see golden_cases.h. */
+#include "golden_cases.h"
 
 #include "arm.h"
+#include "model/dbk_kinematics.h"
+#include "qp/dbk_qp.h"
 
 static dbk_model model;
 static dbk_scene scene;
@@ -21,7 +23,7 @@ static void mix_real(golden_result *g, dbk_real value) { mix(g, &value, sizeof v
 
 static void mix_int(golden_result *g, int32_t value) { mix(g, &value, sizeof value); }
 
-/* every field by itself: padding has no bits worth hashing */
+/* field by field, because the padding of the structure is undefined */
 static void mix_out(golden_result *g) {
   mix(g, out.u, sizeof out.u);
   mix_real(g, out.delta);
@@ -63,7 +65,7 @@ static void project(golden_result *g, const dbk_real *u_prev, dbk_real extra) {
   mix(g, u, sizeof u);
 }
 
-/* the arm at home and at rest, nothing around it */
+/* the arm at rest in its home posture, without obstacles */
 static void start(void) {
   static const double home[7] = {0, -0.3, 0, -2.2, 0, 2.0, 0.785};
   arm_model(&model);
@@ -75,11 +77,11 @@ static void start(void) {
   in.opening = (dbk_real)0.02;
 }
 
-/* the plant follows with a lag of 20 periods; the nominal is bang-bang and changes every `hold` steps */
+/* the plant follows with a lag of 20 periods; the nominal control is random and changes every `hold` steps */
 static void loop(golden_result *g, uint64_t *state, int steps, int hold) {
   for (int t = 0; t < steps; ++t) {
     if (t % hold == 0) {
-      for (int k = 0; k < model.n; ++k) { in.u_nom[k] = between(state, -2.2, 2.2); }
+      for (int k = 0; k < model.n; ++k) { in.u_nom[k] = random_between(state, -2.2, 2.2); }
     }
     in.scene_age = scene.moving ? (dbk_real)(0.0002 * (t % 2000)) : (dbk_real)0;
     step(g);
@@ -92,20 +94,20 @@ static void loop(golden_result *g, uint64_t *state, int steps, int hold) {
 
 static void tool(dbk_real p[3]) {
   dbk_frames f;
-  dbk_base(&in, &f);
+  dbk_base_frame(&in, &f);
   dbk_fk(&model, in.q, &f);
   const dbk_real *r = f.rotation[model.n], *o = f.origin[model.n], *t = model.tool_offset;
   for (int e = 0; e < 3; ++e) { p[e] = o[e] + (r[3 * e] * t[0] + r[3 * e + 1] * t[1] + r[3 * e + 2] * t[2]); }
 }
 
-/* one more obstacle: a sphere that stands still, to be changed by the caller */
-static dbk_obstacle *thing(double x, double y, double z, double radius) {
+/* adds a static sphere, which the caller can modify */
+static dbk_obstacle *add_sphere(double x, double y, double z, double radius) {
   dbk_obstacle *o = &scene.obstacle[scene.n_obstacles++];
   memset(o, 0, sizeof *o);
   o->shape = DBK_CAPSULE;
   o->flags = DBK_STATIC;
   o->rank = DBK_RANK_OBSTACLE;
-  o->parts = ~0u;
+  o->link_mask = ~0u;
   o->rotation[0] = o->rotation[4] = o->rotation[8] = 1;
   o->position[0] = (dbk_real)x;
   o->position[1] = (dbk_real)y;
@@ -114,16 +116,17 @@ static dbk_obstacle *thing(double x, double y, double z, double radius) {
   return o;
 }
 
-/* the same, placed from the tool */
+/* adds a static sphere at a position relative to the tool */
 static dbk_obstacle *near_tool(double x, double y, double z, double radius) {
   dbk_real p[3];
   tool(p);
-  return thing((double)p[0] + x, (double)p[1] + y, (double)p[2] + z, radius);
+  return add_sphere((double)p[0] + x, (double)p[1] + y, (double)p[2] + z, radius);
 }
 
-/* a rotation from a quaternion drawn at random, made exact enough by two Newton steps instead of a square root */
-static void turn(dbk_obstacle *o, uint64_t *state) {
-  double w = 0.6 + 0.3 * chance(state), x = chance(state) - 0.5, y = chance(state) - 0.5, z = chance(state) - 0.5;
+/* a random rotation from a quaternion, normalised by Newton iterations because libm is not available */
+static void rotate(dbk_obstacle *o, uint64_t *state) {
+  double w = 0.6 + 0.3 * random_uniform(state), x = random_uniform(state) - 0.5, y = random_uniform(state) - 0.5,
+         z = random_uniform(state) - 0.5;
   const double square = w * w + x * x + y * y + z * z;
   double scale = 1.0;
   for (int i = 0; i < 30; ++i) { scale = scale * (1.5 - 0.5 * square * scale * scale); }
@@ -131,13 +134,13 @@ static void turn(dbk_obstacle *o, uint64_t *state) {
   x *= scale;
   y *= scale;
   z *= scale;
-  const double r[9] = {1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-                       2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-                       2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)};
+  const double r[9] = {1 - 2 * (y * y + z * z), 2 * (x * y - w * z),     2 * (x * z + w * y),
+                       2 * (x * y + w * z),     1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+                       2 * (x * z - w * y),     2 * (y * z + w * x),     1 - 2 * (x * x + y * y)};
   for (int e = 0; e < 9; ++e) { o->rotation[e] = (dbk_real)r[e]; }
 }
 
-static void hold_two_balls(void) {
+static void hold_two_spheres(void) {
   scene.n_held = 2;
   for (int s = 0; s < 2; ++s) {
     scene.held_x[s] = scene.held_y[s] = 0;
@@ -149,19 +152,20 @@ static void hold_two_balls(void) {
 
 /* --- cases -------------------------------------------------------------------------------------------------------- */
 
-/* random scenes, every shape in every attitude, moving and not, with and without a held thing */
+/* random scenes: all shapes with random rotations, static and moving, with and without a held object */
 static void scenes(golden_result *g) {
   for (uint64_t run = 0; run < 6; ++run) {
     uint64_t state = run * 7919 + 1;
     start();
     arm_scene(&scene, &state, 8);
-    for (int o = 1; o < scene.n_obstacles; ++o) { turn(&scene.obstacle[o], &state); }
-    if (run % 2) { hold_two_balls(); }
+    for (int o = 1; o < scene.n_obstacles; ++o) { rotate(&scene.obstacle[o], &state); }
+    if (run % 2) { hold_two_spheres(); }
     dbk_scene_prepare(&scene);
     loop(g, &state, 600, 100);
   }
 }
 
+/* static obstacles, some with their own gain */
 static void still_things(golden_result *g) {
   for (uint64_t run = 0; run < 3; ++run) {
     uint64_t state = run + 50;
@@ -178,20 +182,20 @@ static void still_things(golden_result *g) {
   }
 }
 
-/* nothing but the robot's own parts, and a held thing that may meet them */
+/* self-collision only, without and with a held object */
 static void own_parts(golden_result *g) {
   uint64_t state = 7;
   start();
   for (int run = 0; run < 4; ++run) {
     if (run == 2) {
-      hold_two_balls();
+      hold_two_spheres();
       dbk_scene_prepare(&scene);
     }
     loop(g, &state, 700, 350);
   }
 }
 
-/* the tool is driven into a thing that parts of it may touch */
+/* the tool moves into an obstacle that some of its links are permitted to touch */
 static void permits(golden_result *g) {
   uint64_t state = 3;
   start();
@@ -201,23 +205,23 @@ static void permits(golden_result *g) {
   for (int l = 5; l < 8; ++l) { scene.permit[l][0] = (dbk_real)0.05; }
   scene.permit[7][1] = (dbk_real)0.02;
   scene.permit[8][0] = (dbk_real)0.1;
-  hold_two_balls();
-  scene.obstacle[0].parts = ~(1u << 4);
+  hold_two_spheres();
+  scene.obstacle[0].link_mask = ~(1u << 4);
   dbk_scene_prepare(&scene);
   loop(g, &state, 1200, 120);
 }
 
-/* the arm starts inside things: on the axis of a capsule, in the middle of a box, under the table */
+/* the arm starts in penetration: on the axis of a capsule, at the centre of a box, inside a half-space */
 static void recovery(golden_result *g) {
   for (int shape = 0; shape < 3; ++shape) {
     uint64_t state = (uint64_t)shape;
-    dbk_cloud cloud;
+    dbk_sphere_set spheres;
     dbk_frames f;
     start();
-    dbk_base(&in, &f);
+    dbk_base_frame(&in, &f);
     dbk_fk(&model, in.q, &f);
-    dbk_spheres(&model, &scene, &f, in.opening, &cloud);
-    dbk_obstacle *o = thing((double)cloud.x[8], (double)cloud.y[8], (double)cloud.z[8], 0.03);
+    dbk_spheres(&model, &scene, &f, in.opening, &spheres);
+    dbk_obstacle *o = add_sphere((double)spheres.x[8], (double)spheres.y[8], (double)spheres.z[8], 0.03);
     o->shape = shape;
     o->half[0] = (dbk_real)0.02;
     o->half[1] = (dbk_real)0.04;
@@ -232,12 +236,13 @@ static void recovery(golden_result *g) {
   }
 }
 
-/* joints are driven into their limits, and start beyond them */
+/* the joints move into their limits, or start beyond them */
 static void joint_limits(golden_result *g) {
   for (int side = -1; side <= 1; side += 2) {
     start();
     for (int k = 0; k < model.n; ++k) {
-      in.q[k] = side < 0 ? model.q_lower[k] + (dbk_real)(0.05 * (k - 2)) : model.q_upper[k] - (dbk_real)(0.05 * (k - 2));
+      in.q[k] =
+          side < 0 ? model.q_lower[k] + (dbk_real)(0.05 * (k - 2)) : model.q_upper[k] - (dbk_real)(0.05 * (k - 2));
       ctx.u_prev[k] = (dbk_real)side * (dbk_real)0.9 * model.v_max[k];
       in.u_nom[k] = (dbk_real)side * model.v_max[k];
     }
@@ -248,7 +253,7 @@ static void joint_limits(golden_result *g) {
   }
 }
 
-/* two things close in from both sides: no control meets both rows */
+/* two obstacles approach from opposite sides: no control satisfies both rows */
 static void closing_in(golden_result *g) {
   for (int run = 0; run < 4; ++run) {
     uint64_t state = (uint64_t)run + 20;
@@ -269,7 +274,7 @@ static void closing_in(golden_result *g) {
   }
 }
 
-/* a wall appears right ahead at full speed: braking is not enough, and neither is the certificate's */
+/* an obstacle appears directly ahead at full speed: neither braking nor the certificate can prevent contact */
 static void too_late(golden_result *g) {
   for (int run = 0; run < 6; ++run) {
     start();
@@ -291,7 +296,7 @@ static void too_late(golden_result *g) {
   }
 }
 
-/* rows that the linearisation cannot be trusted with: a large alpha and a long period make the certificate speak */
+/* the linearisation of the rows is inaccurate: with a large alpha and a long period the certificate fails */
 static void uncertain(golden_result *g) {
   for (int run = 0; run < 3; ++run) {
     uint64_t state = (uint64_t)run + 30;
@@ -302,40 +307,53 @@ static void uncertain(golden_result *g) {
     for (int k = 0; k < model.n; ++k) { model.a_max[k] *= run == 2 ? (dbk_real)30 : (dbk_real)2; }
     dbk_prepare(&model);
     for (int o = 0; o < 10; ++o) {
-      const double x = chance(&state) < 0.5 ? -0.13 : 0.13, y = 0.4 * chance(&state) - 0.2;
-      near_tool(x, y, 0.4 * chance(&state) - 0.3, 0.03);
+      const double x = random_uniform(&state) < 0.5 ? -0.13 : 0.13, y = 0.4 * random_uniform(&state) - 0.2;
+      near_tool(x, y, 0.4 * random_uniform(&state) - 0.3, 0.03);
     }
     dbk_scene_prepare(&scene);
     loop(g, &state, 300, 20);
   }
 }
 
-/* everything that makes the filter refuse to believe its input */
+/* all reasons for which the filter rejects its input */
 static void refusals(golden_result *g) {
-  const dbk_real none = (dbk_real)1e30 * (dbk_real)1e30, hole = none - none;
+  const dbk_real none = (dbk_real)1e30 * (dbk_real)1e30, nan = none - none;
   for (int what = 0; what < 20; ++what) {
     start();
-    dbk_obstacle *o = thing(0.5, 0.4, 0.3, 0.05);
+    dbk_obstacle *o = add_sphere(0.5, 0.4, 0.3, 0.05);
     for (int k = 0; k < model.n; ++k) { ctx.u_prev[k] = (dbk_real)(0.1 * (k - 3)); }
-    if (what == 0) { in.q[2] = hole; }
+    if (what == 0) { in.q[2] = nan; }
     if (what == 1) { in.v[5] = none; }
-    if (what == 2) { in.u_nom[6] = hole; }
+    if (what == 2) { in.u_nom[6] = nan; }
     if (what == 3) { in.opening = (dbk_real)0.3; }
     if (what == 4) { in.state_age = (dbk_real)0.2; }
     if (what == 5) { in.state_age = (dbk_real)-0.1; }
-    if (what == 6) { in.scene_age = hole; }
-    if (what == 7) { o->flags = 0; in.scene_age = (dbk_real)0.7; }
+    if (what == 6) { in.scene_age = nan; }
+    if (what == 7) {
+      o->flags = 0;
+      in.scene_age = (dbk_real)0.7;
+    }
     if (what == 8) { in.q[1] = (dbk_real)3; }
-    if (what == 9) { in.mobile = 1; in.base_rotation[3] = hole; }
+    if (what == 9) {
+      in.mobile = 1;
+      in.base_rotation[3] = nan;
+    }
     if (what == 10) { o->position[1] = none; }
     if (what == 11) { o->shape = 9; }
     if (what == 12) { o->radius = (dbk_real)-1; }
     if (what == 13) { scene.n_held = 99; }
-    if (what == 14) { scene.n_held = 1; scene.held_r[0] = hole; }
+    if (what == 14) {
+      scene.n_held = 1;
+      scene.held_r[0] = nan;
+    }
     if (what == 15) { o->alpha = (dbk_real)-1; }
     if (what == 16) { o->brake = none; }
     if (what == 17) { o->rank = 0; }
-    if (what == 18) { scene.n_user = 1; scene.user_rank[0] = DBK_RANK_TASK; scene.user_a[0][0] = hole; }
+    if (what == 18) {
+      scene.n_user = 1;
+      scene.user_rank[0] = DBK_RANK_TASK;
+      scene.user_a[0][0] = nan;
+    }
     if (what == 19) { in.u_nom[0] = (dbk_real)1e20; }
     dbk_scene_prepare(&scene);
     step(g);
@@ -345,11 +363,11 @@ static void refusals(golden_result *g) {
   }
 }
 
-/* parts of the arm that no joint moves away: stuck inside, and passed by something that moves */
+/* links that no joint can move away: in penetration, and with an approaching obstacle */
 static void no_way_out(golden_result *g) {
   for (int run = 0; run < 4; ++run) {
     start();
-    dbk_obstacle *o = thing(0.0, 0.0, run % 2 ? 0.333 : 0.9, 0.3);
+    dbk_obstacle *o = add_sphere(0.0, 0.0, run % 2 ? 0.333 : 0.9, 0.3);
     o->flags = run < 2 ? 0 : DBK_STATIC;
     o->velocity[2] = run < 2 ? (dbk_real)-0.5 : 0;
     if (run == 3) {
@@ -370,15 +388,15 @@ static void no_way_out(golden_result *g) {
   }
 }
 
-/* many balls on the last frame, on one link or on thirteen */
-static void many_balls(int32_t n_links) {
+/* many spheres on the last frame, on one link or on thirteen links */
+static void many_spheres(int32_t n_links) {
   uint64_t state = 77;
   model.n_spheres = DBK_MAX_SPHERES;
   model.n_links = n_links;
   for (int s = 12; s < DBK_MAX_SPHERES; ++s) {
-    model.x[s] = between(&state, -0.05, 0.05);
-    model.y[s] = between(&state, -0.05, 0.05);
-    model.z[s] = between(&state, 0.0, 0.2);
+    model.x[s] = random_between(&state, -0.05, 0.05);
+    model.y[s] = random_between(&state, -0.05, 0.05);
+    model.z[s] = random_between(&state, 0.0, 0.2);
     model.radius[s] = (dbk_real)0.02;
   }
   for (int l = 7; l < n_links; ++l) {
@@ -387,13 +405,13 @@ static void many_balls(int32_t n_links) {
   }
 }
 
-/* more rows than there is room for, with rows of the user's behind them, and more visits */
+/* overflow of the row buffer, with user rows, and of the list for the certificate */
 static void overflow(golden_result *g) {
   for (int run = 0; run < 2; ++run) {
     uint64_t state = 78;
     start();
-    many_balls(run ? DBK_MAX_LINKS : 8);
-    if (run) { /* own parts that overlap */
+    many_spheres(run ? DBK_MAX_LINKS : 8);
+    if (run) { /* overlapping links */
       for (int s = model.link_first[1]; s < model.link_first[7]; ++s) { model.radius[s] = (dbk_real)0.6; }
       for (int l = 8; l < DBK_MAX_LINKS; ++l) {
         for (int near = 1; near < 7; ++near) {
@@ -401,12 +419,12 @@ static void overflow(golden_result *g) {
           model.pair[model.n_pairs++][1] = l;
         }
       }
-      hold_two_balls();
+      hold_two_spheres();
     }
     dbk_prepare(&model);
     for (int o = 0; o < DBK_MAX_OBSTACLES; ++o) {
-      const double x = 0.2 * chance(&state) - 0.1, y = 0.2 * chance(&state) - 0.1;
-      near_tool(x, y, 0.2 * chance(&state) - 0.1, run ? 1.5 : 0.15 - 0.002 * o);
+      const double x = 0.2 * random_uniform(&state) - 0.1, y = 0.2 * random_uniform(&state) - 0.1;
+      near_tool(x, y, 0.2 * random_uniform(&state) - 0.1, run ? 1.5 : 0.15 - 0.002 * o);
       for (int l = 0; run && l < DBK_ALL_LINKS; ++l) { scene.permit[l][o] = (dbk_real)(-1 - l % 2); } /* none, twice */
     }
     scene.n_user = 2;
@@ -424,7 +442,7 @@ static void overflow(golden_result *g) {
   scene.n_user = 0;
 }
 
-/* what only φ's projection sees: known things, extra clearance, its own u_prev */
+/* the projection: known obstacles only, extra clearance, its own u_prev */
 static void projection(golden_result *g) {
   uint64_t state = 9;
   dbk_real u_prev[DBK_MAX_DOF] = {0};
@@ -432,7 +450,7 @@ static void projection(golden_result *g) {
   arm_scene(&scene, &state, 10);
   for (int t = 0; t < 1000; ++t) {
     if (t % 100 == 0) {
-      for (int k = 0; k < model.n; ++k) { in.u_nom[k] = between(&state, -2.2, 2.2); }
+      for (int k = 0; k < model.n; ++k) { in.u_nom[k] = random_between(&state, -2.2, 2.2); }
     }
     dbk_real u[DBK_MAX_DOF] = {0};
     mix_int(g, (int32_t)dbk_project(&model, &scene, &ctx, &in, u_prev, (dbk_real)5e-4, u));
@@ -442,8 +460,8 @@ static void projection(golden_result *g) {
   }
 }
 
-/* a box that is wide: rows are looked for where the answer is expected, then where it turned out to be, then everywhere;
- * afterwards they are completed */
+/* wide control bounds: the trust region around the expected solution, then around the last result, then the full
+ * bounds; afterwards the omitted rows are added */
 static void wide_box(golden_result *g) {
   for (uint64_t run = 0; run < 3; ++run) {
     uint64_t state = run + 900;
@@ -451,13 +469,13 @@ static void wide_box(golden_result *g) {
     start();
     for (int k = 0; k < model.n; ++k) { model.a_max[k] = run == 2 ? (dbk_real)200 : (dbk_real)1e4; }
     for (int o = 0; o < 12; ++o) {
-      const double x = 0.6 * chance(&state) - 0.3, y = 0.6 * chance(&state) - 0.3;
-      near_tool(x, y, 0.15 + 0.2 * chance(&state), 0.03)->flags |= DBK_KNOWN;
+      const double x = 0.6 * random_uniform(&state) - 0.3, y = 0.6 * random_uniform(&state) - 0.3;
+      near_tool(x, y, 0.15 + 0.2 * random_uniform(&state), 0.03)->flags |= DBK_KNOWN;
     }
     dbk_scene_prepare(&scene);
     for (int t = 0; t < 300; ++t) {
       if (t % 40 == 0) {
-        for (int k = 0; k < model.n; ++k) { in.u_nom[k] = between(&state, -2.2, 2.2); }
+        for (int k = 0; k < model.n; ++k) { in.u_nom[k] = random_between(&state, -2.2, 2.2); }
       }
       project(g, u_prev, (dbk_real)5e-4);
       step(g);
@@ -471,7 +489,7 @@ static void wide_box(golden_result *g) {
   }
 }
 
-/* rows that a user hands in: met, binding, conflicting, and without a direction */
+/* user rows: satisfied, active, conflicting, and with a zero normal */
 static void user_rows(golden_result *g) {
   for (int run = 0; run < 4; ++run) {
     uint64_t state = (uint64_t)run + 60;
@@ -480,9 +498,11 @@ static void user_rows(golden_result *g) {
     scene.n_user = 6;
     for (int r = 0; r < scene.n_user; ++r) {
       scene.user_rank[r] = DBK_RANK_BODY + r % 4;
-      scene.user_b[r] = between(&state, -0.3, run == 2 ? 0.4 : -0.02);
-      scene.user_h[r] = between(&state, 0.0, 0.2);
-      for (int k = 0; k < model.n; ++k) { scene.user_a[r][k] = run == 3 && r < 2 ? 0 : between(&state, -1.0, 1.0); }
+      scene.user_b[r] = random_between(&state, -0.3, run == 2 ? 0.4 : -0.02);
+      scene.user_h[r] = random_between(&state, 0.0, 0.2);
+      for (int k = 0; k < model.n; ++k) {
+        scene.user_a[r][k] = run == 3 && r < 2 ? 0 : random_between(&state, -1.0, 1.0);
+      }
     }
     if (run == 3) { scene.user_b[1] = (dbk_real)0.1; }
     dbk_scene_prepare(&scene);
@@ -491,7 +511,7 @@ static void user_rows(golden_result *g) {
   scene.n_user = 0;
 }
 
-/* people: speed and separation, standing and moving, too near from the start */
+/* speed and separation monitoring: static and moving persons, and a person too close from the start */
 static void separation(golden_result *g) {
   for (int run = 0; run < 4; ++run) {
     uint64_t state = (uint64_t)run + 90;
@@ -509,7 +529,7 @@ static void separation(golden_result *g) {
   }
 }
 
-/* the jerk limit, alone, beside obstacles, and where another limit leaves it no room */
+/* the jerk limit: alone, with obstacles, and overridden by another limit */
 static void jerk(golden_result *g) {
   for (int run = 0; run < 3; ++run) {
     uint64_t state = (uint64_t)run + 120;
@@ -521,7 +541,7 @@ static void jerk(golden_result *g) {
     }
     if (run == 2) {
       for (int k = 0; k < model.n; ++k) {
-        ctx.change[k] = (dbk_real)0.01;
+        ctx.u_change[k] = (dbk_real)0.01;
         ctx.u_prev[k] = model.v_max[k];
       }
     }
@@ -529,7 +549,7 @@ static void jerk(golden_result *g) {
   }
 }
 
-/* joints that slide: a gantry of three under the arm's last four */
+/* prismatic joints: a gantry of three joints below the last four joints of the arm */
 static void sliding(golden_result *g) {
   for (int run = 0; run < 2; ++run) {
     uint64_t state = (uint64_t)run + 150;
@@ -542,13 +562,13 @@ static void sliding(golden_result *g) {
     }
     dbk_prepare(&model);
     arm_scene(&scene, &state, 10);
-    if (run) { hold_two_balls(); }
+    if (run) { hold_two_spheres(); }
     dbk_scene_prepare(&scene);
     loop(g, &state, 600, 90);
   }
 }
 
-/* a base that stands elsewhere, and turns while the arm works */
+/* a mobile base that changes its position and heading during the motion */
 static void mobile_base(golden_result *g) {
   uint64_t state = 180;
   start();
@@ -568,13 +588,13 @@ static void mobile_base(golden_result *g) {
   }
 }
 
-/* the parts by themselves: sine and cosine, Jacobian, and the QP on generic, nearly parallel and infeasible rows */
+/* single functions: sine and cosine, and the Jacobian */
 static void parts(golden_result *g) {
   uint64_t state = 200;
   start();
   for (int t = 0; t < 2000; ++t) {
     dbk_real s, c;
-    dbk_sincos(t ? between(&state, -9.0, 9.0) : (dbk_real)1e9, &s, &c);
+    dbk_sincos(t ? random_between(&state, -9.0, 9.0) : (dbk_real)1e9, &s, &c);
     mix_real(g, s);
     mix_real(g, c);
   }
@@ -582,11 +602,11 @@ static void parts(golden_result *g) {
     dbk_frames f;
     dbk_real p[3], linear[3][DBK_MAX_DOF] = {{0}}, angular[3][DBK_MAX_DOF] = {{0}};
     for (int k = 0; k < model.n; ++k) {
-      in.q[k] = between(&state, (double)model.q_lower[k], (double)model.q_upper[k]);
+      in.q[k] = random_between(&state, (double)model.q_lower[k], (double)model.q_upper[k]);
       model.joint_kind[k] = t % 2 && k < 2 ? DBK_PRISMATIC : DBK_REVOLUTE;
     }
     tool(p);
-    dbk_base(&in, &f);
+    dbk_base_frame(&in, &f);
     dbk_fk(&model, in.q, &f);
     dbk_jacobian(&model, &f, p, linear, angular);
     mix(g, p, sizeof p);
@@ -595,6 +615,7 @@ static void parts(golden_result *g) {
   }
 }
 
+/* the QP with generic, nearly parallel and infeasible rows */
 static void programs(golden_result *g) {
   const dbk_model *const arm = &model;
   uint64_t state = 220;
@@ -603,21 +624,21 @@ static void programs(golden_result *g) {
     dbk_real lower[DBK_MAX_DOF], upper[DBK_MAX_DOF], u_nom[DBK_MAX_DOF];
     dbk_solution s;
     int32_t warm[3];
-    rows.count = (int32_t)(chance(&state) * 60);
+    rows.count = (int32_t)(random_uniform(&state) * 60);
     for (int r = 0; r < (rows.count + DBK_LANES - 1) / DBK_LANES * DBK_LANES; ++r) {
-      for (int k = 0; k < 7; ++k) { rows.a[k][r] = r < rows.count ? between(&state, -0.6, 0.6) : 0; }
-      rows.b[r] = r < rows.count ? between(&state, -1.5, t % 3 ? -0.1 : 0.5) : (dbk_real)-1e9;
+      for (int k = 0; k < 7; ++k) { rows.a[k][r] = r < rows.count ? random_between(&state, -0.6, 0.6) : 0; }
+      rows.b[r] = r < rows.count ? random_between(&state, -1.5, t % 3 ? -0.1 : 0.5) : (dbk_real)-1e9;
       if (t % 4 == 0 && r % 3 == 1) {
         for (int k = 0; k < 7; ++k) { rows.a[k][r] = rows.a[k][r - 1] * (dbk_real)1.00001; }
       }
       rows.soft[r] = (dbk_real)(r % 2 ? 0.001 : 0.0);
     }
     for (int k = 0; k < 7; ++k) {
-      lower[k] = between(&state, -1.0, -0.1);
-      upper[k] = between(&state, 0.1, 1.0);
-      u_nom[k] = between(&state, -2.0, 2.0);
+      lower[k] = random_between(&state, -1.0, -0.1);
+      upper[k] = random_between(&state, 0.1, 1.0);
+      u_nom[k] = random_between(&state, -2.0, 2.0);
     }
-    for (int w = 0; w < 3; ++w) { warm[w] = (int32_t)(chance(&state) * (13.9 + (double)rows.count)); }
+    for (int w = 0; w < 3; ++w) { warm[w] = (int32_t)(random_uniform(&state) * (13.9 + (double)rows.count)); }
     mix_int(g, dbk_qp(&rows, 7, arm->scale, lower, upper, u_nom, t % 5 == 0, 0, warm, t % 2 ? 3 : 0, &s));
     mix(g, s.u, 7 * sizeof s.u[0]);
     mix_int(g, s.iterations);
@@ -638,13 +659,27 @@ static const struct {
   const char *name;
   void (*run)(golden_result *g);
 } table[] = {
-    {"scenes", scenes},         {"still_things", still_things}, {"own_parts", own_parts},
-    {"permits", permits},       {"recovery", recovery},         {"joint_limits", joint_limits},
-    {"closing_in", closing_in}, {"too_late", too_late},         {"uncertain", uncertain},
-    {"refusals", refusals},     {"no_way_out", no_way_out},     {"overflow", overflow},
-    {"projection", projection}, {"user_rows", user_rows},       {"separation", separation}, {"wide_box", wide_box},
-    {"jerk", jerk},             {"sliding", sliding},           {"mobile_base", mobile_base},
-    {"parts", parts},           {"programs", programs},
+    {"scenes", scenes},
+    {"still_things", still_things},
+    {"own_parts", own_parts},
+    {"permits", permits},
+    {"recovery", recovery},
+    {"joint_limits", joint_limits},
+    {"closing_in", closing_in},
+    {"too_late", too_late},
+    {"uncertain", uncertain},
+    {"refusals", refusals},
+    {"no_way_out", no_way_out},
+    {"overflow", overflow},
+    {"projection", projection},
+    {"user_rows", user_rows},
+    {"separation", separation},
+    {"wide_box", wide_box},
+    {"jerk", jerk},
+    {"sliding", sliding},
+    {"mobile_base", mobile_base},
+    {"parts", parts},
+    {"programs", programs},
 };
 
 const int golden_count = sizeof table / sizeof table[0];

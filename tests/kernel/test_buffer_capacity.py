@@ -13,7 +13,7 @@ def test_no_loop_runs_on_behind_the_last_joint(tmp_path):
     assert len(cases) > 20
     counts = [
         int(word)
-        for word in build_program(tmp_path, "hostile", GCC, *CHECKED, *FILLED).output_lines("2000")[-1].split()
+        for word in build_program(tmp_path, "arbitrary_input", GCC, *CHECKED, *FILLED).output_lines("2000")[-1].split()
     ]
     assert all(count > 0 for count in counts[1:])
 
@@ -21,6 +21,6 @@ def test_no_loop_runs_on_behind_the_last_joint(tmp_path):
 def test_no_loop_runs_on_behind_the_last_thing(tmp_path):
     """Sixteen things fill the room, all near one link."""
     rows = build_program(
-        tmp_path, "crowded", GCC, *CHECKED, "-fsanitize=address", *FILLED, "-DDBK_MAX_OBSTACLES=16"
+        tmp_path, "full_obstacle_table", GCC, *CHECKED, "-fsanitize=address", *FILLED, "-DDBK_MAX_OBSTACLES=16"
     ).output_lines()
     assert int(rows[-1]) > 1000

@@ -21,7 +21,7 @@ from tests.kernel.compilers import (
 
 SANITIZE = ["-O1", "-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
 
-WIDE = '-DDBK_WIDE=__attribute__((target_clones("avx2","default")))'
+WIDE = '-DDBK_SIMD_CLONES=__attribute__((target_clones("avx2","default")))'
 """As CMakeLists.txt has it on x86-64: hot loops compiled twice."""
 
 BUILDS = [
@@ -76,8 +76,8 @@ def test_the_float64_build_gives_its_own_bits(tmp_path, compiler, level):
 def covered(folder, include):
     """Kernel lines (file, number, text) that ran, and those that did not, in a build with the headers of `include`."""
     folder.mkdir()
-    flags = ["-O0", "--coverage", f"-I{include}", f"-I{ROOT / 'tests/kernel'}"]
-    cases = [str(ROOT / "tests/kernel" / name) for name in ("cases.c", "golden.c")]
+    flags = ["-O0", "--coverage", f"-I{include}", *INCLUDES[1:]]
+    cases = [str(ROOT / "tests/kernel" / name) for name in ("golden_cases.c", "golden.c")]
     GCC.run(*flags, *kernel_sources(), *cases, "-o", "golden", cwd=folder)
     printed = subprocess.run([folder / "golden"], cwd=folder, capture_output=True, text=True, check=True).stdout
     objects = sorted(str(path) for path in folder.glob("*dbk_*.gcno"))
@@ -96,7 +96,7 @@ def test_the_golden_cases_run_every_line(tmp_path):
     """A second build with a cap of three iterations runs what no problem of this size reaches; it must brake."""
     ran, missed, _ = covered(tmp_path / "shipped", ROOT / "kernel/include")
     short = shutil.copytree(ROOT / "kernel/include", tmp_path / "include") / "dbk/dbk_config.h"
-    text, found = re.subn(r"#define DBK_QP_CAP \d+", "#define DBK_QP_CAP 3", short.read_text())
+    text, found = re.subn(r"#define DBK_QP_MAX_ITERATIONS \d+", "#define DBK_QP_MAX_ITERATIONS 3", short.read_text())
     assert found == 1
     short.write_text(text)
     ran_short, _, printed = covered(tmp_path / "capped", tmp_path / "include")
@@ -104,7 +104,7 @@ def test_the_golden_cases_run_every_line(tmp_path):
     assert capped, "the cap was met"
     assert all(int(line[5]) > 0 for line in capped), "and the filter stopped"
     left = sorted(missed - ran_short)
-    assert not left, "lines that no golden case runs; add one to cases.c: " + "; ".join(map(str, left))
+    assert not left, "lines that no golden case runs; add one to golden_cases.c: " + "; ".join(map(str, left))
     assert len(ran) > 800
 
 
@@ -116,14 +116,15 @@ def test_the_golden_cases_run_every_line(tmp_path):
 )
 def test_arbitrary_bits_never_make_an_inadmissible_control(tmp_path, real):
     counts = [
-        int(word) for word in build_program(tmp_path, "hostile", GCC, *SANITIZE, *real).output_lines("6000")[-1].split()
+        int(word)
+        for word in build_program(tmp_path, "arbitrary_input", GCC, *SANITIZE, *real).output_lines("6000")[-1].split()
     ]
     assert all(count > 0 for count in counts[1:])  # modified, relaxed, stopped and faulty answers were all seen
 
 
 @pytest.mark.slow
 def test_a_million_arbitrary_inputs(tmp_path):
-    build_program(tmp_path, "hostile", GCC, "-O2").output_lines("1000000")
+    build_program(tmp_path, "arbitrary_input", GCC, "-O2").output_lines("1000000")
 
 
 @pytest.mark.slow
@@ -182,7 +183,7 @@ def test_compiles_for_a_microcontroller_without_any_library(tmp_path, core):
         target = tmp_path / "one.o"
         # zig's own compiler settings for the host do not apply: the target is named here
         bare = type(CLANG)("clang", CLANG.command, (*ARM, f"-mcpu={core}"))
-        bare.run("-Os", *WARNINGS, INCLUDES[0], "-c", source, "-o", str(target))
+        bare.run("-Os", *WARNINGS, *INCLUDES[:2], "-c", source, "-o", str(target))
         check_symbols(target, ALLOWED | ARM_ALLOWED)
         sizes = subprocess.run(["size", str(target)], capture_output=True, text=True, check=True).stdout
         text, data, zero = (int(word) for word in sizes.splitlines()[1].split()[:3])

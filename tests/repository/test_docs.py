@@ -55,7 +55,7 @@ def defined(path):
     """Names that a file defines: functions, classes and `Class.method`s of Python, functions of C."""
     text = path.read_text("utf-8")
     if path.suffix != ".py":
-        return frozenset(re.findall(r"^(?:DBK_WIDE )?[a-z][\w \*]*?\b(\w+)\(", text, re.MULTILINE))
+        return frozenset(re.findall(r"^(?:DBK_SIMD_CLONES )?[a-z][\w \*]*?\b(\w+)\(", text, re.MULTILINE))
     found = set()
     for node in ast.parse(text).body:
         if isinstance(node, (ast.FunctionDef, ast.ClassDef)):

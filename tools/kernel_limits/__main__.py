@@ -100,8 +100,8 @@ def quantiles(values: np.ndarray) -> dict[str, float]:
 
 
 def iteration_cap() -> int:
-    """DBK_QP_CAP: a step that reaches it brakes."""
-    return _config_value("DBK_QP_CAP")
+    """DBK_QP_MAX_ITERATIONS: a step that reaches it brakes."""
+    return _config_value("DBK_QP_MAX_ITERATIONS")
 
 
 def max_rows() -> int:

@@ -82,7 +82,7 @@ def measure(target: Target, folder: Path) -> dict[str, object]:
     folder.mkdir(parents=True, exist_ok=True)
     objects: list[ObjectFile] = []
     stack: dict[str, int] = {}
-    for source in sorted((ROOT / "kernel/src").glob("*.c")):
+    for source in sorted((ROOT / "kernel/src").rglob("*.c")):
         out = folder / f"{source.stem}.o"
         run_compiler(
             (
@@ -90,6 +90,7 @@ def measure(target: Target, folder: Path) -> dict[str, object]:
                 "-std=c99",
                 "-ffunction-sections",
                 f"-I{ROOT / 'kernel/include'}",
+                f"-I{ROOT / 'kernel/src'}",
                 "-c",
                 str(source),
                 "-o",

@@ -56,9 +56,9 @@ PAIRS = (
     ("lower", "upper"),
     ("low", "high"),
     ("q_lower", "q_upper"),
-    ("near", "far"),
+    ("proximal", "distal"),
     ("now", "next"),
-    ("from", "upto"),
+    ("first_joint", "end_joint"),
     ("DBK_ROW_LOWER", "DBK_ROW_UPPER"),
     ("sine", "cosine"),
 )

@@ -93,7 +93,7 @@ def write_document(path: Path, facts: dict, rows: list[dict]) -> None:
         f"Written by `python tools/mutation/__main__.py --seed {facts['seed']} --count {facts['tested']} --write-docs` on "
         f"{datetime.now(UTC):%Y-%m-%d}, revision {facts['revision']}.",
         "",
-        "One place is changed in `kernel/src/*.c` or `safety/cbf/kernel.py`, everything is compiled anew in a scratch",
+        "One place is changed in `kernel/src/**/*.c` or `safety/cbf/kernel.py`, everything is compiled anew in a scratch",
         "copy, and `tests/safety`, `tests/invariants` and `tests/kernel/test_buffer_capacity.py` run until the first failure;",
         "those go first that hold every number of a step against its definition. Recorded answers (golden hashes,",
         "vectors) and comparisons of builds are left out: they notice every bit and prove no law. A mutant counts",

@@ -11,7 +11,7 @@ from pathlib import Path
 from tools.mutation.mutation_sites import KINDS, Site
 from tools.mutation.tokens import tokenize
 
-SOURCES = ("kernel/src/*.c", "src/dualbrain/safety/cbf/kernel.py")
+SOURCES = ("kernel/src/**/*.c", "src/dualbrain/safety/cbf/kernel.py")
 
 
 @dataclass(frozen=True, slots=True)

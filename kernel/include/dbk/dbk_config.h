@@ -1,4 +1,8 @@
-/* Sizes, number type and named tolerances of the kernel. Every size is a macro, so that memory is static and known. */
+/* Array capacities, the number type and the named tolerances of the kernel.
+ *
+ * Every capacity is a macro with a default, so all memory is static and its size is known at compile time. A build
+ * overrides a capacity with -DDBK_MAX_...=N.
+ */
 #ifndef DBK_CONFIG_H
 #define DBK_CONFIG_H
 
@@ -12,63 +16,67 @@ typedef float dbk_real;
 #define DBK_MAX_DOF 8 /* controlled joints */
 #endif
 #ifndef DBK_MAX_SPHERES
-#define DBK_MAX_SPHERES 112 /* spheres that cover the body */
+#define DBK_MAX_SPHERES 112 /* collision spheres of the robot */
 #endif
 #ifndef DBK_MAX_HELD
-#define DBK_MAX_HELD 8 /* spheres that cover a held object */
+#define DBK_MAX_HELD 8 /* collision spheres of a held object */
 #endif
 #ifndef DBK_MAX_LINKS
-#define DBK_MAX_LINKS 20 /* rigid parts of the body */
+#define DBK_MAX_LINKS 20 /* rigid links of the robot */
 #endif
 #ifndef DBK_MAX_PAIRS
-#define DBK_MAX_PAIRS 96 /* link pairs that are kept apart */
+#define DBK_MAX_PAIRS 96 /* link pairs checked for self-collision */
 #endif
 #ifndef DBK_MAX_OBSTACLES
-#define DBK_MAX_OBSTACLES 512 /* a multiple of DBK_LANES; a microcontroller takes 48 */
+#define DBK_MAX_OBSTACLES 512 /* a multiple of DBK_LANES; 48 is typical on a microcontroller */
 #endif
 #ifndef DBK_MAX_ROWS
-#define DBK_MAX_ROWS 512 /* rows that may bind in one step; a multiple of DBK_LANES */
+#define DBK_MAX_ROWS 512 /* constraint rows in one step; a multiple of DBK_LANES */
 #endif
 
 #ifndef DBK_MAX_USER
-#define DBK_MAX_USER 16 /* rows that are handed in ready-made */
+#define DBK_MAX_USER 16 /* constraint rows supplied by the caller */
 #endif
 
-#ifndef DBK_MAX_VISITS
-#define DBK_MAX_VISITS 1024 /* groups of pairs that one step could bring to h = 0 */
+#ifndef DBK_MAX_REVISITS
+#define DBK_MAX_REVISITS 1024 /* groups of pairs that could reach h = 0 within one period */
 #endif
 
 #ifndef DBK_LANES
-#define DBK_LANES 8 /* a power of two; 1 where the processor has no vectors. The answers are the same. */
+#define DBK_LANES 8 /* SIMD lanes, a power of two; 1 on a processor without SIMD. The results are the same. */
 #endif
-#define DBK_PADDED(count) (((count) + DBK_LANES - 1) & ~(DBK_LANES - 1)) /* so many that vectors are full */
-#define DBK_OBSTACLE_ROOM (DBK_MAX_OBSTACLES + 2 * DBK_LANES) /* no power of two: arrays share no lines of a cache */
+/* `count` rounded up to whole SIMD vectors */
+#define DBK_PADDED(count) (((count) + DBK_LANES - 1) & ~(DBK_LANES - 1))
+/* not a power of two, so that the arrays do not map to the same cache lines */
+#define DBK_OBSTACLE_CAPACITY (DBK_MAX_OBSTACLES + 2 * DBK_LANES)
 #define DBK_ALL_SPHERES (DBK_MAX_SPHERES + DBK_MAX_HELD)
-#define DBK_SPHERE_ROOM (DBK_ALL_SPHERES + DBK_LANES) /* loops over a link's spheres may run on to a full vector */
-#define DBK_ALL_LINKS (DBK_MAX_LINKS + 1)
-#define DBK_ROW_ROOM (DBK_MAX_ROWS + DBK_LANES)       /* and so may loops over rows */
+/* loops over the spheres of a link run to the end of the last SIMD vector */
+#define DBK_SPHERE_CAPACITY (DBK_ALL_SPHERES + DBK_LANES)
+#define DBK_ALL_LINKS (DBK_MAX_LINKS + 1)           /* the robot's links and the held object */
+#define DBK_ROW_CAPACITY (DBK_MAX_ROWS + DBK_LANES) /* loops over rows run to the end of the last SIMD vector */
 #define DBK_MAX_SPANS (DBK_ALL_SPHERES + DBK_ALL_LINKS * 2 + DBK_MAX_PAIRS)
 #define DBK_QP_DIM (DBK_MAX_DOF + 1) /* joints and one slack */
-#define DBK_QP_CAP 80                /* iterations of the active set; reaching it is a fault */
+#define DBK_QP_MAX_ITERATIONS 80     /* of the active-set method; the step brakes if the QP reaches this limit */
 
-/* Tolerances. Rows are unit rows in joint space, so row tolerances are in rad/s. */
+/* Tolerances. Rows are normalised in joint space, so the tolerances of rows are in rad/s. */
 #ifdef DBK_DOUBLE
-#define DBK_QP_TOL 1e-11          /* a row violated by less counts as met inside the QP */
-#define DBK_QP_SHIFT 1e-10        /* rows are tightened by this before the QP, so that its answer meets them as written */
-#define DBK_QP_DEPENDENT 1e-9     /* sine of the angle below which a normal counts as dependent */
-#define DBK_CHECK_TOL 1e-8        /* what the independent checker forgives in a row */
+#define DBK_QP_TOL 1e-11   /* the QP treats a row as satisfied if its violation is smaller */
+#define DBK_QP_SHIFT 1e-10 /* the rows are tightened by this amount, so that the solution satisfies the original rows */
+#define DBK_QP_DEPENDENT 1e-9 /* sine of the angle below which a normal counts as linearly dependent */
+#define DBK_CHECK_TOL 1e-8    /* row violation that the independent check accepts */
 #else
 #define DBK_QP_TOL 2e-6f
 #define DBK_QP_SHIFT 8e-6f
 #define DBK_QP_DEPENDENT 1e-4f
 #define DBK_CHECK_TOL 1e-4f
 #endif
-#define DBK_GRANTED (DBK_QP_SHIFT * 4)     /* [rad/s] what a rank is granted beyond its least violation, for rounding */
-#define DBK_GIVEN_UP ((dbk_real)1e-4)      /* [m/s] a rank that is violated by less does not count as given up */
-#define DBK_ZERO_GRADIENT ((dbk_real)1e-4) /* [m/rad] a row with a smaller normal cannot be acted upon */
-#define DBK_CULL_FLOOR ((dbk_real)1e-3)    /* [m] pairs nearer than this are never culled */
-#define DBK_TRUST_TRIES 3                  /* trust boxes that are tried before the whole box is taken */
-#define DBK_TRUST ((dbk_real)0.02)         /* half the width of the trust box, as a share of v_max */
-#define DBK_FAR_OUTSIDE ((dbk_real)0.2)    /* [rad] beyond a joint limit by more: the state is not believed */
+#define DBK_RANK_TOL (DBK_QP_SHIFT * 4)    /* [rad/s] rounding allowance on the minimal violation of a rank */
+#define DBK_VIOLATION_TOL ((dbk_real)1e-4) /* [m/s] a rank counts as relaxed if its violation is larger */
+#define DBK_ZERO_GRADIENT ((dbk_real)1e-4) /* [m/rad] no joint can act on a row with a smaller normal */
+#define DBK_CULL_FLOOR ((dbk_real)1e-3)    /* [m] pairs closer than this are never culled */
+#define DBK_MAX_DISTANCE ((dbk_real)10)    /* [m] larger than the reach of any supported robot */
+#define DBK_TRUST_TRIES 3                  /* trust regions tried before the full control bounds are used */
+#define DBK_TRUST_RADIUS ((dbk_real)0.02)  /* half width of the trust region as a fraction of v_max */
+#define DBK_OUTSIDE_TOL ((dbk_real)0.2)    /* [rad] a state farther beyond a joint limit is rejected */
 
 #endif

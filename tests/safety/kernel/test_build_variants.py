@@ -70,7 +70,9 @@ def test_what_no_build_has_room_for_is_refused_with_its_number(panda):
 def test_parts_of_one_build_are_not_taken_by_another(panda, wide_only):
     """The lab's closed loops read the structures of a kernel, whose sizes are those of its build."""
     zeros = {name: np.zeros(0) for name in ("rotation", "offset", "lower", "upper", "v_max", "a_max", "frame", "first")}
-    judge = _kernel.Judge({"n": panda.n, **zeros, "pairs": np.zeros(0), "centres": np.zeros(0), "radii": np.zeros(0)})
-    parts = wide_only(panda)._kernel.parts()
-    with pytest.raises(ValueError, match="parts of a kernel of this build"):
-        judge.trial(parts, np.empty((0, 24)), {}, np.zeros(panda.n), np.empty((0, panda.n)))
+    judge = _kernel.ReferenceDistance(
+        {"n": panda.n, **zeros, "pairs": np.zeros(0), "centres": np.zeros(0), "radii": np.zeros(0)}
+    )
+    parts = wide_only(panda)._kernel.handles()
+    with pytest.raises(ValueError, match="handles of a kernel of this build"):
+        judge.run_worst_case_loop(parts, np.empty((0, 24)), {}, np.zeros(panda.n), np.empty((0, panda.n)))

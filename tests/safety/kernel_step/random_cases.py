@@ -186,7 +186,7 @@ def random_case(
 def make_kernel(model, build=_kernel64):
     """A filter of `model` that answers as `SafetyFilter` does."""
     made = build.Kernel(model)
-    made.answer_with(FilterResult, tuple(FilterStatus))
+    made.set_result_type(FilterResult, tuple(FilterStatus))
     return made
 
 
@@ -199,7 +199,7 @@ def upload_case(made, model, m):
     made.attach(np.ascontiguousarray(m.held), m.held_error)
     made.constrain(np.ascontiguousarray(m.rows))
     if m.base:
-        made.add_within(np.concatenate([m.base[0].ravel(), m.base[1]]))
+        made.set_base_pose(np.concatenate([m.base[0].ravel(), m.base[1]]))
     made.reset(m.u_prev)
 
 
@@ -212,26 +212,28 @@ def step_internals(made, n, links, extra=0.0, *, known_only=False):
     """Every number of the last step as arrays: joints and spheres cut to what there is, lists of links as lists."""
     raw = {
         part: {name: np.frombuffer(data) for name, data in fields.items()}
-        for part, fields in made.inside(extra, known_only).items()
+        for part, fields in made.debug_readout(extra, known_only).items()
     }
     room = {"joints": _kernel64.max_joints, "links": _kernel64.max_links + 1}
     shapes = {
-        ("body", "reach"): room["joints"],
-        ("body", "link_reach"): room["joints"],
-        ("body", "ball"): room["links"] - 1,
-        ("body", "scale"): room["joints"],
+        ("model", "reach"): room["joints"],
+        ("model", "link_reach"): room["joints"],
+        ("model", "bounding_sphere"): room["links"] - 1,
+        ("model", "scale"): room["joints"],
         ("motion", "twist"): room["joints"] + 1,
         ("rows", "a"): room["joints"],
         ("step", "warm"): room["joints"] + 1,
         ("step", "rotation"): room["joints"] + 1,
         ("step", "origin"): room["joints"] + 1,
         ("scene", "permit"): room["links"],
-        ("around", "index"): room["links"],
+        ("broadphase", "index"): room["links"],
     }
     for (part, name), rows in shapes.items():
         if part in raw:
             raw[part][name] = raw[part][name].reshape(rows, -1)
-    if "around" in raw:
-        counts = raw["around"]["count"].astype(int)
-        raw["around"]["near"] = [raw["around"]["index"][link, : counts[link]].astype(int) for link in range(links + 1)]
+    if "broadphase" in raw:
+        counts = raw["broadphase"]["count"].astype(int)
+        raw["broadphase"]["near"] = [
+            raw["broadphase"]["index"][link, : counts[link]].astype(int) for link in range(links + 1)
+        ]
     return raw

@@ -1,6 +1,6 @@
 """Which pairs a step looks at and which rows it states, in numpy and float64 and from definitions.
 
-A pair is left out by a lower bound of its h alone, and never in vain: lists, rows, visits and glances are sets here.
+A pair is left out by a lower bound of its h alone, and never in vain: lists, rows and revisited pairs are sets here.
 """
 
 from functools import cached_property
@@ -16,7 +16,7 @@ ZERO_GRADIENT, ROW_TIGHTENING, SPEED_ROUNDING = 1e-4, 1e-10, 1e-5
 
 
 class ReferenceRows(ReferenceStep):
-    """Lists, rows, visits and glances of one moment; `extra` [m] and `known_only` are those of a projection."""
+    """Lists, rows and revisited pairs of one moment; `extra` [m] and `known_only` are those of a projection."""
 
     extra, known_only = 0.0, False
 

@@ -27,7 +27,7 @@ def problem(rng, *, slack):
 def kernel(p, warm=(), shift=0.0):
     u = np.empty(p.n)
     rows = tuple(np.ascontiguousarray(part) for part in (p.A, p.b, p.soft))
-    found = _kernel64.solve_from(p.S, rows, p.low, p.high, p.u_nom, p.with_slack, shift, list(warm), u)
+    found = _kernel64.solve_qp_warm(p.S, rows, p.low, p.high, p.u_nom, p.with_slack, shift, list(warm), u)
     return (u, *found)
 
 

@@ -87,8 +87,8 @@ def test_own_parts_are_looked_at_again_just_as_far_as_a_period_could_bring_them(
                 (at[low][:7], at[high][:7]) for low, high in (("lower", "upper"), ("trust_lower", "trust_upper"))
             )
             visits = {
-                tuple(int(at[e][r]) for e in ("visit_first", "visit_spheres", "visit_other"))
-                for r in range(int(at["visits"][0]))
+                tuple(int(at[e][r]) for e in ("revisit_first", "revisit_spheres", "revisit_other"))
+                for r in range(int(at["revisits"][0]))
             }
             assert visits == ReferenceRows(moved, m, box, trust).revisit_pairs
             seen += 1

@@ -57,7 +57,7 @@ def test_a_step_reads_nothing_that_it_has_not_written():
         _, model, m, answer, got, _ = found
         for byte in (0xFF, 0x5A):
             made = random_cases.make_kernel(model)
-            made.stain(byte)
+            made.fill_memory(byte)
             random_cases.upload_case(made, model, m)
             again = random_cases.run_step(made, m)
             assert np.array_equal(again.u, answer.u)
@@ -75,5 +75,5 @@ def test_a_step_reads_nothing_that_it_has_not_written():
             )
             assert [getattr(again, name) for name in told] == [getattr(answer, name) for name in told]
             fresh = random_cases.step_internals(made, model["n"], len(model["link_frame"]))
-            for name in ("speed", "haste", "bend", "bound_r"):
+            for name in ("trust_speed", "max_speed", "sampling_term", "bound_r"):
                 assert np.array_equal(fresh["motion"][name][:7], got["motion"][name][:7]), name

@@ -52,12 +52,12 @@ def run_both(rng, n, links, kind, oracle=ReferenceRows, *, crowded=False):
 
 def body_and_scene(got, w):
     n, held = w.n, len(w.model["spheres"]) + 8
-    close(got["body"]["reach"][:n, :held], w.reach, "longest lever arms")
-    close(got["body"]["link_reach"][:n, : w.links + 1], w.link_reach, "longest lever arms of links")
-    close(got["body"]["ball"][: w.links], w.balls[:-1], "balls around links")
-    close(got["scene"]["held_ball"], w.balls[-1], "ball around what is held")
+    close(got["model"]["reach"][:n, :held], w.reach, "longest lever arms")
+    close(got["model"]["link_reach"][:n, : w.links + 1], w.link_reach, "longest lever arms of links")
+    close(got["model"]["bounding_sphere"][: w.links], w.local_bounding_spheres[:-1], "balls around links")
+    close(got["scene"]["held_bounding_sphere"], w.local_bounding_spheres[-1], "ball around what is held")
     frames = [*np.repeat(w.link_frame[:-1], np.diff(w.first[:-1])), *[n] * 8]
-    close(got["body"]["sphere_frame"][:held], frames, "frames of spheres")
+    close(got["model"]["sphere_frame"][:held], frames, "frames of spheres")
     scene = got["scene"]
     for j, t in enumerate(w.things):
         wanted = {
@@ -74,9 +74,9 @@ def body_and_scene(got, w):
             "radius": t.capsule_radius,
             "margin": t.margin,
             "alpha": t.alpha,
-            "error": t.error,
-            "speed": t.speed,
-            "parts": t.mask,
+            "velocity_error": t.error,
+            "max_speed": t.speed,
+            "link_mask": t.mask,
             "known": t.flags & 1,
             "moving": not t.flags & 2,
             "rank": t.rank,
@@ -107,7 +107,7 @@ def bounds(w):
 
 def motion(got, w):
     n, count = w.n, len(w.centre)
-    assert got["step"]["spheres"][0] == count
+    assert got["step"]["n_spheres"][0] == count
     close(np.stack([got["step"][e][:count] for e in "xyz"], axis=1), w.centre, "centres")
     close(got["step"]["r"][:count], w.radius, "radii")
     for f, (R, p) in enumerate(w.frames):
@@ -118,23 +118,26 @@ def motion(got, w):
     close(np.stack([told[f"a{e}"][:count] for e in "xyz"], axis=1), w.acceleration, "accelerations")
     close(told["spread"][:count], w.spread, "spread")
     close(told["twist"][: n + 1], w.twist, "twists")
-    for name in ("fast", "wide", "beyond"):
-        close(told[name][:n], getattr(w, name), name)
-    for name in ("speed", "haste", "bend"):
-        close(told[name][: w.links + 1], getattr(w, name), name)
-    bound = np.stack([told[name][: w.links + 1] for name in ("bound_x", "bound_y", "bound_z", "bound_r", "inner")], 1)
-    close(bound, w.bounds, "balls where they are")
+    close(told["joint_max_speed"][:n], w.max_joint_speed, "maximum joint speeds")
+    close(told["joint_half_width"][:n], w.half_width, "half widths of the trust region")
+    close(told["joint_excess"][:n], w.box_excess, "excess of the control bounds")
+    close(told["trust_speed"][: w.links + 1], w.trust_region_speed, "maximum speeds in the trust region")
+    close(told["max_speed"][: w.links + 1], w.max_speed, "maximum speeds")
+    close(told["sampling_term"][: w.links + 1], w.max_acceleration_term, "sampling terms")
+    parts = ("bound_x", "bound_y", "bound_z", "bound_r", "inner_distance")
+    bound = np.stack([told[name][: w.links + 1] for name in parts], 1)
+    close(bound, w.bounding_spheres, "bounding spheres at the posture")
 
 
 def lists(got, w):
-    if "around" not in got:
+    if "broadphase" not in got:
         return
-    around, count = got["around"], len(w.things)
+    around, count = got["broadphase"], len(w.things)
     places = np.stack([around[e][:count] for e in "xyz"], axis=1)
     close(places, np.array([t.place for t in w.things]), "things moved on")
     close(around["margin"][:count], [w.margin(t) for t in w.things], "margins")
     close(around["alpha"][:count], [w.alpha(t) for t in w.things], "gains")
-    assert [list(near) for near in around["near"]] == w.near
+    assert [list(near) for near in around["near"]] == w.nearby_obstacles
 
 
 def projected(made, w):
@@ -150,14 +153,14 @@ def spans(told, w, names):
     for kind, i, j in names:
         if kind == OBSTACLE:
             link = next(link for link in range(w.links + 1) if i in w.of(link))
-            social = [k for k in w.near[link] if w.things[k].plain and (link, k) not in w.m.permits]
+            social = [k for k in w.nearby_obstacles[link] if w.things[k].plain and (link, k) not in w.m.permits]
             wanted.append((0, w.link_frame[link], float(not (j in social and len(social) > len(w.of(link))))))
         elif kind == SELF:
             wanted.append((w.frame[j], w.frame[i], 1.0))
     begins = [r for r, span in enumerate(wanted) if r == 0 or span != wanted[r - 1]]
     count = int(told["n_spans"][0])
     assert told["span_first"][:count].tolist() == begins
-    got = np.stack([told[name][:count] for name in ("span_from", "span_upto", "span_several")], axis=1)
+    got = np.stack([told[name][:count] for name in ("span_first_joint", "span_end_joint", "span_many_spheres")], axis=1)
     close(got, np.array([wanted[r] for r in begins]).reshape(-1, 3), "spans")
 
 
@@ -178,7 +181,7 @@ def rows(got, w):
         close(told["h"][r], h, f"h of {name}")
         close(told["norm"][r], norm, f"norm of {name}")
         close(told["b"][r], b, f"right side of {name}")
-        assert (told["yielding"][r], told["moving"][r], told["rank"][r]) == (yields, moves, rank), name
+        assert (told["clip"][r], told["moving"][r], told["rank"][r]) == (yields, moves, rank), name
 
 
 def optimal(answer, got, w):
@@ -222,11 +225,11 @@ def test_every_number_of_a_step_is_what_it_is_defined_as(kind, size):
             rows(got, w)
             optimal(answer, got, w)
         visits = {
-            tuple(int(got["step"][e][r]) for e in ("visit_first", "visit_spheres", "visit_other"))
-            for r in range(int(got["step"]["visits"][0]))
+            tuple(int(got["step"][e][r]) for e in ("revisit_first", "revisit_spheres", "revisit_other"))
+            for r in range(int(got["step"]["revisits"][0]))
         }
         assert visits == w.revisit_pairs
-        assert got["step"]["glances"][0] == w.glances
+        assert got["step"]["narrow_phase_count"][0] == w.n_pair_checks
         seen += 1
         if seen == 3:
             return
@@ -255,7 +258,7 @@ def test_rows_are_looked_for_where_the_answer_is_expected(kind, n):
         for turn in range(2):
             bound = got["step"]["n_warm"][0] > 0
             low, high, narrowed = around(w, m.u_prev if turn and bound else m.u_nom)
-            told = got["step"]["trusted"][0]
+            told = got["step"]["trust_active"][0]
             assert told in (0, narrowed)
             inside = np.all((answer.u >= low) & (answer.u <= high))
             found_there = np.all((answer.u >= w.trust_low) & (answer.u <= w.trust_high))

@@ -44,6 +44,6 @@ BARRIER = BarrierSpec(
     alpha="as obstacle",
     margins=("sampling", "rounding"),
     source="design: contact permits by phase, declared by the skill, never by the contract",
-    implementation="safety/cbf/obstacles.py onto kernel/src/dbk_meet.c",
+    implementation="safety/cbf/obstacles.py onto kernel/src/rows/dbk_obstacle_rows.c",
     scenario=_scenario,
 )

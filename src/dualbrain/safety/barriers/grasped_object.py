@@ -38,6 +38,6 @@ BARRIER = BarrierSpec(
     alpha="as obstacle and self_collision",
     margins=("sampling", "tracking", "measurement", "age", "rounding"),
     source="design: attached at the pose measured at the grasp",
-    implementation="safety/cbf/grasped_object.py onto kernel/src/dbk_meet.c",
+    implementation="safety/cbf/grasped_object.py onto kernel/src/rows/dbk_obstacle_rows.c",
     scenario=_scenario,
 )

@@ -31,6 +31,6 @@ BARRIER = BarrierSpec(
     alpha="FilterConfig.alpha_joint, else alpha",
     margins=("tracking", "rounding"),
     source="paper 4.2; discrete braking: Del Prete, RA-L 2018",
-    implementation="kernel/src/dbk_box.c",
+    implementation="kernel/src/model/dbk_control_bounds.c",
     scenario=_scenario,
 )

@@ -40,6 +40,6 @@ BARRIER = BarrierSpec(
     alpha="none: a box on u",
     margins=(),
     source="Body: velocity, acceleration and jerk bounds with their provenance",
-    implementation="kernel/src/dbk_box.c",
+    implementation="kernel/src/model/dbk_control_bounds.c",
     scenario=_scenario,
 )

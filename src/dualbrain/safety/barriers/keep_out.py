@@ -73,6 +73,6 @@ BARRIER = BarrierSpec(
     alpha="FilterConfig.alpha",
     margins=("sampling", "tracking", "measurement", "rounding"),
     source="paper 4.2: keep-out regions; footprint discs: design 4",
-    implementation="safety/barriers/keep_out.py onto kernel/src/dbk_meet.c",
+    implementation="safety/barriers/keep_out.py onto kernel/src/rows/dbk_obstacle_rows.c",
     scenario=_scenario,
 )

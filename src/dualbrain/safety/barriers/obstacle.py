@@ -38,6 +38,6 @@ BARRIER = BarrierSpec(
     alpha="FilterConfig.alpha, or the obstacle's own; people have rank BODY",
     margins=("sampling", "tracking", "measurement", "age", "rounding"),
     source="paper 4.2; moving obstacles: ∂h/∂t = −n'v_o",
-    implementation="kernel/src/dbk_meet.c",
+    implementation="kernel/src/rows/dbk_obstacle_rows.c",
     scenario=_scenario,
 )

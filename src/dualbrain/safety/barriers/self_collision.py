@@ -40,6 +40,6 @@ BARRIER = BarrierSpec(
     alpha="FilterConfig.alpha_self, else alpha",
     margins=("sampling", "tracking", "rounding"),
     source="paper 4.2; pairs and their reasons: Body.self_pairs",
-    implementation="kernel/src/dbk_self.c",
+    implementation="kernel/src/rows/dbk_self_collision_rows.c",
     scenario=_scenario,
 )

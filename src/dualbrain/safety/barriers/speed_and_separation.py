@@ -62,6 +62,6 @@ BARRIER = BarrierSpec(
     alpha="none: a speed by distance; the obstacle barrier holds beside it",
     margins=("measurement", "age", "sampling", "rounding"),
     source="terms of ISO/TS 15066 speed and separation monitoring; no certified function",
-    implementation="kernel/src/dbk_meet.c",
+    implementation="kernel/src/rows/dbk_obstacle_rows.c",
     scenario=_scenario,
 )

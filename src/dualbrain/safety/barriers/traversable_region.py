@@ -61,6 +61,6 @@ BARRIER = BarrierSpec(
     alpha="FilterConfig.alpha",
     margins=("sampling", "tracking", "measurement", "rounding"),
     source="paper 4.2: traversable regions",
-    implementation="safety/barriers/traversable_region.py onto kernel/src/dbk_meet.c",
+    implementation="safety/barriers/traversable_region.py onto kernel/src/rows/dbk_obstacle_rows.c",
     scenario=_scenario,
 )

@@ -31,6 +31,6 @@ BARRIER = BarrierSpec(
     alpha="the user's",
     margins=(),
     source="SafetyFilter.constrain",
-    implementation="safety/cbf/rows.py onto kernel/src/dbk_rows.c",
+    implementation="safety/cbf/rows.py onto kernel/src/dbk_build_rows.c",
     scenario=_scenario,
 )

@@ -83,6 +83,6 @@ BARRIER = BarrierSpec(
     alpha="FilterConfig.alpha",
     margins=("sampling", "tracking", "rounding"),
     source="paper 4.2: end-effector height and workspace",
-    implementation="safety/barriers/workspace.py onto kernel/src/dbk_meet.c",
+    implementation="safety/barriers/workspace.py onto kernel/src/rows/dbk_obstacle_rows.c",
     scenario=_scenario,
 )

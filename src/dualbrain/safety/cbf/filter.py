@@ -330,7 +330,7 @@ class SafetyFilter:
     def _set_base_pose(self, x: float, y: float, heading: float) -> None:
         """Tell the kernel where the base stands [m, rad]."""
         c, s = cos(heading), sin(heading)
-        self._kernel.stand(np.array([c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0, x, y, 0.0]))
+        self._kernel.set_base_pose(np.array([c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0, x, y, 0.0]))
 
     # --- kinematics -------------------------------------------------------------------------------------------
 

@@ -40,7 +40,7 @@ def kernel_hash() -> str:
 def make_kernel(robot_model: RobotModel, config: FilterConfig, weight: Array | None = None) -> Kernel:
     """A kernel for `body`; `weight` is R (n, n), symmetric positive definite, by default diag(1/v_max²)."""
     kernel = select_build(robot_model, config).Kernel(kernel_model(robot_model, config, weight))
-    kernel.answer_with(FilterResult, tuple(FilterStatus))
+    kernel.set_result_type(FilterResult, tuple(FilterStatus))
     return kernel
 
 

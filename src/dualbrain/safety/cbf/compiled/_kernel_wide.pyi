@@ -1,5 +1,5 @@
-from dualbrain.safety.cbf.compiled._kernel import Judge as Judge
 from dualbrain.safety.cbf.compiled._kernel import Kernel as Kernel
+from dualbrain.safety.cbf.compiled._kernel import ReferenceDistance as ReferenceDistance
 from dualbrain.safety.cbf.compiled._kernel import distance as distance
 from dualbrain.safety.cbf.compiled._kernel import flags as flags
 from dualbrain.safety.cbf.compiled._kernel import max_joints as max_joints

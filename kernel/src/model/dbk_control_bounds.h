@@ -1,0 +1,21 @@
+/* Bounds of the control from the velocity, acceleration, jerk and position limits of the joints, and braking within
+ * them. */
+#ifndef DBK_CONTROL_BOUNDS_H
+#define DBK_CONTROL_BOUNDS_H
+
+#include "dbk_math.h"
+
+/* bounds at joint position y after the previous control u_prev; sets *conflict to 1 if a position limit requires a
+ * control outside the acceleration limits */
+void dbk_control_bounds(const dbk_model *model, const dbk_real y[DBK_MAX_DOF], const dbk_real u_prev[DBK_MAX_DOF],
+                        dbk_real lower[DBK_MAX_DOF], dbk_real upper[DBK_MAX_DOF], int32_t *conflict);
+
+/* narrows the bounds by the jerk limit; `u_change` is the previous change of the control. Returns 0 if the jerk limit
+ * conflicts with the other bounds of a joint, which then keeps the other bounds */
+int32_t dbk_jerk_bounds(const dbk_model *model, const dbk_real u_prev[DBK_MAX_DOF],
+                        const dbk_real u_change[DBK_MAX_DOF], dbk_real lower[DBK_MAX_DOF], dbk_real upper[DBK_MAX_DOF]);
+
+/* the braking control after u_prev */
+void dbk_brake(const dbk_model *model, const dbk_real u_prev[DBK_MAX_DOF], dbk_real u[DBK_MAX_DOF]);
+
+#endif

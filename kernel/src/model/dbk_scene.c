@@ -1,0 +1,110 @@
+/* Preparation of a scene: validation, and an enclosing capsule of every obstacle. */
+#include "model/dbk_model.h"
+
+void dbk_scene_clear(dbk_scene *scene) {
+  scene->ready = 0;
+  scene->moving = 0;
+  scene->n_obstacles = 0;
+  scene->n_held = 0;
+  scene->n_user = 0;
+  scene->held_error = (dbk_real)0;
+  for (int32_t l = 0; l < DBK_ALL_LINKS; ++l) {
+    for (int32_t o = 0; o < DBK_MAX_OBSTACLES; ++o) { scene->permit[l][o] = (dbk_real)-1; }
+  }
+}
+
+static int32_t obstacle_valid(const dbk_obstacle *o) {
+  int32_t valid = dbk_all_finite(o->position, 3) & dbk_all_finite(o->rotation, 9) & dbk_all_finite(o->half, 3);
+  valid &=
+      dbk_all_finite(o->velocity, 3) & dbk_finite(o->radius) & dbk_finite(o->margin) & dbk_finite(o->velocity_error);
+  valid &= (o->shape >= DBK_CAPSULE && o->shape <= DBK_HALF_SPACE);
+  valid &= (o->radius >= (dbk_real)0 && o->velocity_error >= (dbk_real)0);
+  valid &= (o->alpha >= (dbk_real)0 && o->alpha <= (dbk_real)1e6);
+  valid &= (o->reaction >= (dbk_real)0 && o->reaction <= (dbk_real)1e3);
+  valid &= (o->brake >= (dbk_real)0 && o->brake <= (dbk_real)1e6 && o->approach >= (dbk_real)0 &&
+            o->approach <= (dbk_real)1e3);
+  valid &= (o->rank >= DBK_RANK_BODY && o->rank <= DBK_RANK_TASK);
+  return valid;
+}
+
+/* The enclosing capsule of a capsule is the capsule itself. The enclosing capsule of a box has its axis along the
+ * longest edge through the centre, and its radius is half the diagonal of the cross-section. A half-space has no
+ * capsule. */
+static void set_capsule(const dbk_obstacle *o, dbk_obstacle_capsules *to, int32_t at) {
+  int32_t axis = 2;
+  to->half[at] = o->half[2];
+  to->radius[at] = o->radius;
+  if (o->shape == DBK_BOX) {
+    for (int32_t e = 0; e < 2; ++e) {
+      if (o->half[e] > o->half[axis]) { axis = e; }
+    }
+    const dbk_real *h = o->half;
+    to->half[at] = h[axis];
+    to->radius[at] = dbk_length(h[(axis + 1) % 3], h[(axis + 2) % 3], (dbk_real)0) + DBK_CULL_FLOOR * (dbk_real)0.01;
+  }
+  to->ax[at] = o->rotation[axis];
+  to->ay[at] = o->rotation[3 + axis];
+  to->az[at] = o->rotation[6 + axis];
+  to->x[at] = o->position[0];
+  to->y[at] = o->position[1];
+  to->z[at] = o->position[2];
+}
+
+/* capsules and row parameters of all obstacles; the entries after the last obstacle have an empty link mask */
+static void prepare_capsules(dbk_scene *scene) {
+  static const dbk_obstacle empty = {.shape = DBK_CAPSULE, .flags = DBK_STATIC};
+  dbk_obstacle_capsules *to = &scene->capsules;
+  to->any_half_space = to->any_separation = to->any_elongated = 0;
+  for (int32_t i = 0; i < DBK_PADDED(scene->n_obstacles); ++i) {
+    const dbk_obstacle *o = i < scene->n_obstacles ? &scene->obstacle[i] : &empty;
+    set_capsule(o, to, i);
+    to->vx[i] = o->velocity[0];
+    to->vy[i] = o->velocity[1];
+    to->vz[i] = o->velocity[2];
+    to->margin[i] = o->margin;
+    to->alpha[i] = o->alpha;
+    to->velocity_error[i] = o->velocity_error;
+    to->max_speed[i] = dbk_length(o->velocity[0], o->velocity[1], o->velocity[2]) + o->velocity_error;
+    to->link_mask[i] = o->link_mask;
+    to->known[i] = (o->flags & DBK_KNOWN) != 0;
+    to->moving[i] = !(o->flags & DBK_STATIC);
+    to->rank[i] = o->rank;
+    to->plain[i] = o->shape == DBK_CAPSULE && !(o->brake > (dbk_real)0);
+    to->static_sphere[i] = !(to->half[i] > (dbk_real)0) && !(to->max_speed[i] > (dbk_real)0);
+    to->any_half_space |= o->shape == DBK_HALF_SPACE;
+    to->any_separation |= o->brake > (dbk_real)0;
+    to->any_elongated |= to->half[i] != (dbk_real)0;
+  }
+}
+
+static int32_t held_valid(const dbk_scene *scene) {
+  if (!(scene->n_held >= 0 && scene->n_held <= DBK_MAX_HELD && dbk_finite(scene->held_error))) { return 0; }
+  return dbk_all_finite(scene->held_x, scene->n_held) & dbk_all_finite(scene->held_y, scene->n_held) &
+         dbk_all_finite(scene->held_z, scene->n_held) & dbk_all_finite(scene->held_r, scene->n_held);
+}
+
+static int32_t user_rows_valid(const dbk_scene *scene) {
+  int32_t valid = scene->n_user >= 0 && scene->n_user <= DBK_MAX_USER;
+  for (int32_t r = 0; valid && r < scene->n_user; ++r) {
+    valid &= dbk_all_finite(scene->user_a[r], DBK_MAX_DOF) & dbk_finite(scene->user_b[r]);
+    valid &= (scene->user_rank[r] >= DBK_RANK_BODY && scene->user_rank[r] <= DBK_RANK_TASK);
+  }
+  return valid;
+}
+
+/* If the scene contains an invalid value, `ready` stays 0 and every step stops the robot. */
+void dbk_scene_prepare(dbk_scene *scene) {
+  int32_t valid = scene->n_obstacles >= 0 && scene->n_obstacles <= DBK_MAX_OBSTACLES;
+  valid = valid && held_valid(scene) && user_rows_valid(scene);
+  scene->moving = 0;
+  for (int32_t o = 0; valid && o < scene->n_obstacles; ++o) {
+    valid &= obstacle_valid(&scene->obstacle[o]);
+    if (!(scene->obstacle[o].flags & DBK_STATIC)) { scene->moving = 1; }
+  }
+  if (valid) {
+    prepare_capsules(scene);
+    scene->held_bounding_sphere =
+        dbk_enclosing_sphere(scene->held_x, scene->held_y, scene->held_z, scene->held_r, scene->n_held, (dbk_real)0);
+  }
+  scene->ready = valid;
+}

@@ -1,0 +1,97 @@
+/* Independent check of a control, and the certificate of the next state. Both are independent of the QP solver. */
+#include "qp/dbk_certificate.h"
+
+#include "distance/dbk_distance.h"
+#include "model/dbk_kinematics.h"
+
+DBK_SIMD_CLONES int32_t dbk_check(const dbk_rows *rows, int32_t n, const dbk_real lower[DBK_MAX_DOF],
+                                  const dbk_real upper[DBK_MAX_DOF], const dbk_real u[DBK_MAX_DOF],
+                                  dbk_real tolerance) {
+  dbk_real value[DBK_ROW_CAPACITY];
+  const int32_t count = DBK_PADDED(rows->count); /* the padding rows never fail */
+  int32_t valid = 1, k = 0;
+  for (int32_t i = 0; i < n; ++i) { valid &= dbk_finite(u[i]) && u[i] >= lower[i] && u[i] <= upper[i]; }
+  for (int32_t r = 0; r < count; ++r) { value[r] = tolerance - rows->b[r]; }
+  for (; k + 1 < n; k += 2) { /* two columns at a time */
+    const dbk_real *restrict a = rows->a[k], *restrict b = rows->a[k + 1];
+    const dbk_real ua = u[k], ub = u[k + 1];
+    for (int32_t r = 0; r < count; ++r) { value[r] = (value[r] + a[r] * ua) + b[r] * ub; }
+  }
+  for (; k < n; ++k) {
+    for (int32_t r = 0; r < count; ++r) { value[r] += rows->a[k][r] * u[k]; }
+  }
+  for (int32_t r = 0; r < count; ++r) { valid &= value[r] >= (dbk_real)0; }
+  return valid;
+}
+
+/* the other body of a group of pairs, now and after one period */
+typedef struct {
+  dbk_obstacle now, next;
+  dbk_real margin_now, margin_next;
+} body_prediction;
+
+/* 1: every sphere first..first+count-1 has h >= 0 at the next state, or an h no smaller than now */
+static int32_t stays_safe(const dbk_sphere_set *now, const dbk_sphere_set *next, const body_prediction *p,
+                          int32_t first, int32_t count) {
+  dbk_real d[DBK_ALL_SPHERES], nx[DBK_ALL_SPHERES], ny[DBK_ALL_SPHERES], nz[DBK_ALL_SPHERES];
+  int32_t safe = 1;
+  dbk_distance(&p->next, count, next->x + first, next->y + first, next->z + first, d, nx, ny, nz);
+  for (int32_t s = 0; s < count; ++s) {
+    const dbk_real h = d[s] - next->r[first + s] - p->margin_next;
+    if (!(h >= (dbk_real)0)) {
+      dbk_real before, x, y, z;
+      dbk_distance(&p->now, 1, now->x + first + s, now->y + first + s, now->z + first + s, &before, &x, &y, &z);
+      safe &= h >= before - now->r[first + s] - p->margin_now;
+    }
+  }
+  return safe;
+}
+
+/* sphere i of the robot as an obstacle */
+static void sphere_obstacle(const dbk_sphere_set *spheres, int32_t i, dbk_obstacle *out) {
+  const dbk_obstacle shape = {.shape = DBK_CAPSULE,
+                              .flags = DBK_STATIC,
+                              .radius = spheres->r[i],
+                              .position = {spheres->x[i], spheres->y[i], spheres->z[i]}};
+  *out = shape;
+}
+
+/* The next state is y + dt u with the lag-compensated state y = q + lag v; obstacles move on for one period. Culled
+ * pairs cannot reach h = 0 within one period. */
+int32_t dbk_certify(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in,
+                    const dbk_real u[DBK_MAX_DOF]) {
+  dbk_real y[DBK_MAX_DOF];
+  dbk_frames frames;
+  int32_t safe = 1;
+  if (ctx->revisits.count == 0) { return 1; }
+  for (int32_t k = 0; k < model->n; ++k) { y[k] = (in->q[k] + model->lag * in->v[k]) + model->period * u[k]; }
+  dbk_base_frame(in, &frames);
+  dbk_fk(model, y, &frames);
+  dbk_spheres(model, scene, &frames, in->opening, &ctx->next_spheres);
+  for (int32_t c = 0; c < ctx->revisits.count; ++c) {
+    const int32_t first = ctx->revisits.first_sphere[c], count = ctx->revisits.n_spheres[c],
+                  other = ctx->revisits.other[c];
+    const dbk_real held_error = first >= model->n_spheres ? scene->held_error : (dbk_real)0;
+    body_prediction p;
+    if (other >= 0) {
+      /* an obstacle at constant velocity */
+      const dbk_obstacle *o = &scene->obstacle[other];
+      p.now = *o;
+      p.next = *o;
+      for (int32_t e = 0; e < 3; ++e) {
+        p.now.position[e] += o->velocity[e] * in->scene_age;
+        p.next.position[e] += o->velocity[e] * (in->scene_age + model->period);
+      }
+      p.margin_now = o->margin + o->velocity_error * in->scene_age + model->rounding + held_error;
+      p.margin_next = p.margin_now + o->velocity_error * model->period;
+      safe &= stays_safe(&ctx->spheres, &ctx->next_spheres, &p, first, count);
+    } else {
+      /* a sphere of the robot */
+      p.margin_now = p.margin_next = model->self_margin + model->rounding + held_error;
+      sphere_obstacle(&ctx->spheres, -1 - other, &p.now);
+      sphere_obstacle(&ctx->next_spheres, -1 - other, &p.next);
+      safe &= stays_safe(&ctx->spheres, &ctx->next_spheres, &p, first, count);
+    }
+  }
+  return safe;
+}
