@@ -21,6 +21,7 @@ from threading import Thread
 from typing import Any
 
 import msgspec
+from dualbrain.runtime.live_session import LiveSession
 from rich.console import Console
 
 from dualbrain.cli.common.paths import cache_folder
@@ -36,7 +37,6 @@ from dualbrain.grounding.scene_summary import summarise_scene
 from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import RetrievedContext
-from dualbrain.runtime.live_session import LiveSession
 from dualbrain.runtime.session import Clocks, RunConfig
 from dualbrain.skills.registry import skill_registry
 from experiments.safety.closed_loop import pick_and_place_actions

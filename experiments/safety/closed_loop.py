@@ -9,28 +9,19 @@ from functools import cache
 from typing import Any
 
 import msgspec
-import numpy as np
 
-from dualbrain.contracts.gate.authorization import PLANNER
-from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.verdict import Rejected
-from dualbrain.control.contract_executor import ContractExecutor
-from dualbrain.control.control_loop import ExecutorConfig, TickSnapshot
-from dualbrain.control.recording.flight_log import FlightLog
+from dualbrain.control.control_loop import ControlLoopConfig, LoopObserver, TickSnapshot
 from dualbrain.control.recording.trace import Trace
-from dualbrain.grounding.scene_rules import scene_rules
-from dualbrain.grounding.vocabulary import load_skill_registry, planner_grants, scene_names
 from dualbrain.records import Judgement, Outcome
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import RobotModel
-from dualbrain.safety.cbf.filter import SafetyFilter
-from dualbrain.simulation.perception.noisy_perception import NoisyPerception, PerceptionNoise
-from dualbrain.simulation.plant.factory import make_plant
+from dualbrain.runtime.assembly import SimulatedCell
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
 from dualbrain.simulation.tasks.arrival import ArrivalGoal
 from dualbrain.simulation.tasks.placement import PlacementGoal
-from dualbrain.simulation.world import SimulatedWorld
+from dualbrain.simulation.world import make_world
 from experiments.engine.experiment import Row
 
 PICK_AND_PLACE_GOAL = PlacementGoal("red_cube", "blue_bowl")
@@ -95,34 +86,19 @@ def run_contract(
 
     The filter is on unless `guard` is False; `watch` sees a moment now and then.
     """
-    robot_model = load_robot(spec.robot)
-    plant = make_plant(spec, robot_model)
-    world = SimulatedWorld(plant, NoisyPerception(spec, PerceptionNoise(), np.random.default_rng([seed, 1])), goal=goal)
-    log = FlightLog(Trace(robot_model.n, robot_model.nq))
-    layer = ContractExecutor(
-        robot_model,
-        plant,
-        world,
-        SafetyFilter(robot_model),
-        log,
-        ExecutorConfig(guard=guard),
-        on_tick=on_tick,
-        on_phase=world.set_phase,
+    model = load_robot(spec.robot)
+    cell = SimulatedCell(
+        model,
+        make_world(spec, model, seed=seed, goal=goal),
+        config=ControlLoopConfig(guard=guard),
+        observer=LoopObserver(on_tick=on_tick),
     )
-    layer.hold(settle_s)
-    verdict = _check_contract(layer, actions)
+    cell.executor.hold(settle_s)
+    verdict = cell.check(cell.contract(actions))
     if isinstance(verdict, Rejected):
-        return ContractRun(None, verdict, world.judgement(), log.trace, plant)
-    outcome = layer.execute(verdict.contract)
-    return ContractRun(outcome, None, world.judgement(), log.trace, plant)
-
-
-def _check_contract(layer: ContractExecutor, actions: list[dict[str, Any]]):
-    registry = load_skill_registry(layer.robot_model.name)
-    context = {"robot": registry.robot, "registry": registry.hash}
-    data = msgspec.json.encode({"id": "c-0001", "context": context, "action_sequence": actions})
-    gate = Gate(registry, planner_grants(registry), scene_rules(layer.scene, layer.controller))
-    return gate.check(data, names=scene_names(layer.scene), principal=PLANNER, now=layer.state.stamp)
+        return ContractRun(None, verdict, cell.judgement(), cell.log.trace, cell.plant)
+    outcome = cell.executor.execute(verdict.contract)
+    return ContractRun(outcome, None, cell.judgement(), cell.log.trace, cell.plant)
 
 
 def run_row(flight: ContractRun) -> Row:

@@ -1,7 +1,7 @@
-"""The local layer: an accepted contract becomes motion, action by action, on top of the control tick.
+"""Execution of accepted contracts: each action becomes a skill whose nominal control runs through the control loop.
 
-Nothing from a planner is believed here; a contract arrives as the gate accepted it. However it ends, the arm brakes to
-rest through the filter, and the outcome is the robot's own verdict.
+A contract arrives as the gate accepted it; nothing else from a planner is used. However a contract ends, the arm brakes
+to rest through the filter, and the outcome is the robot's own verdict.
 """
 
 from __future__ import annotations
@@ -9,96 +9,150 @@ from __future__ import annotations
 import traceback
 
 from dualbrain.contracts.contract import Action, Contract
+from dualbrain.contracts.gate.gate import Gate
+from dualbrain.contracts.verdict import Rejected
 from dualbrain.control.control_loop import IDLE_ACTION, ControlLoop
-from dualbrain.records import ActionResult, Outcome, OutcomeClass
+from dualbrain.control.executor import Grants
+from dualbrain.control.recording.flight_log import FlightLog
+from dualbrain.grounding.scene_rules import scene_rules
+from dualbrain.records import ActionResult, Outcome, OutcomeClass, Scene
+from dualbrain.robots.interface import RobotState
+from dualbrain.robots.model import RobotModel
+from dualbrain.safety.cbf.filter import FilterResult
 from dualbrain.safety.supervisor.actions import Cause, SafetyAction
 from dualbrain.safety.supervisor.checks import CHECKS
 from dualbrain.safety.supervisor.conditions import Condition
-from dualbrain.skills.registry import SkillExecution
+from dualbrain.skills.registry import SkillExecution, skill_registry
 from dualbrain.skills.skill import HeldObject, SkillResult, SkillStatus
 
 MAX_ACTION_TIME = 300.0
-"""An action that has not ended by itself after this long [s] is taken over: people may come by again and again."""
+"""Time [s] after which an action that has not ended by itself is taken over, for example by a person who keeps passing."""
 CLEARING_TIMEOUT = 0.8
-"""A new contract waits this long [s] for the conditions of an earlier stop to be gone."""
+"""Time [s] that a new contract waits for the conditions of an earlier stop to clear."""
+TIME_LIMIT_REASON = "out of time"
+"""Beginning of the reason of a contract that had not ended at the time limit."""
 INTERRUPTED_REASON = "interrupted by a person"
-"""How an action ends when a person wants the robot to stop."""
+"""Reason of an action that ended because a person wants the robot to stop."""
 OPERATOR_OUTCOMES: dict[str, OutcomeClass] = {"paused": "paused", "speed_stage": "slowed"}
-"""What a person's hand makes of a contract that was finished all the same."""
+"""Outcome of a completed contract during which the operator paused or slowed the robot, by supervisor check."""
 STOP_OUTCOMES = ("aborted", "stopped", "handed_over", "emergency")
-"""Outcomes that a fault on the way to rest does not outrank."""
+"""Outcomes that an error on the way to rest does not replace."""
 
 
-class ContractExecutor(ControlLoop):
-    """Carries contracts out."""
+class ContractExecutor:
+    """Executes contracts on a control loop in this process; implements `Executor`."""
+
+    def __init__(self, loop: ControlLoop, *, time_limit: float = float("inf")) -> None:
+        """Execute on `loop`. A contract that `loop` interrupts after its time is `time_limit` [s] has failed."""
+        self.loop, self.time_limit = loop, time_limit
+        self._last_result: FilterResult | None = None
+
+    @property
+    def robot_model(self) -> RobotModel:
+        """The robot."""
+        return self.loop.robot_model
+
+    @property
+    def scene(self) -> Scene:
+        """The newest perceived scene."""
+        return self.loop.scene
+
+    @property
+    def state(self) -> RobotState:
+        """The newest joint state."""
+        return self.loop.state
+
+    @property
+    def held_object(self) -> str | None:
+        """The name of the object in the gripper, None if the gripper is empty."""
+        return self.loop.held_object
+
+    @property
+    def log(self) -> FlightLog:
+        """Events, binding barriers and the trace of the run."""
+        return self.loop.log
+
+    def interrupted(self) -> bool:
+        """Whether a person wants the robot to stop, or the time limit is over."""
+        return self.loop.inputs.interrupted()
+
+    def hold(self, duration: float, phase: str = "hold") -> None:
+        """Hold position for `duration` [s]; the filter may still give way to a moving obstacle."""
+        self.loop.hold(duration, phase)
+
+    def gate(self, grants: Grants) -> Gate:
+        """The three-stage gate; its envelope rules use the scene and the gripper as they are when a contract is checked."""
+        return Gate(skill_registry(self.robot_model), grants, (self._check_scene_rules,))
+
+    def _check_scene_rules(self, contract: Contract) -> Rejected | None:
+        rejections = (rule(contract) for rule in scene_rules(self.scene, self.loop.controller))
+        return next((rejection for rejection in rejections if rejection), None)
 
     def execute(self, contract: Contract) -> Outcome:
-        """Carry out `contract`; the outcome is the robot's own verdict, never simulator truth.
+        """Execute `contract`; the outcome is the robot's own verdict, never simulator truth.
 
-        However it ends, the arm brakes to rest through the filter; what the drive does is the supervisor's order. What
-        raises in here is a fault: the drive goes off at once, and the outcome says what it was.
+        However the contract ends, the arm brakes to rest through the filter; the supervisor decides about the drive. An
+        exception in here is a programming error: the drive goes off at once, and the outcome names the error.
         """
         first = len(self.log.trace)
-        self._checks_during_contract.clear()
+        self.loop.begin_contract()
         self._clear_stop()
         results: list[ActionResult] = []
         kind: OutcomeClass = "succeeded"
         for index, action in enumerate(contract.action_sequence):
-            result, kind = (
-                self._execute_action(action, index) if kind == "succeeded" else (not_run_result(action), kind)
-            )
+            if kind == "succeeded":
+                result, kind = self._execute_action(action, index)
+            else:
+                result = not_run_result(action)
             results.append(result)
-        kind, fault = self._come_to_rest(kind)
-        if kind == "succeeded" and all(action.skill == "decline" for action in contract.action_sequence):
-            kind = "declined"
-        elif kind == "succeeded":
-            kind = self._completed_outcome()
+        kind, error = self._come_to_rest(kind)
+        if kind == "succeeded":
+            declined = all(action.skill == "decline" for action in contract.action_sequence)
+            kind = "declined" if declined else self._completed_outcome()
         bad = next((result for result in results if result.status not in ("done", "not_run")), results[-1])
-        return self.log.outcome(kind, fault or bad.reason, first, tuple(results))
+        reason = error or bad.reason
+        if kind == "aborted" and self._is_out_of_time():
+            kind, reason = "failed", f"{TIME_LIMIT_REASON}, {self.time_limit:.0f} s"
+        return self.log.outcome(kind, reason, first, tuple(results))
+
+    def _is_out_of_time(self) -> bool:
+        return self.state.stamp >= self.time_limit
 
     def _completed_outcome(self) -> OutcomeClass:
-        """A contract that went well, as a person's hand has it."""
+        """The outcome of a completed contract; the operator may have paused or slowed the robot."""
         for name, kind in OPERATOR_OUTCOMES.items():
-            if name in self._checks_during_contract:
+            if name in self.loop.checks_during_contract:
                 return kind
         return "succeeded"
 
     def _clear_stop(self) -> None:
-        """A new contract leads out of a stop whose condition is gone; not out of what needs a person."""
+        """Leave a stop whose condition has cleared; a stop that needs a person remains."""
         for tick in range(round(CLEARING_TIMEOUT / self.robot_model.period)):
-            if not self.safety_controller.contract_outcome:
+            if not self.loop.safety_controller.contract_outcome:
                 return
-            if tick % 2 == 0:  # pressed anew, as it counts only once the condition is gone
-                self.safety_controller.report(Condition.CONTINUE)
-            self._rest_tick("continue", IDLE_ACTION)
+            if tick % 2 == 0:  # reported repeatedly, because it counts only once the condition has cleared
+                self.loop.safety_controller.report(Condition.CONTINUE)
+            self.loop.rest_tick("continue", IDLE_ACTION)
 
     def _come_to_rest(self, kind: OutcomeClass) -> tuple[OutcomeClass, str]:
-        """Come to rest and end all permits; a fault on the way outranks every `kind` that is not a stop already.
-
-        What did not go well may have left the hand around a thing: contacts that there still are stay permitted.
-        """
+        """Come to rest and withdraw all permits; an error on the way replaces every outcome that is not a stop already."""
         try:
-            self.hold(self.config.settle_time, "settle")
-            touches = () if kind == "succeeded" else self._residual_contacts.combine(self._touches)
-            self._residual_contacts.retain(self._phase, touches, self.state, self.scene)
-            self._touches = ()
-            self._update_permits()
-            self._register_late_grasp()
+            self.hold(self.loop.config.settle_time, "settle")
+            self.loop.end_contract(succeeded=kind == "succeeded")
         except Exception as error:
-            why = self._stop_on_fault(error).reason
-            return (kind, "") if kind in STOP_OUTCOMES else ("stopped", why)
+            reason = self._stop_on_fault(error).reason
+            return (kind, "") if kind in STOP_OUTCOMES else ("stopped", reason)
         return kind, ""
 
-    # --- one action ---------------------------------------------------------------------------------------------
+    # --- one action -----------------------------------------------------------------------------------------------
 
     def _execute_action(self, action: Action, index: int) -> tuple[ActionResult, OutcomeClass]:
         started, first = self.state.stamp, len(self.log.trace)
         self.log.note(started, "action", f"{action.skill} {format_parameters(action)}", index=index)
-        self._roles = action_roles(action, self.controller.holding)
-        self._skill = action.skill
+        self.loop.begin_action(action.skill, action_roles(action, self.loop.controller.holding))
         try:
-            self._update_obstacles()
-            ending = self._run_skill(SkillExecution(self.controller, action.skill, action.params), index)
+            self.loop.update_obstacles()
+            ending = self._run_skill(SkillExecution(self.loop.controller, action.skill, action.params), index)
         except Exception as error:
             ending = self._stop_on_fault(error)
         self.log.note(self.state.stamp, "action", f"{action.skill}: {ending.reason}", status=ending.status.value)
@@ -108,74 +162,67 @@ class ContractExecutor(ControlLoop):
             SkillStatus.TAKEN_OVER: "taken_over",
             SkillStatus.RUNNING: self._interrupted_outcome(ending),
         }
-        status = "stopped" if ending.status is SkillStatus.RUNNING else ending.status.value
-        kind = kinds[ending.status]
-        Delta = self.log.mean_delta(first)
-        return ActionResult(
+        result = ActionResult(
             skill=action.skill,
-            status=status,
+            status="stopped" if ending.status is SkillStatus.RUNNING else ending.status.value,
             reason=ending.reason,
             started=started,
             ended=self.state.stamp,
-            Delta=Delta,
-        ), kind
+            Delta=self.log.mean_delta(first),
+        )
+        return result, kinds[ending.status]
 
     def _interrupted_outcome(self, ending: SkillResult) -> OutcomeClass:
         """The outcome of an action that neither ended by itself nor was taken over."""
-        return (
-            "aborted" if ending.reason == INTERRUPTED_REASON else self.safety_controller.contract_outcome or "stopped"
-        )
+        if ending.reason == INTERRUPTED_REASON:
+            return "aborted"
+        return self.loop.safety_controller.contract_outcome or "stopped"
 
-    def _run_skill(self, running: SkillExecution, index: int) -> SkillResult:
-        """Tick until the story ends or is ended; an end by the supervisor's order has status RUNNING."""
-        end = self.state.stamp + MAX_ACTION_TIME
+    def _run_skill(self, execution: SkillExecution, index: int) -> SkillResult:
+        """Tick until the skill ends or is ended; a skill that the supervisor ends has the status RUNNING."""
+        loop, period = self.loop, self.robot_model.period
+        deadline = self.state.stamp + MAX_ACTION_TIME
         while not self.interrupted():
-            if why := self._supervisor_result():
-                return why
-            if (
-                self.safety_controller.decision.action >= SafetyAction.HOVER
-            ):  # paused: the story waits, and so does its patience
-                self._rest_tick("paused", index)
-                self._paused_time, end = self._paused_time + self.robot_model.period, end + self.robot_model.period
+            if result := self._supervisor_result():
+                return result
+            if loop.safety_controller.decision.action >= SafetyAction.HOVER:  # a pause stops the skill and its patience
+                loop.rest_tick("paused", index)
+                loop.add_paused_time(period)
+                deadline += period
                 continue
-            nominal = running.nominal(self._observation())
-            self._mark_part("skills")
+            nominal = execution.nominal(loop.observation())
+            loop.observer.mark_part("skills")
             if isinstance(nominal, SkillResult):
                 return nominal
-            if self.state.stamp > end:
-                return SkillResult(SkillStatus.TAKEN_OVER, f"{self._phase}: not done after {MAX_ACTION_TIME:.0f} s")
-            self._last_result = self._rest_tick("think", index) if nominal is None else self._tick(nominal, index)
-            if self.safety_controller.scale_applied < 1.0:
-                self._paused_time += (1.0 - max(0.0, self.safety_controller.scale_applied)) * self.robot_model.period
+            if self.state.stamp > deadline:
+                return SkillResult(SkillStatus.TAKEN_OVER, f"{loop.phase}: not done after {MAX_ACTION_TIME:.0f} s")
+            self._last_result = loop.rest_tick("think", index) if nominal is None else loop.tick(nominal, index)
+            if loop.safety_controller.scale_applied < 1.0:
+                loop.add_paused_time((1.0 - max(0.0, loop.safety_controller.scale_applied)) * period)
         self.log.note(self.state.stamp, "takeover", "interrupted by a person: braking to rest")
         return SkillResult(SkillStatus.RUNNING, INTERRUPTED_REASON)
 
     def _supervisor_result(self) -> SkillResult | None:
-        """How the supervisor ends the contract, if it does."""
-        ending = self.safety_controller.contract_outcome
-        if not ending:
+        """The result by which the supervisor ends the contract, None while it does not."""
+        outcome = self.loop.safety_controller.contract_outcome
+        if not outcome:
             return None
-        check = next(
-            check
-            for check in reversed(CHECKS)
-            if check.name in self.safety_controller.supervisor.tripped_checks and check.contract_outcome
-        )
+        tripped = self.loop.safety_controller.supervisor.tripped_checks
+        check = next(one for one in reversed(CHECKS) if one.name in tripped and one.contract_outcome)
         detail = f": {self._last_result.explain()}" if check.cause is Cause.FILTER and self._last_result else ""
-        status = SkillStatus.TAKEN_OVER if ending == "taken_over" else SkillStatus.RUNNING
+        status = SkillStatus.TAKEN_OVER if outcome == "taken_over" else SkillStatus.RUNNING
         return SkillResult(status, f"{check.description}{detail}")
 
     def _stop_on_fault(self, error: Exception) -> SkillResult:
-        """A fault of the program or of its inputs: the drive goes off at once, and what it was is noted."""
-        self.robot.stop()
-        self._drive_on = False
-        self.safety_controller.report(Condition.PROGRAM_ERROR)
-        why = f"{type(error).__name__}: {error}"
-        self.log.note(self.state.stamp, "fault", why, traceback=traceback.format_exc())
-        return SkillResult(SkillStatus.RUNNING, why)
+        """Switch the drive off at once after an exception, and record its type, text and traceback."""
+        self.loop.stop_on_fault()
+        reason = f"{type(error).__name__}: {error}"
+        self.log.note(self.state.stamp, "fault", reason, traceback=traceback.format_exc())
+        return SkillResult(SkillStatus.RUNNING, reason)
 
 
 def action_roles(action: Action, holding: HeldObject | None) -> dict[str, str | None]:
-    """What the action is about: its target and its destination, by name."""
+    """Names of the objects of an action by role: its target and its destination."""
     params = action.params
     target = params.get("object") or params.get("target") or (holding.name if holding else None)
     destination = params.get("destination")
@@ -183,14 +230,14 @@ def action_roles(action: Action, holding: HeldObject | None) -> dict[str, str | 
 
 
 def format_parameters(action: Action) -> str:
-    """Its parameters, for the log."""
+    """The parameters of an action, for the log."""
     return ", ".join(
         f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in action.params.items()
     )
 
 
 def not_run_result(action: Action) -> ActionResult:
-    """What is said of an action that never began."""
+    """The result of an action that never began."""
     return ActionResult(
         skill=action.skill,
         status="not_run",

@@ -1,7 +1,7 @@
-"""The control tick: what is sensed becomes a filtered control, and time goes on by a period.
+"""The control loop: each tick reads sensors, filters the nominal control, writes it, and lets one period pass.
 
-One tick: order → skill's nominal control φ(c, x) → filter → write → log → advance → sense. Whatever is wrong becomes a
-condition, and the supervisor's order decides what is done about it, the same in lockstep and in real time.
+One tick: supervisor decision → skill's nominal control φ(c, x) → filter → write → record → advance → sense. Every
+hazard becomes a condition, and the supervisor's decision says what is done about it, in lockstep and in real time alike.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from dualbrain.skills.registry import make_controller
 from dualbrain.skills.skill import HeldObject, Nominal, Observation, PermittedContact
 
 RELEASE_SETTLING_TIME = 0.5
-"""For this long after it was let go a thing is believed to fall and roll [s]."""
+"""Time [s] after a release during which the released object is assumed to fall and roll."""
 GROUND_PLANE = plane("the ground", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), parts=("arm", "hand", "fingers", "held"))
-"""What an arm on a base is kept above; a bolted arm has its table."""
+"""Obstacle of a mobile manipulator; an arm that is bolted down has its table."""
 IDLE_ACTION = -1
 """Action index of ticks outside a contract."""
 
 
 class WorldInterface(Protocol):
-    """The world beyond the robot: how it is perceived and how time passes."""
+    """The environment of the robot: how it is perceived, and how time passes."""
 
     def perceive(self) -> Scene:
         """The scene as perceived now."""
@@ -51,7 +51,7 @@ class WorldInterface(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TickSnapshot:
-    """What an onlooker may see of a tick."""
+    """One tick as an observer sees it."""
 
     state: RobotState
     scene: Scene
@@ -62,24 +62,54 @@ class TickSnapshot:
     order: SupervisorDecision = NO_ACTION
 
 
-@dataclass(frozen=True, slots=True)
-class ExecutorConfig:
-    """`guard` False writes the nominal control unfiltered (the paper's B1).
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ControlLoopConfig:
+    """Settings of a control loop.
 
-    A look comes every `look_every` [s], onlookers see a moment every `watch_every` [s]; a contract ends with `settle`
-    [s] of rest.
+    `guard` False writes the nominal control unfiltered (the paper's B1). `perception_period` [s] is the time between two
+    perceived scenes, `snapshot_period` [s] that between two snapshots for observers, `settle_time` [s] the time at rest
+    after a contract. `timing` holds the limits on delays of the robot's interface.
     """
 
     guard: bool = True
     perception_period: float = 0.033
     snapshot_period: float = 0.020
     settle_time: float = 0.6
+    timing: Timing = SIMULATED
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopObserver:
+    """Callbacks of a control loop; none of them can change what the loop does.
+
+    `on_tick` gets a snapshot every `snapshot_period`, `on_phase` the name of a new phase and the objects in it by role,
+    `mark_part` the name of the part of a tick that has just ended.
+    """
+
+    on_tick: Callable[[TickSnapshot], None] | None = None
+    on_phase: Callable[[str, dict[str, str | None]], None] | None = None
+    mark_part: Callable[[str], None] = lambda part: None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopInputs:
+    """Inputs of a control loop beside the robot and the world.
+
+    `interrupted`: whether a person wants the robot to stop. `external_conditions`: the `Condition` bits that hold
+    outside the loop (operator, connections), read once per tick. `clock` [s] is the loop's own, independent of the
+    robot's stamps; without a clock the stamp of the newest state is the time.
+    """
+
+    interrupted: Callable[[], bool] = lambda: False
+    external_conditions: Callable[[], int] = lambda: 0
+    clock: Callable[[], float] | None = None
 
 
 class ControlLoop:
-    """Owns the tick: senses, what the filter is told of them, the order, the control, the log.
+    """Runs the ticks of one robot.
 
-    State: the newest joint state and scene, the phase with its permits, what the hand holds, what was left over.
+    State: the newest joint state and scene, the phase with its permitted contacts, the grasped object, and the contacts
+    that an interrupted skill left.
     """
 
     def __init__(
@@ -89,83 +119,109 @@ class ControlLoop:
         world: WorldInterface,
         safety: SafetyFilter,
         log: FlightLog,
-        config: ExecutorConfig,
-        *,
-        on_tick: Callable[[TickSnapshot], None] | None = None,
-        on_phase: Callable[[str, dict[str, str | None]], None] | None = None,
-        interrupted: Callable[[], bool] = lambda: False,
-        clock: Callable[[], float] | None = None,
-        external_conditions: Callable[[], int] = lambda: 0,
-        timing: Timing = SIMULATED,
-        mark_part: Callable[[str], None] = lambda part: None,
+        config: ControlLoopConfig = ControlLoopConfig(),
+        observer: LoopObserver = LoopObserver(),
+        inputs: LoopInputs = LoopInputs(),
     ) -> None:
-        """Bind everything and look around once; the robot is not moved. `interrupted`: a person wants it to stop.
-
-        `asked` gives the `Condition` bits that hold outside (operator, link), once a tick. `clock` [s] is the layer's
-        own, independent of the robot's stamps; without one, the newest state's stamp is the time. `lap` hears what part
-        of a tick has just been done.
-        """
+        """Connect all parts and perceive the scene once; the robot does not move."""
         self.robot_model, self.robot, self.world, self.safety = robot_model, robot, world, safety
-        self.log, self.config = log, config
+        self.log, self.config, self.observer, self.inputs = log, config, observer, inputs
         self._perception_ticks, self._snapshot_ticks = (
             max(1, round(every / robot_model.period)) for every in (config.perception_period, config.snapshot_period)
         )
         self.controller = make_controller(robot_model, safety)
         self._ground_obstacles = (GROUND_PLANE,) if robot_model.is_mobile_manipulator else ()
-        self.interrupted, self._external_conditions, self._clock, self._mark_part = (
-            interrupted,
-            external_conditions,
-            clock,
-            mark_part,
-        )
-        self.safety_controller = SafetyController(safety, timing=timing)
+        self.safety_controller = SafetyController(safety, timing=config.timing)
+        self.checks_during_contract: set[str] = set()
         self._drive_on = True
-        self._checks_during_contract: set[str] = set()
         self._paused_time = 0.0
         self._last_decision = NO_ACTION
-        self._on_tick = on_tick
-        self._on_phase = on_phase
         self._roles: dict[str, str | None] = {}
-        self._phase = ""
-        self._touches: tuple[PermittedContact, ...] = ()
+        self._phase, self._skill = "", ""
+        self._contacts: tuple[PermittedContact, ...] = ()
         self._residual_contacts = ResidualContacts(safety)
         self._holding: HeldObject | None = None
         self._ticks = 0
-        self._skill = ""
         self.state = robot.read()
         self._tool_state, self._tool = self.state, safety.tool(self.state.q)
         self._scene_smoother, self._scene_monitor = SceneSmoother(), SceneMonitor()
-        self._last_result: FilterResult | None = None
         self._released: tuple[str, float] = ("", -RELEASE_SETTLING_TIME)
         self.scene = self._scene_smoother.update(world.perceive())
         self._scene_monitor.update(self.scene)
-        self._update_obstacles()
+        self.update_obstacles()
         self._read_sensors()
-
-    # --- one tick -----------------------------------------------------------------------------------------------
-
-    def hold(self, duration: float, phase: str = "hold") -> None:
-        """Stand still for `duration` [s] (while the planner thinks, or to settle); the filter may still yield.
-
-        Contacts that the last phase allowed stay allowed: a hand that was stopped around a thing is still around it.
-        """
-        self._skill = phase
-        for _ in range(round(duration / self.robot_model.period)):
-            self._rest_tick(phase, IDLE_ACTION)
 
     @property
     def now(self) -> float:
-        """The layer's own time [s]."""
-        return self._clock() if self._clock else self.state.stamp
+        """The loop's time [s]."""
+        return self.inputs.clock() if self.inputs.clock else self.state.stamp
 
-    def _rest_tick(self, phase: str, action: int) -> FilterResult:
-        """One tick of standing still; contacts that the last phase allowed stay allowed."""
+    @property
+    def phase(self) -> str:
+        """The phase of the running or last skill."""
+        return self._phase
+
+    @property
+    def held_object(self) -> str | None:
+        """The name of the object in the gripper, None if the gripper is empty."""
+        return self.controller.holding.name if self.controller.holding else None
+
+    # --- for the executor of contracts ---------------------------------------------------------------------------
+
+    def begin_contract(self) -> None:
+        """Forget which checks tripped during the contract before."""
+        self.checks_during_contract.clear()
+
+    def begin_action(self, skill: str, roles: dict[str, str | None]) -> None:
+        """Name the running skill and the objects in it by role."""
+        self._skill, self._roles = skill, roles
+
+    def end_contract(self, *, succeeded: bool) -> None:
+        """Withdraw all contact permits; after a failure, contacts that still exist stay permitted."""
+        contacts = () if succeeded else self._residual_contacts.combine(self._contacts)
+        self._residual_contacts.retain(self._phase, contacts, self.state, self.scene)
+        self._contacts = ()
+        self._update_permits()
+        self._register_late_grasp()
+
+    def stop_on_fault(self) -> None:
+        """Switch the drive off at once after a programming error."""
+        self.robot.stop()
+        self._drive_on = False
+        self.safety_controller.report(Condition.PROGRAM_ERROR)
+
+    def add_paused_time(self, seconds: float) -> None:
+        """Time [s] that does not count for the patience of the running skill."""
+        self._paused_time += seconds
+
+    def observation(self) -> Observation:
+        """The newest state, scene and tool pose for the running skill."""
+        if self._tool_state is not self.state:
+            self._tool_state, self._tool = self.state, self.safety.tool(self.state.q)
+        return Observation(
+            state=self.state, scene=self.scene, now=self.state.stamp, tool=self._tool, paused_time=self._paused_time
+        )
+
+    # --- one tick -------------------------------------------------------------------------------------------------
+
+    def hold(self, duration: float, phase: str = "hold") -> None:
+        """Hold position for `duration` [s], during planning or to settle; the filter may still give way.
+
+        Contacts that the last phase permitted stay permitted: a hand that was stopped around an object still touches it.
+        """
+        self._skill = phase
+        for _ in range(round(duration / self.robot_model.period)):
+            self.rest_tick(phase, IDLE_ACTION)
+
+    def rest_tick(self, phase: str, action: int) -> FilterResult:
+        """One tick at rest; contacts that the last phase permitted stay permitted."""
         nominal = self.controller.rest(phase)
-        return self._tick(replace(nominal, phase=self._phase or phase, contacts=self._touches), action)
+        return self.tick(replace(nominal, phase=self._phase or phase, contacts=self._contacts), action)
 
-    def _tick(self, nominal: Nominal, action: int) -> FilterResult:
+    def tick(self, nominal: Nominal, action: int) -> FilterResult:
+        """One tick with the control `nominal` of the action with index `action`."""
         now = self.now
-        order = self._decide(now)
+        decision = self._decide(now)
         if nominal.phase != self._phase or nominal.holding is not self._holding:
             self._update_phase_and_grasp(nominal)
             nominal = replace(nominal, u=self.controller.reproject(nominal.u))
@@ -174,141 +230,125 @@ class ControlLoop:
         if self.safety_controller.drive_wanted:
             self.robot.write(Command(result.u, nominal.opening, nominal.force))
         self._mark_part("write")
-        self.log.extra_rows(now, self.safety.extra_rows)
-        self.log.tick(
-            now,
-            self.state,
-            nominal.u,
-            result,
-            action,
-            nominal.phase,
-            order=order.action,
-            scale_applied=self.safety_controller.scale_applied,
-        )
-        self._mark_part("record")
-        if self._on_tick and self._ticks % self._snapshot_ticks == 0:
-            self._on_tick(
-                TickSnapshot(
-                    state=self.state,
-                    scene=self.scene,
-                    nominal=nominal,
-                    result=result,
-                    action=action,
-                    skill=self._skill,
-                    order=order,
-                )
-            )
-            self._mark_part("show")
+        self._record(now, nominal, result, action, decision)
         self.world.advance()
         self._ticks += 1
         self._read_sensors()
         self._mark_part("sense")
         return result
 
+    def _record(
+        self, now: float, nominal: Nominal, result: FilterResult, action: int, decision: SupervisorDecision
+    ) -> None:
+        """Record the tick, and show it to the observer now and then."""
+        scale = self.safety_controller.scale_applied
+        self.log.extra_rows(now, self.safety.extra_rows)
+        self.log.tick(
+            now, self.state, nominal.u, result, action, nominal.phase, order=decision.action, scale_applied=scale
+        )
+        self._mark_part("record")
+        if self.observer.on_tick and self._ticks % self._snapshot_ticks == 0:
+            snapshot = TickSnapshot(
+                state=self.state,
+                scene=self.scene,
+                nominal=nominal,
+                result=result,
+                action=action,
+                skill=self._skill,
+                order=decision,
+            )
+            self.observer.on_tick(snapshot)
+            self._mark_part("show")
+
+    def _mark_part(self, part: str) -> None:
+        self.observer.mark_part(part)
+
     def _decide(self, now: float) -> SupervisorDecision:
-        """This tick's order, told when it is another one; the drive follows it."""
-        asked = self._external_conditions()
+        """The supervisor's decision of this tick, reported when it changes; the drive follows it."""
+        conditions = self.inputs.external_conditions()
         self._mark_part("door")
-        if self.interrupted():
-            asked |= Condition.INTERRUPT
-        order = self.safety_controller.decide(self.state, now, asked)
-        if order is not self._last_decision:
-            self._last_decision = order
-            self._checks_during_contract.add(order.check)
-            self.log.note(
-                self.state.stamp,
-                "order",
-                f"{order.action.name}: {order.check or 'all clear'}",
-                action=order.action.name,
-                cause=order.cause.value,
-                check=order.check,
-            )
+        if self.inputs.interrupted():
+            conditions |= Condition.INTERRUPT
+        decision = self.safety_controller.decide(self.state, now, conditions)
+        if decision is not self._last_decision:
+            self._last_decision = decision
+            self.checks_during_contract.add(decision.check)
+            name = decision.action.name
+            text = f"{name}: {decision.check or 'all clear'}"
+            cause, check = decision.cause.value, decision.check
+            self.log.note(self.state.stamp, "order", text, action=name, cause=cause, check=check)
         if self.safety_controller.drive_wanted != self._drive_on:
-            self._drive_on = self.safety_controller.drive_wanted
-            (self.robot.enable if self._drive_on else self.robot.stop)()
-            self.log.note(
-                self.state.stamp,
-                "fault" if not self._drive_on else "order",
-                "drive on, standing" if self._drive_on else "drive off, brakes on",
-            )
+            self._switch_drive(on=self.safety_controller.drive_wanted)
         self._mark_part("supervisor")
-        return order
+        return decision
+
+    def _switch_drive(self, *, on: bool) -> None:
+        self._drive_on = on
+        (self.robot.enable if on else self.robot.stop)()
+        kind, text = ("order", "drive on, standing") if on else ("fault", "drive off, brakes on")
+        self.log.note(self.state.stamp, kind, text)
 
     def _read_sensors(self) -> None:
-        """Take in the newest joint state and, now and then, the scene; what cannot be is flagged and not used."""
+        """Read the newest joint state and, every perception period, the scene; implausible data is reported and not used."""
         state = self.robot.read()
-        now = self._clock() if self._clock else state.stamp
+        now = self.inputs.clock() if self.inputs.clock else state.stamp
         if self.safety_controller.accept_state(state, now):
             self.state = state
         if self._ticks % self._perception_ticks == 0:
             self._perceive()
         self.safety_controller.report(self._scene_monitor.age_conditions(self.scene, now))
-        self.controller.observe(self._observation())
+        self.controller.observe(self.observation())
 
     def _perceive(self) -> None:
-        seen = self.world.perceive()
-        if wrong := self._scene_monitor.update(seen):
-            self.safety_controller.report(wrong)
+        scene = self.world.perceive()
+        if conditions := self._scene_monitor.update(scene):
+            self.safety_controller.report(conditions)
             return
-        self.scene = self._scene_smoother.update(seen, self._moving_objects())
+        self.scene = self._scene_smoother.update(scene, self._moving_objects())
         self.log.scene(self.scene)
         if self._residual_contacts.update(self.state, self.scene):
             self._update_permits()
         self._register_late_grasp()
-        self._update_obstacles()
+        self.update_obstacles()
 
     def _register_late_grasp(self) -> None:
-        """Fingers that were stopped while closing hold the thing as soon as both press on it."""
-        if self._residual_contacts.closing_target and self.controller.detect_grasp(
-            self._residual_contacts.closing_target
-        ):
-            self.log.note(self.state.stamp, "phase", f"{self._residual_contacts.closing_target} is held after a stop")
+        """Detect a grasp that completes after the skill was stopped: both fingers press on the object."""
+        target = self._residual_contacts.closing_target
+        if target and self.controller.detect_grasp(target):
+            self.log.note(self.state.stamp, "phase", f"{target} is held after a stop")
             self._residual_contacts.closing_target = ""
 
-    def _observation(self) -> Observation:
-        if self._tool_state is not self.state:
-            self._tool_state, self._tool = self.state, self.safety.tool(self.state.q)
-        return Observation(
-            state=self.state, scene=self.scene, now=self.state.stamp, tool=self._tool, paused_time=self._paused_time
-        )
-
     def _moving_objects(self) -> tuple[str, ...]:
-        """What moves with the hand, or has just left it."""
+        """Names of the objects that move with the hand or were released just now."""
         name, when = self._released
         fallen = (name,) if self.state.stamp - when < RELEASE_SETTLING_TIME else ()
         return (self._holding.name, *fallen) if self._holding else fallen
 
     def _update_phase_and_grasp(self, nominal: Nominal) -> None:
-        """A new phase or a changed grip: what the filter keeps apart changes with it."""
+        """Follow a new phase or a changed grasp: the pairs that the filter keeps apart change with it."""
         if nominal.phase != self._phase:
             self._enter_phase(nominal)
         if nominal.holding is not self._holding:
             self._set_grasped_object(nominal.holding)
 
     def _enter_phase(self, nominal: Nominal) -> None:
-        """A new phase: its contact permits replace the old ones."""
-        self._phase, self._touches = nominal.phase, nominal.contacts
+        """Replace the contact permits by those of the new phase."""
+        self._phase, self._contacts = nominal.phase, nominal.contacts
         self._update_permits()
         self.log.note(self.state.stamp, "phase", f"{self._skill}: {nominal.phase}")
-        if self._on_phase:
-            self._on_phase(
-                nominal.phase,
-                {
-                    **self._roles,
-                    "held": nominal.holding.name if nominal.holding else None,
-                    "left": self._residual_contacts.object_in_fingers,
-                },
-            )
+        if self.observer.on_phase:
+            held, left = nominal.holding.name if nominal.holding else None, self._residual_contacts.object_in_fingers
+            self.observer.on_phase(nominal.phase, {**self._roles, "held": held, "left": left})
 
     def _update_permits(self) -> None:
-        """The contacts of the phase, and those left over."""
-        touches = self._residual_contacts.combine(self._touches)
-        contacts = [Contact(touch.robot_part, touch.obstacle, touch.speed) for touch in touches]
+        """Permit the contacts of the phase and the residual ones."""
+        permitted = self._residual_contacts.combine(self._contacts)
+        contacts = [Contact(one.robot_part, one.obstacle, one.speed) for one in permitted]
         self.log.call(self.state.stamp, "permit", permits=contacts)
         self.safety.permit(contacts)
 
     def _set_grasped_object(self, holding: HeldObject | None) -> None:
-        """Attach what was grasped as part of the body, at the pose perceived at the grasp; or detach it."""
+        """Attach the grasped object to the robot at the pose perceived at the grasp, or detach it."""
         if self._holding and holding is None:
             self._released = (self._holding.name, self.state.stamp)
         self._holding = holding
@@ -316,16 +356,16 @@ class ControlLoop:
             self.log.call(self.state.stamp, "detach")
             self.safety.detach()
         else:
-            thing, tool = self.scene.find(holding.name), self.safety.tool(self.state.q)
-            spheres = cover_with_spheres(thing, tool.position, tool.rotation)
-            self.log.call(self.state.stamp, "attach", spheres=spheres, error=thing.error)
-            self.safety.attach(spheres, thing.error)
-        self._update_obstacles()
+            obj, tool = self.scene.find(holding.name), self.safety.tool(self.state.q)
+            spheres = cover_with_spheres(obj, tool.position, tool.rotation)
+            self.log.call(self.state.stamp, "attach", spheres=spheres, error=obj.error)
+            self.safety.attach(spheres, obj.error)
+        self.update_obstacles()
 
-    def _update_obstacles(self) -> None:
-        """Hand the perceived scene to the filter; what this action is about is known to φ."""
+    def update_obstacles(self) -> None:
+        """Report the perceived scene to the filter; the objects of the running action are known to the controller φ."""
         held = self._holding.name if self._holding else None
-        supports = {thing.name for thing in self.scene.objects if thing.role == "support"}
+        supports = {obj.name for obj in self.scene.objects if obj.role == "support"}
         known = (
             supports
             | {name for name in self._roles.values() if name}
@@ -339,5 +379,5 @@ class ControlLoop:
         self.safety.observe(obstacles, stamp)
 
     def _mapped_obstacles(self) -> set[str]:
-        """A base knows its room: what stands there for good is known to φ."""
-        return {thing.name for thing in self.scene.objects if self.robot_model.is_mobile and thing.role == "obstacle"}
+        """Fixed obstacles of a mobile base's room, which its controller knows."""
+        return {obj.name for obj in self.scene.objects if self.robot_model.is_mobile and obj.role == "obstacle"}

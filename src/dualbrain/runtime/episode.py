@@ -1,193 +1,171 @@
-"""The whole loop on one screen: words → recall → propose → gate → motion → outcome → memory (paper 3.4).
+"""The episode loop on one screen: instruction → retrieval → proposal → gate → execution → outcome → memory (paper 3.4).
 
-Data flows one way; what seems to flow back is a value: a refusal in the second prompt, a weight read next time.
+Data flows one way. Feedback is a value: a rejection in the second prompt, a weight that the next retrieval reads.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, get_args
+from typing import get_args
 
 import msgspec
 
 from dualbrain.contracts.contract import Contract, ContractHeader
 from dualbrain.contracts.gate.authorization import PLANNER
-from dualbrain.contracts.gate.gate import Gate
-from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.verdict import Accepted, Rejected, Stage, Verdict
-from dualbrain.control.contract_executor import ContractExecutor
-from dualbrain.control.gatekeeper.remote_executor import RemoteExecutor, RemoteGate
+from dualbrain.control.executor import ContractGate, Executor, Grants
 from dualbrain.core.text import storable_text
 from dualbrain.grounding.outcome_check import check_outcome
-from dualbrain.grounding.scene_rules import scene_rules
 from dualbrain.grounding.vocabulary import planner_grants, scene_names
 from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.memory.embedding.posture_features import Posture
 from dualbrain.memory.memory import StoreReport
 from dualbrain.planner.prompt.full_prompt import MAX_RECALLED
-from dualbrain.planner.protocol import STOP, Planner, has_answer
+from dualbrain.planner.protocol import STOP, has_answer
+from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Attempt, Episode, FailureFeedback, Judgement, Outcome, Proposal
-from dualbrain.runtime.planner_request import PassageRetriever, PlanningContext, Retriever, build_request, retrieve
+from dualbrain.runtime.agent import Agent
+from dualbrain.runtime.planner_request import PlanningContext, build_request, retrieve
 from dualbrain.runtime.planning_time import PlanningClock, decision_timings
 from dualbrain.runtime.replanning import should_retry
 from dualbrain.skills.registry import skill_registry
 
 STAGES = get_args(Stage)
-"""The gate's stages, in their order."""
+"""The stages of the gate, in their order."""
 CONTRACT_LIFETIME = 660.0
-"""A contract that was not accepted within this time of the question is too old [s]; planners give up before."""
-
-
-class ContractGate(Protocol):
-    """What a proposal has to pass: the gate, or what stands in its place where methods are compared."""
-
-    def check(self, data: bytes, *, names: SceneNames, principal: str, now: float, header: ContractHeader) -> Verdict:
-        """The word on `data`; never raises on any bytes."""
-        ...
-
-
-class EpisodicMemory(Retriever, Protocol):
-    """What the loop asks of memory; `memory.store.Memory` is one, and a baseline may have one that keeps nothing."""
-
-    def store(self, episode: Episode, state: Posture, *, now: float, image: ImageFeatures | None = None) -> StoreReport:
-        """Keep the episode, and let its outcome teach."""
-        ...
+"""Time [s] after the request at which a contract that was not accepted expires; planners time out earlier."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpisodeRequest:
-    """What is asked, its name and date: the words, how many shots the planner has, how many memories it is shown.
+    """One instruction and the limits on its episode.
 
-    No `exemplars`: nothing is recalled, warnings neither, as for a contract that is given; an outcome teaches only what
-    stood in a prompt. `tries` contracts may still be carried out for it; `setback` is what became of the one before.
+    `started` is its date (ISO 8601), `now` [s, 1970 UTC] the time under which memory stores it. The planner has
+    `max_shots` proposals and is shown at most `max_exemplars` memories (0: neither exemplars nor warnings, as for a
+    given contract). `tries_left` contracts may still be executed for the instruction, this one included; `setback` is
+    the feedback on the one before. `grants` says who may call which skill; by default the planner may call every one.
     """
 
     id: str
     started: str
     instruction: str
     seed: int
+    now: float = 0.0
     max_shots: int = 2
     max_exemplars: int = MAX_RECALLED
     tries_left: int = 1
     setback: FailureFeedback | None = None
+    grants: Grants | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class GroundTruth:
-    """What only a simulation has: it hears of the accepted contract, judges on truth at the end, knows the versions."""
+    """The part of an episode that only a simulation has.
+
+    `start_contract` gets the accepted contract, `judge` returns the judgement on ground truth at the end, `versions`
+    are the versions in use, `image_features` what the robot's camera sees before planning, if it has one.
+    """
 
     start_contract: Callable[[Contract], None]
     judge: Callable[[], Judgement | None]
     versions: dict[str, str]
     image_features: Callable[[], ImageFeatures | None] = lambda: None
-    """What the robot's camera sees before it plans, if it has one."""
 
 
 def run_episode(
-    episode_request: EpisodeRequest,
-    planner: Planner,
-    memory: EpisodicMemory,
-    executor: ContractExecutor | RemoteExecutor,
-    planning_clock: PlanningClock,
-    ground_truth: GroundTruth,
-    save: Callable[[Episode], None],
-    *,
-    now: float,
-    retrieve_passages: PassageRetriever = lambda instruction, summary: (),
-    allowed_skills: Mapping[str, frozenset[str]] | None = None,
-    wrap_gate: Callable[[Gate | RemoteGate], ContractGate] | None = None,
+    request: EpisodeRequest, agent: Agent, executor: Executor, clock: PlanningClock, ground_truth: GroundTruth
 ) -> tuple[Episode, StoreReport]:
-    """Carry one instruction through the loop; `now` [s, 1970 UTC] stamps what memory writes.
+    """Run one instruction through the loop; returns the episode and what memory changed.
 
-    `look_up` gives the passages of documents that bear on the instruction in this scene. `granted` says who may call
-    which skill; by default the planner may call every one. `door` puts another door in the gate's place (evaluation). A
-    try that another one follows is not judged.
-
-    The episode is handed to `keep` before memory has it: what moved is on record, whatever happens to the ledger.
+    An episode that is followed by another try of the same instruction is not judged.
     """
     registry, scene = skill_registry(executor.robot_model), executor.scene
-    held = executor.controller.holding.name if executor.controller.holding else None
     posture = Posture(tuple(executor.state.q.tolist()), executor.state.opening)
-    here = PlanningContext(
+    context = PlanningContext(
         robot_model=executor.robot_model,
         scene=scene,
-        holding=held,
+        holding=executor.held_object,
         posture=posture,
         image=ground_truth.image_features(),
     )
-    recall, retrieval = planning_clock.measure(
-        lambda: retrieve(episode_request.instruction, here, memory, episode_request.max_exemplars, retrieve_passages)
+    recall, retrieval_s = clock.measure(
+        lambda: retrieve(request.instruction, context, agent.memory, request.max_exemplars, agent.retrieve_passages)
     )
-    gate = _gate(executor, registry, planner_grants(registry) if allowed_skills is None else allowed_skills)
-    gate = wrap_gate(gate) if wrap_gate else gate
-    request = build_request(episode_request.instruction, here, recall, episode_request.setback)
-    bound = executor.log.binding.copy()
-    attempts: list[Attempt] = []
-    verdict: Verdict | None = None
-    for shot in range(1, episode_request.max_shots + 1):
-        asked = executor.state.stamp
-        proposal = planning_clock.wait_for(executor, lambda ask=request: planner.propose(ask))
-        if proposal is None:
-            break
-        header = ContractHeader(
-            sequence=shot,
-            issued=asked,
-            expires=asked + CONTRACT_LIFETIME,
-            principal=PLANNER,
-            scene_version=scene.version,
-        )
-        verdict, gate_s = planning_clock.measure(
-            lambda text=proposal, header=header: _check(
-                gate, text, scene_names(executor.scene), executor.state.stamp, header
-            )
-        )
-        attempts.append(Attempt(msgspec.structs.replace(proposal, text=storable_text(proposal.text)), verdict, gate_s))
-        executor.log.attempt(executor.state.stamp, attempts[-1])
-        executor.log.note(executor.state.stamp, "verdict", _format_verdict(shot, verdict))
-        if isinstance(verdict, Accepted) or not has_answer(proposal):
-            break
-        request = msgspec.structs.replace(request, refusal=verdict, contract_id=f"c-{shot + 1:04d}")
+    binding_before = executor.log.binding.copy()
+    plan_request = build_request(request.instruction, context, recall, request.setback)
+    attempts, verdict = _propose(request, agent, executor, clock, plan_request, scene.version)
     contract = verdict.contract if isinstance(verdict, Accepted) else None
     if contract:
         ground_truth.start_contract(contract)
     outcome = executor.execute(contract) if contract else _outcome_without_motion(executor, attempts)
     episode = Episode(
-        id=episode_request.id,
-        started=episode_request.started,
-        instruction=episode_request.instruction,
+        id=request.id,
+        started=request.started,
+        instruction=request.instruction,
         robot=executor.robot_model.name,
         registry=registry.hash,
-        seed=episode_request.seed,
+        seed=request.seed,
         scene=scene,
-        summary=here.summary,
+        summary=context.summary,
         recall=recall,
         attempts=tuple(attempts),
         contract=msgspec.to_builtins(contract) if contract else None,
         outcome=outcome,
-        judgement=None if should_retry(outcome, episode_request.tries_left) else ground_truth.judge(),
-        timings=decision_timings(attempts, retrieval) | {"motion": outcome.duration},
+        judgement=None if should_retry(outcome, request.tries_left) else ground_truth.judge(),
+        timings=decision_timings(attempts, retrieval_s) | {"motion": outcome.duration},
         versions=ground_truth.versions,
-        binding=dict(executor.log.binding - bound),
+        binding=dict(executor.log.binding - binding_before),
         second_opinion=check_outcome(executor.scene, contract, outcome),
-        setback=episode_request.setback,
+        setback=request.setback,
     )
-    save(episode)
-    return episode, memory.store(episode, posture, now=now, image=here.image)
+    return episode, agent.memory.store(episode, posture, now=request.now, image=context.image)
 
 
-def _gate(
-    layer: ContractExecutor | RemoteExecutor, registry: SkillRegistry, granted: Mapping[str, frozenset[str]]
-) -> Gate | RemoteGate:
-    """The gate before this layer: a gatekeeper has its own, to which bytes are only brought."""
-    if isinstance(layer, RemoteExecutor):
-        return RemoteGate(layer.client)
-    return Gate(registry, granted, (lambda contract: _check_scene_rules(contract, layer),))
+def _propose(
+    request: EpisodeRequest,
+    agent: Agent,
+    executor: Executor,
+    clock: PlanningClock,
+    plan_request: PlanRequest,
+    scene_version: int,
+) -> tuple[list[Attempt], Verdict | None]:
+    """Request contracts until the gate accepts one, the planner gives no answer, or all shots are used."""
+    registry = skill_registry(executor.robot_model)
+    gate = executor.gate(planner_grants(registry) if request.grants is None else request.grants)
+    attempts: list[Attempt] = []
+    verdict: Verdict | None = None
+    for shot in range(1, request.max_shots + 1):
+        requested_at = executor.state.stamp
+        proposal = clock.wait_for(executor, lambda ask=plan_request: agent.planner.propose(ask))
+        if proposal is None:
+            break
+        header = ContractHeader(
+            sequence=shot,
+            issued=requested_at,
+            expires=requested_at + CONTRACT_LIFETIME,
+            principal=PLANNER,
+            scene_version=scene_version,
+        )
+        verdict, gate_s = clock.measure(
+            lambda text=proposal, header=header: _check(
+                gate, text, scene_names(executor.scene), executor.state.stamp, header
+            )
+        )
+        text = storable_text(proposal.text)
+        attempts.append(Attempt(msgspec.structs.replace(proposal, text=text), verdict, gate_s))
+        executor.log.attempt(executor.state.stamp, attempts[-1])
+        executor.log.note(executor.state.stamp, "verdict", _format_verdict(shot, verdict))
+        if isinstance(verdict, Accepted) or not has_answer(proposal):
+            break
+        contract_id = f"c-{shot + 1:04d}"
+        plan_request = msgspec.structs.replace(plan_request, refusal=verdict, contract_id=contract_id)
+    return attempts, verdict
 
 
 def reject_incomplete(proposal: Proposal) -> Rejected | None:
-    """Why there is no contract to check: the answer was cut, timed out or crashed; None if it is whole."""
+    """The rejection of an answer that was cut, timed out or crashed; None for a complete answer."""
     if proposal.finish_reason == STOP:
         return None
     return Rejected(
@@ -199,32 +177,24 @@ def reject_incomplete(proposal: Proposal) -> Rejected | None:
     )
 
 
-def _check(
-    gate: Gate | RemoteGate | ContractGate, proposal: Proposal, names: SceneNames, now: float, header: ContractHeader
-) -> Verdict:
-    """The gate's word on a proposal."""
+def _check(gate: ContractGate, proposal: Proposal, names: SceneNames, now: float, header: ContractHeader) -> Verdict:
+    """The gate's verdict on a proposal."""
     data = proposal.text.encode("utf-8", "surrogatepass")
     return reject_incomplete(proposal) or gate.check(data, names=names, principal=PLANNER, now=now, header=header)
 
 
-def _outcome_without_motion(layer: ContractExecutor | RemoteExecutor, attempts: Sequence[Attempt]) -> Outcome:
-    """The outcome when no contract was accepted: nothing has moved.
+def _outcome_without_motion(executor: Executor, attempts: Sequence[Attempt]) -> Outcome:
+    """The outcome when no contract was accepted and the robot did not move.
 
-    A planner that gave no answer is a fault, of which nothing is learnt; one whose answer was refused is not.
+    A planner without an answer is a fault, which teaches memory nothing; a rejected contract teaches it.
     """
-    if layer.interrupted():
+    if executor.interrupted():
         return Outcome(kind="aborted", reason="interrupted by a person before a contract was accepted")
     if not attempts:
         return Outcome(kind="rejected", reason=_format_verdict(0, None))
     if not has_answer(attempts[-1].proposal):
         return Outcome(kind="stopped", reason=f"the planner gave no answer: {attempts[-1].proposal.finish_reason}")
     return Outcome(kind="rejected", reason=_format_verdict(len(attempts), attempts[-1].verdict))
-
-
-def _check_scene_rules(contract: Contract, layer: ContractExecutor) -> Rejected | None:
-    """The first of the scene's rules that refuses, by the scene and the hand as they are at this moment."""
-    refusals = (rule(contract) for rule in scene_rules(layer.scene, layer.controller))
-    return next((refusal for refusal in refusals if refusal), None)
 
 
 def _format_verdict(shot: int, verdict: Verdict | None) -> str:

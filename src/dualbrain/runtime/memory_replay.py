@@ -17,17 +17,9 @@ import numpy as np
 
 from dualbrain.adaptation.curation.sample import Sample
 from dualbrain.contracts.contract import Contract
-from dualbrain.contracts.gate.authorization import PLANNER
-from dualbrain.contracts.gate.gate import Gate
-from dualbrain.contracts.verdict import Accepted, Rejected
-from dualbrain.control.contract_executor import ContractExecutor
-from dualbrain.control.control_loop import ExecutorConfig
-from dualbrain.control.recording.flight_log import FlightLog
-from dualbrain.control.recording.trace import Trace
+from dualbrain.contracts.verdict import Rejected
 from dualbrain.errors import ConfigurationError
 from dualbrain.grounding.outcome_check import check_outcome
-from dualbrain.grounding.scene_rules import scene_rules
-from dualbrain.grounding.vocabulary import load_skill_registry, planner_grants, scene_names
 from dualbrain.memory.embedding.posture_features import Posture
 from dualbrain.memory.ledger.events import ReplayFinding
 from dualbrain.memory.ledger.ledger import LedgerReader
@@ -36,12 +28,9 @@ from dualbrain.memory.state.derivation import derive_state
 from dualbrain.memory.state.state import MemoryState
 from dualbrain.records import Outcome, Scene
 from dualbrain.robots.loader import load_robot
-from dualbrain.robots.model import RobotModel
-from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.runtime.assembly import CellOptions, SimulatedCell, open_world
 from dualbrain.simulation.perception.noisy_perception import NoisyPerception, PerceptionNoise
-from dualbrain.simulation.plant.factory import make_plant
 from dualbrain.simulation.scenes.from_memory import scene_from_memory
-from dualbrain.simulation.world import SimulatedWorld
 
 POSITION_SPREAD = 0.003
 """Standard deviation of the shifts of things between tries [m]: that of perception."""
@@ -125,43 +114,25 @@ def run_alternative(ledger: LedgerReader, memory: MemoryState, contract: dict[st
 def _run_once(
     stored: _StoredPayload, contract: dict[str, Any] | None, robot: str, rng: np.random.Generator
 ) -> ReplayTry:
-    robot_model = load_robot(robot)
+    model = load_robot(robot)
     spec = scene_from_memory(stored.episode.scene, rng, position_spread=POSITION_SPREAD)
-    plant = make_plant(spec, robot_model, visuals=False)
-    plant.set_configuration(np.asarray(stored.state.q), stored.state.opening)
-    world = SimulatedWorld(plant, NoisyPerception(spec, PerceptionNoise(), rng))
-    layer = ContractExecutor(
-        robot_model,
-        plant,
-        world,
-        SafetyFilter(robot_model),
-        FlightLog(Trace(robot_model.n, robot_model.nq)),
-        ExecutorConfig(),
-        on_phase=world.set_phase,
+    configuration = (np.asarray(stored.state.q), stored.state.opening)
+    options = CellOptions(
+        perception=lambda plant: NoisyPerception(spec, PerceptionNoise(), rng), configuration=configuration
     )
-    layer.hold(0.5)
-    accepted = _check_contract(layer, robot_model, contract)
-    if isinstance(accepted, Rejected):
-        return ReplayTry("refused", None, accepted.hint)
-    outcome = layer.execute(accepted)
-    return ReplayTry(_outcome_kind(layer, accepted, outcome), outcome.Delta, outcome.reason)
+    cell = SimulatedCell(model, open_world(spec, model, options))
+    cell.executor.hold(0.5)
+    verdict = cell.check(contract or {})
+    if isinstance(verdict, Rejected):
+        return ReplayTry("refused", None, verdict.hint)
+    outcome = cell.executor.execute(verdict.contract)
+    return ReplayTry(_outcome_kind(cell.executor.scene, verdict.contract, outcome), outcome.Delta, outcome.reason)
 
 
-def _outcome_kind(layer: ContractExecutor, contract: Contract, outcome: Outcome) -> str:
-    """The outcome as memory would have it: a success that the eyes dispute is none."""
-    disputed = outcome.kind == "succeeded" and check_outcome(layer.scene, contract, outcome) == "disagrees"
+def _outcome_kind(scene: Scene, contract: Contract, outcome: Outcome) -> str:
+    """The outcome as memory would store it: a success that the outcome check disputes does not count as one."""
+    disputed = outcome.kind == "succeeded" and check_outcome(scene, contract, outcome) == "disagrees"
     return "disputed" if disputed else outcome.kind
-
-
-def _check_contract(
-    layer: ContractExecutor, robot_model: RobotModel, contract: dict[str, Any] | None
-) -> Contract | Rejected:
-    """The contract through today's gate: a memory that no longer passes it is no memory to follow."""
-    registry = load_skill_registry(robot_model.name)
-    gate = Gate(registry, planner_grants(registry), scene_rules(layer.scene, layer.controller))
-    data, names = msgspec.json.encode(contract), scene_names(layer.scene)
-    said = gate.check(data, names=names, principal=PLANNER, now=layer.state.stamp)
-    return said.contract if isinstance(said, Accepted) else said
 
 
 def make_replay_evaluator(

@@ -1,7 +1,7 @@
-"""How time passes while the planner thinks: the control loop never waits for it.
+"""Time during planning: the control loop never waits for the planner.
 
-In lockstep the arm stands still for a fixed simulated time, so that results do not depend on the machine; paced, it
-stands still for as long as the planner really takes.
+In lockstep the arm holds position for a fixed simulated time, so that results do not depend on the machine; in real time
+it holds position for as long as the planner takes.
 """
 
 from __future__ import annotations
@@ -12,14 +12,13 @@ from dataclasses import dataclass
 from threading import Thread
 from typing import Protocol, TypeVar
 
-from dualbrain.control.contract_executor import ContractExecutor
-from dualbrain.control.gatekeeper.remote_executor import RemoteExecutor
+from dualbrain.control.executor import Executor
 from dualbrain.records import Attempt
 
 T = TypeVar("T")
 
 PLANNING_TIME = 2.0
-"""Simulated seconds that a decision takes in lockstep (design 8)."""
+"""Simulated time [s] that a decision takes in lockstep."""
 
 
 class Clock(Protocol):
@@ -32,16 +31,16 @@ class Clock(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class PlanningClock:
-    """`measured` False: lockstep. The clock only measures; it steers nothing."""
+    """Runs the planner beside the control loop. `measured` False: lockstep; then `clock` only measures."""
 
     clock: Clock
     measured: bool = False
     planning_time: float = PLANNING_TIME
 
-    def wait_for(self, executor: ContractExecutor | RemoteExecutor, ask: Callable[[], T]) -> T | None:
-        """The answer of `ask`, called on a thread of its own while the arm stands still; None when a person interrupts.
+    def wait_for(self, executor: Executor, ask: Callable[[], T]) -> T | None:
+        """The result of `ask`, called on a thread of its own while the arm holds position; None if a person interrupts.
 
-        Nobody waits for a thread that was left behind by an interruption: it ends with the process.
+        After an interruption the thread is not joined; it ends with the process.
         """
         answer: Future[T] = Future()
         Thread(target=_set_future, args=(answer, ask), name="planner", daemon=True).start()
@@ -55,16 +54,16 @@ class PlanningClock:
         return None if executor.interrupted() else answer.result()
 
     def measure(self, do: Callable[[], T]) -> tuple[T, float]:
-        """The result of `do` and how long it took [s]."""
+        """The result of `do` and its duration [s]."""
         start = self.clock()
         return do(), self.clock() - start
 
 
 def _set_future(answer: Future[T], ask: Callable[[], T]) -> None:
-    """Put into `answer` what `ask` returns or raises."""
+    """Set `answer` to the result or the exception of `ask`."""
     try:
         answer.set_result(ask())
-    except BaseException as error:  # it is raised where the answer is read
+    except BaseException as error:  # raised where the answer is read
         answer.set_exception(error)
 
 
@@ -76,30 +75,30 @@ LATENCY_PARTS = {
     "planner_rest": "rest of the planner",
     "gate": "validation",
 }
-"""The parts of a decision by their keys in the timings of an episode, with their words, in their order."""
+"""Labels of the parts of a decision by their keys in the timings of an episode, in order."""
 
 
 def decision_timings(attempts: Sequence[Attempt], retrieval: float) -> dict[str, float]:
-    """Times of a decision [s], added up over its shots.
+    """Times of a decision [s], summed over its shots.
 
-    decision = retrieval + planner + gate; planner = load + prefill + decode + rest, as far as the planner tells them
-    (`planner_load`, …); without being told anything, the whole of it is rest. In lockstep no time passes for the robot.
+    decision = retrieval + planner + gate; planner = load + prefill + decode + rest, as far as the planner reports them
+    (`planner_load`, …); a planner that reports no parts has only the rest. In lockstep no time passes for the robot.
     """
-    told = [attempt.proposal.timings for attempt in attempts]
-    names = dict.fromkeys(name for one in told for name in one if name != "total" and not name.endswith("_tokens"))
-    parts = {f"planner_{name}": sum(one.get(name, 0.0) for one in told) for name in names}
-    planner, gate = sum(one.get("total", 0.0) for one in told), sum(attempt.gate_s for attempt in attempts)
+    reported = [attempt.proposal.timings for attempt in attempts]
+    names = dict.fromkeys(name for one in reported for name in one if name != "total" and not name.endswith("_tokens"))
+    parts = {f"planner_{name}": sum(one.get(name, 0.0) for one in reported) for name in names}
+    planner, gate = sum(one.get("total", 0.0) for one in reported), sum(attempt.gate_s for attempt in attempts)
     parts["planner_rest"] = max(0.0, planner - sum(parts.values()))
     return {"retrieval": retrieval, "planner": planner, **parts, "gate": gate, "decision": retrieval + planner + gate}
 
 
 def latency_breakdown(spent: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
-    """The parts of a decision in words with their times [s], those that were measured, in their order."""
+    """The measured parts of a decision, labelled, with their times [s], in order."""
     return tuple((words, spent[name]) for name, words in LATENCY_PARTS.items() if name in spent)
 
 
 def format_timings(spent: Mapping[str, float]) -> str:
-    """One line for people: "decided in 12.3 s: retrieval 0.04 s, prefill 4.1 s, …"; "" if nothing was decided."""
+    """One line such as "decided in 12.3 s: retrieval 0.04 s, prefill 4.1 s, …"; "" without a decision."""
     parts = ", ".join(f"{words} {_format_seconds(value)}" for words, value in latency_breakdown(spent) if value > 0.0)
     return f"decided in {_format_seconds(spent['decision'])}: {parts}" if parts and "decision" in spent else ""
 

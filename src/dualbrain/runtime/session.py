@@ -1,4 +1,4 @@
-"""A session: everything one run needs, opened in the order in which things can go wrong, closed whatever happens."""
+"""A session: everything that one run needs, opened before any motion and closed in every case."""
 
 from __future__ import annotations
 
@@ -11,15 +11,11 @@ from types import TracebackType
 from typing import Self
 
 import msgspec
-import numpy as np
 
 from dualbrain import __version__
 from dualbrain.adaptation.serving.open_planner import open_planner, planner_provenance
 from dualbrain.contracts.registry import is_narrower
-from dualbrain.control.contract_executor import ContractExecutor
-from dualbrain.control.control_loop import ExecutorConfig
 from dualbrain.control.recording.flight_log import FlightLog
-from dualbrain.control.recording.recorder import Recorder
 from dualbrain.control.recording.trace import Trace
 from dualbrain.core import weights
 from dualbrain.core.text import storable_text
@@ -31,7 +27,7 @@ from dualbrain.knowledge.library import Library
 from dualbrain.memory.config import MemoryConfig
 from dualbrain.memory.embedding.image_encoder import IMAGE_WEIGHTS, ImageEncoder
 from dualbrain.memory.embedding.image_features import ImageFeatures
-from dualbrain.memory.embedding.posture_features import PostureLimits
+from dualbrain.memory.embedding.posture_features import Posture, PostureLimits
 from dualbrain.memory.embedding.text_encoder import MiniLmEncoder
 from dualbrain.memory.ledger.ledger import Ledger
 from dualbrain.memory.ledger.runs import InterruptedRun
@@ -41,41 +37,49 @@ from dualbrain.memory.plasticity.rule import Plasticity
 from dualbrain.planner.prompt.full_prompt import MAX_RECALLED, conditional_text_hash, template_hash
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.scripted import FixedContractPlanner
-from dualbrain.records import Episode, FailureFeedback, Passage
+from dualbrain.records import Episode, Passage
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.site_config import read_site
+from dualbrain.runtime.agent import Agent
+from dualbrain.runtime.backend import Backend, RunContext, RunningRobot
 from dualbrain.runtime.config import Clocks, RunConfig, RunObserver, RunResult
 from dualbrain.runtime.counterfactual import CounterfactualQueries
-from dualbrain.runtime.episode import EpisodeRequest, GroundTruth, run_episode
-from dualbrain.runtime.planning_time import PLANNING_TIME, PlanningClock
-from dualbrain.runtime.replanning import TryResult, run_tries
-from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.runtime.episode import EpisodeRequest, run_episode
+from dualbrain.runtime.replanning import Try, successive_tries
+from dualbrain.runtime.simulated_backend import SimulatedBackend
 from dualbrain.safety.cbf.kernel import kernel_hash
 from dualbrain.safety.integration.site import site_obstacles, site_robot, site_skill_grants
-from dualbrain.simulation.perception.noisy_perception import NoisyPerception, PerceptionNoise
 from dualbrain.simulation.perception.rendering import Camera
-from dualbrain.simulation.plant.factory import make_plant
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.simulation.scenes.scene_spec import save_scene
 from dualbrain.simulation.tasks.multi_goal import parse_goals
-from dualbrain.simulation.world import SimulatedWorld
+from dualbrain.simulation.world import make_world
 from dualbrain.skills.registry import skill_registry
 
+TryResult = tuple[Episode, StoreReport]
 RUN_FILES = ("config.json", "scene.json", "episode.mcap", "episode.json", "report.html")
-"""What a run leaves in its folder."""
+"""Files of a run folder."""
 __all__ = ["RUN_FILES", "RunResult", "RunObserver", "RunConfig", "Session", "Clocks"]
 
 
 class Session:
-    """One robot, one scene, one planner, one memory."""
+    """One instruction on one robot, in one scene, with one planner and one memory."""
 
     def __init__(
-        self, config: RunConfig, clocks: Clocks, environ: Mapping[str, str], planner: Planner | None = None
+        self,
+        config: RunConfig,
+        clocks: Clocks,
+        environ: Mapping[str, str],
+        planner: Planner | None = None,
+        backend: Backend | None = None,
     ) -> None:
-        """Open everything; raises `MissingPart`, `InvalidSetup` or `UnknownName` before anything has moved.
+        """Open everything that a run needs, before any motion.
 
-        A `planner` that is handed in serves this session and stays open; otherwise the configured one is opened.
+        A `planner` that is passed in stays open; otherwise the configured planner is opened and closed. `backend` moves
+        the robot, by default the simulator of this process.
+        Raises `MissingDependencyError`, `ConfigurationError` and `UnknownNameError`.
         """
+        self.backend = backend or SimulatedBackend()
         out = config.out if config.out.name not in ("", "..") else config.out.resolve()  # a run needs a name
         self.config, self.clocks = replace(config, instruction=storable_text(config.instruction), out=out), clocks
         self._stack = ExitStack()
@@ -115,15 +119,16 @@ class Session:
         self.memory = Memory(
             ledger, encoder, MemoryConfig(limits=(PostureLimits.from_model(self.robot_model),), plasticity=rule)
         )
-        self.plant = make_plant(self.spec, self.robot_model, visuals=config.visuals)
-        perception = NoisyPerception(self.spec, PerceptionNoise(), np.random.default_rng([config.seed, 1]))
-        self.world = SimulatedWorld(self.plant, perception, goal=goal, pace=self.clocks.pace)
+        self.world = make_world(
+            self.spec, self.robot_model, seed=config.seed, goal=goal, visuals=config.visuals, pace=self.clocks.pace
+        )
+        self.plant = self.world.plant
         self.interrupted_runs: tuple[InterruptedRun, ...] = ()
 
     def _open_library(self, encoder: MiniLmEncoder) -> Library | None:
-        """The documents, if something is to be taken from them."""
-        asked = self.config.consult and self.config.contract is None
-        if self.config.knowledge is None or not (asked or self.config.map):
+        """The documents, if passages or a map are requested."""
+        requested = self.config.consult and self.config.contract is None
+        if self.config.knowledge is None or not (requested or self.config.map):
             return None
         library = open_library(self.config.knowledge, encoder, now=self.clocks.now())
         self._stack.callback(library.close)
@@ -149,113 +154,82 @@ class Session:
         )
 
     def run(self, observer: RunObserver) -> RunResult:
-        """Run the instruction; the run folder holds config, scene, recording and episode when this returns."""
+        """Run the instruction; afterwards the run folder holds configuration, scene, recording and episodes."""
         config, out = self.config, self.config.out
-        out.joinpath("config.json").write_bytes(
-            msgspec.json.format(msgspec.json.encode(config, enc_hook=str), indent=2)
-        )
+        encoded = msgspec.json.encode(config, enc_hook=str)
+        out.joinpath("config.json").write_bytes(msgspec.json.format(encoded, indent=2))
         save_scene(self.spec, out / "scene.json")
-        self.interrupted_runs = self.ledger.start_run(
-            out.name, {"instruction": config.instruction}, now=self.clocks.now()
-        )
-        trace = Trace(self.robot_model.n, self.robot_model.nq)
-        with Recorder(out / "episode.mcap", trace, when_full="wait") as recorder:
-            log = FlightLog(trace, recorder, observer.on_event)
-            about = {"robot": config.robot, "guard": config.guard, "instruction": config.instruction}
-            if config.site:
-                about |= {"body": self.robot_model, "standing": self.fixed_obstacles}
-            recorder.episode(0.0, {**about, "versions": self._versions()})
-            try:
-                tries = self._run_episodes(log, observer)
-            finally:
-                self.plant.stop()
-        return self._finish(tries, trace)
+        about = {"instruction": config.instruction}
+        self.interrupted_runs = self.ledger.start_run(out.name, about, now=self.clocks.now())
+        context = self._context()
+        with self.backend.start(context, observer) as robot:
+            results = self._run_tries(robot)
+        return self._finish(results, self.backend.trace(context))
 
-    def _finish(self, tries: tuple[TryResult, ...], trace: Trace) -> RunResult:
-        """The end of a run: what its last try was, after what became of the memories in its prompt."""
-        *earlier, (episode, stored) = tries
+    def interrupt(self) -> None:
+        """Make the robot stop for a person: it brakes to rest, the drive goes off, and everything is recorded."""
+        self._stop_requested = True
+
+    def _context(self) -> RunContext:
+        return RunContext(
+            config=self.config,
+            clocks=self.clocks,
+            robot_model=self.robot_model,
+            spec=self.spec,
+            world=self.world,
+            fixed_obstacles=self.fixed_obstacles,
+            versions=self._versions(),
+            image_features=self._image_features,
+            interrupted=lambda: self._stop_requested,
+        )
+
+    def _run_tries(self, robot: RunningRobot) -> list[TryResult]:
+        """Run every try of the instruction; a given contract is tried once."""
+        agent = Agent(self.planner, _SavingMemory(self.memory, self._save_episode), self._retrieve_passages)
+        log, executor = robot.executor.log, robot.executor
+        results: list[TryResult] = []
+        episodes: list[Episode] = []
+        for one in successive_tries(self.config.out.name, 1 if self.config.contract else self.config.tries, episodes):
+            if one.setback:
+                reason = f"{one.setback.outcome.replace('_', ' ')}: {one.setback.undone}: {one.setback.reason}"
+                details = msgspec.structs.asdict(one.setback)
+                log.note(executor.state.stamp, "planner", f"planning again: {reason}", **details)
+            result = run_episode(self._episode_request(one), agent, executor, robot.clock, robot.ground_truth)
+            _log_weight_changes(log, executor.state.stamp, result[1])
+            results.append(result)
+            episodes.append(result[0])
+        return results
+
+    def _episode_request(self, one: Try) -> EpisodeRequest:
+        """The request of one try; a given contract has one shot, and nothing is retrieved for it."""
+        config, given = self.config, self.config.contract is not None
+        return EpisodeRequest(
+            id=one.name,
+            started=self.clocks.started,
+            instruction=config.instruction,
+            seed=config.seed,
+            now=self.clocks.now(),
+            max_shots=1 if given else config.shots,
+            max_exemplars=0 if given else MAX_RECALLED,
+            tries_left=one.tries_left,
+            setback=one.setback,
+            grants=self.grants,
+        )
+
+    def _finish(self, results: list[TryResult], trace: Trace) -> RunResult:
+        """The result of the run: its last try, with the use of the memories in its prompt if that was requested."""
+        *earlier, (episode, stored) = results
         episode = self._with_memory_uses(episode)
         self.ledger.end_run({"outcome": episode.outcome.kind}, now=self.clocks.now())
         return RunResult(episode, stored, trace, tuple(one for one, _ in earlier))
 
-    def interrupt(self) -> None:
-        """A person wants the robot to stop: it brakes to rest, the drive goes off, and everything is recorded."""
-        self._stop_requested = True
-
-    def _run_episodes(self, log: FlightLog, onlooker: RunObserver) -> tuple[TryResult, ...]:
-        config, world = self.config, self.world
-
-        def phase_changed(phase: str, roles: dict[str, str | None]) -> None:
-            world.set_phase(phase, roles)
-            onlooker.on_phase(phase)
-
-        layer = ContractExecutor(
-            self.robot_model,
-            self.plant,
-            world,
-            SafetyFilter(self.robot_model, fixed_obstacles=self.fixed_obstacles),
-            log,
-            ExecutorConfig(guard=config.guard),
-            on_tick=onlooker.on_tick,
-            on_phase=phase_changed,
-            interrupted=lambda: self._stop_requested,
-            clock=lambda: self.plant.now,
-        )
-        thinking = PlanningClock(self.clocks.clock, config.measured, 0.0 if config.contract else PLANNING_TIME)
-        witness = GroundTruth(world.start_contract, world.judgement, self._versions(), self._image_features)
-
-        def run(name: str, left: int, setback: FailureFeedback | None) -> TryResult:
-            episode, stored = run_episode(
-                self._episode_request(name, left, setback),
-                self.planner,
-                self.memory,
-                layer,
-                thinking,
-                witness,
-                self._save_episode,
-                now=self.clocks.now(),
-                retrieve_passages=self._retrieve_passages,
-                allowed_skills=self.grants,
-            )
-            _log_weight_changes(log, layer.state.stamp, stored)
-            return episode, stored
-
-        return self._run_tries(log, lambda: layer.state.stamp, run)
-
-    def _run_tries(
-        self, log: FlightLog, now: Callable[[], float], run: Callable[[str, int, FailureFeedback | None], TryResult]
-    ) -> tuple[TryResult, ...]:
-        """Every try of the errand, each one after the first announced; a contract that was given is tried once."""
-
-        def announced(name: str, left: int, setback: FailureFeedback | None) -> TryResult:
-            if setback:
-                why = f"{setback.outcome.replace('_', ' ')}: {setback.undone}: {setback.reason}"
-                log.note(now(), "planner", f"planning again: {why}", **msgspec.structs.asdict(setback))
-            return run(name, left, setback)
-
-        return run_tries(self.config.out.name, 1 if self.config.contract else self.config.tries, announced)
-
-    def _episode_request(self, name: str, left: int, setback: FailureFeedback | None) -> EpisodeRequest:
-        """One try; to a contract that was given nothing is recalled, and it has one shot."""
-        config, given = self.config, self.config.contract is not None
-        return EpisodeRequest(
-            id=name,
-            started=self.clocks.started,
-            instruction=config.instruction,
-            seed=config.seed,
-            max_shots=1 if given else config.shots,
-            max_exemplars=0 if given else MAX_RECALLED,
-            tries_left=left,
-            setback=setback,
-        )
-
     def _with_memory_uses(self, episode: Episode) -> Episode:
-        """The episode with what became of the memories in its prompt, if that is wanted; it is written down."""
+        """The episode with the use of each memory in its prompt, if that was requested; the episode is saved again."""
         if not self.config.utility or self.config.contract is not None:
             return episode
-        kept = self.config.ledger.with_name("counterfactuals")
-        asking = CounterfactualQueries(self.planner, skill_registry(self.robot_model), kept)
-        uses = asking.memory_uses(episode, should_stop=lambda: self._stop_requested)
+        folder = self.config.ledger.with_name("counterfactuals")
+        queries = CounterfactualQueries(self.planner, skill_registry(self.robot_model), folder)
+        uses = queries.memory_uses(episode, should_stop=lambda: self._stop_requested)
         if uses:
             episode = msgspec.structs.replace(episode, uses=uses)
             self._save_episode(episode)
@@ -263,20 +237,20 @@ class Session:
         return episode
 
     def _retrieve_passages(self, instruction: str, summary: str) -> tuple[Passage, ...]:
-        """What the documents say to this, if they are to be asked."""
+        """Passages of the documents that bear on the instruction, if the configuration requests them."""
         if self.library is None or not self.config.consult:
             return ()
         return retrieve_passages(self.library, instruction, summary, skill_registry(self.robot_model))
 
     def _image_features(self) -> ImageFeatures | None:
-        """What the camera at the front sees now, as features."""
+        """Features of the front camera's current image."""
         if self._image_encoder is None:
             return None
         with Camera(self.plant, width=320, height=240) as camera:
             return self._image_encoder.encode(camera.capture())
 
     def _save_episode(self, episode: Episode) -> None:
-        """Write down an episode as `episode.json`; the try before it becomes `episode-N.json`."""
+        """Save an episode as `episode.json`; the file of the try before is renamed to `episode-N.json`."""
         path = self.config.out / "episode.json"
         if episode.id not in self._saved_ids:
             if self._saved_ids:
@@ -306,19 +280,32 @@ class Session:
         self._stack.close()
 
 
+class _SavingMemory:
+    """A memory whose episodes are saved before they are stored: every motion is on record, whatever the ledger does."""
+
+    def __init__(self, memory: Memory, save: Callable[[Episode], None]) -> None:
+        self._memory, self._save = memory, save
+        self.retrieve = memory.retrieve
+
+    def store(self, episode: Episode, state: Posture, *, now: float, image: ImageFeatures | None = None) -> StoreReport:
+        self._save(episode)
+        return self._memory.store(episode, state, now=now, image=image)
+
+
 def _log_weight_changes(log: FlightLog, t: float, stored: StoreReport) -> None:
-    """What an outcome taught, as events."""
+    """Log the weight changes that an outcome caused."""
     for one in stored.weight_updates:
-        why = f"{one.memory}: {one.rule}d" if one.rule == "reinforce" else f"{one.memory}: suppressed"
-        log.note(t, "memory", why, episode_id=one.memory, before=one.before, after=one.after)
+        text = f"{one.memory}: {one.rule}d" if one.rule == "reinforce" else f"{one.memory}: suppressed"
+        log.note(t, "memory", text, episode_id=one.memory, before=one.before, after=one.after)
 
 
 def _check_folder(out: Path) -> None:
-    """Refuse a run folder that holds a run: nothing that was recorded is written over."""
+    """Refuse a run folder that already holds a run, so that no recording is overwritten."""
     found = sorted(name for name in RUN_FILES if (out / name).exists())
     if found:
-        raise ConfigurationError(
-            "run folder", got=found, allowed="a folder without a run", fix=f"Name another --out. {out}"
+        names = ", ".join(found)
+        raise ConfigurationError.stating(
+            f"The run folder {out} already holds a run ({names}).", fix="Name another --out."
         )
     if out.exists() and not out.is_dir():
-        raise ConfigurationError("run folder", got="a file", allowed="a folder", fix=f"Name another --out. {out}")
+        raise ConfigurationError.stating(f"The run folder {out} is a file.", fix="Name another --out.")

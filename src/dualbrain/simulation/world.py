@@ -10,9 +10,13 @@ import numpy as np
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.gate.authorization import PLANNER
 from dualbrain.records import Judgement, Scene
+from dualbrain.robots.model import RobotModel
 from dualbrain.simulation.monitoring.handling import is_unharmed
 from dualbrain.simulation.monitoring.safety_monitor import SafetyMonitor
+from dualbrain.simulation.perception.noisy_perception import NoisyPerception, PerceptionNoise
+from dualbrain.simulation.plant.factory import make_plant
 from dualbrain.simulation.plant.plant import Plant
+from dualbrain.simulation.scenes.scene_spec import SceneSpec
 from dualbrain.simulation.tasks.arrival import ArrivalGoal, ArrivalJudge
 from dualbrain.simulation.tasks.multi_goal import GoalSequence, GoalSequenceJudge
 from dualbrain.simulation.tasks.placement import PlacementGoal, PlacementJudge
@@ -40,11 +44,19 @@ PHASE_ALLOWANCES = {
 """What the monitor calls the phases of our skills in which something may be touched."""
 
 
+Goal = PlacementGoal | ArrivalGoal | GoalSequence
+"""What counts as success on ground truth."""
+
+
 class PerceptionModel(Protocol):
     """How the robot perceives a plant."""
 
     def perceive(self, plant: Plant) -> Scene:
         """The scene as perceived now."""
+        ...
+
+    def close(self) -> None:
+        """Release cameras and other resources."""
         ...
 
 
@@ -56,7 +68,7 @@ class SimulatedWorld:
         plant: Plant,
         perception: PerceptionModel,
         *,
-        goal: PlacementGoal | ArrivalGoal | GoalSequence | None = None,
+        goal: Goal | None = None,
         pace: Callable[[float], None] | None = None,
         permitted_skills: frozenset[str] | None = None,
     ) -> None:
@@ -151,7 +163,7 @@ def make_judge(
     return ArrivalJudge(plant, goal) if isinstance(goal, ArrivalGoal) else PlacementJudge(plant, goal)
 
 
-def contract_goals(contract: Contract) -> PlacementGoal | ArrivalGoal | GoalSequence | None:
+def contract_goals(contract: Contract) -> Goal | None:
     """Everything that the contract grasps and then places and every place that it drives to, in its order."""
     thing: str | None = None
     stages: list[tuple[PlacementGoal | ArrivalGoal]] = []
@@ -163,3 +175,26 @@ def contract_goals(contract: Contract) -> PlacementGoal | ArrivalGoal | GoalSequ
         elif action.skill == "drive_to":
             stages.append((ArrivalGoal(str(action.params["place"])),))
     return GoalSequence(tuple(stages)) if len(stages) > 1 else stages[0][0] if stages else None
+
+
+def make_world(
+    spec: SceneSpec,
+    robot_model: RobotModel,
+    *,
+    seed: int = 0,
+    goal: Goal | None = None,
+    perception: Callable[[Plant], PerceptionModel] | None = None,
+    visuals: bool = False,
+    pace: Callable[[float], None] | None = None,
+    permitted_skills: frozenset[str] | None = None,
+) -> SimulatedWorld:
+    """A simulated robot in the scene `spec` with its environment; the robot is `world.plant`.
+
+    `perception` makes the perception model of a plant; by default the declared noise, drawn from `seed`.
+    """
+    plant = make_plant(spec, robot_model, visuals=visuals)
+    if perception is None:
+        model: PerceptionModel = NoisyPerception(spec, PerceptionNoise(), np.random.default_rng([seed, 1]))
+    else:
+        model = perception(plant)
+    return SimulatedWorld(plant, model, goal=goal, pace=pace, permitted_skills=permitted_skills)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dualbrain.cli.common.exit_codes import ExitCode
+from dataclasses import replace
 
 DEMO_PLANNER = "starter-135m"
 """Small, and comes with dualbrain but for what it sits on (98 MB). It knows a Panda at a table."""
@@ -29,7 +29,8 @@ def demo(
     scene
         Which world; in scene 8 a forearm crosses the path, and the filter has to bend it.
     """
-    from dualbrain.cli.run.execution import execute_run
+    from dualbrain.cli.run.execution import RunView, default_config, execute_run
 
-    view = not headless
-    return ExitCode(execute_run(instruction, scene=scene, planner=planner, view=view, keep_view_open=view, live=view))
+    shown = not headless
+    config = replace(default_config(instruction), scene=scene, planner=planner, measured=shown)
+    return execute_run(config, RunView(live_view=shown, keep_open=shown, real_time=shown))

@@ -1,4 +1,4 @@
-"""The account of a run: what people read while it happens, what programs read when it is over, what remains on disk."""
+"""Execution of a run for a person: progress on stderr, a JSON summary on stdout, the report in the run folder."""
 
 # ruff: noqa: E402  (the GL library is chosen before MuJoCo is imported)
 from __future__ import annotations
@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from secrets import token_hex
@@ -30,10 +31,9 @@ from dualbrain.control.recording.trace import Event
 from dualbrain.core.text import storable_text
 from dualbrain.memory.maintenance.projection import project_memories
 from dualbrain.memory.plasticity.retrieval_utility import summarize_uses
-from dualbrain.memory.plasticity.rule import EPSILON
 from dualbrain.planner.introspection import no_documents_reason
 from dualbrain.records import Episode
-from dualbrain.runtime.live_session import LiveSession
+from dualbrain.runtime.gatekeeper_backend import GatekeeperBackend
 from dualbrain.runtime.planning_time import format_timings
 from dualbrain.runtime.session import Clocks, RunConfig, RunObserver, RunResult, Session
 from dualbrain.visualization.html.run_report import write_report
@@ -49,92 +49,72 @@ EVENT_STYLES = {
 }
 
 
-def execute_run(
-    instruction: str,
-    *,
-    robot: str = "panda",
-    scene: str = "0",
-    planner: str = "",
-    guard: bool = True,
-    contract: Path | None = None,
-    goal: str = "",
-    view: bool = True,
-    keep_view_open: bool = False,
-    out: Path | None = None,
-    ledger: Path | None = None,
-    seed: int = 0,
-    port: int = 8080,
-    as_json: bool = False,
-    consult: bool = False,
-    map_overlay: str = "",
-    live: bool = False,
-    speed_stage: float = 1.0,
-    image_memory: bool = False,
-    site: Path | None = None,
-    utility: bool = False,
-    tries: int = 1,
-    epsilon: float = EPSILON,
-) -> int:
-    """Run, tell, draw, report; returns the exit code. `live`: in two processes and real time, beginning at `stage`."""
-    console = StderrConsole()
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunView:
+    """How a run is shown, and whether it runs in real time.
+
+    `live_view`: open the live view on `port`; `keep_open`: keep it open at the end. `as_json`: print one JSON object on
+    stdout. `real_time`: run behind a gatekeeper process, beginning at the speed scale `speed_stage`.
+    """
+
+    live_view: bool = True
+    keep_open: bool = False
+    port: int = 8080
+    as_json: bool = False
+    real_time: bool = False
+    speed_stage: float = 1.0
+
+
+def default_config(instruction: str, *, out: Path | None = None, ledger: Path | None = None) -> RunConfig:
+    """The configuration of a run in the user's own folders; by default in a new run folder."""
     started = datetime.now(UTC)
-    out = out or Path("runs") / f"{started:%Y%m%dT%H%M%SZ}-{token_hex(3)}"
-    config = RunConfig(
+    return RunConfig(
         instruction=instruction,
-        out=out,
+        out=out or Path("runs") / f"{started:%Y%m%dT%H%M%SZ}-{token_hex(3)}",
         ledger=ledger or dualbrain_home() / "ledger.sqlite",
         cache=cache_folder(),
-        robot=robot,
-        scene=scene,
-        planner=planner,
-        contract=contract,
-        guard=guard,
-        seed=seed,
-        goal=goal,
-        measured=view and contract is None,
         knowledge=dualbrain_home() / "knowledge.sqlite",
-        consult=consult,
-        map=map_overlay,
-        image_memory=image_memory,
-        site=site,
-        utility=utility,
-        tries=tries,
-        epsilon=epsilon,
         adapters=dualbrain_home() / "adapters",
     )
-    pace = _RealTimePacer() if view else None
-    times = Clocks(time.monotonic, started.isoformat(timespec="seconds"), time.time, pace)
-    console.print(
-        f"[bold]{escape(storable_text(instruction, 400)) or 'a given contract'}[/]  [dim]{robot}, scene {scene}, {out}[/]"
-    )
-    with (LiveSession if live else Session)(config, times, os.environ) as session:
-        if consult and contract is None and (why := no_documents_reason(session.planner)):
-            console.print(f"[yellow]{escape(why)}[/]")
-        lookout = LiveFeed(session, port, console) if view else None
-        if isinstance(session, LiveSession):
-            session.speed_stage = speed_stage
-            session.on_tick_report = lookout.on_tick_report if lookout else None
-        album = PhaseCamera(session.plant, console, NO_GRAPHICS_REASON)
-        waiting = Spinner(console, f"the planner thinks ({session.planner.name})")
+
+
+def execute_run(config: RunConfig, view: RunView) -> ExitCode:
+    """Run the configured instruction, print its progress, and write the report; returns the exit code."""
+    console = StderrConsole()
+    pace = _RealTimePacer() if view.live_view else None
+    clocks = Clocks(time.monotonic, datetime.now(UTC).isoformat(timespec="seconds"), time.time, pace)
+    title = escape(storable_text(config.instruction, 400)) or "a given contract"
+    console.print(f"[bold]{title}[/]  [dim]{config.robot}, scene {config.scene}, {config.out}[/]")
+    backend = GatekeeperBackend(view.speed_stage) if view.real_time else None
+    with Session(config, clocks, os.environ, backend=backend) as session:
+        given = config.contract is not None
+        if config.consult and not given and (reason := no_documents_reason(session.planner)):
+            console.print(f"[yellow]{escape(reason)}[/]")
+        feed = LiveFeed(session, backend, view.port, console) if view.live_view else None
+        if backend is not None:
+            backend.on_tick_report = feed.on_tick_report if feed else None
+        camera = PhaseCamera(session.plant, console, NO_GRAPHICS_REASON)
+        spinner = Spinner(console, f"the planner thinks ({session.planner.name})")
         with interrupt_handler(session.interrupt):
-            waiting.start()
+            spinner.start()
             try:
-                finished = session.run(_make_observer(console, album, lookout, waiting))
+                result = session.run(_make_observer(console, camera, feed, spinner))
             finally:
-                waiting.stop()
-        for cut in session.interrupted_runs:
-            console.print(f"[yellow]{escape(str(cut))}[/]")
-        _print_result(console, finished)
-        if as_json:
-            print_result(msgspec.json.encode(run_summary(finished.episode, out, finished.earlier_episodes)).decode())
-        album.take_snapshot("the end")
-        album.close()
-        drawn = project_memories(session.memory)
-        write_report(out / "report.html", finished.episode, finished.trace, album.snapshots, drawn)
-        console.print(f"[dim]report: {out / 'report.html'}[/]")
-        if lookout:
-            lookout.finish(finished.episode, stay=keep_view_open)
-    return exit_code(finished.episode)
+                spinner.stop()
+        for interrupted in session.interrupted_runs:
+            console.print(f"[yellow]{escape(str(interrupted))}[/]")
+        _print_result(console, result)
+        if view.as_json:
+            summary = run_summary(result.episode, config.out, result.earlier_episodes)
+            print_result(msgspec.json.encode(summary).decode())
+        camera.take_snapshot("the end")
+        camera.close()
+        memories, report = project_memories(session.memory), config.out / "report.html"
+        write_report(report, result.episode, result.trace, camera.snapshots, memories)
+        console.print(f"[dim]report: {report}[/]")
+        if feed:
+            feed.finish(result.episode, stay=view.keep_open)
+    return exit_code(result.episode)
 
 
 def exit_code(episode: Episode) -> ExitCode:
@@ -177,22 +157,22 @@ def run_summary(episode: Episode, out: Path, earlier: Sequence[Episode] = ()) ->
     }
 
 
-def _make_observer(console: Console, album: PhaseCamera, lookout: LiveFeed | None, waiting: Spinner) -> RunObserver:
+def _make_observer(console: Console, camera: PhaseCamera, feed: LiveFeed | None, spinner: Spinner) -> RunObserver:
     def on_event(event: Event) -> None:
         if event.kind == "action":
-            waiting.stop()
+            spinner.stop()
         if event.kind != "perception":
             style = EVENT_STYLES.get(event.kind, "")
             console.print(f"[dim]{event.t:7.2f} s[/]  [{style or 'default'}]{escape(event.text)}[/]")
-        if lookout:
-            lookout.on_event(event)
+        if feed:
+            feed.on_event(event)
 
-    return RunObserver(on_event, lookout.on_tick if lookout else lambda moment: None, album.on_phase)
+    return RunObserver(on_event, feed.on_tick if feed else lambda snapshot: None, camera.on_phase)
 
 
-def _print_result(console: Console, finished: RunResult) -> None:
+def _print_result(console: Console, result: RunResult) -> None:
     """The last lines: outcome, numbers, memory, where things lie."""
-    episode, outcome = finished.episode, finished.episode.outcome
+    episode, outcome = result.episode, result.episode.outcome
     colour = "green" if is_success(episode) else "yellow"
     console.print(f"[bold {colour}]{outcome.kind}[/]: {escape(outcome.reason)}")
     if outcome.Delta is not None and outcome.h_min is not None:
@@ -210,7 +190,7 @@ def _print_result(console: Console, finished: RunResult) -> None:
         console.print(f"simulator truth: {'success' if episode.judgement.success else 'no success'}")
     if episode.uses:
         console.print(f"retrieval utility: {summarize_uses(episode.uses)}")
-    console.print(f"[dim]{finished.store_report}[/]")
+    console.print(f"[dim]{result.store_report}[/]")
 
 
 class _RealTimePacer:

@@ -15,7 +15,7 @@ from dualbrain.control.control_loop import TickSnapshot
 from dualbrain.control.gatekeeper.protocol.messages import TickReport
 from dualbrain.control.recording.trace import DEAD_BAND, Event
 from dualbrain.records import Episode, Scene
-from dualbrain.runtime.live_session import LiveSession
+from dualbrain.runtime.gatekeeper_backend import GatekeeperBackend
 from dualbrain.runtime.session import Session
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import obstacles_from_scene
@@ -31,13 +31,13 @@ MAX_LINES = 12
 class LiveFeed:
     """Turns moments of the loop into states of the view; running averages are kept over what it is shown."""
 
-    def __init__(self, session: Session, port: int, console: Console) -> None:
-        """Open the view and say where it is."""
+    def __init__(self, session: Session, backend: GatekeeperBackend | None, port: int, console: Console) -> None:
+        """Open the view and print its address; with a gatekeeper the view has the operator's buttons."""
         self._body = session.robot_model
         self._plant = session.plant
         self._kinematics = SafetyFilter(session.robot_model)
         code = secrets.token_urlsafe(9)
-        board = OperatorAccess(session.operate, code) if isinstance(session, LiveSession) else None
+        board = OperatorAccess(backend.operate, code) if backend is not None else None
         self._view = LiveView(
             session.robot_model,
             port,

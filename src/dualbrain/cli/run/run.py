@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from math import inf
 from pathlib import Path
 from typing import Annotated, Literal
@@ -10,7 +11,6 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from dualbrain.cli.common.arguments import parse_fraction
-from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.errors import UsageError
 from dualbrain.memory.plasticity.rule import EPSILON
 
@@ -100,8 +100,6 @@ def run(
     json
         Print one JSON object on stdout.
     """
-    from dualbrain.cli.run.execution import execute_run
-
     if not instruction.strip() and contract is None:
         raise UsageError(
             "instruction",
@@ -115,31 +113,32 @@ def run(
         raise UsageError("--epsilon", got=epsilon, allowed="a number, 0 or more")
     if live and filter == "off":
         raise UsageError("--filter", got="off", allowed="on, with --live: the gatekeeper cannot do without")
-    stay = not headless and sys.stdout.isatty()
-    return ExitCode(
-        execute_run(
-            instruction,
-            robot=robot,
-            scene=scene,
-            planner=planner,
-            guard=filter == "on",
-            contract=contract,
-            goal=goal,
-            view=not headless,
-            keep_view_open=stay,
-            out=out,
-            ledger=ledger,
-            seed=seed,
-            port=port,
-            as_json=json,
-            consult=knowledge == "on",
-            map_overlay=map,
-            live=live,
-            speed_stage=parse_fraction(speed),
-            image_memory=image_memory,
-            site=site,
-            utility=utility,
-            tries=tries,
-            epsilon=epsilon,
-        )
+    from dualbrain.cli.run.execution import RunView, default_config, execute_run
+
+    config = replace(
+        default_config(instruction, out=out, ledger=ledger),
+        robot=robot,
+        scene=scene,
+        planner=planner,
+        guard=filter == "on",
+        contract=contract,
+        goal=goal,
+        seed=seed,
+        tries=tries,
+        measured=not headless and contract is None,
+        consult=knowledge == "on",
+        map=map,
+        site=site,
+        image_memory=image_memory,
+        utility=utility,
+        epsilon=epsilon,
     )
+    view = RunView(
+        live_view=not headless,
+        keep_open=not headless and sys.stdout.isatty(),
+        port=port,
+        as_json=json,
+        real_time=live,
+        speed_stage=parse_fraction(speed),
+    )
+    return execute_run(config, view)

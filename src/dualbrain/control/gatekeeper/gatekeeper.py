@@ -9,12 +9,13 @@ from __future__ import annotations
 import gc
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from math import isnan
 
 from dualbrain.contracts.contract import Contract, ContractHeader
 from dualbrain.contracts.verdict import Accepted
 from dualbrain.control.contract_executor import ContractExecutor
-from dualbrain.control.control_loop import ExecutorConfig, TickSnapshot
+from dualbrain.control.control_loop import ControlLoop, ControlLoopConfig, LoopInputs, LoopObserver, TickSnapshot
 from dualbrain.control.gatekeeper.capability import Capability
 from dualbrain.control.gatekeeper.gate_worker import GateReply, GateRequest, GateWorker
 from dualbrain.control.gatekeeper.operator_commands import OperatorCommands, is_allowed
@@ -63,8 +64,24 @@ MAX_CONTRACT_LIFETIME = 660.0
 """A contract may not be meant to live longer than this [s]."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GatekeeperSettings:
+    """Settings of a gatekeeper that do not change while it runs.
+
+    `timing`: limits on delays of the robot's interface. `speed_stage`: initial speed scale, (0, 1]. `fixed_obstacles`:
+    obstacles of the site. `filter_config`: settings of the filter for this robot. `drive_initially_off`: the drive has
+    to be switched on first.
+    """
+
+    timing: Timing
+    speed_stage: float = 1.0
+    fixed_obstacles: tuple[Obstacle, ...] = ()
+    filter_config: FilterConfig | None = None
+    drive_initially_off: bool = False
+
+
 class Gatekeeper:
-    """One robot, one door, one commander at a time."""
+    """Owns one robot and one socket server, and accepts contracts from one commander at a time."""
 
     def __init__(
         self,
@@ -74,26 +91,21 @@ class Gatekeeper:
         keys: Keys,
         capabilities: Mapping[str, Capability],
         *,
-        timing: Timing,
+        settings: GatekeeperSettings,
         recorder: Recorder | None = None,
         trace: Trace | None = None,
-        speed_stage: float = 1.0,
-        fixed_obstacles: tuple[Obstacle, ...] = (),
-        config: FilterConfig | None = None,
-        drive_initially_off: bool = False,
         monotonic: Callable[[], float] = time.monotonic,
         on_outcome: Callable[[Outcome], None] = lambda outcome: None,
         mark_part: Callable[[str], None] = lambda part: None,
     ) -> None:
-        """Bind everything; the robot stands still until a contract is accepted.
+        """Connect all parts; the robot holds position until a contract is accepted.
 
-        `standing` is what a site says stands there for good; `config` are the filter's dials for this robot, and
-        `off_at_first` says that its drive has to be switched on. Peers are timed by `monotonic` [s]; `ended` is told
-        every outcome, `lap` what part of a tick has just been done.
+        Connections are timed by `monotonic` [s]. `on_outcome` gets every outcome, `mark_part` the name of the part of a
+        tick that has just ended.
         """
-        self.robot, self.server, self.operator_commands = robot, server, OperatorCommands(speed_stage)
+        self.robot, self.server, self.operator_commands = robot, server, OperatorCommands(settings.speed_stage)
         self._keys, self._capabilities = keys, dict(capabilities)
-        self._gate_worker = GateWorker(robot_model, capabilities, fixed_obstacles)
+        self._gate_worker = GateWorker(robot_model, capabilities, settings.fixed_obstacles)
         self._trace = Trace(robot_model.n) if trace is None else trace
         self._log = FlightLog(self._trace, recorder, self._broadcast_event)
         self._commander: Connection | None = None
@@ -102,28 +114,25 @@ class Gatekeeper:
         self._next_contract: Contract | None = None
         self._proposer: Connection | None = None
         self._shutdown_requested, self._busy, self._ticks = False, False, 0
-        self._drive_initially_off = drive_initially_off
+        self._drive_initially_off = settings.drive_initially_off
         self._monotonic, self._on_outcome = monotonic, on_outcome
         self._rate_buckets: dict[str, tuple[float, float]] = {}
-        self._body = robot_model
+        self._robot_model = robot_model
         self._status_period_ticks, self._cleanup_period_ticks = (
             max(1, round(t / robot_model.period)) for t in (STATUS_PERIOD, CLEANUP_PERIOD)
         )
-        self.executor = ContractExecutor(
+        self.loop = ControlLoop(
             robot_model,
             robot,
             robot,
-            SafetyFilter(robot_model, config, fixed_obstacles=fixed_obstacles),
+            SafetyFilter(robot_model, settings.filter_config, fixed_obstacles=settings.fixed_obstacles),
             self._log,
-            ExecutorConfig(snapshot_period=TICK_REPORT_PERIOD),
-            on_tick=self._broadcast_tick,
-            on_phase=robot.set_phase,
-            clock=robot.clock,
-            external_conditions=self._service_connections,
-            timing=timing,
-            mark_part=mark_part,
+            ControlLoopConfig(snapshot_period=TICK_REPORT_PERIOD, timing=settings.timing),
+            LoopObserver(on_tick=self._broadcast_tick, on_phase=robot.set_phase, mark_part=mark_part),
+            LoopInputs(external_conditions=self._service_connections, clock=robot.clock),
         )
-        self.executor.safety_controller.speed_stage = speed_stage
+        self.executor = ContractExecutor(self.loop)
+        self.loop.safety_controller.speed_stage = settings.speed_stage
 
     def run(self) -> None:
         """Tick until told to shut down. No garbage is collected while a contract runs."""
@@ -132,13 +141,13 @@ class Gatekeeper:
         gc.disable()
         if self._drive_initially_off:
             self.robot.enable()
-            self.executor.safety_controller.expect_drive_on(self.executor.state, self.robot.clock())
+            self.loop.safety_controller.expect_drive_on(self.loop.state, self.robot.clock())
         while not self._shutdown_requested:
             contract, self._next_contract = self._next_contract, None
             if contract is not None:
                 self._execute(contract)
             else:
-                self.executor.hold(self._body.period, "idle")
+                self.executor.hold(self._robot_model.period, "idle")
                 if self._ticks % self._cleanup_period_ticks == 0:
                     self._trace.clear()
                     gc.collect(0)
@@ -184,7 +193,7 @@ class Gatekeeper:
             self._apply_gate_reply(ruling)
         if self._ticks % self._status_period_ticks == 0:
             self._send_status(now)
-        self.executor.safety_controller.speed_stage = self.operator_commands.speed_stage
+        self.loop.safety_controller.speed_stage = self.operator_commands.speed_stage
         return self._conditions(now)
 
     def _conditions(self, now: float) -> int:
@@ -200,7 +209,7 @@ class Gatekeeper:
         return flags | (Condition.INTERRUPT if self._shutdown_requested and self._busy else 0)
 
     def _send_status(self, now: float) -> None:
-        order = self.executor.safety_controller.decision
+        order = self.loop.safety_controller.decision
         beat = StatusReport(
             now=self.robot.clock(),
             action=order.action.name,
@@ -287,7 +296,7 @@ class Gatekeeper:
         """Seal, right and rate; then the clerk. What is refused here has not been parsed at all."""
         why = self._refusal_reason(peer, sequence, message, now)
         if not why:
-            state = self.executor.state
+            state = self.loop.state
             moment = self.robot.clock()
             stamp = ContractHeader(
                 sequence=(peer.number << 32) + sequence,
@@ -302,9 +311,9 @@ class Gatekeeper:
                 contract=message.contract,
                 stamp=stamp,
                 now=moment,
-                scene=self.executor.scene,
+                scene=self.loop.scene,
                 state=state,
-                holding=self.executor.controller.holding,
+                holding=self.loop.controller.holding,
             )
             why = "" if self._gate_worker.submit(case) else "another contract is being judged"
         if why:
@@ -349,14 +358,12 @@ class Gatekeeper:
     # --- what is told -------------------------------------------------------------------------------------------
 
     def _scene_report(self) -> SceneReport:
-        layer = self.executor
-        holding = layer.controller.holding
         return SceneReport(
             now=self.robot.clock(),
-            scene=layer.scene,
-            q=tuple(layer.state.q.tolist()),
-            opening=layer.state.opening,
-            holding=holding.name if holding else None,
+            scene=self.loop.scene,
+            q=tuple(self.loop.state.q.tolist()),
+            opening=self.loop.state.opening,
+            holding=self.loop.held_object,
         )
 
     def _broadcast_event(self, event: Event) -> None:

@@ -1,4 +1,4 @@
-"""Putting a gatekeeper together: settings, robot, door, keys; and starting one as a process of its own."""
+"""Putting a gatekeeper together: settings, robot, server, keys; and starting one as a process of its own."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import msgspec
 from dualbrain.contracts.gate.authorization import PLANNER
 from dualbrain.control.gatekeeper.config import GatekeeperConfig
 from dualbrain.control.gatekeeper.deployment import Deployment
-from dualbrain.control.gatekeeper.gatekeeper import Gatekeeper
+from dualbrain.control.gatekeeper.gatekeeper import Gatekeeper, GatekeeperSettings
 from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
 from dualbrain.control.gatekeeper.protocol.server import SocketServer, is_listening
 from dualbrain.control.gatekeeper.robot_link.remote_robot import RemoteRobot
@@ -35,47 +35,50 @@ STARTUP_TIMEOUT = 60.0
 def run_gatekeeper(config: GatekeeperConfig, on_ready: Callable[[], None] = lambda: None) -> TickTimingSummary:
     """Be the gatekeeper until told to shut down (by the operator, SIGTERM or SIGINT); how punctual it was.
 
-    `ready` is called once robot and door are there and nothing was refused, before the first tick.
+    `ready` is called once robot and server are there and nothing was refused, before the first tick.
     """
     sys.setswitchinterval(SWITCH_INTERVAL)
     _request_realtime_priority()
-    place, keys = Deployment.from_config(config), load_or_create_keys(Path(config.keys))
-    robot_model = place.robot_model
-    door = SocketServer(Path(config.socket))
+    deployment, keys = Deployment.from_config(config), load_or_create_keys(Path(config.keys))
+    robot_model = deployment.robot_model
+    server = SocketServer(Path(config.socket))
     robot: RemoteRobot | None = None
     recorder: Recorder | None = None
     try:
-        laps = TickProfiler()
-        robot = RemoteRobot(place.process_settings(config), place.timing, laps)
+        profile = TickProfiler()
+        robot = RemoteRobot(deployment.process_settings(config), deployment.timing, profile)
         trace = Trace(robot_model.n, robot_model.nq)
         if config.recording:
             recorder = Recorder(Path(config.recording), trace)
-            recorder.episode(0.0, place.recording_metadata(config))
-        keeper = Gatekeeper(
+            recorder.episode(0.0, deployment.recording_metadata(config))
+        settings = GatekeeperSettings(
+            timing=deployment.timing,
+            speed_stage=config.stage,
+            fixed_obstacles=deployment.fixed_obstacles,
+            filter_config=deployment.filter_config,
+            drive_initially_off=deployment.driver is not None,
+        )
+        gatekeeper = Gatekeeper(
             robot_model,
             robot,
-            door,
+            server,
             keys,
-            {PLANNER: place.capability},
-            timing=place.timing,
+            {PLANNER: deployment.capability},
+            settings=settings,
             recorder=recorder,
             trace=trace,
-            speed_stage=config.stage,
-            fixed_obstacles=place.fixed_obstacles,
-            config=place.filter_config,
-            drive_initially_off=place.driver is not None,
-            mark_part=laps.mark_part,
+            mark_part=profile.mark_part,
         )
 
         def stop(number: int, frame: FrameType | None) -> None:
             del number, frame
-            keeper.shut_down()
+            gatekeeper.shut_down()
 
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, stop)
         on_ready()
-        keeper.run()
-        punctuality = msgspec.structs.replace(robot.tick_timer.summary(), parts=laps.summary())
+        gatekeeper.run()
+        punctuality = msgspec.structs.replace(robot.tick_timer.summary(), parts=profile.summary())
         if config.punctuality:
             Path(config.punctuality).write_bytes(msgspec.json.encode(punctuality))
         return punctuality
@@ -84,7 +87,7 @@ def run_gatekeeper(config: GatekeeperConfig, on_ready: Callable[[], None] = lamb
             robot.close()
         if recorder is not None:
             recorder.close()
-        door.close()
+        server.close()
 
 
 class GatekeeperProcess:

@@ -1,13 +1,13 @@
-"""The local layer as the cortex sees it: over the socket. It shows what the planner needs, and carries nothing out.
+"""Executor that sends contracts to a gatekeeper over its socket and waits for the outcome.
 
-The gate here is a messenger: it sends the raw bytes and brings back the word of the gatekeeper's own gate.
+Its gate forwards the raw bytes of a contract and returns the verdict of the gatekeeper's own gate.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import msgspec
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from dualbrain.contracts.contract import Contract, ContractHeader
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
+from dualbrain.control.executor import Grants
 from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError, GatekeeperClient
 from dualbrain.control.gatekeeper.protocol.messages import RequestRefused
 from dualbrain.control.recording.flight_log import FlightLog
@@ -23,53 +24,40 @@ from dualbrain.robots.interface import RobotState
 from dualbrain.robots.model import RobotModel
 
 SCENE_REQUEST_PERIOD = 0.1
-"""How often the scene is asked for while somebody waits [s]."""
+"""Time [s] between two requests of the scene while an episode waits."""
 
 
-@dataclass(slots=True)
-class HeldObject:
-    """What is held, by name."""
-
-    name: str
-
-
-@dataclass(slots=True)
-class GripperState:
-    """The part of a limb that a planner hears of."""
-
-    holding: HeldObject | None = None
-
-
-@dataclass(kw_only=True)
 class RemoteExecutor:
-    """Has what `run_episode` asks of a local layer; `interrupted` says that a person wants it to stop."""
+    """Executes contracts through a gatekeeper; implements `Executor`. `interrupted`: a person wants the robot to stop."""
 
-    robot_model: RobotModel
-    client: GatekeeperClient
-    log: FlightLog
-    interrupted: Callable[[], bool]
-    controller: GripperState = field(default_factory=GripperState)
-
-    def __post_init__(self) -> None:
-        """Look once."""
+    def __init__(
+        self, robot_model: RobotModel, client: GatekeeperClient, log: FlightLog, interrupted: Callable[[], bool]
+    ) -> None:
+        """Connect, and request the scene once."""
+        self.robot_model, self.client, self.log, self.interrupted = robot_model, client, log, interrupted
         self.refresh()
 
     def refresh(self) -> None:
-        """Ask for what there is to be seen."""
-        sight = self.client.request_scene()
-        self.scene = sight.scene
+        """Request the newest scene and joint state."""
+        report = self.client.request_scene()
+        self.scene = report.scene
         self.state = RobotState(
-            stamp=sight.now,
+            stamp=report.now,
             sequence=0,
-            q=np.array(sight.q),
+            q=np.array(report.q),
             v=np.zeros(self.robot_model.n),
-            opening=sight.opening,
+            opening=report.opening,
             finger_forces=(0.0, 0.0),
         )
-        self.controller = GripperState(HeldObject(sight.holding) if sight.holding else None)
+        self.held_object = report.holding or None
+
+    def gate(self, grants: Grants) -> RemoteGate:
+        """The gatekeeper's own gate; it applies its own grants, whatever `grants` are here."""
+        del grants
+        return RemoteGate(self.client)
 
     def hold(self, duration: float, phase: str = "hold") -> None:
-        """Wait; the gatekeeper holds the arm by itself, whatever `phase` is called here."""
+        """Wait for `duration` [s]; the gatekeeper holds the arm by itself."""
         del phase
         time.sleep(duration)
         if self.client.now - self.state.stamp > SCENE_REQUEST_PERIOD:
@@ -78,30 +66,30 @@ class RemoteExecutor:
     def execute(self, contract: Contract) -> Outcome:
         """Wait for the outcome of the contract that the gatekeeper has accepted; a person may interrupt it."""
         del contract
-        asked = False
+        abort_sent = False
         try:
             while True:
-                if self.interrupted() and not asked:
+                if self.interrupted() and not abort_sent:
                     self.client.operate("abort")
-                    asked = True
+                    abort_sent = True
                 ended = self.client.poll_outcome(SCENE_REQUEST_PERIOD)
                 if ended is not None:
                     self.log.binding.update(ended.binding)
                     self.refresh()
                     return ended.outcome
                 self.refresh()
-        except ConnectionLostError as why:
-            return Outcome(kind="stopped", reason=f"the gatekeeper is gone: {why}")
+        except ConnectionLostError as error:
+            return Outcome(kind="stopped", reason=f"the gatekeeper is gone: {error}")
 
 
 @dataclass(frozen=True, slots=True)
 class RemoteGate:
-    """Sends bytes, brings verdicts."""
+    """A gate that forwards contracts to a gatekeeper."""
 
     client: GatekeeperClient
 
     def check(self, data: bytes, *, names: SceneNames, principal: str, now: float, header: ContractHeader) -> Verdict:
-        """The gatekeeper's word; the arm moves from the moment in which it accepts."""
+        """The gatekeeper's verdict on `data`; the arm starts to move as soon as it accepts."""
         del names, principal, now
         answer = self.client.propose(data, header.scene_version)
         if isinstance(answer, RequestRefused):

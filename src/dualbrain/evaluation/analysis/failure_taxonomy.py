@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
+from dualbrain.control.contract_executor import TIME_LIMIT_REASON
 from dualbrain.evaluation.results.episode_row import EpisodeRow
 from dualbrain.records import Violation
 
@@ -39,8 +40,6 @@ CONTRACT_CAUSED_VIOLATIONS = {
 """Kinds of violations that a contract brings about by what it asks for."""
 GRASPED_PROGRESS = 0.5
 """Progress from which on the thing was in the hand."""
-TIME_LIMIT_REASON = "out of time"
-"""How the reason of an outcome begins that the time limit ended."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

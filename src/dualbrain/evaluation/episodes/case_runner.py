@@ -1,4 +1,4 @@
-"""One episode of one method: the loop of `runtime.episode` with the method's switches, watched from all sides."""
+"""One episode of one method: the episode loop with the switches of the method, measured and judged."""
 
 from __future__ import annotations
 
@@ -7,35 +7,33 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
 
-import msgspec
 import numpy as np
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.gate.authorization import PLANNER
-from dualbrain.contracts.gate.gate import Gate
 from dualbrain.control.contract_executor import ContractExecutor
-from dualbrain.control.control_loop import ExecutorConfig, TickSnapshot
-from dualbrain.control.gatekeeper.remote_executor import RemoteGate
-from dualbrain.control.recording.flight_log import FlightLog
+from dualbrain.control.control_loop import ControlLoopConfig, LoopInputs, LoopObserver, TickSnapshot
+from dualbrain.control.executor import Grants
 from dualbrain.control.recording.trace import Trace
-from dualbrain.evaluation.analysis.failure_taxonomy import TIME_LIMIT_REASON
 from dualbrain.evaluation.episodes.wall_time import HOLD_TIME, PLANNER_TIME, UNCONSTRAINED_TIME, Stopwatch
 from dualbrain.evaluation.protocol.baselines import BaselineGate, NoMemory, PassiveFilter
 from dualbrain.evaluation.protocol.case import Case
-from dualbrain.evaluation.protocol.method import Method
+from dualbrain.evaluation.protocol.method import GateKind, Method
 from dualbrain.grounding.vocabulary import planner_grants, scene_names
 from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.planner.prompt.full_prompt import MAX_RECALLED
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.request import PlanRequest
-from dualbrain.records import Episode, Outcome, Proposal
+from dualbrain.records import Episode, Proposal, Scene
+from dualbrain.robots.interface import RobotState
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import RobotModel
-from dualbrain.runtime.episode import ContractGate, EpisodeRequest, EpisodicMemory, GroundTruth, run_episode
+from dualbrain.runtime.agent import Agent, EpisodicMemory
+from dualbrain.runtime.assembly import CellOptions, SimulatedCell, open_world
+from dualbrain.runtime.episode import EpisodeRequest, GroundTruth, run_episode
 from dualbrain.runtime.planning_time import PLANNING_TIME, PlanningClock
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.simulation.perception.noisy_perception import NoisyPerception, PerceptionNoise
-from dualbrain.simulation.plant.factory import make_plant
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.tasks.placement import PlacementGoal
 from dualbrain.simulation.world import SimulatedWorld
@@ -50,7 +48,7 @@ WALL_TIME_PARTS = ("physics", "monitor", "filter", PLANNER_TIME, "rest")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpisodeRun:
-    """What an episode left in memory: the record, the ticks, the whole gate's verdicts, time by part, the plant."""
+    """The record of an episode, its trace, the verdicts of the gate, the wall time by part, and the plant at the end."""
 
     episode: Episode
     trace: Trace
@@ -58,12 +56,12 @@ class EpisodeRun:
     stopwatch: Stopwatch
     plant: Plant
     goal_perception_error: tuple[float, float] | None
-    """Perception error and its bound of the goal's thing when the contract was accepted [m]."""
+    """Position error of the goal's object and its bound [m] when the contract was accepted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpisodeResources:
-    """What an episode is flown with. `now` [s, 1970 UTC] stamps what memory writes; `clock` only measures."""
+    """The parts of an episode that a worker provides. Memory stores it under `now` [s, 1970 UTC]; `clock` only measures."""
 
     id: str
     planner: Planner
@@ -76,110 +74,123 @@ class EpisodeResources:
     image_features: Callable[[Plant], ImageFeatures | None] = lambda plant: None
     visuals: bool = False
     unconstrained_planner: Planner | None = None
-    """Asked the first question, too, with nothing that binds its answer; what it says is judged and goes nowhere."""
+    """Answers the first request too, without constrained decoding; its answer is judged and not executed."""
 
 
-class TimeLimitedExecutor(ContractExecutor):
-    """A local layer whose contracts have a time limit, known to the robot: what is not done by then has failed."""
+class EvaluatedExecutor:
+    """The executor of a cell behind the gate of a compared method; implements `Executor`.
 
-    time_limit = float("inf")
+    `stopwatch` measures how long the arm holds position during planning.
+    """
 
-    def execute(self, contract: Contract) -> Outcome:
-        """As ever, but an end by the clock is the robot's own failure, not a person's word."""
-        outcome = super().execute(contract)
-        if outcome.kind == "aborted" and self.state.stamp >= self.time_limit:
-            why = f"{TIME_LIMIT_REASON}, {self.time_limit:.0f} s"
-            return msgspec.structs.replace(outcome, kind="failed", reason=why)
-        return outcome
+    def __init__(self, executor: ContractExecutor, gate_kind: GateKind, stopwatch: Stopwatch) -> None:
+        """Put the gate of a method in front of `executor`."""
+        self._executor = executor
+        self._gate_kind: GateKind = gate_kind
+        self.hold = stopwatch.wrap(executor.hold, HOLD_TIME)
+        self.execute, self.interrupted = executor.execute, executor.interrupted
+        self.robot_model, self.log = executor.robot_model, executor.log
+        self.baseline_gate: BaselineGate | None = None
+
+    @property
+    def scene(self) -> Scene:
+        """The newest perceived scene."""
+        return self._executor.scene
+
+    @property
+    def state(self) -> RobotState:
+        """The newest joint state."""
+        return self._executor.state
+
+    @property
+    def held_object(self) -> str | None:
+        """The name of the object in the gripper, None if the gripper is empty."""
+        return self._executor.held_object
+
+    def gate(self, grants: Grants) -> BaselineGate:
+        """The gate of the method, which also records the verdicts of the full gate."""
+        registry = skill_registry(self.robot_model)
+        self.baseline_gate = BaselineGate(self._gate_kind, self._executor.gate(grants), registry)
+        return self.baseline_gate
 
 
 @cache
 def load_cached_robot(robot: str) -> RobotModel:
-    """The body, loaded once a process."""
+    """The robot model, loaded once per process."""
     return load_robot(robot)
 
 
 def run_case(case: Case, method: Method, resources: EpisodeResources) -> EpisodeRun:
-    """Carry the instruction of `case` through the loop as `method` does."""
+    """Run the instruction of `case` through the episode loop with the switches of `method`."""
     stopwatch = Stopwatch(resources.clock)
-    robot_model = load_cached_robot(case.robot)
-    plant = make_plant(case.spec, robot_model, visuals=resources.visuals)
-    perception = make_perception(case, method, plant)
-    permitted = planner_grants(skill_registry(robot_model))[PLANNER]
-    world = SimulatedWorld(plant, perception, goal=case.goal, permitted_skills=permitted)
-    safety = SafetyFilter(robot_model) if method.guard else PassiveFilter(robot_model)
-    log = FlightLog(Trace(robot_model.n, robot_model.nq))
-    _time_parts(stopwatch, plant, world, safety)
-    layer = TimeLimitedExecutor(
-        robot_model,
-        plant,
-        world,
-        safety,
-        log,
-        ExecutorConfig(guard=method.guard),
-        on_tick=resources.on_tick,
-        on_phase=world.set_phase,
-        interrupted=lambda: plant.now >= case.time_limit,
-    )
-    layer.time_limit = case.time_limit
-    stopwatch.time_method(layer, "hold", HOLD_TIME)
-    doors: list[BaselineGate] = []
-    seen: list[tuple[float, float]] = []
+    cell = _make_cell(case, method, resources, stopwatch)
+    executor = EvaluatedExecutor(cell.executor, method.gate, stopwatch)
+    errors: list[tuple[float, float]] = []
 
-    def door(gate: Gate | RemoteGate) -> ContractGate:
-        assert isinstance(gate, Gate)  # a local layer has its own
-        doors.append(BaselineGate(method.gate, gate, skill_registry(robot_model)))
-        return doors[0]
+    def start_contract(contract: Contract) -> None:
+        cell.world.start_contract(contract)
+        errors.extend(_goal_perception_error(case, executor.scene, cell.plant))
 
-    def begin(contract: Contract) -> None:
-        world.start_contract(contract)
-        seen.extend(_goal_perception_error(case, layer, plant))
+    def before_propose(request: PlanRequest) -> None:
+        gate, planner = executor.baseline_gate, resources.unconstrained_planner
+        if planner is not None and gate is not None and not gate.full_gate_verdicts:
+            gate.unconstrained_answer = stopwatch.wrap(planner.propose, UNCONSTRAINED_TIME)(request)
 
-    def aside(request: PlanRequest) -> None:
-        if resources.unconstrained_planner is not None and not doors[0].full_gate_verdicts:
-            doors[0].unconstrained_answer = stopwatch.wrap(resources.unconstrained_planner.propose, UNCONSTRAINED_TIME)(
-                request
-            )
-
-    errand = EpisodeRequest(
+    request = EpisodeRequest(
         id=resources.id,
         started="",
         instruction=case.instruction,
         seed=case.seed,
+        now=resources.now,
         max_shots=resources.max_shots,
         max_exemplars=MAX_RECALLED if method.uses_memory else 0,
     )
-    witness = GroundTruth(begin, world.judgement, {}, lambda: resources.image_features(plant))
-    experience = NoMemory() if resources.memory is None else resources.memory  # an empty memory is false, and one
-    thinking = PlanningClock(resources.clock, planning_time=resources.planning_time)
+    memory = NoMemory() if resources.memory is None else resources.memory  # an empty memory is false, and one
+    agent = Agent(_TimedPlanner(resources.planner, stopwatch, before_propose), memory)
+    clock = PlanningClock(resources.clock, planning_time=resources.planning_time)
+    truth = GroundTruth(start_contract, cell.judgement, {}, lambda: resources.image_features(cell.plant))
     try:
-        episode, _ = run_episode(
-            errand,
-            _TimedPlanner(resources.planner, stopwatch, aside),
-            experience,
-            layer,
-            thinking,
-            witness,
-            lambda episode: None,
-            now=resources.now,
-            wrap_gate=door,
-        )
-        doors[0].check_unconstrained_answer(scene_names(layer.scene), PLANNER, layer.state.stamp)
+        episode, _ = run_episode(request, agent, executor, clock, truth)
+        gate = executor.baseline_gate
+        assert gate is not None  # every episode passes the gate once
+        gate.check_unconstrained_answer(scene_names(executor.scene), PLANNER, executor.state.stamp)
     finally:
-        plant.stop()
-        perception.close()
+        cell.close()
     return EpisodeRun(
         episode=episode,
-        trace=log.trace,
-        gate=doors[0],
+        trace=cell.log.trace,
+        gate=gate,
         stopwatch=stopwatch,
-        plant=plant,
-        goal_perception_error=seen[0] if seen else None,
+        plant=cell.plant,
+        goal_perception_error=errors[0] if errors else None,
+    )
+
+
+def _make_cell(case: Case, method: Method, resources: EpisodeResources, stopwatch: Stopwatch) -> SimulatedCell:
+    """The cell of a case; an unfiltered method gets a filter that only measures."""
+    model = load_cached_robot(case.robot)
+    options = CellOptions(
+        goal=case.goal,
+        perception=lambda plant: make_perception(case, method, plant),
+        visuals=resources.visuals,
+        permitted_skills=planner_grants(skill_registry(model))[PLANNER],
+    )
+    world = open_world(case.spec, model, options)
+    safety = SafetyFilter(model) if method.guard else PassiveFilter(model)
+    _time_parts(stopwatch, world, safety)
+    return SimulatedCell(
+        model,
+        world,
+        safety=safety,
+        config=ControlLoopConfig(guard=method.guard),
+        observer=LoopObserver(on_tick=resources.on_tick),
+        inputs=LoopInputs(interrupted=lambda: world.plant.now >= case.time_limit),
+        time_limit=case.time_limit,
     )
 
 
 def make_perception(case: Case, method: Method, plant: Plant) -> NoisyPerception | DepthPerception:
-    """How `method` sees the scene of `case`; raises `InvalidSetup` where depth alone cannot show it."""
+    """The perception model of `method` for `case`; raises `ConfigurationError` if depth images cannot show the scene."""
     rng = np.random.default_rng([case.seed, case.repetition, 1])
     if method.perception == "depth":
         from dualbrain.simulation.perception.depth_camera import DepthCamera  # noqa: PLC0415  (0.4 s of SciPy that one method needs)
@@ -190,10 +201,10 @@ def make_perception(case: Case, method: Method, plant: Plant) -> NoisyPerception
 
 
 class _TimedPlanner:
-    """A planner whose time is measured beside the loop's; `aside` hears every question first."""
+    """A planner whose time is measured beside that of the loop; `before_propose` gets every request first."""
 
-    def __init__(self, planner: Planner, stopwatch: Stopwatch, aside: Callable[[PlanRequest], None]) -> None:
-        self._planner, self._before_propose = planner, aside
+    def __init__(self, planner: Planner, stopwatch: Stopwatch, before_propose: Callable[[PlanRequest], None]) -> None:
+        self._planner, self._before_propose = planner, before_propose
         self._propose = stopwatch.wrap(planner.propose, PLANNER_TIME)
 
     def propose(self, request: PlanRequest) -> Proposal:
@@ -206,21 +217,21 @@ class _TimedPlanner:
         return self._planner.name
 
     def close(self) -> None:
-        """The planner is the caller's."""
+        """The caller closes the planner."""
 
 
-def _time_parts(stopwatch: Stopwatch, plant: Plant, world: SimulatedWorld, safety: SafetyFilter) -> None:
-    stopwatch.time_method(plant, "step", "physics")
+def _time_parts(stopwatch: Stopwatch, world: SimulatedWorld, safety: SafetyFilter) -> None:
+    stopwatch.time_method(world.plant, "step", "physics")
     stopwatch.time_method(world.monitor, "update", "monitor")
     stopwatch.time_method(safety, "filter", "filter", keep_each=True)
 
 
-def _goal_perception_error(case: Case, layer: ContractExecutor, plant: Plant) -> list[tuple[float, float]]:
-    """Error and bound of the goal's thing as the layer believes it to lie; nothing where the goal is a place."""
+def _goal_perception_error(case: Case, scene: Scene, plant: Plant) -> list[tuple[float, float]]:
+    """Position error of the goal's object in `scene` and its bound [m]; empty where the goal is a place."""
     if not isinstance(case.goal, PlacementGoal):
         return []
-    thing = next((one for one in layer.scene.objects if one.name == case.goal.object_name), None)
-    if thing is None:
+    obj = next((one for one in scene.objects if one.name == case.goal.object_name), None)
+    if obj is None:
         return [(float("inf"), 0.0)]
-    away = np.subtract(thing.pose.position, plant.true_pose(case.goal.object_name).position)
-    return [(float(np.linalg.norm(away)), thing.error)]
+    error = np.subtract(obj.pose.position, plant.true_pose(case.goal.object_name).position)
+    return [(float(np.linalg.norm(error)), obj.error)]

@@ -1,4 +1,4 @@
-"""Seconds lost to intervention: the same contract once more, unfiltered, where nothing stands in the way."""
+"""Time lost to intervention: the same contract again, unfiltered, in a scene without obstacles."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ BARE_METHOD = Method(
 
 
 def bare_scene(spec: SceneSpec, named: set[str]) -> SceneSpec:
-    """`spec` with nothing but the things that the contract names: no neighbours, no person."""
-    return msgspec.structs.replace(spec, things=tuple(one for one in spec.objects if one.name in named), mover=None)
+    """`spec` with only the objects that the contract names: no neighbours, no person."""
+    return msgspec.structs.replace(spec, objects=tuple(one for one in spec.objects if one.name in named), mover=None)
 
 
 def seconds_lost(case: Case, run: EpisodeRun, clock: Clock) -> float | None:
-    """Motion time of `flight` beyond that of its contract in the bare scene; None unless both succeeded.
+    """Motion time [s] of `run` beyond that of its contract in the bare scene; None unless both succeeded.
 
-    Here the robot's word is taken; a table also wants success on truth.
+    Success is the robot's own verdict here; a table also requires success on ground truth.
     """
     episode = run.episode
     if episode.contract is None or episode.outcome.kind != "succeeded":

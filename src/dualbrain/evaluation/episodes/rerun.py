@@ -1,4 +1,4 @@
-"""One reported episode once more, from its recorded answers: the same motion, with somebody watching."""
+"""Rerun of a reported episode from its recorded answers: the same motion, with an observer."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from dualbrain.simulation.plant.plant import Plant
 
 
 class RecordedAnswers:
-    """Answers shot by shot what was answered before; nobody is asked."""
+    """A planner that repeats recorded answers, shot by shot."""
 
     name = "as answered before"
 
@@ -35,12 +35,12 @@ class RecordedAnswers:
         )
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Nothing to release."""
 
 
 @dataclass(frozen=True, slots=True)
 class RerunHooks:
-    """Who watches: `opened` gets the plant before anything moves, `moment` what happens now and then."""
+    """Observers of a rerun: `on_open` gets the plant before any motion, `on_tick` a snapshot now and then."""
 
     on_open: Callable[[Plant], None] = lambda plant: None
     on_tick: Callable[[TickSnapshot], None] | None = None
@@ -50,29 +50,29 @@ class RerunHooks:
 def rerun_episode(
     row: EpisodeRow, suite: Suite, clock: Clock, hooks: RerunHooks, make_case: CaseFactory = make_case
 ) -> EpisodeRun:
-    """Fly `row` again; memory is not needed, for what it led to stands in the answers."""
+    """Run the episode of `row` again; memory is not needed, because the answers are recorded."""
     task = next(task for task in suite.tasks if task.name == row.task)
     case = make_case(task, row.seed, row.robot, row.repetition)
 
-    def picture(plant: Plant) -> ImageFeatures | None:
+    def open_plant(plant: Plant) -> ImageFeatures | None:
         hooks.on_open(plant)
         return None
 
-    means = EpisodeResources(
+    resources = EpisodeResources(
         id="again",
         planner=RecordedAnswers(row.answers),
         clock=clock,
         max_shots=max(1, len(row.answers)),
         planning_time=suite.planning_time,
         on_tick=hooks.on_tick,
-        image_features=picture,
+        image_features=open_plant,
         visuals=hooks.visuals,
     )
-    return run_case(case, find_method(row.method), means)
+    return run_case(case, find_method(row.method), resources)
 
 
 def find_differences(row: EpisodeRow, run: EpisodeRun) -> list[str]:
-    """What came out otherwise than recorded: nothing, on the same machine and code."""
+    """Differences between `run` and the recorded row; none on the same machine and code."""
     outcome, judgement = run.episode.outcome, run.episode.judgement
     pairs = {
         "outcome": (row.outcome, outcome.kind),

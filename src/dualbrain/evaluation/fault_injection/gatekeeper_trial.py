@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-import numpy as np
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.gate.authorization import PLANNER
 from dualbrain.control.gatekeeper.capability import full_capability
-from dualbrain.control.gatekeeper.gatekeeper import Gatekeeper
+from dualbrain.control.gatekeeper.gatekeeper import Gatekeeper, GatekeeperSettings
 from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
 from dualbrain.control.gatekeeper.protocol.server import SocketServer
 from dualbrain.control.recording.trace import Trace
@@ -24,11 +23,9 @@ from dualbrain.records import Outcome, Scene
 from dualbrain.robots.interface import Command, RobotState
 from dualbrain.robots.model import RobotModel
 from dualbrain.safety.supervisor.timing import SIMULATED
-from dualbrain.simulation.perception.noisy_perception import NoisyPerception, PerceptionNoise
-from dualbrain.simulation.plant.factory import make_plant
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
-from dualbrain.simulation.world import SimulatedWorld
+from dualbrain.simulation.world import SimulatedWorld, make_world
 from dualbrain.skills.registry import skill_registry
 
 MAX_EPISODE_TIME = 60.0
@@ -115,8 +112,8 @@ def run_gatekeeper_trial(
 
     `seen` may put an observer of truth into the world before it begins.
     """
-    plant = make_plant(spec, robot_model)
-    world = SimulatedWorld(plant, NoisyPerception(spec, PerceptionNoise(), np.random.default_rng([seed, 1])))
+    world = make_world(spec, robot_model, seed=seed)
+    plant = world.plant
     on_world_created(plant, world)
     injector = FaultInjector(fault, lambda: plant.now)
     robot = LockstepRobot(robot=FaultyRobot(plant, injector, robot_model), world=world, plant=plant, injector=injector)
@@ -133,7 +130,7 @@ def run_gatekeeper_trial(
             door,
             keys,
             {PLANNER: full_capability(registry)},
-            timing=SIMULATED,
+            settings=GatekeeperSettings(timing=SIMULATED),
             trace=found.trace,
             monotonic=lambda: plant.now,
             on_outcome=outcomes.append,
@@ -166,5 +163,5 @@ def run_gatekeeper_trial(
             commander.close()
             door.close()
         found.outcome = outcomes[0] if outcomes else found.outcome
-        found.final_action = keeper.executor.safety_controller.decision.action.name
+        found.final_action = keeper.loop.safety_controller.decision.action.name
     return found

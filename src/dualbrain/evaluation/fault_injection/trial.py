@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.contracts.contract import Action, Context, Contract
-from dualbrain.control.contract_executor import ContractExecutor
-from dualbrain.control.control_loop import ExecutorConfig
+from dualbrain.control.control_loop import ControlLoopConfig, LoopInputs, LoopObserver
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Event, Trace
 from dualbrain.evaluation.fault_injection.faults import (
@@ -26,14 +25,13 @@ from dualbrain.evaluation.fault_injection.gatekeeper_trial import run_gatekeeper
 from dualbrain.records import Violation
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import RobotModel
+from dualbrain.runtime.assembly import SimulatedCell
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.supervisor.actions import SafetyAction
-from dualbrain.simulation.perception.noisy_perception import NoisyPerception, PerceptionNoise
-from dualbrain.simulation.plant.factory import make_plant
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
-from dualbrain.simulation.world import SimulatedWorld
+from dualbrain.simulation.world import SimulatedWorld, make_world
 
 GRASP_PARAMS = {
     "object": "red_cube",
@@ -102,42 +100,38 @@ def run_fault_trial(fault: Fault, *, robot: str = "panda", scene: str = "tableto
     robot_model, spec = load_robot(robot), open_scene(scene, robot)
     if fault.source in COMMANDER_SOURCES:
         return _trial_through_gatekeeper(fault, robot_model, spec, scene, seed)
-    plant = make_plant(spec, robot_model)
-    world = SimulatedWorld(plant, NoisyPerception(spec, PerceptionNoise(), np.random.default_rng([seed, 1])))
+    world = make_world(spec, robot_model, seed=seed)
+    plant = world.plant
     injector = FaultInjector(fault, lambda: plant.now)
     safety = SafetyFilter(robot_model)
     inject_filter_fault(safety, injector)
-
-    def phase_changed(phase: str, roles: dict[str, str | None]) -> None:
-        world.set_phase(phase, roles)
-        injector.set_phase(phase)
-
-    told: list[tuple[float, Event]] = []  # with true times: the robot's own stamps may be what is broken
-    log = FlightLog(Trace(robot_model.n, robot_model.nq), None, lambda event: told.append((plant.now, event)))
-    layer = ContractExecutor(
+    events: list[tuple[float, Event]] = []  # with true times: the robot's own stamps may be faulty
+    log = FlightLog(Trace(robot_model.n, robot_model.nq), None, lambda event: events.append((plant.now, event)))
+    motion = _MotionRecorder(plant)
+    setattr(world, "advance", motion.wrap(world.advance))  # noqa: B010  (an observer of ground truth, for this world)
+    cell = SimulatedCell(
         robot_model,
-        FaultyRobot(plant, injector, robot_model),
-        FaultyWorld(world, injector),
-        safety,
-        log,
-        ExecutorConfig(settle_time=SETTLE_TIME),
-        on_phase=phase_changed,
-        clock=faulty_clock(lambda: plant.now, injector),
+        world,
+        safety=safety,
+        log=log,
+        config=ControlLoopConfig(settle_time=SETTLE_TIME),
+        observer=LoopObserver(on_phase=lambda phase, roles: injector.set_phase(phase)),
+        inputs=LoopInputs(clock=faulty_clock(lambda: plant.now, injector)),
+        robot=FaultyRobot(plant, injector, robot_model),
+        environment=FaultyWorld(world, injector),
     )
     contract = Contract("c-0001", Context(robot, ""), tuple(Action(*one) for one in trial_actions(robot_model)))
-    watched = _MotionRecorder(plant)
-    setattr(world, "advance", watched.wrap(world.advance))  # noqa: B010  (an observer of truth, for this one world)
-    outcome = layer.execute(contract)
-    for _ in range(round(AFTERMATH_TIME / robot_model.period)):  # the world goes on, whatever has ended
+    outcome = cell.executor.execute(contract)
+    for _ in range(round(AFTERMATH_TIME / robot_model.period)):  # physics continues after the contract
         world.advance()
     struck = injector.triggered_at
     violations = world.judgement().violations
-    unsafe = tuple(one for one in violations if one.kind in UNSAFE_VIOLATIONS and watched.was_moving_at(one.start))
+    unsafe = tuple(one for one in violations if one.kind in UNSAFE_VIOLATIONS and motion.was_moving_at(one.start))
     expected = fault.expected_action(scene_moves=spec.mover is not None)
-    orders = [(t, SafetyAction[e.data["action"]]) for t, e in told if "action" in e.data and e.kind == "order"]
-    since = [(t, rung) for t, rung in orders if struck is not None and t >= struck - robot_model.period]
-    reached = max([layer.safety_controller.decision.action, *(rung for _, rung in since)])
-    came = next((t for t, rung in since if rung >= expected), None) if expected else None
+    orders = [(t, SafetyAction[e.data["action"]]) for t, e in events if "action" in e.data and e.kind == "order"]
+    since = [(t, action) for t, action in orders if struck is not None and t >= struck - robot_model.period]
+    reached = max([cell.loop.safety_controller.decision.action, *(action for _, action in since)])
+    came = next((t for t, action in since if action >= expected), None) if expected else None
     return FaultReport(
         fault=f"{fault.source} {fault.kind} {fault.moment}",
         scene=scene,
@@ -146,7 +140,7 @@ def run_fault_trial(fault: Fault, *, robot: str = "panda", scene: str = "tableto
         reached=reached.name,
         checks=tuple(dict.fromkeys(str(e.data["check"]) for e in log.trace.events if e.data.get("check"))),
         reaction=max(0.0, came - struck) if came is not None and struck is not None else None,
-        rest=watched.time_to_rest(struck),
+        rest=motion.time_to_rest(struck),
         outcome=outcome.kind,
         reason=outcome.reason,
         unsafe=unsafe,

@@ -23,11 +23,9 @@ from dualbrain.records import Judgement
 from dualbrain.robots.interface import Command
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import RobotModel
-from dualbrain.simulation.perception.noisy_perception import NoisyPerception, PerceptionNoise
-from dualbrain.simulation.plant.factory import make_plant
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
 from dualbrain.simulation.tasks.multi_goal import parse_goals
-from dualbrain.simulation.world import SimulatedWorld
+from dualbrain.simulation.world import make_world
 
 WATCHDOG_TIMEOUT = 0.1
 """No command for this long [s]: the drive goes off."""
@@ -75,11 +73,9 @@ class RobotProcess:
     def __init__(self, settings: SimulatedRobotSettings, link: socket.socket) -> None:
         """Build the world; nothing moves yet."""
         robot_model, spec = settings.robot_model or load_robot(settings.robot), settings.scene
-        self.plant = make_plant(spec, robot_model)
-        perception = NoisyPerception(spec, PerceptionNoise(), np.random.default_rng([settings.seed, 1]))
-        self.world = SimulatedWorld(
-            self.plant, perception, goal=parse_goals(settings.goal, spec) if settings.goal else None
-        )
+        goal = parse_goals(settings.goal, spec) if settings.goal else None
+        self.world = make_world(spec, robot_model, seed=settings.seed, goal=goal)
+        self.plant = self.world.plant
         self._packet_socket: PacketSocket[packets.ToRobot] = PacketSocket(link, packets.decode_to_robot)
         self._settings, self._period, self._shutdown_requested = settings, robot_model.period, False
         self._scene_period_ticks = perception_period_ticks(robot_model.period)

@@ -1,0 +1,118 @@
+"""Backend that runs the robot in real time behind a gatekeeper process."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Generator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import msgspec
+
+from dualbrain.contracts.gate.authorization import PLANNER
+from dualbrain.control.gatekeeper.config import GatekeeperConfig
+from dualbrain.control.gatekeeper.gatekeeper import OPERATOR
+from dualbrain.control.gatekeeper.process import GatekeeperProcess
+from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
+from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError, GatekeeperClient
+from dualbrain.control.gatekeeper.protocol.messages import EventReport, Message, OperatorAction, TickReport
+from dualbrain.control.gatekeeper.remote_executor import RemoteExecutor
+from dualbrain.control.gatekeeper.robot_link.simulated_robot import RobotReport
+from dualbrain.control.recording.channels import read_trace
+from dualbrain.control.recording.flight_log import FlightLog
+from dualbrain.control.recording.trace import Event, Trace
+from dualbrain.records import Judgement
+from dualbrain.runtime.backend import RunContext, RunningRobot
+from dualbrain.runtime.config import RunObserver
+from dualbrain.runtime.episode import GroundTruth
+from dualbrain.runtime.planning_time import PlanningClock
+
+ROBOT_REPORT_FILE, TICK_TIMING_FILE = "robot.json", "punctuality.json"
+"""Files that the robot process and the gatekeeper write into the run folder."""
+ADDRESS_FILE = "gatekeeper.address"
+"""File of the run folder with the address of the gatekeeper, for example for `dualbrain operate`."""
+
+
+class GatekeeperBackend:
+    """Starts a gatekeeper for a run. The filter cannot be switched off here; the plant of this process does not move."""
+
+    def __init__(self, speed_stage: float = 1.0, on_tick_report: Callable[[TickReport], None] | None = None) -> None:
+        """Begin at the speed scale `speed_stage`, (0, 1]; `on_tick_report` gets the gatekeeper's reports on its ticks."""
+        self.speed_stage, self.on_tick_report = speed_stage, on_tick_report
+        self._operator: GatekeeperClient | None = None
+
+    def operate(self, action: OperatorAction, speed: float = 1.0) -> str:
+        """Send an operator command, from any thread; returns "" or the reason why it could not be sent."""
+        if self._operator is None or self._operator.disconnected.is_set():
+            return "there is no gatekeeper"
+        try:
+            self._operator.operate(action, speed)
+        except ConnectionLostError as error:
+            return str(error)
+        return ""
+
+    @contextmanager
+    def start(self, context: RunContext, observer: RunObserver) -> Generator[RunningRobot]:
+        """The robot behind a new gatekeeper process."""
+        out = context.config.out
+        with ExitStack() as stack:
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dualbrain-")))
+            config = _gatekeeper_config(context, folder, self.speed_stage)
+            process = GatekeeperProcess(config)
+            stack.callback(process.stop)
+            address = out / ADDRESS_FILE
+            address.write_text(f"{config.socket}\n{config.keys}\n", encoding="utf-8")
+            stack.callback(address.unlink)
+            yield self._connect(context, observer, process)
+
+    def _connect(self, context: RunContext, observer: RunObserver, process: GatekeeperProcess) -> RunningRobot:
+        config, model = process.config, context.robot_model
+
+        def watch(message: Message) -> None:
+            match message:
+                case EventReport(t, kind, text, data):
+                    observer.on_event(msgspec.convert({"t": t, "kind": kind, "text": text, "data": data}, Event))
+                case TickReport() if self.on_tick_report:
+                    self.on_tick_report(message)
+                case _:
+                    pass
+
+        def judge() -> Judgement | None:
+            """Read the judgement that the robot process writes when it is switched off."""
+            for one in (client, operator):
+                one.close()
+            process.stop()
+            report = context.config.out / ROBOT_REPORT_FILE
+            return msgspec.json.decode(report.read_bytes(), type=RobotReport).judgement if report.exists() else None
+
+        keys = load_or_create_keys(Path(config.keys))
+        client = GatekeeperClient(Path(config.socket), keys, PLANNER, on_report=watch)
+        self._operator = operator = GatekeeperClient(Path(config.socket), keys, OPERATOR)
+        log = FlightLog(Trace(model.n), None, observer.on_event)
+        executor = RemoteExecutor(model, client, log, context.interrupted)
+        truth = GroundTruth(lambda contract: None, judge, context.versions, context.image_features)
+        clock = PlanningClock(time.monotonic, measured=True)
+        return RunningRobot(executor=executor, clock=clock, ground_truth=truth)
+
+    def trace(self, context: RunContext) -> Trace:
+        """The trace that the gatekeeper recorded."""
+        return read_trace(context.config.out / "episode.mcap") or Trace(context.robot_model.n)
+
+
+def _gatekeeper_config(context: RunContext, folder: Path, speed_stage: float) -> GatekeeperConfig:
+    config, out = context.config, context.config.out
+    return GatekeeperConfig(
+        robot=config.robot,
+        scene=context.spec,
+        socket=str(folder / "door"),
+        keys=str(folder / "keys"),
+        seed=config.seed,
+        goal=config.goal,
+        stage=speed_stage,
+        recording=str(out / "episode.mcap"),
+        instruction=config.instruction,
+        report=str(out / ROBOT_REPORT_FILE),
+        punctuality=str(out / TICK_TIMING_FILE),
+        site=str(config.site or ""),
+    )

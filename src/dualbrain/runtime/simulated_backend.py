@@ -1,0 +1,64 @@
+"""Backend that simulates the robot in this process, in lockstep with the control loop."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from contextlib import contextmanager
+
+from dualbrain.control.control_loop import ControlLoopConfig, LoopInputs, LoopObserver
+from dualbrain.control.recording.flight_log import FlightLog
+from dualbrain.control.recording.recorder import Recorder
+from dualbrain.control.recording.trace import Trace
+from dualbrain.runtime.assembly import SimulatedCell
+from dualbrain.runtime.backend import RunContext, RunningRobot
+from dualbrain.runtime.config import RunObserver
+from dualbrain.runtime.episode import GroundTruth
+from dualbrain.runtime.planning_time import PLANNING_TIME, PlanningClock
+from dualbrain.safety.cbf.filter import SafetyFilter
+
+
+class SimulatedBackend:
+    """Runs the session's own simulated world."""
+
+    def __init__(self) -> None:
+        """Nothing runs yet."""
+        self._trace: Trace | None = None
+
+    @contextmanager
+    def start(self, context: RunContext, observer: RunObserver) -> Generator[RunningRobot]:
+        """The simulated robot; every tick is recorded in `episode.mcap` of the run folder."""
+        config, model = context.config, context.robot_model
+        trace = self._trace = Trace(model.n, model.nq)
+        with Recorder(config.out / "episode.mcap", trace, when_full="wait") as recorder:
+            log = FlightLog(trace, recorder, observer.on_event)
+            recorder.episode(0.0, {**_recording_metadata(context), "versions": context.versions})
+            world = context.world
+            cell = SimulatedCell(
+                model,
+                world,
+                safety=SafetyFilter(model, fixed_obstacles=context.fixed_obstacles),
+                log=log,
+                config=ControlLoopConfig(guard=config.guard),
+                observer=LoopObserver(on_tick=observer.on_tick, on_phase=lambda phase, roles: observer.on_phase(phase)),
+                inputs=LoopInputs(interrupted=context.interrupted, clock=lambda: world.plant.now),
+            )
+            planning_time = 0.0 if config.contract else PLANNING_TIME
+            truth = GroundTruth(world.start_contract, world.judgement, context.versions, context.image_features)
+            clock = PlanningClock(context.clocks.clock, config.measured, planning_time)
+            try:
+                yield RunningRobot(executor=cell.executor, clock=clock, ground_truth=truth)
+            finally:
+                world.plant.stop()
+
+    def trace(self, context: RunContext) -> Trace:
+        """The recorded trace."""
+        return self._trace or Trace(context.robot_model.n, context.robot_model.nq)
+
+
+def _recording_metadata(context: RunContext) -> dict[str, object]:
+    """Metadata of the recording; with a site file, everything about the site that a replay needs."""
+    config = context.config
+    about: dict[str, object] = {"robot": config.robot, "guard": config.guard, "instruction": config.instruction}
+    if config.site:
+        about |= {"body": context.robot_model, "standing": context.fixed_obstacles}
+    return about
