@@ -8,7 +8,7 @@ import pytest
 
 from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.control.contract_executor import ContractExecutor
-from dualbrain.control.control_loop import ExecutorConfig
+from dualbrain.control.control_loop import ControlLoop, ControlLoopConfig, LoopInputs
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Trace
 from dualbrain.robots.interface import home_state
@@ -54,8 +54,10 @@ def layer(status=None, since=0.1, until=99.0, interrupted=lambda: False, guard=T
 
     safety.filter = said
     log = FlightLog(Trace(BODY.n))
-    config = ExecutorConfig(guard=guard, settle_time=0.05)
-    return robot, ContractExecutor(BODY, robot, robot, safety, log, config, interrupted=interrupted)
+    config = ControlLoopConfig(guard=guard, settle_time=0.05)
+    return robot, ContractExecutor(
+        ControlLoop(BODY, robot, robot, safety, log, config, inputs=LoopInputs(interrupted=interrupted))
+    )
 
 
 def rest(seconds=1.0):

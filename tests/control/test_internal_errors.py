@@ -14,7 +14,7 @@ from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.control import contract_executor
 from dualbrain.control.contract_executor import ContractExecutor
-from dualbrain.control.control_loop import ExecutorConfig
+from dualbrain.control.control_loop import ControlLoop, ControlLoopConfig, LoopInputs
 from dualbrain.control.recording import recorder as recorder_module
 from dualbrain.control.recording.channels import recording_state
 from dualbrain.control.recording.flight_log import FlightLog
@@ -73,7 +73,15 @@ def run(seen, *actions, interrupted=lambda: False):
     world = World(seen)
     log = FlightLog(Trace(BODY.n))
     layer = ContractExecutor(
-        BODY, world, world, SafetyFilter(BODY), log, ExecutorConfig(settle_time=0.1), interrupted=interrupted
+        ControlLoop(
+            BODY,
+            world,
+            world,
+            SafetyFilter(BODY),
+            log,
+            ControlLoopConfig(settle_time=0.1),
+            inputs=LoopInputs(interrupted=interrupted),
+        )
     )
     return world, layer.execute(Contract("c-1", Context("panda", ""), actions)), log.trace
 

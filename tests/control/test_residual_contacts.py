@@ -5,7 +5,7 @@ import pytest
 
 from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.control.contract_executor import ContractExecutor
-from dualbrain.control.control_loop import ExecutorConfig
+from dualbrain.control.control_loop import ControlLoop, ControlLoopConfig, LoopInputs, LoopObserver
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Trace
 from dualbrain.control.residual_contacts import CLEARANCE, ResidualContacts
@@ -44,15 +44,16 @@ class Stopped:
         self.world = SimulatedWorld(self.plant, NoisyPerception(spec, PerceptionNoise(), np.random.default_rng([0, 1])))
         self.log = FlightLog(Trace(BODY.n))
         self.layer = ContractExecutor(
-            BODY,
-            self.plant,
-            self.world,
-            SafetyFilter(BODY),
-            self.log,
-            ExecutorConfig(),
-            on_phase=self.world.set_phase,
-            clock=lambda: self.plant.now,
-            external_conditions=self.asked,
+            ControlLoop(
+                BODY,
+                self.plant,
+                self.world,
+                SafetyFilter(BODY),
+                self.log,
+                ControlLoopConfig(),
+                LoopObserver(on_phase=self.world.set_phase),
+                inputs=LoopInputs(external_conditions=self.asked, clock=lambda: self.plant.now),
+            )
         )
         self.outcome = self.run("grasp", GRASP)
 
@@ -86,8 +87,8 @@ def around(layer):
 def test_a_thing_that_the_fingers_were_stopped_on_is_held_and_can_be_put_down():
     story = Stopped(closing)
     assert story.outcome.kind == "stopped"
-    assert story.layer.controller.holding is not None, "it is between the fingers, and they press on it"
-    assert story.layer.controller.holding.name == "red_cube"
+    assert story.layer.loop.controller.holding is not None, "it is between the fingers, and they press on it"
+    assert story.layer.loop.controller.holding.name == "red_cube"
     then = story.run("place", PLACE)
     assert (then.kind, then.reason) == ("succeeded", "red_cube is at blue_bowl")
     assert then.delta_peak < 0.02
@@ -97,9 +98,9 @@ def test_a_thing_that_the_fingers_were_stopped_on_is_held_and_can_be_put_down():
 def test_open_fingers_that_were_stopped_around_a_thing_get_away_from_it():
     story = Stopped(around)
     assert story.outcome.kind == "stopped"
-    assert story.layer.controller.holding is None
-    told, permit = [], story.layer.safety.permit
-    story.layer.safety.permit = lambda contacts: (
+    assert story.layer.loop.controller.holding is None
+    told, permit = [], story.layer.loop.safety.permit
+    story.layer.loop.safety.permit = lambda contacts: (
         told.append({(contact.robot_part, contact.obstacle) for contact in contacts}) or permit(contacts)
     )
     then = story.run("home", {"speed": 0.3})

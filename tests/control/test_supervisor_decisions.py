@@ -7,7 +7,7 @@ import pytest
 
 from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.control.contract_executor import ContractExecutor
-from dualbrain.control.control_loop import ExecutorConfig
+from dualbrain.control.control_loop import ControlLoop, ControlLoopConfig, LoopInputs, LoopObserver
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Trace
 from dualbrain.robots.loader import load_robot
@@ -42,17 +42,18 @@ class Rig:
         self.world = SimulatedWorld(self.plant, NoisyPerception(spec, PerceptionNoise(), np.random.default_rng([0, 1])))
         self.log = FlightLog(Trace(BODY.n))
         self.layer = ContractExecutor(
-            BODY,
-            robot(self.plant),
-            self.world,
-            SafetyFilter(BODY),
-            self.log,
-            ExecutorConfig(settle_time=0.8),
-            on_phase=self.world.set_phase,
-            clock=lambda: self.plant.now,
-            external_conditions=lambda: int(asks(self.plant.now)),
+            ControlLoop(
+                BODY,
+                robot(self.plant),
+                self.world,
+                SafetyFilter(BODY),
+                self.log,
+                ControlLoopConfig(settle_time=0.8),
+                LoopObserver(on_phase=self.world.set_phase),
+                inputs=LoopInputs(external_conditions=lambda: int(asks(self.plant.now)), clock=lambda: self.plant.now),
+            )
         )
-        self.layer.safety_controller.speed_stage = stage
+        self.layer.loop.safety_controller.speed_stage = stage
 
     def grasp(self):
         return self.layer.execute(Contract("c-1", Context("panda", ""), (Action("grasp", GRASP),)))
@@ -116,7 +117,7 @@ def test_what_ends_a_contract_stops_the_arm_and_leaves_the_drive_as_ordered(flag
     rig = Rig(between(flag, 1.0))
     outcome = rig.grasp()
     assert outcome.kind == kind
-    assert rig.layer.safety_controller.decision.action is rung
+    assert rig.layer.loop.safety_controller.decision.action is rung
     assert rig.layer.state.drive_enabled is drive
     assert np.abs(rig.layer.state.v).max() < 0.01
     assert rig.unharmed()
@@ -134,9 +135,12 @@ def test_after_an_emergency_stop_reset_lands_in_a_hold_with_the_drive_on():
     rig.layer.hold(2.4 - rig.plant.now)
     assert not rig.layer.state.drive_enabled
     rig.layer.hold(2.8 - rig.plant.now)
-    assert (rig.layer.safety_controller.decision.action, rig.layer.state.drive_enabled) == (SafetyAction.HOLD, True)
+    assert (rig.layer.loop.safety_controller.decision.action, rig.layer.state.drive_enabled) == (
+        SafetyAction.HOLD,
+        True,
+    )
     rig.layer.hold(0.5)
-    assert rig.layer.safety_controller.decision.action is SafetyAction.NONE
+    assert rig.layer.loop.safety_controller.decision.action is SafetyAction.NONE
     assert np.abs(rig.layer.state.v).max() < 0.01
     assert rig.unharmed()
 
@@ -213,7 +217,7 @@ def test_a_drive_that_goes_off_unasked_is_an_emergency():
     rig.layer.hold(0.1)
     rig.plant.stop()
     rig.layer.hold(0.1)
-    assert rig.layer.safety_controller.decision.check == "drive_dropped"
+    assert rig.layer.loop.safety_controller.decision.check == "drive_dropped"
 
 
 def test_brakes_that_do_not_hold_lock_out():
@@ -226,14 +230,14 @@ def test_brakes_that_do_not_hold_lock_out():
 
     rig.plant.stop = slack
     rig.layer.hold(1.5)
-    assert rig.layer.safety_controller.decision.action is SafetyAction.LOCKOUT
-    assert rig.layer.safety_controller.decision.check == "falling"
+    assert rig.layer.loop.safety_controller.decision.action is SafetyAction.LOCKOUT
+    assert rig.layer.loop.safety_controller.decision.check == "falling"
 
 
 def test_who_pushes_an_arm_in_a_monitored_standstill_makes_it_an_emergency():
     rig = Rig(between(C.ABORT, 0.2))
     rig.layer.hold(0.5)
-    assert rig.layer.safety_controller.decision.action is SafetyAction.HOLD
+    assert rig.layer.loop.safety_controller.decision.action is SafetyAction.HOLD
     usual = rig.plant.write
     rig.plant.write = lambda command: usual(replace(command, u=command.u + 0.05))  # the drive creeps
     rig.layer.hold(0.5)
@@ -243,7 +247,7 @@ def test_who_pushes_an_arm_in_a_monitored_standstill_makes_it_an_emergency():
 
 def test_a_filter_whose_answer_is_no_number_is_replaced_by_braking():
     rig = Rig()
-    usual = rig.layer.safety.filter
+    usual = rig.layer.loop.safety.filter
 
     def broken(*arguments, **others):
         answer = usual(*arguments, **others)
@@ -251,7 +255,7 @@ def test_a_filter_whose_answer_is_no_number_is_replaced_by_braking():
             answer.u[:] = np.nan
         return answer
 
-    rig.layer.safety.filter = broken
+    rig.layer.loop.safety.filter = broken
     outcome = rig.grasp()
     assert outcome.kind == "stopped"
     assert "control_bad" in rig.orders()

@@ -4,7 +4,7 @@ import numpy as np
 
 from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.control.contract_executor import ContractExecutor
-from dualbrain.control.control_loop import ExecutorConfig
+from dualbrain.control.control_loop import ControlLoop, ControlLoopConfig, LoopObserver
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Trace
 from dualbrain.robots.loader import load_robot
@@ -27,13 +27,15 @@ class MobileBaseCell:
         )
         self.monitor = self.world.monitor
         self.executor = ContractExecutor(
-            MOBILE_BASE,
-            self.plant,
-            self.world,
-            SafetyFilter(MOBILE_BASE, fixed_obstacles=standing),
-            FlightLog(self.trace),
-            ExecutorConfig(settle_time=0.1),
-            on_phase=self.world.set_phase,
+            ControlLoop(
+                MOBILE_BASE,
+                self.plant,
+                self.world,
+                SafetyFilter(MOBILE_BASE, fixed_obstacles=standing),
+                FlightLog(self.trace),
+                ControlLoopConfig(settle_time=0.1),
+                LoopObserver(on_phase=self.world.set_phase),
+            )
         )
 
     def run(self, *actions):

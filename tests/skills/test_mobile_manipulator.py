@@ -5,7 +5,7 @@ import pytest
 
 from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.control.contract_executor import ContractExecutor
-from dualbrain.control.control_loop import ExecutorConfig
+from dualbrain.control.control_loop import ControlLoop, ControlLoopConfig, LoopObserver
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Trace
 from dualbrain.core.geometry.shapes import IDENTITY_QUATERNION
@@ -61,13 +61,15 @@ class Shop:
         self.trace = Trace(BODY.n, BODY.nq)
         self.world = SimulatedWorld(self.plant, NoisyPerception(self.spec, PerceptionNoise(), np.random.default_rng(0)))
         self.layer = ContractExecutor(
-            BODY,
-            self.plant,
-            self.world,
-            SafetyFilter(BODY),
-            FlightLog(self.trace),
-            ExecutorConfig(settle_time=0.1),
-            on_phase=self.world.set_phase,
+            ControlLoop(
+                BODY,
+                self.plant,
+                self.world,
+                SafetyFilter(BODY),
+                FlightLog(self.trace),
+                ControlLoopConfig(settle_time=0.1),
+                LoopObserver(on_phase=self.world.set_phase),
+            )
         )
 
     def run(self, *actions):

@@ -3,11 +3,11 @@
 import json
 
 import pytest
+from dualbrain.runtime.live_session import ADDRESS_FILE, LiveSession
 
 from dualbrain.cli.main import run_command_line
 from dualbrain.control.recording.replay import replay
 from dualbrain.planner.scripted import ScriptedPlanner
-from dualbrain.runtime.live_session import ADDRESS_FILE, LiveSession
 from dualbrain.runtime.session import RunObserver
 from tests.stories.story_session import contract_text, hold_contract, ledger_episodes, make_clocks, run_config
 
@@ -19,7 +19,8 @@ def test_a_live_run_refuses_asks_again_moves_and_replays_bit_for_bit(tmp_path):
     config = run_config(tmp_path)
     wrong = contract_text(("hold", {"duration": 99.0}))
     events = []
-    with LiveSession(config, make_clocks(), {}, ScriptedPlanner((wrong, hold_contract()))) as session:
+    planner = ScriptedPlanner((wrong, hold_contract()))
+    with Session(config, make_clocks(), {}, planner, GatekeeperBackend()) as session:
         finished = session.run(RunObserver(events.append))
     episode = finished.episode
     assert [type(attempt.verdict).__name__ for attempt in episode.attempts] == ["Rejected", "Accepted"]

@@ -8,6 +8,7 @@ from typing import Any, Self
 
 import msgspec
 
+from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.gate.authorization import PLANNER
 from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.verdict import Verdict
@@ -17,7 +18,7 @@ from dualbrain.control.executor import Grants
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Event, Trace
 from dualbrain.grounding.vocabulary import planner_grants, scene_names
-from dualbrain.records import Judgement
+from dualbrain.records import Judgement, Outcome
 from dualbrain.robots.interface import RobotInterface
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import RobotModel
@@ -120,6 +121,11 @@ class SimulatedCell:
         registry = skill_registry(self.robot_model)
         context = {"robot": registry.robot, "registry": registry.hash}
         return {"id": contract_id, "context": context, "action_sequence": actions}
+
+    def execute(self, contract: Contract) -> Outcome:
+        """Execute an accepted contract; `judgement` then says what ground truth makes of it."""
+        self.world.start_contract(contract)
+        return self.executor.execute(contract)
 
     def judgement(self) -> Judgement:
         """Success, progress and violations on the simulator's ground truth."""

@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from dualbrain.control.gatekeeper.capability import full_capability
-from dualbrain.control.gatekeeper.gatekeeper import Gatekeeper
+from dualbrain.control.gatekeeper.gatekeeper import Gatekeeper, GatekeeperSettings
 from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
 from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient
 from dualbrain.control.gatekeeper.protocol.messages import TickReport
@@ -43,7 +43,7 @@ def test_glimpses_come_some_fifteen_times_a_second_of_the_robots_time(tmp_path):
             robot=FaultyRobot(plant, injector, robot_model), world=world, plant=plant, injector=injector, on_period=each
         )
         keeper = Gatekeeper(
-            robot_model, robot, door, keys, {"planner": full_capability(skill_registry(robot_model))}, timing=SIMULATED
+            robot_model, robot, door, keys, {"planner": full_capability(skill_registry(robot_model))}, settings=GatekeeperSettings(timing=SIMULATED)
         )
         keeper.run()
         door.close()

@@ -6,7 +6,7 @@ import numpy as np
 
 from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.control.contract_executor import ContractExecutor
-from dualbrain.control.control_loop import ExecutorConfig
+from dualbrain.control.control_loop import ControlLoop, ControlLoopConfig
 from dualbrain.control.recording import replay as replay_module
 from dualbrain.control.recording.channels import FilterCall, read_recording
 from dualbrain.control.recording.flight_log import FlightLog
@@ -63,7 +63,7 @@ def recorded(folder, barriers, rows):
     with Recorder(path, trace, when_full="wait") as recorder:
         recorder.episode(0.0, {"robot": "panda", "guard": True, "instruction": ""})
         layer = ContractExecutor(
-            BODY, robot, robot, safety, FlightLog(trace, recorder), ExecutorConfig(settle_time=0.05)
+            ControlLoop(BODY, robot, robot, safety, FlightLog(trace, recorder), ControlLoopConfig(settle_time=0.05))
         )
         layer.execute(Contract("c-1", Context("panda", ""), (Action("hold", {"duration": 0.3}),)))
     return path, trace

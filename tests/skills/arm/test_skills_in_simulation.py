@@ -6,7 +6,7 @@ import pytest
 
 from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.control.contract_executor import ContractExecutor
-from dualbrain.control.control_loop import ExecutorConfig
+from dualbrain.control.control_loop import ControlLoop, ControlLoopConfig, LoopObserver
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Trace
 from dualbrain.core.geometry.shapes import Pose
@@ -30,13 +30,15 @@ class SkillCell:
         self.world = Ghosts(world, ghost) if ghost else world
         self.monitor = world.monitor
         self.layer = ContractExecutor(
-            robot_model,
-            self.plant,
-            self.world,
-            SafetyFilter(robot_model),
-            FlightLog(self.trace),
-            ExecutorConfig(settle_time=0.1),
-            on_phase=world.set_phase,
+            ControlLoop(
+                robot_model,
+                self.plant,
+                self.world,
+                SafetyFilter(robot_model),
+                FlightLog(self.trace),
+                ControlLoopConfig(settle_time=0.1),
+                LoopObserver(on_phase=world.set_phase),
+            )
         )
 
     def run(self, *actions):
@@ -126,7 +128,7 @@ def test_a_grasp_with_nothing_there_fails_the_two_finger_test():
     assert outcome.kind == "failed"
     assert "two-finger test" in outcome.reason
     assert [action.status for action in outcome.actions] == ["failed", "not_run"]
-    assert bench.layer.controller.holding is None
+    assert bench.layer.loop.controller.holding is None
 
 
 def test_the_order_of_actions_is_kept_and_a_failure_ends_it():

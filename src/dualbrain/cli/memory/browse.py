@@ -173,10 +173,10 @@ def search(
     posture = Posture(tuple(state.q.tolist()), state.opening)
     where = Filter(
         skills=skills,
-        outcomes=outcome,
-        statuses=status,
+        outcomes=outcome,  # pyright: ignore[reportArgumentType]  (checked when the filter is built)
+        statuses=status,  # pyright: ignore[reportArgumentType]
         after=_parse_time(after),
-        before=_parse_time(before),  # pyright: ignore
+        before=_parse_time(before),
     )
     with open_memory(ledger) as opened:
         recall = opened.retrieve(
