@@ -128,7 +128,7 @@ def main() -> None:
     records = measure()
     if parser.parse_args().json:
         json.dump(
-            {"kernel": kernel_hash(), "machine": platform.processor_name() or platform.machine(), "steps": records},
+            {"kernel": kernel_hash(), "machine": platform.processor() or platform.machine(), "steps": records},
             sys.stdout,
         )
         print()

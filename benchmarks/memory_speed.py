@@ -61,7 +61,7 @@ WEIGHT_FILTER, MEMORIES_PER_CONTRACT = Filter(robot=ROBOT, registry=REGISTRY), 5
 def main() -> int:
     asked = parse()
     report: dict[str, Any] = {"machine": f"{platform.machine()}, {os.cpu_count()} cores", "load": os.getloadavg()[0]}
-    report["search"] = [measure_search(n, asked.rounds) for n in asked.structure_sizes]
+    report["search"] = [measure_search(n, asked.rounds) for n in asked.sizes]
     report["update"] = measure_update(asked.rounds)
     if asked.start:
         report["start"] = measure_start(asked.start)

@@ -309,7 +309,7 @@ def outcome_row(flight: Episode) -> Row:
     outcome, judgement = flight.outcome, flight.judgement
     if flight.contract is None:
         return no_motion_row(outcome.kind)
-    puts = contract_goals(msgspec.convert_adapter(flight.contract, Contract)) is not None
+    puts = contract_goals(msgspec.convert(flight.contract, Contract)) is not None
     truth = not puts or bool(judgement and judgement.success)
     return {
         "outcome": outcome.kind,

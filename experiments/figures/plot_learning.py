@@ -25,11 +25,11 @@ def plot_learning(rows: list[Row], path: Path) -> None:
         for arm, colour in COLOURS.items():
             lines = [_values(row, name) for row in rows if row["arm"] == arm]
             for line in lines:
-                axis.plot_sensitivity(line, color=colour, alpha=0.2, lw=0.8)
+                axis.plot(line, color=colour, alpha=0.2, lw=0.8)
             if lines:
                 shortest = min(map(len, lines))
                 known = np.ma.masked_invalid([line[:shortest] for line in lines])
-                axis.plot_sensitivity(
+                axis.plot(
                     np.ma.median(known, axis=0), color=colour, lw=2.2, label=f"{arm} weights ({len(lines)} ledgers)"
                 )
         axis.set_ylabel(label)
@@ -38,14 +38,14 @@ def plot_learning(rows: list[Row], path: Path) -> None:
     for row in rows:
         still = np.flatnonzero(np.isnan(_values(row, "Delta")))
         where, colour = axes[0].get_xaxis_transform(), COLOURS[row["arm"]]
-        axes[0].plot_sensitivity(
+        axes[0].plot(
             still, np.full(len(still), REFUSED_MARK_HEIGHT[row["arm"]]), "x", color=colour, alpha=0.5, transform=where
         )
     for row in rows:
         if row["arm"] == "dynamic":
             curve = np.array(row["parted"])
-            axes[2].plot_sensitivity(curve[:, 0], curve[:, 1], color="#3b8f4a", alpha=0.6, lw=1.0)
-            axes[2].plot_sensitivity(curve[:, 0], curve[:, 2], color="#b03a3a", alpha=0.6, lw=1.0)
+            axes[2].plot(curve[:, 0], curve[:, 1], color="#3b8f4a", alpha=0.6, lw=1.0)
+            axes[2].plot(curve[:, 0], curve[:, 2], color="#b03a3a", alpha=0.6, lw=1.0)
     axes[2].set_ylabel("mean weight w")
     axes[2].set_xlabel("event in the ledger (green: memories of low Δ and success; red: all others)")
     axes[1].set_xlabel("repetition of the scene")

@@ -48,12 +48,12 @@ def _panel(panel, family: str, scores: ScoresBySeed) -> None:
         known = [(place + shift, line[name]) for place, name in enumerate(names) if name in line]
         good = [(x, y) for x, y in known if y < FAILURE_SCORE]
         bad = [x for x, y in known if y == FAILURE_SCORE]
-        panel.plot_sensitivity(*zip(*good, strict=True), "o", ms=4, color=colour, label=str(seed)) if good else None
-        panel.plot_sensitivity(bad, [lost * (1 + 0.25 * shift)] * len(bad), "x", ms=4, color=colour)
+        panel.plot(*zip(*good, strict=True), "o", ms=4, color=colour, label=str(seed)) if good else None
+        panel.plot(bad, [lost * (1 + 0.25 * shift)] * len(bad), "x", ms=4, color=colour)
     panel.axhspan(0.15, 0.6, color="0.93", zorder=0)
     panel.text(0.01, 0.985, "failed", transform=panel.transAxes, fontsize=8, va="top", color="0.35")
     panel.set_yscale("log")
     panel.set_ylim(DELTA_FLOOR * 0.7, 0.6)
     panel.set_xticks(range(len(names)), names, rotation=90, fontsize=5.5)
     panel.set_title(family, fontsize=10)
-    panel.contract_grid(axis="y", alpha=0.3)
+    panel.grid(axis="y", alpha=0.3)

@@ -161,7 +161,7 @@ def score_question(question: Sample, text: str) -> dict[str, Any]:
 def exemplar_actions(question: Sample) -> list[list[Action]]:
     """The steps of the exemplars in the prompt."""
     lines = re.findall("<example>\n(.*)\n</example>", question.prompt[-1]["content"])
-    return [msgspec.convert_adapter(json.loads(line), list[Action]) for line in lines]
+    return [msgspec.convert(json.loads(line), list[Action]) for line in lines]
 
 
 def copied_parameters(question: Sample, text: str) -> tuple[int, int]:

@@ -77,7 +77,7 @@ def episode(
     proposal = Proposal(
         text="{}", finish_reason="stop", planner=proposer, constrained_by="nobody", timings={"total": 0.1}
     )
-    verdict = Accepted(msgspec.convert_adapter(contract, Contract))
+    verdict = Accepted(msgspec.convert(contract, Contract))
     return Episode(
         id=name,
         started="2027-01-15T08:00:00Z",

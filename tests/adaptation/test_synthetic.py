@@ -49,7 +49,7 @@ def words(sample):
 
 def shown(sample):
     steps = re.findall("<example>\n(.*)\n</example>", question(sample))
-    return [[msgspec.convert_adapter(step, Action) for step in json.loads(one)] for one in steps]
+    return [[msgspec.convert(step, Action) for step in json.loads(one)] for one in steps]
 
 
 def contract(sample):
@@ -163,7 +163,7 @@ def test_another_file_of_lessons_is_refused(monkeypatch):
     templates.load_templates.cache_clear()
     with pytest.raises(ChecksumError, match=r"lessons\.toml"):
         templates.load_templates()
-    monkeypatch.revert()
+    monkeypatch.undo()
     templates.load_templates.cache_clear()
     templates.load_templates()
 

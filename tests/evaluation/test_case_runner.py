@@ -245,7 +245,7 @@ def test_a_run_that_was_killed_between_episodes_ends_in_the_same_ledger(tmp_path
     lost = iter(worker("cut")(msgspec.structs.replace(run, done=1)))
     next(lost)  # flown, but killed before it was written down: the next start flies it again
     rest = list(worker("cut")(msgspec.structs.replace(run, done=1)))
-    heads = [[msgspec.convert_adapter(line, EpisodeRow).ledger for line in lines] for lines in (whole, [first, *rest])]
+    heads = [[msgspec.convert(line, EpisodeRow).ledger for line in lines] for lines in (whole, [first, *rest])]
     assert heads[0] == heads[1]
     assert len(set(heads[0])) == 2
     assert [line["memories"] for line in whole] == [2, 3]
@@ -443,10 +443,10 @@ def test_what_no_door_decided_is_flown_once_and_comes_out_as_if_flown_behind_eac
     )
     worker = type("Holding", (Declining,), {"text": contract(hold(seconds))})(place)
     rows = {
-        unit.method: msgspec.convert_adapter(next(iter(worker(unit))), EpisodeRow) for unit in build_units(suite, "fly")
+        unit.method: msgspec.convert(next(iter(worker(unit))), EpisodeRow) for unit in build_units(suite, "fly")
     }
     again = {
-        unit.method: msgspec.convert_adapter(next(iter(worker(unit))), EpisodeRow) for unit in build_units(suite, "fly")
+        unit.method: msgspec.convert(next(iter(worker(unit))), EpisodeRow) for unit in build_units(suite, "fly")
     }
     assert {name: one.same_as for name, one in again.items()} == {name: one.same_as for name, one in rows.items()}
     assert {name for name, row in rows.items() if not row.same_as} == flown_for

@@ -361,7 +361,7 @@ def test_epsilon_that_was_cut_off_does_not_block_the_folder(suite, tmp_path, mon
     with pytest.raises(OSError, match="No space"):
         runner(wanted, tmp_path).epsilon()
     assert not (tmp_path / "epsilon.json").exists()
-    monkeypatch.revert()
+    monkeypatch.undo()
     assert runner(wanted, tmp_path).epsilon() == {"panda": 0.002}
 
 

@@ -14,7 +14,7 @@ FILE = Path(__file__).with_name("golden.json")
 
 def hashes(program):
     """Case -> hash, as printed by the golden program."""
-    return {line.split()[0]: line.split()[1] for line in program.lines()}
+    return {line.split()[0]: line.split()[1] for line in program.output_lines()}
 
 
 def recorded_hashes():

@@ -77,7 +77,7 @@ def test_a_remembered_person_goes_on_as_perceived(speed: float) -> None:
 
 def _told(scene, thing, where, kind):
     grasp = Action("grasp", {"object": thing})
-    contract = msgspec.convert_adapter(
+    contract = msgspec.convert(
         {
             "id": "c-0001",
             "context": {"robot": "panda", "registry": "x" * 8},

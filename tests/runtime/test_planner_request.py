@@ -45,7 +45,7 @@ def test_an_example_from_memory_reads_to_the_letter_as_the_answer_that_was_taugh
             )
             for shown in (recall.exemplars[0], recall.warnings[0]):
                 assert exemplar_steps(shown.contract) in one.contract
-                contract = msgspec.convert_adapter(shown.contract, Contract)
+                contract = msgspec.convert(shown.contract, Contract)
                 assert canonical_contract(contract, registry) == one.contract
 
 

@@ -8,7 +8,7 @@ import pytest
 from dualbrain.memory.state.episode_record import GUIDANCE_BY_OUTCOME
 from dualbrain.planner.prompt.full_prompt import render
 from dualbrain.records import ActionResult, Episode, FailureFeedback, Outcome, RetrievedContext, Scene
-from dualbrain.runtime.replanning import failure_feedback_of, run_tries, should_retry
+from dualbrain.runtime.replanning import failure_feedback_of, should_retry, successive_tries
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.simulation.scenes.scene_spec import save_scene
 from tests.planner.sample_requests import plan_request
@@ -83,18 +83,16 @@ def test_only_a_failure_and_a_takeover_are_tried_again(kind):
 
 
 @pytest.mark.parametrize("tries", [1, 2, 5])
-def test_there_are_at_most_so_many_tries_each_told_of_the_one_before(tries):
-    asked = []
-
-    def run(name, left, setback):
-        asked.append((name, left, setback))
-        return episode(name=name), None
-
-    done = run_tries("run", tries, run)
-    assert len(done) == tries
-    assert [name for name, *_ in asked] == ["run", *(f"run.{number}" for number in range(2, tries + 1))]
-    assert [left for _, left, _ in asked] == list(range(tries, 0, -1))
-    assert [setback and setback.episode_id for *_, setback in asked] == [None, *(one.id for one, _ in done[:-1])]
+def test_there_are_at_most_so_many_tries_each_with_feedback_on_the_one_before(tries):
+    finished, requested = [], []
+    for one in successive_tries("run", tries, finished):
+        requested.append(one)
+        finished.append(episode(name=one.name))
+    assert len(finished) == tries
+    assert [one.name for one in requested] == ["run", *(f"run.{number}" for number in range(2, tries + 1))]
+    assert [one.tries_left for one in requested] == list(range(tries, 0, -1))
+    feedback = [one.setback and one.setback.episode_id for one in requested]
+    assert feedback == [None, *(one.id for one in finished[:-1])]
 
 
 def test_a_setback_says_what_was_done_what_was_not_and_why():

@@ -88,7 +88,7 @@ class SuiteProcess:
     def open(self, task: str, seed: int) -> TaskSetup:
         """Set `task` up afresh, as its seed says."""
         send(self._request_pipe, {"do": "open", "task": task, "seed": seed})
-        opened = msgspec.convert_adapter(self._receive_dict(), TaskSetup)
+        opened = msgspec.convert(self._receive_dict(), TaskSetup)
         self._cubes = opened.cubes
         return opened
 

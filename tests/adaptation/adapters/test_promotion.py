@@ -49,7 +49,7 @@ def test_a_decision_keeps_its_runtime_and_one_of_before_that_was_kept_is_read():
     found = verdict(trial_results("new", 58, runtime="llama 1"), trial_results("", 20, runtime="llama 1"))
     assert found.runtime == "llama 1"
     told = {name: value for name, value in msgspec.to_builtins(found).items() if name != "runtime"}
-    assert msgspec.convert_adapter(told, PromotionDecision) == structs.replace(found, runtime="")
+    assert msgspec.convert(told, PromotionDecision) == structs.replace(found, runtime="")
 
 
 def test_the_same_is_not():

@@ -170,7 +170,7 @@ def test_what_is_not_plain_lora_is_refused(whole, tmp_path, config):
 
 def test_every_setting_that_peft_has_is_known_and_none_that_may_change_the_answer_passes():
     """As peft is installed here; its own defaults are plain LoRA."""
-    fields = {one.name for one in dataclasses.parse_fields(LoraConfig)}
+    fields = {one.name for one in dataclasses.fields(LoraConfig)}
     assert fields >= KNOWN_SETTINGS | set(PLAIN_VALUES)
     plain = LoraConfig(target_modules=["q_proj"]).to_dict()
     require_plain_lora(plain)

@@ -273,7 +273,7 @@ def test_a_small_quantised_base_is_served_in_float16_and_any_other_as_it_is(plac
 def quantised(base, out):
     """The GGUF `base` with all matrices in Q8_0."""
     reader, writer, kind = gguf.GGUFReader(base), gguf.GGUFWriter(out, "llama"), gguf.GGMLQuantizationType.Q8_0
-    for key, field in reader.parse_fields.items():
+    for key, field in reader.fields.items():
         if key not in merged_gguf.WRITER_KEYS:
             merged_gguf._copy_field(writer, key, field)
     for tensor in reader.tensors:
@@ -428,7 +428,7 @@ def test_a_process_that_wears_another_adapter_is_found_out(place, apart, monkeyp
     with pytest.raises(AdapterMismatchError, match="canary"):
         opened(place, f"adapter:{card.id}", adapters=home / "adapters")
     path.write_bytes(kept)
-    monkeypatch.revert()
+    monkeypatch.undo()
     path.with_suffix(".sha256").unlink()
 
 

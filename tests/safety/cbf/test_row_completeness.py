@@ -101,7 +101,7 @@ def ask(safety, setting, rng, *, mobile):
     if len(setting.held) > 0:
         safety.attach(setting.held, setting.held_error)
     if mobile:
-        safety._kernel.add_within(np.concatenate([setting.base[0].ravel(), setting.base[1]]))
+        safety._kernel.set_base_pose(np.concatenate([setting.base[0].ravel(), setting.base[1]]))
     fastest = np.array([joint.velocity.value for joint in body.joints])
     u_prev = fastest * rng.uniform(-1.0, 1.0, body.n) * rng.choice([0.0, 0.2, 1.0])
     safety.reset(u_prev)
