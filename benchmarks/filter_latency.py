@@ -127,7 +127,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", default=[], metavar="UNIT", choices=list(units(quick=False)))
     parser.add_argument("--write-docs", action="store_true", help="render docs/peers.md from what is known")
     arguments = parser.parse_args()
-    whole = collect_results(run_units(arguments.select, quick=arguments.quick, fresh=arguments.fresh))
+    whole = collect_results(run_units(arguments.only, quick=arguments.quick, fresh=arguments.fresh))
     if arguments.write_docs and not arguments.quick:
         write_report(whole, ROOT / "docs" / "peers.md")
     print(json.dumps(whole) if arguments.json else format_table(whole))

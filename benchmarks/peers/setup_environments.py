@@ -74,7 +74,7 @@ def main() -> int:
     parser.add_argument("--oscbf", default=OSCBF, help="git address that has oscbf's commit")
     arguments = parser.parse_args()
     missing: list[str] = []
-    for name in [arguments.select] if arguments.select else environment_names():
+    for name in [arguments.only] if arguments.only else environment_names():
         print(f"{name}: {'ready' if is_ready(name) else 'installing'}", file=sys.stderr)
         missing += [] if is_ready(name) else create(name, arguments.oscbf)
     for name in missing:

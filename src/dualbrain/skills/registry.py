@@ -104,7 +104,7 @@ class SkillExecution:
             if isinstance(controller, MobileManipulatorController)
             else controller
         )
-        self._routine: SkillRoutine = skill_modules(controller.robot_model)[skill].story(teller, **params)
+        self._routine: SkillRoutine = skill_modules(controller.robot_model)[skill].routine(teller, **params)
         self._steps_per_tick = steps_per_tick(controller.robot_model.period)
 
     def nominal(self, observation: Observation) -> Nominal | SkillResult | None:
