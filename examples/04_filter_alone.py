@@ -46,7 +46,9 @@ def main() -> None:
         now = tick * dt
         if tick % 33 == 0:  # a camera at 30 Hz; velocity and its error bound let the filter look ahead in between
             place = (0.95 - 0.15 * now, -0.35, 0.45)
-            ball = Obstacle("ball", Sphere(0.06), Pose(place), (-0.15, 0.0, 0.0), velocity_error=0.02, static=False)
+            ball = Obstacle(
+                "ball", Sphere(0.06), Pose(place), velocity=(-0.15, 0.0, 0.0), velocity_error=0.02, static=False
+            )
             safety.observe([table, crate, ball], stamp=now)  # 3
         answer = safety(q, v, my_controller(q, now), now, opening=0.0)  # 4
         if (words := f"{answer.status.name}, {what_to_do(answer)}") != told or tick % 500 == 0:

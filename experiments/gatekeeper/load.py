@@ -78,7 +78,13 @@ def run_load(plan: GatekeeperConfig, scene: str, planner: str, seconds: float, f
     day = LoadSummary()
     with ExitStack() as stack:
         config = RunConfig(
-            INSTRUCTIONS[0], folder / "day", folder / "ledger.sqlite", cache_folder(), plan.robot, scene, planner
+            instruction=INSTRUCTIONS[0],
+            out=folder / "day",
+            ledger=folder / "ledger.sqlite",
+            cache=cache_folder(),
+            robot=plan.robot,
+            scene=scene,
+            planner=planner,
         )
         session = stack.enter_context(LiveSession(config, Clocks(time.monotonic, "", time.time), os.environ))
         lookout = LiveFeed(session, 8100, Console(stderr=True, quiet=True))

@@ -238,10 +238,10 @@ def _run_episode(
     with tempfile.TemporaryDirectory(prefix="dualbrain-learning-run-") as folder:
         seed = about["seed"] * 1000 + int(name.split("-")[1]) + 500 * name.startswith("r")
         config = RunConfig(
-            INSTRUCTION,
-            Path(folder) / name,
-            ledger,
-            paths.cache_folder(),
+            instruction=INSTRUCTION,
+            out=Path(folder) / name,
+            ledger=ledger,
+            cache=paths.cache_folder(),
             scene=about["scene"],
             goal=GOAL,
             visuals=False,

@@ -79,10 +79,10 @@ def run_episode(scene: str, instruction: str, planner: Planner, *, guard: bool) 
     with tempfile.TemporaryDirectory(prefix="dualbrain-prove-") as folder:
         out = Path(folder) / "run"
         config = RunConfig(
-            instruction,
-            out,
-            Path(folder) / "ledger.sqlite",
-            paths.cache_folder(),
+            instruction=instruction,
+            out=out,
+            ledger=Path(folder) / "ledger.sqlite",
+            cache=paths.cache_folder(),
             scene=scene,
             guard=guard,
             goal=GOAL,

@@ -157,13 +157,13 @@ def _run_planned(spec: SceneSpec, about: dict[str, Any]) -> Row:
     words = about["instruction"]
     with tempfile.TemporaryDirectory() as folder:
         config = RunConfig(
-            words,
-            Path(folder) / "run",
-            Path(folder) / "ledger.sqlite",
-            cache_folder(),
-            about["robot"],
-            about["scene"],
-            about["planner"],
+            instruction=words,
+            out=Path(folder) / "run",
+            ledger=Path(folder) / "ledger.sqlite",
+            cache=cache_folder(),
+            robot=about["robot"],
+            scene=about["scene"],
+            planner=about["planner"],
             visuals=False,
             goal="" if words == LOOK_INSTRUCTION else words,
         )

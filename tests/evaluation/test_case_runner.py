@@ -442,12 +442,8 @@ def test_what_no_door_decided_is_flown_once_and_comes_out_as_if_flown_behind_eac
         epsilon={},
     )
     worker = type("Holding", (Declining,), {"text": contract(hold(seconds))})(place)
-    rows = {
-        unit.method: msgspec.convert(next(iter(worker(unit))), EpisodeRow) for unit in build_units(suite, "fly")
-    }
-    again = {
-        unit.method: msgspec.convert(next(iter(worker(unit))), EpisodeRow) for unit in build_units(suite, "fly")
-    }
+    rows = {unit.method: msgspec.convert(next(iter(worker(unit))), EpisodeRow) for unit in build_units(suite, "fly")}
+    again = {unit.method: msgspec.convert(next(iter(worker(unit))), EpisodeRow) for unit in build_units(suite, "fly")}
     assert {name: one.same_as for name, one in again.items()} == {name: one.same_as for name, one in rows.items()}
     assert {name for name, row in rows.items() if not row.same_as} == flown_for
     for name, row in rows.items():

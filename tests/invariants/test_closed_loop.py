@@ -119,7 +119,7 @@ def pressed(body, told, steps=2500):
     turn = (0.5**0.5, 0.0, -(0.5**0.5), 0.0)
     for k in range(steps):
         now, x = k * 1e-3, 0.65 - 0.06 * k * 1e-3
-        wall = Obstacle("wall", HalfSpace(), Pose((x, 0.0, 0.0), turn), (-0.06 * told, 0.0, 0.0), static=False)
+        wall = Obstacle("wall", HalfSpace(), Pose((x, 0.0, 0.0), turn), velocity=(-0.06 * told, 0.0, 0.0), static=False)
         safety.observe([wall], now)
         push = np.linalg.pinv(safety.tool(q).jacobian) @ np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
         q = q + 1e-3 * safety.filter(state(q, t=now), push, now).u

@@ -67,7 +67,12 @@ class StoryResult:
 
 def run_config(folder: Path, name="run", **changes) -> RunConfig:
     start = RunConfig(
-        INSTRUCTION, folder / name, folder / "ledger.sqlite", cache_folder(), scene="bare:0", visuals=False
+        instruction=INSTRUCTION,
+        out=folder / name,
+        ledger=folder / "ledger.sqlite",
+        cache=cache_folder(),
+        scene="bare:0",
+        visuals=False,
     )
     return replace(start, **changes)
 

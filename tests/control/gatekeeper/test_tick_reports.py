@@ -43,7 +43,12 @@ def test_glimpses_come_some_fifteen_times_a_second_of_the_robots_time(tmp_path):
             robot=FaultyRobot(plant, injector, robot_model), world=world, plant=plant, injector=injector, on_period=each
         )
         keeper = Gatekeeper(
-            robot_model, robot, door, keys, {"planner": full_capability(skill_registry(robot_model))}, settings=GatekeeperSettings(timing=SIMULATED)
+            robot_model,
+            robot,
+            door,
+            keys,
+            {"planner": full_capability(skill_registry(robot_model))},
+            settings=GatekeeperSettings(timing=SIMULATED),
         )
         keeper.run()
         door.close()

@@ -124,7 +124,9 @@ def test_a_bounded_step_stays_in_its_room(w: float, gain: float, offset: float, 
     assert 0.0 <= share <= 1.0
 
 
-@pytest.mark.parametrize("setting", [{"max_change_per_source": 0.0}, {"max_change_per_memory": -1.0}, {"min_similarity": 2.0}])
+@pytest.mark.parametrize(
+    "setting", [{"max_change_per_source": 0.0}, {"max_change_per_memory": -1.0}, {"min_similarity": 2.0}]
+)
 def test_bounds_that_are_none_are_refused(setting: dict[str, float]) -> None:
     with pytest.raises(ConfigurationError, match="trust"):
         TrustConfig(**setting)

@@ -17,7 +17,9 @@ from tests.safety import random_scenes
 PANDA = load_robot("panda")
 SMALL = msgspec.structs.replace(PANDA, spheres=PANDA.spheres[::4])
 V_MAX = np.array([joint.velocity.value for joint in PANDA.joints])
-COMING = Obstacle("hand", Sphere(0.06), Pose((0.55, 0.0, 0.75)), (0.0, 0.0, -0.3), velocity_error=0.1, static=False)
+COMING = Obstacle(
+    "hand", Sphere(0.06), Pose((0.55, 0.0, 0.75)), velocity=(0.0, 0.0, -0.3), velocity_error=0.1, static=False
+)
 
 
 def made(things, stamp=0.0, **changes):

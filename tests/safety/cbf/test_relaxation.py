@@ -131,7 +131,7 @@ def test_no_still_thing_that_braking_spares_is_traded_for_a_person(sparse_panda)
             "person",
             Capsule(0.1, 0.4),
             Pose((1.0 - 0.8 * now, 0.0, 0.5)),
-            (-0.8, 0.0, 0.0),
+            velocity=(-0.8, 0.0, 0.0),
             static=False,
             rank=Rank.BODY,
         )

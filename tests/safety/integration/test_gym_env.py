@@ -191,7 +191,7 @@ def test_moving_things_are_seen_in_every_step():
 
     def ball(now):
         place = tuple(start - np.array([0.0, 0.0, 0.1 * now]))
-        return Obstacle("ball", Sphere(0.05), Pose(place), (0.0, 0.0, -0.1), static=False)
+        return Obstacle("ball", Sphere(0.05), Pose(place), velocity=(0.0, 0.0, -0.1), static=False)
 
     env = velocity_env(10**6, SafetyFilter(DERATED_PANDA, EXACT_CONFIG), scene=lambda _, now: [ball(now)])
     env.reset(seed=0)

@@ -65,7 +65,15 @@ def record_vectors(steps=120):
         [
             Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)), known=True),
             Obstacle("cube", Box((0.02, 0.02, 0.02)), Pose((0.5, 0.0, 0.3), (0.9, 0.1, 0.2, 0.3))),
-            Obstacle("ball", Sphere(0.05), Pose((0.75, 0.1, 0.4)), (-0.3, 0.0, 0.0), 0.005, 0.02, static=False),
+            Obstacle(
+                "ball",
+                Sphere(0.05),
+                Pose((0.75, 0.1, 0.4)),
+                velocity=(-0.3, 0.0, 0.0),
+                margin=0.005,
+                velocity_error=0.02,
+                static=False,
+            ),
         ],
         [Contact("fingers", "cube", 0.05)],
         [],

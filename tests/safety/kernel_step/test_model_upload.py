@@ -32,7 +32,7 @@ def test_a_thing_is_one_row_and_what_its_shape_lacks_is_zero(shape, known, stati
         "x",
         solid,
         POSE,
-        (0.4, 0.5, 0.6),
+        velocity=(0.4, 0.5, 0.6),
         margin=0.01,
         known=known,
         static=static,
