@@ -1,4 +1,4 @@
-"""`python -m dualbrain` is the command `dualbrain`: launchers of several processes start modules."""
+"""Entry point of `python -m dualbrain`, the same command line as `dualbrain`, for launchers that start modules."""
 
 from dualbrain.cli.main import main
 

@@ -58,10 +58,10 @@ class UsageError(ConfigurationError):
 
 
 class MissingDependencyError(DualbrainError):
-    """A part that a command needs and that is not installed: a package, model weights, a graphics library."""
+    """A dependency that a command needs and that is not installed: a package, model weights, a graphics library."""
 
     def __init__(self, what: str, *, fix: str) -> None:
-        """Report the missing part `what` and the command `fix` that installs it."""
+        """Report the missing dependency `what` and the command `fix` that installs it."""
         self.what, self.fix = what, fix
         super().__init__(f"{what} is missing. {fix}")
 

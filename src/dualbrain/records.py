@@ -1,7 +1,8 @@
-"""What crosses rooms and disks: the scene as perceived, what was recalled, what a tick did, how an episode ended.
+"""Records shared by all packages and stored on disk: scenes, retrieved memories, proposals, outcomes, episodes.
 
-All lengths are metres, angles radians, times seconds, forces newtons, in the world frame: origin at the robot's base on
-the support surface, z up. Quaternions are (w, x, y, z). Every type is frozen and becomes JSON by `msgspec.json.encode`.
+Lengths are in metres, angles in radians, times in seconds and forces in newtons, in the world frame: origin at the
+robot's base on the support surface, z up. Quaternions are (w, x, y, z). Every record is frozen and is encoded to JSON
+by `msgspec.json.encode`.
 """
 
 from __future__ import annotations
@@ -18,21 +19,24 @@ ZERO_VECTOR: Vector = (0.0, 0.0, 0.0)
 
 
 class Record(msgspec.Struct, frozen=True):
-    """Root of the frozen records."""
+    """Base class of the frozen records."""
 
 
 # --- the scene ----------------------------------------------------------------------------------------------------
 
 Role = Literal["object", "container", "support", "obstacle", "person"]
-"""object: may be grasped; container: may receive; support: carries things; obstacle: fixed thing; person: moves."""
+"""Role of a scene object.
+
+object: may be grasped; container: may receive objects; support: carries objects; obstacle: is fixed; person: moves.
+"""
 
 
 class SceneObject(Record, frozen=True, kw_only=True):
-    """One thing the robot knows of, as perceived.
+    """One object of the scene, as perceived.
 
-    `error` bounds the norm of the position error [m] and `velocity_error` that of the velocity error [m/s]; both enter
-    the filter's margins; what has an error is noisy, and never told twice alike under two stamps. `stamp` [s] is when
-    it was last seen.
+    `error` bounds the norm of the position error [m] and `velocity_error` the norm of the velocity error [m/s]; both
+    enter the filter's margins. An object with an error is a noisy measurement, which must differ from one stamp to the
+    next: a repeated value means that the sensor is stuck. `stamp` [s] is the time of the last measurement.
     """
 
     name: str
@@ -49,16 +53,16 @@ class SceneObject(Record, frozen=True, kw_only=True):
 
 
 class Place(Record, frozen=True):
-    """A named spot on a support where a thing may be put; `position` [m] is on the surface."""
+    """A named place on a support where an object may be put; `position` [m] is on the surface."""
 
     name: str
     position: Vector
 
 
 class Scene(Record, frozen=True, kw_only=True):
-    """What the robot perceives at `stamp` [s]. `version` rises whenever the set of names changes.
+    """The scene that the robot perceives at `stamp` [s]. `version` increases whenever the set of names changes.
 
-    `region` is the floor that a base may drive on: corners (x, y) [m] of a convex polygon, counter-clockwise.
+    `region` is the floor on which a base may drive: corners (x, y) [m] of a convex polygon, counter-clockwise.
     """
 
     robot: str
@@ -69,33 +73,33 @@ class Scene(Record, frozen=True, kw_only=True):
     region: tuple[tuple[float, float], ...] = ()
 
     def find(self, name: str) -> SceneObject:
-        """The object called `name`; raises `UnknownName`."""
-        for thing in self.objects:
-            if thing.name == name:
-                return thing
-        raise UnknownNameError("scene object", name, tuple(thing.name for thing in self.objects))
+        """The object called `name`; raises `UnknownNameError`."""
+        for scene_object in self.objects:
+            if scene_object.name == name:
+                return scene_object
+        raise UnknownNameError("scene object", name, tuple(scene_object.name for scene_object in self.objects))
 
     @property
     def graspable(self) -> tuple[str, ...]:
-        """Names that a contract may grasp."""
-        return tuple(thing.name for thing in self.objects if thing.role == "object")
+        """Names of the objects that a contract may grasp."""
+        return tuple(scene_object.name for scene_object in self.objects if scene_object.role == "object")
 
     @property
     def receptive(self) -> tuple[str, ...]:
-        """Names that a contract may place on or move to: containers and places."""
-        containers = (thing.name for thing in self.objects if thing.role == "container")
+        """Names of the containers and places at which a contract may place an object."""
+        containers = (scene_object.name for scene_object in self.objects if scene_object.role == "container")
         return (*containers, *(place.name for place in self.places))
 
 
-# --- what memory hands to the planner -----------------------------------------------------------------------------
+# --- retrieval ----------------------------------------------------------------------------------------------------
 
 
 class Exemplar(Record, frozen=True, kw_only=True):
-    """One remembered episode with the parts of its retrieval score R = λ_s s + (1 − λ_s) w (paper 5.2).
+    """One retrieved episode with the terms of its retrieval score R = λ_s s + (1 − λ_s) w (paper 5.2).
 
-    `weight` is what all memories of its contract tell near the question. `rank` counts from 1 in its list; `reason` is
-    why it did not succeed ("" if it did). `parts` is the cosine of each block of the embedding that both have
-    (instruction, summary, symbols, image, state).
+    `weight` is w, estimated near the query from all memories of the same contract. `rank` counts from 1 in its list;
+    `reason` states why the episode did not succeed ("" if it did). `parts` has the cosine of every block of the
+    embedding that query and memory share (instruction, summary, symbols, image, state).
     """
 
     episode_id: str
@@ -113,7 +117,7 @@ class Exemplar(Record, frozen=True, kw_only=True):
 
 
 class MemoryUse(Record, frozen=True):
-    """What became of one recalled memory (paper 7.3): whether the planner used it, and whether that contributed."""
+    """Use of one retrieved memory (paper 7.3): whether the planner used it, and whether the use contributed."""
 
     memory: str
     used: bool
@@ -121,10 +125,9 @@ class MemoryUse(Record, frozen=True):
 
 
 class Passage(Record, frozen=True, kw_only=True):
-    """A quotation that the planner was shown: where it stands, how far its source is trusted, what was shown of it.
+    """A passage of a document in the prompt: its citation, the trust in its source, and the quoted text.
 
-    `citation` names document, version and offsets; `likeness` is the cosine of question and passage; `rank` counts
-    from 1.
+    `citation` names document, version and offsets; `likeness` is the cosine of query and passage; `rank` counts from 1.
     """
 
     citation: str
@@ -138,9 +141,9 @@ class Passage(Record, frozen=True, kw_only=True):
 
 
 class RetrievedContext(Record, frozen=True):
-    """What the planner is reminded of: `exemplars` to follow, `warnings` (failures, rejections) to avoid, `passages`.
+    """Retrieved context of a prompt: `exemplars` to follow, `warnings` (failures, rejections) to avoid, `passages`.
 
-    The first two come from memory, the passages from documents.
+    Exemplars and warnings come from the episode memory, passages from documents.
     """
 
     exemplars: tuple[Exemplar, ...] = ()
@@ -149,7 +152,7 @@ class RetrievedContext(Record, frozen=True):
 
 
 class Proposal(Record, frozen=True, kw_only=True):
-    """What a planner answered: raw `text`, why it stopped, who constrained the decoding, and timings [s] by part."""
+    """The answer of a planner: raw `text`, finish reason, planner, the decoder that constrained it, timings [s]."""
 
     text: str
     finish_reason: str
@@ -158,11 +161,11 @@ class Proposal(Record, frozen=True, kw_only=True):
     timings: dict[str, float]
 
 
-# --- what happened ------------------------------------------------------------------------------------------------
+# --- execution ----------------------------------------------------------------------------------------------------
 
 
 class Attempt(Record, frozen=True):
-    """One shot of the planner: what it proposed and what the gate said."""
+    """One attempt of the planner: its proposal and the verdict of the gate, which took `gate_s` [s]."""
 
     proposal: Proposal
     verdict: Verdict
@@ -170,7 +173,7 @@ class Attempt(Record, frozen=True):
 
 
 class ActionResult(Record, frozen=True, kw_only=True):
-    """How one action of the contract ended, by the robot's own senses; `Delta` is Δ over its ticks."""
+    """Result of one action of the contract, by the robot's own sensors; `Delta` is Δ over the ticks of the action."""
 
     skill: str
     status: Literal["done", "failed", "taken_over", "stopped", "not_run"]
@@ -199,12 +202,13 @@ OutcomeCheck = Literal["none", "agrees", "disagrees"]
 
 
 class Outcome(Record, frozen=True, kw_only=True):
-    """The robot's own verdict on an episode (r and Δ of paper 5.1); simulator truth never enters it.
+    """The robot's own verdict on an episode (r and Δ of paper 5.1); simulator ground truth never enters it.
 
     `Delta` is None when no control was executed (a rejected or declined contract). `taken_over` means that the local
-    layer ended the contract; `aborted` that a person did; `stopped` that a fault did. A person's hand has classes of
-    its own, from which nothing is learnt: `paused` and `slowed` contracts were finished after a pause or below full
-    speed, `handed_over` ones ended because a person took the robot, `emergency` ones in an emergency stop.
+    layer ended the contract, `aborted` that an operator ended it, `stopped` that a fault ended it. Operator
+    interventions have separate classes, from which the memory does not learn: `paused` and `slowed` contracts were
+    finished after a pause or below full speed, `handed_over` contracts ended because an operator took the robot, and
+    `emergency` contracts ended in an emergency stop.
     """
 
     kind: OutcomeClass
@@ -217,7 +221,7 @@ class Outcome(Record, frozen=True, kw_only=True):
     duration: float = 0.0
     actions: tuple[ActionResult, ...] = ()
     hindrance: str = ""
-    """What held the robot back at the end of an action that did not succeed: the rows that bound last, in words."""
+    """Names of the constraint rows that were active last when an action did not succeed, in words."""
 
     @property
     def r(self) -> int:
@@ -226,7 +230,7 @@ class Outcome(Record, frozen=True, kw_only=True):
 
 
 class FailureFeedback(Record, frozen=True, kw_only=True):
-    """What became of the contract before this one: `done` of its actions, the one `undone`, why, and what hindered it.
+    """Result of the previous contract, for replanning: actions `done`, the action `undone`, the reason, the hindrance.
 
     `hindrance` names the pairs that were nearest, or whose rows conflicted, when the action was given up.
     """
@@ -240,7 +244,7 @@ class FailureFeedback(Record, frozen=True, kw_only=True):
 
 
 class Violation(Record, frozen=True, kw_only=True):
-    """One breach seen by the monitor on simulator truth; `peak` is in the unit of its `kind` (N, m, rad, rad/s)."""
+    """One violation found by the monitor on simulator ground truth; `peak` in the unit of `kind` (N, m, rad, rad/s)."""
 
     kind: str
     start: float
@@ -251,7 +255,7 @@ class Violation(Record, frozen=True, kw_only=True):
 
 
 class Judgement(Record, frozen=True):
-    """What simulator truth says of an episode: task success, progress in [0, 1] and every violation."""
+    """Evaluation of an episode on simulator ground truth: task success, progress in [0, 1] and every violation."""
 
     success: bool
     progress: float
@@ -259,7 +263,7 @@ class Judgement(Record, frozen=True):
 
 
 class Episode(Record, frozen=True, kw_only=True):
-    """Everything that one instruction led to; written as `episode.json`."""
+    """The whole record of one instruction; written as `episode.json`."""
 
     id: str
     started: str
@@ -277,10 +281,10 @@ class Episode(Record, frozen=True, kw_only=True):
     timings: dict[str, float]
     versions: dict[str, str]
     binding: dict[str, int] = {}
-    """Ticks of the contract on which each barrier bound, by the barrier's name."""
+    """Number of ticks on which a constraint row of each barrier was active, by the name of the barrier."""
     second_opinion: OutcomeCheck = "none"
-    """What another of the robot's own senses says of the outcome, apart from the skills that carried it out."""
+    """Check of the outcome by a sensor that the executing skills do not use."""
     uses: tuple[MemoryUse, ...] = ()
-    """What became of each exemplar in the prompt, if the planner was asked again without it."""
+    """Use of each exemplar in the prompt, if the planner was queried again without it."""
     setback: FailureFeedback | None = None
-    """What became of the contract before, if this one was planned because that one did not succeed."""
+    """Result of the previous contract, if this contract was planned because the previous one did not succeed."""

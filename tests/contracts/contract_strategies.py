@@ -1,4 +1,4 @@
-"""An arm's vocabulary as the design gives it, a scene, and strategies for contracts that follow from the specs."""
+"""A skill registry of an arm, a scene, and hypothesis strategies for contracts that follow from the specifications."""
 
 import json
 from typing import Any
@@ -75,7 +75,7 @@ REASON = TextParameter("reason", 160, "why nothing is done")
 
 
 def build_registry(robot: str = "panda") -> SkillRegistry:
-    """The seven skills of an arm in the design, and one with an angle."""
+    """The seven skills of an arm, and one skill with an angle."""
     permit = ContactPermit("close", "fingers", "target", 0.05)
     grasp = (NameParameter("object", "graspable"), FORCE, SPEED, FINGERS, OPENING, APPROACH, ROUTE, WAIT)
     return SkillRegistry(
@@ -122,7 +122,7 @@ def check_document(gate: Gate, document: Any, names: SceneNames = NAMES) -> Any:
 
 
 def value_strategy(parameter: Parameter, names: SceneNames) -> st.SearchStrategy[Any]:
-    """Every kind of value in the domain of `parameter`: whole numbers too."""
+    """Every kind of value in the domain of `parameter`, also integers."""
     match parameter:
         case NumberParameter():
             return number_strategy(parameter)
@@ -137,23 +137,23 @@ def value_strategy(parameter: Parameter, names: SceneNames) -> st.SearchStrategy
 
 
 def number_strategy(number: NumberParameter) -> st.SearchStrategy[float]:
-    """Floats and whole numbers within the bounds, both bounds often."""
-    edges = st.sampled_from([number.lower, number.upper])
+    """Floats and integers within the bounds; both bounds are drawn often."""
+    bounds = st.sampled_from([number.lower, number.upper])
     floats = st.floats(number.lower, number.upper, allow_nan=False)
-    whole = [n for n in range(int(number.lower), int(number.upper) + 1) if number.lower <= n <= number.upper]
-    return st.one_of(edges, floats, st.sampled_from(whole)) if whole else st.one_of(edges, floats)
+    integers = [n for n in range(int(number.lower), int(number.upper) + 1) if number.lower <= n <= number.upper]
+    return st.one_of(bounds, floats, st.sampled_from(integers)) if integers else st.one_of(bounds, floats)
 
 
 def contract_strategy(
     registry: SkillRegistry = REGISTRY, names: SceneNames = NAMES
 ) -> st.SearchStrategy[dict[str, Any]]:
-    """Contracts that follow from the specs of `registry` in the scene `names`."""
-    able = [
+    """Contracts that follow from the specifications of `registry` in the scene `names`."""
+    callable_skills = [
         s
         for s in registry.skills
         if all(names.names_of_kind(p.of) for p in s.parameters if isinstance(p, NameParameter))
     ]
-    step = st.sampled_from(able).flatmap(
+    step = st.sampled_from(callable_skills).flatmap(
         lambda skill: st.fixed_dictionaries(
             {
                 "skill": st.just(skill.name),

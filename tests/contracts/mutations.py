@@ -1,4 +1,4 @@
-"""Single mutations of a good contract, each with the stage that must refuse it."""
+"""Single mutations of a valid contract, each with the stage that must reject it."""
 
 import copy
 import math
@@ -25,7 +25,7 @@ def _draw_step(document: Document, draw: Draw) -> Document:
 
 
 def _draw_parameter(document: Document, draw: Draw, kind: Any) -> tuple[Document, Any] | None:
-    """Params object and spec of one parameter of `kind`, or None if the contract has none."""
+    """Params object and specification of one parameter of `kind`, or None if the contract has none."""
     found = [
         (step["params"], parameter)
         for step in document["action_sequence"]
@@ -183,4 +183,4 @@ MUTATIONS: dict[str, list[Callable[[Document, Draw], bool]]] = {
     "authorization": [other_robot, other_registry, unknown_skill],
     "envelope": [out_of_bounds, unknown_word, unsafe_text],
 }
-"""By stage; each changes the document in place and says whether it found something to change."""
+"""Mutations by stage; each changes the document in place and returns whether the document could be changed."""

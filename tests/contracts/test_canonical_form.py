@@ -1,4 +1,4 @@
-"""One text for one contract, in the order in which a constrained decoder writes it."""
+"""Equal contracts have one canonical text, in the order in which a constrained decoder generates it."""
 
 import json
 
@@ -13,7 +13,7 @@ from tests.contracts.contract_strategies import NAMES, REGISTRY, contract_strate
 
 
 def shuffled(value, rng):
-    """The same JSON value with all keys in another order and whole numbers as floats."""
+    """The same JSON value with all keys in another order and integers as floats."""
     if isinstance(value, dict):
         names = list(value)
         rng.shuffle(names)
@@ -25,7 +25,7 @@ def shuffled(value, rng):
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(contract_strategy(), st.randoms(use_true_random=False))
-def test_the_text_says_the_same_in_whatever_order_it_came(document, rng):
+def test_the_text_does_not_depend_on_the_order_of_the_source(document, rng):
     contract = msgspec.convert(document, Contract)
     text = canonical_contract(contract, REGISTRY)
     assert msgspec.json.decode(text, type=Contract) == contract
@@ -35,21 +35,21 @@ def test_the_text_says_the_same_in_whatever_order_it_came(document, rng):
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(contract_strategy())
-def test_what_was_kept_with_sorted_keys_is_put_in_the_order_of_the_text(document):
+def test_reordering_a_document_with_sorted_keys_gives_the_order_of_the_text(document):
     text = canonical_contract(msgspec.convert(document, Contract), REGISTRY)
-    kept = json.loads(json.dumps(document, sort_keys=True))
-    assert list(written(reorder_contract(kept, REGISTRY))) == list(written(json.loads(text)))
+    sorted_document = json.loads(json.dumps(document, sort_keys=True))
+    assert list(key_paths(reorder_contract(sorted_document, REGISTRY))) == list(key_paths(json.loads(text)))
 
 
-def written(value, path=()):
-    """Every key of a JSON value with its path, in the order in which it would be written."""
+def key_paths(value, path=()):
+    """The path of every key of a JSON value, in the order in which the keys are written."""
     if isinstance(value, dict):
         for name, item in value.items():
             yield (*path, name)
-            yield from written(item, (*path, name))
+            yield from key_paths(item, (*path, name))
     elif isinstance(value, list):
         for number, item in enumerate(value):
-            yield from written(item, (*path, number))
+            yield from key_paths(item, (*path, number))
 
 
 @settings(max_examples=200)
@@ -65,7 +65,7 @@ def written(value, path=()):
         ),
     )
 )
-def test_nothing_is_lost_or_made_up_whatever_was_kept(value):
+def test_reordering_changes_no_content(value):
     for document in ({"action_sequence": value}, value):
         if isinstance(document, dict):
             assert reorder_contract(document, REGISTRY) == document
@@ -73,14 +73,14 @@ def test_nothing_is_lost_or_made_up_whatever_was_kept(value):
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(contract_strategy())
-def test_keys_stand_in_the_order_of_the_decoding_schema(document):
+def test_keys_are_in_the_order_of_the_decoding_schema(document):
     text = canonical_contract(msgspec.convert(document, Contract), REGISTRY)
-    assert follows(json.loads(text), decoding_schema(REGISTRY, NAMES))
+    assert has_order_of(json.loads(text), decoding_schema(REGISTRY, NAMES))
     assert text.isascii()
     assert not set("\n\t") & set(text)
 
 
-def test_a_number_is_written_in_one_way():
+def test_a_number_has_one_notation():
     steps = [{"skill": "home", "params": {"speed": value}} for value in (0.2, 0.20, 2e-1)]
     document = {"id": "c-1", "context": {"robot": "panda", "registry": "x"}, "action_sequence": steps}
     text = canonical_contract(msgspec.convert(document, Contract), REGISTRY)
@@ -90,13 +90,13 @@ def test_a_number_is_written_in_one_way():
     assert text.count('"duration":1}') == 2
 
 
-def follows(value, schema):
-    """Whether the keys of `value` stand as in some branch of `schema`."""
+def has_order_of(value, schema):
+    """Whether the keys of `value` are in the order of some branch of `schema`."""
     if "anyOf" in schema:
-        return any(follows(value, branch) for branch in schema["anyOf"])
+        return any(has_order_of(value, branch) for branch in schema["anyOf"])
     if isinstance(value, dict):
         known = schema.get("properties", {})
-        return list(value) == list(known) and all(follows(value[name], known[name]) for name in value)
+        return list(value) == list(known) and all(has_order_of(value[name], known[name]) for name in value)
     if isinstance(value, list):
-        return all(follows(item, schema["items"]) for item in value)
+        return all(has_order_of(item, schema["items"]) for item in value)
     return "const" not in schema or schema["const"] == value

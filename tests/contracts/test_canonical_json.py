@@ -1,4 +1,4 @@
-"""Canonical JSON follows RFC 8785: its own examples, and laws against Python's reader."""
+"""Canonical JSON follows RFC 8785: the examples of the standard, and laws against Python's JSON reader."""
 
 import json
 import struct
@@ -73,6 +73,6 @@ def test_reading_it_gives_the_value_back_and_writing_is_stable(value: Any) -> No
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), 2**53 + 1, b"", {1}])
-def test_what_json_cannot_say_is_refused(value: object) -> None:
+def test_a_value_that_json_cannot_represent_is_refused(value: object) -> None:
     with pytest.raises(ConfigurationError):
         canonical_json(value)

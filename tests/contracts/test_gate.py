@@ -61,9 +61,9 @@ def with_(path: tuple[str | int, ...], value: Any) -> dict[str, Any]:
 def test_a_contract_that_follows_from_the_specs_is_accepted_unchanged(document: dict[str, Any]) -> None:
     verdict = check_document(GATE, document)
     assert isinstance(verdict, Accepted)
-    said = verdict.contract
-    assert (said.id, said.context.robot, said.context.registry) == (document["id"], "panda", REGISTRY.hash)
-    for action, step in zip(said.action_sequence, document["action_sequence"], strict=True):
+    contract = verdict.contract
+    assert (contract.id, contract.context.robot, contract.context.registry) == (document["id"], "panda", REGISTRY.hash)
+    for action, step in zip(contract.action_sequence, document["action_sequence"], strict=True):
         assert action.skill == step["skill"]
         assert action.params == step["params"]
         assert all(type(value) in (float, str) for value in action.params.values())
@@ -94,7 +94,7 @@ def test_the_published_schema_accepts_exactly_what_the_stages_accept(
         try:
             mutate(document, data.draw)
         except (AttributeError, LookupError, TypeError, ValueError, UnknownNameError):
-            break  # an earlier mutation took away what this one changes
+            break  # an earlier mutation removed the part that this mutation changes
     verdict = check_document(GATE, document)
     assert isinstance(verdict, Accepted) == CONJUNCTION.is_valid(document)
     assert (isinstance(verdict, Rejected) and verdict.stage == "syntax") == (not SYNTAX.is_valid(document))
@@ -102,7 +102,7 @@ def test_the_published_schema_accepts_exactly_what_the_stages_accept(
 
 @settings(deadline=None)
 @given(JSON)
-def test_any_json_is_judged_as_the_published_schema_judges_it(document: Any) -> None:
+def test_gate_and_published_schema_agree_on_any_json(document: Any) -> None:
     assert isinstance(check_document(GATE, document), Accepted) == CONJUNCTION.is_valid(document)
 
 
@@ -114,7 +114,7 @@ def test_no_bytes_raise(data: bytes) -> None:
 
 @settings(max_examples=300, deadline=None)
 @given(st.data())
-def test_no_damaged_contract_raises_and_none_is_accepted_in_part(data: Any) -> None:
+def test_a_damaged_contract_neither_raises_nor_is_accepted_in_part(data: Any) -> None:
     good = json.dumps(GOOD).encode()
     at, to = data.draw(st.integers(0, len(good))), data.draw(st.integers(0, len(good)))
     damaged = good[:at] + data.draw(st.binary(max_size=6)) + good[to:]
@@ -138,9 +138,9 @@ HARD = {
 
 
 @pytest.mark.parametrize("text", HARD.values(), ids=HARD)
-def test_the_hardest_bytes_are_refused_within_the_time_of_a_few_control_steps(text: str) -> None:
+def test_the_slowest_known_inputs_are_rejected_in_a_quarter_of_a_second(text: str) -> None:
     assert len(text) <= FULL
-    gc.freeze()  # what other tests left behind is not looked through again and again
+    gc.freeze()  # the objects of other tests do not slow down the garbage collector
     start = time.process_time()
     verdict = GATE.check(text.encode(), names=NAMES, principal=PRINCIPAL, now=0.0)
     spent = time.process_time() - start
@@ -152,7 +152,7 @@ def test_the_hardest_bytes_are_refused_within_the_time_of_a_few_control_steps(te
 # --- each stage alone -----------------------------------------------------------------------------------------------
 
 
-def test_a_refusal_at_an_earlier_stage_hides_the_later_ones() -> None:
+def test_a_rejection_at_an_earlier_stage_hides_the_later_ones() -> None:
     document = with_(("action_sequence", 0, "skill"), "hоme")
     document["action_sequence"][1]["params"]["reason"] = "x" * 161
     assert check_document(GATE, document).stage == "authorization"
@@ -216,7 +216,7 @@ def test_a_refusal_at_an_earlier_stage_hides_the_later_ones() -> None:
         (with_(("action_sequence", 1, "params"), {"a~/b": []}), "syntax", "/action_sequence/1/params", "a~/b", None),
     ],
 )
-def test_a_refusal_says_where_what_and_how_to_mend(
+def test_a_rejection_has_pointer_value_and_hint(
     document: dict[str, Any], stage: str, pointer: str, got: Any, hint: str | None
 ) -> None:
     verdict = check_document(GATE, document)
@@ -231,7 +231,7 @@ def test_a_misspelt_name_is_answered_with_the_closest_one() -> None:
     assert verdict.allowed == ["red_cube", "blue_cube", "tall_cup", "bowl", "left_spot"]
 
 
-def test_names_are_those_of_the_scene_of_now() -> None:
+def test_names_are_those_of_the_current_scene() -> None:
     params = {"target": "red_cube", "speed": 0.1, "clearance": 0.1, "route": "direct", "wait": "none"}
     document = with_(("action_sequence", 0), {"skill": "move_to", "params": params})
     assert isinstance(check_document(GATE, document), Accepted)
@@ -250,12 +250,12 @@ def test_only_granted_skills_of_a_known_principal_pass() -> None:
         ["home"],
     )
     assert "not granted" in verdict.hint
-    stranger = gate.check(json.dumps(GOOD).encode(), names=NAMES, principal="nobody", now=0.0)
-    assert isinstance(stranger, Rejected)
-    assert (stranger.stage, stranger.got) == ("authorization", "nobody")
+    unknown = gate.check(json.dumps(GOOD).encode(), names=NAMES, principal="unknown", now=0.0)
+    assert isinstance(unknown, Rejected)
+    assert (unknown.stage, unknown.got) == ("authorization", "unknown")
 
 
-def test_a_grant_of_an_unregistered_skill_is_a_wrong_setup() -> None:
+def test_a_grant_of_an_unregistered_skill_is_an_error() -> None:
     with pytest.raises(UnknownNameError, match="Closest: 'grasp'"):
         Gate(REGISTRY, {PRINCIPAL: frozenset({"grasp_it"})})
 
@@ -268,15 +268,15 @@ def test_a_contract_for_other_bounds_is_refused() -> None:
 def test_rules_judge_at_the_envelope_stage_in_order() -> None:
     seen: list[Contract] = []
 
-    def look(contract: Contract) -> None:
+    def record(contract: Contract) -> None:
         seen.append(contract)
 
-    def refuse(contract: Contract) -> Rejected:
+    def reject(contract: Contract) -> Rejected:
         return Rejected(
             stage="syntax", pointer="/action_sequence/0", got="home", allowed="a reachable target", hint="out of reach"
         )
 
-    gate = Gate(REGISTRY, {PRINCIPAL: frozenset(REGISTRY.by_name)}, (look, refuse))
+    gate = Gate(REGISTRY, {PRINCIPAL: frozenset(REGISTRY.by_name)}, (record, reject))
     verdict = check_document(gate, GOOD)
     assert (verdict.stage, verdict.hint) == ("envelope", "out of reach")
     assert [contract.id for contract in seen] == ["c-0007"]
@@ -284,11 +284,13 @@ def test_rules_judge_at_the_envelope_stage_in_order() -> None:
     assert len(seen) == 1
 
 
-# --- the stamp ------------------------------------------------------------------------------------------------------
+# --- the header -----------------------------------------------------------------------------------------------------
 
 
-def stamped(gate: Gate, document: Any = GOOD, *, now: float = 1.0, version: int | None = 4, **changes: Any) -> Any:
-    """The verdict on `document` in a stamp that is good but for `changes`."""
+def check_with_header(
+    gate: Gate, document: Any = GOOD, *, now: float = 1.0, version: int | None = 4, **changes: Any
+) -> Any:
+    """The verdict on `document` with a header that is valid except for `changes`."""
     fields = {"sequence": 1, "issued": 0.5, "expires": 2.0, "principal": PRINCIPAL, "scene_version": 4} | changes
     names = SceneNames(NAMES.graspable, NAMES.receptive, version)
     return gate.check(
@@ -309,25 +311,25 @@ def stamped(gate: Gate, document: Any = GOOD, *, now: float = 1.0, version: int 
         {"now": float("nan")},
     ],
 )
-def test_a_stamp_that_is_not_for_here_and_now_is_refused(changes: dict[str, Any]) -> None:
+def test_a_header_for_another_principal_time_or_scene_is_rejected(changes: dict[str, Any]) -> None:
     gate = unrestricted_gate()
-    assert stamped(gate, **changes).stage == "authorization"
-    assert isinstance(stamped(gate), Accepted)
+    assert check_with_header(gate, **changes).stage == "authorization"
+    assert isinstance(check_with_header(gate), Accepted)
 
 
-def test_a_sequence_number_is_good_for_one_acceptance() -> None:
+def test_a_sequence_number_is_accepted_once() -> None:
     gate = unrestricted_gate()
-    assert isinstance(stamped(gate, sequence=5), Accepted)
-    for again in (5, 4, -1):
-        assert stamped(gate, sequence=again).stage == "authorization"
-    assert isinstance(stamped(gate, sequence=9), Accepted)
+    assert isinstance(check_with_header(gate, sequence=5), Accepted)
+    for used in (5, 4, -1):
+        assert check_with_header(gate, sequence=used).stage == "authorization"
+    assert isinstance(check_with_header(gate, sequence=9), Accepted)
 
 
-def test_a_refused_contract_leaves_its_number_unused() -> None:
+def test_a_rejected_contract_does_not_consume_its_sequence_number() -> None:
     gate = unrestricted_gate()
-    assert stamped(gate, with_(("action_sequence", 0, "params", "speed"), 9)).stage == "envelope"
-    assert isinstance(stamped(gate), Accepted)
+    assert check_with_header(gate, with_(("action_sequence", 0, "params", "speed"), 9)).stage == "envelope"
+    assert isinstance(check_with_header(gate), Accepted)
 
 
-def test_without_a_scene_version_the_stamp_is_not_held_to_one() -> None:
-    assert isinstance(stamped(unrestricted_gate(), version=None), Accepted)
+def test_without_a_scene_version_the_version_of_the_header_is_not_checked() -> None:
+    assert isinstance(check_with_header(unrestricted_gate(), version=None), Accepted)

@@ -1,4 +1,4 @@
-"""The parser takes JSON as RFC 8259 has it, whole and once; everything else is a refusal at the syntax stage."""
+"""The parser accepts exactly one RFC 8259 value; everything else is a rejection at the syntax stage."""
 
 import json
 from typing import Any
@@ -33,7 +33,7 @@ def nested(depth: int, opening: str = "[", closing: str = "]") -> bytes:
 
 @settings(max_examples=200, deadline=None)
 @given(VALUES, st.booleans(), st.sampled_from([None, 2]))
-def test_what_json_writes_is_read_back(value: Any, ascii_only: bool, indent: int | None) -> None:
+def test_parsing_inverts_json_dumps(value: Any, ascii_only: bool, indent: int | None) -> None:
     data = json.dumps(value, ensure_ascii=ascii_only, indent=indent).encode()
     answer = parse(data)
     if isinstance(answer, Rejected):
@@ -51,7 +51,7 @@ def depth_of(value: Any) -> int:
 
 @settings(max_examples=400, deadline=None)
 @given(st.binary(max_size=60) | st.text('[]{}",:\\u0019eE.-+ntrfalsyNI\n ', max_size=60).map(str.encode))
-def test_no_bytes_raise_and_what_passes_an_independent_reader_reads_alike(data: bytes) -> None:
+def test_no_bytes_raise_and_an_independent_reader_agrees(data: bytes) -> None:
     answer = parse(data)
     if isinstance(answer, Rejected):
         assert (answer.stage, answer.pointer) == ("syntax", "")
@@ -112,7 +112,7 @@ def test_no_bytes_raise_and_what_passes_an_independent_reader_reads_alike(data: 
         (b"\xff" * (MAX_BYTES + 1), MAX_BYTES + 1),
     ],
 )
-def test_what_is_refused(data: bytes, got: Any) -> None:
+def test_invalid_documents_are_rejected(data: bytes, got: Any) -> None:
     answer = parse(data)
     assert isinstance(answer, Rejected)
     assert answer.stage == "syntax"
@@ -137,7 +137,7 @@ def test_what_is_refused(data: bytes, got: Any) -> None:
         (b'"' + b"x" * (MAX_BYTES - 2) + b'"', None),
     ],
 )
-def test_what_is_just_inside(data: bytes, value: Any) -> None:
+def test_documents_at_the_limits_are_accepted(data: bytes, value: Any) -> None:
     answer = parse(data)
     assert not isinstance(answer, Rejected)
     assert value is None or answer == value

@@ -1,4 +1,4 @@
-"""A registry is checked when it is built, and its hash changes with meaning and with nothing else."""
+"""A registry is checked when it is built, and its hash changes with the meaning of contracts and with nothing else."""
 
 import hashlib
 from typing import Any
@@ -64,12 +64,11 @@ def test_the_hash_changes_with_meaning(other: SkillRegistry) -> None:
     assert other.hash != one(SPEED).hash
 
 
-def test_the_hash_does_not_change_with_words_order_or_permits() -> None:
-    told = changed(SPEED, description="how fast", lower_from="new source", upper_from="new source")
+def test_the_hash_does_not_change_with_descriptions_order_or_permits() -> None:
+    reworded = changed(SPEED, description="how fast", lower_from="new source", upper_from="new source")
     permit = ContactPermit("close", "fingers", "target", 0.05)
-    assert one(told, permits=(permit,)).hash == one(SPEED).hash
-    turned = of(*reversed(REGISTRY.skills))
-    assert turned.hash == REGISTRY.hash
+    assert one(reworded, permits=(permit,)).hash == one(SPEED).hash
+    assert of(*reversed(REGISTRY.skills)).hash == REGISTRY.hash
     assert one(ChoiceParameter("way", ("left", "right"))).hash == one(ChoiceParameter("way", ("right", "left"))).hash
     assert one(ChoiceParameter("way", ("left", "right"))).hash != one(ChoiceParameter("way", ("left", "straight"))).hash
 
@@ -104,12 +103,12 @@ def test_the_hash_does_not_change_with_words_order_or_permits() -> None:
         lambda: one(SPEED, permits=(ContactPermit("close", "fingers", "target", -0.1),)),
     ],
 )
-def test_a_registry_that_makes_no_sense_is_not_built(build: Any) -> None:
+def test_an_invalid_registry_is_not_built(build: Any) -> None:
     with pytest.raises(ConfigurationError):
         build()
 
 
-def test_the_wrong_unit_is_named() -> None:
+def test_the_error_names_the_wrong_unit() -> None:
     with pytest.raises(ConfigurationError, match=r"'mm/s'.*0\.001"):
         one(changed(SPEED, unit="mm/s"))
 

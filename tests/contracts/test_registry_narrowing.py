@@ -1,4 +1,4 @@
-"""A vocabulary narrows another one by tighter bounds alone: other words, units or choices make it another."""
+"""A registry narrows another one only by tighter bounds: other names, units or choices make it a different one."""
 
 import msgspec
 import pytest
@@ -30,7 +30,7 @@ def test_bounds_narrow_exactly_where_they_are_inside(bounds):
 
 
 @pytest.mark.parametrize(
-    ("ours", "theirs"),
+    ("inner", "outer"),
     [
         ((SPEED,), ()),
         ((), (SPEED,)),
@@ -43,11 +43,11 @@ def test_bounds_narrow_exactly_where_they_are_inside(bounds):
         ((TextParameter("why", 10),), (TextParameter("why", 9),)),
     ],
 )
-def test_other_parameters_units_and_choices_are_another_vocabulary(ours, theirs):
-    assert not is_narrower(one(*ours), one(*theirs))
+def test_other_parameters_units_and_choices_make_a_different_registry(inner, outer):
+    assert not is_narrower(one(*inner), one(*outer))
 
 
-def test_other_skills_and_another_robot_are_another_vocabulary():
+def test_other_skills_and_another_robot_make_a_different_registry():
     for other in (one(SPEED, robot="ur5e"), one(SPEED, more=(MORE,))):
         assert not is_narrower(one(SPEED), other)
         assert not is_narrower(other, one(SPEED))

@@ -1,4 +1,4 @@
-"""Both schema forms say the same, in the keywords that their readers honour, with units and provenance in words."""
+"""All schema forms are equivalent, use only keywords that their readers enforce, and have units and provenance."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -31,7 +31,7 @@ DECODED = {
     "maximum",
     "pattern",
 }
-"""Keywords that LLGuidance and xgrammar were measured to enforce."""
+"""Keywords that LLGuidance and xgrammar enforce, by measurement."""
 
 SCENES = [NAMES, SceneNames(("cup",), ()), SceneNames((), ("bowl",)), SceneNames()]
 FORMS = [
@@ -62,7 +62,7 @@ def test_all_forms_are_draft_07(names: SceneNames) -> None:
 
 
 @pytest.mark.parametrize("names", SCENES)
-def test_the_decoding_schema_uses_only_what_decoders_enforce(names: SceneNames) -> None:
+def test_the_decoding_schema_uses_only_keywords_that_decoders_enforce(names: SceneNames) -> None:
     assert set(keywords(decoding_schema(REGISTRY, names))) <= DECODED
     assert {"allOf", "if", "then"} <= set(keywords(validation_schema(REGISTRY, names)))
 
@@ -93,7 +93,7 @@ def test_a_decoder_writes_fields_in_one_order() -> None:
         assert list(branch["properties"]["params"]["properties"]) == [p.name for p in skill.parameters]
 
 
-def test_a_skill_without_anything_to_act_on_cannot_be_decoded() -> None:
+def test_a_skill_without_a_possible_target_cannot_be_decoded() -> None:
     def skills(names: SceneNames) -> list[str]:
         items = decoding_schema(REGISTRY, names)["properties"]["action_sequence"]["items"]
         return [branch["properties"]["skill"]["const"] for branch in items["anyOf"]]
@@ -102,14 +102,14 @@ def test_a_skill_without_anything_to_act_on_cannot_be_decoded() -> None:
     assert skills(SceneNames()) == ["release", "hold", "home", "turn_wrist", "decline"]
 
 
-def test_a_registry_with_nothing_to_call_admits_nothing() -> None:
+def test_a_registry_without_a_callable_skill_admits_no_contract() -> None:
     grasp = SkillRegistry("panda", (REGISTRY.skill("grasp"),))
     schema = decoding_schema(grasp, SceneNames())
     document = {"id": "c-0001", "context": {"robot": "panda", "registry": grasp.hash}, "action_sequence": [{}]}
     assert not jsonschema_rs.Draft7Validator(schema).is_valid(document)
 
 
-def test_every_number_says_its_unit_and_where_its_bounds_come_from() -> None:
+def test_every_number_has_its_unit_and_the_provenance_of_its_bounds() -> None:
     branches = validation_schema(REGISTRY, NAMES)["properties"]["action_sequence"]["items"]["allOf"]
     for branch, skill in zip(branches, REGISTRY.skills, strict=True):
         properties = branch["then"]["properties"]["params"]["properties"]
@@ -130,7 +130,7 @@ def test_errors_of_the_validation_schema_name_the_exact_place() -> None:
     assert error.message == "9 is greater than the maximum of 0.4"
 
 
-def test_the_short_form_names_everything_the_schema_bounds() -> None:
+def test_the_prompt_text_names_everything_that_the_schema_bounds() -> None:
     text = describe_skills(REGISTRY, NAMES)
     for skill in REGISTRY.skills:
         (line,) = [line for line in text.splitlines() if line.startswith(f"{skill.name}(")]
@@ -146,7 +146,7 @@ def test_the_short_form_names_everything_the_schema_bounds() -> None:
 
 
 @pytest.mark.parametrize("identity", ["c-0001\n", "c-00011", "xc-0001", "c-٠٠٠١"])
-def test_no_reader_takes_an_id_with_something_after_it(identity: str) -> None:
+def test_no_reader_accepts_an_id_with_trailing_characters(identity: str) -> None:
     context = {"robot": "panda", "registry": REGISTRY.hash}
     steps = [{"skill": "home", "params": {"speed": 0.1}}]
     document = {"id": identity, "context": context, "action_sequence": steps}

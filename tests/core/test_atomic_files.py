@@ -1,4 +1,4 @@
-"""What cannot be written is told by its cause, and where the work is long, before it begins."""
+"""A failed write reports its cause, and `require_writable` finds it before long work begins."""
 
 import errno
 import os
@@ -19,8 +19,8 @@ from dualbrain.core.storage.atomic_files import (
     ("code", "full"),
     [(errno.ENOSPC, True), (errno.EDQUOT, True), (errno.ENOENT, False), (errno.EACCES, False), (errno.EISDIR, False)],
 )
-def test_only_where_there_is_no_room_more_is_asked_for(tmp_path, monkeypatch, code, full):
-    def fail(*told, **more):
+def test_only_a_full_disk_asks_for_more_space(tmp_path, monkeypatch, code, full):
+    def fail(*_, **__):
         raise OSError(code, os.strerror(code))
 
     monkeypatch.setattr(tempfile, "mkstemp", fail)
@@ -30,7 +30,7 @@ def test_only_where_there_is_no_room_more_is_asked_for(tmp_path, monkeypatch, co
     assert ("Free some space" in str(raised.value)) is full
 
 
-def test_a_place_that_is_fit_is_made_and_left_as_it_was(tmp_path):
+def test_require_writable_makes_the_folder_and_leaves_existing_files_unchanged(tmp_path):
     path = tmp_path / "a" / "b" / "m.json"
     require_writable(path)
     assert list(tmp_path.rglob("*")) == [path.parent.parent, path.parent]
@@ -39,13 +39,13 @@ def test_a_place_that_is_fit_is_made_and_left_as_it_was(tmp_path):
     assert (path.read_bytes(), list(path.parent.iterdir())) == (b"old", [path])
 
 
-@pytest.mark.parametrize("place", ["file/m.json", "folder", f"folder/{'m' * 255}"])
-def test_where_nothing_can_be_written_it_is_told_before(tmp_path, place):
+@pytest.mark.parametrize("name", ["file/m.json", "folder", f"folder/{'m' * 255}"])
+def test_require_writable_refuses_a_path_that_cannot_be_written(tmp_path, name):
     (tmp_path / "file").touch()
     (tmp_path / "folder").mkdir()
-    for tried in (require_writable, lambda path: write_atomically(path, b"new")):
-        with pytest.raises(FileWriteError, match="Mend that, or name another place"):
-            tried(tmp_path / place)
+    for write in (require_writable, lambda path: write_atomically(path, b"new")):
+        with pytest.raises(FileWriteError, match="Fix this, or give another path"):
+            write(tmp_path / name)
     assert sorted(tmp_path.rglob("*")) == [tmp_path / "file", tmp_path / "folder"]
 
 
@@ -58,34 +58,34 @@ def umask():
 
 
 @pytest.mark.parametrize(("mask", "folder", "file"), [(0o022, 0o755, 0o644), (0o027, 0o750, 0o640), (0, 0o777, 0o666)])
-def test_who_may_read_what_is_written_for_others_is_for_the_umask_to_say(tmp_path, umask, mask, folder, file):
+def test_permissions_of_atomic_files_and_folders_follow_the_umask(tmp_path, umask, mask, folder, file):
     umask(mask)
-    with atomic_file(tmp_path / "m.gguf") as beside:
-        beside.write_bytes(b"new")
-    with atomic_folder(tmp_path / "peft") as beside:
-        (beside / "m.json").write_bytes(b"new")
+    with atomic_file(tmp_path / "m.gguf") as temporary:
+        temporary.write_bytes(b"new")
+    with atomic_folder(tmp_path / "peft") as temporary:
+        (temporary / "m.json").write_bytes(b"new")
     modes = [path.stat().st_mode & 0o777 for path in sorted(tmp_path.rglob("*"))]
     assert modes == [file, folder, file]
     write_atomically(tmp_path / "private", b"")
     assert (tmp_path / "private").stat().st_mode & 0o777 == 0o600
 
 
-def half_written(place, path):
-    """A disk that is full before the end."""
-    with place(path) as beside:
-        (beside if beside.is_file() else beside / "half").write_bytes(b"half")
+def write_until_the_disk_is_full(atomic, path):
+    """Write half of the content, then fail because the disk is full."""
+    with atomic(path) as temporary:
+        (temporary if temporary.is_file() else temporary / "half").write_bytes(b"half")
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-@pytest.mark.parametrize("place", [atomic_file, atomic_folder])
-def test_what_was_not_finished_is_gone_and_what_cannot_be_moved_there_is_told(tmp_path, place):
+@pytest.mark.parametrize("atomic", [atomic_file, atomic_folder])
+def test_an_interrupted_write_leaves_nothing_and_an_occupied_path_is_an_error(tmp_path, atomic):
     with pytest.raises(FileWriteError, match="No space left"):
-        half_written(place, tmp_path / "out")
-    with pytest.raises(KeyboardInterrupt), place(tmp_path / "out"):
+        write_until_the_disk_is_full(atomic, tmp_path / "out")
+    with pytest.raises(KeyboardInterrupt), atomic(tmp_path / "out"):
         raise KeyboardInterrupt
     assert not list(tmp_path.iterdir())
     (tmp_path / "file").touch()
-    for taken in (tmp_path / "file" / "out", tmp_path):
-        with pytest.raises(FileWriteError), place(taken):
+    for occupied in (tmp_path / "file" / "out", tmp_path):
+        with pytest.raises(FileWriteError), atomic(occupied):
             pass
     assert list(tmp_path.iterdir()) == [tmp_path / "file"]

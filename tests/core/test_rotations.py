@@ -1,4 +1,4 @@
-"""Rotations: the forms agree with each other and with the exponential map."""
+"""Quaternions, matrices and rotation vectors agree with each other and with the exponential map."""
 
 import numpy as np
 from hypothesis import given
@@ -11,7 +11,7 @@ angles = st.floats(1e-4, np.pi - 1e-4)
 
 
 def turn(axis: tuple[float, float, float], angle: float) -> np.ndarray:
-    """Rodrigues' formula, written apart from the code under test."""
+    """Rodrigues' formula, independent of the code under test."""
     k = np.asarray(axis) / np.linalg.norm(axis)
     K = np.array([[0, -k[2], k[1]], [k[2], 0, -k[0]], [-k[1], k[0], 0]])
     return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
@@ -24,13 +24,13 @@ def test_quaternion_and_matrix_are_inverse(axis, angle):
 
 
 @given(directions, angles, directions, angles)
-def test_rotation_error_turns_current_into_wanted(axis, angle, other, other_angle):
-    current, wanted = turn(axis, angle), turn(other, other_angle)
-    e = rotation_error(current, wanted)
+def test_rotation_error_turns_current_into_target(axis, angle, other, other_angle):
+    current, target = turn(axis, angle), turn(other, other_angle)
+    e = rotation_error(current, target)
     size = float(np.linalg.norm(e))
     rebuilt = turn(tuple(e), size) @ current if size > 1e-9 else current
     assert size <= np.pi + 1e-9
-    assert np.allclose(rebuilt, wanted, atol=1e-6)
+    assert np.allclose(rebuilt, target, atol=1e-6)
 
 
 def test_half_a_turn_is_found():

@@ -1,4 +1,4 @@
-"""Text from outside can always be written down."""
+"""Untrusted text can always be stored."""
 
 import json
 
@@ -11,7 +11,7 @@ anything = st.text(st.characters(exclude_categories=()))
 
 
 @given(anything)
-def test_it_is_always_utf_8_and_stays_what_it_is(text):
+def test_stored_text_is_utf_8_and_stable(text):
     kept = storable_text(text)
     assert json.loads(json.dumps(kept).encode("utf-8")) == kept
     kept.encode("utf-8")
@@ -19,7 +19,7 @@ def test_it_is_always_utf_8_and_stays_what_it_is(text):
 
 
 @given(st.text())
-def test_good_text_is_kept(text):
+def test_valid_text_is_unchanged(text):
     assert storable_text(text) == text
 
 

@@ -1,4 +1,4 @@
-"""Whatever a planner wrote can be shown: bounded, in plain ASCII, look-alikes told apart."""
+"""Every text of a planner has a printable form: bounded, in plain ASCII, with look-alike letters escaped."""
 
 import json
 import unicodedata
@@ -12,7 +12,7 @@ from dualbrain.core.text import MAX_PRINTED_LENGTH, closest_name_hint, has_hidde
 
 @settings(deadline=None)
 @given(st.text(max_size=200))
-def test_a_shown_string_is_short_printable_ascii(text: str) -> None:
+def test_a_printable_string_is_short_ascii(text: str) -> None:
     safe = str(to_printable(text))
     assert safe.isascii()
     assert safe.isprintable()
@@ -21,40 +21,40 @@ def test_a_shown_string_is_short_printable_ascii(text: str) -> None:
         assert safe == text
 
 
-def test_a_look_alike_letter_shows() -> None:
+def test_a_look_alike_letter_is_escaped() -> None:
     assert to_printable("grаsp") == "gr\\u0430sp"
     assert to_printable("x" * 1000) == "x" * 64 + "... (1000 characters)"
 
 
-def test_a_container_shows_only_its_size() -> None:
+def test_a_container_is_replaced_by_its_size() -> None:
     assert (to_printable({"a": "secret"}), to_printable([1, 2])) == ("object of 1", "array of 2")
     assert [to_printable(value) for value in (None, True, 3, 0.5)] == [None, True, 3, 0.5]
 
 
 @settings(deadline=None)
 @given(st.characters(categories=["Cc", "Zl", "Zp"]))
-def test_control_characters_and_line_breaks_hide(character: str) -> None:
+def test_control_characters_and_line_breaks_are_hidden(character: str) -> None:
     assert has_hidden_characters(f"a{character}b")
 
 
 @pytest.mark.parametrize("character", ["\u200b", "\u202e", "\u2066", "\ufeff", "\U000e0041", "\u2060", "\x1b"])
-def test_invisible_and_turning_characters_hide(character: str) -> None:
+def test_invisible_and_direction_characters_are_hidden(character: str) -> None:
     assert unicodedata.category(character) in ("Cf", "Cc")
     assert has_hidden_characters(character)
 
 
 @pytest.mark.parametrize("text", ["the cup is out of reach", "Größe 3 °", "手が届かない", "naïve — “quoted”"])
-def test_plain_words_of_any_language_hide_nothing(text: str) -> None:
+def test_plain_words_of_any_language_have_no_hidden_characters(text: str) -> None:
     assert not has_hidden_characters(text)
 
 
-def test_the_closest_name_or_all_of_them() -> None:
+def test_the_hint_has_the_closest_name_or_all_names() -> None:
     assert closest_name_hint("red_qube", ("red_cube", "bowl")) == "closest: 'red_cube'"
     assert closest_name_hint("zzz", ("red_cube", "bowl")) == "known: red_cube, bowl"
     assert closest_name_hint("zzz", ()) == "known: none"
 
 
-def test_pointers_escape_as_the_standard_says() -> None:
+def test_pointers_are_escaped_as_in_rfc_6901() -> None:
     assert json_pointer() == ""
     assert json_pointer("action_sequence", 0, "a/b~c") == "/action_sequence/0/a~1b~0c"
     assert json.dumps(json_pointer("\x1b[2J")) == '"/\\\\x1b[2J"'

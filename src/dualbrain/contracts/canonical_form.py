@@ -1,8 +1,8 @@
-"""The one text of a contract: what a planner is taught to write, and what a constrained decoder can reach.
+"""Canonical text of a contract: the form that planners are trained to write and that constrained decoders can reach.
 
-Keys stand in the order of the decoding schema (id, context, steps; parameters as registered), nothing else stands
-between them, and numbers are written as in RFC 8785. It is not the RFC 8785 form of the whole: there keys are sorted,
-so `params` would come before `skill` and a model would write values before it knows of what.
+Keys are in the order of the decoding schema (id, context, steps; parameters as registered), without white space, and
+numbers are written as in RFC 8785. The text as a whole is not in RFC 8785 form, which sorts the keys: `params` would
+come before `skill`, and a model would have to write the values before the name of the skill.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from dualbrain.contracts.skill_spec import SkillSpec
 
 
 def canonical_contract(contract: Contract, registry: SkillRegistry) -> str:
-    """`contract` in its one text, ASCII on one line; parameters that `registry` does not know come last, by name.
+    """The canonical text of `contract`, ASCII on one line; parameters unknown to `registry` come last, by name.
 
-    Law: two contracts have the same text exactly if they say the same, whatever order or notation they came in; reading
-    the text gives the contract back. Raises `UnknownName` for a skill that is not registered.
+    Law: two contracts have the same text exactly if they are equal, in any order and notation of their source; decoding
+    the text gives the contract. Raises `UnknownNameError` for a skill that is not registered.
     """
     context = _encode_object({"robot": contract.context.robot, "registry": contract.context.registry})
     steps = ",".join(_encode_step(action, registry) for action in contract.action_sequence)
@@ -29,9 +29,9 @@ def canonical_contract(contract: Contract, registry: SkillRegistry) -> str:
 
 
 def reorder_contract(contract: Mapping[str, Any], registry: SkillRegistry) -> dict[str, Any]:
-    """`contract` as it was read from anywhere, with its steps and their parameters in the order of the one text.
+    """The decoded JSON `contract` with its steps and their parameters in the order of the canonical text.
 
-    Nothing is checked or left out: what is not known comes last, by name; what is no step stays as it is.
+    Nothing is checked or dropped: unknown members come last, by name, and a malformed step is returned unchanged.
     """
     context: Any = contract.get("context")
     steps: Any = contract.get("action_sequence")
@@ -44,7 +44,7 @@ def reorder_contract(contract: Mapping[str, Any], registry: SkillRegistry) -> di
 
 
 def _put_first(members: Mapping[str, Any], names: Iterable[str]) -> dict[str, Any]:
-    """`members` with those called `names` first, the others by name."""
+    """`members` with those called `names` first, in that order, and the others sorted by name."""
     known = {name: members[name] for name in names if name in members}
     return known | {name: members[name] for name in sorted(members) if name not in known}
 

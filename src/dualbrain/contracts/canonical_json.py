@@ -1,4 +1,4 @@
-"""Canonical JSON (RFC 8785): one byte string for one value, so that its hash names it."""
+"""Canonical JSON (RFC 8785): exactly one byte string for each value, so that its hash identifies the value."""
 
 from __future__ import annotations
 
@@ -9,14 +9,16 @@ from typing import cast
 from dualbrain.errors import ConfigurationError
 
 _MAX_EXACT_INTEGER = 2**53
-"""Whole numbers beyond this lose their neighbours in double precision, which RFC 8785 assumes of every reader."""
+"""Largest integer that double precision represents exactly together with its neighbours; RFC 8785 assumes doubles."""
 
 
 def canonical_json(value: object) -> bytes:
     """The RFC 8785 form of `value` in UTF-8.
 
-    No white space, keys sorted by UTF-16 code units, numbers as ECMAScript writes them. Raises
-    `InvalidSetup` for what JSON cannot say exactly: NaN, infinities, whole numbers beyond 2^53, other types.
+    No white space, keys sorted by UTF-16 code units, numbers as in ECMAScript.
+
+    Raises:
+        ConfigurationError: JSON cannot represent `value` exactly (NaN, infinities, integers beyond 2^53, other types).
     """
     return _encode(value).encode()
 
@@ -38,7 +40,7 @@ def _encode(value: object) -> str:
 def _encode_number(value: float) -> str:
     """`value` as ECMAScript's Number::toString writes it: shortest digits that round-trip, plain from 1e-6 to 1e21."""
     if not math.isfinite(value) or (isinstance(value, int) and abs(value) > _MAX_EXACT_INTEGER):
-        raise ConfigurationError("number in canonical JSON", got=value, allowed="finite numbers, whole ones up to 2^53")
+        raise ConfigurationError("number in canonical JSON", got=value, allowed="finite numbers, integers up to 2^53")
     if value == 0:
         return "0"
     sign = "-" if value < 0 else ""

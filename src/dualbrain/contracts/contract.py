@@ -1,11 +1,11 @@
-"""A contract as the planner writes it (paper 3.3): c = {id, context, action_sequence}."""
+"""Action contracts as written by the planner (paper 3.3): c = {id, context, action_sequence}."""
 
 from __future__ import annotations
 
 import msgspec
 
 ParameterValue = float | str
-"""What a parameter may be: a plain number in the registered SI unit, or a name (of a choice, an object, a place)."""
+"""Value of a parameter: a number in the registered SI unit, or a name (of a choice, an object, a place)."""
 
 
 class Action(msgspec.Struct, frozen=True):
@@ -16,7 +16,7 @@ class Action(msgspec.Struct, frozen=True):
 
 
 class Context(msgspec.Struct, frozen=True):
-    """The body and registry that the contract was written for."""
+    """The robot and the hash of the registry for which the contract was written."""
 
     robot: str
     registry: str
@@ -31,9 +31,10 @@ class Contract(msgspec.Struct, frozen=True):
 
 
 class ContractHeader(msgspec.Struct, frozen=True, kw_only=True):
-    """One shot of one principal: `sequence` rises with every shot; valid in [issued, expires) [s, the gate's clock].
+    """Authorization header of one contract, sent by one principal.
 
-    A contract is good for one acceptance, in its time, for the scene it was made for (`scene_version`).
+    `sequence` increases with every contract of the principal. A contract can be accepted once, within
+    [issued, expires) [s, the gate's clock], and only for the scene of version `scene_version`.
     """
 
     sequence: int

@@ -1,4 +1,4 @@
-"""The closed vocabulary of one robot: its skills, their parameters with units and bounds, and the hash of it all."""
+"""Skill registry: the closed vocabulary of one robot, with units and bounds of all parameters, and its hash."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from dualbrain.core.units import require_si
 from dualbrain.errors import ConfigurationError, UnknownNameError
 
 CONTRACT_VERSION = 1
-"""Rises when the form or the meaning of a contract changes; part of every registry hash."""
+"""Increases when the format or the meaning of a contract changes; part of every registry hash."""
 
 MAX_BOUND = 1e9
 MAX_TEXT_LENGTH = 500
@@ -31,10 +31,11 @@ _IDENTIFIER_PATTERN = re.compile(r"[a-z][a-z0-9_]{0,31}")
 
 @dataclass(frozen=True)
 class SkillRegistry:
-    """The skills that `robot` offers (the primitive vocabulary P of paper 3.3); checked once, when it is built.
+    """The skills that `robot` offers (the primitive vocabulary P of paper 3.3), checked when the registry is built.
 
-    Raises `InvalidSetup` for a duplicate or unreadable name, a unit that is not SI, a bound that is not finite, not
-    ordered or without provenance, an empty choice.
+    Raises:
+        ConfigurationError: A name is a duplicate or not an identifier, a unit is not SI, a bound is not finite, not
+            ordered or without provenance, or a choice is empty.
     """
 
     robot: str
@@ -48,33 +49,33 @@ class SkillRegistry:
 
     @cached_property
     def by_name(self) -> dict[str, SkillSpec]:
-        """Every skill under its name."""
+        """The skills by name."""
         return {skill.name: skill for skill in self.skills}
 
     def skill(self, name: str) -> SkillSpec:
-        """The skill called `name`; raises `UnknownName`."""
+        """The skill called `name`; raises `UnknownNameError`."""
         if name not in self.by_name:
             raise UnknownNameError("skill", name, tuple(self.by_name), owner=self.robot)
         return self.by_name[name]
 
     def canonical_bytes(self) -> bytes:
-        """What the hash is taken of (RFC 8785): contract version, robot, skills, parameters, units, bounds, words.
+        """The hashed content in RFC 8785 form: contract version, robot, skills, parameters, units, bounds, choices.
 
-        Left out: descriptions and provenance, because rewording them changes no contract's meaning and must not make
-        memories and adapters foreign; permits, because they come from the skill and are never written in a contract.
-        Order is left out too: skills, parameters and words are sets.
+        Descriptions and provenance are not hashed: a new wording changes the meaning of no contract and must not
+        invalidate memories and adapters. Contact permits are not hashed, because a contract never contains them. The
+        order of skills, parameters and choices is not hashed either.
         """
         skills = {skill.name: {p.name: _hashed_domain(p) for p in skill.parameters} for skill in self.skills}
         return canonical_json({"contract_version": CONTRACT_VERSION, "robot": self.robot, "skills": skills})
 
     @cached_property
     def hash(self) -> str:
-        """First 8 hex digits of the SHA-256 of `canonical()`: a name for honest mistakes, not a signature."""
+        """First 8 hex digits of the SHA-256 of `canonical_bytes()`; it detects mistakes, and is not a signature."""
         return hashlib.sha256(self.canonical_bytes()).hexdigest()[:8]
 
 
 def _hashed_domain(parameter: Parameter) -> dict[str, Any]:
-    """The part of a parameter that gives a contract its meaning."""
+    """The part of a parameter's domain that enters the hash."""
     match parameter:
         case NumberParameter():
             return {"number": parameter.unit, "lower": parameter.lower, "upper": parameter.upper}
@@ -87,7 +88,7 @@ def _hashed_domain(parameter: Parameter) -> dict[str, Any]:
 
 
 def _require_identifiers(what: str, names: Iterable[str]) -> None:
-    """Raise unless `names` is not empty and holds distinct identifiers."""
+    """Raise unless `names` is not empty and contains distinct identifiers."""
     seen: set[str] = set()
     for name in names:
         if not _IDENTIFIER_PATTERN.fullmatch(name):
@@ -100,7 +101,7 @@ def _require_identifiers(what: str, names: Iterable[str]) -> None:
 
 
 def _require_skill(skill: SkillSpec) -> None:
-    """Raise unless every parameter and permit of `skill` is sane."""
+    """Raise unless every parameter and contact permit of `skill` is valid."""
     if skill.parameters:
         _require_identifiers(f"parameters of {skill.name}", [parameter.name for parameter in skill.parameters])
     for parameter in skill.parameters:
@@ -111,7 +112,7 @@ def _require_skill(skill: SkillSpec) -> None:
 
 
 def _require_parameter(where: str, parameter: Parameter) -> None:
-    """Raise unless the domain of `parameter` is sane."""
+    """Raise unless the domain of `parameter` is valid."""
     match parameter:
         case NumberParameter():
             require_si(parameter.unit)
@@ -128,36 +129,38 @@ def _require_parameter(where: str, parameter: Parameter) -> None:
 
 
 def _require_bounds(where: str, number: NumberParameter) -> None:
-    """Raise unless lower ≤ upper, both finite, and each says where it comes from."""
+    """Raise unless lower ≤ upper, both bounds are finite, and both have a provenance."""
     if not -MAX_BOUND <= number.lower <= number.upper <= MAX_BOUND:
         got = f"{number.lower} to {number.upper} {number.unit}"
         raise ConfigurationError(f"bounds of {where}", got=got, allowed=f"lower ≤ upper within ±{MAX_BOUND:g}")
     if not (number.lower_from.strip() and number.upper_from.strip()):
-        raise ConfigurationError(
-            f"provenance of {where}", got="none", allowed="where each bound comes from", fix="Name the source."
+        raise ConfigurationError.stating(
+            f"A bound of {where} has no provenance.", fix="Name the source of each bound in lower_from and upper_from."
         )
 
 
 def is_narrower(inner: SkillRegistry, outer: SkillRegistry) -> bool:
     """Whether `inner` differs from `outer` at most by tighter bounds: same robot, skills, parameters, units, choices.
 
-    Promise: every value that `inner` admits `outer` admits too, and means the same there.
+    Promise: every value that `inner` allows is allowed by `outer` and has the same meaning there.
     """
-    alike = inner.robot == outer.robot and inner.by_name.keys() == outer.by_name.keys()
-    return alike and all(_is_narrower_skill(skill, outer.by_name[name]) for name, skill in inner.by_name.items())
+    same_skills = inner.robot == outer.robot and inner.by_name.keys() == outer.by_name.keys()
+    return same_skills and all(_is_narrower_skill(skill, outer.by_name[name]) for name, skill in inner.by_name.items())
 
 
 def _is_narrower_skill(inner: SkillSpec, outer: SkillSpec) -> bool:
-    ours = {parameter.name: parameter for parameter in inner.parameters}
-    theirs = {parameter.name: parameter for parameter in outer.parameters}
-    return ours.keys() == theirs.keys() and all(_is_narrower_parameter(one, theirs[name]) for name, one in ours.items())
+    inner_by_name = {parameter.name: parameter for parameter in inner.parameters}
+    outer_by_name = {parameter.name: parameter for parameter in outer.parameters}
+    return inner_by_name.keys() == outer_by_name.keys() and all(
+        _is_narrower_parameter(parameter, outer_by_name[name]) for name, parameter in inner_by_name.items()
+    )
 
 
 def _is_narrower_parameter(inner: Parameter, outer: Parameter) -> bool:
     match inner, outer:
         case NumberParameter(), NumberParameter():
-            inside = outer.lower <= inner.lower and inner.upper <= outer.upper
-            return inner.unit == outer.unit and inside
+            within = outer.lower <= inner.lower and inner.upper <= outer.upper
+            return inner.unit == outer.unit and within
         case ChoiceParameter(), ChoiceParameter():
             return set(inner.choices) == set(outer.choices)
         case NameParameter(), NameParameter():

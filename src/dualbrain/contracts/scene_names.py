@@ -1,4 +1,4 @@
-"""Which names of scene objects and places a contract may use just now."""
+"""Names of scene objects and places that a contract may use in the current scene."""
 
 from __future__ import annotations
 
@@ -16,10 +16,13 @@ _NAME_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,47}")
 
 @dataclass(frozen=True)
 class SceneNames:
-    """Names of the things that may be grasped and of the containers and places that may receive.
+    """Names of graspable objects, and of containers and places that can receive an object.
 
-    A name is an identifier, never prose: text seen in the scene cannot reach the prompt as a name. `version` is the
-    scene's version; where it is given, a stamp made for another version is refused at authorization.
+    A name is an identifier, so that free text in the scene cannot enter the prompt as a name. If `version`, the version
+    of the scene, is given, the authorization stage rejects a header that was made for another version.
+
+    Raises:
+        ConfigurationError: A name is not an identifier.
     """
 
     graspable: tuple[str, ...] = ()
@@ -33,11 +36,11 @@ class SceneNames:
 
     @cached_property
     def all_names(self) -> tuple[str, ...]:
-        """Every name once: graspable ones first."""
+        """Every name once, graspable objects first."""
         return tuple(dict.fromkeys(self.graspable + self.receptive))
 
     def names_of_kind(self, kind: NameKind) -> tuple[str, ...]:
-        """The names that a `Name` parameter with this `of` may take."""
+        """The names that a `NameParameter` whose `of` is `kind` may take."""
         if kind == "any":
             return self.all_names
         return self.graspable if kind == "graspable" else self.receptive

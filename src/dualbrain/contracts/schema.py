@@ -1,4 +1,4 @@
-"""What a registry says, in four forms: published schema, decoding schema, syntax schema, and words for the prompt."""
+"""Four forms of a registry: validation schema, decoding schema, syntax schema, and the text for the prompt."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from dualbrain.core.text import HIDDEN_CHARACTERS
 MAX_ACTIONS = 8
 ID_PATTERN = "^c-[0-9]{4}$"
 ID_LENGTH = 6
-"""Length and pattern together: in some engines `$` alone would let a trailing line feed pass."""
+"""Maximum length of an id; in some engines the `$` of the pattern alone would accept a trailing line feed."""
 
 DRAFT_07 = "http://json-schema.org/draft-07/schema#"
 Schema = dict[str, Any]
 
 
 def closed_object(properties: Schema) -> Schema:
-    """An object with exactly these properties."""
+    """Schema of an object with exactly these properties."""
     return {
         "type": "object",
         "properties": properties,
@@ -36,7 +36,7 @@ def closed_object(properties: Schema) -> Schema:
 
 
 def validation_schema(registry: SkillRegistry, names: SceneNames) -> Schema:
-    """Draft-07: one `enum` of skills and one `if`/`then` per skill, so that an error names its exact place."""
+    """Draft-07 schema with one `enum` of skills and one `if`/`then` per skill, so that errors have an exact pointer."""
     context = {"robot": {"const": registry.robot}, "registry": {"const": registry.hash}}
     step = closed_object({"skill": {"enum": [skill.name for skill in registry.skills]}, "params": {"type": "object"}})
     step["allOf"] = [
@@ -51,9 +51,10 @@ def validation_schema(registry: SkillRegistry, names: SceneNames) -> Schema:
 
 
 def syntax_schema(registry: SkillRegistry) -> Schema:
-    """The syntax stage alone: fields, types and array sizes, without skill enum, bounds, words and scene names.
+    """Schema of the syntax stage: fields, types and array sizes, without skills, bounds, choices and scene names.
 
-    A step with an unregistered skill is well formed if its params are numbers and strings; authorization refuses it.
+    A step with an unregistered skill is well formed if its params are numbers and strings; the authorization stage
+    rejects it.
     """
     context = {"robot": {"type": "string"}, "registry": {"type": "string"}}
     scalars: Schema = {"type": "object", "additionalProperties": {"type": ["number", "string"]}}
@@ -63,10 +64,10 @@ def syntax_schema(registry: SkillRegistry) -> Schema:
 
 
 def decoding_schema(registry: SkillRegistry, names: SceneNames) -> Schema:
-    """For constrained decoders: one `anyOf` branch per skill, properties in the order they are to be written.
+    """Schema for constrained decoders: one `anyOf` branch per skill, properties in the order of generation.
 
-    Uses only keywords that LLGuidance and xgrammar enforce. A skill whose object or place has no name in this scene
-    cannot be called and is left out. Raises nothing: with every skill left out the schema admits nothing.
+    The schema uses only keywords that LLGuidance and xgrammar enforce. A skill that needs an object or place of which
+    the scene has none is left out. If every skill is left out, the schema admits no contract.
     """
     callable_skills = [skill for skill in registry.skills if _is_callable(skill, names)]
     branches = [_decoding_step(skill, names) for skill in callable_skills]
@@ -78,7 +79,7 @@ def decoding_schema(registry: SkillRegistry, names: SceneNames) -> Schema:
 
 
 def describe_skills(registry: SkillRegistry, names: SceneNames) -> str:
-    """One line a skill for the prompt, `grasp(object: graspable name, speed: 0.05..0.4 m/s) …`, then the names."""
+    """Prompt text: one line per skill, `grasp(object: graspable name, speed: 0.05..0.4 m/s) …`, then the names."""
     lines = [
         f"{skill.name}({', '.join(map(_describe_parameter, skill.parameters))}) {skill.description}"
         for skill in registry.skills
@@ -92,26 +93,26 @@ def describe_skills(registry: SkillRegistry, names: SceneNames) -> str:
 
 
 def _contract_schema(context: Schema, step: Schema) -> Schema:
-    """The frame that all forms share: id, context, one to eight steps."""
+    """The common part of all schemas: id, context, one to eight steps."""
     steps: Schema = {"type": "array", "minItems": 1, "maxItems": MAX_ACTIONS, "items": step}
     identity: Schema = {"type": "string", "pattern": ID_PATTERN, "maxLength": ID_LENGTH}
     return closed_object({"id": identity, "context": context, "action_sequence": steps})
 
 
 def _skill_branch(skill: SkillSpec, domains: list[Schema]) -> Schema:
-    """If the step calls `skill`, then its params are exactly these."""
+    """Schema clause: if the step calls `skill`, its params are exactly `domains`."""
     params = closed_object(dict(zip((p.name for p in skill.parameters), domains, strict=True)))
     calls = {"properties": {"skill": {"const": skill.name}}, "required": ["skill"]}
     return {"if": calls, "then": {"properties": {"params": params}}}
 
 
 def _type_schema(parameter: Parameter) -> Schema:
-    """The JSON type of a parameter and no more."""
+    """The JSON type of a parameter, without its domain."""
     return {"type": "number" if isinstance(parameter, NumberParameter) else "string"}
 
 
 def _domain_schema(parameter: Parameter, names: SceneNames) -> Schema:
-    """The whole domain of a parameter, in words too."""
+    """The whole domain of a parameter, with its description."""
     match parameter:
         case NumberParameter():
             schema = _bounded_number(parameter) | {"x-unit": parameter.unit}
@@ -125,7 +126,7 @@ def _domain_schema(parameter: Parameter, names: SceneNames) -> Schema:
 
 
 def _description(parameter: Parameter) -> str:
-    """What a parameter means; for a number with its unit and where each bound comes from."""
+    """Description of a parameter; of a number also the unit and the provenance of each bound."""
     if not isinstance(parameter, NumberParameter):
         return parameter.description or parameter.name
     bounds = f"{parameter.lower:g} ({parameter.lower_from}) to {parameter.upper:g} ({parameter.upper_from})"
@@ -133,23 +134,23 @@ def _description(parameter: Parameter) -> str:
 
 
 def _bounded_number(number: NumberParameter) -> Schema:
-    """A number between its bounds, both included."""
+    """Schema of a number within its bounds, both included."""
     return {"type": "number", "minimum": number.lower, "maximum": number.upper}
 
 
 def _is_callable(skill: SkillSpec, names: SceneNames) -> bool:
-    """Whether every name that `skill` asks for is offered by the scene."""
+    """Whether the scene has a name for every `NameParameter` of `skill`."""
     return all(names.names_of_kind(p.of) for p in skill.parameters if isinstance(p, NameParameter))
 
 
 def _decoding_step(skill: SkillSpec, names: SceneNames) -> Schema:
-    """One branch: the skill's name, then its params in the order of the registry."""
+    """One branch of the decoding schema: the name of the skill, then its params in the order of the registry."""
     params = closed_object({p.name: _decoding_domain_schema(p, names) for p in skill.parameters})
     return closed_object({"skill": {"const": skill.name}, "params": params})
 
 
 def _decoding_domain_schema(parameter: Parameter, names: SceneNames) -> Schema:
-    """The domain of a parameter in keywords that decoders enforce."""
+    """The domain of a parameter, in keywords that decoders enforce."""
     match parameter:
         case NumberParameter():
             return _bounded_number(parameter)
@@ -162,7 +163,7 @@ def _decoding_domain_schema(parameter: Parameter, names: SceneNames) -> Schema:
 
 
 def _describe_parameter(parameter: Parameter) -> str:
-    """A parameter as one phrase of the short form."""
+    """A parameter as one phrase of the prompt text."""
     match parameter:
         case NumberParameter():
             return f"{parameter.name}: {parameter.lower:g}..{parameter.upper:g} {parameter.unit}"

@@ -1,4 +1,4 @@
-"""What a skill declares of itself: name, parameters with units and bounds, and the contacts it needs by phase."""
+"""Specification of a skill: name, parameters with units and bounds, and the contacts it needs in each phase."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import msgspec
 
 
 class NumberParameter(msgspec.Struct, frozen=True, tag_field="kind", tag="number", kw_only=True):
-    """A number in `unit` (SI, checked by pint) within [lower, upper]; each bound says where it comes from."""
+    """A number in `unit` (SI, checked by pint) in [lower, upper]; `lower_from` and `upper_from` give the provenance."""
 
     name: str
     unit: str
@@ -20,7 +20,7 @@ class NumberParameter(msgspec.Struct, frozen=True, tag_field="kind", tag="number
 
 
 class ChoiceParameter(msgspec.Struct, frozen=True, tag_field="kind", tag="choice"):
-    """One word of a fixed list."""
+    """One of a fixed list of identifiers."""
 
     name: str
     choices: tuple[str, ...]
@@ -28,7 +28,7 @@ class ChoiceParameter(msgspec.Struct, frozen=True, tag_field="kind", tag="choice
 
 
 class NameParameter(msgspec.Struct, frozen=True, tag_field="kind", tag="name"):
-    """The name of something in the scene: `of` says which names are offered; the enum is built per scene."""
+    """The name of an object or place of the scene; `of` selects the names, and the enum is built for each scene."""
 
     name: str
     of: Literal["graspable", "receptive", "any"]
@@ -36,7 +36,7 @@ class NameParameter(msgspec.Struct, frozen=True, tag_field="kind", tag="name"):
 
 
 class TextParameter(msgspec.Struct, frozen=True, tag_field="kind", tag="text"):
-    """Free text of bounded length (only for people: no skill may act on it)."""
+    """Free text of bounded length, meant for people: no skill may act on it."""
 
     name: str
     max_length: int
@@ -47,9 +47,9 @@ Parameter = NumberParameter | ChoiceParameter | NameParameter | TextParameter
 
 
 class ContactPermit(msgspec.Struct, frozen=True):
-    """Which pair may touch in which phase of a skill, and how fast they may approach.
+    """Permission for one pair to touch in one phase of a skill, with the maximum approach `speed` [m/s].
 
-    `robot_part` is a sphere group of the body ("fingers", "hand", "held"); `other` is "target", "destination" or
+    `robot_part` is a sphere group of the robot model ("fingers", "hand", "held"); `other` is "target", "destination" or
     "support". Permits come from the skill, never from a contract.
     """
 

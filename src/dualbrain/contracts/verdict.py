@@ -1,4 +1,4 @@
-"""The gate's answer: an accepted contract or the stage, place and reason of its refusal (paper 3.3)."""
+"""Verdict of the gate: an accepted contract, or the stage, place and reason of the rejection (paper 3.3)."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class Accepted(msgspec.Struct, frozen=True, tag_field="verdict", tag="accepted")
 
 
 class Rejected(msgspec.Struct, frozen=True, tag_field="verdict", tag="rejected", kw_only=True):
-    """The contract was refused at `stage`.
+    """The contract was rejected at `stage`.
 
-    `pointer` (RFC 6901) is the place in the contract, "" the whole of it or the stamp around it; `got` is safe to print
-    and bounded; `allowed` says what may stand there; `hint` says how to mend it.
+    `pointer` (RFC 6901) is the place in the contract, "" for the whole contract or its header; `got` is the value found
+    there, bounded and safe to print; `allowed` are the allowed values; `hint` is the correction.
     """
 
     stage: Stage

@@ -1,1 +1,1 @@
-"""Ground floor of the package: text, units, geometry, storage and model weights. Imports nothing but errors."""
+"""Foundation of the package: text, units, geometry, storage and model weights. Imports only `dualbrain.errors`."""

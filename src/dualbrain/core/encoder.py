@@ -1,4 +1,4 @@
-"""What the index needs of a sentence encoder; one is handed in, because memory and knowledge do not know each other."""
+"""Interface of a sentence encoder; memory and knowledge receive one, because neither package imports the other."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ Float32Array = NDArray[np.float32]
 
 
 class Encoder(Protocol):
-    """Turns texts into vectors whose cosine is their likeness in meaning; `id` names model and version."""
+    """Maps texts to unit vectors whose cosine is their semantic similarity."""
 
     @property
     def id(self) -> str:
-        """Name and version."""
+        """Name and version of the model."""
         ...
 
     @property
     def dim(self) -> int:
-        """Length of each vector."""
+        """Number of components of each vector."""
         ...
 
     def encode(self, texts: Sequence[str]) -> Float32Array:
-        """Unit rows of shape (n_texts, dim), float32."""
+        """One unit vector per text, (n_texts, dim), float32."""
         ...

@@ -1,4 +1,4 @@
-"""Text from outside that people will read: which characters it may hold, and how any value is shown safely."""
+"""Safe handling of untrusted text: characters that a reader cannot see, printable forms of values, JSON pointers."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from difflib import get_close_matches
 from typing import Any, cast
 
 HIDDEN_CHARACTERS = "\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\U000e0000-\U000e007f"
-"""Body of a character class: control characters (terminal escapes), zero-width, direction overrides and tag characters,
-which change what a reader sees or carry words that no reader sees."""
+"""Body of a regular expression's character class: control characters (terminal escapes), zero-width characters,
+direction overrides and tag characters. These change the displayed text, or carry text that is not displayed."""
 
 MAX_PRINTED_LENGTH = 64
 
@@ -19,15 +19,15 @@ PrintableValue = str | int | float | bool | None
 
 
 def has_hidden_characters(text: str) -> bool:
-    """Whether `text` holds a character that a reader could not see as what it is."""
+    """Whether `text` contains a character that is not displayed as itself."""
     return _HIDDEN_PATTERN.search(text) is not None
 
 
 def to_printable(value: object) -> PrintableValue:
-    """`value` in a form that is safe to print and bounded.
+    """A bounded form of `value` that is safe to print.
 
-    A string comes in ASCII escapes, so that a look-alike letter shows, and at most 64 of them; of an object or array
-    only the size is told.
+    A string is escaped to ASCII, which reveals look-alike letters, and cut after 64 characters; an object or array is
+    replaced by its size.
     """
     if value is None or isinstance(value, (bool, int, float)):
         return value
@@ -42,18 +42,21 @@ def to_printable(value: object) -> PrintableValue:
 
 
 def closest_name_hint(name: str, known: tuple[str, ...]) -> str:
-    """`closest: 'red_cube'`, or the known names when none is near."""
-    near = get_close_matches(name[:MAX_PRINTED_LENGTH], known, n=1)
-    return f"closest: {near[0]!r}" if near else f"known: {', '.join(known) or 'none'}"
+    """The known name most similar to `name` (`closest: 'red_cube'`), or all known names if none is similar."""
+    similar = get_close_matches(name[:MAX_PRINTED_LENGTH], known, n=1)
+    return f"closest: {similar[0]!r}" if similar else f"known: {', '.join(known) or 'none'}"
 
 
 def json_pointer(*parts: str | int) -> str:
-    """JSON pointer (RFC 6901) to a place in the contract; a key that is not plain is shown as by `shown`."""
+    """JSON pointer (RFC 6901) to a value in the contract; each key is made printable by `to_printable`."""
     return "".join("/" + str(to_printable(part)).replace("~", "~0").replace("/", "~1") for part in parts)
 
 
 def make_json_safe(value: Any) -> Any:
-    """The same value without what JSON in UTF-8 cannot hold: lone surrogates become U+FFFD, huge integers words."""
+    """`value` without content that UTF-8 JSON cannot encode.
+
+    Lone surrogates become U+FFFD, and an integer of more than 63 bits is replaced by a description of its size.
+    """
     match value:
         case str() if value.isascii():
             return value
@@ -70,16 +73,16 @@ def make_json_safe(value: Any) -> Any:
 
 
 MAX_STORED_CHARACTERS = 1 << 16
-"""Characters of a text that are kept; the gate reads no contract longer than this."""
+"""Maximum number of characters of a stored text; the gate rejects a contract that is longer."""
 
 
 def storable_text(text: str, limit: int = MAX_STORED_CHARACTERS) -> str:
-    """`text` with lone surrogates replaced by U+FFFD, cut after `limit` characters with a word on its full length."""
+    """`text` with lone surrogates replaced by U+FFFD, cut after `limit` characters; a cut text ends with its length."""
     kept = text[:limit].encode("utf-16-le", "surrogatepass").decode("utf-16-le", "replace")
     return kept if len(text) <= limit else f"{kept}… ({len(text)} characters)"
 
 
 def describe_differences(recorded: Mapping[str, object], current: Mapping[str, object]) -> str:
-    """Each part of which both tell, and not the same; "" if there is none."""
+    """The entries whose values differ, as "NAME OLD, now NEW"; "" if all entries in both mappings are equal."""
     found = [(name, value, current[name]) for name, value in recorded.items() if current.get(name, value) != value]
-    return "; ".join(f"{name} {theirs}, now {ours}" for name, theirs, ours in found)
+    return "; ".join(f"{name} {old}, now {new}" for name, old, new in found)

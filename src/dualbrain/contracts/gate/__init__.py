@@ -1,1 +1,1 @@
-"""The three-stage gate (syntax, authorization, envelope) that checks every contract."""
+"""Three-stage gate (syntax, authorization, envelope) that checks every contract (paper 3.3)."""

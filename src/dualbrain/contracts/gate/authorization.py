@@ -1,4 +1,4 @@
-"""Stage two: may this be asked, of this robot, by this principal, now? (paper 3.3; age and replay by the stamp)."""
+"""Authorization stage of the gate (paper 3.3): robot, registry, granted skills, and the header against replay."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from dualbrain.contracts.verdict import Rejected
 from dualbrain.core.text import closest_name_hint, json_pointer, to_printable
 
 PLANNER = "planner"
-"""The principal under which every planner acts."""
+"""Principal of all planners."""
 
 
 class AuthorizationStage:
-    """Which principal may call which registered skill; anything not granted is refused.
+    """Checks that a principal may call the skills of a contract; a skill that is not granted is refused.
 
-    Raises `UnknownName` when a grant names a skill that is not registered.
+    Raises `UnknownNameError` if a grant names a skill that is not registered.
     """
 
     def __init__(self, registry: SkillRegistry, grants: Mapping[str, frozenset[str]]) -> None:
-        """Hold `grants`: principal → skills."""
+        """Use `grants`, the skills of each principal."""
         for skill in sorted(frozenset[str]().union(*grants.values())):
             registry.skill(skill)
         self._registry, self._grants = registry, dict(grants)
         self._robot, self._hash, self._skills = registry.robot, registry.hash, frozenset(registry.by_name)
 
     def check(self, document: Any, principal: str) -> Rejected | None:
-        """None if the well-formed `document` is for our robot and registry and calls only granted skills."""
+        """None if the well-formed `document` is for this robot and registry and calls only granted skills."""
         context = document["context"]
         if context["robot"] != self._robot:
             return _reject(
@@ -47,7 +47,7 @@ class AuthorizationStage:
         return None
 
     def _reject_skill(self, index: int, skill: str, granted: frozenset[str]) -> Rejected:
-        """The refusal of a skill that is not registered, or registered but not granted."""
+        """The rejection of a skill that is not registered, or is registered but not granted."""
         known = tuple(name for name in self._registry.by_name if name in granted)
         hint = "registered, but not granted to this principal"
         if skill not in self._skills:
@@ -58,9 +58,9 @@ class AuthorizationStage:
 def check_header(
     header: ContractHeader, *, principal: str, now: float, names: SceneNames, last_sequence: int | None
 ) -> Rejected | None:
-    """None if `stamp` is this principal's, in time, newer than `last` accepted, and made for this scene version.
+    """None if `header` names `principal`, is valid at `now` [s], is newer than `last_sequence`, and fits the scene.
 
-    Written so that NaN in any time takes the refusing branch.
+    The comparisons are written so that NaN in any time leads to a rejection.
     """
     if header.principal != principal:
         return _reject("", header.principal, principal, "stamped for another principal")
@@ -78,6 +78,6 @@ def check_header(
     return None
 
 
-def _reject(place: str, got: object, allowed: object, hint: str) -> Rejected:
-    """A refusal at this stage."""
-    return Rejected(stage="authorization", pointer=place, got=to_printable(got), allowed=allowed, hint=hint)
+def _reject(pointer: str, got: object, allowed: object, hint: str) -> Rejected:
+    """A rejection at this stage."""
+    return Rejected(stage="authorization", pointer=pointer, got=to_printable(got), allowed=allowed, hint=hint)

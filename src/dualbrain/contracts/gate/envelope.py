@@ -1,4 +1,4 @@
-"""Stage three: does every parameter lie in its declared domain? (paper 3.3: units and parameter envelopes)."""
+"""Envelope stage of the gate (paper 3.3): every parameter must be in its declared domain."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from dualbrain.core.text import closest_name_hint, has_hidden_characters, json_p
 
 
 class EnvelopeStage:
-    """Bounds, words, scene names and text lengths of every registered parameter.
+    """Checks bounds, choices, scene names and text lengths of all parameters.
 
-    A number inside its bounds but meant in another unit cannot be seen here, nor by any schema.
+    A number that is within its bounds but was meant in another unit cannot be detected here or by any schema.
     """
 
     def __init__(self, registry: SkillRegistry) -> None:
-        """Hold the parameters of `registry` by skill."""
+        """Use the parameters of the skills in `registry`."""
         self._parameters = {skill.name: skill.parameters for skill in registry.skills}
 
     def check(self, steps: list[Any], names: SceneNames) -> tuple[Action, ...] | Rejected:
-        """The actions with every number as a float, or the first value outside its domain.
+        """The actions with every number as a float, or the rejection of the first value outside its domain.
 
-        `steps` have passed the stages before: skills are registered, fields and types are right.
+        `steps` have passed the earlier stages: skills are registered, fields and types are right.
         """
         actions: list[Action] = []
         for index, step in enumerate(steps):
@@ -41,7 +41,7 @@ class EnvelopeStage:
 
 
 def _is_in_domain(parameter: Parameter, value: Any, names: SceneNames) -> bool:
-    """Whether `value` lies in the domain of `parameter`; NaN never does."""
+    """Whether `value` is in the domain of `parameter`; NaN never is."""
     if isinstance(parameter, NumberParameter):
         return parameter.lower <= value <= parameter.upper
     if isinstance(parameter, ChoiceParameter):
@@ -52,20 +52,20 @@ def _is_in_domain(parameter: Parameter, value: Any, names: SceneNames) -> bool:
 
 
 def _rejection(index: int, parameter: Parameter, value: Any, names: SceneNames) -> Rejected:
-    """Where the value stands, what it is and what it may be."""
-    place = json_pointer("action_sequence", index, "params", parameter.name)
+    """The rejection of `value` with its pointer and the allowed values."""
+    pointer = json_pointer("action_sequence", index, "params", parameter.name)
     match parameter:
         case NumberParameter():
             low = value < parameter.lower
             bound, source = (parameter.lower, parameter.lower_from) if low else (parameter.upper, parameter.upper_from)
             hint = f"{'at least' if low else 'at most'} {bound:g} {parameter.unit} ({source})"
             allowed = {"lower": parameter.lower, "upper": parameter.upper, "unit": parameter.unit}
-            return Rejected(stage="envelope", pointer=place, got=to_printable(value), allowed=allowed, hint=hint)
+            return Rejected(stage="envelope", pointer=pointer, got=to_printable(value), allowed=allowed, hint=hint)
         case ChoiceParameter() | NameParameter():
             known = parameter.choices if isinstance(parameter, ChoiceParameter) else names.names_of_kind(parameter.of)
             return Rejected(
                 stage="envelope",
-                pointer=place,
+                pointer=pointer,
                 got=to_printable(value),
                 allowed=list(known),
                 hint=closest_name_hint(value, known),
@@ -74,7 +74,7 @@ def _rejection(index: int, parameter: Parameter, value: Any, names: SceneNames) 
             allowed = f"at most {parameter.max_length} characters, none of them hidden"
             return Rejected(
                 stage="envelope",
-                pointer=place,
+                pointer=pointer,
                 got=to_printable(value),
                 allowed=allowed,
                 hint="write a short plain sentence",

@@ -1,4 +1,4 @@
-"""The one door: bytes from an untrusted planner become a contract, or a refusal that says where and why (paper 3.3)."""
+"""The gate: bytes from an untrusted planner become an accepted contract or a rejection with its reason (paper 3.3)."""
 
 from __future__ import annotations
 
@@ -17,20 +17,21 @@ from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
 
 ContractRule = Callable[[Contract], Rejected | None]
-"""A condition that no single parameter shows (a pair of parameters, reachability); belongs to the envelope stage."""
+"""A condition of the envelope stage on more than one parameter (a pair of parameters, reachability)."""
 
 
 class Gate:
-    """Syntax, then authorization, then envelope; each stage sees the whole contract and can refuse alone.
+    """Checks a contract in three stages: syntax, authorization, envelope. Each stage can reject the contract alone.
 
-    Allow-list by construction: what is not registered, granted and inside its domain is refused. The only state is the
-    last accepted sequence number of each principal. Raises `UnknownName` when a grant names an unregistered skill.
+    The gate is an allow-list: a contract is rejected unless all its skills are registered and granted and all its
+    parameters are in their domains. The only state is the last accepted sequence number of each principal.
+    Raises `UnknownNameError` if a grant names a skill that is not registered.
     """
 
     def __init__(
         self, registry: SkillRegistry, grants: Mapping[str, frozenset[str]], rules: tuple[ContractRule, ...] = ()
     ) -> None:
-        """Guard `registry`; `grants` maps principals to skills; `rules` run in order on what is else good."""
+        """Check against `registry`; `grants` maps principals to skills; `rules` run in order after all other checks."""
         self.registry, self.rules = registry, rules
         self._syntax = SyntaxStage(registry)
         self._authorization = AuthorizationStage(registry, grants)
@@ -40,11 +41,11 @@ class Gate:
     def check(
         self, data: bytes, *, names: SceneNames, principal: str, now: float, header: ContractHeader | None = None
     ) -> Verdict:
-        """`Accepted(contract)` or `Rejected(stage, pointer, got, allowed, hint)`; never raises on any bytes.
+        """`Accepted(contract)` or `Rejected(stage, pointer, got, allowed, hint)`; never raises, for any bytes.
 
-        A rule that raises refuses. `now` [s] is the gate's clock. Without a stamp nothing guards against replay and
-        age: only for looking at a contract, not for running it. Acceptance uses up the stamp's sequence number; a
-        refusal leaves no trace.
+        A rule that raises an exception rejects the contract. `now` [s] is the gate's clock. Without a header there is
+        no protection against replayed and old contracts: use this only to inspect a contract, not to run it. Acceptance
+        consumes the sequence number of the header; a rejection changes no state.
         """
         document = parse(data)
         if isinstance(document, Rejected):
@@ -60,7 +61,7 @@ class Gate:
     def _authorize(
         self, document: Any, names: SceneNames, principal: str, now: float, header: ContractHeader | None
     ) -> Rejected | None:
-        """The authorization stage: the contract's context and skills, then the runtime's stamp."""
+        """The authorization stage: context and skills of the contract, then its header."""
         refusal = self._authorization.check(document, principal)
         if refusal is not None or header is None:
             return refusal
@@ -77,12 +78,12 @@ class Gate:
         for rule in self.rules:
             try:
                 refusal = rule(contract)
-            except Exception as error:  # what cannot be judged is not accepted
+            except Exception as error:  # a contract that a rule cannot judge is not accepted
                 return Rejected(
                     stage="envelope",
                     pointer="",
                     got=f"{type(error).__name__}: {error}",
-                    allowed="a rule's word",
+                    allowed="a decision of the rule",
                     hint="a rule failed",
                 )
             if refusal is not None:

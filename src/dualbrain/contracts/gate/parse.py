@@ -1,4 +1,4 @@
-"""Strict parser: any bytes become one JSON value or a refusal at the syntax stage; nothing is repaired or guessed."""
+"""Strict JSON parser of the gate: bytes become one JSON value or a rejection at the syntax stage, without repairs."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from dualbrain.errors import DualbrainError
 MAX_BYTES = 64 * 1024
 MAX_DEPTH = 16
 MAX_FIELDS = 64
-"""Per object; more than any skill has, few enough that refusing stays quick."""
+"""Maximum number of fields of an object: above that of any skill, and small enough for a fast rejection."""
 MAX_INT_DIGITS = 15
-"""Whole numbers of up to 15 digits are exact in double precision."""
+"""Maximum number of digits of an integer; integers of up to 15 digits are exact in double precision."""
 MAX_FLOAT_LENGTH = 40
 
 _ESCAPE_PATTERN = re.compile(rb"\\.", re.DOTALL)
@@ -24,7 +24,7 @@ _DEPTH_CHANGE = {ord("["): 1, ord("{"): 1, ord("]"): -1, ord("}"): -1}
 
 
 class _RejectedError(DualbrainError):
-    """Carries a refusal out of the decoder's hooks; never leaves this file."""
+    """Carries a rejection out of the hooks of the JSON decoder; never leaves this module."""
 
     def __init__(self, rejection: Rejected) -> None:
         super().__init__(rejection.hint)
@@ -32,19 +32,19 @@ class _RejectedError(DualbrainError):
 
 
 def parse(data: bytes) -> Any:
-    """The JSON value in `data`, or `Rejected` at stage syntax; never raises, whatever the bytes.
+    """The JSON value in `data`, or `Rejected` at the syntax stage; never raises, for any bytes.
 
-    In order: at most 64 KiB; strict UTF-8 without byte order mark; brackets at most 16 deep outside strings; RFC 8259
-    JSON; objects of at most 64 fields, none twice; no NaN or infinity, spelt or by overflow; whole numbers of at most
-    15 digits; no lone surrogates. (json.loads alone accepts NaN, duplicate keys and lone surrogates, and reads 1e999 as
-    infinity.)
+    Conditions, in this order: at most 64 KiB; strict UTF-8 without byte order mark; brackets outside strings at most 16
+    deep; RFC 8259 JSON; objects with at most 64 fields and no duplicate; no NaN or infinity, literally or by overflow;
+    integers of at most 15 digits; no lone surrogates. (`json.loads` alone accepts NaN, duplicate keys and lone
+    surrogates, and reads 1e999 as infinity.)
     """
     if len(data) > MAX_BYTES:
         return _reject(len(data), f"at most {MAX_BYTES} bytes", "send one contract and nothing else")
     try:
         return _decode(data)
-    except _RejectedError as refused:
-        return refused.rejection
+    except _RejectedError as error:
+        return error.rejection
     except UnicodeDecodeError as error:
         return _reject(f"byte 0x{data[error.start]:02x} at {error.start}", "strict UTF-8", "encode the text as UTF-8")
     except UnicodeEncodeError:
@@ -56,7 +56,7 @@ def parse(data: bytes) -> Any:
 
 
 def _decode(data: bytes) -> Any:
-    """The value in `data`; raises what `parse` turns into a refusal."""
+    """The value in `data`; raises the exceptions that `parse` turns into rejections."""
     text = data.decode("utf-8", "strict")
     if _is_too_deep(data):
         raise _RejectedError(
@@ -71,16 +71,15 @@ def _decode(data: bytes) -> Any:
 def _is_too_deep(data: bytes) -> bool:
     """Whether brackets outside strings nest deeper than `MAX_DEPTH`.
 
-    Exact for text that is JSON up to any point: quotes are paired as the decoder pairs them. Linear in the data.
+    The result is exact for every text that begins as JSON, because quotes are paired as the decoder pairs them. The
+    time is linear in the size of the data.
     """
     if b"\\" in data:
         data = _ESCAPE_PATTERN.sub(b"", data)
     depth = 0
-    structure = data.translate(None, _NON_STRUCTURAL_BYTES).replace(
-        b'""', b""
-    )  # two quotes in a row change nothing outside
-    for outside in structure.split(b'"')[::2]:
-        for bracket in outside:
+    structure = data.translate(None, _NON_STRUCTURAL_BYTES).replace(b'""', b"")  # an empty string contains no bracket
+    for outside_strings in structure.split(b'"')[::2]:
+        for bracket in outside_strings:
             depth += _DEPTH_CHANGE[bracket]
             if depth > MAX_DEPTH:
                 return True
@@ -88,12 +87,12 @@ def _is_too_deep(data: bytes) -> bool:
 
 
 def _reject(got: object, allowed: str, hint: str) -> Rejected:
-    """A refusal of the document as a whole."""
+    """A rejection of the whole document."""
     return Rejected(stage="syntax", pointer="", got=got, allowed=allowed, hint=hint)
 
 
 def _parse_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """An object, unless it is too big or one key comes twice (readers differ on which of the two counts)."""
+    """An object, unless it has too many fields or a duplicate key (JSON readers differ on which duplicate they use)."""
     if len(pairs) > MAX_FIELDS:
         raise _RejectedError(
             _reject(f"object of {len(pairs)}", f"at most {MAX_FIELDS} fields in an object", "drop fields")
@@ -107,7 +106,7 @@ def _parse_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _parse_float(literal: str) -> float:
-    """A finite double."""
+    """A finite double; rejects long literals and values beyond ±1e300."""
     value = float(literal)
     if len(literal) > MAX_FLOAT_LENGTH or not -1e300 <= value <= 1e300:
         raise _RejectedError(
@@ -117,7 +116,7 @@ def _parse_float(literal: str) -> float:
 
 
 def _parse_int(literal: str) -> int:
-    """A whole number that double precision holds exactly."""
+    """An integer that double precision represents exactly."""
     if len(literal.lstrip("-")) > MAX_INT_DIGITS:
         raise _RejectedError(
             _reject(to_printable(literal), f"whole numbers of at most {MAX_INT_DIGITS} digits", "write a plain number")
@@ -126,7 +125,7 @@ def _parse_int(literal: str) -> int:
 
 
 def _reject_constant(literal: str) -> NoReturn:
-    """NaN and infinities are no JSON and no number that a bound could judge."""
+    """Reject NaN and infinities, which are not JSON and cannot be compared with bounds."""
     raise _RejectedError(_reject(literal, "finite numbers", "write a plain number"))
 
 

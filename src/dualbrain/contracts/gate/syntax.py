@@ -1,4 +1,4 @@
-"""Stage one: is it a contract at all? Fields, types and array sizes (paper 3.3)."""
+"""Syntax stage of the gate (paper 3.3): fields, types and array sizes."""
 
 from __future__ import annotations
 
@@ -12,19 +12,21 @@ from dualbrain.contracts.verdict import Rejected
 from dualbrain.core.text import closest_name_hint, json_pointer, to_printable
 
 _ERROR_RANK = {"type": 0, "additionalProperties": 1, "required": 2}
-"""At one place a wrong type is named first, and an unknown field before a missing one: mostly one misspelt field."""
+"""Order of the errors at one place: a wrong type, then an unknown field, then a missing field.
+
+An unknown and a missing field together are mostly one misspelt field."""
 
 
 class SyntaxStage:
-    """The registry's syntax schema, compiled once."""
+    """Checks documents against the syntax schema of a registry, which is compiled once."""
 
     def __init__(self, registry: SkillRegistry) -> None:
-        """Compile for `registry`."""
+        """Compile the syntax schema of `registry`."""
         self._schema = syntax_schema(registry)
         self._compiled = jsonschema_rs.Draft7Validator(self._schema)
 
     def check(self, document: Any) -> Rejected | None:
-        """None if `document` is well formed, else what is wrong at its first wrong place."""
+        """None if `document` is well formed, else the rejection of its first wrong place."""
         if self._compiled.is_valid(document):
             return None
         refusal = _reject_too_many_actions(document)
@@ -35,18 +37,18 @@ class SyntaxStage:
 
 
 def _reject_too_many_actions(document: Any) -> Rejected | None:
-    """A refusal of too many actions, before all errors are gathered: those of 64 KiB would take a second."""
+    """The rejection of too many actions, found before all errors are collected, which takes a second for 64 KiB."""
     steps: Any = cast("dict[str, Any]", document).get("action_sequence") if isinstance(document, dict) else None
     if isinstance(steps, list) and len(cast("list[Any]", steps)) > MAX_ACTIONS:
         return _action_count_rejection(json_pointer("action_sequence"), steps)
     return None
 
 
-def _action_count_rejection(place: str, steps: Any) -> Rejected:
-    """The refusal of an array of actions that is empty or too long."""
+def _action_count_rejection(pointer: str, steps: Any) -> Rejected:
+    """The rejection of an array of actions that is empty or too long."""
     return Rejected(
         stage="syntax",
-        pointer=place,
+        pointer=pointer,
         got=to_printable(steps),
         allowed=f"1 to {MAX_ACTIONS} actions",
         hint="plan with fewer or with some actions",
@@ -54,44 +56,44 @@ def _action_count_rejection(place: str, steps: Any) -> Rejected:
 
 
 def _error_order(error: jsonschema_rs.ValidationError) -> tuple[list[tuple[int, str]], int, int]:
-    """Outer places before inner ones, array items by index; at one place by rank, then the narrower type."""
-    place = [(part, "") if isinstance(part, int) else (-1, part) for part in error.instance_path]
-    return place, _ERROR_RANK.get(error.kind.name, 1), len(error.kind.as_dict().get("types", ()))
+    """Sort key: outer places before inner ones, array items by index, then by rank, then the narrower type."""
+    path = [(part, "") if isinstance(part, int) else (-1, part) for part in error.instance_path]
+    return path, _ERROR_RANK.get(error.kind.name, 1), len(error.kind.as_dict().get("types", ()))
 
 
 def _rejection(error: jsonschema_rs.ValidationError, schema: Schema) -> Rejected:
-    """What a person needs to mend the place that `error` names."""
-    place, facts = json_pointer(*error.instance_path), error.kind.as_dict()
+    """The rejection that describes the schema violation `error`."""
+    pointer, details = json_pointer(*error.instance_path), error.kind.as_dict()
     match error.kind.name:
         case "type":
-            wanted = " or ".join(facts["types"])
+            types = " or ".join(details["types"])
             return Rejected(
                 stage="syntax",
-                pointer=place,
+                pointer=pointer,
                 got=to_printable(error.instance),
-                allowed=wanted,
-                hint=f"write a JSON {wanted} here",
+                allowed=types,
+                hint=f"write a JSON {types} here",
             )
         case "required":
-            missing = facts["property"]
+            missing = details["property"]
             return Rejected(
-                stage="syntax", pointer=place, got=None, allowed=missing, hint=f"add the missing field {missing!r}"
+                stage="syntax", pointer=pointer, got=None, allowed=missing, hint=f"add the missing field {missing!r}"
             )
         case "additionalProperties":
-            extra, known = min(facts["unexpected"]), _known_fields(error, schema)
+            extra, known = min(details["unexpected"]), _known_fields(error, schema)
             return Rejected(
                 stage="syntax",
-                pointer=place,
+                pointer=pointer,
                 got=to_printable(extra),
                 allowed=list(known),
                 hint=f"drop or rename this field; {closest_name_hint(extra, known)}",
             )
         case "minItems" | "maxItems":
-            return _action_count_rejection(place, error.instance)
+            return _action_count_rejection(pointer, error.instance)
         case _:
             return Rejected(
                 stage="syntax",
-                pointer=place,
+                pointer=pointer,
                 got=to_printable(error.instance),
                 allowed="'c-' and four digits",
                 hint="write an id like 'c-0001'",
@@ -99,7 +101,7 @@ def _rejection(error: jsonschema_rs.ValidationError, schema: Schema) -> Rejected
 
 
 def _known_fields(error: jsonschema_rs.ValidationError, schema: Schema) -> tuple[str, ...]:
-    """The fields of the object at the error's place, read from the part of `schema` that refused it."""
+    """The fields of the object at the place of `error`, read from the part of `schema` that it violates."""
     part: Any = schema
     for key in error.schema_path[:-1]:
         part = part[key]

@@ -1,4 +1,4 @@
-"""Solids that the filter keeps away from: any perceived shape covered by one whose distance is exact."""
+"""Signed distances of points to solids, and the cover of every perceived shape by a solid with an exact distance."""
 
 from __future__ import annotations
 
@@ -14,11 +14,14 @@ from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, Cylinder, HalfSpa
 Array = NDArray[np.float64]
 
 Solid = Sphere | Capsule | Box | HalfSpace
-"""The shapes with an exact distance in the kernel."""
+"""Shapes for which the kernel has an exact distance."""
 
 
 def bounding_solid(shape: Shape, pose: Pose) -> tuple[Solid, Pose]:
-    """The smallest cover by a shape with an exact distance: cylinders by volume, bowls as a box of full height."""
+    """A solid that contains `shape` at `pose`: for a cylinder the one of least volume, for a bowl a box of its height.
+
+    Other shapes are returned unchanged.
+    """
     match shape:
         case Cylinder():
             return min(_cylinder_covers(shape), key=_volume), pose
@@ -32,7 +35,7 @@ def bounding_solid(shape: Shape, pose: Pose) -> tuple[Solid, Pose]:
 
 
 def signed_distance(shape: Solid, pose: Pose, points: Array) -> Array:
-    """Signed distance (...) [m] of `points` (..., 3) in the world from the surface of `shape` at `pose`."""
+    """Signed distance (...) [m] of world `points` (..., 3) to the surface of `shape` at `pose`, negative inside."""
     local = (points - np.asarray(pose.position)) @ quaternion_to_matrix(pose.quaternion)
     match shape:
         case Sphere(radius):
@@ -42,14 +45,14 @@ def signed_distance(shape: Solid, pose: Pose, points: Array) -> Array:
             return _norm(*_columns(local)) - radius
         case Box(half_extents):
             x, y, z = (np.abs(column) - half for column, half in zip(_columns(local), half_extents, strict=True))
-            within = np.minimum(np.maximum(np.maximum(x, y), z), 0.0)
-            return _norm(*(np.maximum(beyond, 0.0) for beyond in (x, y, z))) + within
+            inside = np.minimum(np.maximum(np.maximum(x, y), z), 0.0)
+            return _norm(*(np.maximum(outside, 0.0) for outside in (x, y, z))) + inside
         case HalfSpace():
             return local[..., 2]
 
 
 def _columns(points: Array) -> tuple[Array, Array, Array]:
-    """x, y and z of `points` (..., 3): a sum over so short an axis takes longer than its three terms."""
+    """x, y and z of `points` (..., 3); adding three columns is faster than a sum over an axis of length 3."""
     return points[..., 0], points[..., 1], points[..., 2]
 
 
@@ -58,7 +61,7 @@ def _norm(x: Array, y: Array, z: Array) -> Array:
 
 
 def _cylinder_covers(cylinder: Cylinder) -> Iterator[Solid]:
-    """A box, a ball, and capsules whose caps reach the rim."""
+    """A box, a sphere, and capsules whose caps reach the rim of the cylinder."""
     r, h = cylinder.radius, cylinder.half_height
     yield Box((r, r, h))
     yield Sphere(hypot(r, h))

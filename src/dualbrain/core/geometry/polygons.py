@@ -1,4 +1,4 @@
-"""What two convex polygons have in common."""
+"""Intersection of two convex polygons."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from math import hypot
 Point = tuple[float, float]
 
 MIN_CORNER_DISTANCE = 1e-3
-"""A corner that is nearer than this to another, or to the line past it [m], is none."""
+"""A corner nearer than this [m] to the next corner, or to the line between its neighbours, is dropped."""
 
 
 def intersect_convex(one: tuple[Point, ...], other: tuple[Point, ...]) -> tuple[Point, ...]:
-    """The corners of `one` ∩ `other`, both convex and counter-clockwise; () where they share no floor.
+    """The corners of `one` ∩ `other`, both convex and counter-clockwise; () if the intersection is empty.
 
-    `one` is cut along every edge of `other` (Sutherland and Hodgman, 1974). Leaving out what is hardly a corner only
-    makes the polygon smaller.
+    `one` is clipped along every edge of `other` (Sutherland and Hodgman, 1974). Degenerate corners are dropped, which
+    can only make the polygon smaller.
     """
-    left = one
+    remaining = one
     for a, b in zip(other, other[1:] + other[:1], strict=True):
-        left = _clip(left, a, b)
-    return _drop_degenerate_corners(left)
+        remaining = _clip(remaining, a, b)
+    return _drop_degenerate_corners(remaining)
 
 
 def _signed_distance(point: Point, a: Point, b: Point) -> float:
-    """Distance [m] of `point` to the left of the line from `a` to `b`."""
+    """Distance [m] of `point` from the line through `a` and `b`, positive to its left."""
     along = (b[0] - a[0], b[1] - a[1])
     return (along[0] * (point[1] - a[1]) - along[1] * (point[0] - a[0])) / hypot(*along)
 
@@ -42,20 +42,20 @@ def _clip(polygon: tuple[Point, ...], a: Point, b: Point) -> tuple[Point, ...]:
 
 
 def _drop_degenerate_corners(polygon: tuple[Point, ...]) -> tuple[Point, ...]:
-    """Without corners that hardly are any, so that every edge has a direction and every corner a turn."""
-    left = list(polygon)
+    """`polygon` without degenerate corners: every edge then has a direction and every corner a turn."""
+    corners = list(polygon)
     index = 0
-    while len(left) >= 3 and index < len(left):
-        before, here, after = left[index - 1], left[index], left[(index + 1) % len(left)]
-        apart = hypot(here[0] - before[0], here[1] - before[1])
-        across = hypot(after[0] - before[0], after[1] - before[1])
+    while len(corners) >= 3 and index < len(corners):
+        before, here, after = corners[index - 1], corners[index], corners[(index + 1) % len(corners)]
+        edge = hypot(here[0] - before[0], here[1] - before[1])
+        chord = hypot(after[0] - before[0], after[1] - before[1])
         if (
-            apart < MIN_CORNER_DISTANCE
-            or across < MIN_CORNER_DISTANCE
+            edge < MIN_CORNER_DISTANCE
+            or chord < MIN_CORNER_DISTANCE
             or -_signed_distance(here, before, after) < MIN_CORNER_DISTANCE
         ):
-            del left[index]
+            del corners[index]
             index = max(0, index - 1)
         else:
             index += 1
-    return tuple(left) if len(left) >= 3 else ()
+    return tuple(corners) if len(corners) >= 3 else ()

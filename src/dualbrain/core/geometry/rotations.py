@@ -1,4 +1,4 @@
-"""Rotations, in the few forms the rooms need. Quaternions are (w, x, y, z), unit; angles in radians."""
+"""Rotations as quaternions, matrices and rotation vectors. Quaternions are unit (w, x, y, z); angles in radians."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 def quaternion_to_matrix(quaternion: Sequence[float]) -> Array:
-    """Rotation matrix (3, 3) of a quaternion (normalised here)."""
+    """Rotation matrix (3, 3) of a quaternion, which need not be normalised."""
     w, x, y, z = quaternion
     s = 2.0 / (w * w + x * x + y * y + z * z)
     return np.array(
@@ -25,7 +25,7 @@ def quaternion_to_matrix(quaternion: Sequence[float]) -> Array:
 
 
 def matrix_to_quaternion(rotation: Array) -> tuple[float, float, float, float]:
-    """Unit quaternion of a rotation matrix (3, 3), with w ≥ 0; stable at every angle (Shepperd's choice of pivot)."""
+    """Unit quaternion of a rotation matrix (3, 3), with w ≥ 0; stable at every angle (Shepperd's pivot, 1978)."""
     r = rotation
     squares = np.array([r[0, 0] + r[1, 1] + r[2, 2], r[0, 0], r[1, 1], r[2, 2]])
     pivot = int(np.argmax(squares))
@@ -46,7 +46,7 @@ def matrix_to_quaternion(rotation: Array) -> tuple[float, float, float, float]:
 
 
 def rotation_error(current: Array, target: Array) -> Array:
-    """Rotation vector (3,) in the world that turns `current` into `wanted`: log(wanted currentᵀ)."""
+    """Rotation vector (3,) in the world that turns `current` into `target`: log(target currentᵀ)."""
     turn = target @ current.T
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = turn.tolist()
     x, y, z = zy - yz, xz - zx, yx - xy

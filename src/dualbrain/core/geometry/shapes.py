@@ -1,6 +1,6 @@
 """Shapes and poses. Each shape is centred on its pose, with its long axis along local z.
 
-Lengths are metres; quaternions are (w, x, y, z). Every type is frozen and is encoded to JSON by `msgspec.json.encode`.
+Lengths are in metres; quaternions are (w, x, y, z). Every type is frozen, and `msgspec.json.encode` encodes it to JSON.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ IDENTITY_QUATERNION: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
 
 class Sphere(msgspec.Struct, frozen=True, tag_field="shape", tag="sphere"):
-    """A ball of `radius` [m]."""
+    """A sphere of `radius` [m]."""
 
     radius: float
 
@@ -28,7 +28,7 @@ class Capsule(msgspec.Struct, frozen=True, tag_field="shape", tag="capsule"):
 
 
 class Cylinder(msgspec.Struct, frozen=True, tag_field="shape", tag="cylinder"):
-    """An upright cylinder of `radius` and `half_height` [m] along local z."""
+    """A cylinder of `radius` and `half_height` [m] along local z."""
 
     radius: float
     half_height: float
@@ -56,11 +56,11 @@ Shape = Sphere | Capsule | Cylinder | Box | HalfSpace | Bowl
 
 
 class Pose(msgspec.Struct, frozen=True):
-    """Where a thing is: `position` [m] and `quaternion` (w, x, y, z)."""
+    """Pose of an object or frame: `position` [m] and unit `quaternion` (w, x, y, z)."""
 
     position: Vector
     quaternion: Quaternion = IDENTITY_QUATERNION
 
 
 IDENTITY_POSE = Pose((0.0, 0.0, 0.0))
-"""The origin, not rotated."""
+"""The pose of the reference frame."""

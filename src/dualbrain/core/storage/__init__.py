@@ -1,1 +1,1 @@
-"""Files that survive a crash: atomic writes, locks, JSONL logs, SQLite transactions, resumable work folders."""
+"""Crash-safe storage: atomic writes, locks, JSONL logs, SQLite transactions, resumable work in steps."""

@@ -1,4 +1,4 @@
-"""Files that are whole or not there: written beside their place, synced, then moved by one atomic step."""
+"""Atomic writes: a file or folder is written under a temporary name, synced, and renamed in one atomic step."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from pathlib import Path
 from dualbrain.errors import DualbrainError
 
 _DISK_FULL_MESSAGES = tuple(os.strerror(code) for code in (errno.ENOSPC, errno.EDQUOT))
-"""How the system says that more room would help; libraries that write for us pass on its words, not its number."""
+"""Messages of the operating system for a full disk; some libraries report only the message, not the error number."""
 
 
 class FileWriteError(DualbrainError):
-    """A file could not be written; what stood there before stands there still."""
+    """A file or folder that could not be written; the previous content is unchanged."""
 
     def __init__(self, path: Path, error: Exception) -> None:
-        """Name the path, and the reason by `error`."""
+        """Report the path and the reason that `error` gives."""
         reason = getattr(error, "strerror", None) or str(error)
         self.path, self.reason = path, reason
         fix = (
             "Free some space."
             if any(words in reason for words in _DISK_FULL_MESSAGES)
-            else "Mend that, or name another place."
+            else "Fix this, or give another path."
         )
-        super().__init__(f"not written: {reason}. What was there before is unchanged. {fix} {path}")
+        super().__init__(f"not written: {reason}. The previous content is unchanged. {fix} {path}")
 
 
 def require_writable(path: Path) -> None:
-    """Make the folder of `path`, and try what `write_durably` will do there; for long work, before it begins.
+    """Create the folder of `path` and check that a file can be written there, before long work begins.
 
-    Raises `DiskFull` if nothing can be written at `path`.
+    Raises `FileWriteError` if no file can be written at `path`.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -47,79 +47,81 @@ def require_writable(path: Path) -> None:
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Put `data` at `path`. Promise: a reader, or a crash at any moment, finds the old content or the new one, whole.
+    """Write `data` to `path`. Promise: readers, also after a crash at any moment, find the whole old or new content.
 
-    Raises `DiskFull` if it cannot be written.
+    Raises `FileWriteError` if the file cannot be written.
     """
     try:
         descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        beside = Path(name)
+        temporary = Path(name)
         try:
             with os.fdopen(descriptor, "wb") as out:
                 out.write(data)
                 out.flush()
                 os.fsync(out.fileno())
-            beside.replace(path)
+            temporary.replace(path)
             fsync_folder(path.parent)
         finally:
-            beside.unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
     except OSError as error:
         raise FileWriteError(path, error) from error
 
 
 @contextmanager
 def atomic_file(path: Path) -> Generator[Path]:
-    """A name beside `path` for a program that writes files itself; moved to `path` when the body ends well, else gone.
+    """A temporary file beside `path` for code that writes files itself.
 
-    Who may read it is for the umask to say, as of any file. Raises `DiskFull` for what the body cannot write.
+    The file is renamed to `path` if the body ends without an exception, and is deleted otherwise. Its permissions
+    follow the umask. Raises `FileWriteError` for every `OSError`, also of the body.
     """
-    beside = _temporary_sibling(path)
+    temporary = _temporary_sibling(path)
     try:
-        beside.touch(exist_ok=False)
+        temporary.touch(exist_ok=False)
     except OSError as error:
         raise FileWriteError(path, error) from error
     try:
-        yield beside
-        with beside.open("rb") as written:
+        yield temporary
+        with temporary.open("rb") as written:
             os.fsync(written.fileno())
-        beside.replace(path)
+        temporary.replace(path)
         fsync_folder(path.parent)
     except OSError as error:
         raise FileWriteError(path, error) from error
     finally:
-        beside.unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
 
 
 @contextmanager
 def atomic_folder(path: Path) -> Generator[Path]:
-    """A new folder beside `path` to put files into; moved to `path` when the body ends well, else gone.
+    """A temporary folder beside `path`, renamed to `path` if the body ends without an exception, deleted otherwise.
 
-    Who may read it is for the umask to say. Raises `DiskFull` for what the body cannot write, or where files are.
+    Its permissions follow the umask. Raises `FileWriteError` for every `OSError`, also of the body, and if `path` is a
+    file or a folder with files.
     """
-    beside = _temporary_sibling(path)
+    temporary = _temporary_sibling(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        beside.mkdir()
-        yield beside
-        for file in beside.iterdir():
+        temporary.mkdir()
+        yield temporary
+        for file in temporary.iterdir():
             with file.open("rb") as written:
                 os.fsync(written.fileno())
-        fsync_folder(beside)
-        beside.rename(path)
+        fsync_folder(temporary)
+        temporary.rename(path)
         fsync_folder(path.parent)
     except OSError as error:
         raise FileWriteError(path, error) from error
     finally:
-        shutil.rmtree(beside, ignore_errors=True)
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def _temporary_sibling(path: Path) -> Path:
-    """A name in the folder of `path` that nobody else has."""
+    """An unused name in the folder of `path`."""
     return path.with_name(f".{path.name}.{secrets.token_hex(4)}")
 
 
 def fsync_folder(folder: Path) -> None:
-    """Make the names in `folder` last through a loss of power."""
+    """Sync the directory entries of `folder` to the disk, so that they survive a power failure."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

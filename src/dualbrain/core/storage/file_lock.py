@@ -1,4 +1,4 @@
-"""One writer at a time: an advisory lock beside the ledger that says who holds it and dies with its holder."""
+"""Writer lock of a ledger: an advisory lock file that names its holder and is released when the holder ends."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from dualbrain.errors import DECODE_ERRORS, DualbrainError
 
 
 class LockHolder(msgspec.Struct, frozen=True):
-    """Who holds the lock: process id, what it is doing, and since when [s, 1970 UTC]."""
+    """Holder of the lock: process id, name of its work, and the time since when [s, since 1970 UTC]."""
 
     pid: int
     name: str
@@ -26,12 +26,12 @@ class LedgerInUseError(DualbrainError):
     """Another process writes this ledger."""
 
     def __init__(self, holder: LockHolder | None, path: str) -> None:
-        """Name the holder (None if it has not yet said who it is) and, last, the ledger."""
+        """Report the holder (None if it has not yet written its name) and, last, the ledger."""
         self.holder, self.path = holder, path
         who = "another process" if holder is None else f"process {holder.pid} ({holder.name})"
         super().__init__(
-            f"The memory ledger is being written by {who}. One writer at a time: wait for it, stop it, "
-            f"or give this run a ledger of its own with --ledger FILE. Reading is always allowed. {path}"
+            f"The memory ledger is being written by {who}. Only one process may write it: wait for that process, stop "
+            f"it, or use another ledger with --ledger FILE. Reading is always allowed. {path}"
         )
 
 
@@ -42,12 +42,12 @@ POLL_INTERVAL_S = 0.02
 class WriterLock:
     """An exclusive `flock` on `<ledger>.lock`.
 
-    The operating system drops it when the holder ends, however it ends, so a killed run leaves no stale lock behind.
+    The operating system releases the lock when the holder ends for any reason, so a killed run leaves no stale lock.
     Assumption: a local file system (network file systems may not honour `flock`).
     """
 
     def __init__(self, ledger: Path, holder: LockHolder, *, timeout_s: float = 0.0) -> None:
-        """Take the lock, trying for about `patience` [s], or raise `LedgerInUse`."""
+        """Take the lock, retrying for about `timeout_s` [s], or raise `LedgerInUseError`."""
         path = ledger.with_name(ledger.name + ".lock")
         self._file: BinaryIO = path.open("a+b")
         attempts = 1 + round(timeout_s / POLL_INTERVAL_S)
@@ -68,21 +68,21 @@ class WriterLock:
             raise
 
     def _close_unwritten(self) -> None:
-        """Let go although the buffered words could not be written."""
+        """Close the file although its buffer could not be written."""
         with contextlib.suppress(OSError):
             self._file.close()
 
     def release(self) -> None:
-        """Let the next writer in; the file stays, empty."""
+        """Release the lock; the empty lock file remains."""
         if not self._file.closed:
             self._file.truncate(0)
             self._file.close()
 
 
 def current_holder(ledger: Path) -> LockHolder | None:
-    """Who writes `ledger`, None if nobody does; takes no lock, so that nobody is kept out by being looked at.
+    """The process that writes `ledger`, None if there is none; takes no lock, so that it delays no writer.
 
-    Holders write themselves into the file and empty it when they let go; one that was killed counts as gone.
+    A holder writes its name into the lock file and empties the file on release; a killed holder does not count.
     """
     try:
         with ledger.with_name(ledger.name + ".lock").open("rb") as file:
@@ -97,7 +97,7 @@ def _is_alive(pid: int) -> bool:
         os.kill(pid, 0)
     except ProcessLookupError:
         return False
-    except PermissionError:  # somebody else's
+    except PermissionError:  # the process belongs to another user
         return True
     return True
 

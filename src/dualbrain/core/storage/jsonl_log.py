@@ -1,4 +1,4 @@
-"""A journal of finished episodes: one JSON line each, on the disk before it counts; a torn last line is not counted."""
+"""Append-only JSONL log: every line is synced to the disk, and lines that cannot be decoded are skipped."""
 
 from __future__ import annotations
 
@@ -14,37 +14,40 @@ JsonlLine = dict[str, Any]
 
 
 class JsonlLog:
-    """Append-only lines of JSON at `path`; one process writes."""
+    """Append-only JSONL file at `path`, written by one process."""
 
     def __init__(self, path: Path) -> None:
-        """Use `path`; it is made by the first line."""
+        """Use `path`; the first `append` creates the file."""
         self.path = path
 
     def read(self) -> list[JsonlLine]:
-        """Every whole line."""
+        """Every complete line."""
         return [line for _, line in self.read_numbered()]
 
     def read_numbered(self) -> list[tuple[int, JsonlLine]]:
-        """Every whole line with its number, as an editor counts."""
+        """Every complete line with its line number (from 1)."""
         found: list[tuple[int, JsonlLine]] = []
         for number, line in enumerate(self.path.read_bytes().splitlines() if self.path.exists() else (), start=1):
             try:
                 found.append((number, msgspec.json.decode(line, type=JsonlLine)))
             except DECODE_ERRORS:
-                continue  # cut off by a kill: its episode is flown again
+                continue  # a line that was cut off when the process was killed
         return found
 
     def append(self, line: JsonlLine) -> None:
-        """Write `line` through to the disk."""
+        """Append `line` and sync the file to the disk."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with self.path.open("ab+") as file:
-            if file.tell() and not _ends_with_newline(file):
+            if _is_cut_off(file):
                 file.write(b"\n")
             file.write(msgspec.json.encode(line) + b"\n")
             file.flush()
             os.fsync(file.fileno())
 
 
-def _ends_with_newline(file: Any) -> bool:
+def _is_cut_off(file: Any) -> bool:
+    """Whether `file` is not empty and does not end with a newline."""
+    if file.seek(0, os.SEEK_END) == 0:
+        return False
     file.seek(-1, os.SEEK_END)
-    return file.read(1) == b"\n"
+    return file.read(1) != b"\n"

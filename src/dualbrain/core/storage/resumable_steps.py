@@ -1,4 +1,4 @@
-"""Long work in steps: each leaves a whole folder, so that work that was stopped goes on where it was."""
+"""Resumable work in steps: every completed step leaves a folder, and interrupted work continues from the last one."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from dualbrain.errors import ConfigurationError
 def run_steps(
     folder: Path, steps: int, run_step: Callable[[int, Path], None], *, initial_folder: Path | None = None
 ) -> Path:
-    """Do what is left of `steps` steps in `folder`; returns the folder that the last one left.
+    """Run the remaining steps of `steps` in `folder` and return the folder of the last step.
 
-    `do(number, here)` works in a copy of what the step before left, or of `start`, or in an empty folder. Only whole
-    steps count: one that was killed, or raised, is done again from its beginning. Another process that wants the same
-    steps waits for them.
+    `run_step(number, here)` works in the folder `here`: a copy of the folder of the previous step, or of
+    `initial_folder`, or an empty folder. A step that was killed or raised an exception is run again from its
+    beginning. Another process that runs the same steps waits until they are done.
     """
     with exclusive_folder(folder):
         last = last_step_folder(folder)
@@ -37,28 +37,27 @@ def run_steps(
 
 
 def last_step_folder(folder: Path) -> Path | None:
-    """What the last whole step in `folder` left, None before the first."""
+    """The folder of the last completed step in `folder`, None before the first."""
     return max(folder.glob("step-*"), default=None)
 
 
 @contextmanager
 def exclusive_folder(folder: Path, *, wait: bool = True) -> Generator[None]:
-    """Nobody else works in `folder` meanwhile; whoever wants to waits. It is made, and is free again after a kill.
+    """Exclusive use of `folder`, which is created; other processes wait. The lock ends with the process.
 
-    Without `wait` it raises `InvalidSetup` instead.
+    Raises:
+        ConfigurationError: Another process uses the folder and `wait` is False.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / "lock").open("w") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
         except BlockingIOError as error:
-            fix = f"Wait until it is done, stop it, or name another folder. {folder}"
-            raise ConfigurationError(
-                "folder", got="another process works in it", allowed="one at a time", fix=fix
-            ) from error
+            fix = f"Wait until it is done, stop it, or use another folder. {folder}"
+            raise ConfigurationError.stating("Another process works in this folder.", fix=fix) from error
         yield
 
 
 def _n_completed(last: Path | None) -> int:
-    """How many steps are done."""
+    """Number of completed steps."""
     return int(last.name.removeprefix("step-")) if last else 0

@@ -1,4 +1,4 @@
-"""All or nothing in an SQLite file: one transaction that holds the write lock from its first statement."""
+"""SQLite transactions that take the write lock at their beginning, and a splitter of SQL scripts into statements."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from contextlib import contextmanager
 
 @contextmanager
 def transaction(database: sqlite3.Connection) -> Generator[None]:
-    """What is done inside is written when the block ends, or nothing of it if the block raises.
+    """One transaction: committed when the block ends, rolled back if the block raises an exception.
 
     `database` is a connection with `isolation_level=None`. The write lock is taken at the beginning (BEGIN IMMEDIATE),
-    so two writers meet there and not half-way. Raises what SQLite raises. Promise: a process killed inside leaves the
-    file as it was before, where the disk keeps what it says it has synced.
+    so a second writer waits or fails there and not in the middle of its work. Raises the exceptions of SQLite. Promise:
+    a process killed inside the block leaves the file unchanged, provided that the disk keeps the data it reports as
+    synced.
     """
     database.execute("BEGIN IMMEDIATE")
     try:
@@ -26,10 +27,13 @@ def transaction(database: sqlite3.Connection) -> Generator[None]:
 
 
 def split_statements(script: str) -> Iterator[str]:
-    """The statements of `script` one by one, each ending its line; `executescript` would end a transaction."""
-    begun = ""
+    """The statements of `script`, each of which ends at the end of a line.
+
+    `sqlite3.Connection.executescript` cannot be used inside a transaction, because it commits first.
+    """
+    statement = ""
     for line in script.splitlines(keepends=True):
-        begun += line
-        if sqlite3.complete_statement(begun):
-            yield begun
-            begun = ""
+        statement += line
+        if sqlite3.complete_statement(statement):
+            yield statement
+            statement = ""

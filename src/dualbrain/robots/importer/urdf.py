@@ -1,7 +1,7 @@
 """Reader of URDF files: yourdfpy parses the file after the safe XML reader has accepted it.
 
-lxml gives the lines for the provenance, and the limits of acceleration and jerk, which plain URDF does not have: Drake's
-attributes `drake:acceleration` and `drake:jerk` of `<limit>`.
+lxml gives the lines for the provenance, and the limits of acceleration and jerk, which plain URDF does not have:
+Drake's attributes `drake:acceleration` and `drake:jerk` of `<limit>`.
 """
 
 from __future__ import annotations
