@@ -1,3 +1,124 @@
-"""dualbrain: a language model proposes, a local safety filter disposes."""
+"""dualbrain lets an LLM plan for a robot without trusting it.
 
-__version__ = "0.1.0"
+Plans are typed contracts that a gate validates, and every joint velocity passes a CBF-QP safety filter. The names listed
+in `__all__` are the public API (with the sub-namespaces `dualbrain.safety.barriers`, `dualbrain.skills`,
+`dualbrain.memory`, `dualbrain.evaluation` and `dualbrain.drivers`); all other modules are private. Names are imported on
+first use, so that `import dualbrain` is light.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from dualbrain.core.lazy_exports import lazy_exports
+
+if TYPE_CHECKING:
+    from dualbrain.api import open_planner, run
+    from dualbrain.contracts.contract import Contract
+    from dualbrain.contracts.gate.gate import Gate
+    from dualbrain.contracts.registry import SkillRegistry
+    from dualbrain.contracts.scene_names import SceneNames
+    from dualbrain.contracts.skill_spec import SkillSpec
+    from dualbrain.contracts.verdict import Accepted, Rejected
+    from dualbrain.control.recording.replay import replay
+    from dualbrain.core.geometry.shapes import Box, Capsule, Cylinder, HalfSpace, Pose, Sphere
+    from dualbrain.errors import ConfigurationError, DualbrainError, MissingDependencyError, UnknownNameError
+    from dualbrain.knowledge.library import Library
+    from dualbrain.memory.memory import Memory
+    from dualbrain.planner.protocol import Planner
+    from dualbrain.robots.interface import Command, RobotInterface, RobotState
+    from dualbrain.robots.loader import load_robot
+    from dualbrain.robots.model import RobotModel
+    from dualbrain.runtime.agent import Agent
+    from dualbrain.runtime.assembly import SimulatedCell
+    from dualbrain.safety.cbf.config import FilterConfig
+    from dualbrain.safety.cbf.filter import SafetyFilter
+    from dualbrain.safety.cbf.obstacles import Contact, Obstacle
+    from dualbrain.safety.cbf.result import FilterResult, FilterStatus
+    from dualbrain.safety.integration.gym_env import FilteredEnv
+    from dualbrain.safety.integration.shadow_mode import ShadowFilter
+    from dualbrain.safety.supervisor.actions import SafetyAction
+    from dualbrain.safety.supervisor.controller import SafetyController
+    from dualbrain.simulation.scenes.generators.tabletop import make_scene
+    from dualbrain.skills.registry import skill_registry
+
+__version__ = "0.2.0"
+
+_MODULES = {
+    "api": ("open_planner", "run"),
+    "contracts.contract": ("Contract",),
+    "contracts.gate.gate": ("Gate",),
+    "contracts.registry": ("SkillRegistry",),
+    "contracts.scene_names": ("SceneNames",),
+    "contracts.skill_spec": ("SkillSpec",),
+    "contracts.verdict": ("Accepted", "Rejected"),
+    "control.recording.replay": ("replay",),
+    "core.geometry.shapes": ("Box", "Capsule", "Cylinder", "HalfSpace", "Pose", "Sphere"),
+    "errors": ("ConfigurationError", "DualbrainError", "MissingDependencyError", "UnknownNameError"),
+    "knowledge.library": ("Library",),
+    "memory.memory": ("Memory",),
+    "planner.protocol": ("Planner",),
+    "robots.interface": ("Command", "RobotInterface", "RobotState"),
+    "robots.loader": ("load_robot",),
+    "robots.model": ("RobotModel",),
+    "runtime.agent": ("Agent",),
+    "runtime.assembly": ("SimulatedCell",),
+    "safety.cbf.config": ("FilterConfig",),
+    "safety.cbf.filter": ("SafetyFilter",),
+    "safety.cbf.obstacles": ("Contact", "Obstacle"),
+    "safety.cbf.result": ("FilterResult", "FilterStatus"),
+    "safety.integration.gym_env": ("FilteredEnv",),
+    "safety.integration.shadow_mode": ("ShadowFilter",),
+    "safety.supervisor.actions": ("SafetyAction",),
+    "safety.supervisor.controller": ("SafetyController",),
+    "simulation.scenes.generators.tabletop": ("make_scene",),
+    "skills.registry": ("skill_registry",),
+}
+"""Public names by the module that defines them."""
+__all__ = [
+    "Accepted",
+    "Agent",
+    "Box",
+    "Capsule",
+    "Command",
+    "ConfigurationError",
+    "Contact",
+    "Contract",
+    "Cylinder",
+    "DualbrainError",
+    "FilterConfig",
+    "FilterResult",
+    "FilterStatus",
+    "FilteredEnv",
+    "Gate",
+    "HalfSpace",
+    "Library",
+    "Memory",
+    "MissingDependencyError",
+    "Obstacle",
+    "Planner",
+    "Pose",
+    "Rejected",
+    "RobotInterface",
+    "RobotModel",
+    "RobotState",
+    "SafetyAction",
+    "SafetyController",
+    "SafetyFilter",
+    "SceneNames",
+    "ShadowFilter",
+    "SimulatedCell",
+    "SkillRegistry",
+    "SkillSpec",
+    "Sphere",
+    "UnknownNameError",
+    "__version__",
+    "load_robot",
+    "make_scene",
+    "open_planner",
+    "replay",
+    "run",
+    "skill_registry",
+]
+
+__getattr__, __dir__ = lazy_exports(__name__, _MODULES)

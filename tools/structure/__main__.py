@@ -81,15 +81,23 @@ def cycles(tree: Tree) -> Iterator[str]:
 
 
 def imports(tree: Tree) -> dict[str, set[str]]:
-    """The modules that each module of the package imports anywhere in its text."""
+    """The modules that each module of the package imports at run time, anywhere in its text."""
     sources = {module_name(name): parsed for name, parsed in tree.python(PACKAGE)}
     graph: dict[str, set[str]] = {name: set() for name in sources}
     for module, parsed in sources.items():
-        for node in ast.walk(parsed):
+        for node in run_time_nodes(parsed):
             for target in imported(node):
                 if target in sources and target != module:
                     graph[module].add(target)
     return graph
+
+
+def run_time_nodes(tree: ast.AST) -> Iterator[ast.AST]:
+    """Every node of a tree that is not below `if TYPE_CHECKING`."""
+    for node in ast.iter_child_nodes(tree):
+        if not (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"):
+            yield node
+            yield from run_time_nodes(node)
 
 
 def imported(node: ast.AST) -> Iterator[str]:

@@ -1,1 +1,121 @@
 """The safety layer: barriers, the CBF-QP filter, the supervisor above it, and integrations for other software."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from dualbrain.core.lazy_exports import lazy_exports
+
+if TYPE_CHECKING:
+    from dualbrain.safety.barriers.scenarios import EXACT_TRACKING
+    from dualbrain.safety.cbf.config import FilterConfig
+    from dualbrain.safety.cbf.filter import SafetyFilter, ToolState
+    from dualbrain.safety.cbf.obstacles import Contact, Obstacle, SpeedAndSeparation
+    from dualbrain.safety.cbf.result import FilterResult, FilterStatus
+    from dualbrain.safety.cbf.rows import ConstraintRow, PythonBarrier, Rank
+    from dualbrain.safety.integration.derating import derate
+    from dualbrain.safety.integration.gym_env import FilteredEnv, TorqueDrive
+    from dualbrain.safety.integration.intervention_log import (
+        InterventionInterval,
+        InterventionLog,
+        read_intervention_log,
+    )
+    from dualbrain.safety.integration.scene_fusion import (
+        FrameMount,
+        PerceivedShape,
+        SceneFusion,
+        SceneSource,
+        SourceAccepted,
+        SourceRefused,
+    )
+    from dualbrain.safety.integration.shadow_mode import ShadowFilter, ShadowSummary
+    from dualbrain.safety.integration.site import site_filter
+    from dualbrain.safety.supervisor.actions import SafetyAction, SupervisorDecision
+    from dualbrain.safety.supervisor.controller import SafetyController
+
+_MODULES = {
+    "safety.barriers.scenarios": ("EXACT_TRACKING",),
+    "safety.cbf.config": ("FilterConfig",),
+    "safety.cbf.filter": (
+        "SafetyFilter",
+        "ToolState",
+    ),
+    "safety.cbf.obstacles": (
+        "Contact",
+        "Obstacle",
+        "SpeedAndSeparation",
+    ),
+    "safety.cbf.result": (
+        "FilterResult",
+        "FilterStatus",
+    ),
+    "safety.cbf.rows": (
+        "ConstraintRow",
+        "PythonBarrier",
+        "Rank",
+    ),
+    "safety.integration.derating": ("derate",),
+    "safety.integration.gym_env": (
+        "FilteredEnv",
+        "TorqueDrive",
+    ),
+    "safety.integration.intervention_log": (
+        "InterventionInterval",
+        "InterventionLog",
+        "read_intervention_log",
+    ),
+    "safety.integration.scene_fusion": (
+        "FrameMount",
+        "PerceivedShape",
+        "SceneFusion",
+        "SceneSource",
+        "SourceAccepted",
+        "SourceRefused",
+    ),
+    "safety.integration.shadow_mode": (
+        "ShadowFilter",
+        "ShadowSummary",
+    ),
+    "safety.integration.site": ("site_filter",),
+    "safety.supervisor.actions": (
+        "SafetyAction",
+        "SupervisorDecision",
+    ),
+    "safety.supervisor.controller": ("SafetyController",),
+}
+"""Public names by the module that defines them."""
+
+__all__ = [
+    "ConstraintRow",
+    "Contact",
+    "EXACT_TRACKING",
+    "FilterConfig",
+    "FilterResult",
+    "FilterStatus",
+    "FilteredEnv",
+    "FrameMount",
+    "InterventionInterval",
+    "InterventionLog",
+    "Obstacle",
+    "PerceivedShape",
+    "PythonBarrier",
+    "Rank",
+    "SafetyAction",
+    "SafetyController",
+    "SafetyFilter",
+    "SceneFusion",
+    "SceneSource",
+    "ShadowFilter",
+    "ShadowSummary",
+    "SourceAccepted",
+    "SourceRefused",
+    "SpeedAndSeparation",
+    "SupervisorDecision",
+    "ToolState",
+    "TorqueDrive",
+    "derate",
+    "read_intervention_log",
+    "site_filter",
+]
+
+__getattr__, __dir__ = lazy_exports(__name__, _MODULES)

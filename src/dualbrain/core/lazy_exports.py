@@ -1,0 +1,57 @@
+"""Lazy exports of a package (PEP 562): a public name is imported from its module on first use."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from typing import Any
+
+EXTRAS = {
+    "cyclopts": "all",
+    "gymnasium": "gym",
+    "mcap": "view",
+    "mujoco": "simulation",
+    "onnxruntime": "memory",
+    "scipy": "simulation",
+    "tokenizers": "memory",
+    "xllamacpp": "planner",
+}
+"""The extra that installs a package which a public name may need."""
+
+
+def lazy_exports(
+    package: str, modules: Mapping[str, tuple[str, ...]]
+) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """The functions `__getattr__` and `__dir__` of `package`, whose public `modules` map a module to its names.
+
+    Raises `MissingDependencyError` with the install command when a name needs a package that is not installed.
+    """
+    sources = {name: module for module, names in modules.items() for name in names}
+
+    def get(name: str) -> Any:
+        source = sources.get(name)
+        if source is None:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        try:
+            value = getattr(import_module(f"dualbrain.{source}"), name)
+        except ModuleNotFoundError as error:
+            raise _missing(error, f"{package}.{name}") from error
+        setattr(sys.modules[package], name, value)
+        return value
+
+    def names() -> list[str]:
+        return sorted({*sources, *vars(sys.modules[package])})
+
+    return get, names
+
+
+def _missing(error: ModuleNotFoundError, wanted: str) -> Exception:
+    """The error for a missing package: an install command if an extra provides it."""
+    from dualbrain.errors import MissingDependencyError  # noqa: PLC0415  (only where something is missing)
+
+    extra = EXTRAS.get((error.name or "").partition(".")[0])
+    if extra is None:
+        return error
+    fix = f"Install it with `pip install 'dualbrain[{extra}]'`."
+    return MissingDependencyError(f"The package {error.name}, which {wanted} needs,", fix=fix)
