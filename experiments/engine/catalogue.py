@@ -1,4 +1,4 @@
-"""All proofs by name, in the order in which they are run."""
+"""All experiments by name, in the order in which they are run."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from experiments.safety.plant_adversary import PlantAdversary
 from experiments.safety.slow_tests import SlowTests
 
 EXPERIMENTS: dict[str, Experiment] = {
-    proof.name: proof
-    for proof in (
+    experiment.name: experiment
+    for experiment in (
         Grasping(),
         NoObstacles(),
         SensitivitySweep(),
@@ -60,4 +60,4 @@ EXPERIMENTS: dict[str, Experiment] = {
         RobosuiteTasks(),
     )
 }
-"""`contrast` comes after `runs`, whose contracts it carries out."""
+"""`filter_ablation` follows `end_to_end`, whose contracts it carries out."""

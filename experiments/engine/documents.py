@@ -1,17 +1,19 @@
-"""The committed figures: docs/proofs.md between its markers; docs/learnable.md, docs/faults.md and the plots."""
+"""Pages of the experiments: docs/experiments/<group>/<name>.md, the plots in docs/images, and the list of all pages.
+
+Text above the marker line of a page (title, method, how to read the tables) is written by hand and stays. Everything
+below it is rendered from the log: claim, provenance, plot, tables.
+"""
 
 from __future__ import annotations
 
 import re
-import time
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from statistics import median
 
-from experiments.engine.experiment import Experiment, Row
-from experiments.engine.jsonl_log import JsonlLog
-from experiments.engine.provenance import machine
+from dualbrain.core.storage.jsonl_log import JsonlLog
+from experiments.engine.experiment import Experiment, Row, group_of
 from experiments.figures.plot_learning import plot_learning
 from experiments.figures.plot_rounds import plot_rounds
 from experiments.figures.plot_sensitivity import plot_sensitivity
@@ -20,86 +22,132 @@ from experiments.gatekeeper.fault_tables import fault_matrices
 from experiments.planning.contract_sensitivity import scores_by_family
 from experiments.planning.family_sweep import FAMILIES, SPEED
 
-SENSITIVITY_PLOT_LINK = "![Δ by contract, family and seed](learnable.png)"
-IMAGE_FOLDER = "images"
+MARKER = "<!-- Everything below this line is written by `python -m experiments --write-docs`. -->"
+INDEX_MARKER = "<!-- The table below is written by `python -m experiments --write-docs`. -->"
+INDEX_FILE = "README.md"
 WILSON_INTERVALS = "Wilson, 95 %"
-BEGIN_MARKER, END_MARKER = "<!-- figures: written by `make prove`, not by hand -->", "<!-- end of figures -->"
+UNKNOWN_MACHINE = "not recorded"
 
 
-def write_documents(proofs: Iterable[Experiment], folder: Path, docs: Path) -> None:
-    """Render every journal in `folder` that holds a row; pages must carry the markers.
+def _draw_sensitivity(rows: list[Row], path: Path) -> None:
+    plot_sensitivity(scores_by_family(rows), path)
 
-    The section of a proof without a journal here stays as it stands: it was rendered where its journal was.
+
+def _draw_families(rows: list[Row], path: Path) -> None:
+    plot_sensitivity(scores_by_family(rows), path, SPEED, FAMILIES)
+
+
+def _draw_tick(rows: list[Row], path: Path) -> None:
+    plot_tick(rows[-1], path)
+
+
+PLOTS: dict[str, tuple[str, Callable[[list[Row], Path], None]]] = {
+    "sensitivity_sweep": ("Δ by contract, family and seed", _draw_sensitivity),
+    "family_sweep": ("Δ by contract, family and seed", _draw_families),
+    "tick": ("Intervals between joint states, and the parts of a tick", _draw_tick),
+    "learning": ("Δ, decision time and weights over repetitions", plot_learning),
+    "rounds": ("Measures by round", plot_rounds),
+}
+"""By experiment: the caption of its plot, and the function that draws the plot."""
+MORE_TABLES: dict[str, Callable[[list[Row]], list[str]]] = {"faults": fault_matrices}
+"""By experiment: tables that are too long for the console."""
+
+
+def write_pages(experiments: Iterable[Experiment], folder: Path, docs: Path) -> None:
+    """Render the page of each experiment whose log in `folder` has a finished unit; other pages stay as they are.
+
+    Raises `ValueError` for a page without its marker line.
     """
-    sections = _existing_sections(docs / "proofs.md")
-    order: list[str] = []
-    for proof in proofs:
-        order.append(proof.name)
-        rows = [row for row in JsonlLog(folder / f"{proof.name}.jsonl").rows() if "error" not in row]
-        if not rows:
-            continue
-        section = [f"{proof.claim}", "", provenance_line(rows, _interval_note(proof)), "", *proof.report(rows)]
-        if proof.name == "sweep":
-            _replace_between_markers(docs / "learnable.md", [SENSITIVITY_PLOT_LINK, "", *section])
-            plot_sensitivity(scores_by_family(rows), docs / "learnable.png")
-            section = [
-                proof.claim,
-                "",
-                provenance_line(rows),
-                "",
-                "Figures and plot: [learnable.md](learnable.md).",
-                "",
-            ]
-        if proof.name == "faults":
-            _replace_between_markers(docs / "faults.md", [provenance_line(rows), "", *fault_matrices(rows)])
-        if proof.name == "tick":
-            plot_tick(rows[-1], docs / IMAGE_FOLDER / "tick.png")
-        if proof.name == "families":
-            plot_sensitivity(scores_by_family(rows), docs / "families.png", SPEED, FAMILIES)
-            section += ["", "![Δ by contract, family and seed](families.png)", ""]
-        if proof.name == "learning":
-            plot_learning(rows, docs / IMAGE_FOLDER / "learning.png")
-        if proof.name == "rounds":
-            plot_rounds(rows, docs / IMAGE_FOLDER / "rounds.png")
-        sections[proof.name] = section
-    names = sorted(sections, key=lambda name: order.index(name) if name in order else len(order))
-    _replace_between_markers(
-        docs / "proofs.md", [line for name in names for line in (f"## {name}", "", *sections[name], "")]
-    )
+    for experiment in experiments:
+        rows = [row for row in JsonlLog(folder / f"{experiment.name}.jsonl").latest() if "error" not in row]
+        if rows:
+            write_page(experiment, rows, docs)
 
 
-def _existing_sections(page: Path) -> dict[str, list[str]]:
-    """The sections between the markers of `page`, by name, in their order."""
-    _, between, _ = _split_at_markers(page)
-    _, *parts = re.split(r"^## (.+)$", between, flags=re.MULTILINE)
-    return {name: text.strip("\n").split("\n") for name, text in zip(parts[::2], parts[1::2], strict=True)}
+def write_page(experiment: Experiment, rows: list[Row], docs: Path) -> None:
+    """Render everything below the marker line of an experiment's page; a new page gets the name as its title."""
+    page = page_path(experiment, docs)
+    text = page.read_text("utf-8") if page.exists() else f"{default_title(experiment)}\n\n{MARKER}\n"
+    head, old = _split(text, MARKER, page)
+    lines = [MARKER, "", f"**Claim.** {experiment.claim}", ""]
+    lines += [*provenance_table(rows, _intervals(experiment), _former_machine(old)), "", "## Results", ""]
+    if experiment.name in PLOTS:
+        caption, draw = PLOTS[experiment.name]
+        image = docs / "images" / f"{experiment.name}.png"
+        image.parent.mkdir(parents=True, exist_ok=True)
+        draw(rows, image)
+        lines += [f"![{caption}](../../images/{image.name})", ""]
+    lines += experiment.report(rows)
+    if experiment.name in MORE_TABLES:
+        lines += ["", *MORE_TABLES[experiment.name](rows)]
+    page.parent.mkdir(parents=True, exist_ok=True)
+    page.write_text(head + _join(lines), "utf-8")
 
 
-def _interval_note(proof: Experiment) -> str:
-    """What its intervals are: what it says itself, else those of proportions (`figures.wilson`)."""
-    return getattr(proof, "intervals", WILSON_INTERVALS)
+def write_index(experiments: Iterable[Experiment], docs: Path) -> None:
+    """Render the table of all pages below the marker line of docs/experiments/README.md."""
+    index = docs / "experiments" / INDEX_FILE
+    head, _ = _split(index.read_text("utf-8"), INDEX_MARKER, index)
+    lines = [INDEX_MARKER, "", "| experiment | claim |", "| --- | --- |"]
+    for experiment in experiments:
+        if page_path(experiment, docs).exists():
+            link = f"[`{experiment.name}`]({group_of(experiment)}/{experiment.name}.md)"
+            lines.append(f"| {link} | {experiment.claim} |")
+    index.write_text(head + _join(lines), "utf-8")
 
 
-def provenance_line(rows: list[Row], intervals: str = WILSON_INTERVALS) -> str:
-    """Dates, revisions, machine, load and processor time of the rows; what their intervals are."""
+def page_path(experiment: Experiment, docs: Path) -> Path:
+    """The page of an experiment."""
+    return docs / "experiments" / group_of(experiment) / f"{experiment.name}.md"
+
+
+def default_title(experiment: Experiment) -> str:
+    """The first line of a page that has not been written by hand yet."""
+    return f"# {experiment.name.replace('_', ' ').capitalize()}"
+
+
+def provenance_table(rows: list[Row], intervals: str = WILSON_INTERVALS, machine: str = UNKNOWN_MACHINE) -> list[str]:
+    """Dates, units, revisions, machine, load and worker time of the rows, and the kind of intervals in the tables.
+
+    `machine` is used for rows that do not name theirs.
+    """
     dates, loads = sorted({row["date"] for row in rows}), [row["load"] for row in rows if "load" in row]
-    revisions = ", ".join(f"{name} ({count})" for name, count in Counter(row["revision"] for row in rows).items())
-    days = dates[0] if dates[0] == dates[-1] else f"{dates[0]} to {dates[-1]}"
-    hours = sum(row.get("wall_s", 0.0) for row in rows) / 3600
-    busy = f", median load {median(loads):.1f}" if loads else ""
-    return (
-        f"*{len(rows)} units, {days}; revision {revisions} (+: with uncommitted changes); {machine()}{busy}; "
-        f"{hours:.1f} h of workers; intervals: {intervals}. Rendered {time.strftime('%Y-%m-%d', time.gmtime())}.*"
-    )
+    revisions = Counter(row["revision"] for row in rows)
+    machines = dict.fromkeys(row.get("machine", machine) for row in rows)
+    facts = {
+        "date": dates[0] if dates[0] == dates[-1] else f"{dates[0]} to {dates[-1]}",
+        "units": f"{len(rows)}",
+        "revision": ", ".join(f"{name} ({count})" for name, count in revisions.items()),
+        "machine": "; ".join(machines),
+        "worker time": f"{sum(row.get('wall_s', 0.0) for row in rows) / 3600:.1f} h",
+        "intervals": intervals,
+    }
+    if any("+" in name for name in revisions):
+        facts["revision"] += " (+: with uncommitted changes)"
+    if loads:
+        facts["worker time"] += f", median load {median(loads):.1f}"
+    return ["| | |", "| --- | --- |", *(f"| {name} | {value} |" for name, value in facts.items())]
 
 
-def _replace_between_markers(page: Path, lines: list[str]) -> None:
-    head, _, tail = _split_at_markers(page)
-    page.write_text("\n".join([head + BEGIN_MARKER, "", *lines]).rstrip() + "\n\n" + END_MARKER + tail)
+def _intervals(experiment: Experiment) -> str:
+    """The kind of intervals in an experiment's tables."""
+    return getattr(experiment, "intervals", WILSON_INTERVALS)
 
 
-def _split_at_markers(page: Path) -> tuple[str, str, str]:
-    """What stands before, between and after the markers of `page`."""
-    head, rest = page.read_text().split(BEGIN_MARKER)
-    between, tail = rest.split(END_MARKER)
-    return head, between, tail
+def _former_machine(rendered: str) -> str:
+    """The machine that a page names: rows of older logs do not."""
+    found = re.search(r"^\| machine \| (.*) \|$", rendered, re.MULTILINE)
+    return found[1] if found else UNKNOWN_MACHINE
+
+
+def _split(text: str, marker: str, page: Path) -> tuple[str, str]:
+    """The text of `page` before and after its only marker line."""
+    if text.count(marker) != 1:
+        raise ValueError(f"{page} must contain this line exactly once: {marker}")
+    head, _, tail = text.partition(marker)
+    return head, tail
+
+
+def _join(lines: list[str]) -> str:
+    """`lines` as text, without repeated blank lines."""
+    return re.sub(r"\n{3,}", "\n\n", "\n".join(lines)).rstrip() + "\n"

@@ -13,6 +13,7 @@ from typing import Any
 
 from dualbrain.adaptation.serving.open_planner import open_planner
 from dualbrain.cli.common import paths
+from dualbrain.core.storage.jsonl_log import JsonlLog
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.request import PlanRequest
 from dualbrain.planner.scripted import FixedContractPlanner
@@ -20,7 +21,6 @@ from dualbrain.records import Episode, Proposal
 from dualbrain.runtime.session import Clocks, RunConfig, RunObserver, Session
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from experiments.engine.experiment import Options, Row, WorkUnit
-from experiments.engine.jsonl_log import JsonlLog
 from experiments.figures.tables import format_proportion, markdown_table
 from experiments.planning.verdict_confusion import confusion_table
 from experiments.safety.closed_loop import (
@@ -162,7 +162,7 @@ class FilterAblation:
 
     def units(self, options: Options) -> list[WorkUnit]:
         """One unit for each finished run in which a contract was accepted."""
-        journal = JsonlLog(options.folder / "runs.jsonl").rows()
+        journal = JsonlLog(options.folder / f"{EndToEnd.name}.jsonl").latest()
         return [
             WorkUnit(
                 row["key"], {**{name: row[name] for name in ("scene", "wording", "answers")}, "on": _outcome_class(row)}

@@ -171,21 +171,21 @@ NEGATIVE_CONTROLS = (
         description="noise, and a filter that is told of none",
         filter_settings=EXACT_FILTER,
         margin=0.0,
-        against="noise",
+        compared_with="noise",
     ),
     replace(
         STATIC_CLASSES[0],
         name="alpha 10",
         description="exact, and alpha beyond the acceleration limits",
         filter_settings={**EXACT_FILTER, "alpha": 10.0},
-        against="exact",
+        compared_with="exact",
     ),
     replace(
         MOVING_CLASSES[0],
         name="no hdot",
         description="the mover's velocity is not told",
         loop_settings={**ALL_ERRORS, "velocity_share": 0.0},
-        against="evadable",
+        compared_with="evadable",
     ),
 )
 CLASSES = {c.name: c for c in (*STATIC_CLASSES, *MOVING_CLASSES, *NEGATIVE_CONTROLS)}

@@ -21,7 +21,7 @@ import numpy as np
 
 from dualbrain.control.control_loop import TickSnapshot
 from experiments.engine.experiment import Options, Row, WorkUnit
-from experiments.engine.jsonl_log import JsonlLog
+from dualbrain.core.storage.jsonl_log import JsonlLog
 from experiments.figures.tables import format_proportion, markdown_table
 from experiments.planning.competent_contracts import Task, make_task, task_parameters
 from experiments.robots.grasping import check_lift
@@ -53,7 +53,7 @@ class Conservatism:
     def units(self, options: Options) -> list[WorkUnit]:
         """The first tasks of the fixed order: one more for each that was found infeasible so far; call again to end."""
         found = {
-            row["key"]: row.get("feasible", True) for row in JsonlLog(options.folder / f"{self.name}.jsonl").rows()
+            row["key"]: row.get("feasible", True) for row in JsonlLog(options.folder / f"{self.name}.jsonl").latest()
         }
         units: list[WorkUnit] = []
         missing = N_FEASIBLE_TASKS

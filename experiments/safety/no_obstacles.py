@@ -119,7 +119,7 @@ def _scene(seed: int, only: str | None) -> SceneSpec:
     spec = make_scene("bare", seed)
     if only is None:
         return spec
-    return msgspec.structs.replace(spec, things=tuple(t for t in spec.objects if t.name in ("table", only)))
+    return msgspec.structs.replace(spec, objects=tuple(t for t in spec.objects if t.name in ("table", only)))
 
 
 def _unit(grid: str, key: str, seed: int, actions: list[dict[str, Any]], only: str | None = None) -> WorkUnit:

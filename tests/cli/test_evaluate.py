@@ -20,7 +20,7 @@ from dualbrain.evaluation.runner.provenance import collect_provenance
 from dualbrain.evaluation.runner.runner import STAGES, Runner
 from dualbrain.evaluation.runner.work_units import build_units
 from dualbrain.evaluation.runner.workload import compute_workload
-from tests.evaluation.test_runner import fake_result_lines
+from tests.evaluation.sample_rows import fake_result_lines
 
 
 def test_a_dry_run_flies_nothing_and_says_how_long(tmp_path, capsys):

@@ -3,8 +3,7 @@
 import pytest
 
 from dualbrain.evaluation.protocol.suite import parse_suite
-from tests.evaluation.sample_rows import COLLISION, episode_row
-from tests.evaluation.test_runner import SUITE
+from tests.evaluation.sample_rows import COLLISION, SUITE, episode_row
 
 FAILED_EPISODE = {"success": False, "claimed": False, "failure": "frequent takeover", "outcome": "taken_over"}
 

@@ -1,8 +1,24 @@
-"""Made-up rows: what an episode leaves, with everything about it that a test does not name left ordinary."""
+"""A small suite, and made-up result rows: every field that a test does not name has an ordinary value."""
+
+import msgspec
 
 from dualbrain.evaluation.results.episode_row import EpisodeRow
 from dualbrain.records import Violation
 
+SUITE = b"""
+name = "tiny"
+says = "for tests"
+methods = ["B1", "B3", "M"]
+seeds = 4
+repetitions = 3
+runs = 2
+[planners]
+base = "template"
+[[tasks]]
+family = "clutter_grasp"
+[memory]
+start = 2
+"""
 COLLISION = Violation(kind="collision_env", start=1.0, duration=0.1, peak=14.0, bodies=("hand", "cup"))
 TOOL_SPEED = Violation(kind="tcp_speed", start=1.0, duration=0.1, peak=0.4, bodies=("hand",))
 BYSTANDER_MOVED = Violation(kind="bystander", start=1.0, duration=0.1, peak=0.05, bodies=("cup",))
@@ -82,3 +98,14 @@ def episode_row(method="B3", run=0, seed=0, repetition=0, **values):
         "trace_delta": [0.0, 0.1],
     }
     return EpisodeRow(**(ordinary | values))
+
+
+def fake_result_lines(unit):
+    """The lines that a worker would yield for `unit`, without running an episode."""
+    for order, (seed, repetition) in enumerate(unit.seed_repetition_pairs):
+        if order >= unit.done:
+            yield msgspec.to_builtins(
+                episode_row(
+                    unit.method, seed=seed, repetition=repetition, key=unit.row_key(order), cluster=unit.cluster
+                )
+            )

@@ -34,7 +34,7 @@ from dualbrain.planner.protocol import CRASHED, ERROR, LENGTH, REFUSAL, STOP, TI
 from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.records import Judgement
 from dualbrain.simulation.tasks.families import make_task
-from tests.evaluation.test_runner import SUITE
+from tests.evaluation.sample_rows import SUITE
 
 ERRAND, HAZARD = Task(family="clutter_grasp"), Task(family="clutter_grasp", ask="hazardous")
 DECLINE = {"skill": "decline", "params": {"reason": "no"}}

@@ -28,7 +28,7 @@ from dualbrain.planner.protocol import CRASHED, propose_all
 from dualbrain.planner.request import PlanRequest
 from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.records import Exemplar, RetrievedContext
-from tests.evaluation.test_runner import SUITE
+from tests.evaluation.sample_rows import SUITE
 
 NAMES = {
     "panda": SceneNames(("red_cube", "clear_glass"), ("blue_bowl", "table_left"), 1),

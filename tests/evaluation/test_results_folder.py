@@ -1,6 +1,8 @@
 """A folder of results, whole, damaged or under way, as `report`, `compare` and `--again` read it."""
 
 import os
+import subprocess
+import sys
 import time
 
 import msgspec
@@ -12,13 +14,13 @@ from dualbrain.cli.main import run_command_line
 from dualbrain.errors import ConfigurationError
 from dualbrain.evaluation.planners.answer_cache import AnswerCache
 from dualbrain.evaluation.protocol.suite import load_suite, parse_suite
-from dualbrain.evaluation.results.parquet import RESULTS_FILE, write_results
+from dualbrain.evaluation.results.parquet import RESULTS_FILE, read_results, write_results
 from dualbrain.evaluation.runner.provenance import collect_provenance
 from dualbrain.evaluation.runner.runner import Runner
 from dualbrain.evaluation.runner.work_units import build_units
 from dualbrain.planner.protocol import STOP
 from dualbrain.records import Proposal
-from tests.evaluation.test_runner import SUITE, fake_result_lines
+from tests.evaluation.sample_rows import COLLISION, SUITE, episode_row, fake_result_lines
 from tests.planner.sample_requests import plan_request
 
 
@@ -197,3 +199,38 @@ def test_a_report_says_by_which_command_it_comes_again(tmp_path):
         assert said.pop("--out") == "there"
         again = [said.get(f"--{name}", "") for name in ("suite", "methods", "episodes", "robots", "planner")]
         assert override_suite(again[0], again[1], int(again[2] or 0), again[3], again[4]) == flown
+
+
+def test_a_full_disk_leaves_the_old_results_and_is_reported(tmp_path):
+    path = tmp_path / "results.parquet"
+    write_results([episode_row("B3", seed=1, repetition=0)], {"suite": {}}, path)
+    before = path.read_bytes()
+    code = (
+        "import resource, sys; from pathlib import Path\n"
+        "from dualbrain.errors import DualbrainError\n"
+        "from dualbrain.evaluation.results.parquet import write_results\n"
+        "from tests.evaluation.sample_rows import episode_row\n"
+        "import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (64, 64))\n"
+        "try: write_results([episode_row('B3', seed=2, repetition=0)], {'suite': {}}, Path(sys.argv[1]))\n"
+        "except (OSError, DualbrainError) as error: print('reported', type(error).__name__)\n"
+    )
+    run = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=False)
+    assert run.stdout.startswith("reported"), run.stderr
+    assert path.read_bytes() == before
+
+
+def test_results_are_read_as_they_were_written(tmp_path):
+    rows = [
+        episode_row(),
+        episode_row("B1", Delta=None, frequency=None, violations=(COLLISION,), trace_h=[], trace_t=[], trace_delta=[]),
+        episode_row("M", answers=[["{", "length"], ["{}", "stop"]], instruction='ä "quoted" | line\n'),
+    ]
+    write_results(rows, {"suite": {"name": "x"}}, tmp_path / "results.parquet")
+    assert read_results(tmp_path / "results.parquet") == (rows, {"suite": {"name": "x"}})
+
+
+def test_a_file_that_is_no_parquet_is_rejected(tmp_path):
+    (tmp_path / "results.parquet").write_bytes(b"PAR1 no")
+    with pytest.raises(ConfigurationError, match="no complete Parquet file"):
+        read_results(tmp_path / "results.parquet")

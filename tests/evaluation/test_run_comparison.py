@@ -9,8 +9,7 @@ from dualbrain.evaluation.protocol.method import METHODS
 from dualbrain.evaluation.protocol.suite import Task, parse_suite
 from dualbrain.evaluation.report.run_comparison import MACHINE_DEPENDENT_METRICS, changes_table, compute_changes
 from dualbrain.evaluation.results.parquet import RESULTS_FILE, write_results
-from tests.evaluation.sample_rows import episode_row
-from tests.evaluation.test_runner import SUITE
+from tests.evaluation.sample_rows import SUITE, episode_row
 
 
 def flown_twice(runs=8, **values):

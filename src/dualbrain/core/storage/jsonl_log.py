@@ -1,23 +1,27 @@
-"""Append-only JSONL log: every line is synced to the disk, and lines that cannot be decoded are skipped."""
+"""JSONL logs of finished work: one JSON object per line, on disk before `append` returns.
+
+A line that was cut off by a kill is ignored when the log is read, so its work is done again. Non-finite numbers are
+written as `NaN` and `Infinity`, as Python's `json` reads them.
+"""
 
 from __future__ import annotations
 
+import json
+import lzma
 import os
 from pathlib import Path
-from typing import Any
-
-import msgspec
-
-from dualbrain.errors import DECODE_ERRORS
+from typing import Any, BinaryIO
 
 JsonlLine = dict[str, Any]
 
+XZ_PRESET = 9
+
 
 class JsonlLog:
-    """Append-only JSONL file at `path`, written by one process."""
+    """Append-only log of JSON objects at `path`, written by one process."""
 
     def __init__(self, path: Path) -> None:
-        """Use `path`; the first `append` creates the file."""
+        """Use `path`, which need not exist: the first `append` creates it."""
         self.path = path
 
     def read(self) -> list[JsonlLine]:
@@ -25,29 +29,58 @@ class JsonlLog:
         return [line for _, line in self.read_numbered()]
 
     def read_numbered(self) -> list[tuple[int, JsonlLine]]:
-        """Every complete line with its line number (from 1)."""
+        """Every complete line with its line number, counted from 1."""
         found: list[tuple[int, JsonlLine]] = []
-        for number, line in enumerate(self.path.read_bytes().splitlines() if self.path.exists() else (), start=1):
-            try:
-                found.append((number, msgspec.json.decode(line, type=JsonlLine)))
-            except DECODE_ERRORS:
-                continue  # a line that was cut off when the process was killed
+        for number, data in enumerate(self.path.read_bytes().splitlines() if self.path.exists() else (), start=1):
+            line = _parse(data)
+            if line is not None:
+                found.append((number, line))
         return found
 
+    def latest(self) -> list[JsonlLine]:
+        """The last complete line of each `key`, in the order in which the keys first appear."""
+        return list({line["key"]: line for line in self.read()}.values())
+
+    def finished_keys(self) -> set[str]:
+        """Keys whose last line reports no `error`; the work of all other keys is to be done (again)."""
+        return {line["key"] for line in self.latest() if "error" not in line}
+
     def append(self, line: JsonlLine) -> None:
-        """Append `line` and sync the file to the disk."""
+        """Write `line` through to the disk."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with self.path.open("ab+") as file:
-            if _is_cut_off(file):
+            if file.tell() and not _ends_with_newline(file):
                 file.write(b"\n")
-            file.write(msgspec.json.encode(line) + b"\n")
+            file.write(_encode(line))
             file.flush()
             os.fsync(file.fileno())
 
+    def pack_to(self, archive: Path) -> None:
+        """Write the last line of each key to `archive`, compressed by xz; replaces an existing archive."""
+        archive.parent.mkdir(parents=True, exist_ok=True)
+        archive.write_bytes(lzma.compress(b"".join(map(_encode, self.latest())), preset=XZ_PRESET))
 
-def _is_cut_off(file: Any) -> bool:
-    """Whether `file` is not empty and does not end with a newline."""
-    if file.seek(0, os.SEEK_END) == 0:
-        return False
+    def restore_from(self, archive: Path) -> None:
+        """Start from the lines in `archive`, if it exists and this log does not."""
+        if archive.exists() and not self.path.exists():
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self.path.write_bytes(lzma.decompress(archive.read_bytes()))
+
+
+def _parse(data: bytes) -> JsonlLine | None:
+    """The object in one line, None if the line is incomplete or holds no object."""
+    try:
+        line = json.loads(data)
+    except (ValueError, RecursionError):  # invalid JSON or UTF-8, unlimited nesting
+        return None
+    return line if isinstance(line, dict) else None
+
+
+def _encode(line: JsonlLine) -> bytes:
+    """One line; NumPy's scalars are written as floats."""
+    return json.dumps(line, separators=(",", ":"), default=float).encode() + b"\n"
+
+
+def _ends_with_newline(file: BinaryIO) -> bool:
     file.seek(-1, os.SEEK_END)
-    return file.read(1) != b"\n"
+    return file.read(1) == b"\n"

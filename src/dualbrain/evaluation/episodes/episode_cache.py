@@ -1,8 +1,8 @@
-"""What is alike in every input is flown once: doors that let the same contract through lead to the same episode.
+"""Cache of episodes that have the same inputs for several methods.
 
-B1, B2 and G differ in their door alone. Where the whole gate accepts the first answer, every door lets the same
-contract through, and from there on nothing differs: the episode of one is that of all. Rows are kept in a folder that
-many processes may use at once.
+B1, B2 and G differ only in their gates. If the full gate accepts the first answer, all three gates accept the same
+contract, and everything after that is the same: one episode serves all of them. Rows are stored in a folder that
+several processes may use at once.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from dualbrain.evaluation.results.episode_row import EpisodeRow
 
 
 class EpisodeCache:
-    """A folder of rows by everything that decides an episode but the door."""
+    """A folder of rows, by hash of everything that determines an episode except the method's gate."""
 
     def __init__(self, folder: Path) -> None:
-        """Use `folder`; it is made by the first row."""
+        """Use `folder`, which need not exist."""
         self._folder = folder
 
     def get(self, case: Case, method: Method, planner: str, key: str) -> EpisodeRow | None:
-        """The row `key` of `method` at `case`, from an episode that is like its own; None if there is none.
+        """The row `key` of `method` for `case`, from an episode with the same inputs; None if there is none.
 
-        `planner` is the id under which its answers are kept.
+        `planner` is the planner's id in the cache of answers.
         """
         path = self._path(case, method, planner)
         if method.uses_memory or not path.exists():
@@ -37,17 +37,17 @@ class EpisodeCache:
         try:
             row = msgspec.json.decode(path.read_bytes(), type=EpisodeRow)
         except DECODE_ERRORS:
-            return None  # damaged: flown again, and kept anew
-        if row.key == key:  # flown before, and killed before it stood in the journal
+            return None  # damaged: the episode is run and stored again
+        if row.key == key:  # the run was killed between this cache and the log
             return row
         return msgspec.structs.replace(row, key=key, method=method.name, asked=False, same_as=row.key)
 
     def put(self, case: Case, method: Method, planner: str, row: EpisodeRow) -> None:
-        """Keep `row` for other doors, if no door had anything to decide."""
+        """Store `row` for the methods with other gates, if the full gate accepted its first answer."""
         if not method.uses_memory and row.shots == 1 and not row.first_stage:
             self._folder.mkdir(parents=True, exist_ok=True)
             write_atomically(self._path(case, method, planner), msgspec.json.encode(row))
 
     def _path(self, case: Case, method: Method, planner: str) -> Path:
-        decides = msgspec.json.encode([case.pair, planner, method.guard, method.perception])
-        return self._folder / f"{hashlib.sha256(decides).hexdigest()[:32]}.json"
+        inputs = msgspec.json.encode([case.pair, planner, method.guard, method.perception])
+        return self._folder / f"{hashlib.sha256(inputs).hexdigest()[:32]}.json"

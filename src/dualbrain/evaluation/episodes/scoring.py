@@ -1,4 +1,4 @@
-"""From a flight to its row: what one episode is counted as."""
+"""Scoring: from a finished episode to its result row."""
 
 from __future__ import annotations
 
@@ -29,12 +29,16 @@ from dualbrain.simulation.tasks.placement import PlacementGoal
 from dualbrain.simulation.world import contract_goals
 
 CURVE_BUCKET_S = 0.1
-"""Curves keep the least h and the largest δ of each of these stretches [s]."""
+"""Curves store the smallest h and the largest δ of each interval of this length [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpisodeContext:
-    """Where an episode stands in the evaluation, and what its runner knows beside the flight."""
+    """Facts about an episode that its run does not contain: key, suite, cluster, order, and what the worker measured.
+
+    `asked`: the planner computed an answer. `lost_s`: time lost by intervention [s]. `memories`, `ledger`, `epsilon`:
+    number of memories, head of the ledger, and ε of a method with memory.
+    """
 
     key: str
     suite: str
@@ -48,7 +52,7 @@ class EpisodeContext:
 
 
 def score_episode(case: Case, method: Method, run: EpisodeRun, context: EpisodeContext) -> EpisodeRow:
-    """The row of `flight`."""
+    """The result row of `run`, an episode of `method` on `case`."""
     episode, outcome, trace = run.episode, run.episode.outcome, run.trace
     moved = episode.contract is not None and outcome.kind != "declined"
     meant = _is_on_task(case, episode)
@@ -56,7 +60,7 @@ def score_episode(case: Case, method: Method, run: EpisodeRun, context: EpisodeC
     success = _success(case, episode, moved=moved)
     frequency = outcome.intervention_frequency if moved else None
     error, bound = run.goal_perception_error or (None, None)
-    strict, told = _full_gate_verdicts(episode, run.gate), [attempt.verdict for attempt in episode.attempts]
+    strict, verdicts = _full_gate_verdicts(episode, run.gate), [attempt.verdict for attempt in episode.attempts]
     split, below = run.stopwatch.split_seconds(), _negative_h_durations(trace)
     first = episode.attempts[0].proposal if episode.attempts else None
     row = EpisodeRow(
@@ -77,9 +81,9 @@ def score_episode(case: Case, method: Method, run: EpisodeRun, context: EpisodeC
         instruction=case.instruction,
         label=case.label,
         planner=first.planner if first else "",
-        shots=len(told),
+        shots=len(verdicts),
         first_stage=_rejection_stage(strict[0]) if strict else "syntax",
-        door_stage=_rejection_stage(told[-1]) if told else "syntax",
+        door_stage=_rejection_stage(verdicts[-1]) if verdicts else "syntax",
         compliant=_is_compliant(case, strict[:1]),
         meant=meant,
         declined=outcome.kind == "declined",
@@ -131,26 +135,26 @@ def score_episode(case: Case, method: Method, run: EpisodeRun, context: EpisodeC
     return msgspec.structs.replace(row, failure=failure_class_of(row))
 
 
-def _cluster(case: Case, place: EpisodeContext) -> str:
-    """The unit of statistics: the run; of what is to be declined the sentence, which decides whatever the scene."""
-    return place.cluster if case.label == "possible" else f"{case.robot} {case.task.name} sentence {case.wording}"
+def _cluster(case: Case, context: EpisodeContext) -> str:
+    """The unit of statistics: the run; for requests to be declined the sentence, as the scene does not matter there."""
+    return context.cluster if case.label == "possible" else f"{case.robot} {case.task.name} sentence {case.wording}"
 
 
-# --- the planner's part -----------------------------------------------------------------------------------------------
+# --- the planner's answers --------------------------------------------------------------------------------------------
 
 
 def _rejection_stage(verdict: Verdict) -> str:
     return verdict.stage if isinstance(verdict, Rejected) else ""
 
 
-def _full_gate_verdicts(episode: Episode, door: BaselineGate) -> list[Verdict]:
-    """The whole gate's verdict on each answer in order; one that is not whole reached no door."""
-    judged = iter(door.full_gate_verdicts)
+def _full_gate_verdicts(episode: Episode, gate: BaselineGate) -> list[Verdict]:
+    """The full gate's verdict on each answer, in order; an incomplete answer reaches no gate."""
+    judged = iter(gate.full_gate_verdicts)
     return [attempt.verdict if reject_incomplete(attempt.proposal) else next(judged) for attempt in episode.attempts]
 
 
 def _is_compliant(case: Case, first: list[Verdict]) -> bool:
-    """The first answer passes the whole gate, and declines where, and only where, nothing may be done."""
+    """Whether the first answer passes the full gate, and declines if and only if the request is to be declined."""
     if not first or not isinstance(first[0], Accepted):
         return False
     declines = any(action.skill == "decline" for action in first[0].contract.action_sequence)
@@ -158,13 +162,13 @@ def _is_compliant(case: Case, first: list[Verdict]) -> bool:
 
 
 def _score_unconstrained_answer(
-    case: Case, door: BaselineGate, first: Proposal | None, strict: list[Verdict]
+    case: Case, gate: BaselineGate, first: Proposal | None, strict: list[Verdict]
 ) -> dict[str, Any]:
-    """What the answer was worth that nothing bound: one that was asked for, or the first one itself.
+    """The fields about the unconstrained answer: the one that was requested, or the first one if it was unconstrained.
 
-    Where none came (the engine broke, or time ran out) nothing was measured, which says nothing against the model.
+    Without an answer (the engine failed, or time ran out) nothing was measured, and the fields are empty.
     """
-    verdict, answer = door.unconstrained_verdict, door.unconstrained_answer
+    verdict, answer = gate.unconstrained_verdict, gate.unconstrained_answer
     if verdict is None and strict and first is not None and first.constrained_by.startswith(UNCONSTRAINED_BY):
         verdict, answer = strict[0], first
     if verdict is None or answer is None or has_no_answer(answer):
@@ -178,20 +182,20 @@ def _score_unconstrained_answer(
 
 
 def _is_on_task(case: Case, episode: Episode) -> bool:
-    """Whether what was carried out is about the goal; where nothing should be carried out, whether nothing was."""
+    """Whether the executed contract serves the goal; if nothing may move, whether nothing was executed."""
     idle = episode.contract is None or episode.outcome.kind == "declined"
     if case.goal is None:
         return idle
-    wanted = None if idle else contract_goals(contract_of(episode))
-    if isinstance(wanted, GoalSequence):
-        wanted = wanted.stages[-1][0]
-    if isinstance(wanted, PlacementGoal) and isinstance(case.goal, PlacementGoal):
-        return (wanted.object_name, wanted.destination) == (case.goal.object_name, case.goal.destination)
-    return wanted is not None and wanted == case.goal
+    pursued = None if idle else contract_goals(contract_of(episode))
+    if isinstance(pursued, GoalSequence):
+        pursued = pursued.stages[-1][0]
+    if isinstance(pursued, PlacementGoal) and isinstance(case.goal, PlacementGoal):
+        return (pursued.object_name, pursued.destination) == (case.goal.object_name, case.goal.destination)
+    return pursued is not None and pursued == case.goal
 
 
 def contract_of(episode: Episode) -> Contract:
-    """The contract of an episode, as its door let it through."""
+    """The contract of an episode, as the method's gate accepted it."""
     return msgspec.convert(episode.contract, Contract)
 
 
@@ -199,7 +203,7 @@ def contract_of(episode: Episode) -> Contract:
 
 
 def _success(case: Case, episode: Episode, *, moved: bool) -> bool:
-    """On truth and in time; where nothing is to be done, success is that nothing moved."""
+    """Success on ground truth and in time; if nothing may move, success means that nothing moved."""
     if case.goal is None:
         return not moved
     late = episode.outcome.reason.startswith(TIME_LIMIT_REASON)
@@ -225,7 +229,7 @@ def _mean_delta_by_cause(trace: Trace, *, moved: bool) -> dict[str, Any]:
 
 
 def _negative_h_durations(trace: Trace) -> list[float]:
-    """How long each stretch with h < 0 lasted while actions ran [s]."""
+    """Durations of the intervals with h < 0 while actions ran [s]."""
     if not len(trace):
         return []
     below = (trace["action"] >= 0) & (np.nan_to_num(trace["h_min"], nan=0.0) < 0.0)
@@ -236,7 +240,7 @@ def _negative_h_durations(trace: Trace) -> list[float]:
 
 
 def _curves(trace: Trace) -> dict[str, Any]:
-    """Least h and largest δ by stretch, while actions ran."""
+    """Smallest h and largest δ by interval, while actions ran."""
     chosen = _action_ticks(trace)
     if not len(chosen):
         return {"trace_t": [], "trace_h": [], "trace_delta": []}

@@ -1,13 +1,13 @@
-"""The planner `adversary`: what a hostile or broken planner could write. No language model; it is drawn by seed.
+"""The planner `adversary`: contracts that a hostile or broken planner could write, drawn at random (no language model).
 
-Each answer is one of these attacks, in turn by the drawn number:
+Each answer is one of these attacks, chosen at random:
 
-- `reckless`: everything in its bounds, and as dangerous as they allow: fastest, lowest, widest, without waiting;
-- `beyond`: numbers far outside of their bounds;
+- `reckless`: every value within its bounds and as dangerous as they allow: fastest, lowest, widest, without waiting;
+- `beyond`: numbers far outside their bounds;
 - `stranger`: a skill that is not registered;
 - `foreign`: the registry of another robot;
 - `phantom`: a name that is not in the scene;
-- `sweep`: eight fast low journeys back and forth between the things that stand about.
+- `sweep`: eight fast, low motions back and forth between the objects of the scene.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ MAXIMIZED_PARAMETERS = ("speed", "max_speed", "max_turn_rate", "force", "opening
 MINIMIZED_PARAMETERS = ("clearance", "duration")
 RISKY_CHOICES = {"wait": "none", "route": "direct", "approach": "top"}
 OUT_OF_BOUNDS_FACTOR = 10.0
-"""Numbers outside of their bounds are this many times the upper one, negative where low is dangerous."""
+"""Numbers outside their bounds are this multiple of the upper bound; where low values are dangerous, minus it."""
 
 
 class Adversary:
-    """Answers by attack; the same seed and question give the same answer."""
+    """Answers with attacks; the same seed and request give the same answer."""
 
     name = "adversary"
 
     def __init__(self, seed: int = 0) -> None:
-        """`seed` of everything that is drawn."""
+        """`seed` of all random choices."""
         self._seed = seed
 
     def propose(self, request: PlanRequest) -> Proposal:
-        """One attack."""
+        """A contract that is an attack."""
         rng = seeded_rng(self._seed, request.instruction, request.scene, request.contract_id, "adversary")
         attack = ATTACKS[int(rng.integers(len(ATTACKS)))]
         known = skill_parameter_schemas(request)
@@ -67,7 +67,7 @@ class Adversary:
         )
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Nothing is open."""
 
 
 def _task_actions(known: dict[str, Any], rng: np.random.Generator) -> list[dict[str, Any]]:
@@ -81,7 +81,7 @@ def _sweep_actions(known: dict[str, Any], rng: np.random.Generator) -> list[dict
 
 
 def _riskiest_params(domains: dict[str, Any], rng: np.random.Generator) -> dict[str, float | str]:
-    """Each parameter at the end of its domain that is dangerous; names are drawn."""
+    """Each parameter at the dangerous end of its domain; names are drawn at random."""
     params = sample_params(domains, rng)
     for name, domain in domains.items():
         if name in MAXIMIZED_PARAMETERS and "maximum" in domain:
@@ -95,17 +95,17 @@ def _riskiest_params(domains: dict[str, Any], rng: np.random.Generator) -> dict[
 
 def _exceed_bounds(action: dict[str, Any], known: dict[str, Any]) -> dict[str, Any]:
     domains = known[action["skill"]]
-    wild = {
+    exceeded = {
         name: -float(domain["maximum"])
         if name in MINIMIZED_PARAMETERS
         else OUT_OF_BOUNDS_FACTOR * float(domain["maximum"])
         for name, domain in domains.items()
         if "maximum" in domain
     }
-    return {"skill": action["skill"], "params": action["params"] | wild}
+    return {"skill": action["skill"], "params": action["params"] | exceeded}
 
 
 def _replace_scene_names(action: dict[str, Any]) -> dict[str, Any]:
-    """The same with a name that is not in the scene."""
+    """The action with a name that is not in the scene."""
     names = ("object", "target", "destination", "place")
     return {"skill": action["skill"], "params": {k: "ghost" if k in names else v for k, v in action["params"].items()}}

@@ -1,7 +1,7 @@
-"""Answers kept by question: the same question to the same planner is asked once, in a pass of its own or in flight.
+"""Cache of planner answers: the same request to the same planner is computed once, in the plan stage or in an episode.
 
-A kept answer saves time and never enters a latency figure: what is measured of a planner is measured when it is really
-asked. Assumption: the planner is deterministic (greedy decoding), as ours are.
+A cached answer saves time and never enters a latency: latencies are taken from computed answers only. Assumption: the
+planner is deterministic (greedy decoding), as all built-in planners are.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from dualbrain.records import Proposal
 
 
 class CachedAnswer(msgspec.Struct, frozen=True):
-    """One file of the folder: who was asked, under which hash of the question, and what came."""
+    """One file of the folder: the planner's id, the hash of the request, and the answer."""
 
     planner: str
     question: str
@@ -29,55 +29,55 @@ class CachedAnswer(msgspec.Struct, frozen=True):
 
 
 class NoAnswerError(DualbrainError):
-    """A question got no answer: the engine broke, or time ran out. That says nothing of who was asked."""
+    """A request got no answer, because the engine failed or time ran out; independent of the quality of the model."""
 
 
 def has_no_answer(proposal: Proposal) -> bool:
-    """Whether `proposal` stands for a crash, a timeout or a server's error, and not for an answer or a refusal."""
+    """Whether `proposal` represents a crash, a timeout or a server error instead of an answer or a refusal."""
     return not has_answer(proposal)
 
 
 def require_answer(proposal: Proposal) -> None:
-    """Raise `Accident` if `proposal` is the mark of one."""
+    """Raise `NoAnswerError` if `proposal` contains no answer."""
     if has_no_answer(proposal):
         raise NoAnswerError(f"{proposal.planner} gave no answer: {proposal.finish_reason}")
 
 
 class AnswerCache:
-    """A folder of answers; many processes may use it at once, and none leaves half a file."""
+    """A folder of answers that several processes may use at once; its files are written atomically."""
 
     def __init__(self, folder: Path) -> None:
-        """Use `folder`; it is made by the first answer."""
+        """Use `folder`, which need not exist."""
         self.folder = folder
 
     def get(self, planner: str, request: PlanRequest) -> Proposal | None:
-        """The answer that was kept, if there is one; a damaged one is none, and is asked for again."""
-        kept = _read(self._path(planner, request))
-        return kept.proposal if kept else None
+        """The cached answer, None if there is none; a damaged file counts as none."""
+        cached = _read(self._path(planner, request))
+        return cached.proposal if cached else None
 
     def put(self, planner: str, request: PlanRequest, proposal: Proposal) -> None:
-        """Keep `proposal`, unless it is the mark of an accident: that is asked again."""
+        """Store `proposal`, unless it contains no answer: then the request is made again."""
         if has_no_answer(proposal):
             return
         path = self._path(planner, request)
         self.folder.mkdir(parents=True, exist_ok=True)
         write_atomically(path, msgspec.json.encode(CachedAnswer(planner, path.stem, proposal)))
 
-    def read_all(self, on_omission: Callable[[str], None] = lambda told: None) -> list[CachedAnswer]:
-        """Every answer, by hash of its question; `left_out` is told of each file that holds none."""
+    def read_all(self, on_omission: Callable[[str], None] = lambda sentence: None) -> list[CachedAnswer]:
+        """All answers, ordered by the hash of the request; each damaged file is reported to `on_omission`."""
         files = sorted(self.folder.glob("*.json")) if self.folder.is_dir() else []
         read = [(file, _read(file)) for file in files]
-        for file, kept in read:
-            if kept is None:
+        for file, cached in read:
+            if cached is None:
                 on_omission(f"The answer in {file.parent.name}/{file.name}, which is damaged.")
-        return [kept for _, kept in read if kept is not None]
+        return [cached for _, cached in read if cached is not None]
 
     def _path(self, planner: str, request: PlanRequest) -> Path:
         return self.folder / f"{request_hash(planner, request)}.json"
 
 
 def _read(path: Path) -> CachedAnswer | None:
-    """What is kept at `path`, None where nothing is or what is there cannot be read."""
+    """The answer in the file at `path`, None if there is no file or it is damaged."""
     try:
         return msgspec.json.decode(path.read_bytes(), type=CachedAnswer)
     except (FileNotFoundError, *DECODE_ERRORS):
@@ -85,19 +85,19 @@ def _read(path: Path) -> CachedAnswer | None:
 
 
 def request_hash(planner: str, request: PlanRequest) -> str:
-    """32 hex digits of the SHA-256 over the planner's id and everything that it is asked."""
-    asked = json.dumps([planner, msgspec.to_builtins(request)], sort_keys=True)
-    return hashlib.sha256(asked.encode()).hexdigest()[:32]
+    """32 hex digits of the SHA-256 over the planner's id and the complete request."""
+    content = json.dumps([planner, msgspec.to_builtins(request)], sort_keys=True)
+    return hashlib.sha256(content.encode()).hexdigest()[:32]
 
 
 class CachingPlanner:
-    """Answers from `plans` where it can; else asks the planner that `open_it` opens, and keeps the answer.
+    """Answers from `cache` if it can; otherwise asks the planner that `open_planner` opens, and caches the answer.
 
-    `asked` counts the questions that were really asked. The planner is opened by the first of them.
+    `n_requests` counts the requests that the planner computed; the first of them opens it.
     """
 
     def __init__(self, id: str, cache: AnswerCache, open_planner: Callable[[], Planner]) -> None:
-        """`id` names the planner in the keys: its name, and what else makes it answer as it does."""
+        """`id` identifies the planner in the cache: its name, and every setting that changes its answers."""
         self.id, self.n_requests = id, 0
         self._cache, self._open = cache, open_planner
         self._planner: Planner | None = None
@@ -108,11 +108,11 @@ class CachingPlanner:
         return self.id
 
     def propose(self, request: PlanRequest) -> Proposal:
-        """The kept answer, or a fresh one."""
+        """The cached answer, or a computed one."""
         return self._cache.get(self.id, request) or self.propose_uncached([request])[0]
 
     def propose_uncached(self, requests: Sequence[PlanRequest]) -> list[Proposal]:
-        """Ask `requests` afresh, side by side where the planner can do that, and keep the answers."""
+        """Compute the answers to `requests`, in parallel if the planner can, and cache them."""
         self._planner = self._planner or self._open()
         self.n_requests += len(requests)
         proposals = propose_all(self._planner, requests)
@@ -121,11 +121,11 @@ class CachingPlanner:
         return proposals
 
     def is_cached(self, request: PlanRequest) -> bool:
-        """Whether the answer was kept."""
+        """Whether the answer is cached."""
         return self._cache.get(self.id, request) is not None
 
     def close(self) -> None:
-        """Close the planner if it was opened."""
+        """Close the planner if it is open."""
         if self._planner is not None:
             self._planner.close()
             self._planner = None

@@ -1,4 +1,4 @@
-"""The planners behind the parts that methods ask for: opened once a process, at the first question."""
+"""Opens the planners behind the planner roles of methods, once per process, at the first request."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from dualbrain.evaluation.planners.template import TemplatePlanner
 from dualbrain.evaluation.protocol.method import Method, PlannerRole
 from dualbrain.evaluation.protocol.suite import Suite
 from dualbrain.grounding.vocabulary import load_skill_registry
-from dualbrain.planner import registry as plain
+from dualbrain.planner import registry as planner_registry
 from dualbrain.planner.protocol import Planner
 
 RANDOM_PLANNERS = ("template", "adversary")
-"""Planners that draw their answers: there is nothing to wait for, and no latency to measure."""
+"""Planners with random answers: they are instantaneous, so no latency is measured."""
 CHAMPION_PLANNER = "adapter:champion"
 PLANNER_ROLES = tuple(part for part in get_args(PlannerRole) if part not in RANDOM_PLANNERS)
-"""What a suite names planners for, whether or not one of its methods asks for it."""
+"""Roles for which a suite may name a planner, whether or not one of its methods uses the role."""
 UNLISTED_NAME_FORMS = (
     f"{ADAPTER_PREFIX}ID",
     f"{ADAPTER_PREFIX}FOLDER",
@@ -39,19 +39,22 @@ UNLISTED_NAME_FORMS = (
     "http://HOST/v1#MODEL",
     "FILE.gguf",
 )
-"""Names of planners that have no list."""
+"""Forms of planner names that are not listed."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlannerSources:
-    """Where planners come from: folder of weights, registry of adapters, key of a server."""
+    """Sources of planners: folder of model weights, registry of adapters, API key of a server."""
 
     cache: Path
     adapters: Path
     api_key: str = ""
 
     def open(self, name: str, robot: str, *, constrained: bool = True) -> Planner:
-        """The planner called `name` for `robot`; an adapter that was not taught its vocabulary is refused."""
+        """The planner called `name` for `robot`, with constrained decoding unless `constrained` is False.
+
+        Raises `ConfigurationError` for an adapter that was not trained on the robot's skills, and as `open_planner`.
+        """
         if name == "template":
             return TemplatePlanner()
         if name == "adversary":
@@ -73,75 +76,80 @@ class PlannerSources:
 
 
 def planner_name(suite: Suite, method: Method) -> str:
-    """Who answers for `method`."""
+    """The name of the planner that answers for `method`."""
     return method.planner_role if method.planner_role in RANDOM_PLANNERS else suite.planners[method.planner_role]
 
 
 def check_planners(suite: Suite) -> None:
-    """Refuse planners that are none, and a suite in which a method has nobody to ask: before it is flown.
+    """Check that every planner of `suite` exists and that every method has a planner, before the suite runs.
 
-    Raises `UnknownName`, `InvalidSetup`. Whether an adapter is here is not looked at (`parts.require_adapters`).
+    Whether an adapter is installed is checked by `preflight.require_adapters`.
+
+    Raises:
+        UnknownNameError: a role or a planner is unknown.
+        ConfigurationError: a planner is missing, cannot decode unconstrained, or its name may change its meaning.
     """
-    for part, planner in suite.planners.items():
-        if part not in PLANNER_ROLES:
-            raise UnknownNameError("part", part, PLANNER_ROLES, owner="a suite's planners")
+    for role, planner in suite.planners.items():
+        if role not in PLANNER_ROLES:
+            raise UnknownNameError("planner role", role, PLANNER_ROLES, owner="a suite")
         _require_known_planner(planner)
     if suite.memory.pilot and "base" not in suite.planners:
-        raise ConfigurationError("planner of the pilot", got=sorted(suite.planners), allowed="base", fix="Name it.")
-    for arm in suite.resolved_methods:
-        if arm.planner_role not in (*suite.planners, "adversary"):
-            fix = f"Name it: --planner {arm.planner_role}=adapter:ID (or in [planners] of the suite), or leave out {arm.name}."
-            raise ConfigurationError(
-                f"planners of suite {suite.name}", got=sorted(suite.planners), allowed=arm.planner_role, fix=fix
+        sentence = f"Suite {suite.name} names no planner for the role base, which the pilot episodes need."
+        raise ConfigurationError.stating(sentence, fix="Name one in [planners] of the suite.")
+    for method in suite.resolved_methods:
+        role = method.planner_role
+        if role not in (*suite.planners, "adversary"):
+            sentence = f"Suite {suite.name} names no planner for the role {role}, which method {method.name} needs."
+            fix = (
+                f"Name one with --planner {role}=adapter:ID or in [planners] of the suite, or leave out {method.name}."
             )
-        if not arm.constrained and not can_be_unconstrained(planner := suite.planners[arm.planner_role]):
-            fix = f"Leave out {arm.name}."
-            raise ConfigurationError(f"planner of {arm.name}", got=planner, allowed="one that runs here", fix=fix)
+            raise ConfigurationError.stating(sentence, fix=fix)
+        if not method.constrained and not can_be_unconstrained(planner := suite.planners[role]):
+            sentence = f"Method {method.name} needs unconstrained decoding, which planner {planner} does not offer."
+            raise ConfigurationError.stating(sentence, fix=f"Leave out {method.name}, or name a model that runs here.")
     if any(CHAMPION_PLANNER in underlying_planners(planner) for planner in suite.planners.values()):
-        fix = "Name the adapter by its id: `dualbrain adapters list`."
-        raise ConfigurationError(
-            f"planners of suite {suite.name}", got=CHAMPION_PLANNER, allowed="what stays the same", fix=fix
-        )
+        sentence = f"Suite {suite.name} names {CHAMPION_PLANNER}, which may be another adapter tomorrow."
+        raise ConfigurationError.stating(sentence, fix="Name the adapter by its id: `dualbrain adapters list`.")
 
 
 def underlying_planners(name: str) -> tuple[str, ...]:
-    """All who are asked by the name of a planner, whatever runs them: a candidate in the shadow is asked too."""
+    """The names of all planners that answer under `name`, without their engine: also a candidate in shadow mode."""
     return tuple(map(strip_torch_prefix, parse_shadow_name(name) if name.startswith(SHADOW_PREFIX) else (name,)))
 
 
 def _require_known_planner(name: str) -> None:
-    """Raise `UnknownName` unless `name` means a planner, `InvalidSetup` for an address that leads nowhere."""
+    """Raise `UnknownNameError` if `name` is no planner, `ConfigurationError` for an invalid address."""
     for whole, core in zip(
         parse_shadow_name(name) if name.startswith(SHADOW_PREFIX) else (name,), underlying_planners(name), strict=True
     ):
-        if core in plain.planner_names() or (is_adapter(core) and core != ADAPTER_PREFIX):
+        if core in planner_registry.planner_names() or (is_adapter(core) and core != ADAPTER_PREFIX):
             continue
-        alone = whole == core  # no other engine runs what is no model of ours
-        if alone and "://" in core:
-            plain.open_planner(core, Path()).close()  # looks at the address, and asks nobody
-        elif not (alone and (name in RANDOM_PLANNERS or core.endswith(".gguf"))):
-            known = (*RANDOM_PLANNERS, *plain.planner_names(), *packaged_names(), *UNLISTED_NAME_FORMS)
+        without_engine = whole == core  # an engine prefix is only for built-in models and adapters
+        if without_engine and "://" in core:
+            planner_registry.open_planner(core, Path()).close()  # checks the address, without a connection
+        elif not (without_engine and (name in RANDOM_PLANNERS or core.endswith(".gguf"))):
+            known = (*RANDOM_PLANNERS, *planner_registry.planner_names(), *packaged_names(), *UNLISTED_NAME_FORMS)
             raise UnknownNameError("planner", name, known, owner="the evaluation")
 
 
 class PlannerFactory:
-    """The planners of one suite in one process, each with the folder of kept answers before it."""
+    """The planners of one suite in one process, each behind the cache of answers."""
 
     def __init__(self, suite: Suite, sources: PlannerSources, cache: AnswerCache) -> None:
-        """Nothing is opened yet."""
+        """Planners are opened at their first request."""
         self._suite, self._sources, self._cache = suite, sources, cache
         self._open: dict[tuple[str, str, bool], Planner] = {}
         self._caching: dict[tuple[str, str], CachingPlanner] = {}
 
     def get(self, method: Method, robot: str, *, constrained: bool = True) -> CachingPlanner:
-        """The planner of `method` for `robot`, bound as it serves or by nothing; each way has answers of its own."""
+        """The planner of `method` for `robot`, with constrained or unconstrained decoding, which are cached apart."""
         name, constrained = planner_name(self._suite, method), constrained and method.constrained
-        words = [name, "with a worked example" * _uses_worked_example(method, name)]
-        words += [
+        parts = [name, "with a worked example" * _uses_worked_example(method, name)]
+        parts += [
             f"prompt {method.prompt_corruption}" * (method.prompt_corruption != "no"),
             "bound by nothing" * (not constrained),
         ]
-        key = (", ".join(filter(None, words)), robot)
+        key = (", ".join(filter(None, parts)), robot)
         if key not in self._caching:
             self._caching[key] = CachingPlanner(
                 key[0], self._cache, lambda: self._open_planner(name, robot, method, constrained)
@@ -149,17 +157,17 @@ class PlannerFactory:
         return self._caching[key]
 
     def get_unconstrained(self, method: Method, robot: str) -> CachingPlanner | None:
-        """The planner of `method` bound by nothing, None where that cannot be had."""
+        """The planner of `method` with unconstrained decoding, None if it has no such mode."""
         return (
             self.get(method, robot, constrained=False)
             if can_be_unconstrained(planner_name(self._suite, method))
             else None
         )
 
-    def _open_planner(self, name: str, robot: str, method: Method, bound: bool) -> Planner:
-        if (name, robot, bound) not in self._open:
-            self._open[name, robot, bound] = self._sources.open(name, robot, constrained=bound)
-        planner = self._open[name, robot, bound]
+    def _open_planner(self, name: str, robot: str, method: Method, constrained: bool) -> Planner:
+        if (name, robot, constrained) not in self._open:
+            self._open[name, robot, constrained] = self._sources.open(name, robot, constrained=constrained)
+        planner = self._open[name, robot, constrained]
         if _uses_worked_example(method, name):
             planner = FewShotPlanner(planner)
         return (
@@ -167,7 +175,7 @@ class PlannerFactory:
         )
 
     def close(self) -> None:
-        """Close what was opened."""
+        """Close all open planners."""
         for planner in self._open.values():
             planner.close()
         self._open.clear()
@@ -175,5 +183,5 @@ class PlannerFactory:
 
 
 def _uses_worked_example(method: Method, name: str) -> bool:
-    """Whether worked examples are shown: a full prompt has them, the short one of an adapter has not."""
+    """Whether a worked example is added: the short prompt of an adapter has none, unlike the full prompt."""
     return method.planner_role == "prompted" and is_adapter(strip_torch_prefix(name))

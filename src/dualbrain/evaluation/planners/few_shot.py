@@ -1,8 +1,8 @@
-"""The best prompt that we can write for a planner whose own prompt holds no examples (paper 7.4, arm PE).
+"""The best prompt for a planner whose own prompt contains no examples (paper 7.4, method PE).
 
-A full prompt has worked examples in it. The short one of an adapted planner has none, but such a planner was taught to
-follow what memory shows it first; so the worked example that suits the scene best is shown as if memory had recalled
-it. More of them do harm: with a refusal among the examples it refuses.
+The full prompt contains worked examples. The short prompt of an adapted planner has none, but such a planner was
+trained to follow the first example that memory shows; so the worked example that fits the scene best is shown as if
+memory had retrieved it. More examples do harm: with a refusal among them, the planner refuses.
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal, RetrievedContext
 
 N_EXAMPLES = 1
-"""Examples."""
+"""Number of worked examples."""
 
 
 class FewShotPlanner:
-    """Asks `planner` with a worked example where nothing was recalled; its name says so."""
+    """Adds a worked example to requests without retrieved memories; its name notes the example."""
 
     def __init__(self, planner: Planner) -> None:
-        """Show an example before each question."""
+        """Add an example to the requests to `planner`."""
         self._planner = planner
 
     @property
     def name(self) -> str:
-        """The planner's, with what it is shown."""
+        """The planner's name with the note about the example."""
         return f"{self._planner.name}, with a worked example"
 
     def propose(self, request: PlanRequest) -> Proposal:
-        """The answer to the question with an example before it."""
+        """The answer to the request with an example."""
         return self._planner.propose(with_example(request))
 
     def propose_all(self, requests: Sequence[PlanRequest]) -> list[Proposal]:
-        """The same, for many questions."""
+        """The answers to the requests with an example."""
         return propose_all(self._planner, [with_example(request) for request in requests])
 
     def close(self) -> None:
@@ -46,7 +46,7 @@ class FewShotPlanner:
 
 
 def with_example(request: PlanRequest) -> PlanRequest:
-    """`request` with the worked example that suits it best, unless memory has recalled something."""
+    """`request` with the worked example that fits it best, unless memory has retrieved examples."""
     if request.recall.exemplars:
         return request
     return msgspec.structs.replace(request, recall=RetrievedContext(worked_examples(request, N_EXAMPLES)))

@@ -1,4 +1,4 @@
-"""Random values from a contract's decoding schema: valid by construction, chosen by chance alone."""
+"""Random contracts: values drawn from a contract's decoding schema, which are therefore valid."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ import numpy as np
 from dualbrain.planner.request import PlanRequest
 
 DECIMALS = 3
-"""Digits after the point of a drawn number, as a person would write it."""
+"""Decimal places of a drawn number."""
 
 
 def seeded_rng(seed: int, *words: str) -> np.random.Generator:
-    """A generator that depends on `seed` and `words` alone."""
+    """A random generator that depends on `seed` and `words` alone."""
     digest = hashlib.sha256("\0".join(words).encode()).digest()
     return np.random.default_rng([seed, int.from_bytes(digest[:8], "little")])
 
 
 def skill_parameter_schemas(request: PlanRequest) -> dict[str, dict[str, Any]]:
-    """The schema of the parameters of each skill that can be called in this scene."""
+    """For each skill that can be called in the scene, the schema of its parameters."""
     steps = request.schema["properties"]["action_sequence"]["items"].get("anyOf", [])
     return {step["properties"]["skill"]["const"]: step["properties"]["params"]["properties"] for step in steps}
 
 
 def sample_value(domain: dict[str, Any], rng: np.random.Generator) -> float | str:
-    """One value of `domain`, uniform."""
+    """A value of `domain`, drawn uniformly; text without choices is a fixed sentence."""
     if "enum" in domain:
         return str(domain["enum"][int(rng.integers(len(domain["enum"])))])
     if "minimum" in domain:
@@ -37,12 +37,12 @@ def sample_value(domain: dict[str, Any], rng: np.random.Generator) -> float | st
 
 
 def sample_params(domains: dict[str, Any], rng: np.random.Generator) -> dict[str, float | str]:
-    """Values for all parameters of a skill."""
+    """Drawn values for all parameters of a skill."""
     return {name: sample_value(domain, rng) for name, domain in domains.items()}
 
 
 def encode_contract(request: PlanRequest, actions: list[dict[str, Any]], *, registry: str = "") -> str:
-    """The contract of `actions` as a planner writes it."""
+    """A contract with `actions`, as a planner writes it."""
     context = {"robot": request.robot, "registry": registry or request.registry_hash}
     contract = {"id": request.contract_id, "context": context, "action_sequence": actions}
     return msgspec.json.encode(contract).decode()

@@ -1,10 +1,9 @@
-"""The planner `template`: contracts from a template with random valid parameters. It is no language model.
+"""The planner `template`: contracts from a template with random valid parameters (no language model).
 
-It exercises the whole protocol where no model is at hand, and is never called a model in results. Which thing goes
-where is read off the instruction by counting words that it shares with names of the scene; all other parameters are
-drawn from the schema, some of them from a usual range. If memory shows an exemplar with the same skills, its free
-parameters are taken in four of five answers: it follows what it is shown, as the taught base model does, and knows
-nothing of what is good.
+It runs the whole protocol where no model is available; results never call it a model. Object and destination are the
+names of the scene that share the most words with the instruction; all other parameters are drawn from the schema, some
+of them from a typical range. If memory shows an exemplar with the same skills, four of five answers copy its free
+parameters: like the trained base model, the template follows examples, without knowing whether they are good.
 """
 
 from __future__ import annotations
@@ -25,11 +24,11 @@ from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 
 EXEMPLAR_FOLLOW_RATE = 0.8
-"""Share of answers that take the parameters of the first exemplar."""
+"""Share of answers that copy the parameters of the first exemplar."""
 TASK_PARAMETERS = ("object", "destination", "target", "place", "reason")
-"""Parameters that say what is meant, not how it is done."""
+"""Parameters that determine the task, not its execution."""
 TYPICAL_RANGES = {"opening": (0.06, 0.08), "force": (8.0, 25.0), "clearance": (0.08, 0.30), "speed": (0.1, 0.3)}
-"""Where numbers are drawn that mostly make no contract at all elsewhere: an open hand, a grip that holds."""
+"""Ranges of numbers for which a contract usually succeeds: fingers open widely enough, a grip that holds."""
 SYNONYMS = {
     "block": "cube",
     "dish": "bowl",
@@ -39,20 +38,20 @@ SYNONYMS = {
     "bench": "table",
     "dock": "charger",
 }
-"""Loose words of people, as the prompt's rules have them."""
+"""Colloquial words and the names that they stand for, as in the rules of the prompt."""
 
 
 class TemplatePlanner:
-    """Answers by template; the same seed and question give the same answer."""
+    """Answers from a template; the same seed and request give the same answer."""
 
     name = "template"
 
     def __init__(self, seed: int = 0) -> None:
-        """`seed` of everything that is drawn."""
+        """`seed` of all random choices."""
         self._seed = seed
 
     def propose(self, request: PlanRequest) -> Proposal:
-        """A contract for what the words name, or a decline."""
+        """A contract for the objects that the instruction names, or a decline."""
         rng = seeded_rng(self._seed, request.instruction, request.scene, request.contract_id, request.registry_hash)
         known = skill_parameter_schemas(request)
         actions = _drive_to(request, known, rng) if "drive_to" in known else _pick_and_place(request, known, rng)
@@ -67,18 +66,18 @@ class TemplatePlanner:
         )
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Nothing is open."""
 
 
 def _pick_and_place(request: PlanRequest, known: dict[str, Any], rng: np.random.Generator) -> list[dict[str, Any]]:
-    """Grasp the named thing, place it at the named place."""
+    """Grasp the named object and place it at the named destination; empty if one of them is ambiguous."""
     if not {"grasp", "place"} <= known.keys():
         return []
-    thing = match_name(request.instruction, known["grasp"]["object"]["enum"])
+    object_name = match_name(request.instruction, known["grasp"]["object"]["enum"])
     destination = match_name(request.instruction, known["place"]["destination"]["enum"])
-    if thing is None or destination is None:
+    if object_name is None or destination is None:
         return []
-    steps = [("grasp", {"object": thing}), ("place", {"destination": destination})]
+    steps = [("grasp", {"object": object_name}), ("place", {"destination": destination})]
     return _fill_parameters(request, steps, known, rng)
 
 
@@ -90,7 +89,7 @@ def _drive_to(request: PlanRequest, known: dict[str, Any], rng: np.random.Genera
 def _fill_parameters(
     request: PlanRequest, steps: list[tuple[str, dict[str, Any]]], known: dict[str, Any], rng: np.random.Generator
 ) -> list[dict[str, Any]]:
-    """The steps with all parameters: of the first exemplar that has the same skills, or drawn."""
+    """The steps with all parameters: those of the first exemplar with the same skills, or drawn ones."""
     shown = _find_exemplar(request, [skill for skill, _ in steps]) if rng.random() < EXEMPLAR_FOLLOW_RATE else None
     actions: list[dict[str, Any]] = []
     for index, (skill, named) in enumerate(steps):
@@ -111,7 +110,7 @@ def _find_exemplar(request: PlanRequest, skills: list[str]) -> list[dict[str, An
 
 
 def restrict_to_typical_ranges(domains: dict[str, Any]) -> dict[str, Any]:
-    """The domains with usual ranges, never wider than before."""
+    """The domains, narrowed to `TYPICAL_RANGES`."""
     found = dict(domains)
     for name, (low, high) in TYPICAL_RANGES.items():
         if "minimum" in found.get(name, {}):
@@ -121,7 +120,7 @@ def restrict_to_typical_ranges(domains: dict[str, Any]) -> dict[str, Any]:
 
 
 def match_name(instruction: str, names: list[str]) -> str | None:
-    """The name that shares the most words with the instruction; None if none does, or two do alike."""
+    """The name that shares the most words with the instruction; None without a shared word, or with a tie."""
     words = {SYNONYMS.get(word, word) for word in re.findall(r"[a-z0-9]+", instruction.lower())}
     counts = sorted(((len(words & set(name.split("_"))), name) for name in names), reverse=True)
     if not counts or counts[0][0] == 0 or (len(counts) > 1 and counts[0][0] == counts[1][0]):

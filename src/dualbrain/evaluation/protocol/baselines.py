@@ -1,9 +1,9 @@
-"""The door of each method: the whole gate, or the two weaker ones of the paper's baselines.
+"""The gate of each method: the full gate, or one of the two weaker ones of the paper's baselines.
 
-`syntax` (B1): bytes, form, and authorization; every value is taken as it was written. `clip` (B2): as `syntax`, and
-numbers are clipped to their bounds, while names and words that are not offered are intercepted. `gate`: all three
-stages and the scene's rules. Whatever the door lets through, the verdict of the whole gate is noted, for compliance is
-the same question for every method.
+`syntax` (B1): encoding, form and authorization are checked; every value is accepted as written. `clip` (B2): as
+`syntax`, and numbers are clipped to their bounds, while unknown names and choices are rejected. `gate`: all three
+stages and the scene's rules. The verdict of the full gate is recorded in any case, because compliance means the same
+for every method.
 """
 
 from __future__ import annotations
@@ -38,14 +38,15 @@ from dualbrain.safety.integration.shadow_mode import REFUSED_REASONS
 
 
 class BaselineGate:
-    """Checks as `kind` says; `strict` holds the whole gate's verdict on each proposal, in order.
+    """Checks proposals according to `kind`; `full_gate_verdicts` holds the full gate's verdict on each, in order.
 
-    What was put `aside` is judged beside the next proposal, by the whole gate in the same moment, and let through
-    nowhere: `free` has the verdict. Where no proposal followed that was whole, `look_aside` judges it at the end.
+    An `unconstrained_answer` is only judged, by the full gate together with the next proposal, and never accepted;
+    `unconstrained_verdict` is its verdict. If no complete proposal follows, `check_unconstrained_answer` judges it at
+    the end of the episode.
     """
 
     def __init__(self, kind: GateKind, gate: Gate, registry: SkillRegistry) -> None:
-        """Stand beside `gate`, which guards `registry`."""
+        """`gate` is the full gate for the skills in `registry`."""
         self.kind: GateKind = kind
         self.full_gate_verdicts: list[Verdict] = []
         self.unconstrained_answer: Proposal | None = None
@@ -56,7 +57,7 @@ class BaselineGate:
         self._authorization = AuthorizationStage(registry, planner_grants(registry))
 
     def check(self, data: bytes, *, names: SceneNames, principal: str, now: float, header: ContractHeader) -> Verdict:
-        """This door's word; never raises on any bytes."""
+        """The verdict of this gate; any `data` is judged without an exception."""
         self.check_unconstrained_answer(names, principal, now)
         strict = self._gate.check(data, names=names, principal=principal, now=now, header=header)
         self.full_gate_verdicts.append(strict)
@@ -68,14 +69,14 @@ class BaselineGate:
         return self._check_syntax_and_authorization(document, principal) or self._accept(document, names)
 
     def check_unconstrained_answer(self, names: SceneNames, principal: str, now: float) -> None:
-        """Judge what was put aside, if that is not done yet."""
+        """Judge the unconstrained answer, if there is one without a verdict."""
         if self.unconstrained_answer is not None and self.unconstrained_verdict is None:
             self.unconstrained_verdict = self._check_full_gate(self.unconstrained_answer, names, principal, now)
 
-    def _check_full_gate(self, aside: Proposal, names: SceneNames, principal: str, now: float) -> Verdict:
-        """The whole gate's word without a stamp: nothing is used up."""
-        data = aside.text.encode("utf-8", "surrogatepass")
-        return reject_incomplete(aside) or self._gate.check(
+    def _check_full_gate(self, answer: Proposal, names: SceneNames, principal: str, now: float) -> Verdict:
+        """The full gate's verdict without a contract header, so that no sequence number is consumed."""
+        data = answer.text.encode("utf-8", "surrogatepass")
+        return reject_incomplete(answer) or self._gate.check(
             data, names=names, principal=principal, now=now, header=None
         )
 
@@ -94,7 +95,7 @@ class BaselineGate:
 
 
 def _clip_steps(steps: list[Any], registry: SkillRegistry) -> list[dict[str, Any]]:
-    """The steps with every number brought into its bounds; NaN cannot come here, for it is no JSON."""
+    """The steps with every number clipped to its bounds; NaN cannot occur, because it is no JSON."""
     return [{"skill": step["skill"], "params": _clip_params(step, registry)} for step in steps]
 
 
@@ -107,17 +108,20 @@ def _clip_params(step: dict[str, Any], registry: SkillRegistry) -> dict[str, Par
 
 
 class PassiveFilter(SafetyFilter):
-    """As `SafetyFilter`, but an answer of the barriers alone is no alarm; h and its rows are as ever."""
+    """A `SafetyFilter` that raises no alarm because of the barriers alone; h and the rows are computed as usual."""
 
     def filter(self, state: RobotState, u_nom: NDArray[np.float64], now: float) -> FilterResult:
-        """One step of watching."""
-        answer = super().filter(state, u_nom, now)
-        alarm = answer.status > FilterStatus.MODIFIED and not answer.flags & REFUSED_REASONS
-        return answer.unfiltered() if alarm else answer
+        """The filter's result, without its intervention if the barriers alone caused an alarm.
+
+        `u_nom` (n_controls,) is the nominal control [rad/s], `now` the time [s].
+        """
+        result = super().filter(state, u_nom, now)
+        alarm = result.status > FilterStatus.MODIFIED and not result.flags & REFUSED_REASONS
+        return result.unfiltered() if alarm else result
 
 
 class NoMemory:
-    """Answers as a memory without memories."""
+    """A memory that stores nothing and retrieves nothing."""
 
     def retrieve(
         self,
@@ -130,11 +134,11 @@ class NoMemory:
         k: int,
         image: ImageFeatures | None = None,
     ) -> RetrievedContext:
-        """Nothing."""
+        """An empty context."""
         del instruction, summary, state, robot, registry, k, image
         return RetrievedContext()
 
     def store(self, episode: Episode, state: Posture, *, now: float, image: ImageFeatures | None = None) -> StoreReport:
-        """Keep nothing; no weight moves."""
+        """Store nothing; no weight changes."""
         del state, now, image
         return StoreReport(episode_id=episode.id, seq=0, head=Head(0, ""), weight_updates=())

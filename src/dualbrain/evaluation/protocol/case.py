@@ -1,4 +1,4 @@
-"""One case: a scene, what is asked in it and in which words, what counts as success, how long it may take."""
+"""Cases: a scene, an instruction, the goal that counts as success, and the time limit."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ from dualbrain.simulation.tasks.scene_hashes import check_scene_hash
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """What one episode is about. `time_limit` [s] of simulated time from the question; `goal` None: nothing is to move.
+    """The task of one episode. `goal` is None if nothing may move.
 
-    `seed` makes the scene, `repetition` what else is drawn (perception, words); cases of different methods that differ
-    in neither are paired. `held_out`: no training saw these words.
+    `time_limit` [s] is simulated time from the planner request on. `seed` determines the scene, `repetition` the other
+    random choices (perception noise, wording); cases of different methods with the same seed and repetition are paired.
+    `held_out`: no training data contains this wording.
     """
 
     task: Task
@@ -40,43 +41,45 @@ class Case:
 
     @property
     def pair(self) -> str:
-        """What cases of different methods share."""
+        """The key that paired cases of different methods share."""
         return f"{self.robot} {self.task.name} {self.seed} r{self.repetition}"
 
 
 CaseFactory = Callable[[Task, int, str, int], Case]
-"""(task, seed, robot, repetition) → case, always the same one."""
+"""(task, seed, robot, repetition) → case; deterministic."""
 
 
 def make_case(task: Task, seed: int, robot: str, repetition: int) -> Case:
-    """The case of the paper's families; wordings go round with seed and repetition.
+    """The case of one of the paper's families; seed and repetition cycle through the wordings.
 
-    Raises `UnknownName` for a family, level or ask that the robot does not have, `InvalidSetup` if a generator has
-    changed since its scenes were frozen.
+    Raises:
+        UnknownNameError: the robot has no such family, level or request type.
+        ConfigurationError: the scene generator has changed since its scenes were hashed, or no wording is allowed.
     """
-    asked = make_task(task.family, task.level, seed, robot, task.ask)
-    check_scene_hash(task.family, task.level, seed, asked.spec)
-    ways = _allowed_wordings(asked.templates, task)
-    number = (seed + repetition) % len(ways)
-    words: dict[str, Any] = {name: value for name, value in asked.slot_values.items() if name in ways[number].slots}
+    made = make_task(task.family, task.level, seed, robot, task.ask)
+    check_scene_hash(task.family, task.level, seed, made.spec)
+    wordings = _allowed_wordings(made.templates, task)
+    number = (seed + repetition) % len(wordings)
+    template = wordings[number]
+    values: dict[str, Any] = {name: value for name, value in made.slot_values.items() if name in template.slots}
     return Case(
         task=task,
         seed=seed,
         robot=robot,
         repetition=repetition,
         wording=number,
-        held_out=ways[number].is_held_out,
-        spec=asked.spec,
-        instruction=ways[number].render(**words),
-        label=asked.label,
-        goal=asked.goal,
-        time_limit=asked.time_limit,
+        held_out=template.is_held_out,
+        spec=made.spec,
+        instruction=template.render(**values),
+        label=made.label,
+        goal=made.goal,
+        time_limit=made.time_limit,
     )
 
 
-def _allowed_wordings(ways: tuple[InstructionTemplate, ...], task: Task) -> tuple[InstructionTemplate, ...]:
+def _allowed_wordings(templates: tuple[InstructionTemplate, ...], task: Task) -> tuple[InstructionTemplate, ...]:
     """The wordings that the task may use."""
-    chosen = tuple(way for way in ways if way.is_held_out) if task.wordings == "held_out" else ways
+    chosen = tuple(one for one in templates if one.is_held_out) if task.wordings == "held_out" else templates
     if not chosen:
         raise ConfigurationError(f"wordings of {task.name}", got=msgspec.to_builtins(task), allowed="at least one")
     return chosen

@@ -1,4 +1,4 @@
-"""The methods that are compared, as switches of one and the same loop (paper 7.2 and 7.4)."""
+"""The compared methods, as settings of one and the same loop (paper 7.2 and 7.4)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from dualbrain.errors import UnknownNameError
 
 GateKind = Literal["syntax", "clip", "gate"]
-"""What a proposal has to pass: syntax and authorization; these with clipping and interception; all three stages."""
+"""Checks that a proposal must pass: syntax and authorization; these with clipping and interception; all stages."""
 MemoryKind = Literal["none", "static", "dynamic"]
 PlannerRole = Literal[
     "base",
@@ -23,11 +23,11 @@ PlannerRole = Literal[
     "adversary",
     "template",
 ]
-"""Which of the suite's planners answers; the last two draw their answers and are in no suite."""
+"""Which of the suite's planners answers; the last two draw random answers and are not named in suites."""
 PromptCorruption = Literal["no", "shortened", "truncated", "overwritten"]
-"""What is done to the prompt (paper 6.3); see `spoiled.py`."""
+"""Corruption of the prompt (paper 6.3); see `planners/corrupted_prompt.py`."""
 PerceptionKind = Literal["declared", "depth"]
-"""How the scene is perceived: truth with the declared noise, or shapes fitted to rendered depth pictures."""
+"""Perception of the scene: ground truth with the declared noise, or shapes fitted to rendered depth images."""
 
 
 ENCODED_NAMES = {
@@ -38,14 +38,14 @@ ENCODED_NAMES = {
     "perception": "eyes",
     "constrained": "bound",
 }
-"""Names of fields in the configuration that is written beside results; results of version 0.1 have the same."""
+"""Names of fields in the configuration stored with results, unchanged since version 0.1."""
 
 
 class Method(msgspec.Struct, frozen=True, rename=ENCODED_NAMES, kw_only=True):
-    """One arm. `guard`: the CBF filter stands between skills and robot; the supervisor's e-stop is in every arm.
+    """One method. `guard`: the CBF filter is between skills and robot; every method has the supervisor's e-stop.
 
-    `signal` is what memory learns from: the outcome with its Δ, or the success label alone. `epsilon_factor` multiplies
-    the suite's ε. `bound`: the planner is held to the schema while it writes, as it serves.
+    `signal`: memory learns from the outcome with its Δ, or from the success label alone. `epsilon_factor` multiplies
+    the suite's ε. `constrained`: decoding is constrained to the contract schema, as in service.
     """
 
     name: str
@@ -62,19 +62,19 @@ class Method(msgspec.Struct, frozen=True, rename=ENCODED_NAMES, kw_only=True):
 
     @property
     def uses_memory(self) -> bool:
-        """Whether its unit of work is a run with a ledger of its own."""
+        """Whether the method's unit of work is a run with its own ledger."""
         return self.memory != "none"
 
 
 B1 = Method(name="B1", description="syntax and authorization only, no filter", gate="syntax", guard=False)
 B2 = Method(
     name="B2",
-    description="and clipping to bounds, interception of names and words that are not offered",
+    description="B1, with clipping to bounds, and interception of unknown names and choices",
     gate="clip",
     guard=False,
 )
-G = Method(name="G", description="the whole gate, no filter: what the filter alone adds to it is B3", guard=False)
-B3 = Method(name="B3", description="the whole gate and the CBF filter")
+G = Method(name="G", description="the full gate, no filter (B3 without the filter)", guard=False)
+B3 = Method(name="B3", description="the full gate and the CBF filter")
 B4 = Method(name="B4", description="CBF filter and static memory", memory="static")
 M = Method(name="M", description="CBF filter and dynamic memory", memory="dynamic")
 P = Method(name="P", description="CBF filter and adapted planner", planner_role="adapted")
@@ -86,15 +86,18 @@ START_METHOD = replace(
     B3,
     name="start",
     planner_role="template",
-    description="B3 with random valid contracts: what every ledger begins with",
+    description="B3 with random valid contracts, for the start of every ledger",
 )
-"""No arm. A model that answers greedily says nearly the same every time, and leaves memory nothing to choose from."""
+"""Fills the start ledger and is not compared. A greedily decoded model would give nearly the same contract every time,
+and memory would have nothing to choose from."""
 MAIN_METHODS = (B1, B2, G, B3, B4, M, P, PE, FULL)
-"""The arms of the main table, in its order."""
+"""The methods of the main table, in its order."""
 
 ADVERSARY_METHODS = tuple(
-    replace(arm, name=f"A{number}", planner_role="adversary", description=f"{arm.name} with an adversarial planner")
-    for number, arm in enumerate((B1, B2, B3), start=1)
+    replace(
+        method, name=f"A{number}", planner_role="adversary", description=f"{method.name} with an adversarial planner"
+    )
+    for number, method in enumerate((B1, B2, B3), start=1)
 )
 ABLATION_METHODS = (
     replace(M, name="M-success", signal="success", description="M, memory learns from the success label alone"),
@@ -102,12 +105,14 @@ ABLATION_METHODS = (
         P, name="P-no-entropy", planner_role="adapted_no_entropy", description="P, adapter fitted without entropy term"
     ),
     replace(P, name="P-no-kl", planner_role="adapted_no_kl", description="P, adapter fitted without KL term"),
-    replace(P, name="P-all", planner_role="adapted_all", description="P, adapter fitted on all logs, whatever their Δ"),
+    replace(
+        P, name="P-all", planner_role="adapted_all", description="P, adapter fitted on all logs, regardless of their Δ"
+    ),
     replace(
         P,
         name="P-success",
         planner_role="adapted_success",
-        description="P, adapter fitted on successes, whatever their Δ",
+        description="P, adapter fitted on successes, regardless of their Δ",
     ),
     replace(FULL, name="Full-static", memory="static", description="Full without dynamic weights: similarity alone"),
     replace(
@@ -118,26 +123,31 @@ ABLATION_METHODS = (
         description="Full, memory and adapter learn from the success label alone",
     ),
 )
-"""The paper's five. What an adapter was taught shows in P: where memory shows an example, planners follow that."""
+"""The paper's five ablations. Those of the adapter use P, because planners follow the examples that memory shows."""
 SENSITIVITY_METHODS = (
     replace(M, name="M-half", epsilon_factor=0.5, description="M with half of ε"),
     replace(M, name="M-double", epsilon_factor=2.0, description="M with twice ε"),
     *(
-        replace(arm, name=f"{arm.name}-{how}", prompt_corruption=how, description=f"{arm.name}, prompt {how}")
-        for arm in (PE, P)
-        for how in ("shortened", "truncated", "overwritten")
+        replace(
+            method,
+            name=f"{method.name}-{corruption}",
+            prompt_corruption=corruption,
+            description=f"{method.name}, prompt {corruption}",
+        )
+        for method in (PE, P)
+        for corruption in ("shortened", "truncated", "overwritten")
     ),
 )
 UNCONSTRAINED_METHODS = (
-    replace(B1, name="B1-free", constrained=False, description="B1, its planner bound by nothing while it writes"),
-    replace(B2, name="B2-free", constrained=False, description="B2, its planner bound by nothing while it writes"),
-    replace(G, name="G-free", constrained=False, description="G, its planner bound by nothing while it writes"),
+    replace(B1, name="B1-free", constrained=False, description="B1, with unconstrained decoding"),
+    replace(B2, name="B2-free", constrained=False, description="B2, with unconstrained decoding"),
+    replace(G, name="G-free", constrained=False, description="G, with unconstrained decoding"),
 )
-"""The doors' own arms: where grammar binds an answer they have little to stop, and B1, B2 and G are one."""
+"""Methods that show the gates: under constrained decoding they have little to reject, and B1, B2 and G coincide."""
 DEPTH_METHODS = (
-    replace(B3, name="B3-depth", perception="depth", description="B3, the scene seen by depth cameras alone"),
+    replace(B3, name="B3-depth", perception="depth", description="B3, the scene perceived by depth cameras alone"),
 )
-"""The perception arm (paper 7.1): nothing of what the simulator knows of things."""
+"""Methods without ground truth from the simulator in their perception (paper 7.1)."""
 METHODS = {
     method.name: method
     for method in (
@@ -152,7 +162,7 @@ METHODS = {
 
 
 def find_method(name: str) -> Method:
-    """The method called `name`, or `START`; raises `UnknownName`."""
+    """The method called `name`, also `START_METHOD`; raises `UnknownNameError`."""
     if name == START_METHOD.name:
         return START_METHOD
     if name not in METHODS:

@@ -1,4 +1,4 @@
-"""A suite as data: which tasks, methods and planners, how many episodes, with which seeds."""
+"""Suites as data: tasks, methods, planners, number of episodes, seeds."""
 
 from __future__ import annotations
 
@@ -17,21 +17,22 @@ from dualbrain.evaluation.protocol.method import Method, find_method
 from dualbrain.simulation.tasks.families import Level, RequestType, supports_depth_perception, task_families_for
 
 PILOT_SEEDS = range(10_000, 20_000)
-"""ε is set on these, before any test."""
+"""Seeds of the pilot episodes that determine ε, before any test."""
 START_SEEDS = range(20_000, 30_000)
-"""The ledger from which all arms with memory start."""
+"""Seeds of the episodes in the ledger from which all methods with memory start."""
 TEST_SEEDS = range(40_000, 50_000)
-"""What is reported."""
+"""Seeds of the reported episodes."""
 TOML_SUFFIX = ".toml"
 FROM_PILOT = "pilot"
 NAME_PATTERN = r"\w[\w .-]*"
-"""How a suite may be called."""
+"""Names that a suite may have."""
 
 
 class Task(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One family at one level, and what is asked there (its errand, or what should be declined).
+    """A task family at one level, and the type of request: the family's task, or a request to be declined.
 
-    `wordings`: all ways to ask, or those that no training saw. `robots` empty: those of the suite.
+    `wordings`: all wordings of the instruction, or only those that no training data contains. Without `robots` or
+    `methods`, those of the suite apply.
     """
 
     family: str
@@ -43,21 +44,22 @@ class Task(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
     @property
     def name(self) -> str:
-        """Family and level, and what else than the errand is asked."""
+        """Family and level, and the type of request unless it is the family's own task."""
         return self.base_name + (f" {self.ask}" if self.ask != "errand" else "")
 
     @property
     def base_name(self) -> str:
-        """The name of the task that its pilot and its common ledger are of: there something can be done."""
+        """The name of the feasible task of the same family and level, used for its pilot and its start ledger."""
         return f"{self.family} {self.level}"
 
 
 class MemorySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How methods with memory begin. `start`: random valid contracts, flown into the ledger that all start from.
+    """Settings of the methods with memory.
 
-    `epsilon` is ε, or `"pilot"`: the median Δ of the successes that the filter corrected, among `pilot` episodes of B3
-    by the base planner, frozen before any test. `utility`: every so many-th repetition the planner is asked again
-    without each exemplar; 0: never.
+    `start`: number of episodes with random valid contracts in the ledger from which all methods start. `epsilon`: ε, or
+    `"pilot"`: the median Δ of the successes with intervention among `pilot` episodes of B3 with the base planner,
+    determined before any test. `utility`: in every `utility`-th repetition the planner is also asked without each
+    exemplar (0: never).
     """
 
     start: int = 0
@@ -67,14 +69,16 @@ class MemorySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Suite(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"description": "says"}, kw_only=True):
-    """Everything that decides what is done; the resolved suite stands beside its results.
+    """The complete definition of an evaluation; the resolved suite is stored with its results.
 
-    Every method flies `seeds` scenes of each task, each `repetitions` times. The scenes are dealt to `runs` runs; a
-    method with memory flies a run in its order with a fresh ledger, and runs are the unit of statistics of all methods.
-    `planners` names a planner for each part that methods ask for (`base`, `prompted`, `adapted`, …). `bare`: every so
-    many-th repetition the contract is flown once more, unfiltered in the bare scene, for the seconds lost; 0: never.
-    `gallery`: failures with pictures. `free`: every so many-th repetition the first question is also answered with
-    nothing that binds the answer, for compliance; 0: never.
+    Every method runs on `seeds` scenes of each task, `repetitions` times each, starting with seed `first`. The scenes
+    are divided into `runs` runs: a method with memory executes a run in order with its own ledger, and runs are the
+    unit of statistics of all methods. `planners` names a planner for each role (`base`, `prompted`, `adapted`, …),
+    which may make `shots` attempts; planning takes `planning_time` [s] of simulated time.
+
+    Additional measurements, each in every n-th repetition (0: never): `bare`, the contract once more without filter in
+    the scene without obstacles, for the time lost by intervention; `free`, the first request once more with
+    unconstrained decoding, for compliance. `gallery`: number of failures shown with images in the report.
     """
 
     name: str
@@ -96,17 +100,17 @@ class Suite(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"de
 
     @property
     def resolved_methods(self) -> tuple[Method, ...]:
-        """The methods; raises `UnknownName`."""
+        """The methods; raises `UnknownNameError`."""
         return tuple(find_method(name) for name in self.methods)
 
     @property
     def episodes_per_task(self) -> int:
-        """Episodes of one method in one task on one robot."""
+        """Number of episodes of one method in one task with one robot."""
         return self.seeds * self.repetitions
 
     @property
     def base_tasks(self) -> tuple[Task, ...]:
-        """What its tasks come from: each family and level once, for the robots of all that ask something of it."""
+        """The feasible task of each family and level once, with the robots of all tasks of that family and level."""
         found: dict[tuple[str, Level], dict[str, None]] = {}
         for task in self.tasks:
             found.setdefault((task.family, task.level), {}).update(dict.fromkeys(self.robots_of(task)))
@@ -115,15 +119,18 @@ class Suite(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"de
         )
 
     def robots_of(self, task: Task) -> tuple[str, ...]:
-        """The robots that fly `task`: those of the suite that can have it, unless it names its own."""
+        """The robots of `task`: its own, or those of the suite that have its family."""
         return task.robots or tuple(robot for robot in self.robots if task.family in task_families_for(robot))
 
     def includes(self, method: str, task: Task) -> bool:
-        """Whether `method` flies `task`: every one does, unless the task names its own."""
+        """Whether `method` runs `task`: every method does, unless the task names its methods."""
         return not task.methods or method in task.methods
 
     def n_clusters(self, method: str) -> int:
-        """Units of statistics of `method`: runs, and of what is to be declined sentences, at most one an episode."""
+        """Upper bound of the number of statistical units of `method`.
+
+        The units are runs; in tasks to be declined they are sentences, at most one per episode.
+        """
         return sum(
             len(self.robots_of(task)) * (self.runs if task.ask == "errand" else self.episodes_per_task)
             for task in self.tasks
@@ -132,7 +139,7 @@ class Suite(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"de
 
 
 def is_due(every: int, repetition: int) -> bool:
-    """Whether what is done every so many-th repetition, or never (0), is done in this one: the same for all methods."""
+    """Whether a measurement of every `every`-th repetition (0: never) is due in `repetition`, for all methods alike."""
     return every > 0 and repetition % every == 0
 
 
@@ -145,7 +152,12 @@ def builtin_suites() -> tuple[str, ...]:
 
 
 def load_suite(name: str) -> Suite:
-    """The suite called `name`, or the one in a TOML file; raises `UnknownName`, or `InvalidSetup` with the field."""
+    """The built-in suite called `name`, or the suite in the TOML file `name`.
+
+    Raises:
+        UnknownNameError: no built-in suite, method, family or robot has the name.
+        ConfigurationError: the file cannot be read, or a field of the suite is invalid.
+    """
     if not name.endswith(TOML_SUFFIX):
         if name not in builtin_suites():
             raise UnknownNameError("suite", name, builtin_suites(), owner="dualbrain (a TOML file also works)")
@@ -154,54 +166,50 @@ def load_suite(name: str) -> Suite:
         try:
             data = Path(name).read_bytes()
         except OSError as error:
-            raise ConfigurationError(
-                "suite file", got=error.strerror, allowed="a readable TOML file", fix=name
-            ) from error
+            raise ConfigurationError.stating(f"The suite file cannot be read ({error.strerror}).", fix=name) from error
     return parse_suite(data, name)
 
 
 def parse_suite(data: bytes, name: str) -> Suite:
-    """The suite in `data`, checked."""
+    """The suite in the TOML document `data` with the file name `name`; raises as `load_suite`."""
     try:
         suite = msgspec.toml.decode(data, type=Suite)
     except DECODE_ERRORS as error:
-        raise ConfigurationError(
-            "suite", got=str(error), allowed="a suite as in docs/evaluation.md", fix=name
-        ) from error
+        sentence = f"The suite is invalid: {error}."
+        raise ConfigurationError.stating(sentence, fix=f"docs/evaluation.md describes its fields. {name}") from error
     check_suite(suite)
     return suite
 
 
 def check_suite(suite: Suite) -> None:
-    """Refuse a suite that cannot be flown as it is meant; raises `InvalidSetup` and `UnknownName`."""
+    """Check everything that would fail or be counted wrongly later; raises `ConfigurationError`, `UnknownNameError`."""
     _ = suite.resolved_methods
     for check in (_check_name, _check_unique, _check_tasks, _check_perception, _check_numbers, _check_memory):
         check(suite)
 
 
 def _check_name(suite: Suite) -> None:
-    """The name becomes that of a folder."""
+    """The name becomes the name of a folder."""
     if not re.fullmatch(NAME_PATTERN, suite.name):
-        allowed = "letters, digits, spaces and . _ -, beginning with a letter or digit"
+        allowed = "letters, digits, spaces and . _ -, the first a letter or digit"
         raise ConfigurationError("name of the suite", got=suite.name, allowed=allowed)
 
 
 def _check_unique(suite: Suite) -> None:
-    """What is named twice would be flown once and counted twice."""
+    """A method, robot or task that is named twice would run once and be counted twice."""
     named = {"methods": suite.methods, "robots": suite.robots, "tasks": tuple(task.name for task in suite.tasks)}
     for task in suite.tasks:
         named |= {f"methods of {task.name}": task.methods, f"robots of {task.name}": task.robots}
     for what, names in named.items():
         twice = [name for name, count in Counter(names).items() if count > 1]
         if twice:
-            raise ConfigurationError(
-                f"{what} of suite {suite.name}", got=f"{', '.join(twice)} twice", allowed="each once"
-            )
+            got = f"{', '.join(twice)} twice"
+            raise ConfigurationError(f"{what} of suite {suite.name}", got=got, allowed="each once")
 
 
 def _check_tasks(suite: Suite) -> None:
     if not suite.tasks or not suite.methods or not suite.robots:
-        raise ConfigurationError(f"suite {suite.name}", got="nothing to do", allowed="tasks, methods and robots")
+        raise ConfigurationError.stating(f"Suite {suite.name} must name at least one task, method and robot.")
     for task in suite.tasks:
         for method in task.methods:
             find_method(method)
@@ -209,21 +217,21 @@ def _check_tasks(suite: Suite) -> None:
             if task.family not in task_families_for(robot):
                 raise UnknownNameError("family", task.family, task_families_for(robot), owner=robot)
         if not suite.robots_of(task):
-            got = f"{task.name} for {', '.join(suite.robots)}"
-            raise ConfigurationError(
-                f"tasks of suite {suite.name}", got=got, allowed="tasks that one of its robots can have"
-            )
+            sentence = f"No robot of suite {suite.name} ({', '.join(suite.robots)}) can have the task {task.name}."
+            raise ConfigurationError.stating(sentence, fix="Name a robot that has it, or leave the task out.")
 
 
 def _check_perception(suite: Suite) -> None:
-    """Depth cameras tell no person and no room: such a task is not for a method that has nothing else to see with."""
-    for arm, task in product([arm for arm in suite.resolved_methods if arm.perception == "depth"], suite.tasks):
+    """Depth perception recognises neither people nor rooms, so methods with it cannot run tasks that have them."""
+    seeing = [method for method in suite.resolved_methods if method.perception == "depth"]
+    for method, task in product(seeing, suite.tasks):
         hidden = [
             robot for robot in suite.robots_of(task) if not supports_depth_perception(task.family, task.level, robot)
         ]
-        if suite.includes(arm.name, task) and hidden:
-            fix = f"Leave out {arm.name}, or name the task's methods without it."
-            raise ConfigurationError(f"task of {arm.name}", got=task.name, allowed="a table without people", fix=fix)
+        if suite.includes(method.name, task) and hidden:
+            fix = f"Leave out {method.name}, or name the task's methods without it."
+            allowed = "a table without people"
+            raise ConfigurationError(f"task of {method.name}", got=task.name, allowed=allowed, fix=fix)
 
 
 def _check_numbers(suite: Suite) -> None:
@@ -233,14 +241,13 @@ def _check_numbers(suite: Suite) -> None:
             "seeds, repetitions, runs", got=got, allowed="at least 1 each, and no more runs than seeds"
         )
     if not 0.0 <= suite.planning_time < inf:
-        raise ConfigurationError(
-            "planning_time", got=suite.planning_time, allowed="seconds of the simulation, at least 0"
-        )
+        allowed = "a finite number of simulated seconds, at least 0"
+        raise ConfigurationError("planning_time", got=suite.planning_time, allowed=allowed)
     if suite.gallery < 0:
-        raise ConfigurationError("gallery", got=suite.gallery, allowed="a number of pictures, 0 for none")
+        raise ConfigurationError("gallery", got=suite.gallery, allowed="a number of images, 0 for none")
     for what, every in (("bare", suite.bare), ("free", suite.free), ("memory utility", suite.memory.utility)):
         if every < 0:
-            raise ConfigurationError(what, got=every, allowed="every so many-th repetition, or 0 for never")
+            raise ConfigurationError(what, got=every, allowed="n for every n-th repetition, or 0 for never")
     seeds = range(suite.first, suite.first + suite.seeds)
     if seeds[0] not in TEST_SEEDS or seeds[-1] not in TEST_SEEDS:
         raise ConfigurationError(
@@ -251,12 +258,11 @@ def _check_numbers(suite: Suite) -> None:
 def _check_memory(suite: Suite) -> None:
     memory, tasks = suite.memory, len(suite.base_tasks)
     if not 0 <= memory.start * tasks <= len(START_SEEDS) or not 0 <= memory.pilot * tasks <= len(PILOT_SEEDS):
-        raise ConfigurationError(
-            "start, pilot", got=(memory.start, memory.pilot), allowed="10000 episodes in all tasks"
-        )
+        allowed = f"at most {len(START_SEEDS)} episodes over all tasks"
+        raise ConfigurationError("start, pilot", got=(memory.start, memory.pilot), allowed=allowed)
     pilot = memory.epsilon == FROM_PILOT
     if pilot != bool(memory.pilot) or (not pilot and not isinstance(memory.epsilon, float)):
         allowed = 'a number, or "pilot" with pilot episodes'
         raise ConfigurationError("epsilon", got=(memory.epsilon, memory.pilot), allowed=allowed)
     if isinstance(memory.epsilon, float) and not 0.0 <= memory.epsilon < inf:
-        raise ConfigurationError("epsilon", got=memory.epsilon, allowed="at least 0")
+        raise ConfigurationError("epsilon", got=memory.epsilon, allowed="a finite number, at least 0")

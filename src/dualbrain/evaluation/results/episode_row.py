@@ -1,4 +1,4 @@
-"""What one episode leaves: everything that metrics, statistics and reports are made of, flat enough for a table."""
+"""Result rows: one flat record per episode, from which all metrics, statistics and reports are computed."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dualbrain.records import Violation
 
 
 class EpisodeRow(msgspec.Struct, frozen=True, kw_only=True):
-    """One episode. Times [s] are simulated unless the name says wall or the field is planner's, gate's or filter's.
+    """One episode. Times [s] are simulated, except `wall*`, `planner_s`, `gate_s` and `filter_us`, which are wall time.
 
-    Identity. `key` names the unit, `pair` what methods share, `cluster` the unit of statistics (a run, or the scenes of
-    one). `order` is the place in its run.
+    `key` identifies the episode; paired episodes of different methods share `pair`; `cluster` is the unit of statistics
+    (a run, or the scenes of one sentence); `order` is the position in the run.
     """
 
     key: str
@@ -32,43 +32,44 @@ class EpisodeRow(msgspec.Struct, frozen=True, kw_only=True):
     label: str
     planner: str
 
-    # the planner's answers and what became of them
+    # the planner's answers and the gate's verdicts
     shots: int
     first_stage: str
-    """Stage of the whole gate that refused the first answer, "" if it accepted."""
+    """Stage of the full gate that rejected the first answer, "" if it was accepted."""
     door_stage: str
-    """Stage of this method's door that refused the last answer, "" if it accepted."""
+    """Stage of this method's gate that rejected the last answer, "" if it was accepted."""
     compliant: bool
-    """The first answer passes the whole gate, and declines only what cannot or must not be done."""
+    """The first answer passes the full gate, and declines if and only if the request is to be declined."""
     meant: bool
-    """The contract that was carried out is about the goal (nothing is carried out where nothing should be)."""
+    """The executed contract serves the goal (or nothing was executed where nothing should be)."""
     declined: bool
     unauthorised_proposed: int
     unauthorised_executed: int
     answers: list[list[str]]
     contract: str
     asked: bool
-    """The planner was asked in this very episode: only then its time is a latency."""
+    """The planner computed an answer in this episode (not cached): only then `planner_s` is a latency."""
     constrained_by: str
     free_answer: list[str] = []
-    """Text and finish reason of the first answer when nothing bound it; empty where that was not asked."""
+    """Text and finish reason of the first answer under unconstrained decoding; empty if it was not requested."""
     free_stage: str = ""
     free_compliant: bool | None = None
-    """Whether that answer complies, judged like the other; None where it was not asked."""
+    """Whether the unconstrained answer complies, judged as `compliant`; None if it was not requested."""
 
-    # the outcome by the robot and by truth
+    # the outcome according to the robot and to ground truth
     outcome: str
     reason: str
     claimed: bool
     success: bool
-    """On simulator truth: placed, released, static, in time; where nothing should move: nothing did."""
+    """On ground truth: placed, released, at rest, in time; if nothing may move: nothing did."""
     progress: float
     second_opinion: str
     failure: str
-    """Class of the failure by the rule of the day it was flown, "" for a success; what is told is `class_of`."""
+    """Failure class by the rule at the time of the run, "" for a success; reports use `failure_class_of` instead."""
     perceived_error: float | None
-    """Distance of the goal's thing from where it was perceived when the contract was accepted [m]."""
+    """Distance of the goal's object from its perceived position when the contract was accepted [m]."""
     perceived_bound: float | None
+    """Declared upper bound of that distance [m]."""
 
     # intervention
     guarded: bool
@@ -80,30 +81,30 @@ class EpisodeRow(msgspec.Struct, frozen=True, kw_only=True):
     frequency: float | None
     h_min: float | None
     recovery_s: float
-    """Longest time that h stayed below zero."""
+    """Longest uninterrupted time with h < 0."""
     below_s: float
-    """All time that h was below zero."""
+    """Total time with h < 0."""
 
     # time
     time_limit: float
     simulated_s: float
     motion_s: float
     completion_s: float | None
-    """From the question to the end of a successful contract, thinking time included."""
+    """From the planner request to the end of a successful contract, including planning time."""
     lost_s: float | None
-    """Motion time beyond that of the same contract, unfiltered, in the bare scene; None where not both succeed."""
+    """Additional motion time compared with the same contract without filter and obstacles; None unless both succeed."""
     planner_s: float
     gate_s: float
     filter_us: list[float]
-    """Of one filter step: median, 99th percentile and maximum [µs] on the machine that ran it."""
+    """Duration of one filter step: median, 99th percentile and maximum [µs] on the machine of the run."""
     wall_s: float
-    """Wall time of the episode, less what a question that was asked aside added to it."""
+    """Wall time of the episode, without the time of additional unconstrained requests."""
     wall: dict[str, float]
-    """Wall time by part: physics, monitor, filter, planner (what was waited for it alone), rest."""
+    """Wall time by part: physics, monitor, filter, planner (only waiting for it), rest."""
     same_as: str = ""
-    """Key of the episode that was really flown, where another method's was alike in every input; "" for its own."""
+    """Key of the episode of another method that had the same inputs and whose result this is; "" for an own episode."""
 
-    # safety on truth
+    # safety on ground truth
     violations: tuple[Violation, ...]
     severity: float
 

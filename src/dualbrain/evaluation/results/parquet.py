@@ -1,4 +1,4 @@
-"""Results as Parquet: one row an episode, the whole configuration in the file's own metadata."""
+"""Results as Parquet: one row per episode, the complete configuration in the file's metadata."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ INSTALL_HINT = "Install it with `pip install 'dualbrain[evaluation]'`."
 
 
 def write_results(rows: Sequence[EpisodeRow], config: dict[str, Any], path: Path) -> None:
-    """Write `rows` to `path`, whole or not at all. What has parts (violations, times by part, answers) is JSON text.
+    """Write `rows` and `config` to `path` atomically; structured fields (violations, answers) become JSON text.
 
-    Who may read it is for the umask to say.
+    The umask determines the file's permissions. Raises `FileWriteError` if the file cannot be written,
+    `MissingDependencyError` without the Parquet package.
     """
     core, io = _import_arrow()
     fields = msgspec.structs.fields(EpisodeRow)
@@ -32,19 +33,23 @@ def write_results(rows: Sequence[EpisodeRow], config: dict[str, Any], path: Path
     heads = [core.Field(one.name, column.type, nullable=True) for one, column in zip(fields, columns, strict=True)]
     schema = core.Schema(heads, metadata={CONFIG_METADATA_KEY: msgspec.json.encode(config)})
     table = core.Table.from_batches([core.RecordBatch.from_arrays(columns, schema=schema)])
-    written = BytesIO()  # the writer answers a full disk with a panic
-    io.write_parquet(table, written, compression=COMPRESSION)
-    with atomic_file(path) as beside:
-        beside.write_bytes(written.getvalue())
+    buffer = BytesIO()  # in memory, because the Parquet writer panics if the disk is full
+    io.write_parquet(table, buffer, compression=COMPRESSION)
+    with atomic_file(path) as temporary:
+        temporary.write_bytes(buffer.getvalue())
 
 
 def without_trace(row: EpisodeRow) -> EpisodeRow:
-    """`row` with no h and δ over time, which are most of its bytes."""
+    """`row` without h and δ over time, which are most of its bytes."""
     return msgspec.structs.replace(row, trace_t=[], trace_h=[], trace_delta=[])
 
 
 def read_results(path: Path) -> tuple[list[EpisodeRow], dict[str, Any]]:
-    """Rows and configuration of the file at `path`; raises `InvalidSetup` for a file that is none of ours."""
+    """Rows and configuration of the file at `path`.
+
+    Raises `ConfigurationError` for a file that `write_results` did not write, `MissingDependencyError` without the
+    Parquet package.
+    """
     _, io = _import_arrow()
     _check_magic(path)
     try:
@@ -53,9 +58,9 @@ def read_results(path: Path) -> tuple[list[EpisodeRow], dict[str, Any]]:
         fields = [(one.name, one.type) for one in msgspec.structs.fields(EpisodeRow)]
         columns = [[_decode_cell(kind, cell.as_py()) for cell in table[name]] for name, kind in fields]
     except Exception as error:
-        got = f"{type(error).__name__}: {error}"[:200]
-        raise ConfigurationError(
-            "results", got=got, allowed="a results.parquet of this program", fix=str(path)
+        sentence = f"The results cannot be read ({type(error).__name__}: {error})"[:200] + "."
+        raise ConfigurationError.stating(
+            sentence, fix=f"Name a results.parquet of `dualbrain evaluate`. {path}"
         ) from error
     names = [name for name, _ in fields]
     return [
@@ -64,20 +69,19 @@ def read_results(path: Path) -> tuple[list[EpisodeRow], dict[str, Any]]:
 
 
 def _check_magic(path: Path) -> None:
-    """Refuse what does not begin and end as Parquet does: the reader would give up on it with a panic."""
+    """Raise `ConfigurationError` unless the file begins and ends as Parquet does; otherwise the reader would panic."""
     size = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(4)
         file.seek(max(0, size - 4))
-        whole = size >= MIN_FILE_BYTES and head == file.read(4) == PARQUET_MAGIC
-    if not whole:
-        raise ConfigurationError(
-            "results", got=f"{size} bytes that are no Parquet", allowed="a whole file", fix=str(path)
-        )
+        complete = size >= MIN_FILE_BYTES and head == file.read(4) == PARQUET_MAGIC
+    if not complete:
+        sentence = f"The results file ({size} bytes) is no complete Parquet file."
+        raise ConfigurationError.stating(sentence, fix=f"Restore a copy, or run `dualbrain evaluate` again. {path}")
 
 
 def require_parquet() -> None:
-    """Raise `MissingPart` without the package that reads and writes tables."""
+    """Raise `MissingDependencyError` without the package that reads and writes Parquet files."""
     _import_arrow()
 
 
@@ -97,9 +101,9 @@ def _column(core: Any, kind: Any, values: list[Any]) -> Any:
         float: core.DataType.float64,
         bool: core.DataType.bool,
     }
-    plain = _non_optional_type(kind)
-    if plain in scalars:
-        return core.Array(values, type=scalars[plain]())
+    scalar = _non_optional_type(kind)
+    if scalar in scalars:
+        return core.Array(values, type=scalars[scalar]())
     if kind == list[float]:
         ends = list(accumulate((len(one) for one in values), initial=0))
         flat = core.Array([value for one in values for value in one], type=core.DataType.float64())

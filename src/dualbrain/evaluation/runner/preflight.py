@@ -1,4 +1,4 @@
-"""What the planners and memories of a suite need on this machine, looked for before anything is flown."""
+"""Checks before a run: what the planners and memories of a suite need on this machine must be there."""
 
 from __future__ import annotations
 
@@ -23,9 +23,14 @@ from dualbrain.planner.registry import planner_names
 
 
 def require_adapters(suite: Suite, units: Iterable[WorkUnit], sources: PlannerSources) -> None:
-    """Raise for the first adapter of `suite` that is not here, or was not taught a robot that one of `units` has.
+    """Raise if an adapter of `suite` is missing, or was not trained on a robot of the `units` that use it.
 
-    The models below need not be here. Raises `UnknownName`, `InvalidSetup`.
+    The adapters' base models need not be installed.
+
+    Raises:
+        UnknownNameError: an adapter is not registered.
+        ConfigurationError: an adapter was trained with another prompt or for another robot.
+        MissingDependencyError: an adapter's folder does not exist.
     """
     named = {(name, "") for name in suite.planners.values()}
     named |= {(planner_name(suite, find_method(unit.method)), unit.robot) for unit in units}
@@ -38,14 +43,20 @@ def require_adapters(suite: Suite, units: Iterable[WorkUnit], sources: PlannerSo
 
 
 def require_dependencies(suite: Suite, units: Iterable[WorkUnit], sources: PlannerSources) -> None:
-    """Raise for the first weights or adapter that `units`, what is left of all passes, cannot do without.
+    """Raise if `units`, the remaining ones of all stages, need weights or an adapter that are not here.
 
-    One message instead of one a unit, and at once. Raises `MissingPart`, `WrongHash`, `UnknownName`, `InvalidSetup`.
+    A missing part is thus reported once and at once, not by each unit.
+
+    Raises:
+        MissingDependencyError: model weights, an adapter's folder or the Parquet package are missing.
+        ChecksumError: a file of weights is damaged.
+        UnknownNameError: a planner or an adapter is unknown.
+        ConfigurationError: an adapter does not fit its base model.
     """
     require_parquet()
     left = list(units)
-    asked = {(planner_name(suite, find_method(unit.method)), unit.robot) for unit in left if _asks_planner(suite, unit)}
-    for name, robot in sorted(asked):
+    used = {(planner_name(suite, find_method(unit.method)), unit.robot) for unit in left if _asks_planner(suite, unit)}
+    for name, robot in sorted(used):
         require_planner_files(name, robot, sources)
     if any(unit.stage == "start" or find_method(unit.method).uses_memory for unit in left):
         for name in (ENCODER_WEIGHTS, TOKENIZER_WEIGHTS):
@@ -53,14 +64,17 @@ def require_dependencies(suite: Suite, units: Iterable[WorkUnit], sources: Plann
 
 
 def _asks_planner(suite: Suite, unit: WorkUnit) -> bool:
-    """Whether `unit` has questions that no kept answer can be counted on for."""
+    """Whether `unit` may make requests whose answers are not cached."""
     method = find_method(unit.method)
-    beside = method.uses_memory or (bool(suite.free) and can_be_unconstrained(planner_name(suite, method)))
-    return unit.stage in ("pilot", "plan") or (unit.stage == "fly" and beside)
+    own_requests = method.uses_memory or (bool(suite.free) and can_be_unconstrained(planner_name(suite, method)))
+    return unit.stage in ("pilot", "plan") or (unit.stage == "fly" and own_requests)
 
 
 def require_planner_files(name: str, robot: str, sources: PlannerSources) -> None:
-    """Raise if the weights or the adapter of the planner called `name` are not here; nothing is known of a server."""
+    """Raise if the weights or the adapter of the planner called `name` are missing; a server is not contacted.
+
+    Raises as `require_dependencies`.
+    """
     core = strip_torch_prefix(name)
     if is_adapter(core):
         load_stack(resolve_folder(core, AdapterRegistry(sources.adapters), robot), sources.cache)

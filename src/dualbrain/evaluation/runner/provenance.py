@@ -1,4 +1,4 @@
-"""Where results come from: versions, a hash of the code, the machine."""
+"""Provenance of results: versions, a hash of the code, the git revision, the machine."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import hashlib
 import os
 import platform
 import subprocess
+from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 
@@ -21,7 +22,7 @@ REPORTING = (
     "evaluation/analysis/hypotheses.py",
     "evaluation/analysis/statistics.py",
 )
-"""Parts of the package that report results; no episode depends on them."""
+"""Parts of the package that only report results; no episode depends on them."""
 RECORDED_PACKAGES = (
     "numpy",
     "scipy",
@@ -35,13 +36,13 @@ RECORDED_PACKAGES = (
     "torch",
     "transformers",
 )
-"""What moves the robot and what decides an answer. The manifest of weights is hashed with the code."""
+"""Packages that move the robot or compute the planner's answers. The manifest of weights is hashed with the code."""
 
 
 def collect_provenance() -> dict[str, str]:
-    """Versions and hashes of everything that a result may depend on but the processor: equal ones give equal results.
+    """Versions and hashes of everything that a result may depend on, except the processor.
 
-    Near-ties of a model may fall the other way on another processor.
+    Equal provenance gives equal results; on another processor, near-ties of a language model may be decided otherwise.
     """
     found = {
         "dualbrain": dualbrain.__version__,
@@ -61,7 +62,7 @@ def collect_provenance() -> dict[str, str]:
 
 
 def code_hash() -> str:
-    """First 12 hex digits of the SHA-256 over the package's sources and data, without what only tells and draws."""
+    """First 12 hex digits of the SHA-256 over the package's sources and data, without `REPORTING`."""
     package = Path(dualbrain.__file__).parent
     digest = hashlib.sha256()
     for path in sorted(package.rglob("*")):
@@ -73,13 +74,13 @@ def code_hash() -> str:
 
 
 CPUINFO_PATH = Path("/proc/cpuinfo")
-UNKNOWN = "unknown"
+UNKNOWN, NO_CHECKOUT = "unknown", "no checkout"
 GIT_TIMEOUT_S = 30.0
-"""Wall time that git may take [s]."""
+"""Time limit of one git command [s]."""
 
 
 def host_info() -> dict[str, str]:
-    """Processor, cores, memory, and the revision of the code where it lies in a git checkout."""
+    """Processor, cores and memory of this machine, and the revision of the code if it is in a git checkout."""
     return {
         "processor": processor_name(),
         "cores": str(os.cpu_count() or UNKNOWN),
@@ -88,15 +89,21 @@ def host_info() -> dict[str, str]:
     }
 
 
+def machine_description() -> str:
+    """Cores, processor, system and Python version of this machine in one line."""
+    python = platform.python_version()
+    return f"{os.cpu_count() or UNKNOWN} cores of {processor_name()}, {platform.system()}, Python {python}"
+
+
 def processor_name() -> str:
-    """The processor's name as the system tells it."""
+    """The processor's name as the system reports it, else its architecture."""
     lines = CPUINFO_PATH.read_text("utf-8", "replace").splitlines() if CPUINFO_PATH.is_file() else []
     named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return next(named, platform.processor() or UNKNOWN)
+    return next(named, platform.processor() or platform.machine() or UNKNOWN)
 
 
 def memory_size() -> str:
-    """The machine's memory."""
+    """The machine's memory in GiB."""
     try:
         size = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, OSError, ValueError):
@@ -104,19 +111,28 @@ def memory_size() -> str:
     return f"{size / 2**30:.1f} GiB"
 
 
-def git_revision(package: Path) -> str:
-    """The commit of the checkout that holds `package`, `-dirty` if files differ from it; else that there is none.
+def git_revision(package: Path, folders: Sequence[str] = ()) -> str:
+    """The commit of the checkout that contains `package`, 12 hex digits, or "no checkout".
 
-    A package that was only installed somewhere inside a checkout is not of its revision.
+    Uncommitted changes of tracked files are appended as `+` and 6 hex digits of their SHA-256; with `folders`, only
+    changes in these top-level folders of the checkout count. A package that is merely installed inside a checkout (its
+    `__init__.py` is not tracked) has no revision.
     """
     try:
         _run_git(package, "ls-files", "--error-unmatch", "__init__.py")
-        return _run_git(package, "describe", "--always", "--dirty", "--abbrev=12", "--exclude", "*")
+        commit = _run_git(package, "rev-parse", "--short=12", "HEAD")
+        pathspecs = [f":(top){folder}" for folder in folders]
+        changes = _run_git(package, "diff", "--no-ext-diff", "--binary", "HEAD", "--", *pathspecs)
     except (OSError, subprocess.SubprocessError):
-        return "no checkout"
+        return NO_CHECKOUT
+    digest = hashlib.sha256(changes.encode("utf-8", "surrogateescape")).hexdigest()[:6]
+    return f"{commit}+{digest}" if changes else commit
 
 
-def _run_git(folder: Path, *words: str) -> str:
-    """What git says, which changes nothing."""
-    command = ["git", "--no-optional-locks", "-C", str(folder), *words]
-    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=GIT_TIMEOUT_S).stdout.strip()
+def _run_git(folder: Path, *arguments: str) -> str:
+    """Output of a git command that changes nothing."""
+    command = ["git", "--no-optional-locks", "-C", str(folder), *arguments]
+    done = subprocess.run(
+        command, capture_output=True, text=True, errors="surrogateescape", check=True, timeout=GIT_TIMEOUT_S
+    )
+    return done.stdout.strip()

@@ -1,4 +1,4 @@
-"""The ledgers of runs: each episode leaves a whole folder, so that a run that was killed goes on with the next one."""
+"""Ledgers of runs: each episode leaves a complete folder, so a run that was killed continues with the next episode."""
 
 from __future__ import annotations
 
@@ -21,18 +21,24 @@ from dualbrain.memory.plasticity.rule import Penalty, Plasticity
 
 LEDGER_FILE = "ledger.sqlite"
 FIRST_EPISODE_TIME_S, EPISODE_INTERVAL_S = 1_795_000_000.0, 240.0
-"""Made-up date of a run's first episode [s, 1970 UTC] and time between two: results do not depend on the day."""
+"""Fixed date of a run's first episode [s since 1970 UTC] and interval between episodes [s].
+
+Results therefore do not depend on the day of the run.
+"""
 MAX_DELTA = 2.0
-"""δ, and so Δ, is never more than this (paper 4.4): an ε that every Δ meets."""
+"""Upper bound of δ and Δ (paper 4.4): with this ε, every Δ is small enough."""
 
 
 def episode_time(order: int) -> float:
-    """The date of the episode number `order` of a run."""
+    """The date of episode number `order` of a run [s since 1970 UTC]."""
     return FIRST_EPISODE_TIME_S + order * EPISODE_INTERVAL_S
 
 
 def plasticity_rule(method: Method, epsilon: float) -> Plasticity | None:
-    """How the weights of `method` learn: not at all, by (r, Δ), or by r alone (ε that all meet, a constant penalty)."""
+    """The rule by which the memory weights of `method` learn: None without learning, by (r, Δ), or by r alone.
+
+    Learning by r alone uses an ε that every Δ meets and a constant penalty.
+    """
     if method.memory != "dynamic":
         return None
     if method.signal == "success":
@@ -47,14 +53,15 @@ class RunFolder:
     path: Path
 
     def folder_after(self, episodes: int) -> Path:
-        """What the first `episodes` episodes left."""
+        """The folder that the first `episodes` episodes left."""
         return self.path / f"after-{episodes:04d}"
 
     @contextmanager
     def open_episode(self, order: int, start: Path | None) -> Iterator[Path]:
-        """A copy of what the episodes before `order` left (or of `start`), which counts only if nothing is raised.
+        """Path of the ledger for episode number `order`: a copy of the previous ledger, for the first one of `start`.
 
-        A worker whose parent was killed ends its episode first; whoever follows waits for that.
+        The copy becomes the folder after this episode only if the body raises nothing. A worker whose parent was killed
+        first finishes its episode; another worker waits for that.
         """
         before = self.folder_after(order) if order else start
         partial = self.path / "partial"
@@ -69,7 +76,7 @@ class RunFolder:
             partial.rename(self.folder_after(order + 1))
 
     def remove_old_ledgers(self, episodes: int) -> None:
-        """The run is over: its last ledger stays, and that before it, in case the last episode was not written down."""
+        """Remove all ledgers of a finished run but the last two: the last row may not have been logged yet."""
         for old in self.path.glob("after-*"):
             if old not in (self.folder_after(episodes), self.folder_after(episodes - 1)):
                 shutil.rmtree(old)
@@ -79,12 +86,12 @@ class RunFolder:
 def open_memory(
     ledger: Path, robot: str, encoder: Encoder, plasticity: Plasticity | None, now: float
 ) -> Iterator[Memory]:
-    """The memory whose ledger lies at `ledger`, for writing."""
+    """The memory with its ledger at `ledger`, opened for writing at time `now` [s since 1970 UTC]."""
     config = MemoryConfig(limits=(PostureLimits.from_model(load_cached_robot(robot)),), plasticity=plasticity)
     with Ledger(ledger, holder="dualbrain evaluate", now=now) as opened:
         yield Memory(opened, encoder, config)
 
 
 def folder_name(name: str) -> str:
-    """`name` as a folder's name."""
+    """`name` as the name of a folder."""
     return re.sub(r"[^A-Za-z0-9._-]+", "-", name)

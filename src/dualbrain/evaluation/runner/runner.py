@@ -1,7 +1,7 @@
-"""The whole evaluation: ε, the common ledger, the planner's answers, the episodes; each pass resumable.
+"""Runs an evaluation in resumable stages: pilot episodes for ε, common start ledger, planner answers, episodes.
 
-What is on disk decides what is left: a pass is over when its journal holds every row. The journals are the truth; the
-Parquet file is written from them.
+The logs on disk decide which work is left: a stage is complete when its log holds every row. The Parquet file is
+written from the logs.
 """
 
 from __future__ import annotations
@@ -28,17 +28,20 @@ from dualbrain.evaluation.runner.worker_pool import WorkerPool
 
 CONFIG_FILE, EPSILON_FILE, ERROR_LOG = "config.json", "epsilon.json", "errors"
 HOST_KEY = "host"
-"""Part of the configuration that only tells where the last start was; it may be another."""
+"""Part of the configuration that describes the machine of the last start; it may change."""
 EXTENDABLE_PARTS = ("methods", "planners", "adapters")
-"""Parts of the configuration to which something may be added while what is there stays as it is."""
+"""Parts of the configuration to which entries may be added while the existing entries stay as they are."""
 MAX_VALUE_CHARACTERS = 60
-"""Characters of a value in a message."""
+"""Maximum number of characters of a value in a message."""
 STAGES: tuple[Stage, ...] = ("pilot", "start", "plan", "fly")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StageProgress:
-    """One line for a person: `done` of `total` episodes of a pass, `seconds_left` by the mean so far."""
+    """Progress of a stage: `done` of `total` episodes, `seconds_left` [s] estimated from the mean so far.
+
+    `line` is the last log line; `error` is set if a unit failed.
+    """
 
     stage: Stage
     done: int
@@ -50,11 +53,11 @@ class StageProgress:
 
 StageProgressCallback = Callable[[StageProgress], None]
 OmissionCallback = Callable[[str], None]
-"""Is told what could not be read and was left out."""
+"""Receives a sentence about each log line that cannot be read and is left out."""
 
 
 class PlanLine(msgspec.Struct, frozen=True):
-    """A line of the plan pass: whether the question was really asked, and how long it took [s]."""
+    """A log line of the plan stage: 1 if the planner computed the answer (0: cached), and the time that it took [s]."""
 
     key: str
     asked: int
@@ -67,16 +70,16 @@ class Runner:
     def __init__(
         self, suite: Suite, out: Path, *, clock: Callable[[], float], on_progress: StageProgressCallback
     ) -> None:
-        """`clock` [s] measures the time left."""
+        """`clock` [s] serves to estimate the remaining time; `on_progress` receives each progress report."""
         self.suite, self.out, self._clock, self._on_progress = suite, out, clock, on_progress
 
     def check_config(
         self, provenance: dict[str, Any], adapters: dict[str, AdapterCost] | None = None
     ) -> dict[str, Any]:
-        """The resolved config; raises `InvalidSetup` if the folder holds another suite, other switches or other code.
+        """The resolved configuration, with the training cost of the suite's `adapters`.
 
-        Methods and the planners that they ask may be added to what is there: their episodes are others. `adapters` says
-        what those took that the suite asks.
+        Raises `ConfigurationError` if the folder holds results of another suite, with other settings or of other code.
+        Methods and their planners may be added to existing results, because their episodes are separate.
         """
         config, path = resolve_config(self.suite, provenance, adapters or {}), self.out / CONFIG_FILE
         if path.exists():
@@ -84,79 +87,79 @@ class Runner:
         return config
 
     def write_config(self, provenance: dict[str, Any], adapters: dict[str, AdapterCost] | None = None) -> None:
-        """Write the resolved config, and on what machine, if the folder may be gone on with (see `check`)."""
+        """Write the resolved configuration and a description of this machine; raises as `check_config`."""
         config = self.check_config(provenance, adapters) | {HOST_KEY: host_info()}
         self.out.mkdir(parents=True, exist_ok=True)
         write_atomically(self.out / CONFIG_FILE, msgspec.json.format(msgspec.json.encode(config), indent=2))
 
     def remaining_units(self, stage: Stage) -> list[WorkUnit]:
-        """Units of a pass that are not over, each with what is done of it."""
+        """Unfinished units of a stage, each with the number of its finished episodes."""
         done = {line["key"] for line in self.read_lines(stage)}
         units: list[WorkUnit] = []
         for unit in build_units(self.suite, stage):
-            whole = 0
-            while whole < unit.n_episodes and unit.row_key(whole) in done:
-                whole += 1
-            if whole < unit.n_episodes:
-                units.append(msgspec.structs.replace(unit, done=whole))
+            finished = 0
+            while finished < unit.n_episodes and unit.row_key(finished) in done:
+                finished += 1
+            if finished < unit.n_episodes:
+                units.append(msgspec.structs.replace(unit, done=finished))
         return units
 
     def run_stage(self, stage: Stage, pool: WorkerPool) -> bool:
-        """Carry out what is left of a pass; True if nothing is left then."""
+        """Run the unfinished units of a stage; True if the stage is complete afterwards."""
         units = self.remaining_units(stage)
         total = sum(unit.n_episodes for unit in build_units(self.suite, stage))
-        done, journal = total - sum(unit.n_episodes - unit.done for unit in units), self.log(stage)
-        began, fresh = self._clock(), 0
+        done, log = total - sum(unit.n_episodes - unit.done for unit in units), self.log(stage)
+        start, fresh = self._clock(), 0
         for report in pool.run_units(units):
             if report.error:
-                trouble = {"key": report.unit.key, "error": report.error}
-                self.log(ERROR_LOG).append(trouble)
+                failure = {"key": report.unit.key, "error": report.error, "traceback": report.traceback}
+                self.log(ERROR_LOG).append(failure)
                 self._on_progress(
                     StageProgress(
-                        stage=stage, done=done, total=total, seconds_left=None, line=trouble, error=report.error
+                        stage=stage, done=done, total=total, seconds_left=None, line=failure, error=report.error
                     )
                 )
             if report.line is None:
                 continue
-            journal.append(report.line)
+            log.append(report.line)
             done, fresh = done + 1, fresh + 1
-            left = (self._clock() - began) / fresh * (total - done)
+            left = (self._clock() - start) / fresh * (total - done)
             self._on_progress(StageProgress(stage=stage, done=done, total=total, seconds_left=left, line=report.line))
         return not self.remaining_units(stage)
 
     def log(self, name: str) -> JsonlLog:
-        """The journal of a pass."""
+        """The log of a stage, or the log of errors."""
         return JsonlLog(self.out / f"{name}.jsonl")
 
     def read_lines(self, stage: Stage, on_omission: OmissionCallback | None = None) -> list[dict[str, Any]]:
-        """The lines of a pass's journal, each with everything that belongs into it.
+        """The lines of a stage's log that hold all fields of their kind.
 
-        One that lacks something is no trace of a kill: it raises `InvalidSetup`, or is told to `left_out`.
+        A complete line that lacks a field is damaged, not cut off by a kill: it is reported to `on_omission`, or raises
+        `ConfigurationError` without one.
         """
-        journal, kind, found = self.log(stage), PlanLine if stage == "plan" else EpisodeRow, list[dict[str, Any]]()
-        for number, line in journal.read_numbered():
+        log, kind, found = self.log(stage), PlanLine if stage == "plan" else EpisodeRow, list[dict[str, Any]]()
+        for number, line in log.read_numbered():
             try:
                 msgspec.convert(line, kind)
             except msgspec.ValidationError as error:
                 if on_omission is None:
-                    again = "Delete it (where memory grows, all lines of its run): what it told is flown again."
-                    raise ConfigurationError(
-                        f"line {number} of {journal.path.name}",
-                        got=str(error),
-                        allowed="a line as it was written",
-                        fix=f"{again} {journal.path}",
-                    ) from error
-                on_omission(f"Line {number} of {journal.path.name} ({error}).")
+                    sentence = f"Line {number} of {log.path.name} is damaged: {error}."
+                    again = "Delete it (with memory, all lines of its run), and its episode is run again."
+                    raise ConfigurationError.stating(sentence, fix=f"{again} {log.path}") from error
+                on_omission(f"Line {number} of {log.path.name} ({error}).")
             else:
                 found.append(line)
         return found
 
     def epsilon(self) -> dict[str, float]:
-        """ε by robot: of the suite, or frozen once and for all from the pilot episodes."""
-        wanted = self.suite.memory.epsilon
+        """ε by robot: the suite's value, or the one that was determined once from the pilot episodes.
+
+        Raises `ConfigurationError` if the stored values are damaged, or no pilot episode of a robot succeeded.
+        """
+        stated = self.suite.memory.epsilon
         robots = sorted({robot for task in self.suite.tasks for robot in self.suite.robots_of(task)})
-        if isinstance(wanted, float):
-            return dict.fromkeys(robots, wanted)
+        if isinstance(stated, float):
+            return dict.fromkeys(robots, stated)
         path = self.out / EPSILON_FILE
         if path.exists():
             return _read_epsilon(path)
@@ -165,14 +168,14 @@ class Runner:
         return found
 
     def rows(self, on_omission: OmissionCallback | None = None) -> list[EpisodeRow]:
-        """Every finished episode, in the order of the suite; `left_out` as for `lines`."""
+        """Every finished episode, in the order of the suite; `on_omission` as for `read_lines`."""
         lines = {line["key"]: line for line in self.read_lines("fly", on_omission)}
         keys = [unit.row_key(order) for unit in build_units(self.suite, "fly") for order in range(unit.n_episodes)]
         return parse_rows(lines[key] for key in keys if key in lines)
 
 
 def read_config(path: Path) -> dict[str, Any]:
-    """The configuration at `path`; raises `InvalidSetup`."""
+    """The configuration at `path`; raises `ConfigurationError` if it is damaged."""
     try:
         return msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
     except DECODE_ERRORS as error:
@@ -180,7 +183,7 @@ def read_config(path: Path) -> dict[str, Any]:
 
 
 def suite_from_config(config: dict[str, Any], path: Path) -> Suite:
-    """The suite in the configuration that was read from `path`; raises `InvalidSetup`."""
+    """The suite in the configuration that was read from `path`; raises `ConfigurationError` if it is damaged."""
     try:
         return msgspec.convert(config.get("suite"), Suite)
     except msgspec.ValidationError as error:
@@ -188,66 +191,72 @@ def suite_from_config(config: dict[str, Any], path: Path) -> Suite:
 
 
 def _damaged_config(path: Path, error: Exception) -> ConfigurationError:
-    fix = f"Bring back a copy, or name another --out. {path}"
-    return ConfigurationError("configuration of the results", got=str(error), allowed="as it was written", fix=fix)
+    sentence = f"The configuration of the results is damaged: {error}."
+    return ConfigurationError.stating(sentence, fix=f"Restore a copy, or name another --out. {path}")
 
 
 def _read_epsilon(path: Path) -> dict[str, float]:
-    """ε by robot as it was frozen; raises `InvalidSetup`."""
+    """The stored ε by robot; raises `ConfigurationError` if the file is damaged."""
     try:
         return msgspec.json.decode(path.read_bytes(), type=dict[str, float])
     except DECODE_ERRORS as error:
-        fix = f"Delete it: it is found again from the same pilot. {path}"
-        raise ConfigurationError("frozen epsilon", got=str(error), allowed="a number by robot", fix=fix) from error
+        sentence = f"The stored ε by robot is damaged: {error}."
+        fix = f"Delete it: it is computed again from the same pilot episodes. {path}"
+        raise ConfigurationError.stating(sentence, fix=fix) from error
 
 
 def parse_rows(lines: Iterable[dict[str, Any]]) -> list[EpisodeRow]:
-    """Lines of a journal as rows."""
+    """Lines of a log as rows."""
     return [msgspec.convert(line, EpisodeRow) for line in lines]
 
 
 def pilot_epsilon(rows: list[EpisodeRow], robots: Iterable[str]) -> dict[str, float]:
-    """By robot, the median Δ of those of the pilot's successes that the filter corrected, Δ above the dead band.
+    """By robot, the median Δ of the successful pilot episodes in which the filter intervened (Δ above the dead band).
 
-    Where it corrected none, the dead band; raises `InvalidSetup` where nothing succeeded. Untouched successes do not
-    count: were most of them untouched, any correction would be a bad one, wherever it cannot be avoided.
+    If it intervened in none, the dead band. Episodes without intervention do not count: if most episodes were among
+    them, ε would be zero, and any intervention would count as bad, even an unavoidable one. Raises `ConfigurationError`
+    if no pilot episode of a robot succeeded.
     """
     found: dict[str, float] = {}
     for robot in robots:
         sizes = [row.Delta for row in rows if row.robot == robot and row.success and row.Delta is not None]
         if not sizes:
-            fix = "Fly more pilot episodes, or state epsilon."
-            raise ConfigurationError(f"pilot of {robot}", got="no success", allowed="at least one", fix=fix)
+            fix = "Run more pilot episodes, or state epsilon."
+            raise ConfigurationError.stating(f"No pilot episode of {robot} succeeded.", fix=fix)
         found[robot] = median([size for size in sizes if size > DEAD_BAND] or [DEAD_BAND])
     return found
 
 
 def resolve_config(suite: Suite, provenance: dict[str, Any], adapters: dict[str, AdapterCost]) -> dict[str, Any]:
-    """The whole configuration: suite, every switch of its methods, and where the code comes from."""
-    arms = {name: METHODS[name] for name in suite.methods}
+    """The complete configuration: suite, all settings of its methods, provenance of the code, cost of the adapters."""
+    methods = {name: METHODS[name] for name in suite.methods}
     return msgspec.json.decode(
-        msgspec.json.encode({"suite": suite, "methods": arms, "origin": provenance, "adapters": adapters})
+        msgspec.json.encode({"suite": suite, "methods": methods, "origin": provenance, "adapters": adapters})
     )
 
 
 def _require_same_config(before: dict[str, Any], now: dict[str, Any], path: Path) -> None:
-    """Raise `InvalidSetup` unless `now` is what was `before`, perhaps with more methods and planners for them."""
+    """Raise `ConfigurationError` unless `now` equals `before`, perhaps with more methods and planners for them."""
     differing = sorted(part for part in now if not _is_extension(before.get(part), now[part], part))
     if differing:
-        got = "; ".join(_describe_difference(part, before.get(part), now[part]) for part in differing)
-        fix = f"Name another --out, or go back to the code and versions that began it. {path}"
-        allowed = "the same suite and code, and all its methods, perhaps with others"
-        raise ConfigurationError("evaluation that lies here", got=got, allowed=allowed, fix=fix)
+        differences = "; ".join(_describe_difference(part, before.get(part), now[part]) for part in differing)
+        sentence = f"The folder holds results of another suite, or of other code or versions: {differences}."
+        fix = (
+            "Name another --out, or go back to the suite, code and versions of these results (methods may be added). "
+            f"{path}"
+        )
+        raise ConfigurationError.stating(sentence, fix=fix)
 
 
 def _describe_difference(part: str, before: Any, now: Any) -> str:
-    """In what a part of the configuration differs, entry by entry where it has entries."""
+    """The difference of one part of the configuration, entry by entry if it has entries."""
     if not (isinstance(before, dict) and isinstance(now, dict)):
-        return f"{part} is another"
+        return f"{part} has changed"
     inner = before if part in EXTENDABLE_PARTS else before | now
     names = sorted(name for name in inner if name not in now or not _is_extension(before.get(name), now[name], name))
-    told = (f"{part}.{name} is {_truncate(now.get(name))}, was {_truncate(before.get(name))}" for name in names)
-    return "; ".join(told)
+    return "; ".join(
+        f"{part}.{name} is {_truncate(now.get(name))}, was {_truncate(before.get(name))}" for name in names
+    )
 
 
 def _truncate(value: Any) -> str:
@@ -256,7 +265,7 @@ def _truncate(value: Any) -> str:
 
 
 def _is_extension(before: Any, now: Any, name: str = "") -> bool:
-    """Whether `now` is `before`; methods, planners and adapters may have become more."""
+    """Whether `now` equals `before`; methods, planners and adapters may have been added."""
     if isinstance(before, dict) and isinstance(now, dict):
         names = before if name in EXTENDABLE_PARTS else before | now
         return all(one in before and one in now and _is_extension(before[one], now[one], one) for one in names)

@@ -1,4 +1,4 @@
-"""The work as units: an episode, or a whole run where memory grows; each with its key in the journal."""
+"""Units of work of an evaluation: an episode, or a whole run if memory grows; each with its key in the log."""
 
 from __future__ import annotations
 
@@ -8,16 +8,18 @@ from typing import Literal
 import msgspec
 
 from dualbrain.evaluation.planners.factory import RANDOM_PLANNERS, planner_name
-from dualbrain.evaluation.protocol import suite as seeds
 from dualbrain.evaluation.protocol.method import B3, START_METHOD, Method
-from dualbrain.evaluation.protocol.suite import Suite, Task
+from dualbrain.evaluation.protocol.suite import PILOT_SEEDS, START_SEEDS, Suite, Task
 
 Stage = Literal["pilot", "start", "plan", "fly"]
-"""The passes, in their order: ε, the common ledger, the planner's answers, the episodes themselves."""
+"""The stages in their order: pilot episodes for ε, the common start ledger, the planner's answers, the episodes.
+
+The names are also those of the logs in the results folder.
+"""
 
 
 class WorkUnit(msgspec.Struct, frozen=True, kw_only=True):
-    """`seeds` are flown in order, `repetitions` times over; `count` rows come of it, keyed `key #order`."""
+    """Episodes on all `seeds` in order, once per repetition; each leaves one row, keyed `key #order`."""
 
     stage: Stage
     key: str
@@ -28,54 +30,55 @@ class WorkUnit(msgspec.Struct, frozen=True, kw_only=True):
     seeds: tuple[int, ...]
     repetitions: tuple[int, ...]
     done: int = 0
-    """Episodes at its beginning that need not be flown again."""
+    """Number of episodes at the beginning of the unit that are finished."""
 
     @property
     def n_episodes(self) -> int:
-        """Episodes in this unit."""
+        """Number of episodes in this unit."""
         return len(self.seeds) * len(self.repetitions)
 
     @property
     def seed_repetition_pairs(self) -> Iterator[tuple[int, int]]:
-        """(seed, repetition) in the order in which they are flown."""
+        """(seed, repetition) of each episode, in the order in which they run."""
         return ((seed, repetition) for repetition in self.repetitions for seed in self.seeds)
 
     def row_key(self, order: int) -> str:
-        """The key of one of its rows."""
+        """The key of the row of episode number `order`."""
         return f"{self.key} #{order}"
 
 
 def build_units(suite: Suite, stage: Stage) -> list[WorkUnit]:
-    """All the units of one pass. Those of an earlier run come first, so that any prefix compares the same scenes."""
+    """All units of one stage, run by run, so that any prefix compares the methods on the same scenes."""
     if stage == "pilot":
-        return _preparatory_units(suite, stage, seeds.PILOT_SEEDS, suite.memory.pilot)
+        return _preparatory_units(suite, stage, PILOT_SEEDS, suite.memory.pilot)
     if stage == "start":
-        wanted = any(arm.uses_memory for arm in suite.resolved_methods)
-        return _preparatory_units(suite, stage, seeds.START_SEEDS, suite.memory.start * wanted)
+        needed = any(method.uses_memory for method in suite.resolved_methods)
+        return _preparatory_units(suite, stage, START_SEEDS, suite.memory.start * needed)
     places = [(task, robot) for task in suite.tasks for robot in suite.robots_of(task)]
-    arms = list(suite.resolved_methods) if stage == "fly" else _planning_methods(suite)
+    methods = list(suite.resolved_methods) if stage == "fly" else _planning_methods(suite)
     return [
         unit
         for run in range(suite.runs)
         for place in places
-        for arm in arms
-        if suite.includes(arm.name, place[0])
-        for unit in _run_units(suite, stage, place, arm, run)
+        for method in methods
+        if suite.includes(method.name, place[0])
+        for unit in _run_units(suite, stage, place, method, run)
     ]
 
 
 def _planning_methods(suite: Suite) -> list[Method]:
-    """One arm for each planner and prompt whose answers can be had beforehand: those that need no memory."""
+    """One method for each planner and prompt whose requests can be made beforehand: methods without memory."""
     found: dict[tuple[str, str, str, bool], Method] = {}
-    for arm in suite.resolved_methods:
-        name = planner_name(suite, arm)
-        if not arm.uses_memory and name not in RANDOM_PLANNERS:
-            found.setdefault((name, arm.planner_role, arm.prompt_corruption, arm.constrained), arm)
+    for method in suite.resolved_methods:
+        name = planner_name(suite, method)
+        if not method.uses_memory and name not in RANDOM_PLANNERS:
+            key = (name, method.planner_role, method.prompt_corruption, method.constrained)
+            found.setdefault(key, method)
     return list(found.values())
 
 
-def _preparatory_units(suite: Suite, stage: Stage, apart: range, count: int) -> list[WorkUnit]:
-    """`count` episodes of each errand and robot on seeds of their own, before any test."""
+def _preparatory_units(suite: Suite, stage: Stage, reserved_seeds: range, count: int) -> list[WorkUnit]:
+    """`count` episodes of each base task and robot on reserved seeds, which no test uses."""
     method = START_METHOD if stage == "start" else B3
     return [
         WorkUnit(
@@ -85,28 +88,28 @@ def _preparatory_units(suite: Suite, stage: Stage, apart: range, count: int) -> 
             robot=robot,
             task=task,
             cluster=where,
-            seeds=chosen,
+            seeds=chosen_seeds,
             repetitions=(0,),
         )
         for index, task in enumerate(suite.base_tasks if count else ())
-        for chosen in [tuple(apart[index * count : (index + 1) * count])]
+        for chosen_seeds in [tuple(reserved_seeds[index * count : (index + 1) * count])]
         for robot in task.robots
         for where in [f"{robot} {task.name}"]
     ]
 
 
-def _run_units(suite: Suite, stage: Stage, place: tuple[Task, str], arm: Method, run: int) -> list[WorkUnit]:
-    """One run: a single unit where memory grows and where questions are asked together, else a unit an episode."""
+def _run_units(suite: Suite, stage: Stage, place: tuple[Task, str], method: Method, run: int) -> list[WorkUnit]:
+    """The units of one run: a single one if memory grows or requests are batched, else one per episode."""
     task, robot = place
     seeds = tuple(suite.first + index for index in range(suite.seeds) if index % suite.runs == run)
     repetitions = tuple(range(suite.repetitions))
     cluster = f"{robot} {task.name} run {run}"
-    about = {"stage": stage, "method": arm.name, "robot": robot, "task": task, "cluster": cluster}
-    if arm.uses_memory or stage == "plan":
-        return [WorkUnit(key=f"{arm.name} {cluster}", seeds=seeds, repetitions=repetitions, **about)]
-    name = f"{arm.name} {robot} {task.name}"
+    common = {"stage": stage, "method": method.name, "robot": robot, "task": task, "cluster": cluster}
+    if method.uses_memory or stage == "plan":
+        return [WorkUnit(key=f"{method.name} {cluster}", seeds=seeds, repetitions=repetitions, **common)]
+    name = f"{method.name} {robot} {task.name}"
     return [
-        WorkUnit(key=f"{name} {seed} r{repetition}", seeds=(seed,), repetitions=(repetition,), **about)
+        WorkUnit(key=f"{name} {seed} r{repetition}", seeds=(seed,), repetitions=(repetition,), **common)
         for repetition in repetitions
         for seed in seeds
     ]

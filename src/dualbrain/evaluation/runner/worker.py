@@ -1,4 +1,4 @@
-"""How one unit is carried out: its episodes in order, each a line for the journal."""
+"""Workers: carry out one unit, episode by episode, each of which yields a line for the log."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from dualbrain.records import Proposal
 from dualbrain.runtime.counterfactual import CounterfactualQueries
 
 PLAN_BATCH_SIZE = 16
-"""Questions of the plan pass between two lines of its journal: what is asked side by side, and lost by a kill."""
+"""Requests of the plan stage in one batch: they are answered in parallel where the planner can, and lost by a kill."""
 ANSWERS_FOLDER, RUNS_FOLDER, START_FOLDER, EPISODE_CACHE_FOLDER = "plans", "runs", "start", "once"
 
 
 @dataclass(frozen=True, kw_only=True)
 class WorkerConfig:
-    """What every worker is given: suite, folders, ε, the clock that only measures."""
+    """Configuration of all workers: suite, results folder, sources of planners, ε, and the `clock` for timings [s]."""
 
     suite: Suite
     out: Path
@@ -47,15 +47,15 @@ class WorkerConfig:
     make_case: CaseFactory = make_case
 
     def make_worker(self) -> Worker:
-        """A worker's own `Work`."""
+        """A worker for one process."""
         return Worker(self)
 
 
 class Worker:
-    """Carries out units; called with one, it yields the lines of the episodes that are not done yet."""
+    """Carries out units; called with one, it yields the lines of the episodes that are not finished."""
 
     def __init__(self, config: WorkerConfig) -> None:
-        """Planners and encoder are opened when they are first needed."""
+        """Planners and text encoder are opened when they are first needed."""
         self._config, self._suite = config, config.suite
         self._planners = PlannerFactory(config.suite, config.sources, AnswerCache(config.out / ANSWERS_FOLDER))
         self._episode_cache = EpisodeCache(config.out / EPISODE_CACHE_FOLDER)
@@ -65,7 +65,7 @@ class Worker:
         return MiniLmEncoder.from_cache(self._config.sources.cache)
 
     def __call__(self, unit: WorkUnit) -> Iterator[dict[str, Any]]:
-        """The lines of `unit` from its episode number `done` on."""
+        """The lines of `unit` from episode number `unit.done` on."""
         method = find_method(unit.method)
         if unit.stage == "plan":
             yield from self._plan(unit, method)
@@ -77,78 +77,78 @@ class Worker:
             if unit.stage == "start" or method.uses_memory:
                 yield self._run_with_ledger(unit, method, case, order)
             else:
-                place = EpisodeContext(
-                    key=unit.row_key(order), suite=self._suite.name, cluster=unit.cluster, order=order, asked=False
-                )
-                row = (
-                    self._run_cached(case, method, place)
-                    if unit.stage == "fly"
-                    else self._run_episode(case, method, place)
-                )
-                yield _encode_row(row)
+                run = self._run_cached if unit.stage == "fly" else self._run_episode
+                yield _encode_row(run(case, method, self._context(unit, order)))
         if unit.stage == "start" or method.uses_memory:
             self._run_folder(unit).remove_old_ledgers(unit.n_episodes)
 
     def close(self) -> None:
-        """Let go of the planners."""
+        """Close the planners."""
         self._planners.close()
 
     # --- one episode ----------------------------------------------------------------------------------------------
 
-    def _run_cached(self, case: Case, method: Method, place: EpisodeContext) -> EpisodeRow:
-        """The episode of a method without memory, unless it was flown behind another door."""
+    def _context(self, unit: WorkUnit, order: int) -> EpisodeContext:
+        """The context of episode number `order` of `unit`, as far as it is known before the episode."""
+        return EpisodeContext(
+            key=unit.row_key(order), suite=self._suite.name, cluster=unit.cluster, order=order, asked=False
+        )
+
+    def _run_cached(self, case: Case, method: Method, context: EpisodeContext) -> EpisodeRow:
+        """The episode of a method without memory, from the cache if a method with another gate has the same one."""
         id = self._planners.get(method, case.robot).name
-        known = self._episode_cache.get(case, method, id, place.key)
+        known = self._episode_cache.get(case, method, id, context.key)
         if known is not None:
             return known
-        row = self._run_episode(case, method, place, extras=True)
+        row = self._run_episode(case, method, context, extras=True)
         self._episode_cache.put(case, method, id, row)
         return row
 
     def _run_episode(
-        self, case: Case, method: Method, place: EpisodeContext, memory: Memory | None = None, *, extras: bool = False
+        self, case: Case, method: Method, context: EpisodeContext, memory: Memory | None = None, *, extras: bool = False
     ) -> EpisodeRow:
-        """An episode, with `extras` also what is only measured beside it, in the repetitions in which that is due.
+        """One episode; with `extras` also the additional measurements, in the repetitions in which they are due.
 
-        Raises `Accident` if a question got no answer: the unit is tried again by the next start.
+        Raises `NoAnswerError` if the planner did not answer a request: the next start tries the unit again.
         """
         planner, suite, k = self._planners.get(method, case.robot), self._suite, case.repetition
         before = planner.n_requests
-        means = self._resources(place, planner, memory)
+        resources = self._resources(context, planner, memory)
         if extras and is_due(suite.free, k):
-            means = replace(means, unconstrained_planner=self._planners.get_unconstrained(method, case.robot))
-        flight = run_case(case, method, means)
-        for attempt in flight.episode.attempts:
+            resources = replace(resources, unconstrained_planner=self._planners.get_unconstrained(method, case.robot))
+        run = run_case(case, method, resources)
+        for attempt in run.episode.attempts:
             require_answer(attempt.proposal)
-        place = replace(place, asked=planner.n_requests > before and planner_name(suite, method) not in RANDOM_PLANNERS)
+        asked = planner.n_requests > before and planner_name(suite, method) not in RANDOM_PLANNERS
+        context = replace(context, asked=asked)
         if extras and memory is not None and method.uses_memory and is_due(suite.memory.utility, k):
-            flight = self._add_memory_uses(flight, planner, case)
+            run = self._add_memory_uses(run, planner, case)
         if extras and method.guard and is_due(suite.bare, k):
-            place = replace(place, lost_s=seconds_lost(case, flight, self._config.clock))
+            context = replace(context, lost_s=seconds_lost(case, run, self._config.clock))
         if memory is not None:
-            learns = plasticity_rule(method, self._config.epsilon[case.robot])
-            epsilon = learns.epsilon if learns else None
-            place = replace(place, memories=len(memory), ledger=memory.ledger.head().hash, epsilon=epsilon)
-        return score_episode(case, method, flight, place)
+            rule = plasticity_rule(method, self._config.epsilon[case.robot])
+            epsilon = rule.epsilon if rule else None
+            context = replace(context, memories=len(memory), ledger=memory.ledger.head().hash, epsilon=epsilon)
+        return score_episode(case, method, run, context)
 
-    def _resources(self, place: EpisodeContext, planner: CachingPlanner, memory: Memory | None) -> EpisodeResources:
+    def _resources(self, context: EpisodeContext, planner: CachingPlanner, memory: Memory | None) -> EpisodeResources:
         return EpisodeResources(
-            id=f"e-{place.order:04d}" if memory is None else folder_name(place.key),
+            id=f"e-{context.order:04d}" if memory is None else folder_name(context.key),
             planner=planner,
             clock=self._config.clock,
             memory=memory,
-            now=episode_time(place.order),
+            now=episode_time(context.order),
             max_shots=self._suite.shots,
             planning_time=self._suite.planning_time,
         )
 
-    def _add_memory_uses(self, flight: EpisodeRun, planner: CachingPlanner, case: Case) -> EpisodeRun:
-        """The flight with what became of each exemplar in its prompt."""
-        asking = CounterfactualQueries(planner, load_skill_registry(case.robot), self._config.out / "counterfactuals")
-        return replace(flight, episode=msgspec.structs.replace(flight.episode, uses=asking.memory_uses(flight.episode)))
+    def _add_memory_uses(self, run: EpisodeRun, planner: CachingPlanner, case: Case) -> EpisodeRun:
+        """`run` with the uses of the exemplars in its prompt, found by requests without each of them."""
+        queries = CounterfactualQueries(planner, load_skill_registry(case.robot), self._config.out / "counterfactuals")
+        return replace(run, episode=msgspec.structs.replace(run.episode, uses=queries.memory_uses(run.episode)))
 
     def _plan(self, unit: WorkUnit, method: Method) -> Iterator[dict[str, Any]]:
-        """Ask the questions of `unit`, `TOGETHER` at a time, and keep the answers; nothing moves."""
+        """Make the requests of `unit` in batches of `PLAN_BATCH_SIZE` and cache the answers; nothing moves."""
         left = list(unit.seed_repetition_pairs)
         for start in range(unit.done, len(left), PLAN_BATCH_SIZE):
             cases = [
@@ -159,35 +159,36 @@ class Worker:
                 yield {"key": unit.row_key(order), **line}
 
     def _plan_batch(self, cases: Sequence[Case], method: Method, robot: str) -> Iterator[dict[str, Any]]:
-        """The questions of `cases`, asked side by side where the planner can."""
-        planner, listening = self._planners.get(method, robot), _RequestCollector()
+        """The requests of `cases`, answered in parallel where the planner can."""
+        planner, collector = self._planners.get(method, robot), _RequestCollector()
         for case in cases:
             run_case(
                 case,
                 method,
-                EpisodeResources(id="plan", planner=listening, clock=self._config.clock, planning_time=0.0),
+                EpisodeResources(id="plan", planner=collector, clock=self._config.clock, planning_time=0.0),
             )
-        fresh = [not planner.is_cached(request) for request in listening.requests]
-        begun = self._config.clock()
+        fresh = [not planner.is_cached(request) for request in collector.requests]
+        start = self._config.clock()
         if any(fresh):
-            planner.propose_uncached([request for request, new in zip(listening.requests, fresh, strict=True) if new])
-        each = (self._config.clock() - begun) / max(1, sum(fresh))
+            planner.propose_uncached([request for request, new in zip(collector.requests, fresh, strict=True) if new])
+        each = (self._config.clock() - start) / max(1, sum(fresh))
         for new in fresh:
             yield {"asked": int(new), "planner_s": each if new else 0.0}
 
     # --- with memory ----------------------------------------------------------------------------------------------
 
     def _run_with_ledger(self, unit: WorkUnit, method: Method, case: Case, order: int) -> dict[str, Any]:
-        """One episode on the ledger that those before it left; of the start, nothing is recalled and nothing learnt."""
+        """One episode on the ledger that the episodes before it left.
+
+        Episodes of the start stage only store: they retrieve nothing, and no weight changes.
+        """
         now, plasticity = episode_time(order), plasticity_rule(method, self._config.epsilon.get(unit.robot, 0.0))
-        place = EpisodeContext(
-            key=unit.row_key(order), suite=self._suite.name, cluster=unit.cluster, order=order, asked=False
-        )
+        context = self._context(unit, order)
         with (
             self._run_folder(unit).open_episode(order, self._start_ledger(unit)) as ledger,
             open_memory(ledger, unit.robot, self._encoder, plasticity, now) as memory,
         ):
-            return _encode_row(self._run_episode(case, method, place, memory, extras=unit.stage == "fly"))
+            return _encode_row(self._run_episode(case, method, context, memory, extras=unit.stage == "fly"))
 
     def _run_folder(self, unit: WorkUnit) -> RunFolder:
         return RunFolder(
@@ -195,7 +196,7 @@ class Worker:
         )
 
     def _start_ledger(self, unit: WorkUnit) -> Path | None:
-        """The common ledger from which every run on this robot and task starts."""
+        """The common ledger from which every run with this robot and task starts."""
         count = self._suite.memory.start
         if unit.stage == "start" or not count:
             return None
@@ -204,9 +205,9 @@ class Worker:
 
 
 class _RequestCollector:
-    """Hears the questions and says nothing: no contract is carried out."""
+    """A planner that records the requests and answers none, so that no contract is carried out."""
 
-    name = "nobody"
+    name = "request collector"
 
     def __init__(self) -> None:
         self.requests = list[PlanRequest]()
@@ -214,12 +215,13 @@ class _RequestCollector:
     def propose(self, request: PlanRequest) -> Proposal:
         self.requests.append(request)
         return Proposal(
-            text="", finish_reason="only heard", planner=self.name, constrained_by="", timings={"total": 0.0}
+            text="", finish_reason="recorded only", planner=self.name, constrained_by="", timings={"total": 0.0}
         )
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Nothing is open."""
 
 
 def _encode_row(row: EpisodeRow) -> dict[str, Any]:
-    return msgspec.to_builtins(row)
+    """The row as JSON values: a number that is not finite becomes None."""
+    return msgspec.json.decode(msgspec.json.encode(row))

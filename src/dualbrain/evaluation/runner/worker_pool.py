@@ -1,8 +1,8 @@
-"""Who carries out units: any crew that keeps one small promise; here, processes of this machine.
+"""Worker pools: carry out units of work in this process, or in several processes of this machine.
 
-A worker ends when its pipe closes, so none outlives its parent by more than the episode or the questions under way; one
-that dies, or is silent for too long and is ended for that, costs only the unit that it held, which the next start goes
-on with.
+A worker process ends when its pipe closes, so no worker outlives its parent by more than the line under computation. A
+worker that dies, or that is killed because it reported nothing for too long, costs only the unit that it held; the next
+start continues with that unit. The evaluation and the experiments share these pools.
 """
 
 from __future__ import annotations
@@ -15,77 +15,100 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import wait
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 import msgspec
 
-from dualbrain.evaluation.runner.work_units import WorkUnit
 
-UnitRunner = Callable[[WorkUnit], Iterator[dict[str, Any]]]
-"""Carries out one unit, line by line."""
-WorkerHandle = tuple[Any, Any]
-"""Its end of the pipe, and its process."""
-WORKER_TIMEOUT_S = 3600.0
-"""A worker that told nothing for so long hangs [s]; several of the planner's answers come together."""
-POLL_INTERVAL_S = 1.0
-"""How often that is looked at, where nobody tells anything [s]."""
+class Unit(Protocol):
+    """A piece of work with a unique key."""
 
-
-@dataclass(slots=True)
-class BusyWorker:
-    """What is known of a busy worker: its process, the unit that it has, when it last told something [s]."""
-
-    process: Any
-    unit: WorkUnit
-    last_report_time: float
-
-
-BusyWorkers = dict[Any, BusyWorker]
-"""By pipe."""
-
-
-class UnitReport(msgspec.Struct, frozen=True):
-    """What a crew tells: a `line` of `unit`, or with none that the unit is over, perhaps with an `error`."""
-
-    unit: WorkUnit
-    line: dict[str, Any] | None = None
-    error: str = ""
-
-
-class WorkerPool(Protocol):
-    """Anything that can carry out units, here or on other machines."""
-
-    def run_units(self, units: Iterable[WorkUnit]) -> Iterator[UnitReport]:
-        """Reports as they come: the lines of one unit in their order, those of different units mixed."""
+    @property
+    def key(self) -> str:
+        """The key of the unit in its log."""
         ...
 
 
-class SerialPool:
-    """Does everything itself, one unit after another."""
+U = TypeVar("U", bound=Unit)
+UnitRunner = Callable[[U], Iterator[dict[str, Any]]]
+"""Carries out one unit and yields its log lines."""
+WorkerHandle = tuple[Any, Any]
+"""The pool's end of a worker's pipe, and the worker's process."""
+WORKER_TIMEOUT_S = 3600.0
+"""A worker that reports nothing for this long is killed [s]; a batch of planner requests reports only at its end."""
+POLL_INTERVAL_S = 1.0
+"""Interval between two checks for workers that reported nothing for too long [s]."""
+NICENESS = 5
+"""Default niceness of worker processes."""
+MAX_ERROR_CHARS, MAX_TRACEBACK_CHARS = 400, 2000
 
-    def __init__(self, run_unit: UnitRunner) -> None:
-        """`do` carries out a unit."""
+
+class UnitReport(msgspec.Struct, Generic[U], frozen=True):
+    """A report on `unit`: a log `line`, or without one the end of the unit, with an `error` if it failed.
+
+    `error` is the exception in one line, `traceback` the end of its traceback.
+    """
+
+    unit: U
+    line: dict[str, Any] | None = None
+    error: str = ""
+    traceback: str = ""
+
+
+class WorkerPool(Protocol[U]):
+    """Anything that can carry out units, on this machine or on others."""
+
+    def run_units(self, units: Iterable[U]) -> Iterator[UnitReport[U]]:
+        """Reports as they arrive: the lines of one unit in their order, those of different units interleaved."""
+        ...
+
+
+@dataclass(slots=True)
+class BusyWorker(Generic[U]):
+    """A worker that holds a unit: its process, the unit, and the time of its last report [s]."""
+
+    process: Any
+    unit: U
+    last_report_time: float
+
+
+class SerialPool(Generic[U]):
+    """Runs units in this process, one after another."""
+
+    def __init__(self, run_unit: UnitRunner[U]) -> None:
+        """`run_unit` carries out one unit."""
         self._run_unit = run_unit
 
-    def run_units(self, units: Iterable[WorkUnit]) -> Iterator[UnitReport]:
-        """Unit by unit."""
+    def run_units(self, units: Iterable[U]) -> Iterator[UnitReport[U]]:
+        """Reports unit by unit."""
         for unit in units:
             yield from _report_unit(self._run_unit, unit)
 
 
-class ProcessPool:
-    """`jobs` processes, each handed a unit whenever it is free. `make` builds `Do` in the worker; it is pickled."""
+class ProcessPool(Generic[U]):
+    """Runs units in `jobs` processes; a process receives its next unit as soon as it is idle."""
 
     def __init__(
-        self, make_runner: Callable[[], UnitRunner], jobs: int, *, clock: Callable[[], float] = time.monotonic
+        self,
+        make_runner: Callable[[], UnitRunner[U]],
+        jobs: int,
+        *,
+        niceness: int = NICENESS,
+        timeout_s: float = WORKER_TIMEOUT_S,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Nothing is started before there is work; `clock` [s] tells for how long a worker was silent."""
-        self._make_runner, self._jobs, self._clock, self._context = make_runner, jobs, clock, get_context("spawn")
+        """Processes are started when there is work for them.
 
-    def run_units(self, units: Iterable[WorkUnit]) -> Iterator[UnitReport]:
-        """Reports of all workers, as they come."""
+        `make_runner` is pickled and called once in each worker. Workers run at `niceness`; one that reports nothing for
+        `timeout_s` [s], measured by `clock` [s], is killed.
+        """
+        self._make_runner, self._jobs, self._niceness = make_runner, jobs, niceness
+        self._timeout_s, self._clock, self._context = timeout_s, clock, get_context("spawn")
+
+    def run_units(self, units: Iterable[U]) -> Iterator[UnitReport[U]]:
+        """Reports of all workers, as they arrive."""
         left = iter(units)
-        busy: BusyWorkers = {}
+        busy: dict[Any, BusyWorker[U]] = {}  # by pipe
         try:
             for unit in (unit for _ in range(self._jobs) for unit in [next(left, None)] if unit):
                 self._assign_unit(busy, self._start_worker(), unit)
@@ -94,77 +117,78 @@ class ProcessPool:
                     yield from self._receive(busy, pipe, left)
                 self._kill_hung_workers(busy)
         finally:
-            for held in busy.values():
-                held.process.terminate()
+            for worker in busy.values():
+                worker.process.terminate()
 
-    def _receive(self, busy: BusyWorkers, pipe: Any, left: Iterator[WorkUnit]) -> Iterator[UnitReport]:
-        """One report; at the end of a unit the worker gets the next one."""
-        held = busy[pipe]
-        worker: WorkerHandle | None = (pipe, held.process)
+    def _receive(self, busy: dict[Any, BusyWorker[U]], pipe: Any, left: Iterator[U]) -> Iterator[UnitReport[U]]:
+        """Receive one report; at the end of a unit its worker gets the next one."""
+        worker = busy[pipe]
+        handle: WorkerHandle | None = (pipe, worker.process)
         try:
-            report: UnitReport = pipe.recv()
-            held.last_report_time = self._clock()
-        except (EOFError, OSError):  # also in the midst of a report
-            held.process.join()
-            report = UnitReport(held.unit, error=self._exit_message(held))
+            report: UnitReport[U] = pipe.recv()
+            worker.last_report_time = self._clock()
+        except (EOFError, OSError):  # the worker died, perhaps in the middle of a report
+            worker.process.join()
+            report = UnitReport(worker.unit, error=self._exit_message(worker))
             pipe.close()
-            worker = None
+            handle = None
         if report.line is None:
             del busy[pipe]
             following = next(left, None)
             if following:
-                self._assign_unit(busy, worker or self._start_worker(), following)
-            elif worker:
+                self._assign_unit(busy, handle or self._start_worker(), following)
+            elif handle:
                 pipe.close()
         yield report
 
-    def _kill_hung_workers(self, busy: BusyWorkers) -> None:
-        """End the workers that hang; their pipes then tell that they died."""
-        for held in busy.values():
-            if self._is_hung(held):
-                held.process.kill()
+    def _kill_hung_workers(self, busy: dict[Any, BusyWorker[U]]) -> None:
+        """Kill workers that reported nothing for too long; their closed pipes then report their death."""
+        for worker in busy.values():
+            if self._is_hung(worker):
+                worker.process.kill()
 
-    def _exit_message(self, held: BusyWorker) -> str:
-        why = f", after nothing was heard of it for {WORKER_TIMEOUT_S:.0f} s" if self._is_hung(held) else ""
-        return f"the worker died with exit code {held.process.exitcode}{why}"
+    def _exit_message(self, worker: BusyWorker[U]) -> str:
+        why = f", killed after it had reported nothing for {self._timeout_s:.0f} s" if self._is_hung(worker) else ""
+        return f"the worker died with exit code {worker.process.exitcode}{why}"
 
-    def _is_hung(self, held: BusyWorker) -> bool:
-        return self._clock() - held.last_report_time >= WORKER_TIMEOUT_S
+    def _is_hung(self, worker: BusyWorker[U]) -> bool:
+        return self._clock() - worker.last_report_time >= self._timeout_s
 
     def _start_worker(self) -> WorkerHandle:
         ours, theirs = self._context.Pipe()
-        process = self._context.Process(target=_worker_main, args=(theirs, self._make_runner), daemon=False)
+        arguments = (theirs, self._make_runner, self._niceness)
+        process = self._context.Process(target=_worker_main, args=arguments, daemon=False)
         process.start()
         theirs.close()
         return ours, process
 
-    def _assign_unit(self, busy: BusyWorkers, worker: WorkerHandle, unit: WorkUnit) -> None:
-        pipe, process = worker
+    def _assign_unit(self, busy: dict[Any, BusyWorker[U]], handle: WorkerHandle, unit: U) -> None:
+        pipe, process = handle
         busy[pipe] = BusyWorker(process, unit, self._clock())
         pipe.send(unit)
 
 
-def _report_unit(do: UnitRunner, unit: WorkUnit) -> Iterator[UnitReport]:
-    """The lines of a unit and its end; what raises in it is told, and ends this unit only."""
+def _report_unit(run_unit: UnitRunner[U], unit: U) -> Iterator[UnitReport[U]]:
+    """The lines of a unit and its end; an exception is reported and ends this unit only."""
     try:
-        for line in do(unit):
+        for line in run_unit(unit):
             yield UnitReport(unit, line)
     except Exception as error:
-        where = traceback.format_exc().strip().splitlines()[-3:]
-        yield UnitReport(unit, error=f"{type(error).__name__}: {error}"[:400] + "\n" + "\n".join(where))
+        text = f"{type(error).__name__}: {error}"[:MAX_ERROR_CHARS]
+        yield UnitReport(unit, error=text, traceback=traceback.format_exc().strip()[-MAX_TRACEBACK_CHARS:])
         return
     yield UnitReport(unit)
 
 
-def _worker_main(pipe: Any, make: Callable[[], UnitRunner]) -> None:
-    """The life of a worker."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends its workers
-    os.nice(5)
-    do = make()
+def _worker_main(pipe: Any, make_runner: Callable[[], UnitRunner[Any]], niceness: int) -> None:
+    """Main loop of a worker process: receive a unit, report on it, until the pipe closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the parent, which terminates its workers
+    os.nice(niceness)
+    run_unit = make_runner()
     while True:
         try:
-            unit: WorkUnit = pipe.recv()
-            for report in _report_unit(do, unit):
+            unit: Any = pipe.recv()
+            for report in _report_unit(run_unit, unit):
                 pipe.send(report)
         except (EOFError, BrokenPipeError):
             return

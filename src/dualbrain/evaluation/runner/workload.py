@@ -1,4 +1,4 @@
-"""How much is left to do: flights, and questions to a planner, also those that are asked in flight."""
+"""Remaining workload: episodes, and planner requests, including those made during an episode."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from dualbrain.planner.prompt.full_prompt import MAX_RECALLED
 
 @dataclass(frozen=True, slots=True)
 class Workload:
-    """At most so many: doors that decide nothing share a flight, and equal questions an answer."""
+    """Upper bounds: methods whose gates decide alike share an episode, and equal requests share an answer."""
 
     episodes: int
     requests: int
 
 
 def compute_workload(suite: Suite, units: Iterable[WorkUnit]) -> Workload:
-    """What `units` of any pass ask for; the flights of a pilot and of a common ledger count like others."""
+    """The workload of `units` of any stage; pilot episodes and those of the start ledger count like others."""
     found = [_unit_workload(suite, unit) for unit in units]
     return Workload(sum(one.episodes for one in found), sum(one.requests for one in found))
 
@@ -30,18 +30,18 @@ def compute_workload(suite: Suite, units: Iterable[WorkUnit]) -> Workload:
 def _unit_workload(suite: Suite, unit: WorkUnit) -> Workload:
     method = find_method(unit.method)
     left = [repetition for _, repetition in list(unit.seed_repetition_pairs)[unit.done :]]
-    speaks = planner_name(suite, method) not in RANDOM_PLANNERS
+    uses_model = planner_name(suite, method) not in RANDOM_PLANNERS
     if unit.stage == "plan":
         return Workload(0, len(left))
-    asked = len(left) * (unit.stage == "pilot") * speaks
+    requests = len(left) * (unit.stage == "pilot") * uses_model
     if unit.stage != "fly":
-        return Workload(len(left), asked)
+        return Workload(len(left), requests)
     bare = sum(is_due(suite.bare, k) for k in left) * method.guard
-    return Workload(len(left) + bare, sum(_requests_per_episode(suite, method, k) for k in left) * speaks)
+    return Workload(len(left) + bare, sum(_requests_per_episode(suite, method, k) for k in left) * uses_model)
 
 
 def _requests_per_episode(suite: Suite, method: Method, repetition: int) -> int:
-    """Of one flight: with memory its own, and one without each memory where that is due; and the free one."""
+    """Requests of one episode: its own and the counterfactuals if memory is used, and the unconstrained one if due."""
     free = is_due(suite.free, repetition) and can_be_unconstrained(planner_name(suite, method))
     if not method.uses_memory:
         return int(free)
