@@ -160,7 +160,7 @@ class Crowd:
 
 def test_the_pass_of_questions_asks_a_run_together_and_a_flight_asks_the_same_question(tmp_path):
     crowd = Crowd()
-    sources = SimpleNamespace(open=lambda name, robot, *, bound=True: crowd)
+    sources = SimpleNamespace(open=lambda name, robot, *, constrained=True: crowd)
     suite = msgspec.structs.replace(parse_suite(SUITE, "tiny.toml"), planners={"base": "crowd"})
     units = build_units(suite, "plan")
     assert {unit.method for unit in units} == {"B1"}  # whose answers are those of all others without memory
@@ -181,7 +181,7 @@ def test_the_pass_of_questions_asks_a_run_together_and_a_flight_asks_the_same_qu
 def test_of_the_pass_of_questions_a_kill_costs_only_those_under_way(tmp_path, monkeypatch):
     monkeypatch.setattr("dualbrain.evaluation.runner.worker.PLAN_BATCH_SIZE", 2)
     crowd = Crowd()
-    sources = SimpleNamespace(open=lambda name, robot, *, bound=True: crowd)
+    sources = SimpleNamespace(open=lambda name, robot, *, constrained=True: crowd)
     suite = msgspec.structs.replace(parse_suite(SUITE, "tiny.toml"), planners={"base": "crowd"}, runs=1, repetitions=1)
     work = Worker(WorkerConfig(suite=suite, out=tmp_path, sources=sources, clock=time.perf_counter, epsilon={}))
     (unit,) = build_units(suite, "plan")
