@@ -21,7 +21,6 @@ from threading import Thread
 from typing import Any
 
 import msgspec
-from dualbrain.runtime.gatekeeper_backend import GatekeeperBackend
 from rich.console import Console
 
 from dualbrain.cli.common.paths import cache_folder

@@ -10,7 +10,7 @@ from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.planner.protocol import LENGTH, TIMEOUT
 from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.records import MemoryUse
-from dualbrain.runtime.counterfactual import CounterfactualQueries
+from dualbrain.runtime.inspection.counterfactual import CounterfactualQueries
 from tests.stories.story_session import (
     contract_text,
     hold_contract,

@@ -15,7 +15,7 @@ from dualbrain.grounding.offline_gate import scene_from_spec
 from dualbrain.grounding.outcome_check import check_outcome
 from dualbrain.memory.maintenance.contradiction import EXPECTED_AGREEMENT, SIGNIFICANCE_LEVEL
 from dualbrain.records import Outcome, SceneObject
-from dualbrain.runtime.memory_replay import ReplayTry, compare_with_memory
+from dualbrain.runtime.inspection.memory_replay import ReplayTry, compare_with_memory
 from dualbrain.simulation.scenes.from_memory import scene_from_memory
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.simulation.scenes.scene_spec import FloorMap, KeepOutArea, check_scene

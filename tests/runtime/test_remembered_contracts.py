@@ -4,7 +4,7 @@ import pytest
 
 from dualbrain.adaptation.curation.curate import CurationConfig, curate
 from dualbrain.errors import ConfigurationError
-from dualbrain.runtime.memory_replay import make_replay_evaluator
+from dualbrain.runtime.inspection.memory_replay import make_replay_evaluator
 from tests.adaptation.sample_episodes import REGISTRY, distinct_episodes, episode, write_ledger
 
 

@@ -3,11 +3,11 @@
 import json
 
 import pytest
-from dualbrain.runtime.gatekeeper_backend import ADDRESS_FILE, GatekeeperBackend
 
 from dualbrain.cli.main import run_command_line
 from dualbrain.control.recording.replay import replay
 from dualbrain.planner.scripted import ScriptedPlanner
+from dualbrain.runtime.backends.gatekeeper import ADDRESS_FILE, GatekeeperBackend
 from dualbrain.runtime.session import RunObserver, Session
 from tests.stories.story_session import contract_text, hold_contract, ledger_episodes, make_clocks, run_config
 

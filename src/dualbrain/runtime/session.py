@@ -41,12 +41,12 @@ from dualbrain.records import Episode, Passage
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.site_config import read_site
 from dualbrain.runtime.agent import Agent
-from dualbrain.runtime.backend import Backend, RunContext, RunningRobot
+from dualbrain.runtime.backends.backend import Backend, RunContext, RunningRobot
+from dualbrain.runtime.backends.simulated import SimulatedBackend
 from dualbrain.runtime.config import Clocks, RunConfig, RunObserver, RunResult
-from dualbrain.runtime.counterfactual import CounterfactualQueries
 from dualbrain.runtime.episode import EpisodeRequest, run_episode
+from dualbrain.runtime.inspection.counterfactual import CounterfactualQueries
 from dualbrain.runtime.replanning import Try, successive_tries
-from dualbrain.runtime.simulated_backend import SimulatedBackend
 from dualbrain.safety.cbf.kernel import kernel_hash
 from dualbrain.safety.integration.site import site_obstacles, site_robot, site_skill_grants
 from dualbrain.simulation.perception.rendering import Camera

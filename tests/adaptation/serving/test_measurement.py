@@ -239,7 +239,7 @@ def test_both_are_flown_unless_that_is_left_out_and_what_one_was_taught_is_not_a
         adapters_measure.measure(one, data=home / "data", out=home / "m.json")
     asked = []
     monkeypatch.setattr(
-        "dualbrain.runtime.memory_replay.make_replay_evaluator",
+        "dualbrain.runtime.inspection.memory_replay.make_replay_evaluator",
         lambda ledger, rows, *, seed: asked.extend(rows) or (lambda row, text: (True, 0.001)),
     )
     write_ledger(home, [taught], lambda memory: record_adapter(memory, one, "d" * 64, [taught.id], now=NOW)).close()

@@ -95,7 +95,7 @@ def measure(
             StderrConsole().print(f"left out: {len(apart) - len(kept)} questions that one of the two was taught")
         asked, flight = select_questions(kept, most), None
         if fly and remembered:
-            from dualbrain.runtime.memory_replay import make_replay_evaluator
+            from dualbrain.runtime.inspection.memory_replay import make_replay_evaluator
 
             flight = make_replay_evaluator(remembered, asked, seed=seed)
         require_writable(out)

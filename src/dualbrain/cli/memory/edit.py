@@ -174,7 +174,7 @@ def replay(
     """
     from dualbrain.memory.maintenance.edits import record_replay
     from dualbrain.memory.state.derivation import derive_state
-    from dualbrain.runtime.memory_replay import replay_memory
+    from dualbrain.runtime.inspection.memory_replay import replay_memory
 
     if tries < 1:
         raise ConfigurationError("tries", got=tries, allowed="at least 1")

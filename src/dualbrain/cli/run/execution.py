@@ -33,7 +33,7 @@ from dualbrain.memory.maintenance.projection import project_memories
 from dualbrain.memory.plasticity.retrieval_utility import summarize_uses
 from dualbrain.planner.introspection import no_documents_reason
 from dualbrain.records import Episode
-from dualbrain.runtime.gatekeeper_backend import GatekeeperBackend
+from dualbrain.runtime.backends.gatekeeper import GatekeeperBackend
 from dualbrain.runtime.planning_time import format_timings
 from dualbrain.runtime.session import Clocks, RunConfig, RunObserver, RunResult, Session
 from dualbrain.visualization.html.run_report import write_report

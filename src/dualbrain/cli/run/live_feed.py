@@ -15,7 +15,7 @@ from dualbrain.control.control_loop import TickSnapshot
 from dualbrain.control.gatekeeper.protocol.messages import TickReport
 from dualbrain.control.recording.trace import DEAD_BAND, Event
 from dualbrain.records import Episode, Scene
-from dualbrain.runtime.gatekeeper_backend import GatekeeperBackend
+from dualbrain.runtime.backends.gatekeeper import GatekeeperBackend
 from dualbrain.runtime.session import Session
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import obstacles_from_scene

@@ -20,7 +20,7 @@ from dualbrain.errors import UsageError
 
 if TYPE_CHECKING:
     from dualbrain.planner.protocol import Planner
-    from dualbrain.runtime.dry_run import DryRunResult
+    from dualbrain.runtime.inspection.dry_run import DryRunResult
     from dualbrain.runtime.planner_request import PassageRetriever, PlanningContext, Retriever
 
 MAX_SHOTS = 5
@@ -65,8 +65,8 @@ def plan(
     from dualbrain.cli.common.spinner import Spinner
     from dualbrain.grounding.offline_gate import scene_from_spec
     from dualbrain.planner.introspection import no_documents_reason
-    from dualbrain.runtime.dry_run import context_at_home
-    from dualbrain.runtime.dry_run import plan as ask
+    from dualbrain.runtime.inspection.dry_run import context_at_home
+    from dualbrain.runtime.inspection.dry_run import plan as ask
     from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
     if not instruction.strip() or not 1 <= shots <= MAX_SHOTS:

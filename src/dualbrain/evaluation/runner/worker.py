@@ -27,7 +27,7 @@ from dualbrain.memory.embedding.text_encoder import Encoder, MiniLmEncoder
 from dualbrain.memory.memory import Memory
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
-from dualbrain.runtime.counterfactual import CounterfactualQueries
+from dualbrain.runtime.inspection.counterfactual import CounterfactualQueries
 
 PLAN_BATCH_SIZE = 16
 """Requests of the plan stage in one batch: they are answered in parallel where the planner can, and lost by a kill."""

@@ -23,7 +23,7 @@ from dualbrain.control.recording.channels import read_trace
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Event, Trace
 from dualbrain.records import Judgement
-from dualbrain.runtime.backend import RunContext, RunningRobot
+from dualbrain.runtime.backends.backend import RunContext, RunningRobot
 from dualbrain.runtime.config import RunObserver
 from dualbrain.runtime.episode import GroundTruth
 from dualbrain.runtime.planning_time import PlanningClock

@@ -10,7 +10,7 @@ from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.recorder import Recorder
 from dualbrain.control.recording.trace import Trace
 from dualbrain.runtime.assembly import SimulatedCell
-from dualbrain.runtime.backend import RunContext, RunningRobot
+from dualbrain.runtime.backends.backend import RunContext, RunningRobot
 from dualbrain.runtime.config import RunObserver
 from dualbrain.runtime.episode import GroundTruth
 from dualbrain.runtime.planning_time import PLANNING_TIME, PlanningClock
