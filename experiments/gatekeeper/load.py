@@ -36,7 +36,7 @@ from dualbrain.grounding.scene_summary import summarise_scene
 from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import RetrievedContext
-from dualbrain.runtime.session import Clocks, RunConfig
+from dualbrain.runtime.session import Clocks, RunConfig, Session
 from dualbrain.skills.registry import skill_registry
 from experiments.safety.closed_loop import pick_and_place_actions
 
@@ -85,8 +85,10 @@ def run_load(plan: GatekeeperConfig, scene: str, planner: str, seconds: float, f
             scene=scene,
             planner=planner,
         )
-        session = stack.enter_context(LiveSession(config, Clocks(time.monotonic, "", time.time), os.environ))
-        lookout = LiveFeed(session, 8100, Console(stderr=True, quiet=True))
+        backend = GatekeeperBackend()
+        clocks = Clocks(time.monotonic, "", time.time)
+        session = stack.enter_context(Session(config, clocks, os.environ, backend=backend))
+        lookout = LiveFeed(session, backend, 8100, Console(stderr=True, quiet=True))
         stack.callback(lookout._view.close)
         page = stack.enter_context(_start_page_client(lookout._view.url))
         stack.callback(page.terminate)
@@ -127,7 +129,7 @@ def _start_page_client(url: str) -> subprocess.Popen[str]:
 
 
 def _planning_loop(
-    session: LiveSession, link: GatekeeperClient, decided: Queue[bytes], day: LoadSummary, over: Signal
+    session: Session, link: GatekeeperClient, decided: Queue[bytes], day: LoadSummary, over: Signal
 ) -> None:
     """Ask the planner again and again; the newest answer waits to be carried out."""
     registry = skill_registry(session.robot_model)
