@@ -36,6 +36,7 @@ from dualbrain.grounding.scene_summary import summarise_scene
 from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import RetrievedContext
+from dualbrain.runtime.backends.gatekeeper import GatekeeperBackend
 from dualbrain.runtime.session import Clocks, RunConfig, Session
 from dualbrain.skills.registry import skill_registry
 from experiments.safety.closed_loop import pick_and_place_actions
