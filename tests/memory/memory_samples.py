@@ -1,4 +1,4 @@
-"""Small episodes, limits and memories that the tests of this room share."""
+"""Small episodes, limits and memories that the tests of the memory share."""
 
 import sys
 from pathlib import Path
@@ -27,7 +27,7 @@ from dualbrain.records import (
 )
 
 INTERPRETER = (sys.executable, *(("-S",) if sys.flags.no_site else ()))
-"""How to start a child that sees the same packages."""
+"""Command that starts a child process with the same packages."""
 ARM_LIMITS = PostureLimits("arm", (-3.0, -2.0), (3.0, 2.0), 0.04)
 OTHER_LIMITS = PostureLimits("other", (-1.0,), (1.0,), 0.1)
 REST_POSTURE = Posture((0.0, 0.5), 0.04)
@@ -35,7 +35,7 @@ NOW = 1_800_000_000.0
 CONFIG = MemoryConfig(
     limits=(ARM_LIMITS, OTHER_LIMITS), embedding=EmbeddingConfig(features=16), plasticity=Plasticity(kappa=0.0)
 )
-"""Without a neighbourhood: most laws are about one memory."""
+"""Configuration without a neighbourhood, because most laws are about a single memory."""
 
 
 def grasp_contract(object_name: str = "red_cube") -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The audit finds what was hidden in a ledger and nothing else; utility and the map follow their definitions."""
+"""The audit finds planted faults and nothing else; utility and projection follow their definitions."""
 
 from pathlib import Path
 from typing import Any
@@ -20,12 +20,12 @@ WORDS = ("put the red cube in the bowl", "open the drawer", "push the mug away",
 
 
 def _plan(number: int, **params: Any) -> dict[str, Any]:
-    step = {"skill": "grasp", "params": {"object": f"thing-{number}", "speed": 0.1, **params}}
+    step = {"skill": "grasp", "params": {"object": f"object-{number}", "speed": 0.1, **params}}
     return {**grasp_contract(), "action_sequence": [step]}
 
 
 def _clean(memory: Memory) -> None:
-    """Four situations, each three times with the same plan and the same verdict, of changing words."""
+    """Store four situations, each three times with the same plan and the same outcome."""
     for i in range(12):
         one = episode(
             f"e-{i}",
@@ -42,29 +42,29 @@ def _kinds(memory: Memory, kind: str) -> set[str]:
     return {one.memory for one in audit(memory).findings if one.kind == kind}
 
 
-def test_a_clean_ledger_gives_no_findings(tmp_path: Path) -> None:
+def test_a_clean_ledger_has_no_findings(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
         _clean(memory)
         assert audit(memory).findings == ()
 
 
-def test_a_false_verdict_is_found_by_those_like_it(tmp_path: Path) -> None:
+def test_a_false_outcome_is_found_by_similar_memories(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
         _clean(memory)
-        lie = episode("lie", Delta=0.0, instruction=WORDS[0], summary="s0", plan=_plan(0))
-        memory.store(lie, REST_POSTURE, now=NOW + 20)
+        false_outcome = episode("false", Delta=0.0, instruction=WORDS[0], summary="s0", plan=_plan(0))
+        memory.store(false_outcome, REST_POSTURE, now=NOW + 20)
         other_plan = episode("other plan", Delta=0.0, instruction=WORDS[0], summary="s0", plan=_plan(0, speed=0.3))
         memory.store(other_plan, REST_POSTURE, now=NOW + 21)
-        assert _kinds(memory, "label conflict") == {"lie"}
+        assert _kinds(memory, "label conflict") == {"false"}
         (finding,) = [one for one in audit(memory).findings if one.kind == "label conflict"]
         assert set(finding.others) == {"e-0", "e-4", "e-8"}
-        quarantine(memory, ["lie"], "label conflict", now=NOW + 30)
+        quarantine(memory, ["false"], "label conflict", now=NOW + 30)
         assert _kinds(memory, "label conflict") == set()
 
 
-def test_repetition_and_odd_verdicts_are_found(tmp_path: Path) -> None:
+def test_repetitions_and_implausible_outcomes_are_found(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
         for i in range(4):
@@ -78,8 +78,8 @@ def test_repetition_and_odd_verdicts_are_found(tmp_path: Path) -> None:
         assert open_memory(ledger).weights() == memory.weights()
 
 
-def test_the_blast_radius_counts_what_a_source_did(tmp_path: Path) -> None:
-    """Oracle: the weight events, by hand."""
+def test_the_blast_radius_counts_the_changes_by_a_source(tmp_path: Path) -> None:
+    """Oracle: the weight updates, computed by hand."""
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
         memory.store(episode("a", proposer="old"), REST_POSTURE, now=NOW)
@@ -112,7 +112,7 @@ def test_vectors_that_were_tampered_with_are_found(tmp_path: Path) -> None:
         assert (found.is_intact, found.vectors_wrong, found.chain.is_intact) == (False, 2, True)
 
 
-def test_an_export_holds_every_memory(tmp_path: Path) -> None:
+def test_an_export_contains_every_memory(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
         _clean(memory)
@@ -122,17 +122,17 @@ def test_an_export_holds_every_memory(tmp_path: Path) -> None:
         assert all(row["episode"]["contract"] and "judgement" not in row["episode"] for row in out)
 
 
-def test_the_map_shows_distances_as_far_as_two_axes_can(tmp_path: Path) -> None:
+def test_the_projection_preserves_distances_between_situations(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
         assert project_memories(memory).points.shape == (0, 2)
         _clean(memory)
-        drawn = project_memories(memory)
-        assert drawn.points == pytest.approx(project_memories(memory).points)
-        assert 0.3 < drawn.explained_variance <= 1.0
-        spread = np.linalg.norm(drawn.points[:, None] - drawn.points[None], axis=2)
+        projected = project_memories(memory)
+        assert projected.points == pytest.approx(project_memories(memory).points)
+        assert 0.3 < projected.explained_variance <= 1.0
+        distances = np.linalg.norm(projected.points[:, None] - projected.points[None], axis=2)
         same = np.equal.outer(np.arange(12) % 4, np.arange(12) % 4)
-        assert spread[same].max() < 1e-6 < spread[~same].min()
+        assert distances[same].max() < 1e-6 < distances[~same].min()
 
 
 FOLLOWED, OTHER = _plan(1, speed=0.2), _plan(1, speed=0.4)
@@ -151,11 +151,13 @@ FOLLOWED, OTHER = _plan(1, speed=0.2), _plan(1, speed=0.4)
         ({"action_sequence": [{"skill": "decline", "params": {"reason": "no"}}]}, OTHER, False),
     ],
 )
-def test_a_memory_is_used_only_if_it_changed_the_contract_towards_it(chosen: Any, without: Any, used: bool) -> None:
+def test_a_memory_counts_as_used_only_if_it_changed_the_contract_towards_its_own(
+    chosen: Any, without: Any, used: bool
+) -> None:
     assert was_used(FOLLOWED, chosen, ExclusionEffect(chosen, without)) == used
 
 
-def test_utility_counts_what_helped() -> None:
+def test_utility_counts_contributing_memories() -> None:
     def use(succeeded: bool, Delta: float | None, reference: float | None) -> MemoryUse:
         return evaluate_use(
             "m",
@@ -172,7 +174,7 @@ def test_utility_counts_what_helped() -> None:
     assert (summarize_uses(uses).rate, summarize_uses(uses).used, summarize_uses([]).rate) == (0.5, 4, None)
 
 
-def test_an_audit_adds_up_what_memories_were_good_for(tmp_path: Path) -> None:
+def test_an_audit_sums_up_the_use_of_memories(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
         _clean(memory)
@@ -187,14 +189,16 @@ def test_an_audit_adds_up_what_memories_were_good_for(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("like_it", "against", "doubted"), [(0, 1, False), (1, 1, False), (0, 2, True), (1, 3, True), (2, 3, False)]
+    ("agreeing", "opposing", "contradicted"), [(0, 1, False), (1, 1, False), (0, 2, True), (1, 3, True), (2, 3, False)]
 )
-def test_one_word_against_another_is_no_evidence(tmp_path: Path, like_it: int, against: int, doubted: bool) -> None:
+def test_one_opposite_outcome_is_no_contradiction(
+    tmp_path: Path, agreeing: int, opposing: int, contradicted: bool
+) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
-        kinds: list[OutcomeClass] = ["succeeded"] * (1 + like_it) + ["failed"] * against
+        kinds: list[OutcomeClass] = ["succeeded"] * (1 + agreeing) + ["failed"] * opposing
         for i, kind in enumerate(kinds):
             memory.store(
                 episode(f"e-{i}", kind, Delta=0.002, plan=_plan(0, speed=0.1 + i * 1e-4)), REST_POSTURE, now=NOW + i
             )
-        assert ("e-0" in _kinds(memory, "label conflict")) == doubted
+        assert ("e-0" in _kinds(memory, "label conflict")) == contradicted

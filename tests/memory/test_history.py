@@ -1,4 +1,4 @@
-"""What the events add up to: rollback, as of a time, as if never seen, compaction, snapshots, migration."""
+"""The state derived from events: rollback, states in the past, exclusion, compaction, snapshots, migration."""
 
 import sqlite3
 from dataclasses import replace
@@ -27,7 +27,7 @@ from dualbrain.records import OutcomeClass, RetrievedContext
 from tests.memory.memory_samples import CONFIG, NOW, REST_POSTURE, episode, open_ledger, open_memory
 
 LIVELY = replace(CONFIG, plasticity=Plasticity(), trust=TrustConfig.disabled())
-"""With a neighbourhood and without defences: every outcome moves several weights."""
+"""Configuration with a neighbourhood and without defences, in which every outcome changes several weights."""
 WORDS = "put the red cube in the bowl"
 Steps = list[tuple[OutcomeClass, float, int]]
 steps = st.lists(
@@ -48,7 +48,7 @@ def _live(memory: Memory, sequence: Steps, start: int = 0) -> None:
 
 
 @given(st.integers(1, 40), st.data())
-def test_what_is_in_effect_equals_walking_from_parent_to_parent(head: int, data: st.DataObject) -> None:
+def test_the_events_in_effect_are_the_path_from_parent_to_parent(head: int, data: st.DataObject) -> None:
     """Oracle: the definition, event by event."""
     marks = data.draw(st.sets(st.integers(1, 40), max_size=6))
     rollbacks = {seq: data.draw(st.integers(0, seq - 1)) for seq in sorted(marks)}
@@ -61,7 +61,7 @@ def test_what_is_in_effect_equals_walking_from_parent_to_parent(head: int, data:
 
 @settings(max_examples=8, deadline=None)
 @given(steps, steps)
-def test_a_rollback_brings_back_exactly_what_was(tmp_path_factory: pytest.TempPathFactory, a: Steps, b: Steps) -> None:
+def test_a_rollback_restores_the_state_exactly(tmp_path_factory: pytest.TempPathFactory, a: Steps, b: Steps) -> None:
     with open_ledger(tmp_path_factory.mktemp("l")) as ledger:
         memory = open_memory(ledger, LIVELY)
         _live(memory, a)
@@ -78,25 +78,27 @@ def test_a_rollback_brings_back_exactly_what_was(tmp_path_factory: pytest.TempPa
 
 @settings(max_examples=8, deadline=None)
 @given(steps)
-def test_as_of_a_time_is_what_was_live_then(tmp_path_factory: pytest.TempPathFactory, sequence: Steps) -> None:
+def test_the_state_at_a_time_is_the_live_state_of_that_time(
+    tmp_path_factory: pytest.TempPathFactory, sequence: Steps
+) -> None:
     with open_ledger(tmp_path_factory.mktemp("l")) as ledger:
-        memory, seen = open_memory(ledger, LIVELY), []
+        memory, live = open_memory(ledger, LIVELY), []
         for i, step in enumerate(sequence):
             _live(memory, [step], start=i)
-            seen.append(memory.weights())
-        for i, weights in enumerate(seen):
+            live.append(memory.weights())
+        for i, weights in enumerate(live):
             assert derive_state_at(ledger, NOW + i + 0.5).weights() == weights
         assert derive_state_at(ledger, NOW - 1).weights() == {}
 
 
 @settings(max_examples=10, deadline=None)
 @given(steps, st.data())
-def test_set_aside_equals_never_seen(
+def test_quarantine_equals_exclusion_from_the_history(
     tmp_path_factory: pytest.TempPathFactory, sequence: Steps, data: st.DataObject
 ) -> None:
-    """Two ways to the same weights: quarantine, and a second ledger in which the same events happened without them.
+    """Quarantine gives the same weights as a ledger with the same events but without the quarantined memories.
 
-    Release then brings back what was, to the bit.
+    A release then restores the previous weights bit for bit.
     """
     with open_ledger(tmp_path_factory.mktemp("l")) as ledger:
         memory = open_memory(ledger, LIVELY)
@@ -106,42 +108,42 @@ def test_set_aside_equals_never_seen(
         expected = derive_state(ledger, excluded=bad).weights()
         replayed = _replayed_without(ledger, bad)
         quarantine(memory, sorted(bad), "an audit", now=NOW + 50)
-        left = {name: w for name, w in memory.weights().items() if name not in bad}
-        assert left == expected == replayed
+        remaining = {name: w for name, w in memory.weights().items() if name not in bad}
+        assert remaining == expected == replayed
         assert not {hit.episode_id for hit in (*_recall(memory, 9).exemplars, *_recall(memory, 9).warnings)} & bad
         release(memory, sorted(bad), "it was right", now=NOW + 51)
         assert {name: w for name, w in memory.weights().items() if name not in bad} == {
             name: w for name, w in before.items() if name not in bad
         }
-        taught = [name for name in bad if GUIDANCE_BY_OUTCOME[memory.state[name].kind] != "none"]
-        if len(taught) == len(bad):
+        guiding = [name for name in bad if GUIDANCE_BY_OUTCOME[memory.state[name].kind] != "none"]
+        if len(guiding) == len(bad):
             assert (memory.weights(), _recall(memory, 3)) == (before, answer)
 
 
 def _replayed_without(ledger: Ledger, bad: set[str]) -> dict[str, float]:
-    """Oracle: every stored map applied by hand, passing over what `bad` caused."""
+    """Oracle: every stored map applied by hand, except those that `bad` caused."""
     weights: dict[str, float] = {}
     for event in ledger.events():
-        told = msgspec.json.decode(event.payload)
+        payload = msgspec.json.decode(event.payload)
         if event.kind == "episode" and event.subject not in bad:
-            weights[event.subject] = told["w0"]
-        elif event.kind == "weight" and told["cause"] not in bad and told["memory"] in weights:
-            value = told["gain"] * weights[told["memory"]] + told["offset"]
-            weights[told["memory"]] = min(1.0, max(0.0, value))
-        elif event.kind == "neighbours" and told["cause"] not in bad:
-            for name, offset in zip(told["memories"], told["offsets"], strict=True):
+            weights[event.subject] = payload["w0"]
+        elif event.kind == "weight" and payload["cause"] not in bad and payload["memory"] in weights:
+            value = payload["gain"] * weights[payload["memory"]] + payload["offset"]
+            weights[payload["memory"]] = min(1.0, max(0.0, value))
+        elif event.kind == "neighbours" and payload["cause"] not in bad:
+            for name, offset in zip(payload["memories"], payload["offsets"], strict=True):
                 if name in weights:
                     weights[name] = min(1.0, max(0.0, weights[name] + offset))
     return weights
 
 
-def test_what_is_forgotten_is_gone_for_recall_and_stays_in_the_chain(tmp_path: Path) -> None:
+def test_a_forgotten_memory_is_not_retrieved_and_stays_in_the_chain(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger, LIVELY)
         _live(memory, [("succeeded", 0.0, 2)] * 3)
         forget(memory, ["e-1"], "a person asked", now=NOW + 9)
         assert {hit.episode_id for hit in _recall(memory, 9).exemplars} == {"e-2", "e-0"}
-        with pytest.raises(ConfigurationError, match="memories to release: got \\['e-1'\\]"):
+        with pytest.raises(ConfigurationError, match="Forgotten memories cannot be released: e-1"):
             release(memory, ["e-1"], "no", now=NOW + 10)
         assert ledger.verify().is_intact
         assert any(event.subject == "e-1" for event in ledger.events("kind = 'episode'"))
@@ -151,7 +153,7 @@ def test_what_is_forgotten_is_gone_for_recall_and_stays_in_the_chain(tmp_path: P
     ("names", "reason", "error"),
     [((), "why", ConfigurationError), (("e-0",), " ", ConfigurationError), (("e-9",), "why", UnknownNameError)],
 )
-def test_a_change_without_subject_or_reason_is_refused(tmp_path: Path, names, reason, error) -> None:
+def test_an_edit_without_memories_or_reason_is_refused(tmp_path: Path, names, reason, error) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
         _live(memory, [("succeeded", 0.0, 0)])
@@ -163,7 +165,7 @@ def test_a_change_without_subject_or_reason_is_refused(tmp_path: Path, names, re
         assert ledger.head() == head
 
 
-def test_a_reader_recalls_and_does_not_write(tmp_path: Path) -> None:
+def test_a_read_only_memory_retrieves_and_does_not_write(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
         _live(memory, [("succeeded", 0.0, 0)])
@@ -180,7 +182,7 @@ def test_a_reader_recalls_and_does_not_write(tmp_path: Path) -> None:
 
 @settings(max_examples=8, deadline=None)
 @given(steps, st.data())
-def test_compaction_keeps_every_weight_to_the_bit(
+def test_compaction_preserves_every_weight_bit_for_bit(
     tmp_path_factory: pytest.TempPathFactory, sequence: Steps, data: st.DataObject
 ) -> None:
     folder = tmp_path_factory.mktemp("l")
@@ -202,7 +204,7 @@ def test_compaction_keeps_every_weight_to_the_bit(
         first = next(iter(short.events()))
         assert f'"hash":"{head.hash}"'.encode() in first.payload
         _live(again, [("succeeded", 0.0, 2)], start=90)
-    with pytest.raises(ConfigurationError, match="compacted ledger"), LedgerReader(folder / "ledger.db") as reader:
+    with pytest.raises(ConfigurationError, match="exists already"), LedgerReader(folder / "ledger.db") as reader:
         compact_ledger(reader, folder / "short.db", holder="a test", now=NOW)
 
 
@@ -220,7 +222,7 @@ def _snapshot_of(folder: Path, sequence: Steps, monkeypatch: pytest.MonkeyPatch)
 
 
 def _never(*_: object) -> None:
-    raise AssertionError("it read every event")
+    raise AssertionError("every event was read")
 
 
 SEQUENCE: Steps = [("succeeded", 0.0, 2), ("failed", 0.1, 1), ("succeeded", 0.002, 3), ("rejected", 0.0, 2)]
@@ -242,7 +244,7 @@ def test_a_start_from_a_snapshot_equals_one_from_the_first_event(
 
 
 @pytest.mark.parametrize("where", [0, 9, 40, -1, -700])
-def test_a_damaged_snapshot_is_passed_over(tmp_path: Path, where: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_damaged_snapshot_is_ignored(tmp_path: Path, where: int, monkeypatch: pytest.MonkeyPatch) -> None:
     weights = _snapshot_of(tmp_path, SEQUENCE, monkeypatch)
     monkeypatch.undo()
     (path,) = tmp_path.glob("*.snapshot-*")
@@ -255,7 +257,7 @@ def test_a_damaged_snapshot_is_passed_over(tmp_path: Path, where: int, monkeypat
 
 
 @pytest.mark.parametrize("length", [0, 5, 300, -1])
-def test_a_torn_snapshot_is_passed_over(tmp_path: Path, length: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_torn_snapshot_is_ignored(tmp_path: Path, length: int, monkeypatch: pytest.MonkeyPatch) -> None:
     weights = _snapshot_of(tmp_path, SEQUENCE, monkeypatch)
     monkeypatch.undo()
     (path,) = tmp_path.glob("*.snapshot-*")
@@ -264,7 +266,7 @@ def test_a_torn_snapshot_is_passed_over(tmp_path: Path, length: int, monkeypatch
         assert open_memory(ledger, LIVELY).weights() == weights
 
 
-def test_a_long_start_leaves_a_snapshot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_start_writes_a_snapshot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(memory_module, "SNAPSHOT_MIN_EVENTS", 3)
     with open_ledger(tmp_path) as ledger:
         _live(open_memory(ledger, LIVELY), SEQUENCE)
@@ -277,7 +279,7 @@ def test_a_long_start_leaves_a_snapshot(tmp_path: Path, monkeypatch: pytest.Monk
         assert open_memory(ledger, LIVELY).weights() == weights
 
 
-def test_curation_after_a_snapshot_is_seen_at_the_next_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_edit_after_a_snapshot_counts_at_the_next_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _snapshot_of(tmp_path, SEQUENCE, monkeypatch)
     monkeypatch.undo()
     with open_ledger(tmp_path) as ledger:
@@ -291,7 +293,7 @@ def test_curation_after_a_snapshot_is_seen_at_the_next_start(tmp_path: Path, mon
 # --- migration ------------------------------------------------------------------------------------------------------
 
 
-def test_an_old_ledger_is_brought_up_to_date_and_keeps_its_chain(tmp_path: Path) -> None:
+def test_an_old_ledger_is_migrated_and_keeps_its_chain(tmp_path: Path) -> None:
     path = tmp_path / "ledger.db"
     with sqlite3.connect(path) as database:
         database.executescript(tables._SCHEMA_V1)
@@ -316,7 +318,7 @@ def test_rows_of_a_snapshot_are_those_of_the_projection(tmp_path: Path, monkeypa
     _snapshot_of(tmp_path, SEQUENCE, monkeypatch)
     monkeypatch.undo()
     with open_ledger(tmp_path) as ledger:
-        found = snapshot.read_snapshot(ledger)
-        assert found is not None
+        read = snapshot.read_snapshot(ledger)
+        assert read is not None
         stored = [np.frombuffer(vector.data, "<f4") for _, vector in ledger.vectors()]
-        assert np.array_equal(found.rows, stored[: len(found.rows)])
+        assert np.array_equal(read.rows, stored[: len(read.rows)])

@@ -1,4 +1,4 @@
-"""All dials of memory in one place."""
+"""Configuration of the episodic memory."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from dualbrain.memory.retrieval.search import check_lambda
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MemoryConfig:
-    """`limits` of every robot that uses this memory; the dial is `lambda_s`: 1 trusts likeness, 0 trusts experience.
+    """Settings of retrieval, learning and trust, and the posture `limits` of every robot that uses the memory.
 
-    A weight gap of 1 outweighs a likeness gap of (1 − λ_s)/λ_s: 0.25 at the default 0.8. `warnings` is how many
-    failures are recalled beside the exemplars; `diversity` see `diversity.diverse`. `plasticity` None freezes all
-    weights (static retrieval). `trust` holds the defences against pollution.
+    The main setting is λ_s (`lambda_s`): at 1 only similarity ranks the memories, at 0 only their weights. A weight
+    gap of 1 outweighs a similarity gap of (1 − λ_s)/λ_s, which is 0.25 at the default 0.8. `max_warnings` is the number
+    of failures that are retrieved in addition to the exemplars. `diversity` is the d of `select_diverse`. With
+    `plasticity` None all weights are frozen (static retrieval). `trust` configures the defences against pollution.
     """
 
     limits: tuple[PostureLimits, ...]
@@ -30,9 +31,9 @@ class MemoryConfig:
 
     @property
     def bandwidth(self) -> float:
-        """ℓ, also where nothing is learnt."""
+        """Bandwidth ℓ of the neighbourhood, also for a memory whose weights are frozen."""
         return self.plasticity.bandwidth if self.plasticity else BANDWIDTH
 
     def __post_init__(self) -> None:
-        """Raise `InvalidSetup` for λ_s outside [0, 1]."""
+        """Raise `ConfigurationError` if λ_s is outside [0, 1]."""
         check_lambda(self.lambda_s)

@@ -1,4 +1,4 @@
-"""The front door of memory: recall before an episode, store after it (paper 5)."""
+"""The interface of the episodic memory: retrieve before an episode, store after it (paper 5)."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from dualbrain.memory.state.state import apply_events
 from dualbrain.records import Episode, Exemplar, RetrievedContext
 
 SNAPSHOT_MIN_EVENTS = 2000
-"""A start that had to read more events than this leaves a snapshot for the next one."""
+"""After reading more events than this, the memory writes a snapshot for the next start."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoreReport:
-    """What storing an episode changed: its event in the ledger, the new head of the chain and every weight moved.
+    """The changes by storing an episode: its event in the ledger, the new head of the chain and all weight updates.
 
-    `neighbours` counts those in its neighbourhood. `status` is what the new memory is believed to be, `confirmed` names
-    the candidates that its outcome confirmed.
+    `n_neighbours` is the number of neighbours whose weights changed, `status` the status of the new memory, and
+    `confirmed_ids` the candidates that its outcome confirmed.
     """
 
     episode_id: str
@@ -46,28 +46,29 @@ class StoreReport:
     confirmed_ids: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        """One line for a person, such as "weights: e-13 (new) 0.50 -> 0.58, c-12 0.50 -> 0.58"."""
+        """One line for people, such as "weights: e-13 (new) 0.50 -> 0.58, c-12 0.50 -> 0.58"."""
         moves = [f"{c.memory}{'' if c.rank else ' (new)'} {c.before:.2f} -> {c.after:.2f}" for c in self.weight_updates]
         moves += [f"{self.n_neighbours} neighbours"] if self.n_neighbours else []
         notes = {
-            "candidate": "; not offered before something confirms it",
-            "quarantined": "; quarantined, for the robot's own senses disagree",
+            "candidate": "; not retrieved until another outcome confirms it",
+            "quarantined": "; quarantined, because a second outcome check disagrees",
         }.get(self.status, "")
         confirmed = f"; confirms {', '.join(self.confirmed_ids)}" if self.confirmed_ids else ""
         return f"weights: {', '.join(moves) or 'unchanged'}{notes}{confirmed}"
 
 
 class Memory:
-    """Embodied experience of one ledger. Weights and the index live in RAM and are derived from the events at start.
+    """The episodic memory of one ledger. Weights and index are in RAM and are derived from the events at the start.
 
-    Memory is not a controller (paper 5.4): it returns text and numbers for a prompt, and imports nothing that moves.
+    The memory is not a controller (paper 5.4): it returns text and numbers for a prompt, and imports no module that
+    moves a robot.
     """
 
     def __init__(self, ledger: LedgerReader, encoder: Encoder, config: MemoryConfig) -> None:
-        """Derive the state from the newest snapshot and the events after it, checking each link of the chain it reads.
+        """Derive the state from the newest snapshot and the events after it, and check every link that is read.
 
-        A `LedgerReader` gives a memory that only recalls. Raises `DamagedLedger` if a link is broken, `InvalidSetup` if
-        another embedding made its vectors.
+        A memory of a `LedgerReader` can only retrieve. Raises `CorruptLedgerError` if a link is broken, and
+        `ConfigurationError` if the vectors were computed by another embedding.
         """
         self.config, self.ledger = config, ledger
         self.embedding = JointEmbedding(encoder, config.limits, config.embedding)
@@ -81,10 +82,10 @@ class Memory:
         return self.state.weights()
 
     def read_episode(self, name: str) -> EpisodeRecord:
-        """Texts and contract of one memory, read from the ledger."""
+        """Texts and contract of one memory, read from the ledger; raises `KeyError` for an unknown id."""
         return decode_stored_episode(self.ledger.event(self.state[name].seq).payload).episode
 
-    # --- recall -----------------------------------------------------------------------------------------------------
+    # --- retrieve ---------------------------------------------------------------------------------------------------
 
     def retrieve(
         self,
@@ -101,23 +102,24 @@ class Memory:
         diversity: float | None = None,
         where: Filter | None = None,
     ) -> RetrievedContext:
-        """The k best successes as exemplars and, apart from them, the best failures as warnings (paper 5.2).
+        """The k best successes as exemplars and, separately, the best failures as warnings (paper 5.2).
 
-        Only memories of the same robot and the same registry hash are offered: a contract made for other skills, units
-        or bounds is no example. `alpha`, `lambda_s` and `diversity` take the place of the configured ones; `where` adds
-        conditions. The same ledger and query give the same answer, ties included.
+        Only memories of the same robot and the same registry hash are retrieved: a contract for other skills, units or
+        bounds is not a valid example. `alpha`, `lambda_s` and `diversity` override the configuration; `where` adds
+        conditions. The same ledger and query give the same result, including the order of ties. Raises
+        `UnknownNameError` for a robot without limits, and `ConfigurationError` for settings out of range.
         """
         query = self.embedding.embed(instruction, summary, state, robot, image)
         compared = self.index.compare(query, alpha or self.config.embedding.alpha)
         narrowed = dataclasses.replace(where or Filter(), robot=robot, registry=registry)
         lambda_s = self.config.lambda_s if lambda_s is None else lambda_s
         ranking = RankingOptions(k, lambda_s, self.config.diversity if diversity is None else diversity)
-        few = dataclasses.replace(ranking, k=self.config.max_warnings)
-        follow, avoid = (dataclasses.replace(narrowed, guidance=lesson) for lesson in ("follow", "avoid"))
+        warning_ranking = dataclasses.replace(ranking, k=self.config.max_warnings)
+        follow, avoid = (dataclasses.replace(narrowed, guidance=guidance) for guidance in ("follow", "avoid"))
         weights = self.index.contract_weights(compared, robot, registry, self.config.bandwidth)
         return RetrievedContext(
             self._exemplars(query, self.index.search(compared, weights, follow, ranking)),
-            self._exemplars(query, self.index.search(compared, weights, avoid, few)),
+            self._exemplars(query, self.index.search(compared, weights, avoid, warning_ranking)),
         )
 
     def _exemplars(self, query: EpisodeEmbedding, hits: Sequence[MemoryHit]) -> tuple[Exemplar, ...]:
@@ -131,47 +133,54 @@ class Memory:
     # --- store ------------------------------------------------------------------------------------------------------
 
     def store(self, episode: Episode, state: Posture, *, now: float, image: ImageFeatures | None = None) -> StoreReport:
-        """Write `episode` and the weight changes it causes, in one transaction, at `now` [s, 1970 UTC].
+        """Write `episode` and the weight updates that it causes, in one transaction, at `now` [s, 1970 UTC].
 
-        `episode.recall` must hold what stood in the prompt. Order: the new memory from w = 0.5 by its own outcome, then
-        the exemplars that it followed by rank (never the warnings), then its neighbourhood. A candidate teaches nothing
-        until something confirms it. `episode.judgement` is neither read nor written: the ledger is the same whatever
-        simulator truth says.
+        `episode.recall` must be the retrieved context in the prompt. Order of the updates: the new memory from w = 0.5,
+        then by rank the exemplars that the contract follows (never the warnings), then the neighbourhood. A candidate
+        updates no weights until it is confirmed. `episode.judgement` is neither read nor written: the ledger does not
+        depend on simulator ground truth. Raises `ConfigurationError` for an id that is in the ledger already, and for
+        retrieved memories that are not in it.
         """
         if any(True for _ in self.ledger.events("kind = ? AND subject = ?", (EPISODE, episode.id))):
-            raise ConfigurationError("episode id", got=episode.id, allowed="one that this ledger does not hold yet")
+            raise ConfigurationError.stating(
+                f"The ledger already contains an episode {episode.id!r}.", fix="Use a new episode id."
+            )
         shown = [str(hit["memory"]) for hit in retrieved_memories(episode.recall)]
-        if strangers := [name for name in shown if name not in self.state]:
-            raise ConfigurationError("recalled memories", got=strangers, allowed="ids of episodes in this ledger")
-        written = self.consolidation().build_transaction(episode, state, image, now)
-        events = self.append(written.events, now=now)
+        if unknown := [name for name in shown if name not in self.state]:
+            raise ConfigurationError("retrieved memories", got=unknown, allowed="ids of episodes in this ledger")
+        transaction = self.consolidation().build_transaction(episode, state, image, now)
+        events = self.append(transaction.events, now=now)
         first, head = events[0], Head(events[-1].seq, events[-1].hash)
-        w = written
         return StoreReport(
             episode_id=first.subject,
             seq=first.seq,
             head=head,
-            weight_updates=w.weight_updates,
-            n_neighbours=w.n_neighbours,
-            status=w.status,
-            confirmed_ids=w.confirmed,
+            weight_updates=transaction.weight_updates,
+            n_neighbours=transaction.n_neighbours,
+            status=transaction.status,
+            confirmed_ids=transaction.confirmed,
         )
 
     def consolidation(self) -> Consolidation:
-        """What works out the events of an outcome, on the present state."""
+        """The consolidation that computes the events of an outcome from the present state."""
         return Consolidation(self.ledger, self.state, self.index, self.config)
 
     def append(self, entries: Sequence[PendingEvent], *, now: float) -> tuple[LedgerEvent, ...]:
-        """Write events, all or none, and bring state and index up to them; raises `InvalidSetup` if only reading."""
+        """Append events, all or none, and update state and index.
+
+        Raises `ConfigurationError` if the ledger was opened for reading.
+        """
         if not isinstance(self.ledger, Ledger):
-            raise ConfigurationError("memory", got="a ledger opened for reading", allowed="a ledger opened for writing")
+            raise ConfigurationError.stating(
+                "This memory is read-only, because its ledger was opened for reading.", fix="Open it as a `Ledger`."
+            )
         vectors = [entry.vector for entry in entries]
         events = self.ledger.append(entries, now=now)
         if any(_changes_history(event) for event in events):
             self._derive_from_events()
         else:
-            known = dict(zip((event.seq for event in events), vectors, strict=True))
-            apply_events(events, str(self.ledger.path), lambda event: self._apply(event, known[event.seq]))
+            vector_by_seq = dict(zip((event.seq for event in events), vectors, strict=True))
+            apply_events(events, str(self.ledger.path), lambda event: self._apply(event, vector_by_seq[event.seq]))
         return events
 
     def _apply(self, event: LedgerEvent, vector: StoredVector | None) -> None:
@@ -184,7 +193,7 @@ class Memory:
     # --- start ------------------------------------------------------------------------------------------------------
 
     def _start(self) -> None:
-        """From a snapshot that fits and what came after it, or else from the first event."""
+        """Start from a compatible snapshot and the events after it, otherwise from the first event."""
         snapshot = read_snapshot(self.ledger)
         after = snapshot.head if snapshot else None
         where, values = ("seq > ?", (after.seq,)) if after else ("", ())
@@ -195,7 +204,7 @@ class Memory:
             self.write_snapshot(self.ledger, now=self.ledger.opened_at)
 
     def _load_snapshot(self, snapshot: MemorySnapshot, tail: Sequence[LedgerEvent]) -> bool:
-        """Begin with `snapshot` and apply `tail`; False if it was made otherwise, or something after it turns back."""
+        """Load `snapshot` and apply `tail`; False if its embedding differs, or `tail` changes the history."""
         self.state, self.index = snapshot.state, Index(self.embedding)
         if not self.index.is_compatible(snapshot) or any(_changes_history(event) for event in tail):
             return False
@@ -205,14 +214,14 @@ class Memory:
         return True
 
     def _derive_from_events(self) -> None:
-        """State and index from all events in effect."""
+        """Derive state and index from all events in effect."""
         self.state, self.index = derive_state(self.ledger), Index(self.embedding)
         vectors = dict(self.ledger.vectors())
         for memo in self.state.memories:
             self.index.add(memo, vectors.get(memo.seq))
 
     def write_snapshot(self, ledger: Ledger, *, now: float) -> None:
-        """Write the present state beside the ledger, for a quick start."""
+        """Write a snapshot of the present state beside the ledger, for a fast start."""
         head, versions = ledger.head(), self.index.versions(self.state)
         write_snapshot(
             ledger,
@@ -228,5 +237,5 @@ class Memory:
 
 
 def _changes_history(event: LedgerEvent) -> bool:
-    """Whether an event changes what earlier events did."""
+    """Whether an event changes the effect of earlier events."""
     return event.kind == ROLLBACK or (event.kind in STATUS_BY_EVENT_KIND and event.kind != CONFIRM)

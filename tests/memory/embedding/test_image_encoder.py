@@ -1,4 +1,4 @@
-"""The image encoder: a photograph is recognised, likeness falls with difference, each part is its definition."""
+"""The image encoder: recognition of a photograph, similarity of changed images, oracles for each operation."""
 
 import os
 from pathlib import Path
@@ -22,7 +22,7 @@ from dualbrain.memory.embedding.image_encoder import (
 from dualbrain.memory.embedding.image_features import ImageFeatures
 
 CLASSIFIER, BIASES, MILITARY_UNIFORM = 6840952, 5176552, 652
-"""Where the classifier that we do not use lies in the file, and the class of the photograph (ImageNet)."""
+"""Offsets of the unused classifier in the file, and the ImageNet class of the photograph."""
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def encoder(path: Path) -> ImageEncoder:
 
 @pytest.fixture(scope="module")
 def photograph() -> np.ndarray:
-    """Grace Hopper in uniform, the usual test picture of classifiers."""
+    """Grace Hopper in uniform, a common test image for classifiers."""
     with matplotlib.cbook.get_sample_data("grace_hopper.jpg") as file:
         return matplotlib.image.imread(file, format="jpg")
 
@@ -50,28 +50,28 @@ def test_a_photograph_is_recognised(encoder: ImageEncoder, path: Path, photograp
     assert int(np.argmax(scores)) == MILITARY_UNIFORM
 
 
-def test_likeness_falls_with_difference(encoder: ImageEncoder, photograph: np.ndarray) -> None:
+def test_similarity_decreases_with_difference(encoder: ImageEncoder, photograph: np.ndarray) -> None:
     rng = np.random.default_rng(0)
     noisy = np.clip(photograph + rng.normal(0.0, 8.0, photograph.shape), 0, 255).astype(np.uint8)
     other = rng.integers(0, 256, (64, 80, 3), np.uint8)
     rows = [encoder.encode(pixels).to_vector() for pixels in (photograph, noisy, photograph[::-1], other)]
-    likeness = [float(rows[0] @ row) for row in rows]
-    assert likeness == sorted(likeness, reverse=True)
-    assert likeness[0] == pytest.approx(1.0, abs=1e-6)
-    assert likeness[1] > 0.9 > 0.6 > likeness[3]
+    similarity = [float(rows[0] @ row) for row in rows]
+    assert similarity == sorted(similarity, reverse=True)
+    assert similarity[0] == pytest.approx(1.0, abs=1e-6)
+    assert similarity[1] > 0.9 > 0.6 > similarity[3]
 
 
-def test_the_projection_keeps_cosines(encoder: ImageEncoder, photograph: np.ndarray) -> None:
-    pictures = [photograph, photograph[:, ::-1], photograph[::-1], photograph[100:300, 100:300]]
-    long = np.stack([encoder.pooled_features(pixels) for pixels in pictures])
+def test_the_projection_preserves_cosines(encoder: ImageEncoder, photograph: np.ndarray) -> None:
+    images = [photograph, photograph[:, ::-1], photograph[::-1], photograph[100:300, 100:300]]
+    long = np.stack([encoder.pooled_features(pixels) for pixels in images])
     long /= np.linalg.norm(long, axis=1, keepdims=True)
-    short = np.stack([encoder.encode(pixels).to_vector() for pixels in pictures])
+    short = np.stack([encoder.encode(pixels).to_vector() for pixels in images])
     cosines = long @ long.T
     bound = 3.0 * (1.0 - cosines**2) / np.sqrt(128) + 1e-3
     assert (np.abs(cosines - short @ short.T) < bound).all()
 
 
-def test_a_convolution_is_its_definition() -> None:
+def test_a_convolution_matches_its_definition() -> None:
     """Oracle: the sum over the window, pixel by pixel."""
     rng = np.random.default_rng(1)
     for size, kernel, stride in ((7, 3, 1), (8, 3, 2), (9, 5, 2), (6, 5, 1)):
@@ -92,20 +92,20 @@ def test_a_convolution_is_its_definition() -> None:
 
 
 @pytest.mark.parametrize("shape", [(224, 224), (448, 448), (100, 500), (3, 2)])
-def test_resizing_keeps_means_and_flat_pictures(shape: tuple[int, int]) -> None:
-    flat = np.full((*shape, 3), 77, np.uint8)
-    assert resize_area(flat, 224) == pytest.approx(np.full((224, 224, 3), 77.0), abs=1e-3)
+def test_resizing_preserves_means_and_uniform_images(shape: tuple[int, int]) -> None:
+    uniform = np.full((*shape, 3), 77, np.uint8)
+    assert resize_area(uniform, 224) == pytest.approx(np.full((224, 224, 3), 77.0), abs=1e-3)
     pixels = np.random.default_rng(2).integers(0, 256, (*shape, 3), np.uint8)
     assert resize_area(pixels, 224).mean(axis=(0, 1)) == pytest.approx(pixels.mean(axis=(0, 1)), abs=0.05)
 
 
 @pytest.mark.parametrize("pixels", [np.zeros((4, 4), np.uint8), np.zeros((4, 4, 3)), np.zeros((0, 4, 3), np.uint8)])
-def test_what_is_no_picture_is_refused(encoder: ImageEncoder, pixels: np.ndarray) -> None:
-    with pytest.raises(ConfigurationError, match="picture"):
+def test_an_array_that_is_not_an_image_is_refused(encoder: ImageEncoder, pixels: np.ndarray) -> None:
+    with pytest.raises(ConfigurationError, match="image: got"):
         encoder.encode(pixels)
 
 
-def test_other_weights_and_missing_ones_are_refused(tmp_path: Path) -> None:
+def test_other_weights_and_missing_weights_are_refused(tmp_path: Path) -> None:
     (tmp_path / "x.pth").write_bytes(b"not the weights")
     with pytest.raises(ConfigurationError, match="image encoder weights"):
         ImageEncoder(tmp_path / "x.pth")
@@ -114,9 +114,9 @@ def test_other_weights_and_missing_ones_are_refused(tmp_path: Path) -> None:
     assert MANIFEST[IMAGE_WEIGHTS].licence == "Apache-2.0"
 
 
-def test_a_picture_survives_the_ledgers_json(encoder: ImageEncoder, photograph: np.ndarray) -> None:
-    picture = encoder.encode(photograph)
-    assert picture.encoder == IMAGE_ENCODER_ID
-    assert np.linalg.norm(picture.to_vector()) == pytest.approx(1.0, abs=1e-6)
-    with pytest.raises(ConfigurationError, match="picture features"):
-        ImageFeatures(IMAGE_ENCODER_ID, picture.features[:-8]).to_vector()
+def test_image_features_survive_the_json_of_the_ledger(encoder: ImageEncoder, photograph: np.ndarray) -> None:
+    features = encoder.encode(photograph)
+    assert features.encoder == IMAGE_ENCODER_ID
+    assert np.linalg.norm(features.to_vector()) == pytest.approx(1.0, abs=1e-6)
+    with pytest.raises(ConfigurationError, match="image features"):
+        ImageFeatures(IMAGE_ENCODER_ID, features.features[:-8]).to_vector()

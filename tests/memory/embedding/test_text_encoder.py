@@ -1,4 +1,4 @@
-"""Encoders: unit rows, each text by itself, meaning (with weights), and clear words when a file is missing."""
+"""Sentence encoders: unit rows that depend on one text each, meaning (with weights), and errors for missing files."""
 
 import os
 from pathlib import Path
@@ -35,11 +35,11 @@ def test_hashing_gives_unit_rows_that_depend_on_each_text_alone(texts: list[str]
     _check_rows(HashingEncoder(32), texts)
 
 
-def test_hashing_takes_any_text() -> None:
+def test_hashing_accepts_any_text() -> None:
     _check_rows(HashingEncoder(32), list(AWKWARD))
 
 
-def test_hashing_knows_shared_words() -> None:
+def test_hashing_compares_shared_words() -> None:
     a, b, c = HashingEncoder(64).encode(["put the red cube away", "put the blue cube away", "swim home"])
     assert a @ b > 0.5 > a @ c
 
@@ -59,7 +59,7 @@ def test_minilm_gives_unit_rows_that_depend_on_each_text_alone(minilm: MiniLmEnc
 
 
 @pytest.mark.llm
-def test_minilm_knows_meaning(minilm: MiniLmEncoder) -> None:
+def test_minilm_compares_meaning(minilm: MiniLmEncoder) -> None:
     texts = ["pick up the red cube and place it in the bowl", "put the red block into the bowl", "push the mug away"]
     base, same, other = minilm.encode(texts)
     assert base @ same == pytest.approx(0.71, abs=0.03)

@@ -1,4 +1,4 @@
-"""Defences: candidates wait, senses that disagree set aside, one source moves weights only so far in a day."""
+"""Defences against pollution: candidates, quarantine of disputed outcomes, and daily bounds per source."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -28,17 +28,19 @@ def _ids(recall: RetrievedContext) -> list[str]:
     return [hit.episode_id for hit in recall.exemplars]
 
 
-def test_a_success_that_nothing_confirms_is_not_offered_and_teaches_nothing(tmp_path: Path) -> None:
+def test_an_unconfirmed_success_is_not_retrieved_and_updates_no_weight(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
-        memory.store(episode("sure"), REST_POSTURE, now=NOW)
-        report = memory.store(episode("hearsay", second_opinion="none", recall=_recall(memory)), REST_POSTURE, now=NOW)
+        memory.store(episode("trusted"), REST_POSTURE, now=NOW)
+        report = memory.store(
+            episode("unconfirmed", second_opinion="none", recall=_recall(memory)), REST_POSTURE, now=NOW
+        )
         assert (report.status, report.weight_updates) == ("candidate", ())
-        assert "not offered before something confirms it" in str(report)
-        assert (_ids(_recall(memory)), memory.weights()) == (["sure"], {"sure": 0.575, "hearsay": 0.5})
+        assert "not retrieved until another outcome confirms it" in str(report)
+        assert (_ids(_recall(memory)), memory.weights()) == (["trusted"], {"trusted": 0.575, "unconfirmed": 0.5})
 
 
-def test_a_verdict_that_another_sense_disputes_is_set_aside(tmp_path: Path) -> None:
+def test_an_outcome_that_a_second_check_disputes_is_quarantined(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
         for name, kind in (("a", "succeeded"), ("b", "failed")):
@@ -47,16 +49,16 @@ def test_a_verdict_that_another_sense_disputes_is_set_aside(tmp_path: Path) -> N
         assert _recall(memory) == RetrievedContext()
 
 
-def test_a_later_consistent_outcome_confirms_and_then_teaches(tmp_path: Path) -> None:
-    """What was held back is applied in full, and the same ledger replays to the same weights."""
+def test_a_later_consistent_outcome_confirms_a_candidate_and_applies_its_updates(tmp_path: Path) -> None:
+    """The deferred updates are applied in full, and the same ledger replays to the same weights."""
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
         memory.store(episode("shown"), REST_POSTURE, now=NOW)
-        memory.store(episode("hearsay", second_opinion="none", recall=_recall(memory)), REST_POSTURE, now=NOW)
+        memory.store(episode("unconfirmed", second_opinion="none", recall=_recall(memory)), REST_POSTURE, now=NOW)
         report = memory.store(episode("again"), REST_POSTURE, now=NOW)
-        assert (report.status, report.confirmed_ids) == ("active", ("hearsay",))
-        assert memory.weights() == pytest.approx({"shown": 0.95 * 0.575 + 0.1, "hearsay": 0.575, "again": 0.575})
-        assert set(_ids(_recall(memory))) == {"shown", "hearsay", "again"}
+        assert (report.status, report.confirmed_ids) == ("active", ("unconfirmed",))
+        assert memory.weights() == pytest.approx({"shown": 0.95 * 0.575 + 0.1, "unconfirmed": 0.575, "again": 0.575})
+        assert set(_ids(_recall(memory))) == {"shown", "unconfirmed", "again"}
         assert open_memory(ledger).weights() == memory.weights()
 
 
@@ -70,31 +72,35 @@ def test_a_later_consistent_outcome_confirms_and_then_teaches(tmp_path: Path) ->
         ({"registry": "bbbb2222"}, False),
     ],
 )
-def test_only_an_independent_and_like_outcome_confirms(tmp_path: Path, other: dict[str, str], confirms: bool) -> None:
-    """Many claims of one source do not confirm each other: the shape of implanted successes."""
+def test_only_an_independent_and_similar_outcome_confirms(
+    tmp_path: Path, other: dict[str, str], confirms: bool
+) -> None:
+    """Outcomes of one source do not confirm each other, which would allow planted successes."""
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
-        memory.store(episode("hearsay", second_opinion="none"), REST_POSTURE, now=NOW)
-        assert (memory.store(episode("b", **other), REST_POSTURE, now=NOW).confirmed_ids == ("hearsay",)) == confirms
-        assert (memory.state["hearsay"].status == "active") == confirms
+        memory.store(episode("unconfirmed", second_opinion="none"), REST_POSTURE, now=NOW)
+        assert (
+            memory.store(episode("b", **other), REST_POSTURE, now=NOW).confirmed_ids == ("unconfirmed",)
+        ) == confirms
+        assert (memory.state["unconfirmed"].status == "active") == confirms
 
 
-def test_a_released_candidate_teaches_once(tmp_path: Path) -> None:
+def test_a_released_candidate_updates_weights_once(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
         memory.store(episode("a"), REST_POSTURE, now=NOW)
         memory.store(episode("b", second_opinion="none", recall=_recall(memory)), REST_POSTURE, now=NOW)
         for _ in range(2):
-            release(memory, ["b"], "seen with my own eyes", now=NOW)
+            release(memory, ["b"], "seen by a person", now=NOW)
             assert memory.weights() == pytest.approx({"a": 0.95 * 0.575 + 0.1, "b": 0.575})
 
 
 @settings(max_examples=6, deadline=None)
 @given(st.lists(st.sampled_from(("succeeded", "failed")), min_size=8, max_size=25), st.floats(0.05, 0.3))
-def test_one_source_moves_weights_only_so_far_in_a_day(
+def test_one_source_changes_weights_within_the_daily_bounds(
     tmp_path_factory: pytest.TempPathFactory, kinds: list[str], bound: float
 ) -> None:
-    """Law over any sequence: Σ|Δw| of others by one source within a day stays below both bounds; a new day is free."""
+    """Law over any sequence: Σ|Δw| by one source in one day stays below both bounds; the next day starts at zero."""
     trust = TrustConfig(max_change_per_memory=bound, max_change_per_source=1.5 * bound)
     with open_ledger(tmp_path_factory.mktemp("l")) as ledger:
         memory = open_memory(ledger, replace(CONFIG, trust=trust, plasticity=Plasticity()))
@@ -116,17 +122,19 @@ def test_one_source_moves_weights_only_so_far_in_a_day(
 
 
 @given(st.floats(0, 1), st.floats(0.5, 1), st.floats(-1, 1), st.floats(0, 2), st.floats(0, 2))
-def test_a_bounded_step_stays_in_its_room(w: float, gain: float, offset: float, total: float, single: float) -> None:
+def test_a_limited_update_stays_within_the_budget(
+    w: float, gain: float, offset: float, total: float, single: float
+) -> None:
     trust = TrustConfig(max_change_per_source=1.0, max_change_per_memory=0.5)
-    step, share = trust.limit_update(AffineMap(gain, offset), w, (total, single))
-    room = max(0.0, min(1.0 - total, 0.5 - single))
-    assert abs(step(w) - w) <= room + 1e-12
+    update, share = trust.limit_update(AffineMap(gain, offset), w, (total, single))
+    budget = max(0.0, min(1.0 - total, 0.5 - single))
+    assert abs(update(w) - w) <= budget + 1e-12
     assert 0.0 <= share <= 1.0
 
 
 @pytest.mark.parametrize(
     "setting", [{"max_change_per_source": 0.0}, {"max_change_per_memory": -1.0}, {"min_similarity": 2.0}]
 )
-def test_bounds_that_are_none_are_refused(setting: dict[str, float]) -> None:
+def test_invalid_bounds_are_refused(setting: dict[str, float]) -> None:
     with pytest.raises(ConfigurationError, match="trust"):
         TrustConfig(**setting)

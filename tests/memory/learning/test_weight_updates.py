@@ -1,4 +1,4 @@
-"""Weights by outcomes: the neighbourhood, the handicap law as measured, and what breaks outside the constraints."""
+"""Weight updates: the neighbourhood, the handicap law, and failures of rules outside the constraints."""
 
 import math
 from dataclasses import replace
@@ -21,7 +21,7 @@ WIDE = replace(CONFIG, plasticity=Plasticity(kappa=0.05, bandwidth=0.3), trust=T
 
 
 @pytest.mark.parametrize(("kind", "xi"), [("succeeded", 1.0), ("failed", -1.0)])
-def test_the_neighbourhood_moves_by_the_papers_gaussian(tmp_path: Path, kind: str, xi: float) -> None:
+def test_the_neighbourhood_follows_the_gaussian_of_the_paper(tmp_path: Path, kind: str, xi: float) -> None:
     """Oracle: the formula on distances between the stored vectors; the new memory itself is not its own neighbour."""
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger, WIDE)
@@ -39,25 +39,25 @@ def test_the_neighbourhood_moves_by_the_papers_gaussian(tmp_path: Path, kind: st
         assert got["new"] == pytest.approx(AffineMap(0.95, 0.1 if xi > 0 else -0.1)(0.5))
 
 
-def test_how_one_contract_went_says_nothing_of_others_in_the_same_place(tmp_path: Path) -> None:
-    """Else a contract that fails again and again would pull down the good ones beside it, until the last one leads."""
+def test_the_outcome_of_one_contract_does_not_change_others_in_the_same_situation(tmp_path: Path) -> None:
+    """Otherwise a contract that fails repeatedly would lower the weights of good contracts in the same situation."""
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger, WIDE)
         memory.store(episode("good", plan=grasp_contract("cup")), REST_POSTURE, now=NOW)
-        memory.store(episode("like it", "declined", plan=grasp_contract("jar")), REST_POSTURE, now=NOW)
+        memory.store(episode("same contract", "declined", plan=grasp_contract("jar")), REST_POSTURE, now=NOW)
         before = memory.weights()
         for number in range(20):
             memory.store(episode(f"bad {number}", "failed", plan=grasp_contract("jar")), REST_POSTURE, now=NOW)
         after = memory.weights()
         assert after["good"] == before["good"] > max(after[f"bad {number}"] for number in range(20))
-        assert after["like it"] == 0.0
+        assert after["same contract"] == 0.0
         bare = {"id": "c-1", "context": {}, "action_sequence": []}
         assert memory.store(episode("nothing", "failed", plan=bare), REST_POSTURE, now=NOW).n_neighbours == 0
         assert memory.store(episode("again", "failed", plan=bare), REST_POSTURE, now=NOW).n_neighbours == 0
 
 
-def test_an_outcome_teaches_the_exemplar_that_was_followed(tmp_path: Path) -> None:
-    """What stood beside it is another contract; of two that are equally near, both were followed."""
+def test_an_outcome_updates_the_exemplar_that_was_followed(tmp_path: Path) -> None:
+    """Exemplars with another contract stay unchanged; if two are equally near, both count as followed."""
     slow, fast = (grasp_contract("cup") for _ in range(2))
     slow["action_sequence"][0]["params"] |= {"speed": 0.1, "force": 5.0}
     fast["action_sequence"][0]["params"] |= {"speed": 0.3, "force": 5.0}
@@ -71,16 +71,16 @@ def test_an_outcome_teaches_the_exemplar_that_was_followed(tmp_path: Path) -> No
                 memory.store(episode(name, plan=plan), REST_POSTURE, now=NOW)
             before = memory.weights()
             recall = memory.retrieve("put the red cube in the bowl", SCENE, REST_POSTURE, "arm", "aaaa1111", k=2)
-            told = memory.store(episode("new", "failed", plan=done, recall=recall), REST_POSTURE, now=NOW)
+            report = memory.store(episode("new", "failed", plan=done, recall=recall), REST_POSTURE, now=NOW)
             assert {name for name, w in memory.weights().items() if w != before.get(name, w)} == moved
             ranks = {hit.episode_id: hit.rank for hit in recall.exemplars}
-            assert {one.memory: one.rank for one in told.weight_updates if one.rank} == {
+            assert {one.memory: one.rank for one in report.weight_updates if one.rank} == {
                 name: ranks[name] for name in moved
             }
 
 
-def test_a_contract_that_keeps_going_wrong_where_it_is_copied_loses_its_lead(tmp_path: Path) -> None:
-    """Its newest copy lies nearest and begins at w₀; what is known of it counts all the same."""
+def test_a_contract_that_fails_wherever_it_is_copied_loses_its_lead(tmp_path: Path) -> None:
+    """The newest copy is nearest and starts at w₀, but the evidence about the contract counts as well."""
     words = "put the red cube in the bowl"
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger, WIDE)
@@ -99,7 +99,7 @@ def test_a_contract_that_keeps_going_wrong_where_it_is_copied_loses_its_lead(tmp
         assert first[-6:] == ["cup"] * 6
 
 
-def test_at_most_the_nearest_are_touched(tmp_path: Path) -> None:
+def test_at_most_the_nearest_neighbours_change(tmp_path: Path) -> None:
     rule = replace(WIDE.plasticity or Plasticity(), reach=3)
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger, replace(WIDE, plasticity=rule))
@@ -109,8 +109,8 @@ def test_at_most_the_nearest_are_touched(tmp_path: Path) -> None:
         assert [name for name, w in memory.weights().items() if w > 0.5] == ["e-3", "e-4", "e-5", "new"]
 
 
-def test_a_neighbours_outcome_never_outweighs_an_own_one() -> None:
-    """Proposition 2 with a neighbourhood: good and bad in one place, taking turns, each spreading to the other."""
+def test_a_neighbours_outcome_never_outweighs_the_own_outcome() -> None:
+    """Proposition 2 with a neighbourhood: alternating good and bad outcomes that also update each other."""
     rule = Plasticity(kappa=0.05, eta_plus=0.1, rho=0.05)
     good, bad = 0.0, 1.0
     for _ in range(200):
@@ -141,7 +141,7 @@ def test_neighbourhoods_that_would_outweigh_outcomes_are_refused(setting: dict[s
     [(0.1, 0.01, 0.2, 0.5), (0.0, 0.1, 0.2, 0.0), (0.0, 0.0, 0.2, 0.5)],
 )
 def test_outside_the_constraints_proposition_2_fails(rho: float, eta_plus: float, eta_minus: float, g0: float) -> None:
-    """The paper's rule by hand with such values does not separate (or a success lowers a weight); the class refuses."""
+    """With such values the rule of the paper does not separate, or a success lowers a weight; they are refused."""
     with pytest.raises(ConfigurationError):
         Plasticity(rho=rho, eta_plus=eta_plus, eta_minus=eta_minus, g=Penalty(floor=g0), kappa=0.0)
     good, bad, fell = 0.0, 1.0, False
@@ -160,8 +160,8 @@ def test_the_handicap_law(lambda_s: float, gap: float, handicap: float) -> None:
         return
     cosine = 1.0 - 2.0 * handicap
     near, far = np.array([1.0, 0.0], np.float32), np.array([cosine, math.sqrt(1.0 - cosine**2)], np.float32)
-    scan = FlatIndex(2)
-    scan.add(near, 0.0)
-    scan.add(far, gap)
-    winner = scan.top_k(scan.compare(Query.single_block(near)), np.ones(2, bool), 1, lambda_s)[0].row
+    index = FlatIndex(2)
+    index.add(near, 0.0)
+    index.add(far, gap)
+    winner = index.top_k(index.compare(Query.single_block(near)), np.ones(2, bool), 1, lambda_s)[0].row
     assert (winner == 1) == (handicap < limit)

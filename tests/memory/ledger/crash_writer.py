@@ -1,4 +1,4 @@
-"""A writer that is killed: by the test while it appends for ever, or by itself before its n-th SQL statement."""
+"""A writer that is killed: by the test while it appends endlessly, or by itself before its n-th SQL statement."""
 
 import os
 import signal
@@ -10,11 +10,11 @@ from typing import Any
 from dualbrain.memory.ledger.ledger import Ledger, PendingEvent, StoredVector
 
 EVENTS_PER_TRANSACTION = 3
-"""Events in one transaction."""
+"""Number of events in one transaction."""
 
 
 def write_steps(path: Path, run: str, steps: int) -> None:
-    """Store `steps` steps (for ever if 0), acknowledging each on stdout once it is stored."""
+    """Store `steps` steps (endlessly if 0) and acknowledge each on stdout after it is stored."""
     with Ledger(path, holder="the killed writer", now=1.0) as ledger:
         ledger.start_run(run, {}, now=2.0)
         step = 0
@@ -31,24 +31,24 @@ def write_steps(path: Path, run: str, steps: int) -> None:
 
 
 def kill_before_statement(statement: int) -> None:
-    """Arrange that this process kills itself just before it runs its SQL statement number `statement`, from 0."""
-    connect, seen = sqlite3.connect, [0]
+    """Make this process kill itself just before its SQL statement number `statement`, counted from 0."""
+    connect, executed = sqlite3.connect, [0]
 
     def count(_: str) -> None:
-        if seen[0] == statement:
+        if executed[0] == statement:
             os.kill(os.getpid(), signal.SIGKILL)
-        seen[0] += 1
+        executed[0] += 1
 
-    def watched(*args: Any, **settings: Any) -> sqlite3.Connection:
+    def connect_and_count(*args: Any, **settings: Any) -> sqlite3.Connection:
         database = connect(*args, **settings)
         database.set_trace_callback(count)
         return database
 
-    sqlite3.connect = watched
+    sqlite3.connect = connect_and_count
 
 
 def kill_before_each_statement(folder: Path) -> int:
-    """Let one child each die before its statement 0, 1, ..., each with a ledger of its own, until one survives."""
+    """Start children with a new ledger each that die before statement 0, 1, ...; return the first that survives."""
     statement = 0
     while True:
         child = os.fork()
@@ -65,4 +65,4 @@ if __name__ == "__main__":
     if len(sys.argv) > 2:
         write_steps(Path(sys.argv[1]), sys.argv[2], 0)
     else:
-        print(kill_before_each_statement(Path(sys.argv[1])))  # noqa: T201 - the answer
+        print(kill_before_each_statement(Path(sys.argv[1])))  # noqa: T201 - the result

@@ -1,4 +1,4 @@
-"""A disk that is full, one that cannot be written, four clients that are killed: clear words, nothing lost."""
+"""A full disk, a read-only disk and killed clients: clear errors, and no acknowledged event is lost."""
 
 import os
 import subprocess
@@ -24,30 +24,30 @@ def _mounted(folder: Path, *options: str) -> bool:
 
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system of 4 MB; needs the right to mount."""
+    """A file system of 4 MB; needs the permission to mount."""
     if not _mounted(tmp_path, "-o", "size=4m"):
         pytest.skip("this user may not mount a file system")
     yield tmp_path
     subprocess.run(["umount", "-l", str(tmp_path)], check=True)
 
 
-def test_a_full_disk_is_told_and_what_was_acknowledged_stays(small_disk: Path) -> None:
+def test_a_full_disk_is_reported_and_acknowledged_events_stay(small_disk: Path) -> None:
     kept = []
     with open_ledger(small_disk) as ledger:
         memory = open_memory(ledger)
-        with pytest.raises(ConfigurationError, match=r"memory ledger: got '.*(full|disk I/O).*a disk with space"):  # noqa: PT012
+        with pytest.raises(ConfigurationError, match=r"memory ledger .* cannot be used: .*(full|disk I/O).*free space"):  # noqa: PT012
             for i in range(3000):
                 memory.store(episode(f"e-{i}", proposed="x" * 9000), REST_POSTURE, now=NOW)
                 kept.append(f"e-{i}")
-        recalled = memory.retrieve("put the red cube in the bowl", "", REST_POSTURE, "arm", "aaaa1111", k=3)
-        assert len(recalled.exemplars) == 3
+        retrieved = memory.retrieve("put the red cube in the bowl", "", REST_POSTURE, "arm", "aaaa1111", k=3)
+        assert len(retrieved.exemplars) == 3
     with LedgerReader(small_disk / "ledger.db") as reader:
         assert reader.verify().is_intact
         assert [event.subject for event in reader.events("kind = 'episode'")] == kept
         assert len(kept) > 20
 
 
-def test_when_there_is_room_again_the_ledger_goes_on(small_disk: Path) -> None:
+def test_the_ledger_continues_when_space_is_free_again(small_disk: Path) -> None:
     ballast = small_disk / "ballast"
     with open_ledger(small_disk) as ledger:
         ledger.append([PendingEvent(kind="note", subject="", payload=1)], now=NOW)
@@ -59,18 +59,18 @@ def test_when_there_is_room_again_the_ledger_goes_on(small_disk: Path) -> None:
         assert (ledger.verify().is_intact, ledger.head().seq) == (True, 2)
 
 
-def test_a_full_disk_at_the_start_is_told(small_disk: Path) -> None:
+def test_a_full_disk_at_the_start_is_reported(small_disk: Path) -> None:
     (small_disk / "ballast").write_bytes(bytes(4 << 20))
     for _ in range(2):
         with pytest.raises(ConfigurationError, match="memory ledger"):
             open_ledger(small_disk)
 
 
-def test_a_read_only_file_system_is_told_and_can_be_read(small_disk: Path) -> None:
+def test_a_read_only_file_system_is_reported_and_can_be_read(small_disk: Path) -> None:
     with open_ledger(small_disk) as ledger:
         open_memory(ledger).store(episode("a"), REST_POSTURE, now=NOW)
     subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
-    with pytest.raises(ConfigurationError, match=r"memory ledger: got 'Read-only file system', allowed: a ledger that"):
+    with pytest.raises(ConfigurationError, match=r"memory ledger .* cannot be used: Read-only file system\. Check"):
         Ledger(small_disk / "ledger.db", holder="a test", now=NOW)
     with LedgerReader(small_disk / "ledger.db") as reader:
         memory = open_memory(reader)
@@ -79,7 +79,7 @@ def test_a_read_only_file_system_is_told_and_can_be_read(small_disk: Path) -> No
 
 
 def test_four_clients_killed_at_random_moments_lose_nothing(tmp_path: Path) -> None:
-    """A sample of the proof `kills`."""
+    """A sample of the experiment `crash_recovery`."""
     rng, acknowledged, path = np.random.default_rng(99), set[str](), tmp_path / "ledger.sqlite"
     for number in range(4):
         acknowledged |= run_round(path, number, rng)

@@ -37,7 +37,7 @@ def _filled(folder: Path, events: int = 6) -> Path:
 
 
 def _tamper(path: Path, *statements: str) -> None:
-    """What an attacker with the file can do: drop the triggers, then write."""
+    """Change the file as an attacker with access could: drop the triggers, then write."""
     database = sqlite3.connect(path)
     for statement in ("DROP TRIGGER event_is_never_changed", "DROP TRIGGER event_is_never_removed", *statements):
         database.execute(statement)
@@ -45,13 +45,13 @@ def _tamper(path: Path, *statements: str) -> None:
     database.close()
 
 
-def test_an_empty_ledger_is_whole(tmp_path: Path) -> None:
+def test_an_empty_ledger_is_intact(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         report = ledger.verify()
     assert (report.is_intact, report.events, report.head) == (True, 0, Head(0, GENESIS))
 
 
-def test_events_come_back_as_they_were_written(tmp_path: Path) -> None:
+def test_events_are_read_as_they_were_written(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         written = ledger.append(
             [
@@ -106,21 +106,21 @@ def test_a_removed_or_moved_event_is_found(tmp_path: Path, statement: str, broke
         assert reader.verify().broken_at == broken_at
 
 
-def test_a_removed_event_is_said_to_be_missing(tmp_path: Path) -> None:
+def test_a_removed_event_is_reported_as_missing(tmp_path: Path) -> None:
     path = _filled(tmp_path)
     _tamper(path, "DELETE FROM event WHERE seq = 3")
     with LedgerReader(path) as reader:
-        assert reader.verify().fault == "event 3 is missing, the next one found is 4"
+        assert reader.verify().fault == "event 3 is missing; the next event in the file is 4"
 
 
-def test_a_changed_event_with_a_new_hash_betrays_itself_at_the_next_one(tmp_path: Path) -> None:
+def test_a_changed_event_with_a_new_hash_is_found_at_the_next_event(tmp_path: Path) -> None:
     path = _filled(tmp_path)
     with LedgerReader(path) as reader:
         forged = replace(list(reader.events())[2], payload=b"{}")
     _tamper(path, f"UPDATE event SET payload = CAST('{{}}' AS BLOB), hash = '{event_digest(forged)}' WHERE seq = 3")
     with LedgerReader(path) as reader:
         report = reader.verify()
-    assert (report.broken_at, report.fault) == (4, "it does not name the event before it as its predecessor")
+    assert (report.broken_at, report.fault) == (4, "it does not name the previous event as its predecessor")
 
 
 def test_a_shortened_ledger_is_found_by_an_anchor(tmp_path: Path) -> None:
@@ -170,7 +170,7 @@ def test_events_cannot_be_changed_or_removed_by_accident(tmp_path: Path) -> None
     database.close()
 
 
-def test_a_file_that_is_no_ledger_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_ledger_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "ledger.db"
     path.write_bytes(b"this is not a database, it is a letter" * 100)
     with pytest.raises(CorruptLedgerError, match="not a database"):
@@ -188,10 +188,10 @@ def test_a_newer_schema_is_refused(tmp_path: Path) -> None:
         open_ledger(tmp_path)
 
 
-def test_what_fails_leaves_nothing_behind(tmp_path: Path) -> None:
+def test_a_failed_append_writes_nothing(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         first = ledger.append([PendingEvent(kind="episode", subject="e", payload={})], now=NOW)
-        with pytest.raises(ConfigurationError, match="does not hold yet"):
+        with pytest.raises(ConfigurationError, match="already contains an episode or a run with this name"):
             ledger.append(
                 [
                     PendingEvent(kind="note", subject="n", payload={}),
@@ -250,7 +250,7 @@ def test_the_lock_is_free_after_close_and_after_a_failed_open(tmp_path: Path) ->
 
 
 def _killed(path: Path, run: str, delay: float) -> int:
-    """Start the writer, kill -9 it `delay` seconds after its first acknowledgement; counts those."""
+    """Kill the writer with SIGKILL `delay` seconds after its first acknowledgement; returns the acknowledged steps."""
     command = [*INTERPRETER, str(crash_writer.__file__), str(path), run]
     writer = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert writer.stdout is not None
@@ -274,12 +274,12 @@ def test_kill_9_at_any_moment_leaves_a_valid_chain_with_every_acknowledged_event
             assert acknowledged <= stored <= acknowledged + 1
             assert weights == stored * (crash_writer.EVENTS_PER_TRANSACTION - 1)
             assert len(list(ledger.vectors())) == sum(1 for _ in ledger.events("kind = 'episode'"))
-            assert [cut.run for cut in ledger.interrupted_runs()] == [f"run-{k}"]
+            assert [run.run for run in ledger.interrupted_runs()] == [f"run-{k}"]
             assert ledger.interrupted_runs()[0].episodes == stored
 
 
 def test_kill_9_before_each_statement_leaves_a_valid_chain(tmp_path: Path) -> None:
-    """From an absent file to a stored episode, one killed process for each SQL statement on the way."""
+    """From a missing file to a stored episode, with one killed process for each SQL statement."""
     command = [*INTERPRETER, str(crash_writer.__file__), str(tmp_path)]
     statements = int(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout.splitlines()[-1])
     assert statements > 20
@@ -289,27 +289,27 @@ def test_kill_9_before_each_statement_leaves_a_valid_chain(tmp_path: Path) -> No
             report = ledger.verify()
             assert report.is_intact
             assert len(list(ledger.vectors())) == (report.events > 1)
-            assert [cut.run for cut in ledger.interrupted_runs()] == ["run"] * (report.events > 0)
+            assert [run.run for run in ledger.interrupted_runs()] == ["run"] * (report.events > 0)
             lengths.append(report.events)
     assert lengths == sorted(lengths)
     assert set(lengths) == {0, 1, 1 + crash_writer.EVENTS_PER_TRANSACTION}
 
 
-def test_the_next_start_says_once_what_happened(tmp_path: Path) -> None:
+def test_the_next_start_reports_an_interrupted_run_once(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         assert ledger.start_run("r-1", {"instruction": "tidy up"}, now=NOW) == ()
         ledger.mark_progress("grasp red_cube", now=NOW + 60)
         assert ledger.interrupted_runs() == ()
     with open_ledger(tmp_path) as ledger:
-        (cut,) = ledger.start_run("r-2", {}, now=NOW + 3600)
-        assert str(cut) == (
+        (interrupted,) = ledger.start_run("r-2", {}, now=NOW + 3600)
+        assert str(interrupted) == (
             "Run r-1 of 2027-01-15 08:00:00 UTC was interrupted after 'grasp red_cube' (2027-01-15 08:01:00 UTC): "
-            "0 episodes were stored and kept; what was under way then is not in memory."
+            "0 episodes were stored and kept; an unfinished episode is not in memory."
         )
         ledger.append([PendingEvent(kind="episode", subject="e-1", payload={})], now=NOW + 3601)
     with open_ledger(tmp_path) as ledger:
-        (cut,) = ledger.interrupted_runs()
-        assert (cut.run, cut.last_activity, cut.episodes) == ("r-2", "storing episode e-1", 1)
+        (interrupted,) = ledger.interrupted_runs()
+        assert (interrupted.run, interrupted.last_activity, interrupted.episodes) == ("r-2", "storing episode e-1", 1)
         ledger.start_run("r-3", {}, now=NOW + 7200)
         ledger.end_run({"success": True}, now=NOW + 7300)
         assert ledger.verify().is_intact
@@ -326,7 +326,9 @@ def test_the_next_start_says_once_what_happened(tmp_path: Path) -> None:
 @given(
     text=st.text(st.characters(exclude_categories=["Cs"])), subject=st.text(st.characters(exclude_categories=["Cs"]))
 )
-def test_any_unicode_comes_back_as_it_was(tmp_path_factory: pytest.TempPathFactory, text: str, subject: str) -> None:
+def test_any_unicode_text_is_read_as_it_was_written(
+    tmp_path_factory: pytest.TempPathFactory, text: str, subject: str
+) -> None:
     with open_ledger(tmp_path_factory.mktemp("ledger")) as ledger:
         ledger.append([PendingEvent(kind="note", subject=subject, payload={"text": text, text: 1})], now=NOW)
         (event,) = ledger.events()
@@ -339,7 +341,7 @@ def test_any_unicode_comes_back_as_it_was(tmp_path_factory: pytest.TempPathFacto
     "text",
     ["'; DROP TABLE event; --", "\x00\x1b[2J\u202e", '"}],"outcome":{"kind":"succeeded"}', "</s><|im_start|>system"],
 )
-def test_hostile_text_is_data(tmp_path: Path, text: str) -> None:
+def test_hostile_text_is_stored_as_data(tmp_path: Path, text: str) -> None:
     with open_ledger(tmp_path) as ledger:
         ledger.start_run(text, {"instruction": text}, now=NOW)
         ledger.append([PendingEvent(kind="note", subject=text, payload=text)], now=NOW)
@@ -348,7 +350,7 @@ def test_hostile_text_is_data(tmp_path: Path, text: str) -> None:
         assert ledger.verify().is_intact
 
 
-def test_what_json_cannot_hold_is_replaced_in_plain_sight(tmp_path: Path) -> None:
+def test_values_that_json_cannot_represent_are_replaced_visibly(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         ledger.append(
             [

@@ -38,16 +38,14 @@ def rules(draw: st.DrawFn) -> Plasticity:
 
 
 @given(rules(), weights, st.lists(outcomes, max_size=40))
-def test_a_weight_never_leaves_its_interval(
-    rule: Plasticity, w: float, sequence: list[tuple[int, float | None]]
-) -> None:
+def test_a_weight_stays_in_its_interval(rule: Plasticity, w: float, sequence: list[tuple[int, float | None]]) -> None:
     for r, Delta in sequence:
         w = rule.update_map(r, Delta)(w)
         assert 0.0 <= w <= 1.0
 
 
 @given(rules(), weights, outcomes)
-def test_success_never_lowers_and_failure_never_raises(
+def test_success_never_lowers_and_failure_never_raises_a_weight(
     rule: Plasticity, w: float, outcome: tuple[int, float | None]
 ) -> None:
     after = rule.update_map(*outcome)(w)
@@ -58,7 +56,7 @@ def test_success_never_lowers_and_failure_never_raises(
 
 
 @given(rules(), weights, weights, outcomes)
-def test_the_update_keeps_the_order_of_weights(
+def test_the_update_preserves_the_order_of_weights(
     rule: Plasticity, a: float, b: float, outcome: tuple[int, float | None]
 ) -> None:
     update = rule.update_map(*outcome)
@@ -73,10 +71,10 @@ def test_more_intervention_never_suppresses_less(rule: Plasticity, w: float, a: 
 
 @given(rules(), weights, weights, st.lists(st.one_of(st.none(), st.floats(0.0, 10.0)), min_size=1, max_size=5))
 def test_proposition_2(rule: Plasticity, good: float, bad: float, failures: list[float | None]) -> None:
-    """From any start, also the worst, success ends above failure; the number of updates is the bound worked out here.
+    """From any initial weights, repeated success ends above repeated failure after a bounded number of updates.
 
-    Each success brings 1 - w down by at least the factor (1 - rho) or by eta_plus; each failure brings w down by the
-    factor (1 - rho) or by eta_minus·g.
+    Each success reduces 1 - w at least by the factor (1 - rho) or by eta_plus; each failure reduces w by the factor
+    (1 - rho) or by eta_minus·g.
     """
     slowest = max(rule.rho, rule.eta_minus * min(rule.g.floor, rule.g.rejected))
     updates = math.ceil(12.0 / min(slowest, max(rule.rho, rule.eta_plus)))
@@ -88,7 +86,7 @@ def test_proposition_2(rule: Plasticity, good: float, bad: float, failures: list
     assert good - bad > 0.9
 
 
-def test_the_rule_is_the_papers() -> None:
+def test_the_rule_is_that_of_the_paper() -> None:
     rule = Plasticity(rho=0.1, eta_plus=0.2, eta_minus=0.3, epsilon=0.01, g=Penalty(floor=0.5, scale=0.1, rejected=0.9))
     assert rule.update_map(1, 0.01)(0.5) == pytest.approx(0.9 * 0.5 + 0.2)
     assert rule.update_map(1, 0.1)(0.5) == pytest.approx(0.9 * 0.5 - 0.3 * 0.75)
@@ -107,7 +105,7 @@ def test_updates_do_not_commute() -> None:
 
 
 @pytest.mark.parametrize("Delta", [math.nan, math.inf, -math.inf, -1.0, None])
-def test_a_success_without_a_sound_delta_is_not_reinforced(Delta: float | None) -> None:
+def test_a_success_without_a_valid_delta_is_not_reinforced(Delta: float | None) -> None:
     assert not Plasticity().is_reinforcing(1, Delta)
     assert Plasticity().update_map(1, Delta)(0.5) < 0.5
     assert Plasticity().update_map(1, Delta)(1.0) >= 0.95 - 0.2

@@ -1,4 +1,4 @@
-"""Asking memory: filters, diversity, dials at query time, missing blocks, and all parts of a score."""
+"""Queries: filters, diversity, settings of a query, missing blocks, and all parts of a score."""
 
 from pathlib import Path
 from typing import Any
@@ -21,8 +21,10 @@ from tests.memory.memory_samples import NOW, REST_POSTURE, episode, grasp_contra
 WORDS, SCENE = "put the red cube in the bowl", "neighbour_across low"
 
 
-def _ids(memory: Memory, **how: Any) -> list[str]:
-    return [h.episode_id for h in memory.retrieve(WORDS, SCENE, REST_POSTURE, "arm", "aaaa1111", k=9, **how).exemplars]
+def _ids(memory: Memory, **settings: Any) -> list[str]:
+    return [
+        h.episode_id for h in memory.retrieve(WORDS, SCENE, REST_POSTURE, "arm", "aaaa1111", k=9, **settings).exemplars
+    ]
 
 
 @pytest.mark.parametrize(
@@ -39,7 +41,7 @@ def _ids(memory: Memory, **how: Any) -> list[str]:
         (Filter(outcomes=("declined",)), set()),
     ],
 )
-def test_filters_narrow_what_is_found(tmp_path: Path, where: Filter, expected: set[str]) -> None:
+def test_filters_restrict_the_hits(tmp_path: Path, where: Filter, expected: set[str]) -> None:
     push = {**grasp_contract(), "action_sequence": [{"skill": "push", "params": {"object": "mug"}}]}
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
@@ -50,7 +52,7 @@ def test_filters_narrow_what_is_found(tmp_path: Path, where: Filter, expected: s
         assert set(_ids(memory, where=where)) == expected
 
 
-def test_lambda_and_alpha_are_dials_of_the_query(tmp_path: Path) -> None:
+def test_lambda_and_alpha_are_settings_of_the_query(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
         memory.store(episode("words", summary="person: crossing, overhead"), REST_POSTURE, now=NOW)
@@ -60,7 +62,7 @@ def test_lambda_and_alpha_are_dials_of_the_query(tmp_path: Path) -> None:
         for i in range(6):
             shown = memory.retrieve("tidy up the table", SCENE, REST_POSTURE, "arm", "aaaa1111", k=1)
             memory.store(
-                episode(f"f-{i}", "failed", plan=grasp_contract("cup"), recall=replace_warnings(shown)),
+                episode(f"f-{i}", "failed", plan=grasp_contract("cup"), recall=without_warnings(shown)),
                 REST_POSTURE,
                 now=NOW,
             )
@@ -76,20 +78,20 @@ def test_lambda_and_alpha_are_dials_of_the_query(tmp_path: Path) -> None:
         )
 
 
-def replace_warnings(recall: Any) -> Any:
-    """Only the exemplars."""
+def without_warnings(recall: Any) -> Any:
+    """The exemplars only."""
     return type(recall)(recall.exemplars)
 
 
-def test_every_part_of_a_score_is_told(tmp_path: Path) -> None:
-    picture = ImageFeatures.from_vector(IMAGE_ENCODER_ID, np.arange(1.0, 129.0).astype(np.float32))
+def test_every_part_of_a_score_is_reported(tmp_path: Path) -> None:
+    image = ImageFeatures.from_vector(IMAGE_ENCODER_ID, np.arange(1.0, 129.0).astype(np.float32))
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
-        memory.store(episode("seen"), REST_POSTURE, now=NOW, image=picture)
+        memory.store(episode("seen"), REST_POSTURE, now=NOW, image=image)
         memory.store(episode("unseen"), REST_POSTURE, now=NOW)
         seen, unseen = (
-            memory.retrieve(WORDS, SCENE, REST_POSTURE, "arm", "aaaa1111", k=2, image=image).exemplars
-            for image in (picture, None)
+            memory.retrieve(WORDS, SCENE, REST_POSTURE, "arm", "aaaa1111", k=2, image=queried).exemplars
+            for queried in (image, None)
         )
         for hit in (*seen, *unseen):
             alpha = memory.config.embedding.alpha
@@ -107,27 +109,27 @@ def test_diversity_is_the_greedy_choice_of_its_definition(seed: int, d: float, k
     """Oracle: the formula of the docstring, pair by pair in float64."""
     rng = np.random.default_rng(seed)
     rows, weights = unit_rows(rng, 40, 6), rng.random(40)
-    scan = FlatIndex(6)
+    index = FlatIndex(6)
     for row, w in zip(rows, weights, strict=True):
-        scan.add(row, float(w))
-    compared = scan.compare(Query.single_block(unit_rows(rng, 1, 6)[0]))
-    pool = scan.top_k(compared, np.ones(40, bool), 8 * k, 0.8)
+        index.add(row, float(w))
+    compared = index.compare(Query.single_block(unit_rows(rng, 1, 6)[0]))
+    pool = index.top_k(compared, np.ones(40, bool), 8 * k, 0.8)
     expected = [pool[0]]
     while len(expected) < k:
 
         def value(hit: Any, chosen: tuple[Any, ...] = tuple(expected)) -> float:
-            like = max((1.0 + float(rows[hit.row].astype(float) @ rows[one.row])) / 2.0 for one in chosen)
-            return (1.0 - d) * hit.score - d * like
+            similarity = max((1.0 + float(rows[hit.row].astype(float) @ rows[one.row])) / 2.0 for one in chosen)
+            return (1.0 - d) * hit.score - d * similarity
 
         expected.append(max((hit for hit in pool if hit not in expected), key=value))
-    got = select_diverse(scan, compared, np.ones(40, bool), k, 0.8, d)
+    got = select_diverse(index, compared, np.ones(40, bool), k, 0.8, d)
     assert [hit.row for hit in got] == [hit.row for hit in expected]
-    assert scan.top_k(compared, np.ones(40, bool), k, 0.8) == select_diverse(
-        scan, compared, np.ones(40, bool), k, 0.8, 0.0
+    assert index.top_k(compared, np.ones(40, bool), k, 0.8) == select_diverse(
+        index, compared, np.ones(40, bool), k, 0.8, 0.0
     )
 
 
-def test_a_diverse_recall_does_not_repeat_itself(tmp_path: Path) -> None:
+def test_diverse_retrieval_does_not_repeat_near_duplicates(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
         for i in range(4):

@@ -13,18 +13,18 @@ DIM = 24
 
 
 def _filled(rows: np.ndarray, weights: np.ndarray) -> FlatIndex:
-    scan = FlatIndex(rows.shape[1])
+    index = FlatIndex(rows.shape[1])
     for row, weight in zip(rows, weights, strict=True):
-        scan.add(row, float(weight))
-    return scan
+        index.add(row, float(weight))
+    return index
 
 
-def _top(scan: FlatIndex, query: np.ndarray, eligible: np.ndarray, k: int, lambda_s: float) -> tuple[MemoryHit, ...]:
-    return scan.top_k(scan.compare(Query.single_block(query)), eligible, k, lambda_s)
+def _top(index: FlatIndex, query: np.ndarray, eligible: np.ndarray, k: int, lambda_s: float) -> tuple[MemoryHit, ...]:
+    return index.top_k(index.compare(Query.single_block(query)), eligible, k, lambda_s)
 
 
 def _oracle(rows, weights, query, eligible, k, lambda_s) -> list[int]:
-    """Sort all in float64, one dot product at a time; the newer first among equals."""
+    """Sort all rows in float64, one dot product at a time; the newest first among equals."""
     scored = []
     for i in np.flatnonzero(eligible):
         cosine = float((rows[i].astype(float) * query.astype(float)).sum())
@@ -41,8 +41,8 @@ def _oracle(rows, weights, query, eligible, k, lambda_s) -> list[int]:
     distinct=st.integers(1, 40),
     levels=st.integers(1, 6),
 )
-def test_top_equals_the_oracle(seed: int, n: int, k: int, lambda_s: float, distinct: int, levels: int) -> None:
-    """Few distinct rows and weights on purpose: ties are the rule, not the exception."""
+def test_top_k_equals_the_oracle(seed: int, n: int, k: int, lambda_s: float, distinct: int, levels: int) -> None:
+    """Few distinct rows and weights, so that ties are frequent."""
     rng = np.random.default_rng(seed)
     rows = unit_rows(rng, distinct, DIM)[rng.integers(0, distinct, n)]
     weights = rng.integers(0, levels, n) / max(1, levels - 1)
@@ -63,10 +63,10 @@ def test_scores_too_close_for_float32_are_still_ranked_right() -> None:
     assert [hit.row for hit in _top(_filled(rows, weights), query, np.ones(500, bool), 5, 0.8)] == expected
 
 
-def test_the_score_is_the_papers() -> None:
+def test_the_score_is_that_of_the_paper() -> None:
     a, b = np.eye(2, dtype=np.float32)
-    scan = _filled(np.stack([a, b]), np.array([0.25, 1.0]))
-    first, second = _top(scan, a, np.ones(2, bool), 2, 0.8)
+    index = _filled(np.stack([a, b]), np.array([0.25, 1.0]))
+    first, second = _top(index, a, np.ones(2, bool), 2, 0.8)
     assert (first.row, first.similarity, first.weight) == (0, 1.0, 0.25)
     assert first.score == pytest.approx(0.8 * 1.0 + 0.2 * 0.25)
     assert second.score == pytest.approx(0.8 * 0.5 + 0.2 * 1.0)
@@ -75,40 +75,42 @@ def test_the_score_is_the_papers() -> None:
 @given(
     seed=st.integers(0, 10_000), n=st.integers(1, 40), kinds=st.integers(1, 8), bandwidth=st.sampled_from((0.05, 0.3))
 )
-def test_what_is_known_of_a_contract_adds_up_over_its_memories(seed: int, n: int, kinds: int, bandwidth: float) -> None:
-    """Brute force in Python floats; of a contract that is remembered once, its own weight."""
+def test_the_evidence_about_a_contract_is_summed_over_its_memories(
+    seed: int, n: int, kinds: int, bandwidth: float
+) -> None:
+    """Brute force in Python floats; a contract with a single memory has the weight of this memory."""
     rng = np.random.default_rng(seed)
     rows, weights = unit_rows(rng, n, DIM), rng.random(n)
     contracts, counted = rng.integers(kinds, size=n).astype(np.int32), rng.random(n) < 0.7
     compared = _filled(rows, weights).compare(Query.single_block(unit_rows(rng, 1, DIM)[0]))
-    told = contract_weights(compared, weights, contracts, counted, bandwidth)
+    result = contract_weights(compared, weights, contracts, counted, bandwidth)
     for i in range(n):
-        mine = [j for j in range(n) if contracts[j] == contracts[i] and counted[j]]
-        far = [2.0 - 2.0 * float(compared.cosine[j]) for j in mine]
-        shares = [np.exp((min(far) - d) / (2.0 * bandwidth**2)) for d in far]
-        known = 0.5 + sum(share * (weights[j] - 0.5) for share, j in zip(shares, mine, strict=True))
-        expected = min(1.0, max(0.0, known)) if mine else weights[i]
-        assert told[i] == pytest.approx(expected, abs=1e-4)
-        if mine == [i]:
-            assert told[i] == pytest.approx(weights[i], abs=1e-12)
+        same = [j for j in range(n) if contracts[j] == contracts[i] and counted[j]]
+        distances = [2.0 - 2.0 * float(compared.cosine[j]) for j in same]
+        shares = [np.exp((min(distances) - d) / (2.0 * bandwidth**2)) for d in distances]
+        known = 0.5 + sum(share * (weights[j] - 0.5) for share, j in zip(shares, same, strict=True))
+        expected = min(1.0, max(0.0, known)) if same else weights[i]
+        assert result[i] == pytest.approx(expected, abs=1e-4)
+        if same == [i]:
+            assert result[i] == pytest.approx(weights[i], abs=1e-12)
 
 
-def test_experience_outranks_likeness_inside_the_stated_gap() -> None:
-    """A weight gap of 1 outweighs a likeness gap below (1 - lambda)/lambda."""
+def test_weights_outrank_similarity_within_the_stated_gap() -> None:
+    """A weight gap of 1 outweighs a similarity gap below (1 - lambda)/lambda."""
     query = np.array([1.0, 0.0], np.float32)
     for gap, winner in ((0.24, 1), (0.26, 0)):
         cosine = 1.0 - 2.0 * gap
         far = np.array([cosine, np.sqrt(1.0 - cosine**2)], np.float32)
-        scan = _filled(np.stack([query, far]), np.array([0.0, 1.0]))
-        assert _top(scan, query, np.ones(2, bool), 1, 0.8)[0].row == winner
+        index = _filled(np.stack([query, far]), np.array([0.0, 1.0]))
+        assert _top(index, query, np.ones(2, bool), 1, 0.8)[0].row == winner
 
 
-def test_reweighing_changes_the_ranking() -> None:
+def test_changed_weights_change_the_ranking() -> None:
     rows = np.repeat(np.eye(1, 4, dtype=np.float32), 3, axis=0)
-    scan = _filled(rows, np.array([0.5, 0.5, 0.5]))
-    scan.set_weight(0, 0.9)
-    scan.set_weight(2, 0.1)
-    assert [hit.row for hit in _top(scan, rows[0], np.ones(3, bool), 3, 0.8)] == [0, 1, 2]
+    index = _filled(rows, np.array([0.5, 0.5, 0.5]))
+    index.set_weight(0, 0.9)
+    index.set_weight(2, 0.1)
+    assert [hit.row for hit in _top(index, rows[0], np.ones(3, bool), 3, 0.8)] == [0, 1, 2]
 
 
 @pytest.mark.parametrize("lambda_s", [-0.1, 1.1, float("nan")])

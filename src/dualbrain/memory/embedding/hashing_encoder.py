@@ -1,4 +1,4 @@
-"""A tiny sentence encoder without weights: hashed words. It knows spelling, not meaning; for tests and dry runs."""
+"""Sentence encoder without weights: hashed words. It compares spelling, not meaning; for tests and dry runs."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from dualbrain.memory.embedding.text_encoder import Float32Array
 class HashingEncoder:
     """Counts of words and letter triples, hashed into `dim` signed bins and normalised (Weinberger et al. 2009).
 
-    Deterministic on every machine. Texts that share words are alike; synonyms are not.
+    The result is the same on every machine. Texts that share words are similar; synonyms are not.
     """
 
     def __init__(self, dim: int = 64) -> None:
-        """Take the length of the vectors."""
+        """Create an encoder with vectors of length `dim`."""
         self.dim = dim
         self.id = f"hashing@{dim}"
 
@@ -28,15 +28,15 @@ class HashingEncoder:
 
     def _encode_one(self, text: str) -> NDArray[np.float32]:
         row = np.zeros(self.dim)
-        for piece, count in _weighted_tokens(text):
-            place, sign = hash_bin(piece, self.dim)
-            row[place] += sign * count
+        for token, count in _weighted_tokens(text):
+            column, sign = hash_bin(token, self.dim)
+            row[column] += sign * count
         return (row / np.linalg.norm(row)).astype(np.float32) if row.any() else np.eye(1, self.dim, dtype=np.float32)[0]
 
 
-def hash_bin(piece: str, dim: int) -> tuple[int, float]:
-    """The bin of `piece` among `dim`, and its sign: the same on every machine."""
-    code = int.from_bytes(hashlib.blake2b(piece.encode("utf-8", "replace"), digest_size=8).digest(), "little")
+def hash_bin(token: str, dim: int) -> tuple[int, float]:
+    """The bin of `token` among `dim` bins, and its sign; the same on every machine."""
+    code = int.from_bytes(hashlib.blake2b(token.encode("utf-8", "replace"), digest_size=8).digest(), "little")
     return (code >> 1) % dim, 1.0 if code & 1 else -1.0
 
 

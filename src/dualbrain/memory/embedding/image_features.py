@@ -1,4 +1,4 @@
-"""What an image encoder saw: the features of one picture, as they cross rooms and lie in the ledger."""
+"""Features of one image, as packages exchange them and the ledger stores them."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ IMAGE_FEATURES_DIM = 128
 
 
 class ImageFeatures(msgspec.Struct, frozen=True):
-    """Unit features of shape (128,), little-endian float32 in base64, and the `encoder` (name, version) of them."""
+    """Unit features of shape (128,), as little-endian float32 in base64, and name and version of their `encoder`."""
 
     encoder: str
     features: str
 
     @classmethod
     def from_vector(cls, encoder: str, features: Float32Array) -> ImageFeatures:
-        """The picture with these features, normalised; raises `InvalidSetup` if they have no direction."""
+        """These features, normalised; raises `ConfigurationError` if their norm is 0 or not finite."""
         length = float(np.linalg.norm(features))
         if features.shape != (IMAGE_FEATURES_DIM,) or not (np.isfinite(length) and length > 0.0):
             raise ConfigurationError(
-                "picture features", got=features.shape, allowed=f"({IMAGE_FEATURES_DIM},), finite, not all 0"
+                "image features", got=features.shape, allowed=f"({IMAGE_FEATURES_DIM},), finite, not all 0"
             )
         return cls(encoder, b64encode((features / length).astype("<f4").tobytes()).decode())
 
     def to_vector(self) -> Float32Array:
-        """The features, shape (128,); raises `InvalidSetup` if they are damaged."""
+        """The features, shape (128,), float32; raises `ConfigurationError` if they are damaged."""
         try:
             return np.frombuffer(b64decode(self.features, validate=True), "<f4").reshape(IMAGE_FEATURES_DIM)
         except ValueError as error:
             raise ConfigurationError(
-                "picture features", got=str(error), allowed=f"{IMAGE_FEATURES_DIM} float32 in base64"
+                "image features", got=str(error), allowed=f"{IMAGE_FEATURES_DIM} float32 in base64"
             ) from error

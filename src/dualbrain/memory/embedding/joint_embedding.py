@@ -16,16 +16,17 @@ from dualbrain.memory.embedding.symbol_features import SYMBOLS_DIM, SYMBOLS_VERS
 from dualbrain.memory.embedding.text_encoder import Encoder, Float32Array
 
 BLOCKS = ("instruction", "summary", "symbols", "image", "state")
-"""The blocks in their order; bit b of a mask says that block b is there."""
+"""The blocks in their order; bit b of a mask is set if block b is present."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Alpha:
-    """How much each block counts: the cosine of two episodes is Σ_b α_b cos_b, and the weights α sum to 1.
+    """Weights α of the blocks: the cosine of two episodes is Σ_b α_b cos_b, and the weights sum to 1.
 
-    `instruction` says what is wanted and leads. `summary`, the scene in words, is the second language block. `symbols`
-    and `image` are the visual-semantic blocks: what the scene's symbols say, and what a picture of it looks like.
-    `state` is light: most episodes start from the same posture. Tunable at every query: nothing is stored with it.
+    `instruction` has the largest weight, because it states the goal. `summary`, the scene in words, is the second
+    language block. `symbols` and `image` are the visual-semantic blocks: scene symbols and image features. `state` has
+    a small weight, because most episodes start from the same posture. Each query may use other weights: they are not
+    part of the stored vectors.
     """
 
     instruction: float = 0.4
@@ -35,20 +36,20 @@ class Alpha:
     state: float = 0.1
 
     def __post_init__(self) -> None:
-        """Raise `InvalidSetup` for weights that do not sum to 1."""
+        """Raise `ConfigurationError` for negative weights and for weights that do not sum to 1."""
         weights = astuple(self)
         if not (min(weights) >= 0.0 and math.isclose(sum(weights), 1.0, abs_tol=1e-9)):
             raise ConfigurationError("embedding weights", got=weights, allowed="each at least 0, together 1")
 
     def weight_by_mask(self) -> NDArray[np.float64]:
-        """Σ α_b over the blocks of each mask, shape (32,)."""
+        """Σ_b α_b over the blocks of each mask, shape (32,)."""
         bits = np.arange(1 << len(BLOCKS))[:, None] >> np.arange(len(BLOCKS)) & 1
         return bits.astype(np.float64) @ np.array(astuple(self))
 
 
 @dataclass(frozen=True, slots=True)
 class EmbeddingConfig:
-    """Weights of the blocks, and how the state becomes features: their number, seed and kernel bandwidth."""
+    """Weights of the blocks, and the random Fourier features of the state: number, seed and kernel bandwidth."""
 
     alpha: Alpha = field(default_factory=Alpha)
     features: int = 128
@@ -56,7 +57,7 @@ class EmbeddingConfig:
     bandwidth: float = 1.0
 
     def __post_init__(self) -> None:
-        """Raise `InvalidSetup` for odd feature counts and bandwidths not above 0."""
+        """Raise `ConfigurationError` for an odd number of features and a bandwidth that is not above 0."""
         if self.features < 2 or self.features % 2:
             raise ConfigurationError("embedding features", got=self.features, allowed="an even number from 2")
         if not 0.0 < self.bandwidth < math.inf:
@@ -65,10 +66,10 @@ class EmbeddingConfig:
 
 @dataclass(frozen=True, slots=True)
 class EpisodeEmbedding:
-    """The unit blocks of one episode side by side, shape (dim,), zeros where one is missing (see `mask`).
+    """The concatenated unit blocks of one episode, shape (dim,); a block that is missing in `mask` is zero.
 
     A missing block is never imputed: two episodes are compared by the blocks that both have,
-    cos = Σ α_b cos_b / Σ α_b over those.
+    cos = Σ_b α_b cos_b / Σ_b α_b over these blocks.
     """
 
     vector: Float32Array
@@ -77,9 +78,9 @@ class EpisodeEmbedding:
 
 @dataclass(frozen=True, slots=True)
 class JointEmbedding:
-    """e = [instruction, summary, symbols, image, state], each of unit length; α is applied by the query.
+    """e = [instruction, summary, symbols, image, state], each block of unit length; the query applies α.
 
-    Without the unit blocks the block with the largest numbers would decide alone.
+    Without the normalisation the block with the largest values would dominate the cosine.
     """
 
     encoder: Encoder
@@ -88,7 +89,7 @@ class JointEmbedding:
 
     @property
     def block_dims(self) -> tuple[int, ...]:
-        """Length of each block."""
+        """Length of each block, in the order of `BLOCKS`."""
         return self.encoder.dim, self.encoder.dim, SYMBOLS_DIM, IMAGE_FEATURES_DIM, self.config.features
 
     @property
@@ -97,7 +98,10 @@ class JointEmbedding:
         return sum(self.block_dims)
 
     def version(self, robot: str) -> str:
-        """Everything that a vector of `robot` depends on besides its episode; vectors of two versions never meet."""
+        """Name of everything besides the episode that determines a vector of `robot`.
+
+        Vectors of different versions are never compared.
+        """
         c = self.config
         return (
             f"{self.encoder.id} {SYMBOLS_VERSION} {IMAGE_ENCODER_ID} features={c.features} seed={c.seed} "
@@ -107,9 +111,10 @@ class JointEmbedding:
     def embed(
         self, instruction: str, summary: str, state: Posture | None, robot: str, image: ImageFeatures | None = None
     ) -> EpisodeEmbedding:
-        """The blocks of one episode; "" and None are missing ones.
+        """The blocks of one episode; "" and None stand for missing blocks.
 
-        Raises `UnknownName` for a robot without limits, `InvalidSetup` for a picture of another encoder.
+        Raises `UnknownNameError` for a robot without limits and `ConfigurationError` for image features of another
+        encoder.
         """
         c, limits = self.config, self._limits(robot)
         if image is not None and image.encoder != IMAGE_ENCODER_ID:
@@ -128,11 +133,11 @@ class JointEmbedding:
         return EpisodeEmbedding(np.concatenate(rows).astype(np.float32), mask)
 
     def expand_alpha(self, alpha: Alpha) -> Float32Array:
-        """α_b at every place of block b, shape (dim,): times a row it makes the query [α_b v_b]."""
+        """α_b repeated over the entries of block b, shape (dim,); its product with a row is the query [α_b v_b]."""
         return np.repeat(np.array(astuple(alpha), np.float32), self.block_dims)
 
     def block_cosines(self, one: Float32Array, other: Float32Array, mask: int) -> dict[str, float]:
-        """The cosine of each block in `mask`."""
+        """The cosine of each block that is in `mask`."""
         ends = np.cumsum(self.block_dims)
         return {
             name: float(one[end - dim : end] @ other[end - dim : end])
@@ -141,7 +146,7 @@ class JointEmbedding:
         }
 
     def supports(self, robot: str) -> bool:
-        """True if the limits of `robot` were given."""
+        """Whether this embedding has the limits of `robot`."""
         return any(limits.robot == robot for limits in self.limits)
 
     def _limits(self, robot: str) -> PostureLimits:

@@ -1,4 +1,4 @@
-"""The robot's posture (q, opening) as a unit vector whose cosine is a Gaussian kernel: random Fourier features."""
+"""Random Fourier features of the posture (q, opening): unit vectors whose cosine approximates a Gaussian kernel."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from dualbrain.robots.model import RobotModel
 Array = NDArray[np.float64]
 
 MAX_FLOOR_COORDINATE = 10.0
-"""Coordinates beyond this [m] count as alike."""
+"""Floor coordinates are clipped to ± this value [m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Posture:
-    """Joint angles `q` [rad] and finger `opening` [m each] when the instruction was heard."""
+    """Joint angles `q` [rad] and `opening` of each finger [m] when the instruction was received."""
 
     q: tuple[float, ...]
     opening: float
@@ -29,7 +29,7 @@ class Posture:
 
 @dataclass(frozen=True, slots=True)
 class PostureLimits:
-    """Ranges that make postures of `robot` comparable: joint angles [rad] and the widest finger opening [m each]."""
+    """Ranges that normalise the postures of `robot`: joint angles [rad] and the largest opening of each finger [m]."""
 
     robot: str
     lower: tuple[float, ...]
@@ -38,7 +38,7 @@ class PostureLimits:
 
     @classmethod
     def from_model(cls, robot_model: RobotModel) -> PostureLimits:
-        """The limits of `body`."""
+        """The limits of `robot_model`; x and y of a mobile base are limited to ±10 m, its heading to ±π rad."""
         lower = tuple(joint.lower.value for joint in robot_model.joints)
         upper = tuple(joint.upper.value for joint in robot_model.joints)
         if robot_model.is_mobile:
@@ -49,7 +49,10 @@ class PostureLimits:
         return cls(robot_model.name, lower, upper, robot_model.gripper.opening.value)
 
     def normalize(self, posture: Posture) -> Array:
-        """Point x ∈ [−1, 1]^(n+1): each joint and the opening, linear between its limits; raises `InvalidSetup`."""
+        """Point in [−1, 1]^(n+1): each joint and the opening, scaled linearly between its limits and clipped.
+
+        Raises `ConfigurationError` for another number of joints and for values that are not finite.
+        """
         if len(posture.q) != len(self.lower) or not np.isfinite([*posture.q, posture.opening]).all():
             raise ConfigurationError(
                 "posture", got=posture, allowed=f"{len(self.lower)} finite joint angles of {self.robot}"
@@ -60,16 +63,16 @@ class PostureLimits:
 
     @property
     def fingerprint(self) -> str:
-        """8 hex digits that change when a limit does."""
+        """Eight hex digits that change when a limit changes."""
         text = ",".join(value.hex() for value in (*self.lower, *self.upper, self.opening))
         return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 
 def fourier_features(x: Array, features: int, seed: int, bandwidth: float) -> Array:
-    """z(x) = √(2/D)·[cos Ωx, sin Ωx] of shape (features,), D = features; ‖z‖ = 1 exactly.
+    """z(x) = √(2/D)·[cos Ωx, sin Ωx] of shape (D,), with D = `features`; ‖z‖ = 1 exactly.
 
-    z(x)·z(y) ≈ exp(−‖x − y‖² / 2·bandwidth²) (Rahimi & Recht 2007), with orthogonal rows of Ω (Yu et al. 2016), which
-    halves the error: about 0.02 on average at 128 features.
+    z(x)·z(y) ≈ exp(−‖x − y‖² / 2·bandwidth²) (Rahimi & Recht 2007). The rows of Ω are orthogonal (Yu et al. 2016),
+    which halves the error to about 0.02 on average at 128 features.
     """
     phase = _frequencies(x.size, features // 2, seed) @ x / bandwidth
     return np.concatenate([np.cos(phase), np.sin(phase)]) / np.sqrt(features // 2)
@@ -77,7 +80,7 @@ def fourier_features(x: Array, features: int, seed: int, bandwidth: float) -> Ar
 
 @lru_cache
 def _frequencies(dim: int, rows: int, seed: int) -> Array:
-    """Ω of shape (rows, dim): blocks of orthogonal directions, each row with the length of a Gaussian vector."""
+    """Ω of shape (rows, dim): blocks of orthogonal directions; each row has the length of a Gaussian vector."""
     blocks = -(-rows // dim)
     gaussian = _standard_normals(seed, 2 * blocks * dim * dim).reshape(2, blocks, dim, dim)
     directions = [_signed_q_factor(block) for block in gaussian[0]]
@@ -86,22 +89,23 @@ def _frequencies(dim: int, rows: int, seed: int) -> Array:
 
 
 def orthogonal_rows(rows: int, dim: int, seed: int) -> Array:
-    """Orthonormal rows of shape (rows, dim), uniformly turned, the same on every machine."""
+    """Orthonormal rows of shape (rows, dim), uniformly distributed; the same on every machine."""
     gaussian = _standard_normals(seed, rows * dim).reshape(rows, dim)
     q, r = np.linalg.qr(gaussian.T)
     return (q * np.sign(np.diag(r))).T
 
 
 def _signed_q_factor(block: Array) -> Array:
-    """The Q factor whose R has a positive diagonal: the one choice of signs that every LAPACK agrees on."""
+    """The Q factor, transposed, whose R has a positive diagonal: this choice of signs is the same in every LAPACK."""
     q, r = np.linalg.qr(block)
     return (q * np.sign(np.diag(r))).T
 
 
 def _standard_normals(seed: int, count: int) -> Array:
-    """`count` standard normals from SHAKE-256 and Box-Muller: the same numbers on every machine and NumPy, for ever.
+    """`count` standard normals from SHAKE-256 and the Box-Muller transform; the same with every machine and NumPy.
 
-    NumPy does not promise that its generators keep their streams, and stored vectors must outlive its versions.
+    NumPy does not promise that the streams of its generators stay the same, and stored vectors must stay valid under
+    later versions.
     """
     raw = hashlib.shake_256(f"dualbrain posture features {seed}".encode()).digest(16 * count)
     uniform = (np.frombuffer(raw, "<u8") >> np.uint64(11)).astype(np.float64) * 2.0**-53

@@ -1,6 +1,7 @@
-"""Symbolic scene descriptors: the words of a scene summary as a unit vector, sharp where sentence encoders blur.
+"""Symbolic scene descriptors: the symbols of a scene summary as a unit vector.
 
-A sentence encoder hardly tells `neighbour_across tall <3cm` from `neighbour_along low 3-6cm`; a contract hangs on it.
+A sentence encoder gives almost the same vector to `neighbour_across tall <3cm` and `neighbour_along low 3-6cm`, but the
+right contract depends on the difference.
 """
 
 from __future__ import annotations
@@ -14,25 +15,26 @@ from dualbrain.memory.embedding.hashing_encoder import hash_bin
 from dualbrain.memory.embedding.text_encoder import Float32Array
 
 SYMBOLS_DIM = 128
-"""Bins."""
+"""Number of hash bins."""
 SYMBOLS_VERSION = "symbols-1"
 NAMED_OBJECT_WEIGHT = 3.0
-"""How much more the symbols of a thing count that the instruction names."""
+"""Factor for the symbols of an object that the instruction names."""
 
 IGNORED_SYMBOLS = ("", "object")
-"""Says nothing: every thing has it."""
+"""Symbols without information, because every object has them."""
 
 
 def symbol_features(instruction: str, summary: str) -> Float32Array | None:
-    """Unit vector of shape (128,): hashed signed counts of the summary's symbols; None if it has none.
+    """Unit vector of shape (128,): hashed signed counts of the summary's symbols; None if it has no symbols.
 
-    A symbol is one comma-separated attribute of a line, without the name of the thing, so that a scene with other names
-    and the same neighbours, ways and people is alike. Lines of things that the instruction names count `FOCUS` times.
+    A symbol is one comma-separated attribute of a line, without the name of the object, so that scenes with other names
+    and the same neighbours, paths and people are similar. The lines of objects that the instruction names count
+    `NAMED_OBJECT_WEIGHT` times.
     """
     row = np.zeros(SYMBOLS_DIM)
     for symbol, weight in _weighted_symbols(instruction, summary):
-        place, sign = hash_bin(symbol, SYMBOLS_DIM)
-        row[place] += sign * weight
+        column, sign = hash_bin(symbol, SYMBOLS_DIM)
+        row[column] += sign * weight
     length = float(np.linalg.norm(row))
     return (row / length).astype(np.float32) if length > 0.0 else None
 

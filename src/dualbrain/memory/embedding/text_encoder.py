@@ -1,4 +1,4 @@
-"""Sentences to unit vectors, offline: the encoder protocol and MiniLM-L6-v2 in int8 through ONNX Runtime."""
+"""Offline sentence encoders: the encoder protocol, and MiniLM-L6-v2 in int8 through ONNX Runtime."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from dualbrain.errors import MissingDependencyError
 Float32Array = NDArray[np.float32]
 
 MAX_TOKENS = 256
-"""Longer texts are cut here: the length the model was trained for (its sentence-transformers configuration)."""
+"""Longer texts are cut at this length, which is that of the sentence-transformers configuration of the model."""
 
 ENCODER_WEIGHTS, TOKENIZER_WEIGHTS = "minilm-l6-v2-int8", "minilm-l6-v2-tokenizer"
-"""Names of its files in the manifest of weights."""
+"""Names of the encoder's files in the manifest of weights."""
 
 _FETCH = f"Fetch it with `dualbrain models fetch {ENCODER_WEIGHTS}` and `dualbrain models fetch {TOKENIZER_WEIGHTS}`."
 _INSTALL = "Install it with `pip install 'dualbrain[memory]'`."
 
 
 class Encoder(Protocol):
-    """Turns texts into vectors whose cosine is their likeness in meaning.
+    """Maps texts to vectors whose cosine measures the similarity of their meaning.
 
-    `id` names model and version: vectors of different ids are never compared. The vector of a text depends on that text
-    alone, not on the others it is encoded with.
+    `id` names model and version: vectors of different ids are never compared. The vector of a text depends on this text
+    alone, not on the texts that are encoded together with it.
     """
 
     @property
@@ -49,20 +49,23 @@ class Encoder(Protocol):
 
 
 class MiniLmEncoder:
-    """all-MiniLM-L6-v2 (384-d, Apache-2.0), dynamically quantised to int8: mean of the token vectors, normalised.
+    """all-MiniLM-L6-v2 (384-d, Apache-2.0), dynamically quantised to int8: the normalised mean of the token vectors.
 
-    One text is encoded at a time: dynamic quantisation takes its scales from the whole batch, so that in a batch the
-    vector of a text would depend on its neighbours.
+    Texts are encoded one at a time: dynamic quantisation computes its scales from the whole batch, so that in a batch
+    the vector of a text would depend on the other texts.
     """
 
     dim = 384
 
     def __init__(self, model: Path, tokenizer: Path) -> None:
-        """Load the ONNX file `model` and `tokenizer` (tokenizer.json); raises `MissingPart` if one is not there."""
+        """Load the ONNX file `model` and `tokenizer` (tokenizer.json).
+
+        Raises `MissingDependencyError` if a file or a package is missing.
+        """
         for path in (model, tokenizer):
             if not path.is_file():
                 raise MissingDependencyError(
-                    f"The sentence encoder's file {path.name}", fix=f"{_FETCH} Looked for {path}"
+                    f"The sentence encoder's file {path.name}", fix=f"{_FETCH} Expected file: {path}"
                 )
         digest = hashlib.sha256(model.read_bytes() + tokenizer.read_bytes()).hexdigest()
         self.id = f"minilm-l6-v2-int8@{digest[:8]}"
@@ -71,11 +74,11 @@ class MiniLmEncoder:
 
     @classmethod
     def from_cache(cls, cache: Path) -> MiniLmEncoder:
-        """The encoder whose files were fetched into `cache`; raises `MissingPart`, `WrongHash`."""
+        """The encoder whose files were fetched into `cache`; raises `MissingDependencyError` or `ChecksumError`."""
         return cls(locate_weights(ENCODER_WEIGHTS, cache), locate_weights(TOKENIZER_WEIGHTS, cache))
 
     def encode(self, texts: Sequence[str]) -> Float32Array:
-        """Unit rows of shape (n_texts, 384), float32; any text is taken, the empty one too."""
+        """Unit rows of shape (n_texts, 384), float32, for any texts, including empty ones."""
         return np.stack([self._encode_one(text) for text in texts]) if texts else np.empty((0, self.dim), np.float32)
 
     def _encode_one(self, text: str) -> NDArray[np.float32]:
@@ -88,7 +91,7 @@ class MiniLmEncoder:
 
 
 def _session(model: Path) -> Any:
-    """An ONNX Runtime session on one thread: the encoder must not take the control loop's cores."""
+    """An ONNX Runtime session with one thread, so that the encoder does not take cores from the control loop."""
     try:
         runtime: Any = import_module("onnxruntime")
     except ImportError as error:

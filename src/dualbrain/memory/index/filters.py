@@ -1,4 +1,4 @@
-"""Which memories may be recalled: columns of codes beside the vectors, and the filter that reads them."""
+"""Filters on memories: conditions, and integer-coded columns beside the vectors on which they are evaluated."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Filter:
-    """Conditions on a memory; the empty tuple and None set none.
+    """Conditions on a memory; an empty tuple or None sets no condition.
 
-    `skills`: its contract holds all of them; `contract`: it is the one with this digest. `after` and `before` [s, 1970
-    UTC] bound when it was stored. By default only active memories pass: neither candidates nor what is quarantined or
-    forgotten.
+    `skills`: the contract of the memory contains all of them; `contract`: digest of the contract. `after` and `before`
+    [s, 1970 UTC] bound the time at which the memory was stored. By default only active memories pass: neither
+    candidates nor quarantined or forgotten memories.
     """
 
     robot: str | None = None
@@ -38,13 +38,13 @@ class Filter:
 
 
 MAX_CACHED_MASKS = 16
-"""So many filters keep their answer."""
-STATIC_COLUMNS = ("place", "lesson", "skills", "contract", "kind", "source")
-"""What is told of a memory when it is added, and stays."""
+"""Number of filters whose masks are cached."""
+STATIC_COLUMNS = ("scope", "guidance", "skills", "contract", "kind", "source")
+"""Properties of a memory that never change; `scope` is the pair of robot and registry hash."""
 
 
 class _Column:
-    """Values of one kind, each stored as a small number."""
+    """Values of one property, each stored as an integer code."""
 
     def __init__(self) -> None:
         self.codes = np.empty(64, np.int32)
@@ -52,36 +52,37 @@ class _Column:
 
     def set(self, row: int, value: Any) -> None:
         if row >= len(self.codes):
-            room = max(64, row // 2)
-            self.codes = np.concatenate([self.codes[:row], np.empty(room, np.int32)])
+            growth = max(64, row // 2)
+            self.codes = np.concatenate([self.codes[:row], np.empty(growth, np.int32)])
         self.codes[row] = self.code_by_value.setdefault(value, len(self.code_by_value))
 
     def isin(self, wanted: set[Any], n: int) -> Mask:
-        """Rows whose value is in `wanted`."""
+        """Mask of the first `n` rows whose value is in `wanted`, shape (n,)."""
         chosen = np.zeros(len(self.code_by_value), bool)
         chosen[[self.code_by_value[value] for value in wanted if value in self.code_by_value]] = True
         return chosen[self.codes[:n]]
 
 
 class Columns:
-    """What filters look at, one column a property, one row a memory."""
+    """The properties that filters read: one column per property, one row per memory."""
 
     def __init__(self) -> None:
-        """Begin empty."""
+        """Create columns without rows."""
         self._columns = {name: _Column() for name in (*STATIC_COLUMNS, "status")}
         self._times = np.empty(64)
         self._count = 0
         self._masks: dict[Filter, Mask] = {}
 
     def add(self, memo: MemoryState) -> None:
-        """Append a row."""
+        """Append a row for `memo`."""
         row, self._count = self._count, self._count + 1
         self._masks.clear()
         if row == len(self._times):
             self._times = np.concatenate([self._times, np.empty(max(64, row // 2))])
         self._times[row] = memo.time
-        origin = memo.provenance
-        values = ((memo.robot, memo.registry), memo.guidance, origin.skills, origin.contract, memo.kind, origin.source)
+        provenance = memo.provenance
+        scope = (memo.robot, memo.registry)
+        values = (scope, memo.guidance, provenance.skills, provenance.contract, memo.kind, provenance.source)
         for name, value in zip(STATIC_COLUMNS, values, strict=True):
             self._columns[name].set(row, value)
         self.set_status(row, memo.status)
@@ -93,11 +94,11 @@ class Columns:
 
     @property
     def contract_codes(self) -> NDArray[np.int32]:
-        """A number for each row, shape (n,): equal where the contracts are. Not to be written to."""
+        """Contract code of each row, shape (n,), equal for equal contracts; read-only."""
         return self._columns["contract"].codes[: self._count]
 
     def mask(self, wanted: Filter) -> Mask:
-        """Which rows pass, shape (n,); remembered until a row is added or changes its status. Not to be written to."""
+        """Mask of the rows that pass, shape (n,); read-only, cached until a row is added or a status changes."""
         if wanted not in self._masks:
             if len(self._masks) == MAX_CACHED_MASKS:
                 self._masks.clear()
@@ -110,14 +111,14 @@ class Columns:
             return np.zeros(0, bool)
         passed = columns["status"].isin(set(wanted.statuses), n)
         if wanted.robot is not None or wanted.registry is not None:
-            places = {
+            scopes = {
                 (robot, registry)
-                for robot, registry in columns["place"].code_by_value
+                for robot, registry in columns["scope"].code_by_value
                 if wanted.robot in (None, robot) and wanted.registry in (None, registry)
             }
-            passed &= columns["place"].isin(places, n)
+            passed &= columns["scope"].isin(scopes, n)
         if wanted.guidance is not None:
-            passed &= columns["lesson"].isin({wanted.guidance}, n)
+            passed &= columns["guidance"].isin({wanted.guidance}, n)
         if wanted.skills:
             chosen = {skills for skills in columns["skills"].code_by_value if set(wanted.skills) <= set(skills)}
             passed &= columns["skills"].isin(chosen, n)

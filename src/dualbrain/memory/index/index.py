@@ -1,4 +1,4 @@
-"""The vectors of all memories with the columns that filters read: a projection of the ledger, rebuilt at will."""
+"""Search index: the vectors of all memories and the columns of the filters, rebuilt from the ledger at any time."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from dualbrain.memory.state.snapshot import MemorySnapshot
 from dualbrain.memory.state.state import LedgerState, MemoryState
 
 COSINE_ERROR_BOUND = 1e-5
-"""A float32 cosine may be this far off."""
+"""Bound on the rounding error of a float32 cosine."""
 
 
 @dataclass(frozen=True, slots=True)
 class RankingOptions:
-    """How hits are ranked: λ_s, how much likeness among hits costs (`diversity`), and how many are wanted."""
+    """Ranking of hits: their number `k`, λ_s, and the penalty `diversity` on similarity among hits."""
 
     k: int
     lambda_s: float
@@ -34,18 +34,18 @@ class RankingOptions:
 
 
 class Index:
-    """One row a memory, in the order of the state."""
+    """Search index with one row per memory, in the order of the state."""
 
     def __init__(self, embedding: JointEmbedding) -> None:
-        """Begin empty."""
+        """Create an index without rows."""
         self.embedding = embedding
         self.flat_index = FlatIndex(embedding.dim)
         self._columns = Columns()
 
     def add(self, memo: MemoryState, vector: StoredVector | None) -> None:
-        """Append `memo` with its vector; zeros for robots that this memory does not serve.
+        """Append `memo` with its vector; for robots without limits in this memory the row is zero.
 
-        Raises `InvalidSetup` if another embedding made the vector, or none was stored.
+        Raises `ConfigurationError` if the vector is missing or was computed by another embedding.
         """
         row, mask = np.zeros(self.embedding.dim, np.float32), 0
         if self.embedding.supports(memo.robot):
@@ -55,37 +55,37 @@ class Index:
                     f"embedding of memory {memo.id}",
                     got=vector and vector.version,
                     allowed=version,
-                    fix="Use the encoder and settings of before, or make all vectors anew: `dualbrain memory rebuild`.",
+                    fix="Use the previous encoder and settings, or recompute all vectors: `dualbrain memory rebuild`.",
                 )
             row, mask = np.frombuffer(vector.data, "<f4"), vector.mask
         self.flat_index.add(row, memo.weight, mask)
         self._columns.add(memo)
 
     def load(self, snapshot: MemorySnapshot) -> None:
-        """Take the rows of a snapshot."""
+        """Append the rows of a snapshot to an index without rows."""
         weights = np.array([memo.weight for memo in snapshot.state.memories])
         self.flat_index.load(snapshot.rows, weights, snapshot.masks)
         for memo in snapshot.state.memories:
             self._columns.add(memo)
 
     def is_compatible(self, snapshot: MemorySnapshot) -> bool:
-        """Whether this embedding made the rows of `snapshot`."""
+        """Whether the rows of `snapshot` were computed by this embedding."""
         return snapshot.rows.shape[1] == self.embedding.dim and snapshot.versions == self.versions(snapshot.state)
 
     def versions(self, state: LedgerState) -> dict[str, str]:
-        """Embedding version of each robot in `state`, "" for one that this memory does not serve."""
+        """Embedding version of each robot in `state`, "" for robots without limits in this memory."""
         robots = {memo.robot for memo in state.memories}
-        known = self.embedding.supports
-        return {robot: self.embedding.version(robot) if known(robot) else "" for robot in robots}
+        supports = self.embedding.supports
+        return {robot: self.embedding.version(robot) if supports(robot) else "" for robot in robots}
 
     def sync(self, state: LedgerState, rows: Sequence[int]) -> None:
-        """Bring weight and status of some rows up to `state`."""
+        """Copy weight and status of some `rows` from `state`."""
         for row in rows:
             self.flat_index.set_weight(row, state.memories[row].weight)
             self._columns.set_status(row, state.memories[row].status)
 
     def compare(self, embedded: EpisodeEmbedding, alpha: Alpha) -> QueryComparison:
-        """Read every row once, with the blocks weighted by `alpha`."""
+        """Compute the cosine of the query with every row, with the blocks weighted by `alpha`."""
         scale = self.embedding.expand_alpha(alpha)
         query = Query(embedded.vector * scale, embedded.mask, alpha.weight_by_mask(), scale)
         return self.flat_index.compare(query)
@@ -93,7 +93,7 @@ class Index:
     def contract_weights(self, compared: QueryComparison, robot: str, registry: str, bandwidth: float) -> Weights:
         """The weight w̄ of each row near the query, shape (n,), from all memories of this robot and registry.
 
-        Memories of one contract within `bandwidth` ℓ of the query count together (see `retrieval.worth`).
+        Memories of one contract are combined with a kernel of bandwidth ℓ (see `retrieval.search.contract_weights`).
         """
         counted = self._columns.mask(Filter(robot=robot, registry=registry))
         return contract_weights(compared, self.flat_index.weights, self._columns.contract_codes, counted, bandwidth)
@@ -101,7 +101,7 @@ class Index:
     def search(
         self, compared: QueryComparison, weights: Weights, where: Filter, ranking: RankingOptions
     ) -> tuple[MemoryHit, ...]:
-        """The best memories that pass `where`, by similarity and `weights` (n,)."""
+        """The best memories that pass `where`, ranked by similarity and `weights`, shape (n,)."""
         eligible = self._columns.mask(where)
         if ranking.diversity == 0.0:
             return self.flat_index.top_k(compared, eligible, ranking.k, ranking.lambda_s, weights)
@@ -112,7 +112,10 @@ class Index:
     def find_similar(
         self, compared: QueryComparison, where: Filter, min_cosine: float, max_count: int
     ) -> list[tuple[int, float]]:
-        """Rows that pass `where` with cosine at least `least`, at most `most`, the nearest (then the newest) first."""
+        """At most `max_count` rows that pass `where` with a cosine of at least `min_cosine`, and their cosines.
+
+        The nearest row is first; among equals the newest.
+        """
         rows = np.flatnonzero(self._columns.mask(where) & (compared.cosine >= min_cosine))
         if rows.size > max_count > 0:
             rough = compared.cosine[rows]
@@ -122,21 +125,21 @@ class Index:
         return [(int(rows[i]), float(cosines[i])) for i in order]
 
     def block_cosines(self, row: int, embedded: EpisodeEmbedding) -> dict[str, float]:
-        """The cosine of each block that a row and a query both have."""
+        """The cosine of each block that both the row and the query have."""
         mask = int(self.flat_index.masks[row]) & embedded.mask
         return self.embedding.block_cosines(self.flat_index.rows[row], embedded.vector, mask)
 
 
 def to_stored_vector(embedded: EpisodeEmbedding, version: str) -> StoredVector:
-    """The row as it lies in the ledger."""
+    """The vector in the form in which the ledger stores it."""
     return StoredVector(version, embedded.vector.astype("<f4").tobytes(), embedded.mask)
 
 
 def rebuild_vectors(ledger: Ledger, embedding: JointEmbedding) -> int:
-    """Make all vectors anew from the episodes, for a new encoder or other features; the events stay as they are.
+    """Recompute all vectors from the episodes, for a new encoder or other features; the events stay unchanged.
 
-    Returns how many were made. Episodes of robots that `embedding` does not know lose theirs until a later rebuild;
-    pictures of another image encoder become missing blocks.
+    Returns the number of vectors. Episodes of robots without limits in `embedding` lose their vectors until a later
+    rebuild; image features of another encoder become missing blocks.
     """
     vectors = dict(compute_vectors(ledger, embedding))
     ledger.replace_vectors(vectors)
@@ -144,13 +147,13 @@ def rebuild_vectors(ledger: Ledger, embedding: JointEmbedding) -> int:
 
 
 def compute_vectors(ledger: LedgerReader, embedding: JointEmbedding) -> Iterator[tuple[int, StoredVector]]:
-    """Event number and vector of every episode, made anew."""
+    """Event number and recomputed vector of every episode; raises `CorruptLedgerError` at a broken link."""
     for event in verified_events(ledger.events(), str(ledger.path)):
         if event.kind != EPISODE:
             continue
         stored = decode_stored_episode(event.payload)
-        told = stored.episode
-        if embedding.supports(told.robot):
+        episode = stored.episode
+        if embedding.supports(episode.robot):
             image = stored.image if stored.image and stored.image.encoder == IMAGE_ENCODER_ID else None
-            embedded = embedding.embed(told.instruction, told.summary, stored.state, told.robot, image)
-            yield event.seq, to_stored_vector(embedded, embedding.version(told.robot))
+            embedded = embedding.embed(episode.instruction, episode.summary, stored.state, episode.robot, image)
+            yield event.seq, to_stored_vector(embedded, embedding.version(episode.robot))

@@ -1,1 +1,1 @@
-"""Weight updates from outcomes, trust in sources, consolidation."""
+"""Learning from outcomes: weight updates, trust in sources, consolidation."""

@@ -1,4 +1,4 @@
-"""What storing one episode writes: the episode, what its outcome teaches, and which candidates it confirms."""
+"""The events that storing one episode writes: the episode, its weight updates, and the candidates it confirms."""
 
 from __future__ import annotations
 
@@ -41,13 +41,16 @@ from dualbrain.memory.state.state import LedgerState, MemoryState
 from dualbrain.records import Episode, OutcomeClass
 
 MAX_CANDIDATES = 20
-"""How many candidates one outcome is compared with, the nearest first."""
+"""Number of candidates that one outcome is compared with, the nearest first."""
 CONFIRMATION_REASON, PERSON_ACTOR = "a later consistent outcome", "a person"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoreTransaction:
-    """The events to append, the status of the new memory, every weight it moves, and the candidates it confirms."""
+    """The events to append, the status of the new memory, all weight updates, and the candidates that it confirms.
+
+    `n_neighbours` is the number of memories in the neighbourhood whose weights change.
+    """
 
     events: tuple[PendingEvent, ...]
     status: Status
@@ -57,16 +60,16 @@ class StoreTransaction:
 
 
 class Consolidation:
-    """Works out events; writes nothing itself."""
+    """Computes the events of an outcome; writes nothing itself."""
 
     def __init__(self, ledger: LedgerReader, state: LedgerState, index: Index, config: MemoryConfig) -> None:
-        """Read from these."""
+        """Create a consolidation that reads from `ledger`, `state` and `index`."""
         self._ledger, self._state, self._index, self._config = ledger, state, index, config
 
     def build_transaction(
         self, episode: Episode, posture: Posture, image: ImageFeatures | None, now: float
     ) -> StoreTransaction:
-        """Everything that storing `episode` at `now` [s, 1970 UTC] writes, in its order."""
+        """All events that storing `episode` at `now` [s, 1970 UTC] writes, in their order."""
         trust, source = self._config.trust, episode_provenance(episode).source
         version = self._index.embedding.version(episode.robot)
         embedded = self._index.embedding.embed(episode.instruction, episode.summary, posture, episode.robot, image)
@@ -74,16 +77,16 @@ class Consolidation:
         confirmed = self._find_confirmed(episode, embedded, status, source)
         status = "active" if status == "candidate" and confirmed else status
         body = episode_payload(episode, posture, image, version, self._config.plasticity, status)
-        entries = [
+        events = [
             PendingEvent(kind=EPISODE, subject=episode.id, payload=body, vector=to_stored_vector(embedded, version))
         ]
-        teacher = self._weight_updater(now)
-        changes, around = list[WeightUpdate](), 0
-        if teacher and status == "active" and GUIDANCE_BY_OUTCOME[episode.outcome.kind] != "none":
-            teacher.add_memory(episode.id, W0)
-            r, Delta = episode.outcome.r, _executed_Delta(episode.outcome.kind, episode.outcome.Delta)
+        updater = self._weight_updater(now)
+        updates, n_neighbours = list[WeightUpdate](), 0
+        if updater and status == "active" and GUIDANCE_BY_OUTCOME[episode.outcome.kind] != "none":
+            updater.add_memory(episode.id, W0)
+            r, Delta = episode.outcome.r, _executed_intervention(episode.outcome.kind, episode.outcome.Delta)
             followed = self._find_followed(episode.contract, shown_exemplar_ids(episode.recall))
-            lecture = OutcomeEvidence(
+            evidence = OutcomeEvidence(
                 cause=episode.id,
                 source=source,
                 r=r,
@@ -91,29 +94,29 @@ class Consolidation:
                 followed=followed,
                 neighbours=self._find_neighbours(embedded, episode),
             )
-            changes, neighbours = teacher.update(lecture)
-            entries += _weight_events(changes, neighbours)
-            around = len(neighbours.memories) if neighbours else 0
+            updates, neighbours = updater.update(evidence)
+            events += _weight_events(updates, neighbours)
+            n_neighbours = len(neighbours.memories) if neighbours else 0
         if confirmed:
             names = tuple(memo.id for memo in confirmed)
-            entries.append(
+            events.append(
                 PendingEvent(kind=CONFIRM, subject="", payload=StatusChange(names, CONFIRMATION_REASON, episode.id))
             )
-            entries += self.confirmed_updates(confirmed, teacher)
+            events += self.confirmed_updates(confirmed, updater)
         return StoreTransaction(
-            events=tuple(entries),
+            events=tuple(events),
             status=status,
-            weight_updates=tuple(changes),
-            n_neighbours=around,
+            weight_updates=tuple(updates),
+            n_neighbours=n_neighbours,
             confirmed=tuple(memo.id for memo in confirmed),
         )
 
     def confirmed_updates(self, memos: Sequence[MemoryState], updater: WeightUpdater | None) -> list[PendingEvent]:
-        """What the outcomes of `memos` teach now that they are believed, oldest first."""
-        return [entry for memo in memos if updater for entry in _weight_events(*updater.update(self._evidence(memo)))]
+        """The weight events of the outcomes of `memos`, which are now trusted; in the order of `memos`."""
+        return [event for memo in memos if updater for event in _weight_events(*updater.update(self._evidence(memo)))]
 
     def released_updates(self, names: Sequence[str], now: float) -> list[PendingEvent]:
-        """The same for memories that a person releases; those that have taught before are passed over."""
+        """The weight events of memories that a person releases, without those that have updated weights before."""
         memos = [self._state[name] for name in names]
         waiting = [memo for memo in memos if memo.guidance != "none" and not self._has_updated_weights(memo)]
         return self.confirmed_updates(waiting, self._weight_updater(now))
@@ -129,9 +132,9 @@ class Consolidation:
     def _find_confirmed(
         self, episode: Episode, embedded: EpisodeEmbedding, status: Status, source: str
     ) -> list[MemoryState]:
-        """Candidates that `episode` confirms, because the same plan succeeded again in a like situation.
+        """Candidates that `episode` confirms, because the same plan succeeded again in a similar situation.
 
-        The new outcome must be believed, or at least come from another source: many claims of one source do not confirm
+        The new outcome must be trusted, or at least come from another source: outcomes of one source do not confirm
         each other.
         """
         if episode.outcome.kind != "succeeded" or status == "quarantined":
@@ -142,9 +145,9 @@ class Consolidation:
             self._state.memories[row]
             for row, _ in self._index.find_similar(compared, where, self._config.trust.min_similarity, MAX_CANDIDATES)
         ]
-        apart = [memo for memo in near if status == "active" or memo.provenance.source != source]
-        alike = [memo for memo in apart if same_plan(self._contract(memo), episode.contract)]
-        return sorted(alike, key=lambda memo: memo.seq)
+        independent = [memo for memo in near if status == "active" or memo.provenance.source != source]
+        same = [memo for memo in independent if same_plan(self._contract(memo), episode.contract)]
+        return sorted(same, key=lambda memo: memo.seq)
 
     def _contract(self, memo: MemoryState) -> dict[str, Any] | None:
         return decode_stored_episode(self._ledger.event(memo.seq).payload).episode.contract
@@ -153,16 +156,22 @@ class Consolidation:
         data, row = self._ledger.event(memo.seq).payload, self._state.rows[memo.id]
         followed = self._find_followed(self._contract(memo), decode_shown_exemplar_ids(data))
         embedded = EpisodeEmbedding(self._index.flat_index.rows[row], int(self._index.flat_index.masks[row]))
-        around = self._find_neighbours(embedded, memo)
-        Delta = _executed_Delta(memo.kind, memo.Delta)
+        neighbours = self._find_neighbours(embedded, memo)
+        Delta = _executed_intervention(memo.kind, memo.Delta)
         return OutcomeEvidence(
-            cause=memo.id, source=memo.provenance.source, r=memo.r, Delta=Delta, followed=followed, neighbours=around
+            cause=memo.id,
+            source=memo.provenance.source,
+            r=memo.r,
+            Delta=Delta,
+            followed=followed,
+            neighbours=neighbours,
         )
 
     def _find_followed(self, contract: dict[str, Any] | None, prompt: Sequence[str]) -> list[tuple[int, str]]:
-        """Rank and id of the exemplars in `prompt` that `contract` departs from least; none if its skills are others.
+        """Rank and id of the exemplars in `prompt` that `contract` follows: those with the fewest differences.
 
-        What became of a contract says nothing of another one that stood beside the one it follows.
+        Exemplars with other skills are never followed. The outcome of a contract is no evidence for the other exemplars
+        that were in the prompt.
         """
         gaps = {
             (rank, name): count_differences(self._contract(self._state[name]), contract)
@@ -175,16 +184,14 @@ class Consolidation:
     def _find_neighbours(self, embedded: EpisodeEmbedding, one: Episode | MemoryState) -> list[tuple[str, float]]:
         """Id and squared distance 2 − 2 cos of the neighbours of `one`, itself excluded, nearest first.
 
-        Neighbours hold the same contract: how it went says nothing of others in the same place.
+        Neighbours have the same contract, because an outcome is no evidence for other contracts in the same situation.
         """
-        rule, origin = (
-            self._config.plasticity,
-            one.provenance if isinstance(one, MemoryState) else episode_provenance(one),
-        )
-        if rule is None or rule.kappa == 0.0 or rule.reach == 0 or not origin.skills:
+        rule = self._config.plasticity
+        provenance = one.provenance if isinstance(one, MemoryState) else episode_provenance(one)
+        if rule is None or rule.kappa == 0.0 or rule.reach == 0 or not provenance.skills:
             return []
         where = Filter(
-            robot=one.robot, registry=one.registry, contract=origin.contract, statuses=("active", "candidate")
+            robot=one.robot, registry=one.registry, contract=provenance.contract, statuses=("active", "candidate")
         )
         compared = self._index.compare(embedded, self._config.embedding.alpha)
         found = self._index.find_similar(compared, where, 1.0 - rule.radius / 2.0, rule.reach + 1)
@@ -192,11 +199,13 @@ class Consolidation:
         return [(name, distance) for name, distance in names if name != one.id][: rule.reach]
 
 
-def _executed_Delta(kind: OutcomeClass, Delta: float | None) -> float | None:
-    """Δ of an outcome; None for a contract that was refused, for nothing was executed."""
+def _executed_intervention(kind: OutcomeClass, Delta: float | None) -> float | None:
+    """Δ of an outcome; None for a contract that was rejected, because nothing was executed."""
     return None if kind == "rejected" or Delta is None or not np.isfinite(Delta) else Delta
 
 
-def _weight_events(weighings: Sequence[WeightUpdate], around: NeighbourUpdates | None) -> list[PendingEvent]:
-    entries = [PendingEvent(kind=WEIGHT, subject=one.memory, payload=one) for one in weighings]
-    return entries + ([PendingEvent(kind=NEIGHBOURS, subject=around.cause, payload=around)] if around else [])
+def _weight_events(updates: Sequence[WeightUpdate], neighbours: NeighbourUpdates | None) -> list[PendingEvent]:
+    events = [PendingEvent(kind=WEIGHT, subject=update.memory, payload=update) for update in updates]
+    if neighbours:
+        events.append(PendingEvent(kind=NEIGHBOURS, subject=neighbours.cause, payload=neighbours))
+    return events

@@ -1,4 +1,4 @@
-"""Against pollution (paper section 8): who is believed at once, and how far one source may move weights in a day."""
+"""Defences against pollution (paper section 8): initial status of memories, and daily bounds per source."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from dualbrain.records import Episode
 
 @dataclass(frozen=True, slots=True)
 class TrustConfig:
-    """The dials of the defences; `Trust.none()` switches all of them off.
+    """Settings of the defences; `TrustConfig.disabled()` switches all of them off.
 
-    `quarantine`: a success is a candidate until another of the robot's senses, or a later consistent outcome that is
-    believed, confirms it; a verdict that another sense disputes is set aside. `per_source` bounds Σ|Δw| that the
-    outcomes of one source cause in one day over all memories, `per_memory` what they cause on one memory.
-    `alike` is the least cosine of two situations in which the same contract counts as tried again.
+    With `quarantine`, a success is a candidate until a second outcome check or a later, consistent and trusted outcome
+    confirms it; an outcome that the second check disputes is quarantined. `max_change_per_source` bounds Σ|Δw| that the
+    outcomes of one source cause in one day over all memories, `max_change_per_memory` the part on one memory.
+    `min_similarity` is the least cosine of two situations in which the same contract counts as repeated.
     """
 
     quarantine: bool = True
@@ -27,7 +27,7 @@ class TrustConfig:
     min_similarity: float = 0.9
 
     def __post_init__(self) -> None:
-        """Raise `InvalidSetup` for bounds that are no bounds."""
+        """Raise `ConfigurationError` for bounds not above 0 and a similarity outside [−1, 1]."""
         for name, value in (
             ("max_change_per_source", self.max_change_per_source),
             ("max_change_per_memory", self.max_change_per_memory),
@@ -39,37 +39,38 @@ class TrustConfig:
 
     @classmethod
     def disabled(cls) -> TrustConfig:
-        """No defence at all."""
+        """A configuration without any defence."""
         return cls(quarantine=False, max_change_per_source=float("inf"), max_change_per_memory=float("inf"))
 
     def initial_status(self, episode: Episode) -> Status:
-        """The status with which a new memory begins."""
+        """The status of a new memory."""
         if not self.quarantine or episode.outcome.kind in ("declined", "aborted", "stopped", "rejected"):
             return "active"
         if episode.second_opinion == "disagrees":
             return "quarantined"
-        waits = episode.outcome.kind == "succeeded" and episode.second_opinion != "agrees"
-        return "candidate" if waits else "active"
+        unconfirmed = episode.outcome.kind == "succeeded" and episode.second_opinion != "agrees"
+        return "candidate" if unconfirmed else "active"
 
-    def limit_update(self, factors: AffineMap, w: float, spent: tuple[float, float]) -> tuple[AffineMap, float]:
-        """The part of a step from `w` that the source may still make, and its share in [0, 1].
+    def limit_update(self, update: AffineMap, w: float, spent: tuple[float, float]) -> tuple[AffineMap, float]:
+        """The part of an `update` of `w` that is within the bounds of its source, and the share of that part in [0, 1].
 
-        `spent` is Σ|Δw| of the source today: over all memories, and on this one. Promise: no sequence of outcomes
-        of one source moves one memory further than `per_memory`, or all together further than `per_source`, in one day.
+        `spent` is Σ|Δw| of the source today: over all memories, and on this memory. Promise: in one day no sequence of
+        outcomes of one source changes one weight by more than `max_change_per_memory`, or all weights together by more
+        than `max_change_per_source`.
         """
-        wanted = abs(factors.gain * w + factors.offset - w)
-        room = min(self.max_change_per_source - spent[0], self.max_change_per_memory - spent[1])
-        if wanted <= room or wanted == 0.0:
-            return factors, 1.0
-        share = max(0.0, room) / wanted
-        return (factors.scale_step(share) if share else IDENTITY), share
+        wanted = abs(update.gain * w + update.offset - w)
+        budget = min(self.max_change_per_source - spent[0], self.max_change_per_memory - spent[1])
+        if wanted <= budget or wanted == 0.0:
+            return update, 1.0
+        share = max(0.0, budget) / wanted
+        return (update.scale_step(share) if share else IDENTITY), share
 
 
 class InfluenceBudget:
-    """The influence spent today, read from the state, plus what one store is about to spend."""
+    """The changes that one source has caused today: those in the state, and those of the episode being stored."""
 
     def __init__(self, influence: Influence, day: int, source: str) -> None:
-        """Begin with what the events say of `source` on `day`."""
+        """Create the budget of `source` on `day` (days since 1970) with the changes in `influence`."""
         self._influence, self._day, self._source = influence, day, source
         self._total = 0.0
         self._single: dict[str, float] = {}
@@ -79,7 +80,7 @@ class InfluenceBudget:
         total, single = self._influence.accumulated_change(self._day, self._source, memory)
         return total + self._total, single + self._single.get(memory, 0.0)
 
-    def add(self, memory: str, moved: float) -> None:
-        """Count a move."""
-        self._total += moved
-        self._single[memory] = self._single.get(memory, 0.0) + moved
+    def add(self, memory: str, change: float) -> None:
+        """Add a `change` |Δw| of the weight of `memory`."""
+        self._total += change
+        self._single[memory] = self._single.get(memory, 0.0) + change

@@ -1,1 +1,1 @@
-"""Append-only, hash-chained event ledger in SQLite: the source of truth of the memory."""
+"""Append-only, hash-chained event ledger in SQLite, the only source from which memory is derived."""

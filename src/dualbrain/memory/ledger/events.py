@@ -1,4 +1,4 @@
-"""What memory writes into the ledger besides episodes: kinds of events and the form of their payloads."""
+"""Kinds of ledger events, and the payloads of all kinds besides episodes."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ CONFIRM, QUARANTINE, RELEASE, TOMBSTONE = "confirm", "quarantine", "release", "t
 ROLLBACK, FOLDED, COMPACTED, SNAPSHOT = "rollback", "folded", "compacted", "snapshot"
 AUDIT, REPLAYED, ADAPTER, USED = "audit", "replayed", "adapter", "used"
 WEIGHT_EVENT_KINDS = (EPISODE, WEIGHT, NEIGHBOURS, FOLDED)
-"""Kinds that make memories and move weights."""
+"""Kinds of events that create memories and change weights."""
 Status = Literal["active", "candidate", "quarantined", "forgotten"]
-"""active: offered to the planner. candidate: a success that nothing has confirmed yet. quarantined: set aside, its
-influence on weights undone as long as it is. forgotten: the same, for good."""
+"""active: retrieved for the planner. candidate: a success that is not confirmed yet. quarantined: not retrieved, and
+its influence on weights is undone while the status lasts. forgotten: the same, permanently."""
 STATUS_BY_EVENT_KIND: dict[str, Status] = {
     CONFIRM: "active",
     QUARANTINE: "quarantined",
     RELEASE: "active",
     TOMBSTONE: "forgotten",
 }
-"""The status that each kind of status event gives."""
+"""The status that each kind of status event sets."""
 VOID_STATUSES: tuple[Status, ...] = ("quarantined", "forgotten")
-"""What memories of these statuses did to weights does not count."""
+"""Weight updates that memories with these statuses caused do not count."""
 
 
 class WeightUpdate(msgspec.Struct, frozen=True, kw_only=True):
-    """Payload of a weight event: outcome of episode `cause` moved the weight of `memory` from `before` to `after`.
+    """Payload of a weight event: the outcome of episode `cause` changed the weight of `memory`.
 
-    `rank` is the place of the memory in the prompt, 0 for the new memory itself. `gain` and `offset` are the clipped
-    affine map that was applied, so that a replay needs neither rule nor index. `share` < 1 if the influence of the
-    source was bounded (see `trust.Trust`).
+    The weight changed from `before` to `after`. `rank` is the rank of the memory in the prompt, 0 for the new memory
+    itself. `gain` and `offset` are those of the clipped affine map that was applied, so that a replay needs neither the
+    rule nor the index. `share` is below 1 if the influence of the source was bounded (see `TrustConfig`).
     """
 
     cause: str
@@ -49,15 +49,15 @@ class WeightUpdate(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def affine_map(self) -> AffineMap:
-        """The map."""
+        """The update as a map of the weight."""
         return AffineMap(self.gain, self.offset)
 
 
 class NeighbourUpdates(msgspec.Struct, frozen=True):
     """Payload of a neighbours event: w_j ← clip(w_j + offset_j) for each of `memories`, in this order (paper 5.3).
 
-    offset_j = κ ξ exp(−‖e_j − e_i‖²/2ℓ²), i being `cause`. Ids and offsets are stored, so that a replay depends neither
-    on index nor embedder.
+    offset_j = κ ξ exp(−‖e_j − e_i‖²/2ℓ²), where i is the episode `cause`. Ids and offsets are stored, so that a replay
+    needs neither the index nor the encoder.
     """
 
     cause: str
@@ -67,7 +67,7 @@ class NeighbourUpdates(msgspec.Struct, frozen=True):
 
 
 class StatusChange(msgspec.Struct, frozen=True):
-    """Payload of confirm, quarantine, release and tombstone: which `memories`, why, and who says so."""
+    """Payload of confirm, quarantine, release and tombstone events: the `memories`, the reason and the actor."""
 
     memories: tuple[str, ...]
     reason: str
@@ -75,7 +75,7 @@ class StatusChange(msgspec.Struct, frozen=True):
 
 
 class Rollback(msgspec.Struct, frozen=True):
-    """Payload of a rollback: from here on, memory is what it was at event `target` (see `lineage`)."""
+    """Payload of a rollback: from this event on, memory has the state of event `target` (see `state.history`)."""
 
     target: int
     reason: str
@@ -83,9 +83,9 @@ class Rollback(msgspec.Struct, frozen=True):
 
 
 class FoldedUpdates(msgspec.Struct, frozen=True, kw_only=True):
-    """Payload of a folded event: all weight events of `memory` up to a compaction as one map, and the exact weight.
+    """Payload of a folded event: all weight events of `memory` before a compaction as one map, and the exact weight.
 
-    The map tells what any first weight would have become; `weight` is what the sequential updates made, to the bit.
+    The map gives the result for any initial weight; `weight` is the result of the sequential updates, bit for bit.
     """
 
     memory: str
@@ -99,12 +99,12 @@ class FoldedUpdates(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def affine_map(self) -> AffineMap:
-        """The map."""
+        """All updates as one map of the initial weight."""
         return AffineMap(self.gain, self.offset, self.lower, self.upper)
 
 
 class CompactionRecord(msgspec.Struct, frozen=True):
-    """Payload of the first event of a compacted ledger: the whole ledger it was made of, by head and file name."""
+    """Payload of the first event of a compacted ledger: head and file name of the full ledger that was compacted."""
 
     seq: int
     hash: str
@@ -112,21 +112,21 @@ class CompactionRecord(msgspec.Struct, frozen=True):
 
 
 class SnapshotRecord(msgspec.Struct, frozen=True):
-    """Payload of a snapshot event: the file beside the ledger that holds the state at event `as_of`, by SHA-256."""
+    """Payload of a snapshot event: SHA-256 of the file beside the ledger that contains the state at event `as_of`."""
 
     as_of: int
     sha256: str
 
 
 class MemoryUses(msgspec.Struct, frozen=True):
-    """Payload of a used event: what became of each memory that stood in the prompt of `episode`."""
+    """Payload of a used event: the use of each memory that was in the prompt of `episode`."""
 
     episode: str
     uses: tuple[MemoryUse, ...]
 
 
 class AdapterUse(msgspec.Struct, frozen=True):
-    """Payload of an adapter event: `adapter` was trained on `memories` (ids), from the data set `dataset` (hash)."""
+    """Payload of an adapter event: `adapter` was trained on `memories` (ids) from the data set with hash `dataset`."""
 
     adapter: str
     dataset: str
@@ -134,9 +134,9 @@ class AdapterUse(msgspec.Struct, frozen=True):
 
 
 class ReplayFinding(msgspec.Struct, frozen=True, kw_only=True):
-    """Payload of a replayed event: what running the contract of `memory` again in simulation gave, try by try.
+    """Payload of a replayed event: the outcomes of running the contract of `memory` again in simulation.
 
-    `agrees` False: too many tries ended otherwise than the memory says (see `runtime.rerun`).
+    `agrees` is False if too many trials had another outcome than the memory (see `runtime.memory_replay`).
     """
 
     memory: str

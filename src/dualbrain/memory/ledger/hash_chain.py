@@ -1,4 +1,4 @@
-"""The hash chain: each event carries the digest of the one before it, so that no past event can change unseen."""
+"""The hash chain: each event contains the digest of the previous event, so that changes of past events are detected."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from dataclasses import dataclass
 from dualbrain.errors import DualbrainError
 
 GENESIS = hashlib.sha256(b"dualbrain ledger, schema 1").hexdigest()
-"""What the first event names as its predecessor; the same for all schemas, so that a migration keeps the chain."""
+"""The predecessor hash of the first event; the same for all schema versions, so that a migration keeps the chain."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LedgerEvent:
-    """One line of the ledger.
+    """One row of the ledger.
 
-    `time` [s] is when it was written, since 1970 UTC. `run` is the run that wrote it and `subject` the episode it is
-    about ("" if none). `payload` is JSON in UTF-8 with sorted keys. `hash` = SHA-256 over all other fields.
+    `time` [s since 1970 UTC] is the time of writing, `run` the run that wrote the event and `subject` the episode that
+    it concerns ("" if none). `payload` is JSON in UTF-8 with sorted keys. `hash` is SHA-256 over all other fields.
     """
 
     seq: int
@@ -33,7 +33,7 @@ class LedgerEvent:
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """The newest event: its number (0 in an empty ledger) and digest. Kept elsewhere it anchors the chain."""
+    """Number (0 in an empty ledger) and hash of the newest event. A copy kept elsewhere anchors the chain."""
 
     seq: int
     hash: str
@@ -41,7 +41,7 @@ class Head:
 
 @dataclass(frozen=True, slots=True)
 class ChainReport:
-    """What a walk over the chain found: how many events hold, and the number and fault of the first that does not."""
+    """Result of a check of the chain: the number of valid events, and number and fault of the first invalid event."""
 
     events: int
     head: Head
@@ -50,15 +50,15 @@ class ChainReport:
 
     @property
     def is_intact(self) -> bool:
-        """True if every event is the one that was written."""
+        """Whether every event is valid."""
         return self.broken_at is None
 
 
 class CorruptLedgerError(DualbrainError):
-    """The ledger file is not what was written: an event was changed, removed or cannot be read."""
+    """The ledger file is damaged: an event was changed or removed, or cannot be read."""
 
     def __init__(self, fault: str, *, seq: int | None, path: str) -> None:
-        """Say what is wrong with which event and, last, where the file lies."""
+        """Report the fault, the number of the event and, last, the path of the file."""
         self.fault, self.seq, self.path = fault, seq, path
         where = "" if seq is None else f" at event {seq}"
         super().__init__(
@@ -68,7 +68,7 @@ class CorruptLedgerError(DualbrainError):
 
 
 def event_digest(event: LedgerEvent) -> str:
-    """SHA-256 over all fields but `hash`, each preceded by its length: no two different events have the same bytes."""
+    """SHA-256 over all fields but `hash`, each preceded by its length, so that different events never share bytes."""
     texts = (event.kind, event.run, event.subject, event.previous)
     numbers = struct.pack("<qd", event.seq, event.time)
     fields = [numbers, *(text.encode("utf-8", "surrogateescape") for text in texts), event.payload]
@@ -77,18 +77,18 @@ def event_digest(event: LedgerEvent) -> str:
 
 
 def find_link_fault(event: LedgerEvent, before: Head) -> str:
-    """Why `event` cannot follow `before`; "" if it can."""
+    """The reason why `event` cannot follow `before`; "" if it can."""
     if event.seq != before.seq + 1:
-        return f"event {before.seq + 1} is missing, the next one found is {event.seq}"
+        return f"event {before.seq + 1} is missing; the next event in the file is {event.seq}"
     if event.previous != before.hash:
-        return "it does not name the event before it as its predecessor"
+        return "it does not name the previous event as its predecessor"
     return "" if event_digest(event) == event.hash else "its content does not match its hash"
 
 
 def verified_events(events: Iterable[LedgerEvent], path: str, *, after: Head | None = None) -> Iterator[LedgerEvent]:
-    """The same events, each only after its link was checked; raises `DamagedLedger` at the first that is broken.
+    """The same events, each after a check of its link; raises `CorruptLedgerError` at the first broken link.
 
-    They follow the event `after` (default: they begin the chain).
+    The first event must follow the event `after` (default: it must be the first of the chain).
     """
     head = after or Head(0, GENESIS)
     for event in events:
@@ -99,18 +99,19 @@ def verified_events(events: Iterable[LedgerEvent], path: str, *, after: Head | N
 
 
 def verify_chain(events: Iterable[LedgerEvent], anchor: Head | None = None) -> ChainReport:
-    """Check every link, and that the chain still passes through `anchor`.
+    """Check every link, and that the chain contains the event `anchor`.
 
-    Promise: a change, insertion or removal of any event before the newest is found and its number reported. Removal of
-    the newest events leaves a shorter, valid chain: only an `anchor` kept elsewhere (each episode file holds one) shows
-    that. Whoever can rewrite the whole file and every anchor can forge a chain: it is evidence, not a signature.
+    Promise: a change, insertion or removal of any event before the newest is found and its number reported. Removing
+    the newest events leaves a shorter, valid chain, which only an `anchor` kept elsewhere can reveal (each episode file
+    contains one). An attacker who can rewrite the file and all anchors can forge a chain: the chain is evidence, not a
+    signature.
     """
     head = Head(0, GENESIS)
     try:
         for event in events:
             fault = find_link_fault(event, head)
             if not fault and anchor is not None and event.seq == anchor.seq and event.hash != anchor.hash:
-                fault = "it is not the event that the anchor saw"
+                fault = "it is not the event that the anchor names"
             if fault:
                 return ChainReport(head.seq, head, head.seq + 1, fault)
             head = Head(event.seq, event.hash)

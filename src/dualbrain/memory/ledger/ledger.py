@@ -1,4 +1,4 @@
-"""The append-only event ledger in SQLite: the only truth of memory. Weights and vectors are derived from it."""
+"""The append-only event ledger in SQLite, from which weights, statuses and vectors of memory are derived."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ _COLUMNS = "seq, kind, run, subject, time, payload, previous, hash"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PendingEvent:
-    """What is to be appended: `payload` is anything msgspec can write as JSON; `vector` goes to the projection.
+    """An event to be appended: `payload` is any value that msgspec encodes as JSON; `vector` goes to the projection.
 
-    `run` is the run it belongs to, None for the one that is under way.
+    `run` is the run that the event belongs to, None for the current run.
     """
 
     kind: str
@@ -51,9 +51,9 @@ class PendingEvent:
 
 @dataclass(frozen=True, slots=True)
 class StoredVector:
-    """One row of the vector projection: `version` of the embedding that made it, little-endian float32 `data`.
+    """One row of the vector projection: `version` of its embedding and `data` as little-endian float32.
 
-    Bit b of `mask` says that block b is there (see `embedding`).
+    Bit b of `mask` is set if block b is present (see `joint_embedding.BLOCKS`).
     """
 
     version: str
@@ -62,36 +62,42 @@ class StoredVector:
 
 
 class LedgerReader:
-    """Read-only view of a ledger; any number may be open, also while a run writes."""
+    """Read-only view of a ledger; any number of readers may be open, also while a run writes."""
 
     def __init__(self, path: Path) -> None:
-        """Open the ledger at `path`; raises `MissingPart`, `InvalidSetup` or `DamagedLedger`."""
+        """Open the ledger at `path`.
+
+        Raises `MissingDependencyError` if there is no file, `ConfigurationError` if it cannot be used, and
+        `CorruptLedgerError` if it is damaged.
+        """
         if not path.exists():
-            raise MissingDependencyError(f"The memory ledger {path}", fix="It is made by the first `dualbrain run`.")
+            raise MissingDependencyError(f"The memory ledger {path}", fix="The first `dualbrain run` creates it.")
         self.path = path
         with self._translate_errors():
             self._database = sqlite3.connect(_database_uri(path), uri=True, isolation_level=None)
             self._check_schema()
 
     def _check_schema(self) -> None:
-        """Read text as it is, however damaged, and refuse a schema that this program does not know."""
+        """Decode damaged text without an error, and refuse an unknown schema version."""
         self._database.text_factory = _decode_text
         self.schema = read_schema_version(self._database)
         if not self.schema:
-            raise ConfigurationError("memory ledger", got="an empty file", allowed="a ledger", fix=str(self.path))
+            raise ConfigurationError.stating(
+                f"The memory ledger {self.path} is empty: it has no tables.",
+                fix="Remove it, so that the next `dualbrain run` creates a ledger.",
+            )
 
     @contextmanager
     def _translate_errors(self) -> Generator[None]:
         try:
             yield
         except sqlite3.OperationalError as error:
-            allowed = "a ledger that this user can read and write, on a disk with space"
-            raise ConfigurationError("memory ledger", got=str(error), allowed=allowed, fix=str(self.path)) from error
+            raise _unusable_ledger(str(error), self.path) from error
         except sqlite3.IntegrityError as error:
-            allowed = "an episode id or run name that this ledger does not hold yet"
-            raise ConfigurationError("ledger event", got=str(error), allowed=allowed) from error
+            sentence = f"The ledger already contains an episode or a run with this name ({error})."
+            raise ConfigurationError.stating(sentence, fix="Use a new episode id or run name.") from error
         except sqlite3.DatabaseError as error:
-            raise CorruptLedgerError(f"SQLite says: {error}", seq=None, path=str(self.path)) from error
+            raise CorruptLedgerError(f"SQLite reports: {error}", seq=None, path=str(self.path)) from error
 
     def events(self, where: str = "", values: tuple[object, ...] = ()) -> Iterator[LedgerEvent]:
         """Events in order of `seq`; `where` is an SQL condition over the columns of the event table."""
@@ -102,31 +108,34 @@ class LedgerReader:
                 yield _parse_event_row(row)
 
     def head(self) -> Head:
-        """The newest event, (0, genesis) if there is none."""
+        """Number and hash of the newest event; (0, `GENESIS`) in an empty ledger."""
         with self._translate_errors():
             row = self._database.execute("SELECT seq, hash FROM event ORDER BY seq DESC LIMIT 1").fetchone()
         return Head(row[0], row[1]) if row else Head(0, GENESIS)
 
     def verify(self, anchor: Head | None = None) -> ChainReport:
-        """Walk the whole chain (see `chain.walk`); an unreadable event is a report too."""
+        """Check the whole chain (see `hash_chain.verify_chain`); an unreadable event is reported, too."""
         return verify_chain(self.events(), anchor)
 
     def event(self, seq: int) -> LedgerEvent:
-        """The event number `seq`; raises `DamagedLedger` if there is none."""
+        """The event with number `seq`; raises `CorruptLedgerError` if it is missing."""
         for event in self.events("seq = ?", (seq,)):
             return event
         raise CorruptLedgerError("it is missing", seq=seq, path=str(self.path))
 
     def last_seq_before(self, time: float) -> int:
-        """Number of the last event written at or before `time` [s, 1970 UTC], 0 if there is none."""
+        """Number of the last event written at or before `time` [s, 1970 UTC]; 0 if there is none."""
         with self._translate_errors():
             row = self._database.execute("SELECT max(seq) FROM event WHERE time <= ?", (time,)).fetchone()
         return row[0] or 0
 
     def vectors(self, after: int = 0) -> Iterator[tuple[int, StoredVector]]:
-        """The vector projection: the event number of each episode after event `after`, and its vector."""
+        """Event number and vector of each episode after event `after`.
+
+        Raises `ConfigurationError` for a ledger of an older schema version.
+        """
         if self.schema < SCHEMA_VERSION:
-            fix = f"Open it once for writing: `dualbrain memory rebuild`. {self.path}"
+            fix = f"Migrate it with `dualbrain memory rebuild`. {self.path}"
             raise ConfigurationError("ledger schema_version", got=self.schema, allowed=str(SCHEMA_VERSION), fix=fix)
         with self._translate_errors():
             query = "SELECT seq, version, data, mask FROM vector WHERE seq > ? ORDER BY seq"
@@ -145,17 +154,17 @@ class LedgerReader:
 
 
 class Ledger(LedgerReader):
-    """The one writer. Each `append` is one transaction and one fsync: all of it is on disk, or none of it is.
+    """The only writer of a ledger. Each `append` is one transaction and one fsync: all or none of it is on disk.
 
-    Promise: a process killed between any two statements leaves a valid chain that holds every acknowledged event.
-    Assumption: the disk keeps what it says it has synced.
+    Promise: a process killed between any two statements leaves a valid chain with every acknowledged event.
+    Assumption: the disk keeps all data after a successful fsync.
     """
 
     def __init__(self, path: Path, *, holder: str, now: float, timeout_s: float = 0.0) -> None:
-        """Open or make the ledger at `path` as `holder` at `now` [s, 1970 UTC].
+        """Open or create the ledger at `path` as `holder` at `now` [s, 1970 UTC].
 
-        Raises `LedgerInUse` if it is still taken after `patience` [s], `InvalidSetup` if it cannot be written. An older
-        schema is brought to the present one, and an event says so.
+        Raises `LedgerInUseError` if another writer still holds it after `timeout_s`, and `ConfigurationError` if it
+        cannot be written. A ledger of an older schema version is migrated, and an event records the migration.
         """
         self.path, self.opened_at, self._run = path, now, ""
         with _translate_os_errors(path):
@@ -177,14 +186,16 @@ class Ledger(LedgerReader):
     def _create(self) -> int:
         mode = self._database.execute("PRAGMA journal_mode = WAL").fetchone()[0]
         if mode != "wal":
-            raise ConfigurationError(
-                "ledger journal mode", got=mode, allowed="wal", fix=f"Use a local disk. {self.path}"
-            )
+            fix = f"Use a local disk. {self.path}"
+            raise ConfigurationError("SQLite journal mode of the ledger", got=mode, allowed="wal", fix=fix)
         self._database.execute("PRAGMA synchronous = FULL")
         return create_or_migrate(self._database)
 
     def append(self, entries: Sequence[PendingEvent], *, now: float) -> tuple[LedgerEvent, ...]:
-        """Chain and store `entries`, all or none, written at `now` [s, 1970 UTC]."""
+        """Append `entries` to the chain, all or none, with the time `now` [s, 1970 UTC].
+
+        Raises `ConfigurationError` if `now` is not finite, or an episode id or run name is in the ledger already.
+        """
         if not math.isfinite(now):
             raise ConfigurationError("time of a ledger event", got=now, allowed="finite seconds since 1970 UTC")
         head, events = self.head(), list[LedgerEvent]()
@@ -201,7 +212,7 @@ class Ledger(LedgerReader):
         return tuple(events)
 
     def replace_vectors(self, vectors: Mapping[int, StoredVector]) -> None:
-        """Put `vectors` in place of the whole projection; the events are not touched."""
+        """Replace the whole vector projection by `vectors`; the events stay unchanged."""
         with self._translate_errors(), transaction(self._database):
             self._database.execute("DELETE FROM vector")
             for seq, vector in vectors.items():
@@ -212,20 +223,20 @@ class Ledger(LedgerReader):
         self._database.execute("INSERT INTO vector (seq, version, data, mask) VALUES (?, ?, ?, ?)", row)
 
     def start_run(self, run: str, details: object, *, now: float) -> tuple[InterruptedRun, ...]:
-        """Begin `run`; returns the runs that were cut off before it, and writes down that they were."""
-        cut = self.interrupted_runs()
+        """Begin `run`; records and returns the runs that were interrupted before it."""
+        interrupted = self.interrupted_runs()
         closing = [
             PendingEvent(
                 kind=runs.INTERRUPTED, subject="", payload={"after": one.last_activity, "found_by": run}, run=one.run
             )
-            for one in cut
+            for one in interrupted
         ]
         self.append([*closing, PendingEvent(kind=runs.STARTED, subject="", payload=details, run=run)], now=now)
         self._run = make_json_safe(run)
-        return cut
+        return interrupted
 
     def mark_progress(self, what: str, *, now: float) -> None:
-        """Write down what the run is about to do (a few words), so that an interrupted run can be told apart."""
+        """Record the next step of the run in a few words, so that an interruption can be attributed to a step."""
         self.append([PendingEvent(kind=runs.MARKED, subject="", payload={"what": what})], now=now)
 
     def end_run(self, details: object, *, now: float) -> None:
@@ -234,7 +245,10 @@ class Ledger(LedgerReader):
         self._run = ""
 
     def interrupted_runs(self) -> tuple[InterruptedRun, ...]:
-        """Runs of former processes that started and never ended, oldest first. Only the writer can know this."""
+        """Runs of earlier processes that started and never ended, oldest first.
+
+        Only the writer can know this: a reader cannot distinguish an interrupted run from the current one.
+        """
         ended = "SELECT run FROM event WHERE kind IN (?, ?)"
         where = f"kind = ? AND run <> ? AND run NOT IN ({ended})"
         open_runs = list(self.events(where, (runs.STARTED, self._run, runs.ENDED, runs.INTERRUPTED)))
@@ -252,16 +266,16 @@ class Ledger(LedgerReader):
         )
 
     def checkpoint_wal(self) -> None:
-        """Bring all of the write-ahead log into the file itself; raises `InvalidSetup` if a reader is in the way."""
+        """Move the write-ahead log into the ledger file; raises `ConfigurationError` if a reader blocks this."""
         with self._translate_errors():
             busy = self._database.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()[0]
         if busy:
-            raise ConfigurationError(
-                "memory ledger", got="in use by a reader", allowed="nobody reading", fix=str(self.path)
+            raise ConfigurationError.stating(
+                f"Another process is reading the memory ledger {self.path}.", fix="Close it and try again."
             )
 
     def close(self) -> None:
-        """Close the file and let the next writer in."""
+        """Close the file and release the writer lock."""
         super().close()
         self._lock.release()
 
@@ -288,16 +302,24 @@ def _translate_os_errors(path: Path) -> Generator[None]:
     try:
         yield
     except OSError as error:
-        allowed = "a ledger that this user can read and write, on a disk with space"
-        raise ConfigurationError("memory ledger", got=error.strerror, allowed=allowed, fix=str(path)) from error
+        raise _unusable_ledger(error.strerror or str(error), path) from error
+
+
+def _unusable_ledger(reason: str, path: Path) -> ConfigurationError:
+    fix = "Check that this user can read and write the file, and that the disk has free space."
+    return ConfigurationError.stating(f"The memory ledger {path} cannot be used: {reason}.", fix=fix)
 
 
 def _database_uri(path: Path) -> str:
-    """How SQLite is to read `path`. Where nothing can be written, not even its shared index, nobody can be writing."""
+    """The URI with which SQLite opens `path` for reading.
+
+    In a folder without write permission and without a pending write-ahead log, the file is opened as immutable: SQLite
+    cannot create its shared index there, and no process of this user can be writing.
+    """
     log = path.with_name(f"{path.name}-wal")
-    settled = not log.exists() or log.stat().st_size == 0
-    still = settled and not os.access(path.parent, os.W_OK)
-    return path.resolve().as_uri() + ("?immutable=1" if still else "?mode=ro")
+    log_is_empty = not log.exists() or log.stat().st_size == 0
+    immutable = log_is_empty and not os.access(path.parent, os.W_OK)
+    return path.resolve().as_uri() + ("?immutable=1" if immutable else "?mode=ro")
 
 
 def _decode_text(raw: bytes) -> str:
@@ -305,7 +327,7 @@ def _decode_text(raw: bytes) -> str:
 
 
 def _parse_event_row(row: tuple[Any, ...]) -> LedgerEvent:
-    """An event from a row in which a stranger may have put any type."""
+    """The event in a database row, in which a damaged or forged file may hold values of any type."""
     seq, kind, run, subject, time, payload, previous, stored = row
     seconds = time if isinstance(time, float) else math.nan
     content = payload if isinstance(payload, bytes) else str(payload).encode("utf-8", "surrogateescape")

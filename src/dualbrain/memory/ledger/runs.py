@@ -1,4 +1,4 @@
-"""What a run leaves in the ledger, and the words for one that was cut off."""
+"""Ledger events that begin and end a run, and the description of an interrupted run."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from dualbrain.errors import DECODE_ERRORS
 from dualbrain.memory.ledger.hash_chain import LedgerEvent
 
 STARTED, MARKED, ENDED, INTERRUPTED = "run_started", "run_marked", "run_ended", "run_interrupted"
-"""Kinds of the events that frame a run; `run_interrupted` is written by the next run, in place of `run_ended`."""
+"""Kinds of events of a run; the next run writes `run_interrupted` in place of a missing `run_ended`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InterruptedRun:
-    """A run that began and never ended: killed, crashed or without power. Times [s] since 1970 UTC.
+    """A run that began and never ended, because it was killed, crashed or lost power. Times in s since 1970 UTC.
 
-    `last_words` is what the run last said it was doing; `episodes` counts those it had stored.
+    `last_activity` is the last step that the run recorded; `episodes` is the number of episodes that it stored.
     """
 
     run: str
@@ -28,21 +28,21 @@ class InterruptedRun:
     episodes: int
 
     def __str__(self) -> str:
-        """One sentence for a person."""
+        """One sentence for people."""
         stored = "1 episode was" if self.episodes == 1 else f"{self.episodes} episodes were"
         return (
             f"Run {self.run} of {_utc(self.started)} was interrupted after {self.last_activity} "
-            f"({_utc(self.last_time)}): {stored} stored and kept; what was under way then is not in memory."
+            f"({_utc(self.last_time)}): {stored} stored and kept; an unfinished episode is not in memory."
         )
 
 
 def describe_activity(event: LedgerEvent) -> str:
-    """What a run was doing when it wrote `event`, its last one."""
+    """The activity of a run at its last event `event`."""
     if event.kind == MARKED:
         try:
             return repr(msgspec.json.decode(event.payload, type=_RunMarker).what)
         except DECODE_ERRORS:
-            return "a mark that cannot be read"
+            return "a step that cannot be read"
     return {STARTED: "its start", "episode": f"storing episode {event.subject}"}.get(event.kind, event.kind)
 
 

@@ -1,4 +1,4 @@
-"""The tables of a ledger file, their version, and the steps from an older version to this one."""
+"""The tables of a ledger file, their schema version, and the migrations from older versions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dualbrain.errors import ConfigurationError
 
 SCHEMA_VERSION = 2
 MIGRATED = "migrated"
-"""Kind of the event that says from which version to which a file was brought."""
+"""Kind of the event that records a migration, with the schema versions before and after."""
 
 _SCHEMA_V1 = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL);
@@ -32,28 +32,29 @@ CREATE INDEX event_subject ON event (subject, kind);
 CREATE INDEX event_time ON event (time);
 """,
 }
-"""From a version to the next. A step may add and index; it never touches an event, so the chain stays what it was."""
+"""Migration from each version to the next. It may add columns and indices but never changes an event, so that the chain
+stays valid."""
 
 
 def create_or_migrate(database: sqlite3.Connection) -> int:
-    """Make the tables, or bring them to `SCHEMA_VERSION`, in one transaction; returns the version found (0: none).
+    """Create the tables or migrate them to `SCHEMA_VERSION`, in one transaction; returns the version found (0: none).
 
-    Raises `InvalidSetup` for a version that this program does not know. A process killed on the way leaves the old
-    version whole.
+    Raises `ConfigurationError` for an unknown version. A process killed during the migration leaves the old version
+    intact.
     """
     found = read_schema_version(database)
     if found == SCHEMA_VERSION:
         return found
     steps = [_MIGRATIONS[version] for version in range(max(found, 1), SCHEMA_VERSION)]
-    now = f"UPDATE meta SET value = '{SCHEMA_VERSION}' WHERE key = 'schema_version';"
+    set_version = f"UPDATE meta SET value = '{SCHEMA_VERSION}' WHERE key = 'schema_version';"
     with transaction(database):
-        for statement in split_statements("".join(("" if found else _SCHEMA_V1, *steps, now))):
+        for statement in split_statements("".join(("" if found else _SCHEMA_V1, *steps, set_version))):
             database.execute(statement)
     return found
 
 
 def read_schema_version(database: sqlite3.Connection) -> int:
-    """The version of the tables, 0 if there are none; raises `InvalidSetup` unless it is known."""
+    """The version of the tables, 0 if there are none; raises `ConfigurationError` for an unknown version."""
     if not database.execute("SELECT 1 FROM sqlite_master").fetchone():
         return 0
     rows = database.execute("SELECT value FROM meta WHERE key = 'schema_version'").fetchall()

@@ -1,1 +1,1 @@
-"""Audit, edits, compaction, export and verification of a ledger."""
+"""Audit, edits, compaction, export, projection and verification of a memory."""

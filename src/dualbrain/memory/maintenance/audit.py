@@ -1,6 +1,6 @@
-"""The audit (paper section 8): which memories contradict each other, repeat each other, or came from where.
+"""The audit (paper section 8): contradictions, repetitions and sources of memories.
 
-An audit reads; it changes nothing. What follows from it is decided by a person or a replay, and is reversible.
+An audit changes nothing. A person or a replay decides on the consequences, and every decision can be reversed.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from dualbrain.memory.state.derivation import effective_events
 from dualbrain.memory.state.state import MemoryState
 
 ROWS_PER_BLOCK = 256
-"""Rows compared at a time."""
+"""Number of rows that are compared at a time."""
 SIMILAR_COSINE, DUPLICATE_COSINE = 0.9, 0.999
-"""Cosines from which two situations are alike, and the same."""
+"""Least cosine of two similar situations, and of two identical ones."""
 STRUGGLE_FACTOR = 10.0
-"""A success with Δ above this many ε is a struggle that was called a success."""
+"""A success with Δ above this many ε is reported as a struggle."""
 
 
 class AuditFinding(msgspec.Struct, frozen=True):
-    """One suspicion: its kind, the memory, others that speak against it (or repeat it), and a sentence."""
+    """One suspicion: its kind, the memory, the memories that contradict or repeat it, and an explanation."""
 
     kind: str
     memory: str
@@ -46,7 +46,10 @@ class AuditFinding(msgspec.Struct, frozen=True):
 
 
 class SourceReport(msgspec.Struct, frozen=True, kw_only=True):
-    """What one source did: memories by status, how many weights it moved and how far (Σ|Δw|), adapters it taught."""
+    """The influence of one source: its memories by status, the weights it changed, and the adapters trained on it.
+
+    `touched` is the number of changed weights, `moved` is Σ|Δw|.
+    """
 
     source: str
     memories: tuple[str, ...]
@@ -57,7 +60,7 @@ class SourceReport(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class AuditReport(msgspec.Struct, frozen=True):
-    """All findings, most telling first, all sources by their influence, and what recalled memories were good for."""
+    """The findings by kind, the sources by influence, and the utility of retrieved memories."""
 
     memories: int
     findings: tuple[AuditFinding, ...]
@@ -66,26 +69,26 @@ class AuditReport(msgspec.Struct, frozen=True):
 
 
 def audit(memory: Memory) -> AuditReport:
-    """Look for label conflicts, near-duplicates and odd verdicts among all memories that are not set aside."""
+    """Find label conflicts, near-duplicates and implausible outcomes among all active memories and candidates."""
     pairs = list(_similar_pairs(memory, SIMILAR_COSINE))
     findings = [*_conflicts(memory, pairs), *_duplicates(memory, pairs), *_implausible_outcomes(memory)]
     return AuditReport(len(memory), tuple(findings), source_reports(memory), compute_utility(memory))
 
 
 def compute_utility(memory: Memory) -> RetrievalUtility:
-    """Memory Retrieval Utility over all runs that asked for it."""
-    told = [
+    """Memory Retrieval Utility over all runs that recorded the use of memories."""
+    recorded = [
         msgspec.json.decode(event.payload, type=MemoryUses).uses for event in effective_events(memory.ledger, (USED,))
     ]
-    return summarize_uses([use for uses in told for use in uses])
+    return summarize_uses([use for uses in recorded for use in uses])
 
 
 def source_reports(memory: Memory) -> tuple[SourceReport, ...]:
-    """The blast radius of each source, the most influential first."""
+    """The blast radius of each source, largest influence first."""
     touched, moved = defaultdict[str, set[str]](set), defaultdict[str, float](float)
-    for source, name, step in _weight_changes(memory):
+    for source, name, change in _weight_changes(memory):
         touched[source].add(name)
-        moved[source] += step
+        moved[source] += change
     uses = [
         msgspec.json.decode(event.payload, type=AdapterUse) for event in effective_events(memory.ledger, (ADAPTER,))
     ]
@@ -110,21 +113,21 @@ def source_reports(memory: Memory) -> tuple[SourceReport, ...]:
 
 
 def _weight_changes(memory: Memory) -> Iterator[tuple[str, str, float]]:
-    """Source, memory and |Δw| of every move of another's weight, as it was first made."""
+    """Source, memory and |Δw| of every change of another memory's weight, as it was first applied."""
     state = memory.state
     for event in effective_events(memory.ledger, (WEIGHT, NEIGHBOURS)):
         if event.kind == WEIGHT:
-            one = msgspec.json.decode(event.payload, type=WeightUpdate)
-            if one.cause != one.memory:
-                yield state[one.cause].provenance.source, one.memory, abs(one.after - one.before)
+            update = msgspec.json.decode(event.payload, type=WeightUpdate)
+            if update.cause != update.memory:
+                yield state[update.cause].provenance.source, update.memory, abs(update.after - update.before)
         else:
-            around = msgspec.json.decode(event.payload, type=NeighbourUpdates)
-            for name, offset in zip(around.memories, around.offsets, strict=True):
-                yield state[around.cause].provenance.source, name, abs(offset)
+            neighbours = msgspec.json.decode(event.payload, type=NeighbourUpdates)
+            for name, offset in zip(neighbours.memories, neighbours.offsets, strict=True):
+                yield state[neighbours.cause].provenance.source, name, abs(offset)
 
 
-def _similar_pairs(memory: Memory, least: float) -> Iterator[tuple[MemoryState, MemoryState, float]]:
-    """Pairs (later, earlier) of the same place with cosine at least `least`, each once, in blocks of rows."""
+def _similar_pairs(memory: Memory, min_cosine: float) -> Iterator[tuple[MemoryState, MemoryState, float]]:
+    """Pairs (later, earlier, cosine) of the same robot and registry with a cosine of at least `min_cosine`."""
     memos, index = memory.state.memories, memory.index
     alpha = memory.config.embedding.alpha
     scale, shares = memory.embedding.expand_alpha(alpha), alpha.weight_by_mask()
@@ -135,7 +138,7 @@ def _similar_pairs(memory: Memory, least: float) -> Iterator[tuple[MemoryState, 
         both = shares[masks[block, None] & masks[None, : block.stop]]
         product = (rows[block] * scale) @ rows[: block.stop].T
         cosine = np.divide(product, both, out=np.zeros_like(product), where=both > 0.0)
-        for i, j in zip(*np.nonzero(cosine >= least), strict=True):
+        for i, j in zip(*np.nonzero(cosine >= min_cosine), strict=True):
             row = start + int(i)
             one, other = memos[row], memos[int(j)]
             if j < row and active[row] and active[j] and (one.robot, one.registry) == (other.robot, other.registry):
@@ -143,14 +146,15 @@ def _similar_pairs(memory: Memory, least: float) -> Iterator[tuple[MemoryState, 
 
 
 def _conflicts(memory: Memory, pairs: list[tuple[MemoryState, MemoryState, float]]) -> Iterator[AuditFinding]:
-    """Memories that too few of their kind agree with: the same plan in a like situation, the opposite r (see `doubt`).
+    """Memories with which too few comparable memories agree: same plan, similar situation, opposite r.
 
-    Where outcomes are partly chance, a true memory may be found here too: then it is one that misleads all the same.
+    The test is that of `contradiction`. If outcomes are partly random, a correct memory may be reported, too; such a
+    memory is misleading all the same.
     """
     against, agreeing = defaultdict[str, list[str]](list), Counter[str]()
     for one, other, _ in pairs:
-        judged = one.guidance != "none" != other.guidance
-        if judged and one.provenance.skills == other.provenance.skills and _is_same_contract(memory, one, other):
+        both_guide = one.guidance != "none" != other.guidance
+        if both_guide and one.provenance.skills == other.provenance.skills and _is_same_contract(memory, one, other):
             if one.r != other.r:
                 against[one.id].append(other.id)
                 against[other.id].append(one.id)
@@ -159,7 +163,7 @@ def _conflicts(memory: Memory, pairs: list[tuple[MemoryState, MemoryState, float
     for name, others in sorted(against.items(), key=lambda item: (-len(item[1]), item[0])):
         if is_contradicted(agreeing[name], agreeing[name] + len(others)):
             memo = memory.state[name]
-            text = f"{memo.kind}, but {len(others)} like it ended otherwise and {agreeing[name]} as it did"
+            text = f"{memo.kind}, but {len(others)} similar ones had the opposite outcome and {agreeing[name]} the same"
             yield AuditFinding("label conflict", name, tuple(others), text)
 
 
@@ -177,23 +181,28 @@ def _duplicates(memory: Memory, pairs: list[tuple[MemoryState, MemoryState, floa
             repeats[other.id].append(one.id)
     firsts = {name: others for name, others in repeats.items() if not any(name in rest for rest in repeats.values())}
     for name, others in sorted(firsts.items(), key=lambda item: (-len(item[1]), item[0])):
-        yield AuditFinding("near duplicates", name, tuple(others), f"{len(others)} more of the same, from one source")
+        yield AuditFinding(
+            "near duplicates", name, tuple(others), f"{len(others)} more with the same situation, contract and source"
+        )
 
 
 def _duplicate_key(memo: MemoryState) -> tuple[str, str, str]:
-    """What two near-duplicates share."""
+    """Properties in which near-duplicates agree: contract, source and outcome."""
     return memo.provenance.contract, memo.provenance.source, memo.kind
 
 
 def _implausible_outcomes(memory: Memory) -> Iterator[AuditFinding]:
-    """Verdicts that do not go with their Δ: a success that was a struggle, a failure in which nothing intervened."""
+    """Outcomes that do not fit their Δ: a success with a large Δ, or a failure without any intervention."""
     rule = memory.config.plasticity
     for memo in memory.state.memories:
         if memo.status in ("quarantined", "forgotten") or memo.Delta is None or rule is None:
             continue
         if memo.r and memo.Delta > STRUGGLE_FACTOR * rule.epsilon:
-            yield AuditFinding("struggle", memo.id, (), f"called a success with Δ = {memo.Delta:.4f}")
+            yield AuditFinding("struggle", memo.id, (), f"recorded as a success with Δ = {memo.Delta:.4f}")
         elif memo.kind == "failed" and memo.Delta == 0.0:
             yield AuditFinding(
-                "untouched failure", memo.id, (), "failed although nothing intervened: was it seen rightly?"
+                "untouched failure",
+                memo.id,
+                (),
+                "failed without any intervention: was the outcome perceived correctly?",
             )

@@ -1,4 +1,4 @@
-"""Exact compaction: a new, short ledger with the same memories, weights and statuses; the long one stays as archive."""
+"""Exact compaction: a new, short ledger with the same memories, weights and statuses; the full one is archived."""
 
 from __future__ import annotations
 
@@ -34,20 +34,22 @@ from dualbrain.memory.state.episode_record import decode_event_header
 from dualbrain.memory.state.state import LedgerState
 
 EVENTS_PER_TRANSACTION = 500
-"""Events in one transaction."""
+"""Largest number of events in one transaction."""
 EVENT_KIND_BY_STATUS: dict[Status, str] = {"active": RELEASE, "quarantined": QUARANTINE, "forgotten": TOMBSTONE}
 
 
 def compact_ledger(source: LedgerReader, target: Path, *, holder: str, now: float) -> LedgerState:
-    """Write into `target` what `source` holds now; returns the state, which both then have, to the bit.
+    """Write the present content of `source` into `target`; returns the state, which is the same for both, bit for bit.
 
-    Kept: every episode in effect with its vector, adapters' use, statuses. Folded: all weight events of a memory become
-    one clipped affine map and the exact weight. Given up: rolling back to, and leaving out single outcomes from before
-    the compaction; for that the archive is there, which the first event names by its head.
-    Raises `DamagedLedger` if a link of `source` is broken, `InvalidSetup` if `target` exists.
+    Kept: every episode in effect with its vector, adapter events, statuses. Folded: all weight events of a memory
+    become one clipped affine map and the exact weight. Lost: the ability to roll back to events before the compaction,
+    and to exclude single outcomes of that time; the archive, which the first event names by its head, still has both.
+    Raises `CorruptLedgerError` if a link of `source` is broken, and `ConfigurationError` if `target` exists.
     """
     if target.exists():
-        raise ConfigurationError("compacted ledger", got="a file that exists", allowed="a new file", fix=str(target))
+        raise ConfigurationError.stating(
+            f"The target of the compaction, {target}, exists already.", fix="Choose a new file."
+        )
     for _ in verified_events(source.events(), str(source.path)):
         pass
     state, head = derive_state(source), source.head()
@@ -66,23 +68,24 @@ def compact_ledger(source: LedgerReader, target: Path, *, holder: str, now: floa
 
 
 def compact_in_place(path: Path, *, holder: str, now: float, timeout_s: float) -> Path:
-    """Compact the ledger at `path` in place; returns where the long one lies from now on.
+    """Compact the ledger at `path` in place; returns the path of the archive, which is the full ledger.
 
-    A process killed on the way leaves the long ledger in force, or beside the short one under its archive name.
+    If the process is killed during the compaction, the full ledger remains at `path`, or is the archive beside the
+    compacted one.
     """
-    with Ledger(path, holder=holder, now=now, timeout_s=timeout_s) as long:
-        archive = path.with_name(f"{path.name}.archive-{long.head().seq}")
+    with Ledger(path, holder=holder, now=now, timeout_s=timeout_s) as full:
+        archive = path.with_name(f"{path.name}.archive-{full.head().seq}")
         partial = path.with_name(f"{path.name}.compacting")
         for old in path.parent.glob(f"{partial.name}*"):
             old.unlink()
-        compact_ledger(long, partial, holder=holder, now=now)
-        long.checkpoint_wal()
+        compact_ledger(full, partial, holder=holder, now=now)
+        full.checkpoint_wal()
         for old in path.parent.glob(f"{path.name}.snapshot-*"):
             old.unlink()
         os.link(path, archive)
         partial.replace(path)
-        for rest in (path.with_name(f"{path.name}-wal"), path.with_name(f"{path.name}-shm")):
-            rest.unlink(missing_ok=True)
+        for leftover in (path.with_name(f"{path.name}-wal"), path.with_name(f"{path.name}-shm")):
+            leftover.unlink(missing_ok=True)
     partial.with_name(f"{partial.name}.lock").unlink(missing_ok=True)
     return archive
 
@@ -100,7 +103,7 @@ def _episode_events(source: LedgerReader) -> Iterator[tuple[float, PendingEvent]
 
 
 def _batches(episodes: Iterator[tuple[float, PendingEvent]]) -> Iterator[list[tuple[float, list[PendingEvent]]]]:
-    """Runs of episodes with the same time, which go into one transaction."""
+    """Groups of successive episodes with the same time, for one transaction each."""
     batch: list[tuple[float, list[PendingEvent]]] = []
     for time, entry in episodes:
         if batch and batch[-1][0] == time and len(batch[-1][1]) < EVENTS_PER_TRANSACTION:
@@ -111,41 +114,41 @@ def _batches(episodes: Iterator[tuple[float, PendingEvent]]) -> Iterator[list[tu
 
 
 def compose_weight_updates(source: LedgerReader, state: LedgerState) -> dict[str, AffineMap]:
-    """All that happened to each memory's weight, as one clipped affine map of its first weight."""
+    """All updates of each memory's weight, as one clipped affine map of its initial weight."""
     folded = dict.fromkeys(state.rows, IDENTITY)
     for event in effective_events(source, (WEIGHT, NEIGHBOURS, FOLDED)):
-        for name, factors in _update_steps(event, state.void):
-            folded[name] = folded[name].compose(factors)
+        for name, update in _update_steps(event, state.void):
+            folded[name] = folded[name].compose(update)
     return folded
 
 
 def _update_steps(event: LedgerEvent, void: frozenset[str]) -> Iterator[tuple[str, AffineMap]]:
     if event.kind == WEIGHT:
-        one = msgspec.json.decode(event.payload, type=WeightUpdate)
-        if one.cause not in void:
-            yield one.memory, one.affine_map
+        update = msgspec.json.decode(event.payload, type=WeightUpdate)
+        if update.cause not in void:
+            yield update.memory, update.affine_map
     elif event.kind == NEIGHBOURS:
-        around = msgspec.json.decode(event.payload, type=NeighbourUpdates)
-        if around.cause not in void:
-            for name, offset in zip(around.memories, around.offsets, strict=True):
+        neighbours = msgspec.json.decode(event.payload, type=NeighbourUpdates)
+        if neighbours.cause not in void:
+            for name, offset in zip(neighbours.memories, neighbours.offsets, strict=True):
                 yield name, AffineMap(1.0, offset)
     else:
-        one = msgspec.json.decode(event.payload, type=FoldedUpdates)
-        yield one.memory, one.affine_map
+        folded = msgspec.json.decode(event.payload, type=FoldedUpdates)
+        yield folded.memory, folded.affine_map
 
 
 def _folded_events(source: LedgerReader, state: LedgerState) -> Iterator[PendingEvent]:
-    for name, f in compose_weight_updates(source, state).items():
+    for name, update in compose_weight_updates(source, state).items():
         memo = state[name]
         yield PendingEvent(
             kind=FOLDED,
             subject=name,
             payload=FoldedUpdates(
                 memory=name,
-                gain=f.gain,
-                offset=f.offset,
-                lower=f.lower,
-                upper=f.upper,
+                gain=update.gain,
+                offset=update.offset,
+                lower=update.lower,
+                upper=update.upper,
                 weight=memo.weight,
                 reinforced=memo.reinforced,
                 suppressed=memo.suppressed,
@@ -154,10 +157,12 @@ def _folded_events(source: LedgerReader, state: LedgerState) -> Iterator[Pending
 
 
 def _status_events(source: LedgerReader, state: LedgerState) -> Iterator[PendingEvent]:
-    """What makes each memory's status of that with which it was stored."""
-    born = {event.subject: decode_event_header(event.payload).status for event in effective_events(source, (EPISODE,))}
+    """Events that change the initial status of each memory to its present status."""
+    initial = {
+        event.subject: decode_event_header(event.payload).status for event in effective_events(source, (EPISODE,))
+    }
     for status, kind in EVENT_KIND_BY_STATUS.items():
-        names = tuple(memo.id for memo in state.memories if memo.status == status != born[memo.id])
+        names = tuple(memo.id for memo in state.memories if memo.status == status != initial[memo.id])
         if names:
             yield PendingEvent(
                 kind=kind, subject="", payload=StatusChange(names, "as it was before the compaction", "compaction")

@@ -1,17 +1,17 @@
-"""When too few agree with a memory for it to stand: one rule for the audit and for anomalous replay."""
+"""Test whether too few outcomes agree with a memory; used by the audit and by the replay in simulation."""
 
 from __future__ import annotations
 
 from math import comb
 
 EXPECTED_AGREEMENT = 0.8
-"""At least this share of those who judge a true memory is expected to agree with it: outcomes are partly chance."""
+"""Expected share of outcomes that agree with a correct memory; below 1, because outcomes are partly random."""
 SIGNIFICANCE_LEVEL = 0.05
-"""A memory is contradicted if so few agree that a true one would show that with a chance below this."""
+"""A memory is contradicted if a correct one would have so little agreement with a probability below this level."""
 
 
 def agreement_p_value(agreeing: int, compared: int) -> float:
-    """P(X ≤ agreeing) for X ~ Binomial(asked, 0.8): how likely so little agreement is for a true memory."""
+    """P(X ≤ agreeing) for X ~ Binomial(compared, 0.8): the probability of so little agreement with a correct memory."""
     return sum(
         comb(compared, k) * EXPECTED_AGREEMENT**k * (1.0 - EXPECTED_AGREEMENT) ** (compared - k)
         for k in range(agreeing + 1)
@@ -19,5 +19,5 @@ def agreement_p_value(agreeing: int, compared: int) -> float:
 
 
 def is_contradicted(agreeing: int, compared: int) -> bool:
-    """Whether `agreeing` of `asked` are too few. One against one is no evidence, two against none is."""
+    """Whether `agreeing` of `compared` outcomes are too few: 1 of 2 is no contradiction, 0 of 2 is one."""
     return agreement_p_value(agreeing, compared) < SIGNIFICANCE_LEVEL

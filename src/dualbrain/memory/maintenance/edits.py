@@ -1,4 +1,4 @@
-"""What a person, an audit or a replay does to memories: set aside, bring back, forget, roll back. Nothing is erased."""
+"""Edits by a person, an audit or a replay: quarantine, release, forget and roll back. No event is ever erased."""
 
 from __future__ import annotations
 
@@ -31,7 +31,10 @@ from dualbrain.records import MemoryUse
 
 
 def quarantine(memory: Memory, names: Sequence[str], reason: str, *, now: float, actor: str = PERSON_ACTOR) -> None:
-    """Set memories aside: no longer offered, and what their outcomes did to weights is undone as long as they are."""
+    """Quarantine memories: they are not retrieved, and the weight updates of their outcomes are undone until a release.
+
+    Raises `ConfigurationError` without an id or a reason, and `UnknownNameError` for an id that is not in the ledger.
+    """
     _check_known(memory, names)
     memory.append(
         [PendingEvent(kind=QUARANTINE, subject="", payload=StatusChange(tuple(names), _check_reason(reason), actor))],
@@ -40,25 +43,31 @@ def quarantine(memory: Memory, names: Sequence[str], reason: str, *, now: float,
 
 
 def release(memory: Memory, names: Sequence[str], reason: str, *, now: float, actor: str = PERSON_ACTOR) -> None:
-    """Bring quarantined memories and candidates back: offered again, their influence counts again, exactly as before.
+    """Release quarantined memories and candidates: they are retrieved again, and their weight updates count again.
 
-    A memory that had never been believed now teaches what it would have taught. A forgotten one does not come back this
-    way: roll back to before it was forgotten.
+    A memory that was never active before now causes the weight updates of its outcome. A forgotten memory cannot be
+    released: roll back to an event before it was forgotten. Raises `ConfigurationError` and `UnknownNameError`.
     """
     _check_known(memory, names)
-    if gone := [name for name in names if memory.state[name].status == "forgotten"]:
-        fix = "Roll back to before they were forgotten."
-        raise ConfigurationError("memories to release", got=gone, allowed="quarantined ones and candidates", fix=fix)
+    if forgotten := [name for name in names if memory.state[name].status == "forgotten"]:
+        raise ConfigurationError.stating(
+            f"Forgotten memories cannot be released: {', '.join(forgotten)}.",
+            fix="Roll back to an event before they were forgotten.",
+        )
     memory.append(
         [PendingEvent(kind=RELEASE, subject="", payload=StatusChange(tuple(names), _check_reason(reason), actor))],
         now=now,
     )
-    if late := memory.consolidation().released_updates(names, now):
-        memory.append(late, now=now)
+    if updates := memory.consolidation().released_updates(names, now):
+        memory.append(updates, now=now)
 
 
 def forget(memory: Memory, names: Sequence[str], reason: str, *, now: float, actor: str = PERSON_ACTOR) -> None:
-    """A tombstone: never offered again, its influence undone. The event itself stays, for the chain must hold."""
+    """Forget memories: they are never retrieved again, and their weight updates are undone.
+
+    The events stay in the ledger, because the hash chain must stay valid. Raises `ConfigurationError` and
+    `UnknownNameError`.
+    """
     _check_known(memory, names)
     memory.append(
         [PendingEvent(kind=TOMBSTONE, subject="", payload=StatusChange(tuple(names), _check_reason(reason), actor))],
@@ -67,7 +76,11 @@ def forget(memory: Memory, names: Sequence[str], reason: str, *, now: float, act
 
 
 def roll_back(memory: Memory, target: int, reason: str, *, now: float, actor: str = PERSON_ACTOR) -> None:
-    """Make memory what it was at event `target`; rolling back to before this undoes it (see `lineage`)."""
+    """Restore the state of memory at event `target`.
+
+    A later rollback to an event before this rollback undoes it (see `memory.state.history`). Raises
+    `ConfigurationError` if there is no such event.
+    """
     check_rollback_target(target, memory.ledger.head().seq)
     memory.append(
         [PendingEvent(kind=ROLLBACK, subject="", payload=Rollback(target, _check_reason(reason), actor))], now=now
@@ -75,33 +88,33 @@ def roll_back(memory: Memory, target: int, reason: str, *, now: float, actor: st
 
 
 def record_adapter(memory: Memory, adapter: str, dataset: str, names: Sequence[str], *, now: float) -> None:
-    """Write down that `adapter` was trained on these memories, from the data set of hash `dataset`; once is enough."""
+    """Record, once, that `adapter` was trained on these memories from the data set with the hash `dataset`."""
     _check_known(memory, names)
     use = AdapterUse(adapter, dataset, tuple(names))
-    noted = (event.payload for event in effective_events(memory.ledger, (ADAPTER,)))
-    if use not in (msgspec.json.decode(payload, type=AdapterUse) for payload in noted):
+    recorded = (event.payload for event in effective_events(memory.ledger, (ADAPTER,)))
+    if use not in (msgspec.json.decode(payload, type=AdapterUse) for payload in recorded):
         memory.append([PendingEvent(kind=ADAPTER, subject=adapter, payload=use)], now=now)
 
 
 def record_uses(memory: Memory, episode: str, uses: Sequence[MemoryUse], *, now: float) -> None:
-    """Write down what became of the memories that stood in the prompt of `episode`."""
+    """Record the use of the memories that were in the prompt of `episode`."""
     memory.append([PendingEvent(kind=USED, subject=episode, payload=MemoryUses(episode, tuple(uses)))], now=now)
 
 
 def record_audit(memory: Memory, report: object, *, now: float) -> None:
-    """Write down what an audit found."""
+    """Record the result of an audit."""
     memory.append([PendingEvent(kind=AUDIT, subject="", payload=report)], now=now)
 
 
 def record_replay(memory: Memory, finding: ReplayFinding, *, now: float) -> None:
-    """Write down what running a memory again gave; a person decides what follows from it."""
+    """Record the result of a replay of a memory; a person decides on the consequences."""
     _check_known(memory, (finding.memory,))
     memory.append([PendingEvent(kind=REPLAYED, subject=finding.memory, payload=finding)], now=now)
 
 
 def _check_known(memory: Memory, names: Sequence[str]) -> None:
     if not names:
-        raise ConfigurationError("memories", got="none", allowed="at least one id", fix="See `dualbrain memory list`.")
+        raise ConfigurationError.stating("No memory was named.", fix="List the ids with `dualbrain memory list`.")
     for name in names:
         if name not in memory.state:
             raise UnknownNameError("memory", name, tuple(memory.state.rows), owner="this ledger")
@@ -109,5 +122,5 @@ def _check_known(memory: Memory, names: Sequence[str]) -> None:
 
 def _check_reason(reason: str) -> str:
     if not reason.strip():
-        raise ConfigurationError("reason", got=reason, allowed="a few words", fix="Say why with --reason.")
+        raise ConfigurationError.stating("The reason is empty.", fix="State a reason with --reason.")
     return reason

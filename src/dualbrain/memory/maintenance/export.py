@@ -1,4 +1,4 @@
-"""Memory as lines of JSON, for other programs: one memory a line, everything that the ledger says of it."""
+"""Export of memories as JSON objects for other programs, one object per memory."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dualbrain.memory.state.state import LedgerState
 
 
 def export_rows(ledger: LedgerReader, state: LedgerState) -> Iterator[dict[str, Any]]:
-    """Each memory, oldest first: status, weight and provenance beside the episode as it was stored."""
+    """Each memory, oldest first: status, weight, provenance, the stored episode and the memories that it retrieved."""
     for memo in state.memories:
         stored = msgspec.json.decode(ledger.event(memo.seq).payload)
         yield {**msgspec.to_builtins(memo), "r": memo.r, "episode": stored["episode"], "retrieved": stored["retrieved"]}

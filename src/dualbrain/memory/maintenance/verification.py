@@ -1,4 +1,4 @@
-"""Is memory what was written: the chain, the weights, the snapshot and the vectors, each against the events."""
+"""Verification of a memory: chain, weights, snapshot and vectors, each against the events of the ledger."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from dualbrain.memory.state.snapshot import read_snapshot
 
 
 class Verification(msgspec.Struct, frozen=True):
-    """What was found: the chain, and how many vectors are wrong, missing or left over (None: not looked at)."""
+    """Result of a verification: the chain, the snapshot, and the number of invalid vectors.
+
+    `vectors_wrong` counts vectors that are wrong, missing or surplus; None if the vectors were not checked.
+    """
 
     chain: ChainReport
     memories: int = 0
@@ -22,28 +25,29 @@ class Verification(msgspec.Struct, frozen=True):
 
     @property
     def is_intact(self) -> bool:
-        """True if everything that was looked at holds."""
+        """Whether everything that was checked is valid."""
         return self.chain.is_intact and self.snapshot != "differs" and not self.vectors_wrong
 
 
 def verify(
     ledger: LedgerReader, *, anchor: Head | None = None, embedding: JointEmbedding | None = None
 ) -> Verification:
-    """Walk the chain; if it holds, derive all weights and compare the snapshot.
+    """Check the chain; if it is valid, derive all weights and compare the snapshot.
 
-    With an `embedding`, every vector is made again and compared to the bit.
+    With an `embedding`, every vector is recomputed and compared bit for bit.
     """
     chain = ledger.verify(anchor)
     if not chain.is_intact:
         return Verification(chain)
     state = derive_state(ledger)
-    found = read_snapshot(ledger)
+    stored_snapshot = read_snapshot(ledger)
     snapshot = "none"
-    if found is not None:
-        then = derive_state(ledger, head=found.head.seq)
-        snapshot = "agrees" if then.memories == found.state.memories else "differs"
+    if stored_snapshot is not None:
+        derived = derive_state(ledger, head=stored_snapshot.head.seq)
+        snapshot = "agrees" if derived.memories == stored_snapshot.state.memories else "differs"
     wrong = None
     if embedding is not None:
-        stored, anew = dict(ledger.vectors()), dict(compute_vectors(ledger, embedding))
-        wrong = sum(stored.get(seq) != vector for seq, vector in anew.items()) + len(stored.keys() - anew.keys())
+        stored, computed = dict(ledger.vectors()), dict(compute_vectors(ledger, embedding))
+        surplus = stored.keys() - computed.keys()
+        wrong = sum(stored.get(seq) != vector for seq, vector in computed.items()) + len(surplus)
     return Verification(chain, len(state), snapshot, wrong)

@@ -1,1 +1,1 @@
-"""The bounded Hebbian rule (paper 5.3) and the quantities it uses."""
+"""The bounded Hebbian weight update (paper 5.3), and the comparisons and maps that it uses."""

@@ -1,4 +1,4 @@
-"""Clipped affine maps of a weight: the form of every update, closed under composition."""
+"""Clipped affine maps of a weight: the form of every weight update."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from dataclasses import dataclass
 class AffineMap:
     """One update w ← min(upper, max(lower, gain·w + offset)), with gain ≥ 0: what a weight event stores.
 
-    Such maps are closed under composition (`then`), so that a log of them can be folded, undone and replayed without
-    the rule that made them.
+    These maps are closed under composition (`compose`), so that a log of them can be folded, undone and replayed
+    without the rule that produced them.
     """
 
     gain: float
@@ -23,10 +23,10 @@ class AffineMap:
         return min(self.upper, max(self.lower, self.gain * w + self.offset))
 
     def compose(self, following: AffineMap) -> AffineMap:
-        """This map, then `following`, as one map.
+        """This map followed by `following`, as one map.
 
-        (c, d, l, h) ∘ (a, b, lo, hi) = (ca, cb + d, clip(c·lo + d), clip(c·hi + d)), both clipped to [l, h]. Exact but
-        for the rounding of one product and one sum (3e-16 over chains of 30 maps).
+        (c, d, l, h) ∘ (a, b, lo, hi) = (ca, cb + d, clip(c·lo + d), clip(c·hi + d)), with clip to [l, h]. The only
+        error is the rounding of one product and one sum (3e-16 over chains of 30 maps).
         """
         return AffineMap(
             self.gain * following.gain,
@@ -36,7 +36,7 @@ class AffineMap:
         )
 
     def scale_step(self, share: float) -> AffineMap:
-        """The part `share` ∈ [0, 1] of the step: w ← clip(w + share·(gain·w + offset − w)); 0 changes nothing."""
+        """The part `share` ∈ [0, 1] of the update: w ← clip(w + share·(gain·w + offset − w)); 0 is the identity."""
         return AffineMap(1.0 + share * (self.gain - 1.0), share * self.offset, self.lower, self.upper)
 
 

@@ -1,4 +1,4 @@
-"""Comparing contracts as plans: skills in order, and parameters up to a tolerance."""
+"""Comparison of contracts as plans: skills in order, and parameters up to a tolerance."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ RELATIVE_TOLERANCE = 0.05
 
 
 def contract_actions(contract: dict[str, Any] | None) -> list[dict[str, Any]]:
-    """The actions of a contract; none for what is no contract."""
+    """The actions of a contract; an empty list for None and for an object that is not a contract."""
     found = (contract or {}).get("action_sequence")
     if not isinstance(found, list | tuple):
         return []
@@ -19,13 +19,13 @@ def contract_actions(contract: dict[str, Any] | None) -> list[dict[str, Any]]:
 
 
 def same_skills(one: dict[str, Any] | None, other: dict[str, Any] | None) -> bool:
-    """Whether both name the same skills in the same order, at least one."""
+    """Whether both contracts name the same skills in the same order, and at least one skill."""
     a, b = ([action.get("skill") for action in contract_actions(contract)] for contract in (one, other))
     return bool(a) and a == b
 
 
 def same_plan(one: dict[str, Any] | None, other: dict[str, Any] | None) -> bool:
-    """Whether both say the same: skills in order, every word equal, every number within 5 %."""
+    """Whether both contracts are the same plan: equal skills in order, equal words, numbers within 5 %."""
     return same_skills(one, other) and all(is_close(a, b) for a, b in _parameter_pairs(one, other))
 
 
@@ -35,12 +35,12 @@ def shares_parameter(one: dict[str, Any] | None, other: dict[str, Any] | None) -
 
 
 def count_differences(one: dict[str, Any] | None, other: dict[str, Any] | None) -> int | None:
-    """In how many parameters two plans of the same skills differ; None for plans of other skills."""
+    """Number of parameters in which two plans with the same skills differ; None if the skills differ."""
     return sum(not is_close(a, b) for a, b in _parameter_pairs(one, other)) if same_skills(one, other) else None
 
 
 def is_close(one: Any, other: Any) -> bool:
-    """Equal, or numbers within 5 % of the larger."""
+    """Whether two values are equal, or numbers within 5 % of the larger."""
     if isinstance(one, bool) or isinstance(other, bool):
         return one is other
     if isinstance(one, int | float) and isinstance(other, int | float):
@@ -49,7 +49,7 @@ def is_close(one: Any, other: Any) -> bool:
 
 
 def _parameter_pairs(one: dict[str, Any] | None, other: dict[str, Any] | None) -> Iterator[tuple[Any, Any]]:
-    """Values of each parameter that an action of either names; None where one does not."""
+    """Both values of each parameter that an action of either contract names; None where a contract lacks it."""
     for a, b in zip(contract_actions(one), contract_actions(other), strict=False):
         left, right = _params(a), _params(b)
         for name in sorted({*left, *right}):

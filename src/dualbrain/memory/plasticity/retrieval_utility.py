@@ -1,9 +1,9 @@
-"""Memory Retrieval Utility (paper 7.3): the share of recalled memories that were used, and that helped. It can be zero.
+"""Memory Retrieval Utility (paper 7.3): the share of retrieved memories that were used and contributed to a success.
 
 used(i): the contract names the skills of exemplar i in the same order and shares at least one parameter with it
-(numbers within 5 %), *and* the planner's first proposal is not the one it makes without i. contributing(i): used, and
-the episode then succeeds with a Δ no worse than the reference. A planner that would have said the same without memory
-uses none.
+(numbers within 5 %), *and* the planner's first proposal differs from the one that it makes without i. contributing(i):
+used, and the episode then succeeds with a Δ not above the reference. A planner that proposes the same contract without
+memory uses no memory.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ RawContract = dict[str, Any] | None
 
 
 class RetrievalUtility(msgspec.Struct, frozen=True):
-    """How many memories stood in prompts that were asked again without them, were used, and contributed."""
+    """Counts of memories: in prompts that were also evaluated without them, used, and contributing."""
 
     recalled: int
     used: int
@@ -29,19 +29,19 @@ class RetrievalUtility(msgspec.Struct, frozen=True):
 
     @property
     def rate(self) -> float | None:
-        """Memory Retrieval Utility: contributing over recalled; None if nothing was recalled."""
+        """Memory Retrieval Utility: contributing / recalled; None if no memory was recalled."""
         return self.contributing / self.recalled if self.recalled else None
 
     def __str__(self) -> str:
-        """One line for a person."""
+        """One line for people."""
         return f"of {self.recalled} memories in prompts {self.used} were used, {self.contributing} contributed"
 
 
 @dataclass(frozen=True, slots=True)
 class ExclusionEffect:
-    """What leaving one exemplar out of the prompt changes: the first proposal `given` it and the one `without` it.
+    """The planner's first proposals with and without one exemplar in the prompt.
 
-    None: no contract could be read in that answer, which differs from every contract.
+    None represents an answer without a readable contract, which differs from every contract.
     """
 
     with_exemplar: RawContract
@@ -49,12 +49,12 @@ class ExclusionEffect:
 
     @property
     def is_unchanged(self) -> bool:
-        """Whether both say the same plan."""
+        """Whether both proposals are the same plan."""
         return same_plan(self.with_exemplar, self.without_exemplar)
 
 
 def was_used(exemplar: RawContract, contract: RawContract, effect: ExclusionEffect) -> bool:
-    """Whether `contract`, the one that was accepted, follows `exemplar`, and leaving that out changes the proposal."""
+    """Whether the accepted `contract` follows `exemplar`, and the proposal changes without this exemplar."""
     return same_skills(exemplar, contract) and shares_parameter(exemplar, contract) and not effect.is_unchanged
 
 
@@ -68,12 +68,15 @@ def evaluate_use(
     Delta: float | None,
     max_Delta: float | None,
 ) -> MemoryUse:
-    """What became of one memory. `reference` is the Δ not to be exceeded: that of the exemplar itself (None: any)."""
+    """Whether one memory was used and contributed.
+
+    `max_Delta`, the Δ of the exemplar, is the largest Δ of a contributing success (None: no bound).
+    """
     used = was_used(exemplar, contract, effect)
     no_worse = max_Delta is None or (Delta is not None and Delta <= max_Delta)
     return MemoryUse(memory, used, used and succeeded and no_worse)
 
 
 def summarize_uses(uses: Sequence[MemoryUse]) -> RetrievalUtility:
-    """The shares over many recalls."""
+    """The counts over many retrieved memories."""
     return RetrievalUtility(len(uses), sum(use.used for use in uses), sum(use.contributing for use in uses))

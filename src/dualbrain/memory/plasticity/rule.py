@@ -11,18 +11,18 @@ from dualbrain.memory.plasticity.affine_map import AffineMap
 W0 = 0.5
 """Weight of a new memory before any outcome."""
 EPSILON = 0.003
-"""Δ up to which a success speaks for a memory, unless it is set for a robot."""
+"""Default of ε: a success with Δ up to this value reinforces the memories that it used."""
 BANDWIDTH = 0.2
-"""ℓ of a neighbourhood unless it is set otherwise: half of a neighbour's word is left at cos = 0.97."""
+"""Default bandwidth ℓ of the neighbourhood: the kernel falls to one half at cos = 0.97."""
 MAX_BANDWIDTH = 0.3
-"""The widest neighbourhood ℓ."""
+"""Largest bandwidth ℓ of the neighbourhood."""
 
 
 @dataclass(frozen=True, slots=True)
 class Penalty:
     """g(Δ) = floor + (1 − floor)·Δ/(Δ + scale): monotone, from `floor` at Δ = 0 to 1; half-way at Δ = `scale`.
 
-    `rejected` stands in for g where no Δ exists, because nothing was executed (a contract that the gate refused).
+    `rejected` replaces g(Δ) for a contract that the gate rejected: it was not executed and has no Δ.
     """
 
     floor: float = 0.5
@@ -30,7 +30,7 @@ class Penalty:
     rejected: float = 1.0
 
     def __call__(self, Delta: float | None) -> float:
-        """g(Δ); `rejected` if there is no Δ, 1 if it is not a number."""
+        """Penalty g(Δ); `rejected` without a Δ, 1 for a Δ that is not finite."""
         if Delta is None:
             return self.rejected
         size = max(Delta, 0.0)
@@ -44,16 +44,17 @@ class Plasticity:
     reinforce (r = 1 and Δ ≤ ε): w ← min{1, max{0, (1 − ρ)·w + η₊}}
     suppress  (r = 0 or Δ > ε):  w ← min{1, max{0, (1 − ρ)·w − η₋·g(Δ)}}
 
-    Constraints that the paper leaves out and Proposition 2 needs: η₊ ≥ ρ (else a success would lower a high weight),
-    η₊ > 0, and η₋·g(0) > 0 or ρ > 0 (else a failure without intervention would change nothing).
-    Promise: w stays in [0, 1]; reinforcing never lowers it, suppressing never raises it, more Δ never suppresses less;
-    under repeated success w → min(1, η₊/ρ) = 1, under repeated failure w → 0. Updates do not commute: their order in
-    the ledger is part of their meaning. Defaults suit a Δ of about 0.003 in clean successes; set ε per robot.
+    Constraints that the paper leaves out and Proposition 2 needs: η₊ ≥ ρ (otherwise a success would lower a high
+    weight), η₊ > 0, and η₋·g(0) > 0 or ρ > 0 (otherwise a failure without intervention would change nothing).
+    Promise: w stays in [0, 1]; a reinforcement never lowers w, a suppression never raises w, and a larger Δ never
+    suppresses less. Under repeated success w → min(1, η₊/ρ) = 1, under repeated failure w → 0. Updates do not commute:
+    a replay must keep their order in the ledger. The defaults fit a Δ of about 0.003 in clean successes; set ε per
+    robot.
 
     Neighbourhood: w_j ← min{1, max{0, w_j + κ ξ exp(−‖e_j − e_i‖²/2ℓ²)}} with κ `kappa`, ξ = ±1, ℓ `bandwidth`, for at
-    most `reach` memories j ≠ i of the same contract within 3ℓ, where the factor has fallen to 0.011. ℓ ≤ 0.3, that is
-    cos ≥ 0.6: wider, and unrelated episodes would be neighbours. κ ≤ η₊ − ρ and κ ≤ η₋·g: a neighbour's outcome never
-    outweighs an own one.
+    most `reach` memories j ≠ i of the same contract within 3ℓ, where the kernel has fallen to 0.011. ℓ ≤ 0.3, that is
+    cos ≥ 0.6: with a larger ℓ, unrelated episodes would be neighbours. κ ≤ η₊ − ρ and κ ≤ η₋·g: the outcome of a
+    neighbour never outweighs a memory's own outcome.
     """
 
     rho: float = 0.05
@@ -66,7 +67,7 @@ class Plasticity:
     reach: int = 100
 
     def __post_init__(self) -> None:
-        """Raise `InvalidSetup` for a rule under which Proposition 2 would not hold."""
+        """Raise `ConfigurationError` for a rule under which Proposition 2 does not hold."""
         g = self.g
         _require("rho", self.rho, 0.0 <= self.rho < 1.0, "in [0, 1)")
         _require(
@@ -89,11 +90,11 @@ class Plasticity:
         _require("kappa", self.kappa, self.kappa <= max(most, 0.0), f"at most eta_plus - rho and eta_minus * g: {most}")
 
     def is_reinforcing(self, r: int, Delta: float | None) -> bool:
-        """True if the outcome is a success with little intervention; a missing or non-finite Δ is not."""
+        """Whether the outcome is a success with 0 ≤ Δ ≤ ε; False if Δ is missing or not finite."""
         return r == 1 and Delta is not None and 0.0 <= Delta <= self.epsilon
 
     def update_map(self, r: int, Delta: float | None) -> AffineMap:
-        """The update that the outcome (r, Δ) causes; Δ is None if nothing was executed."""
+        """The update of an outcome (r, Δ); Δ is None if nothing was executed."""
         if self.is_reinforcing(r, Delta):
             return AffineMap(1.0 - self.rho, self.eta_plus)
         return AffineMap(1.0 - self.rho, -self.eta_minus * self.g(Delta))
@@ -104,7 +105,7 @@ class Plasticity:
         return (3.0 * self.bandwidth) ** 2
 
     def neighbour_offset(self, distance: float, *, up: bool) -> float:
-        """κ ξ exp(−d²/2ℓ²) for the squared distance d² = `distance`; ξ = +1 if `up`, else −1."""
+        """Offset κ ξ exp(−d²/2ℓ²) for the squared distance d² = `distance`; ξ = +1 if `up`, else −1."""
         size = self.kappa * math.exp(-distance / (2.0 * self.bandwidth**2))
         return size if up else -size
 

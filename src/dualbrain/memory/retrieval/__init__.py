@@ -1,1 +1,1 @@
-"""Retrieval by R = λ s + (1 − λ) w, and diversity of the retrieved items."""
+"""Retrieval by R = λ_s s + (1 − λ_s) w̄, and diversity of the retrieved memories."""

@@ -1,4 +1,4 @@
-"""From a ledger to the state of memory at any of its events: now, as of a time, after a rollback, as if never seen."""
+"""Derivation of the state from a ledger: now, at an event or time, after rollbacks, or without some memories."""
 
 from __future__ import annotations
 
@@ -22,15 +22,16 @@ from dualbrain.memory.state.history import effective_ranges
 from dualbrain.memory.state.state import LedgerState, fold_events
 
 STATE_EVENT_KINDS = (*WEIGHT_EVENT_KINDS, *STATUS_BY_EVENT_KIND)
-"""Kinds of events that make the state."""
+"""Kinds of events that determine the state."""
 
 
 def derive_state(ledger: LedgerReader, *, head: int | None = None, excluded: Collection[str] = ()) -> LedgerState:
     """The state at event `head` (default: the newest), computed from the events alone.
 
-    What quarantined and forgotten memories did to others does not count, as long as they are. Memories in `unseen` are
-    left out altogether. Law: the result equals that of a ledger in which their outcomes had moved nothing and they had
-    never been stored; what the planner would have proposed without them nobody can know.
+    Weight updates that quarantined and forgotten memories caused do not count while they have this status. Memories in
+    `excluded` are left out altogether. Law: the result equals that of a ledger in which these memories were never
+    stored and their outcomes changed no weight. The contracts that the planner would have proposed without them are
+    unknown. Raises `CorruptLedgerError` for an event that cannot be read.
     """
     at = ledger.head().seq if head is None else head
     ranges = effective_ranges(read_rollbacks(ledger), at)
@@ -46,28 +47,28 @@ def derive_state_at(ledger: LedgerReader, time: float) -> LedgerState:
 
 
 def exclude_memories(state: LedgerState, names: Collection[str]) -> LedgerState:
-    """The same state less some memories."""
-    left = [memo for memo in state.memories if memo.id not in set(names)]
+    """The same state without some memories."""
+    remaining = [memo for memo in state.memories if memo.id not in set(names)]
     return LedgerState(
-        memories=left,
+        memories=remaining,
         seq=state.seq,
         influence=state.influence,
         void=state.void,
-        rows={memo.id: row for row, memo in enumerate(left)},
+        rows={memo.id: row for row, memo in enumerate(remaining)},
     )
 
 
 def read_rollbacks(ledger: LedgerReader) -> dict[int, int]:
-    """Number of each rollback event → the event it restored."""
+    """The number of each rollback event, mapped to the event that it restored."""
     found = ledger.events("kind = ?", (ROLLBACK,))
     try:
         return {event.seq: msgspec.json.decode(event.payload, type=Rollback).target for event in found}
     except DECODE_ERRORS as error:
-        raise CorruptLedgerError(f"a rollback is unreadable: {error}", seq=None, path=str(ledger.path)) from error
+        raise CorruptLedgerError(f"a rollback event is unreadable: {error}", seq=None, path=str(ledger.path)) from error
 
 
 def void_memories(ledger: LedgerReader, ranges: tuple[range, ...]) -> frozenset[str]:
-    """Memories whose last status event in `ranges` sets them aside."""
+    """Memories that are quarantined or forgotten after their last status event in `ranges`."""
     status: dict[str, Status] = {}
     for event in _events(ledger, ranges, tuple(STATUS_BY_EVENT_KIND)):
         change = msgspec.json.decode(event.payload, type=StatusChange)
@@ -81,7 +82,7 @@ def effective_events(ledger: LedgerReader, kinds: tuple[str, ...]) -> Iterator[L
 
 
 def _events(ledger: LedgerReader, ranges: tuple[range, ...], kinds: tuple[str, ...]) -> Iterator[LedgerEvent]:
-    marks = ", ".join("?" * len(kinds))
+    placeholders = ", ".join("?" * len(kinds))
     for span in ranges:
-        where = f"seq BETWEEN ? AND ? AND kind IN ({marks})"
+        where = f"seq BETWEEN ? AND ? AND kind IN ({placeholders})"
         yield from ledger.events(where, (span.start, span.stop - 1, *kinds))

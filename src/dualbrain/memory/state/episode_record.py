@@ -1,4 +1,4 @@
-"""One memory m_i = (e_i, c_i, Δ_i, r_i, w_i, t_i) as it lies in the ledger, and which lesson its outcome teaches."""
+"""The stored form of a memory m_i = (e_i, c_i, Δ_i, r_i, w_i, t_i), and the guidance that its outcome gives."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ GUIDANCE_BY_OUTCOME: Mapping[OutcomeClass, Guidance] = {
     "handed_over": "none",
     "emergency": "none",
 }
-"""What an outcome says of its contract. A decline, a person's hand and a fault say nothing of it: such episodes are
-kept, but they are offered to no one and change no weight."""
+"""Whether the contract of an outcome is to be followed or avoided. A decline, an operator command and a fault give no
+guidance: these episodes are stored, but they are not retrieved and change no weight."""
 
 STORED_EPISODE_FIELDS = (
     "id",
@@ -49,11 +49,11 @@ STORED_EPISODE_FIELDS = (
     "timings",
     "versions",
 )
-"""The fields of an episode that memory keeps: the robot's own side. Simulator truth (`judgement`) is not among them."""
+"""The fields of an episode that memory stores. All are known to the robot: ground truth (`judgement`) is excluded."""
 
 
 class OutcomeSummary(msgspec.Struct, frozen=True):
-    """The part of an outcome that retrieval needs."""
+    """The fields of an outcome that retrieval needs."""
 
     kind: OutcomeClass
     reason: str
@@ -61,7 +61,7 @@ class OutcomeSummary(msgspec.Struct, frozen=True):
 
 
 class EpisodeRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """The part of a stored episode that retrieval needs."""
+    """The fields of a stored episode that retrieval needs."""
 
     id: str
     instruction: str
@@ -72,27 +72,27 @@ class EpisodeRecord(msgspec.Struct, frozen=True, kw_only=True):
     outcome: OutcomeSummary
 
     def to_exemplar(self, hit: MemoryHit, rank: int, parts: dict[str, float]) -> Exemplar:
-        """This memory as the planner gets it; a contract that never parsed is {}."""
-        told = self.outcome
-        succeeded = told.kind == "succeeded"
+        """This memory in the form for the planner; a contract that could not be parsed is {}."""
+        outcome = self.outcome
+        succeeded = outcome.kind == "succeeded"
         return Exemplar(
             episode_id=self.id,
             instruction=self.instruction,
             summary=self.summary,
             contract=self.contract or {},
             succeeded=succeeded,
-            Delta=told.Delta,
+            Delta=outcome.Delta,
             similarity=hit.similarity,
             weight=hit.weight,
             score=hit.score,
             rank=rank,
-            reason="" if succeeded else told.reason,
+            reason="" if succeeded else outcome.reason,
             parts=parts,
         )
 
 
 class MemoryHeader(msgspec.Struct, frozen=True):
-    """The part of a stored episode that weights, filters and audits need."""
+    """The fields of a stored episode that weights, filters and audits need."""
 
     id: str
     robot: str
@@ -101,7 +101,7 @@ class MemoryHeader(msgspec.Struct, frozen=True):
 
 
 class EpisodeEventHeader(msgspec.Struct, frozen=True):
-    """The part of an episode event that weights, filters and audits need."""
+    """The fields of an episode event that weights, filters and audits need."""
 
     episode: MemoryHeader
     w0: float
@@ -110,7 +110,7 @@ class EpisodeEventHeader(msgspec.Struct, frozen=True):
 
 
 class StoredEpisode(msgspec.Struct, frozen=True):
-    """The part of an episode event from which its vector can be made again."""
+    """The fields of an episode event from which its vector is computed."""
 
     episode: EpisodeRecord
     state: Posture
@@ -125,7 +125,7 @@ def episode_payload(
     plasticity: Plasticity | None,
     status: Status,
 ) -> dict[str, Any]:
-    """What is written of `episode`, by an allow-list of its fields, with the rule and embedding then in force."""
+    """The payload of an episode event: the allowed fields of `episode`, with the current rule and embedding version."""
     return {
         "provenance": episode_provenance(episode),
         "status": status,
@@ -140,7 +140,7 @@ def episode_payload(
 
 
 def retrieved_memories(recall: RetrievedContext) -> list[dict[str, Any]]:
-    """The memories that stood in the prompt, in rank order, exemplars before warnings, each once; ids, not texts."""
+    """The memories in the prompt, in rank order, exemplars before warnings, each once; ids without texts."""
     shown = sorted(recall.exemplars, key=_rank), sorted(recall.warnings, key=_rank)
     rows = dict[str, dict[str, Any]]()
     for kind, hits in zip(("exemplar", "warning"), shown, strict=True):
@@ -155,19 +155,19 @@ def _rank(hit: Exemplar) -> int:
 
 
 def decode_stored_episode(data: bytes) -> StoredEpisode:
-    """What an embedding needs, from the payload of an episode event."""
+    """Decode the fields for an embedding from the payload of an episode event."""
     return msgspec.json.decode(data, type=StoredEpisode)
 
 
 def decode_event_header(data: bytes) -> EpisodeEventHeader:
-    """What weights and filters need, from the payload of an episode event."""
+    """Decode the fields for weights and filters from the payload of an episode event."""
     return msgspec.json.decode(data, type=EpisodeEventHeader)
 
 
 def shown_exemplar_ids(recall: RetrievedContext) -> tuple[str, ...]:
-    """Ids of the exemplars that stood in the prompt, in rank order: one of them may have been followed.
+    """Ids of the exemplars in the prompt, in rank order; the contract may follow one of them.
 
-    A warning was shown so that it be not followed: a success says nothing for it, a failure nothing against it.
+    Warnings are left out, because they are shown to be avoided: the outcome is no evidence for or against them.
     """
     return tuple(dict.fromkeys(hit.episode_id for hit in sorted(recall.exemplars, key=_rank)))
 
@@ -182,7 +182,7 @@ class _RetrievedMemories(msgspec.Struct, frozen=True):
 
 
 def decode_shown_exemplar_ids(data: bytes) -> tuple[str, ...]:
-    """What `shown` said of an episode, from the payload of its event."""
+    """The result of `shown_exemplar_ids` for a stored episode, from the payload of its event."""
     return tuple(
         one.memory for one in msgspec.json.decode(data, type=_RetrievedMemories).retrieved if one.kind == "exemplar"
     )

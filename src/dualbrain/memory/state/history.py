@@ -1,7 +1,8 @@
-"""Which events are in effect: a rollback is itself an event, after which the history branches off an earlier one.
+"""The events in effect: a rollback is an event, after which the history branches off an earlier event.
 
-Events form a tree. The parent of event s is s − 1; the parent of a rollback to T is T. What holds at s is the path from
-the root to s. So nothing is ever undone for good: rolling back to a moment before a rollback brings back what it hid.
+Events form a tree. The parent of event s is s − 1; the parent of a rollback to T is T. The events in effect at s are
+those on the path from the root to s. No rollback is final: a rollback to an event before an earlier rollback restores
+the events that the earlier one had hidden.
 """
 
 from __future__ import annotations
@@ -19,35 +20,35 @@ def effective_ranges(rollbacks: Mapping[int, int], head: int) -> tuple[range, ..
 
     `rollbacks` maps the number of each rollback event to the event whose state it restored.
     """
-    found: list[range] = []
-    marks = sorted(seq for seq in rollbacks if seq <= head)
+    ranges: list[range] = []
+    branches = sorted(seq for seq in rollbacks if seq <= head)
     end = head
     while end > 0:
-        while marks and marks[-1] > end:
-            marks.pop()
-        start = marks[-1] if marks else 1
-        found.append(range(start, end + 1))
-        end = rollbacks[start] if marks else 0
-    return tuple(reversed(found))
+        while branches and branches[-1] > end:
+            branches.pop()
+        start = branches[-1] if branches else 1
+        ranges.append(range(start, end + 1))
+        end = rollbacks[start] if branches else 0
+    return tuple(reversed(ranges))
 
 
 def check_rollback_target(target: int, head: int) -> None:
-    """Raise `InvalidSetup` unless an event `target` can be rolled back to when `head` is the newest."""
+    """Raise `ConfigurationError` unless `target` is the number of an event up to `head`, the newest, or 0."""
     if not 0 <= target <= head:
         raise ConfigurationError("rollback target", got=target, allowed=f"an event number from 0 to {head}")
 
 
 def descends_from(ledger: LedgerReader, head: Head) -> bool:
-    """Whether the event `head` stands in `ledger`, or in a ledger that it was compacted from and that lies beside it.
+    """Whether `ledger`, or an archive beside it from which it was compacted, contains the event `head`.
 
-    Events are chained: who holds this one holds all before it.
+    A ledger that contains this event also contains all events before it, because events are chained.
     """
     if any(event.hash == head.hash for event in ledger.events("seq = ?", (head.seq,))):
         return True
     first = next(ledger.events("seq = 1"), None)
-    if first is None or (longer := compaction_source(first)) is None:
+    if first is None or (source := compaction_source(first)) is None:
         return False
-    archive = ledger.path.with_name(f"{longer.archive}.archive-{longer.seq}")
+    archive = ledger.path.with_name(f"{source.archive}.archive-{source.seq}")
     if not archive.is_file():
         return False
     with LedgerReader(archive) as opened:

@@ -1,4 +1,4 @@
-"""Where a memory comes from: written by the controller, out of reach of every text that a model writes."""
+"""Provenance of a memory. The runtime writes it, and no text of a model can change it."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ PERSON_SOURCE = "person"
 class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     """The origin of one memory.
 
-    `source` is who proposed the contract (a planner with its adapter, or a file): influence is bounded per source.
-    `scene` and `contract` are SHA-256 of what was perceived and of the actions, `skills` their names in order. Robot,
-    registry hash, seed and program versions stand in the episode itself.
+    `source` is the proposer of the contract (a planner with its adapter, or a file); influence is bounded per source.
+    `scene` and `contract` are digests of the perceived scene and of the actions, `skills` the skill names in order.
+    Robot, registry hash and program versions are stored in the episode itself.
     """
 
     source: str = "unknown"
@@ -31,7 +31,7 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def episode_provenance(episode: Episode) -> Provenance:
-    """The origin of `episode` from what the runtime wrote of it."""
+    """The provenance of `episode`, from the fields that the runtime wrote."""
     planner = episode.attempts[-1].proposal.planner if episode.attempts else PERSON_SOURCE
     adapter = episode.versions.get("adapter", "")
     plan = contract_actions(episode.contract)
@@ -46,5 +46,5 @@ def episode_provenance(episode: Episode) -> Provenance:
 
 
 def content_digest(value: Any) -> str:
-    """First 16 hex digits of SHA-256 over the canonical JSON of `value`."""
+    """First 16 hex digits of the SHA-256 of the canonical JSON of `value`."""
     return hashlib.sha256(msgspec.json.encode(make_json_safe(value), order="deterministic")).hexdigest()[:16]

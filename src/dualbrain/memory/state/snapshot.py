@@ -1,7 +1,8 @@
-"""The state and the vectors in one file beside the ledger, so that a start need not read every event.
+"""Snapshots: state and vectors in one file beside the ledger, so that a start need not read every event.
 
-A snapshot is a projection, not truth: it is used only if a snapshot event in the chain names its SHA-256, the chain has
-the event it was made at, and this program's embedding made its vectors. Else it is passed over and made again.
+A snapshot is a projection of the ledger. It is used only if a snapshot event in the chain names its SHA-256, the chain
+contains the event of which it has the state, and its vectors were computed by the present embedding. Otherwise it is
+ignored and written again.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ class MemorySnapshot(msgspec.Struct, kw_only=True):
 
 
 class _SnapshotHeader(msgspec.Struct, kw_only=True):
-    """What stands before the arrays."""
+    """The header before the arrays."""
 
     seq: int
     hash: str
@@ -49,17 +50,17 @@ class _SnapshotHeader(msgspec.Struct, kw_only=True):
 
 
 def write_snapshot(ledger: Ledger, snapshot: MemorySnapshot, *, now: float) -> Path:
-    """Write the file, sync it, then the event that names it; older files are removed. Returns its path.
+    """Write and sync the file, then append the event that names it and remove older files; returns the path.
 
-    A process killed on the way leaves the older snapshot in force.
+    If the process is killed before the event is appended, the previous snapshot stays in use.
     """
     path = _path(ledger, snapshot.head.seq)
     partial = path.with_suffix(".partial")
     head = snapshot.head
-    label = _SnapshotHeader(
+    header = _SnapshotHeader(
         seq=head.seq, hash=head.hash, versions=dict(snapshot.versions), dim=snapshot.rows.shape[1], state=snapshot.state
     )
-    text = msgspec.msgpack.encode(label)
+    text = msgspec.msgpack.encode(header)
     digest = hashlib.sha256()
     with partial.open("wb") as file:
         for part in (
@@ -83,15 +84,15 @@ def write_snapshot(ledger: Ledger, snapshot: MemorySnapshot, *, now: float) -> P
 
 
 def read_snapshot(ledger: LedgerReader) -> MemorySnapshot | None:
-    """The newest snapshot that the chain vouches for; None if there is none, or it is damaged."""
+    """The snapshot that the newest snapshot event names; None if there is none, or it is damaged."""
     with suppress(OSError, *DECODE_ERRORS, ValueError, struct.error):
         for event in reversed(list(ledger.events("kind = ?", (SNAPSHOT,)))[-1:]):
-            mark = msgspec.json.decode(event.payload, type=SnapshotRecord)
-            return _read_file(_path(ledger, mark.as_of), mark, ledger)
+            record = msgspec.json.decode(event.payload, type=SnapshotRecord)
+            return _read_file(_path(ledger, record.as_of), record, ledger)
     return None
 
 
-def _read_file(path: Path, mark: SnapshotRecord, ledger: LedgerReader) -> MemorySnapshot | None:
+def _read_file(path: Path, record: SnapshotRecord, ledger: LedgerReader) -> MemorySnapshot | None:
     digest = hashlib.sha256()
     with path.open("rb") as file:
         start = file.read(_PREAMBLE.size)
@@ -99,20 +100,20 @@ def _read_file(path: Path, mark: SnapshotRecord, ledger: LedgerReader) -> Memory
         if magic != MAGIC or length > path.stat().st_size:
             return None
         text = file.read(length)
-        label = msgspec.msgpack.decode(text, type=_SnapshotHeader)
-        n = len(label.state.memories)
-        masks, rows = np.empty(n, np.uint8), np.empty((n, label.dim), np.float32)
-        whole = file.readinto(masks.data) == masks.nbytes and file.readinto(rows.reshape(-1).data) == rows.nbytes
+        header = msgspec.msgpack.decode(text, type=_SnapshotHeader)
+        n = len(header.state.memories)
+        masks, rows = np.empty(n, np.uint8), np.empty((n, header.dim), np.float32)
+        complete = file.readinto(masks.data) == masks.nbytes and file.readinto(rows.reshape(-1).data) == rows.nbytes
         for part in (start, text, masks.data, rows.reshape(-1).data):
             digest.update(part)
-    if not whole or digest.hexdigest() != mark.sha256 or label.seq != mark.as_of:
+    if not complete or digest.hexdigest() != record.sha256 or header.seq != record.as_of:
         return None
-    if ledger.event(label.seq).hash != label.hash:
+    if ledger.event(header.seq).hash != header.hash:
         return None
-    state = label.state
+    state = header.state
     state.rows = {memo.id: row for row, memo in enumerate(state.memories)}
     return MemorySnapshot(
-        head=Head(label.seq, label.hash), versions=label.versions, state=state, rows=rows, masks=masks
+        head=Head(header.seq, header.hash), versions=header.versions, state=state, rows=rows, masks=masks
     )
 
 

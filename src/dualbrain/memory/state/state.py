@@ -1,4 +1,4 @@
-"""What the events add up to: every memory with its weight and status. Derived, never stored as truth."""
+"""The state of memory: every memory with its weight and status, derived from the events of the ledger."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from dualbrain.memory.state.provenance import Provenance
 from dualbrain.records import OutcomeClass
 
 SECONDS_PER_DAY = 86400.0
-"""Influence is counted per day [s]."""
+"""Length of a day, over which influence is counted [s]."""
 
 
 class MemoryState(msgspec.Struct, kw_only=True):
-    """One memory without its texts: what filters, audits and weights need. Everything else stays in the ledger.
+    """One memory without its texts, which stay in the ledger: the fields that filters, audits and weights need.
 
-    `time` [s, 1970 UTC] is when it was stored, `seq` the number of its event, `w0` its first and `weight` its present
-    weight; `reinforced` and `suppressed` count the outcomes that moved it.
+    `time` [s, 1970 UTC] is the time at which it was stored, `seq` the number of its event, `w0` its initial and
+    `weight` its present weight; `reinforced` and `suppressed` count the outcomes that changed the weight.
     """
 
     id: str
@@ -54,7 +54,7 @@ class MemoryState(msgspec.Struct, kw_only=True):
 
     @property
     def guidance(self) -> Guidance:
-        """Whether its contract is to be followed, avoided, or neither."""
+        """Whether the contract is to be followed, avoided, or neither."""
         return GUIDANCE_BY_OUTCOME[self.kind]
 
     @property
@@ -64,32 +64,32 @@ class MemoryState(msgspec.Struct, kw_only=True):
 
 
 class Influence(msgspec.Struct):
-    """How far each source has moved weights today: Σ|Δw| over all memories but its own, and per memory."""
+    """Σ|Δw| that each source has caused today: over all memories besides the cause itself, and per memory."""
 
     day: int = -1
     total: dict[str, float] = {}
     single: dict[str, dict[str, float]] = {}
 
-    def add(self, day: int, source: str, memory: str, moved: float) -> None:
-        """Count a move made on `day` (days since 1970); a new day begins at zero."""
+    def add(self, day: int, source: str, memory: str, change: float) -> None:
+        """Add a `change` |Δw| on `day` (days since 1970); a new day starts at zero."""
         if day > self.day:
             self.day, self.total, self.single = day, {}, {}
         if day == self.day:
-            self.total[source] = self.total.get(source, 0.0) + moved
-            one = self.single.setdefault(source, {})
-            one[memory] = one.get(memory, 0.0) + moved
+            self.total[source] = self.total.get(source, 0.0) + change
+            by_memory = self.single.setdefault(source, {})
+            by_memory[memory] = by_memory.get(memory, 0.0) + change
 
     def accumulated_change(self, day: int, source: str, memory: str) -> tuple[float, float]:
-        """Σ|Δw| by `source` on `day`: over all memories, and on `memory`."""
+        """Σ|Δw| caused by `source` on `day`: over all memories, and on `memory`."""
         if day != self.day:
             return 0.0, 0.0
         return self.total.get(source, 0.0), self.single.get(source, {}).get(memory, 0.0)
 
 
 class LedgerState(msgspec.Struct, rename={"memories": "memos"}, kw_only=True):
-    """All memories in the order of their events, the number of the last event applied, and the day's influence.
+    """All memories in the order of their events, the number of the last applied event, and the influence of the day.
 
-    What memories in `void` caused does not count, as if their outcomes had never been seen.
+    Weight updates that the memories in `void` caused are ignored.
     """
 
     memories: list[MemoryState] = []
@@ -113,10 +113,10 @@ class LedgerState(msgspec.Struct, rename={"memories": "memos"}, kw_only=True):
         return {memo.id: memo.weight for memo in self.memories}
 
     def apply(self, event: LedgerEvent) -> tuple[int, ...]:
-        """Add one event; returns the rows it touched.
+        """Apply one event; returns the rows that it changed.
 
-        Kinds that neither make a memory nor move anything are passed over. Raises `KeyError` for an unknown memory and
-        what is `UNREADABLE` for a payload of another form.
+        Kinds of events that do not determine the state are ignored. Raises `KeyError` for an unknown memory, and one of
+        `DECODE_ERRORS` for an invalid payload.
         """
         self.seq = event.seq
         if event.kind == EPISODE:
@@ -132,21 +132,21 @@ class LedgerState(msgspec.Struct, rename={"memories": "memos"}, kw_only=True):
         return ()
 
     def _add_memory(self, event: LedgerEvent) -> tuple[int, ...]:
-        head = decode_event_header(event.payload)
-        told = head.episode
+        header = decode_event_header(event.payload)
+        episode = header.episode
         memo = MemoryState(
-            id=told.id,
+            id=episode.id,
             seq=event.seq,
             time=event.time,
             run=event.run,
-            robot=told.robot,
-            registry=told.registry,
-            kind=told.outcome.kind,
-            Delta=told.outcome.Delta,
-            provenance=head.provenance,
-            status=head.status,
-            w0=head.w0,
-            weight=head.w0,
+            robot=episode.robot,
+            registry=episode.registry,
+            kind=episode.outcome.kind,
+            Delta=episode.outcome.Delta,
+            provenance=header.provenance,
+            status=header.status,
+            w0=header.w0,
+            weight=header.w0,
         )
         self.rows[memo.id] = len(self.memories)
         self.memories.append(memo)
@@ -190,14 +190,14 @@ class LedgerState(msgspec.Struct, rename={"memories": "memos"}, kw_only=True):
 
 
 def fold_events(events: Iterable[LedgerEvent], path: str, *, void: Collection[str] = ()) -> LedgerState:
-    """The state after `events`, from nothing; raises `DamagedLedger` at one that cannot be read."""
+    """The state after `events`, starting empty; raises `CorruptLedgerError` at an event that cannot be read."""
     state = LedgerState(void=frozenset(void))
     apply_events(events, path, state.apply)
     return state
 
 
 def apply_events(events: Iterable[LedgerEvent], path: str, apply: Callable[[LedgerEvent], object]) -> None:
-    """Hand each event to `apply`; one that cannot be read raises `DamagedLedger` with its number."""
+    """Call `apply` with each event; raises `CorruptLedgerError` with the number of an event that cannot be read."""
     for event in events:
         try:
             apply(event)
@@ -211,5 +211,5 @@ def day_of(time: float) -> int:
 
 
 def compaction_source(event: LedgerEvent) -> CompactionRecord | None:
-    """What ledger this one was made of by compaction, told by its first event."""
+    """The ledger from which this one was compacted, as its first `event` states; None if it was not compacted."""
     return msgspec.json.decode(event.payload, type=CompactionRecord) if event.kind == COMPACTED else None
