@@ -166,8 +166,8 @@ NOT_THERE = "is not a memory of this ledger"
         (("quarantine", "nothing", "--reason", "x"), NOT_THERE),
         (("release", "nothing", "--reason", "x"), NOT_THERE),
         (("forget", "a", "nothing", "--reason", "x"), NOT_THERE),
-        (("forget", "--reason", "x"), "memories: got 'none', allowed: at least one id"),
-        (("forget", "a", "--reason", " "), "reason: got ' '"),
+        (("forget", "--reason", "x"), "No memory was named. List the ids with `dualbrain memory list`."),
+        (("forget", "a", "--reason", " "), "The reason is empty. State a reason with --reason."),
         (("rollback", "9999", "--reason", "x"), "rollback target: got 9999"),
         (("replay", "a", "--tries", "0"), "tries: got 0"),
         (("list", "--at", "yesterday"), "time: got 'yesterday', allowed: ISO 8601"),
@@ -190,7 +190,7 @@ def test_a_ledger_that_is_not_there_is_not_made(run_command, tmp_path):
     for words in (("rebuild",), ("list",), ("compact",), ("forget", "a", "--reason", "x")):
         code, out, err = run_command("memory", *words, "--ledger", tmp_path / "none.sqlite")
         assert (code, out) == (ExitCode.SETUP, "")
-        assert "made by the first `dualbrain run`" in err
+        assert "The first `dualbrain run` creates it" in err
         assert not list(tmp_path.glob("none*"))
 
 
