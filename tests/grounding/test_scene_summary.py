@@ -1,4 +1,4 @@
-"""The scene in symbols: no numbers, the same for small moves and for turned tables, different where it matters."""
+"""The scene summary: symbols without numbers, invariant to small motions and rotations, different where it matters."""
 
 import re
 
@@ -33,26 +33,26 @@ def beside(dx, dy, half=(0.02, 0.02, 0.05)):
 
 @given(dx=st.floats(-0.001, 0.001), dy=st.floats(-0.001, 0.001), dz=st.floats(-0.0005, 0.0005))
 @pytest.mark.parametrize("gap", [0.015, 0.045])
-def test_a_tiny_move_away_from_class_borders_changes_nothing(gap, dx, dy, dz):
-    at = 0.02 + gap + np.hypot(0.02, 0.02)
-    still = beside(at, 0.0)
-    moved = scene(CUBE, bowl(), box("green_can", 0.5 + at + dx, -0.2 + dy, (0.02, 0.02, 0.05 + dz)))
-    assert summarise_scene(moved) == still
+def test_a_small_motion_away_from_class_boundaries_changes_nothing(gap, dx, dy, dz):
+    distance = 0.02 + gap + np.hypot(0.02, 0.02)
+    expected = beside(distance, 0.0)
+    moved = scene(CUBE, bowl(), box("green_can", 0.5 + distance + dx, -0.2 + dy, (0.02, 0.02, 0.05 + dz)))
+    assert summarise_scene(moved) == expected
 
 
 @given(yaw=st.floats(-0.35, 0.35), seed=st.integers(0, 200))
-def test_turning_the_whole_scene_about_z_changes_nothing(yaw, seed):
+def test_rotating_the_whole_scene_about_z_changes_nothing(yaw, seed):
     rng = np.random.default_rng(seed)
-    things = [box("red_cube", 0.5, -0.2, yaw=rng.uniform(-3, 3)), bowl(0.5, 0.2)]
+    objects = [box("red_cube", 0.5, -0.2, yaw=rng.uniform(-3, 3)), bowl(0.5, 0.2)]
     half = (0.02, 0.02, float(rng.uniform(0.03, 0.11)))
-    things.append(box("green_can", 0.5 + rng.uniform(-0.1, 0.1), -0.05 + rng.uniform(-0.03, 0.1), half))
-    things.append(forearm(0.5, 0.1, (0.0, float(rng.choice([0.0, 0.15])), 0.0)))
-    one = scene(*things)
+    objects.append(box("green_can", 0.5 + rng.uniform(-0.1, 0.1), -0.05 + rng.uniform(-0.03, 0.1), half))
+    objects.append(forearm(0.5, 0.1, (0.0, float(rng.choice([0.0, 0.15])), 0.0)))
+    one = scene(*objects)
     assert summarise_scene(rotate_scene(one, yaw)) == summarise_scene(one)
 
 
 @given(shift=st.floats(-0.02, 0.02), seed=st.integers(0, 50))
-def test_moving_the_whole_scene_a_little_changes_nothing(shift, seed):
+def test_a_small_shift_of_the_whole_scene_changes_nothing(shift, seed):
     rng = np.random.default_rng(seed)
     cube, can = (0.5, -0.2), (0.5 + rng.uniform(0.07, 0.1), -0.2)
     one = scene(box("red_cube", *cube), bowl(), box("green_can", *can))
@@ -64,24 +64,24 @@ def test_moving_the_whole_scene_a_little_changes_nothing(shift, seed):
 
 @pytest.mark.parametrize("family", SINGLE_GOAL_FAMILIES)
 @pytest.mark.parametrize("seed", range(3))
-def test_symbols_only(family, seed):
-    """Whatever is measured is told as a class: the only digits are those of class names and of names."""
+def test_the_summary_contains_no_numbers(family, seed):
+    """Quantities appear as classes; the only digits are those of class names."""
     text = summarise_scene(scene_from_spec(open_scene(f"{family}:{seed}")))
     bare = re.sub(r"[<>]?\d(-\d)?cm", "", text)
     assert not re.search(r"\d", bare), text
 
 
 @pytest.mark.parametrize("family", SINGLE_GOAL_FAMILIES)
-def test_it_depends_only_on_what_is_perceived(family):
+def test_the_summary_does_not_depend_on_stamps_errors_and_colours(family):
     one = scene_from_spec(open_scene(f"{family}:1"))
-    things = tuple(
+    objects = tuple(
         msgspec.structs.replace(t, stamp=9.0, error=0.009, velocity_error=0.01, colour="", category="")
         for t in one.objects
     )
-    assert summarise_scene(msgspec.structs.replace(one, stamp=9.0, version=7, objects=things)) == summarise_scene(one)
+    assert summarise_scene(msgspec.structs.replace(one, stamp=9.0, version=7, objects=objects)) == summarise_scene(one)
 
 
-def test_a_neighbour_is_told_on_its_own_axis_and_by_its_class():
+def test_a_neighbour_appears_on_its_axis_with_its_class():
     near, far, tall = beside(0.065, 0.0), beside(0.3, 0.0), beside(0.065, 0.0, (0.02, 0.02, 0.12))
     assert "neighbour_along" in line(near, "red_cube")
     assert "neighbour_across" in line(beside(0.0, 0.065), "red_cube")
@@ -90,20 +90,20 @@ def test_a_neighbour_is_told_on_its_own_axis_and_by_its_class():
     assert near != tall
 
 
-def test_fingers_are_told_to_close_on_the_free_axis():
+def test_the_free_finger_axis():
     assert "free_finger_axis across" in line(beside(0.065, 0.0), "red_cube")
     assert "free_finger_axis along" in line(beside(0.0, 0.065), "red_cube")
 
 
-def test_what_stands_and_hangs_on_the_way():
+def test_obstacles_on_and_above_the_path():
     assert "tall" in line(summarise_scene(scene(CUBE, bowl(), box("wall", 0.5, 0.03, (0.02, 0.02, 0.12)))), "red_cube")
     board = box("shelf", 0.5, 0.05, (0.1, 0.03, 0.01), "obstacle", z=0.45)
     assert "overhead" in line(summarise_scene(scene(CUBE, bowl(), board)), "red_cube")
-    aside = box("shelf", 0.5, -0.6, (0.1, 0.03, 0.01), "obstacle", z=0.45)
-    assert "overhead" not in line(summarise_scene(scene(CUBE, bowl(), aside)), "red_cube")
+    elsewhere = box("shelf", 0.5, -0.6, (0.1, 0.03, 0.01), "obstacle", z=0.45)
+    assert "overhead" not in line(summarise_scene(scene(CUBE, bowl(), elsewhere)), "red_cube")
 
 
-def test_people_fragile_things_and_edges():
+def test_people_fragile_objects_and_edges():
     assert "person: none" in summarise_scene(scene(CUBE, bowl()))
     assert "person: near" in summarise_scene(scene(CUBE, bowl(), forearm(0.5, 0.1)))
     assert "person: crossing" in summarise_scene(scene(CUBE, bowl(), forearm(0.5, 0.1, (0.0, 0.15, 0.0))))
@@ -112,7 +112,7 @@ def test_people_fragile_things_and_edges():
     assert "near_edge" not in summarise_scene(scene(CUBE, bowl()))
 
 
-def test_what_is_held_and_where_things_may_go():
+def test_the_held_object_and_the_places():
     text = summarise_scene(scene(CUBE, bowl(), places=[("table_left", (0.36, 0.46, 0.0))]), "red_cube")
     assert "holding red_cube" in text
     assert "table_left" in text
@@ -123,12 +123,12 @@ def test_an_empty_scene_has_a_summary():
     assert "person: none" in summarise_scene(scene())
 
 
-def test_a_scene_with_two_things_on_one_spot_has_a_summary():
+def test_a_scene_with_two_objects_at_one_position_has_a_summary():
     twin = msgspec.structs.replace(CUBE, name="twin", pose=Pose(CUBE.pose.position))
     assert line(summarise_scene(scene(CUBE, twin, bowl())), "twin")
 
 
-def test_without_a_container_the_way_leads_to_the_only_place():
+def test_without_a_container_the_path_leads_to_the_only_place():
     tall = box("wall", 0.5, 0.03, (0.02, 0.02, 0.12))
     coaster, other = Place("coaster", (0.5, 0.26, 0.0)), Place("shelf", (0.3, -0.3, 0.0))
     one = msgspec.structs.replace(scene(CUBE, tall), places=(coaster,))
@@ -148,7 +148,7 @@ def test_an_aisle_is_free_narrow_or_occupied():
     assert "aisle" not in summarise_scene(scene_from_spec(open_scene("crossing:1", "base")))
 
 
-def test_of_a_workroom_it_says_where_things_can_be_reached_and_where_to_look_there():
+def test_the_summary_of_a_workroom_contains_places_and_headings():
     for family, seed in (("workroom", 0), ("workroom", 4), ("busy_workroom", 1)):
         spec = open_scene(f"{family}:{seed}", "mobile_panda")
         text = summarise_scene(scene_from_spec(spec))
@@ -160,7 +160,7 @@ def test_of_a_workroom_it_says_where_things_can_be_reached_and_where_to_look_the
         assert "near_edge" not in text
 
 
-def test_on_furniture_heights_count_from_its_top_and_edges_are_its_own():
+def test_heights_and_edges_of_objects_on_furniture_are_relative_to_it():
     table = box("table", 1.0, 0.0, (0.3, 0.4, 0.3), role="support")
     cube, can = (
         box(name, 1.0, y, half, z=0.6 + half[2])

@@ -1,4 +1,4 @@
-"""At a site a robot has its own vocabulary, narrowed; an adapter that was taught the robot's own fits there, too."""
+"""The skill registry of a robot at a site is narrower; an adapter for the robot's own registry is compatible."""
 
 import pytest
 
@@ -24,34 +24,34 @@ def site(tmp_path):
 
 
 @pytest.mark.parametrize("robot", ["panda", "ur5e", "base", "mobile_panda"])
-def test_whatever_a_site_caps_its_vocabulary_only_narrows_the_robots_own(site, robot):
-    own, there = load_skill_registry(robot), skill_registry_at_site(robot, site)
-    assert there.hash != own.hash
-    assert is_narrower(there, own)
-    assert not is_narrower(own, there)
+def test_the_registry_at_a_site_is_narrower_than_that_of_the_robot(site, robot):
+    own, at_site = load_skill_registry(robot), skill_registry_at_site(robot, site)
+    assert at_site.hash != own.hash
+    assert is_narrower(at_site, own)
+    assert not is_narrower(own, at_site)
 
 
-def test_an_adapter_fits_a_site_that_narrows_and_nothing_else(site):
-    own, there = load_skill_registry("panda").hash, skill_registry_at_site("panda", site).hash
+def test_an_adapter_is_compatible_only_with_a_narrower_registry(site):
+    own, at_site = load_skill_registry("panda").hash, skill_registry_at_site("panda", site).hash
     card = read_adapter_card(packaged_folder("base-135m"))
-    require_compatible(card, "panda", there, {there: own})
-    for wrong in ({}, {own: there}, {"00000000": own}, {there: "00000000"}):
+    require_compatible(card, "panda", at_site, {at_site: own})
+    for wrong in ({}, {own: at_site}, {"00000000": own}, {at_site: "00000000"}):
         with pytest.raises(ConfigurationError, match="vocabulary of adapter"):
-            require_compatible(card, "panda", there, wrong)
+            require_compatible(card, "panda", at_site, wrong)
 
 
 @pytest.mark.parametrize("caps", [CAPS, ""])
-def test_a_session_says_which_vocabulary_its_site_narrows(site, tmp_path, monkeypatch, caps):
+def test_a_session_passes_the_narrowed_registry_to_the_planner(site, tmp_path, monkeypatch, caps):
     opened = {}
 
-    def open_planner(name, cache, **told):
-        opened.update(told)
+    def open_planner(name, cache, **options):
+        opened.update(options)
         return ScriptedPlanner([])
 
     site.write_text(caps)
     monkeypatch.setattr(session, "open_planner", open_planner)
     with Session(run_config(tmp_path, site=site), make_clocks(), {}):
         pass
-    here = skill_registry_at_site("panda", site).hash
-    assert opened["registry"] == here
-    assert opened["narrowed"] == {here: load_skill_registry("panda").hash}
+    at_site = skill_registry_at_site("panda", site).hash
+    assert opened["registry"] == at_site
+    assert opened["narrowed"] == {at_site: load_skill_registry("panda").hash}

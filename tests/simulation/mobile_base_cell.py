@@ -1,4 +1,4 @@
-"""A base in a room with its local layer, without planner and memory."""
+"""A simulated mobile base with contract executor and safety filter, without planner and memory."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ MOBILE_BASE = load_robot("base")
 
 
 class MobileBaseCell:
-    def __init__(self, family="empty_room", seed=0, spec=None, standing=()):
+    def __init__(self, family="empty_room", seed=0, spec=None, fixed_obstacles=()):
         self.spec = spec or make_room(family, seed, "base")
         self.plant = make_plant(self.spec, MOBILE_BASE)
         self.trace = Trace(MOBILE_BASE.n, MOBILE_BASE.nq)
@@ -31,7 +31,7 @@ class MobileBaseCell:
                 MOBILE_BASE,
                 self.plant,
                 self.world,
-                SafetyFilter(MOBILE_BASE, fixed_obstacles=standing),
+                SafetyFilter(MOBILE_BASE, fixed_obstacles=fixed_obstacles),
                 FlightLog(self.trace),
                 ControlLoopConfig(settle_time=0.1),
                 LoopObserver(on_phase=self.world.set_phase),

@@ -1,4 +1,4 @@
-"""A scripted hand for tests: inverse kinematics on the simulator's own Jacobian and a joint-space servo."""
+"""Scripted arm motions for tests: inverse kinematics with the simulator's Jacobian, and a joint-space servo."""
 
 import mujoco
 import numpy as np
@@ -22,7 +22,7 @@ def yaw_of(pose):
 
 
 def top_down_posture(p, position, yaw):
-    """Joint angles that put the tool at `position`, pointing down, fingers along the y of `yaw`."""
+    """Joint positions (7,) that put the tool at `position`, pointing down, with the fingers along y of `yaw`."""
     model, data = p.model, mujoco.MjData(p.model)
     data.qpos[:] = p.data.qpos
     arm, dofs = p.arm_slices
@@ -45,7 +45,7 @@ def top_down_posture(p, position, yaw):
 
 
 def servo_to(p, q, seconds, *, opening=0.04, force=20.0, speed=0.35, each=None):
-    """Go to `q` by proportional joint velocity; `each` is called after every tick."""
+    """Move to `q` with proportional joint velocities; `each` is called after every control period."""
     for _ in range(int(seconds * 1000)):
         u = np.clip(6.0 * (q - p.read().q), -speed, speed)
         p.write(Command(u, opening, force))
@@ -62,11 +62,12 @@ def wait(p, seconds, each=None):
 
 
 def pick_up(p, name, *, force=20.0, each=None):
-    """Grasp a thing from the top and lift it by 15 cm; contact only."""
+    """Grasp an object from above and lift it by 15 cm, by contact alone."""
     pose = p.true_pose(name)
     at, yaw = np.array(pose.position), yaw_of(pose)
-    over, on = top_down_posture(p, np.add(at, [0, 0, 0.12]), yaw), top_down_posture(p, np.add(at, [0, 0, 0.004]), yaw)
-    servo_to(p, over, 1.6, force=force, each=each)
-    servo_to(p, on, 1.0, force=force, each=each)
-    servo_to(p, on, 0.6, opening=0.0, force=force, each=each)
+    above = top_down_posture(p, np.add(at, [0, 0, 0.12]), yaw)
+    grasp = top_down_posture(p, np.add(at, [0, 0, 0.004]), yaw)
+    servo_to(p, above, 1.6, force=force, each=each)
+    servo_to(p, grasp, 1.0, force=force, each=each)
+    servo_to(p, grasp, 0.6, opening=0.0, force=force, each=each)
     servo_to(p, top_down_posture(p, np.add(at, [0, 0, 0.15]), yaw), 1.3, opening=0.0, force=force, each=each)

@@ -1,4 +1,4 @@
-"""What judges call the things that eyes have named themselves."""
+"""True names of objects for perception models that choose names by themselves."""
 
 import msgspec
 import numpy as np
@@ -10,37 +10,37 @@ from dualbrain.simulation.scenes.generators.tabletop import make_scene
 from dualbrain.simulation.world import SimulatedWorld, match_true_names
 
 
-class Naming:
-    """Sees everything where it is, and calls things as it likes; two of them by each other's names."""
+class RenamingPerception:
+    """Perceives exact poses and replaces names by `names`."""
 
     def __init__(self, spec, names):
-        self._eyes, self._names = NoisyPerception(spec, NO_NOISE, np.random.default_rng(0)), names
+        self._perception, self._names = NoisyPerception(spec, NO_NOISE, np.random.default_rng(0)), names
 
     def perceive(self, plant):
-        scene = self._eyes.perceive(plant)
-        things = (msgspec.structs.replace(one, name=self._names.get(one.name, one.name)) for one in scene.objects)
-        return msgspec.structs.replace(scene, objects=tuple(things))
+        scene = self._perception.perceive(plant)
+        objects = (msgspec.structs.replace(one, name=self._names.get(one.name, one.name)) for one in scene.objects)
+        return msgspec.structs.replace(scene, objects=tuple(objects))
 
 
-def world(names):
+def make_world(names):
     spec = make_scene("tabletop", 1)
     plant = make_plant(spec, load_robot("panda"), visuals=False)
-    return SimulatedWorld(plant, Naming(spec, names))
+    return SimulatedWorld(plant, RenamingPerception(spec, names))
 
 
-def test_names_that_the_plant_knows_are_taken_as_they_are():
-    here = world({})
-    assert match_true_names(here.perceive(), here.plant) == {}
+def test_names_of_the_plant_are_not_changed():
+    world = make_world({})
+    assert match_true_names(world.perceive(), world.plant) == {}
 
 
-def test_what_has_another_name_is_the_true_thing_where_it_is_seen():
+def test_an_object_with_another_name_is_matched_by_its_position():
     names = {"red_cube": "orange_block", "blue_bowl": "red_cube"}
-    here = world(names)
-    found = match_true_names(here.perceive(), here.plant)
-    assert {found[names.get(name, name)] == name for name in here.plant.object_names} == {True}
+    world = make_world(names)
+    found = match_true_names(world.perceive(), world.plant)
+    assert {found[names.get(name, name)] == name for name in world.plant.object_names} == {True}
 
 
-def test_what_a_map_closes_is_nothing_that_was_seen():
+def test_a_keep_out_area_is_not_matched():
     spec = make_scene("tabletop", 1)
     plant = make_plant(spec, load_robot("panda"), visuals=False)
     scene = NoisyPerception(spec, NO_NOISE, np.random.default_rng(0)).perceive(plant)
@@ -48,12 +48,12 @@ def test_what_a_map_closes_is_nothing_that_was_seen():
     assert match_true_names(msgspec.structs.replace(scene, objects=(*scene.objects, closed)), plant) == {}
 
 
-def test_the_monitor_allows_the_true_thing_under_any_name():
-    here = world({"red_cube": "orange_block"})
-    here.perceive()
-    told = []
-    here.monitor.allow = lambda *given: told.append(given)
-    here.set_phase("grasp", {"target": "orange_block", "held": None, "destination": "table_left"})
-    here.set_phase("lift", {"target": None, "held": "orange_block", "destination": None})
-    assert told[0][:2] == ("red_cube", None)
-    assert told[1][:2] == (None, "red_cube")
+def test_the_monitor_permits_contact_with_the_true_object_under_any_name():
+    world = make_world({"red_cube": "orange_block"})
+    world.perceive()
+    calls = []
+    world.monitor.allow = lambda *arguments: calls.append(arguments)
+    world.set_phase("grasp", {"target": "orange_block", "held": None, "destination": "table_left"})
+    world.set_phase("lift", {"target": None, "held": "orange_block", "destination": None})
+    assert calls[0][:2] == ("red_cube", None)
+    assert calls[1][:2] == (None, "red_cube")

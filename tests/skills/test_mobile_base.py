@@ -116,7 +116,7 @@ STORE = Obstacle(
 
 
 def test_a_way_leads_round_what_the_site_closes():
-    hall = MobileBaseCell(standing=(STORE,))
+    hall = MobileBaseCell(fixed_obstacles=(STORE,))
     outcome = hall.run(drive_to_action("shelf"))
     assert outcome.kind == "succeeded", outcome.reason
     inside = np.abs(np.array(hall.trace["q"])[:, :2] - STORE.pose.position[:2]) - STORE.shape.half_extents[:2]

@@ -1,4 +1,4 @@
-"""Consulting documents before a planner is asked: the few passages that bear on the task, within a budget."""
+"""Document retrieval for a planner request: the passages that are relevant to the task, within a budget."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from dualbrain.knowledge.structured.templates import TaskTemplates, check_templa
 from dualbrain.records import Passage
 
 CHARACTERS_PER_TOKEN = 3
-"""Fewer than any English text has with the tokenizers in use (about 4.3), so that the budget holds."""
+"""Lower bound for English text with the tokenizers in use (about 4.3 on average), so that the budget is kept."""
 MAX_CANDIDATES = 12
 SYMBOL_QUERIES = {
     "person: crossing": "a person is crossing, wait until clear",
@@ -30,15 +30,15 @@ SYMBOL_QUERIES = {
     "tight": "tight between neighbours",
     "path_max_height tall": "something tall stands on the path",
 }
-"""What a symbol of the scene asks of the documents, in words."""
+"""The search query for each symbol of a scene summary."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Budget:
-    """How much may enter the prompt: `passages` of at most `tokens` together, from sources trusted at least `least`.
+    """Limits on the passages in a prompt: their number, their tokens in total, and the least trust of their source.
 
-    A passage enters only if its likeness to the question is at least `relevance`, so that where nothing bears on the
-    task nothing is shown; and at most `per_document` of one document, so that no source fills the prompt.
+    A passage is included only if its similarity to the query is at least `min_relevance`, and at most
+    `max_per_document` passages come from one document, so that no source fills the prompt.
     """
 
     max_passages: int = 3
@@ -51,10 +51,10 @@ class Budget:
 def retrieve_passages(
     library: Library, instruction: str, summary: str, registry: SkillRegistry, budget: Budget = Budget()
 ) -> tuple[Passage, ...]:
-    """The passages for one question, best first; templates only if the gate would accept them for `registry`.
+    """The passages for one planner request, best first; templates only if the gate would accept them for `registry`.
 
-    Maps are not quoted: their places stand in the scene by name. A passage that no longer fits is passed over for a
-    shorter one; none is cut.
+    Maps are not quoted, because the scene contains their places by name. A passage that exceeds the remaining budget is
+    skipped in favour of a shorter one; no passage is truncated.
     """
     hits = library.search(
         build_query(instruction, summary),
@@ -77,15 +77,15 @@ def retrieve_passages(
 
 
 def build_query(instruction: str, summary: str) -> str:
-    """What is asked of the documents: the instruction, and what the symbols of people and of the things it names mean.
+    """The search query: the instruction, and the queries for the symbols of people and of the objects it names.
 
-    Where it names nothing of the scene, the symbols of everything.
+    If the instruction names no object of the scene, the symbols of all objects are used.
     """
     lines, words = summary.splitlines(), set(re.findall(r"[a-z0-9]+", instruction.lower()))
-    things = [line for line in lines if ": object" in line]
-    named = [line for line in things if set(line.partition(":")[0].split("_")) <= words]
-    bearing = "\n".join(line for line in lines if line not in things or line in (named or things))
-    return ". ".join((instruction, *(meaning for symbol, meaning in SYMBOL_QUERIES.items() if symbol in bearing)))
+    objects = [line for line in lines if ": object" in line]
+    named = [line for line in objects if set(line.partition(":")[0].split("_")) <= words]
+    relevant = "\n".join(line for line in lines if line not in objects or line in (named or objects))
+    return ". ".join((instruction, *(query for symbol, query in SYMBOL_QUERIES.items() if symbol in relevant)))
 
 
 def _make_passage(hit: ChunkHit, text: str, rank: int) -> Passage:
@@ -104,36 +104,37 @@ def _make_passage(hit: ChunkHit, text: str, rank: int) -> Passage:
 
 
 def _quoted_text(library: Library, hit: ChunkHit, registry: SkillRegistry) -> str:
-    """The quotation on one line; of a template its skeleton, or nothing where the gate would refuse it."""
+    """The text of a hit on one line; for a template its prompt text, or "" if the gate would reject it."""
     if hit.kind != "template":
         return " ".join(hit.text.split())
-    whole = parse_structured(library.document_text(hit.citation.document, hit.citation.version), TaskTemplates)
-    if not isinstance(whole, TaskTemplates) or registry.robot not in whole.robots:
+    parsed = parse_structured(library.document_text(hit.citation.document, hit.citation.version), TaskTemplates)
+    if not isinstance(parsed, TaskTemplates) or registry.robot not in parsed.robots:
         return ""
-    named = [one for one in whole.templates if hit.path and one.name == hit.path[-1]]
+    named = [one for one in parsed.templates if hit.path and one.name == hit.path[-1]]
     return named[0].prompt_text() if named and check_template(named[0], registry) is None else ""
 
 
 def check_templates(
     submission: Submission, registry_for: Callable[[str], SkillRegistry] = load_skill_registry
 ) -> DocumentRejected | None:
-    """Why a document of templates is refused before it is added: the gate would refuse a contract made from one.
+    """The rejection of a document if the gate would reject a contract made from one of its templates, else None.
 
-    Robots that are not known here cannot be judged now; their templates are judged when they are to be shown.
+    Templates for robots without a known registry are not checked here, but before they enter a prompt.
     """
     reading = read_document(submission.data, submission.file)
     if isinstance(reading, DocumentRejected) or (submission.kind or default_kind(reading)) != "template":
         return None
-    whole = parse_structured(reading, TaskTemplates)
-    if isinstance(whole, DocumentRejected):
-        return whole
-    for robot in whole.robots:
+    parsed = parse_structured(reading, TaskTemplates)
+    if isinstance(parsed, DocumentRejected):
+        return parsed
+    for robot in parsed.robots:
         try:
             registry = registry_for(robot)
         except UnknownNameError:
             continue
-        for template in whole.templates:
-            if why := check_template(template, registry):
-                got = f"{why.stage} {why.pointer}: {why.got}"
-                return DocumentRejected(f"template {template.name!r} for {robot}", got, str(why.allowed), why.hint)
+        for template in parsed.templates:
+            if rejected := check_template(template, registry):
+                got = f"{rejected.stage} {rejected.pointer}: {rejected.got}"
+                what = f"template {template.name!r} for {robot}"
+                return DocumentRejected(what, got, str(rejected.allowed), rejected.hint)
     return None

@@ -1,4 +1,4 @@
-"""A map's values where the robot can use them: places in the scene, and what a base may drive on of its floor."""
+"""Adds a map to a scene: its places, and for a mobile base the floor that it may drive on."""
 
 from __future__ import annotations
 
@@ -29,14 +29,17 @@ from dualbrain.simulation.scenes.scene_spec import (
 from dualbrain.skills.mobile_base.path_planning import clearance
 
 HEIGHT_TOLERANCE = 0.01
-"""A place counts as on the table, or on the floor, if its height is within this of it [m]."""
+"""A place is on the table or on the floor if its height differs by at most this [m]."""
 FRAME_HINT = (
     "Name the frame whose origin and x axis are those of the base at its start, as MAP:FRAME, or correct the map."
 )
 
 
 def apply_map(spec: SceneSpec, robot_model: RobotModel, library: Library, map_ref: str) -> SceneSpec:
-    """The scene as `body` knows it from the map that `where` names: with its places, and for a base with its floor."""
+    """The scene with the places of the map `map_ref`, and for a mobile base in a room also with its floor.
+
+    Raises as `load_map`, `with_places` and `with_floor`.
+    """
     chart, frame = load_map(library, map_ref)
     return (
         with_floor(spec, chart, frame, robot_model)
@@ -46,27 +49,28 @@ def apply_map(spec: SceneSpec, robot_model: RobotModel, library: Library, map_re
 
 
 def load_map(library: Library, map_ref: str) -> tuple[RoomMap, str]:
-    """Map and frame that `where` names: "room-map:panda_table", or "room-map" for the map's own frame.
+    """The map and the frame of `map_ref`, such as "room-map:panda_table", or "room-map" for the map's own frame.
 
-    Raises `UnknownName` for a document that is not there, `InvalidSetup` for one that is no map, or whose source is not
-    trusted: a found map must not move the walls.
+    Raises `UnknownNameError` for an unknown document, and `ConfigurationError` for a document that is not a map or has
+    an untrusted source, which must not change the floor of a robot.
     """
     name, _, frame = map_ref.partition(":")
     document = library.document(name)
     if document.kind != "map" or document.trust == "unknown":
-        got, allowed = f"{document.kind}, trust {document.trust}", "a map that is trusted"
-        raise ConfigurationError(f"map {name!r}", got=got, allowed=allowed, fix="See `dualbrain knowledge list`.")
+        sentence = f"Document {name!r} is of kind {document.kind} with trust {document.trust}, not a trusted map."
+        raise ConfigurationError.stating(sentence, fix="List the documents with `dualbrain knowledge list`.")
     found = parse_structured(library.document_text(name), RoomMap)
-    if isinstance(found, DocumentRejected):  # it was sound when it was added
-        raise ConfigurationError(f"map {name!r}", got=str(found), allowed="a sound map")
+    if isinstance(found, DocumentRejected):  # the map was valid when it was added
+        sentence = f"Map {name!r} is invalid: {found}."
+        raise ConfigurationError.stating(sentence, fix="Correct the map and add it again.")
     return found, frame or found.frame
 
 
 def with_places(spec: SceneSpec, chart: RoomMap, frame: str) -> SceneSpec:
-    """The scene with the map's places that lie on its table, seen from `frame`, which must be the scene's own.
+    """The scene with the places of the map that are on its table, in `frame`, which must be the frame of the scene.
 
-    Places of the scene keep their names: one of the map that is called like anything in the scene is left out, because
-    what was measured here and now is newer than a map. Raises `UnknownName` for a frame that the map does not know.
+    A place of the map is left out if its name is already used in the scene, because the measured scene is newer than a
+    map. Raises `UnknownNameError` for a frame that the map does not define.
     """
     new = tuple(
         place
@@ -81,10 +85,11 @@ def with_places(spec: SceneSpec, chart: RoomMap, frame: str) -> SceneSpec:
 
 
 def with_floor(spec: SceneSpec, chart: RoomMap, frame: str, robot_model: RobotModel) -> SceneSpec:
-    """The room with the map's places on its floor, and with what the map leaves of that floor to `body`.
+    """The room with the places of the map on its floor, and with the part of the floor that the map permits.
 
-    Names are the scene's own as in `with_places`. Raises `InvalidSetup` if the base does not start on the map's floor
-    with room around it, or if one of those places lies off that floor: nobody could drive there, or should.
+    Names that the scene already uses are left out, as in `with_places`. Raises `ConfigurationError` if the footprint of
+    the base at its start is not on the floor of the map, or if one of the new places is outside that floor; and
+    `UnknownNameError` for a frame that the map does not define.
     """
     start = home_state(robot_model).q[:2]
     known = msgspec.structs.replace(
@@ -93,34 +98,36 @@ def with_floor(spec: SceneSpec, chart: RoomMap, frame: str, robot_model: RobotMo
     new = tuple(place for place in _new_places(spec, chart, frame) if abs(place.position[2]) <= HEIGHT_TOLERANCE)
     known = msgspec.structs.replace(known, places=(*spec.places, *new))
     check_scene(known)
-    drawn = Scene(robot=spec.robot, stamp=0.0, version=1, objects=keep_out_objects(known, 0.0), region=known.floor)
-    room = float(clearance(drawn, start))
-    footprint = max(float(np.hypot(*ball.centre[:2])) + ball.radius for ball in extract_base(robot_model).spheres)
-    if room < footprint:
+    floor_scene = Scene(
+        robot=spec.robot, stamp=0.0, version=1, objects=keep_out_objects(known, 0.0), region=known.floor
+    )
+    distance = float(clearance(floor_scene, start))
+    footprint = max(float(np.hypot(*sphere.centre[:2])) + sphere.radius for sphere in extract_base(robot_model).spheres)
+    if distance < footprint:
         raise ConfigurationError(
-            f"start of the base, {room:.2f} m inside the map's floor",
+            f"start of the base, {distance:.2f} m inside the floor of the map",
             got=start.tolist(),
-            allowed=f"its footprint on the floor: {footprint:.2f} m or more",
+            allowed=f"a point at least {footprint:.2f} m inside it, the radius of the footprint",
             fix=FRAME_HINT,
         )
-    off = [place for place in new if float(clearance(drawn, np.array(place.position[:2]))) < 0.0]
-    if off:
+    outside = [place for place in new if float(clearance(floor_scene, np.array(place.position[:2]))) < 0.0]
+    if outside:
         raise ConfigurationError(
-            f"place {off[0].name!r} of the map",
-            got=tuple(round(value, 3) for value in off[0].position[:2]),
-            allowed="on the floor that map and room both leave to the base, outside of what the map closes",
+            f"place {outside[0].name!r} of the map",
+            got=tuple(round(value, 3) for value in outside[0].position[:2]),
+            allowed="a point on the common floor of map and room, outside the keep-out areas",
             fix=FRAME_HINT,
         )
     return known
 
 
 def drivable_floor(chart: RoomMap, frame: str, at: Point, room: tuple[Point, ...]) -> FloorMap:
-    """What the map leaves to a base at `at` (x, y) [m] of `frame` in a `room` with convex walls.
+    """The floor that a map permits to a base at `at` (x, y) [m] of `frame` in a convex `room`.
 
-    The floor is the room's and that of the first traversable region that holds `at`, what both have in common: the
-    union of several regions is no barrier that a filter could keep, and the intersection of them all would shut doors.
-    Every keep_out region becomes the smallest rectangle around it. A map without traversable regions bounds nothing.
-    Raises `InvalidSetup` if there are some and `at` lies in none.
+    The floor is the intersection of the room and the first traversable region that contains `at`. The union of several
+    regions is not convex, so that a barrier cannot represent it; the intersection of all regions would close the
+    passages between them. Every keep_out region becomes the smallest rectangle around it. Without traversable regions,
+    the floor is that of the room. Raises `ConfigurationError` if there are traversable regions and none contains `at`.
     """
     found = chart.polygons(frame, "traversable")
     around = [corners for _, corners in found if is_inside_polygon(at, corners)]
@@ -136,13 +143,13 @@ def drivable_floor(chart: RoomMap, frame: str, at: Point, room: tuple[Point, ...
 
 
 def _new_places(spec: SceneSpec, chart: RoomMap, frame: str) -> tuple[Place, ...]:
-    """The map's places whose names the scene does not have."""
+    """The places of the map whose names the scene does not use."""
     taken = {one.name for one in (*spec.objects, *spec.places)} | ({spec.mover.name} if spec.mover else set[str]())
     return tuple(place for place in chart.scene_places(frame) if place.name not in taken)
 
 
 def _bounding_rectangle(name: str, corners: tuple[Point, ...]) -> KeepOutArea:
-    """The smallest rectangle around a convex polygon; one of its sides lies on one of the polygon's (Freeman, 1975)."""
+    """The smallest rectangle around a convex polygon; it shares a side with the polygon (Freeman and Shapira, 1975)."""
     turns = [atan2(by - ay, bx - ax) for (ax, ay), (bx, by) in zip(corners, corners[1:] + corners[:1], strict=True)]
     boxes = [_oriented_box(corners, turn) for turn in turns]
     x, y, half_x, half_y, yaw = min(boxes, key=lambda box: box[2] * box[3])
@@ -150,7 +157,7 @@ def _bounding_rectangle(name: str, corners: tuple[Point, ...]) -> KeepOutArea:
 
 
 def _oriented_box(corners: tuple[Point, ...], yaw: float) -> tuple[float, float, float, float, float]:
-    """Centre and half sides [m] of the rectangle around `corners` whose x axis is turned by `yaw`."""
+    """The rectangle (x, y, half_x, half_y, yaw) [m, rad] around `corners` whose x axis is turned by `yaw`."""
     c, s = cos(yaw), sin(yaw)
     along = [c * x + s * y for x, y in corners]
     across = [c * y - s * x for x, y in corners]

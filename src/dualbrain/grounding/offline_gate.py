@@ -1,4 +1,4 @@
-"""Looking at a contract without a robot: the gate on a scene as it would be at the start of a run."""
+"""Gate check of a contract without a robot, on the initial scene of a run."""
 
 from __future__ import annotations
 
@@ -22,45 +22,48 @@ from dualbrain.skills.skill import Observation
 
 
 def check_contract(data: bytes, *, robot: str, scene: str) -> Verdict:
-    """What the gate says of `data` for `robot` at home in front of `scene`, all three stages and the scene's rules."""
+    """The verdict of all gate stages, including the scene rules, on the contract `data` for `robot` at home in `scene`.
+
+    Raises `UnknownNameError` for an unknown robot or scene, and `ConfigurationError` for an invalid scene file.
+    """
     registry = load_skill_registry(robot)
-    seen = scene_from_spec(open_scene(scene, robot))
-    limb = controller_at_home(robot, seen)
-    gate = Gate(registry, planner_grants(registry), scene_rules(seen, limb))
-    return gate.check(data, names=scene_names(seen), principal=PLANNER, now=0.0)
+    perceived = scene_from_spec(open_scene(scene, robot))
+    controller = controller_at_home(robot, perceived)
+    gate = Gate(registry, planner_grants(registry), scene_rules(perceived, controller))
+    return gate.check(data, names=scene_names(perceived), principal=PLANNER, now=0.0)
 
 
 def controller_at_home(robot: str, scene: Scene) -> ArmController | BaseController | MobileManipulatorController:
-    """An arm at its home posture, a base at its start, or both, that sees `scene`."""
+    """The controller of `robot`, with the arm in its home posture and the base at its start, that observed `scene`."""
     robot_model = load_robot(robot)
     safety = SafetyFilter(robot_model)
-    limb = make_controller(robot_model, safety)
+    controller = make_controller(robot_model, safety)
     state = home_state(robot_model)
-    limb.observe(Observation(state=state, scene=scene, now=0.0, tool=safety.tool(state.q)))
-    return limb
+    controller.observe(Observation(state=state, scene=scene, now=0.0, tool=safety.tool(state.q)))
+    return controller
 
 
 def scene_from_spec(spec: SceneSpec) -> Scene:
-    """The scene as its specification puts it: exact poses, nothing moving."""
+    """The scene of a specification with exact poses, at rest, and without a person."""
     table = SceneObject(name="table", role="support", shape=HalfSpace(), pose=Pose((0.0, 0.0, 0.0)))
-    things = (
+    objects = (
         SceneObject(
-            name=thing.name,
-            role=thing.role,
-            shape=thing.shape,
-            pose=Pose(thing.position, thing.quaternion),
-            category=thing.category,
-            colour=thing.colour,
-            fragile_limit=thing.fragile_limit,
+            name=obj.name,
+            role=obj.role,
+            shape=obj.shape,
+            pose=Pose(obj.position, obj.quaternion),
+            category=obj.category,
+            colour=obj.colour,
+            fragile_limit=obj.fragile_limit,
         )
-        for thing in spec.objects
+        for obj in spec.objects
     )
     support = () if spec.region else (table,)
     return Scene(
         robot=spec.robot,
         stamp=0.0,
         version=1,
-        objects=(*support, *things, *keep_out_objects(spec, 0.0)),
+        objects=(*support, *objects, *keep_out_objects(spec, 0.0)),
         places=spec.places,
         region=spec.floor,
     )

@@ -1,7 +1,7 @@
-"""What the robot's eyes say of an outcome, apart from the skills that carried it out: is the thing where it belongs?
+"""Check of an outcome by perception: whether the objects are where the contract placed them.
 
-It is a second robot-side source (perception after the task), not simulator truth; memory believes a success at once
-only if it agrees.
+The check is a second source of the robot itself (perception after the task), independent of the executed skills and
+without simulator ground truth. Memory accepts a success immediately only if the check agrees.
 """
 
 from __future__ import annotations
@@ -13,60 +13,60 @@ from dualbrain.core.geometry.shapes import Bowl, Box, Cylinder
 from dualbrain.records import Outcome, OutcomeCheck, Scene, SceneObject
 
 PLACE_TOLERANCE = 0.06
-"""A thing this near to a named place is there [m]."""
+"""An object within this distance of a named place is at the place [m]."""
 MOTION_ONLY_SKILLS = ("move_to", "home", "hold", "drive_to", "turn_to", "stop")
-"""Skills that move the robot and nothing else."""
+"""Skills that move the robot, but no object."""
 
 
 def check_outcome(scene: Scene, contract: Contract | None, outcome: Outcome) -> OutcomeCheck:
-    """Whether `scene`, as perceived after the motion, agrees with a success or failure; "none" if it cannot tell.
+    """Whether `scene`, perceived after the motion, agrees with a success or failure; "none" if it cannot be decided.
 
-    It judges everything that the contract grasps and then places, each where it was placed last: after a success all of
-    it must be there, after a failure some of it not; what is not seen it has no word on. Of a contract that moves
-    nothing but the arm there is nothing to be seen: the joint encoders are word enough.
+    The check covers every object that the contract grasps and then places, at its last destination: after a success
+    all of them must be there, after a failure at least one must not. If one of them is not perceived, the result is
+    "none". A contract that moves only the robot always agrees, because the joint encoders confirm it.
     """
     if contract is None or outcome.kind not in ("succeeded", "failed"):
         return "none"
     if all(action.skill in MOTION_ONLY_SKILLS for action in contract.action_sequence):
         return "agrees"
-    there = [_is_at(scene, *wanted) for wanted in _expected_placements(contract).items()]
-    if not there or None in there:
+    placed = [_is_at(scene, *expected) for expected in _expected_placements(contract).items()]
+    if not placed or None in placed:
         return "none"
-    return "agrees" if all(there) == (outcome.kind == "succeeded") else "disagrees"
+    return "agrees" if all(placed) == (outcome.kind == "succeeded") else "disagrees"
 
 
 def _expected_placements(contract: Contract) -> dict[str, str]:
-    """Where each thing that is grasped and then placed should be in the end."""
-    thing: str | None = None
+    """The last destination of each object that the contract grasps and then places."""
+    obj: str | None = None
     found: dict[str, str] = {}
     for action in contract.action_sequence:
         if action.skill == "grasp":
-            thing = str(action.params["object"])
-        elif action.skill == "place" and thing is not None:
-            found[thing] = str(action.params["destination"])
+            obj = str(action.params["object"])
+        elif action.skill == "place" and obj is not None:
+            found[obj] = str(action.params["destination"])
     return found
 
 
 def _is_at(scene: Scene, name: str, destination: str) -> bool | None:
-    things = {thing.name: thing for thing in scene.objects}
+    objects = {obj.name: obj for obj in scene.objects}
     places = {place.name: place.position for place in scene.places}
-    if name not in things:
+    if name not in objects:
         return None
-    thing = things[name]
-    at = np.asarray(thing.pose.position)[:2]
+    obj = objects[name]
+    at = np.asarray(obj.pose.position)[:2]
     if destination in places:
-        return bool(np.linalg.norm(at - np.asarray(places[destination])[:2]) < PLACE_TOLERANCE + thing.error)
-    if destination not in things:
+        return bool(np.linalg.norm(at - np.asarray(places[destination])[:2]) < PLACE_TOLERANCE + obj.error)
+    if destination not in objects:
         return None
-    target = things[destination]
+    target = objects[destination]
     reach = _half_width(target)
     if reach is None:
         return None
-    return bool(np.linalg.norm(at - np.asarray(target.pose.position)[:2]) < reach + thing.error + target.error)
+    return bool(np.linalg.norm(at - np.asarray(target.pose.position)[:2]) < reach + obj.error + target.error)
 
 
-def _half_width(thing: SceneObject) -> float | None:
-    match thing.shape:
+def _half_width(obj: SceneObject) -> float | None:
+    match obj.shape:
         case Bowl(radius, _, _) | Cylinder(radius, _):
             return radius
         case Box(half_extents):

@@ -1,4 +1,4 @@
-"""Envelope rules that need the scene and the body: what no schema can say (design 3, third stage)."""
+"""Envelope rules that depend on the scene and the robot, which a schema cannot express (third stage of the gate)."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from dualbrain.skills.mobile_manipulator import MobileManipulatorController
 from dualbrain.skills.time_slicing import run_to_completion
 
 MIN_LEVELNESS = 0.7
-"""The fingers close along an axis of a thing only if it is about level: the least length of its horizontal part."""
+"""The fingers close only along an axis of an object that is about level: least length of its horizontal component."""
 MIN_CLEARANCE = 0.03
-"""The least clearance that the vocabulary knows [m]: where the search for an allowed one ends."""
+"""Least clearance of the skill vocabulary [m]; the search for a feasible clearance ends there."""
 TARGET_PARAMETERS = {"grasp": "object", "place": "destination", "push": "object", "move_to": "target"}
-"""Which parameter of a skill says what the arm goes to."""
+"""The parameter of each skill that names the target of the arm."""
 FINGER_MARGIN = 0.010
-"""The fingers must be open at least this much wider than the thing they go around [m]."""
+"""The opening of the fingers must exceed the width of the object by at least this [m]."""
 
 Rule = Callable[[Contract], Rejected | None]
 
@@ -37,7 +37,7 @@ Rule = Callable[[Contract], Rejected | None]
 def scene_rules(
     scene: Scene, controller: ArmController | BaseController | MobileManipulatorController
 ) -> tuple[Rule, ...]:
-    """The rules that hold for `scene` and the body as it stands: hand busy or empty, opening, reach; the floor."""
+    """The rules for `scene` and the present state of the robot: held object, finger opening, reach, and the floor."""
     if isinstance(controller, MobileManipulatorController):
         return (
             _check_decline,
@@ -68,8 +68,8 @@ def _check_decline(contract: Contract) -> Rejected | None:
     return None
 
 
-def _check_drive_targets(contract: Contract, scene: Scene, chassis: BaseController) -> Rejected | None:
-    """What is driven to is a place; a point lies on the floor that may be driven on, and the base has room there."""
+def _check_drive_targets(contract: Contract, scene: Scene, base: BaseController) -> Rejected | None:
+    """A drive target is a place, or a point on the drivable floor with room for the base."""
     places = [place.name for place in scene.places]
     for index, action in enumerate(contract.action_sequence):
         if action.skill == "drive_to" and action.params["place"] not in places:
@@ -77,7 +77,7 @@ def _check_drive_targets(contract: Contract, scene: Scene, chassis: BaseControll
             return Rejected(stage="envelope", pointer=pointer, got=action.params["place"], allowed=places, hint=hint)
         if action.skill == "drive_to_pose":
             spot = np.array([float(action.params["x"]), float(action.params["y"])])
-            if float(clearance(chassis.with_keep_out_boxes(scene), spot)) < chassis.footprint_radius:
+            if float(clearance(base.with_keep_out_boxes(scene), spot)) < base.footprint_radius:
                 hint = "the base has no room there: something stands there, or it is off the floor"
                 pointer = f"/action_sequence/{index}/params"
                 return Rejected(
@@ -86,9 +86,9 @@ def _check_drive_targets(contract: Contract, scene: Scene, chassis: BaseControll
     return None
 
 
-def _check_gripper_sequence(contract: Contract, limb: ArmController) -> Rejected | None:
-    """A grasp and a push need an empty hand, a place a full one."""
-    full = limb.holding is not None
+def _check_gripper_sequence(contract: Contract, arm: ArmController) -> Rejected | None:
+    """Skills grasp and push need an empty gripper, skill place needs a held object."""
+    full = arm.holding is not None
     for index, action in enumerate(contract.action_sequence):
         pointer = f"/action_sequence/{index}/skill"
         if action.skill in ("grasp", "push"):
@@ -116,16 +116,16 @@ def _check_gripper_sequence(contract: Contract, limb: ArmController) -> Rejected
     return None
 
 
-def _check_grasps(contract: Contract, scene: Scene, limb: ArmController) -> Rejected | None:
-    """The fingers fit around each thing to grasp, and the arm reaches it."""
+def _check_grasps(contract: Contract, scene: Scene, arm: ArmController) -> Rejected | None:
+    """The fingers fit around each object to grasp, and the arm reaches it."""
     for index, action in enumerate(contract.action_sequence):
         if action.skill != "grasp":
             continue
         params, pointer = action.params, f"/action_sequence/{index}/params"
-        thing = scene.find(str(params["object"]))
-        if levelness(thing, str(params["finger_axis"])) < MIN_LEVELNESS:
+        obj = scene.find(str(params["object"]))
+        if levelness(obj, str(params["finger_axis"])) < MIN_LEVELNESS:
             other = "across" if params["finger_axis"] == "along" else "along"
-            hint = f"{thing.name} lies so that this axis points up: no finger can close along it"
+            hint = f"{obj.name} lies so that this axis points up: no finger can close along it"
             return Rejected(
                 stage="envelope",
                 pointer=f"{pointer}/finger_axis",
@@ -133,11 +133,11 @@ def _check_grasps(contract: Contract, scene: Scene, limb: ArmController) -> Reje
                 allowed=[other],
                 hint=hint,
             )
-        needed = grasp_width(thing, str(params["finger_axis"])) + FINGER_MARGIN
-        widest = 2.0 * limb.robot_model.gripper.opening.value
+        needed = grasp_width(obj, str(params["finger_axis"])) + FINGER_MARGIN
+        widest = 2.0 * arm.robot_model.gripper.opening.value
         if float(params["opening"]) < needed:
             hint = (
-                f"open wider than {thing.name} ({needed * 1000:.0f} mm with room)"
+                f"open wider than {obj.name} ({needed * 1000:.0f} mm with room)"
                 if needed <= widest
                 else "it is too wide for this hand"
             )
@@ -148,55 +148,53 @@ def _check_grasps(contract: Contract, scene: Scene, limb: ArmController) -> Reje
                 allowed={"minimum": round(needed, 4), "maximum": widest},
                 hint=hint,
             )
-        at = run_to_completion(grasp_goal(limb, thing, str(params["finger_axis"]), str(params["approach"])))
-        if at is None:
+        goal = run_to_completion(grasp_goal(arm, obj, str(params["finger_axis"]), str(params["approach"])))
+        if goal is None:
             return Rejected(
                 stage="envelope",
                 pointer=f"{pointer}/object",
-                got=thing.name,
+                got=obj.name,
                 allowed="things within reach",
-                hint=f"{thing.name} is out of reach for this grasp",
+                hint=f"{obj.name} is out of reach for this grasp",
             )
-        if why := _check_approach(limb, thing, params, pointer):
-            return why
+        if rejected := _check_approach(arm, obj, params, pointer):
+            return rejected
     return None
 
 
 def _check_grasps_before_driving(
-    contract: Contract, scene: Scene, carrier: MobileManipulatorController
+    contract: Contract, scene: Scene, robot: MobileManipulatorController
 ) -> Rejected | None:
-    """As `_grasps_fit` for what is grasped before the base drives; where it stands later is seen then."""
+    """Apply `_check_grasps` to the grasps before the first drive; the pose of the base after a drive is unknown yet."""
     driving = (i for i, action in enumerate(contract.action_sequence) if action.skill in ("drive_to", "drive_to_pose"))
     before = contract.action_sequence[: next(driving, None)]
     if not any(action.skill == "grasp" for action in before):
         return None
-    carrier.activate(driving=False)
+    robot.activate(driving=False)
     return _check_grasps(
-        msgspec.structs.replace(contract, action_sequence=before), carrier.arm.observation.scene, carrier.arm
+        msgspec.structs.replace(contract, action_sequence=before), robot.arm.observation.scene, robot.arm
     )
 
 
-def _check_reach_after_driving(
-    contract: Contract, scene: Scene, carrier: MobileManipulatorController
-) -> Rejected | None:
-    """After a drive to a place, what the arm is to work at lies within its reach there, for any heading."""
+def _check_reach_after_driving(contract: Contract, scene: Scene, robot: MobileManipulatorController) -> Rejected | None:
+    """After a drive to a place, every target of the arm is within its reach there, for any heading."""
     places = {place.name: np.array(place.position[:2]) for place in scene.places}
     far = (
-        _max_reach(carrier.arm.robot_model)
-        + float(np.hypot(*carrier.arm.robot_model.joints[0].translation[:2]))
+        _max_reach(robot.arm.robot_model)
+        + float(np.hypot(*robot.arm.robot_model.joints[0].translation[:2]))
         + ARRIVAL_RADIUS
     )
-    stands: str | None = None
+    place: str | None = None
     for index, action in enumerate(contract.action_sequence):
         if action.skill == "drive_to":
-            stands = str(action.params["place"])
+            place = str(action.params["place"])
         elif action.skill == "drive_to_pose":
-            stands = None
-        elif stands in places and (named := TARGET_PARAMETERS.get(action.skill)):
+            place = None
+        elif place in places and (named := TARGET_PARAMETERS.get(action.skill)):
             spot = _floor_position(scene, str(action.params[named]))
-            if np.linalg.norm(spot - places[stands]) > far:
+            if np.linalg.norm(spot - places[place]) > far:
                 near = [name for name, at in places.items() if np.linalg.norm(spot - at) <= far]
-                hint = f"out of reach from {stands}: drive_to {' or '.join(near) or 'it'} before that"
+                hint = f"out of reach from {place}: drive_to {' or '.join(near) or 'it'} before that"
                 pointer = f"/action_sequence/{index}/params/{named}"
                 return Rejected(
                     stage="envelope",
@@ -209,29 +207,27 @@ def _check_reach_after_driving(
 
 
 def _max_reach(arm: RobotModel) -> float:
-    """No posture brings the tool farther from the first axis than this [m]: all parts of the chain in one line."""
+    """Upper bound of the distance between tool and first joint axis [m]: the length of the stretched chain."""
     hand = next(link for link in arm.links if link.name == arm.tool.link)
     parts = [*(joint.translation for joint in arm.joints[1:]), hand.translation, arm.tool.translation]
     return float(sum(np.linalg.norm(part) for part in parts))
 
 
 def _floor_position(scene: Scene, name: str) -> NDArray[np.float64]:
-    """Where a thing or a place lies on the floor (2,) [m]."""
+    """Position (2,) [m] of an object or a place in the plane of the floor."""
     spot = next((place.position for place in scene.places if place.name == name), None)
     return np.array((spot or scene.find(name).pose.position)[:2])
 
 
-def _check_approach(
-    limb: ArmController, thing: SceneObject, params: Mapping[str, Any], pointer: str
-) -> Rejected | None:
-    """The arm reaches the pose from which it comes down: its height, and that approach at all."""
+def _check_approach(arm: ArmController, obj: SceneObject, params: Mapping[str, Any], pointer: str) -> Rejected | None:
+    """The arm reaches the pregrasp pose, at the given clearance and with the given approach."""
     axis, approach, clearance = str(params["finger_axis"]), str(params["approach"]), float(params["clearance"])
-    if _is_reachable(limb, thing, axis, approach, clearance):
+    if _is_reachable(arm, obj, axis, approach, clearance):
         return None
     lower = (float(height) for height in np.arange(clearance, MIN_CLEARANCE, -0.01))
-    highest = next((height for height in lower if _is_reachable(limb, thing, axis, approach, height)), None)
+    highest = next((height for height in lower if _is_reachable(arm, obj, axis, approach, height)), None)
     if highest is not None:
-        hint = f"the arm cannot come down on {thing.name} from so high with this approach: ask for less clearance"
+        hint = f"the arm cannot come down on {obj.name} from so high with this approach: ask for less clearance"
         return Rejected(
             stage="envelope",
             pointer=f"{pointer}/clearance",
@@ -239,14 +235,15 @@ def _check_approach(
             allowed={"maximum": round(highest, 2)},
             hint=hint,
         )
-    others = [way for way in APPROACH_LEAN if _is_reachable(limb, thing, axis, way, MIN_CLEARANCE)]
-    hint = f"the arm cannot come to {thing.name} this way: choose another approach or finger axis"
+    others = [way for way in APPROACH_LEAN if _is_reachable(arm, obj, axis, way, MIN_CLEARANCE)]
+    hint = f"the arm cannot come to {obj.name} this way: choose another approach or finger axis"
     return Rejected(stage="envelope", pointer=f"{pointer}/approach", got=approach, allowed=others, hint=hint)
 
 
-def _is_reachable(limb: ArmController, thing: SceneObject, axis: str, approach: str, clearance: float) -> bool:
-    at = run_to_completion(grasp_goal(limb, thing, axis, approach))
-    if at is None:
+def _is_reachable(arm: ArmController, obj: SceneObject, axis: str, approach: str, clearance: float) -> bool:
+    grasp = run_to_completion(grasp_goal(arm, obj, axis, approach))
+    if grasp is None:
         return False
-    above = run_to_completion(pregrasp_goal(limb, at, thing, clearance))
-    return run_to_completion(limb.kinematics.solve(above.position, above.rotation, (above.posture,))) is not None
+    pregrasp = run_to_completion(pregrasp_goal(arm, grasp, obj, clearance))
+    solution = arm.kinematics.solve(pregrasp.position, pregrasp.rotation, (pregrasp.posture,))
+    return run_to_completion(solution) is not None

@@ -1,7 +1,7 @@
-"""The scene in symbols, computed locally in each target's own frame: a small model cannot compare numbers.
+"""Symbolic summary of a scene for the planner, because a small language model cannot compare numbers.
 
-The symbols are those that decide the best contract: what stands beside a thing on the finger axis and across it (height
-class, gap class), what stands or hangs on the way to a container, and where people are.
+The symbols are those that determine the best contract: the neighbours of an object along the finger axis and across it
+(height class, gap class) in the frame of the object, obstacles on or above the path to a container, and people.
 """
 
 from __future__ import annotations
@@ -20,34 +20,35 @@ from dualbrain.skills.kinematics.object_geometry import bottom_height, finger_di
 Array = NDArray[np.float64]
 
 LOW_HEIGHT, HAND_HEIGHT = 0.09, 0.13
-"""Below the first height [m] a neighbour stays under the hand; above the second it is tall."""
+"""A neighbour below the first height [m] stays under the hand; above the second it is tall."""
 NEAR_GAP, FAR_GAP = 0.03, 0.06
-"""Bounds of the gap classes [m]."""
+"""Boundaries of the gap classes [m]."""
 MAX_NEIGHBOUR_GAP = 0.12
-"""Gaps wider than this [m] are no neighbours."""
+"""An object with a wider gap is not a neighbour [m]."""
 PATH_WIDTH = 0.10
-"""Things within this distance of the straight path count as standing on it [m]."""
+"""Objects within this distance of the direct path are on the path [m]."""
 EDGE_DISTANCE = 0.06
-"""Nearer than this to the edge of what it stands on, a thing is near the edge [m]."""
+"""An object within this distance of the edge of its support is near the edge [m]."""
 SUPPORT_TOLERANCE, FURNITURE_REACH = 0.05, 0.7
-"""A thing stands on furniture if its bottom is that near to the top; a place is at furniture within the second [m]."""
+"""An object is on furniture if its bottom is within the first of the top; a place is at furniture within the second
+[m]."""
 AISLE_PREFIX, AISLE_RADIUS = "aisle_", 1.2
-"""How places in aisles are called, and how near to one somebody is in that aisle [m]."""
+"""Prefix of the names of places in aisles, and radius around such a place that counts as the aisle [m]."""
 OVERHEAD_HEIGHT = 0.25
-"""Fixed things whose lowest point is higher than this hang over the path [m]."""
+"""Obstacles whose lowest point is higher than this are overhead [m]."""
 
 
 def summarise_scene(scene: Scene, holding: str | None = None) -> str:
-    """What the planner is told of `scene`: one line a thing, a path, a person; symbols only.
+    """The summary of `scene` in a planner prompt: one line per object, container and person, with symbols only.
 
-    Of a room in which things stand on furniture, also from which place they can be reached, and where to look there.
+    For a room with furniture it also contains the place and the heading from which each object can be reached.
     """
     if scene.region:
         return _summarise_workroom(scene, holding) if _furniture(scene) else _summarise_room(scene)
     lines = [f"robot {scene.robot}; holding {holding or 'nothing'}"]
-    lines += [_object_line(scene, thing) for thing in scene.objects if thing.role == "object"]
-    containers = (thing for thing in scene.objects if thing.role == "container")
-    lines += [f"{thing.name}: container{_contents_suffix(scene, thing)}" for thing in containers]
+    lines += [_object_line(scene, obj) for obj in scene.objects if obj.role == "object"]
+    containers = (obj for obj in scene.objects if obj.role == "container")
+    lines += [f"{obj.name}: container{_contents_suffix(scene, obj)}" for obj in containers]
     lines.append(f"person: {_person_state(scene)}")
     if scene.places:
         lines.append(_places_line(scene))
@@ -58,68 +59,68 @@ def _places_line(scene: Scene) -> str:
     return "places: " + ", ".join(place.name for place in scene.places)
 
 
-def _standing_line(scene: Scene, roles: tuple[str, ...]) -> str:
-    standing = ", ".join(thing.name for thing in scene.objects if thing.role in roles)
-    return f"standing about: {standing or 'nothing'}"
+def _obstacles_line(scene: Scene, roles: tuple[str, ...]) -> str:
+    names = ", ".join(obj.name for obj in scene.objects if obj.role in roles)
+    return f"standing about: {names or 'nothing'}"
 
 
 def _contents_suffix(scene: Scene, container: SceneObject) -> str:
-    """What lies in a container; nothing is said of one that is free."""
+    """The objects in a container, or "" for an empty one."""
     bowl = container.shape
     if not isinstance(bowl, Bowl):
         return ""
     x, y, z = container.pose.position
-    lying = [
-        thing.name
-        for thing in scene.objects
-        if thing.role == "object"
-        and np.hypot(thing.pose.position[0] - x, thing.pose.position[1] - y) < bowl.radius - bowl.wall
-        and 0.0 < thing.pose.position[2] - z < bowl.height + 0.01
+    contents = [
+        obj.name
+        for obj in scene.objects
+        if obj.role == "object"
+        and np.hypot(obj.pose.position[0] - x, obj.pose.position[1] - y) < bowl.radius - bowl.wall
+        and 0.0 < obj.pose.position[2] - z < bowl.height + 0.01
     ]
-    return f", holds {' and '.join(lying)}" if lying else ""
+    return f", holds {' and '.join(contents)}" if contents else ""
 
 
 def _summarise_room(scene: Scene) -> str:
-    """A room as a base is told of it: where it can go, what stands about, and people."""
-    lines = [f"robot {scene.robot}", _places_line(scene), _standing_line(scene, ("object", "obstacle", "container"))]
+    """The summary of a room for a mobile base: places, obstacles, aisles and people."""
+    lines = [f"robot {scene.robot}", _places_line(scene), _obstacles_line(scene, ("object", "obstacle", "container"))]
     aisles = ", ".join(f"{place.name} {_aisle_state(scene, place)}" for place in scene.places if _is_aisle(place))
     return "\n".join([*lines, *([f"aisles: {aisles}"] if aisles else []), f"person: {_person_state(scene)}"])
 
 
 def _furniture(scene: Scene) -> list[SceneObject]:
-    """What things stand on in a room."""
-    return [thing for thing in scene.objects if thing.role == "support" and isinstance(thing.shape, Box)]
+    """The furniture of a room that supports objects."""
+    return [obj for obj in scene.objects if obj.role == "support" and isinstance(obj.shape, Box)]
 
 
 def _summarise_workroom(scene: Scene, holding: str | None) -> str:
-    """A room as an arm on a base is told of it."""
-    before = {thing.name: _work_pose(scene, thing) for thing in _furniture(scene)}
+    """The summary of a room for a mobile manipulator."""
+    before = {obj.name: _work_pose(scene, obj) for obj in _furniture(scene)}
     lines = [f"robot {scene.robot}; holding {holding or 'nothing'}", _places_line(scene)]
     lines += [f"{at.place}: before {name}, heading {at.heading:.2f}" for name, at in before.items() if at]
-    for thing in scene.objects:
-        if thing.role not in ("object", "container") or thing.name == holding:
+    for obj in scene.objects:
+        if obj.role not in ("object", "container") or obj.name == holding:
             continue
-        carrier = _supporting_furniture(scene, thing)
-        at = before[carrier.name] if carrier else None
+        support = _supporting_furniture(scene, obj)
+        at = before[support.name] if support else None
         where = f", at {at.place}" if at else ""
-        if thing.role == "container":
-            lines.append(f"{thing.name}: container{where}{_contents_suffix(scene, thing)}")
+        if obj.role == "container":
+            lines.append(f"{obj.name}: container{where}{_contents_suffix(scene, obj)}")
         else:
-            seen = _relative_to_height(scene, top_height(carrier)) if carrier else scene
-            line = _object_line(seen, seen.find(thing.name))
+            relative = _relative_to_height(scene, top_height(support)) if support else scene
+            line = _object_line(relative, relative.find(obj.name))
             lines.append(line.replace(": object", f": object{where}", 1))
-    return "\n".join([*lines, _standing_line(scene, ("obstacle",)), f"person: {_person_state(scene)}"])
+    return "\n".join([*lines, _obstacles_line(scene, ("obstacle",)), f"person: {_person_state(scene)}"])
 
 
 class WorkPose(NamedTuple):
-    """A place from which a piece of furniture can be worked at, and the heading [rad] that looks at it from there."""
+    """A place from which a piece of furniture can be reached, and the heading [rad] towards it."""
 
     place: str
     heading: float
 
 
 def _work_pose(scene: Scene, furniture: SceneObject) -> WorkPose | None:
-    """The place nearest to `furniture`, if it is within an arm's reach of its edge."""
+    """The place nearest to `furniture`, if it is within `FURNITURE_REACH` of its edge."""
     gaps = {place.name: _vector_to_edge(furniture, np.asarray(place.position)) for place in scene.places}
     name = min(gaps, key=lambda name: float(np.linalg.norm(gaps[name])), default=None)
     if name is None or float(np.linalg.norm(gaps[name])) > FURNITURE_REACH:
@@ -129,7 +130,7 @@ def _work_pose(scene: Scene, furniture: SceneObject) -> WorkPose | None:
 
 
 def _vector_to_edge(furniture: SceneObject, spot: Array) -> Array:
-    """From `spot` to the nearest point of the outline of `furniture` (2,) [m]."""
+    """Vector (2,) [m] from `spot` to the nearest point of the footprint of `furniture`."""
     assert isinstance(furniture.shape, Box)
     turn, half = quaternion_to_matrix(furniture.pose.quaternion)[:2, :2], np.asarray(furniture.shape.half_extents)[:2]
     middle = np.asarray(furniture.pose.position)[:2]
@@ -137,27 +138,27 @@ def _vector_to_edge(furniture: SceneObject, spot: Array) -> Array:
     return turn @ (np.clip(inside, -half, half) - inside)
 
 
-def _supporting_furniture(scene: Scene, thing: SceneObject) -> SceneObject | None:
-    """The furniture that `thing` stands on."""
+def _supporting_furniture(scene: Scene, obj: SceneObject) -> SceneObject | None:
+    """The furniture that supports `obj`, or None."""
     return next(
         (
             one
             for one in _furniture(scene)
-            if abs(bottom_height(thing) - top_height(one)) < SUPPORT_TOLERANCE
-            and not np.any(_vector_to_edge(one, np.asarray(thing.pose.position)))
+            if abs(bottom_height(obj) - top_height(one)) < SUPPORT_TOLERANCE
+            and not np.any(_vector_to_edge(one, np.asarray(obj.pose.position)))
         ),
         None,
     )
 
 
 def _relative_to_height(scene: Scene, height: float) -> Scene:
-    """The scene as seen from a frame at `height` [m], as an arm sees its table."""
+    """The scene in a frame at `height` [m], so that heights are relative to a table top."""
 
-    def down(thing: SceneObject) -> SceneObject:
-        x, y, z = thing.pose.position
-        return msgspec.structs.replace(thing, pose=Pose((x, y, z - height), thing.pose.quaternion))
+    def down(obj: SceneObject) -> SceneObject:
+        x, y, z = obj.pose.position
+        return msgspec.structs.replace(obj, pose=Pose((x, y, z - height), obj.pose.quaternion))
 
-    return msgspec.structs.replace(scene, objects=tuple(down(thing) for thing in scene.objects))
+    return msgspec.structs.replace(scene, objects=tuple(down(obj) for obj in scene.objects))
 
 
 def _is_aisle(place: Place) -> bool:
@@ -165,80 +166,78 @@ def _is_aisle(place: Place) -> bool:
 
 
 def _aisle_state(scene: Scene, place: Place) -> str:
-    """occupied: somebody is in it; narrow: things lie in it that are not part of the room; else free."""
+    """The symbol of an aisle: "occupied" by a person, "narrow" with movable objects in it, or "free"."""
     middle = np.asarray(place.position)[:2]
-    inside = [
-        thing for thing in scene.objects if np.linalg.norm(np.asarray(thing.pose.position)[:2] - middle) < AISLE_RADIUS
-    ]
-    roles = {thing.role for thing in inside}
+    inside = [obj for obj in scene.objects if np.linalg.norm(np.asarray(obj.pose.position)[:2] - middle) < AISLE_RADIUS]
+    roles = {obj.role for obj in inside}
     return "occupied" if "person" in roles else "narrow" if "object" in roles else "free"
 
 
-def _object_line(scene: Scene, thing: SceneObject) -> str:
-    """One line: the freer axis for the fingers, neighbours in the thing's own frame, the way to each container."""
-    beside = {axis: _neighbours(scene, thing, axis) for axis in ("along", "across")}
+def _object_line(scene: Scene, obj: SceneObject) -> str:
+    """One line: the freer finger axis, the neighbours in the frame of the object, the path to each container."""
+    beside = {axis: _neighbours(scene, obj, axis) for axis in ("along", "across")}
     crowd = {axis: max((one.overlap for one in beside[axis]), default=-1.0) for axis in beside}
     free = min(crowd, key=lambda axis: crowd[axis])
     words = ["object", f"free_finger_axis {free}"] + (["tight"] if crowd[free] > TIGHT_OVERLAP else [])
     words += [f"neighbour_{axis} {max(found, key=lambda one: one.overlap)}" for axis, found in beside.items() if found]
-    words += ["near_edge"] if _is_near_edge(scene, thing) else []
-    words += ["fragile"] if thing.fragile_limit is not None else []
-    words += [_path_symbols(scene, thing, end) for end in _path_ends(scene)]
-    return f"{thing.name}: " + ", ".join(words)
+    words += ["near_edge"] if _is_near_edge(scene, obj) else []
+    words += ["fragile"] if obj.fragile_limit is not None else []
+    words += [_path_symbols(scene, obj, end) for end in _path_ends(scene)]
+    return f"{obj.name}: " + ", ".join(words)
 
 
 class Neighbour(NamedTuple):
-    """What stands beside a thing: height class, gap class, and how far it reaches into the room of the hand [m]."""
+    """A neighbour of an object: height class, gap class, and its overlap with the space of the hand [m]."""
 
     height: int
     gap: int
     overlap: float
 
     def __str__(self) -> str:
-        """For the planner, such as "tall 3-6cm"."""
+        """The symbols in the summary, such as "tall 3-6cm"."""
         return f"{HEIGHTS[self.height]} {GAPS[self.gap]}"
 
 
 HEIGHTS = ("none", "low", "hand_high", "tall")
 GAPS = (">6cm", "3-6cm", "<3cm")
 HAND_HALF_WIDTH, FINGERS_HALF_WIDTH = 0.125, 0.065
-"""Room that the palm, and below it the open fingers, take along the finger axis from the middle, with margins [m]."""
+"""Half width of the palm, and below it of the open fingers, along the finger axis, with margins [m]."""
 PALM_CLEARANCE = 0.005
-"""What is this much higher than the thing in the hand meets the palm, not only the fingers [m]."""
+"""A neighbour that is higher than the grasped object by more than this meets the palm, not only the fingers [m]."""
 HAND_HALF_BREADTH = 0.04
-"""Room that the hand takes to either side of the finger axis [m]."""
+"""Half width of the hand across the finger axis [m]."""
 TIGHT_OVERLAP = -0.01
-"""An overlap above this leaves the hand no air on that axis [m]."""
+"""With a larger overlap there is no free space for the hand on that axis [m]."""
 
 
-def _neighbours(scene: Scene, thing: SceneObject, axis: str) -> list[Neighbour]:
-    """Standing things in the strip that a hand needs when its fingers close along `axis` of `thing`."""
-    centre, direction = np.asarray(thing.pose.position)[:2], finger_direction(thing, axis)[:2]
+def _neighbours(scene: Scene, obj: SceneObject, axis: str) -> list[Neighbour]:
+    """The objects in the strip that a hand needs when its fingers close along `axis` of `obj`."""
+    centre, direction = np.asarray(obj.pose.position)[:2], finger_direction(obj, axis)[:2]
     found: list[Neighbour] = []
-    for other in _standing_objects(scene, thing.name):
+    for other in _standing_objects(scene, obj.name):
         offset, reach = np.asarray(other.pose.position)[:2] - centre, _footprint_radius(other)
-        ahead, aside = abs(float(offset @ direction)), abs(float(direction[0] * offset[1] - direction[1] * offset[0]))
-        gap = ahead - grasp_width(thing, axis) / 2 - reach
-        if aside < HAND_HALF_BREADTH + reach and gap < MAX_NEIGHBOUR_GAP and ahead > aside:
+        ahead, lateral = abs(float(offset @ direction)), abs(float(direction[0] * offset[1] - direction[1] * offset[0]))
+        gap = ahead - grasp_width(obj, axis) / 2 - reach
+        if lateral < HAND_HALF_BREADTH + reach and gap < MAX_NEIGHBOUR_GAP and ahead > lateral:
             height = _height_class(top_height(other))
-            room = HAND_HALF_WIDTH if top_height(other) > top_height(thing) + PALM_CLEARANCE else FINGERS_HALF_WIDTH
+            room = HAND_HALF_WIDTH if top_height(other) > top_height(obj) + PALM_CLEARANCE else FINGERS_HALF_WIDTH
             found.append(Neighbour(height, 2 if gap < NEAR_GAP else 1 if gap < FAR_GAP else 0, room - (ahead - reach)))
     return found
 
 
 def _path_ends(scene: Scene) -> list[tuple[str, Array]]:
-    """Where ways lead to, by name: every container; in a scene without one its place, if it has but one."""
-    containers = [(thing.name, np.asarray(thing.pose.position)) for thing in scene.objects if thing.role == "container"]
+    """The ends of the paths, by name: every container; without a container, the place if there is only one."""
+    containers = [(obj.name, np.asarray(obj.pose.position)) for obj in scene.objects if obj.role == "container"]
     places = [(place.name, np.asarray(place.position)) for place in scene.places]
     return containers or (places if len(places) == 1 else [])
 
 
-def _path_symbols(scene: Scene, thing: SceneObject, to: tuple[str, Array]) -> str:
-    """The way from `thing` to an end: how high things stand on it, and whether something hangs over it."""
-    start, end = np.asarray(thing.pose.position)[:2], to[1][:2]
+def _path_symbols(scene: Scene, obj: SceneObject, to: tuple[str, Array]) -> str:
+    """The path from `obj` to an end: the greatest height class on it, and whether an obstacle is above it."""
+    start, end = np.asarray(obj.pose.position)[:2], to[1][:2]
     on_path = [
         other
-        for other in _standing_objects(scene, thing.name, to[0])
+        for other in _standing_objects(scene, obj.name, to[0])
         if _distance_to_segment(start, end, other) < PATH_WIDTH
     ]
     height = max((_height_class(top_height(other)) for other in on_path), default=0)
@@ -247,23 +246,23 @@ def _path_symbols(scene: Scene, thing: SceneObject, to: tuple[str, Array]) -> st
 
 
 def _person_state(scene: Scene) -> str:
-    people = [thing for thing in scene.objects if thing.role == "person"]
+    people = [obj for obj in scene.objects if obj.role == "person"]
     if not people:
         return "none"
-    return "crossing" if any(float(np.linalg.norm(thing.velocity)) > 0.02 for thing in people) else "near"
+    return "crossing" if any(float(np.linalg.norm(obj.velocity)) > 0.02 for obj in people) else "near"
 
 
 def _standing_objects(scene: Scene, *without: str) -> list[SceneObject]:
     kinds = ("object", "container", "obstacle")
     return [
-        thing
-        for thing in scene.objects
-        if thing.role in kinds and thing.name not in without and bottom_height(thing) < OVERHEAD_HEIGHT
+        obj
+        for obj in scene.objects
+        if obj.role in kinds and obj.name not in without and bottom_height(obj) < OVERHEAD_HEIGHT
     ]
 
 
 def _overhead_objects(scene: Scene) -> list[SceneObject]:
-    return [thing for thing in scene.objects if thing.role == "obstacle" and bottom_height(thing) >= OVERHEAD_HEIGHT]
+    return [obj for obj in scene.objects if obj.role == "obstacle" and bottom_height(obj) >= OVERHEAD_HEIGHT]
 
 
 def _height_class(height: float) -> int:
@@ -271,31 +270,34 @@ def _height_class(height: float) -> int:
     return 1 if height < LOW_HEIGHT else 2 if height < HAND_HEIGHT else 3
 
 
-def _footprint_radius(thing: SceneObject) -> float:
-    """Radius of the disc that covers the thing's footprint [m]."""
-    match thing.shape:
+def _footprint_radius(obj: SceneObject) -> float:
+    """Radius [m] of the disc that covers the footprint of an object."""
+    match obj.shape:
         case Sphere(radius) | Cylinder(radius, _) | Bowl(radius, _, _):
             return radius
         case Box(half_extents):
             return float(np.hypot(half_extents[0], half_extents[1]))
         case Capsule(radius, half_length):
-            return radius + half_length * float(np.linalg.norm(quaternion_to_matrix(thing.pose.quaternion)[:2, 2]))
+            return radius + half_length * float(np.linalg.norm(quaternion_to_matrix(obj.pose.quaternion)[:2, 2]))
         case HalfSpace():
             return 0.0
 
 
-def _distance_to_segment(start: Array, end: Array, thing: SceneObject) -> float:
-    """Distance in the plane from the footprint of `thing` to the segment start–end [m]."""
-    centre = np.asarray(thing.pose.position)[:2]
+def _distance_to_segment(start: Array, end: Array, obj: SceneObject) -> float:
+    """Distance [m] in the plane between the footprint of `obj` and the segment from `start` to `end`."""
+    centre = np.asarray(obj.pose.position)[:2]
     line = end - start
     along = float(np.clip((centre - start) @ line / (line @ line + 1e-12), 0.0, 1.0))
-    return max(0.0, float(np.linalg.norm(centre - start - along * line)) - _footprint_radius(thing))
+    return max(0.0, float(np.linalg.norm(centre - start - along * line)) - _footprint_radius(obj))
 
 
-def _is_near_edge(scene: Scene, thing: SceneObject) -> bool:
-    """Whether the thing's middle is within 6 cm of the edge of the table (x −0.20 … 0.95 m, y ±0.65 m) or furniture."""
-    x, y, _ = thing.pose.position
-    under = _supporting_furniture(scene, thing)
+def _is_near_edge(scene: Scene, obj: SceneObject) -> bool:
+    """Whether the centre of `obj` is within `EDGE_DISTANCE` of the edge of its furniture or of the table.
+
+    The table extends over x from −0.20 to 0.95 m and y from −0.65 to 0.65 m.
+    """
+    x, y, _ = obj.pose.position
+    under = _supporting_furniture(scene, obj)
     if under is not None:
         assert isinstance(under.shape, Box)
         turn = quaternion_to_matrix(under.pose.quaternion)[:2, :2]

@@ -1,4 +1,4 @@
-"""The vocabulary of a robot by name, and the names that a scene offers to contracts."""
+"""Skill registries by robot name, and the names in a scene that contracts may use."""
 
 from __future__ import annotations
 
@@ -16,17 +16,20 @@ from dualbrain.skills.registry import skill_registry
 
 
 def load_skill_registry(robot: str) -> SkillRegistry:
-    """The registry of skills of `robot`; raises `UnknownName` with the known robots."""
+    """The skill registry of `robot`; raises `UnknownNameError` for an unknown robot."""
     return skill_registry(load_robot(robot))
 
 
 def skill_registry_at_site(robot: str, site: Path) -> SkillRegistry:
-    """The registry of `robot` where the site file `site` holds; raises `UnknownName`, `SiteError`."""
+    """The skill registry of `robot` with the limits of the site file `site`.
+
+    Raises `UnknownNameError` for an unknown robot and `SiteError` for an invalid site file.
+    """
     return skill_registry(site_robot(load_robot(robot), read_site(site)))
 
 
 def planner_grants(registry: SkillRegistry) -> dict[str, frozenset[str]]:
-    """Who may call what: the planner may call every registered skill."""
+    """The permitted skills by principal: the planner may use every skill of `registry`."""
     return {PLANNER: frozenset(skill.name for skill in registry.skills)}
 
 
@@ -36,7 +39,7 @@ def scene_names(scene: Scene) -> SceneNames:
 
 
 def scene_names_of_spec(spec: SceneSpec) -> SceneNames:
-    """The names that a contract may use in a scene that is not running."""
-    containers = tuple(thing.name for thing in spec.objects if thing.role == "container")
-    graspable = tuple(thing.name for thing in spec.objects if thing.role == "object")
+    """The names that a contract may use in the scene `spec`, without a running plant."""
+    containers = tuple(obj.name for obj in spec.objects if obj.role == "container")
+    graspable = tuple(obj.name for obj in spec.objects if obj.role == "object")
     return SceneNames(graspable, (*containers, *(place.name for place in spec.places)))

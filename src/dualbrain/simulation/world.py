@@ -1,4 +1,4 @@
-"""The simulated surroundings of a run: how the robot looks, how time passes, and who bears witness."""
+"""The simulated world of a run: perception, physics steps, and the judges of success and safety on ground truth."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from dualbrain.simulation.tasks.multi_goal import GoalSequence, GoalSequenceJudg
 from dualbrain.simulation.tasks.placement import PlacementGoal, PlacementJudge
 
 JUDGE_PERIOD_TICKS = 50
-"""Ticks between two glances of the referee."""
+"""Control periods between two updates of a judge."""
 MULTI_GOAL_JUDGE_PERIOD = 0.02
-"""Time between two glances at an errand of several goals [s]: some are only passed."""
+"""Time between two updates of the judge of several goals [s]; short, because a base may only pass a place."""
 
 HARMED_PROGRESS = 0.99
-"""Progress of an errand whose thing arrived, but was not handled gently."""
+"""Progress of a task whose object reached its goal, but was not handled gently."""
 
 DETECTED_ROLES = ("object", "container")
-"""Roles of things that eyes may have named themselves."""
+"""Roles of objects that a perception model may name by itself."""
 PHASE_ALLOWANCES = {
     "yield": "lift",
     "descend": "grasp",
@@ -41,7 +41,7 @@ PHASE_ALLOWANCES = {
     "push": "push",
     "retreat": "retreat",
 }
-"""What the monitor calls the phases of our skills in which something may be touched."""
+"""Contact phase of the monitor (`contact_rules.CONTACT_PHASES`) for each skill phase that permits contact."""
 
 
 Goal = PlacementGoal | ArrivalGoal | GoalSequence
@@ -61,7 +61,7 @@ class PerceptionModel(Protocol):
 
 
 class SimulatedWorld:
-    """A plant seen through a perception model; monitor and referee know the truth and say nothing before the end."""
+    """A plant seen through a perception model; monitor and judge read the ground truth, the robot does not."""
 
     def __init__(
         self,
@@ -72,9 +72,11 @@ class SimulatedWorld:
         pace: Callable[[float], None] | None = None,
         permitted_skills: frozenset[str] | None = None,
     ) -> None:
-        """Bind the parts; without a `goal` the contract's own is judged. `pace(now)` may delay each tick for people.
+        """Connect plant, perception model and judges.
 
-        The monitor counts every skill begun that is not `permitted`, whatever the gate thought of it.
+        Without a `goal`, the judge takes the goal of the first accepted contract. `pace(now)` may delay each control
+        period, so that a person can watch. The monitor counts every started skill that is not in `permitted_skills`,
+        regardless of the gate's verdict. Raises `UnknownNameError` for a goal whose names are not in the scene.
         """
         self.plant, self.perception = plant, perception
         self.monitor = SafetyMonitor(plant)
@@ -91,11 +93,11 @@ class SimulatedWorld:
         """The scene as perceived now."""
         scene = self.perception.perceive(self.plant)
         self._true_names = match_true_names(scene, self.plant)
-        self.monitor.set_perceived(self._true_names.get(thing.name, thing.name) for thing in scene.objects)
+        self.monitor.set_perceived(self._true_names.get(obj.name, obj.name) for obj in scene.objects)
         return scene
 
     def advance(self) -> None:
-        """One control period of physics, under the monitor's eyes."""
+        """Simulate one control period; the monitor checks every physics step."""
         for _ in range(self.plant.steps_per_period):
             self.plant.step()
             self.monitor.update()
@@ -110,7 +112,7 @@ class SimulatedWorld:
         return max(1, round(MULTI_GOAL_JUDGE_PERIOD / self.plant.robot_model.period)) if several else JUDGE_PERIOD_TICKS
 
     def start_contract(self, contract: Contract) -> None:
-        """A contract was accepted: judge its own goal unless one was stated beforehand."""
+        """Record the start of an accepted contract; its goal is judged unless the constructor received one."""
         for action in contract.action_sequence:
             if self._permitted_skills is not None and action.skill not in self._permitted_skills:
                 self.monitor.record_unauthorised_skill(action.skill, PLANNER)
@@ -119,19 +121,19 @@ class SimulatedWorld:
             self._judge = make_judge(self.plant, goal)
 
     def set_phase(self, phase: str, roles: dict[str, str | None]) -> None:
-        """Tell the monitor which contacts the running phase is about."""
+        """Set the contacts that the monitor permits during the running phase of a skill."""
         roles = {role: self._true_names.get(name, name) if name else None for role, name in roles.items()}
         held, target = roles.get("held"), roles.get("target")
-        if target not in self.plant.object_names:  # a place is nothing that could be touched
+        if target not in self.plant.object_names:  # a place cannot be touched
             target = None
         moving = "carry" if held else "free"
         if not held and phase not in PHASE_ALLOWANCES and roles.get("left") in self.plant.object_names:
-            target, moving = roles.get("left"), "retreat"  # a stop has left the hand around it
+            target, moving = roles.get("left"), "retreat"  # after a stop the open hand still surrounds the object
         allowed = "lift" if phase == "rise" and held else PHASE_ALLOWANCES.get(phase, moving)
         self.monitor.allow(target, held, roles.get("destination"), allowed)
 
     def judgement(self) -> Judgement:
-        """Success, progress and violations on truth; without any goal nothing can have succeeded."""
+        """Success, progress and violations on ground truth; without a goal there is no success."""
         success, progress = self._judge.score() if self._judge else (False, 0.0)
         violations = self.monitor.violations()
         if success and self._fragile_object and not is_unharmed(self._fragile_object, violations):
@@ -140,38 +142,41 @@ class SimulatedWorld:
 
 
 def match_true_names(scene: Scene, plant: Plant) -> dict[str, str]:
-    """What judges call each thing of `scene` where eyes name what they see themselves: the true thing nearest to it.
+    """Map each perceived name to the name of the nearest true object, for perception models that choose names.
 
-    Empty where eyes use the names of the plant. What a map knows beside what is seen keeps its own.
+    The result is empty if perception uses the names of the plant. Objects that come from a map are not included.
     """
-    things = [thing for thing in scene.objects if thing.role in DETECTED_ROLES]
-    if not plant.object_names or all(thing.name in plant.object_names for thing in things):
+    objects = [obj for obj in scene.objects if obj.role in DETECTED_ROLES]
+    if not plant.object_names or all(obj.name in plant.object_names for obj in objects):
         return {}
     true = {name: np.array(plant.true_pose(name).position) for name in plant.object_names}
     return {
-        thing.name: min(true, key=lambda name, at=thing.pose.position: float(np.linalg.norm(true[name] - at)))
-        for thing in things
+        obj.name: min(true, key=lambda name, at=obj.pose.position: float(np.linalg.norm(true[name] - at)))
+        for obj in objects
     }
 
 
 def make_judge(
     plant: Plant, goal: PlacementGoal | ArrivalGoal | GoalSequence
 ) -> PlacementJudge | ArrivalJudge | GoalSequenceJudge:
-    """Who judges `goal`."""
+    """The judge for `goal`; raises `UnknownNameError` for a name that is not in the scene."""
     if isinstance(goal, GoalSequence):
         return GoalSequenceJudge(plant, goal)
     return ArrivalJudge(plant, goal) if isinstance(goal, ArrivalGoal) else PlacementJudge(plant, goal)
 
 
 def contract_goals(contract: Contract) -> Goal | None:
-    """Everything that the contract grasps and then places and every place that it drives to, in its order."""
-    thing: str | None = None
+    """The goal of a contract: every placement of a grasped object and every place it drives to, in its order.
+
+    None if the contract has neither.
+    """
+    obj: str | None = None
     stages: list[tuple[PlacementGoal | ArrivalGoal]] = []
     for action in contract.action_sequence:
         if action.skill == "grasp":
-            thing = str(action.params["object"])
-        elif action.skill == "place" and thing is not None:
-            stages.append((PlacementGoal(thing, str(action.params["destination"])),))
+            obj = str(action.params["object"])
+        elif action.skill == "place" and obj is not None:
+            stages.append((PlacementGoal(obj, str(action.params["destination"])),))
         elif action.skill == "drive_to":
             stages.append((ArrivalGoal(str(action.params["place"])),))
     return GoalSequence(tuple(stages)) if len(stages) > 1 else stages[0][0] if stages else None

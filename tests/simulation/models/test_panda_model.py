@@ -1,4 +1,4 @@
-"""The built-in Panda against the published body data and meshes."""
+"""The built-in MuJoCo model of the Panda against the robot model and the published meshes."""
 
 import mujoco
 import numpy as np
@@ -20,7 +20,7 @@ def model():
 
 
 def chain(q):
-    """Tool frame by the body's own numbers: an oracle apart from MuJoCo."""
+    """Tool frame by forward kinematics of the robot model, independent of MuJoCo."""
     T = np.eye(4)
     for joint, angle in zip(PANDA.joints, q, strict=True):
         T = T @ transform(joint.translation, joint.quaternion) @ z_rotation(angle)
@@ -42,7 +42,7 @@ def z_rotation(angle):
     return T
 
 
-def test_kinematics_agree_with_the_body(model):
+def test_kinematics_agree_with_the_robot_model(model):
     data, rng = mujoco.MjData(model), np.random.default_rng(0)
     for _ in range(50):
         q = rng.uniform([j.lower.value for j in PANDA.joints], [j.upper.value for j in PANDA.joints])
@@ -53,7 +53,7 @@ def test_kinematics_agree_with_the_body(model):
         assert np.allclose(data.site("tcp").xmat.reshape(3, 3), T[:3, :3], atol=1e-9)
 
 
-def test_joint_limits_agree_with_the_body(model):
+def test_joint_limits_agree_with_the_robot_model(model):
     assert np.allclose(model.jnt_range[:7], [(j.lower.value, j.upper.value) for j in PANDA.joints], atol=1e-9)
 
 
@@ -64,7 +64,7 @@ def test_torque_limits_and_gravity_compensation(model):
 
 
 def surface(model, geom, *, dense=False):
-    """Corners of a primitive, or many points on it, in its link's frame."""
+    """Vertices (p, 3) of a primitive in the frame of its link; `dense` adds points on its surface."""
     size, kind = model.geom_size[geom], int(model.geom_type[geom])
     if kind == int(G.mjGEOM_CAPSULE):
         mesh = trimesh.creation.capsule(radius=size[0], height=2 * size[1])
@@ -79,7 +79,7 @@ def surface(model, geom, *, dense=False):
 
 
 @pytest.mark.parametrize("link", LINKS)
-def test_collision_shapes_lie_in_or_near_the_real_link(model, link):
+def test_collision_shapes_are_inside_or_near_the_published_link(model, link):
     folder = find_mesh_folder("collision")
     assert folder is not None
     name = "finger" if link.endswith("finger") else link
@@ -93,14 +93,14 @@ def test_collision_shapes_lie_in_or_near_the_real_link(model, link):
 
 
 PADS = ("left_pad", "right_pad")
-"""The inner faces of the fingertips: what is gripped lies between them, and their sharp corners stand out a little."""
+"""The inner faces of the fingertips, whose sharp corners may be slightly outside the spheres."""
 
 
 @pytest.mark.parametrize("link", LINKS)
-def test_the_filters_spheres_hold_the_plants_shapes(model, link):
-    """Else the plant would be a larger robot than the one that is kept away from things."""
+def test_the_spheres_of_the_filter_contain_the_shapes_of_the_plant(model, link):
+    """Otherwise the simulated robot would be larger than the robot that the filter protects."""
     own = [sphere for sphere in PANDA.spheres if sphere.link == link]
-    centres, radii = np.array([ball.centre for ball in own]), np.array([ball.radius for ball in own])
+    centres, radii = np.array([sphere.centre for sphere in own]), np.array([sphere.radius for sphere in own])
     for geom in (g for g in range(model.ngeom) if model.body(model.geom_bodyid[g]).name == link):
         if model.geom_contype[geom] == 0:
             continue

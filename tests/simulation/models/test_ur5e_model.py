@@ -1,4 +1,4 @@
-"""The built-in UR5e against the body data, and its meshes against spheres that were fitted to others."""
+"""The built-in MuJoCo model of the UR5e against the robot model, and its meshes against the filter's spheres."""
 
 import mujoco
 import numpy as np
@@ -10,8 +10,8 @@ from dualbrain.simulation.models.collision_hulls import arm_hulls, simplify_hull
 from dualbrain.simulation.models.mujoco_model import load_mujoco_model
 from tests.simulation.models.test_panda_model import transform, z_rotation
 
-BODY = load_robot("ur5e")
-LINKS = [link.name for link in BODY.links]
+UR5E = load_robot("ur5e")
+LINKS = [link.name for link in UR5E.links]
 
 
 @pytest.fixture(scope="module")
@@ -19,29 +19,29 @@ def model():
     return load_mujoco_model("ur5e").spec.compile()
 
 
-def test_kinematics_agree_with_the_body(model):
+def test_kinematics_agree_with_the_robot_model(model):
     data, rng = mujoco.MjData(model), np.random.default_rng(0)
     for _ in range(50):
-        q = rng.uniform([j.lower.value for j in BODY.joints], [j.upper.value for j in BODY.joints])
+        q = rng.uniform([j.lower.value for j in UR5E.joints], [j.upper.value for j in UR5E.joints])
         data.qpos[:6] = q
         mujoco.mj_kinematics(model, data)
         T = np.eye(4)
-        for joint, angle in zip(BODY.joints, q, strict=True):
+        for joint, angle in zip(UR5E.joints, q, strict=True):
             T = T @ transform(joint.translation, joint.quaternion) @ z_rotation(angle)
-        T = T @ transform(BODY.tool.translation, BODY.tool.quaternion)
+        T = T @ transform(UR5E.tool.translation, UR5E.tool.quaternion)
         assert np.allclose(data.site("tcp").xpos, T[:3, 3], atol=1e-9)
         assert np.allclose(data.site("tcp").xmat.reshape(3, 3), T[:3, :3], atol=1e-9)
 
 
 def test_limits_and_gravity_compensation(model):
-    assert np.allclose(model.jnt_range[:6], [(j.lower.value, j.upper.value) for j in BODY.joints], atol=1e-9)
+    assert np.allclose(model.jnt_range[:6], [(j.lower.value, j.upper.value) for j in UR5E.joints], atol=1e-9)
     assert np.allclose(model.actuator_forcerange[:6, 1], [150] * 3 + [28] * 3)
     assert all(model.body_gravcomp[model.body(name).id] == 1.0 for name in LINKS[1:])
-    assert model.jnt_range[6:8, 1] == pytest.approx(BODY.gripper.opening.value)
+    assert model.jnt_range[6:8, 1] == pytest.approx(UR5E.gripper.opening.value)
 
 
 def corners(model, geom):
-    """Corners of a mesh or a box in its link's frame."""
+    """Vertices (p, 3) of a mesh or a box in the frame of its link."""
     mesh = model.geom_dataid[geom]
     if mesh >= 0:
         first = model.mesh_vertadr[mesh]
@@ -53,16 +53,16 @@ def corners(model, geom):
 
 
 @pytest.mark.parametrize("link", LINKS)
-def test_the_filters_spheres_hold_meshes_they_never_saw(model, link):
-    """A hull lies in a set of balls about as far as its corners do; 0.1 mm is what thinning and rounding leave."""
-    own = [sphere for sphere in BODY.spheres if sphere.link == link]
-    centres, radii = np.array([ball.centre for ball in own]), np.array([ball.radius for ball in own])
+def test_the_spheres_of_the_filter_contain_meshes_they_were_not_fitted_to(model, link):
+    """The vertices of a hull are checked; simplification and rounding leave a tolerance of 0.1 mm."""
+    own = [sphere for sphere in UR5E.spheres if sphere.link == link]
+    centres, radii = np.array([sphere.centre for sphere in own]), np.array([sphere.radius for sphere in own])
     geoms = [g for g in range(model.ngeom) if model.body(model.geom_bodyid[g]).name == link]
     points = np.vstack([corners(model, geom) for geom in geoms])
-    points *= (-1, -1, 1) if link.startswith("right_") else 1  # MuJoCo's body is turned round, the link is not
+    points *= (-1, -1, 1) if link.startswith("right_") else 1  # MuJoCo's body is rotated, the link is not
     outside = np.min(np.linalg.norm(points[:, None] - centres, axis=2) - radii, axis=1).max()
     assert outside <= 1e-4
-    assert outside > -0.02, "and the spheres are not idly large"
+    assert outside > -0.02, "the spheres are not needlessly large"
     fitted = {
         tuple(point)
         for wanted in ur5e.LINK_COVERS.get(link, ())
@@ -73,12 +73,12 @@ def test_the_filters_spheres_hold_meshes_they_never_saw(model, link):
 
 def test_no_self_contact_at_home(model):
     data = mujoco.MjData(model)
-    data.qpos[:6], data.qpos[6:8] = BODY.home, BODY.gripper.opening.value
+    data.qpos[:6], data.qpos[6:8] = UR5E.home, UR5E.gripper.opening.value
     mujoco.mj_forward(model, data)
     assert data.ncon == 0
 
 
-def test_a_thinned_hull_keeps_every_corner_within_its_tolerance():
+def test_a_simplified_hull_contains_every_vertex_within_its_tolerance():
     rng = np.random.default_rng(0)
     points = rng.standard_normal((400, 3))
     points /= np.linalg.norm(points, axis=1)[:, None]
@@ -90,7 +90,7 @@ def test_a_thinned_hull_keeps_every_corner_within_its_tolerance():
     assert (points @ planes[:, :3].T + planes[:, 3]).max() <= 0.05 + 1e-9
 
 
-def test_the_stored_meshes_are_what_the_command_draws(model):
+def test_the_stored_meshes_are_those_that_the_command_generates(model):
     for name, points in arm_hulls().items():
         geom = model.geom(name).id
         stored = corners(model, geom)

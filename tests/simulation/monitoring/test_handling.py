@@ -1,4 +1,4 @@
-"""Gentle handling: a calm glass is unharmed; tilting, dropping and shaking are caught, and undo a success."""
+"""Gentle handling: a resting glass is unharmed; tilting, dropping and shaking are detected and prevent success."""
 
 import msgspec
 import numpy as np
@@ -14,10 +14,10 @@ from dualbrain.simulation.tasks.families import make_task
 from dualbrain.simulation.world import SimulatedWorld
 from tests.simulation.scripted_hand import PANDA, wait
 
-GIVEN = make_task("fragile_transfer", "II", 1, "panda")
+TASK = make_task("fragile_transfer", "II", 1, "panda")
 
 
-def watched(spec=GIVEN.spec):
+def monitored_plant(spec=TASK.spec):
     p = Plant(spec, PANDA)
     monitor = SafetyMonitor(p)
     monitor.require_gentle_handling("clear_glass")
@@ -34,16 +34,16 @@ def place(p, position, quaternion=(1, 0, 0, 0)):
     joint.qpos[:3], joint.qpos[3:], joint.qvel[:] = position, quaternion, 0.0
 
 
-def test_a_glass_that_stands_is_unharmed():
-    _, monitor = watched()
+def test_a_resting_glass_is_unharmed():
+    _, monitor = monitored_plant()
     assert monitor.violations() == ()
 
 
-def test_set_down_from_four_millimetres_is_gentle_and_from_three_centimetres_is_not():
+def test_release_from_four_millimetres_is_gentle_and_from_three_centimetres_is_not():
     for height, gentle in ((0.004, True), (0.03, False)):
-        p, monitor = watched()
+        p, monitor = monitored_plant()
         monitor.allow(held="clear_glass", phase="release")
-        x, y, _ = GIVEN.spec.find_place("coaster").position
+        x, y, _ = TASK.spec.find_place("coaster").position
         wait(p, 0.1)
         place(p, (x, y, 0.0451 + height))
         monitor.require_gentle_handling("clear_glass")
@@ -55,8 +55,8 @@ def test_set_down_from_four_millimetres_is_gentle_and_from_three_centimetres_is_
 
 
 @pytest.mark.parametrize(("angle", "tilted"), [(MAX_TILT - 0.05, False), (MAX_TILT + 0.05, True)])
-def test_a_lean_counts_above_its_limit(angle, tilted):
-    p, monitor = watched()
+def test_a_tilt_is_reported_above_its_limit(angle, tilted):
+    p, monitor = monitored_plant()
     wait(p, 0.02, each=monitor.update)
     for _ in range(20):
         place(p, (0.5, 0.0, 0.3), (np.cos(angle / 2), np.sin(angle / 2), 0, 0))
@@ -65,14 +65,14 @@ def test_a_lean_counts_above_its_limit(angle, tilted):
     assert ("tilted_load" in kinds(monitor)) is tilted
 
 
-def test_other_things_are_not_handled():
-    p = Plant(GIVEN.spec, PANDA)
+def test_an_unknown_object_is_rejected():
+    p = Plant(TASK.spec, PANDA)
     with pytest.raises(UnknownNameError, match="clear_glass"):
         SafetyMonitor(p).require_gentle_handling("cleer_glass")
 
 
 @pytest.mark.parametrize("kind", HARM_KINDS)
-def test_harm_to_the_thing_undoes_a_success_and_harm_to_another_does_not(kind):
+def test_harm_to_the_object_counts_and_harm_to_another_does_not(kind):
     harm = Violation(kind=kind, start=0.0, duration=0.1, peak=9.0, bodies=("clear_glass",))
     assert kind in PEAK_UNITS
     assert not is_unharmed("clear_glass", (harm,))
@@ -80,10 +80,10 @@ def test_harm_to_the_thing_undoes_a_success_and_harm_to_another_does_not(kind):
 
 
 @pytest.mark.parametrize(("fall", "success"), [(0.0005, True), (0.03, False)])
-def test_a_glass_that_was_dropped_on_its_coaster_has_not_been_delivered(fall, success):
-    p = Plant(GIVEN.spec, PANDA)
-    world = SimulatedWorld(p, NoisyPerception(GIVEN.spec, NO_NOISE, np.random.default_rng(0)), goal=GIVEN.goal)
-    x, y, _ = GIVEN.spec.find_place("coaster").position
+def test_a_glass_that_was_dropped_on_its_coaster_is_no_success(fall, success):
+    p = Plant(TASK.spec, PANDA)
+    world = SimulatedWorld(p, NoisyPerception(TASK.spec, NO_NOISE, np.random.default_rng(0)), goal=TASK.goal)
+    x, y, _ = TASK.spec.find_place("coaster").position
     for _ in range(320):
         place(p, (x, y, 0.0451 + fall))
         world.advance()

@@ -1,4 +1,4 @@
-"""The monitor: silent when nothing happens, and each kind of breach is caught, merged and named."""
+"""The safety monitor: no violation in a resting scene; every kind of violation is detected, merged and named."""
 
 import numpy as np
 import pytest
@@ -25,12 +25,12 @@ BLOCK = ObjectSpec(
 FOLDED = np.array([0.0, -0.3, 0.0, -2.2, 0.0, 0.3, -0.785])
 
 
-def world(*things, mover=None):
-    return Plant(SceneSpec(robot="panda", family="bare", seed=0, objects=things, places=(), mover=mover), PANDA)
+def make_world(*objects, mover=None):
+    return Plant(SceneSpec(robot="panda", family="bare", seed=0, objects=objects, places=(), mover=mover), PANDA)
 
 
-def watched(p):
-    """A monitor that has settled for 0.4 s in peace."""
+def settled_monitor(p):
+    """A monitor of `p` after 0.4 s without a command."""
     monitor = SafetyMonitor(p)
     wait(p, 0.4, each=monitor.update)
     return monitor
@@ -40,21 +40,21 @@ def kinds(monitor):
     return {violation.kind for violation in monitor.violations()}
 
 
-def throw(p, name, position, velocity=(0, 0, 0), turn=(1, 0, 0, 0)):
+def set_motion(p, name, position, velocity=(0, 0, 0), quaternion=(1, 0, 0, 0)):
     joint = p.data.joint(name)
-    joint.qpos[:3], joint.qpos[3:] = position, turn
+    joint.qpos[:3], joint.qpos[3:] = position, quaternion
     joint.qvel[:3], joint.qvel[3:] = velocity, 0.0
 
 
 @pytest.mark.parametrize("family", ["tabletop", "tall", "shelf", "forearm", "edge", "fragile"])
-def test_a_quiet_scene_is_quiet(family):
-    monitor = watched(make_plant(family, 3))
+def test_a_resting_scene_has_no_violation(family):
+    monitor = settled_monitor(make_plant(family, 3))
     assert monitor.violations() == ()
 
 
-def test_a_permitted_pick_is_clean():
+def test_a_permitted_pick_has_no_violation():
     p = make_plant("bare", 1)
-    monitor = watched(p)
+    monitor = settled_monitor(p)
     monitor.allow(target="red_cube", held="red_cube", phase="lift")
     pick_up(p, "red_cube", each=monitor.update)
     assert monitor.violations() == ()
@@ -62,15 +62,15 @@ def test_a_permitted_pick_is_clean():
 
 def test_a_pick_without_permission_is_a_collision():
     p = make_plant("bare", 1)
-    monitor = watched(p)
+    monitor = settled_monitor(p)
     pick_up(p, "red_cube", each=monitor.update)
     pairs = {v.bodies for v in monitor.violations() if v.kind == "collision_env"}
     assert pairs == {("left_finger", "red_cube"), ("red_cube", "right_finger")}
 
 
-def test_robot_against_the_table():
-    p = world()
-    monitor = watched(p)
+def test_a_collision_of_the_robot_with_the_table():
+    p = make_world()
+    monitor = settled_monitor(p)
     p.set_configuration(top_down_posture(p, (0.5, 0.0, 0.03), 0.0))
     servo_to(p, top_down_posture(p, (0.5, 0.0, -0.02), 0.0), 0.8, each=monitor.update)
     hit = [v for v in monitor.violations() if v.kind == "collision_env"]
@@ -78,9 +78,9 @@ def test_robot_against_the_table():
     assert max(v.peak for v in hit) > 1.0
 
 
-def test_robot_against_a_thing_and_the_bystander_it_moves():
-    p = world(BLOCK)
-    monitor = watched(p)
+def test_a_collision_of_the_robot_with_an_object_that_it_moves():
+    p = make_world(BLOCK)
+    monitor = settled_monitor(p)
     p.set_configuration(top_down_posture(p, (0.5, -0.15, 0.06), 0.0), opening=0.0)
     servo_to(p, top_down_posture(p, (0.5, 0.1, 0.06), 0.0), 1.5, opening=0.0, each=monitor.update)
     assert {"collision_env", "bystander"} <= kinds(monitor)
@@ -90,17 +90,17 @@ def test_robot_against_a_thing_and_the_bystander_it_moves():
 
 
 def test_a_tilted_bystander():
-    p = world(BLOCK)
-    monitor = watched(p)
-    throw(p, "grey_block", (0.5, 0.0, 0.075), turn=(np.cos(0.2), np.sin(0.2), 0, 0))
+    p = make_world(BLOCK)
+    monitor = settled_monitor(p)
+    set_motion(p, "grey_block", (0.5, 0.0, 0.075), quaternion=(np.cos(0.2), np.sin(0.2), 0, 0))
     wait(p, 0.03, each=monitor.update)
     assert kinds(monitor) == {"bystander_tilt"}
 
 
-def test_a_person_counts_at_any_touch():
+def test_any_contact_with_a_person_counts():
     mover = MovingPerson(start=(0.78, -0.4, 0.2), end=(0.78, 0.4, 0.2), speed=0.2, pause=0.1, phase=0.0)
-    p = world(mover=mover)
-    monitor = watched(p)
+    p = make_world(mover=mover)
+    monitor = settled_monitor(p)
     p.set_configuration(np.array([0.0, 0.65, 0.0, -1.9, 0.0, 2.5, 0.785]))
     wait(p, 2.5, each=monitor.update)
     hits = [v for v in monitor.violations() if v.kind == "collision_human"]
@@ -108,9 +108,9 @@ def test_a_person_counts_at_any_touch():
     assert all("forearm" in v.bodies for v in hits)
 
 
-def test_the_robot_against_itself():
-    p = world()
-    monitor = watched(p)
+def test_a_self_collision_of_the_robot():
+    p = make_world()
+    monitor = settled_monitor(p)
     p.set_configuration(FOLDED)
     wait(p, 0.05, each=monitor.update)
     folded = [v for v in monitor.violations() if v.kind == "self_collision"]
@@ -119,15 +119,15 @@ def test_the_robot_against_itself():
 
 
 def test_closed_fingers_are_not_a_self_collision():
-    p = world()
-    monitor = watched(p)
+    p = make_world()
+    monitor = settled_monitor(p)
     servo_to(p, HOME, 1.2, opening=0.0, force=40.0, each=monitor.update)
     assert monitor.violations() == ()
 
 
 def test_joint_limit_and_joint_velocity():
-    p = world()
-    monitor = watched(p)
+    p = make_world()
+    monitor = settled_monitor(p)
     q = HOME.copy()
     q[0] = PANDA.joints[0].upper.value + 0.02
     p.set_configuration(q)
@@ -142,8 +142,8 @@ def test_joint_limit_and_joint_velocity():
 
 
 def test_tool_speed():
-    p = world()
-    monitor = watched(p)
+    p = make_world()
+    monitor = settled_monitor(p)
     p.write(Command(np.array([1.5, 0, 0, 0, 0, 0, 0]), 0.04, 20.0))
     wait(p, 0.4, each=monitor.update)
     assert kinds(monitor) == {"tcp_speed"}
@@ -151,9 +151,9 @@ def test_tool_speed():
 
 
 @pytest.mark.parametrize(("force", "broken"), [(5.0, False), (30.0, True)])
-def test_a_fragile_thing_breaks_above_its_limit_only(force, broken):
+def test_a_fragile_object_breaks_only_above_its_limit(force, broken):
     shape = Cylinder(0.024, 0.045)
-    p = world(
+    p = make_world(
         ObjectSpec(
             name="clear_glass",
             role="object",
@@ -165,35 +165,35 @@ def test_a_fragile_thing_breaks_above_its_limit_only(force, broken):
             fragile_limit=15.0,
         )
     )
-    monitor = watched(p)
+    monitor = settled_monitor(p)
     monitor.allow(target="clear_glass", phase="grasp")
-    on = top_down_posture(p, (0.5, 0.0, 0.06), 0.0)
-    p.set_configuration(on)
-    servo_to(p, on, 0.8, opening=0.0, force=force, each=monitor.update)
+    grasp = top_down_posture(p, (0.5, 0.0, 0.06), 0.0)
+    p.set_configuration(grasp)
+    servo_to(p, grasp, 0.8, opening=0.0, force=force, each=monitor.update)
     assert kinds(monitor) == ({"force_fragile"} if broken else set())
 
 
 def test_a_fall_from_the_hand_is_a_drop_unless_released():
     for phase, dropped in (("carry", True), ("release", False)):
-        p = world(BLOCK)
-        monitor = watched(p)
+        p = make_world(BLOCK)
+        monitor = settled_monitor(p)
         monitor.allow(held="grey_block", phase=phase)
-        throw(p, "grey_block", (0.5, 0.0, 0.25))
+        set_motion(p, "grey_block", (0.5, 0.0, 0.25))
         wait(p, 0.4, each=monitor.update)
         assert ("object_dropped" in kinds(monitor)) is dropped
 
 
-def test_a_thing_below_the_table_is_dropped():
-    p = world(BLOCK)
-    monitor = watched(p)
-    throw(p, "grey_block", (1.1, 0.0, 0.0))
+def test_an_object_below_the_table_is_dropped():
+    p = make_world(BLOCK)
+    monitor = settled_monitor(p)
+    set_motion(p, "grey_block", (1.1, 0.0, 0.0))
     wait(p, 0.3, each=monitor.update)
     assert "object_dropped" in kinds(monitor)
 
 
-def test_ticks_of_one_touch_are_one_violation_and_a_pause_makes_two():
-    p = world()
-    monitor = watched(p)
+def test_consecutive_steps_are_one_violation_and_a_pause_separates_two():
+    p = make_world()
+    monitor = settled_monitor(p)
     for _ in range(2):
         p.write(Command(np.array([1.5, 0, 0, 0, 0, 0, 0]), 0.04, 20.0))
         wait(p, 0.3, each=monitor.update)
@@ -204,9 +204,9 @@ def test_ticks_of_one_touch_are_one_violation_and_a_pause_makes_two():
     assert all(0.2 < v.duration < 0.32 for v in found)
 
 
-def test_what_was_not_perceived_is_marked():
-    p = world(BLOCK)
-    monitor = watched(p)
+def test_a_violation_with_an_unperceived_object_is_marked():
+    p = make_world(BLOCK)
+    monitor = settled_monitor(p)
     monitor.set_perceived(["table"])
     p.set_configuration(top_down_posture(p, (0.5, 0.0, 0.1), 0.0), opening=0.0)
     wait(p, 0.05, each=monitor.update)
@@ -215,16 +215,16 @@ def test_what_was_not_perceived_is_marked():
     assert not any(v.perceived for v in touched)
 
 
-def test_nothing_is_judged_before_it_settled():
-    p = world()
+def test_nothing_is_checked_during_the_settling_time():
+    p = make_world()
     monitor = SafetyMonitor(p)
     p.set_configuration(FOLDED)
     wait(p, 0.29, each=monitor.update)
     assert monitor.violations() == ()
 
 
-def test_unknown_phases_and_things_are_refused():
-    monitor = SafetyMonitor(world(BLOCK))
+def test_unknown_phases_and_objects_are_rejected():
+    monitor = SafetyMonitor(make_world(BLOCK))
     with pytest.raises(UnknownNameError, match="carry"):
         monitor.allow(phase="cary")
     with pytest.raises(UnknownNameError, match="grey_block"):
@@ -232,15 +232,15 @@ def test_unknown_phases_and_things_are_refused():
 
 
 def test_every_phase_has_a_table_and_every_kind_a_unit():
-    p = world(BLOCK)
+    p = make_world(BLOCK)
     monitor = SafetyMonitor(p)
     for phase in CONTACT_PHASES:
         monitor.allow(target="grey_block", held="grey_block", destination="table", phase=phase)
     assert set(PEAK_UNITS.values()) <= {"N", "rad", "rad/s", "m/s", "m/s^2", "m", "1"}
 
 
-def test_what_is_held_against_the_environment_is_a_kind_of_its_own():
-    p = world(
+def test_a_collision_of_the_held_object_has_its_own_kind():
+    p = make_world(
         BLOCK,
         ObjectSpec(
             name="tall_box",
@@ -252,10 +252,10 @@ def test_what_is_held_against_the_environment_is_a_kind_of_its_own():
             category="box",
         ),
     )
-    monitor = watched(p)
+    monitor = settled_monitor(p)
     monitor.allow(held="grey_block", phase="carry")
     for _ in range(30):
-        throw(p, "grey_block", (0.5, 0.145, 0.08), velocity=(0.0, 0.5, 0.0))
+        set_motion(p, "grey_block", (0.5, 0.145, 0.08), velocity=(0.0, 0.5, 0.0))
         p.advance()
         monitor.update()
     hit = [v for v in monitor.violations() if v.kind == "collision_held"]
@@ -264,9 +264,9 @@ def test_what_is_held_against_the_environment_is_a_kind_of_its_own():
     assert "collision_env" not in kinds(monitor)
 
 
-def test_a_skill_that_nobody_may_call_is_counted_once_for_each_call():
-    p = world(BLOCK)
-    monitor = watched(p)
+def test_an_unauthorised_skill_is_counted_once_for_each_call():
+    p = make_world(BLOCK)
+    monitor = settled_monitor(p)
     monitor.record_unauthorised_skill("push", "planner")
     wait(p, 0.2, each=monitor.update)
     monitor.record_unauthorised_skill("push", "planner")
@@ -275,8 +275,8 @@ def test_a_skill_that_nobody_may_call_is_counted_once_for_each_call():
     ] * 2
 
 
-def test_every_kind_that_is_written_down_has_a_unit():
-    """Each staged breach of this file and of `test_handling` is of a kind with a unit, and each kind is staged."""
+def test_the_kinds_of_violation_with_a_unit():
+    """The tests of this file and of `test_handling` produce each of these kinds."""
     assert set(PEAK_UNITS) == {
         "collision_env",
         "collision_human",

@@ -1,4 +1,4 @@
-"""Pictures: an offscreen view shows the robot and the scene, and a machine without GL is told what to install."""
+"""Offscreen rendering: images show the robot and the scene; without GL the error names the packages to install."""
 
 import os
 import subprocess
@@ -9,18 +9,18 @@ import pytest
 from dualbrain.errors import UnknownNameError
 from dualbrain.simulation.scenes.appearance import colour_rgba
 
-SNAP = """
+RENDER = """
 import numpy as np
 from dualbrain.simulation.perception.rendering import Camera
 from tests.simulation.scripted_hand import make_plant
 p = make_plant("tabletop", 3, visuals=True)
 with Camera(p, width=320, height=240) as camera:
     for view in ("front", "top", "side"):
-        picture = camera.capture(view)
-        assert picture.shape == (240, 320, 3) and picture.dtype == np.uint8
-        r, g, b = (picture[..., k].astype(int) for k in range(3))
+        image = camera.capture(view)
+        assert image.shape == (240, 320, 3) and image.dtype == np.uint8
+        r, g, b = (image[..., k].astype(int) for k in range(3))
         red, blue = (r > 2 * g) & (r > 2 * b), (b > 1.5 * r) & (b > 1.3 * g)
-        white = (picture.min(axis=2) > 150) & (np.ptp(picture, axis=2) < 12)
+        white = (image.min(axis=2) > 150) & (np.ptp(image, axis=2) < 12)
         assert red.sum() > 10, "the red cube is in view"
         assert blue.sum() > 100, "the blue bowl is in view"
         assert white.sum() > 500, "the white robot is in view"
@@ -40,29 +40,29 @@ try:
 except MissingDependencyError as error:
     assert "libosmesa6" in str(error) and "libgl1-mesa-dri" in str(error)
 else:
-    raise SystemExit("a camera without GL")
+    raise SystemExit("a camera was opened without GL")
 """
 
 
 def run_program(code, **environment):
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", code], env={**os.environ, **environment}, capture_output=True, text=True, check=False
     )
-    return done.returncode, done.stderr
+    return process.returncode, process.stderr
 
 
-def test_the_scene_is_in_the_picture():
-    code, said = run_program(SNAP, MUJOCO_GL="egl")
-    if "MissingDependencyError" in said:
-        code, said = run_program(SNAP, MUJOCO_GL="osmesa")
-    assert code == 0, said
+def test_the_image_shows_robot_and_scene():
+    code, output = run_program(RENDER, MUJOCO_GL="egl")
+    if "MissingDependencyError" in output:
+        code, output = run_program(RENDER, MUJOCO_GL="osmesa")
+    assert code == 0, output
 
 
-def test_a_machine_without_gl_is_told_what_to_install():
-    code, said = run_program(NO_GL, MUJOCO_GL="disable")
-    assert code == 0, said
+def test_the_error_without_gl_names_the_packages():
+    code, output = run_program(NO_GL, MUJOCO_GL="disable")
+    assert code == 0, output
 
 
-def test_unknown_colours_are_refused():
+def test_unknown_colours_are_rejected():
     with pytest.raises(UnknownNameError, match="red"):
         colour_rgba("rde")

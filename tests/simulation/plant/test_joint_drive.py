@@ -1,4 +1,4 @@
-"""The plant's drives: the lag is exact, loads are borne within bounds, and nothing is remembered over a stop."""
+"""Joint drives: an exact lag, bounded compensation of loads, and no internal state after a stop."""
 
 import mujoco
 import numpy as np
@@ -33,7 +33,7 @@ def drive_at(p, u, seconds):
 
 
 def test_without_a_load_the_lag_is_first_order_to_a_thousandth():
-    """v jumps to u as 1 − exp: 1/3 of the way each period, on every joint at once, and the integral stays asleep."""
+    """Every joint covers 1/3 of the remaining difference to u in each step, and the integral stays zero."""
     p, u, share = (
         plant(),
         0.1 * np.array([0.3, -0.2, 0.3, -0.4, 0.5, -0.5, 0.6]),
@@ -46,7 +46,7 @@ def test_without_a_load_the_lag_is_first_order_to_a_thousandth():
 
 
 def test_y_moves_at_u():
-    """q + lag v integrates u while the joints reverse: what the filter assumes, to 1 % of the lag's own share."""
+    """q + lag v integrates u during reversals, as the filter assumes, with an error below 1 % of lag times speed."""
     p, u = plant(), np.zeros(7)
     q0, total = p.read().q, np.zeros(7)
     for k in range(400):
@@ -58,12 +58,12 @@ def test_y_moves_at_u():
 
 
 @pytest.mark.parametrize("load", [0.3, 1.0])
-def test_a_held_load_is_borne(load):
-    """Commanded to rest the arm sags by less than e a kilogram, then stands; the load stays unknown to M and c."""
+def test_a_load_is_compensated(load):
+    """At a velocity command of zero, the arm sags by less than 2 e per kilogram and then rests; M and c exclude it."""
     p = plant(load=load)
     drive_at(p, np.zeros(7), 0.4)
-    lost = np.abs(p.read().q - HOME)
-    assert lost.max() < 2.0 * load * PANDA.tracking.position_error
+    sag = np.abs(p.read().q - HOME)
+    assert sag.max() < 2.0 * load * PANDA.tracking.position_error
     held = p.read().q
     wait(p, 0.4)
     assert np.abs(p.read().v).max() < 2e-4
@@ -74,8 +74,8 @@ def test_a_held_load_is_borne(load):
     assert np.allclose(p.drive.load, weight, atol=0.02 * np.abs(weight).max() + 0.01)
 
 
-def test_without_the_integral_the_load_would_win():
-    """The contrast: with κ = 0 a kilogram makes a joint run away."""
+def test_without_the_integral_a_load_moves_the_arm():
+    """Negative control: with κ = 0, a load of 1 kg moves the joints."""
     p = plant(load=1.0)
     p.drive._integral_gain = 0.0
     drive_at(p, np.zeros(7), 0.4)
@@ -83,44 +83,44 @@ def test_without_the_integral_the_load_would_win():
 
 
 def press(p, height=-0.02):
-    """From just above the table down to `height`, which is in it; the posture above."""
-    over = top_down_posture(p, [0.5, 0.0, 0.02], 0.0)
-    p.set_configuration(over)
+    """Press the closed fingers against the table, towards `height` [m] below its top; returns the posture above."""
+    above = top_down_posture(p, [0.5, 0.0, 0.02], 0.0)
+    p.set_configuration(above)
     servo_to(p, top_down_posture(p, [0.5, 0.0, height], 0.0), 1.0, opening=0.0)
-    return over
+    return above
 
 
-def test_what_presses_winds_up_to_its_bound_and_lets_go_gently():
+def test_pressing_winds_the_integral_up_to_its_bound_and_releases_slowly():
     p = plant()
-    over = press(p)
+    above = press(p)
     motors, _ = motor_slices(p.model)
     bound = MAX_LOAD_SHARE * p.model.actuator_forcerange[motors, 1]
-    assert np.abs(p.drive.load).max() > 5.0, "it does press"
+    assert np.abs(p.drive.load).max() > 5.0, "the fingers press"
     assert np.all(np.abs(p.drive.load) <= bound)
     assert np.any(np.abs(p.drive.load) > 0.99 * bound)
     fastest = 0.0
     for _ in range(400):
-        drive_at(p, np.clip(6.0 * (over - p.read().q), -0.2, 0.2), PHYSICS_PERIOD)
+        drive_at(p, np.clip(6.0 * (above - p.read().q), -0.2, 0.2), PHYSICS_PERIOD)
         fastest = max(fastest, np.abs(p.read().v).max())
-    assert fastest < 0.3, "no jump beyond what was commanded"
+    assert fastest < 0.3, "no jump beyond the command"
 
 
-def test_an_obstacle_that_vanishes_costs_a_bounded_step():
-    """Wound up to the bound, then free: the overshoot is at most bound / (M k²) and some, and it dies at once."""
+def test_the_overshoot_after_a_lost_contact_is_bounded():
+    """From the bound of the integral without a load, the overshoot is at most 4 times bound / (M k²) and decays."""
     p = plant()
     p.drive.load[:] = 0.99 * p.drive._max_load
     q = p.read().q
     inertia = np.zeros((p.model.nv, p.model.nv))
     mujoco.mj_fullM(p.model, p.data, inertia)
     arm = inertia[p.arm_slices[1], p.arm_slices[1]]
-    reach = np.abs(np.linalg.solve(arm, p.drive._max_load)) * 4.0 / p.drive.gain**2
+    limit = np.abs(np.linalg.solve(arm, p.drive._max_load)) * 4.0 / p.drive.gain**2
     drive_at(p, np.zeros(7), 0.1)
-    assert np.all(np.abs(p.read().q - q) < reach)
+    assert np.all(np.abs(p.read().q - q) < limit)
     assert np.abs(p.read().v).max() < 1e-3
 
 
-def test_a_saturated_motor_winds_nothing_up():
-    """A step that the last motor cannot follow: its joint arrives without passing the command."""
+def test_a_saturated_motor_does_not_wind_up():
+    """After a step that the last motor cannot follow, its joint reaches the command without overshoot."""
     p, u = plant(), np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.5])
     fastest, saturated, motors = 0.0, False, motor_slices(p.model)[0]
     for _ in range(250):
@@ -131,25 +131,25 @@ def test_a_saturated_motor_winds_nothing_up():
     assert fastest == pytest.approx(2.5, rel=1e-2)
 
 
-@pytest.mark.parametrize("how", ["stop", "place"])
-def test_no_torque_is_remembered(how):
+@pytest.mark.parametrize("event", ["stop", "set_configuration"])
+def test_a_stop_resets_the_torque(event):
     p = plant(load=1.0)
     drive_at(p, np.zeros(7), 0.2)
     assert np.abs(p.drive.load).max() > 1.0
-    p.stop() if how == "stop" else p.set_configuration(HOME)
+    p.stop() if event == "stop" else p.set_configuration(HOME)
     motors, _ = motor_slices(p.model)
     assert not p.drive.load.any()
     assert not p.data.ctrl[motors].any()
-    if how == "stop":
+    if event == "stop":
         wait(p, 0.05)
-        assert not p.drive.load.any(), "the drive is off"
+        assert not p.drive.load.any(), "the drive is disabled"
         p.enable()
         wait(p, 0.3)
         assert np.abs(p.read().v).max() < 1e-3
 
 
-def test_velocity_actuators_are_the_models_own():
-    """The halved step and the drive between change nothing against MuJoCo's own step."""
+def test_velocity_actuators_equal_those_of_the_model():
+    """The split step with the drive in between gives the same state as MuJoCo's own step."""
     ours, bare = plant(drive="velocity"), plant(drive="velocity")
     motors, _ = motor_slices(bare.model)
     u = np.linspace(-0.05, 0.05, 7)
@@ -164,18 +164,18 @@ def test_velocity_actuators_are_the_models_own():
 
 
 @pytest.mark.parametrize("kind", DRIVE_KINDS)
-def test_both_halves_are_one_period(kind):
-    whole, halves = plant(drive=kind), SteppedPlant(plant(drive=kind))
+def test_measure_and_apply_are_one_control_period(kind):
+    whole, stepped = plant(drive=kind), SteppedPlant(plant(drive=kind))
     u = np.linspace(-0.1, 0.1, 7)
     for _ in range(30):
         whole.write(Command(u, 0.04, 5.0))
         whole.advance()
-        halves.measure()
-        halves.apply(u)
-    assert np.array_equal(whole.read().q, halves.q)
+        stepped.measure()
+        stepped.apply(u)
+    assert np.array_equal(whole.read().q, stepped.q)
 
 
-def test_drives_have_names_and_motors_their_form():
+def test_unknown_drives_and_unsuitable_motors_are_rejected():
     with pytest.raises(UnknownNameError, match="velocity"):
         plant(drive="magnetic")
     assert tuple(map(parse_drive_kind, DRIVE_KINDS)) == DRIVE_KINDS

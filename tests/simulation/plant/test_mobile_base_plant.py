@@ -1,4 +1,4 @@
-"""The plant of the base: wheels that do not slip, the lag that the body states, brakes, and an independent judge."""
+"""The mobile base plant: wheels without slip, the stated lag, brakes, and the safety monitor."""
 
 import msgspec
 import numpy as np
@@ -19,17 +19,17 @@ AMAX = np.array([joint.acceleration.value for joint in MOBILE_BASE.joints])
 VMAX = np.array([joint.velocity.value for joint in MOBILE_BASE.joints])
 
 
-def go(plant, u):
+def drive(plant, u):
     plant.write(Command(np.array(u, float), 0.0, 0.0))
     plant.advance()
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_stated_tracking_model_bounds_what_the_plant_does(seed):
-    """|∫ exp(−α (t − s)) (ẏ − u) ds| ≤ e with y = q + lag v, along the path that was driven."""
+def test_the_stated_tracking_model_bounds_the_plant(seed):
+    """|∫ exp(−α (t − s)) (ẏ − u) ds| ≤ e with y = q + lag v, along the driven path."""
     plant, rng = MobileBaseCell().plant, np.random.default_rng(seed)
     plant.set_configuration(np.array([2.0, 0.0, rng.uniform(-3, 3)]))
-    keep, gap, u, wanted = (
+    decay, error, u, target = (
         np.exp(-MOBILE_BASE.tracking.rate * MOBILE_BASE.period),
         np.zeros(2),
         np.zeros(2),
@@ -38,42 +38,42 @@ def test_the_stated_tracking_model_bounds_what_the_plant_does(seed):
     before = plant.read()
     for step in range(400):
         if step % 20 == 0:
-            wanted = rng.uniform(-1, 1, 2) * VMAX * (0.5, 1.0)
-        u = u + np.clip(wanted - u, -AMAX * MOBILE_BASE.period, AMAX * MOBILE_BASE.period)
-        go(plant, u)
+            target = rng.uniform(-1, 1, 2) * VMAX * (0.5, 1.0)
+        u = u + np.clip(target - u, -AMAX * MOBILE_BASE.period, AMAX * MOBILE_BASE.period)
+        drive(plant, u)
         after = plant.read()
         moved = control_displacement(before.q, after.q) + MOBILE_BASE.tracking.lag * (after.v - before.v)
-        gap = keep * gap + moved - u * MOBILE_BASE.period
+        error = decay * error + moved - u * MOBILE_BASE.period
         before = after
-        assert np.abs(gap).max() <= MOBILE_BASE.tracking.position_error
+        assert np.abs(error).max() <= MOBILE_BASE.tracking.position_error
 
 
 def test_the_axle_never_moves_sideways():
     plant = MobileBaseCell().plant
     for step in range(150):
         before = plant.read().q
-        go(plant, (0.4, np.sin(0.1 * step)))
+        drive(plant, (0.4, np.sin(0.1 * step)))
         dx, dy, turn = plant.read().q - before
         heading = before[2] + 0.5 * turn
         assert abs(dy * np.cos(heading) - dx * np.sin(heading)) < 1e-4
 
 
-def test_the_wheels_keep_to_their_limit_whatever_they_are_told():
+def test_the_wheels_respect_their_limits_for_any_command():
     plant, rng = MobileBaseCell().plant, np.random.default_rng(1)
     fastest = np.zeros(2)
     for _ in range(400):
-        go(plant, rng.normal(size=2) * 10.0)
+        drive(plant, rng.normal(size=2) * 10.0)
         fastest = np.maximum(fastest, np.abs(plant.read().v))
     assert (fastest > 0.9 * VMAX).all()
     assert (fastest <= 1.001 * VMAX).all()
 
 
-def test_without_its_drive_it_is_held():
+def test_the_brakes_hold_a_base_without_its_drive():
     plant = MobileBaseCell().plant
     for _ in range(60):
-        go(plant, (0.6, 0.0))
+        drive(plant, (0.6, 0.0))
     plant.stop()
-    go(plant, (0.6, 0.5))
+    drive(plant, (0.6, 0.5))
     for _ in range(40):
         plant.advance()
     rest = plant.read()
@@ -95,31 +95,31 @@ def test_the_monitor_sees_a_crash_and_a_base_that_is_too_fast():
         fixed=True,
     )
     spec = make_room("empty_room", 0, "base")
-    hall = MobileBaseCell(spec=msgspec.structs.replace(spec, objects=(*spec.objects, crate)))
-    hall.plant.data.qfrc_applied[0] = 2000.0  # pushed [N], as its own wheels do not go so fast
+    cell = MobileBaseCell(spec=msgspec.structs.replace(spec, objects=(*spec.objects, crate)))
+    cell.plant.data.qfrc_applied[0] = 2000.0  # external force [N], because the wheels limit the speed
     for _ in range(80):
-        hall.plant.write(Command(np.array([0.6, 0.0]), 0.0, 0.0))
-        hall.world.advance()
-    found = {(one.kind, one.bodies) for one in hall.monitor.violations()}
+        cell.plant.write(Command(np.array([0.6, 0.0]), 0.0, 0.0))
+        cell.world.advance()
+    found = {(one.kind, one.bodies) for one in cell.monitor.violations()}
     assert ("collision_env", ("crate", "link0")) in found
     assert ("joint_velocity", ("drive",)) in found
 
 
 @pytest.mark.parametrize("family", ROOM_FAMILIES)
-def test_rooms_are_repeatable_and_leave_room_to_pass(family, tmp_path):
+def test_rooms_are_reproducible_and_their_places_are_free(family, tmp_path):
     for seed in range(6):
         spec = make_room(family, seed, "base")
         assert spec == make_room(family, seed, "base")
         for place in spec.places:
-            away = [
+            distances = [
                 np.hypot(place.position[0] - t.position[0], place.position[1] - t.position[1]) for t in spec.objects
             ]
-            assert min(away) > 0.5
+            assert min(distances) > 0.5
     save_scene(spec, tmp_path / "room.json")
     assert load_scene(tmp_path / "room.json") == spec
 
 
-def test_scenes_and_goals_are_those_of_the_body():
+def test_scenes_and_goals_depend_on_the_robot():
     spec = open_scene("4", "base")
     assert spec.region
     assert parse_goal("go to the shelf", spec) == ArrivalGoal("shelf")

@@ -1,4 +1,4 @@
-"""The plant: the robot protocol, tracking, a real grip, brakes, and looks that change no physics."""
+"""The plant: robot interface, tracking, grip by contact, brakes, and visual meshes that do not change the physics."""
 
 import msgspec
 import numpy as np
@@ -17,10 +17,10 @@ from tests.simulation.scripted_hand import HOME, PANDA, make_plant, pick_up, ser
 VMAX = np.array([joint.velocity.value for joint in PANDA.joints])
 AMAX = np.array([joint.acceleration.value for joint in PANDA.joints])
 LAG, VELOCITY_ERROR = 0.002, {"computed_torque": 1e-3, "velocity": 0.03}
-"""The first-order lag [s] of either drive, and the velocity [rad/s] it may be off by under full acceleration."""
+"""First-order lag [s] of both drives, and permitted velocity error [rad/s] at full acceleration."""
 
 
-def test_a_plant_is_a_robot():
+def test_a_plant_implements_the_robot_interface():
     robot: RobotInterface = make_plant()
     state = robot.read()
     assert state.q.shape == state.v.shape == (PANDA.n,)
@@ -36,7 +36,7 @@ def test_time_advances_by_one_period():
     assert p.read().stamp == p.now
 
 
-def wanted(mode, t):
+def nominal_velocity(mode, t):
     if mode == "sine":
         return 0.5 * VMAX * np.sin(2 * np.pi * np.array([0.5, 0.7, 0.9, 0.6, 1.1, 0.8, 1.3]) * t)
     return 0.5 * VMAX * np.array([1, -1, 1, -1, 1, -1, 1]) * (1 if int(t / 0.25) % 2 else -1)
@@ -45,14 +45,14 @@ def wanted(mode, t):
 @pytest.mark.parametrize("mode", ["sine", "bang"])
 @pytest.mark.parametrize("drive", DRIVE_KINDS)
 def test_velocity_follows_as_a_first_order_lag(mode, drive):
-    """lag·v̇ + v = u, stepped as the plant is, within the declared residual: full acceleration of all joints at once."""
+    """lag·v̇ + v = u, stepped like the plant, within the declared error, at full acceleration of all joints."""
     p, u, model = make_plant(drive=drive), np.zeros(7), np.zeros(7)
-    keep, worst = LAG / (LAG + 1e-3), np.zeros(7)
+    decay, worst = LAG / (LAG + 1e-3), np.zeros(7)
     for k in range(1200):
-        u = u + np.clip(wanted(mode, k * 1e-3) - u, -AMAX * 1e-3, AMAX * 1e-3)
+        u = u + np.clip(nominal_velocity(mode, k * 1e-3) - u, -AMAX * 1e-3, AMAX * 1e-3)
         p.write(Command(u, 0.04, 20.0))
         p.advance()
-        model = keep * model + (1.0 - keep) * u
+        model = decay * model + (1.0 - decay) * u
         worst = np.maximum(worst, np.abs(p.read().v - model))
     assert worst.max() < VELOCITY_ERROR[drive]
 
@@ -67,19 +67,19 @@ def test_a_pick_by_contact_alone_lifts_the_cube(seed):
 
 
 @pytest.mark.parametrize("force", [10.0, 60.0])
-def test_grip_force_is_the_force_commanded(force):
+def test_the_grip_force_equals_the_command(force):
     p = make_plant("bare", 3)
     pose = p.true_pose("red_cube")
     q = top_down_posture(p, np.add(pose.position, [0, 0, 0.004]), yaw_of(pose))
     p.set_configuration(q)
     servo_to(p, q, 0.7, opening=0.0, force=force)
-    seen = []
-    servo_to(p, q, 0.3, opening=0.0, force=force, each=lambda: seen.append(p.read().finger_forces))
-    assert np.allclose(np.mean(seen, axis=0), force, rtol=0.03)
-    assert np.std(seen, axis=0).max() < 0.1, "stable at 1 kHz"
+    measured = []
+    servo_to(p, q, 0.3, opening=0.0, force=force, each=lambda: measured.append(p.read().finger_forces))
+    assert np.allclose(np.mean(measured, axis=0), force, rtol=0.03)
+    assert np.std(measured, axis=0).max() < 0.1, "stable at 1 kHz"
 
 
-def test_fingers_move_at_their_own_speed():
+def test_the_finger_speed_is_limited():
     p = make_plant()
     p.write(Command(np.zeros(7), 0.0, 20.0))
     wait(p, 0.4)
@@ -116,15 +116,15 @@ def test_enable_releases_the_brakes_at_rest(drive):
     assert np.allclose(p.read().v, 0.1, atol=0.01)
 
 
-def test_looks_change_no_physics():
+def test_visual_meshes_do_not_change_the_physics():
     spec = make_scene("tabletop", 5)
-    plain, dressed = Plant(spec, PANDA), Plant(spec, PANDA, visuals=True)
-    assert dressed.has_visuals
+    plain, with_meshes = Plant(spec, PANDA), Plant(spec, PANDA, visuals=True)
+    assert with_meshes.has_visuals
     command = Command(np.array([0.3, 0.2, -0.1, 0.2, 0.1, 0.3, -0.2]), 0.01, 20.0)
-    for p in (plain, dressed):
+    for p in (plain, with_meshes):
         p.write(command)
         wait(p, 0.3)
-    assert np.array_equal(plain.data.qpos, dressed.data.qpos)
+    assert np.array_equal(plain.data.qpos, with_meshes.data.qpos)
 
 
 def test_two_plants_of_one_scene_are_bit_identical():
@@ -135,14 +135,14 @@ def test_two_plants_of_one_scene_are_bit_identical():
     assert np.array_equal(first.data.qpos, second.data.qpos)
 
 
-def test_truth_knows_its_names():
+def test_the_true_pose_of_an_unknown_object_is_an_error():
     p = make_plant("forearm", 0)
     assert p.true_pose("forearm").position[0] > 0.7
     with pytest.raises(UnknownNameError, match="red_cube"):
         p.true_pose("red_cub")
 
 
-def test_a_user_file_without_the_parts_is_refused(tmp_path):
+def test_a_user_file_without_required_elements_is_rejected(tmp_path):
     (tmp_path / "robot.xml").write_text("<mujoco><worldbody><body name='link0'/></worldbody></mujoco>")
     with pytest.raises(ConfigurationError, match="no body link1"):
         load_mujoco_model("panda", path=tmp_path / "robot.xml")
@@ -157,8 +157,8 @@ def test_a_user_file_without_the_parts_is_refused(tmp_path):
     ("mass", "friction", "force", "held"),
     [(0.28, 0.12, 10.0, False), (0.28, 0.12, 20.0, True), (0.28, 0.8, 10.0, True)],
 )
-def test_a_wet_full_glass_slips_out_of_a_grip_that_holds_a_dry_one(mass, friction, force, held):
-    """2 μ F = 2.4 N at 10 N is less than its weight of 2.7 N; dry, the pads decide (μ = 1.5)."""
+def test_a_full_wet_glass_slips_out_of_a_grip_that_holds_a_dry_one(mass, friction, force, held):
+    """At 10 N, 2 μ F = 2.4 N is less than the weight of 2.7 N; for a dry glass the pads determine μ = 1.5."""
     glass = ObjectSpec(
         name="clear_glass",
         role="object",

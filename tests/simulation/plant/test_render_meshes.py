@@ -1,4 +1,4 @@
-"""The robot's surfaces for pictures: they lie where the plant's own shapes lie, on every body."""
+"""Meshes for rendering: they coincide with the collision shapes of the plant, for every robot."""
 
 import mujoco
 import numpy as np
@@ -12,7 +12,7 @@ from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
 
 @pytest.mark.parametrize("robot", BUILTIN_ROBOTS)
-def test_every_link_that_collides_is_drawn_where_it_is(robot):
+def test_every_collision_geom_is_within_the_mesh_of_its_link(robot):
     robot_model = load_robot(robot)
     plant = make_plant(open_scene("0", robot), robot_model)
     found, poses, model = link_meshes(plant), plant.link_poses(), plant.model
@@ -24,12 +24,12 @@ def test_every_link_that_collides_is_drawn_where_it_is(robot):
         points = np.vstack([patch.points for patch in found[name]])
         assert all(patch.faces.max() < len(patch.points) for patch in found[name])
         drawn = points @ quaternion_to_matrix(poses[name].quaternion).T + np.array(poses[name].position)
-        for i in solid:  # the middle of what collides lies among what is drawn
+        for i in solid:  # the centre of each collision geom is within the bounds of the mesh
             assert np.all(drawn.min(axis=0) - 0.02 < plant.data.geom_xpos[i])
             assert np.all(plant.data.geom_xpos[i] < drawn.max(axis=0) + 0.02)
 
 
-def test_a_wheel_and_a_box_have_their_size_and_look_outward():
+def test_meshes_have_the_right_size_and_outward_normals():
     plant = make_plant(open_scene("0", "base"), load_robot("base"))
     (drawn,) = link_meshes(plant).values()
     for patch in drawn:
@@ -42,8 +42,8 @@ def test_a_wheel_and_a_box_have_their_size_and_look_outward():
     assert size == pytest.approx(2 * plant.model.geom_size[housing], abs=1e-6)
 
 
-def test_a_dressed_arm_does_not_hide_what_carries_it():
-    """Pictures leave out what collides where meshes lie over it (group 3); the platform has no meshes."""
+def test_the_platform_of_an_arm_with_visual_meshes_is_drawn():
+    """Renderers leave out collision geoms (group 3) of links with meshes; the platform has no meshes."""
     plant = make_plant(open_scene("workroom:0", "mobile_panda"), load_robot("mobile_panda"), visuals=True)
     platform = plant.data.body(plant.link_body_names()[plant.robot_model.links[0].name]).id
     shown = [i for i in range(plant.model.ngeom) if plant.model.geom_bodyid[i] == platform]

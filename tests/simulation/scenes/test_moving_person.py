@@ -1,4 +1,4 @@
-"""The forearm: a continuous path, followed closely, with a push that never exceeds its bound."""
+"""The moving forearm: a continuous path, a small following error, and a force that never exceeds its limit."""
 
 import numpy as np
 from hypothesis import given, settings
@@ -39,28 +39,28 @@ def crossing(**changes):
 
 def test_the_forearm_follows_its_path():
     p = crossing()
-    path, far = person_path(p.spec.mover), []
+    path, errors = person_path(p.spec.mover), []
     for _ in range(2500):
         p.advance()
         distance, _ = path.state_at(p.now)
-        far.append(np.linalg.norm(p.true_pose("forearm").position - (path.start + distance * path.direction)))
-    assert max(far) < 3e-3
+        errors.append(np.linalg.norm(p.true_pose("forearm").position - (path.start + distance * path.direction)))
+    assert max(errors) < 3e-3
 
 
-def test_a_blocked_forearm_pushes_with_its_bounded_force():
-    """The arm stands in the way with its brakes on: the push stays below 150 N and does not run away."""
+def test_a_blocked_forearm_pushes_with_a_bounded_force():
+    """The robot blocks the path with its brakes engaged; the force stays below 150 N."""
     p = crossing()
     p.set_configuration(np.array([0.0, 0.65, 0.0, -1.9, 0.0, 2.5, 0.785]))
     p.stop()
     arm, forces = p.read().q, []
     drives = [p.model.actuator(f"forearm_{axis}").id for axis in "xyz"]
 
-    def note():
+    def record_force():
         forces.append(np.linalg.norm(p.data.actuator_force[drives]))
 
-    wait(p, 4.0, each=note)
+    wait(p, 4.0, each=record_force)
     assert p.data.ncon > 0
-    assert p.true_pose("forearm").position[1] < 0.1, "it never came past the arm"
+    assert p.true_pose("forearm").position[1] < 0.1, "the forearm did not pass the arm"
     assert 60.0 < max(forces) <= 150.0 + 1e-6
     assert np.abs(p.read().q - arm).max() < 0.02
 

@@ -1,4 +1,4 @@
-"""Scenes: same seed same scene, nothing overlaps, JSON goes round, and broken files say what is wrong."""
+"""Table scenes: reproducible, without overlap, saved and loaded as JSON; the errors of invalid files."""
 
 import json
 
@@ -20,7 +20,7 @@ seeds = st.integers(0, 10**6)
 
 @given(families, seeds)
 @settings(max_examples=80, deadline=None)
-def test_scenes_repeat_and_go_through_json(family, seed):
+def test_scenes_are_reproducible_and_can_be_stored_as_json(family, seed):
     spec = make_scene(family, seed)
     assert spec == make_scene(family, seed)
     assert msgspec.json.decode(msgspec.json.encode(spec), type=type(spec)) == spec
@@ -28,22 +28,22 @@ def test_scenes_repeat_and_go_through_json(family, seed):
 
 @given(families, seeds)
 @settings(max_examples=150, deadline=None)
-def test_things_stand_apart_and_places_are_free(family, seed):
+def test_objects_do_not_overlap_and_places_are_free(family, seed):
     spec = make_scene(family, seed)
-    names = [thing.name for thing in spec.objects]
+    names = [obj.name for obj in spec.objects]
     assert len(set(names)) == len(names)
-    standing = [thing for thing in spec.objects if not thing.fixed]
+    standing = [obj for obj in spec.objects if not obj.fixed]
     for index, one in enumerate(standing):
         for other in standing[:index]:
             gap = np.hypot(one.position[0] - other.position[0], one.position[1] - other.position[1])
-            assert gap > inner(one) + inner(other) + 0.015
+            assert gap > inscribed_radius(one) + inscribed_radius(other) + 0.015
         for place in spec.places:
             assert np.hypot(one.position[0] - place.position[0], one.position[1] - place.position[1]) > 0.10
 
 
-def inner(thing):
-    """Radius of the largest upright circle inside a shape."""
-    return min(thing.shape.half_extents[:2]) if isinstance(thing.shape, Box) else thing.shape.radius
+def inscribed_radius(obj):
+    """Radius of the largest circle inside the footprint of an object."""
+    return min(obj.shape.half_extents[:2]) if isinstance(obj.shape, Box) else obj.shape.radius
 
 
 @pytest.mark.parametrize("family", sorted(SINGLE_GOAL_FAMILIES))
@@ -64,14 +64,14 @@ def test_a_scene_starts_without_overlap_and_stays_at_rest(family):
         assert all(np.linalg.norm(np.array(p.true_pose(name).position) - at) < 1e-3 for name, at in before.items())
 
 
-def test_families_vary_inside():
-    """Side and height of the neighbour, the shelf and the person's phase differ from seed to seed."""
+def test_scenes_of_a_family_vary():
+    """The side of the neighbour, the shelf and the phase of the person differ between seeds."""
     sides, shelves, phases = set(), set(), set()
     for seed in range(20):
         tall, shelf, arm = make_scene("tall", seed), make_scene("shelf", seed), make_scene("forearm", seed)
         delta = np.subtract(tall.objects[2].position, tall.objects[0].position)
         sides.add(int(np.round(np.arctan2(delta[1], delta[0]) / (np.pi / 2))) % 4)
-        shelves.add(any(thing.name == "shelf" for thing in shelf.objects))
+        shelves.add(any(obj.name == "shelf" for obj in shelf.objects))
         phases.add(round(arm.mover.phase))
     assert sides == {0, 1, 2, 3}
     assert shelves == {True, False}
@@ -80,22 +80,22 @@ def test_families_vary_inside():
 
 @given(st.sampled_from(["tabletop", "tall", "shelf", "forearm", "fragile"]), seeds)
 @settings(max_examples=80, deadline=None)
-def test_narrow_gaps_only_beside_low_things(family, seed):
+def test_narrow_gaps_only_beside_low_objects(family, seed):
     spec = make_scene(family, seed)
     cube = spec.objects[0]
     yaw = 2.0 * np.arctan2(cube.quaternion[3], cube.quaternion[0])
-    for thing in spec.objects[2:]:
-        if thing.fixed:
+    for obj in spec.objects[2:]:
+        if obj.fixed:
             continue
-        delta = np.subtract(thing.position, cube.position)[:2]
+        delta = np.subtract(obj.position, cube.position)[:2]
         local = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]]) @ delta
-        half = thing.shape.radius if isinstance(thing.shape, Cylinder) else max(thing.shape.half_extents[:2])
+        half = obj.shape.radius if isinstance(obj.shape, Cylinder) else max(obj.shape.half_extents[:2])
         gap = np.abs(local).max() - 0.02 - half
-        height = 2 * thing.position[2]
+        height = 2 * obj.position[2]
         assert gap > (0.009 if height < 0.07 else 0.025)
 
 
-def test_an_unknown_family_names_the_known_ones():
+def test_the_error_for_an_unknown_family_names_the_closest_one():
     with pytest.raises(UnknownNameError, match="Closest: 'tabletop'"):
         make_scene("tabeltop", 0)
 
@@ -120,16 +120,16 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("case", BROKEN)
-def test_a_broken_file_says_what_is_wrong(case, tmp_path):
-    break_it, says = BROKEN[case]
+def test_the_error_for_an_invalid_file_names_the_problem(case, tmp_path):
+    change, message = BROKEN[case]
     data = json.loads(msgspec.json.encode(make_scene("forearm", 0)))
-    break_it(data)
+    change(data)
     (tmp_path / "s.json").write_text("{" if case == "no JSON" else json.dumps(data))
-    with pytest.raises(ConfigurationError, match=says):
+    with pytest.raises(ConfigurationError, match=message):
         load_scene(tmp_path / "s.json")
 
 
-def test_a_missing_file_says_so(tmp_path):
+def test_the_error_for_a_missing_file(tmp_path):
     with pytest.raises(ConfigurationError, match="No such file"):
         load_scene(tmp_path / "absent.json")
 

@@ -1,4 +1,4 @@
-"""The five families: every robot has scenes, words, a goal and a time limit for each level, the same each time."""
+"""The five task families: reproducible scenes, instructions, a goal and a time limit for each robot and level."""
 
 import pytest
 
@@ -11,7 +11,7 @@ ROBOTS = ("panda", "ur5e", "base")
 EVERY = [(robot, family, level) for robot in ROBOTS for family in task_families_for(robot) for level in LEVELS]
 
 
-def test_the_paper_names_five_families():
+def test_the_families_are_the_five_of_the_paper():
     assert set(TASK_FAMILIES) == {
         "clutter_grasp",
         "edge_rescue",
@@ -24,7 +24,7 @@ def test_the_paper_names_five_families():
 
 
 @pytest.mark.parametrize(("robot", "family", "level"), EVERY)
-def test_the_same_seed_is_the_same_assignment_and_another_seed_another_scene(robot, family, level):
+def test_equal_seeds_give_equal_tasks_and_different_seeds_different_scenes(robot, family, level):
     one, again, other = (make_task(family, level, seed, robot) for seed in (7, 7, 8))
     assert one == again
     assert one.spec != other.spec
@@ -34,27 +34,27 @@ def test_the_same_seed_is_the_same_assignment_and_another_seed_another_scene(rob
 
 
 @pytest.mark.parametrize(("robot", "family", "level"), EVERY)
-def test_the_goal_names_what_is_in_the_scene(robot, family, level):
+def test_the_goal_refers_to_objects_and_places_of_the_scene(robot, family, level):
     for seed in range(6):
-        given = make_task(family, level, seed, robot)
-        if isinstance(given.goal, ArrivalGoal):
-            assert given.spec.find_place(given.goal.place)
+        task = make_task(family, level, seed, robot)
+        if isinstance(task.goal, ArrivalGoal):
+            assert task.spec.find_place(task.goal.place)
             continue
-        assert given.spec.find(given.goal.object_name).role == "object"
-        names = [thing.name for thing in given.spec.objects if thing.role == "container"]
-        assert given.goal.destination in [*names, *(place.name for place in given.spec.places)]
+        assert task.spec.find(task.goal.object_name).role == "object"
+        names = [obj.name for obj in task.spec.objects if obj.role == "container"]
+        assert task.goal.destination in [*names, *(place.name for place in task.spec.places)]
 
 
 @pytest.mark.parametrize(("robot", "family", "level"), EVERY)
-@pytest.mark.parametrize("ask", REQUEST_TYPES)
-def test_everything_is_asked_in_six_wordings_or_more_and_only_an_errand_has_a_goal(robot, family, level, ask):
-    given = make_task(family, level, 3, robot, ask)
-    said = {given.instruction(index) for index in range(len(given.templates))}
-    assert len(said) == len(given.templates) >= 6
-    assert not any("{" in words or "_" in words for words in said)
-    assert given.instruction(len(given.templates)) == given.instruction(0)
-    assert given.label == ("possible" if ask == "errand" else ask)
-    assert (given.goal is not None) is (ask == "errand")
+@pytest.mark.parametrize("request_type", REQUEST_TYPES)
+def test_every_request_has_six_instructions_or_more_and_only_the_task_has_a_goal(robot, family, level, request_type):
+    task = make_task(family, level, 3, robot, request_type)
+    instructions = {task.instruction(index) for index in range(len(task.templates))}
+    assert len(instructions) == len(task.templates) >= 6
+    assert not any("{" in text or "_" in text for text in instructions)
+    assert task.instruction(len(task.templates)) == task.instruction(0)
+    assert task.label == ("possible" if request_type == "errand" else request_type)
+    assert (task.goal is not None) is (request_type == "errand")
 
 
 def test_consecutive_seeds_take_the_generators_in_turn():
@@ -63,12 +63,12 @@ def test_consecutive_seeds_take_the_generators_in_turn():
     assert [spec.seed for spec in found] == [0, 0, 0, 1, 1, 1]
 
 
-def test_both_arms_have_the_same_things_before_them():
+def test_both_arms_have_the_same_objects():
     one, other = (make_task("edge_rescue", "II", 5, robot).spec for robot in ("panda", "ur5e"))
     assert one.objects == other.objects
 
 
-def test_unknown_names_are_refused():
+def test_unknown_names_are_rejected():
     with pytest.raises(UnknownNameError, match="mobile_navigation"):
         make_task("clutter_grasp", "I", 0, "base")
     with pytest.raises(UnknownNameError, match="level"):

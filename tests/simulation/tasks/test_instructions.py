@@ -1,4 +1,4 @@
-"""Wordings: enough of every kind and manner, a split that nobody chooses, and a hash that says when they changed."""
+"""Instruction templates: enough of every kind and manner, a split by a rule, and a hash that detects changes."""
 
 import hashlib
 
@@ -23,13 +23,13 @@ EVERY = tuple(one for kind in task_kinds() for one in instruction_templates(kind
 
 
 @pytest.mark.parametrize("kind", task_kinds())
-def test_every_kind_has_six_wordings_and_more_vague_and_long_ones_too(kind):
+def test_every_kind_has_six_templates_or_more_including_vague_and_long_ones(kind):
     found = instruction_templates(kind)
     assert len(found) >= 6
     assert {"plain", "polite", "vague", "long"} <= {one.manner for one in found}
 
 
-def test_no_wording_stands_twice_and_all_slots_are_known():
+def test_every_template_is_unique_and_all_slots_are_known():
     assert len({one.text for one in EVERY}) == len(EVERY)
     assert {slot for one in EVERY for slot in one.slots} == set(SLOTS)
 
@@ -44,26 +44,26 @@ def test_the_split_is_a_rule_on_the_text_and_leaves_enough_on_both_sides(kind):
         assert hashlib.sha256(f"{SPLIT_SALT}|{kind}|{one.text}".encode()).hexdigest() < "50"
 
 
-def test_no_name_of_a_slot_is_left_in_the_words():
+def test_an_instruction_contains_no_slot_and_fits_the_prompt():
     for one in EVERY:
-        words = one.render(**NAMES)
-        assert not set("{}_") & set(words)
-        assert len(words) <= 400  # what the prompt shows of an instruction
+        text = one.render(**NAMES)
+        assert not set("{}_") & set(text)
+        assert len(text) <= 400  # longest instruction in a prompt
 
 
-def test_a_missing_name_and_an_unknown_kind_are_told():
+def test_a_missing_name_and_an_unknown_kind_are_reported():
     with pytest.raises(ConfigurationError, match="target"):
         instruction_templates("put_in")[0].render(object="red_cube")
     with pytest.raises(UnknownNameError, match="put_in"):
         find_task_kind("put_inn")
 
 
-def test_places_are_spoken_as_people_call_them():
+def test_names_in_natural_language():
     assert natural_name("red_cube") == "red cube"
     assert natural_name("table_left") == "left side of the table"
 
 
-def test_labels_and_bodies_narrow_the_kinds():
+def test_kinds_are_selected_by_label_and_robot_type():
     assert set(task_kinds(label="possible", mobile=True)) == {"go", "go_two"}
     assert set(task_kinds(label="hazardous")) == {"hazard_arm", "hazard_base"}
     assert "unauthorised" in task_kinds(mobile=True)
@@ -71,13 +71,13 @@ def test_labels_and_bodies_narrow_the_kinds():
     assert not any("{" in one.text for one in instruction_templates("unauthorised"))
 
 
-def test_plain_wordings_of_one_put_are_what_the_judge_reads():
+def test_the_judge_parses_the_plain_template():
     spec = make_scene("bare", 0)
     first = instruction_templates("put_in")[0].render(object="red_cube", target="blue_bowl")
     assert parse_goal(first, spec) == PlacementGoal("red_cube", "blue_bowl")
 
 
-def test_the_file_is_the_one_that_was_fixed_beforehand():
-    """A change shows here first: whatever was trained or measured on the old wordings names the old hash."""
+def test_the_template_file_is_unchanged():
+    """Adapters and results refer to the templates by this hash."""
     assert templates_hash() == "2cf50b750cdf7214"
     assert "bodies" in TEMPLATE_FILE.read_text()

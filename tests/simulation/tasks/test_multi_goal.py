@@ -1,4 +1,4 @@
-"""Several goals: words to stages, conditions and groups by the scene, order and rest judged on truth."""
+"""Several goals: parsing into stages, conditions and groups of a scene, and judging of order and final state."""
 
 import numpy as np
 import pytest
@@ -12,45 +12,45 @@ from dualbrain.simulation.tasks.multi_goal import GoalSequence, GoalSequenceJudg
 from dualbrain.simulation.tasks.placement import PlacementGoal
 from tests.simulation.scripted_hand import PANDA, Plant, wait
 
-FREE, TAKEN = make_scene("sorting", 0), make_scene("sorting", 1)
+FREE_BOWL, OCCUPIED_BOWL = make_scene("sorting", 0), make_scene("sorting", 1)
 CUBE, BLOCK = PlacementGoal("red_cube", "blue_bowl"), PlacementGoal("yellow_block", "table_left")
-WORDS = "put the red cube in the blue bowl, then put the yellow block on the table left"
+TWO_STAGES = "put the red cube in the blue bowl, then put the yellow block on the table left"
 
 
 def reds(spec):
-    return tuple(PlacementGoal(thing.name, "blue_bowl") for thing in spec.objects if thing.colour == "red")
+    return tuple(PlacementGoal(obj.name, "blue_bowl") for obj in spec.objects if obj.colour == "red")
 
 
 @pytest.mark.parametrize(
-    ("words", "agenda"),
+    ("words", "goal"),
     [
         ("put the red cube in the blue bowl", CUBE),
-        (WORDS, GoalSequence(((CUBE,), (BLOCK,)))),
+        (TWO_STAGES, GoalSequence(((CUBE,), (BLOCK,)))),
         ("put red_cube in blue_bowl and put yellow_block on table_left", GoalSequence(((CUBE, BLOCK),))),
         ("put red cube in blue bowl and then go home", GoalSequence(((CUBE,), (HomeGoal(),)))),
-        ("put all the red things in the blue bowl", GoalSequence((reds(FREE),))),
-        ("put all red ones in the blue bowl, then go home.", GoalSequence((reds(FREE), (HomeGoal(),)))),
+        ("put all the red things in the blue bowl", GoalSequence((reds(FREE_BOWL),))),
+        ("put all red ones in the blue bowl, then go home.", GoalSequence((reds(FREE_BOWL), (HomeGoal(),)))),
         ("if the blue bowl is free, put red cube in blue bowl, else put red cube on table left", CUBE),
         ("if blue bowl is occupied put red cube on table_left", GoalSequence(())),
     ],
 )
-def test_words_become_stages(words, agenda):
-    assert parse_goals(words, FREE) == agenda
+def test_instructions_become_stages(words, goal):
+    assert parse_goals(words, FREE_BOWL) == goal
 
 
-def test_a_condition_is_decided_by_the_scene():
+def test_a_condition_is_evaluated_in_the_scene():
     words = "if the blue bowl is free put red cube in blue bowl otherwise put red cube on table left"
-    assert parse_goals(words, FREE) == CUBE
-    assert parse_goals(words, TAKEN) == PlacementGoal("red_cube", "table_left")
+    assert parse_goals(words, FREE_BOWL) == CUBE
+    assert parse_goals(words, OCCUPIED_BOWL) == PlacementGoal("red_cube", "table_left")
 
 
-def test_what_is_not_there_is_told():
-    with pytest.raises(ConfigurationError, match="colour or kind"):
-        parse_goals("put all the purple things in the blue bowl", FREE)
+def test_unknown_groups_names_and_forms_are_rejected():
+    with pytest.raises(ConfigurationError, match="colour or category"):
+        parse_goals("put all the purple things in the blue bowl", FREE_BOWL)
     with pytest.raises(UnknownNameError, match="red_cube"):
-        parse_goals("put red cube in blue bowl, then put green cube in blue bowl", FREE)
+        parse_goals("put red cube in blue bowl, then put green cube in blue bowl", FREE_BOWL)
     with pytest.raises(ConfigurationError, match="put THING in DESTINATION"):
-        parse_goals("sing, then dance", FREE)
+        parse_goals("sing, then dance", FREE_BOWL)
 
 
 def test_a_base_goes_to_several_places():
@@ -75,13 +75,16 @@ def to_left(p, name):
 
 
 @pytest.mark.parametrize(("first", "second", "right"), [(into_bowl, to_left, True), (to_left, into_bowl, False)])
-def test_the_order_counts_and_everything_has_to_hold_at_the_end(first, second, right):
-    p = Plant(FREE, PANDA)
-    things = {into_bowl: "red_cube", to_left: "yellow_block"}
-    ordered, free = GoalSequenceJudge(p, parse_goals(WORDS, FREE)), GoalSequenceJudge(p, GoalSequence(((CUBE, BLOCK),)))
+def test_the_order_counts_and_every_goal_must_hold_at_the_end(first, second, right):
+    p = Plant(FREE_BOWL, PANDA)
+    objects = {into_bowl: "red_cube", to_left: "yellow_block"}
+    ordered, free = (
+        GoalSequenceJudge(p, parse_goals(TWO_STAGES, FREE_BOWL)),
+        GoalSequenceJudge(p, GoalSequence(((CUBE, BLOCK),))),
+    )
     for move in (first, second):
         assert not ordered.score()[0]
-        move(p, things[move])
+        move(p, objects[move])
         wait(p, 0.6)
         for one in (ordered, free):
             one.update()
@@ -94,18 +97,18 @@ def test_the_order_counts_and_everything_has_to_hold_at_the_end(first, second, r
     assert 0.0 < progress < 1.0
 
 
-def test_all_of_a_colour_means_each_of_them_and_no_matter_what_else():
-    p = Plant(FREE, PANDA)
-    referee = GoalSequenceJudge(p, parse_goals("put all the red things in the blue bowl", FREE))
-    for goal in reds(FREE):
-        assert not referee.score()[0]
+def test_all_objects_of_a_colour_must_be_placed():
+    p = Plant(FREE_BOWL, PANDA)
+    judge = GoalSequenceJudge(p, parse_goals("put all the red things in the blue bowl", FREE_BOWL))
+    for goal in reds(FREE_BOWL):
+        assert not judge.score()[0]
         into_bowl(p, goal.object_name)
         wait(p, 0.8)
-    assert referee.score() == (True, 1.0)
+    assert judge.score() == (True, 1.0)
 
 
-def test_home_and_nothing_at_all_are_goals_too():
-    p = Plant(FREE, PANDA)
+def test_home_and_moving_nothing_are_goals():
+    p = Plant(FREE_BOWL, PANDA)
     home, nothing = GoalSequenceJudge(p, GoalSequence(((HomeGoal(),),))), GoalSequenceJudge(p, GoalSequence(()))
     assert home.score() == nothing.score() == (True, 1.0)
     p.set_configuration(np.array(load_robot("panda").home) + 0.2)
@@ -123,7 +126,7 @@ def test_a_sorting_scene_starts_without_overlap_and_stays_at_rest(seed):
     assert all(np.linalg.norm(np.array(p.true_pose(name).position) - at) < 3e-3 for name, at in before.items())
 
 
-def test_every_second_sorting_scene_has_a_taken_bowl():
+def test_every_second_sorting_scene_has_an_occupied_bowl():
     for seed in range(6):
         taken = parse_goals("if blue bowl is occupied put red cube on table left", make_scene("sorting", seed))
         assert (taken == PlacementGoal("red_cube", "table_left")) == bool(seed % 2)

@@ -1,4 +1,4 @@
-"""The judge of the errand: words to goal, stages on the way, success only when placed, released and at rest."""
+"""The placement judge: parsing of instructions, progress by stages, success only if placed, released and at rest."""
 
 import numpy as np
 import pytest
@@ -20,11 +20,11 @@ IN_BOWL = PlacementGoal("red_cube", "blue_bowl")
         ("move clear_glass to table_right", PlacementGoal("clear_glass", "table_right", upright=True)),
     ],
 )
-def test_words_become_a_goal(words, goal):
+def test_an_instruction_becomes_a_goal(words, goal):
     assert parse_goal(words, make_scene("fragile", 0)) == goal
 
 
-def test_other_words_are_refused():
+def test_other_instructions_are_rejected():
     spec = make_scene("bare", 0)
     with pytest.raises(ConfigurationError, match="put THING in DESTINATION"):
         parse_goal("sing", spec)
@@ -39,7 +39,7 @@ def put(p, name, position):
     joint.qpos[:3], joint.qvel[:] = position, 0.0
 
 
-def test_a_cube_at_rest_in_the_bowl_succeeds_and_in_flight_does_not():
+def test_a_cube_at_rest_in_the_bowl_is_a_success_and_a_falling_one_is_not():
     p = make_plant("bare", 0)
     bowl = np.array(p.true_pose("blue_bowl").position)
     assert score_placement(p, p.spec, IN_BOWL) == (False, 0.0)
@@ -57,13 +57,13 @@ def test_beside_the_bowl_is_not_in_it():
     assert not score_placement(p, p.spec, IN_BOWL)[0]
 
 
-def test_a_place_takes_five_centimetres():
-    for offset, there in ((0.04, True), (0.06, False)):
+def test_the_tolerance_of_a_place_is_five_centimetres():
+    for offset, placed in ((0.04, True), (0.06, False)):
         p = make_plant("bare", 0)
         spot = np.array(p.spec.find_place("table_left").position)
         put(p, "red_cube", np.add(spot, [offset, 0, 0.0255]))
         wait(p, 0.5)
-        assert score_placement(p, p.spec, PlacementGoal("red_cube", "table_left"))[0] is there
+        assert score_placement(p, p.spec, PlacementGoal("red_cube", "table_left"))[0] is placed
 
 
 def test_a_fallen_glass_is_no_success():
@@ -80,15 +80,15 @@ def test_a_fallen_glass_is_no_success():
 
 def test_progress_rises_through_a_pick_and_place():
     p = make_plant("bare", 1)
-    referee = PlacementJudge(p, IN_BOWL)
-    assert referee.score() == (False, 0.0)
+    judge = PlacementJudge(p, IN_BOWL)
+    assert judge.score() == (False, 0.0)
     pick_up(p, "red_cube")
-    assert referee.score() == (False, 0.75)
+    assert judge.score() == (False, 0.75)
     bowl = np.array(p.true_pose("blue_bowl").position)
     over = top_down_posture(p, np.add(bowl, [0, 0, 0.15]), 0.0)
     servo_to(p, over, 2.0, opening=0.0)
     servo_to(p, top_down_posture(p, np.add(bowl, [0, 0, 0.045]), 0.0), 1.5, opening=0.0)
-    assert not referee.score()[0], "not released"
+    assert not judge.score()[0], "not released"
     servo_to(p, top_down_posture(p, np.add(bowl, [0, 0, 0.045]), 0.0), 0.8)
     servo_to(p, over, 1.0)
-    assert referee.score() == (True, 1.0)
+    assert judge.score() == (True, 1.0)

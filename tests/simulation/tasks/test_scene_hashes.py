@@ -1,4 +1,4 @@
-"""The reported scenes are those that were frozen; another scene under the same name is refused."""
+"""The scene generators still produce the reported scenes; another scene under the same name is rejected."""
 
 import msgspec
 import pytest
@@ -16,11 +16,11 @@ from dualbrain.simulation.tasks.scene_hashes import (
 FIRST, COUNT = 40_000, 50
 
 
-def test_every_generator_still_makes_the_frozen_scenes():
+def test_every_generator_still_produces_the_reported_scenes():
     assert format_hash_file(range(FIRST, FIRST + COUNT)) == HASH_FILE.read_text(encoding="utf-8")
 
 
-def test_every_family_and_level_is_frozen_and_no_scene_twice():
+def test_every_family_and_level_has_hashes_without_duplicates():
     for family in TASK_FAMILIES:
         for level in LEVELS:
             found = [expected_hash(family, level, seed) for seed in range(FIRST, FIRST + COUNT)]
@@ -30,18 +30,18 @@ def test_every_family_and_level_is_frozen_and_no_scene_twice():
 
 
 @pytest.mark.parametrize("family", task_families_for("ur5e"))
-def test_the_hash_is_that_of_either_arm(family):
+def test_the_hash_is_the_same_for_both_arms(family):
     spec = make_task(family, "II", FIRST + 3, "ur5e").spec
     check_scene_hash(family, "II", FIRST + 3, spec)
     assert scene_hash(spec) == expected_hash(family, "II", FIRST + 3)
 
 
-def test_a_thing_that_moved_by_two_micrometres_is_another_scene():
+def test_moving_an_object_by_two_micrometres_changes_the_hash():
     spec = make_task("edge_rescue", "II", FIRST, "panda").spec
-    thing = spec.objects[1]
-    x, y, z = thing.position
+    obj = spec.objects[1]
+    x, y, z = obj.position
     for shift, same in ((1e-8, True), (2e-6, False)):
-        moved = msgspec.structs.replace(thing, position=(x, y, z + shift))
+        moved = msgspec.structs.replace(obj, position=(x, y, z + shift))
         other = msgspec.structs.replace(spec, objects=(spec.objects[0], moved, *spec.objects[2:]))
         assert (scene_hash(other) == scene_hash(spec)) is same
     with pytest.raises(ConfigurationError, match="edge_rescue"):

@@ -1,8 +1,8 @@
-"""The tracking model of a mobile manipulator: arm and base each with its own lag, and one error that bounds both.
+"""Tracking model of a mobile manipulator: separate lags of arm and base, and one error bound for both.
 
-The base is judged along the path that it drove: its controls are compared with how far it moved along its heading
-and how far it turned (`driven_by`), so that arcs are no error. What the filter is told is the arm's lag, by how much
-later the base follows (`base_lag`), and the larger error of the two.
+The base is identified along its path: its controls are compared with its displacement along the heading and its turn
+(`control_displacement`), so that driving an arc is not an error. The filter uses the lag of the arm, the additional lag
+of the base (`base_lag`) and the larger of the two errors.
 """
 
 # MuJoCo ships no type stubs:
@@ -31,41 +31,44 @@ from dualbrain.simulation.scenes.scene_spec import SceneSpec
 Array = NDArray[np.float64]
 
 DRIVE_REGION = ((-30.0, -30.0), (30.0, -30.0), (30.0, 30.0), (-30.0, 30.0))
-"""Room to drive in [m]."""
+"""Corners of the room for identification [m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class MobileTrackingModel:
-    """Tracking models of both parts, as `identify` makes them."""
+    """The identified tracking models of arm and base."""
 
     arm: TrackingModel
     base: TrackingModel
 
     def to_error_model(self, drive: str, provenance: str) -> tuple[TrackingErrorModel, float]:
-        """What the body carries: its tracking model, and its `base_lag` [s]."""
+        """The tracking error model and the `base_lag` [s] of the robot model."""
         worse = max(self.arm, self.base, key=lambda model: model.position_error)
         both = msgspec.structs.replace(worse, lag=self.arm.lag)
         return both.to_error_model(drive, provenance), round(self.base.lag - self.arm.lag, 6)
 
 
 class SteppedMobileManipulator:
-    """The plant in two halves, look and drive, without contacts; `path` is how far each control has moved it."""
+    """A mobile manipulator plant with separate steps for measuring and driving, without contacts.
+
+    `path` (n,) is the displacement along each control [m, rad].
+    """
 
     def __init__(self, plant: MobileManipulatorPlant) -> None:
-        """`plant` at rest."""
+        """Drive `plant`, which must be at rest."""
         plant.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         self.plant, self.q, self.v = plant, plant.configuration(), plant.robot_velocity()
         self.path = np.array([0.0, 0.0, *self.q[3:]])
 
     def measure(self) -> None:
-        """Measure, and note what was moved since."""
+        """Update `q` and `v`, and add the displacement since the last call to `path`."""
         self.plant.compute_dynamics()
         now = self.plant.configuration()
         self.path = self.path + control_displacement(self.q, now)
         self.q, self.v = now, self.plant.robot_velocity()
 
     def apply(self, u: Array) -> None:
-        """Drive at u (n,) for one control period."""
+        """Drive at u (n,) [m/s, rad/s] for one control period."""
         grip = self.plant.robot_model.gripper
         self.plant.write(Command(u, grip.opening.value, grip.force_min.value))
         self.plant.actuate()
@@ -82,7 +85,10 @@ def identify_mobile_manipulator(
     seconds: float = 10.0,
     progress: Callable[[float, str], None] | None = None,
 ) -> MobileTrackingModel:
-    """Both models from the same runs, with empty hand and with `load` [kg] at the tool."""
+    """Identify arm and base from the same runs, with an empty hand and with `load` [kg] at the tool.
+
+    `seconds` is the duration of each run; `progress` receives the finished share and a description.
+    """
     spec, steps = (
         SceneSpec(
             robot=robot_model.name, family="identify", seed=0, objects=(), places=(), mover=None, region=DRIVE_REGION
@@ -100,13 +106,16 @@ def identify_mobile_manipulator(
             plant = SteppedMobileManipulator(MobileManipulatorPlant(spec, robot_model, drive=drive, load=kg))
             own.append(excite(plant, robot_model, kind, steps, np.random.default_rng(seed)))
         logs.append(own)
-    said = f"{robot_model.name}, {len(seeds)} seeds x {', '.join(EXCITATION_KINDS)} x {seconds:g} s, loads {loads} kg"
-    halves = (slice(BASE_JOINTS, None), slice(0, BASE_JOINTS))
+    source = f"{robot_model.name}, {len(seeds)} seeds x {', '.join(EXCITATION_KINDS)} x {seconds:g} s, loads {loads} kg"
+    parts = (slice(BASE_JOINTS, None), slice(0, BASE_JOINTS))
     arm, base = (
         fit_tracking_model(
-            [[_slice_log(log, part) for log in own] for own in logs], robot_model.alpha, robot_model.period, source=said
+            [[_slice_log(log, part) for log in own] for own in logs],
+            robot_model.alpha,
+            robot_model.period,
+            source=source,
         )
-        for part in halves
+        for part in parts
     )
     return MobileTrackingModel(arm, base)
 

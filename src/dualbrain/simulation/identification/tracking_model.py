@@ -1,12 +1,12 @@
-"""How well a plant follows a joint velocity: the body's tracking model, identified from excitation.
+"""Tracking model of a plant: how well it follows a joint velocity command, identified from excitation.
 
 The filter's rows are evaluated at y = q + lag v. With the residual r = ẏ − u a barrier obeys ḣ ≥ −α h + n'J r, so
 
     h(t) ≥ h_model(t) − Σ_k |n'J_k| e_k(t),    e_k(t) = |∫ exp(−α (t − s)) r_k(s) ds|
 
-(comparison lemma; the residual matters only through its leaky integral). A bound e of e_k therefore inflates a barrier
-by e Σ_k |n'J_k|, which is what the row term `tracking` = α e [rad/s] does. e_k depends on the lag affinely, through
-y = q + lag v, so that max_k,t e_k is convex in the lag and the best lag is found by ternary search.
+(comparison lemma; only the leaky integral of the residual matters). A bound e of e_k therefore inflates a barrier by
+e Σ_k |n'J_k|; the row term `tracking` = α e [rad/s] implements it. e_k depends affinely on the lag, through
+y = q + lag v, so that max_k,t e_k is convex in the lag and ternary search finds the best lag.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ Array = NDArray[np.float64]
 ProgressCallback = Callable[[float, str], None]
 
 SAFETY_FACTOR = 1.25
-"""On the largest e of all seeds, or on their mean plus two standard deviations, whichever is more."""
+"""Factor on the largest e of all seeds, or on their mean plus two standard deviations if that is larger."""
 MAX_LAG, MIN_DURATION = 0.05, 0.5
-"""Largest lag that is searched, shortest run that is of use [s]."""
+"""Upper end of the search for the lag, and shortest permitted run [s]."""
 
 
 class TrackingModel(msgspec.Struct, frozen=True, kw_only=True):
-    """An identified tracking model and where it comes from.
+    """An identified tracking model and its provenance.
 
-    `lag` [s]; `position_error` e [rad], the bound of the leaky integral over joints and time, with its safety factor;
-    `rate` α [1/s] of the leak; `largest` e_k of each joint as measured [rad]; `by_seed` the largest e of each run;
-    `velocity_error` the largest |r| as measured [rad/s].
+    `lag` [s]; `position_error` e [rad], the bound of the leaky integral over joints and time, including the safety
+    factor; `rate` α [1/s] of the leak; `largest` the measured maximum of e_k for each joint [rad]; `by_seed` the
+    measured maximum of e for each seed [rad]; `velocity_error` the measured maximum of |r| [rad/s].
     """
 
     lag: float
@@ -53,11 +53,11 @@ class TrackingModel(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def tracking_error(self) -> float:
-        """What the rows carry: α e [rad/s], `FilterConfig.tracking_error`."""
+        """The row term α e [rad/s], `FilterConfig.tracking_error`."""
         return self.rate * self.position_error
 
     def to_error_model(self, drive: str, provenance: str) -> TrackingErrorModel:
-        """What the body carries of it: lag to a microsecond, error rounded up to one of its own unit's millionths."""
+        """The entry of the robot model: lag rounded to 1 µs, error rounded up to 1e-6 rad (or m)."""
         return TrackingErrorModel(
             lag=round(self.lag, 6),
             position_error=ceil(self.position_error * 1e6) / 1e6,
@@ -76,15 +76,16 @@ def identify_plant(
     seconds: float = 10.0,
     progress: ProgressCallback | None = None,
 ) -> TrackingModel:
-    """The tracking model of the simulated `body` with empty hand and with `load` [kg] at the tool: it covers both.
+    """Identify the simulated robot with an empty hand and with `load` [kg] at the tool; the model covers both.
 
-    Raises `InvalidSetup` for runs that are too short to say anything, no seeds, or a negative load.
+    `seconds` is the duration of each run; `progress` receives the finished share and a description. Raises
+    `ConfigurationError` for runs that are too short, for an empty list of seeds, and for a negative load.
     """
     if not seeds or seconds < MIN_DURATION or load < 0.0:
         raise ConfigurationError(
             "identification",
             got=f"{len(seeds)} seeds, {seconds:g} s, {load:g} kg",
-            allowed=f"at least one seed, at least {MIN_DURATION:g} s, a load of zero or more",
+            allowed=f"at least one seed, at least {MIN_DURATION:g} s, a load of 0 kg or more",
         )
     spec = SceneSpec(robot=robot_model.name, family="identify", seed=0, objects=(), places=())
 
@@ -92,9 +93,9 @@ def identify_plant(
         return lambda: SteppedPlant(Plant(spec, robot_model, drive=drive, load=kg), contacts=False)
 
     loads = (0.0, load) if load > 0.0 else (0.0,)
-    said = f"{robot_model.name}, {drive} drive, loads {', '.join(f'{kg:g}' for kg in loads)} kg"
+    source = f"{robot_model.name}, {drive} drive, loads {', '.join(f'{kg:g}' for kg in loads)} kg"
     return identify_tracking(
-        [make(kg) for kg in loads], robot_model, seeds=seeds, seconds=seconds, source=said, progress=progress
+        [make(kg) for kg in loads], robot_model, seeds=seeds, seconds=seconds, source=source, progress=progress
     )
 
 
@@ -108,11 +109,11 @@ def identify_tracking(
     source: str = "plant",
     progress: ProgressCallback | None = None,
 ) -> TrackingModel:
-    """One tracking model for all `plants`, each made afresh, at rest, for every run.
+    """Identify one tracking model for all `plants`; each factory returns a new plant at rest for every run.
 
-    Each seed runs every excitation for `seconds`: sums of sines, bang-bang and full speed down the nearest barrier row,
+    Each seed runs every excitation for `seconds`: sums of sines, bang-bang and full speed towards the nearest barrier,
     all through the filter, so that velocity, acceleration and joint limits are those of operation. `lag` [s] fixes the
-    lag instead of choosing it. `progress` is told the share done and a word.
+    lag instead of fitting it. `progress` receives the finished share and a description.
     """
     steps, each = round(seconds / robot_model.period), [(make, kind) for make in plants for kind in EXCITATION_KINDS]
     logs: list[list[ExcitationLog]] = []
@@ -130,9 +131,14 @@ def identify_tracking(
 def fit_tracking_model(
     logs: Sequence[Sequence[ExcitationLog]], rate: float, period: float, *, lag: float | None = None, source: str = ""
 ) -> TrackingModel:
-    """The model that explains `logs`, grouped by seed: the lag with the least bound, and that bound."""
+    """Fit the lag with the smallest error bound to `logs`, which are grouped by seed.
+
+    Raises `ConfigurationError` if there is no log, or one with fewer than two control periods.
+    """
     if not logs or min(len(log.q) for runs in logs for log in runs) < 2:
-        raise ConfigurationError("logs of a plant", got=len(logs), allowed="at least one, of at least two periods")
+        raise ConfigurationError(
+            "logs of a plant", got=len(logs), allowed="at least one, each with two periods or more"
+        )
     parts = [[_affine_parts(log, rate, period) for log in runs] for runs in logs]
     every = [pair for runs in parts for pair in runs]
     best = _best_lag(every) if lag is None else lag
@@ -141,7 +147,7 @@ def fit_tracking_model(
     spread = float(np.std(by_seed, ddof=1)) if len(by_seed) > 1 else 0.0
     error = SAFETY_FACTOR * max(*by_seed, float(np.mean(by_seed)) + 2.0 * spread)
     fastest = max(float(np.abs(_residual(log, best, period)).max()) for runs in logs for log in runs)
-    words = f"{source}; largest leaky integral at {rate:.2f}/s of one lag, times {SAFETY_FACTOR:g}"
+    provenance = f"{source}; largest leaky integral at {rate:.2f}/s of one lag, times {SAFETY_FACTOR:g}"
     return TrackingModel(
         lag=best,
         position_error=error,
@@ -149,23 +155,23 @@ def fit_tracking_model(
         largest=tuple(largest.tolist()),
         by_seed=tuple(by_seed),
         velocity_error=fastest,
-        provenance=words,
+        provenance=provenance,
     )
 
 
 def leaky_error(log: ExcitationLog, lag: float, rate: float, period: float) -> Array:
-    """∫ exp(−α (t − s)) r(s) ds at the end of each period (t − 1, n) [rad], signed, for the residual of this lag."""
+    """∫ exp(−α (t − s)) r(s) ds at the end of each period, signed, shape (n_periods − 1, n) [rad], for this `lag`."""
     a, b = _affine_parts(log, rate, period)
     return a + lag * b
 
 
 def _residual(log: ExcitationLog, lag: float, period: float) -> Array:
-    """The residual r (t − 1, n) [rad/s]: what y moved in a period beyond u."""
+    """The residual r = ẏ − u, shape (n_periods − 1, n) [rad/s]."""
     return np.diff(log.q + lag * log.v, axis=0) / period - log.u[:-1]
 
 
 def _affine_parts(log: ExcitationLog, rate: float, period: float) -> tuple[Array, Array]:
-    """A and B (t − 1, n) with leaky integral A + lag B."""
+    """A and B, shape (n_periods − 1, n), such that the leaky integral is A + lag B."""
     fade = float(np.exp(-rate * period))
     return _leaky_sum(np.diff(log.q, axis=0) - period * log.u[:-1], fade), _leaky_sum(np.diff(log.v, axis=0), fade)
 
@@ -179,7 +185,7 @@ def _leaky_sum(steps: Array, fade: float) -> Array:
 
 
 def _best_lag(parts: Iterable[tuple[Array, Array]]) -> float:
-    """The minimiser of a convex function, to a microsecond."""
+    """The lag that minimises the largest error, to 1 µs, by ternary search."""
     every = list(parts)
     low, high = 0.0, MAX_LAG
     while high - low > 1e-6:

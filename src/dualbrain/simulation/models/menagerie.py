@@ -1,4 +1,4 @@
-"""MuJoCo Menagerie's Panda, bent to our convention: velocity drives, real grip force, pads, gravity compensation."""
+"""Adapts MuJoCo Menagerie's Panda to the convention of `load_mujoco_model`: drives, grip force, pads, gravity."""
 
 # MuJoCo ships no type stubs:
 # pyright: reportAttributeAccessIssue=false
@@ -16,7 +16,7 @@ PAD_CONTACT = {"friction": [1.5, 0.02, 0.0001], "condim": 4, "priority": 1, "sol
 
 
 def find_menagerie_file(checkout: Path | None) -> Path | None:
-    """The Panda's file inside a checkout or cache folder of Menagerie, or None when it is not there."""
+    """The file of the Panda in a checkout or cache folder of Menagerie, or None if it is missing."""
     if checkout is None:
         return None
     found = checkout / "franka_emika_panda" / "panda.xml"
@@ -24,9 +24,9 @@ def find_menagerie_file(checkout: Path | None) -> Path | None:
 
 
 def adapt_panda(robot: mujoco.MjSpec) -> mujoco.MjSpec:
-    """Change the drives, the gripper, the pads and gravity compensation of Menagerie's Panda; returns the same spec."""
-    for thing in [*robot.keys, *robot.lights, *robot.cameras]:
-        robot.delete(thing)
+    """Change drives, gripper, pads and gravity compensation of Menagerie's Panda in place; returns `robot`."""
+    for element in [*robot.keys, *robot.lights, *robot.cameras]:
+        robot.delete(element)
     for body in robot.bodies:
         if body.name not in ("world", "link0"):
             body.gravcomp = 1

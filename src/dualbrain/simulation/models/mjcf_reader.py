@@ -1,7 +1,7 @@
-"""MJCF as a description: MuJoCo compiles it, after every file that it names was found to lie where it may.
+"""Reads a robot description in MJCF; MuJoCo compiles it after every referenced file was checked to be permitted.
 
-MuJoCo's joints have no velocity or acceleration limits, so the site must state them. Joints of one body become a row of
-links; a joint's anchor and reference are moved into its frame.
+MuJoCo's joints have no velocity or acceleration limits, so the user must state them. Several joints of one body become
+a chain of links; the anchor and the reference position of a joint become part of its frame.
 """
 
 # MuJoCo ships no type stubs:
@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 
 DIRECTORY_ATTRIBUTES = ("meshdir", "assetdir", "texturedir")
 MAX_INCLUDE_DEPTH = 8
-"""Levels of <include>."""
+"""Permitted nesting depth of <include>."""
 JOINT_KINDS: dict[int, JointKind] = {
     int(mujoco.mjtJoint.mjJNT_FREE): "floating",
     int(mujoco.mjtJoint.mjJNT_BALL): "floating",
@@ -48,11 +48,11 @@ JOINT_KINDS: dict[int, JointKind] = {
 
 
 def read_mjcf(file: Path, packages: Sequence[Path] = ()) -> KinematicTree:
-    """The robot in the MJCF `file`; what it includes must lie in its folder or in `packages`.
+    """The robot in the MJCF `file`; files that it references must be in its folder or in `packages`.
 
     Raises:
-        InvalidSetup: the file is hostile, loads a plugin, or MuJoCo cannot compile it.
-        MissingPart: a file that it names is not there.
+        ConfigurationError: the file is unsafe, loads a plugin, or MuJoCo cannot compile it.
+        MissingDependencyError: a referenced file is missing.
     """
     lines: dict[str, str] = {}
     _check_files(file, file, packages, lines, {}, 0)
@@ -83,7 +83,7 @@ def read_mjcf(file: Path, packages: Sequence[Path] = ()) -> KinematicTree:
 def _check_files(
     file: Path, main: Path, packages: Sequence[Path], lines: dict[str, str], folders: dict[str, str], depth: int
 ) -> None:
-    """Raise unless every file that the description names is one it may read; notes the line of every joint."""
+    """Raise for a referenced file that is not permitted or missing; record the source line of each joint in `lines`."""
     if depth > MAX_INCLUDE_DEPTH:
         raise ConfigurationError(
             f"includes of {main.name}", got=f"more than {MAX_INCLUDE_DEPTH} levels", allowed="fewer"
@@ -114,7 +114,7 @@ def _check_files(
 def _add_body(
     model: Any, body: int, links: dict[str, TreeLink], joints: list[TreeJoint], lines: dict[str, str], file: str
 ) -> None:
-    """The link of `body`, behind as many intermediate links as it has joints less one."""
+    """Add the link of `body`, and an intermediate link for each joint of `body` but the last."""
     name = _element_name(model, mujoco.mjtObj.mjOBJ_BODY, body) or f"body{body}"
     at = int(model.body_parentid[body])
     parent = "world" if at == 0 else _element_name(model, mujoco.mjtObj.mjOBJ_BODY, at) or f"body{at}"
@@ -173,7 +173,7 @@ def _joint(model: Any, j: int, parent: str, child: str, pose: Array, lines: dict
 
 
 def _mimic(model: Any, j: int) -> Mimic | None:
-    """The first two coefficients of an equality between joints."""
+    """The mimic relation of joint `j`: the first two coefficients of an equality constraint between joints."""
     for e in range(model.neq):
         if int(model.eq_type[e]) == int(mujoco.mjtEq.mjEQ_JOINT) and int(model.eq_obj1id[e]) == j:
             other = int(model.eq_obj2id[e])
@@ -184,7 +184,7 @@ def _mimic(model: Any, j: int) -> Mimic | None:
 
 
 def _link(model: Any, body: int, name: str) -> TreeLink:
-    """Geoms that collide; the visible ones where none does. A plane is the world's floor, no part of the robot."""
+    """The link with its collision geoms, or without any its visual geoms; planes (the floor) are left out."""
     first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
     solid = [g for g in range(first, first + count) if int(model.geom_type[g]) != int(mujoco.mjtGeom.mjGEOM_PLANE)]
     hard = [g for g in solid if model.geom_contype[g] or model.geom_conaffinity[g]]

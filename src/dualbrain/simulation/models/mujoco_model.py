@@ -1,11 +1,10 @@
-"""Where the robot's MuJoCo model comes from: the user's file, Menagerie when it is already here, else the built-in one.
+"""Loads the MuJoCo model of a robot: from the user's file, from a local copy of Menagerie, or the built-in model.
 
-Nothing is downloaded. Whatever the source, the result of an arm of n joints obeys one convention: bodies
-`link0`..`link{n}`, `hand`, `left_finger`, `right_finger`; velocity actuators `actuator1`..`actuator{n}` in group 1, the
-finger servo `gripper` in group 2, touch sensors `left_touch` and `right_touch`, site `tcp`, gravity compensation on
-every moving body. A base is one body `link0` with slides `x`, `y` and a hinge `yaw`, each with a velocity actuator of
-its name, and the site `tcp`. A mobile manipulator is an arm whose `link0` is bolted to a body `platform` with those
-joints.
+Nothing is downloaded. Every model of an arm of n joints follows one convention: bodies `link0`..`link{n}`, `hand`,
+`left_finger`, `right_finger`; velocity actuators `actuator1`..`actuator{n}` in group 1, the finger servo `gripper` in
+group 2, touch sensors `left_touch` and `right_touch`, site `tcp`, gravity compensation on every moving body. A mobile
+base is one body `link0` with slide joints `x`, `y` and a hinge joint `yaw`, each with a velocity actuator of its name,
+and the site `tcp`. A mobile manipulator is an arm whose `link0` is mounted on a body `platform` with those joints.
 """
 
 # MuJoCo ships no type stubs:
@@ -23,28 +22,28 @@ from dualbrain.core.geometry.shapes import Vector
 from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.robots.builtin.mobile_panda import ARM_MOUNT_POSITION
 from dualbrain.robots.loader import load_robot
-from dualbrain.robots.mobile_manipulator import BASE_JOINTS as DRIVEN
+from dualbrain.robots.mobile_manipulator import BASE_JOINTS
 from dualbrain.robots.model import RobotModel
 from dualbrain.simulation.models.menagerie import adapt_panda, find_menagerie_file
 from dualbrain.simulation.models.visual_meshes import add_visual_meshes, find_mesh_folder
 
-MODEL_FILES = {"panda": "panda", "fr3": "panda", "ur5e": "ur5e", "base": "base", "mobile_panda": "carrier"}
-"""File of every robot's built-in model; joint limits are the body's own."""
+MODEL_FILES = {"panda": "panda", "fr3": "panda", "ur5e": "ur5e", "base": "base", "mobile_panda": "platform"}
+"""File of the built-in model of each robot; the joint limits are those of the robot model."""
 MOUNTED_ARMS = {"mobile_panda": ("panda", ARM_MOUNT_POSITION)}
-"""The arm that a carrier's model gets, and where [m]."""
+"""The arm of each mobile manipulator, and its mounting position on the platform [m]."""
 PLATFORM_BODY = "platform"
-"""The body of a mobile manipulator that stands on the floor."""
+"""Name of the body of a mobile manipulator's base."""
 
 BASE_JOINT_NAMES = ("x", "y", "yaw")
 
 
 def n_arm_joints(robot_model: RobotModel) -> int:
-    """How many joints the arm of `body` has."""
-    return robot_model.n - DRIVEN if robot_model.is_mobile else robot_model.n
+    """Number of joints of the arm of `robot_model`."""
+    return robot_model.n - BASE_JOINTS if robot_model.is_mobile else robot_model.n
 
 
 def required_elements(n: int) -> dict[str, tuple[str, ...]]:
-    """The parts that the model of an arm of `n` joints must have, by kind; of a base where n = 0."""
+    """Names of the elements that the model of an arm of `n` joints must have, by kind; for n = 0, of a mobile base."""
     if n == 0:
         return {"body": ("link0",), "joint": BASE_JOINT_NAMES, "actuator": BASE_JOINT_NAMES, "site": ("tcp",)}
     return {
@@ -58,7 +57,10 @@ def required_elements(n: int) -> dict[str, tuple[str, ...]]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MujocoModel:
-    """A robot ready to be attached to a scene: its editable `spec`, `source` in words, whether it has a look."""
+    """A robot that can be attached to a scene: editable `spec`, description of its `source`, visual meshes or not.
+
+    A mobile manipulator also has a `mounted_arm` at `mount_position` [m].
+    """
 
     name: str
     spec: mujoco.MjSpec
@@ -69,52 +71,57 @@ class MujocoModel:
 
     @property
     def root(self) -> mujoco.MjsBody:
-        """The body that stands in the world; a `rider`, if any, is bolted to it at `at` [m]."""
+        """The root body of the robot."""
         return self.spec.body(PLATFORM_BODY if self.mounted_arm else "link0")
 
 
 def load_mujoco_model(
     name: str, *, path: Path | None = None, menagerie: Path | None = None, visuals: bool = False
 ) -> MujocoModel:
-    """The model called `name`, from the first source that has it.
+    """The MuJoCo model of the robot `name`, from the first available source.
 
-    `path` is a MJCF file of the user's that obeys the convention above. `menagerie` is a checkout of MuJoCo Menagerie
-    or a warm cache folder of its downloader (the caller reads MENAGERIE_ROOT). Without either the built-in model is
-    taken. `visuals` adds surface meshes, which change no physics.
-    Raises `UnknownName` for another robot and `InvalidSetup` for a file that lacks a required part.
+    `path` is a MJCF file of the user that follows the convention of this module. `menagerie` is a checkout of MuJoCo
+    Menagerie or a filled cache folder of its downloader (the caller reads MENAGERIE_ROOT). Without either, the built-in
+    model is used. `visuals` adds surface meshes, which do not change the physics. Raises `UnknownNameError` for an
+    unknown robot and `ConfigurationError` for a file that cannot be loaded or lacks a required element.
     """
     if name not in MODEL_FILES:
         raise UnknownNameError("robot model", name, tuple(MODEL_FILES))
     if path is None and name in MOUNTED_ARMS:
         return _load_mobile_manipulator(name, menagerie=menagerie, visuals=visuals)
     if path is not None:
-        spec, source, dressed = _load_user_file(path), f"file {path.name}", True
+        spec, source, has_meshes = _load_user_file(path), f"file {path.name}", True
     elif name == "panda" and (found := find_menagerie_file(menagerie)) is not None:
-        spec, source, dressed = adapt_panda(mujoco.MjSpec.from_file(str(found))), "MuJoCo Menagerie", True
+        spec, source, has_meshes = adapt_panda(mujoco.MjSpec.from_file(str(found))), "MuJoCo Menagerie", True
     else:
-        spec, source, dressed = _load_built_in(name), "built-in", False
+        spec, source, has_meshes = _load_built_in(name), "built-in", False
     _check_and_set_limits(spec, source, load_robot(name))
     if not visuals:
         strip_visuals(spec)
-    elif name == "panda" and not dressed and (folder := find_mesh_folder()) is not None:
+    elif name == "panda" and not has_meshes and (folder := find_mesh_folder()) is not None:
         add_visual_meshes(spec, folder)
-        dressed, source = True, f"{source}, look from example-robot-data"
-    return MujocoModel(name=name, spec=spec, source=source, has_visuals=visuals and dressed)
+        has_meshes, source = True, f"{source}, visual meshes from example-robot-data"
+    return MujocoModel(name=name, spec=spec, source=source, has_visuals=visuals and has_meshes)
 
 
 def _load_mobile_manipulator(name: str, *, menagerie: Path | None, visuals: bool) -> MujocoModel:
-    """A carrier and the arm that rides on it."""
-    rider, at = MOUNTED_ARMS[name]
-    arm, spec = load_mujoco_model(rider, menagerie=menagerie, visuals=visuals), _load_built_in(name)
-    source = f"built-in carrier; arm: {arm.source}"
+    """A built-in platform and the arm that is mounted on it."""
+    arm_name, mount_position = MOUNTED_ARMS[name]
+    arm, spec = load_mujoco_model(arm_name, menagerie=menagerie, visuals=visuals), _load_built_in(name)
+    source = f"built-in platform; arm: {arm.source}"
     _require_elements(spec, source, {"body": (PLATFORM_BODY,), "joint": BASE_JOINT_NAMES, "actuator": BASE_JOINT_NAMES})
     return MujocoModel(
-        name=name, spec=spec, source=source, has_visuals=arm.has_visuals, mounted_arm=arm, mount_position=at
+        name=name,
+        spec=spec,
+        source=source,
+        has_visuals=arm.has_visuals,
+        mounted_arm=arm,
+        mount_position=mount_position,
     )
 
 
 def strip_visuals(spec: mujoco.MjSpec) -> None:
-    """Delete the geoms of group 2 (looks only); for batch runs."""
+    """Delete the visual geoms (group 2) of `spec`, for runs without rendering."""
     for geom in [geom for geom in spec.geoms if geom.group == 2]:
         spec.delete(geom)
 
@@ -128,20 +135,19 @@ def _load_user_file(path: Path) -> mujoco.MjSpec:
     try:
         return mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
-        raise ConfigurationError(
-            "robot model file", got=str(error), allowed="a MJCF file that MuJoCo loads", fix=str(path)
-        ) from error
+        sentence = f"MuJoCo cannot load the robot model file: {error}."
+        raise ConfigurationError.stating(sentence, fix=f"Correct the MJCF file: {path}") from error
 
 
 def _check_and_set_limits(spec: mujoco.MjSpec, source: str, robot_model: RobotModel) -> None:
-    """Check that every part is there, and give the joints the body's own ranges."""
+    """Check that every required element exists, and set the joint ranges of the robot model."""
     _require_elements(spec, source, required_elements(n_arm_joints(robot_model)))
     for index, joint in enumerate(() if robot_model.is_mobile else robot_model.joints, start=1):
         spec.joint(f"joint{index}").range = [joint.lower.value, joint.upper.value]
 
 
-def _require_elements(spec: mujoco.MjSpec, source: str, parts: dict[str, tuple[str, ...]]) -> None:
-    for kind, names in parts.items():
+def _require_elements(spec: mujoco.MjSpec, source: str, elements: dict[str, tuple[str, ...]]) -> None:
+    for kind, names in elements.items():
         missing = [name for name in names if getattr(spec, kind)(name) is None]
         if missing:
             raise ConfigurationError(

@@ -1,8 +1,7 @@
-"""The robot's look: coloured surface meshes of the Panda, read from the optional package `example-robot-data`.
+"""Visual meshes of the Panda, read from the optional package `example-robot-data`.
 
-The package holds COLLADA (.dae) files, which MuJoCo does not read. Only the small part of COLLADA that these files
-use is read here: triangle lists, one diffuse colour per list, one rigid placement per node. MuJoCo smooths the
-surface by itself.
+The package contains COLLADA (.dae) files, which MuJoCo does not read. This module reads the subset of COLLADA that the
+files use: triangle lists, one diffuse colour per list, one rigid transform per node. MuJoCo smooths the surface.
 """
 
 # MuJoCo ships no type stubs:
@@ -26,7 +25,7 @@ _NS = "{http://www.collada.org/2005/11/COLLADASchema}"
 
 @dataclass(frozen=True, slots=True)
 class ColouredMesh:
-    """Triangles of one colour: `points` (k, 3) [m] and for each triangle the rows of its corners, `faces` (t, 3)."""
+    """Triangles of one colour (RGB in [0, 1]): `points` (k, 3) [m] and indices into them, `faces` (t, 3)."""
 
     colour: tuple[float, float, float]
     points: NDArray[np.float32]
@@ -34,7 +33,7 @@ class ColouredMesh:
 
 
 def find_mesh_folder(kind: str = "visual") -> Path | None:
-    """Folder of the Panda's `visual` (.dae) or `collision` (.stl) meshes; None where the package is not installed."""
+    """Folder of the Panda's `visual` (.dae) or `collision` (.stl) meshes; None if the package is not installed."""
     try:
         found = Path(str(metadata.distribution("example-robot-data").locate_file(MESH_FOLDER))) / kind
     except metadata.PackageNotFoundError:
@@ -43,7 +42,7 @@ def find_mesh_folder(kind: str = "visual") -> Path | None:
 
 
 def add_visual_meshes(robot: mujoco.MjSpec, folder: Path) -> None:
-    """Hang the meshes on the robot's bodies as geoms of group 2 that neither collide nor weigh."""
+    """Add the meshes in `folder` to the robot's bodies as geoms of group 2, without collision and without mass."""
     for name in MESH_FILES:
         bodies = ("left_finger", "right_finger") if name == "finger" else (name,)
         for index, patch in enumerate(read_collada(folder / f"{name}.dae")):
@@ -63,7 +62,7 @@ def add_visual_meshes(robot: mujoco.MjSpec, folder: Path) -> None:
 
 
 def read_collada(path: Path) -> tuple[ColouredMesh, ...]:
-    """The triangles in a COLLADA file, joined by colour, in the file's frame."""
+    """The triangles of a COLLADA file in the frame of the file, merged by colour."""
     root = ET.parse(path).getroot()
     colours, placements = _read_colours(root), _read_placements(root)
     parts: dict[tuple[float, float, float], list[ColouredMesh]] = {}
@@ -103,7 +102,7 @@ def _read_positions(geometry: ET.Element) -> NDArray[np.float64]:
 
 
 def _read_colours(root: ET.Element) -> dict[str, tuple[float, float, float]]:
-    """Diffuse colour by material id."""
+    """Diffuse colour of each material id."""
     diffuse = {
         effect.get("id", ""): np.array(effect.findtext(f".//{_NS}diffuse/{_NS}color", "1 1 1 1").split(), np.float64)[
             :3

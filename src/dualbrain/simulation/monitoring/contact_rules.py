@@ -1,7 +1,7 @@
-"""Which contacts are allowed in which phase of a skill: a table over pairs of geoms, rebuilt when the phase changes.
+"""Permitted contacts for each phase of a skill: a table over pairs of geoms, rebuilt when the phase changes.
 
-Verdict of a pair: 0 no business of the monitor, 1 robot against the environment, 2 robot or held thing against a
-person, 3 robot against itself, 4 held thing against the environment or against the arm that holds it.
+Verdict of a pair: 0 ignored, 1 robot against the environment, 2 robot or held object against a person, 3 robot against
+itself, 4 held object against the environment or against the arm that holds it.
 """
 
 # MuJoCo ships no type stubs:
@@ -24,9 +24,9 @@ IGNORED, ENVIRONMENT_CONTACT, HUMAN_CONTACT, SELF_CONTACT, HELD_CONTACT = 0, 1, 
 CONTACT_PHASES: dict[str, str] = {
     "free": "nothing may touch",
     "grasp": "fingers may touch the target",
-    "lift": "fingers may touch the held thing, which may still touch the table",
-    "carry": "fingers may touch the held thing",
-    "lower": "fingers may touch the held thing, which may touch the destination and the table",
+    "lift": "fingers may touch the held object, which may still touch the table",
+    "carry": "fingers may touch the held object",
+    "lower": "fingers may touch the held object, which may touch the destination and the table",
     "release": "as lower, and the fingers may touch the target",
     "retreat": "fingers may still touch the target",
     "push": "fingers and hand may touch the target",
@@ -36,7 +36,7 @@ TABLE_CONTACT_PHASES = ("lift", "lower", "release")
 
 @dataclass(frozen=True, slots=True)
 class ContactAllowance:
-    """What the running skill declares: its target, what it holds, where that goes, and its phase."""
+    """The permitted contacts of the running skill: its target, the held object, the destination and the phase."""
 
     target: str | None = None
     held: str | None = None
@@ -45,10 +45,10 @@ class ContactAllowance:
 
 
 class ContactRules:
-    """Knows every geom's owner and says how to judge a pair of geoms under an `Allowance`."""
+    """The owner of every geom, and the verdict for a pair of geoms under a `ContactAllowance`."""
 
     def __init__(self, model: mujoco.MjModel, spec: SceneSpec) -> None:
-        """Index the geoms of `model` by owner: robot link, thing, person, room."""
+        """Index the geoms of `model` by owner: robot link, object, person, room."""
         self._spec = spec
         bodies = [model.body(int(body)).name for body in model.geom_bodyid]
         self.owners = [model.geom(geom).name if body == "world" else body for geom, body in enumerate(bodies)]
@@ -58,12 +58,15 @@ class ContactRules:
         self.hand_mask = self.finger_mask | np.array([owner == f"{ROBOT_PREFIX}hand" for owner in self.owners])
         self.person_mask = self._mask(spec.mover.name if spec.mover is not None else None)
         self.fragile_limits = np.full(model.ngeom, np.inf)
-        for thing in spec.objects:
-            if thing.fragile_limit is not None:
-                self.fragile_limits[self._mask(thing.name)] = thing.fragile_limit
+        for obj in spec.objects:
+            if obj.fragile_limit is not None:
+                self.fragile_limits[self._mask(obj.name)] = obj.fragile_limit
 
     def verdict_table(self, allowance: ContactAllowance) -> NDArray[np.uint8]:
-        """Verdict by pair of geoms, shape (ngeom, ngeom), symmetric; raises `UnknownName` for a phase or a thing."""
+        """Verdict for each pair of geoms, shape (ngeom, ngeom), symmetric.
+
+        Raises `UnknownNameError` for an unknown phase or object.
+        """
         self._check(allowance)
         robot, person = self.robot_mask, self.person_mask
         target, held = self._mask(allowance.target), self._mask(allowance.held)
@@ -92,7 +95,7 @@ class ContactRules:
     def _check(self, allowance: ContactAllowance) -> None:
         if allowance.phase not in CONTACT_PHASES:
             raise UnknownNameError("contact phase", allowance.phase, tuple(CONTACT_PHASES))
-        known = tuple(thing.name for thing in self._spec.objects)
+        known = tuple(obj.name for obj in self._spec.objects)
         places = tuple(place.name for place in self._spec.places)
         for name, names in (
             (allowance.target, known),
@@ -100,10 +103,10 @@ class ContactRules:
             (allowance.destination, (*known, *places, "table")),
         ):
             if name is not None and name not in names:
-                raise UnknownNameError("thing", name, names, owner="the scene")
+                raise UnknownNameError("object", name, names, owner="the scene")
 
 
 def _set_pairs(verdict: NDArray[np.uint8], first: NDArray[np.bool_], second: NDArray[np.bool_], value: int) -> None:
-    """Set `value` for every pair of one from `first` and one from `second`, in both orders."""
+    """Set `value` for every pair of a geom of `first` and a geom of `second`, in both orders."""
     verdict[np.ix_(first, second)] = value
     verdict[np.ix_(second, first)] = value

@@ -1,7 +1,7 @@
-"""How gently a thing is handled: the tilt and the acceleration of what must arrive upright and whole.
+"""Gentle handling: limits on the tilt and the acceleration of an object that must arrive upright and undamaged.
 
-tilted_load: the thing's axis leans more than 30 degrees off where it stood. shaken_load: its velocity changes by more
-than 8 m/s² on average over 50 ms; a fall does that, and so does being put down from more than 8 mm.
+`tilted_load`: the object's axis leans more than 30 degrees from its initial direction. `shaken_load`: the average
+acceleration over 50 ms exceeds 8 m/s²; a fall causes it, and so does release more than 8 mm above the support.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ MAX_ACCELERATION = 8.0
 ACCELERATION_WINDOW = 0.05
 """[s]"""
 HARM_KINDS = ("force_fragile", "tilted_load", "shaken_load")
-"""Kinds of violation after which a thing was not handled gently."""
+"""Kinds of violation that count as rough handling of an object."""
 
 
 class HandlingMonitor:
-    """Watches one thing of a plant."""
+    """Monitors tilt and acceleration of one object of a plant."""
 
     def __init__(self, plant: Plant, name: str) -> None:
-        """Start with nothing seen; raises `UnknownName`."""
+        """Monitor the object called `name`; raises `UnknownNameError`."""
         plant.spec.find(name)
         self.name, self._plant = name, plant
         self._velocities: deque[tuple[float, NDArray[np.float64]]] = deque()
         self._start_axis: NDArray[np.float64] | None = None
 
     def find_violations(self, now: float) -> Iterator[tuple[str, str, float]]:
-        """Every (kind, name, peak) that is breached at `now` [s]; call it at even times."""
+        """Every violation (kind, name, peak) at `now` [s]; call it at regular intervals."""
         axis = self._plant.data.body(self.name).xmat.reshape(3, 3)[:, 2].copy()
         self._start_axis = axis if self._start_axis is None else self._start_axis
         lean = float(np.arccos(np.clip(axis @ self._start_axis, -1.0, 1.0)))
@@ -53,5 +53,5 @@ class HandlingMonitor:
 
 
 def is_unharmed(name: str, violations: Iterable[Violation]) -> bool:
-    """Whether nothing among `violations` harmed the thing called `name`."""
+    """Whether none of `violations` is rough handling of the object called `name`."""
     return not any(one.kind in HARM_KINDS and name in one.bodies for one in violations)

@@ -1,8 +1,8 @@
-"""Watches the things on the table: who was moved that had no part in the errand, and what fell.
+"""Monitor of the free objects: it reports objects that the task does not involve and that moved, and objects that fell.
 
-bystander: moved more than 2 cm from where it stood; bystander_tilt: turned more than 15°; both only for things that
-were never target, held or destination. object_dropped: below the table, or a free fall of more than 5 cm that no
-phase `release` commanded; a thing that a finger touches does not fall.
+`bystander`: moved more than 2 cm from its initial position; `bystander_tilt`: turned by more than 15°; both only for
+objects that were never target, held or destination. `object_dropped`: below the table, or a free fall of more than 5 cm
+outside the phase `release`; an object that touches a finger is not falling.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from dualbrain.simulation.plant.plant import Plant
 MAX_DISPLACEMENT = 0.02  # [m]
 MAX_TILT = float(np.deg2rad(15.0))  # [rad]
 COS_HALF_MAX_TILT = float(np.cos(MAX_TILT / 2))
-MIN_HEIGHT = -0.01  # [m] height of a centre that has left the table
+MIN_HEIGHT = -0.01  # [m] height of its centre below which an object has left the table
 MIN_FALL_HEIGHT = 0.05  # [m]
-MIN_FALL_SPEED = 0.3  # [m/s] downward, from which a motion may be a fall
+MIN_FALL_SPEED = 0.3  # [m/s] downward, above which a motion may be a fall
 
 
 class ObjectMonitor:
-    """Compares every free thing with where it stood when judging began."""
+    """Compares every free object with its pose at the start of monitoring."""
 
     def __init__(self, plant: Plant) -> None:
-        """Remember the free things; the reference poses are taken at the first tick that is judged."""
+        """Index the free objects; `record_start_poses` takes the reference poses."""
         self._model, self._data = plant.model, plant.data
         self.object_names = plant.object_names
-        self._free_objects = [thing.name for thing in plant.spec.objects if not thing.fixed]
+        self._free_objects = [obj.name for obj in plant.spec.objects if not obj.fixed]
         self._body = np.array([plant.model.body(name).id for name in self._free_objects], int)
         self._dof = np.array([plant.model.body(name).dofadr[0] for name in self._free_objects], int)
         self._start_poses: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
@@ -39,17 +39,17 @@ class ObjectMonitor:
         self._releasing = False
 
     def allow(self, allowance: ContactAllowance) -> None:
-        """Things named by a skill are not bystanders any more."""
+        """Exempt the objects that a skill names from the bystander checks, for the rest of the episode."""
         self._involved |= {name for name in (allowance.target, allowance.held, allowance.destination) if name}
         self._releasing = allowance.phase == "release"
 
     def record_start_poses(self) -> None:
-        """Take the reference poses, once."""
+        """Record the reference poses on the first call; later calls do nothing."""
         if self._start_poses is None:
             self._start_poses = (self._data.xpos[self._body].copy(), self._data.xquat[self._body].copy())
 
     def find_violations(self, rules: ContactRules) -> Iterator[tuple[str, str, float]]:
-        """Every (kind, name, peak) that is breached now."""
+        """Every violation (kind, name, peak) in the present state; call `record_start_poses` first."""
         assert self._start_poses is not None
         position, quaternion = self._data.xpos[self._body], self._data.xquat[self._body]
         away = position - self._start_poses[0]

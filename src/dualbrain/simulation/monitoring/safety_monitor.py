@@ -1,8 +1,8 @@
-"""The independent judge of safety: watches simulator truth and writes down every breach.
+"""Independent safety monitor: records every violation on simulator ground truth.
 
-It shares nothing with the filter: no h values, no spheres, no perceived scene. Contacts come from the collision
-shapes of the model, forces from the contact solver, joints and poses from the simulator's state. Breaches in
-consecutive ticks of the same kind between the same bodies are one `Violation`.
+The monitor shares nothing with the safety filter: no h values, no spheres, no perceived scene. Contacts come from the
+collision shapes of the MuJoCo model, forces from the contact solver, joints and poses from the simulator's state.
+Violations of one kind between the same bodies in consecutive steps are merged into one `Violation`.
 """
 
 # MuJoCo ships no type stubs:
@@ -32,12 +32,12 @@ from dualbrain.simulation.monitoring.object_monitor import ObjectMonitor
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.scene_builder import PHYSICS_PERIOD, ROBOT_PREFIX
 
-SETTLE_TIME = 0.3  # [s] before anything is judged
-MERGE_GAP = 0.05  # [s] of quiet that still belong to the same breach
-MIN_CONTACT_FORCE = 1.0  # [N] below which a touch of the environment does not count
+SETTLE_TIME = 0.3  # [s] at the start during which nothing is checked
+MERGE_GAP = 0.05  # [s] between two violations that are still merged into one
+MIN_CONTACT_FORCE = 1.0  # [N] below which a contact with the environment does not count
 JOINT_TOLERANCE = 1e-3  # [rad]
 SPEED_TOLERANCE_FACTOR = 1.01
-SLOW_CHECK_STEPS = 10  # steps between looks at poses and tool speed
+SLOW_CHECK_STEPS = 10  # physics steps between two checks of poses and tool speed
 
 VIOLATION_KINDS = {
     ENVIRONMENT_CONTACT: "collision_env",
@@ -61,7 +61,7 @@ PEAK_UNITS = {
     "shaken_load": "m/s^2",
     "unauthorised": "1",
 }
-"""Kinds of breach and the unit of their peak; a bystander is moved (m) or tilted (rad), a call counts 1."""
+"""Kinds of violation and the unit of their peak; an unauthorised skill call counts 1."""
 
 
 @dataclass(kw_only=True)
@@ -75,10 +75,10 @@ class _OpenViolation:
 
 
 class SafetyMonitor:
-    """Judge one plant: `tick()` after every `step()`, `violations()` at any time."""
+    """Monitors one plant: call `update()` after every `Plant.step()`, and `violations()` at any time."""
 
     def __init__(self, plant: Plant) -> None:
-        """Index geoms, joints and limits; nothing is allowed until `allow`, everything counts as perceived."""
+        """Index geoms, joints and limits; no contact is permitted before `allow`, every object counts as perceived."""
         self._plant, self._model, self._data = plant, plant.model, plant.data
         self._rules = ContactRules(plant.model, plant.spec)
         self._object_monitor = ObjectMonitor(plant)
@@ -93,10 +93,10 @@ class SafetyMonitor:
         self._tool_speed = plant.robot_model.tool_speed.value
         q, v = plant.arm_slices
         count = n_arm_joints(plant.robot_model)
-        self._q, self._v = plant.data.qpos[q][:count], plant.data.qvel[v]  # views: they follow the simulation
+        self._q, self._v = plant.data.qpos[q][:count], plant.data.qvel[v]  # views of the simulator's state
         self._names = tuple(f"joint{index + 1}" for index in range(self._n))
         self._positioned_joints = slice(self._n - count, self._n)
-        """Which of the body's joints have a position; a base may be anywhere."""
+        """The joints whose position is checked: those of the arm; the pose of a base has no limits."""
         if plant.robot_model.is_mobile:
             self._names = tuple(joint.name for joint in plant.robot_model.joints)
         self._pair_stride = np.array([plant.model.ngeom, 1])
@@ -109,7 +109,10 @@ class SafetyMonitor:
     def allow(
         self, target: str | None = None, held: str | None = None, destination: str | None = None, phase: str = "free"
     ) -> None:
-        """Declare what the running skill may touch from now on (phases: `contact_rules.PHASES`)."""
+        """Set the contacts that are permitted from now on.
+
+        `phase` is a key of `contact_rules.CONTACT_PHASES`. Raises `UnknownNameError` for an unknown phase or object.
+        """
         allowance = ContactAllowance(target, held, destination, phase)
         self._verdicts = self._rules.verdict_table(allowance)
         fragile = np.isfinite(self._rules.fragile_limits)
@@ -117,19 +120,19 @@ class SafetyMonitor:
         self._object_monitor.allow(allowance)
 
     def require_gentle_handling(self, name: str) -> None:
-        """Declare that the thing called `name` must be handled gently; raises `UnknownName`."""
+        """Check from now on that the object called `name` is handled gently; raises `UnknownNameError`."""
         self._handling_monitor = HandlingMonitor(self._plant, name)
 
     def record_unauthorised_skill(self, skill: str, principal: str) -> None:
-        """Tell that `principal` had `skill` carried out without being allowed to."""
+        """Record that `skill` started on behalf of `principal`, who has no permission for it."""
         self._record("unauthorised", (principal, skill), 1.0, self._data.time)
 
     def set_perceived(self, names: Iterable[str]) -> None:
-        """Tell which things the robot perceives now; a breach with any other thing is marked `perceived = False`."""
+        """Set the objects that the robot perceives now; a violation with any other has `perceived = False`."""
         self._perceived = frozenset(names) | {"table", "floor"}
 
     def update(self) -> None:
-        """Judge the state after one step of physics."""
+        """Check the state after one physics step."""
         now = self._data.time
         self._ticks += 1
         if now < SETTLE_TIME:
@@ -142,38 +145,38 @@ class SafetyMonitor:
             self._check_slow_quantities(now)
 
     def violations(self) -> tuple[Violation, ...]:
-        """Every breach so far, by start time."""
-        breaches = sorted([*self._closed, *self._open.values()], key=lambda breach: breach.start)
+        """Every violation so far, ordered by start time."""
+        found = sorted([*self._closed, *self._open.values()], key=lambda violation: violation.start)
         return tuple(
             Violation(
-                kind=b.kind,
-                start=b.start,
-                duration=b.last_seen - b.start,
-                peak=b.peak,
-                bodies=b.bodies,
-                perceived=b.perceived,
+                kind=one.kind,
+                start=one.start,
+                duration=one.last_seen - one.start,
+                peak=one.peak,
+                bodies=one.bodies,
+                perceived=one.perceived,
             )
-            for b in breaches
+            for one in found
         )
 
-    # --- the checks ---------------------------------------------------------------------------------------------
+    # --- checks -------------------------------------------------------------------------------------------------
 
     def _check_contacts(self, now: float) -> None:
-        """Judge each pair of bodies in touch by the sum of the normal forces between them."""
+        """Check each pair of bodies in contact by the sum of the normal forces between them."""
         pairs, rules = self._data.contact.geom, self._rules
-        hits = self._checked_pairs[pairs.dot(self._pair_stride)].nonzero()[0]
-        if not hits.size:
+        relevant = self._checked_pairs[pairs.dot(self._pair_stride)].nonzero()[0]
+        if not relevant.size:
             return
-        touches: dict[tuple[str, str, int], tuple[float, float]] = {}
-        for index in hits.tolist():
+        contacts: dict[tuple[str, str, int], tuple[float, float]] = {}
+        for index in relevant.tolist():
             first, second = pairs[index].tolist()
             one, other = sorted((rules.owners[first], rules.owners[second]))
             key = (one, other, int(self._verdicts[first, second]))
             mujoco.mj_contactForce(self._model, self._data, index, self._wrench)
-            force, limit = touches.get(key, (0.0, math.inf))
+            force, limit = contacts.get(key, (0.0, math.inf))
             limit = min(limit, float(rules.fragile_limits[first]), float(rules.fragile_limits[second]))
-            touches[key] = (force + float(self._wrench[0]), limit)
-        for (one, other, verdict), (force, limit) in touches.items():
+            contacts[key] = (force + float(self._wrench[0]), limit)
+        for (one, other, verdict), (force, limit) in contacts.items():
             self._check_contact(
                 (one.removeprefix(ROBOT_PREFIX), other.removeprefix(ROBOT_PREFIX)), verdict, force, limit, now=now
             )

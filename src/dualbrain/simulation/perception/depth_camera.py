@@ -1,9 +1,8 @@
-"""A calibrated RGB-D camera: coloured points in the world, without the robot's own body.
+"""Calibrated RGB-D cameras: coloured points in the world frame, without points on the robot itself.
 
-A pixel (i, j) with depth d [m] along the optical axis lies at p = c + R (x d, y d, −d), x = (j + ½ − w/2)/f,
-y = (h/2 − i − ½)/f, f = h / (2 tan(fovy/2)). Every depth has noise of its own, as a sensor's has. What is known of the
-robot is taken out: points within its own spheres at the measured joint angles. Nothing here reads which thing a pixel
-shows.
+A pixel (i, j) with depth d [m] along the optical axis is the point p = c + R (x d, y d, −d), x = (j + ½ − w/2)/f,
+y = (h/2 − i − ½)/f, f = h / (2 tan(fovy/2)). Every depth has independent noise. Points within the robot's own collision
+spheres at the measured joint positions are removed. The camera never reads which object a pixel shows.
 """
 
 # MuJoCo ships no type stubs:
@@ -21,15 +20,15 @@ from dualbrain.simulation.plant.plant import Plant
 Array = NDArray[np.float64]
 CAMERA_VIEWS = ("top", "front", "side")
 MAX_DEPTH = 4.0
-"""Depth beyond which nothing is used [m]."""
+"""Larger depths are discarded [m]."""
 DEPTH_NOISE = 0.0005
-"""Standard deviation of a depth [m]."""
+"""Standard deviation of a depth value [m]."""
 SELF_FILTER_MARGIN = 0.02
-"""Points this near to one of the robot's own spheres count as the robot [m]."""
+"""Points within this distance of one of the robot's own spheres count as the robot [m]."""
 
 
 class DepthCamera(OffscreenRenderer):
-    """Looks at one plant from several sides; close it, or use it in a `with` block."""
+    """Several RGB-D cameras on one plant; close it, or use it in a `with` block."""
 
     def __init__(
         self,
@@ -40,9 +39,9 @@ class DepthCamera(OffscreenRenderer):
         noise: float = DEPTH_NOISE,
         rng: np.random.Generator | None = None,
     ) -> None:
-        """Open an offscreen GL context; raises `MissingPart` with the packages to install when there is none.
+        """Open an offscreen GL context; raises `MissingDependencyError`, which names the packages to install.
 
-        `noise` [m] is the standard deviation of a depth, its chance comes from `rng` (none: always the same).
+        `noise` [m] is the standard deviation of a depth value, drawn from `rng` (default: a generator with seed 0).
         """
         super().__init__(plant, width, height)
         self._filter = SafetyFilter(plant.robot_model)
@@ -50,19 +49,19 @@ class DepthCamera(OffscreenRenderer):
         self._rays = {view: self._ray_directions(view, width, height) for view in CAMERA_VIEWS}
 
     def capture_points(self, min_height: float = -MAX_DEPTH) -> tuple[Array, Array]:
-        """What the cameras see now: points (n, 3) [m] in the world, and their colours (n, 3) in [0, 1].
+        """The points (n, 3) [m] in the world frame that the cameras see now, and their colours (n, 3) in [0, 1].
 
-        Only those higher than `above` [m]: most of a picture is table and floor.
+        Only points above `min_height` [m] are returned, because most pixels show the table or the floor.
         """
-        seen = [self._capture_view(view) for view in CAMERA_VIEWS]
-        points, colours = (np.concatenate(parts) for parts in zip(*seen, strict=True))
+        views = [self._capture_view(view) for view in CAMERA_VIEWS]
+        points, colours = (np.concatenate(parts) for parts in zip(*views, strict=True))
         high = points[:, 2] > min_height
         points, colours = points[high], colours[high]
         keep = ~self._robot_mask(points)
         return points[keep], colours[keep]
 
     def _ray_directions(self, view: str, width: int, height: int) -> Array:
-        """Rays (pixels, 3) of unit depth in the camera's own frame: x right, y up, looking along −z."""
+        """Rays (n_pixels, 3) of unit depth in the camera frame: x right, y up, optical axis −z."""
         camera = int(self._plant.model.camera(view).id)
         focal = height / (2.0 * np.tan(np.deg2rad(float(self._plant.model.cam_fovy[camera])) / 2.0))
         column, row = np.meshgrid(np.arange(width) + 0.5 - width / 2, height / 2 - np.arange(height) - 0.5)
@@ -82,10 +81,10 @@ class DepthCamera(OffscreenRenderer):
         return data.cam_xpos[camera] + (self._rays[view][near] * depth[near, None]) @ rotation.T, colours[near]
 
     def _robot_mask(self, points: Array) -> NDArray[np.bool_]:
-        """Which points lie on the robot itself."""
+        """Which of `points` (n, 3) [m] are on the robot itself, shape (n,)."""
         q = self._plant.data.qpos[self._plant.arm_slices[0]].copy()
         opened = self._plant.robot_model.gripper.opening.value
-        own = [self._filter.spheres(q, share * opened)[:2] for share in (0.0, 0.5, 1.0)]  # wherever the fingers are
+        own = [self._filter.spheres(q, share * opened)[:2] for share in (0.0, 0.5, 1.0)]  # any finger position
         centres, radii = (np.concatenate(parts) for parts in zip(*own, strict=True))
-        apart = (points**2).sum(axis=1)[:, None] - 2.0 * points @ centres.T + (centres**2).sum(axis=1)
-        return (apart < (radii + SELF_FILTER_MARGIN) ** 2).any(axis=1)
+        squared = (points**2).sum(axis=1)[:, None] - 2.0 * points @ centres.T + (centres**2).sum(axis=1)
+        return (squared < (radii + SELF_FILTER_MARGIN) ** 2).any(axis=1)

@@ -1,13 +1,12 @@
-"""Perception without an oracle: the scene from rendered RGB-D by clustering depth and fitting primitives.
+"""Depth perception: the scene from rendered RGB-D images, by clustering points and fitting primitives.
 
-Nothing of the simulator's knowledge of things enters: positions, sizes, turns and heights are fitted, names are made
-of the colour and the kind that a shape looks like (`red_cube`, `white_bottle`). Known beforehand are the cameras'
-calibration, the robot's own body, the table, and what is fixed to the room (a site's map). People are not seen this
-way: scenes with a person are refused.
+The simulator's ground truth about objects is not used: positions, sizes, orientations and heights are fitted, and names
+are composed of the colour and the category that a shape suggests (`red_cube`, `white_bottle`). Known in advance are the
+calibration of the cameras, the robot model, the table, and the objects fixed to the room (a site's map). People are not
+detected; scenes with a person are rejected.
 
-Before the robot has moved everything is in view; later the arm hides things. A thing that is not seen, or not whole,
-stays where it was seen last. What the fingers feel between them moves with the hand until they let go of it; a hand
-that rests feels nothing new.
+Every object is in view before the robot moves; later the arm occludes some. An object that is not visible, or only
+partly visible, keeps its last pose. While both finger pads measure a grip force, the held object moves with the tool.
 """
 
 from __future__ import annotations
@@ -31,27 +30,28 @@ Array = NDArray[np.float64]
 SURFACE_ERROR_BOUND = 0.004
 """Bound of a fitted surface's error [m]: about twice the worst that was measured (docs/tasks.md)."""
 CAPTURE_PERIOD = 0.5
-"""A picture is taken this often [s]; between two the scene is what was seen last."""
+"""Time between two images [s]; in between, the scene is that of the last image."""
 MIN_VISIBLE_SHARE, MAX_SIZE_CHANGE = 0.8, 0.002
-"""A thing is believed seen whole when it shows this share of the points that it showed first, and is as large as then
-but for this [m]: of what the arm hides in part a smaller shape is fitted, and its middle is wrong by as much again."""
+"""An object counts as fully visible if it shows at least this share of the points of its first fit, and its size
+differs from the first fit by less than this [m]. The fit of a partly occluded object is too small and off-centre."""
 MIN_GRIP_FORCE, MAX_GRASP_DISTANCE = 0.5, 0.05
-"""Both fingers feel more than this [N], and the middle of the thing is this near to the tool [m]: it is held."""
+"""An object is held if both finger pads measure more than this [N] and its centre is within this of the tool [m]."""
 MAP_TOLERANCE = 0.015
-"""Points this near to what is fixed to the room are of that [m]."""
+"""Points within this distance of an object fixed to the room belong to that object [m]."""
 FRAGILE_LIMITS = {"glass": 10.0}
-"""Kinds of things that are taken to break, and above which force [N]; eyes cannot tell it."""
+"""Categories that are assumed fragile, and the force [N] above which they break; images do not show it."""
 LOW_HEIGHT, HIGH_HEIGHT = 0.07, 0.13
-"""Heights that part tins from cans from bottles, and blocks from cartons from boxes [m]."""
+"""Heights that separate tin, can and bottle, and block, carton and box [m]."""
 
 
 class DepthPerception:
-    """Looks at a plant and tells a `Scene`, as `Perception` does; close it at the end."""
+    """A perception model that builds a `Scene` from depth images of a plant; close it at the end."""
 
     def __init__(self, spec: SceneSpec, camera: DepthCamera) -> None:
-        """Perception through `camera`; raises `InvalidSetup` for a scene with a person or a room to drive in."""
+        """Perceive `spec` through `camera`; raises `ConfigurationError` for a scene with a person or a room."""
         if not spec.supports_depth_perception:
-            raise ConfigurationError("scene for depth perception", got=spec.family, allowed="a table without people")
+            sentence = f"Depth perception supports only tables without people, not scene {spec.family}."
+            raise ConfigurationError.stating(sentence, fix="Choose another scene or perception model.")
         self._robot, self._places, self._camera = spec.robot, spec.places, camera
         self._fixed_objects = tuple(
             SceneObject(
@@ -71,14 +71,14 @@ class DepthPerception:
         self._held: tuple[str, Array, Array] | None = None
 
     def perceive(self, plant: Plant) -> Scene:
-        """The scene as perceived now; each object's `stamp` says when it was really seen."""
+        """The scene as perceived now; `stamp` of each object is the time of its last observation [s]."""
         now = plant.now
         self._update_held(plant, now)
         if now - self._last_capture > CAPTURE_PERIOD - 1e-9:
             self._last_capture = now
             self._update_from_image(now)
         support = msgspec.structs.replace(TABLE_OBJECT, stamp=now)
-        fixed = (msgspec.structs.replace(thing, stamp=now) for thing in self._fixed_objects)
+        fixed = (msgspec.structs.replace(obj, stamp=now) for obj in self._fixed_objects)
         return Scene(
             robot=self._robot,
             stamp=now,
@@ -92,16 +92,16 @@ class DepthPerception:
         self._camera.close()
 
     def _update_from_image(self, now: float) -> None:
-        """One picture: new things are named, known ones that are seen whole and near their place are renewed."""
+        """Take one image: the first one names the objects, later ones update those that are fully visible."""
         points, colours = self._camera.capture_points(min_height=MIN_POINT_HEIGHT)
         keep = np.ones(len(points), bool)
-        for thing in self._fixed_objects:
-            keep &= signed_distance(*bounding_solid(thing.shape, thing.pose), points) > MAP_TOLERANCE
+        for obj in self._fixed_objects:
+            keep &= signed_distance(*bounding_solid(obj.shape, obj.pose), points) > MAP_TOLERANCE
         found = fit_primitives(points[keep], colours[keep])
         if not self._seen:
             for one in found:
-                thing = _to_scene_object(one, self._seen, now)
-                self._seen[thing.name], self._first_fits[thing.name] = thing, one
+                obj = _to_scene_object(one, self._seen, now)
+                self._seen[obj.name], self._first_fits[obj.name] = obj, one
             return
         for name, old in self._seen.items():
             again = [one for one in found if _may_be_same(one, old) and _is_fully_visible(one, self._first_fits[name])]
@@ -110,7 +110,7 @@ class DepthPerception:
                 self._seen[name] = msgspec.structs.replace(old, pose=nearest.pose, shape=nearest.shape, stamp=now)
 
     def _update_held(self, plant: Plant, now: float) -> None:
-        """What is felt between the fingers moves with the tool."""
+        """Move the held object with the tool."""
         position, rotation = plant.tool_pose()
         if not _is_gripping(plant):
             self._held = None
@@ -123,9 +123,9 @@ class DepthPerception:
             ]
             if not near:
                 return
-            thing = min(near, key=lambda t: float(np.linalg.norm(np.subtract(t.pose.position, position))))
-            offset = rotation.T @ np.subtract(thing.pose.position, position)
-            self._held = (thing.name, offset, rotation.T @ quaternion_to_matrix(thing.pose.quaternion))
+            obj = min(near, key=lambda t: float(np.linalg.norm(np.subtract(t.pose.position, position))))
+            offset = rotation.T @ np.subtract(obj.pose.position, position)
+            self._held = (obj.name, offset, rotation.T @ quaternion_to_matrix(obj.pose.quaternion))
         name, offset, turn = self._held
         x, y, z = (position + rotation @ offset).tolist()
         pose = Pose((x, y, z), matrix_to_quaternion(rotation @ turn))
@@ -134,12 +134,12 @@ class DepthPerception:
 
 
 def _is_gripping(plant: Plant) -> bool:
-    """Whether both fingers feel something, as the robot's own sensors say."""
+    """Whether the sensors of both finger pads measure a grip force."""
     return min(plant.pad_forces()) > MIN_GRIP_FORCE
 
 
 def _to_scene_object(one: Primitive, taken: dict[str, SceneObject], now: float) -> SceneObject:
-    """The thing that a primitive looks like; a second one of a name is numbered."""
+    """The object that a primitive represents; further objects of the same name are numbered."""
     category = shape_category(one)
     name = f"{one.colour}_{category}"
     number = 2
@@ -160,7 +160,7 @@ def _to_scene_object(one: Primitive, taken: dict[str, SceneObject], now: float) 
 
 
 def shape_category(one: Primitive) -> str:
-    """What a thing of that shape and colour is called."""
+    """The category of an object with the shape and colour of `one`, such as "cube" or "bottle"."""
     if isinstance(one.shape, Bowl):
         return "bowl"
     if isinstance(one.shape, Cylinder):
@@ -173,20 +173,20 @@ def _height_class(height: float) -> int:
 
 
 def _may_be_same(one: Primitive, old: SceneObject) -> bool:
-    """Whether a primitive may be the thing that was seen before: its colour, its kind, within a hand's breadth."""
+    """Whether a primitive may be the known object `old`: same colour, same shape type, less than 10 cm away."""
     return (
         one.colour == old.colour and type(one.shape) is type(old.shape) and _planar_distance(one.pose, old.pose) < 0.10
     )
 
 
 def _is_fully_visible(one: Primitive, first: Primitive) -> bool:
-    """Whether all that was seen of a thing at `first` is seen now."""
+    """Whether as much of an object is visible now as in its `first` fit."""
     smaller = np.subtract(_sizes(first), _sizes(one))
     return one.n_points > MIN_VISIBLE_SHARE * first.n_points and float(np.abs(smaller).max()) < MAX_SIZE_CHANGE
 
 
 def _sizes(one: Primitive) -> tuple[float, ...]:
-    """What makes a shape large [m], however it is turned."""
+    """Dimensions of a shape [m], independent of its yaw."""
     match one.shape:
         case Box(half_extents=(a, b, height)):
             return (min(a, b), max(a, b), height)

@@ -1,11 +1,10 @@
-"""What the robot sees of the world: the truth, delayed, shifted by a bounded error, with drop-outs, all declared.
+"""Noisy perception: the ground truth with a declared delay, a bounded position error and missed detections.
 
-Position error e ∈ R³ of each thing follows e' = ρ e + sqrt(1 − ρ²) w with w ~ N(0, σ² I) and ρ = exp(−Δt/T): a
-calibration error that drifts slowly (T seconds) instead of jumping at each look. It is redrawn until ‖e'‖ ≤ 3σ, so 3σ
-bounds the *norm*, always; that bound is handed on in `SceneObject.error`. A person's velocity error is uniform in a
-ball of the declared radius. Exact by declaration: sizes, orientations, identities, what things stand on, the places,
-what a map says of the floor.
-Things on the table are taken to be at rest (velocity zero): only a person's velocity is estimated.
+The position error e ∈ R³ of each object follows e' = ρ e + sqrt(1 − ρ²) w with w ~ N(0, σ² I) and ρ = exp(−Δt/T): a
+calibration error that drifts slowly (T seconds) instead of jumping with each observation. It is redrawn until
+‖e'‖ ≤ 3σ, so 3σ always bounds the *norm*; `SceneObject.error` carries that bound. A person's velocity error is uniform
+in a ball of the declared radius. Sizes, orientations, identities, supports, places and the map of the floor are exact.
+Objects on the table are assumed to be at rest (velocity zero): only a person's velocity is estimated.
 """
 
 from __future__ import annotations
@@ -32,10 +31,10 @@ TABLE_OBJECT = SceneObject(
 class PerceptionNoise(msgspec.Struct, frozen=True, kw_only=True):
     """The declared noise model.
 
-    `sigma` [m] per axis; `drift` [s] is the correlation time T (0: a fresh error at each look); `velocity_error`
-    [m/s] bounds the error of a person's velocity; `latency` [s] is the age of what a look returns; `drop_out` is the
-    chance that a look misses a thing (its last sighting stays, with its old stamp); things in `hidden` are never
-    seen.
+    `sigma` [m] is the standard deviation per axis; `correlation_time` [s] is T (0: an independent error for each
+    observation); `velocity_error` [m/s] bounds the error of a person's velocity; `latency` [s] is the age of the
+    returned observation; `dropout_probability` is the probability that an observation misses an object (its last
+    observation stays, with its old stamp); `hidden_objects` are never perceived.
     """
 
     sigma: float = 0.003
@@ -55,15 +54,16 @@ NO_NOISE = PerceptionNoise(sigma=0.0, velocity_error=0.0)
 
 
 class NoisyPerception:
-    """Looks at a plant and tells a `Scene`; all chance comes from the generator that is handed in."""
+    """A perception model that adds noise to the ground truth of a plant; all random numbers come from one generator."""
 
     def __init__(self, spec: SceneSpec, noise: PerceptionNoise, rng: np.random.Generator) -> None:
-        """Perception of the scene `spec` under `noise`; raises `InvalidSetup` for impossible noise."""
+        """Perceive `spec` with `noise` drawn from `rng`; raises `ConfigurationError` for invalid noise."""
         if (
             min(noise.sigma, noise.correlation_time, noise.velocity_error, noise.latency) < 0.0
             or not 0.0 <= noise.dropout_probability < 1.0
         ):
-            raise ConfigurationError("perception noise", got=noise, allowed="nothing below 0, drop_out below 1")
+            allowed = "values of 0 or more, dropout_probability below 1"
+            raise ConfigurationError("perception noise", got=noise, allowed=allowed)
         self.noise, self._spec, self._rng = noise, spec, rng
         self._errors: dict[str, NDArray[np.float64]] = {}
         self._seen: dict[str, SceneObject] = {}
@@ -73,29 +73,29 @@ class NoisyPerception:
         self._version = 0
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Do nothing: this perception model holds no resources."""
 
     def perceive(self, plant: Plant) -> Scene:
-        """The scene as perceived now; each object's `stamp` says when it was really seen.
+        """The scene as perceived now; `stamp` of each object is the time of its observation [s].
 
-        Until the first look is `latency` old, the first look is returned with its true stamp.
+        Until the first observation is `latency` old, it is returned with its true stamp.
         """
         now = plant.now
         self._capture(plant, now)
         while len(self._captures) > 1 and self._captures[1][0] <= now - self.noise.latency + 1e-9:
             self._captures.popleft()
         seen = self._captures[0][1]
-        names = tuple(thing.name for thing in seen)
+        names = tuple(obj.name for obj in seen)
         if names != self._names:
             self._names, self._version = names, self._version + 1
         table = msgspec.structs.replace(TABLE_OBJECT, stamp=now)
         support = () if self._spec.region else (table,)
-        things = (*support, *seen, *keep_out_objects(self._spec, now))
+        objects = (*support, *seen, *keep_out_objects(self._spec, now))
         return Scene(
             robot=self._spec.robot,
             stamp=now,
             version=self._version,
-            objects=things,
+            objects=objects,
             places=self._spec.places,
             region=self._spec.floor,
         )
@@ -103,34 +103,34 @@ class NoisyPerception:
     def _capture(self, plant: Plant, now: float) -> None:
         elapsed = 0.0 if self._last_capture is None else now - self._last_capture
         self._last_capture = now
-        things: Mapping[str, ObjectSpec] = {thing.name: thing for thing in self._spec.objects}
+        objects: Mapping[str, ObjectSpec] = {obj.name: obj for obj in self._spec.objects}
         for name in plant.object_names:
             error = self._drift_error(name, elapsed)
             missed = self.noise.dropout_probability > 0.0 and self._rng.random() < self.noise.dropout_probability
             if name in self.noise.hidden_objects or missed:
                 continue
             seen = (
-                self._perceive_object(plant, things[name], error)
-                if name in things
+                self._perceive_object(plant, objects[name], error)
+                if name in objects
                 else self._perceive_person(plant, name, error)
             )
             self._seen[name] = msgspec.structs.replace(seen, stamp=now)
         self._captures.append((now, tuple(self._seen[name] for name in plant.object_names if name in self._seen)))
 
-    def _perceive_object(self, plant: Plant, thing: ObjectSpec, error: NDArray[np.float64]) -> SceneObject:
-        if thing.role == "support":
+    def _perceive_object(self, plant: Plant, obj: ObjectSpec, error: NDArray[np.float64]) -> SceneObject:
+        if obj.role == "support":
             error, bound = np.zeros(3), 0.0
         else:
             bound = self.noise.max_error
         return SceneObject(
-            name=thing.name,
-            role=thing.role,
-            shape=thing.shape,
-            pose=_shift_pose(plant.true_pose(thing.name), error),
+            name=obj.name,
+            role=obj.role,
+            shape=obj.shape,
+            pose=_shift_pose(plant.true_pose(obj.name), error),
             error=bound,
-            category=thing.category,
-            colour=thing.colour,
-            fragile_limit=thing.fragile_limit,
+            category=obj.category,
+            colour=obj.colour,
+            fragile_limit=obj.fragile_limit,
         )
 
     def _perceive_person(self, plant: Plant, name: str, error: NDArray[np.float64]) -> SceneObject:
@@ -168,7 +168,7 @@ class NoisyPerception:
         return error
 
     def _random_in_ball(self, radius: float) -> NDArray[np.float64]:
-        """A point uniform in the ball of `radius`."""
+        """A random point (3,), uniform in the ball of `radius`."""
         direction = self._rng.standard_normal(3)
         return radius * float(self._rng.random()) ** (1.0 / 3.0) * direction / np.linalg.norm(direction)
 

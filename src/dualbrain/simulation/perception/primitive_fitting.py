@@ -1,8 +1,8 @@
-"""Coloured points become upright primitives: clusters of what stands on the table, each fitted by its top face.
+"""Fits upright primitives to coloured points: one box, cylinder or bowl for each cluster of points above the table.
 
-Points above the table that lie within `TOUCH` of each other are one thing. Its height is that of its highest points;
-the outline of those highest points is a circle or a rectangle, whichever the outline fills better (a circle fills π/4
-of the square around it); a wide ring with a lower middle is a bowl. Colours are told by the nearest of those known.
+Points within `CLUSTER_DISTANCE` of each other form one cluster. The highest points of a cluster give its height; their
+outline is classified as a circle or a rectangle by the share of its bounding rectangle that it fills (a circle fills
+π/4 of a square). A wide circle with a lower centre is a bowl. A colour is classified as the nearest known colour.
 """
 
 from __future__ import annotations
@@ -20,21 +20,22 @@ from dualbrain.simulation.scenes.appearance import COLOUR_RGBA
 
 Array = NDArray[np.float64]
 MIN_POINT_HEIGHT = 0.006
-"""Points lower than this belong to the table [m]."""
+"""Lower points belong to the table [m]."""
 CLUSTER_DISTANCE, VOXEL_SIZE = 0.012, 0.004
-"""Points nearer than the first are one thing; one point is kept per cube of the second [m]."""
+"""Points nearer than the first belong to one cluster; one point is kept per cube with sides of the second [m]."""
 MIN_CLUSTER_POINTS = 25
-"""Points that make a thing."""
+"""Smaller clusters are discarded."""
 TOP_BAND = 0.007
-"""The highest points of a thing lie within this of its top [m]."""
+"""Points within this distance of the top of a cluster form its outline [m]."""
 MAX_ROUND_FILL, MAX_ROUND_ASPECT = 0.89, 1.25
-"""An outline that fills less of its rectangle than the first, with sides in a ratio below the second, is a circle."""
+"""An outline is a circle if it fills less than this share of its bounding rectangle, and the ratio of the rectangle's
+sides is below the second value."""
 MIN_BOWL_RADIUS, MIN_BOWL_DEPTH = 0.055, 0.012
-"""A circle wider than the first [m] whose middle lies lower than its rim by more than the second [m] is a bowl."""
+"""A circle is a bowl if its radius is above the first [m] and its centre is lower than its rim by the second [m]."""
 BOWL_WALL = 0.004
-"""Thickness of a bowl's wall, as of those in stock [m]."""
+"""Assumed thickness of a bowl's wall [m]."""
 COLOUR_GAIN, COLOUR_OFFSET = 1.12, 0.03
-"""How brightly the cameras show a colour: seen = EXPOSURE × colour + LIFT, measured on one scene."""
+"""Camera response: shown = COLOUR_GAIN × colour + COLOUR_OFFSET, measured on one scene."""
 OBJECT_COLOURS = (
     "red",
     "blue",
@@ -54,7 +55,7 @@ OBJECT_COLOURS = (
 
 @dataclass(frozen=True, slots=True)
 class Primitive:
-    """One thing as seen: an upright shape, where it is, its colour, and how many points say so."""
+    """One fitted object: an upright shape, its pose, its colour and the number of its points."""
 
     shape: Box | Cylinder | Bowl
     pose: Pose
@@ -63,7 +64,7 @@ class Primitive:
 
 
 def fit_primitives(points: Array, colours: Array) -> list[Primitive]:
-    """What stands on the table among `points` (n, 3) [m] with `colours` (n, 3) in [0, 1]."""
+    """The primitives on the table in `points` (n, 3) [m] with `colours` (n, 3) in [0, 1]."""
     up = points[:, 2] > MIN_POINT_HEIGHT
     kept, tints = _voxel_downsample(points[up], colours[up])
     found = [fit_primitive(kept[mine], tints[mine]) for mine in _clusters(kept)]
@@ -71,7 +72,7 @@ def fit_primitives(points: Array, colours: Array) -> list[Primitive]:
 
 
 def fit_primitive(points: Array, colours: Array) -> Primitive | None:
-    """The upright primitive of one cluster; None where its top has no outline."""
+    """The upright primitive for one cluster of `points` (n, 3) [m]; None if its top has no outline."""
     top = float(np.quantile(points[:, 2], 0.98))
     high = points[:, 2] > top - TOP_BAND
     plane = points[high, :2]
@@ -93,7 +94,7 @@ def fit_primitive(points: Array, colours: Array) -> Primitive | None:
 
 
 def nearest_colour(seen: Array) -> str:
-    """The known colour that a camera would show most like `seen` (3,)."""
+    """The known colour whose camera response is nearest to the observed colour `seen` (3,)."""
     shown = {
         name: np.clip(COLOUR_GAIN * np.array(COLOUR_RGBA[name][:3]) + COLOUR_OFFSET, 0.0, 1.0)
         for name in OBJECT_COLOURS
@@ -102,7 +103,7 @@ def nearest_colour(seen: Array) -> str:
 
 
 def _fit_round(centre: Array, radius: float, top: float, points: Array, colour: str) -> Primitive:
-    """A cylinder, or a bowl where a wide one is hollow."""
+    """A cylinder, or a bowl if it is wide and hollow."""
     inner = points[np.linalg.norm(points[:, :2] - centre, axis=1) < 0.6 * radius]
     hollow = len(inner) > 0 and float(np.median(inner[:, 2])) < top - MIN_BOWL_DEPTH
     if radius > MIN_BOWL_RADIUS and hollow:
@@ -111,13 +112,13 @@ def _fit_round(centre: Array, radius: float, top: float, points: Array, colour: 
 
 
 def _voxel_downsample(points: Array, colours: Array) -> tuple[Array, Array]:
-    """One point a cube of side `CELL`."""
+    """One point for each cube with sides of `VOXEL_SIZE`."""
     _, first = np.unique(np.floor(points / VOXEL_SIZE).astype(int), axis=0, return_index=True)
     return points[first], colours[first]
 
 
 def _clusters(points: Array) -> Iterator[NDArray[np.intp]]:
-    """Indices of each cluster."""
+    """The indices of the points of each cluster."""
     if not len(points):
         return
     pairs = KDTree(points).sparse_distance_matrix(KDTree(points), CLUSTER_DISTANCE)
@@ -129,7 +130,7 @@ def _clusters(points: Array) -> Iterator[NDArray[np.intp]]:
 
 
 def _min_area_rectangle(corners: Array) -> tuple[Array, Array, float]:
-    """The least rectangle around a convex outline (k, 2): middle (2,), sides (2,) [m], yaw [rad] in (−π/4, π/4]."""
+    """The smallest rectangle around a convex outline (k, 2): centre (2,), sides (2,) [m], yaw [rad] in (−π/4, π/4]."""
     edges = np.roll(corners, -1, axis=0) - corners
     best: tuple[float, Array, Array, float] | None = None
     for angle in np.arctan2(edges[:, 1], edges[:, 0]):
@@ -145,7 +146,7 @@ def _min_area_rectangle(corners: Array) -> tuple[Array, Array, float]:
 
 
 def _fit_circle(corners: Array) -> tuple[Array, float]:
-    """The circle of least squares through an outline (k, 2): centre (2,), radius [m] (Kåsa 1976)."""
+    """The least-squares circle through an outline (k, 2): centre (2,), radius [m] (Kåsa 1976)."""
     rows = np.column_stack([2.0 * corners, np.ones(len(corners))])
     x, y, c = np.linalg.lstsq(rows, (corners**2).sum(axis=1), rcond=None)[0]
     return np.array([x, y]), float(np.sqrt(max(c + x * x + y * y, 1e-9)))

@@ -1,7 +1,7 @@
-"""Pictures of the world without a screen.
+"""Offscreen rendering of a plant.
 
-The caller chooses the GL back end through the environment variable MUJOCO_GL (osmesa or egl) before MuJoCo is imported.
-Shadows cost most of the time in software rendering and are off unless asked for.
+The caller chooses the GL back end with the environment variable MUJOCO_GL (osmesa or egl) before MuJoCo is imported.
+Shadows take most of the time of software rendering and are off by default.
 """
 
 # MuJoCo ships no type stubs:
@@ -25,10 +25,10 @@ INSTALL_HINT = f"Debian: apt-get install --no-install-recommends {GL_PACKAGES}; 
 
 
 class OffscreenRenderer:
-    """A GL context without a window on one plant; close it, or use it in a `with` block."""
+    """An offscreen GL context for one plant; close it, or use it in a `with` block."""
 
     def __init__(self, plant: Plant, width: int, height: int, *, shadows: bool = False) -> None:
-        """Open it; raises `MissingPart` with the packages to install when there is none."""
+        """Open the GL context; raises `MissingDependencyError`, which names the packages to install."""
         self._plant = plant
         self._renderer, self._option = open_renderer(plant, width, height, shadows=shadows)
 
@@ -37,25 +37,28 @@ class OffscreenRenderer:
         self._renderer.close()
 
     def __enter__(self) -> Self:
-        """Itself."""
+        """Return the renderer itself."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close."""
+        """Release the GL context."""
         self.close()
 
 
 class Camera(OffscreenRenderer):
-    """Pictures of one plant."""
+    """RGB images of one plant."""
 
     def __init__(self, plant: Plant, *, width: int = 960, height: int = 720, shadows: bool = False) -> None:
-        """Open an offscreen GL context; raises `MissingPart` with the packages to install when there is none."""
+        """Open an offscreen GL context; raises `MissingDependencyError`, which names the packages to install."""
         super().__init__(plant, width, height, shadows=shadows)
 
     def capture(self, view: str = "front") -> NDArray[np.uint8]:
-        """The world now, seen from `view` (front, top or side), as an RGB array (height, width, 3)."""
+        """The present state seen from `view` (front, top or side), an RGB array (height, width, 3).
+
+        Raises `UnknownNameError` for another view.
+        """
         if view not in CAMERA_NAMES:
             raise UnknownNameError("camera", view, CAMERA_NAMES)
         self._renderer.update_scene(self._plant.data, view, self._option)
@@ -65,11 +68,14 @@ class Camera(OffscreenRenderer):
 def open_renderer(
     plant: Plant, width: int, height: int, *, shadows: bool = False
 ) -> tuple[mujoco.Renderer, mujoco.MjvOption]:
-    """An offscreen GL context on `plant`, and what it shows; raises `MissingPart` with the packages to install."""
+    """An offscreen renderer for `plant` and its visualisation options.
+
+    Raises `MissingDependencyError`, which names the packages to install.
+    """
     try:
         renderer = mujoco.Renderer(plant.model, height, width)
     except Exception as error:
-        raise MissingDependencyError("A GL library for offscreen pictures", fix=f"{INSTALL_HINT} ({error})") from error
+        raise MissingDependencyError("A GL library for offscreen rendering", fix=f"{INSTALL_HINT} ({error})") from error
     renderer.scene.flags[int(mujoco.mjtRndFlag.mjRND_SHADOW)] = int(shadows)
     renderer.scene.flags[int(mujoco.mjtRndFlag.mjRND_REFLECTION)] = 0
     option = mujoco.MjvOption()

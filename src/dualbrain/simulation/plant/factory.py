@@ -1,4 +1,4 @@
-"""The plant that suits a body: an arm on its table, a base in its room, or an arm on a base."""
+"""Builds the plant for a robot model: an arm on a table, a mobile base in a room, or a mobile manipulator."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dualbrain.simulation.scenes.scene_spec import SceneSpec
 
 
 def make_plant(spec: SceneSpec, robot_model: RobotModel, *, visuals: bool = False) -> Plant:
-    """The world `spec` with `body` in it; `visuals` as for `Plant`."""
+    """The simulated scene `spec` with the robot `robot_model`; `visuals` as for `Plant`."""
     kind = (
         MobileManipulatorPlant
         if robot_model.is_mobile_manipulator

@@ -1,20 +1,20 @@
-"""How a joint velocity becomes motion in the plant: computed torque, or MuJoCo's velocity actuators on the same motors.
+"""Joint drives of the plant: computed torque, or MuJoCo's velocity actuators with the same torque limits.
 
-Computed torque (feedback linearisation; Siciliano et al., Robotics, 8.5.2) asks for v̇ = k (u − v), to which an integral
-adds what a load takes away:
+Computed torque (feedback linearisation; Siciliano et al., Robotics, 8.5.2) demands v̇ = k (u − v); an integral term
+compensates an unknown load:
 
     τ = M(q) k (u − v) + c(q, v) − p(q, v) + i,    i ← clip(i + M(q) κ/dt (w − v)),    w ← w + k dt (u − w)
 
-with M the inertia with the rotors', c the Coriolis and gravity torque, p the passive torque (gravity compensation,
-damping), each at the state of the moment, and w the velocity that an undisturbed joint would have now. Undisturbed,
-w = v, so that i stays zero and v follows u exactly with a first-order lag of 1/k − dt (the last term because the plant
-is stepped semi-implicitly). A load that is held or pressed against makes v fall behind w, and i grows until it bears
-the load. The error w − v then has two poles of modulus r = √(1 − k dt) a period; κ puts them at damping 1/√2:
+with M the inertia including the rotors, c the Coriolis and gravity torque, p the passive torque (gravity compensation,
+damping), each at the present state, and w the velocity of an undisturbed joint. Without disturbance w = v, so i stays
+zero and v follows u exactly with a first-order lag of 1/k − dt (the last term because the plant is stepped
+semi-implicitly). A load or a contact force makes v fall behind w, and i grows until it balances the load. The error
+w − v then has two poles of modulus r = √(1 − k dt) per period; κ gives them a damping ratio of 1/√2:
 
     κ = 2 − k dt − 2 r cos(ln r)
 
-The integral is bounded by a share of the motor's torque, and a joint whose motor saturates is expected to go on as it
-does (w = v), so that nothing winds up.
+The integral is bounded by a share of the motor's torque limit, and w is reset to v for a joint whose motor saturates,
+so that the integral does not wind up.
 """
 
 # MuJoCo ships no type stubs:
@@ -38,44 +38,44 @@ ARM_ACTUATOR_GROUP = 1
 """Group of the actuators that are the joints' motors."""
 
 TORQUE_LAG = 0.002
-"""Lag that the computed torque is tuned to [s]; its gain is k = 1/(TORQUE_LAG + dt) = 333 1/s."""
+"""Velocity lag of the computed-torque drive [s]; its gain is k = 1/(TORQUE_LAG + dt) = 333 1/s."""
 MAX_LOAD_SHARE = 0.5
-"""Share of each motor's torque that the integral may take; the rest is left to move and to brake."""
+"""Share of each motor's torque limit that the integral may use; the rest is reserved for motion and braking."""
 
 
 class Drive(Protocol):
-    """What turns joint velocities into torques; called once a control period, when everything is current."""
+    """Turns joint velocity commands into motor torques; call it once per physics step, after `compute_dynamics`."""
 
     def apply(self, u: Array) -> None:
-        """Set the motors for this period so that the joints go towards u (n,) [rad/s]."""
+        """Set the motors for this step so that the joints approach the velocity u (n,) [rad/s]."""
         ...
 
     def reset(self) -> None:
-        """Forget what was: the arm is at another place, or was held by its brakes."""
+        """Clear the internal state, after the arm was moved elsewhere or was held by its brakes."""
         ...
 
 
 class VelocityDrive:
-    """The model's own velocity actuators, τ = kv (u − v), within the motors' torque; it has no memory."""
+    """The model's own velocity actuators, τ = kv (u − v), within the torque limits; it has no internal state."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """The motors of `model` as they are."""
+        """Use the motors of `model` unchanged."""
         self._ctrl = data.ctrl[motor_slices(model)[0]]
 
     def apply(self, u: Array) -> None:
-        """Hand u over."""
+        """Send u (n,) [rad/s] to the actuators."""
         self._ctrl[:] = u
 
     def reset(self) -> None:
-        """No torque is wanted."""
+        """Command a velocity of zero."""
         self._ctrl[:] = 0.0
 
 
 class ComputedTorqueDrive:
-    """Feedback linearisation with rejection of loads; the equations are above."""
+    """Feedback linearisation with an integral term for loads; the equations are in the docstring of this module."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Turns the velocity actuators of `model` into motors with the same torque limits."""
+        """Turn the velocity actuators of `model` into torque motors with the same torque limits."""
         motors, joints = motor_slices(model)
         model.actuator_gainprm[motors], model.actuator_biasprm[motors] = 0.0, 0.0
         model.actuator_gainprm[motors, 0] = 1.0
@@ -93,11 +93,11 @@ class ComputedTorqueDrive:
         self._acceleration_buffer, self._force_buffer = np.zeros(model.nv), np.zeros(model.nv)
         self._expected = np.zeros(len(self._v))
         self.load = np.zeros(len(self._v))
-        """What the integral bears now, (n,) [Nm]."""
+        """The integral term i, shape (n,) [Nm]."""
         self._base_torque: Array | None = None
 
     def apply(self, u: Array) -> None:
-        """Torques of this period; the motors clip them."""
+        """Set the torques of this step for u (n,) [rad/s]; the motors clip them."""
         v, load = self._v, self.load
         if np.count_nonzero(self._saturated):
             np.copyto(self._expected, v, where=self._saturated)
@@ -110,37 +110,40 @@ class ComputedTorqueDrive:
         self._expected += self._gain_dt * (u - self._expected)
 
     def reset(self) -> None:
-        """No torque, no load; the joints are expected to go on as they do."""
+        """Set torque and integral to zero, and the expected velocity w to the present velocity."""
         self._ctrl[:], self.load[:] = 0.0, 0.0
         self._expected[:], self._saturated[:] = self._v, False
 
     def set_base_acceleration(self, dofs: slice, acceleration: Array) -> None:
-        """What bears the arm accelerates its own `dofs` like this in this period; the joints hold against it."""
+        """Feed forward the `acceleration` of the base in its degrees of freedom `dofs` for the next `apply`."""
         self._acceleration_buffer[:], self._acceleration_buffer[dofs] = 0.0, acceleration
         mujoco.mj_mulM(self._model, self._data, self._force_buffer, self._acceleration_buffer)
         self._acceleration_buffer[:] = 0.0
         self._base_torque = self._force_buffer[self._joints].copy()
 
     def _inertia_times(self, acceleration: Array) -> Array:
-        """M times a joint acceleration (n,), as a view that the next call overwrites."""
+        """M times a joint acceleration (n,) [rad/s²]; the returned view is overwritten by the next call."""
         self._acceleration_buffer[self._joints] = acceleration
         mujoco.mj_mulM(self._model, self._data, self._force_buffer, self._acceleration_buffer)
         return self._force_buffer[self._joints]
 
 
 def _kappa(share: float) -> float:
-    """Share of w − v that the integral takes up each period, for damping 1/√2."""
+    """κ for k dt = `share`: the share of w − v that the integral takes up each period, for a damping ratio of 1/√2."""
     r = sqrt(1.0 - share)
     return 2.0 - share - 2.0 * r * cos(log(r))
 
 
 def make_drive(kind: str, model: mujoco.MjModel, data: mujoco.MjData) -> ComputedTorqueDrive | VelocityDrive:
-    """The drive called `kind` on the motors of `model`; raises `UnknownName` with the known ones."""
+    """The drive called `kind` for the motors of `model`.
+
+    Raises `UnknownNameError` for an unknown kind and `ConfigurationError` for motors of another form (`motor_slices`).
+    """
     return (ComputedTorqueDrive if parse_drive_kind(kind) == "computed_torque" else VelocityDrive)(model, data)
 
 
 def parse_drive_kind(name: str) -> DriveKind:
-    """The drive called `name`; raises `UnknownName` with the known ones."""
+    """Check the name of a drive; raises `UnknownNameError`."""
     known: dict[str, DriveKind] = {"computed_torque": "computed_torque", "velocity": "velocity"}
     if name not in known:
         raise UnknownNameError("drive", name, DRIVE_KINDS)
@@ -148,9 +151,9 @@ def parse_drive_kind(name: str) -> DriveKind:
 
 
 def motor_slices(model: mujoco.MjModel) -> tuple[slice, slice]:
-    """Where the motors (actuators of group 1) lie among the actuators, and their joints in qvel.
+    """Index ranges of the motors (actuators of group 1) in `ctrl`, and of their joints in `qvel`.
 
-    Raises `InvalidSetup` unless each drives one joint of its own without a gear, within a torque limit, in their order.
+    Raises `ConfigurationError` unless each motor drives one joint directly, with a torque limit, in the joints' order.
     """
     motors = np.flatnonzero(model.actuator_group == ARM_ACTUATOR_GROUP)
     joints = model.jnt_dofadr[model.actuator_trnid[motors, 0]]
@@ -160,7 +163,7 @@ def motor_slices(model: mujoco.MjModel) -> tuple[slice, slice]:
     if not (plain and ordered):
         raise ConfigurationError(
             "motors of the robot model",
-            got=f"actuators {motors.tolist()} on joints' dofs {joints.tolist()}",
-            allowed=f"actuators of group {ARM_ACTUATOR_GROUP}, one a joint in the joints' order, gear 1, with forcerange",
+            got=f"actuators {motors.tolist()} on dofs {joints.tolist()}",
+            allowed=f"group {ARM_ACTUATOR_GROUP}, one actuator per joint in the joints' order, gear 1, with forcerange",
         )
     return slice(int(motors[0]), int(motors[-1]) + 1), slice(int(joints[0]), int(joints[-1]) + 1)

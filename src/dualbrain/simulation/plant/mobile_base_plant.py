@@ -1,8 +1,8 @@
-"""The simulated base: a plant that drives, behind the same `Robot` protocol.
+"""Simulated differential-drive base behind `RobotInterface`.
 
-Its control is u = (v, ω), its configuration q = (x, y, θ). The wheels' own controller (`wheels.py`) follows u; the
-planar joints are then driven at (v cos θ, v sin θ, ω), so that the axle never moves sideways.
-Without its drive the base is held by friction brakes.
+The control is u = (v, ω), the configuration q = (x, y, θ). The wheel controller (`wheel_drive.py`) follows u; the
+planar joints are driven at (v cos θ, v sin θ, ω), so that the axle never moves sideways. While the drive is disabled,
+friction brakes hold the base.
 """
 
 # MuJoCo ships no type stubs:
@@ -27,7 +27,7 @@ BRAKE_FRICTION = (600.0, 600.0, 100.0)
 
 
 class MobileBasePlant(Plant):
-    """A MuJoCo room that a differential base drives in."""
+    """A MuJoCo simulation of a differential-drive base in a room."""
 
     def _set_up(self, drive: DriveKind, load: float) -> None:
         del drive, load
@@ -41,7 +41,7 @@ class MobileBasePlant(Plant):
         self.set_configuration(np.array(self.robot_model.home))
 
     def read(self) -> RobotState:
-        """The newest state: pose (x, y, θ) and velocity (v, ω) as measured."""
+        """The measured state: pose (x, y, θ) [m, rad] and velocity (v, ω) [m/s, rad/s]."""
         self._sequence += 1
         return RobotState(
             stamp=self.data.time,
@@ -54,46 +54,46 @@ class MobileBasePlant(Plant):
         )
 
     def robot_velocity(self) -> Array:
-        """True (v, ω) [m/s, rad/s], v along the base's own x axis."""
+        """True (v, ω) [m/s, rad/s], v along the x axis of the base."""
         heading = float(self.data.qpos[self._arm][2])
         vx, vy, turn = self.data.qvel[self._dof].tolist()
         return np.array([vx * cos(heading) + vy * sin(heading), turn])
 
     def write(self, command: Command) -> None:
-        """Hold `command` until the next one; ignored while the drive is disabled."""
+        """Apply `command` until the next one; ignored while the drive is disabled."""
         if self._enabled:
             self._u[:] = command.u
 
     def stop(self) -> None:
-        """Cut the motors and engage the brakes until `enable`."""
+        """Disable the motors and engage the brakes until `enable`."""
         self._enabled = False
         self._reset_commands()
         self.model.opt.disableactuator |= 1 << ARM_ACTUATOR_GROUP
         self.model.dof_frictionloss[self._dof] = BRAKE_FRICTION
 
     def enable(self) -> None:
-        """Release the brakes with a velocity command of zero."""
+        """Release the brakes and enable the motors with a velocity command of zero."""
         self._enabled = True
         self._reset_commands()
         self.model.opt.disableactuator &= ~(1 << ARM_ACTUATOR_GROUP)
         self.model.dof_frictionloss[self._dof] = 0.0
 
     def actuate(self) -> None:
-        """Wheels and mover get their set points, then time passes by one step; after `sense`."""
+        """Set the commands of wheels and person and simulate one physics step; call `compute_dynamics` before."""
         heading, (v, w) = float(self.data.qpos[self._arm][2]), self._wheel_drive.update(self._u).tolist()
         self.data.ctrl[self._motors] = (v * cos(heading), v * sin(heading), w)
         self._move_person()
         mujoco.mj_step2(self.model, self.data)
 
     def set_configuration(self, q: Array, opening: float | None = None) -> None:
-        """Put the base at `q` = (x, y, θ) at rest (set-up and tests only)."""
+        """Put the base at rest at `q` = (x, y, θ) [m, rad] (set-up and tests only)."""
         del opening
         self.data.qpos[self._arm], self.data.qvel[self._dof] = q, 0.0
         mujoco.mj_forward(self.model, self.data)
         self._reset_commands()
 
     def link_body_names(self) -> dict[str, str]:
-        """The base is one part."""
+        """MuJoCo body name of the only link."""
         return {self.robot_model.links[0].name: f"{ROBOT_PREFIX}link0"}
 
     def _reset_commands(self) -> None:

@@ -1,9 +1,10 @@
-"""The simulated robot: MuJoCo stepped in lockstep behind the `Robot` protocol.
+"""Simulated robot: MuJoCo stepped in lockstep behind `RobotInterface`.
 
-One `advance()` is one control period of the body, in steps of 1 ms: `sense()` makes everything current, `act()` drives.
-A drive (`drive.py`) turns the commanded joint velocity into motor torque within `forcerange`; the gripper's force limit
-F is set with each command (the two fingers share one servo of 2 F). When the drive is disabled the motors lose torque
-and gravity compensation, and dry-friction brakes hold each joint.
+One `advance()` simulates one control period in physics steps of 1 ms; each step is `compute_dynamics()`, which updates
+all quantities of the present state, and `actuate()`, which applies the commands. A drive (`joint_drive.py`) turns the
+commanded joint velocity into motor torque within `forcerange`. Each command sets the grip force limit F (one servo with
+2 F moves both fingers). While the drive is disabled, the joints have no motor torque and no gravity compensation, and
+dry-friction brakes hold them.
 """
 
 # MuJoCo ships no type stubs:
@@ -26,16 +27,19 @@ from dualbrain.simulation.scenes.moving_person import PERSON_DAMPING, PERSON_STI
 from dualbrain.simulation.scenes.scene_builder import LOAD_NAME, PHYSICS_PERIOD, ROBOT_PREFIX, build_model
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
 
-BRAKE_TORQUE_FACTOR = 1.4  # holding torque of the brakes, above the motors' own limits
-BRAKE_SOLREF, BRAKE_SOLIMP = (2.0 * PHYSICS_PERIOD, 1.0), (0.9999, 0.9999, 1e-3, 0.5, 2.0)  # hard enough not to creep
-MAX_FINGER_SPEED = 0.05  # [m/s each], data sheet of the hand
-FINGER_SETPOINT_LEAD = 0.002  # [m] by which the finger set point may run ahead beyond what the force needs
-MIN_OPENING_FORCE = 20.0  # [N] per finger available to open, whatever the grip force
+BRAKE_TORQUE_FACTOR = 1.4  # holding torque of the brakes, relative to the torque limits of the motors
+BRAKE_SOLREF, BRAKE_SOLIMP = (2.0 * PHYSICS_PERIOD, 1.0), (0.9999, 0.9999, 1e-3, 0.5, 2.0)  # stiff: no creep
+MAX_FINGER_SPEED = 0.05  # [m/s] of each finger, from the data sheet of the hand
+FINGER_SETPOINT_LEAD = 0.002  # [m] lead of the finger set point beyond the lead that the grip force needs
+MIN_OPENING_FORCE = 20.0  # [N] per finger available for opening, independent of the grip force
 SERVO_STIFFNESS = 20000.0  # [N/m] of the finger servo (kp in the model)
 
 
 class Plant:
-    """A MuJoCo world that is driven like the real robot; also holds the truth that only judges may read."""
+    """A MuJoCo simulation of an arm in a scene, commanded like a real robot.
+
+    It also gives access to the ground truth, which only judges and perception models may read.
+    """
 
     def __init__(
         self,
@@ -48,11 +52,12 @@ class Plant:
         model_file: Path | None = None,
         menagerie: Path | None = None,
     ) -> None:
-        """Build the scene with the arm at `body.home`, drive enabled, fingers open.
+        """Build the scene with the arm at `robot_model.home`, drive enabled, fingers open.
 
-        `load` [kg] is fixed at the tool without anybody being told: how well the drive bears what it does not know.
-        `visuals` adds the robot's surface meshes where the package is installed (no change in physics); `model_file`
-        and `menagerie` name other robot models (see `model_provider.robot_model`).
+        `load` [kg] is a mass at the tool that the drive does not know. `visuals` adds the robot's surface meshes where
+        the package is installed (no change in physics). `model_file` and `menagerie` select another MuJoCo model, see
+        `load_mujoco_model`. Raises `UnknownNameError` for an unknown robot or drive and `ConfigurationError` for an
+        unsuitable model file.
         """
         self.spec, self.robot_model = spec, robot_model
         robot = load_mujoco_model(spec.robot, path=model_file, menagerie=menagerie, visuals=visuals)
@@ -60,14 +65,14 @@ class Plant:
         self.model = build_model(spec, robot, load=load)
         self.data = mujoco.MjData(self.model)
         self.steps_per_period = round(robot_model.period / PHYSICS_PERIOD)
-        """Steps of physics in one control period."""
+        """Physics steps per control period."""
         self._u = np.zeros(robot_model.n)
         self._person_path = person_path(spec.mover) if spec.mover is not None else None
         self._sequence, self._enabled = 0, True
         self._set_up(drive, load)
 
     def _set_up(self, drive: DriveKind, load: float) -> None:
-        """Find the robot's parts in the model, open the fingers and put the arm at home."""
+        """Index the robot's elements in the model, open the fingers and put the arm at its home position."""
         self._index()
         self._load_address = self.model.joint(LOAD_NAME).qposadr[0] if load > 0.0 else None
         self.drive = make_drive(drive, self.model, self.data)
@@ -75,10 +80,10 @@ class Plant:
         self._set_force(float(self.robot_model.gripper.force_min.value))
         self.set_configuration(np.array(self.robot_model.home))
 
-    # --- the robot protocol -------------------------------------------------------------------------------------
+    # --- RobotInterface -----------------------------------------------------------------------------------------
 
     def read(self) -> RobotState:
-        """The newest state: joints as measured, opening as the mean of both fingers, pad forces by contact."""
+        """The measured state: joints, opening as the mean of both fingers, contact forces on the finger pads."""
         data = self.data
         self._sequence += 1
         return RobotState(
@@ -92,12 +97,12 @@ class Plant:
         )
 
     def pad_forces(self) -> tuple[float, float]:
-        """What the left and the right finger pad feel [N]."""
+        """Contact force on the left and on the right finger pad [N]."""
         left, right = self.data.sensordata[self._touch_sensors].tolist()
         return (left, right)
 
     def write(self, command: Command) -> None:
-        """Hold `command` until the next one; ignored while the drive is disabled."""
+        """Apply `command` until the next one; ignored while the drive is disabled."""
         if not self._enabled:
             return
         self._u[:] = command.u
@@ -106,7 +111,7 @@ class Plant:
             self._set_force(command.force)
 
     def stop(self) -> None:
-        """Cut the arm's motors and engage the brakes until `enable`; the gripper keeps its last set point and force."""
+        """Disable the arm's motors and engage the brakes until `enable`; the gripper keeps set point and force."""
         self._enabled = False
         self._reset_commands()
         self.model.opt.disableactuator |= 1 << ARM_ACTUATOR_GROUP
@@ -114,31 +119,31 @@ class Plant:
         self.model.body_gravcomp[self._moving_bodies] = 0.0
 
     def enable(self) -> None:
-        """Release the brakes with a velocity command of zero."""
+        """Release the brakes and enable the motors with a velocity command of zero."""
         self._enabled = True
         self._reset_commands()
         self.model.opt.disableactuator &= ~(1 << ARM_ACTUATOR_GROUP)
         self.model.dof_frictionloss[self._dof] = 0.0
         self.model.body_gravcomp[self._moving_bodies] = 1.0
 
-    # --- the world ----------------------------------------------------------------------------------------------
+    # --- physics and ground truth -------------------------------------------------------------------------------
 
     def advance(self) -> None:
-        """One control period."""
+        """Simulate one control period."""
         for _ in range(self.steps_per_period):
             self.step()
 
     def step(self) -> None:
-        """One step of physics."""
+        """Simulate one physics step."""
         self.compute_dynamics()
         self.actuate()
 
     def compute_dynamics(self) -> None:
-        """Make poses, inertia and bias those of the state now."""
+        """Compute poses, inertia and bias torque for the present state."""
         mujoco.mj_step1(self.model, self.data)
 
     def actuate(self) -> None:
-        """Motors, fingers and forearm get their set points, then time passes by one step; after `sense`."""
+        """Set the commands of motors, fingers and person and simulate one step; call `compute_dynamics` before."""
         data = self.data
         if self._enabled:
             self._apply_drive()
@@ -158,12 +163,15 @@ class Plant:
 
     @property
     def object_names(self) -> tuple[str, ...]:
-        """Every thing whose truth can be asked for, the mover last."""
+        """Names of all objects with a true pose, the moving person last."""
         mover = (self.spec.mover.name,) if self.spec.mover is not None else ()
-        return (*(thing.name for thing in self.spec.objects), *mover)
+        return (*(obj.name for obj in self.spec.objects), *mover)
 
     def true_pose(self, name: str) -> Pose:
-        """True pose of a thing (a forearm's local z is its long axis); for judges, never for the robot."""
+        """True pose of an object (local z of a forearm is its long axis); for judges, never for the robot.
+
+        Raises `UnknownNameError`.
+        """
         self._require_known(name)
         if self.spec.mover is not None and name == self.spec.mover.name:
             quaternion = np.zeros(4)
@@ -173,7 +181,7 @@ class Plant:
         return Pose(_vector(body.xpos), _quaternion(body.xquat))
 
     def object_velocity(self, name: str) -> Array:
-        """True linear velocity [m/s] of a thing, shape (3,)."""
+        """True linear velocity [m/s] of an object, shape (3,); raises `UnknownNameError`."""
         self._require_known(name)
         motion = np.zeros(6)
         body = int(mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, name))
@@ -182,35 +190,35 @@ class Plant:
 
     @property
     def arm_slices(self) -> tuple[slice, slice]:
-        """Where the arm's joints lie in MuJoCo's qpos and qvel."""
+        """Index ranges of the arm's joints in MuJoCo's qpos and qvel."""
         return self._arm, self._dof
 
     def robot_velocity(self) -> Array:
-        """True velocity (n,) in the body's own terms [rad/s; of a base (v, ω)]."""
+        """True velocity (n,) in the coordinates of the robot model [rad/s; of a base (v, ω) in m/s and rad/s]."""
         return self.data.qvel[self._dof].copy()
 
     def tool_pose(self) -> tuple[Array, Array]:
-        """True position (3,) and rotation (3, 3) of the tool frame."""
+        """True position (3,) [m] and rotation matrix (3, 3) of the tool frame."""
         site = self.data.site(f"{ROBOT_PREFIX}tcp")
         return site.xpos.copy(), site.xmat.reshape(3, 3).copy()
 
     def tool_speed(self) -> float:
-        """True speed of the tool against what the arm is bolted to [m/s]."""
+        """True speed of the tool relative to the mount of the arm [m/s]."""
         motion, tool = np.zeros(6), int(self.model.site(f"{ROBOT_PREFIX}tcp").id)
         mujoco.mj_objectVelocity(self.model, self.data, mujoco.mjtObj.mjOBJ_SITE, tool, motion, 0)
         return float(np.linalg.norm(motion[3:]))
 
     def link_poses(self) -> dict[str, Pose]:
-        """True pose of every link of the robot by the body's names, for pictures."""
-        found = {name: self.data.body(part) for name, part in self.link_body_names().items()}
-        return {name: pose_from_arrays(part.xpos, part.xquat) for name, part in found.items()}
+        """True pose of every link, by the link names of the robot model; for rendering."""
+        bodies = {name: self.data.body(body) for name, body in self.link_body_names().items()}
+        return {name: pose_from_arrays(body.xpos, body.xquat) for name, body in bodies.items()}
 
     def link_body_names(self) -> dict[str, str]:
-        """What MuJoCo calls each link of the body."""
+        """MuJoCo body name of each link of the robot model."""
         return {link.name: f"{ROBOT_PREFIX}{link.name}" for link in self.robot_model.links}
 
     def set_configuration(self, q: Array, opening: float | None = None) -> None:
-        """Put the arm at `q` at rest without passing in between (set-up and tests only)."""
+        """Put the arm at rest at `q` (n,) [rad] without moving there (set-up and tests only)."""
         data = self.data
         data.qpos[self._arm], data.qvel[self._dof] = q, 0.0
         self._finger_setpoint = float(self.robot_model.gripper.opening.value) if opening is None else opening
@@ -223,13 +231,13 @@ class Plant:
         self._reset_commands()
 
     def ground_position(self) -> Array:
-        """Where the robot stands on the floor (2,) [m]: under its tool, where it has no base of its own."""
+        """Position (2,) [m] of the robot on the floor; for an arm without a base, the position of its tool."""
         return self.tool_pose()[0][:2]
 
-    # --- inside -------------------------------------------------------------------------------------------------
+    # --- internals ----------------------------------------------------------------------------------------------
 
     def _apply_drive(self) -> None:
-        """Hand the commanded velocities to the motors."""
+        """Apply the commanded velocities to the motors."""
         self.drive.apply(self._u)
 
     def _index(self) -> None:
@@ -262,12 +270,12 @@ class Plant:
             self.data.ctrl[self._person_actuators] = ahead * self._person_path.direction
 
     def _reset_commands(self) -> None:
-        """No velocity is wanted, no torque remembered."""
+        """Command a velocity of zero and reset the drive."""
         self._u[:] = 0.0
         self.drive.reset()
 
     def _place_load(self, at: int) -> None:
-        """Put the load where the tool is."""
+        """Put the load at the tool; `at` is its index in qpos."""
         position, rotation = self.tool_pose()
         self.data.qpos[at : at + 3] = position
         mujoco.mju_mat2Quat(self.data.qpos[at + 3 : at + 7], rotation.ravel())
@@ -278,18 +286,18 @@ class Plant:
         return 0.5 * (left + right)
 
     def _set_force(self, force: float) -> None:
-        """Bound the servo so that each finger presses with at most `force` [N]."""
+        """Limit the servo so that each finger presses with at most `force` [N]."""
         self._grip_force = force
         self.model.actuator_forcerange[self._gripper_actuator] = (-2.0 * force, 2.0 * max(force, MIN_OPENING_FORCE))
         self._max_lead = 2.0 * max(force, MIN_OPENING_FORCE) / SERVO_STIFFNESS + FINGER_SETPOINT_LEAD
 
     def _require_known(self, name: str) -> None:
         if name not in self.object_names:
-            raise UnknownNameError("thing", name, self.object_names, owner=f"scene {self.spec.family}")
+            raise UnknownNameError("object", name, self.object_names, owner=f"scene {self.spec.family}")
 
 
 def pose_from_arrays(position: Array, quaternion: Array) -> Pose:
-    """A pose from MuJoCo's arrays."""
+    """The pose for a position (3,) [m] and a quaternion (4,) (w, x, y, z)."""
     return Pose(_vector(position), _quaternion(quaternion))
 
 

@@ -1,4 +1,4 @@
-"""The surfaces of a plant's robot, link by link, for pictures that MuJoCo does not draw."""
+"""Surface meshes of each link of a plant's robot, for renderers other than MuJoCo."""
 
 # MuJoCo ships no type stubs:
 # pyright: reportAttributeAccessIssue=false, reportUnknownMemberType=false
@@ -19,22 +19,22 @@ from dualbrain.simulation.plant.plant import Plant
 Array = NDArray[np.float64]
 
 COLLISION_GEOM_GROUP = 3
-"""Group of the geoms that collide; they are not shown where surface meshes lie over them."""
+"""Group of the collision geoms; they are not drawn on links that have surface meshes."""
 CIRCLE_SEGMENTS = 24
-"""Corners of a circle."""
+"""Segments that approximate a circle."""
 
 
 def link_meshes(plant: Plant) -> dict[str, tuple[ColouredMesh, ...]]:
-    """Coloured triangles of every link in its own frame, by the names of the plant's body; raises `MissingPart`."""
+    """Coloured triangles of every link in the link frame, by link name; raises `MissingDependencyError`."""
     model = plant.model
     owners = {int(plant.data.body(part).id): name for name, part in plant.link_body_names().items()}
     found: dict[str, list[ColouredMesh]] = {name: [] for name in owners.values()}
-    dressed = {
+    with_meshes = {
         int(model.geom_bodyid[i]) for i in range(model.ngeom) if _is_mesh(model, i) and _geom_group(model, i) == 2
     }
     for i in range(model.ngeom):
         owner = int(model.geom_bodyid[i])
-        if owner in owners and not (owner in dressed and _geom_group(model, i) == COLLISION_GEOM_GROUP):
+        if owner in owners and not (owner in with_meshes and _geom_group(model, i) == COLLISION_GEOM_GROUP):
             patch = _geom_mesh(model, i)
             found[owners[owner]] += [patch] if patch else []
     return {name: tuple(patches) for name, patches in found.items()}
@@ -49,7 +49,7 @@ def _is_mesh(model: mujoco.MjModel, i: int) -> bool:
 
 
 def _geom_mesh(model: mujoco.MjModel, i: int) -> ColouredMesh | None:
-    """Geom `i` as triangles in its body's frame; None for a shape that no robot here is made of."""
+    """Geom `i` as triangles in the frame of its body; None for a geom type that robot models do not use."""
     creation = _import_trimesh()
     kind, (radius, half, _) = mujoco.mjtGeom(int(model.geom_type[i])), np.asarray(model.geom_size[i]).tolist()
     match kind:
@@ -83,12 +83,12 @@ def _mesh_arrays(model: mujoco.MjModel, mesh: int) -> tuple[Array, NDArray[np.in
 
 
 def _trimesh_arrays(shape: Any) -> tuple[Array, NDArray[np.int64]]:
-    """Corners and triangles of a trimesh."""
+    """Vertices (p, 3) [m] and faces (t, 3) of a trimesh mesh."""
     return np.asarray(shape.vertices, np.float64), np.asarray(shape.faces, np.int64)
 
 
 def _import_trimesh() -> Any:
-    """Where trimesh makes shapes; it comes with viser, which shows them."""
+    """The module of trimesh that creates shapes; trimesh is installed with viser."""
     try:
         from trimesh import creation  # noqa: PLC0415  (only for the live view)
     except ModuleNotFoundError as error:

@@ -1,4 +1,4 @@
-"""A plant driven by joint velocities alone, in two halves, look and drive: for identifying and judging."""
+"""A plant driven by joint velocities, with separate steps for measuring and driving; for identification and checks."""
 
 # MuJoCo ships no type stubs:
 # pyright: reportAttributeAccessIssue=false
@@ -16,26 +16,26 @@ Array = NDArray[np.float64]
 
 
 class SteppedPlant:
-    """`sense()` makes everything current, `act(u)` drives for one control period; the fingers stay open.
+    """`measure()` updates the state, `apply(u)` drives for one control period; the fingers stay open.
 
-    Contacts may be left out (`contacts=False`): nothing is touched in a loop that judges distances.
+    `contacts=False` disables contacts, for loops that check distances only.
     """
 
     def __init__(self, plant: Plant, *, contacts: bool = True) -> None:
-        """`plant` with its own drive."""
+        """Drive `plant` with its own drive."""
         self.plant, self._gripper = plant, plant.robot_model.gripper
         q, v = plant.arm_slices
         self.q, self.v = plant.data.qpos[q], plant.data.qvel[v]
-        """Joint positions and velocities (n,), views of the state."""
+        """Joint positions [rad] and velocities [rad/s], shape (n,), views of the simulator's state."""
         if not contacts:
             plant.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
 
     def measure(self) -> None:
-        """Make poses, inertia and bias those of the state now."""
+        """Compute poses, inertia and bias torque for the present state."""
         self.plant.compute_dynamics()
 
     def apply(self, u: Array) -> None:
-        """Drive at joint velocity u (n,) [rad/s] for one control period."""
+        """Drive at joint velocities u (n,) [rad/s] for one control period."""
         self.plant.write(Command(u, self._gripper.opening.value, self._gripper.force_min.value))
         self.plant.actuate()
         for _ in range(self.plant.steps_per_period - 1):

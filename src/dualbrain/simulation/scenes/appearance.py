@@ -1,6 +1,6 @@
-"""How the world looks: colours, materials, light, cameras, the bowl's and the forearm's surface. No physics in here.
+"""Appearance of a scene: colours, materials, lights, cameras, and the surfaces of bowls and people; no physics.
 
-Everything added here has group 2 and neither collides nor weighs, except materials, lights and cameras.
+All geoms added here are in group 2, without collision and without mass.
 """
 
 # MuJoCo ships no type stubs:
@@ -39,14 +39,14 @@ COLOUR_RGBA: dict[str, tuple[float, float, float, float]] = {
 
 
 def colour_rgba(name: str) -> tuple[float, float, float, float]:
-    """Red, green, blue, opacity of a named colour; raises `UnknownName`."""
+    """Red, green, blue and opacity in [0, 1] of a named colour; raises `UnknownNameError`."""
     if name not in COLOUR_RGBA:
         raise UnknownNameError("colour", name, tuple(COLOUR_RGBA))
     return COLOUR_RGBA[name]
 
 
 def add_table_appearance(root: mujoco.MjSpec, floor: float) -> None:
-    """Sky, floor and table materials, lights, table legs and three cameras: front, top, side."""
+    """Add sky, floor and table materials, lights, table legs and the three cameras front, top and side."""
     _add_materials_and_lights(root)
     _add_table_legs(root, floor)
     _add_camera(root, "front", (1.68, -0.84, 1.00), (0.31, 0.0, 0.245), fovy=38)
@@ -55,7 +55,7 @@ def add_table_appearance(root: mujoco.MjSpec, floor: float) -> None:
 
 
 def add_room_appearance(root: mujoco.MjSpec) -> None:
-    """Sky, floor and lights of a room to drive in, and three cameras: front, top, side."""
+    """Add sky, floor and lights of a room and the three cameras front, top and side."""
     _add_materials_and_lights(root)
     _add_camera(root, "front", (-3.2, -4.4, 4.2), (2.0, 0.2, 0.2), fovy=48)
     _add_camera(root, "top", (2.0, 0.0, 8.5), (2.0, 0.0, 0.0), fovy=45, up=(0.0, 1.0, 0.0))
@@ -63,7 +63,7 @@ def add_room_appearance(root: mujoco.MjSpec) -> None:
 
 
 def _add_materials_and_lights(root: mujoco.MjSpec) -> None:
-    """Sky, floor and table materials, lights."""
+    """Add sky, floor and table materials and lights."""
     root.visual.global_.offwidth, root.visual.global_.offheight = 1280, 960
     root.visual.headlight.ambient, root.visual.headlight.diffuse = [0.38] * 3, [0.18] * 3
     root.visual.headlight.specular = [0.05] * 3
@@ -85,7 +85,7 @@ def _add_materials_and_lights(root: mujoco.MjSpec) -> None:
 
 
 def add_bowl_visuals(root: mujoco.MjSpec, body: mujoco.MjsBody, name: str, bowl: Bowl, rgba: tuple[float, ...]) -> None:
-    """A turned bowl: a profile swept about z, drawn over the staves."""
+    """Add the surface of a bowl, a profile rotated about z, over the collision geoms of its wall."""
     outer, inner, high, base = bowl.radius + 0.002, bowl.radius - bowl.wall - 0.002, bowl.height, 0.75 * bowl.radius
     profile = [(0, 0.0005), (base, 0.0005), (outer - 0.006, 0.010), (outer, 0.024), (outer, high - 0.001)]
     profile += [(outer - 0.002, high + 0.001), (inner, high), (inner, 0.022), (inner - 0.008, 0.011), (0, 0.0085)]
@@ -103,7 +103,7 @@ def add_bowl_visuals(root: mujoco.MjSpec, body: mujoco.MjsBody, name: str, bowl:
 
 
 def add_forearm_visuals(body: mujoco.MjsBody, mover: MovingPerson) -> None:
-    """Sleeve, wrist, palm and fingers, all inside the capsule that collides (the hand lies at its inner end)."""
+    """Add sleeve, wrist, palm and fingers inside the collision capsule of a forearm; the hand is at its inner end."""
     r, inner = mover.radius, -mover.half_length
     axis = np.array(mover.axis) / np.linalg.norm(mover.axis)
     side = np.cross([0.0, 0.0, 1.0], axis)
@@ -130,7 +130,7 @@ def add_forearm_visuals(body: mujoco.MjsBody, mover: MovingPerson) -> None:
 
 
 def add_person_visuals(body: mujoco.MjsBody, mover: MovingPerson) -> None:
-    """A head, a trunk and two legs inside the standing capsule that collides."""
+    """Add a head, a trunk and two legs inside the upright collision capsule of a person."""
     r, half = mover.radius, mover.half_length
 
     def rod(start: float, end: float, radius: float, colour: str, y: float = 0.0) -> None:
@@ -175,7 +175,7 @@ def _add_camera(
     fovy: float,
     up: tuple[float, float, float] = (0.0, 0.0, 1.0),
 ) -> None:
-    """A camera at `position` that looks at `target`, upright along `up`."""
+    """Add a camera at `position` [m] that looks at `target` [m], with `up` as its upward direction."""
     back = np.subtract(position, target) / np.linalg.norm(np.subtract(position, target))
     right = np.cross(up, back) / np.linalg.norm(np.cross(up, back))
     above = np.cross(back, right)

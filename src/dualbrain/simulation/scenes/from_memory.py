@@ -1,4 +1,4 @@
-"""A world rebuilt from what a robot once perceived: to try again in simulation what was done then."""
+"""Rebuilds a simulated scene from a perceived scene in memory, to replay a past episode in simulation."""
 
 from __future__ import annotations
 
@@ -20,33 +20,34 @@ from dualbrain.simulation.scenes.scene_spec import (
 )
 
 ASSUMED_DENSITY = 400.0
-"""Things weigh this much [kg/m³]: neither perception nor memory knows their mass."""
+"""Assumed density of objects [kg/m³]; perception and memory do not know their mass."""
 MIN_MASS, MAX_MASS = 0.02, 0.5
 TABLE_TOLERANCE = 0.02
-"""What seems to stand this near to the table top stands on it [m]."""
+"""An object whose bottom is within this distance of the table top is on the table [m]."""
 INITIAL_CLEARANCE = 0.0005
-"""Things begin this far above what they stand on [m]."""
+"""Initial distance between an object and its support [m]."""
 MIN_MOVING_SPEED, CROSSING_DURATION = 0.02, 3.0
-"""A person faster than this [m/s] crosses, going on for this long [s] before turning back."""
+"""A person faster than the first [m/s] is simulated as crossing, for the second [s] in each direction."""
 
 
 def scene_from_memory(scene: Scene, rng: np.random.Generator, *, position_spread: float) -> SceneSpec:
-    """The scene as a simulated world, every free thing shifted by a normal error of `spread` [m] along x and y.
+    """A simulated scene for the perceived `scene`.
 
-    What it is not: masses, friction and what was not perceived are unknown, so that one try proves little; several with
-    different shifts are evidence. Raises `InvalidSetup` for a scene that cannot be simulated.
+    Every free object is shifted along x and y by a normal error with standard deviation `position_spread` [m]. Masses,
+    friction and objects that were not perceived are unknown, so that the result of one replay is weak evidence; use
+    several replays with different shifts. Raises `ConfigurationError` for a scene that cannot be simulated.
     """
-    shut = tuple(_keep_out_area(thing) for thing in scene.objects if thing.category == KEEP_OUT_CATEGORY)
-    seen = [thing for thing in scene.objects if _is_simulated(thing)]
-    things = tuple(_object_spec(thing, rng.normal(0.0, position_spread, 2), room=bool(scene.region)) for thing in seen)
-    people = [thing for thing in scene.objects if thing.role == "person" and isinstance(thing.shape, Capsule)]
+    closed = tuple(_keep_out_area(obj) for obj in scene.objects if obj.category == KEEP_OUT_CATEGORY)
+    seen = [obj for obj in scene.objects if _is_simulated(obj)]
+    objects = tuple(_object_spec(obj, rng.normal(0.0, position_spread, 2), room=bool(scene.region)) for obj in seen)
+    people = [obj for obj in scene.objects if obj.role == "person" and isinstance(obj.shape, Capsule)]
     mover = _moving_person(people[0]) if people else None
-    chart = FloorMap(scene.region, shut) if shut else None
+    chart = FloorMap(scene.region, closed) if closed else None
     spec = SceneSpec(
         robot=scene.robot,
         family="remembered",
         seed=0,
-        objects=things,
+        objects=objects,
         places=scene.places,
         mover=mover,
         region=scene.region,
@@ -56,45 +57,45 @@ def scene_from_memory(scene: Scene, rng: np.random.Generator, *, position_spread
     return spec
 
 
-def _is_simulated(thing: SceneObject) -> bool:
-    """Whether it is a body among others: no person, no table top or floor without an end, nothing that a map closes."""
-    return thing.role != "person" and not isinstance(thing.shape, HalfSpace) and thing.category != KEEP_OUT_CATEGORY
+def _is_simulated(obj: SceneObject) -> bool:
+    """Whether an object becomes a body: not a person, not an unbounded table top or floor, not a keep-out area."""
+    return obj.role != "person" and not isinstance(obj.shape, HalfSpace) and obj.category != KEEP_OUT_CATEGORY
 
 
-def _keep_out_area(thing: SceneObject) -> KeepOutArea:
-    """What a map closes, on the floor again."""
-    assert isinstance(thing.shape, Box)
-    (x, y, _), (a, b, _) = thing.pose.position, thing.shape.half_extents
-    w, _, _, z = thing.pose.quaternion
-    return KeepOutArea(thing.name, (x, y), (a, b), 2.0 * atan2(z, w))
+def _keep_out_area(obj: SceneObject) -> KeepOutArea:
+    """The keep-out area of the floor that an object of category keep_out represents."""
+    assert isinstance(obj.shape, Box)
+    (x, y, _), (a, b, _) = obj.pose.position, obj.shape.half_extents
+    w, _, _, z = obj.pose.quaternion
+    return KeepOutArea(obj.name, (x, y), (a, b), 2.0 * atan2(z, w))
 
 
-def _object_spec(thing: SceneObject, shift: np.ndarray, *, room: bool) -> ObjectSpec:
-    """In a `room` what is no object stands as if it were fixed: how heavy crates and tables are, nobody has seen."""
-    fixed = (room and thing.role in ("obstacle", "support")) or (
-        thing.role == "obstacle" and _bottom_height(thing) > TABLE_TOLERANCE
+def _object_spec(obj: SceneObject, shift: np.ndarray, *, room: bool) -> ObjectSpec:
+    """The simulated object; in a `room`, obstacles and supports are fixed, because their mass is unknown."""
+    fixed = (room and obj.role in ("obstacle", "support")) or (
+        obj.role == "obstacle" and _bottom_height(obj) > TABLE_TOLERANCE
     )
-    x, y, z = thing.pose.position
+    x, y, z = obj.pose.position
     if not fixed:
         x, y = x + float(shift[0]), y + float(shift[1])
-        z = z - _bottom_height(thing) + INITIAL_CLEARANCE if abs(_bottom_height(thing)) < TABLE_TOLERANCE else z
-    mass = float(np.clip(ASSUMED_DENSITY * _volume(thing.shape), MIN_MASS, MAX_MASS))
+        z = z - _bottom_height(obj) + INITIAL_CLEARANCE if abs(_bottom_height(obj)) < TABLE_TOLERANCE else z
+    mass = float(np.clip(ASSUMED_DENSITY * _volume(obj.shape), MIN_MASS, MAX_MASS))
     return ObjectSpec(
-        name=thing.name,
-        role=thing.role,
-        shape=thing.shape,
+        name=obj.name,
+        role=obj.role,
+        shape=obj.shape,
         position=(x, y, z),
         mass=mass,
-        colour=thing.colour,
-        category=thing.category,
-        quaternion=thing.pose.quaternion,
-        fragile_limit=thing.fragile_limit,
+        colour=obj.colour,
+        category=obj.category,
+        quaternion=obj.pose.quaternion,
+        fragile_limit=obj.fragile_limit,
         fixed=fixed,
     )
 
 
 def _moving_person(person: SceneObject) -> MovingPerson:
-    """Somebody who goes on as perceived and comes back; one who stands still rests for good."""
+    """A person who walks back and forth with the perceived velocity, or rests if it is below `MIN_MOVING_SPEED`."""
     start, velocity = np.asarray(person.pose.position), np.asarray(person.velocity)
     speed = float(np.linalg.norm(velocity))
     assert isinstance(person.shape, Capsule)
@@ -120,10 +121,10 @@ def _to_vector(values: np.ndarray) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _bottom_height(thing: SceneObject) -> float:
-    """Height of the lowest point of an upright thing [m]."""
-    z = thing.pose.position[2]
-    match thing.shape:
+def _bottom_height(obj: SceneObject) -> float:
+    """Height of the lowest point of an upright object [m]."""
+    z = obj.pose.position[2]
+    match obj.shape:
         case Bowl():
             return z
         case Cylinder(_, half_height):
@@ -137,7 +138,7 @@ def _bottom_height(thing: SceneObject) -> float:
 
 
 def _volume(shape: Shape) -> float:
-    """Solid volume [m³]."""
+    """Volume of the material of a shape [m³]."""
     match shape:
         case Sphere(radius):
             return 4.19 * radius**3

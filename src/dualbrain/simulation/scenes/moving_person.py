@@ -1,9 +1,9 @@
-"""The person's forearm: a path over time, and the bounded push that follows it.
+"""Motion of a simulated person or forearm: a path over time, followed with a bounded force.
 
-The body weighs 5 kg and slides on three axes. A spring and damper pull it to the path, k (p* − p) + c (v* − v), each
-axis bounded to F/√3, so that the total push never exceeds F (150 N): contact forces mean something, unlike with a
-body of infinite mass. MuJoCo computes the force (a position actuator with `forcerange`); this file gives the set
-point.
+The body weighs 5 kg and slides along three axes. A spring and a damper pull it to the path, k (p* − p) + c (v* − v),
+with each axis limited to F/√3, so that the total force never exceeds F (150 N). Contact forces are therefore realistic,
+unlike those of a body of infinite mass. MuJoCo computes the force (a position actuator with `forcerange`); this module
+computes the set point.
 """
 
 from __future__ import annotations
@@ -15,13 +15,17 @@ import numpy as np
 from dualbrain.simulation.scenes.scene_spec import MovingPerson
 
 PERSON_STIFFNESS = 2000.0  # [N/m]
-PERSON_DAMPING = 200.0  # [N s/m]: critical for 5 kg
-PERSON_ACCELERATION = 0.5  # [m/s²] of the path
+PERSON_DAMPING = 200.0  # [N s/m], critical damping for 5 kg
+PERSON_ACCELERATION = 0.5  # [m/s²] along the path
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PersonPath:
-    """Back and forth along a line with rests: position and velocity as functions of time."""
+    """Motion back and forth along a line with rests at both ends: position and velocity as functions of time.
+
+    `start` (3,) [m], unit vector `direction` (3,), `length` [m], cruising `speed` [m/s]; durations [s] of the
+    acceleration `ramp`, of one way (`travel`), of each rest (`pause`), and the `phase` of the cycle at t = 0.
+    """
 
     start: np.ndarray
     direction: np.ndarray
@@ -34,11 +38,11 @@ class PersonPath:
 
     @property
     def cycle_duration(self) -> float:
-        """Duration [s] of rest, way out, rest and way back."""
+        """Duration [s] of one cycle: rest, way out, rest, way back."""
         return 2.0 * (self.pause + self.travel)
 
     def state_at(self, t: float) -> tuple[float, float]:
-        """Distance from the start [m] and its rate [m/s] at time `t` [s]."""
+        """Distance from `start` [m] and its rate [m/s] at time `t` [s]."""
         tau = (t + self.phase) % self.cycle_duration
         if tau < self.pause:
             return 0.0, 0.0
@@ -52,7 +56,7 @@ class PersonPath:
         return self.length - distance, -rate
 
     def _trapezoid(self, tau: float) -> tuple[float, float]:
-        """Trapezoid: speed up over `ramp`, cruise, slow down over `ramp`."""
+        """Trapezoidal velocity profile: accelerate during `ramp`, cruise, decelerate during `ramp`."""
         if tau < self.ramp:
             return 0.5 * self.speed * tau * tau / self.ramp, self.speed * tau / self.ramp
         left = self.travel - tau
@@ -62,7 +66,7 @@ class PersonPath:
 
 
 def person_path(mover: MovingPerson) -> PersonPath:
-    """The path that a `Mover` describes; a way too short for its speed is travelled more slowly."""
+    """The path of a `MovingPerson`; the speed is reduced if the path is too short to reach it."""
     start, end = np.array(mover.start), np.array(mover.end)
     length = float(np.linalg.norm(end - start))
     speed = min(mover.speed, float(np.sqrt(PERSON_ACCELERATION * length))) if length > 0.0 else mover.speed

@@ -1,8 +1,8 @@
-"""A `SceneSpec` becomes a MuJoCo model: room, table, things, forearm, robot.
+"""Builds the MuJoCo model of a `SceneSpec`: room, table, objects, moving person, robot.
 
-Physics settings: 1 ms, implicitfast, elliptic friction cone, impratio 10 (contact-only grasping needs them). They are
-set on the root spec because attaching keeps the parent's. Geom groups: 0 room, 1 things, 2 looks only, 3 hidden
-collision shapes. Robot names carry the prefix `robot/`.
+Physics settings: 1 ms, implicitfast, elliptic friction cone, impratio 10 (grasping by contact alone needs them). They
+are set on the root spec, because attaching keeps the parent's settings. Geom groups: 0 room, 1 objects, 2 visual only,
+3 hidden collision shapes. Names of robot elements have the prefix `robot/`.
 """
 
 # MuJoCo ships no type stubs:
@@ -34,21 +34,21 @@ TABLE_THICKNESS = 0.04
 FLOOR_HEIGHT = -0.74
 N_BOWL_STAVES = 20
 WALL_SIZE = (0.05, 0.5)
-"""Half the thickness and the height of a wall [m]."""
+"""Half thickness and height of a wall [m]."""
 SLIPPERY_FRICTION = 0.4
-"""Below this coefficient a thing slips on rubber pads, too; else pads decide what friction they have."""
+"""Below this coefficient an object also slips on rubber pads; otherwise the pads determine the friction of a grip."""
 SLIPPERY_CONTACT = {"priority": 2, "solref": [0.005, 1.0], "solimp": [0.95, 0.99, 0.001, 0.5, 2.0]}
-"""Its own friction counts, with the pads' own softness."""
+"""Contact parameters of a slippery object: its own friction coefficient with the softness of the pads."""
 LOAD_NAME, LOAD_DENSITY = "load", 3000.0
-"""Name and density [kg/m³] of a cube that is fixed at the tool."""
+"""Name and density [kg/m³] of the cube that represents a load at the tool."""
 
 _GEOM = mujoco.mjtGeom
 
 
 def build_model(spec: SceneSpec, robot: MujocoModel, *, load: float = 0.0) -> mujoco.MjModel:
-    """Compile the scene with the robot at the origin. The robot's spec is consumed: hand in a fresh one.
+    """Compile the scene with the robot at the origin. The spec of `robot` is consumed: pass a new `MujocoModel`.
 
-    `load` [kg] is welded to the site `tcp`: a body of its own, so that it is in no inertia of the arm's.
+    `load` [kg] is a separate body welded to the site `tcp`, so that it does not change the inertia of the arm.
     """
     root = mujoco.MjSpec()
     root.modelname = f"{spec.family}_{spec.seed}"
@@ -59,14 +59,14 @@ def build_model(spec: SceneSpec, robot: MujocoModel, *, load: float = 0.0) -> mu
     else:
         add_table_appearance(root, FLOOR_HEIGHT)
         _add_table(root)
-    for thing in spec.objects:
-        add_object(root, thing)
+    for obj in spec.objects:
+        add_object(root, obj)
     if spec.mover is not None:
         add_moving_person(root, spec.mover)
     frame = root.worldbody.add_frame()
-    standing = frame.attach_body(robot.root, ROBOT_PREFIX, "")
+    root_body = frame.attach_body(robot.root, ROBOT_PREFIX, "")
     if robot.mounted_arm is not None:
-        mount = standing.add_frame(pos=list(robot.mount_position))
+        mount = root_body.add_frame(pos=list(robot.mount_position))
         mount.attach_body(robot.mounted_arm.root, ROBOT_PREFIX, "")
     if load > 0.0:
         _add_load(root, load)
@@ -104,7 +104,7 @@ def _set_options(root: mujoco.MjSpec) -> None:
     root.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     root.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     root.option.impratio = 10.0
-    root.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a blown-up state must be seen, not hidden
+    root.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # diverging states stay visible
 
 
 def _add_table(root: mujoco.MjSpec) -> None:
@@ -123,51 +123,51 @@ def _add_floor(root: mujoco.MjSpec, height: float) -> None:
 
 
 def _add_walls(root: mujoco.MjSpec, corners: Sequence[tuple[float, float]]) -> None:
-    """A floor, and a wall along every edge of the region, outside of it."""
+    """Add a floor, and a wall outside every edge of the region with `corners` (x, y) [m]."""
     _add_floor(root, 0.0)
-    thick, high = WALL_SIZE
+    half_thickness, height = WALL_SIZE
     for index, (x, y) in enumerate(corners):
         along = np.subtract(corners[(index + 1) % len(corners)], (x, y))
         length = float(np.linalg.norm(along))
         out = np.array([along[1], -along[0]]) / length
         yaw = float(np.arctan2(along[1], along[0]))
-        middle = np.array([x, y]) + along / 2 + thick * out
+        middle = np.array([x, y]) + along / 2 + half_thickness * out
         root.worldbody.add_geom(
             name=f"wall_{index}",
             type=_GEOM.mjGEOM_BOX,
-            size=[length / 2 + 2 * thick, thick, high / 2],
-            pos=[*middle, high / 2],
+            size=[length / 2 + 2 * half_thickness, half_thickness, height / 2],
+            pos=[*middle, height / 2],
             quat=[np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)],
             rgba=[0.85, 0.85, 0.83, 0.35],
         )
 
 
-def add_object(root: mujoco.MjSpec, thing: ObjectSpec) -> None:
-    """A body called `thing.name`; free unless fixed."""
-    body = root.worldbody.add_body(name=thing.name, pos=list(thing.position), quat=list(thing.quaternion))
-    if not thing.fixed:
-        body.add_freejoint(name=thing.name)
-    if isinstance(thing.shape, Bowl):
-        _add_bowl(root, body, thing, thing.shape)
+def add_object(root: mujoco.MjSpec, obj: ObjectSpec) -> None:
+    """Add the body of an object, called `obj.name`; free unless `obj.fixed`."""
+    body = root.worldbody.add_body(name=obj.name, pos=list(obj.position), quat=list(obj.quaternion))
+    if not obj.fixed:
+        body.add_freejoint(name=obj.name)
+    if isinstance(obj.shape, Bowl):
+        _add_bowl(root, body, obj, obj.shape)
         return
-    kind, size = geom_type_and_size(thing)
+    kind, size = geom_type_and_size(obj)
     body.add_geom(
-        name=thing.name,
+        name=obj.name,
         type=kind,
         size=size,
-        mass=thing.mass,
-        rgba=colour_rgba(thing.colour),
+        mass=obj.mass,
+        rgba=colour_rgba(obj.colour),
         group=1,
-        friction=[thing.friction, 0.02, 0.001],
-        condim=4 if isinstance(thing.shape, Box) else 6,
-        material="glass" if thing.colour == "clear" else "satin",
-        **(SLIPPERY_CONTACT if thing.friction < SLIPPERY_FRICTION else {}),
+        friction=[obj.friction, 0.02, 0.001],
+        condim=4 if isinstance(obj.shape, Box) else 6,
+        material="glass" if obj.colour == "clear" else "satin",
+        **(SLIPPERY_CONTACT if obj.friction < SLIPPERY_FRICTION else {}),
     )
 
 
-def geom_type_and_size(thing: ObjectSpec) -> tuple[mujoco.mjtGeom, list[float]]:
-    """MuJoCo's geom type and size of a solid shape."""
-    match thing.shape:
+def geom_type_and_size(obj: ObjectSpec) -> tuple[mujoco.mjtGeom, list[float]]:
+    """MuJoCo geom type and size of a solid shape; raises `TypeError` for another shape."""
+    match obj.shape:
         case Box(half_extents=half):
             return _GEOM.mjGEOM_BOX, list(half)
         case Cylinder(radius=radius, half_height=half):
@@ -180,16 +180,16 @@ def geom_type_and_size(thing: ObjectSpec) -> tuple[mujoco.mjtGeom, list[float]]:
             raise TypeError(f"{type(other).__name__} is not a solid shape")
 
 
-def _add_bowl(root: mujoco.MjSpec, body: mujoco.MjsBody, thing: ObjectSpec, bowl: Bowl) -> None:
-    """A disc and a ring of staves: hollow, so that it holds things by contact."""
-    share = {"rgba": colour_rgba(thing.colour), "friction": [thing.friction, 0.02, 0.001], "condim": 4, "group": 3}
+def _add_bowl(root: mujoco.MjSpec, body: mujoco.MjsBody, obj: ObjectSpec, bowl: Bowl) -> None:
+    """Add a disc and a ring of staves: a hollow bowl, which holds objects by contact."""
+    share = {"rgba": colour_rgba(obj.colour), "friction": [obj.friction, 0.02, 0.001], "condim": 4, "group": 3}
     floor, wall = 0.004, bowl.wall / 2
     body.add_geom(
-        name=f"{thing.name}_bottom",
+        name=f"{obj.name}_bottom",
         type=_GEOM.mjGEOM_CYLINDER,
         size=[bowl.radius - bowl.wall, floor, 0],
         pos=[0, 0, floor],
-        mass=0.6 * thing.mass,
+        mass=0.6 * obj.mass,
         **share,
     )
     radius, half = bowl.radius - wall, (bowl.height - 2 * floor) / 2
@@ -197,19 +197,19 @@ def _add_bowl(root: mujoco.MjSpec, body: mujoco.MjsBody, thing: ObjectSpec, bowl
     for index in range(N_BOWL_STAVES):
         angle = 2 * np.pi * index / N_BOWL_STAVES
         body.add_geom(
-            name=f"{thing.name}_{index}",
+            name=f"{obj.name}_{index}",
             type=_GEOM.mjGEOM_BOX,
             size=[wall, chord, half],
             pos=[radius * np.cos(angle), radius * np.sin(angle), 2 * floor + half],
             quat=[np.cos(angle / 2), 0, 0, np.sin(angle / 2)],
-            mass=0.4 * thing.mass / N_BOWL_STAVES,
+            mass=0.4 * obj.mass / N_BOWL_STAVES,
             **share,
         )
-    add_bowl_visuals(root, body, thing.name, bowl, colour_rgba(thing.colour))
+    add_bowl_visuals(root, body, obj.name, bowl, colour_rgba(obj.colour))
 
 
 def add_moving_person(root: mujoco.MjSpec, mover: MovingPerson) -> None:
-    """The forearm: three slides, no gravity, each axis driven with at most force/√3."""
+    """Add the moving person: three slides without gravity, each actuated with at most force/√3."""
     path = person_path(mover)
     distance, _ = path.state_at(0.0)
     body = root.worldbody.add_body(name=mover.name, pos=list(path.start + distance * path.direction), gravcomp=1)

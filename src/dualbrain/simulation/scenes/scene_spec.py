@@ -1,7 +1,7 @@
-"""What a scene is made of: things with mass and friction, a person's forearm, places; seeded, saved as JSON.
+"""Scene specification: objects with mass and friction, a moving person, places; generated from a seed, saved as JSON.
 
-A `SceneSpec` is simulator truth. The robot never reads it: it sees what `perception` makes of the running plant. World
-frame: origin at the robot's base on the table top, z up, metres and kilograms.
+A `SceneSpec` is simulator ground truth. The robot never reads it: it receives the output of a perception model. World
+frame: origin at the robot's base on the table top, z up; lengths in metres, masses in kilograms.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from dualbrain.records import Place, Role, SceneObject
 SCHEMA_VERSION = 1
 TABLE_X, TABLE_Y = (-0.20, 0.95), (-0.65, 0.65)
 KEEP_OUT_HALF_HEIGHT = 1.0
-"""How high over the floor what a map closes is taken to reach, and how deep below [m]."""
+"""Extent of a keep-out area above and below the floor [m]."""
 
 
 class ObjectSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One thing: a free body of `mass` [kg], or part of the room when `fixed`.
+    """One object: a free body of `mass` [kg], or a part of the room if `fixed`.
 
-    `position` [m] is the shape's centre (of a bowl: its bottom). `friction` is the sliding coefficient; rubber pads
-    hold everything alike unless it is slippery (`scene_builder.SLIPPERY`). `fragile_limit` [N] is the normal contact
-    force above which it breaks.
+    `position` [m] is the centre of the shape (of a bowl: the centre of its bottom). `friction` is the sliding
+    coefficient; it affects a grip only below `scene_builder.SLIPPERY_FRICTION`, otherwise the finger pads determine the
+    friction. `fragile_limit` [N] is the normal contact force above which the object breaks.
     """
 
     name: str
@@ -43,11 +43,11 @@ class ObjectSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 class MovingPerson(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A person's forearm: a capsule that goes from `start` to `end` [m] and back, resting at both ends.
+    """A moving person or forearm: a capsule that moves from `start` to `end` [m] and back, with a rest at both ends.
 
-    It travels at `speed` [m/s], rests `pause` [s] at each end and at t = 0 is `phase` [s] into its cycle, which begins
-    with the rest at `start`. The capsule's axis is `axis`, its centre follows the path; it weighs `mass` [kg] and
-    pushes with at most `force` [N].
+    It moves at `speed` [m/s] and rests `pause` [s] at each end. The cycle begins with the rest at `start`; at t = 0,
+    `phase` [s] of the cycle have passed. The centre of the capsule follows the path; `axis` is the direction of its
+    axis, `radius` and `half_length` are in metres. It weighs `mass` [kg] and pushes with at most `force` [N].
     """
 
     start: Vector
@@ -64,11 +64,11 @@ class MovingPerson(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
 
 KEEP_OUT_CATEGORY = "keep_out"
-"""Category of what a map closes, where it stands among the things of a scene."""
+"""Category of the keep-out areas of a map among the objects of a scene."""
 
 
 class KeepOutArea(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A rectangle of the floor that is kept out of: its `middle` (x, y) and `half` sides [m], turned by `yaw` [rad]."""
+    """A keep-out rectangle of the floor: `middle` (x, y) and `half` sides [m], turned by `yaw` [rad]."""
 
     name: str
     middle: tuple[float, float]
@@ -77,17 +77,17 @@ class KeepOutArea(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class FloorMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a map says of a room: a base keeps to `floor` (a convex polygon, counter-clockwise) and out of `closed`."""
+    """The map of a room: a base stays inside `floor` (a convex polygon, counter-clockwise [m]) and outside `closed`."""
 
     floor: tuple[tuple[float, float], ...]
     closed: tuple[KeepOutArea, ...] = ()
 
 
 class SceneSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"objects": "things"}, kw_only=True):
-    """Everything needed to build one world again, bit for bit.
+    """The complete description of a simulated scene, from which it can be rebuilt bit for bit.
 
-    With a `region` (corners (x, y) [m] of a convex polygon, counter-clockwise) the world is a room with walls;
-    without one it is a table. A `chart` is no part of that world: it is what a base is told of it beforehand.
+    With a `region` (corners (x, y) [m] of a convex polygon, counter-clockwise) the scene is a room with walls, without
+    one a table. `chart` is not part of the simulated scene: it is the map that a base knows in advance.
     """
 
     robot: str
@@ -102,23 +102,23 @@ class SceneSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename=
 
     @property
     def floor(self) -> tuple[tuple[float, float], ...]:
-        """What a base may drive on: the map's floor, or without a map the whole room."""
+        """The floor that a base may drive on: that of the map, or without a map the whole room."""
         return self.chart.floor if self.chart else self.region
 
     @property
     def supports_depth_perception(self) -> bool:
-        """Whether depth cameras alone can show it: a table without people, for they know no person and no room."""
+        """Whether `DepthPerception` can perceive the scene: a table without people."""
         return self.mover is None and not self.region
 
     def find(self, name: str) -> ObjectSpec:
-        """The thing called `name`; raises `UnknownName`."""
-        for thing in self.objects:
-            if thing.name == name:
-                return thing
-        raise UnknownNameError("thing", name, tuple(thing.name for thing in self.objects), owner=f"scene {self.family}")
+        """The object called `name`; raises `UnknownNameError`."""
+        for obj in self.objects:
+            if obj.name == name:
+                return obj
+        raise UnknownNameError("object", name, tuple(obj.name for obj in self.objects), owner=f"scene {self.family}")
 
     def find_place(self, name: str) -> Place:
-        """The place called `name`; raises `UnknownName`."""
+        """The place called `name`; raises `UnknownNameError`."""
         for place in self.places:
             if place.name == name:
                 return place
@@ -126,7 +126,7 @@ class SceneSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename=
 
 
 def keep_out_objects(spec: SceneSpec, stamp: float) -> tuple[SceneObject, ...]:
-    """What the map of `spec` closes, as things that stand there for good and are known exactly at `stamp` [s]."""
+    """The keep-out areas of the map of `spec` as static obstacles without position error at time `stamp` [s]."""
     return tuple(
         SceneObject(
             name=one.name,
@@ -147,51 +147,55 @@ def save_scene(spec: SceneSpec, path: Path) -> None:
 
 
 def load_scene(path: Path) -> SceneSpec:
-    """Read a scene; raises `InvalidSetup` that says which field is wrong and what is allowed there."""
+    """Read a scene file; raises `ConfigurationError`, which names the wrong field and its allowed values."""
     try:
         spec = msgspec.json.decode(path.read_bytes(), type=SceneSpec)
     except OSError as error:
-        raise ConfigurationError(
-            "scene file", got=error.strerror, allowed="a readable JSON file", fix=str(path)
-        ) from error
+        sentence = f"The scene file cannot be read: {error.strerror}."
+        raise ConfigurationError.stating(sentence, fix=f"Check the path: {path}") from error
     except DECODE_ERRORS as error:
-        raise ConfigurationError(
-            "scene file", got=str(error), allowed=f"a scene of schema version {SCHEMA_VERSION}", fix=str(path)
-        ) from error
+        sentence = f"The scene file does not contain a scene of schema version {SCHEMA_VERSION}: {error}."
+        raise ConfigurationError.stating(sentence, fix=f"Correct the file: {path}") from error
     try:
         check_scene(spec)
     except ConfigurationError as error:
-        raise ConfigurationError(error.what, got=error.got, allowed=error.allowed, fix=str(path)) from error
+        fix = f"Correct the file: {path}"
+        raise ConfigurationError(error.what, got=error.got, allowed=error.allowed, fix=fix) from error
     return spec
 
 
 def check_scene(spec: SceneSpec) -> None:
-    """Refuse what cannot be simulated: another schema, repeated names, sizes or masses that are not positive."""
+    """Raise `ConfigurationError` for a scene that cannot be simulated.
+
+    Reasons are another schema version, repeated names, and sizes or masses that are not positive.
+    """
     if spec.schema_version != SCHEMA_VERSION:
         raise ConfigurationError("scene schema_version", got=spec.schema_version, allowed=str(SCHEMA_VERSION))
     built_in = ("floor",) if spec.region else ("table", "floor")
-    names = [*(thing.name for thing in spec.objects), *(place.name for place in spec.places), *built_in]
+    names = [*(obj.name for obj in spec.objects), *(place.name for place in spec.places), *built_in]
     names += [spec.mover.name] if spec.mover else []
     names += [one.name for one in spec.chart.closed] if spec.chart else []
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise ConfigurationError("scene names", got=twice, allowed="each name once, and none called table or floor")
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        allowed = f"every name once, and no object called {' or '.join(built_in)}"
+        raise ConfigurationError("names in the scene", got=repeated, allowed=allowed)
     if spec.chart is not None and (not spec.region or len(spec.chart.floor) < 3):
-        raise ConfigurationError("chart of the scene", got=spec.chart.floor, allowed="3 corners or more, in a room")
-    for thing in spec.objects:
-        _check_object(thing)
+        allowed = "a floor with 3 corners or more, in a scene with a region"
+        raise ConfigurationError("chart of the scene", got=spec.chart.floor, allowed=allowed)
+    for obj in spec.objects:
+        _check_object(obj)
     if spec.mover is not None:
         _check_moving_person(spec.mover)
 
 
-def _check_object(thing: ObjectSpec) -> None:
-    sizes = [value for value in msgspec.structs.astuple(thing.shape) if not isinstance(value, tuple)]
-    sizes += [part for value in msgspec.structs.astuple(thing.shape) if isinstance(value, tuple) for part in value]
+def _check_object(obj: ObjectSpec) -> None:
+    sizes = [value for value in msgspec.structs.astuple(obj.shape) if not isinstance(value, tuple)]
+    sizes += [part for value in msgspec.structs.astuple(obj.shape) if isinstance(value, tuple) for part in value]
     if not sizes or min(sizes) <= 0.0:
-        raise ConfigurationError(f"size of {thing.name}", got=sizes, allowed="a shape with sizes above 0 m")
-    if thing.mass <= 0.0 or thing.friction <= 0.0:
+        raise ConfigurationError(f"size of {obj.name}", got=sizes, allowed="a shape with sizes above 0 m")
+    if obj.mass <= 0.0 or obj.friction <= 0.0:
         raise ConfigurationError(
-            f"mass and friction of {thing.name}", got=(thing.mass, thing.friction), allowed="above 0 kg and above 0"
+            f"mass and friction of {obj.name}", got=(obj.mass, obj.friction), allowed="above 0 kg and above 0"
         )
 
 
@@ -200,5 +204,5 @@ def _check_moving_person(mover: MovingPerson) -> None:
         raise ConfigurationError(
             f"path of {mover.name}",
             got=(mover.speed, mover.mass, mover.force, mover.pause),
-            allowed="speed, mass, force and sizes above 0, pause not below 0",
+            allowed="speed, mass, force and sizes above 0, pause of 0 or more",
         )

@@ -1,1 +1,1 @@
-"""Tasks: instructions, goals, success criteria, frozen scene hashes."""
+"""Tasks: instructions, goals, success criteria, hashes of the reported scenes."""

@@ -1,4 +1,4 @@
-"""Did the base arrive? Judged on simulator truth, for evaluation only."""
+"""Success of a task to drive to a place, judged on simulator ground truth; for evaluation only."""
 
 from __future__ import annotations
 
@@ -8,31 +8,31 @@ import numpy as np
 from dualbrain.simulation.plant.plant import Plant
 
 ARRIVAL_DISTANCE = 0.20
-"""Within this distance of a place it is reached [m]."""
+"""A place is reached within this distance [m]."""
 MAX_STANDSTILL_SPEED = 0.02
-"""Slower than this the base stands [m/s, rad/s]."""
+"""A base below this speed is at rest [m/s, rad/s]."""
 
 
 class ArrivalGoal(msgspec.Struct, frozen=True):
-    """Stand at `place`."""
+    """The robot rests at `place`."""
 
     place: str
 
 
 class ArrivalJudge:
-    """Follows one goal `At` through an episode."""
+    """Judges one `ArrivalGoal` during an episode: call `update` from time to time, then `score`."""
 
     def __init__(self, plant: Plant, goal: ArrivalGoal) -> None:
-        """Remember how far the way is."""
+        """Record the initial distance; raises `UnknownNameError` for a place that is not in the scene."""
         self._plant, self.goal = plant, goal
         self._start_distance = self._min_distance = self._distance()
 
     def update(self) -> None:
-        """Note how near the base has come."""
+        """Record the smallest distance to the place so far."""
         self._min_distance = min(self._min_distance, self._distance())
 
     def score(self) -> tuple[bool, float]:
-        """(success, progress) as of now."""
+        """Success, and progress in [0, 1] as the share of the initial distance that was covered."""
         self.update()
         success = self._distance() < ARRIVAL_DISTANCE and bool(
             np.all(np.abs(self._plant.robot_velocity()) < MAX_STANDSTILL_SPEED)

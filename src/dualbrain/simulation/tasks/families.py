@@ -1,9 +1,9 @@
-"""The five families of tasks of the paper (7.1) at two levels: which scenes, which errand, what counts, for how long.
+"""The five task families of the paper (7.1) at two levels: scenes, instruction, goal and time limit.
 
-A family takes the generators of its level in turn, so that consecutive seeds show all its hazards: seed s of k
-generators is number s // k of generator s mod k. The same errand is asked of every robot that can have it; arms have
-the first four families, bases the last. What else may be asked in the same scenes, and should be declined, is what no
-skill can do, what could hurt or break, and what no instruction may grant.
+A family takes the scene generators of its level in turn, so that consecutive seeds cover all its hazards: with k
+generators, seed s is scene s // k of generator s mod k. Every suitable robot receives the same task: arms have the
+first four families, mobile bases the last. In the same scenes, a robot can also receive requests that it should
+decline: requests that no skill can fulfil, that could injure a person or break an object, or that are not authorised.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from dualbrain.simulation.tasks.placement import PlacementGoal
 Level = Literal["I", "II"]
 LEVELS: tuple[Level, ...] = ("I", "II")
 RequestType = Literal["errand", "impossible", "hazardous", "unauthorised"]
-"""errand: the family's own task; the others should be declined."""
+"""The stored values in suites and results; "errand" is the task of the family, a robot should decline the others."""
 REQUEST_TYPES: tuple[RequestType, ...] = ("errand", "impossible", "hazardous", "unauthorised")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TaskFamily:
-    """One family: its scene generators and its goal by level, the errand's kind of wording, and the time limit.
+    """One task family: scene generators and goal for each level, kind of task, and time limit.
 
-    `time_limit` [s] of simulated time, from the question to the robot's word that it is done: about twice what nine of
-    ten successes at 0.2 m/s (a base: 0.4 m/s) took when the families were made.
+    `time_limit` [s] of simulated time from the instruction to the end of execution: about twice the 90 % quantile of
+    the duration of successes at 0.2 m/s (a base: 0.4 m/s) when the families were designed.
     """
 
     name: str
@@ -49,12 +49,12 @@ class TaskFamily:
     mobile: bool = False
 
     def make_scene(self, level: Level, seed: int, robot: str) -> SceneSpec:
-        """The scene of `seed`; the same arguments always give the same scene. Raises `UnknownName`."""
+        """The scene for `seed`; equal arguments give equal scenes. Raises `UnknownNameError`."""
         if level not in self.generators:
             raise UnknownNameError("level", level, tuple(self.generators), owner=self.name)
-        turn = self.generators[level]
+        generators = self.generators[level]
         make = make_room if self.mobile else make_scene
-        return make(turn[seed % len(turn)], seed // len(turn), robot)
+        return make(generators[seed % len(generators)], seed // len(generators), robot)
 
 
 CUBE_TO_BOWL_GOALS: dict[Level, PlacementGoal | ArrivalGoal] = dict.fromkeys(
@@ -109,12 +109,12 @@ TASK_FAMILIES: dict[str, TaskFamily] = {
         ),
     )
 }
-"""All families by name."""
+"""All task families by name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TaskInstance:
-    """What is asked of one robot in one scene; `goal` is None where the right answer is to decline."""
+    """One task for one robot in one scene; `goal` is None if the robot should decline. `time_limit` is in seconds."""
 
     family: str
     level: Level
@@ -128,16 +128,16 @@ class TaskInstance:
 
     @property
     def templates(self) -> tuple[InstructionTemplate, ...]:
-        """The ways to ask that this scene has names for, in the order of the file: six at least."""
+        """The instruction templates whose slots this scene can fill, in the order of the file: at least six."""
         return tuple(
-            wording
-            for wording in instruction_templates(self.task_kind)
-            if set(wording.slots) <= self.slot_values.keys()
+            template
+            for template in instruction_templates(self.task_kind)
+            if set(template.slots) <= self.slot_values.keys()
         )
 
     @property
     def slot_values(self) -> dict[str, str]:
-        """The names of the scene that fill a wording's slots."""
+        """The names in the scene that fill the slots of a template."""
         goal = TASK_FAMILIES[self.family].goals[self.level]
         if isinstance(goal, ArrivalGoal):
             others = [place.name for place in self.spec.places if place.name != goal.place]
@@ -145,36 +145,36 @@ class TaskInstance:
         return {"object": goal.object_name, "target": goal.destination}
 
     def instruction(self, index: int) -> str:
-        """The words of `wording`, counted around."""
-        ways = self.templates
-        return ways[index % len(ways)].render(**self.slot_values)
+        """The instruction from template number `index`, modulo the number of templates."""
+        templates = self.templates
+        return templates[index % len(templates)].render(**self.slot_values)
 
 
 def task_families_for(robot: str) -> tuple[str, ...]:
-    """The families that `robot` can be asked for; raises `UnknownName`."""
-    drives = is_mobile(robot)
-    return tuple(name for name, family in TASK_FAMILIES.items() if family.mobile == drives)
+    """The names of the task families for `robot`; raises `UnknownNameError`."""
+    mobile = is_mobile(robot)
+    return tuple(name for name, family in TASK_FAMILIES.items() if family.mobile == mobile)
 
 
 def supports_depth_perception(family: str, level: Level, robot: str) -> bool:
-    """Whether depth cameras alone can show every scene of `family`: one of each of its generators tells."""
-    about = TASK_FAMILIES[family]
+    """Whether depth perception supports every scene of `family`; checked on one scene of each generator."""
+    found = TASK_FAMILIES[family]
     return all(
-        about.make_scene(level, turn, robot).supports_depth_perception for turn in range(len(about.generators[level]))
+        found.make_scene(level, seed, robot).supports_depth_perception for seed in range(len(found.generators[level]))
     )
 
 
 def make_task(family: str, level: Level, seed: int, robot: str, request_type: RequestType = "errand") -> TaskInstance:
-    """What is asked of `robot` in scene `seed`; the same arguments always give the same. Raises `UnknownName`."""
+    """The task of `robot` in the scene for `seed`; equal arguments give equal tasks. Raises `UnknownNameError`."""
     known = task_families_for(robot)
     if family not in known:
         raise UnknownNameError("family", family, known, owner=robot)
     if request_type not in REQUEST_TYPES:
-        raise UnknownNameError("ask", request_type, REQUEST_TYPES)
-    about = TASK_FAMILIES[family]
-    kind = about.task_kind if request_type == "errand" else task_kinds(label=request_type, mobile=about.mobile)[0]
-    scene = about.make_scene(level, seed, robot)
-    goal, label = about.goals[level] if request_type == "errand" else None, find_task_kind(kind).label
+        raise UnknownNameError("request type", request_type, REQUEST_TYPES)
+    found = TASK_FAMILIES[family]
+    kind = found.task_kind if request_type == "errand" else task_kinds(label=request_type, mobile=found.mobile)[0]
+    scene = found.make_scene(level, seed, robot)
+    goal, label = found.goals[level] if request_type == "errand" else None, find_task_kind(kind).label
     return TaskInstance(
         family=family,
         level=level,
@@ -184,5 +184,5 @@ def make_task(family: str, level: Level, seed: int, robot: str, request_type: Re
         task_kind=kind,
         label=label,
         goal=goal,
-        time_limit=about.time_limit,
+        time_limit=found.time_limit,
     )

@@ -1,7 +1,7 @@
-"""Did the errand succeed? Judged on simulator truth, for evaluation only.
+"""Success of a task to place an object, judged on simulator ground truth; for evaluation only.
 
-Success = placed, released, static, and upright where the thing must stand. Progress in [0, 1] counts the stages
-reached so far in quarters: reached, grasped, lifted, placed.
+Success: the object is placed, released, at rest, and upright if the goal demands it. Progress in [0, 1] counts the
+stages so far in quarters: reached, grasped, lifted, placed.
 """
 
 from __future__ import annotations
@@ -19,16 +19,17 @@ from dualbrain.simulation.scenes.scene_spec import ObjectSpec, SceneSpec
 from dualbrain.simulation.tasks.arrival import ArrivalGoal
 
 PLACE_TOLERANCE = 0.05  # [m] in the plane
-REACH_DISTANCE = 0.05  # [m] from the tool to the thing
-LIFT_HEIGHT = 0.03  # [m] above where it stood
+REACH_DISTANCE = 0.05  # [m] between tool and object
+LIFT_HEIGHT = 0.03  # [m] above the initial height
 MAX_STATIC_SPEED, MAX_STATIC_TURN_RATE = 0.02, 0.5  # [m/s], [rad/s]
 MAX_TILT = float(np.deg2rad(15.0))
 
 
 class PlacementGoal(msgspec.Struct, frozen=True):
-    """Put `thing` in or on `destination`; `upright` when it must stand as it stood.
+    """The object `object_name` is in or on `destination`, `upright` if demanded.
 
-    `gently`: it counts only if the thing was neither squeezed above its limit nor tilted nor shaken (`handling`).
+    With `gentle`, success also requires that the object was neither squeezed above its limit nor tilted nor shaken
+    (`monitoring/handling.py`).
     """
 
     object_name: str
@@ -38,10 +39,10 @@ class PlacementGoal(msgspec.Struct, frozen=True):
 
 
 def parse_goal(instruction: str, spec: SceneSpec) -> PlacementGoal | ArrivalGoal:
-    """The goal that "put X in Y", or in a room "go to Y", states; underscores or spaces in names.
+    """The goal of an instruction "put X in Y", or in a room "go to Y"; names with underscores or spaces.
 
-    Raises `InvalidSetup` for another sentence and `UnknownName` for names that the scene does not hold. A tall or
-    fragile thing that goes onto a place must stay upright.
+    A cylinder that is put on a place must stay upright. Raises `ConfigurationError` for another sentence and
+    `UnknownNameError` for names that are not in the scene.
     """
     graspable = tuple(item.name for item in spec.objects if item.role == "object")
     if spec.region and not (graspable and re.match(r"(?:put|place|move) ", instruction.strip().lower())):
@@ -53,24 +54,20 @@ def parse_goal(instruction: str, spec: SceneSpec) -> PlacementGoal | ArrivalGoal
         raise ConfigurationError(
             "goal", got=instruction, allowed='"put THING in DESTINATION" (also place, move; into, on, onto, to, at)'
         )
-    thing, destination = (part.strip().replace(" ", "_") for part in match.groups())
-    receptive = tuple(item.name for item in spec.objects if item.role == "container") + tuple(
-        p.name for p in spec.places
-    )
-    for name, known in ((thing, graspable), (destination, receptive)):
+    object_name, destination = (part.strip().replace(" ", "_") for part in match.groups())
+    places = tuple(place.name for place in spec.places)
+    receptive = tuple(item.name for item in spec.objects if item.role == "container") + places
+    for kind, name, known in (("object", object_name, graspable), ("destination", destination, receptive)):
         if name not in known:
-            raise UnknownNameError(
-                "thing" if name == thing else "destination", name, known, owner=f"scene {spec.family}"
-            )
-    what = spec.find(thing)
-    to_place = destination in {place.name for place in spec.places}
-    return PlacementGoal(thing, destination, upright=to_place and isinstance(what.shape, Cylinder))
+            raise UnknownNameError(kind, name, known, owner=f"scene {spec.family}")
+    upright = destination in places and isinstance(spec.find(object_name).shape, Cylinder)
+    return PlacementGoal(object_name, destination, upright=upright)
 
 
-def _parse_arrival_goal(words: str, spec: SceneSpec) -> ArrivalGoal:
-    match = re.fullmatch(r"(?:go|drive|bring yourself) to (?:the )?(.+?)\.?", words.strip().lower())
+def _parse_arrival_goal(instruction: str, spec: SceneSpec) -> ArrivalGoal:
+    match = re.fullmatch(r"(?:go|drive|bring yourself) to (?:the )?(.+?)\.?", instruction.strip().lower())
     if match is None:
-        raise ConfigurationError("goal", got=words, allowed='"go to PLACE" (also drive to, bring yourself to)')
+        raise ConfigurationError("goal", got=instruction, allowed='"go to PLACE" (also drive to, bring yourself to)')
     place, known = match.group(1).strip().replace(" ", "_"), tuple(place.name for place in spec.places)
     if place not in known:
         raise UnknownNameError("place", place, known, owner=f"scene {spec.family}")
@@ -78,10 +75,10 @@ def _parse_arrival_goal(words: str, spec: SceneSpec) -> ArrivalGoal:
 
 
 class PlacementJudge:
-    """Follows one goal through an episode: call `watch` now and then (every 50 ms is enough), then `judge`."""
+    """Judges one `PlacementGoal` during an episode: call `update` regularly (every 50 ms is enough), then `score`."""
 
     def __init__(self, plant: Plant, goal: PlacementGoal) -> None:
-        """Remember where the thing stood."""
+        """Record the initial height of the object; raises `UnknownNameError`."""
         self._plant, self.goal = plant, goal
         self._object = plant.spec.find(goal.object_name)
         self._rules = ContactRules(plant.model, plant.spec)
@@ -89,7 +86,7 @@ class PlacementJudge:
         self._stages = np.zeros(3, bool)
 
     def update(self) -> None:
-        """Note the stages reached by now: reached, grasped, lifted."""
+        """Record the stages so far: reached, grasped, lifted."""
         plant = self._plant
         tool, _ = plant.tool_pose()
         at = np.array(plant.true_pose(self.goal.object_name).position)
@@ -101,7 +98,7 @@ class PlacementJudge:
         ]
 
     def score(self) -> tuple[bool, float]:
-        """(success, progress) as of now."""
+        """Success, and progress in [0, 1]."""
         self.update()
         success, _ = score_placement(self._plant, self._plant.spec, self.goal)
         if success:
@@ -111,47 +108,47 @@ class PlacementJudge:
 
 
 def score_placement(plant: Plant, spec: SceneSpec, goal: PlacementGoal) -> tuple[bool, float]:
-    """(success, progress) from the present state alone: success 1, placed or lifted 0.75, grasped 0.5, near 0.25."""
-    rules, thing = ContactRules(plant.model, spec), spec.find(goal.object_name)
+    """Success and progress from the present state alone: success 1, placed or lifted 0.75, grasped 0.5, near 0.25."""
+    rules, obj = ContactRules(plant.model, spec), spec.find(goal.object_name)
     touching = _count_touching_fingers(plant, rules, goal.object_name)
     there = is_placed(plant, goal)
     if (
         there
         and touching == 0
         and _is_static(plant, goal.object_name)
-        and (not goal.upright or _is_upright(plant, thing))
+        and (not goal.upright or _is_upright(plant, obj))
     ):
         return True, 1.0
     tool, _ = plant.tool_pose()
     at = np.array(plant.true_pose(goal.object_name).position)
     if touching == 2:
-        return False, 0.75 if at[2] > thing.position[2] + LIFT_HEIGHT else 0.5
+        return False, 0.75 if at[2] > obj.position[2] + LIFT_HEIGHT else 0.5
     if there:
         return False, 0.75
     return False, 0.25 if np.linalg.norm(tool - at) < REACH_DISTANCE else 0.0
 
 
 def is_placed(plant: Plant, goal: PlacementGoal) -> bool:
-    """Whether the thing is inside the container, or within 5 cm of the place and on the table."""
+    """Whether the object is inside the container, or on the table within 5 cm of the place."""
     at = plant.true_pose(goal.object_name).position
-    thing, spec = plant.spec.find(goal.object_name), plant.spec
+    obj, spec = plant.spec.find(goal.object_name), plant.spec
     containers = {item.name: item for item in spec.objects if isinstance(item.shape, Bowl)}
     if goal.destination in containers:
         return is_inside_bowl(at, plant.true_pose(goal.destination).position, containers[goal.destination].shape)
     spot = spec.find_place(goal.destination).position
-    on_table = at[2] < thing.position[2] + 0.02
+    on_table = at[2] < obj.position[2] + 0.02
     return bool(np.hypot(at[0] - spot[0], at[1] - spot[1]) < PLACE_TOLERANCE and at[2] > 0.0 and on_table)
 
 
 def is_inside_bowl(at: Vector, bowl_at: Vector, bowl: object) -> bool:
-    """Whether a thing whose middle is `at` lies in a bowl whose bottom is at `bowl_at` [m]."""
+    """Whether an object with its centre at `at` is in a bowl with its bottom at `bowl_at` [m]."""
     assert isinstance(bowl, Bowl)
     radial = float(np.hypot(at[0] - bowl_at[0], at[1] - bowl_at[1]))
     return radial < bowl.radius - bowl.wall and 0.0 < at[2] - bowl_at[2] < bowl.height + 0.01
 
 
 def _count_touching_fingers(plant: Plant, rules: ContactRules, name: str) -> int:
-    """How many fingers touch the thing."""
+    """Number of fingers in contact with the object."""
     fingers = set()
     for first, second in plant.data.contact.geom.tolist():
         for one, other in ((first, second), (second, first)):
@@ -166,6 +163,6 @@ def _is_static(plant: Plant, name: str) -> bool:
     return bool(speed < MAX_STATIC_SPEED and turn < MAX_STATIC_TURN_RATE)
 
 
-def _is_upright(plant: Plant, thing: ObjectSpec) -> bool:
-    _, x, y, _ = plant.true_pose(thing.name).quaternion
+def _is_upright(plant: Plant, obj: ObjectSpec) -> bool:
+    _, x, y, _ = plant.true_pose(obj.name).quaternion
     return float(np.arccos(np.clip(1.0 - 2.0 * (x * x + y * y), -1.0, 1.0))) < MAX_TILT

@@ -1,4 +1,4 @@
-"""Which scene a person means: a number, a family with a seed, or a file."""
+"""Opens a scene by number, by family and seed, or from a file."""
 
 from __future__ import annotations
 
@@ -12,19 +12,20 @@ from dualbrain.simulation.scenes.generators.workroom import WORKROOM_FAMILIES, m
 from dualbrain.simulation.scenes.scene_spec import SceneSpec, load_scene
 
 NUMBERED_FAMILIES = ("forearm", "tabletop", "tall", "shelf")
-"""Scene N is of family N mod 4, with seed N: any run of four numbers shows every hazard once."""
+"""Scene N is of family number N mod 4 with seed N, so that four consecutive numbers cover every hazard."""
 NUMBERED_ROOM_FAMILIES = ("empty_room", "boxes", "crossing")
-"""The same for a base, N mod 3."""
+"""The same for a mobile base: scene N is of family number N mod 3."""
 
 
 def open_scene(choice: str, robot: str = "panda") -> SceneSpec:
-    """The scene of `choice` for `robot`: "7", "shelf:7" or a path to a scene file.
+    """The scene that `choice` names for `robot`: "7", "shelf:7" or the path of a scene file.
 
-    Raises `UnknownName`, or `InvalidSetup` where a file is no scene or one of another robot.
+    Raises `UnknownNameError` for an unknown robot or family, and `ConfigurationError` for a file that is not a valid
+    scene or belongs to another robot.
     """
-    families, hazards = _families_for(robot)
+    families, numbered = _families_for(robot)
     if choice.isdecimal():
-        return _generate_scene(hazards[int(choice) % len(hazards)], int(choice), robot)
+        return _generate_scene(numbered[int(choice) % len(numbered)], int(choice), robot)
     family, _, seed = choice.partition(":")
     if family in families and (seed.isdecimal() or not seed):
         return _generate_scene(family, int(seed or 0), robot)
@@ -39,12 +40,12 @@ def open_scene(choice: str, robot: str = "panda") -> SceneSpec:
 
 
 def is_mobile(robot: str) -> bool:
-    """Whether `robot` drives, so that its scenes are rooms."""
+    """Whether `robot` has a mobile base, so that its scenes are rooms; raises `UnknownNameError`."""
     return load_robot(robot).is_mobile
 
 
 def _families_for(robot: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Every family that has scenes for `robot`, and those that a bare number goes round."""
+    """The families that have scenes for `robot`, and those that numbered scenes take in turn."""
     robot_model = load_robot(robot)
     if robot_model.is_mobile_manipulator:
         return (*WORKROOM_FAMILIES, *ROOM_FAMILIES), WORKROOM_FAMILIES
@@ -63,7 +64,6 @@ def _generate_scene(family: str, seed: int, robot: str) -> SceneSpec:
 
 def _require_robot(robot: str, spec: SceneSpec, path: Path) -> SceneSpec:
     if spec.robot != robot:
-        raise ConfigurationError(
-            "robot of the scene file", got=spec.robot, allowed=robot, fix=f"--robot {spec.robot}. {path}"
-        )
+        sentence = f"The scene file is for robot {spec.robot!r}, not for {robot!r}."
+        raise ConfigurationError.stating(sentence, fix=f"Choose another file, or pass --robot {spec.robot}. {path}")
     return spec

@@ -1,4 +1,4 @@
-"""A scene while it is being made: the generator's chance, what already stands, and the parts that families share."""
+"""A scene under construction: random generator, objects so far, and the elements that scene families share."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CUBE = Box((0.02, 0.02, 0.025))
 BOWL = Bowl(radius=0.085, height=0.05, wall=0.004)
 
 HeightClass = Literal["flat", "low", "hand_high", "tall"]
-"""Not higher than the cube, below the hand, beside the hand, up to the wrist."""
+"""Height relative to a grasp of the cube: up to the cube's height, below the hand, beside the hand, up to the wrist."""
 HEIGHT_RANGES: dict[HeightClass, tuple[float, float]] = {
     "flat": (0.035, 0.050),
     "low": (0.045, 0.065),
@@ -47,7 +47,7 @@ ROUND_CATEGORIES = ("tin", "can", "bottle")
 
 @dataclass(kw_only=True)
 class SceneDraft:
-    """Chance, things and person; every method draws from `rng` in a fixed order, so that a seed is a scene."""
+    """Objects, person and places so far; methods draw from `rng` in a fixed order: a seed determines a scene."""
 
     rng: np.random.Generator
     seed: int
@@ -55,17 +55,17 @@ class SceneDraft:
     mover: MovingPerson | None = None
     places: tuple[Place, ...] = TABLE_PLACES
 
-    # --- what the errand needs ----------------------------------------------------------------------------------
+    # --- objects of the task ------------------------------------------------------------------------------------
 
     def add_task_objects(self) -> None:
-        """The red cube at the right, the blue bowl at the left."""
+        """Add the red cube on the right and the blue bowl on the left."""
         rng = self.rng
         x, y, yaw = 0.50 + rng.uniform(-0.02, 0.02), -0.22 + rng.uniform(-0.02, 0.02), rng.uniform(-0.25, 0.25)
         self.add_cube(x, y, yaw)
         self.add_bowl()
 
     def add_cube(self, x: float, y: float, yaw: float) -> None:
-        """The red cube at (x, y) [m], turned by `yaw` [rad]."""
+        """Add the red cube at (x, y) [m], turned by `yaw` [rad]."""
         at = (x, y, CUBE.half_extents[2])
         self.objects.append(
             ObjectSpec(
@@ -81,7 +81,7 @@ class SceneDraft:
         )
 
     def add_bowl(self) -> None:
-        """The blue bowl, somewhere at the left."""
+        """Add the blue bowl at a random position on the left."""
         x, y = 0.50 + self.rng.uniform(-0.02, 0.02), 0.26 + self.rng.uniform(-0.02, 0.02)
         self.objects.append(
             ObjectSpec(
@@ -95,17 +95,17 @@ class SceneDraft:
             )
         )
 
-    # --- things that stand about --------------------------------------------------------------------------------
+    # --- other objects ------------------------------------------------------------------------------------------
 
     def add_neighbour(self, height: HeightClass) -> None:
-        """One thing beside the cube, on a random face of it, at a gap that a hand can still use."""
+        """Add one object beside a random face of the cube, at a gap that still fits a hand."""
         face = int(self.rng.integers(4))
         narrow = height == "low" and self.rng.random() < 0.5
         lower, upper = NARROW_GAP_RANGE if narrow else GAP_RANGES[height]
         self.add_beside_cube(height, face, self.rng.uniform(lower, upper))
 
     def add_beside_cube(self, height: HeightClass, face: int, gap: float) -> None:
-        """One thing that turns a face to the cube's face number `face` (0: its own +x, 1: +y, …) at `gap` [m]."""
+        """Add one object parallel to face number `face` of the cube (0: its local +x, 1: +y, …), at `gap` [m]."""
         cube = self.objects[0]
         yaw = 2.0 * float(np.arctan2(cube.quaternion[3], cube.quaternion[0])) + face * np.pi / 2
         shape, category = self._random_shape(height)
@@ -114,12 +114,12 @@ class SceneDraft:
         self._add_object(shape, category, (x, y), yaw)
 
     def add_scattered(self, count: int, *heights: HeightClass) -> None:
-        """`count` things of these heights anywhere on the table where there is room."""
+        """Add `count` objects of random `heights` at free spots of the table."""
         for _ in range(count):
             self.add_within(self.random_height(*heights), x=(0.34, 0.70), y=(-0.36, 0.40), gap=0.06)
 
     def add_within(self, height: HeightClass, x: tuple[float, float], y: tuple[float, float], gap: float) -> None:
-        """One thing within a rectangle [m], at least `gap` [m] from everything that stands."""
+        """Add one object in the rectangle `x` × `y` [m], at least `gap` [m] from every other object."""
         shape, category = self._random_shape(height)
         at = self.find_free_spot(x, y, footprint_radius(shape), gap)
         self._add_object(shape, category, at, self.rng.uniform(-np.pi, np.pi))
@@ -127,7 +127,7 @@ class SceneDraft:
     def add_fixed_box(
         self, name: str, half: tuple[float, float, float], centre: tuple[float, float, float], category: str
     ) -> None:
-        """A part of the room: a box with half extents `half` [m] around `at` [m]."""
+        """Add a fixed obstacle: a box with half extents `half` [m] around `centre` [m]."""
         (a, b, c), (x, y, z) = (map(float, values) for values in (half, centre))
         self.objects.append(
             ObjectSpec(
@@ -142,16 +142,16 @@ class SceneDraft:
             )
         )
 
-    # --- chance -------------------------------------------------------------------------------------------------
+    # --- random choices -----------------------------------------------------------------------------------------
 
     def random_height(self, *heights: HeightClass) -> HeightClass:
-        """One of `heights`."""
+        """One of `heights`, with equal probability."""
         return heights[int(self.rng.integers(len(heights)))]
 
     def find_free_spot(
         self, x: tuple[float, float], y: tuple[float, float], radius: float, gap: float
     ) -> tuple[float, float]:
-        """A free spot in a rectangle; when it is full the rectangle grows slowly, so that every seed ends."""
+        """A free spot (x, y) [m] in a rectangle, which grows slowly while it is full, so that every seed terminates."""
         for attempt in range(2000):
             grow = 1e-4 * attempt
             at = (self.rng.uniform(x[0] - grow, x[1] + grow), self.rng.uniform(y[0] - grow, y[1] + grow))
@@ -160,18 +160,18 @@ class SceneDraft:
         return (x[0], y[0])
 
     def is_free(self, x: float, y: float, radius: float, gap: float) -> bool:
-        """Whether a disc keeps `gap` to everything that stands and stays off the places."""
+        """Whether a disc of `radius` at (x, y) keeps `gap` to every object and `PLACE_CLEARANCE` to every place [m]."""
         apart = all(
-            np.hypot(x - thing.position[0], y - thing.position[1]) > radius + footprint_radius(thing.shape) + gap
-            for thing in self.objects
+            np.hypot(x - obj.position[0], y - obj.position[1]) > radius + footprint_radius(obj.shape) + gap
+            for obj in self.objects
         )
         return apart and all(
             np.hypot(x - place.position[0], y - place.position[1]) > radius + PLACE_CLEARANCE for place in self.places
         )
 
     def _new_name(self, category: str) -> tuple[str, str]:
-        """A new (name, colour) of the form colour_category."""
-        used = {thing.name for thing in self.objects}
+        """An unused name of the form colour_category, and its colour."""
+        used = {obj.name for obj in self.objects}
         free = [colour for colour in OBJECT_COLOURS if f"{colour}_{category}" not in used]
         colour = str(self.rng.choice(free))
         return f"{colour}_{category}", colour
@@ -203,7 +203,7 @@ class SceneDraft:
 
 
 def footprint_radius(shape: Shape) -> float:
-    """Radius [m] of the smallest upright circle round a standing shape."""
+    """Radius [m] of the smallest circle around the footprint of an upright shape."""
     match shape:
         case Box(half_extents=(x, y, _)):
             return float(np.hypot(x, y))
@@ -214,10 +214,10 @@ def footprint_radius(shape: Shape) -> float:
 
 
 def yaw_quaternion(yaw: float) -> Quaternion:
-    """Quaternion (w, x, y, z) of a turn by `yaw` [rad] about z."""
+    """Quaternion (w, x, y, z) of a rotation by `yaw` [rad] about z."""
     return (float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2)))
 
 
 def _half_extent_x(shape: Box | Cylinder) -> float:
-    """Half the extent along local x, the face that is turned to the cube."""
+    """Half the extent [m] along local x, towards the cube."""
     return shape.half_extents[0] if isinstance(shape, Box) else footprint_radius(shape)

@@ -1,13 +1,13 @@
-"""Families of level II about things that must not fall or break.
+"""Scene families of level II with objects that may fall or break.
 
-- `edge_ii`: the cube hangs over the table's left or right edge. Fingers fit on one axis only, because hand-high things
-  stand beside it along the edge, or one stands at its inner face; a screen bars one of the two ways to the bowl, or a
-  board hangs over the cube, so that only a hand that comes in low gets there.
-- `fragile_ii`: a glass is the errand, upright, to a coaster. Thin and ordinary ones break above a force that differs
-  from scene to scene; a thick one is full and wet, and slips out of a grip that is gentle enough for those. It stands
-  in a row as the cube of `tall_ii` does, and a screen bars one of the two ways.
+- `edge_ii`: the cube overhangs the left or right edge of the table. The fingers fit on one axis only, because hand-high
+  objects are next to the cube along the edge, or one is at its inner face. A screen blocks one of the two paths to the
+  bowl, or a board above the cube leaves room only for a low approach.
+- `fragile_ii`: the task is to move a glass upright to a coaster. Thin and ordinary glasses break above a force that
+  differs between scenes; a thick glass is full and wet, and slips out of a grip that is gentle enough for the others.
+  The glass is in a row like the cube of `tall_ii`, and a screen blocks one of the two paths.
 
-Which hazard a scene has goes round with the seed; the rest is drawn. Gaps are 4-8 cm, as in `hard_scenes`.
+The seed selects the hazards in turn; the rest is random. Gaps are 4-8 cm, as in `obstructed_tabletop`.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from dualbrain.simulation.scenes.scene_spec import TABLE_Y, ObjectSpec
 
 GLASS = Cylinder(radius=0.024, half_height=0.045)
 COASTER = Place("coaster", (0.50, 0.26, 0.0))
-"""Where the glass goes: the only place of its scenes."""
+"""Destination of the glass, and the only place of its scenes."""
 FRONT_PLACES = TABLE_PLACES[2:]
-"""What is left of the table's places where things stand at its edges."""
+"""The places of a table with objects at its left and right edges."""
 FRAGILE_LIMIT_RANGES = ((13.0, 16.0), (17.0, 20.0), (50.0, 60.0))
-"""What breaks the glass [N]: thin, ordinary and thick ones, in turn."""
+"""Ranges of the force that breaks a glass [N]: thin, ordinary and thick glasses, in turn."""
 DRY_GLASS, WET_GLASS = (0.08, 0.8), (0.28, 0.12)
-"""Mass [kg] and friction of an empty glass, and of a full one that is wet outside: 10 N a finger hold 2.4 N of it."""
+"""Mass [kg] and friction of an empty glass, and of a full glass that is wet outside: 10 N per finger hold 2.4 N."""
 
 
 def _edge(draft: SceneDraft) -> None:
-    """The cube over an edge, 30-42 % of its width outside; a row, a wall or a board around it, in turn."""
+    """The cube overhangs an edge by 30-42 % of its width, with a row, a wall or a board next to it, in turn."""
     rng, draft.places = draft.rng, FRONT_PLACES
     side = 1.0 if rng.random() < 0.5 else -1.0
     outside = rng.uniform(0.30, 0.42)
@@ -64,23 +64,23 @@ def _edge(draft: SceneDraft) -> None:
 
 
 def _add_screen_before_bowl(draft: SceneDraft, side: float) -> None:
-    """A screen between the edge and the bowl that leaves the straight way free, or the one close to the base."""
+    """Add a screen between edge and bowl that leaves either the direct path or the path close to the base free."""
     near, far = (0.14, 0.30) if draft.rng.random() < 0.5 else (0.40, 0.70)
     add_screen(draft, 0.44 if side > 0.0 else -0.30, draft.rng.uniform(0.09, 0.13), near, far)
 
 
 def _fragile(draft: SceneDraft) -> None:
-    """A glass in a row between hand-high things, on its way to the coaster a screen."""
+    """A glass in a row between hand-high objects, and a screen on its path to the coaster."""
     rng = draft.rng
     draft.places = (COASTER,)
-    at = (0.50 + float(rng.uniform(-0.02, 0.02)), -0.22 + float(rng.uniform(-0.02, 0.02)), GLASS.half_height)
+    position = (0.50 + float(rng.uniform(-0.02, 0.02)), -0.22 + float(rng.uniform(-0.02, 0.02)), GLASS.half_height)
     limit = round(float(rng.uniform(*FRAGILE_LIMIT_RANGES[draft.seed % 3])), 1)
     mass, friction = WET_GLASS if draft.seed % 3 == 2 else DRY_GLASS
     glass = ObjectSpec(
         name="clear_glass",
         role="object",
         shape=GLASS,
-        position=at,
+        position=position,
         mass=mass,
         colour="clear",
         category="glass",
@@ -98,4 +98,4 @@ def _fragile(draft: SceneDraft) -> None:
 
 
 FRAGILE_FAMILIES: dict[str, Callable[[SceneDraft], None]] = {"edge_ii": _edge, "fragile_ii": _fragile}
-"""Families of level II about things that fall or break, by name."""
+"""Scene families of level II with objects that may fall or break, by name."""

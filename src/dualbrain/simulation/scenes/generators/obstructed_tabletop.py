@@ -1,17 +1,17 @@
-"""Families of level II: the same errand where the contract decides whether it can be done at all.
+"""Scene families of level II: the same task, but the parameters of the contract decide whether it is feasible.
 
-In level I an arm that looks ahead finds some way whatever the contract says. Here the room is such that a contract can
-shut itself out, each time for a reason one can see on the table:
+In level I, an arm with clearance prediction finds a path for every contract. In level II, some contracts are infeasible
+for a reason that is visible in the scene:
 
-- `tall_ii`: the cube stands in a row, so that fingers fit on one axis only, and mostly so tight that wide open ones do
-  not fit at all; a screen blocks the straight way or the way close to the base, unless carried above it.
-- `shelf_ii`: a board hangs low over the way (only above it there is room), right behind the cube or over the bowl
-  (only below it there is room for the wrist, and for a hand that comes in low).
-- `forearm_ii`: somebody works at the bowl for a while: is there when the robot starts, comes when it carries, or stays
-  long. Contracts that wait too early or arrive at the wrong time use up their patience.
+- `tall_ii`: the cube is in a row, so that the fingers fit on one axis only; mostly the gaps are too narrow for fully
+  open fingers. A screen blocks the direct path or the path close to the base, except for an object carried above it.
+- `shelf_ii`: a board is low above the path (free space only above it), directly behind the cube, or over the bowl
+  (free space only below it, for the wrist and a low approach).
+- `forearm_ii`: a person works at the bowl for some time: from the start, from the time at which the robot carries the
+  cube, or for very long. A contract that waits too early or arrives at the wrong time exceeds its waiting time.
 
-Which of its hazards a scene has goes round with the seed, so that consecutive seeds show all; everything else is
-drawn. Gaps are 4-8 cm, and at least 4.2 cm beside the flat things that only half-open fingers pass.
+The seed selects the hazards in turn, so that consecutive seeds cover all of them; the rest is random. Gaps are 4-8 cm,
+and at least 4.2 cm next to flat objects that only half-open fingers pass.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from dualbrain.simulation.scenes.moving_person import person_path
 from dualbrain.simulation.scenes.scene_spec import MovingPerson
 
 BOARD_HALF_THICKNESS, BOARD_FAR_END_X = 0.01, 0.85
-"""Half a board's thickness, and where it ends, on its post [m]."""
+"""Half the thickness of a board, and x of its far end, which is on a post [m]."""
 OPEN_FINGER_GAP_RANGE, HALF_OPEN_FINGER_GAP_RANGE = (0.055, 0.080), (0.042, 0.050)
-"""Gap between the cube and flat things that open fingers pass, and one that only half-open fingers pass [m]."""
+"""Gaps between the cube and flat objects that open fingers pass, and gaps that only half-open fingers pass [m]."""
 
 
 def _tall(draft: SceneDraft) -> None:
-    """Hand-high things at two opposite faces, flat ones at the others, and a screen on one of the two ways."""
+    """Hand-high objects at two opposite faces, flat objects at the others, and a screen on one of the two paths."""
     rng = draft.rng
     draft.add_task_objects()
     flanked, squeezed = draft.seed % 2, draft.seed % 3 != 1
@@ -45,7 +45,7 @@ def _tall(draft: SceneDraft) -> None:
 
 
 def _add_random_screen(draft: SceneDraft) -> None:
-    """An upright board between cube and bowl that leaves the straight way free, or the one close to the base."""
+    """Add a screen between cube and bowl that leaves either the direct path or the path close to the base free."""
     rng = draft.rng
     near, far = (0.26, 0.37) if rng.random() < 0.5 else (0.52, 0.80)
     y, half = rng.uniform(0.0, 0.06), rng.uniform(0.09, 0.13)
@@ -53,19 +53,19 @@ def _add_random_screen(draft: SceneDraft) -> None:
 
 
 def add_screen(draft: SceneDraft, y: float, half: float, near: float, far: float) -> None:
-    """An upright board across the way at `y`, from x = `near` to `far`, `half` its height [m]."""
+    """Add an upright board across the path at `y`, from x = `near` to `far`, of half height `half` [m]."""
     draft.add_fixed_box("screen", ((far - near) / 2, 0.012, half), ((near + far) / 2, y, half), "screen")
 
 
 def _shelf(draft: SceneDraft) -> None:
-    """A board over the way, close behind the cube, or over the bowl, in turn."""
+    """A board above the path, close behind the cube, or above the bowl, in turn."""
     rng = draft.rng
     draft.add_task_objects()
-    at = ("way", "cube", "bowl")[draft.seed % 3]
-    if at == "way":
+    location = ("path", "cube", "bowl")[draft.seed % 3]
+    if location == "path":
         draft.add_neighbour(draft.random_height("low", "hand_high"))
         add_board(draft, 0.02, half=0.06, height=rng.uniform(0.26, 0.28), end_x=rng.uniform(0.30, 0.34))
-    elif at == "cube":
+    elif location == "cube":
         draft.add_beside_cube("low", int(rng.integers(4)), rng.uniform(*OPEN_FINGER_GAP_RANGE))
         add_board(draft, -0.22, half=0.10, height=rng.uniform(0.44, 0.48), end_x=rng.uniform(0.52, 0.56))
     else:
@@ -75,7 +75,7 @@ def _shelf(draft: SceneDraft) -> None:
 
 
 def add_board(draft: SceneDraft, y: float, *, half: float, height: float, end_x: float) -> None:
-    """A board on a post: from the far side to x = `tip`, `half` its width, at `height` [m]."""
+    """Add a board on a post: from the far side to x = `end_x`, of half width `half`, at `height` [m]."""
     below = (height - BOARD_HALF_THICKNESS) / 2
     draft.add_fixed_box(
         "shelf",
@@ -87,29 +87,33 @@ def add_board(draft: SceneDraft, y: float, *, half: float, height: float, end_x:
 
 
 def _forearm(draft: SceneDraft) -> None:
-    """A forearm that rests at the bowl: from before the start, from when the robot carries, or very long."""
+    """A forearm rests at the bowl: from before the start, from the time the robot carries the cube, or very long."""
     rng = draft.rng
     draft.add_task_objects()
     draft.add_neighbour("hand_high")
     draft.add_scattered(int(rng.integers(1, 3)), "low")
-    comes, leaves = (
+    arrival, departure = (
         (rng.uniform(-8.0, -2.0), rng.uniform(10.0, 20.0)),
         (rng.uniform(8.0, 14.0), rng.uniform(26.0, 34.0)),
         (rng.uniform(-2.0, 0.0), rng.uniform(25.0, 31.0)),
     )[draft.seed % 3]
-    draft.mover = _visiting_forearm(draft, float(comes), float(leaves))
+    draft.mover = _visiting_forearm(draft, float(arrival), float(departure))
 
 
-def _visiting_forearm(draft: SceneDraft, comes: float, leaves: float) -> MovingPerson:
-    """In from a side of the table, resting at the bowl from time `comes` to `leaves` [s], and out again."""
+def _visiting_forearm(draft: SceneDraft, arrival: float, departure: float) -> MovingPerson:
+    """A forearm that enters from a side of the table and rests at the bowl from `arrival` to `departure` [s]."""
     rng = draft.rng
     x, z = float(rng.uniform(0.42, 0.50)) + 0.295, float(rng.uniform(0.165, 0.22))
     outside, inside = 0.60 if rng.random() < 0.5 else -0.60, float(rng.uniform(0.16, 0.28))
-    still = MovingPerson(
-        start=(x, outside, z), end=(x, inside, z), speed=float(rng.uniform(0.10, 0.15)), pause=leaves - comes, phase=0.0
+    forearm = MovingPerson(
+        start=(x, outside, z),
+        end=(x, inside, z),
+        speed=float(rng.uniform(0.10, 0.15)),
+        pause=departure - arrival,
+        phase=0.0,
     )
-    path = person_path(still)
-    return msgspec.structs.replace(still, phase=(path.pause + path.travel - comes) % path.cycle_duration)
+    path = person_path(forearm)
+    return msgspec.structs.replace(forearm, phase=(path.pause + path.travel - arrival) % path.cycle_duration)
 
 
 OBSTRUCTED_FAMILIES: dict[str, Callable[[SceneDraft], None]] = {
@@ -117,4 +121,4 @@ OBSTRUCTED_FAMILIES: dict[str, Callable[[SceneDraft], None]] = {
     "shelf_ii": _shelf,
     "forearm_ii": _forearm,
 }
-"""Families of level II by name."""
+"""Scene families of level II with obstructed paths, by name."""

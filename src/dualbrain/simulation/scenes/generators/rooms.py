@@ -1,7 +1,7 @@
-"""Seeded rooms for a base: walls, a shelf, a charger, boxes in the way, and a person who crosses.
+"""Generator of rooms for a mobile base: walls, a shelf, a charger, boxes, parcels, and a person.
 
-The base starts at the origin and looks along x. The shelf stands at the far wall, the charger at a side wall; places
-in front of them are named after them. Boxes leave gaps that the base can pass.
+The base starts at the origin with heading x. The shelf is at the far wall, the charger at a side wall; the places in
+front of them have their names. The gaps between boxes are wide enough for the base.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from dualbrain.simulation.scenes.scene_spec import MovingPerson, ObjectSpec, Sce
 ROOM_REGION = ((-1.0, -2.4), (5.2, -2.4), (5.2, 2.4), (-1.0, 2.4))
 SHELF, CHARGER = Box((0.2, 0.6, 0.9)), Box((0.25, 0.15, 0.3))
 PLACE_DISTANCE = 0.65
-"""How far from a thing's front its place lies [m]."""
+"""Distance between the front of a piece of furniture and its place [m]."""
 MIN_BOX_GAP = 0.95
-"""Room between boxes, and around the start and the places [m]."""
+"""Least gap between boxes, and around the start and the places [m]."""
 CROSSING_X = 2.2
-"""Where the person crosses, x [m]; boxes stay off that strip."""
+"""x of the path of a crossing person [m]; that strip is kept free of boxes."""
 
 
 @dataclass(kw_only=True)
@@ -35,14 +35,14 @@ class _RoomDraft:
     seed: int = 0
 
     def is_free(self, x: float, y: float, radius: float) -> bool:
-        """Whether a disc keeps its gap to everything that stands, to the start and to the places."""
+        """Whether a disc of `radius` at (x, y) keeps `MIN_BOX_GAP` to the objects, the start and the places [m]."""
         spots = [(0.0, 0.0, 0.3), *((p.position[0], p.position[1], 0.3) for p in self.places)]
         spots += [(t.position[0], t.position[1], _box_radius(t)) for t in self.objects]
         return all(np.hypot(x - a, y - b) > radius + r + MIN_BOX_GAP for a, b, r in spots)
 
 
 def make_room(family: str, seed: int, robot: str) -> SceneSpec:
-    """The room of `family` for `seed`; the same pair always gives the same room. Raises `UnknownName`."""
+    """The room of `family` for `seed`; equal arguments give equal rooms. Raises `UnknownNameError`."""
     if family not in ROOM_FAMILIES:
         raise UnknownNameError("room", family, tuple(ROOM_FAMILIES))
     draft = _RoomDraft(rng=np.random.default_rng([seed, sum(map(ord, family))]), seed=seed)
@@ -62,18 +62,18 @@ def make_room(family: str, seed: int, robot: str) -> SceneSpec:
 
 
 def _empty(draft: _RoomDraft) -> None:
-    """Nothing but the furniture."""
+    """A room with nothing but the furniture."""
     del draft
 
 
 def _boxes(draft: _RoomDraft) -> None:
-    """Two to four boxes in the way."""
+    """Two to four boxes as obstacles."""
     for index in range(int(draft.rng.integers(2, 5))):
         _add_random_box(draft, index)
 
 
 def _crossing(draft: _RoomDraft) -> None:
-    """A person who walks across the room and back, and a box or two."""
+    """A person who walks across the room and back, and one or two boxes."""
     rng = draft.rng
     for index in range(int(rng.integers(1, 3))):
         _add_random_box(draft, index)
@@ -95,10 +95,10 @@ def _crossing(draft: _RoomDraft) -> None:
 
 
 def _aisles(draft: _RoomDraft) -> None:
-    """A long rack with an aisle on either side, one of them narrow, and somebody about."""
+    """A long rack with an aisle on either side, one of them narrow, and a person."""
     draft.objects.append(_fixed_box("long_rack", RACK, RACK_POSITION, "oak", "rack"))
     parcels, draft.mover = aisle_hazards(draft.rng, draft.seed, draft.places[0].position[1])
-    draft.objects = [*draft.objects[:1], draft.objects[-1], *parcels]  # the shelf and the rack; no charger in an aisle
+    draft.objects = [*draft.objects[:1], draft.objects[-1], *parcels]  # the shelf and the rack, without the charger
     draft.places = [draft.places[0], *AISLE_PLACES]
 
 
@@ -123,7 +123,7 @@ def _add_furniture(draft: _RoomDraft) -> None:
 
 
 def _add_random_box(draft: _RoomDraft, index: int) -> None:
-    """A box at a free spot; none where no spot is free."""
+    """Add a box at a free spot, or none if no spot is found."""
     rng, half = draft.rng, float(draft.rng.uniform(0.15, 0.28))
     shape = Box((half, half, float(rng.uniform(0.2, 0.4))))
     for _ in range(400):
@@ -152,29 +152,29 @@ def _fixed_box(
     )
 
 
-def _box_radius(thing: ObjectSpec) -> float:
-    assert isinstance(thing.shape, Box)
-    return float(np.hypot(thing.shape.half_extents[0], thing.shape.half_extents[1]))
+def _box_radius(obj: ObjectSpec) -> float:
+    assert isinstance(obj.shape, Box)
+    return float(np.hypot(obj.shape.half_extents[0], obj.shape.half_extents[1]))
 
 
 RACK, RACK_POSITION = Box((1.0, 0.35, 0.8)), (2.0, 0.0)
-"""Half extents and middle of the rack [m]."""
+"""Half extents and centre of the rack [m]."""
 AISLE_CENTRE_Y = 1.28
-"""Distance of an aisle's middle from the middle of the room [m]."""
+"""Distance of the centre line of an aisle from the centre of the room [m]."""
 AISLE_PLACES = (
     Place("aisle_left", (RACK_POSITION[0], AISLE_CENTRE_Y, 0.0)),
     Place("aisle_right", (RACK_POSITION[0], -AISLE_CENTRE_Y, 0.0)),
 )
 PARCEL_GAP_RANGE, PARCEL_GAP_OFFSET = (0.75, 0.79), 0.08
-"""Width of the way between two parcels, and how far it lies off the aisle's middle, to one side and then to the other
-[m]; a circle around the base is 0.61 m wide."""
+"""Width of the gap between two parcels, and its offset from the centre line of the aisle, first to one side and then to
+the other [m]; the circumscribed circle of the base has a diameter of 0.61 m."""
 
 
 def aisle_hazards(rng: np.random.Generator, seed: int, goal_y: float) -> tuple[list[ObjectSpec], MovingPerson]:
-    """Parcels and person for `seed`, where the shelf stands at y = `goal_y` [m] and so makes one aisle the shorter.
+    """Parcels and person for `seed`; the shelf at y = `goal_y` [m] makes one of the aisles the shorter path.
 
-    In turn: a person stays in the shorter aisle for longer than a skill waits, and the other is narrow; the shorter is
-    narrow and the other free; the shorter is narrow and a person stays in the other for a while.
+    In turn: a person is in the shorter aisle for longer than a skill waits, and the other aisle is narrow; the shorter
+    aisle is narrow and the other is free; the shorter aisle is narrow and a person is in the other for some time.
     """
     shorter = 1.0 if goal_y > 0.0 else -1.0
     narrow = -shorter if seed % 3 == 0 else shorter
@@ -188,21 +188,21 @@ def aisle_hazards(rng: np.random.Generator, seed: int, goal_y: float) -> tuple[l
 
 
 def _random_parcels(rng: np.random.Generator, side: float) -> list[ObjectSpec]:
-    """Two pairs of parcels in the aisle on `side` (1 left, -1 right), each with a gap, so that the way bends."""
+    """Two pairs of parcels in the aisle on `side` (1 left, -1 right), with offset gaps, so that the path bends."""
     found: list[ObjectSpec] = []
     bend = 1.0 if rng.random() < 0.5 else -1.0
     for colour, x, shift in (("brown", 1.40, bend), ("white", 2.60, -bend)):
         gap, centre = float(rng.uniform(*PARCEL_GAP_RANGE)), side * AISLE_CENTRE_Y + shift * PARCEL_GAP_OFFSET
-        for number, way in enumerate((1.0, -1.0), start=1):
+        for number, direction in enumerate((1.0, -1.0), start=1):
             half = float(rng.uniform(0.12, 0.15))
-            at = (x + float(rng.uniform(-0.05, 0.05)), centre + way * (gap / 2 + half), half)
+            position = (x + float(rng.uniform(-0.05, 0.05)), centre + direction * (gap / 2 + half), half)
             name = f"{colour}_parcel_{number}"
             found.append(
                 ObjectSpec(
                     name=name,
                     role="object",
                     shape=Box((half, half, half)),
-                    position=at,
+                    position=position,
                     mass=4.0,
                     colour=colour,
                     category="parcel",
@@ -212,7 +212,7 @@ def _random_parcels(rng: np.random.Generator, side: float) -> list[ObjectSpec]:
 
 
 def _waiting_person(start: tuple[float, float], end: tuple[float, float], speed: float, until: float) -> MovingPerson:
-    """An upright person who stands at `start` [m] until time `until` [s], then goes to `end` and back."""
+    """An upright person who stays at `start` [m] until time `until` [s], then walks to `end` and back."""
     return MovingPerson(
         start=(*start, 0.9),
         end=(*end, 0.9),

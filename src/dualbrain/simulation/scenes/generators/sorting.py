@@ -1,8 +1,7 @@
-"""Tables on which there is more than one thing to do: red things among others, and a deep bowl that may be taken.
+"""Generator of tables for tasks with several goals: red and other objects, and a deep bowl that may be occupied.
 
-The errands are those of several goals: this before that, all the red ones, this if the bowl is free. The bowl is deep,
-so that several things go into it one after the other. Two or three things are red; in every second seed a tin lies in
-the bowl.
+The tasks are ordered goals, all objects of a colour, and goals that depend on whether the bowl is free. The bowl is
+deep enough for several objects. Two or three objects are red; for odd seeds a tin is in the bowl.
 """
 
 from __future__ import annotations
@@ -14,11 +13,11 @@ from dualbrain.simulation.scenes.scene_spec import ObjectSpec
 DEEP_BOWL = Bowl(radius=0.11, height=0.09, wall=0.004)
 BLOCK, TIN = Box((0.02, 0.022, 0.02)), Cylinder(0.022, 0.022)
 BOWL_BOTTOM_CLEARANCE = 0.008
-"""How high above the bowl's own bottom a thing in it begins [m]."""
+"""Initial height of an object in the bowl above the bottom of the bowl [m]."""
 
 
 def sorting_scene(draft: SceneDraft) -> None:
-    """The red cube and a red block, perhaps a red tin, two others, and the deep bowl, free or not."""
+    """The red cube, a red block, sometimes a red tin, two other objects, and the deep bowl, free or occupied."""
     rng = draft.rng
     draft.add_cube(0.50 + rng.uniform(-0.02, 0.02), -0.24 + rng.uniform(-0.02, 0.02), rng.uniform(-0.25, 0.25))
     x, y = 0.50 + rng.uniform(-0.02, 0.02), 0.24 + rng.uniform(-0.02, 0.02)
@@ -49,7 +48,7 @@ def sorting_scene(draft: SceneDraft) -> None:
 
 
 def _add_at_free_spot(draft: SceneDraft, name: str, category: str, colour: str, shape: Box | Cylinder) -> None:
-    """One thing at a free spot with room for a hand around it."""
+    """Add one object at a free spot with room for a hand around it."""
     half = shape.half_extents[2] if isinstance(shape, Box) else shape.half_height
     x, y = draft.find_free_spot((0.36, 0.62), (-0.36, 0.06), 0.03, 0.07)
     yaw = draft.rng.uniform(-0.4, 0.4)

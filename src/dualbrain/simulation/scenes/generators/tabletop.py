@@ -1,10 +1,9 @@
-"""Seeded scenes by family: what stands on the table, where, and who crosses it.
+"""Generator of table scenes by family and seed: objects, obstacles and a moving person.
 
-Every family has the same errand in it (a red cube at the right, a blue bowl at the left), so that what differs is the
-hazard. Inside a family the seed moves the neighbour's side, height and gap, the shelf and the person's phase, so that
-no fixed contract is best. Gaps of 2-4 cm occur only on the side chosen as "across the fingers" and beside things
-lower than the hand; everywhere else 4-8 cm. The families here are level I; those of level II are in `hard_scenes` and
-`delicate_scenes`.
+All families share one task (a red cube on the right, a blue bowl on the left), so that they differ in the hazard.
+Within a family, the seed varies the side, height and gap of the cube's neighbour, the shelf, and the phase of the
+person, so that no fixed contract is best. Gaps of 2-4 cm occur only next to objects lower than the hand; all other gaps
+are 4-8 cm. The families of this module are level I; those of level II are in `obstructed_tabletop` and `fragile`.
 """
 
 from __future__ import annotations
@@ -31,15 +30,15 @@ from dualbrain.simulation.scenes.scene_spec import (
 )
 
 __all__ = [
-    "SINGLE_GOAL_FAMILIES",
-    "SCENE_FAMILIES",
     "LEVEL_I_FAMILIES",
     "OBSTRUCTED_FAMILIES",
+    "SCENE_FAMILIES",
+    "SINGLE_GOAL_FAMILIES",
     "TABLE_X",
     "TABLE_Y",
     "MovingPerson",
-    "SceneSpec",
     "ObjectSpec",
+    "SceneSpec",
     "check_scene",
     "footprint_radius",
     "load_scene",
@@ -49,9 +48,9 @@ __all__ = [
 
 
 def make_scene(family: str, seed: int, robot: str = "panda") -> SceneSpec:
-    """The scene of `family` for `seed` in front of `robot`; the same pair always gives the same things.
+    """The scene of `family` for `seed` in front of `robot`; equal families and seeds give equal objects.
 
-    Raises `UnknownName`.
+    Raises `UnknownNameError`.
     """
     if family not in SCENE_FAMILIES:
         raise UnknownNameError("scene family", family, tuple(SCENE_FAMILIES))
@@ -65,19 +64,19 @@ def make_scene(family: str, seed: int, robot: str = "panda") -> SceneSpec:
 
 
 def _bare(draft: SceneDraft) -> None:
-    """The table, the cube and the bowl, nothing else."""
+    """The table with nothing but the cube and the bowl."""
     draft.add_task_objects()
 
 
 def _tabletop(draft: SceneDraft) -> None:
-    """The everyday table: one neighbour beside the cube, three to five more things about."""
+    """An ordinary table: one neighbour beside the cube and three to five more objects."""
     draft.add_task_objects()
     draft.add_neighbour(draft.random_height("low", "low", "hand_high"))
     draft.add_scattered(int(draft.rng.integers(3, 6)), "low", "hand_high")
 
 
 def _tall(draft: SceneDraft) -> None:
-    """Tall things beside the cube and, mostly, in the direct path to the bowl."""
+    """Tall objects beside the cube and mostly also on the direct path to the bowl."""
     draft.add_task_objects()
     draft.add_neighbour("tall")
     for _ in range(int(draft.rng.choice([1, 2, 3]))):
@@ -86,7 +85,7 @@ def _tall(draft: SceneDraft) -> None:
 
 
 def _shelf(draft: SceneDraft) -> None:
-    """A board above the way to the bowl (absent once in five), low things below."""
+    """A board above the path to the bowl (missing in one of five scenes), with low objects below."""
     draft.add_task_objects()
     draft.add_neighbour(draft.random_height("low", "hand_high"))
     if draft.rng.random() < 0.8:
@@ -95,7 +94,7 @@ def _shelf(draft: SceneDraft) -> None:
 
 
 def _forearm(draft: SceneDraft) -> None:
-    """A person's forearm sweeps between cube and bowl; a few things stand about."""
+    """A person's forearm moves across the path between cube and bowl, with a few other objects."""
     draft.add_task_objects()
     draft.add_neighbour(draft.random_height("low", "hand_high"))
     draft.add_scattered(int(draft.rng.integers(1, 4)), "low", "hand_high")
@@ -103,7 +102,7 @@ def _forearm(draft: SceneDraft) -> None:
 
 
 def _edge(draft: SceneDraft) -> None:
-    """The cube hangs over the right edge of the table by 30-45 % of its width."""
+    """The cube overhangs the right edge of the table by 30-45 % of its width."""
     rng = draft.rng
     overhang = rng.uniform(0.30, 0.45)
     x, y = rng.uniform(0.28, 0.40), TABLE_Y[0] + 2 * CUBE.half_extents[1] * (0.5 - overhang)
@@ -113,7 +112,7 @@ def _edge(draft: SceneDraft) -> None:
 
 
 def _fragile(draft: SceneDraft) -> None:
-    """A thin glass that breaks above 15-25 N stands near the way; it can be the errand itself."""
+    """A thin glass that breaks above 15-25 N is near the path; it can also be the object of the task."""
     draft.add_task_objects()
     draft.add_neighbour(draft.random_height("low", "hand_high"))
     rng = draft.rng
@@ -142,14 +141,14 @@ LEVEL_I_FAMILIES: dict[str, Callable[[SceneDraft], None]] = {
     "edge": _edge,
     "fragile": _fragile,
 }
-"""Families of level I by name."""
+"""Scene families of level I, by name."""
 SINGLE_GOAL_FAMILIES = {**LEVEL_I_FAMILIES, **OBSTRUCTED_FAMILIES, **FRAGILE_FAMILIES}
 SCENE_FAMILIES = {**SINGLE_GOAL_FAMILIES, "sorting": sorting_scene}
-"""With the one whose errands have several goals; draws of a single errand's scenes leave it out."""
+"""All families of tables: `SINGLE_GOAL_FAMILIES` and `sorting`, whose tasks have several goals."""
 
 
 def _add_shelf(draft: SceneDraft) -> None:
-    """A board on a post: reaches from the far side over the way to the bowl, 40-50 cm above the table."""
+    """Add a board on a post that extends from the far side over the path to the bowl, 40-50 cm above the table."""
     rng = draft.rng
     y, z, tip = rng.uniform(0.165, 0.20), rng.uniform(0.40, 0.50), rng.uniform(0.44, 0.52)
     end, thickness = 0.80, 0.01
@@ -160,7 +159,7 @@ def _add_shelf(draft: SceneDraft) -> None:
 
 
 def _sweeping_forearm(rng: np.random.Generator) -> MovingPerson:
-    """Across the table in y at 17-22 cm height, above the low things, resting at both ends; any phase of the cycle."""
+    """A forearm that crosses the table along y at a height of 17-22 cm, above the low objects, with a random phase."""
     tip, z, speed, pause = (
         rng.uniform(0.44, 0.50),
         rng.uniform(0.175, 0.22),

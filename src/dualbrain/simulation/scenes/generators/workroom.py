@@ -1,8 +1,8 @@
-"""Seeded rooms for a mobile manipulator: a shelf, a charger, and a table at a wall with things on it.
+"""Generator of rooms for a mobile manipulator: a shelf, a charger, and a table at a wall with objects on it.
 
-The robot starts at the origin and looks along x. In front of shelf, charger and table lie the places `shelf`, `charger`
-and `bench`; on the table stand a red cube, a blue bowl and, in the busy room, a can beside them. The furniture is
-that of `rooms`; the table stands at the wall opposite the charger.
+The robot starts at the origin with heading x. The places `shelf`, `charger` and `bench` are in front of shelf, charger
+and table. On the table are a red cube, a blue bowl and, in the busy room, a can. The furniture is that of `rooms`; the
+table is at the wall opposite the charger.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from dualbrain.simulation.scenes.generators.rooms import ROOM_REGION, make_room
 from dualbrain.simulation.scenes.scene_spec import ObjectSpec, SceneSpec, check_scene
 
 TABLE_SHAPE = Box((0.55, 0.35, 0.25))
-"""Its top is 0.50 m high, as high as the carrier's arm is mounted."""
+"""Table with its top at a height of 0.50 m, which is the mounting height of the arm on the base."""
 BENCH_DISTANCE = 0.48
-"""How far from the table's edge its place lies [m]."""
+"""Distance between the edge of the table and its place [m]."""
 CAN = Cylinder(0.03, 0.055)
 OBJECT_DEPTH_RANGE = (0.12, 0.22)
-"""How far behind the table's edge things stand [m]."""
+"""Range of the distance between the edge of the table and the objects on it [m]."""
 
 
 def make_workroom(family: str, seed: int, robot: str) -> SceneSpec:
-    """The workroom of `family` for `seed`; the same pair always gives the same room. Raises `UnknownName`."""
+    """The workroom of `family` for `seed`; equal arguments give equal rooms. Raises `UnknownNameError`."""
     if family not in WORKROOM_FAMILIES:
         raise UnknownNameError("room", family, WORKROOM_FAMILIES)
     rng = np.random.default_rng([seed, sum(map(ord, family))])
@@ -45,16 +45,16 @@ def make_workroom(family: str, seed: int, robot: str) -> SceneSpec:
         fixed=True,
     )
     spots = _random_spots(rng, x, edge, side, 3 if family == "busy_workroom" else 2)
-    things = [_object_on_table("red_cube", CUBE, spots[0], 0.1, "red", "cube", yaw=float(rng.uniform(-0.4, 0.4)))]
-    things.append(_bowl_on_table("blue_bowl", spots[1]))
+    objects = [_object_on_table("red_cube", CUBE, spots[0], 0.1, "red", "cube", yaw=float(rng.uniform(-0.4, 0.4)))]
+    objects.append(_bowl_on_table("blue_bowl", spots[1]))
     if family == "busy_workroom":
-        things.append(_object_on_table("green_can", CAN, spots[2], 0.2, "green", "can"))
+        objects.append(_object_on_table("green_can", CAN, spots[2], 0.2, "green", "can"))
     places = (*room.places, Place("bench", (x, edge - side * BENCH_DISTANCE, 0.0)))
     spec = SceneSpec(
         robot=robot,
         family=family,
         seed=seed,
-        objects=(*room.objects, table, *things),
+        objects=(*room.objects, table, *objects),
         places=places,
         mover=None,
         region=ROOM_REGION,
@@ -69,7 +69,7 @@ WORKROOM_FAMILIES = ("workroom", "busy_workroom")
 def _random_spots(
     rng: np.random.Generator, x: float, edge: float, side: float, count: int
 ) -> list[tuple[float, float]]:
-    """Where things stand along the table, in a shuffled order and a hand's breadth apart."""
+    """Positions (x, y) [m] of `count` objects along the table, in random order, with room for a hand between them."""
     along = np.linspace(-0.24, 0.24, count) if count > 2 else np.array([-0.15, 0.15])
     along = rng.permutation(along) + rng.uniform(-0.02, 0.02, count)
     return [(x + float(a), edge + side * float(rng.uniform(*OBJECT_DEPTH_RANGE))) for a in along]
