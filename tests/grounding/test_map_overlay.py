@@ -73,7 +73,7 @@ def test_the_filter_keeps_a_base_inside_the_floor_of_its_map(beyond, monkeypatch
         yield
         return [start, end]
 
-    monkeypatch.setattr(controller, "floor_path", straight)
+    monkeypatch.setattr(controller, "plan_path", straight)
     spec = room_with_map()
     target = msgspec.structs.replace(spec, places=(*spec.places, Place("beyond", (*beyond, 0.0))))
     cell = MonitoredCell(target)

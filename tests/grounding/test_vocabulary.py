@@ -54,4 +54,4 @@ def test_a_session_passes_the_narrowed_registry_to_the_planner(site, tmp_path, m
         pass
     at_site = skill_registry_at_site("panda", site).hash
     assert opened["registry"] == at_site
-    assert opened["narrowed"] == {at_site: load_skill_registry("panda").hash}
+    assert opened["narrowed_registries"] == {at_site: load_skill_registry("panda").hash}
