@@ -1,4 +1,4 @@
-"""The safety layer: barriers, the CBF-QP filter, the supervisor above it, and integrations for other software."""
+"""Safety layer: barriers, the CBF-QP filter, the supervisor above the filter, and integrations with other software."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Barriers of the filter, one file each. Modules with a `BARRIER` are discovered automatically."""
+"""Barriers of the safety filter, one module each. A module that defines `BARRIER` is discovered automatically."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ __all__ = ["BARRIERS", "BarrierSpec", "Scenario"]
 
 
 def _discover() -> dict[str, BarrierSpec]:
-    """Every `BARRIER` of this package by name, those that are given up last first."""
+    """Every `BARRIER` of this package by name, in the order of `Rank` (the rows that are relaxed last come first)."""
     names = [
         module.name
         for module in pkgutil.iter_modules(__path__)
         if module.name not in ("__main__", "barrier", "scenarios")
     ]
     found: list[BarrierSpec] = [importlib.import_module(f"{__name__}.{name}").BARRIER for name in names]
-    return {barrier.name: barrier for barrier in sorted(found, key=lambda one: (one.rank or 0, one.name))}
+    return {barrier.name: barrier for barrier in sorted(found, key=lambda spec: (spec.rank or 0, spec.name))}
 
 
 BARRIERS = _discover()

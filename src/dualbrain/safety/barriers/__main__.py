@@ -1,4 +1,4 @@
-"""The table of barriers as markdown, as it stands in docs/barriers.md: `python -m dualbrain.safety.barriers`."""
+"""Print the page docs/barriers.md: `python -m dualbrain.safety.barriers > docs/barriers.md`."""
 
 from __future__ import annotations
 
@@ -9,32 +9,34 @@ from dualbrain.safety.barriers.barrier import BarrierSpec
 
 HEADER = """# Barriers
 
-What the filter keeps. One file a barrier in `src/dualbrain/safety/barriers/`; a new file with a `BARRIER` in it appears
-here (`python -m dualbrain.safety.barriers > docs/barriers.md`), in the tests (`tests/safety/test_barriers.py`: pushed
-hard it holds, it tells its name, without the filter it would break) and in the live view and the report.
+This page lists the constraints that the safety filter enforces. Each barrier is one module in
+`src/dualbrain/safety/barriers/`. A new module that defines `BARRIER` appears on this page
+(`python -m dualbrain.safety.barriers > docs/barriers.md`), in the tests, in the live view and in the report. The tests
+(`tests/safety/test_barriers.py`) push the robot against each barrier and check that h stays at or above zero, that the
+result names the barrier, and that h falls below zero without the filter.
 
-When no control can meet all rows, they are given up by rank, task first, then workspace, obstacle, body; the box of
-joint velocity, acceleration and position never, nor a row about something that stands still as long as braking meets
-it. The aim is then the hardest admissible braking, not the nominal control.
+If no control satisfies all rows, the filter relaxes rows by rank: task first, then workspace, obstacle and body. It
+never relaxes the box of joint velocity, acceleration and position, and never a row of a static obstacle that braking
+satisfies. The target control is then the hardest admissible braking, not the nominal control.
 
-h is kept at or above zero by ḣ ≥ −α h, with α ≤ min(a_max/v_max) unless stated otherwise, so that the acceleration
-limits can follow. For h < 0 a row asks for ḣ ≥ min(α|h|, recovery speed) and never forbids moving away. Margins beyond
-h = 0: *sampling* (a step of finite length), *tracking* (ẏ ≠ u), *measurement* (obstacle margin), *age* (velocity error
-× age of the observation), *rounding* (float32)."""
+The filter keeps h ≥ 0 by ḣ ≥ −α h, with α ≤ min(a_max/v_max) unless stated otherwise, so that the acceleration limits
+can follow. For h < 0 a row asks for ḣ ≥ min(α|h|, recovery speed) and never forbids motion away from the obstacle.
+Margins beyond h = 0: *sampling* (a step of finite length), *tracking* (ẏ ≠ u), *measurement* (obstacle margin), *age*
+(velocity error × age of the observation), *rounding* (float32)."""
 
 
 def render_markdown() -> str:
-    """The whole page."""
+    """Markdown text of the whole page."""
     return "\n\n".join([HEADER, *map(_section, BARRIERS.values())]) + "\n"
 
 
 def _section(barrier: BarrierSpec) -> str:
-    rank = "never (part of the box)" if barrier.rank is None else barrier.rank.name.lower()
+    rank = "none (part of the box, never relaxed)" if barrier.rank is None else barrier.rank.name.lower()
     facts = {
-        "Keeps": barrier.description,
+        "Constraint": barrier.description,
         "h": barrier.h,
         "Row": barrier.row,
-        "Given up": rank,
+        "Rank": rank,
         "α": barrier.alpha,
         "Margins": ", ".join(barrier.margins) or "none",
         "Source": barrier.source,

@@ -1,4 +1,4 @@
-"""What a barrier says of itself, and a case in which it must hold."""
+"""Description of a barrier, and a scenario that tests it."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scenario:
-    """A robot that is pushed against a barrier, and h measured apart from the kernel.
+    """A robot that is pushed against a barrier, with h computed independently of the kernel.
 
-    `start` is a configuration q in which h > 0, `push(q)` the nominal control u_nom (n,) that would break the barrier,
-    `h(q, u)` the barrier value at configuration q under control u, in float64.
+    `start` is a configuration q with h > 0. `nominal(q)` is a nominal control u_nom (n,) that would violate the
+    barrier. `h(q, u)` is the barrier value at configuration q under control u, in float64. `duration` is in s.
     """
 
     safety: SafetyFilter
@@ -31,11 +31,11 @@ class Scenario:
 
 
 class BarrierSpec(msgspec.Struct, frozen=True, kw_only=True):
-    """One thing that the filter keeps. What stands here appears in the docs, the tests and the live view.
+    """Description of one barrier, as the documentation, the tests and the live view show it.
 
-    `rank` is None for what is part of the box of admissible controls and never given up. `margins` name what is kept
-    beyond h = 0: sampling, tracking, measurement, age, rounding. `holds` is False for barriers that slow without
-    stopping: they make no promise about h.
+    `rank` is None for limits that are part of the box of admissible controls, which is never relaxed. `margins` lists
+    the margins beyond h = 0: sampling, tracking, measurement, age, rounding. `keeps_h_positive` is False for a barrier
+    that slows the robot without stopping it and does not guarantee h ≥ 0.
     """
 
     name: str

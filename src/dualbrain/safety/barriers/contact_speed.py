@@ -1,4 +1,4 @@
-"""contact: where a skill's permit allows touching, the pair may meet no faster than the permit says."""
+"""contact: bounds the approach speed of a pair that a skill has permitted to touch."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _scenario() -> Scenario:
     fingers = [i for i, group in enumerate(safety.spheres(start, 0.0)[2]) if group == "fingers"]
 
     def h(q: Array, u: Array) -> float:
-        """Room to the permitted speed: the fingers' speed downward against max(speed, α distance)."""
+        """Permitted speed max(SPEED, α·distance) minus the downward speed of the fingers, least over spheres."""
         dt = 1e-3
         here, radii, _ = safety.spheres(q, 0.0)
         there, _, _ = safety.spheres(q + dt * u, 0.0)
@@ -37,13 +37,13 @@ def _scenario() -> Scenario:
 
 BARRIER = BarrierSpec(
     name="contact",
-    description="a permitted pair may touch, but meets no faster than the permit's speed",
-    h="the permitted approach speed less the actual one",
+    description="a permitted pair may touch, but its approach speed stays at or below the speed of the permit",
+    h="h = permitted approach speed − actual approach speed",
     row="n'(J u − v_o) ≥ −max(speed, α h)",
     rank=Rank.OBSTACLE,
-    alpha="as obstacle",
+    alpha="as for obstacle",
     margins=("sampling", "rounding"),
-    source="design: contact permits by phase, declared by the skill, never by the contract",
+    source="design: the skill declares contact permits for each phase; a contract cannot",
     implementation="safety/cbf/obstacles.py onto kernel/src/rows/dbk_obstacle_rows.c",
     scenario=_scenario,
 )

@@ -1,4 +1,4 @@
-"""held_object: what the hand carries is kept from things and from the robot like a part of the body."""
+"""held_object: keeps a grasped object away from obstacles and from the robot, like a link of the robot."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def _scenario() -> Scenario:
 
 BARRIER = BarrierSpec(
     name="held_object",
-    description="a held thing is kept from obstacles and from the arm; the error of its pose in the hand inflates it",
-    h="as obstacle and self_collision, with the held spheres and held_error in the margin",
-    row="as obstacle and self_collision",
+    description="a grasped object, inflated by its pose error in the hand, keeps away from obstacles and the arm",
+    h="as for obstacle and self_collision, for the spheres of the grasped object, with its pose error in the margin",
+    row="as for obstacle and self_collision",
     rank=Rank.OBSTACLE,
-    alpha="as obstacle and self_collision",
+    alpha="as for obstacle and self_collision",
     margins=("sampling", "tracking", "measurement", "age", "rounding"),
-    source="design: attached at the pose measured at the grasp",
+    source="design: the object is attached at the pose measured at the grasp",
     implementation="safety/cbf/grasped_object.py onto kernel/src/rows/dbk_obstacle_rows.c",
     scenario=_scenario,
 )

@@ -1,4 +1,4 @@
-"""joint_limits: every joint stays in its range and can always brake in time."""
+"""joint_limits: every joint stays in its position range and can always brake before the limit."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ def _scenario() -> Scenario:
 
 BARRIER = BarrierSpec(
     name="joint_limits",
-    description="every joint stays in its position range, with braking by its own acceleration limit",
+    description="every joint stays in its position range and can brake before the limit at its own deceleration",
     h="h = q_max − q and q − q_min",
     row="u ≤ min(α h, v_b(h)) − tracking, v_b(h) = −a Δt/2 + √((a Δt/2)² + 2 a h)",
     rank=None,
-    alpha="FilterConfig.alpha_joint, else alpha",
+    alpha="FilterConfig.alpha_joint, or FilterConfig.alpha if that is None",
     margins=("tracking", "rounding"),
     source="paper 4.2; discrete braking: Del Prete, RA-L 2018",
     implementation="kernel/src/model/dbk_control_bounds.c",

@@ -1,4 +1,4 @@
-"""joint_motion: velocity, acceleration and jerk of every joint stay in the actuators' limits."""
+"""joint_motion: velocity, acceleration and jerk of every joint stay within the limits of the actuators."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def _scenario() -> Scenario:
 
 BARRIER = BarrierSpec(
     name="joint_motion",
-    description="joint velocity, its change per period, and where wished its jerk stay within the actuators' limits",
+    description="the velocity, the acceleration and optionally the jerk of every joint stay within the actuator limits",
     h="1 − |u|/v_max, 1 − |u − u_prev|/(a_max Δt), 1 − |u − 2u_prev + u_before|/(j_max Δt²)",
-    row="max(−v, u_prev − a Δt) ≤ u ≤ min(v, u_prev + a Δt), narrowed by the jerk box where FilterConfig.jerk_limits",
+    row="max(−v, u_prev − a Δt) ≤ u ≤ min(v, u_prev + a Δt), narrowed by the jerk box if FilterConfig.jerk_limits",
     rank=None,
     alpha="none: a box on u",
     margins=(),
-    source="Body: velocity, acceleration and jerk bounds with their provenance",
+    source="RobotModel: velocity, acceleration and jerk bounds with their provenance",
     implementation="kernel/src/model/dbk_control_bounds.c",
     scenario=_scenario,
 )

@@ -1,4 +1,4 @@
-"""keep_out: a mobile base stays out of regions of the floor."""
+"""keep_out: the footprint of a mobile base stays out of regions of the floor."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from dualbrain.safety.cbf.obstacles import Obstacle
 from dualbrain.safety.cbf.rows import Rank
 
 HALF_HEIGHT = 5.0
-"""Half the height of a region [m], so that the nearest way out is always sideways."""
+"""Half the height of a region [m]: so large that the nearest exit is always horizontal."""
 REGION = (1.2, 0.05, 0.3, 0.4)
 
 
 def keep_out_region(name: str, x: float, y: float, half_x: float, half_y: float, yaw: float = 0.0) -> Obstacle:
-    """A rectangle of the floor [m, rad] that no part of the footprint enters."""
-    turn = (cos(0.5 * yaw), 0.0, 0.0, sin(0.5 * yaw))
+    """Obstacle for a floor rectangle that the footprint must not enter: centre, half sides [m] and yaw [rad]."""
+    rotation = (cos(0.5 * yaw), 0.0, 0.0, sin(0.5 * yaw))
     return Obstacle(
         name=name,
         shape=Box((half_x, half_y, HALF_HEIGHT)),
-        pose=Pose((x, y, 0.0), turn),
+        pose=Pose((x, y, 0.0), rotation),
         rank=Rank.WORKSPACE,
         known=True,
         barrier="keep_out",
@@ -34,17 +34,17 @@ def keep_out_region(name: str, x: float, y: float, half_x: float, half_y: float,
 
 
 def scenario_base() -> RobotModel:
-    """A small base with four discs, two ahead of the axle and two behind it."""
-    by_hand = "made up for trials"
+    """A small differential-drive base with four footprint discs, two ahead of the axle and two behind it."""
+    provenance = "example value for scenarios"
     discs = [(x, y, 0.13) for x in (-0.12, 0.12) for y in (-0.1, 0.1)]
     return make_differential_base(
         "trolley",
         discs,
-        speed=Bound(0.8, "m/s", by_hand),
-        turn_rate=Bound(2.0, "rad/s", by_hand),
-        acceleration=Bound(1.6, "m/s^2", by_hand),
-        turn_acceleration=Bound(6.0, "rad/s^2", by_hand),
-        tracking=TrackingErrorModel(lag=0.0, position_error=0.0, rate=0.0, provenance=by_hand),
+        speed=Bound(0.8, "m/s", provenance),
+        turn_rate=Bound(2.0, "rad/s", provenance),
+        acceleration=Bound(1.6, "m/s^2", provenance),
+        turn_acceleration=Bound(6.0, "rad/s^2", provenance),
+        tracking=TrackingErrorModel(lag=0.0, position_error=0.0, rate=0.0, provenance=provenance),
     )
 
 
@@ -66,7 +66,7 @@ def _scenario() -> Scenario:
 
 BARRIER = BarrierSpec(
     name="keep_out",
-    description="no disc of a base's footprint enters a region of the floor; discs off the axle let it steer away",
+    description="no disc of the footprint of a base enters the region; discs off the axle let the base steer away",
     h="h = d(p_i, rectangle) − r_i, p_i' = [e_θ, l_i e_θ⊥] (v, ω)",
     row="n'J_i u ≥ −α h + …, as for obstacles",
     rank=Rank.WORKSPACE,

@@ -1,4 +1,4 @@
-"""obstacle: every part of the robot keeps away from every perceived thing, still or moving."""
+"""obstacle: every link of the robot keeps away from every perceived obstacle, static or moving."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ def _scenario() -> Scenario:
     safety = sparse_panda_filter()
     safety.observe([Obstacle(name="ball", shape=Sphere(0.05), pose=Pose(OBSTACLE_POSITION))])
     start = home_posture(safety)
-    ahead = np.array(OBSTACLE_POSITION) - safety.tool(start).position
+    direction = np.array(OBSTACLE_POSITION) - safety.tool(start).position
 
     def h(q: Array, u: Array) -> float:
         del u
-        where, radii = moving_spheres(safety, q)
-        return float(np.min(np.linalg.norm(where - np.array(OBSTACLE_POSITION), axis=1) - radii - 0.05))
+        centres, radii = moving_spheres(safety, q)
+        return float(np.min(np.linalg.norm(centres - np.array(OBSTACLE_POSITION), axis=1) - radii - 0.05))
 
     return Scenario(
-        safety=safety, start=start, nominal=tool_push(safety, (ahead / np.linalg.norm(ahead)).tolist()), h=h
+        safety=safety, start=start, nominal=tool_push(safety, (direction / np.linalg.norm(direction)).tolist()), h=h
     )
 
 
@@ -35,7 +35,7 @@ BARRIER = BarrierSpec(
     h="h = d(c_s, obstacle) − r_s − margins",
     row="n'J_s u ≥ −α h + n'v_o + e_v + tracking Σ|n'J_k| + max(0, −Δt/2 n'a)",
     rank=Rank.OBSTACLE,
-    alpha="FilterConfig.alpha, or the obstacle's own; people have rank BODY",
+    alpha="FilterConfig.alpha, or Obstacle.alpha; people have rank BODY",
     margins=("sampling", "tracking", "measurement", "age", "rounding"),
     source="paper 4.2; moving obstacles: ∂h/∂t = −n'v_o",
     implementation="kernel/src/rows/dbk_obstacle_rows.c",

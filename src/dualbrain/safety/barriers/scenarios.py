@@ -1,4 +1,4 @@
-"""Parts of trials: the Panda with few spheres, and a tool that pushes in one direction."""
+"""Building blocks of barrier scenarios: a Panda with few spheres, and nominal controls that push the tool."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from dualbrain.safety.cbf.filter import FilterConfig, PythonBarrier, SafetyFilte
 Array = NDArray[np.float64]
 
 EXACT_TRACKING = FilterConfig(lag_compensation=False, tracking_error=0.0)
-"""For closed loops in which ẏ = u holds exactly."""
+"""Filter configuration for closed loops in which ẏ = u holds exactly."""
 
 
 @cache
 def sparse_panda() -> RobotModel:
-    """The Panda with every fourth sphere: the same kinematics, a quarter of the work."""
+    """The Panda with every fourth collision sphere: the same kinematics at a quarter of the cost."""
     robot_model = load_robot("panda")
     return msgspec.structs.replace(robot_model, spheres=robot_model.spheres[::4])
 
 
 def sparse_panda_filter(config: FilterConfig = EXACT_TRACKING, barriers: Sequence[PythonBarrier] = ()) -> SafetyFilter:
-    """A filter for that arm."""
+    """A safety filter of `sparse_panda`."""
     return SafetyFilter(sparse_panda(), config, barriers=barriers)
 
 
 def tool_push(safety: SafetyFilter, direction: Sequence[float], speed: float = 0.4) -> Callable[[Array], Array]:
-    """u_nom(q) that moves the tool along `direction` (3,) at `speed` [m/s] without turning it."""
+    """Nominal control u_nom(q) (n,) that translates the tool along `direction` (3,) at `speed` [m/s]."""
     twist = np.concatenate([speed * np.asarray(direction, float), np.zeros(3)])
 
     def push(q: Array) -> Array:
@@ -44,14 +44,14 @@ def tool_push(safety: SafetyFilter, direction: Sequence[float], speed: float = 0
 
 
 def moving_spheres(safety: SafetyFilter, q: Array, opening: float = 0.0) -> tuple[Array, Array]:
-    """Centres (k, 3) and radii (k,) of the spheres that move."""
-    where, radii, _ = safety.spheres(q, opening)
+    """Centres (k, 3) [m] and radii (k,) [m] of the spheres that move: all spheres but those of link0."""
+    centres, radii, _ = safety.spheres(q, opening)
     fixed = sum(sphere.link == "link0" for sphere in safety.robot_model.spheres)
-    return where[fixed:], radii[fixed:]
+    return centres[fixed:], radii[fixed:]
 
 
 def integrate(robot_model: RobotModel, q: Array, u: Array) -> Array:
-    """The configuration one period later, ẏ = u exactly."""
+    """The configuration after one control period with ẏ = u exactly."""
     return (
         integrate_configuration(q, u, robot_model.period)
         if robot_model.base == "differential"
@@ -60,5 +60,5 @@ def integrate(robot_model: RobotModel, q: Array, u: Array) -> Array:
 
 
 def home_posture(safety: SafetyFilter) -> Array:
-    """The resting posture (n,) [rad]."""
+    """The home posture of the robot model (n,) [rad]."""
     return np.array(safety.robot_model.home)

@@ -1,4 +1,4 @@
-"""self_collision: the robot's own parts keep away from each other."""
+"""self_collision: the links of the robot keep away from each other."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dualbrain.safety.barriers.scenarios import home_posture, sparse_panda_filte
 from dualbrain.safety.cbf.rows import Rank
 
 FOLDED_POSTURE = np.array([-0.64, 1.66, -0.08, -2.82, 0.5, 1.17, 0.84])
-"""A posture in which the hand would be inside the arm."""
+"""A posture in which the hand penetrates the arm [rad]."""
 
 
 def _scenario() -> Scenario:
@@ -22,9 +22,9 @@ def _scenario() -> Scenario:
 
     def h(q: Array, u: Array) -> float:
         del u
-        where, radii, _ = safety.spheres(q, 0.0)
-        apart = np.linalg.norm(where[first] - where[second], axis=1)
-        return float(np.min(apart - radii[first] - radii[second]))
+        centres, radii, _ = safety.spheres(q, 0.0)
+        distance = np.linalg.norm(centres[first] - centres[second], axis=1)
+        return float(np.min(distance - radii[first] - radii[second]))
 
     return Scenario(
         safety=safety, start=home_posture(safety), nominal=lambda q: 2.0 * (FOLDED_POSTURE - q), h=h, duration=3.0
@@ -33,13 +33,13 @@ def _scenario() -> Scenario:
 
 BARRIER = BarrierSpec(
     name="self_collision",
-    description="the robot's parts keep apart, for every pair of links that is not allowed to touch by construction",
+    description="the links of the robot keep apart, for every pair of links that may not touch by construction",
     h="h = |c_i − c_j| − r_i − r_j − margins",
     row="n'(J_i − J_j) u ≥ −α h + tracking Σ|n'J_k| + max(0, −Δt/2 n'a)",
     rank=Rank.BODY,
-    alpha="FilterConfig.alpha_self, else alpha",
+    alpha="FilterConfig.alpha_self, or FilterConfig.alpha if that is None",
     margins=("sampling", "tracking", "rounding"),
-    source="paper 4.2; pairs and their reasons: Body.self_pairs",
+    source="paper 4.2; pairs and their reasons: RobotModel.self_pairs",
     implementation="kernel/src/rows/dbk_self_collision_rows.c",
     scenario=_scenario,
 )

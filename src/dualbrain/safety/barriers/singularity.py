@@ -1,4 +1,4 @@
-"""singularity: near a singular posture the arm slows down, and goes on."""
+"""singularity: the arm slows down near singular postures without stopping."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from dualbrain.safety.barriers.scenarios import sparse_panda_filter
 from dualbrain.safety.cbf.rows import ConstraintRow, Rank
 
 SINGULAR_POSTURE = np.array([0.0, 0.0, np.pi / 2, -1.2, 0.0, 1.2, 0.0])
-"""A singular posture: the shoulder's first and third axes and the elbow leave one direction out."""
+"""A singular posture [rad]: the axes of the first and third joint and the elbow leave one direction unreachable."""
 
 
 class SingularityBarrier:
-    """h = σ − floor, σ the least singular value of the tool's Jacobian with its angular rows scaled by `length` [m].
+    """h = σ − floor, with σ the smallest singular value of the tool Jacobian whose angular rows are scaled by `length`.
 
-    The row σ̇ = ∇σ'u ≥ −max(α h, creep) lets σ fall ever more slowly down to `floor` and at `creep` [m/(rad s)] from
-    there on, so that a path through a singular posture is slowed and never blocked.
+    The row σ̇ = ∇σ'u ≥ −max(α h, min_rate) lets σ fall ever more slowly down to `floor`, and from there on at
+    `min_rate` [m/(rad s)], so that a path through a singular posture is slowed down and never blocked.
     """
 
     def __init__(self, alpha: float, floor: float = 0.03, min_rate: float = 0.02, length: float = 0.3) -> None:
-        """`alpha` [1/s] is best that of the body; nothing happens above floor + σ̇_max/α."""
+        """`alpha` [1/s] should be `RobotModel.alpha`, `length` is in m. Rows do not bind above floor + σ̇_max/α."""
         self.alpha, self.floor, self.min_rate, self.length = alpha, floor, min_rate, length
 
     def rows(self, state: RobotState, jacobian: Array) -> Sequence[ConstraintRow]:
-        """The one row at this state."""
+        """The row at this state, or no row where the gradient of σ vanishes."""
         del state
         sigma, gradient = min_singular_value(jacobian, self.length)
         h = sigma - self.floor
@@ -70,7 +70,7 @@ def _scenario() -> Scenario:
     start = np.array([0.3, 0.5, 0.4, -1.2, 0.3, 1.2, 0.0])
 
     def h(q: Array, u: Array) -> float:
-        """σ̇ against what the barrier allows at q."""
+        """σ̇ minus the least σ̇ that the barrier allows at q."""
         sigma, gradient = min_singular_value(safety.tool(q).jacobian, barrier.length)
         return float(gradient @ u + max(robot_model.alpha * (sigma - barrier.floor), barrier.min_rate) + 2e-3)
 
@@ -79,13 +79,13 @@ def _scenario() -> Scenario:
 
 BARRIER = BarrierSpec(
     name="singularity",
-    description="the arm slows down near singular postures and creeps through them; it is never held there",
+    description="the arm slows down near singular postures and passes through them slowly; it is never stopped there",
     h="h = σ_min(J) − floor",
-    row="∇σ'u ≥ −max(α h, creep)",
+    row="∇σ'u ≥ −max(α h, min_rate)",
     rank=Rank.TASK,
-    alpha="Singularity.alpha",
+    alpha="SingularityBarrier.alpha",
     margins=(),
-    source="design: slow, not stop; gradient of a singular value: w'(∂J/∂q) v",
-    implementation="safety/barriers/singularity.py, a live barrier",
+    source="design: slow down, do not stop; gradient of a singular value: w'(∂J/∂q) v",
+    implementation="safety/barriers/singularity.py, a PythonBarrier",
     scenario=_scenario,
 )

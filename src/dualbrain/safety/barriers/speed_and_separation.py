@@ -1,4 +1,4 @@
-"""separation: speed toward a person falls with the distance so that the robot stops before they meet."""
+"""separation: the speed toward a person falls with the distance, so that the robot stops before contact."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ RADIUS, HALF_LENGTH = 0.08, 0.3
 
 
 def max_approach_speed(distance: float, person_speed: float, reaction: float, deceleration: float) -> float:
-    """The speed v with d = v_h (T_r + T_s) + v T_r + v²/(2a), T_s = v/a [m/s]; 0 when d < v_h T_r."""
+    """The speed v [m/s] with d = v_h (T_r + T_s) + v T_r + v²/(2a), T_s = v/a; 0 if d < v_h T_r.
+
+    `distance` d [m], `person_speed` v_h [m/s], `reaction` T_r [s] and `deceleration` a [m/s²] of the robot.
+    """
     spare = distance - person_speed * reaction
     late = reaction + person_speed / deceleration
     return deceleration * (sqrt(late * late + 2.0 * spare / deceleration) - late) if spare > 0.0 else 0.0
@@ -25,29 +28,29 @@ def max_approach_speed(distance: float, person_speed: float, reaction: float, de
 
 def _scenario() -> Scenario:
     safety = sparse_panda_filter()
-    apart = SpeedAndSeparation(reaction=0.1, brake=1.0, approach=0.2)
+    separation = SpeedAndSeparation(reaction=0.1, brake=1.0, approach=0.2)
     person = Obstacle(
         name="person",
         shape=Capsule(RADIUS, HALF_LENGTH),
         pose=Pose(PERSON_POSITION),
         rank=Rank.BODY,
-        separation=apart,
+        separation=separation,
         barrier="separation",
     )
     safety.observe([person])
 
     def gap(q: Array) -> Array:
-        where, radii = moving_spheres(safety, q)
-        axis = np.column_stack([np.full(len(where), PERSON_POSITION[0]), np.zeros(len(where)), where[:, 2]])
-        axis[:, 2] = np.clip(where[:, 2], PERSON_POSITION[2] - HALF_LENGTH, PERSON_POSITION[2] + HALF_LENGTH)
-        return np.linalg.norm(where - axis, axis=1) - radii - RADIUS
+        centres, radii = moving_spheres(safety, q)
+        axis = np.column_stack([np.full(len(centres), PERSON_POSITION[0]), np.zeros(len(centres)), centres[:, 2]])
+        axis[:, 2] = np.clip(centres[:, 2], PERSON_POSITION[2] - HALF_LENGTH, PERSON_POSITION[2] + HALF_LENGTH)
+        return np.linalg.norm(centres - axis, axis=1) - radii - RADIUS
 
     def h(q: Array, u: Array) -> float:
-        """Room to the allowed speed, over all spheres; a thousandth is for the margins of rows."""
+        """Allowed minus actual approach speed, least over spheres; 2e-3 m/s compensates the margins of the rows."""
         dt = 1e-3
         near, far = gap(q), gap(q + dt * u)
         toward = (near - far) / dt
-        allowed = [max_approach_speed(d, apart.approach, apart.reaction, apart.brake) for d in near]
+        allowed = [max_approach_speed(d, separation.approach, separation.reaction, separation.brake) for d in near]
         return float(np.min(np.array(allowed) - toward) + 2e-3)
 
     return Scenario(safety=safety, start=home_posture(safety), nominal=tool_push(safety, (1.0, 0.0, 0.0)), h=h)
@@ -55,13 +58,13 @@ def _scenario() -> Scenario:
 
 BARRIER = BarrierSpec(
     name="separation",
-    description="the speed toward a person leaves room to stop before they meet, whoever keeps moving",
-    h="v_max(d) less the speed toward the person",
-    row="n'J u ≥ −v_max(d), v_max = a (√((T_r + v_h/a)² + 2 (d − v_h T_r)/a) − T_r − v_h/a), as far as braking follows",
+    description="the speed toward a person lets the robot stop before contact, even if the person keeps approaching",
+    h="h = v_max(d) − speed toward the person",
+    row="n'J u ≥ −v_max(d), v_max = a (√((T_r + v_h/a)² + 2 (d − v_h T_r)/a) − T_r − v_h/a), if braking can follow",
     rank=Rank.BODY,
-    alpha="none: a speed by distance; the obstacle barrier holds beside it",
+    alpha="none: the speed depends on the distance; the obstacle barrier applies as well",
     margins=("measurement", "age", "sampling", "rounding"),
-    source="terms of ISO/TS 15066 speed and separation monitoring; no certified function",
+    source="formula of speed and separation monitoring in ISO/TS 15066; not a certified function",
     implementation="kernel/src/rows/dbk_obstacle_rows.c",
     scenario=_scenario,
 )

@@ -1,4 +1,4 @@
-"""traversable: a mobile base stays inside a convex region of the floor."""
+"""traversable: the footprint of a mobile base stays inside a convex region of the floor."""
 
 from __future__ import annotations
 
@@ -20,7 +20,11 @@ REGION = ((-1.0, -0.8), (1.5, -0.8), (1.9, 0.3), (0.4, 1.2), (-1.0, 0.8))
 
 
 def traversable_region(name: str, corners: Sequence[tuple[float, float]]) -> tuple[Obstacle, ...]:
-    """The inside of a convex polygon with `corners` (x, y) [m] counter-clockwise, one wall an edge."""
+    """Obstacles that keep the base inside a convex polygon, one half-space for each edge.
+
+    `corners` are (x, y) [m], counter-clockwise. Raises `ConfigurationError` if the polygon is not convex or not
+    counter-clockwise.
+    """
     walls: list[Obstacle] = []
     for index, (x, y) in enumerate(corners):
         to_x, to_y = corners[(index + 1) % len(corners)]
@@ -44,8 +48,8 @@ def _scenario() -> Scenario:
     def h(q: Array, u: Array) -> float:
         del u
         centres, radii, _ = safety.spheres(q, 0.0)
-        apart = np.einsum("ek,sek->se", inward, centres[:, None, :2] - corners[None])
-        return float(np.min(apart - radii[:, None]))
+        distance = np.einsum("ek,sek->se", inward, centres[:, None, :2] - corners[None])
+        return float(np.min(distance - radii[:, None]))
 
     return Scenario(
         safety=safety, start=np.array([0.0, 0.0, 0.5]), nominal=lambda q: np.array([0.8, 0.1]), h=h, duration=8.0

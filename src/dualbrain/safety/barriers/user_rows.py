@@ -1,4 +1,4 @@
-"""user_rows: rows a'u ≥ b that come from outside, given up first."""
+"""user_rows: rows a'u ≥ b from the application, which are relaxed first."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ def _scenario() -> Scenario:
 
 BARRIER = BarrierSpec(
     name="user_rows",
-    description="linear rows on the joint velocity that the user hands in for one step or until further notice",
-    h="a'u − b",
-    row="a'u ≥ b, as given; the user's own margins",
+    description="linear constraints on the joint velocity that the application sets with SafetyFilter.constrain",
+    h="h = a'u − b",
+    row="a'u ≥ b, as given, without added margins",
     rank=Rank.TASK,
-    alpha="the user's",
+    alpha="chosen by the application",
     margins=(),
     source="SafetyFilter.constrain",
     implementation="safety/cbf/rows.py onto kernel/src/dbk_build_rows.c",

@@ -1,4 +1,4 @@
-"""workspace: the hand and its load stay above a height and inside planes."""
+"""workspace: the hand and the grasped object stay between heights and inside planes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ HAND_PARTS = ("hand", "fingers", "held")
 def plane(
     name: str, point: Vector, inward: Vector, *, parts: Sequence[str] = HAND_PARTS, margin: float = 0.0
 ) -> Obstacle:
-    """Keep `parts` on the side of the plane through `point` [m] to which `inward` points, `margin` [m] from it."""
+    """Obstacle that keeps `parts` `margin` [m] inside the plane through `point` [m]; `inward` points to the inside."""
     return Obstacle(
         name=name,
         shape=HalfSpace(),
@@ -34,7 +34,7 @@ def plane(
 
 
 def height_limits(lowest: float, highest: float, *, parts: Sequence[str] = HAND_PARTS) -> tuple[Obstacle, Obstacle]:
-    """Keep `parts` between two heights [m] above the base."""
+    """Obstacles that keep `parts` between two heights [m] above the base."""
     return (
         plane("lowest height", (0.0, 0.0, lowest), (0.0, 0.0, 1.0), parts=parts),
         plane("greatest height", (0.0, 0.0, highest), (0.0, 0.0, -1.0), parts=parts),
@@ -42,7 +42,7 @@ def height_limits(lowest: float, highest: float, *, parts: Sequence[str] = HAND_
 
 
 def rotation_to_normal(normal: Vector) -> Quaternion:
-    """The shortest turn (w, x, y, z) that brings z to `normal`."""
+    """The smallest rotation, as a quaternion (w, x, y, z), that maps the z-axis to `normal`."""
     size = sqrt(sum(e * e for e in normal))
     if not size > 1e-9:
         raise ConfigurationError("normal of a plane", got=normal, allowed="a vector that is not zero")
@@ -68,21 +68,21 @@ def _scenario() -> Scenario:
 
     def h(q: Array, u: Array) -> float:
         del u
-        where, radii = moving_spheres(safety, q)
-        return float(np.min(where[arm:, 2] - radii[arm:]) - lowest)
+        centres, radii = moving_spheres(safety, q)
+        return float(np.min(centres[arm:, 2] - radii[arm:]) - lowest)
 
     return Scenario(safety=safety, start=start, nominal=tool_push(safety, (0.0, 0.0, -1.0)), h=h)
 
 
 BARRIER = BarrierSpec(
     name="workspace",
-    description="the hand, the fingers and what they hold stay above a height and within planes",
+    description="the hand, the fingers and the grasped object stay between two heights and within planes",
     h="h = n'(c_s − p) − r_s − margin",
-    row="n'J_s u ≥ −α h + …, as for obstacles, for the named parts only",
+    row="n'J_s u ≥ −α h + …, as for obstacles, for the spheres of Obstacle.parts only",
     rank=Rank.WORKSPACE,
     alpha="FilterConfig.alpha",
     margins=("sampling", "tracking", "rounding"),
-    source="paper 4.2: end-effector height and workspace",
+    source="paper 4.2: end-effector height and workspace limits",
     implementation="safety/barriers/workspace.py onto kernel/src/rows/dbk_obstacle_rows.c",
     scenario=_scenario,
 )

@@ -1,1 +1,1 @@
-"""The velocity-level CBF-QP filter; `kernel` is the only module that calls the compiled C kernel."""
+"""Velocity-level CBF-QP filter. Only `kernel`, `batch` and `qp` call the compiled C code."""

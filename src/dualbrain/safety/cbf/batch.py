@@ -1,4 +1,4 @@
-"""Many states at once, each on its own: what Monte-Carlo and learning ask the filter."""
+"""Filtering of many independent states in one call, for Monte-Carlo studies and learning."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ Array = NDArray[np.float64]
 
 
 class BatchResult(msgspec.Struct, frozen=True, eq=False):
-    """m answers of the filter.
+    """Results of the filter for m states.
 
-    `u` (m, n) [rad/s]; `status` (m,), values of `Status`; `delta` (m,); `h_min` (m,) [m], NaN where the input
-    was refused.
+    `u` (m, n) [rad/s]; `status` (m,), values of `FilterStatus`; `delta` (m,); `h_min` (m,) [m], NaN where the filter
+    rejected the input.
     """
 
     u: Array
@@ -35,16 +35,18 @@ def run_batch(
     opening: ArrayLike,
     scene_age: float,
 ) -> BatchResult:
-    """Every row of (m, n) through `kernel` from its own `u_prev`; `opening` [m] is one number or one per row.
+    """Filter each row of Q, V and U (m, n) with `kernel`, from its own `u_prev`.
+
+    `opening` [m] is one number or an array (m,); `scene_age` is in s.
 
     Raises:
-        InvalidSetup: the arrays do not have one shape (m, n).
+        ConfigurationError: Q, V, U and `u_prev` do not all have the shape (m, n).
     """
-    q, v, u_nom, last = (np.ascontiguousarray(values, float) for values in (Q, V, U, u_prev))
-    m, shapes = len(q), [values.shape for values in (q, v, u_nom, last)]
+    q, v, u_nom, previous = (np.ascontiguousarray(values, float) for values in (Q, V, U, u_prev))
+    m, shapes = len(q), [values.shape for values in (q, v, u_nom, previous)]
     if any(shape != (m, n) for shape in shapes):
         raise ConfigurationError("batch", got=shapes, allowed=f"Q, V, U, u_prev of shape (m, {n})")
-    answer = BatchResult(np.empty((m, n)), np.empty(m, np.int8), np.empty(m), np.empty(m))
+    result = BatchResult(np.empty((m, n)), np.empty(m, np.int8), np.empty(m), np.empty(m))
     openings = np.ascontiguousarray(np.broadcast_to(np.asarray(opening, float), (m,)))
-    kernel.batch(q, v, u_nom, last, openings, scene_age, answer.u, answer.status, answer.delta, answer.h_min)
-    return answer
+    kernel.batch(q, v, u_nom, previous, openings, scene_age, result.u, result.status, result.delta, result.h_min)
+    return result

@@ -1,4 +1,4 @@
-"""What may be chosen about the filter; every value has a default that the proofs in the tests were run with."""
+"""Configuration of the safety filter. The experiments in the tests use the default values."""
 
 from __future__ import annotations
 
@@ -8,18 +8,22 @@ import msgspec
 
 
 class FilterConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """The dials of the safety filter. Lengths in m, times in s, rates in 1/s, speeds in m/s.
+    """Configuration of the safety filter. Lengths are in m, times in s, gains in 1/s, speeds in m/s.
 
-    `alpha` is the class-K gain, ḣ ≥ −α h; None takes the largest that the acceleration limits can follow,
-    min_i a_i / v_i. `alpha_self` and `alpha_joint` are the gains of self-collision and of joint limits, where they
-    should differ. `recovery_speed` bounds how fast a violated row asks to be left. `sampling_margin` is what rows keep
-    beyond h = 0 so that a step of finite length ends at h ≥ 0; `rounding_margin` covers float32 (in rad for joint
-    limits). `self_margin` is the clearance between the robot's own parts, `projection_margin` what φ's projection keeps
-    beyond the filter. `tracking_error` [rad/s] is what rows keep for ẏ ≠ u, per joint, beyond the body's lag; None
-    takes what was identified on the body, α e (`Tracking.budget`; an obstacle's own gain above the filter's is not
-    counted). `stale_after` and `state_stale_after` are the ages at which moving obstacles and the joint state are no
-    longer believed. `jerk_limits` adds the body's jerk limits to the box; where another limit leaves no room for them
-    they yield (`Reason.JERK`).
+    - `alpha`: class-K gain, ḣ ≥ −α h. None selects the largest gain that the acceleration limits can follow,
+      min_i a_i / v_i. `alpha_self` and `alpha_joint` override it for self-collision and for joint limits.
+    - `recovery_speed`: largest ḣ that a violated row asks for.
+    - `sampling_margin`: margin of rows beyond h = 0, so that a step of finite length ends at h ≥ 0.
+    - `rounding_margin`: margin for float32 rounding (in rad for joint limits).
+    - `self_margin`: clearance between links of the robot.
+    - `projection_margin`: clearance of the projection φ in addition to that of the filter.
+    - `tracking_error` [rad/s]: margin per joint for ẏ ≠ u beyond the modelled lag. None takes the identified value α e
+      of the robot model (`TrackingErrorModel.row_margin`), which does not cover a larger gain of one obstacle.
+    - `scene_stale_after`, `state_stale_after`: ages after which moving obstacles and the joint state are rejected.
+    - `acceleration_limits`, `jerk_limits`: add these limits of the robot model to the box. Jerk limits are dropped in
+      a step in which other limits leave no room for them (`Reason.JERK`).
+    - `lag_compensation`: evaluate barriers at y = q + lag·v.
+    - `precision`: number type of the kernel.
     """
 
     alpha: float | None = None

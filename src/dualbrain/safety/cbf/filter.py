@@ -1,4 +1,4 @@
-"""The local safety filter (paper 4): the closest safe control to a nominal one, every control period."""
+"""Local safety filter (paper 4): computes the safe control closest to the nominal control in every control period."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from dualbrain.safety.cbf.rows import BarrierRow, ConstraintRow, PythonBarrier, 
 
 __all__ = [
     "BarrierRow",
+    "ConstraintRow",
     "Contact",
     "FilterConfig",
     "FilterResult",
-    "PythonBarrier",
+    "FilterStatus",
     "Obstacle",
+    "PythonBarrier",
     "Rank",
-    "ConstraintRow",
     "SafetyFilter",
     "SpeedAndSeparation",
-    "FilterStatus",
     "ToolState",
 ]
 
@@ -42,12 +42,12 @@ Array = NDArray[np.float64]
 
 HELD = "held"
 MAX_ROWS = 16
-"""Rows that may be handed in for one step."""
+"""Most rows that one step takes from `SafetyFilter.constrain` and from Python barriers together."""
 
 
 @dataclass(frozen=True, slots=True)
 class ToolState:
-    """Where the tool is: position (3,) [m], rotation (3, 3), Jacobian (6, n) of linear then angular velocity."""
+    """Pose of the tool: position (3,) [m], rotation (3, 3); Jacobian (6, n) of linear, then angular velocity."""
 
     position: Array
     rotation: Array
@@ -57,9 +57,10 @@ class ToolState:
 class SafetyFilter:
     """Closest safe control to the nominal one: min ½‖u − u_nom‖²_R s.t. A u ≥ b, u in the box (paper 4.3).
 
-    Promise: if `certified` and the model holds (spheres cover the body, obstacles are where they are said to be within
-    their margins, ẏ = u within `tracking_error` for y = q + lag v), no h falls below zero before the next update. Says
-    nothing about obstacles it was not told of. Spheres of the base (frame 0) get no rows: it is bolted to the world.
+    Guarantee: if the result is `certified` and the model holds, no h falls below zero before the next update. The model
+    holds if the spheres cover the robot, every obstacle is at its reported pose within its margin, and ẏ = u within
+    `tracking_error` for y = q + lag v. The guarantee covers only obstacles passed to `observe`. Spheres of the base
+    (frame 0) have no rows, because the base is bolted to the world.
     """
 
     def __init__(
@@ -71,9 +72,14 @@ class SafetyFilter:
         barriers: Sequence[PythonBarrier] = (),
         fixed_obstacles: Sequence[Obstacle] = (),
     ) -> None:
-        """Compile `body` for the kernel; `weight` is R (n, n), by default diag(1/v_max²).
+        """Compile `robot_model` for the kernel.
 
-        `barriers` are asked for their rows in every step; `standing` obstacles stay beside whatever is observed.
+        `weight` is R (n, n), by default diag(1/v_max²). `barriers` compute additional rows in every step.
+        `fixed_obstacles` stay in the obstacle table whatever `observe` sets.
+
+        Raises:
+            ConfigurationError: no kernel build has room for the robot model, R is not positive definite, jerk limits
+                are missing, or the tool is not on the last frame.
         """
         self.robot_model, self.config = robot_model, config or FilterConfig()
         self._n = robot_model.n
@@ -103,49 +109,61 @@ class SafetyFilter:
         self._fixed_obstacles = tuple(fixed_obstacles)
         self.keep_out_boxes = tuple(
             SceneObject(
-                name=one.name, role="obstacle", shape=one.shape, pose=one.pose, error=one.margin, category="keep_out"
+                name=box.name, role="obstacle", shape=box.shape, pose=box.pose, error=box.margin, category="keep_out"
             )
-            for one in self._fixed_obstacles
-            if isinstance(one.shape, Box)
+            for box in self._fixed_obstacles
+            if isinstance(box.shape, Box)
         )
-        """The boxes among what stands there for good, as things, for those who look for ways."""
+        """The boxes among the fixed obstacles, as scene objects for path planning."""
         if fixed_obstacles:
             self.observe(())
 
-    # --- what the filter knows --------------------------------------------------------------------------------
+    # --- obstacles, rows, contacts, grasped object ------------------------------------------------------------
 
     def observe(self, obstacles: Sequence[Obstacle], stamp: float = 0.0) -> None:
-        """Replace the obstacle table by what was seen at `stamp` [s]; a non-finite number in it stops the robot."""
+        """Replace the obstacle table by `obstacles`, observed at `stamp` [s].
+
+        The filter stops the robot if an obstacle contains a non-finite number.
+
+        Raises:
+            ConfigurationError: too many obstacles, or an obstacle's `alpha` exceeds the gain for which the tracking
+                margin was identified.
+            UnknownNameError: `Obstacle.parts` names a part that the robot does not have.
+        """
         obstacles = (*obstacles, *self._fixed_obstacles)
         self._check_gains(obstacles)
         self._kernel.set_obstacles(obstacle_table(obstacles, self._part_links))
         self._obstacles, self._stamp = obstacles, stamp
         self._names = msgspec.structs.replace(
             self._names,
-            obstacles=tuple(thing.name for thing in obstacles),
-            barriers=tuple(thing.barrier for thing in obstacles),
+            obstacles=tuple(obstacle.name for obstacle in obstacles),
+            barriers=tuple(obstacle.barrier for obstacle in obstacles),
         )
         self._apply_permits()
 
     def _check_gains(self, obstacles: Sequence[Obstacle]) -> None:
-        """What the rows keep for tracking was measured up to the filter's own largest gain."""
-        for thing in obstacles:
-            if thing.alpha is not None and thing.alpha > self._max_gain:
+        """Reject gains above the largest gain of the filter, up to which the tracking margin was identified."""
+        for obstacle in obstacles:
+            if obstacle.alpha is not None and obstacle.alpha > self._max_gain:
                 raise ConfigurationError(
-                    f"alpha of obstacle {thing.name!r}",
-                    got=thing.alpha,
-                    allowed=f"at most {self._max_gain:.6g} 1/s, up to where the rows keep the tracking error",
-                    fix="Raise FilterConfig.alpha, or give FilterConfig.tracking_error for this gain.",
+                    f"alpha of obstacle {obstacle.name!r}",
+                    got=obstacle.alpha,
+                    allowed=f"at most {self._max_gain:.6g} 1/s, the gain up to which rows cover the tracking error",
+                    fix="Raise FilterConfig.alpha, or set FilterConfig.tracking_error for this gain.",
                 )
 
     def constrain(self, rows: Sequence[ConstraintRow]) -> None:
-        """Rows a'u ≥ b that hold from now on, until others are given: at most 16 with those of the live barriers."""
+        """Set rows a'u ≥ b that hold until the next call; at most 16, including the rows of Python barriers.
+
+        Raises:
+            ConfigurationError: a row does not have n coefficients, or there are more than 16 rows.
+        """
         self._rows = tuple(rows)
         self._set_rows(self._rows)
 
     @property
     def extra_rows(self) -> tuple[ConstraintRow, ...]:
-        """The rows of the last step that no table holds: those of `constrain`, and what live barriers asked for."""
+        """Rows of the last step that are not in the obstacle table: rows of `constrain` and of Python barriers."""
         return self._extra_rows
 
     def _set_rows(self, rows: Sequence[ConstraintRow]) -> None:
@@ -161,13 +179,18 @@ class SafetyFilter:
         self._names = msgspec.structs.replace(self._names, rows=tuple(row.name for row in rows))
 
     def _update_python_barriers(self, state: RobotState) -> None:
-        """Rows of the live barriers at this state."""
+        """Set the rows of the Python barriers at this state, after the rows of `constrain`."""
         jacobian = self.tool(state.q).jacobian
-        live = [row for barrier in self._barriers for row in barrier.rows(state, jacobian)]
-        self._set_rows((*self._rows, *live))
+        computed = [row for barrier in self._barriers for row in barrier.rows(state, jacobian)]
+        self._set_rows((*self._rows, *computed))
 
     def permit(self, permits: Sequence[Contact]) -> None:
-        """The complete list of contacts that are allowed from now on; every other pair is kept apart again."""
+        """Replace the list of permitted contacts; every pair that is not listed keeps its distance.
+
+        Raises:
+            UnknownNameError: a contact names a part that the robot does not have.
+            ConfigurationError: a contact speed is negative or not a number.
+        """
         for contact in permits:
             if contact.robot_part not in self._part_links:
                 raise UnknownNameError(
@@ -187,7 +210,13 @@ class SafetyFilter:
                         self._kernel.permit(link, index, contact.speed)
 
     def attach(self, spheres: Array, error: float) -> None:
-        """Carry `spheres` (k, 4) of x, y, z, radius [m] in the tool frame, k ≤ 8; `error` [m] inflates their rows."""
+        """Attach a grasped object made of k ≤ 8 `spheres` (k, 4): x, y, z, radius [m] in the tool frame.
+
+        `error` [m] is the pose error of the object in the hand and inflates its rows.
+
+        Raises:
+            ConfigurationError: more than 8 spheres, or a centre more than 0.5 m from the tool.
+        """
         held = np.asarray(spheres, float).reshape(-1, 4).copy()
         held[:, :3] = held[:, :3] @ self._tool_rotation.T + self._tool_offset
         if len(held) > 8 or not np.all(np.linalg.norm(held[:, :3] - self._tool_offset, axis=1) <= 0.5):
@@ -195,19 +224,20 @@ class SafetyFilter:
         self._kernel.attach(np.ascontiguousarray(held), error)
 
     def detach(self) -> None:
-        """Nothing is held any more."""
+        """Remove the grasped object."""
         self._kernel.attach(np.empty((0, 4)), 0.0)
 
     def reset(self, u_prev: Array | float = 0.0) -> None:
-        """Forget the past: the robot moves at `u_prev` (n,) [rad/s]."""
+        """Clear the memory of the filter and set the last control to `u_prev` (n,) [rad/s]."""
         self._kernel.reset(np.ascontiguousarray(np.broadcast_to(np.asarray(u_prev, float), (self.robot_model.n,))))
 
     # --- control ----------------------------------------------------------------------------------------------
 
     def __call__(self, q: Array, v: Array, u_nom: Array, now: float = 0.0, opening: float = 0.0) -> FilterResult:
-        """One control step from joint angles q, velocities v and the nominal control u_nom, each (n,), SI.
+        """Run one control step from joint angles q, velocities v and the nominal control u_nom, each (n,), in SI units.
 
-        With moving obstacles `now` [s] must be the time on the clock of `observe`'s stamps; the state counts as fresh.
+        With moving obstacles `now` [s] must be on the clock of the stamps passed to `observe`. The joint state counts
+        as fresh. Raises `ConfigurationError` if an array does not have the shape (n,).
         """
         if self._needs_state:
             q, v = np.asarray(q, float), np.asarray(v, float)
@@ -220,7 +250,11 @@ class SafetyFilter:
             raise self._shape_error(q=q, v=v, u_nom=u_nom) from None
 
     def filter(self, state: RobotState, u_nom: Array, now: float) -> FilterResult:
-        """One control step; to be called once per period, as it owns the last control and the warm start."""
+        """Run one control step from `state`; call it once per period, because it stores the last control.
+
+        Raises:
+            ConfigurationError: an array does not have the shape (n,).
+        """
         state = self._prepare(state)
         ages = (now - state.stamp, now - self._stamp)
         try:
@@ -229,7 +263,7 @@ class SafetyFilter:
             raise self._shape_error(q=state.q, v=state.v, u_nom=u_nom) from None
 
     def _shape_error(self, **given: object) -> ConfigurationError:
-        """Which of the arrays is not (n,) numbers."""
+        """The error for the array that does not contain n numbers."""
         allowed = f"an array ({self.robot_model.n},) of numbers"
         for name, values in given.items():
             try:
@@ -243,11 +277,11 @@ class SafetyFilter:
         )
 
     def rows(self) -> tuple[BarrierRow, ...]:
-        """Every row of the last step that a control of its box could have violated, or whose pair was within 1 mm.
+        """Rows of the last step that a control in its box could have violated, or whose pair was within 1 mm.
 
-        In the order of the kernel, the first 512 where there are more; joint limits are not among them, they are bounds
-        of the box. Right sides are those of the relaxation where no control met all. To be asked before the obstacles
-        are changed; none after an input that was refused.
+        Rows are in the order of the kernel, at most 512. Joint limits are bounds of the box and not among them. If no
+        control satisfied all rows, the right-hand sides are the relaxed ones. Call this before the obstacles change.
+        The list is empty after a rejected input.
         """
         names = self._names
         return tuple(
@@ -265,26 +299,33 @@ class SafetyFilter:
         u_prev: Array | None = None,
         opening: Array | float = 0.0,
     ) -> BatchResult:
-        """Filter m independent states, one a row of Q, V and U (m, n): for Monte-Carlo and learning.
+        """Filter m independent states, one per row of Q, V and U (m, n), for Monte-Carlo studies and learning.
 
-        Row i is what a fresh filter answers after `reset(u_prev[i])`, bit for bit; `u_prev` (m, n) is V by default.
-        Obstacles, permits, rows handed in and a held object count as for a single call; this filter's own memory is
-        neither read nor changed.
+        Row i equals, bit for bit, the result of a new filter after `reset(u_prev[i])`; `u_prev` (m, n) is V by default.
+        Obstacles, permits, rows and the grasped object apply as in a single call. The memory of this filter is neither
+        read nor changed.
 
         Raises:
-            InvalidSetup: the shapes do not agree; or a base that moves, or live barriers: both belong to one state.
+            ConfigurationError: the shapes do not agree, the base is mobile, or there are Python barriers (both depend
+                on a single state).
         """
         if self._barriers or self._mobile:
-            raise ConfigurationError(
-                "a batch", got=self.robot_model.name, allowed="a bolted body, no barriers that are computed anew"
+            raise ConfigurationError.stating(
+                f"A batch needs a fixed base and no Python barriers; {self.robot_model.name} has "
+                f"{'a mobile base' if self._mobile else 'Python barriers'}.",
+                fix="Filter the states one by one.",
             )
-        last = V if u_prev is None else u_prev
-        return run_batch(self._kernel, self.robot_model.n, Q, V, U, last, opening, now - self._stamp)
+        previous = V if u_prev is None else u_prev
+        return run_batch(self._kernel, self.robot_model.n, Q, V, U, previous, opening, now - self._stamp)
 
     def project(self, state: RobotState, u_desired: Array, u_nom_prev: Array, now: float) -> Array:
-        """φ's own projection of a wish (n,): known obstacles, the box around `u_nom_prev`, a little more clearance.
+        """Projection φ of a desired control (n,) onto rows of known obstacles and the box around `u_nom_prev`.
 
-        Where everything is known, `filter` passes the result bit-identically. Leaves the filter's memory alone.
+        Rows keep `FilterConfig.projection_margin` in addition. If all obstacles are known, `filter` passes the result
+        unchanged, bit for bit. The memory of the filter is not changed.
+
+        Raises:
+            ConfigurationError: an array does not have the shape (n,).
         """
         state = self._prepare(state)
         u = np.empty(self._n)
@@ -294,21 +335,21 @@ class SafetyFilter:
                 state.q, state.v, u_desired, u_nom_prev, state.opening, *ages, self.config.projection_margin, u
             )
         except ValueError:
-            raise self._shape_error(q=state.q, v=state.v, u_wish=u_desired, u_nom_prev=u_nom_prev) from None
+            raise self._shape_error(q=state.q, v=state.v, u_desired=u_desired, u_nom_prev=u_nom_prev) from None
         return u
 
     def _prepare(self, state: RobotState) -> RobotState:
-        """Hand over the live barriers' rows at `state`; the state in the chain's own terms."""
+        """Set the rows of Python barriers at `state` and return the state in the coordinates of the kernel's chain."""
         if self._barriers:
             self._update_python_barriers(state)
         return replace(state, q=self._lagged_chain_q(state)) if self._mobile else state
 
     def _lagged_chain_q(self, state: RobotState) -> Array:
-        """The chain's angles (n,) for a step; where the base goes on arcs, it is ahead by its own lag, y = q + lag v.
+        """Joint angles (n,) of the kernel's chain for a step, with the base ahead by its own lag, y = q + lag v.
 
-        In the kernel a base slides straight for one period and turns. It stands turned on by half a period's turn ω
-        dt/2, its turning joint back by as much: everything is where it is, and the slide points along the chord of
-        the arc.
+        In the kernel a base translates straight for one period and turns. The base pose is therefore turned by half the
+        turn of one period, ω dt/2, and the base's turning joint is turned back by the same angle. All spheres stay
+        where they are, and the translation points along the chord of the arc.
         """
         if self.robot_model.base_lag is None:
             return self._chain_q(state.q)
@@ -320,7 +361,7 @@ class SafetyFilter:
         return np.array([0.0, -half, *joints])
 
     def _chain_q(self, q: Array) -> Array:
-        """The chain's angles (n,) at configuration q; a mobile base stands where q says, its own two joints at zero."""
+        """Joint angles (n,) of the kernel's chain at configuration q; a mobile base is placed by its pose."""
         if not self._mobile:
             return q
         x, y, heading, *joints = q.tolist()
@@ -328,20 +369,20 @@ class SafetyFilter:
         return np.array([0.0, 0.0, *joints])
 
     def _set_base_pose(self, x: float, y: float, heading: float) -> None:
-        """Tell the kernel where the base stands [m, rad]."""
+        """Set the pose of the base [m, rad] in the kernel."""
         c, s = cos(heading), sin(heading)
         self._kernel.set_base_pose(np.array([c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0, x, y, 0.0]))
 
     # --- kinematics -------------------------------------------------------------------------------------------
 
     def tool(self, q: Array) -> ToolState:
-        """The tool frame at joint angles q (n,) [rad], in the world."""
+        """The tool frame in the world at configuration q (n,) [rad]."""
         n, flat = self._n, np.empty(12 + 6 * self._n)
         self._kernel.tool(self._chain_q(q), flat)
         return ToolState(flat[:3], flat[3:12].reshape(3, 3), flat[12:].reshape(6, n))
 
     def spheres(self, q: Array, opening: float) -> tuple[Array, Array, tuple[str, ...]]:
-        """Centres (k, 3) [m], radii (k,) [m] and group of every sphere, held ones last."""
+        """Centres (k, 3) [m], radii (k,) [m] and group of every sphere; spheres of a grasped object are last."""
         flat = np.empty((len(self._groups) + 8, 4))
         count = self._kernel.spheres(self._chain_q(q), opening, flat)
         held = (HELD,) * (count - len(self._groups))
@@ -349,7 +390,7 @@ class SafetyFilter:
 
 
 def _links_by_part(robot_model: RobotModel) -> dict[str, tuple[int, ...]]:
-    """Link indices behind every name that a permit may use: links, groups (they win over links), what is held."""
+    """Link indices of every part name of permits: links, groups (which take precedence) and "held"."""
     parts: dict[str, tuple[int, ...]] = {link.name: (i,) for i, link in enumerate(robot_model.links)}
     parts |= {
         link.group: tuple(i for i, other in enumerate(robot_model.links) if other.group == link.group)

@@ -1,4 +1,4 @@
-"""Spheres that cover a held thing, so that it is kept from obstacles like a part of the body."""
+"""Spheres that cover a grasped object, so that the filter treats it like a link of the robot."""
 
 from __future__ import annotations
 
@@ -17,11 +17,14 @@ from dualbrain.records import SceneObject
 Array = NDArray[np.float64]
 
 MAX_SPHERES = 8
-"""Spheres that a held thing may have."""
+"""Most spheres that a grasped object may have."""
 
 
 def cover_with_spheres(obj: SceneObject, tool_position: Array, tool_rotation: Array) -> Array:
-    """Spheres (k, 4) of x, y, z, radius [m] in the tool frame that contain `thing` as perceived, k ≤ 8."""
+    """Spheres (k, 4), k ≤ 8, of x, y, z, radius [m] in the tool frame that contain `obj` as perceived.
+
+    `tool_position` is (3,) [m], `tool_rotation` (3, 3). Raises `ConfigurationError` if the shape is unbounded.
+    """
     spheres, pose = _local_spheres(obj)
     world = spheres[:, :3] @ quaternion_to_matrix(pose.quaternion).T + np.array(pose.position)
     return np.column_stack([(world - tool_position) @ tool_rotation, spheres[:, 3]])
@@ -39,11 +42,11 @@ def _local_spheres(obj: SceneObject) -> tuple[Array, Pose]:
         case _ if isinstance(shape, Box):
             return _box_spheres(shape.half_extents), pose
         case _:
-            raise ConfigurationError("a held thing's shape", got=type(shape).__name__, allowed="a bounded solid")
+            raise ConfigurationError("shape of a grasped object", got=type(shape).__name__, allowed="a bounded solid")
 
 
 def _axis_spheres(radius: float, half_length: float, ends: float) -> Array:
-    """Spheres along z whose union holds the segment's tube; `ends` > 0 closes a flat-ended cylinder as well."""
+    """Spheres along z whose union contains a capsule, or, with `ends` > 0, a cylinder with flat ends."""
     count = MAX_SPHERES if ends == 0.0 else max(1, min(MAX_SPHERES, round(2.0 * half_length / max(radius, 1e-3))))
     step = half_length / count
     z = -half_length + step * (1.0 + 2.0 * np.arange(count, dtype=np.float64))
@@ -51,7 +54,7 @@ def _axis_spheres(radius: float, half_length: float, ends: float) -> Array:
 
 
 def _box_spheres(extents: tuple[float, float, float]) -> Array:
-    """Equal cells of a box, each in its circumscribed sphere; the division with the least excess."""
+    """Circumscribed spheres of equal cells of a box, for the division with the least excess."""
     divisions = (d for d in product(range(1, MAX_SPHERES + 1), repeat=3) if d[0] * d[1] * d[2] <= MAX_SPHERES)
     return min((_cell_spheres(extents, d) for d in divisions), key=lambda s: _excess(s, extents))
 
@@ -66,5 +69,5 @@ def _cell_spheres(extents: tuple[float, float, float], divisions: tuple[int, ...
 
 
 def _excess(spheres: Array, extents: tuple[float, float, float]) -> float:
-    """How far the spheres stand out of the box, at worst [m]."""
+    """How far the spheres protrude from the box, at most [m]."""
     return float(np.max(np.abs(spheres[:, :3]) + spheres[:, 3:] - np.array(extents)))

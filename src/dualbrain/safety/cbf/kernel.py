@@ -1,4 +1,4 @@
-"""The only file that knows the compiled kernel: a `Body` becomes the kernel's model, obstacles become its rows."""
+"""Conversion of a `RobotModel` and of obstacles to the input of the compiled kernel."""
 
 from __future__ import annotations
 
@@ -22,30 +22,34 @@ from dualbrain.safety.cbf.result import FilterResult, FilterStatus
 Array = NDArray[np.float64]
 
 MAX_OBSTACLES: int = _kernel.max_obstacles
-"""Room of the obstacle table."""
+"""Most obstacles in the obstacle table."""
 BUILD_SUFFIXES = ("", "_wide")
-"""Suffixes of the builds by size: up to 8 joints, and up to 16."""
+"""Suffixes of the builds by size: up to 8 joints and up to 16 joints."""
 CAPSULE, BOX, HALF_SPACE = 0.0, 1.0, 2.0
 KNOWN_FLAG, STATIC_FLAG = 1, 2
 ALL_PARTS = 2**32 - 1
 UNLIMITED_ACCELERATION = 1e4
-"""Acceleration [rad/s²] that never binds, for a filter without acceleration limits."""
+"""Acceleration [rad/s²] that never binds; used without acceleration limits."""
 
 
 def kernel_hash() -> str:
-    """First 16 hex of SHA-256 over the kernel's sources and compiler flags."""
+    """First 16 hexadecimal digits of the SHA-256 over the kernel's sources and compiler flags."""
     return _kernel.source_hash
 
 
 def make_kernel(robot_model: RobotModel, config: FilterConfig, weight: Array | None = None) -> Kernel:
-    """A kernel for `body`; `weight` is R (n, n), symmetric positive definite, by default diag(1/v_max²)."""
+    """A kernel for `robot_model`; `weight` is R (n, n), symmetric positive definite, by default diag(1/v_max²).
+
+    Raises:
+        ConfigurationError: no build has room for the robot model, or a limit or the weight cannot be used.
+    """
     kernel = select_build(robot_model, config).Kernel(kernel_model(robot_model, config, weight))
     kernel.set_result_type(FilterResult, tuple(FilterStatus))
     return kernel
 
 
 class KernelBuild(Protocol):
-    """One compiled build of the kernel's sources, with the room that it has."""
+    """One compiled build of the kernel, and its capacity."""
 
     max_joints: int
     max_spheres: int
@@ -54,17 +58,17 @@ class KernelBuild(Protocol):
 
     @property
     def Kernel(self) -> type[Kernel]:  # noqa: N802  (a class)
-        """A filter as this build has it; every build's behaves alike."""
+        """The kernel class of this build; the classes of all builds behave alike."""
         ...
 
 
 def select_build(robot_model: RobotModel, config: FilterConfig) -> KernelBuild:
-    """The smallest build that has room for `body`, in the configured number type: most arms fit the first.
+    """The smallest build with room for `robot_model` in the configured number type; most arms fit the first.
 
-    Both sizes are made from the same sources and answer bit for bit alike; the wide one is slower.
+    Both sizes are compiled from the same sources and return the same bits; the large build is slower.
 
     Raises:
-        InvalidSetup: no build has room for it; the message names what is too many.
+        ConfigurationError: no build has room; the message names the quantity that exceeds the capacity.
     """
     lacking: list[tuple[str, int, int]] = []
     for name in BUILD_SUFFIXES:
@@ -77,12 +81,12 @@ def select_build(robot_model: RobotModel, config: FilterConfig) -> KernelBuild:
 
 
 def _load_build(name: str) -> KernelBuild:
-    """Builds that nobody asks for stay unloaded."""
+    """Import a build on first use."""
     return _kernel if name == "_kernel" else cast(KernelBuild, import_module(f"dualbrain.safety.cbf.compiled.{name}"))
 
 
 def _required_sizes(robot_model: RobotModel, build: KernelBuild) -> tuple[tuple[str, int, int], ...]:
-    """What a body needs and what a build has room for."""
+    """Name, size in `robot_model` and capacity of `build` for every quantity with a limit."""
     return (
         ("joints", robot_model.n, build.max_joints),
         ("spheres", len(robot_model.spheres), build.max_spheres),
@@ -92,7 +96,7 @@ def _required_sizes(robot_model: RobotModel, build: KernelBuild) -> tuple[tuple[
 
 
 def kernel_model(robot_model: RobotModel, config: FilterConfig, weight: Array | None = None) -> dict[str, Any]:
-    """The kernel's model of `body`, every length and angle in float64; the kernel rounds once."""
+    """The kernel's model of `robot_model`; lengths and angles are in float64, and the kernel rounds once."""
     return (
         _settings(robot_model, config)
         | _joint_limits(robot_model, config, weight)
@@ -120,19 +124,19 @@ def _settings(robot_model: RobotModel, config: FilterConfig) -> dict[str, Any]:
 
 
 def tracking_error(robot_model: RobotModel, config: FilterConfig) -> float:
-    """What every row keeps for ẏ ≠ u [rad/s]: the configured number, else the body's own for the largest gain."""
+    """Tracking margin of every row for ẏ ≠ u [rad/s]: the configured value, or the model's at the largest gain."""
     if config.tracking_error is not None:
         return config.tracking_error
     return robot_model.tracking.row_margin(max_gain(robot_model, config))
 
 
 def max_gain(robot_model: RobotModel, config: FilterConfig) -> float:
-    """The largest gain α [1/s] of the filter's own rows."""
+    """The largest gain α [1/s] of the filter's rows, without gains of single obstacles."""
     return max(_row_gain(robot_model, config, gain) for gain in (config.alpha, config.alpha_self, config.alpha_joint))
 
 
 def _row_gain(robot_model: RobotModel, config: FilterConfig, own: float | None) -> float:
-    """The gain of one kind of row: its own, else the filter's, else the largest that braking can follow."""
+    """The gain of one kind of row: `own`, else `FilterConfig.alpha`, else the largest that braking can follow."""
     if own is not None:
         return own
     return robot_model.alpha if config.alpha is None else config.alpha
@@ -160,8 +164,9 @@ def _joint_limits(robot_model: RobotModel, config: FilterConfig, weight: Array |
 
 def _jerk_limit(joint: Joint) -> float:
     if joint.jerk is None:
-        raise ConfigurationError(
-            "jerk limits of the body", got=f"none for {joint.name}", allowed="a bound for every joint"
+        raise ConfigurationError.stating(
+            f"The robot model has no jerk limit for {joint.name}.",
+            fix="Add a jerk bound for every joint, or set FilterConfig.jerk_limits to False.",
         )
     return joint.jerk.value
 
@@ -192,11 +197,15 @@ def _geometry(robot_model: RobotModel) -> dict[str, Any]:
 
 
 def tool_frame(robot_model: RobotModel) -> tuple[Array, Array]:
-    """Rotation (3, 3) and offset (3,) [m] of the tool in the last frame of the chain."""
+    """Rotation (3, 3) and offset (3,) [m] of the tool in the last frame of the chain.
+
+    Raises:
+        ConfigurationError: the link of the tool is not on the last frame.
+    """
     link = next(link for link in robot_model.links if link.name == robot_model.tool.link)
     if link.frame != robot_model.n:
         raise ConfigurationError(
-            "the tool's link", got=link.name, allowed=f"a link on the last frame ({robot_model.n})"
+            "link of the tool", got=link.name, allowed=f"a link on the last frame ({robot_model.n})"
         )
     turn = quaternion_to_matrix(link.quaternion)
     offset = np.array(link.translation) + turn @ np.array(robot_model.tool.translation)
@@ -204,14 +213,19 @@ def tool_frame(robot_model: RobotModel) -> tuple[Array, Array]:
 
 
 def _self_collision_pairs(robot_model: RobotModel) -> dict[str, Any]:
-    """Kept link pairs, the one nearer to the base first; a held thing is kept from whatever the hand is kept from."""
+    """Kept link pairs, the link nearer to the base first, and the links that a grasped object keeps away from.
+
+    A grasped object keeps away from the same links as the hand.
+    """
     index = {link.name: i for i, link in enumerate(robot_model.links)}
     pairs: list[tuple[int, int]] = []
     held: set[int] = set()
     for names in robot_model.self_pairs.kept:
         near, far = sorted((index[name] for name in names), key=lambda i: robot_model.links[i].frame)
         if robot_model.links[near].frame == robot_model.links[far].frame:
-            raise ConfigurationError("a self-collision pair", got=names, allowed="links that move against each other")
+            raise ConfigurationError(
+                "self-collision pair", got=names, allowed="two links that move relative to each other"
+            )
         pairs.append((near, far))
         if robot_model.links[far].group in ("hand", "fingers"):
             held.add(near)
@@ -222,7 +236,12 @@ def _self_collision_pairs(robot_model: RobotModel) -> dict[str, Any]:
 
 
 def obstacle_table(obstacles: Sequence[Obstacle], parts: Mapping[str, Sequence[int]] | None = None) -> Array:
-    """The obstacle table (k, 29) that the kernel reads; `parts` are the link indices behind every name of a part."""
+    """Input table (k, 29) of the kernel; `parts` maps the name of each robot part to its link indices.
+
+    Raises:
+        ConfigurationError: there are more obstacles than `MAX_OBSTACLES`.
+        UnknownNameError: an obstacle names a part that is not in `parts`.
+    """
     if len(obstacles) > _kernel.max_obstacles:
         raise ConfigurationError("obstacles at once", got=len(obstacles), allowed=f"at most {_kernel.max_obstacles}")
     return np.array([_obstacle_entry(obstacle, parts or {}) for obstacle in obstacles], float).reshape(-1, 29)
@@ -240,8 +259,8 @@ def _obstacle_entry(obstacle: Obstacle, parts: Mapping[str, Sequence[int]]) -> l
             kind, half, r = HALF_SPACE, (0.0, 0.0, 0.0), 0.0
     flags = KNOWN_FLAG * obstacle.known + STATIC_FLAG * obstacle.static
     rotation = quaternion_to_matrix(obstacle.pose.quaternion).ravel().tolist()
-    apart = obstacle.separation
-    separation = (apart.reaction, apart.brake, apart.approach) if apart else (0.0, 0.0, 0.0)
+    monitoring = obstacle.separation
+    separation = (monitoring.reaction, monitoring.brake, monitoring.approach) if monitoring else (0.0, 0.0, 0.0)
     return [
         kind,
         float(flags),
@@ -260,7 +279,7 @@ def _obstacle_entry(obstacle: Obstacle, parts: Mapping[str, Sequence[int]]) -> l
 
 
 def _part_mask(names: Sequence[str], parts: Mapping[str, Sequence[int]]) -> float:
-    """One bit for each link that is kept away; all of them when none is named."""
+    """Bit mask of the links that keep away from an obstacle; all links if no part is named."""
     if not names:
         return float(ALL_PARTS)
     for name in names:

@@ -1,4 +1,4 @@
-"""Obstacles as the kernel knows them, and how perceived things become obstacles."""
+"""Obstacles of the safety filter, and their construction from perceived scene objects."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from dualbrain.safety.cbf.rows import Rank
 
 
 class SpeedAndSeparation(msgspec.Struct, frozen=True):
-    """Speed and separation toward one person, after the formula of ISO/TS 15066 (no certified function).
+    """Speed and separation monitoring toward one person, by the formula of ISO/TS 15066 (not a certified function).
 
-    d = v_h (T_r + T_s) + v T_r + v²/(2a), T_s = v/a, gives the speed v toward the person at distance d:
+    d = v_h (T_r + T_s) + v T_r + v²/(2a), T_s = v/a, gives the speed v toward the person at distance d; the row is
     n'J u ≥ −v. `reaction` T_r [s] is the time until braking begins, `brake` a [m/s²] the deceleration along the row
-    that the robot always has, `approach` [m/s] the least speed v_h believed of the person (ISO 13855: 1.6).
+    that the robot always has, `approach` v_h [m/s] the least assumed speed of the person (ISO 13855: 1.6).
     """
 
     reaction: float = 0.1
@@ -34,12 +34,14 @@ class PlacedShape(msgspec.Struct, frozen=True):
 
 
 class Obstacle(PlacedShape, frozen=True, kw_only=True):
-    """A thing to keep away from: `shape` at `pose`, moving at `velocity` [m/s].
+    """An obstacle: `shape` at `pose`, moving at `velocity` [m/s].
 
-    `margin` [m] inflates it (position error), `velocity_error` [m/s] bounds the error of the velocity and grows the
-    margin with the age of the observation. `known` things are those φ respects by projection; `static` ones may be
-    seen long ago. `rank` says what is given up last; `alpha` [1/s] replaces the filter's by a lesser one; only `parts`
-    of the robot (groups, links, "held"; none: all) are kept away; `barrier` is the name of the barrier it belongs to.
+    - `margin` [m] inflates the shape (position error). `velocity_error` [m/s] bounds the error of the velocity and
+      increases the margin with the age of the observation.
+    - `known`: the projection φ respects the obstacle. `static`: its observation does not become stale.
+    - `rank` is the order of relaxation, `alpha` [1/s] replaces the gain of the filter.
+    - `parts`: robot parts that keep away (groups, links, "held"); empty means all.
+    - `separation` adds a speed limit by distance. `barrier` is the name of the barrier that the rows belong to.
     """
 
     velocity: Vector = ZERO_VECTOR
@@ -57,14 +59,13 @@ class Obstacle(PlacedShape, frozen=True, kw_only=True):
 def obstacles_from_scene(
     scene: Scene, *, known: Collection[str], held: str | None, clearance: float = 0.0
 ) -> tuple[Obstacle, ...]:
-    """Every perceived thing but the `held` one, as obstacles with their errors as margins plus `clearance` [m].
+    """Obstacles for all scene objects except `held`, with the perception error plus `clearance` [m] as margin.
 
-    Things seen before the scene's stamp are carried forward along their velocity, their margin growing with it.
+    Objects observed before the stamp of the scene are moved along their velocity, and their margin grows accordingly.
+    `known` lists the objects that the projection φ respects.
     """
     return tuple(
-        _to_obstacle(thing, scene.stamp, thing.name in known, clearance)
-        for thing in scene.objects
-        if thing.name != held
+        _to_obstacle(obj, scene.stamp, obj.name in known, clearance) for obj in scene.objects if obj.name != held
     )
 
 
@@ -87,10 +88,10 @@ def _to_obstacle(obj: SceneObject, stamp: float, known: bool, clearance: float) 
 
 
 class Contact(msgspec.Struct, frozen=True):
-    """The sphere group or link `robot_part` ("hand", "fingers", "held", "left_finger") may meet `obstacle`.
+    """Permit for `robot_part` (a sphere group or link: "hand", "fingers", "held", "left_finger") to touch `obstacle`.
 
-    The barrier rows of exactly these pairs are replaced by n'(J u − v_o) ≥ −max(`speed`, α h): no faster than `speed`
-    [m/s] at contact, and no faster than the barrier would allow before.
+    The rows of these pairs become n'(J u − v_o) ≥ −max(`speed`, α h): at most `speed` [m/s] at contact, and before it
+    at most the speed that the barrier would allow.
     """
 
     robot_part: str

@@ -1,4 +1,4 @@
-"""The closest control that meets every row: the kernel's QP in float64, for any number of rows."""
+"""Closest control that satisfies every row: the QP of the C kernel in float64, for any number of rows."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from dualbrain.safety.cbf.compiled import _kernel64
 Array = NDArray[np.float64]
 
 MAX_CONTROLS = 8
-"""Controls that the kernel's QP holds."""
+"""Most controls of the kernel's QP."""
 MAX_ROWS = 512
-"""Rows that the kernel's QP holds; more may be given, of which it needs few."""
+"""Most rows of the kernel's QP. Problems may have more rows, as long as the solution needs fewer."""
 ROWS_PER_CALL = 48
-"""Rows that are handed to the kernel at a time."""
+"""Number of rows that are added to the kernel's problem per iteration."""
 ROW_TOLERANCE = 1e-8
-"""What the check after the QP forgives in a row, as a share of the row's own size."""
+"""Violation of a row that the check after the QP accepts, relative to the norm of the row."""
 
 
 class QpResult(msgspec.Struct, frozen=True, eq=False, kw_only=True):
-    """Answer of one QP: `u` (n,), whether all rows are met, and its active constraints.
+    """Result of one QP: `u` (n,), whether all rows are met, and the active constraints.
 
-    `active` are (index, multiplier): 0..n−1 lower bounds, n..2n−1 upper bounds, then rows; when rows conflict they are
-    the members of a Farkas certificate. `capped` says that the QP gave up: u is then no answer.
+    `active` holds (index, multiplier) with index 0..n−1 for lower bounds, n..2n−1 for upper bounds, then rows. If rows
+    conflict, it is a Farkas certificate. If `limit_reached`, the solver stopped at a limit and u is not a solution.
     """
 
     u: Array
@@ -38,11 +38,15 @@ class QpResult(msgspec.Struct, frozen=True, eq=False, kw_only=True):
 class ControlQp:
     """min ½‖u − u_nom‖²_R  s.t.  A u ≥ b, lower ≤ u ≤ upper, in controls scaled by `unit` (paper 4.3).
 
-    Promise: an answer that is `met` has passed a check of box and rows that shares nothing with the solver.
+    Guarantee: a result with `rows_met` has passed a check of the box and the rows that is independent of the solver.
     """
 
     def __init__(self, unit: Array, weight: Array | None = None) -> None:
-        """`unit` (n,) is the size of each control; `weight` is R (n, n), by default diag(1/unit²)."""
+        """`unit` (n,) is the size of each control; `weight` is R (n, n), by default diag(1/unit²).
+
+        Raises:
+            ConfigurationError: more than 8 controls, or R is not symmetric positive definite.
+        """
         self.unit, n = unit, len(unit)
         if not 1 <= n <= MAX_CONTROLS:
             raise ConfigurationError("controls", got=n, allowed=f"1 to {MAX_CONTROLS}, which the kernel's QP holds")
@@ -53,10 +57,11 @@ class ControlQp:
             raise ConfigurationError("weight R", got=weight, allowed="symmetric positive definite") from None
 
     def solve(self, A: Array, b: Array, lower: Array, upper: Array, u_nom: Array) -> QpResult:
-        """The closest control to u_nom (n,), which is returned bit for bit where it meets rows and box.
+        """The closest control to u_nom (n,), which is returned bit for bit if it satisfies the rows and the box.
 
-        The kernel is given the rows that are worst at u_nom, then those that its answer breaks, until it breaks none:
-        an optimum over some rows that meets all is the optimum over all, and rows that conflict do so among more.
+        The kernel gets the rows that are violated most at u_nom, then the rows that its solution violates, until none
+        is violated. A solution for some rows that satisfies all rows is the solution for all rows, and rows that
+        conflict also conflict together with more rows.
         """
         if np.all(u_nom >= lower) and np.all(u_nom <= upper) and np.all(A @ u_nom >= b):
             return QpResult(u=u_nom.copy(), rows_met=True, limit_reached=False, iterations=0, active=())
@@ -83,15 +88,15 @@ class ControlQp:
     def _solve_rows(
         self, scaled: Array, b: Array, lower: Array, upper: Array, u_nom: Array
     ) -> tuple[int, int, tuple[tuple[int, float], ...], Array]:
-        answer = np.empty(len(u_nom))
+        solution = np.empty(len(u_nom))
         result, iterations, active = _kernel64.solve_qp(
-            self._scale, scaled, b, lower / self.unit, upper / self.unit, u_nom / self.unit, answer
+            self._scale, scaled, b, lower / self.unit, upper / self.unit, u_nom / self.unit, solution
         )
-        return result, iterations, active, np.clip(answer * self.unit, lower, upper)
+        return result, iterations, active, np.clip(solution * self.unit, lower, upper)
 
 
 def _worst_rows(gap: Array) -> NDArray[np.int64]:
-    """The rows with the smallest gaps: those below zero and their nearest, at most `BATCH`."""
+    """The `ROWS_PER_CALL` rows with the smallest gaps, or all rows if there are fewer."""
     return np.argpartition(gap, ROWS_PER_CALL)[:ROWS_PER_CALL] if len(gap) > ROWS_PER_CALL else np.arange(len(gap))
 
 

@@ -1,4 +1,4 @@
-"""What the filter answers: a control that is always finite and admissible, and why it is what it is."""
+"""Result of the safety filter: a control that is always finite and admissible, and the reasons for it."""
 
 from __future__ import annotations
 
@@ -15,32 +15,35 @@ from dualbrain.safety.cbf.rows import Rank
 Array = NDArray[np.float64]
 RawRow = tuple[int, int, int, float, float]
 PACKED_ROW = Struct("=3i2d")
-"""How the kernel packs a binding row: unpacked where somebody looks, as most answers are never looked at."""
+"""Binary format of a binding row. Rows stay packed until they are read, because most results are never inspected."""
 OBSTACLE, SELF, LOWER, UPPER, USER = range(5)
-"""Kinds of rows, as the kernel counts them."""
+"""Kinds of rows in the kernel's numbering."""
 LIMIT_NAMES = ("velocity", "acceleration", "jerk", "position")
-"""Where a bound of a joint's box comes from, as the kernel counts it."""
+"""Sources of a bound of the box, in the kernel's numbering."""
 REASON_TEXTS = {
-    "BAD_INPUT": "the input holds a number that is not finite",
+    "BAD_INPUT": "the input contains a number that is not finite",
     "STALE_STATE": "the joint state is too old, or the clock stepped",
-    "STALE_SCENE": "moving things were seen too long ago",
+    "STALE_SCENE": "the last observation of moving obstacles is too old",
     "OUTSIDE_LIMITS": "a joint is far outside its range",
-    "ROW_OVERFLOW": "more pairs are near than there is room for (shorten the control period or clear the scene)",
-    "NO_GRADIENT": "something is inside the robot where no joint can move it away",
-    "QP_ITERATIONS": "the optimisation did not end in time",
-    "INFEASIBLE": "no control meets all of",
-    "BAD_SCENE": "the obstacle table holds a number that is not finite",
-    "UNCERTIFIED": "not even braking keeps clear",
-    "UNAVOIDABLE": "something comes at a part that cannot move away",
+    "ROW_OVERFLOW": "more pairs are close than the filter has rows for (shorten the control period or clear the scene)",
+    "NO_GRADIENT": "an obstacle is inside the robot where no joint can move the robot away",
+    "QP_ITERATIONS": "the QP solver reached its iteration limit",
+    "INFEASIBLE": "no control satisfies all of",
+    "BAD_SCENE": "the obstacle table contains a number that is not finite",
+    "UNCERTIFIED": "even braking does not keep h above zero",
+    "UNAVOIDABLE": "an obstacle approaches a part that cannot move away",
 }
-"""Reasons in words for people."""
+"""Texts for people of the reasons."""
 
 
 class FilterStatus(IntEnum):
-    """SAFE: u is u_nom. MODIFIED: the closest safe control. RELAXED: none meets all rows; hardest admissible braking.
+    """Outcome of a filter step, in the order of severity.
 
-    STOPPED: the input is bad or stale, or a limit of the kernel was met; braking. FAULT: h ≥ 0 cannot be certified for
-    the next step even when braking.
+    - SAFE: u is u_nom.
+    - MODIFIED: u is the closest safe control.
+    - RELAXED: no control satisfies all rows; u is the hardest admissible braking.
+    - STOPPED: the input is invalid or stale, or a limit of the kernel was reached; u brakes.
+    - FAULT: h ≥ 0 cannot be certified for the next step, even for braking.
     """
 
     SAFE = 0
@@ -51,7 +54,7 @@ class FilterStatus(IntEnum):
 
 
 class Reason(IntFlag):
-    """Why a status above MODIFIED was given; several may hold. The same bits as in the kernel."""
+    """Reasons for a status above MODIFIED; several may apply. The bits are those of the kernel."""
 
     BAD_INPUT = 1
     STALE_STATE = 2
@@ -68,9 +71,9 @@ class Reason(IntFlag):
 
 
 class RowNames(msgspec.Struct, frozen=True, kw_only=True):
-    """Names behind the kernel's indices: of each sphere's link, of the obstacles in force, of the joints.
+    """Names for the indices of the kernel: the link of each sphere, the obstacles, and the joints.
 
-    `barriers` are the barriers that the obstacles belong to, `rows` the rows handed in for this step.
+    `barriers` are the barriers of the obstacles; `rows` are the rows of `SafetyFilter.constrain` and Python barriers.
     """
 
     spheres: tuple[str, ...]
@@ -81,7 +84,7 @@ class RowNames(msgspec.Struct, frozen=True, kw_only=True):
     rows: tuple[str, ...] = ()
 
     def row_name(self, kind: int, i: int, j: int) -> str:
-        """A row's name: "hand vs 'cup'", "link5 vs link2", "panda_joint4 acceleration limit"."""
+        """Name of a row: "hand vs 'cup'", "link5 vs link2", "panda_joint4 acceleration limit"."""
         if kind == OBSTACLE:
             return f"{self.link_of_sphere(i)} vs {self.obstacles[j]!r}"
         if kind == SELF:
@@ -91,7 +94,7 @@ class RowNames(msgspec.Struct, frozen=True, kw_only=True):
         return f"{self.joints[i]} {LIMIT_NAMES[j]} limit"
 
     def barrier_name(self, kind: int, i: int, j: int) -> str:
-        """The barrier that a row belongs to, as `safety.barriers` names it."""
+        """Name in `safety.barriers` of the barrier that a row belongs to."""
         if kind == OBSTACLE:
             return "held_object" if i >= len(self.spheres) else self.barriers[j]
         if kind == USER:
@@ -101,18 +104,20 @@ class RowNames(msgspec.Struct, frozen=True, kw_only=True):
         return "joint_limits" if LIMIT_NAMES[j] == "position" else "joint_motion"
 
     def link_of_sphere(self, index: int) -> str:
-        """The link that a sphere belongs to; spheres beyond the body's are the held thing's."""
+        """Link of a sphere; "held" for spheres beyond those of the robot."""
         return self.spheres[index] if index < len(self.spheres) else "held"
 
 
 class FilterResult(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers and tuples: no cycles
-    """One answer of the filter.
+    """Result of one step of the filter.
 
-    `u` (n,) [rad/s]; `delta` = sqrt((u − u_nom)' W (u − u_nom)), W = diag(1/v_max²)/n (paper 4.4), split into
-    `delta_rows`, `delta_box` and, where an order stood above it, `delta_supervisor`; `h_min` [m] the smallest barrier
-    value of all pairs without a permit, NaN where the input was refused and nothing was measured; `certified`: h(y + dt
-    u) ≥ 0, or no deeper than before; `iterations` of the QP; `n_rows` that were stated to it; `binding` the rows that
-    bind, packed (see `rows`); `relaxed` has bit r set when rows of rank r were given up in part.
+    - `u` (n,) [rad/s]: the safe control. `u_nom` (n,): the nominal control.
+    - `delta` = sqrt((u − u_nom)' W (u − u_nom)), W = diag(1/v_max²)/n (paper 4.4), split into `delta_rows`,
+      `delta_box` and `delta_supervisor`, the part due to an action of the supervisor.
+    - `h_min` [m]: smallest barrier value of all pairs without a permit; NaN if the filter rejected the input.
+    - `certified`: h(y + dt u) ≥ 0, or no deeper than before.
+    - `flags`: bits of `reason`. `iterations` of the QP. `n_rows`: number of rows in the QP.
+    - `packed_rows`: the binding rows, see `binding_rows`. `relaxed_mask`: bit r is set if rows of rank r were relaxed.
     """
 
     u: Array
@@ -133,32 +138,32 @@ class FilterResult(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers 
 
     @property
     def binding_rows(self) -> tuple[RawRow, ...]:
-        """The binding rows by the kernel's indices: kind, i, j, h, multiplier; see `active`."""
+        """The binding rows with the kernel's indices: kind, i, j, h, multiplier; `active_rows` has their names."""
         return tuple(PACKED_ROW.iter_unpack(self.packed_rows))
 
     @property
     def relaxed_ranks(self) -> tuple[Rank, ...]:
-        """The ranks whose rows could not all be met."""
+        """The ranks of which some rows were relaxed."""
         return tuple(rank for rank in Rank if self.relaxed_mask >> rank & 1)
 
     @property
     def barriers(self) -> tuple[str, ...]:
-        """The barriers that the binding rows belong to, as `safety.barriers` names them."""
+        """Names in `safety.barriers` of the barriers that the binding rows belong to."""
         return tuple(dict.fromkeys(self.names.barrier_name(kind, i, j) for kind, i, j, _, _ in self.binding_rows))
 
     @property
     def reason(self) -> Reason:
-        """Why the status is what it is."""
+        """The reasons for a status above MODIFIED."""
         return Reason(self.flags)
 
     @property
     def active_rows(self) -> tuple[tuple[str, float, float], ...]:
-        """Binding rows as (name, h [m], multiplier); the conflicting ones with Farkas multipliers when infeasible."""
+        """Binding rows as (name, h [m], multiplier); if infeasible, the conflicting rows with Farkas multipliers."""
         return tuple((self.names.row_name(kind, i, j), h, weight) for kind, i, j, h, weight in self.binding_rows)
 
     @property
     def cause(self) -> str:
-        """The strongest reason for a changed control, by name; empty when nothing was changed."""
+        """Name of the row or reason with the largest effect; empty if the control was not changed."""
         if self.status > FilterStatus.MODIFIED and not self.binding_rows:
             return ", ".join(flag.name.lower().replace("_", " ") for flag in self.reason if flag.name)
         pairs = [row for row in self.binding_rows if row[0] not in (LOWER, UPPER)]
@@ -168,11 +173,11 @@ class FilterResult(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers 
         if pairs and (not joints or self.delta_rows >= self.delta_box):
             kind, i, j, _, _ = max(pairs, key=lambda row: row[4])
         else:
-            kind, i, j, _, _ = max(joints, key=lambda row: (row[2], row[4]))  # a position limit tells the most
+            kind, i, j, _, _ = max(joints, key=lambda row: (row[2], row[4]))  # position limits come first
         return self.names.row_name(kind, i, j)
 
     def unfiltered(self) -> FilterResult:
-        """The same moment had nobody filtered: u is u_nom, without a certificate."""
+        """This result as it would be without filtering: u is u_nom, without a certificate."""
         return msgspec.structs.replace(
             self,
             u=self.u_nom,
@@ -181,11 +186,11 @@ class FilterResult(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers 
             delta_rows=0.0,
             delta_box=0.0,
             certified=False,
-            binding=b"",
+            packed_rows=b"",
         )
 
     def explain(self) -> str:
-        """One sentence for people: what was near, and what was done about it."""
+        """One sentence for people: the closest pair, and how the filter changed the control."""
         if self.status is FilterStatus.SAFE:
             return f"passed unchanged; nearest pair at {self.h_min * 1e3:.0f} mm"
         if self.status is FilterStatus.MODIFIED:
@@ -194,16 +199,14 @@ class FilterResult(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers 
             "; ".join(REASON_TEXTS[flag.name] for flag in self.reason if flag.name in REASON_TEXTS)
             or "a limit of the box"
         )
-        who = f": {self._describe_rows()}" if self.binding_rows else ""
-        lost = (
-            f"; given up in part: {', '.join(rank.name.lower() for rank in self.relaxed_ranks)}"
-            if self.relaxed_ranks
-            else ""
+        pairs = f": {self._describe_rows()}" if self.binding_rows else ""
+        relaxed = (
+            f"; relaxed: {', '.join(rank.name.lower() for rank in self.relaxed_ranks)}" if self.relaxed_ranks else ""
         )
-        return f"{self.status.name.lower()}, braking: {why}{who}{lost}"
+        return f"{self.status.name.lower()}, braking: {why}{pairs}{relaxed}"
 
     def _describe_rows(self) -> str:
-        """The two strongest rows by name, each name once, with the nearer of its distances."""
+        """The two rows with the largest multipliers by name, each name once, with its smallest distance."""
         nearest: dict[str, float] = {}
         for kind, i, j, h, _ in sorted(self.binding_rows, key=lambda row: -row[4]):
             name = self.names.row_name(kind, i, j)

@@ -1,4 +1,4 @@
-"""Rows in control space and their rank: what is given up last when no control can meet all of them."""
+"""Rows of the QP in control space, and the ranks by which they are relaxed."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ Array = NDArray[np.float64]
 
 
 class Rank(IntEnum):
-    """The order in which rows are given up when none can meet all: the highest number first.
+    """Order in which rows are relaxed if no control satisfies all of them: the highest number first.
 
-    The box of joint velocity, acceleration and position is never given up, nor is a row about something that stands
-    still as long as braking meets it.
+    The box of joint velocity, acceleration and position is never relaxed, and neither is the row of a static obstacle
+    as long as braking satisfies it.
     """
 
     BODY = 1
-    """People and the robot's own parts."""
+    """People and links of the robot."""
     OBSTACLE = 2
-    """Things."""
+    """Objects."""
     WORKSPACE = 3
-    """Where the robot should stay."""
+    """Limits of the workspace."""
     TASK = 4
-    """What is only wished for, and rows handed in by the user."""
+    """Preferences of a task, and rows of the application."""
 
 
 class ConstraintRow(msgspec.Struct, frozen=True, kw_only=True):
-    """One row a'u ≥ b for one step: `a` (n,), `b`, and the barrier value `h` that is reported with it."""
+    """One row a'u ≥ b for one step: `a` (n,), `b`, and the barrier value `h` that the filter reports with it."""
 
     name: str
     a: tuple[float, ...]
@@ -43,11 +43,10 @@ class ConstraintRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class BarrierRow(NamedTuple):
-    """One row a'u ≥ b of the last step as the filter stated it, a unit row: b and a'u in rad/s.
+    """One row a'u ≥ b of the last step as the filter posed it, scaled to unit length: b and a'u are in rad/s.
 
-    `name` says whose row it is and `barrier` of which barrier; `h` [m] is its barrier value without the sampling
-    margin, `norm` [m/rad] the length of its normal before it was made a unit row. `kind`, `i`, `j` are the kernel's
-    own indices.
+    `name` is the pair or limit, `barrier` the name of the barrier. `h` [m] is the barrier value without the sampling
+    margin, `norm` [m/rad] the length of the normal before scaling. `kind`, `i`, `j` are indices of the kernel.
     """
 
     name: str
@@ -62,16 +61,16 @@ class BarrierRow(NamedTuple):
 
 
 class PythonBarrier(Protocol):
-    """A barrier whose rows are computed anew in every step, outside the compiled kernel.
+    """A barrier in Python whose rows are computed in every step, outside the compiled kernel.
 
-    The next-step certificate does not cover its rows; their own margin must.
+    The certificate for the next step does not cover its rows, so they must include their own margins.
     """
 
     def rows(self, state: RobotState, jacobian: Array) -> Sequence[ConstraintRow]:
-        """Rows at `state`; `jacobian` (6, n) is the tool's, linear then angular, in the world frame."""
+        """Rows at `state`; `jacobian` (6, n) of the tool, linear then angular, in the world frame."""
         ...
 
 
 def row_table(rows: Sequence[ConstraintRow], n: int) -> Array:
-    """The table (k, n + 3) of a, b, h, rank that the kernel reads."""
+    """Input table (k, n + 3) of the kernel with a, b, h, rank per row."""
     return np.array([[*row.a, row.b, row.h, float(row.rank)] for row in rows], float).reshape(-1, n + 3)

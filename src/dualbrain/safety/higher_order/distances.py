@@ -149,7 +149,7 @@ class Solids:
             first += count
         if len(parts) == 1:
             return parts[0]
-        floats = ("d", "n", "kappa", "core", "bends")
+        floats = ("d", "n", "kappa", "core_radius", "curvature_radius")
         d, n, kappa, core, bends = (np.concatenate([_field(part, name) for part in parts]) for name in floats)
         return Distances(
             d=d,

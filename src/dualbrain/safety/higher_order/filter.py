@@ -185,7 +185,9 @@ class AccelerationFilter:
     ) -> FilteredAcceleration:
         limit = IMPLAUSIBLE_FACTOR * self._limits.acceleration
         found = self._qp.solve(A, b, lower, upper, np.clip(result.u_nom, -limit, limit))
-        result = msgspec.structs.replace(result, active=self._active_rows(found, pairs), iterations=found.iterations)
+        result = msgspec.structs.replace(
+            result, active_rows=self._active_rows(found, pairs), iterations=found.iterations
+        )
         if found.rows_met:
             same = np.array_equal(found.u, result.u_nom)
             return self._finish(result, found.u, FilterStatus.SAFE if same else FilterStatus.MODIFIED, Reason(0))
