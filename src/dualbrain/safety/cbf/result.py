@@ -21,19 +21,19 @@ OBSTACLE, SELF, LOWER, UPPER, USER = range(5)
 LIMIT_NAMES = ("velocity", "acceleration", "jerk", "position")
 """Sources of a bound of the box, in the kernel's numbering."""
 REASON_TEXTS = {
-    "BAD_INPUT": "the input contains a number that is not finite",
+    "BAD_INPUT": "the input holds a number that is not finite",
     "STALE_STATE": "the joint state is too old, or the clock stepped",
-    "STALE_SCENE": "the last observation of moving obstacles is too old",
+    "STALE_SCENE": "moving things were seen too long ago",
     "OUTSIDE_LIMITS": "a joint is far outside its range",
-    "ROW_OVERFLOW": "more pairs are close than the filter has rows for (shorten the control period or clear the scene)",
-    "NO_GRADIENT": "an obstacle is inside the robot where no joint can move the robot away",
-    "QP_ITERATIONS": "the QP solver reached its iteration limit",
-    "INFEASIBLE": "no control satisfies all of",
-    "BAD_SCENE": "the obstacle table contains a number that is not finite",
-    "UNCERTIFIED": "even braking does not keep h above zero",
-    "UNAVOIDABLE": "an obstacle approaches a part that cannot move away",
+    "ROW_OVERFLOW": "more pairs are near than there is room for (shorten the control period or clear the scene)",
+    "NO_GRADIENT": "something is inside the robot where no joint can move it away",
+    "QP_ITERATIONS": "the optimisation did not end in time",
+    "INFEASIBLE": "no control meets all of",
+    "BAD_SCENE": "the obstacle table holds a number that is not finite",
+    "UNCERTIFIED": "not even braking keeps clear",
+    "UNAVOIDABLE": "something comes at a part that cannot move away",
 }
-"""Texts for people of the reasons."""
+"""Texts of the reasons. They become part of outcomes, and so of the prompt of a planner that plans again."""
 
 
 class FilterStatus(IntEnum):
@@ -201,7 +201,9 @@ class FilterResult(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers 
         )
         pairs = f": {self._describe_rows()}" if self.binding_rows else ""
         relaxed = (
-            f"; relaxed: {', '.join(rank.name.lower() for rank in self.relaxed_ranks)}" if self.relaxed_ranks else ""
+            f"; given up in part: {', '.join(rank.name.lower() for rank in self.relaxed_ranks)}"
+            if self.relaxed_ranks
+            else ""
         )
         return f"{self.status.name.lower()}, braking: {why}{pairs}{relaxed}"
 

@@ -1,1 +1,1 @@
-"""The supervisor: hazard checks, safety actions from warning to emergency stop, and their enforcement."""
+"""Supervisor: monitors the robot, its sensors and the filter, and overrides the nominal control when a check trips."""

@@ -1,4 +1,4 @@
-"""What the supervisor orders: one rung of the ladder, the cause, and the check that gave it (design 4)."""
+"""Decision of the supervisor: an action, its cause, and the check that tripped (design 4)."""
 
 from __future__ import annotations
 
@@ -8,11 +8,15 @@ import msgspec
 
 
 class SafetyAction(IntEnum):
-    """The ladder by severity. Stop categories are those of IEC 60204-1, by name only: nothing here is certified.
+    """Actions by severity. Stop categories are those of IEC 60204-1, by name only: nothing here is certified.
 
-    SLOW scales the nominal control; HOVER makes it zero, so that the filter may still let the arm yield; HOLD is a
-    monitored standstill (category 2); CONTROLLED_STOP brakes, then switches the drive off (category 1); ESTOP switches
-    it off at once (category 0); LOCKOUT is an ESTOP that only a restart ends.
+    - NONE: no action. WARN: a warning is logged.
+    - SLOW: the nominal control is scaled.
+    - HOVER: the nominal control is zero; the filter may still move the arm away from obstacles.
+    - HOLD: monitored standstill (category 2).
+    - CONTROLLED_STOP: the arm brakes, then the drive is switched off (category 1).
+    - ESTOP: the drive is switched off at once (category 0).
+    - LOCKOUT: an ESTOP that only a restart ends.
     """
 
     NONE = 0
@@ -26,7 +30,7 @@ class SafetyAction(IntEnum):
 
 
 class Cause(Enum):
-    """Where the trouble is."""
+    """The part of the system in which the problem is."""
 
     NONE = "nothing"
     SENSING = "sensing"
@@ -39,9 +43,9 @@ class Cause(Enum):
 
 
 class SupervisorDecision(msgspec.Struct, frozen=True):
-    """What holds now. `check` is the name of the strongest check that has tripped ("" for none).
+    """The action in force. `check` is the name of the strongest check that has tripped ("" if none has).
 
-    `at_once`: the drive goes off at once and brakes by itself, whatever the rung.
+    With `immediate_drive_off` the drive is switched off at once and brakes by itself, for any action.
     """
 
     action: SafetyAction = SafetyAction.NONE
@@ -51,4 +55,4 @@ class SupervisorDecision(msgspec.Struct, frozen=True):
 
 
 NO_ACTION = SupervisorDecision()
-"""Nothing is wrong."""
+"""The decision if no check has tripped."""

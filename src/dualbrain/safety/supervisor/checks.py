@@ -1,7 +1,8 @@
-"""The table of checks: for each hazard its action, how long it must last, when it clears, what becomes of a contract.
+"""Table of checks: for each hazard the action, the durations, how the check clears, and the outcome of the contract.
 
-Docs (`python -m dualbrain.safety.supervisor.checks > docs/supervisor.md`), dashboard, supervisor and tests read this one table.
-Its order is the order of severity: of two checks that have tripped, the later one gives the order.
+The documentation (`python -m dualbrain.safety.supervisor.checks > docs/supervisor.md`), the dashboard, the supervisor
+and the tests read this table. Its order is the order of severity: the last of several tripped checks determines the
+decision.
 """
 
 from __future__ import annotations
@@ -20,20 +21,22 @@ ContractOutcome = Literal["", "taken_over", "stopped", "aborted", "handed_over",
 
 
 class ClearPolicy(Enum):
-    """When a check that has tripped lets go."""
+    """How a tripped check clears."""
 
-    WHEN_GONE = "by itself, once the condition has been gone for its release time"
-    ON_CONTINUE = "once the condition is gone and the next contract begins, or a person resumes"
+    WHEN_GONE = "by itself, after the condition has been gone for the release time"
+    ON_CONTINUE = "after the condition is gone and the next contract begins or a person resumes"
     ON_RESUME = "when a person resumes"
-    ON_TWO_STEP_RESET = "after two steps: the condition is gone, then a fresh press of reset; lands in HOLD"
-    ON_RESTART = "never; only a restart"
+    ON_TWO_STEP_RESET = "in two steps: the condition is gone, then reset is pressed; the robot then holds"
+    ON_RESTART = "never; only a restart clears it"
 
 
 class Check(msgspec.Struct, frozen=True, kw_only=True):
-    """One row. `after` [s]: how long the condition must last; `release` [s]: how long it must be gone to count as gone.
+    """One row of the table.
 
-    `ending` is the outcome of the contract that it ends ("": the contract goes on). `at_once`: a CONTROLLED_STOP in
-    which the drive goes off at once and brakes by itself, because the filter that would brake is what is broken.
+    `after` [s] is how long the condition must be present, `release` [s] how long it must be absent to count as gone.
+    `contract_outcome` is the outcome of a contract that the check ends ("": the contract continues).
+    `immediate_drive_off` marks a CONTROLLED_STOP in which the drive is switched off at once and brakes by itself,
+    because the filter that would brake is affected by the fault.
     """
 
     name: str
@@ -56,7 +59,7 @@ CHECKS: tuple[Check, ...] = (
         condition=C.STATE_MISSED,
         action=SafetyAction.WARN,
         cause=Cause.TIMING,
-        description="joint states were lost on the way",
+        description="joint states were lost in transmission",
         release=1.0,
     ),
     Check(
@@ -64,7 +67,7 @@ CHECKS: tuple[Check, ...] = (
         condition=C.STATE_REPEATED,
         action=SafetyAction.WARN,
         cause=Cause.TIMING,
-        description="the same joint state came again",
+        description="a joint state arrived twice",
     ),
     Check(
         name="tick_overrun",
@@ -79,7 +82,7 @@ CHECKS: tuple[Check, ...] = (
         condition=C.COMMAND_LATE,
         action=SafetyAction.WARN,
         cause=Cause.TIMING,
-        description="a command left late in its period",
+        description="a command was sent late in its period",
         release=1.0,
     ),
     Check(
@@ -87,7 +90,7 @@ CHECKS: tuple[Check, ...] = (
         condition=C.FRAMES_REFUSED,
         action=SafetyAction.WARN,
         cause=Cause.COMMANDER,
-        description="a message was refused: form, signature, order",
+        description="a message was rejected for its form, signature or sequence number",
         release=0.5,
     ),
     Check(
@@ -95,14 +98,14 @@ CHECKS: tuple[Check, ...] = (
         condition=C.INFEASIBLE,
         action=SafetyAction.WARN,
         cause=Cause.FILTER,
-        description="no control meets all rows; the filter brakes",
+        description="no control satisfies all rows; the filter brakes",
     ),
     Check(
         name="filter_stopped_briefly",
         condition=C.FILTER_STOPPED | C.FILTER_FAULT,
         action=SafetyAction.WARN,
         cause=Cause.FILTER,
-        description="the filter has stopped or cannot certify; it brakes",
+        description="the filter stopped or could not certify its control; it brakes",
     ),
     Check(
         name="speed_stage",
@@ -117,7 +120,7 @@ CHECKS: tuple[Check, ...] = (
         condition=C.SCENE_OLD,
         action=SafetyAction.SLOW,
         cause=Cause.SENSING,
-        description="the scene is older than a few looks",
+        description="the last few observations of the scene are missing",
         release=0.1,
     ),
     Check(
@@ -151,7 +154,7 @@ CHECKS: tuple[Check, ...] = (
         condition=C.SCENE_STALE,
         action=SafetyAction.HOLD,
         cause=Cause.SENSING,
-        description="moving things were seen too long ago",
+        description="the last observation of moving objects is too old",
         after=0.05,
         release=0.2,
         contract_outcome="stopped",
@@ -161,7 +164,7 @@ CHECKS: tuple[Check, ...] = (
         condition=C.SCENE_IMPLAUSIBLE,
         action=SafetyAction.HOLD,
         cause=Cause.SENSING,
-        description="the scene holds numbers that cannot be, or is stamped in the future",
+        description="the scene contains impossible values or has a stamp in the future",
         release=0.2,
         contract_outcome="stopped",
     ),
@@ -170,7 +173,7 @@ CHECKS: tuple[Check, ...] = (
         condition=C.SCENE_FROZEN,
         action=SafetyAction.HOLD,
         cause=Cause.SENSING,
-        description="a camera tells the same picture again and again, equal to the bit and stamped anew",
+        description="a camera repeats the same observation bit for bit with new stamps",
         release=0.2,
         contract_outcome="stopped",
     ),
@@ -179,7 +182,7 @@ CHECKS: tuple[Check, ...] = (
         condition=C.HEARTBEAT_LOST,
         action=SafetyAction.HOLD,
         cause=Cause.COMMANDER,
-        description="the commander has gone silent",
+        description="the commander sends no heartbeat",
         release=0.1,
         contract_outcome="stopped",
     ),
@@ -188,7 +191,7 @@ CHECKS: tuple[Check, ...] = (
         condition=C.LINK_LOST,
         action=SafetyAction.HOLD,
         cause=Cause.COMMANDER,
-        description="the commander's connection is gone",
+        description="the connection to the commander is lost",
         release=0.1,
         contract_outcome="stopped",
     ),
@@ -197,7 +200,7 @@ CHECKS: tuple[Check, ...] = (
         condition=C.FLOOD,
         action=SafetyAction.HOLD,
         cause=Cause.COMMANDER,
-        description="the commander sends more than it may",
+        description="the commander exceeds the rate limit",
         release=0.5,
         contract_outcome="stopped",
     ),
@@ -234,7 +237,7 @@ CHECKS: tuple[Check, ...] = (
         condition=C.STATE_IMPLAUSIBLE,
         action=SafetyAction.CONTROLLED_STOP,
         cause=Cause.SENSING,
-        description="the joint state is not finite, jumps, or lies far outside the joints' range",
+        description="the joint state is not finite, jumps, or is far outside the joint ranges",
         release=0.5,
         clears=ON_CONTINUE,
         contract_outcome="stopped",
@@ -244,7 +247,7 @@ CHECKS: tuple[Check, ...] = (
         condition=C.SOURCES_DISAGREE,
         action=SafetyAction.CONTROLLED_STOP,
         cause=Cause.SENSING,
-        description="measured positions and measured velocities do not tell the same motion",
+        description="measured positions and measured velocities are inconsistent",
         release=0.5,
         clears=ON_CONTINUE,
         contract_outcome="stopped",
@@ -275,7 +278,7 @@ CHECKS: tuple[Check, ...] = (
         condition=C.FILTER_FAULT,
         action=SafetyAction.CONTROLLED_STOP,
         cause=Cause.FILTER,
-        description="filter FAULT for 50 ms: not even braking could be certified",
+        description="filter FAULT for 50 ms: even braking could not be certified",
         after=0.05,
         release=0.5,
         clears=ON_CONTINUE,
@@ -286,7 +289,7 @@ CHECKS: tuple[Check, ...] = (
         condition=C.CONTROL_BAD,
         action=SafetyAction.CONTROLLED_STOP,
         cause=Cause.FILTER,
-        description="the control is not finite, leaves the joints' box or answers another question; braking is written instead",
+        description="the control is not finite, exceeds joint limits or belongs to another input; the arm brakes instead",
         release=0.5,
         clears=ON_CONTINUE,
         contract_outcome="stopped",
@@ -296,7 +299,7 @@ CHECKS: tuple[Check, ...] = (
         condition=C.TICK_LOST,
         action=SafetyAction.CONTROLLED_STOP,
         cause=Cause.TIMING,
-        description="the control loop stood still for too long",
+        description="the control loop stalled for too long",
         release=0.5,
         clears=ON_CONTINUE,
         contract_outcome="stopped",
@@ -337,7 +340,7 @@ CHECKS: tuple[Check, ...] = (
         condition=C.STATE_LOST,
         action=SafetyAction.ESTOP,
         cause=Cause.SENSING,
-        description="no joint state for so long that braking is blind",
+        description="no joint state for so long that the filter cannot brake safely",
         clears=ON_TWO_STEP_RESET,
         contract_outcome="emergency",
     ),
@@ -346,7 +349,7 @@ CHECKS: tuple[Check, ...] = (
         condition=C.TRACKING_LOST,
         action=SafetyAction.ESTOP,
         cause=Cause.DRIVE,
-        description="the drive does not follow its commands at all",
+        description="the drive does not follow its commands",
         clears=ON_TWO_STEP_RESET,
         contract_outcome="emergency",
     ),
@@ -355,7 +358,7 @@ CHECKS: tuple[Check, ...] = (
         condition=C.OVERSPEED,
         action=SafetyAction.ESTOP,
         cause=Cause.DRIVE,
-        description="a joint is faster than its limit",
+        description="a joint exceeds its velocity limit",
         clears=ON_TWO_STEP_RESET,
         contract_outcome="emergency",
     ),
@@ -364,7 +367,7 @@ CHECKS: tuple[Check, ...] = (
         condition=C.DRIFT,
         action=SafetyAction.ESTOP,
         cause=Cause.DRIVE,
-        description="the arm moves in a monitored standstill",
+        description="the arm moves during a monitored standstill",
         clears=ON_TWO_STEP_RESET,
         contract_outcome="emergency",
     ),
@@ -373,7 +376,7 @@ CHECKS: tuple[Check, ...] = (
         condition=C.STOP_OVERDUE,
         action=SafetyAction.ESTOP,
         cause=Cause.DRIVE,
-        description="a stop was ordered and the arm still moves",
+        description="the arm still moves after the time limit of a stop",
         clears=ON_TWO_STEP_RESET,
         contract_outcome="emergency",
     ),
@@ -382,7 +385,7 @@ CHECKS: tuple[Check, ...] = (
         condition=C.DRIVE_DROPPED,
         action=SafetyAction.ESTOP,
         cause=Cause.DRIVE,
-        description="the drive went off unasked",
+        description="the drive switched off without a request",
         clears=ON_TWO_STEP_RESET,
         contract_outcome="emergency",
     ),
@@ -391,7 +394,7 @@ CHECKS: tuple[Check, ...] = (
         condition=C.PROGRAM_ERROR,
         action=SafetyAction.ESTOP,
         cause=Cause.PROGRAM,
-        description="the program broke",
+        description="the program raised an error",
         clears=ON_TWO_STEP_RESET,
         contract_outcome="stopped",
     ),
@@ -419,7 +422,7 @@ CHECKS: tuple[Check, ...] = (
         condition=C.FALLING,
         action=SafetyAction.LOCKOUT,
         cause=Cause.DRIVE,
-        description="the arm moves though its brakes should hold it",
+        description="the arm moves although its brakes should hold it",
         clears=ON_RESTART,
         contract_outcome="emergency",
     ),
@@ -429,35 +432,38 @@ RESET_HELD = Check(
     condition=C.RESET,
     action=SafetyAction.HOLD,
     cause=Cause.OPERATOR,
-    description="after a reset the robot stands until somebody resumes",
+    description="after a reset the robot holds until a person resumes",
     clears=ON_RESUME,
 )
-"""Where a two-step reset lands; ranks as any HOLD."""
+"""The state after a two-step reset, with the severity of a HOLD."""
 
 HEADER = """# The supervisor
 
-What the local layer does when something is wrong. One function, `Supervisor.update(now, flags)`, turns the conditions
-of a tick into one order: the strongest check that has tripped. This page is generated from the table that it reads
-(`python -m dualbrain.safety.supervisor.checks > docs/supervisor.md`); `tests/safety/supervisor/test_supervisor.py` tries all combinations.
+The supervisor reacts to faults of the robot, the sensors, the filter, the control loop and the commander. In every tick
+`Supervisor.update(now, flags)` maps the detected conditions to one decision: that of the strongest check that has
+tripped. This page is generated from the table of checks
+(`python -m dualbrain.safety.supervisor.checks > docs/supervisor.md`). The tests in
+`tests/safety/supervisor/test_supervisor.py` cover all combinations.
 
-The ladder: NONE < WARN < SLOW (the nominal control is scaled) < HOVER (zero through the filter, which may still let the
-arm yield) < HOLD (monitored standstill, category 2) < CONTROLLED_STOP (brakes, then the drive goes off, category 1) <
-ESTOP (drive off at once, category 0) < LOCKOUT (only a restart ends it). The categories are those of IEC 60204-1 by
-name only; **nothing here is certified**.
+Actions by severity: NONE < WARN < SLOW (the nominal control is scaled) < HOVER (zero through the filter, which may
+still move the arm away from obstacles) < HOLD (monitored standstill, category 2) < CONTROLLED_STOP (the arm brakes, then
+the drive is switched off, category 1) < ESTOP (drive off at once, category 0) < LOCKOUT (only a restart ends it). The
+categories are those of IEC 60204-1 by name only; **nothing here is certified**.
 
-- A condition must last `after` before its check trips; gaps shorter than `release` do not interrupt it
+- A condition must be present for `after` before its check trips. Gaps shorter than `release` do not interrupt it
   (anti-chatter).
-- An ESTOP is latched. First its condition must go; then a *fresh* press of reset leads into HOLD; then `resume` leads
-  out. A reset that was held from before does nothing.
-- A CONTROLLED_STOP leaves the drive off until its condition is gone and the next contract begins. Where the loop itself
-  is late, it does not wait for the filter to brake: the drive goes off at once and brakes by itself.
-- Whatever ends a contract ends it with the outcome named here; only ESTOP and LOCKOUT need a person.
-- How conditions are sensed, with their thresholds: `safety/supervisor/state_monitor.py`, `safety/supervisor/timing.py`, `safety/supervisor/enforcement.py`."""
+- An ESTOP is latched. It clears in steps: the condition goes away, a *new* press of reset leads to HOLD, and `resume`
+  ends the HOLD. A reset button that has been held since before has no effect.
+- A CONTROLLED_STOP leaves the drive off until its condition is gone and the next contract begins. If the control loop
+  itself is late, the drive does not wait for the filter to brake: it is switched off at once and brakes by itself.
+- A check that ends a contract ends it with the outcome in the table. Only ESTOP and LOCKOUT need a person.
+- Thresholds are in `safety/supervisor/state_monitor.py`, `safety/supervisor/timing.py` and
+  `safety/supervisor/enforcement.py`."""
 
 
 def render_markdown() -> str:
-    """The whole page."""
-    head = ["| check | when | after | action | cause | contract | clears |", "|---|---|---|---|---|---|---|"]
+    """Markdown text of docs/supervisor.md."""
+    head = ["| check | condition | after | action | cause | contract | clears |", "|---|---|---|---|---|---|---|"]
     return "\n".join([HEADER, "", *head, *(_table_row(check) for check in (*CHECKS, RESET_HELD))]) + "\n"
 
 
@@ -470,7 +476,7 @@ def _table_row(check: Check) -> str:
         ON_TWO_STEP_RESET: "two-step reset",
         ON_RESTART: "restart",
     }
-    ending = check.contract_outcome.replace("_", " ") or "goes on"
+    ending = check.contract_outcome.replace("_", " ") or "continues"
     action = f"{check.action.name}, drive off at once" if check.immediate_drive_off else check.action.name
     return (
         f"| `{check.name}` | {check.description} | {after} | {action} | {check.cause.value} | {ending} | "

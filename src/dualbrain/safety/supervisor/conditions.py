@@ -1,4 +1,4 @@
-"""What can be wrong, one bit each: the flags that the supervisor is given every tick."""
+"""Conditions that the supervisor checks, one bit each. Every tick passes their flags to the supervisor."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import IntFlag, auto
 
 
 class Condition(IntFlag):
-    """One bit a condition, as sensed in this tick alone; how long it must last is the table's affair (`checks.py`)."""
+    """Conditions as detected in the current tick; the table in `checks.py` states how long each must last."""
 
     INFEASIBLE = auto()
     FILTER_STOPPED = auto()
@@ -54,5 +54,5 @@ class Condition(IntFlag):
 
 NO_CONDITIONS = Condition(0)
 BUTTONS = int(Condition.RESET | Condition.RESUME | Condition.CONTINUE)
-"""Not conditions but a hand: they count when they are pressed, not while they are held. Reset and resume are a
-person's; continue comes with a new contract and leads out of what needs no person."""
+"""Operator buttons. They count in the tick in which they are pressed, not while they are held. A person presses reset
+and resume; continue comes with a new contract and clears checks that need no person."""

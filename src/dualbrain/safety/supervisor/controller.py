@@ -1,6 +1,7 @@
-"""The spinal cord's tick: readings → conditions → order → scaled nominal → filter → check → the control to write.
+"""Safety controller: one control tick from sensor readings to the control that is written to the robot.
 
-Lockstep evaluation and the real-time gatekeeper run this same code; they differ in the clock that they hand in.
+Readings → conditions → decision → scaled nominal control → filter → consistency check → control. Lockstep evaluation
+and the real-time gatekeeper run the same code with different clocks.
 """
 
 from __future__ import annotations
@@ -26,14 +27,14 @@ from dualbrain.safety.supervisor.timing import SIMULATED, Timing
 Array = NDArray[np.float64]
 
 UNSCALED, STANDSTILL, BRAKING = 1.0, -1.0, -2.0
-"""What the supervisor did to a tick's control, as the trace holds it: a scale in [0, 1], or u = 0, or braking."""
+"""Actions of the supervisor on a control, as the trace stores them: a scale in [0, 1], or u = 0, or braking."""
 SILENT_BUS_CONDITIONS = int(Condition.STATE_STALE | Condition.STATE_LOST | Condition.TICK_LOST)
-"""What a bus that is silent looks like; some are while their drive is switched on."""
+"""Conditions that a silent robot link causes. Some links are silent while the drive is being switched on."""
 UNUSABLE_STATE_CONDITIONS = int(Condition.STATE_IMPLAUSIBLE | Condition.STATE_REPEATED)
 
 
 class SafetyController:
-    """Supervisor, watch, enforcement and filter of one robot. `stage` is the speed that a person has chosen, (0, 1]."""
+    """Supervisor, state monitor, enforcement and filter of one robot; `speed_stage` in (0, 1] is set by the operator."""
 
     def __init__(
         self,
@@ -43,7 +44,7 @@ class SafetyController:
         monitor_limits: MonitorLimits | None = None,
         standstill_limits: StandstillLimits | None = None,
     ) -> None:
-        """Nothing is wrong yet; the drive is on."""
+        """Start without conditions and with the drive on."""
         self.safety, self.speed_stage = safety, 1.0
         self.supervisor = Supervisor()
         self.monitor = StateMonitor(safety.robot_model, timing, monitor_limits)
@@ -60,52 +61,52 @@ class SafetyController:
 
     @property
     def decision(self) -> SupervisorDecision:
-        """What holds now."""
+        """The decision in force."""
         return self.supervisor.decision
 
     @property
     def contract_outcome(self) -> ContractOutcome:
-        """How a contract that runs now has to end; "" while it may go on."""
+        """Outcome with which a running contract must end; "" while it may continue."""
         return self.supervisor.contract_outcome
 
     @property
     def drive_wanted(self) -> bool:
-        """Whether the drive is wanted on."""
+        """Whether the drive should be on."""
         return self.enforcement.drive_wanted
 
     def accept_state(self, state: RobotState, now: float) -> bool:
-        """Take in a joint state; False if it must not be used (impossible, or the same again)."""
+        """Check a joint state read at `now` [s]; False if it must not be used (implausible or repeated)."""
         flags = self.monitor.check_state(state, now)
         self._pending |= flags
         return not flags & UNUSABLE_STATE_CONDITIONS
 
     def report(self, conditions: int) -> None:
-        """Something else was found to be wrong since the last order."""
+        """Add `Condition` bits that other components detected since the last decision."""
         self._pending |= conditions
 
     def decide(self, state: RobotState, now: float, external_conditions: int = 0) -> SupervisorDecision:
-        """The order for this tick, from everything flagged since the last one and what is `asked` for now."""
+        """Decision for this tick from all conditions since the last one and from `external_conditions` of this tick."""
         external_conditions |= self._tick_gap_conditions(now) | self._loop_delay_conditions(now, state.stamp)
         if self.speed_stage < 1.0:
             external_conditions |= Condition.SPEED_STAGE
         flags, self._pending = self._pending | external_conditions, 0
         if not self._drive_came_on and now - self._drive_request_time < self.monitor.timing.drive_on_silence:
             flags &= ~SILENT_BUS_CONDITIONS
-        was_driving = self.enforcement.drive_wanted
-        order = self.supervisor.update(now, flags)
-        self._pending = self.enforcement.apply(order, state)
-        if self.enforcement.drive_wanted and not was_driving:
+        drive_was_wanted = self.enforcement.drive_wanted
+        decision = self.supervisor.update(now, flags)
+        self._pending = self.enforcement.apply(decision, state)
+        if self.enforcement.drive_wanted and not drive_was_wanted:
             self.expect_drive_on(state, now)
         if self.enforcement.drive_wanted and self._drive_dropped(state):
             self._pending |= Condition.DRIVE_DROPPED
-        return order
+        return decision
 
     def expect_drive_on(self, state: RobotState, now: float) -> None:
-        """The drive was asked to come on from outside, at `now` [s]: it has `Timing.switching` to do so."""
+        """Record that the drive was requested on at `now` [s]; it must be on within `Timing.drive_on_timeout`."""
         self._drive_came_on, self._drive_request_stamp, self._drive_request_time = False, state.stamp, now
 
     def _drive_dropped(self, state: RobotState) -> bool:
-        """Whether a drive that is wanted went off, or does not come on in time: it answers a few periods later."""
+        """Whether a wanted drive went off, or is not on in time; a drive reacts a few periods after the request."""
         if state.drive_enabled:
             self._drive_came_on = True
             return False
@@ -114,9 +115,9 @@ class SafetyController:
         )
 
     def _tick_gap_conditions(self, now: float) -> int:
-        """Bits for the time since the last tick, by the layer's own clock."""
+        """Bits for the time since the last tick, by the clock of the control loop."""
         gap, self._last_tick = now - self._last_tick, now
-        if not gap > LATE_TICK_PERIODS * self._period:  # also the first tick, and what is no number
+        if not gap > LATE_TICK_PERIODS * self._period:  # true for the first tick and for NaN, too
             return 0
         return (
             Condition.TICK_LOST | Condition.TICK_OVERRUN
@@ -125,16 +126,20 @@ class SafetyController:
         )
 
     def _loop_delay_conditions(self, now: float, stamp: float) -> int:
-        """Bits for commands that stay in force too long, as the robot's stamps and the layer's clock both have it."""
+        """Bits for commands that stay in force too long by the robot's stamps and by the clock of the control loop."""
         moving = max(map(abs, self._u.tolist())) > self.enforcement.limits.rest_velocity
-        behind = self.loop_delay.update(now, stamp, moving=moving)
-        return Condition.LOOP_BEHIND if behind > self.monitor.timing.max_loop_delay else 0
+        delay = self.loop_delay.update(now, stamp, moving=moving)
+        return Condition.LOOP_BEHIND if delay > self.monitor.timing.max_loop_delay else 0
 
     def control(self, state: RobotState, u_nom: Array, now: float, *, guard: bool = True) -> FilterResult:
-        """The control to write under the order in force: scaled, filtered, checked once more (`touched` says how)."""
+        """The control to write under the decision in force: scaled, filtered and checked; sets `scale_applied`.
+
+        `u_nom` (n,) [rad/s] is the nominal control at `now` [s]. With `guard=False` the filter runs without effect, for
+        experiments without a filter.
+        """
         scale = self.enforcement.scale(self.decision, self.speed_stage)
-        asked = u_nom if scale == 1.0 else scale * u_nom
-        result = self.safety.filter(state, asked, now)
+        scaled = u_nom if scale == 1.0 else scale * u_nom
+        result = self.safety.filter(state, scaled, now)
         self._pending |= result_conditions(result)
         if not guard:
             result = result.unfiltered()
@@ -142,7 +147,7 @@ class SafetyController:
         if self.enforcement.at_standstill or not self.drive_wanted:
             self.scale_applied, u = STANDSTILL, np.zeros_like(result.u)
         elif bad := self.monitor.check_control(result.u) or (
-            0 if is_consistent(result, asked) else Condition.CONTROL_BAD
+            0 if is_consistent(result, scaled) else Condition.CONTROL_BAD
         ):
             self._pending |= bad
             self.scale_applied, u = BRAKING, self._braking_control()
@@ -157,7 +162,7 @@ class SafetyController:
         return result
 
     def _braking_control(self) -> Array:
-        """The last control slowed by one factor for all joints, as hard as every joint's acceleration allows."""
+        """The last control reduced by one factor for all joints, as fast as every acceleration limit allows."""
         speed = np.abs(self._u)
         moving = speed > 1e-9
         factor = 1.0 - float(np.min(self._braking_step[moving] / speed[moving])) if moving.any() else 0.0

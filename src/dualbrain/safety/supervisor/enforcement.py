@@ -1,10 +1,10 @@
-"""What an order makes of the control and of the drive: slow down, stand still and be watched, brake, switch off.
+"""Enforcement of decisions: scale the nominal control, monitor a standstill, and switch the drive off and on.
 
-    u_nom' = s u_nom      with s = 1 (NONE, WARN), the speed stage (SLOW), 0 (HOVER and above): then the filter
-    u      = 0            once a HOLD or CONTROLLED_STOP has come to rest; the joints are watched from there
+    u_nom' = s u_nom      with s = 1 (NONE, WARN), the speed stage (SLOW), 0 (HOVER and above), before the filter
+    u      = 0            once a HOLD or CONTROLLED_STOP has come to rest; the joints are monitored from then on
 
-The nominal control is scaled *before* the filter, so that nothing changes u after its certificate; the zero of a
-standstill is written only when the arm already rests.
+The nominal control is scaled *before* the filter, so that nothing changes u after its certificate. The zero control of
+a standstill is written only when the arm is already at rest.
 """
 
 from __future__ import annotations
@@ -23,11 +23,13 @@ C = Condition
 
 
 class StandstillLimits(msgspec.Struct, frozen=True, kw_only=True):
-    """When an arm counts as standing: `rest` [rad/s], `drift` allowed from there [rad].
+    """Limits of braking and standstill.
 
-    `stop` [s] is the longest that braking may take; `brakes` [s] what the brakes need to bring the arm to rest, `fall`
-    [rad] how far it may move beyond what it would coast in that time; `slow` is the scale of SLOW where no speed stage
-    is chosen.
+    - `rest_velocity` [rad/s]: below it the arm is at rest. `max_drift` [rad]: allowed motion in a standstill.
+    - `stop_timeout` [s]: longest duration of braking.
+    - `brake_time` [s]: time in which the brakes stop the arm. `max_brake_slip` [rad]: allowed motion beyond the distance
+      that the arm would coast in that time.
+    - `slow_scale`: scale of SLOW without a lower speed stage.
     """
 
     rest_velocity: float = 0.01
@@ -39,10 +41,10 @@ class StandstillLimits(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Enforcement:
-    """Keeps what an order needs from tick to tick: since when, where the arm stood, whether the drive is wanted."""
+    """State of a decision across ticks: when a stop began, where the arm stopped, and whether the drive is wanted."""
 
     def __init__(self, limits: StandstillLimits | None = None) -> None:
-        """The drive is wanted, no order is in force."""
+        """Start without an action and with the drive wanted."""
         self.limits = limits or StandstillLimits()
         self.drive_wanted = True
         self.standstill_q: Array | None = None
@@ -51,7 +53,7 @@ class Enforcement:
         self._drive_off_q = self._coast_limit = np.zeros(0)
 
     def scale(self, decision: SupervisorDecision, speed_stage: float) -> float:
-        """S in [0, 1]: what is left of the nominal control; `stage` is the speed that a person has chosen."""
+        """Scale in [0, 1] of the nominal control; `speed_stage` is the speed that the operator has chosen."""
         if decision.action >= SafetyAction.HOVER:
             return 0.0
         if decision.action < SafetyAction.SLOW:
@@ -60,14 +62,14 @@ class Enforcement:
 
     @property
     def at_standstill(self) -> bool:
-        """Whether u = 0 is to be written: the arm has come to rest under an order to stand."""
+        """Whether u = 0 must be written: the arm is at rest under a HOLD or a CONTROLLED_STOP."""
         return self.standstill_q is not None
 
     def apply(self, decision: SupervisorDecision, state: RobotState) -> int:
-        """Take in the order and the measured state; returns the `Condition` bits that a broken standstill sets.
+        """Apply a decision at the measured state; returns `Condition` bits of a violated stop or standstill.
 
-        Time here is the robot's own (its stamps), so that a broken clock cannot make a stop look overdue.
-        Sets `driving` and `standing`, which the local layer acts on.
+        Time is that of the robot's stamps, so that a faulty clock cannot make a stop appear overdue. Sets
+        `drive_wanted` and `standstill_q`.
         """
         flags = self._update_drive(decision, state)
         if decision.action < SafetyAction.HOLD or not self.drive_wanted:
@@ -87,15 +89,13 @@ class Enforcement:
         return flags
 
     def _update_drive(self, decision: SupervisorDecision, state: RobotState) -> int:
-        """Off at once for ESTOP or `Order.at_once`; on again below CONTROLLED_STOP; while off, the brakes must hold."""
+        """Switch the drive off or on as the decision requires; while it is off, check that the brakes hold."""
         if (decision.action >= SafetyAction.ESTOP or decision.immediate_drive_off) and self.drive_wanted:
             self._switch_drive(state, on=False)
         elif decision.action < SafetyAction.CONTROLLED_STOP and not self.drive_wanted:
             self._switch_drive(state, on=True)
-        if (
-            self.drive_wanted or self._drive_off_stamp is None or not state.stamp > self._drive_off_stamp
-        ):  # nothing is known since
-            return 0
+        if self.drive_wanted or self._drive_off_stamp is None or not state.stamp > self._drive_off_stamp:
+            return 0  # no state since the drive was switched off
         moved = displacement(self._drive_off_q, state)
         braked = state.stamp - self._drive_off_stamp > self.limits.brake_time
         fast = braked and not np.abs(state.v).max() <= 10.0 * self.limits.rest_velocity
@@ -107,6 +107,6 @@ class Enforcement:
 
 
 def displacement(q: Array, state: RobotState) -> Array:
-    """How far each control's part (n,) has come from `q` [m, rad]; of a base the way, in whatever direction."""
+    """Displacement (n,) of each control from `q` [m, rad]; for a base the distance in any direction."""
     moved = np.abs(state.q - q)
     return moved if len(q) == len(state.v) else np.array([np.hypot(moved[0], moved[1]), *moved[2:]])

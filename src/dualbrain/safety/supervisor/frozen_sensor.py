@@ -1,7 +1,7 @@
-"""Pictures that come again, equal to the bit: what measures cannot do that, and a camera that hangs does nothing else.
+"""Detection of frozen sensors: measurements that repeat bit for bit.
 
-What is seen with noise is never seen twice alike. A thing whose picture is told anew (a later stamp) with the very same
-numbers was copied, not seen; a few in a row are believed, as coarse numbers may repeat by chance.
+A noisy sensor never measures the same values twice. An object that is reported again with a later stamp and identical
+values was copied, not measured. A few repetitions are accepted, because coarse values may repeat by chance.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class SensorReading:
-    """One thing of a picture: its `name`, when it was seen [s], and the `numbers` that were measured.
+    """One object of an observation: its `name`, the `stamp` [s] at which it was measured, and the measured `values`.
 
-    What has no noise (`exact`: known, surveyed, computed) may be the same for ever.
+    Readings that are `noise_free` (known, surveyed or computed) may repeat indefinitely.
     """
 
     name: str
@@ -24,15 +24,15 @@ class SensorReading:
 
 
 class FrozenSensorDetector:
-    """Counts, for each thing, the pictures in a row that told it anew and alike."""
+    """Counts, for each object, consecutive observations with a later stamp and identical values."""
 
     def __init__(self) -> None:
-        """Nothing seen yet."""
+        """Start without observations."""
         self._last: dict[str, tuple[SensorReading, int]] = {}
 
     def update(self, readings: Iterable[SensorReading]) -> int:
-        """Take in the next picture; how often its most repeated thing has come again. An old stamp counts nothing."""
-        self._last = {one.name: (one, self._repeat_count(one)) for one in readings}
+        """Add an observation; returns the largest number of repetitions. Readings with an old stamp do not count."""
+        self._last = {reading.name: (reading, self._repeat_count(reading)) for reading in readings}
         return max((count for _, count in self._last.values()), default=0)
 
     def _repeat_count(self, reading: SensorReading) -> int:

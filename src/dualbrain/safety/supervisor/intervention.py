@@ -1,8 +1,8 @@
-"""The filter's answer after the supervisor: whether it is one, the control finally written, and δ with its third cause.
+"""Intervention δ after the supervisor: consistency of a filter result, and δ with the supervisor's part.
 
-    δ = ‖u − u_nom‖_W = δ_rows + δ_box + δ_supervisor      (paper 4.4, with u_nom as the skill meant it)
+    δ = ‖u − u_nom‖_W = δ_rows + δ_box + δ_supervisor      (paper 4.4, with the u_nom of the skill)
 
-δ_rows and δ_box are the filter's, against the nominal that it was given; what more the order took is the supervisor's.
+δ_rows and δ_box are those of the filter, relative to the scaled nominal control; the remainder is δ_supervisor.
 """
 
 from __future__ import annotations
@@ -18,29 +18,29 @@ from dualbrain.safety.cbf.result import FilterResult
 Array = NDArray[np.float64]
 
 MAX_DELTA = 2.0
-"""δ lies in [0, 2]."""
+"""Largest value of δ."""
 DELTA_TOLERANCE = 1e-3
-"""How far δ as told and as measured may lie apart: far above the kernel's rounding, 0.1 % of full speed."""
+"""Accepted difference between the reported and the recomputed δ: 0.1 % of full speed, far above float32 rounding."""
 
 
 def compute_delta(result: FilterResult, u: Array, u_nom: Array) -> float:
-    """δ of `u` against `u_nom`, each (n,) [rad/s], as in the kernel."""
+    """δ of `u` relative to `u_nom`, each (n,) [rad/s], by the formula of the kernel."""
     gaps = [(a - b) / most for a, b, most in zip(u.tolist(), u_nom.tolist(), result.names.v_max, strict=True)]
     return min(sqrt(sum(gap * gap for gap in gaps) / len(gaps)), MAX_DELTA)
 
 
 def is_consistent(result: FilterResult, u_nom: Array) -> bool:
-    """Whether the control in `result` is the one that its δ speaks of, for the nominal (n,) [rad/s] that was asked for.
+    """Whether the δ of `result` is the δ of its control relative to `u_nom` (n,) [rad/s], the filter's input.
 
-    An answer to an earlier question (a filter that hangs and repeats itself) is found out as soon as it matters: when
-    nominal or control should have changed. A nominal that is not finite has no δ; the filter refuses it by itself.
+    This detects a filter that hangs and repeats an old result, as soon as the nominal control or the control should
+    have changed. A nominal control that is not finite has no δ; the filter rejects it itself.
     """
-    told = compute_delta(result, result.u, u_nom)
-    return not isfinite(told) or abs(told - result.delta) <= DELTA_TOLERANCE
+    expected = compute_delta(result, result.u, u_nom)
+    return not isfinite(expected) or abs(expected - result.delta) <= DELTA_TOLERANCE
 
 
 def with_supervisor_control(result: FilterResult, u_nom: Array, u: Array) -> FilterResult:
-    """`result` with the control `u` that is written, and δ against the skill's own `u_nom`, each (n,) [rad/s]."""
+    """`result` with the control `u` that is written, and δ relative to the skill's `u_nom`, each (n,) [rad/s]."""
     total = compute_delta(result, u, u_nom)
     share = min(1.0, total / result.delta) if result.delta > 0.0 else 0.0
     rows, box = share * result.delta_rows, share * result.delta_box

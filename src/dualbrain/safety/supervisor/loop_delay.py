@@ -1,13 +1,14 @@
-"""How far the control loop is behind the robot: commands that stay in force longer than the filter counts on.
+"""Accumulated delay of the control loop: the time for which commands stay in force longer than one period.
 
-A control is safe for the period that it is meant for. In a gap g between two ticks it stays in force for g: the arm
-goes on, by at most v (g − dt), and a loop that is always late brakes only by one period's worth a gap. What was late is
-summed up, and forgotten with the time constant T:
+A control is certified for one period. In a gap g between two ticks it stays in force for g, so that the arm moves on by
+at most v (g − dt), and a loop that is always late brakes by only one period's worth per gap. The delay b sums up the
+excess and decays with the time constant T:
 
-    b ← b exp(−g/T) + (g − dt)      for g > 2.5 dt and a command that was not zero, else b exp(−g/T)
+    b ← b exp(−g/T) + (g − dt)      for g > 2.5 dt and a non-zero command, else b exp(−g/T)
 
-While b has not reached its bound, a joint comes nearer to its limit by at most v b ≤ α h b (the barrier lets it go at
-α h at the distance h): with b well below 1/α it stops short of the limit. Beyond the bound the drive brakes by itself.
+While b is below its bound, a joint approaches its limit by at most v b ≤ α h b, because the barrier allows the speed
+α h at the distance h. With b well below 1/α the joint stops before the limit. Beyond the bound the drive is switched
+off and brakes by itself.
 """
 
 from __future__ import annotations
@@ -15,29 +16,29 @@ from __future__ import annotations
 from math import exp, isfinite, nan
 
 LATE_TICK_PERIODS = 2.5
-"""Periods between two ticks beyond which one was late."""
+"""A gap between two ticks is late if it exceeds this number of periods."""
 DECAY_TIME = 0.2
-"""Time constant T in which lateness is forgotten [s]."""
+"""Time constant T of the decay [s]."""
 MAX_DELAY = 0.1
-"""No more than this is held against a loop [s], so that one long stall is forgotten soon."""
+"""Upper limit of the delay [s], so that the effect of one long stall soon decays."""
 
 
 class LoopDelay:
-    """`update(now, stamp)` once a tick. A gap counts only as far as both clocks tell it, as each may be broken alone.
+    """Delay b of a control loop. A gap counts only as far as both clocks show it, because either may be faulty.
 
-    While the robot itself is silent its stamps stand still, and the loop is not to blame.
+    While the robot sends no states its stamps do not advance, and no delay is added.
     """
 
     def __init__(self, period: float) -> None:
-        """Nothing was late; `period` dt [s]."""
+        """Start without delay; `period` is dt [s]."""
         self._period = period
         self._now, self._stamp = nan, nan
         self.delay = 0.0
 
     def update(self, now: float, stamp: float, *, moving: bool) -> float:
-        """Sum b [s] after a tick at `now` [s] of the layer's clock and `stamp` [s] of the robot's.
+        """Delay b [s] after a tick at `now` [s] by the clock of the loop and `stamp` [s] by that of the robot.
 
-        `moving`: the command that was in force until now was not zero.
+        `moving`: the command in force until now was not zero.
         """
         gaps = (now - self._now, stamp - self._stamp)
         self._now, self._stamp = now, stamp

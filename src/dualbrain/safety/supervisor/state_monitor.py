@@ -1,11 +1,11 @@
-"""What the senses say of themselves: joint states that are late, twice, impossible, or do not follow the commands.
+"""Plausibility checks of joint states: late, repeated, implausible, or inconsistent with the commands.
 
-Two leaky integrals per joint (gaps between sources of the same motion; leak time T):
+Two leaky integrals per joint compare sources of the same motion (leak time T):
 
     e_s ← e_s (1 − dt/T) + (Δq − v̄ dt)         measured positions against measured velocities
-    e_c ← e_c (1 − dt/T) + (Δq − û dt)          measured positions against the commands, û ← û + (u − û) dt/lag
+    e_c ← e_c (1 − dt/T) + (Δq − û dt)          measured positions against commands, û ← û + (u − û) dt/lag
 
-A stuck, wrong or slow source makes one of them grow; noise and a lag that is known do not.
+A stuck, wrong or slow source makes one of them grow; noise and a modelled lag do not.
 """
 
 from __future__ import annotations
@@ -27,15 +27,19 @@ Array = NDArray[np.float64]
 
 C = Condition
 RANGE_TOLERANCE = 0.05
-"""A joint this far outside its range [rad] is a fault of the sensor or of the arm."""
+"""A joint that is farther outside its range [rad] indicates a fault of the sensor or of the arm."""
 
 
 class MonitorLimits(msgspec.Struct, frozen=True, kw_only=True):
-    """How far sources may part: `agree`, `follow` (stop) and `lost` (drive off) [rad]; `leak` T [s]; `speed` a share.
+    """Limits of the plausibility checks.
 
-    `jump` [rad] is what a position may change beyond the speed limit between two states. `scene_old` and `scene_stale`
-    [s] are ages of a scene with moving things; `scene_ahead` [s]: how far its stamp may lie in the future. So many
-    pictures in a row as `scene_frozen` that show a thing equal to the bit, though with noise, come from no camera.
+    - `max_source_gap`, `max_tracking_gap` (stop) and `tracking_lost_gap` (drive off) [rad]: limits of the integrals.
+      `leak_time` T [s].
+    - `overspeed_factor`: multiple of the velocity limit. `max_position_jump` [rad]: change of a position between two
+      states beyond the one that the velocity limit allows.
+    - `scene_old_after`, `scene_stale_after` [s]: ages of a scene with moving objects. `max_scene_lead` [s]: how far the
+      stamp of a scene may be in the future.
+    - `max_identical_scenes`: consecutive observations that may repeat a noisy object bit for bit.
     """
 
     max_source_gap: float = 0.01
@@ -51,16 +55,16 @@ class MonitorLimits(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class StateMonitor:
-    """Turns one tick's readings into `Condition` bits. Call `sensed` for each state, `commanded` for each control."""
+    """Turns sensor readings into `Condition` bits: `check_state` for each joint state, `check_control` for each control."""
 
     def __init__(
         self, robot_model: RobotModel, timing: Timing = SIMULATED, limits: MonitorLimits | None = None
     ) -> None:
-        """Nothing has been seen yet."""
+        """Start without readings."""
         self.timing, self.limits = timing, limits or MonitorLimits()
         joints = robot_model.joints
         self._ranged_joints = slice(3 if robot_model.is_mobile else 0, None)
-        """Where the joints with a range lie in q; a base may be anywhere."""
+        """Slice of q with the joints that have a range; the pose of a base has none."""
         ranged = joints[2:] if robot_model.is_mobile else joints
         self._ranges = [(joint.lower.value - RANGE_TOLERANCE, joint.upper.value + RANGE_TOLERANCE) for joint in ranged]
         self._overspeed_limits = [self.limits.overspeed_factor * joint.velocity.value for joint in joints]
@@ -73,7 +77,7 @@ class StateMonitor:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the gaps: the drive was off, or a person moved the arm."""
+        """Clear the integrals, because the drive was off or a person moved the arm."""
         self._expected_velocity, self._source_gap, self._tracking_gap = ([0.0] * self._n for _ in range(3))
 
     # --- joint states -------------------------------------------------------------------------------------------
@@ -91,14 +95,14 @@ class StateMonitor:
         return flags | self._age_conditions(now)
 
     def _age_conditions(self, now: float) -> int:
-        """By the last state that could be: a stream of rubbish is no better than silence."""
+        """Bits for the age of the last plausible state; implausible states do not count as received."""
         age = now - self._last_plausible.stamp if self._last_plausible else 0.0
         if age > self.timing.state_lost_after:
             return C.STATE_STALE | C.STATE_LOST
         return C.STATE_STALE if age > self.timing.state_stale_after else 0
 
     def _plausibility_conditions(self, state: RobotState) -> int:
-        """Finite, in range, no jump; then it is compared with velocities and commands."""
+        """Bits for values that are not finite, out of range or jump; plausible states are compared with other sources."""
         q, v = state.q.tolist(), state.v.tolist()
         finite = all(map(isfinite, (*q, *v, state.opening, state.stamp)))
         if not finite or not all_in_range(q[self._ranged_joints], self._ranges):
@@ -109,7 +113,7 @@ class StateMonitor:
         dt = state.stamp - last.stamp
         if not 0.0 < dt < inf:
             return C.STATE_IMPLAUSIBLE if q != last.q.tolist() else 0
-        if dt > self.timing.state_lost_after:  # nothing can be compared across such a gap
+        if dt > self.timing.state_lost_after:  # states before and after such a gap cannot be compared
             self.reset()
             return 0
         moved = (control_displacement(last.q, state.q) if len(q) > self._n else state.q - last.q).tolist()
@@ -139,28 +143,28 @@ class StateMonitor:
 
     def check_control(self, u: Array) -> int:
         """Bits for the control (n,) [rad/s] that is about to be written; independent of the filter's own checker."""
-        wanted = u.tolist()
-        if not all_within(wanted, self._control_limits):  # nor is a NaN
+        values = u.tolist()
+        if not all_within(values, self._control_limits):  # also rejects NaN
             return C.CONTROL_BAD
-        self._u = wanted
+        self._u = values
         return 0
 
     @property
     def largest_gaps(self) -> tuple[float, float]:
-        """The largest gap [rad] of each kind now: between sources, and to the commands."""
+        """The current largest integral [rad]: between measured sources, and against the commands."""
         return max_abs(self._source_gap), max_abs(self._tracking_gap)
 
 
 def all_in_range(values: list[float], ranges: list[tuple[float, float]]) -> bool:
-    """Whether every value lies in its range."""
-    for value, (least, most) in zip(values, ranges, strict=True):  # noqa: SIM110  (every tick; half the time)
+    """Whether every value is in its range; NaN is not."""
+    for value, (least, most) in zip(values, ranges, strict=True):  # noqa: SIM110  (runs in every tick; twice as fast as all())
         if not least <= value <= most:
             return False
     return True
 
 
 def all_within(values: list[float], limits: list[float]) -> bool:
-    """Whether no value is larger in size than its limit; a NaN is."""
+    """Whether no absolute value exceeds its limit; NaN does."""
     for value, limit in zip(values, limits, strict=True):  # noqa: SIM110
         if not abs(value) <= limit:
             return False
@@ -168,7 +172,7 @@ def all_within(values: list[float], limits: list[float]) -> bool:
 
 
 def max_abs(values: list[float]) -> float:
-    """The largest size."""
+    """The largest absolute value."""
     return max(map(abs, values))
 
 
@@ -176,7 +180,7 @@ STALE_SCENE = int(Reason.STALE_SCENE)
 
 
 def result_conditions(result: FilterResult) -> int:
-    """Bits for the filter's answer; an old scene is the scene's condition, not the filter's."""
+    """Bits for a filter result; a stale scene is a condition of the scene, not of the filter."""
     if result.status < FilterStatus.RELAXED:
         return 0
     if result.status is FilterStatus.RELAXED:

@@ -1,9 +1,8 @@
-"""The supervisor: the conditions of a tick become one order (design 4). No clock, no input, no output of its own.
+"""Supervisor: maps the conditions of a tick to one decision (design 4), without clock, input or output of its own.
 
-    order(t) = max over severity of { check : its condition held for `after`, and has not cleared since }
+    decision(t) = strongest check whose condition lasted for `after` and that has not cleared since
 
-What it remembers is per check: since when its condition holds, since when it is gone, and whether the check has
-tripped.
+The state per check: since when its condition is present, since when it is gone, and whether the check has tripped.
 """
 
 from __future__ import annotations
@@ -16,16 +15,16 @@ from dualbrain.safety.supervisor.checks import CHECKS, RESET_HELD, Check, ClearP
 from dualbrain.safety.supervisor.conditions import BUTTONS, Condition
 
 MAX_STEP = 0.1
-"""Time that one update may count for at most [s]: a clock that leaps clears nothing and lets nothing elapse."""
+"""Largest time step of one update [s], so that a clock jump neither trips nor clears a check."""
 RESET, RESUME, CONTINUE = int(Condition.RESET), int(Condition.RESUME), int(Condition.CONTINUE)
 HOLD_AFTER_RESET = SupervisorDecision(RESET_HELD.action, RESET_HELD.cause, RESET_HELD.name)
 
 
 @dataclass(slots=True, kw_only=True)
 class _CheckState:
-    """Of one check: since when its condition holds and since when it is gone [s, own time], and whether it tripped.
+    """State of one check: since when its condition is present or gone [s, internal time], and whether it has tripped.
 
-    A gap that is shorter than the check's release does not end what began.
+    A gap in the condition that is shorter than `Check.release` does not reset `active_since`.
     """
 
     bit: int
@@ -37,10 +36,10 @@ class _CheckState:
 
 
 class Supervisor:
-    """`update(now, flags)` once a tick. The same calls give the same orders: it knows nothing else."""
+    """State machine with one `update(now, flags)` per tick; equal calls give equal decisions."""
 
     def __init__(self, checks: tuple[Check, ...] = CHECKS) -> None:
-        """Nothing has happened yet. `checks` rise in severity, as in the table."""
+        """Start without tripped checks; `checks` are in the order of severity."""
         self._states = tuple(
             _CheckState(
                 bit=int(check.condition),
@@ -62,17 +61,17 @@ class Supervisor:
 
     @property
     def contract_outcome(self) -> ContractOutcome:
-        """The outcome of a contract that runs now, by the strongest check that ends contracts; "" while it goes on."""
+        """Outcome of the running contract by the strongest check that ends contracts; "" while it continues."""
         return self._contract_outcome
 
     @property
     def tripped_checks(self) -> tuple[str, ...]:
-        """The names of all checks that have tripped, weakest first."""
+        """Names of all tripped checks, weakest first."""
         names = tuple(row.check.name for row in self._states if row.tripped)
         return (*names, RESET_HELD.name) if self._reset_held else names
 
     def update(self, now: float, flags: int) -> SupervisorDecision:
-        """The order for this tick; `now` [s] need not be monotonic or finite, `flags` are `Condition` bits."""
+        """The decision for this tick; `now` [s] need not be monotonic or finite, `flags` are `Condition` bits."""
         self._advance_time(now)
         flags = int(flags)
         pressed, self._pressed = flags & ~self._pressed & BUTTONS, flags & BUTTONS
@@ -85,7 +84,7 @@ class Supervisor:
         return self._decide()
 
     def _advance_time(self, now: float) -> None:
-        """Own time goes on by what `now` says, at most `LONGEST_STEP`; never backward."""
+        """Advance the internal time to `now`, by at most `MAX_STEP` and never backward."""
         step = 0.0 if self._now is None else now - self._now
         self._t += min(step, MAX_STEP) if step > 0.0 else 0.0
         self._now = now if isfinite(now) else self._now
@@ -102,7 +101,7 @@ class Supervisor:
             check_state.tripped &= check.clears is not ClearPolicy.WHEN_GONE
 
     def _apply_buttons(self, pressed: int, flags: int) -> None:
-        """Buttons count in the tick in which they are pressed; what is still wrong stays tripped."""
+        """Apply buttons in the tick in which they are pressed; checks with a present condition stay tripped."""
         latched = [row for row in self._states if row.tripped and row.check.clears is ClearPolicy.ON_TWO_STEP_RESET]
         if pressed & RESET and latched and not any(flags & row.bit for row in latched):
             for row in latched:
@@ -115,13 +114,13 @@ class Supervisor:
                 row.tripped &= row.check.clears is not ClearPolicy.ON_CONTINUE or row.active_since < inf
 
     def _decide(self) -> SupervisorDecision:
-        order, ending, quiet = NO_ACTION, "", True
+        decision, outcome, quiet = NO_ACTION, "", True
         for row in self._states:
             quiet = quiet and row.active_since == inf and not row.tripped
             if row.tripped:
-                order = row.decision
-                ending = row.check.contract_outcome or ending
-        if self._reset_held and order.action < SafetyAction.HOLD:
-            order = HOLD_AFTER_RESET
-        self._idle, self._contract_outcome, self.decision = quiet, ending, order
-        return order
+                decision = row.decision
+                outcome = row.check.contract_outcome or outcome
+        if self._reset_held and decision.action < SafetyAction.HOLD:
+            decision = HOLD_AFTER_RESET
+        self._idle, self._contract_outcome, self.decision = quiet, outcome, decision
+        return decision

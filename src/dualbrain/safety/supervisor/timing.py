@@ -1,4 +1,4 @@
-"""How punctual a driver is: the thresholds behind the checks of timing, one set a driver."""
+"""Timing limits of robot drivers: the thresholds of the timing checks, one set per driver."""
 
 from __future__ import annotations
 
@@ -6,14 +6,17 @@ import msgspec
 
 
 class Timing(msgspec.Struct, frozen=True, kw_only=True):
-    """Times [s] of one driver's bus.
+    """Timing limits of one driver, in s.
 
-    `period` of its states; `overrun`: a tick that takes longer is late; `late`: a command that leaves later after its
-    state; `lost`: a gap between two ticks after which the loop stood still. A joint state older than `stale` cannot be
-    filtered, older than `blind` not even braked on. `overruns` is the share of late ticks within the last second that
-    is too many. A loop that is `behind` (`lateness.py`) drives on old commands. `clock` is how far two clocks may part
-    within one tick. A drive that is switched on is on within `switching`, by the robot's own stamps; until then the bus
-    may be silent for `quiet` and nothing is held against it.
+    - `period` of joint states. `max_tick_time`: a longer tick overruns. `command_deadline`: latest time of a command
+      after its state. `tick_lost_after`: a longer gap between two ticks is a stall of the loop.
+    - `state_stale_after`: age above which the filter rejects a joint state. `state_lost_after`: age above which not
+      even braking is possible.
+    - `max_overrun_fraction`: accepted fraction of late ticks within the last second.
+    - `max_loop_delay`: largest accumulated delay, see `loop_delay`.
+    - `max_clock_skew`: accepted difference between two clocks within one tick.
+    - `drive_on_timeout`: time after which a requested drive must be on, by the robot's stamps. `drive_on_silence`: time
+      for which the robot may send no states after the request.
     """
 
     period: float = 0.001
@@ -30,11 +33,11 @@ class Timing(msgspec.Struct, frozen=True, kw_only=True):
 
 
 SIMULATED = Timing()
-"""The MuJoCo plant at 1 kHz, on a desktop without real-time guarantees: gaps that the drive bridges are borne."""
+"""MuJoCo plant at 1 kHz on a desktop without real-time guarantees; gaps that the drive bridges are accepted."""
 
 
 def simulated_timing(period: float) -> Timing:
-    """The plant of a body whose states come every `period` [s]."""
+    """Limits of a simulated robot whose states come every `period` [s]."""
     return msgspec.structs.replace(SIMULATED, period=period, max_tick_time=period, command_deadline=0.8 * period)
 
 
@@ -48,8 +51,8 @@ FRANKA = Timing(
     max_loop_delay=0.01,
     drive_on_silence=0.5,
 )
-"""1 kHz; a command belongs within 300 µs of its state; 20 packets missed in a row make the arm stop by itself
-(libfranka: `communication_constraints_violation`). While a motion is begun, no states come."""
+"""1 kHz. A command must follow its state within 300 µs. After 20 missed packets in a row the arm stops by itself
+(libfranka: `communication_constraints_violation`). The robot sends no states while a motion starts."""
 UR = Timing(
     period=0.002,
     max_tick_time=0.002,
@@ -60,4 +63,4 @@ UR = Timing(
     max_loop_delay=0.02,
     drive_on_timeout=3.0,
 )
-"""500 Hz; the controller's own watchdog is set to 100 ms by our driver. Loading its script takes about a second."""
+"""500 Hz. The driver sets the watchdog of the controller to 100 ms. Loading the script takes about one second."""
