@@ -1,1 +1,1 @@
-"""Connections of the filter to other software: gymnasium, scene sources, shadow mode, site rules."""
+"""Integrations of the safety filter: site files, derating, shadow mode, fused scenes, and Gymnasium environments."""

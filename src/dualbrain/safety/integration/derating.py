@@ -1,4 +1,4 @@
-"""A body as one controller drives it: with its control period, and no faster than it may."""
+"""Derating of a robot model to the control period and the velocity limits of a controller."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from dualbrain.errors import ConfigurationError
 from dualbrain.robots.model import Bound, Joint, RobotModel
 
 MAX_PERIOD = 0.01
-"""[s] Beyond it the acceleration box is so wide that more pairs could bind in one step than the kernel has room for."""
+"""Largest control period [s]. Beyond it more rows may bind in one step than the kernel has room for."""
 
 
 def derate(
     robot_model: RobotModel, *, period: float | None = None, max_speed: float | Sequence[float] | None = None
 ) -> RobotModel:
-    """`body` under a controller with a `period` [s] and joint velocities up to `speed` [rad/s], one or one a joint.
+    """`robot_model` with a control `period` [s] and velocity limits `max_speed` [rad/s], one or one per joint.
 
-    The filter must be called once in each period, and its answer must reach the joints unclipped: a limit that the
-    drive has and the filter does not know of breaks its promise. Up to 4 ms there is room for every row of an arm at
-    full speed; beyond, it may be stopped now and then (`Reason.ROW_OVERFLOW`).
+    The filter must be called once per period, and its result must reach the joints without clipping: the guarantee of
+    the filter does not hold under a limit of the drive that the filter does not know. Up to 4 ms the kernel has room
+    for all rows of an arm at full speed; with longer periods it may stop the arm (`Reason.ROW_OVERFLOW`).
 
     Raises:
-        InvalidSetup: the period is not within (0, 0.01], or a speed not above 0 and within the body's own limit.
+        ConfigurationError: the period is not in (0, 0.01], or a speed is not above 0 or exceeds the limit of the joint.
     """
     changed = robot_model
     if period is not None:
@@ -32,7 +32,7 @@ def derate(
                 "control period [s]",
                 got=period,
                 allowed=f"above 0, at most {MAX_PERIOD}",
-                fix="A slower policy may hold its wish; the filter must run faster.",
+                fix="Repeat the action of a slower policy, and run the filter at a shorter period.",
             )
         changed = msgspec.structs.replace(changed, period=period)
     if max_speed is not None:
@@ -50,5 +50,5 @@ def _derate_joint(joint: Joint, speed: float) -> Joint:
     if not 0.0 < speed <= joint.velocity.value * (1.0 + 1e-6):
         allowed = f"above 0, at most {joint.velocity.value:g}"
         raise ConfigurationError(f"velocity limit of {joint.name} [rad/s]", got=speed, allowed=allowed)
-    bound = Bound(speed, joint.velocity.unit, "controller's own limit")
+    bound = Bound(speed, joint.velocity.unit, "limit of the controller")
     return msgspec.structs.replace(joint, velocity=bound)

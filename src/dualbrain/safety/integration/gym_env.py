@@ -1,7 +1,7 @@
-"""A gymnasium environment whose every action passes the safety filter; its policy may be anything.
+"""Gymnasium environment in which every action of a policy passes the safety filter.
 
-Needs the extra `gym`. Vectorised environments need one filter each: build it in the function that builds the
-environment.
+Requires the extra `gym`. Vectorised environments need one filter each: build the filter in the function that builds
+the environment.
 """
 
 from __future__ import annotations
@@ -31,35 +31,35 @@ JointState = tuple[Array, Array]
 
 
 class TorqueDrive(Protocol):
-    """What a torque-driven environment must know of its own dynamics; all arrays (n,), SI."""
+    """Dynamics that a torque-driven environment must provide; all arrays are (n,) in SI units."""
 
     def acceleration(self, q: Array, v: Array, torque: Array) -> Array:
         """Joint accelerations that `torque` causes at angles q and velocities v (forward dynamics)."""
         ...
 
     def track(self, q: Array, v: Array, u: Array) -> Array:
-        """The torque that brings the joints from v to u within one step: computed torque, or a PD law."""
+        """Torque that brings the joints from velocity v to u within one step, by computed torque or a PD law."""
         ...
 
 
 class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Every action becomes the closest safe one before the environment sees it.
+    """Environment wrapper that replaces every action by the closest safe one.
 
-    Velocity policies: the wish u_nom is read from the action, the answer u is written back into it. Promise: as for
-    `SafetyFilter`, if one step of the environment is one period of the body and the joints follow u unclipped.
+    Velocity policies: the nominal control u_nom is decoded from the action, and the safe control u is encoded into it.
+    The guarantee is that of `SafetyFilter`, if one step of the environment is one period of the robot model and the
+    joints follow u without clipping.
 
-    Torque policies (`torque` given): the wish is the velocity that the torque would bring about, u_nom = v + dt M⁻¹(τ −
-    c − g). If the filter leaves it alone, the torque passes untouched; else the environment's own law tracks u. The
-    promise then holds for u, and for the arm only as far as it follows: `info["tracking_error"]` [rad/s], the largest
-    |v − u| of a joint one step later, must stay below the filter's `tracking_error`. Saturated torques, contact and
-    wrong dynamics break that; nothing is said about forces. With exact tracking there is no lag: turn off
-    `lag_compensation`.
+    Torque policies (`torque` given): the nominal control is the velocity that the torque would cause, u_nom = v + dt
+    M⁻¹(τ − c − g). If the filter does not change u_nom, the torque is applied unchanged; otherwise `TorqueDrive.track`
+    tracks u. The guarantee then holds for u, and for the arm only if `info["tracking_error"]` [rad/s], the largest
+    |v − u| of a joint one step later, stays below the filter's `tracking_error`. Saturated torques, contacts and wrong
+    dynamics violate that; forces are not covered. With exact tracking there is no lag: turn off `lag_compensation`.
 
-    `info` of each step tells `cost` (delta) and its part `cost_rows` (the rest: the action jumped more than the joints
-    can), `h_min` [m] before the action, `status` (its name), `safety` (a sentence) and `applied`, the action that the
-    environment got; of an action that is held: the mean costs, the least h, the worst status and what was said of the
-    largest change. With a `Shadow` in place of the filter the action passes untouched, and `info` tells what would have
-    been.
+    `info` of each step contains `cost` (delta) and its part `cost_rows` (the rest is due to jumps of the action beyond
+    joint limits), `h_min` [m] before the action, `status` (a name), `safety` (a sentence) and `applied`, the action
+    that the environment received. For a repeated action these are the mean costs, the least h, the highest status and
+    the sentence of the largest change. With a `ShadowFilter` the action is not changed, and `info` reports the
+    hypothetical result.
     """
 
     def __init__(
@@ -75,18 +75,20 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         torque: TorqueDrive | None = None,
         action_repeat: int = 1,
     ) -> None:
-        """Filter `env` with `safety`, or only watch it with a `Shadow`.
+        """Filter `env` with `safety`, or only observe it with a `ShadowFilter`.
 
-        `state(observation)` gives joint angles and velocities; by default its entries "q" and "v", or the first n and
-        the next n numbers. `wish(action)` gives joint velocities [rad/s] (torques [Nm]), by default its first n
-        numbers; `act(wish, action)` writes them back into a copy of the action. `scene(observation, now)` gives the
-        obstacles of this step; without it those that `safety.observe` was told of stay. `opening(observation)` is how
-        far each finger is open [m]. A slow policy's action is carried out `hold` times in one step, filtered anew each
-        time, rewards added up: 20 ms of a policy are 4 steps of an environment of 5 ms.
+        - `state(observation)`: joint angles and velocities; by default the entries "q" and "v", or the first n and the
+          next n numbers.
+        - `decode_action(action)`: joint velocities [rad/s] or torques [Nm]; by default the first n numbers.
+          `encode_action(control, action)` writes them into a copy of the action.
+        - `scene(observation, now)`: the obstacles of this step; by default those of the last `safety.observe`.
+        - `opening(observation)`: opening of each finger [m].
+        - `action_repeat`: number of environment steps per action. Each step is filtered again and rewards are summed:
+          20 ms of a policy are 4 steps of an environment of 5 ms.
 
         Raises:
-            InvalidSetup: the environment's `dt` is not the body's period, or its action space is narrower than the
-                body's velocity limits.
+            ConfigurationError: the `dt` of the environment is not the period of the robot model, or the action space
+                is narrower than its velocity limits.
         """
         super().__init__(env)
         self.shadow = safety if isinstance(safety, ShadowFilter) else None
@@ -105,7 +107,7 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
             self._check_actions(env.action_space)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Reset the environment and the filter: it starts from the joint velocity of the first observation."""
+        """Reset the environment, and the filter to the joint velocity of the first observation."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._now = 0.0
         self._read_observation(observation)
@@ -115,22 +117,22 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         return observation, info
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Filter `action`, carry it out, `hold` times anew, and tell in `info` what was done."""
-        answers: list[FilterResult] = []
+        """Filter and execute `action`, `action_repeat` times; `info` reports the changes."""
+        results: list[FilterResult] = []
         total, errors = 0.0, [0.0]
         while True:
-            answer = self._filter_action(action)
-            untouched = self.shadow or answer.status is FilterStatus.SAFE
-            applied = action if untouched else self._encode_action(self._tracking_command(answer), action)
+            result = self._filter_action(action)
+            unchanged = self.shadow or result.status is FilterStatus.SAFE
+            applied = action if unchanged else self._encode_action(self._tracking_command(result), action)
             observation, reward, terminated, truncated, info = self.env.step(applied)
             self._now += self._period
             self._read_observation(observation)
-            answers.append(answer)
+            results.append(result)
             total += float(reward)
-            errors.append(float(np.abs(self._joint_state[1] - answer.u).max()))
-            if terminated or truncated or len(answers) == self._action_repeat:
+            errors.append(float(np.abs(self._joint_state[1] - result.u).max()))
+            if terminated or truncated or len(results) == self._action_repeat:
                 break
-        info = {**info, **_step_info(answers), "applied": applied}
+        info = {**info, **_step_info(results), "applied": applied}
         if self._torque and not self.shadow:
             info["tracking_error"] = max(errors)
         return observation, total, terminated, truncated, info
@@ -138,28 +140,28 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
     # --- the filter ---------------------------------------------------------------------------------------------
 
     def _filter_action(self, action: Any) -> FilterResult:
-        """A torque-driven arm has no velocity command: what it was made to do is the velocity it has."""
+        """Filter one action. A torque-driven arm has no velocity command, so its velocity is the last control."""
         if self._scene:
             self.safety.observe(self._scene(self._observation, self._now), self._now)
         (q, v), u_prev = self._joint_state, None
-        wish = np.asarray(self._decode_action(action), float)
+        u_nom = np.asarray(self._decode_action(action), float)
         if self._torque:
-            u_prev, wish = v, v + self._period * self._torque.acceleration(q, v, wish)
+            u_prev, u_nom = v, v + self._period * self._torque.acceleration(q, v, u_nom)
         opening = self._opening(self._observation)
         if self.shadow:
-            return self.shadow.evaluate(q, v, wish, self._now, u_prev=u_prev, opening=opening)
+            return self.shadow.evaluate(q, v, u_nom, self._now, u_prev=u_prev, opening=opening)
         if u_prev is not None:
             self.safety.reset(u_prev)
-        return self.safety(q, v, wish, self._now, opening=opening)
+        return self.safety(q, v, u_nom, self._now, opening=opening)
 
-    def _tracking_command(self, answer: FilterResult) -> Array:
-        return self._torque.track(*self._joint_state, answer.u) if self._torque else answer.u
+    def _tracking_command(self, result: FilterResult) -> Array:
+        return self._torque.track(*self._joint_state, result.u) if self._torque else result.u
 
     def _read_observation(self, observation: Any) -> None:
         q, v = self._state(observation)
         self._observation, self._joint_state = observation, (np.array(q, float), np.array(v, float))
 
-    # --- where things lie by default ----------------------------------------------------------------------------
+    # --- default layout of observations and actions -------------------------------------------------------------
 
     def _default_state(self, observation: Any) -> JointState:
         if isinstance(self.env.observation_space, gymnasium.spaces.Dict):
@@ -174,7 +176,7 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         replaced[: self._n] = velocity
         return replaced
 
-    # --- what would break the promise ---------------------------------------------------------------------------
+    # --- conditions of the guarantee ----------------------------------------------------------------------------
 
     def _check_period(self) -> None:
         step = getattr(self.env.unwrapped, "dt", None)
@@ -182,8 +184,8 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
             raise ConfigurationError(
                 "one step of the environment [s]",
                 got=float(step),
-                allowed=f"the body's period, {self._period:g}",
-                fix="Give the filter `driven(body, period=...)` from dualbrain.safety.integration.derating.",
+                allowed=f"the period of the robot model, {self._period:g}",
+                fix="Build the filter for `derate(robot_model, period=...)` (dualbrain.safety.integration.derating).",
             )
 
     def _check_actions(self, space: Any) -> None:
@@ -196,19 +198,19 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         )
         if low.shape != v_max.shape or np.any(low > -v_max * (1.0 - 1e-6)) or np.any(high < v_max * (1.0 - 1e-6)):
             raise ConfigurationError(
-                "joint velocities that the action space holds [rad/s]",
+                "joint velocities in the action space [rad/s]",
                 got=[low.tolist(), high.tolist()],
-                allowed=f"±{v_max.tolist()} or more: a safe answer may not be clipped",
-                fix="Name what an action means by `wish` and `act`, or give the filter `driven(body, speed=...)`.",
+                allowed=f"±{v_max.tolist()} or more, because a safe control must not be clipped",
+                fix="Pass `decode_action` and `encode_action`, or build the filter for `derate(..., max_speed=...)`.",
             )
 
 
 def _step_info(results: Sequence[FilterResult]) -> dict[str, Any]:
-    """What `info` says of the answers to one action."""
+    """Entries of `info` for the filter results of one action."""
     return {
-        "cost": sum(answer.delta for answer in results) / len(results),
-        "cost_rows": sum(answer.delta_rows for answer in results) / len(results),
-        "h_min": min((answer.h_min for answer in results if not isnan(answer.h_min)), default=nan),
-        "status": max(answer.status for answer in results).name,
-        "safety": max(results, key=lambda answer: answer.delta).explain(),
+        "cost": sum(result.delta for result in results) / len(results),
+        "cost_rows": sum(result.delta_rows for result in results) / len(results),
+        "h_min": min((result.h_min for result in results if not isnan(result.h_min)), default=nan),
+        "status": max(result.status for result in results).name,
+        "safety": max(results, key=lambda result: result.delta).explain(),
     }

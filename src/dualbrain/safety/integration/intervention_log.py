@@ -1,4 +1,4 @@
-"""Episodes of intervention: stretches of time in which a filter acts or would act, and their file, one line each."""
+"""Intervals of intervention, in which a filter acts or would act, and their JSON Lines log."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from dualbrain.safety.cbf.result import FilterResult, FilterStatus
 
 
 class InterventionInterval(msgspec.Struct, frozen=True, kw_only=True):
-    """One stretch in which the filter's answer differs from the command, on the clock of the caller's `now`.
+    """One interval in which the filter's result differs from the command, on the clock of the caller's `now`.
 
-    `start` and `end` [s] are its first and last changed tick, `ticks` how many changed in between; `peak` is the
-    largest delta, at `peak_at` [s]; `cause` took the largest share of the delta; `worst` is the highest status by name;
-    `h_min` [m] the least barrier value (None: the input was refused all the time); `words` explain the peak. An episode
-    that lasts is told in pieces, all but the last with `goes_on`.
+    `start` and `end` [s] are the first and last changed tick, `ticks` is the number of changed ticks. `peak` is the
+    largest delta, at `peak_at` [s]. `cause` has the largest share of the sum of delta. `worst` is the name of the
+    highest status. `h_min` [m] is the smallest barrier value (None: every input was rejected). `words` explains the
+    peak. A long interval is reported in pieces; all but the last have `goes_on`.
     """
 
     start: float
@@ -33,28 +33,28 @@ class InterventionInterval(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class OpenInterval:
-    """An episode that may still go on: extended tick by tick, then closed."""
+    """An interval that is not finished: extended tick by tick, then closed."""
 
     def __init__(self, now: float) -> None:
-        """Begin at `now` [s]."""
+        """Start the interval at `now` [s]."""
         self.start = self.end = self._peak_at = now
         self._ticks, self._peak, self._worst, self._explanation = 0, -1.0, FilterStatus.SAFE, ""
         self._h_min = inf
         self._delta_by_cause: dict[str, float] = {}
 
-    def add(self, now: float, answer: FilterResult, h: float | None, cause: str) -> None:
-        """One more changed tick; `h` [m] is None where the input was refused."""
+    def add(self, now: float, result: FilterResult, h: float | None, cause: str) -> None:
+        """Add a changed tick at `now` [s]; `h` [m] is None if the filter rejected the input."""
         self.end = now
         self._ticks += 1
-        self._worst = max(self._worst, answer.status)
-        self._delta_by_cause[cause] = self._delta_by_cause.get(cause, 0.0) + answer.delta
+        self._worst = max(self._worst, result.status)
+        self._delta_by_cause[cause] = self._delta_by_cause.get(cause, 0.0) + result.delta
         if h is not None:
             self._h_min = min(self._h_min, h)
-        if answer.delta > self._peak:
-            self._peak, self._peak_at, self._explanation = answer.delta, now, answer.explain()
+        if result.delta > self._peak:
+            self._peak, self._peak_at, self._explanation = result.delta, now, result.explain()
 
     def finish(self, *, continued: bool = False) -> InterventionInterval:
-        """The episode as it is told."""
+        """The finished interval; `continued` if the next piece follows."""
         cause = max(self._delta_by_cause, key=lambda name: self._delta_by_cause[name])
         h_min = self._h_min if isfinite(self._h_min) else None
         return InterventionInterval(
@@ -72,22 +72,21 @@ class OpenInterval:
 
 
 class InterventionLog:
-    """A file of episodes: each becomes one line of JSON by one unbuffered write, so that a crash loses none before it.
+    """JSON Lines file of intervals: one unbuffered write per line, so that a crash does not lose earlier lines.
 
-    What is written survives the death of this process; whether it survives a loss of power is up to the system, because
-    waiting for the disk has no place in a control loop. A line that a crash has torn is cut off when the file is opened
-    again.
+    Written lines survive the end of this process. The operating system decides whether they survive a power failure,
+    because a control loop must not wait for the disk. Opening the file removes an incomplete last line.
     """
 
     def __init__(self, path: Path) -> None:
-        """Open `path` for appending."""
+        """Open `path` for appending; raises `OSError` if that fails."""
         self.path = path
         self._file = path.open("ab", buffering=0)
         if torn := _torn_bytes(path):
             self._file.truncate(self._file.seek(0, SEEK_END) - torn)
 
     def __call__(self, interval: InterventionInterval) -> None:
-        """Append one line; raises `OSError` when the disk refuses it."""
+        """Append one line; raises `OSError` if the write fails."""
         self._file.write(msgspec.json.encode(interval) + b"\n")
 
     def close(self) -> None:
@@ -102,11 +101,11 @@ class InterventionLog:
 
 
 def read_intervention_log(path: Path) -> tuple[InterventionInterval, ...]:
-    """Every whole line of a file of episodes, also of one that is still being written."""
+    """All complete lines of a log; the log may still be open for writing."""
     whole = path.read_bytes().rpartition(b"\n")[0]
     return tuple(msgspec.json.decode(line, type=InterventionInterval) for line in whole.splitlines())
 
 
 def _torn_bytes(path: Path) -> int:
-    """Bytes behind the last line break."""
+    """Number of bytes after the last line break."""
     return len(path.read_bytes().rpartition(b"\n")[2])

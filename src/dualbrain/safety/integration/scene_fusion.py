@@ -1,8 +1,8 @@
-"""The scene as several sources tell it, each in its own frame, with its own age and error.
+"""Fusion of objects from several sources, each with its own frame, age and error, into the obstacles of a filter.
 
-What is told becomes obstacles in the world, carried forward to now: margin = the primitive's error + its source's + its
-frame's (error + angle × distance from the frame's origin) + velocity error × age. What cannot be believed is refused as
-a value with its reason, and changes nothing. A source that falls silent beyond its limit stops the robot.
+Reports become obstacles in the world, extrapolated to the current time. The margin is the sum of the errors of shape
+and source, error + angle × distance for each frame, and velocity error × age. An implausible report is rejected with
+its reason and changes nothing. If a required source is silent beyond its limit, the robot stops.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from dualbrain.safety.supervisor.frozen_sensor import FrozenSensorDetector, Sens
 
 WORLD = "world"
 SILENT_SOURCE_DISTANCE = 1000.0
-"""Where the token of a silent source stands [m]: it makes no row, its age alone stops the robot."""
+"""Distance of the placeholder of a silent source [m]; it causes no row, but its age stops the robot."""
 
 
 class SceneSource(msgspec.Struct, frozen=True):
-    """One sensor or map: `error` [m] of every position it tells, `oldest` [s] that it may be believed.
+    """One sensor or map: position `error` [m] of everything it reports, and `max_age` [s] of its reports.
 
-    A source that is not `required` may stay silent: what it told last is dropped when it has become too old. What is
-    measured has noise: where something with an error comes again, equal to the bit and stamped anew, so often in a row
-    as `repeats`, the source hangs and is refused. None for one that may tell the same for ever, such as a map.
+    A source that is not `required` may be silent: its last report is dropped at `max_age`. Measurements are noisy, so
+    a source that reports a shape with an error bit for bit `max_repeats` times with new stamps is frozen and is
+    rejected. None disables this check, e.g. for a map.
     """
 
     error: float
@@ -45,9 +45,10 @@ class SceneSource(msgspec.Struct, frozen=True):
 
 
 class FrameMount(msgspec.Struct, frozen=True, kw_only=True):
-    """Where a frame is in its parent: `pose`, known to `error` [m] and `angle` [rad].
+    """Pose of a frame in its `parent`, known to `error` [m] and `angle_error` [rad].
 
-    A frame that moves is placed anew by `SceneFeed.place`; it may then be used for what was seen within `slack` [s].
+    `SceneFusion.set_frame_pose` moves a frame. The frame then applies to reports whose stamp is within
+    `time_tolerance` [s] of the pose.
     """
 
     pose: Pose = Pose((0.0, 0.0, 0.0))
@@ -58,7 +59,7 @@ class FrameMount(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class PerceivedShape(msgspec.Struct, frozen=True, kw_only=True):
-    """One shape as its source sees it, in the source's frame; velocities in that frame too, `person` if it is one."""
+    """One shape with velocity, in the frame of its source; errors in m and m/s. `person` marks people."""
 
     name: str
     shape: Shape
@@ -71,7 +72,7 @@ class PerceivedShape(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True)
 class SourceAccepted:
-    """What a source told was taken over."""
+    """A report of `source` with `count` shapes was accepted."""
 
     source: str
     count: int
@@ -79,7 +80,7 @@ class SourceAccepted:
 
 @dataclass(frozen=True, slots=True)
 class SourceRefused:
-    """What a source told was not taken over, and why; what it told before stays, and grows old."""
+    """A report of `source` was rejected for `reason`; the previous report stays in force and ages."""
 
     source: str
     reason: str
@@ -92,14 +93,14 @@ class _SourceReport:
 
 
 class SceneFusion:
-    """Everything that the sources told last, as obstacles for one filter."""
+    """Fuses the last reports of all sources into obstacles for one filter."""
 
     def __init__(self, sources: Mapping[str, SceneSource], frames: Mapping[str, FrameMount] | None = None) -> None:
-        """Only these sources are heard, in these frames and "world".
+        """Accept reports of these sources, in these frames and in "world".
 
         Raises:
-            UnknownName: a frame's parent is not known.
-            InvalidSetup: frames hang on each other in a circle, or a bound is negative or not finite.
+            UnknownNameError: the parent of a frame is not known.
+            ConfigurationError: the frames form a cycle, or an error or age is negative or not finite.
         """
         self._sources, self._frames = dict(sources), {WORLD: FrameMount(), **(frames or {})}
         self._frame_stamps = dict.fromkeys(self._frames, -inf)
@@ -108,13 +109,13 @@ class SceneFusion:
         for name, source in self._sources.items():
             if not (0.0 <= source.error < inf and 0.0 < source.max_age < inf):
                 raise ConfigurationError(
-                    f"source {name!r}", got=source, allowed="error of 0 or more, oldest above 0, finite"
+                    f"source {name!r}", got=source, allowed="error of 0 or more and max_age above 0, both finite"
                 )
         for name in self._frames:
             self._check_frame(name)
 
     def set_frame_pose(self, frame: str, pose: Pose, stamp: float) -> None:
-        """A frame that moves was at `pose` in its parent at `stamp` [s]; raises `UnknownName`."""
+        """Set the pose of a frame in its parent at `stamp` [s]; raises `UnknownNameError`."""
         if frame not in self._frames or frame == WORLD:
             raise UnknownNameError("frame", frame, tuple(self._frames))
         self._frames[frame] = msgspec.structs.replace(self._frames[frame], pose=pose)
@@ -123,22 +124,22 @@ class SceneFusion:
     def update(
         self, source: str, frame: str, stamp: float, primitives: Iterable[PerceivedShape], *, now: float
     ) -> SourceAccepted | SourceRefused:
-        """Replace what `source` told by `primitives`, seen in `frame` at `stamp` [s]; it is `now` [s]."""
+        """Replace the report of `source` by `primitives`, measured in `frame` at `stamp` [s]; the time is `now` [s]."""
         shapes = tuple(primitives)
         why = self._rejection_reason(source, frame, stamp, shapes, now) or self._frozen_reason(source, stamp, shapes)
         if why:
             return SourceRefused(source, why)
         obstacles = tuple(self._obstacle(source, frame, shape) for shape in shapes)
-        others = sum(len(told.obstacles) for name, told in self._reports.items() if name != source)
+        others = sum(len(report.obstacles) for name, report in self._reports.items() if name != source)
         if others + len(obstacles) + len(self._sources) > MAX_OBSTACLES:
             return SourceRefused(
-                source, f"{len(obstacles)} shapes beside {others} others: there is room for {MAX_OBSTACLES}"
+                source, f"{len(obstacles)} shapes and {others} of other sources exceed the limit of {MAX_OBSTACLES}"
             )
         self._reports[source] = _SourceReport(stamp, obstacles)
         return SourceAccepted(source, len(obstacles))
 
     def silent_sources(self, now: float) -> tuple[str, ...]:
-        """Required sources whose last word is too old, or that never spoke."""
+        """Required sources that have not reported or whose last report is too old."""
         return tuple(
             name
             for name, source in self._sources.items()
@@ -146,18 +147,18 @@ class SceneFusion:
         )
 
     def obstacles(self, now: float) -> tuple[Obstacle, ...]:
-        """Everything that is believed at `now` [s], carried forward along its velocity."""
-        believed: list[Obstacle] = []
-        for name, told in self._reports.items():
-            age = max(0.0, now - told.stamp)
+        """All obstacles at `now` [s], extrapolated along their velocity."""
+        current: list[Obstacle] = []
+        for name, report in self._reports.items():
+            age = max(0.0, now - report.stamp)
             if self._sources[name].required or age <= self._sources[name].max_age:
-                believed += [_extrapolate(obstacle, age) for obstacle in told.obstacles]
-        return tuple(believed)
+                current += [_extrapolate(obstacle, age) for obstacle in report.obstacles]
+        return tuple(current)
 
     def apply_to(self, safety: SafetyFilter, now: float) -> tuple[str, ...]:
-        """Give `safety` the scene of `now` [s]; returns the silent sources, while there is one the robot stops."""
-        silent, believed = self.silent_sources(now), self.obstacles(now)
-        tokens = tuple(
+        """Pass the scene at `now` [s] to `safety`. Returns the silent sources; if there are any, the robot stops."""
+        silent, current = self.silent_sources(now), self.obstacles(now)
+        placeholders = tuple(
             Obstacle(
                 name=f"{name} is silent",
                 shape=Sphere(1e-3),
@@ -166,44 +167,46 @@ class SceneFusion:
             )
             for name in silent
         )
-        late = 2.0 * safety.config.scene_stale_after if silent else 0.0
-        safety.observe((*believed, *tokens), now - late)
+        delay = 2.0 * safety.config.scene_stale_after if silent else 0.0
+        safety.observe((*current, *placeholders), now - delay)
         return silent
 
-    # --- doubts -------------------------------------------------------------------------------------------------
+    # --- plausibility -------------------------------------------------------------------------------------------
 
     def _rejection_reason(
         self, source: str, frame: str, stamp: float, shapes: Sequence[PerceivedShape], now: float
     ) -> str:
-        """Why this cannot be believed, or nothing."""
+        """Why a report is implausible, or ""."""
         if source not in self._sources:
-            return f"source {source!r} is not known; known: {', '.join(self._sources)}"
+            return f"source {source!r} is unknown; known: {', '.join(self._sources)}"
         if frame not in self._frames:
-            return f"frame {frame!r} is not known; known: {', '.join(self._frames)}"
+            return f"frame {frame!r} is unknown; known: {', '.join(self._frames)}"
         return self._time_reason(source, frame, stamp, now) or _shape_reason(shapes)
 
     def _frozen_reason(self, source: str, stamp: float, shapes: Sequence[PerceivedShape]) -> str:
-        """Why this is no new picture. Shapes without any error are exempt: they are not measured."""
+        """Why a report is frozen, or "". Shapes without any error are exempt, because they are not measured."""
         error, allowed = self._sources[source].error, self._sources[source].max_repeats
-        again = self._frozen_detectors[source].update(
-            SensorReading(seen.name, stamp, seen, noise_free=error + seen.error + seen.velocity_error == 0.0)
-            for seen in shapes
+        repeats = self._frozen_detectors[source].update(
+            SensorReading(shape.name, stamp, shape, noise_free=error + shape.error + shape.velocity_error == 0.0)
+            for shape in shapes
         )
-        if allowed is None or again < allowed:
+        if allowed is None or repeats < allowed:
             return ""
-        return f"equal to the bit for {again} pictures in a row: it hangs (a map says Source(repeats=None))"
+        return (
+            f"{repeats} reports in a row are identical bit for bit: the source is frozen (for a map: max_repeats=None)"
+        )
 
     def _time_reason(self, source: str, frame: str, stamp: float, now: float) -> str:
-        """Why the time cannot be believed; written so that NaN is refused."""
+        """Why the stamp is implausible, or ""; the comparisons reject NaN."""
         if not (isfinite(stamp) and stamp <= now):
-            return f"stamp {stamp} s lies in the future of {now} s, or is no time"
+            return f"stamp {stamp} s is not finite or after the current time {now} s"
         if not now - stamp <= self._sources[source].max_age:
-            return f"{now - stamp:.3f} s old, at most {self._sources[source].max_age} s are believed"
+            return f"age {now - stamp:.3f} s exceeds the limit of {self._sources[source].max_age} s"
         if stamp < self._stamp(source):
-            return f"stamp {stamp} s is older than the last one, {self._stamp(source)} s"
+            return f"stamp {stamp} s is before the last stamp {self._stamp(source)} s"
         for name in self._frame_chain(frame):
             if not abs(stamp - self._frame_stamps[name]) <= self._frames[name].time_tolerance:
-                return f"frame {name!r} was placed at {self._frame_stamps[name]} s, too far from {stamp} s"
+                return f"the pose of frame {name!r} at {self._frame_stamps[name]} s is too far in time from {stamp} s"
         return ""
 
     def _stamp(self, source: str) -> float:
@@ -211,47 +214,49 @@ class SceneFusion:
 
     def _frame_chain(self, frame: str) -> list[str]:
         """The frame and its parents below the world."""
-        found: list[str] = []
+        chain: list[str] = []
         while frame != WORLD:
-            found.append(frame)
+            chain.append(frame)
             frame = self._frames[frame].parent
-        return found
+        return chain
 
     def _check_frame(self, name: str) -> None:
         seen: list[str] = []
         while name != WORLD:
             if name in seen:
-                raise ConfigurationError("frames", got=" in ".join([*seen, name]), allowed="no circle")
+                raise ConfigurationError("frames", got=" in ".join([*seen, name]), allowed="frames without a cycle")
             if name not in self._frames:
                 raise UnknownNameError("frame", name, tuple(self._frames))
-            mounted = self._frames[name]
-            if not (0.0 <= mounted.error < inf and 0.0 <= mounted.angle_error < inf):
-                raise ConfigurationError(f"frame {name!r}", got=mounted, allowed="error and angle of 0 or more, finite")
+            mount = self._frames[name]
+            if not (0.0 <= mount.error < inf and 0.0 <= mount.angle_error < inf):
+                raise ConfigurationError(
+                    f"frame {name!r}", got=mount, allowed="error and angle_error of 0 or more, both finite"
+                )
             seen.append(name)
-            name = mounted.parent
+            name = mount.parent
 
-    # --- into the world -----------------------------------------------------------------------------------------
+    # --- transformation to the world ----------------------------------------------------------------------------
 
-    def _obstacle(self, source: str, frame: str, seen: PerceivedShape) -> Obstacle:
-        shape, pose = bounding_solid(seen.shape, seen.pose)
-        margin = seen.error + self._sources[source].error
-        velocity = np.array(seen.velocity)
+    def _obstacle(self, source: str, frame: str, perceived: PerceivedShape) -> Obstacle:
+        shape, pose = bounding_solid(perceived.shape, perceived.pose)
+        margin = perceived.error + self._sources[source].error
+        velocity = np.array(perceived.velocity)
         for name in self._frame_chain(frame):
-            mounted = self._frames[name]
-            margin += mounted.error + mounted.angle_error * float(np.linalg.norm(pose.position))
-            velocity = quaternion_to_matrix(mounted.pose.quaternion) @ velocity
-            pose = _compose(mounted.pose, pose)
+            mount = self._frames[name]
+            margin += mount.error + mount.angle_error * float(np.linalg.norm(pose.position))
+            velocity = quaternion_to_matrix(mount.pose.quaternion) @ velocity
+            pose = _compose(mount.pose, pose)
         x, y, z = (float(part) for part in velocity)
-        moves = seen.person or seen.velocity != ZERO_VECTOR or seen.velocity_error > 0.0
+        moves = perceived.person or perceived.velocity != ZERO_VECTOR or perceived.velocity_error > 0.0
         return Obstacle(
-            name=f"{source}/{seen.name}",
+            name=f"{source}/{perceived.name}",
             shape=shape,
             pose=pose,
             velocity=(x, y, z),
             margin=margin,
-            velocity_error=seen.velocity_error,
+            velocity_error=perceived.velocity_error,
             static=not moves,
-            rank=Rank.BODY if seen.person else Rank.OBSTACLE,
+            rank=Rank.BODY if perceived.person else Rank.OBSTACLE,
         )
 
 
@@ -262,37 +267,38 @@ def _extrapolate(obstacle: Obstacle, age: float) -> Obstacle:
 
 
 def _compose(outer: Pose, inner: Pose) -> Pose:
-    """The pose `inner`, given in the frame at `outer`, in the frame around it."""
-    turn = quaternion_to_matrix(outer.quaternion)
-    x, y, z = (float(value) for value in turn @ np.array(inner.position) + np.array(outer.position))
-    turned: Quaternion = matrix_to_quaternion(turn @ quaternion_to_matrix(inner.quaternion))
-    return Pose((x, y, z), turned)
+    """The pose `inner`, given in the frame at `outer`, in the parent of that frame."""
+    rotation = quaternion_to_matrix(outer.quaternion)
+    x, y, z = (float(value) for value in rotation @ np.array(inner.position) + np.array(outer.position))
+    quaternion: Quaternion = matrix_to_quaternion(rotation @ quaternion_to_matrix(inner.quaternion))
+    return Pose((x, y, z), quaternion)
 
 
 def _shape_reason(shapes: Sequence[PerceivedShape]) -> str:
-    """Which shape cannot be believed, and why."""
+    """Which shape is implausible, and why, or ""."""
     names = [shape.name for shape in shapes]
     if len(set(names)) != len(names):
-        return "names that occur twice"
+        return "a name occurs twice"
     return next((f"{shape.name!r}: {why}" for shape in shapes if (why := _number_reason(shape))), "")
 
 
-def _number_reason(seen: PerceivedShape) -> str:
-    """What is wrong with the numbers of a primitive, or nothing."""
-    sizes = [_numbers(value) for value in msgspec.structs.astuple(seen.shape)]
+def _number_reason(perceived: PerceivedShape) -> str:
+    """Why the numbers of a shape are implausible, or ""."""
+    sizes = [_numbers(value) for value in msgspec.structs.astuple(perceived.shape)]
     flat: list[float] = [number for size in sizes for number in size]
-    numbers = [*flat, *seen.pose.position, *seen.pose.quaternion, *seen.velocity, seen.error, seen.velocity_error]
+    errors = [perceived.error, perceived.velocity_error]
+    numbers = [*flat, *perceived.pose.position, *perceived.pose.quaternion, *perceived.velocity, *errors]
     if not all(map(isfinite, numbers)):
-        return "a number that is not finite"
-    if min([*flat, 1.0]) < 0.0 or seen.error < 0.0 or seen.velocity_error < 0.0:
-        return "a size or error below zero"
-    if not abs(sum(value * value for value in seen.pose.quaternion) - 1.0) < 1e-3:
-        return "a quaternion whose length is not 1"
+        return "a number is not finite"
+    if min([*flat, *errors]) < 0.0:
+        return "a size or an error is below zero"
+    if not abs(sum(value * value for value in perceived.pose.quaternion) - 1.0) < 1e-3:
+        return "the length of the quaternion is not 1"
     return ""
 
 
 def _numbers(value: object) -> tuple[float, ...]:
-    """A size or a triple of sizes; what is neither counts as not finite."""
+    """The numbers of a size or a triple of sizes; NaN for any other value."""
     match value:
         case bool():
             return (nan,)

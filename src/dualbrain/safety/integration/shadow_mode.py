@@ -1,4 +1,4 @@
-"""Observe mode: the filter runs beside a controller, touches nothing, and tells what it would have changed."""
+"""Shadow mode: the filter evaluates the commands of a controller without changing them, and reports interventions."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from dualbrain.safety.integration.intervention_log import InterventionInterval, 
 Array = NDArray[np.float64]
 
 DEAD_BAND = 1e-4
-"""A delta up to this is the kernel's rounding and counts as unchanged."""
+"""A delta up to this is rounding of the kernel and counts as unchanged."""
 MAX_COMMAND_AGE = 0.1
-"""After this long [s] without a call the last command is no longer what the robot does."""
+"""Time without a call [s] after which the last command is no longer in force."""
 REFUSED_REASONS = int(
     Reason.BAD_INPUT | Reason.STALE_STATE | Reason.STALE_SCENE | Reason.OUTSIDE_LIMITS | Reason.BAD_SCENE
 )
-"""Reasons for which the kernel looks at no distance: `h_min` then says nothing."""
+"""Reasons for which the kernel computes no distances, so that `h_min` is undefined."""
 
 
 class ShadowTick(NamedTuple):
-    """What the shadow saw at `now` [s]; `h_min` [m] is None where the input was refused.
+    """Result of one tick at `now` [s]; `h_min` [m] is None if the filter rejected the input.
 
-    `nearest` names the pair of least h; looked up in ticks that are changed or deeper than all before, else "".
+    `nearest` names the pair with the smallest h. It is determined in changed ticks and at a new minimum of h, else "".
     """
 
     now: float
@@ -42,11 +42,14 @@ class ShadowTick(NamedTuple):
 
 
 class ShadowSummary(msgspec.Struct, frozen=True, kw_only=True):
-    """A whole session of observing.
+    """Summary of a session in shadow mode.
 
-    `changed` of `ticks` would have got another control; `refused` had an input that the filter stops at; `late` came
-    more than half a period too late. `Delta` is the mean of delta. `least` and `largest` are the ticks of least h and
-    of largest delta (None: there was none). `unwritten` episodes were refused by the disk.
+    - `changed_ticks` of `ticks`: ticks in which the filter would have changed the control. `refused_ticks`: ticks with
+      an input that the filter rejects. `late_calls`: calls more than half a period late.
+    - `Delta`: mean of delta. `by_status`: number of ticks by status.
+    - `min_h_tick`, `max_delta_tick`: ticks with the smallest h and the largest delta (None if there are none).
+    - `intervals`: number of intervals, with a total `intervention_time` [s]. `write_errors`: intervals that could not
+      be written.
     """
 
     ticks: int
@@ -63,44 +66,44 @@ class ShadowSummary(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def changed_fraction(self) -> float:
-        """Share of the ticks that would have been changed."""
+        """Fraction of ticks that the filter would have changed."""
         return self.changed_ticks / self.ticks if self.ticks else 0.0
 
     def explain(self) -> str:
-        """A few sentences for people."""
+        """Summary in a few sentences."""
         if not self.ticks:
-            return "nothing observed"
+            return "No ticks were observed."
         words = [
-            f"{self.ticks} ticks observed, {self.changed_fraction:.2%} of them would have been changed,"
-            f" in {self.intervals} episodes of {self.intervention_time:.2f} s together; Δ {self.Delta:.4f}."
+            f"{self.ticks} ticks observed; the filter would have changed {self.changed_fraction:.2%} of them,"
+            f" in {self.intervals} intervals of {self.intervention_time:.2f} s in total; Δ {self.Delta:.4f}."
         ]
         if self.min_h_tick and self.min_h_tick.h_min is not None:
-            near = f" ({self.min_h_tick.nearest})" if self.min_h_tick.nearest else ""
-            words.append(f"Least h {self.min_h_tick.h_min * 1e3:.1f} mm at {self.min_h_tick.now:.3f} s{near}.")
-        if self.max_delta_tick:
-            words.append(
-                f"Largest change in one period {self.max_delta_tick.delta:.1%} of full speed at {self.max_delta_tick.now:.3f} s."
-            )
+            pair = f" ({self.min_h_tick.nearest})" if self.min_h_tick.nearest else ""
+            words.append(f"Smallest h: {self.min_h_tick.h_min * 1e3:.1f} mm at {self.min_h_tick.now:.3f} s{pair}.")
+        if (tick := self.max_delta_tick) is not None:
+            words.append(f"Largest change in one period: {tick.delta:.1%} of full speed at {tick.now:.3f} s.")
         if self.refused_ticks:
-            words.append(f"{self.refused_ticks} ticks had an input that the filter stops at: mend this first.")
+            words.append(f"The filter rejected the input of {self.refused_ticks} ticks: fix this first.")
         if self.late_calls:
-            words.append(f"{self.late_calls} calls came late: does the body's period fit the controller's?")
+            words.append(f"{self.late_calls} calls were late: check that robot model and controller have one period.")
         if self.write_errors:
-            words.append(f"{self.write_errors} episodes could not be written.")
+            words.append(f"{self.write_errors} intervals could not be written.")
         return " ".join(words)
 
 
 class ShadowFilter:
-    """Watches a controller with a `SafetyFilter` of its own and commands nothing.
+    """Evaluates the commands of a controller with a `SafetyFilter` and changes nothing.
 
-    Each tick is judged by itself: the filter's last control is what the robot was truly commanded, never the filter's
-    own answer, which nobody applied. What it tells is therefore "this command, now, would have become that one"; it is
-    not the motion that would have followed, because the first change would have led to other states. Two things follow.
-    A delta is at most what acceleration limits allow in one period: how long an episode lasts and how small h gets say
-    more than its peak. And a controller that is already faster than a row allows cannot be brought back within one
-    period: such ticks are RELAXED, where a filter in charge would have slowed it down in time.
+    Each tick is evaluated separately: the filter's last control is the command that the robot received, never the
+    result of the filter. A result therefore means "this command would have become that command"; it is not the motion
+    that would have followed, because the first change would have led to other states. Two consequences:
 
-    Memory is bounded: sums, the last `keep` ticks (`recent`), and the open episode.
+    - A delta is at most the change that acceleration limits allow in one period. The duration of an interval and the
+      decrease of h are more informative than its peak.
+    - A controller that already exceeds the speed of a row cannot be corrected within one period. Such ticks are
+      RELAXED, although an active filter would have slowed the robot down in time.
+
+    Memory is bounded: sums, the last `history` ticks (`recent`), and the open interval.
     """
 
     def __init__(
@@ -113,20 +116,19 @@ class ShadowFilter:
         max_duration: float = 10.0,
         history: int = 1000,
     ) -> None:
-        """Watch with `safety`, which nobody else may call; tell it of obstacles by `safety.observe` as usual.
+        """Observe with `safety`, which must have no other caller; set obstacles with `safety.observe` as usual.
 
-        `told` gets every closed episode (an `EpisodeFile`, for instance). Changes less than `join` [s] apart are one
-        episode; one that lasts is told in pieces of `longest` [s]. A delta up to `dead_band` is no change.
+        `on_interval` receives every closed interval (it may be an `InterventionLog`). Changes less than `merge_gap` [s]
+        apart form one interval; long intervals are reported in pieces of `max_duration` [s]. A delta up to `dead_band`
+        counts as unchanged.
 
         Raises:
-            InvalidSetup: the filter has jerk limits, which need two commands of the past.
+            ConfigurationError: the filter has jerk limits, which need two past commands.
         """
         if safety.config.jerk_limits:
-            raise ConfigurationError(
-                "jerk limits of a filter that observes",
-                got=True,
-                allowed="False",
-                fix="It starts anew from the command of each tick and knows no change of it.",
+            raise ConfigurationError.stating(
+                "Shadow mode cannot use jerk limits, because each tick is evaluated from a single past command.",
+                fix="Set FilterConfig.jerk_limits to False.",
             )
         self.safety, self.recent = safety, deque[ShadowTick](maxlen=history)
         self._on_interval, self._dead_band, self._merge_gap, self._max_duration = (
@@ -148,37 +150,37 @@ class ShadowFilter:
     def evaluate(
         self, q: Array, v: Array, u_nom: Array, now: float, *, u_prev: Array | None = None, opening: float = 0.0
     ) -> FilterResult:
-        """What the filter would make of the command `u_nom` (n,) [rad/s] at joint angles q and velocities v, now.
+        """Result of the filter for the command `u_nom` (n,) [rad/s] at joint angles q and velocities v at `now` [s].
 
-        `u_prev` is the velocity command in force until now; by default the `u_nom` of the call before or, at the start
-        and after a pause of 0.1 s, v. Give it where the drive was commanded something else (a rate limiter in between).
+        `u_prev` is the velocity command in force until now. By default it is the `u_nom` of the previous call, or v at
+        the start and after a pause of 0.1 s. Pass it if the drive received another command, e.g. from a rate limiter.
         """
         moment = now if isfinite(now) else max(0.0, self._now)
-        if moment < self._now:  # another session: the clock began anew
+        if moment < self._now:  # the clock was reset: a new session
             self.reset()
         q, v, u_nom = (np.array(values, float) for values in (q, v, u_nom))
-        last = self._previous_command(v, moment, u_prev)
-        self.safety.reset(last)
-        answer = self.safety(q, v, u_nom, now, opening=opening)
+        previous = self._previous_command(v, moment, u_prev)
+        self.safety.reset(previous)
+        result = self.safety(q, v, u_nom, now, opening=opening)
         self._late += 1.5 * self.safety.robot_model.period < moment - self._now < inf
         self._now, self._u_prev = moment, u_nom
-        self._record(answer, moment, last)
-        return answer
+        self._record(result, moment, previous)
+        return result
 
     def reset(self) -> None:
-        """The next call is the first of another session: end the open episode, forget the last command."""
+        """Start a new session: close the open interval and clear the last command."""
         if self._interval:
             self._close_interval(self._interval)
         self._u_prev, self._now = None, -inf
 
     def close(self) -> ShadowSummary:
-        """End the open episode and sum up; `told` itself is the caller's to close."""
+        """Close the open interval and return the summary; the caller closes the log of `on_interval`."""
         if self._interval:
             self._close_interval(self._interval)
         return self.summary()
 
     def summary(self) -> ShadowSummary:
-        """What was observed so far; an open episode is not yet in the episodes."""
+        """Summary so far, without the open interval."""
         return ShadowSummary(
             ticks=self._ticks,
             changed_ticks=self._changed,
@@ -193,10 +195,10 @@ class ShadowFilter:
             write_errors=self._write_errors,
         )
 
-    # --- inside -------------------------------------------------------------------------------------------------
+    # --- internals ----------------------------------------------------------------------------------------------
 
     def _previous_command(self, v: Array, now: float, u_prev: Array | None) -> Array:
-        """The last command, as far as a velocity limit allows it; never NaN."""
+        """The last command, clipped to the velocity limits and finite."""
         if u_prev is None:
             fresh = now - self._now <= max(MAX_COMMAND_AGE, 2.0 * self.safety.robot_model.period)
             u_prev = self._u_prev if fresh and self._u_prev is not None else v
@@ -204,29 +206,29 @@ class ShadowFilter:
             u_prev = np.where(np.isfinite(u_prev), u_prev, np.where(np.isfinite(v), v, 0.0))
         return np.minimum(np.maximum(u_prev, -self._v_max), self._v_max)
 
-    def _record(self, answer: FilterResult, now: float, u_prev: Array) -> None:
-        refused = answer.flags & REFUSED_REASONS != 0
-        changed = answer.delta > self._dead_band or answer.status > FilterStatus.MODIFIED
-        deepest = not refused and answer.h_min < self._h_min
+    def _record(self, result: FilterResult, now: float, u_prev: Array) -> None:
+        refused = result.flags & REFUSED_REASONS != 0
+        changed = result.delta > self._dead_band or result.status > FilterStatus.MODIFIED
+        deepest = not refused and result.h_min < self._h_min
         nearest = self._nearest_pair() if (changed or deepest) and not refused else ""
-        tick = ShadowTick(now, answer.delta, answer.status, None if refused else answer.h_min, nearest)
+        tick = ShadowTick(now, result.delta, result.status, None if refused else result.h_min, nearest)
         self.recent.append(tick)
         self._ticks, self._changed, self._refused = self._ticks + 1, self._changed + changed, self._refused + refused
-        self._sum += answer.delta
-        self._by_status[answer.status] += 1
+        self._sum += result.delta
+        self._by_status[result.status] += 1
         if deepest:
-            self._min_h_tick, self._h_min = tick, answer.h_min
+            self._min_h_tick, self._h_min = tick, result.h_min
         if changed and (self._max_delta_tick is None or tick.delta > self._max_delta_tick.delta):
             self._max_delta_tick = tick
-        self._update_interval(tick, changed, answer, u_prev)
+        self._update_interval(tick, changed, result, u_prev)
 
     def _nearest_pair(self) -> str:
-        """The pair of least h among the rows of the last step."""
+        """Name of the pair with the smallest h among the rows of the last step."""
         pairs = [row for row in self.safety.rows() if row.kind in (OBSTACLE, SELF)]
         return min(pairs, key=lambda row: row.h).name if pairs else ""
 
-    def _update_interval(self, tick: ShadowTick, changed: bool, answer: FilterResult, u_prev: Array) -> None:
-        """Open, extend or end an episode."""
+    def _update_interval(self, tick: ShadowTick, changed: bool, result: FilterResult, u_prev: Array) -> None:
+        """Open, extend or close an interval."""
         if self._interval and tick.now - self._interval.end > self._merge_gap:
             self._close_interval(self._interval)
         if not changed:
@@ -235,7 +237,7 @@ class ShadowFilter:
             self._close_interval(self._interval, continued=True)
         if self._interval is None:
             self._interval = OpenInterval(tick.now)
-        self._interval.add(tick.now, answer, tick.h_min, answer.cause)
+        self._interval.add(tick.now, result, tick.h_min, result.cause)
 
     def _close_interval(self, interval: OpenInterval, *, continued: bool = False) -> None:
         self._interval = None
@@ -244,5 +246,5 @@ class ShadowFilter:
         if self._on_interval:
             try:
                 self._on_interval(interval.finish(continued=continued))
-            except OSError:  # a full disk must not reach the controller beside which this runs
+            except OSError:  # a full disk must not stop the observed controller
                 self._write_errors += 1

@@ -1,4 +1,4 @@
-"""A site file put to work: the body it narrows, the obstacles that always stand, the filter that holds both."""
+"""Application of a site file: the derated robot model, the fixed obstacles, and the filter with both."""
 
 from __future__ import annotations
 
@@ -25,17 +25,21 @@ GRIPPER_GROUPS = ("hand", "fingers")
 
 
 def site_filter(file: SiteFile, robot_model: RobotModel, config: FilterConfig | None = None) -> SafetyFilter:
-    """The filter of `body` at this site: its caps and tool, its planes and boxes, and what it carries from the start.
+    """Filter of `robot_model` at this site, with its limits, tool, payload, planes and keep-out boxes.
 
     Raises:
-        SiteError: an entry does not fit this body, with its line and column.
+        SiteError: an entry does not fit the robot model; the error has its line and column.
     """
     narrowed = site_robot(robot_model, file)
     return SafetyFilter(narrowed, config, fixed_obstacles=site_obstacles(narrowed, file))
 
 
 def site_robot(robot_model: RobotModel, file: SiteFile) -> RobotModel:
-    """`body` with the site's caps, which only narrow, its control period and its tool."""
+    """`robot_model` with the limits of the site (which only narrow), its control period, tool and payload.
+
+    Raises:
+        SiteError: an entry does not fit the robot model.
+    """
     site = file.site
     known = {joint.name for joint in robot_model.joints}
     for name in site.joint:
@@ -47,13 +51,17 @@ def site_robot(robot_model: RobotModel, file: SiteFile) -> RobotModel:
     speed = _narrow_bound(robot_model.tool_speed, site.robot.tool_speed, file, "robot.tool_speed")
     period = robot_model.period if site.robot.period is None else site.robot.period
     changed = msgspec.structs.replace(robot_model, joints=joints, tool_speed=speed, period=period)
-    for name, balls, error in _carried_spheres(file):
-        changed = _with_link(changed, name, balls, error)
+    for name, tool_spheres, error in _carried_spheres(file):
+        changed = _with_link(changed, name, tool_spheres, error)
     return changed if site.tool is None else _with_tool_tip(changed, site.tool)
 
 
 def site_obstacles(robot_model: RobotModel, file: SiteFile) -> tuple[Obstacle, ...]:
-    """Planes and keep-out boxes, known to φ, given up before things and people."""
+    """Planes and keep-out boxes of the site. They are known to φ, and their rows are relaxed before those of obstacles.
+
+    Raises:
+        SiteError: a plane names an unknown part or has a zero normal.
+    """
     parts = {link.name for link in robot_model.links} | {link.group for link in robot_model.links} | {"held"}
     found: list[Obstacle] = []
     for index, entry in enumerate(file.site.plane):
@@ -65,12 +73,12 @@ def site_obstacles(robot_model: RobotModel, file: SiteFile) -> tuple[Obstacle, .
             raise file.make_error(f"plane[{index}].inward", got=entry.inward, allowed="a vector that is not zero")
         found.append(plane(entry.name, entry.point, entry.inward, parts=entry.parts, margin=entry.margin))
     for entry in file.site.keep_out:
-        turn = (cos(0.5 * entry.yaw), 0.0, 0.0, sin(0.5 * entry.yaw))
+        rotation = (cos(0.5 * entry.yaw), 0.0, 0.0, sin(0.5 * entry.yaw))
         found.append(
             Obstacle(
                 name=entry.name,
                 shape=Box(entry.half_extents),
-                pose=Pose(entry.position, turn),
+                pose=Pose(entry.position, rotation),
                 margin=entry.margin,
                 rank=Rank.WORKSPACE,
                 known=True,
@@ -81,23 +89,23 @@ def site_obstacles(robot_model: RobotModel, file: SiteFile) -> tuple[Obstacle, .
 
 
 def site_skill_grants(file: SiteFile, skills: frozenset[str]) -> dict[str, frozenset[str]] | None:
-    """Who may call which of `skills`; None where the file does not say.
+    """Skills that each commander may call, by commander; None if the file grants no commander anything.
 
     Raises:
-        SiteError: a skill that this robot does not have.
+        SiteError: the file names a skill that this robot does not have.
     """
     for name, commander in file.site.commander.items():
         for skill in commander.skills:
             if skill not in skills:
                 raise file.make_error(f"commander.{name}.skills", got=skill, allowed=", ".join(sorted(skills)))
-    return {name: frozenset(one.skills) for name, one in file.site.commander.items()} or None
+    return {name: frozenset(entry.skills) for name, entry in file.site.commander.items()} or None
 
 
 def _limit_joint(joint: Joint, file: SiteFile) -> Joint:
-    """A joint under the caps for all and its own."""
-    own, every = file.site.joint.get(joint.name), file.site.limits
+    """A joint with the limits for all joints and its own limits applied."""
+    own, common = file.site.joint.get(joint.name), file.site.limits
     for side in ("velocity", "acceleration", "jerk"):
-        joint = _limit_side(joint, side, getattr(every, side), file, f"limits.{side}")
+        joint = _limit_side(joint, side, getattr(common, side), file, f"limits.{side}")
         joint = _limit_side(joint, side, getattr(own, side) if own else None, file, f"joint.{joint.name}.{side}")
     for side in ("lower", "upper"):
         joint = _limit_side(joint, side, getattr(own, side) if own else None, file, f"joint.{joint.name}.{side}")
@@ -121,19 +129,20 @@ def _narrow_bound(bound: Bound, value: float | None, file: SiteFile, path: str, 
 
 
 def _carried_spheres(file: SiteFile) -> Iterator[tuple[str, tuple[ToolSphere, ...], float]]:
-    """What hangs on the hand for good: name, spheres, error of their place [m]."""
+    """Objects that stay attached to the hand: link name, spheres, position error [m]."""
     if file.site.tool and file.site.tool.spheres:
         yield TOOL_LINK, file.site.tool.spheres, 0.0
     if file.site.payload:
         yield PAYLOAD_LINK, file.site.payload.spheres, file.site.payload.error
 
 
-def _with_link(robot_model: RobotModel, name: str, balls: tuple[ToolSphere, ...], error: float) -> RobotModel:
-    """A link of its own for `balls` in the tool frame, kept from whatever the hand is kept from."""
+def _with_link(robot_model: RobotModel, name: str, tool_spheres: tuple[ToolSphere, ...], error: float) -> RobotModel:
+    """`robot_model` with a link for spheres in the tool frame; it keeps away from the same links as the hand."""
     link = next(link for link in robot_model.links if link.name == robot_model.tool.link)
-    turn, at = quaternion_to_matrix(robot_model.tool.quaternion), np.array(robot_model.tool.translation)
+    turn, origin = quaternion_to_matrix(robot_model.tool.quaternion), np.array(robot_model.tool.translation)
     spheres = tuple(
-        CollisionSphere(name, _vector(at + turn @ np.array(ball.centre)), ball.radius + error) for ball in balls
+        CollisionSphere(name, _vector(origin + turn @ np.array(sphere.centre)), sphere.radius + error)
+        for sphere in tool_spheres
     )
     frames = {link.name: link.frame for link in robot_model.links}
     near = {
@@ -156,7 +165,7 @@ def _with_link(robot_model: RobotModel, name: str, balls: tuple[ToolSphere, ...]
 
 
 def _with_tool_tip(robot_model: RobotModel, tool: ToolEntry) -> RobotModel:
-    """The tool frame moved to the tool's tip."""
+    """`robot_model` with the tool frame moved to the tip of the tool."""
     turn = quaternion_to_matrix(robot_model.tool.quaternion)
     tip = np.array(robot_model.tool.translation) + turn @ np.array(tool.position)
     placed = Tool(

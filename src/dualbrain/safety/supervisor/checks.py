@@ -289,7 +289,7 @@ CHECKS: tuple[Check, ...] = (
         condition=C.CONTROL_BAD,
         action=SafetyAction.CONTROLLED_STOP,
         cause=Cause.FILTER,
-        description="the control is not finite, exceeds joint limits or belongs to another input; the arm brakes instead",
+        description="the control is not finite, exceeds joint limits or belongs to another input; the arm brakes",
         release=0.5,
         clears=ON_CONTINUE,
         contract_outcome="stopped",
@@ -446,9 +446,9 @@ tripped. This page is generated from the table of checks
 `tests/safety/supervisor/test_supervisor.py` cover all combinations.
 
 Actions by severity: NONE < WARN < SLOW (the nominal control is scaled) < HOVER (zero through the filter, which may
-still move the arm away from obstacles) < HOLD (monitored standstill, category 2) < CONTROLLED_STOP (the arm brakes, then
-the drive is switched off, category 1) < ESTOP (drive off at once, category 0) < LOCKOUT (only a restart ends it). The
-categories are those of IEC 60204-1 by name only; **nothing here is certified**.
+still move the arm away from obstacles) < HOLD (monitored standstill, category 2) < CONTROLLED_STOP (the arm brakes,
+then the drive is switched off, category 1) < ESTOP (drive off at once, category 0) < LOCKOUT (only a restart ends it).
+The categories are those of IEC 60204-1 by name only; **nothing here is certified**.
 
 - A condition must be present for `after` before its check trips. Gaps shorter than `release` do not interrupt it
   (anti-chatter).

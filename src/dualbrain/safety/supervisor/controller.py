@@ -34,7 +34,7 @@ UNUSABLE_STATE_CONDITIONS = int(Condition.STATE_IMPLAUSIBLE | Condition.STATE_RE
 
 
 class SafetyController:
-    """Supervisor, state monitor, enforcement and filter of one robot; `speed_stage` in (0, 1] is set by the operator."""
+    """Supervisor, state monitor, enforcement and filter of one robot; the operator sets `speed_stage` in (0, 1]."""
 
     def __init__(
         self,

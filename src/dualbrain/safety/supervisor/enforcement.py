@@ -27,8 +27,8 @@ class StandstillLimits(msgspec.Struct, frozen=True, kw_only=True):
 
     - `rest_velocity` [rad/s]: below it the arm is at rest. `max_drift` [rad]: allowed motion in a standstill.
     - `stop_timeout` [s]: longest duration of braking.
-    - `brake_time` [s]: time in which the brakes stop the arm. `max_brake_slip` [rad]: allowed motion beyond the distance
-      that the arm would coast in that time.
+    - `brake_time` [s]: time in which the brakes stop the arm. `max_brake_slip` [rad]: allowed motion beyond the
+      distance that the arm would coast in that time.
     - `slow_scale`: scale of SLOW without a lower speed stage.
     """
 

@@ -55,7 +55,7 @@ class MonitorLimits(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class StateMonitor:
-    """Turns sensor readings into `Condition` bits: `check_state` for each joint state, `check_control` for each control."""
+    """Detects `Condition` bits with `check_state` for each joint state and `check_control` for each control."""
 
     def __init__(
         self, robot_model: RobotModel, timing: Timing = SIMULATED, limits: MonitorLimits | None = None
@@ -102,7 +102,7 @@ class StateMonitor:
         return C.STATE_STALE if age > self.timing.state_stale_after else 0
 
     def _plausibility_conditions(self, state: RobotState) -> int:
-        """Bits for values that are not finite, out of range or jump; plausible states are compared with other sources."""
+        """Bits for values that are not finite, out of range or jump; plausible states are compared across sources."""
         q, v = state.q.tolist(), state.v.tolist()
         finite = all(map(isfinite, (*q, *v, state.opening, state.stamp)))
         if not finite or not all_in_range(q[self._ranged_joints], self._ranges):
