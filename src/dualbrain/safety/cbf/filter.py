@@ -75,7 +75,7 @@ class SafetyFilter:
         """Compile `robot_model` for the kernel.
 
         `weight` is R (n, n), by default diag(1/v_max²). `barriers` compute additional rows in every step.
-        `fixed_obstacles` stay in the obstacle table whatever `observe` sets.
+        `observe` always adds the `fixed_obstacles` to the obstacle table.
 
         Raises:
             ConfigurationError: no kernel build has room for the robot model, R is not positive definite, jerk limits

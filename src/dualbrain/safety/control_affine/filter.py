@@ -1,4 +1,4 @@
-"""A safety filter for any control-affine system: rows from its barriers, the kernel's QP, an answer with reasons."""
+"""Safety filter for control-affine systems: one row per barrier, solved by the QP of the C kernel."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from dualbrain.safety.control_affine.system import Barrier, ControlAffine
 
 Array = NDArray[np.float64]
 UNLIMITED_CONTROL = 1e9
-"""What an infinite bound becomes, in units of its control."""
+"""Replacement for an infinite bound, in units of the control."""
 
 
 class ControlAffineFilter:
     """Closest safe control of ẋ = f(x) + g(x) u: min ½‖u − u_nom‖²_R s.t. one row for every barrier, u in the box.
 
-    Promise (Xiao and Belta, CDC 2019): if every ψ_i, i < r, is at least 0 at the start, the system moves exactly as
-    written, without disturbance, and every state is answered `certified` at once, then every h stays at least 0. It
-    says nothing of states where the rows conflict with the box or with each other (RELAXED), nor of a singular state,
-    where L_g L_f^{r−1} h = 0 and the row cannot be acted upon. A control that is held for a period dt loses what
-    ψ_{r−1} can curve within it: with α_r dt ≤ 1 a `margin` of dt/2 · max |d²ψ_{r−1}/dt²| covers that.
+    Guarantee (Xiao and Belta, CDC 2019): if every ψ_i, i < r, is at least 0 at the start, the system moves exactly as
+    modelled, and the result is `certified` at every state, then every h stays at least 0. The guarantee does not cover
+    states where rows conflict with the box or with each other (RELAXED), nor singular states, where L_g L_f^{r−1} h = 0
+    and the controls have no effect on the row. A control that is held for a period dt loses the curvature of ψ_{r−1}:
+    with α_r dt ≤ 1 a `margin` of dt/2 · max |d²ψ_{r−1}/dt²| covers it.
 
-    Where rows conflict they are given up by rank, as little as possible; with a `fallback` none is met worse than that
-    control meets it.
+    Conflicting rows are relaxed by rank, each rank as little as possible. With a `fallback` no row is violated more
+    than by that control.
     """
 
     def __init__(
@@ -47,13 +47,17 @@ class ControlAffineFilter:
     ) -> None:
         """`lower` and `upper` (m,) are the box, `weight` is R (m, m), by default diag(1/half range²).
 
-        `fallback` (m,) is the control of last resort (braking), 0 if none is given. `domain` are bounds (n,) between
-        which relative degrees are tested.
+        `fallback` (m,) is the control of last resort (braking), by default 0. `domain` are bounds (n,) between which
+        relative degrees are tested.
+
+        Raises:
+            ConfigurationError: there are no barriers or a name occurs twice, the box is empty, a shape is wrong, or a
+                barrier has no relative degree.
         """
         self.system, self.barriers = system, tuple(barriers)
         self._names = tuple(barrier.name for barrier in self.barriers)
         if not self.barriers or len(set(self._names)) < len(self._names):
-            raise ConfigurationError("barriers", got=self._names, allowed="one or more, each with its own name")
+            raise ConfigurationError("barriers", got=self._names, allowed="one or more, with distinct names")
         low, high = _as_vector(lower, system.m, "lower"), _as_vector(upper, system.m, "upper")
         if not np.all(low <= high):
             raise ConfigurationError("box of the controls", got=(low.tolist(), high.tolist()), allowed="lower ≤ upper")
@@ -65,8 +69,8 @@ class ControlAffineFilter:
         self._has_fallback = fallback is not None
         last = _as_vector(0.0 if fallback is None else fallback, system.m, "fallback")
         self._fallback = np.clip(last, self._lower, self._upper)
-        edges = (_as_vector(domain[0], system.n, "domain"), _as_vector(domain[1], system.n, "domain"))
-        self._rows = CompiledRows(system, self.barriers, edges)
+        bounds = (_as_vector(domain[0], system.n, "domain"), _as_vector(domain[1], system.n, "domain"))
+        self._rows = CompiledRows(system, self.barriers, bounds)
         self._ranks = np.array([int(barrier.rank) for barrier in self.barriers], np.int64)
         self._chain_ends = np.cumsum(self._rows.degrees)[:-1]
 
@@ -81,25 +85,25 @@ class ControlAffineFilter:
         return A, b
 
     def __call__(self, x: ArrayLike, u_nom: ArrayLike) -> FilteredControl:
-        """The control for the state x (n,), nearest to u_nom (m,)."""
-        state, wish = _as_vector(x, self.system.n, "state x"), _as_vector(u_nom, self.system.m, "u_nom")
+        """The safe control for the state x (n,) that is closest to u_nom (m,)."""
+        state, desired = _as_vector(x, self.system.n, "state x"), _as_vector(u_nom, self.system.m, "u_nom")
         A, b, psi = self._rows.evaluate(state)
-        if not (np.isfinite(state).all() and np.isfinite(wish).all() and _all_finite(A, b, psi)):
-            return self._result(self._fallback, wish, FilterStatus.STOPPED, Reason.BAD_INPUT)
+        if not (np.isfinite(state).all() and np.isfinite(desired).all() and _all_finite(A, b, psi)):
+            return self._result(self._fallback, desired, FilterStatus.STOPPED, Reason.BAD_INPUT)
         chains = tuple(tuple(map(float, chain)) for chain in np.split(psi, self._chain_ends))
         limit = UNLIMITED_CONTROL * self._unit
-        found = self._qp.solve(A, b, self._lower, self._upper, np.clip(wish, -limit, limit))
+        found = self._qp.solve(A, b, self._lower, self._upper, np.clip(desired, -limit, limit))
         if found.rows_met:
-            status = FilterStatus.SAFE if np.array_equal(found.u, wish) else FilterStatus.MODIFIED
-            return self._result(found.u, wish, status, Reason(0), chains, found)
-        least, lost = self._relaxation_problem(A, b).solve(self._ranks)
-        if not least.rows_met:
-            return self._result(self._fallback, wish, FilterStatus.STOPPED, Reason.QP_ITERATIONS, chains, found)
+            status = FilterStatus.SAFE if np.array_equal(found.u, desired) else FilterStatus.MODIFIED
+            return self._result(found.u, desired, status, Reason(0), chains, found)
+        relaxed, relaxed_ranks = self._relaxation_problem(A, b).solve(self._ranks)
+        if not relaxed.rows_met:
+            return self._result(self._fallback, desired, FilterStatus.STOPPED, Reason.QP_ITERATIONS, chains, found)
         reason = Reason.QP_ITERATIONS if found.limit_reached else Reason.INFEASIBLE
-        return self._result(least.u, wish, FilterStatus.RELAXED, reason, chains, found, lost)
+        return self._result(relaxed.u, desired, FilterStatus.RELAXED, reason, chains, found, relaxed_ranks)
 
     def _relaxation_problem(self, A: Array, b: Array) -> RelaxationProblem:
-        """Violations count in units of what half the box can do about them."""
+        """The relaxation of rows A u ≥ b, with violations in units of the effect of half the box."""
         low, high, size = self._lower, self._upper, np.maximum(np.abs(A) @ self._unit, 1e-9)
         floor = floor_at_control(A, b, self._fallback) if self._has_fallback else floor_in_box(A, b, low, high)
         return RelaxationProblem(
@@ -116,14 +120,14 @@ class ControlAffineFilter:
         solution: QpResult | None = None,
         relaxed: tuple[int, ...] = (),
     ) -> FilteredControl:
-        apart = (u - np.clip(np.nan_to_num(u_nom), -1e12, 1e12)) / self._unit
+        change = (u - np.clip(np.nan_to_num(u_nom), -1e12, 1e12)) / self._unit
         return FilteredControl(
             u=u,
             u_nom=u_nom,
             status=status,
             names=self._names,
             reason=reason,
-            delta=float(np.sqrt(np.mean(apart**2))),
+            delta=float(np.sqrt(np.mean(change**2))),
             psi=psi,
             active_rows=self._active_rows(solution.active) if solution else (),
             relaxed_ranks=tuple(Rank(rank) for rank in relaxed),

@@ -1,4 +1,4 @@
-"""The relative degree of a barrier: how often it must be differentiated until the controls appear."""
+"""Relative degree of a barrier: the number of derivatives of h until the controls appear."""
 
 from __future__ import annotations
 
@@ -12,16 +12,19 @@ from dualbrain.safety.control_affine.system import Barrier, ControlAffine, Expre
 
 Array = NDArray[np.float64]
 N_TEST_STATES = 64
-"""States at which a derivative is tried."""
+"""Number of states at which a derivative is evaluated."""
 ZERO_TOLERANCE = 1e-9
-"""Share of its own terms below which a sum counts as zero: they cancel up to rounding."""
+"""Sums below this fraction of their terms count as zero, because the terms cancel up to rounding."""
 
 
 def relative_degree(system: ControlAffine, barrier: Barrier, domain: tuple[Array, Array]) -> int:
-    """The smallest r with L_g L_f^{r−1} h ≠ 0, at every one of the states spread over `domain` ((n,), (n,)).
+    """The smallest r with L_g L_f^{r−1} h ≠ 0 at every test state in `domain` ((n,), (n,)).
 
-    An entry is zero when its structure says so, or when it cancels at all states. Raises `InvalidSetup` when h does not
-    depend on the state, when no control ever reaches h, and when r is not the same everywhere.
+    An entry is zero if it is structurally zero or cancels at all states.
+
+    Raises:
+        ConfigurationError: h does not depend on the state, no control appears in any derivative of h, or r is not the
+            same at all states.
     """
     ca = import_casadi()
     h = scalar_barrier(system, barrier)
@@ -30,15 +33,15 @@ def relative_degree(system: ControlAffine, barrier: Barrier, domain: tuple[Array
         gradient = ca.jacobian(h, system.x)
         if r == 1:
             _check_dependence(system, barrier, gradient, states)
-        reached = _controls_appear(system, barrier, gradient, states)
-        if reached.all() and len(reached):
+        affected = _controls_appear(system, barrier, gradient, states)
+        if affected.all() and len(affected):
             return r
-        if reached.any():
+        if affected.any():
             raise ConfigurationError(
                 f"relative degree of barrier {barrier.name!r}",
-                got=f"{r} at {int(reached.sum())} of {len(reached)} states, more at the others",
+                got=f"{r} at {int(affected.sum())} of {len(affected)} states, more at the others",
                 allowed="the same at all states",
-                fix="Write the barrier without switches, or name the domain where it is used.",
+                fix="Write the barrier without switches, or pass the `domain` in which it is used.",
             )
         h = ca.mtimes(gradient, system.f)
     raise ConfigurationError(
@@ -49,7 +52,7 @@ def relative_degree(system: ControlAffine, barrier: Barrier, domain: tuple[Array
 
 
 def scalar_barrier(system: ControlAffine, barrier: Barrier) -> Expression:
-    """The barrier's h as one scalar expression of the state."""
+    """The function h of the barrier as one scalar expression of the state; raises `ConfigurationError`."""
     h = system.to_expression(barrier.h, f"h of barrier {barrier.name!r}")
     if h.numel() != 1:
         raise ConfigurationError(f"h of barrier {barrier.name!r}", got=h.shape, allowed="one number")
@@ -57,9 +60,9 @@ def scalar_barrier(system: ControlAffine, barrier: Barrier) -> Expression:
 
 
 def spread_states(lower: Array, upper: Array) -> Array:
-    """`POINTS` states (k, n) that fill the box [lower, upper] evenly, along Kronecker's sequence of a golden mean.
+    """`N_TEST_STATES` states (k, n) that fill the box [lower, upper] evenly (Kronecker sequence of a golden mean).
 
-    They have irrational coordinates, so that they miss surfaces on which a derivative happens to vanish.
+    Their coordinates are irrational, so that they avoid surfaces on which a derivative vanishes by chance.
     """
     n, mean = len(lower), 2.0
     for _ in range(40):
@@ -76,7 +79,7 @@ def _check_dependence(system: ControlAffine, barrier: Barrier, gradient: Express
 
 
 def _controls_appear(system: ControlAffine, barrier: Barrier, gradient: Expression, states: Array) -> NDArray[np.bool_]:
-    """Where (k,) some control reaches the derivative; all False when the structure already says that none can."""
+    """Mask (k,) of states at which a control affects the derivative; all False if it is structurally zero."""
     ca = import_casadi()
     entries = ca.mtimes(gradient, system.g)
     if entries.nnz() == 0:
@@ -89,12 +92,12 @@ def _controls_appear(system: ControlAffine, barrier: Barrier, gradient: Expressi
             f"derivatives of barrier {barrier.name!r}",
             got="no finite value",
             allowed="a domain where h is smooth",
-            fix="Name the domain: states between which h, f and g are defined.",
+            fix="Pass a `domain` in which h, f and g are defined.",
         )
     return np.any(np.abs(values[known, :, 0]) > ZERO_TOLERANCE * values[known, :, 1], axis=1)
 
 
 def _values(system: ControlAffine, barrier: Barrier, expression: Expression, states: Array) -> Array:
-    """The expression's entries, column by column, at every state: (k, entries)."""
-    made: Any = system.compile_function(f"barrier {barrier.name!r}", [expression])
-    return np.array([np.asarray(made(state), float).ravel(order="F") for state in states])
+    """Entries of the expression in column-major order at every state: (k, entries)."""
+    function: Any = system.compile_function(f"barrier {barrier.name!r}", [expression])
+    return np.array([np.asarray(function(state), float).ravel(order="F") for state in states])

@@ -1,4 +1,4 @@
-"""What the filter of a control-affine system answers, and why."""
+"""Result of the filter of a control-affine system, and the reasons for it."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ Array = NDArray[np.float64]
 
 
 class FilteredControl(msgspec.Struct, frozen=True, eq=False, kw_only=True):
-    """One answer of `ControlAffineFilter`: `u` (m,), always finite and in the box.
+    """Result of `ControlAffineFilter`: `u` (m,), always finite and in the box.
 
-    `names`, `h` and `psi` belong together, one for each barrier; `psi` holds ψ_0 = h to ψ_{r−1}. `outside` names the
-    barriers with a ψ below zero: for them the initial condition of the promise does not hold. `active` are the binding
-    constraints as (name, multiplier), the conflicting ones when the status is RELAXED; `given_up` the ranks of which
-    some row could not be met. `delta` is the root mean square of (u − u_nom) in units of half the box.
+    `names`, `h` and `psi` have one entry per barrier; `psi` holds ψ_0 = h to ψ_{r−1}. `violated_barriers` have a ψ
+    below zero, so that the initial condition of the guarantee does not hold for them. `active_rows` are the binding
+    constraints as (name, multiplier), or the conflicting constraints if the status is RELAXED. `relaxed_ranks` are the
+    ranks of which some row was relaxed. `delta` is the root mean square of (u − u_nom) in units of half the box.
     """
 
     u: Array
@@ -34,29 +34,28 @@ class FilteredControl(msgspec.Struct, frozen=True, eq=False, kw_only=True):
 
     @property
     def h(self) -> tuple[float, ...]:
-        """The barriers' values; empty where the state could not be read."""
+        """The barrier values; empty if the filter rejected the state."""
         return tuple(chain[0] for chain in self.psi)
 
     @property
     def violated_barriers(self) -> tuple[str, ...]:
-        """Barriers with a ψ below zero."""
+        """Names of the barriers with a ψ below zero."""
         return tuple(name for name, chain in zip(self.names, self.psi, strict=False) if min(chain) < 0.0)
 
     @property
     def certified(self) -> bool:
-        """Every premise of the promise held at this state: no ψ is below zero and every row is met."""
+        """Whether the conditions of the guarantee hold at this state: no ψ is below zero and every row is met."""
         return self.status <= FilterStatus.MODIFIED and not self.violated_barriers
 
     def explain(self) -> str:
         """One sentence for people."""
-        who = " and ".join(name for name, _ in sorted(self.active_rows, key=lambda row: -row[1])[:2])
+        rows = " and ".join(name for name, _ in sorted(self.active_rows, key=lambda row: -row[1])[:2])
         if self.status is FilterStatus.SAFE:
-            said = "passed unchanged"
+            text = "passed unchanged"
         elif self.status is FilterStatus.MODIFIED:
-            said = f"{who or 'limits'}: changed by {100.0 * self.delta:.1f} % of the range"
+            text = f"{rows or 'limits'}: changed by {100.0 * self.delta:.1f} % of the range"
         else:
             causes = ", ".join(flag.name.lower().replace("_", " ") for flag in self.reason if flag.name)
-            said = f"{self.status.name.lower()}: {causes}" + (f" ({who})" if who else "")
-        return said + (
-            f"; outside the safe set of {', '.join(self.violated_barriers)}" if self.violated_barriers else ""
-        )
+            text = f"{self.status.name.lower()}: {causes}" + (f" ({rows})" if rows else "")
+        violated = ", ".join(self.violated_barriers)
+        return f"{text}; outside the safe set of {violated}" if violated else text

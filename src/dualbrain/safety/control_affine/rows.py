@@ -1,4 +1,4 @@
-"""From barriers to rows: the ψ of every order, Lie derivatives, and one compiled function for all of them."""
+"""Derivation of rows from barriers: ψ of every order, Lie derivatives, and one compiled function for all rows."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ Array = NDArray[np.float64]
 
 
 class CompiledRows:
-    """Rows A u ≥ b of k barriers at a state, by CasADi's virtual machine without a copy.
+    """Rows A u ≥ b of k barriers at a state, evaluated by CasADi's virtual machine without copies.
 
     ψ_0 = h, ψ_i = L_f ψ_{i−1} + α_i(ψ_{i−1}) for i < r, and the row
     L_g ψ_{r−1} u ≥ −L_f ψ_{r−1} − α_r(ψ_{r−1}) + margin (Xiao and Belta, CDC 2019).
     """
 
     def __init__(self, system: ControlAffine, barriers: Sequence[Barrier], domain: tuple[Array, Array]) -> None:
-        """Find every relative degree, derive the rows and compile them."""
+        """Determine the relative degrees, derive the rows and compile them; raises `ConfigurationError`."""
         ca = import_casadi()
         self.degrees = tuple(relative_degree(system, barrier, domain) for barrier in barriers)
         derived = [derive_row(system, barrier, r) for barrier, r in zip(barriers, self.degrees, strict=True)]
@@ -33,18 +33,18 @@ class CompiledRows:
         self._psi = np.zeros(sum(self.degrees))
         self._buffer, self._evaluate = self._function.buffer()
         self._buffer.set_arg(0, memoryview(self._x.data))
-        for place, array in enumerate((self._A, self._b, self._psi)):
-            self._buffer.set_res(place, memoryview(array.data))
+        for index, array in enumerate((self._A, self._b, self._psi)):
+            self._buffer.set_res(index, memoryview(array.data))
 
     def evaluate(self, x: Array) -> tuple[Array, Array, Array]:
-        """A (k, m), b (k,) and the ψ of all barriers, ψ_0 to ψ_{r−1} of each in turn, at the state x (n,)."""
+        """A (k, m), b (k,) and ψ_0 to ψ_{r−1} of each barrier in sequence, at the state x (n,)."""
         self._x[:] = x
         self._evaluate()
         return np.ascontiguousarray(self._A.T), self._b.copy(), self._psi.copy()
 
 
 def derive_row(system: ControlAffine, barrier: Barrier, degree: int) -> tuple[list[Expression], Expression, Expression]:
-    """The chain ψ_0..ψ_{r−1}, and the row (1, m) and bound of a barrier of relative degree r."""
+    """The chain ψ_0..ψ_{r−1}, the coefficients (1, m) and the bound of the row of a barrier of relative degree r."""
     ca = import_casadi()
     chain = [scalar_barrier(system, barrier)]
     for order in range(1, degree + 1):

@@ -1,4 +1,4 @@
-"""What the user writes: the system ẋ = f(x) + g(x) u and the barriers h(x) ≥ 0."""
+"""Input of the control-affine filter: the system ẋ = f(x) + g(x) u and the barriers h(x) ≥ 0."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ Array = NDArray[np.float64]
 Expression = Any
 """A CasADi expression (SX or MX)."""
 ClassK = float | Callable[[Expression], Expression]
-"""A class-K function: a gain [1/s], or a function of one expression that is 0 at 0 and rises."""
+"""A class-K function: a gain [1/s], or an increasing function of one expression that is 0 at 0."""
 
 
 def import_casadi() -> Any:
-    """The package casadi; raises `MissingPart` with what to install."""
+    """The package casadi; raises `MissingDependencyError` with the command that installs it."""
     try:
         import casadi  # noqa: PLC0415  # heavy, and an optional extra
     except ImportError as error:
@@ -31,10 +31,10 @@ def import_casadi() -> Any:
 
 
 class Barrier(msgspec.Struct, frozen=True, kw_only=True):
-    """One barrier h(x) ≥ 0: a scalar expression in the system's state.
+    """One barrier h(x) ≥ 0: a scalar expression in the state of the system.
 
-    `alphas` has one class-K function for each order, or one for all: ψ_i = ψ̇_{i−1} + α_i(ψ_{i−1}). `margin` is what the
-    row keeps beyond zero, in units of h/s^r. `rank` says what is given up last when rows conflict.
+    `alphas` has one class-K function for each order, or one for all: ψ_i = ψ̇_{i−1} + α_i(ψ_{i−1}). `margin` is the
+    margin of the row beyond zero, in units of h/s^r. `rank` is the order of relaxation if rows conflict.
     """
 
     name: str
@@ -44,7 +44,11 @@ class Barrier(msgspec.Struct, frozen=True, kw_only=True):
     rank: Rank = Rank.TASK
 
     def alpha(self, order: int, degree: int) -> ClassK:
-        """The class-K function of one order, 1 to `degree`."""
+        """The class-K function of one order, from 1 to `degree`.
+
+        Raises:
+            ConfigurationError: the number of `alphas` is neither 1 nor `degree`, or a gain is not finite and above 0.
+        """
         alphas: Any = self.alphas
         given: list[Any] = list(alphas) if _is_sequence(alphas) else [alphas] * degree
         if len(given) != degree:
@@ -63,7 +67,12 @@ class ControlAffine:
     """The system ẋ = f(x) + g(x) u with n states and m controls."""
 
     def __init__(self, x: Expression, f: Expression | Sequence[Expression], g: Expression | Sequence[Any]) -> None:
-        """`x` is a column of symbols; `f` (n,) and `g` (n, m) are expressions in it, or lists of them."""
+        """`x` is a column of symbols; `f` (n,) and `g` (n, m) are expressions in it, or lists of expressions.
+
+        Raises:
+            ConfigurationError: `x` is not a column of symbols, a shape is wrong, or f or g has symbols that are not
+                in `x`.
+        """
         ca = import_casadi()
         if not (isinstance(x, (ca.SX, ca.MX)) and x.is_column() and x.is_valid_input()):
             raise ConfigurationError("state x of the system", got=str(x), allowed="a column of casadi symbols")
@@ -78,7 +87,7 @@ class ControlAffine:
         self.compile_function("f and g", [ca.horzcat(self.f, self.g)])
 
     def to_expression(self, value: Any, what: str) -> Expression:
-        """A casadi expression of the state's kind, from an expression, numbers, or a list of them (a column)."""
+        """A CasADi column expression of the type of the state, from an expression, numbers, or a list of them."""
         ca = import_casadi()
         try:
             return ca.vertcat(type(self.x)(0, 0), *(value if _is_sequence(value) else [value]))
@@ -88,21 +97,21 @@ class ControlAffine:
             ) from error
 
     def _columns(self, g: Any) -> Expression:
-        """The matrix g; a flat list is its single column, a list of lists its rows."""
+        """The matrix g; a flat list is its single column, a list of lists contains its rows."""
         ca = import_casadi()
         if _is_sequence(g) and any(_is_sequence(row) for row in g):
             return ca.vertcat(*(ca.horzcat(type(self.x)(0, 0), *row) for row in g))
         return self.to_expression(g, "g")
 
     def compile_function(self, what: str, outputs: list[Expression]) -> Any:
-        """A compiled function of the state; raises `InvalidSetup` when `outputs` know symbols that are not in it."""
+        """A compiled function of the state; raises `ConfigurationError` if `outputs` have other symbols."""
         ca = import_casadi()
-        made = ca.Function("rows", [self.x], [ca.densify(out) for out in outputs], {"allow_free": True})
-        if made.has_free():
+        function = ca.Function("rows", [self.x], [ca.densify(out) for out in outputs], {"allow_free": True})
+        if function.has_free():
             raise ConfigurationError(
-                what, got=f"free symbols {made.get_free()}", allowed=f"expressions in the state {self.x}"
+                what, got=f"free symbols {function.get_free()}", allowed=f"expressions in the state {self.x}"
             )
-        return made
+        return function
 
 
 def _is_sequence(value: Any) -> bool:

@@ -1,4 +1,4 @@
-"""Barriers of relative degree two: a filter on joint accelerations."""
+"""Barriers of relative degree two: a safety filter on joint accelerations."""
 
 from dualbrain.safety.higher_order.filter import AccelerationConfig, AccelerationFilter
 from dualbrain.safety.higher_order.result import FilteredAcceleration

@@ -1,4 +1,4 @@
-"""The box of joint accelerations that keeps position, velocity and acceleration limits of every joint, exactly."""
+"""Box of joint accelerations that keeps the position, velocity and acceleration limits of every joint exactly."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ class JointLimits(msgspec.Struct, frozen=True, eq=False):
 
 
 def joint_limits(robot_model: RobotModel) -> JointLimits:
-    """The body's limits as arrays."""
+    """The joint limits of the robot model as arrays."""
     rows = [(j.lower.value, j.upper.value, j.velocity.value, j.acceleration.value) for j in robot_model.joints]
     return JointLimits(*np.array(rows).T)
 
 
 def acceleration_box(limits: JointLimits, q: Array, v: Array, dt: float, recovery: float) -> tuple[Array, Array]:
-    """Lower and upper bounds (n,) of the acceleration held for the next dt.
+    """Lower and upper bounds (n,) of the acceleration that is held for the next dt [s].
 
-    Each joint by itself can stop before its limit from the next state on, and does not pass it in between (Del Prete,
-    "Joint position and velocity bounds in discrete-time acceleration/torque control of robot manipulators", RA-L 2018).
-    With d = q_max − q the next velocity is at most
+    Within the bounds each joint can stop before its limit from the next state on, and does not pass it before then
+    (Del Prete, "Joint position and velocity bounds in discrete-time acceleration/torque control of robot manipulators",
+    RA-L 2018). With d = q_max − q the next velocity is at most
 
         v⁺ = −a dt/2 + sqrt((a dt/2)² + 2a (d − v dt/2))   where d ≥ v dt/2, so that q⁺ + v⁺²/(2a) ≤ q_max,
-        v⁺ = v − v² dt/(2d)                               else: the turning point falls inside the step.
+        v⁺ = v − v² dt/(2d)                               else: the joint turns around within the step.
 
-    A joint beyond its limit is asked to come back at min(`recovery`, d/dt) [rad/s], a joint that is too fast to slow
-    down, as hard as its acceleration allows. Promise: lower ≤ upper, both within the acceleration limits.
+    A joint beyond its limit returns at min(`recovery`, d/dt) [rad/s]; a joint that is too fast to slow down brakes at
+    its acceleration limit. Guarantee: lower ≤ upper, both within the acceleration limits.
     """
     upper = _max_acceleration(limits.upper - q, v, limits, dt, recovery)
     lower = -_max_acceleration(q - limits.lower, -v, limits, dt, recovery)

@@ -1,4 +1,4 @@
-"""The filter on joint accelerations: a barrier of relative degree two for every pair, in one QP (Xiao and Belta)."""
+"""Safety filter on joint accelerations: a barrier of relative degree two for every pair, in one QP (Xiao and Belta)."""
 
 from __future__ import annotations
 
@@ -23,19 +23,21 @@ from dualbrain.safety.higher_order.sphere_kinematics import SphereKinematics
 
 Array = NDArray[np.float64]
 MAX_LIMIT_EXCESS = 0.2
-"""[rad] Beyond a joint limit by more: the state is not believed."""
+"""Excess over a joint limit [rad] above which the filter rejects the state."""
 IMPLAUSIBLE_FACTOR = 10.0
-"""Times the limit: a velocity or a nominal control beyond it is not believed."""
+"""Multiple of a limit above which the filter rejects a velocity, and to which it clips a nominal control."""
 
 
 class AccelerationConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """The dials of the acceleration filter.
+    """Configuration of the acceleration filter.
 
-    `alpha_1`, `alpha_2` [1/s] are the gains of ψ₁ = ḣ + α₁h and of ψ̇₁ + α₂ψ₁ ≥ 0; None takes for α₁ 0.8 of what the
-    acceleration limits can follow at full speed, min_i a_i/v_i (the rest is left for the arm's curvature). An
-    obstacle's own `alpha` replaces α₁. `acceleration_error` [rad/s²] bounds |q̈ − u| of every joint. `self_margin` [m]
-    is the clearance between own parts, `recovery_speed` [rad/s] how fast a joint returns from beyond its limit,
-    `stale_after` [s] the age at which obstacles that may move are no longer believed. `period` [s] replaces the body's.
+    - `alpha_1`, `alpha_2` [1/s]: gains of ψ₁ = ḣ + α₁h and of ψ̇₁ + α₂ψ₁ ≥ 0. With None, α₁ is 0.8 of the gain that the
+      acceleration limits can follow at full speed, min_i a_i/v_i; the rest is for the curvature of the arm's motion.
+      `Obstacle.alpha` replaces α₁ for one obstacle.
+    - `acceleration_error` [rad/s²]: bound of |q̈ − u| of every joint.
+    - `self_margin` [m]: clearance between links. `recovery_speed` [rad/s]: speed of return from beyond a joint limit.
+    - `scene_stale_after` [s]: age after which moving obstacles are rejected.
+    - `period` [s]: control period instead of that of the robot model.
     """
 
     alpha_1: float | None = None
@@ -50,39 +52,42 @@ class AccelerationConfig(msgspec.Struct, frozen=True, kw_only=True):
 class AccelerationFilter:
     """Closest safe joint acceleration: min ½‖u − u_nom‖²_R s.t. one row for every pair, u in the box; q̈ = u.
 
-    For the gap h of a sphere and an obstacle, or of two own spheres, with unit normal n, relative velocity w and
-    distance d (relative degree two; Xiao and Belta, "Control barrier functions for systems with high relative degree",
-    CDC 2019):
+    For the gap h of a sphere and an obstacle, or of two spheres of the robot, with unit normal n, relative velocity w
+    and distance d (relative degree two; Xiao and Belta, "Control barrier functions for systems with high relative
+    degree", CDC 2019):
 
         ψ₁ = ḣ + α₁h,   ḣ = n'(J q̇ − v_o),   ψ₂ = ψ̇₁ + α₂ψ₁ ≥ m:
         n'J u + n'J̇q̇ + κ + (α₁ + α₂) ḣ + α₁α₂ h ≥ m,
 
-    with κ ≥ 0 for how the distance bends (`gaps`) and m for the period (`sampling.margin`). Joint limits are the box
-    (`limits.acceleration_box`), which is never given up.
+    with κ ≥ 0 for the curvature of the distance (`distances`) and m for the length of the period (`sampling_margin`).
+    Joint limits are the box (`acceleration_box`), which is never relaxed.
 
-    Promise: if h ≥ 0 and ψ₁ ≥ 0 for all pairs at the start, every step is `certified`, u is held for one period and
-    q̈ = u within `acceleration_error`, and obstacles move at the velocity they are said to have within `velocity_error`,
-    then h ≥ 0 and ψ₁ ≥ 0 at all times, between the samples too. A new observation of a moving obstacle is a new start.
-    With acceleration limits the rows can conflict; then the answer is RELAXED and promises nothing but what follows.
+    Guarantee: if h ≥ 0 and ψ₁ ≥ 0 for all pairs at the start, every step is `certified`, u is held for one period with
+    q̈ = u within `acceleration_error`, and obstacles move at their reported velocity within `velocity_error`, then h ≥ 0
+    and ψ₁ ≥ 0 at all times, also between samples. A new observation of a moving obstacle is a new start. Under
+    acceleration limits rows can conflict. The result is then RELAXED, and only the following holds.
 
-    Where ψ₁ < 0 (`too_fast`) the row asks for ψ₁ ≥ 0 at the end of the period: restored as fast as the box allows.
-    Where rows conflict they are given up by rank, in each rank those with ψ₁ < 0 after the others, as little as
-    possible; and no row is met worse than braking along the path, u = −k q̇ with the largest admissible k, meets it. So
-    in no step is h heading for less than if the arm braked.
+    For ψ₁ < 0 (`too_fast_pairs`) the row asks for ψ₁ ≥ 0 at the end of the period, as fast as the box allows.
+    Conflicting rows are relaxed by rank, in each rank rows with ψ₁ < 0 last, as little as possible. No row is violated
+    more than by braking along the path, u = −k q̇ with the largest admissible k.
     """
 
     def __init__(
         self, robot_model: RobotModel, config: AccelerationConfig | None = None, *, weight: Array | None = None
     ) -> None:
-        """Lay out spheres and pairs of `body`; `weight` is R (n, n), by default diag(1/a_max²)."""
+        """Prepare the spheres and pairs of `robot_model`; `weight` is R (n, n), by default diag(1/a_max²).
+
+        Raises:
+            ConfigurationError: the base is mobile, a gain is outside its range, or R is not positive definite.
+        """
         self.robot_model, self.config = robot_model, config or AccelerationConfig()
         if robot_model.base != "fixed":
-            raise ConfigurationError("base of the body", got=robot_model.base, allowed="fixed")
+            raise ConfigurationError("base of the robot model", got=robot_model.base, allowed="fixed")
         self.alpha_1 = 0.8 * robot_model.alpha if self.config.alpha_1 is None else self.config.alpha_1
         self.period = self.config.period or robot_model.period
         if not (self.alpha_1 > 0.0 and 0.0 < self.config.alpha_2 * self.period <= 1.0):
             raise ConfigurationError(
-                "gains of the filter", got=(self.alpha_1, self.config.alpha_2), allowed="above 0, α₂dt ≤ 1"
+                "gains of the filter", got=(self.alpha_1, self.config.alpha_2), allowed="α₁ and α₂ above 0, α₂dt ≤ 1"
             )
         self._limits = joint_limits(robot_model)
         self._spheres = SphereKinematics(robot_model)
@@ -92,34 +97,43 @@ class AccelerationFilter:
         self.observe(())
 
     def observe(self, obstacles: Sequence[Obstacle], stamp: float = 0.0) -> None:
-        """Replace the obstacle table by what was seen at `stamp` [s]; a non-finite number in it stops the robot."""
-        numbers = [_numbers(thing) for thing in obstacles]
+        """Replace the obstacle table by `obstacles`, observed at `stamp` [s].
+
+        The filter stops the robot if an obstacle contains a non-finite number.
+
+        Raises:
+            ConfigurationError: an obstacle has speed and separation, which is a rule on velocities.
+            UnknownNameError: an obstacle names a part that the robot does not have.
+        """
+        numbers = [_numbers(obstacle) for obstacle in obstacles]
         self._scene_valid = bool(np.isfinite(stamp) and all(np.isfinite(row).all() for row in numbers))
         usable = tuple(obstacles) if self._scene_valid else ()
         self._obstacle_pairs = ObstaclePairs(self.robot_model, self._spheres, usable, self.alpha_1) if usable else None
-        self._names, self._stamp = tuple(thing.name for thing in usable), stamp
-        self._has_moving_obstacles = any(not thing.static for thing in usable)
+        self._names, self._stamp = tuple(obstacle.name for obstacle in usable), stamp
+        self._has_moving_obstacles = any(not obstacle.static for obstacle in usable)
 
     def __call__(
         self, q: Array, v: Array, u_nom: Array, now: float = 0.0, *, opening: float = 0.0
     ) -> FilteredAcceleration:
-        """One control step from joint positions, velocities and the nominal acceleration, each (n,), SI.
+        """Run one control step from joint positions, velocities and the nominal acceleration, each (n,), in SI units.
 
-        `now` [s] is on the clock of `observe`'s stamps.
+        `now` [s] must be on the clock of the stamps passed to `observe`. Raises `ConfigurationError` for wrong sizes.
         """
-        q, v, wish = (np.asarray(x, float).reshape(-1) for x in (q, v, u_nom))
-        bad = self._input_faults(q, v, wish, now, opening)
-        self._v = self._v + self.period * self._u if Reason.BAD_INPUT in bad else v.copy()
-        if bad:
+        q, v, desired = (np.asarray(x, float).reshape(-1) for x in (q, v, u_nom))
+        faults = self._input_faults(q, v, desired, now, opening)
+        self._v = self._v + self.period * self._u if Reason.BAD_INPUT in faults else v.copy()
+        if faults:
             limit = self._limits.acceleration
-            answer = self._finish(_empty_result(wish), self._brake(self._v, -limit, limit), FilterStatus.STOPPED, bad)
+            result = self._finish(
+                _empty_result(desired), self._brake(self._v, -limit, limit), FilterStatus.STOPPED, faults
+            )
         else:
-            answer = self._step(q, v, wish, max(0.0, now - self._stamp), opening)
-        self._u = answer.u
-        return answer
+            result = self._step(q, v, desired, max(0.0, now - self._stamp), opening)
+        self._u = result.u
+        return result
 
     def _input_faults(self, q: Array, v: Array, u_nom: Array, now: float, opening: float) -> Reason:
-        n, limits, bad = self.robot_model.n, self._limits, Reason(0)
+        n, limits, faults = self.robot_model.n, self._limits, Reason(0)
         if any(x.shape != (n,) for x in (q, v, u_nom)):
             raise ConfigurationError(
                 "sizes of q, v and u_nom", got=(len(q), len(v), len(u_nom)), allowed=f"{n} numbers each"
@@ -130,12 +144,12 @@ class AccelerationFilter:
         ):
             return Reason.BAD_INPUT
         if np.any(q < limits.lower - MAX_LIMIT_EXCESS) or np.any(q > limits.upper + MAX_LIMIT_EXCESS):
-            bad |= Reason.OUTSIDE_LIMITS
+            faults |= Reason.OUTSIDE_LIMITS
         if not self._scene_valid:
-            bad |= Reason.BAD_SCENE
+            faults |= Reason.BAD_SCENE
         if self._has_moving_obstacles and now - self._stamp > self.config.scene_stale_after:
-            bad |= Reason.STALE_SCENE
-        return bad
+            faults |= Reason.STALE_SCENE
+        return faults
 
     # --- one step ---------------------------------------------------------------------------------------------
 
@@ -160,7 +174,7 @@ class AccelerationFilter:
         return self._solve(seen, kept, A, b, lower, upper, brake)
 
     def _pairs(self, q: Array, v: Array, age: float, opening: float, lower: Array, upper: Array) -> Pairs:
-        """All pairs at this state; what the period may change counts the acceleration's error too."""
+        """All pairs at this state; motion bounds over the period include the acceleration error."""
         error, dt = self.config.acceleration_error, self.period
         self._motion = self._spheres.motion(q, v, opening)
         seen = motion_bounds(self._spheres, self._motion, v, lower - error, upper + error, dt)
@@ -172,7 +186,7 @@ class AccelerationFilter:
         )
 
     def _rows(self, pairs: Pairs, free: Array, lower: Array, upper: Array) -> tuple[Pairs, Array, Array]:
-        """Rows A u ≥ b of those pairs that some control in the box would bring below their bound."""
+        """Rows A u ≥ b of the pairs whose bound some control in the box would violate."""
         J = self._motion.jacobian
         columns = J[pairs.sphere] - J[pairs.near_sphere] * (pairs.near_sphere != NO_INDEX)[:, None, None]
         A = np.einsum("pi,pni->pn", pairs.normal, columns)
@@ -203,26 +217,28 @@ class AccelerationFilter:
             reference=brake,
             floor=floor,
         )
-        least, lost = conflict.solve(2 * pairs.rank + late)
-        result = msgspec.structs.replace(result, relaxed_ranks=tuple(dict.fromkeys(Rank(rank // 2) for rank in lost)))
-        if not least.rows_met:
+        relaxed, relaxed_ranks = conflict.solve(2 * pairs.rank + late)
+        result = msgspec.structs.replace(
+            result, relaxed_ranks=tuple(dict.fromkeys(Rank(rank // 2) for rank in relaxed_ranks))
+        )
+        if not relaxed.rows_met:
             return self._finish(result, brake, FilterStatus.STOPPED, Reason.QP_ITERATIONS)
         reason = Reason.QP_ITERATIONS if found.limit_reached else Reason.INFEASIBLE
-        return self._finish(result, least.u, FilterStatus.RELAXED, reason)
+        return self._finish(result, relaxed.u, FilterStatus.RELAXED, reason)
 
     def _brake(self, v: Array, lower: Array, upper: Array) -> Array:
         """The hardest braking along the path: −k q̇ with the largest k that the acceleration limits admit."""
         fastest = float(np.max(np.abs(v) / self._limits.acceleration))
         return np.clip(-v * min(1.0 / self.period, 1.0 / max(fastest, 1e-12)), lower, upper)
 
-    # --- words ------------------------------------------------------------------------------------------------
+    # --- results ----------------------------------------------------------------------------------------------
 
     def _finish(
         self, result: FilteredAcceleration, u: Array, status: FilterStatus, reason: Reason
     ) -> FilteredAcceleration:
-        wish = np.nan_to_num(result.u_nom, posinf=0.0, neginf=0.0)
-        apart = (u - np.clip(wish, -1e9, 1e9)) / self._limits.acceleration
-        delta = float(np.sqrt(np.mean(apart**2)))
+        desired = np.nan_to_num(result.u_nom, posinf=0.0, neginf=0.0)
+        change = (u - np.clip(desired, -1e9, 1e9)) / self._limits.acceleration
+        delta = float(np.sqrt(np.mean(change**2)))
         return msgspec.structs.replace(result, u=u, status=status, reason=reason, delta=delta)
 
     def _active_rows(self, solution: QpResult, pairs: Pairs) -> tuple[tuple[str, float], ...]:
@@ -233,14 +249,14 @@ class AccelerationFilter:
         )
 
     def _pair_names(self, pairs: Pairs, which: NDArray[np.bool_]) -> tuple[str, ...]:
-        """Names of the marked pairs, each once, the deepest first."""
+        """Names of the marked pairs, each once, those with the smallest h first."""
         marked = np.flatnonzero(which)
         return tuple(dict.fromkeys(self._pair_name(pairs, int(i)) for i in marked[np.argsort(pairs.h[marked])]))
 
     def _pair_name(self, pairs: Pairs, i: int) -> str:
-        """A pair's name, as `SafetyFilter` gives it: "hand vs 'cup'", "link5 vs link2"."""
-        near, thing = int(pairs.near_sphere[i]), int(pairs.obstacle[i])
-        other = self._spheres.names[near] if thing == NO_INDEX else repr(self._names[thing])
+        """Name of a pair in the format of `SafetyFilter`: "hand vs 'cup'", "link5 vs link2"."""
+        near, obstacle = int(pairs.near_sphere[i]), int(pairs.obstacle[i])
+        other = self._spheres.names[near] if obstacle == NO_INDEX else repr(self._names[obstacle])
         return f"{self._spheres.names[int(pairs.sphere[i])]} vs {other}"
 
 
@@ -249,7 +265,7 @@ def _empty_result(u_nom: Array) -> FilteredAcceleration:
 
 
 def _numbers(obstacle: Obstacle) -> Array:
-    """Every number of an obstacle."""
+    """All numbers of an obstacle."""
     shape = [x for part in msgspec.structs.astuple(obstacle.shape) for x in np.atleast_1d(np.asarray(part, float))]
     pose = (*obstacle.pose.position, *obstacle.pose.quaternion, *obstacle.velocity)
     return np.array([*shape, *pose, obstacle.margin, obstacle.velocity_error, obstacle.alpha or 0.0])

@@ -1,4 +1,4 @@
-"""Barriers of all pairs at one state: h, ḣ and the part of ḧ that no control changes, of obstacles and own parts."""
+"""Barriers of all pairs at one state, for obstacles and self-collision: h, ḣ and the control-independent part of ḧ."""
 
 from __future__ import annotations
 
@@ -22,10 +22,11 @@ NO_INDEX = -1
 
 
 class Pairs(msgspec.Struct, frozen=True, eq=False, kw_only=True):
-    """p pairs, ḧ = n'(J_far − J_near) q̈ + ...: `h` [m], `rate` ḣ [m/s] and `rest` [m/s²], all (p,).
+    """Pairs (p,) with ḧ = n'(J_sphere − J_near_sphere) q̈ + drift: `h` [m], `h_dot` ḣ [m/s] and `drift` [m/s²].
 
-    `rest` is n'J̇q̇ + κ less the sampling margin, κ as far as it lasts; `authority` (p,) bounds |ḧ| [m/s²] by any
-    admissible control. `far` is the sphere, `near` the sphere of the own part or OWN, `thing` the obstacle or OWN.
+    `drift` is n'J̇q̇ + κ minus the sampling margin, with the part of κ that lasts for the period. `authority` bounds the
+    effect of any admissible control on |ḧ| [m/s²]. `sphere` is the index of the sphere; `near_sphere` is the sphere of
+    the other link and `obstacle` the index of the obstacle, one of them `NO_INDEX`. `normal` is (p, 3).
     """
 
     h: Array
@@ -56,7 +57,7 @@ class Pairs(msgspec.Struct, frozen=True, eq=False, kw_only=True):
 
 
 def concatenate(first: Pairs, second: Pairs) -> Pairs:
-    """All pairs of both."""
+    """All pairs of both arguments."""
 
     def both(name: str) -> Any:
         return np.concatenate([getattr(first, name), getattr(second, name)])
@@ -65,10 +66,10 @@ def concatenate(first: Pairs, second: Pairs) -> Pairs:
 
 
 class SelfCollisionPairs:
-    """Pairs of spheres on links that are kept apart, the one nearer to the base as seen from which the other moves."""
+    """Pairs of spheres on links that keep apart; motion is relative to the sphere nearer to the base."""
 
     def __init__(self, robot_model: RobotModel, spheres: SphereKinematics, clearance: float, alpha_1: float) -> None:
-        """Lay out the pairs; spheres on one frame cannot move against each other and have none."""
+        """Prepare the pairs; spheres on one frame do not move relative to each other and form no pair."""
         pairs = [
             sorted((i, j), key=spheres.frame_of)
             for one, other in robot_model.self_pairs.kept
@@ -84,10 +85,10 @@ class SelfCollisionPairs:
         self._alpha_1 = np.full(len(table), alpha_1)
 
     def compute(self, motion: SphereMotion, bounds_by_frame: Sequence[MotionBounds], dt: float) -> Pairs:
-        """The pairs at `motion`; `seen` are the courses by frame.
+        """The pairs at `motion`, with motion bounds by frame over the period dt [s].
 
-        What bends is counted in the frame of the near sphere, where that sphere rests: only then do the bounds of the
-        far one's course bound the pair's.
+        The curvature is computed in the frame of the near sphere, in which that sphere is at rest, because only there
+        the motion bounds of the far sphere are bounds of the pair.
         """
         near, far = self._near_sphere, self._sphere
         offset, w = motion.centres[far] - motion.centres[near], motion.velocities[far] - motion.velocities[near]
@@ -98,15 +99,15 @@ class SelfCollisionPairs:
         inside = w - cross(motion.angular_velocities[near], offset)
         kappa = (np.einsum("pi,pi->p", w, w) - rate**2) / d
         kappa_seen = np.maximum(np.einsum("pi,pi->p", inside, inside) - rate**2, 0.0) / d
-        course = _select_bounds(bounds_by_frame, self._start, far)
-        bends = np.maximum(d - dt * course.speed, self._min_distance)
-        kept = guaranteed_curvature(kappa_seen, course, course.speed, bends, dt)
-        rest = bias + kappa - kappa_seen + kept - sampling_margin(course, course.speed, bends, self._alpha_1, dt)
+        seen = _select_bounds(bounds_by_frame, self._start, far)
+        radius = np.maximum(d - dt * seen.speed, self._min_distance)
+        kept = guaranteed_curvature(kappa_seen, seen, seen.speed, radius, dt)
+        drift = bias + kappa - kappa_seen + kept - sampling_margin(seen, seen.speed, radius, self._alpha_1, dt)
         return Pairs(
             h=d - self._min_distance,
             h_dot=rate,
-            drift=rest,
-            authority=course.authority,
+            drift=drift,
+            authority=seen.authority,
             alpha_1=self._alpha_1,
             normal=n,
             sphere=far,
@@ -117,49 +118,49 @@ class SelfCollisionPairs:
 
 
 class ObstaclePairs:
-    """Pairs of moving spheres and obstacles."""
+    """Pairs of a moving sphere of the robot and an obstacle."""
 
     def __init__(
         self, robot_model: RobotModel, spheres: SphereKinematics, obstacles: Sequence[Obstacle], alpha_1: float
     ) -> None:
-        """Lay out the table; an obstacle may name the only parts of the robot that are kept from it."""
+        """Prepare the table; `Obstacle.parts` restricts the parts of the robot that keep away."""
         self._solids = Solids(obstacles)
         ordered = [obstacles[i] for i in self._solids.order]
-        self._centre = np.array([thing.pose.position for thing in ordered])[:, None]
-        self._velocity = np.array([thing.velocity for thing in ordered])[:, None]
-        self._margin = np.array([thing.margin for thing in ordered])[:, None]
-        self._error = np.array([thing.velocity_error for thing in ordered])[:, None]
+        self._centre = np.array([obstacle.pose.position for obstacle in ordered])[:, None]
+        self._velocity = np.array([obstacle.velocity for obstacle in ordered])[:, None]
+        self._margin = np.array([obstacle.margin for obstacle in ordered])[:, None]
+        self._error = np.array([obstacle.velocity_error for obstacle in ordered])[:, None]
         self._radii = spheres.radii
-        concerned = np.array([_affected_spheres(thing, robot_model, spheres) for thing in ordered])
-        self._affected = concerned & (spheres.frames > 0)
+        affected = np.array([_affected_spheres(obstacle, robot_model, spheres) for obstacle in ordered])
+        self._affected = affected & (spheres.frames > 0)
         shape = (len(ordered), len(spheres.names))
-        alpha = [alpha_1 if thing.alpha is None else thing.alpha for thing in ordered]
+        alpha = [alpha_1 if obstacle.alpha is None else obstacle.alpha for obstacle in ordered]
         self._alpha_1 = np.broadcast_to(np.array(alpha)[:, None], shape)
-        self._rank = np.broadcast_to(np.array([int(thing.rank) for thing in ordered])[:, None], shape)
+        self._rank = np.broadcast_to(np.array([int(obstacle.rank) for obstacle in ordered])[:, None], shape)
         self._obstacle = np.broadcast_to(np.array(self._solids.order)[:, None], shape)
         self._sphere = np.broadcast_to(np.arange(shape[1]), shape)
         self._near_sphere = np.full(shape, NO_INDEX, np.int64)
 
     def compute(self, motion: SphereMotion, bounds: MotionBounds, age: float, dt: float) -> Pairs:
-        """The pairs at `motion`, `age` [s] after the obstacles were seen: they moved on, their margins grew."""
+        """The pairs at `motion`, with obstacles and margins extrapolated by `age` [s]; dt [s] is the period."""
         points = motion.centres - self._centre - age * self._velocity
         w = motion.velocities - self._velocity
         speed = np.sqrt(np.einsum("mki,mki->mk", w, w)) + dt * bounds.acceleration
         gaps = self._solids.measure(points, w, dt * speed)
-        apart = self._radii + gaps.core_radius[:, None] + self._margin + age * self._error
+        min_distance = self._radii + gaps.core_radius[:, None] + self._margin + age * self._error
         rate = np.einsum("mki,mki->mk", gaps.n, w)
-        bends = np.maximum(gaps.curvature_radius - dt * speed, np.minimum(apart, gaps.curvature_radius))
-        kept = np.where(gaps.feature_stable, guaranteed_curvature(gaps.kappa, bounds, speed, bends, dt), 0.0)
-        rest = (
+        radius = np.maximum(gaps.curvature_radius - dt * speed, np.minimum(min_distance, gaps.curvature_radius))
+        kept = np.where(gaps.feature_stable, guaranteed_curvature(gaps.kappa, bounds, speed, radius, dt), 0.0)
+        drift = (
             np.einsum("mki,ki->mk", gaps.n, motion.bias)
             + kept
-            - sampling_margin(bounds, speed, bends, self._alpha_1, dt)
+            - sampling_margin(bounds, speed, radius, self._alpha_1, dt)
         )
-        authority = np.broadcast_to(bounds.authority, rest.shape)
+        authority = np.broadcast_to(bounds.authority, drift.shape)
         return Pairs(
-            h=gaps.d - apart,
+            h=gaps.d - min_distance,
             h_dot=rate - self._error,
-            drift=rest,
+            drift=drift,
             authority=authority,
             alpha_1=self._alpha_1,
             normal=gaps.n,
@@ -171,13 +172,13 @@ class ObstaclePairs:
 
 
 def _affected_spheres(obstacle: Obstacle, robot_model: RobotModel, spheres: SphereKinematics) -> NDArray[np.bool_]:
-    """Which spheres (k,) are kept from `thing`."""
+    """Mask (k,) of the spheres that keep away from `obstacle`."""
     if obstacle.separation is not None:
         raise ConfigurationError(
             f"obstacle {obstacle.name!r}",
             got="speed and separation",
             allowed="a barrier on distance",
-            fix="Speed and separation is a rule on velocities: use SafetyFilter.",
+            fix="Use SafetyFilter, because speed and separation is a rule on velocities.",
         )
     known = (*dict.fromkeys(spheres.groups), *(link.name for link in robot_model.links))
     for part in obstacle.parts:
@@ -188,8 +189,8 @@ def _affected_spheres(obstacle: Obstacle, robot_model: RobotModel, spheres: Sphe
 
 
 def _select_bounds(bounds_by_frame: Sequence[MotionBounds], start: Index, far: Index) -> MotionBounds:
-    """The bounds of each far sphere as seen from its own start frame."""
+    """Bounds of each far sphere relative to the frame of its near sphere."""
     by_frame = zip(
-        *((course.speed, course.acceleration, course.jerk, course.authority) for course in bounds_by_frame), strict=True
+        *((seen.speed, seen.acceleration, seen.jerk, seen.authority) for seen in bounds_by_frame), strict=True
     )
     return MotionBounds(*(np.array(bounds)[start, far] for bounds in by_frame))

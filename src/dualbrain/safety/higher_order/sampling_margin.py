@@ -1,4 +1,4 @@
-"""What one control period may change: bounds on how spheres move within it, and the margin that covers it.
+"""Bounds of the motion of spheres within one control period, and the margin of rows that covers it.
 
 With sorted indices every derivative of a sphere's centre is a product of unit axes and one column of the Jacobian, that
 of the joint nearest to the sphere: |∂³c/∂q_i∂q_j∂q_k| ≤ ρ_max(i,j,k), where ρ_j is the lever about joint j. Hence for
@@ -19,9 +19,9 @@ Array = NDArray[np.float64]
 
 
 class MotionBounds(msgspec.Struct, frozen=True, eq=False):
-    """Bounds over the next period for every sphere (k,), as seen from one frame: |ċ|, |c̈|, |c⃛| in SI.
+    """Bounds over the next period for every sphere (k,), relative to one frame: |ċ|, |c̈|, |c⃛| in SI units.
 
-    `authority` [m/s²] bounds |J q̈|, what the controls alone can do, at its beginning.
+    `authority` [m/s²] bounds |J q̈|, the effect of the controls, at the start of the period.
     """
 
     speed: Array
@@ -33,9 +33,9 @@ class MotionBounds(msgspec.Struct, frozen=True, eq=False):
 def motion_bounds(
     spheres: SphereKinematics, motion: SphereMotion, v: Array, lower: Array, upper: Array, dt: float
 ) -> tuple[MotionBounds, ...]:
-    """One `Course` for each frame 0..n from which spheres may be watched, for q̈ in the box [lower, upper] (n,).
+    """Bounds relative to each frame 0..n, for q̈ in the box [lower, upper] (n,) and a period dt [s].
 
-    Only joints beyond j change the lever about j, each no faster than its velocity times its own longest lever.
+    Only joints beyond j change the lever about j, each at most by its velocity times its own longest lever.
     """
     U = np.maximum(np.abs(lower), np.abs(upper))
     V = np.maximum(np.abs(v), np.maximum(np.abs(v + dt * lower), np.abs(v + dt * upper)))
@@ -59,17 +59,18 @@ def _differences(sums: Array) -> Array:
 
 
 def sampling_margin(bounds: MotionBounds, speed: Array, curvature_radius: Array, alpha_1: Array, dt: float) -> Array:
-    """Margin m = dt/2 · M [m/s²], so that ψ̇₁ + α₂ψ₁ ≥ m at the sample keeps ψ₁ ≥ 0 over the whole period.
+    """Margin m = dt/2 · M [m/s²] such that ψ̇₁ + α₂ψ₁ ≥ m at the sample implies ψ₁ ≥ 0 over the whole period.
 
     ψ̇₁ = n'ẇ + κ + α₁ḣ. Over the period n'ẇ falls no faster than |ẅ| + |ṅ||ẇ| with |ṅ| ≤ |w|/d, and ḣ no faster than
     |ẇ| because κ ≥ 0; so M = |ẅ| + |w||ẇ|/d + α₁|ẇ| and, for a constant control and α₂ dt ≤ 1,
-    ψ₁(s) ≥ ψ₁ + s ψ̇₁ − s² M/2 ≥ (1 − α₂ s) ψ₁ + s (m − s M/2) ≥ 0. `speed` bounds |w|, `bends` d from below.
+    ψ₁(s) ≥ ψ₁ + s ψ̇₁ − s² M/2 ≥ (1 − α₂ s) ψ₁ + s (m − s M/2) ≥ 0.
+    `speed` is an upper bound of |w|, `curvature_radius` a lower bound of d.
     """
     return 0.5 * dt * (bounds.jerk + bounds.acceleration * (speed / curvature_radius + alpha_1))
 
 
 def guaranteed_curvature(kappa: Array, bounds: MotionBounds, speed: Array, curvature_radius: Array, dt: float) -> Array:
-    """The part of κ that is sure to act over the whole period: κ − dt/2 |κ̇|, never below zero.
+    """A lower bound of κ over the whole period: κ − dt/2 |κ̇|, at least zero.
 
     |κ̇| = |2 w⊥'ẇ/d − 3 (n'w)|w⊥|²/d²| ≤ 2|w||ẇ|/d + 1.16 |w|³/d².
     """

@@ -1,4 +1,4 @@
-"""Where every sphere of a body is, how it moves, and how it accelerates when no joint does; numpy, float64."""
+"""Position, velocity and bias acceleration of every sphere of a robot, in numpy and float64."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ Index = NDArray[np.int64]
 
 
 class SphereMotion(msgspec.Struct, frozen=True, eq=False, kw_only=True):
-    """All spheres at one state: c̈ = J q̈ + J̇ q̇.
+    """Motion of all spheres at one state, c̈ = J q̈ + J̇ q̇.
 
-    `centres`, `velocities` J q̇ and `bias` J̇ q̇ are (k, 3) in m, m/s, m/s²; `spins` (k, 3) [rad/s] are the angular
-    velocities of the spheres' frames; `jacobian` is (k, n, 3) and `levers` (k, n) holds the lengths of its columns.
+    `centres`, `velocities` J q̇ and `bias` J̇ q̇ are (k, 3) in m, m/s, m/s². `angular_velocities` (k, 3) [rad/s] are those
+    of the spheres' frames. `jacobian` is (k, n, 3), and `lever_lengths` (k, n) holds the norms of its columns.
     """
 
     centres: Array
@@ -29,25 +29,27 @@ class SphereMotion(msgspec.Struct, frozen=True, eq=False, kw_only=True):
 
 
 class SphereKinematics:
-    """The spheres of a body on its chain: frame 0 is the base, frame i moves with joint i."""
+    """Spheres of a robot on its kinematic chain: frame 0 is the base, frame i moves with joint i."""
 
     def __init__(self, robot_model: RobotModel) -> None:
-        """Read the chain and lay out the spheres in the order of the links."""
+        """Read the chain and arrange the spheres in the order of the links."""
         self.n = robot_model.n
         self._joint_transforms = [
             (quaternion_to_matrix(joint.quaternion), np.array(joint.translation)) for joint in robot_model.joints
         ]
         self._prismatic = np.array([joint.kind == "prismatic" for joint in robot_model.joints])
-        parts = [(link, ball) for link in robot_model.links for ball in robot_model.spheres if ball.link == link.name]
+        parts = [
+            (link, sphere) for link in robot_model.links for sphere in robot_model.spheres if sphere.link == link.name
+        ]
         turns = [quaternion_to_matrix(link.quaternion) for link, _ in parts]
         self.names = tuple(link.name for link, _ in parts)
         self.groups = tuple(link.group for link, _ in parts)
-        self.radii = np.array([ball.radius for _, ball in parts])
+        self.radii = np.array([sphere.radius for _, sphere in parts])
         self.frames: Index = np.array([link.frame for link, _ in parts])
         self._local = np.array(
             [
-                np.array(link.translation) + turn @ np.array(ball.centre)
-                for (link, ball), turn in zip(parts, turns, strict=True)
+                np.array(link.translation) + turn @ np.array(sphere.centre)
+                for (link, sphere), turn in zip(parts, turns, strict=True)
             ]
         )
         self._finger_slide = np.array(
@@ -57,7 +59,7 @@ class SphereKinematics:
         self.max_levers = self._max_levers(robot_model)
 
     def _max_levers(self, robot_model: RobotModel) -> Array:
-        """(k, n): the longest lever that sphere k can have about joint j, over all postures [m]; 1 for a slide."""
+        """Longest lever (k, n) [m] of sphere k about joint j over all postures; 1 for prismatic joints."""
         travel = np.array([max(abs(j.lower.value), abs(j.upper.value)) for j in robot_model.joints]) * self._prismatic
         steps = np.array([np.linalg.norm(joint.translation) for joint in robot_model.joints]) + travel
         along = np.concatenate([[0.0], np.cumsum(steps)])
@@ -68,11 +70,11 @@ class SphereKinematics:
         return np.where(self._prismatic, 1.0, reach) * self._moved_by
 
     def on_link(self, link: str) -> list[int]:
-        """The spheres of a link."""
+        """Indices of the spheres of a link."""
         return [i for i, name in enumerate(self.names) if name == link]
 
     def frame_of(self, sphere: int) -> int:
-        """The frame that a sphere rides on."""
+        """Index of the frame that a sphere is attached to."""
         return int(self.frames[sphere])
 
     def frame_poses(self, q: Array) -> tuple[Array, Array]:
@@ -93,10 +95,10 @@ class SphereKinematics:
         return turns, origins
 
     def motion(self, q: Array, v: Array, opening: float) -> SphereMotion:
-        """Motion of all spheres at joint positions q and velocities v, each (n,); the fingers count as standing still.
+        """Motion of all spheres at joint positions q and velocities v, each (n,); the fingers count as static.
 
-        A frame's twist at the world's origin is (Ω, B) with ċ = Ω × c + B; both are sums over the joints before it, and
-        so are their derivatives with ż_j = Ω_{j−1} × z_j and ṗ_j = Ω_{j−1} × p_j + B_{j−1}.
+        The twist of a frame at the world origin is (Ω, B) with ċ = Ω × c + B. Both are sums over the preceding joints,
+        and so are their derivatives, with ż_j = Ω_{j−1} × z_j and ṗ_j = Ω_{j−1} × p_j + B_{j−1}.
         """
         turns, origins = self.frame_poses(q)
         local = self._local + opening * self._finger_slide
@@ -122,7 +124,7 @@ class SphereKinematics:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """The product a × b over the last axis, with broadcasting."""
+    """The cross product a × b over the last axis, with broadcasting."""
     a1, a2, a3 = a[..., 0], a[..., 1], a[..., 2]
     b1, b2, b3 = b[..., 0], b[..., 1], b[..., 2]
     x = a2 * b3 - a3 * b2
@@ -132,5 +134,5 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def _prefix_sums(rows: Array) -> Array:
-    """(n + 1, 3): the sum of the first i rows for i = 0..n."""
+    """Sums (n + 1, 3) of the first i rows for i = 0..n."""
     return np.concatenate([np.zeros((1, 3)), np.cumsum(rows, axis=0)])
