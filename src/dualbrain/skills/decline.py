@@ -1,4 +1,4 @@
-"""decline: the planner says that this body cannot or should not do what was asked; nothing moves."""
+"""decline: the planner refuses an instruction that the robot cannot or should not execute; nothing moves."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
 
 
 def spec(robot_model: RobotModel) -> SkillSpec:
-    """The skill's vocabulary entry."""
+    """The specification of the skill."""
     del robot_model
     return SkillSpec(
         "decline", "refuse the instruction, with a reason for people", (TextParameter("reason", 120, "why not"),)
@@ -17,7 +17,7 @@ def spec(robot_model: RobotModel) -> SkillSpec:
 
 
 def routine(arm: ArmController, *, reason: str) -> SkillRoutine:
-    """Tell nothing but the reason."""
+    """Return the reason without motion."""
     arm.begin(spec(arm.robot_model))
     yield from ()
     return SkillResult(SkillStatus.DONE, f"declined: {reason}")

@@ -1,4 +1,4 @@
-"""The parameters that motion skills share, bounded by the body and saying where each bound comes from (design 3)."""
+"""Parameters that motion skills share, with bounds from the robot model and the origin of each bound (design 3)."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from dualbrain.contracts.skill_spec import ChoiceParameter, NumberParameter
 from dualbrain.robots.model import RobotModel
 
 CONTACT_SPEED = 0.05
-"""How fast the fingers or a held thing may approach what they are allowed to touch [m/s]."""
+"""Approach speed of the fingers or a held object toward an object that they may touch [m/s]."""
 
 
 def speed(robot_model: RobotModel) -> NumberParameter:
-    """Tool speed on the way [m/s]."""
+    """Tool speed during motion [m/s]."""
     return NumberParameter(
         name="speed",
         unit="m/s",
@@ -36,14 +36,14 @@ def clearance() -> NumberParameter:
 
 
 def route() -> ChoiceParameter:
-    """Which way round to travel."""
+    """Choice of the route."""
     return ChoiceParameter(
         "route", ("direct", "near_base", "left", "right"), "way round: straight, close to the base, or bent aside"
     )
 
 
 def wait() -> ChoiceParameter:
-    """Whether to start only when people are clear of the path."""
+    """Whether to start only while no person crosses the path."""
     return ChoiceParameter("wait", ("none", "until_clear"), "until_clear: start only when no person crosses the path")
 
 
@@ -76,7 +76,7 @@ def opening(robot_model: RobotModel) -> NumberParameter:
 
 
 def max_speed(robot_model: RobotModel) -> NumberParameter:
-    """Speed of a base on its way [m/s]."""
+    """Speed of a base during motion [m/s]."""
     limit = robot_model.joints[0].velocity
     return NumberParameter(
         name="max_speed",

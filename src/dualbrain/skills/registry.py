@@ -1,4 +1,4 @@
-"""The skills of a body: the registry they form, and how an action becomes a running skill."""
+"""Skills of a robot model: the registry that they form, and the execution of a skill with its parameters."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ARM_SKILLS: Mapping[str, ModuleType] = {
     "home": home,
     "decline": decline,
 }
-"""One module a skill, each with `spec(body)` and `story(limb, **params)`; to add one, write it and name it here."""
+"""Skill modules of an arm, each with `spec(robot_model)` and `routine(arm, **params)`; add new skills here."""
 BASE_SKILLS: Mapping[str, ModuleType] = {
     "drive_to": drive_to,
     "drive_to_pose": drive_to_pose,
@@ -36,15 +36,15 @@ BASE_SKILLS: Mapping[str, ModuleType] = {
     "stop": stop,
     "decline": decline,
 }
-"""The same for a base, whose stories are told with a chassis."""
+"""Skill modules of a mobile base; their `routine` gets a `BaseController`."""
 
 
 MOBILE_MANIPULATOR_SKILLS: Mapping[str, ModuleType] = {**BASE_SKILLS, **ARM_SKILLS}
-"""Those of a mobile manipulator: each is told with the part of the body that it is about."""
+"""Skill modules of a mobile manipulator; each `routine` gets the controller of the part that it moves."""
 
 
 def skill_modules(robot_model: RobotModel) -> Mapping[str, ModuleType]:
-    """The skills that suit `body`."""
+    """The skill modules of `robot_model`."""
     return (
         MOBILE_MANIPULATOR_SKILLS
         if robot_model.is_mobile_manipulator
@@ -57,14 +57,14 @@ def skill_modules(robot_model: RobotModel) -> Mapping[str, ModuleType]:
 def make_controller(
     robot_model: RobotModel, motion: MotionModel
 ) -> ArmController | BaseController | MobileManipulatorController:
-    """What the stories of `body` are told with."""
+    """The controller that the routines of `robot_model` use."""
     if robot_model.is_mobile_manipulator:
         return MobileManipulatorController(robot_model, motion)
     return BaseController(robot_model, motion) if robot_model.is_mobile else ArmController(robot_model, motion)
 
 
 def skill_registry(robot_model: RobotModel) -> SkillRegistry:
-    """The vocabulary P of `body`, bounded by it (paper 3.3)."""
+    """The vocabulary P of `robot_model`, with its limits as bounds (paper 3.3)."""
     if not robot_model.is_mobile:
         return arm_skill_registry(robot_model)
     driving = tuple(module.spec(extract_base(robot_model)) for module in BASE_SKILLS.values())
@@ -76,11 +76,11 @@ def skill_registry(robot_model: RobotModel) -> SkillRegistry:
 
 
 GRIPPER_SKILLS = ("grasp", "place", "release")
-"""Skills that a hand which does not open cannot have."""
+"""Skills that need a gripper that opens."""
 
 
 def arm_skill_registry(robot_model: RobotModel) -> SkillRegistry:
-    """The vocabulary P of an arm, bounded by `body` (paper 3.3); an arm without a gripper offers nothing that grips."""
+    """The vocabulary P of an arm, with its limits as bounds (paper 3.3), without `GRIPPER_SKILLS` if it cannot grip."""
     opens = robot_model.gripper.opening.value > 0.0
     return SkillRegistry(
         robot_model.name,
@@ -89,7 +89,7 @@ def arm_skill_registry(robot_model: RobotModel) -> SkillRegistry:
 
 
 class SkillExecution:
-    """A skill under way: the map φ of paper 4.2."""
+    """A running skill: the map φ of paper 4.2."""
 
     def __init__(
         self,
@@ -97,18 +97,18 @@ class SkillExecution:
         skill: str,
         params: Mapping[str, ParameterValue],
     ) -> None:
-        """Prepare `skill` with its checked parameters; nothing moves before the first `nominal`."""
+        """Prepare `skill` with its validated parameters; nothing moves before the first call of `nominal`."""
         self.controller = controller
-        teller = (
+        part_controller = (
             controller.activate(skill in BASE_SKILLS)
             if isinstance(controller, MobileManipulatorController)
             else controller
         )
-        self._routine: SkillRoutine = skill_modules(controller.robot_model)[skill].routine(teller, **params)
+        self._routine: SkillRoutine = skill_modules(controller.robot_model)[skill].routine(part_controller, **params)
         self._steps_per_tick = steps_per_tick(controller.robot_model.period)
 
     def nominal(self, observation: Observation) -> Nominal | SkillResult | None:
-        """The next tick's intent, or how the skill ended; None while it thinks: then the robot is to rest as it is."""
+        """The control of the next tick, or the result of the skill; None while it computes and the robot must rest."""
         self.controller.observe(observation)
         for _ in range(self._steps_per_tick):
             try:

@@ -1,7 +1,8 @@
-"""What a skill says to the local layer each tick, and what it is given to say it with.
+"""Interface of skills: their input and output in each tick, and the functions that the local layer provides.
 
-A skill is a story told as a generator: it yields one `Nominal` a tick, None after each piece of thinking (`thought`),
-and ends with an `Ending`. The local layer drives it through `Running.nominal(senses)` (the map φ of paper 4.2).
+A skill is a generator (`SkillRoutine`). It yields one `Nominal` per tick, or None after each step of a time-sliced
+computation (`time_slicing`), and returns a `SkillResult`. `SkillExecution.nominal` advances it by one tick (the map φ
+of paper 4.2).
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ Array = NDArray[np.float64]
 
 
 class SkillStatus(Enum):
-    """How a skill stands: still running, done, failed by its own verdict, or given up because nothing moved."""
+    """Status of a skill: still running, done, failed by its own check, or taken over because of missing progress."""
 
     RUNNING = "running"
     DONE = "done"
@@ -31,7 +32,7 @@ class SkillStatus(Enum):
 
 @dataclass(frozen=True, slots=True)
 class PermittedContact:
-    """A contact that the current phase needs: sphere group `robot_part` may meet `obstacle` at up to `speed` [m/s]."""
+    """A contact that the current phase needs: `robot_part` may approach `obstacle` at up to `speed` [m/s]."""
 
     robot_part: str
     obstacle: str
@@ -40,7 +41,7 @@ class PermittedContact:
 
 @dataclass(frozen=True, slots=True)
 class HeldObject:
-    """A thing between the fingers: its `name`, and how far its lowest point lies below the tool [m]."""
+    """An object between the fingers: its `name`, and the distance of its lowest point below the tool [m]."""
 
     name: str
     below_tool: float
@@ -48,7 +49,7 @@ class HeldObject:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Nominal:
-    """One tick of intent: joint velocity u (n,) [rad/s], opening per finger [m], grip force [N], phase, contacts."""
+    """Output of one tick: joint velocity u (n,) [rad/s], opening per finger [m], grip force [N], phase, contacts."""
 
     u: Array
     opening: float
@@ -60,18 +61,18 @@ class Nominal:
 
 @dataclass(frozen=True, slots=True)
 class SkillResult:
-    """Why a skill is over."""
+    """Status and reason with which a skill ended."""
 
     status: SkillStatus
     reason: str
 
 
 SkillRoutine = Generator[Nominal | None, None, SkillResult]
-"""A skill as it runs."""
+"""A running skill."""
 
 
 class ToolState(Protocol):
-    """Where the tool is: position (3,) [m], rotation (3, 3), Jacobian (6, n) of linear then angular velocity."""
+    """Pose of the tool: position (3,) [m], rotation (3, 3); Jacobian (6, n) of linear, then angular velocity."""
 
     @property
     def position(self) -> Array:
@@ -90,31 +91,31 @@ class ToolState(Protocol):
 
 
 class MotionModel(Protocol):
-    """What the local layer lends to the skills: kinematics, and the projection onto the rows that φ knows."""
+    """Functions that the local layer provides to skills: kinematics, and the projection onto rows known to φ."""
 
     def tool(self, q: Array) -> ToolState:
         """Forward kinematics of the tool."""
         ...
 
     def spheres(self, q: Array, opening: float) -> tuple[Array, Array, tuple[str, ...]]:
-        """Centres (k, 3) [m], radii (k,) [m] and group of every sphere of the body, those of a held thing last."""
+        """Centres (k, 3) [m], radii (k,) [m] and group of every sphere; spheres of a grasped object are last."""
         ...
 
     @property
     def keep_out_boxes(self) -> tuple[SceneObject, ...]:
-        """Boxes that nobody perceives and that stay closed for good, by the site's word."""
+        """Boxes that the site file keeps closed; they are not part of the perceived scene."""
         ...
 
     def project(self, state: RobotState, u_desired: Array, u_nom_prev: Array, now: float) -> Array:
-        """The closest control to `u_wish` that respects known things, limits, and the box around `u_nom_prev`."""
+        """The control closest to `u_desired` that respects known obstacles, limits, and the box around `u_nom_prev`."""
         ...
 
 
 @dataclass(slots=True, kw_only=True)
 class Observation:
-    """What the skill sees this tick; replaced before every step of the story.
+    """Input of a skill in one tick; replaced before every step of the routine.
 
-    `waited` [s] is how long the story was held up by a person (paused, or slowed): patience does not run meanwhile.
+    `paused_time` [s] is the time for which a person has paused or slowed the skill; time limits do not count it.
     """
 
     state: RobotState
@@ -125,5 +126,5 @@ class Observation:
 
     @property
     def active_time(self) -> float:
-        """The clock by which a story loses its patience [s]."""
+        """Time by which a routine measures its time limits [s]."""
         return self.now - self.paused_time

@@ -1,12 +1,12 @@
-"""Thoughts: calculations that may pause, so that no control tick waits for one.
+"""Cooperative time slicing for expensive computations of skills.
 
-A skill looks ahead before it moves: it solves for postures, rehearses ways, searches a floor. In one piece that takes
-up to a second, and a control tick is one millisecond. So a calculation of that kind is a generator: it yields None
-after every *glance*, a piece of work of some 50 µs such as one posture of the arm, and returns its answer. A story
-passes the pauses on (`yield from`); after `glances` of them the tick is over, and the robot rests until the next.
+Skills compute before they move: inverse kinematics, clearance prediction, path planning. Such a computation can take up
+to a second, but a control tick takes one millisecond. A computation is therefore a generator that yields None after
+every *step* of about 50 µs of work, such as one posture of the arm, and returns its result. A routine passes the yields
+on (`yield from`). After `steps_per_tick` steps the tick ends, and the robot rests until the next tick.
 
-Work is counted, not timed: how long a robot thinks does not depend on the machine, lockstep and real time think alike,
-and a recorded contract thinks again as it did.
+Work is counted in steps, not in time. The result is therefore independent of the machine, equal in lockstep and in real
+time, and reproducible when a contract is replayed.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ import numpy as np
 
 T = TypeVar("T")
 SlicedComputation = Generator[None, None, T]
-"""A calculation that pauses after every glance."""
+"""A computation that yields after every step."""
 SlicedIterator = Generator[T | None, None, None]
-"""Things found one after the other; None is a pause."""
+"""An iterator over results that yields None after every step."""
 
 STEPS_PER_SECOND = 5000.0
-"""Glances in a second: five in a tick of 1 ms, which take about a quarter of it."""
+"""Steps per second: five in a tick of 1 ms, which take about a quarter of the tick."""
 SUFFICIENT_CLEARANCE = 0.004
-"""A way counts as clear when the margins leave this much everywhere [m]."""
+"""Clearance [m] beyond the margins from which a path counts as clear."""
 
 
 def steps_per_tick(period: float) -> int:
-    """How much may be thought in one control tick of `period` [s]."""
+    """Number of steps in one control tick of `period` [s]."""
     return max(1, round(STEPS_PER_SECOND * period))
 
 
 def run_to_completion(computation: SlicedComputation[T]) -> T:
-    """The answer, thought through without a pause: for whoever has no tick to keep."""
+    """The result of a computation, without interruption, for callers outside the control loop."""
     while True:
         try:
             next(computation)
@@ -43,20 +43,20 @@ def run_to_completion(computation: SlicedComputation[T]) -> T:
 
 
 def collect(computation: SlicedIterator[T]) -> list[T]:
-    """Everything that is found, without a pause."""
-    return [thing for thing in computation if thing is not None]
+    """All results of an iterator, without interruption."""
+    return [result for result in computation if result is not None]
 
 
 class BackgroundComputation(Generic[T]):
-    """A thought beside something else: `go_on` once a tick until it is `over`, then take the `answer`."""
+    """A computation in the background: call `advance` once per tick until it returns True, then read `result`."""
 
     def __init__(self, computation: SlicedComputation[T], steps_per_tick: int) -> None:
-        """Nothing is thought yet; `share` glances will be each time."""
+        """Prepare `computation`; each call of `advance` runs `steps_per_tick` steps."""
         self._computation, self._steps_per_tick = computation, steps_per_tick
         self.result: T | None = None
 
     def advance(self) -> bool:
-        """Think on for a tick; True when it is over."""
+        """Run the steps of one tick; True if the computation is finished."""
         for _ in range(self._steps_per_tick):
             try:
                 next(self._computation)
@@ -72,10 +72,10 @@ def first_clear(
     *,
     threshold: float = -np.inf,
 ) -> SlicedComputation[tuple[T | None, float]]:
-    """The first choice whose way is clear, else the one with most `air` [m], and how much that is; None of nothing.
+    """The first choice that is clear, else the one with the largest clearance [m], and that clearance.
 
-    What does not have more than `beat` [m] is as good as nothing. `air(choice, most)` may break off as soon as it knows
-    that there is no more than `most`: such a choice is not taken.
+    Choices with a clearance of at most `threshold` [m] do not count; None if no choice is left. `clearance(choice,
+    most)` may stop early as soon as its result cannot exceed `most`, because such a choice is not taken.
     """
     best, most = None, threshold
     for choice in choices:

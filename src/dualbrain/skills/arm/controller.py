@@ -1,7 +1,7 @@
-"""The limb: what every skill can do with an arm, each as a short story of nominal controls.
+"""Arm controller: sub-routines from which the skills of an arm are composed.
 
-A part yields one `Nominal` a tick (or None while it thinks, see `thought`) and returns None when it went well or the
-`Ending` that stops the skill.
+A sub-routine yields one `Nominal` per tick (or None while it computes, see `time_slicing`). It returns None on success,
+or the `SkillResult` that ends the skill.
 """
 
 from __future__ import annotations
@@ -43,28 +43,28 @@ Array = NDArray[np.float64]
 SubRoutine = Generator[Nominal | None, None, SkillResult | None]
 
 GRIP_SETTLE_TIME = 0.15
-"""How long [s] a grip must stand still and press with both fingers to count as a grasp."""
+"""Time [s] for which both fingers must press and not move to count as a grasp."""
 MIN_GRIP_FORCE = 0.5
 """Force on each finger that counts as contact [N] (two-finger test)."""
 TOOL_SPEED_FRACTION = 0.95
-"""Share of the allowed tool speed that φ uses: posture and rotation move the tool as well."""
+"""Fraction of the allowed tool speed that φ uses, because posture and rotation control move the tool as well."""
 MAX_EVASION_HEIGHT = 0.50
-"""Tool height that no evasion exceeds [m]."""
+"""Largest tool height during evasion [m]."""
 YIELD_SPEED = 0.30
-"""How fast the arm gets out of a person's way [m/s]."""
+"""Tool speed during evasion of a person [m/s]."""
 PERSON_CLEARANCE = 0.17
-"""Half the hand's breadth and some air: whoever stays this far beside the tool does not bother it [m]."""
+"""Half the width of the hand and a margin [m]: people farther from the tool are no threat."""
 YIELDED = SkillResult(SkillStatus.RUNNING, "yielded to a person")
-"""A part ended because a person came by; the way is free again, and the part may be tried again."""
+"""Result of a sub-routine that yielded to a person; the path is clear again, and the sub-routine may be repeated."""
 PERSON_WAIT_TIMEOUT = 20.0
-"""How long [s] a skill waits for a person before it says so and fails."""
+"""Time [s] for which a skill waits for a person before it fails."""
 
 
 class ArmController:
-    """One arm with its gripper, as the skills move it. State: φ's memory, the grip, and the current senses."""
+    """Controller of one arm with its gripper. State: the memory of φ, the grip, and the current observation."""
 
     def __init__(self, robot_model: RobotModel, motion: MotionModel) -> None:
-        """Bind to a body and to what the local layer lends; call `sense` before every step of a story."""
+        """Use `motion` for kinematics and projection; call `observe` before every step of a routine."""
         self.robot_model = robot_model
         self.kinematics = InverseKinematics(robot_model, motion.tool)
         self.holding: HeldObject | None = None
@@ -78,53 +78,53 @@ class ArmController:
         self._threat_key: tuple[float, float, float, bool] | None = None
         self._threat_height: float | None = None
 
-    # --- senses -------------------------------------------------------------------------------------------------
+    # --- observation --------------------------------------------------------------------------------------------
 
     def observe(self, observation: Observation) -> None:
-        """Take in this tick's senses."""
+        """Set the observation of this tick."""
         self._observation = observation
 
     @property
     def observation(self) -> Observation:
-        """This tick's senses."""
+        """The observation of this tick; raises `ConfigurationError` before the first call of `observe`."""
         if self._observation is None:
-            raise ConfigurationError(
-                "a limb without senses", got=None, allowed="one call of `sense` before the first tick"
-            )
+            raise ConfigurationError.stating("ArmController.observe() must be called before the first tick.")
         return self._observation
 
     def find_object(self, name: str) -> SceneObject:
-        """The thing called `name` as perceived now."""
+        """The object `name` as perceived in this tick; raises `UnknownNameError`."""
         return self.observation.scene.find(name)
 
     def begin(self, spec: SkillSpec, **others: str | None) -> None:
-        """Start a skill: its declared contact permits hold by phase, for the named target, destination and support."""
-        touches: dict[str, list[PermittedContact]] = {}
+        """Start a skill with its contact permits by phase, for the named target, destination and support."""
+        contacts: dict[str, list[PermittedContact]] = {}
         for permit in spec.permits:
             obstacle = others.get(permit.other)
             if obstacle is not None:
-                touches.setdefault(permit.phase, []).append(PermittedContact(permit.robot_part, obstacle, permit.speed))
-        self._contacts_by_phase = {phase: tuple(pairs) for phase, pairs in touches.items()}
+                contact = PermittedContact(permit.robot_part, obstacle, permit.speed)
+                contacts.setdefault(permit.phase, []).append(contact)
+        self._contacts_by_phase = {phase: tuple(pairs) for phase, pairs in contacts.items()}
         self._known_objects = tuple(name for name in others.values() if name)
 
     @property
     def support(self) -> SceneObject | None:
-        """The surface that things stand on, if one is perceived."""
-        return next((thing for thing in self.observation.scene.objects if thing.role == "support"), None)
+        """The support surface, if one is perceived."""
+        return next((obj for obj in self.observation.scene.objects if obj.role == "support"), None)
 
     @property
     def support_height(self) -> float:
         """Height of the support surface [m]."""
         return top_height(self.support) if self.support else 0.0
 
-    # --- parts of a story ---------------------------------------------------------------------------------------
+    # --- sub-routines -------------------------------------------------------------------------------------------
 
     def move_tool(
         self, goal: ToolGoal, phase: str, speed: float, *, stop: bool = True, timeout: float = PROGRESS_TIMEOUT
     ) -> SubRoutine:
-        """Move the tool to `goal`; with `stop` come to rest there, else pass by.
+        """Move the tool to `goal` at up to `speed` [m/s]; with `stop` come to rest there, else pass it.
 
-        When a person is about to sweep by, the arm gets out of the way and the part ends with `YIELDED`.
+        If a person is about to pass, the arm evades and the sub-routine ends with `YIELDED`. After `timeout` [s]
+        without progress it ends as taken over.
         """
         speed = min(speed, TOOL_SPEED_FRACTION * self.robot_model.tool_speed.value)
         near, turned = (0.003, 0.02) if stop else (0.02, 0.3)
@@ -144,7 +144,7 @@ class ArmController:
             yield self._nominal(self._phi.toward_pose(state, tool, gap, speed, goal.posture, now, stop=stop), phase)
 
     def move_joints(self, goal: Array, phase: str, speed_fraction: float, speed: float) -> SubRoutine:
-        """Move in joint space to `goal` (n,) [rad] at `share` of the velocity limits, the tool up to `speed`."""
+        """Move the joints to `goal` (n,) [rad] at `speed_fraction` of their limits, the tool at up to `speed` [m/s]."""
         progress = ProgressWatchdog(self.observation.active_time, time_limit=30.0)
         while True:
             state, now = self.observation.state, self.observation.now
@@ -165,7 +165,7 @@ class ArmController:
         return None
 
     def close_gripper(self, force: float) -> SubRoutine:
-        """Close the fingers at `force` [N] until both press and stand still; fails if nothing is between them."""
+        """Close the fingers at `force` [N] until both press and stop; fails if there is nothing between them."""
         self.opening, self.force = 0.0, force
         start = steady = self.observation.now
         before = self.observation.state.opening
@@ -179,7 +179,7 @@ class ArmController:
         return SkillResult(SkillStatus.FAILED, "close: the two-finger test felt nothing between the fingers")
 
     def open_gripper(self, opening: float) -> SubRoutine:
-        """Open the fingers to `opening` per finger [m] and let go of what was held."""
+        """Open the fingers to `opening` per finger [m] and release the held object."""
         self.opening, self.holding = opening, None
         self.force = self.robot_model.gripper.force_min.value
         start = self.observation.now
@@ -189,10 +189,10 @@ class ArmController:
         return None
 
     def avoid_person(self, phase: str, height: float) -> SubRoutine:
-        """Rise until tool and load are above `height` [m], then rest until whoever comes has passed; then `YIELDED`.
+        """Rise until tool and load are above `height` [m], rest until the person has passed, then return `YIELDED`.
 
-        The contacts of `phase` stay allowed: a hand may be leaving a thing it has around it. It takes one tick at
-        least, so that who begins again after it does so at another time.
+        The contacts of `phase` stay permitted, because the hand may be around an object that it is leaving. The
+        sub-routine takes at least one tick, so that a repeated sub-routine starts at a later time.
         """
         start, spot = self.observation.now, self.observation.tool.position.copy()
         rotation, posture = self.observation.tool.rotation.copy(), self.observation.state.q.copy()
@@ -205,23 +205,23 @@ class ArmController:
                 return SkillResult(
                     SkillStatus.FAILED, f"{phase}: a person stayed in the way for {PERSON_WAIT_TIMEOUT:.0f} s"
                 )
-            wanted = min(height + self.below_tool, MAX_EVASION_HEIGHT)
-            if tool.position[2] < wanted - 0.005:
-                up = np.array([tool.position[0], tool.position[1], wanted])
+            target_height = min(height + self.below_tool, MAX_EVASION_HEIGHT)
+            if tool.position[2] < target_height - 0.005:
+                up = np.array([tool.position[0], tool.position[1], target_height])
                 u = self._phi.toward_pose(state, tool, pose_error(tool, up, rotation), YIELD_SPEED, posture, now)
             else:
                 u = self._phi.rest(state, now)
             yield self._nominal(u, "yield", contacts_of=phase)
         return YIELDED
 
-    # --- facts --------------------------------------------------------------------------------------------------
+    # --- state and prediction -----------------------------------------------------------------------------------
 
     def is_gripping(self) -> bool:
-        """Whether both fingers press on something (two-finger test)."""
+        """Whether both fingers press on an object (two-finger test)."""
         return min(self.observation.state.finger_forces) >= MIN_GRIP_FORCE
 
     def find_goal(self, position: Array, rotations: list[Array]) -> SlicedComputation[ToolGoal | None]:
-        """The most comfortable way to put the tool at `position` with one of `rotations`; None when out of reach."""
+        """The tool goal at `position` with the rotation of least posture cost, or None if it is out of reach."""
         best = yield from self.kinematics.solve_best(position, rotations, self.observation.state.q)
         return None if best is None else ToolGoal(position, *best)
 
@@ -234,10 +234,11 @@ class ArmController:
         *,
         threshold: float = -np.inf,
     ) -> SlicedComputation[float]:
-        """Least room [m] to anything perceived, beyond the errors, on the way from posture `start` through `points`.
+        """Least clearance [m] beyond the errors to perceived objects, from posture `start` through `waypoints`.
 
-        From where the arm is when `start` is None; then what is near it now does not count, nor do contacts that
-        `phase` needs. Each finger is opened by `opening` [m], or as it is. What is not above `beat` may be too much.
+        If `start` is None, the motion begins at the current posture; objects that are close there are ignored at first.
+        Contacts of `phase` do not count. Each finger is opened by `opening` [m], by default as it is. The prediction
+        may stop early when the clearance is at most `threshold`.
         """
         fingers = self.observation.state.opening if opening is None else opening
         held = self.holding.name if self.holding else None
@@ -252,51 +253,51 @@ class ArmController:
         return self._clearance_predictor.min_clearance(q, waypoints, view, ignored_steps=leaving, threshold=threshold)
 
     def translate_goal(self, goal: ToolGoal, position: Array) -> SlicedComputation[ToolGoal]:
-        """`goal` moved to another position with the same rotation, its posture solved anew where possible."""
+        """`goal` moved to another position with the same rotation, with a new posture if it is within reach."""
         there = yield from self.translate_goal_if_reachable(goal, position)
         return there or replace(goal, position=position)
 
     def translate_goal_if_reachable(self, goal: ToolGoal, position: Array) -> SlicedComputation[ToolGoal | None]:
-        """`goal` moved to another position with the same rotation; None when it is out of reach there."""
+        """`goal` moved to another position with the same rotation, or None if it is out of reach."""
         q = yield from self.kinematics.solve(position, goal.rotation, (goal.posture,), steps=MAX_STEPS_PER_CANDIDATE)
         return None if q is None else ToolGoal(position, goal.rotation, q)
 
     def current_goal(self) -> ToolGoal:
-        """Where the tool is now, as a goal."""
+        """The current pose of the tool, as a goal."""
         tool = self.observation.tool
         return ToolGoal(tool.position.copy(), tool.rotation.copy(), self.observation.state.q.copy())
 
     def record_grasp(self, obj: SceneObject) -> None:
-        """Remember that `thing` is between the fingers, and how far its lowest point lies under the tool."""
+        """Store that `obj` is between the fingers, with the distance of its lowest point below the tool."""
         self.holding = HeldObject(obj.name, float(self.observation.tool.position[2]) - self.lowest_point(obj))
 
     def lowest_point(self, obj: SceneObject) -> float:
-        """Height [m] of the lowest point of `thing`: the floor's own, where the eyes' error cannot tell them apart."""
+        """Height [m] of the lowest point of `obj`; the support height if the difference is within the error."""
         low = bottom_height(obj)
         return self.support_height if abs(low - self.support_height) <= obj.error else low
 
     def detect_grasp(self, name: str) -> bool:
-        """Take hold of `name` if nothing is held and both fingers press: they were stopped while closing on it."""
-        thing = next((thing for thing in self.observation.scene.objects if thing.name == name), None)
-        if thing is None or self.holding or not self.is_gripping():
+        """Store `name` as held if nothing is held and both fingers press, as after an interrupted grasp."""
+        obj = next((obj for obj in self.observation.scene.objects if obj.name == name), None)
+        if obj is None or self.holding or not self.is_gripping():
             return False
-        self.record_grasp(thing)
+        self.record_grasp(obj)
         return True
 
     @property
     def below_tool(self) -> float:
-        """How far the lowest point of the load, or of the empty fingers, lies below the tool [m]."""
+        """Distance of the lowest point of the load, or of the empty fingers, below the tool [m]."""
         return self.holding.below_tool if self.holding else self.robot_model.gripper.pad_below_tool
 
     def person_threat_height(
         self, spot: Array, horizon: float = 1.5, radius: float = PERSON_CLEARANCE, *, any_height: bool = False
     ) -> float | None:
-        """Height [m] to get above because a person soon sweeps by `spot`; looked at afresh with each new scene.
+        """Height [m] to rise above because a person soon passes `spot`, or None; computed once per scene.
 
-        With `ever` the height of the tool does not count: whether anyone passes there at all.
+        With `any_height` the height of the tool does not count, only whether a person passes.
         """
         scene, now = self.observation.scene, self.observation.now
-        if not any(thing.role == "person" for thing in scene.objects):
+        if not any(obj.role == "person" for obj in scene.objects):
             return None
         key = (scene.stamp, horizon, radius, any_height)
         if key != self._threat_key:
@@ -309,16 +310,18 @@ class ArmController:
         return sqrt(float(away @ away))
 
     def reproject(self, u: Array) -> Array:
-        """u_nom (n,) [rad/s] once more, because what φ knows changed since this tick's was made."""
+        """u_nom (n,) [rad/s] projected again, because the rows known to φ changed within this tick."""
         return self._phi.reproject(self.observation.state, u, self.observation.now)
 
     def rest(self, phase: str) -> Nominal:
-        """One tick of standing still."""
+        """One tick without motion."""
         return self._nominal(self._phi.rest(self.observation.state, self.observation.now), phase)
 
     def _nominal(self, u: Array, phase: str, contacts_of: str = "") -> Nominal:
-        touches = self._contacts_by_phase.get(contacts_of or phase, ())
-        return Nominal(u=u, opening=self.opening, force=self.force, phase=phase, contacts=touches, holding=self.holding)
+        contacts = self._contacts_by_phase.get(contacts_of or phase, ())
+        return Nominal(
+            u=u, opening=self.opening, force=self.force, phase=phase, contacts=contacts, holding=self.holding
+        )
 
 
 def goal_at_height(goal: ToolGoal, height: float) -> ToolGoal:

@@ -1,4 +1,4 @@
-"""grasp: approach a thing from above or leaning, close on it, feel both fingers, lift it."""
+"""grasp: approach an object from above or tilted, close the fingers on it, test both fingers, lift it."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
 from dualbrain.skills.time_slicing import first_clear
 
 MIN_FINGER_OVERLAP = 0.011
-"""Fingers that reach this far below a thing's top, and are off its middle by less, may close on it [m]."""
+"""Fingers that reach deeper than this below the top of an object, and are off its centre by less, may close [m]."""
 
 
 def spec(robot_model: RobotModel) -> SkillSpec:
-    """The skill's vocabulary entry and the contacts it needs."""
+    """The specification of the skill and its contacts."""
     touch = parameters.CONTACT_SPEED
     return SkillSpec(
         "grasp",
@@ -68,26 +68,26 @@ def routine(
     wait: str,
     force: float,
 ) -> SkillRoutine:
-    """Tell the grasp: wait, rise, approach, descend, close, lift."""
+    """Wait, rise, approach, descend, close, lift."""
     support = arm.support
     arm.begin(spec(arm.robot_model), target=object, support=support.name if support else None)
-    thing = arm.find_object(object)
+    obj = arm.find_object(object)
     if arm.holding:
         return SkillResult(SkillStatus.FAILED, f"already holding {arm.holding.name}")
     arm.opening = opening / 2
-    at, _ = yield from first_clear(
-        grasp_candidates(arm, thing, finger_axis, approach),
-        lambda at, beat: descent_clearance(arm, at, thing, clearance, beat),
+    goal, _ = yield from first_clear(
+        grasp_candidates(arm, obj, finger_axis, approach),
+        lambda candidate, threshold: descent_clearance(arm, candidate, obj, clearance, threshold),
     )
-    if at is None:
+    if goal is None:
         return SkillResult(SkillStatus.FAILED, f"{object} is out of reach for a {approach} grasp {finger_axis}")
     if wait == "until_clear" and (
-        why := (yield from wait_for_people(arm, arm.current_goal(), at.position, 4.0, "approach", speed, radius=0.3))
+        why := (yield from wait_for_people(arm, arm.current_goal(), goal.position, 4.0, "approach", speed, radius=0.3))
     ):
         return why
-    why = yield from _descend_to_grasp(arm, thing, at, clearance, speed)
+    why = yield from _descend_to_grasp(arm, obj, goal, clearance, speed)
     if why and why.status is SkillStatus.TAKEN_OVER:
-        why = yield from _try_alternative(arm, why, thing, finger_axis, approach, clearance, speed)
+        why = yield from _try_alternative(arm, why, obj, finger_axis, approach, clearance, speed)
     if why:
         return why
     return (yield from _close_and_lift(arm, arm.find_object(object), clearance, speed, force))
@@ -96,7 +96,7 @@ def routine(
 def _descend_to_grasp(
     arm: ArmController, obj: SceneObject, grasp: ToolGoal, clearance: float, speed: float
 ) -> SubRoutine:
-    """Over the thing and down around it; it is looked at again before going down. Blocked but around it is enough."""
+    """Move above the object, observe it again, and descend around it; a blocked descent is enough if it can grip."""
     over = yield from pregrasp_goal(arm, grasp, obj, clearance)
     if why := (yield from _approach(arm, over, speed)):
         return why
@@ -117,21 +117,21 @@ def _try_alternative(
     clearance: float,
     speed: float,
 ) -> SubRoutine:
-    """Back up, and down again on the other finger axis or with another approach, if that looks clear."""
-    at, room = yield from first_clear(
+    """Rise, and descend again with the other finger axis or another approach, if that is predicted to be clear."""
+    goal, margin = yield from first_clear(
         alternative_grasps(arm, obj, finger_axis, approach),
-        lambda at, beat: descent_clearance(arm, at, obj, clearance, beat),
+        lambda candidate, threshold: descent_clearance(arm, candidate, obj, clearance, threshold),
     )
-    if at is None or room < 0.0:
+    if goal is None or margin < 0.0:
         return blocked
-    over = yield from pregrasp_goal(arm, at, obj, clearance)
+    over = yield from pregrasp_goal(arm, goal, obj, clearance)
     if why := (yield from move_to_height(arm, float(over.position[2]), "descend", speed)):
         return why
-    return (yield from _descend_to_grasp(arm, obj, at, clearance, speed))
+    return (yield from _descend_to_grasp(arm, obj, goal, clearance, speed))
 
 
 def _close_and_lift(arm: ArmController, obj: SceneObject, clearance: float, speed: float, force: float) -> SkillRoutine:
-    """Close and lift."""
+    """Close the fingers and lift the object."""
     name = obj.name
     if why := (yield from arm.close_gripper(force)):
         return why
@@ -145,7 +145,7 @@ def _close_and_lift(arm: ArmController, obj: SceneObject, clearance: float, spee
 
 
 def _fingers_around(arm: ArmController, obj: SceneObject) -> bool:
-    """Whether the fingers have enough of `thing` between them to close, though kept from the whole way."""
+    """Whether the fingers overlap `obj` enough to close on it, although the descent was blocked."""
     tool = arm.observation.tool.position
     off = float(np.hypot(tool[0] - obj.pose.position[0], tool[1] - obj.pose.position[1]))
     deep = object_geometry.top_height(obj) - (float(tool[2]) - arm.robot_model.gripper.pad_below_tool)
@@ -153,7 +153,7 @@ def _fingers_around(arm: ArmController, obj: SceneObject) -> bool:
 
 
 def _approach(arm: ArmController, above: ToolGoal, speed: float) -> SubRoutine:
-    """Rise first when below the wanted height, then cross over."""
+    """Rise if the tool is below the height of `above`, then cross."""
     height = float(above.position[2])
     if arm.observation.tool.position[2] < height - 0.01 and (
         why := (yield from reach_goal(arm, goal_at_height(arm.current_goal(), height), "rise", speed))

@@ -1,4 +1,4 @@
-"""Where the hand goes to grasp a thing: as the contract has it, or a little otherwise where that would be too close."""
+"""Tool poses that grasp an object: as the contract specifies, or a variation if that pose has too little clearance."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from dualbrain.skills.time_slicing import SlicedComputation, SlicedIterator
 Array = NDArray[np.float64]
 
 FINGER_DEPTH = {"top": 0.016, "tilted": 0.008, "side": 0.008}
-"""How far below a thing's top the tool may go [m]: the palm, 37 mm above the tool, keeps the filter's margins."""
+"""Depth of the tool below the top of an object [m]: the palm, 37 mm above the tool, keeps the filter's margins."""
 FINGER_CLEARANCE = 0.010
-"""The open fingers want this much more than the width of the thing between them [m]."""
+"""Margin of the finger opening beyond the width of the object between the fingers [m]."""
 YAW_STEP, LEAN_STEP, ELBOW_STEP = 0.2, 0.15, 0.4
-"""Steps by which a hand turns, leans, and an elbow swings, when the plain pose is too close to something [rad]."""
+"""Steps of yaw, lean and elbow swing of variations [rad]."""
 MAX_VARIATION_STEPS = 2
-"""How many such steps a pose may be from the plain one."""
+"""Most steps of a variation."""
 
 
 MAX_EXTRA_POSTURE_COST = 1.6
-"""A pose this much less comfortable than the first is tried last [rad]."""
+"""Poses whose posture cost exceeds that of the first pose by this much are tried last [rad]."""
 PASSING_CLEARANCE = 0.04
-"""Room between finger tips and the top of a thing when passing over it [m]."""
+"""Clearance between finger tips and the top of an object when passing over it [m]."""
 SLOW_DESCENT_HEIGHT = 0.03
-"""Height of the finger tips above a thing's top from which they come down gently [m]."""
+"""Height of the finger tips above the top of an object from which they descend slowly [m]."""
 
 
 def grasp_height(robot_model: RobotModel, obj: SceneObject, approach: str) -> float:
-    """Tool height [m] that holds `thing` around its middle, not lower than finger tips and palm allow."""
+    """Tool height [m] that grasps `obj` around its middle, but not lower than finger tips and palm allow."""
     low = object_geometry.bottom_height(obj) + robot_model.gripper.pad_below_tool + 0.008
     middle = obj.pose.position[2]
     return max(low, middle, object_geometry.top_height(obj) - FINGER_DEPTH[approach])
@@ -46,22 +46,22 @@ def grasp_height(robot_model: RobotModel, obj: SceneObject, approach: str) -> fl
 def grasp_goal(
     arm: ArmController, obj: SceneObject, finger_axis: str, approach: str
 ) -> SlicedComputation[ToolGoal | None]:
-    """The plain tool pose that grasps `thing`; None when it is out of reach."""
+    """The tool goal that grasps `obj` as specified, or None if it is out of reach."""
     position, rotations = _nominal_grasp(arm, obj, finger_axis, approach)
     return arm.find_goal(position, rotations)
 
 
 def grasp_candidates(arm: ArmController, obj: SceneObject, finger_axis: str, approach: str) -> SlicedIterator[ToolGoal]:
-    """The plain pose, then poses a little otherwise; none when the plain one is out of reach."""
-    plain = yield from grasp_goal(arm, obj, finger_axis, approach)
-    if plain is not None:
-        yield from order_by_posture_cost(arm, chain([plain], _grasp_variations(arm, obj, finger_axis, approach)))
+    """The specified pose, then variations; nothing if the specified pose is out of reach."""
+    specified = yield from grasp_goal(arm, obj, finger_axis, approach)
+    if specified is not None:
+        yield from order_by_posture_cost(arm, chain([specified], _grasp_variations(arm, obj, finger_axis, approach)))
 
 
 def alternative_grasps(
     arm: ArmController, obj: SceneObject, finger_axis: str, approach: str
 ) -> SlicedIterator[ToolGoal]:
-    """Poses on the other finger axis and with another approach than asked for, where the fingers fit."""
+    """Poses with the other finger axis or another approach than specified, if the fingers fit."""
     other = {"along": "across", "across": "along"}[finger_axis]
     for axis, lean in (
         (other, approach),
@@ -75,15 +75,15 @@ def alternative_grasps(
 
 
 def order_by_posture_cost(arm: ArmController, goals: Iterable[ToolGoal | None]) -> SlicedIterator[ToolGoal]:
-    """`goals` in their order, but last those that lie far less comfortably than the first: half a turn of the hand."""
+    """`goals` in their order, but last those with a much larger posture cost than the first (half a hand turn)."""
     here, bound, later = arm.observation.state.q, np.inf, list[ToolGoal]()
     for goal in goals:
         if goal is None:
             yield
             continue
-        discomfort = arm.kinematics.posture_cost(goal.posture, here)
-        bound = discomfort + MAX_EXTRA_POSTURE_COST if bound == np.inf else bound
-        if discomfort <= bound:
+        cost = arm.kinematics.posture_cost(goal.posture, here)
+        bound = cost + MAX_EXTRA_POSTURE_COST if bound == np.inf else bound
+        if cost <= bound:
             yield goal
         else:
             later.append(goal)
@@ -93,9 +93,10 @@ def order_by_posture_cost(arm: ArmController, goals: Iterable[ToolGoal | None]) 
 def descent_clearance(
     arm: ArmController, grasp: ToolGoal, obj: SceneObject, clearance: float, threshold: float = -np.inf
 ) -> SlicedComputation[float]:
-    """Least room [m] on the way down from the station to `at`; none at all where the arm cannot come down.
+    """Least clearance [m] of the descent to `grasp`; minus infinity if the arm cannot descend there.
 
-    Where it ends is looked at first: what is too close is too close there, nearly always. `beat` as in `Limb.air`.
+    The final pose is evaluated first, because a descent without clearance nearly always lacks it there. `threshold` as
+    in `ArmController.predict_clearance`.
     """
     below = yield from arm.predict_clearance(grasp.posture, (), "descend", arm.opening)
     if below <= threshold:
@@ -110,7 +111,7 @@ def descent_clearance(
 def pregrasp_goal(
     arm: ArmController, grasp: ToolGoal, obj: SceneObject, clearance: float
 ) -> SlicedComputation[ToolGoal]:
-    """The pose from which the fingers come down: straight above the brink, tips clear of the thing's top."""
+    """The goal from which the fingers descend: straight above the slow descent, tips clear of the top of the object."""
     low = yield from slow_descent_goal(arm, grasp, obj)
     return (yield from arm.translate_goal(low, _passing_position(arm, low, obj, clearance)))
 
@@ -121,7 +122,7 @@ def _passing_position(arm: ArmController, low: ToolGoal, obj: SceneObject, clear
 
 
 def slow_descent_goal(arm: ArmController, grasp: ToolGoal, obj: SceneObject) -> SlicedComputation[ToolGoal]:
-    """The pose from which the fingers go on gently, back along the approach axis."""
+    """The goal from which the fingers descend slowly, back along the approach axis."""
     height = object_geometry.top_height(obj) + SLOW_DESCENT_HEIGHT + arm.robot_model.gripper.pad_below_tool
     axis = grasp.rotation[:, 2]
     back = max(0.0, height - float(grasp.position[2])) / -axis[2]
@@ -139,18 +140,18 @@ def _grasp_variations(
 
 
 def _variation_angles(obj: SceneObject) -> list[tuple[float, float, float]]:
-    """Yaw, lean and elbow swing [rad], the least departure first; a round thing may be turned around freely."""
-    isround = isinstance(obj.shape, Cylinder | Sphere | Capsule | Bowl)
-    yaws = range(-7, 8) if isround else range(-MAX_VARIATION_STEPS, MAX_VARIATION_STEPS + 1)
+    """Yaw, lean and elbow swing [rad], the smallest variation first; yaw is free for round objects."""
+    is_round = isinstance(obj.shape, Cylinder | Sphere | Capsule | Bowl)
+    yaws = range(-7, 8) if is_round else range(-MAX_VARIATION_STEPS, MAX_VARIATION_STEPS + 1)
     counts = sorted(product(yaws, (-1, 0, 1), (-1, 0, 1)), key=lambda steps: (sum(map(abs, steps)), steps))
-    near = [(a, b, c) for a, b, c in counts if (abs(b) + abs(c) + (0 if isround else abs(a))) <= MAX_VARIATION_STEPS]
+    near = [(a, b, c) for a, b, c in counts if (abs(b) + abs(c) + (0 if is_round else abs(a))) <= MAX_VARIATION_STEPS]
     return [(a * YAW_STEP, b * LEAN_STEP, c * ELBOW_STEP) for a, b, c in near]
 
 
 def vary_goal(
     arm: ArmController, position: Array, rotation: Array, yaw: float, lean: float, swing: float
 ) -> SlicedComputation[ToolGoal | None]:
-    """The goal turned by `yaw` about the vertical and by `lean` about the fingers' axis, its elbow by `swing`."""
+    """The goal turned by `yaw` about the vertical and by `lean` about the finger axis, its elbow swung by `swing`."""
     turned = object_geometry.axis_rotation((0.0, 0.0, 1.0), yaw) @ rotation
     turned = object_geometry.axis_rotation(turned[:, 1], lean) @ turned
     start = arm.observation.state.q.copy()
@@ -161,7 +162,7 @@ def vary_goal(
 
 
 def _fits_in_gripper(arm: ArmController, obj: SceneObject, axis: str) -> bool:
-    """Whether the fingers, open as they are asked to be, go around `thing` on this axis, and it is level."""
+    """Whether the fingers at the specified opening fit around `obj` on this axis, and the axis is level."""
     return (
         object_geometry.grasp_width(obj, axis) + FINGER_CLEARANCE <= 2.0 * arm.opening
         and object_geometry.levelness(obj, axis) > 0.7
@@ -169,7 +170,7 @@ def _fits_in_gripper(arm: ArmController, obj: SceneObject, axis: str) -> bool:
 
 
 def _nominal_grasp(arm: ArmController, obj: SceneObject, finger_axis: str, approach: str) -> tuple[Array, list[Array]]:
-    """Position and rotations as the contract has them."""
+    """Position and rotations as the contract specifies."""
     x, y, _ = obj.pose.position
     position = np.array([x, y, grasp_height(arm.robot_model, obj, approach)])
     outward = np.array([x, y, 0.0]) / (np.hypot(x, y) + 1e-9)

@@ -1,4 +1,4 @@
-"""hold: stand still for a while."""
+"""hold: rest for a while."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
 
 
 def spec(robot_model: RobotModel) -> SkillSpec:
-    """The skill's vocabulary entry."""
+    """The specification of the skill."""
     del robot_model
     duration = NumberParameter(
         name="duration",
@@ -24,7 +24,7 @@ def spec(robot_model: RobotModel) -> SkillSpec:
 
 
 def routine(arm: ArmController, *, duration: float) -> SkillRoutine:
-    """Tell the pause."""
+    """Rest for `duration` [s]."""
     arm.begin(spec(arm.robot_model))
     yield from arm.wait("hold", duration)
     return SkillResult(SkillStatus.DONE, f"stood still for {duration:g} s")

@@ -1,4 +1,4 @@
-"""home: rise clear of the table and return to the resting posture."""
+"""home: rise above the table and return to the home posture."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from dualbrain.skills.arm.waypoints import move_to_height
 from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
 
 SAFE_HEIGHT = 0.30
-"""Tool height from which the posture is changed [m]."""
+"""Tool height above the support from which the posture may change [m]."""
 JOINT_SPEED_FRACTION = 0.5
-"""Share of the joint velocity limits at the largest allowed tool speed."""
+"""Fraction of the joint velocity limits at the largest allowed tool speed."""
 
 
 def spec(robot_model: RobotModel) -> SkillSpec:
-    """The skill's vocabulary entry."""
+    """The specification of the skill."""
     touch = parameters.CONTACT_SPEED
     return SkillSpec(
         "home",
@@ -29,7 +29,7 @@ def spec(robot_model: RobotModel) -> SkillSpec:
 
 
 def routine(arm: ArmController, *, speed: float) -> SkillRoutine:
-    """Tell the return: rise, then move in joint space."""
+    """Rise, then move in joint space."""
     support = arm.support
     arm.begin(spec(arm.robot_model), support=support.name if support else None)
     height = arm.support_height + SAFE_HEIGHT

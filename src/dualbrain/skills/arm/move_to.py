@@ -1,4 +1,4 @@
-"""move_to: bring the tool (and what it holds) above a named thing or place."""
+"""move_to: bring the tool, with the held object, above a named object or place."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from dualbrain.skills.kinematics import object_geometry
 from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
 
 TARGET_CLEARANCE = 0.03
-"""Room between the lowest carried point and the top of the thing below it [m]."""
+"""Clearance between the lowest carried point and the top of the object below it [m]."""
 
 
 def spec(robot_model: RobotModel) -> SkillSpec:
-    """The skill's vocabulary entry; what is held may still leave its support."""
+    """The specification of the skill; a held object may leave its support."""
     return SkillSpec(
         "move_to",
         "bring the hand above an object, container or place, without touching it",
@@ -34,13 +34,13 @@ def spec(robot_model: RobotModel) -> SkillSpec:
 
 
 def routine(arm: ArmController, *, target: str, speed: float, clearance: float, route: str, wait: str) -> SkillRoutine:
-    """Tell the journey: wait, rise, cross."""
+    """Wait, rise, cross."""
     support = arm.support
     arm.begin(spec(arm.robot_model), support=support.name if support else None)
     scene = arm.observation.scene
     if target in scene.graspable:
-        thing = scene.find(target)
-        point = np.array([*thing.pose.position[:2], object_geometry.top_height(thing)])
+        obj = scene.find(target)
+        point = np.array([*obj.pose.position[:2], object_geometry.top_height(obj)])
     else:
         point, _, _ = receiving_point(scene, target)
     height = max(arm.support_height + clearance, float(point[2]) + TARGET_CLEARANCE) + arm.below_tool
@@ -65,7 +65,7 @@ def routine(arm: ArmController, *, target: str, speed: float, clearance: float, 
 
 
 def _rotation_candidates(rotation: np.ndarray, start: np.ndarray, end: np.ndarray) -> list[np.ndarray]:
-    """The rotation as it is, and turned with the arm's swing."""
+    """The current rotation, and the rotation turned with the swing of the arm."""
     swing = float(np.arctan2(end[1], end[0]) - np.arctan2(start[1], start[0]))
     c, s = np.cos(swing), np.sin(swing)
     return [rotation.copy(), np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ rotation]

@@ -1,4 +1,4 @@
-"""place: carry what is held to a container or place by the wanted route, lower it, let go, retreat."""
+"""place: carry the held object to a container or place by the chosen route, lower it, release it, retreat."""
 
 from __future__ import annotations
 
@@ -29,23 +29,23 @@ from dualbrain.skills.time_slicing import SUFFICIENT_CLEARANCE, SlicedComputatio
 Array = NDArray[np.float64]
 
 RIM_CLEARANCE = 0.012
-"""Room between what is held and the rim when letting go [m]."""
+"""Clearance between the held object and the rim at the release [m]."""
 SLOW_DESCENT_HEIGHT = 0.04
-"""How far above its release height a load is lowered gently [m]."""
+"""Height above the release height from which a load is lowered slowly [m]."""
 RETREAT_HEIGHT = 0.08
-"""How far the open hand rises before the skill ends [m]."""
+"""Height by which the open hand rises before the skill ends [m]."""
 RELEASE_YAWS = (0.0, 0.4, -0.4, 0.8, -0.8, 1.2, -1.2, 1.57)
-"""Turns about the vertical by which a load may be let go otherwise [rad] …"""
+"""Alternative rotations about the vertical at the release [rad]."""
 RELEASE_ELBOW_SWINGS = (0.0, 0.4, -0.4)
-"""… and swings of the elbow [rad]."""
+"""Alternative swings of the elbow at the release [rad]."""
 MIN_RETREAT_HEIGHT = 0.045
-"""A hand that was kept from rising all the way has let go when it rose this far [m]."""
+"""Height [m] from which a blocked retreat counts as complete."""
 DROP_HEIGHT = 0.004
-"""Height above a support at which a thing is let go [m]."""
+"""Height above a support at which an object is released [m]."""
 
 
 def spec(robot_model: RobotModel) -> SkillSpec:
-    """The skill's vocabulary entry and the contacts it needs."""
+    """The specification of the skill and its contacts."""
     touch = parameters.CONTACT_SPEED
     return SkillSpec(
         "place",
@@ -72,19 +72,19 @@ def spec(robot_model: RobotModel) -> SkillSpec:
 
 
 def receiving_point(scene: Scene, destination: str) -> tuple[Array, float, float]:
-    """Where `destination` receives things: position (3,) at its receiving height, radius, drop height [m]."""
+    """Where `destination` receives objects: position (3,) at its receiving height, radius, drop height [m]."""
     for place in scene.places:
         if place.name == destination:
             return np.asarray(place.position), 0.05, DROP_HEIGHT
-    thing = scene.find(destination)
-    radius = thing.shape.radius if isinstance(thing.shape, Bowl) else 0.05
-    return np.array([*thing.pose.position[:2], object_geometry.top_height(thing)]), radius, RIM_CLEARANCE
+    obj = scene.find(destination)
+    radius = obj.shape.radius if isinstance(obj.shape, Bowl) else 0.05
+    return np.array([*obj.pose.position[:2], object_geometry.top_height(obj)]), radius, RIM_CLEARANCE
 
 
 def routine(
     arm: ArmController, *, destination: str, speed: float, clearance: float, route: str, wait: str
 ) -> SkillRoutine:
-    """Tell the placing: wait, carry, lower, open, retreat, look."""
+    """Wait, carry, lower, open, retreat, verify."""
     held = arm.holding
     if held is None:
         return SkillResult(SkillStatus.FAILED, "nothing is held")
@@ -92,10 +92,10 @@ def routine(
     arm.begin(
         spec(arm.robot_model), target=held.name, destination=destination, support=support.name if support else None
     )
-    point, radius, room = receiving_point(arm.observation.scene, destination)
-    spot_down = point + np.array([0.0, 0.0, room + held.below_tool])
-    height = max(arm.support_height + clearance + held.below_tool, float(spot_down[2]) + SLOW_DESCENT_HEIGHT)
-    down = yield from _find_release_goal(arm, spot_down, height, route, tilt=room == RIM_CLEARANCE)
+    point, radius, drop_height = receiving_point(arm.observation.scene, destination)
+    release_position = point + np.array([0.0, 0.0, drop_height + held.below_tool])
+    height = max(arm.support_height + clearance + held.below_tool, float(release_position[2]) + SLOW_DESCENT_HEIGHT)
+    down = yield from _find_release_goal(arm, release_position, height, route, tilt=drop_height == RIM_CLEARANCE)
     if down is None:
         return SkillResult(SkillStatus.FAILED, f"{destination} is out of reach")
     middle = (arm.observation.tool.position + point) / 2
@@ -107,8 +107,8 @@ def routine(
     way = yield from _waypoints(arm, above, route)
     if why := (yield from follow_waypoints(arm, way, "carry", speed)) or _check_load_lost(arm, held.name):
         return why
-    brink = goal_at_height(down, min(height, float(down.position[2]) + SLOW_DESCENT_HEIGHT))
-    why = yield from descend(arm, above, brink, down, "lower", min(speed, 0.2), wait_phase="carry")
+    slow_from = goal_at_height(down, min(height, float(down.position[2]) + SLOW_DESCENT_HEIGHT))
+    why = yield from descend(arm, above, slow_from, down, "lower", min(speed, 0.2), wait_phase="carry")
     if why or (why := _check_load_lost(arm, held.name)):
         return why
     yield from arm.open_gripper(arm.robot_model.gripper.opening.value)
@@ -121,7 +121,7 @@ def routine(
 
 
 def _check_load_lost(arm: ArmController, name: str) -> SkillResult | None:
-    """Why the load counts as lost, when the fingers no longer feel it; it is an obstacle again from then on."""
+    """The result for a load that the fingers no longer press on; from then on it is an obstacle again."""
     if arm.is_gripping():
         return None
     arm.holding = None
@@ -131,52 +131,53 @@ def _check_load_lost(arm: ArmController, name: str) -> SkillResult | None:
 def _find_release_goal(
     arm: ArmController, position: Array, height: float, route: str, *, tilt: bool
 ) -> SlicedComputation[ToolGoal | None]:
-    """Where to let go at `position`, lowered from tool height `height` [m]: the clearest way of holding the hand."""
+    """The release goal at `position` with most clearance, lowered from tool height `height` [m]; None out of reach."""
 
-    def air(goal: ToolGoal, beat: float) -> SlicedComputation[float]:
-        """Down and up again; and, where that is clear, on the way there."""
+    def release_clearance(goal: ToolGoal, threshold: float) -> SlicedComputation[float]:
+        """Clearance down and up again, and, if that is clear, on the way there."""
         below = yield from arm.predict_clearance(goal.posture, (), "lower")
-        if below <= beat:
+        if below <= threshold:
             return below
         above = yield from _solve_at_height(arm, goal, height)
         away = goal_at_height(goal, float(goal.position[2]) + RETREAT_HEIGHT)
-        room = yield from arm.predict_clearance(above.posture, [goal, away], "lower", threshold=beat)
-        if room < SUFFICIENT_CLEARANCE:
-            return room
+        descent = yield from arm.predict_clearance(above.posture, [goal, away], "lower", threshold=threshold)
+        if descent < SUFFICIENT_CLEARANCE:
+            return descent
         way = yield from _waypoints(arm, goal_at_height(goal, height), route)
-        return min(room, (yield from predict_waypoint_clearance(arm, way, "carry", beat)))
+        return min(descent, (yield from predict_waypoint_clearance(arm, way, "carry", threshold)))
 
-    best, _ = yield from first_clear(order_by_posture_cost(arm, _release_candidates(arm, position, tilt=tilt)), air)
+    candidates = order_by_posture_cost(arm, _release_candidates(arm, position, tilt=tilt))
+    best, _ = yield from first_clear(candidates, release_clearance)
     return best
 
 
 def _release_candidates(arm: ArmController, position: Array, *, tilt: bool) -> SlicedIterator[ToolGoal]:
-    """In the rotation held now, or turned with the arm's own swing when that lies more comfortably; or otherwise.
+    """Release goals at `position`: with the current rotation or turned with the swing of the arm, then variations.
 
-    Turned about the vertical, the elbow swung, and with `tilt` leaning.
+    Variations are turned about the vertical, with the elbow swung, and with `tilt` also leaning.
     """
     here = arm.observation.tool
     swing = float(np.arctan2(position[1], position[0]) - np.arctan2(here.position[1], here.position[0]))
     turned = object_geometry.axis_rotation((0.0, 0.0, 1.0), swing) @ here.rotation
-    plain = yield from arm.find_goal(position, [here.rotation.copy(), turned])
-    if plain is None:
+    direct = yield from arm.find_goal(position, [here.rotation.copy(), turned])
+    if direct is None:
         return
-    yield plain
+    yield direct
     leans = (0.0, 0.2, -0.2, 0.4, -0.4) if tilt else (0.0,)
     for lean, yaw, elbow in product(leans, RELEASE_YAWS, RELEASE_ELBOW_SWINGS):
-        goal = yield from vary_goal(arm, position, plain.rotation, yaw, lean, elbow)
+        goal = yield from vary_goal(arm, position, direct.rotation, yaw, lean, elbow)
         if goal is not None:
             yield goal
 
 
 def _solve_at_height(arm: ArmController, goal: ToolGoal, height: float) -> SlicedComputation[ToolGoal]:
-    """`goal` at tool height `height` [m]."""
+    """`goal` at tool height `height` [m], with a new posture if it is within reach."""
     up = goal_at_height(goal, height)
     return arm.translate_goal(up, up.position)
 
 
 def _waypoints(arm: ArmController, end: ToolGoal, route: str) -> SlicedComputation[list[ToolGoal]]:
-    """The points to pass: straight up where needed, the route's bend, then above the destination."""
+    """The waypoints: straight up if necessary, the via point of the route, then above the destination."""
     here = arm.current_goal()
     height = float(end.position[2])
     points = [goal_at_height(here, height)] if here.position[2] < height - 0.01 else []
@@ -187,7 +188,7 @@ def _waypoints(arm: ArmController, end: ToolGoal, route: str) -> SlicedComputati
 
 
 def _verify_placement(arm: ArmController, name: str, destination: str, point: Array, radius: float) -> SkillResult:
-    """The robot's own verdict: is the thing perceived where it was put?"""
+    """Check by perception that the object is where it was placed."""
     away = float(np.linalg.norm(np.asarray(arm.find_object(name).pose.position)[:2] - point[:2]))
     if away > radius + arm.find_object(name).error:
         return SkillResult(SkillStatus.FAILED, f"{name} is {away * 100:.0f} cm from {destination} after letting go")

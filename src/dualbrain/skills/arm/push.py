@@ -1,4 +1,4 @@
-"""push: shove a thing over its support toward a container or place, with closed fingers."""
+"""push: move an object over its support toward a container or place, with closed fingers."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ from dualbrain.skills.time_slicing import SlicedComputation, SlicedIterator, fir
 Array = NDArray[np.float64]
 
 MAX_PUSH_DISTANCE = 0.25
-"""Longest way of one push [m]."""
+"""Longest distance of one push [m]."""
 START_CLEARANCE = 0.035
-"""Room between the fingers and the thing before they touch it [m]: margins and the error of its position."""
+"""Distance between the fingers and the object before contact [m]: margins and the error of its position."""
 TIP_CLEARANCE = 0.012
-"""How far the finger tips stay above the support [m]."""
+"""Height of the finger tips above the support [m]."""
 CLOSE_TIME = 0.8
-"""How long the fingers take to close on nothing [s]."""
+"""Time in which the fingers close without an object [s]."""
 RETREAT_DISTANCE = 0.03
-"""How far the fingers step back from a pushed thing before they rise [m]."""
+"""Retreat of the fingers from a pushed object before they rise [m]."""
 SLOW_DESCENT_HEIGHT = 0.03
-"""Height above the pushing height from which the fingers come down gently [m]."""
+"""Height above the pushing height from which the fingers descend slowly [m]."""
 MIN_PUSH_FRACTION = 0.5
-"""A push has done its work when the thing went this share of the wanted way."""
+"""Fraction of the distance that the object must move for a successful push."""
 
 
 def spec(robot_model: RobotModel) -> SkillSpec:
-    """The skill's vocabulary entry and the contacts it needs."""
+    """The specification of the skill and its contacts."""
     touch = parameters.CONTACT_SPEED
     distance = NumberParameter(
         name="distance",
@@ -75,24 +75,24 @@ def spec(robot_model: RobotModel) -> SkillSpec:
 def routine(
     arm: ArmController, *, object: str, destination: str, distance: float, speed: float, clearance: float, wait: str
 ) -> SkillRoutine:
-    """Tell the push: shut, wait, go behind the thing, come down, push, step back, rise, look."""
+    """Close, wait, move behind the object, descend, push, retreat, rise, verify."""
     support = arm.support
     arm.begin(spec(arm.robot_model), target=object, support=support.name if support else None)
     if arm.holding:
         return SkillResult(SkillStatus.FAILED, f"already holding {arm.holding.name}")
-    thing = arm.find_object(object)
-    way = _push_vector(arm, thing, destination)
-    if way is None or float(np.linalg.norm(way)) < distance:
+    obj = arm.find_object(object)
+    offset = _push_vector(arm, obj, destination)
+    if offset is None or float(np.linalg.norm(offset)) < distance:
         return SkillResult(SkillStatus.FAILED, f"{destination} is nearer to {object} than the push is long")
-    direction = way / np.linalg.norm(way)
+    direction = offset / np.linalg.norm(offset)
     low, _ = yield from first_clear(
-        _start_candidates(arm, thing, direction, distance),
-        lambda goal, beat: _descent_clearance(arm, goal, thing, clearance, beat),
+        _start_candidates(arm, obj, direction, distance),
+        lambda goal, threshold: _descent_clearance(arm, goal, obj, clearance, threshold),
     )
     if low is None:
         return SkillResult(SkillStatus.FAILED, f"behind {object} is out of reach")
     yield from _close_fingers(arm)
-    above = yield from _goal_above(arm, low, thing, clearance)
+    above = yield from _goal_above(arm, low, obj, clearance)
     if wait == "until_clear" and (
         why := (
             yield from wait_for_people(arm, arm.current_goal(), above.position, 4.0, "approach", speed, radius=0.35)
@@ -112,21 +112,21 @@ def routine(
         if why := (yield from reach_goal(arm, goal, "retreat", min(speed, 0.1))):
             return why
     moved = float((np.array(arm.find_object(object).pose.position) - before)[:2] @ direction)
-    words = f"{object} went {moved * 100:.0f} of {distance * 100:.0f} cm toward {destination}"
-    return SkillResult(SkillStatus.DONE if moved > MIN_PUSH_FRACTION * distance else SkillStatus.FAILED, words)
+    summary = f"{object} went {moved * 100:.0f} of {distance * 100:.0f} cm toward {destination}"
+    return SkillResult(SkillStatus.DONE if moved > MIN_PUSH_FRACTION * distance else SkillStatus.FAILED, summary)
 
 
 def _push_vector(arm: ArmController, obj: SceneObject, destination: str) -> Array | None:
-    """From the thing to the destination, in the plane (2,) [m]."""
+    """Vector (2,) [m] from the object to the destination in the plane, or None if they coincide."""
     point, _, _ = receiving_point(arm.observation.scene, destination)
-    way = point[:2] - np.array(obj.pose.position[:2])
-    return way if float(np.linalg.norm(way)) > 1e-6 else None
+    offset = point[:2] - np.array(obj.pose.position[:2])
+    return offset if float(np.linalg.norm(offset)) > 1e-6 else None
 
 
 def _start_candidates(
     arm: ArmController, obj: SceneObject, direction: Array, distance: float
 ) -> SlicedIterator[ToolGoal]:
-    """Poses behind the thing from which the whole push is within reach: the fingers' broad side first, then turned."""
+    """Poses behind the object from which the whole push is within reach: fingers broadside first, then turned."""
     gripper = arm.robot_model.gripper
     height = max(
         object_geometry.bottom_height(obj) + gripper.pad_below_tool + TIP_CLEARANCE,
@@ -157,7 +157,7 @@ def _goal_above(arm: ArmController, low: ToolGoal, obj: SceneObject, clearance: 
 def _descent_clearance(
     arm: ArmController, low: ToolGoal, obj: SceneObject, clearance: float, threshold: float
 ) -> SlicedComputation[float]:
-    """Least room [m] on the way down behind the thing."""
+    """Least clearance [m] of the descent behind the object."""
     above = yield from _goal_above(arm, low, obj, clearance)
     return (yield from arm.predict_clearance(above.posture, [low], "descend", 0.0, threshold=threshold))
 
@@ -173,5 +173,5 @@ def _move_behind(arm: ArmController, low: ToolGoal, above: ToolGoal, speed: floa
     points = [goal_at_height(arm.current_goal(), height)] if arm.observation.tool.position[2] < height - 0.01 else []
     if why := (yield from follow_waypoints(arm, [*points, above], "approach", speed)):
         return why
-    brink = goal_at_height(low, min(height, float(low.position[2]) + SLOW_DESCENT_HEIGHT))
-    return (yield from descend(arm, above, brink, low, "descend", min(speed, 0.2), wait_phase="approach"))
+    slow_from = goal_at_height(low, min(height, float(low.position[2]) + SLOW_DESCENT_HEIGHT))
+    return (yield from descend(arm, above, slow_from, low, "descend", min(speed, 0.2), wait_phase="approach"))

@@ -1,4 +1,4 @@
-"""release: let go here and step back."""
+"""release: open the fingers and retreat."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from dualbrain.skills.arm.waypoints import reach_goal
 from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
 
 RETREAT_DISTANCE = 0.08
-"""How far the tool steps back along its approach axis [m]."""
+"""Retreat of the tool along its approach axis [m]."""
 
 
 def spec(robot_model: RobotModel) -> SkillSpec:
-    """The skill's vocabulary entry and the contacts it needs."""
+    """The specification of the skill and its contacts."""
     touch = parameters.CONTACT_SPEED
     return SkillSpec(
         "release",
@@ -31,7 +31,7 @@ def spec(robot_model: RobotModel) -> SkillSpec:
 
 
 def routine(arm: ArmController, *, speed: float) -> SkillRoutine:
-    """Tell the letting go: open, retreat."""
+    """Open the fingers, then retreat."""
     held, support = arm.holding, arm.support
     arm.begin(spec(arm.robot_model), target=held.name if held else None, support=support.name if support else None)
     yield from arm.open_gripper(arm.robot_model.gripper.opening.value)

@@ -1,4 +1,4 @@
-"""Journeys: passing through points, insisting after a person has passed, other ways when the first is blocked."""
+"""Motion along waypoints, with repetition after people have passed and with detours when the path is blocked."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from dualbrain.skills.time_slicing import SUFFICIENT_CLEARANCE, SlicedComputatio
 Array = NDArray[np.float64]
 
 DETOUR_TIMEOUT = 1.0
-"""No progress for this long [s] makes a journey try a detour, while one is left."""
+"""Time without progress [s] after which a motion takes a detour, as long as one is left."""
 DETOURS = (
     (0.18, "direct"),
     (0.0, "near_base"),
@@ -41,9 +41,9 @@ DETOURS = (
     (0.1, "left"),
     (0.1, "right"),
 )
-"""How far a blocked tool rises [m], and by which route it crosses then; the most telling first."""
+"""Detours of a blocked motion: rise of the tool [m] and route of the crossing, in the order of preference."""
 CONTACT_APPROACH_SPEED = 0.9 * CONTACT_SPEED
-"""Speed of the last stretch before a contact [m/s]."""
+"""Speed of the last part of an approach to a contact [m/s]."""
 
 
 def reach_goal(
@@ -55,7 +55,7 @@ def reach_goal(
     stop: bool = True,
     timeout: float = PROGRESS_TIMEOUT,
 ) -> SubRoutine:
-    """Reach `goal`, again after each person who came by."""
+    """Reach `goal`, and try again after each person who passed."""
     while True:
         why = yield from arm.move_tool(goal, phase, speed, stop=stop, timeout=timeout)
         if why is not YIELDED:
@@ -63,41 +63,41 @@ def reach_goal(
 
 
 def move_to_height(arm: ArmController, height: float, phase: str, speed: float) -> SubRoutine:
-    """Straight up (or down) to tool height `height` [m]."""
+    """Move vertically to tool height `height` [m]."""
     up = goal_at_height(arm.current_goal(), height)
     goal = yield from arm.translate_goal(up, up.position)
     return (yield from reach_goal(arm, goal, phase, speed))
 
 
 def follow_waypoints(arm: ArmController, waypoints: Sequence[ToolGoal], phase: str, speed: float) -> SubRoutine:
-    """Pass through `points` to the last; when blocked, by the first detour that looks clear, else the roomiest."""
+    """Pass through `waypoints`; if blocked, take the first clear detour, else the one with most clearance."""
     start, end, left = arm.observation.tool.position.copy(), waypoints[-1], list(DETOURS)
     why = yield from _follow_once(arm, waypoints, phase, speed, DETOUR_TIMEOUT)
-    for patience in (DETOUR_TIMEOUT, PROGRESS_TIMEOUT):
+    for timeout in (DETOUR_TIMEOUT, PROGRESS_TIMEOUT):
         if why is None or why.status is not SkillStatus.TAKEN_OVER:
             break
         detour, _ = yield from first_clear(
-            left, lambda detour, beat: _detour_clearance(arm, start, end, detour, phase, beat)
+            left, lambda detour, threshold: _detour_clearance(arm, start, end, detour, phase, threshold)
         )
         detour = detour or left[0]
         left.remove(detour)
         way = yield from _detour_waypoints(arm, start, end, detour)
-        why = yield from _follow_once(arm, way, phase, speed, patience)
+        why = yield from _follow_once(arm, way, phase, speed, timeout)
     return why
 
 
 def predict_waypoint_clearance(
     arm: ArmController, waypoints: Sequence[ToolGoal], phase: str, threshold: float
 ) -> SlicedComputation[float]:
-    """Room [m] on the way through `points` to the last, or on the detour `travel` would take; `beat` as in `air`."""
+    """Clearance [m] through `waypoints` to the last, or on the best detour; `threshold` as in `predict_clearance`."""
     start, end = arm.observation.tool.position.copy(), waypoints[-1]
-    plain = yield from arm.predict_clearance(None, waypoints, phase, threshold=threshold)
-    if plain >= SUFFICIENT_CLEARANCE:
-        return plain
+    direct = yield from arm.predict_clearance(None, waypoints, phase, threshold=threshold)
+    if direct >= SUFFICIENT_CLEARANCE:
+        return direct
     _, most = yield from first_clear(
         DETOURS,
-        lambda detour, beat: _detour_clearance(arm, start, end, detour, phase, beat),
-        threshold=max(plain, threshold),
+        lambda detour, threshold: _detour_clearance(arm, start, end, detour, phase, threshold),
+        threshold=max(direct, threshold),
     )
     return most
 
@@ -112,10 +112,10 @@ def descend(
     *,
     wait_phase: str,
 ) -> SubRoutine:
-    """Go down from `above` when no person will be there: fast to the `brink`, then gently to `down`.
+    """Descend from `above` while no person will be there: fast to `slow_from`, then slowly to `goal`.
 
-    Gently means slower than the permitted contact speed, so that no contact row bends the path. After a person came by,
-    it starts again from above.
+    The slow part is below the permitted contact speed, so that no contact row deflects the path. After a person has
+    passed, the descent starts again from above.
     """
     horizon = 2.0 + 2.0 * float(above.position[2] - goal.position[2]) / speed
     while True:
@@ -138,7 +138,7 @@ def wait_for_people(
     *,
     radius: float = PERSON_CLEARANCE,
 ) -> SubRoutine:
-    """Stay at `station` until no person's sweep over `horizon` [s] comes within `reach` [m] of `spot`, from above."""
+    """Stay at `wait_goal` until no person may come within `radius` [m] of `spot`, from above, in `horizon` [s]."""
     start = arm.observation.now
     while True:
         if why := (yield from reach_goal(arm, wait_goal, phase, min(speed, 0.2))):
@@ -173,7 +173,7 @@ def _detour_clearance(
 def _detour_waypoints(
     arm: ArmController, start: Array, end: ToolGoal, detour: tuple[float, str]
 ) -> SlicedComputation[list[ToolGoal]]:
-    """Straight up by the detour's rise, across by its route, down to the end."""
+    """Waypoints straight up by the rise of the detour, across by its route, and down to the end."""
     rise, route = detour
     here = arm.current_goal()
     height = max(
@@ -187,18 +187,16 @@ def _detour_waypoints(
     return [*points, high, end] if rise else [*points, end]
 
 
-Array = NDArray[np.float64]
-
 NEAR_BASE_RADIUS = 0.36
-"""Distance from the base at which the route close to the base passes [m]."""
+"""Distance from the base at which the route "near_base" passes [m]."""
 DETOUR_OFFSET = 0.15
-"""How far left and right routes bend from the straight line [m]."""
+"""Lateral offset of the routes "left" and "right" from the straight line [m]."""
 VIA_POINT_RADIUS_RANGE = (0.34, 0.68)
-"""A bend stays within this distance from the base [m]."""
+"""Range of the distance of a via point from the base [m]."""
 
 
 def via_point(start: Array, end: Array, route: str) -> Array | None:
-    """The point (3,) that `route` passes between `start` and `end`, at the height of `end`; None when straight."""
+    """The point (3,) that `route` passes between `start` and `end`, at the height of `end`; None for "direct"."""
     if route == "direct":
         return None
     middle = (start + end)[:2] / 2

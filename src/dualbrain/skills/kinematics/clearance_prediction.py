@@ -1,7 +1,7 @@
-"""Foresight: how near the arm would come to what is perceived on a way it has not gone yet.
+"""Clearance prediction: how close the arm would come to perceived objects on a path that it has not taken yet.
 
-It chooses between ways of doing the same thing and promises nothing: the filter keeps its margins whatever was
-foreseen. People are left out, because where they will be is `person`'s business.
+The prediction ranks alternatives and guarantees nothing: the filter keeps its margins independently. People are
+excluded, because `human_prediction` predicts where they will be.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from dualbrain.skills.time_slicing import SlicedComputation
 Array = NDArray[np.float64]
 
 KNOWN_OBJECT_ALLOWANCE = 0.008
-"""φ itself keeps off what it knows, and passes it this much nearer without being bent [m]."""
+"""The projection φ keeps away from known objects itself; they may be this much closer [m]."""
 IGNORED_START_STEPS = 3
-"""Strides at the start of a way on which what is near already does not count."""
+"""Steps at the start of a path in which objects that are already close do not count."""
 STEP_LENGTH = 0.016
-"""Step of a rehearsal [m]; a turn of the tool counts as 10 cm per rad."""
+"""Step length of a simulated path [m]; a rotation of the tool counts as 10 cm per rad."""
 ROTATION_LEVER, MAX_POSTURE_DRIFT = 0.1, 0.25
-"""Lever [m] by which turns are counted, and how far the posture is pulled in a step at most [rad per 10 cm]."""
+"""Lever [m] of rotations, and largest posture drift per step [rad per 10 cm]."""
 MAX_STEPS_PER_WAYPOINT = 120
-"""Strides to one point, at most."""
+"""Most steps to one waypoint."""
 POSTURES_PER_BATCH = 6
-"""Postures that are held against a thing at a time."""
+"""Number of postures whose distances are computed at a time."""
 
 
 @dataclass(frozen=True, slots=True)
 class ToolGoal:
-    """A tool pose to reach: position (3,) [m], rotation (3, 3), and the joint posture (n,) [rad] that suits it."""
+    """A tool pose to reach: position (3,) [m], rotation (3, 3), and a joint posture (n,) [rad] that reaches it."""
 
     position: Array
     rotation: Array
@@ -48,9 +48,9 @@ class ToolGoal:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PredictionContext:
-    """What a rehearsal goes by: how far each finger is opened [m], what is perceived, which thing is held.
+    """Context of a prediction: the opening of each finger [m], the scene, and the held object.
 
-    What is `known` to φ may be `NEARER`, and does not count for a part that may touch it (`touches`).
+    Objects `known` to φ may be closer by `KNOWN_OBJECT_ALLOWANCE`. Robot parts in `contacts` may touch the obstacle.
     """
 
     opening: float
@@ -60,7 +60,7 @@ class PredictionContext:
     contacts: Collection[PermittedContact] = ()
 
     def matches(self, other: PredictionContext) -> bool:
-        """Whether the other is a view of this very scene, otherwise alike."""
+        """Whether `other` has the same scene object and equal settings."""
         return self.scene is other.scene and self._settings() == other._settings()
 
     def _settings(self) -> tuple[object, ...]:
@@ -69,9 +69,9 @@ class PredictionContext:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CollisionObject:
-    """A thing to keep clear of: its cover, all of it within `reach` [m] of its middle, for the spheres that `count`.
+    """An object to keep away from: a shape within `bounding_radius` [m] of its pose, for spheres `sphere_indices`.
 
-    `allowance` [m] is taken off their distances, `most` [m] at most.
+    `allowance` [m] is subtracted from their distances; `max_allowance` [m] is its largest value.
     """
 
     shape: Solid
@@ -83,10 +83,10 @@ class CollisionObject:
 
 
 class ClearancePredictor:
-    """Rehearses motions of one arm in its head."""
+    """Simulates motions of one arm and predicts their clearance."""
 
     def __init__(self, robot_model: RobotModel, motion: MotionModel) -> None:
-        """Bind to the body and to the local layer's kinematics."""
+        """Use the limits of `robot_model` and the kinematics of `motion`."""
         self._motion = motion
         self._redundant = robot_model.n > 6
         self._lower = np.array([joint.lower.value for joint in robot_model.joints])
@@ -106,54 +106,55 @@ class ClearancePredictor:
         ignored_steps: int = 0,
         threshold: float = -np.inf,
     ) -> SlicedComputation[float]:
-        """Least distance [m] between the body and what is perceived, beyond the errors, from `q` through `points`.
+        """Least distance [m] of the robot to perceived objects, minus errors, from `q` through `waypoints`.
 
-        The first `leaving` postures do not count, as long as any is left. Broken off once it is not above `beat`.
+        The first `ignored_steps` postures do not count if there are more. The computation stops once the result is at
+        most `threshold`.
         """
-        hindrances = yield from self._collision_objects(q, context)
-        least, shown = np.inf, list[Array]()
+        objects = yield from self._collision_objects(q, context)
+        least, batch = np.inf, list[Array]()
         for index, posture in enumerate(self.simulate_path(q, waypoints)):
             if index <= ignored_steps:
-                shown.clear()
-            shown.append(self._motion.spheres(posture, context.opening)[0])
+                batch.clear()
+            batch.append(self._motion.spheres(posture, context.opening)[0])
             yield
-            if len(shown) == POSTURES_PER_BATCH:
-                least = yield from _min_clearance(np.array(shown), hindrances, least)
-                shown.clear()
+            if len(batch) == POSTURES_PER_BATCH:
+                least = yield from _min_clearance(np.array(batch), objects, least)
+                batch.clear()
                 if least <= threshold:
                     return least
-        return (yield from _min_clearance(np.array(shown), hindrances, least)) if shown else least
+        return (yield from _min_clearance(np.array(batch), objects, least)) if batch else least
 
     def simulate_path(self, q: Array, waypoints: Sequence[ToolGoal]) -> Iterator[Array]:
-        """Postures (n,) [rad] on the way from `q` through `points`, about a stride apart, the start included.
+        """Postures (n,) [rad] on the path from `q` through `waypoints`, about one step apart, including the start.
 
-        Resolved-rate steps, as φ would take them.
+        The steps are resolved-rate steps like those of φ.
         """
         yield q
         for point in waypoints:
             for _ in range(MAX_STEPS_PER_WAYPOINT):
-                further = self._step_toward(q, point)
-                if further is None:
+                following = self._step_toward(q, point)
+                if following is None:
                     break
-                q = further
+                q = following
                 yield q
 
     def _step_toward(self, q: Array, goal: ToolGoal) -> Array | None:
-        """The next posture (n,) [rad] from `q` to `point`; None when it is there."""
+        """The next posture (n,) [rad] from `q` to `goal`, or None if it is reached."""
         tool = self._motion.tool(q)
         twist = np.empty(6)
         twist[:3], twist[3:] = goal.position - tool.position, rotation_error(tool.rotation, goal.rotation)
-        ahead = norm(twist[:3]) + ROTATION_LEVER * norm(twist[3:])
-        if ahead < 0.25 * STEP_LENGTH:
+        remaining = norm(twist[:3]) + ROTATION_LEVER * norm(twist[3:])
+        if remaining < 0.25 * STEP_LENGTH:
             return None
-        share = min(1.0, STEP_LENGTH / ahead)
+        share = min(1.0, STEP_LENGTH / remaining)
         pull = goal.posture - q if self._redundant else np.zeros_like(q)
-        pull *= min(1.0, MAX_POSTURE_DRIFT * share * ahead / ROTATION_LEVER / (norm(pull) + 1e-9))
+        pull *= min(1.0, MAX_POSTURE_DRIFT * share * remaining / ROTATION_LEVER / (norm(pull) + 1e-9))
         q = q + damped_step(tool.jacobian, share * twist, pull)
         return np.minimum(np.maximum(q, self._lower), self._upper)
 
     def _collision_objects(self, q: Array, context: PredictionContext) -> SlicedComputation[list[CollisionObject]]:
-        """What the way is held against; made once for every view."""
+        """The objects of a prediction, built once per context."""
         if self._cached_objects is None or not context.matches(self._cached_objects[0]):
             self._cached_objects = context, (yield from self._build_collision_objects(q, context))
         return self._cached_objects[1]
@@ -162,59 +163,57 @@ class ClearancePredictor:
         self, q: Array, context: PredictionContext
     ) -> SlicedComputation[list[CollisionObject]]:
         _, radii, groups = self._motion.spheres(q, context.opening)
-        extra = next((thing.error for thing in context.scene.objects if thing.name == context.held), 0.0)
-        reach = radii + np.array([extra if group == "held" else 0.0 for group in groups])
-        base = np.zeros(len(groups), bool)
-        base[: len(self._on_fixed_frame)] = self._on_fixed_frame
-        hindrances: list[CollisionObject] = []
-        for thing in context.scene.objects:
-            if thing.role != "person" and thing.name != context.held:
+        held_error = next((obj.error for obj in context.scene.objects if obj.name == context.held), 0.0)
+        inflated = radii + np.array([held_error if group == "held" else 0.0 for group in groups])
+        fixed = np.zeros(len(groups), bool)
+        fixed[: len(self._on_fixed_frame)] = self._on_fixed_frame
+        objects: list[CollisionObject] = []
+        for obj in context.scene.objects:
+            if obj.role != "person" and obj.name != context.held:
                 yield
-                count = np.flatnonzero(~base & ~_may_touch(thing, groups, context.contacts))
-                allowance = (reach + thing.error - (KNOWN_OBJECT_ALLOWANCE if thing.name in context.known else 0.0))[
-                    count
-                ]
-                shape, pose = bounding_solid(thing.shape, thing.pose)
-                most = float(allowance.max(initial=0.0))
-                hindrances.append(
+                indices = np.flatnonzero(~fixed & ~_may_touch(obj, groups, context.contacts))
+                known = KNOWN_OBJECT_ALLOWANCE if obj.name in context.known else 0.0
+                allowance = (inflated + obj.error - known)[indices]
+                shape, pose = bounding_solid(obj.shape, obj.pose)
+                objects.append(
                     CollisionObject(
                         shape=shape,
                         pose=pose,
                         bounding_radius=_bounding_radius(shape),
-                        sphere_indices=count,
+                        sphere_indices=indices,
                         allowance=allowance,
-                        max_allowance=most,
+                        max_allowance=float(allowance.max(initial=0.0)),
                     )
                 )
-        return hindrances
+        return objects
 
 
 def _min_clearance(centres: Array, objects: Sequence[CollisionObject], least: float) -> SlicedComputation[float]:
-    """`least` [m], or the least room of spheres at `centres` (postures, spheres, 3) where that is less."""
+    """The minimum of `least` [m] and the clearance of spheres at `centres` (postures, spheres, 3)."""
     spans = [(float(column.min()), float(column.max())) for column in np.moveaxis(centres, -1, 0)]
     yield
-    for one in objects:
-        if _distance_to_box(one.pose, spans) - one.bounding_radius - one.max_allowance < least:
-            apart = signed_distance(one.shape, one.pose, centres.take(one.sphere_indices, axis=1)) - one.allowance
-            least = min(least, float(apart.min(initial=np.inf)))
+    for obj in objects:
+        if _distance_to_box(obj.pose, spans) - obj.bounding_radius - obj.max_allowance < least:
+            distance = signed_distance(obj.shape, obj.pose, centres.take(obj.sphere_indices, axis=1)) - obj.allowance
+            least = min(least, float(distance.min(initial=np.inf)))
             yield
     return least
 
 
 def _may_touch(obj: SceneObject, groups: Sequence[str], contacts: Collection[PermittedContact]) -> NDArray[np.bool_]:
-    """Which spheres may touch `thing`."""
-    parts = {touch.robot_part for touch in contacts if touch.obstacle == obj.name}
+    """Mask of the spheres that may touch `obj`."""
+    parts = {contact.robot_part for contact in contacts if contact.obstacle == obj.name}
     return np.array([group in parts for group in groups])
 
 
 def _distance_to_box(pose: Pose, spans: Sequence[tuple[float, float]]) -> float:
-    """Distance [m] of the middle of `pose` from an upright box, given by its span along each axis."""
+    """Distance [m] between the position of `pose` and an axis-aligned box, given by its span along each axis."""
     beyond = (max(low - x, 0.0, x - high) for x, (low, high) in zip(pose.position, spans, strict=True))
-    return sum(one * one for one in beyond) ** 0.5
+    return sum(distance * distance for distance in beyond) ** 0.5
 
 
 def _bounding_radius(shape: Solid) -> float:
-    """How far from its middle a solid goes at most [m]."""
+    """Radius [m] of the smallest sphere around the centre of a solid that contains it."""
     match shape:
         case Sphere(radius):
             return radius

@@ -1,4 +1,4 @@
-"""Extents of perceived things and the tool orientations that grasp them."""
+"""Extents of perceived objects and the tool rotations that grasp them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dualbrain.records import SceneObject
 Array = NDArray[np.float64]
 
 APPROACH_LEAN = {"top": 0.0, "tilted": np.deg2rad(25.0), "side": np.deg2rad(45.0)}
-"""Angle of the tool's approach axis to straight down [rad]; at 45° the hand still clears the table at a 5 cm thing."""
+"""Angle between the tool's approach axis and straight down [rad]; at 45° the hand clears the table at a 5 cm object."""
 
 
 def axis_rotation(axis: ArrayLike, angle: float) -> Array:
@@ -23,7 +23,7 @@ def axis_rotation(axis: ArrayLike, angle: float) -> Array:
 
 
 def half_height(shape: Shape, pose: Pose) -> float:
-    """Half the vertical extent [m] of `shape` at `pose` (a bowl counts from its middle)."""
+    """Half the vertical extent [m] of `shape` at `pose` (of a bowl from its middle)."""
     up = quaternion_to_matrix(pose.quaternion)[2]
     match shape:
         case Sphere(radius):
@@ -41,21 +41,21 @@ def half_height(shape: Shape, pose: Pose) -> float:
 
 
 def top_height(obj: SceneObject) -> float:
-    """Height of the highest point of `thing` [m]."""
+    """Height of the highest point of `obj` [m]."""
     if isinstance(obj.shape, Bowl):
         return obj.pose.position[2] + obj.shape.height
     return obj.pose.position[2] + half_height(obj.shape, obj.pose)
 
 
 def bottom_height(obj: SceneObject) -> float:
-    """Height of the lowest point of `thing` [m]."""
+    """Height of the lowest point of `obj` [m]."""
     if isinstance(obj.shape, Bowl):
         return obj.pose.position[2]
     return obj.pose.position[2] - half_height(obj.shape, obj.pose)
 
 
 def grasp_width(obj: SceneObject, finger_axis: str) -> float:
-    """Extent of `thing` between fingers that close along the named axis [m], as it stands or lies."""
+    """Extent of `obj` between fingers that close along the named axis [m], in its current orientation."""
     direction, axes = finger_direction(obj, finger_axis), quaternion_to_matrix(obj.pose.quaternion)
     lean = abs(float(direction @ axes[:, 2]))
     match obj.shape:
@@ -72,12 +72,12 @@ def grasp_width(obj: SceneObject, finger_axis: str) -> float:
 
 
 def levelness(obj: SceneObject, finger_axis: str) -> float:
-    """Length of the horizontal part of the named axis, 1 when it is level, 0 when it points up."""
+    """Length of the horizontal part of the named axis: 1 if the axis is level, 0 if it is vertical."""
     return float(np.linalg.norm(quaternion_to_matrix(obj.pose.quaternion)[:2, 0 if finger_axis == "along" else 1]))
 
 
 def finger_direction(obj: SceneObject, finger_axis: str) -> Array:
-    """Horizontal unit vector of the finger axis: local x of the thing for "along", local y for "across"."""
+    """Horizontal unit vector of the finger axis: local x of the object for "along", local y for "across"."""
     axes = quaternion_to_matrix(obj.pose.quaternion)
     direction = axes[:, 0 if finger_axis == "along" else 1].copy()
     direction[2] = 0.0
@@ -86,10 +86,10 @@ def finger_direction(obj: SceneObject, finger_axis: str) -> Array:
 
 
 def grasp_rotations(direction: Array, approach: str, towards: Array) -> list[Array]:
-    """The tool rotations that grasp with the fingers along `direction` and the wanted approach.
+    """The tool rotations that grasp with the fingers along `direction` and the given approach.
 
-    The tool leans about its finger axis by the approach's angle, first outward (along `towards`, seen from the
-    base), and each lean comes with both ways round of the fingers.
+    The tool leans about its finger axis by the angle of the approach, first outward (along `towards`, as seen from the
+    base), and each lean has both directions of the fingers.
     """
     lean = float(APPROACH_LEAN[approach])
     sideways = np.array([-direction[1], direction[0], 0.0])
@@ -106,7 +106,7 @@ def grasp_rotations(direction: Array, approach: str, towards: Array) -> list[Arr
 
 
 def extent_along(obj: SceneObject, direction: Array) -> float:
-    """How far `thing` reaches from its middle along the horizontal unit vector `direction` (2,) or (3,) [m]."""
+    """Extent of `obj` from its centre along the horizontal unit vector `direction` (2,) or (3,) [m]."""
     ahead, axes = np.array([direction[0], direction[1], 0.0]), quaternion_to_matrix(obj.pose.quaternion)
     lean = abs(float(ahead @ axes[:, 2]))
     match obj.shape:

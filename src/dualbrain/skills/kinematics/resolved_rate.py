@@ -1,8 +1,9 @@
-"""φ by resolved rate: a tool pose becomes a joint velocity that φ itself can defend (paper 4.2, design 4).
+"""Resolved-rate controller φ: maps a tool pose to a joint velocity within known constraints (paper 4.2, design 4).
 
-u_wish = J⁺(ν − J u₀) + u₀ with damping, u₀ = k₀ (q_posture − q); ν is a twist of limited speed and acceleration that
-brakes in time. Then u_nom = the projection of u_wish onto the rows that φ knows and the box around its *own* previous
-nominal. φ never starts from the measured velocity: a filter that slows the arm must not make the wish look smaller.
+u_desired = J⁺(ν − J u₀) + u₀ with damping, u₀ = k₀ (q_posture − q); ν is a twist of limited speed and acceleration that
+brakes in time. u_nom is the projection of u_desired onto the rows known to φ and the box around its *own* previous
+nominal control. φ never starts from the measured velocity, so that a filter that slows the arm does not reduce the
+desired control.
 """
 
 from __future__ import annotations
@@ -22,17 +23,17 @@ from dualbrain.skills.skill import MotionModel, ToolState
 Array = NDArray[np.float64]
 
 MAX_DIRECT_ANGLE = pi / 2
-"""A turn beyond this [rad] may go either way round; a lesser one goes the short way."""
+"""Rotations beyond this angle [rad] may go either way; smaller rotations take the short way."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gains:
-    """Shape of the tool's motion.
+    """Gains and limits of the tool motion.
 
-    `position` and `rotation` [1/s] close the pose error, `linear` [m/s²] and `angular` [rad/s²] bound how fast the
-    twist may change, `turn` [rad/s] bounds its rotation, `posture` [1/s] pulls the redundant joint (an arm of six
-    joints has none), `damping` [m] keeps the inverse finite at singular poses, `headroom` is the share of the joint
-    velocity limits that φ uses.
+    `position` and `rotation` [1/s] reduce the pose error. `linear_acceleration` [m/s²] and `angular_acceleration`
+    [rad/s²] limit the change of the twist, `max_rotation_rate` [rad/s] its rotation. `posture` [1/s] moves the
+    redundant joint toward the posture (an arm of six joints has none). `damping` [m] keeps the inverse finite at
+    singular poses. `speed_fraction` is the fraction of the joint velocity limits that φ uses.
     """
 
     position: float = 5.0
@@ -46,32 +47,32 @@ class Gains:
 
 
 class PoseError(NamedTuple):
-    """What a tool lacks of a pose: `away` (3,) [m], and the rotation vector `turn` (3,) [rad], in the world."""
+    """Error of a tool pose: `translation` (3,) [m] and rotation vector `rotation` (3,) [rad] in the world frame."""
 
     translation: Array
     rotation: Array
 
     @property
     def distance(self) -> float:
-        """Length of `away` [m]."""
+        """Norm of `translation` [m]."""
         return sqrt(float(self.translation @ self.translation))
 
     @property
     def angle(self) -> float:
-        """Angle of `turn` [rad]."""
+        """Norm of `rotation` [rad]."""
         return sqrt(float(self.rotation @ self.rotation))
 
 
 def pose_error(tool: ToolState, position: Array, rotation: Array) -> PoseError:
-    """The gap of `tool` to the pose (position (3,) [m], rotation (3, 3))."""
+    """The error of `tool` relative to a pose (position (3,) [m], rotation (3, 3))."""
     return PoseError(position - tool.position, rotation_error(tool.rotation, rotation))
 
 
 class ResolvedRate:
-    """φ's memory between ticks: the twist it is at, and the nominal control it last gave."""
+    """The controller φ. State: the current twist and the last nominal control."""
 
     def __init__(self, robot_model: RobotModel, motion: MotionModel, gains: Gains | None = None) -> None:
-        """Bind to a body and to the local layer's kinematics and projection."""
+        """Use `motion` for kinematics and projection."""
         self._motion = motion
         self._gains = gains or Gains()
         self._dt = robot_model.period
@@ -93,7 +94,7 @@ class ResolvedRate:
         *,
         stop: bool = True,
     ) -> Array:
-        """u_nom (n,) [rad/s] that closes `gap` to a pose at up to `speed` [m/s]; `stop` brakes at the goal."""
+        """u_nom (n,) [rad/s] that reduces the pose `error` at up to `speed` [m/s]; `stop` brakes at the goal."""
         turn = error.rotation
         if float(turn @ turn) > MAX_DIRECT_ANGLE**2:
             turn = nearer_rotation(turn, tool.jacobian[3:] @ (posture - state.q))
@@ -105,38 +106,38 @@ class ResolvedRate:
     ) -> Array:
         """u_nom (n,) [rad/s] straight through joint space to `goal` (n,) [rad].
 
-        Up to `share` of the joints' speed limits, the tool at most at `speed` [m/s].
+        Joints move at up to `speed_fraction` of their velocity limits, the tool at up to `speed` [m/s].
         """
         error = goal - state.q
         remaining = float(np.max(np.abs(error) / self._u_max))
         pace = min(speed_fraction, 3.0 * remaining, sqrt(2.0 * float(np.min(self._brake / self._u_max)) * remaining))
-        wish = error * (pace / remaining) if remaining > 1e-6 else error
-        fast = float(np.linalg.norm(tool.jacobian[:3] @ wish))
+        desired = error * (pace / remaining) if remaining > 1e-6 else error
+        tool_speed = float(np.linalg.norm(tool.jacobian[:3] @ desired))
         self._twist[:] = 0.0
-        return self._project(state, wish * (speed / fast) if fast > speed else wish, now)
+        return self._project(state, desired * (speed / tool_speed) if tool_speed > speed else desired, now)
 
     def rest(self, state: RobotState, now: float) -> Array:
-        """u_nom (n,) [rad/s] that comes to a standstill."""
+        """u_nom (n,) [rad/s] that brakes to a standstill."""
         self._twist[:] = 0.0
         return self._project(state, np.zeros_like(self._u_nom), now)
 
     def reproject(self, state: RobotState, u: Array, now: float) -> Array:
-        """This tick's u_nom (n,) [rad/s] projected again, from the tick before, onto rows that have changed."""
+        """The u_nom (n,) [rad/s] of this tick projected again, from the previous tick, onto rows that have changed."""
         self._u_nom = self._u_nom_prev
         return self._project(state, u, now)
 
     def _update_twist(self, error: Array, turn: Array, speed: float, *, stop: bool) -> None:
-        """Let the twist follow the one that takes away `error` [m] and `turn` [rad], within the acceleration bounds."""
+        """Move the twist toward the one that reduces `error` [m] and `turn` [rad], within the acceleration limits."""
         gains = self._gains
         distance = sqrt(float(error @ error))
-        fast = min(speed, gains.position * distance)
+        rate = min(speed, gains.position * distance)
         if stop:
-            fast = min(fast, sqrt(1.2 * gains.linear_acceleration * distance))
+            rate = min(rate, sqrt(1.2 * gains.linear_acceleration * distance))
         turn = gains.rotation * turn
         turning = sqrt(float(turn @ turn))
         if turning > gains.max_rotation_rate:
             turn *= gains.max_rotation_rate / turning
-        linear = error * (fast / distance) if distance > 1e-9 else error
+        linear = error * (rate / distance) if distance > 1e-9 else error
         _step_toward(self._twist[:3], linear, gains.linear_acceleration * self._dt)
         _step_toward(self._twist[3:], turn, gains.angular_acceleration * self._dt)
 
@@ -144,9 +145,9 @@ class ResolvedRate:
         J = tool.jacobian
         drift = self._posture_gain * (posture - state.q)
         drift *= min(1.0, 0.5 / (sqrt(float(drift @ drift)) + 1e-9))
-        wish = drift + J.T @ np.linalg.solve(J @ J.T + self._damping, self._twist - J @ drift)
-        excess = float((np.abs(wish) / self._u_max).max())
-        return self._project(state, wish / excess if excess > 1.0 else wish, now)
+        desired = drift + J.T @ np.linalg.solve(J @ J.T + self._damping, self._twist - J @ drift)
+        excess = float((np.abs(desired) / self._u_max).max())
+        return self._project(state, desired / excess if excess > 1.0 else desired, now)
 
     def _project(self, state: RobotState, u_desired: Array, now: float) -> Array:
         self._u_nom_prev = self._u_nom
@@ -155,10 +156,10 @@ class ResolvedRate:
 
 
 def nearer_rotation(turn: Array, swept: Array) -> Array:
-    """The rotation vector (3,) that leads where `turn` leads, by the way round that lies nearer to `swept` (3,) [rad].
+    """The rotation vector (3,) equivalent to `turn` in the direction that is closer to `swept` (3,) [rad].
 
-    θ e and (θ − 2π) e are the same rotation. The short way may end at a joint's limit where the goal's posture lies the
-    other way round; `swept` = J_ω (q_goal − q) tells which way the joints go.
+    θ e and (θ − 2π) e are the same rotation. The short way may end at a joint limit if the posture of the goal requires
+    the other direction; `swept` = J_ω (q_goal − q) is the direction of the joints.
     """
     angle = sqrt(float(turn @ turn))
     other = turn * (1.0 - 2.0 * pi / angle)
@@ -166,8 +167,8 @@ def nearer_rotation(turn: Array, swept: Array) -> Array:
     return turn if float(near @ near) <= float(far @ far) else other
 
 
-def _step_toward(value: Array, wanted: Array, step: float) -> None:
-    """Move `value` toward `wanted` by at most `step` in norm, in place."""
-    change = wanted - value
+def _step_toward(value: Array, target: Array, step: float) -> None:
+    """Move `value` toward `target` by at most `step` in norm, in place."""
+    change = target - value
     size = sqrt(float(change @ change))
     value += change * (step / size) if size > step else change

@@ -1,4 +1,4 @@
-"""The chassis: what every skill can do with a differential base, each as a short story of nominal controls (v, ω)."""
+"""Base controller: sub-routines from which the skills of a differential-drive base are composed (v, ω)."""
 
 from __future__ import annotations
 
@@ -24,60 +24,60 @@ Array = NDArray[np.float64]
 SubRoutine = Generator[Nominal | None, None, SkillResult | None]
 
 LOOKAHEAD_DISTANCE = 0.45
-"""How far ahead on its path the base steers [m]."""
+"""Distance of the steering point ahead on the path [m]."""
 TURN_IN_PLACE_ANGLE = 0.7
-"""A path that lies more than this off the heading is turned to before it is driven [rad]."""
+"""Heading error above which the base turns in place before it drives [rad]."""
 STEERING_GAIN = 2.5
-"""Turn rate asked for per error of heading [1/s]."""
+"""Turn rate per heading error [1/s]."""
 POSITION_TOLERANCE, HEADING_TOLERANCE = 0.06, 0.02
-"""A point is reached [m], a heading taken [rad] within these."""
+"""Tolerances of position [m] and heading [rad] at the goal."""
 BRAKE_FRACTION = 0.5
-"""Share of the acceleration limits with which φ comes to rest."""
+"""Fraction of the acceleration limits that φ uses to brake."""
 DRIVE_PROGRESS_TIMEOUT = 6.0
-"""No progress for this long [s] ends a drive; people are waited for apart."""
+"""Time without progress [s] after which a drive ends; waiting for people does not count."""
 PERSON_WAIT_TIMEOUT = 30.0
-"""How long [s] a skill waits for a person before it says so and fails."""
+"""Time [s] for which a skill waits for a person before it fails."""
 NEW_WAIT_DISTANCE = 0.5
-"""Having moved this far [m] since it began to wait, the base waits anew; less is only inching up to somebody."""
+"""Distance [m] that the base must move after a wait for the next wait to count as a new one."""
 PASSING_CLEARANCE = 0.4
-"""Going on must leave this much between the footprint and whoever passes [m], or the base lets them pass."""
+"""Least distance between the footprint and a passing person [m] at which the base drives on; else it waits."""
 YIELD_SPEED = 0.5
-"""How fast the base gets out of a person's way [m/s], whatever speed it was asked to drive at."""
+"""Least speed at which the base leaves the path of a person [m/s], above the speed parameter if necessary."""
 PREDICTION_HORIZON = 3.0
-"""How far ahead people are believed to go on as they do, at least [s]."""
+"""Shortest horizon of the prediction of people [s]."""
 PASSING_DISTANCE = 2.2
-"""The way [m] on which somebody is passed: until the base has driven it, they are believed to go on."""
+"""Distance [m] on which the base passes a person: the prediction covers the time until the base has driven it."""
 REPLAN_PERIOD = 1.0
-"""A new way is looked for this long [s] after the last, while driving on."""
+"""Time [s] between the start of two path searches while driving."""
 
 
 class BaseController:
-    """One base, as the skills move it. State: φ's memory and the current senses."""
+    """Controller of one base. State: the memory of φ and the current observation."""
 
     def __init__(self, robot_model: RobotModel, motion: MotionModel) -> None:
-        """Bind to a body and to what the local layer lends; call `sense` before every step of a story."""
+        """Use `motion` for the projection; call `observe` before every step of a routine."""
         self.robot_model = robot_model
         self.holding: HeldObject | None = None
-        self.footprint_radius = max(float(np.hypot(*ball.centre[:2])) + ball.radius for ball in robot_model.spheres)
-        """Of the circle round the footprint [m]."""
+        self.footprint_radius = max(
+            float(np.hypot(*sphere.centre[:2])) + sphere.radius for sphere in robot_model.spheres
+        )
+        """Radius of the circle around the footprint [m]."""
         self._motion = motion
         self._brake = BRAKE_FRACTION * np.array([joint.acceleration.value for joint in robot_model.joints[:2]])
         self._u_nom = self._u_nom_prev = np.zeros(robot_model.n)
         self._observation: Observation | None = None
 
-    # --- senses -------------------------------------------------------------------------------------------------
+    # --- observation --------------------------------------------------------------------------------------------
 
     def observe(self, observation: Observation) -> None:
-        """Take in this tick's senses."""
+        """Set the observation of this tick."""
         self._observation = observation
 
     @property
     def observation(self) -> Observation:
-        """This tick's senses."""
+        """The observation of this tick; raises `ConfigurationError` before the first call of `observe`."""
         if self._observation is None:
-            raise ConfigurationError(
-                "a chassis without senses", got=None, allowed="one call of `sense` before the first tick"
-            )
+            raise ConfigurationError.stating("BaseController.observe() must be called before the first tick.")
         return self._observation
 
     @property
@@ -87,28 +87,28 @@ class BaseController:
         return q[:2].copy(), float(q[2])
 
     def with_keep_out_boxes(self, scene: Scene) -> Scene:
-        """`scene` with what the site closes standing in it: what a way has to go round."""
+        """`scene` with the boxes that the site keeps closed, as obstacles for path planning."""
         return msgspec.structs.replace(scene, objects=(*scene.objects, *self._motion.keep_out_boxes))
 
     def find_object(self, name: str) -> SceneObject:
-        """The thing called `name` as perceived now."""
+        """The object `name` as perceived in this tick; raises `UnknownNameError`."""
         return self.observation.scene.find(name)
 
     def begin(self, spec: SkillSpec, **others: str | None) -> None:
-        """Start a skill: nothing may be touched by a base."""
+        """Start a skill; a base has no permitted contacts."""
         del spec, others
 
-    # --- parts of a story ---------------------------------------------------------------------------------------
+    # --- sub-routines -------------------------------------------------------------------------------------------
 
     def drive(self, goal: Array, speed: float, rate: float) -> SubRoutine:
-        """Drive to `goal` (2,) [m] at up to `speed` [m/s] and `rate` [rad/s]; wait for people who cross."""
+        """Drive to `goal` (2,) [m] at up to `speed` [m/s] and `rate` [rad/s]; wait for people who cross the path."""
         here, _ = self.pose
         path = yield from plan_path(self.with_keep_out_boxes(self.observation.scene), here, goal, self.footprint_radius)
         if path is None:
             return SkillResult(SkillStatus.FAILED, "no way leads there")
-        progress, looked = self._make_watchdog(path, speed), self.observation.now
-        newer: BackgroundComputation[list[Array] | None] | None = None
-        stood, since = here, -inf
+        progress, planned_at = self._make_watchdog(path, speed), self.observation.now
+        replanning: BackgroundComputation[list[Array] | None] | None = None
+        wait_position, wait_start = here, -inf
         while True:
             here, heading = self.pose
             away = float(np.linalg.norm(goal - here))
@@ -116,16 +116,16 @@ class BaseController:
                 return (yield from self.come_to_rest("drive"))
             pace = self._passing_speed(path, here, speed)
             if pace == 0.0:
-                if since == -inf or float(np.linalg.norm(here - stood)) > NEW_WAIT_DISTANCE:
-                    stood, since = here, self.observation.now
-                if why := (yield from self._wait_for_people(path, speed, since)):
+                if wait_start == -inf or float(np.linalg.norm(here - wait_position)) > NEW_WAIT_DISTANCE:
+                    wait_position, wait_start = here, self.observation.now
+                if why := (yield from self._wait_for_people(path, speed, wait_start)):
                     return why
                 progress = self._make_watchdog(path, speed)
-            if newer is None and self.observation.now - looked > REPLAN_PERIOD:
-                way = plan_path(self.with_keep_out_boxes(self.observation.scene), here, goal, self.footprint_radius)
-                newer = BackgroundComputation(way, steps_per_tick(self.robot_model.period))
-            if newer is not None and newer.advance():
-                path, looked, newer = newer.result or path, self.observation.now, None
+            if replanning is None and self.observation.now - planned_at > REPLAN_PERIOD:
+                search = plan_path(self.with_keep_out_boxes(self.observation.scene), here, goal, self.footprint_radius)
+                replanning = BackgroundComputation(search, steps_per_tick(self.robot_model.period))
+            if replanning is not None and replanning.advance():
+                path, planned_at, replanning = replanning.result or path, self.observation.now, None
             if why := progress.update(
                 self.observation.active_time, away + 0.05 * abs(_heading_error(heading, path, here))
             ):
@@ -133,7 +133,7 @@ class BaseController:
             yield self._nominal(self._steer(path, here, heading, away, pace, rate), "drive")
 
     def turn(self, heading: float, rate: float) -> SubRoutine:
-        """Turn on the spot to `heading` [rad] at up to `rate` [rad/s], the shorter way."""
+        """Turn in place to `heading` [rad] at up to `rate` [rad/s], in the shorter direction."""
         progress = ProgressWatchdog(
             self.observation.active_time, time_limit=10.0 + 8.0 / rate, timeout=DRIVE_PROGRESS_TIMEOUT
         )
@@ -147,34 +147,34 @@ class BaseController:
             yield self._nominal(np.array([0.0, fast if error > 0.0 else -fast]), "turn")
 
     def come_to_rest(self, phase: str) -> SubRoutine:
-        """Brake until nothing moves."""
+        """Brake until the base is at rest."""
         end = self.observation.now + 3.0
         while self.observation.now < end and float(np.max(np.abs(self.observation.state.v))) > 5e-3:
             yield self.rest(phase)
         return None
 
-    # --- what the local layer calls -----------------------------------------------------------------------------
+    # --- interface of the local layer ---------------------------------------------------------------------------
 
     def rest(self, phase: str) -> Nominal:
-        """One tick of standing still."""
+        """One tick without motion."""
         return self._nominal(np.zeros(self.robot_model.n), phase)
 
     def detect_grasp(self, name: str) -> bool:
-        """A base has no hand."""
+        """False, because a base has no hand."""
         del name
         return False
 
     def reproject(self, u: Array) -> Array:
-        """u_nom (n,) once more, because what φ knows changed since this tick's was made."""
+        """u_nom (n,) projected again, because the rows known to φ changed within this tick."""
         self._u_nom = self._u_nom_prev
         return self._project(u)
 
-    # --- inside -------------------------------------------------------------------------------------------------
+    # --- internals ----------------------------------------------------------------------------------------------
 
     def _steer(
         self, path: Sequence[Array], here: Array, heading: float, away: float, speed: float, rate: float
     ) -> Array:
-        """Pure pursuit: toward the point `AHEAD` on the path; turn first when it lies aside."""
+        """Pure pursuit of the point `LOOKAHEAD_DISTANCE` ahead on the path; turns in place for large heading errors."""
         error = _heading_error(heading, path, here)
         turn = float(np.clip(STEERING_GAIN * error, -rate, rate))
         if abs(error) > TURN_IN_PLACE_ANGLE:
@@ -189,30 +189,31 @@ class BaseController:
         )
 
     def _passing_speed(self, path: Sequence[Array], here: Array, speed: float) -> float:
-        """How fast to go on [m/s]: `speed` where that leaves everybody their berth, else 0 to let them pass.
+        """Speed at which to continue [m/s]: `speed` if all people keep their distance, else 0 to let them pass.
 
-        Who stopped in the middle of somebody's way would be run into: there the base goes on, and makes haste.
+        If standing still would block the path of a person, the base drives on at `YIELD_SPEED` or faster.
         """
         scene, now = self.observation.scene, self.observation.now
-        if not any(thing.role == "person" for thing in scene.objects):
+        if not any(obj.role == "person" for obj in scene.objects):
             return speed
-        horizon, berth = max(PREDICTION_HORIZON, PASSING_DISTANCE / speed), self.footprint_radius + PASSING_CLEARANCE
-        moving = float(self.observation.state.v[0])
+        horizon = max(PREDICTION_HORIZON, PASSING_DISTANCE / speed)
+        min_distance = self.footprint_radius + PASSING_CLEARANCE
+        current = float(self.observation.state.v[0])
 
-        def going(pace: float) -> float:
-            late = max(0.0, pace - moving) / float(self._brake[0])
+        def distance_at(pace: float) -> float:
+            delay = max(0.0, pace - current) / float(self._brake[0])
             return min_person_distance(
-                scene, lambda t: _point_along(path, here, pace * max(0.0, t - late)), horizon, now
+                scene, lambda t: _point_along(path, here, pace * max(0.0, t - delay)), horizon, now
             )
 
-        if going(speed) > berth:
+        if distance_at(speed) > min_distance:
             return speed
         standing = min_person_distance(scene, lambda t: here, horizon, now)
-        haste = max(speed, YIELD_SPEED)
-        return 0.0 if standing > berth or standing >= going(haste) else haste
+        faster = max(speed, YIELD_SPEED)
+        return 0.0 if standing > min_distance or standing >= distance_at(faster) else faster
 
     def _wait_for_people(self, path: Sequence[Array], speed: float, since: float) -> SubRoutine:
-        """Stand until going on is the better answer, as was done `since` [s]; the filter may still back away."""
+        """Rest until driving on is safe; the wait began at `since` [s]. The filter may still move the base away."""
         while self._passing_speed(path, self.pose[0], speed) == 0.0:
             if self.observation.now - since > PERSON_WAIT_TIMEOUT:
                 return SkillResult(
@@ -236,13 +237,13 @@ def wrap_angle(angle: float) -> float:
 
 
 def _heading_error(heading: float, path: Sequence[Array], here: Array) -> float:
-    """Angle from the heading to the point `AHEAD` on the path [rad]."""
+    """Angle from the heading to the point `LOOKAHEAD_DISTANCE` ahead on the path [rad]."""
     dx, dy = (_point_along(path, here, LOOKAHEAD_DISTANCE) - here).tolist()
     return wrap_angle(atan2(dy, dx) - heading)
 
 
 def _point_along(path: Sequence[Array], here: Array, distance: float) -> Array:
-    """The point (2,) that lies `reach` [m] beyond the path's point nearest to `here`."""
+    """The point (2,) that is `distance` [m] beyond the point of the path nearest to `here`."""
     best, at, share = np.inf, 0, 0.0
     for k, (a, b) in enumerate(pairwise(path)):
         line = b - a

@@ -1,4 +1,4 @@
-"""drive_to: bring the base to a named place."""
+"""drive_to: drive the base to a named place."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from dualbrain.skills.mobile_base.controller import BaseController
 from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
 
 ARRIVAL_RADIUS = 0.15
-"""Within this distance of a place the base says that it has arrived [m]."""
+"""Distance to the place within which the drive counts as successful [m]."""
 
 
 def spec(robot_model: RobotModel) -> SkillSpec:
-    """The skill's vocabulary entry."""
+    """The specification of the skill."""
     return SkillSpec(
         "drive_to",
         "drive to a named place and stop there",
@@ -28,9 +28,10 @@ def spec(robot_model: RobotModel) -> SkillSpec:
 
 
 def routine(base: BaseController, *, place: str, max_speed: float, max_turn_rate: float) -> SkillRoutine:
-    """Tell the drive, and look where it ended."""
+    """Drive, and check the final position."""
     base.begin(spec(base.robot_model))
-    spot = next((np.array(one.position[:2]) for one in base.observation.scene.places if one.name == place), None)
+    places = base.observation.scene.places
+    spot = next((np.array(entry.position[:2]) for entry in places if entry.name == place), None)
     if spot is None:
         return SkillResult(SkillStatus.FAILED, f"{place} is no place on the map")
     if why := (yield from base.drive(spot, max_speed, max_turn_rate)):

@@ -1,4 +1,4 @@
-"""drive_to_pose: bring the base to a point of the map that has no name, and turn it there."""
+"""drive_to_pose: drive the base to a point of the map without a name, and turn there."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from dualbrain.skills.mobile_base.controller import BaseController
 from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
 
 MAX_COORDINATE = 20.0
-"""Largest coordinate that may be asked for [m]; the scene's map narrows it further."""
+"""Largest coordinate of a goal [m]; the map of the scene narrows it further."""
 
 
 def spec(robot_model: RobotModel) -> SkillSpec:
-    """The skill's vocabulary entry."""
+    """The specification of the skill."""
     edge = "site policy: the largest map"
     return SkillSpec(
         "drive_to_pose",
@@ -51,7 +51,7 @@ def spec(robot_model: RobotModel) -> SkillSpec:
 def routine(
     base: BaseController, *, x: float, y: float, heading: float, max_speed: float, max_turn_rate: float
 ) -> SkillRoutine:
-    """Tell the drive and the turn."""
+    """Drive, then turn."""
     base.begin(spec(base.robot_model))
     if why := (yield from base.drive(np.array([x, y]), max_speed, max_turn_rate)):
         return why

@@ -1,7 +1,7 @@
-"""A way over the floor: shortest on a grid around what is perceived, then pulled straight.
+"""Path planning on the floor: shortest path on a grid around perceived objects, then straightened.
 
-It only chooses where φ drives; the filter keeps its distances whatever is chosen here. Moving people are left out:
-where they will be is the filter's business, and the chassis's own waiting.
+The path only determines where φ drives; the filter keeps its distances independently. People are excluded: the filter
+and the waiting of the base controller account for them.
 """
 
 from __future__ import annotations
@@ -21,45 +21,45 @@ Array = NDArray[np.float64]
 FreeCells = NDArray[np.bool_]
 
 CELL_SIZE = 0.08
-"""Grid [m]."""
+"""Edge length of a grid cell [m]."""
 ROWS_PER_STEP = 8
-"""Rows of the grid that are looked at in one glance."""
+"""Rows of the grid whose clearance is computed in one step."""
 CLEARANCES = (0.30, 0.15, 0.05)
-"""Air [m] beyond the footprint that is asked for, then what is made do with."""
+"""Clearance beyond the footprint [m]: the preferred value, then smaller ones if no path is found."""
 NEIGHBOURS = [(a, b, float(np.hypot(a, b))) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]
 
 
 def plan_path(scene: Scene, start: Array, end: Array, radius: float) -> SlicedComputation[list[Array] | None]:
-    """Points (2,) [m] from `start` to `end`, that a disc of `radius` [m] may pass; None where none leads there.
+    """Waypoints (2,) [m] from `start` to `end` for a disc of `radius` [m], or None if there is no path.
 
-    The start itself may be as near to things as it is.
+    Objects may be closer to the start than the clearance.
     """
     corner, shape = _grid_frame(scene, start, end)
     centres = corner + CELL_SIZE * np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1)
-    room = np.empty(shape)
+    distance = np.empty(shape)
     for rows in (slice(first, first + ROWS_PER_STEP) for first in range(0, shape[0], ROWS_PER_STEP)):
-        room[rows] = yield from _clearance(scene, centres[rows])
-    room[np.linalg.norm(centres - start, axis=-1) < 0.4] += radius
-    for air in CLEARANCES:
-        cells = yield from _search(room > radius + air, _cell(start, corner), _cell(end, corner))
+        distance[rows] = yield from _clearance(scene, centres[rows])
+    distance[np.linalg.norm(centres - start, axis=-1) < 0.4] += radius
+    for margin in CLEARANCES:
+        cells = yield from _search(distance > radius + margin, _cell(start, corner), _cell(end, corner))
         if cells is not None:
             points = [start, *(corner + CELL_SIZE * np.array(cell) for cell in cells[1:-1]), end]
-            return (yield from _straighten(points, scene, radius + 0.8 * air))
+            return (yield from _straighten(points, scene, radius + 0.8 * margin))
     return None
 
 
 def clearance(scene: Scene, points: Array) -> Array:
-    """Distance [m] of `points` (..., 2) from what stands and from the edge of the region, errors taken off."""
+    """Distance [m] of `points` (..., 2) from objects and from the edge of the region, minus errors."""
     return run_to_completion(_clearance(scene, points))
 
 
 def _clearance(scene: Scene, points: Array) -> SlicedComputation[Array]:
     flat = np.concatenate([points, np.zeros((*points.shape[:-1], 1))], axis=-1)
     least = np.full(points.shape[:-1], np.inf)
-    for thing in scene.objects:
-        if thing.role != "person" and not isinstance(thing.shape, HalfSpace):
+    for obj in scene.objects:
+        if obj.role != "person" and not isinstance(obj.shape, HalfSpace):
             yield
-            least = np.minimum(least, signed_distance(*bounding_solid(thing.shape, thing.pose), flat) - thing.error)
+            least = np.minimum(least, signed_distance(*bounding_solid(obj.shape, obj.pose), flat) - obj.error)
     for index, (x, y) in enumerate(scene.region):
         along = np.subtract(scene.region[(index + 1) % len(scene.region)], (x, y))
         inward = np.array([-along[1], along[0]]) / np.linalg.norm(along)
@@ -82,7 +82,7 @@ def _cell(point: Array, corner: Array) -> tuple[int, int]:
 def _search(
     free: FreeCells, start: tuple[int, int], end: tuple[int, int]
 ) -> SlicedComputation[list[tuple[int, int]] | None]:
-    """A*: the cells of a shortest way, both ends included."""
+    """A* search: the cells of a shortest path, including both ends, or None."""
     if not (_in_grid(free, start) and _in_grid(free, end) and free[end]):
         return None
     best, came = {start: 0.0}, dict[tuple[int, int], tuple[int, int]]()
@@ -113,7 +113,7 @@ def _in_grid(free: FreeCells, cell: tuple[int, int]) -> bool:
 
 
 def _straighten(points: Sequence[Array], scene: Scene, min_clearance: float) -> SlicedComputation[list[Array]]:
-    """The points that are left when every stretch that has room is driven straight."""
+    """The points that remain if every section with enough clearance is replaced by a straight line."""
     kept, at = [points[0]], 0
     while at < len(points) - 1:
         after = len(points) - 1
@@ -128,5 +128,5 @@ def _is_clear(start: Array, end: Array, scene: Scene, min_clearance: float) -> S
     count = max(2, int(np.linalg.norm(end - start) / (0.5 * CELL_SIZE)))
     line = start + np.linspace(0.0, 1.0, count)[:, None] * (end - start)
     far = np.linalg.norm(line - start, axis=1) > 0.4
-    air = yield from _clearance(scene, line)
-    return bool(np.all(air[far] > min_clearance))
+    distance = yield from _clearance(scene, line)
+    return bool(np.all(distance[far] > min_clearance))

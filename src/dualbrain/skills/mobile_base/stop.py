@@ -1,4 +1,4 @@
-"""stop: bring the base to rest and stay there for a moment."""
+"""stop: bring the base to rest."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from dualbrain.skills.mobile_base.controller import BaseController
 from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
 
 REST_TIME = 0.5
-"""[s]"""
+"""Time at rest before the skill ends [s]."""
 
 
 def spec(robot_model: RobotModel) -> SkillSpec:
-    """The skill's vocabulary entry."""
+    """The specification of the skill."""
     del robot_model
     return SkillSpec("stop", "come to rest where you are")
 
 
 def routine(base: BaseController) -> SkillRoutine:
-    """Tell the rest."""
+    """Brake, then rest for `REST_TIME`."""
     base.begin(spec(base.robot_model))
     yield from base.come_to_rest("stop")
     end = base.observation.now + REST_TIME

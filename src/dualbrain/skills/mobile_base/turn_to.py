@@ -1,4 +1,4 @@
-"""turn_to: turn the base on the spot to a heading of the map."""
+"""turn_to: turn the base in place to a heading."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
 
 
 def spec(robot_model: RobotModel) -> SkillSpec:
-    """The skill's vocabulary entry."""
+    """The specification of the skill."""
     return SkillSpec(
         "turn_to",
         "turn on the spot to a heading (0: along the map's x, counter-clockwise)",
@@ -21,7 +21,7 @@ def spec(robot_model: RobotModel) -> SkillSpec:
 
 
 def routine(base: BaseController, *, heading: float, max_turn_rate: float) -> SkillRoutine:
-    """Tell the turn."""
+    """Turn to `heading` [rad]."""
     base.begin(spec(base.robot_model))
     if why := (yield from base.turn(heading, max_turn_rate)):
         return why
