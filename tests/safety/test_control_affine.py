@@ -39,7 +39,7 @@ def car(braking=False, alpha=5.0, margin=0.0):
     if braking:
         h -= 0.5 * ca.fmax(x[0] - x[1], 0.0) ** 2 / BRAKE
     limit = BRAKE * MASS
-    barrier = Barrier("headway", h, alpha, margin)
+    barrier = Barrier(name="headway", h=h, alphas=alpha, margin=margin)
     faster = ([15.0, 0.0, 10.0], [30.0, 14.0, 200.0])
     return ControlAffineFilter(system, [barrier], -limit, limit, fallback=-limit, domain=faster)
 
@@ -51,7 +51,9 @@ def car_rate(x, u):
 @cache
 def cart(a1=1.0, a2=4.0, **options):
     x = ca.SX.sym("x", 2)
-    return ControlAffineFilter(ControlAffine(x, [x[1], 0], [0, 1]), [Barrier("wall", x[0], (a1, a2))], **options)
+    return ControlAffineFilter(
+        ControlAffine(x, [x[1], 0], [0, 1]), [Barrier(name="wall", h=x[0], alphas=(a1, a2))], **options
+    )
 
 
 def cart_rate(x, u):
@@ -62,7 +64,10 @@ def cart_rate(x, u):
 def pendulum(a1=3.0, a2=6.0, torque=40.0, margin=0.3):
     x = ca.SX.sym("x", 2)
     system = ControlAffine(x, [x[1], GRAVITY * ca.sin(x[0])], [0, 1.0 / INERTIA])
-    sides = [Barrier(name, LEAN + sign * x[0], (a1, a2), margin) for name, sign in (("right", -1.0), ("left", 1.0))]
+    sides = [
+        Barrier(name=name, h=LEAN + sign * x[0], alphas=(a1, a2), margin=margin)
+        for name, sign in (("right", -1.0), ("left", 1.0))
+    ]
     return ControlAffineFilter(system, sides, -torque, torque)
 
 
@@ -75,7 +80,7 @@ def unicycle(a1=1.0, a2=2.0, margin=0.0):
     """Place, heading and speed, moved by turn rate and acceleration (Xiao and Belta, CDC 2019)."""
     x = ca.SX.sym("x", 4)
     system = ControlAffine(x, [x[3] * ca.cos(x[2]), x[3] * ca.sin(x[2]), 0, 0], [[0, 0], [0, 0], [1, 0], [0, 1]])
-    disc = Barrier("disc", ca.sumsqr(x[:2] - CENTRE) - RADIUS**2, (a1, a2), margin)
+    disc = Barrier(name="disc", h=ca.sumsqr(x[:2] - CENTRE) - RADIUS**2, alphas=(a1, a2), margin=margin)
     weight = np.diag([0.02, 1.0])
     return ControlAffineFilter(system, [disc], -2.0, 2.0, weight=weight, domain=(0.1, 1.5))
 
@@ -118,7 +123,7 @@ def chain(length):
 @pytest.mark.parametrize("length", [1, 2, 3, 5])
 def test_a_chain_of_integrators_has_the_degree_of_its_length(length):
     system, h = chain(length)
-    assert ControlAffineFilter(system, [Barrier("end", h)]).relative_degrees == (length,)
+    assert ControlAffineFilter(system, [Barrier(name="end", h=h)]).relative_degrees == (length,)
 
 
 def test_degrees_of_the_literature():
@@ -133,7 +138,7 @@ def test_a_control_that_cancels_up_to_rounding_does_not_count(kind):
     x = kind.sym("x", 4)  # place (2), speed along φ, φ
     c, s = ca.cos(x[3]), ca.sin(x[3])
     system = ControlAffine(x, [x[2] * c, x[2] * s, 0, 0], [[-s, 0], [c, 0], [0, 1], [0, 0]])
-    safety = ControlAffineFilter(system, [Barrier("along", c * x[0] + s * x[1], (1.0, 2.0))])
+    safety = ControlAffineFilter(system, [Barrier(name="along", h=c * x[0] + s * x[1], alphas=(1.0, 2.0))])
     assert safety.relative_degrees == (2,)
     A, b = safety.rows(np.array([0.4, 0.3, -0.5, 0.7]))
     np.testing.assert_allclose(A, [[0.0, 1.0]], atol=1e-12)
@@ -146,7 +151,7 @@ def test_a_sum_that_is_zero_up_to_rounding_does_not_count():
     x = ca.SX.sym("x", 4)
     tenths = [0.1 * x[3], 0.2 * x[3], 0.3 * x[3]]
     system = ControlAffine(x, [x[3], 0, 0, 0], [*([part, 0] for part in tenths), [0, 1]])
-    assert ControlAffineFilter(system, [Barrier("sum", x[0] + x[1] - x[2])]).relative_degrees == (2,)
+    assert ControlAffineFilter(system, [Barrier(name="sum", h=x[0] + x[1] - x[2])]).relative_degrees == (2,)
 
 
 # --- rows and answers against closed forms ------------------------------------------------------------------------
@@ -206,7 +211,7 @@ def test_psi_and_rows_agree_with_finite_differences_along_motions():
     g = [[0, 0], [1.0 + 0.5 * ca.cos(x[0]), 0.2], [0.1 * x[1], 2.0]]
     h = 1.0 + x[0] - 0.2 * x[0] ** 2
     system = ControlAffine(x, f, g)
-    cubic = Barrier("cubic", h, (1.3, lambda psi: 0.7 * psi + 0.2 * psi**3))
+    cubic = Barrier(name="cubic", h=h, alphas=(1.3, lambda psi: 0.7 * psi + 0.2 * psi**3))
     safety = ControlAffineFilter(system, [cubic])
     F = ca.Function("F", [x], [ca.vertcat(*f), system.g])
 
@@ -230,9 +235,9 @@ def test_several_barriers_and_controls_agree_with_another_solver(rng):
     x = ca.SX.sym("x", 3)
     system = ControlAffine(x, [0.1 * x[1], -x[0], 0], [[1, 0.2, 0], [0, 1, 0], [0.3, 0, 1]])
     barriers = [
-        Barrier("ball", 1.0 - ca.sumsqr(x), 2.0),
-        Barrier("plane", 0.5 + x[0] - 0.3 * x[2], 1.0),
-        Barrier("roof", 0.6 - x[1], 3.0),
+        Barrier(name="ball", h=1.0 - ca.sumsqr(x), alphas=2.0),
+        Barrier(name="plane", h=0.5 + x[0] - 0.3 * x[2], alphas=1.0),
+        Barrier(name="roof", h=0.6 - x[1], alphas=3.0),
     ]
     weight = np.diag([1.0, 4.0, 0.5])
     safety = ControlAffineFilter(system, barriers, -3.0, 3.0, weight=weight)
@@ -346,8 +351,8 @@ def test_what_is_strictly_safe_is_returned_bit_for_bit():
 def test_conflicting_barriers_are_given_up_by_rank_and_named():
     x = ca.SX.sym("x")
     system = ControlAffine(x, [0], [1])
-    person = Barrier("person", -x, 1.0, margin=1.0, rank=Rank.BODY)  # u ≤ −1 at x = 0
-    parcel = Barrier("parcel", x, 1.0, margin=2.0, rank=Rank.TASK)  # u ≥ 2
+    person = Barrier(name="person", h=-x, alphas=1.0, margin=1.0, rank=Rank.BODY)  # u ≤ −1 at x = 0
+    parcel = Barrier(name="parcel", h=x, alphas=1.0, margin=2.0, rank=Rank.TASK)  # u ≥ 2
     for order in ([person, parcel], [parcel, person]):
         answer = ControlAffineFilter(system, order, -5.0, 5.0)([0.0], [0.5])
         assert answer.status is FilterStatus.RELAXED
@@ -360,8 +365,11 @@ def test_conflicting_barriers_are_given_up_by_rank_and_named():
 
 def test_a_row_outside_the_conflict_is_met_in_full():
     x = ca.SX.sym("x", 2)
-    right, left = Barrier("right", x[0], margin=0.8), Barrier("left", -x[0], margin=0.4)  # u_0 ≥ 0.8, u_0 ≤ −0.4
-    ahead = Barrier("ahead", x[1], margin=0.7)  # u_1 ≥ 0.7
+    right, left = (
+        Barrier(name="right", h=x[0], margin=0.8),
+        Barrier(name="left", h=-x[0], margin=0.4),
+    )  # u_0 ≥ 0.8, u_0 ≤ −0.4
+    ahead = Barrier(name="ahead", h=x[1], margin=0.7)  # u_1 ≥ 0.7
     answer = ControlAffineFilter(ControlAffine(x, [0, 0], np.eye(2)), [right, ahead, left], -1.0, 1.0)([0, 0], [0, 0])
     assert answer.status is FilterStatus.RELAXED
     np.testing.assert_allclose(answer.u, [0.2, 0.7], atol=1e-6)
@@ -374,7 +382,9 @@ def test_rows_that_conflict_are_met_as_well_as_possible_and_never_worse_than_by_
     for _ in range(60):
         sides = rng.normal(size=(4, 2))
         barriers = [
-            Barrier(f"side{i}", float(a) * x[0] + float(b) * x[1], 1.0, margin=float(rng.uniform(-0.5, 1.5)))
+            Barrier(
+                name=f"side{i}", h=float(a) * x[0] + float(b) * x[1], alphas=1.0, margin=float(rng.uniform(-0.5, 1.5))
+            )
             for i, (a, b) in enumerate(sides)
         ]
         fallback = rng.uniform(-1.0, 1.0, 2)
@@ -412,7 +422,7 @@ def test_a_state_where_the_controls_cannot_act_is_told():
     """L_g L_f h of θ_max² − θ² vanishes upright: outside the safe set no control helps there, and it is said."""
     x = ca.SX.sym("x", 2)
     system = ControlAffine(x, [x[1], 0], [0, 1])
-    safety = ControlAffineFilter(system, [Barrier("lean", LEAN**2 - x[0] ** 2, (1.0, 1.0))], -1.0, 1.0)
+    safety = ControlAffineFilter(system, [Barrier(name="lean", h=LEAN**2 - x[0] ** 2, alphas=(1.0, 1.0))], -1.0, 1.0)
     answer = safety([0.0, 3.0], [0.0])
     assert answer.status is FilterStatus.RELAXED
     assert np.isfinite(answer.u).all()
@@ -431,28 +441,38 @@ def refused(make, *words):
 def test_set_ups_that_cannot_be_used_say_why():
     x, y = ca.SX.sym("x", 2), ca.SX.sym("y")
     system = ControlAffine(x, [x[1], 0], [0, 1])
-    refused(lambda: ControlAffineFilter(system, [Barrier("b", 1.0)]), "'b'", "in the state")
-    refused(lambda: ControlAffineFilter(system, [Barrier("b", x[0] - x[0])]), "'b'", "in the state")
-    refused(lambda: ControlAffineFilter(system, [Barrier("b", y)]), "in the state")
-    refused(lambda: ControlAffineFilter(system, [Barrier("b", x)]), "one number")
-    refused(lambda: ControlAffineFilter(system, [Barrier("b", ca.fmax(x[0], 0.3))]), "more at the others", "domain")
-    refused(lambda: ControlAffineFilter(system, [Barrier("b", ca.sqrt(x[0] - 9.0))]), "no finite value", "domain")
+    refused(lambda: ControlAffineFilter(system, [Barrier(name="b", h=1.0)]), "'b'", "in the state")
+    refused(lambda: ControlAffineFilter(system, [Barrier(name="b", h=x[0] - x[0])]), "'b'", "in the state")
+    refused(lambda: ControlAffineFilter(system, [Barrier(name="b", h=y)]), "in the state")
+    refused(lambda: ControlAffineFilter(system, [Barrier(name="b", h=x)]), "one number")
+    refused(
+        lambda: ControlAffineFilter(system, [Barrier(name="b", h=ca.fmax(x[0], 0.3))]), "more at the others", "domain"
+    )
+    refused(
+        lambda: ControlAffineFilter(system, [Barrier(name="b", h=ca.sqrt(x[0] - 9.0))]), "no finite value", "domain"
+    )
     still = ControlAffine(x, [0, 0], [0, 1])
-    refused(lambda: ControlAffineFilter(still, [Barrier("b", x[0])]), "none up to 2", "controls can change")
-    refused(lambda: ControlAffineFilter(system, [Barrier("b", x[0], (1.0, 2.0, 3.0))]), "alphas", "2, one for each")
-    refused(lambda: ControlAffineFilter(system, [Barrier("b", x[0], -1.0)]), "above 0")
+    refused(lambda: ControlAffineFilter(still, [Barrier(name="b", h=x[0])]), "none up to 2", "controls can change")
+    refused(
+        lambda: ControlAffineFilter(system, [Barrier(name="b", h=x[0], alphas=(1.0, 2.0, 3.0))]),
+        "alphas",
+        "2, one for each",
+    )
+    refused(lambda: ControlAffineFilter(system, [Barrier(name="b", h=x[0], alphas=-1.0)]), "above 0")
     refused(lambda: ControlAffineFilter(system, []), "one or more")
-    refused(lambda: ControlAffineFilter(system, [Barrier("b", x[0])] * 2), "its own name")
-    refused(lambda: ControlAffineFilter(system, [Barrier("b", x[0])], 1.0, -1.0), "lower ≤ upper")
-    refused(lambda: ControlAffineFilter(system, [Barrier("b", x[0])], weight=np.array([[-1.0]])), "positive definite")
+    refused(lambda: ControlAffineFilter(system, [Barrier(name="b", h=x[0])] * 2), "its own name")
+    refused(lambda: ControlAffineFilter(system, [Barrier(name="b", h=x[0])], 1.0, -1.0), "lower ≤ upper")
+    refused(
+        lambda: ControlAffineFilter(system, [Barrier(name="b", h=x[0])], weight=np.array([[-1.0]])), "positive definite"
+    )
     wide = ControlAffine(x, [x[1], 0], np.ones((2, 9)))
-    refused(lambda: ControlAffineFilter(wide, [Barrier("b", x[0])]), "1 to 8")
+    refused(lambda: ControlAffineFilter(wide, [Barrier(name="b", h=x[0])]), "1 to 8")
     refused(lambda: ControlAffine(x, [x[1]], [0, 1]), "shape of f")
     refused(lambda: ControlAffine(x, [x[1], 0], [0, 1, 2]), "shape of g")
     refused(lambda: ControlAffine(x, [x[1], y], [0, 1]), "free symbols")
     refused(lambda: ControlAffine(2 * x, [x[1], 0], [0, 1]), "column of casadi symbols")
     refused(lambda: ControlAffine(np.zeros(2), [0, 0], [0, 1]), "column of casadi symbols")
-    safety = ControlAffineFilter(system, [Barrier("b", x[0])])
+    safety = ControlAffineFilter(system, [Barrier(name="b", h=x[0])])
     refused(lambda: safety([1.0, 2.0, 3.0], [0.0]), "size of state")
     refused(lambda: safety([1.0, 2.0], [0.0, 1.0]), "size of u_nom")
 

@@ -27,7 +27,7 @@ def made(things, stamp=0.0, **changes):
     safety = SafetyFilter(SMALL, random_scenes.exact_config(lag_compensation=True, **changes))
     safety.observe(things, stamp)
     safety.permit([Contact("hand", "thing1", 0.02)])
-    safety.constrain([ConstraintRow("never left", (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), -0.4)])
+    safety.constrain([ConstraintRow(name="never left", a=(1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), b=-0.4)])
     return safety
 
 

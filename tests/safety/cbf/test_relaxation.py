@@ -39,7 +39,7 @@ def contradicting(rng, n):
         side = 1.0 if index % 2 else -1.0
         a = side * ahead + 0.4 * rng.normal(size=n)
         b = rng.uniform(-0.02, 0.03)
-        rows.append(ConstraintRow(f"user_rows: {index}", tuple(a), b, rank=Rank(int(rng.integers(1, 5)))))
+        rows.append(ConstraintRow(name=f"user_rows: {index}", a=tuple(a), b=b, rank=Rank(int(rng.integers(1, 5)))))
     return rows
 
 
@@ -52,7 +52,9 @@ def test_violations_are_the_least_rank_by_rank(sparse_panda, state_at, seed):
     answer = safety.filter(state_at(sparse_panda.home), np.zeros(7), 0.0)
     low, high = (np.array(side) for side in safety._kernel.box())
     best = [float(np.maximum(np.array(r.a) * low, np.array(r.a) * high).sum()) for r in rows]
-    capped = [ConstraintRow(r.name, r.a, min(r.b, reach), rank=r.rank) for r, reach in zip(rows, best, strict=True)]
+    capped = [
+        ConstraintRow(name=r.name, a=r.a, b=min(r.b, reach), rank=r.rank) for r, reach in zip(rows, best, strict=True)
+    ]
     wanted = lexicographic(capped, low, high)
     got = {rank: max([0.0, *(r.b - np.array(r.a) @ answer.u for r in capped if r.rank == rank)]) for rank in Rank}
     if max(wanted.values()) < 1e-6 and answer.status is not FilterStatus.RELAXED:
@@ -107,8 +109,8 @@ def test_what_was_given_up_is_told(sparse_panda, state_at):
     safety = SafetyFilter(sparse_panda, random_scenes.exact_config())
     safety.constrain(
         [
-            ConstraintRow("user_rows: left", tuple(a), 0.01, rank=Rank.BODY),
-            ConstraintRow("user_rows: right", tuple(-a), 0.01, rank=Rank.TASK),
+            ConstraintRow(name="user_rows: left", a=tuple(a), b=0.01, rank=Rank.BODY),
+            ConstraintRow(name="user_rows: right", a=tuple(-a), b=0.01, rank=Rank.TASK),
         ]
     )
     answer = safety.filter(state_at(sparse_panda.home), np.zeros(7), 0.0)
