@@ -86,9 +86,9 @@ _MODULES = {
 """Public names by the module that defines them."""
 
 __all__ = [
+    "EXACT_TRACKING",
     "ConstraintRow",
     "Contact",
-    "EXACT_TRACKING",
     "FilterConfig",
     "FilterResult",
     "FilterStatus",
