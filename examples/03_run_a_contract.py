@@ -1,6 +1,6 @@
 """Run a given contract in simulation: gate, skills, filter and plant, without planner, memory or model weights.
 
-Run: `python examples/03_run_a_contract.py`. Needs MuJoCo (`pip install 'dualbrain[world]'`).
+Run: `python examples/03_run_a_contract.py`. Needs MuJoCo (`pip install 'dualbrain[simulation]'`).
 """
 
 from __future__ import annotations

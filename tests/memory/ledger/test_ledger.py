@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.core.storage.file_lock import LedgerInUseError
+from dualbrain.memory.ledger.writer_lock import LedgerInUseError
 from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.memory.ledger.hash_chain import GENESIS, CorruptLedgerError, Head, event_digest
 from dualbrain.memory.ledger.ledger import Ledger, LedgerReader, PendingEvent, StoredVector

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import fcntl
 import shutil
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 
+from dualbrain.core.storage.file_lock import LockedError, file_lock
 from dualbrain.errors import ConfigurationError
 
 
@@ -49,13 +49,12 @@ def exclusive_folder(folder: Path, *, wait: bool = True) -> Generator[None]:
         ConfigurationError: Another process uses the folder and `wait` is False.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    with (folder / "lock").open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-        except BlockingIOError as error:
-            fix = f"Wait until it is done, stop it, or use another folder. {folder}"
-            raise ConfigurationError.stating("Another process works in this folder.", fix=fix) from error
-        yield
+    try:
+        with file_lock(folder / "lock", timeout_s=None if wait else 0.0):
+            yield
+    except LockedError as error:
+        fix = f"Wait until it is done, stop it, or use another folder. {folder}"
+        raise ConfigurationError.stating("Another process works in this folder.", fix=fix) from error
 
 
 def _n_completed(last: Path | None) -> int:

@@ -14,7 +14,6 @@ from typing import Any, Self
 
 import msgspec
 
-from dualbrain.core.storage.file_lock import LockHolder, WriterLock
 from dualbrain.core.storage.sqlite import transaction
 from dualbrain.core.text import make_json_safe
 from dualbrain.errors import ConfigurationError, MissingDependencyError
@@ -31,6 +30,7 @@ from dualbrain.memory.ledger.hash_chain import (
 )
 from dualbrain.memory.ledger.runs import InterruptedRun
 from dualbrain.memory.ledger.tables import MIGRATED, SCHEMA_VERSION, create_or_migrate, read_schema_version
+from dualbrain.memory.ledger.writer_lock import LockHolder, WriterLock
 
 _COLUMNS = "seq, kind, run, subject, time, payload, previous, hash"
 

@@ -92,6 +92,6 @@ def _import_trimesh() -> Any:
     try:
         from trimesh import creation  # noqa: PLC0415  (only for the live view)
     except ModuleNotFoundError as error:
-        fix = "Install both with `pip install 'dualbrain[people]'`, or run with --headless."
+        fix = "Install both with `pip install 'dualbrain[view]'`, or run with --headless."
         raise MissingDependencyError("trimesh, which comes with viser,", fix=fix) from error
     return creation

@@ -152,7 +152,7 @@ def start_server(port: int) -> ViserServer:
     except ImportError as error:
         raise MissingDependencyError(
             "viser, which draws the live view,",
-            fix="Install it with `pip install 'dualbrain[people]'`, or run with --headless.",
+            fix="Install it with `pip install 'dualbrain[view]'`, or run with --headless.",
         ) from error
     _set_rich_quiet(quiet=True)
     server = viser.ViserServer(host=HOST, port=port, label="dualbrain", verbose=False)
