@@ -94,14 +94,14 @@ def _furniture(scene: Scene) -> list[SceneObject]:
 
 def _summarise_workroom(scene: Scene, holding: str | None) -> str:
     """The summary of a room for a mobile manipulator."""
-    before = {obj.name: _work_pose(scene, obj) for obj in _furniture(scene)}
+    work_poses = {obj.name: _work_pose(scene, obj) for obj in _furniture(scene)}
     lines = [f"robot {scene.robot}; holding {holding or 'nothing'}", _places_line(scene)]
-    lines += [f"{at.place}: before {name}, heading {at.heading:.2f}" for name, at in before.items() if at]
+    lines += [f"{at.place}: before {name}, heading {at.heading:.2f}" for name, at in work_poses.items() if at]
     for obj in scene.objects:
         if obj.role not in ("object", "container") or obj.name == holding:
             continue
         support = _supporting_furniture(scene, obj)
-        at = before[support.name] if support else None
+        at = work_poses[support.name] if support else None
         where = f", at {at.place}" if at else ""
         if obj.role == "container":
             lines.append(f"{obj.name}: container{where}{_contents_suffix(scene, obj)}")
@@ -132,10 +132,10 @@ def _work_pose(scene: Scene, furniture: SceneObject) -> WorkPose | None:
 def _vector_to_edge(furniture: SceneObject, spot: Array) -> Array:
     """Vector (2,) [m] from `spot` to the nearest point of the footprint of `furniture`."""
     assert isinstance(furniture.shape, Box)
-    turn, half = quaternion_to_matrix(furniture.pose.quaternion)[:2, :2], np.asarray(furniture.shape.half_extents)[:2]
-    middle = np.asarray(furniture.pose.position)[:2]
-    inside = (spot[:2] - middle) @ turn
-    return turn @ (np.clip(inside, -half, half) - inside)
+    rotation = quaternion_to_matrix(furniture.pose.quaternion)[:2, :2]
+    half, centre = np.asarray(furniture.shape.half_extents)[:2], np.asarray(furniture.pose.position)[:2]
+    local = (spot[:2] - centre) @ rotation
+    return rotation @ (np.clip(local, -half, half) - local)
 
 
 def _supporting_furniture(scene: Scene, obj: SceneObject) -> SceneObject | None:
@@ -175,15 +175,16 @@ def _aisle_state(scene: Scene, place: Place) -> str:
 
 def _object_line(scene: Scene, obj: SceneObject) -> str:
     """One line: the freer finger axis, the neighbours in the frame of the object, the path to each container."""
-    beside = {axis: _neighbours(scene, obj, axis) for axis in ("along", "across")}
-    crowd = {axis: max((one.overlap for one in beside[axis]), default=-1.0) for axis in beside}
-    free = min(crowd, key=lambda axis: crowd[axis])
-    words = ["object", f"free_finger_axis {free}"] + (["tight"] if crowd[free] > TIGHT_OVERLAP else [])
-    words += [f"neighbour_{axis} {max(found, key=lambda one: one.overlap)}" for axis, found in beside.items() if found]
-    words += ["near_edge"] if _is_near_edge(scene, obj) else []
-    words += ["fragile"] if obj.fragile_limit is not None else []
-    words += [_path_symbols(scene, obj, end) for end in _path_ends(scene)]
-    return f"{obj.name}: " + ", ".join(words)
+    neighbours = {axis: _neighbours(scene, obj, axis) for axis in ("along", "across")}
+    overlap = {axis: max((one.overlap for one in neighbours[axis]), default=-1.0) for axis in neighbours}
+    free = min(overlap, key=lambda axis: overlap[axis])
+    symbols = ["object", f"free_finger_axis {free}"] + (["tight"] if overlap[free] > TIGHT_OVERLAP else [])
+    for axis, found in neighbours.items():
+        symbols += [f"neighbour_{axis} {max(found, key=lambda one: one.overlap)}"] if found else []
+    symbols += ["near_edge"] if _is_near_edge(scene, obj) else []
+    symbols += ["fragile"] if obj.fragile_limit is not None else []
+    symbols += [_path_symbols(scene, obj, end) for end in _path_ends(scene)]
+    return f"{obj.name}: " + ", ".join(symbols)
 
 
 class Neighbour(NamedTuple):
@@ -297,10 +298,10 @@ def _is_near_edge(scene: Scene, obj: SceneObject) -> bool:
     The table extends over x from −0.20 to 0.95 m and y from −0.65 to 0.65 m.
     """
     x, y, _ = obj.pose.position
-    under = _supporting_furniture(scene, obj)
-    if under is not None:
-        assert isinstance(under.shape, Box)
-        turn = quaternion_to_matrix(under.pose.quaternion)[:2, :2]
-        inside = (np.array([x, y]) - np.asarray(under.pose.position)[:2]) @ turn
-        return bool(np.min(np.asarray(under.shape.half_extents)[:2] - np.abs(inside)) < EDGE_DISTANCE)
+    support = _supporting_furniture(scene, obj)
+    if support is not None:
+        assert isinstance(support.shape, Box)
+        rotation = quaternion_to_matrix(support.pose.quaternion)[:2, :2]
+        local = (np.array([x, y]) - np.asarray(support.pose.position)[:2]) @ rotation
+        return bool(np.min(np.asarray(support.shape.half_extents)[:2] - np.abs(local)) < EDGE_DISTANCE)
     return bool(min(0.95 - x, x + 0.20, 0.65 - y, y + 0.65) < EDGE_DISTANCE)

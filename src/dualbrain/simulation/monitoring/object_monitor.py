@@ -52,8 +52,8 @@ class ObjectMonitor:
         """Every violation (kind, name, peak) in the present state; call `record_start_poses` first."""
         assert self._start_poses is not None
         position, quaternion = self._data.xpos[self._body], self._data.xquat[self._body]
-        away = position - self._start_poses[0]
-        moved = (away * away).sum(axis=1)
+        displacement = position - self._start_poses[0]
+        moved = (displacement * displacement).sum(axis=1)
         cosine = np.abs((quaternion * self._start_poses[1]).sum(axis=1))
         suspects = (moved > MAX_DISPLACEMENT**2) | (cosine < COS_HALF_MAX_TILT)
         if suspects.any():
@@ -92,5 +92,5 @@ class ObjectMonitor:
         if not len(pairs):
             return False
         body = self._model.geom_bodyid
-        mine = body[pairs] == self._body[index]
-        return bool((mine[:, ::-1] & rules.finger_mask[pairs]).any())
+        is_object = body[pairs] == self._body[index]
+        return bool((is_object[:, ::-1] & rules.finger_mask[pairs]).any())

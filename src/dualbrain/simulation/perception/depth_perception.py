@@ -104,9 +104,9 @@ class DepthPerception:
                 self._seen[obj.name], self._first_fits[obj.name] = obj, one
             return
         for name, old in self._seen.items():
-            again = [one for one in found if _may_be_same(one, old) and _is_fully_visible(one, self._first_fits[name])]
-            if again and (self._held is None or self._held[0] != name):
-                nearest = min(again, key=lambda one: _planar_distance(one.pose, old.pose))
+            same = [one for one in found if _may_be_same(one, old) and _is_fully_visible(one, self._first_fits[name])]
+            if same and (self._held is None or self._held[0] != name):
+                nearest = min(same, key=lambda one: _planar_distance(one.pose, old.pose))
                 self._seen[name] = msgspec.structs.replace(old, pose=nearest.pose, shape=nearest.shape, stamp=now)
 
     def _update_held(self, plant: Plant, now: float) -> None:

@@ -65,10 +65,10 @@ class Primitive:
 
 def fit_primitives(points: Array, colours: Array) -> list[Primitive]:
     """The primitives on the table in `points` (n, 3) [m] with `colours` (n, 3) in [0, 1]."""
-    up = points[:, 2] > MIN_POINT_HEIGHT
-    kept, tints = _voxel_downsample(points[up], colours[up])
-    found = [fit_primitive(kept[mine], tints[mine]) for mine in _clusters(kept)]
-    return [one for one in found if one is not None]
+    above = points[:, 2] > MIN_POINT_HEIGHT
+    points, colours = _voxel_downsample(points[above], colours[above])
+    fitted = [fit_primitive(points[indices], colours[indices]) for indices in _clusters(points)]
+    return [one for one in fitted if one is not None]
 
 
 def fit_primitive(points: Array, colours: Array) -> Primitive | None:
@@ -124,9 +124,9 @@ def _clusters(points: Array) -> Iterator[NDArray[np.intp]]:
     pairs = KDTree(points).sparse_distance_matrix(KDTree(points), CLUSTER_DISTANCE)
     count, label = connected_components(pairs, directed=False)
     for number in range(count):
-        mine = np.flatnonzero(label == number)
-        if len(mine) >= MIN_CLUSTER_POINTS:
-            yield mine
+        indices = np.flatnonzero(label == number)
+        if len(indices) >= MIN_CLUSTER_POINTS:
+            yield indices
 
 
 def _min_area_rectangle(corners: Array) -> tuple[Array, Array, float]:

@@ -38,8 +38,10 @@ def scene_from_memory(scene: Scene, rng: np.random.Generator, *, position_spread
     several replays with different shifts. Raises `ConfigurationError` for a scene that cannot be simulated.
     """
     closed = tuple(_keep_out_area(obj) for obj in scene.objects if obj.category == KEEP_OUT_CATEGORY)
-    seen = [obj for obj in scene.objects if _is_simulated(obj)]
-    objects = tuple(_object_spec(obj, rng.normal(0.0, position_spread, 2), room=bool(scene.region)) for obj in seen)
+    simulated = [obj for obj in scene.objects if _is_simulated(obj)]
+    objects = tuple(
+        _object_spec(obj, rng.normal(0.0, position_spread, 2), room=bool(scene.region)) for obj in simulated
+    )
     people = [obj for obj in scene.objects if obj.role == "person" and isinstance(obj.shape, Capsule)]
     mover = _moving_person(people[0]) if people else None
     chart = FloorMap(scene.region, closed) if closed else None

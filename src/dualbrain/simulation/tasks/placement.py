@@ -89,12 +89,12 @@ class PlacementJudge:
         """Record the stages so far: reached, grasped, lifted."""
         plant = self._plant
         tool, _ = plant.tool_pose()
-        at = np.array(plant.true_pose(self.goal.object_name).position)
+        position = np.array(plant.true_pose(self.goal.object_name).position)
         grasped = _count_touching_fingers(plant, self._rules, self.goal.object_name) == 2
         self._stages |= [
-            np.linalg.norm(tool - at) < REACH_DISTANCE,
+            np.linalg.norm(tool - position) < REACH_DISTANCE,
             grasped,
-            grasped and at[2] > self._start_height + LIFT_HEIGHT,
+            grasped and position[2] > self._start_height + LIFT_HEIGHT,
         ]
 
     def score(self) -> tuple[bool, float]:
@@ -111,21 +111,21 @@ def score_placement(plant: Plant, spec: SceneSpec, goal: PlacementGoal) -> tuple
     """Success and progress from the present state alone: success 1, placed or lifted 0.75, grasped 0.5, near 0.25."""
     rules, obj = ContactRules(plant.model, spec), spec.find(goal.object_name)
     touching = _count_touching_fingers(plant, rules, goal.object_name)
-    there = is_placed(plant, goal)
+    placed = is_placed(plant, goal)
     if (
-        there
+        placed
         and touching == 0
         and _is_static(plant, goal.object_name)
         and (not goal.upright or _is_upright(plant, obj))
     ):
         return True, 1.0
     tool, _ = plant.tool_pose()
-    at = np.array(plant.true_pose(goal.object_name).position)
+    position = np.array(plant.true_pose(goal.object_name).position)
     if touching == 2:
-        return False, 0.75 if at[2] > obj.position[2] + LIFT_HEIGHT else 0.5
-    if there:
+        return False, 0.75 if position[2] > obj.position[2] + LIFT_HEIGHT else 0.5
+    if placed:
         return False, 0.75
-    return False, 0.25 if np.linalg.norm(tool - at) < REACH_DISTANCE else 0.0
+    return False, 0.25 if np.linalg.norm(tool - position) < REACH_DISTANCE else 0.0
 
 
 def is_placed(plant: Plant, goal: PlacementGoal) -> bool:

@@ -109,8 +109,8 @@ class SceneDraft:
         cube = self.objects[0]
         yaw = 2.0 * float(np.arctan2(cube.quaternion[3], cube.quaternion[0])) + face * np.pi / 2
         shape, category = self._random_shape(height)
-        away = CUBE.half_extents[0] + gap + _half_extent_x(shape)
-        x, y = cube.position[0] + away * np.cos(yaw), cube.position[1] + away * np.sin(yaw)
+        distance = CUBE.half_extents[0] + gap + _half_extent_x(shape)
+        x, y = cube.position[0] + distance * np.cos(yaw), cube.position[1] + distance * np.sin(yaw)
         self._add_object(shape, category, (x, y), yaw)
 
     def add_scattered(self, count: int, *heights: HeightClass) -> None:
@@ -161,11 +161,11 @@ class SceneDraft:
 
     def is_free(self, x: float, y: float, radius: float, gap: float) -> bool:
         """Whether a disc of `radius` at (x, y) keeps `gap` to every object and `PLACE_CLEARANCE` to every place [m]."""
-        apart = all(
+        clear_of_objects = all(
             np.hypot(x - obj.position[0], y - obj.position[1]) > radius + footprint_radius(obj.shape) + gap
             for obj in self.objects
         )
-        return apart and all(
+        return clear_of_objects and all(
             np.hypot(x - place.position[0], y - place.position[1]) > radius + PLACE_CLEARANCE for place in self.places
         )
 
