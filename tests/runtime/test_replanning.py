@@ -7,6 +7,7 @@ import pytest
 
 from dualbrain.memory.state.episode_record import GUIDANCE_BY_OUTCOME
 from dualbrain.planner.prompt.full_prompt import render
+from dualbrain.planner.protocol import describe_failure
 from dualbrain.records import ActionResult, Episode, FailureFeedback, Outcome, RetrievedContext, Scene
 from dualbrain.runtime.replanning import failure_feedback_of, should_retry, successive_tries
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
@@ -167,7 +168,7 @@ def test_the_tries_end_with_their_number_a_decline_or_a_refusal(tmp_path, tries,
 def test_a_planner_that_gives_no_answer_is_a_fault_of_which_nothing_is_learnt(tmp_path, how):
     story = run_session(run_config(tmp_path, tries=3, shots=4), "", finish=how)
     outcome = story.episode.outcome
-    assert (outcome.kind, outcome.reason) == ("stopped", f"the planner gave no answer: {how}")
+    assert (outcome.kind, outcome.reason) == ("stopped", describe_failure(how))
     assert (len(story.planner.requests), story.result.earlier_episodes) == (1, ())
     assert GUIDANCE_BY_OUTCOME[outcome.kind] == "none"
     assert [one["episode"]["outcome"]["kind"] for one in ledger_episodes(story.config.ledger)] == ["stopped"]

@@ -1,4 +1,4 @@
-"""dualbrain doctor: what is here, what is missing, and how to get it."""
+"""dualbrain doctor: check the installation, and say how to install what is missing."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
+from typing import Literal
 
 from dualbrain import __version__
 from dualbrain.cli.common.console import print_table
@@ -19,38 +20,54 @@ from dualbrain.cli.common.paths import cache_folder, dualbrain_home
 from dualbrain.core import weights
 from dualbrain.errors import DualbrainError
 
+State = Literal["ok", "optional", "problem"]
+OPTIONAL_PACKAGES = (
+    ("simulation", "mujoco"),
+    ("planner", "xllamacpp"),
+    ("memory", "onnxruntime"),
+    ("knowledge", "pypdf"),
+    ("view", "viser"),
+    ("import", "yourdfpy"),
+    ("evaluation", "arro3-io"),
+    ("adapt", "torch"),
+)
+"""Each extra with the package that shows whether it is installed."""
+
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One line of the examination: `good` False means something is missing, and `text` says how to get it."""
+    """One line of the report: "optional" means not installed and not required, "problem" gives the remedy."""
 
     item: str
-    ok: bool
+    state: State
     text: str
 
 
 def doctor(*, robot: str = "") -> int:
-    """Examine this installation: versions, kernel, rendering, models, memory, latency of one filter step.
+    """Check this installation: versions, kernel, filter latency, rendering, planners, model files, memory.
+
+    Exit code 0 unless a line says "problem"; optional parts that are not installed are not problems.
 
     Parameters
     ----------
     robot
-        Examine this robot instead: a known name, or a folder that `dualbrain robot init` made.
+        Check this robot model instead: a name, or a folder made by `dualbrain robot init`.
     """
     if robot:
         return _print_findings(_robot(robot))
-    examinations = (_versions, _kernel, _latency, _rendering, _models, _memory)
-    return _print_findings([finding for examine in examinations for finding in _run_examination(examine)])
+    checks = (_versions, _extras, _kernel, _latency, _rendering, _planners, _model_files, _memory)
+    return _print_findings([finding for check in checks for finding in _run_check(check)])
 
 
 def _print_findings(findings: list[Finding]) -> int:
-    rows = [("ok" if finding.ok else "--", finding.item, finding.text) for finding in findings]
-    print_table(("", "what", "found"), rows, wrap_columns=("found",))
-    return ExitCode.SUCCESS if all(finding.ok for finding in findings) else ExitCode.SETUP
+    rows = [(finding.state, finding.item, finding.text) for finding in findings]
+    print_table(("state", "item", "found"), rows, wrap_columns=("found",))
+    problems = any(finding.state == "problem" for finding in findings)
+    return ExitCode.SETUP if problems else ExitCode.SUCCESS
 
 
 def _robot(robot: str) -> list[Finding]:
-    """What is missing of one robot; whether the kernel has room for it."""
+    """The missing information of one robot model; the kernel's capacity is checked too."""
     from dualbrain.robots.importer.output.markdown import missing_information
     from dualbrain.robots.importer.output.robot_folder import read_import_files
     from dualbrain.robots.loader import load_robot
@@ -61,38 +78,51 @@ def _robot(robot: str) -> list[Finding]:
     report, _ = read_import_files(folder) if folder.is_dir() else (None, None)
     found = f"{robot_model.n} joints, {len(robot_model.spheres)} spheres, every bound with its provenance"
     return [
-        Finding(robot_model.name, True, found),
-        *(Finding("missing", False, line) for line in missing_information(robot_model, report)),
+        Finding(robot_model.name, "ok", found),
+        *(Finding("missing", "problem", line) for line in missing_information(robot_model, report)),
     ]
 
 
-def _run_examination(examine: Callable[[], list[Finding]]) -> list[Finding]:
+def _run_check(check: Callable[[], list[Finding]]) -> list[Finding]:
+    name = check.__name__.strip("_").replace("_", " ")
     try:
-        return examine()
+        return check()
+    except ModuleNotFoundError as error:
+        return [Finding(name, "optional", f"not checked: the package {error.name} is not installed")]
     except (DualbrainError, ImportError, OSError) as error:
-        return [Finding(examine.__name__.strip("_"), False, str(error))]
+        return [Finding(name, "problem", str(error))]
 
 
 def _versions() -> list[Finding]:
-    parts = ("numpy", "mujoco", "msgspec", "jsonschema-rs", "xllamacpp", "onnxruntime", "mcap", "viser")
-    found = ", ".join(f"{part} {_version(part)}" for part in parts)
+    required = ", ".join(f"{part} {_version(part)}" for part in ("numpy", "msgspec", "jsonschema-rs", "pint"))
     return [
-        Finding("dualbrain", True, f"{__version__} on Python {platform.python_version()}"),
-        Finding("packages", "not" not in found, found),
+        Finding("dualbrain", "ok", f"{__version__} on Python {platform.python_version()}"),
+        Finding("packages", "ok", required),
     ]
 
 
+def _extras() -> list[Finding]:
+    def finding(extra: str, package: str) -> Finding:
+        version = _version(package)
+        if version:
+            return Finding(f"extra {extra}", "ok", f"{package} {version}")
+        return Finding(f"extra {extra}", "optional", f"not installed: pip install 'dualbrain[{extra}]'")
+
+    return [finding(extra, package) for extra, package in OPTIONAL_PACKAGES]
+
+
 def _version(name: str) -> str:
+    """The installed version of a distribution, "" if it is not installed."""
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
-        return "not installed (pip install 'dualbrain[all]')"
+        return ""
 
 
 def _kernel() -> list[Finding]:
     from dualbrain.safety.cbf.kernel import kernel_hash
 
-    return [Finding("kernel", True, f"float32, C99, source hash {kernel_hash()}")]
+    return [Finding("kernel", "ok", f"float32, C99, source hash {kernel_hash()}")]
 
 
 def _latency() -> list[Finding]:
@@ -112,35 +142,53 @@ def _latency() -> list[Finding]:
         safety.filter(state, state.v, 0.0)
         times.append((time.perf_counter() - start) * 1e6)
     tracking = robot_model.tracking
-    lag = f"lag {tracking.lag * 1e3:.2f} ms, rows keep {tracking.row_margin(robot_model.alpha):.4f} rad/s"
+    lag = f"lag {tracking.lag * 1e3:.2f} ms, margin α e of the rows {tracking.row_margin(robot_model.alpha):.4f} rad/s"
     return [
-        Finding("filter step", True, f"{statistics.median(times):.1f} µs median, scene 0, from Python"),
-        Finding("tracking model", True, f"{robot_model.name}: {lag} ({tracking.provenance})"),
+        Finding("filter step", "ok", f"{statistics.median(times):.1f} µs median, scene 0, called from Python"),
+        Finding("tracking model", "ok", f"{robot_model.name}: {lag} ({tracking.provenance})"),
     ]
 
 
 def _rendering() -> list[Finding]:
-    why = choose_graphics(os.environ)
+    reason = choose_graphics(os.environ)
     from dualbrain.robots.loader import load_robot
     from dualbrain.simulation.perception.rendering import INSTALL_HINT, Camera
     from dualbrain.simulation.plant.plant import Plant
     from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
-    if why:
-        return [Finding("rendering", False, f"{why}. {INSTALL_HINT}")]
+    if reason:
+        return [Finding("rendering", "optional", f"runs have no images: {reason}. {INSTALL_HINT}")]
     with Camera(Plant(open_scene("bare:0"), load_robot("panda")), width=64, height=48) as camera:
-        picture = camera.capture()
-    return [Finding("rendering", bool(picture.any()), f"MUJOCO_GL={os.environ['MUJOCO_GL']}")]
+        image = camera.capture()
+    gl = f"MUJOCO_GL={os.environ['MUJOCO_GL']}"
+    if image.any():
+        return [Finding("rendering", "ok", gl)]
+    return [Finding("rendering", "problem", f"{gl} renders black images. {INSTALL_HINT}")]
 
 
-def _models() -> list[Finding]:
-    def one(status: weights.WeightStatus) -> Finding:
-        good = status.verified
-        return Finding(
-            status.file.name, good, "verified" if good else f"not here: dualbrain models fetch {status.file.name}"
-        )
+def _planners() -> list[Finding]:
+    """The planners that are part of the package."""
+    from dualbrain.adaptation.adapters.packaged import packaged_names
+    from dualbrain.cli.common.planner_choice import base_model, is_downloaded
 
-    return [one(status) for status in weights.list_weights(cache_folder())]
+    def finding(name: str) -> Finding:
+        base = base_model(name)
+        if is_downloaded(base, cache_folder()):
+            return Finding(f"planner {name}", "ok", f"packaged adapter on {base}")
+        fix = f"needs {base}: dualbrain models fetch {name}"
+        return Finding(f"planner {name}", "optional", fix)
+
+    return [finding(name) for name in packaged_names()]
+
+
+def _model_files() -> list[Finding]:
+    def finding(status: weights.WeightStatus) -> Finding:
+        name = status.file.name
+        if status.present:
+            return Finding(name, "ok", "verified" if status.verified else "present, verified at the next use")
+        return Finding(name, "optional", f"not downloaded: dualbrain models fetch {name}")
+
+    return [finding(status) for status in weights.list_weights(cache_folder())]
 
 
 def _memory() -> list[Finding]:
@@ -148,8 +196,10 @@ def _memory() -> list[Finding]:
 
     path: Path = dualbrain_home() / "ledger.sqlite"
     if not path.exists():
-        return [Finding("memory", True, "empty: no run yet")]
+        return [Finding("memory", "ok", "empty: no run yet")]
     with LedgerReader(path) as ledger:
         report = ledger.verify()
-    state = "chain whole" if report.is_intact else f"damaged at event {report.broken_at}: {report.fault}"
-    return [Finding("memory", report.is_intact, f"{report.events} events, {state}")]
+    chain = (
+        "hash chain intact" if report.is_intact else f"hash chain broken at event {report.broken_at}: {report.fault}"
+    )
+    return [Finding("memory", "ok" if report.is_intact else "problem", f"{report.events} events, {chain}")]

@@ -1,4 +1,4 @@
-"""The command line: one line per command here, one file per command beside it; heavy rooms are imported late."""
+"""Entry point of the command line: every command is registered here and imported only when it runs."""
 
 from __future__ import annotations
 
@@ -10,175 +10,191 @@ from cyclopts import App, CycloptsError
 from dualbrain import __version__
 from dualbrain.cli.common.console import redirect_stdout_to_null
 from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.core.lazy_exports import missing_dependency
 from dualbrain.errors import DualbrainError, UsageError
 
 app = App(
     name="dualbrain",
     version=__version__,
-    help="""A language model proposes, a local safety filter disposes.
+    help="""Lets a language model plan for a robot without trusting it: plans are typed contracts that a gate validates,
+    and every command passes a local safety filter.
 
-    Start with `dualbrain demo`, then `dualbrain run "put the red cube in the bowl"`.
+    Start with `dualbrain demo`, then `dualbrain run "put the red cube in the bowl"`. Shell completion:
+    `dualbrain --install-completion`.
 
     Exit codes: 0 success, 1 the task failed safely, 2 usage, 3 contract rejected or declined, 4 a safety violation was
-    seen, 5 broken set-up, 130 interrupted.""",
+    observed, 5 broken set-up, 130 interrupted.""",
     help_format="markdown",
-    suppress_keyboard_interrupt=False,  # else it would leave by itself, and say nothing
+    suppress_keyboard_interrupt=False,  # an interruption is reported by `run_command_line`
 )
-memory = App(name="memory", help="What happened: look at memory, audit it, mend it. Everything is reversible.")
-app.command(memory)
-models = App(name="models", help="Model weights: what there is, and fetch it.")
-app.command(models)
-adapters = App(name="adapters", help="Adapters of the planner: which there are, which one serves, and why.")
-app.command(adapters)
-robot = App(
-    name="robot", help="Robots: `init` makes one from its description, `identify` measures how it follows its commands."
-)
-app.command(robot)
-knowledge = App(
-    name="knowledge",
-    help="""Documents that a planner may be shown: rules, manuals, maps, templates.
+app.register_install_completion_command(help="Install completion for this shell (bash, zsh or fish).")
 
-    `dualbrain knowledge add manual.pdf --trust vendor` reads what a person would see of it, `search "how hard may I
-    grip"` finds passages, `show CITATION` quotes one exactly, in any version. `dualbrain run --knowledge on` puts up to
-    three passages that bear on the task into the prompt, as data; the report lists them. A planner is shown only
-    documents of trust `site` or `vendor`; whatever they say, its contract passes the same gate and the same filter.""",
-)
-app.command(knowledge)
-
-app.command("dualbrain.cli.run.run:run", name="run", help="Words become safe motion.")
+app.command("dualbrain.cli.run.run:run", name="run", help="Run one instruction on a simulated robot.")
 app.command(
     "dualbrain.cli.run.plan:plan",
     name="plan",
-    help="""What the planner would do, shown whole; nothing moves, and memory is only read.
+    help="""Ask the planner for a contract without moving a robot, and print every step.
 
-    Shows, in this order: the prompt as the model reads it; its answer, which is the contract; the verdict of the gate's
-    three stages; what was retrieved (memories with the parts of their score R = λ_s s + (1 − λ_s) w, passages with
-    citations that `dualbrain knowledge show CITATION` quotes); where the time of the decision went. The robot stands at
-    home and sees the scene without error. Written is only what a run would keep for the next question: the shipped
-    documents at their first use (not with `--knowledge off`), states and converted weights of models in the cache, an
-    adapter's canaries, and with `shadow:` the log of the candidate.
+    Prints the prompt as the model reads it, the answer (the contract), the verdict of the three stages of the gate, the
+    retrieved memories with the parts of their score R = λ_s s + (1 − λ_s) w, the retrieved passages with citations
+    (`dualbrain knowledge show CITATION` quotes them), and the planning time. The robot is at its home position and the
+    scene is known exactly. Memory is only read. Caches that a run would create are created: the built-in documents at
+    their first use (not with `--knowledge off`), model states and converted weights, the canary results of an adapter,
+    and with `shadow:` the log of the candidate.
 
-    Try `dualbrain plan "put the red cube in the bowl"`; see what becomes of a bad idea with `dualbrain plan "throw the
-    red cube at the person"`; save a contract with `--json | jq .contract > c.json` and run it: `dualbrain run
-    --contract c.json`.
+    Examples: `dualbrain plan "put the red cube in the bowl"`; `dualbrain plan "throw the red cube at the person"`. Save
+    a contract with `--json | jq .contract > c.json` and run it with `dualbrain run --contract c.json`.
 
-    Exits 0 if the contract was accepted, 3 if it was rejected or the planner declined.""",
+    Exit code 0 if the contract was accepted, 3 if it was rejected or the planner declined, 1 if the planner did not
+    answer.""",
 )
-app.command("dualbrain.cli.run.demo:demo", name="demo", help="The main job in one command.")
-app.command("dualbrain.cli.run.schema:schema", name="schema", help="Print a robot's contract schema.")
-app.command("dualbrain.cli.run.check:check", name="check", help="What the gate says of a contract file.")
-app.command("dualbrain.cli.run.replay:replay", name="replay", help="Compute a recorded run again, bit for bit.")
-app.command("dualbrain.cli.gatekeeper:gatekeeper", name="gatekeeper", help="The spinal cord as a process.")
-app.command("dualbrain.cli.gatekeeper:operate", name="operate", help="A person's hand on a gatekeeper.")
-app.command("dualbrain.cli.run.fault:fault", name="fault", help="Break one thing at the worst moment, and look.")
-app.command("dualbrain.cli.adapters.adapt:adapt", name="adapt", help="Learn from what went well: fit an adapter.")
-app.command("dualbrain.cli.doctor:doctor", name="doctor", help="Examine this installation.")
+app.command("dualbrain.cli.run.demo:demo", name="demo", help="Run the main example, with a person in the way.")
+app.command("dualbrain.cli.run.schema:schema", name="schema", help="Print the contract schema of a robot.")
+app.command("dualbrain.cli.run.check:check", name="check", help="Check a contract file with the gate.")
+app.command(
+    "dualbrain.cli.run.replay:replay", name="replay", help="Recompute a recorded run and compare it bit for bit."
+)
+app.command(
+    "dualbrain.cli.gatekeeper:gatekeeper", name="gatekeeper", help="Run filter and supervisor as a separate process."
+)
+app.command("dualbrain.cli.gatekeeper:operate", name="operate", help="Send operator commands to a running gatekeeper.")
+app.command("dualbrain.cli.run.fault:fault", name="fault", help="Inject one fault into a simulated task.")
+app.command(
+    "dualbrain.cli.adapters.adapt:adapt", name="adapt", help="Fine-tune an adapter of the planner on recorded episodes."
+)
+app.command("dualbrain.cli.doctor:doctor", name="doctor", help="Check this installation.")
 app.command(
     "dualbrain.cli.evaluation.evaluate:evaluate",
     name="evaluate",
-    help="""Compare methods by the paper's protocol, resumably.
+    help="""Compare methods by the protocol of the paper; the evaluation can be interrupted and resumed.
 
-    Every method flies the same scenes, seeds and words; the results are one Parquet file. Passes, each resumable: ε
-    from pilot episodes, the ledger that all methods with memory start from, the planner's answers (kept by question),
-    the episodes. Killed in any way, the same command with the same --out goes on where it was.
+    Every method runs the same scenes, seeds and instructions; the results are one Parquet file. Passes, each resumable:
+    ε from pilot episodes, the ledger from which all methods with memory start, the planner's answers (stored by
+    question), the episodes. After an interruption of any kind, the same command with the same --out continues.
 
-    `dualbrain evaluate --suite smoke --out runs/smoke`, then `dualbrain report runs/smoke`, and `dualbrain compare DIR
-    DIR`. `--dry-run` tells how long a suite takes. Methods, metrics and rules: docs/evaluation.md.""",
+    Examples: `dualbrain evaluate --suite smoke --out runs/smoke`, then `dualbrain report runs/smoke`, and `dualbrain
+    compare DIR DIR`. `--dry-run` estimates the duration of a suite. Methods, metrics and rules: docs/evaluation.md.""",
 )
 app.command(
     "dualbrain.cli.evaluation.report:report",
     name="report",
-    help="""What an evaluation found, as one HTML file.
+    help="""Write the results of an evaluation as one HTML file.
 
-    Writes report.html (works offline, no script) into the folder, and a Markdown page with its pictures into page/ or
-    wherever --page says: verdicts on the paper's hypotheses with their intervals, methods × metrics, curves over
-    repetitions, traces, failures with pictures, latencies, and what was not measured. `dualbrain report runs/smoke
-    --gallery 0` flies nothing again for pictures.""",
+    Writes report.html (works offline, without scripts) into the folder, and a Markdown page with its images into page/
+    or the folder given by --page: verdicts on the hypotheses of the paper with intervals, methods × metrics, curves
+    over repetitions, traces, failures with images, latencies, and a list of quantities that were not measured.
+    `dualbrain report runs/smoke --gallery 0` does not simulate failures again for images.""",
 )
 app.command(
     "dualbrain.cli.evaluation.report:compare",
     name="compare",
-    help="""What changed between two evaluations.
+    help="""Compare two evaluations.
 
-    In what they were set up otherwise; then place by place, the same methods, scenes, seeds and repetitions in both:
-    for each method and metric the second minus the first, its interval over common clusters, p values corrected over
-    what differs (Holm), and the word that these bear.""",
+    Prints the differences of their configurations. Then, over the methods, scenes, seeds and repetitions that both
+    contain, and for each method and metric: the second minus the first, its interval over common clusters, p values
+    corrected for multiple comparisons (Holm), and the conclusion that these support.""",
 )
+
+memory = App(name="memory", help="Inspect, audit and edit the episode memory. Every edit can be undone.")
+app.command(memory)
 for _name, _function, _help in (
-    ("list", "memory.browse:list_memories", "List memories with outcome, Δ, weight and status."),
-    ("show", "memory.browse:show", "Show one memory whole, with everything that moved its weight."),
-    ("search", "memory.browse:search", "Search as the planner would, with all parts of the score."),
-    ("export", "memory.browse:export", "Write all memories as lines of JSON."),
-    ("verify", "memory.browse:verify", "Check chain, weights, snapshot and vectors."),
-    ("audit", "memory.edit:audit", "Label conflicts, near-duplicates, blast radius of each source."),
-    ("quarantine", "memory.edit:quarantine", "Set memories aside, with their influence."),
-    ("release", "memory.edit:release", "Bring them back."),
-    ("forget", "memory.edit:forget", "Put a tombstone on memories."),
-    ("rollback", "memory.edit:rollback", "Make memory what it was at an event."),
-    ("replay", "memory.edit:replay", "Run a remembered contract again in simulation."),
-    ("compact", "memory.edit:compact", "A short ledger with the same weights; the long one is archived."),
-    ("rebuild", "memory.edit:rebuild", "Make all vectors anew."),
+    ("list", "browse:list_memories", "List memories with outcome, Δ, weight and status."),
+    ("show", "browse:show", "Show one memory with every change of its weight."),
+    ("search", "browse:search", "Search as a run would, with all parts of the score."),
+    ("export", "browse:export", "Write all memories as JSON lines."),
+    ("verify", "browse:verify", "Verify the hash chain, weights, snapshot and vectors."),
+    ("audit", "edit:audit", "Report label conflicts, near-duplicates and the influence of each source."),
+    ("quarantine", "edit:quarantine", "Exclude memories, and undo their influence on weights."),
+    ("release", "edit:release", "Undo a quarantine."),
+    ("forget", "edit:forget", "Mark memories as forgotten."),
+    ("rollback", "edit:rollback", "Restore the memory as it was at an event."),
+    ("replay", "edit:replay", "Run a remembered contract again in simulation."),
+    ("compact", "edit:compact", "Write a shorter ledger with the same weights, and archive the original."),
+    ("rebuild", "edit:rebuild", "Recompute all vectors."),
 ):
-    memory.command(f"dualbrain.cli.{_function}", name=_name, help=_help)
-robot.command("dualbrain.cli.robot.init:init", name="init", help="Make a robot from its URDF or MJCF.")
-robot.command("dualbrain.cli.robot.inspect:inspect", name="inspect", help="See what the filter sees of a robot.")
-models.command("dualbrain.cli.models:list_models", name="list", help="List the known weights.")
-models.command("dualbrain.cli.models:fetch", name="fetch", help="Fetch weights by name.")
+    memory.command(f"dualbrain.cli.memory.{_function}", name=_name, help=_help)
+
+models = App(name="models", help="List and download model weights.")
+app.command(models)
+models.command("dualbrain.cli.models:list_models", name="list", help="List the planners and model files.")
+models.command("dualbrain.cli.models:fetch", name="fetch", help="Download model files by name.")
+
+robot = App(
+    name="robot", help="Import a robot from its description, inspect it, identify its tracking model, commission it."
+)
+app.command(robot)
+robot.command("dualbrain.cli.robot.init:init", name="init", help="Import a robot from its URDF or MJCF file.")
+robot.command("dualbrain.cli.robot.inspect:inspect", name="inspect", help="Show the robot model that the filter uses.")
 robot.command(
     "dualbrain.cli.robot.identify:identify",
     name="identify",
-    help="""Measure how well a robot's drive follows its commands.
+    help="""Identify how closely the drive of a simulated robot follows its commands.
 
-    The safety filter trusts that y = q + lag v moves at the velocity u it lets through. This command drives the
+    The safety filter assumes that y = q + lag v moves at the velocity u that it commands. This command moves the
     simulated robot at full speed and acceleration (sines, bang-bang, and straight at the nearest limit), once with an
-    empty hand and once with a load it is not told of, and finds the lag that explains the most and the error e that is
-    left: the largest leaky integral of ẏ − u over all joints and runs, times 1.25. Rows then keep α e.
+    empty hand and once with an undeclared load. It identifies the lag that explains most of the motion and the
+    remaining error e: the largest leaky integral of ẏ − u over all joints and runs, times 1.25. The rows of the filter
+    then keep the margin α e.
 
-    `dualbrain robot identify --write my_panda.json` puts the figures into a body's data file, which is made if need be.
-    For a real arm give the filter your own measurement: `FilterConfig(tracking_error=...)`.""",
+    `dualbrain robot identify --write my_panda.json` writes the values to a robot model file, which is created if
+    necessary. For a real arm pass your own measurement: `FilterConfig(tracking_error=...)`.""",
 )
-robot.command("dualbrain.cli.robot.conform:conform", name="conform", help="Try the driver contract on a driver.")
-robot.command("dualbrain.cli.robot.commission:commission", name="commission", help="Answer for a real arm.")
+robot.command("dualbrain.cli.robot.conform:conform", name="conform", help="Test a driver against the driver contract.")
+robot.command(
+    "dualbrain.cli.robot.commission:commission",
+    name="commission",
+    help="Fill in and sign the commissioning checklist of a real arm.",
+)
 
+adapters = App(name="adapters", help="List, promote and export adapters of the planner.")
+app.command(adapters)
 for _name, _function, _help in (
-    ("list", "list_adapters", "List adapters, and which one serves."),
-    ("show", "show", "Show the card of one adapter and what became of it."),
-    ("verify", "verify", "Check that all weights are those that their ids name."),
-    ("promote", "promote", "Let an adapter serve, if it was measured better."),
-    ("rollback", "rollback", "Let the former one serve again."),
-    ("history", "history", "List promotions and rollbacks."),
+    ("list", "registry:list_adapters", "List adapters, and the one in use."),
+    ("show", "registry:show", "Show the card and the history of one adapter."),
+    ("verify", "registry:verify", "Verify the weights of all adapters against their ids."),
+    ("promote", "registry:promote", "Use an adapter, if it was measured better."),
+    ("rollback", "registry:rollback", "Return to the previous adapter."),
+    ("history", "registry:history", "List promotions and rollbacks."),
+    ("measure", "measure:measure", "Measure a candidate and the current adapter for a promotion."),
+    ("export", "export:export", "Export an adapter for peft, vLLM or llama.cpp."),
+    ("diff", "export:diff", "Compare two adapters."),
+    ("make", "make:make", "Reproduce a packaged adapter."),
 ):
-    adapters.command(f"dualbrain.cli.adapters.registry:{_function}", name=_name, help=_help)
-adapters.command(
-    "dualbrain.cli.adapters.measure:measure", name="measure", help="Ask a candidate and the champion, for the gate."
-)
-adapters.command("dualbrain.cli.adapters.export:export", name="export", help="Write one for peft, vLLM or llama.cpp.")
-adapters.command("dualbrain.cli.adapters.export:diff", name="diff", help="Tell two adapters apart.")
-adapters.command("dualbrain.cli.adapters.make:make", name="make", help="Make a shipped adapter again.")
+    adapters.command(f"dualbrain.cli.adapters.{_function}", name=_name, help=_help)
 
-for verb, function, words in (
+knowledge = App(
+    name="knowledge",
+    help="""Manage the documents that a planner may read: rules, manuals, maps and templates.
+
+    `dualbrain knowledge add manual.pdf --trust vendor` reads the visible text of a document, `search "how hard may I
+    grip"` finds passages, `show CITATION` quotes one exactly, in any version. `dualbrain run --knowledge on` puts up to
+    three passages about the task into the prompt, as data; the report lists them. A planner reads only documents of
+    trust `site` or `vendor`; whatever they say, its contract passes the same gate and the same filter.""",
+)
+app.command(knowledge)
+for _name, _function, _help in (
     (
         "add",
         "add",
-        "Put documents on the shelf: Markdown, text, HTML, PDF, or a map or templates in TOML or JSON. "
-        "What no reader would see is left out and told; a changed document is a new version. Exits 5 if one is refused.",
+        "Add documents: Markdown, text, HTML, PDF, or a map or templates in TOML or JSON. "
+        "Hidden text is removed and reported; a changed document is a new version. Exit code 5 if one is refused.",
     ),
-    ("list", "list_documents", "List what stands there."),
-    ("search", "search", "Find the passages that answer a question, each with the citation that quotes it."),
-    ("show", "show", "Print a document as it is kept, or exactly what a citation quotes; its history on stderr."),
-    ("remove", "remove", "Take documents off the shelf; what was cited of them can still be quoted."),
-    ("rebuild", "rebuild", "Make the index of words and meaning again, for example after a change of the encoder."),
+    ("list", "list_documents", "List the documents."),
+    ("search", "search", "Search passages that answer a question, each with the citation that quotes it."),
+    ("show", "show", "Print a stored document, or the exact text of a citation; its history on stderr."),
+    ("remove", "remove", "Remove documents; their citations can still be quoted."),
+    ("rebuild", "rebuild", "Rebuild the index of words and vectors, for example after a change of the encoder."),
 ):
-    knowledge.command(f"dualbrain.cli.knowledge:{function}", name=verb, help=words)
+    knowledge.command(f"dualbrain.cli.knowledge:{_function}", name=_name, help=_help)
 
 
 def main() -> None:
-    """Run the command line and leave with its exit code."""
+    """Run the command line and exit with its exit code."""
     sys.exit(run_command_line(sys.argv[1:]))
 
 
 def run_command_line(arguments: list[str]) -> int:
-    """Run one command; what it raises becomes a message on stderr and an exit code."""
+    """Run one command and return its exit code; an exception becomes a message on stderr."""
     try:
         return int(app(arguments, exit_on_error=False, result_action="return_value") or 0)
     except CycloptsError:
@@ -186,15 +202,17 @@ def run_command_line(arguments: list[str]) -> int:
     except KeyboardInterrupt:
         print("dualbrain: interrupted", file=sys.stderr)
         return ExitCode.INTERRUPTED
-    except BrokenPipeError:  # only listings get here: what has a verdict survives its reader
+    except BrokenPipeError:  # only listings: commands with a verdict handle a closed pipe themselves
         redirect_stdout_to_null()
         return ExitCode.SUCCESS
+    except ModuleNotFoundError as error:
+        return _print_error(missing_dependency(error, "this command"))
     except Exception as error:
         return _print_error(error)
 
 
 def _print_error(error: Exception) -> ExitCode:
-    """Say what is broken; a defect is told whole, and not to be taken for a task that failed safely."""
+    """Print what is wrong; an unexpected exception is printed with its traceback."""
     match error:
         case DualbrainError():
             print(f"dualbrain: {error}", file=sys.stderr)

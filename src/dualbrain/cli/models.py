@@ -1,4 +1,4 @@
-"""dualbrain models: which weights there are, and fetching them."""
+"""dualbrain models: list planners and model files, and download them."""
 
 from __future__ import annotations
 
@@ -10,46 +10,69 @@ from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeR
 from dualbrain.cli.common.console import print_table
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.common.paths import cache_folder
+from dualbrain.cli.common.planner_choice import base_model, is_downloaded
 from dualbrain.core import weights
 
 
 def list_models() -> int:
-    """List the known weights: name, licence, size, whether they are here and verified."""
-    rows = [
-        (status.file.name, status.file.licence, f"{status.file.size / 1e6:,.0f} MB", _local_status(status))
-        for status in weights.list_weights(cache_folder())
-    ]
-    print_table(("name", "licence", "size", "here"), rows)
+    """List the planners and model files: name, use, licence, size and state.
+
+    Packaged planners are adapters that are part of dualbrain; each needs the model file that it was trained on.
+    """
+    print_table(
+        ("name", "use", "licence", "size", "state"), [*_packaged_rows(), *_file_rows()], wrap_columns=("use", "state")
+    )
     return ExitCode.SUCCESS
 
 
-def _local_status(status: weights.WeightStatus) -> str:
-    return "verified" if status.verified else "present" if status.present else "-"
-
-
 def fetch(*names: str) -> int:
-    """Fetch weights by name, with progress; what is here and whole is not fetched again.
+    """Download model files by name, with progress; a complete file is not downloaded again.
 
     Parameters
     ----------
     names
-        Names from `dualbrain models list`, or of an adapter that comes with dualbrain (its base);
-        the URL of a server or a GGUF file needs no weights and is passed over.
+        Names from `dualbrain models list`; for a packaged planner its base model is downloaded. A server URL or a GGUF
+        file needs no download and is skipped.
     """
     for name in names:
         if "://" not in name and not name.endswith(".gguf"):
-            _fetch_one(_base_model_of(name))
+            _fetch_one(base_model(name))
     return ExitCode.SUCCESS
 
 
-def _base_model_of(name: str) -> str:
-    """The model that a packaged adapter sits on; any other name as it is."""
-    from dualbrain.adaptation.adapters.card import read_adapter_card
+def _packaged_rows() -> list[tuple[str, ...]]:
+    """One row for each packaged planner."""
     from dualbrain.adaptation.adapters.packaged import packaged_folder, packaged_names
 
-    while name in packaged_names():
-        name = read_adapter_card(packaged_folder(name)).base
-    return name
+    def state(name: str) -> str:
+        base = base_model(name)
+        return "ready" if is_downloaded(base, cache_folder()) else f"needs {base}"
+
+    def size(name: str) -> str:
+        return f"{sum(file.stat().st_size for file in packaged_folder(name).iterdir()) / 1e6:,.0f} MB"
+
+    return [
+        (name, f"planner, packaged (on {base_model(name)})", "Apache-2.0", size(name), state(name))
+        for name in packaged_names()
+    ]
+
+
+def _file_rows() -> list[tuple[str, ...]]:
+    """One row for each model file of the manifest."""
+    return [
+        (
+            status.file.name,
+            "planner" if status.file.filename.endswith(".gguf") else "memory",
+            status.file.licence,
+            f"{status.file.size / 1e6:,.0f} MB",
+            _file_state(status),
+        )
+        for status in weights.list_weights(cache_folder())
+    ]
+
+
+def _file_state(status: weights.WeightStatus) -> str:
+    return "verified" if status.verified else "not verified yet" if status.present else "not downloaded"
 
 
 def _fetch_one(name: str) -> None:
@@ -61,9 +84,12 @@ def _fetch_one(name: str) -> None:
         TransferSpeedColumn(),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=Console(file=sys.stderr), transient=True) as bar:
+    console = Console(file=sys.stderr)
+    if not console.is_terminal and not is_downloaded(name, cache_folder()):
+        console.print(f"downloading {name} ({file.size / 1e6:,.0f} MB)", highlight=False)
+    with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(name, total=file.size)
         path = weights.fetch_weights(
             name, cache_folder(), progress=lambda done, total: bar.update(task, completed=done, total=total)
         )
-    print(f"{name}: {path} ({file.licence}, sha256 {file.sha256[:12]}… verified)", file=sys.stderr)
+    print(f"{name}: {path} ({file.licence}, SHA-256 {file.sha256[:12]}… verified)", file=sys.stderr)

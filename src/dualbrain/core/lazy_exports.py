@@ -8,16 +8,39 @@ from importlib import import_module
 from typing import Any
 
 EXTRAS = {
-    "cyclopts": "all",
+    "accelerate": "adapt",
+    "arro3": "evaluation",
+    "bitsandbytes": "qlora",
+    "casadi": "symbolic",
+    "collada": "import",
+    "example_robot_data": "simulation",
+    "gguf": "planner",
     "gymnasium": "gym",
+    "httpx": "planner",
+    "llguidance": "adapt",
+    "lxml": "import",
+    "markdown_it": "knowledge",
+    "matplotlib": "view",
     "mcap": "view",
     "mujoco": "simulation",
     "onnxruntime": "memory",
+    "peft": "adapt",
+    "pylibfranka": "franka",
+    "pypdf": "knowledge",
+    "rtde_control": "ur",
+    "safetensors": "planner",
     "scipy": "simulation",
+    "selectolax": "knowledge",
+    "statsmodels": "evaluation",
     "tokenizers": "memory",
+    "torch": "adapt",
+    "transformers": "adapt",
+    "trimesh": "simulation",
+    "viser": "view",
     "xllamacpp": "planner",
+    "yourdfpy": "import",
 }
-"""The extra that installs a package which a public name may need."""
+"""The extra that installs each optional module."""
 
 
 def lazy_exports(
@@ -36,7 +59,7 @@ def lazy_exports(
         try:
             value = getattr(import_module(f"dualbrain.{source}"), name)
         except ModuleNotFoundError as error:
-            raise _missing(error, f"{package}.{name}") from error
+            raise missing_dependency(error, f"{package}.{name}") from error
         setattr(sys.modules[package], name, value)
         return value
 
@@ -46,12 +69,12 @@ def lazy_exports(
     return get, names
 
 
-def _missing(error: ModuleNotFoundError, wanted: str) -> Exception:
-    """The error for a missing package: an install command if an extra provides it."""
+def missing_dependency(error: ModuleNotFoundError, needed_by: str) -> Exception:
+    """The error for a module that `needed_by` needs: with the install command if an extra provides it, else `error`."""
     from dualbrain.errors import MissingDependencyError  # noqa: PLC0415  (only where something is missing)
 
     extra = EXTRAS.get((error.name or "").partition(".")[0])
     if extra is None:
         return error
     fix = f"Install it with `pip install 'dualbrain[{extra}]'`."
-    return MissingDependencyError(f"The package {error.name}, which {wanted} needs,", fix=fix)
+    return MissingDependencyError(f"The package {error.name}, which {needed_by} needs,", fix=fix)

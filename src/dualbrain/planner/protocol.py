@@ -27,6 +27,14 @@ def has_answer(proposal: Proposal) -> bool:
     return proposal.finish_reason.partition(":")[0] in (STOP, LENGTH, REFUSAL)
 
 
+def describe_failure(finish_reason: str) -> str:
+    """A sentence about an answer that did not come: "the planner did not answer: DETAIL"."""
+    kind, _, detail = finish_reason.partition(": ")
+    reasons = {TIMEOUT: "it exceeded the time limit", CRASHED: "its process ended", ERROR: "an error"}
+    reason = detail if kind == ERROR and detail else reasons.get(kind, kind) + (f" ({detail})" if detail else "")
+    return f"the planner did not answer: {reason}"
+
+
 class Planner(Protocol):
     """Turns an instruction into a proposal; knows nothing of the robot and is never believed (paper 3.2)."""
 

@@ -23,7 +23,7 @@ from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.memory.embedding.posture_features import Posture
 from dualbrain.memory.memory import StoreReport
 from dualbrain.planner.prompt.full_prompt import MAX_RECALLED
-from dualbrain.planner.protocol import STOP, has_answer
+from dualbrain.planner.protocol import STOP, describe_failure, has_answer
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Attempt, Episode, FailureFeedback, Judgement, Outcome, Proposal
 from dualbrain.runtime.agent import Agent
@@ -156,7 +156,7 @@ def _propose(
         text = storable_text(proposal.text)
         attempts.append(Attempt(msgspec.structs.replace(proposal, text=text), verdict, gate_s))
         executor.log.attempt(executor.state.stamp, attempts[-1])
-        executor.log.note(executor.state.stamp, "verdict", _format_verdict(shot, verdict))
+        executor.log.note(executor.state.stamp, "verdict", _format_attempt(shot, attempts[-1]))
         if isinstance(verdict, Accepted) or not has_answer(proposal):
             break
         contract_id = f"c-{shot + 1:04d}"
@@ -193,8 +193,13 @@ def _outcome_without_motion(executor: Executor, attempts: Sequence[Attempt]) -> 
     if not attempts:
         return Outcome(kind="rejected", reason=_format_verdict(0, None))
     if not has_answer(attempts[-1].proposal):
-        return Outcome(kind="stopped", reason=f"the planner gave no answer: {attempts[-1].proposal.finish_reason}")
+        return Outcome(kind="stopped", reason=describe_failure(attempts[-1].proposal.finish_reason))
     return Outcome(kind="rejected", reason=_format_verdict(len(attempts), attempts[-1].verdict))
+
+
+def _format_attempt(shot: int, attempt: Attempt) -> str:
+    finish_reason = attempt.proposal.finish_reason
+    return _format_verdict(shot, attempt.verdict) if has_answer(attempt.proposal) else describe_failure(finish_reason)
 
 
 def _format_verdict(shot: int, verdict: Verdict | None) -> str:

@@ -23,8 +23,8 @@ from dualbrain.adaptation.serving.open_planner import shadow_log_path
 from dualbrain.adaptation.serving.shadow import ShadowRecord
 from dualbrain.cli.adapters.registry import MIN_SHADOW_ANSWERS
 from dualbrain.cli.common.exit_codes import ExitCode
-from dualbrain.cli.run.run import DEFAULT_PLANNER
 from dualbrain.planner.protocol import STOP, TIMEOUT
+from dualbrain.planner.registry import DEFAULT_PLANNER
 from tests.adaptation.adapters.test_promotion import trial_results
 from tests.adaptation.adapters.test_registry import strip_file_hashes
 

@@ -14,8 +14,8 @@ from dualbrain.cli.common.console import StderrConsole, print_result, print_tabl
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.common.paths import cache_folder, dualbrain_home
 from dualbrain.cli.memory.open_memory import print_json
-from dualbrain.cli.run.run import DEFAULT_PLANNER
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError, DualbrainError
+from dualbrain.planner.registry import DEFAULT_PLANNER
 
 if TYPE_CHECKING:
     from dualbrain.adaptation.adapters.registry import AdapterRegistry

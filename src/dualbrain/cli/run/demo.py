@@ -1,33 +1,32 @@
-"""dualbrain demo: the main job in one command."""
+"""dualbrain demo: the main example in one command."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-DEMO_PLANNER = "starter-135m"
-"""Small, and comes with dualbrain but for what it sits on (98 MB). It knows a Panda at a table."""
+from dualbrain.cli.common.planner_choice import PACKAGED_PLANNER
 
 
 def demo(
     instruction: str = "put the red cube in the bowl",
     /,
     *,
-    planner: str = DEMO_PLANNER,
+    planner: str = PACKAGED_PLANNER,
     headless: bool = False,
     scene: str = "8",
 ) -> int:
-    """A person's forearm crosses the table while the arm does what it was told. Exits 0 only on real success.
+    """Run a task while a person's forearm crosses the table. Exit code 0 only if the simulator confirms the success.
 
     Parameters
     ----------
     instruction
-        What to do, in words.
+        The task in words (English).
     planner
-        Name from `dualbrain models list`, an adapter, or the URL of an OpenAI-compatible server.
+        A name from `dualbrain models list`, an adapter, or the URL of an OpenAI-compatible server.
     headless
-        No live view; then time runs as fast as it can, in one process.
+        Do not open the live view; the simulation then runs in one process, as fast as possible.
     scene
-        Which world; in scene 8 a forearm crosses the path, and the filter has to bend it.
+        A number, FAMILY:SEED or a scene file. In scene 8 a forearm crosses the path, and the filter changes the motion.
     """
     from dualbrain.cli.run.execution import RunView, default_config, execute_run
 

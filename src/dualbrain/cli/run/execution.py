@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from secrets import token_hex
@@ -20,6 +20,7 @@ from dualbrain.cli.common.console import StderrConsole, print_result
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.common.graphics import choose_graphics
 from dualbrain.cli.common.paths import cache_folder, dualbrain_home
+from dualbrain.cli.common.planner_choice import choose_planner
 
 NO_GRAPHICS_REASON = choose_graphics(os.environ)  # before MuJoCo is imported
 
@@ -83,10 +84,10 @@ def execute_run(config: RunConfig, view: RunView) -> ExitCode:
     console = StderrConsole()
     pace = _RealTimePacer() if view.live_view else None
     clocks = Clocks(time.monotonic, datetime.now(UTC).isoformat(timespec="seconds"), time.time, pace)
-    title = escape(storable_text(config.instruction, 400)) or "a given contract"
-    console.print(f"[bold]{title}[/]  [dim]{config.robot}, scene {config.scene}, {config.out}[/]")
     backend = GatekeeperBackend(view.speed_stage) if view.real_time else None
-    with Session(config, clocks, os.environ, backend=backend) as session:
+    with _open_session(config, clocks, backend, console) as session:
+        title = escape(storable_text(config.instruction, 400)) or "a given contract"
+        console.print(f"[bold]{title}[/]  [dim]{config.robot}, scene {config.scene}, {config.out}[/]")
         given = config.contract is not None
         if config.consult and not given and (reason := no_documents_reason(session.planner)):
             console.print(f"[yellow]{escape(reason)}[/]")
@@ -94,7 +95,7 @@ def execute_run(config: RunConfig, view: RunView) -> ExitCode:
         if backend is not None:
             backend.on_tick_report = feed.on_tick_report if feed else None
         camera = PhaseCamera(session.plant, console, NO_GRAPHICS_REASON)
-        spinner = Spinner(console, f"the planner thinks ({session.planner.name})")
+        spinner = Spinner(console, f"planning ({session.planner.name})")
         with interrupt_handler(session.interrupt):
             spinner.start()
             try:
@@ -107,7 +108,7 @@ def execute_run(config: RunConfig, view: RunView) -> ExitCode:
         if view.as_json:
             summary = run_summary(result.episode, config.out, result.earlier_episodes)
             print_result(msgspec.json.encode(summary).decode())
-        camera.take_snapshot("the end")
+        camera.take_snapshot("end of the run")
         camera.close()
         memories, report = project_memories(session.memory), config.out / "report.html"
         write_report(report, result.episode, result.trace, camera.snapshots, memories)
@@ -117,8 +118,22 @@ def execute_run(config: RunConfig, view: RunView) -> ExitCode:
     return exit_code(result.episode)
 
 
+def _open_session(config: RunConfig, clocks: Clocks, backend: GatekeeperBackend | None, console: Console) -> Session:
+    """Open all resources of the run, with the planner of `choose_planner` if none is named."""
+    name, notice = choose_planner(config.planner, config.robot, config.cache)
+    spinner = Spinner(console, "loading")
+    spinner.start()
+    try:
+        session = Session(replace(config, planner=name), clocks, os.environ, backend=backend)
+    finally:
+        spinner.stop()
+    if notice and config.contract is None:
+        console.print(f"[yellow]{escape(notice)}[/]")
+    return session
+
+
 def exit_code(episode: Episode) -> ExitCode:
-    """What the episode means to a shell: violations outrank everything but an interruption."""
+    """The exit code of an episode; a violation has priority over every other result except an interruption."""
     if episode.outcome.kind in ("aborted", "handed_over"):
         return ExitCode.INTERRUPTED
     if episode.judgement and episode.judgement.violations:
@@ -129,13 +144,13 @@ def exit_code(episode: Episode) -> ExitCode:
 
 
 def is_success(episode: Episode) -> bool:
-    """The robot says so and, where somebody knows the truth, the truth agrees."""
+    """Whether the robot reports success and the simulator, where there is one, confirms it."""
     truth = episode.judgement.success if episode.judgement else True
     return episode.outcome.kind in ("succeeded", "paused", "slowed") and truth
 
 
 def run_summary(episode: Episode, out: Path, earlier: Sequence[Episode] = ()) -> dict[str, Any]:
-    """The one object that `--json` prints; `earlier` are the tries that did not succeed."""
+    """The JSON object that `--json` prints; `earlier` are the tries that did not succeed."""
     outcome = episode.outcome
     last = episode.attempts[-1].verdict if episode.attempts else None
     return {
@@ -171,14 +186,14 @@ def _make_observer(console: Console, camera: PhaseCamera, feed: LiveFeed | None,
 
 
 def _print_result(console: Console, result: RunResult) -> None:
-    """The last lines: outcome, numbers, memory, where things lie."""
+    """Print outcome, measurements, times, violations, the judgement of the simulator, and changes of memory."""
     episode, outcome = result.episode, result.episode.outcome
     colour = "green" if is_success(episode) else "yellow"
     console.print(f"[bold {colour}]{outcome.kind}[/]: {escape(outcome.reason)}")
     if outcome.Delta is not None and outcome.h_min is not None:
         console.print(
-            f"Δ {outcome.Delta:.4f}, intervened on {outcome.intervention_frequency:.1%} of ticks, "
-            f"closest {outcome.h_min * 1000:.1f} mm beyond all margins, {outcome.duration:.1f} s of motion"
+            f"Δ {outcome.Delta:.4f}, intervention on {outcome.intervention_frequency:.1%} of ticks, "
+            f"minimum clearance {outcome.h_min * 1000:.1f} mm beyond all margins, {outcome.duration:.1f} s of motion"
         )
     if words := format_timings(episode.timings):
         console.print(words)
@@ -187,20 +202,20 @@ def _print_result(console: Console, result: RunResult) -> None:
             console.print(
                 f"[red]violation[/] {violation.kind} at {violation.start:.2f} s: {' × '.join(violation.bodies)}"
             )
-        console.print(f"simulator truth: {'success' if episode.judgement.success else 'no success'}")
+        console.print(f"simulator ground truth: {'success' if episode.judgement.success else 'no success'}")
     if episode.uses:
         console.print(f"retrieval utility: {summarize_uses(episode.uses)}")
     console.print(f"[dim]{result.store_report}[/]")
 
 
 class _RealTimePacer:
-    """Keeps simulated time from running ahead of the wall clock."""
+    """Prevents simulated time from running ahead of the wall clock."""
 
     def __init__(self) -> None:
         self._start: float | None = None
 
     def __call__(self, now: float) -> None:
-        """Sleep when `now` [s of simulation] is early."""
+        """Sleep until the wall clock reaches `now` [s of simulation]."""
         wall = time.monotonic()
         if self._start is None or wall - self._start > now + 0.2:
             self._start = wall - now

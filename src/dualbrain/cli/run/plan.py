@@ -1,4 +1,4 @@
-"""dualbrain plan: what the planner would be asked, what it answers, what the gate says of it; nothing moves."""
+"""dualbrain plan: ask the planner for a contract without moving a robot."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cyclopts import Parameter
 from dualbrain.cli.common.console import StderrConsole, print_result, print_table, sanitize_line
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.common.paths import cache_folder, dualbrain_home
-from dualbrain.cli.run.run import DEFAULT_PLANNER
+from dualbrain.cli.common.planner_choice import choose_planner
 from dualbrain.errors import UsageError
 
 if TYPE_CHECKING:
@@ -32,33 +32,34 @@ def plan(
     *,
     robot: str = "panda",
     scene: str = "0",
-    planner: str = DEFAULT_PLANNER,
+    planner: str = "",
     memory: Literal["on", "off"] = "on",
     knowledge: Literal["on", "off"] = "on",
     ledger: Path | None = None,
     shots: int = 2,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Plan one instruction and show everything; no robot, no simulation, and memory is only read.
+    """Plan one instruction and print every step; no robot, no simulation, and memory is only read.
 
     Parameters
     ----------
     instruction
-        What to do, in words.
+        The task in words (English).
     robot
-        Which body.
+        panda, fr3, ur5e, base or mobile_panda.
     scene
-        Which world the robot would see: a number, FAMILY:SEED or a scene file.
+        The scene: a number, FAMILY:SEED or a scene file.
     planner
-        Name from `dualbrain models list`, an adapter (`adapter:champion`), a GGUF file, or a server's URL.
+        A name from `dualbrain models list`, an adapter (`adapter:champion`), a GGUF file, or a server URL. Default: as
+        for `dualbrain run`.
     memory
-        "off" recalls nothing.
+        "off" retrieves no memories.
     knowledge
-        "off" consults no documents, as `dualbrain run` does unless told otherwise. An adapted planner reads none.
+        "off" retrieves no documents (the default of `dualbrain run`). An adapter reads no documents.
     ledger
-        Which memory; default in dualbrain's home. It is only read.
+        Memory ledger, read only. Default: ledger.sqlite in the data folder of dualbrain.
     shots
-        How often the planner may be asked, 1 to 5: after a refusal again, with the refusal in the prompt.
+        Number of attempts of the planner, 1 to 5; after a rejection the prompt states the reason.
     json
         Print one JSON object on stdout.
     """
@@ -71,20 +72,24 @@ def plan(
 
     if not instruction.strip() or not 1 <= shots <= MAX_SHOTS:
         raise UsageError(
-            "instruction and --shots", got=(instruction, shots), allowed=f"some words, and 1 to {MAX_SHOTS}"
+            "instruction and --shots",
+            got=(instruction, shots),
+            allowed=f"an instruction in words, and 1 to {MAX_SHOTS}",
         )
     console = StderrConsole()
     here = context_at_home(robot, scene_from_spec(open_scene(scene, robot)))
     with ExitStack() as stack:
-        reminder = stack.enter_context(_open_memory(ledger, here)) if memory == "on" else None
+        recall = stack.enter_context(_open_memory(ledger, here)) if memory == "on" else None
         look_up = stack.enter_context(_open_documents(here)) if knowledge == "on" else _no_documents
-        thinker = stack.enter_context(_open_planner(planner, here))
-        if knowledge == "on" and (why := no_documents_reason(thinker)):
-            console.print(why, markup=False)
-        waiting = Spinner(console, f"the planner thinks ({thinker.name})")
+        chosen, notice = choose_planner(planner, here.robot_model.name, cache_folder())
+        opened = stack.enter_context(_open_planner(chosen, here))
+        documents = no_documents_reason(opened) if knowledge == "on" else ""
+        for line in filter(None, (notice, documents)):
+            console.print(line, markup=False)
+        waiting = Spinner(console, f"planning ({opened.name})")
         waiting.start()
         try:
-            planned = ask(instruction, here, thinker, reminder, look_up, shots=shots, clock=time.perf_counter)
+            planned = ask(instruction, here, opened, recall, look_up, shots=shots, clock=time.perf_counter)
         finally:
             waiting.stop()
     if json:
@@ -97,7 +102,7 @@ def plan(
 
 
 def plan_summary(instruction: str, planned: DryRunResult) -> dict[str, Any]:
-    """The one object that `--json` prints."""
+    """The JSON object that `--json` prints."""
     last = planned.shots[-1].attempt
     return {
         "instruction": instruction,
@@ -141,19 +146,19 @@ def _accepted_contract(planned: DryRunResult) -> dict[str, Any] | None:
 
 
 def _print_plan(planned: DryRunResult) -> None:
-    """For people: prompt, retrieved, contract, verdict, time; text of models and documents cannot steer a terminal."""
+    """Print prompt, answer, verdict, retrieved items and times; control characters of models and documents are removed."""
     from dualbrain.runtime.planning_time import format_timings
 
     for number, shot in enumerate(planned.shots, start=1):
-        head = "prompt" if number == 1 else f"prompt of shot {number}: the last message"
+        head = "prompt" if number == 1 else f"prompt of attempt {number}: last message"
         print_result(f"── {head} " + "─" * 60)
         for message in shot.prompt if number == 1 else shot.prompt[-1:]:
             print_result(f"[{message['role']}]")
             for line in message["content"].splitlines():
                 print_result(sanitize_line(line))
         print_result(f"── answer of {shot.attempt.proposal.planner} " + "─" * 60)
-        print_result(sanitize_line(shot.attempt.proposal.text) or f"none: {shot.attempt.proposal.finish_reason}")
-        for line in _verdict_lines(shot.attempt.verdict):
+        print_result(sanitize_line(shot.attempt.proposal.text) or "no text")
+        for line in _verdict_lines(shot.attempt):
             print_result(line)
     print_result("── retrieved " + "─" * 60)
     _print_retrieved(planned)
@@ -164,10 +169,8 @@ def _print_plan(planned: DryRunResult) -> None:
 
 def _print_retrieved(planned: DryRunResult) -> None:
     recall = planned.recall
-    avoid = "avoid, not shown" if "warnings" in planned.unsupported_fields else "avoid"
-    shown = (
-        "what was found, not shown to this planner" if "passages" in planned.unsupported_fields else "what was shown"
-    )
+    avoid = "avoid (not in the prompt)" if "warnings" in planned.unsupported_fields else "avoid"
+    shown = "passage (not in the prompt of this planner)" if "passages" in planned.unsupported_fields else "passage"
     rows = [
         (
             use,
@@ -185,16 +188,21 @@ def _print_retrieved(planned: DryRunResult) -> None:
         print_table(("use", "rank", "R", "s", "w", "memory", "instruction"), rows, wrap_columns=("instruction",))
     if recall.passages:
         quoted = [(str(one.rank), one.citation, one.trust, f"{one.likeness:.3f}", one.text) for one in recall.passages]
-        print_table(("rank", "citation", "trust", "likeness", shown), quoted, wrap_columns=(shown,))
+        print_table(("rank", "citation", "trust", "similarity", shown), quoted, wrap_columns=(shown,))
     if not rows and not recall.passages:
         print_result("nothing")
 
 
-def _verdict_lines(verdict: Any) -> Iterator[str]:
-    """The gate's stages, the one that refused with what would be allowed."""
+def _verdict_lines(attempt: Any) -> Iterator[str]:
+    """The stages of the gate; for a rejection the value found and the values allowed."""
     from dualbrain.contracts.verdict import Accepted
+    from dualbrain.planner.protocol import describe_failure, has_answer
     from dualbrain.runtime.episode import STAGES
 
+    verdict = attempt.verdict
+    if not has_answer(attempt.proposal):
+        yield sanitize_line(f"no answer: {describe_failure(attempt.proposal.finish_reason)}")
+        return
     if isinstance(verdict, Accepted):
         yield "accepted: " + ", ".join(f"{stage} ✓" for stage in STAGES)
         return
@@ -203,12 +211,12 @@ def _verdict_lines(verdict: Any) -> Iterator[str]:
     yield sanitize_line(f"got {verdict.got!r}, allowed {verdict.allowed!r}: {verdict.hint}")
 
 
-# --- what a plan is made from -----------------------------------------------------------------------------------------
+# --- memory, documents and planner ------------------------------------------------------------------------------------
 
 
 @contextmanager
 def _open_memory(ledger: Path | None, here: PlanningContext) -> Generator[Retriever | None]:
-    """Memory for reading; none where no run has written one yet."""
+    """The memory, read only; None if no run has written one yet."""
     from dualbrain.cli.memory.open_memory import ledger_path, load_encoder
     from dualbrain.memory.config import MemoryConfig
     from dualbrain.memory.embedding.posture_features import PostureLimits
@@ -225,7 +233,7 @@ def _open_memory(ledger: Path | None, here: PlanningContext) -> Generator[Retrie
 
 @contextmanager
 def _open_documents(here: PlanningContext) -> Generator[PassageRetriever]:
-    """The documents, as a run with `--knowledge on` asks them."""
+    """The documents, as in a run with `--knowledge on`."""
     from dualbrain.cli.memory.open_memory import load_encoder
     from dualbrain.grounding.document_retrieval import retrieve_passages
     from dualbrain.knowledge.builtin_documents import open_library

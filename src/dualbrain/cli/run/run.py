@@ -1,4 +1,4 @@
-"""dualbrain run: words (or a given contract) become safe motion; a run folder, a report and an account remain."""
+"""dualbrain run: run one instruction, or one given contract, on a simulated robot."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from dualbrain.cli.common.arguments import parse_fraction
 from dualbrain.errors import UsageError
 from dualbrain.memory.plasticity.rule import EPSILON
 
-DEFAULT_PLANNER = "qwen2.5-coder-1.5b-instruct"
 MAX_TRIES = 5
 
 
@@ -24,7 +23,7 @@ def run(
     *,
     robot: str = "panda",
     scene: str = "0",
-    planner: str = DEFAULT_PLANNER,
+    planner: str = "",
     filter: Literal["on", "off"] = "on",
     contract: Path | None = None,
     goal: str = "",
@@ -44,59 +43,61 @@ def run(
     speed: str = "100%",
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Run one instruction on the simulated robot.
+    """Run one instruction on a simulated robot, and write a run folder with recording, episode and report.
 
     Parameters
     ----------
     instruction
-        What to do, in words. May be empty with --contract.
+        The task in words (English). Optional with --contract.
     robot
-        Which body: panda, fr3, ur5e, base or mobile_panda.
+        panda, fr3, ur5e, base or mobile_panda.
     scene
-        Which world: a number, FAMILY:SEED (bare, tabletop, tall, shelf, forearm, edge, fragile; of a base boxes,
-        crossing, aisles; of mobile_panda workroom, busy_workroom) or a scene file.
+        A number, FAMILY:SEED (bare, tabletop, tall, shelf, forearm, edge, fragile, sorting; for a base boxes, crossing,
+        aisles; for mobile_panda workroom, busy_workroom), or a scene file.
     planner
-        Name from `dualbrain models list`, an adapter (`adapter:ID`, `adapter:champion`, or one that comes with
-        dualbrain), or the URL of an OpenAI-compatible server.
+        A name from `dualbrain models list`, an adapter (`adapter:ID`, `adapter:champion`), a GGUF file, or the URL of an
+        OpenAI-compatible server (its key is read from OPENAI_API_KEY). Default: qwen2.5-coder-1.5b-instruct, or a
+        packaged planner if that model is not downloaded.
     filter
-        "off" writes the nominal control unfiltered: for comparison in simulation only.
+        "off" sends the nominal control unfiltered, for comparison in simulation only.
     contract
-        Run this contract file instead of asking a planner; it passes the same gate.
+        Contract file (JSON) to run instead of asking a planner; it passes the same gate.
     goal
-        What counts as success on truth, as "put THING in DESTINATION", in a room also "go to PLACE"; default: what the
-        contract itself says.
+        Criterion of success on simulator ground truth: "put OBJECT in DESTINATION", in a room also "go to PLACE".
+        Default: the goal that the contract states.
     site
-        Site file (TOML): planes, keep-out boxes, tool, payload, caps, who may command; see docs/site.md.
+        Site file (TOML): planes, keep-out boxes, tool, payload, caps and permissions; see docs/how-to/site.md.
     headless
-        No live view.
+        Do not open the live view.
     out
-        Run folder; default: a new one in runs/, named after the time.
+        Run folder. Default: a new folder in runs/, named after the time.
     ledger
-        Memory to use; default in dualbrain's home.
+        Memory ledger. Default: ledger.sqlite in the data folder of dualbrain.
     seed
-        Everything random after the scene (perception).
+        Seed of the perception noise.
     tries
-        How many contracts may be carried out, 1 to 5: after one that failed or was taken over the planner is told why
-        (an adapter is not: it draws another answer).
+        Number of contracts that may be executed, 1 to 5. After a contract that failed or was taken over, the prompt
+        states the reason (an adapter samples another answer instead).
     port
-        Where the live view listens, on this machine only.
-    eyes
-        A picture of the scene, as features, becomes part of what memory compares (needs `efficientnet-lite0`).
+        Port of the live view, on the loopback interface.
     knowledge
-        "on" shows the planner up to three passages of your documents that bear on the task (`dualbrain knowledge`); an
-        adapter reads none.
+        "on" puts up to three passages of your documents about the task into the prompt (`dualbrain knowledge`); an
+        adapter reads no documents.
+    image_memory
+        Compare memories by image features of the scene too (needs `efficientnet-lite0`).
     utility
-        Afterwards ask the planner again without each memory it was shown, to tell which was of use; answers are kept.
+        After the run, ask the planner again without each retrieved memory, to measure which memory changed its answer;
+        the answers are cached.
     epsilon
-        ε of memory: with more Δ than this even a success lowers the weights of what led to it. Set it for your robot,
-        to the median Δ of some successes that were corrected.
+        Intervention threshold ε: a successful episode with Δ > ε lowers the weights of the memories it used. Set it to
+        the median Δ of pilot successes of your robot.
     map
-        MAP:FRAME, a map among the documents and its frame at the robot's base: its places on the table get names; for a
-        base those on the floor, and its regions bound where it drives.
+        MAP:FRAME, a map among the documents and its frame at the robot's base: adds its named places on the table to the
+        scene; for a base its places on the floor and the regions in which it may drive.
     live
-        In real time and two processes: a gatekeeper holds robot, filter and supervisor, and outlives the planner.
+        Run in real time in two processes: a gatekeeper owns robot, filter and supervisor, and survives the planner.
     speed
-        With --live: the speed stage to begin with, as 10% or 0.1; `dualbrain operate` changes it.
+        With --live: initial speed scale, as 10% or 0.1; `dualbrain operate` changes it.
     json
         Print one JSON object on stdout.
     """
@@ -104,15 +105,15 @@ def run(
         raise UsageError(
             "instruction",
             got=instruction,
-            allowed="some words, or --contract FILE",
+            allowed="an instruction in words, or --contract FILE",
             fix='For example: dualbrain run "put the red cube in the bowl"',
         )
     if not 1 <= tries <= MAX_TRIES:
         raise UsageError("--tries", got=tries, allowed=f"1 to {MAX_TRIES}")
     if not 0.0 <= epsilon < inf:
-        raise UsageError("--epsilon", got=epsilon, allowed="a number, 0 or more")
+        raise UsageError("--epsilon", got=epsilon, allowed="a finite number, at least 0")
     if live and filter == "off":
-        raise UsageError("--filter", got="off", allowed="on, with --live: the gatekeeper cannot do without")
+        raise UsageError("--filter", got="off", allowed="on (a gatekeeper always filters)")
     from dualbrain.cli.run.execution import RunView, default_config, execute_run
 
     config = replace(
