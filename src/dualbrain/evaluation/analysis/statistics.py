@@ -1,7 +1,8 @@
 """Intervals and tests for paired, clustered episodes (paper 7.5).
 
-Episodes of one run share a ledger, and episodes in one scene share its difficulty: runs (clusters) are drawn, not
-episodes. Methods are compared on the same clusters, so that what a scene makes hard is subtracted.
+Episodes of one run share a ledger, and episodes in one scene share its difficulty. The bootstrap therefore resamples
+clusters (runs), not episodes, and methods are compared on the same clusters, so that the difficulty of a scene cancels.
+`docs/explanation/statistics.md` lists the methods, their references and the measured coverage of the intervals.
 """
 
 from __future__ import annotations
@@ -20,15 +21,19 @@ Clusters = Mapping[str, Sequence[float]]
 
 N_RESAMPLES = 20_000
 CONFIDENCE_LEVEL = 0.95
-MAX_EXACT_CLUSTERS, N_SIGN_DRAWS = 16, 99_999
-"""Up to so many clusters all sign changes are counted; of more, so many are drawn."""
+N_SIGN_DRAWS = 99_999
+"""Number of sign patterns of the sign-flip test. Up to 16 clusters have fewer patterns: all are then counted."""
+SIGN_BATCH = 20_000
+"""Sign patterns held in memory at a time."""
 MIN_CLUSTERS_FOR_BOOTSTRAP = 5
-"""A rate whose hits, or whose misses, lie in fewer clusters has too little to be resampled."""
+"""A rate is resampled only if at least this many clusters contain a hit, and this many a miss."""
+MIN_CLUSTERS_FOR_VARIANCE = 2
+"""The variance of a rate is estimated only if at least this many clusters contain a hit, and this many a miss."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimate:
-    """Mean ± standard deviation over `n` values of `clusters` clusters, with a 95 % interval; NaN without values."""
+    """Mean, standard deviation and 95 % interval of `n` values in `clusters` clusters; NaN if there are no values."""
 
     mean: float
     sd: float
@@ -39,11 +44,11 @@ class Estimate:
 
 
 def estimate(values: Clusters, *, is_rate: bool = False, seed: int = 0) -> Estimate:
-    """Mean over all values; the interval by a bootstrap over clusters.
+    """Mean over all values, with an interval from a bootstrap over clusters.
 
-    A `rate` (values 0 and 1) whose hits or misses lie in fewer than `FEW` clusters has Jeffreys' interval of as many
-    trials as its episodes are worth (`trials`). Any other number of a single cluster, or that is the same everywhere,
-    has no spread to draw from, and its interval is unbounded (−∞ to ∞).
+    A rate (values 0 and 1) that has hits, or misses, in fewer than `MIN_CLUSTERS_FOR_BOOTSTRAP` clusters gets the
+    interval of `korn_graubard_interval`. Any other quantity that comes from a single cluster, or that has the same
+    value everywhere, has no spread to resample, and its interval is unbounded (−∞ to ∞).
     """
     filled = [np.array(one, float) for one in values.values() if len(one)]
     if not filled:
@@ -63,97 +68,120 @@ def _bootstrap_interval(clusters: Sequence[Array], seed: int) -> tuple[float, fl
 def _rate_interval(clusters: Sequence[Array], seed: int) -> tuple[float, float]:
     if min(_hit_and_miss_clusters(clusters)) >= MIN_CLUSTERS_FOR_BOOTSTRAP:
         return _bootstrap_interval(clusters, seed)
-    share, n = float(np.concatenate(clusters).mean()), effective_trials(clusters)
-    return jeffreys_interval(share * n, n)
+    return korn_graubard_interval(clusters)
 
 
-def effective_trials(clusters: Sequence[Array]) -> float:
-    """What the episodes of a rate are worth: n/D with D = 1 + (n̄ − 1)ρ, n̄ episodes a cluster on average.
+def korn_graubard_interval(clusters: Sequence[Array]) -> tuple[float, float]:
+    """95 % interval of a rate in clusters: Clopper-Pearson at the effective sample size (Korn and Graubard 1998).
 
-    ρ = (1 + mρ̂)/(1 + m) is the correlation within a cluster that the design effect tells, ρ̂, and that of one cluster
-    more in which it is whole; m clusters hold a hit and a miss the less of. So what never happened in ten episodes of
-    one scene was seen once not to happen, and what happened in one scene of many is not believed to be independent.
+    With the rate p and n* = `effective_sample_size(clusters)`, the interval is that of p·n* hits in n* independent
+    trials.
     """
-    n, m = sum(map(len, clusters)), min(_hit_and_miss_clusters(clusters))
-    size = n / len(clusters)
-    seen = min((design_effect(clusters) - 1.0) / (size - 1.0), 1.0) if size > 1.0 else 0.0
-    return n / (1.0 + (size - 1.0) * (1.0 + m * seen) / (1.0 + m))
+    n = effective_sample_size(clusters)
+    return _binomial_interval(float(np.concatenate(clusters).mean()) * n, n, "beta")
+
+
+def _binomial_interval(hits: float, n: float, method: str) -> tuple[float, float]:
+    """95 % interval of a share of independent trials; `hits` and `n` need not be integers."""
+    from statsmodels.stats.proportion import proportion_confint  # noqa: PLC0415  (heavy imports are lazy)
+
+    low, high = np.array(proportion_confint(hits, n, alpha=1.0 - CONFIDENCE_LEVEL, method=method), float)
+    return float(low), float(high)
+
+
+def effective_sample_size(clusters: Sequence[Array]) -> float:
+    """Effective sample size n* of a rate p, measured by n episodes in m clusters (Korn and Graubard 1998).
+
+    n* = n_eff (t_{n−1}/t_{m−1})², where t_k is the 0.975 quantile of Student's t with k degrees of freedom, and
+    n_eff = p(1 − p)/var(p) = n/D with the design effect D ≥ 1 of `design_effect`, so that n_eff ≤ n.
+
+    Convention where var(p) cannot be estimated: if fewer than two clusters contain a hit (or a miss), n* = m, which is
+    n divided by the largest possible design effect, that of fully correlated episodes. Reasons: without hits the
+    estimated variance is 0, and with hits in one cluster it rests on that cluster alone. For every correlation within
+    clusters the probability of no hit in a cluster is at most 1 − p, and that of no hit at all at most (1 − p)^m, so
+    the upper end for 0 hits, 1 − 0.025^(1/m), keeps its level. Survey software often sets n* = n instead, which assumes
+    that the episodes of a cluster are independent.
+    """
+    n, m = sum(map(len, clusters)), len(clusters)
+    if min(_hit_and_miss_clusters(clusters)) < MIN_CLUSTERS_FOR_VARIANCE:
+        return float(m)
+    level = 0.5 * (1.0 + CONFIDENCE_LEVEL)
+    t_ratio = float(stats.t(n - 1).ppf(level) / stats.t(m - 1).ppf(level))
+    return n / design_effect(clusters) * t_ratio**2
 
 
 def _hit_and_miss_clusters(clusters: Sequence[Array]) -> tuple[int, int]:
-    """How many clusters hold a hit, and how many a miss."""
+    """Number of clusters that contain a hit, and number that contain a miss."""
     return sum(bool(one.max()) for one in clusters), sum(not one.min() for one in clusters)
 
 
 def _bootstrap_means(clusters: Sequence[Array], seed: int) -> Array:
-    """Means of resampled clusters, (RESAMPLES,)."""
+    """Means of resampled clusters, shape (N_RESAMPLES,)."""
     sums, counts = (np.array([f(one) for one in clusters], float) for f in (np.sum, len))
     chosen = np.random.default_rng([seed, len(clusters)]).integers(len(clusters), size=(N_RESAMPLES, len(clusters)))
     return sums[chosen].sum(axis=1) / counts[chosen].sum(axis=1)
 
 
 def percentile_interval(draws: Array, n: int) -> tuple[float, float]:
-    """The 95 % interval of bootstrap draws from `n` things: percentiles, expanded for few (Hesterberg 2015, 4.3).
+    """95 % interval from bootstrap draws of `n` units: percentiles, expanded for small n (Hesterberg 2015, 4.3).
 
-    Instead of α/2 the tails are Φ(−sqrt(n/(n−1)) t_{1−α/2, n−1}); plain percentiles of ten things cover some 89 %.
+    The tails are Φ(−sqrt(n/(n−1)) t_{1−α/2, n−1}) instead of α/2. Plain percentiles of ten units cover about 89 %.
     """
     wide = np.sqrt(n / (n - 1)) * stats.t(n - 1).ppf(0.5 * (1.0 + CONFIDENCE_LEVEL))
-    tail, told = float(stats.norm.cdf(-wide)), np.sort(draws[~np.isnan(draws)])
-    return _quantile(told, tail), _quantile(told, 1.0 - tail)
-
-
-def _quantile(ordered: Array, share: float) -> float:
-    """The linear quantile of sorted draws; unlike numpy's it knows that nothing lies between infinity and itself."""
-    place = share * (len(ordered) - 1)
-    below, above = (float(ordered[step]) for step in (math.floor(place), math.ceil(place)))
-    return below if below == above else below + (above - below) * (place - math.floor(place))
+    tail = float(stats.norm.cdf(-wide))
+    with np.errstate(invalid="ignore"):
+        ends = np.quantile(draws[~np.isnan(draws)], (tail, 1.0 - tail))
+    low, high = np.where(np.isnan(ends), np.inf, ends)  # numpy's value between two infinite ratios is NaN
+    return float(low), float(high)
 
 
 def jeffreys_interval(hits: float, n: float) -> tuple[float, float]:
-    """Jeffreys' 95 % interval of a share: quantiles of Beta(hits + ½, n − hits + ½), with the ends closed."""
-    beta, tail = stats.beta(hits + 0.5, n - hits + 0.5), 0.5 * (1.0 - CONFIDENCE_LEVEL)
-    low, high = float(beta.ppf(tail)), float(beta.ppf(1.0 - tail))
+    """Jeffreys' 95 % interval of a share: quantiles of Beta(hits + ½, n − hits + ½).
+
+    The lower end is 0 without hits, the upper end 1 without misses.
+    """
+    low, high = _binomial_interval(hits, n, "jeffreys")
     return (0.0 if hits == 0 else low), (1.0 if hits == n else high)
 
 
 def rate_ratio_interval(a: Clusters, b: Clusters, *, seed: int = 0) -> tuple[float, float]:
-    """The 95 % interval of the ratio of two shares on the same clusters, either of which may be 0.
+    """95 % interval of the ratio of two rates on the same clusters; either rate may be 0.
 
-    Each share is drawn from its Jeffreys posterior, Beta(k/D + ½, (n − k)/D + ½) with k hits of n: episodes count as
-    many as they are worth where hits come together, n/D. So a share of 0 has a spread, too, and it is that of the
-    scenes in which the other share was found. As with `jeffreys` the ends are closed: without a hit in `a` it begins at
-    0, without one in `b` it never ends.
+    Each rate is drawn from its Jeffreys posterior Beta(k/D + ½, (n − k)/D + ½), with k hits in n episodes and the
+    larger design effect D of the two sides. A rate of 0 therefore has a spread, too. As in `jeffreys_interval` the ends
+    are closed: without a hit in `a` the interval starts at 0, without one in `b` it has no upper end.
     """
     names = sorted(a.keys() & b.keys())
     if len(names) < 2:
         return 0.0, np.inf
     sides = [[np.array(one[name], float) for name in names] for one in (a, b)]
-    worth, rng = max(map(design_effect, sides)), np.random.default_rng([seed, 1])
-    hits, n = (np.array([[f(np.concatenate(side)) / worth] for side in sides]) for f in (np.sum, len))
+    effect, rng = max(map(design_effect, sides)), np.random.default_rng([seed, 1])
+    hits, n = (np.array([[f(np.concatenate(side)) / effect] for side in sides]) for f in (np.sum, len))
     ours, theirs = rng.beta(hits + 0.5, n - hits + 0.5, size=(2, N_RESAMPLES))
     low, high = percentile_interval(ours / theirs, len(names))
     return (low if hits[0, 0] else 0.0), (high if hits[1, 0] else np.inf)
 
 
 def design_effect(clusters: Sequence[Array]) -> float:
-    """D ≥ 1: the variance of a share over clusters, as a multiple of that of as many independent episodes (Kish 1965).
+    """Design effect D ≥ 1: variance of a rate over clusters relative to as many independent episodes (Kish 1965).
 
-    Where nothing differs, or of one cluster, it cannot be told, and is 1.
+    D = n var(p)/(p(1 − p)) with var(p) = m/(m − 1) Σ(k_i − p n_i)²/n² over m clusters with k_i hits in n_i episodes.
+    If no value differs, or if there is a single cluster, D cannot be estimated and is 1.
     """
     hits, n = (np.array([f(one) for one in clusters], float) for f in (np.sum, len))
     share, count = hits.sum() / n.sum(), len(clusters)
     if not 0.0 < share < 1.0 or count < 2:
         return 1.0
-    spread = count / (count - 1) * np.sum((hits - share * n) ** 2) / n.sum() ** 2
-    return max(1.0, float(spread * n.sum() / (share * (1.0 - share))))
+    variance = count / (count - 1) * np.sum((hits - share * n) ** 2) / n.sum() ** 2
+    return max(1.0, float(variance * n.sum() / (share * (1.0 - share))))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairedComparison:
-    """One quantity of `a` against `b` on common clusters: an effect with its interval, a test, sizes.
+    """Comparison of `a` with `b` on common clusters: an effect with its interval, two tests, two effect sizes.
 
-    `p` is that of a sign-flip permutation of the differences of cluster means (two-sided), `wilcoxon` that of the
-    signed-rank test; `dz` their mean over their standard deviation, `rank_biserial` in [−1, 1].
+    `p` is the two-sided p value of a sign-flip permutation test of the differences of cluster means, `wilcoxon` that of
+    the signed-rank test. `dz` is the mean difference over its standard deviation, `rank_biserial` is in [−1, 1].
     """
 
     effect: float
@@ -185,26 +213,32 @@ NO_COMPARISON = PairedComparison(
 
 
 def compare(a: Clusters, b: Clusters, effect: Callable[[Array, Array], Array], *, seed: int = 0) -> PairedComparison:
-    """`how(mean of a, mean of b)` is the effect: a difference or a ratio; its interval by drawing common clusters."""
+    """Compare `a` with `b`: `effect(mean of a, mean of b)`, with an interval from resampling the common clusters.
+
+    Args:
+        a: Values by cluster.
+        b: Values by cluster; only clusters with values on both sides count.
+        effect: `difference` or `ratio`.
+        seed: Seed of the resampling and of the sign-flip test.
+    """
     names = sorted(name for name in a.keys() & b.keys() if len(a[name]) and len(b[name]))
     if not names:
         return NO_COMPARISON
     ours, theirs = ([np.array(one[name], float) for name in names] for one in (a, b))
-    draws = effect(
-        _bootstrap_means(ours, seed), _bootstrap_means(theirs, seed)
-    )  # the same seed and count: the same clusters
+    # the same seed and count: both sides resample the same clusters
+    draws = effect(_bootstrap_means(ours, seed), _bootstrap_means(theirs, seed))
     whole = effect(*(np.array([np.concatenate(one).mean()]) for one in (ours, theirs)))
-    difference = np.array([x.mean() - y.mean() for x, y in zip(ours, theirs, strict=True)])
+    differences = np.array([x.mean() - y.mean() for x, y in zip(ours, theirs, strict=True)])
     low, high = percentile_interval(draws, len(names)) if len(names) > 1 else (-np.inf, np.inf)
-    sd = float(difference.std(ddof=1)) if len(names) > 1 else 0.0
+    sd = float(differences.std(ddof=1)) if len(names) > 1 else 0.0
     return PairedComparison(
         effect=float(whole[0]),
         low=low,
         high=high,
-        p=sign_flip_p(difference, seed=seed),
-        wilcoxon=wilcoxon_p(difference),
-        dz=float(difference.mean()) / sd if sd else float("nan"),
-        rank_biserial=rank_biserial(difference),
+        p=sign_flip_p(differences, seed=seed),
+        wilcoxon=wilcoxon_p(differences),
+        dz=float(differences.mean()) / sd if sd else float("nan"),
+        rank_biserial=rank_biserial(differences),
         clusters=len(names),
     )
 
@@ -215,45 +249,49 @@ def difference(a: Array, b: Array) -> Array:
 
 
 def ratio(a: Array, b: Array) -> Array:
-    """A / b; 1 where both are 0, infinite where only b is."""
+    """A / b; 1 where both are 0, infinite where only b is 0."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(b > 0.0, a / np.where(b > 0.0, b, 1.0), np.where(a > 0.0, np.inf, 1.0))
 
 
-def sign_flip_p(difference: Array, *, seed: int = 0) -> float:
-    """Two-sided p of a mean that is 0 under random signs: exact for few values, else `SIGNS` draws and the data."""
-    d = np.asarray(difference, float)
-    if not len(d) or not np.any(d):
+def sign_flip_p(differences: Array, *, seed: int = 0) -> float:
+    """Two-sided p value of a mean of 0 under random signs; exact up to 16 values, else from `N_SIGN_DRAWS` patterns."""
+    d = np.asarray(differences, float)
+    if len(d) < 2 or not np.any(d):  # a single value is as large with either sign
         return 1.0
-    if len(d) <= MAX_EXACT_CLUSTERS:
-        signs = 1.0 - 2.0 * ((np.arange(2 ** len(d))[:, None] >> np.arange(len(d))) & 1)
-        return float(np.mean(np.abs(signs @ d) >= abs(d.sum()) - 1e-12))
-    signs = np.random.default_rng([seed, len(d)]).choice((-1.0, 1.0), size=(N_SIGN_DRAWS, len(d)))
-    return float((1 + np.sum(np.abs(signs @ d) >= abs(d.sum()) - 1e-12)) / (N_SIGN_DRAWS + 1))
+    found = stats.permutation_test(
+        (d,),
+        lambda signed, axis: np.abs(signed.sum(axis=axis)),
+        permutation_type="samples",
+        alternative="greater",
+        vectorized=True,
+        n_resamples=N_SIGN_DRAWS,
+        batch=SIGN_BATCH,
+        rng=np.random.default_rng([seed, len(d)]),
+    )
+    return float(found.pvalue)
 
 
-def wilcoxon_p(difference: Array) -> float:
-    """Two-sided p of Wilcoxon's signed-rank test; 1 where all differences are 0."""
-    d = np.asarray(difference, float)
+def wilcoxon_p(differences: Array) -> float:
+    """Two-sided p value of Wilcoxon's signed-rank test; 1 if all differences are 0."""
+    d = np.asarray(differences, float)
     return float(np.asarray(stats.wilcoxon(d))[1]) if np.any(d) else 1.0
 
 
-def rank_biserial(difference: Array) -> float:
-    """Matched-pairs rank-biserial correlation: (ranks of gains − ranks of losses) / all ranks; 0 where all are 0."""
-    d = np.asarray(difference, float)
+def rank_biserial(differences: Array) -> float:
+    """Matched-pairs rank-biserial correlation: (ranks of gains − ranks of losses)/all ranks; 0 if all are 0."""
+    d = np.asarray(differences, float)
     d = d[d != 0.0]
     ranks = stats.rankdata(np.abs(d))
     return float((ranks[d > 0].sum() - ranks[d < 0].sum()) / ranks.sum()) if len(d) else 0.0
 
 
 def holm_correction(p: Sequence[float]) -> list[float]:
-    """P values corrected for their number by Holm's step-down method; NaN stays, and is not counted."""
+    """P values corrected by Holm's step-down method; NaN stays NaN and is not counted."""
+    from statsmodels.stats.multitest import multipletests  # noqa: PLC0415  (heavy imports are lazy)
+
     values = np.array(p, float)
-    known = np.flatnonzero(~np.isnan(values))
-    order = known[np.argsort(values[known])]
-    corrected = values.copy()
-    least = 0.0
-    for place, index in enumerate(order):
-        least = max(least, min(1.0, (len(known) - place) * values[index]))
-        corrected[index] = least
-    return corrected.tolist()
+    known = ~np.isnan(values)
+    if known.any():
+        values[known] = np.asarray(multipletests(values[known], method="holm")[1], float)
+    return values.tolist()
