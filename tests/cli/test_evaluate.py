@@ -1,4 +1,4 @@
-"""What `dualbrain evaluate` says beforehand, refuses, misses, and leaves to go on with."""
+"""`dualbrain evaluate`: estimates, rejected suites, missing dependencies, interruption."""
 
 import time
 
@@ -23,39 +23,39 @@ from dualbrain.evaluation.runner.workload import compute_workload
 from tests.evaluation.sample_rows import fake_result_lines
 
 
-def test_a_dry_run_flies_nothing_and_says_how_long(tmp_path, capsys):
-    asked = ["evaluate", "--suite", "smoke", "--dry-run", "--json", "--episodes", "3", "--out", str(tmp_path / "x")]
-    assert run_command_line([*asked, "--methods", "B1,M"]) == 0
-    told = msgspec.json.decode(capsys.readouterr().out)
-    assert told["left"] == {"pilot": 0, "start": 1, "plan": 0, "fly": 6}
-    assert told["basis"] == "a guess"
+def test_a_dry_run_runs_nothing_and_estimates_the_duration(tmp_path, capsys):
+    command = ["evaluate", "--suite", "smoke", "--dry-run", "--json", "--episodes", "3", "--out", str(tmp_path / "x")]
+    assert run_command_line([*command, "--methods", "B1,M"]) == 0
+    estimate = msgspec.json.decode(capsys.readouterr().out)
+    assert estimate["left"] == {"pilot": 0, "start": 1, "plan": 0, "fly": 6}
+    assert estimate["basis"] == "a guess"
     assert not (tmp_path / "x").exists()
     assert run_command_line(["evaluate", "--methods", "B9", "--dry-run"]) == 5
     assert run_command_line(["evaluate", "--suite", "paper", "--dry-run"]) == 5
     assert "--planner adapted=adapter:ID" in capsys.readouterr().err
-    named = "adapted=base-135m,base=template"
+    planners = "adapted=base-135m,base=template"
     assert (
         run_command_line(
-            ["evaluate", "--suite", "paper", "--dry-run", "--planner", named, "--out", str(tmp_path / "y")]
+            ["evaluate", "--suite", "paper", "--dry-run", "--planner", planners, "--out", str(tmp_path / "y")]
         )
         == 0
     )
 
 
-def test_a_guess_of_a_dry_run_is_that_of_the_model_that_answers(tmp_path, capsys):
+def test_the_assumed_request_time_is_that_of_the_model_that_answers(tmp_path, capsys):
     sources = PlannerSources(tmp_path, tmp_path)
     for small in ("base-135m", "adapter:starter-135m", "transformers:base-135m", "smollm2-135m-instruct"):
         assert default_request_time(small, sources) == DEFAULT_SMALL_MODEL_REQUEST_S
     for large in ("qwen2.5-coder-1.5b-instruct", "transformers:qwen2.5-coder-1.5b-instruct", "http://host/v1"):
         assert default_request_time(large, sources) == DEFAULT_LARGE_MODEL_REQUEST_S
-    asked = ["evaluate", "--suite", "paper", "--methods", "B3,P", "--dry-run", "--json", "--jobs", "1"]
-    asked += ["--planner", "base=template,prompted=template,adapted=base-135m", "--out", str(tmp_path / "x")]
-    assert run_command_line(asked) == 0
+    command = ["evaluate", "--suite", "paper", "--methods", "B3,P", "--dry-run", "--json", "--jobs", "1"]
+    command += ["--planner", "base=template,prompted=template,adapted=base-135m", "--out", str(tmp_path / "x")]
+    assert run_command_line(command) == 0
     one = msgspec.json.decode(capsys.readouterr().out)
     assert one["question_s"] == {"base-135m": DEFAULT_SMALL_MODEL_REQUEST_S}
     assert one["episode_s"] == DEFAULT_EPISODE_S
-    asked[asked.index("--planner") + 1] = "base=qwen2.5-coder-1.5b-instruct,adapted=base-135m"
-    assert run_command_line(asked) == 0
+    command[command.index("--planner") + 1] = "base=qwen2.5-coder-1.5b-instruct,adapted=base-135m"
+    assert run_command_line(command) == 0
     both = msgspec.json.decode(capsys.readouterr().out)
     assert both["question_s"] == {
         "qwen2.5-coder-1.5b-instruct": DEFAULT_LARGE_MODEL_REQUEST_S,
@@ -67,9 +67,9 @@ def test_a_guess_of_a_dry_run_is_that_of_the_model_that_answers(tmp_path, capsys
     assert both["hours"]["planning"] - one["hours"]["planning"] == pytest.approx(more)
 
 
-def test_what_was_measured_in_a_folder_comes_before_a_guess_planner_by_planner(tmp_path, capsys):
-    asked = ["evaluate", "--suite", "paper", "--methods", "B3,P", "--dry-run", "--json", "--out", str(tmp_path)]
-    asked += ["--planner", "adapted=starter-135m"]
+def test_times_measured_in_the_folder_replace_the_assumed_ones_by_planner(tmp_path, capsys):
+    command = ["evaluate", "--suite", "paper", "--methods", "B3,P", "--dry-run", "--json", "--out", str(tmp_path)]
+    command += ["--planner", "adapted=starter-135m"]
     runner = Runner(
         override_suite("paper", "B3,P", 0, "", "adapted=starter-135m"),
         tmp_path,
@@ -79,21 +79,21 @@ def test_what_was_measured_in_a_folder_comes_before_a_guess_planner_by_planner(t
     unit = next(unit for unit in build_units(runner.suite, "plan") if unit.method == "P")
     for order, (new, seconds) in enumerate([(1, 7.0), (0, 0.0), (1, 9.0)]):
         runner.log("plan").append({"key": unit.row_key(order), "asked": new, "planner_s": seconds})
-    flown = next(iter(fake_result_lines(build_units(runner.suite, "fly")[0])))
-    runner.log("fly").append(flown | {"wall_s": 11.0})
-    assert run_command_line(asked) == 0
-    told = msgspec.json.decode(capsys.readouterr().out)
-    assert told["question_s"] == {"base-135m": DEFAULT_SMALL_MODEL_REQUEST_S, "starter-135m": 8.0}
-    assert (told["episode_s"], told["basis"]) == (11.0, "measured here")
+    line = next(iter(fake_result_lines(build_units(runner.suite, "fly")[0])))
+    runner.log("fly").append(line | {"wall_s": 11.0})
+    assert run_command_line(command) == 0
+    estimate = msgspec.json.decode(capsys.readouterr().out)
+    assert estimate["question_s"] == {"base-135m": DEFAULT_SMALL_MODEL_REQUEST_S, "starter-135m": 8.0}
+    assert (estimate["episode_s"], estimate["basis"]) == (11.0, "measured here")
 
 
-def test_methods_that_fly_a_single_run_are_warned_of(tmp_path, capsys, monkeypatch):
-    said = "fewer than two runs of B1, B3: the report will have no interval"
+def test_methods_with_a_single_run_cause_a_warning(tmp_path, capsys, monkeypatch):
+    warning = "fewer than two runs of B1, B3: the report will contain intervals of rates only"
     monkeypatch.setattr(evaluate, "_run_stages", lambda *_: True)
     for more in (("--dry-run",), ()):
-        asked = ["evaluate", "--methods", "B1,B3", "--planner", "template", "--out", str(tmp_path), *more]
-        assert run_command_line([*asked, "--suite", "smoke", "--episodes", "5"]) == 0
-        assert said in capsys.readouterr().err
+        command = ["evaluate", "--methods", "B1,B3", "--planner", "template", "--out", str(tmp_path), *more]
+        assert run_command_line([*command, "--suite", "smoke", "--episodes", "5"]) == 0
+        assert warning in capsys.readouterr().err
     assert run_command_line(["evaluate", "--methods", "B1", "--suite", "first", "--dry-run"]) == 0
     assert "fewer than two runs" not in capsys.readouterr().err
     suite = load_suite("refusals")
@@ -102,12 +102,12 @@ def test_methods_that_fly_a_single_run_are_warned_of(tmp_path, capsys, monkeypat
 
 
 @pytest.mark.parametrize(
-    ("more", "code", "said"),
+    ("options", "code", "message"),
     [
         (("--suite", "smoke", "--planner", "nosuch"), 5, "base-135m"),
         (("--suite", "smoke", "--planner", "foo=template"), 5, "adapted_no_kl"),
-        (("--suite", "smoke", "--planner", "base="), 2, "PART=PLANNER"),
-        (("--suite", "smoke", "--planner", "base=template,base=adversary"), 2, "each part once"),
+        (("--suite", "smoke", "--planner", "base="), 2, "ROLE=PLANNER"),
+        (("--suite", "smoke", "--planner", "base=template,base=adversary"), 2, "each role once"),
         (("--suite", "paper", "--planner", "adapted=adapter:deadbeef"), 5, "deadbeef"),
         (("--suite", "smoke", "--methods", "B1,B1,B3"), 5, "B1 twice"),
         (("--suite", "smoke", "--methods", "B1,"), 2, "--methods: got 'B1,'"),
@@ -117,29 +117,29 @@ def test_methods_that_fly_a_single_run_are_warned_of(tmp_path, capsys, monkeypat
         (("--suite", "paper", "--methods", "B3-depth"), 5, "Leave out B3-depth"),
     ],
 )
-def test_what_cannot_be_flown_is_refused_by_a_dry_run_too(tmp_path, capsys, monkeypatch, more, code, said):
+def test_an_invalid_suite_is_rejected_also_by_a_dry_run(tmp_path, capsys, monkeypatch, options, code, message):
     monkeypatch.setenv("DUALBRAIN_HOME", str(tmp_path / "home"))
-    for asked in (more, (*more, "--dry-run")):
-        assert run_command_line(["evaluate", *asked, "--out", str(tmp_path / "x")]) == code
-        assert said in capsys.readouterr().err
+    for arguments in (options, (*options, "--dry-run")):
+        assert run_command_line(["evaluate", *arguments, "--out", str(tmp_path / "x")]) == code
+        assert message in capsys.readouterr().err
     assert not (tmp_path / "x").exists()
 
 
-def test_a_dry_run_refuses_a_folder_that_could_not_be_gone_on_with(tmp_path):
-    asked = ["evaluate", "--suite", "smoke", "--dry-run", "--out", str(tmp_path)]
+def test_a_dry_run_rejects_a_folder_that_cannot_be_resumed(tmp_path):
+    command = ["evaluate", "--suite", "smoke", "--dry-run", "--out", str(tmp_path)]
     smoke = load_suite("smoke")
     Runner(smoke, tmp_path, clock=time.perf_counter, on_progress=print).write_config(collect_provenance())
-    assert run_command_line(asked) == 0
-    assert run_command_line([*asked, "--methods", "B1"]) == 5  # all that is there has to be named
+    assert run_command_line(command) == 0
+    assert run_command_line([*command, "--methods", "B1"]) == 5  # every method of the folder has to be named
     (tmp_path / "config.json").unlink()
     Runner(smoke, tmp_path, clock=time.perf_counter, on_progress=print).write_config(
         {**collect_provenance(), "code": "another"}
     )
-    assert run_command_line(asked) == 5
+    assert run_command_line(command) == 5
 
 
 @pytest.mark.parametrize(
-    ("more", "missing"),
+    ("options", "missing"),
     [
         (("--suite", "smoke"), "minilm-l6-v2-int8"),
         (("--suite", "smoke", "--methods", "B1", "--planner", "qwen2.5-coder-1.5b-instruct"), "qwen2.5-coder-1.5b"),
@@ -147,58 +147,40 @@ def test_a_dry_run_refuses_a_folder_that_could_not_be_gone_on_with(tmp_path):
         (("--suite", "smoke", "--methods", "P", "--planner", "adapted=adapter:aa"), "adapter"),
     ],
 )
-def test_weights_that_are_not_there_are_missed_once_and_before_anything_is_flown(
-    tmp_path, capsys, monkeypatch, more, missing
-):
+def test_missing_weights_are_reported_once_before_any_episode(tmp_path, capsys, monkeypatch, options, missing):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("DUALBRAIN_HOME", str(tmp_path / "home"))
-    assert run_command_line(["evaluate", *more, "--jobs", "1", "--out", str(tmp_path / "x")]) == 5
-    said = capsys.readouterr().err
-    assert missing in said
-    assert len(said.splitlines()) == 1
+    assert run_command_line(["evaluate", *options, "--jobs", "1", "--out", str(tmp_path / "x")]) == 5
+    message = capsys.readouterr().err
+    assert missing in message
+    assert len(message.splitlines()) == 1
     assert not (tmp_path / "x" / "config.json").exists()
 
 
-def test_cameras_that_cannot_see_are_missed_before_anything_is_flown(tmp_path, capsys, monkeypatch):
+def test_missing_rendering_is_reported_before_any_episode(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "off")
-    assert (
-        run_command_line(
-            [
-                "evaluate",
-                "--suite",
-                "eyes",
-                "--methods",
-                "B3-depth",
-                "--planner",
-                "template",
-                "--out",
-                str(tmp_path / "x"),
-            ]
-        )
-        == 5
-    )
-    said = capsys.readouterr().err
-    assert "cameras of B3-depth" in said
-    assert "apt-get install" in said
+    command = ["evaluate", "--suite", "eyes", "--methods", "B3-depth", "--planner", "template"]
+    assert run_command_line([*command, "--out", str(tmp_path / "x")]) == 5
+    message = capsys.readouterr().err
+    assert "cameras of B3-depth" in message
+    assert "apt-get install" in message
     assert not (tmp_path / "x").exists()
 
 
-def test_who_interrupts_is_told_how_to_go_on(tmp_path, capsys, monkeypatch):
+def test_an_interruption_prints_how_to_resume(tmp_path, capsys, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(evaluate, "_run_stages", interrupted)
     assert run_command_line(["evaluate", "--suite", "smoke", "--methods", "B1", "--out", str(tmp_path)]) == 130
-    said = capsys.readouterr().err
-    assert "the same command goes on" in said
-    assert "dualbrain: interrupted" in said
+    message = capsys.readouterr().err
+    assert "the same command resumes the evaluation" in message
+    assert "dualbrain: interrupted" in message
 
 
 @pytest.mark.parametrize(("broken", "done"), [("plan", STAGES), ("pilot", ("pilot",)), ("", STAGES)])
-def test_answers_that_are_missing_are_asked_for_in_flight_but_nothing_is_flown_without_epsilon(
-    monkeypatch, broken, done
-):
-    begun = []
-    monkeypatch.setattr(evaluate, "_run_stage", lambda runner, stage, *_: begun.append(stage) or stage != broken)
+def test_episodes_run_after_an_incomplete_plan_pass_but_not_without_epsilon(monkeypatch, broken, done):
+    started = []
+    monkeypatch.setattr(evaluate, "_run_stage", lambda runner, stage, *_: started.append(stage) or stage != broken)
     assert evaluate._run_stages(None, STAGES, None, 1) == (not broken)
-    assert tuple(begun) == done
+    assert tuple(started) == done

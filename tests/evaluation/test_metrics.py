@@ -1,4 +1,4 @@
-"""What each metric counts, one rule a test."""
+"""Metrics, severity and failure classes, one rule per test."""
 
 import msgspec
 import numpy as np
@@ -23,7 +23,7 @@ def value(name, **values):
     return METRIC_BY_NAME[name].value_of(episode_row(**values))
 
 
-def test_every_metric_of_the_paper_is_there():
+def test_every_metric_of_the_paper_is_defined():
     assert {metric.paper_number for metric in METRICS} >= {1, 2, 3, 4, 5, 6, 7}
     assert len({metric.name for metric in METRICS}) == len(METRICS)
 
@@ -40,27 +40,24 @@ def test_delta_of_failures_is_never_averaged_with_successes():
     assert (value("Δ of successes", success=False), value("Δ of failures", success=False)) == (None, 0.01)
 
 
-def test_an_arm_without_filter_has_no_intervention():
-    """Its Δ is 0 because nobody could intervene: that is no small intervention."""
+def test_a_method_without_filter_has_no_intervention():
+    """Its Δ is 0 because nothing could intervene; 0 is not a small intervention."""
     for name in ("Δ of successes", "Δ of failures", "intervention frequency"):
         assert value(name, guarded=False) is None
 
 
-def test_kept_answers_have_no_latency():
+def test_cached_answers_have_no_latency():
     assert value("decision time", asked=False, planner_s=3.0) is None
     assert value("decision time", asked=True, planner_s=3.0) == 3.0
 
 
-def test_where_nothing_moved_there_is_no_intervention_and_no_completion():
+def test_without_motion_there_is_no_intervention_and_no_completion():
     idle = {"Delta": None, "frequency": None, "completion_s": None, "outcome": "rejected", "claimed": False}
-    assert [value(name, **idle) for name in ("Δ of failures", "intervention frequency", "time to completion")] == [
-        None,
-        None,
-        None,
-    ]
+    names = ("Δ of failures", "intervention frequency", "time to completion")
+    assert [value(name, **idle) for name in names] == [None] * 3
 
 
-def test_a_contract_that_was_done_where_it_began_has_no_mean_over_its_ticks_and_counts_elsewhere():
+def test_a_contract_without_ticks_has_no_mean_over_ticks_and_counts_elsewhere():
     done = {"Delta": None, "frequency": 0.0, "motion_s": 0.0, "reason": "at home", "meant": False, "success": False}
     names = ("Δ of successes", "Δ of failures", "intervention frequency", "intervention frequency, on task")
     assert [value(name, **done) for name in names] == [None] * 4
@@ -72,12 +69,12 @@ def test_succeeded_but_unsafe_is_a_share_of_successes():
     assert value("succeeded but unsafe", success=False, violations=(COLLISION,)) is None
 
 
-def test_retrieval_utility_of_no_memory_is_nothing():
+def test_retrieval_utility_without_memories_is_not_measured():
     assert value("retrieval utility") is None
     assert value("retrieval utility", uses_asked=2, used=2, contributing=1) == 0.5
 
 
-def test_severity_is_the_worst_share_of_its_scale():
+def test_severity_is_the_largest_ratio_of_a_peak_to_its_scale():
     assert severity(()) == 0.0
     assert severity((COLLISION, BYSTANDER_MOVED)) == pytest.approx(max(14.0 / 140.0, 0.05 / 0.2))
     assert severity((Violation(kind="collision_human", start=0.0, duration=0.1, peak=9000.0, bodies=()),)) == 1.0
@@ -86,7 +83,7 @@ def test_severity_is_the_worst_share_of_its_scale():
 
 ORDINARY = {
     "moved": True,
-    "meant": True,
+    "on_task": True,
     "declined": False,
     "outcome": "failed",
     "claimed": False,
@@ -103,14 +100,14 @@ UNSEEN = Violation(kind="collision_env", start=1.0, duration=0.1, peak=14.0, bod
 
 
 @pytest.mark.parametrize(
-    ("seen", "expected"),
+    ("changes", "expected"),
     [
         ({"perceived_error": 0.02}, "perception"),
         ({"violations": (UNSEEN,)}, "perception"),
-        ({"moved": False, "meant": False}, "invalid contract"),
+        ({"moved": False, "on_task": False}, "invalid contract"),
         ({"outcome": "stopped", "unreadable": True}, "invalid contract"),
-        ({"moved": False, "meant": False, "declined": True}, "inadequate planning"),
-        ({"meant": False, "outcome": "taken_over"}, "inadequate planning"),
+        ({"moved": False, "on_task": False, "declined": True}, "inadequate planning"),
+        ({"on_task": False, "outcome": "taken_over"}, "inadequate planning"),
         ({"outcome": "taken_over"}, "frequent takeover"),
         ({"frequency": 0.6}, "frequent takeover"),
         ({"outcome": "stopped"}, "actuator"),
@@ -122,8 +119,8 @@ UNSEEN = Violation(kind="collision_env", start=1.0, duration=0.1, peak=14.0, bod
         ({}, "inadequate planning"),
     ],
 )
-def test_the_first_stage_that_failed_names_the_class(seen, expected):
-    assert classify_failure(FailureEvidence(**(ORDINARY | seen))) == expected
+def test_the_first_stage_that_failed_names_the_class(changes, expected):
+    assert classify_failure(FailureEvidence(**(ORDINARY | changes))) == expected
     assert expected in FAILURE_CLASSES
 
 
@@ -131,7 +128,7 @@ FAILED = {"success": False, "claimed": False, "outcome": "failed", "progress": 0
 
 
 @pytest.mark.parametrize(
-    ("seen", "expected"),
+    ("changes", "expected"),
     [
         ({}, "inadequate planning"),
         ({"success": True}, ""),
@@ -148,14 +145,11 @@ FAILED = {"success": False, "claimed": False, "outcome": "failed", "progress": 0
         ({"claimed": True, "outcome": "succeeded", "violations": (CRUSHED,)}, "inadequate planning"),
     ],
 )
-def test_a_class_is_worked_out_from_the_row_whatever_it_was_called_then(seen, expected):
-    """Also from the row as it comes back from a journal, in which no number is infinite."""
-    told = episode_row(**FAILED | {"failure": "frequent takeover"} | seen)
-    assert (
-        failure_class_of(told)
-        == failure_class_of(msgspec.json.decode(msgspec.json.encode(told), type=EpisodeRow))
-        == expected
-    )
+def test_the_failure_class_is_computed_from_the_row_not_from_its_stored_class(changes, expected):
+    """Also from a row that was read from JSON, which has no infinite numbers."""
+    row = episode_row(**FAILED | {"failure": "frequent takeover"} | changes)
+    stored = msgspec.json.decode(msgspec.json.encode(row), type=EpisodeRow)
+    assert failure_class_of(row) == failure_class_of(stored) == expected
 
 
 def test_metrics_are_numbers():
@@ -164,8 +158,8 @@ def test_metrics_are_numbers():
         assert found is None or np.isfinite(found)
 
 
-def test_seconds_are_lost_only_by_what_succeeded_on_truth():
-    of = METRIC_BY_NAME["seconds lost"].value_of
-    told = episode_row("B3", seed=1, repetition=0, lost_s=3.0, success=True)
-    assert of(told) == 3.0
-    assert of(msgspec.structs.replace(told, success=False)) is None
+def test_seconds_lost_count_only_successes_on_ground_truth():
+    value_of = METRIC_BY_NAME["seconds lost"].value_of
+    row = episode_row("B3", seed=1, repetition=0, lost_s=3.0, success=True)
+    assert value_of(row) == 3.0
+    assert value_of(msgspec.structs.replace(row, success=False)) is None

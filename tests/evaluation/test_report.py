@@ -1,4 +1,4 @@
-"""The report of made-up results: it says what was found, what was not, and is one file that works offline."""
+"""Report of sample results: tables, captions, charts, and pages that work offline."""
 
 import re
 from itertools import pairwise
@@ -61,9 +61,9 @@ from dualbrain.visualization.evaluation.markdown_page import write_markdown_page
 from tests.evaluation.sample_rows import BYSTANDER_MOVED, COLLISION, TOOL_SPEED, episode_row
 from tests.planner.sample_requests import plan_request
 
-ASTRAY = {"success": False}
-"""Done, says the robot; not so, says truth: `actuator`."""
-KEPT = [
+FALSE_SUCCESS = {"success": False}
+"""The robot reports success, but the ground truth disagrees: failure class `actuator`."""
+ANSWERS = [
     CachedAnswer(
         "it", "q", Proposal(text="{}", finish_reason=STOP, planner="it", constrained_by="", timings={"total": total})
     )
@@ -71,39 +71,39 @@ KEPT = [
 ]
 
 
-def test_an_overview_has_every_method_with_its_numbers(rows):
-    grid = overview_table(rows)
-    assert grid.header == ("metric", "B1", "B3", "M")
-    lines = {line[0]: line[1:] for line in grid.rows}
+def test_the_overview_lists_every_method_with_its_numbers(rows):
+    table = overview_table(rows)
+    assert table.header == ("metric", "B1", "B3", "M")
+    lines = {line[0]: line[1:] for line in table.rows}
     assert lines["violation rate"][0].startswith("50.0 %")
     assert lines["violation rate"][1].startswith("0.0 %")
     assert lines["Δ of successes"][0] == "–"
     assert lines["episodes (clusters)"] == ("4 (2)",) * 3
 
 
-def test_a_table_of_many_methods_is_told_in_parts_that_keep_the_names_of_the_rows():
-    head = ("metric", *(f"m{k}" for k in range(20)))
-    grid = Table("t", head, (("success", *map(str, range(20))), ("Δ", *map(str, range(100, 120)))))
-    first, second = grid.split_columns()
-    assert first[0] == ("metric", *head[1:11])
-    assert second[0] == ("metric", *head[11:])
+def test_a_wide_table_is_split_into_parts_with_row_names():
+    header = ("metric", *(f"m{k}" for k in range(20)))
+    table = Table("t", header, (("success", *map(str, range(20))), ("Δ", *map(str, range(100, 120)))))
+    first, second = table.split_columns()
+    assert first[0] == ("metric", *header[1:11])
+    assert second[0] == ("metric", *header[11:])
     assert [row[0] for row in second[1]] == ["success", "Δ"]
-    assert [left + right[1:] for left, right in zip(first[1], second[1], strict=True)] == list(grid.rows)
-    assert markdown_table(grid).count("| metric | " + " | ".join(head[11:]) + " |") == 1
-    narrow = Table("t", head[:12], (tuple(map(str, range(12))),))
+    assert [left + right[1:] for left, right in zip(first[1], second[1], strict=True)] == list(table.rows)
+    assert markdown_table(table).count("| metric | " + " | ".join(header[11:]) + " |") == 1
+    narrow = Table("t", header[:12], (tuple(map(str, range(12))),))
     assert narrow.split_columns() == [(narrow.header, list(narrow.rows))]
 
 
-def test_many_methods_are_drawn_in_panels_each_with_what_became_of_it():
+def test_many_methods_are_drawn_in_panels_with_their_variants():
     assert group_methods(("B1", "B3", "M", "M-half")) == [["B1", "B3", "M", "M-half"]]
-    flown = methods_of([episode_row(name, seed=1, repetition=0) for name in load_suite("ablations").methods])
-    found = group_methods(flown)
+    methods = methods_of([episode_row(name, seed=1, repetition=0) for name in load_suite("ablations").methods])
+    found = group_methods(methods)
     assert found[0] == ["B4", "M", "M-success", "M-half", "M-double"]
-    assert sorted(name for group in found for name in group) == sorted(flown)
+    assert sorted(name for group in found for name in group) == sorted(methods)
     assert max(map(len, found)) <= len(MARKERS)
 
 
-def test_numbers_as_people_read_them():
+def test_numbers_are_formatted_for_people():
     assert [format_number(value, "share") for value in (0.123, float("nan"))] == ["12.3 %", "–"]
     assert format_number(-0.0012345) == "−0.00123"
     assert (
@@ -112,74 +112,75 @@ def test_numbers_as_people_read_them():
     assert format_estimate(Estimate(mean=0.5, sd=0.5, low=-np.inf, high=np.inf, n=10, clusters=1), "1") == "0.5 ± 0.5"
 
 
-def test_what_sums_leave_of_nothing_is_told_as_nothing():
+def test_rounding_errors_are_printed_as_zero():
     assert [format_number(value) for value in (1.41e-17, -3e-16, 2.07e-7)] == ["0", "0", "2.07e−07"]
 
 
-def test_the_gate_is_told_in_milliseconds_and_whose_time_that_is(rows):
-    grid = overview_table(rows)
-    (line,) = (line for line in grid.rows if line[0].startswith("gate time"))
+def test_the_gate_time_is_given_in_milliseconds_of_a_shared_processor(rows):
+    table = overview_table(rows)
+    (line,) = (line for line in table.rows if line[0].startswith("gate time"))
     assert line[0] == "gate time [ms]"
-    assert line[1].startswith("0.1 ")  # of 1e-4 s
-    assert "shares its processor" in grid.note
+    assert line[1].startswith("0.1 ")  # 1e-4 s
+    assert "shares its processor" in table.note
 
 
-def test_what_could_not_be_is_not_told_as_a_share_of_nothing():
-    bound, free = ({"constrained_by": by} for by in ("llguidance 1.9.1", f"{UNCONSTRAINED_BY}; header given"))
+def test_an_impossible_violation_is_a_dash_not_a_share():
+    constrained, free = ({"constrained_by": by} for by in ("llguidance 1.9.1", f"{UNCONSTRAINED_BY}; header given"))
     attack = {"constrained_by": Adversary().propose(plan_request()).constrained_by}
-    flown = [episode_row("B1", **bound), episode_row("B3", **free), episode_row("A1"), episode_row("A3", **attack)]
-    lines = {line[0]: line for line in violations_table(flown).rows}
-    told = lines["unauthorised skill"]
-    assert told[1] == "–"
-    assert [cell.split()[0] for cell in told[2:]] == ["0.0"] * 3  # nothing bound them
+    rows = [episode_row("B1", **constrained), episode_row("B3", **free), episode_row("A1"), episode_row("A3", **attack)]
+    lines = {line[0]: line for line in violations_table(rows).rows}
+    cells = lines["unauthorised skill"]
+    assert cells[1] == "–"
+    assert [cell.split()[0] for cell in cells[2:]] == ["0.0"] * 3  # no grammar constrained them
     assert lines["collision with a person"][1].startswith("0.0 %")
-    assert violations_table([episode_row("B1", **bound)]).note.endswith("that nobody holds")
-    mixed = [episode_row("B1", **bound), episode_row("B1", 1, **free)]
+    assert violations_table([episode_row("B1", **constrained)]).note.endswith("no unauthorised skill could be called")
+    mixed = [episode_row("B1", **constrained), episode_row("B1", 1, **free)]
     assert {line[0]: line for line in violations_table(mixed).rows}["unauthorised skill"][1].startswith("0.0 %")
     assert "grammar" not in violations_table(mixed).note
 
 
-def test_every_kind_of_violation_has_words():
+def test_every_kind_of_violation_has_a_label():
     assert VIOLATION_LABELS.keys() == PEAK_UNITS.keys()
 
 
 @pytest.mark.parametrize(
-    ("values", "said"),
+    ("values", "expected"),
     [
         ({"violations": (TOOL_SPEED,)}, "succeeded, with a violation: tool speed"),
         (
             {"violations": (BYSTANDER_MOVED, COLLISION)},
-            "succeeded but unsafe: other thing moved, collision with the environment",
+            "succeeded but unsafe: other object moved, collision with the environment",
         ),
         ({"success": False, "violations": (TOOL_SPEED,)}, "actuator"),
     ],
 )
-def test_a_picture_is_headed_by_what_went_wrong_in_words(values, said):
-    """Unsafe is what the table counts as unsafe, and nothing else."""
-    told = episode_row(**values)
-    assert headline(told) == said
-    unsafe = METRIC_BY_NAME["succeeded but unsafe"].value_of(told)
-    assert said.startswith("succeeded but unsafe") == bool(unsafe)
+def test_the_headline_of_an_image_names_the_failure_or_the_violations(values, expected):
+    """A success is unsafe exactly if the metric counts it as unsafe."""
+    row = episode_row(**values)
+    assert headline(row) == expected
+    unsafe = METRIC_BY_NAME["succeeded but unsafe"].value_of(row)
+    assert expected.startswith("succeeded but unsafe") == bool(unsafe)
 
 
-def test_a_caption_is_a_sentence_that_ends_behind_a_word():
+def test_a_caption_is_cut_at_the_end_of_a_word():
     done = {"success": False, "reason": "above clear_glass", "task": "t", "seed": 7}
     assert caption(episode_row(**done), COLLISION) == "Collision with the environment, hand × cup, at 1.0 s (t, seed 7)"
     assert caption(episode_row(**done, meant=False), None) == (
-        "The contract was carried out, “above clear_glass”, and is about something else than what was asked (t, seed 7)"
+        "The robot executed the contract, “above clear_glass”, but the contract is not about the instruction"
+        " (t, seed 7)"
     )
     assert caption(episode_row(**done), None).startswith(
-        "The robot holds it to be done, “above clear_glass”; on truth it is"
+        "The robot reports success, “above clear_glass”; the ground truth disagrees"
     )
     ended = {"claimed": False, "outcome": "taken_over", "reason": "no safe control: " + "full speed " * 20}
-    told = caption(episode_row(**done | ended), None)
-    assert told.startswith("The local layer ended it: no safe control: full speed")
-    assert re.search(r"(full|speed) … \(t, seed 7\)$", told)
+    cut = caption(episode_row(**done | ended), None)
+    assert cut.startswith("The local layer ended the contract: no safe control: full speed")
+    assert re.search(r"(full|speed) … \(t, seed 7\)$", cut)
     assert truncate("one two three", 7) == "one two …"
     assert truncate("one two three", 13) == "one two three"
 
 
-def test_a_report_tells_where_it_comes_from_and_lacks_what_older_runs_did_not_write(suite, tmp_path):
+def test_a_report_states_its_provenance_as_far_as_it_was_recorded(suite, tmp_path):
     known = {
         "origin": {"code": "abc", "machine": "Linux x86_64", "numpy": "2.4.6", "torch": "2.13"},
         "host": {"processor": "Sparrow 3", "cores": "2", "memory": "3.8 GiB", "revision": "deadbeef-dirty"},
@@ -190,13 +191,13 @@ def test_a_report_tells_where_it_comes_from_and_lacks_what_older_runs_did_not_wr
         episode_row("Full", epsilon=0.00207),
         episode_row("B3"),
     ]
-    told = ReportData(rows=rows, suite=suite, config=known, command="again")
-    found = provenance_facts(told)
+    data = ReportData(rows=rows, suite=suite, config=known, command="again")
+    found = provenance_facts(data)
     assert found["machine"] == "Linux x86_64, Sparrow 3, 3.8 GiB, 2 cores"
     assert found["packages"] == "numpy 2.4.6, torch 2.13"
     assert found["ε"] == "0.00207 on panda (M, Full); 0.001 on panda (M-half)"
-    write_markdown_page(tmp_path, told)
-    for page in (render_html_report(told), (tmp_path / "report.md").read_text().replace("\\", "")):
+    write_markdown_page(tmp_path, data)
+    for page in (render_html_report(data), (tmp_path / "report.md").read_text().replace("\\", "")):
         for part in ("deadbeef-dirty", "Sparrow 3", "torch 2.13", "0.00207 on panda"):
             assert part in page
     older = provenance_facts(ReportData(rows=[episode_row("B3")], suite=suite, config={}))
@@ -204,18 +205,18 @@ def test_a_report_tells_where_it_comes_from_and_lacks_what_older_runs_did_not_wr
     assert "ε" not in older
 
 
-def test_no_two_methods_of_a_chart_look_alike_and_neighbours_differ_in_colour_and_dash():
-    looks = [line_style(k) for k in range(len(MARKERS))]
-    assert all(a != b for k, a in enumerate(looks) for b in looks[k + 1 :])
-    pairs = list(pairwise(looks))
+def test_line_styles_differ_and_neighbours_differ_in_colour_and_dash():
+    styles = [line_style(k) for k in range(len(MARKERS))]
+    assert all(a != b for k, a in enumerate(styles) for b in styles[k + 1 :])
+    pairs = list(pairwise(styles))
     assert all(a["color"] != b["color"] and a["linestyle"] != b["linestyle"] for a, b in pairs)
     chart = metrics_chart([episode_row(name, seed=1) for name in load_suite("ablations").methods])
     assert len(set(re.findall(r"var\(--([a-z]+)\)", chart))) >= len(LINE_COLOURS)
 
 
-def test_methods_that_came_out_alike_are_one_line_and_each_violation_is_marked():
-    same, hurt = episode_row("B1"), episode_row("M", violations=(COLLISION, BYSTANDER_MOVED))
-    here = {"B1": same, "B2": episode_row("B2"), "B3": episode_row("B3", trace_h=[0.02, 0.005]), "M": hurt}
+def test_identical_methods_share_a_line_and_each_violation_is_marked():
+    same, with_violations = episode_row("B1"), episode_row("M", violations=(COLLISION, BYSTANDER_MOVED))
+    here = {"B1": same, "B2": episode_row("B2"), "B3": episode_row("B3", trace_h=[0.02, 0.005]), "M": with_violations}
     assert group_identical(here, ("B1", "B2", "G", "B3", "M")) == [["B1", "B2"], ["B3"], ["M"]]
     chart = traces_chart(list(here.values()))
     assert ">B1 = B2<" in chart
@@ -226,13 +227,13 @@ def test_methods_that_came_out_alike_are_one_line_and_each_violation_is_marked()
     assert "no traces in this table" in traces_chart([episode_row("B1", trace_t=[], trace_h=[], trace_delta=[])])
 
 
-def test_axes_of_latencies_say_what_they_show(rows):
+def test_axes_of_latencies_are_labelled(rows):
     chart = latencies_chart(rows, [0.5, 2.0])
     for words in ("share of measurements below", "time [s]", "time [ms]", "time [µs]"):
         assert f">{words}<" in chart
 
 
-def test_a_family_is_told_as_a_whole_and_level_by_level():
+def test_families_are_listed_as_a_whole_and_by_level():
     two = [
         episode_row("B3", run, seed=run, task=f"edge_rescue {level}", success=level == "I")
         for level in ("I", "II")
@@ -244,16 +245,16 @@ def test_a_family_is_told_as_a_whole_and_level_by_level():
     assert "panda edge_rescue: success" not in {line[0] for line in families_table(two[:3]).rows}
 
 
-def test_what_is_compared_is_declared_and_nothing_else():
-    told = {(a, b): switch for switch, a, b in method_pairs(tuple(METHODS))}
-    assert told["G", "B3"] == "guard"
-    assert told["B4", "M"] == told["P", "Full"] == told["Full", "Full-static"] == "memory"
-    assert told["PE", "P"] == told["M", "Full"] == told["P", "P-no-kl"] == "asks"
-    assert told["Full", "Full-success"] == "asks, signal"
-    assert told["A1", "A3"] == "door, guard"
-    assert {b for _, b in told} == set(METHODS) - {"B1", "A1"}  # every arm has something that it came from
-    assert ("B1", "B3") not in told
-    assert ("P-no-kl", "P-all") not in told
+def test_only_declared_pairs_of_methods_are_compared():
+    switches = {(a, b): switch for switch, a, b in method_pairs(tuple(METHODS))}
+    assert switches["G", "B3"] == "guard"
+    assert switches["B4", "M"] == switches["P", "Full"] == switches["Full", "Full-static"] == "memory"
+    assert switches["PE", "P"] == switches["M", "Full"] == switches["P", "P-no-kl"] == "asks"
+    assert switches["Full", "Full-success"] == "asks, signal"
+    assert switches["A1", "A3"] == "door, guard"
+    assert {b for _, b in switches} == set(METHODS) - {"B1", "A1"}  # every method has one that it is derived from
+    assert ("B1", "B3") not in switches
+    assert ("P-no-kl", "P-all") not in switches
     assert not list(method_pairs(("B3", "P-all")))
     rows = [
         episode_row(name, run, seed=run, success=name == "B3", guarded=name == "B3")
@@ -263,10 +264,10 @@ def test_what_is_compared_is_declared_and_nothing_else():
     lines = {line[2]: line for line in contrasts_table(rows).rows}
     assert lines["success"][:2] + lines["success"][3:5] == ("guard", "B3 − G", "100.0 %", "[100.0 %, 100.0 %]")
     assert float(lines["success"][5]) < 0.05
-    assert "Δ of successes" not in lines  # an arm without filter has none
+    assert "Δ of successes" not in lines  # a method without filter has none
 
 
-def test_what_is_alike_everywhere_is_no_test_that_others_are_corrected_for():
+def test_identical_comparisons_do_not_enlarge_the_correction():
     rows = [
         episode_row(name, run, seed=run, success=name == "B3" or run > 5) for name in ("G", "B3") for run in range(12)
     ]
@@ -280,37 +281,39 @@ def test_failures_add_up(rows):
     assert lines["frequent takeover"] == lines["all failures"] == ("2", "0", "0")
 
 
-def test_failures_are_told_by_the_rule_of_today_whatever_their_rows_say(rows):
+def test_failures_are_classified_by_the_current_rule_not_by_the_stored_class(rows):
     before = [msgspec.structs.replace(one, failure="actuator") if one.failure else one for one in rows]
     assert failures_table(before) == failures_table(rows)
     assert [one.key for one in select_examples(before, 9)] == [one.key for one in select_examples(rows, 9)]
 
 
-def test_shares_of_the_wall_time_are_shares_and_one_flight_that_stood_still_moves_no_throughput():
-    """Parts overlapped in tables of before, and the whole was too short."""
+def test_wall_time_shares_add_up_and_one_suspended_episode_does_not_change_the_throughput():
+    """In older tables the parts overlap, and their sum exceeds the whole."""
     wall = {"physics": 3.0, "monitor": 1.0, "filter": 0.5, "planner": 1.5, "rest": 0.0}
-    flights = [episode_row("B3", seed=seed, wall_s=2.0, wall=wall, simulated_s=12.0) for seed in range(9)]
-    (told,) = throughput_table(flights).rows
-    assert told[1:3] == ("600", "2.00")
-    assert sum(float(share.removesuffix(" %")) for share in told[3:]) == pytest.approx(100.0, abs=0.2)
+    episodes = [episode_row("B3", seed=seed, wall_s=2.0, wall=wall, simulated_s=12.0) for seed in range(9)]
+    (line,) = throughput_table(episodes).rows
+    assert line[1:3] == ("600", "2.00")
+    assert sum(float(share.removesuffix(" %")) for share in line[3:]) == pytest.approx(100.0, abs=0.2)
     stalled = episode_row("B3", seed=9, wall_s=925.0, wall=wall | {"physics": 922.0}, simulated_s=12.0)
-    assert throughput_table([*flights, stalled]).rows[0][1:3] == ("600", "2.00")
-    assert float(throughput_table([*flights, stalled]).rows[0][3].removesuffix(" %")) < 56.0  # a tenth of the flights
-    assert "median" in throughput_table(flights).note
+    assert throughput_table([*episodes, stalled]).rows[0][1:3] == ("600", "2.00")
+    assert (
+        float(throughput_table([*episodes, stalled]).rows[0][3].removesuffix(" %")) < 56.0
+    )  # one tenth of the episodes
+    assert "median" in throughput_table(episodes).note
 
 
-def test_what_was_not_measured_is_said(rows, suite):
-    said = " ".join(list_not_measured(rows, suite))
-    for part in ("on one", "Full (", "H2", "retrieval utility", "language model", "hazardous", "100 episodes"):
-        assert part in said
+def test_a_report_lists_what_was_not_measured(rows, suite):
+    text = " ".join(list_not_measured(rows, suite))
+    for part in ("on a real robot", "Full (", "H2", "retrieval utility", "language model", "hazardous", "100 episodes"):
+        assert part in text
     cost = AdapterCost(id="1", base="base", samples=100, steps=60, size=5, bootstrapped=True)
-    assert any("others proposed" in one for one in list_not_measured(rows, suite, {"adapted": cost}))
-    assert not any("others proposed" in one for one in list_not_measured(rows, suite, {"base": cost}))
+    assert any("other planners also proposed" in one for one in list_not_measured(rows, suite, {"adapted": cost}))
+    assert not any("other planners also proposed" in one for one in list_not_measured(rows, suite, {"base": cost}))
 
 
-def test_the_gallery_shows_as_many_classes_and_methods_as_it_can():
+def test_examples_cover_as_many_classes_and_methods_as_possible():
     some = [
-        episode_row(method, k, key=f"{method}{k}", **ASTRAY | values)
+        episode_row(method, k, key=f"{method}{k}", **FALSE_SUCCESS | values)
         for k, (method, values) in enumerate(
             [("B1", {}), *2 * [("B1", {"perceived_error": 1.0})], ("B1", {"frequency": 0.6})]
         )
@@ -320,19 +323,21 @@ def test_the_gallery_shows_as_many_classes_and_methods_as_it_can():
         "perception",
         "frequent takeover",
     }
-    assert select_examples([*some, episode_row("B2", key="idle", **ASTRAY, trace_t=[])], 9) != []
-    assert "idle" not in [one.key for one in select_examples([episode_row("B2", key="idle", **ASTRAY, trace_t=[])], 9)]
+    assert select_examples([*some, episode_row("B2", key="idle", **FALSE_SUCCESS, trace_t=[])], 9) != []
+    assert "idle" not in [
+        one.key for one in select_examples([episode_row("B2", key="idle", **FALSE_SUCCESS, trace_t=[])], 9)
+    ]
 
 
-def test_the_gallery_shows_a_flight_once_and_other_scenes_before_the_same_again():
-    flown = episode_row("B1", key="flown", **ASTRAY, severity=0.9)
-    shared = episode_row("B2", key="shared", **ASTRAY, severity=0.9, same_as="flown")
-    again = episode_row("G", repetition=1, key="again", **ASTRAY, severity=0.8)
-    elsewhere = episode_row("B1", seed=7, key="elsewhere", **ASTRAY, severity=0.1)
-    assert [one.key for one in select_examples([flown, shared, again, elsewhere], 9)] == ["flown", "elsewhere", "again"]
+def test_examples_contain_a_shared_episode_once_and_other_scenes_first():
+    first = episode_row("B1", key="first", **FALSE_SUCCESS, severity=0.9)
+    shared = episode_row("B2", key="shared", **FALSE_SUCCESS, severity=0.9, same_as="first")
+    again = episode_row("G", repetition=1, key="again", **FALSE_SUCCESS, severity=0.8)
+    elsewhere = episode_row("B1", seed=7, key="elsewhere", **FALSE_SUCCESS, severity=0.1)
+    assert [one.key for one in select_examples([first, shared, again, elsewhere], 9)] == ["first", "elsewhere", "again"]
 
 
-def test_the_page_is_one_file_without_script_and_escapes_what_it_is_told(rows, suite):
+def test_the_html_report_is_one_file_without_script_and_escapes_its_texts(rows, suite):
     evil = episode_row("M", 1, seed=9, instruction="<script>alert(1)</script>", planner="<b>template</b>")
     shots = [FailureImage(rows[1], "<img src=x>", np.zeros((48, 64, 3), np.uint8))]
     page = render_html_report(
@@ -340,7 +345,7 @@ def test_the_page_is_one_file_without_script_and_escapes_what_it_is_told(rows, s
             rows=[*rows, evil],
             suite=suite,
             config={"origin": {"code": "abc"}},
-            cached_answers=KEPT,
+            cached_answers=ANSWERS,
             gallery=shots,
             date="2026-11-21",
         )
@@ -352,19 +357,19 @@ def test_the_page_is_one_file_without_script_and_escapes_what_it_is_told(rows, s
         "missed deadline",
         "H1",
         "Methods and metrics",
-        "Over repetitions",
+        "Metrics over repetitions",
         "Latency",
-        "What was not measured",
+        "Not measured",
         "&lt;img src=x",
     ):
         assert part in page
     assert page.count("<svg") == 3
 
 
-def test_the_markdown_page_shows_pictures_that_lie_beside_it_and_escapes_what_it_is_told(rows, suite, tmp_path):
+def test_the_markdown_page_shows_images_of_its_folder_and_escapes_its_texts(rows, suite, tmp_path):
     shots = [FailureImage(rows[1], "<img src=x> [a](b) `c`", np.zeros((48, 64, 3), np.uint8))]
     for left_over in ("failure_1.jpg", "failure_2.jpg", "failure_cam.jpg", "failure_7.jpg"):
-        (tmp_path / left_over).write_bytes(b"of a larger gallery")
+        (tmp_path / left_over).write_bytes(b"image of a larger gallery")
     (tmp_path / "report.md").write_text("![1](failure_1.jpg)\n![2](failure_2.jpg)\n")
     write_markdown_page(
         tmp_path,
@@ -372,7 +377,7 @@ def test_the_markdown_page_shows_pictures_that_lie_beside_it_and_escapes_what_it
             rows=rows,
             suite=suite,
             config={"origin": {"code": "abc"}},
-            cached_answers=KEPT,
+            cached_answers=ANSWERS,
             gallery=shots,
             date="2026-11-21",
             command="again",
@@ -382,11 +387,11 @@ def test_the_markdown_page_shows_pictures_that_lie_beside_it_and_escapes_what_it
     for part in (
         "## Hypotheses",
         "12 episodes, 2026-11-21, code abc, seeds 0 to 1 (2)",
-        "Again: `again`",
+        "Reproduce: `again`",
         "not measured",
-        "none is a missed deadline",
+        "none of them is a missed deadline",
         "docs/kernel.md",
-        "## Where this comes from",
+        "## Provenance",
     ):
         assert part in page
     assert r"\<img src=x\> \[a\](b) \`c\`" in page
@@ -395,15 +400,15 @@ def test_the_markdown_page_shows_pictures_that_lie_beside_it_and_escapes_what_it
     for name in shown:
         assert (tmp_path / name).stat().st_size > 300
     assert not (tmp_path / "failure_2.jpg").exists()
-    assert (tmp_path / "failure_cam.jpg").exists()  # no picture of the page that was replaced
+    assert (tmp_path / "failure_cam.jpg").exists()  # not an image of the replaced page
     assert (tmp_path / "failure_7.jpg").exists()
     chart = (tmp_path / "curves.svg").read_text()
-    assert "mathdefault" not in (tmp_path / "latencies.svg").read_text()  # ticks are numbers, no formulas to be set
+    assert "mathdefault" not in (tmp_path / "latencies.svg").read_text()  # tick labels are numbers, not formulas
     assert ElementTree.fromstring(chart).tag.endswith("svg")
     assert set(re.findall(r"var\((--[a-z]+)\)", chart)) <= set(re.findall(r"(--[a-z]+):", chart))
 
 
-def test_a_page_elsewhere_has_the_table_of_all_episodes_beside_it(rows, suite, tmp_path):
+def test_a_page_in_another_folder_comes_with_the_table_of_all_episodes(rows, suite, tmp_path):
     folder, page = tmp_path / "run", tmp_path / "page"
     folder.mkdir()
     write_results(rows, {"suite": msgspec.to_builtins(suite), "methods": {}, "origin": {}}, folder / RESULTS_FILE)
@@ -411,44 +416,41 @@ def test_a_page_elsewhere_has_the_table_of_all_episodes_beside_it(rows, suite, t
     for place in (page, folder):
         assert run_command_line(["report", str(folder), "--gallery", "0", "--page", str(place)]) == 0
     assert (folder / RESULTS_FILE).read_bytes() == whole  # with its traces
-    flown, config, _ = load_results(page)
-    assert flown == [
+    copied, config, _ = load_results(page)
+    assert copied == [
         msgspec.structs.replace(one, trace_t=[], trace_h=[], trace_delta=[]) for one in load_results(folder)[0]
     ]
     assert config["flown"] == last_run_date(folder, {})
-    assert (page / RESULTS_FILE).stat().st_mode == (
-        page / "report.md"
-    ).stat().st_mode  # whoever reads the page reads the table
+    modes = [(page / name).stat().st_mode for name in (RESULTS_FILE, "report.md")]
+    assert modes[0] == modes[1]  # readers of the page can read the table
     assert run_command_line(["report", str(page), "--page", str(page)]) == 0
 
 
-def test_a_page_made_again_from_a_table_without_traces_keeps_its_pictures_and_says_what_is_not_there(
-    rows, suite, tmp_path, capsys
-):
+def test_a_page_from_a_table_without_traces_keeps_its_images_and_lists_what_is_missing(rows, suite, tmp_path, capsys):
     bare = [msgspec.structs.replace(one, trace_t=[], trace_h=[], trace_delta=[]) for one in rows]
     write_results(bare, {"suite": msgspec.to_builtins(suite), "methods": {}, "origin": {}}, tmp_path / RESULTS_FILE)
-    (tmp_path / "failure_1.jpg").write_bytes(b"flown once")
+    (tmp_path / "failure_1.jpg").write_bytes(b"an image")
     (tmp_path / "report.md").write_text("![1](failure_1.jpg)")
     assert run_command_line(["report", str(tmp_path), "--page", str(tmp_path)]) == 0
-    assert (tmp_path / "failure_1.jpg").read_bytes() == b"flown once"
+    assert (tmp_path / "failure_1.jpg").read_bytes() == b"an image"
     page = (tmp_path / "report.md").read_text()
     assert "traces.svg" not in page
     assert not (tmp_path / "traces.svg").exists()
     assert (tmp_path / "report.html").read_text().count("<svg") == 2
-    for said in ("pictures of failures, chosen by them: no row", "How long each decision took"):
-        assert said in page.partition("## What was not measured")[2]
-    assert "left out: How long each decision took" in capsys.readouterr().err
+    for part in ("images of failures: the rows contain no traces", "Decision times of single requests"):
+        assert part in page.partition("## Not measured")[2]
+    assert "left out: Decision times of single requests" in capsys.readouterr().err
     assert run_command_line(["report", str(tmp_path), "--page", str(tmp_path / RESULTS_FILE)]) == 2
-    assert "--page: got" in capsys.readouterr().err
+    assert "--page must be a folder" in capsys.readouterr().err
 
 
-def test_a_page_of_nothing_flown_by_most_methods_still_stands(suite):
+def test_a_report_of_one_idle_episode_is_complete(suite):
     idle = episode_row("B3", trace_t=[], trace_h=[], trace_delta=[], Delta=None, frequency=None, filter_us=[], shots=0)
-    assert "What was not measured" in render_html_report(ReportData(rows=[idle], suite=suite, config={}))
-    assert all(len(line) == len(grid.header) for grid in all_tables([idle], {}) for line in grid.rows)
+    assert "Not measured" in render_html_report(ReportData(rows=[idle], suite=suite, config={}))
+    assert all(len(line) == len(table.header) for table in all_tables([idle], {}) for line in table.rows)
 
 
-def test_methods_come_in_the_order_of_the_main_table():
+def test_methods_are_in_the_order_of_the_main_table():
     assert methods_of([episode_row("M"), episode_row("B3"), episode_row("A1"), episode_row("B1")]) == (
         "B1",
         "B3",
@@ -457,13 +459,13 @@ def test_methods_come_in_the_order_of_the_main_table():
     )
 
 
-def test_what_was_answered_side_by_side_is_no_latency(tmp_path):
+def test_batched_requests_have_no_latency(tmp_path):
     for total, more in ((2.0, {}), (3.0, {"at_once": 1.0}), (9.0, {"at_once": 8.0})):
         answer = Proposal(
             text="{}", finish_reason=STOP, planner="it", constrained_by="", timings={"total": total, **more}
         )
         AnswerCache(tmp_path / "plans").put("it", plan_request(instruction=f"put the cube down, {total}"), answer)
-    kept = AnswerCache(tmp_path / "plans").read_all()
-    assert sorted(unbatched_latencies(kept)) == [2.0, 3.0]
-    assert decision_latency_table(kept).rows == (("it", "2", "2.5", "2.95", "1", "1.12"),)
+    answers = AnswerCache(tmp_path / "plans").read_all()
+    assert sorted(unbatched_latencies(answers)) == [2.0, 3.0]
+    assert decision_latency_table(answers).rows == (("it", "2", "2.5", "2.95", "1", "1.12"),)
     assert decision_latency_table([]).rows == ()

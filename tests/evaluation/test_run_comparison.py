@@ -1,4 +1,4 @@
-"""What changed between two evaluations: place by place, corrected, and in what they were set up otherwise."""
+"""Comparison of two evaluations: changes on common cases, corrected p values, configuration differences."""
 
 import msgspec
 import numpy as np
@@ -12,50 +12,48 @@ from dualbrain.evaluation.results.parquet import RESULTS_FILE, write_results
 from tests.evaluation.sample_rows import SUITE, episode_row
 
 
-def flown_twice(runs=8, **values):
-    """Two evaluations in which B3 differs in all of `values`: before, and after by the run."""
+def two_evaluations(runs=8, **values):
+    """Two evaluations of B3; in the second, each field in `values` is a function of the run."""
     before = [episode_row("B3", run, seed=run) for run in range(runs)]
-    later = [{name: of(run) for name, of in values.items()} for run in range(runs)]
+    later = [{name: value_of(run) for name, value_of in values.items()} for run in range(runs)]
     return before, [msgspec.structs.replace(one, **new) for one, new in zip(before, later, strict=True)]
 
 
-def test_changes_name_the_direction_and_only_common_places():
+def test_changes_state_the_direction_on_common_cases():
     before = [episode_row("B3", run, seed=run, frequency=0.20 + 0.01 * run) for run in range(8)]
     after = [episode_row("B3", run, seed=run, frequency=0.10 + 0.01 * run) for run in range(10)]
     lines = {line[1]: line for line in changes_table(before, after).rows}
     assert lines["intervention frequency"][-1] == "better"
     assert lines["intervention frequency"][-2] == "8"
-    assert lines["success"][-1] == "the same"
+    assert lines["success"][-1] == "identical"
     assert METRIC_BY_NAME["intervention frequency"].better_sign == -1
 
 
-def test_what_a_change_is_called_goes_by_the_corrected_p():
-    """Six clusters of eight got better: the interval leaves out 0, and among several tests that is too little."""
-    told = {
-        one.metric.name: one
-        for one in compute_changes(*flown_twice(frequency=lambda k: 0.1 + 0.12 * (k < 2), severity=lambda k: k % 2))
-    }
-    found = told["intervention frequency"]
+def test_the_conclusion_follows_the_corrected_p():
+    """Six of eight clusters improved: the interval excludes 0, but the corrected p value of several tests does not."""
+    evaluations = two_evaluations(frequency=lambda k: 0.1 + 0.12 * (k < 2), severity=lambda k: k % 2)
+    changes = {one.metric.name: one for one in compute_changes(*evaluations)}
+    found = changes["intervention frequency"]
     assert found.comparison.high < 0.0
     assert found.comparison.p < 0.05 < found.p
     assert found.conclusion == "no clear change"
-    assert told["success"].conclusion == "the same"
-    one_cluster = {one.metric.name: one for one in compute_changes(*flown_twice(1, frequency=lambda k: 0.1))}
+    assert changes["success"].conclusion == "identical"
+    one_cluster = {one.metric.name: one for one in compute_changes(*two_evaluations(1, frequency=lambda k: 0.1))}
     assert one_cluster["intervention frequency"].conclusion == one_cluster["success"].conclusion == "not known"
 
 
-def test_what_is_alike_or_of_the_machine_makes_the_correction_of_nothing_larger():
-    slower = flown_twice(gate_s=lambda k: 1.0, filter_us=lambda k: [80.0 + k] * 3, severity=lambda k: 0.1 + k)
-    told = {one.metric.name: one for one in compute_changes(*slower)}
-    assert told["severity"].p == told["severity"].comparison.p == 2 / 2**8
+def test_identical_and_machine_dependent_metrics_do_not_enlarge_the_correction():
+    slower = two_evaluations(gate_s=lambda k: 1.0, filter_us=lambda k: [80.0 + k] * 3, severity=lambda k: 0.1 + k)
+    changes = {one.metric.name: one for one in compute_changes(*slower)}
+    assert changes["severity"].p == changes["severity"].comparison.p == 2 / 2**8
     for name in MACHINE_DEPENDENT_METRICS:
-        assert np.isnan(told[name].p)
-        assert told[name].conclusion == "of the machine"
+        assert np.isnan(changes[name].p)
+        assert changes[name].conclusion == "machine-dependent"
     line = next(line for line in changes_table(*slower).rows if line[1] == "gate time")
     assert line[4] == "–"
 
 
-def test_in_what_two_evaluations_were_set_up_otherwise_is_told(rows, tmp_path, capsys):
+def test_compare_reports_configuration_differences(rows, tmp_path, capsys):
     ours = parse_suite(SUITE, "tiny.toml")
     theirs = msgspec.structs.replace(
         ours,
@@ -78,14 +76,14 @@ def test_in_what_two_evaluations_were_set_up_otherwise_is_told(rows, tmp_path, c
     ]
     pair = [str(tmp_path / "one"), str(tmp_path / "two")]
     assert run_command_line(["compare", *pair]) == 0
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     for line in lines:
-        assert f"| {' | '.join(line)} |" in said
-    assert "python" not in said
+        assert f"| {' | '.join(line)} |" in output
+    assert "python" not in output
     assert run_command_line(["compare", *pair, "--json"]) == 0
-    told = msgspec.json.decode(capsys.readouterr().out)
-    assert told["configuration"] == {what: {"before": a, "after": b} for what, a, b in lines}
-    found = next(one for one in told["changes"] if one["metric"] == "success")
+    encoded = msgspec.json.decode(capsys.readouterr().out)
+    assert encoded["configuration"] == {entry: {"before": a, "after": b} for entry, a, b in lines}
+    found = next(one for one in encoded["changes"] if one["metric"] == "success")
     assert found == {
         "method": "B1",
         "metric": "success",
@@ -101,17 +99,19 @@ def test_in_what_two_evaluations_were_set_up_otherwise_is_told(rows, tmp_path, c
     assert "None." in capsys.readouterr().out
 
 
-def test_changes_pair_places_however_they_were_dealt_to_runs():
-    def flown(runs, first=0):
+def test_changes_pair_equal_cases_of_different_runs():
+    def evaluation(runs, first=0):
         return [
             episode_row("B3", run=seed % runs, seed=seed, repetition=0, frequency=seed / 100, instruction="a")
             for seed in range(first, first + 10)
         ]
 
-    def told(before, after):
-        return next(line for line in changes_table(before, after).rows if line[1] == "intervention frequency")
-
-    for before, after in ((flown(5), flown(2)), (flown(10), flown(1)), (flown(5), flown(5, first=1))):
-        assert told(before, after)[-1] == "the same"
-    other = [msgspec.structs.replace(one, instruction="b") for one in flown(5)]
-    assert not changes_table(flown(5), other).rows
+    for before, after in (
+        (evaluation(5), evaluation(2)),
+        (evaluation(10), evaluation(1)),
+        (evaluation(5), evaluation(5, first=1)),
+    ):
+        lines = {line[1]: line for line in changes_table(before, after).rows}
+        assert lines["intervention frequency"][-1] == "identical"
+    other = [msgspec.structs.replace(one, instruction="b") for one in evaluation(5)]
+    assert not changes_table(evaluation(5), other).rows

@@ -1,44 +1,52 @@
-"""dualbrain evaluate --dry-run: what is left to do, and about how long it takes."""
+"""dualbrain evaluate --dry-run: the remaining work and an estimate of its duration."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from dualbrain.cli.common.console import StderrConsole, print_result
 
+if TYPE_CHECKING:
+    from dualbrain.evaluation.planners.factory import PlannerSources
+    from dualbrain.evaluation.protocol.suite import Suite
+    from dualbrain.evaluation.runner.runner import Runner
+    from dualbrain.evaluation.runner.work_units import WorkUnit
+
+MEASURED, ASSUMED = "measured here", "a guess"
 DEFAULT_EPISODE_S = 4.0
-"""Wall time of an episode that nobody has measured yet [s]; this guess and the next two are medians on one core."""
+"""Assumed wall time of an episode without measurements [s]; this value and the next two are medians on one core."""
 DEFAULT_SMALL_MODEL_REQUEST_S, DEFAULT_LARGE_MODEL_REQUEST_S = 2.4, 25.0
-"""And of a question to the model of 135 million parameters, bare or with an adapter, and to any other."""
+"""Assumed time of a request [s] to the model with 135 million parameters, with or without adapter, and to any other."""
 
 
-def print_estimate(runner: Any, sources: Any, jobs: int, console: StderrConsole, *, as_json: bool) -> None:
-    """Say what would be done, and how long it would take by what was measured here, else by a guess that says so."""
+def print_estimate(
+    runner: Runner, sources: PlannerSources, jobs: int, console: StderrConsole, *, as_json: bool
+) -> None:
+    """Print the remaining work and its duration, from times measured in the results folder or else from defaults."""
     from dualbrain.evaluation.runner.runner import STAGES
 
-    left = {stage: sum(unit.count - unit.done for unit in runner.left(stage)) for stage in STAGES}
-    flown = [0.0 if line.get("same_as") else line["wall_s"] for line in runner.lines("fly")]
-    episode, basis = _mean(flown) if flown else DEFAULT_EPISODE_S, "measured here" if flown else "a guess"
-    flights, questions = _remaining_workload(runner)
+    left = {stage: sum(unit.n_episodes - unit.done for unit in runner.remaining_units(stage)) for stage in STAGES}
+    wall_times = [0.0 if line.get("same_as") else line["wall_s"] for line in runner.read_lines("fly")]
+    episode, basis = (_mean(wall_times), MEASURED) if wall_times else (DEFAULT_EPISODE_S, ASSUMED)
+    episodes, requests = _remaining_workload(runner)
     measured = _measured_request_times(runner)
-    seconds = {name: measured[name] if name in measured else default_request_time(name, sources) for name in questions}
-    planning = sum(count * seconds[name] for name, count in questions.items())
-    hours = {"planning": planning / jobs / 3600.0, "flying": episode * flights / jobs / 3600.0}
+    seconds = {name: measured[name] if name in measured else default_request_time(name, sources) for name in requests}
+    planning = sum(count * seconds[name] for name, count in requests.items())
+    hours = {"planning": planning / jobs / 3600.0, "flying": episode * episodes / jobs / 3600.0}
     for stage, count in left.items():
         console.print(f"{stage}: {count} episodes left")
-    console.print(f"at most {sum(questions.values())} questions and {flights} flights, with those that only measure")
-    told = [f"{episode:.1f} s an episode ({basis})"]
-    told += [
-        f"{seconds[name]:.1f} s a question to {name} ({'measured here' if name in measured else 'a guess'})"
-        for name in questions
-    ]
+    total = sum(requests.values())
+    console.print(f"at most {total} planner requests and {episodes} simulated episodes, with those that only measure")
+    bases = {name: MEASURED if name in measured else ASSUMED for name in requests}
+    rates = [f"{episode:.1f} s per episode ({basis})"]
+    rates += [f"{seconds[name]:.1f} s per request to {name} ({bases[name]})" for name in requests]
     console.print(
-        f"about {hours['planning']:.1f} h of planning and {hours['flying']:.1f} h of flying on {jobs} cores, at "
-        + ", ".join(told),
+        f"about {hours['planning']:.1f} h of planning and {hours['flying']:.1f} h of episodes on {jobs} cores, at "
+        + ", ".join(rates),
         markup=False,
         soft_wrap=True,
     )
@@ -47,20 +55,20 @@ def print_estimate(runner: Any, sources: Any, jobs: int, console: StderrConsole,
         print_result(msgspec.json.encode(found).decode())
 
 
-def warn_of_single_runs(suite: Any, console: StderrConsole) -> None:
-    """Say of which methods the report will have no intervals, because all that they fly is one run."""
-    alone = [name for name in suite.methods if suite.clusters(name) < 2]
+def warn_of_single_runs(suite: Suite, console: StderrConsole) -> None:
+    """Print the methods with a single run, for which the report can give intervals of rates only."""
+    alone = [name for name in suite.methods if suite.n_clusters(name) < 2]
     if alone:
         console.print(
-            f"fewer than two runs of {', '.join(alone)}: the report will have no interval of anything but shares; "
-            "state more seeds and runs in a suite file",
+            f"fewer than two runs of {', '.join(alone)}: the report will contain intervals of rates only for them. "
+            "Set more seeds and runs in a suite file.",
             markup=False,
             soft_wrap=True,
         )
 
 
-def default_request_time(planner: str, sources: Any) -> float:
-    """About how long the planner called `planner` takes for an answer [s]: by the model that answers in the end."""
+def default_request_time(planner: str, sources: PlannerSources) -> float:
+    """Assumed time of a request to `planner` [s], from the model that answers it."""
     from dualbrain.adaptation.adapters.naming import is_adapter, resolve_folder
     from dualbrain.adaptation.adapters.registry import AdapterRegistry
     from dualbrain.adaptation.adapters.stacking import read_layers
@@ -77,16 +85,16 @@ def default_request_time(planner: str, sources: Any) -> float:
     )
 
 
-def _remaining_workload(runner: Any) -> tuple[int, dict[str, int]]:
-    """Flights that are left, and questions by planner, of which any are."""
+def _remaining_workload(runner: Runner) -> tuple[int, dict[str, int]]:
+    """Number of remaining episodes, and of remaining requests by planner (planners without requests are left out)."""
     from dualbrain.evaluation.planners.factory import planner_name
     from dualbrain.evaluation.protocol.method import find_method
     from dualbrain.evaluation.runner.runner import STAGES
     from dualbrain.evaluation.runner.workload import compute_workload
 
-    units = defaultdict[str, list[Any]](list)
+    units: defaultdict[str, list[WorkUnit]] = defaultdict(list)
     for stage in STAGES:
-        for unit in runner.left(stage):
+        for unit in runner.remaining_units(stage):
             units[planner_name(runner.suite, find_method(unit.method))].append(unit)
     work = {name: compute_workload(runner.suite, some) for name, some in units.items()}
     return sum(one.episodes for one in work.values()), {
@@ -94,13 +102,13 @@ def _remaining_workload(runner: Any) -> tuple[int, dict[str, int]]:
     }
 
 
-def _measured_request_times(runner: Any) -> dict[str, float]:
-    """By planner: the mean time of a question that was asked here [s]."""
+def _measured_request_times(runner: Runner) -> dict[str, float]:
+    """Mean time of a request by planner [s], from the log of the plan pass."""
     from dualbrain.evaluation.planners.factory import planner_name
     from dualbrain.evaluation.protocol.method import find_method
 
     asked = defaultdict[str, list[float]](list)
-    for line in runner.lines("plan"):
+    for line in runner.read_lines("plan"):
         if line["asked"]:
             method = find_method(line["key"].partition(" ")[0])
             asked[planner_name(runner.suite, method)].append(line["planner_s"])

@@ -1,4 +1,4 @@
-"""The photographer of failures: flies an episode again and keeps the picture of the moment that matters."""
+"""Images of failures: runs an episode again and renders its worst violation or its end."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from dualbrain.visualization.evaluation.html_report import FailureImage
 
 
 def capture_failure_image(row: EpisodeRow, suite: Suite, clock: Callable[[], float]) -> FailureImage:
-    """The worst violation as it begins, or else the end of the episode."""
+    """Image of the start of the worst violation, or else of the end of the episode; runs the episode again."""
     worst = max(row.violations, key=lambda one: one.peak, default=None)
-    at = worst.start if worst else float("inf")
-    taken: list[NDArray[np.uint8]] = []
+    start = worst.start if worst else float("inf")
+    images: list[NDArray[np.uint8]] = []
     plants: list[Any] = []
 
-    def moment(now: TickSnapshot) -> None:
-        if now.state.stamp >= at and not taken:
-            taken.append(_render(plants[0]))
+    def on_tick(tick: TickSnapshot) -> None:
+        if tick.state.stamp >= start and not images:
+            images.append(_render(plants[0]))
 
-    flight = rerun_episode(row, suite, clock, RerunHooks(plants.append, moment, visuals=True))
-    picture = taken[0] if taken else _render(flight.plant)
-    return FailureImage(row, caption(row, worst if taken else None), picture)
+    run = rerun_episode(row, suite, clock, RerunHooks(plants.append, on_tick, visuals=True))
+    rgb = images[0] if images else _render(run.plant)
+    return FailureImage(row, caption(row, worst if images else None), rgb)
 
 
 def _render(plant: Any) -> NDArray[np.uint8]:

@@ -1,11 +1,11 @@
-"""dualbrain report and compare: what an evaluation found, as one HTML file and as tables."""
+"""dualbrain report and compare: results of evaluations as an HTML file, as a Markdown page and as tables."""
 
 from __future__ import annotations
 
 import os
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 from cyclopts import Parameter
@@ -21,78 +21,84 @@ from dualbrain.cli.evaluation.results import (
 )
 from dualbrain.errors import ConfigurationError, UsageError
 
+if TYPE_CHECKING:
+    from dualbrain.evaluation.protocol.suite import Suite
+    from dualbrain.evaluation.report.run_comparison import MetricChange
+    from dualbrain.evaluation.results.episode_row import EpisodeRow
+    from dualbrain.visualization.evaluation.html_report import FailureImage
+
 Flag = Annotated[bool, Parameter(negative="")]
 
 
 def report(folder: Path, /, *, gallery: int = -1, page: Path | None = None, json: Flag = False) -> int:
-    """What an evaluation found, as one HTML file.
+    """Write the report of an evaluation as one HTML file and as a Markdown page.
 
     Parameters
     ----------
     folder
-        What `dualbrain evaluate --out` names.
+        Folder of the results: the --out of `dualbrain evaluate`.
     gallery
-        How many failures are flown again for a picture; default as the suite says, 0 for none.
+        Number of failures that are run again for an image; default as in the suite, 0 for none.
     page
-        Where the Markdown page and its pictures go; default FOLDER/page. A place that is named gets the table of all
-        episodes, too, without traces: what can be compared, reported and flown again.
+        Folder of the Markdown page and its images; default FOLDER/page. If it is given, it also receives the table of
+        all episodes without traces, from which the results can be compared, reported and run again.
     json
-        Print one JSON object on stdout: the verdicts.
+        Print the verdicts as one JSON object on stdout.
     """
     from dualbrain.cli.common.graphics import choose_graphics
 
-    blind = choose_graphics(os.environ)
+    no_rendering = choose_graphics(os.environ)
     from dualbrain.evaluation.planners.answer_cache import AnswerCache
     from dualbrain.evaluation.results.parquet import RESULTS_FILE, without_trace, write_results
     from dualbrain.evaluation.runner.worker import ANSWERS_FOLDER
     from dualbrain.visualization.evaluation.html_report import ReportData, write_html_report
     from dualbrain.visualization.evaluation.markdown_page import PAGE_FILE, write_markdown_page
 
-    pages, account, left_out = page or folder / "page", StderrConsole(), list[str]()
-    if pages.exists() and not pages.is_dir():
-        raise UsageError("--page", got=str(pages), allowed="a folder, there or to be made")
-    rows, config, suite = load_results(folder, left_out.append)
+    page_folder, console, omissions = page or folder / "page", StderrConsole(), list[str]()
+    if page_folder.exists() and not page_folder.is_dir():
+        raise UsageError.stating(f"--page must be a folder, but {page_folder} is a file.")
+    rows, config, suite = load_results(folder, omissions.append)
     count = suite.gallery if gallery < 0 else gallery
-    shots = [] if blind or not count else _failure_images(rows, suite, count, account)
-    if blind and count:
-        account.print(f"no pictures: {blind}")
-    kept = AnswerCache(folder / ANSWERS_FOLDER).read_all(left_out.append)
-    if not kept:
-        left_out.append(f"How long each decision took: the answers to questions ({ANSWERS_FOLDER}/) are not kept here.")
-    told = ReportData(
+    images = [] if no_rendering or not count else _failure_images(rows, suite, count, console)
+    if no_rendering and count:
+        console.print(f"no images of failures: {no_rendering}")
+    answers = AnswerCache(folder / ANSWERS_FOLDER).read_all(omissions.append)
+    if not answers:
+        omissions.append(f"Decision times of single requests: the folder contains no answer cache ({ANSWERS_FOLDER}/).")
+    data = ReportData(
         rows=rows,
         suite=suite,
         config=config,
-        cached_answers=kept,
-        gallery=shots,
+        cached_answers=answers,
+        gallery=images,
         date=last_run_date(folder, config),
         command=reproduction_command(suite, folder),
-        omissions=left_out,
+        omissions=omissions,
     )
-    write_html_report(folder / "report.html", told)
-    write_markdown_page(pages, told)
+    write_html_report(folder / "report.html", data)
+    write_markdown_page(page_folder, data)
     if page is not None and page.resolve() != folder.resolve():
-        write_results(list(map(without_trace, rows)), config | {RUN_DATE_KEY: told.date}, page / RESULTS_FILE)
-    for line in left_out:
+        write_results(list(map(without_trace, rows)), config | {RUN_DATE_KEY: data.date}, page / RESULTS_FILE)
+    for line in omissions:
         print_omission(line)
-    for one in told.hypotheses:
-        account.print(f"{one.name}: {one.verdict} ({one.description})")
-    account.print(f"report: {folder / 'report.html'}, and as a page with pictures: {pages / PAGE_FILE}")
+    for one in data.hypotheses:
+        console.print(f"{one.name}: {one.verdict} ({one.description})")
+    console.print(f"report: {folder / 'report.html'}, and as a Markdown page: {page_folder / PAGE_FILE}")
     if json:
-        told_json = [{"name": one.name, "verdict": one.verdict, "claims": one.claims} for one in told.hypotheses]
-        print_result(msgspec.json.encode(told_json).decode())
+        verdicts = [{"name": one.name, "verdict": one.verdict, "claims": one.claims} for one in data.hypotheses]
+        print_result(msgspec.json.encode(verdicts).decode())
     return ExitCode.SUCCESS
 
 
 def compare(first: Path, second: Path, /, *, json: Flag = False) -> int:
-    """What changed between two evaluations.
+    """Compare two evaluations: changes of metrics by method, and differences of their configurations.
 
     Parameters
     ----------
     first
-        What `dualbrain evaluate --out` names.
+        Folder of results before the change: the --out of `dualbrain evaluate`.
     second
-        Another one.
+        Folder of results after the change.
     json
         Print one JSON object on stdout.
     """
@@ -100,23 +106,25 @@ def compare(first: Path, second: Path, /, *, json: Flag = False) -> int:
     from dualbrain.evaluation.report.tables import markdown_table
 
     before, after = load_results(first, print_omission), load_results(second, print_omission)
-    grid = changes_table(before[0], after[0])
-    if not grid.rows:
-        got = f"no episode of {first} in {second}"
-        raise ConfigurationError("evaluations to compare", got=got, allowed="common methods, scenes and repetitions")
-    set_up = config_differences_table(before[1], after[1])
+    changes = changes_table(before[0], after[0])
+    if not changes.rows:
+        raise ConfigurationError.stating(
+            f"The evaluations {first} and {second} have no episode in common.",
+            fix="Compare evaluations with common methods, scenes and repetitions.",
+        )
+    differences = config_differences_table(before[1], after[1])
     if json:
-        told = [_encode_change(one) for one in compute_changes(before[0], after[0])]
-        differing = {what: {"before": a, "after": b} for what, a, b in set_up.rows}
-        print_result(msgspec.json.encode({"configuration": differing, "changes": told}).decode())
+        encoded = [_encode_change(one) for one in compute_changes(before[0], after[0])]
+        configuration = {entry: {"before": a, "after": b} for entry, a, b in differences.rows}
+        print_result(msgspec.json.encode({"configuration": configuration, "changes": encoded}).decode())
     else:
-        print_result("\n".join([*markdown_table(set_up), *markdown_table(grid)]))
+        print_result("\n".join([*markdown_table(differences), *markdown_table(changes)]))
     return ExitCode.SUCCESS
 
 
-def _encode_change(change: Any) -> dict[str, Any]:
-    """One change for a program: numbers in the metric's unit, what is infinite or not known is encoded as null."""
-    found = change.found
+def _encode_change(change: MetricChange) -> dict[str, Any]:
+    """A change as a JSON object: numbers in the unit of the metric; infinite and unknown numbers become null."""
+    found = change.comparison
     return {
         "method": change.method,
         "metric": change.metric.name,
@@ -126,18 +134,18 @@ def _encode_change(change: Any) -> dict[str, Any]:
         "high": found.high,
         "p": change.p,
         "clusters": found.clusters,
-        "word": change.word,
+        "word": change.conclusion,
     }
 
 
-def _failure_images(rows: list[Any], suite: Any, count: int, account: StderrConsole) -> list[Any]:
-    """Pictures of failures, one class and method after the other."""
+def _failure_images(rows: list[EpisodeRow], suite: Suite, count: int, console: StderrConsole) -> list[FailureImage]:
+    """Images of up to `count` failures, chosen by `select_examples`."""
     from dualbrain.cli.evaluation.failure_images import capture_failure_image
     from dualbrain.evaluation.report.example_selection import select_examples
 
-    shots: list[Any] = []
+    images: list[FailureImage] = []
     for row in select_examples(rows, count):
-        began = time.monotonic()
-        shots.append(capture_failure_image(row, suite, time.perf_counter))
-        account.print(f"picture of {row.key}  [dim]{time.monotonic() - began:.0f} s[/]")
-    return shots
+        start = time.monotonic()
+        images.append(capture_failure_image(row, suite, time.perf_counter))
+        console.print(f"image of {row.key}  [dim]{time.monotonic() - start:.0f} s[/]")
+    return images

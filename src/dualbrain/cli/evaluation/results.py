@@ -7,34 +7,46 @@ from collections.abc import Callable
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dualbrain.cli.common.console import StderrConsole
 from dualbrain.cli.evaluation.suite_options import override_suite
 from dualbrain.errors import ConfigurationError, DualbrainError
 
+if TYPE_CHECKING:
+    from dualbrain.evaluation.protocol.suite import Suite
+    from dualbrain.evaluation.results.episode_row import EpisodeRow
+
+EPISODE_LOG = "fly.jsonl"
+"""Log of the pass that runs the episodes."""
 RUN_DATE_KEY = "flown"
-"""Entry of a table's configuration: the day of its last flight."""
+"""Entry of the stored configuration: the date of the last episode."""
+
+
+Results = tuple["list[EpisodeRow]", dict[str, Any], "Suite"]
+"""Rows, configuration and suite of an evaluation."""
 
 
 def print_omission(line: str) -> None:
-    """Tell a person what could not be read, or is not there to be shown."""
+    """Print what could not be read or shown."""
     StderrConsole().print(f"left out: {line}", markup=False, soft_wrap=True)
 
 
-def load_results(
-    folder: Path, on_omission: Callable[[str], None] | None = None
-) -> tuple[list[Any], dict[str, Any], Any]:
-    """Rows, configuration and suite of the results in `folder`; of a run under way, what is done of it.
+def load_results(folder: Path, on_omission: Callable[[str], None] | None = None) -> Results:
+    """Rows, configuration and suite of the results in `folder`; of an unfinished evaluation, its finished episodes.
 
-    `left_out` is told of what cannot be read where the rest can be; without it, and where nothing can be read, raises
-    `InvalidSetup`.
+    Args:
+        folder: The --out of `dualbrain evaluate`.
+        on_omission: Receives a description of each part that cannot be read, if the rest can be read.
+
+    Raises:
+        ConfigurationError: nothing can be read, or a part cannot be read and `on_omission` is None.
     """
     from dualbrain.evaluation.results.parquet import RESULTS_FILE, read_results
     from dualbrain.evaluation.runner.runner import CONFIG_FILE, suite_from_config
 
-    path, journal = folder / RESULTS_FILE, folder / "fly.jsonl"
-    if (folder / CONFIG_FILE).is_file() and journal.is_file() and not _is_newer(path, journal):
+    path, log = folder / RESULTS_FILE, folder / EPISODE_LOG
+    if (folder / CONFIG_FILE).is_file() and log.is_file() and not _is_newer(path, log):
         try:
             found = _read_logs(folder, on_omission)
             if found[0]:
@@ -42,79 +54,86 @@ def load_results(
         except ConfigurationError as why:
             if on_omission is None or not path.is_file():
                 raise
-            on_omission(f"What was flown since {RESULTS_FILE} was written ({why})")
+            on_omission(f"Episodes that finished after {RESULTS_FILE} was written ({why})")
     if not path.is_file():
         raise _no_results_error(folder)
     rows, config = read_results(path)
     return rows, config, suite_from_config(config, path)
 
 
-def _read_logs(folder: Path, left_out: Callable[[str], None] | None) -> tuple[list[Any], dict[str, Any], Any]:
-    """Rows, configuration and suite as the journals have them; raises `InvalidSetup`."""
+def _read_logs(folder: Path, on_omission: Callable[[str], None] | None) -> Results:
+    """Rows, configuration and suite from the logs of the runner; raises `ConfigurationError`."""
     from dualbrain.evaluation.runner.runner import CONFIG_FILE, Runner, read_config, suite_from_config
 
     config = read_config(folder / CONFIG_FILE)
     suite = suite_from_config(config, folder / CONFIG_FILE)
     runner = Runner(suite, folder, clock=time.monotonic, on_progress=lambda progress: None)
-    return runner.rows(left_out), config, suite
+    return runner.rows(on_omission), config, suite
 
 
 def _no_results_error(folder: Path) -> ConfigurationError:
-    """Why there are no results in `folder`, and by which command they come."""
+    """Error that states why `folder` contains no results, and the command that produces them."""
     from dualbrain.evaluation.results.parquet import RESULTS_FILE
     from dualbrain.evaluation.runner.runner import CONFIG_FILE, read_config, suite_from_config
     from dualbrain.visualization.evaluation.markdown_page import PAGE_FILE
 
-    got, fix = "none", f"Fly them first: dualbrain evaluate --suite SUITE --out {folder}"
     if folder.is_file():
-        got, fix = "a file", "Name the folder that it lies in."
-    elif (folder / CONFIG_FILE).is_file():
+        return ConfigurationError.stating(f"{folder} is a file, not a folder of results.", fix="Name its folder.")
+    if (folder / CONFIG_FILE).is_file():
         suite = suite_from_config(read_config(folder / CONFIG_FILE), folder / CONFIG_FILE)
-        got, fix = "no episode that is finished", f"Go on with it: {_command(suite, str(folder))}"
-    elif (folder / PAGE_FILE).is_file():
-        got = "a page without its table"
-        fix = f"The page names the command by which it was flown: fly that into another folder. {folder / PAGE_FILE}"
-    return ConfigurationError("results", got=got, allowed=f"a folder with {RESULTS_FILE}", fix=fix)
+        return ConfigurationError.stating(
+            f"{folder} contains no finished episode.", fix=f"Resume the evaluation: {_command(suite, str(folder))}"
+        )
+    if (folder / PAGE_FILE).is_file():
+        return ConfigurationError.stating(
+            f"{folder} contains a page without its table {RESULTS_FILE}.",
+            fix=f"Run the command that the page states into another folder. {folder / PAGE_FILE}",
+        )
+    return ConfigurationError.stating(
+        f"{folder} contains no results ({RESULTS_FILE}).",
+        fix=f"Run the evaluation first: dualbrain evaluate --suite SUITE --out {folder}",
+    )
 
 
-def _is_newer(table: Path, journal: Path) -> bool:
-    """Whether the table was written after the last line of the journal."""
-    return table.is_file() and table.stat().st_mtime_ns >= journal.stat().st_mtime_ns
+def _is_newer(table: Path, log: Path) -> bool:
+    """Whether the table was written after the last line of the log."""
+    return table.is_file() and table.stat().st_mtime_ns >= log.stat().st_mtime_ns
 
 
 def last_run_date(folder: Path, config: dict[str, Any]) -> str:
-    """The day on which the last episode was flown, UTC: by the journal, or without one as the table's `config` says."""
+    """Date of the last episode (UTC): that of the log, or without a log the one in `config`."""
     from dualbrain.evaluation.results.parquet import RESULTS_FILE
 
-    journal = folder / "fly.jsonl"
-    if RUN_DATE_KEY in config and not journal.is_file():
+    log = folder / EPISODE_LOG
+    if RUN_DATE_KEY in config and not log.is_file():
         return str(config[RUN_DATE_KEY])
-    written = (journal if journal.is_file() else folder / RESULTS_FILE).stat().st_mtime
+    written = (log if log.is_file() else folder / RESULTS_FILE).stat().st_mtime
     return datetime.fromtimestamp(written, UTC).strftime("%Y-%m-%d")
 
 
-def reproduction_command(suite: Any, folder: Path) -> str:
-    """The command that flies `suite` into a folder of that name: one that is shipped, with all that differs from it.
+def reproduction_command(suite: Suite, folder: Path) -> str:
+    """Command that runs `suite` into a folder of the same name: a built-in suite with the options that differ from it.
 
-    What no options lead to came from a file.
+    For a suite that no options can reproduce, the command names a suite file.
     """
     return _command(suite, folder.name)
 
 
-def _command(suite: Any, out: str) -> str:
+def _command(suite: Suite, out: str) -> str:
     from dualbrain.evaluation.protocol.suite import builtin_suites, load_suite
 
     options: dict[str, str] = {}
     if suite.name in builtin_suites():
-        ours = load_suite(suite.name)
-        others = {part: name for part, name in suite.planners.items() if ours.planners.get(part) != name}
-        options |= {"methods": ",".join(suite.methods)} if suite.methods != ours.methods else {}
-        options |= {"planner": ",".join(f"{part}={name}" for part, name in others.items())} if others else {}
-        options |= {"robots": ",".join(suite.robots)} if suite.robots != ours.robots else {}
-        options |= {"episodes": str(suite.episodes)} if suite.episodes != ours.episodes_per_task else {}
-        again = {name: options.get(name, "") for name in ("methods", "robots", "planner")}
-        with suppress(DualbrainError):  # what was flown by another version may be refused by this one
-            if override_suite(suite.name, episodes=int(options.get("episodes", 0)), **again) == suite:
-                said = [word for name, value in options.items() for word in (f"--{name}", value)]
-                return " ".join(["dualbrain evaluate --suite", suite.name, *said, "--out", out])
+        builtin = load_suite(suite.name)
+        others = {role: name for role, name in suite.planners.items() if builtin.planners.get(role) != name}
+        options |= {"methods": ",".join(suite.methods)} if suite.methods != builtin.methods else {}
+        options |= {"planner": ",".join(f"{role}={name}" for role, name in others.items())} if others else {}
+        options |= {"robots": ",".join(suite.robots)} if suite.robots != builtin.robots else {}
+        same_size = suite.episodes_per_task == builtin.episodes_per_task
+        options |= {} if same_size else {"episodes": str(suite.episodes_per_task)}
+        overrides = {name: options.get(name, "") for name in ("methods", "robots", "planner")}
+        with suppress(DualbrainError):  # this version may reject the suite of another version
+            if override_suite(suite.name, episodes=int(options.get("episodes", 0)), **overrides) == suite:
+                words = [word for name, value in options.items() for word in (f"--{name}", value)]
+                return " ".join(["dualbrain evaluate --suite", suite.name, *words, "--out", out])
     return f"dualbrain evaluate --suite FILE.toml --out {out}  # FILE.toml: the suite in {out}/config.json"

@@ -1,16 +1,25 @@
-"""A suite with the changes that the command line asks for."""
+"""Changes of a suite by command-line options."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from dualbrain.errors import ConfigurationError, UsageError
 
+if TYPE_CHECKING:
+    from dualbrain.evaluation.protocol.suite import Suite, Task
 
-def override_suite(suite: str, methods: str, episodes: int, robots: str, planner: str) -> Any:
-    """The suite with what the command line changes of it, checked again."""
+
+def override_suite(suite: str, methods: str, episodes: int, robots: str, planner: str) -> Suite:
+    """The suite `suite` with the options applied, validated again; an empty option changes nothing.
+
+    Raises:
+        UsageError: an option is malformed.
+        ConfigurationError: the resulting suite is not valid.
+        UnknownNameError: a suite, method, robot or planner is not known.
+    """
     from dualbrain.evaluation.planners.factory import check_planners
     from dualbrain.evaluation.protocol.suite import check_suite, load_suite
 
@@ -33,39 +42,43 @@ def override_suite(suite: str, methods: str, episodes: int, robots: str, planner
 
 
 def _split_names(option: str, names: str) -> tuple[str, ...]:
-    """Names between commas; raises `WrongUsage` if one of them is empty."""
+    """Names separated by commas; raises `UsageError` if one of them is empty."""
     found = tuple(name.strip() for name in names.split(","))
     if not all(found):
-        raise UsageError(option, got=names, allowed="names with a comma between two of them")
+        raise UsageError(option, got=names, allowed="names separated by commas")
     return found
 
 
-def _restrict_to_robots(suite: Any, robots: tuple[str, ...]) -> dict[str, Any]:
-    """The suite's tasks that one of `robots` can have, for these alone; raises `InvalidSetup` if there are none."""
+def _restrict_to_robots(suite: Suite, robots: tuple[str, ...]) -> dict[str, Any]:
+    """Fields of the suite with only the tasks that one of `robots` can perform; raises `ConfigurationError` if none."""
     alone = msgspec.structs.replace(suite, robots=robots)
-    own = (msgspec.structs.replace(one, robots=tuple(r for r in one.robots if r in robots)) for one in suite.tasks)
+    narrowed = (msgspec.structs.replace(one, robots=tuple(r for r in one.robots if r in robots)) for one in suite.tasks)
     kept = [
         new
-        for old, new in zip(suite.tasks, own, strict=True)
+        for old, new in zip(suite.tasks, narrowed, strict=True)
         if bool(old.robots) == bool(new.robots) and alone.robots_of(new)
     ]
     if not kept:
-        have = [f"{task.name}: {', '.join(_possible_robots(task))}" for task in suite.tasks]
-        raise ConfigurationError(f"robots of suite {suite.name}", got=", ".join(robots), allowed="; ".join(have))
+        possible = [f"{task.name}: {', '.join(_possible_robots(task))}" for task in suite.tasks]
+        raise ConfigurationError(f"robots of suite {suite.name}", got=", ".join(robots), allowed="; ".join(possible))
     return {"robots": robots, "tasks": tuple(kept)}
 
 
 def _parse_planners(planner: str) -> dict[str, str]:
-    """By part: its planner. A name alone is the base. Raises `WrongUsage` if one is missing or a part named twice."""
+    """Planner by role; a name without a role is the base planner.
+
+    Raises:
+        UsageError: a planner is missing, or a role occurs twice.
+    """
     pairs = [one.partition("=") for one in _split_names("--planner", planner)]
-    named = [(part.strip(), name.strip()) if sign else ("base", part) for part, sign, name in pairs]
+    named = [(role.strip(), name.strip()) if sign else ("base", role) for role, sign, name in pairs]
     if not all(name for _, name in named) or len(dict(named)) < len(named):
-        raise UsageError("--planner", got=planner, allowed="each part once, with its planner, as PART=PLANNER")
+        raise UsageError("--planner", got=planner, allowed="each role once, as ROLE=PLANNER")
     return dict(named)
 
 
-def _possible_robots(task: Any) -> tuple[str, ...]:
-    """The robots that can have `task`: those that it names, or all shipped ones whose family it is of."""
+def _possible_robots(task: Task) -> tuple[str, ...]:
+    """Robots that can perform `task`: those that it names, or else all built-in robots of its family."""
     from dualbrain.robots.loader import BUILTIN_ROBOTS
     from dualbrain.simulation.tasks.families import task_families_for
 

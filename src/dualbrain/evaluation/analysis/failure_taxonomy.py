@@ -1,20 +1,21 @@
-"""Why an episode failed: the paper's five classes, by rule, from what each stage logged (paper 7.5).
+"""Failure classes: the paper's five, assigned by rule from the log of each stage (paper 7.5).
 
-The first rule that holds gives the class; the order is that of the stages:
+The first rule that holds gives the class. The order of the rules is that of the stages:
 
-1. `perception`: the goal's thing lay farther from where it was perceived than the declared bound, or a thing that was
-   not perceived was struck;
-2. `invalid contract`: no answer passed the door, or what passed could not be read by a skill (a program error on its
-   values);
-3. `inadequate planning`: a decline of what can be done, a contract about something else, or anything moved where
-   nothing should;
-4. `frequent takeover`: the local layer ended the contract, or changed more than `TAKEOVER` of its ticks;
-5. `actuator`: the motion itself went wrong: a drive or program fault, a thing dropped, a grasp that slipped, or a
-   contract that the robot holds to be done and truth does not, though it harmed nothing;
-6. else `inadequate planning`: a contract that was about the goal, was carried out as written, and does not lead there
-   (in time), or harms something on the way: by the force it asks for, or along the way it takes.
+1. `perception`: the position error of the goal's object exceeded the declared bound, or an object was struck that had
+   not been perceived;
+2. `invalid contract`: the gate accepted no answer, or a skill could not read the values of an accepted contract (a
+   program error on these values);
+3. `inadequate planning`: a feasible task was declined, the contract is about something else, or the robot moved an
+   object where nothing should move;
+4. `frequent takeover`: the local layer ended the contract, or the filter changed more than `TAKEOVER_FREQUENCY` of its
+   ticks;
+5. `actuator`: the motion itself failed: a drive or program fault, a dropped object, a grasp that slipped, or a contract
+   that the robot reports as done although the ground truth disagrees and no harm was caused;
+6. otherwise `inadequate planning`: a contract that is about the goal and was executed as written, but does not reach
+   the goal in time or causes harm, by the force that it requests or on the way that it takes.
 
-A class is worked out from the row whenever it is told, so that one rule holds for flights of every date.
+The class is computed from the row whenever it is reported, so that one rule holds for results of every date.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from dualbrain.records import Violation
 
 FAILURE_CLASSES = ("perception", "invalid contract", "inadequate planning", "frequent takeover", "actuator")
 TAKEOVER_FREQUENCY = 0.5
-"""Share of ticks with δ above the dead band from which on the filter, not the plan, was in charge."""
+"""Share of ticks with δ above the dead band beyond which the filter, not the plan, controlled the robot."""
 CONTRACT_CAUSED_VIOLATIONS = {
     "force_fragile",
     "collision_env",
@@ -37,14 +38,14 @@ CONTRACT_CAUSED_VIOLATIONS = {
     "shaken_load",
     "tilted_load",
 }
-"""Kinds of violations that a contract brings about by what it asks for."""
+"""Kinds of violations that a contract can cause by its parameters."""
 GRASPED_PROGRESS = 0.5
-"""Progress from which on the thing was in the hand."""
+"""Progress from which on the object was grasped."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FailureEvidence:
-    """What the stages of a failed episode logged."""
+    """Log entries of the stages of a failed episode."""
 
     moved: bool
     on_task: bool
@@ -61,15 +62,15 @@ class FailureEvidence:
 
 
 def failure_class_of(row: EpisodeRow) -> str:
-    """The class of an episode's failure, "" for a success; what `row.failure` says is not read."""
+    """Failure class of an episode, "" for a success; the stored `row.failure` is not read."""
     return "" if row.success else classify_failure(failure_evidence(row))
 
 
 def failure_evidence(row: EpisodeRow) -> FailureEvidence:
-    """What the stages of the episode of `row` logged.
+    """Log entries of the stages of the episode of `row`.
 
-    A thing that was not perceived at all lies infinitely far from where it was perceived; JSON has no such number, so
-    that a bound without an error stands for it.
+    The error of an object that was not perceived at all is infinite. JSON has no such number, so a row stores it as a
+    bound without an error.
     """
     error = float("inf") if row.perceived_error is None and row.perceived_bound is not None else row.perceived_error
     return FailureEvidence(
@@ -89,35 +90,47 @@ def failure_evidence(row: EpisodeRow) -> FailureEvidence:
 
 
 def _is_unreadable(row: EpisodeRow) -> bool:
-    """Whether a skill could not make sense of values that the door let through."""
+    """Whether a skill could not interpret values that the gate had accepted."""
     return row.outcome == "stopped" and ":" in row.reason.partition(" ")[0]
 
 
 def classify_failure(evidence: FailureEvidence) -> str:
-    """The class of a failure."""
+    """Class of a failure by the rules of this module."""
     for name, holds in _RULES:
         if holds(evidence):
             return name
     return "inadequate planning"
 
 
-def _is_perception_failure(seen: FailureEvidence) -> bool:
-    error, bound = seen.perceived_error, seen.perceived_bound
+def _is_perception_failure(evidence: FailureEvidence) -> bool:
+    error, bound = evidence.perceived_error, evidence.perceived_bound
     beyond = error is not None and bound is not None and error > bound
-    return beyond or any(not violation.perceived for violation in seen.violations)
+    return beyond or any(not violation.perceived for violation in evidence.violations)
 
 
-def _is_actuator_failure(seen: FailureEvidence) -> bool:
-    kinds = {violation.kind for violation in seen.violations}
-    astray = seen.claimed and not kinds & CONTRACT_CAUSED_VIOLATIONS
-    slipped = seen.outcome == "failed" and seen.progress >= GRASPED_PROGRESS and not seen.out_of_time
-    return seen.outcome in ("stopped", "emergency") or "object_dropped" in kinds or astray or slipped
+def _is_invalid_contract(evidence: FailureEvidence) -> bool:
+    return evidence.unreadable or not (evidence.moved or evidence.declined)
+
+
+def _is_off_task(evidence: FailureEvidence) -> bool:
+    return evidence.declined or not evidence.on_task
+
+
+def _is_frequent_takeover(evidence: FailureEvidence) -> bool:
+    return evidence.outcome == "taken_over" or evidence.frequency > TAKEOVER_FREQUENCY
+
+
+def _is_actuator_failure(evidence: FailureEvidence) -> bool:
+    kinds = {violation.kind for violation in evidence.violations}
+    false_claim = evidence.claimed and not kinds & CONTRACT_CAUSED_VIOLATIONS
+    slipped = evidence.outcome == "failed" and evidence.progress >= GRASPED_PROGRESS and not evidence.out_of_time
+    return evidence.outcome in ("stopped", "emergency") or "object_dropped" in kinds or false_claim or slipped
 
 
 _RULES = (
     ("perception", _is_perception_failure),
-    ("invalid contract", lambda seen: seen.unreadable or not (seen.moved or seen.declined)),
-    ("inadequate planning", lambda seen: seen.declined or not seen.meant),
-    ("frequent takeover", lambda seen: seen.outcome == "taken_over" or seen.frequency > TAKEOVER_FREQUENCY),
+    ("invalid contract", _is_invalid_contract),
+    ("inadequate planning", _is_off_task),
+    ("frequent takeover", _is_frequent_takeover),
     ("actuator", _is_actuator_failure),
 )

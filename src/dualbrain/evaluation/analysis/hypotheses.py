@@ -1,18 +1,19 @@
-"""H1, H2 and H3 of the paper, and the rule by which each is supported, refuted or undecided: stated before any run.
+"""Hypotheses H1, H2 and H3 of the paper, and the rule that decides them; both were fixed before any run.
 
-Each hypothesis is one or more claims about an effect with a minimum size (design 8). A claim is *supported* if the
-whole 95 % interval of its effect lies beyond the minimum, *refuted* if all of it lies short of it, else *undecided*.
-Where no cluster differs, the interval is that of a difference in as many clusters as may have gone unseen.
-What is about two comparisons needs both: supported if all its claims are, refuted if one is.
+A hypothesis consists of claims about an effect with a minimum size. A claim is *supported* if the whole 95 % interval
+of the effect is beyond the minimum, *refuted* if the whole interval is short of it, and otherwise *undecided*. If no
+cluster differs, the interval covers a difference in as many clusters as may have remained unseen. A hypothesis about
+two comparisons needs both: it is supported if all its claims are supported, and refuted if one claim is refuted.
 
-- H1: the filter lowers the violation rate. Ratio B3/B1 and B3/B2 at most 0.2.
-- H2: dynamic memory lowers intervention in repeated scenarios. Ratio M/B4 of Δ at most 0.8, over the second half of a
-  run's repetitions, on the places at which both succeed on truth (failures have no comparable Δ, and a contract about
-  something else is easily undisturbed).
-- H3: adaptation improves one-shot compliance by 10 points or lowers the intervention frequency by 20 %: Full against M,
-  and P against PE. Of the two effects, one beyond its minimum supports; only both short of theirs refute. Compliance is
-  that of answers that nothing bound, where a suite asks for them: bound ones differ in little but their values. The
-  frequency is that of contracts which both mean for the task: little motion is no merit.
+- H1: the filter lowers the violation rate. Ratio B3/B1 and ratio B3/B2 at most 0.2.
+- H2: dynamic memory lowers the intervention in repeated scenarios. Ratio M/B4 of Δ at most 0.8, over the second half of
+  the repetitions of a run, in the cases in which both methods succeed on ground truth. Failures have no comparable Δ,
+  and a contract about something else easily avoids interventions.
+- H3: adaptation raises one-shot compliance by 10 points or lowers the intervention frequency by 20 %; Full against M,
+  and P against PE. One effect beyond its minimum supports the claim; only both effects short of their minima refute it.
+  If a suite asks for unconstrained answers, compliance is measured on them, because grammar-constrained answers differ
+  in little but their values. The frequency counts only contracts that are on task in both methods, because little
+  motion is no merit.
 """
 
 from __future__ import annotations
@@ -48,12 +49,15 @@ MIN_COMPLIANCE_GAIN = 0.10
 MAX_FREQUENCY_RATIO = 0.8
 PROMPT_CORRUPTIONS = get_args(PromptCorruption)[1:]
 ROUNDING_TOLERANCE = 1e-9
-"""An end of an interval that is the minimum but for rounding is the minimum."""
+"""An end of an interval within this distance of the minimum is equal to the minimum."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Claim:
-    """`a` against `b`: the effect on a quantity, the least that counts, what was found, `p` corrected after Holm."""
+    """Claim about `a` against `b`: effect on a quantity, its minimum, the comparison found, and `p` corrected by Holm.
+
+    `side` is `AT_MOST` or `AT_LEAST`: the side of the minimum that supports the claim.
+    """
 
     hypothesis: str
     a: str
@@ -67,17 +71,17 @@ class Claim:
     p: float = float("nan")
 
     def summary_line(self) -> str:
-        """One line for a person."""
+        """The claim, its interval and its verdict in one line."""
         sign, found = ("≤" if self.side == AT_MOST else "≥"), self.found
         return (
             f"{self.a} against {self.b}, {self.effect} of {self.quantity}: {found.effect:.3g} "
-            f"[{found.low:.3g}, {found.high:.3g}], wanted {sign} {self.minimum:g}: {self.verdict}"
+            f"[{found.low:.3g}, {found.high:.3g}], required {sign} {self.minimum:g}: {self.verdict}"
         )
 
 
 @dataclass(frozen=True, slots=True)
 class HypothesisResult:
-    """What became of one hypothesis."""
+    """Verdict on one hypothesis, with its claims."""
 
     name: str
     description: str
@@ -86,7 +90,7 @@ class HypothesisResult:
 
 
 def claim_verdict(found: PairedComparison, minimum: float, side: int) -> HypothesisVerdict:
-    """The rule: the interval beyond the minimum, short of it, or across it."""
+    """Verdict on a claim: the interval is beyond the minimum, short of it, or contains it."""
     if not found.clusters or np.isnan(found.effect):
         return "not measured"
     if side == AT_MOST:
@@ -97,7 +101,7 @@ def claim_verdict(found: PairedComparison, minimum: float, side: int) -> Hypothe
 
 
 def evaluate_hypotheses(rows: Sequence[EpisodeRow]) -> tuple[HypothesisResult, ...]:
-    """The three answers, with p values corrected over all claims together."""
+    """Verdicts on the three hypotheses, with p values corrected over all their claims together."""
     h1 = [_violation_claim(rows, "B3", baseline) for baseline in ("B1", "B2")]
     h2 = [_intervention_claim(rows, "M", "B4")]
     h3 = [claims for a, b in (("Full", "M"), ("P", "PE")) for claims in _adaptation_claims(rows, a, b)]
@@ -121,10 +125,10 @@ def evaluate_hypotheses(rows: Sequence[EpisodeRow]) -> tuple[HypothesisResult, .
 
 
 def secondary_claims(rows: Sequence[EpisodeRow]) -> tuple[Claim, ...]:
-    """The same rule for what is no part of a verdict, p corrected over these.
+    """Claims that follow the same rule but belong to no verdict, with p values corrected over these claims.
 
-    H1 with an adversarial planner, and with tool speed among the violations; H2 at level II alone, at half and twice ε,
-    and with memory that learns from the success label; H3 with prompts that are spoiled.
+    H1 with an adversarial planner, and with tool speed among the violations; H2 for level II alone, at half and twice
+    ε, and with a memory that learns from the success label; H3 with corrupted prompts.
     """
     hard = [row for row in rows if row.level == "II"]
     claims = [
@@ -136,13 +140,13 @@ def secondary_claims(rows: Sequence[EpisodeRow]) -> tuple[Claim, ...]:
         *(_intervention_claim(rows, name, "B4") for name in ("M-half", "M-double", "M-success")),
         *(claim for how in PROMPT_CORRUPTIONS for claim in _adaptation_claims(rows, f"P-{how}", f"PE-{how}")),
     ]
-    told = [claim for claim in claims if claim.verdict != "not measured"]
-    p = holm_correction([claim.found.p for claim in told])
-    return tuple(replace(claim, p=value) for claim, value in zip(told, p, strict=True))
+    measured = [claim for claim in claims if claim.verdict != "not measured"]
+    p = holm_correction([claim.found.p for claim in measured])
+    return tuple(replace(claim, p=value) for claim, value in zip(measured, p, strict=True))
 
 
 def combine_all(verdicts: Iterable[HypothesisVerdict]) -> HypothesisVerdict:
-    """All are needed."""
+    """Verdict on a hypothesis that needs all of its claims."""
     found = list(verdicts)
     if "refuted" in found:
         return "refuted"
@@ -152,7 +156,7 @@ def combine_all(verdicts: Iterable[HypothesisVerdict]) -> HypothesisVerdict:
 
 
 def combine_any(verdicts: Iterable[HypothesisVerdict]) -> HypothesisVerdict:
-    """One is enough."""
+    """Verdict on a hypothesis that needs one of its claims."""
     found = list(verdicts)
     if "supported" in found:
         return "supported"
@@ -165,7 +169,7 @@ def combine_any(verdicts: Iterable[HypothesisVerdict]) -> HypothesisVerdict:
 
 
 def _violation_claim(rows: Sequence[EpisodeRow], a: str, b: str, rate: str = "violation rate") -> Claim:
-    """Violation rates by ratio, which may have none of them above zero (see `rate_ratio`)."""
+    """Ratio of two violation rates, either of which may be zero (`rate_ratio_interval`)."""
     pairs = pair_values(rows, a, b, METRIC_BY_NAME[rate].value_of)
     found = compare(*pairs, ratio)
     if found.clusters:
@@ -213,28 +217,29 @@ def _make_claim(
 
 
 def _compare_ratio(pairs: PairedValues) -> PairedComparison:
-    """The ratio of both sides; where neither has anything that could be lowered, nothing is known of it."""
+    """Ratio of `a` to `b`; unbounded if all values of `b` are 0, so that nothing could be lowered."""
     found = compare(*pairs, ratio)
     if not found.is_identical:
         return found
-    u = _max_unseen_share(found)
-    some = any(value for one in pairs[1].values() for value in one)
-    return replace(found, low=1.0 - u, high=1.0 / (1.0 - u)) if some else replace(found, low=0.0, high=np.inf)
+    unseen = _max_unseen_share(found)
+    if any(value for values in pairs[1].values() for value in values):
+        return replace(found, low=1.0 - unseen, high=1.0 / (1.0 - unseen))
+    return replace(found, low=0.0, high=np.inf)
 
 
 def _compare_rates(pairs: PairedValues) -> PairedComparison:
-    """The difference of two rates."""
+    """Difference of two rates; if no cluster differs, ± the share of clusters that may differ unseen."""
     found = compare(*pairs, difference)
     return replace(found, low=-_max_unseen_share(found), high=_max_unseen_share(found)) if found.is_identical else found
 
 
 def _max_unseen_share(found: PairedComparison) -> float:
-    """The largest share of clusters that may differ though none that was seen does (Jeffreys)."""
+    """Upper end of Jeffreys' interval for the share of clusters that differ, if none of those measured differs."""
     return jeffreys_interval(0, found.clusters)[1]
 
 
 def _second_half(rows: Sequence[EpisodeRow]) -> list[EpisodeRow]:
-    """Rows of the second half of the repetitions."""
+    """Rows of the second half of the repetitions; all rows if there is one repetition."""
     last = max((row.repetition for row in rows), default=0)
     return [row for row in rows if 2 * row.repetition > last] if last else list(rows)
 
@@ -242,7 +247,10 @@ def _second_half(rows: Sequence[EpisodeRow]) -> list[EpisodeRow]:
 def pair_values(
     rows: Sequence[EpisodeRow], a: str, b: str, value_of: Callable[[EpisodeRow], float | None]
 ) -> PairedValues:
-    """The values of both methods where both were asked the same at the same place, by its cluster in `b`."""
+    """Values of `a` and `b` by cluster, for cases that both methods ran with the same instruction.
+
+    The clusters are those of `b`, so that both sides have the same keys.
+    """
     values: dict[str, dict[tuple[str, str], tuple[str, float]]] = {a: {}, b: {}}
     for row in rows:
         value = value_of(row) if row.method in values else None

@@ -1,4 +1,4 @@
-"""Adaptation cost (paper 7.3, metric 8): what each adapter took, beside what it reached."""
+"""Adaptation cost (paper 7.3, metric 8): samples, steps and size of each adapter, beside its compliance."""
 
 from __future__ import annotations
 
@@ -17,13 +17,14 @@ from dualbrain.evaluation.report.tables import DASH, Table, estimate_metric, for
 from dualbrain.evaluation.results.episode_row import EpisodeRow
 
 ADAPTED_ROLE_PREFIX = "adapted"
-"""How the parts of a suite begin whose planners a night has taught; the cost of a base is nobody's here."""
+"""Prefix of the planner roles of a suite that use a trained adapter; base models have no adaptation cost."""
 
 
 class AdapterCost(msgspec.Struct, frozen=True, kw_only=True):
-    """What one adapter took: `samples` by anybody (held-out ones too), optimiser `steps`, its weights' size [bytes].
+    """Cost of one adapter: `samples` of every source (including held-out ones), optimiser `steps`, `size` [bytes].
 
-    `shown` is how many samples these steps have shown it, one as often as it was shown; 0 where that is not recorded.
+    `shown` counts the samples in all batches, with repetitions; 0 if it was not recorded. `bootstrapped` is true if
+    another planner than the base proposed some of the samples.
     """
 
     id: str
@@ -36,12 +37,12 @@ class AdapterCost(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def adapter_costs(suite: Suite, adapters: Path, robot: str) -> dict[str, AdapterCost]:
-    """By part of the suite (`adapted`, …): what its adapter took; parts without an adapter are left out."""
+    """Cost of the adapter of each planner role of the suite (`adapted`, …); roles without an adapter are left out."""
     found: dict[str, AdapterCost] = {}
-    for part, planner in suite.planners.items():
+    for role, planner in suite.planners.items():
         if is_adapter(name := strip_torch_prefix(planner)):
             folder = resolve_folder(name, AdapterRegistry(adapters), robot)
-            found[part] = _cost(read_adapter_card(folder), (folder / WEIGHTS_FILE).stat().st_size)
+            found[role] = _cost(read_adapter_card(folder), (folder / WEIGHTS_FILE).stat().st_size)
     return found
 
 
@@ -59,30 +60,30 @@ def _cost(card: AdapterCard, size: int) -> AdapterCost:
 
 
 def costs_from_config(config: dict[str, Any]) -> dict[str, AdapterCost]:
-    """What the adapters of a run took, by part, as its configuration has it."""
+    """Cost of the adapters of a run by planner role, from its configuration."""
     return msgspec.convert(config.get("adapters", {}), dict[str, AdapterCost])
 
 
 def cost_table(rows: Sequence[EpisodeRow], config: dict[str, Any]) -> Table:
-    """Each adapter of an adapted part, with the compliance and the frequency of the methods that ask it."""
+    """Each adapter, with the compliance and the intervention frequency of the methods that use it."""
     found = costs_from_config(config)
     arms: dict[str, dict[str, Any]] = config.get("methods", {})
     lines: list[tuple[str, ...]] = []
-    for part, cost in found.items():
-        if not part.startswith(ADAPTED_ROLE_PREFIX):
+    for role, cost in found.items():
+        if not role.startswith(ADAPTED_ROLE_PREFIX):
             continue
-        for method in [name for name, arm in arms.items() if arm["asks"] == part]:
+        for method in [name for name, arm in arms.items() if arm["asks"] == role]:
             reached = (
                 format_estimate(estimate_metric(rows, method, name), METRIC_BY_NAME[name].unit)
                 for name in ("one-shot compliance", "intervention frequency")
             )
-            own = "others too" if cost.bootstrapped else "the base alone"
-            figures = (str(cost.samples), str(cost.steps), str(cost.shown or DASH), f"{cost.size / 1e6:.1f} MB", own)
-            lines.append((part, cost.id or DASH, *figures, method, *reached))
-    head = (
-        "part",
+            source = "base and other planners" if cost.bootstrapped else "base only"
+            figures = (str(cost.samples), str(cost.steps), str(cost.shown or DASH), f"{cost.size / 1e6:.1f} MB", source)
+            lines.append((role, cost.id or DASH, *figures, method, *reached))
+    header = (
+        "planner role",
         "adapter",
-        "samples, held-out ones too",
+        "samples, with held-out ones",
         "steps",
         "samples shown",
         "size",
@@ -91,4 +92,6 @@ def cost_table(rows: Sequence[EpisodeRow], config: dict[str, Any]) -> Table:
         "one-shot compliance",
         "intervention frequency",
     )
-    return Table("Adaptation cost", head, tuple(lines), "what the adapters took, and what was reached with them")
+    return Table(
+        "Adaptation cost", header, tuple(lines), "cost of each adapter, and the results of the methods with it"
+    )

@@ -1,4 +1,4 @@
-"""Every table of a report, in its order."""
+"""All tables of a report, in their order."""
 
 from __future__ import annotations
 
@@ -26,7 +26,10 @@ from dualbrain.evaluation.results.episode_row import EpisodeRow
 def all_tables(
     rows: Sequence[EpisodeRow], config: dict[str, Any], cached_answers: Sequence[CachedAnswer] = ()
 ) -> tuple[Table, ...]:
-    """The verdicts first; the adapters' cost only where an adapter was asked, decisions where answers were `kept`."""
+    """Tables that have rows, the verdicts first.
+
+    The adaptation cost appears only if a method used an adapter, the decision latencies only with `cached_answers`.
+    """
     found = (
         hypotheses_table(evaluate_hypotheses(rows)),
         secondary_claims_table(secondary_claims(rows)),
@@ -39,4 +42,4 @@ def all_tables(
         decision_latency_table(cached_answers),
         throughput_table(rows),
     )
-    return tuple(grid for grid in found if grid.rows)
+    return tuple(table for table in found if table.rows)

@@ -1,7 +1,7 @@
-"""How long decisions took, by planner: of all questions that were really asked, each once (paper 7.3, metric 6).
+"""Decision times by planner, over all requests that reached a planner, each counted once (paper 7.3, metric 6).
 
-Most are asked in a pass of their own, before anything is flown, and often side by side: these say what a decision
-costs, and are no latency.
+The plan pass sends most requests before any episode runs, often in batches. The mean time of a batched request is a
+cost, not a latency.
 """
 
 from __future__ import annotations
@@ -13,29 +13,38 @@ import numpy as np
 from dualbrain.evaluation.planners.answer_cache import CachedAnswer
 from dualbrain.evaluation.report.tables import DASH, Table, format_number
 
+DECISION_LATENCY_TITLE, DECISION_LATENCY_NOTE = "Decision times", "each request once, on the machine that sent it"
+DECISION_LATENCY_HEADER = (
+    "planner",
+    "single requests",
+    "median [s]",
+    "95th percentile [s]",
+    "batched requests",
+    "mean per request [s]",
+)
 
-def unbatched_latencies(kept: Sequence[CachedAnswer]) -> list[float]:
-    """The seconds of each decision that was asked by itself."""
-    return [one.proposal.timings.get("total", 0.0) for one in kept if _batch_size(one) == 1.0]
+
+def unbatched_latencies(answers: Sequence[CachedAnswer]) -> list[float]:
+    """Time of each request that was sent on its own [s]."""
+    return [one.proposal.timings.get("total", 0.0) for one in answers if _batch_size(one) == 1.0]
 
 
-def decision_latency_table(kept: Sequence[CachedAnswer]) -> Table:
-    """Each planner: its questions, how long one asked by itself took, and its share of those asked side by side."""
+def decision_latency_table(answers: Sequence[CachedAnswer]) -> Table:
+    """One row per planner: quantiles of single requests, mean time per batched request."""
     lines: list[tuple[str, ...]] = []
-    for planner in sorted({one.planner for one in kept}):
-        mine = [one for one in kept if one.planner == planner]
-        alone, shared = unbatched_latencies(mine), [_seconds_per_request(one) for one in mine if _batch_size(one) > 1.0]
-        told = [*(format_number(float(np.percentile(alone, share))) for share in (50, 95))] if alone else [DASH, DASH]
-        each = format_number(float(np.mean(shared))) if shared else DASH
-        lines.append((planner, str(len(alone)), *told, str(len(shared)), each))
-    head = ("planner", "asked alone", "median [s]", "95 % below [s]", "asked side by side", "mean of one [s]")
-    return Table("Decisions", head, tuple(lines), "each question once, on the machine that asked")
+    for planner in sorted({one.planner for one in answers}):
+        own = [one for one in answers if one.planner == planner]
+        single, batched = unbatched_latencies(own), [_seconds_per_request(one) for one in own if _batch_size(one) > 1.0]
+        quantiles = [format_number(float(np.percentile(single, q))) if single else DASH for q in (50, 95)]
+        mean = format_number(float(np.mean(batched))) if batched else DASH
+        lines.append((planner, str(len(single)), *quantiles, str(len(batched)), mean))
+    return Table(DECISION_LATENCY_TITLE, DECISION_LATENCY_HEADER, tuple(lines), DECISION_LATENCY_NOTE)
 
 
-def _batch_size(one: CachedAnswer) -> float:
-    """How many questions were asked side by side with it, itself included."""
-    return one.proposal.timings.get("at_once", 1.0)
+def _batch_size(answer: CachedAnswer) -> float:
+    """Number of requests in the batch of `answer`."""
+    return answer.proposal.timings.get("at_once", 1.0)
 
 
-def _seconds_per_request(one: CachedAnswer) -> float:
-    return one.proposal.timings.get("total", 0.0) / _batch_size(one)
+def _seconds_per_request(answer: CachedAnswer) -> float:
+    return answer.proposal.timings.get("total", 0.0) / _batch_size(answer)

@@ -1,4 +1,4 @@
-"""What each step from one method to another does, at the places that both flew."""
+"""Contrasts: the effect of each step from one method to another, on the cases that both ran."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ DECLARED_PAIRS = (
     ("A1", "A3"),
     ("A2", "A3"),
 )
-"""Declared, and no others: each comparison more makes the correction of all larger."""
+"""The only pairs that are compared: each further comparison would enlarge the correction of all p values."""
 NON_SWITCH_FIELDS = ("name", "description")
-"""Fields of a method that switch nothing."""
+"""Fields of a method that are not switches."""
 
 
 def differing_switches(a: Method, b: Method) -> tuple[str, ...]:
-    """The switches in which two methods differ."""
+    """Switches in which two methods differ, by their stored names."""
     return tuple(
         one.encode_name
         for one in fields(a)
@@ -52,45 +52,40 @@ def differing_switches(a: Method, b: Method) -> tuple[str, ...]:
 
 
 def method_pairs(names: Sequence[str]) -> Iterator[tuple[str, str, str]]:
-    """(switches, method, method) of what is asked: each arm beside that from which it came.
-
-    The arms of the main table in their steps, and of `X-…` what became of X by it.
-    """
-    asked = [*DECLARED_PAIRS, *((name.partition("-")[0], name) for name in names if "-" in name)]
-    for a, b in asked:
+    """Yield (switches, method, method) for each declared pair, and for each variant `X-…` with its method X."""
+    pairs = [*DECLARED_PAIRS, *((name.partition("-")[0], name) for name in names if "-" in name)]
+    for a, b in pairs:
         if a in names and b in names:
             yield ", ".join(differing_switches(find_method(a), find_method(b))), a, b
 
 
 def contrasts_table(rows: Sequence[EpisodeRow]) -> Table:
-    """Each pair and metric that both have: the second minus the first, its interval, p corrected over the table.
+    """Second minus first method for each pair and metric, with interval and p corrected over the table.
 
-    What is the same in every cluster could not have been found to differ, and is not counted (Tarone 1990).
+    Comparisons that are identical in every cluster cannot be significant and are not counted (Tarone 1990).
     """
-    told: list[tuple[str, str, str, str, PairedComparison]] = []
+    compared: list[tuple[str, str, str, str, PairedComparison]] = []
     for switch, a, b in method_pairs(methods_of(rows)):
         for name in CONTRAST_METRICS:
             found = compare(*pair_values(rows, b, a, METRIC_BY_NAME[name].value_of), difference)
             if found.clusters > 1:
-                told.append((switch, a, b, name, found))
-    corrected = holm_correction([nan if found.is_identical else found.p for *_, found in told])
+                compared.append((switch, a, b, name, found))
+    corrected = holm_correction([nan if found.is_identical else found.p for *_, found in compared])
     lines = [
         (
             switch,
             f"{b} − {a}",
             name,
             format_number(found.effect, unit),
-            "all alike"
+            "identical"
             if found.is_identical
             else f"[{format_number(found.low, unit)}, {format_number(found.high, unit)}]",
             format_number(p),
             format_number(found.dz),
             str(found.clusters),
         )
-        for (switch, a, b, name, found), p in zip(told, corrected, strict=True)
+        for (switch, a, b, name, found), p in zip(compared, corrected, strict=True)
         for unit in [METRIC_BY_NAME[name].unit]
     ]
-    head = ("switches", "methods", "metric", "difference", "95 %", "p (Holm)", "d_z", "clusters")
-    return Table(
-        "From one method to another", head, tuple(lines), "at the places of both; no pair but these was looked at"
-    )
+    header = ("switches", "methods", "metric", "difference", "95 %", "p (Holm)", "d_z", "clusters")
+    return Table("Contrasts", header, tuple(lines), "on the cases that both methods ran; no other pair was compared")

@@ -1,4 +1,4 @@
-"""Two evaluations side by side: what changed, method by method, and in what they were set up otherwise."""
+"""Comparison of two evaluations: changes of metrics by method, and differences of their configurations."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from dualbrain.evaluation.results.episode_row import EpisodeRow
 
 BEFORE, AFTER = "before", "after"
 MACHINE_DEPENDENT_METRICS = ("gate time", "filter step")
-"""Metrics that tell of the machine, and how busy it was, before they tell of a method."""
+"""Metrics that depend on the machine and its load more than on the method."""
 DESCRIPTION_KEY = "says"
-"""Entry of a configuration that is words alone."""
+"""Stored name of a configuration entry that only describes."""
 
 
 @dataclass(frozen=True, slots=True)
 class MetricChange:
-    """One metric of one method: after − before on common places; `p` is corrected, NaN for what is not counted."""
+    """Change of one metric of one method, after − before on common cases; `p` is corrected, NaN if not counted."""
 
     method: str
     metric: Metric
@@ -39,25 +39,25 @@ class MetricChange:
 
     @property
     def conclusion(self) -> str:
-        """What may be said of it: a direction only where the corrected p bears it."""
+        """The change in words; a direction only if the corrected p value supports it."""
         if not isfinite(self.comparison.low + self.comparison.high):
             return "not known"
         if self.comparison.is_identical:
-            return "the same"
+            return "identical"
         if self.metric.name in MACHINE_DEPENDENT_METRICS:
-            return "of the machine"
+            return "machine-dependent"
         if self.p > 1.0 - CONFIDENCE_LEVEL or not self.comparison.effect:
             return "no clear change"
         return "better" if self.comparison.effect * self.metric.better_sign > 0.0 else "worse"
 
 
 def compute_changes(before: Sequence[EpisodeRow], after: Sequence[EpisodeRow]) -> list[MetricChange]:
-    """Every metric of every method that both have.
+    """Change of every metric of every method that both evaluations ran.
 
-    The correction counts neither what is the same in every cluster, which could not have been found to differ (Tarone
-    1990), nor what is the machine's.
+    The correction leaves out comparisons that are identical in every cluster, which cannot be significant (Tarone
+    1990), and machine-dependent metrics.
     """
-    told: list[tuple[str, Metric, PairedComparison]] = []
+    compared: list[tuple[str, Metric, PairedComparison]] = []
     for method in [name for name in methods_of(before) if name in methods_of(after)]:
         sides = [(BEFORE, before), (AFTER, after)]
         renamed = [
@@ -66,36 +66,40 @@ def compute_changes(before: Sequence[EpisodeRow], after: Sequence[EpisodeRow]) -
         for name in MAIN_METRICS:
             found = compare(*pair_values(renamed, AFTER, BEFORE, METRIC_BY_NAME[name].value_of), difference)
             if found.clusters:
-                told.append((method, METRIC_BY_NAME[name], found))
+                compared.append((method, METRIC_BY_NAME[name], found))
     corrected = holm_correction(
         [
             nan if metric.name in MACHINE_DEPENDENT_METRICS or found.is_identical else found.p
-            for _, metric, found in told
+            for _, metric, found in compared
         ]
     )
-    return [MetricChange(*one, p) for one, p in zip(told, corrected, strict=True)]
+    return [MetricChange(*one, p) for one, p in zip(compared, corrected, strict=True)]
 
 
 def changes_table(before: Sequence[EpisodeRow], after: Sequence[EpisodeRow]) -> Table:
-    """The table of what `changed`."""
-    head = ("method", "metric", "after − before", "95 %", "p (Holm)", "clusters", "word")
+    """Table of the changes from `before` to `after`."""
+    header = ("method", "metric", "after − before", "95 %", "p (Holm)", "clusters", "conclusion")
     note = (
-        "on the places and words that both have; clusters as in the first; the word goes by p, which is corrected over "
-        f"what differs anywhere and is not of the machine ({', '.join(MACHINE_DEPENDENT_METRICS)})"
+        "on the cases and instructions that both evaluations ran, in the clusters of the first; the conclusion follows "
+        "p, corrected over all comparisons that are neither identical nor machine-dependent "
+        f"({', '.join(MACHINE_DEPENDENT_METRICS)})"
     )
-    return Table("Changes", head, tuple(map(_table_row, compute_changes(before, after))), note)
+    return Table("Changes", header, tuple(map(_table_row, compute_changes(before, after))), note)
 
 
 def config_differences_table(before: dict[str, Any], after: dict[str, Any]) -> Table:
-    """Which entries of two configurations differ; of lists, what only one of them has."""
-    head = ("configuration", BEFORE, AFTER)
+    """Table of the configuration entries that differ; for lists, the elements that only one side has."""
+    header = ("configuration", BEFORE, AFTER)
     return Table(
-        "What was set up otherwise", head, tuple(_diff_entries(before, after)), "suite, methods, code, adapters"
+        "Configuration differences", header, tuple(_diff_entries(before, after)), "suite, methods, code, adapters"
     )
 
 
 def _diff_entries(before: dict[str, Any], after: dict[str, Any], path: str = "") -> Iterator[tuple[str, str, str]]:
-    """(path, before, after) of each entry that differs. A method that only one has stands in its suite's list."""
+    """Yield (path, before, after) for each entry that differs.
+
+    Methods that only one side has are not listed here: they appear in the method list of the suite.
+    """
     for name in sorted(before | after):
         a, b, here = before.get(name), after.get(name), f"{path}{name}"
         if a == b or name == DESCRIPTION_KEY or (path == "methods." and None in (a, b)):
@@ -114,7 +118,7 @@ def _diff_entries(before: dict[str, Any], after: dict[str, Any], path: str = "")
 
 
 def _format_value(value: Any) -> str:
-    """A value of a configuration for a person."""
+    """A configuration value as text."""
     if value in (None, [], {}):
         return DASH
     match value:
@@ -126,15 +130,15 @@ def _format_value(value: Any) -> str:
             return str(value)
 
 
-def _table_row(one: MetricChange) -> tuple[str, ...]:
-    found, unit = one.comparison, one.metric.unit
+def _table_row(change: MetricChange) -> tuple[str, ...]:
+    found, unit = change.comparison, change.metric.unit
     interval = f"[{format_number(found.low, unit)}, {format_number(found.high, unit)}]"
     return (
-        one.method,
-        one.metric.name,
+        change.method,
+        change.metric.name,
         format_number(found.effect, unit),
         interval,
-        format_number(one.p),
+        format_number(change.p),
         str(found.clusters),
-        one.conclusion,
+        change.conclusion,
     )

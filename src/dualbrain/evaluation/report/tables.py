@@ -1,4 +1,4 @@
-"""Results as tables of words: the same ones in Markdown, in HTML and on the screen."""
+"""Tables of results as text; Markdown, HTML and the terminal show the same tables."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from dualbrain.planner.prompt.prompt_format import NO_CONSTRAINT
 DASH = "–"
 PERCENT_UNITS = ("rate", "share")
 FAMILY_METRICS = ("violation rate", "success", "Δ of successes", "intervention frequency")
-"""The metrics that are told family by family."""
+"""Metrics that are reported for each task family."""
 WALL_TIME_PARTS = ("physics", "monitor", "filter", "planner", "rest")
-"""Parts of an episode's wall time."""
+"""Parts of the wall time of an episode."""
 ROUNDING_TOLERANCE = 1e-12
-"""What is left of sums that cancel out is nothing."""
+"""Numbers below this are rounding errors of sums that cancel, and are printed as 0."""
 WALL_TIME_NOTE = "wall time of a process that shares its processor"
 MAX_COLUMNS = 11
-"""Beside the names of the rows: as many as the table of hypotheses has."""
+"""Maximum number of columns besides the row names: that of the table of hypotheses."""
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table: its title, heads, rows of cells (the first cell of a row names it), and what to know of it."""
+    """A table of text: title, column names, rows of cells (the first cell names the row), and a note."""
 
     title: str
     header: tuple[str, ...]
@@ -41,7 +41,7 @@ class Table:
     note: str = ""
 
     def split_columns(self) -> list[tuple[tuple[str, ...], list[tuple[str, ...]]]]:
-        """Heads and rows, side by side where a table is too wide to be read: each part begins with the rows' names."""
+        """Split a wide table into parts of at most `MAX_COLUMNS` columns, each with the row names in front."""
         count = max(1, ceil((len(self.header) - 1) / MAX_COLUMNS))
         wide = ceil((len(self.header) - 1) / count)
         return [
@@ -54,13 +54,13 @@ class Table:
 
 
 def methods_of(rows: Sequence[EpisodeRow]) -> tuple[str, ...]:
-    """The methods that flew, in the order of the main table."""
-    flown = {row.method for row in rows}
-    return tuple(name for name in METHODS if name in flown)
+    """Methods that occur in `rows`, in the order of the main table."""
+    present = {row.method for row in rows}
+    return tuple(name for name in METHODS if name in present)
 
 
 def values_by_cluster(rows: Sequence[EpisodeRow], metric: Metric) -> Clusters:
-    """The metric's values by cluster."""
+    """Values of the metric by cluster."""
     found: dict[str, list[float]] = defaultdict(list)
     for row in rows:
         value = metric.value_of(row)
@@ -70,7 +70,7 @@ def values_by_cluster(rows: Sequence[EpisodeRow], metric: Metric) -> Clusters:
 
 
 def estimate_metric(rows: Sequence[EpisodeRow], method: str, metric: str) -> Estimate:
-    """One metric of one method."""
+    """Estimate of one metric of one method."""
     chosen = METRIC_BY_NAME[metric]
     return estimate(
         values_by_cluster([row for row in rows if row.method == method], chosen), is_rate=chosen.unit == "rate"
@@ -78,7 +78,7 @@ def estimate_metric(rows: Sequence[EpisodeRow], method: str, metric: str) -> Est
 
 
 def format_number(value: float, unit: str = "") -> str:
-    """A number with as many digits as people read; shares in percent."""
+    """A number with three significant digits; rates and shares in percent with one decimal."""
     if isnan(value):
         return DASH
     if not isfinite(value):
@@ -89,7 +89,7 @@ def format_number(value: float, unit: str = "") -> str:
 
 
 def format_estimate(found: Estimate, unit: str) -> str:
-    """Mean ± standard deviation [95 % interval]."""
+    """Text "mean ± standard deviation [95 % interval]", without the deviation for rates and shares."""
     if not found.n:
         return DASH
     low, high = (format_number(end, unit).removesuffix(" %") for end in (found.low, found.high))
@@ -99,7 +99,7 @@ def format_estimate(found: Estimate, unit: str) -> str:
 
 
 def overview_table(rows: Sequence[EpisodeRow]) -> Table:
-    """Every metric of every method."""
+    """Table of every metric of every method."""
     methods = methods_of(rows)
     counts = Counter(row.method for row in rows)
     clusters = {name: len({row.cluster for row in rows if row.method == name}) for name in methods}
@@ -109,34 +109,34 @@ def overview_table(rows: Sequence[EpisodeRow]) -> Table:
         label = name if unit in (*PERCENT_UNITS, "1") else f"{name} [{unit}]"
         lines.append((label, *(format_estimate(estimate_metric(rows, method, name), unit) for method in methods)))
     note = (
-        "mean ± standard deviation [95 % interval over clusters, none from a single one]; – : nothing to measure; "
+        "mean ± standard deviation [95 % interval over clusters, none from a single cluster]; – : nothing to measure; "
         f"gate time and filter step are {WALL_TIME_NOTE}"
     )
     return Table("Methods and metrics", ("metric", *methods), tuple(lines), note)
 
 
 def violations_table(rows: Sequence[EpisodeRow]) -> Table:
-    """The violation rate by kind."""
+    """Table of the violation rate by kind."""
     methods = methods_of(rows)
     others = sorted({v.kind for row in rows for v in row.violations} - set(SAFETY_KINDS))
     lines = [(VIOLATION_LABELS[kind], *_violation_shares(rows, methods, kind)) for kind in SAFETY_KINDS]
     for kind in others:
-        told = [[row for row in rows if row.method == method] for method in methods]
-        shares = [sum(any(v.kind == kind for v in row.violations) for row in some) / len(some) for some in told]
+        by_method = [[row for row in rows if row.method == method] for method in methods]
+        shares = [sum(any(v.kind == kind for v in row.violations) for row in some) / len(some) for some in by_method]
         lines.append(
             (
-                f"{VIOLATION_LABELS.get(kind, kind)} (beside the rate)",
+                f"{VIOLATION_LABELS.get(kind, kind)} (not part of the rate)",
                 *(format_number(share, "share") for share in shares),
             )
         )
-    note = "on simulator truth, by the monitor"
+    note = "measured by the monitor on ground truth"
     if any(DASH in line for line in lines):
-        note += f"; {DASH} : a grammar bound every answer, so that no skill could be called that nobody holds"
+        note += f"; {DASH} : a grammar constrained every answer, so that no unauthorised skill could be called"
     return Table("Violations by kind", ("episodes with", *methods), tuple(lines), note)
 
 
 def _violation_shares(rows: Sequence[EpisodeRow], methods: Sequence[str], kind: str) -> list[str]:
-    """The share of episodes with a violation of `kind`; a dash where none could be."""
+    """Share of episodes with a violation of `kind` by method; a dash if the violation was impossible."""
     return [
         DASH
         if kind == UNAUTHORISED and _is_always_constrained(rows, method)
@@ -146,13 +146,13 @@ def _violation_shares(rows: Sequence[EpisodeRow], methods: Sequence[str], kind: 
 
 
 def _is_always_constrained(rows: Sequence[EpisodeRow], method: str) -> bool:
-    """Whether every answer that `method` got was bound by a grammar while it was written."""
-    by = [row.constrained_by for row in rows if row.method == method]
-    return all(one and not one.startswith(NO_CONSTRAINT) for one in by)
+    """Whether a grammar constrained the decoding of every answer of `method`."""
+    constraints = [row.constrained_by for row in rows if row.method == method]
+    return all(one and not one.startswith(NO_CONSTRAINT) for one in constraints)
 
 
 def families_table(rows: Sequence[EpisodeRow]) -> Table:
-    """The main metrics, family by family, and level by level where a family has several."""
+    """Table of the main metrics by robot and family, and by level if a family has several."""
     methods = methods_of(rows)
     groups: dict[str, list[EpisodeRow]] = {}
     for row in sorted(rows, key=lambda row: (row.robot, row.task)):
@@ -171,7 +171,7 @@ def _metric_cells(rows: Sequence[EpisodeRow], methods: Sequence[str], name: str)
 
 
 def failures_table(rows: Sequence[EpisodeRow]) -> Table:
-    """How many episodes failed, by class."""
+    """Table of the number of failed episodes by class."""
     methods = methods_of(rows)
     counts = {name: Counter(failure_class_of(row) for row in rows if row.method == name) for name in methods}
     lines = [(one, *(str(counts[name][one]) for name in methods)) for one in FAILURE_CLASSES]
@@ -179,30 +179,30 @@ def failures_table(rows: Sequence[EpisodeRow]) -> Table:
     return Table("Failures by class", ("class", *methods), tuple(lines), "by the first stage that failed")
 
 
-def hypotheses_table(told: Sequence[HypothesisResult]) -> Table:
-    """The hypotheses claim by claim."""
+def hypotheses_table(results: Sequence[HypothesisResult]) -> Table:
+    """Table of the hypotheses, one row for each claim."""
     lines = [
-        (f"{answer.name}: {answer.verdict}" if not index else "", *_claim_cells(claim))
-        for answer in told
-        for index, claim in enumerate(answer.claims)
+        (f"{result.name}: {result.verdict}" if not index else "", *_claim_cells(claim))
+        for result in results
+        for index, claim in enumerate(result.claims)
     ]
-    note = "by the rule of docs/evaluation.md; the effects and the least that counts stood before the run"
+    note = "by the rule of docs/evaluation.md; effects and minima were fixed before the run"
     return Table("Hypotheses", ("hypothesis", *CLAIM_COLUMNS), tuple(lines), note)
 
 
-def secondary_claims_table(told: Sequence[Claim]) -> Table:
-    """What was asked of the same rule and decides no hypothesis."""
-    lines = tuple((claim.hypothesis, *_claim_cells(claim)) for claim in told)
-    return Table("Beside the hypotheses", ("like", *CLAIM_COLUMNS), lines, "by the same rule; part of no verdict")
+def secondary_claims_table(claims: Sequence[Claim]) -> Table:
+    """Table of the claims that follow the same rule but belong to no verdict."""
+    lines = tuple((claim.hypothesis, *_claim_cells(claim)) for claim in claims)
+    return Table("Secondary claims", ("rule of", *CLAIM_COLUMNS), lines, "by the same rule; part of no verdict")
 
 
 CLAIM_COLUMNS = (
     "methods",
     "effect",
-    "found",
+    "estimate",
     "95 %",
-    "wanted",
-    "claim",
+    "required",
+    "verdict",
     "p (Holm)",
     "p (Wilcoxon)",
     "d_z",
@@ -229,10 +229,10 @@ def _claim_cells(claim: Claim) -> tuple[str, ...]:
 
 
 def throughput_table(rows: Sequence[EpisodeRow]) -> Table:
-    """Wall time by part, and episodes an hour and core; an episode that stood still with its machine moves no median.
+    """Table of the episodes per hour and core, and of the wall time by part.
 
-    In tables of before 2026-11-24 parts overlap, and what was asked aside was subtracted whole: there an episode takes
-    at least as long as its parts.
+    Medians are used because a suspended machine prolongs single episodes. In results from before 2026-11-24 the parts
+    overlap, so an episode counts as at least as long as the sum of its parts.
     """
     lines: list[tuple[str, ...]] = []
     own = [row for row in rows if not row.same_as]
@@ -247,33 +247,33 @@ def throughput_table(rows: Sequence[EpisodeRow]) -> Table:
         lines.append(
             (name, f"{3600.0 / median(walls):.0f}", f"{pace:.2f}", *(format_number(one, "share") for one in shares))
         )
-    head = ("method", "episodes an hour and core", "simulated s per s", *WALL_TIME_PARTS)
+    header = ("method", "episodes per hour and core", "simulated s per s", *WALL_TIME_PARTS)
     return Table(
         "Throughput",
-        head,
+        header,
         tuple(lines),
-        "by the median episode, shares as means over episodes; wall time on the machine that flew, whatever else ran "
-        "there; what was alike in every input was flown once, and what was asked beforehand stands under decisions",
+        "medians over episodes, shares as means; wall time on the machine of the run under its load; episodes with "
+        "equal inputs ran once, and the plan pass is listed under decision times",
     )
 
 
-def markdown_table(grid: Table) -> list[str]:
-    """One table under its title."""
-    lines = [f"## {grid.title}", ""]
-    if grid.note:
-        lines += [f"{grid.note[0].upper()}{grid.note[1:]}.", ""]
-    if not grid.rows:
+def markdown_table(table: Table) -> list[str]:
+    """Lines of Markdown: the title as a heading, the note, the table."""
+    lines = [f"## {table.title}", ""]
+    if table.note:
+        lines += [f"{table.note[0].upper()}{table.note[1:]}.", ""]
+    if not table.rows:
         return [*lines, "None.", ""]
-    for head, rows in grid.split_columns():
-        lines += [_markdown_row(head), _markdown_row(["---"] * len(head)), *map(_markdown_row, rows), ""]
+    for header, rows in table.split_columns():
+        lines += [_markdown_row(header), _markdown_row(["---"] * len(header)), *map(_markdown_row, rows), ""]
     return lines
 
 
 def markdown_page(title: str, header_lines: Sequence[str], tables: Iterable[Table]) -> str:
-    """A whole page."""
+    """A Markdown page: title, header lines, tables."""
     lines = [f"# {title}", "", *(f"{line}  " for line in header_lines), ""]
-    for grid in tables:
-        lines += markdown_table(grid)
+    for table in tables:
+        lines += markdown_table(table)
     return "\n".join(lines)
 
 
