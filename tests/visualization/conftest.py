@@ -1,4 +1,4 @@
-"""A made-up run of 20 s with an intervention in its middle, and its degenerate relatives."""
+"""Sample run of 20 s with an intervention in its middle, and runs that were rejected or taken over."""
 
 from dataclasses import dataclass
 
@@ -40,7 +40,7 @@ PHASES = (
 
 @dataclass(frozen=True)
 class FakeFilterResult:
-    """What a filter answers."""
+    """Result of a filter step."""
 
     u: Array
     status: int
@@ -55,7 +55,7 @@ class FakeFilterResult:
 
 
 def synthetic_trace(seconds: float = 20.0) -> Trace:
-    """Ticks at 1 kHz: the person's forearm comes close around 10.6 s; the filter slows the arm to a third."""
+    """Ticks at 1 kHz: the forearm of a person is close at 10.6 s, and the filter slows the arm to a third."""
     trace = Trace(7)
     direction = np.array([0.5, -0.3, 0.2, 0.6, -0.1, 0.4, 0.3])
     rng = np.random.default_rng(3)
@@ -78,8 +78,8 @@ def synthetic_trace(seconds: float = 20.0) -> Trace:
         state = RobotState(
             stamp=t, sequence=k, q=q, v=u, opening=0.04 if action == 0 and t < 5.6 else 0.024, finger_forces=(0.0, 0.0)
         )
-        answer = FakeFilterResult(u.astype(np.float32), int(delta > 0), delta, rows, box, h)
-        trace.append(t, state, nominal, answer, action=action, phase=phase)
+        result = FakeFilterResult(u.astype(np.float32), int(delta > 0), delta, rows, box, h)
+        trace.append(t, state, nominal, result, action=action, phase=phase)
     trace.note(0.0, "verdict", "attempt 2 accepted")
     trace.note(9.4, "intervention", "wrist vs 'forearm': slowed 41 %")
     trace.note(20.0, "memory", "in the prompt, rank 1", episode_id="e-0041", before=0.5, after=0.5873)
@@ -102,7 +102,7 @@ def scene() -> Scene:
     cereal = SceneObject(
         name="cereal", role="obstacle", shape=Box((0.03, 0.09, 0.14)), pose=Pose((0.70, 0.24, 0.14)), colour="orange"
     )
-    seen = tuple(msgspec.structs.replace(thing, error=0.009) for thing in (cube, bowl, bottle, cereal))
+    perceived = tuple(msgspec.structs.replace(one, error=0.009) for one in (cube, bowl, bottle, cereal))
     across = Pose((0.55, 0.16, 0.30), (0.7071, 0.0, 0.7071, 0.0))
     forearm = SceneObject(
         name="forearm",
@@ -113,7 +113,7 @@ def scene() -> Scene:
         error=0.015,
         velocity_error=0.05,
     )
-    return Scene(robot="panda", stamp=0.0, version=3, objects=(table, *seen, forearm))
+    return Scene(robot="panda", stamp=0.0, version=3, objects=(table, *perceived, forearm))
 
 
 CONTRACT = Contract(
@@ -127,7 +127,7 @@ CONTRACT = Contract(
 
 
 def attempts() -> tuple[Attempt, ...]:
-    """One refusal at the envelope, then an accepted contract."""
+    """One contract rejected at the envelope stage, then an accepted contract."""
     first = Proposal(
         text='{"id":"c-0001","action_sequence":[{"skill":"grasp","params":{"speed":3.0}}]}',
         finish_reason="stop",
@@ -142,18 +142,18 @@ def attempts() -> tuple[Attempt, ...]:
         constrained_by="llguidance",
         timings={"prompt": 0.34, "decode": 5.02},
     )
-    refusal = Rejected(
+    rejection = Rejected(
         stage="envelope",
         pointer="/action_sequence/0/params/speed",
         got=3.0,
         allowed="0.05 to 0.4 m/s",
         hint="choose a speed of at most 0.4 m/s",
     )
-    return Attempt(first, refusal, 52e-6), Attempt(second, Accepted(CONTRACT), 61e-6)
+    return Attempt(first, rejection, 52e-6), Attempt(second, Accepted(CONTRACT), 61e-6)
 
 
 def make_episode(trace: Trace) -> Episode:
-    """The record that fits `trace`."""
+    """Episode record of `trace`."""
     summary = trace.summary()
     done = (("grasp", 0.0, 8.0, "both fingers press 12 N"), ("place", 8.0, 19.999, "released over bowl"))
     actions = tuple(
@@ -255,19 +255,19 @@ def make_episode(trace: Trace) -> Episode:
 
 @pytest.fixture(scope="session")
 def trace() -> Trace:
-    """The made-up trace."""
+    """Trace of the sample run."""
     return synthetic_trace()
 
 
 @pytest.fixture(scope="session")
 def episode(trace: Trace) -> Episode:
-    """The made-up episode."""
+    """Episode of the sample run."""
     return make_episode(trace)
 
 
 @pytest.fixture(scope="session")
-def refused(episode: Episode) -> Episode:
-    """Two shots, both refused: nothing moved."""
+def rejected(episode: Episode) -> Episode:
+    """Two attempts, both rejected: nothing moved."""
     outcome = Outcome(kind="rejected", reason="no contract passed the gate in 2 attempts")
     return msgspec.structs.replace(
         episode, attempts=episode.attempts[:1] * 2, contract=None, outcome=outcome, judgement=None
@@ -294,5 +294,5 @@ def taken_over(episode: Episode) -> Episode:
         duration=4.0,
         actions=actions,
     )
-    breach = Violation(kind="collision", start=3.2, duration=0.04, peak=12.7, bodies=("link5", "forearm"))
-    return msgspec.structs.replace(episode, outcome=outcome, judgement=Judgement(False, 0.25, (breach,)))
+    violation = Violation(kind="collision", start=3.2, duration=0.04, peak=12.7, bodies=("link5", "forearm"))
+    return msgspec.structs.replace(episode, outcome=outcome, judgement=Judgement(False, 0.25, (violation,)))

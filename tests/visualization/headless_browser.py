@@ -1,4 +1,4 @@
-"""A headless Chromium, driven through ChromeDriver's protocol: plain JSON over HTTP, which needs no package."""
+"""Headless Chromium, controlled through the protocol of ChromeDriver: JSON over HTTP, without further packages."""
 
 import base64
 import json
@@ -26,7 +26,7 @@ OPENER = build_opener(ProxyHandler({}))
 
 
 class Browser:
-    """One window."""
+    """A browser window."""
 
     def __init__(self, profile: Path, size: tuple[int, int] = (1280, 800), *extra: str) -> None:
         driver, chromium = shutil.which("chromedriver"), shutil.which("chromium")
@@ -38,8 +38,11 @@ class Browser:
         assert self._driver.stdout is not None
         self._base = f"http://127.0.0.1:{self._port()}"
         flags = [*FLAGS, f"--user-data-dir={profile}", f"--window-size={size[0]},{size[1]}", *extra]
-        wanted = {"goog:chromeOptions": {"binary": chromium, "args": flags}, "goog:loggingPrefs": {"browser": "ALL"}}
-        session = self._call("POST", "/session", {"capabilities": {"alwaysMatch": wanted}})
+        capabilities = {
+            "goog:chromeOptions": {"binary": chromium, "args": flags},
+            "goog:loggingPrefs": {"browser": "ALL"},
+        }
+        session = self._call("POST", "/session", {"capabilities": {"alwaysMatch": capabilities}})
         self._base += f"/session/{session['sessionId']}"
 
     def _port(self) -> str:
@@ -53,27 +56,27 @@ class Browser:
         data = None if body is None else json.dumps(body).encode()
         with OPENER.open(
             Request(self._base + path, data, {"Content-Type": "application/json"}, method=method), timeout=60
-        ) as answer:
-            return json.load(answer)["value"]
+        ) as response:
+            return json.load(response)["value"]
 
     def open(self, url: str) -> None:
         """Load a page."""
         self._call("POST", "/url", {"url": url})
 
     def execute_script(self, script: str) -> Any:
-        """What the script returns."""
+        """Result of the script."""
         return self._call("POST", "/execute/sync", {"script": script, "args": []})
 
     def wait_for(self, script: str, seconds: float = 30.0) -> Any:
-        """The script's first true answer."""
+        """First true result of the script."""
         until = time.monotonic() + seconds
-        while not (answer := self.execute_script(script)):
+        while not (result := self.execute_script(script)):
             assert time.monotonic() < until, f"never true in {seconds} s: {script}"
             time.sleep(0.1)
-        return answer
+        return result
 
     def console_messages(self) -> list[str]:
-        """What the page complained of."""
+        """Messages of the browser console."""
         return [line["message"] for line in self._call("POST", "/se/log", {"type": "browser"})]
 
     def save_screenshot(self, path: Path) -> None:

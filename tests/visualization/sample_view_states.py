@@ -1,4 +1,4 @@
-"""Moments of the made-up run as the live view wants them, with forward kinematics written only for this test."""
+"""View states of the sample run, with forward kinematics that are independent of the package."""
 
 import msgspec
 import numpy as np
@@ -32,14 +32,15 @@ def link_frames(robot_model: RobotModel, q: Array, opening: float) -> dict[str, 
 
 
 def view_state_at(robot_model: RobotModel, trace: Trace, scene: Scene, k: int) -> ViewState:
-    """What the view shows at tick `k`."""
+    """View state at tick `k`."""
     frames = link_frames(robot_model, trace["q"][k], float(trace["opening"][k]))
-    centres = np.array([(frames[ball.link] @ np.array([*ball.centre, 1.0]))[:3] for ball in robot_model.spheres])
-    radii = np.array([ball.radius for ball in robot_model.spheres])
+    spheres = robot_model.spheres
+    centres = np.array([(frames[sphere.link] @ np.array([*sphere.centre, 1.0]))[:3] for sphere in spheres])
+    radii = np.array([sphere.radius for sphere in spheres])
     t = float(trace["t"][k])
     arm = scene.find("forearm")
     pose = Pose((arm.pose.position[0], 0.4 - 0.03 * t, arm.pose.position[2]), arm.pose.quaternion)
-    things = tuple(msgspec.structs.replace(arm, pose=pose) if one is arm else one for one in scene.objects)
+    objects = tuple(msgspec.structs.replace(arm, pose=pose) if one is arm else one for one in scene.objects)
     gaps = np.linalg.norm(centres - np.array(pose.position), axis=1) - radii - 0.12
     delta = trace["delta"][: k + 1]
     numbers = {
@@ -55,13 +56,13 @@ def view_state_at(robot_model: RobotModel, trace: Trace, scene: Scene, k: int) -
         "elapsed": t,
     }
     poses = {name: Pose(tuple(T[:3, 3]), matrix_to_quaternion(T[:3, :3])) for name, T in frames.items()}
-    margins = {one.name: one.error + 0.01 for one in things if one.role != "support"}
-    seen = msgspec.structs.replace(scene, objects=things)
-    lines = ("attempt 1: refused at envelope", "attempt 2: accepted", "<b>wrist vs 'forearm'</b>: 12 mm, slowed 41 %")
+    margins = {one.name: one.error + 0.01 for one in objects if one.role != "support"}
+    perceived = msgspec.structs.replace(scene, objects=objects)
+    lines = ("attempt 1: rejected at envelope", "attempt 2: accepted", "<b>wrist vs 'forearm'</b>: 12 mm, slowed 41 %")
     return ViewState(
         t=t,
         frames=poses,
-        scene=seen,
+        scene=perceived,
         centres=centres,
         radii=radii,
         clearances=gaps,

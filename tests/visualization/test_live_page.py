@@ -1,4 +1,4 @@
-"""A person's browser reads the same numbers off the live page as stand in the episode."""
+"""The live page in a browser shows the same numbers as the stored episode."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from tests.visualization.conftest import scene
 from tests.visualization.headless_browser import Browser
 from tests.visualization.sample_view_states import view_state_at
 
-# Each question to a page that is drawn in software costs a second, so everything is asked in one.
+# A script on a page that is rendered in software takes a second, so one script reads everything.
 LIVE = """
 const phase = document.getElementById('live-phase');
 return phase && {
@@ -29,7 +29,7 @@ return {
 }"""
 
 
-def test_the_page_shows_the_run_and_its_end(tmp_path: Path, trace: Trace, episode: Episode) -> None:
+def test_the_page_shows_the_run_and_its_result(tmp_path: Path, trace: Trace, episode: Episode) -> None:
     (tmp_path / "episode.json").write_bytes(msgspec.json.encode(episode))
     robot_model = load_robot("panda")
     robot_model = msgspec.structs.replace(robot_model, spheres=robot_model.spheres[::12])

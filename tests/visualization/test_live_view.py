@@ -1,4 +1,4 @@
-"""The live view without a browser: shapes, colours, ports, and that it never holds up the control loop."""
+"""Live view without a browser: shapes, colours, ports, and its effect on the control loop."""
 
 import socket
 import sys
@@ -18,7 +18,7 @@ from dualbrain.visualization.live.panel import final_html, lines_html, numbers_h
 from dualbrain.visualization.live.robot_view import clearance_colours, simplify_mesh
 from dualbrain.visualization.live.scene_view import shape_mesh
 from dualbrain.visualization.live.view import HOST, LiveView, find_free_port
-from tests.visualization.conftest import scene as made_up_scene
+from tests.visualization.conftest import scene as sample_scene
 from tests.visualization.sample_view_states import link_frames, view_state_at
 
 SIZES = st.floats(0.01, 0.2)
@@ -42,7 +42,7 @@ def test_shapes_have_their_size_and_grow_by_the_margin(a: float, b: float, margi
     assert low[2] == pytest.approx(-margin, abs=1e-9)
 
 
-def test_colours_run_from_contact_to_clear() -> None:
+def test_colours_range_from_contact_to_free() -> None:
     red, amber, blue, far = clearance_colours(np.array([-0.01, 0.01, 0.08, np.inf])).astype(int)
     assert red[0] > 2 * red[1] > red[2]
     assert amber[0] > amber[1] > amber[2]
@@ -50,7 +50,7 @@ def test_colours_run_from_contact_to_clear() -> None:
     assert blue[2] > blue[0]
 
 
-def test_thinning_a_surface_keeps_its_place() -> None:
+def test_simplifying_a_mesh_keeps_its_shape() -> None:
     sphere = shape_mesh(Sphere(0.1))
     points, faces = simplify_mesh(np.asarray(sphere.vertices), np.asarray(sphere.faces), cell=0.03)
     assert len(faces) < len(sphere.faces) / 3
@@ -58,7 +58,7 @@ def test_thinning_a_surface_keeps_its_place() -> None:
     assert faces.max() < len(points)
 
 
-def test_the_test_kinematics_is_right() -> None:
+def test_the_kinematics_of_the_tests_are_correct() -> None:
     robot_model = load_robot("panda")
     tip = link_frames(robot_model, np.array(robot_model.home), 0.04)["hand"] @ np.array(
         [*robot_model.tool.translation, 1.0]
@@ -68,16 +68,16 @@ def test_the_test_kinematics_is_right() -> None:
     assert stretched[:3, 3] == pytest.approx((0.088, 0.0, 0.333 + 0.316 + 0.384), abs=1e-9)
 
 
-def test_untrusted_lines_stay_text(episode: Episode) -> None:
+def test_untrusted_lines_are_escaped(episode: Episode) -> None:
     assert "<img" not in lines_html(("<img src=x onerror=alert(1)>",))
     assert repr(episode.outcome.h_min) in final_html(episode)
 
 
-def test_a_busy_port_is_told() -> None:
-    with socket.socket() as taken:
-        taken.bind((HOST, 0))
-        taken.listen()
-        port = taken.getsockname()[1]
+def test_a_port_in_use_is_reported() -> None:
+    with socket.socket() as occupied:
+        occupied.bind((HOST, 0))
+        occupied.listen()
+        port = occupied.getsockname()[1]
         assert find_free_port(port, 20) > port
         with pytest.raises(ConfigurationError, match="--port"):
             find_free_port(port, 1)
@@ -85,29 +85,29 @@ def test_a_busy_port_is_told() -> None:
             LiveView(load_robot("panda"), port, allow_other_port=False)
 
 
-def test_without_viser_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_viser_the_error_states_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(MissingDependencyError, match="headless"):
         LiveView(load_robot("panda"), 18080)
 
 
-def test_showing_never_waits(trace: Trace, episode: Episode, capsys: pytest.CaptureFixture[str]) -> None:
+def test_showing_a_state_does_not_block(trace: Trace, episode: Episode, capsys: pytest.CaptureFixture[str]) -> None:
     robot_model = load_robot("panda")
-    things: Scene = made_up_scene()
+    perceived: Scene = sample_scene()
     view = LiveView(robot_model, 18090)
     try:
-        states = [view_state_at(robot_model, trace, things, k) for k in (0, 9000, 10600)]
-        begun = time.perf_counter()
+        states = [view_state_at(robot_model, trace, perceived, k) for k in (0, 9000, 10600)]
+        start = time.perf_counter()
         for _ in range(2000):
             for state in states:
                 view.show(state)
-        assert (time.perf_counter() - begun) / 6000 < 50e-6
+        assert (time.perf_counter() - start) / 6000 < 50e-6
         assert "carry" in numbers_html(states[-1])
-        begun = time.perf_counter()
+        start = time.perf_counter()
         view.finish(episode, timeout=20.0)
-        assert time.perf_counter() - begun < 20.0
-        with socket.socket() as elsewhere, pytest.raises(OSError, match="in use"):
-            elsewhere.bind((HOST, view.port))
+        assert time.perf_counter() - start < 20.0
+        with socket.socket() as other, pytest.raises(OSError, match="in use"):
+            other.bind((HOST, view.port))
     finally:
         view.close()
         view.close()

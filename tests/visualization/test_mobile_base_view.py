@@ -1,4 +1,4 @@
-"""A base's live view begins above its room, and the floor on which it may drive is drawn; tokens are no seconds."""
+"""Live view of a mobile base: camera, floor, places and speeds; and the formatting of token counts."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from dualbrain.visualization.live.view_state import ViewState
 
 
 class Canvas:
-    """What is asked of viser's scene, written down."""
+    """Fake of viser's scene that records meshes and labels."""
 
     def __init__(self):
         self.meshes, self.labels = {}, {}
@@ -31,7 +31,7 @@ class Canvas:
     add_icosphere = add_frame
 
 
-def test_the_floor_is_the_region_that_the_base_may_drive_on():
+def test_the_floor_is_the_region_in_which_the_base_may_drive():
     canvas, scene = Canvas(), scene_from_spec(open_scene("1", "base"))
     LiveScene(canvas).update(ViewState(t=0.0, frames={}, scene=scene, centres=np.empty((0, 3)), radii=np.empty(0)))
     points, faces = canvas.meshes["/scene/floor"]
@@ -43,7 +43,7 @@ def test_the_floor_is_the_region_that_the_base_may_drive_on():
     assert areas.sum() == pytest.approx(0.5 * (x @ np.roll(y, -1) - y @ np.roll(x, -1)))
 
 
-def test_the_places_that_it_can_be_sent_to_are_named_where_they_are():
+def test_places_are_marked_and_named():
     canvas, scene = Canvas(), scene_from_spec(open_scene("workroom:1", "mobile_panda"))
     live = LiveScene(canvas)
     for _ in range(2):
@@ -54,7 +54,7 @@ def test_the_places_that_it_can_be_sent_to_are_named_where_they_are():
         assert np.ptp(points[:, 0]) == pytest.approx(0.24)
 
 
-def test_the_panel_tells_speeds_of_what_moves():
+def test_the_panel_shows_the_speeds_of_the_moving_parts():
     base, arm, both = (load_robot(name) for name in ("base", "ur5e", "mobile_panda"))
     assert [row[2] for row in speed_rows(base)] == ["m/s", "rad/s"]
     assert [row[2] for row in speed_rows(arm)] == ["rad/s"]
@@ -71,24 +71,24 @@ def test_the_panel_tells_speeds_of_what_moves():
     assert "joint speed" not in numbers_html(state, speed_rows(base))
 
 
-def test_a_table_has_no_floor():
+def test_a_scene_with_a_table_has_no_floor():
     canvas = Canvas()
     scene = scene_from_spec(open_scene("bare:0", "panda"))
     LiveScene(canvas).update(ViewState(t=0.0, frames={}, scene=scene, centres=np.empty((0, 3)), radii=np.empty(0)))
     assert "/scene/floor" not in canvas.meshes
 
 
-@pytest.mark.parametrize(("robot", "eye"), [("base", BASE_CAMERA), ("ur5e", ARM_CAMERA)])
-def test_the_view_begins_where_the_robot_can_be_seen(robot, eye):
+@pytest.mark.parametrize(("robot", "camera"), [("base", BASE_CAMERA), ("ur5e", ARM_CAMERA)])
+def test_the_initial_camera_shows_the_robot(robot, camera):
     view = LiveView(load_robot(robot), find_free_port(18400, 20))
     try:
-        camera = view._server.initial_camera
-        assert np.allclose(camera.position, eye[0])
-        assert np.allclose(camera.look_at, eye[1])
+        initial = view._server.initial_camera
+        assert np.allclose(initial.position, camera[0])
+        assert np.allclose(initial.look_at, camera[1])
     finally:
         view.close()
 
 
-def test_a_count_of_tokens_is_no_time():
+def test_a_token_count_is_not_formatted_as_a_time():
     assert _format_timing("prompt_tokens", 949.0) == "949 prompt tokens"
     assert _format_timing("prefill", 1.234) == "prefill 1.23 s"

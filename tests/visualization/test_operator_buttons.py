@@ -1,4 +1,4 @@
-"""The page's buttons keep the socket's rule: anyone may stop the arm, everything else needs the operator's code."""
+"""Operator buttons of the page: the emergency stop needs no code, every other button needs the operator's code."""
 
 from pathlib import Path
 
@@ -16,80 +16,83 @@ from dualbrain.visualization.live.view import LiveView
 from tests.visualization.headless_browser import Browser
 
 CODE = "the-code"
-ACTS = [act for act in OperatorAction.__args__ if act != "shut_down"]
+ACTIONS = [action for action in OperatorAction.__args__ if action != "shut_down"]
 
 
-def board():
-    told = []
+def operator_access():
+    """Access control, and the list of the actions that it sends."""
+    sent = []
 
-    def operate(act, speed):
-        told.append((act, speed))
+    def operate(action, speed):
+        sent.append((action, speed))
         return ""
 
-    return OperatorAccess(operate, CODE), told
+    return OperatorAccess(operate, CODE), sent
 
 
-@pytest.mark.parametrize("act", ACTS)
-def test_a_stranger_may_press_what_any_peer_of_the_socket_may(act):
-    one, told = board()
-    said = one.apply(1, act)
-    assert bool(told) is is_allowed(act, "observer")
-    assert ("code" in said) is not is_allowed(act, "observer")
+@pytest.mark.parametrize("action", ACTIONS)
+def test_a_locked_page_may_do_what_an_observer_of_the_socket_may(action):
+    access, sent = operator_access()
+    result = access.apply(1, action)
+    assert bool(sent) is is_allowed(action, "observer")
+    assert ("code" in result) is not is_allowed(action, "observer")
 
 
-@pytest.mark.parametrize("act", ACTS)
-def test_with_the_code_a_page_is_the_operators_and_no_other_page_is(act):
-    one, told = board()
-    assert not one.unlock(1, "wrong")
-    assert one.unlock(1, f" {CODE} ")
-    assert one.apply(1, act, 0.5) == f"{act.replace('_', ' ')}: sent"
-    assert told == [(act, 0.5)]
-    one.apply(2, act)
-    assert (len(told) == 2) is (act == "estop")
+@pytest.mark.parametrize("action", ACTIONS)
+def test_the_code_unlocks_one_page_only(action):
+    access, sent = operator_access()
+    assert not access.unlock(1, "wrong")
+    assert access.unlock(1, f" {CODE} ")
+    assert access.apply(1, action, 0.5) == f"{action.replace('_', ' ')}: sent"
+    assert sent == [(action, 0.5)]
+    access.apply(2, action)
+    assert (len(sent) == 2) is (action == "estop")
 
 
-def test_a_page_that_was_closed_is_a_stranger_again_and_no_code_opens_nothing():
-    one, told = board()
-    one.unlock(1, CODE)
-    one.remove_page(1)
-    one.apply(1, "pause")
-    assert told == []
-    assert not OperatorAccess(lambda act, speed: "", "").unlock(1, "")
+def test_a_closed_page_is_locked_again_and_an_empty_code_unlocks_nothing():
+    access, sent = operator_access()
+    access.unlock(1, CODE)
+    access.remove_page(1)
+    access.apply(1, "pause")
+    assert sent == []
+    assert not OperatorAccess(lambda action, speed: "", "").unlock(1, "")
 
 
-def test_why_the_gatekeeper_was_not_told_is_shown():
-    assert OperatorAccess(lambda act, speed: "there is no gatekeeper", CODE).apply(3, "estop").endswith("no gatekeeper")
+def test_the_reason_of_a_failed_action_is_shown():
+    assert (
+        OperatorAccess(lambda action, speed: "there is no gatekeeper", CODE).apply(3, "estop").endswith("no gatekeeper")
+    )
 
 
-def test_every_act_has_a_button_and_is_an_event_with_an_outcome():
-    """Every button that interferes trips a check that ends the contract in a class of its own, or marks it."""
-    buttons = {act for act, _ in OPERATOR_BUTTONS} | {"estop", "speed"}
-    assert buttons == set(ACTS)
-    ends = {"abort": "aborted", "takeover": "handed_over", "estop": "emergency"}
-    for act, ending in ends.items():
-        hand, supervisor = OperatorCommands(), Supervisor()
-        assert hand.apply(OperatorCommand(act=act)) == ""
-        supervisor.update(0.0, hand.conditions())
-        assert supervisor.contract_outcome == ending
+def test_every_action_has_a_button_and_an_outcome():
+    """Every intervening action trips a check that ends the contract with an outcome of its own, or marks it."""
+    buttons = {action for action, _ in OPERATOR_BUTTONS} | {"estop", "speed"}
+    assert buttons == set(ACTIONS)
+    outcomes = {"abort": "aborted", "takeover": "handed_over", "estop": "emergency"}
+    for action, outcome in outcomes.items():
+        commands, supervisor = OperatorCommands(), Supervisor()
+        assert commands.apply(OperatorCommand(act=action)) == ""
+        supervisor.update(0.0, commands.conditions())
+        assert supervisor.contract_outcome == outcome
     assert {check.name for check in CHECKS} >= {"paused", "speed_stage"}
 
 
-def test_the_reset_is_two_buttons_and_lands_in_hold():
-    hand, supervisor, now = OperatorCommands(), Supervisor(), 0.0
+def test_the_reset_takes_two_buttons_and_ends_in_hold():
+    commands, supervisor, now = OperatorCommands(), Supervisor(), 0.0
 
-    def press(*acts):
+    def press(*actions):
         nonlocal now
-        for act in acts:
-            one.apply(1, act)
+        for action in actions:
+            access.apply(1, action)
         for _ in range(100):
             now += 0.01
-            order = supervisor.update(now, hand.conditions())
-        return order
+            decision = supervisor.update(now, commands.conditions())
+        return decision
 
-    one = OperatorAccess(lambda act, speed: hand.apply(OperatorCommand(act=act, speed=speed)), CODE)
-    one.unlock(1, CODE)
+    access = OperatorAccess(lambda action, speed: commands.apply(OperatorCommand(act=action, speed=speed)), CODE)
+    access.unlock(1, CODE)
     assert press("estop").action is SafetyAction.ESTOP
-    assert press("reset").action is SafetyAction.ESTOP, "a reset while the button is down does nothing"
+    assert press("reset").action is SafetyAction.ESTOP, "a reset before the release has no effect"
     assert press("release_estop").action is SafetyAction.ESTOP
     assert press("reset").check == RESET_HELD.name
     assert press("resume").action is SafetyAction.NONE
@@ -100,21 +103,21 @@ const find = text => [...document.querySelectorAll('button')].find(one => one.te
 const button = find(%r);
 if (!button) return null;
 button.click();
-const said = document.getElementById('operator-said');
-return said && said.textContent.includes('sent') ? {
-  said: said.textContent, locked: (find('pause') || {disabled: true}).disabled,
+const result = document.getElementById('operator-result');
+return result && result.textContent.includes('sent') ? {
+  result: result.textContent, locked: (find('pause') || {disabled: true}).disabled,
 } : null;"""
 
 
-def test_a_browser_stops_the_arm_and_nothing_else_is_free(tmp_path: Path) -> None:
+def test_a_locked_page_in_a_browser_can_only_stop_the_arm(tmp_path: Path) -> None:
     robot_model = load_robot("panda")
-    one, told = board()
-    view = LiveView(msgspec.structs.replace(robot_model, spheres=robot_model.spheres[::12]), 18130, access=one)
+    access, sent = operator_access()
+    view = LiveView(msgspec.structs.replace(robot_model, spheres=robot_model.spheres[::12]), 18130, access=access)
     try:
         with Browser(tmp_path / "profile", (700, 500)) as browser:
             browser.open(view.url)
             found = browser.wait_for(CLICK % "EMERGENCY STOP", 90.0)
     finally:
         view.close()
-    assert found == {"said": "estop: sent", "locked": True}
-    assert set(told) == {("estop", 1.0)}
+    assert found == {"result": "estop: sent", "locked": True}
+    assert set(sent) == {("estop", 1.0)}

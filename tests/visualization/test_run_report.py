@@ -1,4 +1,4 @@
-"""The report: self-contained, escaped, small, and sensible for every way a run can end."""
+"""Report of a run: self-contained, escaped, small, and complete for every outcome."""
 
 import html
 import re
@@ -63,14 +63,14 @@ class _Page(HTMLParser):
 
 
 @given(st.text())
-def test_text_never_becomes_markup(text: str) -> None:
+def test_plain_text_is_escaped(text: str) -> None:
     page = _Page(element("div", text, element("p", text), title=text))
     assert page.tags == ["div", "p"]
     assert table(("a",), [(text,)]).count("<td") == 1
 
 
 @given(st.lists(st.floats(-1, 1), min_size=1, max_size=300), st.integers(1, 20))
-def test_thinning_keeps_order_ends_and_extremes(values: list[float], buckets: int) -> None:
+def test_downsampling_keeps_order_ends_and_extremes(values: list[float], buckets: int) -> None:
     t, y = np.arange(len(values)) * 0.1, np.array(values)
     thin_t, thin_y = min_max_downsample(t, y, buckets)
     assert np.all(np.diff(thin_t) > 0)
@@ -80,12 +80,12 @@ def test_thinning_keeps_order_ends_and_extremes(values: list[float], buckets: in
 
 @pytest.fixture(scope="module")
 def page(episode: Episode, trace: Trace) -> str:
-    """The report of the good run with three snapshots."""
-    picture = np.random.default_rng(1).integers(0, 255, (480, 640, 3), np.uint8)
-    return render_report(episode, trace, [Snapshot(t, f"at {t}", picture) for t in (0.0, 10.6, 20.0)])
+    """Report of the successful run with three snapshots."""
+    image = np.random.default_rng(1).integers(0, 255, (480, 640, 3), np.uint8)
+    return render_report(episode, trace, [Snapshot(t, f"at {t}", image) for t in (0.0, 10.6, 20.0)])
 
 
-def test_the_page_stands_alone(page: str) -> None:
+def test_the_page_is_self_contained(page: str) -> None:
     parsed = _Page(page)
     assert not {"script", "link", "iframe", "object", "form"} & set(parsed.tags)
     assert ("http-equiv", "Content-Security-Policy") in parsed.attributes
@@ -100,30 +100,30 @@ def test_the_page_stands_alone(page: str) -> None:
     assert "#0101" not in page
 
 
-def test_numbers_are_those_of_the_episode(page: str, episode: Episode) -> None:
+def test_the_report_shows_the_numbers_of_the_episode(page: str, episode: Episode) -> None:
     parsed = _Page(page)
     assert float(parsed.value("Delta") or "nan") == episode.outcome.Delta
     assert float(parsed.value("h_min") or "nan") == episode.outcome.h_min
     assert float(parsed.value("intervention_frequency") or "nan") == episode.outcome.intervention_frequency
     assert f"{1e3 * (episode.outcome.h_min or 0):.2f} mm at" in page
-    for told in (
+    for part in (
         "choose a speed of at most 0.4 m/s",
         "/action_sequence/0/params/speed",
         "0.5873",
         "9f3c2ab1",
         "e-0029",
     ):
-        assert told in parsed.text
+        assert part in parsed.text
 
 
-def test_every_barrier_is_listed_with_the_ticks_it_bound(episode: Episode, trace: Trace) -> None:
-    told = msgspec.structs.replace(episode, binding={"workspace": 123})
-    page = render_report(told, trace)
+def test_every_barrier_is_listed_with_its_active_ticks(episode: Episode, trace: Trace) -> None:
+    bound = msgspec.structs.replace(episode, binding={"workspace": 123})
+    page = render_report(bound, trace)
     assert all(html.escape(one.description) in page for one in BARRIERS.values())
     assert ">123<" in page
 
 
-def test_hostile_text_is_only_text(episode: Episode, trace: Trace) -> None:
+def test_hostile_text_is_escaped(episode: Episode, trace: Trace) -> None:
     shot = episode.attempts[0]
     proposal = msgspec.structs.replace(shot.proposal, text=HOSTILE, planner=HOSTILE)
     verdict = msgspec.structs.replace(shot.verdict, got=HOSTILE, hint=HOSTILE, pointer=HOSTILE)
@@ -132,9 +132,7 @@ def test_hostile_text_is_only_text(episode: Episode, trace: Trace) -> None:
         instruction=HOSTILE,
         attempts=(Attempt(proposal, verdict, 0.0),),
         contract={"action_sequence": [{"skill": HOSTILE, "params": {"object": HOSTILE, HOSTILE: HOSTILE}}]},
-        scene=msgspec.structs.replace(
-            episode.scene, objects=tuple(_renamed(thing) for thing in episode.scene.objects[:2])
-        ),
+        scene=msgspec.structs.replace(episode.scene, objects=tuple(_renamed(one) for one in episode.scene.objects[:2])),
         versions={HOSTILE: HOSTILE},
     )
     parsed = _Page(render_report(evil, trace, [Snapshot(0.0, HOSTILE, np.zeros((4, 6, 3), np.uint8))]))
@@ -144,40 +142,40 @@ def test_hostile_text_is_only_text(episode: Episode, trace: Trace) -> None:
     assert parsed.text.count(HOSTILE) > 8
 
 
-def _renamed(thing: SceneObject) -> SceneObject:
-    return msgspec.structs.replace(thing, name=HOSTILE)
+def _renamed(scene_object: SceneObject) -> SceneObject:
+    return msgspec.structs.replace(scene_object, name=HOSTILE)
 
 
-def test_what_the_planner_was_shown_stands_with_its_citation(episode: Episode, trace: Trace) -> None:
+def test_passages_in_the_prompt_are_shown_with_their_citation(episode: Episode, trace: Trace) -> None:
     page = _Page(render_report(episode, trace))
     for one in episode.recall.passages:
         assert one.citation in page.text
         assert one.text in page.text
-    silent = msgspec.structs.replace(episode, recall=msgspec.structs.replace(episode.recall, passages=()))
-    assert "Documents shown" not in render_report(silent, trace)
+    without = msgspec.structs.replace(episode, recall=msgspec.structs.replace(episode.recall, passages=()))
+    assert "Documents shown" not in render_report(without, trace)
 
 
-def test_a_refused_contract_has_nothing_to_plot(refused: Episode) -> None:
-    page = render_report(refused, EMPTY)
+def test_a_rejected_contract_has_no_plot(rejected: Episode) -> None:
+    page = render_report(rejected, EMPTY)
     parsed = _Page(page)
     assert "No control was executed" in parsed.text
     assert "No contract was accepted" in parsed.text
     assert "svg" not in parsed.tags
     assert parsed.value("Delta") == "None"
-    assert "refused at envelope" in parsed.text
+    assert "rejected at envelope" in parsed.text
 
 
-def test_a_run_that_was_taken_over_says_so(taken_over: Episode, trace: Trace) -> None:
+def test_a_run_that_was_taken_over_is_reported(taken_over: Episode, trace: Trace) -> None:
     short = Trace(7)
     short.extend(trace.rows[:4000])
     short.phases[:] = trace.phases
     parsed = _Page(render_report(taken_over, short))
-    for told in ("taken over", "no progress for 1.5 s", "1 safety violation", "link5 × forearm", "not run", "12.7"):
-        assert told in parsed.text
+    for part in ("taken over", "no progress for 1.5 s", "1 safety violation", "link5 × forearm", "not run", "12.7"):
+        assert part in parsed.text
 
 
 @pytest.mark.parametrize("ticks", [1, 2])
-def test_the_shortest_runs(episode: Episode, ticks: int) -> None:
+def test_runs_of_one_or_two_ticks_are_plotted(episode: Episode, ticks: int) -> None:
     from tests.control.recording.sample_ticks import append_ticks  # noqa: PLC0415
 
     trace = Trace(7)
@@ -197,20 +195,20 @@ def test_the_shortest_runs(episode: Episode, ticks: int) -> None:
     assert "svg" in _Page(render_report(stopped, trace)).tags
 
 
-def test_the_file_is_what_was_rendered(tmp_path: Path, refused: Episode) -> None:
-    write_report(tmp_path / "report.html", refused, EMPTY)
-    assert (tmp_path / "report.html").read_text(encoding="utf-8") == render_report(refused, EMPTY)
+def test_the_file_contains_the_rendered_report(tmp_path: Path, rejected: Episode) -> None:
+    write_report(tmp_path / "report.html", rejected, EMPTY)
+    assert (tmp_path / "report.html").read_text(encoding="utf-8") == render_report(rejected, EMPTY)
 
 
-def test_numbers_say_when_nothing_was_measured(refused: Episode, episode: Episode) -> None:
-    assert {one.text for one in key_numbers(refused) if one.name in ("Delta", "h_min", "intervention_frequency")} == {
+def test_numbers_that_were_not_measured_are_dashes(rejected: Episode, episode: Episode) -> None:
+    assert {one.text for one in key_numbers(rejected) if one.name in ("Delta", "h_min", "intervention_frequency")} == {
         "–"
     }
     assert all(isinstance(one.value, float | int) for one in key_numbers(episode))
     assert isinstance(element("p"), Html)
 
 
-def test_the_memory_map_is_drawn_when_there_is_one():
+def test_the_memory_map_needs_three_memories():
     points = np.random.default_rng(0).standard_normal((5, 2))
     kinds, statuses = ("succeeded", "failed", "rejected", "succeeded", "failed"), ("active",) * 4 + ("quarantined",)
     drawn = MemoryProjection(
@@ -237,15 +235,15 @@ def test_the_memory_map_is_drawn_when_there_is_one():
 
 
 @pytest.mark.parametrize(
-    ("n", "width", "told"),
+    ("n", "width", "expected"),
     [
         (2, 3, ("Driving", "m/s, forward", "Turning", "rad/s, to the left")),
         (9, 10, ("Driving", "m/s, forward", "Turning", "Joint speed")),
         (6, 6, ("Joint speed", "rad/s, Euclidean norm")),
     ],
 )
-def test_speeds_are_told_by_what_moves_each_in_its_unit(
-    n: int, width: int, told: tuple[str, ...], episode: Episode
+def test_each_robot_has_its_speed_strips_with_units(
+    n: int, width: int, expected: tuple[str, ...], episode: Episode
 ) -> None:
     run = Trace(n, width)
     for k in range(20):
@@ -260,12 +258,12 @@ def test_speeds_are_told_by_what_moves_each_in_its_unit(
         )
     drawn = html.unescape(str(strip_chart(episode, run)))
     assert [word for word in ("Driving", "Turning", "Joint speed") if word in drawn] == [
-        word for word in told if word[0].isupper()
+        word for word in expected if word[0].isupper()
     ]
-    assert all(word in drawn for word in told)
+    assert all(word in drawn for word in expected)
 
 
-def test_a_run_without_words_says_what_was_run(episode: Episode, trace: Trace) -> None:
+def test_a_run_without_instruction_is_titled_by_its_contract(episode: Episode, trace: Trace) -> None:
     page = _Page(render_report(msgspec.structs.replace(episode, instruction=""), trace, ()))
     assert "a given contract" in page.text
     assert "“”" not in page.text

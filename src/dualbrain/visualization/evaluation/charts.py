@@ -1,4 +1,4 @@
-"""Charts of an evaluation: curves over repetitions, traces of one place, latencies; in the page's colours."""
+"""Charts of an evaluation as SVG: metrics over repetitions, traces of one case, latency distributions."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from dualbrain.visualization.html.page import Html
 from dualbrain.visualization.html.strip_chart import (
     BLUE,
     GREEN,
-    INK,
     MATPLOTLIB_STYLE,
     MUTED,
     ORANGE,
     RED,
     SKY,
+    TEXT,
     VIOLET,
     apply_page_theme,
 )
@@ -31,40 +31,40 @@ from dualbrain.visualization.html.strip_chart import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-LINE_COLOURS = (BLUE, ORANGE, GREEN, RED, VIOLET, INK, SKY, MUTED)
+LINE_COLOURS = (BLUE, ORANGE, GREEN, RED, VIOLET, TEXT, SKY, MUTED)
 DASHES = ("solid", (0, (4, 2)), (0, (1, 1.5)))
 MARKERS = "osD^vP<X>"
 MAX_CLEARANCE_MM = 60.0
-"""Clearances are drawn up to this one [mm]."""
+"""Larger clearances are drawn at this value [mm]."""
 DODGE_WIDTH = 0.6
-"""Width over which the methods stand beside each other, as a share of the distance between repetitions."""
+"""Width over which the methods are spread at each repetition, as a share of the distance between repetitions."""
 CURVE_METRICS = ("success", "violation rate", "Δ of successes", "intervention frequency")
 MAX_RATIO_FOR_MINOR_TICKS = 100.0
-"""Beyond this ratio of its ends a logarithmic axis names powers of ten only."""
+"""Beyond this ratio of its ends a logarithmic axis is labelled at powers of ten only."""
 
 
 def group_methods(methods: Sequence[str]) -> list[list[str]]:
-    """Methods that are drawn together: all, or where these are too many, a method with what was changed of it."""
+    """Groups of methods that share a figure: all methods, or if these are too many, each method with its variants."""
     if len(methods) <= len(MARKERS):
         return [list(methods)]
     leads = dict.fromkeys(name.partition("-")[0] for name in methods)
     found: list[list[str]] = [[]]
     for lead in leads:
-        kin = [name for name in methods if name.partition("-")[0] == lead]
-        if found[-1] and len(found[-1]) + len(kin) > len(MARKERS):
+        variants = [name for name in methods if name.partition("-")[0] == lead]
+        if found[-1] and len(found[-1]) + len(variants) > len(MARKERS):
             found.append([])
-        found[-1] += kin
+        found[-1] += variants
     return found
 
 
 def line_style(index: int) -> dict[str, Any]:
-    """Colour and dash of the method number `index`: no two pairs alike, and neighbours differ in both."""
+    """Colour and dash of method number `index`; all pairs differ, and neighbours differ in both."""
     return {"color": LINE_COLOURS[index % len(LINE_COLOURS)], "linestyle": DASHES[index % len(DASHES)]}
 
 
 @contextmanager
 def _canvas(rows: int, columns: int, height: float, parts: int = 1) -> Iterator[tuple[list[tuple[Any, Any]], StringIO]]:
-    """`parts` figures below each other, each with its axes, and what they are written to in the end."""
+    """`parts` figures below each other, each with its axes, and the text buffer that receives the SVG on exit."""
     import matplotlib as mpl  # noqa: PLC0415  (heavy imports are lazy)
     from matplotlib.figure import Figure  # noqa: PLC0415
 
@@ -80,7 +80,7 @@ def _canvas(rows: int, columns: int, height: float, parts: int = 1) -> Iterator[
 
 
 def metrics_chart(rows: Sequence[EpisodeRow]) -> Html:
-    """Each of the main metrics over the repetitions of a scene, method by method, with its interval."""
+    """Chart of the main metrics over the repetitions of a scene, by method, with intervals."""
     groups = group_methods(methods_of(rows))
     with _canvas(2, 2, 6.0, len(groups)) as (figures, out):
         for methods, (figure, axes) in zip(groups, figures, strict=True):
@@ -102,7 +102,7 @@ def _draw_metric(axes: Axes, rows: Sequence[EpisodeRow], methods: Sequence[str],
 
 
 def _draw_curve(axes: Axes, rows: Sequence[EpisodeRow], method: str, name: str, index: int, dodge: float) -> None:
-    """Means with their intervals, moved aside by `dodge` so that methods that do alike are all seen."""
+    """Means with their intervals, shifted by `dodge` repetitions so that equal methods remain visible."""
     mine = [row for row in rows if row.method == method]
     points = [(k, _estimate_at(mine, k, name)) for k in sorted({row.repetition for row in mine})]
     known = [(k, found) for k, found in points if found.n]
@@ -122,9 +122,9 @@ def _estimate_at(rows: Sequence[EpisodeRow], repetition: int, name: str) -> Esti
 
 
 def traces_chart(rows: Sequence[EpisodeRow]) -> Html:
-    """Least h and largest δ over time at one place that most methods flew; where the filter is off, δ is 0.
+    """Chart of the least h and the largest δ over time, for a case that most methods ran; δ is 0 without a filter.
 
-    Methods that came out alike are one line; × marks where a violation begins.
+    Methods with identical results share a line; × marks the start of a violation.
     """
     pair = select_traced_pair(rows)
     here = {row.method: row for row in rows if row.pair == pair and row.trace_t}
@@ -132,37 +132,37 @@ def traces_chart(rows: Sequence[EpisodeRow]) -> Html:
     with _canvas(2, 1, 4.9, len(groups)) as (figures, out):
         for methods, (figure, axes) in zip(groups, figures, strict=True):
             figure.subplots_adjust(top=0.87)
-            alike = group_identical(here, methods)
-            _draw_traces(axes.flat, here, alike)
-            _add_legend(figure, [" = ".join(names) for names in alike])
+            groups_of_equals = group_identical(here, methods)
+            _draw_traces(axes.flat, here, groups_of_equals)
+            _add_legend(figure, [" = ".join(names) for names in groups_of_equals])
     return apply_page_theme(out.getvalue(), f"h_min and δ over time, {pair}")
 
 
 def group_identical(here: Mapping[str, EpisodeRow], methods: Sequence[str]) -> list[list[str]]:
-    """Those of `methods` that flew `here`, in groups that drew the same curves and did the same harm."""
+    """The `methods` that have a row in `here`, grouped by identical curves and violations."""
     found: dict[Any, list[str]] = {}
     for name in methods:
         if name in here:
             row = here[name]
-            seen = (*row.trace_t, *row.trace_h, *row.trace_delta, row.violations)
-            found.setdefault(seen, []).append(name)
+            result = (*row.trace_t, *row.trace_h, *row.trace_delta, row.violations)
+            found.setdefault(result, []).append(name)
     return list(found.values())
 
 
-def _draw_traces(axes: Iterable[Axes], here: Mapping[str, EpisodeRow], alike: Sequence[Sequence[str]]) -> None:
+def _draw_traces(axes: Iterable[Axes], here: Mapping[str, EpisodeRow], groups: Sequence[Sequence[str]]) -> None:
     above, below = axes
     _set_title(above, "Clearance h_min", "mm, least in each tenth of a second")
     _set_title(below, "Intervention δ", "share of full speed, largest in each tenth of a second")
-    for index, names in enumerate(alike):
+    for index, names in enumerate(groups):
         row, style = here[names[0]], line_style(index)
         t, h = np.array(row.trace_t), np.minimum(1e3 * np.array(row.trace_h), MAX_CLEARANCE_MM)
         above.plot(t, h, linewidth=1.2, **style)
         below.plot(t, row.trace_delta, linewidth=1.2, **style)
-        begun = [violation.start for violation in row.violations]
-        above.plot(begun, np.interp(begun, t, h), linestyle="none", marker="x", markersize=6, color=style["color"])
-    if not alike:
+        starts = [violation.start for violation in row.violations]
+        above.plot(starts, np.interp(starts, t, h), linestyle="none", marker="x", markersize=6, color=style["color"])
+    if not groups:
         above.text(0.5, 0.5, "no traces in this table", transform=above.transAxes, ha="center", color=MUTED)
-    above.axhline(0, color=INK, linewidth=1.0)
+    above.axhline(0, color=TEXT, linewidth=1.0)
     below.set_ylim(0, None)
     below.axhline(DEAD_BAND, color=MUTED, linewidth=0.6)
     for one in (above, below):
@@ -170,23 +170,23 @@ def _draw_traces(axes: Iterable[Axes], here: Mapping[str, EpisodeRow], alike: Se
 
 
 def select_traced_pair(rows: Sequence[EpisodeRow]) -> str:
-    """The place that is drawn: of those at which most methods moved, the one with the most violations."""
+    """The case that is drawn: of those in which most methods moved, the one with the most violations; "" if none."""
     moved: dict[str, set[str]] = {}
-    hurt: dict[str, int] = {}
+    n_violations: dict[str, int] = {}
     for row in rows:
         if row.trace_t:
             moved.setdefault(row.pair, set()).add(row.method)
-            hurt[row.pair] = hurt.get(row.pair, 0) + len(row.violations)
-    return max(sorted(moved), key=lambda pair: (len(moved[pair]), hurt[pair]), default="")
+            n_violations[row.pair] = n_violations.get(row.pair, 0) + len(row.violations)
+    return max(sorted(moved), key=lambda pair: (len(moved[pair]), n_violations[pair]), default="")
 
 
 def latencies_chart(rows: Sequence[EpisodeRow], decision_times: Sequence[float]) -> Html:
-    """How the times of a decision (`asked` [s], each question once), of the gate and of a filter step are spread."""
+    """Cumulative distributions of `decision_times` [s], of the gate time and of the time of a filter step."""
     gate = [1e3 * row.gate_s for row in rows if row.shots]
     steps = [row.filter_us for row in rows if row.filter_us]
     with _canvas(1, 3, 2.8) as (((figure, axes),), out):
         figure.subplots_adjust(top=0.82, bottom=0.23, right=0.97)
-        _draw_cumulative(axes[0, 0], "Decision", "as asked", "s", {"planner": decision_times})
+        _draw_cumulative(axes[0, 0], "Decision", "single requests", "s", {"planner": decision_times})
         _draw_cumulative(axes[0, 1], "Gate", "all shots", "ms", {"gate": gate})
         parts = {name: [one[k] for one in steps] for k, name in enumerate(("median", "p99", "worst"))}
         _draw_cumulative(axes[0, 2], "Filter step", "of each episode", "µs", parts)
@@ -194,11 +194,11 @@ def latencies_chart(rows: Sequence[EpisodeRow], decision_times: Sequence[float])
     return apply_page_theme(out.getvalue(), "latency distributions")
 
 
-def _draw_cumulative(axes: Axes, title: str, says: str, unit: str, parts: Mapping[str, Sequence[float]]) -> None:
+def _draw_cumulative(axes: Axes, title: str, subtitle: str, unit: str, parts: Mapping[str, Sequence[float]]) -> None:
     """Cumulative shares on a logarithmic axis in `unit`."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter  # noqa: PLC0415
 
-    _set_title(axes, title, says)
+    _set_title(axes, title, subtitle)
     drawn = False
     for index, (name, values) in enumerate(parts.items()):
         known = np.sort([value for value in values if value > 0.0])
@@ -220,14 +220,14 @@ def _draw_cumulative(axes: Axes, title: str, says: str, unit: str, parts: Mappin
         axes.legend(frameon=False, fontsize=8)
 
 
-def _set_title(axes: Axes, title: str, unit: str) -> None:
-    axes.set_title(title, loc="left", fontsize=9.5, fontweight="bold", color=INK)
-    axes.set_title(unit, loc="right", fontsize=8, color=MUTED)
+def _set_title(axes: Axes, title: str, subtitle: str) -> None:
+    axes.set_title(title, loc="left", fontsize=9.5, fontweight="bold", color=TEXT)
+    axes.set_title(subtitle, loc="right", fontsize=8, color=MUTED)
     axes.grid(axis="y")
 
 
 def _add_legend(figure: Any, shown: Sequence[str], *, marked: bool = False) -> None:
-    """Names above a figure, in the order of their looks."""
+    """Legend above a figure, in the order of the line styles."""
     from matplotlib.lines import Line2D  # noqa: PLC0415
 
     marks = [MARKERS[k % len(MARKERS)] if marked else "" for k in range(len(shown))]

@@ -1,4 +1,4 @@
-"""The report of an evaluation: one HTML file that works offline and holds no script."""
+"""HTML report of an evaluation: a single file that works offline and contains no script."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ from dualbrain.visualization.html.page import Html, badge, document, element, jo
 VERDICT_TONES = {"supported": "good", "refuted": "bad", "undecided": "warn", "not measured": "quiet"}
 IMAGE_WIDTH = 480
 LATENCY_NOTE = (
-    f"share of measurements below; kept answers are not counted; gate and filter: {WALL_TIME_NOTE}, so that the longest are "
-    "the turns that others had on it; nobody waits in a simulation, and none is a missed deadline. What a step of the "
-    "kernel takes of the processor at most: docs/kernel.md"
+    "cumulative shares; cached answers are not counted; gate and filter: "
+    f"{WALL_TIME_NOTE}, so that the longest times include other processes. The simulation waits for each step, so none "
+    "of them is a missed deadline; docs/kernel.md gives the worst-case processor time of a kernel step"
 )
 PROVENANCE_FIELDS = ("dualbrain", "code", "kernel", "prompt", "short prompt", "python")
-"""Parts of an origin that are told one by one; the others are packages."""
+"""Provenance entries that are listed one by one; the others are package versions."""
 NOT_RECORDED = "not recorded"
 
 
 @dataclass(frozen=True, slots=True)
 class FailureImage:
-    """A picture of a failed episode: the row it belongs to, its words, `rgb` (height, width, 3) uint8."""
+    """Image of a failed episode: the row it belongs to, a caption, `rgb` (height, width, 3) uint8."""
 
     row: EpisodeRow
     caption: str
@@ -50,11 +50,10 @@ class FailureImage:
 
 @dataclass(frozen=True, kw_only=True)
 class ReportData:
-    """What a report is made of; `kept` are the answers of all questions that were really asked.
+    """Contents of a report.
 
-    `left_out` says what lies there and could not be read or shown.
-
-    Tables and charts are made once, for both forms of a report.
+    `cached_answers` are the answers of all requests that reached a planner, `omissions` describe inputs that could not
+    be read or shown. Tables and charts are computed once and used by the HTML report and by the Markdown page.
     """
 
     rows: Sequence[EpisodeRow]
@@ -78,78 +77,78 @@ class ReportData:
 
     @cached_property
     def not_measured(self) -> list[str]:
-        """What was not measured."""
+        """Sentences about what was not measured."""
         return [*list_not_measured(self.rows, self.suite, costs_from_config(self.config)), *self.omissions]
 
     @property
     def traced_pair(self) -> str:
-        """The place of the chart of one place, "" where no row has kept its curves."""
+        """Case whose traces are drawn, "" if no row contains traces."""
         return select_traced_pair(self.rows)
 
     @cached_property
     def curves(self) -> Html:
-        """The chart over repetitions."""
+        """Chart of the metrics over repetitions."""
         return metrics_chart(self.rows)
 
     @cached_property
     def traces(self) -> Html:
-        """The chart of one place."""
+        """Chart of the traces of one case."""
         return traces_chart(self.rows)
 
     @cached_property
     def latencies(self) -> Html:
-        """The chart of latencies."""
+        """Chart of the latencies."""
         return latencies_chart(self.rows, unbatched_latencies(self.cached_answers))
 
 
 def write_html_report(path: Path, data: ReportData) -> None:
-    """Write the report of `told` to `path`."""
+    """Write the report of `data` to `path`."""
     path.write_text(render_html_report(data), encoding="utf-8")
 
 
 def render_html_report(data: ReportData) -> str:
-    """The report as HTML."""
+    """Text of the report as HTML."""
     first, *rest = data.tables
     parts = (
         _header(data),
         element("div", *map(_tile, data.hypotheses), class_="tiles"),
         _table_section(first),
         _table_section(rest[0]),
-        _chart_section("Over repetitions", data.curves, "mean with its 95 % interval; a scene is repeated in its run"),
+        _chart_section("Metrics over repetitions", data.curves, "mean with 95 % interval; a run repeats its scenes"),
         *map(_table_section, rest[1:4]),
-        *([_chart_section("One place", data.traces, traces_caption(data))] if data.traced_pair else []),
+        *([_chart_section("Traces of one case", data.traces, traces_caption(data))] if data.traced_pair else []),
         _gallery_section(data.gallery),
         _chart_section("Latency", data.latencies, LATENCY_NOTE),
         *map(_table_section, rest[4:]),
-        section("What was not measured", element("ul", *(element("li", line) for line in data.not_measured))),
+        section("Not measured", element("ul", *(element("li", line) for line in data.not_measured))),
         _provenance_section(data),
     )
     return document(f"Evaluation {data.suite.name}", *parts)
 
 
-def _header(told: ReportData) -> Html:
-    suite = told.suite
-    where = f"suite {suite.name} · {told.date} · {len(told.rows)} episodes · {', '.join(suite.robots)}"
-    names = ", ".join(sorted({row.planner.partition(" (")[0] for row in told.rows if row.planner}))
+def _header(data: ReportData) -> Html:
+    suite = data.suite
+    overline = f"suite {suite.name} · {data.date} · {len(data.rows)} episodes · {', '.join(suite.robots)}"
+    names = ", ".join(sorted({row.planner.partition(" (")[0] for row in data.rows if row.planner}))
     return element(
         "header",
-        element("p", where, class_="overline"),
-        element("h1", "Does the loop do what the paper says?"),
+        element("p", overline, class_="overline"),
+        element("h1", "Evaluation of the closed loop"),
         element("p", f"{suite.description} Planners: {names}.", class_="muted"),
     )
 
 
-def _tile(answer: HypothesisResult) -> Html:
+def _tile(result: HypothesisResult) -> Html:
     return element(
         "div",
-        element("b", answer.name, " ", badge(answer.verdict, VERDICT_TONES[answer.verdict])),
-        element("span", answer.description),
+        element("b", result.name, " ", badge(result.verdict, VERDICT_TONES[result.verdict])),
+        element("span", result.description),
         class_="tile",
     )
 
 
 def _table_section(grid: Table) -> Html:
-    return section(grid.title, *(table(head, rows) for head, rows in grid.split_columns()), note=grid.note)
+    return section(grid.title, *(table(header, rows) for header, rows in grid.split_columns()), note=grid.note)
 
 
 def _chart_section(title: str, chart: Html, note: str) -> Html:
@@ -160,7 +159,7 @@ def _gallery_section(shots: Sequence[FailureImage]) -> Html:
     if not shots:
         return Html("")
     figures = (_figure(shot) for shot in shots)
-    note = "fly one again: dualbrain evaluate --out DIR --again KEY"
+    note = "run an episode again: dualbrain evaluate --out DIR --again KEY"
     return section(
         "Failures, and successes with a violation", element("div", *figures, class_="shots three"), note=note
     )
@@ -175,12 +174,12 @@ def _figure(shot: FailureImage) -> Html:
             element("code", shot.row.key),
         )
     )
-    picture = "data:image/jpeg;base64," + base64.b64encode(encode_jpeg(shot.rgb)).decode()
-    return element("figure", element("img", src=picture, alt=shot.caption), element("figcaption", words))
+    source = "data:image/jpeg;base64," + base64.b64encode(encode_jpeg(shot.rgb)).decode()
+    return element("figure", element("img", src=source, alt=shot.caption), element("figcaption", words))
 
 
 def encode_jpeg(rgb: NDArray[np.uint8]) -> bytes:
-    """A picture (height, width, 3), made about `WIDTH` wide, as the bytes of a JPEG file."""
+    """Bytes of a JPEG file of the image `rgb` (height, width, 3), reduced to about `IMAGE_WIDTH` columns."""
     from matplotlib.image import imsave  # noqa: PLC0415  (heavy imports are lazy)
 
     step = max(1, round(rgb.shape[1] / IMAGE_WIDTH))
@@ -190,12 +189,12 @@ def encode_jpeg(rgb: NDArray[np.uint8]) -> bytes:
 
 
 def traces_caption(data: ReportData) -> str:
-    """Which place the traces are of, and how to read them."""
-    return f"{data.traced_pair}; methods that did the same share a line; × : a violation begins, on truth"
+    """Caption of the traces: their case, and how to read them."""
+    return f"{data.traced_pair}; methods with identical results share a line; × : start of a violation on ground truth"
 
 
 def provenance_facts(data: ReportData) -> dict[str, str]:
-    """Where the results come from: code, machine, versions, planners, ε; a run may lack some of these."""
+    """Provenance of the results: code, machine, versions, planners, ε. Missing entries read "not recorded"."""
     origin = {name: str(value) for name, value in data.config.get("origin", {}).items()}
     host = {name: str(value) for name, value in data.config.get("host", {}).items()}
     here = [origin.pop("machine", ""), *(host.get(name, "") for name in ("processor", "memory"))]
@@ -212,13 +211,13 @@ def provenance_facts(data: ReportData) -> dict[str, str]:
             limits.setdefault(f"{row.epsilon:.3g} on {row.robot}", {})[row.method] = None
     if limits:
         found["ε"] = "; ".join(f"{limit} ({', '.join(methods)})" for limit, methods in limits.items())
-    return found | ({"again": data.command} if data.command else {})
+    return found | ({"reproduce": data.command} if data.command else {})
 
 
-def _provenance_section(told: ReportData) -> Html:
-    known = provenance_facts(told).items()
+def _provenance_section(data: ReportData) -> Html:
+    known = provenance_facts(data).items()
     listed = element("dl", *(join((element("dt", name), element("dd", element("code", one)))) for name, one in known))
-    whole = msgspec.json.format(msgspec.json.encode(told.config), indent=2).decode()
-    details = element("details", element("summary", "The whole configuration"), element("pre", whole))
-    remark = "Simulation only. What is said of safety holds for the model the filter was given (SAFETY.md)."
-    return section("Where this comes from", listed, details, element("footer", remark))
+    whole = msgspec.json.format(msgspec.json.encode(data.config), indent=2).decode()
+    details = element("details", element("summary", "Full configuration"), element("pre", whole))
+    remark = "Simulation only. Safety claims hold for the robot model that the filter uses (SAFETY.md)."
+    return section("Provenance", listed, details, element("footer", remark))

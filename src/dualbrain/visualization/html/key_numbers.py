@@ -1,4 +1,4 @@
-"""The numbers by which an episode is judged, written the same way in the live view and in the report."""
+"""Key numbers of an episode, formatted the same way in the live view and in the report."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dualbrain.records import Episode
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KeyNumber:
-    """One number: `name` as in `episode.json`, a `label` for people, its `value`, and its `text` with `unit`."""
+    """A number: `name` as in `episode.json`, a `label` for people, its `value`, and its `text` with `unit`."""
 
     name: str
     label: str
@@ -19,22 +19,22 @@ class KeyNumber:
 
 
 def format_millimetres(metres: float | None) -> str:
-    """A length [m] as text in millimetres; a dash if there is none."""
+    """A length [m] as text in millimetres; a dash for None."""
     return "–" if metres is None else f"{1e3 * metres:.2f}".replace("-", "−")
 
 
 def format_seconds(value: float | None) -> str:
-    """A time [s] as text."""
+    """A time [s] as text; a dash for None."""
     return "–" if value is None else f"{value:.2f}"
 
 
 def format_dimensionless(value: float | None) -> str:
-    """An intervention magnitude (0 to 2) as text."""
+    """An intervention magnitude (0 to 2) as text; a dash for None."""
     return "–" if value is None else f"{value:.5f}"
 
 
 def key_numbers(episode: Episode) -> tuple[KeyNumber, ...]:
-    """Δ, intervention frequency, h_min, duration, planner time and violations (a dash where nothing was measured)."""
+    """Δ, intervention frequency, h_min, duration, planner time and violations; a dash for values not measured."""
     outcome, judgement = episode.outcome, episode.judgement
     ran = outcome.Delta is not None
     planner = sum(sum(attempt.proposal.timings.values()) for attempt in episode.attempts)

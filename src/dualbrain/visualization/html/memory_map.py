@@ -1,4 +1,4 @@
-"""The memory map: every memory as a point, like ones near each other, coloured by its weight w."""
+"""Memory map: every memory as a point, similar memories near each other, coloured by weight w."""
 
 from __future__ import annotations
 
@@ -11,23 +11,24 @@ from dualbrain.visualization.html.page import Html, element, section
 from dualbrain.visualization.html.strip_chart import AMBER, BLUE, MATPLOTLIB_STYLE, MUTED, RED, SKY, apply_page_theme
 
 WEIGHT_COLOURS = ((0.2, RED), (0.4, AMBER), (0.6, MUTED), (0.8, SKY), (1.01, BLUE))
-"""Weights below each bound are drawn in this colour of the page."""
+"""Colour of weights below each bound."""
 MAX_POINTS = 3000
-"""Only the newest so many are drawn."""
+"""At most this many memories, the newest, are drawn."""
 OUTCOME_MARKERS = (("succeeded", "o"), ("failed", "X"))
-"""Other outcomes are small points."""
+"""Marker by outcome; other outcomes are small points."""
 
 
 def memory_map_section(projection: MemoryProjection, newest: str) -> Html:
-    """The map with the memory called `newest` ringed; a sentence where there is nothing to draw."""
+    """Section with the map, in which a ring marks the memory `newest`; a sentence if there are too few memories."""
     if len(projection.episode_ids) < 3:
         return section("Memory map", element("p", "Too few memories for a map.", class_="muted"))
-    told = (
-        f"{len(projection.episode_ids)} memories; near means alike. The two axes show {projection.explained_variance:.0%} of the variance. Circles "
-        "succeeded, crosses failed, points are others; hollow ones are set aside or not confirmed. Colour is w: "
-        "red below 0.2, amber below 0.4, grey below 0.6, light blue below 0.8, blue above. The ring is this run."
+    legend = (
+        f"{len(projection.episode_ids)} memories; similar memories are near each other. The two axes show "
+        f"{projection.explained_variance:.0%} of the variance. Circles succeeded, crosses failed, points had other "
+        "outcomes; hollow markers are excluded or not confirmed. The colour is w: red below 0.2, amber below 0.4, grey "
+        "below 0.6, light blue below 0.8, blue above. The ring marks this run."
     )
-    return section("Memory map", element("p", told, class_="muted"), _chart(projection, newest))
+    return section("Memory map", element("p", legend, class_="muted"), _chart(projection, newest))
 
 
 def _chart(drawn: MemoryProjection, newest: str) -> Html:
@@ -54,4 +55,4 @@ def _chart(drawn: MemoryProjection, newest: str) -> Html:
             axes.set_aspect("equal", adjustable="datalim")
         out = StringIO()
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
-    return apply_page_theme(out.getvalue(), "every memory as a point, like ones near each other, coloured by weight")
+    return apply_page_theme(out.getvalue(), "memories as points, similar ones near each other, coloured by weight")

@@ -1,6 +1,6 @@
-"""A page as a tree of elements in which every plain text is escaped, and the style sheet of all our pages.
+"""HTML pages as trees of elements that escape every plain text, and their common style sheet.
 
-Instructions, scene names and model answers are untrusted text. Only `Html`, made by `element`, is passed through.
+Instructions, scene names and model answers are untrusted text. Only `Html`, made by `element`, is not escaped.
 """
 
 from __future__ import annotations
@@ -12,19 +12,19 @@ from importlib import resources
 CONTENT_SECURITY_POLICY = (
     "default-src 'none'; img-src data:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
 )
-"""No script at all, nothing from elsewhere."""
+"""Forbids scripts and all external resources."""
 
 VOID_TAGS = ("img", "br", "meta")
 
 
 class Html(str):
-    """Text that is already markup."""
+    """Text that is markup and is not escaped again."""
 
     __slots__ = ()
 
 
 def element(tag: str, *children: str, **attributes: str) -> Html:
-    """`<tag attributes>children</tag>`; children that are not `Html` are escaped, `class_` means class."""
+    """`<tag attributes>children</tag>`; children that are not `Html` are escaped, `class_` is the attribute class."""
     words = "".join(f' {name.rstrip("_").replace("_", "-")}="{escape(text)}"' for name, text in attributes.items())
     if tag in VOID_TAGS:
         return Html(f"<{tag}{words}>")
@@ -32,14 +32,14 @@ def element(tag: str, *children: str, **attributes: str) -> Html:
 
 
 def join(parts: Iterable[str]) -> Html:
-    """The parts one after another, escaped unless they are `Html`."""
+    """Concatenation of the parts, escaped unless they are `Html`."""
     return Html("".join(part if isinstance(part, Html) else escape(part) for part in parts))
 
 
 def table(
     head: Sequence[str], rows: Iterable[Sequence[str]], *, right_aligned: Sequence[int] = (), empty_text: str = "None."
 ) -> Html:
-    """A table; columns in `right` hold numbers and are aligned right; `empty` is said if there is no row."""
+    """A table; columns in `right_aligned` contain numbers; `empty_text` replaces a table without rows."""
     cells = [[(cell, "number" if k in right_aligned else "text") for k, cell in enumerate(row)] for row in rows]
     if not cells:
         return element("p", empty_text, class_="muted")
@@ -50,12 +50,12 @@ def table(
 
 
 def badge(text: str, tone: str) -> Html:
-    """A short word in a coloured frame; `tone` is good, warn, bad or quiet."""
+    """A short text in a coloured frame; `tone` is good, warn, bad or quiet."""
     return element("span", text, class_=f"badge {tone}")
 
 
 def section(title: str, *content: str, note: str = "") -> Html:
-    """A titled part of the page."""
+    """A section of the page with a title and a note."""
     heading = element("h2", title, join([element("small", note)] if note else []))
     return element("section", heading, *content)
 
@@ -75,7 +75,7 @@ def document(title: str, *content: str) -> str:
 
 
 def palette_css() -> Html:
-    """The page's colours alone, for drawings that stand outside of it."""
+    """The colours of the page as CSS, for drawings in files of their own."""
     style = _stylesheet()
     return Html(style[style.index(":root") : style.index("* {")])
 

@@ -1,4 +1,4 @@
-"""The report of one run: a single HTML file that explains itself, works offline and holds no script."""
+"""HTML report of one run: a single file that works offline and contains no script."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ MAX_TEXT_CHARACTERS = 4000
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """A picture of the scene at `t` [s]: `rgb` (height, width, 3) uint8."""
+    """Image of the scene at `t` [s]: `rgb` (height, width, 3) uint8."""
 
     t: float
     caption: str
@@ -67,14 +67,14 @@ def write_report(
     snapshots: Sequence[Snapshot] = (),
     projection: MemoryProjection | None = None,
 ) -> None:
-    """Write the report of `episode` to `path`; `trace` may be empty (a contract refused at the gate)."""
+    """Write the report of `episode` to `path`; `trace` is empty if the gate rejected the contract."""
     path.write_text(render_report(episode, trace, snapshots, projection), encoding="utf-8")
 
 
 def render_report(
     episode: Episode, trace: Trace, snapshots: Sequence[Snapshot] = (), projection: MemoryProjection | None = None
 ) -> str:
-    """The report as HTML, with a map of memory if one is given."""
+    """Text of the report as HTML, with a memory map if `projection` is given."""
     parts = (
         _header(episode),
         element("div", *map(_tile, key_numbers(episode)), class_="tiles"),
@@ -99,15 +99,13 @@ def _header(episode: Episode) -> Html:
     outcome, judgement = episode.outcome, episode.judgement
     words = [badge(outcome.kind.replace("_", " "), STATUS_TONES[outcome.kind])]
     if judgement is not None:
-        seen, tone = (
-            ("task done in simulator truth", "good")
-            if judgement.success
-            else ("task not done in simulator truth", "bad")
+        done, tone = (
+            ("task done on ground truth", "good") if judgement.success else ("task not done on ground truth", "bad")
         )
-        words.append(badge(seen, tone))
-        breaches = len(judgement.violations)
-        said = {0: "no safety violation", 1: "1 safety violation"}.get(breaches, f"{breaches} safety violations")
-        words.append(badge(said, "bad" if breaches else "good"))
+        words.append(badge(done, tone))
+        count = len(judgement.violations)
+        violations = {0: "no safety violation", 1: "1 safety violation"}.get(count, f"{count} safety violations")
+        words.append(badge(violations, "bad" if count else "good"))
     return element(
         "header",
         element("p", f"{episode.robot} · {episode.started} · run {episode.id}", class_="overline"),
@@ -126,7 +124,7 @@ def _snapshots_section(snapshots: Sequence[Snapshot]) -> Html:
     if not snapshots:
         return Html("")
     across = "four" if len(snapshots) % 3 and len(snapshots) > 3 and len(snapshots) != 5 else "three"
-    return section("What happened", element("div", *map(_snapshot_figure, snapshots), class_=f"shots {across}"))
+    return section("Snapshots", element("div", *map(_snapshot_figure, snapshots), class_=f"shots {across}"))
 
 
 def _snapshot_figure(shot: Snapshot) -> Html:
@@ -146,10 +144,10 @@ def _snapshot_figure(shot: Snapshot) -> Html:
 def _time_course_section(episode: Episode, trace: Trace) -> Html:
     if not len(trace):
         return section(
-            "Course of the run", element("p", "No control was executed, so there is nothing to plot.", class_="muted")
+            "Time course", element("p", "No control was executed, so there is nothing to plot.", class_="muted")
         )
     note = f"{len(trace)} control ticks; shaded where δ > {DEAD_BAND:g}"
-    return section("Course of the run", element("div", strip_chart(episode, trace), class_="card chart"), note=note)
+    return section("Time course", element("div", strip_chart(episode, trace), class_="card chart"), note=note)
 
 
 def _contract(episode: Episode) -> Html:
@@ -194,32 +192,30 @@ def _details(title: str, content: object) -> Html:
 def _planner(episode: Episode) -> Html:
     if not episode.attempts:
         return section(
-            "Planner and gate", element("p", "No planner was asked: the contract was given.", class_="muted")
+            "Planner and gate", element("p", "No planner was called: the contract was given.", class_="muted")
         )
     cards = [_attempt(k, attempt) for k, attempt in enumerate(episode.attempts)]
     return section("Planner and gate", *_previous_failure(episode), _decision_table(episode), *cards)
 
 
 def _decision_table(episode: Episode) -> Html:
-    """Where the time of the decision went."""
+    """Table of the time of the decision by part."""
     rows = [(words, f"{value:.4f}") for words, value in latency_breakdown(episode.timings)]
     total = episode.timings.get("decision")
     if total is None:
         return Html("")
-    return table(
-        ("part of the decision", "[s]"), [*rows, (element("b", "together"), f"{total:.4f}")], right_aligned=(1,)
-    )
+    return table(("part of the decision", "[s]"), [*rows, (element("b", "total"), f"{total:.4f}")], right_aligned=(1,))
 
 
 def _previous_failure(episode: Episode) -> Sequence[Html]:
-    """What became of the contract before this one, if there was one."""
+    """Result of the contract before this one, if there was one."""
     before = episode.setback
     if before is None:
         return ()
     done = ", ".join(before.done) or "nothing"
-    said = f"Planned again after {before.episode_id}: {before.outcome.replace('_', ' ')} at “{before.undone}” "
-    said += f"({before.reason}{'; ' + before.hindrance if before.hindrance else ''}); done before: {done}."
-    return (element("p", said),)
+    text = f"Planned again after {before.episode_id}: {before.outcome.replace('_', ' ')} at “{before.undone}” "
+    text += f"({before.reason}{'; ' + before.hindrance if before.hindrance else ''}); done before: {done}."
+    return (element("p", text),)
 
 
 def _attempt(index: int, attempt: Attempt) -> Html:
@@ -238,12 +234,12 @@ def _attempt(index: int, attempt: Attempt) -> Html:
         ]
     listed = element("dl", *(join((element("dt", name), element("dd", text))) for name, text in facts))
     return element(
-        "div", _stages(index, verdict), listed, _details("What the planner wrote", proposal.text), class_="card"
+        "div", _stages(index, verdict), listed, _details("Text of the planner", proposal.text), class_="card"
     )
 
 
 def _stages(index: int, verdict: Accepted | Rejected) -> Html:
-    """The gate's three verdicts in order; what stands after a refusal was not reached."""
+    """The three stages of the gate in their order; the stages after a rejection were not reached."""
     stopped = GATE_STAGES.index(verdict.stage) if isinstance(verdict, Rejected) else len(GATE_STAGES)
     words = [
         badge(f"✓ {stage}", "good")
@@ -253,8 +249,8 @@ def _stages(index: int, verdict: Accepted | Rejected) -> Html:
         else badge(stage, "quiet")
         for k, stage in enumerate(GATE_STAGES)
     ]
-    said = "accepted" if isinstance(verdict, Accepted) else f"refused at {verdict.stage}"
-    return element("div", element("b", f"Attempt {index + 1}: {said}"), *words, class_="stages")
+    result = "accepted" if isinstance(verdict, Accepted) else f"rejected at {verdict.stage}"
+    return element("div", element("b", f"Attempt {index + 1}: {result}"), *words, class_="stages")
 
 
 def _truncate(value: object) -> str:
@@ -264,10 +260,10 @@ def _truncate(value: object) -> str:
 
 def _memory(episode: Episode, events: Sequence[Event]) -> Html:
     recall = episode.recall
-    good_for = {one.memory: _use_badge(one) for one in episode.uses}
-    rows = [(*_exemplar_row("follow", one), good_for.get(one.episode_id, "not asked")) for one in recall.exemplars]
+    uses = {one.memory: _use_badge(one) for one in episode.uses}
+    rows = [(*_exemplar_row("follow", one), uses.get(one.episode_id, "not measured")) for one in recall.exemplars]
     rows += [(*_exemplar_row("avoid", one), "") for one in recall.warnings]
-    head = ("use", "rank", "instruction", "outcome", "Δ", "R", "s", "w", "episode", "was it of use")
+    head = ("use", "rank", "instruction", "outcome", "Δ", "R", "s", "w", "episode", "utility")
     changed = [
         (str(event.data.get("episode_id", "")), event.text, *(f"{event.data[key]:.4f}" for key in ("before", "after")))
         for event in events
@@ -275,15 +271,15 @@ def _memory(episode: Episode, events: Sequence[Event]) -> Html:
     ]
     return section(
         "Memory",
-        element("h3", "Recalled for the planner"),
-        table(head, rows, right_aligned=(1, 4, 5, 6, 7), empty_text="Nothing was recalled."),
+        element("h3", "Retrieved for the planner"),
+        table(head, rows, right_aligned=(1, 4, 5, 6, 7), empty_text="No memory was retrieved."),
         element("h3", "Weights changed by this outcome"),
         table(("episode", "why", "w before", "w after"), changed, right_aligned=(2, 3), empty_text="None."),
     )
 
 
 def _use_badge(one: MemoryUse) -> Html:
-    """What became of a recalled memory, by the answer that the planner gave without it."""
+    """Utility of a retrieved memory, measured by the answer that the planner gives without it."""
     if one.contributing:
         return badge("used, and contributed", "good")
     return badge("used", "warn") if one.used else badge("not used", "quiet")
@@ -296,7 +292,7 @@ def _exemplar_row(use: str, one: Exemplar) -> Sequence[str]:
 
 
 def _knowledge(episode: Episode) -> Html:
-    """The passages that stood in the prompt, each with its citation."""
+    """Passages in the prompt, each with its citation."""
     passages = episode.recall.passages
     if not passages:
         return Html("")
@@ -304,8 +300,8 @@ def _knowledge(episode: Episode) -> Html:
         (str(one.rank), element("code", one.citation), one.title, one.kind, one.trust, f"{one.likeness:.3f}", one.text)
         for one in passages
     ]
-    head = ("", "citation", "where it stands", "kind", "trust", "likeness", "what was shown")
-    note = "read one again, in this version: dualbrain knowledge show CITATION"
+    head = ("", "citation", "section", "kind", "trust", "likeness", "text")
+    note = "show a passage in this version: dualbrain knowledge show CITATION"
     return section("Documents shown to the planner", table(head, rows, right_aligned=(0, 5)), note=note)
 
 
@@ -325,12 +321,12 @@ def _violations(episode: Episode) -> Html:
         for one in judgement.violations
     ]
     head = ("kind", "bodies", "at [s]", "for [s]", "peak", "body was perceived")
-    note = f"independent monitor on simulator truth; task progress {100 * judgement.progress:.0f} %"
+    note = f"independent monitor on ground truth; task progress {100 * judgement.progress:.0f} %"
     return section("Safety violations", table(head, rows, right_aligned=(2, 3, 4)), note=note)
 
 
 def _barriers(episode: Episode) -> Html:
-    """Every barrier that the filter knows, and how often it spoke."""
+    """All barriers of the filter, with the number of ticks in which each was active."""
     rows = [
         (
             one.name.replace("_", " "),
@@ -340,9 +336,7 @@ def _barriers(episode: Episode) -> Html:
         )
         for one in BARRIERS.values()
     ]
-    return section(
-        "Barriers", table(("barrier", "what it keeps", "given up", "ticks it bound"), rows, right_aligned=(3,))
-    )
+    return section("Barriers", table(("barrier", "constraint", "relaxed at", "active ticks"), rows, right_aligned=(3,)))
 
 
 def _events(events: Sequence[Event]) -> Html:
@@ -352,13 +346,13 @@ def _events(events: Sequence[Event]) -> Html:
     listed = element(
         "details",
         element("summary", f"{len(events)} events"),
-        table(("t [s]", "kind", "what"), rows, right_aligned=(0,)),
+        table(("t [s]", "kind", "event"), rows, right_aligned=(0,)),
     )
     return section("Events", listed)
 
 
 def _format_timing(name: str, value: float) -> str:
-    """One of a planner's figures: a time, or a count of tokens."""
+    """A time of the planner [s] or a number of tokens, as text."""
     return f"{value:.0f} {name.replace('_', ' ')}" if name.endswith("_tokens") else f"{name} {value:.2f} s"
 
 
@@ -368,7 +362,7 @@ def _provenance_section(episode: Episode) -> Html:
     listed = element(
         "dl", *(join((element("dt", name), element("dd", element("code", text)))) for name, text in facts.items())
     )
-    things = [
+    objects = [
         (
             one.name,
             one.role,
@@ -378,7 +372,7 @@ def _provenance_section(episode: Episode) -> Html:
         )
         for one in episode.scene.objects
     ]
-    scene = table(("name", "role", "shape", "position [m]", "error bound [mm]"), things, right_aligned=(3, 4))
-    scene = element("details", element("summary", f"Perceived scene: {len(things)} things"), scene)
-    remark = "What is said of safety holds for the model the filter was given (SAFETY.md); nothing is safety-rated."
-    return section("Where this comes from", listed, scene, element("footer", remark))
+    scene = table(("name", "role", "shape", "position [m]", "error bound [mm]"), objects, right_aligned=(3, 4))
+    scene = element("details", element("summary", f"Perceived scene: {len(objects)} objects"), scene)
+    remark = "Safety claims hold for the robot model that the filter uses (SAFETY.md); nothing is safety-rated."
+    return section("Provenance", listed, scene, element("footer", remark))

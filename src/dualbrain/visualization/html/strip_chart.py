@@ -1,4 +1,4 @@
-"""The strip chart of a run: contract, clearance, intervention and speed on one time axis, in the page's colours."""
+"""Strip chart of a run as SVG: contract, clearance, intervention and speed on one time axis."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 MAX_BUCKETS = 900
-"""A drawn curve keeps the least and the greatest value of each of so many stretches of time."""
+"""A curve is drawn with the least and the greatest value in each of at most this many time intervals."""
 
 CHART_WIDTH_PT = 10.4 * 72 * 0.93
 """Width of the drawing area [points]."""
 
-# Each colour is drawn as a stand-in that no plot uses otherwise, and replaced by the page's variable of that name.
+# Each colour is drawn as a placeholder that no plot uses otherwise; `apply_page_theme` replaces it by a CSS variable.
 PLACEHOLDER_COLOURS = {
     name: f"#0101{k + 1:02x}"
     for k, name in enumerate(
-        ("ink", "muted", "line", "faint", "blue", "sky", "orange", "amber", "red", "rose", "green", "card", "violet")
+        ("text", "muted", "line", "faint", "blue", "sky", "orange", "amber", "red", "rose", "green", "card", "violet")
     )
 }
-INK, MUTED, LINE, FAINT, BLUE, SKY, ORANGE, AMBER, RED, ROSE, GREEN, CARD, VIOLET = PLACEHOLDER_COLOURS.values()
+TEXT, MUTED, LINE, FAINT, BLUE, SKY, ORANGE, AMBER, RED, ROSE, GREEN, CARD, VIOLET = PLACEHOLDER_COLOURS.values()
 
 STATUS_COLOURS: Mapping[str, str] = {
     "done": BLUE,
@@ -53,7 +53,7 @@ MATPLOTLIB_STYLE: dict[Any, Any] = {
     "axes.spines.right": False,
     "axes.edgecolor": LINE,
     "axes.labelcolor": MUTED,
-    "text.color": INK,
+    "text.color": TEXT,
     "xtick.color": LINE,
     "ytick.color": LINE,
     "xtick.labelcolor": MUTED,
@@ -69,7 +69,7 @@ MATPLOTLIB_STYLE: dict[Any, Any] = {
 
 
 def min_max_downsample(t: Array, y: Array, buckets: int = MAX_BUCKETS) -> tuple[Array, Array]:
-    """`y(t)` thinned to at most two points a bucket, its least and greatest, in their order: peaks survive."""
+    """`y(t)` reduced to the least and the greatest value of each bucket in time order, so that peaks remain."""
     if len(t) <= 2 * buckets:
         return t, y
     edges = np.linspace(0, len(t), buckets + 1).astype(int)
@@ -82,7 +82,7 @@ def min_max_downsample(t: Array, y: Array, buckets: int = MAX_BUCKETS) -> tuple[
 
 
 def strip_chart(episode: Episode, trace: Trace) -> Html:
-    """Four strips or more over one time axis [s]; ticks with intervention are shaded through all of them."""
+    """Chart of four or more strips over one time axis [s]; ticks with an intervention are shaded in all strips."""
     from matplotlib import rc_context  # noqa: PLC0415  (heavy imports are lazy)
     from matplotlib.figure import Figure  # noqa: PLC0415
     from matplotlib.ticker import MaxNLocator  # noqa: PLC0415
@@ -92,8 +92,8 @@ def strip_chart(episode: Episode, trace: Trace) -> Html:
         height = 7.7 + 1.7 * (len(speeds) - 1)
         figure = Figure(figsize=(10.4, height))
         rows = figure.subplots(3 + len(speeds), 1, sharex=True, height_ratios=(1.0, 2.2, 1.5, *[1.7] * len(speeds)))
-        rim = {"top": 1.0 - 0.038 * 7.7 / height, "bottom": 0.062 * 7.7 / height}
-        figure.subplots_adjust(left=0.062, right=0.992, hspace=0.42, **rim)
+        margins = {"top": 1.0 - 0.038 * 7.7 / height, "bottom": 0.062 * 7.7 / height}
+        figure.subplots_adjust(left=0.062, right=0.992, hspace=0.42, **margins)
         rows[0].set_xlim(_time_limits(trace))
         _draw_contract(rows[0], episode, trace)
         _draw_clearance(rows[1], trace)
@@ -116,7 +116,7 @@ def _time_limits(trace: Trace) -> tuple[float, float]:
 
 
 def _draw_title(axes: Axes, title: str, unit: str, *keys: tuple[str, str]) -> None:
-    """A left-aligned heading with its unit, and to the right the names of the curves in their own colours."""
+    """Draw a left-aligned title with its unit, and on the right the names of the curves in their colours."""
     axes.text(-0.0, 1.06, title, transform=axes.transAxes, fontweight="bold", fontsize=9.5)
     axes.annotate(
         f"{unit}",
@@ -141,7 +141,7 @@ def _draw_title(axes: Axes, title: str, unit: str, *keys: tuple[str, str]) -> No
 
 
 def _shade_interventions(axes: Axes, trace: Trace) -> None:
-    """Shade the interventions; those closer than a pixel are drawn as one."""
+    """Shade the interventions; interventions that are less than a pixel apart are merged."""
     first, last = _time_limits(trace)
     pixel, joined = (last - first) / MAX_BUCKETS, []
     for span in trace.interventions():
@@ -154,7 +154,7 @@ def _shade_interventions(axes: Axes, trace: Trace) -> None:
 
 
 def _draw_contract(axes: Axes, episode: Episode, trace: Trace) -> None:
-    _draw_title(axes, "Contract", "actions, and the phases they went through")
+    _draw_title(axes, "Contract", "actions, and their phases")
     axes.set_ylim(0, 2)
     axes.set_yticks([])
     axes.spines["left"].set_visible(False)
@@ -167,25 +167,25 @@ def _draw_contract(axes: Axes, episode: Episode, trace: Trace) -> None:
 
 
 def _draw_bar(axes: Axes, times: tuple[float, float], text: str, colour: str) -> None:
-    """A bar over `times` [s] with as much of its name inside as fits; phases are faint and lie below the actions."""
-    low, height, letter, ink, weight = (0.12, 0.74, 4.4, MUTED, "normal")
+    """Draw a bar over `times` [s] with its name, cut to fit; phases are faint and drawn below the actions."""
+    low, height, letter, text_colour, weight = (0.12, 0.74, 4.4, MUTED, "normal")
     if colour != FAINT:
-        low, height, letter, ink, weight = (0.98, 0.92, 5.4, CARD, "bold")
+        low, height, letter, text_colour, weight = (0.98, 0.92, 5.4, CARD, "bold")
     (start, end), (left, right) = times, axes.get_xlim()
     name = _truncate_to_width(text, (end - start) / (right - left) * CHART_WIDTH_PT - 6, letter)
     axes.broken_barh([(start, end - start)], (low, height), facecolor=colour, edgecolor=CARD, linewidth=1.4)
     middle = ((start + end) / 2, low + height / 2 - 0.02)
-    axes.text(*middle, name, ha="center", va="center", color=ink, fontweight=weight, fontsize=8.3, clip_on=True)
+    axes.text(*middle, name, ha="center", va="center", color=text_colour, fontweight=weight, fontsize=8.3, clip_on=True)
 
 
 def _truncate_to_width(text: str, width: float, letter: float) -> str:
-    """`text` cut to `width` points at `letter` points a character; nothing if not even four characters fit."""
+    """`text` cut to `width` points at `letter` points per character; empty if fewer than four characters fit."""
     room = int(width / letter)
     return text if len(text) <= room else f"{text[: room - 1]}…" if room >= 4 else ""
 
 
 def _action_name(episode: Episode, index: int, action: ActionResult) -> str:
-    """The skill with the thing it acts on, if the contract names one."""
+    """The skill with the object or place that the contract names, and the status if the action is not done."""
     sequence: list[dict[str, Any]] = (episode.contract or {}).get("action_sequence", [])
     params: dict[str, Any] = sequence[index].get("params", {}) if index < len(sequence) else {}
     named = next((str(params[key]) for key in ("object", "target", "place", "destination", "on") if key in params), "")
@@ -204,13 +204,13 @@ def _draw_clearance(axes: Axes, trace: Trace) -> None:
     least = float(np.nanmin(h)) if np.isfinite(h).any() else 0.0
     top = float(np.nanmax(h)) if np.isfinite(h).any() else 1.0
     axes.set_ylim(min(-0.04 * top, 1.15 * least), max(1.08 * top, 1.0))
-    axes.axhline(0, color=INK, linewidth=1.1)
+    axes.axhline(0, color=TEXT, linewidth=1.1)
     axes.axhspan(axes.get_ylim()[0], 0, facecolor=ROSE, linewidth=0, zorder=0)
     _mark_min_clearance(axes, trace)
 
 
 def _mark_min_clearance(axes: Axes, trace: Trace) -> None:
-    """Mark the least clearance while an action ran, which is the h_min of the outcome."""
+    """Mark the least clearance during the actions, which is the h_min of the outcome."""
     t, h = trace["t"], np.where((trace["action"] >= 0) & np.isfinite(trace["h_min"]), 1e3 * trace["h_min"], np.nan)
     if not np.isfinite(h).any():
         return
@@ -249,12 +249,12 @@ def _draw_intervention(axes: Axes, trace: Trace) -> None:
     peak = float(np.nan_to_num(trace["delta"], nan=2.0).max())
     axes.set_ylim(0, max(1.12 * peak, 10 * DEAD_BAND))
     if peak <= DEAD_BAND:
-        said = f"never above {DEAD_BAND:g}: the filter left the nominal control alone"
-        axes.text(0.5, 0.45, said, transform=axes.transAxes, ha="center", color=MUTED)
+        note = f"never above {DEAD_BAND:g}: the filter did not change the nominal control"
+        axes.text(0.5, 0.45, note, transform=axes.transAxes, ha="center", color=MUTED)
 
 
 class SpeedStrip(NamedTuple):
-    """One strip of speeds: these `columns` of u; one of them with its sign, of several the norm."""
+    """A strip of speeds from `columns` of u: a single column with its sign, several columns as their norm."""
 
     title: str
     unit: str
@@ -269,7 +269,10 @@ BASE_SPEED_STRIPS = (
 
 
 def _speed_strips(trace: Trace) -> tuple[SpeedStrip, ...]:
-    """Of an arm the speed of its joints; of a base, whose configuration has one number more than u, v and ω."""
+    """Speed strips of a robot: the joint speed of an arm; v and ω of a base, then the joint speed of its arm.
+
+    A base is recognised by its configuration, which has one coordinate more than u.
+    """
     if trace.width == trace.n:
         return (JOINT_SPEED_STRIP,)
     return (
@@ -280,24 +283,24 @@ def _speed_strips(trace: Trace) -> tuple[SpeedStrip, ...]:
 
 
 def _draw_speed(axes: Axes, trace: Trace, speed: SpeedStrip) -> None:
-    driven = speed.columns.stop is not None
-    keys = (("nominal", MUTED), ("written", BLUE)) if driven else (("nominal |u_nom|", MUTED), ("written |u|", BLUE))
+    signed = speed.columns.stop is not None
+    keys = (("nominal", MUTED), ("written", BLUE)) if signed else (("nominal |u_nom|", MUTED), ("written |u|", BLUE))
     _draw_title(axes, speed.title, speed.unit, *keys)
     _shade_interventions(axes, trace)
     axes.grid(axis="y")
     for name, colour, dash in (("u_nom", MUTED, (0, (3, 2))), ("u", BLUE, "solid")):
         part = trace[name][:, speed.columns]
-        t, y = min_max_downsample(trace["t"], part[:, 0] if driven else np.linalg.norm(part, axis=1))
+        t, y = min_max_downsample(trace["t"], part[:, 0] if signed else np.linalg.norm(part, axis=1))
         axes.plot(t, y, color=colour, linewidth=1.3, linestyle=dash)
-    if not driven:
+    if not signed:
         axes.set_ylim(0, None)
 
 
 def apply_page_theme(svg: str, label: str) -> Html:
-    """The drawing alone (no XML prologue), with the page's colours and fonts."""
+    """The SVG element without XML prologue, with the colours and fonts of the page; `label` describes it to readers."""
     svg = svg[svg.index("<svg") :]
-    for name, stand_in in PLACEHOLDER_COLOURS.items():
-        svg = svg.replace(stand_in, f"var(--{name})")
+    for name, placeholder in PLACEHOLDER_COLOURS.items():
+        svg = svg.replace(placeholder, f"var(--{name})")
     svg = re.sub(
         r"font: (?:bold |[0-9]+ )?([0-9.]+)px [^;\"]*",
         lambda m: m[0].split("px")[0] + "px system-ui, 'DejaVu Sans', sans-serif",

@@ -1,8 +1,9 @@
-"""A person's buttons on the live page: pause, resume, abort, takeover, speed, emergency stop, and its reset in steps.
+"""Operator buttons of the live page: pause, resume, abort, takeover, speed, emergency stop and its two-step reset.
 
-The page is open to whoever can reach this machine's loopback address, so the rule is the socket's own: everyone may
-press the emergency stop; everything else needs the operator's code, which is told where the run was started, once for
-each page. What is pressed goes to the gatekeeper as an operator's act and is its event, with its own outcome.
+Any process that can reach the loopback address of this machine can open the page, so the page follows the rule of the
+gatekeeper's socket: the emergency stop needs no code, every other button needs the operator's code, once for each page.
+The terminal of the run prints the code. A pressed button is sent to the gatekeeper as an operator action, which logs it
+as an event with its result.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from viser import ClientHandle, GuiApi, ViserServer
 
 OperateCallback = Callable[[OperatorAction, float], str]
-"""Carries an act to the gatekeeper; "" or why it could not."""
+"""Sends an action with its speed to the gatekeeper; returns "" or the reason of the failure."""
 
 OPERATOR_BUTTONS: tuple[tuple[OperatorAction, str], ...] = (
     ("pause", "pause"),
@@ -31,31 +32,31 @@ OPERATOR_BUTTONS: tuple[tuple[OperatorAction, str], ...] = (
     ("release_estop", "1. release the emergency stop"),
     ("reset", "2. reset, into hold"),
 )
-"""Those that need the operator's code. A reset does nothing before the stop is released; `resume` leads out."""
+"""Buttons that need the operator's code. A reset has no effect before the stop is released; `resume` ends the hold."""
 MIN_SPEED_PERCENT, SPEED_STEP_PERCENT = 5, 5
-"""Of the speed stage [%]."""
+"""Minimum and step of the speed slider [%]."""
 
 
 class OperatorAccess:
-    """Who may press what, page by page; knows nothing of how a page looks."""
+    """Access control of the operator actions, by page."""
 
     def __init__(self, operate: OperateCallback, code: str) -> None:
-        """Every page is a stranger's at first."""
+        """Start with all pages locked; an empty `code` unlocks none."""
         self._operate, self._code = operate, code
         self._operators: set[int] = set()
 
     def unlock(self, page: int, code: str) -> bool:
-        """Whether `code` is the operator's; if so that page is from now on."""
+        """Unlock `page` if `code` is the operator's code; whether the page is unlocked."""
         if self._code and hmac.compare_digest(code.strip().encode(), self._code.encode()):
             self._operators.add(page)
         return page in self._operators
 
     def remove_page(self, page: int) -> None:
-        """The page was closed."""
+        """Forget a page that was closed."""
         self._operators.discard(page)
 
     def apply(self, page: int, action: OperatorAction, speed: float = 1.0) -> str:
-        """Do what was pressed, if that page may; what to tell the person."""
+        """Send `action` to the gatekeeper if `page` is permitted to; the result as text for the page."""
         if action not in UNRESTRICTED_ACTIONS and page not in self._operators:
             return f"{action.replace('_', ' ')}: needs the operator's code"
         why = self._operate(action, speed)
@@ -63,44 +64,44 @@ class OperatorAccess:
 
 
 class OperatorButtons:
-    """Puts the board's buttons on every page that is opened."""
+    """Operator buttons of every page of the live view."""
 
     def __init__(self, server: ViserServer, access: OperatorAccess) -> None:
-        """From now on."""
+        """Add the buttons to each page that opens on `server` from now on."""
         self._access = access
         server.on_client_connect(self._add_buttons)
         server.on_client_disconnect(lambda client: access.remove_page(client.client_id))
 
     def _add_buttons(self, client: ClientHandle) -> None:
         page, gui = client.client_id, client.gui
-        said = gui.add_html("", order=-8.0)
+        result = gui.add_html("", order=-8.0)
 
-        def tell(text: str) -> None:
-            said.content = PANEL_CSS + element("div", element("p", text, id="operator-said"), class_="db")
+        def show(text: str) -> None:
+            result.content = PANEL_CSS + element("div", element("p", text, id="operator-result"), class_="db")
 
         stop = gui.add_button("EMERGENCY STOP", color="red", hint="needs no code", order=-10.0)
-        stop.on_click(lambda _: tell(self._access.apply(page, "estop")))
+        stop.on_click(lambda _: show(self._access.apply(page, "estop")))
         with gui.add_folder("operator", order=-9.0, expand_by_default=False):
-            code = gui.add_text("code", "", hint="as it was told where the run was started")
-            locked = self._add_locked_buttons(gui, page, tell)
+            code = gui.add_text("code", "", hint="printed in the terminal of the run")
+            locked = self._add_locked_buttons(gui, page, show)
 
         def entered(_: object) -> None:
             if self._access.unlock(page, code.value):
                 code.value, code.visible = "", False
                 for one in locked:
                     one.disabled = False
-                tell("these buttons are yours")
+                show("the buttons are unlocked")
 
         code.on_update(entered)
 
-    def _add_locked_buttons(self, gui: GuiApi, page: int, tell: Callable[[str], None]) -> list[Any]:
-        """The buttons that wait for the code."""
+    def _add_locked_buttons(self, gui: GuiApi, page: int, show: Callable[[str], None]) -> list[Any]:
+        """Add the buttons that need the code, disabled; `show` receives the result of each press."""
         found: list[Any] = []
-        for act, label in OPERATOR_BUTTONS:
+        for action, label in OPERATOR_BUTTONS:
             button = gui.add_button(label, disabled=True)
-            button.on_click(lambda _, act=act: tell(self._access.apply(page, act)))
+            button.on_click(lambda _, action=action: show(self._access.apply(page, action)))
             found.append(button)
         stage = gui.add_slider("speed [%]", MIN_SPEED_PERCENT, 100, SPEED_STEP_PERCENT, 100, disabled=True)
         choose = gui.add_button("set this speed", disabled=True)
-        choose.on_click(lambda _: tell(self._access.apply(page, "speed", stage.value / 100.0)))
+        choose.on_click(lambda _: show(self._access.apply(page, "speed", stage.value / 100.0)))
         return [*found, stage, choose]

@@ -1,4 +1,4 @@
-"""The panel beside the live picture: numbers, their recent course, verdict lines, and the final account."""
+"""Panel of the live view: current numbers, plots of their recent values, verdicts, and the final result."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from viser import GuiApi, GuiUplotHandle
 
 MAX_HISTORY_POINTS = 450
-"""Points kept for the plots: half a minute at 15 Hz."""
+"""Points of the plots: half a minute at 15 Hz."""
 MAX_LINES = 8
 
 PANEL_CSS = """<style>
@@ -37,11 +37,11 @@ PANEL_CSS = """<style>
 </style>"""
 
 NumberRow = tuple[str, str, str]
-"""Name in the numbers of a moment, label for people, unit."""
+"""Name in `ViewState.numbers`, label for people, unit."""
 NUMBER_ROWS: tuple[NumberRow, ...] = (
     ("phase", "phase", ""),
     ("status", "filter", ""),
-    ("barriers", "barriers that bind", ""),
+    ("barriers", "active barriers", ""),
     ("h_min", "clearance h_min", "mm"),
     ("delta", "δ now", ""),
     ("Delta", "Δ so far", ""),
@@ -53,7 +53,7 @@ BASE_SPEED_ROWS: tuple[NumberRow, ...] = (("drive", "driving", "m/s"), ("turn", 
 
 
 def speed_rows(robot_model: RobotModel) -> tuple[NumberRow, ...]:
-    """The rows about how fast `body` is asked to move: its joints, or its base, or both."""
+    """Rows of the commanded speeds of a robot: of its joints, of its base, or of both."""
     return (
         *(BASE_SPEED_ROWS if robot_model.is_mobile else ()),
         *(() if robot_model.is_mobile and not robot_model.is_mobile_manipulator else JOINT_SPEED_ROWS),
@@ -61,17 +61,17 @@ def speed_rows(robot_model: RobotModel) -> tuple[NumberRow, ...]:
 
 
 def commanded_speeds(robot_model: RobotModel, u: NDArray[np.float64]) -> dict[str, float]:
-    """The numbers for those rows: v [m/s] and ω [rad/s] of a base, the norm of the joints' velocities [rad/s]."""
-    driving = {"drive": float(u[0]), "turn": float(u[1])} if robot_model.is_mobile else {}
+    """Numbers of the rows of `speed_rows`: v [m/s] and ω [rad/s] of a base, norm of the joint velocities [rad/s]."""
+    base = {"drive": float(u[0]), "turn": float(u[1])} if robot_model.is_mobile else {}
     joints = u[2:] if robot_model.is_mobile else u
-    return driving | ({"speed": float(np.linalg.norm(joints))} if len(joints) else {})
+    return base | ({"speed": float(np.linalg.norm(joints))} if len(joints) else {})
 
 
 def format_live_number(name: str, value: float | str | None) -> str:
     """A live number as text in the unit of its row."""
     if isinstance(value, str) or value is None:
         return value or "–"
-    if np.isnan(value):  # h_min of a refused input: nothing was measured
+    if np.isnan(value):  # h_min of a rejected input: nothing was measured
         return "–"
     if name == "h_min":
         return format_millimetres(value)
@@ -86,7 +86,7 @@ def _table_row(identity: str, label: str, text: str, unit: str, **more: str) -> 
 
 
 def numbers_html(state: ViewState, speeds: tuple[NumberRow, ...] = JOINT_SPEED_ROWS) -> str:
-    """The table of live numbers."""
+    """Table of the live numbers as HTML."""
     shown = (*NUMBER_ROWS, *speeds, *TRAILING_ROWS)
     rows = (
         _table_row(f"live-{name}", label, format_live_number(name, state.numbers.get(name)), unit)
@@ -96,14 +96,14 @@ def numbers_html(state: ViewState, speeds: tuple[NumberRow, ...] = JOINT_SPEED_R
 
 
 def lines_html(lines: tuple[str, ...]) -> str:
-    """The newest lines, newest first."""
+    """The last `MAX_LINES` lines as HTML, the newest first."""
     return PANEL_CSS + element(
         "div", element("ul", *(element("li", line) for line in reversed(lines[-MAX_LINES:]))), class_="db"
     )
 
 
 def final_html(episode: Episode) -> str:
-    """How the run ended: outcome and key numbers, each with its exact value in `data-value`."""
+    """Outcome and key numbers of a finished run as HTML, each with its exact value in `data-value`."""
     outcome = episode.outcome
     rows = (
         _table_row(f"final-{one.name}", one.label, one.text, one.unit, data_value=repr(one.value))
@@ -117,10 +117,10 @@ def final_html(episode: Episode) -> str:
 
 
 class LivePanel:
-    """GUI nodes of the panel."""
+    """GUI elements of the panel."""
 
     def __init__(self, gui: GuiApi, speeds: tuple[NumberRow, ...] = JOINT_SPEED_ROWS) -> None:
-        """Add the final account (hidden), the numbers with the body's `speeds`, the plots and the lines."""
+        """Add the final result (hidden), the numbers with the rows `speeds`, the plots and the lines."""
         self._speeds = speeds
         self._history: deque[tuple[float, float, float]] = deque(maxlen=MAX_HISTORY_POINTS)
         self._instruction = gui.add_html("")
@@ -132,11 +132,11 @@ class LivePanel:
         self._lines = gui.add_html("")
 
     def show_instruction(self, instruction: str) -> None:
-        """Show what the robot was asked for."""
+        """Show the instruction of the run."""
         self._instruction.content = PANEL_CSS + element("div", element("h4", f"“{instruction}”"), class_="db")
 
     def update(self, state: ViewState) -> None:
-        """Show the moment."""
+        """Show the numbers and lines of `state`, and append its h_min and δ to the plots."""
         self._numbers.content = numbers_html(state, self._speeds)
         self._lines.content = lines_html(state.lines)
         h, delta = state.numbers.get("h_min"), state.numbers.get("delta")
@@ -147,13 +147,13 @@ class LivePanel:
             self._h.data, self._delta.data = (t, millimetre), (t, magnitude)
 
     def finish(self, episode: Episode) -> None:
-        """Show the final account in place of the live numbers."""
+        """Show the final result in place of the live numbers."""
         self._final.content = final_html(episode)
         self._final.visible, self._numbers.visible = True, False
 
 
 def _add_plot(gui: GuiApi, title: str, line: Any) -> GuiUplotHandle:
-    """An empty curve over time."""
+    """Add an empty plot over time."""
     empty = np.array([0.0, 1e-3])
     axis: Any = {"stroke": "#888", "size": 40, "grid": {"stroke": "#8882"}, "ticks": {"size": 3, "stroke": "#8884"}}
     time: Any = {**axis, "size": 26}

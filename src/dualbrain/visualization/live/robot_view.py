@@ -1,4 +1,4 @@
-"""The robot in the live view: its surface, and the filter's spheres coloured by their clearance."""
+"""Robot in the live view: its surface, and the spheres of the filter coloured by clearance."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 LinkMeshes = Mapping[str, "Sequence[ColouredMesh]"]
-"""Coloured triangles by link, each in the link's own frame."""
+"""Coloured triangles by link, in the frame of the link."""
 
 MERGE_CELL_M = 0.008
-"""Details of the robot's surface below this size [m] are not sent to the browser, which may have no graphics card."""
+"""Size [m] of the surface details that are not sent to the browser, which may have no graphics card."""
 
 COLOUR_CLEARANCES_M = (0.0, 0.01, 0.03, 0.08)
-"""Clearances [m] at which a sphere has exactly the colour of the same rank below."""
+"""Clearances [m] of the colours in `CLEARANCE_COLOURS`; colours between them are interpolated."""
 CLEARANCE_COLOURS = np.array([[200, 60, 10], [235, 150, 30], [120, 170, 190], [70, 130, 190]], float)
 
 
 def clearance_colours(clearances: Array) -> NDArray[np.uint8]:
-    """Red at contact, amber at 1 cm, blue from 8 cm on; shape (k, 3)."""
+    """RGB colours (k, 3) of clearances (k,) [m]: red at contact, amber at 1 cm, blue from 8 cm on."""
     return np.stack(
         [np.interp(clearances, COLOUR_CLEARANCES_M, CLEARANCE_COLOURS[:, c]) for c in range(3)], axis=1
     ).astype(np.uint8)
@@ -39,7 +39,7 @@ def clearance_colours(clearances: Array) -> NDArray[np.uint8]:
 def simplify_mesh(
     points: NDArray[np.floating], faces: NDArray[np.integer], cell: float = MERGE_CELL_M
 ) -> tuple[Array, NDArray[np.int64]]:
-    """The surface with all points inside one `cell` [m] merged into their mean; faces that collapse are dropped."""
+    """A mesh whose points (n, 3) in the same `cell` [m] are merged into their mean; collapsed faces are dropped."""
     _, owner = np.unique(np.floor(points / cell).astype(np.int64), axis=0, return_inverse=True)
     owner = owner.ravel()
     merged = np.zeros((int(owner.max()) + 1, 3))
@@ -51,10 +51,10 @@ def simplify_mesh(
 
 
 class LiveRobot:
-    """Scene nodes of one body; frames of links that are not told stay where they were."""
+    """Scene nodes of one robot; links without a pose in an update keep their last pose."""
 
     def __init__(self, scene: SceneApi, robot_model: RobotModel, link_meshes: LinkMeshes) -> None:
-        """Add the body's `surfaces`, or the covering spheres of links that have none."""
+        """Add the meshes of the links, or for links without a mesh the spheres that cover them."""
         self._scene = scene
         self._spheres: BatchedMeshHandle | None = None
         self._show_spheres = False
@@ -66,7 +66,7 @@ class LiveRobot:
         self._add_link_spheres(robot_model, link_meshes)
 
     def update(self, state: ViewState) -> None:
-        """Move the links and the spheres."""
+        """Set the poses of the links, and the positions and colours of the spheres."""
         self._set_link_poses(state.frames)
         if not len(state.radii):
             return
@@ -80,7 +80,7 @@ class LiveRobot:
             self._spheres.batched_colors = colours
 
     def show_spheres(self, wanted: bool) -> None:
-        """Show or hide the filter's spheres from the next update on."""
+        """Show or hide the spheres of the filter from the next update on."""
         self._show_spheres = wanted
 
     def _set_link_poses(self, frames: Mapping[str, Pose]) -> None:
@@ -96,24 +96,23 @@ class LiveRobot:
                 f"/robot/{link}/{k}", points, faces, color=colour, side="double", receive_shadow=False
             )
 
-    def _add_link_spheres(self, robot_model: RobotModel, surfaces: LinkMeshes) -> None:
-        for k, ball in enumerate(robot_model.spheres):
-            if surfaces.get(ball.link):
+    def _add_link_spheres(self, robot_model: RobotModel, link_meshes: LinkMeshes) -> None:
+        for k, sphere in enumerate(robot_model.spheres):
+            if link_meshes.get(sphere.link):
                 continue
-            self._scene.add_icosphere(
-                f"/robot/{ball.link}/{k}", ball.radius, color=(205, 208, 212), subdivisions=2, position=ball.centre
-            )
+            name, grey = f"/robot/{sphere.link}/{k}", (205, 208, 212)
+            self._scene.add_icosphere(name, sphere.radius, color=grey, subdivisions=2, position=sphere.centre)
 
     def _add_sphere_batch(self, state: ViewState, colours: NDArray[np.uint8]) -> BatchedMeshHandle:
         import trimesh  # noqa: PLC0415  (comes with viser)
 
-        ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
-        turns = np.tile([1.0, 0.0, 0.0, 0.0], (len(state.radii), 1))
+        sphere = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
+        quaternions = np.tile([1.0, 0.0, 0.0, 0.0], (len(state.radii), 1))
         return self._scene.add_batched_meshes_simple(
             "/spheres",
-            ball.vertices,
-            ball.faces,
-            turns,
+            sphere.vertices,
+            sphere.faces,
+            quaternions,
             state.centres,
             batched_scales=state.radii.astype(np.float32),
             batched_colors=colours,

@@ -1,4 +1,4 @@
-"""The perceived scene in the live view: things, the margin by which the filter inflates them, the target."""
+"""Perceived scene in the live view: objects, the margins by which the filter inflates them, the target."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 MIN_VISIBLE_MARGIN_M = 1e-6
 TABLE_EXTENT_M = (1.15, 1.30, 0.03)
-"""Extent [m] drawn of a support that is a half space; it reaches farther."""
+"""Extent [m] that is drawn of a support; the support itself is an unbounded half space."""
 TABLE_CENTRE_X_M = 0.375
 FLOOR_HEIGHT_M = -0.002
-"""Height [m] at which a floor is drawn: things stand on it."""
+"""Height [m] at which a floor is drawn, just below the objects on it."""
 
 COLOUR_BY_ROLE = {
     "object": (200, 60, 50),
@@ -45,13 +45,13 @@ COLOUR_BY_NAME = {
     "oak": (158, 120, 82),
 }
 PLACE_COLOUR, PLACE_RADIUS, PLACE_HALF_HEIGHT = (10, 127, 95), 0.12, 0.003
-"""How a place on the floor is marked: colour, radius and half height [m]."""
+"""Marker of a place on the floor: colour, radius and half height [m]."""
 MARGIN_COLOUR = (240, 160, 60)
 
 
 @dataclass(slots=True)
 class _ObjectNodes:
-    """The nodes of one object, and what they were built from."""
+    """Scene nodes of one object, with the shape and the margin [m] that they show."""
 
     shape: Shape
     margin: float
@@ -60,10 +60,10 @@ class _ObjectNodes:
 
 
 class LiveScene:
-    """Scene nodes of the perceived things; rebuilt only when a shape or a margin changes noticeably."""
+    """Scene nodes of the perceived objects; rebuilt only if a shape changes, or a margin by more than 2 mm."""
 
     def __init__(self, scene: SceneApi) -> None:
-        """Start empty."""
+        """Start without objects."""
         self._scene = scene
         self._objects: dict[str, _ObjectNodes] = {}
         self._show_margins = True
@@ -72,12 +72,12 @@ class LiveScene:
         self._target = scene.add_icosphere("/target", 0.012, color=(10, 127, 95), opacity=0.85, visible=False)
 
     def update(self, state: ViewState) -> None:
-        """Bring the nodes in line with the perceived scene."""
-        seen = {thing.name for thing in state.scene.objects}
-        for name in self._objects.keys() - seen:
+        """Show the objects, the floor, the places and the target of `state`."""
+        names = {one.name for one in state.scene.objects}
+        for name in self._objects.keys() - names:
             self._objects.pop(name).frame.remove()
-        for thing in state.scene.objects:
-            self._update_object(thing, state.margins.get(thing.name, 0.0))
+        for one in state.scene.objects:
+            self._update_object(one, state.margins.get(one.name, 0.0))
         if state.scene.region != self._region:
             self._region = state.scene.region
             self._add_floor(self._region)
@@ -93,7 +93,7 @@ class LiveScene:
         self._show_margins = wanted
 
     def _add_floor(self, region: tuple[tuple[float, float], ...]) -> None:
-        """The convex region in which a base may drive, as a floor."""
+        """Draw the convex region in which a base may drive as a floor."""
         corners = np.array([(x, y, FLOOR_HEIGHT_M) for x, y in region])
         faces = np.array([(0, k, k + 1) for k in range(1, len(region) - 1)])
         self._scene.add_mesh_simple(
@@ -101,7 +101,7 @@ class LiveScene:
         )
 
     def _add_place_markers(self, places: tuple[Place, ...]) -> None:
-        """Where a base can be sent: a disc on the floor with the place's name."""
+        """Draw each place that a base can drive to as a disc with its name."""
         for place in places:
             path, (x, y, z) = f"/scene/place_{place.name}", place.position
             disc = shape_mesh(Cylinder(PLACE_RADIUS, PLACE_HALF_HEIGHT))
@@ -115,24 +115,25 @@ class LiveScene:
             )
             self._scene.add_label(f"{path}/name", place.name, anchor="bottom-center", font_screen_scale=0.8)
 
-    def _update_object(self, thing: SceneObject, margin: float) -> None:
-        node = self._objects.get(thing.name)
-        if node is None or node.shape != thing.shape or abs(node.margin - margin) > 0.002:
+    def _update_object(self, scene_object: SceneObject, margin: float) -> None:
+        node = self._objects.get(scene_object.name)
+        if node is None or node.shape != scene_object.shape or abs(node.margin - margin) > 0.002:
             if node is not None:
                 node.frame.remove()
-            node = self._objects[thing.name] = self._add_object(thing, margin)
-        node.frame.position, node.frame.wxyz = thing.pose.position, thing.pose.quaternion
+            node = self._objects[scene_object.name] = self._add_object(scene_object, margin)
+        node.frame.position, node.frame.wxyz = scene_object.pose.position, scene_object.pose.quaternion
         if node.margin_mesh is not None:
             node.margin_mesh.visible = self._show_margins
 
-    def _add_object(self, thing: SceneObject, margin: float) -> _ObjectNodes:
-        path = f"/scene/{''.join(letter if letter.isalnum() else '_' for letter in thing.name)}"
+    def _add_object(self, scene_object: SceneObject, margin: float) -> _ObjectNodes:
+        path = f"/scene/{''.join(letter if letter.isalnum() else '_' for letter in scene_object.name)}"
+        shape = scene_object.shape
         frame = self._scene.add_frame(path, show_axes=False)
-        colour = COLOUR_BY_NAME.get(thing.colour, COLOUR_BY_ROLE[thing.role])
-        self._add_mesh(f"{path}/body", thing.shape, 0.0, colour, None)
-        inflated = margin > MIN_VISIBLE_MARGIN_M and not isinstance(thing.shape, HalfSpace)
-        skin = self._add_mesh(f"{path}/margin", thing.shape, margin, MARGIN_COLOUR, 0.16) if inflated else None
-        return _ObjectNodes(thing.shape, margin, frame, skin)
+        colour = COLOUR_BY_NAME.get(scene_object.colour, COLOUR_BY_ROLE[scene_object.role])
+        self._add_mesh(f"{path}/body", shape, 0.0, colour, None)
+        inflated = margin > MIN_VISIBLE_MARGIN_M and not isinstance(shape, HalfSpace)
+        margin_mesh = self._add_mesh(f"{path}/margin", shape, margin, MARGIN_COLOUR, 0.16) if inflated else None
+        return _ObjectNodes(shape, margin, frame, margin_mesh)
 
     def _add_mesh(
         self, path: str, shape: Shape, margin: float, colour: tuple[int, int, int], opacity: float | None
@@ -154,7 +155,7 @@ class LiveScene:
 
 
 def shape_mesh(shape: Shape, margin: float = 0.0) -> Any:
-    """Triangles of `shape`, grown by `margin` [m] on every side, in its own frame (a trimesh)."""
+    """Triangle mesh (`trimesh.Trimesh`) of `shape`, grown by `margin` [m] on every side, in the frame of the shape."""
     from trimesh import creation  # noqa: PLC0415  (comes with viser)
 
     match shape:
@@ -173,7 +174,7 @@ def shape_mesh(shape: Shape, margin: float = 0.0) -> Any:
 
 
 def bowl_profile(radius: float, height: float, wall: float, bottom: float) -> list[tuple[float, float]]:
-    """Cross section (distance from the axis, height) of a bowl: from the middle of its foot over the rim and back."""
+    """Cross section of a bowl as points (distance from the axis, height) [m], from its foot over the rim and back."""
     foot = 0.7 * radius
     outside = [(0.0, bottom), (foot, bottom), (radius, bottom + 0.45 * (height - bottom)), (radius, height)]
     return [

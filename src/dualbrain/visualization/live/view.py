@@ -1,7 +1,7 @@
-"""The live view: a page on this machine's own loopback address that shows the run while it happens.
+"""Live view: a web page on the loopback address of this machine that shows a run while it happens.
 
-The control loop hands over a finished `ViewState` and goes on; a thread of the view draws the newest at its own pace.
-The page only toggles what is drawn; with a `board` it also has a person's buttons (`live_buttons.py`).
+The control loop passes a finished `ViewState` and continues; a thread of the view draws the newest state at its own
+rate. The page can only switch what is drawn, unless it has the operator buttons (`operator_buttons.py`).
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ if TYPE_CHECKING:
 
 HOST = "127.0.0.1"
 FRAME_RATE_HZ = 15.0
-"""Pictures a second."""
+"""Maximum frame rate [1/s]."""
 MAX_PORTS_TRIED = 20
 ARM_CAMERA = (1.22, -0.80, 0.74), (0.40, 0.05, 0.17)
 BASE_CAMERA = (0.4, -4.3, 3.4), (2.9, -0.3, 0.0)
-"""Where the view begins, and what it looks at: an arm at its table, a base in its room [m]."""
+"""Initial position of the camera and the point that it looks at [m], for an arm at a table and for a base in a room."""
 
 
 class LiveView:
-    """A running view; `url` is where to look, `notice` says if that is another port than the one asked for."""
+    """A running view at `url`; `notice` states the port if it differs from the requested one, else ""."""
 
     def __init__(
         self,
@@ -45,11 +45,13 @@ class LiveView:
         access: OperatorAccess | None = None,
         link_meshes: LinkMeshes | None = None,
     ) -> None:
-        """Serve on `port`, or with `other_port` on the next free one; links without `surfaces` are drawn as spheres.
+        """Serve on `port`, or with `allow_other_port` on the next free port.
+
+        Links without a mesh in `link_meshes` are drawn as spheres. With `access` the page has operator buttons.
 
         Raises:
-            MissingPart: viser is not installed.
-            InvalidSetup: the port is in use and no other was allowed, or twenty in a row are in use.
+            MissingDependencyError: viser is not installed.
+            ConfigurationError: the port is in use and no other is allowed, or twenty consecutive ports are in use.
         """
         self.port = find_free_port(port, MAX_PORTS_TRIED if allow_other_port else 1)
         self.notice = "" if self.port == port else f"Port {port} is in use; the live view is on port {self.port}."
@@ -72,17 +74,17 @@ class LiveView:
         self._thread.start()
 
     def show(self, state: ViewState) -> None:
-        """Show `state` as soon as the view gets to it; returns at once."""
+        """Show `state` at the next frame; returns immediately."""
         self._latest = state
 
     def finish(self, episode: Episode, timeout: float = 2.0) -> None:
-        """Show how the run ended; returns when that has been drawn, or after `timeout` [s]."""
+        """Show the result of the run; returns when it has been drawn, or after `timeout` [s]."""
         self._drawn.clear()
         self._episode = episode
         self._drawn.wait(timeout)
 
     def close(self) -> None:
-        """Stop serving; safe to call again."""
+        """Stop serving; further calls have no effect."""
         if not self._closing.is_set():
             self._closing.set()
             self._thread.join(2.0)
@@ -93,8 +95,8 @@ class LiveView:
         gui = self._server.gui
         with gui.add_folder("show", expand_by_default=False):
             surface = gui.add_checkbox("robot", initial_value=True)
-            spheres = gui.add_checkbox("filter's spheres, by clearance", initial_value=False)
-            margins = gui.add_checkbox("margins around things", initial_value=True)
+            spheres = gui.add_checkbox("spheres of the filter, by clearance", initial_value=False)
+            margins = gui.add_checkbox("margins around objects", initial_value=True)
 
         def apply(_: object) -> None:
             self._robot.root.visible = surface.value
@@ -128,7 +130,11 @@ class LiveView:
 
 
 def find_free_port(wanted: int, max_tries: int) -> int:
-    """The first port from `wanted` on that nobody listens on; raises `InvalidSetup` after `tries`."""
+    """The first free port from `wanted` on.
+
+    Raises:
+        ConfigurationError: none of `max_tries` consecutive ports is free.
+    """
     for port in range(wanted, min(wanted + max_tries, 65536)):
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -146,7 +152,11 @@ def find_free_port(wanted: int, max_tries: int) -> int:
 
 
 def start_server(port: int) -> ViserServer:
-    """A viser server on this machine's loopback address, without the button that asks for a public tunnel."""
+    """A viser server on the loopback address of this machine, without the button that opens a public tunnel.
+
+    Raises:
+        MissingDependencyError: viser is not installed.
+    """
     try:
         import viser  # noqa: PLC0415  (heavy imports are lazy)
     except ImportError as error:
@@ -156,7 +166,7 @@ def start_server(port: int) -> ViserServer:
         ) from error
     _set_rich_quiet(quiet=True)
     server = viser.ViserServer(host=HOST, port=port, label="dualbrain", verbose=False)
-    server.request_share_url = lambda verbose=True: None  # a page must not be able to ask for a public tunnel
+    server.request_share_url = lambda verbose=True: None  # a page must not be able to open a public tunnel
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
     server.scene.set_up_direction("+z")
     server.initial_camera.position, server.initial_camera.look_at = ARM_CAMERA
@@ -164,7 +174,7 @@ def start_server(port: int) -> ViserServer:
 
 
 def _set_rich_quiet(*, quiet: bool) -> None:
-    """Keep viser's banners, which go through rich's global console, out of our standard output."""
+    """Suppress the banners of viser on standard output; viser prints them through the global console of rich."""
     import rich  # noqa: PLC0415
 
     rich.get_console().quiet = quiet

@@ -1,4 +1,4 @@
-"""What the live view shows at one moment; made by the control loop's owner, never changed afterwards."""
+"""State that the live view draws at one moment; built by the owner of the control loop and immutable."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ NO_POINTS: Array = np.zeros((0, 3))
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewState:
-    """One moment at `t` [s].
+    """State at time `t` [s].
 
-    `frames`: pose of each link of the body by name. `centres` (k, 3), `radii` (k,) [m]: the filter's spheres, with
-    `clearances` (k,) [m], the least h of any row of each sphere (empty if unknown). `margins`: how far [m] the filter
-    inflates each thing of the `scene`. `numbers`: h_min [m], delta, Delta, intervention_frequency, speed of the joints
-    [rad/s], drive [m/s] and turn [rad/s] of a base, elapsed [s] and the words phase, status, barriers (those that
-    bind), planner. `lines`: verdicts and other news, newest last.
+    `frames`: pose of each link by name. `centres` (k, 3) [m] and `radii` (k,) [m]: spheres of the filter, with
+    `clearances` (k,) [m], the least h of the rows of each sphere (empty if unknown). `margins`: inflation [m] of each
+    object of the `scene` by the filter. `numbers`: h_min [m], delta, Delta, intervention_frequency, speed of the joints
+    [rad/s], drive [m/s] and turn [rad/s] of a base, elapsed [s], and the texts phase, status, barriers (the active
+    ones) and planner. `lines`: verdicts and other events, the newest last.
     """
 
     t: float

@@ -1,1 +1,1 @@
-"""Pictures and interactive view of a robot model."""
+"""Images and interactive view of a robot model."""

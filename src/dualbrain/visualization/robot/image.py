@@ -1,4 +1,4 @@
-"""A picture of a body at home: its spheres over the shapes that they were fitted to."""
+"""Image of a robot in its home posture: its collision spheres over the meshes that they were fitted to."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ Array = NDArray[np.float64]
 GROUP_COLOURS = {"base": "#888888", "arm": "#4878a8", "hand": "#d1813a", "fingers": "#3a9a5c"}
 VIEW_ANGLES = ((18, -60), (12, 30))
 MAX_TRIANGLES_PER_LINK = 1200
-"""Triangles of one part that are drawn; a larger mesh is drawn by a random choice of them."""
+"""Maximum number of triangles drawn for a link; of a larger mesh a random subset is drawn."""
 
 
 def draw_robot(
     robot_model: RobotModel, meshes: Mapping[str, Mesh], path: Path, size: tuple[float, float] = (11.0, 5.5)
 ) -> None:
-    """Write two views of `body` to the PNG `path`; `shapes` are meshes in the frames of the body's links."""
+    """Write two views of `robot_model` to the PNG file `path`; `meshes` are in the frames of the links."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415  (heavy)
     from matplotlib.figure import Figure  # noqa: PLC0415
 
@@ -36,12 +36,12 @@ def draw_robot(
         for link in robot_model.links:
             _draw_link(axes, robot_model, link.name, meshes.get(link.name), turns, origins)
         _set_axes(axes, corners, elevation, azimuth)
-    figure.suptitle(f"{robot_model.name}: {len(robot_model.spheres)} spheres over its shapes, at home")
+    figure.suptitle(f"{robot_model.name}: {len(robot_model.spheres)} spheres over its meshes, home posture")
     figure.savefig(path)
 
 
 def home_posture(robot_model: RobotModel) -> Array:
-    """Joint values (1, n) at home; a base stands with its own chain at zero."""
+    """Joint positions (1, n) of the home posture; zeros for a differential-drive base."""
     return np.zeros((1, robot_model.n)) if robot_model.base == "differential" else np.array([robot_model.home])
 
 
@@ -66,7 +66,7 @@ def _draw_link(axes, robot_model: RobotModel, name: str, shape: Mesh | None, tur
 
 
 def _bounding_box(robot_model: RobotModel, turns: Array, origins: Array) -> Array:
-    """Lowest and highest corner (2, 3) of all spheres."""
+    """Lowest and highest corner (2, 3) [m] of the box around all spheres."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for link in robot_model.links:
         own = [sphere for sphere in robot_model.spheres if sphere.link == link.name]

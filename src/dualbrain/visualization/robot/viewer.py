@@ -1,4 +1,4 @@
-"""A body in the browser: spheres over meshes, a slider for every joint, the nearest pair of parts in numbers."""
+"""Robot viewer in the browser: spheres over meshes, a slider for each joint, distance of the nearest pair of links."""
 
 from __future__ import annotations
 
@@ -20,17 +20,18 @@ Array = NDArray[np.float64]
 
 
 class RobotViewer:
-    """A running view at `url`, on this machine's loopback address; it has no control over any robot."""
+    """A running viewer at `url` on the loopback address of this machine; it controls no robot."""
 
     def __init__(self, robot_model: RobotModel, meshes: Mapping[str, Mesh], port: int = 8081) -> None:
-        """Serve on `port` or the next free one; `shapes` are meshes in link frames.
+        """Serve on `port` or the next free port; `meshes` are in the frames of the links.
 
         Raises:
-            MissingPart: viser is not installed.
+            MissingDependencyError: viser is not installed.
+            ConfigurationError: no port is free.
         """
         self.port = find_free_port(port, MAX_PORTS_TRIED)
         self.url = f"http://{HOST}:{self.port}"
-        self._body = robot_model
+        self._robot_model = robot_model
         self._server = start_server(self.port)
         self._links = {
             link.name: self._server.scene.add_frame(f"/robot/{link.name}", show_axes=False)
@@ -43,32 +44,32 @@ class RobotViewer:
         self.show_posture(self._q)
 
     def show_posture(self, q: Array) -> str:
-        """Show the posture q (n,); the words about the nearest pair that stand on the page."""
+        """Show the posture q (n,); returns the text about the nearest pair that the page shows."""
         self._q = np.asarray(q, float)
-        turns, origins = chain_frames(self._body.joints, self._q[None])
-        for link in self._body.links:
+        turns, origins = chain_frames(self._robot_model.joints, self._q[None])
+        for link in self._robot_model.links:
             handle = self._links[link.name]
             handle.position = tuple(sphere_centres(link, np.zeros((1, 3)), turns, origins, 0.0)[0, 0])
             columns = sphere_centres(link, np.eye(3), turns, origins, 0.0)[0] - np.asarray(handle.position)
             handle.wxyz = matrix_to_quaternion(columns.T)
-        self._nearest_text = describe_nearest_pair(self._body, turns, origins)
+        self._nearest_text = describe_nearest_pair(self._robot_model, turns, origins)
         self._nearest_label.content = self._nearest_text
         return self._nearest_text
 
     def close(self) -> None:
-        """Stop serving."""
+        """Stop the server."""
         self._server.stop()
 
     def _add_sphere(self, k: int) -> Any:
-        ball = self._body.spheres[k]
-        group = next(link.group for link in self._body.links if link.name == ball.link)
+        sphere = self._robot_model.spheres[k]
+        group = next(link.group for link in self._robot_model.links if link.name == sphere.link)
         red, green, blue = (int(GROUP_COLOURS.get(group, "#4878a8")[i : i + 2], 16) for i in (1, 3, 5))
         return self._server.scene.add_icosphere(
-            f"/robot/{ball.link}/sphere{k}",
-            ball.radius,
+            f"/robot/{sphere.link}/sphere{k}",
+            sphere.radius,
             color=(red, green, blue),
             subdivisions=2,
-            position=ball.centre,
+            position=sphere.centre,
             opacity=0.4,
         )
 
@@ -80,12 +81,12 @@ class RobotViewer:
 
     def _add_controls(self) -> None:
         gui = self._server.gui
-        gui.add_markdown(f"**{self._body.name}**: {len(self._body.spheres)} spheres")
+        gui.add_markdown(f"**{self._robot_model.name}**: {len(self._robot_model.spheres)} spheres")
         self._nearest_label = gui.add_markdown("")
-        for word, handles in (("spheres", self._spheres), ("shapes", self._meshes)):
-            box = gui.add_checkbox(word, initial_value=True)
+        for label, handles in (("spheres", self._spheres), ("meshes", self._meshes)):
+            box = gui.add_checkbox(label, initial_value=True)
             box.on_update(lambda event, handles=handles: _set_visible(handles, event.target.value))
-        for i, joint in enumerate(self._body.joints if self._body.base == "fixed" else ()):
+        for i, joint in enumerate(self._robot_model.joints if self._robot_model.base == "fixed" else ()):
             low, high = max(joint.lower.value, -2 * np.pi), min(joint.upper.value, 2 * np.pi)
             slider = gui.add_slider(joint.name, low, high, (high - low) / 200, float(np.clip(self._q[i], low, high)))
             slider.on_update(lambda event, i=i: self._set_joint(i, float(event.target.value)))
@@ -102,7 +103,7 @@ def _set_visible(handles: list[Any], wanted: bool) -> None:
 
 
 def describe_nearest_pair(robot_model: RobotModel, turns: Array, origins: Array) -> str:
-    """Which kept pair of parts is nearest, in words, at one posture."""
+    """Text about the checked pair of links with the smallest distance, for link frames `turns` and `origins`."""
     by_name = {link.name: link for link in robot_model.links}
     best = ("", "", np.inf)
     for a, b in robot_model.self_pairs.kept:
@@ -110,7 +111,9 @@ def describe_nearest_pair(robot_model: RobotModel, turns: Array, origins: Array)
         gap = float(link_clearance(placed[0][0], placed[1][0], placed[0][1], placed[1][1])[0])
         best = min(best, (a, b, gap), key=lambda pair: pair[2])
     return (
-        "no pair is kept apart" if best[2] == np.inf else f"nearest parts: {best[0]}–{best[1]}, {best[2] * 1e3:.0f} mm"
+        "no pair of links is checked"
+        if best[2] == np.inf
+        else f"nearest links: {best[0]}–{best[1]}, {best[2] * 1e3:.0f} mm"
     )
 
 
