@@ -125,11 +125,13 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="only ours and a fake peer, seconds; nothing is kept")
     parser.add_argument("--fresh", action="store_true", help="measure again what was measured")
     parser.add_argument("--only", nargs="+", default=[], metavar="UNIT", choices=list(units(quick=False)))
-    parser.add_argument("--write-docs", action="store_true", help="render docs/peers.md from what is known")
+    parser.add_argument(
+        "--write-docs", action="store_true", help="render docs/reference/verification/peers.md from what is known"
+    )
     arguments = parser.parse_args()
     whole = collect_results(run_units(arguments.only, quick=arguments.quick, fresh=arguments.fresh))
     if arguments.write_docs and not arguments.quick:
-        write_report(whole, ROOT / "docs" / "peers.md")
+        write_report(whole, ROOT / "docs" / "reference" / "verification" / "peers.md")
     print(json.dumps(whole) if arguments.json else format_table(whole))
 
 

@@ -1,4 +1,4 @@
-"""Render docs/peers.md from a run's figures."""
+"""Render docs/reference/verification/peers.md from a run's figures."""
 
 from __future__ import annotations
 

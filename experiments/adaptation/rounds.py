@@ -57,7 +57,7 @@ METRICS: dict[str, Metric] = {
         lambda one: one["completion_s"], lambda one: one["success"] and has_motion(one), digits=1
     ),
 }
-"""As docs/evaluation.md has them: Δ and time count where it succeeded."""
+"""As docs/reference/evaluation.md has them: Δ and time count where it succeeded."""
 
 
 class Rounds:

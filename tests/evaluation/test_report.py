@@ -390,7 +390,7 @@ def test_the_markdown_page_shows_images_of_its_folder_and_escapes_its_texts(rows
         "Reproduce: `again`",
         "not measured",
         "none of them is a missed deadline",
-        "docs/kernel.md",
+        "docs/reference/safety/kernel.md",
         "## Provenance",
     ):
         assert part in page

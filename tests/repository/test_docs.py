@@ -105,7 +105,7 @@ def test_named_code_and_tests_exist(page):
 
 
 def test_every_row_about_the_paper_names_code_and_a_test():
-    held = (ROOT / "docs" / "paper.md").read_text("utf-8").split("## Not in this version")[0]
+    held = (ROOT / "docs" / "reference" / "paper.md").read_text("utf-8").split("## Not in this version")[0]
     rows = [line.split(" | ") for line in held.splitlines() if line.startswith("|")][2:]
     assert len(rows) > 20
     for row in rows:
@@ -124,7 +124,7 @@ def test_the_readme_names_every_model_with_its_licence():
 
 
 def test_the_page_of_commands_knows_every_exit_code():
-    page = (ROOT / "docs" / "commands.md").read_text("utf-8")
+    page = (ROOT / "docs" / "reference" / "commands.md").read_text("utf-8")
     assert {int(code) for code in re.findall(r"^\| (\d+) \|", page, re.MULTILINE)} == {int(code) for code in ExitCode}
 
 
@@ -135,7 +135,7 @@ def test_no_page_names_a_place_of_one_machine():
 
 @pytest.mark.parametrize("command", [run, demo, check, schema, replay], ids=lambda command: command.__name__)
 def test_the_page_of_commands_knows_every_option(command):
-    page = (ROOT / "docs" / "commands.md").read_text("utf-8")
+    page = (ROOT / "docs" / "reference" / "commands.md").read_text("utf-8")
     section = page.split(f"\n## {command.__name__}\n")[1].split("\n## ")[0]
     parameters = inspect.signature(command).parameters.values()
     options = {f"--{parameter.name}" for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY}
@@ -146,7 +146,7 @@ def test_the_page_of_commands_knows_every_option(command):
     "command", [plan, adapt, list_adapters, history, verify, measure, promote, rollback, diff, export, make]
 )
 def test_the_usage_of_what_plans_and_learns_has_every_option(command):
-    page = (ROOT / "docs" / "commands.md").read_text("utf-8")
+    page = (ROOT / "docs" / "reference" / "commands.md").read_text("utf-8")
     name = command.__name__.removesuffix("_adapters")
     section = page.split(f"\n## {name if command in {plan, adapt} else 'adapters'}\n")[1].split("\n## ")[0]
     usages = re.split(r" \| |`", " ".join(section.split()))

@@ -27,7 +27,13 @@ SUB_NAMESPACES = (
 )
 NAMESPACES = ("dualbrain", *SUB_NAMESPACES)
 SOURCES = [*sorted((ROOT / "examples").glob("*.py")), ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-DEVELOPER_PAGES = ("docs/development/", "docs/migration.md", "docs/results/", "docs/experiments/", "docs/decisions/")
+DEVELOPER_PAGES = (
+    "docs/development/",
+    "docs/reference/migration.md",
+    "docs/results/",
+    "docs/experiments/",
+    "docs/decisions/",
+)
 """Pages about the inside of the package, which name private modules."""
 
 

@@ -135,9 +135,9 @@ def test_it_slows_near_the_singular_posture():
 
 
 def test_the_page_of_barriers_is_the_one_that_is_written():
-    stored = Path(__file__).resolve().parents[2] / "docs" / "barriers.md"
+    stored = Path(__file__).resolve().parents[2] / "docs" / "reference" / "safety" / "barriers.md"
     assert stored.read_text() == render_markdown(), (
-        "write it anew: python -m dualbrain.safety.barriers > docs/barriers.md"
+        "write it anew: python -m dualbrain.safety.barriers > docs/reference/safety/barriers.md"
     )
 
 

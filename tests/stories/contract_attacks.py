@@ -1,4 +1,4 @@
-"""The attacks in `contract_attacks.json`: how each becomes bytes, what the gate says, and the table in docs/attacks.md.
+"""The attacks in `contract_attacks.json`: how each becomes bytes, what the gate says, and the table in docs/reference/verification/attacks.md.
 
 Run `python -m tests.stories.contract_attacks` in the repository to write the page anew.
 """
@@ -17,7 +17,7 @@ from dualbrain.contracts.verdict import Accepted, Verdict
 from tests.contracts.contract_strategies import NAMES, PRINCIPAL, REGISTRY
 
 HERE = Path(__file__).parent
-PAGE_FILE = HERE.parents[1] / "docs" / "attacks.md"
+PAGE_FILE = HERE.parents[1] / "docs" / "reference" / "verification" / "attacks.md"
 ATTACKS: list[dict[str, Any]] = json.loads((HERE / "contract_attacks.json").read_text())
 CONTRACT_TEMPLATE = '{"id":"c-0001","context":{"robot":"panda","registry":"%s"},"action_sequence":%s}'
 HOME_ACTION = '{"skill":"home","params":{"speed":0.1}}'
@@ -90,7 +90,7 @@ def rejecting_stage(verdict: Verdict) -> str:
 
 
 def render_page(outcomes: list[str]) -> str:
-    """docs/attacks.md from what the gate did with each attack."""
+    """docs/reference/verification/attacks.md from what the gate did with each attack."""
     pairs = list(zip(ATTACKS, outcomes, strict=True))
     met = Counter(attack["class"] for attack, outcome in pairs if outcome == attack["expected"])
     rows = [

@@ -45,14 +45,14 @@ def main() -> int:
     }
     sys.stdout.write((json.dumps(found) if asked.json else "\n".join(report_tables(found))) + "\n")
     if asked.write_docs:
-        (ROOT / "docs" / "kernel.md").write_text(render_page(found))
+        (ROOT / "docs" / "reference" / "safety" / "kernel.md").write_text(render_page(found))
     return int(any(one["not_allowed"] or one["recursion"] or one["addresses_taken"] for one in compiled))
 
 
 def parse(arguments: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
-    parser.add_argument("--write-docs", action="store_true", help="write docs/kernel.md")
+    parser.add_argument("--write-docs", action="store_true", help="write docs/reference/safety/kernel.md")
     parser.add_argument("--scenes", type=int, default=12, help="closed loops, each in its own scene (default 12)")
     parser.add_argument("--steps", type=int, default=10_000, help="steps of each loop (default 10000)")
     parser.add_argument("--tries", type=int, default=3_000, help="changes tried from each start of the search")

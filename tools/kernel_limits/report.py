@@ -1,4 +1,4 @@
-"""The figures as tables, and docs/kernel.md."""
+"""The figures as tables, and docs/reference/safety/kernel.md."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def _steps(s: dict[str, Any]) -> list[str]:
 
 
 def render_page(found: dict[str, Any]) -> str:
-    """docs/kernel.md."""
+    """docs/reference/safety/kernel.md."""
     return "\n".join(
         [
             "# The compiled kernel",

@@ -50,7 +50,7 @@ def main() -> int:
     else:
         sys.stdout.write("\n".join(report_table(facts, rows)) + "\n")
     if asked.write_docs:
-        write_document(ROOT / "docs" / "mutants.md", facts, rows)
+        write_document(ROOT / "docs" / "reference" / "verification" / "mutants.md", facts, rows)
     return 0 if facts["caught_share"] >= 0.95 else 1
 
 
@@ -63,7 +63,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--again", action="store_true", help="like --resume, but survivors are tried again")
     parser.add_argument("--tables", action="store_true", help="run nothing, only print what is there")
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
-    parser.add_argument("--write-docs", action="store_true", help="write docs/mutants.md")
+    parser.add_argument("--write-docs", action="store_true", help="write docs/reference/verification/mutants.md")
     parser.add_argument("--nice", type=int, default=10)
     parser.add_argument("--scratch", type=Path, default=ROOT / "build" / "mutants", help="where the copies are made")
     parser.add_argument(

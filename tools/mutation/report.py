@@ -1,4 +1,4 @@
-"""What the mutation check found, as a table and as docs/mutants.md."""
+"""What the mutation check found, as a table and as docs/reference/verification/mutants.md."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def survivor_list(rows: list[dict]) -> list[str]:
 
 
 def write_document(path: Path, facts: dict, rows: list[dict]) -> None:
-    """docs/mutants.md with date, revision and every mutant."""
+    """docs/reference/verification/mutants.md with date, revision and every mutant."""
     every = ["| where | kind | after | caught by |", "|---|---|---|---|"]
     for row in rows:
         if row["outcome"] in ("caught", "survived"):

@@ -53,7 +53,7 @@ def gatekeeper(
     record
         Write every tick to this MCAP file.
     site
-        Site file (TOML): planes, keep-out boxes, tool, payload, caps, who may command; see docs/site.md.
+        Site file (TOML): planes, keep-out boxes, tool, payload, caps, who may command; see docs/how-to/site.md.
     driver
         Move a real arm: franka or ur; fake_franka and fake_ur are the makers' interfaces without an arm.
     address

@@ -73,7 +73,7 @@ app.command(
     question), the episodes. After an interruption of any kind, the same command with the same --out continues.
 
     Examples: `dualbrain evaluate --suite smoke --out runs/smoke`, then `dualbrain report runs/smoke`, and `dualbrain
-    compare DIR DIR`. `--dry-run` estimates the duration of a suite. Methods, metrics and rules: docs/evaluation.md.""",
+    compare DIR DIR`. `--dry-run` estimates the duration of a suite. Methods, metrics and rules: docs/reference/evaluation.md.""",
 )
 app.command(
     "dualbrain.cli.evaluation.report:report",

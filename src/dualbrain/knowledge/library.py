@@ -379,7 +379,7 @@ def _encoder_mismatch(made: str, encoder: Encoder) -> ConfigurationError:
 
 
 SEMANTIC_WEIGHT = 0.7
-"""Share of meaning in the fused score; docs/knowledge.md has the measurement."""
+"""Share of meaning in the fused score; docs/explanation/knowledge.md has the measurement."""
 
 
 def fuse_scores(

@@ -185,7 +185,9 @@ def _convert(data: Any, kind: type[T], prefix: str, path: Path, places: Mapping[
         entry = f"{prefix}.{at.strip('`.')}".strip(".")
         if field := re.search(r"unknown field `(.+)`", what):
             entry = f"{entry}.{field.group(1)}".lstrip(".")
-        raise SiteError(path.name, find_location(entry, places), entry, got=what, allowed="see docs/site.md") from error
+        raise SiteError(
+            path.name, find_location(entry, places), entry, got=what, allowed="see docs/how-to/site.md"
+        ) from error
 
 
 # --- where things stand ---------------------------------------------------------------------------------------------

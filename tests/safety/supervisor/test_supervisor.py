@@ -76,9 +76,9 @@ def test_what_needs_a_person_is_exactly_what_the_design_says():
 
 
 def test_the_page_is_made_from_the_table():
-    stored = Path(__file__).resolve().parents[3] / "docs" / "supervisor.md"
+    stored = Path(__file__).resolve().parents[3] / "docs" / "reference" / "safety" / "supervisor.md"
     assert stored.read_text() == render_markdown(), (
-        "write it anew: python -m dualbrain.safety.supervisor.checks > docs/supervisor.md"
+        "write it anew: python -m dualbrain.safety.supervisor.checks > docs/reference/safety/supervisor.md"
     )
 
 

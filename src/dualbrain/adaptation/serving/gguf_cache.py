@@ -27,7 +27,7 @@ def prepare_base(stack: AdapterStack, cache: Path) -> Path:
     """The base file on which the adapters of `stack` are worn: of a small one that is quantised, the same in float16.
 
     For a 4-bit matrix llama.cpp rounds activations to 8 bits, which the fit did not do, and near-ties turn
-    (docs/serving.md).
+    (docs/how-to/serve_planners.md).
     """
     path = base_path(stack, cache)
     return path if path == stack.gguf else _make_if_missing(path, lambda: write_merged_gguf({}, stack.gguf, path))

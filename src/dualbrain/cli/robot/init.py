@@ -70,7 +70,7 @@ def init(
     packages
         Folder in which packages (package://NAME/...) and meshes may lie as well. May be repeated.
     site
-        Site file (TOML) with limits and caps; see docs/site.md.
+        Site file (TOML) with limits and caps; see docs/how-to/site.md.
     acceleration
         Greatest acceleration of every joint [rad/s², m/s²]; of a base along its way.
     velocity

@@ -1,4 +1,4 @@
-"""Metrics of the evaluation, each defined once (docs/evaluation.md).
+"""Metrics of the evaluation, each defined once (docs/reference/evaluation.md).
 
 A metric maps a row to a number, or to None if the metric does not count that episode. The value of a method is the
 mean over the counted rows. A rate is the mean of zeros and ones.

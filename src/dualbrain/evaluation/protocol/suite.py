@@ -176,7 +176,9 @@ def parse_suite(data: bytes, name: str) -> Suite:
         suite = msgspec.toml.decode(data, type=Suite)
     except DECODE_ERRORS as error:
         sentence = f"The suite is invalid: {error}."
-        raise ConfigurationError.stating(sentence, fix=f"docs/evaluation.md describes its fields. {name}") from error
+        raise ConfigurationError.stating(
+            sentence, fix=f"docs/reference/evaluation.md describes its fields. {name}"
+        ) from error
     check_suite(suite)
     return suite
 

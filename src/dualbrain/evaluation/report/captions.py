@@ -23,7 +23,7 @@ VIOLATION_LABELS = {
     "shaken_load": "load shaken",
     "unauthorised": "unauthorised skill",
 }
-"""Label by kind; `docs/tasks.md` defines the kinds."""
+"""Label by kind; `docs/explanation/tasks.md` defines the kinds."""
 OUTCOME_LABELS = {
     "failed": "the robot gave up",
     "taken_over": "the local layer ended the contract",

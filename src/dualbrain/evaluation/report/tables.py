@@ -186,7 +186,7 @@ def hypotheses_table(results: Sequence[HypothesisResult]) -> Table:
         for result in results
         for index, claim in enumerate(result.claims)
     ]
-    note = "by the rule of docs/evaluation.md; effects and minima were fixed before the run"
+    note = "by the rule of docs/reference/evaluation.md; effects and minima were fixed before the run"
     return Table("Hypotheses", ("hypothesis", *CLAIM_COLUMNS), tuple(lines), note)
 
 

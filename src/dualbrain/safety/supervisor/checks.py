@@ -1,6 +1,6 @@
 """Table of checks: for each hazard the action, the durations, how the check clears, and the outcome of the contract.
 
-The documentation (`python -m dualbrain.safety.supervisor.checks > docs/supervisor.md`), the dashboard, the supervisor
+The documentation (`python -m dualbrain.safety.supervisor.checks > docs/reference/safety/supervisor.md`), the dashboard, the supervisor
 and the tests read this table. Its order is the order of severity: the last of several tripped checks determines the
 decision.
 """
@@ -442,7 +442,7 @@ HEADER = """# The supervisor
 The supervisor reacts to faults of the robot, the sensors, the filter, the control loop and the commander. In every tick
 `Supervisor.update(now, flags)` maps the detected conditions to one decision: that of the strongest check that has
 tripped. This page is generated from the table of checks
-(`python -m dualbrain.safety.supervisor.checks > docs/supervisor.md`). The tests in
+(`python -m dualbrain.safety.supervisor.checks > docs/reference/safety/supervisor.md`). The tests in
 `tests/safety/supervisor/test_supervisor.py` cover all combinations.
 
 Actions by severity: NONE < WARN < SLOW (the nominal control is scaled) < HOVER (zero through the filter, which may
@@ -462,7 +462,7 @@ The categories are those of IEC 60204-1 by name only; **nothing here is certifie
 
 
 def render_markdown() -> str:
-    """Markdown text of docs/supervisor.md."""
+    """Markdown text of docs/reference/safety/supervisor.md."""
     head = ["| check | condition | after | action | cause | contract | clears |", "|---|---|---|---|---|---|---|"]
     return "\n".join([HEADER, "", *head, *(_table_row(check) for check in (*CHECKS, RESET_HELD))]) + "\n"
 

@@ -28,7 +28,7 @@ from dualbrain.simulation.scenes.scene_spec import SceneSpec
 
 Array = NDArray[np.float64]
 SURFACE_ERROR_BOUND = 0.004
-"""Bound of a fitted surface's error [m]: about twice the worst that was measured (docs/tasks.md)."""
+"""Bound of a fitted surface's error [m]: about twice the worst that was measured (docs/explanation/tasks.md)."""
 CAPTURE_PERIOD = 0.5
 """Time between two images [s]; in between, the scene is that of the last image."""
 MIN_VISIBLE_SHARE, MAX_SIZE_CHANGE = 0.8, 0.002

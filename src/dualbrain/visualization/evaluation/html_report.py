@@ -32,7 +32,7 @@ IMAGE_WIDTH = 480
 LATENCY_NOTE = (
     "cumulative shares; cached answers are not counted; gate and filter: "
     f"{WALL_TIME_NOTE}, so that the longest times include other processes. The simulation waits for each step, so none "
-    "of them is a missed deadline; docs/kernel.md gives the worst-case processor time of a kernel step"
+    "of them is a missed deadline; docs/reference/safety/kernel.md gives the worst-case processor time of a kernel step"
 )
 PROVENANCE_FIELDS = ("dualbrain", "code", "kernel", "prompt", "short prompt", "python")
 """Provenance entries that are listed one by one; the others are package versions."""
