@@ -1,4 +1,4 @@
-"""Libraries for tests: a small one of one's own, and one with the shipped documents, by hashed words."""
+"""Libraries for tests, with the hashing encoder: an empty one, and one with the built-in documents."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,8 +21,8 @@ def library(tmp_path: Path) -> Iterator[Library]:
 
 @pytest.fixture(scope="session")
 def builtin_library(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Library]:
-    """The documents that come with dualbrain; to be read only."""
-    path = tmp_path_factory.mktemp("shipped") / "knowledge.sqlite"
+    """A library with the built-in documents; tests must not change it."""
+    path = tmp_path_factory.mktemp("builtin") / "knowledge.sqlite"
     with Library(path, HashingEncoder(64), write=True) as opened:
         add_builtin_documents(opened, now=NOW)
         yield opened

@@ -1,4 +1,4 @@
-"""Adds documents for ever, says which were acknowledged, and waits to be killed."""
+"""Adds documents and prints the number of each acknowledged one, until the process is killed."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""PDF files made for tests, page by page from raw content streams."""
+"""PDF files for tests, built from raw content streams."""
 
 from io import BytesIO
 from typing import Any
@@ -16,7 +16,7 @@ from pypdf.generic import (
 
 
 def show_text(words: str, x: float = 72, y: float = 700, before: str = "", size: float = 12) -> str:
-    """The operators that show `words`; `before` sets the state first."""
+    """The operators that show `words`; the operators `before` set the graphics state first."""
     return f"q BT /F1 {size} Tf {before} {x} {y} Td ({words}) Tj ET Q\n"
 
 
@@ -27,8 +27,8 @@ def pdf_dictionary(**entries: PdfObject) -> DictionaryObject:
 def make_pdf(*contents: str, off: str = "", password: str = "", compress: bool = False, form: str = "") -> bytes:
     """A PDF with one page for each content stream.
 
-    Resources: font /F1, /Ghost (a graphics state that is transparent), /MC0 (a layer called `off`, switched off), /Form
-    (a form that draws `form`).
+    Resources: font /F1, /Ghost (a transparent graphics state), /MC0 (a layer with the name `off` that is switched off),
+    /Form (a form that draws `form`).
     """
     writer: Any = PdfWriter()
     font = pdf_dictionary(Type=NameObject("/Font"), Subtype=NameObject("/Type1"), BaseFont=NameObject("/Helvetica"))

@@ -1,4 +1,4 @@
-"""Questions with the places that answer them, written before any ranking was looked at; some have two right places."""
+"""Questions and the sections that answer them, written before any ranking was seen; some have several answers."""
 
 QUESTIONS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("what should I do if the requested object is missing", ("site-rules/When to decline",)),
@@ -96,9 +96,9 @@ OFF_TOPIC_QUESTIONS = (
     "football training for children in winter",
     "configure nginx as a reverse proxy",
 )
-"""What these documents say nothing about."""
+"""Questions that the built-in documents do not answer."""
 
 
 def section_name(document: str, path: tuple[str, ...]) -> str:
-    """How a question names a place: document and innermost heading."""
+    """The name of a section in the answers: document and innermost heading."""
     return f"{document}/{path[-1] if path else ''}"

@@ -1,4 +1,4 @@
-"""Chunks quote exactly: offsets, pages, headings, and nothing is lost or said twice."""
+"""Chunks: exact offsets, pages and headings, and no text is lost or repeated."""
 
 import pytest
 from hypothesis import given, settings
@@ -20,7 +20,7 @@ words = st.lists(
 )
 
 
-def reading(text: str, name: str = "a.md") -> DocumentText:
+def document_text(text: str, name: str = "a.md") -> DocumentText:
     found = read_document((text + "\n\nenough words to be a document at all\n").encode(), name)
     assert isinstance(found, DocumentText)
     return found
@@ -29,24 +29,24 @@ def reading(text: str, name: str = "a.md") -> DocumentText:
 @settings(max_examples=80, deadline=None)
 @given(words.map(" ".join), st.sampled_from(["a.md", "a.txt"]))
 def test_chunks_are_slices_in_order_that_lose_only_headings(text: str, name: str) -> None:
-    found = reading(text, name)
+    found = document_text(text, name)
     pieces = split_chunks(found)
     end = 0
-    left_out = ""
+    between = ""
     for piece in pieces:
         assert end <= piece.start < piece.end <= len(found.text)
         quoted = found.text[piece.start : piece.end]
         assert quoted == quoted.strip()
         assert len(quoted) <= MAX_CHUNK_CHARACTERS
-        left_out += found.text[end : piece.start]
+        between += found.text[end : piece.start]
         end = piece.end
-    left_out += found.text[end:]
-    lost = [line.strip() for line in left_out.splitlines() if line.strip()]
+    between += found.text[end:]
+    lost = [line.strip() for line in between.splitlines() if line.strip()]
     assert not lost or (name == "a.md" and all(line.startswith("#") for line in lost))
 
 
-def test_a_chunk_knows_the_headings_above_it() -> None:
-    found = reading("# Top\n\nfirst words\n\n## Inner\n\nsecond words\n\n# Other\n\nthird words")
+def test_a_chunk_has_the_headings_above_it() -> None:
+    found = document_text("# Top\n\nfirst words\n\n## Inner\n\nsecond words\n\n# Other\n\nthird words")
     paths = {found.text[c.start : c.end].split()[0]: c.path for c in split_chunks(found)}
     assert paths == {"first": ("Top",), "second": ("Top", "Inner"), "third": ("Other",)}
 
@@ -97,7 +97,7 @@ def test_offsets_of_markdown_are_those_of_the_file(builtin_library: Library, fil
         page=st.none() | st.integers(1, 10**6 - 1),
     )
 )
-def test_a_citation_is_what_it_is_written_as(citation: Citation) -> None:
+def test_a_citation_survives_its_text_form(citation: Citation) -> None:
     again = parse_citation(str(citation))
     assert again is not None
     assert str(again) == str(citation)
@@ -108,5 +108,5 @@ def test_a_citation_is_what_it_is_written_as(citation: Citation) -> None:
     "text",
     ["", "a", "a@b#1-2", "a@0123456789ab#2-1", "A@0123456789ab#1-2", "a@0123456789ab#1-2,p", "../x@0123456789ab#1-2"],
 )
-def test_what_is_no_citation_is_none(text: str) -> None:
+def test_an_invalid_citation_is_none(text: str) -> None:
     assert parse_citation(text) is None

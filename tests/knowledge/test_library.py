@@ -1,4 +1,4 @@
-"""The library: versions, removal, trust, one writer, kills, other encoders, damaged files."""
+"""The library: versions, removal, trust, concurrent and killed writers, other encoders, damaged files."""
 
 import os
 import shutil
@@ -25,13 +25,13 @@ OTHER = "# Note on cups\n\nCups may be lifted by the handle if it is strong enou
 
 
 def put(library: Library, text: str = NOTE, **changed: object) -> Addition:
-    facts: dict[str, object] = {"file": "cups.md", "data": text.encode(), "trust": "site"}
-    done = library.add(Submission(**(facts | changed)), now=1.0)  # pyright: ignore[reportArgumentType]
+    fields: dict[str, object] = {"file": "cups.md", "data": text.encode(), "trust": "site"}
+    done = library.add(Submission(**(fields | changed)), now=1.0)  # pyright: ignore[reportArgumentType]
     assert isinstance(done, Addition), done
     return done
 
 
-def test_a_document_that_is_added_is_found_and_quoted(library: Library) -> None:
+def test_an_added_document_is_found_and_quoted(library: Library) -> None:
     done = put(library)
     assert (done.change, done.document.title, done.document.kind) == ("new", "Note on cups", "manual")
     for by in ("both", "words", "meaning"):
@@ -57,7 +57,7 @@ def test_a_changed_document_is_a_new_version_and_old_citations_still_resolve(lib
     ]
 
 
-def test_what_is_removed_is_found_no_more_but_can_be_quoted(library: Library) -> None:
+def test_a_removed_document_is_not_found_but_can_be_quoted(library: Library) -> None:
     put(library)
     cited = library.search("cups")[0]
     library.remove("cups", now=2.0)
@@ -68,7 +68,7 @@ def test_what_is_removed_is_found_no_more_but_can_be_quoted(library: Library) ->
     assert put(library).change == "restored"
 
 
-def test_the_store_says_the_same_when_it_is_opened_again(library: Library, tmp_path: Path) -> None:
+def test_a_reopened_store_gives_the_same_results(library: Library, tmp_path: Path) -> None:
     put(library)
     put(library, "# Plates\n\nPlates are stacked by size, the largest one below all others.\n", file="plates.md")
     put(library, OTHER)
@@ -78,7 +78,7 @@ def test_the_store_says_the_same_when_it_is_opened_again(library: Library, tmp_p
         assert again.documents() == library.documents()
 
 
-def test_trust_decides_who_is_heard(library: Library) -> None:
+def test_trust_filters_and_ranks_documents(library: Library) -> None:
     put(library)
     done = library.add(Submission(file="blog.md", data=OTHER.encode()), now=1.0)
     assert isinstance(done, Addition)
@@ -101,13 +101,13 @@ def test_trust_decides_who_is_heard(library: Library) -> None:
         {"file": "m.toml", "kind": "template"},
     ],
 )
-def test_a_bad_submission_is_refused_and_leaves_no_trace(library: Library, changed: dict[str, str]) -> None:
-    facts = {"file": "cups.md", "data": NOTE.encode()} | changed
-    assert isinstance(library.add(Submission(**facts), now=1.0), DocumentRejected)  # pyright: ignore[reportArgumentType]
+def test_an_invalid_submission_is_rejected_and_not_stored(library: Library, changed: dict[str, str]) -> None:
+    fields = {"file": "cups.md", "data": NOTE.encode()} | changed
+    assert isinstance(library.add(Submission(**fields), now=1.0), DocumentRejected)  # pyright: ignore[reportArgumentType]
     assert library.documents() == ()
 
 
-def test_a_citation_that_leads_nowhere_is_refused(library: Library) -> None:
+def test_a_citation_without_a_target_is_rejected(library: Library) -> None:
     version = put(library).document.version
     for citation in (
         Citation(document="cups", version="0" * 64, start=0, end=5),
@@ -122,13 +122,13 @@ def test_a_citation_that_leads_nowhere_is_refused(library: Library) -> None:
     "query",
     ["", "   ", '"', "NEAR(", "a AND", "col:x", "*", "x" * 50_000, "\0", "💥", "'; DROP TABLE reading; --", "OR"],
 )
-def test_any_question_is_taken(library: Library, query: str) -> None:
+def test_any_query_is_accepted(library: Library, query: str) -> None:
     put(library)
     for by in ("both", "words", "meaning"):
         assert len(library.search(query, mode=by)) <= 5
 
 
-def test_another_encoder_is_refused_until_everything_is_made_again(library: Library, tmp_path: Path) -> None:
+def test_another_encoder_is_refused_until_the_vectors_are_rebuilt(library: Library, tmp_path: Path) -> None:
     put(library)
     path = tmp_path / "knowledge.sqlite"
     with pytest.raises(ConfigurationError, match="knowledge rebuild"):
@@ -147,7 +147,7 @@ def test_another_encoder_is_refused_until_everything_is_made_again(library: Libr
             words_only.search("cups")
 
 
-def test_projections_made_again_are_the_same(library: Library) -> None:
+def test_rebuilt_projections_are_the_same(library: Library) -> None:
     put(library)
     put(library, "# Plates\n\nPlates are stacked by size, the largest one below all others.\n", file="plates.md")
     before = {by: library.search("cups and plates", 9, mode=by) for by in ("both", "words", "meaning")}
@@ -169,13 +169,15 @@ def test_history_cannot_be_changed(library: Library, tmp_path: Path) -> None:
     other.close()
 
 
-def test_a_second_writer_waits_and_is_told(library: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_second_writer_waits_and_is_refused(
+    library: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(store, "LOCK_TIMEOUT_S", 0.1)
     path = tmp_path / "knowledge.sqlite"
     with Library(path, HashingEncoder(64), write=True) as second:
         blocker = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
         blocker.execute("BEGIN IMMEDIATE")
-        with pytest.raises(StoreInUseError, match="another process"):
+        with pytest.raises(StoreInUseError, match="Another process"):
             put(second)
         with Library(path, HashingEncoder(64)) as reader:
             assert reader.documents() == ()
@@ -213,13 +215,13 @@ def test_a_killed_writer_loses_nothing_it_acknowledged(tmp_path: Path) -> None:
         command = [sys.executable, *(["-S"] if sys.flags.no_site else []), str(script), str(path)]
         adder = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=Path.cwd())
         assert adder.stdout is not None
-        said = [adder.stdout.readline() for _ in range(3 + attempt)]
+        acknowledged = [adder.stdout.readline() for _ in range(3 + attempt)]
         time.sleep(0.003 * attempt)
         os.kill(adder.pid, signal.SIGKILL)
-        said += adder.stdout.readlines()
+        acknowledged += adder.stdout.readlines()
         adder.wait()
         adder.stdout.close()
-        last = int([line for line in said if line.endswith("\n")][-1])
+        last = int([line for line in acknowledged if line.endswith("\n")][-1])
         with Library(path, HashingEncoder(16)) as library:
             name = f"d{last % 7}"
             assert any(f"Document {last}" in one.title for _, one in library.history(name) if one)
@@ -230,25 +232,25 @@ def test_a_killed_writer_loses_nothing_it_acknowledged(tmp_path: Path) -> None:
             assert len(library.search("anything", 99, mode="meaning")) == len(library)
 
 
-def test_a_reader_rolls_back_what_a_killed_writer_left_half_done(library: Library, tmp_path: Path) -> None:
+def test_a_reader_rolls_back_the_unfinished_transaction_of_a_killed_writer(library: Library, tmp_path: Path) -> None:
     put(library)
-    here, there = tmp_path / "knowledge.sqlite", tmp_path / "there.sqlite"
-    writer = sqlite3.connect(here, isolation_level=None)
+    original, killed = tmp_path / "knowledge.sqlite", tmp_path / "killed.sqlite"
+    writer = sqlite3.connect(original, isolation_level=None)
     writer.execute("PRAGMA cache_size = 1")  # so that pages reach the file before the transaction ends
     writer.execute("BEGIN IMMEDIATE")
     writer.execute("CREATE TABLE half (done)")
     for _ in range(200):
         writer.execute("INSERT INTO half VALUES (randomblob(4000))")
     for end in ("", "-journal"):
-        shutil.copyfile(f"{here}{end}", f"{there}{end}")
+        shutil.copyfile(f"{original}{end}", f"{killed}{end}")
     writer.execute("ROLLBACK")
-    assert there.stat().st_size > here.stat().st_size
-    with Library(there, None) as again:
+    assert killed.stat().st_size > original.stat().st_size
+    with Library(killed, None) as again:
         assert again.documents() == library.documents()
-    assert there.stat().st_size == here.stat().st_size
+    assert killed.stat().st_size == original.stat().st_size
 
 
-def test_a_file_that_is_no_store_is_told(tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_store_is_reported(tmp_path: Path) -> None:
     with pytest.raises(MissingDependencyError, match="knowledge add"):
         Library(tmp_path / "none.sqlite", None)
     noise = tmp_path / "noise.sqlite"
@@ -261,7 +263,7 @@ def test_a_file_that_is_no_store_is_told(tmp_path: Path) -> None:
                 Library(path, None, write=write)
 
 
-def test_a_store_of_the_future_is_refused(library: Library, tmp_path: Path) -> None:
+def test_a_store_with_a_newer_schema_is_refused(library: Library, tmp_path: Path) -> None:
     other = sqlite3.connect(tmp_path / "knowledge.sqlite")
     other.execute("UPDATE meta SET value = '99' WHERE key = 'schema_version'").connection.commit()
     other.close()
@@ -269,11 +271,11 @@ def test_a_store_of_the_future_is_refused(library: Library, tmp_path: Path) -> N
         Library(tmp_path / "knowledge.sqlite", None)
 
 
-def test_a_store_on_a_disk_that_cannot_be_written_can_be_read(library: Library, tmp_path: Path) -> None:
+def test_a_store_on_a_read_only_disk_can_be_read(library: Library, tmp_path: Path) -> None:
     put(library)
     library.close()
     path = tmp_path / "knowledge.sqlite"
-    assert [file.name for file in tmp_path.iterdir()] == [path.name]  # one file at rest
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]  # a single file when no process writes it
     path.chmod(0o444)
     tmp_path.chmod(0o555)
     try:
@@ -283,7 +285,7 @@ def test_a_store_on_a_disk_that_cannot_be_written_can_be_read(library: Library, 
         tmp_path.chmod(0o755)
 
 
-def test_the_shipped_documents_go_up_once_and_stay_away_when_removed(library: Library) -> None:
+def test_builtin_documents_are_added_once_and_stay_removed(library: Library) -> None:
     assert len(add_builtin_documents(library, now=1.0)) == len(BUILTIN_DOCUMENTS)
     assert add_builtin_documents(library, now=2.0) == ()
     library.remove("ur5e-notes", now=3.0)

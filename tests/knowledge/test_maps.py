@@ -1,4 +1,4 @@
-"""Maps: frames are rigid, regions keep their meaning on the way to barriers, and what is unsound is refused."""
+"""Maps: rigid frames, regions as barriers, places in scenes, and rejection of invalid maps."""
 
 from math import pi
 
@@ -32,8 +32,8 @@ WIDE = ((-20.0, -20.0), (20.0, -20.0), (20.0, 20.0), (-20.0, 20.0))
 SQUARE = ((0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (0.0, 3.0))
 
 
-def chart(**changed: object) -> RoomMap:
-    facts: dict[str, object] = {
+def room_map(**changed: object) -> RoomMap:
+    fields: dict[str, object] = {
         "kind": "map",
         "title": "t",
         "frame": "room",
@@ -44,43 +44,43 @@ def chart(**changed: object) -> RoomMap:
             Region("hole", "keep_out", ((2.5, 1.5), (3.5, 2.0), (3.0, 2.5))),
         ),
     }
-    return RoomMap(**(facts | changed))  # pyright: ignore[reportArgumentType]
+    return RoomMap(**(fields | changed))  # pyright: ignore[reportArgumentType]
 
 
-def shipped_map() -> RoomMap:
-    reading = read_document((DATA_FOLDER / "room-map.toml").read_bytes(), "room-map.toml")
-    assert isinstance(reading, DocumentText)
-    found = parse_structured(reading, RoomMap)
+def builtin_map() -> RoomMap:
+    document_text = read_document((DATA_FOLDER / "room-map.toml").read_bytes(), "room-map.toml")
+    assert isinstance(document_text, DocumentText)
+    found = parse_structured(document_text, RoomMap)
     assert isinstance(found, RoomMap), found
     return found
 
 
 @settings(deadline=None)
 @given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-pi, pi), st.floats(-pi, pi))
-def test_seeing_from_another_frame_keeps_distances_and_comes_back(x: float, y: float, yaw: float, turn: float) -> None:
+def test_a_change_of_frame_preserves_distances_and_can_be_inverted(x: float, y: float, yaw: float, turn: float) -> None:
     places = (MapPlace("a", (x, y, 0.1), yaw), MapPlace("b", (1.0, -1.0, 0.0)))
-    one = chart(frames=(MapFrame("f", (x, 1.0, 0.2), turn),), places=places)
+    one = room_map(frames=(MapFrame("f", (x, 1.0, 0.2), turn),), places=places)
     (a, b), (a_f, b_f) = one.place_poses("room"), one.place_poses("f")
     assert np.linalg.norm(np.subtract(a.position, b.position)) == pytest.approx(
         np.linalg.norm(np.subtract(a_f.position, b_f.position))
     )
     assert a_f.yaw == pytest.approx(a.yaw - turn)
-    back = chart(frames=(MapFrame("f", (x, 1.0, 0.2), turn),), places=(MapPlace("a", a_f.position, a_f.yaw, "f"),))
+    back = room_map(frames=(MapFrame("f", (x, 1.0, 0.2), turn),), places=(MapPlace("a", a_f.position, a_f.yaw, "f"),))
     assert back.place_poses("room")[0].position == pytest.approx(a.position)
 
 
-def test_a_place_in_a_frame_by_hand() -> None:
-    one = chart(places=(MapPlace("p", (1.0, 0.0, 0.0), 0.0, "dock"),))
+def test_a_place_in_a_frame_matches_a_calculation_by_hand() -> None:
+    one = room_map(places=(MapPlace("p", (1.0, 0.0, 0.0), 0.0, "dock"),))
     pose = one.place_poses("room")[0]
     assert pose.position == pytest.approx((1.0, 3.0, 0.5))
     assert pose.yaw == pytest.approx(pi / 2)
     assert one.scene_places("dock")[0].position == pytest.approx((1.0, 0.0, 0.0))
 
 
-def test_places_know_what_lies_around_them() -> None:
-    assert chart().places_containing((2.0, 1.0), "room") == ("spot",)
-    assert chart().places_containing((0.1, 0.1), "room") == ()
-    assert chart().places_containing((-1.0, -1.0), "dock") == ("spot",)  # (2, 1) of the room
+def test_places_containing_a_point_are_found() -> None:
+    assert room_map().places_containing((2.0, 1.0), "room") == ("spot",)
+    assert room_map().places_containing((0.1, 0.1), "room") == ()
+    assert room_map().places_containing((-1.0, -1.0), "dock") == ("spot",)  # (2, 1) of the room
 
 
 def borders(corners, points):
@@ -92,7 +92,7 @@ def borders(corners, points):
 
 
 def polygon(middle, radii, turn):
-    """A convex polygon, counter-clockwise, its corners on a circle."""
+    """A counter-clockwise convex polygon with corners on a circle."""
     angles = turn + np.linspace(0.0, 2.0 * pi, len(radii), endpoint=False) + 0.3 * np.array(radii)
     return tuple((middle[0] + 2.0 * float(np.cos(a)), middle[1] + 2.0 * float(np.sin(a))) for a in angles)
 
@@ -103,7 +103,7 @@ corners = st.lists(st.floats(0.0, 1.0), min_size=3, max_size=8)
 
 @settings(max_examples=80, deadline=None)
 @given(middles, corners, st.floats(-pi, pi), st.integers(0, 99))
-def test_what_two_floors_share_is_on_both_and_leaves_nothing_out(middle, radii, turn, seed):
+def test_the_intersection_of_two_floors_is_on_both_and_complete(middle, radii, turn, seed):
     one, other = SQUARE, polygon(middle, radii, turn)
     shared = intersect_convex(one, other)
     points = np.random.default_rng(seed).uniform(-4.0, 5.0, (400, 2))
@@ -119,26 +119,26 @@ def test_what_two_floors_share_is_on_both_and_leaves_nothing_out(middle, radii, 
 
 @settings(max_examples=60, deadline=None)
 @given(st.floats(0.05, 3.95), st.floats(0.05, 2.95), st.sampled_from(["room", "dock"]))
-def test_the_floor_is_exactly_what_the_map_gives(x: float, y: float, frame: str) -> None:
-    one = chart()
+def test_the_floor_is_exactly_that_of_the_map(x: float, y: float, frame: str) -> None:
+    one = room_map()
     here = one.place_poses(frame)[0].position[:2]
     found = drivable_floor(one, frame, here, WIDE)
-    moved = chart(places=(MapPlace("x", (x, y, 0.0)),)).place_poses(frame)[0].position
+    moved = room_map(places=(MapPlace("x", (x, y, 0.0)),)).place_poses(frame)[0].position
     assert borders(found.floor, moved[:2]) == pytest.approx(min(x, y, 4.0 - x, 3.0 - y))
     (box,) = found.closed
     ((_, hole),) = one.polygons(frame, "keep_out")
-    if is_inside_polygon(moved[:2], hole):  # the rectangle holds all of the polygon
+    if is_inside_polygon(moved[:2], hole):  # the rectangle contains the whole polygon
         offset = np.subtract(moved[:2], box.middle)
         c, s = np.cos(box.yaw), np.sin(box.yaw)
         assert np.all(np.abs(np.array([[c, s], [-s, c]]) @ offset) <= np.array(box.half) + 1e-9)
 
 
-def test_a_base_stays_on_the_floor_of_the_shipped_map() -> None:
-    """Driven blindly at every border, the filtered base stays inside the hall and out of what it must keep out of."""
-    one, robot_model = shipped_map(), scenario_base()
+def test_a_base_stays_on_the_floor_of_the_builtin_map() -> None:
+    """Driven towards every border, the filtered base stays in the hall and outside the keep-out regions."""
+    one, robot_model = builtin_map(), scenario_base()
     spec = msgspec.structs.replace(open_scene("empty_room:0", "base"), objects=(), places=(), region=WIDE)
     scene = scene_from_spec(msgspec.structs.replace(spec, chart=drivable_floor(one, "room", (3.0, 1.0), WIDE)))
-    closed = {thing.name for thing in scene.objects}
+    closed = {scene_object.name for scene_object in scene.objects}
     rng = np.random.default_rng(3)
     for goal in ((5.3, 0.5), (2.0, 2.4), (3.55, 1.9), (-1.0, 3.0)):
         safety = SafetyFilter(robot_model)
@@ -149,10 +149,10 @@ def test_a_base_stays_on_the_floor_of_the_shipped_map() -> None:
         u, now = np.zeros(2), 0.0
         for _ in range(400):
             heading = np.arctan2(goal[1] - q[1], goal[0] - q[0]) - q[2]
-            wish = np.array([0.6, 2.0 * np.sin(heading)])
-            answer = safety(q, u, wish, now)
-            assert answer.status is not FilterStatus.FAULT
-            u = answer.u
+            nominal = np.array([0.6, 2.0 * np.sin(heading)])
+            result = safety(q, u, nominal, now)
+            assert result.status is not FilterStatus.FAULT
+            u = result.u
             q = q + np.array([u[0] * np.cos(q[2]), u[0] * np.sin(q[2]), u[1]]) * robot_model.period
             now += robot_model.period
             assert 0.15 < q[0] < 5.4
@@ -160,21 +160,23 @@ def test_a_base_stays_on_the_floor_of_the_shipped_map() -> None:
             assert not any(is_inside_polygon((q[0], q[1]), corners) for _, corners in one.polygons("room", "keep_out"))
 
 
-def test_a_base_outside_every_room_is_told() -> None:
+def test_a_base_outside_every_room_is_reported() -> None:
     with pytest.raises(ConfigurationError, match="hall"):
-        drivable_floor(chart(), "room", (9.0, 9.0), WIDE)
-    assert drivable_floor(chart(regions=()), "room", (9.0, 9.0), WIDE) == FloorMap(WIDE)
+        drivable_floor(room_map(), "room", (9.0, 9.0), WIDE)
+    assert drivable_floor(room_map(regions=()), "room", (9.0, 9.0), WIDE) == FloorMap(WIDE)
     with pytest.raises(UnknownNameError, match="kitchen"):
-        drivable_floor(chart(), "kitchen", (0.0, 0.0), WIDE)
+        drivable_floor(room_map(), "kitchen", (0.0, 0.0), WIDE)
 
 
-def test_places_of_the_shipped_map_enter_a_scene_as_names_that_contracts_may_use() -> None:
+def test_places_of_the_builtin_map_become_scene_names_for_contracts() -> None:
     spec = open_scene("bare:0")
-    charted = with_places(spec, shipped_map(), "panda_table")
-    new = {place.name for place in charted.places} - {place.name for place in spec.places}
+    extended = with_places(spec, builtin_map(), "panda_table")
+    new = {place.name for place in extended.places} - {place.name for place in spec.places}
     assert new == {"inspection_spot", "handover_spot", "reject_corner"}
-    assert charted.find_place("table_front") == spec.find_place("table_front")  # what the scene measured wins
-    assert new <= set(scene_names_of_spec(charted).receptive)
+    assert extended.find_place("table_front") == spec.find_place(
+        "table_front"
+    )  # the measured place of the scene has priority
+    assert new <= set(scene_names_of_spec(extended).receptive)
 
 
 # --- a base in a room with a map ----------------------------------------------------------------------------------
@@ -184,26 +186,26 @@ HALL = ((-0.8, -1.2), (3.0, -1.2), (3.4, 1.0), (-0.8, 1.0))
 
 
 def floor_map(*places: MapPlace, hall=HALL, **changed: object) -> RoomMap:
-    return chart(frame="start", frames=(), places=places, regions=(Region("hall", "traversable", hall),), **changed)
+    return room_map(frame="start", frames=(), places=places, regions=(Region("hall", "traversable", hall),), **changed)
 
 
 @pytest.mark.parametrize("robot", ["base", "mobile_panda"])
-def test_a_base_gets_the_places_and_the_floor_of_its_map(robot, tmp_path):
+def test_a_base_receives_the_places_and_the_floor_of_its_map(robot, tmp_path):
     upon = MapPlace("upon_the_shelf", (1.0, 0.0, 0.8))
     known = with_floor(ROOM, floor_map(MapPlace("corner", (2.0, 0.5, 0.0)), upon), "start", load_robot(robot))
     assert known.find_place("corner").position == (2.0, 0.5, 0.0)
-    assert "upon_the_shelf" not in scene_names_of_spec(known).receptive  # no base stands up there
+    assert "upon_the_shelf" not in scene_names_of_spec(known).receptive  # a base cannot reach a place at this height
     assert {place.name for place in ROOM.places} < set(scene_names_of_spec(known).receptive)
-    assert known.region == ROOM.region  # the walls stand where they stood
+    assert known.region == ROOM.region  # the walls are unchanged
     assert set(known.floor) == set(HALL) == set(scene_from_spec(known).region)
     assert scene_hash(known) == scene_hash(msgspec.structs.replace(ROOM, places=known.places))
     save_scene(known, tmp_path / "scene.json")
     assert load_scene(tmp_path / "scene.json") == known
 
 
-def test_the_tighter_of_room_and_map_holds_and_a_place_of_the_scene_stays_where_it_is():
+def test_the_floor_is_the_intersection_with_the_room_and_places_of_the_scene_are_kept():
     beyond = ((-9.0, -1.2), (9.0, -1.2), (9.0, 1.0), (-9.0, 1.0))
-    moved = MapPlace("shelf", (40.0, 0.0, 0.0))  # the scene's own shelf was measured; this one is not looked at
+    moved = MapPlace("shelf", (40.0, 0.0, 0.0))  # the shelf of the scene was measured; this place is ignored
     known = with_floor(ROOM, floor_map(moved, hall=beyond), "start", load_robot("base"))
     assert np.sort(np.array(known.floor), axis=0) == pytest.approx(
         np.array([(-1.0, -1.2), (-1.0, -1.2), (5.2, 1.0), (5.2, 1.0)])
@@ -214,8 +216,11 @@ def test_the_tighter_of_room_and_map_holds_and_a_place_of_the_scene_stays_where_
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"places": (MapPlace("far_end", (4.0, 0.0, 0.0)),)}, "far_end"),  # in the room, off the map's floor
-        ({"regions": (), "places": (MapPlace("next_door", (7.0, 0.0, 0.0)),)}, "next_door"),  # behind the room's wall
+        ({"places": (MapPlace("far_end", (4.0, 0.0, 0.0)),)}, "far_end"),  # in the room, outside the floor of the map
+        (
+            {"regions": (), "places": (MapPlace("next_door", (7.0, 0.0, 0.0)),)},
+            "next_door",
+        ),  # behind the wall of the room
         (
             {
                 "places": (MapPlace("hole_in", (2.0, 0.0, 0.0)),),
@@ -228,7 +233,7 @@ def test_the_tighter_of_room_and_map_holds_and_a_place_of_the_scene_stays_where_
         ({"regions": (Region("shelf_unit", "keep_out", ((2.0, 0.0), (3.0, 0.0), (3.0, 1.0))),)}, "shelf_unit"),
     ],
 )
-def test_a_map_that_does_not_fit_the_room_is_refused_in_words(changed, words):
+def test_a_map_that_does_not_fit_the_room_is_refused_with_a_reason(changed, words):
     one = msgspec.structs.replace(floor_map(), **changed)
     with pytest.raises(ConfigurationError, match=words):
         with_floor(ROOM, one, "start", load_robot("base"))
@@ -252,10 +257,10 @@ def test_a_map_that_does_not_fit_the_room_is_refused_in_words(changed, words):
         "a=" + "[" * 5000 + "]" * 5000,
     ],
 )
-def test_an_unsound_map_is_refused_in_words(text: str) -> None:
-    reading = read_document((text + "\n# some more words so that it can be read\n").encode(), "m.toml")
-    assert isinstance(reading, DocumentText)
-    found = parse_structured(reading, RoomMap)
+def test_an_invalid_map_is_rejected_with_a_reason(text: str) -> None:
+    document_text = read_document((text + "\n# some more words so that it can be read\n").encode(), "m.toml")
+    assert isinstance(document_text, DocumentText)
+    found = parse_structured(document_text, RoomMap)
     assert isinstance(found, DocumentRejected)
     assert str(found)
 
@@ -263,4 +268,4 @@ def test_an_unsound_map_is_refused_in_words(text: str) -> None:
 def test_a_star_is_not_convex() -> None:
     star = tuple((float(np.cos(4 * pi * k / 5)), float(np.sin(4 * pi * k / 5))) for k in range(5))
     with pytest.raises(ValueError, match="convex"):
-        chart(regions=(Region("star", "keep_out", star),))
+        room_map(regions=(Region("star", "keep_out", star),))

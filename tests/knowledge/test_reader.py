@@ -1,4 +1,4 @@
-"""Readings: what shows stays where it was, what does not show is gone and told, and what cannot be read is refused."""
+"""Readers: visible text keeps its offsets, hidden text is removed and reported, unreadable files are rejected."""
 
 import unicodedata
 
@@ -6,8 +6,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from dualbrain.knowledge.readers import html, markdown
-from dualbrain.knowledge.readers import pdf as pdf_room
+from dualbrain.knowledge.readers import html, markdown, pdf
 from dualbrain.knowledge.readers.hidden_text import blank_hidden, blank_spans
 from dualbrain.knowledge.readers.reader import MAX_FILE_BYTES, MAX_TEXT_CHARACTERS, READERS, DocumentText, read_document
 from dualbrain.knowledge.rejection import DocumentRejected
@@ -44,13 +43,13 @@ pieces = st.sampled_from(
 @given(st.lists(pieces, max_size=12).map("".join))
 @example("<|<|im_start|>|>" * 3)
 @example("<<s>s><<<s>s>s>" + "<" * 9 + "<s>" + "s>" * 9)
-def test_revealing_keeps_the_length_and_leaves_nothing_unseen(text: str) -> None:
-    seen, _ = blank_hidden(text)
-    assert len(seen) == len(text)
-    assert blank_hidden(seen)[0] == seen
-    assert not {c for c in seen if unicodedata.category(c) in {"Cc", "Cf", "Cs", "Co", "Cn"}} - {"\n", "\t"}
+def test_blanking_hidden_text_preserves_the_length_and_leaves_nothing_hidden(text: str) -> None:
+    visible, _ = blank_hidden(text)
+    assert len(visible) == len(text)
+    assert blank_hidden(visible)[0] == visible
+    assert not {c for c in visible if unicodedata.category(c) in {"Cc", "Cf", "Cs", "Co", "Cn"}} - {"\n", "\t"}
     for token in ("<|im_start|>", "<s>", "[inst]", "</knowledge>"):
-        assert token not in seen.lower()
+        assert token not in visible.lower()
 
 
 @settings(deadline=None)
@@ -67,7 +66,7 @@ def test_blanking_changes_spans_and_nothing_else(text: str, spans: list[tuple[in
 @settings(max_examples=150, deadline=None)
 @given(st.text(alphabet='ab<>!-/ "=[]():`\n#', max_size=60))
 @example("<!-- x\n```\n<b>\n```\n--> y")
-def test_markdown_keeps_every_offset(text: str) -> None:
+def test_markdown_preserves_every_offset(text: str) -> None:
     found, pages, _ = markdown.visible_text(text)
     assert len(found) == len(text)
     assert pages == ()
@@ -93,7 +92,7 @@ HIDDEN_IN_MARKDOWN = (
 
 
 @pytest.mark.parametrize("hiding", HIDDEN_IN_MARKDOWN)
-def test_what_markdown_hides_is_gone_and_told(hiding: str) -> None:
+def test_text_hidden_in_markdown_is_removed_and_reported(hiding: str) -> None:
     found = read_document(f"# Title\n\n{FILLING}\n\n{hiding}\n".encode(), "a.md")
     assert isinstance(found, DocumentText)
     assert FILLING in found.text
@@ -101,7 +100,7 @@ def test_what_markdown_hides_is_gone_and_told(hiding: str) -> None:
     assert any("IGNORE" in one.sample for one in found.hidden)
 
 
-def test_what_markdown_shows_stays() -> None:
+def test_text_shown_by_markdown_is_kept() -> None:
     source = f"# T\n\n{FILLING} *stress* <b>bold</b> 3 < 4 > 2\n\n```\n<!-- shown -->\n```\n\n"
     source += "- one\n- two\n\n| a | b |\n|--|--|\n"
     found = text_of(source, "a.md")
@@ -138,7 +137,7 @@ HIDDEN_IN_HTML = (
 
 
 @pytest.mark.parametrize("hiding", HIDDEN_IN_HTML)
-def test_what_html_hides_is_gone_and_told(hiding: str) -> None:
+def test_text_hidden_in_html_is_removed_and_reported(hiding: str) -> None:
     sheet = "<style>.gone{color:red;display:none} @media all{#gone2{visibility:hidden}}</style>"
     found = read_document(
         f"<html><head>{sheet}</head><body><p>{FILLING}</p>{hiding}<p>end</p></body></html>".encode(), "a.html"
@@ -154,7 +153,7 @@ def test_a_template_of_html_is_not_read() -> None:
     assert "IGNORE" not in text_of(f"<p>{FILLING}</p><template>{EVIL}</template>", "a.html")
 
 
-def test_what_html_shows_stays_in_blocks() -> None:
+def test_text_shown_by_html_is_kept_in_blocks() -> None:
     page = f"""<h1>Top</h1><p style="opacity:0.8;color:#333;width:100%">{FILLING}</p><ul><li>one<li>two <b>bold</b></ul>
     <table><tr><td>a<td>b</table>tail &amp; &lt;|im_start|&gt;"""
     found = text_of(page, "a.html")
@@ -162,7 +161,7 @@ def test_what_html_shows_stays_in_blocks() -> None:
     assert "im_start" not in found
 
 
-def test_an_odd_selector_is_told_and_hides_nothing() -> None:
+def test_an_unsupported_selector_is_reported_and_hides_nothing() -> None:
     found = html.visible_text(f"<style>p:::x{{display:none}}</style><p>{FILLING}</p>")
     assert not isinstance(found, DocumentRejected)
     assert found[0] == FILLING
@@ -179,7 +178,7 @@ HIDDEN_IN_PDF = {
 
 
 @pytest.mark.parametrize("kind", HIDDEN_IN_PDF)
-def test_what_a_pdf_hides_is_gone_and_told(kind: str) -> None:
+def test_text_hidden_in_a_pdf_is_removed_and_reported(kind: str) -> None:
     data = make_pdf(show_text(FILLING) + HIDDEN_IN_PDF[kind] + show_text("last line", y=500), off="layer")
     found = read_document(data, "a.pdf")
     assert isinstance(found, DocumentText)
@@ -189,7 +188,7 @@ def test_what_a_pdf_hides_is_gone_and_told(kind: str) -> None:
     assert kind in {one.kind for one in found.hidden}
 
 
-def test_a_form_inherits_what_hides_it_and_leaves_the_page_alone() -> None:
+def test_a_form_inherits_a_hiding_state_and_does_not_change_the_page() -> None:
     data = make_pdf("q 3 Tr /Form Do Q " + show_text(FILLING, y=600), form=show_text(EVIL))
     found = read_document(data, "a.pdf")
     assert isinstance(found, DocumentText)
@@ -198,7 +197,7 @@ def test_a_form_inherits_what_hides_it_and_leaves_the_page_alone() -> None:
     assert "IGNORE" in text_of(make_pdf("/Form Do " + show_text(FILLING, y=600), form=show_text(EVIL)), "a.pdf")
 
 
-def test_pages_of_a_pdf_are_known() -> None:
+def test_pages_of_a_pdf_are_located() -> None:
     found = read_document(
         make_pdf(show_text(FILLING), show_text("second page, other words"), show_text("third")), "a.pdf"
     )
@@ -225,7 +224,7 @@ def test_pages_of_a_pdf_are_known() -> None:
         (make_pdf("%" + " " * 90_000_000, compress=True), "bomb.pdf", "a broken PDF"),
     ],
 )
-def test_what_cannot_be_read_is_refused_in_words(data: bytes, name: str, what: str) -> None:
+def test_unreadable_files_are_rejected_with_a_reason(data: bytes, name: str, what: str) -> None:
     found = read_document(data, name)
     assert isinstance(found, DocumentRejected)
     assert found.what == what
@@ -238,19 +237,19 @@ def test_no_bytes_raise(data: bytes, suffix: str) -> None:
     assert isinstance(read_document(data, "a" + suffix), (DocumentText, DocumentRejected))
 
 
-def test_a_child_that_runs_out_of_time_is_a_refusal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pdf_room, "WALL_LIMIT_S", 0.001)
+def test_a_process_that_exceeds_its_time_is_a_rejection(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pdf, "WALL_LIMIT_S", 0.001)
     found = read_document(make_pdf(show_text(FILLING)), "a.pdf")
     assert isinstance(found, DocumentRejected)
     assert found.what == "too costly"
 
 
-def test_a_byte_order_mark_and_line_ends_change_no_word() -> None:
+def test_a_byte_order_mark_and_line_ends_change_no_text() -> None:
     assert text_of(f"\ufeff# T\r\n\r\n{FILLING}\r\n", "a.md").split() == f"# T {FILLING}".split()
 
 
 @pytest.mark.parametrize(
     "attack", ["[x](" * 10_000, "<a " * 20_000, "<!--" * 20_000, "<" * 40_000 + "s>" * 9, "<a '" * 20_000]
 )
-def test_hostile_markdown_takes_no_long_time(attack: str) -> None:
+def test_hostile_markdown_is_read_in_bounded_time(attack: str) -> None:
     assert isinstance(read_document((FILLING + "\n\n" + attack).encode(), "a.md"), DocumentText)

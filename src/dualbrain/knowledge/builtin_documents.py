@@ -1,4 +1,4 @@
-"""The documents that come with dualbrain; they enter a library like any other, and can be taken down for good."""
+"""The built-in documents of dualbrain; they are added to a library like others and can be removed permanently."""
 
 from __future__ import annotations
 
@@ -22,32 +22,34 @@ BUILTIN_DOCUMENTS: dict[str, DocumentKind] = {
     "room-map.toml": "map",
     "panda-templates.toml": "template",
 }
-"""File and kind of each; a test holds that every file of the folder is here."""
+"""Kind of each file; a test checks that every file of the folder is listed."""
 ROBOTS_BY_FILE = {"panda-hand.md": ("panda",), "ur5e-notes.md": ("ur5e",), "panda-templates.toml": ("panda",)}
-"""Whom a document is about, where it is not about all."""
+"""Robots that a document is about; the others are about all robots."""
 BUILTIN_TRUST: TrustLevel = "vendor"
 
 
 def add_builtin_documents(library: Library, *, now: float) -> tuple[Addition, ...]:
-    """Put up the documents that `library` has never seen, or not in today's version.
+    """Add the built-in documents that `library` has never contained, or not in the present version; returns these.
 
-    One that somebody took down, or replaced by a document of their own of the same name, stays as they left it.
+    A document that was removed, or replaced by another document of the same name, is left as it is. Raises
+    `ConfigurationError` if a built-in document cannot be read.
     """
-    done: list[Addition] = []
+    additions: list[Addition] = []
     for file, kind in BUILTIN_DOCUMENTS.items():
         if not _needs_update(library, file):
             continue
-        data, bodies = (DATA_FOLDER / file).read_bytes(), ROBOTS_BY_FILE.get(file, ())
-        added = library.add(Submission(file=file, data=data, trust=BUILTIN_TRUST, kind=kind, robots=bodies), now=now)
+        data, robots = (DATA_FOLDER / file).read_bytes(), ROBOTS_BY_FILE.get(file, ())
+        added = library.add(Submission(file=file, data=data, trust=BUILTIN_TRUST, kind=kind, robots=robots), now=now)
         if isinstance(added, DocumentRejected):
-            raise ConfigurationError(f"shipped document {file}", got=str(added), allowed="a document", fix="Reinstall.")
+            sentence = f"The built-in document {file} cannot be added. {added}"
+            raise ConfigurationError.stating(sentence, fix="Reinstall dualbrain.")
         if added.change != "unchanged":
-            done.append(added)
-    return tuple(done)
+            additions.append(added)
+    return tuple(additions)
 
 
 def open_library(path: Path, encoder: Encoder, *, now: float) -> Library:
-    """The library at `path` with today's shipped documents; it is written only if one of them is missing or old."""
+    """The library at `path` with the present built-in documents; it is written only if one is missing or outdated."""
     if path.exists():
         library = Library(path, encoder)
         if not any(_needs_update(library, file) for file in BUILTIN_DOCUMENTS):
@@ -59,7 +61,7 @@ def open_library(path: Path, encoder: Encoder, *, now: float) -> Library:
 
 
 def _needs_update(library: Library, file: str) -> bool:
-    """Whether `library` has never seen this document, or has an older version of it that nobody touched."""
+    """Whether `library` never contained this document, or contains an unchanged older version of it."""
     history = [one for _, one in library.history(Path(file).stem)]
     if not history:
         return True

@@ -1,7 +1,7 @@
-"""A reading in chunks: short pieces with exact offsets that begin and end where the document does.
+"""Splitting of a document text into chunks: short passages with exact offsets.
 
-Law: every chunk is `text[start:end]` of its reading, no two overlap, none crosses a page, and what lies between them is
-white space and headings. A heading is not lost: it stands in the `path` of what follows it.
+Law: every chunk is `text[start:end]` of its document text, no two chunks overlap, no chunk crosses a page, and only
+white space and headings are between chunks. Headings are kept in the `path` of the chunks below them.
 """
 
 from __future__ import annotations
@@ -16,18 +16,21 @@ from dualbrain.knowledge.readers.markdown import line_starts, parse_blocks
 from dualbrain.knowledge.readers.reader import DocumentText
 
 MAX_CHUNK_CHARACTERS = 480
-"""Characters of a chunk: some 120 tokens, so that three of them are a small part of a prompt."""
+"""Largest length of a chunk: about 120 tokens, so that three chunks are a small part of a prompt."""
 MAX_ENTRY_CHARACTERS = 2000
-"""Characters of one entry of a TOML file, which is quoted whole or not at all."""
+"""Largest length of one entry of a TOML file, which is quoted as a whole."""
 
 _BREAKS = (re.compile(r"\n"), re.compile(r"(?<=[.!?:;])\s"), re.compile(r"\s"))
-"""Where a block that is too long may be cut, the best place first: line, sentence, word."""
+"""Breaks at which a long block is cut, in order of preference: line, sentence, word."""
 _PARAGRAPH = re.compile(r"\S(?:[^\n]|\n(?![ \t]*\n))*")
 _TABLE = re.compile(r"^\[", re.MULTILINE)
 
 
 class Chunk(NamedTuple):
-    """`reading.text[start:end]`; `path` are the headings it stands under, outermost first; `page` counts from 1."""
+    """Characters `start` to `end` of a document text.
+
+    `path` contains the headings above the chunk, outermost first; `page` counts from 1, None without pages.
+    """
 
     start: int
     end: int
@@ -41,23 +44,23 @@ class _Block(NamedTuple):
     path: tuple[str, ...]
 
 
-def split_chunks(reading: DocumentText) -> tuple[Chunk, ...]:
-    """All chunks of `reading` in their order."""
-    find = {"markdown": _markdown_blocks, "html": _markdown_blocks, "toml": _toml_tables}.get(
-        reading.media, _paragraphs
+def split_chunks(document_text: DocumentText) -> tuple[Chunk, ...]:
+    """All chunks of `document_text` in their order."""
+    find_blocks = {"markdown": _markdown_blocks, "html": _markdown_blocks, "toml": _toml_tables}.get(
+        document_text.media, _paragraphs
     )
-    whole = [block for block in find(reading.text) if reading.text[block.start : block.end].strip()]
-    by_page = (part for block in whole for part in _split_at_pages(reading, block))
-    longest = MAX_ENTRY_CHARACTERS if reading.media == "toml" else MAX_CHUNK_CHARACTERS
-    short = [part for block in by_page for part in _split_long(reading.text, block, longest)]
+    blocks = [block for block in find_blocks(document_text.text) if document_text.text[block.start : block.end].strip()]
+    by_page = (part for block in blocks for part in _split_at_pages(document_text, block))
+    longest = MAX_ENTRY_CHARACTERS if document_text.media == "toml" else MAX_CHUNK_CHARACTERS
+    short = [part for block in by_page for part in _split_long(document_text.text, block, longest)]
     return tuple(
-        Chunk(block.start, block.end, reading.page_at(block.start), block.path)
-        for block in _merge_adjacent(reading, short, join=reading.media != "toml")
+        Chunk(block.start, block.end, document_text.page_at(block.start), block.path)
+        for block in _merge_adjacent(document_text, short, join=document_text.media != "toml")
     )
 
 
 def _markdown_blocks(text: str) -> Iterator[_Block]:
-    """Top-level blocks under their headings."""
+    """Top-level blocks with the headings above them."""
     starts, path = line_starts(text), list[tuple[int, str]]()
     tokens = parse_blocks(text)
     for token, after in zip(tokens, [*tokens[1:], None], strict=True):
@@ -74,9 +77,9 @@ def _markdown_blocks(text: str) -> Iterator[_Block]:
 
 
 def _toml_tables(text: str) -> Iterator[_Block]:
-    """The tables of a TOML file: each entry of a map or template is a chunk of its own."""
-    begins = [0, *(match.start() for match in _TABLE.finditer(text) if match.start()), len(text)]
-    for start, end in pairwise(begins):
+    """The tables of a TOML file: each entry of a map or template document is one chunk."""
+    starts = [0, *(match.start() for match in _TABLE.finditer(text) if match.start()), len(text)]
+    for start, end in pairwise(starts):
         name = re.search(r"^(?:name|title)\s*=\s*\"([^\"\n]*)\"", text[start:end], re.MULTILINE)
         yield _Block(start, end, (name[1],) if name else ())
 
@@ -86,33 +89,33 @@ def _paragraphs(text: str) -> Iterator[_Block]:
         yield _Block(*match.span(), ())
 
 
-def _split_at_pages(reading: DocumentText, block: _Block) -> Iterator[_Block]:
-    """`block` cut where pages begin."""
-    cuts = [start for start in reading.pages if block.start < start < block.end]
+def _split_at_pages(document_text: DocumentText, block: _Block) -> Iterator[_Block]:
+    """`block`, cut at the starts of pages."""
+    cuts = [start for start in document_text.pages if block.start < start < block.end]
     edges = [block.start, *cuts, block.end]
     for start, end in pairwise(edges):
         yield _Block(start, end, block.path)
 
 
 def _split_long(text: str, block: _Block, longest: int) -> Iterator[_Block]:
-    """`block` without white space around it, cut into pieces of at most `longest` characters."""
+    """`block` without surrounding white space, cut into pieces of at most `longest` characters."""
     start, end = _strip_span(text, block.start, block.end)
     while end - start > longest:
         cut = _find_cut(text, start, longest)
-        left = _strip_span(text, start, cut)
-        if left[0] < left[1]:
-            yield _Block(*left, block.path)
+        piece = _strip_span(text, start, cut)
+        if piece[0] < piece[1]:
+            yield _Block(*piece, block.path)
         start, end = _strip_span(text, cut, end)
     if start < end:
         yield _Block(start, end, block.path)
 
 
 def _find_cut(text: str, start: int, longest: int) -> int:
-    """Where a piece that begins at `start` ends: the last good break in its second half, else at full length."""
+    """End of a piece that begins at `start`: the last preferred break in its second half, otherwise full length."""
     for pattern in _BREAKS:
-        places = [match.end() for match in pattern.finditer(text, start + longest // 2, start + longest)]
-        if places:
-            return places[-1]
+        breaks = [match.end() for match in pattern.finditer(text, start + longest // 2, start + longest)]
+        if breaks:
+            return breaks[-1]
     return start + longest
 
 
@@ -122,20 +125,20 @@ def _strip_span(text: str, start: int, end: int) -> Span:
     return start + left, start + max(left, len(inner.rstrip()))
 
 
-def _merge_adjacent(reading: DocumentText, parts: list[_Block], *, join: bool) -> Iterator[_Block]:
-    """Neighbours under one heading and on one page in one chunk, while it stays short."""
-    held: _Block | None = None
+def _merge_adjacent(document_text: DocumentText, parts: list[_Block], *, join: bool) -> Iterator[_Block]:
+    """Merge adjacent blocks with the same headings and page, up to the largest length of a chunk."""
+    merged: _Block | None = None
     for part in parts:
-        if held is not None and join and _can_merge(reading, held, part):
-            held = _Block(held.start, part.end, held.path)
+        if merged is not None and join and _can_merge(document_text, merged, part):
+            merged = _Block(merged.start, part.end, merged.path)
             continue
-        if held is not None:
-            yield held
-        held = part
-    if held is not None:
-        yield held
+        if merged is not None:
+            yield merged
+        merged = part
+    if merged is not None:
+        yield merged
 
 
-def _can_merge(reading: DocumentText, held: _Block, part: _Block) -> bool:
-    alike = held.path == part.path and reading.page_at(held.start) == reading.page_at(part.start)
-    return alike and part.end - held.start <= MAX_CHUNK_CHARACTERS
+def _can_merge(document_text: DocumentText, merged: _Block, part: _Block) -> bool:
+    same_place = merged.path == part.path and document_text.page_at(merged.start) == document_text.page_at(part.start)
+    return same_place and part.end - merged.start <= MAX_CHUNK_CHARACTERS

@@ -1,4 +1,4 @@
-"""What is known of a document beside its text: name, version, kind, trust, origin, what was hidden in it."""
+"""Metadata of a document (name, version, kind, trust, source, hidden text), search hits, and citations."""
 
 from __future__ import annotations
 
@@ -11,18 +11,20 @@ from dualbrain.knowledge.readers.hidden_text import HiddenText
 
 DocumentKind = Literal["rule", "manual", "map", "template"]
 TrustLevel = Literal["site", "vendor", "unknown"]
-"""site: written or approved by who runs this robot; vendor: by who made it or dualbrain; unknown: found somewhere."""
+"""site: written or approved by the operator of this robot; vendor: by the maker of the robot or of dualbrain; unknown:
+from any other source."""
 
 DOCUMENT_KINDS: tuple[DocumentKind, ...] = get_args(DocumentKind)
 TRUST_WEIGHTS: dict[TrustLevel, float] = {"site": 1.0, "vendor": 0.9, "unknown": 0.5}
-"""What each trust is worth: search scores are multiplied by it. `unknown` can be found, but is never put in a prompt,
-gives no places, no regions and no templates."""
+"""Factor of each trust level in search scores. Documents with trust `unknown` can be found, but never enter a prompt
+and provide no places, regions or templates."""
 
 
 class Document(msgspec.Struct, frozen=True, rename={"robots": "bodies"}, kw_only=True):
-    """One version of a document, as it was added at `added` [s, 1970 UTC] from a file called `file`.
+    """One version of a document, which was added at `added` [s, 1970 UTC] from a file with the name `file`.
 
-    `bodies` are the robots it is about, none: it holds for all.
+    `robots` are the robots that the document is about; without names it is about all robots. `source` is the SHA-256 of
+    the file, `hidden` lists the text that was left out.
     """
 
     name: str
@@ -41,10 +43,10 @@ class Document(msgspec.Struct, frozen=True, rename={"robots": "bodies"}, kw_only
 
 
 class ChunkHit(msgspec.Struct, frozen=True, rename={"bm25_score": "words"}, kw_only=True):
-    """A chunk that was found: its exact `text`, the headings above it, and the parts of its score.
+    """A chunk that a search found: its exact `text`, the headings above it (`path`), and the parts of its score.
 
-    `likeness` is the cosine of query and chunk (None: not looked at), `words` the BM25 score, higher is better (None:
-    no word in common).
+    `likeness` is the cosine of query and chunk (None: not computed), `bm25_score` the BM25 score, higher is better
+    (None: no common word).
     """
 
     citation: Citation
@@ -60,16 +62,16 @@ class ChunkHit(msgspec.Struct, frozen=True, rename={"bm25_score": "words"}, kw_o
 
 _CITATION_PATTERN = re.compile(r"([a-z0-9][a-z0-9_-]{0,47})@([0-9a-f]{8,64})#(\d{1,9})-(\d{1,9})(?:,p(\d{1,6}))?")
 SHORT_VERSION_LENGTH = 12
-"""Hex digits of a version that are written out; the store completes them and refuses what is not unique."""
+"""Number of hex digits of a version in a citation; the store refuses digits that match several versions."""
 DOCUMENT_NAME_PATTERN = re.compile(r"[a-z0-9][a-z0-9_-]{0,47}")
-"""What a document may be called: an identifier, never prose."""
+"""Pattern of document names, which are identifiers."""
 
 
 class Citation(msgspec.Struct, frozen=True, kw_only=True):
-    """Characters `start` to `end` of the reading of `document` in `version` (SHA-256, at least 8 hex digits).
+    """Characters `start` to `end` of the text of `document` in `version` (SHA-256, at least 8 hex digits).
 
-    A reading is the text of a document as it is kept (see `reading.Reading`); offsets count its Unicode characters.
-    `page` counts from 1 and is None where there are no pages. Written "panda-hand@3f2a91c0d4e7#120-480,p3".
+    Offsets count the Unicode characters of the stored text (see `readers.reader.DocumentText`). `page` counts from 1
+    and is None without pages. The text form is "panda-hand@3f2a91c0d4e7#120-480,p3".
     """
 
     document: str
@@ -79,12 +81,12 @@ class Citation(msgspec.Struct, frozen=True, kw_only=True):
     page: int | None = None
 
     def __str__(self) -> str:
-        where = f"{self.document}@{self.version[:SHORT_VERSION_LENGTH]}#{self.start}-{self.end}"
-        return where if self.page is None else f"{where},p{self.page}"
+        text = f"{self.document}@{self.version[:SHORT_VERSION_LENGTH]}#{self.start}-{self.end}"
+        return text if self.page is None else f"{text},p{self.page}"
 
 
 def parse_citation(text: str) -> Citation | None:
-    """The citation that `text` spells, None if it spells none."""
+    """The citation in the text form `text`; None if `text` is not a citation."""
     found = _CITATION_PATTERN.fullmatch(text.strip())
     if found is None or int(found[3]) >= int(found[4]):
         return None

@@ -1,4 +1,4 @@
-"""The front door of knowledge: add, search, quote, remove (paper 5: rules, manuals, maps, task templates)."""
+"""The document library: add, search, quote and remove documents (paper 5: rules, manuals, maps, task templates)."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ SearchMode = Literal["both", "words", "meaning"]
 AdditionKind = Literal["new", "new version", "restored", "relabelled", "unchanged"]
 
 MAX_RANKED_CHUNKS = 50
-"""How many chunks the ranking by words may hold, and how many of one document a search gives unless told."""
+"""Largest number of chunks in the ranking by words, and default limit for the hits from one document."""
 MAX_QUERY_CHARACTERS = 2000
 _ARTICLES = "a an the this that these they them their there it its i me my we our you your who which what"
 _VERBS = "am is are was be been can could do does did had has have may should will would please"
 _LINKS = "and any as at but by for from how if in into no not of on or so than then to when where why with"
 _TOML_TEXT_FIELDS = re.compile(r"^(?:use_when|about|use)\s*=\s*\"([^\"\n]*)\"", re.MULTILINE)
 STOP_WORDS = frozenset(f"{_ARTICLES} {_VERBS} {_LINKS}".split())
-"""Words of a question that say nothing about what is asked; in a small library their BM25 is not near zero."""
+"""Words that carry no information about the subject of a query; in a small library their BM25 is not near zero."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Submission:
-    """What is to be added: the bytes of `file`; the rest may be left to what the file says of itself."""
+    """A document to be added: the bytes of `file`, and labels; name, kind and title have defaults from the file."""
 
     file: str
     data: bytes
@@ -59,28 +59,29 @@ class Submission:
 
 @dataclass(frozen=True, slots=True)
 class Addition:
-    """What adding did."""
+    """Result of an addition: the document, and the change in the library."""
 
     document: Document
     change: AdditionKind
 
 
 class Library:
-    """One store and one encoder. Knowledge is not a controller: it returns quotations, and imports nothing that moves.
+    """Documents in one store, searched with one encoder.
 
-    Knowledge is never reweighed by outcomes, because a rule must not change by what happened.
+    The library is not a controller: it returns quotations, and imports no module that moves a robot. Outcomes never
+    change the ranking of documents, because a rule must not depend on past events.
     """
 
     def __init__(self, path: Path, encoder: Encoder | None, *, write: bool = False) -> None:
         """Open the store at `path`; without an encoder it can only be searched by words.
 
-        Raises what `Shelf` raises, and `InvalidSetup` if its vectors were made by another encoder.
+        Raises the errors of `DocumentStore`, and `ConfigurationError` if the vectors were computed by another encoder.
         """
         self._store, self._encoder = DocumentStore(path, write=write), encoder
-        made = self._store.embedder()
-        if encoder is not None and made not in {"", embedder_id(encoder)} and not write:
+        embedder = self._store.embedder()
+        if encoder is not None and embedder not in {"", embedder_id(encoder)} and not write:
             self._store.close()
-            raise _encoder_mismatch(made, encoder)
+            raise _encoder_mismatch(embedder, encoder)
         self._load()
 
     def _load(self) -> None:
@@ -95,25 +96,25 @@ class Library:
     def __len__(self) -> int:
         return len(self._chunks)
 
-    # --- look -------------------------------------------------------------------------------------------------------
+    # --- read -------------------------------------------------------------------------------------------------------
 
     def documents(self) -> tuple[Document, ...]:
-        """What stands on the shelf, by name."""
+        """The published documents, in the order of their names."""
         return tuple(self._store.documents().values())
 
     def document(self, name: str) -> Document:
-        """The document called `name`; raises `UnknownName`."""
+        """The published document `name`; raises `UnknownNameError`."""
         known = self._store.documents()
         if name not in known:
             raise UnknownNameError("document", name, tuple(known))
         return known[name]
 
     def history(self, name: str) -> tuple[tuple[float, Document | None], ...]:
-        """Every version of `name` and when it was put up, or taken down (None), oldest first."""
+        """Time [s, 1970 UTC] and document of each publication of `name`, None for a removal; oldest first."""
         return self._store.history(name)
 
     def document_text(self, name: str, version: str = "") -> DocumentText:
-        """The text of `name` as it stands, or of any older `version`; raises `UnknownName`."""
+        """The text of `name` in the published or another `version`; raises `UnknownNameError`."""
         found = self._store.document_texts(name, version or self.document(name).version)
         if len(found) != 1:
             known = tuple(one.version[:12] for _, one in self.history(name) if one)
@@ -121,7 +122,7 @@ class Library:
         return found[0]
 
     def quote(self, citation: Citation) -> str | DocumentRejected:
-        """Exactly the characters that `citation` names, also of versions that stand on the shelf no more."""
+        """The exact characters that `citation` names, also of old versions and removed documents."""
         found = self._store.document_texts(citation.document, citation.version)
         if len(found) != 1:
             got = f"{citation}: {len(found)} versions"
@@ -132,7 +133,7 @@ class Library:
         return text[citation.start : citation.end]
 
     def chunks_of(self, name: str) -> tuple[tuple[Citation, str], ...]:
-        """The chunks of a document that stands on the shelf, with their citations."""
+        """Citation and text of each chunk of a published document."""
         return tuple((chunk_citation(one), one.text) for one in self._chunks.values() if one.document.name == name)
 
     def search(
@@ -146,13 +147,14 @@ class Library:
         robot: str = "",
         per_document: int = MAX_RANKED_CHUNKS,
     ) -> tuple[ChunkHit, ...]:
-        """The k best chunks of these `kinds`, trusted at least as much as `least`, best first; ties by document order.
+        """The k best chunks of these `kinds` with at least the trust `min_trust`, best first; ties by document order.
 
-        With `body`, documents about other robots are left out. At most `per_document` chunks of one document are given,
-        so that none can crowd the others out.
+        With `robot`, documents about other robots are left out. At most `per_document` chunks of one document are
+        returned, so that one document cannot displace the others.
 
-        "both" fuses the ranking by words and by meaning (see `fusion`). The score is multiplied by what the source's
-        trust is worth. Raises `InvalidSetup` when meaning is asked for and there is no encoder or no vector.
+        Mode "both" fuses the rankings by words and by meaning (see `fuse_scores`). The score is multiplied by the
+        factor of the trust level. Raises `ConfigurationError` for a search by meaning without an encoder, or with
+        vectors of another encoder.
         """
         allowed = {
             number
@@ -170,29 +172,29 @@ class Library:
                 scores = words
             case "meaning":
                 scores = meaning
-        weighed = {
+        weighted = {
             number: score * TRUST_WEIGHTS[self._chunks[number].document.trust] for number, score in scores.items()
         }
-        best = self._limit_per_document(sorted(weighed, key=lambda number: (-weighed[number], number)), per_document)[
+        best = self._limit_per_document(sorted(weighted, key=lambda number: (-weighted[number], number)), per_document)[
             :k
         ]
-        return tuple(self._hit(number, weighed[number], meaning.get(number), words.get(number)) for number in best)
+        return tuple(self._hit(number, weighted[number], meaning.get(number), words.get(number)) for number in best)
 
     def _limit_per_document(self, ranked: list[int], per_document: int) -> list[int]:
-        """`ranked` without what is more than `per_document` of one document."""
-        seen: Counter[str] = Counter()
+        """`ranked` with at most `per_document` chunks of each document."""
+        count: Counter[str] = Counter()
         kept: list[int] = []
         for number in ranked:
             name = self._chunks[number].document.name
-            seen[name] += 1
-            if seen[name] <= per_document:
+            count[name] += 1
+            if count[name] <= per_document:
                 kept.append(number)
         return kept
 
     def _search_words(self, query: str, allowed: set[int]) -> dict[int, float]:
-        """BM25 over the words of the query, each of them optional."""
-        said = re.findall(r"\w+", query[:MAX_QUERY_CHARACTERS].lower().replace("_", " "))
-        terms = [term for term in dict.fromkeys(said) if term not in STOP_WORDS]
+        """BM25 over the words of the query, each of which is optional."""
+        words = re.findall(r"\w+", query[:MAX_QUERY_CHARACTERS].lower().replace("_", " "))
+        terms = [term for term in dict.fromkeys(words) if term not in STOP_WORDS]
         if not terms:
             return {}
         found = self._store.search_words(" OR ".join(f'"{term}"' for term in terms), len(self._chunks))
@@ -201,17 +203,19 @@ class Library:
     def _search_embeddings(self, query: str, allowed: set[int]) -> dict[int, float]:
         """Cosine of the query with every chunk, best first."""
         if self._encoder is None:
-            raise ConfigurationError("search by meaning", got="no sentence encoder", allowed="search by words")
-        made = self._store.embedder()
-        if made not in {"", embedder_id(self._encoder)}:
-            raise _encoder_mismatch(made, self._encoder)
+            raise ConfigurationError.stating(
+                "A search by meaning needs a sentence encoder.", fix="Open the library with one, or search by words."
+            )
+        embedder = self._store.embedder()
+        if embedder not in {"", embedder_id(self._encoder)}:
+            raise _encoder_mismatch(embedder, self._encoder)
         if not len(self._ids):
             return {}
         cosine = self._rows @ self._encoder.encode([query[:MAX_QUERY_CHARACTERS]])[0]
         order = np.lexsort((self._ids, -cosine))
         return {int(self._ids[row]): float(cosine[row]) for row in order if int(self._ids[row]) in allowed}
 
-    def _hit(self, number: int, score: float, likeness: float | None, words: float | None) -> ChunkHit:
+    def _hit(self, number: int, score: float, cosine: float | None, bm25_score: float | None) -> ChunkHit:
         one = self._chunks[number]
         document = one.document
         return ChunkHit(
@@ -222,18 +226,22 @@ class Library:
             path=one.chunk.path,
             text=one.text,
             score=score,
-            likeness=likeness,
-            bm25_score=words,
+            likeness=cosine,
+            bm25_score=bm25_score,
         )
 
     # --- change -----------------------------------------------------------------------------------------------------
 
     def add(self, submission: Submission, *, now: float) -> Addition | DocumentRejected:
-        """Put a document on the shelf at `now` [s, 1970 UTC], or say why not; a changed one is a new version."""
+        """Publish a document at `now` [s, 1970 UTC]; a changed document is a new version.
+
+        Returns a `DocumentRejected` for a document that cannot be added; raises `ConfigurationError` without a suitable
+        encoder.
+        """
         encoder = self._require_encoder()
-        reading = read_document(submission.data, submission.file)
-        if isinstance(reading, DocumentRejected):
-            return reading
+        document_text = read_document(submission.data, submission.file)
+        if isinstance(document_text, DocumentRejected):
+            return document_text
         name = submission.name or _default_name(submission.file)
         if not DOCUMENT_NAME_PATTERN.fullmatch(name):
             return DocumentRejected(
@@ -242,39 +250,39 @@ class Library:
                 f"an identifier, {DOCUMENT_NAME_PATTERN.pattern}",
                 "Name it with --name.",
             )
-        kind = submission.kind or default_kind(reading)
-        if refused := check_structure(kind, reading):
+        kind = submission.kind or default_kind(document_text)
+        if refused := check_structure(kind, document_text):
             return refused
-        pieces = self._store.stored_chunks(name, reading.version) or split_chunks(reading)
+        pieces = self._store.stored_chunks(name, document_text.version) or split_chunks(document_text)
         document = Document(
             name=name,
-            version=reading.version,
+            version=document_text.version,
             kind=kind,
             trust=submission.trust,
-            title=submission.title or _default_title(reading, name),
-            media=reading.media,
+            title=submission.title or _default_title(document_text, name),
+            media=document_text.media,
             file=Path(submission.file).name,
             added=now,
-            source=reading.source,
-            characters=len(reading.text),
+            source=document_text.source,
+            characters=len(document_text.text),
             chunks=len(pieces),
-            hidden=reading.hidden,
+            hidden=document_text.hidden,
             robots=submission.robots,
         )
         change = _classify_addition([one for _, one in self.history(name)], document)
         if change != "unchanged":
             rows = encoder.encode(
-                [embedding_text(document.title, one, reading.text[one.start : one.end]) for one in pieces]
+                [embedding_text(document.title, one, document_text.text[one.start : one.end]) for one in pieces]
             )
             with self._store.transaction():
-                numbers = self._store.store_text(name, reading, pieces)
+                numbers = self._store.store_text(name, document_text, pieces)
                 self._store.publish(document, now=now)
                 self._store.update_projections(embedder_id(encoder), dict(zip(numbers, rows, strict=True)))
             self._load()
         return Addition(document, change)
 
     def remove(self, name: str, *, now: float) -> Document:
-        """Take a document down at `now`; what was cited of it can still be quoted. Raises `UnknownName`."""
+        """Remove a document at `now` [s, 1970 UTC]; its citations can still be quoted. Raises `UnknownNameError`."""
         encoder = self._require_encoder()
         document = self.document(name)
         with self._store.transaction():
@@ -284,27 +292,29 @@ class Library:
         return document
 
     def rebuild(self) -> int:
-        """Make words and vectors of everything again, with this encoder; returns the number of chunks."""
+        """Recompute words and vectors of all published documents with this encoder; returns the number of chunks."""
         if self._encoder is None:
-            raise ConfigurationError("rebuild", got="no sentence encoder", allowed="an encoder")
+            raise ConfigurationError.stating("A rebuild needs a sentence encoder.", fix="Open the library with one.")
         with self._store.transaction():
-            live = self._store.chunks()
-            texts = [embedding_text(one.document.title, one.chunk, one.text) for one in live]
+            chunks = self._store.chunks()
+            texts = [embedding_text(one.document.title, one.chunk, one.text) for one in chunks]
             self._store.clear_projections()
             self._store.update_projections(
                 embedder_id(self._encoder),
-                dict(zip((one.id for one in live), self._encoder.encode(texts), strict=True)),
+                dict(zip((one.id for one in chunks), self._encoder.encode(texts), strict=True)),
             )
         self._load()
         return len(self)
 
     def _require_encoder(self) -> Encoder:
-        """The encoder, if it may add to what is there."""
+        """The encoder; raises `ConfigurationError` without one, or if the stored vectors are of another one."""
         if self._encoder is None:
-            raise ConfigurationError("knowledge store", got="no sentence encoder", allowed="an encoder, to write")
-        made = self._store.embedder()
-        if made not in {"", embedder_id(self._encoder)}:
-            raise _encoder_mismatch(made, self._encoder)
+            raise ConfigurationError.stating(
+                "Changes of the library need a sentence encoder.", fix="Open the library with one."
+            )
+        embedder = self._store.embedder()
+        if embedder not in {"", embedder_id(self._encoder)}:
+            raise _encoder_mismatch(embedder, self._encoder)
         return self._encoder
 
     def close(self) -> None:
@@ -319,7 +329,7 @@ class Library:
 
 
 def chunk_citation(one: StoredChunk) -> Citation:
-    """Where a chunk stands."""
+    """The citation of a chunk."""
     return Citation(
         document=one.document.name,
         version=one.document.version,
@@ -330,14 +340,14 @@ def chunk_citation(one: StoredChunk) -> Citation:
 
 
 def embedder_id(encoder: Encoder) -> str:
-    """Who made a vector: the encoder, and the way in which a chunk is put to it (see `embedded_text`)."""
+    """Identity of a vector: the encoder, and the version of the text that it encodes (see `embedding_text`)."""
     return f"{encoder.id}, recipe 1"
 
 
 def embedding_text(title: str, chunk: Chunk, text: str) -> str:
-    """What the encoder reads of a chunk: the headings above it, or the title, say what it is about.
+    """The text of a chunk for the encoder, preceded by its innermost headings or the title, which name the subject.
 
-    Of an entry of a TOML file only its words: the numbers of a pose or a contract are looked up, not embedded.
+    Of an entry of a TOML file only descriptions are encoded: poses and contracts are looked up by name.
     """
     words = _TOML_TEXT_FIELDS.findall(text) if text.startswith("[[") else [text]
     return ". ".join((*(chunk.path[-2:] or (title,)), *words))
@@ -352,8 +362,8 @@ def _classify_addition(history: list[Document | None], document: Document) -> Ad
         return "new"
     last = history[-1]
     if last is None or last.version != document.version:
-        seen = any(one is not None and one.version == document.version for one in history)
-        return "restored" if seen else "new version"
+        known = any(one is not None and one.version == document.version for one in history)
+        return "restored" if known else "new version"
     labels = [(one.kind, one.trust, one.title, one.robots) for one in (last, document)]
     return "unchanged" if labels[0] == labels[1] else "relabelled"
 
@@ -362,30 +372,35 @@ def _default_name(file: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", Path(file).stem.lower()).strip("-")[:48]
 
 
-def _default_title(reading: DocumentText, name: str) -> str:
-    """The first heading, or the title that a map or a template document gives itself."""
-    pattern = r"^#\s+(.+)$" if reading.media in {"markdown", "html"} else r"^\s*\"?title\"?\s*[=:]\s*\"([^\"\n]+)\""
-    found = re.search(pattern, reading.text, re.MULTILINE)
+def _default_title(document_text: DocumentText, name: str) -> str:
+    """The first heading, or the title of a map or template document; otherwise the name."""
+    pattern = (
+        r"^#\s+(.+)$" if document_text.media in {"markdown", "html"} else r"^\s*\"?title\"?\s*[=:]\s*\"([^\"\n]+)\""
+    )
+    found = re.search(pattern, document_text.text, re.MULTILINE)
     return " ".join((found[1] if found else name).split())[:120]
 
 
-def _encoder_mismatch(made: str, encoder: Encoder) -> ConfigurationError:
+def _encoder_mismatch(embedder: str, encoder: Encoder) -> ConfigurationError:
     return ConfigurationError(
         "vectors of the knowledge store",
-        got=made,
-        allowed=f"made by {embedder_id(encoder)}",
-        fix="Make them again with `dualbrain knowledge rebuild`.",
+        got=embedder,
+        allowed=f"those of {embedder_id(encoder)}",
+        fix="Recompute them with `dualbrain knowledge rebuild`.",
     )
 
 
 SEMANTIC_WEIGHT = 0.7
-"""Share of meaning in the fused score; docs/explanation/knowledge.md has the measurement."""
+"""Weight of meaning in the fused score; docs/explanation/knowledge.md describes the measurement."""
 
 
 def fuse_scores(
     bm25: Mapping[int, float], cosine: Mapping[int, float], semantic_weight: float = SEMANTIC_WEIGHT
 ) -> dict[int, float]:
-    """score(d) = (1 − share) bm25(d)/max bm25 + share max(0, cos(d)): absolute in meaning, relative in words."""
+    """Fused score (1 − a) bm25(d)/max bm25 + a max(0, cos(d)) of each chunk d, with a = `semantic_weight`.
+
+    The part of the words is relative to the best chunk, the part of the meaning is absolute.
+    """
     best = max(bm25.values(), default=0.0)
     return {
         item: (1.0 - semantic_weight) * (bm25.get(item, 0.0) / best if best > 0.0 else 0.0)

@@ -1,4 +1,4 @@
-"""Why a document is not taken: a value, because a bad document is nothing unusual."""
+"""Rejection of a document, which is a value because bad documents are expected, and errors of the store."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dualbrain.errors import DualbrainError
 
 
 class DocumentRejected(msgspec.Struct, frozen=True):
-    """`what` is wrong, what was `got`, what is `allowed`, and how to `fix` it."""
+    """Reason for a rejection: the property `what`, the value `got`, the values `allowed`, and the remedy `fix`."""
 
     what: str
     got: str
@@ -23,21 +23,21 @@ class StoreInUseError(DualbrainError):
     """Another process is writing the knowledge store."""
 
     def __init__(self, path: str, timeout_s: float) -> None:
-        """Name the store and how long we waited [s]."""
+        """Report the path of the store and the time that the writer waited [s]."""
         self.path, self.timeout_s = path, timeout_s
         super().__init__(
-            f"The knowledge store is being written by another process, for more than {timeout_s:g} s. One writer at a "
-            f"time: try again when it is done. Reading is always allowed. {path}"
+            f"Another process has been writing the knowledge store for more than {timeout_s:g} s. Only one process can "
+            f"write at a time: try again when it has finished. Reading is always possible. {path}"
         )
 
 
 class CorruptStoreError(DualbrainError):
-    """The file is no knowledge store, or a broken one."""
+    """The file is damaged or is not a knowledge store."""
 
     def __init__(self, why: str, path: str) -> None:
-        """Say what was found and, last, where."""
+        """Report the fault and, last, the path of the file."""
         self.path = path
         super().__init__(
-            f"The knowledge store is damaged: {why}. Move it away and add your documents again; dualbrain's own come "
-            f"back by themselves. {path}"
+            f"The knowledge store is damaged: {why}. Move it away and add your documents again; the built-in ones are "
+            f"added automatically. {path}"
         )

@@ -1,8 +1,8 @@
-"""The file that knowledge lies in: one SQLite database, versions append-only, what stands on the shelf now derived.
+"""The document store: one SQLite database with append-only versions, from which the published documents are derived.
 
-An event says that a version was put on the shelf or taken down; a document is what its last event says. Readings and
-chunks are never changed or removed, so that every citation ever given resolves. The words (FTS5) and vectors of what
-stands there now are projections and can be made again.
+An event publishes a version of a document or withdraws the document; the last event of a document determines its state.
+Document texts and chunks are never changed or removed, so that every citation stays valid. The words (FTS5) and vectors
+of the published documents are projections and can be rebuilt.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from dualbrain.knowledge.rejection import CorruptStoreError, StoreInUseError
 
 SCHEMA_VERSION = 1
 LOCK_TIMEOUT_S = 10.0
-"""How long a writer waits for another one."""
+"""Time that a writer waits for another writer [s]."""
 
 _SCHEMA = f"""
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL);
@@ -48,7 +48,7 @@ CREATE VIRTUAL TABLE words USING fts5 (path, text, tokenize = 'porter unicode61 
 
 
 class StoredChunk(msgspec.Struct, frozen=True):
-    """A chunk that stands on the shelf: its number, the document, the chunk and its text."""
+    """A chunk of a published document: its number `id`, the document, the chunk and its text."""
 
     id: int
     document: Document
@@ -57,20 +57,21 @@ class StoredChunk(msgspec.Struct, frozen=True):
 
 
 class DocumentStore:
-    """Reads and, with `write`, changes the file. A transaction is all or nothing, also when the process is killed.
+    """Reads and, with `write`, changes the file. Transactions are atomic, also if the process is killed.
 
-    SQLite's own lock lets one writer in at a time; a rollback journal (no WAL) leaves one file at rest, which a reader
-    may also open where nothing can be written.
+    SQLite's lock allows one writer at a time. With a rollback journal instead of a WAL the store is a single file when
+    it is not being written, which can also be read in a folder without write permission.
     """
 
     def __init__(self, path: Path, *, write: bool) -> None:
-        """Open the file; with `write` make it if it is not there.
+        """Open the file; with `write`, create it if it is missing.
 
-        Raises `MissingPart`, `InvalidSetup`, `DamagedStore`.
+        Raises `MissingDependencyError` if the file or FTS5 is missing, `ConfigurationError` if the file cannot be used,
+        `StoreInUseError` if another process keeps writing it, and `CorruptStoreError` if it is damaged.
         """
         if not write and not path.exists():
             raise MissingDependencyError(
-                f"The knowledge store {path}", fix="It is made by the first `dualbrain knowledge add`."
+                f"The knowledge store {path}", fix="The first `dualbrain knowledge add` creates it."
             )
         self.path = path
         with self._translate_errors():
@@ -79,7 +80,7 @@ class DocumentStore:
                 self._database = sqlite3.connect(path, isolation_level=None, timeout=LOCK_TIMEOUT_S)
                 self._create()
             else:
-                # not mode=ro: what a killed writer left half done must be rolled back by whoever opens the file next
+                # not mode=ro: an unfinished transaction of a killed writer is rolled back by the next process
                 uri = path.resolve().as_uri() + "?mode=rw"
                 self._database = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=LOCK_TIMEOUT_S)
                 self._database.execute("PRAGMA query_only = ON")
@@ -110,46 +111,47 @@ class DocumentStore:
         except sqlite3.OperationalError as error:
             if "fts5" in str(error):
                 raise MissingDependencyError(
-                    "FTS5 in this Python's SQLite", fix="Use a Python whose SQLite has it."
+                    "The extension FTS5 of SQLite", fix="Use a Python whose SQLite includes it."
                 ) from error
             if "locked" in str(error):
                 raise StoreInUseError(str(self.path), LOCK_TIMEOUT_S) from error
             if "no such table" in str(error) or "malformed" in str(error):
                 raise CorruptStoreError(str(error), str(self.path)) from error
-            allowed = "a file that this user can read and write, on a disk with space"
-            raise ConfigurationError("knowledge store", got=str(error), allowed=allowed, fix=str(self.path)) from error
+            fix = "Check that this user can read and write the file, and that the disk has free space."
+            sentence = f"The knowledge store {self.path} cannot be used: {error}."
+            raise ConfigurationError.stating(sentence, fix=fix) from error
         except sqlite3.DatabaseError as error:
             raise CorruptStoreError(str(error), str(self.path)) from error
 
     @contextmanager
     def transaction(self) -> Generator[None]:
-        """All that is done inside is written, or nothing of it."""
+        """A transaction: all changes inside are written, or none."""
         with self._translate_errors(), transaction(self._database):
             yield
 
-    # --- what stands there --------------------------------------------------------------------------------------
+    # --- read ---------------------------------------------------------------------------------------------------
 
     def documents(self) -> dict[str, Document]:
-        """What stands on the shelf now, by name."""
+        """The published documents by name, in the order of their names."""
         last = "SELECT name, document FROM event WHERE seq IN (SELECT max(seq) FROM event GROUP BY name) ORDER BY name"
         return {name: _decode_document(data) for name, data in self._fetch_rows(last) if data is not None}
 
     def history(self, name: str) -> tuple[tuple[float, Document | None], ...]:
-        """When each version of `name` was put up, and when it was taken down (None), oldest first."""
+        """Time [s, 1970 UTC] and document of each publication of `name`, None for a withdrawal; oldest first."""
         rows = self._fetch_rows("SELECT time, document FROM event WHERE name = ? ORDER BY seq", (name,))
         return tuple((time, None if data is None else _decode_document(data)) for time, data in rows)
 
     def chunks(self) -> tuple[StoredChunk, ...]:
-        """All chunks of what stands on the shelf."""
-        found: list[StoredChunk] = []
+        """All chunks of the published documents."""
+        chunks: list[StoredChunk] = []
         for document in self.documents().values():
             text = self.document_texts(document.name, document.version)[0].text
             for number, chunk in self._chunks_by_id(document.name, document.version):
-                found.append(StoredChunk(number, document, chunk, text[chunk.start : chunk.end]))
-        return tuple(found)
+                chunks.append(StoredChunk(number, document, chunk, text[chunk.start : chunk.end]))
+        return tuple(chunks)
 
     def stored_chunks(self, name: str, version: str) -> tuple[Chunk, ...]:
-        """The chunks that are kept of a version, none if it is not kept."""
+        """The stored chunks of a version; none if the version is not stored."""
         return tuple(chunk for _, chunk in self._chunks_by_id(name, version))
 
     def _chunks_by_id(self, name: str, version: str) -> list[tuple[int, Chunk]]:
@@ -160,74 +162,77 @@ class DocumentStore:
         ]
 
     def document_texts(self, name: str, version: str) -> tuple[DocumentText, ...]:
-        """The readings of `name` whose version begins with `version`, also of what was taken down."""
+        """The texts of `name` whose version begins with `version`, also those of withdrawn documents."""
         query = "SELECT data FROM reading WHERE name = ? AND substr(version, 1, ?) = ?"
         rows = self._fetch_rows(query, (name, len(version), version))
         return tuple(msgspec.json.decode(data, type=DocumentText) for (data,) in rows)
 
     def vectors(self) -> dict[int, bytes]:
-        """The vectors of the chunks that stand there, by number."""
+        """The vectors of the chunks of published documents, by chunk number; little-endian float32."""
         return dict(self._fetch_rows("SELECT chunk, data FROM vector"))
 
     def embedder(self) -> str:
-        """Who made the vectors, "" if there are none."""
+        """Identity of the encoder of the vectors; "" without vectors."""
         rows = self._fetch_rows("SELECT value FROM meta WHERE key = 'embedder'")
         return rows[0][0] if rows else ""
 
     def search_words(self, query: str, limit: int) -> dict[int, float]:
-        """BM25 of the chunks that hold a word of `query` (FTS5 syntax), higher is better, best first."""
-        found = (
+        """BM25 score of the chunks that contain a word of `query` (FTS5 syntax); higher is better, best first."""
+        ranking = (
             "SELECT rowid, -bm25(words, 1.5, 1.0) AS score FROM words WHERE words MATCH ? ORDER BY score DESC, rowid"
         )
-        return dict(self._fetch_rows(f"{found} LIMIT {int(limit)}", (query,)))
+        return dict(self._fetch_rows(f"{ranking} LIMIT {int(limit)}", (query,)))
 
     def _fetch_rows(self, query: str, values: Sequence[object] = ()) -> list[Any]:
         with self._translate_errors():
             return self._database.execute(query, values).fetchall()
 
-    # --- what changes; inside `transaction` ---------------------------------------------------------------------
+    # --- change, inside `transaction` ---------------------------------------------------------------------------
 
     def publish(self, document: Document, *, now: float) -> None:
-        """Write that this version stands on the shelf from `now` on."""
+        """Publish this version of a document at `now` [s, 1970 UTC]."""
         self._append_event(document.name, msgspec.json.encode(document), now)
 
     def withdraw(self, name: str, *, now: float) -> None:
-        """Write that `name` no longer stands there."""
+        """Withdraw the document `name` at `now` [s, 1970 UTC]."""
         self._append_event(name, None, now)
 
     def _append_event(self, name: str, document: bytes | None, now: float) -> None:
         self._database.execute("INSERT INTO event (time, name, document) VALUES (?, ?, ?)", (now, name, document))
 
-    def store_text(self, name: str, reading: DocumentText, pieces: Iterable[Chunk]) -> tuple[int, ...]:
-        """Keep the reading of a version and its chunks for ever, if they are not kept already; their numbers."""
-        if not self.document_texts(name, reading.version):
+    def store_text(self, name: str, document_text: DocumentText, pieces: Iterable[Chunk]) -> tuple[int, ...]:
+        """Store the text of a version and its chunks permanently, unless they are stored; returns the chunk numbers."""
+        if not self.document_texts(name, document_text.version):
             insert = "INSERT INTO reading VALUES (?, ?, ?)"
-            self._database.execute(insert, (name, reading.version, msgspec.json.encode(reading)))
+            self._database.execute(insert, (name, document_text.version, msgspec.json.encode(document_text)))
             self._database.executemany(
                 "INSERT INTO chunk (name, version, start, stop, page, path) VALUES (?, ?, ?, ?, ?, ?)",
-                [(name, reading.version, c.start, c.end, c.page, msgspec.json.encode(c.path).decode()) for c in pieces],
+                [
+                    (name, document_text.version, c.start, c.end, c.page, msgspec.json.encode(c.path).decode())
+                    for c in pieces
+                ],
             )
         rows = self._fetch_rows(
-            "SELECT id FROM chunk WHERE name = ? AND version = ? ORDER BY id", (name, reading.version)
+            "SELECT id FROM chunk WHERE name = ? AND version = ? ORDER BY id", (name, document_text.version)
         )
         return tuple(number for (number,) in rows)
 
     def update_projections(self, embedder: str, vectors: Mapping[int, NDArray[np.float32]]) -> None:
-        """Make words and vectors those of what stands there; `vectors` are those of chunks that had none."""
-        live = {one.id: one for one in self.chunks()}
+        """Update words and vectors to the published documents; `vectors` are those of the new chunks, by number."""
+        published = {one.id: one for one in self.chunks()}
         indexed = {number for (number,) in self._fetch_rows("SELECT rowid FROM words")}
-        gone = [(number,) for number in indexed - live.keys()]
-        self._database.executemany("DELETE FROM words WHERE rowid = ?", gone)
-        self._database.executemany("DELETE FROM vector WHERE chunk = ?", gone)
-        fresh = [live[number] for number in sorted(live.keys() - indexed)]
-        rows = [(one.id, " ".join((one.document.title, *one.chunk.path)), one.text) for one in fresh]
+        removed = [(number,) for number in indexed - published.keys()]
+        self._database.executemany("DELETE FROM words WHERE rowid = ?", removed)
+        self._database.executemany("DELETE FROM vector WHERE chunk = ?", removed)
+        added = [published[number] for number in sorted(published.keys() - indexed)]
+        rows = [(one.id, " ".join((one.document.title, *one.chunk.path)), one.text) for one in added]
         self._database.executemany("INSERT INTO words (rowid, path, text) VALUES (?, ?, ?)", rows)
         stored = [(number, row.astype("<f4").tobytes()) for number, row in vectors.items()]
         self._database.executemany("INSERT OR REPLACE INTO vector VALUES (?, ?)", stored)
         self._database.execute("INSERT OR REPLACE INTO meta VALUES ('embedder', ?)", (embedder,))
 
     def clear_projections(self) -> None:
-        """Empty words and vectors."""
+        """Delete all words and vectors."""
         self._database.execute("DELETE FROM words")
         self._database.execute("DELETE FROM vector")
 

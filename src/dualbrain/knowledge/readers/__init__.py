@@ -1,1 +1,1 @@
-"""Readers of Markdown, HTML and PDF documents; hidden text is removed."""
+"""Readers of Markdown, HTML and PDF documents, which remove hidden text."""

@@ -1,7 +1,7 @@
-"""Text that a reader would not see, and marks by which a document could speak as somebody else, become blanks.
+"""Blanking of invisible characters, and of chat tokens with which a document could imitate another speaker.
 
-Law: blanking keeps the length, so an offset into the blanked text is an offset into the text it was made from. It is
-idempotent, and what it leaves holds no control character but line feed and tab, no character of a format class
+Law: blanking preserves the length, so that offsets into the blanked text are offsets into the original text. It is
+idempotent, and the result contains no control characters except line feed and tab, no character of a format class
 (zero-width, direction, tags), no lone surrogate, and no token of a chat template.
 """
 
@@ -17,7 +17,7 @@ Span = tuple[int, int]
 
 MAX_SAMPLE_CHARACTERS = 80
 _PASSES = 4
-"""Tokens may be nested so that blanking one makes another; whoever nests deeper loses every bracket."""
+"""Number of passes, because blanking a nested token can produce another one; deeper nesting blanks all brackets."""
 
 _INVISIBLE_CATEGORIES = frozenset({"Cc", "Cf", "Co", "Cs", "Cn", "Zl", "Zp"})
 _ALLOWED_CONTROLS = "\n\t"
@@ -30,12 +30,12 @@ _CHAT_TOKENS = re.compile(
     r"|</?(?:knowledge|scene|instruction|warning|refusal)>",
     re.IGNORECASE,
 )
-"""Control tokens of the common chat templates, and the marks of our own prompt."""
+"""Control tokens of common chat templates, and the tags of the prompts of dualbrain."""
 _BRACKETS = re.compile(r"[<>\[\]]")
 
 
 class HiddenText(msgspec.Struct, frozen=True):
-    """What was left out of a reading: `kind`, how many `characters`, and the beginning of it, in ASCII."""
+    """Text that was left out of a document text: its kind, its number of characters, and its beginning in ASCII."""
 
     kind: str
     characters: int
@@ -43,34 +43,35 @@ class HiddenText(msgspec.Struct, frozen=True):
 
 
 def blank_spans(text: str, spans: Iterable[Span]) -> str:
-    """`text` with spaces in place of `spans`; line feeds stay, so that lines keep their numbers."""
+    """`text` with spaces in place of `spans`; line feeds stay, so that line numbers do not change."""
     pieces: list[str] = []
-    done = 0
+    position = 0
     for start, end in sorted(spans):
-        if end > done:
-            pieces += [text[done : max(start, done)], re.sub(r"[^\n]", " ", text[max(start, done) : end])]
-            done = end
-    return "".join((*pieces, text[done:]))
+        if end > position:
+            first = max(start, position)
+            pieces += [text[position:first], re.sub(r"[^\n]", " ", text[first:end])]
+            position = end
+    return "".join((*pieces, text[position:]))
 
 
 def blank_hidden(text: str) -> tuple[str, tuple[HiddenText, ...]]:
-    """`text` with unseen characters and chat tokens as blanks, and what they were."""
-    unseen = [character for character in dict.fromkeys(text) if _is_invisible(character)]
-    lost = sum(map(text.count, unseen)) - text.count("\r\n")
-    seen = text.translate(dict.fromkeys(map(ord, unseen), " "))
-    found = [HiddenText("unseen characters", lost, ascii("".join(unseen[:12]))[1:-1])] if lost else []
+    """`text` with blanks for invisible characters and chat tokens, and a summary of the blanked text."""
+    invisible = [character for character in dict.fromkeys(text) if _is_invisible(character)]
+    count = sum(map(text.count, invisible)) - text.count("\r\n")
+    visible = text.translate(dict.fromkeys(map(ord, invisible), " "))
+    hidden = [HiddenText("unseen characters", count, ascii("".join(invisible[:12]))[1:-1])] if count else []
     tokens: list[str] = []
     for _ in range(_PASSES):
-        spans = [match.span() for match in _CHAT_TOKENS.finditer(seen)]
-        tokens += [seen[start:end] for start, end in spans]
-        seen = blank_spans(seen, spans)
-    if _CHAT_TOKENS.search(seen):
-        seen = _BRACKETS.sub(" ", seen)
-    return seen, tuple(found) + summarize_hidden("chat tokens", tokens)
+        spans = [match.span() for match in _CHAT_TOKENS.finditer(visible)]
+        tokens += [visible[start:end] for start, end in spans]
+        visible = blank_spans(visible, spans)
+    if _CHAT_TOKENS.search(visible):
+        visible = _BRACKETS.sub(" ", visible)
+    return visible, tuple(hidden) + summarize_hidden("chat tokens", tokens)
 
 
 def summarize_hidden(kind: str, pieces: Sequence[str]) -> tuple[HiddenText, ...]:
-    """One line for people about `pieces` that were left out, or none if nothing was."""
+    """A summary of the removed `pieces` for people; empty if they contain no text."""
     kept = [words for piece in pieces if (words := " ".join(piece.split()))]
     if not kept:
         return ()

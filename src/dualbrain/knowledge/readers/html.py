@@ -1,7 +1,8 @@
-"""HTML: the text that a browser would show, in blocks; nothing is fetched, no script runs.
+"""Reader of HTML: the text that a browser would show, in blocks; nothing is fetched, and no script runs.
 
-Left out and told: comments, elements that never show, elements hidden by attribute, by their own style or by a style
-sheet in the page. Not detectable without rendering: text under other things, or hidden by a sheet or script outside.
+Left out and reported: comments, elements that are never shown, and elements hidden by an attribute, by their own style
+or by a style sheet in the page. Not detectable without rendering: text that is covered, or hidden by an external sheet
+or script.
 """
 
 from __future__ import annotations
@@ -16,9 +17,9 @@ from dualbrain.knowledge.readers.hidden_text import HiddenText, summarize_hidden
 from dualbrain.knowledge.rejection import DocumentRejected
 
 MAX_NODES = 200_000
-"""Elements and pieces of text of a page."""
+"""Largest number of elements and text nodes of a page."""
 MAX_HIDING_RULES = 1000
-"""Rules of its style sheets that hide."""
+"""Largest number of hiding rules in the style sheets of a page."""
 
 _NEVER_SHOWN = "script,template,noscript,iframe,object,embed,svg,math,canvas,audio,video,select,textarea"
 _BY_ATTRIBUTE = "[hidden],[aria-hidden=true],input[type=hidden],dialog:not([open])"
@@ -78,7 +79,10 @@ _CELLS = frozenset({"td", "th"})
 
 
 def visible_text(source: str) -> tuple[str, tuple[int, ...], tuple[HiddenText, ...]] | DocumentRejected:
-    """The text of the page as Markdown-like blocks (headings `#`, list items `-`), no pages, what was hidden."""
+    """The text of the page as Markdown-like blocks (headings `#`, list items `-`), no page starts, and the hidden text.
+
+    Raises `MissingDependencyError` without selectolax.
+    """
     tree = _parse(source)
     if tree.root is None or tree.body is None:
         return DocumentRejected("not HTML", "no element", "an HTML document")
@@ -87,18 +91,18 @@ def visible_text(source: str) -> tuple[str, tuple[int, ...], tuple[HiddenText, .
     if len(nodes) > MAX_NODES or len(sheets) > MAX_HIDING_RULES:
         got, allowed = f"{len(nodes)} nodes, {len(sheets)} rules", f"{MAX_NODES} nodes, {MAX_HIDING_RULES} rules"
         return DocumentRejected("too large", got, allowed, "Split it.")
-    left_out: set[int] = set()
+    excluded: set[int] = set()
     hidden = summarize_hidden("comments", [node.comment_content or "" for node in nodes if node.is_comment_node])
-    hidden += _exclude(left_out, "style sheets", tree.body.css("style"))
-    hidden += _exclude(left_out, "never shown", tree.body.css(_NEVER_SHOWN))
-    hidden += _exclude(left_out, "hidden by attribute", tree.root.css(_BY_ATTRIBUTE))
+    hidden += _exclude(excluded, "style sheets", tree.body.css("style"))
+    hidden += _exclude(excluded, "never shown", tree.body.css(_NEVER_SHOWN))
+    hidden += _exclude(excluded, "hidden by attribute", tree.root.css(_BY_ATTRIBUTE))
     styled = (
         node for node in tree.root.css("[style]") if _HIDING_STYLE.search(_unescape_css(node.attributes["style"] or ""))
     )
-    hidden += _exclude(left_out, "hidden by style", styled)
+    hidden += _exclude(excluded, "hidden by style", styled)
     for selector in sheets:
-        hidden += _exclude_selected(left_out, tree, selector)
-    return _render_text(tree.body, left_out), (), hidden
+        hidden += _exclude_selected(excluded, tree, selector)
+    return _render_text(tree.body, excluded), (), hidden
 
 
 def _parse(source: str) -> Any:
@@ -111,13 +115,13 @@ def _parse(source: str) -> Any:
 
 
 def _unescape_css(style: str) -> str:
-    """A style without comments and escapes, by which `display:none` could be spelt otherwise."""
+    """A style without comments and escapes, which could disguise `display:none`."""
     style = re.sub(r"/\*.*?(?:\*/|\Z)", "", style, flags=re.DOTALL)
     return re.sub(r"\\([0-9a-fA-F]{1,6})\s?|\\", lambda m: chr(int(m[1], 16) % 0x110000) if m[1] else "", style)
 
 
 def _hiding_selectors(tree: Any) -> list[str]:
-    """Selectors of the page's own style sheets whose rules hide; media rules count as if they held."""
+    """Selectors of hiding rules in the style sheets of the page; media rules count as if they applied."""
     sheets = " ".join(node.text(deep=True) for node in tree.root.css("style"))
     parts = re.split(r"([{}])", _unescape_css(sheets))
     return [
@@ -127,26 +131,26 @@ def _hiding_selectors(tree: Any) -> list[str]:
     ]
 
 
-def _exclude_selected(left_out: set[int], tree: Any, selector: str) -> tuple[HiddenText, ...]:
-    """Leave out what `selector` finds; one that this engine cannot read hides nothing and is told."""
+def _exclude_selected(excluded: set[int], tree: Any, selector: str) -> tuple[HiddenText, ...]:
+    """Exclude the nodes that `selector` finds; an unsupported selector is reported and excludes nothing."""
     try:
         found = tree.root.css(selector)
     except Exception as error:
         return (
             HiddenText(f"a style rule that was not understood ({type(error).__name__})", 0, ascii(selector[:80])[1:-1]),
         )
-    return _exclude(left_out, "hidden by style sheet", found)
+    return _exclude(excluded, "hidden by style sheet", found)
 
 
-def _exclude(left_out: set[int], kind: str, found: Iterable[Any]) -> tuple[HiddenText, ...]:
-    """Leave out the nodes `found`, never the whole page."""
-    fresh = [node for node in found if node.mem_id not in left_out and node.tag not in {"html", "body"}]
-    left_out.update(node.mem_id for node in fresh)
-    return summarize_hidden(kind, [node.text(deep=True) for node in fresh])
+def _exclude(excluded: set[int], kind: str, found: Iterable[Any]) -> tuple[HiddenText, ...]:
+    """Exclude the nodes `found`, but never the whole page."""
+    added = [node for node in found if node.mem_id not in excluded and node.tag not in {"html", "body"}]
+    excluded.update(node.mem_id for node in added)
+    return summarize_hidden(kind, [node.text(deep=True) for node in added])
 
 
-def _render_text(body: Any, left_out: set[int]) -> str:
-    """The text of the tree without the nodes `left_out`, a paragraph a block."""
+def _render_text(body: Any, excluded: set[int]) -> str:
+    """The text of the tree without the nodes `excluded`, one paragraph per block."""
     lines = [""]
     todo = [(body, False)]
     while todo:
@@ -154,7 +158,7 @@ def _render_text(body: Any, left_out: set[int]) -> str:
         tag = node.tag
         if tag in _BLOCKS:
             lines.append("" if leaving else _PREFIX.get(tag, ""))
-        if leaving or node.mem_id in left_out:
+        if leaving or node.mem_id in excluded:
             continue
         if node.is_text_node:
             lines[-1] += re.sub(r"\s+", " ", node.text_content or "")

@@ -1,8 +1,8 @@
-"""Markdown: what a renderer would not show becomes blanks; offsets stay those of the source.
+"""Reader of Markdown: text that a renderer would not show becomes blanks, so that offsets are those of the source.
 
-Hidden are comments, link targets and definitions, and raw HTML elements that carry attributes or never show (script,
-style, template …), with all that stands in them; of a plain raw element (`<b>`, `<br>`) only the tags are. Fenced and
-indented code is shown by every renderer, so it stays.
+Hidden are comments, link targets and definitions, and raw HTML elements with attributes or without a display (script,
+style, template …), including their content; of a plain raw element (`<b>`, `<br>`) only the tags are hidden. Fenced and
+indented code stays, because every renderer shows it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _VOID = frozenset({"br", "hr", "img", "input", "wbr", "meta", "link", "source", 
 
 
 def parse_blocks(text: str) -> list[Any]:
-    """The tokens of `text` by CommonMark, with tables; raises `MissingPart`."""
+    """The CommonMark tokens of `text`, with tables; raises `MissingDependencyError` without markdown-it-py."""
     try:
         parser: Any = import_module("markdown_it").MarkdownIt("commonmark").enable("table")
     except ImportError as error:
@@ -37,12 +37,12 @@ def parse_blocks(text: str) -> list[Any]:
 
 
 def line_starts(text: str) -> list[int]:
-    """The offset at which each line begins, then the length of the text."""
+    """The offset of the start of each line, and the length of the text."""
     return [0, *(match.end() for match in re.finditer(r"\n", text)), len(text)]
 
 
 def visible_text(text: str) -> tuple[str, tuple[int, ...], tuple[HiddenText, ...]]:
-    """`text` of the same length with blanks for what does not show; no pages; what was hidden."""
+    """`text` with blanks for hidden text, of the same length; no page starts; and the hidden text."""
     text = text.replace("\r", " ") if "\r\n" in text else text.replace("\r", "\n")
     hidden: tuple[HiddenText, ...] = ()
     code = list(_code_spans(text))
@@ -56,7 +56,7 @@ def visible_text(text: str) -> tuple[str, tuple[int, ...], tuple[HiddenText, ...
 
 
 def _code_spans(text: str) -> Iterator[Span]:
-    """Where code stands that every renderer shows."""
+    """Spans of code, which every renderer shows."""
     starts = line_starts(text)
     for token in parse_blocks(text):
         if token.type in {"fence", "code_block"}:
@@ -64,17 +64,17 @@ def _code_spans(text: str) -> Iterator[Span]:
 
 
 def _raw_elements(text: str) -> Iterator[Span]:
-    """What is to be blanked of raw HTML; an element that is never closed hides the rest of the document."""
-    element, begun, depth = "", 0, 0
+    """Spans of hidden raw HTML; an element that is never closed hides the rest of the document."""
+    element, start, depth = "", 0, 0
     for match in _TAG.finditer(text):
         opens, name = not match["closes"], match["name"].lower()
         if depth:
             depth += (1 if opens else -1) if name == element else 0
             if not depth:
-                yield begun, match.end()
+                yield start, match.end()
         elif opens and name not in _VOID and (match["attributes"].strip(" /") or name in _NEVER_SHOWN):
-            element, begun, depth = name, match.start(), 1
+            element, start, depth = name, match.start(), 1
         else:
             yield match.span()
     if depth:
-        yield begun, len(text)
+        yield start, len(text)

@@ -1,7 +1,7 @@
-"""PDF: the visible text by page, read in a process of its own with bounded time and memory.
+"""Reader of PDF: the visible text of each page, read in a separate process with bounded time and memory.
 
-A PDF may be a bomb (a kilobyte that unpacks to gigabytes, a maze of references), so whatever happens to the child
-becomes a refusal here.
+A PDF may be malicious (a kilobyte that unpacks to gigabytes, circular references), so every failure of the process
+becomes a rejection.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ MAX_PAGES = 1000
 
 
 class PdfPages(msgspec.Struct, frozen=True):
-    """What the child found: the text of each page and what was hidden in them, or why it read nothing."""
+    """Reply of the process: the text of each page and the hidden text, or the reason of a rejection."""
 
     pages: tuple[str, ...] = ()
     hidden: tuple[HiddenText, ...] = ()
@@ -30,7 +30,10 @@ class PdfPages(msgspec.Struct, frozen=True):
 
 
 def visible_text(data: bytes) -> tuple[str, tuple[int, ...], tuple[HiddenText, ...]] | DocumentRejected:
-    """The text of all pages, where each begins, and what was hidden (see `pdf_child`)."""
+    """The text of all pages, the offset of each page, and the hidden text (see `pdf_worker`).
+
+    Raises `MissingDependencyError` without pypdf, and `ConfigurationError` if the process sends no reply.
+    """
     if find_spec("pypdf") is None:
         raise MissingDependencyError("The package pypdf", fix="Install it with `pip install 'dualbrain[knowledge]'`.")
     if not data.lstrip()[:5].startswith(b"%PDF-"):
@@ -46,28 +49,28 @@ def visible_text(data: bytes) -> tuple[str, tuple[int, ...], tuple[HiddenText, .
 
 
 PAGE_SEPARATOR = "\n\n"
-"""What stands between two pages of a reading."""
+"""Separator between two pages in a document text."""
 
 
 def _read_in_worker(data: bytes) -> PdfPages | DocumentRejected:
-    """What the child says; one that was killed, by a signal or by the clock, had too much to do."""
-    costly = DocumentRejected(
+    """The reply of the process; a process that exceeds its limits and is killed is a rejection."""
+    too_costly = DocumentRejected(
         "too costly",
         f"more than {CPU_LIMIT_S} s or {MEMORY_LIMIT_BYTES >> 20} MB to read",
         "less",
         "Print it to a new PDF.",
     )
-    alike = ["-S"] if sys.flags.no_site else []  # the child finds its packages as we do
-    command = [sys.executable, *alike, "-m", "dualbrain.knowledge.readers.pdf_worker"]
+    flags = ["-S"] if sys.flags.no_site else []  # so that the process finds the same packages
+    command = [sys.executable, *flags, "-m", "dualbrain.knowledge.readers.pdf_worker"]
     try:
         done = subprocess.run(command, input=data, capture_output=True, timeout=WALL_LIMIT_S, check=False)
     except subprocess.TimeoutExpired:
-        return costly
+        return too_costly
     if done.returncode < 0:
-        return costly
+        return too_costly
     try:
         found = msgspec.json.decode(done.stdout, type=PdfPages)
     except DECODE_ERRORS as error:
-        said = done.stderr.decode("utf-8", "replace")[-300:]
-        raise ConfigurationError("the reader of PDF files", got=said, allowed="an answer") from error
+        stderr = done.stderr.decode("utf-8", "replace")[-300:]
+        raise ConfigurationError.stating(f"The reader of PDF files sent no reply. Its output: {stderr}") from error
     return found.refused or found

@@ -1,4 +1,4 @@
-"""Which text of a PDF page leaves ink: follows the graphics state, and takes the words out of what does not."""
+"""Filter for the visible text of a PDF page: tracks the graphics state and removes text that is not visible."""
 
 from __future__ import annotations
 
@@ -8,20 +8,21 @@ from math import sqrt
 from typing import Any, cast
 
 MIN_TEXT_HEIGHT_PT = 2.0
-"""Text whose height is below this [pt] cannot be read."""
+"""Text with a smaller height [pt] counts as hidden."""
 MIN_OPACITY = 0.05
-"""Opacity below which nothing is seen."""
+"""Text with a smaller opacity counts as hidden."""
 WHITE_THRESHOLD = 0.97
+"""Text whose colour components are all at least this value counts as white."""
 INVISIBLE_RENDERING_MODES = (3, 7)
 """Text rendering modes that fill and stroke nothing (ISO 32000-1, 9.3.6)."""
 MAX_FORM_DEPTH = 6
-"""Forms within forms whose resources are looked at."""
+"""Largest nesting of forms whose resources are read."""
 TEXT_OPERATORS = (b"Tj", b"TJ", b"'", b'"')
 
 
 @dataclass(slots=True, kw_only=True)
 class _GraphicsState:
-    """The part of the graphics state by which text is seen or not."""
+    """The part of the graphics state that determines the visibility of text."""
 
     mode: int = 0
     size: float = 12.0
@@ -31,7 +32,7 @@ class _GraphicsState:
     content: list[bool] = field(default_factory=list)
 
     def hidden_reason(self) -> str:
-        """Why text leaves no ink by this state, "" if it does."""
+        """The reason why text is invisible in this state; "" if it is visible."""
         reasons = {
             "invisible text": self.mode in INVISIBLE_RENDERING_MODES,
             "white text": self.white,
@@ -42,10 +43,10 @@ class _GraphicsState:
 
 
 class VisibleTextFilter:
-    """Visits the operators of one page; text without ink goes to `lost`, by kind, and is not extracted."""
+    """Visits the operators of one page; invisible text is not extracted but added to `hidden`, by kind."""
 
     def __init__(self, page: Any, disabled: frozenset[int], hidden: dict[str, list[str]]) -> None:
-        """`off` are the object numbers of the layers that are switched off."""
+        """Create a filter for `page`; `disabled` are the object numbers of the layers that are switched off."""
         self._hidden, self._disabled = hidden, disabled
         self._state, self._stack = _GraphicsState(), list[_GraphicsState]()
         self._box = [float(value) for value in page.cropbox]
@@ -53,7 +54,7 @@ class VisibleTextFilter:
         _collect_resources(_resolve(page, "/Resources"), self._layers, self._transparent, self._forms, MAX_FORM_DEPTH)
 
     def visit_before(self, operator: bytes, operands: list[Any], cm: list[float], tm: list[float]) -> None:
-        """Follow `operator`; empty the operands of one that would show text without ink."""
+        """Apply `operator` to the state; clear the operands of an operator that shows invisible text."""
         match operator:
             case b"q":
                 self._stack.append(_copy_state(self._state))
@@ -73,12 +74,12 @@ class VisibleTextFilter:
                 self._update_state(operator, operands)
 
     def visit_after(self, operator: bytes, operands: list[Any], cm: list[float], tm: list[float]) -> None:
-        """Leave a form as it was entered."""
+        """Restore the state after a form."""
         if operator == b"Do" and operands and self._stack:
             self._state = self._stack.pop()
 
     def _update_state(self, operator: bytes, operands: list[Any]) -> None:
-        """Operators that set the state; an operand that is no number changes nothing."""
+        """Apply an operator that sets the state; operands that are not numbers are ignored."""
         numbers = [float(value) for value in operands if isinstance(value, (int, float))]
         if operator == b"Tr" and numbers:
             self._state.mode = int(numbers[0])
@@ -98,10 +99,12 @@ class VisibleTextFilter:
         scale = sqrt(abs(a * d - b * c))
         left, bottom, right, top = self._box
         on_page = left - 1.0 <= e <= right + 1.0 and bottom - 1.0 <= f <= top + 1.0
-        why = self._state.hidden_reason() or ("tiny text" if abs(self._state.size) * scale < MIN_TEXT_HEIGHT_PT else "")
-        why = why or ("" if on_page else "text off the page")
-        if why:
-            self._hidden.setdefault(why, []).append(_operand_text(operands[-1]))
+        reason = self._state.hidden_reason() or (
+            "tiny text" if abs(self._state.size) * scale < MIN_TEXT_HEIGHT_PT else ""
+        )
+        reason = reason or ("" if on_page else "text off the page")
+        if reason:
+            self._hidden.setdefault(reason, []).append(_operand_text(operands[-1]))
             operands[-1] = type(operands[-1])()
 
     def _in_hidden_layer(self, operands: list[Any]) -> bool:
@@ -110,7 +113,7 @@ class VisibleTextFilter:
         return self._is_disabled(self._layers.get(str(operands[1])))
 
     def _is_disabled(self, reference: Any) -> bool:
-        """Whether a layer, or every layer of a membership, is switched off."""
+        """Whether a layer, or every layer of a membership dictionary, is switched off."""
         if reference is None:
             return False
         if getattr(reference, "idnum", None) in self._disabled:
@@ -124,25 +127,25 @@ def disabled_layers(reader: Any) -> frozenset[int]:
     """Object numbers of the layers that are switched off when the document is opened."""
     properties = _resolve(reader.trailer["/Root"], "/OCProperties")
     start = _resolve(properties, "/D")
-    shut = start.get("/BaseState") == "/OFF"
-    off: Any = _resolve(properties, "/OCGs") if shut else _resolve(start, "/OFF")
-    on: Any = _resolve(start, "/ON") if shut else ()
+    off_by_default = start.get("/BaseState") == "/OFF"
+    off: Any = _resolve(properties, "/OCGs") if off_by_default else _resolve(start, "/OFF")
+    on: Any = _resolve(start, "/ON") if off_by_default else ()
     return frozenset(int(one.idnum) for one in off) - frozenset(int(one.idnum) for one in on)
 
 
 def _resolve(holder: Any, key: str) -> Any:
-    """What stands under `key` of a dictionary, an empty one if nothing does."""
+    """The value of `key` in a dictionary; an empty dictionary without it."""
     return holder[key].get_object() if key in holder else _EmptyDictionary()
 
 
 class _EmptyDictionary(dict[str, Any]):
-    """A dictionary without entries; nothing refers to it."""
+    """A dictionary without entries, for a missing entry of a PDF object."""
 
 
 def _collect_resources(
     resources: Any, layers: dict[str, Any], transparent: dict[str, bool], forms: dict[str, Any], depth: int
 ) -> None:
-    """Layers, opacities and forms by name, of the page and of the forms in it; the more hidden one wins a name."""
+    """Collect layers, opacities and forms by name from the page and its forms; for a name the lower opacity counts."""
     named = _resolve(resources, "/Properties")
     layers.update({str(name): named.raw_get(name) for name in named})
     states = _resolve(resources, "/ExtGState")
@@ -159,9 +162,9 @@ def _collect_resources(
 
 
 def _copy_state(state: _GraphicsState) -> _GraphicsState:
-    twin = copy(state)
-    twin.content = list(state.content)
-    return twin
+    duplicate = copy(state)
+    duplicate.content = list(state.content)
+    return duplicate
 
 
 def _multiply(m: list[float], n: list[float]) -> tuple[float, ...]:

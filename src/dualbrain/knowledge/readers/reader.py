@@ -1,4 +1,4 @@
-"""From the bytes of a document to the text that is kept of it, or a refusal; nothing of it is executed or fetched."""
+"""Extraction of the text of a document from its bytes, or a rejection; nothing is executed or fetched."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from dualbrain.knowledge.readers.hidden_text import HiddenText, blank_hidden
 from dualbrain.knowledge.rejection import DocumentRejected
 
 ExtractedText = tuple[str, tuple[int, ...], tuple[HiddenText, ...]] | DocumentRejected
-"""Text, the offset at which each page begins (empty: no pages), and what was hidden in it."""
+"""Text, the offset of the start of each page (empty: no pages), and the hidden text."""
 
 
 class DocumentText(msgspec.Struct, frozen=True, kw_only=True):
-    """What is kept of a document: `text`, the start of each page in it, and what was hidden and left out.
+    """The stored text of a document, the offset of the start of each page, and the hidden text that was left out.
 
-    `version` is the SHA-256 of media, text and pages: whoever quotes by it quotes this text. `source` is the SHA-256 of
-    the bytes it was read from. For Markdown and plain text the reading has the source's length: each offset is the same
-    in both, and what was hidden became blanks.
+    `version` is the SHA-256 of media, text and pages, so that a citation with it refers to exactly this text. `source`
+    is the SHA-256 of the original bytes. For Markdown and plain text, `text` has the length of the source and the same
+    offsets, because hidden text is replaced by blanks.
     """
 
     media: str
@@ -32,12 +32,15 @@ class DocumentText(msgspec.Struct, frozen=True, kw_only=True):
     version: str
 
     def page_at(self, offset: int) -> int | None:
-        """The page, counted from 1, on which the character at `offset` stands."""
+        """The page, counted from 1, of the character at `offset`; None without pages."""
         return sum(start <= offset for start in self.pages) or None
 
 
 def read_document(data: bytes, name: str) -> DocumentText | DocumentRejected:
-    """The reading of `data`, a file called `name`; its suffix says what it is."""
+    """The text of `data`, a file with the name `name` whose suffix determines the format, or a rejection.
+
+    Raises `MissingDependencyError` if the package for the format is missing.
+    """
     suffix = PurePath(name).suffix.lower()
     reader = READERS.get(suffix)
     if reader is None:
@@ -56,17 +59,17 @@ def _build_text(
         return DocumentRejected(
             "too large", f"{len(text)} characters", f"{MAX_TEXT_CHARACTERS} characters", "Split it."
         )
-    seen, more = blank_hidden(text)
-    if sum(not character.isspace() for character in seen) < MIN_VISIBLE_CHARACTERS:
-        got = "no visible text" + (f"; hidden: {', '.join(one.kind for one in (*hidden, *more))}" if hidden else "")
+    visible, blanked = blank_hidden(text)
+    if sum(not character.isspace() for character in visible) < MIN_VISIBLE_CHARACTERS:
+        got = "no visible text" + (f"; hidden: {', '.join(one.kind for one in (*hidden, *blanked))}" if hidden else "")
         allowed, fix = f"at least {MIN_VISIBLE_CHARACTERS} visible characters", "A scan needs text recognition first."
         return DocumentRejected("nothing to read", got, allowed, fix)
-    version = hashlib.sha256(msgspec.json.encode((media, seen, pages))).hexdigest()
+    version = hashlib.sha256(msgspec.json.encode((media, visible, pages))).hexdigest()
     return DocumentText(
         media=media,
-        text=seen,
+        text=visible,
         pages=pages,
-        hidden=(*hidden, *more),
+        hidden=(*hidden, *blanked),
         source=hashlib.sha256(data).hexdigest(),
         version=version,
     )
@@ -88,7 +91,7 @@ def _html(data: bytes) -> ExtractedText:
 
 
 def decode_utf8(data: bytes) -> str | DocumentRejected:
-    """Strict UTF-8, with or without a byte order mark (which then is no part of the text)."""
+    """Decode strict UTF-8; a byte order mark is not part of the text."""
     try:
         text = data.removeprefix(b"\xef\xbb\xbf").decode("utf-8")
     except UnicodeDecodeError as error:
@@ -108,12 +111,12 @@ READERS: dict[str, tuple[str, Callable[[bytes], ExtractedText]]] = {
     ".toml": ("toml", _plain),
     ".json": ("json", _plain),
 }
-"""What each suffix is, and how it is read."""
+"""Media type and reader of each suffix."""
 
 
 MAX_FILE_BYTES = 16 * 1024 * 1024
-"""Bytes of a file."""
+"""Largest size of a file [bytes]."""
 MAX_TEXT_CHARACTERS = 2_000_000
-"""Characters of a reading: a thousand pages."""
+"""Largest length of a document text: about a thousand pages."""
 MIN_VISIBLE_CHARACTERS = 20
-"""A document with fewer visible characters says nothing."""
+"""A document with fewer visible characters is rejected."""

@@ -1,4 +1,4 @@
-"""What a document of each kind must be."""
+"""Checks of a document against its kind."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from dualbrain.knowledge.structured.parsing import declared_kind, parse_structur
 from dualbrain.knowledge.structured.templates import TaskTemplates
 
 
-def default_kind(reading: DocumentText) -> DocumentKind:
-    """What a document says that it is; a manual if it says nothing."""
-    said = declared_kind(reading)
-    return said if said in DOCUMENT_KINDS else "manual"
+def default_kind(document_text: DocumentText) -> DocumentKind:
+    """The kind that a document declares; "manual" if it declares none."""
+    declared = declared_kind(document_text)
+    return declared if declared in DOCUMENT_KINDS else "manual"
 
 
-def check_structure(kind: DocumentKind, reading: DocumentText) -> DocumentRejected | None:
-    """Why `reading` cannot be a document of this `kind`, None if it can."""
+def check_structure(kind: DocumentKind, document_text: DocumentText) -> DocumentRejected | None:
+    """The reason why `document_text` cannot be a document of this `kind`; None if it can."""
     if kind in {"map", "template"}:
-        found = parse_structured(reading, RoomMap if kind == "map" else TaskTemplates)
+        found = parse_structured(document_text, RoomMap if kind == "map" else TaskTemplates)
         return found if isinstance(found, DocumentRejected) else None
     return None

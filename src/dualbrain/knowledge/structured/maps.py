@@ -1,7 +1,6 @@
 """Maps: named places and regions of the floor or a table, in named frames, as values (paper 5: maps).
 
-Geometry is looked up by name and never embedded. Whoever moves turns these values into scene places and barriers; this
-room knows neither.
+Geometry is looked up by name and never embedded. Other packages convert these values to scene places and barriers.
 """
 
 from __future__ import annotations
@@ -20,15 +19,15 @@ Polygon = Annotated[tuple[Point, ...], msgspec.Meta(min_length=3, max_length=16)
 ShortText = Annotated[str, msgspec.Meta(max_length=400)]
 
 MAX_COORDINATE = 1000.0
-"""Coordinates beyond this [m] are taken for a mistake in the unit."""
+"""Larger coordinates [m] are rejected as mistakes in the unit."""
 
 
 class _MapElement(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Root of what a map is made of."""
+    """Base of the elements of a map."""
 
 
 class MapFrame(_MapElement, frozen=True):
-    """A frame `name` that stands at `position` [m] in the map's own frame, turned by `yaw` [rad] about z."""
+    """A frame `name` at `position` [m] in the frame of the map, rotated by `yaw` [rad] about z."""
 
     name: str
     position: tuple[float, float, float]
@@ -37,7 +36,7 @@ class MapFrame(_MapElement, frozen=True):
 
 
 class MapPlace(_MapElement, frozen=True):
-    """A named place: `position` [m] on its support and `yaw` [rad] to stand in; `region` is what belongs to it."""
+    """A named place in `frame`: `position` [m] on its support, `yaw` [rad] of a base at the place, and its `region`."""
 
     name: str
     position: tuple[float, float, float]
@@ -48,7 +47,7 @@ class MapPlace(_MapElement, frozen=True):
 
 
 class Region(_MapElement, frozen=True):
-    """A polygon of the floor with `corners` (x, y) [m]: a base stays inside a traversable one, outside a keep_out."""
+    """A floor polygon with `corners` (x, y) [m]; a base stays inside traversable and outside keep_out regions."""
 
     name: str
     use: Literal["traversable", "keep_out"]
@@ -58,7 +57,7 @@ class Region(_MapElement, frozen=True):
 
 
 class PlacePose(msgspec.Struct, frozen=True):
-    """Where a place is in some frame: `position` [m] and `yaw` [rad]."""
+    """The pose of a place in some frame: `position` [m] and `yaw` [rad]."""
 
     name: str
     position: tuple[float, float, float]
@@ -66,7 +65,7 @@ class PlacePose(msgspec.Struct, frozen=True):
 
 
 class RoomMap(_MapElement, frozen=True):
-    """A map in its own frame called `frame`; every other frame is given in it. Raises ValueError if it is not sound."""
+    """A map in the frame `frame`, in which all other frames are given; raises `ValueError` if it is invalid."""
 
     kind: Literal["map"]
     title: ShortText
@@ -84,26 +83,26 @@ class RoomMap(_MapElement, frozen=True):
             if place.region:
                 _check_polygon(place.name, place.region, convex=False)
                 if not is_inside_polygon(place.position[:2], place.region):
-                    raise ValueError(f"place {place.name!r} lies outside its own region")
+                    raise ValueError(f"place {place.name!r} is outside its own region")
         for region in self.regions:
             _check_polygon(region.name, region.corners, convex=True)
         for frame in self.frames:
             _check_numbers(frame.name, *frame.position, frame.yaw)
 
     def place_poses(self, frame: str) -> tuple[PlacePose, ...]:
-        """Every place, seen from `frame`; raises `UnknownName`."""
+        """The pose of every place in `frame`; raises `UnknownNameError`."""
         return tuple(
             PlacePose(one.name, *self._transform(one.frame, frame, one.position, one.yaw)) for one in self.places
         )
 
     def scene_places(self, frame: str) -> tuple[Place, ...]:
-        """The places as a scene knows them, in the scene's frame."""
+        """The places as scene places, in the frame `frame` of the scene; raises `UnknownNameError`."""
         return tuple(Place(one.name, one.position) for one in self.place_poses(frame))
 
     def polygons(
         self, frame: str, use: Literal["traversable", "keep_out"]
     ) -> tuple[tuple[str, tuple[Point, ...]], ...]:
-        """Name and corners, counter-clockwise and seen from `frame`, of the regions with this `use`."""
+        """Name and counter-clockwise corners (x, y) [m] in `frame` of the regions with this `use`."""
         return tuple(
             (
                 one.name,
@@ -116,22 +115,22 @@ class RoomMap(_MapElement, frozen=True):
         )
 
     def places_containing(self, point: Point, frame: str) -> tuple[str, ...]:
-        """The places whose region holds `point` (x, y) [m] of `frame`."""
-        found: list[str] = []
+        """Names of the places whose region contains `point` (x, y) [m] in `frame`; raises `UnknownNameError`."""
+        names: list[str] = []
         for place in self.places:
             (x, y, _), _ = self._transform(frame, place.frame, (*point, 0.0))
             if place.region and is_inside_polygon((x, y), place.region):
-                found.append(place.name)
-        return tuple(found)
+                names.append(place.name)
+        return tuple(names)
 
     def _transform(
         self, source: str, target: str, position: tuple[float, float, float], yaw: float = 0.0
     ) -> tuple[tuple[float, float, float], float]:
-        """A pose given in `source`, seen from `target`: T_target_map T_map_source p."""
-        one, other = self._frame(source), self._frame(target)
-        (x, y, z), turn = _rotate(position, one.yaw), one.yaw - other.yaw
-        moved = (x + one.position[0] - other.position[0], y + one.position[1] - other.position[1])
-        return _rotate((*moved, z + one.position[2] - other.position[2]), -other.yaw), yaw + turn
+        """A pose in `source`, expressed in `target`: T_target_map T_map_source p."""
+        old, new = self._frame(source), self._frame(target)
+        (x, y, z), rotation = _rotate(position, old.yaw), old.yaw - new.yaw
+        xy = (x + old.position[0] - new.position[0], y + old.position[1] - new.position[1])
+        return _rotate((*xy, z + old.position[2] - new.position[2]), -new.yaw), yaw + rotation
 
     def _frame(self, name: str) -> MapFrame:
         if name in {"", self.frame}:
@@ -143,7 +142,7 @@ class RoomMap(_MapElement, frozen=True):
 
 
 def is_inside_polygon(point: Point, polygon: tuple[Point, ...]) -> bool:
-    """Whether `point` lies in the simple `polygon` (even-odd rule; on the border either may be said)."""
+    """Whether `point` is in the simple `polygon` (even-odd rule; on the border the result is arbitrary)."""
     x, y = point
     odd = False
     for (ax, ay), (bx, by) in zip(polygon, polygon[1:] + polygon[:1], strict=True):
@@ -158,7 +157,7 @@ def _rotate(position: tuple[float, float, float], yaw: float) -> tuple[float, fl
 
 
 def _doubled_area(polygon: tuple[Point, ...]) -> float:
-    """Twice the signed area; positive when counter-clockwise."""
+    """Twice the signed area; positive for a counter-clockwise polygon."""
     return sum(ax * by - bx * ay for (ax, ay), (bx, by) in zip(polygon, polygon[1:] + polygon[:1], strict=True))
 
 
@@ -169,14 +168,14 @@ def _counter_clockwise(polygon: tuple[Point, ...]) -> tuple[Point, ...]:
 def _check_polygon(name: str, polygon: tuple[Point, ...], *, convex: bool) -> None:
     _check_numbers(name, *(value for point in polygon for value in point))
     if len(polygon) < 3 or abs(_doubled_area(polygon)) < 1e-6:
-        raise ValueError(f"the corners of {name!r} enclose nothing")
+        raise ValueError(f"the corners of {name!r} enclose no area")
     if convex and not _is_convex(_counter_clockwise(polygon)):
-        hint = "a room with corners inward is its convex hull with keep_out regions"
+        hint = "describe a non-convex room by its convex hull and keep_out regions"
         raise ValueError(f"region {name!r} is not a convex polygon; {hint}")
 
 
 def _is_convex(polygon: tuple[Point, ...]) -> bool:
-    """Whether a counter-clockwise polygon turns left at every corner, once around (a star turns left too)."""
+    """Whether a counter-clockwise polygon turns left at every corner, and winds once (a star winds more often)."""
     edges = [(bx - ax, by - ay) for (ax, ay), (bx, by) in zip(polygon, polygon[1:] + polygon[:1], strict=True)]
     pairs = list(zip(edges, edges[1:] + edges[:1], strict=True))
     descents = sum(one[1] >= 0.0 > other[1] for one, other in pairs)
@@ -186,12 +185,12 @@ def _is_convex(polygon: tuple[Point, ...]) -> bool:
 def _check_numbers(name: str, *numbers: float) -> None:
     wrong = [number for number in numbers if not (isfinite(number) and abs(number) <= MAX_COORDINATE)]
     if wrong:
-        raise ValueError(f"{name!r}: {wrong[0]!r} is no coordinate in metres or radians")
+        raise ValueError(f"{name!r}: {wrong[0]!r} is not a coordinate in metres or radians")
 
 
-def _check_names(chart: RoomMap) -> None:
-    """Identifiers, each once; only frames that are there."""
-    groups = (chart.places, chart.regions, (*chart.frames, MapFrame(chart.frame, (0.0, 0.0, 0.0))))
+def _check_names(room_map: RoomMap) -> None:
+    """Check that names are identifiers, each used once, and that all frames exist."""
+    groups = (room_map.places, room_map.regions, (*room_map.frames, MapFrame(room_map.frame, (0.0, 0.0, 0.0))))
     for group in groups:
         names = [one.name for one in group]
         try:
@@ -199,8 +198,8 @@ def _check_names(chart: RoomMap) -> None:
         except ConfigurationError as error:
             raise ValueError(str(error)) from error
         if len(set(names)) < len(names):
-            raise ValueError(f"a name stands twice: {sorted(name for name in names if names.count(name) > 1)[0]!r}")
+            raise ValueError(f"a name occurs twice: {sorted(name for name in names if names.count(name) > 1)[0]!r}")
     frames = {"", *(one.name for one in groups[2])}
-    unknown = {one.frame for one in (*chart.places, *chart.regions)} - frames
+    unknown = {one.frame for one in (*room_map.places, *room_map.regions)} - frames
     if unknown:
         raise ValueError(f"frame {sorted(unknown)[0]!r} is not in this map")

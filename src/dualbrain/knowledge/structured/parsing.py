@@ -1,4 +1,4 @@
-"""Maps and templates are documents with a structure: TOML or JSON that says `kind = "map"` or `kind = "template"`."""
+"""Parsing of structured documents: maps and templates are TOML or JSON with `kind = "map"` or `kind = "template"`."""
 
 from __future__ import annotations
 
@@ -13,42 +13,42 @@ from dualbrain.knowledge.rejection import DocumentRejected
 
 T = TypeVar("T")
 MAX_NESTING = 16
-"""Brackets within brackets."""
+"""Largest nesting of brackets."""
 
 
-def parse_structured(reading: DocumentText, what: type[T]) -> T | DocumentRejected:
-    """The reading as a `what`, with every field that it must have and no other."""
-    raw = parse_fields(reading)
+def parse_structured(document_text: DocumentText, structure: type[T]) -> T | DocumentRejected:
+    """The document text as a `structure`, which must have all required fields and no unknown ones."""
+    raw = parse_fields(document_text)
     if isinstance(raw, DocumentRejected):
         return raw
     try:
-        return msgspec.convert(raw, what)
+        return msgspec.convert(raw, structure)
     except msgspec.ValidationError as error:
-        return DocumentRejected(f"a {raw.get('kind', 'document')}", str(error), f"the fields of {what.__name__}")
+        return DocumentRejected(f"a {raw.get('kind', 'document')}", str(error), f"the fields of {structure.__name__}")
     except ValueError as error:
-        return DocumentRejected(f"a {raw.get('kind', 'document')}", str(error), f"a sound {what.__name__}")
+        return DocumentRejected(f"a {raw.get('kind', 'document')}", str(error), f"a valid {structure.__name__}")
 
 
-def parse_fields(reading: DocumentText) -> dict[str, Any] | DocumentRejected:
+def parse_fields(document_text: DocumentText) -> dict[str, Any] | DocumentRejected:
     """The top-level fields of a TOML or JSON document."""
-    if reading.media not in {"toml", "json"}:
-        return DocumentRejected("format of a map or template", reading.media, "toml or json")
+    if document_text.media not in {"toml", "json"}:
+        return DocumentRejected("format of a map or template", document_text.media, "toml or json")
     depth = deepest = 0
-    for character in reading.text:
+    for character in document_text.text:
         depth += (character in "[{") - (character in "]}")
         deepest = max(deepest, depth)
     if deepest > MAX_NESTING:
         return DocumentRejected("nesting", f"{deepest} levels", f"{MAX_NESTING} levels")
     try:
-        found: Any = (tomllib if reading.media == "toml" else json).loads(reading.text)
+        found: Any = (tomllib if document_text.media == "toml" else json).loads(document_text.text)
     except ValueError as error:
-        return DocumentRejected(f"broken {reading.media}", str(error)[:200], f"valid {reading.media}")
+        return DocumentRejected(f"broken {document_text.media}", str(error)[:200], f"valid {document_text.media}")
     if isinstance(found, dict):
         return cast("dict[str, Any]", found)
     return DocumentRejected("a document", type(found).__name__, "fields with names")
 
 
-def declared_kind(reading: DocumentText) -> str:
-    """The `kind` that a TOML or JSON document gives itself, "" if it gives none."""
-    found = parse_fields(reading) if reading.media in {"toml", "json"} else {}
+def declared_kind(document_text: DocumentText) -> str:
+    """The `kind` that a TOML or JSON document declares; "" if it declares none."""
+    found = parse_fields(document_text) if document_text.media in {"toml", "json"} else {}
     return "" if isinstance(found, DocumentRejected) else str(found.get("kind", ""))

@@ -1,4 +1,4 @@
-"""Task templates: contracts with slots, shown to a planner only if the gate itself would accept them once filled."""
+"""Task templates: contracts with slots, shown to a planner only if the gate accepts them with filled slots."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from dualbrain.contracts.verdict import Rejected
 
 _SLOT = re.compile(r"\{([a-z][a-z0-9_]{0,31})\}")
 _TEMPLATE_PRINCIPAL = "template"
-"""The principal under which a template is looked at; it holds every grant, and nothing is run."""
+"""Principal for checking a template; it has every grant, and nothing is executed."""
 
 
 class TemplateStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One action; a parameter that is "{slot}" stands for a name of the scene."""
+    """One action; a parameter "{slot}" represents a name in the scene."""
 
     skill: str
     params: dict[str, float | str]
 
 
 class Template(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A contract skeleton: when to use it, its `slots` (slot → which names may stand there) and its actions."""
+    """A contract with slots: its use, the kind of names for each slot (`slots`), and its actions."""
 
     name: Annotated[str, msgspec.Meta(pattern="^[a-z][a-z0-9_]{0,31}$")]
     use_when: Annotated[str, msgspec.Meta(max_length=300)]
@@ -34,13 +34,13 @@ class Template(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     action_sequence: Annotated[tuple[TemplateStep, ...], msgspec.Meta(min_length=1, max_length=8)]
 
     def __post_init__(self) -> None:
-        """Raise ValueError unless the slots that are declared are those that are used."""
+        """Raise `ValueError` unless exactly the declared slots are used."""
         used = {slot for step in self.action_sequence for value in step.params.values() for slot in _slot_names(value)}
         if used != self.slots.keys():
             raise ValueError(f"template {self.name!r}: slots {sorted(self.slots)}, but {sorted(used)} are used")
 
     def fill_slots(self, names: dict[str, str]) -> list[dict[str, Any]]:
-        """The action sequence with `names` (slot → name of the scene) in place of the slots."""
+        """The action sequence with the slots replaced by `names` (slot → name in the scene)."""
 
         def fill(value: float | str) -> float | str:
             slot = _slot_names(value)
@@ -52,13 +52,13 @@ class Template(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         ]
 
     def prompt_text(self) -> str:
-        """For a prompt: when to use it, and the skeleton as one line of JSON."""
-        skeleton = json.dumps(msgspec.to_builtins(self.action_sequence), separators=(",", ":"))
-        return f"{self.use_when} {skeleton}"
+        """Text for a prompt: the use of the template, and its actions as one line of JSON."""
+        actions = json.dumps(msgspec.to_builtins(self.action_sequence), separators=(",", ":"))
+        return f"{self.use_when} {actions}"
 
 
 class TaskTemplates(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A document of templates for the robots it names."""
+    """A document with templates for the robots that it names."""
 
     kind: Literal["template"]
     title: Annotated[str, msgspec.Meta(max_length=200)]
@@ -68,16 +68,16 @@ class TaskTemplates(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
 
 def check_template(template: Template, registry: SkillRegistry) -> Rejected | None:
-    """What the gate says of `template` for `registry`, with a made-up name in each slot; None: it would be accepted.
+    """The gate's rejection of `template` for `registry` with a placeholder in each slot; None if it is accepted.
 
-    All three stages run on a whole contract. What needs a real scene (reach, the hand's state) is judged when a
-    contract made from it comes to the real gate, like any other.
+    All three stages of the gate check a complete contract. Properties of a real scene (reach, state of the gripper) are
+    checked when a contract from this template reaches the gate, like any other contract.
     """
-    stand_in = {slot: f"any_{slot}" for slot in template.slots}
-    graspable = tuple(stand_in[slot] for slot, of in template.slots.items() if of in {"graspable", "any"})
-    receptive = tuple(stand_in[slot] for slot, of in template.slots.items() if of == "receptive")
+    placeholder = {slot: f"any_{slot}" for slot in template.slots}
+    graspable = tuple(placeholder[slot] for slot, kind in template.slots.items() if kind in {"graspable", "any"})
+    receptive = tuple(placeholder[slot] for slot, kind in template.slots.items() if kind == "receptive")
     context = {"robot": registry.robot, "registry": registry.hash}
-    contract = {"id": "c-0001", "context": context, "action_sequence": template.fill_slots(stand_in)}
+    contract = {"id": "c-0001", "context": context, "action_sequence": template.fill_slots(placeholder)}
     gate = Gate(registry, {_TEMPLATE_PRINCIPAL: frozenset(registry.by_name)})
     verdict = gate.check(
         json.dumps(contract).encode(), names=SceneNames(graspable, receptive), principal=_TEMPLATE_PRINCIPAL, now=0.0
