@@ -14,10 +14,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.memory.ledger.writer_lock import LedgerInUseError
 from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.memory.ledger.hash_chain import GENESIS, CorruptLedgerError, Head, event_digest
 from dualbrain.memory.ledger.ledger import Ledger, LedgerReader, PendingEvent, StoredVector
+from dualbrain.memory.ledger.writer_lock import LedgerInUseError
 from tests.memory.ledger import crash_writer
 from tests.memory.memory_samples import INTERPRETER, NOW, open_ledger
 
