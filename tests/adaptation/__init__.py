@@ -1,1 +1,1 @@
-"""Tests of the adaptation room."""
+"""Tests of the package `adaptation`."""

@@ -1,4 +1,4 @@
-"""Small episodes of the Panda, and ledgers of them, that the tests of this room share."""
+"""Small episodes of the Panda, and ledgers of them, shared by the tests of adaptation."""
 
 import msgspec
 
@@ -75,7 +75,7 @@ def episode(
 ):
     contract = plan or pick_contract(robot=robot, registry=registry)
     proposal = Proposal(
-        text="{}", finish_reason="stop", planner=proposer, constrained_by="nobody", timings={"total": 0.1}
+        text="{}", finish_reason="stop", planner=proposer, constrained_by="nothing", timings={"total": 0.1}
     )
     verdict = Accepted(msgspec.convert(contract, Contract))
     return Episode(
@@ -99,7 +99,7 @@ def episode(
 
 
 def write_ledger(folder, episodes, then=lambda memory: None):
-    """A ledger of `episodes` in `folder`, opened for reading, after `then` was done to the memory."""
+    """A ledger of `episodes` in `folder`, opened for reading after `then` has changed the memory."""
     path = folder / "ledger.sqlite"
     with Ledger(path, holder="a test", now=NOW) as ledger:
         memory = Memory(ledger, HashingEncoder(32), CONFIG)

@@ -1,4 +1,4 @@
-"""Lessons in the language of contracts: valid, random, of their own part, and nothing in them knows a body."""
+"""Synthetic examples: valid, random, of their own part of the split, and without knowledge of any robot."""
 
 import json
 import re
@@ -30,25 +30,25 @@ REGISTRIES = {robot: load_skill_registry(robot) for robot in ROBOT_SHARES}
 
 
 @pytest.fixture(scope="module")
-def taught():
+def train():
     return generate_examples(250, "teach", seed=5)
 
 
 @pytest.fixture(scope="module")
-def tested():
+def test_part():
     return generate_examples(60, "test", seed=5)
 
 
-def question(sample):
+def question_text(sample):
     return sample.prompt[-1]["content"]
 
 
-def words(sample):
-    return re.search("<instruction>\n(.*)\n</instruction>", question(sample)).group(1)
+def instruction_text(sample):
+    return re.search("<instruction>\n(.*)\n</instruction>", question_text(sample)).group(1)
 
 
-def shown(sample):
-    steps = re.findall("<example>\n(.*)\n</example>", question(sample))
+def shown_exemplars(sample):
+    steps = re.findall("<example>\n(.*)\n</example>", question_text(sample))
     return [[msgspec.convert(step, Action) for step in json.loads(one)] for one in steps]
 
 
@@ -56,26 +56,26 @@ def contract(sample):
     return msgspec.json.decode(sample.contract, type=Contract)
 
 
-def test_the_gate_of_the_scene_accepts_every_answer(taught, tested):
-    for sample in (*taught[:80], *tested):
+def test_the_gate_of_the_scene_accepts_every_answer(train, test_part):
+    for sample in (*train[:80], *test_part):
         assert scene_context_by_name(sample.scene).accepts(sample.contract.encode()), sample.contract
 
 
-def test_the_same_arguments_give_the_same_lessons_and_no_question_twice(taught):
+def test_equal_arguments_give_equal_examples_and_no_question_occurs_twice(train):
     again = generate_examples(30, "teach", seed=5)
-    assert again == taught[:30]
+    assert again == train[:30]
     assert generate_examples(30, "teach", seed=6) != again
-    assert len({question(sample) for sample in taught}) == len(taught)
+    assert len({question_text(sample) for sample in train}) == len(train)
 
 
-def test_no_scene_or_thing_that_is_held_out_is_taught(taught, tested):
-    for sample in taught:
+def test_the_training_part_contains_no_held_out_scene_or_object(train, test_part):
+    for sample in train:
         family, seed = re.search(r" (\w+):(\d+)$", sample.scene).groups()
         assert family != HELD_OUT_FAMILY
         assert int(seed) in SCENE_SEEDS["teach"]
         assert not [name for name in sample.graspable if name.rpartition("_")[2] in HELD_OUT_CATEGORIES]
-    assert any(HELD_OUT_FAMILY in sample.scene for sample in tested)
-    assert any("_carton" in name or "_bottle" in name for sample in tested for name in sample.graspable)
+    assert any(HELD_OUT_FAMILY in sample.scene for sample in test_part)
+    assert any("_carton" in name or "_bottle" in name for sample in test_part for name in sample.graspable)
 
 
 def pattern(sentence):
@@ -83,23 +83,25 @@ def pattern(sentence):
 
 
 @pytest.mark.parametrize("drives", [False, True])
-def test_a_sentence_is_taught_or_tested_never_both(taught, drives):
-    mine, theirs = (load_phrasings(drives, part).sentences for part in ("teach", "test"))
-    assert mine.keys() == theirs.keys()
-    assert not {s for some in mine.values() for s in some} & {s for some in theirs.values() for s in some}
-    said = [words(sample) for sample in taught if ("base" in sample.scene.split()[0]) == drives]
-    for sentence in said:
-        assert any(pattern(one).fullmatch(sentence) for some in mine.values() for one in some), sentence
+def test_no_sentence_is_in_both_the_training_and_the_test_part(train, drives):
+    train_sentences, test_sentences = (load_phrasings(drives, part).sentences for part in ("teach", "test"))
+    assert train_sentences.keys() == test_sentences.keys()
+    assert not {s for some in train_sentences.values() for s in some} & {
+        s for some in test_sentences.values() for s in some
+    }
+    instructions = [instruction_text(sample) for sample in train if ("base" in sample.scene.split()[0]) == drives]
+    for sentence in instructions:
+        assert any(pattern(one).fullmatch(sentence) for some in train_sentences.values() for one in some), sentence
 
 
-def test_every_skill_a_sentence_can_ask_for_is_taught(taught):
-    skills = Counter(action.skill for sample in taught for action in contract(sample).action_sequence)
+def test_every_skill_that_a_sentence_can_request_occurs(train):
+    skills = Counter(action.skill for sample in train for action in contract(sample).action_sequence)
     assert {"grasp", "place", "push", "move_to", "hold", "home", "drive_to", "turn_to", "decline"} <= skills.keys()
 
 
-def test_parameters_are_spread_over_their_bounds(taught):
-    """Nothing is preferred but what the gate lets through: each choice, and both halves of each range, often."""
-    grasps = [a for sample in taught for a in contract(sample).action_sequence if a.skill == "grasp"]
+def test_parameters_are_spread_over_their_bounds(train):
+    """No value is preferred except by the gate: each choice, and both halves of each range, occur often."""
+    grasps = [a for sample in train for a in contract(sample).action_sequence if a.skill == "grasp"]
     for spec in REGISTRIES["panda"].skill("grasp").parameters:
         values = [action.params[spec.name] for action in grasps]
         if isinstance(spec, ChoiceParameter):
@@ -109,22 +111,22 @@ def test_parameters_are_spread_over_their_bounds(taught):
             assert 0.25 < low < 0.75, spec.name
 
 
-def test_a_robot_that_drives_hears_of_its_places_in_either_order_and_alone():
-    """Until 2026-11-23 two places were always the shelf and then the charger, and "go to the shelf" became both."""
+def test_a_mobile_robot_visits_its_places_in_either_order_and_alone():
+    """Regression: two places were always the shelf and then the charger, and "go to the shelf" became both."""
     routes = Counter(
         tuple(action.params["place"] for action in contract(one).action_sequence if action.skill == "drive_to")
         for one in generate_examples(150, "teach", 5, {"base": 1.0}, exemplar_share=0.0)
     )
-    there, back = routes["shelf", "charger"], routes["charger", "shelf"]
-    assert min(there, back) > 10
-    assert max(there, back) < 2 * min(there, back)
-    assert routes["shelf",] + routes["charger",] > there + back
+    shelf_first, charger_first = routes["shelf", "charger"], routes["charger", "shelf"]
+    assert min(shelf_first, charger_first) > 10
+    assert max(shelf_first, charger_first) < 2 * min(shelf_first, charger_first)
+    assert routes["shelf",] + routes["charger",] > shelf_first + charger_first
 
 
-def test_an_exemplar_is_followed_as_often_as_declared(taught):
+def test_answers_copy_from_the_first_exemplar_as_often_as_declared(train):
     followed = []
-    for sample in taught:
-        first = next(iter(shown(sample)), [])
+    for sample in train:
+        first = next(iter(shown_exemplars(sample)), [])
         registry = REGISTRIES[sample.scene.split()[0]]
         for action in contract(sample).action_sequence:
             models = [one for one in first if one.skill == action.skill and action.skill not in ("hold", "turn_to")]
@@ -132,24 +134,24 @@ def test_an_exemplar_is_followed_as_often_as_declared(taught):
                 followed.append(free_parameters(registry, action) in [free_parameters(registry, m) for m in models])
     assert len(followed) > 60
     assert abs(np.mean(followed) - FOLLOW_SHARE) < 0.15
-    assert 0.3 < np.mean([bool(shown(sample)) for sample in taught]) < 0.7
+    assert 0.3 < np.mean([bool(shown_exemplars(sample)) for sample in train]) < 0.7
 
 
-def test_an_exemplar_reads_as_a_contract_does(taught):
-    for sample in taught[:40]:
+def test_an_exemplar_has_the_text_of_a_contract(train):
+    for sample in train[:40]:
         steps = sample.contract.partition('"action_sequence":')[2][:-1]
         assert exemplar_steps(json.loads(sample.contract)) == (steps if len(steps) <= STEPS_LIMIT else "")
 
 
-def test_a_refusal_answers_what_cannot_be_done(taught):
-    for sample in taught:
-        refuses = contract(sample).action_sequence[0].skill == "decline"
-        if refuses and (missing := re.search("there is no ([a-z ]+) here", sample.contract)):
-            assert missing.group(1) in words(sample).lower()
+def test_a_decline_names_a_missing_object_of_the_instruction(train):
+    for sample in train:
+        declines = contract(sample).action_sequence[0].skill == "decline"
+        if declines and (missing := re.search("there is no ([a-z ]+) here", sample.contract)):
+            assert missing.group(1) in instruction_text(sample).lower()
             assert missing.group(1).replace(" ", "_") not in (*sample.graspable, *sample.receptive)
 
 
-def test_numbers_stay_within_their_bounds_and_are_short():
+def test_drawn_numbers_are_within_their_bounds_and_have_few_digits():
     rng = np.random.default_rng(1)
     for lower, upper in ((0.05, 0.4), (-3.1416, 3.1416), (10.0, 60.0), (0.02, 0.085), (0.3, 0.3), (0.0, 1000.0)):
         spec = NumberParameter(name="x", unit="m", lower=lower, upper=upper, lower_from="a", upper_from="b")
@@ -158,49 +160,49 @@ def test_numbers_stay_within_their_bounds_and_are_short():
         assert len(set(drawn)) > (5 if upper > lower else 0)
 
 
-def test_another_file_of_lessons_is_refused(monkeypatch):
-    monkeypatch.setattr(templates, "LESSONS_SHA256", "0" * 64)
+def test_another_template_file_is_rejected(monkeypatch):
+    monkeypatch.setattr(templates, "TEMPLATE_FILE_SHA256", "0" * 64)
     templates.load_templates.cache_clear()
-    with pytest.raises(ChecksumError, match=r"lessons\.toml"):
+    with pytest.raises(ChecksumError, match=r"templates\.toml"):
         templates.load_templates()
     monkeypatch.undo()
     templates.load_templates.cache_clear()
     templates.load_templates()
 
 
-def test_a_course_names_every_vocabulary_and_who_proposed(taught):
-    made = build_synthetic_dataset(taught[:20], taught[20:24], REGISTRIES)
+def test_a_synthetic_data_set_names_every_vocabulary_and_its_source(train):
+    made = build_synthetic_dataset(train[:20], train[20:24], REGISTRIES)
     assert (made.card.robot, made.card.registry) == ("panda", REGISTRIES["panda"].hash)
     assert made.card.also == {name: REGISTRIES[name].hash for name in ("ur5e", "base")}
     assert made.card.sources == {"templates": 24}
     assert (made.card.train, made.card.held_out) == (20, 4)
 
 
-def changed(sample, **params):
-    told = msgspec.to_builtins(contract(sample))
-    told["action_sequence"][0]["params"] |= params
-    return json.dumps(told)
+def with_parameters(sample, **params):
+    fields = msgspec.to_builtins(contract(sample))
+    fields["action_sequence"][0]["params"] |= params
+    return json.dumps(fields)
 
 
-def test_an_answer_is_scored_by_what_was_asked(taught):
-    sample = next(s for s in taught if s.scene.startswith("panda") and '"place"' in s.contract and len(s.graspable) > 2)
-    setting = scene_context_by_name(sample.scene)
+def test_an_answer_is_scored_against_the_instruction(train):
+    sample = next(s for s in train if s.scene.startswith("panda") and '"place"' in s.contract and len(s.graspable) > 2)
+    context = scene_context_by_name(sample.scene)
     first = contract(sample).action_sequence[0].params
     other = next(name for name in sample.graspable if name != first["object"])
 
-    def told(text):
-        found = score_answer(text, sample.contract, setting.registry, setting.accepts)
+    def scores(text):
+        found = score_answer(text, sample.contract, context.registry, context.accepts)
         return found.json, found.compliant, found.skills, found.named, found.is_right
 
     decline = sample.contract.partition('"action_sequence"')[0]
     decline += '"action_sequence":[{"skill":"decline","params":{"reason":"no"}}]}'
-    assert told(sample.contract) == (True, True, True, True, True)
-    assert told(changed(sample, speed=0.123)) == (True, True, True, True, True)
-    assert told(changed(sample, speed=99))[1:] == (False, True, True, False)
-    assert told(changed(sample, object=other))[3] is False
-    assert told(decline)[1:] == (False, False, False, False)
-    assert told("[" * 100_000) == (False,) * 5
-    assert told('{"id": 1}') == (True, False, False, False, False)
+    assert scores(sample.contract) == (True, True, True, True, True)
+    assert scores(with_parameters(sample, speed=0.123)) == (True, True, True, True, True)
+    assert scores(with_parameters(sample, speed=99))[1:] == (False, True, True, False)
+    assert scores(with_parameters(sample, object=other))[3] is False
+    assert scores(decline)[1:] == (False, False, False, False)
+    assert scores("[" * 100_000) == (False,) * 5
+    assert scores('{"id": 1}') == (True, False, False, False, False)
     judge = make_language_judge(REGISTRIES)
     assert judge(sample.contract, sample)
     assert not judge(decline, sample)

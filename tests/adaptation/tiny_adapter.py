@@ -1,4 +1,4 @@
-"""A tiny base in a cache and in the manifest, and adapters for it with cards, as a fit leaves them."""
+"""A tiny base in a cache and in the manifest, and adapters for it with cards, as training leaves them."""
 
 import hashlib
 
@@ -14,7 +14,7 @@ BASE = "tiny"
 
 
 def install_base(cache, patch):
-    """The base's file in `cache`, its entry in the manifest, and the torch model."""
+    """Write the base's file to `cache` and its entry to the manifest; returns the torch model."""
     cache.mkdir(exist_ok=True)
     made = model("llama")
     path = write_gguf(made, "llama", cache / "tiny.gguf")
@@ -28,8 +28,8 @@ def install_base(cache, patch):
 
 
 def write_adapter(made, folder, seed=5, size=0.1, **changed):
-    """An adapter in `folder` on the torch model `made`; returns the model that wears it, and its card."""
-    worn = random_adapter(made, folder, seed=seed, size=size)
+    """Write an adapter on the torch model `made` to `folder`; returns the model with the adapter, and its card."""
+    adapted = random_adapter(made, folder, seed=seed, size=size)
     facts = {
         "id": hash_weights(folder),
         "base": BASE,
@@ -48,4 +48,4 @@ def write_adapter(made, folder, seed=5, size=0.1, **changed):
     }
     card = AdapterCard(**(facts | changed))
     write_adapter_card(card, folder)
-    return worn, card
+    return adapted, card

@@ -1,4 +1,4 @@
-"""A tiny random model in torch and, with the same weights, as GGUF: what both compute can be compared."""
+"""A tiny random model in torch and, with the same weights, as GGUF, so that both computations can be compared."""
 
 import sys
 
@@ -43,7 +43,7 @@ def model(architecture, seed=0):
 
 
 def interleave_rows(rows, heads):
-    """Rows of q or k as llama.cpp has them for `llama`: written index by index, apart from the converter's way."""
+    """Rows of q or k in the order of llama.cpp for `llama`, index by index, independent of the converter."""
     half = len(rows) // heads // 2
     order = [h * 2 * half + i + part * half for h in range(heads) for i in range(half) for part in (0, 1)]
     return rows[order]
@@ -97,35 +97,35 @@ def _add_tokenizer(writer):
 
 
 class TokenizerWithMerge:
-    """The tiny words, the last of which is what the one merge in the file makes: transformers wants it to be there."""
+    """The tiny vocabulary, with the result of the file's only merge as its last token, as transformers requires."""
 
-    def __init__(self, words):
-        self._words = words
+    def __init__(self, tokenizer):
+        self._tokenizer = tokenizer
 
     def get_vocab(self):
-        vocabulary = self._words.get_vocab()
+        vocabulary = self._tokenizer.get_vocab()
         last = next(token for token, number in vocabulary.items() if number == 255)
         return {("Āā" if token == last else token): number for token, number in vocabulary.items()}
 
 
 def patch_tokenizer(patch):
-    """From now on such files are written that transformers reads, too."""
-    plain = tokenizer
-    patch.setattr(sys.modules[__name__], "tokenizer", lambda: TokenizerWithMerge(plain()))
+    """From now on, GGUF files are written that transformers can read too."""
+    original = tokenizer
+    patch.setattr(sys.modules[__name__], "tokenizer", lambda: TokenizerWithMerge(original()))
 
 
 def random_adapter(made, folder, dtype=torch.float32, seed=5, size=0.1, **changed):
-    """A random adapter on `made`, written as peft writes it, and the model that wears it."""
-    shape = LoraConfig(
+    """A random adapter on `made`, written as by peft; returns the model with the adapter."""
+    config = LoraConfig(
         **({"r": 4, "lora_alpha": 12, "target_modules": "all-linear", "task_type": "CAUSAL_LM"} | changed)
     )
-    worn = get_peft_model(made, shape, autocast_adapter_dtype=False).eval()
+    adapted = get_peft_model(made, config, autocast_adapter_dtype=False).eval()
     torch.manual_seed(seed)
     with torch.no_grad():
-        for parameter in worn.parameters():
+        for parameter in adapted.parameters():
             if parameter.requires_grad:
                 parameter.copy_((size * torch.randn_like(parameter)).to(dtype).float())
-    worn.save_pretrained(folder)
+    adapted.save_pretrained(folder)
     tensors = load_file(folder / WEIGHTS_FILE)
     save_file({name: tensor.to(dtype).contiguous() for name, tensor in tensors.items()}, folder / WEIGHTS_FILE)
-    return worn
+    return adapted

@@ -1,4 +1,4 @@
-"""A model small enough for a test: two layers, 32 numbers wide, random weights, bytes as tokens. Nothing is fetched."""
+"""A model small enough for a test: two layers, 32 numbers wide, random weights, bytes as tokens, no download."""
 
 import torch
 from tokenizers import Tokenizer, decoders, models, pre_tokenizers
@@ -47,12 +47,12 @@ def model(seed=0, layers=2, width=32, inner=48):
     return made
 
 
-def lora_model(dials=TRAINING_CONFIG):
-    return LoraModel(model(), tokenizer(), dials)
+def lora_model(config=TRAINING_CONFIG):
+    return LoraModel(model(), tokenizer(), config)
 
 
 def perturbed(one, size=0.2, seed=3):
-    """Move the adapter away from where it begins, so that it changes something."""
+    """Change the adapter of `one` at random, so that it has an effect."""
     torch.manual_seed(seed)
     with torch.no_grad():
         for parameter in one.parameters.values():
@@ -61,11 +61,11 @@ def perturbed(one, size=0.2, seed=3):
 
 
 def random_samples(n, seed=1, longest=12):
-    """Questions and answers of random tokens, of unequal length."""
+    """Prompts and contracts of random tokens, of unequal length."""
     made = torch.Generator().manual_seed(seed)
 
-    def some(least):
+    def random_tokens(least):
         length = int(torch.randint(least, longest, (1,), generator=made))
         return tuple(torch.randint(0, 250, (length,), generator=made).tolist())
 
-    return [EncodedSample(f"s{i}", some(3), (*some(2), 256)) for i in range(n)]
+    return [EncodedSample(f"s{i}", random_tokens(3), (*random_tokens(2), 256)) for i in range(n)]

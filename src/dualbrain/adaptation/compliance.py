@@ -1,4 +1,4 @@
-"""Whether a planner's free answer is a contract that the gate accepts, and how many of them are."""
+"""Compliance: whether the gate accepts an unconstrained answer of a planner, and the share of such answers."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.verdict import Accepted
 
 AnswerJudge = Callable[[str, Sample], bool]
-"""Whether a text is a sound answer to the prompt of a sample."""
+"""Whether a text is a valid answer to the prompt of a sample."""
 
 
 def make_gate_judge(registry: SkillRegistry) -> AnswerJudge:
-    """Accepts what syntax, authorization, bounds and the scene's names allow; to decline is no compliant answer here.
+    """A judge that accepts what syntax, authorization, bounds and scene names of the gate allow, but no `decline`.
 
-    Every sample was done by the robot, so that declining it is wrong; else a planner would comply by never acting. The
-    envelope's rules on geometry and body (order of the hand, opening, reach, free floor: `grounding/scene_rules.py`) are not
-    asked, for a sample holds neither; they are where a contract is carried out, and in the proofs `language`, `rounds`.
+    The robot executed the contract of every sample, so declining is wrong; otherwise a planner would comply by never
+    acting. The gate's rules on geometry and robot (order of grasp and place, opening, reach, free floor:
+    `grounding/scene_rules.py`) are not checked, because a sample contains neither; they are checked at execution and in
+    the experiments `language` and `rounds`.
     """
     gate = Gate(registry, {"planner": frozenset(registry.by_name)})
 
@@ -32,5 +33,5 @@ def make_gate_judge(registry: SkillRegistry) -> AnswerJudge:
 
 
 def compliant_share(judge: AnswerJudge, answers: Sequence[str], samples: Sequence[Sample]) -> float:
-    """The share of `answers` that are sound, in [0, 1]."""
+    """The share of `answers` that `judge` accepts, in [0, 1]."""
     return sum(judge(text, sample) for text, sample in zip(answers, samples, strict=True)) / max(1, len(samples))

@@ -1,4 +1,4 @@
-"""All dials of adaptation, from one TOML file: `[curation]`, `[objective]`, `[fit]`; the rest has its default."""
+"""All settings of adaptation, read from one TOML file: `[curation]`, `[objective]`, `[fit]`; each has a default."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from dualbrain.adaptation.curation.curate import CurationConfig
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError
 
 EntropyGate = Literal["none", "sample", "token"]
-"""What entropy does to the loss: nothing; the paper's weight of a sample; EAFT's weight of a token."""
+"""Effect of entropy on the loss: none, the paper's weight per sample, or EAFT's weight per token."""
 
 
 class ObjectiveConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """λ_w `lambda_w` and λ_H `lambda_h` of ω_i = 1 + λ_w ŵ_i + λ_H Ĥ_i, β `beta` of the KL term, and the entropy gate.
+    """Parameters of the objective: λ_w, λ_H of ω_i = 1 + λ_w ŵ_i + λ_H Ĥ_i, β of the KL term, and the entropy gate.
 
-    `lambda_h` is used by the gate "sample" only.
+    `lambda_h` has an effect with the gate "sample" only.
     """
 
     lambda_w: float = 0.5
@@ -27,7 +27,7 @@ class ObjectiveConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     entropy_gate: EntropyGate = "sample"
 
     def __post_init__(self) -> None:
-        """Raise `InvalidSetup` for a negative or endless dial: ω ≥ 1 and β ≥ 0 as in the paper."""
+        """Raise `ConfigurationError` for a negative or infinite parameter: ω ≥ 1 and β ≥ 0 as in the paper."""
         for name in ("lambda_w", "lambda_h", "beta"):
             value = getattr(self, name)
             if not 0.0 <= value < math.inf:
@@ -35,7 +35,7 @@ class ObjectiveConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 MAX_SEED = 2**63 - 1
-"""The largest seed that every source of chance takes."""
+"""The largest seed that all random generators accept."""
 INTEGER_BOUNDS = {
     "steps": (1, 1_000_000),
     "batch": (1, 4096),
@@ -49,18 +49,20 @@ INTEGER_BOUNDS = {
     "seed": (0, MAX_SEED),
     "threads": (0, 4096),
 }
-"""Least and most of each whole number of a fit. Beyond them no fit is meant, and a library would fail in its midst."""
+"""Lower and upper bound of each integer setting of training; beyond them a library would fail during training."""
 
 
 class FitConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How long and how fast.
+    """Settings of training.
 
-    `steps` optimiser steps of `batch` samples, `at_once` of them in one forward pass. The rate rises to `rate` over
-    `warm_up` steps and falls along a cosine to a tenth of it. `clip` bounds the norm of the gradient. `rank` and
-    `alpha` are LoRA's r and α. Every `save_every` steps a checkpoint is written, and the held-out part is asked (at
-    most `ask_at_most` questions); after `patience` rounds without progress it stops. `keep` the best of them, or the
-    last, whatever it is, after all steps: then it is asked once, at the end. `precision` "auto" is bf16 where the
-    device multiplies in it, else float32. `quantise` "nf4" keeps the frozen layers in 4 bits (QLoRA).
+    `steps` optimiser steps of `batch` samples, `at_once` of them in one forward pass. The learning rate rises to `rate`
+    over `warm_up` steps and then falls along a cosine to a tenth of it. `clip` bounds the gradient norm. `rank` and
+    `alpha` are r and α of LoRA. Every `save_every` steps a checkpoint is written and the held-out part is evaluated (on
+    at most `ask_at_most` questions); training stops after `patience` evaluations without improvement. `keep` "best"
+    keeps the adapter of the best evaluation; "last" takes all steps, keeps the last adapter and evaluates it once.
+    `seed` initialises adapter and order of samples; `threads` is the number of processor threads (0: one). `precision`
+    "auto" is bf16 if the device multiplies in bf16, else float32. `quantise` "nf4" keeps the frozen layers in 4 bits
+    (QLoRA).
     """
 
     steps: int = 120
@@ -81,7 +83,7 @@ class FitConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     quantise: Literal["none", "nf4"] = "none"
 
     def __post_init__(self) -> None:
-        """Raise `InvalidSetup` for what cannot be."""
+        """Raise `ConfigurationError` for a setting that is out of bounds."""
         for name, (least, most) in INTEGER_BOUNDS.items():
             if not least <= (got := getattr(self, name)) <= most:
                 raise ConfigurationError(f"fit {name}", got=got, allowed=f"{least} to {most}")
@@ -93,7 +95,7 @@ class FitConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 
 class AdaptConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Everything that decides what is taught and how; written beside the adapter it made."""
+    """All settings that determine data set and training; stored beside the resulting adapter."""
 
     curation: CurationConfig = CurationConfig()
     objective: ObjectiveConfig = ObjectiveConfig()
@@ -101,13 +103,9 @@ class AdaptConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def read_config(path: Path) -> AdaptConfig:
-    """The dials in the TOML file at `path`; raises `InvalidSetup` naming the dial that is wrong or unknown."""
+    """The settings in the TOML file at `path`; `ConfigurationError` names a wrong or unknown setting."""
     try:
         return msgspec.toml.decode(path.read_bytes(), type=AdaptConfig)
     except DECODE_ERRORS as error:
-        raise ConfigurationError(
-            "adaptation config",
-            got=str(error),
-            allowed="the dials of `[curation]`, `[objective]`, `[fit]`",
-            fix=str(path),
-        ) from error
+        fix = f"Use the settings of `[curation]`, `[objective]` and `[fit]`. {path}"
+        raise ConfigurationError.stating(f"The adaptation config cannot be read: {error}.", fix=fix) from error

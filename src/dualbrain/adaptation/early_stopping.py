@@ -1,17 +1,17 @@
-"""Early stopping: is the planner still getting better on what it is not trained on?"""
+"""Early stopping: training ends when the planner no longer improves on held-out data."""
 
 from __future__ import annotations
 
 import msgspec
 
 MAX_LOSS_RATIO = 0.99
-"""At equal compliance the held-out loss must fall below this part of the best to count as progress."""
+"""At equal compliance, the held-out loss must fall below this part of the best loss to count as an improvement."""
 
 
 class HeldOutResult(msgspec.Struct, frozen=True):
-    """What held-out questions gave at `step`: mean cross-entropy [nats/token], share of compliant free answers.
+    """Result on held-out questions at `step`: mean cross-entropy [nats/token] and share of compliant answers.
 
-    The share is None where nothing was asked.
+    The share is None if no question was asked.
     """
 
     step: int
@@ -19,7 +19,10 @@ class HeldOutResult(msgspec.Struct, frozen=True):
     loss: float
 
     def is_better_than(self, other: HeldOutResult | None) -> bool:
-        """More compliant, or as compliant at a loss that is lower by 1 %: form comes first, values follow later."""
+        """Whether it is more compliant than `other`, or as compliant with a loss at least 1 % lower.
+
+        Compliance comes first because a planner learns the form of contracts before their values.
+        """
         if other is None:
             return True
         if self.compliance is not None and other.compliance is not None and self.compliance != other.compliance:
@@ -28,11 +31,11 @@ class HeldOutResult(msgspec.Struct, frozen=True):
 
 
 class EarlyStopping(msgspec.Struct, frozen=True):
-    """The best so far, and for how many rounds nothing was better."""
+    """The best result so far, and the number of evaluations since then."""
 
     best: HeldOutResult | None = None
     waited: int = 0
 
     def updated(self, found: HeldOutResult) -> EarlyStopping:
-        """What `found` changes."""
+        """The state after the result `found`."""
         return EarlyStopping(found, 0) if found.is_better_than(self.best) else EarlyStopping(self.best, self.waited + 1)

@@ -1,7 +1,6 @@
-"""Whether now is a time to learn: a robot that rests, a machine with little to do, no battery that runs down.
+"""Scheduling of training in idle time: while the robot rests, the machine has little load and runs on mains power.
 
-Looking disturbs nobody: no lock is taken and no socket is opened, for a robot that starts at that moment must find both
-free.
+The checks take no lock and open no socket, so they cannot disturb a robot that starts at the same moment.
 """
 
 from __future__ import annotations
@@ -19,12 +18,16 @@ from dualbrain.memory.ledger.writer_lock import current_holder
 
 PROC_NET_UNIX, POWER_SUPPLY = Path("/proc/net/unix"), Path("/sys/class/power_supply")
 MAX_LOAD_TO_START, MAX_LOAD_TO_CONTINUE = 0.5, 0.75
-"""Load a processor: below the first, learning begins; what others add must stay below the second while it goes on."""
+"""Limits of the load per processor: training starts below the first and continues while other processes stay below the
+second."""
 
 
 @dataclass(frozen=True, slots=True)
 class MachineLoad:
-    """How busy it is: `load` (processes that run or wait, mean of a minute), `processors`, running `on_battery`."""
+    """The load of the machine.
+
+    `load` is the number of running or waiting processes (mean of a minute), `processors` the number of processors.
+    """
 
     load: float
     processors: int
@@ -32,16 +35,16 @@ class MachineLoad:
 
 
 def read_machine_load(power: Path = POWER_SUPPLY) -> MachineLoad:
-    """The machine as it is now; one without batteries in sight is not on battery."""
+    """The present load; a machine without visible batteries is not on battery."""
     states = [path.read_text().strip() for path in power.glob("*/status")] if power.is_dir() else []
     return MachineLoad(os.getloadavg()[0], os.cpu_count() or 1, "Discharging" in states)
 
 
 def robot_activity(ledger: Path, sockets: Sequence[Path], *, own_pid: int | None = None) -> str:
-    """Why the robot counts as working, "" if it rests; `own` is a process that does not count.
+    """Why the robot counts as active, "" if it is idle; the process `own_pid` is ignored.
 
-    A session holds its ledger's writer lock from before it moves until all is recorded; a gatekeeper listens at its
-    socket as long as it holds a robot.
+    A session holds the writer lock of its ledger from before the first motion until all is recorded; a gatekeeper
+    listens at its socket as long as it controls a robot.
     """
     holder = current_holder(ledger)
     if holder is not None and holder.pid != own_pid:
@@ -51,14 +54,14 @@ def robot_activity(ledger: Path, sockets: Sequence[Path], *, own_pid: int | None
 
 
 def blocking_reason(machine: MachineLoad, activity: str, *, own_threads: int = 0) -> str:
-    """What speaks against learning now, "" if nothing does; `own_threads` of the load are learning's own.
+    """Why training must wait now, "" if it may run; `own_threads` is the load that the training itself causes.
 
-    0 threads: it has not begun, and wants a quiet machine.
+    `own_threads` = 0 means that training has not started, and applies the stricter limit.
     """
     if activity:
         return activity
     if machine.on_battery:
-        return "the battery runs down"
+        return "the machine runs on battery"
     others = max(machine.load - own_threads, 0.0) / machine.processors
     if others > (MAX_LOAD_TO_CONTINUE if own_threads else MAX_LOAD_TO_START):
         return f"the machine is busy (load {machine.load:.1f} on {machine.processors} processors)"
@@ -66,12 +69,16 @@ def blocking_reason(machine: MachineLoad, activity: str, *, own_threads: int = 0
 
 
 PR_SET_PDEATHSIG = 1
-"""What Linux calls the wish to be sent a signal when one's parent ends."""
+"""The `prctl` option of Linux that requests a signal when the parent process ends."""
 
 
 @dataclass(frozen=True, slots=True)
 class IdleSchedulerConfig:
-    """How often to look [s], how long it must be quiet before work goes on [s], how long it may stay halted [s]."""
+    """Timing of the scheduler.
+
+    `poll_period` [s] is the period of the checks, `quiet_time` [s] the idle time before work starts or resumes, and
+    `max_halted_time` [s] the longest pause before the work is stopped.
+    """
 
     poll_period: float = 0.2
     quiet_time: float = 5.0
@@ -79,7 +86,11 @@ class IdleSchedulerConfig:
 
 
 class IdleScheduler:
-    """Runs one command in its gaps. `why_not` is told the process (None: there is none) and says what is against it."""
+    """Runs one command in idle time.
+
+    `get_blocking_reason` receives the pid of the process (None if there is none) and returns why it must wait; `report`
+    receives every change of status.
+    """
 
     def __init__(
         self,
@@ -91,7 +102,7 @@ class IdleScheduler:
         sleep: Callable[[float], None],
         config: IdleSchedulerConfig | None = None,
     ) -> None:
-        """`start` begins the work, or goes on with it, as the leader of a process group and `bound_to` this one."""
+        """Use `start` to start or resume the work, as leader of a process group and with `kill_on_parent_exit`."""
         self._start, self._get_blocking_reason, self._report, self._clock, self._sleep = (
             start,
             get_blocking_reason,
@@ -106,7 +117,10 @@ class IdleScheduler:
         self._last_status = ""
 
     def run(self) -> int:
-        """The exit code of the work, once it has ended by itself; an interruption of this ends it."""
+        """Run until the work has ended by itself and return its exit code.
+
+        An exception, such as an interrupt, ends the work.
+        """
         try:
             while (code := self._exit_code()) is None:
                 self._step(self._get_blocking_reason(self._child.pid if self._child else None))
@@ -116,28 +130,28 @@ class IdleScheduler:
         return code
 
     def _step(self, reason: str) -> None:
-        """One look: begin, halt, go on or give up for now."""
+        """One check: start, pause, resume or stop the work."""
         now = self._clock()
         self._quiet_since = None if reason else now if self._quiet_since is None else self._quiet_since
-        calm = self._quiet_since is not None and now - self._quiet_since >= self._config.quiet_time
+        is_quiet = self._quiet_since is not None and now - self._quiet_since >= self._config.quiet_time
         if self._child is None:
-            if calm:
+            if is_quiet:
                 self._child = self._start()
-                self._report_status("learning")
+                self._report_status("training")
             elif reason:
                 self._report_status(f"waiting: {reason}")
         elif self._halted_at is None:
             if reason:
                 self._signal(signal.SIGSTOP)
                 self._halted_at = now
-                self._report_status(f"halted: {reason}")
-        elif calm:
+                self._report_status(f"paused: {reason}")
+        elif is_quiet:
             self._signal(signal.SIGCONT)
             self._halted_at = None
-            self._report_status("learning")
+            self._report_status("training")
         elif now - self._halted_at > self._config.max_halted_time:
             self._kill()
-            self._report_status("put away for now; what was learnt up to the last checkpoint is kept")
+            self._report_status("stopped for now; training resumes from the last checkpoint")
 
     def _exit_code(self) -> int | None:
         return None if self._child is None else self._child.poll()
@@ -154,23 +168,24 @@ class IdleScheduler:
             with suppress(ProcessLookupError):
                 os.killpg(self._child.pid, number)
 
-    def _report_status(self, words: str) -> None:
-        if words != self._last_status:
-            self._report(words)
-            self._last_status = words
+    def _report_status(self, status: str) -> None:
+        if status != self._last_status:
+            self._report(status)
+            self._last_status = status
 
 
 def kill_on_parent_exit(parent: int) -> Callable[[], None]:
-    """For `Popen(preexec_fn=...)`: from its first instruction on, the process is killed when `parent` is gone.
+    """A `preexec_fn` for `Popen`: from its first instruction on, the process is killed when `parent` ends.
 
-    However `parent` ended, and also where the process is halted; it must be `parent`'s main thread that starts it.
+    It is killed however `parent` ends, even while it is stopped. The main thread of `parent` must start it. Raises
+    `OSError` in the child if the kernel refuses.
     """
     prctl = ctypes.CDLL(None, use_errno=True).prctl
 
     def bind() -> None:
         if prctl(PR_SET_PDEATHSIG, signal.SIGKILL) != 0:
             raise OSError(ctypes.get_errno(), "prctl")
-        if os.getppid() != parent:  # it ended before this was said
+        if os.getppid() != parent:  # it ended before the request
             os.kill(os.getpid(), signal.SIGKILL)
 
     return bind

@@ -1,4 +1,4 @@
-"""The card of an adapter: read back as written, refused beside other weights."""
+"""The card of an adapter: read back as written, rejected beside other weights."""
 
 import pytest
 
@@ -37,22 +37,22 @@ def folder(tmp_path):
     return tmp_path
 
 
-def test_it_comes_back_as_it_was(folder):
+def test_a_card_is_read_back_as_written(folder):
     card = read_adapter_card(folder)
     assert card.id == hash_weights(folder)
     write_adapter_card(card, folder)
     assert read_adapter_card(folder) == card
 
 
-def test_other_weights_or_a_broken_card_are_refused(folder):
+def test_a_broken_card_is_rejected(folder):
     (folder / "adapter.json").write_text("{")
     with pytest.raises(ConfigurationError, match="adapter card"):
         read_adapter_card(folder)
 
 
-def test_weights_that_were_changed_are_refused(folder):
+def test_changed_weights_are_rejected(folder):
     (folder / WEIGHTS_FILE).write_bytes(b"other weights")
-    with pytest.raises(ConfigurationError, match="do not use"):
+    with pytest.raises(ConfigurationError, match="Do not use"):
         read_adapter_card(folder)
     (folder / WEIGHTS_FILE).unlink()
     with pytest.raises(MissingDependencyError):
@@ -65,7 +65,7 @@ def test_weights_that_were_changed_are_refused(folder):
         ({}, False),
         ({"smollm2": 3}, False),
         ({"smollm2": 3, "smollm2+0123456789abcdef": 4}, False),
-        ({"smollm2": 3, "smollm2+ab12": 4}, True),  # an adapter of whose teachers nothing is known
+        ({"smollm2": 3, "smollm2+ab12": 4}, True),  # an adapter with unknown training data
         ({"smollm2 in torch": 3, "smollm2": 1}, False),
         ({"smollm2-large in torch": 3}, True),
         ({"smollm2+big": 4}, True),
@@ -73,5 +73,5 @@ def test_weights_that_were_changed_are_refused(folder):
         ({"smollm2-large": 1}, True),
     ],
 )
-def test_what_others_proposed_makes_it_bootstrapped(sources, by_others):
+def test_proposals_of_other_planners_make_an_adapter_bootstrapped(sources, by_others):
     assert has_foreign_proposals(sources, "smollm2", own_adapters=["0123456789abcdef" * 4]) is by_others

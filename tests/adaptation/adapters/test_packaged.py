@@ -1,4 +1,4 @@
-"""What comes with dualbrain fits it: its card, its size, and the lessons it was taught, which can be drawn again."""
+"""The packaged adapters match this version: their cards, sizes, and data sets, which can be generated again."""
 
 import pytest
 
@@ -18,13 +18,13 @@ from dualbrain.runtime.data_collection import starter_dataset
 from dualbrain.runtime.data_collection.rollouts import ROBOT
 from dualbrain.runtime.data_collection.synthetic_scenes import ROBOT_SHARES, generate_examples
 
-LARGEST = 5_000_000
+MAX_BYTES = 5_000_000
 REGISTRIES = {robot: load_skill_registry(robot) for robot in ROBOT_SHARES}
-MADE = {
+EXPECTED = {
     "base-135m": (SYNTHETIC_ADAPT_CONFIG, list(REGISTRIES)),
     "starter-135m": (starter_dataset.ADAPT_CONFIG, [ROBOT]),
 }
-"""By name: the dials, and the robots it was taught to speak to."""
+"""By name: the settings, and the robots in the training data."""
 
 
 @pytest.fixture(params=packaged_names())
@@ -37,27 +37,27 @@ def card(name):
     return read_adapter_card(packaged_folder(name))
 
 
-def test_the_base_of_the_main_table_is_here():
+def test_the_adapter_of_the_main_results_is_packaged():
     assert "base-135m" in packaged_names()
 
 
-def test_it_is_what_its_card_says(name, card):
+def test_a_packaged_adapter_agrees_with_its_card(name, card):
     assert card.base_sha256 == base_model_hash(card.base)
     assert card.bootstrapped
     assert set(card.sources) == {"templates"}
-    assert card.config == MADE[name][0]
+    assert card.config == EXPECTED[name][0]
     assert read_lora(packaged_folder(name))
-    assert (packaged_folder(name) / WEIGHTS_FILE).stat().st_size <= LARGEST
+    assert (packaged_folder(name) / WEIGHTS_FILE).stat().st_size <= MAX_BYTES
 
 
-def test_it_was_taught_todays_prompt_and_vocabularies(name, card):
+def test_a_packaged_adapter_was_trained_with_the_present_prompt_and_vocabularies(name, card):
     require_same_prompt(card)
-    for robot in MADE[name][1]:
+    for robot in EXPECTED[name][1]:
         require_compatible(card, robot, REGISTRIES[robot].hash)
 
 
 @pytest.mark.slow
-def test_the_lessons_of_the_base_can_be_drawn_again():
+def test_the_examples_of_the_base_can_be_generated_again():
     again = build_synthetic_dataset(
         generate_examples(N_TRAIN_EXAMPLES, "teach"), generate_examples(N_CHECK_EXAMPLES, "check"), REGISTRIES
     )

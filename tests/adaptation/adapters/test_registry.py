@@ -1,4 +1,4 @@
-"""The registry: what is in it never changes, only a decision of the gate promotes, and nothing is lost by a crash."""
+"""The registry: its content never changes, only a decision of the gate promotes, and a crash loses nothing."""
 
 import json
 import resource
@@ -32,10 +32,10 @@ from dualbrain.errors import ConfigurationError, UnknownNameError
 PLACE = ("panda", "b" * 64)
 
 
-def make_adapter(folder, words, robot="panda", base="b" * 64):
-    """An adapter as a fit leaves it."""
+def make_adapter(folder, content, robot="panda", base="b" * 64):
+    """An adapter as training leaves it, with `content` as weights."""
     folder.mkdir()
-    (folder / WEIGHTS_FILE).write_bytes(words.encode())
+    (folder / WEIGHTS_FILE).write_bytes(content.encode())
     (folder / "adapter_config.json").write_text("{}")
     card = AdapterCard(
         id=hash_weights(folder),
@@ -69,7 +69,7 @@ def two(registry, tmp_path):
 
 
 def strip_file_hashes(registry, one):
-    """Leave the journal as it was written before it held hashes of config and card of `one`."""
+    """Remove the hashes of config and card of `one` from the log, as in logs of older versions."""
     path = registry.folder / LOG_FILE
     lines = [json.loads(line) for line in path.read_bytes().splitlines()]
     lines = [{key: line[key] for key in line if key != "files" or line["adapter"] != one} for line in lines]
@@ -80,11 +80,11 @@ def contents(folder):
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def yes(candidate, champion, against=()):
+def decision_for(candidate, champion, against=()):
     return PromotionDecision(candidate=candidate, champion=champion, measures={}, against=tuple(against))
 
 
-def test_a_folder_that_lacks_a_file_is_refused_by_its_name_and_no_disk_is_full(registry, tmp_path):
+def test_a_folder_without_a_config_is_rejected_with_the_name_of_the_file(registry, tmp_path):
     folder = make_adapter(tmp_path / "made", "first")
     (folder / "adapter_config.json").unlink()
     with pytest.raises(ConfigurationError, match=r"no adapter_config\.json"):
@@ -92,7 +92,7 @@ def test_a_folder_that_lacks_a_file_is_refused_by_its_name_and_no_disk_is_full(r
     assert not registry.ids()
 
 
-def test_an_id_is_its_content_for_good(registry, two, tmp_path):
+def test_an_id_always_denotes_the_same_content(registry, two, tmp_path):
     assert registry.ids() == tuple(two)
     again = make_adapter(tmp_path / "again", "first")
     (again / "adapter_config.json").write_text('{"peft_version": "9"}')
@@ -106,14 +106,14 @@ def test_an_id_is_its_content_for_good(registry, two, tmp_path):
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_weights_that_are_here_are_not_taken_with_other_facts_beside_them(registry, two, tmp_path, known):
-    """Also where nothing is recorded of those that are here."""
+def test_registered_weights_are_rejected_with_another_config_or_card(registry, two, tmp_path, known):
+    """Also if no hashes are recorded for the registered adapter."""
     if not known:
         strip_file_hashes(registry, two[0])
-    before, journal = contents(registry.folder), registry.journal()
+    before, log = contents(registry.folder), registry.entries()
     again = make_adapter(tmp_path / "again", "first")
     (again / CONFIG_FILE).write_text('{"lora_alpha": 64}')
-    with pytest.raises(ConfigurationError, match=r"another adapter_config\.json'.*one content for good"):
+    with pytest.raises(ConfigurationError, match=r"another adapter_config\.json\..*denotes one content"):
         registry.add(again, now=2.0)
     for words, changed in (
         ("robot", {"robot": "ur5e"}),
@@ -127,10 +127,10 @@ def test_weights_that_are_here_are_not_taken_with_other_facts_beside_them(regist
                 registry.add(again, now=2.0)
         else:
             assert registry.add(again, now=2.0).id == two[0]
-    assert (contents(registry.folder), registry.journal()) == (before, journal)
+    assert (contents(registry.folder), registry.entries()) == (before, log)
 
 
-def test_what_is_here_but_damaged_is_told_when_it_is_added_again(registry, two, tmp_path):
+def test_adding_a_damaged_adapter_again_reports_the_damage(registry, two, tmp_path):
     (registry.folder / two[0] / CONFIG_FILE).write_text('{"lora_alpha": 64}')
     with pytest.raises(ConfigurationError, match="was changed"):
         registry.add(tmp_path / "first", now=2.0)
@@ -139,79 +139,79 @@ def test_what_is_here_but_damaged_is_told_when_it_is_added_again(registry, two, 
 def test_promote_and_roll_back_are_a_stack(registry, two):
     first, second = two
     assert registry.champion(PLACE) == NO_ADAPTER
-    registry.promote(first, yes(first, NO_ADAPTER), now=2.0)
-    registry.promote(second, yes(second, first), now=3.0)
+    registry.promote(first, decision_for(first, NO_ADAPTER), now=2.0)
+    registry.promote(second, decision_for(second, first), now=3.0)
     assert registry.champion(PLACE) == second
     assert registry.champion(("ur5e", "b" * 64)) == NO_ADAPTER
     assert registry.roll_back(PLACE, "a test", now=4.0) == first
     assert registry.champion(PLACE) == first
-    registry.promote(second, yes(second, first), now=5.0)
+    registry.promote(second, decision_for(second, first), now=5.0)
     assert [registry.roll_back(PLACE, "a test", now=6.0) for _ in range(2)] == [first, NO_ADAPTER]
     with pytest.raises(ConfigurationError, match="bare base"):
         registry.roll_back(PLACE, "a test", now=7.0)
     with pytest.raises(ConfigurationError, match="reason"):
         registry.roll_back(PLACE, " ", now=7.0)
-    assert [entry.time for entry in registry.journal()] == [1.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 6.0]
+    assert [entry.time for entry in registry.entries()] == [1.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 6.0]
 
 
 def test_only_a_decision_in_favour_about_these_two_promotes(registry, two):
     first, second = two
     with pytest.raises(NotPromotedError, match="it fell") as refused:
-        registry.promote(first, yes(first, NO_ADAPTER, ["it fell"]), now=2.0)
+        registry.promote(first, decision_for(first, NO_ADAPTER, ["it fell"]), now=2.0)
     assert refused.value.reasons == ("it fell",)
-    for decision in (yes(second, NO_ADAPTER), yes(first, second)):
-        with pytest.raises(ConfigurationError, match="measured adapters"):
+    for decision in (decision_for(second, NO_ADAPTER), decision_for(first, second)):
+        with pytest.raises(ConfigurationError, match="The measurement compares"):
             registry.promote(first, decision, now=2.0)
     assert registry.champion(PLACE) == NO_ADAPTER
-    registry.promote(first, yes(first, NO_ADAPTER), now=2.0)
+    registry.promote(first, decision_for(first, NO_ADAPTER), now=2.0)
     with pytest.raises(ConfigurationError, match="Measure again"):
-        registry.promote(second, yes(second, NO_ADAPTER), now=3.0)
+        registry.promote(second, decision_for(second, NO_ADAPTER), now=3.0)
     assert registry.champion(PLACE) == first
 
 
-def test_changed_weights_are_found_and_not_promoted(registry, two):
+def test_changed_weights_are_detected_and_not_promoted(registry, two):
     path = registry.folder / two[0] / WEIGHTS_FILE
     path.write_bytes(b"f1rst")
     assert registry.verify()[two[1]] == ""
     assert "were changed" in registry.verify()[two[0]]
     with pytest.raises(ConfigurationError, match="were changed"):
-        registry.promote(two[0], yes(two[0], NO_ADAPTER), now=2.0)
+        registry.promote(two[0], decision_for(two[0], NO_ADAPTER), now=2.0)
     assert registry.champion(PLACE) == NO_ADAPTER
 
 
 @pytest.mark.parametrize("file", METADATA_FILES)
-def test_a_changed_config_or_card_is_found_wherever_changed_weights_are(registry, two, file):
+def test_a_changed_config_or_card_is_detected_like_changed_weights(registry, two, file):
     first, second = two
-    registry.promote(first, yes(first, NO_ADAPTER), now=2.0)
+    registry.promote(first, decision_for(first, NO_ADAPTER), now=2.0)
     path = registry.folder / first / file
     whole = path.read_bytes()
     for changed in (whole.replace(b"{", b'{"lora_alpha": 64, ', 1), None):
         path.write_bytes(changed) if changed else path.unlink()
         assert file in registry.verify()[first]
         assert registry.verify()[second] == ""
-        for read in (registry.card, registry.at, lambda name: resolve_folder(f"adapter:{name}", registry)):
+        for read in (registry.card, registry.adapter_folder, lambda name: resolve_folder(f"adapter:{name}", registry)):
             with pytest.raises(ConfigurationError, match=f"{file} of adapter.*was changed"):
                 read(first)
         with pytest.raises(ConfigurationError, match="was changed"):
             resolve_folder("adapter:champion", registry, "panda")
-    registry.promote(second, yes(second, first), now=3.0)
-    assert registry.roll_back(PLACE, "a test", now=4.0) == NO_ADAPTER  # the former one is passed over
+    registry.promote(second, decision_for(second, first), now=3.0)
+    assert registry.roll_back(PLACE, "a test", now=4.0) == NO_ADAPTER  # the damaged one is skipped
     path.write_bytes(whole)
     assert registry.verify()[first] == ""
 
 
-def test_an_adapter_added_before_config_and_card_were_recorded_serves_as_ever(registry, two):
+def test_an_adapter_without_recorded_hashes_of_config_and_card_can_serve(registry, two):
     strip_file_hashes(registry, two[0])
     (registry.folder / two[0] / CONFIG_FILE).write_text('{"lora_alpha": 64}')
-    assert (registry.recorded(two[0]), set(registry.recorded(two[1]))) == ({}, set(METADATA_FILES))
+    assert (registry.recorded_hashes(two[0]), set(registry.recorded_hashes(two[1]))) == ({}, set(METADATA_FILES))
     assert set(registry.verify().values()) == {""}
-    registry.promote(two[0], yes(two[0], NO_ADAPTER), now=2.0)
+    registry.promote(two[0], decision_for(two[0], NO_ADAPTER), now=2.0)
     assert resolve_folder("adapter:champion", registry, "panda") == registry.folder / two[0]
     (registry.folder / two[0] / WEIGHTS_FILE).write_bytes(b"f1rst")
     assert "were changed" in registry.verify()[two[0]]
 
 
-def test_a_damaged_adapter_is_not_taken_in(registry, tmp_path):
+def test_a_damaged_adapter_is_not_added(registry, tmp_path):
     bad = make_adapter(tmp_path / "bad", "bad")
     (bad / WEIGHTS_FILE).write_bytes(b"worse")
     with pytest.raises(ConfigurationError, match="were changed"):
@@ -219,8 +219,8 @@ def test_a_damaged_adapter_is_not_taken_in(registry, tmp_path):
     assert registry.ids() == ()
 
 
-def test_a_line_cut_off_by_a_crash_never_happened(registry, two):
-    registry.promote(two[0], yes(two[0], NO_ADAPTER), now=2.0)
+def test_an_incomplete_last_line_of_the_log_is_ignored(registry, two):
+    registry.promote(two[0], decision_for(two[0], NO_ADAPTER), now=2.0)
     path = registry.folder / LOG_FILE
     whole = path.read_bytes()
     path.write_bytes(whole + whole.splitlines(keepends=True)[-1][:-7])
@@ -230,7 +230,7 @@ def test_a_line_cut_off_by_a_crash_never_happened(registry, two):
 
 
 @pytest.mark.parametrize("kept", [0, 1])
-def test_an_adapter_that_the_journal_does_not_tell_of_is_a_fault_until_it_is_added_again(registry, two, tmp_path, kept):
+def test_an_adapter_without_a_log_entry_is_a_fault_until_it_is_added_again(registry, two, tmp_path, kept):
     path = registry.folder / LOG_FILE
     path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[:kept]))
     (registry.folder / "canaries").mkdir()
@@ -241,70 +241,70 @@ def test_an_adapter_that_the_journal_does_not_tell_of_is_a_fault_until_it_is_add
     for words in ("first", "second"):
         registry.add(tmp_path / words, now=9.0)
     assert registry.verify() == dict.fromkeys(two, "")
-    assert registry.recorded(two[1])
+    assert registry.recorded_hashes(two[1])
 
 
-def test_a_damaged_journal_is_told(registry, two):
+def test_a_damaged_log_is_reported(registry, two):
     path = registry.folder / LOG_FILE
     path.write_bytes(b"{}\n" + path.read_bytes())
-    with pytest.raises(ConfigurationError, match="adapter journal"):
+    with pytest.raises(ConfigurationError, match="log of the adapter registry is damaged"):
         registry.champion(PLACE)
 
 
-@pytest.mark.parametrize("room", [0, 10, 100])
-def test_a_full_disk_leaves_registry_and_champion(registry, two, tmp_path, room):
-    registry.promote(two[0], yes(two[0], NO_ADAPTER), now=2.0)
+@pytest.mark.parametrize("n_bytes_left", [0, 10, 100])
+def test_a_full_disk_leaves_registry_and_champion_unchanged(registry, two, tmp_path, n_bytes_left):
+    registry.promote(two[0], decision_for(two[0], NO_ADAPTER), now=2.0)
     before = {path: path.read_bytes() for path in registry.folder.rglob("*") if path.is_file()}
     third = make_adapter(tmp_path / "third", "third" * 100)
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    journal = len((registry.folder / LOG_FILE).read_bytes())
-    resource.setrlimit(resource.RLIMIT_FSIZE, (room, limits[1]))
+    n_log_bytes = len((registry.folder / LOG_FILE).read_bytes())
+    resource.setrlimit(resource.RLIMIT_FSIZE, (n_bytes_left, limits[1]))
     try:
         with pytest.raises(FileWriteError):
             registry.add(third, now=3.0)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (journal + room, limits[1]))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (n_log_bytes + n_bytes_left, limits[1]))
         with pytest.raises(FileWriteError):
-            registry.promote(two[1], yes(two[1], two[0]), now=3.0)
+            registry.promote(two[1], decision_for(two[1], two[0]), now=3.0)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert {path: path.read_bytes() for path in registry.folder.rglob("*") if path.is_file()} == before
     assert registry.champion(PLACE) == two[0]
-    registry.promote(two[1], yes(two[1], two[0]), now=4.0)
+    registry.promote(two[1], decision_for(two[1], two[0]), now=4.0)
     assert registry.champion(PLACE) == two[1]
 
 
-def test_it_serves_only_where_it_was_made_for(registry, two):
+def test_the_place_of_an_adapter_is_its_robot_and_base(registry, two):
     assert place_of_card(registry.card(two[0])) == PLACE
 
 
-def test_what_is_only_added_changes_no_champion(registry, two, tmp_path):
-    """An added one swaps nothing, on whichever base."""
+def test_adding_an_adapter_changes_no_champion(registry, two, tmp_path):
+    """On the same base or on another one."""
     with pytest.raises(ConfigurationError, match="champion of panda"):
         champion_id(registry, "panda")
-    registry.promote(two[0], yes(two[0], NO_ADAPTER), now=3.0)
+    registry.promote(two[0], decision_for(two[0], NO_ADAPTER), now=3.0)
     for words, base in (("other", "c" * 64), ("third", "b" * 64)):
         registry.add(make_adapter(tmp_path / words, words, base=base), now=4.0)
         assert champion_id(registry, "panda") == two[0]
-    registry.promote(two[1], yes(two[1], two[0]), now=5.0)
+    registry.promote(two[1], decision_for(two[1], two[0]), now=5.0)
     assert champion_id(registry, "panda") == two[1]
     registry.roll_back(PLACE, "a test", now=6.0)
     assert champion_id(registry, "panda") == two[0]
 
 
 def test_a_robot_is_served_on_one_base_at_a_time(registry, two, tmp_path):
-    """Whoever was measured against the bare base there was not measured against who serves."""
+    """A measurement against the bare base of another model is not a measurement against the champion."""
     other = registry.add(make_adapter(tmp_path / "other", "other", base="c" * 64), now=2.0)
-    registry.promote(two[0], yes(two[0], NO_ADAPTER), now=3.0)
-    before = registry.journal()
-    with pytest.raises(ConfigurationError, match=rf"champion of panda: got '{two[0][:16]} on another base'.*rollback"):
-        registry.promote(other.id, yes(other.id, NO_ADAPTER), now=4.0)
-    assert registry.journal() == before
+    registry.promote(two[0], decision_for(two[0], NO_ADAPTER), now=3.0)
+    before = registry.entries()
+    with pytest.raises(ConfigurationError, match=rf"champion of panda is {two[0][:16]}, on another base.*rollback"):
+        registry.promote(other.id, decision_for(other.id, NO_ADAPTER), now=4.0)
+    assert registry.entries() == before
     registry.roll_back(PLACE, "a test", now=5.0)
-    registry.promote(other.id, yes(other.id, NO_ADAPTER), now=6.0)
+    registry.promote(other.id, decision_for(other.id, NO_ADAPTER), now=6.0)
     assert champion_id(registry, "panda") == other.id
 
 
-def test_without_a_registry_nothing_is_rolled_back_and_none_is_made(registry):
-    with pytest.raises(ConfigurationError, match="registry of adapters"):
+def test_a_rollback_without_a_registry_fails_and_creates_none(registry):
+    with pytest.raises(ConfigurationError, match="There is no adapter registry"):
         registry.roll_back(PLACE, "a test", now=1.0)
     assert not registry.folder.exists()

@@ -1,4 +1,4 @@
-"""The converter: what llama.cpp computes with the adapter is what torch computes; anything else is refused by name."""
+"""The converter: llama.cpp computes the same as torch with the adapter; everything else is rejected with its name."""
 
 # ruff: noqa: E402  (nothing is imported where the extras are missing)
 import dataclasses
@@ -39,14 +39,14 @@ pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::UserWa
 PROMPT = [10, 20, 30, 200, 7, 99, 31, 64]
 
 
-def torch_log_probs(worn):
+def torch_log_probs(adapted):
     with torch.no_grad():
-        logits = worn(input_ids=torch.tensor([PROMPT]), use_cache=False).logits[0, -1]
+        logits = adapted(input_ids=torch.tensor([PROMPT]), use_cache=False).logits[0, -1]
     return logits.double().log_softmax(-1).numpy()
 
 
 def llama_log_probs(base, adapter, scale=1.0):
-    """Log-probabilities of the next token in llama.cpp, with full float caches."""
+    """Log-probabilities of the next token in llama.cpp, with float32 caches."""
     params = xllamacpp.CommonParams()
     params.model.path = str(base)
     params.n_ctx, params.n_parallel, params.cache_ram_mib = 256, 1, 0
@@ -60,11 +60,11 @@ def llama_log_probs(base, adapter, scale=1.0):
     server = xllamacpp.Server(params)
     body = {"prompt": PROMPT, "n_predict": 1, "n_probs": 258, "temperature": 0.0}
     body |= {"lora": [{"id": 0, "scale": scale}]} if adapter is not None else {}
-    asked = urllib.request.Request(f"{server.listening_address}/completion", json.dumps(body).encode())
-    with urllib.request.urlopen(asked, timeout=30) as answer:
-        told = json.loads(answer.read())["completion_probabilities"][0]["top_logprobs"]
+    request = urllib.request.Request(f"{server.listening_address}/completion", json.dumps(body).encode())
+    with urllib.request.urlopen(request, timeout=30) as answer:
+        top_logprobs = json.loads(answer.read())["completion_probabilities"][0]["top_logprobs"]
     found = np.full(258, -math.inf)
-    for one in told:
+    for one in top_logprobs:
         found[one["id"]] = one["logprob"]
     return found
 
@@ -75,14 +75,14 @@ def llama_log_probs(base, adapter, scale=1.0):
     [{}, {"use_rslora": True, "rank_pattern": {"layers.0.self_attn.k_proj": 2}, "alpha_pattern": {"down_proj": 5}}],
     ids=["plain", "rank-stabilised with patterns"],
 )
-def test_llama_cpp_computes_what_torch_computes(architecture, changed, tmp_path):
+def test_llama_cpp_computes_the_same_as_torch(architecture, changed, tmp_path):
     made = model(architecture)
     base = write_gguf(made, architecture, tmp_path / "base.gguf")
     bare = torch_log_probs(made)
-    worn = torch_log_probs(random_adapter(made, tmp_path / "adapter", **changed))
+    adapted = torch_log_probs(random_adapter(made, tmp_path / "adapter", **changed))
     assert convert_adapter(tmp_path / "adapter", base, tmp_path / "lora.gguf") == 14
-    assert np.abs(worn - bare).max() > 0.5
-    np.testing.assert_allclose(llama_log_probs(base, tmp_path / "lora.gguf"), worn, atol=2e-4)
+    assert np.abs(adapted - bare).max() > 0.5
+    np.testing.assert_allclose(llama_log_probs(base, tmp_path / "lora.gguf"), adapted, atol=2e-4)
     np.testing.assert_allclose(llama_log_probs(base, tmp_path / "lora.gguf", scale=0.0), bare, atol=2e-4)
 
 
@@ -104,7 +104,7 @@ def test_rows_are_permuted_head_by_head(heads, half, width):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """A base and an adapter that fits it."""
+    """A base and an adapter that matches it."""
     folder = tmp_path_factory.mktemp("whole")
     made = model("llama")
     write_gguf(made, "llama", folder / "base.gguf")
@@ -162,14 +162,14 @@ B = A.replace("lora_A", "lora_B")
     ],
     ids=str,
 )
-def test_what_is_not_plain_lora_is_refused(whole, tmp_path, config):
+def test_everything_other_than_plain_lora_is_rejected(whole, tmp_path, config):
     with pytest.raises(ConfigurationError, match="LoRA"):
         convert_adapter(changed(whole, tmp_path, config), whole / "base.gguf", tmp_path / "out.gguf")
     assert not (tmp_path / "out.gguf").exists()
 
 
-def test_every_setting_that_peft_has_is_known_and_none_that_may_change_the_answer_passes():
-    """As peft is installed here; its own defaults are plain LoRA."""
+def test_every_setting_of_peft_is_either_known_or_rejected():
+    """For the installed version of peft; its own defaults are plain LoRA."""
     fields = {one.name for one in dataclasses.fields(LoraConfig)}
     assert fields >= KNOWN_SETTINGS | set(PLAIN_VALUES)
     plain = LoraConfig(target_modules=["q_proj"]).to_dict()
@@ -181,15 +181,15 @@ def test_every_setting_that_peft_has_is_known_and_none_that_may_change_the_answe
 
 @pytest.mark.parametrize("setting", ["rank_pattern", "alpha_pattern"])
 @pytest.mark.parametrize("key", ["(([a-z._0-9])+)+!", ".*", "q_proj|k_proj", "q_pröj", "q_proj\n", "", "a^b"])
-def test_a_pattern_that_is_no_name_is_refused_by_name_and_never_run(whole, tmp_path, setting, key):
-    """The first of them would be tried out for years."""
+def test_a_pattern_that_is_not_a_name_is_rejected_and_never_evaluated(whole, tmp_path, setting, key):
+    """The evaluation of the first one would take years."""
     folder = changed(whole, tmp_path, {setting: {key: 4}})
     with pytest.raises(ConfigurationError) as refused:
         read_lora(folder)
     assert refused.value.got == key
 
 
-def test_a_pattern_may_name_a_layer_from_its_beginning(whole, tmp_path):
+def test_a_pattern_may_anchor_a_layer_name_at_its_beginning(whole, tmp_path):
     folder = changed(whole, tmp_path, {"alpha_pattern": {"^model.layers.0.self_attn.q_proj": 24, "^q_proj": 96}})
     ours, before = read_lora(folder), read_lora(whole / "adapter")
     scaled = {name: np.abs(ours[name].b).max() / np.abs(before[name].b).max() for name in ours}
@@ -197,7 +197,7 @@ def test_a_pattern_may_name_a_layer_from_its_beginning(whole, tmp_path):
     assert set(scaled.values()) == {1.0}
 
 
-def test_a_config_too_deep_to_be_read_is_refused(whole, tmp_path):
+def test_a_config_with_excessive_nesting_is_rejected(whole, tmp_path):
     folder = changed(whole, tmp_path)
     (folder / CONFIG_FILE).write_text("[" * 100_000)
     with pytest.raises(ConfigurationError, match=r"LoRA adapter_config\.json"):
@@ -228,7 +228,7 @@ def test_a_config_too_deep_to_be_read_is_refused(whole, tmp_path):
     ],
     ids=["half a pair", "output", "embeddings", "bias", "no such layer", "shape", "no number", "integers", "empty"],
 )
-def test_what_has_no_place_in_the_base_is_refused(whole, tmp_path, tensors, word):
+def test_a_tensor_that_does_not_match_the_base_is_rejected(whole, tmp_path, tensors, word):
     folder = changed(whole, tmp_path, tensors=lambda t: {n: v.contiguous() for n, v in tensors(t).items()})
     if word == "at least one":
         save_file({}, folder / WEIGHTS_FILE)
@@ -236,7 +236,7 @@ def test_what_has_no_place_in_the_base_is_refused(whole, tmp_path, tensors, word
         convert_adapter(folder, whole / "base.gguf", tmp_path / "out.gguf")
 
 
-def test_damaged_files_and_other_bases_are_refused(whole, tmp_path):
+def test_damaged_files_and_other_bases_are_rejected(whole, tmp_path):
     folder = changed(whole, tmp_path)
     (folder / WEIGHTS_FILE).write_bytes((folder / WEIGHTS_FILE).read_bytes()[:-9])
     with pytest.raises(ConfigurationError, match="safetensors"):
@@ -248,10 +248,10 @@ def test_damaged_files_and_other_bases_are_refused(whole, tmp_path):
     with pytest.raises(ConfigurationError):
         convert_adapter(whole / "adapter", tmp_path / "junk.gguf", tmp_path / "out.gguf")
     with pytest.raises(ConfigurationError, match="architecture"):
-        convert_adapter(whole / "adapter", _of_another_kind(tmp_path / "gpt2.gguf"), tmp_path / "out.gguf")
+        convert_adapter(whole / "adapter", _write_other_architecture(tmp_path / "gpt2.gguf"), tmp_path / "out.gguf")
 
 
-def _of_another_kind(path):
+def _write_other_architecture(path):
     writer = gguf.GGUFWriter(path, "gpt2")
     writer.add_block_count(2)
     writer.add_tensor("token_embd.weight", np.zeros((2, 2), np.float32))
@@ -262,7 +262,7 @@ def _of_another_kind(path):
     return path
 
 
-def test_a_full_disk_leaves_what_was_there(whole, tmp_path):
+def test_a_full_disk_leaves_the_former_file(whole, tmp_path):
     out = tmp_path / "lora.gguf"
     out.write_bytes(b"before")
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)

@@ -1,4 +1,4 @@
-"""D_clean: who may teach, what is one sample, what is rare, and that no scene stands on both sides."""
+"""D_clean: which episodes are selected, merged and repeated, and that no scene is on both sides of the split."""
 
 import json
 from itertools import combinations
@@ -44,12 +44,12 @@ REASONS = {
     "outcome aborted": {"kind": "aborted"},
     "outcome emergency": {"kind": "emergency"},
     "outcome declined": {"kind": "declined"},
-    "quarantined in memory": {"opinion": "disagrees"},
-    "candidate in memory": {"opinion": "none", "by": "somebody"},
+    "quarantined in memory": {"second_opinion": "disagrees"},
+    "candidate in memory": {"second_opinion": "none", "proposer": "another"},
     "of another robot": {"robot": "ur5e"},
     "of another registry": {"registry": "00000000"},
-    "flown without the safety filter": {"versions": {"filter": "off"}},
-    "without an instruction": {"words": " "},
+    "executed without the safety filter": {"versions": {"filter": "off"}},
+    "without an instruction": {"instruction": " "},
     "Δ above 0.003": {"Delta": 0.0031},
     "refused by the gate: envelope": {"plan": pick_contract(force=900.0)},
     "slower than 1.5 times the median of its family": {"duration": 15.1},
@@ -60,7 +60,9 @@ REASONS = {
 def test_each_reason_alone_excludes(tmp_path, reason, change):
     others = [episode(GOOD, scene_summary=summary(number=1)), episode("also good", scene_summary=summary(number=2))]
     bad = episode(
-        "bad", scene_summary=summary(number=3, symbols="path_max_height tall"), **{"words": "another thing", **change}
+        "bad",
+        scene_summary=summary(number=3, symbols="path_max_height tall"),
+        **{"instruction": "another thing", **change},
     )
     with write_ledger(tmp_path, [*others, bad]) as ledger:
         found = curate(ledger, REGISTRY, ALL)
@@ -82,7 +84,7 @@ def narrowed(most):
     return SkillRegistry(REGISTRY.robot, tuple(skills))
 
 
-def test_what_was_done_at_a_site_teaches_in_the_robots_own_words_if_the_gate_there_accepts_it(tmp_path):
+def test_episodes_at_a_site_are_selected_in_the_robots_vocabulary_if_the_site_gate_accepts_them(tmp_path):
     site = narrowed(20.0)
     there = episode("there", registry=site.hash, scene_summary=summary(number=3), instruction="take it away")
     hard = episode("hard", plan=pick_contract(force=21.0), scene_summary=summary(number=4), instruction="grip it")
@@ -98,22 +100,22 @@ def test_what_was_done_at_a_site_teaches_in_the_robots_own_words_if_the_gate_the
     assert [rows[name] for name in ("e0", "e1")] == [row for row in without.train if row.memory in ("e0", "e1")]
 
 
-def test_at_the_bounds_it_is_in(tmp_path):
+def test_an_episode_at_the_limits_is_selected(tmp_path):
     edge = episode("edge", Delta=0.003, duration=15.0, scene_summary=summary(number=3))
     with write_ledger(tmp_path, [*distinct_episodes(2), edge]) as ledger:
         assert "edge" in {row.memory for row in curate(ledger, REGISTRY, ALL).train}
 
 
-def test_a_success_that_took_no_tick_was_not_corrected(tmp_path):
-    """Home, from home: there is no Δ."""
+def test_a_success_without_a_control_tick_is_selected(tmp_path):
+    """`home` from the home pose has no Δ."""
     with write_ledger(
         tmp_path, [*distinct_episodes(2), episode("there", Delta=None, duration=0.0, scene_summary=summary(number=3))]
     ) as ledger:
         assert "there" in {row.memory for row in curate(ledger, REGISTRY, ALL).train}
 
 
-def test_a_decline_is_let_in_only_by_name_and_nothing_else_is(tmp_path):
-    """It has no success and no Δ; a name opens the door to no failure, and not to a decline that the gate refuses."""
+def test_only_a_decline_that_is_named_and_accepted_by_the_gate_is_selected(tmp_path):
+    """A decline has neither success nor Δ. Naming a failure, or a decline that the gate rejects, does not select it."""
     plan = pick_contract() | {"action_sequence": [{"skill": "decline", "params": {"reason": "no skill can do this"}}]}
     wrong = pick_contract() | {"action_sequence": [{"skill": "decline", "params": {"reason": "no" * 200}}]}
     refusals = [
@@ -122,11 +124,11 @@ def test_a_decline_is_let_in_only_by_name_and_nothing_else_is(tmp_path):
             "declined",
             Delta=None,
             duration=0.0,
-            plan=told,
+            plan=contract,
             scene_summary=summary(number=9 + i),
-            instruction=f"fly {name}",
+            instruction=f"jump {name}",
         )
-        for i, (name, told) in enumerate({"right": plan, "unnamed": plan, "endless": wrong}.items())
+        for i, (name, contract) in enumerate({"right": plan, "unnamed": plan, "endless": wrong}.items())
     ]
     with write_ledger(
         tmp_path, [*distinct_episodes(2), *refusals, episode("bad", "failed", scene_summary=summary(number=8))]
@@ -140,41 +142,41 @@ def test_a_decline_is_let_in_only_by_name_and_nothing_else_is(tmp_path):
     }
 
 
-def test_without_physical_selection_all_that_is_valid_teaches(tmp_path):
-    """The ablation of the paper's 7.4: whatever came of it; what the gate refuses and what is set aside stays out."""
+def test_without_physical_selection_all_valid_contracts_are_selected(tmp_path):
+    """The ablation of paper 7.4: independent of the outcome, except for rejected contracts and quarantined memories."""
     kinds = {
         "good": {},
         "rough": {"Delta": 0.5},
         "slow": {"duration": 90.0},
         "failed": {"kind": "failed"},
-        "unconfirmed": {"opinion": "none", "by": "somebody"},
+        "unconfirmed": {"second_opinion": "none", "proposer": "another"},
         "endless": {"plan": pick_contract(force=900.0)},
     }
-    told = [
+    episodes = [
         episode(name, scene_summary=summary(number=number), instruction=f"do {name}", **change)
         for number, (name, change) in enumerate(kinds.items())
     ]
     every = CurationConfig(CleanRules(physical=False), held_out=0.0)
-    with write_ledger(tmp_path, told) as ledger:
+    with write_ledger(tmp_path, episodes) as ledger:
         found, clean = curate(ledger, REGISTRY, every), curate(ledger, REGISTRY, ALL)
     assert {row.memory for row in found.train} == {"good", "rough", "slow", "failed", "unconfirmed"}
     assert found.left_out == {"refused by the gate: envelope": ("endless",)}
     assert {row.memory for row in clean.train} < {row.memory for row in found.train}
 
 
-def test_what_is_set_aside_does_not_teach_and_what_is_brought_back_does(tmp_path):
-    def set_aside(memory):
+def test_quarantined_and_forgotten_memories_are_excluded_and_released_ones_selected(tmp_path):
+    def quarantine_and_forget(memory):
         quarantine(memory, ["e0", "e1"], "a test", now=NOW)
         release(memory, ["e1"], "a test", now=NOW)
         forget(memory, ["e2"], "a test", now=NOW)
 
-    with write_ledger(tmp_path, distinct_episodes(4), set_aside) as ledger:
+    with write_ledger(tmp_path, distinct_episodes(4), quarantine_and_forget) as ledger:
         found = curate(ledger, REGISTRY, ALL)
     assert {row.memory for row in found.train} == {"e1", "e3"}
     assert found.left_out == {"quarantined in memory": ("e0",), "forgotten in memory": ("e2",)}
 
 
-def test_nothing_left_is_an_error_that_says_why(tmp_path):
+def test_an_empty_selection_is_an_error_with_the_reasons(tmp_path):
     with (
         write_ledger(tmp_path, [episode("bad", "failed")]) as ledger,
         pytest.raises(ConfigurationError, match="1 outcome failed"),
@@ -185,7 +187,7 @@ def test_nothing_left_is_an_error_that_says_why(tmp_path):
         curate(ledger, REGISTRY, ALL)
 
 
-def test_every_sample_leads_to_its_events_and_passes_the_gate(tmp_path):
+def test_every_sample_names_its_events_and_passes_the_gate(tmp_path):
     odd = pick_contract(id="c-0002", force=20)
     odd["action_sequence"][0]["params"] = dict(reversed(odd["action_sequence"][0]["params"].items()))
     with write_ledger(
@@ -205,7 +207,7 @@ def test_every_sample_leads_to_its_events_and_passes_the_gate(tmp_path):
             assert json.loads(row.contract)["id"] == "c-0001"
 
 
-def test_near_duplicates_are_one_with_the_least_intervention(tmp_path):
+def test_near_duplicates_are_merged_into_the_one_with_the_least_intervention(tmp_path):
     same = [
         episode("worse", Delta=0.002),
         episode("best", Delta=0.0005, instruction="Put the  red cube in the bowl", plan=pick_contract(force=15.5)),
@@ -223,7 +225,7 @@ def test_near_duplicates_are_one_with_the_least_intervention(tmp_path):
         assert one[:2] != other[:2] or not same_plan(*(msgspec.to_builtins(side[2]) for side in (one, other)))
 
 
-def test_a_rarer_sample_is_never_shown_less_and_none_is_lost(tmp_path):
+def test_a_rarer_sample_is_never_repeated_less_and_none_is_lost(tmp_path):
     common = [episode(f"c{i}", scene_summary=summary(number=i)) for i in range(30)]
     rare = [
         episode(
@@ -249,7 +251,7 @@ def test_a_rarer_sample_is_never_shown_less_and_none_is_lost(tmp_path):
     assert not any("red_cube" in attribute for attribute in tables[33])
 
 
-def test_no_scene_and_no_question_stands_on_both_sides(tmp_path):
+def test_no_scene_and_no_question_is_on_both_sides(tmp_path):
     """25 scenes, each seen three times with noise; compared pair by pair."""
     rng = np.random.default_rng(0)
     places = rng.uniform((0.3, -0.4), (0.7, 0.4), (25, 2))
@@ -275,7 +277,7 @@ def test_no_scene_and_no_question_stands_on_both_sides(tmp_path):
             assert rows[one.memory].summary != rows[other.memory].summary
 
 
-def test_a_scene_keeps_its_side_when_others_join(tmp_path):
+def test_a_scene_keeps_its_side_when_others_are_added(tmp_path):
     (tmp_path / "later").mkdir()
     with write_ledger(tmp_path, distinct_episodes(12)) as ledger:
         before = {row.memory for row in curate(ledger, REGISTRY, CurationConfig(held_out=0.3)).held_out}
@@ -285,8 +287,8 @@ def test_a_scene_keeps_its_side_when_others_join(tmp_path):
     assert before == {name for name in after if int(name[1:]) < 12}
 
 
-def test_a_scene_keeps_its_side_when_it_comes_again_better_and_when_the_ledger_is_compacted(tmp_path):
-    """The second time is kept for its smaller Δ; the oldest may teach nothing at all."""
+def test_a_scene_keeps_its_side_when_it_is_repeated_and_when_the_ledger_is_compacted(tmp_path):
+    """The repetition is selected for its smaller Δ; the oldest episode may not be selected at all."""
 
     def scenes(**same):
         return [msgspec.structs.replace(one, **same) for one in distinct_episodes(30)]
@@ -308,20 +310,20 @@ def test_a_scene_keeps_its_side_when_it_comes_again_better_and_when_the_ledger_i
     compact_in_place(path, holder="a test", now=NOW, timeout_s=1.0)
     with LedgerReader(path) as ledger:
         sides.append(sides_of(curate(ledger, REGISTRY, CurationConfig(held_out=0.3))))
-    taught, later, compacted = sides
+    earlier, later, compacted = sides
     assert len(later) == 30
-    assert taught.items() <= later.items()
+    assert earlier.items() <= later.items()
     assert compacted == later
 
 
 def sides_of(found):
     """By place: whether it is held out."""
     rows = [(row, row in found.held_out) for row in (*found.train, *found.held_out)]
-    return {row.memory.removeprefix("x"): apart for row, apart in rows}
+    return {row.memory.removeprefix("x"): is_held_out for row, is_held_out in rows}
 
 
 @pytest.mark.parametrize("salt", list("abcdefghijklmnop"))
-def test_what_a_robot_does_most_of_all_teaches_whatever_the_draw(salt):
+def test_the_most_frequent_task_is_used_for_training_for_every_salt(salt):
     groups = ["often"] * 21 + [f"g{i}" for i in range(79)]
     assert "often" not in choose_held_out_groups(groups, 0.2, salt)
     assert choose_held_out_groups(groups, 0.2, salt) == choose_held_out_groups([*groups[21:], "often"], 0.2, salt) - {
@@ -340,7 +342,7 @@ def test_at_least_one_scene_is_held_out_and_never_all():
             assert 1 <= len(choose_held_out_groups(["a", "b", "c", "a"], share, salt)) <= 2
 
 
-def test_things_that_differ_make_another_scene(tmp_path):
+def test_different_objects_make_another_scene(tmp_path):
     pair = [
         episode("a", scene_summary=summary(number=1)),
         episode("b", scene_summary=summary(number=2), perceived_scene=scene(other="green_cube")),
@@ -351,7 +353,7 @@ def test_things_that_differ_make_another_scene(tmp_path):
     assert groups[0] == groups[2] != groups[1]
 
 
-def test_dials_out_of_range_are_refused():
+def test_settings_out_of_range_are_rejected():
     for make in (
         lambda: CleanRules(epsilon=-1.0),
         lambda: CleanRules(epsilon=float("nan")),

@@ -1,4 +1,4 @@
-"""The data set on disk: named by its bytes, read back as it was, refused when changed; the dials from one file."""
+"""The data set on disk: identified by its bytes, read back as written, rejected if changed; settings from one file."""
 
 import msgspec
 import pytest
@@ -17,7 +17,7 @@ from dualbrain.adaptation.training.schedule import plan_batches
 from dualbrain.errors import ConfigurationError, MissingDependencyError
 from tests.adaptation.sample_episodes import REGISTRY, distinct_episodes, episode, summary, write_ledger
 
-DIALS = CurationConfig(held_out=0.3)
+SETTINGS = CurationConfig(held_out=0.3)
 
 
 @pytest.fixture
@@ -25,10 +25,10 @@ def made(tmp_path):
     with write_ledger(
         tmp_path, [*distinct_episodes(12), episode("bad", "failed", scene_summary=summary(number=99))]
     ) as ledger:
-        return assemble_dataset(curate(ledger, REGISTRY, DIALS), REGISTRY, DIALS)
+        return assemble_dataset(curate(ledger, REGISTRY, SETTINGS), REGISTRY, SETTINGS)
 
 
-def test_it_comes_back_as_it_was(made, tmp_path):
+def test_a_data_set_is_read_back_as_written(made, tmp_path):
     write_dataset(made, tmp_path / "set")
     assert read_dataset(tmp_path / "set") == made
     card = made.card
@@ -37,10 +37,10 @@ def test_it_comes_back_as_it_was(made, tmp_path):
     assert (card.robot, card.registry) == ("panda", REGISTRY.hash)
 
 
-def test_the_same_ledger_gives_the_same_hash_and_another_dial_another(made, tmp_path):
+def test_the_same_ledger_gives_the_same_hash_and_another_setting_another_hash(made, tmp_path):
     (tmp_path / "again").mkdir()
     with write_ledger(tmp_path / "again", distinct_episodes(12)) as ledger:
-        same = assemble_dataset(curate(ledger, REGISTRY, DIALS), REGISTRY, DIALS)
+        same = assemble_dataset(curate(ledger, REGISTRY, SETTINGS), REGISTRY, SETTINGS)
         other = CurationConfig(held_out=0.3, salt="x")
         moved = assemble_dataset(curate(ledger, REGISTRY, other), REGISTRY, other)
     assert same.card.hash == made.card.hash
@@ -48,25 +48,25 @@ def test_the_same_ledger_gives_the_same_hash_and_another_dial_another(made, tmp_
 
 
 @pytest.mark.parametrize("name", [TRAIN_FILE, HELD_OUT_FILE])
-def test_a_changed_byte_is_refused(made, tmp_path, name):
+def test_a_changed_byte_is_rejected(made, tmp_path, name):
     write_dataset(made, tmp_path / "set")
     path = tmp_path / "set" / name
     path.write_bytes(path.read_bytes().replace(b"0.15", b"0.16", 1))
-    with pytest.raises(ConfigurationError, match="A file was changed"):
+    with pytest.raises(ConfigurationError, match="A file of the data set was changed"):
         read_dataset(tmp_path / "set")
 
 
-def test_a_line_that_changes_sides_is_refused(made, tmp_path):
+def test_a_line_that_moves_to_the_other_file_is_rejected(made, tmp_path):
     write_dataset(made, tmp_path / "set")
-    train, apart = tmp_path / "set" / TRAIN_FILE, tmp_path / "set" / HELD_OUT_FILE
+    train, held_out = tmp_path / "set" / TRAIN_FILE, tmp_path / "set" / HELD_OUT_FILE
     first, rest = train.read_bytes().split(b"\n", 1)
     train.write_bytes(rest)
-    apart.write_bytes(first + b"\n" + apart.read_bytes())
+    held_out.write_bytes(first + b"\n" + held_out.read_bytes())
     with pytest.raises(ConfigurationError):
         read_dataset(tmp_path / "set")
 
 
-def test_a_folder_of_another_set_is_left_alone(made, tmp_path):
+def test_a_folder_with_another_data_set_is_unchanged(made, tmp_path):
     write_dataset(made, tmp_path / "set")
     before = (tmp_path / "set" / TRAIN_FILE).read_bytes()
     (tmp_path / "set" / CARD_FILE).write_bytes(
@@ -79,7 +79,7 @@ def test_a_folder_of_another_set_is_left_alone(made, tmp_path):
         read_dataset(tmp_path / "nothing")
 
 
-def test_the_dials_come_from_one_file(tmp_path):
+def test_the_settings_are_read_from_one_file(tmp_path):
     path = tmp_path / "adapt.toml"
     path.write_text('[curation.rules]\nepsilon = 0.01\n[objective]\nentropy_gate = "token"\n[fit]\nsteps = 7\n')
     read = read_config(path)
@@ -87,7 +87,7 @@ def test_the_dials_come_from_one_file(tmp_path):
     assert read == AdaptConfig(read.curation, ObjectiveConfig(entropy_gate="token"), FitConfig(steps=7))
 
 
-def test_the_largest_seed_is_one_that_all_take():
+def test_all_random_generators_accept_the_largest_seed():
     torch = pytest.importorskip("torch", reason="the extra `adapt` is not installed")
     torch.manual_seed(FitConfig(seed=MAX_SEED).seed)
     assert len(plan_batches([1] * 9, FitConfig(seed=MAX_SEED))) == FitConfig().steps
@@ -120,7 +120,7 @@ def test_the_largest_seed_is_one_that_all_take():
         ("fit = [", "adaptation config"),
     ],
 )
-def test_a_wrong_dial_is_named(tmp_path, text, word):
+def test_a_wrong_setting_is_named(tmp_path, text, word):
     path = tmp_path / "adapt.toml"
     path.write_text(text)
     with pytest.raises(ConfigurationError, match=word):

@@ -1,4 +1,4 @@
-"""What a grammar admits: the text, in whatever tokens a model was taught to write it."""
+"""Tokens admitted by a grammar: all tokenisations that a model may use for an admitted text."""
 
 # ruff: noqa: E402  (nothing is imported where the extras are missing)
 import json
@@ -21,26 +21,26 @@ GRASP = {"skill": "grasp", "params": {"object": "red_cube", "speed": 0.4}}
 
 
 @pytest.fixture(scope="module")
-def coder():
+def tokenizer():
     path = locate_weights(SMALL_PLANNER, default_cache_folder(os.environ))
     return AutoTokenizer.from_pretrained(path.parent, gguf_file=path.name)
 
 
 @pytest.fixture
-def binding(coder):
-    return GrammarConstraint(llguidance_tokenizer(coder), actions_grammar(plan_request().schema))
+def constraint(tokenizer):
+    return GrammarConstraint(llguidance_tokenizer(tokenizer), actions_grammar(plan_request().schema))
 
 
 @pytest.mark.parametrize("sequence", [[PLACE], [GRASP, PLACE], [GRASP, PLACE, GRASP, PLACE], [PLACE, GRASP]])
-def test_every_token_of_a_text_that_follows_it_is_admitted(coder, binding, sequence):
-    """Also one that reaches beyond what is certain: the same text in other tokens is not what a model knows."""
-    for token in coder(json.dumps(sequence, separators=(",", ":")) + "}")["input_ids"]:
-        assert binding.admitted(len(coder))[token], coder.decode([token])
-        assert binding.take(token)
-    assert binding.admitted(len(coder))[coder.eos_token_id]
+def test_every_token_of_an_admitted_text_is_admitted(tokenizer, constraint, sequence):
+    """Also a token that reaches beyond the forced text: other tokens for the same text are unusual for the model."""
+    for token in tokenizer(json.dumps(sequence, separators=(",", ":")) + "}")["input_ids"]:
+        assert constraint.allowed_mask(len(tokenizer))[token], tokenizer.decode([token])
+        assert constraint.consume(token)
+    assert constraint.allowed_mask(len(tokenizer))[tokenizer.eos_token_id]
 
 
-def test_what_is_certain_is_foreseen_all_the_same(coder, binding):
+def test_forced_text_is_drafted(tokenizer, constraint):
     for _ in range(2):
-        assert coder.decode(binding.draft(24, lambda ahead: None)) == '[{"skill":"'
-        assert not binding.take(coder("x")["input_ids"][0])
+        assert tokenizer.decode(constraint.draft(24, lambda ahead: None)) == '[{"skill":"'
+        assert not constraint.consume(tokenizer("x")["input_ids"][0])

@@ -1,4 +1,4 @@
-"""What is measured is what the serving runtime answers; what is exported computes the same; what differs is told."""
+"""Measurements are of the serving runtime, exported adapters compute the same, and differences are reported."""
 
 # ruff: noqa: E402  (nothing is imported where the extras are missing)
 import dataclasses
@@ -79,7 +79,7 @@ def sample(number, text=None):
 
 
 ASKED = tuple(sample(number) for number in range(MIN_QUESTIONS))
-SAYS = (
+ANSWERS = (
     (contract(), True, True),
     (contract(speed=0.2), True, True),
     (contract("tin"), True, False),
@@ -92,43 +92,46 @@ SAYS = (
 
 
 @pytest.fixture
-def speaks(monkeypatch):
-    """Answers that are known, in place of a model's, and a perplexity."""
+def known_answers(monkeypatch):
+    """Known answers in place of a model's, and a known perplexity."""
 
-    def say(planner, turns, *, longest):
-        number = int(turns[0]["content"].split()[-1]) % len(SAYS)
-        return RawCompletion(SAYS[number][0], True, (), ())
+    def answer(planner, turns, *, max_tokens):
+        number = int(turns[0]["content"].split()[-1]) % len(ANSWERS)
+        return RawCompletion(ANSWERS[number][0], True, (), ())
 
-    monkeypatch.setattr("dualbrain.adaptation.serving.measurement.say", say)
+    monkeypatch.setattr("dualbrain.adaptation.serving.measurement.complete", answer)
     monkeypatch.setattr("dualbrain.adaptation.serving.measurement.perplexity", lambda planner, text: 12.5)
 
 
-def test_each_answer_is_judged_by_gate_and_by_what_was_asked_for(speaks):
+def test_each_answer_is_scored_by_the_gate_and_against_the_instruction(known_answers):
     found = measure_planner(None, ASKED, REGISTRY, adapter="a", runtime="r")
-    assert [(t.compliant, t.right) for t in found.trials] == [SAYS[n % len(SAYS)][1:] for n in range(MIN_QUESTIONS)]
+    assert [(t.compliant, t.right) for t in found.trials] == [
+        ANSWERS[n % len(ANSWERS)][1:] for n in range(MIN_QUESTIONS)
+    ]
     assert {t.success for t in found.trials} == {None}
     assert (found.adapter, found.runtime, found.perplexity) == ("a", "r", 12.5)
-    flown = []
+    executed = []
 
-    def fly(one, text):
-        flown.append(text)
+    def execute(one, text):
+        executed.append(text)
         return True, 0.01
 
-    closed = measure_planner(None, ASKED, REGISTRY, adapter="a", runtime="r", execute=fly)
+    closed = measure_planner(None, ASKED, REGISTRY, adapter="a", runtime="r", execute=execute)
     assert [(t.success, t.Delta) for t in closed.trials] == [
         (True, 0.01) if t.compliant else (False, None) for t in found.trials
     ]
-    assert len(flown) == sum(t.compliant for t in found.trials)  # what the gate refuses is not flown
+    assert len(executed) == sum(t.compliant for t in found.trials)  # contracts that the gate rejects are not executed
 
 
-def test_too_few_questions_and_a_silent_runtime_are_told(speaks, monkeypatch):
+def test_too_few_questions_and_a_runtime_without_answers_are_errors(known_answers, monkeypatch):
     with pytest.raises(ConfigurationError, match="held-out questions"):
         select_questions(ASKED[1:])
     with pytest.raises(ConfigurationError, match="held-out questions"):
         select_questions(ASKED, 10)
     assert len(select_questions((*ASKED, *ASKED), 40)) == 40
     monkeypatch.setattr(
-        "dualbrain.adaptation.serving.measurement.say", lambda *a, **k: ChatResponse(text="", finish_reason="timeout")
+        "dualbrain.adaptation.serving.measurement.complete",
+        lambda *a, **k: ChatResponse(text="", finish_reason="timeout"),
     )
     with pytest.raises(Exception, match="timeout"):
         measure_planner(None, ASKED, REGISTRY, adapter="a", runtime="r")
@@ -136,7 +139,7 @@ def test_too_few_questions_and_a_silent_runtime_are_told(speaks, monkeypatch):
 
 @pytest.fixture
 def home(tmp_path, monkeypatch):
-    """A home with the tiny base, a packaged adapter and one on top of it in the registry."""
+    """A home with the tiny base, a packaged adapter, and an adapter on top of it in the registry."""
     monkeypatch.setattr(packaged, "PACKAGED_FOLDER", tmp_path / "packaged")
     tiny_adapter.install_base(tmp_path / "cache", monkeypatch)
     (tmp_path / "packaged").mkdir()
@@ -145,17 +148,17 @@ def home(tmp_path, monkeypatch):
     registry = AdapterRegistry(tmp_path / "adapters")
     registry.add(tmp_path / "fit", now=0.0)
     for module in (adapters_command, export, adapters_measure):
-        monkeypatch.setattr(module, "cache", lambda: tmp_path / "cache")
-    monkeypatch.setattr(adapters_command, "home", lambda: tmp_path)
-    monkeypatch.setattr("dualbrain.grounding.vocabulary.skill_registry", lambda robot: REGISTRY)
+        monkeypatch.setattr(module, "cache_folder", lambda: tmp_path / "cache")
+    monkeypatch.setattr(adapters_command, "dualbrain_home", lambda: tmp_path)
+    monkeypatch.setattr("dualbrain.grounding.vocabulary.load_skill_registry", lambda robot: REGISTRY)
     return tmp_path
 
 
 def data_set(train, rows):
-    """A data set of samples for the robot of these tests."""
-    apart = dataset_hash(encode_samples(train), encode_samples(rows))
+    """A data set for the robot of these tests."""
+    held_out_hash = dataset_hash(encode_samples(train), encode_samples(rows))
     card = DatasetCard(
-        hash=apart,
+        hash=held_out_hash,
         form="",
         robot="panda",
         registry=REGISTRY.hash,
@@ -180,13 +183,13 @@ def data_set(train, rows):
 
 
 @pytest.fixture
-def briefly(monkeypatch):
-    """Answers of three tokens, and a short text to retain."""
+def short_answers(monkeypatch):
+    """Answers of three tokens, and a short text for the perplexity."""
     monkeypatch.setattr("dualbrain.adaptation.serving.measurement.MAX_ANSWER_TOKENS", 3)
     monkeypatch.setattr("dualbrain.adaptation.serving.measurement.retention_text", lambda: "The sea is blue.")
 
 
-def test_a_candidate_and_the_base_below_it_are_measured_and_written_for_the_gate(home, briefly, capsys):
+def test_a_candidate_and_its_base_are_measured_and_written_for_the_gate(home, short_answers, capsys):
     data = data_set((), tuple(sample(number) for number in range(MIN_QUESTIONS)))
     write_dataset(data, home / "data")
     one = AdapterRegistry(home / "adapters").ids()[0]
@@ -196,18 +199,18 @@ def test_a_candidate_and_the_base_below_it_are_measured_and_written_for_the_gate
     assert found.candidate.runtime == adapters_command.serving_runtime(AdapterRegistry(home / "adapters"), one)
     assert len(found.candidate.trials) == MIN_QUESTIONS
     assert found.candidate.perplexity != found.champion.perplexity
-    assert "not flown, so nothing can be promoted" in capsys.readouterr().err
+    assert "without execution, so it cannot justify a promotion" in " ".join(capsys.readouterr().err.split())
 
 
-def test_the_place_for_the_results_is_tried_before_the_first_question(home, monkeypatch):
+def test_the_output_file_is_checked_before_the_first_question(home, monkeypatch):
     asked = []
 
-    def answered(stack, who, *others):
+    def measure(stack, who, *others):
         assert (home / "results").is_dir()
         asked.append(who)
         return trial_results(who, 20)
 
-    monkeypatch.setattr(adapters_measure, "_measure_adapter", answered)
+    monkeypatch.setattr(adapters_measure, "_measure_adapter", measure)
     write_dataset(data_set((), ASKED), home / "data")
     (home / "file").touch()
     (one,) = AdapterRegistry(home / "adapters").ids()
@@ -225,13 +228,11 @@ def test_the_place_for_the_results_is_tried_before_the_first_question(home, monk
         assert asked[-2:] == [who, ""]
 
 
-def test_both_are_flown_unless_that_is_left_out_and_what_one_was_taught_is_not_asked(
-    home, briefly, capsys, monkeypatch
-):
+def test_both_are_executed_and_known_training_data_is_not_asked(home, short_answers, capsys, monkeypatch):
     monkeypatch.setenv("DUALBRAIN_HOME", str(home))
-    (taught,) = distinct_episodes(1)
+    (trained,) = distinct_episodes(1)
     data = data_set(
-        (), (*(sample(number) for number in range(MIN_QUESTIONS)), replace(sample(MIN_QUESTIONS), memory=taught.id))
+        (), (*(sample(number) for number in range(MIN_QUESTIONS)), replace(sample(MIN_QUESTIONS), memory=trained.id))
     )
     write_dataset(data, home / "data")
     one = AdapterRegistry(home / "adapters").ids()[0]
@@ -242,16 +243,16 @@ def test_both_are_flown_unless_that_is_left_out_and_what_one_was_taught_is_not_a
         "dualbrain.runtime.inspection.memory_replay.make_replay_evaluator",
         lambda ledger, rows, *, seed: asked.extend(rows) or (lambda row, text: (True, 0.001)),
     )
-    write_ledger(home, [taught], lambda memory: record_adapter(memory, one, "d" * 64, [taught.id], now=NOW)).close()
+    write_ledger(home, [trained], lambda memory: record_adapter(memory, one, "d" * 64, [trained.id], now=NOW)).close()
     assert adapters_measure.measure(one, data=home / "data", out=home / "m.json") == 0
     found = msgspec.json.decode((home / "m.json").read_bytes(), type=Measurement)
     assert [row.id for row in asked] == [trial.question for trial in found.candidate.trials]
-    assert None not in {trial.success for told in (found.candidate, found.champion) for trial in told.trials}
+    assert None not in {trial.success for results in (found.candidate, found.champion) for trial in results.trials}
     assert len(asked) == MIN_QUESTIONS
     assert "left out: 1 questions" in capsys.readouterr().err
 
 
-def test_perplexity_is_that_of_torch(home):
+def test_perplexity_agrees_with_torch(home):
     folder = home / "packaged" / "first"
     planner = start_llama(
         load_stack(folder, home / "cache"),
@@ -263,22 +264,22 @@ def test_perplexity_is_that_of_torch(home):
         found = perplexity(planner, "The sea is blue.")
     finally:
         planner.close()
-    worn = PeftModel.from_pretrained(model("llama"), folder).eval()
+    adapted = PeftModel.from_pretrained(model("llama"), folder).eval()
     tokens = tokenizer()("The sea is blue.", add_special_tokens=False)["input_ids"]
     with torch.no_grad():
-        log_p = worn(input_ids=torch.tensor([tokens])).logits[0].log_softmax(-1)
-    rest = range(len("The"), len(tokens))  # one token a byte
+        log_p = adapted(input_ids=torch.tensor([tokens])).logits[0].log_softmax(-1)
+    rest = range(len("The"), len(tokens))  # one token per byte
     mean = sum(float(log_p[place - 1, tokens[place]]) for place in rest) / len(rest)
     assert found == pytest.approx(math.exp(-mean), rel=0.02)
 
 
 @pytest.mark.parametrize("form", ["peft", "gguf", "merged"])
-def test_what_is_exported_computes_the_same(home, form):
+def test_an_exported_adapter_computes_the_same(home, form):
     one = AdapterRegistry(home / "adapters").ids()[0]
     upper = PeftModel.from_pretrained(
         PeftModel.from_pretrained(model("llama"), home / "packaged" / "first").merge_and_unload(), home / "fit"
     )
-    wanted = torch_log_probs(upper.eval())
+    expected = torch_log_probs(upper.eval())
     assert export.export(one[:12], home / "out", form=form) == 0
     (home / "plain").touch()
     for file in filter(Path.is_file, (home / "out", *home.glob("out/*"))):
@@ -286,19 +287,24 @@ def test_what_is_exported_computes_the_same(home, form):
     base = home / "cache" / "tiny.gguf"
     match form:
         case "peft":
-            told = json.loads((home / "out" / "adapter_config.json").read_text())
-            assert (told["bias"], told["use_dora"], told["modules_to_save"], told["r"]) == ("none", False, None, 8)
-            found, close = torch_log_probs(PeftModel.from_pretrained(model("llama"), home / "out").eval()), 1e-4
+            config = json.loads((home / "out" / "adapter_config.json").read_text())
+            assert (config["bias"], config["use_dora"], config["modules_to_save"], config["r"]) == (
+                "none",
+                False,
+                None,
+                8,
+            )
+            found, tolerance = torch_log_probs(PeftModel.from_pretrained(model("llama"), home / "out").eval()), 1e-4
         case "gguf":
-            found, close = llama_log_probs(base, home / "out"), 2e-4
+            found, tolerance = llama_log_probs(base, home / "out"), 2e-4
         case "merged":
-            found, close = llama_log_probs(home / "out", None), 2e-2  # half precision
-    np.testing.assert_allclose(found, wanted, atol=close)
-    with pytest.raises(ConfigurationError, match="free"):
+            found, tolerance = llama_log_probs(home / "out", None), 2e-2  # half precision
+    np.testing.assert_allclose(found, expected, atol=tolerance)
+    with pytest.raises(ConfigurationError, match="exists already"):
         export.export(one[:12], home / "out", form=form)
 
 
-def test_layers_apart_as_whole_matrices_say(tmp_path):
+def test_layer_differences_agree_with_full_matrices(tmp_path):
     for seed in (5, 6):
         random_adapter(model("llama"), tmp_path / str(seed), seed=seed, r=seed - 2)
     first, second = (read_lora(tmp_path / str(seed)) for seed in (5, 6))
@@ -311,32 +317,32 @@ def test_layers_apart_as_whole_matrices_say(tmp_path):
     assert combine_layers(compare_layers(first, first)).apart == pytest.approx(0.0, abs=1e-3)
 
 
-def test_adapters_are_told_apart(home, capsys):
+def test_diff_prints_cards_and_layers(home, capsys):
     one = AdapterRegistry(home / "adapters").ids()[0]
     assert export.diff(one[:12], "first") == 0
-    told = capsys.readouterr().out
-    assert "base: first | tiny" in told
-    assert "‖difference‖" in told
+    output = capsys.readouterr().out
+    assert "base: first | tiny" in output
+    assert "‖difference‖" in output
     card = read_adapter_card(home / "fit")
     assert compare_cards(card, card) == {}
 
 
-def test_what_only_one_of_two_adapters_sits_on_counts_as_its_own(home, capsys):
+def test_an_adapter_below_only_one_of_the_two_counts_as_part_of_it(home, capsys):
     """(B₁A₁ + B₂A₂) − B₁A₁ = B₂A₂."""
     (one,) = AdapterRegistry(home / "adapters").ids()
     first, second = (read_lora(home / name) for name in ("packaged/first", "fit"))
     both = compare_layers(concatenate_adapters([home / "packaged" / "first", home / "fit"]), first)
     for names, fields in (((one, "first"), ("first", "second")), (("first", one), ("second", "first"))):
         assert export.diff(*names, json=True) == 0
-        told = json.loads(capsys.readouterr().out)["all"]
-        assert told["apart"] == pytest.approx(combine_layers(compare_layers(second, {})).first, rel=1e-4)
-        assert [told[field] for field in fields] == pytest.approx(
+        total = json.loads(capsys.readouterr().out)["all"]
+        assert total["apart"] == pytest.approx(combine_layers(compare_layers(second, {})).first, rel=1e-4)
+        assert [total[field] for field in fields] == pytest.approx(
             [combine_layers(both).first, combine_layers(both).second]
         )
     tiny_adapter.write_adapter(model("llama"), home / "again", 7, base="first", base_sha256=base_model_hash("first"))
-    assert export.diff(one, str(home / "again"), json=True) == 0  # what both sit on is left out
-    told = json.loads(capsys.readouterr().out)["all"]
-    assert told["first"] == pytest.approx(combine_layers(compare_layers(second, {})).first, rel=1e-4)
+    assert export.diff(one, str(home / "again"), json=True) == 0  # a common base is left out
+    total = json.loads(capsys.readouterr().out)["all"]
+    assert total["first"] == pytest.approx(combine_layers(compare_layers(second, {})).first, rel=1e-4)
 
 
 def test_adapters_of_different_models_are_not_compared(home, monkeypatch, capsys):
@@ -349,7 +355,7 @@ def test_adapters_of_different_models_are_not_compared(home, monkeypatch, capsys
     assert capsys.readouterr().out == ""
 
 
-def test_joined_adapters_of_unequal_rank_are_their_sum(tmp_path):
+def test_concatenated_adapters_of_unequal_rank_are_their_sum(tmp_path):
     random_adapter(model("llama"), tmp_path / "a", r=2)
     random_adapter(model("llama"), tmp_path / "b", seed=6, r=3, target_modules=["q_proj", "down_proj"])
     pairs = concatenate_adapters([tmp_path / "a", tmp_path / "b"])

@@ -1,4 +1,4 @@
-"""A candidate in the shadow is asked everything, heard by nobody, and written down."""
+"""Shadow mode: a candidate is asked all questions, its answers have no effect, and they are logged."""
 
 import time
 from threading import Event
@@ -18,7 +18,7 @@ from dualbrain.planner.scripted import ScriptedPlanner
 from tests.planner.sample_requests import plan_request
 
 
-def test_who_serves_is_heard_and_the_shadow_is_written_down(tmp_path):
+def test_the_serving_planner_answers_and_the_candidate_is_logged(tmp_path):
     log = tmp_path / "shadows" / "a.jsonl"
     serving, candidate = ScriptedPlanner(["one", "two"]), ScriptedPlanner(["one", "three"])
     planner = ShadowedPlanner(serving, candidate, log)
@@ -29,22 +29,22 @@ def test_who_serves_is_heard_and_the_shadow_is_written_down(tmp_path):
     assert [one.instruction for one in candidate.requests] == ["first", "second"]
     seen = read_shadow_log(log)
     assert [(one.candidate_text, one.is_same) for one in seen] == [("one", True), ("three", False)]
-    assert "asked 2 times in the shadow: 2 whole answers, 1 as who served" in summarize_shadow(seen)
+    assert "2 shadow answers: 2 complete, 1 equal to the served answer" in summarize_shadow(seen)
 
 
 class Slow(ScriptedPlanner):
-    """Answers when it is let, or when it is closed."""
+    """Answers when it is released or closed."""
 
     def __init__(self, texts):
         super().__init__(texts)
-        self.let = Event()
+        self.released = Event()
 
     def propose(self, request):
-        self.let.wait(60.0)
+        self.released.wait(60.0)
         return super().propose(request)
 
     def close(self):
-        self.let.set()
+        self.released.set()
 
 
 class Raises(ScriptedPlanner):
@@ -52,14 +52,14 @@ class Raises(ScriptedPlanner):
         raise OSError("no such thing")
 
 
-def test_nobody_waits_for_the_shadow_and_what_it_has_no_time_for_is_counted(tmp_path):
+def test_the_robot_never_waits_for_the_candidate_and_skipped_questions_are_counted(tmp_path):
     log = tmp_path / "a.jsonl"
     candidate = Slow(["one", "four"])
     planner = ShadowedPlanner(ScriptedPlanner(["one", "two", "three", "four", "five"]), candidate, log)
     for words in ("first", "second", "third"):
         planner.propose(plan_request(words))  # a wait would outlast the test
     assert read_shadow_log(log) == ()
-    candidate.let.set()
+    candidate.released.set()
     planner._thread.join()
     assert [(one.instruction, one.passed_over) for one in read_shadow_log(log)] == [("first", 2)]
     planner.propose(plan_request("fourth"))
@@ -67,33 +67,33 @@ def test_nobody_waits_for_the_shadow_and_what_it_has_no_time_for_is_counted(tmp_
     assert [(one.instruction, one.is_same, one.passed_over) for one in read_shadow_log(log)][1:] == [
         ("fourth", True, 0)
     ]
-    assert "; 2 more passed over" in summarize_shadow(read_shadow_log(log))
+    assert "; 2 more questions skipped" in summarize_shadow(read_shadow_log(log))
 
 
-def test_at_the_end_an_answer_under_way_has_a_short_while_and_is_then_cut_off(tmp_path, monkeypatch):
+def test_closing_waits_a_limited_time_for_a_pending_answer(tmp_path, monkeypatch):
     monkeypatch.setattr(shadow, "JOIN_TIMEOUT_S", 0.05)
     planner = ShadowedPlanner(ScriptedPlanner(["one"]), Slow(["one"]), tmp_path / "a.jsonl")
     planner.propose(plan_request())
-    begun = time.monotonic()
+    start = time.monotonic()
     planner.close()
     planner._thread.join()
-    assert time.monotonic() - begun < 30.0
+    assert time.monotonic() - start < 30.0
     assert len(read_shadow_log(tmp_path / "a.jsonl")) == 1
 
 
-def test_an_error_of_the_candidate_is_written_down_and_told(tmp_path):
+def test_an_error_of_the_candidate_is_logged_and_summarised(tmp_path):
     log = tmp_path / "a.jsonl"
     planner = ShadowedPlanner(ScriptedPlanner(["one"]), Raises([]), log)
     assert planner.propose(plan_request()).text == "one"
     planner.close()
     assert [(one.finish, one.is_same) for one in read_shadow_log(log)] == [("error: no such thing", False)]
-    assert "0 whole answers" in summarize_shadow(read_shadow_log(log))
+    assert "0 complete" in summarize_shadow(read_shadow_log(log))
     assert summarize_shadow(read_shadow_log(log)).endswith("; errors: 1")
 
 
-def test_a_log_that_cannot_be_written_is_refused_and_one_that_fails_later_is_counted(tmp_path):
+def test_an_unwritable_log_is_rejected_and_a_later_failure_is_counted(tmp_path):
     (tmp_path / "file").write_text("no folder")
-    with pytest.raises(ConfigurationError, match="log of the shadow"):
+    with pytest.raises(ConfigurationError, match="shadow log cannot be written"):
         ShadowedPlanner(ScriptedPlanner([]), ScriptedPlanner([]), tmp_path / "file" / "a.jsonl")
     log = tmp_path / "a.jsonl"
     planner = ShadowedPlanner(ScriptedPlanner(["one", "two"]), ScriptedPlanner(["one", "two"]), log)
@@ -114,7 +114,7 @@ def test_a_log_of_an_older_version_is_read(tmp_path):
         '"finish":"stop","seconds":1.5}\n'
     )
     assert [(one.is_same, one.passed_over) for one in read_shadow_log(log)] == [(True, 0)]
-    assert summarize_shadow(read_shadow_log(log)).endswith("1 as who served, 1.5 s each (median)")
+    assert summarize_shadow(read_shadow_log(log)).endswith("1 equal to the served answer, 1.5 s each (median)")
 
 
 class Adapted(ScriptedPlanner):
@@ -124,7 +124,7 @@ class Adapted(ScriptedPlanner):
         return [{"role": "user", "content": request.instruction}]
 
 
-def test_what_is_read_and_recorded_is_that_of_who_serves(tmp_path):
+def test_messages_and_provenance_are_those_of_the_serving_planner(tmp_path):
     log = tmp_path / "a.jsonl"
     adapted, bare = Adapted(["one"]), ScriptedPlanner(["one"])
     planner = ShadowedPlanner(adapted, bare, log)
@@ -140,7 +140,7 @@ def test_what_is_read_and_recorded_is_that_of_who_serves(tmp_path):
     assert planner_messages(planner, plan_request()) == render(plan_request())
 
 
-def test_an_answer_that_is_not_whole_is_never_the_same(tmp_path):
+def test_an_incomplete_answer_never_counts_as_equal(tmp_path):
     log = tmp_path / "a.jsonl"
     planner = ShadowedPlanner(ScriptedPlanner([""]), ScriptedPlanner([""], finish_reason=protocol.TIMEOUT), log)
     planner.propose(plan_request())
@@ -148,16 +148,16 @@ def test_an_answer_that_is_not_whole_is_never_the_same(tmp_path):
     assert not read_shadow_log(log)[0].is_same
     log.write_bytes(log.read_bytes() + b'{"served":"torn')
     assert len(read_shadow_log(log)) == 1
-    assert summarize_shadow(read_shadow_log(tmp_path / "none.jsonl")) == "never asked in the shadow"
+    assert summarize_shadow(read_shadow_log(tmp_path / "none.jsonl")) == "no shadow answers"
 
 
-def test_a_damaged_log_is_told(tmp_path):
+def test_a_damaged_log_is_reported(tmp_path):
     log = tmp_path / "a.jsonl"
     log.write_bytes(b"{}\n")
-    with pytest.raises(ConfigurationError, match="log of the shadow"):
+    with pytest.raises(ConfigurationError, match="shadow log is damaged"):
         read_shadow_log(log)
 
 
-def test_a_name_says_who_stands_in_whose_shadow():
+def test_a_shadow_name_has_a_candidate_and_a_serving_planner():
     assert parse_shadow_name("shadow:ab12") == ("adapter:ab12", "adapter:champion")
     assert parse_shadow_name("shadow:adapter:ab12@http://x/v1#m") == ("adapter:ab12", "http://x/v1#m")

@@ -1,4 +1,4 @@
-"""Given ahead or not, alone or side by side: the same is said."""
+"""Speculative decoding gives the same answers with and without drafts, alone and in a batch."""
 
 # ruff: noqa: E402  (nothing is imported where the extras are missing)
 import json
@@ -24,96 +24,96 @@ GRAMMAR = contract_grammar(
 )
 WORDS = (
     "open, close, open",
-    "say the same, say the same, say the s",
+    "do the same, do the same, do the s",
     "x",
     '{"steps":["open the hand","open the hand"]} again:',
 )
-LONGEST, HEAT = 56, 0.7
+MAX_TOKENS, TEMPERATURE = 56, 0.7
 
 
 @pytest.fixture(scope="module")
-def mind():
-    coder = tokenizer()
-    return model("llama"), coder, llguidance_tokenizer(coder)
+def loaded():
+    tiny_tokenizer = tokenizer()
+    return model("llama"), tiny_tokenizer, llguidance_tokenizer(tiny_tokenizer)
 
 
-def replies(mind, kind, **told):
-    _, coder, vocabulary = mind
+def make_streams(loaded, kind, **options):
+    _, tiny_tokenizer, vocabulary = loaded
     return [
         DecodingStream(
-            coder(words, add_special_tokens=False)["input_ids"],
+            tiny_tokenizer(words, add_special_tokens=False)["input_ids"],
             end_token=256,
-            max_tokens=LONGEST,
+            max_tokens=MAX_TOKENS,
             **({kind: GrammarConstraint(vocabulary, GRAMMAR)} if kind else {}),
-            **told,
+            **options,
         )
         for words in WORDS
     ]
 
 
-def said(mind, kind, *, together=True, **told):
-    mine = replies(mind, kind, **told)
-    for group in [mine] if together else [[one] for one in mine]:
-        generate(mind[0], group)
-    return [one.output_tokens for one in mine]
+def decode(loaded, kind, *, batched=True, **options):
+    streams = make_streams(loaded, kind, **options)
+    for group in [streams] if batched else [[one] for one in streams]:
+        generate(loaded[0], group)
+    return [one.output_tokens for one in streams]
 
 
-def token_by_token(mind, one, bound, chance=None):
-    """The same from first principles: the whole text is read anew for each token."""
-    text, said = list(one.given), []
-    while len(said) < LONGEST and said[-1:] != [256]:
+def token_by_token(loaded, one, constraint, generator=None):
+    """The reference: the whole text is read again for each token."""
+    text, output = list(one.prompt_tokens), []
+    while len(output) < MAX_TOKENS and output[-1:] != [256]:
         with torch.no_grad():
-            logits = mind[0](input_ids=torch.tensor([text + said]), use_cache=False).logits[0, -1]
-        if bound:
-            logits = logits.masked_fill(~bound.admitted(len(logits)), -torch.inf)
-        chances = (logits / HEAT).softmax(-1)
-        told = torch.multinomial(chances, 1, generator=chance) if chance else logits.argmax()
-        said.append(int(told))
-        if bound and said[-1] != 256:
-            assert bound.take(said[-1])
-    return said
+            logits = loaded[0](input_ids=torch.tensor([text + output]), use_cache=False).logits[0, -1]
+        if constraint:
+            logits = logits.masked_fill(~constraint.allowed_mask(len(logits)), -torch.inf)
+        probabilities = (logits / TEMPERATURE).softmax(-1)
+        token = torch.multinomial(probabilities, 1, generator=generator) if generator else logits.argmax()
+        output.append(int(token))
+        if constraint and output[-1] != 256:
+            assert constraint.consume(output[-1])
+    return output
 
 
-@pytest.mark.parametrize("kind", ["", "guide", "bound"])
+@pytest.mark.parametrize("kind", ["", "guide", "constraint"])
 @pytest.mark.parametrize("seed", [None, 3])
-def test_it_says_what_is_said_token_by_token(mind, kind, seed):
-    wanted = [
+def test_the_answer_equals_decoding_token_by_token(loaded, kind, seed):
+    expected = [
         token_by_token(
-            mind,
+            loaded,
             one,
-            GrammarConstraint(mind[2], GRAMMAR) if kind == "bound" else None,
+            GrammarConstraint(loaded[2], GRAMMAR) if kind == "constraint" else None,
             None if seed is None else torch.Generator().manual_seed(seed),
         )
-        for one in replies(mind, kind)
+        for one in make_streams(loaded, kind)
     ]
-    assert said(mind, kind, seed=seed, temperature=HEAT) == wanted
-    assert said(mind, kind, seed=seed, temperature=HEAT, together=False) == wanted
+    assert decode(loaded, kind, seed=seed, temperature=TEMPERATURE) == expected
+    assert decode(loaded, kind, seed=seed, temperature=TEMPERATURE, batched=False) == expected
 
 
 class Guessing(DecodingStream):
-    """Guesses three tokens of `truth` each time, or three wrong ones."""
+    """Drafts three tokens of `truth` in each step, or three wrong ones."""
 
-    def __init__(self, one, truth, *, rightly):
-        super().__init__(one.given, end_token=256, max_tokens=LONGEST)
-        self._truth, self._rightly = truth, rightly
+    def __init__(self, one, truth, *, is_right):
+        super().__init__(one.prompt_tokens, end_token=256, max_tokens=MAX_TOKENS)
+        self._truth, self._is_right = truth, is_right
 
-    def following(self):
+    def next_tokens(self):
         guess = self._truth[len(self.output_tokens) : len(self.output_tokens) + 3]
-        return [self.output_tokens[-1], *(guess if self._rightly else [(token + 7) % 250 for token in guess])]
+        return [self.output_tokens[-1], *(guess if self._is_right else [(token + 7) % 250 for token in guess])]
 
 
-def test_what_one_guessed_wrongly_is_forgotten_while_another_goes_on(mind):
-    plain = replies(mind, "")
-    wanted = [token_by_token(mind, one, None) for one in plain]
+def test_rejected_drafts_of_one_answer_do_not_affect_another(loaded):
+    plain = make_streams(loaded, "")
+    expected = [token_by_token(loaded, one, None) for one in plain]
     ours = [
-        Guessing(one, truth, rightly=place % 2 == 0)
-        for place, (one, truth) in enumerate(zip(plain, wanted, strict=True))
+        Guessing(one, truth, is_right=place % 2 == 0)
+        for place, (one, truth) in enumerate(zip(plain, expected, strict=True))
     ]
-    generate(mind[0], ours)
-    assert [one.output_tokens for one in ours] == wanted
+    generate(loaded[0], ours)
+    assert [one.output_tokens for one in ours] == expected
 
 
-def test_what_is_forced_costs_no_step_of_its_own(mind, monkeypatch):
+def test_forced_tokens_need_no_steps_of_their_own(loaded, monkeypatch):
     counted = []
     inner = speculative_decoding._KeyValueCache.extend
     monkeypatch.setattr(
@@ -121,44 +121,44 @@ def test_what_is_forced_costs_no_step_of_its_own(mind, monkeypatch):
         "extend",
         lambda self, tokens: counted.append(tokens) or inner(self, tokens),
     )
-    first = said(mind, "bound")
+    first = decode(loaded, "constraint")
     steps = len(counted)
-    assert all(json.loads(mind[1].decode(one, skip_special_tokens=True))["steps"] for one in first)
+    assert all(json.loads(loaded[1].decode(one, skip_special_tokens=True))["steps"] for one in first)
     assert 3 * steps < max(map(len, first))
     monkeypatch.setattr(speculative_decoding, "MAX_READ_TOKENS", 1)
     counted.clear()
-    assert said(mind, "bound") == first
+    assert decode(loaded, "constraint") == first
     assert len(counted) == max(map(len, first)) - 1
 
 
-def test_what_was_said_before_is_foreseen_and_a_guide_that_is_left_is_let_go(mind):
-    def coded(words):
-        return mind[1](words, add_special_tokens=False)["input_ids"]
+def test_repeated_text_is_drafted_and_a_contradicted_guide_is_dropped(loaded):
+    def encode(words):
+        return loaded[1](words, add_special_tokens=False)["input_ids"]
 
-    def wanting(letter):
+    def logits_for(letter):
         row = torch.zeros(1, 258)
-        row[0, coded(letter)] = 9.0
+        row[0, encode(letter)] = 9.0
         return row
 
-    guide = GrammarConstraint(mind[2], 'start: "abc" /[d-z]+/')
-    reply = DecodingStream(coded("abcdefgh, z"), end_token=256, max_tokens=8, guide=guide)
-    reply.accept(wanting("a"), reply.prompt_tokens[-1:])
-    assert reply.next_tokens() == coded("abcdefg")  # forced as far as "abc", then as before, up to the longest answer
-    heard = torch.cat([wanting(letter) for letter in "bcdExyz"])
-    assert reply.accept(heard, reply.next_tokens()) == 4
-    assert reply.output_tokens == coded("abcdE")
-    assert reply.next_tokens() == coded("E")
+    guide = GrammarConstraint(loaded[2], 'start: "abc" /[d-z]+/')
+    stream = DecodingStream(encode("abcdefgh, z"), end_token=256, max_tokens=8, guide=guide)
+    stream.accept(logits_for("a"), stream.prompt_tokens[-1:])
+    assert stream.next_tokens() == encode("abcdefg")  # "abc" is forced, the rest is as before, up to `max_tokens`
+    logits = torch.cat([logits_for(letter) for letter in "bcdExyz"])
+    assert stream.accept(logits, stream.next_tokens()) == 4
+    assert stream.output_tokens == encode("abcdE")
+    assert stream.next_tokens() == encode("E")
 
 
-def test_an_answer_is_cut_at_its_limit_and_all_of_them_when_it_is_late(mind):
-    cut = replies(mind, "")
-    generate(mind[0], cut)
-    assert all(one.is_finished and (one.is_complete or len(one.output_tokens) == LONGEST) for one in cut)
-    late = replies(mind, "bound")
-    generate(mind[0], late, lambda: True)
+def test_an_answer_is_cut_at_its_limit_and_all_answers_at_the_deadline(loaded):
+    cut = make_streams(loaded, "")
+    generate(loaded[0], cut)
+    assert all(one.is_finished and (one.is_complete or len(one.output_tokens) == MAX_TOKENS) for one in cut)
+    late = make_streams(loaded, "constraint")
+    generate(loaded[0], late, lambda: True)
     assert not any(one.is_finished for one in late)
 
 
-def test_a_grammar_that_cannot_be_read_is_refused(mind):
+def test_an_invalid_grammar_is_rejected(loaded):
     with pytest.raises(ConfigurationError, match="grammar"):
-        GrammarConstraint(mind[2], "start: %nothing")
+        GrammarConstraint(loaded[2], "start: %nothing")

@@ -1,4 +1,4 @@
-"""The planner in transformers answers as llama.cpp does, bound by the same grammar."""
+"""The planner in transformers answers as llama.cpp does, under the same grammar."""
 
 # ruff: noqa: E402  (nothing is imported where the extras are missing)
 import json
@@ -30,7 +30,7 @@ from tests.planner.sample_requests import REGISTRY, plan_request
 
 pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::UserWarning")
 SHORT_STEPS = {"type": "array", "items": {"enum": ["open", "close"]}, "minItems": 1, "maxItems": 2}
-ASKED = plan_request(schema={"type": "object", "properties": {"action_sequence": SHORT_STEPS}})
+REQUEST = plan_request(schema={"type": "object", "properties": {"action_sequence": SHORT_STEPS}})
 
 
 @pytest.fixture
@@ -42,71 +42,71 @@ def home(tmp_path, monkeypatch):
     return tmp_path
 
 
-def planner(home, asking=SHORT_PROMPT, **config):
+def make_planner(home, prompt_format=SHORT_PROMPT, **config):
     stack = load_stack(home / "fit", home / "cache")
-    return TorchPlanner("tiny+ab", stack, home / "cache", asking, TorchConfig(**({"max_tokens": 48} | config)))
+    return TorchPlanner("tiny+ab", stack, home / "cache", prompt_format, TorchConfig(**({"max_tokens": 48} | config)))
 
 
-def test_it_says_what_llama_cpp_says(home):
-    ours = planner(home).propose(ASKED)
+def test_it_answers_as_llama_cpp_does(home):
+    ours = make_planner(home).propose(REQUEST)
     theirs = start_llama(
         load_stack(home / "fit", home / "cache"), home / "cache", LlamaConfig(n_ctx=2048, max_tokens=48)
     )
     try:
-        assert theirs.propose(ASKED).text == ours.text
-        assert theirs.messages(ASKED) == planner(home).messages(ASKED)
+        assert theirs.propose(REQUEST).text == ours.text
+        assert theirs.messages(REQUEST) == make_planner(home).messages(REQUEST)
     finally:
         theirs.close()
     assert ours.finish_reason == protocol.STOP
-    jsonschema_rs.validator_for(ASKED.schema).validate(json.loads(ours.text))
+    jsonschema_rs.validator_for(REQUEST.schema).validate(json.loads(ours.text))
     assert "llguidance" in ours.constrained_by
     assert "transformers" in ours.constrained_by
-    assert planner(home).propose(ASKED).text == ours.text
+    assert make_planner(home).propose(REQUEST).text == ours.text
 
 
-def test_left_free_it_is_bound_by_nothing_and_says_so(home):
-    proposal = planner(home, UNCONSTRAINED_SHORT_PROMPT, max_tokens=8).propose(ASKED)
+def test_without_constraints_it_reports_free_decoding(home):
+    proposal = make_planner(home, UNCONSTRAINED_SHORT_PROMPT, max_tokens=8).propose(REQUEST)
     assert proposal.finish_reason == protocol.LENGTH
     assert proposal.constrained_by == "nothing (free decoding)"
     assert not proposal.text.startswith('{"id"')
 
 
 def test_a_time_limit_is_a_finish_reason(home):
-    assert planner(home, timeout_s=0.0).propose(ASKED).finish_reason == protocol.TIMEOUT
+    assert make_planner(home, timeout_s=0.0).propose(REQUEST).finish_reason == protocol.TIMEOUT
 
 
-def test_what_it_was_not_taught_is_refused_before_anything_is_loaded(home, monkeypatch):
+def test_a_request_outside_the_training_data_is_rejected_before_loading(home, monkeypatch):
     monkeypatch.setattr(transformers_planner, "load_stacked_model", None)
     for wrong in ({"robot": "ur5e"}, {"registry_hash": "00000000"}, {"schema": {"type": "object"}}):
         with pytest.raises(ConfigurationError):
-            planner(home).propose(plan_request(**wrong))
+            make_planner(home).propose(plan_request(**wrong))
 
 
-def test_a_vocabulary_that_only_narrows_what_it_was_taught_is_answered(home):
-    told = {"adapters": home / "adapters", "robot": REGISTRY.robot, "registry": "narrower"}
+def test_a_narrower_vocabulary_than_that_of_the_training_is_answered(home):
+    options = {"adapters": home / "adapters", "robot": REGISTRY.robot, "registry": "narrower"}
     name = f"transformers:adapter:{home / 'fit'}"
-    opened = open_planner(name, home / "cache", **told, narrowed_registries={"narrower": REGISTRY.hash})
-    asked = msgspec.structs.replace(ASKED, registry_hash="narrower")
-    assert opened.propose(asked).text.startswith('{"id":"c-0007","context":{"robot":"panda","registry":"narrower"}')
+    open_fit = open_planner(name, home / "cache", **options, narrowed_registries={"narrower": REGISTRY.hash})
+    asked = msgspec.structs.replace(REQUEST, registry_hash="narrower")
+    assert open_fit.propose(asked).text.startswith('{"id":"c-0007","context":{"robot":"panda","registry":"narrower"}')
     with pytest.raises(ConfigurationError, match="vocabulary of adapter"):
-        open_planner(name, home / "cache", **told)
+        open_planner(name, home / "cache", **options)
 
 
-def opened(home):
-    told = {"adapters": home / "adapters", "robot": REGISTRY.robot, "registry": REGISTRY.hash}
-    return open_planner(f"transformers:adapter:{home / 'fit'}", home / "cache", **told)
+def open_fit(home):
+    options = {"adapters": home / "adapters", "robot": REGISTRY.robot, "registry": REGISTRY.hash}
+    return open_planner(f"transformers:adapter:{home / 'fit'}", home / "cache", **options)
 
 
 @pytest.mark.parametrize(
-    "told",
+    "changes",
     [{"peft_type": "IA3"}, {"layers_to_transform": [0]}, {"use_dora": True}, {"rank_pattern": {"(a+)+!": 4}}, None],
     ids=str,
 )
-def test_what_llama_cpp_would_not_wear_is_refused_when_it_is_opened(home, told):
+def test_an_adapter_that_llama_cpp_cannot_serve_is_rejected_when_it_is_opened(home, changes):
     path = home / "fit" / CONFIG_FILE
-    path.write_text("{" if told is None else json.dumps(json.loads(path.read_bytes()) | told))
+    path.write_text("{" if changes is None else json.dumps(json.loads(path.read_bytes()) | changes))
     with pytest.raises(ConfigurationError, match="LoRA"):
-        opened(home)
+        open_fit(home)
 
 
 @pytest.mark.parametrize(
@@ -117,8 +117,8 @@ def test_what_llama_cpp_would_not_wear_is_refused_when_it_is_opened(home, told):
         (1, "model.layers.0.self_attn.q_proj", "LoRA of model.layers.0"),
     ],
 )
-def test_what_has_no_place_in_the_base_is_refused_before_it_answers(home, rows, name, word):
-    """A single row would be added to all of them."""
+def test_an_adapter_that_does_not_match_the_base_is_rejected_before_it_answers(home, rows, name, word):
+    """A single row would be added to all rows by broadcasting."""
     tensors = load_file(home / "fit" / WEIGHTS_FILE) | {
         f"base_model.model.{name}.lora_{half}.weight": torch.ones(shape)
         for half, shape in (("A", (4, 64)), ("B", (rows, 4)))
@@ -126,22 +126,22 @@ def test_what_has_no_place_in_the_base_is_refused_before_it_answers(home, rows, 
     card = load_stack(home / "fit", home / "cache").top_card
     save_file(tensors, home / "fit" / WEIGHTS_FILE)
     write_adapter_card(msgspec.structs.replace(card, id=hash_weights(home / "fit")), home / "fit")
-    planner = opened(home)
+    opened = open_fit(home)
     with pytest.raises(ConfigurationError, match=word):
-        planner.propose(ASKED)
+        opened.propose(REQUEST)
 
 
-def test_it_is_opened_by_name(home):
-    told = {"adapters": home / "adapters", "robot": REGISTRY.robot, "registry": REGISTRY.hash}
-    opened = open_planner(f"transformers:adapter:{home / 'fit'}", home / "cache", **told)
-    assert isinstance(opened, TorchPlanner)
-    assert opened.name.startswith("tiny+")
-    bare = open_planner("transformers:tiny", home / "cache", **told)
+def test_the_planner_is_opened_by_name(home):
+    options = {"adapters": home / "adapters", "robot": REGISTRY.robot, "registry": REGISTRY.hash}
+    open_fit = open_planner(f"transformers:adapter:{home / 'fit'}", home / "cache", **options)
+    assert isinstance(open_fit, TorchPlanner)
+    assert open_fit.name.startswith("tiny+")
+    bare = open_planner("transformers:tiny", home / "cache", **options)
     assert bare.name == "tiny in torch"
-    assert planner_provenance(opened) == {"prompt": short_template_hash(), "adapter": opened.stack.top_card.id}
+    assert planner_provenance(open_fit) == {"prompt": short_template_hash(), "adapter": open_fit.stack.top_card.id}
     assert (planner_provenance(bare), planner_template(bare)) == ({}, template_hash())
     for wrong in ("bse-135m", "", "efficientnet-lite0"):
         with pytest.raises(UnknownNameError, match="base-135m"):
-            open_planner(f"transformers:{wrong}", home / "cache", **told)
+            open_planner(f"transformers:{wrong}", home / "cache", **options)
     with pytest.raises(UnknownNameError):
-        open_planner("transformers:nobody", home / "cache", **told)
+        open_planner("transformers:unknown", home / "cache", **options)

@@ -1,4 +1,4 @@
-"""The base in torch is the one in the GGUF, with what it wears; it is dequantised once."""
+"""The base in torch equals the one in the GGUF, with its stacked adapters; it is dequantised once."""
 
 import json
 import resource
@@ -13,7 +13,7 @@ import gguf  # noqa: E402
 
 from dualbrain.adaptation.adapters.base_models import BaseModel, find_base_model  # noqa: E402
 from dualbrain.adaptation.adapters.card import hash_weights  # noqa: E402
-from dualbrain.adaptation.training.model import dequantized_base as room  # noqa: E402
+from dualbrain.adaptation.training.model import dequantized_base  # noqa: E402
 from dualbrain.adaptation.training.model.base_model import load_base_model  # noqa: E402
 from dualbrain.adaptation.training.model.dequantized_base import STAMP_FILE, dequantize_base  # noqa: E402
 from dualbrain.core.storage.atomic_files import FileWriteError  # noqa: E402
@@ -44,7 +44,7 @@ def logits(model):
         return model(input_ids=IDS).logits.float()
 
 
-def test_what_was_dequantised_computes_what_the_file_says(made):
+def test_a_dequantised_base_computes_the_same_as_its_source(made):
     cache, source = made
     base = find_base_model(tiny_adapter.BASE, cache)
     assert base.sha256 == find_weight_file(tiny_adapter.BASE).sha256
@@ -55,8 +55,8 @@ def test_what_was_dequantised_computes_what_the_file_says(made):
 
 
 @pytest.fixture
-def own(made, tmp_path):
-    """A cache of one's own in which a tiny base was made ready for torch, its folder there, and the base."""
+def own_cache(made, tmp_path):
+    """A separate cache with a tiny base converted for torch, the folder of the conversion, and the base."""
     shutil.copytree(made[0], tmp_path / "cache")
     shutil.rmtree(tmp_path / "cache" / "torch", ignore_errors=True)
     base = find_base_model(tiny_adapter.BASE, tmp_path / "cache")
@@ -67,7 +67,7 @@ def contents(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def flip(folder):
+def flip_bit(folder):
     data = bytearray((folder / "model.safetensors").read_bytes())
     data[-7] ^= 1
     (folder / "model.safetensors").write_bytes(data)
@@ -79,34 +79,34 @@ def other_versions(folder):
 
 
 DAMAGES = {
-    "a flipped bit": flip,
-    "no stamp, as of old": lambda folder: (folder / STAMP_FILE).unlink(),
+    "a flipped bit": flip_bit,
+    "no stamp, as in older versions": lambda folder: (folder / STAMP_FILE).unlink(),
     "a stamp that cannot be read": lambda folder: (folder / STAMP_FILE).write_text("{"),
     "other versions": other_versions,
-    "a file that is gone": lambda folder: (folder / "tokenizer.json").unlink(),
-    "a file more": lambda folder: (folder / "adapter_config.json").write_text("{}"),
+    "a missing file": lambda folder: (folder / "tokenizer.json").unlink(),
+    "an additional file": lambda folder: (folder / "adapter_config.json").write_text("{}"),
 }
 
 
 @pytest.mark.parametrize("damage", DAMAGES)
-def test_what_is_not_as_it_was_made_is_made_again_and_once(own, monkeypatch, damage):
-    cache, folder, base = own
+def test_a_changed_conversion_is_made_again_once(own_cache, monkeypatch, damage):
+    cache, folder, base = own_cache
     before = contents(folder)
     DAMAGES[damage](folder)
     dequantize_base(base, cache)
     assert contents(folder) == before
-    monkeypatch.setattr(room, "_convert", lambda base, folder: pytest.fail("made twice"))
+    monkeypatch.setattr(dequantized_base, "_convert", lambda base, folder: pytest.fail("made twice"))
     dequantize_base(base, cache)
     assert {path.name for path in folder.parent.iterdir()} == {folder.name, f".{folder.name}.lock"}
 
 
-@pytest.mark.parametrize("room_left", [2000, 20_000])
-def test_a_full_disk_is_told_as_one_and_leaves_no_base(own, room_left):
-    """Also where safetensors finds it out, whose error is no OSError."""
-    cache, folder, base = own
+@pytest.mark.parametrize("n_bytes_left", [2000, 20_000])
+def test_a_full_disk_is_reported_and_leaves_no_base(own_cache, n_bytes_left):
+    """Also if safetensors detects it, whose error is not an OSError."""
+    cache, folder, base = own_cache
     shutil.rmtree(folder)
     before, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (room_left, hard))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (n_bytes_left, hard))
     try:
         with pytest.raises(FileWriteError, match="File too large"):
             dequantize_base(base, cache)
@@ -116,18 +116,18 @@ def test_a_full_disk_is_told_as_one_and_leaves_no_base(own, room_left):
     assert dequantize_base(base, cache) == folder
 
 
-def test_a_file_that_cannot_be_read_is_no_full_disk(tmp_path):
+def test_an_unreadable_file_is_not_reported_as_a_full_disk(tmp_path):
     (tmp_path / "x.gguf").write_bytes(b"no model")
     with pytest.raises(ConfigurationError, match=r"GGUF of the base: .*x\.gguf"):
         dequantize_base(BaseModel(name="x", gguf=tmp_path / "x.gguf", gguf_sha256="1" * 64), tmp_path)
 
 
-def test_a_base_that_lacks_weights_is_refused_for_they_would_be_drawn_at_random(own, monkeypatch, tmp_path):
-    lost, whole = "blk.1.ffn_up.weight", gguf.GGUFWriter.add_tensor
+def test_a_base_with_missing_weights_is_rejected(own_cache, monkeypatch, tmp_path):
+    missing, add_tensor = "blk.1.ffn_up.weight", gguf.GGUFWriter.add_tensor
 
-    def add(writer, name, *told, **more):
-        if name != lost:
-            whole(writer, name, *told, **more)
+    def add(writer, name, *args, **kwargs):
+        if name != missing:
+            add_tensor(writer, name, *args, **kwargs)
 
     monkeypatch.setattr(gguf.GGUFWriter, "add_tensor", add)
     path = tiny_gguf.write_gguf(tiny_gguf.model("llama"), "llama", tmp_path / "lacking.gguf")
@@ -137,12 +137,12 @@ def test_a_base_that_lacks_weights_is_refused_for_they_would_be_drawn_at_random(
 
 
 def test_only_a_language_model_is_a_base(tmp_path):
-    for name in ("minilm-l6-v2-int8", "efficientnet-lite0", "nobody"):
+    for name in ("minilm-l6-v2-int8", "efficientnet-lite0", "unknown"):
         with pytest.raises(UnknownNameError, match=r"not a base.*base-135m"):
             find_base_model(name, tmp_path)
 
 
-def test_it_is_dequantised_once(made):
+def test_a_base_is_dequantised_once(made):
     cache, _ = made
     base = find_base_model(tiny_adapter.BASE, cache)
     first, _ = load_base_model(base, cache, torch.float32)
@@ -151,39 +151,39 @@ def test_it_is_dequantised_once(made):
     assert torch.equal(logits(first), logits(again))
 
 
-def test_in_bf16_the_weights_are_rounded_and_the_angles_are_not(made):
+def test_in_bf16_the_weights_are_rounded_and_the_rotary_frequencies_are_not(made):
     cache, source = made
     model, _ = load_base_model(find_base_model(tiny_adapter.BASE, cache), cache, torch.bfloat16)
-    theirs = dict(source.named_parameters())
+    source_parameters = dict(source.named_parameters())
     for name, parameter in model.named_parameters():
-        assert torch.equal(parameter, theirs[name].to(torch.bfloat16)), name
-    angles = [buffer for name, buffer in model.named_buffers() if "inv_freq" in name]
-    assert angles
-    assert all(buffer.dtype == torch.float32 for buffer in angles)
+        assert torch.equal(parameter, source_parameters[name].to(torch.bfloat16)), name
+    frequencies = [buffer for name, buffer in model.named_buffers() if "inv_freq" in name]
+    assert frequencies
+    assert all(buffer.dtype == torch.float32 for buffer in frequencies)
 
 
-def test_what_a_base_wears_is_merged_into_it(made, tmp_path):
+def test_stacked_adapters_are_merged_into_the_base(made, tmp_path):
     cache, source = made
-    folder = tmp_path / "worn"
-    worn, _ = tiny_adapter.write_adapter(source, folder)
+    folder = tmp_path / "adapter"
+    adapted, _ = tiny_adapter.write_adapter(source, folder)
     plain = find_base_model(tiny_adapter.BASE, cache)
     base = BaseModel(
-        name="dressed",
+        name="with adapter",
         gguf=plain.gguf,
         gguf_sha256=plain.gguf_sha256,
         stacked_on=(folder,),
         stacked_on_id=hash_weights(folder),
     )
     model, _ = load_base_model(base, cache, torch.float32)
-    torch.testing.assert_close(logits(model), logits(worn), rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(logits(model), logits(adapted), rtol=1e-4, atol=1e-4)
     assert not torch.allclose(logits(model), logits(load_base_model(plain, cache, torch.float32)[0]), atol=1e-2)
     assert base.sha256 == hash_weights(folder)
 
 
-def test_nobody_is_fitted_on_what_is_not_there(made):
+def test_a_missing_base_is_reported(made):
     cache, _ = made
     with pytest.raises(UnknownNameError):
-        find_base_model("nobody", cache)
+        find_base_model("unknown", cache)
     base = find_base_model(tiny_adapter.BASE, cache)
     with pytest.raises(MissingDependencyError, match=r"none\.gguf"):
         load_base_model(BaseModel(name="x", gguf=cache / "none.gguf", gguf_sha256="0" * 64), cache, torch.float32)

@@ -1,4 +1,4 @@
-"""QLoRA: every frozen layer but the output matrix in four bits, and a fit that holds the same laws upon it."""
+"""QLoRA: every frozen layer except the output matrix has four bits, and training on it has the same properties."""
 
 import sys
 
@@ -20,47 +20,47 @@ from tests.adaptation.training import tiny_training  # noqa: E402
 NF4 = tiny_training.config_with(quantise="nf4")
 
 
-def wide():
+def wide_model():
     return model(width=128, inner=192)
 
 
-def packed(dials=NF4.fit, dtype=torch.float32):
-    """A learner on a tiny model, two blocks wide, in four bits."""
+def packed_lora_model(config=NF4.fit, dtype=torch.float32):
+    """A tiny model with LoRA in four bits, two blocks wide."""
     try:
-        made = wide().to(dtype)
+        made = wide_model().to(dtype)
         quantized_layers.quantize_linear_layers(made, "cpu")
     except MissingDependencyError:
         pytest.skip("the extra `qlora` is not installed")
-    return LoraModel(made, tokenizer(), dials)
+    return LoraModel(made, tokenizer(), config)
 
 
-def test_without_the_package_it_says_what_to_install(monkeypatch):
+def test_without_the_package_the_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "bitsandbytes", None)
-    with pytest.raises(MissingDependencyError, match=r"bitsandbytes, of the extra `qlora`, .*dualbrain\[qlora\]"):
+    with pytest.raises(MissingDependencyError, match=r"bitsandbytes of the extra `qlora` .*dualbrain\[qlora\]"):
         quantized_layers.quantize_linear_layers(model(), "cpu")
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
-def test_all_layers_but_the_output_matrix_are_packed_and_wear_an_adapter(dtype):
-    one, plain = packed(dtype=dtype), LoraModel(wide(), tokenizer(), NF4.fit)
+def test_all_layers_except_the_output_matrix_are_packed_and_have_an_adapter(dtype):
+    one, plain = packed_lora_model(dtype=dtype), LoraModel(wide_model(), tokenizer(), NF4.fit)
     assert set(one.parameters) == set(plain.parameters)
     assert {p.dtype for p in one.parameters.values()} == {one.head.dtype} == {dtype}
     assert {p.dtype for name, p in one.model.named_parameters() if "base_layer" in name} == {torch.uint8}
-    worn = [layer for layer in one.model.modules() if hasattr(layer, "base_layer")]
-    assert {type(layer) for layer in worn} == {lora.Linear4bit}
+    adapted_layers = [layer for layer in one.model.modules() if hasattr(layer, "base_layer")]
+    assert {type(layer) for layer in adapted_layers} == {lora.Linear4bit}
     assert torch.equal(one.head, plain.head.to(dtype))
     one.check_logits(random_samples(1)[0])
 
 
-def test_rows_that_are_no_whole_blocks_are_refused():
-    packed()
+def test_rows_that_are_not_whole_blocks_are_rejected():
+    packed_lora_model()
     with pytest.raises(ConfigurationError, match="row of the base in nf4: got 32, allowed: multiples of 64"):
         quantized_layers.quantize_linear_layers(model(), "cpu")
 
 
-def test_each_weight_is_near_what_it_was():
-    """The widest gap of NF4's levels is 0.304 of a block's largest weight: half of it, and the scale's rounding."""
-    one, plain = packed(), dict(wide().named_modules())
+def test_each_packed_weight_is_close_to_the_original():
+    """The widest gap between levels of NF4 is 0.304 of a block's largest weight: half of it, plus rounding."""
+    one, plain = packed_lora_model(), dict(wide_model().named_modules())
     from bitsandbytes.functional import dequantize_4bit  # noqa: PLC0415
 
     for name, layer in one.base_model.named_modules():
@@ -71,9 +71,9 @@ def test_each_weight_is_near_what_it_was():
             assert 0.0 < float(((found - was).reshape(-1, 64).abs() / largest).max()) < 0.17
 
 
-def test_gradients_pass_through_packed_layers_also_after_an_answer():
-    """Against a difference along the gradient, whose slope is its square."""
-    one, some = packed(), random_samples(3)
+def test_gradients_pass_through_packed_layers_even_after_generation():
+    """Against a finite difference along the gradient, whose slope is the squared norm."""
+    one, some = packed_lora_model(), random_samples(3)
     one.generate_answers([some[0].prompt], 3)
     batch = collate(some, one.padding_id)
 
@@ -95,14 +95,14 @@ def test_gradients_pass_through_packed_layers_also_after_an_answer():
     assert (ends[0] - ends[1]) / (2.0 * step) == pytest.approx(slope, rel=0.02, abs=1e-9)
 
 
-def test_a_fit_upon_it_learns_ends_alike_and_goes_on(tmp_path, monkeypatch):
-    """The divergence is that from the packed base: nothing at the first step."""
-    monkeypatch.setattr(tiny_training, "lora_model", packed)
-    told = []
+def test_training_on_packed_layers_learns_and_resumes_exactly(tmp_path, monkeypatch):
+    """The divergence is relative to the packed base: 0 at the first step."""
+    monkeypatch.setattr(tiny_training, "lora_model", packed_lora_model)
+    progress_list = []
     whole = tiny_training.TinyTraining(tmp_path / "a", config=NF4)
-    whole.run(told.append)
-    assert abs(told[0].divergence) < 1e-6
-    assert told[-1].cross_entropy < told[0].cross_entropy
+    whole.run(progress_list.append)
+    assert abs(progress_list[0].divergence) < 1e-6
+    assert progress_list[-1].cross_entropy < progress_list[0].cross_entropy
 
     def stop(progress):
         if progress.step == 3:
@@ -114,10 +114,11 @@ def test_a_fit_upon_it_learns_ends_alike_and_goes_on(tmp_path, monkeypatch):
     assert tiny_training.TinyTraining(tmp_path / "b", config=NF4).output_files() == whole.output_files()
 
 
-def test_a_plain_fit_is_another_run_with_other_states(tmp_path, monkeypatch):
-    one, plain, some = packed(), LoraModel(wide(), tokenizer(), tiny_training.DEFAULT_CONFIG.fit), random_samples(3)
+def test_training_without_packing_is_another_run_with_other_states(tmp_path, monkeypatch):
+    one, some = packed_lora_model(), random_samples(3)
+    plain = LoraModel(wide_model(), tokenizer(), tiny_training.DEFAULT_CONFIG.fit)
     assert states_key("base", some, one.number_format) != states_key("base", some, plain.number_format)
-    told = [
+    runs = [
         (tiny_training.DEFAULT_CONFIG, plain.number_format),
         (tiny_training.DEFAULT_CONFIG, one.number_format),
         (NF4, plain.number_format),
@@ -125,18 +126,18 @@ def test_a_plain_fit_is_another_run_with_other_states(tmp_path, monkeypatch):
     assert (
         len(
             {
-                RunKey(data="a", base="base", number_format=numbers, objective=dials.objective, fit=dials.fit).digest
-                for dials, numbers in told
+                RunKey(data="a", base="base", number_format=numbers, objective=config.objective, fit=config.fit).digest
+                for config, numbers in runs
             }
         )
         == 3
     )
     states = [compute_states(x.decoder, x.head, some, x.padding_id).hidden_states(some) for x in (one, plain)]
     assert not torch.allclose(*states, atol=1e-2)
-    monkeypatch.setattr(tiny_training, "lora_model", lambda dials: LoraModel(wide(), tokenizer(), dials))
+    monkeypatch.setattr(tiny_training, "lora_model", lambda config: LoraModel(wide_model(), tokenizer(), config))
     tiny_training.TinyTraining(tmp_path / "fit").run()
     kept = (tmp_path / "fit" / tiny_training.STATES_FILE).read_bytes()
-    monkeypatch.setattr(tiny_training, "lora_model", packed)
-    with pytest.raises(ConfigurationError, match="other data, dials or base"):
+    monkeypatch.setattr(tiny_training, "lora_model", packed_lora_model)
+    with pytest.raises(ConfigurationError, match="other data, settings or base"):
         tiny_training.TinyTraining(tmp_path / "fit", config=NF4)
     assert (tmp_path / "fit" / tiny_training.STATES_FILE).read_bytes() == kept

@@ -1,4 +1,4 @@
-"""What decides the course of a fit besides torch: order of samples, rate, when to stop, what counts as sound."""
+"""Order of samples, learning rate, early stopping, and compliance of answers, without torch."""
 
 from collections import Counter
 from itertools import pairwise
@@ -36,8 +36,8 @@ def test_another_seed_is_another_order():
 
 
 def test_the_rate_rises_then_falls_to_a_tenth():
-    dials = FitConfig(steps=100, warm_up=10, rate=1.0)
-    rates = [learning_rate(step, dials) for step in range(1, 101)]
+    config = FitConfig(steps=100, warm_up=10, rate=1.0)
+    rates = [learning_rate(step, config) for step in range(1, 101)]
     assert rates[0] == pytest.approx(0.1, rel=1e-3)
     assert max(rates) == rates[9] > 0.97
     assert all(a > b for a, b in pairwise(rates[9:]))
@@ -45,7 +45,7 @@ def test_the_rate_rises_then_falls_to_a_tenth():
     assert learning_rate(1, FitConfig(warm_up=0, rate=1.0)) > 0.99
 
 
-def test_it_stops_when_nothing_gets_better_and_compliance_comes_first():
+def test_training_stops_without_improvement_and_compliance_comes_first():
     state = EarlyStopping()
     for compliance, loss, waited in (
         (0.2, 2.0, 0),
@@ -60,7 +60,7 @@ def test_it_stops_when_nothing_gets_better_and_compliance_comes_first():
         assert state.waited == waited
 
 
-def test_a_sound_answer_is_what_the_gate_accepts_and_no_refusal(tmp_path):
+def test_a_compliant_answer_is_accepted_by_the_gate_and_declines_nothing(tmp_path):
     with write_ledger(tmp_path, distinct_episodes(3)) as ledger:
         rows = curate(ledger, REGISTRY, CurationConfig(held_out=0.0)).train
     judge = make_gate_judge(REGISTRY)
@@ -79,7 +79,8 @@ def test_a_sound_answer_is_what_the_gate_accepts_and_no_refusal(tmp_path):
     ):
         assert not judge(text, rows[0])
     assert judge(good, rows[0])
-    last = msgspec.json.decode(good)["action_sequence"][-1:]  # to place with an empty hand: the body would refuse it
+    # `place` without a grasped object: only the rules of the robot would reject it.
+    last = msgspec.json.decode(good)["action_sequence"][-1:]
     unheld = msgspec.json.encode({"id": "c-0001", "context": context, "action_sequence": last}).decode()
     assert judge(unheld, rows[0])
     assert compliant_share(judge, [good, "{", good], rows) == pytest.approx(2 / 3)

@@ -1,4 +1,4 @@
-"""A fit ends as if it had never been interrupted, whatever interrupts it, and loses nothing when it cannot go on."""
+"""A run gives the same result after any interruption, and loses nothing when it cannot continue."""
 
 import functools
 import hashlib
@@ -24,7 +24,7 @@ from safetensors.torch import save  # noqa: E402
 
 from dualbrain.adaptation.conversion.peft_lora import read_lora  # noqa: E402
 from dualbrain.adaptation.training.checksummed_tensors import read_tensors  # noqa: E402
-from dualbrain.adaptation.training.model import lora_model as learner_room  # noqa: E402
+from dualbrain.adaptation.training.model import lora_model as lora_model_module  # noqa: E402
 from dualbrain.adaptation.training.model.batching import collate, tokenize_prompt  # noqa: E402
 from dualbrain.adaptation.training.model.lora_model import load_peft_adapter  # noqa: E402
 from dualbrain.adaptation.training.model.save_adapter import save_adapter  # noqa: E402
@@ -34,23 +34,23 @@ from tests.adaptation.training.tiny_training import TinyTraining, config_with, d
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """What an uninterrupted fit leaves."""
+def uninterrupted(tmp_path_factory):
+    """The files of an uninterrupted run."""
     bench = TinyTraining(tmp_path_factory.mktemp("whole"))
     bench.run()
     return bench.output_files()
 
 
-def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(whole, tmp_path):
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(uninterrupted, tmp_path):
     again, other = TinyTraining(tmp_path / "again"), TinyTraining(tmp_path / "other", config=config_with(seed=1))
     again.run()
     other.run()
-    assert again.output_files() == whole
-    assert other.output_files()[BEST_FILE] != whole[BEST_FILE]
+    assert again.output_files() == uninterrupted
+    assert other.output_files()[BEST_FILE] != uninterrupted[BEST_FILE]
 
 
 @pytest.mark.parametrize("at", [1, 2, 3, 5])
-def test_after_kill_9_it_ends_as_if_nothing_had_happened(whole, tmp_path, at):
+def test_after_a_kill_the_run_gives_the_same_files(uninterrupted, tmp_path, at):
     if (child := os.fork()) == 0:
         bench = TinyTraining(tmp_path / "fit")
         bench.run(lambda progress: progress.step == at and os.kill(os.getpid(), signal.SIGKILL))
@@ -61,18 +61,18 @@ def test_after_kill_9_it_ends_as_if_nothing_had_happened(whole, tmp_path, at):
     bench = TinyTraining(tmp_path / "fit")
     assert bench.trainer.step == at - at % TRAINING_CONFIG.save_every
     bench.run()
-    assert bench.output_files() == whole
+    assert bench.output_files() == uninterrupted
 
 
-def test_a_finished_fit_takes_no_further_step(whole, tmp_path):
+def test_a_finished_run_takes_no_further_step(uninterrupted, tmp_path):
     TinyTraining(tmp_path / "fit").run()
-    told = []
-    found = TinyTraining(tmp_path / "fit").run(told.append)
-    assert told == []
+    reports = []
+    found = TinyTraining(tmp_path / "fit").run(reports.append)
+    assert reports == []
     assert found is not None
 
 
-def test_a_loss_that_is_no_number_ends_it_and_nothing_of_it_is_kept(whole, tmp_path):
+def test_a_loss_that_is_not_finite_ends_the_run_and_its_step_is_discarded(uninterrupted, tmp_path):
     bench = TinyTraining(tmp_path / "fit")
 
     def poison(progress):
@@ -86,17 +86,17 @@ def test_a_loss_that_is_no_number_ends_it_and_nothing_of_it_is_kept(whole, tmp_p
     again = TinyTraining(tmp_path / "fit")
     assert again.trainer.step == 2
     again.run()
-    assert again.output_files() == whole
+    assert again.output_files() == uninterrupted
 
 
-def test_a_full_disk_ends_it_and_the_last_checkpoint_stands(whole, tmp_path):
+def test_a_full_disk_ends_the_run_and_keeps_the_last_checkpoint(uninterrupted, tmp_path):
     bench = TinyTraining(tmp_path / "fit")
     before, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    standing = {}
+    files_before = {}
 
     def fill(progress):
         if progress.step == 3:
-            standing.update(bench.output_files())
+            files_before.update(bench.output_files())
             resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
 
     try:
@@ -104,22 +104,22 @@ def test_a_full_disk_ends_it_and_the_last_checkpoint_stands(whole, tmp_path):
             bench.run(fill)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (before, hard))
-    assert standing
-    assert bench.output_files() == standing
+    assert files_before
+    assert bench.output_files() == files_before
     again = TinyTraining(tmp_path / "fit")
     assert again.trainer.step == 2
     again.run()
-    assert again.output_files() == whole
+    assert again.output_files() == uninterrupted
 
 
-def test_a_checkpoint_of_another_run_or_a_damaged_one_is_refused(tmp_path):
+def test_a_checkpoint_of_another_run_or_a_damaged_one_is_rejected(tmp_path):
     TinyTraining(tmp_path / "fit").run()
     for change in (
         {"config": config_with(rate=0.5)},
         {"config": AdaptConfig(fit=TRAINING_CONFIG, objective=ObjectiveConfig(beta=0.3))},
         {"data": dataset(name="b")},
     ):
-        with pytest.raises(ConfigurationError, match="other data, dials or base"):
+        with pytest.raises(ConfigurationError, match="other data, settings or base"):
             TinyTraining(tmp_path / "fit", **change)
     path = tmp_path / "fit" / CHECKPOINT_FILE
     path.write_bytes(path.read_bytes()[:-100])
@@ -138,38 +138,38 @@ def test_a_checkpoint_of_another_run_or_a_damaged_one_is_refused(tmp_path):
         ({"data": dataset(name="b")}, "data set a, now b"),
     ],
 )
-def test_what_is_of_another_run_is_named_before_anything_is_written(whole, tmp_path, change, words):
+def test_differences_from_another_run_are_named_before_anything_is_written(uninterrupted, tmp_path, change, words):
     TinyTraining(tmp_path / "fit").run()
     with pytest.raises(ConfigurationError, match=rf"{words}.*another --out"):
         TinyTraining(tmp_path / "fit", **change)
-    assert TinyTraining(tmp_path / "fit").output_files() == whole
+    assert TinyTraining(tmp_path / "fit").output_files() == uninterrupted
 
 
-def flipped(path, where):
-    """One bit of the byte at `where`, counted from the end, turned over."""
+def flip_bit(path, where):
+    """Flip one bit of the byte at `where`, counted from the end."""
     data = bytearray(path.read_bytes())
     data[-where] ^= 1
     path.write_bytes(data)
 
 
 @pytest.mark.parametrize("where", [1, 500, 5000])
-def test_no_flipped_bit_of_a_checkpoint_is_taken_for_a_number(tmp_path, where):
+def test_a_flipped_bit_of_a_checkpoint_is_detected(tmp_path, where):
     TinyTraining(tmp_path / "fit").run()
-    flipped(tmp_path / "fit" / CHECKPOINT_FILE, where)
+    flip_bit(tmp_path / "fit" / CHECKPOINT_FILE, where)
     with pytest.raises(ConfigurationError, match=r"damaged.*checkpoint\.safetensors"):
         TinyTraining(tmp_path / "fit")
 
 
-def test_a_flipped_bit_of_the_base_s_states_is_computed_anew(whole, tmp_path):
+def test_reference_states_with_a_flipped_bit_are_computed_again(uninterrupted, tmp_path):
     TinyTraining(tmp_path / "fit").run()
-    flipped(tmp_path / "fit" / STATES_FILE, 40)
-    assert TinyTraining(tmp_path / "fit").output_files() == whole
+    flip_bit(tmp_path / "fit" / STATES_FILE, 40)
+    assert TinyTraining(tmp_path / "fit").output_files() == uninterrupted
 
 
-@pytest.mark.parametrize("damage", [lambda path: flipped(path, 1), lambda path: path.write_bytes(b"{"), os.unlink])
+@pytest.mark.parametrize("damage", [lambda path: flip_bit(path, 1), lambda path: path.write_bytes(b"{"), os.unlink])
 @pytest.mark.parametrize("finished", [True, False])
-def test_a_best_adapter_that_was_changed_is_not_worn(tmp_path, damage, finished):
-    """Not even one that was changed while the fit stood still, and that nothing better came after."""
+def test_a_changed_best_adapter_is_rejected(tmp_path, damage, finished):
+    """Also if it was changed while the run was interrupted and no better adapter followed."""
     config = config_with(rate=1e-9, patience=9)
 
     def stop(progress):
@@ -183,8 +183,8 @@ def test_a_best_adapter_that_was_changed_is_not_worn(tmp_path, damage, finished)
         TinyTraining(tmp_path / "fit", config=config).run()
 
 
-def test_a_best_adapter_newer_than_the_checkpoint_is_found_again(whole, tmp_path):
-    """As after a kill between the two."""
+def test_a_best_adapter_newer_than_the_checkpoint_is_reproduced(uninterrupted, tmp_path):
+    """As after a kill between writing the two files."""
     kept = {}
 
     def keep(progress):
@@ -196,10 +196,10 @@ def test_a_best_adapter_newer_than_the_checkpoint_is_found_again(whole, tmp_path
     bench = TinyTraining(tmp_path / "fit")
     assert bench.trainer.step == 4
     bench.run()
-    assert bench.output_files() == whole
+    assert bench.output_files() == uninterrupted
 
 
-def test_a_checkpoint_from_before_there_were_checksums_is_taken_up(whole, tmp_path):
+def test_a_checkpoint_of_an_older_version_without_checksum_is_resumed(uninterrupted, tmp_path):
     def stop(progress):
         if progress.step == 4:
             raise KeyboardInterrupt
@@ -216,13 +216,13 @@ def test_a_checkpoint_from_before_there_were_checksums_is_taken_up(whole, tmp_pa
     bench = TinyTraining(tmp_path / "fit")
     assert bench.trainer.step == 4
     bench.run()
-    assert bench.output_files() == whole
+    assert bench.output_files() == uninterrupted
     path.write_bytes(save(tensors, {"mark": json.dumps(old)}))
-    with pytest.raises(ConfigurationError, match="other data, dials or base', allowed"):
+    with pytest.raises(ConfigurationError, match=r"other data, settings or base\. "):
         TinyTraining(tmp_path / "fit", config=config_with(rate=0.5))
 
 
-def test_samples_at_once_are_a_matter_of_memory_only(tmp_path):
+def test_the_number_of_samples_per_forward_pass_only_affects_memory(tmp_path):
     four, one = TinyTraining(tmp_path / "four"), TinyTraining(tmp_path / "one", config=config_with(at_once=1))
     four.run()
     one.run()
@@ -230,7 +230,7 @@ def test_samples_at_once_are_a_matter_of_memory_only(tmp_path):
         torch.testing.assert_close(one.lora_model.adapter_tensors()[name], tensor, rtol=2e-2, atol=2e-4)
 
 
-def test_it_stops_early_and_wears_the_best(tmp_path):
+def test_training_stops_early_and_keeps_the_best_adapter(tmp_path):
     bench = TinyTraining(tmp_path / "fit", config=config_with(rate=1e-9, steps=40, patience=2))
     found = bench.run()
     assert bench.trainer.step == 6
@@ -239,33 +239,34 @@ def test_it_stops_early_and_wears_the_best(tmp_path):
     assert bench.trainer.is_finished
 
 
-def test_the_last_is_kept_where_that_is_asked_for(tmp_path):
-    """All steps are taken, and what is worn is where they led, however much better an earlier one was."""
-    bench, asked = TinyTraining(tmp_path / "fit", config=config_with(rate=1e-9, steps=40, patience=2, keep="last")), []
-    found = bench.run(lambda progress: asked.append(progress.held_out) if progress.held_out else None)
+def test_the_last_adapter_is_kept_on_request(tmp_path):
+    """All steps are taken, and the last adapter is kept even if an earlier one was better."""
+    config, evaluations = config_with(rate=1e-9, steps=40, patience=2, keep="last"), []
+    bench = TinyTraining(tmp_path / "fit", config=config)
+    found = bench.run(lambda progress: evaluations.append(progress.held_out) if progress.held_out else None)
     assert (bench.trainer.step, found.step) == (40, 40)
-    assert asked == [found]  # the others would choose nothing
+    assert evaluations == [found]  # earlier evaluations would have no effect
     assert bench.trainer.is_finished
 
 
-def test_without_a_held_out_part_the_newest_is_kept(tmp_path):
+def test_without_a_held_out_part_the_last_adapter_is_kept(tmp_path):
     bench = TinyTraining(tmp_path / "fit", data=dataset(held_out=0))
     assert bench.run() is None
     assert bench.trainer.step == TRAINING_CONFIG.steps
     assert (tmp_path / "fit" / BEST_FILE).is_file()
 
 
-def test_progress_tells_the_time_left(tmp_path):
+def test_progress_reports_the_remaining_time(tmp_path):
     ticks = iter(range(1000))
-    told = []
-    TinyTraining(tmp_path / "fit", clock=lambda: 10.0 * next(ticks)).run(told.append)
-    assert [progress.step for progress in told] == [1, 2, 3, 4, 5, 6]
-    assert [progress.seconds_left for progress in told] == pytest.approx([50.0, 40.0, 30.0, 20.0, 10.0, 0.0])
-    assert [progress.held_out is not None for progress in told] == [False, True] * 3
+    reports = []
+    TinyTraining(tmp_path / "fit", clock=lambda: 10.0 * next(ticks)).run(reports.append)
+    assert [progress.step for progress in reports] == [1, 2, 3, 4, 5, 6]
+    assert [progress.seconds_left for progress in reports] == pytest.approx([50.0, 40.0, 30.0, 20.0, 10.0, 0.0])
+    assert [progress.held_out is not None for progress in reports] == [False, True] * 3
 
 
-def test_four_contracts_are_learnt_by_heart(tmp_path):
-    """Free greedy answers are right at the end and were wrong at the beginning."""
+def test_four_contracts_are_memorised(tmp_path):
+    """Greedy answers are wrong at the beginning and right at the end."""
     rows = tuple(sample(i) for i in range(4))
     same = Dataset(dataset().card, rows, rows)
     config = config_with(steps=120, rate=2e-2, rank=8, ask_at_most=4, save_every=40, patience=9)
@@ -278,15 +279,15 @@ def test_four_contracts_are_learnt_by_heart(tmp_path):
     assert all(map(exact_match, bench.lora_model.generate_answers(prompts, 20), rows))
 
 
-def test_a_fit_whose_adapter_could_not_be_served_does_not_begin(monkeypatch):
-    """As with a peft that knows more than this reader, and has it on."""
-    monkeypatch.setattr(learner_room, "LoraConfig", functools.partial(LoraConfig, use_dora=True))
+def test_training_of_an_adapter_that_cannot_be_served_does_not_start(monkeypatch):
+    """As with a version of peft that has another method on by default."""
+    monkeypatch.setattr(lora_model_module, "LoraConfig", functools.partial(LoraConfig, use_dora=True))
     with pytest.raises(ConfigurationError, match="use_dora"):
         lora_model()
 
 
-def test_an_adapter_is_what_peft_loads(tmp_path):
-    """To the bit, once its numbers are rounded to those of the file."""
+def test_a_saved_adapter_equals_the_one_that_peft_loads(tmp_path):
+    """Equal to the bit after rounding to the number format of the file."""
     one = perturbed(lora_model())
     save_adapter(one, tmp_path / "adapter", base="sha256 of the base")
     one.load_adapter({name: tensor.to(torch.bfloat16).float() for name, tensor in one.adapter_tensors().items()})
@@ -303,15 +304,15 @@ def test_an_adapter_is_what_peft_loads(tmp_path):
     assert not list((tmp_path / "adapter").glob("*.bin"))
 
 
-def test_nothing_that_is_too_long_is_cut(tmp_path):
-    data = Dataset(dataset().card, (sample(0, words="x" * 3000),), ())
+def test_a_sample_that_is_too_long_is_rejected(tmp_path):
+    data = Dataset(dataset().card, (sample(0, contract="x" * 3000),), ())
     with pytest.raises(ConfigurationError, match="tokens of sample s0"):
         TinyTraining(tmp_path / "fit", data=data)
     with pytest.raises(ConfigurationError, match="training samples"):
         TinyTraining(tmp_path / "none", data=Dataset(dataset().card, (), ()))
 
 
-def test_a_base_whose_logits_are_made_otherwise_is_refused():
+def test_a_base_with_other_logits_is_rejected():
     one = lora_model()
     one.check_logits(random_samples(1)[0])
     one.head = one.head * 0.5
@@ -319,7 +320,7 @@ def test_a_base_whose_logits_are_made_otherwise_is_refused():
         one.check_logits(random_samples(1)[0])
 
 
-def test_the_tokens_are_those_of_the_chat_template():
-    words = tokenizer()
-    ids = tokenize_prompt(words, [{"role": "user", "content": "hello"}])
-    assert words.decode(list(ids)) == "u:helloA:"
+def test_prompt_tokens_follow_the_chat_template():
+    tiny_tokenizer = tokenizer()
+    ids = tokenize_prompt(tiny_tokenizer, [{"role": "user", "content": "hello"}])
+    assert tiny_tokenizer.decode(list(ids)) == "u:helloA:"

@@ -1,4 +1,4 @@
-"""Plain fine-tuning by another hand: TRL's trainer and ours go the same way, step for step."""
+"""Plain fine-tuning with TRL as an oracle: its trainer and ours take the same steps."""
 
 import pytest
 
@@ -19,14 +19,14 @@ STEPS, RATE = 5, 1e-2
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-def test_without_lambda_and_beta_we_go_where_trl_goes(tmp_path):
-    """Each step sees all four samples, so that their order cannot matter."""
+def test_without_lambda_and_beta_the_steps_equal_those_of_trl(tmp_path):
+    """Each step has all four samples, so their order has no effect."""
     ours, theirs, some = lora_model(), lora_model(), random_samples(4)
     rows = [
         {"input_ids": [*one.prompt, *one.contract], "completion_mask": [0] * len(one.prompt) + [1] * len(one.contract)}
         for one in some
     ]
-    shape = trl.SFTConfig(
+    training_arguments = trl.SFTConfig(
         output_dir=str(tmp_path),
         max_steps=STEPS,
         per_device_train_batch_size=4,
@@ -45,7 +45,7 @@ def test_without_lambda_and_beta_we_go_where_trl_goes(tmp_path):
     )
     trainer = trl.SFTTrainer(
         model=theirs.model,
-        args=shape,
+        args=training_arguments,
         train_dataset=datasets.Dataset.from_list(rows),
         processing_class=theirs.tokenizer,
     )

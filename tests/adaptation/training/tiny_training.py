@@ -1,4 +1,4 @@
-"""Fits of the tiny model, to be tried alone, interrupted, or in several processes."""
+"""Training runs of the tiny model: alone, interrupted, or in several processes."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,13 +20,13 @@ def exact_match(text, sample):
     return text == sample.contract
 
 
-def sample(number, words=None):
-    said = ANSWERS[number % 4] if words is None else words
+def sample(number, contract=None):
+    answer = ANSWERS[number % 4] if contract is None else contract
     turns = [{"role": "user", "content": f"do {number}"}]
     return Sample(
         id=f"s{number}",
         prompt=turns,
-        completion=assistant_turn(said),
+        completion=assistant_turn(answer),
         weight=number % 3 / 2,
         Delta=0.0,
         duration=1.0,
@@ -69,7 +69,7 @@ def dataset(train=9, held_out=3, name="a"):
 
 @dataclass
 class TinyTraining:
-    """A fit of a tiny model in `folder`."""
+    """A training run of a tiny model in `folder`."""
 
     folder: Path
     data: Dataset = field(default_factory=dataset)
@@ -92,11 +92,11 @@ class TinyTraining:
             process_group=self.process_group,
         )
 
-    def run(self, tell=lambda progress: None):
-        return self.trainer.run(tell)
+    def run(self, report=lambda progress: None):
+        return self.trainer.run(report)
 
     def output_files(self):
-        """What the fit leaves: checkpoint and best adapter, to the byte, and nothing half-written."""
+        """The bytes of all files of the run; nothing incomplete is left."""
         names = {path.name for path in self.folder.iterdir()}
         assert names == {CHECKPOINT_FILE, BEST_FILE, STATES_FILE}
         return {name: (self.folder / name).read_bytes() for name in names}

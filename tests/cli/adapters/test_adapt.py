@@ -1,4 +1,4 @@
-"""dualbrain adapt: a dry run says what would teach and what not and why; an export can be read by others."""
+"""`dualbrain adapt`: a dry run prints the selection and its reasons; other programs can read an export."""
 
 import json
 import os
@@ -36,7 +36,7 @@ def ledger(tmp_path):
     return tmp_path / "ledger.sqlite"
 
 
-def test_a_dry_run_tells_and_changes_nothing(run_command, ledger, tmp_path):
+def test_a_dry_run_prints_the_selection_and_changes_nothing(run_command, ledger, tmp_path):
     with LedgerReader(ledger) as opened:
         head = opened.head()
     before = {path.name for path in tmp_path.iterdir()}
@@ -49,7 +49,7 @@ def test_a_dry_run_tells_and_changes_nothing(run_command, ledger, tmp_path):
         assert opened.head() == head
 
 
-def test_ids_of_a_dry_run_are_whole_in_a_narrow_terminal(run_command, ledger, monkeypatch):
+def test_ids_of_a_dry_run_are_complete_in_a_narrow_terminal(run_command, ledger, monkeypatch):
     rows = json.loads(run_command("adapt", "--dry-run", "--json")[1])["samples"]
     monkeypatch.setenv("COLUMNS", "24")
     lines = run_command("adapt", "--dry-run")[2].splitlines()
@@ -59,23 +59,23 @@ def test_ids_of_a_dry_run_are_whole_in_a_narrow_terminal(run_command, ledger, mo
         assert f"{row['repeats']}×" in line
 
 
-def test_a_dry_run_that_should_write_is_refused(run_command, ledger, tmp_path):
+def test_a_dry_run_with_export_is_rejected(run_command, ledger, tmp_path):
     code, out, err = run_command("adapt", "--dry-run", "--export", "set")
     assert (code, out) == (ExitCode.USAGE, "")
     assert "a dry run writes nothing" in err
     assert not (tmp_path / "set").exists()
 
 
-def test_a_site_file_lets_in_what_was_done_there(run_command, tmp_path):
+def test_with_a_site_file_the_episodes_at_the_site_are_selected(run_command, tmp_path):
     site = tmp_path / "lab.toml"
     site.write_text("[robot]\ntool_speed = 0.25\n")
     there = skill_registry_at_site("panda", site)
     write_ledger(
         tmp_path, [*distinct_episodes(2), episode("there", registry=there.hash, scene_summary=summary(number=9))]
     ).close()
-    for words, left in (((), {"of another registry": ["there"]}), (("--site", "lab.toml"), {})):
-        code, out, _ = run_command("adapt", "--dry-run", "--json", *words)
-        assert (code, json.loads(out)["left_out"]) == (ExitCode.SUCCESS, left)
+    for options, left_out in (((), {"of another registry": ["there"]}), (("--site", "lab.toml"), {})):
+        code, out, _ = run_command("adapt", "--dry-run", "--json", *options)
+        assert (code, json.loads(out)["left_out"]) == (ExitCode.SUCCESS, left_out)
     assert "--site lab.toml" in " ".join(
         adapt_when_idle.adapt_command("panda", "b", None, site.relative_to(tmp_path), None, tmp_path, json=False)
     )
@@ -83,11 +83,13 @@ def test_a_site_file_lets_in_what_was_done_there(run_command, tmp_path):
 
 def test_json_names_every_memory_once(run_command, ledger):
     code, out, _ = run_command("adapt", "--dry-run", "--json")
-    told = json.loads(out)
-    names = [row["memory"] for row in told["samples"]] + [name for all_ in told["left_out"].values() for name in all_]
+    output = json.loads(out)
+    names = [row["memory"] for row in output["samples"]] + [
+        name for all_ in output["left_out"].values() for name in all_
+    ]
     assert code == ExitCode.SUCCESS
     assert sorted(names) == sorted([*(f"e{i}" for i in range(8)), "bad"])
-    assert {row["part"] for row in told["samples"]} == {"train", "held_out"}
+    assert {row["part"] for row in output["samples"]} == {"train", "held_out"}
 
 
 def test_an_export_is_lines_of_prompt_and_completion(run_command, ledger, tmp_path):
@@ -105,45 +107,45 @@ def test_an_export_is_lines_of_prompt_and_completion(run_command, ledger, tmp_pa
     [
         (("--ledger", "none.sqlite"), "none.sqlite"),
         (("--config", "none.toml"), "none.toml"),
-        (("--robot", "nobody"), "nobody"),
+        (("--robot", "unknown"), "unknown"),
         (("--robot", "ur5e"), "of another robot"),
     ],
 )
-def test_a_broken_set_up_is_told(run_command, ledger, arguments, word):
+def test_a_configuration_error_is_reported(run_command, ledger, arguments, word):
     code, out, err = run_command("adapt", "--dry-run", *arguments)
     assert (code, out) == (ExitCode.SETUP, "")
     assert word in err
     assert "Traceback" not in err
 
 
-@pytest.mark.parametrize("words", [("--dry-run",), ("--export", "set"), ("--out", "fit"), (), ("--when-idle",)])
+@pytest.mark.parametrize("options", [("--dry-run",), ("--export", "set"), ("--out", "fit"), (), ("--when-idle",)])
 @pytest.mark.parametrize("base", ["nope", "minilm-l6-v2-int8"])
-def test_a_base_that_there_is_not_is_told_before_anything_is_written(run_command, ledger, tmp_path, words, base):
+def test_an_unknown_base_is_reported_before_anything_is_written(run_command, ledger, tmp_path, options, base):
     before = contents(tmp_path)
-    code, out, err = run_command("adapt", "--base", base, *words)
+    code, out, err = run_command("adapt", "--base", base, *options)
     assert (code, out) == (ExitCode.SETUP, "")
     assert f"'{base}' is not a base" in err
     assert contents(tmp_path) == before
     assert not (tmp_path / "runs").exists()
 
 
-@pytest.mark.parametrize("words", [(), ("--out", "a fit [of] mine")])
-def test_the_folder_is_told_at_the_start_and_when_it_is_interrupted(run_command, ledger, tmp_path, monkeypatch, words):
+@pytest.mark.parametrize("options", [(), ("--out", "a fit [of] mine")])
+def test_the_folder_is_printed_at_the_start_and_after_an_interrupt(run_command, ledger, tmp_path, monkeypatch, options):
     def interrupted():
         raise KeyboardInterrupt
 
     monkeypatch.setattr(command, "import_trainer", interrupted)
-    code, _, err = run_command("adapt", *words)
+    code, _, err = run_command("adapt", *options)
     (data,) = tmp_path.rglob(CARD_FILE)
     folder = data.parent.parent.relative_to(tmp_path)
     assert code == ExitCode.INTERRUPTED
-    assert f"all is kept in {folder}\n" in err
-    assert f"the same command with --out {shlex.quote(str(folder))} goes on\n" in err
+    assert f"all files are kept in {folder}\n" in err
+    assert f"resume with the same command and --out {shlex.quote(str(folder))}\n" in err
 
 
 @pytest.mark.parametrize("ledger_named", [False, True])
 @pytest.mark.parametrize("serves", [False, True])
-def test_a_new_adapter_is_told_with_what_leads_to_its_service(
+def test_a_new_adapter_is_reported_with_the_next_commands(
     run_command, ledger, tmp_path, monkeypatch, ledger_named, serves
 ):
     def champion(place):
@@ -151,10 +153,10 @@ def test_a_new_adapter_is_told_with_what_leads_to_its_service(
 
     registry = SimpleNamespace(add=lambda folder, now: None, champion=champion, verify=dict)
     monkeypatch.setattr("dualbrain.cli.adapters.registry.open_adapter_registry", lambda: registry)
-    monkeypatch.setattr(command, "_record_in_ledger", lambda *told: True)
+    monkeypatch.setattr(command, "_record_in_ledger", lambda *args: True)
     facts = {"id": "a" * 64, "robot": "panda", "base": "base-135m", "base_sha256": "c" * 64}
-    night = SimpleNamespace(adapt=lambda *told, **more: SimpleNamespace(**facts))
-    monkeypatch.setattr(command, "import_trainer", lambda: night)
+    trainer = SimpleNamespace(adapt=lambda *args, **kwargs: SimpleNamespace(**facts))
+    monkeypatch.setattr(command, "import_trainer", lambda: trainer)
     monkeypatch.setattr("dualbrain.adaptation.adapters.base_models.find_base_model", lambda name, cache: name)
     of, one = " --ledger ledger.sqlite" if ledger_named else "", "a" * 16
     code, _, err = run_command("adapt", "--out", "fit", *of.split())
@@ -166,20 +168,20 @@ def test_a_new_adapter_is_told_with_what_leads_to_its_service(
     ]
 
 
-def test_without_the_extra_it_says_what_to_install(run_command, ledger, monkeypatch, tmp_path):
-    """Whatever other tests have imported before."""
+def test_without_the_extra_the_error_names_it(run_command, ledger, monkeypatch, tmp_path):
+    """Independent of the imports of other tests."""
     for name in [name for name in sys.modules if name.startswith("dualbrain.adaptation.training.")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.delattr("dualbrain.adaptation.training.train", raising=False)
     monkeypatch.setitem(sys.modules, "torch", None)
     code, out, err = run_command("adapt", "--out", "fit")
     assert (code, out) == (ExitCode.SETUP, "")
-    assert "torch, of the extra `adapt`, is missing" in err
+    assert "The package torch of the extra `adapt` is missing" in err
     assert "dualbrain[adapt]" in err
     assert len(read_dataset(tmp_path / "fit" / "dataset").train)
 
 
-def test_a_fit_is_not_taken_up_with_another_vocabulary(run_command, ledger, tmp_path):
+def test_a_run_is_not_resumed_with_another_vocabulary(run_command, ledger, tmp_path):
     run_command("adapt", "--export", "fit/dataset")
     card = msgspec.structs.replace(read_dataset_card(tmp_path / "fit" / "dataset"), registry="00000000")
     (tmp_path / "fit" / "dataset" / CARD_FILE).write_bytes(msgspec.json.encode(card))
@@ -193,17 +195,17 @@ def contents(folder):
 
 
 @pytest.fixture
-def no_torch(monkeypatch):
-    """A fit that is let in ends where it would begin."""
+def stop_before_training(monkeypatch):
+    """A run that is accepted ends where training would start."""
 
-    def refuse():
+    def fail():
         raise MissingDependencyError("torch", fix="")
 
-    monkeypatch.setattr(command, "import_trainer", refuse)
+    monkeypatch.setattr(command, "import_trainer", fail)
 
 
 @pytest.mark.parametrize(
-    ("dials", "words"),
+    ("settings", "words"),
     [
         ("[curation.rules]\nepsilon = 0.002", "epsilon 0.003, now 0.002"),
         ("[curation.rules]\nslowest = 2.0", "slowest 1.5, now 2.0"),
@@ -213,38 +215,38 @@ def no_torch(monkeypatch):
         ('[curation]\nsalt = "x"', "salt dualbrain, now x"),
     ],
 )
-def test_other_dials_of_curation_are_refused_where_a_data_set_lies(
-    run_command, ledger, no_torch, tmp_path, dials, words
+def test_other_settings_of_curation_are_rejected_for_an_existing_data_set(
+    run_command, ledger, stop_before_training, tmp_path, settings, words
 ):
     run_command("adapt", "--out", "fit")
     before = contents(tmp_path / "fit")
-    (tmp_path / "dials.toml").write_text(dials)
-    code, _, err = run_command("adapt", "--out", "fit", "--config", "dials.toml")
+    (tmp_path / "settings.toml").write_text(settings)
+    code, _, err = run_command("adapt", "--out", "fit", "--config", "settings.toml")
     assert code == ExitCode.SETUP
     assert words in err
     assert "another --out" in err
     assert contents(tmp_path / "fit") == before
 
 
-def test_another_ledger_is_refused_where_a_data_set_lies(run_command, ledger, no_torch, tmp_path):
+def test_another_ledger_is_rejected_for_an_existing_data_set(run_command, ledger, stop_before_training, tmp_path):
     run_command("adapt", "--out", "fit")
     before = contents(tmp_path / "fit")
     (tmp_path / "other").mkdir()
     write_ledger(tmp_path / "other", distinct_episodes(12)).close()
     code, _, err = run_command("adapt", "--out", "fit", "--ledger", "other/ledger.sqlite")
     assert code == ExitCode.SETUP
-    assert "ledger of the data set in fit: got 'other/ledger.sqlite'" in err
+    assert "The data set in fit is of another ledger than other/ledger.sqlite" in err
     assert "another --out" in err
     assert contents(tmp_path / "fit") == before
 
 
-def test_another_site_is_refused_where_a_data_set_lies(run_command, ledger, no_torch, tmp_path):
+def test_another_site_is_rejected_for_an_existing_data_set(run_command, ledger, stop_before_training, tmp_path):
     (tmp_path / "lab.toml").write_text("[robot]\ntool_speed = 0.25\n")
     run_command("adapt", "--out", "here")
     run_command("adapt", "--out", "there", "--site", "lab.toml")
     there = ("--site", "lab.toml")
     for folder, same, other in (("here", (), there), ("there", there, ())):
-        assert f"going on with the data set in {folder}" in run_command("adapt", "--out", folder, *same)[2]
+        assert f"using the data set in {folder}" in run_command("adapt", "--out", folder, *same)[2]
         before = contents(tmp_path / folder)
         code, _, err = run_command("adapt", "--out", folder, *other)
         assert code == ExitCode.SETUP
@@ -253,54 +255,54 @@ def test_another_site_is_refused_where_a_data_set_lies(run_command, ledger, no_t
         assert contents(tmp_path / folder) == before
 
 
-def test_a_ledger_that_has_grown_or_was_compacted_is_the_same(run_command, ledger, no_torch, tmp_path):
+def test_a_ledger_that_has_grown_or_was_compacted_is_accepted(run_command, ledger, stop_before_training, tmp_path):
     run_command("adapt", "--out", "fit")
     before = contents(tmp_path / "fit")
     write_ledger(tmp_path, [episode("later", scene_summary=summary(number=55))]).close()
-    assert "going on with the data set in fit" in run_command("adapt", "--out", "fit")[2]
+    assert "using the data set in fit" in run_command("adapt", "--out", "fit")[2]
     for _ in range(2):
         compact_in_place(ledger, holder="a test", now=NOW, timeout_s=1.0)
-        assert "going on with the data set in fit" in run_command("adapt", "--out", "fit")[2]
+        assert "using the data set in fit" in run_command("adapt", "--out", "fit")[2]
     for archive in tmp_path.glob("*.archive-*"):
         archive.unlink()
-    assert "ledger of the data set in fit" in run_command("adapt", "--out", "fit")[2]
+    assert "The data set in fit is of another ledger" in run_command("adapt", "--out", "fit")[2]
     assert contents(tmp_path / "fit") == before
 
 
-def test_a_data_set_whose_card_is_older_is_gone_on_with(run_command, ledger, no_torch, tmp_path):
-    """It does not tell whether anything was selected by what came of it."""
+def test_a_data_set_with_a_card_of_an_older_version_is_accepted(run_command, ledger, stop_before_training, tmp_path):
+    """Such a card does not record whether outcomes were a criterion."""
     run_command("adapt", "--out", "fit")
     path = tmp_path / "fit" / "dataset" / CARD_FILE
     card = json.loads(path.read_text())
     del card["physical"]
     path.write_text(json.dumps(card))
-    assert "going on with the data set in fit" in run_command("adapt", "--out", "fit")[2]
+    assert "using the data set in fit" in run_command("adapt", "--out", "fit")[2]
 
 
-def test_what_an_adapter_was_taught_is_written_into_the_ledger(run_command, ledger, tmp_path, monkeypatch, capsys):
+def test_the_training_data_of_an_adapter_is_recorded_in_the_ledger(run_command, ledger, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("dualbrain.cli.memory.open_memory.load_encoder", lambda: HashingEncoder(32))
     monkeypatch.setattr("dualbrain.cli.memory.open_memory.memory_config", lambda opened: CONFIG)
     run_command("adapt", "--export", "set")
     dataset = read_dataset(tmp_path / "set")
     card = SimpleNamespace(id="a" * 64, dataset=dataset.card.hash)
     assert command._record_in_ledger(card, dataset, tmp_path / "fit", ledger)
-    assert command._record_in_ledger(card, dataset, tmp_path / "fit", ledger)  # once is enough
+    assert command._record_in_ledger(card, dataset, tmp_path / "fit", ledger)  # a second call adds nothing
     with LedgerReader(ledger) as opened:
         (event,) = opened.events(f"kind = '{ADAPTER}'")
-    noted = msgspec.json.decode(event.payload, type=AdapterUse)
-    assert noted == AdapterUse("a" * 64, dataset.card.hash, tuple(sorted(row.memory for row in dataset.train)))
+    recorded = msgspec.json.decode(event.payload, type=AdapterUse)
+    assert recorded == AdapterUse("a" * 64, dataset.card.hash, tuple(sorted(row.memory for row in dataset.train)))
     assert not command._record_in_ledger(card, dataset, tmp_path / "fit", tmp_path / "none.sqlite")
-    assert "not written into the ledger" in capsys.readouterr().err
+    assert "not recorded in the ledger" in capsys.readouterr().err
 
 
-def test_when_idle_it_is_the_same_command_in_a_process_of_its_own(tmp_path, monkeypatch, capfd):
-    monkeypatch.setattr(adapt_when_idle, "look", lambda: MachineLoad(0.0, 2, on_battery=False))
-    told = {"robot": "panda", "base": "smollm2-135m-instruct", "site": None, "config": None, "json": False}
+def test_when_idle_runs_the_same_command_in_a_process_of_its_own(tmp_path, monkeypatch, capfd):
+    monkeypatch.setattr(adapt_when_idle, "read_machine_load", lambda: MachineLoad(0.0, 2, on_battery=False))
+    options = {"robot": "panda", "base": "smollm2-135m-instruct", "site": None, "config": None, "json": False}
     code = adapt_when_idle.adapt_when_idle(
         ledger=tmp_path / "none.sqlite",
         out=tmp_path / "out",
         pace=IdleSchedulerConfig(poll_period=0.05, quiet_time=0.0),
-        **told,
+        **options,
     )
     assert code == ExitCode.SETUP
     assert "none.sqlite" in capfd.readouterr().err
@@ -309,44 +311,41 @@ def test_when_idle_it_is_the_same_command_in_a_process_of_its_own(tmp_path, monk
 @pytest.mark.parametrize(
     ("end", "words"), [("os.kill(os.getpid(), 9)", "signal 9 (Killed)"), ("sys.exit(1)", ""), ("sys.exit(0)", "")]
 )
-def test_when_idle_a_fit_that_was_killed_from_outside_says_so_and_how_to_go_on(
-    tmp_path, monkeypatch, capfd, end, words
-):
-    monkeypatch.setattr(adapt_when_idle, "look", lambda: MachineLoad(0.0, 2, on_battery=False))
+def test_when_idle_a_killed_training_is_reported_with_how_to_resume(tmp_path, monkeypatch, capfd, end, words):
+    monkeypatch.setattr(adapt_when_idle, "read_machine_load", lambda: MachineLoad(0.0, 2, on_battery=False))
     work = [sys.executable, "-S", "-c", f"import os, sys; {end}"]
-    monkeypatch.setattr(adapt_when_idle, "adapt_command", lambda *told, **more: work)
-    told = {"robot": "panda", "base": "tiny", "ledger": tmp_path / "l", "site": None, "config": None, "json": False}
+    monkeypatch.setattr(adapt_when_idle, "adapt_command", lambda *args, **kwargs: work)
+    options = {"robot": "panda", "base": "tiny", "ledger": tmp_path / "l", "site": None, "config": None, "json": False}
     code = adapt_when_idle.adapt_when_idle(
-        out=Path("runs/night"), pace=IdleSchedulerConfig(poll_period=0.05, quiet_time=0.0), **told
+        out=Path("runs/first"), pace=IdleSchedulerConfig(poll_period=0.05, quiet_time=0.0), **options
     )
     err = " ".join(capfd.readouterr().err.split())
     assert (code == ExitCode.SETUP) is bool(words)
-    assert (words in err, "with --out runs/night goes on from the last checkpoint" in err) == (True, bool(words))
+    assert (words in err, "with --out runs/first resumes from the last checkpoint" in err) == (True, bool(words))
 
 
 WATCHER = """
 import sys
 from pathlib import Path
-from dualbrain.cli import when_idle
-from dualbrain.adaptation.idle_scheduler import Machine
-from dualbrain.adaptation.idle_scheduler import Pace
+from dualbrain.cli.adapters import adapt_when_idle
+from dualbrain.adaptation.idle_scheduler import IdleSchedulerConfig, MachineLoad
 
 folder = Path(sys.argv[1])
 work = "import os, sys, time\\nopen(sys.argv[1] + '/pid', 'w').write(str(os.getpid()))\\ntime.sleep(600)"
-when_idle.command = lambda *told, **more: [sys.executable, "-S", "-c", work, str(folder)]
-when_idle.look = lambda: Machine(0.0, 2, on_battery=(folder / "unplugged").exists())
-told = {"robot": "panda", "base": "tiny", "ledger": folder / "l", "site": None, "config": None}
-told |= {"out": folder, "json": False}
+adapt_when_idle.adapt_command = lambda *args, **kwargs: [sys.executable, "-S", "-c", work, str(folder)]
+adapt_when_idle.read_machine_load = lambda: MachineLoad(0.0, 2, on_battery=(folder / "unplugged").exists())
+arguments = {"robot": "panda", "base": "tiny", "ledger": folder / "l", "site": None, "config": None}
+arguments |= {"out": folder, "json": False}
 try:
-    when_idle.adapt_when_idle(**told, pace=Pace(look=0.05, calm=0.0))
+    adapt_when_idle.adapt_when_idle(**arguments, pace=IdleSchedulerConfig(poll_period=0.05, quiet_time=0.0))
 except KeyboardInterrupt:
     sys.exit(130)
 """
-"""`adapt --when-idle` with a fit that only sleeps; halted as soon as there is a file called unplugged."""
+"""`adapt --when-idle` with a training that only sleeps; it is paused when a file called unplugged exists."""
 
 
 def state(process):
-    """The letter that Linux has for what a process does, "" if there is none; what only waits to be buried is none."""
+    """The state letter of a process in Linux, "" if there is none; a zombie counts as none."""
     try:
         letter = Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0]
     except OSError:
@@ -354,27 +353,27 @@ def state(process):
     return letter.replace("Z", "").replace("X", "")
 
 
-def in_time(holds):
-    """Wait until it holds; what does not hold in half a minute never does."""
+def wait_until(holds):
+    """Wait up to half a minute until the condition holds; returns whether it does."""
     until = time.monotonic() + 30.0
     while not holds() and time.monotonic() < until:
         time.sleep(0.02)
     return holds()
 
 
-@pytest.mark.parametrize("halted", [False, True])
+@pytest.mark.parametrize("paused", [False, True])
 @pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
-def test_however_it_is_ended_no_fit_goes_on_beside_the_robot(tmp_path, end, halted):
+def test_no_training_outlives_its_scheduler(tmp_path, end, paused):
     watcher, fit = subprocess.Popen([sys.executable, "-c", WATCHER, str(tmp_path)], start_new_session=True), 0
     try:
-        assert in_time(lambda: (tmp_path / "pid").exists() and (tmp_path / "pid").read_text())
+        assert wait_until(lambda: (tmp_path / "pid").exists() and (tmp_path / "pid").read_text())
         fit = int((tmp_path / "pid").read_text())
-        if halted:
+        if paused:
             (tmp_path / "unplugged").touch()
-            assert in_time(lambda: state(fit) == "T")
+            assert wait_until(lambda: state(fit) == "T")
         watcher.send_signal(end)
         assert watcher.wait(30.0) == (-end if end == signal.SIGKILL else ExitCode.INTERRUPTED)
-        assert in_time(lambda: not state(fit))
+        assert wait_until(lambda: not state(fit))
     finally:
         watcher.kill()
         watcher.wait()
@@ -382,25 +381,25 @@ def test_however_it_is_ended_no_fit_goes_on_beside_the_robot(tmp_path, end, halt
             os.kill(fit, signal.SIGKILL)
 
 
-def test_several_processes_need_one_folder_and_only_fit(run_command, ledger, monkeypatch):
+def test_several_processes_need_one_folder_and_can_only_train(run_command, ledger, monkeypatch):
     monkeypatch.setenv("WORLD_SIZE", "2")
     for arguments in (("--out", "fit", "--dry-run"), ("--export", "set"), ("--out", "fit", "--when-idle")):
         code, out, err = run_command("adapt", *arguments)
         assert (code, out) == (ExitCode.SETUP, "")
-        assert "adapt in several processes" in err
+        assert "Several processes cannot run adapt" in err
     for arguments in (("adapt",), ("adapters", "make", "base-135m")):
         code, out, err = run_command(*arguments)
         assert (code, out) == (ExitCode.SETUP, "")
-        assert "--out of a fit in several processes: got 'none'" in err
+        assert "Training in several processes needs --out" in err
 
 
-def test_one_process_is_no_team_and_only_the_first_of_several_speaks(capsys):
+def test_a_single_process_is_no_group_and_only_the_first_of_several_prints(capsys):
     assert not process_launcher.is_distributed({})
     assert not process_launcher.is_distributed({"WORLD_SIZE": "1"})
     assert process_launcher.is_distributed({"WORLD_SIZE": "2"})
     for size in ("", "two", "-2"):
         with pytest.raises(ConfigurationError, match="unset WORLD_SIZE"):
             process_launcher.is_distributed({"WORLD_SIZE": size})
-    process_launcher.console_of(SINGLE_PROCESS).print("heard")
-    process_launcher.console_of(SimpleNamespace(rank=1)).print("not heard")
-    assert capsys.readouterr().err == "heard\n"
+    process_launcher.console_of(SINGLE_PROCESS).print("printed")
+    process_launcher.console_of(SimpleNamespace(rank=1)).print("not printed")
+    assert capsys.readouterr().err == "printed\n"

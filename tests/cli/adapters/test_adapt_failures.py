@@ -1,4 +1,4 @@
-"""A night ends with an adapter that its card tells the truth of, or with a clear error; who serves is never touched."""
+"""`dualbrain adapt` ends with an adapter and a correct card, or with a clear error; the champion is never changed."""
 
 import resource
 import tempfile
@@ -25,16 +25,18 @@ from tests.adaptation import tiny_adapter, tiny_gguf  # noqa: E402
 from tests.adaptation.sample_episodes import CONFIG, distinct_episodes, episode, write_ledger  # noqa: E402
 
 pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::UserWarning", "ignore::DeprecationWarning")
-DIALS = "[fit]\nsteps = 4\nbatch = 2\nat_once = 2\nrank = 2\nalpha = 4\nsave_every = 2\nask_at_most = 0\nrate = 1e-2\n"
-COMMAND = ["adapt", "--base", tiny_adapter.BASE, "--out", "fit", "--config", "dials.toml"]
+SETTINGS = (
+    "[fit]\nsteps = 4\nbatch = 2\nat_once = 2\nrank = 2\nalpha = 4\nsave_every = 2\nask_at_most = 0\nrate = 1e-2\n"
+)
+COMMAND = ["adapt", "--base", tiny_adapter.BASE, "--out", "fit", "--config", "settings.toml"]
 
 
 def contents(folder):
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def flip(path):
-    """Turn one bit over."""
+def flip_bit(path):
+    """Flip one bit of a file."""
     data = bytearray(path.read_bytes())
     data[-1] ^= 1
     path.write_bytes(data)
@@ -56,14 +58,14 @@ def home_in(folder, patch):
     registry.promote(
         card.id, PromotionDecision(candidate=card.id, champion=NO_ADAPTER, measures={}, against=()), now=2.0
     )
-    write_ledger(folder, distinct_episodes(8, by=tiny_adapter.BASE)).close()
-    (folder / "dials.toml").write_text(DIALS)
+    write_ledger(folder, distinct_episodes(8, proposer=tiny_adapter.BASE)).close()
+    (folder / "settings.toml").write_text(SETTINGS)
     return SimpleNamespace(cache=cache, registry=registry, champion=card, folder=folder, fit=folder / "fit")
 
 
 @pytest.fixture
-def here(run_command, tmp_path, monkeypatch):
-    """Such a home, and the command in it; whatever filled the disk, there is room when it has ended."""
+def bench(run_command, tmp_path, monkeypatch):
+    """Such a home with the command `adapt`; when it has ended, the disk has space again."""
     limits, home = resource.getrlimit(resource.RLIMIT_FSIZE), home_in(tmp_path, monkeypatch)
 
     def adapt():
@@ -79,99 +81,99 @@ def here(run_command, tmp_path, monkeypatch):
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
-    """The id of the adapter that such a night makes if nothing goes wrong."""
+    """The id of the adapter that the command makes without a failure."""
     with pytest.MonkeyPatch.context() as patch:
         home = home_in(tmp_path_factory.mktemp("undisturbed"), patch)
         assert run_command_line(COMMAND) == ExitCode.SUCCESS
         return home.registry.ids()[-1]
 
 
-def test_what_a_fit_was_taught_is_not_lost_while_another_writes_the_ledger(here, undisturbed, monkeypatch):
+def test_training_data_is_recorded_later_if_the_ledger_is_locked(bench, undisturbed, monkeypatch):
     monkeypatch.setattr("dualbrain.cli.memory.open_memory.LOCK_TIMEOUT_S", 0.05)
 
-    def noted():
-        with LedgerReader(here.folder / "ledger.sqlite") as opened:
+    def recorded_adapters():
+        with LedgerReader(bench.folder / "ledger.sqlite") as opened:
             return [event.subject for event in opened.events(f"kind = '{ADAPTER}'")]
 
-    with Ledger(here.folder / "ledger.sqlite", holder="a run", now=3.0, timeout_s=1.0):
-        code, _, err = here.adapt()
-        assert (code, here.registry.ids()[-1], noted()) == (ExitCode.FAILED_SAFELY, undisturbed, [])
-    told = " ".join(err.split())
-    assert "not written into the ledger" in told
-    assert "the same command again, with --out fit: it takes no further step" in told
-    journal = here.registry.journal()
+    with Ledger(bench.folder / "ledger.sqlite", holder="a run", now=3.0, timeout_s=1.0):
+        code, _, err = bench.adapt()
+        assert (code, bench.registry.ids()[-1], recorded_adapters()) == (ExitCode.FAILED_SAFELY, undisturbed, [])
+    message = " ".join(err.split())
+    assert "not recorded in the ledger" in message
+    assert "Repeat the same command with --out fit: it takes no further step" in message
+    log = bench.registry.entries()
     for _ in range(2):
-        code, _, err = here.adapt()
-        assert (code, noted(), "step" in err) == (ExitCode.SUCCESS, [undisturbed], False)
-    assert here.registry.journal() == journal
+        code, _, err = bench.adapt()
+        assert (code, recorded_adapters(), "step" in err) == (ExitCode.SUCCESS, [undisturbed], False)
+    assert bench.registry.entries() == log
 
 
-def empty_ledger(here, monkeypatch):
-    (here.folder / "ledger.sqlite").unlink()
-    write_ledger(here.folder, []).close()
+def empty_ledger(bench, monkeypatch):
+    (bench.folder / "ledger.sqlite").unlink()
+    write_ledger(bench.folder, []).close()
 
 
-def nothing_clean(here, monkeypatch):
-    (here.folder / "ledger.sqlite").unlink()
-    write_ledger(here.folder, [episode("a", "failed"), episode("b", Delta=0.5)]).close()
+def nothing_clean(bench, monkeypatch):
+    (bench.folder / "ledger.sqlite").unlink()
+    write_ledger(bench.folder, [episode("a", "failed"), episode("b", Delta=0.5)]).close()
 
 
-def changed_after_the_fit(here, monkeypatch):
-    plain = train.adapt
+def changed_after_training(bench, monkeypatch):
+    original = train.adapt
 
-    def adapt(*told, **more):
-        card = plain(*told, **more)
-        flip(here.fit / "adapter" / WEIGHTS_FILE)
+    def adapt(*args, **kwargs):
+        card = original(*args, **kwargs)
+        flip_bit(bench.fit / "adapter" / WEIGHTS_FILE)
         return card
 
     monkeypatch.setattr(train, "adapt", adapt)
 
 
-def changed_during_the_fit(here, monkeypatch):
-    """Between the end of the fit and its being taken up again."""
-    plain = train.Trainer.run
+def changed_during_training(bench, monkeypatch):
+    """Between the end of training and its resumption."""
+    original = train.Trainer.run
 
-    def run(fit, tell):
-        plain(fit, tell)
-        flip(here.fit / BEST_FILE)
-        return plain(fit, tell)
+    def run(trainer, report):
+        original(trainer, report)
+        flip_bit(bench.fit / BEST_FILE)
+        return original(trainer, report)
 
     monkeypatch.setattr(train.Trainer, "run", run)
 
 
-def wrong_base(here, monkeypatch):
-    flip(here.cache / "tiny.gguf")
+def wrong_base(bench, monkeypatch):
+    flip_bit(bench.cache / "tiny.gguf")
 
 
-def no_number(here, monkeypatch):
-    (here.folder / "dials.toml").write_text(DIALS.replace("rate = 1e-2", "rate = 1e38"))
+def not_finite(bench, monkeypatch):
+    (bench.folder / "settings.toml").write_text(SETTINGS.replace("rate = 1e-2", "rate = 1e38"))
 
 
 FAILURES = {
-    empty_ledger: "clean episodes: got 'none of 0 memories'",
-    nothing_clean: "clean episodes: got 'none of 2 memories (1 outcome failed, 1 Δ above 0.003)'",
-    changed_after_the_fit: "adapter weights",
-    changed_during_the_fit: "best adapter of the fit: got 'damaged",
+    empty_ledger: "no clean episode: none of 0 memories can be used",
+    nothing_clean: "no clean episode: none of 2 memories (1 outcome failed, 1 Δ above 0.003) can be used",
+    changed_after_training: "adapter weights",
+    changed_during_training: "The best adapter of the run is damaged",
     wrong_base: "tiny: SHA-256 is",
-    no_number: "is not finite",
+    not_finite: "is not finite",
 }
 
 
 @pytest.mark.parametrize("fail", FAILURES, ids=lambda fail: fail.__name__)
-def test_a_night_that_fails_says_why_and_leaves_registry_and_champion(here, monkeypatch, fail):
-    fail(here, monkeypatch)
-    before = contents(here.registry.folder)
-    code, out, err = here.adapt()
+def test_a_failure_is_reported_and_leaves_registry_and_champion_unchanged(bench, monkeypatch, fail):
+    fail(bench, monkeypatch)
+    before = contents(bench.registry.folder)
+    code, out, err = bench.adapt()
     assert (code, out) == (ExitCode.SETUP, "")
     assert FAILURES[fail] in err
     assert "Traceback" not in err
-    untouched(here, before)
+    assert_unchanged(bench, before)
 
 
-def untouched(here, before):
-    assert contents(here.registry.folder) == before
-    assert here.registry.verify() == {here.champion.id: ""}
-    assert here.registry.champion(place_of_card(here.champion)) == here.champion.id
+def assert_unchanged(bench, before):
+    assert contents(bench.registry.folder) == before
+    assert bench.registry.verify() == {bench.champion.id: ""}
+    assert bench.registry.champion(place_of_card(bench.champion)) == bench.champion.id
 
 
 STAGES = {
@@ -184,19 +186,19 @@ STAGES = {
     "card": ".adapter.json.",
     "registry": ".{made}.",
 }
-"""What is being written, and how the name begins that it is written under."""
+"""The output that is being written, and the prefix of its temporary name."""
 
 
 @pytest.mark.parametrize("stage", STAGES)
-def test_on_a_full_disk_too_and_with_room_again_it_ends_as_if_there_had_been(here, undisturbed, monkeypatch, stage):
+def test_after_a_full_disk_the_run_resumes_and_gives_the_same_adapter(bench, undisturbed, monkeypatch, stage):
     prefix, full = STAGES[stage].format(base=find_weight_file(tiny_adapter.BASE).sha256[:32], made=undisturbed), [True]
 
     def filling(make):
-        def begin(*told, **more):
-            if full and more["prefix"] == prefix:
+        def begin(*args, **kwargs):
+            if full and kwargs["prefix"] == prefix:
                 full.clear()
                 resource.setrlimit(resource.RLIMIT_FSIZE, (10, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
-            return make(*told, **more)
+            return make(*args, **kwargs)
 
         return begin
 
@@ -204,28 +206,28 @@ def test_on_a_full_disk_too_and_with_room_again_it_ends_as_if_there_had_been(her
         monkeypatch.setattr(tempfile, name, filling(getattr(tempfile, name)))
     beside = filling(lambda path, prefix, real=atomic_files._temporary_sibling: real(path))
     monkeypatch.setattr(atomic_files, "_temporary_sibling", lambda path: beside(path, prefix=f".{path.name}."))
-    before = contents(here.registry.folder)
-    code, out, err = here.adapt()
+    before = contents(bench.registry.folder)
+    code, out, err = bench.adapt()
     assert (code, out) == (ExitCode.SETUP, "")
     assert "not written: " in err
     assert "Traceback" not in err
     assert not full
-    untouched(here, before)
-    assert here.adapt()[0] == ExitCode.SUCCESS
-    assert here.registry.ids() == (here.champion.id, undisturbed)
+    assert_unchanged(bench, before)
+    assert bench.adapt()[0] == ExitCode.SUCCESS
+    assert bench.registry.ids() == (bench.champion.id, undisturbed)
 
 
 @pytest.mark.parametrize(("by", "bootstrapped"), [("tiny", False), ("tiny+0123abcd", True), ("templates", True)])
-def test_a_night_that_ends_well_leaves_a_card_that_says_of_what_and_by_whom(here, by, bootstrapped):
-    (here.folder / "ledger.sqlite").unlink()
-    write_ledger(here.folder, distinct_episodes(8, by=by)).close()
-    code, _, err = here.adapt()
+def test_a_successful_run_leaves_a_card_with_the_sources_of_its_data(bench, by, bootstrapped):
+    (bench.folder / "ledger.sqlite").unlink()
+    write_ledger(bench.folder, distinct_episodes(8, proposer=by)).close()
+    code, _, err = bench.adapt()
     assert code == ExitCode.SUCCESS
-    assert "used by nobody until" in err
-    first, made = here.registry.ids()
-    card = here.registry.card(made)
+    assert "it is not used until it is promoted" in err
+    first, made = bench.registry.ids()
+    card = bench.registry.card(made)
     assert (card.base, card.base_sha256) == (tiny_adapter.BASE, find_weight_file(tiny_adapter.BASE).sha256)
     assert (card.sources, card.bootstrapped) == ({by: 8}, bootstrapped)
     assert (card.steps, card.config.fit.rank) == (4, 2)
-    assert here.registry.verify() == {first: "", made: ""}
-    assert here.registry.champion(place_of_card(here.champion)) == first == here.champion.id
+    assert bench.registry.verify() == {first: "", made: ""}
+    assert bench.registry.champion(place_of_card(bench.champion)) == first == bench.champion.id

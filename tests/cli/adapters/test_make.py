@@ -1,4 +1,4 @@
-"""dualbrain adapters make starter-135m: a day of flights, a data set, a fit; stopped anywhere, it goes on there."""
+"""`dualbrain adapters make starter-135m`: episodes, data set, training; resumed after an interruption at any point."""
 
 import json
 from types import SimpleNamespace
@@ -19,8 +19,8 @@ from dualbrain.runtime.data_collection.rollouts import is_declined, memory_id_of
 from tests.adaptation.sample_episodes import distinct_episodes, episode, pick_contract, summary, write_ledger
 
 DECLINE = pick_contract() | {"action_sequence": [{"skill": "decline", "params": {"reason": "no skill can do this"}}]}
-NUMBER = 12
-LESSON = Sample(
+N_EPISODES = 12
+EXAMPLE = Sample(
     id="a",
     prompt=[],
     completion=[],
@@ -37,142 +37,142 @@ LESSON = Sample(
 )
 
 
-class Stopped(BaseException):
-    """As if killed."""
+class Interrupted(BaseException):
+    """An interruption as by a kill."""
 
 
 @pytest.fixture
-def stage(monkeypatch):
-    """Nothing flies and nothing is fitted; `stop` names the turn, or "fit", at which all ends once."""
-    here = SimpleNamespace(stop=None, flown=[], fitted=[])
+def bench(monkeypatch):
+    """No episode is simulated and nothing is trained; `stop` is the episode, or "fit", that is interrupted."""
+    state = SimpleNamespace(stop=None, executed=[], trained=[])
 
     def carried_out(one, ledger, turn, *, cache):
-        if here.stop == turn:
-            here.stop = None
-            raise Stopped
-        here.flown.append(turn)
-        same = {"by": one.source, "told": summary(number=turn), "words": f"errand {turn}"}
-        facts = {"kind": "declined", "Delta": None, "duration": 0.0, "plan": DECLINE} if is_declined(one) else {}
-        told = episode(memory_id_of_turn(turn), **facts, **same)
-        write_ledger(ledger.parent, [told]).close()
-        return told
+        if state.stop == turn:
+            state.stop = None
+            raise Interrupted
+        state.executed.append(turn)
+        options = {"proposer": one.source, "scene_summary": summary(number=turn), "instruction": f"task {turn}"}
+        outcome = {"kind": "declined", "Delta": None, "duration": 0.0, "plan": DECLINE} if is_declined(one) else {}
+        episode_record = episode(memory_id_of_turn(turn), **outcome, **options)
+        write_ledger(ledger.parent, [episode_record]).close()
+        return episode_record
 
     def adapt(data, config, base, judge, folder, **others):
-        if here.stop == "fit":
-            here.stop = None
-            raise Stopped
-        here.fitted.append((data.card.hash, config, base))
+        if state.stop == "fit":
+            state.stop = None
+            raise Interrupted
+        state.trained.append((data.card.hash, config, base))
         return SimpleNamespace(id="a" * 64)
 
     monkeypatch.setattr(room, "run_proposal", carried_out)
     monkeypatch.setattr(room, "EPISODES_PER_STEP", 4)
-    monkeypatch.setattr(starter_dataset, "N_PROPOSALS", NUMBER)
+    monkeypatch.setattr(starter_dataset, "N_PROPOSALS", N_EPISODES)
     monkeypatch.setattr(fitting, "import_trainer", lambda: SimpleNamespace(adapt=adapt))
     monkeypatch.setattr(base_models, "find_base_model", lambda name, cache: name)
-    return here
+    return state
 
 
-def test_it_flies_chooses_and_fits_its_base_by_the_whole_objective(run_command, stage, tmp_path):
+def test_it_runs_episodes_curates_and_trains_with_the_complete_objective(run_command, bench, tmp_path):
     code, out, err = run_command("adapters", "make", "starter-135m", "--out", tmp_path / "made")
     data = read_dataset(tmp_path / "made" / "dataset")
     assert (code, out) == (ExitCode.SUCCESS, "")
-    assert stage.flown == list(range(NUMBER))
-    assert stage.fitted == [(data.card.hash, starter_dataset.ADAPT_CONFIG, starter_dataset.BASE_MODEL)]
+    assert bench.executed == list(range(N_EPISODES))
+    assert bench.trained == [(data.card.hash, starter_dataset.ADAPT_CONFIG, starter_dataset.BASE_MODEL)]
     assert set(data.card.sources) == {"templates"}
-    assert f"flight 1/{NUMBER}  " in err
-    assert f"flight {NUMBER}/{NUMBER}  succeeded  Δ 0.0010  0.0 min left" in err
+    assert f"episode 1/{N_EPISODES}  " in err
+    assert f"episode {N_EPISODES}/{N_EPISODES}  succeeded  Δ 0.0010  0.0 min left" in err
     assert f"{data.card.train} samples to train on" in err
 
 
 @pytest.mark.parametrize("stop", [0, 5, "fit"])
-def test_stopped_anywhere_it_ends_with_the_same_data_set(run_command, stage, tmp_path, stop):
+def test_after_an_interruption_anywhere_the_data_set_is_the_same(run_command, bench, tmp_path, stop):
     run_command("adapters", "make", "starter-135m", "--out", tmp_path / "whole")
-    stage.stop = stop
-    with pytest.raises(Stopped):
+    bench.stop = stop
+    with pytest.raises(Interrupted):
         run_command("adapters", "make", "starter-135m", "--out", tmp_path / "again")
-    stage.flown.clear()
+    bench.executed.clear()
     run_command("adapters", "make", "starter-135m", "--out", tmp_path / "again")
-    assert stage.flown == ([] if stop == "fit" else list(range(stop - stop % 4, NUMBER)))
-    assert len({one[0] for one in stage.fitted}) == 1
+    assert bench.executed == ([] if stop == "fit" else list(range(stop - stop % 4, N_EPISODES)))
+    assert len({one[0] for one in bench.trained}) == 1
 
 
 def contents(folder):
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file() and "ledger" not in path.name}
 
 
-def change(folder, **parts):
+def change_card(folder, **parts):
     """Change the card of the data set in `folder`."""
     path = folder / "dataset" / CARD_FILE
     path.write_bytes(msgspec.json.encode(msgspec.structs.replace(read_dataset_card(folder / "dataset"), **parts)))
 
 
-ANOTHER = {
+DIFFERENCES = {
     "form": ({"form": "another"}, "form another, now conversational"),
     "robot": ({"robot": "ur5e"}, "robot ur5e, now panda"),
     "vocabulary": ({"registry": "00000000"}, "registry 00000000, now "),
     "prompt": ({"prompt": "0" * 16}, f"prompt {'0' * 16}, now "),
     "site": ({"site": "a" * 64}, f"site {'a' * 64}, now "),
     "further robots": ({"also": {"base": "00000000"}}, "also {'base': '00000000'}, now {}"),
-    "number of proposals": ({"memories": 7}, f"memories 7, now {NUMBER}"),
-    "dials": ({"epsilon": 0.003}, "epsilon 0.003, now 0.0021"),
+    "number of proposals": ({"memories": 7}, f"memories 7, now {N_EPISODES}"),
+    "settings": ({"epsilon": 0.003}, "epsilon 0.003, now 0.0021"),
     "ledger": ({"ledger": "f" * 64}, f"ledger {'f' * 16}, now that of "),
 }
 
 
-@pytest.mark.parametrize("part", ANOTHER)
-def test_a_starter_is_not_fitted_on_another_data_set(run_command, stage, tmp_path, part):
-    parts, words = ANOTHER[part]
+@pytest.mark.parametrize("part", DIFFERENCES)
+def test_a_starter_is_not_trained_on_another_data_set(run_command, bench, tmp_path, part):
+    parts, words = DIFFERENCES[part]
     run_command("adapters", "make", "starter-135m", "--out", "made")
-    stage.fitted.clear()
-    change(tmp_path / "made", **parts)
+    bench.trained.clear()
+    change_card(tmp_path / "made", **parts)
     before = contents(tmp_path / "made")
     code, out, err = run_command("adapters", "make", "starter-135m", "--out", "made")
-    assert (code, out, stage.fitted) == (ExitCode.SETUP, "", [])
-    assert "data set in made: got " in err
+    assert (code, out, bench.trained) == (ExitCode.SETUP, "", [])
+    assert "The data set in made is not the present data set of starter-135m: " in err
     assert words in err
     assert "another --out" in err
     assert contents(tmp_path / "made") == before
 
 
-def test_a_data_set_that_was_split_by_another_rule_is_another_one(run_command, stage, tmp_path, monkeypatch):
+def test_a_data_set_with_another_split_is_rejected(run_command, bench, tmp_path, monkeypatch):
     run_command("adapters", "make", "starter-135m", "--out", "made")
-    monkeypatch.setattr(curate, "is_held_out", lambda groups, share, salt: frozenset(groups[:1]))
-    stage.fitted.clear()
+    monkeypatch.setattr(curate, "choose_held_out_groups", lambda groups, share, salt: frozenset(groups[:1]))
+    bench.trained.clear()
     code, _, err = run_command("adapters", "make", "starter-135m", "--out", "made")
-    assert (code, stage.fitted) == (ExitCode.SETUP, [])
+    assert (code, bench.trained) == (ExitCode.SETUP, [])
     assert f"samples {read_dataset_card(tmp_path / 'made' / 'dataset').hash[:16]} of the same ledger, now " in err
 
 
-def test_what_adapt_left_is_no_starter(run_command, stage, tmp_path):
-    """Also where the dials of both are the same: the day's ledger is not there."""
+def test_a_data_set_of_adapt_is_rejected(run_command, bench, tmp_path):
+    """Also with the same settings: the ledger of the episodes is missing."""
     write_ledger(tmp_path, distinct_episodes(8)).close()
-    (tmp_path / "dials.toml").write_text(f"[curation.rules]\nepsilon = {starter_dataset.EPSILON}")
-    run_command("adapt", "--export", "made/dataset", "--config", "dials.toml")
-    change(tmp_path / "made", memories=NUMBER)
+    (tmp_path / "settings.toml").write_text(f"[curation.rules]\nepsilon = {starter_dataset.EPSILON}")
+    run_command("adapt", "--export", "made/dataset", "--config", "settings.toml")
+    change_card(tmp_path / "made", memories=N_EPISODES)
     code, _, err = run_command("adapters", "make", "starter-135m", "--out", "made")
-    assert (code, stage.flown, stage.fitted) == (ExitCode.SETUP, [], [])
+    assert (code, bench.executed, bench.trained) == (ExitCode.SETUP, [], [])
     assert "now that of made/day" in err
     assert [path.name for path in (tmp_path / "made").iterdir()] == ["dataset"]
 
 
-def test_a_course_is_gone_on_with_only_as_it_is_taught_today(run_command, stage, tmp_path, monkeypatch):
-    monkeypatch.setattr(synthetic_scenes, "generate_examples", lambda count, part: (LESSON,) * count)
+def test_a_synthetic_data_set_is_used_again_only_if_it_is_the_present_one(run_command, bench, tmp_path, monkeypatch):
+    monkeypatch.setattr(synthetic_scenes, "generate_examples", lambda count, part: (EXAMPLE,) * count)
     for _ in range(2):
         assert run_command("adapters", "make", "base-135m", "--out", "made")[0] == ExitCode.SUCCESS
-    assert len(stage.fitted) == 2
-    change(tmp_path / "made", also={})
+    assert len(bench.trained) == 2
+    change_card(tmp_path / "made", also={})
     code, _, err = run_command("adapters", "make", "base-135m", "--out", "made")
-    assert (code, len(stage.fitted)) == (ExitCode.SETUP, 2)
+    assert (code, len(bench.trained)) == (ExitCode.SETUP, 2)
     assert "also {}, now {" in err
     code, _, err = run_command("adapters", "make", "starter-135m", "--out", "made")
-    assert (code, len(stage.fitted)) == (ExitCode.SETUP, 2)
-    assert "what starter-135m is taught today" in err
+    assert (code, len(bench.trained)) == (ExitCode.SETUP, 2)
+    assert "is not the present data set of starter-135m" in err
 
 
 @pytest.mark.slow
 @pytest.mark.llm
-def test_a_little_one_is_made_for_good(run_command, tmp_path, monkeypatch):
-    """Flown and fitted, a minute or two: its card calls it bootstrapped, and it is as large as the real one."""
+def test_a_small_starter_is_made_without_substitutes(run_command, tmp_path, monkeypatch):
+    """With simulation and training, in a minute or two: its card is bootstrapped, and its size is the real one."""
     fit = {"steps": 1, "batch": 2, "at_once": 2, "save_every": 1, "ask_at_most": 0, "threads": 1}
     monkeypatch.setattr(starter_dataset, "N_PROPOSALS", 5)
     monkeypatch.setattr(

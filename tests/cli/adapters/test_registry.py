@@ -1,4 +1,4 @@
-"""dualbrain adapters: on its whole way from added to promoted to rolled back, by measurement only."""
+"""`dualbrain adapters`: an adapter is added, measured, promoted and rolled back."""
 
 import json
 import os
@@ -29,11 +29,11 @@ from tests.adaptation.adapters.test_promotion import trial_results
 from tests.adaptation.adapters.test_registry import strip_file_hashes
 
 
-def put(home, words="weights", base="smollm2-135m-instruct", beside=""):
-    """Add an adapter of these weights to the registry in `home`, and let it stand in the shadow of `beside`; its id."""
-    source = home / f"source of {words}"
+def add_adapter(home, content="weights", base="smollm2-135m-instruct", beside=""):
+    """Add an adapter with the weights `content` and shadow answers beside `beside` to the registry; returns its id."""
+    source = home / f"source of {content}"
     source.mkdir()
-    (source / WEIGHTS_FILE).write_bytes(words.encode())
+    (source / WEIGHTS_FILE).write_bytes(content.encode())
     (source / "adapter_config.json").write_text("{}")
     card = AdapterCard(
         id=hash_weights(source),
@@ -53,16 +53,16 @@ def put(home, words="weights", base="smollm2-135m-instruct", beside=""):
     )
     write_adapter_card(card, source)
     one = AdapterRegistry(home / "adapters").add(source, now=0.0).id
-    stand_in_the_shadow(home, one, whole=MIN_SHADOW_ANSWERS, served=f"{base}+{beside[:16]}" if beside else base)
+    write_shadow_log(home, one, n_complete=MIN_SHADOW_ANSWERS, served=f"{base}+{beside[:16]}" if beside else base)
     return one
 
 
-def stand_in_the_shadow(home, one, whole, broken=0, served="smollm2-135m-instruct"):
-    """Write down what `one` said in the shadow: so many whole answers, and so many that did not come to their end."""
+def write_shadow_log(home, one, n_complete, n_incomplete=0, served="smollm2-135m-instruct"):
+    """Log the shadow answers of `one`: `whole` complete ones and `broken` incomplete ones."""
     log = shadow_log_path(home / "adapters", one)
     log.parent.mkdir(exist_ok=True)
-    ends = [STOP] * whole + [TIMEOUT] * broken
-    said = [
+    finish_reasons = [STOP] * n_complete + [TIMEOUT] * n_incomplete
+    records = [
         ShadowRecord(
             served=served,
             candidate=one,
@@ -72,38 +72,38 @@ def stand_in_the_shadow(home, one, whole, broken=0, served="smollm2-135m-instruc
             finish=finish,
             seconds=1.0,
         )
-        for finish in ends
+        for finish in finish_reasons
     ]
-    log.write_bytes(b"".join(msgspec.json.encode(glance) + b"\n" for glance in said))
+    log.write_bytes(b"".join(msgspec.json.encode(record) + b"\n" for record in records))
 
 
 @pytest.fixture
 def name(tmp_path):
-    """An adapter in the registry of this home, by its id."""
-    return put(tmp_path)
+    """The id of an adapter in the registry of this home."""
+    return add_adapter(tmp_path)
 
 
 @pytest.fixture
-def sings(monkeypatch):
-    """Canaries of adapters that are no adapters: what is wrong with their answers."""
+def canary_faults(monkeypatch):
+    """Faults of canary answers by id, in place of checks that need real adapters."""
     faults = {}
     monkeypatch.setattr("dualbrain.cli.adapters.registry.canary_error", lambda registry, one: faults.get(one, ""))
     monkeypatch.setattr("dualbrain.cli.adapters.registry.serving_runtime", lambda registry, one: "llama")
     return faults
 
 
-def test_on_its_whole_way(run_command, name, tmp_path, sings):
+def test_an_adapter_is_promoted_and_rolled_back(run_command, name, tmp_path, canary_faults):
     measured = tmp_path / "measured.json"
     measured.write_bytes(msgspec.json.encode(Measurement(trial_results(name, 21), trial_results("", 20))))
     code, _, err = run_command("adapters", "promote", name[:8], "--measured", "measured.json")
     assert code == ExitCode.FAILED_SAFELY
-    assert "nothing is better beyond chance" in err
+    assert "no measure is significantly better" in err
     measured.write_bytes(msgspec.json.encode(Measurement(trial_results(name, 58), trial_results("", 20))))
-    sings[name] = "it answers as if no adapter were worn"
+    canary_faults[name] = "it answers as if no adapter were loaded"
     code, _, err = run_command("adapters", "promote", name[:8], "--measured", "measured.json")
     assert (code, "as if no adapter" in err) == (ExitCode.FAILED_SAFELY, True)
     assert json.loads(run_command("adapters", "list", "--json")[1])["serving"] == []
-    del sings[name]
+    del canary_faults[name]
     assert run_command("adapters", "promote", name[:8], "--measured", "measured.json")[0] == ExitCode.SUCCESS
     assert json.loads(run_command("adapters", "list", "--json")[1])["serving"] == [name]
     code, _, err = run_command("adapters", "rollback", "--reason", "a test")
@@ -114,7 +114,7 @@ def test_on_its_whole_way(run_command, name, tmp_path, sings):
     assert run_command("adapters", "rollback", "--reason", "a test")[0] == ExitCode.SETUP
 
 
-def test_it_is_shown_verified_and_exported(run_command, name, tmp_path):
+def test_an_adapter_is_listed_shown_verified_and_exported(run_command, name, tmp_path):
     assert name[:16] in run_command("adapters", "list")[1]
     assert json.loads(run_command("adapters", "show", name[:8])[1])["card"]["id"] == name
     assert run_command("adapters", "export", name[:8], "out")[0] == ExitCode.SUCCESS
@@ -128,7 +128,7 @@ def test_it_is_shown_verified_and_exported(run_command, name, tmp_path):
     assert not (tmp_path / "out2").exists()
 
 
-def test_what_is_exported_is_there_whole_or_not_at_all_and_others_may_read_it(run_command, name, tmp_path):
+def test_an_export_is_complete_or_absent_and_readable_by_others(run_command, name, tmp_path):
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (3, limits[1]))
     try:
@@ -146,12 +146,12 @@ def test_what_is_exported_is_there_whole_or_not_at_all_and_others_may_read_it(ru
 
 
 @pytest.mark.parametrize("prefix", ["", "adapter:"])
-def test_every_command_knows_an_adapter_by_all_of_its_names(run_command, name, tmp_path, sings, prefix):
+def test_every_command_accepts_all_names_of_an_adapter(run_command, name, tmp_path, canary_faults, prefix):
     (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measurement(trial_results(name, 58), trial_results("", 20))))
     assert run_command("adapters", "promote", prefix + name[:8], "--measured", "m.json")[0] == ExitCode.SUCCESS
-    left = tmp_path / "source of weights"
+    trained_folder = tmp_path / "source of weights"
     packaged = read_adapter_card(packaged_folder("base-135m")).id
-    names = {name[:8]: name, "champion": name, str(left): name, "base-135m": packaged}
+    names = {name[:8]: name, "champion": name, str(trained_folder): name, "base-135m": packaged}
     for number, (short, one) in enumerate(names.items()):
         code, out, err = run_command("adapters", "show", prefix + short)
         assert (code, json.loads(out)["card"]["id"]) == (ExitCode.SUCCESS, one), err
@@ -160,26 +160,32 @@ def test_every_command_knows_an_adapter_by_all_of_its_names(run_command, name, t
     assert (
         run_command("adapters", "diff", prefix + "base-135m", f"{prefix}starter-135m", "--json")[0] == ExitCode.SUCCESS
     )
-    for words in (("show", prefix + "champion"), ("export", prefix + "champion", "none"), ("diff", "champion", name)):
-        code, _, err = run_command("adapters", *words, "--robot", "ur5e")
-        assert (code, "champion of ur5e: got 'none'" in err) == (ExitCode.SETUP, True)
-    code, _, err = run_command("adapters", "show", prefix + "nobody")
+    for arguments in (
+        ("show", prefix + "champion"),
+        ("export", prefix + "champion", "none"),
+        ("diff", "champion", name),
+    ):
+        code, _, err = run_command("adapters", *arguments, "--robot", "ur5e")
+        assert (code, "There is no champion of ur5e" in err) == (ExitCode.SETUP, True)
+    code, _, err = run_command("adapters", "show", prefix + "unknown")
     assert (code, "base-135m, champion" in err) == (ExitCode.SETUP, True)
 
 
 @pytest.fixture
 def measurable(monkeypatch):
-    """A measurement is let in as far as to who serves."""
+    """Replace all checks of a measurement that come before the one of the champion."""
     monkeypatch.setattr("dualbrain.adaptation.curation.dataset.read_dataset", lambda folder: None)
     monkeypatch.setattr("dualbrain.adaptation.adapters.compatibility.require_same_prompt", lambda card: None)
-    monkeypatch.setattr("dualbrain.adaptation.adapters.compatibility.require_compatible", lambda *told: None)
-    monkeypatch.setattr("dualbrain.adaptation.adapters.stacking.locate", lambda *told: None)
-    monkeypatch.setattr("dualbrain.adaptation.adapters.stacking.read_lora", lambda *told: ())
+    monkeypatch.setattr("dualbrain.adaptation.adapters.compatibility.require_compatible", lambda *args: None)
+    monkeypatch.setattr("dualbrain.adaptation.adapters.stacking.locate_weights", lambda *args: None)
+    monkeypatch.setattr("dualbrain.adaptation.adapters.stacking.read_lora", lambda *args: ())
 
 
 @pytest.mark.parametrize("measured", [True, False])
-def test_a_damaged_champion_is_told_with_the_way_out(run_command, name, tmp_path, sings, measurable, measured):
-    another = put(tmp_path, "more weights")
+def test_a_damaged_champion_is_reported_with_the_remedy(
+    run_command, name, tmp_path, canary_faults, measurable, measured
+):
+    another = add_adapter(tmp_path, "more weights")
     (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measurement(trial_results(name, 58), trial_results("", 20))))
     assert run_command("adapters", "promote", name[:8], "--measured", "m.json")[0] == ExitCode.SUCCESS
     (tmp_path / "adapters" / name / WEIGHTS_FILE).write_bytes(b"others")
@@ -189,15 +195,15 @@ def test_a_damaged_champion_is_told_with_the_way_out(run_command, name, tmp_path
 
 
 @pytest.mark.parametrize("named", [True, False])
-def test_who_serves_is_no_candidate(run_command, name, tmp_path, sings, measurable, named):
+def test_the_champion_cannot_be_a_candidate(run_command, name, tmp_path, canary_faults, measurable, named):
     (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measurement(trial_results(name, 58), trial_results("", 20))))
     assert run_command("adapters", "promote", name[:8], "--measured", "m.json")[0] == ExitCode.SUCCESS
     who = name[:8] if named else "champion"
     code, _, err = run_command("adapters", "measure", who, "--data", "data", "--out", "o.json")
-    assert (code, "candidate: got 'the champion itself'" in err) == (ExitCode.SETUP, True)
+    assert (code, "The candidate is the champion itself" in err) == (ExitCode.SETUP, True)
 
 
-def test_what_no_hash_was_recorded_of_is_told_and_what_was_changed_is_not_exported(run_command, name, tmp_path):
+def test_missing_hashes_are_reported_and_changed_adapters_not_exported(run_command, name, tmp_path):
     assert "recorded" not in run_command("adapters", "verify")[1]
     (tmp_path / "adapters" / name / "adapter_config.json").write_text('{"lora_alpha": 64}')
     code, out, _ = run_command("adapters", "verify")
@@ -205,25 +211,25 @@ def test_what_no_hash_was_recorded_of_is_told_and_what_was_changed_is_not_export
     assert run_command("adapters", "export", name[:8], "out")[0] == ExitCode.SETUP
     strip_file_hashes(AdapterRegistry(tmp_path / "adapters"), name)
     code, out, _ = run_command("adapters", "verify")
-    assert (code, "whole; config and card were not recorded" in out) == (ExitCode.SUCCESS, True)
+    assert (code, "intact; config and card were not recorded" in out) == (ExitCode.SUCCESS, True)
     assert run_command("adapters", "export", name[:8], "out")[0] == ExitCode.SUCCESS
 
 
-def test_one_damaged_adapter_hides_no_other(run_command, name, tmp_path, sings):
-    second = put(tmp_path, "more weights", beside=name)
+def test_one_damaged_adapter_hides_no_other(run_command, name, tmp_path, canary_faults):
+    second = add_adapter(tmp_path, "more weights", beside=name)
     for one, before in ((name, ""), (second, name)):
         (tmp_path / "m.json").write_bytes(
             msgspec.json.encode(Measurement(trial_results(one, 58), trial_results(before, 20)))
         )
         assert run_command("adapters", "promote", one[:8], "--measured", "m.json")[0] == ExitCode.SUCCESS
     (tmp_path / "adapters" / name / WEIGHTS_FILE).write_bytes(b"others")
-    told = json.loads(run_command("adapters", "list", "--json")[1])
-    assert ([card["id"] for card in told["adapters"]], told["serving"]) == ([second], [second])
-    assert "were changed" in told["damaged"][name]
+    output = json.loads(run_command("adapters", "list", "--json")[1])
+    assert ([card["id"] for card in output["adapters"]], output["serving"]) == ([second], [second])
+    assert "were changed" in output["damaged"][name]
     assert second[:16] in run_command("adapters", "list")[1]
     code, out, _ = run_command("adapters", "show", name[:8])
     assert (code, [e["kind"] for e in json.loads(out)["journal"]]) == (ExitCode.FAILED_SAFELY, ["added", "promoted"])
-    assert run_command("adapters", "verify")[1].count("whole") == 1
+    assert run_command("adapters", "verify")[1].count("intact") == 1
     assert run_command("adapters", "promote", name[:8], "--measured", "m.json")[0] == ExitCode.SETUP
     code, _, err = run_command("adapters", "rollback", "--reason", "a test")
     assert (code, "the bare base serves again" in err) == (ExitCode.SUCCESS, True)  # the former one is damaged
@@ -231,8 +237,8 @@ def test_one_damaged_adapter_hides_no_other(run_command, name, tmp_path, sings):
 
 @pytest.mark.parametrize("base", ["smollm2-135m-instruct", "base-135m"])
 @pytest.mark.parametrize("named", [True, False])
-def test_each_base_is_rolled_back_by_its_name_or_as_that_which_serves(run_command, tmp_path, sings, base, named):
-    one = put(tmp_path, base=base)
+def test_a_rollback_selects_the_base_by_name_or_that_of_the_champion(run_command, tmp_path, canary_faults, base, named):
+    one = add_adapter(tmp_path, base=base)
     (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measurement(trial_results(one, 58), trial_results("", 20))))
     run_command("adapters", "promote", one[:8], "--measured", "m.json")
     code, _, err = run_command("adapters", "rollback", "--reason", "a test", *(("--base", base) if named else ()))
@@ -240,132 +246,142 @@ def test_each_base_is_rolled_back_by_its_name_or_as_that_which_serves(run_comman
     assert json.loads(run_command("adapters", "list", "--json")[1])["serving"] == []
 
 
-def last(home):
-    """The newest entry of the journal."""
+def last_entry(home):
+    """The newest entry of the log."""
     return AdapterRegistry(home / "adapters").entries()[-1]
 
 
-def test_nothing_is_promoted_that_has_not_stood_in_the_shadow_unless_that_is_waived(run_command, name, tmp_path, sings):
+def test_a_promotion_needs_shadow_answers_unless_they_are_waived(run_command, name, tmp_path, canary_faults):
     (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measurement(trial_results(name, 58), trial_results("", 20))))
-    stand_in_the_shadow(tmp_path, name, whole=MIN_SHADOW_ANSWERS - 1, broken=5)
-    sings[name] = "it is not asked its canaries before"
+    write_shadow_log(tmp_path, name, n_complete=MIN_SHADOW_ANSWERS - 1, n_incomplete=5)
+    canary_faults[name] = "the canaries must not be asked before"
     code, _, err = run_command("adapters", "promote", name[:8], "--measured", "m.json")
-    assert (code, f"{MIN_SHADOW_ANSWERS - 1} of {MIN_SHADOW_ANSWERS} whole answers in the shadow" in err) == (
+    assert (code, f"{MIN_SHADOW_ANSWERS - 1} of {MIN_SHADOW_ANSWERS} complete shadow answers" in err) == (
         ExitCode.FAILED_SAFELY,
         True,
     )
     assert f"shadow:{name[:16]}" in err
-    assert last(tmp_path).kind == "added"
-    for served in ("smollm2-135m-instruct+" + name[:16], "another"):  # its own shadow, or that of nobody who serves
-        stand_in_the_shadow(tmp_path, name, whole=99, served=served)
+    assert last_entry(tmp_path).kind == "added"
+    for served in ("smollm2-135m-instruct+" + name[:16], "another"):  # the candidate itself, or an unknown planner
+        write_shadow_log(tmp_path, name, n_complete=99, served=served)
         assert (
-            f"0 of {MIN_SHADOW_ANSWERS} whole answers"
+            f"0 of {MIN_SHADOW_ANSWERS} complete shadow answers"
             in run_command("adapters", "promote", name[:8], "--measured", "m.json")[2]
         )
-    stand_in_the_shadow(tmp_path, name, whole=MIN_SHADOW_ANSWERS - 1, broken=5, served="smollm2-135m-instruct in torch")
-    del sings[name]
+    write_shadow_log(
+        tmp_path, name, n_complete=MIN_SHADOW_ANSWERS - 1, n_incomplete=5, served="smollm2-135m-instruct in torch"
+    )
+    del canary_faults[name]
     assert run_command("adapters", "promote", name[:8], "--measured", "m.json", "--shadow", "-1")[0] == ExitCode.USAGE
     assert (
         run_command("adapters", "promote", name[:8], "--measured", "m.json", "--shadow", MIN_SHADOW_ANSWERS - 1)[0]
         == ExitCode.SUCCESS
     )
-    assert last(tmp_path).reason == f"{MIN_SHADOW_ANSWERS - 1} answers in the shadow"
+    assert last_entry(tmp_path).reason == f"{MIN_SHADOW_ANSWERS - 1} answers in the shadow"
     run_command("adapters", "rollback", "--reason", "a test")
     shadow_log_path(tmp_path / "adapters", name).unlink()
     assert run_command("adapters", "promote", name[:8], "--measured", "m.json", "--shadow", 0)[0] == ExitCode.SUCCESS
-    assert last(tmp_path).reason == "the shadow was waived, with 0 answers in it"
+    assert last_entry(tmp_path).reason == "the shadow was waived, with 0 answers in it"
     assert "the shadow was waived" in run_command("adapters", "history")[1]
 
 
-WHOEVER = (DEFAULT_PLANNER, f"{DEFAULT_PLANNER} in torch", "smollm2-135m-instruct", "base-135m", "mine@localhost")
+SERVING_PLANNERS = (
+    DEFAULT_PLANNER,
+    f"{DEFAULT_PLANNER} in torch",
+    "smollm2-135m-instruct",
+    "base-135m",
+    "mine@localhost",
+)
 
 
-@pytest.mark.parametrize("served", WHOEVER)
-def test_where_none_is_champion_the_shadow_of_whichever_planner_serves_counts(
-    run_command, name, tmp_path, sings, served
+@pytest.mark.parametrize("served", SERVING_PLANNERS)
+def test_without_a_champion_the_shadow_of_any_serving_planner_counts(
+    run_command, name, tmp_path, canary_faults, served
 ):
     (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measurement(trial_results(name, 58), trial_results("", 20))))
-    second = put(tmp_path, "more weights")
+    second = add_adapter(tmp_path, "more weights")
     for author in (f"smollm2-135m-instruct+{one[:16]}" for one in (second, name)):
-        stand_in_the_shadow(tmp_path, name, whole=MIN_SHADOW_ANSWERS, served=author)
+        write_shadow_log(tmp_path, name, n_complete=MIN_SHADOW_ANSWERS, served=author)
         code, _, err = run_command("adapters", "promote", name[:8], "--measured", "m.json")
-        told = " ".join(err.split())
-        assert (code, f"shadow:{name[:16]}@{DEFAULT_PLANNER}`, or beside another planner" in told) == (1, True)
-    stand_in_the_shadow(tmp_path, name, whole=MIN_SHADOW_ANSWERS, served=served)
+        message = " ".join(err.split())
+        assert (code, f"shadow:{name[:16]}@{DEFAULT_PLANNER}`, or with another serving planner" in message) == (1, True)
+    write_shadow_log(tmp_path, name, n_complete=MIN_SHADOW_ANSWERS, served=served)
     code, _, err = run_command("adapters", "promote", name[:8], "--measured", "m.json")
-    told = " ".join(err.split())
+    message = " ".join(err.split())
     assert code == ExitCode.SUCCESS
-    assert f"adapter {name[:16]} on smollm2-135m-instruct is the champion of panda now" in told
-    assert "`--planner adapter:champion`" in told
+    assert f"adapter {name[:16]} on smollm2-135m-instruct is the champion of panda now" in message
+    assert "`--planner adapter:champion`" in message
     (tmp_path / "m.json").write_bytes(
         msgspec.json.encode(Measurement(trial_results(second, 58), trial_results(name, 20)))
     )
-    stand_in_the_shadow(tmp_path, second, whole=MIN_SHADOW_ANSWERS, served=served)
+    write_shadow_log(tmp_path, second, n_complete=MIN_SHADOW_ANSWERS, served=served)
     code, _, err = run_command("adapters", "promote", second[:8], "--measured", "m.json")
-    assert (code, f"0 of {MIN_SHADOW_ANSWERS} whole answers" in err, "@" in err) == (
+    assert (code, f"0 of {MIN_SHADOW_ANSWERS} complete shadow answers" in err, "@" in err) == (
         ExitCode.FAILED_SAFELY,
         True,
         False,
     )
 
 
-def test_a_measurement_of_others_is_told_before_anything_is_asked(run_command, name, tmp_path, monkeypatch):
+def test_a_measurement_of_other_adapters_is_reported_before_anything_is_asked(run_command, name, tmp_path, monkeypatch):
     (tmp_path / "m.json").write_bytes(
         msgspec.json.encode(Measurement(trial_results("another", 58), trial_results("", 20)))
     )
-    for asked in ("heard", "canary_fault", "runtime_here"):
-        monkeypatch.setattr(f"dualbrain.cli.adapters.registry.{asked}", lambda *told: pytest.fail("asked"))
+    for function in ("count_shadow_answers", "canary_error", "serving_runtime"):
+        monkeypatch.setattr(f"dualbrain.cli.adapters.registry.{function}", lambda *args: pytest.fail("called"))
     code, _, err = run_command("adapters", "promote", name[:8], "--measured", "m.json")
-    assert (code, "measured adapters: got 'another against" in err, "gain +" in err) == (ExitCode.SETUP, True, False)
+    assert (code, "The measurement compares another with" in err, "gain +" in err) == (ExitCode.SETUP, True, False)
 
 
-@pytest.mark.parametrize("fault", ["", "canary 0 was answered otherwise"])
-def test_a_rollback_asks_whoever_serves_again_and_says_what_it_finds(run_command, name, tmp_path, sings, fault):
-    second = put(tmp_path, "more weights", beside=name)
+@pytest.mark.parametrize("fault", ["", "canary 0 was answered differently"])
+def test_a_rollback_checks_the_former_champion_and_reports_the_result(
+    run_command, name, tmp_path, canary_faults, fault
+):
+    second = add_adapter(tmp_path, "more weights", beside=name)
     for one, before in ((name, ""), (second, name)):
         (tmp_path / "m.json").write_bytes(
             msgspec.json.encode(Measurement(trial_results(one, 58), trial_results(before, 20)))
         )
         run_command("adapters", "promote", one[:8], "--measured", "m.json")
-    sings[name] = fault
+    canary_faults[name] = fault
     code, _, err = run_command("adapters", "rollback", "--reason", "a test")
-    assert (last(tmp_path).kind, last(tmp_path).adapter) == ("rolled back", name)
+    assert (last_entry(tmp_path).kind, last_entry(tmp_path).adapter) == ("rolled back", name)
     assert f"{name[:16]} serves again" in err
     assert code == (ExitCode.FAILED_SAFELY if fault else ExitCode.SUCCESS)
-    assert (f"will propose nothing: {fault}" if fault else "canaries are answered as they were") in err
+    assert (f"will make no proposals: {fault}" if fault else "canary answers are the recorded ones") in err
     assert (
         run_command("adapters", "rollback", "--reason", "a test")[0] == ExitCode.SUCCESS
     )  # the bare base has no canaries
 
 
-def test_the_journal_names_the_data_set_of_the_measurement(run_command, name, tmp_path, sings):
+def test_the_log_names_the_data_set_of_the_measurement(run_command, name, tmp_path, canary_faults):
     measured = Measurement(trial_results(name, 58), trial_results("", 20), "d" * 64)
     (tmp_path / "m.json").write_bytes(msgspec.json.encode(measured))
     assert run_command("adapters", "promote", name[:8], "--measured", "m.json")[0] == ExitCode.SUCCESS
     assert AdapterRegistry(tmp_path / "adapters").entries()[-1].decision.dataset == "d" * 64
 
 
-def test_only_what_was_measured_in_the_runtime_that_serves_is_promoted(run_command, name, tmp_path, sings):
+def test_a_promotion_needs_a_measurement_in_the_serving_runtime(run_command, name, tmp_path, canary_faults):
     elsewhere = Measurement(trial_results(name, 58, runtime="another"), trial_results("", 20, runtime="another"))
     (tmp_path / "m.json").write_bytes(msgspec.json.encode(elsewhere))
     code, _, err = run_command("adapters", "promote", name[:8], "--measured", "m.json", "--shadow", 0)
     assert (code, "runtime of the measurement: got 'another', allowed: llama. Measure again" in err) == (5, True)
-    assert last(tmp_path).kind == "added"
+    assert last_entry(tmp_path).kind == "added"
 
 
 @pytest.mark.parametrize("kept", [True, False])
-def test_who_serves_in_another_runtime_than_it_was_measured_in_is_named(
-    run_command, name, tmp_path, sings, monkeypatch, kept
+def test_adapters_that_serve_in_another_runtime_than_measured_are_reported(
+    run_command, name, tmp_path, canary_faults, monkeypatch, kept
 ):
     (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measurement(trial_results(name, 58), trial_results("", 20))))
     assert run_command("adapters", "promote", name[:8], "--measured", "m.json")[0] == ExitCode.SUCCESS
-    assert last(tmp_path).decision.runtime == "llama"
+    assert last_entry(tmp_path).decision.runtime == "llama"
     assert json.loads(run_command("adapters", "list", "--json")[1])["measured_elsewhere"] == {}
     if kept:
         monkeypatch.setattr("dualbrain.cli.adapters.registry.serving_runtime", lambda registry, one: "llama 2")
     else:
-        journal = tmp_path / "adapters" / "journal.jsonl"
-        journal.write_text(journal.read_text().replace(',"runtime":"llama"', ""))
+        log = tmp_path / "adapters" / "journal.jsonl"
+        log.write_text(log.read_text().replace(',"runtime":"llama"', ""))
     words = "was measured in " + ("llama: " if kept else "a runtime that was not recorded: ")
     code, out, _ = run_command("adapters", "verify")
     assert (code, words in out) == (ExitCode.SUCCESS, True)
@@ -374,36 +390,39 @@ def test_who_serves_in_another_runtime_than_it_was_measured_in_is_named(
 
 
 @pytest.mark.parametrize("base", [(), ("--base", "base-135m")])
-def test_where_nothing_was_ever_added_there_is_nothing_to_roll_back(run_command, tmp_path, base):
+def test_without_a_registry_there_is_nothing_to_roll_back(run_command, tmp_path, base):
     code, out, err = run_command("adapters", "rollback", "--reason", "a test", *base)
     assert (code, out) == (ExitCode.SETUP, "")
-    assert "allowed:" in err
+    assert "There is no " in err
     assert not (tmp_path / "adapters").exists()
 
 
 @pytest.mark.parametrize("arguments", [("show", "abcd"), ("promote", "abcd", "--measured", "none.json")])
-def test_what_is_not_there_is_told(run_command, arguments):
+def test_a_missing_adapter_or_file_is_reported(run_command, arguments):
     code, out, err = run_command("adapters", *arguments)
     assert (code, out) == (ExitCode.SETUP, "")
     assert "abcd" in err or "none.json" in err
 
 
-def test_a_lost_journal_is_told(run_command, name, tmp_path):
+def test_a_lost_log_is_reported(run_command, name, tmp_path):
     (tmp_path / "adapters" / "journal.jsonl").rename(tmp_path / "elsewhere")
     code, out, _ = run_command("adapters", "verify")
-    assert (code, f"{name[:16]} its folder is here, but the journal does not" in out) == (ExitCode.FAILED_SAFELY, True)
+    assert (code, f"{name[:16]} its folder exists, but the registry log has no entry" in out) == (
+        ExitCode.FAILED_SAFELY,
+        True,
+    )
     assert "config and card were not recorded" not in out
     assert name in json.loads(run_command("adapters", "list", "--json")[1])["damaged"]
-    assert "its folder is here" in run_command("adapters", "list")[2]
+    assert "its folder exists" in run_command("adapters", "list")[2]
 
 
-def test_ids_are_listed_whole_in_a_narrow_terminal(run_command, name, monkeypatch):
+def test_ids_are_complete_in_a_narrow_terminal(run_command, name, monkeypatch):
     monkeypatch.setenv("COLUMNS", "24")
     assert name[:16] in run_command("adapters", "list")[1]
 
 
-def test_a_base_that_is_none_is_told_with_those_that_are(run_command, name):
-    for base in ("nope", "minilm-l6-v2-int8"):  # an encoder is no base either
+def test_an_unknown_base_is_reported_with_the_known_ones(run_command, name):
+    for base in ("nope", "minilm-l6-v2-int8"):  # an encoder is not a base
         code, _, err = run_command("adapters", "rollback", "--reason", "a test", "--base", base)
         assert (code, f"'{base}' is not a base." in err) == (ExitCode.SETUP, True)
         assert (
@@ -412,7 +431,7 @@ def test_a_base_that_is_none_is_told_with_those_that_are(run_command, name):
         )
 
 
-def test_an_empty_registry_is_no_error(run_command):
+def test_an_empty_registry_is_not_an_error(run_command):
     for command in ("list", "verify"):
         code, out, err = run_command("adapters", command)
         assert (code, out, "dualbrain adapt" in " ".join(err.split())) == (ExitCode.SUCCESS, "", True)

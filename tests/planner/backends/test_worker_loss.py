@@ -162,6 +162,7 @@ def test_an_adapter_whose_canary_was_lost_proposes_again_with_the_next_child(
     adapted = AdaptedPlanner(planner, CARD, told)
     planner.close()
     model.write_text("dies when asked")
-    assert adapted.propose(plan_request()).finish_reason == f"error: not the adapter it was: {protocol.CRASHED}"
+    reason = adapted.propose(plan_request()).finish_reason
+    assert reason == f"error: the adapter does not answer as recorded: {protocol.CRASHED}"
     model.write_text("answers")
     assert adapted.propose(plan_request()).finish_reason == protocol.STOP

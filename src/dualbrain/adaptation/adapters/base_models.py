@@ -1,4 +1,4 @@
-"""What an adapter is fitted on: a model by name, or a packaged adapter together with the model that it sits on."""
+"""Base models for adaptation: a language model of the manifest, or a packaged adapter together with its model."""
 
 from __future__ import annotations
 
@@ -14,7 +14,12 @@ from dualbrain.errors import UnknownNameError
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BaseModel:
-    """The model that is adapted: its name, its verified GGUF with the hash of that, the adapters that it `wears`."""
+    """A base model that an adapter is trained on.
+
+    `gguf` is the verified GGUF file of the language model and `gguf_sha256` its SHA-256. If the base is a packaged
+    adapter, `stacked_on` lists the folders of the adapters that are merged into the model, the lowest first, and
+    `stacked_on_id` is the id of the topmost one.
+    """
 
     name: str
     gguf: Path
@@ -24,27 +29,30 @@ class BaseModel:
 
     @property
     def sha256(self) -> str:
-        """What names it in a card: the hash of the file, or the id of the adapter on top of it."""
+        """The hash that identifies the base in a card: the id of the topmost adapter, else that of the GGUF file."""
         return self.stacked_on_id or self.gguf_sha256
 
 
 def base_model_hash(name: str) -> str:
-    """What names the base called `name` in a card; raises `UnknownName`, `InvalidSetup`. Its model need not be here."""
+    """The hash that identifies the base called `name` in a card. The model file need not be in the cache.
+
+    Raises `UnknownNameError`, and `ConfigurationError` for a damaged packaged adapter.
+    """
     require_base_model(name)
     return read_adapter_card(packaged_folder(name)).id if name in packaged_names() else find_weight_file(name).sha256
 
 
 def require_base_model(name: str) -> None:
-    """Raise `UnknownName` unless `name` is a language model of the manifest or a packaged adapter."""
+    """Raise `UnknownNameError` unless `name` is a language model of the manifest or a packaged adapter."""
     models = tuple(file.name for file in MANIFEST.values() if file.filename.endswith(".gguf"))
     if name not in (known := (*models, *packaged_names())):
         raise UnknownNameError("base", name, known)
 
 
 def find_base_model(name: str, cache: Path) -> BaseModel:
-    """The base called `name`, a language model of the manifest or a packaged adapter; every file as it is named.
+    """The base called `name`, with every file verified against its hash.
 
-    Raises `UnknownName`, `MissingPart`, `WrongHash`, `InvalidSetup`.
+    Raises `UnknownNameError`, `MissingDependencyError`, `ChecksumError` or `ConfigurationError`.
     """
     require_base_model(name)
     if name not in packaged_names():

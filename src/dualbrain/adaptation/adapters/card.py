@@ -1,4 +1,4 @@
-"""What an adapter is, in one file beside it: which weights, from what base and data, by which dials, how it did."""
+"""The adapter card: one JSON file beside the weights that records base, data set, settings and held-out results."""
 
 from __future__ import annotations
 
@@ -15,20 +15,23 @@ from dualbrain.errors import DECODE_ERRORS, ConfigurationError, MissingDependenc
 
 CARD_FILE, WEIGHTS_FILE, CONFIG_FILE = "adapter.json", "adapter_model.safetensors", "adapter_config.json"
 METADATA_FILES = (CONFIG_FILE, CARD_FILE)
-"""What says how the weights are worn, and where: α among them. The id does not cover these two."""
+"""Files that state the LoRA settings (α among them) and where the adapter may serve. The adapter id does not cover
+them."""
 
 
 TORCH_SUFFIX = " in torch"
-"""What follows the name of a bare model, as the author of a proposal, where transformers ran it and not llama.cpp."""
+"""Suffix of a proposal's author name if transformers, and not llama.cpp, ran a model without an adapter."""
 
 
 class AdapterCard(msgspec.Struct, frozen=True, kw_only=True):
-    """`id` is the SHA-256 of the weights: never given to other weights. `base` and `base_sha256` name what it sits on.
+    """The record of one adapter.
 
-    It is of use with this `robot`, `registry` (vocabulary) and `prompt` (template) only, and with the vocabularies of
-    further robots that it was taught, `also`, by name. `dataset` is the hash of what it was taught, `sources` counts
-    who proposed that; `bootstrapped` is true if it was anybody but the base itself.
-    `held_out` is what the fit saw, in torch and on few questions: no measure to promote it by.
+    `id` is the SHA-256 of the weights. `base` and `base_sha256` identify the base model. The adapter is valid only for
+    this `robot`, skill vocabulary (hash `registry`) and prompt template (hash `prompt`), and for the vocabularies of
+    further robots in its training data: `also`, hash by robot. `dataset` is the hash of the training data set, and
+    `sources` counts its samples by the planner that proposed them. `bootstrapped` is true if any planner other than the
+    base itself proposed samples. `held_out` is the result during training, measured in torch on few questions;
+    promotion needs a measurement of its own (`promotion`).
     """
 
     id: str
@@ -49,7 +52,7 @@ class AdapterCard(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def hash_weights(folder: Path) -> str:
-    """SHA-256 of the weights in `folder`."""
+    """SHA-256 of the weights in `folder`; raises `MissingDependencyError` if there are none."""
     path = folder / WEIGHTS_FILE
     if not path.is_file():
         raise MissingDependencyError(f"The adapter {folder}", fix="Make one with `dualbrain adapt`.")
@@ -57,56 +60,59 @@ def hash_weights(folder: Path) -> str:
 
 
 def write_adapter_card(card: AdapterCard, folder: Path) -> None:
-    """Write `card` beside the weights."""
+    """Write `card` beside the weights in `folder`; raises `FileWriteError`."""
     write_atomically(folder / CARD_FILE, msgspec.json.format(msgspec.json.encode(card), indent=2))
 
 
 def read_adapter_card(folder: Path) -> AdapterCard:
-    """The card in `folder`; raises `InvalidSetup` if it cannot be read or the weights are not those that it names."""
+    """The card in `folder`; raises `ConfigurationError` if it is unreadable or if the weights were changed."""
     path = folder / CARD_FILE
     found = hash_weights(folder)
     try:
         card = msgspec.json.decode(path.read_bytes(), type=AdapterCard)
     except (OSError, *DECODE_ERRORS) as error:
-        raise ConfigurationError(
-            "adapter card", got=str(error), allowed="as this program writes it", fix=str(path)
-        ) from error
+        fix = f"Restore it from a backup, or train the adapter again. {path}"
+        raise ConfigurationError.stating(f"The adapter card cannot be read: {error}.", fix=fix) from error
     if card.id != found:
-        raise ConfigurationError(
-            "adapter weights", got=found, allowed=card.id, fix=f"They were changed: do not use. {folder}"
-        )
+        problem = f"The adapter weights were changed: their SHA-256 is {found}, expected {card.id}."
+        raise ConfigurationError.stating(problem, fix=f"Do not use this adapter. {folder}")
     return card
 
 
 def hash_metadata_files(folder: Path) -> dict[str, str]:
-    """SHA-256 of each file of `BESIDE` in `folder`, "" for one that is not there."""
+    """SHA-256 of each file of `METADATA_FILES` in `folder`; "" for a missing file."""
     paths = ((name, folder / name) for name in METADATA_FILES)
     return {name: hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "" for name, path in paths}
 
 
 def require_metadata_files(folder: Path, recorded: dict[str, str]) -> None:
-    """Raise `InvalidSetup` if a file of `BESIDE` in `folder` is not the one `recorded`; one not recorded may be any."""
+    """Raise `ConfigurationError` if a metadata file in `folder` differs from its `recorded` hash.
+
+    A file without a recorded hash may have any content.
+    """
     found = hash_metadata_files(folder)
     for name, digest in recorded.items():
         if found[name] != digest:
-            fix = f"It was changed: do not use. {folder}"
-            raise ConfigurationError(f"{name} of adapter", got=found[name] or "no file", allowed=digest, fix=fix)
+            problem = f"{name} of adapter {folder.name[:16]} was changed after the adapter was added: its SHA-256 is"
+            problem += f" {found[name] or 'that of no file'}, expected {digest}."
+            raise ConfigurationError.stating(problem, fix=f"Do not use this adapter. {folder}")
 
 
 def read_lora_config(folder: Path) -> object:
-    """What the config in `folder` says of how the weights are worn; which peft wrote it does not matter."""
+    """The LoRA settings in `folder` without the version of peft that wrote them; raw bytes if they are not JSON."""
     data = (folder / CONFIG_FILE).read_bytes()
     try:
-        told = msgspec.json.decode(data, type=dict[str, object])
+        settings = msgspec.json.decode(data, type=dict[str, object])
     except DECODE_ERRORS:
         return data
-    return {name: value for name, value in told.items() if name != "peft_version"}
+    return {name: value for name, value in settings.items() if name != "peft_version"}
 
 
 def has_foreign_proposals(sources: Iterable[str], base: str, own_adapters: Collection[str] = ()) -> bool:
-    """Whether any of `sources` is another than `base`, bare (whatever runs it) or with one of its `own` adapters.
+    """Whether any of `sources` is a planner other than `base`, alone or with one of `own_adapters`.
 
-    `own` are the ids of adapters that were taught by the base alone: what others taught one, it passes on.
+    The suffix of the runtime is ignored. `own_adapters` are the ids of adapters trained only on proposals of the base;
+    any other adapter carries over knowledge from other planners.
     """
-    mine = {base, base + TORCH_SUFFIX, *(f"{base}+{one[:16]}" for one in own_adapters)}
-    return not mine.issuperset(sources)
+    own = {base, base + TORCH_SUFFIX, *(f"{base}+{one[:16]}" for one in own_adapters)}
+    return not own.issuperset(sources)

@@ -1,4 +1,4 @@
-"""Whether an adapter may serve here: its robot, vocabulary and prompt must be those it was taught."""
+"""Compatibility of an adapter with the present configuration: robot, skill vocabulary and prompt template."""
 
 from __future__ import annotations
 
@@ -8,33 +8,33 @@ from dualbrain.adaptation.adapters.card import AdapterCard
 from dualbrain.errors import ConfigurationError
 from dualbrain.planner.prompt.short_prompt import short_template_hash
 
-REFIT_HINT = "Fit an adapter for what is here: `dualbrain adapt`."
+REFIT_HINT = "Train an adapter for the present configuration with `dualbrain adapt`."
 
 
 def registry_hashes(card: AdapterCard) -> dict[str, str]:
-    """Hash of the vocabulary by robot, for every robot that the adapter was taught."""
+    """Hash of the skill vocabulary of each robot that the adapter was trained for."""
     return {card.robot: card.registry} | card.also
 
 
 def require_same_prompt(card: AdapterCard) -> None:
-    """Raise `InvalidSetup` if the adapter was taught on another prompt than we ask with."""
-    if card.prompt != (ours := short_template_hash()):
-        raise ConfigurationError(f"prompt of adapter {card.id[:16]}", got=card.prompt, allowed=ours, fix=REFIT_HINT)
+    """Raise `ConfigurationError` unless the adapter was trained with the present short prompt template."""
+    if card.prompt != (present := short_template_hash()):
+        raise ConfigurationError(f"prompt of adapter {card.id[:16]}", got=card.prompt, allowed=present, fix=REFIT_HINT)
 
 
 def require_compatible(card: AdapterCard, robot: str, registry: str, narrowed: Mapping[str, str] = {}) -> None:
-    """Raise `InvalidSetup` if the adapter was not taught `robot` with the vocabulary of hash `registry`.
+    """Raise `ConfigurationError` unless the adapter was trained for `robot` with the vocabulary of hash `registry`.
 
-    The hash holds skills, units and bounds: an adapter writes what it was taught, so another vocabulary refuses it. One
-    that only narrows what it was taught does not, for the gate refuses what is outside: `narrowed` has, by the hash of
-    a narrower vocabulary (that of a site), the hash of the wider one (the robot's own).
+    The hash covers skills, units and bounds: an adapter answers in the vocabulary of its training data. A vocabulary
+    that only narrows that one is accepted too, because the gate rejects everything outside it: `narrowed` maps the hash
+    of a narrower vocabulary (of a site) to that of the wider one (of the robot).
     """
-    taught = registry_hashes(card)
-    if robot not in taught:
-        allowed = ", ".join(sorted(taught))
+    trained = registry_hashes(card)
+    if robot not in trained:
+        allowed = ", ".join(sorted(trained))
         raise ConfigurationError(f"robot of adapter {card.id[:16]}", got=robot, allowed=allowed, fix=REFIT_HINT)
-    if taught[robot] not in {registry, narrowed.get(registry)}:
+    if trained[robot] not in {registry, narrowed.get(registry)}:
         got = f"{registry} of {robot}"
         raise ConfigurationError(
-            f"vocabulary of adapter {card.id[:16]}", got=got, allowed=taught[robot], fix=REFIT_HINT
+            f"vocabulary of adapter {card.id[:16]}", got=got, allowed=trained[robot], fix=REFIT_HINT
         )

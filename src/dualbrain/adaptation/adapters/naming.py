@@ -1,4 +1,4 @@
-"""From the name of an adapter to its folder: by id, by rank, by the name it was packaged under, by its place."""
+"""Names of adapters: by id, by rank (`champion`), by packaged name, by folder."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ ADAPTER_PREFIX, CHAMPION, SHADOW_PREFIX, TORCH_PREFIX = "adapter:", "champion", 
 
 
 def is_adapter(name: str) -> bool:
-    """Whether a planner's name means an adapter."""
+    """Whether a planner's name denotes an adapter."""
     return name.startswith(ADAPTER_PREFIX) or name in packaged_names()
 
 
 def strip_torch_prefix(name: str) -> str:
-    """Who answers, whatever runs it: `name` without `transformers:`."""
+    """`name` without the prefix `transformers:`, which selects the runtime only."""
     return name.removeprefix(TORCH_PREFIX)
 
 
 def parse_shadow_name(name: str) -> tuple[str, str]:
-    """`shadow:CANDIDATE@PLANNER` as the candidate's name and the planner's; without one, the champion serves."""
+    """Candidate and serving planner of `shadow:CANDIDATE@PLANNER`; without PLANNER the champion serves."""
     candidate, _, serving = name.removeprefix(SHADOW_PREFIX).partition("@")
     return candidate if is_adapter(candidate) else ADAPTER_PREFIX + candidate, serving or ADAPTER_PREFIX + CHAMPION
 
 
 def resolve_folder(name: str, adapters: AdapterRegistry, robot: str = "") -> Path:
-    """Where the adapter that `name` means lies.
+    """The folder of the adapter called `name`.
 
-    `adapter:ID` (the beginning of an id), `adapter:champion` (of `robot`), `adapter:NAME` or NAME of a packaged one,
-    `adapter:PATH` of a folder that a fit made. Raises `UnknownName`, `InvalidSetup`.
+    `adapter:ID` (the beginning of an id), `adapter:champion` (of `robot`), `adapter:NAME` or NAME of a packaged
+    adapter, or `adapter:PATH` of a folder that training wrote. Raises `UnknownNameError`, `ConfigurationError`.
     """
     short = name.removeprefix(ADAPTER_PREFIX)
     if short in packaged_names():
@@ -45,9 +45,10 @@ def resolve_folder(name: str, adapters: AdapterRegistry, robot: str = "") -> Pat
 
 
 def resolve_id(name: str, adapters: AdapterRegistry, robot: str = "") -> str:
-    """The id that `name` means: the beginning of one in the registry, or `champion` of `robot`; `adapter:` may lead it.
+    """The id of the adapter called `name`: the beginning of an id, or `champion` of `robot`.
 
-    Of a packaged adapter, or of one in a folder, it is that of its card. Raises `UnknownName`, `InvalidSetup`.
+    The prefix `adapter:` is optional. For a packaged adapter or a folder it is the id of its card. Raises
+    `UnknownNameError`, `ConfigurationError`.
     """
     short = name.removeprefix(ADAPTER_PREFIX)
     if short == CHAMPION:
@@ -62,32 +63,34 @@ def resolve_id(name: str, adapters: AdapterRegistry, robot: str = "") -> str:
 
 
 def is_registry_name(name: str) -> bool:
-    """Whether `name` can only mean an adapter of the registry: no packaged one, no folder."""
+    """Whether `name` can only denote an adapter of the registry, not a packaged one or a folder."""
     short = name.removeprefix(ADAPTER_PREFIX)
     return short not in packaged_names() and "/" not in short
 
 
 def champion_folder(adapters: AdapterRegistry, one: str) -> Path:
-    """The folder of `one`, which serves; raises `InvalidSetup` with the way out if it is damaged."""
+    """The folder of the champion with the id `one`; raises `ConfigurationError` with the remedy if it is damaged."""
     if fault := adapters.find_fault(one):
-        fix = "Let the former one serve: `dualbrain adapters rollback --reason WORDS`."
-        raise ConfigurationError(f"champion {one[:16]}", got=fault, allowed="as it was added", fix=fix)
+        fix = "Return to the former champion with `dualbrain adapters rollback --reason WORDS`."
+        raise ConfigurationError.stating(f"The champion {one[:16]} is damaged. {fault}", fix=fix)
     return adapters.adapter_folder(one)
 
 
 def champion_id(adapters: AdapterRegistry, robot: str) -> str:
-    """The adapter that serves for `robot`; raises `InvalidSetup` if none does."""
+    """The id of the champion of `robot`; raises `ConfigurationError` if there is none."""
     return adapters.champion(champion_place(adapters, robot))
 
 
 def champion_place(adapters: AdapterRegistry, robot: str) -> tuple[str, str]:
-    """Where the champion of `robot` serves: of several bases, that on which one was promoted or rolled back to last.
+    """The place (robot, base hash) of the champion of `robot`.
 
-    What was only added changes nothing. Raises `InvalidSetup` if no adapter serves.
+    If the robot has adapters on several bases, it is the place of the latest promotion or rollback; adding an adapter
+    changes nothing. Raises `ConfigurationError` if no adapter serves.
     """
     places = [entry.place for entry in adapters.entries() if entry.place[0] == robot and entry.kind != "added"]
     for place in reversed(places):
         if adapters.champion(place) != NO_ADAPTER:
             return place
-    fix = "Promote one: `dualbrain adapters measure`, then `dualbrain adapters promote`."
-    raise ConfigurationError(f"champion of {robot or 'no robot'}", got="none", allowed="a promoted adapter", fix=fix)
+    fix = "Promote one with `dualbrain adapters measure` and `dualbrain adapters promote`."
+    problem = f"There is no champion of {robot}." if robot else "A champion serves one robot, and no robot is named."
+    raise ConfigurationError.stating(problem, fix=fix)

@@ -1,4 +1,4 @@
-"""Adapters that come with dualbrain: folders beside this room, by name; looked for when one is asked for."""
+"""Adapters that are part of the package: one folder per name, listed when asked for."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ PACKAGED_FOLDER = Path(__file__).parents[1] / "packaged"
 
 
 def packaged_names() -> tuple[str, ...]:
-    """Names of the adapters that are here."""
+    """Names of the packaged adapters."""
     return tuple(sorted(path.parent.name for path in PACKAGED_FOLDER.glob(f"*/{CARD_FILE}")))
 
 
 def packaged_folder(name: str) -> Path:
-    """Where the packaged adapter called `name` is."""
+    """The folder of the packaged adapter called `name`."""
     return PACKAGED_FOLDER / name

@@ -1,4 +1,4 @@
-"""The promotion gate: an adapter takes the place of another only if it was measured better, and nowhere much worse."""
+"""The promotion gate: an adapter replaces the champion only if it was measured better, and in no measure much worse."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from dualbrain.errors import ConfigurationError
 
 Array = NDArray[np.float64]
 MIN_QUESTIONS = 30
-"""Questions needed: with fewer, no difference that matters could be told from chance."""
+"""Minimum number of questions: with fewer, no relevant difference can be distinguished from chance."""
 MIN_PAIRED_QUESTIONS = 10
-"""Of these, those on which both have a measure that is to earn a promotion: an interval of fewer is too narrow."""
+"""Minimum number of questions on which both planners have a measure, for its interval to justify a promotion."""
 N_RESAMPLES = 2000
 MEASURE_AGAIN_HINT = "Measure again: `dualbrain adapters measure`."
 EXECUTE_HINT = "measure with `dualbrain adapters measure`, without --no-fly"
 
 
 class QuestionResult(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One held-out question: did the free answer comply, was it what was asked for, and how did the body fare with it.
+    """The result of one held-out question in the serving runtime: was the unconstrained answer compliant, and right?
 
-    `success` and `Delta` are None where nothing was executed. Measured in the runtime that serves, not in torch.
+    `success` and `Delta` (Δ of the execution) are None if the contract was not executed.
     """
 
     question: str
@@ -35,9 +35,10 @@ class QuestionResult(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 
 
 class PlannerResults(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """All trials of one planner: `adapter` by id ("" the bare base), the `runtime` by name and build.
+    """All results of one planner: `adapter` by id ("" for the bare base), `runtime` by name and build.
 
-    `perplexity` is that on a fixed text of no robot's, the measure of what is retained.
+    `perplexity` is measured on a fixed text that is unrelated to robots: it shows how much general language is
+    retained.
     """
 
     adapter: str
@@ -47,7 +48,7 @@ class PlannerResults(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Measurement(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a measurement leaves: both planners on the same questions, held out of the data set of this hash."""
+    """The output of a measurement: both planners on the same questions, held out of the data set of this hash."""
 
     candidate: PlannerResults
     champion: PlannerResults
@@ -55,7 +56,7 @@ class Measurement(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Tolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How far each measure may fall: shares in points of 1, Δ absolutely, perplexity as a part of what it was."""
+    """How much worse each measure may get: absolute for shares and Δ, relative for perplexity."""
 
     compliance: float = 0.02
     right: float = 0.02
@@ -65,9 +66,9 @@ class Tolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 class MeasureComparison(msgspec.Struct, frozen=True, kw_only=True):
-    """One measure before and after. `gain` is positive where the candidate is better.
+    """One measure before and after. `gain` is positive if the candidate is better.
 
-    `low` and `high` bound it with 95 %; None where it was measured too rarely for that.
+    `low` and `high` bound `gain` with 95 % confidence; None if too few questions have the measure.
     """
 
     before: float
@@ -79,20 +80,20 @@ class MeasureComparison(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def is_worse(self) -> bool:
-        """Worse than tolerated; what is no number has fallen."""
+        """Whether the measure is worse than tolerated; NaN counts as worse."""
         return not self.gain >= -self.tolerance
 
     @property
     def is_better(self) -> bool:
-        """Better beyond chance."""
+        """Whether the improvement is significant: the interval is above 0."""
         return self.low is not None and self.low > 0.0
 
 
 class PromotionDecision(msgspec.Struct, frozen=True, kw_only=True):
-    """Whether `candidate` may take the place of `champion`, every measure, and the reasons against it.
+    """Whether `candidate` may replace `champion`: all measures, and the reasons against a promotion.
 
-    `dataset` is the hash of the data set that the questions are of, `runtime` what both answered in; "" if that was not
-    told, as in decisions of before it was kept.
+    `dataset` is the hash of the data set that the questions are from, `runtime` the runtime of both planners. Either is
+    "" in decisions of versions that did not record it.
     """
 
     candidate: str
@@ -104,7 +105,7 @@ class PromotionDecision(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def promotes(self) -> bool:
-        """No reason against it."""
+        """Whether there is no reason against the promotion."""
         return not self.against
 
 
@@ -114,7 +115,7 @@ MEASURES: Mapping[str, tuple[Callable[[QuestionResult], float], float]] = {
     "success": (lambda trial: math.nan if trial.success is None else float(trial.success), 1.0),
     "Delta": (lambda trial: trial.Delta if trial.success and trial.Delta is not None else math.nan, -1.0),
 }
-"""How each measure is read from a trial, and the sign of its gain. Δ of failures is not averaged with successes."""
+"""How each measure is read from a result, and the sign of its gain. Δ counts in successful executions only."""
 
 
 def decide_promotion(
@@ -125,12 +126,13 @@ def decide_promotion(
     *,
     dataset: str = "",
 ) -> PromotionDecision:
-    """Compare question by question (paired bootstrap of the mean difference, 95 %).
+    """Compare two planners question by question (paired bootstrap of the mean difference, 95 %).
 
-    Promise: it promotes only if at least one measure is better beyond chance (interval above 0) and none has fallen
-    further than its tolerance. The second is judged by the mean, for the interval of some 30 questions is wider than
-    any tolerance worth having: more questions make the gate finer. Success and Δ in closed loop are measures like the
-    rest, and speak against the candidate where they are missing. Raises `InvalidSetup` for results that do not compare.
+    Promise: the candidate is promoted only if at least one measure improves significantly (interval above 0) and no
+    mean is worse than its tolerance. Tolerances apply to the mean because the interval of some 30 questions is wider
+    than any useful tolerance: more questions make the gate finer. Success and Δ in closed loop are measures like the
+    others, and a candidate without them is not promoted. Raises `ConfigurationError` for results that cannot be
+    compared.
     """
     pairs = _paired_results(candidate, champion)
     measures = {
@@ -144,10 +146,10 @@ def decide_promotion(
         before=champion.perplexity, after=candidate.perplexity, gain=ratio, low=None, high=None, tolerance=allowed
     )
     measures["perplexity"] = kept
-    against = [f"{name} fell from {m.before:.4g} to {m.after:.4g}" for name, m in measures.items() if m.is_worse]
+    against = [f"{name} got worse, from {m.before:.4g} to {m.after:.4g}" for name, m in measures.items() if m.is_worse]
     against += _not_executed(candidate, champion) or _missing_delta(pairs)
     if not any(measure.is_better for measure in measures.values()):
-        against.append("nothing is better beyond chance")
+        against.append("no measure is significantly better")
     return PromotionDecision(
         candidate=candidate.adapter,
         champion=champion.adapter,
@@ -159,45 +161,48 @@ def decide_promotion(
 
 
 def _not_executed(candidate: PlannerResults, champion: PlannerResults) -> list[str]:
-    """Who was not flown on every question, in words."""
+    """Which planner was not executed on every question, as reasons against a promotion."""
     both = (("candidate", candidate.trials), ("champion", champion.trials))
     lacking = [(who, sum(trial.success is None for trial in trials), len(trials)) for who, trials in both]
     return [
-        f"the {who} was not flown on {left} of {count} questions: {EXECUTE_HINT}"
+        f"the {who} was not executed on {left} of {count} questions: {EXECUTE_HINT}"
         for who, left, count in lacking
         if left
     ]
 
 
 def _missing_delta(pairs: list[tuple[QuestionResult, QuestionResult]]) -> list[str]:
-    """Why there is no Δ to compare, in words, none if there is one.
+    """Why Δ cannot be compared, as reasons against a promotion.
 
-    A champion that brought nothing to the end has none that could be raised: there success alone tells.
+    A champion without a single success has no Δ that could get worse: success alone decides then.
     """
     read, _ = MEASURES["Delta"]
     known = [tuple(not math.isnan(read(trial)) for trial in pair) for pair in pairs]
-    alone = any(ours for ours, _ in known) and not any(champion.success for _, champion in pairs)
+    alone = any(candidate for candidate, _ in known) and not any(champion.success for _, champion in pairs)
     compared = any(all(pair) for pair in known)
-    return [] if compared or alone else ["no Delta to compare: no question was brought to the end by both"]
+    return [] if compared or alone else ["Delta cannot be compared: no question was executed with success by both"]
 
 
 def _paired_results(candidate: PlannerResults, champion: PlannerResults) -> list[tuple[QuestionResult, QuestionResult]]:
-    theirs = {trial.question: trial for trial in champion.trials}
-    ours = {trial.question: trial for trial in candidate.trials}
-    same = ours.keys() == theirs.keys() and len(ours) == len(candidate.trials) == len(champion.trials)
+    of_champion = {trial.question: trial for trial in champion.trials}
+    of_candidate = {trial.question: trial for trial in candidate.trials}
+    same = of_candidate.keys() == of_champion.keys() and len(of_candidate) == len(candidate.trials) == len(
+        champion.trials
+    )
     if not same or candidate.runtime != champion.runtime:
-        raise ConfigurationError("results", got="other questions or another runtime", allowed="the same for both")
-    if len(ours) < MIN_QUESTIONS:
-        raise ConfigurationError("questions", got=len(ours), allowed=f"at least {MIN_QUESTIONS}")
+        problem = "The results of the two planners cannot be compared: their questions or their runtimes differ."
+        raise ConfigurationError.stating(problem, fix=MEASURE_AGAIN_HINT)
+    if len(of_candidate) < MIN_QUESTIONS:
+        raise ConfigurationError("questions", got=len(of_candidate), allowed=f"at least {MIN_QUESTIONS}")
     if candidate.adapter == champion.adapter:
-        raise ConfigurationError("candidate", got="the champion itself", allowed="another adapter")
+        raise ConfigurationError.stating("The candidate is the champion itself.", fix="Measure another adapter.")
     for results in (candidate, champion):
         _require_valid_numbers(results)
-    return [(ours[question], theirs[question]) for question in sorted(ours)]
+    return [(of_candidate[question], of_champion[question]) for question in sorted(of_candidate)]
 
 
 def _require_valid_numbers(results: PlannerResults) -> None:
-    """Raise `InvalidSetup` for a number that no measurement gives."""
+    """Raise `ConfigurationError` for a number that no measurement can give."""
     if not 1.0 <= results.perplexity < math.inf:
         raise ConfigurationError("perplexity", got=results.perplexity, allowed="1 or more", fix=MEASURE_AGAIN_HINT)
     for trial in results.trials:
@@ -214,7 +219,7 @@ def _compare_measure(
     tolerance: float,
     rng: np.random.Generator,
 ) -> MeasureComparison | None:
-    """One measure over the questions on which both have it; None if there is no such question."""
+    """One measure over the questions on which both planners have it; None if there is no such question."""
     values = np.array([(read(ours), read(theirs)) for ours, theirs in pairs])
     both = values[~np.isnan(values).any(axis=1)]
     if not len(both):

@@ -1,4 +1,4 @@
-"""The registry of adapters: folders named by the hash of their weights, and a journal of what became of them."""
+"""The registry of adapters: one folder per adapter, named by the hash of its weights, and a log of all changes."""
 
 from __future__ import annotations
 
@@ -31,22 +31,23 @@ from dualbrain.errors import DECODE_ERRORS, ConfigurationError, DualbrainError, 
 LOG_FILE, LOCK_FILE = "journal.jsonl", ".lock"
 ADAPTER_FILES = (WEIGHTS_FILE, *METADATA_FILES)
 NO_ADAPTER = ""
-"""The id of no adapter: the base as it is."""
+"""The id that denotes the base model without an adapter."""
 FOLDER_MODE = 0o700
-"""Mode of an adapter's folder: what a robot was taught is for its own user to show (`dualbrain adapters export`)."""
+"""Mode of an adapter's folder: training data of a robot is private to its user (see `dualbrain adapters export`)."""
 
 
 UNRECORDED_FAULT = (
-    "its folder is here, but the journal does not tell of it: that was lost or cut short, or a crash came between. "
-    "Put the journal back, for who serves stands there alone; or give the `dualbrain adapt --out` that made this again"
+    "its folder exists, but the registry log has no entry for it: the log was lost or truncated, or a crash happened "
+    "before the entry was written. Restore the log from a backup, because it alone records which adapter serves; or "
+    "repeat the `dualbrain adapt --out` that wrote the adapter"
 )
 
 
 class RegistryEntry(msgspec.Struct, frozen=True, kw_only=True):
-    """One line of the journal: what was done to `adapter`, at `time` [s, 1970 UTC], why, and on what measurement.
+    """One line of the log: a change of `adapter` at `time` [s, 1970 UTC] with its reason and decision.
 
-    `place` is robot and hash of the base: each place has one champion. After "rolled back", `adapter` serves again.
-    "added" holds the SHA-256 of the `files` that the id does not cover; entries of before that was kept hold none.
+    `place` is the robot and the hash of the base: each place has one champion. After "rolled back", `adapter` serves
+    again. "added" records the SHA-256 of the `files` that the id does not cover; entries of older versions lack them.
     """
 
     kind: Literal["added", "promoted", "rolled back"]
@@ -59,36 +60,34 @@ class RegistryEntry(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class AdapterRegistry:
-    """All adapters in one folder. Nothing in it is ever changed or deleted; the journal only grows.
+    """All adapters in one folder. Adapters are never changed or deleted, and the log is append-only.
 
     Promise: a crash, a full disk or a kill at any moment leaves every adapter and the champion as before or as after
-    it. An id belongs to one content for good. Only what a decision of the gate supports is promoted.
+    the change. An id always denotes the same content. An adapter is promoted only by a decision of the promotion gate.
     """
 
     def __init__(self, folder: Path) -> None:
-        """Use `folder`; it is made by the first `add`."""
+        """Use `folder`; the first `add` creates it."""
         self.folder = folder
 
     def add(self, source: Path, *, now: float) -> AdapterCard:
-        """Take in the adapter in the folder `source`; one that is here already stays as it is.
+        """Copy the adapter in the folder `source` into the registry, unless it is there already.
 
-        Raises `InvalidSetup` for a folder that lacks a file, and for weights that are here already but worn otherwise
-        or made of other things than `source` says; `DiskFull`.
+        Raises `ConfigurationError` for a folder that lacks a file and for weights that are registered with other LoRA
+        settings or other card entries than in `source`; `FileWriteError`.
         """
         card = read_adapter_card(source)
         if lacking := [name for name in ADAPTER_FILES if not (source / name).is_file()]:
-            fix = "Name a folder that a fit has finished."
-            raise ConfigurationError(
-                f"adapter in {source}", got=f"no {lacking[0]}", allowed=", ".join(ADAPTER_FILES), fix=fix
-            )
+            fix = f"Name a folder in which training has finished. {source}"
+            raise ConfigurationError.stating(f"The adapter folder has no {lacking[0]}.", fix=fix)
         self.folder.mkdir(parents=True, exist_ok=True)
         with self._exclusive_lock():
             if not (target := self.folder / card.id).is_dir():
                 self._copy(source, target)
             elif others := _conflicting_facts(source, target, self.recorded_hashes(card.id)):
-                fix = "An id belongs to one content for good: fit anew, or put back what belongs to these weights."
-                got = f"the weights of one that is here, with another {', '.join(others)}"
-                raise ConfigurationError(f"adapter in {source}", got=got, allowed="what is recorded of them", fix=fix)
+                fix = f"An id always denotes one content: train again, or restore the files of these weights. {source}"
+                problem = f"The adapter {card.id[:16]} is registered with another {', '.join(others)}."
+                raise ConfigurationError.stating(problem, fix=fix)
             if not any(entry.adapter == card.id for entry in self.entries()):
                 self._append(
                     RegistryEntry(
@@ -102,32 +101,32 @@ class AdapterRegistry:
         return card
 
     def ids(self) -> tuple[str, ...]:
-        """Ids in the order in which they came."""
+        """Ids in the order in which the adapters were added."""
         return tuple(entry.adapter for entry in self.entries() if entry.kind == "added")
 
     def find(self, name: str) -> str:
-        """The one id that begins with `name`; raises `UnknownName`."""
+        """The only id that begins with `name`; raises `UnknownNameError` if there is none or more than one."""
         found = [one for one in self.ids() if name and one.startswith(name)]
         if len(found) != 1:
             raise UnknownNameError("adapter", name, tuple(one[:16] for one in self.ids()), owner="this registry")
         return found[0]
 
     def adapter_folder(self, name: str) -> Path:
-        """The folder of one adapter; raises `InvalidSetup` if config or card in it are not those that were added."""
+        """The folder of one adapter; raises `ConfigurationError` if its config or card changed after it was added."""
         folder = self.folder / (one := self.find(name))
         require_metadata_files(folder, self.recorded_hashes(one))
         return folder
 
     def card(self, name: str) -> AdapterCard:
-        """The card of one adapter, after its files were found to be those that were added."""
+        """The card of one adapter, after its files are verified against the recorded hashes."""
         return read_adapter_card(self.adapter_folder(name))
 
     def recorded_hashes(self, one: str) -> dict[str, str]:
-        """Hashes of config and card of the adapter `one` when it was added; none if that was not yet written down."""
+        """Hashes of config and card of the adapter `one` when it was added; empty if an older version recorded none."""
         return next((entry.files for entry in self.entries() if (entry.adapter, entry.kind) == (one, "added")), {})
 
     def entries(self) -> tuple[RegistryEntry, ...]:
-        """All entries, oldest first. A last line that was cut off by a crash never happened."""
+        """All entries, oldest first. An incomplete last line, left by a crash, is ignored."""
         path = self.folder / LOG_FILE
         if not path.is_file():
             return ()
@@ -135,30 +134,31 @@ class AdapterRegistry:
         try:
             return tuple(msgspec.json.decode(line, type=RegistryEntry) for line in lines)
         except DECODE_ERRORS as error:
-            raise ConfigurationError(
-                "adapter journal", got=str(error), allowed="as it was written", fix=str(path)
+            fix = f"Restore it from a backup. {path}"
+            raise ConfigurationError.stating(
+                f"The log of the adapter registry is damaged: {error}.", fix=fix
             ) from error
 
     def champion(self, place: tuple[str, str]) -> str:
-        """The adapter that serves at `place`, `BARE` if none does."""
+        """The id of the adapter that serves at `place`; `NO_ADAPTER` if none does."""
         return self._history(place)[-1]
 
     def serving_ids(self) -> tuple[str, ...]:
-        """The adapters that serve anywhere."""
+        """Ids of the adapters that serve at any place."""
         places = dict.fromkeys(entry.place for entry in self.entries())
         return tuple(one for one in map(self.champion, places) if one != NO_ADAPTER)
 
     def last_decision(self, one: str) -> PromotionDecision | None:
-        """The decision by which the adapter `one` was promoted last, None if it never was."""
+        """The decision of the last promotion of the adapter `one`; None if it was never promoted."""
         return next(
             (entry.decision for entry in reversed(self.entries()) if entry.adapter == one and entry.decision), None
         )
 
     def promote(self, name: str, decision: PromotionDecision, *, now: float, reason: str = "") -> None:
-        """Make `name` the champion of its place, if `decision` is about it and the present champion, and in favour.
+        """Make `name` the champion of its place, if `decision` compares it with the present champion and is positive.
 
-        `reason` tells what else was asked of it, or waived. Raises `NotPromoted` with the reasons, `InvalidSetup` for a
-        decision about others, or where an adapter on another base serves the robot.
+        `reason` states further conditions that were met or waived. Raises `NotPromotedError` with the reasons, and
+        `ConfigurationError` for a decision about other adapters, or if an adapter on another base serves the robot.
         """
         card = self.card(name)
         with self._exclusive_lock():
@@ -178,38 +178,42 @@ class AdapterRegistry:
             )
 
     def require_decision_about(self, name: str, decision: PromotionDecision) -> None:
-        """Raise `InvalidSetup` if `decision` is not about `name` and the present champion of its place."""
+        """Raise `ConfigurationError` unless `decision` compares `name` with the present champion of its place."""
         self._check_decision(self.card(name), decision)
 
     def _check_decision(self, card: AdapterCard, decision: PromotionDecision) -> None:
         present = self.champion(place_of_card(card))
         if (decision.candidate, decision.champion) != (card.id, present):
-            got = f"{decision.candidate[:16] or 'the bare base'} against {decision.champion[:16] or 'the bare base'}"
-            allowed = f"{card.id[:16]} against {present[:16] or 'the bare base'}"
-            raise ConfigurationError("measured adapters", got=got, allowed=allowed, fix="Measure again.")
+            measured = f"{decision.candidate[:16] or 'the bare base'} with {decision.champion[:16] or 'the bare base'}"
+            needed = f"{card.id[:16]} with {present[:16] or 'the bare base'}"
+            problem = f"The measurement compares {measured}; a promotion needs a comparison of {needed}."
+            raise ConfigurationError.stating(problem, fix="Measure again.")
 
     def _require_single_base(self, place: tuple[str, str]) -> None:
-        """Raise `InvalidSetup` if the robot of `place` is served on another base: answers of two do not compare."""
+        """Raise `ConfigurationError` if the robot of `place` is served on another base.
+
+        Measurements on two bases cannot be compared.
+        """
         places = dict.fromkeys(entry.place for entry in self.entries())
         others = [one for one in places if one[0] == place[0] and one != place and self.champion(one) != NO_ADAPTER]
         if others:
-            got = f"{self.champion(others[0])[:16]} on another base"
-            fix = "Roll that back first (`dualbrain adapters rollback`), or name this adapter by its id."
-            raise ConfigurationError(
-                f"champion of {place[0]}", got=got, allowed="one on the same base, or none", fix=fix
-            )
+            problem = f"The champion of {place[0]} is {self.champion(others[0])[:16]}, on another base."
+            fix = "Roll it back first with `dualbrain adapters rollback`, or select this adapter by its id."
+            raise ConfigurationError.stating(problem, fix=fix)
 
     def roll_back(self, place: tuple[str, str], reason: str, *, now: float) -> str:
-        """Give the place back to whom it had before, and return that id; at last to the bare base.
+        """Let the former champion of `place` serve again and return its id; before the first one, the bare base served.
 
-        One that was damaged meanwhile is passed over. Raises `InvalidSetup` if nothing was promoted there.
+        A former champion that is damaged is skipped. Raises `ConfigurationError` without a reason, and if no adapter
+        serves there.
         """
         if not reason.strip():
-            raise ConfigurationError("reason", got=reason, allowed="a few words", fix="Say why with --reason.")
+            raise ConfigurationError("reason", got=reason, allowed="a few words", fix="State it with --reason.")
         with self._exclusive_lock():
             history = self._history(place)
             if len(history) < 2:
-                raise ConfigurationError("champion", got="the bare base", allowed="a promoted adapter")
+                problem = "No adapter serves there: the bare base does."
+                raise ConfigurationError.stating(problem, fix="There is nothing to roll back.")
             for former in reversed(history[:-1]):
                 self._append(RegistryEntry(kind="rolled back", adapter=former, place=place, time=now, reason=reason))
                 if former == NO_ADAPTER or not (reason := self.find_fault(former)):
@@ -217,18 +221,18 @@ class AdapterRegistry:
             return NO_ADAPTER
 
     def verify(self) -> dict[str, str]:
-        """What is wrong with each adapter, "" if nothing is; a folder that the journal does not tell of is a fault."""
+        """The fault of each adapter, "" if it has none; a folder without an entry in the log is a fault."""
         return {one: self.find_fault(one) for one in self.ids()} | dict.fromkeys(
             self.unrecorded_ids(), UNRECORDED_FAULT
         )
 
     def unrecorded_ids(self) -> tuple[str, ...]:
-        """The adapters whose folder is here without an entry in the journal."""
+        """Ids of the adapters whose folder exists without an entry in the log."""
         known = set(self.ids())
         return tuple(path.name for path in sorted(self.folder.glob("[0-9a-f]" * 64)) if path.name not in known)
 
     def find_fault(self, one: str) -> str:
-        """What is wrong with the adapter `one`, "" if nothing is."""
+        """The fault of the adapter `one`, "" if it has none."""
         try:
             card = self.card(one)
         except DualbrainError as error:
@@ -236,7 +240,7 @@ class AdapterRegistry:
         return "" if card.id == one else f"its folder holds {card.id[:16]}"
 
     def _history(self, place: tuple[str, str]) -> list[str]:
-        """Who served at `place`, without what was rolled back; the last serves now."""
+        """The champions of `place` in order, without those that were rolled back; the last one serves."""
         stack = [NO_ADAPTER]
         for entry in self.entries():
             if entry.place == place and entry.kind == "promoted":
@@ -246,7 +250,7 @@ class AdapterRegistry:
         return stack
 
     def _copy(self, source: Path, target: Path) -> None:
-        """Bring the files to `target`, all or none."""
+        """Copy the files to `target`, all or none."""
         with atomic_folder(target) as beside:
             beside.chmod(FOLDER_MODE)
             for name in ADAPTER_FILES:
@@ -254,56 +258,58 @@ class AdapterRegistry:
             read_adapter_card(beside)
 
     def _append(self, entry: RegistryEntry) -> None:
-        """Add one line; what a crash left of a former one is cut off first."""
+        """Append one line; an incomplete line that a crash left is cut off first."""
         path = self.folder / LOG_FILE
         try:
-            with path.open("a+b", buffering=0) as journal:
-                journal.seek(0)
-                whole = journal.read().rfind(b"\n") + 1
-                journal.truncate(whole)
+            with path.open("a+b", buffering=0) as log:
+                log.seek(0)
+                whole = log.read().rfind(b"\n") + 1
+                log.truncate(whole)
                 line = msgspec.json.encode(entry) + b"\n"
-                if journal.write(line) != len(line):
-                    journal.truncate(whole)
+                if log.write(line) != len(line):
+                    log.truncate(whole)
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-                os.fsync(journal.fileno())
+                os.fsync(log.fileno())
         except OSError as error:
             raise FileWriteError(path, error) from error
 
     @contextmanager
     def _exclusive_lock(self) -> Iterator[None]:
-        """Alone in the registry; raises `InvalidSetup` if there is none."""
+        """Hold the registry's lock; raises `ConfigurationError` if there is no registry."""
         if not self.folder.is_dir():
-            fix = "`dualbrain adapt` makes it with its first adapter."
-            raise ConfigurationError("registry of adapters", got="none", allowed=str(self.folder), fix=fix)
+            fix = f"`dualbrain adapt` creates it with its first adapter. {self.folder}"
+            raise ConfigurationError.stating("There is no adapter registry.", fix=fix)
         with (self.folder / LOCK_FILE).open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             yield
 
 
 class NotPromotedError(DualbrainError):
-    """The gate measured no reason to promote, or one not to."""
+    """The promotion gate decided against a promotion."""
 
     def __init__(self, adapter: str, reasons: tuple[str, ...]) -> None:
-        """Name the adapter and the reasons."""
+        """Report the adapter and the reasons."""
         self.adapter, self.reasons = adapter, reasons
         super().__init__(f"adapter {adapter[:16]} was not promoted: {'; '.join(reasons)}.")
 
 
 IDENTITY_FIELDS = ("base", "base_sha256", "robot", "also", "registry", "prompt", "dataset", "sources")
-"""What two cards of the same weights say alike: where they may serve, what taught them. Dials and steps may differ."""
+"""Card entries that must agree for equal weights: where the adapter may serve and its training data. Settings may
+differ."""
 
 
 def _conflicting_facts(source: Path, target: Path, recorded: dict[str, str]) -> list[str]:
-    """What beside equal weights is not the same in two folders; raises `InvalidSetup` if `target` was changed."""
+    """Names of the facts beside equal weights that differ in two folders.
+
+    Raises `ConfigurationError` if `target` was changed.
+    """
     kept = read_adapter_card(target)
     require_metadata_files(target, recorded)
-    card, worn = (
-        read_adapter_card(source),
-        [] if read_lora_config(source) == read_lora_config(target) else [CONFIG_FILE],
-    )
-    return worn + [f"{name} in {CARD_FILE}" for name in IDENTITY_FIELDS if getattr(kept, name) != getattr(card, name)]
+    card = read_adapter_card(source)
+    config = [] if read_lora_config(source) == read_lora_config(target) else [CONFIG_FILE]
+    return config + [f"{name} in {CARD_FILE}" for name in IDENTITY_FIELDS if getattr(kept, name) != getattr(card, name)]
 
 
 def place_of_card(card: AdapterCard) -> tuple[str, str]:
-    """Where an adapter may serve: with this robot, on this base."""
+    """The place (robot, base hash) at which an adapter may serve."""
     return card.robot, card.base_sha256

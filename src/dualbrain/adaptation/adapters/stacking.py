@@ -1,4 +1,4 @@
-"""What an adapter sits on: the untouched GGUF, and on that perhaps another adapter that comes with dualbrain."""
+"""The stack of an adapter: the unchanged GGUF file, the packaged adapter it was trained on, if any, and itself."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dualbrain.errors import ConfigurationError
 
 @dataclass(frozen=True, slots=True)
 class AdapterLayer:
-    """One adapter as it lies in its folder, verified."""
+    """One adapter with its folder and its verified card."""
 
     folder: Path
     card: AdapterCard
@@ -22,9 +22,9 @@ class AdapterLayer:
 
 @dataclass(frozen=True, slots=True)
 class AdapterStack:
-    """A base and the adapters on it, the lowest first; all are worn at once, each at full strength.
+    """A base and the adapters on it, the lowest first; all are applied at once, each at full strength.
 
-    W x + B₁A₁x + B₂A₂x: an adapter that was fitted on a base that wears another needs that other when it serves.
+    W x + B₁A₁x + B₂A₂x: an adapter that was trained on a base with another adapter needs that adapter when it serves.
     """
 
     base: str
@@ -38,20 +38,20 @@ class AdapterStack:
 
     @property
     def without_top(self) -> AdapterStack:
-        """What the served adapter was fitted on."""
+        """The base that the served adapter was trained on."""
         return AdapterStack(self.base, self.gguf, self.layers[:-1])
 
 
 def adapter_author(card: AdapterCard) -> str:
-    """What is recorded as the author of what an adapter proposes: base and adapter."""
+    """The author recorded for proposals of an adapter: base and adapter."""
     return f"{card.base}+{card.id[:16]}"
 
 
 def load_stack(folder: Path, cache: Path) -> AdapterStack:
-    """The adapter in `folder` and everything it sits on, each plain LoRA and found to be what its card names.
+    """The adapter in `folder` and all below it, each verified to be plain LoRA with the weights that its card names.
 
-    So what one engine refuses of an adapter, none serves. Raises as `layers_of` and `read_lora` do, and `MissingPart`,
-    `WrongHash` for the base.
+    Every runtime uses this check, so an adapter that one runtime rejects is served by none. Raises as `read_layers` and
+    `read_lora` do, and `MissingDependencyError` or `ChecksumError` for the base.
     """
     layers = read_layers(folder)
     for layer in layers:
@@ -61,9 +61,9 @@ def load_stack(folder: Path, cache: Path) -> AdapterStack:
 
 
 def read_layers(folder: Path) -> tuple[AdapterLayer, ...]:
-    """The adapter in `folder` and those it sits on, the lowest first; the base itself need not be here.
+    """The adapter in `folder` and those below it, the lowest first; the model file of the base is not needed.
 
-    Raises `InvalidSetup` for changed weights or a base of another hash, `UnknownName`.
+    Raises `ConfigurationError` for changed weights or a base of another hash, `UnknownNameError` for an unknown base.
     """
     layers = [AdapterLayer(folder, read_adapter_card(folder))]
     while layers[0].card.base in packaged_names():
@@ -71,8 +71,8 @@ def read_layers(folder: Path) -> tuple[AdapterLayer, ...]:
         layers.insert(0, AdapterLayer(beneath, read_adapter_card(beneath)))
         _require_base_hash(layers[1].card, layers[0].card.id)
         if len(layers) > len(packaged_names()) + 1:
-            raise ConfigurationError(
-                "packaged adapter", got="one that sits on itself", allowed="one that sits on a model"
+            raise ConfigurationError.stating(
+                f"The packaged adapters below {folder.name} form a cycle of bases.", fix="Reinstall dualbrain."
             )
     lowest = layers[0].card
     _require_base_hash(lowest, find_weight_file(lowest.base).sha256)
@@ -81,5 +81,5 @@ def read_layers(folder: Path) -> tuple[AdapterLayer, ...]:
 
 def _require_base_hash(card: AdapterCard, found: str) -> None:
     if card.base_sha256 != found:
-        fix = f"The adapter {card.id[:16]} was made for another {card.base}: fit it anew."
+        fix = f"The adapter {card.id[:16]} was made for another {card.base}: train it again."
         raise ConfigurationError(f"hash of the base {card.base!r}", got=found, allowed=card.base_sha256, fix=fix)

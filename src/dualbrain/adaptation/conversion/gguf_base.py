@@ -1,4 +1,4 @@
-"""What a converter must know of a base in GGUF: architecture, heads, and where each linear layer went."""
+"""Facts about a base in GGUF that a converter needs: architecture, heads, and the tensor of each linear layer."""
 
 from __future__ import annotations
 
@@ -10,13 +10,17 @@ from typing import Any
 from dualbrain.errors import ConfigurationError, MissingDependencyError
 
 PERMUTED_ARCHITECTURES, UNPERMUTED_ARCHITECTURES = frozenset({"llama"}), frozenset({"qwen2"})
-"""Architectures whose q and k rows llama.cpp keeps in another order than transformers, and those where it does not.
-Others are refused until a golden test shows that they answer alike."""
+"""Architectures whose rows of q and k llama.cpp permutes, and those whose rows it leaves in order. All others are
+rejected until a golden test shows that both runtimes give the same answers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GgufBase:
-    """`shapes` are (in, out) by tensor name; `heads` counts query heads, `kv_heads` those of keys and values."""
+    """A base model in GGUF.
+
+    `shapes` are (in, out) by tensor name; `heads` is the number of query heads, `kv_heads` that of key and value heads;
+    `tensor_name_of` maps a module name of transformers to a tensor name.
+    """
 
     architecture: str
     heads: int
@@ -30,9 +34,9 @@ class GgufBase:
         return self.architecture in PERMUTED_ARCHITECTURES
 
     def find_tensor(self, module: str) -> str:
-        """The tensor that the adapter of `module` sits on; raises `InvalidSetup` if it is no layer of a block.
+        """The tensor of the linear layer `module`; raises `ConfigurationError` if it is not a layer of a block.
 
-        Embeddings and the output matrix are refused: the objective takes them for frozen.
+        Embeddings and the output matrix are rejected: the objective assumes that they are frozen.
         """
         name = self.tensor_name_of(module)
         if name is None or not name.startswith("blk.") or f"{name}.weight" not in self.shapes:
@@ -41,7 +45,10 @@ class GgufBase:
 
 
 def read_gguf_base(path: Path) -> GgufBase:
-    """The facts of the GGUF at `path`; raises `InvalidSetup` for one that is not understood, `MissingPart`."""
+    """The facts about the GGUF at `path`.
+
+    Raises `ConfigurationError` if the file cannot be used, `MissingDependencyError` without the package gguf.
+    """
     try:
         import gguf  # noqa: PLC0415  (only where an adapter is served)
     except ModuleNotFoundError as error:
@@ -51,12 +58,13 @@ def read_gguf_base(path: Path) -> GgufBase:
     try:
         reader = gguf.GGUFReader(path)
     except (ValueError, IndexError, KeyError) as error:
-        raise ConfigurationError("base", got=str(error), allowed="a GGUF file", fix=str(path)) from error
+        fix = f"Fetch it again with `dualbrain models fetch`. {path}"
+        raise ConfigurationError.stating(f"The base is not a readable GGUF file: {error}.", fix=fix) from error
     architecture = _read_field(reader, "general.architecture", str)
     if architecture not in PERMUTED_ARCHITECTURES | UNPERMUTED_ARCHITECTURES:
         known = ", ".join(sorted(PERMUTED_ARCHITECTURES | UNPERMUTED_ARCHITECTURES))
         raise ConfigurationError(
-            "architecture of the base", got=architecture, allowed=known, fix="Serve it with torch."
+            "architecture of the base", got=architecture, allowed=known, fix="Serve it with `transformers:NAME`."
         )
     kind = {name: arch for arch, name in gguf.MODEL_ARCH_NAMES.items()}[architecture]
     names = gguf.get_tensor_name_map(kind, _read_field(reader, f"{architecture}.block_count", int))
@@ -78,7 +86,7 @@ def _read_field(reader: Any, key: str, kind: type[Any]) -> Any:
 
 
 def write_gguf_file(writer: Any) -> None:
-    """Everything that was added to the `GGUFWriter`, in the order of the format, and the file closed in any case."""
+    """Write all that was added to the `GGUFWriter` in the order of the format; the file is closed in any case."""
     try:
         writer.write_header_to_file()
         writer.write_kv_data_to_file()

@@ -1,7 +1,7 @@
-"""An adapter merged into its base, as one GGUF in half precision: for programs that load no adapters.
+"""An adapter merged into its base, as one GGUF in half precision, for programs that cannot load adapters.
 
-W + BA in float16. Never back into the base's own four bits: the change is a few per cent of a quantisation step there,
-rounding undoes it, and the adapter is gone without an error.
+The matrices are W + BA in float16. They are not quantised to the base's 4 bits: the change is a few per cent of a
+quantisation step, so rounding would remove the adapter without any error.
 """
 
 from __future__ import annotations
@@ -17,11 +17,14 @@ from dualbrain.adaptation.conversion.peft_lora import LoraPair
 from dualbrain.core.storage.atomic_files import atomic_file
 
 WRITER_KEYS = ("GGUF.version", "GGUF.tensor_count", "GGUF.kv_count", "general.architecture", "general.file_type")
-"""What the writer says by itself."""
+"""Keys that the writer adds by itself."""
 
 
 def write_merged_gguf(pairs: dict[str, LoraPair], base: Path, out: Path) -> None:
-    """Write `base` with `pairs` merged to `out`, all matrices in float16. Raises `InvalidSetup`, `DiskFull`."""
+    """Write `base` with `pairs` merged to `out`, all matrices in float16.
+
+    Raises `ConfigurationError` if `pairs` do not match the base, `FileWriteError`.
+    """
     facts = read_gguf_base(base)
     placed = map_to_base(pairs, facts)
     with atomic_file(out) as beside:

@@ -1,7 +1,7 @@
-"""Balance over skills and rare cases: a sample is as rare as the rarest thing in it; rare ones are shown more often.
+"""Balance over skills and rare cases: a sample is as rare as its rarest attribute, and rare samples are repeated.
 
-Nothing is thrown away. The square root lies between showing the world as it came and showing all kinds alike (the same
-tempering by which multilingual models sample their languages, Conneau et al. 2020, section 3.1, there with 0.3).
+No sample is discarded. The square root is between the natural frequencies and equal frequencies of all attributes (the
+tempering that multilingual models use for languages, Conneau et al. 2020, section 3.1, there with exponent 0.3).
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ from dualbrain.contracts.skill_spec import ChoiceParameter
 
 
 def compute_repeats(found: Sequence[Candidate], registry: SkillRegistry, max_repeats: int) -> list[int]:
-    """How often an epoch shows each of `found`: round(√(N / n_a)), at most `most`, a being its rarest attribute.
+    """Repetitions per epoch of each of `found`: round(√(N / n_a)), at most `max_repeats`; a is its rarest attribute.
 
-    n_a of the N samples have attribute a: a skill, a choice of a parameter (`approach=tilted`), or a symbol of a thing
-    that the contract names. What half of all samples have is shown once. Law: a rarer sample is never shown less.
+    n_a of the N samples have attribute a: a skill, a choice of a parameter (`approach=tilted`), or a scene symbol of an
+    object that the contract names. An attribute of half of all samples gives one repetition. Law: a rarer sample is
+    never repeated less often.
     """
     tables = [sample_attributes(one, registry) for one in found]
     counts = Counter(attribute for table in tables for attribute in table)
@@ -29,7 +30,7 @@ def compute_repeats(found: Sequence[Candidate], registry: SkillRegistry, max_rep
 
 
 def sample_attributes(one: Candidate, registry: SkillRegistry) -> frozenset[str]:
-    """The kinds that `one` belongs to."""
+    """The attributes of `one` by which its rarity is counted."""
     actions = one.contract.action_sequence if one.contract else ()
     named = {str(value) for action in actions for value in action.params.values() if isinstance(value, str)}
     chosen = {choice for action in actions for choice in _choices(action, registry)}
@@ -38,12 +39,12 @@ def sample_attributes(one: Candidate, registry: SkillRegistry) -> frozenset[str]
 
 def _choices(action: Action, registry: SkillRegistry) -> list[str]:
     parameters = registry.skill(action.skill).parameters
-    words = [p.name for p in parameters if isinstance(p, ChoiceParameter) and p.name in action.params]
-    return [f"{action.skill}.{name}={action.params[name]}" for name in words]
+    names = [p.name for p in parameters if isinstance(p, ChoiceParameter) and p.name in action.params]
+    return [f"{action.skill}.{name}={action.params[name]}" for name in names]
 
 
 def _symbols(summary: str, named: set[str]) -> set[str]:
-    """What the scene says of the `named` things and of people, without names."""
+    """The scene symbols of the `named` objects and of people, without names."""
     found: set[str] = set()
     for line in summary.splitlines():
         name, _, rest = line.partition(":")

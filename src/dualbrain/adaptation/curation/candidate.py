@@ -1,4 +1,4 @@
-"""What curation reads of one remembered episode: words, scene, contract, the robot's verdict, the weight."""
+"""The fields of one stored episode that curation reads: instruction, scene, contract, outcome and memory weight."""
 
 from __future__ import annotations
 
@@ -34,7 +34,10 @@ class _StoredPayload(msgspec.Struct, frozen=True):
 
 
 class Candidate(msgspec.Struct, frozen=True, kw_only=True):
-    """One episode as the ledger has it; `memo` holds its outcome, Δ, status, weight and event number."""
+    """One episode as stored in the ledger; `memory` has its outcome, Δ, status, weight and event number.
+
+    `duration` [s] is that of the episode; `was_filtered` states that the safety filter was on.
+    """
 
     memory: MemoryState
     instruction: str
@@ -46,7 +49,7 @@ class Candidate(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def skill_sequence(self) -> tuple[str, ...]:
-        """Its skills in order: what a robot knows of the kind of an errand."""
+        """Its skills in order; episodes with the same sequence count as the same kind of task."""
         return tuple(action.skill for action in self.contract.action_sequence) if self.contract else ()
 
     @property
@@ -56,19 +59,19 @@ class Candidate(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def read_candidates(ledger: LedgerReader) -> Iterator[Candidate]:
-    """Every memory that is in effect, oldest first; raises `DamagedLedger` at one that cannot be read."""
-    for memo in derive_state(ledger).memories:
+    """Every memory that is in effect, oldest first; raises `CorruptLedgerError` for an unreadable one."""
+    for memory in derive_state(ledger).memories:
         try:
-            told = msgspec.json.decode(ledger.event(memo.seq).payload, type=_StoredPayload).episode
+            stored = msgspec.json.decode(ledger.event(memory.seq).payload, type=_StoredPayload).episode
         except DECODE_ERRORS as error:
-            raise CorruptLedgerError(f"unreadable: {error}", seq=memo.seq, path=str(ledger.path)) from error
-        filtered = told.versions.get("filter") == "on"
+            raise CorruptLedgerError(f"unreadable: {error}", seq=memory.seq, path=str(ledger.path)) from error
+        filtered = stored.versions.get("filter") == "on"
         yield Candidate(
-            memory=memo,
-            instruction=told.instruction,
-            summary=told.summary,
-            scene=told.scene,
-            contract=told.contract,
-            duration=told.outcome.duration,
+            memory=memory,
+            instruction=stored.instruction,
+            summary=stored.summary,
+            scene=stored.scene,
+            contract=stored.contract,
+            duration=stored.outcome.duration,
             was_filtered=filtered,
         )

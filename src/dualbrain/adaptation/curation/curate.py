@@ -1,4 +1,4 @@
-"""From a ledger to a data set: D_clean, near-duplicates merged, balanced, split by scene (paper 6.1)."""
+"""Curation: from a ledger to a data set D_clean, without near-duplicates, balanced, and split by scene (paper 6.1)."""
 
 from __future__ import annotations
 
@@ -21,11 +21,15 @@ from dualbrain.memory.ledger.ledger import LedgerReader
 from dualbrain.planner.prompt.short_prompt import render_short
 
 CONTRACT_ID = "c-0001"
-"""Every sample is asked and answered as a first shot, also where the contract came at the second."""
+"""Every sample is stored as a first attempt, even if the contract was the second one of its episode."""
 
 
 class CurationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The dials: who is let in, the most repeats of a rare sample, the share of held-out scenes, the draw's salt."""
+    """Settings of curation.
+
+    `rules` select episodes, `most_repeats` limits the repetitions of a rare sample per epoch, `held_out` is the share
+    of held-out scenes, and `salt` determines the split.
+    """
 
     rules: CleanRules = CleanRules()
     most_repeats: int = 4
@@ -33,7 +37,7 @@ class CurationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     salt: str = "dualbrain"
 
     def __post_init__(self) -> None:
-        """Raise `InvalidSetup` for dials out of range."""
+        """Raise `ConfigurationError` for a setting that is out of range."""
         if not 1 <= self.most_repeats <= 16:
             raise ConfigurationError("most_repeats", got=self.most_repeats, allowed="1 to 16")
         if not 0.0 <= self.held_out < 1.0:
@@ -41,7 +45,10 @@ class CurationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class CurationResult(msgspec.Struct, frozen=True, kw_only=True):
-    """What would be taught and tested, and what was left out: ids by reason. `head` was the ledger's newest event."""
+    """The selected samples, and the ids of excluded memories by reason. `head` was the newest event of the ledger.
+
+    `merged` counts near-duplicates, `memories` all memories that were read.
+    """
 
     train: tuple[Sample, ...]
     held_out: tuple[Sample, ...]
@@ -59,16 +66,17 @@ def curate(
     declines: Collection[str] = (),
     site: SkillRegistry | None = None,
 ) -> CurationResult:
-    """The data set of `ledger` for the robot of `registry`; the same ledger and dials give the same set.
+    """The data set of `ledger` for the robot of `registry`; the same ledger and settings give the same data set.
 
-    A decline proves nothing: a planner that declines everything would teach itself to. So none is let in but those that
-    are named in `declines` (ids of memories), by whoever asked for what cannot be done and knew it. `site` is the
-    vocabulary where a site file narrows that of the robot: what was done there teaches too, in the robot's own words.
+    A declined instruction is no evidence: a planner that declines everything would train itself to do so. Only the
+    declines in `declines` (ids of memories) are selected; the caller knows that their instructions are impossible.
+    `site` is the narrower vocabulary of a site file: episodes at the site are selected too and written in the robot's
+    own vocabulary.
 
-    Promise: no scene is on both sides (see `scene_groups`), every completion is accepted by today's gate (`select` says
-    what of it), every sample leads back to its events. A rollback, a quarantine or a forgotten memory changes what it
-    finds: always curate anew. Raises `InvalidSetup` if nothing is left or `site` is another vocabulary,
-    `DamagedLedger`.
+    Promise: no scene is on both sides of the split (see `group_scenes`), the present gate accepts every completion
+    (`select` states which checks it makes), and every sample names its events. A rollback, a quarantine or a forgotten
+    memory changes the result, so curate again before each training run. Raises `ConfigurationError` if no sample is
+    left or if `site` is not a narrower vocabulary, `CorruptLedgerError`.
     """
     if site is not None and not is_narrower(site, registry):
         raise ConfigurationError(
@@ -77,21 +85,20 @@ def curate(
     found = list(read_candidates(ledger))
     clean, left_out = select(found, registry, config.rules, declines, site)
     if not clean:
-        raise ConfigurationError(
-            "clean episodes",
-            got=_describe_exclusions(len(found), left_out),
-            allowed="at least one",
-            fix=_NO_SAMPLES_HINT,
-        )
+        problem = f"The ledger has no clean episode: {_describe_exclusions(len(found), left_out)} can be used."
+        raise ConfigurationError.stating(problem, fix=_NO_SAMPLES_HINT)
     kept = merge_duplicates(clean)
-    ones = [pair.representative for pair in kept]
-    named = dict(zip((one.memory.id for one in found), group_scenes(found), strict=True))
-    groups, shown = [named[one.memory.id] for one in ones], compute_repeats(ones, registry, config.most_repeats)
+    representatives = [pair.representative for pair in kept]
+    group_of = dict(zip((one.memory.id for one in found), group_scenes(found), strict=True))
+    groups, shown = (
+        [group_of[one.memory.id] for one in representatives],
+        compute_repeats(representatives, registry, config.most_repeats),
+    )
     rows = [_build_sample(pair, registry, group, times) for pair, group, times in zip(kept, groups, shown, strict=True)]
-    apart = choose_held_out_groups(groups, config.held_out, config.salt)
+    held_out_groups = choose_held_out_groups(groups, config.held_out, config.salt)
     return CurationResult(
-        train=tuple(row for row in rows if row.scene not in apart),
-        held_out=tuple(row for row in rows if row.scene in apart),
+        train=tuple(row for row in rows if row.scene not in held_out_groups),
+        held_out=tuple(row for row in rows if row.scene in held_out_groups),
         left_out={reason: tuple(names) for reason, names in sorted(left_out.items())},
         merged=len(clean) - len(kept),
         head=ledger.head(),
@@ -99,7 +106,7 @@ def curate(
     )
 
 
-_NO_SAMPLES_HINT = "See `dualbrain memory list`: only successes that are believed, with little intervention, can teach."
+_NO_SAMPLES_HINT = "Only active successes with little intervention are selected: see `dualbrain memory list`."
 
 
 def _describe_exclusions(found: int, left_out: dict[str, list[str]]) -> str:
@@ -134,7 +141,7 @@ def _build_sample(kept: DuplicateGroup, registry: SkillRegistry, scene: str, sho
 
 
 def content_id(prompt: Sequence[dict[str, str]], contract: str) -> str:
-    """First 16 hex digits of the SHA-256 of prompt and contract."""
+    """The first 16 hex digits of the SHA-256 of prompt and contract."""
     return hashlib.sha256(msgspec.json.encode([list(prompt), contract])).hexdigest()[:16]
 
 

@@ -1,4 +1,4 @@
-"""A data set on disk: two files of lines and a card that says what they are, named by a hash of their bytes."""
+"""A data set on disk: two files of JSON lines, and a card with its description and the hash of both files."""
 
 from __future__ import annotations
 
@@ -23,14 +23,15 @@ SAMPLE_FORMAT = "conversational prompt-completion, JSON lines"
 
 
 class DatasetCard(msgspec.Struct, frozen=True, kw_only=True):
-    """What a data set is, where it came from and what was left out; `hash` is over the bytes of both files.
+    """Description and origin of a data set; `hash` is that of the bytes of both files.
 
-    `ledger` is the hash of the newest event that was read, `event` its number. `left_out` counts episodes by reason,
-    `merged` those that a near-duplicate stands for. `sources` counts samples and merged ones by who proposed them.
-    `prompt` is the hash of the prompt's template, `registry` that of the vocabulary; `also` are those of further robots
-    in it, by name.
-    `site` is the hash of that vocabulary as it is at a site, "" where none was named. The rest are the dials of
-    curation; older cards do not tell `physical`.
+    `ledger` is the hash of the newest event that was read, `event` its number, `memories` the number of memories.
+    `left_out` counts excluded episodes by reason, `merged` the near-duplicates that a sample represents. `train`,
+    `held_out` and `scenes` are numbers of samples and scenes, `shown` is the number of samples per epoch with
+    repetitions. `sources` counts samples and near-duplicates by the planner that proposed them. `prompt` is the hash of
+    the prompt template, `registry` that of the robot's skill vocabulary, `also` those of further robots by name, `site`
+    that of the narrower vocabulary of a site ("" without one). The other fields are the settings of curation; older
+    cards lack `physical`.
     """
 
     hash: str
@@ -59,7 +60,7 @@ class DatasetCard(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Dataset(msgspec.Struct, frozen=True):
-    """A data set as read back."""
+    """A data set: its card, training samples and held-out samples."""
 
     card: DatasetCard
     train: tuple[Sample, ...]
@@ -69,7 +70,7 @@ class Dataset(msgspec.Struct, frozen=True):
 def assemble_dataset(
     curated: CurationResult, registry: SkillRegistry, config: CurationConfig, *, site: SkillRegistry | None = None
 ) -> Dataset:
-    """The data set with its card; `site` is the vocabulary at the site whose episodes were read, too."""
+    """The data set with its card; `site` is the narrower vocabulary of the site whose episodes were read too."""
     rows = (*curated.train, *curated.held_out)
     card = DatasetCard(
         hash=dataset_hash(encode_samples(curated.train), encode_samples(curated.held_out)),
@@ -103,7 +104,7 @@ def _sources(row: Sample) -> tuple[str, ...]:
 
 
 def curation_differences(card: DatasetCard, config: CurationConfig) -> str:
-    """In which dials of curation the data set of `card` was made otherwise than by `dials`; "" if in none."""
+    """The settings of curation in `config` that differ from those of `card`, in words; "" if none does."""
     rules, made = config.rules, {"epsilon": card.epsilon, "slowest": card.slowest, "most_repeats": card.most_repeats}
     made |= {"held_out": card.share_held_out, "salt": card.salt}
     if card.physical is not None:
@@ -115,29 +116,36 @@ def curation_differences(card: DatasetCard, config: CurationConfig) -> str:
 
 
 def card_differences(card: DatasetCard, expected: Mapping[str, object]) -> str:
-    """In which of the parts `made` tells, or in the prompt's template, `card` tells another; "" if in none."""
+    """The entries `expected` of the card, and the prompt template, that differ in `card`, in words; "" if none does."""
     here = {"prompt": short_template_hash(), **expected}
     return describe_differences({part: getattr(card, part) for part in here}, here)
 
 
 def dataset_hash(train: bytes, held_out: bytes) -> str:
-    """SHA-256 over the hashes of both files: neither can be changed, nor a line moved from one to the other."""
+    """SHA-256 over the hashes of both files: it changes if a file changes or a line moves from one to the other."""
     parts = hashlib.sha256(train).digest() + hashlib.sha256(held_out).digest()
     return hashlib.sha256(parts).hexdigest()
 
 
 def write_dataset(dataset: Dataset, folder: Path) -> None:
-    """Write both files and, last, the card; a folder that holds another data set is refused."""
+    """Write both files and then the card.
+
+    Raises `ConfigurationError` if `folder` contains another data set, `FileWriteError`.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     if (folder / CARD_FILE).exists() and read_dataset_card(folder).hash != dataset.card.hash:
-        raise ConfigurationError("data set folder", got="another data set", allowed="an empty folder", fix=str(folder))
+        fix = f"Name an empty folder. {folder}"
+        raise ConfigurationError.stating("The folder contains another data set.", fix=fix)
     write_atomically(folder / TRAIN_FILE, encode_samples(dataset.train))
     write_atomically(folder / HELD_OUT_FILE, encode_samples(dataset.held_out))
     write_atomically(folder / CARD_FILE, msgspec.json.format(msgspec.json.encode(dataset.card), indent=2))
 
 
 def read_dataset_card(folder: Path) -> DatasetCard:
-    """The card in `folder`; raises `MissingPart` if there is none, `InvalidSetup` if it cannot be read."""
+    """The card in `folder`.
+
+    Raises `MissingDependencyError` if there is none, `ConfigurationError` if it is unreadable.
+    """
     path = folder / CARD_FILE
     if not path.is_file():
         raise MissingDependencyError(
@@ -146,17 +154,15 @@ def read_dataset_card(folder: Path) -> DatasetCard:
     try:
         return msgspec.json.decode(path.read_bytes(), type=DatasetCard)
     except DECODE_ERRORS as error:
-        raise ConfigurationError(
-            "data set card", got=str(error), allowed="as this program writes it", fix=str(path)
-        ) from error
+        fix = f"Restore it from a backup, or make the data set again. {path}"
+        raise ConfigurationError.stating(f"The data set card cannot be read: {error}.", fix=fix) from error
 
 
 def read_dataset(folder: Path) -> Dataset:
-    """The data set in `folder`; raises `InvalidSetup` if a file is not the one that the card names."""
+    """The data set in `folder`; raises `ConfigurationError` if its hash is not that of the card."""
     card = read_dataset_card(folder)
-    train, apart = (folder / TRAIN_FILE).read_bytes(), (folder / HELD_OUT_FILE).read_bytes()
-    if (got := dataset_hash(train, apart)) != card.hash:
-        raise ConfigurationError(
-            "hash of the data set", got=got, allowed=card.hash, fix=f"A file was changed: make it anew. {folder}"
-        )
-    return Dataset(card, decode_samples(train), decode_samples(apart))
+    train, held_out = (folder / TRAIN_FILE).read_bytes(), (folder / HELD_OUT_FILE).read_bytes()
+    if (got := dataset_hash(train, held_out)) != card.hash:
+        problem = f"A file of the data set was changed: its hash is {got}, expected {card.hash}."
+        raise ConfigurationError.stating(problem, fix=f"Make the data set again. {folder}")
+    return Dataset(card, decode_samples(train), decode_samples(held_out))

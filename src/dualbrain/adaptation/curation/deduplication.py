@@ -1,4 +1,4 @@
-"""One of many: episodes that answer the same question with the same plan are one sample."""
+"""Deduplication: episodes that answer the same question with the same plan become one sample."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from dualbrain.memory.plasticity.plan_similarity import same_plan
 
 
 class DuplicateGroup(msgspec.Struct, frozen=True):
-    """The episode that is kept, the one of least Δ, and those that it stands for, oldest first."""
+    """The episode that is kept, the one of least Δ, and its near-duplicates, oldest first."""
 
     representative: Candidate
     duplicates: tuple[Candidate, ...]
 
 
 def merge_duplicates(found: Sequence[Candidate]) -> list[DuplicateGroup]:
-    """`found` without near-duplicates, in its order.
+    """`found` without near-duplicates, in the same order.
 
-    Near-duplicates have the same question (scene in symbols, words but for case and space) and the same plan (skills,
-    names, choices, numbers within 5 %). Law: no two that are kept are near-duplicates, each that is not is one of a
-    kept one, and what is kept has the least Δ of those it stands for. Different plans for one question all stay: each
-    was found good.
+    Near-duplicates have the same question (scene summary; instruction up to case and white space) and the same plan
+    (skills, names, choices, numbers within 5 %). Law: no two kept episodes are near-duplicates, each removed one is a
+    near-duplicate of a kept one, and the kept one has the least Δ of its group. Different plans for one question are
+    all kept: each of them succeeded.
     """
     groups = defaultdict[tuple[str, ...], list[list[Candidate]]](list)
     for one in sorted(found, key=_sort_key):
-        alike = groups[_question_key(one)]
-        plan = next((group for group in alike if same_plan(_contract_data(group[0]), _contract_data(one))), None)
+        plan_groups = groups[_question_key(one)]
+        plan = next((group for group in plan_groups if same_plan(_contract_data(group[0]), _contract_data(one))), None)
         if plan is None:
-            alike.append([one])
+            plan_groups.append([one])
         else:
             plan.append(one)
     kept = [
         DuplicateGroup(group[0], tuple(sorted(group[1:], key=lambda c: c.memory.seq)))
-        for alike in groups.values()
-        for group in alike
+        for plan_groups in groups.values()
+        for group in plan_groups
     ]
     return sorted(kept, key=lambda pair: pair.representative.memory.seq)
 

@@ -1,4 +1,4 @@
-"""One training sample: a prompt, the contract that answers it, and where it came from."""
+"""One training sample: a prompt, the contract that answers it, and its origin."""
 
 from __future__ import annotations
 
@@ -10,20 +10,21 @@ from dualbrain.contracts.scene_names import SceneNames
 
 
 class DuplicateSource(msgspec.Struct, frozen=True):
-    """A near-duplicate that a sample stands for: its memory, and who proposed it."""
+    """A near-duplicate that a sample represents: its memory, and the planner that proposed it."""
 
     memory: str
     source: str
 
 
 class Sample(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
-    """One line of the data set: a prompt and its completion in conversational form, as TRL and others read it.
+    """One line of the data set: a prompt and its completion in conversational form, as TRL and other trainers read it.
 
-    `id` names prompt and completion by content. `weight` is the memory weight w ∈ [0, 1] when the set was made, `Delta`
-    and `duration` [s] those of the episode. `repeats` is how often an epoch shows it (see `balance`), `scene` names the
-    group of scenes that stays on one side of the split. `events` are the numbers of its events in the ledger: its own
-    first, then those of the near-duplicates it stands for, `others` (older sets do not name them). `graspable` and
-    `receptive` are the names a contract could use there.
+    `id` identifies prompt and completion by content. `weight` is the memory weight w ∈ [0, 1] when the data set was
+    made, `Delta` and `duration` [s] are those of the episode. `repeats` is the number of repetitions per epoch
+    (`balancing`), `scene` the group of scenes that is on one side of the split. `memory` is the id of the memory,
+    `source` the planner that proposed the contract. `events` are numbers of ledger events: its own first, then those of
+    its near-duplicates `others` (older data sets do not name them). `graspable` and `receptive` are the names that a
+    contract may use in the scene.
     """
 
     id: str
@@ -43,12 +44,12 @@ class Sample(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
 
     @property
     def memories(self) -> frozenset[str]:
-        """Whose memory it is, and those of its near-duplicates."""
+        """Ids of its memory and of those of its near-duplicates."""
         return frozenset((self.memory, *(one.memory for one in self.others)))
 
     @property
     def contract(self) -> str:
-        """The contract's text."""
+        """The text of the contract."""
         return self.completion[0]["content"]
 
     @property
@@ -58,15 +59,15 @@ class Sample(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
 
 
 def encode_samples(samples: tuple[Sample, ...]) -> bytes:
-    """Lines of JSON, one sample each, keys in the order of the fields: the same samples give the same bytes."""
+    """JSON lines, one per sample, keys in the order of the fields: equal samples give equal bytes."""
     return b"".join(msgspec.json.encode(sample) + b"\n" for sample in samples)
 
 
 def decode_samples(data: bytes) -> tuple[Sample, ...]:
-    """The samples of `data`; raises what is `UNREADABLE`."""
+    """The samples in `data`; raises one of `DECODE_ERRORS` for unreadable lines."""
     return tuple(msgspec.json.decode(line, type=Sample) for line in data.splitlines() if line.strip())
 
 
 def assistant_turn(text: str) -> list[dict[str, Any]]:
-    """`text` as the turn of the assistant."""
+    """`text` as a turn of the assistant."""
     return [{"role": "assistant", "content": text}]

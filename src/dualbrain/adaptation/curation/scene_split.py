@@ -1,4 +1,4 @@
-"""Which episodes were in the same scene, so that a scene never stands on both sides of the split."""
+"""Grouping of episodes by scene, so that no scene is on both sides of the split."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from dualbrain.adaptation.curation.candidate import Candidate
 from dualbrain.records import Scene
 
 SAME_SCENE_DISTANCE = 0.03
-"""Scenes of the same things at most this far from each other [m] are one scene, seen twice: above twice the bound of
-the perception error (9 mm), below the grid on which scenes differ."""
+"""Two scenes with the same objects, each displaced by at most this distance [m], count as one scene. It is more than
+twice the bound of the perception error (9 mm) and less than the grid on which generated scenes differ."""
 
 
 def group_scenes(found: Sequence[Candidate]) -> list[str]:
-    """A name for the scene of each of `found`: equal names for what must stay on one side.
+    """The group of each of `found`: episodes with the same group must be on one side of the split.
 
-    Two episodes are linked if the same things stood at the same places up to `SAME_SCENE`, or if the planner was told
-    the same of them; links are followed to the end. The name is a hash of the oldest memory's id, so it does not change
-    when later ones join, nor when a ledger is compacted: name the scenes of all that happened, not of what is chosen.
+    Two episodes are linked if the same objects were at the same positions up to `SAME_SCENE_DISTANCE`, or if the
+    planner received the same scene summary; groups are the connected components. The group is named by a hash of the id
+    of its oldest memory, so the name is stable when later episodes join and when the ledger is compacted: group all
+    episodes, not only the selected ones.
     """
     root = list(range(len(found)))
 
@@ -38,44 +39,44 @@ def group_scenes(found: Sequence[Candidate]) -> list[str]:
 
 
 def choose_held_out_groups(groups: Sequence[str], share: float, salt: str) -> frozenset[str]:
-    """The groups whose hash with `salt` falls below `share`; at least one and never all, if `share` > 0.
+    """The groups whose hash with `salt` is below `share`: at least one, never all; none if `share` is 0.
 
-    `groups` has a name for each sample. What alone makes up more than `share` of them teaches, for it is what the robot
-    does most of all; unless each group does.
-    Promise: a group keeps its side when others join (but for that at-least-one, and for what comes to be that large),
-    so that later rounds are tested on scenes that no round has seen.
+    `groups` has one name per sample. A group with more than `share` of all samples is used for training, because it is
+    the robot's most frequent task; unless this applies to every group. Promise: a group stays on its side when other
+    groups are added (except for the at-least-one rule, and for a group that grows that large), so later rounds are
+    tested on scenes that no round was trained on.
     """
     counts = Counter(groups)
     if share <= 0.0 or len(counts) < 2:
         return frozenset()
-    fit = [group for group, count in counts.items() if count <= share * len(groups)] or list(counts)
-    places = sorted((_hash_fraction(group, salt), group) for group in fit)
-    chosen = [group for place, group in places if place < share] or [places[0][1]]
+    eligible = [group for group, count in counts.items() if count <= share * len(groups)] or list(counts)
+    fractions = sorted((_hash_fraction(group, salt), group) for group in eligible)
+    chosen = [group for fraction, group in fractions if fraction < share] or [fractions[0][1]]
     return frozenset(chosen[: len(counts) - 1])
 
 
 def _linked_pairs(found: Sequence[Candidate]) -> Iterator[tuple[int, int]]:
-    """Pairs of the same scene or the same summary; enough of them to connect each group."""
-    told: dict[str, int] = {}
-    alike = defaultdict[tuple[str, ...], list[int]](list)
+    """Pairs of the same scene or the same summary, enough of them to connect each group."""
+    first_with_summary: dict[str, int] = {}
+    same_objects = defaultdict[tuple[str, ...], list[int]](list)
     for i, one in enumerate(found):
-        yield told.setdefault(one.summary, i), i
-        alike[_object_names(one.scene)].append(i)
-    for rows in alike.values():
-        places = np.stack([_positions(found[i].scene) for i in rows])
+        yield first_with_summary.setdefault(one.summary, i), i
+        same_objects[_object_names(one.scene)].append(i)
+    for rows in same_objects.values():
+        positions = np.stack([_positions(found[i].scene) for i in rows])
         for a in range(1, len(rows)):
-            offsets = np.linalg.norm(places[:a] - places[a], axis=2).max(axis=1, initial=0.0)
+            offsets = np.linalg.norm(positions[:a] - positions[a], axis=2).max(axis=1, initial=0.0)
             yield from ((rows[int(b)], rows[a]) for b in np.flatnonzero(offsets <= SAME_SCENE_DISTANCE))
 
 
 def _object_names(scene: Scene) -> tuple[str, ...]:
-    return tuple(sorted(thing.name for thing in scene.objects if thing.role != "person"))
+    return tuple(sorted(obj.name for obj in scene.objects if obj.role != "person"))
 
 
 def _positions(scene: Scene) -> np.ndarray:
-    """Positions of the things but people in the order of their names, shape (n_things, 3) [m]."""
-    things = sorted((thing.name, thing.pose.position) for thing in scene.objects if thing.role != "person")
-    return np.array([position for _, position in things], float).reshape(len(things), 3)
+    """Positions of all objects but people in the order of their names, shape (n_objects, 3) [m]."""
+    objects = sorted((obj.name, obj.pose.position) for obj in scene.objects if obj.role != "person")
+    return np.array([position for _, position in objects], float).reshape(len(objects), 3)
 
 
 def _group_name(oldest: Candidate) -> str:

@@ -1,4 +1,4 @@
-"""An adapter that plans: only for the robot, vocabulary and prompt it was taught, and only while it is itself."""
+"""A planner with an adapter: it answers only for the robot, vocabulary and prompt of its training data."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 
 PlannerCheck = Callable[[LlamaPlanner], str]
-"""What is wrong with the answers of a process that has just started, "" if nothing is (see `canary`)."""
+"""Returns the fault in the answers of a newly started process, "" if there is none (see `canary`)."""
 
 
 class AdapterMismatchError(DualbrainError):
-    """A process that should wear an adapter does not answer as that adapter did."""
+    """A process with an adapter does not give the answers that were recorded for this adapter."""
 
     def __init__(self, adapter: str, fault: str) -> None:
-        """Name the adapter and what differs."""
+        """Report the adapter and the difference."""
         self.adapter, self.fault = adapter, fault
         super().__init__(
-            f"adapter {adapter[:16]} does not answer as it did: {fault}. It proposes nothing. See `dualbrain adapters "
-            f"verify`, and `dualbrain adapters rollback` to let the former one serve."
+            f"The adapter {adapter[:16]} does not answer as recorded: {fault}. It makes no proposals. Check it with "
+            f"`dualbrain adapters verify`, or return to the former one with `dualbrain adapters rollback`."
         )
 
 
 class AdaptedPlanner:
     """Proposes with the adapter of `card`.
 
-    Each new process is checked before its first answer counts: at once when this is made, and again should it have had
-    to be started anew. Raises `NotItself`, and what the check raises; later, that is the reason for which there is no
-    answer.
+    Each new process is checked before its first answer is used: once in the constructor, and again after every restart.
+    The constructor raises `AdapterMismatchError` and the errors of the check; later, a fault is the finish reason of an
+    empty proposal.
     """
 
     def __init__(
@@ -45,35 +45,35 @@ class AdaptedPlanner:
         check: PlannerCheck = lambda planner: "",
         narrowed_registries: Mapping[str, str] = {},
     ) -> None:
-        """Let `inner`, which wears the adapter, propose, also in the vocabularies of `narrowed`.
+        """Use `inner`, which has the adapter loaded; `inner` is closed if the constructor raises.
 
-        `inner` is closed if this raises.
+        `narrowed_registries` maps narrower vocabularies to wider ones (see `require_compatible`).
         """
         self._inner, self.card, self._check, self._narrowed_registries = inner, card, check, narrowed_registries
         self._checked_pid: int | None = None
-        with ExitStack() as unless_itself:
-            unless_itself.callback(inner.close)
+        with ExitStack() as on_failure:
+            on_failure.callback(inner.close)
             if fault := self._find_fault():
                 raise AdapterMismatchError(card.id, fault)
-            unless_itself.pop_all()
+            on_failure.pop_all()
 
     @property
     def name(self) -> str:
-        """What is recorded as the author of a proposal: base and adapter."""
+        """The author recorded for its proposals: base and adapter."""
         return self._inner.name
 
     @property
     def template(self) -> str:
-        """Hash of the prompt's fixed text."""
+        """Hash of the prompt template."""
         return self._inner.template
 
     def propose(self, request: PlanRequest) -> Proposal:
-        """Answer `request`. Raises `InvalidSetup` for a robot or vocabulary that the adapter was not taught."""
+        """Answer `request`; raises `ConfigurationError` for a robot or vocabulary outside the training data."""
         require_compatible(self.card, request.robot, request.registry_hash, self._narrowed_registries)
         if fault := self._fault_or_error():
             return Proposal(
                 text="",
-                finish_reason=f"{protocol.ERROR}: not the adapter it was: {fault}",
+                finish_reason=f"{protocol.ERROR}: the adapter does not answer as recorded: {fault}",
                 planner=self.name,
                 constrained_by="",
                 timings={"total": 0.0},
@@ -81,7 +81,7 @@ class AdaptedPlanner:
         return self._inner.propose(request)
 
     def messages(self, request: PlanRequest) -> list[ChatMessage]:
-        """What the model reads for `request`."""
+        """The messages that the model receives for `request`."""
         return self._inner.messages(request)
 
     def close(self) -> None:
@@ -89,14 +89,14 @@ class AdaptedPlanner:
         self._inner.close()
 
     def _fault_or_error(self) -> str:
-        """As `_fault`; what the check raises is a fault, too, for a robot may be waiting."""
+        """As `_find_fault`; an error of the check is a fault too, because a robot may be waiting."""
         try:
             return self._find_fault()
         except DualbrainError as error:
             return str(error)
 
     def _find_fault(self) -> str:
-        """What is wrong with the present process, if it has not been looked at yet."""
+        """The fault of the present process, "" if it has none or was checked already."""
         pid = self._inner.pid
         if pid is not None and pid == self._checked_pid:
             return ""

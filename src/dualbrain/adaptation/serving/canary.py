@@ -1,8 +1,8 @@
-"""Canaries: questions whose answers by an adapter were recorded, asked again of every process that should wear it.
+"""Canaries: questions with recorded answers that every new process with an adapter must reproduce.
 
-Serving engines are known to answer from the wrong adapter, or from none, without a word. Recorded and compared in the
-same runtime; the tokens must be the same, and so must be how sure each was: two adapters may say the same words, but
-hardly with the same probabilities. What follows a near-tie is not compared.
+Serving engines are known to answer from a wrong adapter, or from none, without an error. Answers are recorded and
+compared in the same runtime. The tokens must be equal, and so must the margins: two adapters may give the same text,
+but hardly with the same probabilities. Tokens after a near-tie are not compared.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from dualbrain.planner.backends.llama_cpp import LlamaPlanner
 from dualbrain.planner.prompt.short_prompt import render_short
 
 MAX_ANSWER_TOKENS = 32
-"""Tokens of an answer."""
+"""Maximum number of tokens of an answer."""
 MIN_MARGIN = 0.05
-"""The least margin [nats] of what is compared: below, rounding may turn a token."""
+"""Minimum margin [nats] of a compared token: below it, rounding may change the token."""
 MAX_MARGIN_DIFFERENCE = 0.1
-"""Mean difference of margins [nats] that is still the same adapter; the same process and file give 0."""
+"""Largest mean difference of margins [nats] that counts as the same adapter; the same process and file give 0."""
 N_AT_START = 1
-"""How many are asked when a process starts; all of them by `dualbrain adapters verify`."""
+"""Number of canaries asked when a process starts; `dualbrain adapters verify --answers` asks all."""
 CANARY_QUESTIONS = (
     (
         "robot {robot}; holding nothing\nred_cube: object, free_finger_axis along, path_max_height none\n"
@@ -50,7 +50,10 @@ CANARY_QUESTIONS = (
 
 
 class Canary(msgspec.Struct, frozen=True):
-    """One question of `SCENES` by number, and the answer up to its first near-tie: tokens and their margins [nats]."""
+    """One question by its index in `CANARY_QUESTIONS`, with the recorded answer up to its first near-tie.
+
+    `tokens` are token ids, `margins` [nats] their margins over the next best token.
+    """
 
     question: int
     tokens: tuple[int, ...]
@@ -58,7 +61,7 @@ class Canary(msgspec.Struct, frozen=True):
 
 
 class CanaryRecord(msgspec.Struct, frozen=True):
-    """What `adapter` answered in `runtime`."""
+    """The answers of `adapter` in `runtime`."""
 
     adapter: str
     runtime: str
@@ -66,10 +69,10 @@ class CanaryRecord(msgspec.Struct, frozen=True):
 
 
 class CanaryCheck:
-    """The canaries of one adapter in one runtime, kept in `folder`; recorded by the first process that is asked.
+    """The canaries of one adapter in one runtime, stored in `folder` and recorded by the first process that is checked.
 
-    `below` makes a planner without the adapter: one that answers the same with and without has no effect, and is
-    refused when it is recorded.
+    `open_without_adapter` starts a planner without the adapter: if it gives the same answer, the adapter has no effect
+    and is rejected at recording.
     """
 
     def __init__(
@@ -81,15 +84,15 @@ class CanaryCheck:
         *,
         config_hash: str = "",
     ) -> None:
-        """Watch the adapter of `card`; `worn` is the hash of what says how it is worn."""
+        """Check the adapter of `card`; `config_hash` is the hash of its LoRA settings."""
         name = hashlib.sha256(f"{card.id} {config_hash} {runtime}".encode()).hexdigest()[:32]
         self.path = folder / f"{name}.json"
         self._card, self._runtime, self._open_without_adapter = card, runtime, open_without_adapter
 
     def __call__(self, planner: LlamaPlanner, max_canaries: int = N_AT_START) -> str:
-        """What is wrong with the answers of `planner`, "" if nothing is; at most `most` canaries are asked.
+        """The fault in the answers of `planner`, "" if there is none; at most `max_canaries` are asked.
 
-        Raises `InvalidSetup` for a damaged record, `DiskFull` for one that cannot be written.
+        Raises `ConfigurationError` for a damaged record, `FileWriteError` for one that cannot be written.
         """
         known = self.read_record()
         if known is None:
@@ -100,9 +103,9 @@ class CanaryCheck:
         return ""
 
     def read_record(self) -> CanaryRecord | None:
-        """What is recorded of this adapter in this runtime, None before its first start; raises `InvalidSetup`.
+        """The record of this adapter in this runtime, None before the first start; raises `ConfigurationError`.
 
-        A record that is damaged, or of somebody else, is never replaced by whatever answers now.
+        A record that is damaged or of another adapter is never overwritten with present answers.
         """
         try:
             found = msgspec.json.decode(self.path.read_bytes(), type=CanaryRecord)
@@ -111,51 +114,52 @@ class CanaryCheck:
         except (OSError, ValueError, RecursionError) as error:
             raise self._corrupt_record_error(str(error)) from error
         if (found.adapter, found.runtime) != (self._card.id, self._runtime):
-            raise self._corrupt_record_error(f"the record of {found.adapter[:16]} in {found.runtime}")
+            raise self._corrupt_record_error(f"it is the record of {found.adapter[:16]} in {found.runtime}")
         if not found.canaries or not all(map(_is_valid, found.canaries)):
-            raise self._corrupt_record_error("canaries that cannot be asked")
+            raise self._corrupt_record_error("its canaries are incomplete")
         return found
 
-    def _corrupt_record_error(self, got: str) -> ConfigurationError:
+    def _corrupt_record_error(self, fault: str) -> ConfigurationError:
         fix = (
-            f"Fetch it from a backup, or, if you trust what serves now, delete it: the next start records anew. "
-            f"{self.path}"
+            f"Restore it from a backup, or, if you trust the present answers, delete it: the next start records "
+            f"them. {self.path}"
         )
-        return ConfigurationError(
-            f"canaries of adapter {self._card.id[:16]}", got=got, allowed="as first recorded", fix=fix
-        )
+        problem = f"The canary record of adapter {self._card.id[:16]} is damaged: {fault}."
+        return ConfigurationError.stating(problem, fix=fix)
 
     def _record_answers(self, planner: LlamaPlanner) -> str:
         """Record the canaries, the longest clear answer first."""
         answers = [(number, ask_canary(planner, self._card, number)) for number in range(len(CANARY_QUESTIONS))]
-        said = [(number, one) for number, one in answers if isinstance(one, RawCompletion)]
-        if not said:
-            return "no answer to any canary"
-        canaries = sorted((_cut_at_near_tie(number, one) for number, one in said), key=lambda one: -len(one.tokens))
+        complete_answers = [(number, one) for number, one in answers if isinstance(one, RawCompletion)]
+        if not complete_answers:
+            return "no canary was answered"
+        canaries = sorted(
+            (_cut_at_near_tie(number, one) for number, one in complete_answers), key=lambda one: -len(one.tokens)
+        )
         if not canaries[0].tokens:
-            return "no answer is clear enough to know it by"
+            return "no canary answer has margins large enough to identify the adapter"
         if self._has_no_effect(canaries[0]):
-            return "it answers as if no adapter were worn"
+            return "it answers as if no adapter were loaded"
         self.path.parent.mkdir(parents=True, exist_ok=True)
         record = CanaryRecord(self._card.id, self._runtime, tuple(one for one in canaries if one.tokens))
         write_atomically(self.path, msgspec.json.format(msgspec.json.encode(record), indent=2))
         return ""
 
     def _has_no_effect(self, canary: Canary) -> bool:
-        below = self._open_without_adapter()
+        without_adapter = self._open_without_adapter()
         try:
-            return not _describe_difference(canary, ask_canary(below, self._card, canary.question))
+            return not _describe_difference(canary, ask_canary(without_adapter, self._card, canary.question))
         finally:
-            below.close()
+            without_adapter.close()
 
 
 def ask_canary(planner: LlamaPlanner, card: AdapterCard, number: int) -> RawCompletion | ChatResponse:
-    """The answer to one canary question, after the beginning that every answer has."""
-    scene, words = CANARY_QUESTIONS[number]
+    """The answer to one canary question, after the prefix that all contracts share."""
+    scene, instruction = CANARY_QUESTIONS[number]
     turns = [
         {"role": turn["role"], "content": turn["content"]}
         for turn in render_short(
-            scene.format(robot=card.robot), words, robot=card.robot, registry=card.registry, contract_id="c-0001"
+            scene.format(robot=card.robot), instruction, robot=card.robot, registry=card.registry, contract_id="c-0001"
         )
     ]
     context = f'{{"id":"c-0001","context":{{"robot":"{card.robot}","registry":"{card.registry}"}},"action_sequence'
@@ -163,24 +167,24 @@ def ask_canary(planner: LlamaPlanner, card: AdapterCard, number: int) -> RawComp
 
 
 def _is_valid(canary: Canary) -> bool:
-    """Whether it is one that this program records."""
+    """Whether the canary has the form that this version records."""
     return canary.question in range(len(CANARY_QUESTIONS)) and 0 < len(canary.tokens) == len(canary.margins)
 
 
-def _cut_at_near_tie(number: int, said: RawCompletion) -> Canary:
-    """`said` up to its first token that is not clearly the best."""
-    count = next((place for place, margin in enumerate(said.margins) if margin < MIN_MARGIN), len(said.margins))
-    return Canary(number, said.tokens[:count], said.margins[:count])
+def _cut_at_near_tie(number: int, answer: RawCompletion) -> Canary:
+    """`answer` up to its first token without a sufficient margin."""
+    count = next((place for place, margin in enumerate(answer.margins) if margin < MIN_MARGIN), len(answer.margins))
+    return Canary(number, answer.tokens[:count], answer.margins[:count])
 
 
-def _describe_difference(canary: Canary, said: RawCompletion | ChatResponse) -> str:
-    """How `said` differs from what was recorded, "" if it does not."""
-    if isinstance(said, ChatResponse):
-        return f"canary {canary.question} was not answered ({said.finish_reason} {said.detail})".strip()
+def _describe_difference(canary: Canary, answer: RawCompletion | ChatResponse) -> str:
+    """How `answer` differs from the recorded one, "" if it does not."""
+    if isinstance(answer, ChatResponse):
+        return f"canary {canary.question} was not answered ({answer.finish_reason} {answer.detail})".strip()
     count = len(canary.tokens)
-    if said.tokens[:count] != canary.tokens:
-        return f"canary {canary.question} was answered otherwise: {said.text[-60:]!r}"
-    gaps = [abs(now - then) for now, then in zip(said.margins[:count], canary.margins, strict=True)]
+    if answer.tokens[:count] != canary.tokens:
+        return f"canary {canary.question} was answered differently: {answer.text[-60:]!r}"
+    gaps = [abs(now - then) for now, then in zip(answer.margins[:count], canary.margins, strict=True)]
     if (gap := sum(gaps) / max(1, count)) > MAX_MARGIN_DIFFERENCE:
-        return f"canary {canary.question} was answered alike, but its tokens are {gap:.2g} nats from what is recorded"
+        return f"canary {canary.question} has the recorded tokens, but its margins differ by {gap:.2g} nats on average"
     return ""

@@ -1,6 +1,6 @@
-"""Files for llama.cpp that are made of others, kept in the cache: made when first needed, verified whenever used.
+"""Cache of derived files for llama.cpp, made when first needed and verified at every use.
 
-They are adapters as GGUF-LoRA, and small bases in half precision.
+The files are adapters as GGUF-LoRA, and small bases in half precision.
 """
 
 from __future__ import annotations
@@ -20,29 +20,28 @@ from dualbrain.core.weights import find_weight_file
 from dualbrain.planner.backends.llama_process import LoadedAdapter
 
 MAX_HALF_PRECISION_BYTES = 512e6
-"""Bytes of a base in half precision; a larger one is served as it is."""
+"""Largest size [bytes] of a base in half precision; a larger base is served as it is."""
 
 
 def prepare_base(stack: AdapterStack, cache: Path) -> Path:
-    """The base file on which the adapters of `stack` are worn: of a small one that is quantised, the same in float16.
+    """The base file for the adapters of `stack`: a small quantised base in float16, any other base unchanged.
 
-    For a 4-bit matrix llama.cpp rounds activations to 8 bits, which the fit did not do, and near-ties turn
-    (docs/how-to/serve_planners.md).
+    For a 4-bit matrix llama.cpp rounds activations to 8 bits, which training does not do, so near-ties may be decided
+    differently (docs/how-to/serve_planners.md).
     """
     path = base_path(stack, cache)
     return path if path == stack.gguf else _make_if_missing(path, lambda: write_merged_gguf({}, stack.gguf, path))
 
 
 def base_path(stack: AdapterStack, cache: Path) -> Path:
-    """Where that file lies, or will when it is made.
+    """The path of that file, whether it exists or not.
 
-    To read what a base holds takes seconds, so that is done only where size and cache do not decide.
+    Reading the tensors of a base takes seconds, so they are read only if file size and cache do not decide.
     """
     path = _cache_folder(cache) / f"{stack.base}-{find_weight_file(stack.base).sha256[:16]}-f16.gguf"
     size = stack.gguf.stat().st_size
-    if (
-        size > MAX_HALF_PRECISION_BYTES / 2
-    ):  # with 8 bits or less a number, too large in half precision; with more, as good as that
+    # With 8 bits or fewer per number it is too large in half precision; with more, half precision has no benefit.
+    if size > MAX_HALF_PRECISION_BYTES / 2:
         return stack.gguf
     if path.is_file():
         return path
@@ -53,7 +52,7 @@ def base_path(stack: AdapterStack, cache: Path) -> Path:
 
 
 def prepare_adapters(stack: AdapterStack, cache: Path) -> tuple[LoadedAdapter, ...]:
-    """The adapters of `stack` as files that llama.cpp loads, the lowest first."""
+    """The adapters of `stack` as files for llama.cpp, the lowest first."""
     return tuple(
         LoadedAdapter(_converted_adapter(layer, stack, _cache_folder(cache)), layer.card.id) for layer in stack.layers
     )
@@ -66,16 +65,14 @@ def _cache_folder(cache: Path) -> Path:
 
 
 def _converted_adapter(layer: AdapterLayer, stack: AdapterStack, folder: Path) -> Path:
-    base, scaled = (
-        find_weight_file(stack.base).sha256,
-        hash_metadata_files(layer.folder)[CONFIG_FILE],
-    )  # α is in the config
-    path = folder / f"{layer.card.id[:32]}-{scaled[:16]}-on-{base[:16]}-v{CONVERTER_VERSION}.gguf"
+    base = find_weight_file(stack.base).sha256
+    config = hash_metadata_files(layer.folder)[CONFIG_FILE]  # the config contains α
+    path = folder / f"{layer.card.id[:32]}-{config[:16]}-on-{base[:16]}-v{CONVERTER_VERSION}.gguf"
     return _make_if_missing(path, lambda: convert_adapter(layer.folder, stack.gguf, path))
 
 
 def _make_if_missing(path: Path, make: Callable[[], object]) -> Path:
-    """The file at `path`; one that was torn or changed is made again."""
+    """The file at `path`; it is made again if it is incomplete or changed."""
     if not _is_intact(path):
         stamp = path.with_suffix(".sha256")
         stamp.unlink(missing_ok=True)
@@ -85,7 +82,7 @@ def _make_if_missing(path: Path, make: Callable[[], object]) -> Path:
 
 
 def _is_intact(path: Path) -> bool:
-    """Whether the file is there, as it was made."""
+    """Whether the file exists with its original content."""
     stamp = path.with_suffix(".sha256")
     return path.is_file() and stamp.is_file() and _file_hash(path) == stamp.read_text()
 

@@ -1,4 +1,4 @@
-"""From a name to a planner: models and servers as the planner's room has them, and adapters on top."""
+"""Opening a planner by name: models and servers of `dualbrain.planner`, and adapters."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ from dualbrain.planner.prompt.prompt_format import FULL_PROMPT, SHORT_PROMPT, Pr
 from dualbrain.planner.protocol import Planner
 
 N_CTX = 4096
-"""Tokens of context: the longest short prompt with its exemplars and the longest answer fit."""
+"""Tokens of context: the longest short prompt with exemplars plus the longest answer."""
 NAME_FORMS = (f"{ADAPTER_PREFIX}ID", f"{ADAPTER_PREFIX}{CHAMPION}", f"{SHADOW_PREFIX}ID@PLANNER", f"{TORCH_PREFIX}NAME")
-"""Names that are not spelt out in a list of those known."""
+"""Forms of names that a list of known names shows in addition."""
 CANARY_FOLDER, SHADOW_FOLDER = "canaries", "shadows"
 
 
@@ -57,17 +57,18 @@ def open_planner(
 ) -> Planner:
     """The planner called `name`, ready to propose.
 
-    `adapter:ID`, `adapter:champion`, the name of a packaged adapter, `shadow:ID@PLANNER` for a candidate that is asked
-    too and heard by nobody, `transformers:NAME` for a model or an adapter in torch; all else as
-    `planner.registry.open_planner` has it, unchanged. `adapters` is the folder of the registry. With `robot` (and the
-    hash `registry` of its vocabulary) an adapter that was not taught them is refused before anything is started;
-    `narrowed` names vocabularies that only narrow another one.
-    Raises `InvalidSetup`, `UnknownName`, `MissingPart`, `WrongHash`, `NotItself`.
+    `adapter:ID`, `adapter:champion` or the name of a packaged adapter; `shadow:ID@PLANNER` for a candidate that is
+    asked too and whose answers are only logged; `transformers:NAME` for a model or an adapter in torch; all other names
+    as in `planner.registry.open_planner`. `adapters` is the folder of the registry. With `robot` (and the hash
+    `registry` of its vocabulary) an adapter that was not trained for them is rejected before a process starts;
+    `narrowed_registries` maps narrower vocabularies to wider ones (see `require_compatible`). `timeout_s` [s] limits
+    one proposal. Raises `ConfigurationError`, `UnknownNameError`, `MissingDependencyError`, `ChecksumError`,
+    `AdapterMismatchError`.
     """
     config = LlamaConfig(threads=threads, n_ctx=N_CTX, timeout_s=timeout_s)
     if name.startswith(SHADOW_PREFIX):
         candidate, serving = parse_shadow_name(name)
-        with ExitStack() as unless_both:
+        with ExitStack() as on_failure:
             shadow = open_adapter(
                 candidate,
                 cache,
@@ -77,7 +78,7 @@ def open_planner(
                 config=config,
                 narrowed_registries=narrowed_registries,
             )
-            unless_both.callback(shadow.close)
+            on_failure.callback(shadow.close)
             served = open_planner(
                 serving,
                 cache,
@@ -91,9 +92,9 @@ def open_planner(
                 prompt_cache=prompt_cache,
                 narrowed_registries=narrowed_registries,
             )
-            unless_both.callback(served.close)
+            on_failure.callback(served.close)
             both = ShadowedPlanner(served, shadow, shadow_log_path(adapters, shadow.card.id))
-            unless_both.pop_all()
+            on_failure.pop_all()
             return both
     if name.startswith(TORCH_PREFIX):
         within = (threads, timeout_s)
@@ -121,7 +122,7 @@ def open_planner(
             name, cache, key=key, dialect=dialect, threads=threads, timeout_s=timeout_s, prompt_cache=prompt_cache
         )
     except UnknownNameError as error:
-        if error.kind != plain.UNKNOWN_NAME_KIND:  # of an address, which has a list of its own
+        if error.kind != plain.UNKNOWN_NAME_KIND:  # a part of an address, with its own list of known names
             raise
         known = (*plain.planner_names(), *packaged_names(), *NAME_FORMS)
         raise UnknownNameError(
@@ -130,14 +131,15 @@ def open_planner(
 
 
 def can_be_unconstrained(name: str) -> bool:
-    """Whether `open_unbound` can open `name`: models that run here, with an adapter or without."""
+    """Whether `open_unconstrained` can open `name`: local models, with or without an adapter."""
     return is_adapter(core := strip_torch_prefix(name)) or core in plain.planner_names()
 
 
 def open_unconstrained(name: str, cache: Path, *, adapters: Path, robot: str = "", registry: str = "") -> Planner:
-    """The planner called `name` with nothing that binds its answers: what it says then is what it knows.
+    """The planner called `name` with unconstrained decoding, so that an answer shows only the model's own knowledge.
 
-    For measuring; a gate stands before the robot whatever binds a planner. `unbinds` tells for which names.
+    For measurements; a gate checks the answers of any planner before a robot acts. `can_be_unconstrained` lists the
+    accepted names.
     """
     if name.startswith(TORCH_PREFIX):
         return _open_in_torch(
@@ -166,20 +168,20 @@ def open_adapter(
     prompt_format: PromptFormat = SHORT_PROMPT,
     narrowed_registries: Mapping[str, str] = {},
 ) -> AdaptedPlanner:
-    """The adapter called `name` as a planner; its canary has been asked when this returns."""
+    """The adapter called `name` as a planner; its first canary has been checked when this returns."""
     stack = load_stack(resolve_folder(name, AdapterRegistry(adapters), robot), cache)
     card = stack.top_card
     require_same_prompt(card)
     if robot:
         require_compatible(card, robot, registry, narrowed_registries)
     chosen = config or LlamaConfig(n_ctx=N_CTX)
-    with ExitStack() as unless_itself:
+    with ExitStack() as on_failure:
         planner = start_llama(stack, cache, chosen, name=proposal_author(name, stack), prompt_format=prompt_format)
-        unless_itself.callback(planner.close)
+        on_failure.callback(planner.close)
         adapted = AdaptedPlanner(
             planner, card, make_canary_check(planner, stack, cache, adapters, chosen), narrowed_registries
         )
-        unless_itself.pop_all()
+        on_failure.pop_all()
         return adapted
 
 
@@ -194,12 +196,15 @@ def _open_in_torch(
     unconstrained: bool = False,
     narrowed_registries: Mapping[str, str] = {},
 ) -> Planner:
-    """A model of the manifest, or an adapter, in transformers; raises `MissingPart` without the extra."""
+    """A model of the manifest, or an adapter, in transformers.
+
+    Raises `MissingDependencyError` without the extra `adapt`.
+    """
     try:
         from dualbrain.adaptation.serving.transformers_planner import TorchConfig, TorchPlanner  # noqa: PLC0415  (torch is an extra)
     except ModuleNotFoundError as error:
         fix = "Install it with `pip install 'dualbrain[adapt]'`."
-        raise MissingDependencyError(f"{error.name}, of the extra `adapt`,", fix=fix) from error
+        raise MissingDependencyError(f"The package {error.name} of the extra `adapt`", fix=fix) from error
     threads, timeout_s = limits
     config = TorchConfig(threads=threads, timeout_s=timeout_s)
     full, short = (
@@ -224,7 +229,7 @@ def _open_in_torch(
 
 
 def check_canaries(folder: Path, cache: Path, adapters: Path) -> str:
-    """What is wrong with the answers of the adapter in `folder` to all its canaries, "" if nothing is."""
+    """The fault in the answers of the adapter in `folder` to all its canaries, "" if there is none."""
     stack, config = load_stack(folder, cache), LlamaConfig(n_ctx=N_CTX)
     require_same_prompt(stack.top_card)
     planner = start_llama(stack, cache, config)
@@ -235,9 +240,9 @@ def check_canaries(folder: Path, cache: Path, adapters: Path) -> str:
 
 
 def local_runtime(folder: Path, cache: Path) -> str:
-    """The runtime in which the adapter in `folder` serves here, as a measurement names it; nothing is started.
+    """The runtime in which the adapter in `folder` serves here, as measurements name it; no process is started.
 
-    Raises as `stack_of` does.
+    Raises as `load_stack` does.
     """
     return runtime_name(base_path(load_stack(folder, cache), cache))
 
@@ -245,7 +250,7 @@ def local_runtime(folder: Path, cache: Path) -> str:
 def start_llama(
     stack: AdapterStack, cache: Path, config: LlamaConfig, *, name: str = "", prompt_format: PromptFormat = SHORT_PROMPT
 ) -> LlamaPlanner:
-    """A process of the stack's model with its adapters, asked by `asking`."""
+    """A llama.cpp process with the model and the adapters of `stack`, prompted in `prompt_format`."""
     base, adapters = prepare_base(stack, cache), prepare_adapters(stack, cache)
     return LlamaPlanner(name or stack.base, base, config, prompt_format=prompt_format, adapters=adapters)
 
@@ -253,30 +258,30 @@ def start_llama(
 def make_canary_check(
     planner: LlamaPlanner, stack: AdapterStack, cache: Path, adapters: Path, config: LlamaConfig
 ) -> CanaryCheck:
-    """The canaries of the adapter on top, in the runtime of `planner`, which wears it."""
+    """The canary check of the topmost adapter of `stack` in the runtime of `planner`."""
     runtime = runtime_name(planner.model)
-    worn_as = hash_metadata_files(stack.layers[-1].folder)[CONFIG_FILE]
+    config_hash = hash_metadata_files(stack.layers[-1].folder)[CONFIG_FILE]
     return CanaryCheck(
         adapters / CANARY_FOLDER,
         stack.top_card,
         runtime,
         lambda: start_llama(stack.without_top, cache, config),
-        config_hash=worn_as,
+        config_hash=config_hash,
     )
 
 
 def planner_provenance(planner: Planner) -> dict[str, str]:
-    """Prompt template and adapter of the planner that answers, for the record; empty for one without an adapter."""
+    """Prompt template and adapter of the planner that answers, for the episode record; empty without an adapter."""
     card: AdapterCard | None = getattr(planner, "card", None)
     return {"prompt": planner_template(planner), "adapter": card.id} if card else {}
 
 
 def shadow_log_path(adapters: Path, adapter: str) -> Path:
-    """Where the answers of a candidate in the shadow are written down."""
+    """The file that logs the shadow answers of a candidate."""
     return adapters / SHADOW_FOLDER / f"{adapter}.jsonl"
 
 
 def proposal_author(name: str, stack: AdapterStack) -> str:
-    """What is recorded as the author: the name of a packaged adapter, else base and id."""
+    """The author recorded for proposals: the name of a packaged adapter, else base and id."""
     short = name.removeprefix(ADAPTER_PREFIX)
     return short if short in packaged_names() else adapter_author(stack.top_card)

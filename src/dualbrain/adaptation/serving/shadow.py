@@ -1,7 +1,7 @@
-"""A candidate in the champion's shadow: asked what the champion is asked, heard by nobody, written down.
+"""Shadow mode: a candidate receives the questions of the serving planner, and its answers are only logged.
 
-Its answers move nothing; they tell how it does on real questions before it is promoted. The robot never waits for it: a
-question that comes while it still thinks is passed over and counted.
+The answers never reach a robot; they show how the candidate performs on real questions before a promotion. The robot
+never waits for the candidate: a question that arrives while it is busy is skipped and counted.
 """
 
 from __future__ import annotations
@@ -22,13 +22,14 @@ from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 
 JOIN_TIMEOUT_S = 2.0
-"""How long an answer under way is waited for at the end [s]; what came of it by then is written down."""
+"""Longest wait for a pending answer at the end [s]; the answer is logged if it arrives by then."""
 
 
 class ShadowRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """One question in the shadow: who answered it for good, and what the candidate would have said.
+    """One shadow question: the serving planner with its answer, and the answer of the candidate.
 
-    `passed_over` counts the questions that came meanwhile, or of which nothing could be written.
+    `finish` is the candidate's finish reason, `seconds` [s] its time. `passed_over` counts the questions since the last
+    record that were skipped or could not be logged.
     """
 
     served: str
@@ -42,15 +43,15 @@ class ShadowRecord(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def is_same(self) -> bool:
-        """Whether both answered alike."""
+        """Whether both answers are equal."""
         return self.finish == STOP and self.candidate_text == self.served_text
 
 
 class ShadowedPlanner:
-    """Proposes with `serving`; `candidate` is asked afterwards, and what it says goes to `log`, one line each."""
+    """Proposes with `serving`; afterwards `candidate` is asked the same, and its answer is appended to `log`."""
 
     def __init__(self, serving: Planner, candidate: Planner, log: Path) -> None:
-        """Let `candidate` stand in the shadow of `serving`; raises `InvalidSetup` if `log` cannot be written."""
+        """Run `candidate` in the shadow of `serving`; raises `ConfigurationError` if `log` cannot be written."""
         self.serving, self._candidate, self._log = serving, candidate, log
         self._thread: Thread | None = None
         self._lock, self._busy, self._passed_over = Lock(), False, 0
@@ -58,29 +59,29 @@ class ShadowedPlanner:
             log.parent.mkdir(parents=True, exist_ok=True)
             log.open("ab").close()
         except OSError as error:
-            raise ConfigurationError("log of the shadow", got=str(error), allowed="a file to write to") from error
+            raise ConfigurationError.stating(f"The shadow log cannot be written: {error}.") from error
 
     @property
     def name(self) -> str:
-        """Who answers."""
+        """The name of the serving planner."""
         return self.serving.name
 
     @property
     def template(self) -> str:
-        """Hash of the fixed text of the prompt that who answers reads."""
+        """Hash of the prompt template of the serving planner."""
         return planner_template(self.serving)
 
     @property
     def card(self) -> AdapterCard | None:
-        """The adapter of who answers, None for one without."""
+        """The adapter of the serving planner, None without one."""
         return getattr(self.serving, "card", None)
 
     def messages(self, request: PlanRequest) -> Sequence[ChatMessage]:
-        """What who answers reads for `request`."""
+        """The messages that the serving planner receives for `request`."""
         return planner_messages(self.serving, request)
 
     def propose(self, request: PlanRequest) -> Proposal:
-        """The answer of who serves; nothing waits for the shadow."""
+        """The answer of the serving planner; it does not wait for the candidate."""
         proposal = self.serving.propose(request)
         if self._try_begin():
             self._thread = Thread(target=self._ask_candidate, args=(request, proposal), name="shadow", daemon=True)
@@ -88,7 +89,7 @@ class ShadowedPlanner:
         return proposal
 
     def close(self) -> None:
-        """End both; an answer of the candidate that is under way has a short while left."""
+        """Close both planners; a pending answer of the candidate has `JOIN_TIMEOUT_S` left."""
         self._join()
         self.serving.close()
         self._candidate.close()
@@ -99,39 +100,39 @@ class ShadowedPlanner:
             self._thread.join(JOIN_TIMEOUT_S)
 
     def _try_begin(self) -> bool:
-        """Whether the candidate is free for a question; one that it is not free for is counted."""
+        """Whether the candidate is free; if it is not, the question is counted as skipped."""
         with self._lock:
             free, self._busy = not self._busy, True
             self._passed_over += not free
         return free
 
     def _end(self) -> int:
-        """Set the candidate free; the number of questions that were passed over until now."""
+        """Release the candidate and return the number of questions skipped until now."""
         with self._lock:
             passed_over, self._passed_over, self._busy = self._passed_over, 0, False
         return passed_over
 
     def _ask_candidate(self, request: PlanRequest, served: Proposal) -> None:
-        said = self._candidate_proposal(request)
-        glance = ShadowRecord(
+        proposal = self._candidate_proposal(request)
+        record = ShadowRecord(
             served=served.planner,
-            candidate=said.planner,
+            candidate=proposal.planner,
             instruction=request.instruction,
             served_text=served.text,
-            candidate_text=said.text,
-            finish=said.finish_reason,
-            seconds=said.timings.get("total", 0.0),
+            candidate_text=proposal.text,
+            finish=proposal.finish_reason,
+            seconds=proposal.timings.get("total", 0.0),
             passed_over=self._end(),
         )
         try:
             with self._log.open("ab") as log:
-                log.write(msgspec.json.encode(glance) + b"\n")
+                log.write(msgspec.json.encode(record) + b"\n")
         except OSError:
             with self._lock:
-                self._passed_over += 1 + glance.passed_over
+                self._passed_over += 1 + record.passed_over
 
     def _candidate_proposal(self, request: PlanRequest) -> Proposal:
-        """What the candidate says; whatever it raises is its finish reason."""
+        """The proposal of the candidate; any exception becomes its finish reason."""
         try:
             return self._candidate.propose(request)
         except Exception as error:
@@ -141,9 +142,9 @@ class ShadowedPlanner:
 
 
 def read_shadow_log(log: Path) -> tuple[ShadowRecord, ...]:
-    """What was written down; a last line that a crash cut off never happened.
+    """The records of the log; an incomplete last line, left by a crash, is ignored.
 
-    Raises `InvalidSetup` for any other line that cannot be read.
+    Raises `ConfigurationError` for any other unreadable line.
     """
     if not log.is_file():
         return ()
@@ -151,33 +152,32 @@ def read_shadow_log(log: Path) -> tuple[ShadowRecord, ...]:
     try:
         return tuple(msgspec.json.decode(line, type=ShadowRecord) for line in lines)
     except DECODE_ERRORS as error:
-        raise ConfigurationError(
-            "log of the shadow", got=str(error), allowed="as it was written", fix=str(log)
-        ) from error
+        fix = f"Restore it from a backup, or delete it. {log}"
+        raise ConfigurationError.stating(f"The shadow log is damaged: {error}.", fix=fix) from error
 
 
 def count_complete(seen: Sequence[ShadowRecord]) -> int:
-    """How many answers came to their end."""
+    """The number of complete answers."""
     return sum(one.finish == STOP for one in seen)
 
 
 def filter_by_serving(seen: Sequence[ShadowRecord], serves: Callable[[str], bool]) -> tuple[ShadowRecord, ...]:
-    """Those in the shadow of who `serves`, an author as proposals name it, in whatever runtime."""
+    """The records whose serving planner satisfies `serves`; it receives the author's name without the runtime."""
     return tuple(one for one in seen if serves(one.served.removesuffix(TORCH_SUFFIX)))
 
 
 def summarize_shadow(seen: tuple[ShadowRecord, ...]) -> str:
-    """How a candidate did in the shadow, in words."""
+    """The performance of a candidate in the shadow, in words."""
     if not seen:
-        return "never asked in the shadow"
+        return "no shadow answers"
     same, errors = sum(one.is_same for one in seen), sum(one.finish.startswith(ERROR) for one in seen)
     passed_over = sum(one.passed_over for one in seen)
-    told = (
-        f"asked {len(seen)} times in the shadow: {count_complete(seen)} whole answers, {same} as who served, "
+    summary = (
+        f"{len(seen)} shadow answers: {count_complete(seen)} complete, {same} equal to the served answer, "
         f"{median([one.seconds for one in seen if one.seconds] or [0.0]):.1f} s each (median)"
     )
     if errors:
-        told += f"; errors: {errors}"
+        summary += f"; errors: {errors}"
     if passed_over:
-        told += f"; {passed_over} more passed over, while it still thought or nothing could be written"
-    return told
+        summary += f"; {passed_over} more questions skipped, because the candidate was busy or the log not writable"
+    return summary

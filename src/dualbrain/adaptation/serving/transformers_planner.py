@@ -1,8 +1,8 @@
-"""A planner in transformers: the training twin of what serves, and for bases that the converter refuses.
+"""A planner in transformers: the model as in training, and for bases that the llama.cpp converter rejects.
 
-Base and adapters in torch, in this process, float32; the same prompt, the same beginning and the same grammar as in
-llama.cpp. Larger (950 MB for the small model), but many questions may be asked at once, and what is forced or foreseen
-is given ahead (`ahead.py`). It is chosen by name only.
+Base and adapters run in torch in this process, in float32, with the same prompt, answer prefix and grammar as in
+llama.cpp. It needs more memory (950 MB for the small model) but decodes many questions at once and uses
+`speculative_decoding`. It is selected by name only.
 """
 
 # pyright: reportMissingImports=false
@@ -38,13 +38,15 @@ from dualbrain.records import Proposal
 
 
 def load_stacked_model(stack: AdapterStack, cache: Path) -> tuple[Any, Any]:
-    """Model and tokenizer in float32, with all adapters of `stack` in its weights, read as they are for llama.cpp.
+    """Model and tokenizer in float32, with all adapters of `stack` merged into the weights.
 
-    Raises `InvalidSetup` for an adapter that has no place in the base, as the converter for llama.cpp does.
+    Raises `ConfigurationError` for an adapter that does not match the base, as the converter for llama.cpp does.
     """
-    worn = tuple(layer.folder for layer in stack.layers)
+    folders = tuple(layer.folder for layer in stack.layers)
     return load_base_model(
-        BaseModel(name=stack.base, gguf=stack.gguf, gguf_sha256=find_weight_file(stack.base).sha256, stacked_on=worn),
+        BaseModel(
+            name=stack.base, gguf=stack.gguf, gguf_sha256=find_weight_file(stack.base).sha256, stacked_on=folders
+        ),
         cache,
         torch.float32,
     )
@@ -52,9 +54,9 @@ def load_stacked_model(stack: AdapterStack, cache: Path) -> tuple[Any, Any]:
 
 @dataclass(frozen=True, slots=True)
 class TorchConfig:
-    """As `LlamaConfig`: processor threads, tokens of an answer, one time limit for a proposal with its load [s].
+    """As `LlamaConfig`: processor threads, maximum tokens of an answer, time limit of a proposal including loading [s].
 
-    `at_once`: questions that are asked side by side, where many are waiting; the time limit is that of all of these.
+    `batch_size` questions are decoded side by side; the time limit applies to the batch.
     """
 
     threads: int = 1
@@ -64,9 +66,9 @@ class TorchConfig:
 
 
 class TorchPlanner:
-    """Proposes with the adapters of `stack` on its dequantised base; loads with the first proposal.
+    """Proposes with the adapters of `stack` on its dequantised base; the first proposal loads the model.
 
-    On a GPU where torch has one, else on the processor.
+    It runs on a GPU if torch has one, else on the CPU.
     """
 
     def __init__(
@@ -80,7 +82,10 @@ class TorchPlanner:
         clock: Callable[[], float] = time.monotonic,
         narrowed_registries: Mapping[str, str] = {},
     ) -> None:
-        """Nothing is read yet. An adapter also answers in the vocabularies of `narrowed`."""
+        """Read nothing yet.
+
+        `narrowed_registries` maps narrower vocabularies to wider ones (see `require_compatible`).
+        """
         self.name, self.stack = name, stack
         self._cache, self._prompt_format, self._config, self._clock = (
             cache,
@@ -93,20 +98,20 @@ class TorchPlanner:
 
     @property
     def card(self) -> AdapterCard | None:
-        """The adapter that is served, None for a bare model."""
+        """The adapter that is served, None for a model without adapter."""
         return self.stack.top_card if self.stack.layers else None
 
     @property
     def template(self) -> str:
-        """Hash of the prompt's fixed text."""
+        """Hash of the prompt template."""
         return self._prompt_format.template_hash()
 
     def propose(self, request: PlanRequest) -> Proposal:
-        """Answer `request`. Raises `InvalidSetup` for a robot, vocabulary or schema that is not the adapter's."""
+        """Answer `request`. Raises `ConfigurationError` for another robot, vocabulary or schema than the adapter's."""
         return self.propose_all([request])[0]
 
     def propose_all(self, requests: Sequence[PlanRequest]) -> list[Proposal]:
-        """Answer each of `requests` as if it were the only one, `at_once` of them side by side."""
+        """Answer each of `requests` as if it were the only one, `batch_size` of them side by side."""
         step = self._config.batch_size
         return [
             answer
@@ -115,13 +120,13 @@ class TorchPlanner:
         ]
 
     def messages(self, request: PlanRequest) -> list[ChatMessage]:
-        """What the model reads for `request`, with the beginning of the answer that it is given."""
-        beginning = self._prompt_format.answer_prefix(request)
-        given: list[ChatMessage] = [{"role": "assistant", "content": beginning}] if beginning else []
-        return [*self._prompt_format.messages(request), *given]
+        """The messages that the model receives for `request`, with the prefix of the answer."""
+        prefix = self._prompt_format.answer_prefix(request)
+        prefix_turn: list[ChatMessage] = [{"role": "assistant", "content": prefix}] if prefix else []
+        return [*self._prompt_format.messages(request), *prefix_turn]
 
     def close(self) -> None:
-        """Let go of the model."""
+        """Release the model."""
         self._loaded = None
 
     def _propose_batch(self, requests: Sequence[PlanRequest]) -> list[Proposal]:
@@ -129,50 +134,55 @@ class TorchPlanner:
             if self.stack.layers:
                 require_compatible(self.stack.top_card, request.robot, request.registry_hash, self._narrowed_registries)
         grammars = [self._answer_grammar(request) for request in requests]
-        begun = self._clock()
+        start = self._clock()
         model, tokenizer, vocabulary = self._load_model()
         loaded = self._clock()
-        beginnings = [self._prompt_format.answer_prefix(request) for request in requests]
-        replies = [
-            self._make_stream(request, beginning, grammar, tokenizer, vocabulary)
-            for request, beginning, grammar in zip(requests, beginnings, grammars, strict=True)
+        prefixes = [self._prompt_format.answer_prefix(request) for request in requests]
+        streams = [
+            self._make_stream(request, prefix, grammar, tokenizer, vocabulary)
+            for request, prefix, grammar in zip(requests, prefixes, grammars, strict=True)
         ]
         torch.set_num_threads(self._config.threads)
-        generate(model, replies, lambda: self._clock() > begun + self._config.timeout_s)
-        took = {"load": loaded - begun, "decode": self._clock() - loaded, "total": self._clock() - begun}
-        took["at_once"] = float(len(requests))
+        generate(model, streams, lambda: self._clock() > start + self._config.timeout_s)
+        timings = {"load": loaded - start, "decode": self._clock() - loaded, "total": self._clock() - start}
+        timings["at_once"] = float(len(requests))
         return [
-            self._proposal(request, reply, beginning, tokenizer, took)
-            for request, reply, beginning in zip(requests, replies, beginnings, strict=True)
+            self._proposal(request, stream, prefix, tokenizer, timings)
+            for request, stream, prefix in zip(requests, streams, prefixes, strict=True)
         ]
 
     def _make_stream(
-        self, request: PlanRequest, beginning: str, grammar: str, tokenizer: Any, vocabulary: Any
+        self, request: PlanRequest, prefix: str, grammar: str, tokenizer: Any, vocabulary: Any
     ) -> DecodingStream:
         turns = [{"role": turn["role"], "content": turn["content"]} for turn in self._prompt_format.messages(request)]
-        given = [*tokenize_prompt(tokenizer, turns)]
-        given += tokenizer(beginning, add_special_tokens=False)["input_ids"] if beginning else []
-        bound = GrammarConstraint(vocabulary, grammar) if grammar else None
+        prompt_tokens = [*tokenize_prompt(tokenizer, turns)]
+        prompt_tokens += tokenizer(prefix, add_special_tokens=False)["input_ids"] if prefix else []
+        constraint = GrammarConstraint(vocabulary, grammar) if grammar else None
         guide = None if grammar else GrammarConstraint(vocabulary, contract_grammar(request.schema))
         seed = self._prompt_format.sampling_seed(request)
-        longest = self._config.max_tokens
+        max_tokens = self._config.max_tokens
         return DecodingStream(
-            given, end_token=tokenizer.eos_token_id, max_tokens=longest, constraint=bound, guide=guide, seed=seed
+            prompt_tokens,
+            end_token=tokenizer.eos_token_id,
+            max_tokens=max_tokens,
+            constraint=constraint,
+            guide=guide,
+            seed=seed,
         )
 
     def _proposal(
-        self, request: PlanRequest, reply: DecodingStream, beginning: str, tokenizer: Any, took: dict[str, float]
+        self, request: PlanRequest, stream: DecodingStream, prefix: str, tokenizer: Any, timings: dict[str, float]
     ) -> Proposal:
-        finish = protocol.STOP if reply.is_complete else protocol.LENGTH if reply.is_finished else protocol.TIMEOUT
-        text = beginning + tokenizer.decode(reply.output_tokens, skip_special_tokens=True)
-        counts = {"prompt_tokens": float(len(reply.prompt_tokens)), "output_tokens": float(len(reply.output_tokens))}
-        said = text if finish != protocol.TIMEOUT else ""
+        finish = protocol.STOP if stream.is_complete else protocol.LENGTH if stream.is_finished else protocol.TIMEOUT
+        text = prefix + tokenizer.decode(stream.output_tokens, skip_special_tokens=True)
+        counts = {"prompt_tokens": float(len(stream.prompt_tokens)), "output_tokens": float(len(stream.output_tokens))}
+        answer = text if finish != protocol.TIMEOUT else ""
         return Proposal(
-            text=said,
+            text=answer,
             finish_reason=finish,
             planner=self.name,
             constrained_by=self._constrained_by(request),
-            timings=took | counts,
+            timings=timings | counts,
         )
 
     def _load_model(self) -> tuple[Any, Any, Any]:
@@ -189,8 +199,8 @@ class TorchPlanner:
             jsonschema_rs.validator_for(request.schema)
             return self._prompt_format.grammar(request.schema)
         except (KeyError, TypeError, ValueError) as error:
-            got = json.dumps(str(error))
-            raise ConfigurationError("decoding schema", got=got, allowed="an object with action_sequence") from error
+            problem = f"The decoding schema must be an object with action_sequence: {json.dumps(str(error))}."
+            raise ConfigurationError.stating(problem) from error
 
     def _constrained_by(self, request: PlanRequest) -> str:
         version = llguidance.get_version() if hasattr(llguidance, "get_version") else ""

@@ -1,4 +1,4 @@
-"""Lessons as a data set, like any other that an adapter is fitted on, and who judges the answers meanwhile."""
+"""Synthetic examples as a data set, and the judge of answers during training on it."""
 
 from __future__ import annotations
 
@@ -25,15 +25,19 @@ SYNTHETIC_ADAPT_CONFIG = AdaptConfig(
     objective=ObjectiveConfig(lambda_w=0.0, lambda_h=0.0, beta=0.0, entropy_gate="none"),
     fit=FitConfig(steps=600, batch=4, at_once=2, save_every=25, ask_at_most=0, patience=9, threads=2),
 )
-"""Plain fine-tuning: there is nothing to weigh in lessons, and nothing of the model's manners to keep."""
+"""Plain supervised fine-tuning: synthetic examples have no memory weights, and the KL term has nothing to preserve."""
 N_TRAIN_EXAMPLES, N_CHECK_EXAMPLES = 2400, 20
-"""One epoch of the dials; checked by their loss alone, for free answers take as long as twenty steps."""
+"""One epoch of these settings. The held-out part is evaluated by its loss only, because generating answers takes as
+long as twenty steps."""
 
 
 def build_synthetic_dataset(
     train: Sequence[Sample], held_out: Sequence[Sample], registries: Mapping[str, SkillRegistry]
 ) -> Dataset:
-    """The data set that teaches `taught` and asks `asked` meanwhile; its first robot is the first of `registries`."""
+    """The data set with training part `train` and held-out part `held_out`.
+
+    The robot of its card is the first of `registries`; the others are in `also`.
+    """
     hashes = {name: registry.hash for name, registry in registries.items()}
     first = next(iter(hashes))
     rows = (*train, *held_out)
@@ -64,21 +68,21 @@ def build_synthetic_dataset(
 
 
 def synthetic_dataset_differences(card: DatasetCard, registries: Mapping[str, SkillRegistry]) -> str:
-    """In what the data set of `card` is another than a course of `registries`, of its length; "" if in none."""
+    """How the data set of `card` differs from a synthetic one for `registries`, in words; "" if it does not."""
     hashes = {name: registry.hash for name, registry in registries.items()}
     first = next(iter(hashes))
-    made = {"form": SAMPLE_FORMAT, "robot": first, "registry": hashes.pop(first), "also": hashes}
-    return card_differences(card, made | {"train": N_TRAIN_EXAMPLES, "held_out": N_CHECK_EXAMPLES})
+    expected = {"form": SAMPLE_FORMAT, "robot": first, "registry": hashes.pop(first), "also": hashes}
+    return card_differences(card, expected | {"train": N_TRAIN_EXAMPLES, "held_out": N_CHECK_EXAMPLES})
 
 
 def make_language_judge(registries: Mapping[str, SkillRegistry]) -> AnswerJudge:
-    """Accepts what the gate of the sample's robot accepts, and a refusal exactly where the sample refuses.
+    """A judge that accepts what the gate of the sample's robot accepts, and a decline only where the sample declines.
 
-    Without the rules on geometry and body, as `gate_judge`; no lesson was drawn that the whole gate refuses.
+    The rules on geometry and robot are not checked, as in `make_gate_judge`; no example violates them.
     """
     gates = {name: Gate(registry, {"planner": frozenset(registry.by_name)}) for name, registry in registries.items()}
 
-    def sound(text: str, sample: Sample) -> bool:
+    def is_valid(text: str, sample: Sample) -> bool:
         robot = msgspec.json.decode(sample.contract, type=Contract).context.robot
 
         def accepts(data: bytes) -> bool:
@@ -87,4 +91,4 @@ def make_language_judge(registries: Mapping[str, SkillRegistry]) -> AnswerJudge:
 
         return score_answer(text, sample.contract, registries[robot], accepts).compliant
 
-    return sound
+    return is_valid

@@ -1,8 +1,8 @@
-"""One lesson: a scene in symbols, an instruction about it, and a contract that answers it and that the gate accepts.
+"""One synthetic example: a scene summary, an instruction about it, and a contract that answers it and passes the gate.
 
-Names and their order follow from the instruction. All that it leaves open is drawn at random, or mostly taken from the
-first exemplar, where the prompt shows some: exemplars are drawn at random too. So a model that is taught this speaks
-the language of contracts and follows what memory shows it; it knows nothing of what a body makes of a contract.
+Names and their order follow from the instruction. All other parameters are drawn at random, or mostly copied from the
+first exemplar if the prompt shows some; exemplars are random too. A model trained on these examples knows the language
+of contracts and follows exemplars of memory, but knows nothing about the outcome of a contract on a robot.
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ from dualbrain.contracts.skill_spec import ChoiceParameter, NameParameter, Numbe
 from dualbrain.planner.prompt.short_prompt import MAX_SHOWN_EXEMPLARS, exemplar_steps, render_short_with_steps
 
 SOURCE = "templates"
-"""Who proposed these contracts: nobody that plans."""
+"""The source of these contracts in a data set: no planner proposed them."""
 MAX_DRAWS = 40
-"""How often parameters are drawn for one instruction before it is given up: some things cannot be grasped at all."""
+"""Maximum number of parameter draws for one instruction: some objects cannot be grasped at all."""
 EXEMPLAR_SHARE, FOLLOW_SHARE = 0.5, 0.8
-"""How often exemplars are shown, and how often the answer then takes its open parameters from the first."""
+"""Share of examples with exemplars, and share of those in which the answer copies its parameters from the first one."""
 EXEMPLAR_COUNT_SHARES = (0.6, 0.25, 0.15)
-"""How often one, two or three are shown."""
+"""Shares of one, two and three exemplars."""
 SAME_SKILLS_SHARE = 0.6
-"""How often an exemplar has the skills of the answer; else those of another errand."""
+"""Share of exemplars with the skills of the answer; the others are of another task."""
 FOREIGN_CATEGORIES = ("tin", "block", "can", "box", "cube")
-"""Kinds of things that exemplars from other scenes are about."""
+"""Categories of objects in exemplars from other scenes."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SceneContext:
-    """Where a lesson is taught: the `scene`'s name, its `summary` in symbols, the names in it.
+    """The scene of an example: its name `scene`, its `summary` in symbols, and the names in it.
 
-    `accepts` is the gate with the scene's rules (reach, opening, hand); `mobile` says that the robot drives.
+    `accepts` is the gate with the rules of the scene (reach, opening, hand); `mobile` states that the robot drives.
     """
 
     registry: SkillRegistry
@@ -62,41 +62,42 @@ def generate_example(
     *,
     exemplar_share: float = EXEMPLAR_SHARE,
 ) -> Sample | None:
-    """A lesson in this setting, None if what was drawn cannot be done here; `exemplars` is how often some are shown."""
-    errand = draw_instruction(context.names, context.mobile, book, phrasings, rng)
-    if errand is None:
+    """An example in this scene, None if the drawn task is impossible here.
+
+    `exemplar_share` is the share of examples with exemplars in the prompt.
+    """
+    task = draw_instruction(context.names, context.mobile, book, phrasings, rng)
+    if task is None:
         return None
-    return next(
-        filter(None, (_try_example(context, errand, book, exemplar_share, rng) for _ in range(MAX_DRAWS))), None
-    )
+    return next(filter(None, (_try_example(context, task, book, exemplar_share, rng) for _ in range(MAX_DRAWS))), None)
 
 
 def free_parameters(registry: SkillRegistry, action: Action, decided: Sequence[str] = ()) -> dict[str, ParameterValue]:
-    """The parameters of `action` that no sentence decides: all but names and texts, without the `decided`."""
+    """The parameters of `action` that an instruction leaves open: numbers and choices, without those `decided`."""
     specs = registry.skill(action.skill).parameters
-    open_ones = {spec.name for spec in specs if isinstance(spec, NumberParameter | ChoiceParameter)} - set(decided)
-    return {name: value for name, value in action.params.items() if name in open_ones}
+    open_names = {spec.name for spec in specs if isinstance(spec, NumberParameter | ChoiceParameter)} - set(decided)
+    return {name: value for name, value in action.params.items() if name in open_names}
 
 
 def _try_example(
-    setting: SceneContext, errand: InstructionSample, book: TemplateBook, exemplars: float, rng: np.random.Generator
+    context: SceneContext, task: InstructionSample, book: TemplateBook, exemplar_share: float, rng: np.random.Generator
 ) -> Sample | None:
-    """The lesson with one draw of all that is open, None if the gate refuses it."""
-    registry, shown = setting.registry, [list[Action]() for _ in range(_draw_exemplar_count(exemplars, rng))]
+    """An example with one draw of all open parameters, None if the gate rejects it."""
+    registry, shown = context.registry, [list[Action]() for _ in range(_draw_exemplar_count(exemplar_share, rng))]
     for exemplar in shown:
         exemplar += [
-            draw_action(registry, skill, given, rng) for skill, given in _exemplar_steps(setting, errand, book, rng)
+            draw_action(registry, skill, given, rng) for skill, given in _exemplar_steps(context, task, book, rng)
         ]
     follow = shown[0] if shown and rng.random() < FOLLOW_SHARE else []
     contract = Contract(
-        CONTRACT_ID, Context(registry.robot, registry.hash), _draw_actions(registry, errand.steps, follow, rng)
+        CONTRACT_ID, Context(registry.robot, registry.hash), _draw_actions(registry, task.steps, follow, rng)
     )
     text = canonical_contract(contract, registry)
-    if not setting.accepts(text.encode()):
+    if not context.accepts(text.encode()):
         return None
     steps = [exemplar_steps({"action_sequence": msgspec.to_builtins(exemplar)}) for exemplar in shown]
     prompt = render_short_with_steps(
-        steps, setting.summary, errand.sentence, robot=registry.robot, registry=registry.hash, contract_id=CONTRACT_ID
+        steps, context.summary, task.sentence, robot=registry.robot, registry=registry.hash, contract_id=CONTRACT_ID
     )
     messages = [{"role": turn["role"], "content": turn["content"]} for turn in prompt]
     return Sample(
@@ -107,48 +108,51 @@ def _try_example(
         Delta=0.0,
         duration=0.0,
         repeats=1,
-        scene=setting.scene,
+        scene=context.scene,
         memory="",
         events=(),
         source=SOURCE,
-        graspable=setting.names.graspable,
-        receptive=setting.names.receptive,
+        graspable=context.names.graspable,
+        receptive=context.names.receptive,
     )
 
 
 def _draw_actions(
     registry: SkillRegistry, steps: SkillSteps, follow: Sequence[Action], rng: np.random.Generator
 ) -> tuple[Action, ...]:
-    """The steps with what is open taken from the same skill in `follow` (its n-th for the n-th, else the last)."""
+    """The actions of `steps`, with open parameters copied from the same skill in `follow`.
+
+    The n-th use of a skill copies from its n-th use in `follow`, else from the last one.
+    """
     actions: list[Action] = []
     for skill, given in steps:
         models = [one for one in follow if one.skill == skill]
         turn = sum(one.skill == skill for one in actions)
-        habit = free_parameters(registry, models[min(turn, len(models) - 1)], tuple(given)) if models else {}
-        actions.append(draw_action(registry, skill, habit | given, rng))
+        copied = free_parameters(registry, models[min(turn, len(models) - 1)], tuple(given)) if models else {}
+        actions.append(draw_action(registry, skill, copied | given, rng))
     return tuple(actions)
 
 
 def _exemplar_steps(
-    setting: SceneContext, errand: InstructionSample, book: TemplateBook, rng: np.random.Generator
+    context: SceneContext, task: InstructionSample, book: TemplateBook, rng: np.random.Generator
 ) -> SkillSteps:
-    """The steps of an exemplar: those of the errand or of a plain one, about things of this scene or of another."""
-    plain = book.kinds["go" if setting.mobile else "put_in"].contract
+    """The steps of an exemplar: those of the task or of a simple one, about objects of this scene or of another."""
+    simple_task = book.kinds["go" if context.mobile else "put_in"].contract
     skills: list[str] = (
-        [skill for skill, _ in errand.steps] if errand.is_possible and rng.random() < SAME_SKILLS_SHARE else []
+        [skill for skill, _ in task.steps] if task.is_possible and rng.random() < SAME_SKILLS_SHARE else []
     )
-    skills = skills or [step["skill"] for step in plain]
-    return tuple((skill, _draw_names(setting, skill, book, rng)) for skill in skills)
+    skills = skills or [step["skill"] for step in simple_task]
+    return tuple((skill, _draw_names(context, skill, book, rng)) for skill in skills)
 
 
 def _draw_names(
-    setting: SceneContext, skill: str, book: TemplateBook, rng: np.random.Generator
+    context: SceneContext, skill: str, book: TemplateBook, rng: np.random.Generator
 ) -> dict[str, ParameterValue]:
-    """A name for every name that `skill` wants."""
+    """A value for every name parameter of `skill`."""
     given: dict[str, ParameterValue] = {}
-    for spec in setting.registry.skill(skill).parameters:
+    for spec in context.registry.skill(skill).parameters:
         if isinstance(spec, NameParameter):
-            here = setting.names.names_of_kind(spec.of)
+            here = context.names.names_of_kind(spec.of)
             foreign = f"{rng.choice(book.absent.colours)}_{rng.choice(FOREIGN_CATEGORIES)}"
             given[spec.name] = (
                 foreign if spec.of == "graspable" and rng.random() < SAME_SKILLS_SHARE else str(rng.choice(here))
@@ -156,7 +160,9 @@ def _draw_names(
     return given
 
 
-def _draw_exemplar_count(often: float, rng: np.random.Generator) -> int:
+def _draw_exemplar_count(exemplar_share: float, rng: np.random.Generator) -> int:
     return (
-        int(rng.choice(np.arange(1, MAX_SHOWN_EXEMPLARS + 1), p=EXEMPLAR_COUNT_SHARES)) if rng.random() < often else 0
+        int(rng.choice(np.arange(1, MAX_SHOWN_EXEMPLARS + 1), p=EXEMPLAR_COUNT_SHARES))
+        if rng.random() < exemplar_share
+        else 0
     )

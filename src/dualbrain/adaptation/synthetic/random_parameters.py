@@ -1,4 +1,4 @@
-"""Random valid parameters: every number anywhere within its bounds, every choice as likely as the others."""
+"""Random valid parameters: numbers uniform within their bounds, all choices equally likely."""
 
 from __future__ import annotations
 
@@ -13,13 +13,16 @@ from dualbrain.contracts.skill_spec import ChoiceParameter, NumberParameter
 from dualbrain.errors import ConfigurationError
 
 MIN_GRID_STEPS = 10
-"""A range is drawn from in at least this many steps of a power of ten, so that a number has few digits."""
+"""Minimum number of grid steps (a power of ten) in a range, so that drawn numbers have few digits."""
 
 
 def draw_action(
     registry: SkillRegistry, skill: str, given: Mapping[str, ParameterValue], rng: np.random.Generator
 ) -> Action:
-    """`skill` with the `given` parameters, all others drawn; nothing here knows what a body does with them."""
+    """`skill` with the `given` parameters; all others are drawn, without regard to their effect on a robot.
+
+    Raises `ConfigurationError` for a name or text parameter that is not given.
+    """
     drawn: dict[str, ParameterValue] = {}
     for parameter in registry.skill(skill).parameters:
         match parameter:
@@ -30,13 +33,13 @@ def draw_action(
             case ChoiceParameter():
                 drawn[parameter.name] = str(rng.choice(parameter.choices))
             case _:
-                allowed = "given: names and texts are not drawn"
-                raise ConfigurationError(f"{skill}.{parameter.name}", got="nothing", allowed=allowed)
+                problem = f"The parameter {skill}.{parameter.name} is not given, and names and texts cannot be drawn."
+                raise ConfigurationError.stating(problem)
     return Action(skill, drawn)
 
 
 def draw_number(number: NumberParameter, rng: np.random.Generator) -> float:
-    """A number within the bounds of `number`, on a grid of powers of ten; the lower bound if no point lies between."""
+    """A number within the bounds of `number`, on a grid of powers of ten; the lower bound if the range is empty."""
     span = number.upper - number.lower
     if span <= 0.0:
         return number.lower

@@ -1,4 +1,4 @@
-"""What a free answer is worth: is it JSON, would the gate accept it, does it do what was said, in the right order?"""
+"""Scores of an unconstrained answer: is it JSON, does the gate accept it, and does it do as instructed?"""
 
 from __future__ import annotations
 
@@ -13,13 +13,15 @@ from dualbrain.contracts.skill_spec import NameParameter
 from dualbrain.errors import DECODE_ERRORS
 
 INSTRUCTED_NUMBERS = frozenset({("hold", "duration"), ("turn_to", "heading")})
-"""Numbers that the instruction gives; all others are the planner's to choose."""
+"""Numbers that the instruction states; the planner chooses all others."""
 
 
 class AnswerScore(msgspec.Struct, frozen=True):
-    """One answer. `compliant`: accepted by whoever judges, and declined exactly where the instruction is impossible.
+    """Scores of one answer.
 
-    `skills`: the wanted skills in the wanted order. `named`: the right things and places in them, and numbers as said.
+    `json`: it is valid JSON. `compliant`: the judge accepts it, and it declines exactly if the reference does.
+    `skills`: the skills of the reference in its order. `named`: with the same names, and the numbers of the
+    instruction.
     """
 
     json: bool
@@ -29,12 +31,12 @@ class AnswerScore(msgspec.Struct, frozen=True):
 
     @property
     def is_right(self) -> bool:
-        """All of it."""
+        """Whether it is compliant with the right skills and names."""
         return self.compliant and self.skills and self.named
 
 
 def score_answer(text: str, reference: str, registry: SkillRegistry, accepts: Callable[[bytes], bool]) -> AnswerScore:
-    """What `text` is worth where a contract like `wanted` was asked for; `accepts` is the gate."""
+    """The scores of `text` against the contract `reference`; `accepts` is the gate."""
     goal = msgspec.json.decode(reference, type=Contract).action_sequence
     try:
         json.loads(text)
@@ -42,15 +44,15 @@ def score_answer(text: str, reference: str, registry: SkillRegistry, accepts: Ca
         return AnswerScore(json=False, compliant=False, skills=False, named=False)
     accepted = accepts(text.encode("utf-8", "surrogatepass"))
     try:
-        found = msgspec.json.decode(text, type=Contract).action_sequence
+        actions = msgspec.json.decode(text, type=Contract).action_sequence
     except DECODE_ERRORS:
         return AnswerScore(json=True, compliant=False, skills=False, named=False)
-    skills = [action.skill for action in found] == [action.skill for action in goal]
+    skills = [action.skill for action in actions] == [action.skill for action in goal]
     named = skills and all(
-        _matches_instruction(ours, theirs, registry) for ours, theirs in zip(found, goal, strict=True)
+        _matches_instruction(action, reference, registry) for action, reference in zip(actions, goal, strict=True)
     )
     return AnswerScore(
-        json=True, compliant=accepted and _declines(found) == _declines(goal), skills=skills, named=named
+        json=True, compliant=accepted and _declines(actions) == _declines(goal), skills=skills, named=named
     )
 
 
@@ -58,8 +60,8 @@ def _declines(actions: tuple[Action, ...]) -> bool:
     return any(action.skill == "decline" for action in actions)
 
 
-def _matches_instruction(ours: Action, theirs: Action, registry: SkillRegistry) -> bool:
-    """Whether what the instruction decides is the same in both."""
-    decided = [p.name for p in registry.skill(theirs.skill).parameters if isinstance(p, NameParameter)]
-    decided += [name for skill, name in INSTRUCTED_NUMBERS if skill == theirs.skill]
-    return all(ours.params.get(name) == theirs.params.get(name) for name in decided)
+def _matches_instruction(action: Action, reference: Action, registry: SkillRegistry) -> bool:
+    """Whether all parameters that the instruction decides are equal in both actions."""
+    decided = [p.name for p in registry.skill(reference.skill).parameters if isinstance(p, NameParameter)]
+    decided += [name for skill, name in INSTRUCTED_NUMBERS if skill == reference.skill]
+    return all(action.params.get(name) == reference.params.get(name) for name in decided)

@@ -1,4 +1,4 @@
-"""Which contract answers which kind of errand, read from one file whose hash is fixed."""
+"""Task templates: the kinds of tasks with their contracts and sentences, read from one file with a fixed hash."""
 
 from __future__ import annotations
 
@@ -11,19 +11,22 @@ from typing import Literal
 
 import msgspec
 
-from dualbrain.adaptation.synthetic.split import LESSONS_SHA256, Split
+from dualbrain.adaptation.synthetic.split import TEMPLATE_FILE_SHA256, Split
 from dualbrain.errors import ChecksumError
 
 TEMPLATE_FILE = "templates.toml"
 POSSIBLE = "possible"
 
 
-class TaskTemplate(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One kind of errand: how often it is taught (`share`), and the skeleton of the contract that answers it.
+class TaskTemplate(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, rename={"train_sentences": "teach"}
+):
+    """One kind of task: its `share` of all examples, and the skeleton of the contract that answers it.
 
-    A step of the skeleton names its skill and the parameters that the sentence decides, each with the slot that says
-    it. `each` repeats the skeleton for every thing of a group. `target` says where things may go. `teach` are sentences
-    beside the world's wordings; a kind that those do not have names its `robots`, and has sentences `held_out`, too.
+    A step of the skeleton has its skill and, by parameter, the slot of the sentence that decides it. `each` repeats the
+    skeleton for every object of a group. `target` restricts the kind of the target. `train_sentences` are added to the
+    instruction templates of the simulation; a kind without such templates has its own `held_out` sentences and the type
+    of its `robots`.
     """
 
     share: float
@@ -31,12 +34,12 @@ class TaskTemplate(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     target: Literal["container", "place", "any"] = "any"
     each: bool = False
     robots: str = ""
-    teach: tuple[str, ...] = ()
+    train_sentences: tuple[str, ...] = ()
     held_out: tuple[str, ...] = ()
 
 
 class AbsentWords(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Words for what is not there."""
+    """Words for objects and places that do not exist in a scene."""
 
     colours: tuple[str, ...]
     things: tuple[str, ...]
@@ -45,7 +48,7 @@ class AbsentWords(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class TemplateBook(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The kinds by name, what a refusal says, and of which kinds what share asks for something that is not there."""
+    """The kinds of tasks by name, the reasons of declines, and by kind the share of tasks about absent objects."""
 
     absent: AbsentWords
     reasons: dict[str, str]
@@ -55,7 +58,7 @@ class TemplateBook(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class Phrasings:
-    """How people talk to one sort of robot: `sentences` and `labels` by kind, and how a name is `spoken`."""
+    """How people instruct one type of robot: `sentences` and `labels` by kind, and the natural name of an object."""
 
     sentences: Mapping[str, tuple[str, ...]]
     labels: Mapping[str, str]
@@ -64,16 +67,16 @@ class Phrasings:
 
 @cache
 def load_templates() -> TemplateBook:
-    """The file; raises `WrongHash` if it is not the one that was fixed."""
+    """The content of the file; raises `ChecksumError` if the file was changed."""
     data = resources.files("dualbrain.adaptation.synthetic").joinpath(TEMPLATE_FILE).read_bytes()
-    if (got := hashlib.sha256(data).hexdigest()) != LESSONS_SHA256:
-        raise ChecksumError(TEMPLATE_FILE, got=got, expected=LESSONS_SHA256, path=TEMPLATE_FILE)
+    if (got := hashlib.sha256(data).hexdigest()) != TEMPLATE_FILE_SHA256:
+        raise ChecksumError(TEMPLATE_FILE, got=got, expected=TEMPLATE_FILE_SHA256, path=TEMPLATE_FILE)
     return msgspec.toml.decode(data, type=TemplateBook)
 
 
 def template_sentences(robots: str, split: Split, known_kinds: Collection[str]) -> dict[str, tuple[str, ...]]:
-    """The file's own sentences by kind: of kinds that only it has for `robots`, and of those `spoken_of` elsewhere."""
+    """The sentences of the file by kind: kinds for `robots` only, and those of `known_kinds`."""
     kinds = {
         name: kind for name, kind in load_templates().kinds.items() if kind.robots == robots or name in known_kinds
     }
-    return {name: kind.held_out if split == "test" else kind.teach for name, kind in kinds.items()}
+    return {name: kind.held_out if split == "test" else kind.train_sentences for name, kind in kinds.items()}

@@ -1,4 +1,4 @@
-"""A team of the processes that a launcher started (`torchrun`, `accelerate launch`), on one host or several."""
+"""A process group of the processes that a launcher started (`torchrun`, `accelerate launch`), on one or more hosts."""
 
 # pyright: reportMissingImports=false
 
@@ -18,52 +18,52 @@ from dualbrain.errors import DualbrainError
 
 T = TypeVar("T")
 BROADCAST_TIMEOUT = timedelta(days=1)
-"""How long the others wait for the first one, which alone computes the base's states and asks what is held out."""
+"""Longest wait for the first process, which alone computes the reference states and evaluates held-out questions."""
 
 
 class FirstProcessError(DualbrainError):
-    """The first process of a team could not do what all wait for."""
+    """The first process of a group failed in a computation that all processes wait for."""
 
     def __init__(self, reason: str) -> None:
-        """Say what it said."""
+        """Report the error message of the first process."""
         self.reason = reason
         super().__init__(f"the first process failed: {reason}")
 
 
 class AccelerateGroup:
-    """A team over accelerate: NCCL between CUDA devices, gloo between processors."""
+    """A process group with accelerate: NCCL between CUDA devices, gloo between CPUs."""
 
     def __init__(self, state: PartialState) -> None:
-        """Take the processes that `state` has joined."""
+        """Use the processes that `state` has joined."""
         self.rank, self.size = state.process_index, state.num_processes
 
     def all_reduce_sum(self, tensors: Sequence[Tensor]) -> None:
-        """Put into each tensor its sum over the processes; all of them travel as one."""
-        told: Any = reduce(torch.cat([tensor.flatten() for tensor in tensors]), reduction="sum")
-        for tensor, part in zip(tensors, told.split([tensor.numel() for tensor in tensors]), strict=True):
+        """Replace each tensor by its sum over the processes, in one transfer."""
+        total: Any = reduce(torch.cat([tensor.flatten() for tensor in tensors]), reduction="sum")
+        for tensor, part in zip(tensors, total.split([tensor.numel() for tensor in tensors]), strict=True):
             tensor.copy_(part.view_as(tensor))
 
     def run_on_first(self, work: Callable[[], T]) -> T:
-        """What `work` gives in the first process; raises `FirstFailed` in the others if it raises there."""
+        """The result of `work` in the first process; the others raise `FirstProcessError` if it fails there."""
         if self.rank == 0:
             try:
-                done: Any = work()
+                result: Any = work()
             except Exception as error:
                 broadcast_object_list([None, str(error) or type(error).__name__])
                 raise
-            broadcast_object_list([done, ""])
-            return done
-        done, why = broadcast_object_list([None, ""])
+            broadcast_object_list([result, ""])
+            return result
+        result, why = broadcast_object_list([None, ""])
         if why:
             raise FirstProcessError(why)
-        return done
+        return result
 
 
 @contextmanager
 def join_process_group() -> Generator[AccelerateGroup]:
-    """Join the processes that the launcher started, by the variables that it set; each takes its own CUDA device.
+    """Join the processes of the launcher by its environment variables; each uses its own CUDA device.
 
-    If one of them ends with an error the launcher ends the others.
+    If one of them ends with an error, the launcher ends the others.
     """
     state = PartialState(cpu=not torch.cuda.is_available(), timeout=BROADCAST_TIMEOUT)
     yield AccelerateGroup(state)

@@ -1,4 +1,4 @@
-"""Tensors in safetensors files that carry a checksum of their own: the format has none, and a flipped bit is read."""
+"""Tensors in safetensors files with a checksum: the format has none, and would read a flipped bit without an error."""
 
 # pyright: reportMissingImports=false
 
@@ -17,7 +17,7 @@ from torch import Tensor
 from dualbrain.errors import DECODE_ERRORS
 
 HEADER_KEY = "label"
-"""The one entry beside the tensors: the library writes several in an order that chance decides."""
+"""The only metadata entry beside the tensors: the library writes several entries in random order."""
 
 
 class TensorHeader(msgspec.Struct, frozen=True):
@@ -28,38 +28,38 @@ class TensorHeader(msgspec.Struct, frozen=True):
 
 
 class CorruptFileError(Exception):
-    """A file that does not hold what was written."""
+    """A file with another content than was written."""
 
 
 def encode_tensors(tensors: Mapping[str, Tensor], facts: Mapping[str, str]) -> bytes:
-    """A file that holds `tensors`, and `facts` about them."""
-    whole = {name: tensor.detach().contiguous().cpu() for name, tensor in tensors.items()}
-    return save(whole, {HEADER_KEY: msgspec.json.encode(TensorHeader(checksum(whole, facts), dict(facts))).decode()})
+    """The bytes of a file with `tensors` and `facts` about them."""
+    on_cpu = {name: tensor.detach().contiguous().cpu() for name, tensor in tensors.items()}
+    return save(on_cpu, {HEADER_KEY: msgspec.json.encode(TensorHeader(checksum(on_cpu, facts), dict(facts))).decode()})
 
 
 def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
-    """Tensors and facts of the file at `path`, as they were packed; raises `Damaged`.
+    """Tensors and facts of the file at `path`; raises `CorruptFileError`.
 
-    A file from before there were checksums is taken at its word.
+    A file of an older version has no checksum and is not checked.
     """
     try:
         with safe_open(path, "pt") as file:
-            beside = dict(file.metadata() or {})
+            metadata = dict(file.metadata() or {})
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        if HEADER_KEY not in beside:
-            return tensors, beside
-        label = msgspec.json.decode(beside[HEADER_KEY], type=TensorHeader)
+        if HEADER_KEY not in metadata:
+            return tensors, metadata
+        header = msgspec.json.decode(metadata[HEADER_KEY], type=TensorHeader)
     except (SafetensorError, *DECODE_ERRORS) as error:
         raise CorruptFileError(str(error)) from error
-    if label.sha256 != checksum(tensors, label.facts):
-        raise CorruptFileError("its checksum is that of another content")
-    return tensors, label.facts
+    if header.sha256 != checksum(tensors, header.facts):
+        raise CorruptFileError("its checksum does not match its content")
+    return tensors, header.facts
 
 
 def checksum(tensors: Mapping[str, Tensor], facts: Mapping[str, str]) -> str:
     """SHA-256 over the facts, and over name, format, shape and bits of each tensor."""
-    found = hashlib.sha256(repr(sorted(facts.items())).encode())
+    digest = hashlib.sha256(repr(sorted(facts.items())).encode())
     for name, tensor in sorted(tensors.items()):
-        found.update(repr((name, str(tensor.dtype), tuple(tensor.shape))).encode())
-        found.update(tensor.reshape(-1).view(torch.uint8).numpy().data)
-    return found.hexdigest()
+        digest.update(repr((name, str(tensor.dtype), tuple(tensor.shape))).encode())
+        digest.update(tensor.reshape(-1).view(torch.uint8).numpy().data)
+    return digest.hexdigest()

@@ -1,4 +1,4 @@
-"""AdamW on float32 copies of the parameters, so that an adapter may be bf16 and yet learn in small steps."""
+"""AdamW on float32 master weights, so that an adapter in bf16 can be trained with small steps."""
 
 # pyright: reportMissingImports=false
 
@@ -15,13 +15,13 @@ ADAM_STATE_NAMES = ("step", "exp_avg", "exp_avg_sq")
 
 
 class MasterWeights:
-    """Holds a float32 master of each parameter; the parameter is the master, rounded.
+    """Float32 master weights of all parameters; each parameter is its master weight, rounded.
 
-    A bf16 number has 8 bits: a step of 1e-3 of its size would be lost in it. Adapters in bf16 save the copies between
-    formats that adapters in float32 need at every layer.
+    A bf16 number has 8 significant bits, so a step of 1e-3 of its size would be lost. Adapters in bf16 avoid the format
+    conversions that adapters in float32 need at every layer.
 
-    In a team each process has its own, alike to the bit: gradients are summed over the processes, in float32, and all
-    take the same step.
+    In a process group each process has its own copy, equal to the bit: gradients are summed over the processes in
+    float32, and all take the same step.
     """
 
     def __init__(
@@ -33,9 +33,9 @@ class MasterWeights:
         self._adam = torch.optim.AdamW(list(self._weights.values()), weight_decay=0.0)
 
     def step(self, rate: float, clip: float) -> float:
-        """One step along the gradients, scaled down to norm `clip`; returns their norm before. Clears them.
+        """One optimiser step; gradients are clipped to the norm `clip`. Returns their norm before and clears them.
 
-        If the norm is not finite nothing is changed.
+        If the norm is not finite, nothing is changed.
         """
         for name, parameter in self._parameters.items():
             self._weights[name].grad = None if parameter.grad is None else parameter.grad.float()
@@ -51,18 +51,18 @@ class MasterWeights:
         return float(norm)
 
     def state_dict(self) -> dict[str, Tensor]:
-        """Masters and moments by name, to be stored."""
-        found = {f"master/{name}": master for name, master in self._weights.items()}
+        """Master weights and moments by name."""
+        state = {f"master/{name}": master for name, master in self._weights.items()}
         for name, master in self._weights.items():
-            found |= {
+            state |= {
                 f"{what}/{name}": self._adam.state[master][what]
                 for what in ADAM_STATE_NAMES
                 if self._adam.state[master]
             }
-        return found
+        return state
 
     def load_state_dict(self, stored: Mapping[str, Tensor]) -> None:
-        """Go on exactly where `state` was taken."""
+        """Resume exactly from `stored`, as returned by `state_dict`."""
         for name, master in self._weights.items():
             master.copy_(stored[f"master/{name}"])
             moments = {what: stored[f"{what}/{name}"].to(master.device, copy=True) for what in ADAM_STATE_NAMES}

@@ -1,9 +1,9 @@
-"""The objective (paper 6.2): weighted cross-entropy, and a KL term that keeps the planner near the one it started as.
+"""The objective (paper 6.2): weighted cross-entropy, and a KL term that keeps the planner near its starting model.
 
     L = Σ_i ω_i Σ_t CE_it / Σ_i ω_i n_i  +  β Σ_i Σ_t KL(p_θ ‖ p_θ0)_it / Σ_i n_i
 
-over the n_i tokens t of each contract i, teacher-forced; the prompt teaches nothing. The normaliser is ours: with
-ω = 1 and β = 0 this is the mean cross-entropy of plain supervised fine-tuning.
+over the n_i tokens t of each contract i, teacher-forced; prompt tokens do not count. The normaliser is our choice: with
+ω = 1 and β = 0, L is the mean cross-entropy of plain supervised fine-tuning.
 """
 
 # pyright: reportMissingImports=false
@@ -26,7 +26,7 @@ TOP_K = 20
 
 
 class Loss(NamedTuple):
-    """The value to descend, and beside it the unweighted means over tokens [nats], detached."""
+    """The total loss, and the unweighted means over tokens [nats], detached."""
 
     total: Tensor
     cross_entropy: Tensor
@@ -44,12 +44,13 @@ def objective(
     base_hidden: Tensor | None = None,
     token_gate: bool = False,
 ) -> Loss:
-    """L of some tokens as their share of a step of `tokens` tokens: the parts of a step sum to it.
+    """The share of some tokens in L of a step with `tokens` tokens: the shares of all parts of a step sum to L.
 
-    `hidden` (n, d) are final-norm hidden states at the places that predict `labels` (n,), `head` (V, d) the frozen
-    output matrix, so logits are hidden·headᵀ. `omega` (n,) is ω̃ of the sample of each token (see `omega.normalised`).
-    `base_hidden` (n, d) are the starting model's states at the same places: with the same head they give p_θ0 exactly.
-    The divergence has the adapted p_θ first. `token_gate` weighs each token with H̃_t ∈ [0, 1] (see `soft_gate`).
+    `hidden` (n, d) are final-norm hidden states at the positions that predict `labels` (n,), `head` (V, d) is the
+    frozen output matrix, so the logits are hidden·headᵀ. `omega` (n,) is ω̃ of each token's sample (see
+    `normalize_weights`). `base_hidden` (n, d) are the starting model's states at the same positions: with the same head
+    they give p_θ0 exactly. The divergence is KL(p_θ ‖ p_θ0), adapted model first. `token_gate` weights each token with
+    H̃_t ∈ [0, 1] (see `token_entropy_gate`).
     """
     log_p = log_probabilities(hidden, head)
     ce = -log_p.gather(1, labels[:, None]).squeeze(1)
@@ -65,12 +66,12 @@ def objective(
 
 
 def log_probabilities(hidden: Tensor, head: Tensor) -> Tensor:
-    """The logarithm of softmax(hidden·headᵀ) in float32, shape (n, V)."""
+    """Log-probabilities log softmax(hidden·headᵀ) in float32, shape (n, V)."""
     return (hidden.to(head.dtype) @ head.T).float().log_softmax(-1)
 
 
 def kl_divergence(log_p: Tensor, log_q: Tensor) -> Tensor:
-    """KL(p ‖ q) = Σ_v p_v (log p_v − log q_v) of each row [nats], shape (n,): at least 0, and 0 only where p = q."""
+    """KL(p ‖ q) = Σ_v p_v (log p_v − log q_v) of each row [nats], shape (n,): at least 0, and 0 only if p = q."""
     return (log_p.exp() * (log_p - log_q)).sum(-1)
 
 
@@ -80,10 +81,10 @@ def entropy(log_p: Tensor) -> Tensor:
 
 
 def token_entropy_gate(log_p: Tensor) -> Tensor:
-    """H̃_t = H(top 20 of p_t) / ln 20 ∈ [0, 1], detached: the entropy gate of EAFT (Diao et al. 2026, arXiv 2601.02151).
+    """H̃_t = H(top 20 of p_t) / ln 20 ∈ [0, 1], detached: the gate of EAFT (Diao et al. 2026, arXiv 2601.02151).
 
-    It silences tokens that the present model is sure of, right or wrong; an ablation, for limits of a body often are
-    what a planner is wrongly sure of.
+    It suppresses tokens that the present model is sure of, right or wrong. It is an ablation, because a planner is
+    often sure of wrong values at physical limits.
     """
     k = min(TOP_K, log_p.shape[-1])
     top = log_p.detach().topk(k, dim=-1).values.log_softmax(-1)
@@ -93,17 +94,17 @@ def token_entropy_gate(log_p: Tensor) -> Tensor:
 Array = NDArray[np.float64]
 
 LOW_PERCENTILE, HIGH_PERCENTILE = 5.0, 95.0
-"""Entropies are cut at these percentiles: the means of whole contracts lie close together, and one odd one would else
-take the whole scale."""
+"""Entropies are clipped at these percentiles: most mean entropies of contracts are close together, and one outlier
+would determine the scale."""
 MIN_ENTROPY_SPREAD = 1e-6
-"""A spread of entropies [nats] up to this is none."""
+"""A range of entropies [nats] up to this value counts as zero."""
 
 
 def sample_weights(memory_weights: Sequence[float], entropies: Sequence[float], config: ObjectiveConfig) -> Array:
     """ω of each sample, shape (n,). ŵ_i is its memory weight w_i ∈ [0, 1], Ĥ_i its entropy scaled to [0, 1].
 
-    H_i [nats] is the mean entropy of the round's starting model over the contract's tokens. λ_H acts with the gate
-    "sample" only. Law: ω ≥ 1, ω = 1 everywhere if both λ are 0, and ω rises with w and with H.
+    H_i [nats] is the mean entropy of the starting model over the contract's tokens. λ_H has an effect with the gate
+    "sample" only. Law: ω ≥ 1, ω = 1 everywhere if both λ are 0, and ω increases with w and with H.
     """
     w = np.clip(np.asarray(memory_weights, float), 0.0, 1.0)
     lambda_h = config.lambda_h if config.entropy_gate == "sample" else 0.0
@@ -111,7 +112,7 @@ def sample_weights(memory_weights: Sequence[float], entropies: Sequence[float], 
 
 
 def scale_entropies(entropies: Array) -> Array:
-    """`entropies` cut at their 5th and 95th percentile and brought to [0, 1]; all 0 if they do not differ."""
+    """`entropies` clipped at their 5th and 95th percentile and scaled to [0, 1]; all 0 if they do not differ."""
     if not len(entropies):
         return entropies
     low, high = np.percentile(entropies, [LOW_PERCENTILE, HIGH_PERCENTILE])
@@ -123,10 +124,10 @@ def scale_entropies(entropies: Array) -> Array:
 
 
 def normalize_weights(weights: Array, tokens: Sequence[int], repeats: Sequence[int]) -> Array:
-    """ω̃_i = ω_i / ω̄ with ω̄ = Σ ω_i n_i / Σ n_i over all that an epoch shows (n_i `tokens`, each `shown` times).
+    """ω̃_i = ω_i / ω̄ with ω̄ = Σ ω_i n_i / Σ n_i over an epoch (n_i `tokens`, each sample with its `repeats`).
 
-    L divides by Σ ω_i n_i. Dividing each batch by its own sum would undo ω (wholly, with one sample a batch); dividing
-    once by that of the data set keeps L, and no λ changes the effective learning rate.
+    L divides by Σ ω_i n_i. Dividing each batch by its own sum would cancel ω (completely for one sample per batch);
+    dividing once by the sum of the data set gives L, and the effective learning rate does not depend on λ.
     """
     n = np.asarray(tokens, float) * np.asarray(repeats, float)
     return weights * (n.sum() / (weights * n).sum())

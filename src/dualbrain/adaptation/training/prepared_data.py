@@ -1,4 +1,4 @@
-"""A data set made ready for one learner: tokens, weights ω̃, and the base's states."""
+"""A data set prepared for one model: tokens, sample weights ω̃, and the states of the reference model."""
 
 # pyright: reportMissingImports=false
 
@@ -29,9 +29,9 @@ from dualbrain.errors import ConfigurationError
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PreparedData:
-    """What a fit reads. `omega` (n,) is ω̃ of each training sample, `shown` how often an epoch shows it.
+    """The inputs of training. `omega` (n,) is ω̃ of each training sample, `repeats` its repetitions per epoch.
 
-    `states` is None where neither β nor λ_H asks for them.
+    `reference_states` is None if neither β nor λ_H needs them.
     """
 
     train: tuple[EncodedSample, ...]
@@ -49,13 +49,14 @@ def prepare_data(
     states_file: Path,
     process_group: ProcessGroup = SINGLE_PROCESS,
 ) -> PreparedData:
-    """`dataset` for `learner`, whose base has the hash `base`; the base's states are read from `kept` or written there.
+    """`dataset` for `lora_model`, whose base has the hash `base`; reference states are cached in `states_file`.
 
-    In a team the first process writes them and all read them. Raises `InvalidSetup` if there is nothing to train on, a
-    sample is too long, or the base cannot be cached exactly.
+    In a process group the first process writes the file and all read it. Raises `ConfigurationError` if there are no
+    training samples, a sample is too long, or the logits of the base do not follow from its hidden states;
+    `FileWriteError`.
     """
     if not dataset.train:
-        raise ConfigurationError("training samples", got="none", allowed="at least one", fix="Lower curation held_out.")
+        raise ConfigurationError.stating("There are no training samples.", fix="Lower `[curation] held_out`.")
     train, held_out = (
         tuple(encode_sample(lora_model.tokenizer, row, lora_model.max_tokens) for row in rows)
         for rows in (dataset.train, dataset.held_out)
@@ -67,38 +68,40 @@ def prepare_data(
         else None
     )
     entropies: Any = states.entropies(train) if states else np.zeros(len(train))
-    shown = tuple(row.repeats for row in dataset.train)
+    repeats = tuple(row.repeats for row in dataset.train)
     weights = sample_weights([row.weight for row in dataset.train], entropies, config)
     tokens = [len(one.contract) for one in train]
     return PreparedData(
         train=train,
         held_out=held_out,
-        repeats=shown,
-        omega=normalize_weights(weights, tokens, shown),
+        repeats=repeats,
+        omega=normalize_weights(weights, tokens, repeats),
         reference_states=states,
     )
 
 
-def _needs_reference_states(dials: ObjectiveConfig) -> bool:
-    return dials.beta > 0.0 or (dials.lambda_h > 0.0 and dials.entropy_gate == "sample")
+def _needs_reference_states(config: ObjectiveConfig) -> bool:
+    return config.beta > 0.0 or (config.lambda_h > 0.0 and config.entropy_gate == "sample")
 
 
 def _load_reference_states(
-    learner: LoraModel, train: tuple[EncodedSample, ...], base: str, kept: Path, team: ProcessGroup
+    lora_model: LoraModel, train: tuple[EncodedSample, ...], base: str, states_file: Path, process_group: ProcessGroup
 ) -> ReferenceStates:
-    key = states_key(base, train, learner.number_format)
-    team.run_on_first(lambda: _compute_reference_states(learner, train, kept, key))
-    found = load_states(kept, key, device=str(learner.head.device))
+    key = states_key(base, train, lora_model.number_format)
+    process_group.run_on_first(lambda: _compute_reference_states(lora_model, train, states_file, key))
+    found = load_states(states_file, key, device=str(lora_model.head.device))
     if found is None:
-        fix = f"Name a folder that every host of the fit sees. {kept}"
-        raise ConfigurationError(
-            "states of the base", got="none", allowed="those that the first process wrote", fix=fix
-        )
+        fix = f"Name a folder that every host can read. {states_file}"
+        raise ConfigurationError.stating("The file with the states of the base cannot be read.", fix=fix)
     return found
 
 
-def _compute_reference_states(learner: LoraModel, train: tuple[EncodedSample, ...], kept: Path, key: str) -> None:
-    """Compute the base's states, unless they are kept already."""
-    if load_states(kept, key) is None:
-        with learner.without_adapter():
-            save_states(compute_states(learner.decoder, learner.head, train, learner.padding_id), kept, key)
+def _compute_reference_states(
+    lora_model: LoraModel, train: tuple[EncodedSample, ...], states_file: Path, key: str
+) -> None:
+    """Compute the states of the base, unless they are cached."""
+    if load_states(states_file, key) is None:
+        with lora_model.without_adapter():
+            save_states(
+                compute_states(lora_model.decoder, lora_model.head, train, lora_model.padding_id), states_file, key
+            )

@@ -1,4 +1,4 @@
-"""The processes that carry out one fit together, on several devices or hosts; most often it is one alone."""
+"""The processes of one training run, on several devices or hosts; usually a single one."""
 
 from __future__ import annotations
 
@@ -9,43 +9,43 @@ T = TypeVar("T")
 
 
 class ProcessGroup(Protocol):
-    """Who am I, how many are we, and what we do as one.
+    """Rank and size of the group, and its collective operations.
 
-    All call the same in the same order; who does not lets the others wait.
+    All processes must call the same operations in the same order; otherwise the others wait.
     """
 
     @property
     def rank(self) -> int:
-        """Which of the processes this is, from 0."""
+        """The number of this process, from 0."""
         ...
 
     @property
     def size(self) -> int:
-        """How many there are."""
+        """The number of processes."""
         ...
 
     def all_reduce_sum(self, tensors: Sequence[Any]) -> None:
-        """Put into each tensor its sum over the processes: the same bits in all of them."""
+        """Replace each tensor by its sum over the processes, equal to the bit in all of them."""
         ...
 
     def run_on_first(self, work: Callable[[], T]) -> T:
-        """What `work` gives in the first process, told to all; the others wait for it and do not do it.
+        """The result of `work` in the first process, sent to all; the others wait for it.
 
-        What it raises there it raises there; the others raise `FirstFailed`.
+        An exception of `work` is raised in the first process; the others raise `FirstProcessError`.
         """
         ...
 
 
 class SingleProcess:
-    """A fit in one process: nothing to share, nobody to tell."""
+    """A process group of one process."""
 
     rank, size = 0, 1
 
     def all_reduce_sum(self, tensors: Sequence[Any]) -> None:
-        """Each is its own sum."""
+        """Leave each tensor as it is."""
 
     def run_on_first(self, work: Callable[[], T]) -> T:
-        """Do it."""
+        """Run `work`."""
         return work()
 
 

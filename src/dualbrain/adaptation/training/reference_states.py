@@ -1,7 +1,7 @@
-"""What the starting model thinks at every contract token: kept once, so that the KL term costs no second forward pass.
+"""Hidden states of the starting model at every contract token, computed once so that the KL term is cheap.
 
-With the output matrix frozen, the base's logits are its final-norm hidden states times that matrix. So d numbers a
-token (1 kB for SmolLM2) stand for its whole distribution (98 kB), exactly. Beside them stands its entropy.
+With a frozen output matrix, the logits of the base are its final-norm hidden states times that matrix. So d numbers per
+token (1 kB for SmolLM2) represent its whole distribution (98 kB) exactly. The entropy of each token is stored as well.
 """
 
 # pyright: reportMissingImports=false
@@ -22,18 +22,18 @@ from dualbrain.adaptation.training.objective import entropy, log_probabilities
 from dualbrain.core.storage.atomic_files import write_atomically
 
 BATCH_SIZE = 8
-"""Samples in one pass."""
+"""Number of samples in one forward pass."""
 
 
 class ReferenceStates:
     """Hidden states (n_i, d) and entropies (n_i,) [nats] of the starting model, by sample id."""
 
     def __init__(self, rows: dict[str, tuple[Tensor, Tensor]]) -> None:
-        """Take states and entropies by id."""
+        """Use states and entropies by sample id."""
         self._rows = rows
 
     def hidden_states(self, samples: Sequence[EncodedSample]) -> Tensor:
-        """The states of `samples`, one below the other, as `contract_states` orders them."""
+        """The states of `samples`, concatenated in the order of `contract_hidden_states`."""
         return torch.cat([self._rows[one.id][0] for one in samples])
 
     def entropies(self, samples: Sequence[EncodedSample]) -> list[float]:
@@ -41,30 +41,32 @@ class ReferenceStates:
         return [float(self._rows[one.id][1].mean()) for one in samples]
 
 
-def states_key(base: str, samples: Sequence[EncodedSample], numbers: str) -> str:
-    """SHA-256 of all that the states depend on: the base's weights (by hash), every token, the number format."""
-    told = [base, numbers, [[one.id, one.prompt, one.contract] for one in samples]]
-    return hashlib.sha256(repr(told).encode()).hexdigest()
+def states_key(base: str, samples: Sequence[EncodedSample], number_format: str) -> str:
+    """SHA-256 of all inputs of the states: the hash of the base's weights, every token, the number format."""
+    inputs = [base, number_format, [[one.id, one.prompt, one.contract] for one in samples]]
+    return hashlib.sha256(repr(inputs).encode()).hexdigest()
 
 
 @torch.no_grad()
 def compute_states(decoder: Any, head: Tensor, samples: Sequence[EncodedSample], padding: int) -> ReferenceStates:
-    """The states of `decoder`, which must be the base (adapter off), in evaluation mode."""
+    """The states of `decoder`, which must be the base with its adapter disabled, in evaluation mode."""
     rows: dict[str, tuple[Tensor, Tensor]] = {}
     order = sorted(samples, key=lambda one: len(one.prompt) + len(one.contract))
     for start in range(0, len(order), BATCH_SIZE):
         some = order[start : start + BATCH_SIZE]
         batch = collate(some, padding, device=str(head.device))
         hidden, _ = contract_hidden_states(decoder, batch)
-        spread = entropy(log_probabilities(hidden, head))
-        parts = zip(hidden.split(batch.contract_token_counts), spread.split(batch.contract_token_counts), strict=True)
+        entropies = entropy(log_probabilities(hidden, head))
+        parts = zip(
+            hidden.split(batch.contract_token_counts), entropies.split(batch.contract_token_counts), strict=True
+        )
         for one, (states, nats) in zip(some, parts, strict=True):
             rows[one.id] = (states.clone(), nats.clone())
     return ReferenceStates(rows)
 
 
 def save_states(states: ReferenceStates, path: Path, key: str) -> None:
-    """Write `states` to `path`, whole or not at all."""
+    """Write `states` to `path`, complete or not at all; raises `FileWriteError`."""
     tensors = {
         f"{name}.{what}": t for name, row in states._rows.items() for what, t in zip(("h", "H"), row, strict=True)
     }
@@ -72,7 +74,7 @@ def save_states(states: ReferenceStates, path: Path, key: str) -> None:
 
 
 def load_states(path: Path, key: str, device: str = "cpu") -> ReferenceStates | None:
-    """What `keep` wrote under the same key; None if there is nothing, it is damaged, or was made of something else."""
+    """The states saved under the same key; None if there are none, they are damaged, or their inputs were others."""
     if not path.is_file():
         return None
     try:
@@ -81,5 +83,7 @@ def load_states(path: Path, key: str, device: str = "cpu") -> ReferenceStates | 
         return None
     if facts.get("key") != key:
         return None
-    there = {name: tensor.to(device) for name, tensor in tensors.items()}
-    return ReferenceStates({name: (there[f"{name}.h"], there[f"{name}.H"]) for name in {name[:-2] for name in there}})
+    on_device = {name: tensor.to(device) for name, tensor in tensors.items()}
+    return ReferenceStates(
+        {name: (on_device[f"{name}.h"], on_device[f"{name}.H"]) for name in {name[:-2] for name in on_device}}
+    )

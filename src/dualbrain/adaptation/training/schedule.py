@@ -1,4 +1,4 @@
-"""In which order samples are shown, and how fast is learnt at each step: functions of the dials and the seed alone."""
+"""The order of samples and the learning rate of each step: functions of settings and seed alone."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from collections.abc import Sequence
 from dualbrain.adaptation.config import FitConfig
 
 FINAL_RATE_SHARE = 0.1
-"""The last rate over the highest."""
+"""The final learning rate divided by the highest one."""
 
 
 def plan_batches(repeats: Sequence[int], config: FitConfig) -> list[list[int]]:
-    """The rows of each step's samples. Sample i stands `shown[i]` times in an epoch; each epoch is shuffled anew.
+    """The samples of each step, as indices. Sample i occurs `repeats[i]` times per epoch; each epoch is shuffled.
 
-    What is left of an epoch flows into the next, so that no sample is passed over. Law: nothing but seed, batch and
-    `shown` decides them, so that a run that is resumed sees what it would have seen.
+    The remainder of an epoch is used in the next batch, so no sample is skipped. Law: the plan depends only on seed,
+    batch size and `repeats`, so a resumed run has the same plan.
     """
     stack: list[int] = []
     epoch, plan = 0, list[list[int]]()

@@ -1,4 +1,4 @@
-"""The whole way from a data set to an adapter in one folder, which can be taken up again where it was left."""
+"""Training from a data set to an adapter in one folder; an interrupted run resumes from its checkpoint."""
 
 # pyright: reportMissingImports=false
 
@@ -40,60 +40,64 @@ def adapt(
     process_group: ProcessGroup = SINGLE_PROCESS,
     own_adapters: Collection[str] = (),
 ) -> AdapterCard:
-    """Fit an adapter in `folder`, or go on with the one there, and write it with its card to `folder`/adapter.
+    """Train an adapter in `folder`, or resume the run there, and write it with its card to `folder`/adapter.
 
-    Every process of `team` calls this with the same; the first one writes, and all get the card. `own` are the ids of
-    adapters that `base` alone has taught: what these proposed counts as its own.
-    Raises `InvalidSetup`, `Diverged`, `DiskFull`; then no adapter is written, and calling it again goes on.
+    Every process of `process_group` calls this with the same arguments; the first one writes, and all return the card.
+    `clock` [s] is used for the remaining time only, and `report` receives the progress after each step. `own_adapters`
+    are the ids of adapters trained only on proposals of `base`: their proposals count as its own. Raises
+    `ConfigurationError`, `TrainingDivergedError` or `FileWriteError`; then no adapter is written, and calling it again
+    resumes the run.
     """
     device = configure_device(config.fit.threads or 1)
     process_group.run_on_first(lambda: folder.mkdir(parents=True, exist_ok=True))
     nf4 = config.fit.quantise == "nf4"
     model, tokenizer = load_base_model(base, cache, choose_dtype(config.fit.precision), device, nf4=nf4)
-    learner = LoraModel(model, tokenizer, config.fit)
-    fit = Trainer(learner, dataset, config, judge, folder, base=base.sha256, clock=clock, process_group=process_group)
+    lora_model = LoraModel(model, tokenizer, config.fit)
+    trainer = Trainer(
+        lora_model, dataset, config, judge, folder, base=base.sha256, clock=clock, process_group=process_group
+    )
     process_group.run_on_first(lambda: _write_config(config, folder))
-    found = fit.run(report)
-    others = has_foreign_proposals(dataset.card.sources, base.name, own_adapters)
+    result = trainer.run(report)
+    is_bootstrapped = has_foreign_proposals(dataset.card.sources, base.name, own_adapters)
     return process_group.run_on_first(
-        lambda: _write_result(learner, dataset.card, config, base, folder, fit.step, found, others)
+        lambda: _write_result(lora_model, dataset.card, config, base, folder, trainer.step, result, is_bootstrapped)
     )
 
 
 def _write_config(config: AdaptConfig, folder: Path) -> None:
-    """Write beside the result what was asked."""
+    """Write the settings beside the result."""
     write_atomically(folder / CONFIG_FILE, msgspec.json.format(msgspec.json.encode(config), indent=2))
 
 
 def _write_result(
-    learner: LoraModel,
-    told: DatasetCard,
+    lora_model: LoraModel,
+    dataset_card: DatasetCard,
     config: AdaptConfig,
     base: BaseModel,
     folder: Path,
     steps: int,
-    found: HeldOutResult | None,
+    held_out: HeldOutResult | None,
     bootstrapped: bool,
 ) -> AdapterCard:
-    """The adapter that `learner` wears, with its card."""
+    """Write the adapter of `lora_model` with its card."""
     packages = ("torch", "transformers", "peft", *(("bitsandbytes",) if config.fit.quantise == "nf4" else ()))
-    save_adapter(learner, folder / ADAPTER_FOLDER, base=base.sha256)
+    save_adapter(lora_model, folder / ADAPTER_FOLDER, base=base.sha256)
     card = AdapterCard(
         id=hash_weights(folder / ADAPTER_FOLDER),
         base=base.name,
         base_sha256=base.sha256,
-        robot=told.robot,
-        registry=told.registry,
-        prompt=told.prompt,
-        dataset=told.hash,
-        sources=told.sources,
+        robot=dataset_card.robot,
+        registry=dataset_card.registry,
+        prompt=dataset_card.prompt,
+        dataset=dataset_card.hash,
+        sources=dataset_card.sources,
         bootstrapped=bootstrapped,
-        precision=str(learner.head.dtype).removeprefix("torch."),
+        precision=str(lora_model.head.dtype).removeprefix("torch."),
         steps=steps,
-        held_out=found,
+        held_out=held_out,
         config=config,
         versions={name: metadata.version(name) for name in packages},
-        also=told.also,
+        also=dataset_card.also,
     )
     write_adapter_card(card, folder / ADAPTER_FOLDER)
     return card

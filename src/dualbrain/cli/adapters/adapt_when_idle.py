@@ -1,4 +1,4 @@
-"""dualbrain adapt --when-idle: the fit as a process of its own, in the robot's and the machine's idle time."""
+"""`dualbrain adapt --when-idle`: training in a process of its own while robot and machine are idle."""
 
 from __future__ import annotations
 
@@ -35,29 +35,29 @@ def adapt_when_idle(
     json: bool,
     pace: IdleSchedulerConfig | None = None,
 ) -> int:
-    """Fit in `out` whenever nothing speaks against it; returns when the fit has ended by itself.
+    """Train in `out` whenever robot and machine are idle; returns when the training has ended by itself.
 
-    Raises `KeyboardInterrupt` on Ctrl-C and on SIGTERM; then the fit is ended, and if this is killed it ends, too.
+    Raises `KeyboardInterrupt` on Ctrl-C and on SIGTERM. The training ends with this process, even if that is killed.
     """
-    threads, where = _trainer_threads(config), ledger_path(ledger)
-    bound = kill_on_parent_exit(os.getpid())
+    threads, ledger_file = _trainer_threads(config), ledger_path(ledger)
+    preexec = kill_on_parent_exit(os.getpid())
 
     def start() -> subprocess.Popen[bytes]:
-        words = adapt_command(robot, base, ledger, site, config, out, json=json)
-        return subprocess.Popen(words, start_new_session=True, preexec_fn=bound)  # noqa: PLW1509  (no other thread here)
+        command = adapt_command(robot, base, ledger, site, config, out, json=json)
+        return subprocess.Popen(command, start_new_session=True, preexec_fn=preexec)  # noqa: PLW1509  (no other thread)
 
-    def why_not(own: int | None) -> str:
-        at_work = robot_activity(where, (dualbrain_home() / "gatekeeper.sock",), own_pid=own)
-        return blocking_reason(read_machine_load(), at_work, own_threads=threads if own is not None else 0)
+    def get_blocking_reason(own_pid: int | None) -> str:
+        activity = robot_activity(ledger_file, (dualbrain_home() / "gatekeeper.sock",), own_pid=own_pid)
+        return blocking_reason(read_machine_load(), activity, own_threads=threads if own_pid is not None else 0)
 
     with interrupt_handler(_raise_interrupt):
         code = IdleScheduler(
-            start, why_not, StderrConsole().print, clock=time.monotonic, sleep=time.sleep, config=pace
+            start, get_blocking_reason, StderrConsole().print, clock=time.monotonic, sleep=time.sleep, config=pace
         ).run()
     if code < 0:
         StderrConsole().print(
-            f"the fit was ended by signal {-code} ({signal.strsignal(-code)}); the same command with --out {out} goes "
-            f"on from the last checkpoint"
+            f"the training was ended by signal {-code} ({signal.strsignal(-code)}); the same command with --out {out} "
+            f"resumes from the last checkpoint"
         )
     return ExitCode(code) if code in set(ExitCode) else ExitCode.SETUP
 
@@ -69,8 +69,8 @@ def _raise_interrupt() -> None:
 def adapt_command(
     robot: str, base: str, ledger: Path | None, site: Path | None, config: Path | None, out: Path, *, json: bool
 ) -> list[str]:
-    """The same command without waiting; with its --out it goes on where it was."""
-    told: dict[str, Path | str | None] = {
+    """The command line of the same training without waiting; with its --out it resumes the run."""
+    options: dict[str, Path | str | None] = {
         "--robot": robot,
         "--base": base,
         "--ledger": ledger,
@@ -78,13 +78,13 @@ def adapt_command(
         "--config": config,
         "--out": out,
     }
-    words = [word for name, value in told.items() if value is not None for word in (name, str(value))]
+    arguments = [word for name, value in options.items() if value is not None for word in (name, str(value))]
     code = "import sys; from dualbrain.cli.main import main; sys.exit(main())"
-    return [sys.executable, "-c", code, "adapt", *words, *(["--json"] if json else [])]
+    return [sys.executable, "-c", code, "adapt", *arguments, *(["--json"] if json else [])]
 
 
 def _trainer_threads(config: Path | None) -> int:
-    """Processor threads of the fit."""
+    """Number of processor threads of the training."""
     from dualbrain.adaptation.config import AdaptConfig, read_config
 
     return (read_config(config) if config else AdaptConfig()).fit.threads or 1

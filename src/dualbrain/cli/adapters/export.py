@@ -1,4 +1,4 @@
-"""dualbrain adapters export and diff: an adapter for other programs, and what tells two of them apart."""
+"""`dualbrain adapters export` and `dualbrain adapters diff`: an adapter for other programs, and a comparison of two."""
 
 from __future__ import annotations
 
@@ -23,41 +23,41 @@ ExportFormat = Literal["peft", "gguf", "merged"]
 
 
 def export(name: str, out: Path, /, *, form: ExportFormat = "peft", robot: str = "panda") -> int:
-    """Write an adapter, verified, for other programs; what it sits on besides the model is put into it.
+    """Write an adapter for other programs, after verifying it; adapters below it in its stack are included.
 
-    It is there whole or not at all, and may be read by whom the umask lets.
+    The output is complete or absent, with permissions according to the umask.
 
     Parameters
     ----------
     name
-        The beginning of its id, `champion`, the name of one that comes with dualbrain, or a folder that a fit left.
+        The beginning of an id, `champion`, the name of a packaged adapter, or a folder that training wrote.
     out
         A new folder (peft), or a new file (gguf, merged).
     form
         peft: a folder that peft and vLLM load on the dequantised base. gguf: a GGUF-LoRA file for llama.cpp on the
-        untouched base. merged: base and adapter as one GGUF in float16, for programs that load no adapters.
+        unchanged base. merged: base and adapter as one GGUF in float16, for programs that cannot load adapters.
     robot
-        Whose champion.
+        The robot of `champion`.
     """
     from dualbrain.adaptation.adapters.naming import resolve_folder
     from dualbrain.adaptation.adapters.stacking import load_stack
     from dualbrain.core.storage.atomic_files import atomic_folder
 
     if out.exists():
-        raise ConfigurationError("place to export to", got=str(out), allowed="a name that is free")
+        raise ConfigurationError.stating("The export path exists already.", fix=f"Name a new file or folder. {out}")
     folder = resolve_folder(name, open_adapter_registry(), robot)
     if form == "peft" and _is_on_base_model(folder):
-        with atomic_folder(out) as beside:
+        with atomic_folder(out) as temporary:
             for file in filter(Path.is_file, folder.iterdir()):
-                shutil.copyfile(file, beside / file.name)
+                shutil.copyfile(file, temporary / file.name)
     else:
         from dualbrain.adaptation.conversion.concatenated_lora import concatenate_adapters, write_peft_adapter
 
         stack = load_stack(folder, cache_folder())
         pairs = concatenate_adapters([layer.folder for layer in stack.layers])
         if form == "peft":
-            with atomic_folder(out) as beside:
-                write_peft_adapter(pairs, beside, base=stack.layers[0].card.base_sha256)
+            with atomic_folder(out) as temporary:
+                write_peft_adapter(pairs, temporary, base=stack.layers[0].card.base_sha256)
         else:
             from dualbrain.adaptation.conversion.gguf_lora import write_gguf_lora
             from dualbrain.adaptation.conversion.merged_gguf import write_merged_gguf
@@ -68,7 +68,7 @@ def export(name: str, out: Path, /, *, form: ExportFormat = "peft", robot: str =
 
 
 def _is_on_base_model(folder: Path) -> bool:
-    """Whether the adapter sits on a model and not on another adapter."""
+    """Whether the base of the adapter is a model and not another adapter."""
     from dualbrain.adaptation.adapters.card import read_adapter_card
     from dualbrain.adaptation.adapters.packaged import packaged_names
 
@@ -76,18 +76,18 @@ def _is_on_base_model(folder: Path) -> bool:
 
 
 def diff(first: str, second: str, /, *, robot: str = "panda", json: Flag = False) -> int:
-    """Tell two adapters apart: how they were made, and how far what they compute differs, layer by layer.
+    """Compare two adapters: the entries of their cards, and the weight change layer by layer.
 
-    What only one of them sits on besides the model counts as its own.
+    An adapter in the stack of only one of them counts as part of it.
 
     Parameters
     ----------
     first
-        The beginning of an id, `champion`, the name of one that comes with dualbrain, or a folder that a fit left.
+        The beginning of an id, `champion`, the name of a packaged adapter, or a folder that training wrote.
     second
-        Another.
+        Another adapter.
     robot
-        Whose champion.
+        The robot of `champion`.
     json
         Print one JSON object on stdout.
     """
@@ -98,23 +98,23 @@ def diff(first: str, second: str, /, *, robot: str = "panda", json: Flag = False
     registry = open_adapter_registry()
     folders = [resolve_folder(name, registry, robot) for name in (first, second)]
     cards = [read_adapter_card(folder) for folder in folders]
-    apart, found = compare_cards(cards[0], cards[1]), compare_layers(*_lora_pairs(*folders))
+    differing, found = compare_cards(cards[0], cards[1]), compare_layers(*_lora_pairs(*folders))
     if json:
-        print_json({"cards": apart, "all": combine_layers(found), "layers": found})
+        print_json({"cards": differing, "all": combine_layers(found), "layers": found})
         return ExitCode.SUCCESS
-    for name, (ours, theirs) in apart.items():
-        print_result(f"{name}: {ours} | {theirs}")
-    whole = combine_layers(found)
-    print_result(f"‖BA‖: {whole.first:.3g} | {whole.second:.3g}; ‖difference‖: {whole.apart:.3g}")
+    for name, (of_first, of_second) in differing.items():
+        print_result(f"{name}: {of_first} | {of_second}")
+    total = combine_layers(found)
+    print_result(f"‖BA‖: {total.first:.3g} | {total.second:.3g}; ‖difference‖: {total.apart:.3g}")
     for gap in found[:5]:
         print_result(f"  {gap.layer}: {gap.first:.3g} | {gap.second:.3g}; {gap.apart:.3g}")
     return ExitCode.SUCCESS
 
 
 def _lora_pairs(first: Path, second: Path) -> tuple[dict[str, LoraPair], dict[str, LoraPair]]:
-    """The pairs of each adapter, with those of what it sits on unless both sit on the same.
+    """The LoRA pairs of each adapter, including the adapters below it unless both have the same base.
 
-    Raises `InvalidSetup` if their models differ: then so do the matrices that are changed.
+    Raises `ConfigurationError` if their models differ, because then the matrices differ too.
     """
     from dualbrain.adaptation.adapters.card import read_adapter_card
     from dualbrain.adaptation.adapters.stacking import read_layers
@@ -122,11 +122,12 @@ def _lora_pairs(first: Path, second: Path) -> tuple[dict[str, LoraPair], dict[st
 
     if read_adapter_card(first).base_sha256 == read_adapter_card(second).base_sha256:
         return concatenate_adapters([first]), concatenate_adapters([second])
-    ours, theirs = read_layers(first), read_layers(second)
-    lowest = [layers[0].card for layers in (ours, theirs)]
+    first_layers, second_layers = read_layers(first), read_layers(second)
+    lowest = [layers[0].card for layers in (first_layers, second_layers)]
     if lowest[0].base_sha256 != lowest[1].base_sha256:
         got = " and ".join(card.base for card in lowest)
-        raise ConfigurationError("models below two adapters to compare", got=got, allowed="one and the same")
-    return concatenate_adapters([layer.folder for layer in ours]), concatenate_adapters(
-        [layer.folder for layer in theirs]
+        problem = f"Adapters of different models cannot be compared: {got}."
+        raise ConfigurationError.stating(problem)
+    return concatenate_adapters([layer.folder for layer in first_layers]), concatenate_adapters(
+        [layer.folder for layer in second_layers]
     )

@@ -1,4 +1,4 @@
-"""dualbrain adapters make: the adapters that dualbrain ships, made again from nothing but the base model."""
+"""`dualbrain adapters make`: reproduce the packaged adapters from the base model alone."""
 
 from __future__ import annotations
 
@@ -27,31 +27,31 @@ Flag = Annotated[bool, Parameter(negative="")]
 
 
 def make(name: str, /, *, out: Path | None = None, json: Flag = False) -> int:
-    """Make a shipped adapter again: draw its lessons, fit it, write it with its card.
+    """Reproduce a packaged adapter: generate its data set, train it, and write it with its card.
 
-    base-135m is SmolLM2 taught the language of contracts of panda, ur5e and base: templates with random valid
-    parameters, nothing carried out. It plans, and knows nothing of any body. starter-135m is that one after a
-    first night: such contracts for the panda, each carried out in its scene, and those taught that went well.
-    Interrupted in any way, the same command with the same --out goes on where it was. A data set there that is not the
-    one which that adapter is taught today is refused.
+    base-135m is SmolLM2 trained on the language of contracts of panda, ur5e and base: templates with random valid
+    parameters, nothing executed. It plans without any experience of a robot. starter-135m is base-135m after a first
+    training run on experience: random contracts for the panda, executed in their scenes, of which the successful ones
+    were selected. An interrupted run resumes with the same command and the same --out. A data set in the folder that
+    differs from the adapter's present one is rejected.
 
     Parameters
     ----------
     name
-        Which one: base-135m, starter-135m.
+        The adapter: base-135m or starter-135m.
     out
-        Where lessons, ledger, checkpoints and adapter go; default a new folder under runs.
+        The folder for data set, ledger, checkpoints and adapter; default a new folder under runs.
     json
         Print the card as one JSON object on stdout.
     """
     if name not in _MAKERS:
-        raise UnknownNameError("shipped adapter", name, tuple(_MAKERS))
+        raise UnknownNameError("packaged adapter", name, tuple(_MAKERS))
     from dualbrain.cli.adapters.adapt import announce_folder, import_trainer
 
     folder = out or Path("runs") / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{name}"
-    with process_group(import_trainer, out) as team, announce_folder(folder, console_of(team)):
-        card = _MAKERS[name](folder, team)
-        if json and team.rank == 0:
+    with process_group(import_trainer, out) as group, announce_folder(folder, console_of(group)):
+        card = _MAKERS[name](folder, group)
+        if json and group.rank == 0:
             print_json(card)
     return ExitCode.SUCCESS
 
@@ -59,18 +59,18 @@ def make(name: str, /, *, out: Path | None = None, json: Flag = False) -> int:
 # --- base-135m --------------------------------------------------------------------------------------------------------
 
 
-def _base_135m(folder: Path, team: ProcessGroup) -> Any:
+def _base_135m(folder: Path, group: ProcessGroup) -> Any:
     from dualbrain.adaptation.synthetic.dataset import SYNTHETIC_ADAPT_CONFIG
     from dualbrain.grounding.vocabulary import load_skill_registry
     from dualbrain.runtime.data_collection.synthetic_scenes import ROBOT_SHARES
 
     registries = {robot: load_skill_registry(robot) for robot in ROBOT_SHARES}
-    team.run_on_first(lambda: _write_synthetic_dataset(folder, registries))
-    return _fit("smollm2-135m-instruct", SYNTHETIC_ADAPT_CONFIG, registries, folder, team)
+    group.run_on_first(lambda: _write_synthetic_dataset(folder, registries))
+    return _fit("smollm2-135m-instruct", SYNTHETIC_ADAPT_CONFIG, registries, folder, group)
 
 
 def _write_synthetic_dataset(folder: Path, registries: Mapping[str, SkillRegistry]) -> None:
-    """Write the lessons into `folder`, unless they are there already."""
+    """Write the synthetic examples to `folder`, unless they are there already."""
     from dualbrain.adaptation.curation.dataset import read_dataset_card, write_dataset
     from dualbrain.adaptation.synthetic.dataset import (
         N_CHECK_EXAMPLES,
@@ -84,7 +84,7 @@ def _write_synthetic_dataset(folder: Path, registries: Mapping[str, SkillRegistr
         _require_same_dataset(
             "base-135m", folder, synthetic_dataset_differences(read_dataset_card(folder / DATASET_FOLDER), registries)
         )
-        StderrConsole().print(f"going on with the lessons in {folder}")
+        StderrConsole().print(f"using the data set in {folder}")
     else:
         write_dataset(
             build_synthetic_dataset(
@@ -97,76 +97,76 @@ def _write_synthetic_dataset(folder: Path, registries: Mapping[str, SkillRegistr
 # --- starter-135m -----------------------------------------------------------------------------------------------------
 
 
-def _starter_135m(folder: Path, team: ProcessGroup) -> Any:
+def _starter_135m(folder: Path, group: ProcessGroup) -> Any:
     from dualbrain.grounding.vocabulary import load_skill_registry
     from dualbrain.runtime.data_collection import starter_dataset as starter
     from dualbrain.runtime.data_collection.rollouts import ROBOT
 
-    team.run_on_first(lambda: _write_rollout_dataset(folder))
-    return _fit(starter.BASE_MODEL, starter.ADAPT_CONFIG, {ROBOT: load_skill_registry(ROBOT)}, folder, team)
+    group.run_on_first(lambda: _write_rollout_dataset(folder))
+    return _fit(starter.BASE_MODEL, starter.ADAPT_CONFIG, {ROBOT: load_skill_registry(ROBOT)}, folder, group)
 
 
 def _write_rollout_dataset(folder: Path) -> None:
-    """Carry out what is proposed, and write what went well into `folder`, unless that is there already."""
+    """Execute the proposals and write the data set of the successful ones to `folder`, unless it is there already."""
     from dualbrain.adaptation.curation.dataset import read_dataset, read_dataset_card, write_dataset
     from dualbrain.runtime.data_collection import starter_dataset as starter
 
-    account, day = StderrConsole(), folder / "day"
+    console, day = StderrConsole(), folder / "day"
     if (folder / DATASET_FOLDER / "dataset.json").is_file():
         others = starter.dataset_difference(read_dataset_card(folder / DATASET_FOLDER), day, starter.N_PROPOSALS)
         _require_same_dataset("starter-135m", folder, others)
-        account.print(f"going on with the data set in {folder}")
+        console.print(f"using the data set in {folder}")
     else:
-        told = _episode_printer(account, starter.N_PROPOSALS)
-        lived = starter.collect_rollouts(day, starter.N_PROPOSALS, cache=cache_folder(), on_episode=told)
-        write_dataset(starter.build_dataset(lived), folder / DATASET_FOLDER)
+        on_episode = _episode_printer(console, starter.N_PROPOSALS)
+        ledger_folder = starter.collect_rollouts(day, starter.N_PROPOSALS, cache=cache_folder(), on_episode=on_episode)
+        write_dataset(starter.build_dataset(ledger_folder), folder / DATASET_FOLDER)
     data = read_dataset(folder / DATASET_FOLDER)
     reasons = "".join(f"; {number} {reason}" for reason, number in data.card.left_out.items())
-    account.print(f"{data.card.train} samples to train on, {data.card.held_out} held out{reasons}")
+    console.print(f"{data.card.train} samples to train on, {data.card.held_out} held out{reasons}")
 
 
-def _episode_printer(account: StderrConsole, number: int) -> Callable[[int, Any], None]:
-    """Prints each flight with the time left, at the pace of those since the start of this command."""
-    began, flown = time.monotonic(), count(1)
+def _episode_printer(console: StderrConsole, number: int) -> Callable[[int, Any], None]:
+    """Prints each episode with the remaining time, at the pace of those since the start of this command."""
+    start, executed = time.monotonic(), count(1)
 
-    def told(done: int, episode: Any) -> None:
-        outcome, left = episode.outcome, (time.monotonic() - began) / next(flown) * (number - done)
+    def print_episode(done: int, episode: Any) -> None:
+        outcome, left = episode.outcome, (time.monotonic() - start) / next(executed) * (number - done)
         size = "" if outcome.Delta is None else f"  Δ {outcome.Delta:.4f}"
-        account.print(f"flight {done}/{number}  {outcome.kind}{size}  {left / 60.0:.1f} min left")
+        console.print(f"episode {done}/{number}  {outcome.kind}{size}  {left / 60.0:.1f} min left")
 
-    return told
+    return print_episode
 
 
 # --- both -------------------------------------------------------------------------------------------------------------
 
 
 def _require_same_dataset(name: str, folder: Path, others: str) -> None:
-    """Raise `InvalidSetup` if the data set in `folder` differs, in `others`, from the one that `name` is taught."""
+    """Raise `ConfigurationError` if the data set in `folder` differs, in `others`, from that of the adapter `name`."""
     if others:
-        fix = "It is another one's, or what it was made for has changed since. Name another --out to make it anew."
-        raise ConfigurationError(f"data set in {folder}", got=others, allowed=f"what {name} is taught today", fix=fix)
+        problem = f"The data set in {folder} is not the present data set of {name}: {others}."
+        raise ConfigurationError.stating(problem, fix="Name another --out to make it again.")
 
 
-def _fit(base: str, dials: Any, registries: Mapping[str, SkillRegistry], folder: Path, team: ProcessGroup) -> Any:
-    """The card of an adapter of `base`, fitted on the data set in `folder`."""
+def _fit(base: str, settings: Any, registries: Mapping[str, SkillRegistry], folder: Path, group: ProcessGroup) -> Any:
+    """Train an adapter of `base` on the data set in `folder` and return its card."""
     from dualbrain.adaptation.adapters.base_models import find_base_model
     from dualbrain.adaptation.curation.dataset import read_dataset
     from dualbrain.adaptation.synthetic.dataset import make_language_judge
     from dualbrain.cli.adapters.adapt import format_step, import_trainer
 
-    account = console_of(team)
+    console = console_of(group)
     card = import_trainer().adapt(
         read_dataset(folder / DATASET_FOLDER),
-        dials,
+        settings,
         find_base_model(base, cache_folder()),
         make_language_judge(registries),
         folder,
         cache=cache_folder(),
         clock=time.monotonic,
-        tell=lambda progress: account.print(format_step(progress)),
-        team=team,
+        report=lambda progress: console.print(format_step(progress)),
+        process_group=group,
     )
-    account.print(f"adapter {card.id} in {folder / 'adapter'}")
+    console.print(f"adapter {card.id} in {folder / 'adapter'}")
     return card
 
 

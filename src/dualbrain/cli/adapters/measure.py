@@ -1,4 +1,4 @@
-"""dualbrain adapters measure: a candidate and the champion asked the same held-out questions, for the gate."""
+"""`dualbrain adapters measure`: candidate and champion on the same held-out questions, for the promotion gate."""
 
 from __future__ import annotations
 
@@ -37,31 +37,31 @@ def measure(
     threads: int = 1,
     json: Flag = False,
 ) -> int:
-    """Ask an adapter and the present champion the same held-out questions, and write what the gate wants to know.
+    """Ask an adapter and the present champion the same held-out questions and write the results for the promotion gate.
 
-    Both answer freely, in the runtime that serves: no grammar, no schema, no examples. What they answer is carried out
-    in simulation. Questions that one of them is known to have been taught are left out. Then
+    Both answer without constraints in the serving runtime: no grammar, no schema, no exemplars. Their contracts are
+    executed in simulation. Questions from the known training data of either adapter are left out. The next command is
     `dualbrain adapters promote NAME --measured OUT`.
 
     Parameters
     ----------
     name
-        The candidate: the beginning of its id, the name of one that comes with dualbrain, or a folder that a fit left.
+        The candidate: the beginning of an id, the name of a packaged adapter, or a folder that training wrote.
     data
-        A data set, as `dualbrain adapt --export` writes it or a fit leaves it; its held-out part is asked.
+        A data set from `dualbrain adapt --export` or from a training run; its held-out part is used.
     out
-        The file that the results go to; its folder is made.
+        The file for the results; its folder is created.
     most
-        Ask at most so many questions, evenly chosen; 0 means all.
+        Maximum number of questions, evenly chosen; 0 means all.
     fly
-        Carry each contract out in simulation, in the world its memory was made in: success and Δ in closed loop. With
-        --no-fly only the words are judged, and nothing is promoted by that.
+        Execute each contract in simulation, in the scene of its memory: success and Δ in closed loop. With --no-fly
+        only the answers are scored, and the results cannot justify a promotion.
     ledger
-        The memory that the data set was made of; default in dualbrain's home. Without it nothing can be flown.
+        The memory ledger that the data set was made from; default in dualbrain's home. Execution needs it.
     seed
-        Everything random in these worlds.
+        Seed of all randomness in the simulation.
     threads
-        Processor threads of the model; more than one only on an idle machine.
+        Number of processor threads of the model; use more than one only on an idle machine.
     json
         Print the results as one JSON object on stdout.
     """
@@ -78,41 +78,46 @@ def measure(
 
     registry, dataset = open_adapter_registry(), read_dataset(data)
     stack = load_stack(_candidate(name, registry), cache_folder())
-    vocabulary_here = load_skill_registry(stack.top_card.robot)
+    vocabulary = load_skill_registry(stack.top_card.robot)
     require_same_prompt(stack.top_card)
-    require_compatible(stack.top_card, stack.top_card.robot, vocabulary_here.hash)
+    require_compatible(stack.top_card, stack.top_card.robot, vocabulary.hash)
     champion = registry.champion(place_of_card(stack.top_card))
     if stack.top_card.id == champion:
         raise _champion_as_candidate_error()
-    present = (
+    serving = (
         load_stack(champion_folder(registry, champion), cache_folder()) if champion != NO_ADAPTER else stack.without_top
     )
     with ExitStack() as opened:
-        remembered = opened.enter_context(_open_source_ledger(ledger)) if fly or ledger else None
-        apart = samples_for_robot(dataset.held_out, stack.top_card.robot)
-        kept = unseen_samples(apart, [layer.card for layer in (*stack.layers, *present.layers)], dataset, remembered)
-        if len(kept) < len(apart):
-            StderrConsole().print(f"left out: {len(apart) - len(kept)} questions that one of the two was taught")
-        asked, flight = select_questions(kept, most), None
-        if fly and remembered:
+        ledger_reader = opened.enter_context(_open_source_ledger(ledger)) if fly or ledger else None
+        held_out = samples_for_robot(dataset.held_out, stack.top_card.robot)
+        unseen = unseen_samples(
+            held_out, [layer.card for layer in (*stack.layers, *serving.layers)], dataset, ledger_reader
+        )
+        if len(unseen) < len(held_out):
+            left_out = len(held_out) - len(unseen)
+            StderrConsole().print(f"left out: {left_out} questions from the training data of one of the two")
+        asked, execute = select_questions(unseen, most), None
+        if fly and ledger_reader:
             from dualbrain.runtime.inspection.memory_replay import make_replay_evaluator
 
-            flight = make_replay_evaluator(remembered, asked, seed=seed)
+            execute = make_replay_evaluator(ledger_reader, asked, seed=seed)
         require_writable(out)
         results = [
-            _measure_adapter(one, who, asked, vocabulary_here, flight, threads)
-            for one, who in ((stack, stack.top_card.id), (present, champion))
+            _measure_adapter(one, who, asked, vocabulary, execute, threads)
+            for one, who in ((stack, stack.top_card.id), (serving, champion))
         ]
     measured = Measurement(*results, dataset=dataset.card.hash)
     write_atomically(out, msgspec.json.format(msgspec.json.encode(measured), indent=2))
     if json:
         print_json(measured)
-    StderrConsole().print(f"written: {out}" if fly else f"written: {out}; not flown, so nothing can be promoted by it")
+    StderrConsole().print(
+        f"written: {out}" if fly else f"written: {out}; without execution, so it cannot justify a promotion"
+    )
     return ExitCode.SUCCESS
 
 
 def _candidate(name: str, registry: AdapterRegistry) -> Path:
-    """The folder of the adapter to measure; raises `InvalidSetup` where `name` means who serves."""
+    """The folder of the adapter to measure; raises `ConfigurationError` if `name` is the champion."""
     from dualbrain.adaptation.adapters.naming import ADAPTER_PREFIX, CHAMPION, resolve_folder
 
     if name.removeprefix(ADAPTER_PREFIX) == CHAMPION:
@@ -121,49 +126,49 @@ def _candidate(name: str, registry: AdapterRegistry) -> Path:
 
 
 def _open_source_ledger(ledger: Path | None) -> AbstractContextManager[LedgerReader]:
-    """The memory that the data set was made of; raises `MissingPart` if it is not there."""
+    """The ledger that the data set was made from; raises `MissingDependencyError` if it does not exist."""
     if not (path := ledger_path(ledger)).exists():
-        fix = "Name the one that the data set was made of with --ledger, or leave the flights out with --no-fly."
+        fix = "Name the ledger of the data set with --ledger, or measure without execution by --no-fly."
         raise MissingDependencyError(f"The memory ledger {path}", fix=fix)
     return open_reader(ledger)
 
 
 def _champion_as_candidate_error() -> ConfigurationError:
-    fix = "To measure it anew, roll it back first: `dualbrain adapters rollback`."
-    return ConfigurationError("candidate", got="the champion itself", allowed="another adapter", fix=fix)
+    fix = "Name another adapter, or roll it back before with `dualbrain adapters rollback`."
+    return ConfigurationError.stating("The candidate is the champion itself.", fix=fix)
 
 
-def _measure_adapter(stack: AdapterStack, who: str, asked: Any, registry: Any, flight: Any, threads: int) -> Any:
-    """What one of the two did."""
-    from dualbrain.adaptation.serving.measurement import measure_planner as ask
+def _measure_adapter(stack: AdapterStack, who: str, asked: Any, registry: Any, execute: Any, threads: int) -> Any:
+    """The results of one of the two planners."""
+    from dualbrain.adaptation.serving.measurement import measure_planner
     from dualbrain.adaptation.serving.open_planner import N_CTX, start_llama
     from dualbrain.adaptation.serving.raw_completion import runtime_name
     from dualbrain.planner.backends.llama_cpp import LlamaConfig
     from dualbrain.planner.prompt.prompt_format import UNCONSTRAINED_SHORT_PROMPT
 
-    account, short = StderrConsole(), who[:16] or "the bare base"
+    console, label = StderrConsole(), who[:16] or "the bare base"
     planner = start_llama(
         stack,
         cache_folder(),
         LlamaConfig(threads=threads, n_ctx=N_CTX),
-        name=short,
+        name=label,
         prompt_format=UNCONSTRAINED_SHORT_PROMPT,
     )
     try:
-        found = ask(
+        found = measure_planner(
             planner,
             asked,
             registry,
             adapter=who,
             runtime=runtime_name(planner.model),
-            execute=flight,
-            report=lambda done, of, trial: account.print(f"{short} {done}/{of}: {_describe_trial(trial)}"),
+            execute=execute,
+            report=lambda done, of, trial: console.print(f"{label} {done}/{of}: {_describe_trial(trial)}"),
         )
     finally:
         planner.close()
     rows = found.trials
-    account.print(
-        f"{short}: {sum(r.compliant for r in rows)} of {len(rows)} compliant, {sum(r.right for r in rows)} right, "
+    console.print(
+        f"{label}: {sum(r.compliant for r in rows)} of {len(rows)} compliant, {sum(r.right for r in rows)} right, "
         f"perplexity {found.perplexity:.2f}"
     )
     return found

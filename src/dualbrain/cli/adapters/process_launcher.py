@@ -1,4 +1,4 @@
-"""Under a launcher (`torchrun`, `accelerate launch`) a fit is several processes on one folder; else it is one."""
+"""Training in several processes under a launcher (`torchrun`, `accelerate launch`), else in a single one."""
 
 from __future__ import annotations
 
@@ -14,38 +14,38 @@ from dualbrain.errors import ConfigurationError
 
 
 def is_distributed(environ: Mapping[str, str] = os.environ) -> bool:
-    """Whether a launcher started this process as one of several: it says so in the environment.
+    """Whether a launcher started this process as one of several, according to the environment.
 
-    Raises `InvalidSetup` if what it says is no number.
+    Raises `ConfigurationError` if WORLD_SIZE is not a number.
     """
     size = environ.get("WORLD_SIZE", "1")
     if not size.isdecimal():
-        fix = "A launcher sets it; without one: `unset WORLD_SIZE`."
+        fix = "A launcher sets it; without a launcher, use `unset WORLD_SIZE`."
         raise ConfigurationError("WORLD_SIZE in the environment", got=size, allowed="a number of processes", fix=fix)
     return int(size) > 1
 
 
 @contextmanager
 def process_group(load: Callable[[], Any], out: Path | None) -> Generator[ProcessGroup]:
-    """The processes that carry out this fit; `load` imports what needs torch.
+    """The processes of this training run; `load` imports torch.
 
-    Raises `InvalidSetup` if there are several and no common folder `out` is named, `MissingPart` without torch.
+    Raises `ConfigurationError` if there are several and `out` is not named, `MissingDependencyError` without torch.
     """
     if not is_distributed():
         yield SINGLE_PROCESS
         return
     if out is None:
-        fix = "Name one folder, which all processes see."
-        raise ConfigurationError("--out of a fit in several processes", got="none", allowed="a folder", fix=fix)
+        problem = "Training in several processes needs --out."
+        raise ConfigurationError.stating(problem, fix="Name one folder that all processes can read.")
     load()
     from dualbrain.adaptation.training.accelerate_group import join_process_group
 
-    with join_process_group() as team:
-        yield team
+    with join_process_group() as group:
+        yield group
 
 
 def console_of(group: ProcessGroup) -> StderrConsole:
-    """Where the first process speaks, and the others are silent."""
-    account = StderrConsole()
-    account.quiet = group.rank > 0
-    return account
+    """The console of the first process; it is silent in the others."""
+    console = StderrConsole()
+    console.quiet = group.rank > 0
+    return console

@@ -1,4 +1,4 @@
-"""dualbrain adapters: what was fitted, which one serves, and changing that by measurement only."""
+"""`dualbrain adapters`: list, show and verify adapters, and change the serving one by measurement only."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 Flag = Annotated[bool, Parameter(negative="")]
 Count = Annotated[int, Parameter(validator=validators.Number(gte=0))]
-MAKE_HINT = "`dualbrain adapt` makes them, of what went well"
+MAKE_HINT = "`dualbrain adapt` makes them from successful episodes"
 MIN_SHADOW_ANSWERS = 10
-"""Whole answers in the shadow before a promotion: enough to see that it answers what is really asked; no measure."""
+"""Complete shadow answers required for a promotion: enough to see that the adapter answers real questions."""
 
 
 def open_adapter_registry() -> AdapterRegistry:
@@ -35,7 +35,7 @@ def open_adapter_registry() -> AdapterRegistry:
 
 
 def list_adapters(*, json: Flag = False) -> int:
-    """List adapters, the newest last: id, robot, base, data set, what the fit saw, whether it serves.
+    """List adapters, the newest last: id, robot, base, data set, held-out result, whether it serves.
 
     Parameters
     ----------
@@ -45,36 +45,40 @@ def list_adapters(*, json: Flag = False) -> int:
     registry = open_adapter_registry()
     damaged = {one: fault for one, fault in registry.verify().items() if fault}
     cards = [registry.card(one) for one in registry.ids() if one not in damaged]
-    serving, unmeasured = registry.serving_ids(), runtime_mismatches(registry)
+    serving, mismatches = registry.serving_ids(), runtime_mismatches(registry)
     if json:
-        told = {"adapters": cards, "serving": sorted(serving), "damaged": damaged}
-        print_json(told | {"measured_elsewhere": unmeasured})
+        fields = {"adapters": cards, "serving": sorted(serving), "damaged": damaged}
+        print_json(fields | {"measured_elsewhere": mismatches})
         return ExitCode.SUCCESS
     if not cards and not damaged:
         StderrConsole().print(f"no adapters in {registry.folder}: {MAKE_HINT}", markup=False)
         return ExitCode.SUCCESS
     rows = list[tuple[str, ...]]()
     for card in cards:
-        seen = "-" if card.held_out is None or card.held_out.compliance is None else f"{card.held_out.compliance:.0%}"
+        compliance = (
+            "-" if card.held_out is None or card.held_out.compliance is None else f"{card.held_out.compliance:.0%}"
+        )
         base = card.base + (", bootstrapped" if card.bootstrapped else "")
-        rows.append((card.id[:16], card.robot, base, card.dataset[:12], seen, "yes" if card.id in serving else "-"))
+        rows.append(
+            (card.id[:16], card.robot, base, card.dataset[:12], compliance, "yes" if card.id in serving else "-")
+        )
     print_table(("id", "robot", "base", "data set", "held out", "serves"), rows, wrap_columns=("base",))
     for one, fault in damaged.items():
         StderrConsole().print(f"{one[:16]} is damaged{', and serves' if one in serving else ''}: {fault}")
-    for one, words in unmeasured.items():
-        StderrConsole().print(f"{one[:16]} {words}")
+    for one, mismatch in mismatches.items():
+        StderrConsole().print(f"{one[:16]} {mismatch}")
     return ExitCode.SUCCESS
 
 
 def show(name: str, /, *, robot: str = "panda") -> int:
-    """Show the card of one adapter and what became of it, as JSON. Exit code 1 if it is damaged.
+    """Show the card, history and shadow results of one adapter as JSON. Exit code 1 if it is damaged.
 
     Parameters
     ----------
     name
-        The beginning of its id, `champion`, the name of one that comes with dualbrain, or a folder that a fit left.
+        The beginning of an id, `champion`, the name of a packaged adapter, or a folder that training wrote.
     robot
-        Whose champion.
+        The robot of `champion`.
     """
     from dualbrain.adaptation.adapters.card import read_adapter_card
     from dualbrain.adaptation.adapters.naming import is_registry_name, resolve_folder, resolve_id
@@ -84,45 +88,45 @@ def show(name: str, /, *, robot: str = "panda") -> int:
     registry = open_adapter_registry()
     one = resolve_id(name, registry, robot)
     fault = registry.find_fault(one) if is_registry_name(name) else ""
-    told: dict[str, Any] = (
+    fields: dict[str, Any] = (
         {"damaged": fault} if fault else {"card": read_adapter_card(resolve_folder(name, registry, robot))}
     )
-    told["journal"] = [entry for entry in registry.entries() if entry.adapter == one]
-    print_json(told | {"shadow": summarize_shadow(read_shadow_log(shadow_log_path(registry.folder, one)))})
+    fields["journal"] = [entry for entry in registry.entries() if entry.adapter == one]
+    print_json(fields | {"shadow": summarize_shadow(read_shadow_log(shadow_log_path(registry.folder, one)))})
     return ExitCode.FAILED_SAFELY if fault else ExitCode.SUCCESS
 
 
 def verify(*, answers: Flag = False) -> int:
-    """Check that every adapter is as it was added: weights, config, card, journal. Exit code 1 if not.
+    """Check that every adapter is as it was added: weights, config, card, log. Exit code 1 if not.
 
-    Weights are those that the id names. Of adapters added before that was kept, config and card are not recorded. Who
-    serves in another runtime than it was measured in is named; nothing of it is damaged.
+    Weights are checked against the id. Config and card of adapters from older versions have no recorded hash. An
+    adapter that serves in another runtime than it was measured in is reported, but is not damaged.
 
     Parameters
     ----------
     answers
-        Also ask each one all its canaries, in the runtime that serves.
+        Also ask each adapter all its canaries, in the serving runtime.
     """
     registry = open_adapter_registry()
-    found, lost = registry.verify(), registry.unrecorded_ids()
+    found, unrecorded = registry.verify(), registry.unrecorded_ids()
     if not found:
         StderrConsole().print(f"no adapters in {registry.folder}: {MAKE_HINT}", markup=False)
     if answers:
         found = {one: fault or canary_error(registry, one) for one, fault in found.items()}
     for one, fault in found.items():
-        unknown = (
+        remark = (
             ""
-            if registry.recorded_hashes(one) or one in lost
+            if registry.recorded_hashes(one) or one in unrecorded
             else "; config and card were not recorded when it was added"
         )
-        print_result(f"{one[:16]} {fault or 'whole'}{unknown}")
-    for one, words in runtime_mismatches(registry).items():
-        print_result(f"{one[:16]} {words}")
+        print_result(f"{one[:16]} {fault or 'intact'}{remark}")
+    for one, mismatch in runtime_mismatches(registry).items():
+        print_result(f"{one[:16]} {mismatch}")
     return ExitCode.FAILED_SAFELY if any(found.values()) else ExitCode.SUCCESS
 
 
 def canary_error(registry: AdapterRegistry, one: str) -> str:
-    """What is wrong with the answers of an adapter in the runtime that serves, "" if nothing is."""
+    """The fault in the answers of an adapter in the serving runtime, "" if there is none."""
     from dualbrain.adaptation.serving.open_planner import check_canaries
 
     try:
@@ -132,14 +136,17 @@ def canary_error(registry: AdapterRegistry, one: str) -> str:
 
 
 def serving_runtime(registry: AdapterRegistry, one: str) -> str:
-    """The runtime in which an adapter serves here; raises `InvalidSetup`, `MissingPart` where it cannot serve."""
+    """The runtime in which an adapter serves here.
+
+    Raises `ConfigurationError` or `MissingDependencyError` if it cannot serve.
+    """
     from dualbrain.adaptation.serving import open_planner
 
     return open_planner.local_runtime(registry.adapter_folder(one), cache_folder())
 
 
 def require_runtime(registry: AdapterRegistry, one: str, measured: str) -> None:
-    """Raise `InvalidSetup` if `measured` is not the runtime in which an adapter serves here."""
+    """Raise `ConfigurationError` if `measured` is not the runtime in which an adapter serves here."""
     from dualbrain.adaptation.adapters.promotion import MEASURE_AGAIN_HINT
 
     if measured != (here := serving_runtime(registry, one)):
@@ -147,8 +154,11 @@ def require_runtime(registry: AdapterRegistry, one: str, measured: str) -> None:
 
 
 def runtime_mismatches(registry: AdapterRegistry) -> dict[str, str]:
-    """Who serves in another runtime than it was measured in, in words by id; who cannot serve here is left out."""
-    return {one: words for one in registry.serving_ids() if (words := _runtime_mismatch(registry, one))}
+    """Adapters that serve in another runtime than they were measured in, in words by id.
+
+    An adapter that cannot serve here is left out.
+    """
+    return {one: mismatch for one in registry.serving_ids() if (mismatch := _runtime_mismatch(registry, one))}
 
 
 def _runtime_mismatch(registry: AdapterRegistry, one: str) -> str:
@@ -160,15 +170,15 @@ def _runtime_mismatch(registry: AdapterRegistry, one: str) -> str:
     measured = decision.runtime if decision else ""
     if measured == here:
         return ""
-    how = "to measure it here, roll it back, then `dualbrain adapters measure` and `promote`"
-    return f"serves in {here}, but was measured in {measured or 'a runtime that was not recorded'}: {how}"
+    fix = "to measure it here, roll it back, then use `dualbrain adapters measure` and `promote`"
+    return f"serves in {here}, but was measured in {measured or 'a runtime that was not recorded'}: {fix}"
 
 
 def count_shadow_answers(registry: AdapterRegistry, one: str, champion: str) -> int:
-    """How many whole answers an adapter gave in the shadow of who serves: of `champion`, or "" where there is none.
+    """Number of complete answers of an adapter in the shadow of `champion`, or of any serving planner if that is "".
 
-    Then whichever planner the robot was run with serves: its base, a model of the list, a packaged adapter, a server.
-    Another adapter of the registry serves nowhere, nor does the candidate itself.
+    Without a champion, any planner that the robot was run with may serve: a base, a model of the list, a packaged
+    adapter, a server. Answers in the shadow of the candidate itself or of another registered adapter do not count.
     """
     from dualbrain.adaptation.adapters.packaged import packaged_names
     from dualbrain.adaptation.adapters.stacking import adapter_author
@@ -186,28 +196,29 @@ def count_shadow_answers(registry: AdapterRegistry, one: str, champion: str) -> 
 
 
 def shadow_shortfall(one: str, champion: str, count: int, min_count: int) -> str:
-    """What is lacking if an adapter gave `count` whole answers in the shadow and `least` are wanted, "" if nothing."""
-    beside = "" if champion else f"@{DEFAULT_PLANNER}"
-    other = "" if champion else ", or beside another planner that the robot is run with"
-    fix = f"let it hear more with `--planner shadow:{one[:16]}{beside}`{other}; or waive it: `--shadow 0`"
-    return "" if count >= min_count else f"{count} of {min_count} whole answers in the shadow of who serves: {fix}"
+    """Why `count` complete shadow answers are fewer than required, with the remedy; "" if they suffice."""
+    serving = "" if champion else f"@{DEFAULT_PLANNER}"
+    other = "" if champion else ", or with another serving planner"
+    fix = f"collect more with `--planner shadow:{one[:16]}{serving}`{other}; or waive them with `--shadow 0`"
+    problem = f"{count} of {min_count} complete shadow answers beside the serving planner"
+    return "" if count >= min_count else f"{problem}: {fix}"
 
 
 def promote(name: str, /, *, measured: Path, shadow: Count = MIN_SHADOW_ANSWERS) -> int:
-    """Let an adapter serve in place of the present champion, if it was measured better. Exit code 1 if it was not.
+    """Make an adapter the champion, if it was measured better than the present one. Exit code 1 if it was not.
 
-    Before, it must have stood in the shadow of who serves (`--planner shadow:NAME`; where no adapter is champion,
-    `shadow:NAME@PLANNER` with the planner that the robot is run with), and it is asked its canaries in
-    the runtime that serves: what it answers now it must answer at every start.
+    Before, it must have run in the shadow of the serving planner (`--planner shadow:NAME`; if no adapter is champion,
+    `shadow:NAME@PLANNER` with the planner of the robot). Its canaries are asked in the serving runtime; it must give
+    the same answers at every start.
 
     Parameters
     ----------
     name
-        The beginning of its id.
+        The beginning of an id.
     measured
-        A JSON file with the results of both on the same held-out questions, in the runtime that serves.
+        A JSON file with the results of both planners on the same held-out questions, in the serving runtime.
     shadow
-        How many whole answers in the shadow it needs; 0 waives them, which the journal keeps.
+        Number of complete shadow answers that it needs; 0 waives them, which the log records.
     """
     import numpy as np
 
@@ -218,8 +229,8 @@ def promote(name: str, /, *, measured: Path, shadow: Count = MIN_SHADOW_ANSWERS)
     try:
         results = msgspec.json.decode(measured.read_bytes(), type=Measurement)
     except DECODE_ERRORS as error:
-        allowed = "`candidate` and `champion`, each with `adapter`, `runtime`, `perplexity` and `trials`"
-        raise ConfigurationError("results", got=str(error), allowed=allowed, fix=str(measured)) from error
+        fix = f"Write them with `dualbrain adapters measure`. {measured}"
+        raise ConfigurationError.stating(f"The results of the measurement cannot be read: {error}.", fix=fix) from error
     decision = decide_promotion(
         results.candidate, results.champion, Tolerances(), np.random.default_rng(0), dataset=results.dataset
     )
@@ -227,8 +238,8 @@ def promote(name: str, /, *, measured: Path, shadow: Count = MIN_SHADOW_ANSWERS)
     registry.require_decision_about(one := registry.find(name.removeprefix(ADAPTER_PREFIX)), decision)
     require_runtime(registry, one, decision.runtime)
     for measure, found in decision.measures.items():
-        surely = "" if found.low is None else f", 95 %: {found.low:+.4g} to {found.high:+.4g}"
-        StderrConsole().print(f"{measure}: {found.before:.4g} -> {found.after:.4g}, gain {found.gain:+.4g}{surely}")
+        interval = "" if found.low is None else f", 95 %: {found.low:+.4g} to {found.high:+.4g}"
+        StderrConsole().print(f"{measure}: {found.before:.4g} -> {found.after:.4g}, gain {found.gain:+.4g}{interval}")
     count = count_shadow_answers(registry, one, decision.champion)
     if decision.promotes and (
         fault := shadow_shortfall(one, decision.champion, count, shadow) or canary_error(registry, one)
@@ -243,25 +254,25 @@ def promote(name: str, /, *, measured: Path, shadow: Count = MIN_SHADOW_ANSWERS)
         return ExitCode.FAILED_SAFELY
     card = registry.card(one)
     StderrConsole().print(
-        f"promoted: adapter {one[:16]} on {card.base} is the champion of {card.robot} now. It answers where "
-        f"`--planner adapter:champion` is said; without --planner {DEFAULT_PLANNER} still does."
+        f"promoted: adapter {one[:16]} on {card.base} is the champion of {card.robot} now. Select it with "
+        f"`--planner adapter:champion`; the default of --planner is still {DEFAULT_PLANNER}."
     )
     return ExitCode.SUCCESS
 
 
 def rollback(*, reason: str, robot: str = "panda", base: str = "") -> int:
-    """Let the former champion serve again, at last the bare base. Exit code 1 if it does not answer as it did.
+    """Make the former champion serve again, or the bare base. Exit code 1 if its answers are not the recorded ones.
 
-    It is asked its canaries afterwards: whoever has to go back is not kept from it, but told what serves now.
+    Its canaries are asked afterwards: the rollback is done in any case, and the result is reported.
 
     Parameters
     ----------
     reason
-        Why, in a few words.
+        The reason, in a few words.
     robot
-        Whose planner.
+        The robot of the champion.
     base
-        On which base: from `dualbrain models list`, or base-135m; without it that of adapter:champion.
+        The base: from `dualbrain models list`, or base-135m; default that of adapter:champion.
     """
     from dualbrain.adaptation.adapters.base_models import base_model_hash
     from dualbrain.adaptation.adapters.naming import champion_place
@@ -271,15 +282,15 @@ def rollback(*, reason: str, robot: str = "panda", base: str = "") -> int:
     now = registry.roll_back(place, reason, now=time.time())
     StderrConsole().print(f"{now[:16] or 'the bare base'} serves again")
     if now and (fault := canary_error(registry, now)):
-        StderrConsole().print(f"but it will propose nothing: {fault}. Roll back once more, or mend that.")
+        StderrConsole().print(f"but it will make no proposals: {fault}. Roll back again, or remove the fault.")
         return ExitCode.FAILED_SAFELY
     if now:
-        StderrConsole().print("its canaries are answered as they were")
+        StderrConsole().print("its canary answers are the recorded ones")
     return ExitCode.SUCCESS
 
 
 def history(*, json: Flag = False) -> int:
-    """List what was done to adapters, the oldest first.
+    """List all changes of adapters, the oldest first.
 
     Parameters
     ----------

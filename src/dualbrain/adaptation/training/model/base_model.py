@@ -1,4 +1,4 @@
-"""The base in torch, made from the very GGUF that serves: what is adapted is what answers."""
+"""The base model in torch, made from the GGUF file that serves, so that training and serving use the same weights."""
 
 # pyright: reportMissingImports=false
 
@@ -20,23 +20,24 @@ from dualbrain.errors import ConfigurationError
 def load_base_model(
     base: BaseModel, cache: Path, dtype: Any, device: Any = "cpu", *, nf4: bool = False
 ) -> tuple[Any, Any]:
-    """Model and tokenizer of `base`, with what it wears merged into its weights; no network, no code from files.
+    """Model and tokenizer of `base`, with its stacked adapters merged into the weights.
 
-    In float32 the weights are exactly those that serve (see `dequantised`). `dtype` bf16 rounds each by at most 2^-9 of
-    itself, and `nf4` quantises its linear layers once more (see `quantise`). llama.cpp also rounds activations to 8
-    bits, which torch does not: gate and canary run where it serves.
+    No network is used and no code from files is run. In float32 the weights are exactly those that serve (see
+    `dequantize_base`). With `dtype` bf16 each weight is rounded by at most 2^-9 of its value, and `nf4` quantises the
+    linear layers again (see `quantize_linear_layers`). llama.cpp also rounds activations to 8 bits, which torch does
+    not: promotion and canaries use the serving runtime. Raises `ConfigurationError` for a base without chat template or
+    an adapter that does not match, `MissingDependencyError`.
     """
     folder = dequantize_base(base, cache)
     tokenizer = AutoTokenizer.from_pretrained(folder, local_files_only=True)
     model = AutoModelForCausalLM.from_pretrained(
         folder, dtype=torch.float32, attn_implementation="sdpa", local_files_only=True, use_safetensors=True
-    )  # fused attention: 0.9 of the eager's time a step at some 340 tokens
+    )  # fused attention takes 0.9 of the time of eager attention per step at about 340 tokens
     if tokenizer.chat_template is None:
-        raise ConfigurationError(
-            "base", got=f"{base.gguf.name}, without a chat template", allowed="an instruction-tuned model"
-        )
-    for worn in base.stacked_on:
-        merge_lora(model, read_lora(worn))
+        problem = f"The base {base.gguf.name} has no chat template."
+        raise ConfigurationError.stating(problem, fix="Choose an instruction-tuned model.")
+    for adapter in base.stacked_on:
+        merge_lora(model, read_lora(adapter))
     for parameter in model.parameters():  # not the buffers: rotary frequencies stay float32
         parameter.data = parameter.data.to(dtype)
     if nf4:
@@ -46,10 +47,10 @@ def load_base_model(
 
 @torch.no_grad()
 def merge_lora(model: Any, lora: dict[str, LoraPair]) -> None:
-    """W ← W + BA for each layer that `lora` names (the scale stands in B already), in the numbers of the model.
+    """W ← W + BA for each layer of `lora` (B includes the scaling), in the number format of the model.
 
-    Raises `InvalidSetup` before any weight is changed, as the converter for llama.cpp does, for a pair that has no
-    place in the model or another size than its layer.
+    Raises `ConfigurationError` before any weight is changed for a layer that the model lacks or that has another size,
+    as the converter for llama.cpp does.
     """
     modules = dict(model.named_modules())
     weights = {name: _find_linear(name, modules, model.get_output_embeddings()).weight for name in lora}
@@ -62,7 +63,7 @@ def merge_lora(model: Any, lora: dict[str, LoraPair]) -> None:
 
 
 def _find_linear(name: str, modules: dict[str, Any], head: Any) -> torch.nn.Linear:
-    """The linear layer called `name`; embeddings and the output matrix `head` are none that is adapted."""
+    """The linear layer called `name`; embeddings and the output matrix `head` cannot be adapted."""
     found = modules.get(name)
     if not isinstance(found, torch.nn.Linear) or found is head:
         raise ConfigurationError("LoRA layer", got=name, allowed="a linear layer of this base's blocks")

@@ -1,4 +1,4 @@
-"""A base as torch reads it, in the cache: made from its GGUF when first needed, verified whenever used."""
+"""Cache of base models in torch's format: converted from GGUF when first needed, verified at every use."""
 
 # pyright: reportMissingImports=false
 
@@ -26,11 +26,11 @@ from dualbrain.errors import DECODE_ERRORS, ConfigurationError, MissingDependenc
 
 STAMP_FILE = "made.json"
 CONVERTER_PACKAGES = ("transformers", "gguf")
-"""Whose versions may change what comes out."""
+"""Packages whose versions may change the conversion."""
 
 
 class ConversionStamp(msgspec.Struct, frozen=True):
-    """The stamp in a folder: of which GGUF it was made, by which versions, and the SHA-256 of each file in it."""
+    """The stamp of a folder: hash of its GGUF source, versions of the converter, and the SHA-256 of each file."""
 
     source: str
     versions: dict[str, str]
@@ -38,17 +38,17 @@ class ConversionStamp(msgspec.Struct, frozen=True):
 
 
 def dequantize_base(base: BaseModel, cache: Path) -> Path:
-    """The folder in `cache` that holds `base` without what it wears, in float32: 4 bytes a number.
+    """The folder in `cache` with `base` in float32, 4 bytes per number, without its stacked adapters.
 
-    Block scales times quanta, as llama.cpp does it. Made the first time, and again if a file in it is not the one that
-    was written, or other versions wrote it. Raises `MissingPart`, `DiskFull`, and `InvalidSetup` for a GGUF that
-    transformers cannot read or that lacks weights.
+    Weights are block scales times quanta, as in llama.cpp. The folder is made if it is missing, if a file in it was
+    changed, or if other versions wrote it. Raises `MissingDependencyError`, `FileWriteError`, and `ConfigurationError`
+    for a GGUF that transformers cannot read or that lacks weights.
     """
-    logging.disable_progress_bar()  # our own progress is told line by line
+    logging.disable_progress_bar()  # dualbrain reports progress line by line
     folder = cache / "torch" / base.gguf_sha256[:32]
     if not _is_intact(folder, base):
         if not base.gguf.is_file():
-            fix = f"Get it with `dualbrain models fetch`. {base.gguf}"
+            fix = f"Fetch it with `dualbrain models fetch`. {base.gguf}"
             raise MissingDependencyError(f"The model file {base.gguf.name!r}", fix=fix)
         with _translate_write_errors(folder), _exclusive_lock(folder):
             if not _is_intact(folder, base):
@@ -57,51 +57,53 @@ def dequantize_base(base: BaseModel, cache: Path) -> Path:
 
 
 def _is_intact(folder: Path, base: BaseModel) -> bool:
-    """Whether `folder` holds what was made of this base by these versions, to the byte."""
+    """Whether `folder` has exactly the files that these versions made from this base."""
     try:
-        made = msgspec.json.decode((folder / STAMP_FILE).read_bytes(), type=ConversionStamp)
-        return made == ConversionStamp(base.gguf_sha256, _versions(), _file_hashes(folder))
+        stamp = msgspec.json.decode((folder / STAMP_FILE).read_bytes(), type=ConversionStamp)
+        return stamp == ConversionStamp(base.gguf_sha256, _versions(), _file_hashes(folder))
     except (OSError, *DECODE_ERRORS):
         return False
 
 
 def _convert(base: BaseModel, folder: Path) -> None:
-    """Put the model as safetensors with its tokenizer at `folder`, whole or not at all."""
+    """Write the model as safetensors with its tokenizer to `folder`, complete or not at all."""
     model, tokenizer = _load_gguf(base.gguf)
-    for left in folder.parent.glob(f".{folder.name}-*"):  # by one that was killed
-        shutil.rmtree(left, ignore_errors=True)
-    beside = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}-"))
+    for leftover in folder.parent.glob(f".{folder.name}-*"):  # of a process that was killed
+        shutil.rmtree(leftover, ignore_errors=True)
+    temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}-"))
     try:
-        model.save_pretrained(beside / "new", safe_serialization=True)
-        tokenizer.save_pretrained(beside / "new")
-        made = ConversionStamp(base.gguf_sha256, _versions(), _file_hashes(beside / "new"))
-        (beside / "new" / STAMP_FILE).write_bytes(msgspec.json.encode(made))
+        model.save_pretrained(temporary / "new", safe_serialization=True)
+        tokenizer.save_pretrained(temporary / "new")
+        stamp = ConversionStamp(base.gguf_sha256, _versions(), _file_hashes(temporary / "new"))
+        (temporary / "new" / STAMP_FILE).write_bytes(msgspec.json.encode(stamp))
         if folder.is_dir():
-            folder.rename(beside / "old")
-        (beside / "new").rename(folder)
+            folder.rename(temporary / "old")
+        (temporary / "new").rename(folder)
         fsync_folder(folder.parent)
     finally:
-        shutil.rmtree(beside, ignore_errors=True)
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
 @torch.no_grad()
 def _load_gguf(gguf: Path) -> tuple[Any, Any]:
-    """Model in float32 and tokenizer of a GGUF, with every weight that the model has."""
+    """Model in float32 and tokenizer of a GGUF with all weights of the model; raises `ConfigurationError`."""
     try:
         loaded: Any = AutoModelForCausalLM.from_pretrained(
             gguf.parent, gguf_file=gguf.name, dtype=torch.float32, output_loading_info=True
         )
         tokenizer = AutoTokenizer.from_pretrained(gguf.parent, gguf_file=gguf.name)
     except (OSError, ValueError) as error:
-        allowed = "a language model as transformers reads it"
-        raise ConfigurationError("GGUF of the base", got=str(error), allowed=allowed, fix=str(gguf)) from error
-    packed, told = loaded
-    facts = {k: v for k, v in packed.config.to_dict().items() if k not in ("quantization_config", "_name_or_path")}
-    plain = type(packed)(type(packed.config)(**facts))
-    lacking = {*told["missing_keys"], *plain.load_state_dict(packed.state_dict(), strict=False).missing_keys}
-    if lacking:  # they would be drawn at random
-        got = f"no {', '.join(sorted(lacking))}"
-        raise ConfigurationError("GGUF of the base", got=got, allowed="every weight of the model", fix=str(gguf))
+        problem = f"transformers cannot read the GGUF of the base: {error}."
+        raise ConfigurationError.stating(problem, fix=f"Choose another base. {gguf}") from error
+    gguf_model, report = loaded
+    settings = {
+        k: v for k, v in gguf_model.config.to_dict().items() if k not in ("quantization_config", "_name_or_path")
+    }
+    plain = type(gguf_model)(type(gguf_model.config)(**settings))
+    lacking = {*report["missing_keys"], *plain.load_state_dict(gguf_model.state_dict(), strict=False).missing_keys}
+    if lacking:  # transformers would initialise them at random
+        problem = f"The GGUF of the base has no {', '.join(sorted(lacking))}."
+        raise ConfigurationError.stating(problem, fix=f"Choose another base. {gguf}")
     plain.tie_weights()
     return plain, tokenizer
 
@@ -111,7 +113,7 @@ def _versions() -> dict[str, str]:
 
 
 def _file_hashes(folder: Path) -> dict[str, str]:
-    """SHA-256 of each file in `folder` but the stamp."""
+    """SHA-256 of each file in `folder` except the stamp."""
     found: dict[str, str] = {}
     for path in sorted(folder.iterdir()):
         if path.name != STAMP_FILE:
@@ -122,7 +124,7 @@ def _file_hashes(folder: Path) -> dict[str, str]:
 
 @contextmanager
 def _translate_write_errors(folder: Path) -> Generator[None]:
-    """Inside, what cannot be written raises `DiskFull`; safetensors has an error of its own for that."""
+    """In this context, a failed write raises `FileWriteError`; safetensors has an error class of its own."""
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         yield
@@ -132,7 +134,7 @@ def _translate_write_errors(folder: Path) -> Generator[None]:
 
 @contextmanager
 def _exclusive_lock(folder: Path) -> Generator[None]:
-    """Inside, no other process makes `folder`."""
+    """In this context, no other process writes `folder`."""
     with folder.with_name(f".{folder.name}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield

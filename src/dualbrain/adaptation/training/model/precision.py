@@ -1,4 +1,4 @@
-"""Which number format to compute in: bf16 only where the device multiplies in it."""
+"""Number format and device of the computation: bf16 only if the device multiplies in bf16."""
 
 # pyright: reportMissingImports=false
 
@@ -17,15 +17,15 @@ BF16_INSTRUCTION_SETS = ("amx_bf16", "avx512_bf16", "bf16", "sve_bf16")
 
 
 def choose_dtype(wanted: Literal["auto", "float32", "bfloat16"], capabilities: Mapping[str, Any] | None = None) -> Any:
-    """The torch dtype for `wanted`, on CUDA where torch sees it, else on this processor.
+    """The torch dtype for `wanted`, on CUDA if torch has it, else on this CPU.
 
-    "auto" is bf16 where it is multiplied in hardware (measured 2.3 times quicker than float32 with AMX), else float32:
-    emulated, bf16 is slower than float32. Raises `InvalidSetup` if bf16 is demanded where it would be emulated.
+    "auto" is bf16 if it is multiplied in hardware (measured 2.3 times faster than float32 with AMX), else float32:
+    emulated bf16 is slower than float32. Raises `ConfigurationError` if bf16 is requested but would be emulated.
     """
-    able = _supports_bf16() if capabilities is None else _has_bf16_instructions(capabilities)
-    if wanted == "bfloat16" and not able:
+    has_bf16 = _supports_bf16() if capabilities is None else _has_bf16_instructions(capabilities)
+    if wanted == "bfloat16" and not has_bf16:
         raise ConfigurationError("fit precision", got="bfloat16", allowed="auto or float32 on this device")
-    return torch.bfloat16 if able and wanted != "float32" else torch.float32
+    return torch.bfloat16 if has_bf16 and wanted != "float32" else torch.float32
 
 
 def _supports_bf16() -> bool:
@@ -39,10 +39,9 @@ def _has_bf16_instructions(capabilities: Mapping[str, Any]) -> bool:
 
 
 def configure_device(threads: int) -> torch.device:
-    """The CUDA device of this process where torch sees one, else the processor, with `threads` threads.
+    """The CUDA device of this process if torch has one, else the CPU with `threads` threads.
 
-    From now on only algorithms that give the same bits each time are used; cuBLAS has them with a work space of its
-    own only, which must be asked for before its first use.
+    Afterwards only deterministic algorithms are used; cuBLAS needs a workspace setting for that before its first use.
     """
     torch.set_num_threads(threads)
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")

@@ -1,4 +1,4 @@
-"""QLoRA's base (Dettmers et al. 2023): frozen layers in 4 bits, dequantised where they multiply."""
+"""The quantised base of QLoRA (Dettmers et al. 2023): frozen layers in 4 bits, dequantised for each multiplication."""
 
 # pyright: reportMissingImports=false
 
@@ -12,15 +12,16 @@ import torch
 from dualbrain.errors import ConfigurationError, MissingDependencyError
 
 BLOCK_SIZE = 64
-"""Weights that share a scale."""
+"""Number of weights that share a scale."""
 
 
 def quantize_linear_layers(model: Any, device: Any) -> None:
-    """Put every linear layer of `model` but the output matrix into NF4 on `device`; computed in their former format.
+    """Convert every linear layer of `model` except the output matrix to NF4 on `device`; the compute format stays.
 
-    Each `BLOCK` of weights has a scale, itself in 8 bits (double quantisation): 4.13 bits a weight. What it wears must
-    have been merged before. Raises `MissingPart` without bitsandbytes, and `InvalidSetup` for a base whose rows are not
-    whole blocks: bitsandbytes 0.50 unpacks those wrongly on processors, without a word.
+    Each block of `BLOCK_SIZE` weights has a scale in 8 bits (double quantisation): 4.13 bits per weight. Stacked
+    adapters must be merged before. Raises `MissingDependencyError` without bitsandbytes, and `ConfigurationError` for
+    rows that are not a multiple of the block size: bitsandbytes 0.50 unpacks these incorrectly on CPUs, without an
+    error.
     """
     layers, head = _import_bitsandbytes().nn, model.get_output_embeddings()
     for name, layer in list(model.named_modules()):
@@ -30,26 +31,26 @@ def quantize_linear_layers(model: Any, device: Any) -> None:
 
 
 def _to_4bit_layer(layers: Any, layer: torch.nn.Linear) -> Any:
-    """`layer` as one that is packed when it is moved to its device."""
+    """`layer` as a 4-bit layer, which is packed when it is moved to its device."""
     if layer.in_features % BLOCK_SIZE:
         fix = 'Set `[fit] quantise = "none"`.'
         raise ConfigurationError(
             "row of the base in nf4", got=layer.in_features, allowed=f"multiples of {BLOCK_SIZE}", fix=fix
         )
-    made = layers.Linear4bit(
+    quantized = layers.Linear4bit(
         layer.in_features, layer.out_features, bias=False, compute_dtype=layer.weight.dtype, device="meta"
     )
-    made.weight = layers.Params4bit(
+    quantized.weight = layers.Params4bit(
         layer.weight.data,
         requires_grad=False,
         quant_type="nf4",
         blocksize=BLOCK_SIZE,
         compress_statistics=True,
-        module=made,
+        module=quantized,
     )
-    made.bias = layer.bias
-    made.support_avx512bf16_for_cpu = False  # that way packs anew when evaluated, and then has no gradient
-    return made
+    quantized.bias = layer.bias
+    quantized.support_avx512bf16_for_cpu = False  # that code path packs again in evaluation and loses the gradient
+    return quantized
 
 
 def _import_bitsandbytes() -> Any:
@@ -57,4 +58,4 @@ def _import_bitsandbytes() -> Any:
         return import_module("bitsandbytes")
     except ModuleNotFoundError as error:
         fix = "Install it with `pip install 'dualbrain[qlora]'`."
-        raise MissingDependencyError("bitsandbytes, of the extra `qlora`,", fix=fix) from error
+        raise MissingDependencyError("The package bitsandbytes of the extra `qlora`", fix=fix) from error

@@ -1,4 +1,4 @@
-"""An adapter as peft and vLLM load it: safetensors and its config, the base named by hash."""
+"""Writing an adapter in the format of peft and vLLM: safetensors and a config that identifies the base by hash."""
 
 # pyright: reportMissingImports=false
 
@@ -17,18 +17,19 @@ WEIGHTS_FILE, CONFIG_FILE = "adapter_model.safetensors", "adapter_config.json"
 
 
 def save_adapter(lora_model: LoraModel, folder: Path, *, base: str) -> None:
-    """Write the adapter that `learner` wears; `base` names the weights it was fitted on. Raises `DiskFull`.
+    """Write the adapter of `lora_model`; `base` is the hash of the base's weights. Raises `FileWriteError`.
 
-    In bf16, whatever it was computed in: half the size, and each number off by at most 2^-9 of itself.
+    The file is in bf16 for every compute format: half the size, and each number is off by at most 2^-9 of its
+    value.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    shape = lora_model.model.peft_config["default"].to_dict() | {
+    config = lora_model.model.peft_config["default"].to_dict() | {
         "base_model_name_or_path": base,
         "inference_mode": True,
     }
     rounded = {name: tensor.to(torch.bfloat16) for name, tensor in lora_model.adapter_tensors().items()}
     write_atomically(folder / WEIGHTS_FILE, save(rounded, {"base": base}))
-    write_atomically(folder / CONFIG_FILE, json.dumps(shape, indent=2, sort_keys=True, default=_to_json).encode())
+    write_atomically(folder / CONFIG_FILE, json.dumps(config, indent=2, sort_keys=True, default=_to_json).encode())
 
 
 def _to_json(value: object) -> object:
