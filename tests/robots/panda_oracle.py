@@ -1,4 +1,4 @@
-"""What the tests hold against the Panda's data, read and computed apart from it: the URDF's own chain and limits."""
+"""Independent reference for the model of the Panda: chain, limits and meshes read from its URDF."""
 
 import xml.etree.ElementTree as ET
 from functools import lru_cache
@@ -45,7 +45,7 @@ def axis_rotation(axis, angle):
 
 
 def urdf_pose(link, q, opening):
-    """4x4 pose of a URDF link, walking from it to the root."""
+    """Pose (4, 4) of a URDF link in the root, by a walk from the link to the root."""
     values = {f"panda_joint{i + 1}": q[i] for i in range(7)}
     pose = np.eye(4)
     while (
@@ -72,12 +72,12 @@ def urdf_pose(link, q, opening):
 
 
 def link_spheres(link):
-    own = [sphere for sphere in PANDA.spheres if sphere.link == link]
-    return SphereSet(np.array([sphere.centre for sphere in own]), np.array([sphere.radius for sphere in own]))
+    spheres = [sphere for sphere in PANDA.spheres if sphere.link == link]
+    return SphereSet(np.array([sphere.centre for sphere in spheres]), np.array([sphere.radius for sphere in spheres]))
 
 
 @lru_cache
 def link_mesh(link):
-    """Collision mesh in the link frame; the right finger is the left one turned half around z, as in the URDF."""
+    """Collision mesh in the link frame; the right finger is the left one rotated by 180° about z, as in the URDF."""
     mesh = collision_mesh("panda", MESHES[link])
     return type(mesh)(mesh.vertices @ HALF_TURN, mesh.faces) if link == "right_finger" else mesh

@@ -1,4 +1,4 @@
-"""The mobile base: rows against finite differences along true arcs, and the filter steers."""
+"""The mobile base: barrier rows agree with finite differences along arcs, and the filter steers around obstacles."""
 
 import msgspec
 import numpy as np
@@ -11,11 +11,12 @@ from dualbrain.safety.cbf.filter import ConstraintRow, SafetyFilter
 
 
 def gaps(safety, q, x, y, half_x, half_y):
-    """Gap of every disc to a rectangle, in float64."""
+    """Gap of every disc to a rectangle [m], in float64."""
     c, s = np.cos(q[2]), np.sin(q[2])
-    discs = np.array([ball.centre[:2] for ball in safety.robot_model.spheres]) @ np.array([[c, s], [-s, c]]) + q[:2]
-    out = np.maximum(np.abs(discs - (x, y)) - (half_x, half_y), 0.0)
-    return np.linalg.norm(out, axis=1) - safety.robot_model.spheres[0].radius
+    centres = np.array([sphere.centre[:2] for sphere in safety.robot_model.spheres])
+    discs = centres @ np.array([[c, s], [-s, c]]) + q[:2]
+    outside = np.maximum(np.abs(discs - (x, y)) - (half_x, half_y), 0.0)
+    return np.linalg.norm(outside, axis=1) - safety.robot_model.spheres[0].radius
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -37,8 +38,8 @@ def test_rows_are_derivatives_of_h_along_arcs(seed):
         assert norm * np.dot(a, u) == pytest.approx((ahead[i] - back[i]) / 2e-4, abs=1e-4)
 
 
-def test_a_rectangle_ahead_is_steered_around_rather_than_braked_for():
-    """Aimed at the corner, the base turns away and passes."""
+def test_the_base_steers_around_a_rectangle_instead_of_braking():
+    """The base, which is aimed at the corner of the rectangle, turns away and passes it."""
     safety = SafetyFilter(scenario_base(), EXACT_TRACKING)
     region = (1.3, 0.51, 0.3, 0.3)
     safety.observe([keep_out_region("region", *region)])
@@ -51,7 +52,7 @@ def test_a_rectangle_ahead_is_steered_around_rather_than_braked_for():
     assert q[1] < -0.01
 
 
-def test_spheres_and_tool_are_given_in_the_world():
+def test_spheres_and_tool_are_in_the_world_frame():
     safety = SafetyFilter(scenario_base(), EXACT_TRACKING)
     q = np.array([1.0, -2.0, np.pi / 2])
     np.testing.assert_allclose(safety.tool(q).position, [1.0, -2.0, 0.0], atol=1e-6)
@@ -60,16 +61,16 @@ def test_spheres_and_tool_are_given_in_the_world():
     np.testing.assert_allclose(centres[0], [1.0 - y, -2.0 + x, 0.0], atol=1e-6)
 
 
-class Limp:
-    """A live barrier: no faster than 0.1 m/s forward."""
+class SpeedCap:
+    """A live barrier: forward speed of at most 0.1 m/s."""
 
     def rows(self, state, jacobian):
-        assert state.q.shape == (3,), "a live barrier sees the configuration in the world"
-        return (ConstraintRow(name="user_rows: limp", a=(-1.0, 0.0), b=-0.1),)
+        assert state.q.shape == (3,), "a live barrier receives the configuration in the world"
+        return (ConstraintRow(name="user_rows: speed_cap", a=(-1.0, 0.0), b=-0.1),)
 
 
 def test_live_barriers_work_on_a_base():
-    safety = SafetyFilter(scenario_base(), EXACT_TRACKING, barriers=(Limp(),))
+    safety = SafetyFilter(scenario_base(), EXACT_TRACKING, barriers=(SpeedCap(),))
     q, answer = np.array([0.5, -0.3, 0.7]), None
     for _ in range(30):
         answer = safety(q, np.zeros(2), np.array([0.6, 0.0]))

@@ -1,4 +1,4 @@
-"""Finding and reading the asset's meshes, and what is said when they are not there."""
+"""Meshes are found in the installed data package and read; a missing package or file is reported with its fix."""
 
 from importlib import metadata
 
@@ -11,21 +11,21 @@ from dualbrain.robots.assets.meshes import Mesh, collision_mesh, description_fol
 from dualbrain.robots.collision_model.polytope import convex_hull, sample_surface
 
 
-def test_the_description_is_found_and_holds_its_urdf():
+def test_the_description_is_found_with_its_urdf():
     assert (description_folder("panda") / "urdf" / "panda.urdf").is_file()
     assert mesh_path("panda", "visual", "hand").suffix == ".dae"
 
 
-def test_an_absent_package_names_the_mend(monkeypatch):
-    def absent(name):
+def test_a_missing_package_is_reported_with_the_command_that_installs_it(monkeypatch):
+    def raise_not_found(name):
         raise metadata.PackageNotFoundError(name)
 
-    monkeypatch.setattr(meshes.metadata, "files", absent)
+    monkeypatch.setattr(meshes.metadata, "files", raise_not_found)
     with pytest.raises(MissingDependencyError, match="pip install --no-deps example-robot-data"):
         description_folder("panda")
 
 
-def test_a_package_without_the_robot_is_a_missing_part(monkeypatch):
+def test_a_package_without_the_robot_is_a_missing_dependency(monkeypatch):
     monkeypatch.setattr(meshes.metadata, "files", lambda _: [])
     with pytest.raises(MissingDependencyError, match="description of 'panda'"):
         description_folder("panda")
@@ -44,7 +44,7 @@ def test_the_finger_mesh_ends_where_the_pad_ends():
     assert finger.areas.sum() == pytest.approx(0.0050, rel=0.02)
 
 
-def test_surface_points_lie_on_the_hull_of_a_convex_mesh():
+def test_surface_points_are_on_the_hull_of_a_convex_mesh():
     mesh = collision_mesh("panda", "hand")
     depth = convex_hull(mesh).depth(sample_surface(mesh, 2000, np.random.default_rng(0)))
     assert np.all(np.abs(depth) < 1e-3)

@@ -1,8 +1,9 @@
-"""A body with two wheels: it drives along its own x axis and turns about its z axis.
+"""Differential-drive base: drives along its x axis and turns about its z axis.
 
-Its control is (v, ω) [m/s, rad/s], its configuration (x, y, θ) [m, m, rad]. In its own frame the base is a chain of a
-slide along x and a turn about z, both at zero, so that a point p of the footprint moves at v e_x + ω e_z × p: discs off
-the axle make every barrier row depend on ω as well, and the filter steers instead of only braking (design 4).
+The control is (v, ω) [m/s, rad/s], the configuration (x, y, θ) [m, m, rad]. In its own frame the base is a kinematic
+chain of a prismatic joint along x and a revolute joint about z, both at zero, so that a point p of the footprint moves
+at v e_x + ω e_z × p. With discs off the axle every barrier row also depends on ω, and the filter steers instead of only
+braking.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from dualbrain.robots.model import (
 Array = NDArray[np.float64]
 
 UNUSED_JOINT_RANGE = 10.0
-"""The chain's own joints are always at zero; their range only must not bind [m, rad]."""
+"""Range of the two joints [m, rad]; they are always at zero, so the range limits must never be active."""
 QUATERNION_Z_TO_X = (sqrt(0.5), 0.0, sqrt(0.5), 0.0)
 QUATERNION_X_TO_Z = (sqrt(0.5), 0.0, -sqrt(0.5), 0.0)
 
@@ -47,9 +48,9 @@ def make_differential_base(
     licence: str = "Apache-2.0",
     source: str = "given by the user",
 ) -> RobotModel:
-    """A base whose footprint is covered by `discs` (x, y, radius) [m] in its own frame.
+    """Robot model of a base whose footprint is covered by `discs` (x, y, radius) [m] in the frame of the base.
 
-    Keep the discs off the axle (x ≠ 0 for most): a disc on it cannot be steered away by turning.
+    Most discs should be off the axle (x ≠ 0): turning cannot move a disc on the axle away from an obstacle.
     """
     none = Bound(0.0, "m", "no gripper")
     return RobotModel(
@@ -80,22 +81,22 @@ def base_pose(q: Array) -> tuple[Array, Vector]:
 
 
 def integrate_configuration(q: Array, u: Array, dt: float) -> Array:
-    """Configuration (n + 1,) after `dt` [s] at constant u = (v, ω, …): exactly along the arc."""
+    """Configuration (n + 1,) after `dt` [s] at constant u = (v, ω, …), exact along the arc."""
     base = integrate_arc(float(q[0]), float(q[1]), float(q[2]), float(u[0]), float(u[1]), dt)
     return np.array([*base, *(q[3:] + dt * u[2:])])
 
 
 def integrate_arc(x: float, y: float, heading: float, v: float, w: float, dt: float) -> Vector:
-    """Where a base that stands at (x, y, heading) is after `dt` [s] at constant (v, ω)."""
+    """Configuration (x, y, heading) of a base after `dt` [s] at constant (v, w), exact along the arc."""
     half = 0.5 * w * dt
     chord = v * dt * (sin(half) / half if abs(half) > 1e-9 else 1.0)
     return x + chord * cos(heading + half), y + chord * sin(heading + half), heading + w * dt
 
 
 def control_displacement(before: Array, after: Array) -> Array:
-    """What the controls (v, ω, …) moved between two configurations (n + 1,): along the heading, about z, the rest.
+    """Integral (n,) of the control between two configurations (n + 1,): along the heading, about z, other joints.
 
-    What a base slid sideways is not in it.
+    A sideways slip of the base is not included.
     """
     x, y, turn, *rest = (after - before).tolist()
     heading = float(before[2]) + 0.5 * turn

@@ -1,4 +1,4 @@
-"""The robot as the local layer sees it: read a state, write a command, stop."""
+"""Robot interface of the local control layer: read a state, write a command, stop."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class RobotState:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """Joint velocity u [rad/s] of shape (n,), wanted finger opening [m each] and grip force limit [N]."""
+    """Joint velocity u [rad/s] of shape (n,), target finger opening [m each] and grip force limit [N]."""
 
     u: Array
     opening: float
@@ -36,27 +36,27 @@ class Command:
 
 
 class RobotInterface(Protocol):
-    """A driver or a plant. `write` holds until the next write; `stop` disables the drive and engages the brakes."""
+    """A driver or a simulated plant. A command stays in effect until the next `write` or `stop`."""
 
     def read(self) -> RobotState:
         """The newest measured state."""
         ...
 
     def write(self, command: Command) -> None:
-        """Apply `command` from now on; ignored (and reported by `read().drive_enabled`) while the drive is disabled."""
+        """Apply `command` from now on; ignored while the drive is disabled (`read().drive_enabled` is False)."""
         ...
 
     def stop(self) -> None:
-        """Disable the drive (stop category 0): brakes engage and stay engaged until the robot is enabled again."""
+        """Disable the drive (stop category 0): the brakes engage and stay engaged until `enable` is called."""
         ...
 
     def enable(self) -> None:
-        """Release the brakes with a velocity command of zero; only the supervisor's order decides when."""
+        """Release the brakes with a velocity command of zero; only the supervisor decides when to call this."""
         ...
 
 
 def home_state(robot_model: RobotModel) -> RobotState:
-    """The state of `body` at rest in its home posture with open fingers, at time 0."""
+    """The state of `robot_model` at rest in its home posture with open fingers, at time 0."""
     return RobotState(
         stamp=0.0,
         sequence=0,

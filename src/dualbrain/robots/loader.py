@@ -1,4 +1,4 @@
-"""Is the data of a body whole? Asked of every body that does not ship with dualbrain: people edit these files."""
+"""Loader of robot models: the packaged robots, and folders or files of users, whose entries are checked."""
 
 from __future__ import annotations
 
@@ -17,16 +17,17 @@ from dualbrain.robots.model import Joint, RobotModel
 BUILTIN_ROBOTS = ("panda", "fr3", "ur5e", "base", "mobile_panda")
 
 ModelFault = tuple[str, object, str]
+"""A wrong entry of a robot model: (entry, value, allowed values)."""
 MODEL_FILE = "body.json"
 MAX_FILE_BYTES = 4 * 2**20
 
 
 def load_robot(name: str) -> RobotModel:
-    """The body called `name`, or the one in a folder or file that `name` leads to ("./my_robot").
+    """The packaged robot called `name`, or the robot model in the folder or file at the path `name` ("./my_robot").
 
     Raises:
-        UnknownName: there is no such body, and no such path.
-        InvalidSetup: what lies there is not a whole body.
+        UnknownNameError: There is neither a packaged robot nor a path of this name.
+        ConfigurationError: The file or folder does not contain a valid robot model.
     """
     if name in BUILTIN_ROBOTS:
         return _load_builtin(name)
@@ -42,37 +43,39 @@ def _load_builtin(name: str) -> RobotModel:
 
 
 def data_file(name: str) -> Traversable:
-    """Where the data of the body called `name` is kept, whether or not it is there yet."""
+    """The data file of the packaged robot called `name`; it need not exist."""
     return resources.files("dualbrain.robots").joinpath("data", f"{name}.json")
 
 
 def encode_robot(robot_model: RobotModel) -> bytes:
-    """The data file of `body`: indented JSON with a final newline."""
+    """The content of the data file of `robot_model`: indented JSON with a final newline."""
     return msgspec.json.format(msgspec.json.encode(robot_model), indent=1) + b"\n"
 
 
 def read_robot(path: Path) -> RobotModel:
-    """The body in the JSON file `path`, or in the folder `path` that `dualbrain robot init` made.
+    """The robot model in the JSON file `path`, or in the folder `path` that `dualbrain robot init` made.
 
     Raises:
-        InvalidSetup: it is not there, not a body, or not whole; the message names the entry.
+        ConfigurationError: The file does not exist or is no valid robot model; the message names the wrong entry.
     """
     file = path / MODEL_FILE if path.is_dir() else path
     if not file.is_file() or file.stat().st_size > MAX_FILE_BYTES:
-        raise ConfigurationError(
-            "robot", got=str(path), allowed=f"a known name, a folder with {MODEL_FILE}, or a body's JSON file"
+        raise ConfigurationError.stating(
+            f"There is no robot model at {path}.",
+            fix=f"Give the name of a packaged robot ({', '.join(BUILTIN_ROBOTS)}), a folder with {MODEL_FILE}, or a "
+            f"JSON file of at most {MAX_FILE_BYTES} bytes.",
         )
     try:
         robot_model = msgspec.json.decode(file.read_bytes(), type=RobotModel)
     except DECODE_ERRORS as error:
-        raise ConfigurationError(file.name, got=str(error), allowed="JSON of a body", fix=str(file)) from error
-    for what, got, allowed in find_model_faults(robot_model):
-        raise ConfigurationError(f"{what} in {file.name}", got=got, allowed=allowed, fix=str(file))
+        raise ConfigurationError.stating(f"{file.name} is not a robot model: {error}.", fix=f"Fix {file}.") from error
+    for entry, got, allowed in find_model_faults(robot_model):
+        raise ConfigurationError(f"{entry} in {file.name}", got=got, allowed=allowed, fix=f"Fix {file}.")
     return robot_model
 
 
 def find_model_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
-    """What is wrong with `body`: (entry, got, allowed), one by one."""
+    """The wrong entries of `robot_model`."""
     if not robot_model.joints:
         yield "joints", 0, "at least one"
     for joint in robot_model.joints:
@@ -87,7 +90,7 @@ def find_model_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
         yield (
             "home",
             list(robot_model.home),
-            f"{robot_model.nq} values: of a base x, y and heading, then one for each joint",
+            f"{robot_model.nq} values: x, y and heading of a mobile base, then one for each joint",
         )
 
 
@@ -100,9 +103,9 @@ def _link_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
             yield f"frame of link {link.name!r}", link.frame, f"0 to {robot_model.n}"
         yield from _quaternion_faults(f"link {link.name!r}", link.quaternion)
     paired = {name for pair in robot_model.self_pairs.kept for name in pair}
-    for what, used in (("a self-collision pair", paired), ("the tool", {robot_model.tool.link})):
+    for user, used in (("a self-collision pair", paired), ("the tool", {robot_model.tool.link})):
         for name in sorted(used - set(names)):
-            yield f"link of {what}", name, ", ".join(names)
+            yield f"link of {user}", name, ", ".join(names)
 
 
 def _sphere_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
@@ -111,21 +114,22 @@ def _sphere_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
         if sphere.link not in names:
             yield "link of a sphere", sphere.link, ", ".join(sorted(names))
         if not (0.0 < sphere.radius < 10.0 and all(map(isfinite, sphere.centre))):
-            yield f"sphere of {sphere.link!r}", (sphere.centre, sphere.radius), "finite centre, radius within 0 to 10 m"
+            got = (sphere.centre, sphere.radius)
+            yield f"sphere of {sphere.link!r}", got, "a finite centre, a radius above 0 and below 10 m"
 
 
 def _joint_faults(joint: Joint) -> Iterator[ModelFault]:
     where = f"joint {joint.name!r}"
     if not (isfinite(joint.lower.value) and isfinite(joint.upper.value) and joint.lower.value < joint.upper.value):
         yield f"range of {where}", (joint.lower.value, joint.upper.value), "lower below upper"
-    for side in ("velocity", "acceleration"):
-        value = getattr(joint, side).value
+    for limit in ("velocity", "acceleration"):
+        value = getattr(joint, limit).value
         if not (isfinite(value) and value > 0.0):
-            yield f"{side} of {where}", value, "above 0"
+            yield f"{limit} of {where}", value, "above 0"
     yield from _quaternion_faults(where, joint.quaternion)
 
 
 def _quaternion_faults(where: str, quaternion: tuple[float, float, float, float]) -> Iterator[ModelFault]:
-    size = sum(value * value for value in quaternion)
-    if not abs(size - 1.0) < 1e-6:
+    squared_norm = sum(value * value for value in quaternion)
+    if not abs(squared_norm - 1.0) < 1e-6:
         yield f"quaternion of {where}", quaternion, "of length 1 (w, x, y, z)"

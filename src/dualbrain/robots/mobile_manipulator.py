@@ -1,8 +1,8 @@
-"""An arm on a base that drives: one chain, one control u = (v, ω, q̇), one filter.
+"""Mobile manipulator: an arm on a mobile base as one kinematic chain with one control u = (v, ω, q̇) and one filter.
 
-The base's two joints come first, the arm's follow on its frame (frame 2), so that v and ω move every sphere of the
-arm as well: in the base's own frame a point p of the arm has the Jacobian [e_x | e_z × p | J_arm(p)], the first two
-columns as for a disc of the footprint (`differential_base`). The configuration is (x, y, θ, q).
+The two joints of the base come first, and the joints of the arm follow on frame 2, so that v and ω also move every
+sphere of the arm. In the frame of the base a point p of the arm has the Jacobian [e_x | e_z × p | J_arm(p)], whose
+first two columns are those of a disc of the footprint (`differential_drive`). The configuration is (x, y, θ, q).
 """
 
 from __future__ import annotations
@@ -25,13 +25,11 @@ from dualbrain.robots.model import Joint, Link, RobotModel, SelfCollisionPairs, 
 Array = NDArray[np.float64]
 
 BASE_JOINTS = 2
-"""A base is driven by two numbers, v and ω …"""
+"""Number of controls of a base: v and ω."""
 BASE_NQ = 3
-"""… and stands by three: x, y and heading."""
-
-
+"""Number of configuration variables of a base: x, y and heading."""
 BASE_GROUP = "base"
-"""The group of the links that are the base's own."""
+"""Group of the links of the base."""
 
 
 def mount_arm_on_base(
@@ -46,24 +44,25 @@ def mount_arm_on_base(
     n_samples: int,
     rng: np.random.Generator,
 ) -> RobotModel:
-    """`arm` bolted upright to `base` at `at` [m] in the base's frame; what is not the base's is the arm's.
+    """Robot model of `arm` bolted upright to `base` at `mount_position` [m] in the frame of the base.
 
-    `home` is x, y, heading and the arm's posture; `base_lag` [s] by how much later than the arm the base follows.
-    The tool speed counts against the base. Pairs of the base with the arm's links are chosen over `count` random
-    postures; the arm's own stay as they are.
+    `home` is x, y, heading and the posture of the arm; `base_lag` [s] is the additional lag of the base. The limit of
+    the tool speed is relative to the base. Self-collision pairs of a link of the base with a link of the arm are chosen
+    from `n_samples` random postures; the pairs of the arm are kept.
 
     Raises:
-        InvalidSetup: `base` does not drive or carries an arm already, or `arm` drives.
+        ConfigurationError: `base` is not mobile or has an arm already, or `arm` is mobile.
     """
     if not base.is_mobile or base.n != BASE_JOINTS or arm.is_mobile:
-        raise ConfigurationError(
-            "a mobile manipulator", got=[base.name, arm.name], allowed="a bare base and a bolted arm"
+        raise ConfigurationError.stating(
+            f"Robot {arm.name!r} on base {base.name!r} is not a mobile manipulator.",
+            fix="Combine a mobile base without an arm and an arm with a fixed base.",
         )
     first = msgspec.structs.replace(arm.joints[0], translation=_add_vectors(mount_position, arm.joints[0].translation))
     joints = (*base.joints, first, *arm.joints[1:])
     links = (*base.links, *(_mount_link(link, mount_position) for link in arm.links))
     spheres = (*base.spheres, *arm.spheres)
-    apart = _base_arm_pairs(joints, links, _spheres_by_link(base, arm), base, arm, n_samples, rng)
+    pairs = _base_arm_pairs(joints, links, _spheres_by_link(base, arm), base, arm, n_samples, rng)
     return msgspec.structs.replace(
         arm,
         name=name,
@@ -71,7 +70,7 @@ def mount_arm_on_base(
         joints=joints,
         links=links,
         spheres=spheres,
-        self_pairs=SelfCollisionPairs((*arm.self_pairs.kept, *apart.kept), (*arm.self_pairs.allowed, *apart.allowed)),
+        self_pairs=SelfCollisionPairs((*arm.self_pairs.kept, *pairs.kept), (*arm.self_pairs.allowed, *pairs.allowed)),
         home=home,
         tracking=tracking,
         base_lag=base_lag,
@@ -80,25 +79,25 @@ def mount_arm_on_base(
     )
 
 
-def _add_vectors(at: Vector, by: Vector) -> Vector:
-    x, y, z = (round(a + b, 12) for a, b in zip(at, by, strict=True))
+def _add_vectors(first: Vector, second: Vector) -> Vector:
+    x, y, z = (round(a + b, 12) for a, b in zip(first, second, strict=True))
     return (x, y, z)
 
 
-def _mount_link(link: Link, at: Vector) -> Link:
-    """A link of the arm behind the base's joints; what was bolted down rides on the base."""
-    moved = _add_vectors(at, link.translation) if link.frame == 0 else link.translation
-    return msgspec.structs.replace(link, frame=link.frame + BASE_JOINTS, translation=moved)
+def _mount_link(link: Link, mount_position: Vector) -> Link:
+    """A link of the arm behind the joints of the base; a link that was fixed to the world moves with the base."""
+    translation = _add_vectors(mount_position, link.translation) if link.frame == 0 else link.translation
+    return msgspec.structs.replace(link, frame=link.frame + BASE_JOINTS, translation=translation)
 
 
 def _spheres_by_link(base: RobotModel, arm: RobotModel) -> dict[str, SphereSet]:
-    """Balls of every link, in the link's frame."""
+    """Collision spheres of every link, in the frame of the link."""
     found: dict[str, SphereSet] = {}
     for robot_model in (base, arm):
         for link in robot_model.links:
-            own = [sphere for sphere in robot_model.spheres if sphere.link == link.name]
-            centres = np.array([sphere.centre for sphere in own]).reshape(-1, 3)
-            found[link.name] = SphereSet(centres, np.array([sphere.radius for sphere in own]))
+            spheres = [sphere for sphere in robot_model.spheres if sphere.link == link.name]
+            centres = np.array([sphere.centre for sphere in spheres]).reshape(-1, 3)
+            found[link.name] = SphereSet(centres, np.array([sphere.radius for sphere in spheres]))
     return found
 
 
@@ -108,32 +107,32 @@ def _base_arm_pairs(
     cover: Mapping[str, SphereSet],
     base: RobotModel,
     arm: RobotModel,
-    count: int,
+    n_samples: int,
     rng: np.random.Generator,
 ) -> SelfCollisionPairs:
-    """Pairs of a link of the base with one of the arm."""
-    with_balls = tuple(link for link in links if len(cover[link.name].radii))
-    q = random_configurations(joints, count, rng)
-    q[:, :BASE_JOINTS] = 0.0  # where the base stands changes nothing between its parts
-    least = min_clearances(joints, with_balls, dict(cover), q, (0.0, arm.gripper.opening.value))
+    """Pairs of a link of the base with a link of the arm."""
+    covered_links = tuple(link for link in links if len(cover[link.name].radii))
+    q = random_configurations(joints, n_samples, rng)
+    q[:, :BASE_JOINTS] = 0.0  # clearances within the robot do not depend on the pose of the base
+    clearances = min_clearances(joints, covered_links, dict(cover), q, (0.0, arm.gripper.opening.value))
     frames = {link.name: link.frame for link in links}
     kept: list[tuple[str, str]] = []
     allowed: list[tuple[str, str, str]] = []
-    for low in base.links:
+    for base_link in base.links:
         for link in arm.links:
-            gap = least.get((low.name, link.name), np.inf)
-            if frames[link.name] - frames[low.name] <= 1:
-                allowed.append((low.name, link.name, "adjacent"))
+            gap = clearances.get((base_link.name, link.name), np.inf)
+            if frames[link.name] - frames[base_link.name] <= 1:
+                allowed.append((base_link.name, link.name, "adjacent"))
             elif gap > MIN_EXCLUDED_CLEARANCE:
-                said = f"never closer than {gap * 1e3:.0f} mm in {count} random configurations"
-                allowed.append((low.name, link.name, said))
+                reason = f"never closer than {gap * 1e3:.0f} mm in {n_samples} random configurations"
+                allowed.append((base_link.name, link.name, reason))
             else:
-                kept.append((low.name, link.name))
+                kept.append((base_link.name, link.name))
     return SelfCollisionPairs(tuple(kept), tuple(allowed))
 
 
 def extract_arm(robot_model: RobotModel) -> RobotModel:
-    """The arm of a mobile manipulator as a bolted body: its frame 0 is the base's frame at the floor."""
+    """The arm of a mobile manipulator as a fixed robot, whose frame 0 is the frame of the base on the floor."""
     links = tuple(
         msgspec.structs.replace(link, frame=link.frame - BASE_JOINTS)
         for link in robot_model.links
@@ -153,7 +152,7 @@ def extract_arm(robot_model: RobotModel) -> RobotModel:
 
 
 def extract_base(robot_model: RobotModel) -> RobotModel:
-    """The base of a mobile manipulator, or of a bare base: what rides on its own frame."""
+    """The base of a mobile robot, without an arm."""
     names = {link.name for link in robot_model.links if link.group == BASE_GROUP}
     return msgspec.structs.replace(
         robot_model,

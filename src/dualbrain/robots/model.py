@@ -1,4 +1,4 @@
-"""What the body is: kinematic chain, limits with the provenance of each bound, collision spheres, tracking model."""
+"""Robot model: kinematic chain, limits with the provenance of each bound, collision spheres, tracking-error model."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Quaternion = tuple[float, float, float, float]
 
 
 class Bound(msgspec.Struct, frozen=True):
-    """One limit: its value, its SI unit and where it comes from (file and entry, data sheet, site policy)."""
+    """One limit: value, SI unit and provenance (file and entry, data sheet, or site policy)."""
 
     value: float
     unit: str
@@ -21,9 +21,9 @@ class Bound(msgspec.Struct, frozen=True):
 
 
 class Joint(msgspec.Struct, frozen=True, kw_only=True):
-    """A joint: fixed transform from the parent frame, then a turn about local z, or a slide along it.
+    """A joint: fixed transform from the parent frame, then a rotation about local z, or a translation along it.
 
-    Of a prismatic joint position, velocity and acceleration are in m, m/s and m/s².
+    Bounds are in rad, rad/s, rad/s² and rad/s³; of a prismatic joint in m, m/s, m/s² and m/s³.
     """
 
     name: str
@@ -38,10 +38,10 @@ class Joint(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Link(msgspec.Struct, frozen=True, kw_only=True):
-    """A rigid part: rides on chain frame `frame` (0 = base, i = after joint i) at a fixed transform.
+    """A rigid link, attached to chain frame `frame` (0 = base, i = after joint i) at a fixed transform.
 
-    `group` is the name that permits use ("arm", "hand", "fingers"). A finger slides along `slide` (unit vector in its
-    link frame) by the finger opening.
+    `group` is the name that contact permits use ("arm", "hand", "fingers"). A finger moves along `slide` (unit vector
+    in its link frame) by the finger opening.
     """
 
     name: str
@@ -53,7 +53,7 @@ class Link(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class CollisionSphere(msgspec.Struct, frozen=True):
-    """A ball that covers part of `link`: `centre` [m] in the link frame at zero opening, `radius` [m]."""
+    """A sphere that covers part of `link`: `centre` [m] in the link frame at zero opening, `radius` [m]."""
 
     link: str
     centre: Vector
@@ -61,7 +61,7 @@ class CollisionSphere(msgspec.Struct, frozen=True):
 
 
 class Tool(msgspec.Struct, frozen=True):
-    """The tool frame: on link `link`, z along the approach, y along the finger axis."""
+    """The tool frame, fixed to `link`: z along the approach direction, y along the finger axis."""
 
     link: str
     translation: Vector
@@ -69,7 +69,7 @@ class Tool(msgspec.Struct, frozen=True):
 
 
 class Gripper(msgspec.Struct, frozen=True, kw_only=True):
-    """A parallel gripper: opening per finger [m], grip force [N], pad length beyond the tool frame [m]."""
+    """A parallel gripper: opening per finger [m], grip force [N], length of the pads beyond the tool frame [m]."""
 
     opening: Bound
     force: Bound
@@ -79,10 +79,10 @@ class Gripper(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class TrackingErrorModel(msgspec.Struct, frozen=True, kw_only=True):
-    """How the joints follow a velocity command u: y = q + lag v obeys ẏ = u + r with |∫ exp(−α (t − s)) r ds| ≤ e.
+    """How the joints track a velocity command u: y = q + lag v obeys ẏ = u + r with |∫ exp(−α (t − s)) r ds| ≤ e.
 
-    `lag` [s]; `position_error` e of each joint [rad, of a prismatic one m]; `rate` α [1/s] at which e was identified;
-    `drive` names what was identified. Made by `dualbrain robot identify`, or from the maker's figures.
+    `lag` [s]; `position_error` e of each joint [rad, of a prismatic joint m]; `rate` α [1/s] at which e was identified;
+    `drive` names the identified drive. Measured by `dualbrain robot identify`, or taken from the manufacturer's data.
     """
 
     lag: float
@@ -92,26 +92,27 @@ class TrackingErrorModel(msgspec.Struct, frozen=True, kw_only=True):
     drive: str = ""
 
     def row_margin(self, alpha: float) -> float:
-        """What a barrier row of gain `alpha` [1/s] must keep for e [rad/s]: α e, at any other rate a bound of it.
+        """Margin [rad/s] of a barrier row of gain `alpha` [1/s] against the tracking error.
 
-        By parts, the leaky integral at rate a is at most e α/a where a < α, and e (2 − α/a) where a > α.
+        The margin is α e at the identified rate, and an upper bound of it at any other rate a: integration by parts
+        bounds the leaky integral by e α/a where a < α, and by e (2 − α/a) where a > α.
         """
         return self.position_error * (self.rate + 2.0 * max(0.0, alpha - self.rate))
 
 
 class SelfCollisionPairs(msgspec.Struct, frozen=True):
-    """Pairs of links whose spheres are kept apart, and the reason for every pair that is left out."""
+    """Pairs of links whose spheres the filter keeps apart, and every excluded pair with the reason."""
 
     kept: tuple[tuple[str, str], ...]
     allowed: tuple[tuple[str, str, str], ...]
 
 
 class RobotModel(msgspec.Struct, frozen=True, kw_only=True):
-    """Everything the filter and the skills know of one robot; pure data, read from `data/<name>.json`.
+    """The complete data of one robot for the filter and the skills, stored in `data/<name>.json`.
 
-    `gain` [1/s] bounds the filter's α where it must be below what the acceleration limits alone can follow.
-    `base_lag` [s] is by how much later than `tracking.lag` a base follows its command; where it is given, the filter
-    takes the base along its arcs, and else straight on for the moment.
+    `gain` [1/s] is an upper bound of the filter's α where α must be below the value that the acceleration limits allow.
+    `base_lag` [s] is the lag of a mobile base beyond `tracking.lag`. If it is given, the filter predicts the base along
+    an arc; otherwise it predicts a straight motion.
     """
 
     name: str
@@ -139,35 +140,35 @@ class RobotModel(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def is_mobile(self) -> bool:
-        """Whether the body drives: its configuration begins with (x, y, θ), its control with (v, ω)."""
+        """Whether the robot has a mobile base: its configuration begins with (x, y, θ), its control with (v, ω)."""
         return self.base == "differential"
 
     @property
     def is_mobile_manipulator(self) -> bool:
-        """Whether the body drives and has an arm as well: a mobile manipulator."""
+        """Whether the robot has a mobile base and an arm."""
         return self.is_mobile and self.n > 2
 
     @property
     def nq(self) -> int:
-        """Length of a configuration q: one more than the control's where the body drives."""
+        """Length of a configuration q: `n`, and one more for a mobile base."""
         return self.n + self.is_mobile
 
     @property
     def alpha(self) -> float:
-        """Largest class-K gain that braking can follow: min_i a_i / v_i, and no more than `gain` [1/s]."""
-        followed = min(joint.acceleration.value / joint.velocity.value for joint in self.joints)
-        return min(followed, self.gain.value) if self.gain else followed
+        """Largest class-K gain [1/s] that braking can follow: min_i a_i / v_i, and at most `gain`."""
+        achievable = min(joint.acceleration.value / joint.velocity.value for joint in self.joints)
+        return min(achievable, self.gain.value) if self.gain else achievable
 
     def with_drive(self, drive: str) -> RobotModel:
-        """This body with the tracking model of another of its drives; raises `UnknownName` with the identified ones."""
+        """This robot with the tracking-error model of the identified `drive`; raises `UnknownNameError`."""
         known = {tracking.drive: tracking for tracking in (self.tracking, *self.other_drives)}
         if drive not in known:
-            raise UnknownNameError("identified drive", drive, tuple(known), owner=f"body {self.name}")
+            raise UnknownNameError("identified drive", drive, tuple(known), owner=f"robot {self.name}")
         others = tuple(tracking for name, tracking in known.items() if name != drive)
         return msgspec.structs.replace(self, tracking=known[drive], other_drives=others)
 
     def with_tracking(self, tracking: TrackingErrorModel) -> RobotModel:
-        """This body with the tracking model of one of its drives renewed, or added beside the others."""
+        """This robot with `tracking` in place of the model of the same drive, or added to the models of the others."""
         if tracking.drive == self.tracking.drive:
             return msgspec.structs.replace(self, tracking=tracking)
         others = {other.drive: other for other in (*self.other_drives, tracking)}

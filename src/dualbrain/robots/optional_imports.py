@@ -1,4 +1,4 @@
-"""Packages that only making a body needs (`world`, `bodies`); imported when first asked for, never at run time."""
+"""Lazy imports of packages that only the making of a robot model needs (extras `world` and `bodies`)."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Any
 from dualbrain.errors import MissingDependencyError
 
 IMPORTER_PACKAGES = ("lxml", "yourdfpy", "collada")
-"""What only the reading of descriptions needs."""
+"""Packages of the extra `bodies`, which only the readers of robot descriptions need."""
 
 
 def import_optional(module: str) -> Any:
     """The module called `module` ("trimesh", "scipy.spatial"), untyped.
 
     Raises:
-        MissingPart: its package is not installed.
+        MissingDependencyError: The package is not installed.
     """
     try:
         return import_module(module)

@@ -1,7 +1,7 @@
-"""One file in which a site says what holds there: planes, keep-out boxes, tool, payload, speed caps, who may command.
+"""Site file (TOML): planes, keep-out boxes, tool, payload, limits and commanders of one installation of a robot.
 
-TOML, checked as a whole when it is read: every error names the line and column. Nothing in it can widen a limit of the
-robot; caps narrow. All numbers are SI, in the robot's base frame.
+The whole file is checked when it is read, and every error names line and column. A site file can only narrow the limits
+of the robot. All numbers are in SI units, in the robot's base frame.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ EntryName = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z][A-Za-z0-9_ -]{0,31}$
 
 
 class SiteEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Root of what a site file holds: a word that is not known is an error, never ignored."""
+    """Base class of the entries of a site file: an unknown field is an error, never ignored."""
 
 
 class RobotSettings(SiteEntry, frozen=True):
-    """[robot]: control period [s], tool speed [m/s]; of a base turn rate [rad/s] and turn acceleration [rad/s²]."""
+    """[robot]: control period [s], tool speed [m/s]; for a base also turn rate [rad/s], turn acceleration [rad/s²]."""
 
     period: Positive | None = None
     tool_speed: Positive | None = None
@@ -40,7 +40,7 @@ class RobotSettings(SiteEntry, frozen=True):
 
 
 class LimitCaps(SiteEntry, frozen=True):
-    """[limits] for every joint: velocity [rad/s], acceleration [rad/s²], jerk [rad/s³]; m for prismatic ones."""
+    """[limits] of every joint: velocity [rad/s], acceleration [rad/s²], jerk [rad/s³]; prismatic joints in m."""
 
     velocity: Positive | None = None
     acceleration: Positive | None = None
@@ -48,21 +48,21 @@ class LimitCaps(SiteEntry, frozen=True):
 
 
 class JointCaps(LimitCaps, frozen=True):
-    """[joint.NAME]: as [limits], and the range [rad or m]."""
+    """[joint.NAME]: the limits of one joint, and its range [rad or m]."""
 
     lower: float | None = None
     upper: float | None = None
 
 
 class ToolSphere(SiteEntry, frozen=True):
-    """A sphere in the tool's frame: centre [m], radius [m]."""
+    """A sphere in the tool frame: centre [m], radius [m]."""
 
     centre: Vector
     radius: Positive
 
 
 class ToolEntry(SiteEntry, frozen=True):
-    """[tool]: its tip in the body's tool frame, and the spheres that cover it, in the same frame."""
+    """[tool]: pose of its tip in the tool frame of the robot model [m], and its collision spheres in the same frame."""
 
     position: Vector = (0.0, 0.0, 0.0)
     quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
@@ -70,14 +70,14 @@ class ToolEntry(SiteEntry, frozen=True):
 
 
 class Payload(SiteEntry, frozen=True):
-    """[payload]: what the robot always carries: at most 8 spheres in the tool frame, error of their place [m]."""
+    """[payload]: a permanent payload as at most 8 spheres in the tool frame, with the error of their position [m]."""
 
     spheres: Annotated[tuple[ToolSphere, ...], msgspec.Meta(min_length=1, max_length=8)]
     error: Length = 0.0
 
 
 class PlaneEntry(SiteEntry, frozen=True):
-    """[[plane]]: parts of the robot stay on the side to which `inward` points, `margin` [m] from it."""
+    """[[plane]]: the `parts` of the robot stay on the side to which `inward` points, `margin` [m] from the plane."""
 
     name: EntryName
     point: Vector
@@ -87,7 +87,7 @@ class PlaneEntry(SiteEntry, frozen=True):
 
 
 class KeepOut(SiteEntry, frozen=True):
-    """[[keep_out]]: a box that no part of the robot enters: position, half extents [m], yaw about z [rad]."""
+    """[[keep_out]]: a box that no part of the robot may enter: position [m], half extents [m], yaw about z [rad]."""
 
     name: EntryName
     position: Vector
@@ -103,7 +103,7 @@ class Commander(SiteEntry, frozen=True):
 
 
 class Site(SiteEntry, frozen=True):
-    """Everything that a site file says."""
+    """The content of a site file."""
 
     robot: RobotSettings = RobotSettings()
     limits: LimitCaps = LimitCaps()
@@ -117,42 +117,44 @@ class Site(SiteEntry, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class SiteFile:
-    """A site with the places of its entries in the file."""
+    """A site with the line and column of every entry of its file."""
 
     path: Path
     site: Site
     locations: Mapping[str, tuple[int, int]]
 
     def locate(self, path: str) -> str:
-        """File and line of the entry at `path` (such as "limits.acceleration")."""
+        """File name and line of the entry at `path` (such as "limits.acceleration")."""
         line, _ = find_location(path, self.locations)
         return f"{self.path.name}:{line}"
 
     def make_error(self, path: str, *, got: object, allowed: str) -> SiteError:
-        """The error of what stands at `path`."""
+        """The error of the entry at `path`."""
         return SiteError(self.path.name, find_location(path, self.locations), path, got=got, allowed=allowed)
 
 
 class SiteError(ConfigurationError):
-    """What is wrong in a site file, and at which `line` and `column` (from 1)."""
+    """A wrong entry of a site file, at `line` and `column` (from 1)."""
 
-    def __init__(self, name: str, location: tuple[int, int], what: str, *, got: object, allowed: str) -> None:
-        """Name the file, the place and the entry."""
+    def __init__(self, name: str, location: tuple[int, int], entry: str, *, got: object, allowed: str) -> None:
+        """Report the file called `name`, the location and the entry."""
         self.line, self.column = location
         super().__init__(
-            f"{name}, line {location[0]}, column {location[1]}: {what or 'file'}", got=got, allowed=allowed
+            f"{name}, line {location[0]}, column {location[1]}: {entry or 'file'}", got=got, allowed=allowed
         )
 
 
 def read_site(path: Path) -> SiteFile:
-    """The site in `path`.
+    """The site in the TOML file `path`.
 
     Raises:
-        SiteError: it is not TOML, or an entry is unknown, missing, of the wrong kind or out of bounds.
-        InvalidSetup: the file is not there, or too large.
+        SiteError: The file is not TOML, or an entry is unknown, missing, of the wrong type or out of bounds.
+        ConfigurationError: The file does not exist or is too large.
     """
     if not path.is_file() or path.stat().st_size > MAX_FILE_BYTES:
-        raise ConfigurationError("site file", got=str(path), allowed=f"a TOML file of at most {MAX_FILE_BYTES} bytes")
+        raise ConfigurationError.stating(
+            f"There is no site file at {path}.", fix=f"Give a TOML file of at most {MAX_FILE_BYTES} bytes."
+        )
     try:
         text = path.read_bytes().decode()
         data = tomllib.loads(text)
@@ -162,42 +164,38 @@ def read_site(path: Path) -> SiteFile:
         raise SiteError(
             path.name, _parse_error_location(str(error), path), "", got=str(error), allowed="TOML"
         ) from error
-    places = _entry_locations(text)
-    if (bad := _find_non_finite(data, "")) is not None:
-        raise SiteError(path.name, find_location(bad, places), bad, got="not finite", allowed="finite numbers")
-    for table, kind in (
-        ("joint", JointCaps),
-        ("commander", Commander),
-    ):  # by name, which msgspec leaves out of its path
+    locations = _entry_locations(text)
+    if (entry := _find_non_finite(data, "")) is not None:
+        raise SiteError(path.name, find_location(entry, locations), entry, got="not finite", allowed="finite numbers")
+    for table, kind in (("joint", JointCaps), ("commander", Commander)):  # msgspec omits these names from its paths
         entries = data.get(table)
         if isinstance(entries, dict):
-            for name, entry in cast("dict[str, Any]", entries).items():
-                _convert(entry, kind, f"{table}.{name}", path, places)
-    return SiteFile(path, _convert(data, Site, "", path, places), places)
+            for name, value in cast("dict[str, Any]", entries).items():
+                _convert(value, kind, f"{table}.{name}", path, locations)
+    return SiteFile(path, _convert(data, Site, "", path, locations), locations)
 
 
-def _convert(data: Any, kind: type[T], prefix: str, path: Path, places: Mapping[str, tuple[int, int]]) -> T:
-    """`data` as `kind`; raises `SiteError` with the place of what does not fit, which stands under `prefix`."""
+def _convert(data: Any, kind: type[T], prefix: str, path: Path, locations: Mapping[str, tuple[int, int]]) -> T:
+    """`data`, the table called `prefix`, as `kind`; raises `SiteError` with the location of a wrong entry."""
     try:
         return msgspec.convert(data, kind)
     except msgspec.ValidationError as error:
-        what, _, at = str(error).partition(" - at `$")
+        got, _, at = str(error).partition(" - at `$")
         entry = f"{prefix}.{at.strip('`.')}".strip(".")
-        if field := re.search(r"unknown field `(.+)`", what):
+        if field := re.search(r"unknown field `(.+)`", got):
             entry = f"{entry}.{field.group(1)}".lstrip(".")
-        raise SiteError(
-            path.name, find_location(entry, places), entry, got=what, allowed="see docs/how-to/site.md"
-        ) from error
+        location = find_location(entry, locations)
+        raise SiteError(path.name, location, entry, got=got, allowed="see docs/how-to/site.md") from error
 
 
-# --- where things stand ---------------------------------------------------------------------------------------------
+# --- locations of entries -------------------------------------------------------------------------------------------
 
 _TABLE = re.compile(r"^\s*(\[\[?)\s*([^\]]+?)\s*\]\]?\s*(?:#.*)?$")
 _KEY = re.compile(r"^\s*((?:[A-Za-z0-9_-]+|\"[^\"]*\"|'[^']*')(?:\s*\.\s*(?:[A-Za-z0-9_-]+|\"[^\"]*\"))*)\s*=\s*")
 
 
 def _entry_locations(text: str) -> dict[str, tuple[int, int]]:
-    """Line and column (from 1) of every table and key, under the path by which msgspec names it."""
+    """Line and column (from 1) of every table and key, by the path that msgspec uses for it."""
     found: dict[str, tuple[int, int]] = {"": (1, 1)}
     counts: dict[str, int] = {}
     table = ""
@@ -219,7 +217,7 @@ def _strip_quotes(dotted: str) -> str:
 
 
 def _indexed_name(table: str, counts: Mapping[str, int]) -> str:
-    """The name with numbers, "plane[1]" for the second of its kind; also inside of dotted names."""
+    """The table name with indices of arrays of tables, such as "plane[1]" for the second plane."""
     parts: list[str] = []
     for end, part in enumerate(table.split("."), start=1):
         prefix = ".".join(table.split(".")[:end])
@@ -228,7 +226,7 @@ def _indexed_name(table: str, counts: Mapping[str, int]) -> str:
 
 
 def find_location(path: str, locations: Mapping[str, tuple[int, int]]) -> tuple[int, int]:
-    """The place of `path`, or of the nearest entry around it."""
+    """The location of the entry at `path`, or of the innermost known entry that contains it."""
     path = path.replace("[...]", "")
     while path and path not in locations:
         path = path[: path.rindex("[")] if path.endswith("]") else path.rpartition(".")[0]
@@ -236,7 +234,7 @@ def find_location(path: str, locations: Mapping[str, tuple[int, int]]) -> tuple[
 
 
 def _parse_error_location(message: str, path: Path) -> tuple[int, int]:
-    """Line and column as tomllib tells them; at the end of the document, the last line."""
+    """Line and column in the message of tomllib; the last line for an error at the end of the document."""
     if found := re.search(r"line (\d+), column (\d+)", message):
         return int(found.group(1)), int(found.group(2))
     return max(1, len(path.read_bytes().splitlines())), 1

@@ -1,4 +1,4 @@
-"""The command that makes the data file: refuses unknown bodies, and repeats the stored file byte for byte."""
+"""The generator refuses unknown robots and reproduces the stored data file byte for byte."""
 
 from importlib import resources
 
@@ -14,11 +14,11 @@ def stored(name="panda"):
 
 
 @pytest.mark.parametrize("name", ARM_DEFINITIONS)
-def test_the_stored_file_is_in_the_form_the_command_writes(name):
+def test_the_stored_file_has_the_format_of_the_generator(name):
     assert encode_robot(load_robot(name)) == stored(name)
 
 
-def test_an_unknown_body_is_refused(tmp_path):
+def test_an_unknown_robot_is_refused(tmp_path):
     with pytest.raises(UnknownNameError):
         main(["ur99", "--out", str(tmp_path / "x.json")])
 

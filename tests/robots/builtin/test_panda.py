@@ -1,4 +1,4 @@
-"""The Panda's numbers against the asset they come from, and against MuJoCo's kinematics."""
+"""The model of the Panda agrees with the URDF it comes from, and with the kinematics of MuJoCo."""
 
 import mujoco
 import numpy as np
@@ -11,8 +11,8 @@ from tests.robots.panda_oracle import PANDA, URDF_NAMES, urdf, urdf_pose
 CORNERS = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 
 
-def body_points(q, opening):
-    """Origin and unit points of each link in the world, from the body's data: (links, 4, 3)."""
+def link_points(q, opening):
+    """Origin and unit points of each link in the world, from the robot model: (links, 4, 3)."""
     turns, origins = chain_frames(PANDA.joints, q[None])
     return np.array([sphere_centres(link, CORNERS, turns, origins, opening)[0] for link in PANDA.links])
 
@@ -21,7 +21,7 @@ def body_points(q, opening):
 def test_the_chain_is_the_urdf_chain(seed):
     rng = np.random.default_rng(seed)
     q, opening = random_configurations(PANDA.joints, 1, rng)[0], 0.04 * rng.random()
-    for link, points in zip(PANDA.links, body_points(q, opening), strict=True):
+    for link, points in zip(PANDA.links, link_points(q, opening), strict=True):
         pose = urdf_pose(URDF_NAMES[link.name], q, opening)
         assert np.allclose(points, CORNERS @ pose[:3, :3].T + pose[:3, 3], atol=1e-12)
 
@@ -36,41 +36,41 @@ def test_the_tool_frame_is_the_urdf_tcp():
 
 
 def mujoco_chain():
-    """The body's data written as MJCF; MuJoCo then does the kinematics."""
+    """The robot model as MJCF, for the kinematics of MuJoCo."""
     nested, closing = "", ""
     for i, joint in enumerate(PANDA.joints):
-        place = f'pos="{" ".join(map(str, joint.translation))}" quat="{" ".join(map(str, joint.quaternion))}"'
-        parts = [link for link in PANDA.links if link.frame == i + 1]
+        pose = f'pos="{" ".join(map(str, joint.translation))}" quat="{" ".join(map(str, joint.quaternion))}"'
+        links = [link for link in PANDA.links if link.frame == i + 1]
         sites = "".join(
             f'<site name="{link.name}" pos="{" ".join(map(str, link.translation))}" '
             f'quat="{" ".join(map(str, link.quaternion))}"/>'
-            for link in parts
+            for link in links
         )
-        nested += f'<body {place}><joint axis="0 0 1"/><geom size="0.01" mass="1"/>{sites}'
+        nested += f'<body {pose}><joint axis="0 0 1"/><geom size="0.01" mass="1"/>{sites}'
         closing += "</body>"
     return mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{nested}{closing}</worldbody></mujoco>")
 
 
-def test_the_chain_is_what_mujoco_computes():
+def test_the_chain_agrees_with_mujoco():
     model = mujoco_chain()
     data = mujoco.MjData(model)
     for q in random_configurations(PANDA.joints, 50, np.random.default_rng(3)):
         data.qpos[:] = q
         mujoco.mj_kinematics(model, data)
-        for link, points in zip(PANDA.links, body_points(q, 0.0), strict=True):
+        for link, points in zip(PANDA.links, link_points(q, 0.0), strict=True):
             if link.frame:
                 site = data.site(link.name)
                 assert np.allclose(points, CORNERS @ site.xmat.reshape(3, 3).T + site.xpos, atol=1e-9)
 
 
 @pytest.mark.parametrize("joint", PANDA.joints, ids=lambda joint: joint.name)
-def test_limits_are_those_of_the_asset(joint):
+def test_limits_are_those_of_the_urdf(joint):
     limit = next(j for j in urdf().iter("joint") if j.get("name") == joint.name).find("limit")
     for key in ("lower", "upper", "velocity"):
         assert getattr(joint, key).value == float(limit.get(key))
 
 
-def test_the_gripper_opens_as_far_as_the_asset_says():
+def test_the_opening_of_the_gripper_is_that_of_the_urdf():
     limit = next(j for j in urdf().iter("joint") if j.get("name") == "panda_finger_joint1").find("limit")
     assert PANDA.gripper.opening.value == float(limit.get("upper"))
     assert 0 < PANDA.gripper.force_min.value < PANDA.gripper.force.value <= 70.0

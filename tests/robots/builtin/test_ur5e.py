@@ -1,4 +1,4 @@
-"""The UR5e's numbers and cover against the URDF and the meshes they come from."""
+"""The model of the UR5e agrees with the URDF it comes from, and its spheres cover the meshes."""
 
 import xml.etree.ElementTree as ET
 from functools import lru_cache
@@ -27,7 +27,7 @@ NAMES = (
 
 @lru_cache
 def urdf():
-    """Its root; the asset uses the prefix `drake:` without declaring it."""
+    """The root element; the file uses the prefix `drake:` without declaring it."""
     path = metadata.distribution("airo-models").locate_file("airo_models/arms/ur5e/ur5e.urdf")
     return ET.fromstring(path.read_text().replace("drake:", "drake_"))
 
@@ -37,7 +37,7 @@ def numbers(text):
 
 
 def urdf_pose(link, q):
-    """4x4 pose of a link, walking from it to the root."""
+    """Pose (4, 4) of a link in the root, by a walk through the URDF from the link to the root."""
     values, pose = dict(zip((joint.name for joint in UR5E.joints), q, strict=True)), np.eye(4)
     while (joint := next((j for j in urdf().iter("joint") if _child(j) == link), None)) is not None:
         origin, step = joint.find("origin"), np.eye(4)
@@ -60,21 +60,21 @@ def test_the_chain_is_the_urdf_chain(seed):
     q = random_configurations(UR5E.joints, 1, np.random.default_rng(seed))[0]
     turns, origins = chain_frames(UR5E.joints, q[None])
     for frame, link in enumerate(NAMES):
-        if frame:  # the base frame itself looks forward (REP 103), its half turn stands in the first joint
+        if frame:  # x of the base frame points forward (REP 103); the first joint contains the half turn
             pose = urdf_pose(link, q)
             assert np.allclose(turns[0, frame], pose[:3, :3], atol=1e-8)
             assert np.allclose(origins[0, frame], pose[:3, 3], atol=1e-8)
 
 
 @pytest.mark.parametrize("joint", UR5E.joints, ids=lambda joint: joint.name)
-def test_limits_are_those_of_the_asset(joint):
+def test_limits_are_those_of_the_urdf(joint):
     limit = next(j for j in urdf().iter("joint") if j.get("name") == joint.name).find("limit")
     for key in ("lower", "upper", "velocity"):
         assert getattr(joint, key).value == pytest.approx(float(limit.get(key)), abs=2e-5)
     assert "no limit" in joint.acceleration.provenance
 
 
-def test_the_tool_looks_down_at_home():
+def test_the_tool_points_down_at_home():
     turns, origins = chain_frames(UR5E.joints, np.array([UR5E.home]))
     assert np.allclose(turns[0, -1], np.diag([1.0, -1.0, -1.0]), atol=1e-3)
     tip = origins[0, -1] + turns[0, -1] @ np.array(UR5E.tool.translation)
@@ -82,18 +82,18 @@ def test_the_tool_looks_down_at_home():
 
 
 @pytest.mark.parametrize("link", ur5e.LINK_COVERS)
-def test_the_stored_spheres_cover_every_part_by_proof(link):
-    own = [sphere for sphere in UR5E.spheres if sphere.link == link]
-    balls = SphereSet(np.array([ball.centre for ball in own]), np.array([ball.radius for ball in own]))
-    for wanted in ur5e.LINK_COVERS[link]:
-        assert is_proven_covered(ur5e.part_mesh(wanted.mesh), balls)
+def test_the_stored_spheres_are_verified_to_cover_every_part(link):
+    stored = [sphere for sphere in UR5E.spheres if sphere.link == link]
+    spheres = SphereSet(np.array([sphere.centre for sphere in stored]), np.array([sphere.radius for sphere in stored]))
+    for spec in ur5e.LINK_COVERS[link]:
+        assert is_proven_covered(ur5e.part_mesh(spec.mesh), spheres)
         assert not is_proven_covered(
-            ur5e.part_mesh(wanted.mesh), SphereSet(balls.centres, 0.9 * balls.radii), max_subdivisions=6
+            ur5e.part_mesh(spec.mesh), SphereSet(spheres.centres, 0.9 * spheres.radii), max_subdivisions=6
         )
 
 
 @pytest.mark.parametrize("part", ["finger", "knuckle"])
-def test_the_right_side_of_the_hand_is_the_left_one_turned_round(part):
+def test_the_right_side_of_the_hand_is_the_left_side_rotated_by_180_degrees(part):
     left, right = (
         np.array([s.centre for s in UR5E.spheres if s.link == f"{side}_{part}"]) for side in ("left", "right")
     )

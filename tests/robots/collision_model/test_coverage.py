@@ -1,4 +1,4 @@
-"""Cover and excess: of the stored spheres against the collision meshes, and of the measures against plain geometry."""
+"""The stored spheres cover the collision meshes with little excess, and both measures agree with simple geometry."""
 
 import numpy as np
 import pytest
@@ -46,7 +46,7 @@ def test_the_stored_spheres_cover_every_point_of_the_mesh_by_proof(link):
     assert is_proven_covered(link_mesh(link), link_spheres(link))
 
 
-def test_the_stored_spheres_cover_a_sample_of_the_whole_body():
+def test_the_stored_spheres_cover_a_sample_of_the_whole_robot():
     area = {link: link_mesh(link).areas.sum() for link in LINKS}
     rng = np.random.default_rng(5)
     for link in LINKS:
@@ -57,17 +57,17 @@ def test_the_stored_spheres_cover_a_sample_of_the_whole_body():
 @pytest.mark.slow
 def test_the_stored_spheres_cover_a_large_sample():
     rng = np.random.default_rng(6)
-    hit = [are_covered(sample_surface(link_mesh(link), 20_000, rng), link_spheres(link)) for link in LINKS]
-    assert np.concatenate(hit).mean() >= 0.999
+    covered = [are_covered(sample_surface(link_mesh(link), 20_000, rng), link_spheres(link)) for link in LINKS]
+    assert np.concatenate(covered).mean() >= 0.999
 
 
 @pytest.mark.parametrize("link", LINKS)
-def test_the_excess_stays_below_its_bar(link):
+def test_the_excess_is_below_its_bound(link):
     excess = measure_excess(link_mesh(link), link_spheres(link), 1500, np.random.default_rng(7))
     assert excess.worst <= WORST.get(link, 0.027)
 
 
-def test_finger_tips_bulge_little_where_it_matters():
+def test_the_excess_of_the_finger_tips_is_small_at_the_pads():
     for link, inward in (("left_finger", -1.0), ("right_finger", 1.0)):
         surface = sample_union_surface(link_spheres(link), 20_000, np.random.default_rng(8))
         tip = surface[surface[:, 2] > 0.034]
@@ -75,32 +75,32 @@ def test_finger_tips_bulge_little_where_it_matters():
         assert np.max(inward * tip[:, 1]) <= 0.004
 
 
-def test_a_missing_ball_is_noticed():
+def test_a_missing_sphere_is_detected():
     for link in ("link3", "hand", "left_finger"):
-        whole = link_spheres(link)
-        for i in range(len(whole.radii)):
-            rest = SphereSet(np.delete(whole.centres, i, axis=0), np.delete(whole.radii, i))
-            assert not is_proven_covered(link_mesh(link), rest, max_subdivisions=6)
+        spheres = link_spheres(link)
+        for i in range(len(spheres.radii)):
+            others = SphereSet(np.delete(spheres.centres, i, axis=0), np.delete(spheres.radii, i))
+            assert not is_proven_covered(link_mesh(link), others, max_subdivisions=6)
 
 
-def test_a_cube_needs_a_ball_of_its_half_diagonal():
-    start = SphereSet(np.zeros((1, 3)), np.array([1.5]))
+def test_a_cube_needs_a_sphere_of_its_half_diagonal():
+    small = SphereSet(np.zeros((1, 3)), np.array([1.5]))
     none = SphereSet(np.zeros((0, 3)), np.zeros(0))
-    assert 1.5 + required_inflation(CUBE, none, start) == pytest.approx(np.sqrt(3), abs=3e-5)
-    grown = SphereSet(start.centres, np.array([np.sqrt(3) + 1e-6]))
-    excess = measure_excess(CUBE, grown, 20_000, np.random.default_rng(0))
+    assert 1.5 + required_inflation(CUBE, none, small) == pytest.approx(np.sqrt(3), abs=3e-5)
+    inflated = SphereSet(small.centres, np.array([np.sqrt(3) + 1e-6]))
+    excess = measure_excess(CUBE, inflated, 20_000, np.random.default_rng(0))
     assert excess.worst == pytest.approx(np.sqrt(3) - 1, abs=5e-3)
     assert excess.volume_ratio == pytest.approx(np.pi * np.sqrt(3) / 2, rel=0.03)
 
 
 @given(st.tuples(*[st.floats(-3, 3)] * 3))
-def test_distance_outside_a_cube_is_the_textbook_one(point):
+def test_distance_outside_a_cube_agrees_with_the_formula(point):
     outside = np.linalg.norm(np.maximum(np.abs(point) - 1, 0))
     assert distance_outside(CUBE, np.array([point]))[0] == pytest.approx(outside, abs=1e-9)
 
 
 @given(st.tuples(*[st.floats(-0.99, 0.99)] * 3), st.floats(0.01, 3))
-def test_a_ball_reaches_its_radius_less_its_depth_beyond_a_convex_solid(centre, radius):
+def test_a_sphere_extends_its_radius_less_its_depth_beyond_a_convex_solid(centre, radius):
     depth = convex_hull(CUBE).depth(np.array([centre]))[0]
     assert depth == pytest.approx(1 - np.max(np.abs(centre)))
     surface = sample_union_surface(SphereSet(np.array([centre]), np.array([radius])), 4000, np.random.default_rng(1))

@@ -1,4 +1,4 @@
-"""Spheres contain the shapes, measured on points that the fit has not seen; cuts lose nothing; the budget is kept."""
+"""The spheres contain the shapes on new points, within the budget; the convex parts contain the solid."""
 
 import numpy as np
 import pytest
@@ -22,10 +22,10 @@ ELL = concatenate_meshes(
 )
 
 
-def within_height(points, radius, half):
-    """Distance from the segment of half length `half` along z is at most `radius`."""
-    spine = np.column_stack([np.zeros((len(points), 2)), np.clip(points[:, 2], -half, half)])
-    return np.linalg.norm(points - spine, axis=1) <= radius
+def is_in_capsule(points, radius, half):
+    """Whether the distance to the segment of half length `half` along z is at most `radius`."""
+    nearest = np.column_stack([np.zeros((len(points), 2)), np.clip(points[:, 2], -half, half)])
+    return np.linalg.norm(points - nearest, axis=1) <= radius
 
 
 @pytest.mark.parametrize(
@@ -36,19 +36,19 @@ def within_height(points, radius, half):
             np.pi * 0.01 * 0.4,
             lambda x: (np.hypot(x[:, 0], x[:, 1]) <= 0.1) & (abs(x[:, 2]) <= 0.2),
         ),
-        (ellipsoid(np.full(3, 0.1), np.eye(4)), 4 / 3 * np.pi * 1e-3, lambda x: within_height(x, 0.1, 0.0)),
-        (capsule(0.05, 0.1, np.eye(4)), np.pi * 0.0025 * (0.2 + 4 / 3 * 0.05), lambda x: within_height(x, 0.05, 0.1)),
+        (ellipsoid(np.full(3, 0.1), np.eye(4)), 4 / 3 * np.pi * 1e-3, lambda x: is_in_capsule(x, 0.1, 0.0)),
+        (capsule(0.05, 0.1, np.eye(4)), np.pi * 0.0025 * (0.2 + 4 / 3 * 0.05), lambda x: is_in_capsule(x, 0.05, 0.1)),
     ],
-    ids=["cylinder", "ball", "capsule"],
+    ids=["cylinder", "sphere", "capsule"],
 )
-def test_a_polytope_contains_the_round_shape_it_stands_for(shape, true_volume, inside):
+def test_the_mesh_of_a_round_shape_contains_it(shape, true_volume, inside):
     points = np.random.default_rng(0).uniform(-0.21, 0.21, (20_000, 3))
     points = points[inside(points)]
     assert convex_hull(shape).depth(points).min() >= -1e-12
     assert 1.0 <= mesh_volume(shape) / true_volume < 1.08
 
 
-def test_an_ell_is_cut_into_convex_parts_that_contain_it():
+def test_an_l_shape_is_decomposed_into_convex_parts_that_contain_it():
     parts = decompose_convex(ELL)
     assert 2 <= len(parts) <= 4
     assert sum(map(mesh_volume, parts)) < 0.55 * mesh_volume(thickened_hull_mesh(ELL.vertices))
@@ -56,7 +56,7 @@ def test_an_ell_is_cut_into_convex_parts_that_contain_it():
     assert np.max([convex_hull(part).depth(points) for part in parts], axis=0).min() > -1e-9
 
 
-def test_a_flat_sheet_is_a_solid_too():
+def test_a_flat_sheet_becomes_a_solid():
     sheet = Mesh(np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]]), np.array([[0, 1, 2], [0, 2, 3]]))
     assert mesh_volume(thickened_hull_mesh(sheet.vertices)) == pytest.approx(2e-4, rel=0.01)
 
@@ -67,17 +67,17 @@ def test_every_point_of_every_link_is_covered_within_the_budget():
     assert sum(len(fit.spheres.radii) for fit in fits.values()) <= 40
     for name, (shape, *_) in ((name, meshes) for name, meshes in shapes.items() if meshes):
         points = sample_surface(shape, 20_000, np.random.default_rng(99))
-        balls = fits[name].spheres
-        away = np.linalg.norm(points[:, None] - balls.centres, axis=2) - balls.radii
-        hidden = np.max([convex_hull(part).depth(points) for part in decompose_convex(shape)], axis=0) > 1e-9
-        assert np.all((away.min(axis=1) <= 1e-9) | hidden)
+        spheres = fits[name].spheres
+        distances = np.linalg.norm(points[:, None] - spheres.centres, axis=2) - spheres.radii
+        enclosed = np.max([convex_hull(part).depth(points) for part in decompose_convex(shape)], axis=0) > 1e-9
+        assert np.all((distances.min(axis=1) <= 1e-9) | enclosed)
         assert fits[name].coverage == 1.0
         assert fits[name].worst < 0.08
     assert fits["rod"].worst < fits["ell"].worst
 
 
-def test_the_excess_is_the_distance_of_the_balls_surface_from_the_shape():
-    """One ball around a cube: its surface stands off by r − a at the faces' middles, by nothing at the corners."""
+def test_the_excess_is_the_distance_of_the_spheres_from_the_shape():
+    """One sphere around a cube: its distance from the cube is r − a at the face centres and 0 at the corners."""
     cube = box(np.full(3, 0.1), np.eye(4))
     fit = fit_links({"cube": [cube]}, {"cube": 1.0}, 1, QUICK, 0)["cube"]
     assert len(fit.spheres.radii) == 1

@@ -1,4 +1,4 @@
-"""The fit: covers by proof, repeats itself, and gets tighter with more balls."""
+"""The fit is verified to cover the mesh, is reproducible, and gets tighter with more spheres."""
 
 import numpy as np
 
@@ -11,41 +11,41 @@ from tests.robots.panda_oracle import link_mesh
 QUICK = FitOptions(n_points=150, n_candidates=300, n_starts=1, max_rounds=6, max_failed_moves=1)
 
 
-def fitted(count, *, seed=0, **wanted):
+def fit(count, *, seed=0, **options):
     return fit_cover(
-        link_mesh("link7"), LinkCoverSpec(mesh="link7", n_spheres=count, **wanted), np.random.default_rng(seed), QUICK
+        link_mesh("link7"), LinkCoverSpec(mesh="link7", n_spheres=count, **options), np.random.default_rng(seed), QUICK
     )
 
 
-def bulge(balls):
-    return np.max(balls.radii - convex_hull(link_mesh("link7")).depth(balls.centres))
+def max_excess(spheres):
+    return np.max(spheres.radii - convex_hull(link_mesh("link7")).depth(spheres.centres))
 
 
-def test_a_fit_covers_by_proof_and_repeats_itself():
-    first, second = fitted(6), fitted(6)
+def test_a_fit_is_verified_to_cover_the_mesh_and_reproducible():
+    first, second = fit(6), fit(6)
     assert is_proven_covered(link_mesh("link7"), first)
     assert np.array_equal(first.centres, second.centres)
     assert np.array_equal(first.radii, second.radii)
     assert len(first.radii) == 6
 
 
-def test_more_balls_bulge_less():
-    assert bulge(fitted(10)) < 0.75 * bulge(fitted(3))
+def test_more_spheres_have_less_excess():
+    assert max_excess(fit(10)) < 0.75 * max_excess(fit(3))
 
 
-def test_a_heavier_face_gets_the_smaller_bulge():
+def test_a_face_of_higher_weight_gets_less_excess():
     down = np.array([0.0, 0.0, -1.0])
 
-    def below(balls):
-        return np.max(balls.centres @ down + balls.radii) - np.max(link_mesh("link7").vertices @ down)
+    def excess_below(spheres):
+        return np.max(spheres.centres @ down + spheres.radii) - np.max(link_mesh("link7").vertices @ down)
 
-    assert below(fitted(6, weighted_faces=(((0.0, 0.0, -1.0), 4.0),))) < 0.7 * below(fitted(6))
+    assert excess_below(fit(6, weighted_faces=(((0.0, 0.0, -1.0), 4.0),))) < 0.7 * excess_below(fit(6))
 
 
-def test_placed_balls_are_kept_as_they_are():
-    placed = (((0.0, 0.0, 0.08), 0.05),)
-    balls = fitted(5, fixed_spheres=placed)
-    assert tuple(balls.centres[0]) == placed[0][0]
-    assert balls.radii[0] == placed[0][1]
-    assert len(balls.radii) == 5
-    assert is_proven_covered(link_mesh("link7"), balls)
+def test_fixed_spheres_are_unchanged():
+    fixed = (((0.0, 0.0, 0.08), 0.05),)
+    spheres = fit(5, fixed_spheres=fixed)
+    assert tuple(spheres.centres[0]) == fixed[0][0]
+    assert spheres.radii[0] == fixed[0][1]
+    assert len(spheres.radii) == 5
+    assert is_proven_covered(link_mesh("link7"), spheres)

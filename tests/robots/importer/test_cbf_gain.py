@@ -1,4 +1,4 @@
-"""α of a described arm: with it a fast approach can be braked for along the arc, with more it cannot."""
+"""With the gain α of an imported arm a fast approach can be stopped along the arc; with a larger α it cannot."""
 
 import msgspec
 import numpy as np
@@ -18,7 +18,7 @@ from dualbrain.robots.model import Bound, Joint, Link
 LENGTH = 0.3
 
 
-def turning(v, a, x=LENGTH, kind="revolute"):
+def make_joint(v, a, x=LENGTH, kind="revolute"):
     return Joint(
         name="j",
         translation=(x, 0.0, 0.0),
@@ -32,45 +32,45 @@ def turning(v, a, x=LENGTH, kind="revolute"):
 
 
 def planar_arm(v, a, n=3, kind="revolute"):
-    """An arm of n equal parts in a plane, one small ball at the end of each."""
-    joints = tuple(turning(v, a, 0.0 if i == 0 else LENGTH, kind) for i in range(n))
+    """An arm of n equal links in a plane, with one small sphere at the end of each."""
+    joints = tuple(make_joint(v, a, 0.0 if i == 0 else LENGTH, kind) for i in range(n))
     links = tuple(Link(name=f"part{i}", frame=i, group="arm") for i in range(1, n + 1))
     return joints, links, {link.name: SphereSet(np.array([[LENGTH, 0.0, 0.0]]), np.array([0.01])) for link in links}
 
 
 def tip(q):
-    """Where the arm's end is, written apart from the chain kinematics."""
+    """Position of the end of the arm, independent of the chain kinematics under test."""
     angles = np.cumsum(q, axis=-1)
     return LENGTH * np.stack([np.cos(angles).sum(-1), np.sin(angles).sum(-1)], axis=-1)
 
 
-def curve(q, u, normal, step=1e-4):
-    """ḣ and u'∇²h u of h = n'p, by differences."""
+def h_derivatives(q, u, normal, step=1e-4):
+    """ḣ and u'∇²h u of h = n'p, by finite differences."""
     before, here, after = (normal @ tip(q + k * step * u) for k in (-1, 0, 1))
     return (after - before) / (2 * step), (after - 2 * here + before) / step**2
 
 
 def approaches(v, a, alpha, rng, count=4000):
-    """Fast approaches at which the row ḣ ≥ −α h is just met: (ḣ over V, h after braking with all joints)."""
+    """Fast approaches with ḣ = −α h: pairs of |ḣ| / V and the least h while all joints brake."""
     joints, links, cover = planar_arm(v, a)
-    reach = max_axis_distances(joints, links, cover, rng)[links[-1]]
-    V, T = float(np.sum(reach * v)), v / a
+    distances = max_axis_distances(joints, links, cover, rng)[links[-1]]
+    V, T = float(np.sum(distances * v)), v / a
     found = []
     for _ in range(count):
         q = np.concatenate([[0.0], rng.uniform(-1.2, 1.2, 2)])
         u = v * np.array([1.0, *rng.uniform(-0.2, 1.0, 2)])
         angle = rng.uniform(-np.pi, np.pi)
         normal = np.array([np.cos(angle), np.sin(angle)])
-        sinking, _ = curve(q, u, normal)
-        if sinking < -MIN_BRAKED_SPEED_SHARE * V:
-            h = -sinking / alpha
-            way = q + np.outer(np.linspace(0.0, 0.5 * T, 60), u)
-            found.append((-sinking / V, h + float(np.min(tip(way) @ normal)) - float(tip(q) @ normal)))
+        h_dot, _ = h_derivatives(q, u, normal)
+        if h_dot < -MIN_BRAKED_SPEED_SHARE * V:
+            h = -h_dot / alpha
+            path = q + np.outer(np.linspace(0.0, 0.5 * T, 60), u)
+            found.append((-h_dot / V, h + float(np.min(tip(path) @ normal)) - float(tip(q) @ normal)))
     assert len(found) > 50
     return np.array(found)
 
 
-def test_braking_keeps_clear_at_this_gain_and_not_at_twice_the_straight_one():
+def test_braking_avoids_contact_at_this_gain_and_not_at_twice_the_straight_line_gain():
     v, a = 4.0, 10.0
     joints, links, cover = planar_arm(v, a)
     gain = curvature_limited_gain(joints, links, cover, np.random.default_rng(0))
@@ -84,20 +84,20 @@ def test_braking_keeps_clear_at_this_gain_and_not_at_twice_the_straight_one():
 def test_speed_and_curvature_are_bounds():
     rng = np.random.default_rng(3)
     joints, links, cover = planar_arm(2.0, 10.0)
-    reach = np.array([3.0, 2.0, 1.0]) * LENGTH  # stretched out
-    V = 2.0 * reach.sum()
+    distances = np.array([3.0, 2.0, 1.0]) * LENGTH  # the stretched arm
+    V = 2.0 * distances.sum()
     for _ in range(300):
         angle = rng.uniform(-np.pi, np.pi)
         u = rng.choice([-2.0, 2.0], 3)
-        sinking, bent = curve(rng.uniform(-3, 3, 3), u, np.array([np.cos(angle), np.sin(angle)]))
-        assert abs(sinking) <= V + 1e-6
-        assert abs(bent) <= path_curvature(joints, reach) * V + 1e-4
+        h_dot, curvature = h_derivatives(rng.uniform(-3, 3, 3), u, np.array([np.cos(angle), np.sin(angle)]))
+        assert abs(h_dot) <= V + 1e-6
+        assert abs(curvature) <= path_curvature(joints, distances) * V + 1e-4
     sampled = max_axis_distances(joints, links, cover, rng)[links[-1]]
-    assert np.all(sampled <= reach + 1e-9)
-    assert np.all(sampled > 0.9 * reach)
+    assert np.all(sampled <= distances + 1e-9)
+    assert np.all(sampled > 0.9 * distances)
 
 
-def test_what_slides_or_turns_slowly_keeps_what_its_acceleration_allows():
+def test_the_gain_of_prismatic_and_slow_joints_is_not_reduced():
     rng = np.random.default_rng(0)
     assert curvature_limited_gain(*planar_arm(4.0, 10.0, kind="prismatic"), rng) is None
     assert curvature_limited_gain(*planar_arm(1.0, 10.0), rng) is None
@@ -105,16 +105,16 @@ def test_what_slides_or_turns_slowly_keeps_what_its_acceleration_allows():
     assert fast / (10.0 / 5.0) < slow / (10.0 / 4.0)
 
 
-def test_one_turn_bends_by_its_own_rate_and_a_slide_behind_it_by_twice_that():
-    turn, slide = turning(2.0, 10.0), turning(0.5, 1.0, kind="prismatic")
-    assert path_curvature((turn,), np.array([0.7])) == pytest.approx(2.0)
-    assert path_curvature((turn, slide), np.array([0.7, 9.0])) == pytest.approx(
+def test_the_path_curvature_of_revolute_and_prismatic_joints():
+    revolute, prismatic = make_joint(2.0, 10.0), make_joint(0.5, 1.0, kind="prismatic")
+    assert path_curvature((revolute,), np.array([0.7])) == pytest.approx(2.0)
+    assert path_curvature((revolute, prismatic), np.array([0.7, 9.0])) == pytest.approx(
         (0.7 * 4 + 2 * 2 * 0.5) / (0.7 * 2 + 0.5)
     )
-    assert path_curvature((slide, turn), np.array([9.0, 0.7])) == pytest.approx(0.7 * 4 / (0.5 + 0.7 * 2))
+    assert path_curvature((prismatic, revolute), np.array([9.0, 0.7])) == pytest.approx(0.7 * 4 / (0.5 + 0.7 * 2))
 
 
-def test_a_body_follows_its_gain_and_one_of_zero_is_refused(tmp_path):
+def test_alpha_is_limited_by_the_gain_and_a_gain_of_zero_is_refused(tmp_path):
     panda = load_robot("panda")
     slower = msgspec.structs.replace(panda, gain=Bound(2.0, "1/s", "test"))
     assert panda.gain is None

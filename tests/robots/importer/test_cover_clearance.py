@@ -1,4 +1,4 @@
-"""Parts that press on each other by their own loose spheres are found, and covered tighter until there is room."""
+"""Links whose loose spheres leave each other no room are found, and covered more tightly until there is room."""
 
 import numpy as np
 import pytest
@@ -12,32 +12,33 @@ from tests.robots.importer.test_cbf_gain import LENGTH, planar_arm
 from tests.robots.importer.urdf_builder import full_featured_arm, limit_policy, write_file
 
 
-@pytest.mark.parametrize(("radius", "pressed"), [(0.22, {"part1", "part3"}), (0.1, set())])
-def test_a_kept_pair_that_is_nowhere_far_apart_is_named(radius, pressed):
-    """Two balls, between 0.15 and 0.45 m apart by the joint between them, whose shapes can touch."""
+@pytest.mark.parametrize(("radius", "congested"), [(0.22, {"part1", "part3"}), (0.1, set())])
+def test_the_links_of_a_congested_pair_are_named(radius, congested):
+    """Two spheres whose centres are 0.15 to 0.45 m apart, depending on the joint between them."""
     joints, links, _ = planar_arm(2.0, 10.0)
-    middles = {"part1": 0.5 * LENGTH, "part2": 0.0, "part3": 0.0}
-    cover = {name: SphereSet(np.array([[x, 0.0, 0.0]]), np.array([radius])) for name, x in middles.items()}
+    positions = {"part1": 0.5 * LENGTH, "part2": 0.0, "part3": 0.0}
+    cover = {name: SphereSet(np.array([[x, 0.0, 0.0]]), np.array([radius])) for name, x in positions.items()}
     angles = np.linspace(-np.pi, np.pi, 720)
     ring = LENGTH * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(720)])
     surfaces = dict.fromkeys(cover, ring)
-    found = sample_pairs(joints, links, cover, surfaces, n_samples=2000, rng=np.random.default_rng(0))
-    assert ("part1", "part3") in found.pairs.kept
-    assert found.congested_links == pressed
+    sampled = sample_pairs(joints, links, cover, surfaces, n_samples=2000, rng=np.random.default_rng(0))
+    assert ("part1", "part3") in sampled.pairs.kept
+    assert sampled.congested_links == congested
 
 
-def test_what_presses_is_covered_tighter_until_there_is_room(tmp_path, monkeypatch):
-    weights, answers = [], [frozenset({"upper"}), frozenset({"upper", "lower"}), frozenset()]
-    fit = build_arm.fit_links
+def test_congested_links_are_fitted_more_tightly_until_there_is_room(tmp_path, monkeypatch):
+    weights, congested = [], [frozenset({"upper"}), frozenset({"upper", "lower"}), frozenset()]
+    fit_links = build_arm.fit_links
 
-    def fitted(shapes, weight, *rest):
+    def record_weights(shapes, weight, *rest):
         weights.append(dict(weight))
-        return fit(shapes, weight, *rest)
+        return fit_links(shapes, weight, *rest)
 
-    monkeypatch.setattr(build_arm, "fit_links", fitted)
-    monkeypatch.setattr(
-        build_arm, "sample_pairs", lambda *_, **__: SampledPairs(SelfCollisionPairs((), ()), answers[len(weights) - 1])
-    )
+    def sample_pairs(*_, **__):
+        return SampledPairs(SelfCollisionPairs((), ()), congested[len(weights) - 1])
+
+    monkeypatch.setattr(build_arm, "fit_links", record_weights)
+    monkeypatch.setattr(build_arm, "sample_pairs", sample_pairs)
     build_arm.build_arm(
         read_urdf(write_file(tmp_path, full_featured_arm())),
         limit_policy(),

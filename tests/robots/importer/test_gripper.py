@@ -1,4 +1,4 @@
-"""The gripper that a description tells: the Panda's beside the figures written by hand, and what is not guessed."""
+"""The detected gripper of the Panda agrees with its hand-written definition; any other gripper gives a reason."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ RANGE = '<limit lower="{}" upper="{}" velocity="0.1" effort="30"/>'
 
 
 def hand(low=0.0, high=0.04, kind="prismatic", axes=("0 1 0", "0 -1 0"), gap=0.0, mimic="", fingers=2):
-    """A turning joint, a palm, and fingers whose pads face each other across y."""
+    """A revolute joint, a palm, and fingers whose pads face each other along y."""
     names, sides = ("left", "right", "third"), (1.0, -1.0, 3.0)
     parts = [
         link_xml("base"),
@@ -30,34 +30,31 @@ def hand(low=0.0, high=0.04, kind="prismatic", axes=("0 1 0", "0 -1 0"), gap=0.0
     for k in range(fingers):
         middle = (0.0, sides[k] * (0.01 + 0.5 * gap), 0.03)
         parts.append(link_xml(names[k], (0.024, 0.02, 0.06), middle))
-        follows = mimic if k else ""
-        parts.append(
-            joint_xml(
-                f"slide{k}", "palm", names[k], kind, axes[k % 2], "0 0 0.05", inside=RANGE.format(low, high) + follows
-            )
-        )
+        limits = RANGE.format(low, high) + (mimic if k else "")
+        parts.append(joint_xml(f"slide{k}", "palm", names[k], kind, axes[k % 2], "0 0 0.05", inside=limits))
     return urdf_xml(*parts)
 
 
-def told(folder, text, said=GRIP, **more):
+def detect(folder, text, stated=GRIP, **options):
     tree = read_urdf(write_file(folder, text))
-    return detect_gripper(tree, find_chain(tree, base="base", tip="palm", **more), said, keep_tool=bool(more))
+    chain = find_chain(tree, base="base", tip="palm", **options)
+    return detect_gripper(tree, chain, stated, keep_tool=bool(options))
 
 
-def test_the_pandas_hand_is_told_as_it_was_written_by_hand():
+def test_the_detected_gripper_of_the_panda_agrees_with_its_definition():
     tree = read_urdf(robots_folder() / "panda_description/urdf/panda.urdf")
     chain = find_chain(tree)
-    found = detect_gripper(tree, chain, GRIP, keep_tool=False)
-    assert isinstance(found, DetectedGripper), found
-    assert found.gripper.opening.value == panda.GRIPPER.opening.value
-    assert found.gripper.force.value == 60.0, "the site's word is narrower than the file's 100 N"
-    assert found.gripper.pad_below_tool == pytest.approx(panda.GRIPPER.pad_below_tool, abs=1e-3)
-    assert found.gripper.finger_thickness == pytest.approx(panda.GRIPPER.finger_thickness, abs=0.002)
-    own = next(rider.poses[0] for rider in chain.segments if rider.link == "panda_hand")
-    local = np.linalg.inv(own) @ found.tool
-    assert np.allclose(local[:3, 3], panda.TOOL.translation, atol=1.5e-3)
-    assert abs(local[1, 1]) == pytest.approx(1.0)
-    assert local[2, 2] == pytest.approx(1.0)
+    detected = detect_gripper(tree, chain, GRIP, keep_tool=False)
+    assert isinstance(detected, DetectedGripper), detected
+    assert detected.gripper.opening.value == panda.GRIPPER.opening.value
+    assert detected.gripper.force.value == 60.0, "the stated force is narrower than the 100 N of the file"
+    assert detected.gripper.pad_below_tool == pytest.approx(panda.GRIPPER.pad_below_tool, abs=1e-3)
+    assert detected.gripper.finger_thickness == pytest.approx(panda.GRIPPER.finger_thickness, abs=0.002)
+    hand_pose = next(segment.poses[0] for segment in chain.segments if segment.link == "panda_hand")
+    tool = np.linalg.inv(hand_pose) @ detected.tool
+    assert np.allclose(tool[:3, 3], panda.TOOL.translation, atol=1.5e-3)
+    assert abs(tool[1, 1]) == pytest.approx(1.0)
+    assert tool[2, 2] == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(
@@ -70,56 +67,56 @@ def test_the_pandas_hand_is_told_as_it_was_written_by_hand():
         {"gap": 0.006},
     ],
 )
-def test_two_fingers_that_slide_are_told_however_they_are_counted(tmp_path, shape):
-    found = told(tmp_path, hand(**shape))
-    assert isinstance(found, DetectedGripper), found
-    assert found.gripper.opening.value == pytest.approx(0.04)
-    assert found.gripper.finger_thickness == pytest.approx(0.02 + 0.5 * shape.get("gap", 0.0))
-    assert found.gripper.force.value == 30.0
-    assert np.allclose(found.tool[:3, 3], (0.0, 0.0, 0.05 + 0.06 - TOOL_TO_TIP_DISTANCE))
-    assert np.allclose(np.abs(found.tool[:3, 1:3]), [[0, 0], [1, 0], [0, 1]])
+def test_two_prismatic_fingers_are_detected_for_every_sign_convention(tmp_path, shape):
+    detected = detect(tmp_path, hand(**shape))
+    assert isinstance(detected, DetectedGripper), detected
+    assert detected.gripper.opening.value == pytest.approx(0.04)
+    assert detected.gripper.finger_thickness == pytest.approx(0.02 + 0.5 * shape.get("gap", 0.0))
+    assert detected.gripper.force.value == 30.0
+    assert np.allclose(detected.tool[:3, 3], (0.0, 0.0, 0.05 + 0.06 - TOOL_TO_TIP_DISTANCE))
+    assert np.allclose(np.abs(detected.tool[:3, 1:3]), [[0, 0], [1, 0], [0, 1]])
 
 
 @pytest.mark.parametrize(
-    ("shape", "why"),
+    ("shape", "reason"),
     [
-        ({"kind": "revolute"}, "not two that slide"),
-        ({"fingers": 1}, "1 joints of fingers"),
-        ({"fingers": 3}, "3 joints of fingers"),
-        ({"fingers": 0}, "no fingers that move"),
+        ({"kind": "revolute"}, "2 finger joints (revolute) instead of two prismatic ones"),
+        ({"fingers": 1}, "1 finger joints"),
+        ({"fingers": 3}, "3 finger joints"),
+        ({"fingers": 0}, "no moving fingers"),
         ({"gap": 0.03}, "30 mm apart"),
         ({"axes": ("0 1 0", "1 0 0")}, "do not slide apart"),
-        ({"axes": ("0 0 1", "0 0 -1")}, "apart at the shut end"),
+        ({"axes": ("0 0 1", "0 0 -1")}, "apart at the closed end"),
     ],
 )
-def test_what_is_no_such_gripper_is_not_guessed(tmp_path, shape, why):
-    assert why in told(tmp_path, hand(**shape))
+def test_another_gripper_is_not_guessed(tmp_path, shape, reason):
+    assert reason in detect(tmp_path, hand(**shape))
 
 
-def test_the_force_that_nobody_stated_is_asked_for(tmp_path):
-    assert "--grip" in told(tmp_path, hand(), {})
-    assert "above the greatest" in told(tmp_path, hand(), {"grip_force_min": StatedLimit(31.0, "test")})
-    assert isinstance(told(tmp_path, hand(), {"grip_force_min": StatedLimit(5.0, "test")}), DetectedGripper)
+def test_the_minimum_force_must_be_stated(tmp_path):
+    assert "--grip" in detect(tmp_path, hand(), {})
+    assert "is above the maximum" in detect(tmp_path, hand(), {"grip_force_min": StatedLimit(31.0, "test")})
+    assert isinstance(detect(tmp_path, hand(), {"grip_force_min": StatedLimit(5.0, "test")}), DetectedGripper)
 
 
-def test_a_tool_frame_that_was_named_stays_or_is_said_not_to_fit(tmp_path):
-    found = told(tmp_path, hand(), tool="palm")
-    assert np.allclose(found.tool, np.eye(4))
-    assert found.gripper.pad_below_tool == pytest.approx(0.11)
-    turned = hand().replace(
+def test_a_given_tool_frame_is_kept_or_reported_as_unsuitable(tmp_path):
+    detected = detect(tmp_path, hand(), tool="palm")
+    assert np.allclose(detected.tool, np.eye(4))
+    assert detected.gripper.pad_below_tool == pytest.approx(0.11)
+    rotated = hand().replace(
         "</robot>",
-        link_xml("aside") + joint_xml("weld", "palm", "aside", "fixed", rpy="1.57 0 0", inside="") + "</robot>",
+        link_xml("rotated") + joint_xml("weld", "palm", "rotated", "fixed", rpy="1.57 0 0", inside="") + "</robot>",
     )
-    assert "tool frame's z is not the approach" in told(tmp_path, turned, tool="aside")
+    assert "z of the tool frame is not the approach" in detect(tmp_path, rotated, tool="rotated")
 
 
-def test_the_body_offers_skills_that_grip_once_its_hand_is_told(tmp_path):
-    tree, plain = read_urdf(write_file(tmp_path, hand())), limit_policy()
-    wish = ImportOptions(quick=True, sphere_budget=30, base="base", tip="palm")
-    gripping = build_arm(tree, LimitPolicy(plain.all_joints, {}, {**plain.robot, **GRIP}), wish).robot_model
-    bare = build_arm(tree, plain, wish).robot_model
-    assert "grasp" in skill_registry(gripping).by_name
-    assert gripping.gripper.force_min.value == 5.0
-    assert "grasp" not in skill_registry(bare).by_name
-    assert any("gripper" in line and "--grip" in line for line in missing_information(bare, None))
-    assert not any("gripper" in line for line in missing_information(gripping, None))
+def test_the_skills_that_grasp_are_offered_once_the_gripper_is_known(tmp_path):
+    tree, policy = read_urdf(write_file(tmp_path, hand())), limit_policy()
+    options = ImportOptions(quick=True, sphere_budget=30, base="base", tip="palm")
+    with_gripper = build_arm(tree, LimitPolicy(policy.all_joints, {}, {**policy.robot, **GRIP}), options).robot_model
+    without_gripper = build_arm(tree, policy, options).robot_model
+    assert "grasp" in skill_registry(with_gripper).by_name
+    assert with_gripper.gripper.force_min.value == 5.0
+    assert "grasp" not in skill_registry(without_gripper).by_name
+    assert any("gripper" in line and "--grip" in line for line in missing_information(without_gripper, None))
+    assert not any("gripper" in line for line in missing_information(with_gripper, None))

@@ -1,4 +1,4 @@
-"""One serial chain out of any tree: what moves, what rides where, what stands still, and what is refused."""
+"""Extraction of one serial chain from a tree: its joints, the frames of all links, fixed joints, and refusals."""
 
 from itertools import pairwise
 
@@ -34,20 +34,20 @@ def everything(tmp_path_factory):
     return read_urdf(write_file(tmp_path_factory.mktemp("arm"), full_featured_arm()))
 
 
-def test_slides_turns_and_fixed_joints_become_a_chain_and_fingers_do_not(everything):
+def test_the_chain_contains_the_joints_of_the_arm_and_not_the_fingers(everything):
     chain = find_chain(everything)
     assert [joint.name for joint in chain.joints] == ["lift", "shoulder", "elbow"]
     assert chain.tip == "lower"
-    assert {rider.link for rider in chain.segments if rider.is_swept} == {"left", "right"}
+    assert {segment.link for segment in chain.segments if segment.is_swept} == {"left", "right"}
     assert not chain.locked
 
 
-def test_a_swept_finger_is_where_its_joint_may_put_it(everything):
+def test_a_swept_finger_covers_the_range_of_its_joint(everything):
     chain = find_chain(everything)
-    places = {rider.link: rider.poses[:, :3, 3] for rider in chain.segments}
+    positions = {segment.link: segment.poses[:, :3, 3] for segment in chain.segments}
     for finger, side in (("left", 1.0), ("right", -1.0)):
-        across = (places[finger] - places[finger][0]) @ chain.segments[-1].poses[0][:3, 0] * side
-        assert np.ptp(np.linalg.norm(places[finger] - places[finger][0], axis=1)) == pytest.approx(0.04)
+        across = (positions[finger] - positions[finger][0]) @ chain.segments[-1].poses[0][:3, 0] * side
+        assert np.ptp(np.linalg.norm(positions[finger] - positions[finger][0], axis=1)) == pytest.approx(0.04)
         assert np.abs(across).max() == pytest.approx(0.04)
 
 
@@ -60,14 +60,14 @@ def test_the_tool_may_be_any_link_fixed_to_the_last(everything):
         find_chain(everything, tool="flang")
 
 
-def test_a_locked_joint_is_no_joint_of_the_body_but_moves_what_hangs_on_it(everything):
+def test_a_locked_joint_is_not_in_the_model_but_moves_the_links_behind_it(everything):
     low, high = (find_chain(everything, lock={"lift": value}) for value in (0.0, 0.3))
     assert [joint.name for joint in high.joints] == ["shoulder", "elbow"]
     assert high.offsets[0][2, 3] - low.offsets[0][2, 3] == pytest.approx(0.3)
     assert np.allclose(high.offsets[1], low.offsets[1])
 
 
-def test_several_arms_are_listed_with_the_words_to_choose_one(tmp_path):
+def test_several_arms_are_listed_with_the_options_to_choose_one(tmp_path):
     parts = [link_xml("base")]
     for side in ("left", "right"):
         names = ["base", *(f"{side}{i}" for i in range(4))]
@@ -78,18 +78,19 @@ def test_several_arms_are_listed_with_the_words_to_choose_one(tmp_path):
         find_chain(tree)
     chain = find_chain(tree, tip="left3")
     assert chain.locked == {f"right{i}_joint": 0.0 for i in range(4)}
-    assert {rider.link for rider in chain.segments if rider.frame == 0} == {"base", *(f"right{i}" for i in range(4))}
+    fixed = {segment.link for segment in chain.segments if segment.frame == 0}
+    assert fixed == {"base", *(f"right{i}" for i in range(4))}
 
 
 @pytest.mark.parametrize(
-    ("kind", "inside", "said"),
+    ("kind", "inside", "message"),
     [
         ("floating", "", "--chain a.."),
         ("planar", "", "--base"),
         ("revolute", '<limit lower="-1" upper="1" velocity="1"/><mimic joint="other"/>', "--lock wrist=VALUE"),
     ],
 )
-def test_a_joint_that_one_control_cannot_drive_is_refused_with_a_way_out(tmp_path, kind, inside, said):
+def test_a_joint_that_one_control_cannot_drive_is_refused_with_a_fix(tmp_path, kind, inside, message):
     text = urdf_xml(
         link_xml("base"),
         link_xml("a"),
@@ -99,11 +100,11 @@ def test_a_joint_that_one_control_cannot_drive_is_refused_with_a_way_out(tmp_pat
     )
     with pytest.raises(ConfigurationError, match="wrist") as caught:
         find_chain(read_urdf(write_file(tmp_path, text)), tip="b")
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert "robot.urdf:6" in str(caught.value)
 
 
-def test_a_planar_joint_before_the_chain_stands_still_and_is_told(tmp_path):
+def test_a_planar_joint_before_the_chain_is_locked_and_reported(tmp_path):
     text = urdf_xml(
         link_xml("floor"),
         link_xml("base"),
@@ -115,22 +116,22 @@ def test_a_planar_joint_before_the_chain_stands_still_and_is_told(tmp_path):
     assert "drive" in chain.locked
 
 
-def test_more_joints_than_the_kernel_has_are_refused(tmp_path):
+def test_more_joints_than_the_kernel_supports_are_refused(tmp_path):
     with pytest.raises(ConfigurationError, match=r"got 17, allowed: at most 16.*--lock"):
-        build_arm(read_urdf(write_file(tmp_path, snake(17))), limit_policy(), ImportOptions())
+        build_arm(read_urdf(write_file(tmp_path, chain_of(17))), limit_policy(), ImportOptions())
 
 
-def snake(n):
-    """A chain of `n` joints whose axes take turns."""
+def chain_of(n):
+    """A chain of `n` joints with alternating axes."""
     names = [f"l{i}" for i in range(n + 1)]
-    turns = [joint_xml(f"j{b}", a, b, axis="0 1 0" if i % 2 else "0 0 1") for i, (a, b) in enumerate(pairwise(names))]
-    return urdf_xml(*(link_xml(name, (0.04, 0.04, 0.1), (0, 0, 0.1)) for name in names), *turns)
+    joints = [joint_xml(f"j{b}", a, b, axis="0 1 0" if i % 2 else "0 0 1") for i, (a, b) in enumerate(pairwise(names))]
+    return urdf_xml(*(link_xml(name, (0.04, 0.04, 0.1), (0, 0, 0.1)) for name in names), *joints)
 
 
 @pytest.mark.parametrize("n", [8, 9, 14])
-def test_arms_of_many_joints_are_made_and_filtered(tmp_path, n):
-    """The kernel's build is chosen by the body; the tool against a walk through the tree."""
-    tree = read_urdf(write_file(tmp_path, snake(n)))
+def test_arms_of_many_joints_are_built_and_filtered(tmp_path, n):
+    """The number of joints selects the build of the kernel, whose tool frame agrees with a walk through the tree."""
+    tree = read_urdf(write_file(tmp_path, chain_of(n)))
     robot_model = build_arm(
         tree, limit_policy(), ImportOptions(quick=True, sphere_budget=30, home=tuple([0.1] * n))
     ).robot_model
@@ -147,10 +148,10 @@ def test_arms_of_many_joints_are_made_and_filtered(tmp_path, n):
     assert answer.u.shape == (n,)
 
 
-def test_the_body_moves_as_the_tree_says(everything):
-    """The kernel's tool against a walk through the tree, joint by joint."""
-    made = build_arm(everything, limit_policy(), ImportOptions(quick=True, sphere_budget=40))
-    safety = SafetyFilter(made.robot_model)
+def test_the_model_moves_like_the_tree(everything):
+    """The tool frame of the kernel agrees with a walk through the tree, joint by joint."""
+    result = build_arm(everything, limit_policy(), ImportOptions(quick=True, sphere_budget=40))
+    safety = SafetyFilter(result.robot_model)
     rng = np.random.default_rng(1)
     for _ in range(20):
         q = dict(zip(("lift", "shoulder", "elbow"), rng.uniform(0.0, 0.5, 3), strict=True))
@@ -158,10 +159,10 @@ def test_the_body_moves_as_the_tree_says(everything):
         tool = safety.tool(np.array(list(q.values())))
         assert np.allclose(tool.position, poses["lower"][:3, 3], atol=2e-6)
         assert np.allclose(tool.rotation, poses["lower"][:3, :3], atol=2e-6)
-    assert made.robot_model.name == "test_arm_7"
-    assert made.report.coverage == 1.0
-    groups = {sphere.link for sphere in made.robot_model.spheres}
-    assert {"base", "hand", "fingers"} <= groups
+    assert result.robot_model.name == "test_arm_7"
+    assert result.report.coverage == 1.0
+    links = {sphere.link for sphere in result.robot_model.spheres}
+    assert {"base", "hand", "fingers"} <= links
 
 
 def test_names_become_identifiers():
@@ -173,6 +174,6 @@ def test_names_become_identifiers():
     ]
 
 
-def test_the_room_is_the_kernels():
-    room = (_kernel_wide.max_joints, _kernel_wide.max_spheres, _kernel_wide.max_links, _kernel_wide.max_pairs)
-    assert room == (MAX_JOINTS, MAX_SPHERES, MAX_LINKS, MAX_PAIRS)
+def test_the_limits_of_the_importer_are_those_of_the_kernel():
+    limits = (_kernel_wide.max_joints, _kernel_wide.max_spheres, _kernel_wide.max_links, _kernel_wide.max_pairs)
+    assert limits == (MAX_JOINTS, MAX_SPHERES, MAX_LINKS, MAX_PAIRS)

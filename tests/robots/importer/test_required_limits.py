@@ -35,7 +35,7 @@ def tree(tmp_path_factory):
     return read_urdf(write_file(tmp_path_factory.mktemp("arm"), full_featured_arm()))
 
 
-def test_a_bound_tells_file_line_and_entry_or_who_said_it(tree):
+def test_the_provenance_of_a_bound_has_file_line_and_entry_or_the_stated_source(tree):
     lift, shoulder, elbow = build_arm(tree, limit_policy(velocity=1.0), QUICK).robot_model.joints
     assert shoulder.lower.provenance == "robot.urdf:12: shoulder limit lower"
     assert shoulder.velocity.value == 1.0
@@ -47,7 +47,7 @@ def test_a_bound_tells_file_line_and_entry_or_who_said_it(tree):
     assert "continuous, no limit" in elbow.lower.provenance
 
 
-def test_everything_missing_is_asked_for_at_once(tree):
+def test_all_missing_limits_are_reported_at_once(tree):
     with pytest.raises(MissingLimitsError) as caught:
         build_arm(tree, LimitPolicy(), QUICK)
     assert {(one.owner, one.limit) for one in caught.value.missing} == {
@@ -111,7 +111,7 @@ def test_the_accelerations_of_the_ur5e_come_from_its_urdf():
     assert bounds[0]["acceleration"] == Bound(2.5, "rad/s^2", "ur5e.urdf:161: shoulder_pan_joint limit acceleration")
 
 
-def test_a_range_that_the_description_leaves_out_is_asked_for(tmp_path):
+def test_an_omitted_range_is_a_missing_limit(tmp_path):
     bare = '<limit effort="3" velocity="0"/>'
     text = urdf_xml(link_xml("a"), link_xml("b"), joint_xml("j", "a", "b", inside=bare))
     with pytest.raises(MissingLimitsError) as caught:
@@ -120,17 +120,17 @@ def test_a_range_that_the_description_leaves_out_is_asked_for(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("said", "match"),
+    ("stated", "match"),
     [({"velocity": -1.0}, "above 0"), ({"lower": 3.0}, "lower below upper"), ({"acceleration": 0.0}, "above 0")],
 )
-def test_a_bound_that_leaves_nothing_is_refused(tree, said, match):
-    whole = limit_policy()
-    joints = {"shoulder": {side: StatedLimit(value, "site") for side, value in said.items()}}
+def test_an_empty_range_or_a_limit_of_zero_is_refused(tree, stated, match):
+    policy = limit_policy()
+    joints = {"shoulder": {name: StatedLimit(value, "site") for name, value in stated.items()}}
     with pytest.raises(ConfigurationError, match=match):
-        build_arm(tree, LimitPolicy(whole.all_joints, joints, whole.robot), QUICK)
+        build_arm(tree, LimitPolicy(policy.all_joints, joints, policy.robot), QUICK)
 
 
-def test_a_policy_for_a_joint_that_is_not_there_is_refused(tree):
-    whole = limit_policy()
+def test_a_policy_for_an_unknown_joint_is_refused(tree):
+    policy = limit_policy()
     with pytest.raises(UnknownNameError, match="Closest: 'shoulder'"):
-        build_arm(tree, LimitPolicy(whole.all_joints, {"sholder": {}}, whole.robot), QUICK)
+        build_arm(tree, LimitPolicy(policy.all_joints, {"sholder": {}}, policy.robot), QUICK)

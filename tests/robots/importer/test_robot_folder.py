@@ -1,4 +1,4 @@
-"""The robot's folder: it can be read and edited, making again is a diff, and no edit is lost in silence."""
+"""A robot folder can be read and edited; a new import reports its changes, and no edit is lost without a report."""
 
 import json
 
@@ -20,23 +20,24 @@ from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
 from tests.robots.importer.urdf_builder import full_featured_arm, limit_policy, write_file
 
-RECIPE = ImportRecord(description="robot.urdf", sha256="0" * 64)
+RECORD = ImportRecord(description="robot.urdf", sha256="0" * 64)
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def build(tmp_path_factory):
     file = write_file(tmp_path_factory.mktemp("arm"), full_featured_arm())
-    return lambda **said: build_arm(read_urdf(file), limit_policy(**said), ImportOptions(quick=True, sphere_budget=30))
+    options = ImportOptions(quick=True, sphere_budget=30)
+    return lambda **stated: build_arm(read_urdf(file), limit_policy(**stated), options)
 
 
 @pytest.fixture(scope="module")
-def first(made):
-    return made()
+def first(build):
+    return build()
 
 
 @pytest.fixture
 def folder(first, tmp_path):
-    write_robot_folder(tmp_path / "arm", first.robot_model, first.report, RECIPE)
+    write_robot_folder(tmp_path / "arm", first.robot_model, first.report, RECORD)
     return tmp_path / "arm"
 
 
@@ -46,29 +47,29 @@ def edit(folder, change):
     (folder / "body.json").write_text(json.dumps(data))
 
 
-def test_the_filter_takes_the_folder_as_it_lies(folder, first):
+def test_the_filter_accepts_the_folder(folder, first):
     robot_model = load_robot(str(folder))
     assert robot_model == first.robot_model == load_robot(str(folder / "body.json"))
     answer = SafetyFilter(robot_model)(np.array(robot_model.home), np.zeros(3), np.full(3, 0.1))
     assert answer.certified
-    assert read_import_files(folder) == (first.report, RECIPE)
+    assert read_import_files(folder) == (first.report, RECORD)
 
 
-def test_the_page_names_every_bound_and_what_is_missing(folder, first):
+def test_the_page_names_every_bound_and_the_missing_information(folder, first):
     page = (folder / "README.md").read_text()
-    for bound in ("robot.urdf:12: shoulder limit upper", "not identified", "100.00%"):
-        assert bound in page
+    for text in ("robot.urdf:12: shoulder limit upper", "not identified", "100.00%"):
+        assert text in page
     assert all(pair[0] in page for pair in first.robot_model.self_pairs.kept)
 
 
-def test_making_again_shows_what_changed_and_keeps_edits(folder, made):
+def test_a_new_import_reports_its_changes_and_keeps_edits(folder, build):
     edit(folder, lambda data: data["joints"][1]["velocity"].update(value=0.7, provenance="measured by Ada"))
     assert [change.entry for change in find_edits(folder)] == [
         "joints.shoulder.velocity.value",
         "joints.shoulder.velocity.provenance",
     ]
-    again = made(acceleration=5.0)
-    written = write_robot_folder(folder, again.robot_model, again.report, RECIPE)
+    second = build(acceleration=5.0)
+    written = write_robot_folder(folder, second.robot_model, second.report, RECORD)
     assert "joints.shoulder.acceleration.value: 10 → 5" in summarize_changes(written.generator_changes)
     assert len(written.kept_edits) == 2
     assert not written.lost_edits
@@ -77,34 +78,34 @@ def test_making_again_shows_what_changed_and_keeps_edits(folder, made):
     assert "measured by Ada" in (folder / "README.md").read_text()
 
 
-def test_edits_go_only_when_asked_to(folder, first):
+def test_edits_are_discarded_only_on_request(folder, first):
     edit(folder, lambda data: data.update(period=0.004))
-    write_robot_folder(folder, first.robot_model, first.report, RECIPE, discard_edits=True)
+    write_robot_folder(folder, first.robot_model, first.report, RECORD, discard_edits=True)
     assert load_robot(str(folder)) == first.robot_model
 
 
-def test_an_edit_that_has_no_place_any_more_is_told(first):
-    body = first.robot_model
-    edited = msgspec.structs.replace(body, spheres=body.spheres[:-1])
-    fresh, kept, lost = reapply_edits(body, edited, body)
-    assert fresh == body
+def test_an_edit_whose_entry_no_longer_exists_is_reported(first):
+    model = first.robot_model
+    edited = msgspec.structs.replace(model, spheres=model.spheres[:-1])
+    result, kept, lost = reapply_edits(model, edited, model)
+    assert result == model
     assert not kept
     assert {change.entry.split(".")[0] for change in lost} == {"spheres"}
-    assert not find_changes(body, body)
+    assert not find_changes(model, model)
 
 
-def test_another_robots_folder_and_foreign_files_are_left_alone(folder, first, tmp_path):
+def test_folders_of_other_robots_and_of_other_files_are_not_changed(folder, first, tmp_path):
     other = msgspec.structs.replace(first.robot_model, name="other")
     with pytest.raises(ConfigurationError, match="test_arm_7"):
-        write_robot_folder(folder, other, first.report, RECIPE)
+        write_robot_folder(folder, other, first.report, RECORD)
     (tmp_path / "home").mkdir()
-    (tmp_path / "home" / "thesis.txt").write_text("dear")
-    with pytest.raises(ConfigurationError, match="not a robot's"):
-        write_robot_folder(tmp_path / "home", first.robot_model, first.report, RECIPE)
+    (tmp_path / "home" / "thesis.txt").write_text("text")
+    with pytest.raises(ConfigurationError, match="is not a robot folder"):
+        write_robot_folder(tmp_path / "home", first.robot_model, first.report, RECORD)
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (lambda data: data["joints"][0]["velocity"].update(value=0.0), "velocity of joint 'lift'"),
         (lambda data: data["joints"][0]["lower"].update(value=9.0), "range of joint 'lift'"),
@@ -118,13 +119,13 @@ def test_another_robots_folder_and_foreign_files_are_left_alone(folder, first, t
         (lambda data: data["tool"].update(link="hnad"), "link of the tool"),
     ],
 )
-def test_an_edit_that_breaks_the_body_is_told_by_its_entry(folder, change, said):
+def test_an_invalid_edit_is_reported_with_its_entry(folder, change, message):
     edit(folder, change)
-    with pytest.raises(ConfigurationError, match=said):
+    with pytest.raises(ConfigurationError, match=message):
         load_robot(str(folder))
 
 
-def test_no_folder_is_no_robot(tmp_path):
+def test_a_path_without_a_robot_is_an_error(tmp_path):
     with pytest.raises(ConfigurationError, match=r"a folder with body\.json"):
         load_robot(str(tmp_path / "nothing.json"))
     with pytest.raises(UnknownNameError):

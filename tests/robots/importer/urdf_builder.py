@@ -1,4 +1,4 @@
-"""Small descriptions for tests, written out so that each test sees what it is about."""
+"""Small URDF descriptions for tests, built from links and joints."""
 
 import textwrap
 from pathlib import Path
@@ -10,17 +10,17 @@ from dualbrain.robots.importer.required_limits import LimitPolicy, StatedLimit
 SOURCE = "test"
 
 
-def limit_policy(acceleration=10.0, **more):
-    every = {"acceleration": StatedLimit(acceleration, SOURCE)} | {
-        side: StatedLimit(value, SOURCE) for side, value in more.items()
+def limit_policy(acceleration=10.0, **limits):
+    all_joints = {"acceleration": StatedLimit(acceleration, SOURCE)} | {
+        name: StatedLimit(value, SOURCE) for name, value in limits.items()
     }
-    return LimitPolicy(every, {}, {"period": StatedLimit(0.002, SOURCE), "tool_speed": StatedLimit(0.25, SOURCE)})
+    return LimitPolicy(all_joints, {}, {"period": StatedLimit(0.002, SOURCE), "tool_speed": StatedLimit(0.25, SOURCE)})
 
 
 def link_xml(name, size=(0.05, 0.05, 0.2), at=(0, 0, 0.1)):
     shape = f'<geometry><box size="{size[0]} {size[1]} {size[2]}"/></geometry>'
-    place = f'<origin xyz="{at[0]} {at[1]} {at[2]}"/>'
-    return f'<link name="{name}"><collision>{place}{shape}</collision></link>'
+    origin = f'<origin xyz="{at[0]} {at[1]} {at[2]}"/>'
+    return f'<link name="{name}"><collision>{origin}{shape}</collision></link>'
 
 
 def joint_xml(name, parent, child, kind="revolute", axis="0 1 0", xyz="0 0 0.2", rpy="0 0 0", inside=None):
@@ -43,7 +43,7 @@ def write_file(folder, text, name="robot.urdf"):
 
 
 def full_featured_arm():
-    """Slide, turn, endless turn on crooked axes, a fixed flange, a hand with two fingers, one of which follows."""
+    """Prismatic, revolute and continuous joints on oblique axes, a fixed flange, and a hand with a mimic finger."""
     finger = '<limit lower="0" upper="0.04" velocity="0.1" effort="9"/>'
     return urdf_xml(
         link_xml("base"),
@@ -82,8 +82,8 @@ def full_featured_arm():
 
 
 def transform(xyz, rotation=None):
-    found = np.eye(4)
-    found[:3, 3] = xyz
+    pose = np.eye(4)
+    pose[:3, 3] = xyz
     if rotation is not None:
-        found[:3, :3] = rotation
-    return found
+        pose[:3, :3] = rotation
+    return pose

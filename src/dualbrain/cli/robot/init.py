@@ -150,7 +150,7 @@ def _write_robot(
     discard_edits: bool,
 ) -> FolderWriteResult:
     from dualbrain.robots.importer.output.robot_folder import (
-        PICTURE_FILE,
+        IMAGE_FILE,
         ImportRecord,
         file_sha256,
         write_robot_folder,
@@ -174,7 +174,7 @@ def _write_robot(
         wheels=wheels,
     )
     written = write_robot_folder(folder, made.robot_model, made.report, recipe, discard_edits=discard_edits)
-    draw_robot(written.robot_model, made.shapes, folder / PICTURE_FILE)
+    draw_robot(written.robot_model, made.shapes, folder / IMAGE_FILE)
     return written
 
 

@@ -1,1 +1,1 @@
-"""Mesh files and XML of robot descriptions, read safely."""
+"""Safe readers of the mesh files and the XML of robot descriptions."""

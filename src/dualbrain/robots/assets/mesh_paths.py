@@ -1,4 +1,4 @@
-"""Where a description's meshes lie: package://, file:// and relative names, never outside the folders it may use."""
+"""Resolution of mesh names (package://, file:// and relative names) within the folders that a description may use."""
 
 from __future__ import annotations
 
@@ -9,42 +9,43 @@ from pathlib import Path
 from dualbrain.errors import ConfigurationError, MissingDependencyError
 
 LAYOUT_FOLDERS = ("urdf", "robots", "robot", "xml", "mjcf", "xacro", "model", "models")
-"""Folders in which a description lies beside `meshes/`, by custom."""
+"""Usual names of the folder of a description, which is a sibling of `meshes/`."""
 MAX_PARENT_FOLDERS = 6
-"""How many folders up a package is looked for."""
+"""Number of parent folders in which a package is searched for."""
 
 
 @dataclass(frozen=True, slots=True)
 class AllowedFolders:
-    """What one description may read: its own folder (its package), and `packages` given by the user."""
+    """Folders that one description may read: its own folder, its package, and the `packages` given by the user."""
 
     description_folder: Path
     package_folder: Path
     packages: tuple[Path, ...] = ()
 
     def find(self, name: str, where: str) -> Path:
-        """The file that `name` means, as it is written at `where`.
+        """The file called `name` in the description at `where` (file and line).
 
         Raises:
-            InvalidSetup: `name` is a web address, or leads out of the allowed folders.
-            MissingPart: there is no such file.
+            ConfigurationError: `name` is a web address, or a path outside the allowed folders.
+            MissingDependencyError: The file does not exist.
         """
         if name.startswith("package://"):
             return self._resolve_package_url(name, where)
         if "://" in name and not name.startswith("file://"):
             raise ConfigurationError(f"mesh of {where}", got=name, allowed="package://, file:// or a relative name")
-        plain = Path(name.removeprefix("file://"))
-        return self._check_inside((self.package_folder, *self.packages), self.description_folder / plain, name, where)
+        relative = Path(name.removeprefix("file://"))
+        path = self.description_folder / relative
+        return self._check_inside((self.package_folder, *self.packages), path, name, where)
 
     def _resolve_package_url(self, name: str, where: str) -> Path:
         package, _, rest = name.removeprefix("package://").partition("/")
         roots = self._package_roots(package)
         if not roots:
-            if (alone := self._find_without_package(rest)) is not None:
-                return self._check_inside((self.package_folder,), alone, name, where)
+            if (path := self._find_without_package(rest)) is not None:
+                return self._check_inside((self.package_folder,), path, name, where)
             raise MissingDependencyError(
                 f"The package {package!r} of {where} ({name})",
-                fix=f"Say where it lies: --packages FOLDER, the folder that holds {package!r}.",
+                fix=f"Give the folder that contains {package!r}: --packages FOLDER.",
             )
         for root in roots:
             if (root / rest).is_file():
@@ -52,18 +53,18 @@ class AllowedFolders:
         return self._check_inside((roots[0],), roots[0] / rest, name, where)
 
     def _package_roots(self, package: str) -> list[Path]:
-        """Folders called `package`: among the description's ancestors, beside them, or in a folder that was given."""
+        """Folders called `package`: parents of the description, their children, and children of `packages`."""
         if package in ("", ".", ".."):
             return []
-        above = [self.description_folder, *list(self.description_folder.parents)[:MAX_PARENT_FOLDERS]]
-        found = [folder for folder in above if folder.name == package]
-        found += [folder / package for folder in (*self.packages, *above) if (folder / package).is_dir()]
+        parents = [self.description_folder, *list(self.description_folder.parents)[:MAX_PARENT_FOLDERS]]
+        found = [folder for folder in parents if folder.name == package]
+        found += [folder / package for folder in (*self.packages, *parents) if (folder / package).is_dir()]
         return found
 
     def _find_without_package(self, rest: str) -> Path | None:
-        """The file in the description's own folder, if that is all that was copied out of a package of many robots.
+        """The file in the description's own folder, for a robot folder that was copied out of a package of many robots.
 
-        `rest` is the name inside the package; the own folder's name stands in it.
+        `rest` is the path inside the package; it must contain the name of the robot folder.
         """
         parts = rest.split("/")
         if self.package_folder.name not in parts:
@@ -79,21 +80,25 @@ class AllowedFolders:
                 f"mesh of {where}",
                 got=name,
                 allowed=f"a file inside {', '.join(str(folder) for folder in allowed)}",
-                fix="If it is meant, allow its folder: --packages FOLDER.",
+                fix="To use this file, allow its folder: --packages FOLDER.",
             )
         if not real.is_file():
             raise MissingDependencyError(
-                f"The mesh {name!r} of {where}", fix=f"Looked for {real}. Other folders: --packages FOLDER."
+                f"The mesh {name!r} of {where}", fix=f"It was expected at {real}. Other folders: --packages FOLDER."
             )
         return real
 
 
 def allowed_folders(file: Path, packages: Sequence[Path] = ()) -> AllowedFolders:
-    """The folders that the description `file` may use: its own, one up by the usual layout, and those given."""
-    home = file.resolve().parent
-    own = home.parent if home.name in LAYOUT_FOLDERS else home
-    for folder in [home, *list(home.parents)[:MAX_PARENT_FOLDERS]]:
+    """The folders that the description `file` may use.
+
+    The package folder is the nearest parent with a `package.xml`; without one it is the folder of the description, or
+    the parent of a folder with a usual name (`LAYOUT_FOLDERS`).
+    """
+    description_folder = file.resolve().parent
+    package_folder = description_folder.parent if description_folder.name in LAYOUT_FOLDERS else description_folder
+    for folder in [description_folder, *list(description_folder.parents)[:MAX_PARENT_FOLDERS]]:
         if (folder / "package.xml").is_file():
-            own = folder
+            package_folder = folder
             break
-    return AllowedFolders(home, own, tuple(folder.resolve() for folder in packages))
+    return AllowedFolders(description_folder, package_folder, tuple(folder.resolve() for folder in packages))

@@ -1,4 +1,4 @@
-"""Shapes as triangle meshes: primitives, and mesh files read from bytes so that they can name no other file."""
+"""Triangle meshes of primitive shapes and of mesh files, which are read from bytes and cannot refer to other files."""
 
 from __future__ import annotations
 
@@ -19,62 +19,62 @@ Array = NDArray[np.float64]
 MESH_FORMATS = (".stl", ".dae", ".obj", ".ply", ".off")
 MAX_MESH_BYTES = 256 * 2**20
 CIRCLE_SEGMENTS = 24
-"""Corners of the prism that stands for a circle; it is put around it, so that it contains the round shape."""
+"""Number of corners of the polygon that replaces a circle; it is circumscribed, so that it contains the circle."""
 
 
 def load_mesh(path: Path, scale: Array, pose: Array) -> Mesh:
-    """The mesh in `path`, scaled by `scale` (3,) and moved by `pose` (4, 4).
+    """The mesh in the file `path`, scaled by `scale` (3,) and moved by `pose` (4, 4).
 
     Raises:
-        InvalidSetup: the format is not one of `FORMATS`, the file is too large, or it holds no triangles.
-        MissingPart: trimesh (or, for .dae, pycollada) is not installed.
+        ConfigurationError: The format is not one of `MESH_FORMATS`, or the file is too large or contains no triangles.
+        MissingDependencyError: trimesh (or, for .dae, pycollada) is not installed.
     """
-    kind = path.suffix.lower()
-    if kind not in MESH_FORMATS:
-        raise ConfigurationError(f"mesh {path.name}", got=kind, allowed=", ".join(MESH_FORMATS))
+    suffix = path.suffix.lower()
+    if suffix not in MESH_FORMATS:
+        raise ConfigurationError(f"mesh {path.name}", got=suffix, allowed=", ".join(MESH_FORMATS))
     data = read_bounded(path, MAX_MESH_BYTES)
-    if kind == ".dae":
+    if suffix == ".dae":
         parse_xml(data, path.name)
         import_optional("collada")
     try:
-        raw = import_optional("trimesh").load(BytesIO(data), file_type=kind[1:], process=True)
-        whole = raw if hasattr(raw, "faces") else raw.to_mesh()
-        vertices, faces = np.asarray(whole.vertices, float), np.asarray(whole.faces, np.int64)
+        loaded = import_optional("trimesh").load(BytesIO(data), file_type=suffix[1:], process=True)
+        mesh = loaded if hasattr(loaded, "faces") else loaded.to_mesh()
+        vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)
     except (ValueError, IndexError, KeyError, TypeError, AttributeError, SyntaxError) as error:
         raise ConfigurationError(f"mesh {path.name}", got=str(error)[:200], allowed="a readable mesh") from error
     if not len(faces) or not np.isfinite(vertices).all():
         raise ConfigurationError(f"mesh {path.name}", got=f"{len(faces)} triangles", allowed="finite triangles")
-    return apply_pose(Mesh(vertices * _unit_length(whole) * scale, faces), pose)
+    return apply_pose(Mesh(vertices * _unit_length(mesh) * scale, faces), pose)
 
 
 def _unit_length(mesh: Any) -> float:
-    """Length of the file's unit [m]; formats without a unit are in metres, as in ROS."""
+    """Length of the unit of the file [m]; formats without a unit are in metres, as in ROS."""
     units = getattr(mesh, "metadata", {}).get("units") or getattr(mesh, "units", None) or "meters"
     return float(str(units).split("*")[0]) if "*" in str(units) else 1.0
 
 
 def box(half: Array, pose: Array) -> Mesh:
-    """A box with half extents (3,) [m]."""
+    """Mesh of a box with half extents `half` (3,) [m] at `pose` (4, 4)."""
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float) * half
     return apply_pose(thickened_hull_mesh(corners), pose)
 
 
 def cylinder(radius: float, half_length: float, pose: Array) -> Mesh:
-    """A prism around the cylinder along local z."""
+    """A prism that contains the cylinder along local z of `pose` (4, 4); lengths in metres."""
     rim, lift = _circle_points(radius), np.array([0.0, 0.0, half_length])
     return apply_pose(thickened_hull_mesh(np.vstack([rim + lift, rim - lift])), pose)
 
 
 def capsule(radius: float, half_length: float, pose: Array) -> Mesh:
-    """A polytope around the capsule along local z."""
-    ball = _sphere_points(radius)
-    upper, lower = ball[ball[:, 2] >= -1e-12], ball[ball[:, 2] <= 1e-12]
+    """A polytope that contains the capsule along local z of `pose` (4, 4); lengths in metres."""
+    points = _sphere_points(radius)
+    upper, lower = points[points[:, 2] >= -1e-12], points[points[:, 2] <= 1e-12]
     lift = np.array([0.0, 0.0, half_length])
     return apply_pose(thickened_hull_mesh(np.vstack([upper + lift, lower - lift])), pose)
 
 
 def ellipsoid(radii: Array, pose: Array) -> Mesh:
-    """A polytope around the ellipsoid with semi-axes (3,) [m]; a ball has three equal ones."""
+    """A polytope that contains the ellipsoid with semi-axes `radii` (3,) [m] at `pose` (4, 4)."""
     return apply_pose(thickened_hull_mesh(_sphere_points(1.0) * radii), pose)
 
 
@@ -88,7 +88,7 @@ def _circle_points(radius: float) -> Array:
 
 
 def _sphere_points(radius: float) -> Array:
-    """Corners of a polytope that contains the ball, symmetric about z = 0."""
+    """Corners of a polytope that contains the sphere, symmetric about z = 0."""
     levels = np.pi * (np.arange(13) / 12.0 - 0.5)
     ring = _circle_points(1.0)
     corners = np.vstack([ring * np.cos(level) + np.array([0.0, 0.0, np.sin(level)]) for level in levels])
@@ -98,13 +98,13 @@ def _sphere_points(radius: float) -> Array:
 
 
 def thickened_hull_mesh(points: Array) -> Mesh:
-    """The convex hull of points (p, 3) as a closed mesh; flat or thin sets are thickened by 0.1 mm."""
+    """The convex hull of `points` (p, 3) as a closed mesh; flat sets are thickened by 0.1 mm."""
     spatial = import_optional("scipy.spatial")
     try:
         hull = spatial.ConvexHull(points)
     except spatial.QhullError:
-        around = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float) * 1e-4
-        points = (points[:, None] + around[None]).reshape(-1, 3)
+        cube_corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float) * 1e-4
+        points = (points[:, None] + cube_corners[None]).reshape(-1, 3)
         hull = spatial.ConvexHull(points)
     used = np.asarray(hull.vertices)
     index = np.full(len(points), -1)
@@ -123,7 +123,7 @@ def apply_pose(mesh: Mesh, pose: Array) -> Mesh:
 
 
 def concatenate_meshes(meshes: list[Mesh]) -> Mesh:
-    """Several meshes as one."""
+    """One mesh of all vertices and faces of `meshes`."""
     starts = np.cumsum([0, *[len(mesh.vertices) for mesh in meshes]])
     vertices = np.vstack([mesh.vertices for mesh in meshes])
     return Mesh(vertices, np.vstack([mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)]))

@@ -1,4 +1,4 @@
-"""Where the robot's meshes lie and how one is read. Needs the `world` extra; nothing at run time does."""
+"""Triangle meshes of robots from installed data packages. Needs the extra `world`; the run time needs no meshes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 DESCRIPTION_PACKAGE = "example-robot-data"
 DESCRIPTION_FOLDERS = {"panda": "panda_description"}
-INSTALL_HINT = f"Install it with `pip install --no-deps {DESCRIPTION_PACKAGE}` (data only, nothing of it is imported)."
+INSTALL_HINT = f"Install it with `pip install --no-deps {DESCRIPTION_PACKAGE}` (only its data files are used)."
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,24 +41,25 @@ class Mesh:
 
 
 def description_folder(robot: str) -> Path:
-    """Folder of the robot's description (urdf/, meshes/) inside the installed `example-robot-data`.
+    """Folder of the description of `robot` (urdf/, meshes/) in the installed package `example-robot-data`.
 
-    The package puts its data beside its metadata, so it is found through the metadata's own list of files.
+    The package installs its data outside the importable package, so the folder is found through the list of files in
+    the metadata.
 
     Raises:
-        UnknownName: no description is known for `robot`.
-        MissingPart: the package, or this robot's folder in it, is not installed.
+        UnknownNameError: No description is known for `robot`.
+        MissingDependencyError: The package, or the folder of the robot in it, is not installed.
     """
     if robot not in DESCRIPTION_FOLDERS:
         raise UnknownNameError("robot description", robot, tuple(DESCRIPTION_FOLDERS), owner=DESCRIPTION_PACKAGE)
-    wanted = ("robots", DESCRIPTION_FOLDERS[robot])
+    folder_parts = ("robots", DESCRIPTION_FOLDERS[robot])
     try:
         files = metadata.files(DESCRIPTION_PACKAGE) or []
     except metadata.PackageNotFoundError as error:
         raise MissingDependencyError(f"The package {DESCRIPTION_PACKAGE}", fix=INSTALL_HINT) from error
     for file in files:
         for depth in range(len(file.parts) - 2):
-            if file.parts[depth : depth + 2] == wanted:
+            if file.parts[depth : depth + 2] == folder_parts:
                 folder = Path(str(file.locate())).parents[len(file.parts) - depth - 3]
                 if folder.is_dir():
                     return folder
@@ -69,7 +70,7 @@ def mesh_path(robot: str, kind: str, name: str) -> Path:
     """Path of one mesh file; `kind` is "collision" (STL) or "visual" (DAE), `name` has no suffix.
 
     Raises:
-        MissingPart: there is no such file.
+        MissingDependencyError: The file does not exist.
     """
     suffix = {"collision": ".stl", "visual": ".dae"}.get(kind, "")
     path = description_folder(robot) / "meshes" / kind / f"{name}{suffix}"
@@ -79,13 +80,13 @@ def mesh_path(robot: str, kind: str, name: str) -> Path:
 
 
 def read_mesh(path: Path) -> Mesh:
-    """The mesh in `path` with equal vertices merged.
+    """The mesh in the file `path` with equal vertices merged.
 
     Raises:
-        MissingPart: trimesh is not installed.
+        MissingDependencyError: trimesh is not installed.
     """
-    raw = import_optional("trimesh").load_mesh(str(path), process=True)
-    return Mesh(np.asarray(raw.vertices, dtype=np.float64), np.asarray(raw.faces, dtype=np.int64))
+    loaded = import_optional("trimesh").load_mesh(str(path), process=True)
+    return Mesh(np.asarray(loaded.vertices, dtype=np.float64), np.asarray(loaded.faces, dtype=np.int64))
 
 
 def collision_mesh(robot: str, name: str) -> Mesh:
@@ -94,12 +95,12 @@ def collision_mesh(robot: str, name: str) -> Mesh:
 
 
 def package_mesh(package: str, file: str) -> Mesh:
-    """The mesh in `file`, a path inside the installed `package`, of which nothing is imported.
+    """The mesh in `file`, a path inside the installed `package`, which is not imported.
 
     Raises:
-        MissingPart: the package, or the file in it, is not installed.
+        MissingDependencyError: The package, or the file in it, is not installed.
     """
-    fix = f"Install it with `pip install --no-deps {package}` (data only, nothing of it is imported)."
+    fix = f"Install it with `pip install --no-deps {package}` (only its data files are used)."
     try:
         path = Path(str(metadata.distribution(package).locate_file(file)))
     except metadata.PackageNotFoundError as error:
@@ -110,11 +111,11 @@ def package_mesh(package: str, file: str) -> Mesh:
 
 
 def transform_mesh(mesh: Mesh, translation: Vector, quaternion: Quaternion) -> Mesh:
-    """`mesh` turned by `quaternion`, then shifted by `translation` [m]."""
+    """`mesh` rotated by `quaternion` (w, x, y, z), then shifted by `translation` [m]."""
     return Mesh(mesh.vertices @ quaternion_to_matrix(quaternion).T + np.array(translation), mesh.faces)
 
 
 def convex_hull_mesh(points: Array) -> Mesh:
-    """The convex hull of `points` (p, 3), its faces turned outward."""
+    """The convex hull of `points` (p, 3) with outward faces."""
     hull = import_optional("trimesh").Trimesh(vertices=points).convex_hull
     return Mesh(np.asarray(hull.vertices, dtype=np.float64), np.asarray(hull.faces, dtype=np.int64))

@@ -1,1 +1,1 @@
-"""Generators of the packaged robots: Panda, FR3, UR5e, a mobile base and a mobile Panda."""
+"""Definitions of the packaged robots (Panda, FR3, UR5e, mobile base, mobile Panda) and the generator of their data."""

@@ -1,8 +1,8 @@
-"""The facts of a Franka Research 3 with the Franka hand: the Panda's frames and housings, its own limits.
+"""Definition of the Franka Research 3 with the Franka hand: frames and housings of the Panda, limits of the FR3.
 
-The maker gives the FR3's velocity limits as functions of the joint's position (libfranka, rate_limiting.h), and beside
-them rectangles of position and velocity that lie inside; these are the rectangles. Compared with the documentation of
-2025-08-14 and with libfranka of 2026-06-17: the same in all figures.
+The manufacturer gives the velocity limits of the FR3 as functions of the joint position (libfranka, rate_limiting.h)
+and, inside these, rectangles of position and velocity; the values here are the rectangles. They are equal to those in
+the documentation of 2025-08-14 and in libfranka of 2026-06-17.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from dualbrain.robots.builtin.panda import (
 from dualbrain.robots.model import Bound, Joint
 
 __all__ = [
-    "LINK_COVERS",
+    "ALLOWED_PAIRS",
     "GRIPPER",
     "HOME",
     "LICENCE",
+    "LINK_COVERS",
     "PERIOD",
     "SOURCE",
-    "ALLOWED_PAIRS",
     "TOOL",
     "TOOL_SPEED",
     "joints",
@@ -49,7 +49,7 @@ FCI_RECTANGLE_SOURCE = (
 FCI_ACCELERATION_SOURCE = "Franka FCI documentation, limits for Franka Research 3; libfranka kMaxJointAcceleration"
 FCI_JERK_SOURCE = "Franka FCI documentation, limits for Franka Research 3; libfranka kMaxJointJerk"
 
-# of every joint: from, to [rad], and how fast [rad/s]
+# lower [rad], upper [rad], velocity [rad/s] of every joint
 POSITION_VELOCITY_LIMITS = (
     (-2.3093, 2.3093, 2.0),
     (-1.5133, 1.5133, 1.0),
@@ -60,11 +60,11 @@ POSITION_VELOCITY_LIMITS = (
     (-2.6895, 2.6895, 3.0),
 )
 ACCELERATION_LIMIT, JERK_LIMIT = 10.0, 5000.0
-"""Of every joint [rad/s², rad/s³]."""
+"""Limits of every joint [rad/s², rad/s³]."""
 
 
 def joints() -> tuple[Joint, ...]:
-    """The Panda's seven joints with the FR3's limits and the provenance of each."""
+    """The seven joints: frames of the Panda, limits of the FR3, and the provenance of each limit."""
     return tuple(
         Joint(
             name=f"fr3_joint{i}",

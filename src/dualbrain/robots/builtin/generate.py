@@ -1,7 +1,8 @@
-"""Makes a body's data file: fits its spheres to the collision meshes and sorts its link pairs.
+"""Generator of the data files of the packaged robots: fits spheres to the collision meshes and sorts link pairs.
 
-`python -m dualbrain.robots.builtin.generate panda --out FILE`; the same version and seed give the same file, byte for byte.
-How the joints track is identified on the plant (`dualbrain robot identify --write`) and taken over from the old file.
+`python -m dualbrain.robots.builtin.generate panda --out FILE`; the same version and seed give the same bytes. The
+tracking-error model is identified on the simulated plant (`dualbrain robot identify --write`) and copied from the
+existing data file.
 """
 
 from __future__ import annotations
@@ -45,11 +46,11 @@ DEFAULT_TRACKING = TrackingErrorModel(
     provenance="a guess: run `dualbrain robot identify`",
     drive="computed_torque",
 )
-"""What a body starts with that nobody has driven yet."""
+"""Tracking-error model of a new robot that has not been identified yet."""
 
 
 class RobotDefinition(Protocol):
-    """A module of facts about one body, written by hand: `panda.py` and its like."""
+    """A module with the hand-written data of one robot, such as `panda.py`."""
 
     SOURCE: str
     LICENCE: str
@@ -62,15 +63,15 @@ class RobotDefinition(Protocol):
     TOOL_SPEED: Bound
 
     def part_mesh(self, name: str) -> Mesh:
-        """One convex part of the cover problem, in its link's frame."""
+        """The mesh of one convex part of a link, in the link frame."""
         ...
 
     def mirror_centres(self, centres: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Ball centres of a right part from those of the left one."""
+        """Sphere centres of a part on the right side from those of the part on the left side."""
         ...
 
     def joints(self) -> tuple[Joint, ...]:
-        """The joints with limits and the provenance of each."""
+        """The joints with their limits and the provenance of each limit."""
         ...
 
     def links(self) -> tuple[Link, ...]:
@@ -81,54 +82,52 @@ class RobotDefinition(Protocol):
 def make_arm(
     name: str, seed: int, options: FitOptions, n_configurations: int, report_progress: ProgressReporter
 ) -> RobotModel:
-    """The body called `name`: its facts, spheres fitted to its parts, pairs chosen by sampling."""
-    facts, known = (
-        ARM_DEFINITIONS[name],
-        load_robot(name) if name in BUILTIN_ROBOTS and data_file(name).is_file() else None,
-    )
-    cover = fit_spheres(facts, seed, options, report_progress)
-    joints, links = facts.joints(), facts.links()
+    """The model of the arm `name`: its definition, spheres fitted to its parts, link pairs chosen by sampling."""
+    definition = ARM_DEFINITIONS[name]
+    previous = load_robot(name) if name in BUILTIN_ROBOTS and data_file(name).is_file() else None
+    cover = fit_spheres(definition, seed, options, report_progress)
+    joints, links = definition.joints(), definition.links()
     report_progress(f"self pairs: {n_configurations} random configurations")
     rng = np.random.default_rng([seed, len(links)])
     pairs = choose_pairs(
         joints,
         links,
         cover,
-        allowed_by_design=facts.ALLOWED_PAIRS,
+        allowed_by_design=definition.ALLOWED_PAIRS,
         n_samples=n_configurations,
         rng=rng,
-        opening=facts.GRIPPER.opening.value,
+        opening=definition.GRIPPER.opening.value,
     )
     return RobotModel(
         name=name,
-        source=facts.SOURCE,
-        licence=facts.LICENCE,
+        source=definition.SOURCE,
+        licence=definition.LICENCE,
         joints=joints,
         links=links,
-        spheres=tuple(sphere for link, balls in cover.items() for sphere in _to_collision_spheres(link, balls)),
+        spheres=tuple(sphere for link, spheres in cover.items() for sphere in _to_collision_spheres(link, spheres)),
         self_pairs=pairs,
-        tool=facts.TOOL,
-        gripper=facts.GRIPPER,
-        home=facts.HOME,
-        tracking=known.tracking if known else DEFAULT_TRACKING,
-        period=facts.PERIOD,
-        tool_speed=facts.TOOL_SPEED,
-        other_drives=known.other_drives if known else (),
+        tool=definition.TOOL,
+        gripper=definition.GRIPPER,
+        home=definition.HOME,
+        tracking=previous.tracking if previous else DEFAULT_TRACKING,
+        period=definition.PERIOD,
+        tool_speed=definition.TOOL_SPEED,
+        other_drives=previous.other_drives if previous else (),
     )
 
 
 def fit_spheres(
     definition: RobotDefinition, seed: int, options: FitOptions, report_progress: ProgressReporter
 ) -> dict[str, SphereSet]:
-    """Balls of every link; each part draws from its own generator, so one part's change leaves the others alone."""
+    """Spheres of every link; each part has a random generator of its own, so a change of one part affects no other."""
     cover: dict[str, SphereSet] = {}
     for i, (name, parts) in enumerate(definition.LINK_COVERS.items()):
         fitted = [
-            _fit_part(definition, wanted, [seed, i, *([1 + k] if k else [])], options, report_progress)
-            for k, wanted in enumerate(parts)
+            _fit_part(definition, spec, [seed, i, *([1 + k] if k else [])], options, report_progress)
+            for k, spec in enumerate(parts)
         ]
         cover[name] = SphereSet(
-            np.vstack([balls.centres for balls in fitted]), np.concatenate([balls.radii for balls in fitted])
+            np.vstack([spheres.centres for spheres in fitted]), np.concatenate([spheres.radii for spheres in fitted])
         )
         if name.startswith("left_"):
             cover[name.replace("left_", "right_")] = SphereSet(
@@ -145,37 +144,39 @@ def _fit_part(
     report_progress: ProgressReporter,
 ) -> SphereSet:
     mesh = definition.part_mesh(spec.mesh)
-    balls = fit_cover(mesh, spec, np.random.default_rng(seed), options)
-    excess = measure_excess(mesh, balls, 3000, np.random.default_rng([*seed, 1]))
-    said = f"excess mean {excess.mean * 1e3:.1f} mm, worst {excess.worst * 1e3:.1f} mm"
-    report_progress(f"{spec.mesh}: {spec.n_spheres} balls, {said}")
-    return balls
+    spheres = fit_cover(mesh, spec, np.random.default_rng(seed), options)
+    excess = measure_excess(mesh, spheres, 3000, np.random.default_rng([*seed, 1]))
+    report_progress(
+        f"{spec.mesh}: {spec.n_spheres} spheres, excess mean {excess.mean * 1e3:.1f} mm, "
+        f"worst {excess.worst * 1e3:.1f} mm"
+    )
+    return spheres
 
 
-def _to_collision_spheres(link: str, balls: SphereSet) -> list[CollisionSphere]:
-    """The balls of one link as data, 10 µm resolution."""
+def _to_collision_spheres(link: str, spheres: SphereSet) -> list[CollisionSphere]:
+    """The spheres of one link as records, rounded to 10 µm."""
     return [
         CollisionSphere(link, _to_vector(centre), round(float(radius), 5))
-        for centre, radius in zip(balls.centres, balls.radii, strict=True)
+        for centre, radius in zip(spheres.centres, spheres.radii, strict=True)
     ]
 
 
 def _to_vector(values: NDArray[np.float64]) -> Vector:
-    """Three plain floats, without negative zeros."""
+    """Three Python floats, without negative zeros."""
     x, y, z = (round(float(value), 5) + 0.0 for value in values)
     return (x, y, z)
 
 
 ARM_DEFINITIONS: dict[str, RobotDefinition] = {"panda": panda, "fr3": fr3, "ur5e": ur5e}
-"""To add a body, write its facts and name them here and in `BODIES`."""
+"""Definitions of the arms. To add a packaged robot, write its definition and add it here and to `BUILTIN_ROBOTS`."""
 
 
-def _make_base(known: RobotModel | None) -> RobotModel:
-    return mobile_base.make_model(known.tracking if known else DEFAULT_TRACKING)
+def _make_base(previous: RobotModel | None) -> RobotModel:
+    return mobile_base.make_model(previous.tracking if previous else DEFAULT_TRACKING)
 
 
-def _make_mobile_panda(known: RobotModel | None) -> RobotModel:
-    tracking, lag = (known.tracking, known.base_lag) if known else (DEFAULT_TRACKING, 0.0)
+def _make_mobile_panda(previous: RobotModel | None) -> RobotModel:
+    tracking, lag = (previous.tracking, previous.base_lag) if previous else (DEFAULT_TRACKING, 0.0)
     return mobile_panda.make_model(load_robot("panda"), tracking, lag)
 
 
@@ -183,30 +184,30 @@ MOBILE_ROBOTS: dict[str, Callable[[RobotModel | None], RobotModel]] = {
     "base": _make_base,
     "mobile_panda": _make_mobile_panda,
 }
-"""Bodies that drive are put together from what is known; handed over is what the old file holds."""
+"""Functions that make the models of robots with a mobile base, from the model in the existing data file."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line: `panda --out FILE [--seed N]`; progress on stderr."""
     parser = argparse.ArgumentParser(prog="python -m dualbrain.robots.builtin.generate", description=__doc__)
-    parser.add_argument("body", help=f"one of {', '.join(ARM_DEFINITIONS)}")
+    parser.add_argument("robot", help=f"one of {', '.join((*ARM_DEFINITIONS, *MOBILE_ROBOTS))}")
     parser.add_argument("--out", type=Path, required=True, help="file to write")
     parser.add_argument("--seed", type=int, default=0)
-    asked = parser.parse_args(arguments)
-    if asked.body not in (*ARM_DEFINITIONS, *MOBILE_ROBOTS):
-        raise UnknownNameError("robot", asked.body, (*ARM_DEFINITIONS, *MOBILE_ROBOTS))
-    if asked.body in MOBILE_ROBOTS:
-        known = load_robot(asked.body) if data_file(asked.body).is_file() else None
-        robot_model = MOBILE_ROBOTS[asked.body](known)
+    options = parser.parse_args(arguments)
+    if options.robot not in (*ARM_DEFINITIONS, *MOBILE_ROBOTS):
+        raise UnknownNameError("robot", options.robot, (*ARM_DEFINITIONS, *MOBILE_ROBOTS))
+    if options.robot in MOBILE_ROBOTS:
+        previous = load_robot(options.robot) if data_file(options.robot).is_file() else None
+        robot_model = MOBILE_ROBOTS[options.robot](previous)
     else:
-        robot_model = make_arm(asked.body, asked.seed, FitOptions(), N_CONFIGURATIONS, _to_stderr)
-    asked.out.write_bytes(encode_robot(robot_model))
-    _to_stderr(f"{asked.out}: {len(robot_model.spheres)} spheres, {len(robot_model.self_pairs.kept)} link pairs kept")
+        robot_model = make_arm(options.robot, options.seed, FitOptions(), N_CONFIGURATIONS, _to_stderr)
+    options.out.write_bytes(encode_robot(robot_model))
+    _to_stderr(f"{options.out}: {len(robot_model.spheres)} spheres, {len(robot_model.self_pairs.kept)} link pairs kept")
     return 0
 
 
 def _to_stderr(line: str) -> None:
-    """One line of progress."""
+    """Write one line of progress."""
     sys.stderr.write(line + "\n")
     sys.stderr.flush()
 

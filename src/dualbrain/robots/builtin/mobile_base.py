@@ -1,4 +1,4 @@
-"""The facts of a small differential-drive base, of dualbrain's own: figures of an indoor platform."""
+"""Definition of a small differential-drive base with the dimensions of an indoor platform, designed for dualbrain."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from dualbrain.robots.model import Bound, RobotModel, TrackingErrorModel
 
 LIMITS_SOURCE = "site policy; an indoor platform of dualbrain's own"
 HALF_LENGTH, HALF_WIDTH, HEIGHT = 0.22, 0.18, 0.30
-"""The housing [m]: a box, the axle under its middle."""
+"""The housing [m], a box whose centre is above the axle."""
 DISC_OFFSET_X, DISC_OFFSET_Y = 0.12, 0.09
-"""Where the four discs of the footprint lie [m], ahead of the axle and behind it: none can only be braked for."""
+"""Offsets of the four discs of the footprint [m]: all are off the axle, so that turning moves each of them."""
 DISC_RADIUS = round(
     max(hypot(HALF_LENGTH - DISC_OFFSET_X, HALF_WIDTH - DISC_OFFSET_Y), hypot(DISC_OFFSET_X, DISC_OFFSET_Y)) + 5e-4, 4
 )
-"""So large that the four discs cover corners, sides and middle of the rectangle [m]."""
+"""Radius with which the four discs cover corners, sides and middle of the rectangle [m]."""
 
 
 def make_model(tracking: TrackingErrorModel) -> RobotModel:
-    """The base with the tracking model that was identified on its plant."""
+    """The model of the base with the identified tracking-error model."""
     discs = [(x, y, DISC_RADIUS) for x in (-DISC_OFFSET_X, DISC_OFFSET_X) for y in (-DISC_OFFSET_Y, DISC_OFFSET_Y)]
     return make_differential_base(
         "base",

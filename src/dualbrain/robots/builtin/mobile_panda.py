@@ -1,7 +1,7 @@
-"""The facts of a Panda on a carrier of dualbrain's own: a differential base with a pedestal.
+"""Definition of a Panda on a differential-drive base with a pedestal, which is designed for dualbrain.
 
-Its acceleration limits are as steep, against its speeds, as the Panda's own (a/v ≥ 3.45 1/s), so that the gain α of the
-barriers is that of the Panda alone.
+The ratio of acceleration to velocity limit of the base is at least that of the Panda (a/v ≥ 3.45 1/s), so that the
+gain α of the barriers is that of the Panda alone.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from dualbrain.robots.model import Bound, CollisionSphere, RobotModel, TrackingE
 
 LIMITS_SOURCE = "site policy; a platform of dualbrain's own"
 HOUSING_BOX: tuple[Vector, Vector] = ((0.0, 0.0, 0.15), (0.28, 0.24, 0.15))
-"""Middle and half extents of the housing [m], the axle under its middle."""
+"""Centre and half extents of the housing [m]; its centre is above the axle."""
 PEDESTAL_BOX: tuple[Vector, Vector] = ((0.14, 0.0, 0.40), (0.08, 0.08, 0.10))
-"""Middle and half extents of what the arm stands on [m]."""
+"""Centre and half extents of the pedestal of the arm [m]."""
 ARM_MOUNT_POSITION: Vector = (0.14, 0.0, 0.50)
-"""Where the arm's base is bolted [m]."""
+"""Position of the base of the arm in the frame of the mobile base [m]."""
 BOX_CELLS = ((HOUSING_BOX, (4, 3, 2)), (PEDESTAL_BOX, (1, 1, 2)))
-"""Into how many cells each box is cut; one ball around every cell covers it whole."""
+"""Number of cells of each box along its axes; one sphere around every cell covers the box."""
 RADIUS_MARGIN = 5e-4
-"""How much larger than its cell a ball is [m]."""
+"""Margin of a sphere's radius beyond the corners of its cell [m]."""
 REST_POSTURE = (0.0, -0.9, 0.0, -2.7, 0.0, 1.8, 0.785)
-"""The arm drawn in over the housing, hand down: for driving, and to begin work from."""
+"""Posture for driving and for the start of a task [rad]: the arm folded over the housing, hand down."""
 
 
 def make_model(arm: RobotModel, tracking: TrackingErrorModel, base_lag: float | None) -> RobotModel:
-    """The Panda `arm` on its carrier, with what was identified on the plant."""
+    """The model of the Panda `arm` on its mobile base, with the identified tracking error and `base_lag` [s]."""
     return mount_arm_on_base(
         "mobile_panda",
         make_platform(tracking, arm.period),
@@ -47,7 +47,7 @@ def make_model(arm: RobotModel, tracking: TrackingErrorModel, base_lag: float | 
 
 
 def make_platform(tracking: TrackingErrorModel, period: float) -> RobotModel:
-    """The carrier without its arm."""
+    """The model of the mobile base without the arm."""
     bare = make_differential_base(
         "platform",
         (),
@@ -60,14 +60,14 @@ def make_platform(tracking: TrackingErrorModel, period: float) -> RobotModel:
         source="robots/builtin/mobile_panda.py",
     )
     return msgspec.structs.replace(
-        bare, spheres=tuple(ball for box, cells in BOX_CELLS for ball in cover_box("base", *box, cells))
+        bare, spheres=tuple(sphere for box, cells in BOX_CELLS for sphere in cover_box("base", *box, cells))
     )
 
 
 def cover_box(
     link: str, centre: Vector, half_extents: Vector, cells: tuple[int, int, int]
 ) -> tuple[CollisionSphere, ...]:
-    """One ball around every cell of a box: together they hold it whole."""
+    """One sphere around every cell of a box; together the spheres cover the box."""
     size = [h / n for h, n in zip(half_extents, cells, strict=True)]
     radius = round(sqrt(sum(s * s for s in size)) + RADIUS_MARGIN, 4)
     found: list[CollisionSphere] = []

@@ -1,4 +1,4 @@
-"""The facts of the Franka Emika Panda with its hand that are written by hand; generate.py adds spheres and pairs."""
+"""Definition of the Franka Emika Panda with its hand; `generate.py` adds collision spheres and link pairs."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ LEFT, RIGHT = (0.0, 1.0, 0.0), (0.0, -1.0, 0.0)
 FRONT, BACK = (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)
 
 WRIST_SPHERES = (((0.0, 0.037, 0.0), 0.0535), ((0.0, 0.083, 0.0), 0.058))
-"""Two balls on the wrist cylinder of link5 (radius 50 mm around the axis of joint 6): link7 passes it at 20 mm."""
+"""Two spheres on the wrist cylinder of link5 (radius 50 mm around the axis of joint 6), which link7 passes at 20 mm."""
 
 LINK_COVERS: dict[str, tuple[LinkCoverSpec, ...]] = {
     "link0": (LinkCoverSpec(mesh="link0", n_spheres=3, weighted_faces=((DOWN, 0.2),)),),
@@ -82,10 +82,11 @@ LINK_COVERS: dict[str, tuple[LinkCoverSpec, ...]] = {
         ),
     ),
 }
-"""Wanted cover of each link, 104 balls with both fingers; the right finger is the left one turned half around z.
+"""Cover specification of each link, 104 spheres with both fingers; the right finger is the left one rotated by 180°
+about z.
 
-A finger points along +z and its pad faces -y: what bulges there costs gap and grasp, what bulges into the hand costs
-nothing. The base stands on the table, so the underside of link0 is loose.
+A finger points along +z and its pad faces -y: an excess there reduces the opening and the grasp, an excess into the
+hand has no effect. The base is on the table, so an excess below link0 has little weight.
 """
 
 ALLOWED_PAIRS = {
@@ -94,17 +95,17 @@ ALLOWED_PAIRS = {
 
 
 def part_mesh(name: str) -> Mesh:
-    """One convex part of the cover problem: the collision mesh of that name."""
+    """The collision mesh called `name`."""
     return collision_mesh("panda", name)
 
 
 def mirror_centres(centres: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Ball centres of a right part from those of the left one."""
+    """Sphere centres of the right finger from those of the left finger."""
     return centres * np.array([-1.0, -1.0, 1.0])
 
 
 def joints() -> tuple[Joint, ...]:
-    """The seven joints with limits and the provenance of each."""
+    """The seven joints with their limits and the provenance of each limit."""
     made: list[Joint] = []
     for i, (translation, turn, lower, upper, velocity, acceleration) in enumerate(JOINTS, start=1):
         entry = f"{URDF}: panda_joint{i} limit"
@@ -124,9 +125,9 @@ def joints() -> tuple[Joint, ...]:
 
 
 def links() -> tuple[Link, ...]:
-    """Base, seven arm links, hand and two fingers."""
+    """The base, seven arm links, the hand and two fingers."""
     arm = tuple(Link(name=f"link{i}", frame=i, group="arm") for i in range(8))
-    grip: Vector = (0.0, 0.0, 0.107 + 0.0584)
+    finger_origin: Vector = (0.0, 0.0, 0.107 + 0.0584)
     return (
         *arm,
         Link(name="hand", frame=7, group="hand", translation=(0.0, 0.0, 0.107), quaternion=HAND_QUATERNION),
@@ -134,7 +135,7 @@ def links() -> tuple[Link, ...]:
             name="left_finger",
             frame=7,
             group="fingers",
-            translation=grip,
+            translation=finger_origin,
             quaternion=HAND_QUATERNION,
             slide=(0.0, 1.0, 0.0),
         ),
@@ -142,7 +143,7 @@ def links() -> tuple[Link, ...]:
             name="right_finger",
             frame=7,
             group="fingers",
-            translation=grip,
+            translation=finger_origin,
             quaternion=HAND_QUATERNION,
             slide=(0.0, -1.0, 0.0),
         ),

@@ -1,8 +1,8 @@
-"""The facts of a UR5e with a Robotiq 2F-85 that are written by hand; generate.py adds spheres and pairs.
+"""Definition of the UR5e with a Robotiq 2F-85; `generate.py` adds collision spheres and link pairs.
 
-The 2F-85's fingers are modelled as travelling straight. The real ones hang on parallelograms: their tips stand 13 mm
-farther out closed than open, so they are given the length of the closed hand, and the swinging knuckles are drawn so
-wide that they stay inside a part that slides with the finger.
+The fingers of the 2F-85 are modelled as moving on straight lines. The real fingers move on parallelogram linkages and
+reach 13 mm farther out when closed than when open, so the model has the length of the closed hand. The shape of the
+knuckles, which swing, is enlarged so that it contains them while it moves with the finger.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ PLUS_90_ABOUT_X: Quaternion = (SQRT_HALF, SQRT_HALF, 0.0, 0.0)
 MINUS_90_ABOUT_X: Quaternion = (SQRT_HALF, -SQRT_HALF, 0.0, 0.0)
 """Quarter turns about local x."""
 
-# name, translation [m], turn, range [rad] either way; the base frame looks forward (REP 103), hence the half turn
+# name, translation [m], rotation, limit of ±q [rad]; x of the base frame points forward (REP 103), hence the half turn
 JOINTS: tuple[tuple[str, Vector, Quaternion, float], ...] = (
     ("shoulder_pan_joint", (0.0, 0.0, 0.1625), HALF_TURN_Z, 6.2832),
     ("shoulder_lift_joint", (0.0, 0.0, 0.0), PLUS_90_ABOUT_X, 6.2832),
@@ -50,11 +50,11 @@ PERIOD = 0.002
 TOOL_SPEED = Bound(0.4, "m/s", "site policy")
 
 FINGER_TIP_REACH = 0.1735
-"""Finger tips beyond the flange [m], hand closed."""
+"""Distance of the finger tips from the flange [m], hand closed."""
 KNUCKLE_REACH = 0.1350
-"""Farthest reach of the knuckles beyond the flange [m], over the whole stroke."""
+"""Largest distance of the knuckles from the flange [m], over the whole stroke."""
 HOUSING_REACH = 0.1012
-"""Reach of the gripper's base beyond the flange [m]."""
+"""Largest distance of the gripper's base from the flange [m]."""
 TOOL = Tool("hand", (0.0, 0.0, 0.1645))
 GRIPPER = Gripper(
     opening=Bound(0.0425, "m", "half of the 85 mm stroke, Robotiq 2F-85 data sheet"),
@@ -65,7 +65,7 @@ GRIPPER = Gripper(
 )
 
 MESH_TO_LINK: Quaternion = (0.5, 0.5, -0.5, -0.5)
-"""Mesh frame (z along the link) in the chain frame (x against it): turns by 90 degrees about x, then -90 about z."""
+"""Rotation from the mesh frame (z along the link) to the chain frame (x against it): 90° about x, then -90° about z."""
 MESH_POSES: dict[str, tuple[Vector, Quaternion]] = {
     "base": ((0.0, 0.0, 0.0), IDENTITY),
     "shoulder": ((0.0, 0.0, 0.0), HALF_TURN_Z),
@@ -75,7 +75,7 @@ MESH_POSES: dict[str, tuple[Vector, Quaternion]] = {
     "wrist2": ((0.0, 0.0, -0.0997), IDENTITY),
     "wrist3": ((0.0, 0.0, -0.0989), PLUS_90_ABOUT_X),
 }
-"""Where the collision meshes lie in their links, from the URDF."""
+"""Poses of the collision meshes in their links, from the URDF: translation [m] and quaternion."""
 
 UP, DOWN = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
 INWARD = (0.0, -1.0, 0.0)
@@ -89,9 +89,9 @@ HAND_PART_CORNERS = {
         (0.0375, 0.02, HOUSING_REACH),
     ],
 }
-"""A quarter of the corners of the hand's two convex parts, flange frame [m]; the rest by mirrors.
+"""A quarter of the corners of the two convex parts of the hand, flange frame [m]; the others by reflection in x and y.
 
-The housing holds the base and the lower, fixed ends of the knuckles over their whole stroke.
+The housing contains the base and the lower, fixed ends of the knuckles over the whole stroke.
 """
 FINGER_PART_CORNERS = {
     "knuckle": [
@@ -113,9 +113,9 @@ FINGER_PART_CORNERS = {
         (0.0076, 0.0145, 0.168),
     ],
 }
-"""Half of the corners of what slides on the left side, hand closed; the rest by the mirror in x.
+"""Half of the corners of the moving parts on the left side, hand closed, flange frame [m]; others by reflection in x.
 
-The upper ends of the knuckles really swing; they stay inside the part drawn here, which slides with the finger.
+The upper ends of the real knuckles swing; they stay inside the part `knuckle`, which moves with the finger.
 """
 
 LINK_COVERS: dict[str, tuple[LinkCoverSpec, ...]] = {
@@ -143,7 +143,7 @@ LINK_COVERS: dict[str, tuple[LinkCoverSpec, ...]] = {
     ),
     "left_finger": (LinkCoverSpec(mesh="tip", n_spheres=12, weighted_faces=((UP, 1.6), (INWARD, 1.5), (DOWN, 0.5))),),
 }
-"""Wanted cover of each link, 108 balls in all; the right side of the hand is the left one turned half around z."""
+"""Cover specification of each link, 108 spheres; the right side of the hand is the left one rotated by 180° about z."""
 
 ALLOWED_PAIRS = {
     (f"left_{one}", f"right_{other}"): "the gripper's own motion; opposite fingers close on each other by design"
@@ -153,7 +153,7 @@ ALLOWED_PAIRS = {
 
 
 def part_mesh(name: str) -> Mesh:
-    """One convex part of the cover problem, in its link's frame."""
+    """The mesh of one convex part of a link, in the link frame."""
     if name in HAND_PART_CORNERS:
         return convex_hull_mesh(
             np.array([(sx * x, sy * y, z) for x, y, z in HAND_PART_CORNERS[name] for sx in (-1, 1) for sy in (-1, 1)])
@@ -167,12 +167,12 @@ def part_mesh(name: str) -> Mesh:
 
 
 def mirror_centres(centres: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Ball centres of a right part from those of the left one."""
+    """Sphere centres of a part on the right side from those of the part on the left side."""
     return centres * np.array([-1.0, -1.0, 1.0])
 
 
 def joints() -> tuple[Joint, ...]:
-    """The six joints with limits and the provenance of each."""
+    """The six joints with their limits and the provenance of each limit."""
     return tuple(
         Joint(
             name=name,
@@ -188,7 +188,7 @@ def joints() -> tuple[Joint, ...]:
 
 
 def links() -> tuple[Link, ...]:
-    """Base, six arm links, hand, two knuckles and two fingers; the hand's frames are the flange's."""
+    """The base, six arm links, the hand, two knuckles and two fingers; all frames of the hand are the flange frame."""
     arm = tuple(Link(name=f"link{i}", frame=i, group="arm") for i in range(7))
     return (
         *arm,

@@ -1,1 +1,1 @@
-"""Sphere and polytope approximations of link meshes, and the self-collision pairs to be checked."""
+"""Sphere and polytope approximations of link meshes, and the choice of self-collision pairs."""

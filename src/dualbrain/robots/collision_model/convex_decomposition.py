@@ -1,8 +1,8 @@
-"""A solid as few convex parts that together contain it.
+"""Decomposition of a solid into a few convex parts that together contain it.
 
-A mesh that fills little of its hull is cut across a long axis, where the hulls of both sides are smallest in sum, and
-each side is asked again. The hull of one side's surface contains that side, so nothing is lost; what is lost is
-tightness, and the cover's excess tells it.
+A mesh that fills only a small share of its hull is cut across a long axis, where the volumes of the hulls of both sides
+have the smallest sum, and each side is decomposed in turn. The hull of the surface of a side contains that side, so the
+parts contain the solid. The decomposition can be loose, which shows in the excess of the cover.
 """
 
 from __future__ import annotations
@@ -20,16 +20,17 @@ Array = NDArray[np.float64]
 
 MAX_PARTS = 4
 MAX_CUT_VOLUME_RATIO = 0.85
-"""A cut is worth it when the two hulls together have at most this share of the one hull's volume."""
+"""A cut is made if the two hulls together have at most this share of the volume of the single hull."""
 CUT_FRACTIONS = (0.2, 0.35, 0.5, 0.65, 0.8)
+"""Candidate positions of a cut, as shares of the extent along the axis."""
 MAX_TRIANGLES_FOR_CUT = 2000
-"""Triangles by which cuts are chosen; the cut itself is made through all of them."""
+"""Maximum number of triangles for choosing a cut; the cut itself goes through all triangles."""
 MIN_CUT_VOLUME = 1e-6
-"""Volume [m³] below which nothing is cut."""
+"""Volume [m³] of a hull below which it is not cut."""
 
 
 def decompose_convex(mesh: Mesh, max_parts: int = MAX_PARTS) -> list[Mesh]:
-    """At most `most` convex closed meshes whose union contains `mesh`."""
+    """At most `max_parts` convex closed meshes whose union contains `mesh`."""
     whole = thickened_hull_mesh(mesh.vertices)
     if max_parts < 2 or mesh_volume(whole) < MIN_CUT_VOLUME:
         return [whole]
@@ -48,7 +49,8 @@ def mesh_volume(mesh: Mesh) -> float:
 
 
 def _best_cut(triangles: Array, whole: Mesh) -> tuple[Mesh, Mesh] | None:
-    looked = (
+    """Both sides of the cut with the least total volume, None if no cut is worth it."""
+    sampled = (
         triangles
         if len(triangles) <= MAX_TRIANGLES_FOR_CUT
         else triangles[:: len(triangles) // MAX_TRIANGLES_FOR_CUT + 1]
@@ -61,7 +63,7 @@ def _best_cut(triangles: Array, whole: Mesh) -> tuple[Mesh, Mesh] | None:
         along = points @ axis
         for share in CUT_FRACTIONS:
             level = float(along.min() + share * np.ptp(along))
-            sides = _split_points(looked, axis, level)
+            sides = _split_points(sampled, axis, level)
             if sides is None:
                 continue
             total = sum(_hull_volume(side) for side in sides)
@@ -74,18 +76,18 @@ def _best_cut(triangles: Array, whole: Mesh) -> tuple[Mesh, Mesh] | None:
 
 
 def _split_points(triangles: Array, axis: Array, level: float) -> tuple[Array, Array] | None:
-    """Corner points of what lies on each side of the plane axis·x = level, cut edges' points in both."""
+    """Corners on each side of the plane axis·x = level; both sets contain the points of the edges that are cut."""
     height = triangles @ axis - level
     if not ((height > 0).any() and (height < 0).any()):
         return None
     crossing = triangles[(height.max(axis=1) > 0) & (height.min(axis=1) < 0)]
-    at = _crossings(crossing, axis, level)
-    flat, high = triangles.reshape(-1, 3), height.ravel()
-    return np.vstack([flat[high <= 0], at]), np.vstack([flat[high >= 0], at])
+    cut_points = _crossings(crossing, axis, level)
+    corners, heights = triangles.reshape(-1, 3), height.ravel()
+    return np.vstack([corners[heights <= 0], cut_points]), np.vstack([corners[heights >= 0], cut_points])
 
 
 def _crossings(triangles: Array, axis: Array, level: float) -> Array:
-    """Where edges of the triangles (t, 3, 3) meet the plane."""
+    """Intersections (p, 3) of the edges of the triangles (t, 3, 3) with the plane."""
     start, end = triangles.reshape(-1, 3), np.roll(triangles, -1, axis=1).reshape(-1, 3)
     below, above = start @ axis - level, end @ axis - level
     cuts = below * above < 0
@@ -104,11 +106,11 @@ def _hull_volume(points: Array) -> float:
 
 
 def _clip_mesh(triangles: Array, axis: Array, level: float) -> Mesh:
-    """What lies at axis·x ≥ level, crossing triangles clipped, as loose triangles."""
+    """The part of the surface at axis·x ≥ level, with clipped triangles at the plane; no vertices are shared."""
     height = triangles @ axis - level
     whole, crossing = triangles[height.min(axis=1) >= 0], (height.max(axis=1) > 0) & (height.min(axis=1) < 0)
-    every = np.concatenate([whole, _clip_triangles(triangles[crossing], axis, level)])
-    return Mesh(every.reshape(-1, 3), np.arange(3 * len(every)).reshape(-1, 3))
+    clipped = np.concatenate([whole, _clip_triangles(triangles[crossing], axis, level)])
+    return Mesh(clipped.reshape(-1, 3), np.arange(3 * len(clipped)).reshape(-1, 3))
 
 
 def _clip_triangles(triangles: Array, axis: Array, level: float) -> Array:

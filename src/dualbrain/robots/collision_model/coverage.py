@@ -1,4 +1,4 @@
-"""Does a set of balls cover a mesh, and how far does it bulge out? Measured on points, and proven on triangles."""
+"""Coverage of a mesh by spheres, verified on whole triangles, and their excess, measured on random points."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class SphereSet:
-    """Balls of one link: `centres` (b, 3) and `radii` (b,) in metres."""
+    """Spheres of one link: `centres` (b, 3) and `radii` (b,) in metres."""
 
     centres: Array
     radii: Array
@@ -23,7 +23,7 @@ class SphereSet:
 
 @dataclass(frozen=True, slots=True)
 class Excess:
-    """How far the surface of the union of balls stands off the mesh [m], and union volume / mesh volume."""
+    """Distance of the spheres' outer surface from the mesh [m], and volume of their union / volume of the mesh."""
 
     mean: float
     p95: float
@@ -32,7 +32,7 @@ class Excess:
 
 
 def are_covered(points: Array, spheres: SphereSet, tolerance: float = 0.0) -> NDArray[np.bool_]:
-    """Whether each point (p, 3) lies in some ball (grown by `tolerance` [m])."""
+    """Whether each point (p, 3) is in some sphere whose radius is increased by `tolerance` [m]; (p,)."""
     result = np.zeros(len(points), dtype=bool)
     for centre, radius in zip(spheres.centres, spheres.radii, strict=True):
         result |= np.sum((points - centre) ** 2, axis=1) <= (radius + tolerance) ** 2
@@ -40,27 +40,27 @@ def are_covered(points: Array, spheres: SphereSet, tolerance: float = 0.0) -> ND
 
 
 def is_proven_covered(mesh: Mesh, spheres: SphereSet, max_subdivisions: int = 9) -> bool:
-    """True if every point of every face lies in a ball: a proof, not a sample.
+    """Whether every point of every face is verified to be in a sphere, for whole triangles instead of samples.
 
-    A ball is convex, so a triangle with its three corners in one ball lies in that ball; the others are cut in four and
-    asked again, at most `levels` times. False also means "not proven at this depth".
+    A sphere is convex, so a triangle with its three corners in one sphere is inside that sphere. Every other triangle
+    is divided into four, at most `max_subdivisions` times. False can also mean "not verified at this depth".
     """
-    left = mesh.triangles
+    remaining = mesh.triangles
     for _ in range(max_subdivisions):
-        inside = np.zeros(len(left), dtype=bool)
+        inside = np.zeros(len(remaining), dtype=bool)
         for centre, radius in zip(spheres.centres, spheres.radii, strict=True):
-            inside |= np.all(np.sum((left - centre) ** 2, axis=2) <= radius**2, axis=1)
-        left = left[~inside]
-        if len(left) == 0:
+            inside |= np.all(np.sum((remaining - centre) ** 2, axis=2) <= radius**2, axis=1)
+        remaining = remaining[~inside]
+        if len(remaining) == 0:
             return True
-        if not are_covered(left.reshape(-1, 3), spheres).all():
+        if not are_covered(remaining.reshape(-1, 3), spheres).all():
             return False
-        left = _subdivide(left)
+        remaining = _subdivide(remaining)
     return False
 
 
 def _subdivide(triangles: Array) -> Array:
-    """Every triangle (t, 3, 3) cut at its edge midpoints: (4 t, 3, 3)."""
+    """Every triangle (t, 3, 3) divided at the midpoints of its edges: (4 t, 3, 3)."""
     a, b, c = np.moveaxis(triangles, 1, 0)
     ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
     parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
@@ -68,23 +68,23 @@ def _subdivide(triangles: Array) -> Array:
 
 
 def required_inflation(mesh: Mesh, fixed: SphereSet, fitted: SphereSet, accuracy: float = 2e-5) -> float:
-    """Least amount [m], to `accuracy`, by which `fitted` radii must grow until both sets are proven to cover `mesh`."""
+    """Least increase [m] of the `fitted` radii, to `accuracy`, with which both sets are verified to cover `mesh`."""
     centres = np.vstack([fixed.centres, fitted.centres])
 
-    def enough(amount: float) -> bool:
+    def suffices(amount: float) -> bool:
         return is_proven_covered(mesh, SphereSet(centres, np.concatenate([fixed.radii, fitted.radii + amount])))
 
     low, high = 0.0, 1e-4
-    while not enough(high):
+    while not suffices(high):
         low, high = high, 2 * high
     while high - low > accuracy:
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if enough(middle) else (middle, high)
+        low, high = (low, middle) if suffices(middle) else (middle, high)
     return high
 
 
 def sample_union_surface(spheres: SphereSet, n_samples: int, rng: np.random.Generator) -> Array:
-    """Points spread by area over the outer surface of the union of `balls`, from `count` draws before hiding."""
+    """Points on the outer surface of the union of `spheres`, uniform by area: `n_samples` less those inside it."""
     share = spheres.radii**2 / np.sum(spheres.radii**2)
     owner = rng.choice(len(spheres.radii), size=n_samples, p=share)
     direction = rng.standard_normal((n_samples, 3))
@@ -94,27 +94,28 @@ def sample_union_surface(spheres: SphereSet, n_samples: int, rng: np.random.Gene
 
 
 def distance_outside(mesh: Mesh, points: Array) -> Array:
-    """Distance [m] of each point to the solid inside `mesh`, 0 for points in it; `mesh` is convex and closed."""
+    """Distance [m] of each point to the solid inside `mesh`, which is convex and closed; 0 for points inside."""
     triangles = mesh.triangles
     closest = import_optional("trimesh.triangles").closest_point
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     length = np.linalg.norm(normals, axis=1)
     normals, triangles = normals[length > 0] / length[length > 0, None], triangles[length > 0]
     height = points @ normals.T - np.sum(normals * triangles[:, 0], axis=1)
-    best = np.where(np.all(height <= 0, axis=1), 0.0, np.inf)
+    distance = np.where(np.all(height <= 0, axis=1), 0.0, np.inf)
     for triangle in triangles:
-        ask = best > 0
-        near = closest(np.broadcast_to(triangle, (int(ask.sum()), 3, 3)), points[ask])
-        best[ask] = np.minimum(best[ask], np.linalg.norm(points[ask] - np.asarray(near), axis=1))
-    return best
+        outside = distance > 0
+        nearest = closest(np.broadcast_to(triangle, (int(outside.sum()), 3, 3)), points[outside])
+        to_triangle = np.linalg.norm(points[outside] - np.asarray(nearest), axis=1)
+        distance[outside] = np.minimum(distance[outside], to_triangle)
+    return distance
 
 
 def measure_excess(mesh: Mesh, spheres: SphereSet, n_samples: int, rng: np.random.Generator) -> Excess:
-    """Excess of `balls` over the convex `mesh` from `count` draws on their surface and in their bounding box."""
-    off = distance_outside(mesh, sample_union_surface(spheres, n_samples, rng))
+    """Excess of `spheres` over the convex `mesh`, from `n_samples` points on their surface and in their bounds."""
+    distance = distance_outside(mesh, sample_union_surface(spheres, n_samples, rng))
     low = np.min(spheres.centres - spheres.radii[:, None], axis=0)
     high = np.max(spheres.centres + spheres.radii[:, None], axis=0)
-    box = low + (high - low) * rng.random((n_samples, 3))
-    in_balls, in_mesh = are_covered(box, spheres), distance_outside(mesh, box) <= 0
-    ratio = float(np.sum(in_balls | in_mesh) / max(int(np.sum(in_mesh)), 1))
-    return Excess(float(off.mean()), float(np.quantile(off, 0.95)), float(off.max()), ratio)
+    points = low + (high - low) * rng.random((n_samples, 3))
+    in_spheres, in_mesh = are_covered(points, spheres), distance_outside(mesh, points) <= 0
+    ratio = float(np.sum(in_spheres | in_mesh) / max(int(np.sum(in_mesh)), 1))
+    return Excess(float(distance.mean()), float(np.quantile(distance, 0.95)), float(distance.max()), ratio)

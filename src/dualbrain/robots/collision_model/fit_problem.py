@@ -1,4 +1,4 @@
-"""What is wanted of a cover, and the minimax problem that follows: weights of faces and points, cost of every ball."""
+"""Specification of a sphere cover, and the resulting minimax problem: weights of faces and points, cost of spheres."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkCoverSpec:
-    """What is wanted for one link: its collision `mesh`, how many `balls`, and where a bulge hurts more or less.
+    """Specification of the cover of one link: its collision `mesh`, the number of spheres, and weights of the excess.
 
-    `faces`: (outward direction, weight) for faces whose normal lies within 37 degrees of it. `zones`: (axis, from [m],
-    to [m], weight) for surface points in that slab. `placed`: (centre, radius) of balls put by hand and
-    counted in `balls`; the others are fitted around them.
+    `weighted_faces`: (outward direction, weight) for faces whose normal is within 37° of the direction.
+    `weighted_slabs`: (axis, lower [m], upper [m], weight) for surface points between both planes. `fixed_spheres`:
+    (centre, radius) [m] of spheres placed by hand, which count in `n_spheres`; the others are fitted in addition.
     """
 
     mesh: str
@@ -47,7 +47,7 @@ class LinkCoverSpec:
 
 @dataclass(frozen=True, slots=True)
 class FitProblem:
-    """One start: the solid with its face weights (k,), surface points (p, 3) with theirs (p,)."""
+    """The fit of one start: the solid with its face weights (k,), and surface points (p, 3) with their weights (p,)."""
 
     solid: Polytope
     face_weights: Array
@@ -55,20 +55,20 @@ class FitProblem:
     point_weights: Array
 
     def weighted_excess(self, centres: Array) -> Array:
-        """Weighted bulge (p, b) that ball b has when it just reaches point p."""
-        reach = np.linalg.norm(self.points[:, None] - centres[None], axis=2)
+        """Weighted excess (p, b) [m] of the sphere at centre b whose radius just reaches point p."""
+        radius = np.linalg.norm(self.points[:, None] - centres[None], axis=2)
         slack = self.solid.slack(centres)
-        cost = np.full_like(reach, -np.inf)
+        excess = np.full_like(radius, -np.inf)
         for weight in np.unique(self.face_weights):
             depth = np.min(slack[:, self.face_weights == weight], axis=1)
-            cost = np.maximum(cost, weight * (reach - depth))
-        return self.point_weights[:, None] * cost
+            excess = np.maximum(excess, weight * (radius - depth))
+        return self.point_weights[:, None] * excess
 
 
 def make_fit_problem(
     mesh: Mesh, spec: LinkCoverSpec, fixed: SphereSet, n_samples: int, rng: np.random.Generator
 ) -> FitProblem:
-    """The fit on the mesh's corners and `count` random surface points, less those that `placed` balls cover."""
+    """The fit on the vertices and `n_samples` random surface points of `mesh` that the `fixed` spheres do not cover."""
     solid = convex_hull(mesh)
     points = np.vstack([mesh.vertices, sample_surface(mesh, n_samples, rng)])
     points = points[~are_covered(points, fixed)]

@@ -1,4 +1,4 @@
-"""Convex solids as intersections of half-spaces, and points on the surface of a mesh."""
+"""Convex solids as intersections of half-spaces, and random points on the surface of a mesh."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dualbrain.robots.optional_imports import import_optional
 Array = NDArray[np.float64]
 
 CONVEX_TOLERANCE = 1e-3
-"""A mesh counts as convex when no face lies deeper than this [m] inside its hull."""
+"""Largest depth [m] of a face inside the hull of a mesh that counts as convex."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,19 +29,19 @@ class Polytope:
         return self.offsets - points @ self.normals.T
 
     def depth(self, points: Array) -> Array:
-        """How deep each point lies inside [m], (p,); negative outside (then a lower bound of minus the distance).
+        """Depth of each point inside the solid [m], (p,); outside it is negative and at least minus the distance.
 
-        For c inside, the ball (c, r) reaches exactly r - depth(c) beyond the solid: at least, because the nearest face
-        is a supporting plane; at most, because the distance to a solid is 1-Lipschitz.
+        For c inside, the sphere (c, r) extends exactly r - depth(c) beyond the solid: at least, because the nearest
+        face is a supporting plane; at most, because the distance to a solid is 1-Lipschitz.
         """
         return np.min(self.slack(points), axis=1)
 
 
 def convex_hull(mesh: Mesh) -> Polytope:
-    """Hull of `mesh`, equal face planes merged.
+    """The convex hull of `mesh`, with equal face planes merged.
 
     Raises:
-        InvalidSetup: the mesh is not convex to within `CONVEX_TOLERANCE`, so a hull would not describe it.
+        ConfigurationError: The mesh is not convex to within `CONVEX_TOLERANCE`, so its hull does not describe it.
     """
     hull = import_optional("scipy.spatial").ConvexHull(mesh.vertices)
     planes = np.unique(np.round(np.asarray(hull.equations, dtype=np.float64), 9), axis=0)
@@ -52,13 +52,13 @@ def convex_hull(mesh: Mesh) -> Polytope:
             "collision mesh",
             got=f"a face {deepest * 1e3:.1f} mm inside its own hull",
             allowed=f"convex to {CONVEX_TOLERANCE * 1e3:.1f} mm",
-            fix="Split it into convex parts first.",
+            fix="Split the mesh into convex parts first.",
         )
     return polytope
 
 
 def sample_surface(mesh: Mesh, n_samples: int, rng: np.random.Generator) -> Array:
-    """`count` points (count, 3) spread uniformly by area over the surface of `mesh`."""
+    """Random points (n_samples, 3) on the surface of `mesh`, uniform by area."""
     faces = rng.choice(len(mesh.faces), size=n_samples, p=mesh.areas / mesh.areas.sum())
     a, b, c = np.moveaxis(mesh.triangles[faces], 1, 0)
     s, t = np.sqrt(rng.random((n_samples, 1))), rng.random((n_samples, 1))

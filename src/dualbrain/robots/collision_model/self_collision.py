@@ -1,6 +1,6 @@
-"""Which pairs of links the filter keeps apart, and an honest reason for each pair that it does not.
+"""Choice of the self-collision pairs of a packaged robot, with a reason for every excluded pair.
 
-Generator only: the small numpy kinematics here makes data and never runs beside the kernel's.
+The numpy kinematics of this module generates data only; at run time the kinematics of the kernel is used.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dualbrain.robots.model import Joint, Link, SelfCollisionPairs
 Array = NDArray[np.float64]
 
 MIN_EXCLUDED_CLEARANCE = 0.030
-"""A pair that stays farther apart than this [m] in all sampled configurations needs no row."""
+"""A pair whose clearance is above this [m] in all sampled configurations is excluded."""
 
 
 def unit_quaternion_to_matrix(quaternion: tuple[float, float, float, float]) -> Array:
@@ -32,27 +32,27 @@ def unit_quaternion_to_matrix(quaternion: tuple[float, float, float, float]) -> 
 
 
 def chain_frames(joints: tuple[Joint, ...], q: Array) -> tuple[Array, Array]:
-    """Chain frames of a batch of configurations q (m, n): rotations (m, n + 1, 3, 3), origins (m, n + 1, 3).
+    """Chain frames of a batch of configurations q (m, n): rotations (m, n + 1, 3, 3), origins (m, n + 1, 3) [m].
 
-    T_i = T_(i-1) [R_i t_i; 0 1] Rot_z(q_i), or Trans_z(q_i) of a prismatic joint; frame 0 is the base.
+    T_i = T_(i-1) [R_i t_i; 0 1] Rot_z(q_i), with Trans_z(q_i) for a prismatic joint; frame 0 is the base.
     """
     m, n = q.shape
     turns, origins = np.empty((m, n + 1, 3, 3)), np.zeros((m, n + 1, 3))
     turns[:, 0] = np.eye(3)
     for i, joint in enumerate(joints):
-        slides = joint.kind == "prismatic"
-        angle, zero = np.zeros(m) if slides else q[:, i], np.zeros(m)
+        prismatic = joint.kind == "prismatic"
+        angle, zero = np.zeros(m) if prismatic else q[:, i], np.zeros(m)
         c, s = np.cos(angle), np.sin(angle)
         about_z = np.stack([c, -s, zero, s, c, zero, zero, zero, zero + 1], axis=1).reshape(m, 3, 3)
         origins[:, i + 1] = origins[:, i] + turns[:, i] @ np.array(joint.translation)
         turns[:, i + 1] = turns[:, i] @ unit_quaternion_to_matrix(joint.quaternion) @ about_z
-        if slides:
+        if prismatic:
             origins[:, i + 1] += q[:, i, None] * turns[:, i + 1, :, 2]
     return turns, origins
 
 
 def sphere_centres(link: Link, centres: Array, turns: Array, origins: Array, opening: float) -> Array:
-    """World positions (m, b, 3) of ball centres (b, 3) given in the frame of `link`, at finger `opening` [m]."""
+    """World positions (m, b, 3) of sphere centres (b, 3) given in the frame of `link`, at finger `opening` [m]."""
     local = (centres + opening * np.array(link.slide)) @ unit_quaternion_to_matrix(link.quaternion).T + np.array(
         link.translation
     )
@@ -60,14 +60,14 @@ def sphere_centres(link: Link, centres: Array, turns: Array, origins: Array, ope
 
 
 def link_clearance(a: Array, b: Array, radii_a: Array, radii_b: Array) -> Array:
-    """Smallest gap [m] between two placed sets of balls, (m,); negative where they overlap."""
-    square = np.sum(a**2, axis=2)[:, :, None] + np.sum(b**2, axis=2)[:, None] - 2 * a @ b.transpose(0, 2, 1)
-    gaps = np.sqrt(np.maximum(square, 0)) - (radii_a[:, None] + radii_b[None])
+    """Smallest gap [m] between two sets of spheres with world centres (m, b, 3), (m,); negative for an overlap."""
+    squared = np.sum(a**2, axis=2)[:, :, None] + np.sum(b**2, axis=2)[:, None] - 2 * a @ b.transpose(0, 2, 1)
+    gaps = np.sqrt(np.maximum(squared, 0)) - (radii_a[:, None] + radii_b[None])
     return np.min(gaps, axis=(1, 2))
 
 
 def random_configurations(joints: tuple[Joint, ...], n_samples: int, rng: np.random.Generator) -> Array:
-    """`count` configurations, uniform within the joint limits, (count, n) [rad]."""
+    """Random configurations (n_samples, n), uniform within the joint limits [rad, m]."""
     low = np.array([joint.lower.value for joint in joints])
     high = np.array([joint.upper.value for joint in joints])
     return low + (high - low) * rng.random((n_samples, len(joints)))
@@ -80,16 +80,18 @@ def min_clearances(
     q: Array,
     openings: tuple[float, ...],
 ) -> dict[tuple[str, str], float]:
-    """Smallest gap [m] of every pair of links over configurations q (m, n) and finger openings [m]."""
-    least = {(a.name, b.name): np.inf for a, b in combinations(links, 2)}
+    """Smallest gap [m] of every pair of links over configurations q (m, n) and finger `openings` [m]."""
+    clearances = {(a.name, b.name): np.inf for a, b in combinations(links, 2)}
     for batch in np.array_split(q, max(1, len(q) // 2000)):
         turns, origins = chain_frames(joints, batch)
         for opening in openings:
-            at = {link.name: sphere_centres(link, cover[link.name].centres, turns, origins, opening) for link in links}
-            for (a, b), before in least.items():
-                gap = link_clearance(at[a], at[b], cover[a].radii, cover[b].radii)
-                least[a, b] = min(before, float(gap.min()))
-    return least
+            centres = {
+                link.name: sphere_centres(link, cover[link.name].centres, turns, origins, opening) for link in links
+            }
+            for (a, b), previous in clearances.items():
+                gap = link_clearance(centres[a], centres[b], cover[a].radii, cover[b].radii)
+                clearances[a, b] = min(previous, float(gap.min()))
+    return clearances
 
 
 def choose_pairs(
@@ -102,15 +104,16 @@ def choose_pairs(
     rng: np.random.Generator,
     opening: float,
 ) -> SelfCollisionPairs:
-    """Keeps every pair of links that is neither adjacent, nor `stated` as allowed, nor measured to stay apart.
+    """Keep every pair of links that is neither adjacent, nor in `allowed_by_design`, nor always clear of each other.
 
-    Two links are adjacent when they ride on the same or on consecutive chain frames. The measured reason carries the
-    smallest gap over `count` random configurations with the fingers closed and open by `opening` [m] each.
+    Two links are adjacent if they are attached to the same or to consecutive chain frames. A pair is always clear if
+    its smallest gap over `n_samples` random configurations, with the fingers closed and open by `opening` [m] each, is
+    above `MIN_EXCLUDED_CLEARANCE`; its reason contains that gap.
     """
-    least = min_clearances(joints, links, cover, random_configurations(joints, n_samples, rng), (0.0, opening))
+    q = random_configurations(joints, n_samples, rng)
     kept: list[tuple[str, str]] = []
     allowed: list[tuple[str, str, str]] = []
-    for (a, b), gap in least.items():
+    for (a, b), gap in min_clearances(joints, links, cover, q, (0.0, opening)).items():
         first, second = (next(link for link in links if link.name == name) for name in (a, b))
         reason = allowed_by_design.get((a, b), "adjacent" if abs(first.frame - second.frame) <= 1 else "")
         if not reason and gap > MIN_EXCLUDED_CLEARANCE:

@@ -1,9 +1,9 @@
-"""Which pairs of links are kept apart, where nobody has looked at the robot beforehand.
+"""Automatic choice of the self-collision pairs of an imported robot.
 
-A pair is left out only with its reason: links on the same or on consecutive frames; spheres that never came near in all
-samples; links a joint or two apart whose spheres overlap but whose shapes stay apart over a whole grid of the joints
-between them (their relative pose depends on nothing else); and spheres that overlap wherever the joints stand, so that
-no control could part them. All others are kept.
+A pair is excluded only for one of these reasons, which is recorded: the links are on the same or on consecutive frames;
+the spheres are far apart in all samples; the links are two or three joints apart and their spheres overlap, but their
+shapes are apart on a grid of the joints between them (on which alone their relative pose depends); or the spheres
+overlap in practically all configurations, so that no control could separate them. All other pairs are kept.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ from dualbrain.robots.optional_imports import import_optional
 Array = NDArray[np.float64]
 
 GRID_POINTS = {2: 24, 3: 10}
-"""Pairs with so many joints between them are looked at shape by shape, at so many values of each joint."""
+"""Grid points per joint for the comparison of shapes, by the number of joints between the links of a pair."""
 MIN_SHAPE_CLEARANCE = 0.008
-"""Shapes that stay this far apart [m] over the grid need no row."""
+"""Clearance of the shapes [m] on the whole grid above which a pair is excluded."""
 ALWAYS_OVERLAPPING_SHARE = 0.98
-"""Share of configurations in which spheres must overlap to count as always overlapping."""
+"""Share of configurations above which overlapping spheres count as always overlapping."""
 MIN_KEPT_CLEARANCE = 0.02
-"""A kept pair that is nowhere farther apart than this [m] is pressed: its spheres leave the robot no room to move."""
+"""A kept pair that is nowhere farther apart than this [m] is congested: its spheres leave no room to move."""
 
 
 @dataclass(frozen=True, slots=True)
 class SampledPairs:
-    """Every pair, kept or with its reason, and the links of kept pairs that are pressed."""
+    """All pairs, kept or excluded with the reason, and the links of congested pairs."""
 
     pairs: SelfCollisionPairs
     congested_links: frozenset[str]
@@ -55,13 +55,12 @@ def sample_pairs(
     n_samples: int,
     rng: np.random.Generator,
 ) -> SampledPairs:
-    """Every pair, looked at in `count` random postures; `surfaces` are points (p, 3) on each link, in its frame."""
+    """The choice over `n_samples` random postures; `surfaces` are points (p, 3) on each link, in the link frame."""
     q = random_configurations(joints, n_samples, rng)
-    gaps = _gaps(joints, links, cover, q)
     kept: list[tuple[str, str]] = []
     allowed: list[tuple[str, str, str]] = []
-    pressed: set[str] = set()
-    for (a, b), gap in gaps.items():
+    congested: set[str] = set()
+    for (a, b), gap in _gaps(joints, links, cover, q).items():
         reason = _exclusion_reason(a, b, gap, n_samples) or _shape_clearance_reason(joints, a, b, gap, surfaces)
         if not reason and float(np.mean(gap < 0.0)) > ALWAYS_OVERLAPPING_SHARE:
             deepest = -float(gap.max()) * 1e3
@@ -70,67 +69,68 @@ def sample_pairs(
             allowed.append((a.name, b.name, reason))
         else:
             kept.append((a.name, b.name))
-            pressed |= {a.name, b.name} if gap.max() < MIN_KEPT_CLEARANCE else set()
-    return SampledPairs(SelfCollisionPairs(tuple(kept), tuple(allowed)), frozenset(pressed))
+            congested |= {a.name, b.name} if gap.max() < MIN_KEPT_CLEARANCE else set()
+    return SampledPairs(SelfCollisionPairs(tuple(kept), tuple(allowed)), frozenset(congested))
 
 
 def _gaps(
     joints: tuple[Joint, ...], links: tuple[Link, ...], cover: Mapping[str, SphereSet], q: Array
 ) -> dict[tuple[Link, Link], Array]:
-    """Gap [m] of every pair of links that have spheres, at every configuration."""
+    """Gap (m,) [m] of every pair of links with spheres at configurations q (m, n); 0 for adjacent links."""
     covered = [link for link in links if len(cover[link.name].radii)]
     found: dict[tuple[Link, Link], list[Array]] = {pair: [] for pair in combinations(covered, 2)}
     for batch in np.array_split(q, max(1, len(q) // 1000)):
         turns, origins = chain_frames(joints, batch)
-        at = {link: sphere_centres(link, cover[link.name].centres, turns, origins, 0.0) for link in covered}
+        centres = {link: sphere_centres(link, cover[link.name].centres, turns, origins, 0.0) for link in covered}
         for (a, b), gaps in found.items():
-            near = abs(a.frame - b.frame) <= 1
-            gaps.append(
-                np.zeros(len(batch)) if near else link_clearance(at[a], at[b], cover[a.name].radii, cover[b.name].radii)
-            )
+            if abs(a.frame - b.frame) <= 1:
+                gaps.append(np.zeros(len(batch)))
+            else:
+                gaps.append(link_clearance(centres[a], centres[b], cover[a.name].radii, cover[b.name].radii))
     return {pair: np.concatenate(gaps) for pair, gaps in found.items()}
 
 
-def _exclusion_reason(a: Link, b: Link, gap: Array, count: int) -> str:
+def _exclusion_reason(a: Link, b: Link, gap: Array, n_samples: int) -> str:
+    """The reason for excluding a pair by its frames or its sampled gaps (m,) [m]; "" if there is none."""
     if a.frame == b.frame:
         return "rigidly connected"
     if abs(a.frame - b.frame) == 1:
         return "adjacent"
     if gap.min() > MIN_EXCLUDED_CLEARANCE:
-        return f"never closer than {gap.min() * 1e3:.0f} mm in {count} random configurations"
+        return f"never closer than {gap.min() * 1e3:.0f} mm in {n_samples} random configurations"
     return ""
 
 
 def _shape_clearance_reason(
     joints: tuple[Joint, ...], a: Link, b: Link, gap: Array, surfaces: Mapping[str, Array]
 ) -> str:
-    """The reason why overlapping spheres of near links are no danger, or nothing."""
+    """The reason for excluding a pair whose spheres overlap but whose shapes do not; "" if there is none."""
     first, second = sorted((a, b), key=lambda link: link.frame)
-    between = second.frame - first.frame
-    if between not in GRID_POINTS or gap.min() > 0.0:
+    n_joints = second.frame - first.frame
+    if n_joints not in GRID_POINTS or gap.min() > 0.0:
         return ""
-    middle = joints[first.frame : second.frame]
-    axes = [np.linspace(*_range(joint), GRID_POINTS[between]) for joint in middle]
-    q = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, between)
-    turns, origins = chain_frames(middle, q)
+    between = joints[first.frame : second.frame]
+    axes = [np.linspace(*_range(joint), GRID_POINTS[n_joints]) for joint in between]
+    q = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, n_joints)
+    turns, origins = chain_frames(between, q)
     tree = import_optional("scipy.spatial").cKDTree(_points_in_chain_frame(first, surfaces[first.name]))
-    local, least = _points_in_chain_frame(second, surfaces[second.name]), np.inf
+    points, clearance = _points_in_chain_frame(second, surfaces[second.name]), np.inf
     for turn, origin in zip(turns[:, -1], origins[:, -1], strict=True):
-        least = min(least, float(tree.query(local @ turn.T + origin)[0].min()))
-        if least < MIN_SHAPE_CLEARANCE:
+        clearance = min(clearance, float(tree.query(points @ turn.T + origin)[0].min()))
+        if clearance < MIN_SHAPE_CLEARANCE:
             return ""
-    names = ", ".join(joint.name for joint in middle)
-    return f"shapes stay {least * 1e3:.0f} mm apart on a grid of {len(q)} positions of {names} (spheres overlap)"
+    names = ", ".join(joint.name for joint in between)
+    return f"shapes stay {clearance * 1e3:.0f} mm apart on a grid of {len(q)} positions of {names} (spheres overlap)"
 
 
 def _range(joint: Joint) -> tuple[float, float]:
-    """The joint's range, of a turn no more than once around."""
+    """The range of the joint [rad or m]; of a revolute joint at most one turn."""
     low, high = joint.lower.value, joint.upper.value
     return (-np.pi, np.pi) if joint.kind == "revolute" and high - low > 2.0 * np.pi else (low, high)
 
 
 def _points_in_chain_frame(link: Link, points: Array) -> Array:
-    """Points of `link` in the chain frame it rides on."""
+    """Points (p, 3) of `link` in the chain frame to which it is attached."""
     turns, origins = np.eye(3)[None, None], np.zeros((1, 1, 3))
     return sphere_centres(
         Link(name="", frame=0, group="", translation=link.translation, quaternion=link.quaternion),

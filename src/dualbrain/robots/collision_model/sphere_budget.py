@@ -1,11 +1,11 @@
-"""Balls for a whole robot from one budget: the same bulge everywhere, more balls where the shape asks for them.
+"""Sphere cover of a whole robot within one budget of spheres: the same maximum excess for all convex parts.
 
-For a bulge bar E a greedy set cover says how many balls each convex part needs (sphere_fit.py); E is bisected until the
-budget suffices for all parts together. Then the balls grow until every part's surface is proven covered. Measured
-afterwards, on the description's own surface and with fresh random points:
+For a maximum excess E a greedy set cover gives the number of spheres of each convex part (`sphere_fit`); E is bisected
+until the budget suffices for all parts. Then the spheres are inflated until the surface of every part is verified to be
+covered. The result is measured on the surface of the description with new random points:
 
-- coverage: share of the surface inside a ball, or enclosed by parts whose surface is proven covered;
-- excess: how far the outside of the balls stands off that surface (to its nearest sample: an upper bound).
+- coverage: share of the surface inside a sphere, or enclosed by parts whose surface is verified to be covered;
+- excess: distance of the outer surface of the spheres to the nearest sample of that surface, which is an upper bound.
 """
 
 from __future__ import annotations
@@ -29,13 +29,17 @@ Array = NDArray[np.float64]
 
 NO_SPHERES = SphereSet(np.empty((0, 3)), np.empty(0))
 MAX_FIT_PLANES = 250
+"""Maximum number of face planes of a solid in the fit."""
 BURIED_DEPTH = 1e-3
-"""Surface points of one part this deep [m] inside another part of the same link need no ball."""
+"""Depth [m] inside another part of the same link at which a surface point need not be covered."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FitEffort:
-    """How hard to try: surface `points` and `candidates` a part, bisections of the bar, `polish` by alternation."""
+    """Effort of the fit: surface points and candidate centres per part, bisections of the excess, refinement rounds.
+
+    `n_samples` is the number of surface points for the measurement of each link.
+    """
 
     n_points: int
     n_candidates: int
@@ -50,7 +54,7 @@ FULL = FitEffort(n_points=600, n_candidates=1000, n_bisections=11, n_rounds=12, 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkFit:
-    """Balls of one link and what was measured of them: shares, and lengths in metres."""
+    """Spheres of one link and their measurement: shares of the surface, and the excess in metres."""
 
     spheres: SphereSet
     n_parts: int
@@ -72,9 +76,10 @@ class _ConvexPart:
 def fit_links(
     shapes: Mapping[str, Sequence[Mesh]], weights: Mapping[str, float], budget: int, effort: FitEffort, seed: int
 ) -> dict[str, LinkFit]:
-    """At most `budget` balls over all links; a link of weight w may bulge bar/w. Links without shapes get none.
+    """At most `budget` spheres for all links, with an excess of at most E/w on a link of weight w.
 
-    Each link draws from its own generator, so that one link's change leaves the others' points alone.
+    `shapes` are the meshes of each link, in the link frame; a link without meshes gets no spheres. Each link has a
+    random generator of its own, so that a change of one link does not change the points of the others.
     """
     links = {
         name: _make_parts(meshes, effort, np.random.default_rng([seed, i]))
@@ -88,26 +93,25 @@ def fit_links(
 
 
 def _make_parts(meshes: Sequence[Mesh], effort: FitEffort, rng: np.random.Generator) -> list[_ConvexPart]:
-    """Convex parts of a link with their fit problems, without what other parts bury."""
+    """Convex parts of a link with their fit problems, without surface points deep inside other parts."""
     hulls = [part for mesh in meshes for part in decompose_convex(mesh)]
     solids = [convex_hull(hull) for hull in hulls]
     made: list[_ConvexPart] = []
     for i, (hull, solid) in enumerate(zip(hulls, solids, strict=True)):
-        every = hull.vertices[:: len(hull.vertices) // effort.n_points + 1]
-        every = np.vstack([every, sample_surface(hull, effort.n_points, rng)])
-        buried = np.zeros(len(every), dtype=bool)
+        candidates = hull.vertices[:: len(hull.vertices) // effort.n_points + 1]
+        candidates = np.vstack([candidates, sample_surface(hull, effort.n_points, rng)])
+        buried = np.zeros(len(candidates), dtype=bool)
         for j, other in enumerate(solids):
             if j != i:
-                buried |= other.depth(every) > (BURIED_DEPTH if j > i else BURIED_DEPTH / 2)
+                buried |= other.depth(candidates) > (BURIED_DEPTH if j > i else BURIED_DEPTH / 2)
         if buried.all():
             continue
-        points, coarse = every[~buried], _coarsen(solid)
-        alike = np.ones(len(coarse.normals))
+        points, coarse = candidates[~buried], _coarsen(solid)
         made.append(
             _ConvexPart(
                 solid,
                 hull,
-                FitProblem(coarse, alike, points, np.ones(len(points))),
+                FitProblem(coarse, np.ones(len(coarse.normals)), points, np.ones(len(points))),
                 _sample_interior(hull, effort.n_candidates, rng),
             )
         )
@@ -115,7 +119,7 @@ def _make_parts(meshes: Sequence[Mesh], effort: FitEffort, rng: np.random.Genera
 
 
 def _coarsen(solid: Polytope) -> Polytope:
-    """About `PLANES` of the solid's planes, one a direction: by these the fit weighs bulges; nothing is proven so."""
+    """About `MAX_FIT_PLANES` planes of `solid`, one per direction, for the fit only; verification uses all planes."""
     if len(solid.normals) <= MAX_FIT_PLANES:
         return solid
     directions: Array = np.asarray(np.round(solid.normals / np.sqrt(12.0 / MAX_FIT_PLANES)), float)
@@ -123,102 +127,104 @@ def _coarsen(solid: Polytope) -> Polytope:
     return Polytope(solid.normals[kept], solid.offsets[kept])
 
 
-def _sample_interior(hull: Mesh, count: int, rng: np.random.Generator) -> Array:
-    """Random points (count, 3) inside a convex mesh: means of its surface points."""
-    points = sample_surface(hull, 3 * count, rng)
-    return np.einsum("csd,cs->cd", points.reshape(count, 3, 3), rng.dirichlet(np.ones(3), size=count))
+def _sample_interior(hull: Mesh, n_samples: int, rng: np.random.Generator) -> Array:
+    """Random points (n_samples, 3) inside a convex mesh, as weighted means of three surface points."""
+    points = sample_surface(hull, 3 * n_samples, rng)
+    return np.einsum("csd,cs->cd", points.reshape(n_samples, 3, 3), rng.dirichlet(np.ones(3), size=n_samples))
 
 
 def _allocate_budget(
     links: Mapping[str, list[_ConvexPart]], weights: Mapping[str, float], budget: int, effort: FitEffort
 ) -> dict[str, list[Array]]:
-    """Centres of each part at the least bulge bar for which the budget suffices."""
-    every = [part for parts in links.values() for part in parts]
-    size = max((float(np.max(np.ptp(part.mesh.vertices, axis=0))) for part in every), default=0.0)
+    """Sphere centres of each part at the least maximum excess for which the budget suffices."""
+    all_parts = [part for parts in links.values() for part in parts]
+    size = max((float(np.max(np.ptp(part.mesh.vertices, axis=0))) for part in all_parts), default=0.0)
     low, high = 0.0, size * max(weights.values(), default=1.0)
 
-    def at(bar: float) -> dict[str, list[Array]]:
+    def cover(max_excess: float) -> dict[str, list[Array]]:
         return {
-            name: [greedy_cover_centres(part.problem, bar / weights[name], part.interior_points) for part in parts]
+            name: [
+                greedy_cover_centres(part.problem, max_excess / weights[name], part.interior_points) for part in parts
+            ]
             for name, parts in links.items()
         }
 
-    best = at(high)
+    best = cover(high)
     for _ in range(effort.n_bisections):
-        bar = 0.5 * (low + high)
-        found = at(bar)
+        max_excess = 0.5 * (low + high)
+        found = cover(max_excess)
         if sum(len(centres) for parts in found.values() for centres in parts) <= budget:
-            high, best = bar, found
+            high, best = max_excess, found
         else:
-            low = bar
+            low = max_excess
     return best
 
 
 def _finish_link(
     meshes: Sequence[Mesh], parts: list[_ConvexPart], centres: list[Array], effort: FitEffort, rng: np.random.Generator
 ) -> LinkFit:
-    """Polish, grow until proven, measure."""
+    """Refine the centres, inflate the spheres until the cover is verified, and measure the result."""
     if not parts:
         return LinkFit(
             spheres=NO_SPHERES, n_parts=0, share_inside_spheres=1.0, coverage=1.0, mean=0.0, p95=0.0, worst=0.0
         )
     made: list[SphereSet] = []
-    for part, start in zip(parts, centres, strict=True):
-        moved = refine_centres(part.problem, start, effort.n_rounds) if effort.n_rounds else start
-        made.append(fit_radii(part.problem, moved))
+    for part, initial in zip(parts, centres, strict=True):
+        refined = refine_centres(part.problem, initial, effort.n_rounds) if effort.n_rounds else initial
+        made.append(fit_radii(part.problem, refined))
     for i, part in enumerate(parts):
         others = _concatenate(made[:i] + made[i + 1 :])
         rounded = SphereSet(np.round(made[i].centres, 5), made[i].radii)
-        grown = np.ceil((made[i].radii + _inflation_for_part(part, parts, others, rounded)) * 1e5 - 1e-9) / 1e5
-        made[i] = SphereSet(rounded.centres, grown)
+        inflated = np.ceil((made[i].radii + _inflation_for_part(part, parts, others, rounded)) * 1e5 - 1e-9) / 1e5
+        made[i] = SphereSet(rounded.centres, inflated)
     return _measure_fit(concatenate_meshes(list(meshes)), parts, _concatenate(made), effort, rng)
 
 
-def _inflation_for_part(part: _ConvexPart, parts: list[_ConvexPart], others: SphereSet, own: SphereSet) -> float:
-    """How much `own` must grow to prove the cover of this part's faces, those buried in another part excepted."""
+def _inflation_for_part(part: _ConvexPart, parts: list[_ConvexPart], others: SphereSet, fitted: SphereSet) -> float:
+    """Increase [m] of the `fitted` radii with which the faces of `part` that no other part buries are covered."""
     buried = np.zeros(len(part.mesh.faces), dtype=bool)
     for other in parts:
         if other is not part:
             depth = other.solid.depth(part.mesh.vertices)
             buried |= np.all(depth[part.mesh.faces] > BURIED_DEPTH, axis=1)
-    return required_inflation(Mesh(part.mesh.vertices, part.mesh.faces[~buried]), others, own)
+    return required_inflation(Mesh(part.mesh.vertices, part.mesh.faces[~buried]), others, fitted)
 
 
-def _concatenate(balls: Sequence[SphereSet]) -> SphereSet:
-    if not balls:
+def _concatenate(sets: Sequence[SphereSet]) -> SphereSet:
+    if not sets:
         return NO_SPHERES
-    return SphereSet(np.vstack([one.centres for one in balls]), np.concatenate([one.radii for one in balls]))
+    return SphereSet(np.vstack([one.centres for one in sets]), np.concatenate([one.radii for one in sets]))
 
 
 def _measure_fit(
-    surface: Mesh, parts: list[_ConvexPart], balls: SphereSet, effort: FitEffort, rng: np.random.Generator
+    surface: Mesh, parts: list[_ConvexPart], spheres: SphereSet, effort: FitEffort, rng: np.random.Generator
 ) -> LinkFit:
-    """Coverage and excess against the description's own surface."""
+    """Coverage and excess of `spheres` against the surface of the description."""
     points = sample_surface(surface, effort.n_samples, rng)
-    within = are_covered(points, balls, tolerance=1e-9)
-    enclosed = within.copy()
-    if not within.all():
-        enclosed[~within] = np.any([part.solid.depth(points[~within]) > 1e-9 for part in parts], axis=0)
-    outside = sample_union_surface(balls, 3000, rng)
+    inside = are_covered(points, spheres, tolerance=1e-9)
+    enclosed = inside.copy()
+    if not inside.all():
+        enclosed[~inside] = np.any([part.solid.depth(points[~inside]) > 1e-9 for part in parts], axis=0)
+    outside = sample_union_surface(spheres, 3000, rng)
     outside = outside[np.all([part.solid.depth(outside) < 0.0 for part in parts], axis=0)]
     if len(outside) == 0:
         return LinkFit(
-            spheres=balls,
+            spheres=spheres,
             n_parts=len(parts),
-            share_inside_spheres=float(within.mean()),
+            share_inside_spheres=float(inside.mean()),
             coverage=float(enclosed.mean()),
             mean=0.0,
             p95=0.0,
             worst=0.0,
         )
-    off, _ = import_optional("scipy.spatial").cKDTree(np.vstack([points, surface.vertices])).query(outside)
-    off = np.asarray(off, float)
+    distance, _ = import_optional("scipy.spatial").cKDTree(np.vstack([points, surface.vertices])).query(outside)
+    distance = np.asarray(distance, float)
     return LinkFit(
-        spheres=balls,
+        spheres=spheres,
         n_parts=len(parts),
-        share_inside_spheres=float(within.mean()),
+        share_inside_spheres=float(inside.mean()),
         coverage=float(enclosed.mean()),
-        mean=float(off.mean()),
-        p95=float(np.quantile(off, 0.95)),
-        worst=float(off.max()),
+        mean=float(distance.mean()),
+        p95=float(np.quantile(distance, 0.95)),
+        worst=float(distance.max()),
     )

@@ -1,1 +1,1 @@
-"""Importer of URDF and MJCF descriptions: from a description file to a `RobotModel` folder."""
+"""Importer of robot descriptions: makes a robot folder with a `RobotModel` from a URDF or MJCF file."""

@@ -1,4 +1,4 @@
-"""A `Body` from a description: chain, limits, cover, pairs, home, each with its reasons beside it in a report."""
+"""Builds the `RobotModel` of an arm from its description: chain, limits, sphere cover, pairs, home posture, report."""
 
 from __future__ import annotations
 
@@ -47,18 +47,21 @@ Array = NDArray[np.float64]
 ProgressReporter = Callable[[str], None]
 
 MAX_JOINTS, MAX_SPHERES, MAX_LINKS, MAX_PAIRS = 16, 232, 31, 320
-"""The room of the widest build of the kernel (CMakeLists.txt; a test holds them equal)."""
+"""Capacity of the largest build of the kernel (CMakeLists.txt; a test compares them)."""
 N_SURFACE_POINTS = 600
-"""Points on each link's shapes by which pairs are looked at."""
+"""Number of surface points of each link for the choice of pairs."""
 COVER_WEIGHTS = {"base": 0.35, "arm": 1.0, "hand": 1.6, "fingers": 2.5}
-"""How much tighter a group is covered: a bulge of a finger costs grasps, one of the bolted base next to nothing."""
+"""Weight of the excess by link group: an excess on a finger prevents grasps, one on a fixed base hardly matters."""
 TIGHTENING_FACTOR, MAX_TIGHTENING_ROUNDS = 1.7, 3
-"""How much tighter parts are covered that press on each other, and how often."""
+"""Factor on the weights of congested links, and the maximum number of new fits."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportOptions:
-    """What the user chose: `chain` and `tool` by link names, joints to `lock`, `quick`, `spheres`, `seed`, `home`."""
+    """Options of the user: base, tip and tool links (by name, "" to choose them), locked joints, and fit settings.
+
+    `lock` maps joints to constant values [rad or m]; `home` is the home posture, found automatically if it is None.
+    """
 
     name: str = ""
     base: str = ""
@@ -73,7 +76,7 @@ class ImportOptions:
 
 @dataclass(frozen=True, slots=True)
 class ImportResult:
-    """A body, what is to be known of it, and the shapes (in link frames) that its spheres were fitted to."""
+    """A robot model, its report, and the shapes (in link frames) to which its spheres were fitted."""
 
     robot_model: RobotModel
     report: ImportReport
@@ -83,12 +86,13 @@ class ImportResult:
 def build_arm(
     tree: KinematicTree, policy: LimitPolicy, options: ImportOptions, report_progress: ProgressReporter = lambda _: None
 ) -> ImportResult:
-    """The body of one serial arm of `tree`.
+    """The robot model of one serial arm of `tree`.
 
     Raises:
-        MissingLimits: somebody must state limits first; all of them are listed.
-        InvalidSetup: the chain cannot be driven, does not fit the kernel, or has no posture free of self-collision.
-        MissingPart: a mesh or library is not there.
+        MissingLimitsError: Neither the description nor `policy` states a limit; all missing limits are listed.
+        ConfigurationError: The chain cannot be driven, exceeds the capacity of the kernel, or has no posture without
+            self-collision.
+        MissingDependencyError: A mesh file or a library does not exist.
     """
     chain = find_chain(tree, base=options.base, tip=options.tip, tool=options.tool, lock=options.lock)
     if len(chain.joints) > MAX_JOINTS:
@@ -96,21 +100,19 @@ def build_arm(
             f"joints from {chain.base} to {chain.tip}",
             got=len(chain.joints),
             allowed=f"at most {MAX_JOINTS}",
-            fix="Hold some still (--lock JOINT=VALUE) or choose a shorter --chain BASE..TIP.",
+            fix="Lock some joints (--lock JOINT=VALUE) or choose a shorter chain (--chain BASE..TIP).",
         )
     joints, period, tool_speed = _joint_limits(tree, chain, policy)
     links, shapes = rigid_parts(tree, chain)
-    report_progress(f"{len(joints)} joints, {len(shapes)} parts with shapes; fitting spheres")
+    report_progress(f"{len(joints)} joints, {len(shapes)} links with shapes; fitting spheres")
     rng = np.random.default_rng([options.seed, len(links)])
     fits, pairs = _fit_with_clearance(joints, links, shapes, options, rng, report_progress)
     cover = {link.name: fits[link.name].spheres for link in links}
     if len(pairs.kept) > MAX_PAIRS:
-        raise ConfigurationError(
-            "pairs of parts that are kept apart", got=len(pairs.kept), allowed=f"at most {MAX_PAIRS}"
-        )
+        raise ConfigurationError("kept self-collision pairs", got=len(pairs.kept), allowed=f"at most {MAX_PAIRS}")
     floor = min((float(mesh.vertices[:, 2].min()) for mesh in shapes.get(chain.base, ())), default=-np.inf)
     home = find_home_posture(joints, links, cover, pairs, options.home, floor, rng)
-    hand = detect_gripper(tree, chain, policy.robot, keep_tool=bool(options.tool))
+    detected = detect_gripper(tree, chain, policy.robot, keep_tool=bool(options.tool))
     robot_model = RobotModel(
         name=options.name or to_identifier(tree.name),
         source=tree.source,
@@ -119,8 +121,8 @@ def build_arm(
         links=links,
         spheres=collision_spheres(cover),
         self_pairs=pairs,
-        tool=_tool_frame(chain, links, hand),
-        gripper=hand.gripper if isinstance(hand, DetectedGripper) else no_gripper(hand),
+        tool=_tool_frame(chain, links, detected),
+        gripper=detected.gripper if isinstance(detected, DetectedGripper) else no_gripper(detected),
         home=home.posture,
         tracking=unidentified_tracking(),
         period=period.value,
@@ -129,8 +131,8 @@ def build_arm(
     )
     notes = [*tree.notes, f"home {home.provenance}", f"control period {period.value:g} s: {period.provenance}"]
     if chain.locked:
-        stand = ", ".join(f"{name} = {value:g}" for name, value in chain.locked.items())
-        notes.append(f"joints off the chain are taken to stand still at: {stand}")
+        values = ", ".join(f"{name} = {value:g}" for name, value in chain.locked.items())
+        notes.append(f"joints outside the chain are assumed to be fixed at: {values}")
     return ImportResult(
         robot_model,
         make_report(links, fits, tuple(notes), quick=options.quick),
@@ -141,7 +143,7 @@ def build_arm(
 def _joint_limits(
     tree: KinematicTree, chain: KinematicChain, policy: LimitPolicy
 ) -> tuple[tuple[Joint, ...], Bound, Bound]:
-    """Joints with every bound, control period and tool speed."""
+    """The joints with all bounds, the control period and the limit of the tool speed."""
     missing: list[MissingLimit] = []
     known = {joint.name for joint in tree.joints}
     for name in policy.by_joint:
@@ -175,28 +177,32 @@ def _require_bound(bound: Bound | None) -> Bound:
 
 
 def rigid_parts(tree: KinematicTree, chain: KinematicChain) -> tuple[tuple[Link, ...], dict[str, list[Mesh]]]:
-    """One link of the body for each rigid part: base, arm, what hangs on the last joint, fingers; and its shapes."""
+    """The links of the robot model (base, arm, hand, fingers), and the meshes of each link in its frame.
+
+    All links of the description that are rigidly connected form one link; all fingers together form one link.
+    """
     n = len(chain.joints)
     last = chain.joints[-1].child
     links: dict[str, Link] = {}
     meshes: dict[str, list[Mesh]] = {}
-    alone = not any(
-        rider.is_past_last_joint and not rider.is_swept and tree.links[rider.link].shapes for rider in chain.segments
+    no_hand_shapes = not any(
+        segment.is_past_last_joint and not segment.is_swept and tree.links[segment.link].shapes
+        for segment in chain.segments
     )
-    for rider in chain.segments:
-        pieces = tree.links[rider.link].shapes
-        if rider.is_swept:
+    for segment in chain.segments:
+        shapes = tree.links[segment.link].shapes
+        if segment.is_swept:
             name, group = "fingers", "fingers"
-        elif rider.frame == n and (rider.is_past_last_joint or (alone and rider.link == last)):
+        elif segment.frame == n and (segment.is_past_last_joint or (no_hand_shapes and segment.link == last)):
             name, group = ("hand", "hand")
         else:
-            name = chain.base if rider.frame == 0 else chain.joints[rider.frame - 1].child
-            group = "base" if rider.frame == 0 else "arm"
-        if rider.frame == n or pieces:
-            links.setdefault(name, Link(name=name, frame=rider.frame, group=group))
-        for piece in pieces:
-            mesh = piece.load_mesh()
-            meshes.setdefault(name, []).append(concatenate_meshes([apply_pose(mesh, pose) for pose in rider.poses]))
+            name = chain.base if segment.frame == 0 else chain.joints[segment.frame - 1].child
+            group = "base" if segment.frame == 0 else "arm"
+        if segment.frame == n or shapes:
+            links.setdefault(name, Link(name=name, frame=segment.frame, group=group))
+        for shape in shapes:
+            mesh = shape.load_mesh()
+            meshes.setdefault(name, []).append(concatenate_meshes([apply_pose(mesh, pose) for pose in segment.poses]))
     ordered = sorted(links.values(), key=lambda link: (link.frame, list(COVER_WEIGHTS).index(link.group)))
     return tuple(ordered), {link.name: meshes[link.name] for link in ordered if link.name in meshes}
 
@@ -209,29 +215,28 @@ def _fit_with_clearance(
     rng: np.random.Generator,
     report_progress: ProgressReporter,
 ) -> tuple[dict[str, LinkFit], SelfCollisionPairs]:
-    """Cover and pairs; while kept parts are pressed by their own loose spheres, these parts are covered tighter."""
+    """Sphere cover and pairs; links of congested pairs are covered again with a higher weight."""
     surfaces = {
         name: sample_surface(concatenate_meshes(meshes), N_SURFACE_POINTS, rng) for name, meshes in shapes.items()
     }
     weights = {link.name: COVER_WEIGHTS[link.group] for link in links}
 
-    def covered() -> tuple[dict[str, LinkFit], SampledPairs]:
+    def fit() -> tuple[dict[str, LinkFit], SampledPairs]:
         fits = _fit_spheres(links, shapes, weights, options)
         cover = {link.name: fits[link.name].spheres for link in links}
-        report_progress("sampling pairs of parts")
-        count = 3000 if options.quick else 20_000
-        return fits, sample_pairs(joints, links, cover, surfaces, n_samples=count, rng=rng)
+        report_progress("sampling pairs of links")
+        n_samples = 3000 if options.quick else 20_000
+        return fits, sample_pairs(joints, links, cover, surfaces, n_samples=n_samples, rng=rng)
 
-    fits, found = covered()
+    fits, sampled = fit()
     for _ in range(MAX_TIGHTENING_ROUNDS):
-        if not found.congested_links:
+        if not sampled.congested_links:
             break
-        report_progress(
-            f"spheres leave no room between {', '.join(sorted(found.congested_links))}; fitting these tighter"
-        )
-        weights |= {name: TIGHTENING_FACTOR * weights[name] for name in found.congested_links}
-        fits, found = covered()
-    return fits, found.pairs
+        names = ", ".join(sorted(sampled.congested_links))
+        report_progress(f"the spheres leave no room between {names}; fitting these links more tightly")
+        weights |= {name: TIGHTENING_FACTOR * weights[name] for name in sampled.congested_links}
+        fits, sampled = fit()
+    return fits, sampled.pairs
 
 
 def _fit_spheres(
@@ -239,31 +244,31 @@ def _fit_spheres(
 ) -> dict[str, LinkFit]:
     if len(links) > MAX_LINKS or options.sphere_budget > MAX_SPHERES:
         raise ConfigurationError(
-            "parts and spheres",
+            "links and spheres",
             got=[len(links), options.sphere_budget],
-            allowed=f"at most {MAX_LINKS} parts and {MAX_SPHERES} spheres",
+            allowed=f"at most {MAX_LINKS} links and {MAX_SPHERES} spheres",
         )
-    wanted = {link.name: shapes.get(link.name, []) for link in links}
-    return fit_links(wanted, weights, options.sphere_budget, QUICK if options.quick else FULL, options.seed)
+    meshes = {link.name: shapes.get(link.name, []) for link in links}
+    return fit_links(meshes, weights, options.sphere_budget, QUICK if options.quick else FULL, options.seed)
 
 
-def _tool_frame(chain: KinematicChain, links: tuple[Link, ...], hand: DetectedGripper | str) -> Tool:
+def _tool_frame(chain: KinematicChain, links: tuple[Link, ...], detected: DetectedGripper | str) -> Tool:
     link = next(link for link in reversed(links) if link.frame == len(chain.joints) and link.group != "fingers")
-    pose = hand.tool if isinstance(hand, DetectedGripper) else chain.tool
+    pose = detected.tool if isinstance(detected, DetectedGripper) else chain.tool
     return Tool(link.name, to_vector(pose[:3, 3]), matrix_to_quaternion(pose[:3, :3]))
 
 
 def collision_spheres(cover: Mapping[str, SphereSet]) -> tuple[CollisionSphere, ...]:
-    """The balls of every link as data, 10 µm resolution."""
+    """The spheres of every link as records, rounded to 10 µm."""
     return tuple(
         CollisionSphere(name, to_vector(centre, 5), round(float(radius), 5))
-        for name, balls in cover.items()
-        for centre, radius in zip(balls.centres, balls.radii, strict=True)
+        for name, spheres in cover.items()
+        for centre, radius in zip(spheres.centres, spheres.radii, strict=True)
     )
 
 
 def no_gripper(reason: str) -> Gripper:
-    """A hand that skills cannot use, and why."""
+    """A gripper that no skill can use, with the reason as its provenance."""
     force = Bound(0.0, "N", reason)
     return Gripper(
         opening=Bound(0.0, "m", reason), force=force, force_min=force, pad_below_tool=0.0, finger_thickness=0.0
@@ -273,7 +278,7 @@ def no_gripper(reason: str) -> Gripper:
 def make_report(
     links: tuple[Link, ...], fits: Mapping[str, LinkFit], notes: tuple[str, ...], *, quick: bool
 ) -> ImportReport:
-    """What stands beside the body."""
+    """The report of an import: one row per link with shapes, and the notes."""
     rows = tuple(
         LinkReport(
             link=link.name,
@@ -292,13 +297,13 @@ def make_report(
 
 
 def to_identifier(name: str) -> str:
-    """`name` as registries want it: [a-z][a-z0-9_]{0,31}."""
-    plain = re.sub(r"[^a-z0-9_]+", "_", name.lower()).strip("_")
-    return (plain if plain[:1].isalpha() else f"robot_{plain}".strip("_"))[:32]
+    """`name` as an identifier of a skill registry: [a-z][a-z0-9_]{0,31}."""
+    identifier = re.sub(r"[^a-z0-9_]+", "_", name.lower()).strip("_")
+    return (identifier if identifier[:1].isalpha() else f"robot_{identifier}".strip("_"))[:32]
 
 
 def to_vector(values: Array, digits: int = 12) -> Vector:
-    """Three plain floats, without negative zeros."""
+    """Three Python floats, rounded to `digits` decimals, without negative zeros."""
     x, y, z = (round(float(value), digits) + 0.0 for value in values)
     return (x, y, z)
 
@@ -307,13 +312,14 @@ NOT_IDENTIFIED = (
     "not identified: measure how its drive follows and edit `tracking` in body.json, or give "
     "FilterConfig(tracking_error=...)"
 )
+"""Provenance of a tracking-error model that was not identified; stored in robot folders."""
 
 
 def unidentified_tracking() -> TrackingErrorModel:
-    """No lag and no error, said to be unknown; inspect and doctor count it as missing."""
+    """A tracking-error model without lag and error, marked as not identified: `inspect` reports it as missing."""
     return TrackingErrorModel(lag=0.0, position_error=0.0, rate=0.0, provenance=NOT_IDENTIFIED)
 
 
 def is_identified(tracking: TrackingErrorModel) -> bool:
-    """Whether somebody measured it."""
+    """Whether `tracking` was identified by a measurement."""
     return tracking.provenance != NOT_IDENTIFIED

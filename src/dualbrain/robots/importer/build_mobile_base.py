@@ -1,7 +1,8 @@
-"""The body of a base that drives: its speeds from its wheels, its shapes with the upper parts standing still.
+"""Builds the `RobotModel` of a mobile base: speed limits from its wheels, shapes with all other joints fixed.
 
-A wheel of radius r that turns at most at ω_w moves at r ω_w, so |v| + |ω| b/2 ≤ r ω_w with the track b. The box of
-(v, ω) lies inside: the site's speed first, the rest for turning; without a word of the site, half and half.
+The rim of a wheel of radius r and maximum rate ω_w moves at most at r ω_w, so |v| + |ω| b/2 ≤ r ω_w with the track b.
+The limits of v and ω are a box within this set: the speed that the site states, and the remainder for turning; if the
+site states no speed, one half each.
 """
 
 from __future__ import annotations
@@ -42,12 +43,14 @@ def build_base(
     wheels: tuple[str, str] | None,
     report_progress: Callable[[str], None] = lambda _: None,
 ) -> ImportResult:
-    """A differential base; `wheels` are its left and right wheel joints, between which its frame then lies.
+    """The robot model of a differential-drive base.
+
+    `wheels` are the names of its left and right wheel joints; if they are given, the frame of the base is between them.
 
     Raises:
-        MissingLimits: speeds, accelerations or the control period are not stated.
-        InvalidSetup: the wheels are not a pair on one axle across the base.
-        MissingPart: a mesh or library is not there.
+        MissingLimitsError: Speeds, accelerations or the control period are not stated.
+        ConfigurationError: The wheels are not a pair on one axle across the base.
+        MissingDependencyError: A mesh file or a library does not exist.
     """
     root = tree.link(options.base).name if options.base else tree.root
     poses, locked = link_poses_at_rest(tree, root, options.lock)
@@ -58,10 +61,10 @@ def build_base(
     if missing:
         raise MissingLimitsError(tree.source, tuple(missing))
     meshes = base_meshes(tree, poses, centre)
-    report_progress(f"a base with {len(meshes)} shapes; fitting spheres")
+    report_progress(f"mobile base with {len(meshes)} shapes; fitting spheres")
     shapes = {"base": meshes}
     fits = fit_links(shapes, {"base": 1.0}, options.sphere_budget, QUICK if options.quick else FULL, options.seed)
-    plain = make_differential_base(
+    without_spheres = make_differential_base(
         options.name or f"{to_identifier(tree.name)[:27]}_base",
         (),
         speed=speed,
@@ -73,94 +76,103 @@ def build_base(
         licence=tree.licence,
     )
     spheres = collision_spheres({"base": fits["base"].spheres})
-    robot_model: RobotModel = msgspec.structs.replace(plain, source=tree.source, spheres=spheres, base_lag=0.0)
-    stand = ", ".join(f"{name} = {value:g}" for name, value in locked.items())
+    robot_model: RobotModel = msgspec.structs.replace(
+        without_spheres, source=tree.source, spheres=spheres, base_lag=0.0
+    )
+    values = ", ".join(f"{name} = {value:g}" for name, value in locked.items())
     notes = (
         *tree.notes,
         f"control period {period.value:g} s: {period.provenance}",
-        f"joints that stand still: {stand}",
+        f"joints that are assumed to be fixed: {values}",
     )
     report = make_report((Link(name="base", frame=2, group="base"),), fits, notes, quick=options.quick)
     return ImportResult(robot_model, report, {"base": concatenate_meshes(meshes)})
 
 
 def base_meshes(tree: KinematicTree, poses: Mapping[str, Array], centre: Array) -> list[Mesh]:
-    """Every shape of the robot in the frame of the base, whose axle `centre` (4, 4) brings to the origin."""
+    """All meshes of the robot in the frame of the base; `centre` (4, 4) is the transform from `find_axle`."""
     return [
-        apply_pose(piece.load_mesh(), centre @ poses[name])
+        apply_pose(shape.load_mesh(), centre @ poses[name])
         for name, link in tree.links.items()
-        for piece in link.shapes
+        for shape in link.shapes
     ]
 
 
 def find_axle(tree: KinematicTree, poses: Mapping[str, Array], wheels: tuple[str, str] | None) -> tuple[Array, float]:
-    """The pose (4, 4) that brings the axle's middle to the origin, and the track [m]; raises as `build_base`."""
+    """The transform (4, 4) that moves the centre of the axle to the origin, and the track [m].
+
+    Without `wheels` it is the identity, and the track is 0. Raises `ConfigurationError` as `build_base` does.
+    """
     centre = np.eye(4)
     if wheels is None:
         return centre, 0.0
     left, right = (tree.joint(name) for name in wheels)
-    places = [(poses[joint.parent] @ joint.pose)[:3, 3] for joint in (left, right)]
-    _check_axle(poses, left, right, places)
-    centre[:2, 3] = -0.5 * (places[0] + places[1])[:2]
-    return centre, float(np.linalg.norm(places[0] - places[1]))
+    positions = [(poses[joint.parent] @ joint.pose)[:3, 3] for joint in (left, right)]
+    _check_axle(poses, left, right, positions)
+    centre[:2, 3] = -0.5 * (positions[0] + positions[1])[:2]
+    return centre, float(np.linalg.norm(positions[0] - positions[1]))
 
 
 def _acceleration_limit(policy: LimitPolicy, missing: list[MissingLimit]) -> Bound:
-    given = policy.all_joints.get("acceleration")
-    if given is None:
+    stated = policy.all_joints.get("acceleration")
+    if stated is None:
         missing.append(MissingLimit("base", "acceleration"))
         return Bound(0.0, "m/s^2", "missing")
-    return Bound(given.value, "m/s^2", given.provenance)
+    return Bound(stated.value, "m/s^2", stated.provenance)
 
 
 def _speed_limits(
     tree: KinematicTree, poses: dict[str, Array], policy: LimitPolicy, wheels: tuple[str, str] | None
 ) -> tuple[Array, Bound, Bound, list[MissingLimit]]:
-    """The pose (4, 4) that brings the axle's middle to the origin, speed, turn rate, and what is missing."""
+    """The transform (4, 4) of `find_axle`, the limits of speed and turn rate, and the missing limits."""
     missing: list[MissingLimit] = []
     centre, track = find_axle(tree, poses, wheels)
     if wheels is None:
         speed = robot_bound("tool_speed", "m/s", policy, missing)
         return centre, speed, robot_bound("turn", "rad/s", policy, missing), missing
     left, right = (tree.joint(name) for name in wheels)
-    rims = [_wheel_radius(tree, joint) * (joint.velocity or 0.0) for joint in (left, right)]
-    rim = min(rims)
-    if not rim > 0.0:
+    rim_speed = min(_wheel_radius(tree, joint) * (joint.velocity or 0.0) for joint in (left, right))
+    if not rim_speed > 0.0:
         missing.append(MissingLimit(left.name, "velocity"))
         return centre, Bound(0.0, "m/s", ""), Bound(0.0, "rad/s", ""), missing
-    said = f"{left.source_location}: wheels reach {rim:.3g} m/s at their rims, track {track:.3g} m"
-    asked, asked_turn = policy.robot.get("tool_speed"), policy.robot.get("turn")
-    v = min(asked.value if asked else 0.5 * rim, 0.9 * rim)
-    w = (rim - v) * 2.0 / track
-    speed = Bound(v, "m/s", f"{asked.provenance if asked else 'half of it for driving'}; {said}")
-    slower = asked_turn if asked_turn and asked_turn.value < w else None
+    source = f"{left.source_location}: wheels reach {rim_speed:.3g} m/s at their rims, track {track:.3g} m"
+    stated, stated_turn = policy.robot.get("tool_speed"), policy.robot.get("turn")
+    v = min(stated.value if stated else 0.5 * rim_speed, 0.9 * rim_speed)
+    w = (rim_speed - v) * 2.0 / track
+    speed = Bound(v, "m/s", f"{stated.provenance if stated else 'half of the rim speed for driving'}; {source}")
+    slower = stated_turn if stated_turn and stated_turn.value < w else None
     turn = Bound(
-        slower.value if slower else w, "rad/s", f"{slower.provenance if slower else 'the rest for turning'}; {said}"
+        slower.value if slower else w,
+        "rad/s",
+        f"{slower.provenance if slower else 'the rest of the rim speed for turning'}; {source}",
     )
     return centre, speed, turn, missing
 
 
-def _check_axle(poses: Mapping[str, Array], left: TreeJoint, right: TreeJoint, places: list[Array]) -> None:
-    """Raise unless both wheels turn about one line across the base."""
-    across = places[0] - places[1]
+def _check_axle(poses: Mapping[str, Array], left: TreeJoint, right: TreeJoint, positions: list[Array]) -> None:
+    """Raise unless both wheels turn about one line across the base, at `positions` (3,) [m]."""
+    across = positions[0] - positions[1]
     for joint in (left, right):
         axis = (poses[joint.parent] @ joint.pose)[:3, :3] @ joint.axis
-        bent = abs(axis[1]) < 1.0 - AXIS_TOLERANCE or abs(across[0]) > AXIS_TOLERANCE or abs(across[2]) > AXIS_TOLERANCE
-        if joint.kind not in ("continuous", "revolute") or bent or across[1] <= 0.0:
+        misaligned = (
+            abs(axis[1]) < 1.0 - AXIS_TOLERANCE or abs(across[0]) > AXIS_TOLERANCE or abs(across[2]) > AXIS_TOLERANCE
+        )
+        if joint.kind not in ("continuous", "revolute") or misaligned or across[1] <= 0.0:
             raise ConfigurationError(
                 f"wheels {left.name!r} and {right.name!r} ({joint.source_location})",
-                got=[list(np.round(p, 4)) for p in places],
+                got=[list(np.round(position, 4)) for position in positions],
                 allowed="left and right of the base's x axis, turning about its y axis",
             )
 
 
 def _wheel_radius(tree: KinematicTree, joint: TreeJoint) -> float:
-    """Greatest distance [m] of the wheel's shapes from its axis."""
-    points = [piece.load_mesh().vertices for piece in tree.links[joint.child].shapes]
-    if not points:
-        raise ConfigurationError(
-            f"wheel {joint.child!r} ({joint.source_location})", got="no shape", allowed="a shape with a radius"
+    """Largest distance [m] of the shapes of the wheel on `joint` from its axis."""
+    vertices = [shape.load_mesh().vertices for shape in tree.links[joint.child].shapes]
+    if not vertices:
+        raise ConfigurationError.stating(
+            f"The wheel {joint.child!r} ({joint.source_location}) has no shape, so its radius is unknown.",
+            fix="Add a collision shape to the wheel, or state the speeds of the base without --wheels.",
         )
-    off = np.vstack(points)
-    off = off - np.outer(off @ joint.axis, joint.axis)
-    return float(np.linalg.norm(off, axis=1).max())
+    points = np.vstack(vertices)
+    radial = points - np.outer(points @ joint.axis, joint.axis)
+    return float(np.linalg.norm(radial, axis=1).max())

@@ -1,4 +1,4 @@
-"""A posture to start from: far from the robot's own parts and from joint limits."""
+"""Choice of a home posture with clearance between the links and from the joint limits."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Array = NDArray[np.float64]
 
 N_RANDOM_POSTURES = 4000
 MIN_HOME_CLEARANCE = 0.02
-"""The middle of all ranges, or zero, is taken when no pair comes nearer than this [m]."""
+"""Clearance [m] above which the zero posture, or the middle of all ranges, is chosen."""
 
 
 @dataclass(frozen=True, slots=True)
 class HomePosture:
-    """A posture (n,) and how it was found."""
+    """A posture (n,) [rad, m] and how it was found."""
 
     posture: tuple[float, ...]
     provenance: str
@@ -37,12 +37,14 @@ def find_home_posture(
     floor_height: float,
     rng: np.random.Generator,
 ) -> HomePosture:
-    """The posture that was given, else zero or mid-range if they are free, else the freest of many random ones.
+    """The requested posture; else zero or the middle of all ranges, if they are clear; else the best random posture.
 
-    Free also means above `floor` [m], the height at which the robot stands, if some posture is.
+    The clearance of a posture is that of its kept pairs and, if some posture is above the floor, its height above
+    `floor_height` [m].
 
     Raises:
-        InvalidSetup: the given one is out of range or in self-collision, or none is free.
+        ConfigurationError: The requested posture is out of range or in self-collision, or every posture is in
+            self-collision.
     """
     low, high = _joint_ranges(joints)
     if requested is not None:
@@ -54,55 +56,55 @@ def find_home_posture(
         gap = float(self_clearances(joints, links, cover, pairs, q[None])[0])
         if gap <= 0.0:
             raise ConfigurationError(
-                "home", got=f"spheres overlap by {-gap * 1e3:.0f} mm", allowed="free of self-collision"
+                "home", got=f"spheres that overlap by {-gap * 1e3:.0f} mm", allowed="a posture without self-collision"
             )
         return HomePosture(requested, f"given; nearest pair {gap * 1e3:.0f} mm apart")
     margin = 0.1 * (high - low)
-    firsts = np.clip(np.vstack([np.zeros(len(joints)), 0.5 * (low + high)]), low + margin, high - margin)
+    named = {"zero, clear of the limits": np.zeros(len(joints)), "the middle of all ranges": 0.5 * (low + high)}
+    postures = np.clip(np.vstack(list(named.values())), low + margin, high - margin)
     gaps = np.minimum(
-        self_clearances(joints, links, cover, pairs, firsts), min_heights(joints, links, cover, firsts) - floor_height
+        self_clearances(joints, links, cover, pairs, postures),
+        min_heights(joints, links, cover, postures) - floor_height,
     )
-    for q, gap, said in zip(firsts, gaps, ("zero, kept from limits", "the middle of all ranges"), strict=True):
+    for q, gap, name in zip(postures, gaps, named, strict=True):
         if gap > MIN_HOME_CLEARANCE:
-            return _make_home(q, float(gap), said)
-    tries = low + margin + (high - low - 2.0 * margin) * rng.random((N_RANDOM_POSTURES, len(joints)))
-    gaps = self_clearances(joints, links, cover, pairs, tries)
-    above = np.minimum(gaps, min_heights(joints, links, cover, tries) - floor_height)
-    gaps = above if above.max() > 0.0 else gaps
+            return _make_home(q, float(gap), name)
+    postures = low + margin + (high - low - 2.0 * margin) * rng.random((N_RANDOM_POSTURES, len(joints)))
+    gaps = self_clearances(joints, links, cover, pairs, postures)
+    above_floor = np.minimum(gaps, min_heights(joints, links, cover, postures) - floor_height)
+    gaps = above_floor if above_floor.max() > 0.0 else gaps
     best = int(np.argmax(gaps))
     if gaps[best] <= 0.0:
-        raise ConfigurationError(
-            "self-collision",
-            got=f"spheres overlap in all of {N_RANDOM_POSTURES} random postures",
-            allowed="a posture without",
+        raise ConfigurationError.stating(
+            f"The spheres of the links overlap in all of {N_RANDOM_POSTURES} random postures.",
             fix="Use more spheres (--spheres 112, without --quick) or give --home.",
         )
-    return _make_home(tries[best], float(gaps[best]), f"the freest of {N_RANDOM_POSTURES} random postures")
+    return _make_home(postures[best], float(gaps[best]), f"the clearest of {N_RANDOM_POSTURES} random postures")
 
 
-def _make_home(q: Array, gap: float, said: str) -> HomePosture:
+def _make_home(q: Array, gap: float, choice: str) -> HomePosture:
     posture = tuple(round(float(value), 4) for value in q)
-    away = "no pair to keep" if gap == np.inf else f"nearest pair {gap * 1e3:.0f} mm apart"
-    return HomePosture(posture, f"{list(posture)}: {said}; {away}")
+    clearance = "no kept pair" if gap == np.inf else f"nearest pair {gap * 1e3:.0f} mm apart"
+    return HomePosture(posture, f"{list(posture)}: {choice}; {clearance}")
 
 
 def _joint_ranges(joints: tuple[Joint, ...]) -> tuple[Array, Array]:
-    """Ranges (n,), of a turn no more than once around."""
+    """Lower and upper ends (n,) of the ranges; of a continuous joint -π and π."""
     low = np.array([joint.lower.value for joint in joints])
     high = np.array([joint.upper.value for joint in joints])
-    endless = np.array([joint.kind == "revolute" for joint in joints]) & (high - low > 4.0 * np.pi)
-    return np.where(endless, -np.pi, low), np.where(endless, np.pi, high)
+    continuous = np.array([joint.kind == "revolute" for joint in joints]) & (high - low > 4.0 * np.pi)
+    return np.where(continuous, -np.pi, low), np.where(continuous, np.pi, high)
 
 
 def min_heights(joints: tuple[Joint, ...], links: tuple[Link, ...], cover: Mapping[str, SphereSet], q: Array) -> Array:
-    """Height [m] of the lowest point of all spheres beyond the first joint's link, at postures q (m, n), (m,)."""
+    """Height (m,) [m] of the lowest point of all spheres beyond the link of the first joint, at postures q (m, n)."""
     turns, origins = chain_frames(joints, q)
     lowest = np.full(len(q), np.inf)
     for link in links:
-        balls = cover[link.name]
-        if link.frame > min(1, len(joints) - 1) and len(balls.radii):
-            placed = sphere_centres(link, balls.centres, turns, origins, 0.0)
-            lowest = np.minimum(lowest, np.min(placed[:, :, 2] - balls.radii, axis=1))
+        spheres = cover[link.name]
+        if link.frame > min(1, len(joints) - 1) and len(spheres.radii):
+            centres = sphere_centres(link, spheres.centres, turns, origins, 0.0)
+            lowest = np.minimum(lowest, np.min(centres[:, :, 2] - spheres.radii, axis=1))
     return lowest
 
 
@@ -113,12 +115,12 @@ def self_clearances(
     pairs: SelfCollisionPairs,
     q: Array,
 ) -> Array:
-    """Smallest gap [m] of all kept pairs at postures q (m, n), (m,)."""
+    """Smallest gap (m,) [m] of all kept pairs at postures q (m, n); infinite if there is no kept pair."""
     by_name = {link.name: link for link in links}
     gaps = np.full(len(q), np.inf)
     turns, origins = chain_frames(joints, q)
-    used = {name for pair in pairs.kept for name in pair}
-    at = {name: sphere_centres(by_name[name], cover[name].centres, turns, origins, 0.0) for name in used}
+    names = {name for pair in pairs.kept for name in pair}
+    centres = {name: sphere_centres(by_name[name], cover[name].centres, turns, origins, 0.0) for name in names}
     for a, b in pairs.kept:
-        gaps = np.minimum(gaps, link_clearance(at[a], at[b], cover[a].radii, cover[b].radii))
+        gaps = np.minimum(gaps, link_clearance(centres[a], centres[b], cover[a].radii, cover[b].radii))
     return gaps

@@ -1,4 +1,4 @@
-"""A robot as its description file has it: links with shapes, joints between them, and the line each was read from."""
+"""Kinematic tree of a robot description: links with shapes, and joints with limits and the line of the file."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ Array = NDArray[np.float64]
 JointKind = Literal["fixed", "revolute", "continuous", "prismatic", "planar", "floating"]
 
 MOVABLE_JOINT_KINDS: tuple[JointKind, ...] = ("revolute", "continuous", "prismatic")
-"""Kinds of joint that one control drives."""
+"""Kinds of joint that a single control can drive."""
 
 
 @dataclass(frozen=True, slots=True)
 class LinkShape:
-    """One shape of a link; `load` reads its mesh, in metres in the link's frame. `what` names it for people."""
+    """One shape of a link: a `label` for messages, and a function that loads its mesh, in metres in the link frame."""
 
     label: str
     load_mesh: Callable[[], Mesh]
@@ -29,7 +29,7 @@ class LinkShape:
 
 @dataclass(frozen=True, slots=True)
 class TreeLink:
-    """A rigid part: the shapes it collides with. `drawn` says that these are the visual ones, for want of others."""
+    """A rigid link with its collision shapes, or its visual shapes if it has no others (`uses_visual_shapes`)."""
 
     name: str
     shapes: tuple[LinkShape, ...] = ()
@@ -38,7 +38,7 @@ class TreeLink:
 
 @dataclass(frozen=True, slots=True)
 class Mimic:
-    """A joint that follows another: q = multiplier × q_of + offset."""
+    """The rule of a joint that follows another joint, its leader: q = multiplier × q_leader + offset."""
 
     leader: str
     multiplier: float
@@ -47,9 +47,10 @@ class Mimic:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TreeJoint:
-    """A joint: `pose` (4, 4) of its frame in the parent link, `axis` (3,) in that frame.
+    """A joint: `pose` (4, 4) of its frame in the parent link, unit `axis` (3,) in that frame.
 
-    Limits are None where the file says nothing; `where` is the file and line, for provenance.
+    A limit is None if the file does not state it; limits are in rad, rad/s, rad/s² and rad/s³ (prismatic joints in m),
+    the effort in N m or N. `source_location` is file and line, for the provenance.
     """
 
     name: str
@@ -79,7 +80,7 @@ class TreeJoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KinematicTree:
-    """The whole description. `notes` are things that a person should know about how it was read."""
+    """All links and joints of a description. `notes` are remarks of the reader for the user."""
 
     name: str
     source: str
@@ -89,13 +90,13 @@ class KinematicTree:
     notes: tuple[str, ...] = ()
 
     def link(self, name: str) -> TreeLink:
-        """The link called `name`; raises `UnknownName`."""
+        """The link called `name`; raises `UnknownNameError`."""
         if name not in self.links:
             raise UnknownNameError("link", name, tuple(self.links), owner=self.source)
         return self.links[name]
 
     def joint(self, name: str) -> TreeJoint:
-        """The joint called `name`; raises `UnknownName`."""
+        """The joint called `name`; raises `UnknownNameError`."""
         for joint in self.joints:
             if joint.name == name:
                 return joint
@@ -103,30 +104,32 @@ class KinematicTree:
 
     @property
     def root(self) -> str:
-        """The one link that is nobody's child."""
+        """The link that is not the child of any joint."""
         children = {joint.child for joint in self.joints}
         return next(name for name in self.links if name not in children)
 
     def validate(self) -> KinematicTree:
-        """This tree, if it is one.
+        """This tree.
 
         Raises:
-            InvalidSetup: a joint names a link that is not there, a link has two parents, or there is not one root.
+            ConfigurationError: A joint names a link that does not exist, a link has two parents, or there is not
+                exactly one root.
         """
-        children: dict[str, str] = {}
+        parent_joints: dict[str, str] = {}
         for joint in self.joints:
-            for end in (joint.parent, joint.child):
-                if end not in self.links:
+            for link in (joint.parent, joint.child):
+                if link not in self.links:
                     raise ConfigurationError(
-                        f"link of {joint.name!r} ({joint.source_location})", got=end, allowed="a link of the file"
+                        f"link of {joint.name!r} ({joint.source_location})", got=link, allowed="a link of the file"
                     )
-            if joint.child in children:
-                got = f"child of {children[joint.child]!r} and {joint.name!r}"
-                raise ConfigurationError(
-                    f"link {joint.child!r} ({joint.source_location})", got=got, allowed="one parent each"
+            if joint.child in parent_joints:
+                raise ConfigurationError.stating(
+                    f"Link {joint.child!r} ({joint.source_location}) is the child of the joints "
+                    f"{parent_joints[joint.child]!r} and {joint.name!r}.",
+                    fix="Give each link one parent.",
                 )
-            children[joint.child] = joint.name
-        roots = [name for name in self.links if name not in children]
+            parent_joints[joint.child] = joint.name
+        roots = [name for name in self.links if name not in parent_joints]
         if len(roots) != 1 or len(self.joints) != len(self.links) - 1:
             raise ConfigurationError(f"links of {self.source}", got=f"roots {roots}", allowed="one tree with one root")
         return self

@@ -1,4 +1,4 @@
-"""What was measured while a body was made; written beside it as JSON and read by inspect and the docs."""
+"""Report of an import: measurements of the sphere cover, written to the robot folder as JSON."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import msgspec
 
 
 class LinkReport(msgspec.Struct, frozen=True, kw_only=True):
-    """The cover of one link: spheres, convex parts, `coverage` (share of the surface), excess in metres."""
+    """The cover of one link: number of spheres and convex parts, `coverage` (share of the surface), excess [m]."""
 
     link: str
     group: str
@@ -19,7 +19,7 @@ class LinkReport(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ImportReport(msgspec.Struct, frozen=True):
-    """Cover of every link with shapes, what a person should know, and the effort ("quick" or "full")."""
+    """Cover of every link with shapes, notes for the user, and the effort of the fit ("quick" or "full")."""
 
     links: tuple[LinkReport, ...]
     notes: tuple[str, ...]
@@ -27,5 +27,5 @@ class ImportReport(msgspec.Struct, frozen=True):
 
     @property
     def coverage(self) -> float:
-        """The least share of any link's surface."""
+        """The smallest coverage of all links."""
         return min((link.coverage for link in self.links), default=1.0)

@@ -16,7 +16,7 @@ from dualbrain.robots.model import Bound
 from dualbrain.robots.site_config import SiteFile
 
 CONTINUOUS_JOINT_RANGE = 50.0
-"""A joint without end is counted within ± this [rad]: 8 turns, within which float32 still tells 4 µrad apart."""
+"""Range [rad] of a continuous joint: ±8 turns, in which float32 still resolves 4 µrad."""
 
 LIMIT_NAMES = ("lower", "upper", "velocity", "acceleration", "jerk")
 FIX_HINTS = {
@@ -34,7 +34,7 @@ FIX_HINTS = {
 
 @dataclass(frozen=True, slots=True)
 class StatedLimit:
-    """One number that a person gave, and where: "site policy (lab.toml:7)" or "site policy (--acceleration)"."""
+    """One limit that a user stated, with its source: "site policy (lab.toml:7)" or "site policy (--acceleration)"."""
 
     value: float
     provenance: str
@@ -42,14 +42,14 @@ class StatedLimit:
 
 @dataclass(frozen=True, slots=True)
 class LimitPolicy:
-    """What the site says of a robot: `every` for all joints, `joints` by name, `robot` for the whole."""
+    """The limits that a site states: for all joints, for single joints by name, and for the whole robot."""
 
     all_joints: Mapping[str, StatedLimit] = field(default_factory=dict[str, StatedLimit])
     by_joint: Mapping[str, Mapping[str, StatedLimit]] = field(default_factory=dict[str, Mapping[str, StatedLimit]])
     robot: Mapping[str, StatedLimit] = field(default_factory=dict[str, StatedLimit])
 
     def limit_of(self, joint: str, name: str) -> StatedLimit | None:
-        """What is said of one side of one joint, its own word first."""
+        """The stated limit `name` of `joint`: its own if there is one, else that for all joints."""
         return self.by_joint.get(joint, {}).get(name) or self.all_joints.get(name)
 
 
@@ -65,37 +65,37 @@ class MissingLimit:
 
 
 class MissingLimitsError(ConfigurationError):
-    """Limits that nobody stated; `missing` lists them all, so that one answer suffices."""
+    """Limits that neither the description nor the site states; `missing` has all of them."""
 
     def __init__(self, source: str, missing: tuple[MissingLimit, ...]) -> None:
-        """Name every missing limit of `source`."""
+        """Report every missing limit of the description `source`."""
         self.missing = missing
-        asked = "\n  ".join(dict.fromkeys(_group_by_limit(missing)))
+        lines = "\n  ".join(_group_by_limit(missing))
         super().__init__(
             f"limits of {source}",
             got=f"{len(missing)} missing",
             allowed="each stated by the file or by the site",
-            fix=f"Nothing is assumed. Please say:\n  {asked}",
+            fix=f"No limit is assumed. State these limits:\n  {lines}",
         )
 
 
 def _group_by_limit(missing: tuple[MissingLimit, ...]) -> list[str]:
-    """One line a side, with the joints it is missing of."""
+    """One line for each kind of limit, with the joints that lack it."""
     lines: list[str] = []
-    for side in dict.fromkeys(one.limit for one in missing):
-        whose = [one.owner for one in missing if one.limit == side]
-        shown = ", ".join(whose[:8]) + (f" and {len(whose) - 8} more" if len(whose) > 8 else "")
-        lines.append(f"{side.replace('_', ' ')} ({shown}): {FIX_HINTS[side]}")
+    for limit in dict.fromkeys(one.limit for one in missing):
+        owners = [one.owner for one in missing if one.limit == limit]
+        shown = ", ".join(owners[:8]) + (f" and {len(owners) - 8} more" if len(owners) > 8 else "")
+        lines.append(f"{limit.replace('_', ' ')} ({shown}): {FIX_HINTS[limit]}")
     return lines
 
 
 def joint_bounds(joint: TreeJoint, policy: LimitPolicy, missing: list[MissingLimit]) -> dict[str, Bound | None]:
-    """Lower, upper, velocity, acceleration, jerk of a joint, each with its provenance; adds to `missing`.
+    """Lower, upper, velocity, acceleration and jerk of a joint, with the provenance of each; extends `missing`.
 
-    The file's bound and the site's are both kept: the narrower one holds. A number alone (`--velocity 1`) narrows too.
+    If both the description and the site state a bound, the narrower one holds, and its provenance names the other.
 
     Raises:
-        InvalidSetup: a range is empty, or a speed or acceleration is not above zero.
+        ConfigurationError: A range is empty, or a velocity, acceleration or jerk is not above zero.
     """
     unit = "m" if joint.kind == "prismatic" else "rad"
     units = {
@@ -113,19 +113,19 @@ def joint_bounds(joint: TreeJoint, policy: LimitPolicy, missing: list[MissingLim
         "jerk": joint.jerk,
     }
     bounds = {
-        side: _narrower_bound(
-            side, _described_limit(joint, side, described[side]), policy.limit_of(joint.name, side), units[side]
+        name: _narrower_bound(
+            name, _described_limit(joint, name, described[name]), policy.limit_of(joint.name, name), units[name]
         )
-        for side in LIMIT_NAMES
+        for name in LIMIT_NAMES
     }
-    for side in LIMIT_NAMES[:4]:
-        if bounds[side] is None:
-            missing.append(MissingLimit(joint.name, side))
-    for side in LIMIT_NAMES[2:]:
-        bound = bounds[side]
+    for name in LIMIT_NAMES[:4]:
+        if bounds[name] is None:
+            missing.append(MissingLimit(joint.name, name))
+    for name in LIMIT_NAMES[2:]:
+        bound = bounds[name]
         if bound is not None and not bound.value > 0.0:
             raise ConfigurationError(
-                f"{side} of {joint.name!r} ({bound.provenance})", got=bound.value, allowed="above 0"
+                f"{name} of {joint.name!r} ({bound.provenance})", got=bound.value, allowed="above 0"
             )
     lower, upper = bounds["lower"], bounds["upper"]
     if lower is not None and upper is not None and not lower.value < upper.value:
@@ -137,55 +137,60 @@ def joint_bounds(joint: TreeJoint, policy: LimitPolicy, missing: list[MissingLim
     return bounds
 
 
-def _described_limit(joint: TreeJoint, side: str, value: float | None) -> StatedLimit | None:
-    """What the description says."""
-    if joint.kind == "continuous" and side in ("lower", "upper"):
-        said = (
+def _described_limit(joint: TreeJoint, name: str, value: float | None) -> StatedLimit | None:
+    """The limit `name` of the description, None if it states none; a velocity of zero counts as not stated."""
+    if joint.kind == "continuous" and name in ("lower", "upper"):
+        provenance = (
             f"{joint.source_location}: continuous, no limit; turns are counted within ±{CONTINUOUS_JOINT_RANGE:g} rad"
         )
-        return StatedLimit(-CONTINUOUS_JOINT_RANGE if side == "lower" else CONTINUOUS_JOINT_RANGE, said)
-    if value is None or (side == "velocity" and value <= 0.0):
+        return StatedLimit(-CONTINUOUS_JOINT_RANGE if name == "lower" else CONTINUOUS_JOINT_RANGE, provenance)
+    if value is None or (name == "velocity" and value <= 0.0):
         return None
-    return StatedLimit(value, f"{joint.source_location}: {joint.name} limit {side}")
+    return StatedLimit(value, f"{joint.source_location}: {joint.name} limit {name}")
 
 
-def _narrower_bound(side: str, described: StatedLimit | None, site: StatedLimit | None, unit: str) -> Bound | None:
+def _narrower_bound(name: str, described: StatedLimit | None, site: StatedLimit | None, unit: str) -> Bound | None:
     if described is None and site is None:
         return None
     if described is None or site is None:
-        one = described or site
-        assert one is not None
-        return Bound(one.value, unit, one.provenance)
-    narrower = site.value > described.value if side == "lower" else site.value < described.value
-    narrow, wide = (site, described) if narrower else (described, site)
+        only = described or site
+        assert only is not None
+        return Bound(only.value, unit, only.provenance)
+    site_is_narrower = site.value > described.value if name == "lower" else site.value < described.value
+    narrow, wide = (site, described) if site_is_narrower else (described, site)
     return Bound(narrow.value, unit, f"{narrow.provenance}; wider: {wide.value:g} of {wide.provenance}")
 
 
 def robot_bound(name: str, unit: str, policy: LimitPolicy, missing: list[MissingLimit]) -> Bound:
-    """A bound of the whole robot (tool speed, period); 0 and an entry in `missing` where nobody stated it."""
-    given = policy.robot.get(name)
-    if given is None:
+    """A bound of the whole robot (tool speed, period); if it is not stated, the bound is 0 and `missing` is extended.
+
+    Raises:
+        ConfigurationError: The stated value is not above zero.
+    """
+    stated = policy.robot.get(name)
+    if stated is None:
         missing.append(MissingLimit("robot", name))
         return Bound(0.0, unit, "missing")
-    if not given.value > 0.0:
-        raise ConfigurationError(f"{name} ({given.provenance})", got=given.value, allowed="above 0")
-    return Bound(given.value, unit, given.provenance)
+    if not stated.value > 0.0:
+        raise ConfigurationError(f"{name} ({stated.provenance})", got=stated.value, allowed="above 0")
+    return Bound(stated.value, unit, stated.provenance)
 
 
 ROBOT_LIMIT_NAMES = ("period", "tool_speed", "turn", "turn_acceleration", "grip_force", "grip_force_min")
 
 
 def make_limit_policy(file: SiteFile | None, options: Mapping[str, float | None]) -> LimitPolicy:
-    """The policy of `file`, with `options` (acceleration, velocity, period, tool_speed, turn, …) first."""
-    said = {key: StatedLimit(value, f"site policy ({_option_name(key)})") for key, value in options.items() if value}
-    every = {side: said[side] for side in ("velocity", "acceleration", "jerk") if side in said}
-    whole = {side: said[side] for side in ROBOT_LIMIT_NAMES if side in said}
+    """The limits in the site file, replaced by those in `options` (acceleration, velocity, period, tool_speed, …)."""
+    stated = {key: StatedLimit(value, f"site policy ({_option_name(key)})") for key, value in options.items() if value}
+    all_joints = {name: stated[name] for name in ("velocity", "acceleration", "jerk") if name in stated}
+    robot = {name: stated[name] for name in ROBOT_LIMIT_NAMES if name in stated}
     if file is None:
-        return LimitPolicy(every, {}, whole)
+        return LimitPolicy(all_joints, {}, robot)
     site = file.site
-    joints = {name: _stated_limits(file, caps, f"joint.{name}") for name, caps in site.joint.items()}
     return LimitPolicy(
-        _stated_limits(file, site.limits, "limits") | every, joints, _stated_limits(file, site.robot, "robot") | whole
+        _stated_limits(file, site.limits, "limits") | all_joints,
+        {name: _stated_limits(file, caps, f"joint.{name}") for name, caps in site.joint.items()},
+        _stated_limits(file, site.robot, "robot") | robot,
     )
 
 
@@ -194,9 +199,9 @@ def _option_name(key: str) -> str:
 
 
 def _stated_limits(file: SiteFile, entry: msgspec.Struct, path: str) -> dict[str, StatedLimit]:
-    """Every number of `entry` that is stated."""
+    """The stated limits of the `entry` at `path` of the site file."""
     return {
-        side: StatedLimit(float(value), f"site policy ({file.locate(f'{path}.{side}')})")
-        for side, value in msgspec.structs.asdict(entry).items()
+        name: StatedLimit(float(value), f"site policy ({file.locate(f'{path}.{name}')})")
+        for name, value in msgspec.structs.asdict(entry).items()
         if value is not None
     }

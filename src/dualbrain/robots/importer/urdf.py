@@ -38,11 +38,11 @@ DRAKE_NAMESPACES = ("http://drake.mit.edu", undeclared_namespace("drake"))
 
 
 def read_urdf(file: Path, packages: Sequence[Path] = ()) -> KinematicTree:
-    """The robot in the URDF `file`; meshes are looked for beside it and in `packages`, and read when asked for.
+    """The robot in the URDF `file`; its meshes are searched beside it and in `packages`, and are loaded on demand.
 
     Raises:
-        InvalidSetup: the file is hostile, not well-formed, not a URDF, or not a tree of joints.
-        MissingPart: a package or mesh is not there, or a library is not installed.
+        ConfigurationError: The file is refused by the safe XML reader, not a URDF, or not a tree of joints.
+        MissingDependencyError: A library is not installed.
     """
     root = read_xml(file)
     if root.tag != "robot":
@@ -50,8 +50,8 @@ def read_urdf(file: Path, packages: Sequence[Path] = ()) -> KinematicTree:
             f"root element of {file.name}", got=f"<{root.tag}>", allowed="<robot>, or <mujoco> in MJCF"
         )
     if root.xpath("boolean(//*[contains(namespace-uri(), 'xacro')])"):
-        raise ConfigurationError(
-            file.name, got="xacro macros", allowed="plain URDF", fix="Expand it first: xacro FILE > OUT"
+        raise ConfigurationError.stating(
+            f"{file.name} contains xacro macros.", fix="Expand them first: xacro FILE > OUT"
         )
     robot = _parse(root, file)
     elements = {(element.tag, element.get("name")): element for element in root.iterchildren("joint", "link")}
@@ -60,8 +60,8 @@ def read_urdf(file: Path, packages: Sequence[Path] = ()) -> KinematicTree:
     joints = [_read_joint(joint, elements["joint", joint.name], file.name) for joint in robot.joints]
     _check_unique(file, "link", [link.name for link in links])
     _check_unique(file, "joint", [joint.name for joint in joints])
-    drawn = [link.name for link in links if link.uses_visual_shapes]
-    notes = (f"no collision shapes, visual ones taken instead: {', '.join(drawn)}",) if drawn else ()
+    visual = [link.name for link in links if link.uses_visual_shapes]
+    notes = (f"links without collision shapes, whose visual shapes are used: {', '.join(visual)}",) if visual else ()
     return KinematicTree(
         name=robot.name or file.stem,
         source=file.name,
@@ -83,30 +83,32 @@ def _parse(root: Any, file: Path) -> Any:
     return reader.robot
 
 
-def _check_unique(file: Path, what: str, names: list[str]) -> None:
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise ConfigurationError(f"{what}s of {file.name}", got=f"{twice} more than once", allowed="each name once")
+def _check_unique(file: Path, kind: str, names: list[str]) -> None:
+    duplicates = sorted({name for name in names if names.count(name) > 1})
+    if duplicates:
+        raise ConfigurationError(
+            f"{kind}s of {file.name}", got=f"{duplicates} more than once", allowed="each name once"
+        )
 
 
 def _licence(folders: AllowedFolders) -> str:
-    """The licence that the package.xml beside the description states."""
+    """The licence in the package.xml of the description."""
     package = folders.package_folder / "package.xml"
     if not package.is_file():
         return "not stated by the description"
-    words = [element.text or "" for element in parse_xml(read_bounded(package), package.name).iter("license")]
-    return ", ".join(word.strip() for word in words if word.strip()) or "not stated by its package.xml"
+    licences = [element.text or "" for element in parse_xml(read_bounded(package), package.name).iter("license")]
+    return ", ".join(licence.strip() for licence in licences if licence.strip()) or "not stated by its package.xml"
 
 
 # --- links --------------------------------------------------------------------------------------------------------
 
 
 def _read_link(link: Any, folders: AllowedFolders, where: str) -> TreeLink:
-    pieces = tuple(_read_shape(shape, folders, where) for shape in link.collisions)
-    if pieces:
-        return TreeLink(link.name, pieces)
-    drawn = tuple(_read_shape(shape, folders, where) for shape in link.visuals)
-    return TreeLink(link.name, drawn, bool(drawn))
+    shapes = tuple(_read_shape(shape, folders, where) for shape in link.collisions)
+    if shapes:
+        return TreeLink(link.name, shapes)
+    visual = tuple(_read_shape(shape, folders, where) for shape in link.visuals)
+    return TreeLink(link.name, visual, bool(visual))
 
 
 def _read_shape(shape: Any, folders: AllowedFolders, where: str) -> LinkShape:
@@ -130,8 +132,8 @@ def _read_shape(shape: Any, folders: AllowedFolders, where: str) -> LinkShape:
 
 
 def _read_scale(value: Any, where: str) -> Array:
-    flat = np.atleast_1d(np.asarray(value, float))
-    return _finite_numbers(np.broadcast_to(flat, (3,)) if flat.size == 1 else flat, 3, where)
+    factors = np.atleast_1d(np.asarray(value, float))
+    return _finite_numbers(np.broadcast_to(factors, (3,)) if factors.size == 1 else factors, 3, where)
 
 
 # --- joints -------------------------------------------------------------------------------------------------------
@@ -145,45 +147,42 @@ def _read_joint(joint: Any, element: Any, file: str) -> TreeJoint:
             f"type of joint {joint.name!r} ({where})", got=joint.type, allowed=", ".join(JOINT_KINDS)
         )
     axis = _finite_numbers([1.0, 0.0, 0.0] if joint.axis is None else joint.axis, 3, where)
-    size = float(np.linalg.norm(axis))
-    if joint.type in MOVABLE_JOINT_KINDS and size < 1e-9:
+    norm = float(np.linalg.norm(axis))
+    if joint.type in MOVABLE_JOINT_KINDS and norm < 1e-9:
         raise ConfigurationError(f"axis of joint {joint.name!r} ({where})", got=axis.tolist(), allowed="not zero")
-    limit, follows = joint.limit, joint.mimic
-    mimic = (
-        None
-        if follows is None
-        else Mimic(
-            str(follows.joint),
-            1.0 if follows.multiplier is None else float(follows.multiplier),
-            0.0 if follows.offset is None else float(follows.offset),
-        )
-    )
+    limit, limit_element = joint.limit, element.find("limit")
     bounded = joint.type in ("revolute", "prismatic")
     lower, upper, velocity = (
         (None, None, None) if limit is None else (_optional_number(value, where) for value in _limits(limit, bounded))
     )
-    described = element.find("limit")
     return TreeJoint(
         name=joint.name,
         kind=joint.type,
         parent=joint.parent,
         child=joint.child,
         pose=_read_pose(joint.origin, where),
-        axis=axis / size if size > 0.0 else axis,
+        axis=axis / norm if norm > 0.0 else axis,
         source_location=where,
         lower=lower,
         upper=upper,
         velocity=velocity,
-        acceleration=_drake_limit(described, "acceleration", where),
-        jerk=_drake_limit(described, "jerk", where),
-        mimic=mimic,
+        acceleration=_drake_limit(limit_element, "acceleration", where),
+        jerk=_drake_limit(limit_element, "jerk", where),
+        mimic=_read_mimic(joint.mimic),
         effort=None if limit is None else _optional_number(limit.effort, where),
     )
 
 
-def _drake_limit(limit: Any, name: str, where: str) -> float | None:
-    """The number in Drake's attribute `name` of the element `limit`, None if there is none."""
-    texts = [] if limit is None else [limit.get(f"{{{namespace}}}{name}") for namespace in DRAKE_NAMESPACES]
+def _read_mimic(mimic: Any) -> Mimic | None:
+    if mimic is None:
+        return None
+    multiplier = 1.0 if mimic.multiplier is None else float(mimic.multiplier)
+    return Mimic(str(mimic.joint), multiplier, 0.0 if mimic.offset is None else float(mimic.offset))
+
+
+def _drake_limit(element: Any, name: str, where: str) -> float | None:
+    """The number in Drake's attribute `name` of the `<limit>` element, None if there is none."""
+    texts = [] if element is None else [element.get(f"{{{namespace}}}{name}") for namespace in DRAKE_NAMESPACES]
     text = next((text for text in texts if text is not None), None)
     try:
         return _optional_number(text, where)
@@ -192,7 +191,7 @@ def _drake_limit(limit: Any, name: str, where: str) -> float | None:
 
 
 def _limits(limit: Any, bounded: bool) -> tuple[Any, Any, Any]:
-    """Lower, upper, velocity; a range that is left out counts as [0, 0] in URDF, which no joint that moves can mean."""
+    """Lower, upper and velocity limit; an omitted range, which URDF defines as [0, 0], counts as not stated."""
     lower, upper = (limit.lower or 0.0, limit.upper or 0.0) if bounded else (None, None)
     return (None, None, limit.velocity) if lower == upper else (lower, upper, limit.velocity)
 
@@ -208,8 +207,8 @@ def _read_pose(origin: Any, where: str) -> Array:
 
 
 def _finite_numbers(values: Any, count: int, where: str) -> Array:
-    """`count` finite numbers."""
-    flat = np.asarray(values, float).ravel()
-    if len(flat) != count or not np.isfinite(flat).all():
-        raise ConfigurationError(f"numbers at {where}", got=flat.tolist()[:8], allowed=f"{count} finite numbers")
-    return flat
+    """`values` as an array of `count` finite numbers."""
+    numbers = np.asarray(values, float).ravel()
+    if len(numbers) != count or not np.isfinite(numbers).all():
+        raise ConfigurationError(f"numbers at {where}", got=numbers.tolist()[:8], allowed=f"{count} finite numbers")
+    return numbers

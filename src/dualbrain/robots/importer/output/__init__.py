@@ -1,1 +1,1 @@
-"""Files that the importer writes: robot folder, page, comparison with an earlier import."""
+"""Output of the importer: robot folder, README page, comparison with an earlier import."""

@@ -1,8 +1,8 @@
-"""What changed between two bodies, and how a person's edits survive a new making.
+"""Comparison of robot models, and preservation of a user's edits when a robot is imported again.
 
-A body is compared entry by entry ("joints.elbow.velocity.value"); lists of named things go by their names, spheres by
-link and number. Three versions matter: what was made last, what stands in the folder now (made, then edited), what is
-made this time.
+Models are compared entry by entry ("joints.elbow.velocity.value"): items with a name by their names, spheres by link
+and number. There are three versions: the model that was generated last, the edited model in the folder, and the newly
+generated model.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ FlatModel = dict[str, Any]
 
 
 class ModelChange(NamedTuple):
-    """One entry that differs; `before` or `after` is None where it is absent."""
+    """One entry that differs; `before` or `after` is None if the entry is absent."""
 
     entry: str
     before: Any
@@ -29,26 +29,30 @@ class ModelChange(NamedTuple):
 
 
 def find_changes(before: RobotModel, after: RobotModel) -> list[ModelChange]:
-    """Every entry that differs."""
-    a, b = flatten_model(before), flatten_model(after)
-    return [ModelChange(key, a.get(key), b.get(key)) for key in dict.fromkeys([*a, *b]) if a.get(key) != b.get(key)]
+    """All entries that differ between two robot models."""
+    old, new = flatten_model(before), flatten_model(after)
+    return [
+        ModelChange(key, old.get(key), new.get(key))
+        for key in dict.fromkeys([*old, *new])
+        if old.get(key) != new.get(key)
+    ]
 
 
 def summarize_changes(changes: list[ModelChange]) -> list[str]:
-    """The changes for people: limits and facts one by one, spheres and pairs counted."""
+    """Lines for the user: one for each change, and the number of changed sphere entries and link pairs."""
     lines = [str(change) for change in changes if not change.entry.startswith(("spheres.", "self_pairs."))]
-    for part, word in (("spheres.", "sphere entries"), ("self_pairs.", "link pairs")):
-        count = sum(change.entry.startswith(part) for change in changes)
-        lines += [f"{count} {word} changed"] if count else []
+    for prefix, name in (("spheres.", "sphere entries"), ("self_pairs.", "link pairs")):
+        count = sum(change.entry.startswith(prefix) for change in changes)
+        lines += [f"{count} {name} changed"] if count else []
     return lines
 
 
 def reapply_edits(
     generated: RobotModel, edited: RobotModel, regenerated: RobotModel
 ) -> tuple[RobotModel, list[ModelChange], list[ModelChange]]:
-    """`fresh` with the edits of `edited` put back; the edits kept, and those that no longer have a place.
+    """`regenerated` with the user's edits (`generated` to `edited`), the edits kept, and the edits lost.
 
-    An edit has a place if its entry still exists and the edit did not add or remove it.
+    An edit is lost if its entry no longer exists, or if the edit added or removed an entry.
     """
     values = flatten_model(regenerated)
     kept: list[ModelChange] = []
@@ -63,24 +67,24 @@ def reapply_edits(
 
 
 def flatten_model(robot_model: RobotModel) -> FlatModel:
-    """Every leaf of `body` under its path."""
-    found: FlatModel = {}
-    _flatten(msgspec.to_builtins(robot_model), "", found)
-    return found
+    """Every leaf of `robot_model` under its path."""
+    leaves: FlatModel = {}
+    _flatten(msgspec.to_builtins(robot_model), "", leaves)
+    return leaves
 
 
-def _flatten(value: Any, path: str, found: FlatModel) -> None:
+def _flatten(value: Any, path: str, leaves: FlatModel) -> None:
     if isinstance(value, dict):
-        for key, inner in cast("dict[str, Any]", value).items():
-            _flatten(inner, f"{path}.{key}".lstrip("."), found)
+        for key, item in cast("dict[str, Any]", value).items():
+            _flatten(item, f"{path}.{key}".lstrip("."), leaves)
     elif _is_list(value) and value and isinstance(value[0], dict):
-        for key, inner in zip(_item_keys(value), value, strict=True):
-            _flatten(inner, f"{path}.{key}", found)
+        for key, item in zip(_item_keys(value), value, strict=True):
+            _flatten(item, f"{path}.{key}", leaves)
     elif _is_list(value) and path.startswith("self_pairs"):
-        for inner in value:
-            found[f"{path}.{inner[0]}–{inner[1]}"] = inner[2] if len(inner) > 2 else "kept"
+        for pair in value:
+            leaves[f"{path}.{pair[0]}–{pair[1]}"] = pair[2] if len(pair) > 2 else "kept"
     else:
-        found[path] = tuple(cast("list[Any]", value)) if isinstance(value, list) else value
+        leaves[path] = tuple(cast("list[Any]", value)) if isinstance(value, list) else value
 
 
 def _is_list(value: Any) -> TypeGuard[Sequence[Any]]:
@@ -88,7 +92,7 @@ def _is_list(value: Any) -> TypeGuard[Sequence[Any]]:
 
 
 def _item_keys(items: Any) -> list[str]:
-    """A name for every item of a list: its own, or its link and number."""
+    """A key for every item of a list: its name, or its link or drive and a number."""
     counts: dict[str, int] = {}
     names: list[str] = []
     for item in items:
@@ -99,13 +103,13 @@ def _item_keys(items: Any) -> list[str]:
 
 
 def _restore_values(value: Any, values: Mapping[str, Any], path: str) -> Any:
-    """`value` with every leaf replaced by what `values` holds at its path."""
+    """`value` with every leaf replaced by the entry of `values` at its path."""
     if isinstance(value, dict):
         table = cast("dict[str, Any]", value)
-        return {key: _restore_values(inner, values, f"{path}.{key}".lstrip(".")) for key, inner in table.items()}
+        return {key: _restore_values(item, values, f"{path}.{key}".lstrip(".")) for key, item in table.items()}
     if _is_list(value) and value and isinstance(value[0], dict):
         return [
-            _restore_values(inner, values, f"{path}.{key}") for key, inner in zip(_item_keys(value), value, strict=True)
+            _restore_values(item, values, f"{path}.{key}") for key, item in zip(_item_keys(value), value, strict=True)
         ]
     if _is_list(value) and path.startswith("self_pairs"):
         return value

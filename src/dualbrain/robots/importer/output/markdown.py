@@ -1,4 +1,4 @@
-"""The page that stands beside a body for people: bounds with their provenance, cover, pairs, what is missing."""
+"""README page of a robot folder: bounds with provenance, sphere cover, link pairs, missing information."""
 
 from __future__ import annotations
 
@@ -11,43 +11,43 @@ from dualbrain.robots.model import Bound, RobotModel
 
 
 def render_readme(robot_model: RobotModel, report: ImportReport, kept_edits: Sequence[ModelChange] = ()) -> str:
-    """Markdown; `kept` are a person's edits."""
-    parts = [
+    """The page as Markdown; `kept_edits` are the user's edits."""
+    sections = [
         f"# {robot_model.name}",
         f"From {robot_model.source}. Licence of the description: {robot_model.licence}.",
         "![Spheres](picture.png)",
-        *_section("Still missing", [f"- {line}" for line in missing_information(robot_model, report)]),
-        *_section("Edited by hand", [f"- {change}" for change in kept_edits]),
-        "## Bounds and where they come from",
+        *_section("Missing information", [f"- {line}" for line in missing_information(robot_model, report)]),
+        *_section("Edits", [f"- {change}" for change in kept_edits]),
+        "## Bounds and their provenance",
         _bounds_table(robot_model),
-        "## Cover",
+        "## Sphere cover",
         _cover_table(report),
-        "## Pairs of parts that are kept apart",
+        "## Self-collision pairs",
         _pairs_section(robot_model),
         *_section("Notes", [f"- {note}" for note in report.notes]),
-        "Edit `body.json`; `dualbrain robot init` again keeps the edits and shows what it changed. "
-        "`dualbrain robot inspect --view` shows what the filter sees.",
+        "You may edit `body.json`: a second `dualbrain robot init` keeps the edits and reports its own changes. "
+        "`dualbrain robot inspect --view` shows the model that the filter uses.",
     ]
-    return "\n\n".join(parts) + "\n"
+    return "\n\n".join(sections) + "\n"
 
 
 def missing_information(robot_model: RobotModel, report: ImportReport | None) -> list[str]:
-    """What the filter would have to be told for its promise to hold on this robot."""
+    """Information without which the guarantee of the filter does not hold on this robot."""
     found: list[str] = []
     if not is_identified(robot_model.tracking):
         found.append(f"tracking model: {robot_model.tracking.provenance}")
     if robot_model.gripper.opening.value == 0.0 and robot_model.base == "fixed":
-        why = robot_model.gripper.opening.provenance
-        found.append(f"gripper: none known ({why}), so no skill grasps (or edit `gripper` in body.json)")
+        reason = robot_model.gripper.opening.provenance
+        found.append(f"gripper: none detected ({reason}), so no skill grasps; to add one, edit `gripper` in body.json")
     for link in robot_model.links:
         if not any(sphere.link == link.name for sphere in robot_model.spheres):
-            found.append(f"spheres of {link.name!r}: none, the description gives it no shape")
+            found.append(f"spheres of {link.name!r}: none, because the description has no shape for it")
     for link in report.links if report else ():
         if link.coverage < 1.0:
             found.append(f"cover of {link.link!r}: {link.coverage:.2%} of its surface")
-    always = [f"{a}–{b}" for a, b, why in robot_model.self_pairs.allowed if "overlap in all" in why]
-    if always:
-        found.append(f"pairs not kept apart because their spheres always overlap: {', '.join(always)}")
+    overlapping = [f"{a}–{b}" for a, b, reason in robot_model.self_pairs.allowed if "overlap in all" in reason]
+    if overlapping:
+        found.append(f"pairs excluded because their spheres always overlap: {', '.join(overlapping)}")
     return found
 
 
@@ -62,23 +62,27 @@ def _section(title: str, lines: list[str]) -> list[str]:
 
 
 def bound_rows(robot_model: RobotModel) -> list[tuple[str, str, str, str]]:
-    """(joint, side, value with unit, provenance) of every bound."""
+    """(joint or "robot", name, value with unit, provenance) of every bound."""
     rows = [
-        (joint.name, side, _format_bound(bound), bound.provenance)
+        (joint.name, name, _format_bound(bound), bound.provenance)
         for joint in robot_model.joints
-        for side in ("lower", "upper", "velocity", "acceleration", "jerk")
-        if (bound := getattr(joint, side)) is not None
+        for name in ("lower", "upper", "velocity", "acceleration", "jerk")
+        if (bound := getattr(joint, name)) is not None
     ]
-    hand = robot_model.gripper
-    grip = (("opening", hand.opening), ("grip, least", hand.force_min), ("grip, greatest", hand.force))
-    whole = (
+    gripper = robot_model.gripper
+    gripper_bounds = (
+        ("opening", gripper.opening),
+        ("minimum grip force", gripper.force_min),
+        ("maximum grip force", gripper.force),
+    )
+    robot_bounds = (
         ("tool speed", robot_model.tool_speed),
         ("gain α", robot_model.gain),
-        *(grip if hand.opening.value else ()),
+        *(gripper_bounds if gripper.opening.value else ()),
     )
     return [
         *rows,
-        *(("robot", side, _format_bound(bound), bound.provenance) for side, bound in whole if bound is not None),
+        *(("robot", name, _format_bound(bound), bound.provenance) for name, bound in robot_bounds if bound is not None),
     ]
 
 
@@ -87,7 +91,7 @@ def _format_bound(bound: Bound) -> str:
 
 
 def _bounds_table(robot_model: RobotModel) -> str:
-    return markdown_table(("joint", "bound", "value", "from"), bound_rows(robot_model))
+    return markdown_table(("joint", "bound", "value", "provenance"), bound_rows(robot_model))
 
 
 def _cover_table(report: ImportReport) -> str:
@@ -102,17 +106,17 @@ def _cover_table(report: ImportReport) -> str:
         )
         for link in report.links
     ]
-    head = ("part", "group", "spheres", "convex parts", "surface covered", "excess mean [mm]", "95 %", "worst")
-    words = f"Effort: {report.effort}. Excess is how far the spheres stand off the description's own shapes."
-    return f"{words}\n\n{markdown_table(head, rows)}"
+    head = ("link", "group", "spheres", "convex parts", "surface covered", "excess mean [mm]", "95 %", "worst")
+    text = f"Effort: {report.effort}. The excess is the distance of the spheres from the shapes of the description."
+    return f"{text}\n\n{markdown_table(head, rows)}"
 
 
 def _pairs_section(robot_model: RobotModel) -> str:
     kept = ", ".join(f"{a}–{b}" for a, b in robot_model.self_pairs.kept) or "none"
     rows = [pair for pair in robot_model.self_pairs.allowed if pair[2] not in ("adjacent", "rigidly connected")]
-    left = (
-        markdown_table(("part", "part", "why they are not kept apart"), rows)
+    excluded = (
+        markdown_table(("link", "link", "reason for the exclusion"), rows)
         if rows
-        else "None left out but neighbours."
+        else "No pair is excluded except adjacent links."
     )
-    return f"{len(robot_model.self_pairs.kept)} kept: {kept}.\n\n{left}"
+    return f"{len(robot_model.self_pairs.kept)} kept apart: {kept}.\n\n{excluded}"

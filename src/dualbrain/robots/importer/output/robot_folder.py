@@ -1,7 +1,7 @@
-"""A robot's folder: `body.json` (what the filter reads, to be edited), how it was made, and a page for people.
+"""Robot folder: `body.json` (the model that the filter reads, editable), the import record, the report and a README.
 
-`made.json` is the body as it was made last; the difference to `body.json` are a person's edits. Making again shows both
-differences and puts the edits back; nothing is lost in silence.
+`made.json` is the model as generated last, so the differences between it and `body.json` are the user's edits. A new
+import reports its own changes and the edits, and applies the edits again; a lost edit is always reported.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from dualbrain.robots.importer.report import ImportReport
 from dualbrain.robots.loader import MODEL_FILE, encode_robot, read_robot
 from dualbrain.robots.model import RobotModel
 
-GENERATED_FILE, IMPORT_RECORD_FILE, REPORT_FILE, README_FILE, PICTURE_FILE = (
+GENERATED_FILE, IMPORT_RECORD_FILE, REPORT_FILE, README_FILE, IMAGE_FILE = (
     "made.json",
     "recipe.json",
     "report.json",
@@ -29,7 +29,7 @@ GENERATED_FILE, IMPORT_RECORD_FILE, REPORT_FILE, README_FILE, PICTURE_FILE = (
 
 
 class ImportRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """How the body was made: the description's file and hash, and what was asked for."""
+    """Record of an import: file and hash of the description, and the options."""
 
     description: str
     sha256: str
@@ -47,7 +47,7 @@ class ImportRecord(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FolderWriteResult:
-    """What writing a folder did: changes by this making, edits that were kept, and edits that found no place."""
+    """Result of writing a robot folder: changes by the importer, edits kept, and edits lost."""
 
     robot_model: RobotModel
     is_new: bool
@@ -59,20 +59,20 @@ class FolderWriteResult:
 def write_robot_folder(
     folder: Path, robot_model: RobotModel, report: ImportReport, record: ImportRecord, *, discard_edits: bool = False
 ) -> FolderWriteResult:
-    """Write everything but the picture; a person's edits of an earlier body stay, unless they are to be discarded.
+    """Write all files but the image; the user's edits of the previous model are kept unless `discard_edits` is True.
 
     Raises:
-        InvalidSetup: the folder holds something that is not ours, or a body of another robot.
+        ConfigurationError: The folder contains other files, or the model of another robot.
     """
-    before, edited = _read_previous(folder, robot_model)
-    made = robot_model
+    previous, edited = _read_previous(folder, robot_model)
+    generated = robot_model
     kept: list[ModelChange] = []
     lost: list[ModelChange] = []
-    if before is not None and edited is not None and not discard_edits:
-        robot_model, kept, lost = reapply_edits(before, edited, made)
+    if previous is not None and edited is not None and not discard_edits:
+        robot_model, kept, lost = reapply_edits(previous, edited, generated)
     folder.mkdir(parents=True, exist_ok=True)
     files = {
-        GENERATED_FILE: encode_robot(made),
+        GENERATED_FILE: encode_robot(generated),
         IMPORT_RECORD_FILE: encode_json(record),
         REPORT_FILE: encode_json(report),
         README_FILE: render_readme(robot_model, report, kept).encode(),
@@ -82,61 +82,68 @@ def write_robot_folder(
         _write_atomically(folder / name, data)
     return FolderWriteResult(
         robot_model=robot_model,
-        is_new=before is None,
-        generator_changes=find_changes(before, made) if before else [],
+        is_new=previous is None,
+        generator_changes=find_changes(previous, generated) if previous else [],
         kept_edits=kept,
         lost_edits=lost,
     )
 
 
 def read_import_files(folder: Path) -> tuple[ImportReport | None, ImportRecord | None]:
-    """What stands beside a body: its report and recipe, None where there is none."""
-    report, recipe = folder / REPORT_FILE, folder / IMPORT_RECORD_FILE
+    """Report and import record of a robot folder; None for a file that does not exist.
+
+    Raises:
+        ConfigurationError: A file cannot be decoded.
+    """
+    report, record = folder / REPORT_FILE, folder / IMPORT_RECORD_FILE
     try:
         return (
             msgspec.json.decode(report.read_bytes(), type=ImportReport) if report.is_file() else None,
-            msgspec.json.decode(recipe.read_bytes(), type=ImportRecord) if recipe.is_file() else None,
+            msgspec.json.decode(record.read_bytes(), type=ImportRecord) if record.is_file() else None,
         )
     except DECODE_ERRORS as error:
-        raise ConfigurationError(
-            "report of the robot", got=str(error), allowed="as written", fix=str(folder)
+        raise ConfigurationError.stating(
+            f"{REPORT_FILE} or {IMPORT_RECORD_FILE} cannot be read: {error}.",
+            fix=f"Import the robot again with `dualbrain robot init`. {folder}",
         ) from error
 
 
 def find_edits(folder: Path) -> list[ModelChange]:
-    """What a person changed in `folder` since the body was made."""
-    made = folder / GENERATED_FILE
-    return find_changes(read_robot(made), read_robot(folder)) if made.is_file() else []
+    """The changes that a user made in `folder` since the model was generated."""
+    generated = folder / GENERATED_FILE
+    return find_changes(read_robot(generated), read_robot(folder)) if generated.is_file() else []
 
 
 def file_sha256(file: Path) -> str:
-    """Hash of a file's content."""
+    """SHA-256 of the content of `file`, as a hexadecimal string."""
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 def encode_json(value: msgspec.Struct) -> bytes:
-    """Indented JSON with a final newline."""
+    """`value` as indented JSON with a final newline."""
     return msgspec.json.format(msgspec.json.encode(value), indent=1) + b"\n"
 
 
 def _read_previous(folder: Path, robot_model: RobotModel) -> tuple[RobotModel | None, RobotModel | None]:
-    """The body as made last, and as it stands."""
+    """The model in `folder` as generated last, and with the user's edits; None if it does not exist."""
     if not folder.exists() or not any(folder.iterdir()):
         return None, None
     if not (folder / GENERATED_FILE).is_file():
-        raise ConfigurationError(
-            "folder", got=f"files that are not a robot's, in {folder}", allowed="new, empty, or a robot's"
+        raise ConfigurationError.stating(
+            f"The folder {folder} contains files, but is not a robot folder.",
+            fix="Choose a new or empty folder, or a robot folder, with --out.",
         )
-    made = read_robot(folder / GENERATED_FILE)
-    if made.name != robot_model.name:
-        raise ConfigurationError(
-            "folder", got=f"the robot {made.name!r}", allowed=repr(robot_model.name), fix=f"--out. {folder}"
+    generated = read_robot(folder / GENERATED_FILE)
+    if generated.name != robot_model.name:
+        raise ConfigurationError.stating(
+            f"The folder {folder} contains the robot {generated.name!r}, not {robot_model.name!r}.",
+            fix="Choose another folder with --out.",
         )
-    return made, read_robot(folder) if (folder / MODEL_FILE).is_file() else None
+    return generated, read_robot(folder) if (folder / MODEL_FILE).is_file() else None
 
 
 def _write_atomically(path: Path, data: bytes) -> None:
-    """Write beside, then rename: a reader sees the old file or the new one."""
-    beside = path.with_name(f".{path.name}.new")
-    beside.write_bytes(data)
-    beside.replace(path)
+    """Write to a temporary file, then rename it: a reader sees the old content or the new one."""
+    temporary = path.with_name(f".{path.name}.new")
+    temporary.write_bytes(data)
+    temporary.replace(path)

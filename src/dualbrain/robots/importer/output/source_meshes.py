@@ -1,4 +1,4 @@
-"""The shapes that a body's spheres were fitted to, read again for pictures."""
+"""Loads the meshes to which the spheres of an imported robot were fitted, for rendering."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dualbrain.robots.importer.output.robot_folder import ImportRecord
 
 
 def load_source_meshes(tree: KinematicTree, record: ImportRecord) -> dict[str, Mesh]:
-    """Meshes in the frames of the body's links, as the recipe chose them."""
+    """One mesh for each link of the robot model, in the link frame, chosen as in the import `record`."""
     if record.kind == "differential":
         poses, _ = link_poses_at_rest(tree, record.base or tree.root, record.lock)
         centre, _ = find_axle(tree, poses, record.wheels)
