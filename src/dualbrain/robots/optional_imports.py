@@ -1,4 +1,4 @@
-"""Lazy imports of packages that only the making of a robot model needs (extras `world` and `bodies`)."""
+"""Lazy imports of packages that only the making of a robot model needs (extras `simulation` and `import`)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 from dualbrain.errors import MissingDependencyError
 
 IMPORTER_PACKAGES = ("lxml", "yourdfpy", "collada")
-"""Packages of the extra `bodies`, which only the readers of robot descriptions need."""
+"""Packages of the extra `import`, which only the readers of robot descriptions need."""
 
 
 def import_optional(module: str) -> Any:
@@ -21,7 +21,7 @@ def import_optional(module: str) -> Any:
         return import_module(module)
     except ImportError as error:
         package = module.partition(".")[0]
-        group = "bodies" if package in IMPORTER_PACKAGES else "world"
+        extra = "import" if package in IMPORTER_PACKAGES else "simulation"
         raise MissingDependencyError(
-            f"The package {package}", fix=f"Install it with `pip install 'dualbrain[{group}]'`."
+            f"The package {package}", fix=f"Install it with `pip install 'dualbrain[{extra}]'`."
         ) from error

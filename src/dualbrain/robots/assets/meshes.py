@@ -1,4 +1,4 @@
-"""Triangle meshes of robots from installed data packages. Needs the extra `world`; the run time needs no meshes."""
+"""Triangle meshes of robots from installed data packages. Needs the extra `simulation`; the run time needs no meshes."""
 
 from __future__ import annotations
 
