@@ -65,10 +65,10 @@ def test_a_batch_is_single_calls_bit_for_bit(seed, real):
     things, now = [*random_scenes.random_scene(SMALL, rng), COMING], 0.21
     Q, V, U = states(rng, 40)
     last, opening = rng.uniform(-1.0, 1.0, (40, 7)) * V_MAX, rng.uniform(0.0, 0.04, 40)
-    batch = made(things, 0.1, real=real).batch(Q, V, U, now, u_prev=last, opening=opening)
-    same(batch, one_by_one(made(things, 0.1, real=real), Q, V, U, last, opening, now))
+    batch = made(things, 0.1, precision=real).batch(Q, V, U, now, u_prev=last, opening=opening)
+    same(batch, one_by_one(made(things, 0.1, precision=real), Q, V, U, last, opening, now))
     order = rng.permutation(40)
-    turned = made(things, 0.1, real=real).batch(
+    turned = made(things, 0.1, precision=real).batch(
         Q[order], V[order], U[order], now, u_prev=last[order], opening=opening[order]
     )
     assert np.array_equal(turned.u, batch.u[order]), "a row depends on the rows before it"

@@ -108,7 +108,7 @@ def test_the_table_stops_the_tool_and_the_reason_is_named(safety, panda, state_a
     last = answers[-1]
     assert last.status is FilterStatus.MODIFIED
     assert min(a.h_min for a in answers) > 0.0
-    assert any("table" in name for name, _, _ in last.active)
+    assert any("table" in name for name, _, _ in last.active_rows)
     assert "'table'" in last.explain()
     assert last.delta == pytest.approx(last.delta_rows + last.delta_box)
 
@@ -200,7 +200,7 @@ def test_contact_speed_is_kept_at_contact(panda, state_at):
 
 @pytest.mark.parametrize("real", ["float32", "float64"])
 def test_recovers_from_inside_an_obstacle(panda, state_at, real):
-    safety = SafetyFilter(panda, random_scenes.exact_config(real=real))
+    safety = SafetyFilter(panda, random_scenes.exact_config(precision=real))
     q = np.array(panda.home)
     tool = safety.tool(q).position
     safety.observe([Obstacle("ball", Sphere(0.05), Pose(tuple(tool + np.array([0.07, 0.0, 0.08]))))], 0.0)
@@ -354,7 +354,7 @@ def test_held_things_are_kept_from_obstacles_and_from_the_arm(panda, state_at):
     assert safety.filter(state_at(panda.home), np.zeros(7), 0.0).h_min < bare
     _, answers = drive(safety, state_at, np.array(panda.home), toward(safety, (0, 0, -1), 0.2), 1500)
     assert min(a.h_min for a in answers) >= 0.0
-    assert any(name.startswith("held") for name, _, _ in answers[-1].active)
+    assert any(name.startswith("held") for name, _, _ in answers[-1].active_rows)
     safety.detach()
     assert safety.filter(state_at(panda.home), np.zeros(7), 0.0).h_min == bare
 

@@ -127,7 +127,7 @@ def drive(s, q, rng, at, steps=400, every=50):
 
 def setting(kind, body, q, rng):
     """One setting of each kind of row."""
-    config = random_scenes.exact_config(real="float64", tracking_error=0.003, self_margin=0.002)
+    config = random_scenes.exact_config(precision="float64", tracking_error=0.003, self_margin=0.002)
     s = filter_equations.FilterCase(body, config, [], opening=0.03)
     s.obstacles = things(s, q, rng, moving=kind in ("moving", "separation"))
     if kind == "moving":

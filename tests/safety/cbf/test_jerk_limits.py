@@ -58,7 +58,7 @@ def test_without_the_box_jerk_is_larger(sparse_panda):
 
 def test_the_limit_that_binds_is_called_by_its_name(sparse_panda):
     """Full speed from rest, then back: jerk, acceleration and velocity in turn, each as its formula says."""
-    safety = SafetyFilter(sparse_panda, random_scenes.exact_config(jerk_limits=True, real="float64"))
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config(jerk_limits=True, precision="float64"))
     first = sparse_panda.joints[0]
     dt, v_max, a_max, j_max = sparse_panda.period, first.velocity.value, first.acceleration.value, first.jerk.value
     seen, u, before = [], 0.0, 0.0

@@ -47,7 +47,7 @@ def contradicting(rng, n):
 def test_violations_are_the_least_rank_by_rank(sparse_panda, state_at, seed):
     rng = np.random.default_rng(seed)
     rows = contradicting(rng, 7)
-    safety = SafetyFilter(sparse_panda, random_scenes.exact_config(real="float64"))
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config(precision="float64"))
     safety.constrain(rows)
     answer = safety.filter(state_at(sparse_panda.home), np.zeros(7), 0.0)
     low, high = (np.array(side) for side in safety._kernel.box())
@@ -66,7 +66,7 @@ def test_violations_are_the_least_rank_by_rank(sparse_panda, state_at, seed):
 def test_the_seeds_above_do_relax(sparse_panda, state_at):
     statuses = []
     for seed in range(40):
-        safety = SafetyFilter(sparse_panda, random_scenes.exact_config(real="float64"))
+        safety = SafetyFilter(sparse_panda, random_scenes.exact_config(precision="float64"))
         safety.constrain(contradicting(np.random.default_rng(seed), 7))
         statuses.append(safety.filter(state_at(sparse_panda.home), np.zeros(7), 0.0).status)
     assert statuses.count(FilterStatus.RELAXED) > 10
@@ -91,7 +91,7 @@ def test_a_relaxed_answer_depends_on_the_state_alone_and_is_its_own_answer(spars
 def test_no_pair_is_met_worse_than_by_braking(sparse_panda, state_at, seed):
     """Passive safety: from any motion, no pair is approached faster than a braking robot would."""
     rng = np.random.default_rng(200 + seed)
-    rows, safety = contradicting(rng, 7), SafetyFilter(sparse_panda, random_scenes.exact_config(real="float64"))
+    rows, safety = contradicting(rng, 7), SafetyFilter(sparse_panda, random_scenes.exact_config(precision="float64"))
     step = np.array([joint.acceleration.value for joint in sparse_panda.joints]) * sparse_panda.period
     u_prev = rng.uniform(-0.3, 0.3, 7)
     keep = max(0.0, float(np.max(1.0 - step / np.abs(u_prev))))

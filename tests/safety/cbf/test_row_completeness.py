@@ -150,7 +150,9 @@ def compare(safety, setting, answer, tolerance):
 def check(body, changes, real, times, seed):
     rng, tolerance, needed = np.random.default_rng(seed), 1e-7 if real == "float64" else 1e-5, 0
     limits = changes.get("acceleration_limits", True)
-    config = random_scenes.exact_config(real=real, alpha=body.alpha, tracking_error=0.002, acceleration_limits=limits)
+    config = random_scenes.exact_config(
+        precision=real, alpha=body.alpha, tracking_error=0.002, acceleration_limits=limits
+    )
     safety = SafetyFilter(body, config)
     for _ in range(times):
         setting = moment(body, rng, **changes)

@@ -31,7 +31,7 @@ def gap(body, names, q, kind, i, j, obstacles):
 
 def every_row(body, q, obstacles, **changes):
     """A filter without acceleration limits keeps every row within reach of the velocity limits."""
-    safety = SafetyFilter(body, random_scenes.exact_config(real="float64", acceleration_limits=False, **changes))
+    safety = SafetyFilter(body, random_scenes.exact_config(precision="float64", acceleration_limits=False, **changes))
     safety.observe(obstacles, 0.0)
     return safety
 
@@ -83,7 +83,7 @@ def test_right_sides_are_alpha_h_plus_motion_of_the_obstacle(sparse_panda, rng, 
 
 
 def test_the_box_has_velocity_acceleration_and_braking_limits(sparse_panda, state_at):
-    safety = SafetyFilter(sparse_panda, random_scenes.exact_config(real="float64"))
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config(precision="float64"))
     q = np.array(sparse_panda.home)
     q[0] = sparse_panda.joints[0].upper.value - 0.01
     q[1] = sparse_panda.joints[1].lower.value - 0.01  # outside
@@ -105,7 +105,7 @@ def test_a_row_is_left_out_only_when_it_cannot_bind(sparse_panda, rng, random_po
         u_prev = rng.uniform(-1.0, 1.0, 7)
         full = every_row(sparse_panda, q, obstacles)
         full.filter(state_at(q, opening=0.0), np.zeros(7), 0.0)
-        culled = SafetyFilter(sparse_panda, random_scenes.exact_config(real="float64"))
+        culled = SafetyFilter(sparse_panda, random_scenes.exact_config(precision="float64"))
         culled.observe(obstacles, 0.0)
         culled.reset(u_prev)
         culled.filter(state_at(q, opening=0.0), u_prev, 0.0)
@@ -122,7 +122,7 @@ def test_a_row_is_left_out_only_when_it_cannot_bind(sparse_panda, rng, random_po
 def test_h_min_is_the_smallest_h_of_all(sparse_panda, rng, random_posture, state_at):
     for _ in range(10):
         q, obstacles = random_posture(rng), things(rng)
-        safety = SafetyFilter(sparse_panda, random_scenes.exact_config(real="float64"))
+        safety = SafetyFilter(sparse_panda, random_scenes.exact_config(precision="float64"))
         safety.observe(obstacles, 0.0)
         got = safety.filter(state_at(q, opening=0.0), np.zeros(7), 0.0).h_min
         least = min(

@@ -54,7 +54,9 @@ def loop(safety, rng, steps, hold):
 @pytest.mark.parametrize("period", [1e-3, 2e-2], ids=["no acceleration limits", "long periods"])
 def test_the_answer_is_that_of_all_rows(sparse_panda, period):
     rng, body = np.random.default_rng(3), msgspec.structs.replace(sparse_panda, period=period)
-    config = random_scenes.exact_config(real="float64", acceleration_limits=period > 1e-3, alpha=sparse_panda.alpha)
+    config = random_scenes.exact_config(
+        precision="float64", acceleration_limits=period > 1e-3, alpha=sparse_panda.alpha
+    )
     safety = SafetyFilter(body, config)
     safety.observe(crowd(body, rng, 12))
     modified = left_out = 0

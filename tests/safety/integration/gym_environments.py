@@ -62,9 +62,9 @@ class ReachEnv(gymnasium.Env):
 
 
 class TorqueEnv(gymnasium.Env):
-    """The simulated arm under joint torques [Nm], gravity compensated; also its own dynamics, for tracking.
+    """The simulated arm under joint torques [Nm] with gravity compensation; it provides its own dynamics for tracking.
 
-    Observation: a dictionary of q and v. The velocity drives are off; MuJoCo integrates at 1 kHz.
+    Observations are dictionaries of q and v. The velocity drives are off; MuJoCo integrates at 1 kHz.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012  # gymnasium's own form
@@ -96,7 +96,7 @@ class TorqueEnv(gymnasium.Env):
         state = self.plant.read()
         return {"q": state.q, "v": state.v}
 
-    # --- what it knows of itself ------------------------------------------------------------------------------
+    # --- dynamics ---------------------------------------------------------------------------------------------
 
     def acceleration(self, q, v, torque):
         mass, bias = self._dynamics(q, v)
@@ -107,7 +107,7 @@ class TorqueEnv(gymnasium.Env):
         return np.clip(mass @ (u - v) / self.dt + bias, -MAX_TORQUE, MAX_TORQUE)
 
     def _dynamics(self, q, v):
-        """Mass matrix (7, 7) and bias (7,): Coriolis and gravity less gravity compensation and damping."""
+        """Mass matrix (7, 7) and bias (7,): Coriolis and gravity minus gravity compensation and damping."""
         model, data, arm = self.plant.model, self._model_data, self._joints
         data.qpos[:], data.qvel[:] = self.plant.data.qpos, 0.0
         data.qpos[self.plant.arm_slices[0]], data.qvel[arm] = q, v
@@ -118,18 +118,18 @@ class TorqueEnv(gymnasium.Env):
         return full[arm, arm], (data.qfrc_bias - data.qfrc_passive)[arm]
 
 
-def make_filter(robot_model=DERATED_PANDA, things=OBSTACLES, config=EXACT_CONFIG):
+def make_filter(robot_model=DERATED_PANDA, obstacles=OBSTACLES, config=EXACT_CONFIG):
     safety = SafetyFilter(robot_model, config)
-    safety.observe(things)
+    safety.observe(obstacles)
     return safety
 
 
-def min_h(q, things=OBSTACLES, opening=0.0):
-    """Smallest h of a path q (t, 7): things [m], own parts [m], joint limits [rad]; judged in float64."""
+def min_h(q, obstacles=OBSTACLES, opening=0.0):
+    """Smallest h of a path q (t, 7): obstacles [m], self-collision [m], joint limits [rad]; computed in float64."""
     q = np.asarray(q)
-    apart = (
-        geometry_oracle.h_obstacles(PANDA, q, things, opening),
+    parts = (
+        geometry_oracle.h_obstacles(PANDA, q, obstacles, opening),
         geometry_oracle.h_self(PANDA, q, opening),
         geometry_oracle.h_joints(PANDA, q),
     )
-    return min(h.min() for h in apart)
+    return min(h.min() for h in parts)

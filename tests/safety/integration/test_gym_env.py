@@ -1,4 +1,4 @@
-"""A filtered environment: a proper one, and no policy brings any h below zero in it; in the bare one they do."""
+"""Filtered environment: it is a valid environment, and no policy brings any h below zero, unlike in the bare one."""
 
 import subprocess
 import sys
@@ -28,9 +28,12 @@ from tests.safety.integration.gym_environments import (
     min_h,
 )
 
-SPEEDS = {"wish": lambda action: np.asarray(action, float) * V_MAX, "act": lambda u, _: (u / V_MAX).astype(np.float32)}
+SPEEDS = {
+    "decode_action": lambda action: np.asarray(action, float) * V_MAX,
+    "encode_action": lambda u, _: (u / V_MAX).astype(np.float32),
+}
 TOLERANCE = 2e-6
-"""Float32 of the action and its scaling, on a joint's way in one period [rad or m]."""
+"""Float32 rounding of the action and its scaling, on the motion of a joint in one period [rad or m]."""
 
 
 def velocity_env(length=300, safety=None, **more):
@@ -39,23 +42,23 @@ def velocity_env(length=300, safety=None, **more):
 
 def random_policy(rng):
     """A new direction at full speed every 60 steps."""
-    wish = np.zeros(7)
+    action = np.zeros(7)
     for step in range(10**6):
         if step % 60 == 0:
-            wish = rng.choice([-1.0, 1.0], 7)
-        yield lambda _, wish=wish: wish
+            action = rng.choice([-1.0, 1.0], 7)
+        yield lambda _, action=action: action
 
 
 def adversary(rng, safety):
-    """Drives the tool at one of the things, another one every 60 steps."""
+    """Drives the tool at one of the obstacles, another one every 60 steps."""
     for step in range(10**6):
         if step % 60 == 0:
             target = np.array(OBSTACLES[1 + rng.integers(2)].pose.position) + rng.normal(0.0, 0.05, 3)
 
         def toward(q, target=target):
             tool = safety.tool(q)
-            wish = np.linalg.pinv(tool.jacobian[:3]) @ (target - tool.position)
-            return np.clip(wish / max(np.abs(wish).max(), 1e-9) * 1.2, -1.0, 1.0)
+            u = np.linalg.pinv(tool.jacobian[:3]) @ (target - tool.position)
+            return np.clip(u / max(np.abs(u).max(), 1e-9) * 1.2, -1.0, 1.0)
 
         yield toward
 
@@ -65,8 +68,8 @@ def path(env, policy, steps, scale=1.0):
     env.reset(seed=1)
     visited, infos = [], []
     for _, choose in zip(range(steps), policy, strict=False):
-        wish = scale * choose(env.unwrapped.q)
-        _, _, terminated, truncated, info = env.step(np.asarray(wish, np.float32))
+        action = scale * choose(env.unwrapped.q)
+        _, _, terminated, truncated, info = env.step(np.asarray(action, np.float32))
         visited.append(env.unwrapped.q)
         infos.append(info)
         if terminated or truncated:
@@ -89,34 +92,34 @@ def test_no_velocity_policy_brings_h_below_zero(name, seed):
     assert min_h(bare) < -0.01
 
 
-def test_infos_are_what_the_filter_says_by_hand():
+def test_infos_agree_with_a_filter_that_is_called_directly():
     env, twin = velocity_env(10**6), make_filter()
     observation, _ = env.reset(seed=3)
     twin.reset()
     for step, choose in zip(range(150), random_policy(np.random.default_rng(8)), strict=False):
         action = choose(None).astype(np.float32)
-        mine = twin(observation[:7], observation[7:14], action.astype(float) * V_MAX, step * PERIOD)
+        result = twin(observation[:7], observation[7:14], action.astype(float) * V_MAX, step * PERIOD)
         observation, _, _, _, info = env.step(action)
-        assert (info["cost"], info["h_min"], info["status"]) == (mine.delta, mine.h_min, mine.status.name)
-        assert info["safety"] == mine.explain()
-        assert info["cost_rows"] == mine.delta_rows
-        np.testing.assert_allclose(info["applied"], mine.u / V_MAX, atol=1e-7)
-        np.testing.assert_allclose(env.unwrapped.v, mine.u, atol=1e-6)
+        assert (info["cost"], info["h_min"], info["status"]) == (result.delta, result.h_min, result.status.name)
+        assert info["safety"] == result.explain()
+        assert info["cost_rows"] == result.delta_rows
+        np.testing.assert_allclose(info["applied"], result.u / V_MAX, atol=1e-7)
+        np.testing.assert_allclose(env.unwrapped.v, result.u, atol=1e-6)
 
 
-def test_a_slow_policy_holds_its_action_and_the_filter_stays_fast():
-    fast, slow = velocity_env(10**6), velocity_env(10**6, hold=4)
+def test_a_repeated_action_is_filtered_in_every_step():
+    fast, slow = velocity_env(10**6), velocity_env(10**6, action_repeat=4)
     (_, _), (_, _) = fast.reset(seed=2), slow.reset(seed=2)
     for choose in adversary_actions(80):
         steps = [fast.step(choose) for _ in range(4)]
         observation, reward, _, _, info = slow.step(choose)
-        told = [step[4] for step in steps]
+        infos = [step[4] for step in steps]
         np.testing.assert_array_equal(observation, steps[-1][0])
         assert reward == pytest.approx(sum(step[1] for step in steps))
-        assert info["cost"] == pytest.approx(np.mean([one["cost"] for one in told]))
-        assert info["h_min"] == min(one["h_min"] for one in told)
-        assert info["status"] == max((one["status"] for one in told), key=lambda name: FilterStatus[name])
-        assert info["safety"] == max(told, key=lambda one: one["cost"])["safety"]
+        assert info["cost"] == pytest.approx(np.mean([step_info["cost"] for step_info in infos]))
+        assert info["h_min"] == min(step_info["h_min"] for step_info in infos)
+        assert info["status"] == max((step_info["status"] for step_info in infos), key=lambda name: FilterStatus[name])
+        assert info["safety"] == max(infos, key=lambda step_info: step_info["cost"])["safety"]
     assert info["status"] == "MODIFIED"
 
 
@@ -125,15 +128,15 @@ def adversary_actions(count):
     return [rng.choice([-1.0, 1.0], 7).astype(np.float32) for _ in range(count // 8) for _ in range(8)]
 
 
-def test_a_held_action_ends_with_the_episode():
-    env = velocity_env(length=10, hold=4)
+def test_a_repeated_action_ends_with_the_episode():
+    env = velocity_env(length=10, action_repeat=4)
     env.reset(seed=0)
     ends = [env.step(np.zeros(7, np.float32))[3] for _ in range(3)]
     assert ends == [False, False, True]
     assert env.unwrapped._steps == 10
 
 
-def test_a_safe_action_passes_untouched():
+def test_a_safe_action_passes_unchanged():
     env = velocity_env()
     env.reset(seed=0)
     action = np.full(7, 0.01, np.float32)
@@ -142,7 +145,7 @@ def test_a_safe_action_passes_untouched():
     assert (info["cost"], info["status"]) == (0.0, "SAFE")
 
 
-def test_reset_forgets_the_last_control():
+def test_reset_clears_the_last_control():
     env = velocity_env()
     first = []
     for _ in range(2):
@@ -152,24 +155,24 @@ def test_reset_forgets_the_last_control():
 
 
 @pytest.mark.filterwarnings("ignore:.*(different from the unwrapped|not having a spec):UserWarning")
-def test_it_is_a_proper_environment():
+def test_it_is_a_valid_environment():
     check_env(ReachEnv())
     check_env(velocity_env())
     check_env(velocity_env(safety=ShadowFilter(make_filter())))
 
 
-def test_a_shadow_only_watches():
-    told = []
-    watched = velocity_env(10**6, ShadowFilter(make_filter(), on_interval=told.append))
+def test_a_shadow_filter_only_observes():
+    intervals = []
+    observed = velocity_env(10**6, ShadowFilter(make_filter(), on_interval=intervals.append))
     policy = [adversary(np.random.default_rng(2), SafetyFilter(DERATED_PANDA)) for _ in range(2)]
-    seen, infos = path(watched, policy[0], 300)
+    visited, infos = path(observed, policy[0], 300)
     bare, _ = path(ReachEnv(10**6), policy[1], 300)
-    assert np.array_equal(seen, bare)
+    assert np.array_equal(visited, bare)
     assert all(info["status"] in {status.name for status in FilterStatus} for info in infos)
-    assert watched.shadow.close().changed_ticks == sum(
+    assert observed.shadow.close().changed_ticks == sum(
         info["cost"] > 1e-4 or FilterStatus[info["status"]] > FilterStatus.MODIFIED for info in infos
     )
-    assert told
+    assert intervals
     assert min(info["h_min"] for info in infos) < -0.01
 
 
@@ -178,15 +181,15 @@ def test_open_fingers_reach_farther():
     ball = Obstacle("ball", Sphere(0.02), Pose(tuple(tool.position + 0.09 * tool.rotation[:, 1])))
     h = {}
     for opening in (0.0, 0.04):
-        env = velocity_env(safety=make_filter(things=[ball]), opening=lambda _, opening=opening: opening)
+        env = velocity_env(safety=make_filter(obstacles=[ball]), opening=lambda _, opening=opening: opening)
         env.reset(seed=0)
         h[opening] = env.step(np.zeros(7, np.float32))[4]["h_min"]
         assert h[opening] == pytest.approx(min_h(np.array([PANDA.home]), [ball], opening), abs=2e-5)
     assert h[0.04] < h[0.0] - 0.005
 
 
-def test_moving_things_are_seen_in_every_step():
-    """A ball comes down at the hand at 10 cm/s; the policy wants to stand still."""
+def test_moving_obstacles_are_observed_in_every_step():
+    """A ball approaches the hand from above at 10 cm/s; the policy keeps the arm at rest."""
     start = SafetyFilter(DERATED_PANDA).tool(np.array(PANDA.home)).position + np.array([0.0, 0.0, 0.35])
 
     def ball(now):
@@ -205,13 +208,19 @@ def test_moving_things_are_seen_in_every_step():
     assert min(h) > -TOLERANCE
 
 
-def test_what_would_break_the_promise_is_refused():
+def test_settings_that_break_the_guarantee_are_rejected():
     with pytest.raises(ConfigurationError, match="one step of the environment"):
         FilteredEnv(ReachEnv(), SafetyFilter(derate(PANDA, max_speed=1.5)), **SPEEDS)
     with pytest.raises(ConfigurationError, match="action space") as narrow:
-        FilteredEnv(ReachEnv(), SafetyFilter(DERATED_PANDA))  # its actions, taken for rad/s, end at 1
-    assert "wish" in narrow.value.fix
-    for wrong in ({"period": 0.0}, {"period": 0.02}, {"speed": 0.0}, {"speed": 9.0}, {"speed": [1.0] * 6 + [np.nan]}):
+        FilteredEnv(ReachEnv(), SafetyFilter(DERATED_PANDA))  # the actions are interpreted as rad/s and limited to 1
+    assert "decode_action" in narrow.value.fix
+    for wrong in (
+        {"period": 0.0},
+        {"period": 0.02},
+        {"max_speed": 0.0},
+        {"max_speed": 9.0},
+        {"max_speed": [1.0] * 6 + [np.nan]},
+    ):
         with pytest.raises(ConfigurationError):
             derate(PANDA, **wrong)
     assert derate(PANDA) is PANDA
@@ -221,9 +230,8 @@ def test_without_gymnasium_the_extra_is_named():
     code = "import sys; sys.modules['gymnasium'] = None; import dualbrain.safety.integration.gym_env"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 1
-    assert (
-        "MissingPart: The package gymnasium is missing. Install it with `pip install 'dualbrain[gym]'`." in done.stderr
-    )
+    message = "The package gymnasium is missing. Install it with `pip install 'dualbrain[gym]'`."
+    assert f"MissingDependencyError: {message}" in done.stderr
 
 
 # --- torques ------------------------------------------------------------------------------------------------------
@@ -253,19 +261,19 @@ def torques(env, choose, steps, seed):
     return np.array(visited), infos
 
 
-def at_random(rng, step, q, v):
-    """Bang-bang, another corner every 50 ms."""
+def random_torque(rng, step, q, v):
+    """Bang-bang torques, with new signs every 50 ms."""
     if step % 50 == 0:
-        at_random.corner = 0.3 * rng.choice([-1.0, 1.0], 7) * MAX_TORQUE
-    return at_random.corner
+        random_torque.corner = 0.3 * rng.choice([-1.0, 1.0], 7) * MAX_TORQUE
+    return random_torque.corner
 
 
 def downward(rng, step, q, v):
-    """Pulls the hand at the table with 150 N."""
+    """Pulls the hand toward the table with 150 N."""
     return np.clip(HAND.tool(q).jacobian[2] * -150.0, -MAX_TORQUE, MAX_TORQUE)
 
 
-@pytest.mark.parametrize("choose", [at_random, downward])
+@pytest.mark.parametrize("choose", [random_torque, downward])
 def test_no_torque_policy_brings_h_below_zero(choose):
     guarded, infos = torques(torque_env(), choose, 900, 0)
     assert min_h(guarded, FLOOR, 0.04) > 0.0
@@ -276,7 +284,7 @@ def test_no_torque_policy_brings_h_below_zero(choose):
 
 
 class Blocked(gymnasium.Env):
-    """An arm that somebody holds: no torque moves it. It is its own dynamics, of unit inertia."""
+    """An arm that a person holds, so that no torque moves it. It provides its own dynamics, with unit inertia."""
 
     action_space = gymnasium.spaces.Box(-100.0, 100.0, (7,), np.float64)
     observation_space = gymnasium.spaces.Box(-4.0, 4.0, (14,), np.float64)
@@ -294,8 +302,8 @@ class Blocked(gymnasium.Env):
         return (u - v) / PANDA.period
 
 
-def test_a_blocked_arm_winds_nothing_up():
-    """The wish goes out from the velocity that the arm has, not from the one that it was to have."""
+def test_a_blocked_arm_causes_no_windup():
+    """The nominal control starts from the measured velocity, not from the commanded one."""
     bare = Blocked()
     env = FilteredEnv(bare, make_filter(PANDA, (), PUSHED), torque=bare)
     env.reset()
@@ -304,7 +312,7 @@ def test_a_blocked_arm_winds_nothing_up():
     np.testing.assert_allclose(applied, np.tile(applied[0], (50, 1)))
 
 
-def test_a_gentle_torque_passes_untouched():
+def test_a_gentle_torque_passes_unchanged():
     _, infos = torques(torque_env(), lambda *_: np.full(7, 0.05), 50, 0)
     assert {info["status"] for info in infos} == {"SAFE"}
     assert all(np.array_equal(info["applied"], np.full(7, 0.05)) for info in infos)
@@ -313,6 +321,6 @@ def test_a_gentle_torque_passes_untouched():
 
 @pytest.mark.filterwarnings("ignore:.*(different from the unwrapped|not having a spec):UserWarning")
 @pytest.mark.filterwarnings("ignore:.*normalized space:UserWarning")
-def test_the_torque_environment_is_a_proper_one():
+def test_the_torque_environment_is_valid():
     check_env(torque_env(20))
     check_env(torque_env(20, shadow=True))

@@ -1,4 +1,4 @@
-"""A site file: errors name line and column; caps only narrow; planes, boxes, tool and payload hold in the filter."""
+"""Site files: errors name line and column, limits only narrow, and the filter keeps planes, boxes, tool and payload."""
 
 import numpy as np
 import pytest
@@ -59,7 +59,7 @@ PLANE = "[[plane]]\nname = 'a'\npoint = [0, 0, 0]\ninward = [0, 0, 1]\n"
 
 
 @pytest.mark.parametrize(
-    ("text", "line", "column", "said"),
+    ("text", "line", "column", "expected"),
     [
         ("[robot]\nperiod = 0.0", 2, 10, "> 0.0"),
         ('[limits]\n\nvelocity = "fast"', 3, 12, "Expected `float"),
@@ -72,16 +72,16 @@ PLANE = "[[plane]]\nname = 'a'\npoint = [0, 0, 0]\ninward = [0, 0, 1]\n"
         ("[commander.planner]\nskills = 'all'", 2, 10, "array"),
     ],
 )
-def test_an_error_names_its_line_and_column(tmp_path, text, line, column, said):
+def test_an_error_names_its_line_and_column(tmp_path, text, line, column, expected):
     with pytest.raises(SiteError) as caught:
         site(tmp_path, text)
     assert (caught.value.line, caught.value.column) == (line, column)
     assert f"lab.toml, line {line}, column {column}" in str(caught.value)
-    assert said in str(caught.value)
+    assert expected in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("text", "line", "said"),
+    ("text", "line", "expected"),
     [
         ("[joint.elbow]\nvelocity = 1.0", 1, "panda_joint1"),
         ("[[plane]]\nname = 'a'\npoint = [0, 0, 0]\ninward = [0, 0, 1]\nparts = ['tail']", 5, "tail"),
@@ -89,15 +89,15 @@ def test_an_error_names_its_line_and_column(tmp_path, text, line, column, said):
         ("[joint.panda_joint1]\nlower = 2.9", 1, "not empty"),
     ],
 )
-def test_what_does_not_fit_the_body_names_its_line(tmp_path, text, line, said):
+def test_an_entry_that_does_not_fit_the_robot_names_its_line(tmp_path, text, line, expected):
     file, robot_model = site(tmp_path, text), load_robot("panda")
     with pytest.raises(SiteError) as caught:
         site_obstacles(site_robot(robot_model, file), file)
     assert caught.value.line == line
-    assert said in str(caught.value)
+    assert expected in str(caught.value)
 
 
-def test_caps_only_narrow_and_say_so(tmp_path):
+def test_limits_only_narrow_and_have_their_provenance(tmp_path):
     robot_model = load_robot("panda")
     narrowed = site_robot(robot_model, site(tmp_path, WHOLE))
     fourth = narrowed.joints[3]
@@ -109,18 +109,18 @@ def test_caps_only_narrow_and_say_so(tmp_path):
     assert wide == robot_model
 
 
-def test_tool_and_payload_belong_to_the_body_and_are_kept_from_what_the_hand_is(tmp_path):
+def test_tool_and_payload_become_links_that_keep_away_like_the_hand(tmp_path):
     robot_model, file = load_robot("panda"), site(tmp_path, WHOLE)
     narrowed = site_robot(robot_model, file)
     plain, longer = site_filter(site(tmp_path, ""), robot_model), site_filter(file, robot_model)
     q = np.array(robot_model.home)
     assert np.allclose(longer.tool(q).position, plain.tool(q).position + 0.1 * plain.tool(q).rotation[:, 2], atol=1e-6)
-    where, radii, groups = longer.spheres(q, 0.0)
+    centres, radii, groups = longer.spheres(q, 0.0)
     assert len(radii) == len(robot_model.spheres) + 2
     assert groups[-2:] == ("hand", "hand")
     assert radii[-2:] == pytest.approx([0.04, 0.03 + 0.01], abs=1e-6)
     centre = plain.tool(q).position + 0.14 * plain.tool(q).rotation[:, 2]
-    assert np.allclose(where[-1], centre, atol=1e-6)
+    assert np.allclose(centres[-1], centre, atol=1e-6)
     kept = {pair for pair in narrowed.self_pairs.kept if "site_payload" in pair}
     assert kept
     assert {part for part, _ in kept} <= {part for pair in robot_model.self_pairs.kept for part in pair}
@@ -133,12 +133,12 @@ def test_the_filter_keeps_the_payload_above_the_table(tmp_path):
         J = safety.tool(q).jacobian[:3]
         u = safety(q, u, J.T @ np.linalg.solve(J @ J.T + 1e-3 * np.eye(3), np.array([0.0, 0.0, -0.3]))).u
         q = q + safety.robot_model.period * u
-    where, radii, groups = safety.spheres(q, 0.0)
+    centres, radii, groups = safety.spheres(q, 0.0)
     hand = np.array([group == "hand" for group in groups])
-    assert 0.0 <= np.min(where[hand, 2] - radii[hand]) < 0.01
+    assert 0.0 <= np.min(centres[hand, 2] - radii[hand]) < 0.01
 
 
-def test_who_may_command_what(tmp_path):
+def test_grants_list_the_skills_of_each_commander(tmp_path):
     skills = frozenset({"home", "hold", "grasp"})
     assert site_skill_grants(site(tmp_path, WHOLE), skills) == {"planner": frozenset({"home", "hold"})}
     assert site_skill_grants(site(tmp_path, ""), skills) is None
@@ -146,6 +146,6 @@ def test_who_may_command_what(tmp_path):
         site_skill_grants(site(tmp_path, WHOLE), frozenset({"home"}))
 
 
-def test_no_file_no_site(tmp_path):
+def test_a_missing_file_is_a_configuration_error(tmp_path):
     with pytest.raises(ConfigurationError, match="site file"):
         read_site(tmp_path / "gone.toml")

@@ -45,7 +45,7 @@ def test_both_sizes_answer_bit_for_bit_alike(name, real, wide_only, rng):
             other.flags,
             other.delta,
             other.h_min,
-            other.rows,
+            other.binding_rows,
         )
         bound += len(one.binding_rows) > 1
         u, q = one.u, q + robot_model.period * one.u

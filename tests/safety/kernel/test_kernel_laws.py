@@ -41,7 +41,7 @@ def test_certified_means_that_the_next_step_is_safe_or_no_deeper(sparse_panda, s
         moving = seed % 3 == 0
         velocity = (0.0, 0.0, 0.3) if moving else (0.0, 0.0, 0.0)
         ball = Obstacle("late", Sphere(0.04), Pose(tuple(place.tolist())), velocity=velocity, static=not moving)
-        safety = SafetyFilter(sparse_panda, random_scenes.exact_config(real=real))
+        safety = SafetyFilter(sparse_panda, random_scenes.exact_config(precision=real))
         safety.observe([ball], 0.0)
         safety.reset(u_prev)
         answer = safety.filter(state_at(q, opening=0.0), u_prev, 0.0)
@@ -87,7 +87,7 @@ def test_delta_and_its_split_follow_their_equations(sparse_panda, state_at):
     rng = np.random.default_rng(0)
     v = np.array([joint.velocity.value for joint in sparse_panda.joints])
     step = np.array([joint.acceleration.value for joint in sparse_panda.joints]) * sparse_panda.period
-    safety = SafetyFilter(sparse_panda, random_scenes.exact_config(real="float64"))
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config(precision="float64"))
     safety.observe(random_scenes.random_scene(sparse_panda, rng), 0.0)
     q, last = np.array(sparse_panda.home), np.zeros(7)
 
@@ -109,7 +109,7 @@ def test_delta_and_its_split_follow_their_equations(sparse_panda, state_at):
 
 def test_the_jerk_box_follows_its_equation(panda, state_at):
     """Change of the control within last change ± j dt², and no faster toward v_max than can be taken back in time."""
-    safety = SafetyFilter(panda, random_scenes.exact_config(real="float64", jerk_limits=True, recovery_speed=0.05))
+    safety = SafetyFilter(panda, random_scenes.exact_config(precision="float64", jerk_limits=True, recovery_speed=0.05))
     v = np.array([joint.velocity.value for joint in panda.joints])
     j, dt = np.array([joint.jerk.value for joint in panda.joints]), panda.period
     rng, before, u, narrowed = np.random.default_rng(1), np.zeros(7), np.zeros(7), 0
@@ -153,7 +153,7 @@ def test_a_limit_that_the_accelerations_cannot_keep_is_told(sparse_panda, state_
 def test_a_warm_start_changes_the_work_and_not_the_answer(sparse_panda, state_at):
     rng = np.random.default_rng(4)
     things = random_scenes.random_scene(sparse_panda, rng, 12)
-    warm, cold = (SafetyFilter(sparse_panda, random_scenes.exact_config(real="float64")) for _ in range(2))
+    warm, cold = (SafetyFilter(sparse_panda, random_scenes.exact_config(precision="float64")) for _ in range(2))
     for safety in (warm, cold):
         safety.observe(things, 0.0)
     v = np.array([joint.velocity.value for joint in sparse_panda.joints])
@@ -254,7 +254,7 @@ def test_braking_slows_every_joint_by_the_same_factor(sparse_panda, state_at):
     step = np.array([joint.acceleration.value for joint in sparse_panda.joints]) * sparse_panda.period
     for _ in range(50):
         u_prev = rng.uniform(-2.0, 2.0, 7) * rng.choice([1.0, 0.003])
-        safety = SafetyFilter(sparse_panda, random_scenes.exact_config(real="float64"))
+        safety = SafetyFilter(sparse_panda, random_scenes.exact_config(precision="float64"))
         safety.reset(u_prev)
         u = safety.filter(state_at(sparse_panda.home), np.full(7, np.nan), 0.0).u
         keep = max(0.0, *(1.0 - step / np.maximum(np.abs(u_prev), step)))
@@ -265,7 +265,7 @@ def test_braking_slows_every_joint_by_the_same_factor(sparse_panda, state_at):
 def test_a_moving_arm_is_filtered_where_it_will_be_when_the_drive_has_caught_up(sparse_panda, state_at, seed):
     """The state of the rows is y = q + lag v, joint by joint: the same answer as at rest in y."""
     rng = np.random.default_rng(seed)
-    safety = SafetyFilter(sparse_panda, random_scenes.exact_config(real="float64", lag_compensation=True))
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config(precision="float64", lag_compensation=True))
     safety.observe(random_scenes.random_scene(sparse_panda, rng, 10), 0.0)
     q, v = np.array(sparse_panda.home) + rng.uniform(-0.2, 0.2, 7), rng.uniform(-1.0, 1.0, 7)
     wish, u_prev = rng.uniform(-2.0, 2.0, 7), rng.uniform(-0.3, 0.3, 7)
@@ -292,7 +292,7 @@ def test_the_parts_of_the_intervention_add_up_also_where_nothing_was_asked(spars
 @pytest.mark.parametrize("joint", range(7))
 def test_an_arm_is_called_far_outside_by_where_it_will_be(sparse_panda, state_at, joint):
     """What lies beyond the range is counted at y = q + lag v."""
-    safety = SafetyFilter(sparse_panda, random_scenes.exact_config(real="float64", lag_compensation=True))
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config(precision="float64", lag_compensation=True))
     lag, limit = sparse_panda.tracking.lag, sparse_panda.joints[joint].upper.value + FAR_OUTSIDE
     for beyond in (-0.1, 0.1):
         q, v = np.array(sparse_panda.home), np.zeros(7)

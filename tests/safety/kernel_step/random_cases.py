@@ -192,7 +192,7 @@ def make_kernel(model, build=_kernel64):
 
 def upload_case(made, model, m):
     """All that stays: things, permits, what is held, rows, the base, the last control."""
-    made.set_obstacles(np.ascontiguousarray(m.things))
+    made.set_obstacles(np.ascontiguousarray(m.obstacles))
     made.clear_permits()
     for (link, thing), speed in m.permits.items():
         made.permit(link, thing, speed)

@@ -27,7 +27,7 @@ class ReferenceStep:
         self.slides = model["joint_kind"] > 0.0
         self.first = [*model["link_first"].astype(int), len(model["spheres"]) + len(m.held)]
         self.link_frame = [*model["link_frame"].astype(int), self.n]
-        self.obstacles = [ReferenceObstacle(row, m.age) for row in m.things]
+        self.obstacles = [ReferenceObstacle(row, m.age) for row in m.obstacles]
 
     def sphere_indices(self, link):
         """Indices of a link's spheres; the last link is what is held."""

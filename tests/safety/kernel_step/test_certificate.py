@@ -101,7 +101,7 @@ def test_a_thing_that_is_gone_holds_nothing_back():
     m = StepCase(np.zeros(2), np.zeros(2), u_nom, np.zeros(2), np.array([behind] * 8 + [ahead]), rows=np.empty((0, 5)))
     random_cases.upload_case(made, model, m)
     first = random_cases.run_step(made, m)
-    assert [row[:3] for row in first.rows if row[0] == 0] == [(0, 0, 8)]
+    assert [row[:3] for row in first.binding_rows if row[0] == 0] == [(0, 0, 8)]
     made.set_obstacles(np.array([behind] * 8))
     then = random_cases.run_step(made, m)
     assert then.n_rows == 8

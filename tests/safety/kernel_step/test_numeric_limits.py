@@ -102,7 +102,13 @@ def test_rows_that_fit_fit_and_one_more_stops(links, things):
     assert (fits.flags & OVERFLOW, random_cases.step_internals(made, 2, 2)["rows"]["count"][0]) == (0, 512)
     made, many = answer(model, [*[around] * things, first])
     assert (many.status, many.flags & OVERFLOW) == (STATUS_STOPPED, OVERFLOW)
-    assert (many.n_rows, many.certified, many.iterations, many.rows, many.relaxed_mask) == (512, False, 0, (), 0)
+    assert (many.n_rows, many.certified, many.iterations, many.binding_rows, many.relaxed_mask) == (
+        512,
+        False,
+        0,
+        (),
+        0,
+    )
     assert many.h_min == pytest.approx(0.0005, abs=1e-12)
 
 
@@ -208,7 +214,7 @@ def test_a_bound_is_called_velocity_within_a_thousandth_of_a_step(more, told):
     last = 2.0 - 0.01 * (1.0 + more)
     for side in (1.0, -1.0):
         _, got = answer(chain_model(), u_prev=side * last, u_nom=np.full(2, 9.0 * side))
-        assert [row[2] for row in got.rows] == [told, told]
+        assert [row[2] for row in got.binding_rows] == [told, told]
 
 
 @pytest.mark.parametrize(("more", "told"), [(0.7e-3, ACCELERATION), (1.5e-3, AT_LIMIT)])
@@ -223,7 +229,7 @@ def test_a_bound_is_called_acceleration_within_a_thousandth_of_a_step(more, told
             u_prev=0.5 * side,
             u_nom=np.full(2, 9.0 * side),
         )
-        assert [row[2] for row in got.rows] == [told, told]
+        assert [row[2] for row in got.binding_rows] == [told, told]
 
 
 @pytest.mark.parametrize("j_max", [4000.0, 0.5])
@@ -235,7 +241,7 @@ def test_a_bound_is_called_jerk_within_a_thousandth_of_a_step(more, told, j_max)
         bound = 0.5 + jerk - more * step
         q = side * (2.0 - bound / 4.0)
         _, got = answer(model, q=q, u_prev=0.5 * side, u_nom=np.full(2, 9.0 * side))
-        assert [row[2] for row in got.rows] == [told, told]
+        assert [row[2] for row in got.binding_rows] == [told, told]
 
 
 @pytest.mark.parametrize(("lack", "told"), [(0.8, False), (1.2, True)])

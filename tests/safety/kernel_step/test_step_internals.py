@@ -59,7 +59,7 @@ def body_and_scene(got, w):
     frames = [*np.repeat(w.link_frame[:-1], np.diff(w.first[:-1])), *[n] * 8]
     close(got["model"]["sphere_frame"][:held], frames, "frames of spheres")
     scene = got["scene"]
-    for j, t in enumerate(w.things):
+    for j, t in enumerate(w.obstacles):
         wanted = {
             "x": t.start[0],
             "y": t.start[1],
@@ -84,9 +84,9 @@ def body_and_scene(got, w):
         }
         for name, value in wanted.items():
             assert scene[name][j] == pytest.approx(float(value), abs=1e-12), name
-    assert scene["any_half_space"][0] == any(t.shape == 2 for t in w.things)
-    assert scene["any_separation"][0] == any(t.brake > 0 for t in w.things)
-    assert scene["any_moving"][0] == any(not t.flags & 2 for t in w.things)
+    assert scene["any_half_space"][0] == any(t.shape == 2 for t in w.obstacles)
+    assert scene["any_separation"][0] == any(t.brake > 0 for t in w.obstacles)
+    assert scene["any_moving"][0] == any(not t.flags & 2 for t in w.obstacles)
 
 
 def bounds(w):
@@ -132,11 +132,11 @@ def motion(got, w):
 def lists(got, w):
     if "broadphase" not in got:
         return
-    around, count = got["broadphase"], len(w.things)
+    around, count = got["broadphase"], len(w.obstacles)
     places = np.stack([around[e][:count] for e in "xyz"], axis=1)
-    close(places, np.array([t.place for t in w.things]), "things moved on")
-    close(around["margin"][:count], [w.margin(t) for t in w.things], "margins")
-    close(around["alpha"][:count], [w.alpha(t) for t in w.things], "gains")
+    close(places, np.array([t.place for t in w.obstacles]), "things moved on")
+    close(around["margin"][:count], [w.margin(t) for t in w.obstacles], "margins")
+    close(around["alpha"][:count], [w.alpha(t) for t in w.obstacles], "gains")
     assert [list(near) for near in around["near"]] == w.nearby_obstacles
 
 
@@ -153,7 +153,7 @@ def spans(told, w, names):
     for kind, i, j in names:
         if kind == OBSTACLE:
             link = next(link for link in range(w.links + 1) if i in w.of(link))
-            social = [k for k in w.nearby_obstacles[link] if w.things[k].plain and (link, k) not in w.m.permits]
+            social = [k for k in w.nearby_obstacles[link] if w.obstacles[k].plain and (link, k) not in w.m.permits]
             wanted.append((0, w.link_frame[link], float(not (j in social and len(social) > len(w.of(link))))))
         elif kind == SELF:
             wanted.append((w.frame[j], w.frame[i], 1.0))
@@ -189,7 +189,7 @@ def optimal(answer, got, w):
     assert (answer.n_rows, answer.relaxed_mask) == (got["rows"]["count"][0], 0)
     S = w.model["scale"]
     pull = np.linalg.solve(S @ S.T, np.array(answer.u) - w.m.u_nom)
-    for kind, i, j, h, weight in answer.rows:
+    for kind, i, j, h, weight in answer.binding_rows:
         if kind in (LOWER, UPPER):
             side = np.eye(w.n)[i] * (1.0 if kind == LOWER else -1.0)
             bound = (w.low if kind == LOWER else -w.high)[i]
@@ -202,7 +202,7 @@ def optimal(answer, got, w):
         pull = pull - weight * side
     close(pull, 0.0, "what moved the answer", 1e-6)
     warm = got["step"]["warm"][: int(got["step"]["n_warm"][0]), :3]
-    assert [tuple(row) for row in warm] == [row[:3] for row in answer.rows]
+    assert [tuple(row) for row in warm] == [row[:3] for row in answer.binding_rows]
 
 
 @pytest.mark.parametrize("kind", KINDS)
