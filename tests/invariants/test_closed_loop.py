@@ -1,7 +1,7 @@
-"""Forward invariance under an adversary: among static obstacles no h falls below zero, judged in float64 by numpy.
+"""Forward invariance under an adversary: among static obstacles no h falls below zero, checked in float64 by numpy.
 
-The adversary drives at full speed at the nearest row (or bang-bang); the loop integrates ẏ = u exactly. Each negative
-control changes one named parameter and must fail: the promise has teeth.
+The adversary moves at full speed toward the nearest row (or bang-bang); the loop integrates ẏ = u exactly. Each
+negative control changes one named parameter and must fail.
 """
 
 import sys
@@ -15,10 +15,10 @@ from tests.safety import geometry_oracle, random_scenes
 from tests.safety.conftest import panda, sparse_panda, state_at  # noqa: F401
 
 
-def least_h(body, run, things):
-    """(h, step, which) of the worst moment, in float64: obstacles and own links [m], joint limits [rad]."""
+def least_h(body, run, obstacles):
+    """(h, step, which) of the worst case, in float64: obstacles and self-collision [m], joint limits [rad]."""
     parts = {
-        "obstacle": geometry_oracle.h_obstacles(body, run.q, things),
+        "obstacle": geometry_oracle.h_obstacles(body, run.q, obstacles),
         "self": geometry_oracle.h_self(body, run.q),
         "joint": geometry_oracle.h_joints(body, run.q),
     }
@@ -26,9 +26,9 @@ def least_h(body, run, things):
     return float(parts[which].min()), int(parts[which].argmin()), which
 
 
-def loop(body, seed, steps, *, hold=None, things=8, **changes):
-    """The adversary holds its mind for 0.15, 0.4 or 1 s, so that full speed is reached."""
-    scene = random_scenes.random_scene(body, np.random.default_rng(seed), things)
+def loop(body, seed, steps, *, hold=None, obstacles=8, **changes):
+    """The adversary keeps its direction for 0.15, 0.4 or 1 s, so that full speed is reached."""
+    scene = random_scenes.random_scene(body, np.random.default_rng(seed), obstacles)
     safety = SafetyFilter(body, random_scenes.exact_config(**changes))
     safety.observe(scene, 0.0)
     hold = hold or (150, 400, 1000)[seed % 3]
@@ -36,8 +36,8 @@ def loop(body, seed, steps, *, hold=None, things=8, **changes):
 
 
 def holds(body, seed, steps):
-    run, things = loop(body, seed, steps)
-    h, step, which = least_h(body, run, things)
+    run, obstacles = loop(body, seed, steps)
+    h, step, which = least_h(body, run, obstacles)
     assert h >= 0.0, f"seed {seed}: {which} h = {h * 1e3:.4f} mm at step {step}"
     assert run.tally["stopped"] == run.tally["fault"] == 0
     assert (
@@ -66,38 +66,38 @@ def test_no_h_below_zero_in_a_million_steps(panda, seed):  # noqa: F811
 # --- negative controls: one named parameter each ------------------------------------------------------------------
 
 
-def say(control, h, step, which, seed):
+def report(control, h, step, which, seed):
     """The failing step and its depth, on the test's output (pytest -rP)."""
     sys.stdout.write(f"{control}: {which} h = {h * 1e3:.3f} mm at step {step} of seed {seed}\n")
 
 
 def test_control_alpha_10_under_acceleration_limits_fails(sparse_panda):  # noqa: F811
-    """α is 2.9 times what the acceleration limits can follow."""
-    run, things = loop(sparse_panda, 6, 8000, hold=1000, things=14, alpha=10.0)
-    h, step, which = least_h(sparse_panda, run, things)
-    say("alpha 10", h, step, which, 6)
+    """α is 2.9 times the gain that the acceleration limits can follow."""
+    run, obstacles = loop(sparse_panda, 6, 8000, hold=1000, obstacles=14, alpha=10.0)
+    h, step, which = least_h(sparse_panda, run, obstacles)
+    report("alpha 10", h, step, which, 6)
     assert h < -1e-2
-    run, things = loop(sparse_panda, 6, 8000, hold=1000, things=14)
-    assert least_h(sparse_panda, run, things)[0] >= 0.0
+    run, obstacles = loop(sparse_panda, 6, 8000, hold=1000, obstacles=14)
+    assert least_h(sparse_panda, run, obstacles)[0] >= 0.0
 
 
 def test_control_without_margin_fails(sparse_panda):  # noqa: F811
-    """Things are seen 5 mm away from where they are; the obstacles' margin is that bound, or nothing."""
+    """Obstacles are observed 5 mm away from their true position; their margin is that bound, or zero."""
     for seed in range(3):
-        assert seen_wrongly(sparse_panda, seed, 0.005)[0] >= 0.0
-    worst = min((*seen_wrongly(sparse_panda, seed, 0.0), seed) for seed in range(3))
-    say("margin 0", *worst)
+        assert run_with_position_error(sparse_panda, seed, 0.005)[0] >= 0.0
+    worst = min((*run_with_position_error(sparse_panda, seed, 0.0), seed) for seed in range(3))
+    report("margin 0", *worst)
     assert worst[0] < -1e-3
 
 
-def seen_wrongly(body, seed, margin):
+def run_with_position_error(body, seed, margin):
     rng = np.random.default_rng(seed)
     truth, seen = random_scenes.random_scene(body, rng, 14, gap=0.03), []
-    for thing in truth:
+    for obstacle in truth:
         offset = rng.normal(size=3)
-        place = np.array(thing.pose.position) + 0.005 * offset / np.linalg.norm(offset)
-        pose = Pose(tuple(place), thing.pose.quaternion)
-        seen.append(Obstacle(thing.name, thing.shape, pose, margin=margin))
+        place = np.array(obstacle.pose.position) + 0.005 * offset / np.linalg.norm(offset)
+        pose = Pose(tuple(place), obstacle.pose.quaternion)
+        seen.append(Obstacle(obstacle.name, obstacle.shape, pose, margin=margin))
     safety = SafetyFilter(body, random_scenes.exact_config())
     safety.observe(seen, 0.0)
     run = random_scenes.closed_loop(safety, body.home, 5000, seed, hold=1000, toward=0.9)
@@ -105,21 +105,23 @@ def seen_wrongly(body, seed, margin):
 
 
 def test_control_without_the_obstacles_velocity_fails(sparse_panda):  # noqa: F811
-    """A wall comes in at 6 cm/s while the arm pushes against it; the filter is told so, or that it stands still."""
-    assert pressed(sparse_panda, 1.0)[0] >= 0.0
-    h, step = pressed(sparse_panda, 0.0)
-    say("no n'v_o", h, step, "wall", "none")
+    """A wall approaches at 6 cm/s while the arm pushes against it; the filter gets its velocity, or zero velocity."""
+    assert push_against_moving_wall(sparse_panda, 1.0)[0] >= 0.0
+    h, step = push_against_moving_wall(sparse_panda, 0.0)
+    report("no n'v_o", h, step, "wall", "none")
     assert h < -1e-3
 
 
-def pressed(body, told, steps=2500):
-    """Worst (h, step) in float64; the wall's face looks along -x and starts at x = 0.65 m."""
+def push_against_moving_wall(body, reported, steps=2500):
+    """Worst (h, step) in float64; the wall faces -x and starts at x = 0.65 m; `reported` scales its velocity."""
     safety, state = SafetyFilter(body, random_scenes.exact_config()), state_at.__wrapped__()
     q, log = np.array(body.home), np.empty((steps, body.n))
     turn = (0.5**0.5, 0.0, -(0.5**0.5), 0.0)
     for k in range(steps):
         now, x = k * 1e-3, 0.65 - 0.06 * k * 1e-3
-        wall = Obstacle("wall", HalfSpace(), Pose((x, 0.0, 0.0), turn), velocity=(-0.06 * told, 0.0, 0.0), static=False)
+        wall = Obstacle(
+            "wall", HalfSpace(), Pose((x, 0.0, 0.0), turn), velocity=(-0.06 * reported, 0.0, 0.0), static=False
+        )
         safety.observe([wall], now)
         push = np.linalg.pinv(safety.tool(q).jacobian) @ np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
         q = q + 1e-3 * safety.filter(state(q, t=now), push, now).u
@@ -131,10 +133,10 @@ def pressed(body, told, steps=2500):
     return float(h.min()), int(h.argmin())
 
 
-def test_a_ball_that_starts_inside_is_left_monotonically(sparse_panda):  # noqa: F811
-    things = [Obstacle("ball", Sphere(0.06), Pose((0.5, 0.12, 0.45)))]
+def test_a_start_inside_a_sphere_is_left_monotonically(sparse_panda):  # noqa: F811
+    obstacles = [Obstacle("ball", Sphere(0.06), Pose((0.5, 0.12, 0.45)))]
     safety = SafetyFilter(sparse_panda, random_scenes.exact_config())
-    safety.observe(things, 0.0)
+    safety.observe(obstacles, 0.0)
     q, h = np.array(sparse_panda.home), []
     state = state_at.__wrapped__()
     for _ in range(2500):

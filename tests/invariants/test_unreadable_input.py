@@ -1,4 +1,4 @@
-"""Bytes from outside are refused whatever is wrong with them: msgspec's own error is one of three."""
+"""Invalid bytes from outside are rejected in all three ways in which decoding can fail (msgspec's own error is one)."""
 
 import re
 import socket
@@ -14,10 +14,10 @@ from dualbrain.control.gatekeeper.robot_link.packet_socket import MalformedPacke
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError
 
 DEEP = b'{"also":' * 100_000 + b"1" + b"}" * 100_000
-BAD = {"no UTF-8": b'{"id":"\xff"}', "no JSON": b"\xff\xfe", "without end": DEEP, "another form": b"[]"}
+BAD = {"not UTF-8": b'{"id":"\xff"}', "not JSON": b"\xff\xfe", "too deep": DEEP, "wrong type": b"[]"}
 
 
-def test_nobody_catches_but_one_of_them():
+def test_no_module_catches_only_one_of_them():
     package = Path(dualbrain.__file__).parent
     catches = re.compile(r"(except|suppress\()[^\n]*msgspec\.(DecodeError|MsgspecError)")
     found = [path.name for path in package.rglob("*.py") if catches.search(path.read_text(encoding="utf-8"))]
@@ -25,7 +25,7 @@ def test_nobody_catches_but_one_of_them():
 
 
 @pytest.mark.parametrize("data", BAD.values(), ids=BAD)
-def test_a_file_is_a_broken_setup(tmp_path, data):
+def test_an_invalid_file_is_a_configuration_error(tmp_path, data):
     (tmp_path / WEIGHTS_FILE).write_bytes(b"")
     (tmp_path / CARD_FILE).write_bytes(data)
     with pytest.raises(ConfigurationError):
@@ -38,14 +38,14 @@ def test_a_file_is_a_broken_setup(tmp_path, data):
 
 
 @pytest.mark.parametrize("error", DECODE_ERRORS)
-def test_a_packet_is_rubbish(error):
+def test_an_invalid_packet_is_malformed(error):
     def decode(data):
         raise error("utf-8", data, 0, 1, "bad") if error is UnicodeDecodeError else error("bad")
 
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with ours, theirs:
-        wire = PacketSocket(ours, decode)
+        link = PacketSocket(ours, decode)
         theirs.send(b"x")
-        assert isinstance(wire.receive(), MalformedPacket)
-        assert wire.is_open
+        assert isinstance(link.receive(), MalformedPacket)
+        assert link.is_open
     assert issubclass(msgspec.ValidationError, DECODE_ERRORS)

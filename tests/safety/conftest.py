@@ -1,4 +1,4 @@
-"""Bodies for the safety tests: the Panda as shipped, and one with few spheres for long loops."""
+"""Robot models and states of the safety tests: the full Panda, and one with few spheres for long loops."""
 
 import msgspec
 import numpy as np

@@ -1,4 +1,4 @@
-"""Independent float64 judge in numpy: kinematics and distances written apart from the kernel, vectorised over time."""
+"""Independent kinematics and distances in numpy and float64, without use of the kernel, vectorised over time."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -60,9 +60,9 @@ def h_obstacles(body, q, obstacles, opening=0.0, shifts=None):
     moving = [i for i, name in enumerate(names) if next(x.frame for x in body.links if x.name == name) > 0]
     c, r = c[:, moving], r[moving]
     least = np.full(len(q), np.inf)
-    for k, thing in enumerate(obstacles):
+    for k, obstacle in enumerate(obstacles):
         points = c if shifts is None else c - shifts[:, k, None, :]
-        least = np.minimum(least, (surface_distance(thing.shape, thing.pose, points) - r).min(axis=1))
+        least = np.minimum(least, (surface_distance(obstacle.shape, obstacle.pose, points) - r).min(axis=1))
     return least
 
 

@@ -15,10 +15,10 @@ def random_quaternion(rng):
 
 
 def random_scene(body, rng, count=8, q=None, gap=0.01):
-    """A table and `count` things of every shape that are at least `gap` from posture `q`."""
+    """A table and `count` random obstacles that are at least `gap` [m] from the robot at posture `q`."""
     q = np.array(body.home) if q is None else q
-    things = [Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)), known=True)]
-    while len(things) < count + 1:
+    obstacles = [Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)), known=True)]
+    while len(obstacles) < count + 1:
         shape = rng.choice(3)
         if shape == 0:
             solid = Sphere(float(rng.uniform(0.02, 0.1)))
@@ -28,15 +28,15 @@ def random_scene(body, rng, count=8, q=None, gap=0.01):
             solid = Box(tuple(rng.uniform(0.02, 0.15, 3)))
         reach, turn = rng.uniform(0.3, 0.85), rng.uniform(-np.pi, np.pi)
         place = (reach * np.cos(turn), reach * np.sin(turn), float(rng.uniform(0.0, 0.9)))
-        thing = Obstacle(f"thing{len(things)}", solid, Pose(place, random_quaternion(rng)))
-        if geometry_oracle.h_obstacles(body, q[None], [thing])[0] > gap:
-            things.append(thing)
-    return things
+        obstacle = Obstacle(f"thing{len(obstacles)}", solid, Pose(place, random_quaternion(rng)))
+        if geometry_oracle.h_obstacles(body, q[None], [obstacle])[0] > gap:
+            obstacles.append(obstacle)
+    return obstacles
 
 
 @dataclass
 class LoopResult:
-    """What a closed loop did: states after each step, controls, statuses, counts."""
+    """Log of a closed loop: states after each step, controls, statuses, counts."""
 
     q: np.ndarray
     u: np.ndarray
@@ -55,5 +55,5 @@ def closed_loop(safety: SafetyFilter, q0, steps, seed, *, hold=150, toward=0.7):
 
 
 def exact_config(**changes):
-    """No lag and no tracking error: the loop integrates ẏ = u exactly."""
+    """Filter configuration for loops that integrate ẏ = u exactly: no lag and no tracking error."""
     return FilterConfig(**({"lag_compensation": False, "tracking_error": 0.0} | changes))

@@ -1,5 +1,6 @@
-"""Every barrier, as it is found: pushed hard it holds, it tells its name, and without the filter it would break."""
+"""All discovered barriers: under a strong push h stays at or above zero, and it does not without the filter."""
 
+import importlib
 import re
 from pathlib import Path
 
@@ -9,52 +10,61 @@ import pytest
 
 from dualbrain.safety.barriers import BARRIERS
 from dualbrain.safety.barriers.__main__ import render_markdown
+from dualbrain.safety.barriers.barrier import BarrierSpec
 from dualbrain.safety.barriers.scenarios import EXACT_TRACKING, integrate, sparse_panda, sparse_panda_filter
 from dualbrain.safety.barriers.singularity import SINGULAR_POSTURE, SingularityBarrier, min_singular_value
 from dualbrain.safety.cbf.filter import FilterStatus, SafetyFilter
 
 PACKAGE = Path(__file__).resolve().parents[2] / "src" / "dualbrain" / "safety" / "barriers"
 NAMES = sorted(BARRIERS)
-TELL = {"contact": "obstacle"}
-"""Rows that carry another name: contact takes the place of an obstacle's rows."""
+BARRIER_OF_ROWS = {"contact": "obstacle"}
+"""Barriers whose rows have another name: contact rows replace rows of an obstacle."""
 
 
-def fly(trial, *, filtered=True):
-    """Every h of the trial, the barriers that were named, and the statuses met."""
-    q, rest = trial.start.copy(), np.zeros(trial.safety.robot_model.n)
+def run_scenario(scenario, *, filtered=True):
+    """h in every step of the scenario, the barriers named by the results, and the statuses."""
+    q, rest = scenario.start.copy(), np.zeros(scenario.safety.robot_model.n)
     values, named, statuses = [], set(), set()
-    for _ in range(int(trial.seconds / trial.safety.robot_model.period)):
-        u = np.asarray(trial.push(q), float)
+    for _ in range(int(scenario.duration / scenario.safety.robot_model.period)):
+        u = np.asarray(scenario.nominal(q), float)
         if filtered:
-            answer = trial.safety(q, rest, u)
+            answer = scenario.safety(q, rest, u)
             u = answer.u
             named.update(answer.barriers)
             statuses.add(answer.status)
-        values.append(trial.h(q, u))
-        q = integrate(trial.safety.robot_model, q, u)
+        values.append(scenario.h(q, u))
+        q = integrate(scenario.safety.robot_model, q, u)
     return np.array(values), named, statuses
 
 
-def test_every_file_is_a_barrier_of_its_name():
-    files = {path.stem for path in PACKAGE.glob("*.py")} - {"__init__", "__main__", "barrier", "trials"}
-    assert files == set(BARRIERS)
+def test_every_module_of_the_package_defines_exactly_one_barrier():
+    stems = {path.stem for path in PACKAGE.glob("*.py")} - {"__init__", "__main__", "barrier", "scenarios"}
+    defined = {}
+    for stem in sorted(stems):
+        module = importlib.import_module(f"dualbrain.safety.barriers.{stem}")
+        defined[stem] = [value for value in vars(module).values() if isinstance(value, BarrierSpec)]
+    assert {stem: len(specs) for stem, specs in defined.items()} == dict.fromkeys(stems, 1)
+    specs = [spec for (spec,) in defined.values()]
+    names = [spec.name for spec in specs]
+    assert len(set(names)) == len(names)
+    assert {spec.name: spec for spec in specs} == BARRIERS
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_it_holds_and_tells_its_name(name):
-    h, named, statuses = fly(BARRIERS[name].scenario())
+def test_it_holds_and_is_named(name):
+    h, named, statuses = run_scenario(BARRIERS[name].scenario())
     assert h.min() >= 0.0
-    assert TELL.get(name, name) in named
+    assert BARRIER_OF_ROWS.get(name, name) in named
     assert statuses <= {FilterStatus.SAFE, FilterStatus.MODIFIED}
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_without_the_filter_it_would_break(name):
-    h, _, _ = fly(BARRIERS[name].scenario(), filtered=False)
+    h, _, _ = run_scenario(BARRIERS[name].scenario(), filtered=False)
     assert h.min() < -0.01
 
 
-# --- singular postures: slower, never held ------------------------------------------------------------------------
+# --- singular postures: slower, never stopped ---------------------------------------------------------------------
 
 
 def singular_value(safety, q):
@@ -73,7 +83,7 @@ def test_the_gradient_of_the_singular_value_is_its_derivative(panda):
 
 
 def path(seed):
-    """From a random posture through a singular one to its far side."""
+    """Start and end of a path from a random posture through a singular one."""
     rng = np.random.default_rng(seed)
     joints = sparse_panda().joints
     low, high = (np.array([getattr(joint, side).value for joint in joints]) for side in ("lower", "upper"))
@@ -85,7 +95,7 @@ def path(seed):
 
 
 def along_the_path(safety, seed, seconds=20.0):
-    """Whether a joint-space servo arrives at the end of the path, and the statuses on the way."""
+    """Whether a joint-space controller arrives at the end of the path, and the statuses on the way."""
     start, end = path(seed)
     q, statuses = start.copy(), set()
     for _ in range(int(seconds / safety.robot_model.period)):
@@ -97,7 +107,7 @@ def along_the_path(safety, seed, seconds=20.0):
     return False, statuses
 
 
-def test_the_paths_do_pass_through_singular_postures():
+def test_the_paths_pass_through_singular_postures():
     safety = sparse_panda_filter()
     for seed in range(50):
         start, end = path(seed)
@@ -106,7 +116,7 @@ def test_the_paths_do_pass_through_singular_postures():
 
 @pytest.mark.parametrize("seed", [0, 1, pytest.param("all", marks=pytest.mark.slow)])
 def test_paths_through_singular_postures_complete(seed):
-    """Fifty seeded paths with the marker `slow`, two of them always."""
+    """Two of fifty paths with seeds; all of them with the marker `slow`."""
     safety = sparse_panda_filter(barriers=(SingularityBarrier(sparse_panda().alpha),))
     for one in range(50) if seed == "all" else (seed,):
         safety.reset()
@@ -134,15 +144,15 @@ def test_it_slows_near_the_singular_posture():
     assert fastest[True] <= max(sparse_panda().alpha * 0.03, 0.02) + 5e-3
 
 
-def test_the_page_of_barriers_is_the_one_that_is_written():
-    stored = Path(__file__).resolve().parents[2] / "docs" / "reference" / "safety" / "barriers.md"
-    assert stored.read_text() == render_markdown(), (
-        "write it anew: python -m dualbrain.safety.barriers > docs/reference/safety/barriers.md"
-    )
+def test_the_page_documents_every_barrier_and_is_up_to_date():
+    page = "docs/reference/safety/barriers.md"
+    stored = (Path(__file__).resolve().parents[2] / page).read_text()
+    assert re.findall(r"^## (\w+)$", stored, re.MULTILINE) == list(BARRIERS)
+    assert stored == render_markdown(), f"regenerate the page: python -m dualbrain.safety.barriers > {page}"
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_files_that_carry_it_out_exist(name):
+def test_the_files_of_the_implementation_exist(name):
     root = Path(__file__).resolve().parents[2]
     for path in re.findall(r"[\w/]+\.(?:py|c)\b", BARRIERS[name].implementation):
         assert (root / path).is_file() or (root / "src" / "dualbrain" / path).is_file(), path

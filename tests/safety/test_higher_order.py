@@ -1,4 +1,4 @@
-"""The acceleration filter: geometry against MuJoCo and differences, margin, box, closed loops and their teeth."""
+"""Acceleration filter: geometry against MuJoCo and differences, margin, box, closed loops and negative controls."""
 
 import msgspec
 import mujoco
@@ -20,20 +20,20 @@ from tests.safety import geometry_oracle, mujoco_oracle, random_scenes
 
 PANDA = load_robot("panda")
 SMALL = msgspec.structs.replace(PANDA, spheres=PANDA.spheres[::4])
-"""Every fourth sphere: same kinematics, a quarter of the work."""
+"""The Panda with every fourth sphere: the same kinematics at a quarter of the cost."""
 LIMITS = joint_limits(PANDA)
 TABLE = Obstacle(name="table", shape=HalfSpace(), pose=Pose((0.0, 0.0, 0.0)))
 
 
-def moving(rng, robot_model=PANDA, share=0.5):
-    """A posture inside the limits and velocities up to `share` of the fastest."""
+def random_motion(rng, robot_model=PANDA, share=0.5):
+    """A posture inside the limits and velocities up to `share` of the velocity limits."""
     limits = joint_limits(robot_model)
     q = rng.uniform(limits.lower + 0.2, limits.upper - 0.2)
     return q, share * rng.uniform(-limits.velocity, limits.velocity)
 
 
-def clutter(rng):
-    """One of each kind of solid, one of them moving."""
+def one_of_each_solid(rng):
+    """One obstacle of each kind of solid, one of them moving."""
     return [
         TABLE,
         Obstacle(
@@ -73,7 +73,7 @@ def test_motion_of_the_spheres_agrees_with_mujoco(rng):
         return out
 
     for _ in range(5):
-        q, v = moving(rng, share=1.0)
+        q, v = random_motion(rng, share=1.0)
         motion, J = spheres.motion(q, v, 0.0), jacobians(q)
         np.testing.assert_allclose(motion.centres, data.geom_xpos[geoms], atol=1e-9)
         np.testing.assert_allclose(motion.jacobian.transpose(0, 2, 1), J, atol=1e-9)
@@ -84,7 +84,7 @@ def test_motion_of_the_spheres_agrees_with_mujoco(rng):
         )
 
 
-def test_no_lever_is_longer_than_its_reach(rng):
+def test_no_lever_is_longer_than_its_upper_bound(rng):
     spheres = SphereKinematics(PANDA)
     for _ in range(200):
         q = rng.uniform(LIMITS.lower, LIMITS.upper)
@@ -92,13 +92,13 @@ def test_no_lever_is_longer_than_its_reach(rng):
 
 
 @pytest.mark.parametrize("shape", [Sphere(0.2), Capsule(0.1, 0.3), Box((0.1, 0.2, 0.3)), HalfSpace()])
-def test_distances_bend_as_their_differences_say(shape, rng):
-    thing = Obstacle(name="it", shape=shape, pose=Pose((0.0, 0.0, 0.0), random_scenes.random_quaternion(rng)))
-    solids, eps, bent = Solids([thing]), 1e-4, 0
+def test_the_curvature_of_distances_agrees_with_differences(shape, rng):
+    obstacle = Obstacle(name="it", shape=shape, pose=Pose((0.0, 0.0, 0.0), random_scenes.random_quaternion(rng)))
+    solids, eps, curved = Solids([obstacle]), 1e-4, 0
     for _ in range(200):
         point, w = rng.uniform(-0.6, 0.6, 3), rng.uniform(-1.0, 1.0, 3)
         here, after, before = (
-            geometry_oracle.surface_distance(shape, thing.pose, p) for p in (point, point + eps * w, point - eps * w)
+            geometry_oracle.surface_distance(shape, obstacle.pose, p) for p in (point, point + eps * w, point - eps * w)
         )
         gaps = solids.measure(point[None, None], w[None, None], np.full((1, 1), eps * 2.0))
         assert gaps.d[0, 0] - gaps.core_radius[0] == pytest.approx(here, abs=1e-12)
@@ -106,29 +106,29 @@ def test_distances_bend_as_their_differences_say(shape, rng):
             continue
         assert gaps.n[0, 0] @ w == pytest.approx((after - before) / (2 * eps), abs=1e-4)
         assert gaps.kappa[0, 0] == pytest.approx((after - 2 * here + before) / eps**2, abs=2e-3)
-        bent += gaps.kappa[0, 0] > 1e-3
-    assert (bent > 30) != isinstance(shape, HalfSpace)
+        curved += gaps.kappa[0, 0] > 1e-3
+    assert (curved > 30) != isinstance(shape, HalfSpace)
 
 
-def test_a_point_inside_a_box_or_on_an_axis_still_has_a_way_out():
-    things = [
+def test_a_point_inside_a_box_or_on_an_axis_has_a_unit_normal():
+    obstacles = [
         Obstacle(name="box", shape=Box((0.1, 0.2, 0.3)), pose=Pose((0.0, 0.0, 0.0))),
         Obstacle(name="ball", shape=Sphere(0.1), pose=Pose((0, 0, 0))),
     ]
-    gaps = Solids(things).measure(np.zeros((2, 1, 3)), np.zeros((2, 1, 3)), np.zeros((2, 1)))
-    for i, thing in enumerate(things[::-1]):  # balls come first
+    gaps = Solids(obstacles).measure(np.zeros((2, 1, 3)), np.zeros((2, 1, 3)), np.zeros((2, 1)))
+    for i, obstacle in enumerate(obstacles[::-1]):  # spheres come first
         assert np.linalg.norm(gaps.n[i, 0]) == pytest.approx(1.0)
-        assert gaps.d[i, 0] - gaps.core_radius[i] == pytest.approx(-0.1, abs=1e-8), thing.name
+        assert gaps.d[i, 0] - gaps.core_radius[i] == pytest.approx(-0.1, abs=1e-8), obstacle.name
 
 
-def with_a_slide(body):
-    """The fourth joint slides instead of turning."""
+def with_prismatic_joint(body):
+    """The robot model with a prismatic fourth joint."""
     joints = [msgspec.structs.replace(j, kind="prismatic") if k == 3 else j for k, j in enumerate(body.joints)]
     return msgspec.structs.replace(body, joints=tuple(joints), spheres=body.spheres[::3])
 
 
 def all_rows(safety, q, v, age=0.0, wide=1e6):
-    """Every pair with its row, none culled."""
+    """All pairs with their rows, without culling."""
     box = np.full(len(q), wide)
     pairs = safety._pairs(q, v, age, 0.0, -LIMITS.acceleration, LIMITS.acceleration)
     kept, A, _ = safety._rows(pairs, np.full(len(pairs.h), -1e9), -box, box)
@@ -136,14 +136,14 @@ def all_rows(safety, q, v, age=0.0, wide=1e6):
     return kept, A
 
 
-@pytest.mark.parametrize("body", [PANDA, with_a_slide(PANDA)], ids=["turning", "one slide"])
+@pytest.mark.parametrize("body", [PANDA, with_prismatic_joint(PANDA)], ids=["revolute", "one prismatic"])
 def test_rows_agree_with_differences_of_h_along_motions(body, rng):
-    """With a vanishing period margins vanish: ḧ = A u + rest, for obstacles that move and for own parts."""
+    """With a vanishing period margins vanish: ḧ = A u + drift, for moving obstacles and self-collision."""
     safety = AccelerationFilter(body, AccelerationConfig(period=1e-9))
     checked = 0
     for _ in range(4):
-        safety.observe(clutter(rng))
-        (q, v), u, age, eps = moving(rng, body), rng.uniform(-5.0, 5.0, 7), 0.02, 1e-4
+        safety.observe(one_of_each_solid(rng))
+        (q, v), u, age, eps = random_motion(rng, body), rng.uniform(-5.0, 5.0, 7), 0.02, 1e-4
         pairs, A = all_rows(safety, q, v, age)
         after, here, before = (
             safety._pairs(q + v * t + 0.5 * u * t * t, v + u * t, age + t, 0.0, -u, u) for t in (eps, 0.0, -eps)
@@ -157,9 +157,9 @@ def test_rows_agree_with_differences_of_h_along_motions(body, rng):
     assert checked > 500
 
 
-def test_motion_that_carries_both_parts_alike_changes_nothing_between_them(rng):
+def test_common_motion_of_two_links_does_not_change_their_pair(rng):
     safety, q = AccelerationFilter(PANDA), np.array(PANDA.home)
-    for moved in range(1, 6):  # joints 1..moved turn, all else rests
+    for moved in range(1, 6):  # joints 1..moved move, all others rest
         v = np.where(np.arange(7) < moved, LIMITS.velocity, 0.0)
         still, carried = (safety._pairs(q, w, 0.0, 0.0, -np.ones(7), np.ones(7)) for w in (0.0 * v, v))
         together = safety._spheres.frames[still.near_sphere] >= moved
@@ -168,32 +168,32 @@ def test_motion_that_carries_both_parts_alike_changes_nothing_between_them(rng):
         np.testing.assert_allclose(carried.drift[together], still.drift[together], atol=1e-9)
 
 
-def test_h_is_the_judges(rng):
+def test_h_agrees_with_the_oracle(rng):
     safety = AccelerationFilter(PANDA)
     for _ in range(5):
-        q, v = moving(rng)
-        things = random_scenes.random_scene(PANDA, rng, 6)
-        safety.observe(things)
+        q, v = random_motion(rng)
+        obstacles = random_scenes.random_scene(PANDA, rng, 6)
+        safety.observe(obstacles)
         pairs = safety._pairs(q, v, 0.0, 0.0, -LIMITS.acceleration, LIMITS.acceleration)
         own = pairs.near_sphere >= 0
-        assert pairs.h[~own].min() == pytest.approx(geometry_oracle.h_obstacles(PANDA, q[None], things)[0], abs=1e-9)
+        assert pairs.h[~own].min() == pytest.approx(geometry_oracle.h_obstacles(PANDA, q[None], obstacles)[0], abs=1e-9)
         assert pairs.h[own].min() == pytest.approx(geometry_oracle.h_self(PANDA, q[None])[0], abs=1e-9)
 
 
-# --- what the period may change -----------------------------------------------------------------------------------
+# --- margin of the control period ---------------------------------------------------------------------------------
 
 
 def test_the_margin_covers_the_period_and_is_needed(rng):
-    """ψ₁(s) ≥ ψ₁ + s (A u + rest + α₁ḣ) for every s in the period and every admissible u held; not so without m."""
+    """ψ₁(s) ≥ ψ₁ + s (A u + drift + α₁ḣ) for all s in the period and every admissible constant u, but not without m."""
     dt = 0.01
     safety = AccelerationFilter(PANDA, AccelerationConfig(period=dt))
     free = AccelerationFilter(PANDA, AccelerationConfig(period=1e-12))
     broken, a1 = 0, safety.alpha_1
     for _ in range(12):
-        things = clutter(rng)
-        safety.observe(things)
-        free.observe(things)
-        q, v = moving(rng, share=rng.uniform(0.0, 1.0))
+        obstacles = one_of_each_solid(rng)
+        safety.observe(obstacles)
+        free.observe(obstacles)
+        q, v = random_motion(rng, share=rng.uniform(0.0, 1.0))
         u = rng.choice([-1.0, 1.0], 7) * LIMITS.acceleration
         pairs, A = all_rows(safety, q, v)
         bare, _ = all_rows(free, q, v)
@@ -205,8 +205,8 @@ def test_the_margin_covers_the_period_and_is_needed(rng):
             stays = near & (later.h > 0.0)
             least = psi + s * (A @ u + pairs.drift + a1 * pairs.h_dot)
             assert np.all((there - least)[stays] >= -1e-9)
-            hopeful = psi + s * (A @ u + bare.drift + a1 * bare.h_dot)
-            broken += np.sum((there - hopeful)[stays] < -1e-9)
+            without_margin = psi + s * (A @ u + bare.drift + a1 * bare.h_dot)
+            broken += np.sum((there - without_margin)[stays] < -1e-9)
     assert broken > 100
 
 
@@ -215,7 +215,7 @@ def test_culling_drops_no_row_that_can_bind(rng):
     dropped = 0
     for _ in range(10):
         safety.observe(random_scenes.random_scene(PANDA, rng, 8))
-        q, v = moving(rng, share=rng.uniform(0.0, 0.6))
+        q, v = random_motion(rng, share=rng.uniform(0.0, 0.6))
         lower, upper = acceleration_box(LIMITS, q, v, safety.period, 0.05)
         pairs = safety._pairs(q, v, 0.0, 0.0, lower, upper)
         psi = pairs.h_dot + safety.alpha_1 * pairs.h
@@ -228,32 +228,32 @@ def test_culling_drops_no_row_that_can_bind(rng):
     assert dropped > 1000
 
 
-# --- the box of the joints ----------------------------------------------------------------------------------------
+# --- joint limits -------------------------------------------------------------------------------------------------
 
 
 @settings(max_examples=80, deadline=None)
 @given(
     q=st.floats(-0.99, 0.99), v=st.floats(-2.0, 2.0), dt=st.sampled_from([1e-3, 8e-3, 0.05]), seed=st.integers(0, 9999)
 )
-def test_the_box_keeps_a_joint_within_its_limits_and_gives_nothing_away(q, v, dt, seed):
+def test_the_box_keeps_a_joint_within_its_limits_exactly(q, v, dt, seed):
     limits = msgspec.structs.replace(
         LIMITS, lower=-np.ones(1), upper=np.ones(1), velocity=np.full(1, 2.0), acceleration=np.full(1, 10.0)
     )
-    v = float(np.clip(v, -np.sqrt(20.0 * (q + 1.0)), np.sqrt(20.0 * (1.0 - q))))  # it can stop from here
+    v = float(np.clip(v, -np.sqrt(20.0 * (q + 1.0)), np.sqrt(20.0 * (1.0 - q))))  # the joint can stop from here
     rng, x, w = np.random.default_rng(seed), np.array([q]), np.array([v])
     for k in range(120):
         lower, upper = acceleration_box(limits, x, w, dt, 0.05)
         assert lower[0] <= upper[0]
         assert max(-lower[0], upper[0]) <= 10.0
         u = (lower, upper, upper, lower + (upper - lower) * rng.random())[k // 20 % 2 + 2 * (seed % 2)]
-        if w[0] * u[0] < 0.0 and abs(w[0] / u[0]) < dt:  # it turns round inside the step
+        if w[0] * u[0] < 0.0 and abs(w[0] / u[0]) < dt:  # the joint turns around within the step
             assert abs(x[0] - 0.5 * w[0] ** 2 / u[0]) <= 1.0 + 1e-9
         x, w = x + dt * w + 0.5 * dt * dt * u, w + dt * u
         assert abs(x[0]) <= 1.0 + 1e-9
         assert abs(w[0]) <= 2.0 + 1e-9
 
 
-def test_a_joint_beyond_its_limit_comes_back():
+def test_a_joint_beyond_its_limit_returns():
     q, v, safety = np.array(PANDA.home), np.zeros(7), AccelerationFilter(PANDA)
     q[3] = LIMITS.upper[3] + 0.02
     for _ in range(500):
@@ -266,16 +266,16 @@ def test_a_joint_beyond_its_limit_comes_back():
 # --- closed loops -------------------------------------------------------------------------------------------------
 
 
-def adversary(safety, things, seed, steps, q=None, hold=400):
-    """Full acceleration toward the speed that closes one near pair (or bang-bang): postures, statuses, least ψ₁."""
+def adversary(safety, obstacles, seed, steps, q=None, hold=400):
+    """Full acceleration toward one of the nearest pairs (or bang-bang): joint positions, statuses, least ψ₁."""
     rng, dt = np.random.default_rng(seed), safety.period
-    safety.observe(things)
+    safety.observe(obstacles)
     q, v = np.array(safety.robot_model.home if q is None else q, float), np.zeros(7)
     log, statuses, least = np.empty((steps, 7)), [], np.inf
     for k in range(steps):
         if k % hold == 0:
             pairs = safety._pairs(q, v, 0.0, 0.0, -LIMITS.acceleration, LIMITS.acceleration)
-            near = np.flatnonzero((pairs.near >= 0) == (rng.random() < 0.3))
+            near = np.flatnonzero((pairs.near_sphere >= 0) == (rng.random() < 0.3))
             chosen = rng.choice(near[np.argsort(pairs.h[near])[:150]])
             bang = rng.choice([-1.0, 1.0], 7) if rng.random() < 0.15 else None
         if k % 20 == 0:
@@ -289,18 +289,18 @@ def adversary(safety, things, seed, steps, q=None, hold=400):
     return log, statuses, least
 
 
-def least_h(log, things, robot_model=SMALL):
+def least_h(log, obstacles, robot_model=SMALL):
     return min(
-        geometry_oracle.h_obstacles(robot_model, log, things).min(),
+        geometry_oracle.h_obstacles(robot_model, log, obstacles).min(),
         geometry_oracle.h_self(robot_model, log).min(),
         geometry_oracle.h_joints(robot_model, log).min(),
     )
 
 
 def holds(body, seed, steps, count=10):
-    things = random_scenes.random_scene(body, np.random.default_rng(seed), count)
-    log, statuses, least = adversary(AccelerationFilter(body), things, seed, steps)
-    assert least_h(log, things, body) >= -1e-12  # a joint stops on its limit up to rounding
+    obstacles = random_scenes.random_scene(body, np.random.default_rng(seed), count)
+    log, statuses, least = adversary(AccelerationFilter(body), obstacles, seed, steps)
+    assert least_h(log, obstacles, body) >= -1e-12  # a joint stops at its limit up to rounding
     assert least >= 0.0
     assert max(statuses) is FilterStatus.MODIFIED
 
@@ -321,26 +321,26 @@ def test_no_h_below_zero_in_a_hundred_thousand_steps(seed):
 
 
 def test_control_gains_beyond_the_acceleration_limits_fail():
-    """α₁ is eight times what the limits can follow at full speed: rows conflict when it is too late."""
-    things = random_scenes.random_scene(SMALL, np.random.default_rng(1), 14)
+    """α₁ is eight times the gain that the limits can follow at full speed, so that rows conflict too late to stop."""
+    obstacles = random_scenes.random_scene(SMALL, np.random.default_rng(1), 14)
     greedy = AccelerationFilter(SMALL, AccelerationConfig(alpha_1=8.0 * PANDA.alpha, alpha_2=60.0))
-    log, statuses, _ = adversary(greedy, things, 1, 1000, hold=500)
+    log, statuses, _ = adversary(greedy, obstacles, 1, 1000, hold=500)
     assert FilterStatus.RELAXED in statuses
-    assert least_h(log, things) < -1e-3
+    assert least_h(log, obstacles) < -1e-3
 
 
 def test_control_without_a_filter_fails():
-    things = [TABLE]
+    obstacles = [TABLE]
     q, v, log = np.array(PANDA.home), np.zeros(7), []
     for _ in range(1000):
         u = np.clip(([0, 1.5, 0, 0, 0, 0, 0] - v) / 1e-3, -LIMITS.acceleration, LIMITS.acceleration)
         q, v = q + 1e-3 * v + 0.5e-6 * u, v + 1e-3 * u
         log.append(q)
-    assert least_h(np.array(log), things) < -0.05
+    assert least_h(np.array(log), obstacles) < -0.05
 
 
-def test_an_arm_at_rest_makes_way_for_what_comes_slowly():
-    """The ball is seen again every 0.1 s; in between it is where its velocity takes it."""
+def test_an_arm_at_rest_evades_a_slow_obstacle():
+    """The sphere is observed every 0.1 s and moves at constant velocity in between."""
     ball = Obstacle(
         name="ball", shape=Sphere(0.08), pose=Pose((0.75, 0.0, 0.45)), velocity=(-0.2, 0.0, 0.0), static=False
     )
@@ -363,8 +363,8 @@ def test_an_arm_at_rest_makes_way_for_what_comes_slowly():
 # --- a start outside the safe set ---------------------------------------------------------------------------------
 
 
-def falling(speed):
-    """The arm above a wall in front, moving toward it at `speed` of all it can: a state that is too fast for α₁."""
+def rushing(speed):
+    """A state too fast for α₁: the arm moves toward a wall at the fraction `speed` of its velocity limits."""
     wall = Obstacle(name="wall", shape=Box((0.02, 1.0, 1.0)), pose=Pose((0.70, 0.0, 0.5)))
     q = np.array(PANDA.home)
     _, A = all_rows(filtered(wall), q, np.zeros(7))
@@ -372,22 +372,22 @@ def falling(speed):
     return wall, q, -speed * np.sign(A[np.argmin(np.where(pairs.near_sphere < 0, pairs.h, 9.0))]) * LIMITS.velocity
 
 
-def filtered(*things, robot_model=PANDA):
+def filtered(*obstacles, robot_model=PANDA):
     safety = AccelerationFilter(robot_model)
-    safety.observe(things)
+    safety.observe(obstacles)
     return safety
 
 
 def run(safety, q, v, control, steps=200):
-    """Least h against the wall, and what the filter said, when `control` chooses of (answer, v)."""
-    log, said = [], []
+    """Log of joint positions, and the results of the filter, under `control`(result, q, v)."""
+    log, results = [], []
     for _ in range(steps):
         answer = safety(q, v, LIMITS.acceleration * np.sign(v))
         u = control(answer, q, v)
         q, v = q + 1e-3 * v + 0.5e-6 * u, v + 1e-3 * u
         log.append(q)
-        said.append(answer)
-    return np.array(log), said
+        results.append(answer)
+    return np.array(log), results
 
 
 def braking(_, q, v):
@@ -395,27 +395,27 @@ def braking(_, q, v):
     return np.clip(-v * min(1e3, 1.0 / max(np.max(np.abs(v) / LIMITS.acceleration), 1e-12)), lower, upper)
 
 
-def test_too_fast_toward_a_wall_is_told_and_restored_no_worse_than_by_braking():
-    wall, q, v = falling(0.8)
-    log, said = run(filtered(wall), q, v, lambda answer, *_: answer.u)
-    assert any("'wall'" in name for name in said[0].too_fast_pairs)
-    assert said[0].psi_min < 0.0 <= said[0].h_min
-    assert not said[0].certified
-    assert said[0].status is FilterStatus.RELAXED
-    assert "too fast toward" in said[0].explain()
-    restored = next(k for k, answer in enumerate(said) if not answer.too_fast_pairs)
+def test_too_fast_toward_a_wall_is_reported_and_restored_no_slower_than_by_braking():
+    wall, q, v = rushing(0.8)
+    log, results = run(filtered(wall), q, v, lambda answer, *_: answer.u)
+    assert any("'wall'" in name for name in results[0].too_fast_pairs)
+    assert results[0].psi_min < 0.0 <= results[0].h_min
+    assert not results[0].certified
+    assert results[0].status is FilterStatus.RELAXED
+    assert "too fast toward" in results[0].explain()
+    restored = next(k for k, answer in enumerate(results) if not answer.too_fast_pairs)
     braked = next(k for k, answer in enumerate(run(filtered(wall), q, v, braking)[1]) if not answer.too_fast_pairs)
     assert restored <= braked
-    assert not any(answer.too_fast_pairs for answer in said[restored:])
-    assert all(answer.certified for answer in said[restored:])
+    assert not any(answer.too_fast_pairs for answer in results[restored:])
+    assert all(answer.certified for answer in results[restored:])
     assert geometry_oracle.h_obstacles(PANDA, log, [wall]).min() >= 0.0
 
 
-def test_no_row_is_met_worse_than_by_braking(rng):
+def test_no_row_is_violated_more_than_by_braking(rng):
     relaxed = 0
     for _ in range(20):
         safety = filtered(*random_scenes.random_scene(PANDA, rng, 10))
-        q, v = moving(rng, share=0.9)
+        q, v = random_motion(rng, share=0.9)
         answer = safety(q, v, rng.uniform(-1.0, 1.0, 7) * LIMITS.acceleration)
         if answer.status is not FilterStatus.RELAXED:
             continue
@@ -423,8 +423,8 @@ def test_no_row_is_met_worse_than_by_braking(rng):
         pairs, A = all_rows(safety, q, v)
         psi = pairs.h_dot + safety.alpha_1 * pairs.h
         gain = np.where(psi < 0.0, 1e3, safety.config.alpha_2)
-        wanted = -(pairs.drift + safety.alpha_1 * pairs.h_dot + gain * psi)
-        assert np.all(A @ answer.u >= np.minimum(wanted, A @ braking(None, q, v)) - 0.05)
+        bound = -(pairs.drift + safety.alpha_1 * pairs.h_dot + gain * psi)
+        assert np.all(A @ answer.u >= np.minimum(bound, A @ braking(None, q, v)) - 0.05)
         assert answer.active_rows
         assert answer.relaxed_ranks
     assert relaxed > 4
@@ -434,18 +434,18 @@ def test_a_start_inside_an_obstacle_is_left(rng):
     q = np.array(PANDA.home)
     centre = SphereKinematics(PANDA).motion(q, np.zeros(7), 0.0).centres[-1]
     ball = Obstacle(name="ball", shape=Sphere(0.03), pose=Pose((*centre[:2], centre[2] - 0.03)))
-    log, said = run(filtered(ball), q, np.zeros(7), lambda answer, *_: answer.u, 400)
+    log, results = run(filtered(ball), q, np.zeros(7), lambda answer, *_: answer.u, 400)
     h = geometry_oracle.h_obstacles(PANDA, log, [ball])
     assert h[0] < 0.0 <= h[-1]
-    assert any("'ball'" in name for name in said[0].inside)
-    assert "already inside" in said[0].explain()
+    assert any("'ball'" in name for name in results[0].penetrating_pairs)
+    assert "already inside" in results[0].explain()
     assert np.all(np.diff(h[h < 0.0]) >= -1e-9)
 
 
-# --- what is returned when all is well, and when nothing is -------------------------------------------------------
+# --- safe input and invalid input ---------------------------------------------------------------------------------
 
 
-def test_what_is_strictly_safe_is_returned_bit_for_bit(rng):
+def test_a_strictly_safe_control_is_returned_bit_for_bit(rng):
     safety = filtered(TABLE)
     for _ in range(20):
         u = 0.1 * rng.uniform(-1.0, 1.0, 7)
@@ -456,17 +456,17 @@ def test_what_is_strictly_safe_is_returned_bit_for_bit(rng):
         assert answer.certified
 
 
-def test_an_answer_passes_again(rng):
+def test_a_result_passes_unchanged(rng):
     safety = filtered(*random_scenes.random_scene(PANDA, rng, 8))
     for _ in range(20):
-        q, v = moving(rng, share=0.15)
+        q, v = random_motion(rng, share=0.15)
         first = safety(q, v, rng.uniform(-1.0, 1.0, 7) * LIMITS.acceleration)
         if first.status is FilterStatus.MODIFIED:
             np.testing.assert_allclose(safety(q, v, first.u).u, first.u, atol=1e-6)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_what_is_not_finite_brakes(bad):
+def test_input_that_is_not_finite_brakes(bad):
     safety, q, v = filtered(TABLE), np.array(PANDA.home), np.full(7, 0.5)
     safety(q, v, np.zeros(7))
     for place in range(3):
@@ -476,11 +476,11 @@ def test_what_is_not_finite_brakes(bad):
         assert answer.status is FilterStatus.STOPPED
         assert answer.reason is Reason.BAD_INPUT
         assert np.isfinite(answer.u).all()
-        assert np.all(answer.u < 0.0)  # it brakes from the velocity last believed
+        assert np.all(answer.u < 0.0)  # the arm brakes from the last valid velocity
     assert safety(q, v, np.zeros(7), now=bad).status is FilterStatus.STOPPED
 
 
-def test_without_a_velocity_it_brakes_until_it_should_stand():
+def test_without_a_velocity_it_brakes_until_the_expected_standstill():
     safety, v = filtered(TABLE), np.full(7, 0.3)
     safety(np.array(PANDA.home), v, np.zeros(7))
     for _ in range(200):
@@ -488,7 +488,7 @@ def test_without_a_velocity_it_brakes_until_it_should_stand():
     np.testing.assert_allclose(v, 0.0, atol=1e-9)
 
 
-def test_a_scene_that_cannot_be_believed_stops():
+def test_an_invalid_or_stale_scene_stops():
     q, v = np.array(PANDA.home), np.zeros(7)
     assert filtered(Obstacle(name="x", shape=Sphere(np.nan), pose=Pose((1, 1, 1))))(q, v, v).reason is Reason.BAD_SCENE
     safety = filtered(Obstacle(name="x", shape=Sphere(0.1), pose=Pose((1, 1, 1)), static=False))
@@ -498,16 +498,16 @@ def test_a_scene_that_cannot_be_believed_stops():
     assert filtered()(q, v, v).reason is Reason.OUTSIDE_LIMITS
 
 
-def test_an_obstacle_may_concern_some_parts_only_and_have_its_own_gain():
-    things = [Obstacle(name="wall", shape=Box((0.02, 1, 1)), pose=Pose((0.8, 0, 0.5)), parts=("hand",), alpha=1.5)]
-    safety = filtered(*things)
+def test_an_obstacle_may_apply_to_some_parts_and_have_its_own_gain():
+    obstacles = [Obstacle(name="wall", shape=Box((0.02, 1, 1)), pose=Pose((0.8, 0, 0.5)), parts=("hand",), alpha=1.5)]
+    safety = filtered(*obstacles)
     pairs = safety._pairs(np.array(PANDA.home), np.zeros(7), 0.0, 0.0, -LIMITS.acceleration, LIMITS.acceleration)
     wall = pairs.near_sphere < 0
     assert {safety._spheres.names[k] for k in pairs.sphere[wall]} == {"hand"}
     assert set(pairs.alpha_1[wall]) == {1.5}
 
 
-def test_set_ups_that_cannot_be_used_say_why():
+def test_invalid_configurations_state_the_reason():
     with pytest.raises(UnknownNameError):
         filtered(Obstacle(name="x", shape=Sphere(0.1), pose=Pose((1, 1, 1)), parts=("tail",)))
     with pytest.raises(ConfigurationError, match="SafetyFilter"):

@@ -1,6 +1,7 @@
-"""Every row of the barrier functions, of all pairs, in float64 numpy: what the kernel must not have left out.
+"""Rows of all pairs in float64 numpy, to detect rows that the kernel left out.
 
-Written apart from the kernel: nothing is culled, Jacobians are cross products, accelerations are second differences.
+The implementation is independent of the kernel: no culling, Jacobians by cross products, accelerations by second
+differences.
 """
 
 from dataclasses import dataclass, field
@@ -13,12 +14,12 @@ from tests.safety import geometry_oracle
 
 OBSTACLE, SELF = 0, 1
 ALWAYS_ROW_DISTANCE = 1e-3
-"""[m] pairs nearer than this are always rows."""
+"""Pairs closer than this always have a row [m]."""
 
 
 @dataclass
 class PairCase:
-    """One moment: posture, box, base, what is around and what is held."""
+    """One case: posture, box, base, obstacles and held spheres."""
 
     q: np.ndarray
     low: np.ndarray
@@ -34,7 +35,7 @@ class PairCase:
 
 @dataclass
 class PairRows:
-    """All pairs as rows a'u >= b with their h; `permitted` ones have a contact row in place of a barrier."""
+    """All pairs as rows a'u >= b with their h; `permitted` pairs have a contact row instead of a barrier."""
 
     kind: np.ndarray
     i: np.ndarray
@@ -50,7 +51,7 @@ class PairRows:
 
 
 class PlacedSpheres:
-    """Spheres with their links and frames, the held ones last, at one moment."""
+    """Spheres with their links and frames in one case, held spheres last."""
 
     def __init__(self, body, setting):
         self.setting, chain = setting, geometry_oracle.joint_frames(body, setting.q[None])
@@ -102,10 +103,10 @@ def surface_normals(shape, pose, points):
 
 
 def all_pair_rows(body, config, setting):
-    """All pairs that are kept apart or in permitted contact."""
+    """Rows of all pairs that must keep apart or may touch."""
     spheres, parts = PlacedSpheres(body, setting), []
-    for j, thing in enumerate(setting.obstacles):
-        parts.append(_obstacle_rows(body, config, spheres, j, thing))
+    for j, obstacle in enumerate(setting.obstacles):
+        parts.append(_obstacle_rows(body, config, spheres, j, obstacle))
     kept = [sorted(pair, key=lambda name: _frame(body, name)) for pair in body.self_pairs.kept]
     for near, far in kept:
         parts += _self_collision_rows(body, config, spheres, near, far, 0.0)
@@ -120,25 +121,25 @@ def _frame(body, name):
     return next(link.frame for link in body.links if link.name == name)
 
 
-def _obstacle_rows(body, config, spheres, j, thing):
-    """One obstacle against all spheres that move and that it is kept away from."""
+def _obstacle_rows(body, config, spheres, j, obstacle):
+    """Rows of one obstacle and all moving spheres that it applies to."""
     setting = spheres.setting
-    known = {link.name for link in body.links if not thing.parts or {link.name, link.group} & set(thing.parts)}
-    known |= {"held"} if not thing.parts or "held" in thing.parts else set()
+    known = {link.name for link in body.links if not obstacle.parts or {link.name, link.group} & set(obstacle.parts)}
+    known |= {"held"} if not obstacle.parts or "held" in obstacle.parts else set()
     mine = np.flatnonzero((spheres.frame > 0) & np.isin(spheres.link, list(known)))
-    v = np.array(thing.velocity)
+    v = np.array(obstacle.velocity)
     points = spheres.centre[mine] - v * setting.age
-    n = surface_normals(thing.shape, thing.pose, points)
-    margin = thing.margin + thing.velocity_error * setting.age + config.sampling_margin + config.rounding_margin
+    n = surface_normals(obstacle.shape, obstacle.pose, points)
+    margin = obstacle.margin + obstacle.velocity_error * setting.age + config.sampling_margin + config.rounding_margin
     margin = margin + np.where(spheres.link[mine] == "held", setting.held_error, 0.0)
-    h = geometry_oracle.surface_distance(thing.shape, thing.pose, points) - spheres.radius[mine] - margin
+    h = geometry_oracle.surface_distance(obstacle.shape, obstacle.pose, points) - spheres.radius[mine] - margin
     moves = spheres.joint[None] < spheres.frame[mine][:, None]
     a = np.einsum("skx,sx->sk", spheres.jacobian[mine], n) * moves
     permit = np.array([setting.permits.get((name, j), -1.0) for name in spheres.link[mine]])
     cap = np.where(permit >= 0.0, -permit, config.recovery_speed)
-    alpha = thing.alpha or body.alpha
+    alpha = obstacle.alpha or body.alpha
     bend = np.maximum(0.0, -0.5 * body.period * np.einsum("sx,sx->s", n, spheres.acceleration[mine]))
-    b = np.minimum(-alpha * h, cap) + n @ v + np.where(permit >= 0.0, 0.0, thing.velocity_error)
+    b = np.minimum(-alpha * h, cap) + n @ v + np.where(permit >= 0.0, 0.0, obstacle.velocity_error)
     b = b + bend + config.tracking_error * np.abs(a).sum(axis=1)
     kind = np.full(len(mine), OBSTACLE)
     return kind, mine, np.full(len(mine), j), h, a, b, permit >= 0.0

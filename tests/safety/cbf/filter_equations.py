@@ -1,9 +1,9 @@
-"""The rows of the filter once more, in numpy and float64, from the equations alone: every pair, nothing left out.
+"""Rows of the filter in numpy and float64, directly from the equations and for every pair.
 
     n'J u >= min(-alpha h, recovery) + n'v_o + velocity_error + tracking sum_k |n'J_k| + max(0, -dt/2 n'a)
 
-with h less its margins, a the second derivative of the centre along the middle of the box, both by finite differences.
-Contact permits put -max(speed, alpha h) in the place of the barrier; speed and separation asks for the tighter of both.
+where h includes its margins and a is the second derivative of the centre along the centre of the box, both by finite
+differences. Contact permits replace the barrier by -max(speed, alpha h); speed and separation adds the tighter of both.
 """
 
 from dataclasses import dataclass, field
@@ -18,7 +18,7 @@ DIFFERENCE_STEP = 1e-6
 
 @dataclass
 class FilterCase:
-    """All that the filter is told."""
+    """All inputs of the filter."""
 
     robot_model: object
     config: FilterConfig
@@ -34,7 +34,7 @@ class FilterCase:
 
 
 def joint_frames(body, q):
-    """Rotation and origin of frames 0..n; a joint turns about its z axis or slides along it."""
+    """Rotation and origin of frames 0..n, with revolute and prismatic joints about or along z."""
     R, p = np.eye(3), np.zeros(3)
     out = [(R, p)]
     for joint, value in zip(body.joints, q, strict=True):
@@ -58,25 +58,25 @@ def tool_pose(body, q):
 
 
 def sphere_centres(s, q):
-    """Centres (k, 3) of the body's spheres in the order of its links, held ones last."""
+    """Centres (k, 3) of the spheres in the order of the links, held spheres last."""
     chain, points = joint_frames(s.robot_model, q), []
     for link in s.robot_model.links:
         R, p = chain[link.frame]
         R, p = R @ geometry_oracle.rotation_matrix(link.quaternion), p + R @ np.array(link.translation)
         points += [
-            p + R @ (np.array(ball.centre) + s.opening * np.array(link.slide))
-            for ball in s.robot_model.spheres
-            if ball.link == link.name
+            p + R @ (np.array(sphere.centre) + s.opening * np.array(link.slide))
+            for sphere in s.robot_model.spheres
+            if sphere.link == link.name
         ]
     p, R = tool_pose(s.robot_model, q)
     return np.array([*points, *(p + s.held[:, :3] @ R.T)])
 
 
 def sphere_owners(s):
-    """Link index of every sphere (len(links): held), its radius, and the frame it moves with."""
+    """Link index of every sphere (len(links) for held spheres), its radius, and its frame."""
     link, radius = [], []
     for index, part in enumerate(s.robot_model.links):
-        radii = [ball.radius for ball in s.robot_model.spheres if ball.link == part.name]
+        radii = [sphere.radius for sphere in s.robot_model.spheres if sphere.link == part.name]
         link += [index] * len(radii)
         radius += radii
     link += [len(s.robot_model.links)] * len(s.held)
@@ -99,7 +99,7 @@ def control_bounds(s, q, u_prev):
 
 
 def max_approach_speed(s, d, a):
-    """Greatest speed toward a joint limit at distance d: from it the joint can stop by a dt each period."""
+    """Largest speed toward a joint limit at distance d from which the joint can stop with a dt per period."""
     dt, alpha = s.robot_model.period, s.config.alpha_joint or s.config.alpha or s.robot_model.alpha
     if d <= 0.0:
         return max(alpha * d, -4.0 * s.config.recovery_speed) - s.config.tracking_error
@@ -124,14 +124,14 @@ def sphere_jacobians(s, q, middle):
 
 
 def all_rows(s, q, u_prev):
-    """(A, b, h, about) of every pair, not divided by their norm; `about` = (kind, i, j) as in the kernel."""
+    """(A, b, h, name) of every pair, not normalised; name = (kind, i, j) as in the kernel."""
     low, high = control_bounds(s, q, u_prev)
     here, J, bend = sphere_jacobians(s, q, 0.5 * (low + high))
     link, radius, frame = sphere_owners(s)
     out = []
-    for j, thing in enumerate(s.obstacles):
-        if thing.known or not s.known_only:
-            out += _obstacle_rows(s, j, thing, here, J, bend, link, radius, frame, low, high)
+    for j, obstacle in enumerate(s.obstacles):
+        if obstacle.known or not s.known_only:
+            out += _obstacle_rows(s, j, obstacle, here, J, bend, link, radius, frame, low, high)
     out += _self_rows(s, here, J, bend, link, radius, low, high)
     out += [(np.array(row.a), row.b, row.h, ("user", i, 0)) for i, row in enumerate(s.rows)]
     return low, high, out
@@ -141,40 +141,42 @@ def _common_margin(s):
     return s.config.sampling_margin + s.config.rounding_margin + s.extra
 
 
-def _obstacle_rows(s, j, thing, here, J, bend, link, radius, frame, low, high):
-    c, v = s.config, np.array(thing.velocity)
+def _obstacle_rows(s, j, obstacle, here, J, bend, link, radius, frame, low, high):
+    c, v = s.config, np.array(obstacle.velocity)
     points = here - v * s.age
-    gap = geometry_oracle.surface_distance(thing.shape, thing.pose, points)
+    gap = geometry_oracle.surface_distance(obstacle.shape, obstacle.pose, points)
     n = np.stack(
         [
             (
-                geometry_oracle.surface_distance(thing.shape, thing.pose, points + DIFFERENCE_STEP * e)
-                - geometry_oracle.surface_distance(thing.shape, thing.pose, points - DIFFERENCE_STEP * e)
+                geometry_oracle.surface_distance(obstacle.shape, obstacle.pose, points + DIFFERENCE_STEP * e)
+                - geometry_oracle.surface_distance(obstacle.shape, obstacle.pose, points - DIFFERENCE_STEP * e)
             )
             / (2.0 * DIFFERENCE_STEP)
             for e in np.eye(3)
         ],
         axis=1,
     )
-    alpha = thing.alpha or c.alpha or s.robot_model.alpha
+    alpha = obstacle.alpha or c.alpha or s.robot_model.alpha
     out = []
     for i in np.flatnonzero(frame > 0):
-        if not applies_to_link(s, thing, link[i]):
+        if not applies_to_link(s, obstacle, link[i]):
             continue
         margin = (
-            thing.margin
-            + thing.velocity_error * s.age
+            obstacle.margin
+            + obstacle.velocity_error * s.age
             + _common_margin(s)
             + s.held_error * (link[i] == len(s.robot_model.links))
         )
-        h, permit = gap[i] - radius[i] - margin, permitted_speed(s, thing.name, link[i])
+        h, permit = gap[i] - radius[i] - margin, permitted_speed(s, obstacle.name, link[i])
         a = n[i] @ J[i]
         barrier = (
-            -max(permit, alpha * h) if permit is not None else min(-alpha * h, c.recovery_speed) + thing.velocity_error
+            -max(permit, alpha * h)
+            if permit is not None
+            else min(-alpha * h, c.recovery_speed) + obstacle.velocity_error
         )
         b = barrier + n[i] @ v + max(0.0, -0.5 * s.robot_model.period * (n[i] @ bend[i]))
-        if thing.separation is not None and permit is None:
-            b = max(b, -separation_speed(thing, h, n[i] @ v))
+        if obstacle.separation is not None and permit is None:
+            b = max(b, -separation_speed(obstacle, h, n[i] @ v))
         b += c.tracking_error * np.abs(a).sum()
         if permit is not None or h < 0.0:
             b = min(b, np.maximum(a * low, a * high).sum())
@@ -211,7 +213,7 @@ def _self_rows(s, here, J, bend, link, radius, low, high):
 
 
 def link_names(s, link):
-    """What a permit or a list of parts may call this link."""
+    """Names by which a permit or `Obstacle.parts` may refer to this link."""
     return (
         ("held",)
         if link == len(s.robot_model.links)
@@ -220,20 +222,20 @@ def link_names(s, link):
 
 
 def permitted_speed(s, obstacle, link):
-    """The contact speed of the last permit for this link and thing, or None."""
+    """The contact speed of the last permit for this link and obstacle, or None."""
     speeds = [c.speed for c in s.permits if c.obstacle == obstacle and c.robot_part in link_names(s, link)]
     return speeds[-1] if speeds else None
 
 
-def applies_to_link(s, thing, link):
-    """Whether this thing is meant for this link."""
-    return not thing.parts or bool(set(thing.parts) & set(link_names(s, link)))
+def applies_to_link(s, obstacle, link):
+    """Whether the obstacle applies to this link."""
+    return not obstacle.parts or bool(set(obstacle.parts) & set(link_names(s, link)))
 
 
-def separation_speed(thing, d, approach):
-    """The v of d = v_h (T_r + v/a) + v T_r + v²/(2a), by bisection; 0 where none is left."""
-    apart = thing.separation
-    person = max(apart.approach, approach + thing.velocity_error, 0.0)
+def separation_speed(obstacle, d, approach):
+    """The v of d = v_h (T_r + v/a) + v T_r + v²/(2a), by bisection; 0 if there is none."""
+    apart = obstacle.separation
+    person = max(apart.approach, approach + obstacle.velocity_error, 0.0)
 
     def needed(v):
         return person * (apart.reaction + v / apart.brake) + v * apart.reaction + v * v / (2.0 * apart.brake)

@@ -1,4 +1,4 @@
-"""The batch is the filter itself, many times over: bit for bit, without memory between its rows."""
+"""Batches: equal to single calls bit for bit, without memory between rows."""
 
 import msgspec
 import numpy as np
@@ -22,17 +22,17 @@ COMING = Obstacle(
 )
 
 
-def made(things, stamp=0.0, **changes):
-    """A filter with a permit and a row of its own, so that these are seen to count in a batch as well."""
+def make_filter(obstacles, stamp=0.0, **changes):
+    """A filter with a permit and a user row, so that both are covered by the comparison."""
     safety = SafetyFilter(SMALL, random_scenes.exact_config(lag_compensation=True, **changes))
-    safety.observe(things, stamp)
+    safety.observe(obstacles, stamp)
     safety.permit([Contact("hand", "thing1", 0.02)])
     safety.constrain([ConstraintRow(name="never left", a=(1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), b=-0.4)])
     return safety
 
 
 def states(rng, m):
-    """States near home and anywhere, moving and at rest, with wishes up to twice the speed limit; a few are broken."""
+    """States near home and anywhere, moving and at rest, with nominals up to twice the limits; some are invalid."""
     near = rng.random((m, 1)) < 0.7
     low, high = np.array([(j.lower.value, j.upper.value) for j in PANDA.joints]).T
     Q = np.where(near, np.array(PANDA.home) + rng.normal(0.0, 0.25, (m, 7)), rng.uniform(low, high, (m, 7)))
@@ -43,7 +43,7 @@ def states(rng, m):
 
 
 def one_by_one(safety, Q, V, U, last, opening, now):
-    """The same rows, each as the first call after `reset`."""
+    """Results of the same rows as the first calls after `reset`."""
     answers = []
     for q, v, u, u_prev, gap in zip(Q, V, U, last, opening, strict=True):
         safety.reset(u_prev)
@@ -62,23 +62,23 @@ def same(batch, answers):
 @given(st.integers(0, 2**31), st.sampled_from(["float32", "float64"]))
 def test_a_batch_is_single_calls_bit_for_bit(seed, real):
     rng = np.random.default_rng(seed)
-    things, now = [*random_scenes.random_scene(SMALL, rng), COMING], 0.21
+    obstacles, now = [*random_scenes.random_scene(SMALL, rng), COMING], 0.21
     Q, V, U = states(rng, 40)
     last, opening = rng.uniform(-1.0, 1.0, (40, 7)) * V_MAX, rng.uniform(0.0, 0.04, 40)
-    batch = made(things, 0.1, precision=real).batch(Q, V, U, now, u_prev=last, opening=opening)
-    same(batch, one_by_one(made(things, 0.1, precision=real), Q, V, U, last, opening, now))
+    batch = make_filter(obstacles, 0.1, precision=real).batch(Q, V, U, now, u_prev=last, opening=opening)
+    same(batch, one_by_one(make_filter(obstacles, 0.1, precision=real), Q, V, U, last, opening, now))
     order = rng.permutation(40)
-    turned = made(things, 0.1, precision=real).batch(
+    turned = make_filter(obstacles, 0.1, precision=real).batch(
         Q[order], V[order], U[order], now, u_prev=last[order], opening=opening[order]
     )
-    assert np.array_equal(turned.u, batch.u[order]), "a row depends on the rows before it"
+    assert np.array_equal(turned.u, batch.u[order]), "a row depends on earlier rows"
 
 
-def test_every_kind_of_answer_was_compared():
+def test_the_comparison_covers_every_status():
     rng = np.random.default_rng(4)
     Q, V, U = states(rng, 1500)
     U[::5] = V[::5]
-    batch = made([*random_scenes.random_scene(SMALL, rng), COMING]).batch(Q, V, U)
+    batch = make_filter([*random_scenes.random_scene(SMALL, rng), COMING]).batch(Q, V, U)
     assert set(batch.status.tolist()) == set(FilterStatus)
     assert np.all(np.isfinite(batch.u))
     assert np.all(np.abs(batch.u) <= V_MAX)
@@ -86,29 +86,29 @@ def test_every_kind_of_answer_was_compared():
 
 def test_the_velocity_is_the_last_control_unless_it_is_given():
     rng = np.random.default_rng(1)
-    safety = made(random_scenes.random_scene(SMALL, rng))
+    safety = make_filter(random_scenes.random_scene(SMALL, rng))
     Q, V, U = states(rng, 60)
     assert np.array_equal(safety.batch(Q, V, U).u, safety.batch(Q, V, U, u_prev=V).u)
     assert not np.array_equal(safety.batch(Q, V, U).u, safety.batch(Q, V, U, u_prev=0.0 * V).u)
 
 
-def test_a_batch_leaves_the_filters_own_memory_alone(state_at):
+def test_a_batch_does_not_change_the_memory_of_the_filter(state_at):
     rng = np.random.default_rng(2)
-    things = random_scenes.random_scene(SMALL, rng)
-    asked, alone = made(things), made(things)
+    obstacles = random_scenes.random_scene(SMALL, rng)
+    used, alone = make_filter(obstacles), make_filter(obstacles)
     q, u_nom = np.array(PANDA.home), np.zeros(7)
     for tick in range(300):
-        wish = V_MAX * np.sign(np.sin(0.02 * tick + np.arange(7)))
-        answers = [safety(q, np.zeros(7), wish) for safety in (asked, alone)]
+        desired = V_MAX * np.sign(np.sin(0.02 * tick + np.arange(7)))
+        answers = [safety(q, np.zeros(7), desired) for safety in (used, alone)]
         assert np.array_equal(answers[0].u, answers[1].u)
-        asked.batch(*states(rng, 3))
-        projected = [safety.project(state_at(q), wish, u_nom, 0.0) for safety in (asked, alone)]
+        used.batch(*states(rng, 3))
+        projected = [safety.project(state_at(q), desired, u_nom, 0.0) for safety in (used, alone)]
         assert np.array_equal(*projected)
         q, u_nom = q + 1e-3 * answers[0].u, projected[0]
 
 
-def test_an_empty_batch_and_what_is_refused():
-    safety, none = made([]), np.empty((0, 7))
+def test_an_empty_batch_and_rejected_batches():
+    safety, none = make_filter([]), np.empty((0, 7))
     assert safety.batch(none, none, none).u.shape == (0, 7)
     for shape in ((7,), (3, 6), (2, 7)):
         with pytest.raises(ConfigurationError, match=r"\(m, 7\)"):
@@ -123,9 +123,9 @@ def test_an_empty_batch_and_what_is_refused():
         turn_acceleration=fast,
         tracking=PANDA.tracking,
     )
-    for refused in (SafetyFilter(SMALL, barriers=[_NoRows()]), SafetyFilter(cart)):
-        with pytest.raises(ConfigurationError, match="bolted body"):
-            refused.batch(none, none, none)
+    for rejected in (SafetyFilter(SMALL, barriers=[_NoRows()]), SafetyFilter(cart)):
+        with pytest.raises(ConfigurationError, match="fixed base and no Python barriers"):
+            rejected.batch(none, none, none)
 
 
 class _NoRows:

@@ -1,4 +1,4 @@
-"""Laws of the filter: what is safe passes, what is not is moved least, bad input stops, contact needs a permit."""
+"""Laws of the filter: safe controls pass, others are changed least, invalid input stops, contact needs a permit."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def safety(panda):
 
 
 def drive(safety, at, q, nominal, steps, t=0.0):
-    """Closed loop; `nominal(q)` -> u_nom. Returns final q and the answers."""
+    """Closed loop with u_nom = nominal(q); returns the final q and the results."""
     answers = []
     for k in range(steps):
         now = t + k * 1e-3
@@ -40,7 +40,7 @@ def toward(safety, direction, speed):
 
 
 def straight(safety, goal, speed, rotation):
-    """A nominal that holds the rotation and goes straight to `goal` at up to `speed`."""
+    """Nominal control that keeps the rotation and moves straight to `goal` at up to `speed`."""
 
     def nominal(q):
         tool = safety.tool(q)
@@ -67,18 +67,18 @@ def test_a_strictly_safe_nominal_passes_bit_identical(seed):
         assert (answer.delta, answer.status, answer.certified) == (0.0, FilterStatus.SAFE, True)
 
 
-def test_what_is_safe_is_left_alone(sparse_panda, state_at):
+def test_a_safe_control_passes_unchanged(sparse_panda, state_at):
     for seed in range(3):
-        things = random_scenes.random_scene(sparse_panda, np.random.default_rng(seed))
+        obstacles = random_scenes.random_scene(sparse_panda, np.random.default_rng(seed))
         safety, again = (SafetyFilter(sparse_panda, random_scenes.exact_config()) for _ in range(2))
-        safety.observe(things, 0.0)
-        again.observe(things, 0.0)
+        safety.observe(obstacles, 0.0)
+        again.observe(obstacles, 0.0)
         run = random_scenes.closed_loop(safety, sparse_panda.home, 1500, seed)
         for k in range(100, 1500, 70):
-            u_prev, q, wish = run.u[k - 1], run.q[k - 1], np.sign(run.u[k]) * 2.0
+            u_prev, q, desired = run.u[k - 1], run.q[k - 1], np.sign(run.u[k]) * 2.0
             safety.reset(u_prev)
             again.reset(u_prev)
-            once = safety.filter(state_at(q), wish, 0.0)
+            once = safety.filter(state_at(q), desired, 0.0)
             twice = again.filter(state_at(q), once.u, 0.0)
             np.testing.assert_allclose(twice.u, once.u, atol=2e-6)
             assert twice.delta < 1e-6
@@ -86,16 +86,16 @@ def test_what_is_safe_is_left_alone(sparse_panda, state_at):
 
 def test_answers_are_admissible_and_certified(sparse_panda, state_at):
     rng = np.random.default_rng(0)
-    things = random_scenes.random_scene(sparse_panda, rng)
+    obstacles = random_scenes.random_scene(sparse_panda, rng)
     safety = SafetyFilter(sparse_panda, random_scenes.exact_config())
-    safety.observe(things, 0.0)
+    safety.observe(obstacles, 0.0)
     v_max = np.array([j.velocity.value for j in sparse_panda.joints])
     step = np.array([j.acceleration.value for j in sparse_panda.joints]) * 1e-3
     q, before = np.array(sparse_panda.home), np.zeros(7)
     for k in range(1500):
         if k % 150 == 0:
-            wish = rng.choice([-1.0, 1.0], 7) * v_max
-        answer = safety.filter(state_at(q), wish, 0.0)
+            desired = rng.choice([-1.0, 1.0], 7) * v_max
+        answer = safety.filter(state_at(q), desired, 0.0)
         assert answer.status in (FilterStatus.SAFE, FilterStatus.MODIFIED)
         assert answer.certified
         assert np.all(np.abs(answer.u) <= v_max)
@@ -118,7 +118,7 @@ def test_delta_is_the_weighted_distance(safety, panda, state_at):
     answer = safety.filter(state_at(panda.home), u_nom, 0.0)
     v_max = np.array([j.velocity.value for j in panda.joints])
     assert answer.delta == pytest.approx(np.sqrt(np.mean(((answer.u - u_nom) / v_max) ** 2)), rel=1e-5)
-    assert answer.delta_box > 0.95 * answer.delta  # a jump that φ itself could not have followed
+    assert answer.delta_box > 0.95 * answer.delta  # a jump that φ could not have followed either
 
 
 def test_projection_of_a_known_scene_passes_the_filter(panda, state_at):
@@ -130,9 +130,9 @@ def test_projection_of_a_known_scene_passes_the_filter(panda, state_at):
     near = np.inf
     for k in range(4000):
         if k % 500 == 0:
-            wish = toward(safety, rng.normal(size=3), 0.4)
+            desired = toward(safety, rng.normal(size=3), 0.4)
         state = state_at(q, v, t=k * 1e-3)
-        u_nom = safety.project(state, wish(q), u_nom, k * 1e-3)
+        u_nom = safety.project(state, desired(q), u_nom, k * 1e-3)
         answer = safety.filter(state, u_nom, k * 1e-3)
         assert np.array_equal(answer.u, u_nom)
         assert answer.delta == 0.0
@@ -142,7 +142,7 @@ def test_projection_of_a_known_scene_passes_the_filter(panda, state_at):
     assert 0.0 < near < 0.01
 
 
-def test_projection_does_not_know_the_unknown(panda, state_at):
+def test_projection_ignores_unknown_obstacles(panda, state_at):
     safety = SafetyFilter(panda, random_scenes.exact_config())
     tool = safety.tool(np.array(panda.home)).position
     ball = Obstacle("ball", Sphere(0.03), Pose(tuple(tool + np.array([0.1, 0.0, 0.0]))))
@@ -157,13 +157,13 @@ def test_projection_does_not_know_the_unknown(panda, state_at):
     assert answer.h_min >= 0.0
 
 
-def test_a_grasp_without_a_permit_is_stopped_and_with_one_closes_in_slowly(panda, state_at):
+def test_a_grasp_is_stopped_without_a_permit_and_slow_with_one(panda, state_at):
     safety = SafetyFilter(panda, random_scenes.exact_config())
     q0 = np.array(panda.home)
     tool = safety.tool(q0)
-    thing = Obstacle("cube", Box((0.02, 0.04, 0.02)), Pose(tuple(tool.position + 0.12 * tool.rotation[:, 2])))
-    safety.observe([thing], 0.0)
-    goal = np.array(thing.pose.position)
+    obstacle = Obstacle("cube", Box((0.02, 0.04, 0.02)), Pose(tuple(tool.position + 0.12 * tool.rotation[:, 2])))
+    safety.observe([obstacle], 0.0)
+    goal = np.array(obstacle.pose.position)
     ahead = straight(safety, goal, 0.05, tool.rotation)
     q, answers = drive(safety, state_at, q0, ahead, 4000)
     assert min(a.h_min for a in answers) >= 0.0
@@ -172,7 +172,7 @@ def test_a_grasp_without_a_permit_is_stopped_and_with_one_closes_in_slowly(panda
     safety.permit([Contact("fingers", "cube", 0.02), Contact("hand", "cube", 0.02)])
     q, _ = drive(safety, state_at, q0, ahead, 6000)
     assert np.linalg.norm(safety.tool(q).position - goal) < 0.004, "with a permit the tool reaches the cube"
-    # the permit ends: the rows are back, and the arm is asked to leave
+    # after the permit the rows apply again, and the arm must move away
     safety.permit([])
     back = safety.filter(state_at(q), ahead(q), 0.0)
     assert back.h_min < 0.0
@@ -286,14 +286,14 @@ def test_obstacles_are_carried_forward_and_grow_with_age(panda, state_at):
     assert late <= early
 
 
-def test_a_scene_with_a_hole_in_it_stops(safety, panda, state_at):
+def test_a_scene_with_a_number_that_is_not_finite_stops(safety, panda, state_at):
     safety.observe([Obstacle("ghost", Sphere(0.05), Pose((np.nan, 0.0, 0.5)))], 0.0)
     answer = safety.filter(state_at(panda.home), np.zeros(7), 0.0)
     assert answer.status is FilterStatus.STOPPED
     assert Reason.BAD_SCENE in answer.reason
 
 
-def test_two_things_closing_in_are_reported_as_conflicting(panda, state_at):
+def test_two_obstacles_closing_in_are_reported_as_conflicting(panda, state_at):
     safety = SafetyFilter(panda, random_scenes.exact_config())
     tool = safety.tool(np.array(panda.home)).position
     pair = [
@@ -314,7 +314,7 @@ def test_two_things_closing_in_are_reported_as_conflicting(panda, state_at):
     assert all(weight >= -1e-6 for _, _, weight in answer.active_rows)
 
 
-def test_yields_to_what_moves_toward_it(panda, state_at):
+def test_the_arm_yields_to_an_approaching_obstacle(panda, state_at):
     safety = SafetyFilter(panda, random_scenes.exact_config())
     q = np.array(panda.home)
     place = safety.tool(q).position + np.array([0.35, 0.0, 0.0])
@@ -338,7 +338,7 @@ def test_a_base_on_a_table_and_a_mount_do_not_stop_the_robot(panda, state_at):
     assert answer.status is FilterStatus.SAFE
 
 
-def test_something_over_the_arm_that_no_joint_can_leave_stops(panda, state_at):
+def test_an_obstacle_around_the_arm_that_no_joint_can_leave_stops(panda, state_at):
     safety = SafetyFilter(panda, random_scenes.exact_config())
     safety.observe([Obstacle("block", Box((0.3, 0.3, 0.6)), Pose((0.0, 0.0, 0.6)), static=False)], 0.0)
     answer = safety.filter(state_at(panda.home), np.full(7, 0.01), 0.0)
@@ -346,7 +346,7 @@ def test_something_over_the_arm_that_no_joint_can_leave_stops(panda, state_at):
     assert not np.array_equal(answer.u, np.full(7, 0.01))
 
 
-def test_held_things_are_kept_from_obstacles_and_from_the_arm(panda, state_at):
+def test_held_objects_keep_away_from_obstacles_and_from_the_arm(panda, state_at):
     safety = SafetyFilter(panda, random_scenes.exact_config())
     safety.observe([TABLE], 0.0)
     bare = safety.filter(state_at(panda.home), np.zeros(7), 0.0).h_min
@@ -359,7 +359,7 @@ def test_held_things_are_kept_from_obstacles_and_from_the_arm(panda, state_at):
     assert safety.filter(state_at(panda.home), np.zeros(7), 0.0).h_min == bare
 
 
-def test_wrong_programs_are_told(safety):
+def test_invalid_calls_raise_errors(safety):
     with pytest.raises(UnknownNameError, match="fingers"):
         safety.permit([Contact("finger", "cup", 0.1)])
     with pytest.raises(ConfigurationError):
@@ -372,8 +372,8 @@ def test_wrong_programs_are_told(safety):
         SafetyFilter(PANDA, weight=-np.eye(7))
 
 
-def test_an_obstacle_steeper_than_the_tracking_budget_is_refused(panda):
-    """The rows keep the tracking error of the filter's own gain: a steeper row would promise what was not kept."""
+def test_an_obstacle_gain_beyond_the_tracking_margin_is_rejected(panda):
+    """Rows cover the tracking error up to the gain of the filter; a larger gain would not be covered."""
     steep = Obstacle("wall", Box((0.02, 1, 1)), Pose((0.8, 0, 0.5)), alpha=panda.alpha * 1.01)
     with pytest.raises(ConfigurationError, match="'wall'"):
         SafetyFilter(panda).observe([steep])
@@ -381,7 +381,7 @@ def test_an_obstacle_steeper_than_the_tracking_budget_is_refused(panda):
     SafetyFilter(panda, random_scenes.exact_config(tracking_error=0.01)).observe([steep])
 
 
-def test_a_permit_for_what_is_not_there_lifts_nothing(safety, panda, state_at):
+def test_a_permit_for_a_missing_obstacle_has_no_effect(safety, panda, state_at):
     safety.permit([Contact("fingers", "gone", 0.1)])
     _, answers = drive(safety, state_at, np.array(panda.home), toward(safety, (0, 0, -1), 0.3), 1500)
     assert min(a.h_min for a in answers) >= 0.0
@@ -394,7 +394,7 @@ def test_unfiltered_is_the_nominal(safety, panda, state_at):
     assert (bare.delta, bare.certified) == (0.0, False)
 
 
-def test_a_general_weight_moves_the_answer(panda, state_at):
+def test_a_general_weight_changes_the_result(panda, state_at):
     weight = np.diag([100.0, 1, 1, 1, 1, 1, 1])
     plain, other = (
         SafetyFilter(panda, random_scenes.exact_config()),

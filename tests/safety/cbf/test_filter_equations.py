@@ -1,7 +1,7 @@
-"""The filter against its equations: the answer is the nearest control under every row that numpy writes down.
+"""The filter against its equations: the result is the closest control under every row that numpy computes.
 
-The reference leaves no pair out and knows no kernel; an independent solver (DAQP) finds its nearest control. Wrong
-rows, culled rows that could bind, units, margins, indices and the box all end as another control.
+The reference includes every pair and does not use the kernel; an independent solver (DAQP) finds its closest control.
+Wrong rows, culled rows that could bind, and mistakes in units, margins, indices or the box all change the control.
 """
 
 from ctypes import c_int
@@ -20,7 +20,7 @@ from tests.safety.cbf import filter_equations
 
 
 def sliding(body):
-    """The first two joints slide: a gantry under the rest of the arm."""
+    """The robot model with two prismatic joints at its base, like a gantry."""
     joints = list(body.joints)
     for k in range(2):
         low, high = (msgspec.structs.replace(b, value=v) for b, v in ((joints[k].lower, -0.4), (joints[k].upper, 0.4)))
@@ -28,14 +28,14 @@ def sliding(body):
     return msgspec.structs.replace(body, joints=tuple(joints))
 
 
-def near(point, rng, far=0.2):
-    """A place beside `point`."""
+def random_position_near(point, rng, far=0.2):
+    """A position near `point`."""
     way = rng.normal(size=3)
     return tuple((point + way / np.linalg.norm(way) * rng.uniform(0.1, far)).tolist())
 
 
-def things(s, q, rng, *, moving=False):
-    """A table, and every shape beside random spheres of the body."""
+def random_obstacles(s, q, rng, *, moving=False):
+    """A table, and obstacles of every shape near random spheres of the robot."""
     points = filter_equations.sphere_centres(s, q)[5:]
     sizes = rng.uniform(0.02, 0.06, 12)
     shapes = [Sphere(sizes[0]), Capsule(*sizes[1:3]), Box(tuple(sizes[3:6])), Sphere(sizes[6]), Box(tuple(sizes[7:10]))]
@@ -44,13 +44,13 @@ def things(s, q, rng, *, moving=False):
     more = {"velocity": velocity, "velocity_error": 0.01 * moving, "static": not moving}
     out = [Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)), known=True)]
     for k, shape in enumerate(shapes):
-        pose = Pose(near(points[rng.integers(len(points))], rng), random_scenes.random_quaternion(rng))
+        pose = Pose(random_position_near(points[rng.integers(len(points))], rng), random_scenes.random_quaternion(rng))
         out.append(Obstacle(f"t{k}", shape, pose, margin=0.002 * k, known=k % 2 == 0, **more))
     return out
 
 
-def told(s):
-    """A float64 filter that knows the setting."""
+def make_filter(s):
+    """A float64 filter with the inputs of the case."""
     safety = SafetyFilter(s.robot_model, s.config)
     safety.observe(s.obstacles, 0.0)
     safety.permit(s.permits)
@@ -61,7 +61,7 @@ def told(s):
 
 
 def unit_rows(rows):
-    """A (m, n) and b (m,) of rows that a control can act upon, of length one."""
+    """Normalised rows A (m, n) and b (m,) that controls can influence."""
     A, b = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
     norm = np.linalg.norm(A, axis=1)
     keep = norm > 1e-4
@@ -69,7 +69,7 @@ def unit_rows(rows):
 
 
 def nearest(s, low, high, A, b, u_nom):
-    """The control nearest to u_nom under all rows, or None."""
+    """The control closest to u_nom under all rows, or None."""
     R = np.diag([1.0 / joint.velocity.value**2 for joint in s.robot_model.joints])
     upper, lower = np.concatenate([high, np.full(len(b), 1e30)]), np.concatenate([low, b])
     x, _, flag, _ = daqp.solve(R, -R @ u_nom, np.ascontiguousarray(A), upper, lower, np.zeros(len(upper), dtype=c_int))
@@ -77,12 +77,12 @@ def nearest(s, low, high, A, b, u_nom):
 
 
 def compare(s, q, u_prev, u_nom, at):
-    """The filter's answer beside the reference's; whether rows of the reference were binding."""
-    safety = told(s)
+    """Compare the filter with the reference; returns whether rows of the reference were binding."""
+    safety = make_filter(s)
     safety.reset(u_prev)
     low, high, rows = filter_equations.all_rows(s, q, u_prev)
     A, b = unit_rows(rows)
-    wanted = nearest(s, low, high, A, b, u_nom)
+    expected = nearest(s, low, high, A, b, u_nom)
     if s.known_only:
         u = safety.project(at(q, t=s.age, opening=s.opening), u_nom, u_prev, s.age)
     else:
@@ -92,13 +92,13 @@ def compare(s, q, u_prev, u_nom, at):
         assert answer.h_min == pytest.approx(min(10.0, *measured), abs=2e-6)
         assert answer.n_rows <= len(safety.rows())
         if answer.status not in (FilterStatus.SAFE, FilterStatus.MODIFIED):
-            assert wanted is None or answer.status is FilterStatus.FAULT
+            assert expected is None or answer.status is FilterStatus.FAULT
             return False
         assert np.min(A @ u - b) > -2e-5
-    if wanted is None:
+    if expected is None:
         return False
-    np.testing.assert_allclose(u, wanted, atol=3e-5)
-    return bool(np.any(np.abs(wanted - np.clip(u_nom, low, high)) > 1e-4))
+    np.testing.assert_allclose(u, expected, atol=3e-5)
+    return bool(np.any(np.abs(expected - np.clip(u_nom, low, high)) > 1e-4))
 
 
 def lifted(s, row):
@@ -108,28 +108,28 @@ def lifted(s, row):
 
 
 def drive(s, q, rng, at, steps=400, every=50):
-    """(q, u_prev, u_nom) along a closed loop: anywhere at full speed, or straight at what is near."""
-    safety, n = told(s), s.robot_model.n
+    """(q, u_prev, u_nom) along a closed loop: random directions at full speed, or toward the nearest row."""
+    safety, n = make_filter(s), s.robot_model.n
     v = np.array([joint.velocity.value for joint in s.robot_model.joints])
     u = np.zeros(n)
     for step in range(steps):
         if step % every == 0:
             near_rows = safety.rows() if rng.random() < 0.7 else ()
-            wish = v * rng.choice([-1.0, 1.0], n)
+            desired = v * rng.choice([-1.0, 1.0], n)
             if near_rows:
-                wish = -v * np.sign(min(near_rows, key=lambda row: row.h).a)
+                desired = -v * np.sign(min(near_rows, key=lambda row: row.h).a)
         if step % every == every - 1:
-            yield q.copy(), u.copy(), wish
+            yield q.copy(), u.copy(), desired
         state = at(q, t=s.age, opening=s.opening)
-        u = safety.project(state, wish, u, s.age) if s.known_only else safety.filter(state, wish, s.age).u
+        u = safety.project(state, desired, u, s.age) if s.known_only else safety.filter(state, desired, s.age).u
         q = q + s.robot_model.period * u
 
 
 def setting(kind, body, q, rng):
-    """One setting of each kind of row."""
+    """One case for each kind of row."""
     config = random_scenes.exact_config(precision="float64", tracking_error=0.003, self_margin=0.002)
     s = filter_equations.FilterCase(body, config, [], opening=0.03)
-    s.obstacles = things(s, q, rng, moving=kind in ("moving", "separation"))
+    s.obstacles = random_obstacles(s, q, rng, moving=kind in ("moving", "separation"))
     if kind == "moving":
         s.age = 0.2
     if kind == "permits":
@@ -164,13 +164,13 @@ KINDS = ["still", "moving", "permits", "held", "user", "separation", "parts", "k
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_answer_is_the_nearest_control_under_all_rows(sparse_panda, state_at, kind):
+def test_the_result_is_the_closest_control_under_all_rows(sparse_panda, state_at, kind):
     body = sliding(sparse_panda) if kind == "sliding" else sparse_panda
-    rng, bound = np.random.default_rng(KINDS.index(kind)), 0  # bound: moments at which a row did bind
+    rng, bound = np.random.default_rng(KINDS.index(kind)), 0  # bound: number of cases in which a row was binding
     while bound < 4:
         q = np.array(body.home) + rng.uniform(-0.5, 0.5, body.n)
         if kind == "sliding":
             q[:2] = rng.uniform(-0.3, 0.3, 2)
         s = setting(kind, body, q, rng)
-        if told(s).filter(state_at(q, t=s.age, opening=s.opening), np.zeros(body.n), s.age).h_min > 0.003:
+        if make_filter(s).filter(state_at(q, t=s.age, opening=s.opening), np.zeros(body.n), s.age).h_min > 0.003:
             bound += sum(compare(s, *moment, state_at) for moment in drive(s, q, rng, state_at))

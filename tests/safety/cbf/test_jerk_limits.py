@@ -1,4 +1,4 @@
-"""The jerk box: the change of acceleration stays in its limit, and the promises beside it stay as they are."""
+"""Jerk box: the change of the acceleration stays within its limit, and the other guarantees hold."""
 
 import msgspec
 import numpy as np
@@ -10,7 +10,7 @@ from dualbrain.safety.cbf.result import Reason
 from tests.safety import geometry_oracle, random_scenes
 
 
-def test_a_body_without_jerk_limits_says_so(sparse_panda):
+def test_a_robot_model_without_jerk_limits_is_rejected(sparse_panda):
     bare = tuple(msgspec.structs.replace(joint, jerk=None) for joint in sparse_panda.joints)
     with pytest.raises(ConfigurationError, match="jerk"):
         SafetyFilter(msgspec.structs.replace(sparse_panda, joints=bare), random_scenes.exact_config(jerk_limits=True))
@@ -19,16 +19,16 @@ def test_a_body_without_jerk_limits_says_so(sparse_panda):
 @pytest.mark.parametrize("seed", range(3))
 def test_jerk_stays_in_its_limit_under_an_adversary(sparse_panda, seed):
     rng = np.random.default_rng(seed)
-    things = random_scenes.random_scene(sparse_panda, rng, 8)
+    obstacles = random_scenes.random_scene(sparse_panda, rng, 8)
     safety = SafetyFilter(sparse_panda, random_scenes.exact_config(jerk_limits=True))
-    safety.observe(things)
+    safety.observe(obstacles)
     v_max = np.array([joint.velocity.value for joint in sparse_panda.joints])
     limit = np.array([joint.jerk.value for joint in sparse_panda.joints]) * sparse_panda.period**2
     q, log, yielded, u, before = np.array(sparse_panda.home), [], 0, np.zeros(7), np.zeros(7)
     for tick in range(4000):
         if tick % 250 == 0:
-            wish = np.where(rng.random(7) < 0.5, -1.0, 1.0) * v_max
-        answer = safety(q, np.zeros(7), wish)
+            desired = np.where(rng.random(7) < 0.5, -1.0, 1.0) * v_max
+        answer = safety(q, np.zeros(7), desired)
         jerk = np.abs(answer.u - 2.0 * u + before)
         if Reason.JERK in answer.reason:
             yielded += 1
@@ -41,7 +41,7 @@ def test_jerk_stays_in_its_limit_under_an_adversary(sparse_panda, seed):
     log = np.array(log)
     assert (
         min(
-            geometry_oracle.h_obstacles(sparse_panda, log, things).min(),
+            geometry_oracle.h_obstacles(sparse_panda, log, obstacles).min(),
             geometry_oracle.h_self(sparse_panda, log).min(),
         )
         >= 0.0
@@ -56,24 +56,24 @@ def test_without_the_box_jerk_is_larger(sparse_panda):
     assert np.any(np.abs(first) > 1.5 * limit)
 
 
-def test_the_limit_that_binds_is_called_by_its_name(sparse_panda):
-    """Full speed from rest, then back: jerk, acceleration and velocity in turn, each as its formula says."""
+def test_the_binding_limit_is_named(sparse_panda):
+    """Full speed from rest, then back: jerk, acceleration and velocity limits bind in turn, each by its formula."""
     safety = SafetyFilter(sparse_panda, random_scenes.exact_config(jerk_limits=True, precision="float64"))
     first = sparse_panda.joints[0]
     dt, v_max, a_max, j_max = sparse_panda.period, first.velocity.value, first.acceleration.value, first.jerk.value
     seen, u, before = [], 0.0, 0.0
     for tick in range(2000):
-        way = 1.0 if tick < 60 else -1.0  # turned back while it still accelerates
-        answer = safety(np.array(sparse_panda.home), np.zeros(7), np.array([9.0 * way, 0, 0, 0, 0, 0, 0]))
+        direction = 1.0 if tick < 60 else -1.0  # reversed while it still accelerates
+        answer = safety(np.array(sparse_panda.home), np.zeros(7), np.array([9.0 * direction, 0, 0, 0, 0, 0, 0]))
         bounds = {
-            "velocity": way * v_max,
-            "acceleration": u + way * a_max * dt,
-            "jerk": 2.0 * u - before + way * j_max * dt**2,
+            "velocity": direction * v_max,
+            "acceleration": u + direction * a_max * dt,
+            "jerk": 2.0 * u - before + direction * j_max * dt**2,
         }
         for name in (name for name, _, _ in answer.active_rows if name.startswith(first.name + " ")):
             kind = name.split()[1]
             assert answer.u[0] == pytest.approx(bounds[kind], abs=1e-3 * a_max * dt), kind
-            seen.append((kind, way))
+            seen.append((kind, direction))
         before, u = u, float(answer.u[0])
     assert {kind for kind, _ in seen} == {"velocity", "acceleration", "jerk"}
     assert seen.count(("jerk", -1.0)) > 1, "also while the acceleration changes"

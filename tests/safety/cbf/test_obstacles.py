@@ -1,4 +1,4 @@
-"""From perceived things to obstacles: covers that contain, margins that carry the errors."""
+"""Conversion of scene objects to obstacles: covers contain the objects, margins include the errors."""
 
 import numpy as np
 import pytest
@@ -42,12 +42,12 @@ def test_covers_contain_cylinders_and_bowls(radius, height, seed):
 
 
 @given(SIZE, SIZE, SIZE, st.integers(0, 100))
-def test_held_things_lie_inside_at_most_eight_spheres(x, y, z, seed):
+def test_held_objects_are_covered_by_at_most_eight_spheres(x, y, z, seed):
     rng = np.random.default_rng(seed)
     tool_p, tool_R = rng.uniform(-1, 1, 3), geometry_oracle.rotation_matrix(random_scenes.random_quaternion(rng))
     pose = Pose(tuple(tool_p + rng.uniform(-0.05, 0.05, 3)), random_scenes.random_quaternion(rng))
     for shape in (Box((x, y, z)), Cylinder(x, y), Bowl(x, y, 0.002)):
-        spheres = cover_with_spheres(SceneObject(name="thing", role="object", shape=shape, pose=pose), tool_p, tool_R)
+        spheres = cover_with_spheres(SceneObject(name="object", role="object", shape=shape, pose=pose), tool_p, tool_R)
         assert 1 <= len(spheres) <= 8
         world = surface(shape, rng) @ geometry_oracle.rotation_matrix(pose.quaternion).T + np.array(pose.position)
         local = (world - tool_p) @ tool_R

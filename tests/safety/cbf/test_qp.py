@@ -11,7 +11,7 @@ from dualbrain.safety.cbf.compiled import _kernel, _kernel64
 
 
 def problem(rng, n=7):
-    """Rows of one family: generic, near-duplicate, low rank, zero rows, infeasible, or a general weight R."""
+    """A random problem: generic, near-duplicate rows, low rank, zero rows, infeasible, or with a general weight R."""
     m = int(rng.integers(1, 60))
     A, b = rng.normal(size=(m, n)), rng.uniform(-2.0, 0.3, m)
     family = rng.integers(6)
@@ -70,7 +70,7 @@ def agree(rng, *, with_piqp):
         assert near_the_edge(p), f"ours {result}, DAQP feasible {feasible}"
         return feasible
     if feasible:
-        assert cost(R, u, u_nom) <= cost(R, x, u_nom) * (1 + 1e-6) + 1e-6  # DAQP forgives 1e-6 in a row
+        assert cost(R, u, u_nom) <= cost(R, x, u_nom) * (1 + 1e-6) + 1e-6  # DAQP accepts a violation of 1e-6
         assert gap[norm > 1e-9].min(initial=0.0) > -1e-8
         assert np.all(u >= low - 1e-9)
         assert np.all(u <= high + 1e-9)
@@ -89,7 +89,7 @@ def agree(rng, *, with_piqp):
 
 
 def near_the_edge(p, width=1e-6):
-    """Feasibility changes when every row moves by `width`: then both answers are right."""
+    """Whether feasibility changes when every row moves by `width`, so that both results are right."""
     R, A, b, low, high, u_nom = p
     norm = np.linalg.norm(A, axis=1)
     answers = {by_daqp(R, A, b + shift * norm, low, high, u_nom)[0] for shift in (-width, width)}
@@ -111,7 +111,7 @@ def test_agrees_with_two_solvers_on_a_hundred_thousand(seed):
         agree(rng, with_piqp=k % 10 == 0)
 
 
-def test_answers_satisfy_the_kkt_conditions():
+def test_solutions_satisfy_the_kkt_conditions():
     rng = np.random.default_rng(3)
     for _ in range(300):
         R, A, _, _, _, u_nom = p = problem(rng)
@@ -151,7 +151,7 @@ def test_an_infeasible_problem_comes_with_a_farkas_certificate():
                 norm = np.linalg.norm(A[index - 2 * n])
                 total += weight * A[index - 2 * n] / norm
                 bound += weight * b[index - 2 * n] / norm
-        np.testing.assert_allclose(total, 0.0, atol=1e-6)  # sum of normals vanishes, sum of bounds does not
+        np.testing.assert_allclose(total, 0.0, atol=1e-6)  # the sum of normals vanishes, the sum of bounds does not
         assert bound > 0.0
         seen += 1
     assert seen > 20

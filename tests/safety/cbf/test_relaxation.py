@@ -1,4 +1,4 @@
-"""When no control meets all rows: rank by rank the least violation, judged by linear programs, and braking as aim."""
+"""Relaxation: rank by rank the least violation, compared with linear programs, with braking as the reference."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from tests.safety import geometry_oracle, random_scenes
 
 
 def lexicographic(rows, low, high):
-    """The least largest violation of each rank, given those of the ranks above; no pair is met worse than by rest."""
+    """The least largest violation of each rank, given those of higher ranks; no pair is violated more than at rest."""
     A, b = [np.array(row.a) for row in rows], [row.b for row in rows]
     n, granted, least = len(low), {}, {}
     for rank in Rank:
@@ -32,7 +32,7 @@ def lexicographic(rows, low, high):
 
 
 def contradicting(rng, n):
-    """Rows of all ranks around two opposite directions, which no control meets together."""
+    """Rows of all ranks around two opposite directions, which no control satisfies together."""
     ahead = rng.normal(size=n)
     rows = []
     for index in range(8):
@@ -55,12 +55,12 @@ def test_violations_are_the_least_rank_by_rank(sparse_panda, state_at, seed):
     capped = [
         ConstraintRow(name=r.name, a=r.a, b=min(r.b, reach), rank=r.rank) for r, reach in zip(rows, best, strict=True)
     ]
-    wanted = lexicographic(capped, low, high)
+    expected = lexicographic(capped, low, high)
     got = {rank: max([0.0, *(r.b - np.array(r.a) @ answer.u for r in capped if r.rank == rank)]) for rank in Rank}
-    if max(wanted.values()) < 1e-6 and answer.status is not FilterStatus.RELAXED:
+    if max(expected.values()) < 1e-6 and answer.status is not FilterStatus.RELAXED:
         return
     for rank in Rank:
-        assert got[rank] == pytest.approx(wanted[rank], abs=2e-5), (rank, got, wanted)
+        assert got[rank] == pytest.approx(expected[rank], abs=2e-5), (rank, got, expected)
 
 
 def test_the_seeds_above_do_relax(sparse_panda, state_at):
@@ -73,7 +73,7 @@ def test_the_seeds_above_do_relax(sparse_panda, state_at):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_relaxed_answer_depends_on_the_state_alone_and_is_its_own_answer(sparse_panda, state_at, seed):
+def test_a_relaxed_result_depends_on_the_state_alone_and_passes_unchanged(sparse_panda, state_at, seed):
     rng = np.random.default_rng(100 + seed)
     rows, answers = contradicting(rng, 7), []
     nominal = np.zeros(7)
@@ -88,8 +88,8 @@ def test_a_relaxed_answer_depends_on_the_state_alone_and_is_its_own_answer(spars
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_no_pair_is_met_worse_than_by_braking(sparse_panda, state_at, seed):
-    """Passive safety: from any motion, no pair is approached faster than a braking robot would."""
+def test_no_pair_is_violated_more_than_by_braking(sparse_panda, state_at, seed):
+    """Passive safety: from any motion, no pair is approached faster than by a braking robot."""
     rng = np.random.default_rng(200 + seed)
     rows, safety = contradicting(rng, 7), SafetyFilter(sparse_panda, random_scenes.exact_config(precision="float64"))
     step = np.array([joint.acceleration.value for joint in sparse_panda.joints]) * sparse_panda.period
@@ -104,7 +104,7 @@ def test_no_pair_is_met_worse_than_by_braking(sparse_panda, state_at, seed):
         assert np.dot(row.a, answer.u) >= min(row.b, np.dot(row.a, brake)) - 1e-7
 
 
-def test_what_was_given_up_is_told(sparse_panda, state_at):
+def test_relaxed_ranks_are_reported(sparse_panda, state_at):
     a = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     safety = SafetyFilter(sparse_panda, random_scenes.exact_config())
     safety.constrain(
@@ -119,12 +119,12 @@ def test_what_was_given_up_is_told(sparse_panda, state_at):
     assert "user_rows" in answer.barriers
 
 
-def test_no_still_thing_that_braking_spares_is_traded_for_a_person(sparse_panda):
-    """A wall behind the arm, a person who comes from the front faster than it can evade: the wall is never entered."""
+def test_no_static_obstacle_that_braking_spares_is_violated_for_a_person(sparse_panda):
+    """With a wall behind the arm and a person who approaches faster than it can evade, the wall is never entered."""
     safety = SafetyFilter(sparse_panda, random_scenes.exact_config())
     q = np.array(sparse_panda.home)
-    where, radii = moving_spheres(safety, q)
-    back = float(np.min(where[:, 0] - radii)) - 0.01
+    centres, radii = moving_spheres(safety, q)
+    back = float(np.min(centres[:, 0] - radii)) - 0.01
     wall = Obstacle("wall", HalfSpace(), Pose((back, 0.0, 0.0), (0.5**0.5, 0.0, 0.5**0.5, 0.0)))
     least, relaxed = np.inf, 0
     for tick in range(900):
@@ -146,12 +146,12 @@ def test_no_still_thing_that_braking_spares_is_traded_for_a_person(sparse_panda)
     assert least >= 0.0
 
 
-# --- recovery: from inside, out, and never held back ---------------------------------------------------------------
+# --- recovery from violated barriers -------------------------------------------------------------------------------
 
 INSIDE = {
-    "ball": Obstacle("thing", Sphere(0.06), Pose((0.5, 0.12, 0.45))),
-    "capsule": Obstacle("thing", Capsule(0.05, 0.1), Pose((0.5, 0.1, 0.45))),
-    "wall": Obstacle("thing", HalfSpace(), Pose((0.48, 0.0, 0.0), (0.5**0.5, 0.0, -(0.5**0.5), 0.0))),
+    "ball": Obstacle("obstacle", Sphere(0.06), Pose((0.5, 0.12, 0.45))),
+    "capsule": Obstacle("obstacle", Capsule(0.05, 0.1), Pose((0.5, 0.1, 0.45))),
+    "wall": Obstacle("obstacle", HalfSpace(), Pose((0.48, 0.0, 0.0), (0.5**0.5, 0.0, -(0.5**0.5), 0.0))),
 }
 
 
@@ -166,7 +166,7 @@ def drift(safety, q, nominal, ticks=2500):
 
 
 @pytest.mark.parametrize("name", INSIDE)
-def test_a_start_inside_a_thing_is_left_monotonically(sparse_panda, name):
+def test_a_start_inside_an_obstacle_is_left_monotonically(sparse_panda, name):
     safety = SafetyFilter(sparse_panda, random_scenes.exact_config())
     safety.observe([INSIDE[name]])
     h, _ = drift(safety, np.array(sparse_panda.home), lambda q: np.zeros(7), 4000)
@@ -197,17 +197,17 @@ def test_a_start_in_self_collision_is_left_monotonically(sparse_panda):
     assert h[-1] > -1.5e-3
 
 
-def test_moving_away_is_never_held_back(sparse_panda):
-    """From inside, a nominal that leaves faster than recovery asks for passes unchanged."""
+def test_moving_away_is_never_slowed_down(sparse_panda):
+    """From inside, a nominal control that leaves faster than the recovery speed passes unchanged."""
     safety = SafetyFilter(sparse_panda, random_scenes.exact_config(recovery_speed=0.02))
     safety.observe([INSIDE["wall"]])
     q, u = np.array(sparse_panda.home), np.zeros(7)
     for tick in range(300):
         J = safety.tool(q).jacobian
-        wish = J.T @ np.linalg.solve(J @ J.T + 1e-4 * np.eye(6), np.array([-min(0.1, tick * 4e-4), 0, 0, 0, 0, 0]))
-        answer = safety(q, np.zeros(7), wish)
+        desired = J.T @ np.linalg.solve(J @ J.T + 1e-4 * np.eye(6), np.array([-min(0.1, tick * 4e-4), 0, 0, 0, 0, 0]))
+        answer = safety(q, np.zeros(7), desired)
         if tick > 250:
             assert answer.status is FilterStatus.SAFE
-            assert np.allclose(answer.u, wish, atol=1e-6)
+            assert np.allclose(answer.u, desired, atol=1e-6)
         u = answer.u
         q = q + 1e-3 * u

@@ -1,7 +1,7 @@
-"""The law that protects culling: no pair is missing that a control of the box could violate, or that is nearest.
+"""Completeness of rows: no pair is missing that a control in the box could violate, or that is nearest.
 
-The kernel skips links, obstacles and vectors of both by lower bounds. Here all pairs of random moments are weighed in
-float64 without any bound, and the kernel's rows are held against them: none is missing, each is right.
+The kernel skips links, obstacles and groups of both by lower bounds. Here all pairs of random cases are evaluated in
+float64 without bounds and compared with the rows of the kernel: none is missing, and each is right.
 """
 
 import msgspec
@@ -30,7 +30,7 @@ SETTINGS = {
 
 @pytest.fixture(scope="module")
 def thin(panda):
-    """Two spheres a link: fewer than obstacles, so that the spheres take their turns."""
+    """Two spheres per link: fewer than obstacles, so that the kernel loops over spheres."""
     chosen = [s for link in panda.links for s in [s for s in panda.spheres if s.link == link.name][:2]]
     return msgspec.structs.replace(panda, spheres=tuple(chosen))
 
@@ -44,14 +44,14 @@ def solid(rng, balls):
     return Box(tuple(rng.uniform(0.005, 0.4, 3).tolist())) if kind == 2 else HalfSpace()
 
 
-def thing(rng, index, near, *, moving, parts, balls):
-    """Something whose surface is from one centimetre deep to far away from the point `near`."""
+def obstacle(rng, index, near, *, moving, parts, balls):
+    """An obstacle whose surface is between one centimetre inside and far away from the point `near`."""
     shape, quaternion = solid(rng, balls), random_scenes.random_quaternion(rng)
     way = rng.normal(size=3)
     point = near + way / np.linalg.norm(way) * rng.choice([0.05, 0.2, 0.6, 1.5]) * rng.uniform(0.3, 1.0)
     pose = Pose(tuple(point.tolist()), quaternion)
     depth = float(geometry_oracle.surface_distance(shape, pose, near[None])[0])
-    if depth < 0.06:  # push it off, so that only a few are inside
+    if depth < 0.06:  # move it away, so that few obstacles are inside the robot
         away = (point - near) / np.linalg.norm(point - near)
         up = geometry_oracle.rotation_matrix(quaternion)[:, 2]
         shift = -up * (0.08 - depth) if isinstance(shape, HalfSpace) else away * (0.08 - depth)
@@ -72,7 +72,7 @@ def thing(rng, index, near, *, moving, parts, balls):
 
 
 def moment(body, rng, *, count=9, moving=False, parts=False, holding=False, mobile=False, balls=False, **_):
-    """A random setting, its box still to be asked from the kernel."""
+    """A random case; its box is set after the kernel has computed it."""
     low = np.array([joint.lower.value for joint in body.joints]) + 0.05
     high = np.array([joint.upper.value for joint in body.joints]) - 0.05
     q, opening = rng.uniform(low, high), float(rng.uniform(0.0, 0.04))
@@ -81,19 +81,19 @@ def moment(body, rng, *, count=9, moving=False, parts=False, holding=False, mobi
         base = (geometry_oracle.rotation_matrix(random_scenes.random_quaternion(rng)), rng.uniform(-5.0, 5.0, 3))
     centres = base[1] + geometry_oracle.sphere_centres(body, q[None], opening)[0][0] @ base[0].T
     kinds = {"moving": moving, "parts": parts, "balls": balls}
-    things = [thing(rng, k, centres[rng.integers(len(centres))], **kinds) for k in range(count)]
+    obstacles = [obstacle(rng, k, centres[rng.integers(len(centres))], **kinds) for k in range(count)]
     permits = {("hand", 0): 0.05, ("left_finger", 1): 0.02, ("right_finger", 1): 0.02} if parts else {}
     held = np.empty((0, 4))
     if holding:
         k = int(rng.integers(1, 9))
         held = np.concatenate([rng.uniform(-0.08, 0.08, (k, 3)), rng.uniform(0.005, 0.03, (k, 1))], axis=1)
     return exhaustive_rows.PairCase(
-        q, low, high, things, 0.1 if moving else 0.0, opening, permits, held, 0.004 * holding, base
+        q, low, high, obstacles, 0.1 if moving else 0.0, opening, permits, held, 0.004 * holding, base
     )
 
 
-def ask(safety, setting, rng, *, mobile):
-    """One step of `safety` in the setting, at a random speed; its box goes into the setting."""
+def run_step(safety, setting, rng, *, mobile):
+    """One step of `safety` in the case, at a random speed; sets the box of the case."""
     body = safety.robot_model
     safety.observe(setting.obstacles, 0.0)
     permits = {(("fingers" if "finger" in link else link), j): speed for (link, j), speed in setting.permits.items()}
@@ -119,7 +119,7 @@ def ask(safety, setting, rng, *, mobile):
 
 
 def compare(safety, setting, answer, tolerance):
-    """Nothing missing, nothing wrong, h_min found; returns how many pairs could bind."""
+    """Assert that no row is missing or wrong and that h_min is right; returns the number of pairs that could bind."""
     every, sampling = (
         exhaustive_rows.all_pair_rows(safety.robot_model, safety.config, setting),
         safety.config.sampling_margin,
@@ -130,7 +130,7 @@ def compare(safety, setting, answer, tolerance):
     near = (every.h < exhaustive_rows.ALWAYS_ROW_DISTANCE - tolerance) & ~every.permitted
     needed = ((worst < every.b - tolerance) | near) & (np.linalg.norm(every.a, axis=1) > 1.1e-4)
     index = {name: k for k, name in enumerate(every.names())}
-    at = np.array([index[row[:3]] for row in rows], int)  # a pair that is not kept apart is not found here
+    at = np.array([index[row[:3]] for row in rows], int)  # fails for a pair that need not keep apart
     assert len(set(at.tolist())) == len(at) >= answer.n_rows
     missing = np.setdiff1d(np.flatnonzero(needed), at)
     assert len(missing) == 0, [every.names()[k] for k in missing]
@@ -138,11 +138,11 @@ def compare(safety, setting, answer, tolerance):
         h, norm, b = (np.array([row[e] for row in rows]) for e in (3, 4, 5))
         a = np.array([row[6] for row in rows]) * norm[:, None]
         np.testing.assert_allclose(h, every.h[at] + sampling, atol=tolerance)
-        clear = every.h[at] > tolerance  # inside, normals jump and the box limits what is asked
+        clear = every.h[at] > tolerance  # inside, normals jump and the box limits the right-hand side
         np.testing.assert_allclose(a[clear], every.a[at][clear], atol=20 * tolerance)
-        if not answer.reason & Reason.INFEASIBLE:  # then right sides are those of the relaxation
-            asked = np.where(every.permitted, np.minimum(every.b, best), every.b)[at]
-            np.testing.assert_allclose((b * norm)[clear], asked[clear], atol=50 * tolerance)
+        if not answer.reason & Reason.INFEASIBLE:  # otherwise right-hand sides are those of the relaxation
+            expected = np.where(every.permitted, np.minimum(every.b, best), every.b)[at]
+            np.testing.assert_allclose((b * norm)[clear], expected[clear], atol=50 * tolerance)
     assert answer.h_min == pytest.approx(every.h[~every.permitted].min() + sampling, abs=tolerance)
     return int(needed.sum())
 
@@ -156,8 +156,8 @@ def check(body, changes, real, times, seed):
     safety = SafetyFilter(body, config)
     for _ in range(times):
         setting = moment(body, rng, **changes)
-        answer = ask(safety, setting, rng, mobile="mobile" in changes)
-        if not answer.reason & Reason.ROW_OVERFLOW:  # then the step brakes
+        answer = run_step(safety, setting, rng, mobile="mobile" in changes)
+        if not answer.reason & Reason.ROW_OVERFLOW:  # otherwise the step brakes
             needed += compare(safety, setting, answer, tolerance)
     assert needed > times / 4
 
@@ -168,14 +168,16 @@ def test_no_row_is_missing_and_h_min_is_the_nearest(thin, setting):
 
 
 def test_far_from_everything_h_min_is_still_the_nearest(thin, rng):
-    """At rest nothing binds, so that only the search for the nearest pair keeps a link from being skipped."""
+    """At rest no row binds, so that only the search for the nearest pair keeps links from being skipped."""
     alone = msgspec.structs.replace(thin, self_pairs=msgspec.structs.replace(thin.self_pairs, kept=()))
     safety = SafetyFilter(alone, random_scenes.exact_config(alpha=alone.alpha, tracking_error=0.002))
     for _ in range(150):
         setting = moment(alone, rng, count=12, balls=True)
         q, opening = setting.q[None], setting.opening
-        things = [msgspec.structs.replace(thing, margin=0.0) for thing in setting.obstacles]
-        far = [thing for thing in things if geometry_oracle.h_obstacles(alone, q, [thing], opening)[0] > 0.1]
+        obstacles = [msgspec.structs.replace(obstacle, margin=0.0) for obstacle in setting.obstacles]
+        far = [
+            obstacle for obstacle in obstacles if geometry_oracle.h_obstacles(alone, q, [obstacle], opening)[0] > 0.1
+        ]
         safety.observe(far, 0.0)
         safety.reset()
         got = safety(setting.q, np.zeros(7), np.zeros(7), opening=opening)
@@ -189,6 +191,6 @@ def test_far_from_everything_h_min_is_still_the_nearest(thin, rng):
 @pytest.mark.parametrize("real", ["float32", "float64"])
 @pytest.mark.parametrize("setting", SETTINGS, ids=str)
 def test_thousands_of_moments(thin, panda, setting, real):
-    limited = SETTINGS[setting].get("acceleration_limits", True)  # else the whole body has more rows than there is room
+    limited = SETTINGS[setting].get("acceleration_limits", True)  # the full model has more rows than the capacity
     for seed, body in enumerate((thin, panda) if limited else (thin,)):
         check(body, SETTINGS[setting], real, 100, 100 + seed)

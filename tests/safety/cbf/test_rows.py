@@ -10,7 +10,7 @@ from tests.safety import geometry_oracle, random_scenes
 STEP = 1e-6
 
 
-def things(rng, velocity=(0.0, 0.0, 0.0)):
+def random_obstacles(rng, velocity=(0.0, 0.0, 0.0)):
     shapes = [Sphere(0.05), Capsule(0.03, 0.1), Box((0.05, 0.08, 0.1)), HalfSpace()]
     poses = [
         Pose(tuple(rng.uniform([0.2, -0.4, 0.1], [0.7, 0.4, 0.7])), random_scenes.random_quaternion(rng))
@@ -30,7 +30,7 @@ def gap(body, names, q, kind, i, j, obstacles):
 
 
 def every_row(body, q, obstacles, **changes):
-    """A filter without acceleration limits keeps every row within reach of the velocity limits."""
+    """A filter without acceleration limits, which has every row that the velocity limits can reach."""
     safety = SafetyFilter(body, random_scenes.exact_config(precision="float64", acceleration_limits=False, **changes))
     safety.observe(obstacles, 0.0)
     return safety
@@ -39,7 +39,7 @@ def every_row(body, q, obstacles, **changes):
 def test_rows_are_gradients_of_h(sparse_panda, rng, random_posture, state_at):
     checked = np.zeros(2, int)
     for _ in range(6):
-        q, obstacles = random_posture(rng), things(rng)
+        q, obstacles = random_posture(rng), random_obstacles(rng)
         safety = every_row(sparse_panda, q, obstacles)
         safety.filter(state_at(q, opening=0.0), np.zeros(7), 0.0)
         rows = safety._kernel.rows()
@@ -61,7 +61,7 @@ def test_rows_are_gradients_of_h(sparse_panda, rng, random_posture, state_at):
 
 def test_right_sides_are_alpha_h_plus_motion_of_the_obstacle(sparse_panda, rng, random_posture, state_at):
     velocity = (0.1, -0.2, 0.15)
-    q, obstacles = random_posture(rng), things(rng, velocity)
+    q, obstacles = random_posture(rng), random_obstacles(rng, velocity)
     safety = every_row(sparse_panda, q, obstacles)
     safety.filter(state_at(q, opening=0.0), np.zeros(7), 0.0)
     seen = 0
@@ -74,8 +74,8 @@ def test_right_sides_are_alpha_h_plus_motion_of_the_obstacle(sparse_panda, rng, 
         approach = (
             gap(sparse_panda, None, q, kind, i, 0, [moved]) - gap(sparse_panda, None, q, kind, i, j, obstacles)
         ) / STEP
-        wanted = -sparse_panda.alpha * (h - safety.config.sampling_margin) - approach
-        assert wanted - 2e-6 <= b * norm <= wanted + 2e-3  # the sampling term only ever asks for more
+        expected = -sparse_panda.alpha * (h - safety.config.sampling_margin) - approach
+        assert expected - 2e-6 <= b * norm <= expected + 2e-3  # the sampling term only increases the bound
         seen += 1
         if seen == 60:
             break
@@ -93,15 +93,15 @@ def test_the_box_has_velocity_acceleration_and_braking_limits(sparse_panda, stat
     low, high = (np.array(side) for side in safety._kernel.box())
     step = np.array([j.acceleration.value for j in sparse_panda.joints]) * sparse_panda.period
     assert high[0] == pytest.approx(min(sparse_panda.alpha * (0.01 - 1e-5), u_prev[0] + step[0]))
-    assert low[1] == high[1] == pytest.approx(step[1])  # hurries back as the acceleration allows
+    assert low[1] == high[1] == pytest.approx(step[1])  # returns as fast as the acceleration allows
     assert (low[2], high[2]) == pytest.approx((1.0 - step[2], 1.0 + step[2]))
     assert high[3] == pytest.approx(2.175)
 
 
 def test_a_row_is_left_out_only_when_it_cannot_bind(sparse_panda, rng, random_posture, state_at):
-    """Every pair that is missing from the rows is met by every corner of the box."""
+    """Every pair without a row is satisfied at every corner of the box."""
     for _ in range(5):
-        q, obstacles = random_posture(rng), things(rng)
+        q, obstacles = random_posture(rng), random_obstacles(rng)
         u_prev = rng.uniform(-1.0, 1.0, 7)
         full = every_row(sparse_panda, q, obstacles)
         full.filter(state_at(q, opening=0.0), np.zeros(7), 0.0)
@@ -121,7 +121,7 @@ def test_a_row_is_left_out_only_when_it_cannot_bind(sparse_panda, rng, random_po
 
 def test_h_min_is_the_smallest_h_of_all(sparse_panda, rng, random_posture, state_at):
     for _ in range(10):
-        q, obstacles = random_posture(rng), things(rng)
+        q, obstacles = random_posture(rng), random_obstacles(rng)
         safety = SafetyFilter(sparse_panda, random_scenes.exact_config(precision="float64"))
         safety.observe(obstacles, 0.0)
         got = safety.filter(state_at(q, opening=0.0), np.zeros(7), 0.0).h_min

@@ -1,6 +1,7 @@
-"""Write vectors/filter_step.json: recorded steps of the shipped filter, to be repeated bit for bit on every target.
+"""Write vectors/filter_step.json: recorded steps of the filter, to be reproduced bit for bit on every target.
 
-Run: python -m tests.safety.kernel.step_vectors (only when the kernel's arithmetic or the Panda's data are changed on purpose).
+Run `python -m tests.safety.kernel.step_vectors` only after an intended change of the kernel's arithmetic or of the
+Panda model.
 """
 
 from pathlib import Path
@@ -17,7 +18,7 @@ FILE = Path(__file__).resolve().parents[3] / "vectors" / "filter_step.json"
 
 
 class Step(msgspec.Struct):
-    """Inputs of one step, and its answer."""
+    """Inputs of one step, and its result."""
 
     t: float
     q: list[float]
@@ -31,7 +32,7 @@ class Step(msgspec.Struct):
 
 
 class Recording(msgspec.Struct):
-    """A closed loop: what the filter was told, then every step."""
+    """A closed loop: the inputs of the filter, then every step."""
 
     robot: str
     config: FilterConfig
@@ -41,7 +42,7 @@ class Recording(msgspec.Struct):
 
 
 def build_filter(recording):
-    """The filter that a recording was made with."""
+    """The filter of a recording."""
     safety = SafetyFilter(load_robot(recording.robot), recording.config)
     safety.observe(recording.obstacles, 0.0)
     safety.permit(recording.permits)
@@ -57,7 +58,7 @@ def run_step(safety, step):
 
 
 def record_vectors(steps=120):
-    """A loop past a ball, a box and the table, with a permit, in which the lag and the obstacle's motion matter."""
+    """A loop past a sphere, a box and the table, with a permit, in which lag and motion of the obstacle matter."""
     robot_model = load_robot("panda")
     recording = Recording(
         "panda",
@@ -82,8 +83,8 @@ def record_vectors(steps=120):
     q, v = np.array(robot_model.home), np.zeros(7)
     for k in range(steps):
         if k % 40 == 0:
-            wish = rng.choice([-1.0, 1.0], 7) * 2.0
-        step = Step(k * 1e-3, q.tolist(), v.tolist(), np.clip(wish * k / 100, -2, 2).tolist(), 0.03)
+            desired = rng.choice([-1.0, 1.0], 7) * 2.0
+        step = Step(k * 1e-3, q.tolist(), v.tolist(), np.clip(desired * k / 100, -2, 2).tolist(), 0.03)
         answer = run_step(safety, step)
         step.u, step.status = answer.u.tolist(), int(answer.status)
         step.delta, step.h_min = answer.delta, answer.h_min

@@ -28,7 +28,7 @@ def random_pose(rng):
     return Pose(tuple(rng.uniform(-0.3, 0.3, 3)), random_scenes.random_quaternion(rng))
 
 
-def test_distance_is_the_oracles_inside_and_out(shape, rng):
+def test_distances_agree_with_the_oracle_inside_and_outside(shape, rng):
     for _ in range(20):
         pose, points = random_pose(rng), rng.uniform(-0.6, 0.6, (200, 3))
         d, _ = measure(shape, pose, points)
@@ -45,7 +45,7 @@ def test_normal_is_the_gradient(shape, rng):
             shift[axis] = step
             ahead, behind = measure(shape, pose, points + shift)[0], measure(shape, pose, points - shift)[0]
             slope = (ahead - behind) / (2 * step)
-            smooth = np.abs((ahead - d) - (d - behind)) < 1e-9  # not across an edge of the box's inside
+            smooth = np.abs((ahead - d) - (d - behind)) < 1e-9  # not across an inner edge of the box
             assert smooth.mean() > 0.98
             np.testing.assert_allclose(slope[smooth], normals[smooth, axis], atol=1e-3)
 

@@ -1,4 +1,4 @@
-"""Small laws of the kernel's parts, each with its own oracle: certificate, δ, jerk box, warm start, refusals."""
+"""Laws of parts of the kernel, each with its own oracle: certificate, δ, jerk box, warm start, rejected input."""
 
 import math
 
@@ -15,7 +15,7 @@ from tests.safety import geometry_oracle, random_scenes
 from tests.safety.cbf import filter_equations
 
 FAR_OUTSIDE = 0.2
-"""Beyond a joint's range by more the state is not believed [rad]."""
+"""Excess over a joint range above which the state is rejected [rad]."""
 FINITE = Obstacle("x", Capsule(0.05, 0.1), Pose((0.6, 0.3, 0.4)), velocity=(0.0, 0.1, 0.0), static=False)
 
 
@@ -29,7 +29,7 @@ def test_sine_and_cosine_in_float32_are_within_one_unit_in_the_last_place():
 
 @pytest.mark.parametrize("real", ["float32", "float64"])
 def test_certified_means_that_the_next_step_is_safe_or_no_deeper(sparse_panda, state_at, real):
-    """Full speed toward things that appear too late: numpy judges the next step of every answer, both ways."""
+    """At full speed toward obstacles that appear too late, numpy checks the next step of every result, both ways."""
     v = np.array([joint.velocity.value for joint in sparse_panda.joints])
     seen = {True: 0, False: 0}
     for seed in range(70):
@@ -63,11 +63,11 @@ def test_certified_means_that_the_next_step_is_safe_or_no_deeper(sparse_panda, s
     assert min(seen.values()) > 3
 
 
-def each_gap(body, q, thing, shift):
-    """Gap of every moving sphere to `thing` shifted."""
+def each_gap(body, q, obstacle, shift):
+    """Gap of every moving sphere to a shifted obstacle."""
     points, radius, names = geometry_oracle.sphere_centres(body, q[None])
     moves = np.array([next(x.frame for x in body.links if x.name == name) > 0 for name in names])
-    return (geometry_oracle.surface_distance(thing.shape, thing.pose, points[0] - shift[0, 0]) - radius)[moves]
+    return (geometry_oracle.surface_distance(obstacle.shape, obstacle.pose, points[0] - shift[0, 0]) - radius)[moves]
 
 
 def self_gaps(body, q):
@@ -83,7 +83,7 @@ def self_gaps(body, q):
 
 
 def test_delta_and_its_split_follow_their_equations(sparse_panda, state_at):
-    """δ = |u − u_nom|_W; to the box what the box around the previous nominal takes, to the rows the rest; at most 2."""
+    """δ = |u − u_nom|_W ≤ 2: the box part is due to the box around the previous nominal, the row part is the rest."""
     rng = np.random.default_rng(0)
     v = np.array([joint.velocity.value for joint in sparse_panda.joints])
     step = np.array([joint.acceleration.value for joint in sparse_panda.joints]) * sparse_panda.period
@@ -95,29 +95,29 @@ def test_delta_and_its_split_follow_their_equations(sparse_panda, state_at):
         return math.sqrt(float(np.mean((e / v) ** 2)))
 
     for k in range(600):
-        wish = rng.uniform(-1.3, 1.3, 7) * v if k % 40 == 0 else np.clip(last + rng.uniform(-1, 1, 7) * step, -v, v)
-        answer = safety.filter(state_at(q), wish, 0.0)
-        followed = np.clip(np.clip(wish, last - step, last + step), -v, v)
-        delta, box = min(2.0, size(answer.u - wish)), min(2.0, size(followed - wish))
+        desired = rng.uniform(-1.3, 1.3, 7) * v if k % 40 == 0 else np.clip(last + rng.uniform(-1, 1, 7) * step, -v, v)
+        answer = safety.filter(state_at(q), desired, 0.0)
+        followed = np.clip(np.clip(desired, last - step, last + step), -v, v)
+        delta, box = min(2.0, size(answer.u - desired)), min(2.0, size(followed - desired))
         assert answer.delta == pytest.approx(delta, abs=1e-9)
         assert answer.delta_box == pytest.approx(min(delta, box), abs=1e-9)
         assert answer.delta_rows == pytest.approx(delta - min(delta, box), abs=1e-9)
-        q, last = q + sparse_panda.period * answer.u, wish
+        q, last = q + sparse_panda.period * answer.u, desired
     assert safety.filter(state_at(q), 100.0 * v, 0.0).delta == 2.0
     assert safety.filter(state_at(q), np.full(7, np.nan), 0.0).delta == 2.0
 
 
 def test_the_jerk_box_follows_its_equation(panda, state_at):
-    """Change of the control within last change ± j dt², and no faster toward v_max than can be taken back in time."""
+    """The change of the control is within the last change ± j dt², and the control can stop before v_max."""
     safety = SafetyFilter(panda, random_scenes.exact_config(precision="float64", jerk_limits=True, recovery_speed=0.05))
     v = np.array([joint.velocity.value for joint in panda.joints])
     j, dt = np.array([joint.jerk.value for joint in panda.joints]), panda.period
     rng, before, u, narrowed = np.random.default_rng(1), np.zeros(7), np.zeros(7), 0
-    wish = v
+    desired = v
     plain = filter_equations.FilterCase(panda, safety.config, [])
     for k in range(900):
-        wish = v * rng.choice([-1.0, 1.0], 7) if k % 300 == 0 else wish
-        answer = safety.filter(state_at(panda.home), wish, 0.0)
+        desired = v * rng.choice([-1.0, 1.0], 7) if k % 300 == 0 else desired
+        answer = safety.filter(state_at(panda.home), desired, 0.0)
         low, high = filter_equations.control_bounds(plain, np.array(panda.home), u)
         change, twist = u - before, j * dt * dt
         up, down = (
@@ -136,8 +136,8 @@ def test_the_jerk_box_follows_its_equation(panda, state_at):
     assert narrowed > 1000
 
 
-def test_a_limit_that_the_accelerations_cannot_keep_is_told(sparse_panda, state_at):
-    """A joint too fast for its limit: the box keeps to the acceleration, and the answer says that nothing would do."""
+def test_a_limit_that_the_acceleration_cannot_keep_is_reported(sparse_panda, state_at):
+    """A joint too fast for its limit: the box keeps the acceleration limit, and the result is infeasible."""
     for side, at_limit in ((1.0, "upper"), (-1.0, "lower")):
         q, u_prev = np.array(sparse_panda.home), np.zeros(7)
         q[2], u_prev[2] = side * (abs(getattr(sparse_panda.joints[2], at_limit).value) - 0.01), side * 1.5
@@ -146,24 +146,24 @@ def test_a_limit_that_the_accelerations_cannot_keep_is_told(sparse_panda, state_
         answer = safety.filter(state_at(q), u_prev, 0.0)
         assert Reason.INFEASIBLE in answer.reason
         assert abs(answer.u[2]) < 1.5
-        safety.reset(-u_prev)  # away from it: nothing is wrong
+        safety.reset(-u_prev)  # motion away from the limit is feasible
         assert safety.filter(state_at(q), -u_prev, 0.0).reason == Reason(0)
 
 
-def test_a_warm_start_changes_the_work_and_not_the_answer(sparse_panda, state_at):
+def test_a_warm_start_changes_the_work_and_not_the_result(sparse_panda, state_at):
     rng = np.random.default_rng(4)
-    things = random_scenes.random_scene(sparse_panda, rng, 12)
+    obstacles = random_scenes.random_scene(sparse_panda, rng, 12)
     warm, cold = (SafetyFilter(sparse_panda, random_scenes.exact_config(precision="float64")) for _ in range(2))
     for safety in (warm, cold):
-        safety.observe(things, 0.0)
+        safety.observe(obstacles, 0.0)
     v = np.array([joint.velocity.value for joint in sparse_panda.joints])
     q, u, work = np.array(sparse_panda.home), np.zeros(7), np.zeros(2, int)
     for k in range(2500):
         if k % 250 == 0:
-            wish = v * rng.choice([-1.0, 1.0], 7)
-        one = warm.filter(state_at(q), wish, 0.0)
+            desired = v * rng.choice([-1.0, 1.0], 7)
+        one = warm.filter(state_at(q), desired, 0.0)
         cold.reset(u)
-        two = cold.filter(state_at(q), wish, 0.0)
+        two = cold.filter(state_at(q), desired, 0.0)
         np.testing.assert_allclose(one.u, two.u, atol=1e-8)
         work += (one.iterations, two.iterations)
         q, u = q + sparse_panda.period * one.u, one.u
@@ -174,7 +174,7 @@ NUMBERS = {
     "position": {"pose": Pose((0.6, math.inf, 0.4))},
     "attitude": {"pose": Pose((0.6, 0.3, 0.4), (math.nan, 0.0, 0.0, 0.0))},
     "radius": {"shape": Capsule(math.nan, 0.1)},
-    "less than nothing": {"shape": Sphere(-0.01)},
+    "negative radius": {"shape": Sphere(-0.01)},
     "length": {"shape": Capsule(0.05, math.inf)},
     "extent": {"shape": Box((0.1, math.nan, 0.1))},
     "velocity": {"velocity": (0.0, 0.0, math.nan)},
@@ -186,7 +186,7 @@ NUMBERS = {
 
 
 @pytest.mark.parametrize("change", NUMBERS)
-def test_every_number_of_an_obstacle_is_looked_at(sparse_panda, state_at, change):
+def test_every_number_of_an_obstacle_is_checked(sparse_panda, state_at, change):
     safety = SafetyFilter(sparse_panda, random_scenes.exact_config())
     others = [Obstacle("table", HalfSpace(), Pose((0.0, 0.0, -0.1))), FINITE]
     safety.observe(others, 0.0)
@@ -200,7 +200,7 @@ def test_every_number_of_an_obstacle_is_looked_at(sparse_panda, state_at, change
 
 
 @pytest.mark.parametrize("column", range(4))
-def test_every_number_of_a_held_thing_and_of_a_row_is_looked_at(sparse_panda, state_at, column):
+def test_every_number_of_a_held_object_and_of_a_row_is_checked(sparse_panda, state_at, column):
     safety = SafetyFilter(sparse_panda, random_scenes.exact_config())
     held = np.array([[0.0, 0.0, 0.05, 0.02], [0.0, 0.0, 0.07, 0.02]])
     held[1, column] = math.nan if column == 3 else 0.01
@@ -221,11 +221,11 @@ def test_every_number_of_a_held_thing_and_of_a_row_is_looked_at(sparse_panda, st
     assert safety.filter(state_at(sparse_panda.home), np.zeros(7), 0.0).status is FilterStatus.SAFE
 
 
-def test_ages_are_believed_up_to_their_limits_and_a_little_skew_before(sparse_panda, state_at):
+def test_ages_are_accepted_up_to_their_limits_with_a_small_skew(sparse_panda, state_at):
     safety = SafetyFilter(sparse_panda, random_scenes.exact_config())
     safety.observe([FINITE], 10.0)
     most = safety.config.state_stale_after, safety.config.scene_stale_after
-    for state_age, scene_age, wanted in (
+    for state_age, scene_age, expected in (
         (0.98 * most[0], 0.98 * most[1], Reason(0)),
         (-0.0049, -0.0049, Reason(0)),
         (1.02 * most[0], 0.0, Reason.STALE_STATE),
@@ -235,10 +235,10 @@ def test_ages_are_believed_up_to_their_limits_and_a_little_skew_before(sparse_pa
     ):
         now = 10.0 + scene_age
         answer = safety.filter(state_at(sparse_panda.home, t=now - state_age), np.zeros(7), now)
-        assert answer.reason & (Reason.STALE_STATE | Reason.STALE_SCENE) == wanted
+        assert answer.reason & (Reason.STALE_STATE | Reason.STALE_SCENE) == expected
 
 
-def test_a_joint_is_believed_up_to_a_fifth_of_a_radian_beyond_its_limits(sparse_panda, state_at):
+def test_a_joint_is_accepted_up_to_a_fifth_of_a_radian_beyond_its_limits(sparse_panda, state_at):
     for k, joint in enumerate(sparse_panda.joints):
         for limit, side in ((joint.upper.value, 1.0), (joint.lower.value, -1.0)):
             for beyond, stops in ((0.19, False), (0.21, True)):
@@ -249,7 +249,7 @@ def test_a_joint_is_believed_up_to_a_fifth_of_a_radian_beyond_its_limits(sparse_
 
 
 def test_braking_slows_every_joint_by_the_same_factor(sparse_panda, state_at):
-    """The hardest braking that keeps the direction: one joint with its full deceleration, all stop together."""
+    """The hardest braking along the path: one joint at its full deceleration, all joints stop together."""
     rng = np.random.default_rng(2)
     step = np.array([joint.acceleration.value for joint in sparse_panda.joints]) * sparse_panda.period
     for _ in range(50):
@@ -262,36 +262,36 @@ def test_braking_slows_every_joint_by_the_same_factor(sparse_panda, state_at):
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_a_moving_arm_is_filtered_where_it_will_be_when_the_drive_has_caught_up(sparse_panda, state_at, seed):
-    """The state of the rows is y = q + lag v, joint by joint: the same answer as at rest in y."""
+def test_a_moving_arm_is_filtered_at_its_lag_compensated_posture(sparse_panda, state_at, seed):
+    """Rows are evaluated at y = q + lag v: the result is that of an arm at rest in y."""
     rng = np.random.default_rng(seed)
     safety = SafetyFilter(sparse_panda, random_scenes.exact_config(precision="float64", lag_compensation=True))
     safety.observe(random_scenes.random_scene(sparse_panda, rng, 10), 0.0)
     q, v = np.array(sparse_panda.home) + rng.uniform(-0.2, 0.2, 7), rng.uniform(-1.0, 1.0, 7)
-    wish, u_prev = rng.uniform(-2.0, 2.0, 7), rng.uniform(-0.3, 0.3, 7)
+    desired, u_prev = rng.uniform(-2.0, 2.0, 7), rng.uniform(-0.3, 0.3, 7)
     answers = []
     for where, speed in ((q, v), (q + sparse_panda.tracking.lag * v, np.zeros(7)), (q, np.zeros(7))):
         safety.reset(u_prev)
-        answers.append(safety.filter(state_at(where, speed), wish, 0.0))
+        answers.append(safety.filter(state_at(where, speed), desired, 0.0))
     moving, there, here = answers
     assert sparse_panda.tracking.lag > 0.0
     assert moving.h_min == pytest.approx(there.h_min, abs=1e-9)
     assert moving.u == pytest.approx(there.u, abs=1e-6)
-    assert abs(moving.h_min - here.h_min) > 1e-7, "the lag moves something here"
+    assert abs(moving.h_min - here.h_min) > 1e-7, "the lag has an effect here"
 
 
-def test_the_parts_of_the_intervention_add_up_also_where_nothing_was_asked(sparse_panda, state_at):
+def test_the_parts_of_the_intervention_add_up_also_for_invalid_nominals(sparse_panda, state_at):
     safety = SafetyFilter(sparse_panda, random_scenes.exact_config())
-    for wish in (np.full(7, np.nan), np.full(7, 1.0), np.zeros(7)):
-        answer = safety.filter(state_at(np.array(sparse_panda.home)), wish, 0.0)
+    for desired in (np.full(7, np.nan), np.full(7, 1.0), np.zeros(7)):
+        answer = safety.filter(state_at(np.array(sparse_panda.home)), desired, 0.0)
         assert answer.delta_rows + answer.delta_box == pytest.approx(answer.delta, abs=1e-6)
         assert answer.delta_rows >= 0.0
         assert answer.delta_box >= 0.0
 
 
 @pytest.mark.parametrize("joint", range(7))
-def test_an_arm_is_called_far_outside_by_where_it_will_be(sparse_panda, state_at, joint):
-    """What lies beyond the range is counted at y = q + lag v."""
+def test_an_arm_is_far_outside_by_its_lag_compensated_posture(sparse_panda, state_at, joint):
+    """The excess over the range is evaluated at y = q + lag v."""
     safety = SafetyFilter(sparse_panda, random_scenes.exact_config(precision="float64", lag_compensation=True))
     lag, limit = sparse_panda.tracking.lag, sparse_panda.joints[joint].upper.value + FAR_OUTSIDE
     for beyond in (-0.1, 0.1):

@@ -1,4 +1,4 @@
-"""Kinematics against MuJoCo, and sine and cosine against the standard library."""
+"""Kinematics against MuJoCo; sine and cosine against the standard library."""
 
 import math
 
@@ -39,7 +39,7 @@ def test_tool_and_jacobian_agree_with_mujoco(panda, rng, random_posture, real, t
 
 
 @pytest.mark.parametrize("opening", [0.0, 0.025, 0.04])
-def test_spheres_ride_on_their_links_and_fingers_slide(panda, rng, random_posture, opening):
+def test_spheres_move_with_their_links_and_fingers(panda, rng, random_posture, opening):
     safety = SafetyFilter(panda, FilterConfig(precision="float64"))
     model = mujoco.MjModel.from_xml_string(mujoco_oracle.build_mjcf(panda))
     data = mujoco.MjData(model)

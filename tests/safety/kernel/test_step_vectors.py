@@ -1,4 +1,4 @@
-"""Recorded steps come out bit for bit."""
+"""Recorded steps are reproduced bit for bit."""
 
 import msgspec
 

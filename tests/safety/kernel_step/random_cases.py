@@ -1,6 +1,7 @@
-"""Random bodies and moments as the kernel is told of them: any joints, parts, shapes, permits, things held, bases.
+"""Random robot models and step cases in the kernel's format: joints, links, shapes, permits, held spheres, bases.
 
-More than exists: link 0 may move, parts may be empty, joints slide, eight joints fill the room that there is.
+The range is larger than that of real robots: link 0 may move, links may have no spheres, joints may be prismatic, and
+eight joints fill the capacity of the kernel.
 """
 
 from dataclasses import dataclass, field
@@ -18,7 +19,7 @@ ALL_LINKS_MASK = float(2**32 - 1)
 
 @dataclass
 class StepCase:
-    """All that one step is told; `things` (k, 29) is the obstacle table, `held` (k, 4) lies in the last frame."""
+    """All inputs of one step; `obstacles` (k, 29) is the obstacle table, `held` (k, 4) is in the last frame."""
 
     q: np.ndarray
     v: np.ndarray
@@ -27,7 +28,7 @@ class StepCase:
     obstacles: np.ndarray
     opening: float = 0.0
     age: float = 0.0
-    permits: dict = field(default_factory=dict)  # (link, thing) -> speed [m/s]
+    permits: dict = field(default_factory=dict)  # (link, obstacle) -> speed [m/s]
     held: np.ndarray = field(default_factory=lambda: np.empty((0, 4)))
     held_error: float = 0.0
     rows: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
@@ -39,7 +40,7 @@ def random_rotation(rng):
 
 
 def random_model(rng, n=7, links=6, *, slides=True, alpha=None):
-    """A model of `n` joints; some slide; the spheres of its links lie side by side, and a link may have none."""
+    """A model of `n` joints, some of them prismatic; a link may have no spheres."""
     frames = np.sort(rng.integers(0, n + 1, links))
     counts = rng.integers(0, 10 if links < 12 else 4, links)
     counts[-1] = max(counts[-1], 2)
@@ -56,7 +57,9 @@ def random_model(rng, n=7, links=6, *, slides=True, alpha=None):
         :96
     ]
     v_max = rng.uniform(0.5, 2.5, n)
-    a_max = v_max * rng.uniform(2.0, 10.0, n) * rng.choice([1.0, 5.0, 50.0])  # the last: a box as wide as v_max
+    a_max = (
+        v_max * rng.uniform(2.0, 10.0, n) * rng.choice([1.0, 5.0, 50.0])
+    )  # the last factor gives a box as wide as v_max
     return {
         "n": n,
         "period": float(rng.choice([1e-3, 4e-3])),
@@ -91,13 +94,13 @@ def random_model(rng, n=7, links=6, *, slides=True, alpha=None):
 
 
 def random_scale(rng, n):
-    """S of a random weight: u = u_nom + S x."""
+    """The scale S of a random weight: u = u_nom + S x."""
     M = np.eye(n) + 0.2 * rng.normal(size=(n, n))
     return np.ascontiguousarray(np.linalg.inv(np.linalg.cholesky(M @ M.T)).T)
 
 
 def random_obstacle(rng, near, links, *, moving, with_separation, spheres_only=False):
-    """One row of the obstacle table, of any shape or a ball, from inside the point `near` to metres away."""
+    """One row of the obstacle table, of any shape or a sphere, from around the point `near` to metres away."""
     shape = CAPSULE if spheres_only else int(rng.choice(3, p=[0.6, 0.3, 0.1]))
     half = {
         CAPSULE: (0.0, 0.0, 0.0 if spheres_only else rng.choice([0.0, 0.2])),
@@ -105,8 +108,8 @@ def random_obstacle(rng, near, links, *, moving, with_separation, spheres_only=F
         HALF_SPACE: (0.0, 0.0, 0.0),
     }
     radius = rng.uniform(0.01, 0.1) if shape == CAPSULE else 0.0
-    way = rng.normal(size=3)
-    place = near + way / np.linalg.norm(way) * rng.choice([0.05, 0.15, 0.3, 1.0, 2.0])
+    direction = rng.normal(size=3)
+    place = near + direction / np.linalg.norm(direction) * rng.choice([0.05, 0.15, 0.3, 1.0, 2.0])
     moves = moving and rng.random() < 0.5
     velocity = rng.uniform(-0.5, 0.5, 3) if moves else np.zeros(3)
     separation = (0.1, 1.0, rng.choice([0.0, 0.3])) if with_separation and rng.random() < 0.3 else (0.0, 0.0, 0.0)
@@ -145,7 +148,7 @@ def random_case(
     mobile=False,
     spheres_only=False,
 ):
-    """A moment of `model`; `points` (k, 3) are places that things may stand beside. With `balls` all are that."""
+    """A random case of `model`; obstacles are near the `points` (k, 3), with `spheres_only` all spheres."""
     n, links = model["n"], len(model["link_frame"])
     base = (random_rotation(rng), rng.uniform(-3.0, 3.0, 3)) if mobile else None
     R, p = base or (np.eye(3), np.zeros(3))
@@ -184,32 +187,33 @@ def random_case(
 
 
 def make_kernel(model, build=_kernel64):
-    """A filter of `model` that answers as `SafetyFilter` does."""
+    """A kernel of `model` with the result type of `SafetyFilter`."""
     made = build.Kernel(model)
     made.set_result_type(FilterResult, tuple(FilterStatus))
     return made
 
 
-def upload_case(made, model, m):
-    """All that stays: things, permits, what is held, rows, the base, the last control."""
-    made.set_obstacles(np.ascontiguousarray(m.obstacles))
-    made.clear_permits()
-    for (link, thing), speed in m.permits.items():
-        made.permit(link, thing, speed)
-    made.attach(np.ascontiguousarray(m.held), m.held_error)
-    made.constrain(np.ascontiguousarray(m.rows))
-    if m.base:
-        made.set_base_pose(np.concatenate([m.base[0].ravel(), m.base[1]]))
-    made.reset(m.u_prev)
+def upload_case(kernel, model, case):
+    """Set the obstacles, permits, held spheres, rows, base and last control."""
+    kernel.set_obstacles(np.ascontiguousarray(case.obstacles))
+    kernel.clear_permits()
+    for (link, obstacle), speed in case.permits.items():
+        kernel.permit(link, obstacle, speed)
+    kernel.attach(np.ascontiguousarray(case.held), case.held_error)
+    kernel.constrain(np.ascontiguousarray(case.rows))
+    if case.base:
+        kernel.set_base_pose(np.concatenate([case.base[0].ravel(), case.base[1]]))
+    kernel.reset(case.u_prev)
 
 
-def run_step(made, m):
-    """One step; its answer."""
-    return made.step(m.q, m.v, m.u_nom, m.opening, 0.0, m.age, RowNames(spheres=(), obstacles=(), joints=(), v_max=()))
+def run_step(kernel, case):
+    """The result of one step."""
+    names = RowNames(spheres=(), obstacles=(), joints=(), v_max=())
+    return kernel.step(case.q, case.v, case.u_nom, case.opening, 0.0, case.age, names)
 
 
 def step_internals(made, n, links, extra=0.0, *, known_only=False):
-    """Every number of the last step as arrays: joints and spheres cut to what there is, lists of links as lists."""
+    """Every number of the last step as arrays, without unused joints and spheres; lists per link as lists."""
     raw = {
         part: {name: np.frombuffer(data) for name, data in fields.items()}
         for part, fields in made.debug_readout(extra, known_only).items()

@@ -1,17 +1,17 @@
-"""The dual method of Goldfarb and Idnani once more, in numpy: least squares in place of kept factors.
+"""Reference implementation of the dual method of Goldfarb and Idnani, with least squares instead of factorisations.
 
-The same path as the kernel's: which constraint comes next, what leaves, how often. So a mistake that only costs
-iterations is seen as well.
+It takes the same steps as the kernel: the next constraint, the removed constraint, the number of iterations. A mistake
+that only costs iterations is therefore detected, too.
 """
 
 import numpy as np
 
 TOLERANCE, DEPENDENCE_TOLERANCE, MAX_ITERATIONS = 1e-11, 1e-9, 80
-"""A row violated by less counts as met; sine of the angle below which a normal depends on others; iterations."""
+"""Tolerance of a satisfied row; sine of the angle below which a normal depends on others; most iterations."""
 
 
 class ReferenceQP:
-    """min ½|x|², u = u_nom + S x, A u + soft·slack ≥ b, low ≤ u ≤ high; constraints count: lower, upper, rows."""
+    """min ½|x|², u = u_nom + S x, A u + soft·slack ≥ b, low ≤ u ≤ high; constraint order: lower, upper, rows."""
 
     def __init__(self, S, A, b, soft, low, high, u_nom, *, slack):
         self.S, self.A, self.b, self.soft, self.low, self.high = S, A, b, soft, low, high
@@ -20,7 +20,7 @@ class ReferenceQP:
         self.active, self.multiplier = [], np.zeros(0)
 
     def normal(self, at):
-        """In coordinates (x, slack)."""
+        """The normal of a constraint in coordinates (x, slack)."""
         n = self.n
         if at < 2 * n:
             inner, own = self.S[at % n] * (1.0 if at < n else -1.0), 0.0
@@ -29,7 +29,7 @@ class ReferenceQP:
         return np.array([*inner, own] if self.with_slack else inner)
 
     def constraint_values(self, u, slack):
-        """Constraint values minus right sides."""
+        """Constraint values minus right-hand sides."""
         rows = self.A @ u - self.b + (self.soft * slack if self.with_slack else 0.0)
         return np.concatenate([u - self.low, self.high - u, rows])
 
@@ -38,7 +38,7 @@ class ReferenceQP:
         self.slack += x[self.n] if self.with_slack else 0.0
 
     def warm_start(self, warm):
-        """The minimiser on what was active, without those whose multipliers are not positive."""
+        """Start from the minimiser on `warm`, without constraints whose multipliers are not positive."""
         for at in warm[: self.n]:
             if self.is_independent(at):
                 self.active.append(at)
@@ -52,7 +52,7 @@ class ReferenceQP:
         self.multiplier = np.zeros(0)
 
     def decompose(self, at):
-        """Coefficients of a normal along the active ones, and the rest."""
+        """Coefficients of a normal in the active normals, and the remainder."""
         normal = self.normal(at)
         if not self.active:
             return np.zeros(0), normal
@@ -65,7 +65,7 @@ class ReferenceQP:
         return rest @ rest > DEPENDENCE_TOLERANCE**2 * (self.normal(at) @ self.normal(at))
 
     def solve(self, warm=()):
-        """0 solved, 1 infeasible (active and multiplier are Farkas'), 2 the cap."""
+        """0: solved; 1: infeasible (active and multiplier are a Farkas certificate); 2: iteration limit."""
         self.warm_start(list(warm))
         while self.iterations < MAX_ITERATIONS:
             values = self.constraint_values(self.u, self.slack)

@@ -1,17 +1,17 @@
-"""What stands around a body, in numpy and float64 and from definitions: rows of the obstacle table by name."""
+"""Reference of the obstacle table and of distances in numpy and float64, from their definitions."""
 
 import numpy as np
 
 from tests.safety.kernel_step.random_cases import BOX, CAPSULE, HALF_SPACE
 
 ALWAYS_CHECKED_DISTANCE = 1e-3
-"""[m] pairs nearer than this are always looked at."""
+"""Pairs closer than this are always checked [m]."""
 MAX_DISTANCE = 10.0
-"""[m] farther than any robot reaches."""
+"""Distance beyond the reach of any robot [m]."""
 
 
 def bounding_sphere(points, radii, shift):
-    """Middle (from the first point), radius, inner distance: about the middle of the points' box, and a hair more."""
+    """Centre (relative to the first point), radius, inner distance, around the centre of the points' bounding box."""
     if len(points) == 0:
         return np.zeros(5)
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
@@ -26,13 +26,13 @@ def segment_distance(point, middle, axis, half):
 
 
 def separation_speed(reaction, brake, d, person):
-    """v of d = v_h (T + v/a) + v T + v²/(2a), or 0."""
+    """The v of d = v_h (T + v/a) + v T + v²/(2a), or 0."""
     late, spare = reaction + person / brake, d - person * reaction
     return brake * (np.sqrt(late * late + 2.0 * spare / brake) - late) if spare > 0.0 else 0.0
 
 
 class ReferenceObstacle:
-    """One row of the obstacle table by name, and the capsule around it."""
+    """One row of the obstacle table with named fields, and the capsule around it."""
 
     def __init__(self, row, age):
         self.shape, self.flags, self.rank, self.mask = (int(x) for x in row[:4])
@@ -49,20 +49,20 @@ class ReferenceObstacle:
             self.capsule_radius = np.hypot(*np.delete(self.half, self.axis)) + 0.01 * ALWAYS_CHECKED_DISTANCE
 
     def capsule_distance(self, point):
-        """Distance from a point to the capsule around the thing, or to a half-space."""
+        """Distance from a point to the capsule around the obstacle, or to a half-space."""
         if self.shape == HALF_SPACE:
             return float((point - self.position) @ self.rotation[:, 2])
         return segment_distance(point, self.position, self.rotation[:, self.axis], self.length) - self.capsule_radius
 
     def distance(self, point):
-        """Distance from a point to the thing itself, and the outward normal."""
+        """Distance from a point to the obstacle itself, and the outward normal."""
         local = self.rotation.T @ (point - self.position)
         if self.shape == HALF_SPACE:
             return local[2], self.rotation[:, 2]
         inner = np.array([0.0, 0.0, self.half[2]]) if self.shape == CAPSULE else self.half
         away = local - np.clip(local, -inner, inner)
         d = np.linalg.norm(away)
-        if self.shape == BOX and d <= 1e-6:  # leaves by the nearest face
+        if self.shape == BOX and d <= 1e-6:  # leave by the nearest face
             depth = np.abs(local) - self.half
             face = max(range(3), key=lambda e: (depth[e], e == 2, -e))
             return depth[face], self.rotation[:, face] * (-1.0 if local[face] < 0.0 else 1.0)

@@ -1,7 +1,7 @@
-"""The relaxation and the certificate once more, in numpy and from definitions: what is given up, and what is kept.
+"""Reference of the relaxation and the certificate in numpy, from their definitions.
 
-No control meets all rows: the hardest braking is the aim, no pair is met worse than by braking, and rank by rank the
-violation is the least that what came before allows; first as if everything stood still, then with what moves.
+If no control satisfies all rows, the hardest braking is the reference. No pair is violated more than by braking,
+and the violation is minimal rank by rank, first as if all obstacles were static, then with their motion.
 """
 
 from dataclasses import replace
@@ -12,38 +12,38 @@ from tests.safety.kernel_step.reference_active_set import ReferenceQP
 from tests.safety.kernel_step.reference_rows import OBSTACLE, USER, ReferenceRows
 
 VIOLATION_TOLERANCE, MIN_REPORTED_VIOLATION, SLACK_WEIGHT, STOP_SHARE = 4e-10, 1e-4, 1e-3, 0.05
-"""[rad/s] beyond the least violation; [m/s] that counts; weight of the slack; share of the box that helps to stop."""
+"""Tolerance [rad/s] and reported violation [m/s]; weight of the slack; share of the box for stopping."""
 UNCONSTRAINED = -1e9
 
 
 def braking_control(model, u_prev):
-    """Every joint slows by one factor; one of them with its full acceleration."""
+    """The control at which all joints slow down by one factor, one of them at its full deceleration."""
     step = model["a_max"] * model["period"]
     keep = max(0.0, *(1.0 - step / np.maximum(np.abs(u_prev), step)))
     return keep * u_prev
 
 
 class ReferenceRelaxation(ReferenceRows):
-    """What remains of `names`, rows in their order, when no control meets all of them."""
+    """Reference of the relaxation for rows `names`, in their order."""
 
     @property
     def brake_target(self):
         return np.clip(braking_control(self.model, self.case.u_prev), self.low, self.high)
 
     def passive_bound(self, name, want, change):
-        """The robot's own part: never toward what comes faster than alpha h, nor than it can surely be at rest."""
+        """Bound that the robot alone must satisfy: no approach faster than alpha h, nor than it can stop from."""
         _, b, h, norm, *_ = self.rows[name]
         t = self.obstacles[name[2]]
-        drift = t.distance(self.centre[name[1]])[1] @ t.velocity + t.error
+        drift = t.distance(self.centre[name[1]])[1] @ t.velocity + t.velocity_error
         if h <= 0.0:
             return min(want, 0.0)
-        still = b - drift / norm
+        static_bound = b - drift / norm
         if drift <= 0.0:
-            return min(want, still)
-        return min(want, max(still, -STOP_SHARE * change * h / (drift * self.model["period"])))
+            return min(want, static_bound)
+        return min(want, max(static_bound, -STOP_SHARE * change * h / (drift * self.model["period"])))
 
     def solve_relaxation(self, names):
-        """(u, bits of the ranks given up); None where a control meets all rows, or rounding decides."""
+        """(u, bits of the relaxed ranks); None if a control satisfies all rows, or if rounding decides."""
         A, b = np.array([self.rows[name][0] for name in names]), np.array([self.rows[name][1] for name in names])
         if ReferenceQP(self.model["scale"], A, b, b, self.low, self.high, self.case.u_nom, slack=False).solve() == 0:
             return None
@@ -61,16 +61,16 @@ class ReferenceRelaxation(ReferenceRows):
         )
         floor = np.where(rank <= 2, np.minimum(passive, A @ brake - VIOLATION_TOLERANCE), UNCONSTRAINED)
         rank = np.where((rank <= 2) & (A @ brake >= want), 0, rank)
-        soft, u, given_up = np.minimum(1.0, SLACK_WEIGHT / norm), brake, 0
+        soft, u, relaxed_mask = np.minimum(1.0, SLACK_WEIGHT / norm), brake, 0
         for level in range(1, int(rank.max(initial=0)) + 1):
             mine = rank == level
-            for asked in ([passive] if np.any(moving & mine) else []) + [want]:
+            for target in ([passive] if np.any(moving & mine) else []) + [want]:
                 if not np.any(mine):
                     continue
                 p = ReferenceQP(
                     self.model["scale"],
                     np.vstack([A, A[mine]]),
-                    np.concatenate([floor, asked[mine]]),
+                    np.concatenate([floor, target[mine]]),
                     np.concatenate([np.zeros(len(A)), soft[mine]]),
                     self.low,
                     self.high,
@@ -80,14 +80,14 @@ class ReferenceRelaxation(ReferenceRows):
                 if p.solve():
                     return None
                 slack, u = max(p.slack, 0.0), np.clip(p.u, self.low, self.high)
-                floor = np.where(mine, np.maximum(floor, asked - soft * slack - VIOLATION_TOLERANCE), floor)
-            given_up |= (1 << level) * bool(np.any(mine) and slack * SLACK_WEIGHT > MIN_REPORTED_VIOLATION)
-        return u, given_up
+                floor = np.where(mine, np.maximum(floor, target - soft * slack - VIOLATION_TOLERANCE), floor)
+            relaxed_mask |= (1 << level) * bool(np.any(mine) and slack * SLACK_WEIGHT > MIN_REPORTED_VIOLATION)
+        return u, relaxed_mask
 
     # --- the next step --------------------------------------------------------------------------------------------
 
     def true_h(self):
-        """(kind, i, j) -> h of every pair that is kept apart, with the margins of the certificate."""
+        """(kind, i, j) -> h of every pair that must keep apart, with the margins of the certificate."""
         out, m = {}, self.model
         for link in filter(self.is_active, range(self.links + 1)):
             for j, t in enumerate(self.obstacles):
@@ -102,7 +102,7 @@ class ReferenceRelaxation(ReferenceRows):
         return out
 
     def keeps_barriers(self, u, tolerance=-1e-12):
-        """Is every h of the next step at least zero, or no deeper than now? By `spare`, for rounding."""
+        """Whether every h of the next step is at least `tolerance`, or no deeper than now."""
         m = replace(
             self.case, q=self.y + self.model["period"] * u, v=np.zeros(self.n), age=self.case.age + self.model["period"]
         )

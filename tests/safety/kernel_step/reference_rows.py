@@ -1,6 +1,6 @@
-"""Which pairs a step looks at and which rows it states, in numpy and float64 and from definitions.
+"""Reference of the pairs that a step checks and of the rows that it poses, in numpy and float64, from definitions.
 
-A pair is left out by a lower bound of its h alone, and never in vain: lists, rows and revisited pairs are sets here.
+A pair is skipped only by a lower bound of its h. Lists, rows and rechecked pairs are compared as sets.
 """
 
 from functools import cached_property
@@ -12,31 +12,31 @@ from tests.safety.kernel_step.reference_step import ReferenceStep
 
 OBSTACLE, SELF, LOWER, UPPER, USER = range(5)
 ZERO_GRADIENT, ROW_TIGHTENING, SPEED_ROUNDING = 1e-4, 1e-10, 1e-5
-"""[m/rad] a smaller normal cannot be acted upon; [rad/s] rows are tightened; [m/s] rounding of a right side."""
+"""Smallest effective normal [m/rad]; tightening of rows [rad/s]; rounding of right-hand sides [m/s]."""
 
 
 class ReferenceRows(ReferenceStep):
-    """Lists, rows and revisited pairs of one moment; `extra` [m] and `known_only` are those of a projection."""
+    """Lists, rows and rechecked pairs of one case; `extra` [m] and `known_only` are those of a projection."""
 
     extra, known_only = 0.0, False
 
-    # --- things -----------------------------------------------------------------------------------------------
+    # --- obstacles --------------------------------------------------------------------------------------------
 
-    def margin(self, thing):
-        """What is taken off the distance to a thing."""
+    def margin(self, obstacle):
+        """Margin that is subtracted from the distance to an obstacle."""
         m = self.model
-        return thing.margin + thing.error * self.case.age + m["sampling"] + m["rounding"] + self.extra
+        return obstacle.margin + obstacle.velocity_error * self.case.age + m["sampling"] + m["rounding"] + self.extra
 
-    def applies_to_link(self, link, thing):
-        """Is the thing kept away from this link at all?"""
-        return bool(thing.mask >> link & 1) and (bool(thing.flags & 1) or not self.known_only)
+    def applies_to_link(self, link, obstacle):
+        """Whether this link must keep away from the obstacle."""
+        return bool(obstacle.mask >> link & 1) and (bool(obstacle.flags & 1) or not self.known_only)
 
-    def alpha(self, thing):
-        return thing.alpha if thing.alpha > 0.0 else self.model["alpha"]
+    def alpha(self, obstacle):
+        return obstacle.alpha if obstacle.alpha > 0.0 else self.model["alpha"]
 
     @cached_property
     def h_lower_bounds(self):
-        """(links + 1, things): lower bounds of h, ball against capsule."""
+        """(links + 1, obstacles): lower bounds of h, bounding sphere against capsule."""
         return np.array(
             [
                 [t.capsule_distance(b[:3]) - self.margin(t) - b[3] - self.held_error(link) for t in self.obstacles]
@@ -46,7 +46,7 @@ class ReferenceRows(ReferenceStep):
 
     @cached_property
     def min_h_bound(self):
-        """No more than the smallest h of all pairs with an open capsule: the innermost sphere is that near."""
+        """Upper bound of the smallest h of all pairs with a plain capsule, from the innermost spheres."""
         most = [MAX_DISTANCE]
         for link in filter(self.is_active, range(self.links + 1)):
             for j, t in enumerate(self.obstacles):
@@ -58,11 +58,11 @@ class ReferenceRows(ReferenceStep):
 
     @cached_property
     def nearby_obstacles(self):
-        """Of every link, the things that its bounds cannot rule out."""
+        """For every link, the obstacles that its bounds cannot exclude."""
         return [[j for j in range(len(self.obstacles)) if self.is_relevant(link, j)] for link in range(self.links + 1)]
 
     def is_relevant(self, link, j):
-        """May a control of the trust box violate a row, any bring h to 0 in this period, or is it the nearest?"""
+        """Whether a control in the trust region may violate a row, any may reach h = 0, or it may be nearest."""
         t = self.obstacles[j]
         if not self.is_active(link) or not self.applies_to_link(link, t):
             return False
@@ -79,19 +79,19 @@ class ReferenceRows(ReferenceStep):
         return separation_speed(t.reaction, t.brake, h, max(t.approach, t.speed)) < self.trust_region_speed[link]
 
     def bound_row(self, h, n, moves, spread, bend, alpha, cap, drift):
-        """Right side of a row, and the room that the worst control of the trust box leaves."""
+        """Right-hand side of a row, and its slack for the worst control of the trust region."""
         barrier = min(-alpha * h, cap)
         rhs = barrier + drift + max(0.0, -0.5 * self.model["period"] * (n @ bend))
         return rhs, n @ moves - spread - rhs
 
     def obstacle_rows(self, link, j):
-        """(h of all spheres, rows as (kind, i, j, h, n, rhs, yielding)) of a link and a thing."""
+        """(h of all spheres, rows as (kind, i, j, h, n, rhs, yielding)) of a link and an obstacle."""
         t, hs, rows = self.obstacles[j], [], []
         permit = self.case.permits.get((link, j), -1.0)
         for s in self.sphere_indices(link):
             d, n = t.distance(self.centre[s])
             h = d - self.radius[s] - self.margin(t) - self.held_error(link)
-            cap, error = (-permit, 0.0) if permit >= 0.0 else (self.model["recovery"], t.error)
+            cap, error = (-permit, 0.0) if permit >= 0.0 else (self.model["recovery"], t.velocity_error)
             rhs, room = self.bound_row(
                 h,
                 n,
@@ -113,10 +113,10 @@ class ReferenceRows(ReferenceStep):
                 rows.append((OBSTACLE, s, j, h, n, rhs, yields))
         return hs, rows
 
-    # --- the body against itself --------------------------------------------------------------------------------
+    # --- self-collision -----------------------------------------------------------------------------------------
 
     def pairs(self):
-        """(near link, far link) in the order in which they are looked at; what is held comes last."""
+        """(near link, far link) in the order of the kernel; the held object is last."""
         kept = self.model["pairs"].astype(int).reshape(-1, 2).tolist()[::-1]
         held = [(int(link), self.links) for link in self.model["held_links"]] if len(self.case.held) else []
         return [
@@ -130,7 +130,7 @@ class ReferenceRows(ReferenceStep):
         return m["self_margin"] + m["sampling"] + m["rounding"] + self.extra + self.held_error(far)
 
     def closing_speeds(self, near, far):
-        """No pair closes faster in the trust box: as the joints between can, or in space; and as single spheres do."""
+        """Upper bounds of the closing speed in the trust region: by joints or in space, and for single spheres."""
         between = slice(self.link_frame[near], self.link_frame[far])
         bend = self.max_acceleration_term[near] + self.max_acceleration_term[far]
         by_joints = bend + self.max_joint_speed[between] @ self.link_reach[between, far]
@@ -140,7 +140,7 @@ class ReferenceRows(ReferenceStep):
         return coarse, min(coarse, fine.max())
 
     def relative_velocity(self, near, far):
-        """Velocity (k, 3) of far spheres as seen from the near link, and how much the trust box changes it."""
+        """Velocity (k, 3) of far spheres relative to the near link, and its range over the trust region."""
         twist = self.twist[self.link_frame[far]] - self.twist[self.link_frame[near]]
         between = slice(self.link_frame[near], self.link_frame[far])
         mine = list(self.sphere_indices(far))
@@ -179,11 +179,11 @@ class ReferenceRows(ReferenceStep):
                     rows.append((SELF, s, i, h[at], n[at], rhs, False))
         return rows
 
-    # --- together ------------------------------------------------------------------------------------------------
+    # --- all rows ------------------------------------------------------------------------------------------------
 
     @cached_property
     def rows(self):
-        """(kind, i, j) -> (a, b, h, norm, yielding, moving, rank) as unit rows; `fixed` are those of no gradient."""
+        """(kind, i, j) -> (a, b, h, norm, yielding, moving, rank) as unit rows, without rows of zero gradient."""
         raw = [
             row
             for link, near in enumerate(self.nearby_obstacles)
@@ -220,7 +220,7 @@ class ReferenceRows(ReferenceStep):
         return min([least, *(h.min() + self.model["sampling"] for _, h in self.all_self_distances())])
 
     def all_self_distances(self):
-        """((near, far, i), h) of every sphere against every link that it is kept apart from."""
+        """((near, far, i), h) of every sphere against every link that it must keep apart from."""
         return [
             ((near, far, i), self.self_distances(i, far)[0])
             for near, far in self.pairs()
@@ -229,7 +229,7 @@ class ReferenceRows(ReferenceStep):
 
     @cached_property
     def revisit_pairs(self):
-        """(first sphere, how many, thing or -1 - sphere) of what any control could bring to h = 0 in one period."""
+        """(first sphere, count, obstacle or -1 - sphere) of pairs that may reach h = 0 within one period."""
         out, dt = set(), self.model["period"]
         for link, near in enumerate(self.nearby_obstacles):
             for j in near:
@@ -245,8 +245,8 @@ class ReferenceRows(ReferenceStep):
 
     @cached_property
     def n_pair_checks(self):
-        """How many spheres are held against another link: those that its ball cannot rule out, pair by pair."""
-        count, things = (
+        """Number of spheres that are checked against another link, because its bounding sphere cannot exclude them."""
+        count, obstacles = (
             0,
             [
                 h + self.model["sampling"]
@@ -256,7 +256,7 @@ class ReferenceRows(ReferenceStep):
                 for h in self.obstacle_rows(link, j)[0]
             ],
         )
-        h_min = min([MAX_DISTANCE, *things])
+        h_min = min([MAX_DISTANCE, *obstacles])
 
         def matters(h, speed):
             soon = self.model["period"] * (speed + more) + ALWAYS_CHECKED_DISTANCE

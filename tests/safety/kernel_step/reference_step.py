@@ -1,7 +1,7 @@
-"""What a step works with, once more in numpy and float64 and from definitions: no vectors, no order of evaluation.
+"""Reference of the quantities of a step in numpy and float64, from definitions, without vectors or evaluation order.
 
-Speeds, balls and lists decide what the kernel looks at. They must hold (nothing is missed), and they must be no worse
-than they are said to be (nothing is looked at in vain): both are one number each, stated here.
+Speeds, bounding spheres and lists decide which pairs the kernel checks. They must be valid bounds, and no looser than
+defined; each is stated here as one number.
 """
 
 from functools import cached_property
@@ -11,13 +11,13 @@ import numpy as np
 from tests.safety.kernel_step.reference_obstacles import ReferenceObstacle, bounding_sphere
 
 MAX_GRIPPER_OPENING = 0.1
-"""[m] no gripper opens wider."""
+"""Largest opening of any gripper [m]."""
 MAX_HELD_SPHERES, MAX_HELD_DISTANCE = 8, 0.5
-"""Spheres of a held thing, and how far from the tool they may be [m]."""
+"""Most spheres of a held object, and their largest distance from the tool [m]."""
 
 
 class ReferenceStep:
-    """Body, things and motion at one moment; `trust` is the part of the box that rows are looked for in."""
+    """Robot, obstacles and motion of one case; rows are only posed for controls in the trust region `trust`."""
 
     def __init__(self, model, m, box, trust):
         self.model, self.case = model, m
@@ -30,26 +30,26 @@ class ReferenceStep:
         self.obstacles = [ReferenceObstacle(row, m.age) for row in m.obstacles]
 
     def sphere_indices(self, link):
-        """Indices of a link's spheres; the last link is what is held."""
+        """Indices of the spheres of a link; the last link is the held object."""
         return range(self.first[link], self.first[link + 1])
 
     def held_error(self, link):
-        """[m] the rows of what is held keep more."""
+        """Additional margin of the rows of the held object [m]."""
         return self.case.held_error if link == self.links else 0.0
 
     def is_active(self, link):
         return self.link_frame[link] > 0 and len(self.sphere_indices(link)) > 0
 
-    # --- the body ---------------------------------------------------------------------------------------------
+    # --- robot model ------------------------------------------------------------------------------------------
 
     def joint_spans(self):
-        """How far each joint can carry what lies beyond it from its own parent."""
+        """Largest distance by which each joint can move the following joint away from its parent."""
         fixed = np.linalg.norm(self.model["joint_offset"].reshape(-1, 3), axis=1)
         return fixed + self.slides * np.maximum(np.abs(self.model["q_lower"]), np.abs(self.model["q_upper"]))
 
     @cached_property
     def reach(self):
-        """(n, spheres + 8): no posture gives the joint a longer lever arm on the sphere."""
+        """(n, spheres + 8): longest lever arm of the joint on the sphere over all postures."""
         spheres, spans = self.model["spheres"], self.joint_spans()
         own = np.linalg.norm(spheres[:, :3], axis=1) + MAX_GRIPPER_OPENING * np.linalg.norm(spheres[:, 4:], axis=1)
         held = MAX_HELD_DISTANCE + np.linalg.norm(self.model["tool_offset"])
@@ -63,7 +63,7 @@ class ReferenceStep:
 
     @cached_property
     def link_reach(self):
-        """(n, links + 1): the longest among a link's spheres."""
+        """(n, links + 1): longest lever arm among the spheres of a link."""
         room = [*self.first[:-1], len(self.model["spheres"]) + MAX_HELD_SPHERES]
         return np.array(
             [
@@ -74,7 +74,7 @@ class ReferenceStep:
 
     @cached_property
     def local_bounding_spheres(self):
-        """(links + 1, 5); fingers that open in different directions move against each other."""
+        """(links + 1, 5); fingers that open in different directions move relative to each other."""
         out = []
         for link in range(self.links):
             mine = self.model["spheres"][list(self.sphere_indices(link))]
@@ -82,7 +82,7 @@ class ReferenceStep:
             out.append(bounding_sphere(mine[:, :3], mine[:, 3], shift))
         return np.array([*out, bounding_sphere(self.case.held[:, :3], self.case.held[:, 3], 0.0)])
 
-    # --- where it is ------------------------------------------------------------------------------------------
+    # --- posture ----------------------------------------------------------------------------------------------
 
     @cached_property
     def frames(self):
@@ -102,14 +102,14 @@ class ReferenceStep:
 
     @cached_property
     def frame(self):
-        """The frame that every sphere moves with."""
+        """The frame that each sphere is attached to."""
         return np.concatenate(
             [np.full(len(self.sphere_indices(link)), self.link_frame[link]) for link in range(self.links + 1)]
         )
 
     @cached_property
     def centre(self):
-        """(spheres, 3)"""
+        """Centres (spheres, 3) [m]."""
         body = self.model["spheres"][:, :3] + self.case.opening * self.model["spheres"][:, 4:]
         local = np.concatenate([body, self.case.held[:, :3]])
         return np.array([self.frames[f][1] + self.frames[f][0] @ c for f, c in zip(self.frame, local, strict=True)])
@@ -118,23 +118,23 @@ class ReferenceStep:
     def radius(self):
         return np.concatenate([self.model["spheres"][:, 3], self.case.held[:, 3]])
 
-    # --- how it can move --------------------------------------------------------------------------------------
+    # --- motion -----------------------------------------------------------------------------------------------
 
     @cached_property
     def axes(self):
-        """z_k (n, 3) of the joints, and points p_k (n, 3) on them."""
+        """Axes z_k (n, 3) of the joints, and points p_k (n, 3) on them."""
         return np.array([R[:, 2] for R, _ in self.frames[1:]]), np.array([p for _, p in self.frames[1:]])
 
     @cached_property
     def jacobian(self):
-        """(spheres, n, 3): velocity of a centre at unit speed of a joint."""
+        """(spheres, n, 3): velocity of a centre per unit speed of a joint."""
         z, p = self.axes
         J = np.where(self.slides[None, :, None], z[None], np.cross(z[None], self.centre[:, None] - p[None]))
         return J * (np.arange(self.n)[None, :, None] < self.frame[:, None, None])
 
     @cached_property
     def acceleration(self):
-        """(spheres, 3) at a constant control, the middle of the box: every axis moves with what lies before it."""
+        """(spheres, 3) at a constant control, the centre of the box: every axis moves with the preceding joints."""
         u, (z, p) = 0.5 * (self.low + self.high), self.axes
         out = np.zeros((len(self.centre), 3))
         for s, (centre, frame) in enumerate(zip(self.centre, self.frame, strict=True)):
@@ -152,7 +152,7 @@ class ReferenceStep:
 
     @cached_property
     def half_width(self):
-        """(n,) half the trust box, and what the drive may be off."""
+        """(n,) half the width of the trust region plus the tracking error."""
         return 0.5 * (self.trust_high - self.trust_low) + self.model["tracking"]
 
     @cached_property
@@ -165,7 +165,7 @@ class ReferenceStep:
 
     @cached_property
     def box_excess(self):
-        """(n,) the whole box reaches so much farther than the trust box."""
+        """(n,) excess of the box over the trust region."""
         return np.maximum(self.high - self.trust_high, self.trust_low - self.low)
 
     @cached_property
@@ -174,12 +174,12 @@ class ReferenceStep:
 
     @cached_property
     def spread(self):
-        """(spheres,) how much any control of the trust box can change the velocity."""
+        """(spheres,) largest change of the velocity by a control of the trust region."""
         return self.half_width @ self.reach[:, : len(self.centre)]
 
     @cached_property
     def twist(self):
-        """(n + 1, 6) of every frame about the base origin at the middle of the trust box: angular, linear."""
+        """(n + 1, 6) of every frame about the base origin at the centre of the trust region: angular, linear."""
         z, p = self.axes
         out = [np.zeros(6)]
         for k in range(self.n):
@@ -189,11 +189,11 @@ class ReferenceStep:
 
     @cached_property
     def acceleration_terms(self):
-        """(spheres,) what the acceleration can add to a row's right side."""
+        """(spheres,) largest contribution of the acceleration to the right-hand side of a row."""
         return 0.5 * self.model["period"] * np.linalg.norm(self.acceleration, axis=1)
 
     def max_per_link(self, values):
-        """(links + 1,) the greatest of every link's spheres."""
+        """(links + 1,) the largest value of the spheres of each link."""
         return np.array([values[list(self.sphere_indices(link))].max(initial=0.0) for link in range(self.links + 1)])
 
     @cached_property
@@ -202,17 +202,17 @@ class ReferenceStep:
 
     @cached_property
     def trust_region_speed(self):
-        """(links + 1,) no sphere of the link is faster within the trust box."""
+        """(links + 1,) upper bound of the speed of the link's spheres in the trust region."""
         return self.max_per_link(np.linalg.norm(self.velocity, axis=1) + self.spread + self.acceleration_terms)
 
     @cached_property
     def max_speed(self):
-        """(links + 1,) nor within the whole box."""
+        """(links + 1,) upper bound of the speed of the link's spheres in the box."""
         return self.trust_region_speed + self.box_excess @ self.link_reach
 
     @cached_property
     def bounding_spheres(self):
-        """(links + 1, 5) balls where they are: centre, radius, inner distance; zero for a link without spheres."""
+        """(links + 1, 5) bounding spheres in the world: centre, radius, inner distance; zero without spheres."""
         out = np.zeros((self.links + 1, 5))
         for link in range(self.links + 1):
             if len(self.sphere_indices(link)):

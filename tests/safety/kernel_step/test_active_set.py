@@ -1,4 +1,4 @@
-"""The kernel's QP takes the same steps as its method written in numpy: constraints, multipliers, iterations, slack."""
+"""The QP of the kernel against a numpy implementation of its method: equal constraints, multipliers and iterations."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from tests.safety.kernel_step.reference_active_set import DEPENDENCE_TOLERANCE, 
 
 
 def problem(rng, *, slack):
-    """Generic rows around a direction, so that several bind; now and then two that contradict."""
+    """Generic rows around a direction, so that several bind; sometimes with two that contradict each other."""
     n, m = int(rng.integers(1, 9)), int(rng.integers(1, 30))
     A = rng.normal(size=(m, n)) + rng.normal(size=n)
     A /= np.linalg.norm(A, axis=1, keepdims=True)
@@ -32,11 +32,11 @@ def kernel(p, warm=(), shift=0.0):
 
 
 def agree(p, warm=()):
-    """Both take the same way; the active set."""
-    wanted = p.solve(warm)
+    """Assert that both take the same steps; returns the active set."""
+    expected = p.solve(warm)
     u, result, iterations, slack, active = kernel(p, warm)
-    assert result == wanted
-    if result == 1:  # whether rounding lets another one leave first is not of interest; the certificate is
+    assert result == expected
+    if result == 1:  # rounding may change the order of removals; the certificate must be valid
         total = sum(weight * p.normal(at) for at, weight in active)
         np.testing.assert_allclose(total, 0.0, atol=1e-6)
         assert all(weight > -1e-9 for _, weight in active)
@@ -58,12 +58,12 @@ def test_it_takes_the_same_steps(slack):
         p = problem(rng, slack=slack)
         active = agree(p)
         kinds.append((len(active) > 1, p.iterations > len(active), not active))
-    assert np.all(np.sum(kinds, axis=0) > 10), "several at once, some that left again, some without an answer"
+    assert np.all(np.sum(kinds, axis=0) > 10), "several active rows, some removed again, some infeasible"
 
 
 @pytest.mark.parametrize("slack", [False, True])
-def test_it_starts_from_what_was_active(slack):
-    """From its own answer nothing is left to do; from another's it goes the same way as numpy."""
+def test_it_starts_from_the_previous_active_set(slack):
+    """From its own solution no iteration is needed; from another active set it takes the same steps as numpy."""
     rng = np.random.default_rng(9)
     for _ in range(120):
         first = problem(rng, slack=slack)
@@ -88,9 +88,9 @@ def test_rows_are_tightened_by_the_shift():
             np.testing.assert_allclose(u, q.u, atol=1e-8)
 
 
-@pytest.mark.parametrize(("angle", "wanted"), [(0.9 * DEPENDENCE_TOLERANCE, 1), (1.1 * DEPENDENCE_TOLERANCE, 0)])
-def test_a_row_depends_on_another_up_to_a_stated_angle(angle, wanted):
-    """Two rows against each other, a hair from parallel: below the angle there is no way between them."""
+@pytest.mark.parametrize(("angle", "expected"), [(0.9 * DEPENDENCE_TOLERANCE, 1), (1.1 * DEPENDENCE_TOLERANCE, 0)])
+def test_a_row_depends_on_another_up_to_a_stated_angle(angle, expected):
+    """Two opposing rows, nearly parallel: below the angle they have no common solution."""
     A = np.array([[1.0, 0.0], [-np.cos(angle), np.sin(angle)]])
     p = ReferenceQP(
         np.eye(2),
@@ -102,18 +102,18 @@ def test_a_row_depends_on_another_up_to_a_stated_angle(angle, wanted):
         np.array([-0.5, 0.0]),
         slack=False,
     )
-    assert kernel(p)[1] == wanted
+    assert kernel(p)[1] == expected
 
 
 @pytest.mark.parametrize(("missing", "iterations"), [(0.9e-11, 0), (1.2e-11, 1)])
-def test_what_counts_as_met(missing, iterations):
+def test_the_tolerance_of_a_satisfied_row(missing, iterations):
     for A, b, low in ((np.array([[1.0]]), missing, -1.0), (np.array([[0.6]]), -1.0, missing)):
         p = ReferenceQP(np.eye(1), A, np.array([b]), np.zeros(1), np.array([low]), np.ones(1), np.zeros(1), slack=False)
         assert kernel(p)[2] == iterations
 
 
-def test_the_cap_is_told(monkeypatch):
-    """No problem of this size needs it; all but that is the same when numpy stops as early."""
+def test_problems_stay_below_the_iteration_limit():
+    """No problem of this size reaches the iteration limit."""
     rng = np.random.default_rng(1)
     longest = 0
     for _ in range(300):
@@ -122,7 +122,7 @@ def test_the_cap_is_told(monkeypatch):
     assert 8 < longest < 80
 
 
-def test_the_check_is_of_box_and_rows_and_what_is_finite():
+def test_the_check_covers_box_rows_and_finiteness():
     rng = np.random.default_rng(3)
     for _ in range(60):
         n, m = int(rng.integers(1, 9)), int(rng.integers(0, 20))

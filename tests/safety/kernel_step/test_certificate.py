@@ -1,4 +1,4 @@
-"""The certificate and what it looks at, to a fraction of a millimetre: margins by name, own parts, things that went."""
+"""The certificate to a fraction of a millimetre: margins by name, self-collision, and removed obstacles."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from tests.safety.kernel_step.test_step_internals import run_both
 
 FAULT = 4
 SPEED = 1.0
-"""[m/s] of the tip toward the ball; it can brake by 5 mm/s in a period, in which it goes 1 mm."""
+"""Speed of the tip toward the sphere [m/s]; it brakes by at most 5 mm/s per period, in which it moves 1 mm."""
 AGE, HELD = 0.1, np.array([[0.1, 0.0, 0.0, 0.02]])
 BESIDE = [[0.0, 0.0, 0.0, 0.01, 0.0, 0.0, 0.0]]
 
@@ -20,35 +20,35 @@ MARGINS = {
     "its own": (0.003, {}, {f"c{MARGIN}": 0.003}, {}),
     "rounding": (0.003, {"rounding": 0.003}, {}, {}),
     "age": (0.003, {}, {f"c{ERROR}": 0.03, "c1": 0.0}, {}),
-    "what is held": (0.003, {"spheres": BESIDE}, {}, {"held": HELD, "held_error": 0.003}),
+    "held object": (0.003, {"spheres": BESIDE}, {}, {"held": HELD, "held_error": 0.003}),
 }
-"""What is taken off the distance [m], and by which change of the body, of the ball's row, of the moment."""
+"""Expected margin [m], and the change of the model, of the row of the sphere, and of the case that causes it."""
 
 
-def rushing(model, things, **more):
-    """A step of an arm at full speed toward +y."""
+def rushing(model, obstacles, **more):
+    """The result of one step of an arm that moves at full speed toward +y."""
     made = random_cases.make_kernel(model)
     u = np.full(2, 2.0)
-    m = StepCase(np.zeros(2), np.zeros(2), u, u, np.array(things, float).reshape(-1, 29), age=AGE, **more)
+    m = StepCase(np.zeros(2), np.zeros(2), u, u, np.array(obstacles, float).reshape(-1, 29), age=AGE, **more)
     m.rows = np.empty((0, 5))
     random_cases.upload_case(made, model, m)
     return random_cases.run_step(made, m)
 
 
 @pytest.mark.parametrize("name", MARGINS)
-def test_the_certificate_keeps_just_the_margins_there_are(name):
-    """0.6 mm too near after one period is a fault, 0.6 mm to spare is none: braking changes 0.01 mm of that."""
-    margin, body, row, moment = MARGINS[name]
+def test_the_certificate_uses_exactly_the_defined_margins(name):
+    """0.6 mm too close after one period is a fault, 0.6 mm of clearance is not; braking changes only 0.01 mm."""
+    margin, model_change, row, case = MARGINS[name]
     for left, fault in ((-0.6e-3, True), (0.6e-3, False)):
         away = 0.05 + 0.02 + margin + 1e-3 * SPEED + left
-        answer = rushing(chain_model(**body), [ball_row((0.7, away, 0.0), **row)], **moment)
+        answer = rushing(chain_model(**model_change), [ball_row((0.7, away, 0.0), **row)], **case)
         assert (answer.status == FAULT, answer.certified) == (fault, not fault)
 
 
 @pytest.mark.parametrize(
     ("margins", "held"), [({}, False), ({"self_margin": 3e-3}, False), ({"rounding": 3e-3}, False), ({}, True)]
 )
-def test_the_certificate_keeps_own_parts_apart_by_their_margins(margins, held):
+def test_the_certificate_uses_the_margins_of_self_collision(margins, held):
     margin = sum(margins.values()) + 3e-3 * held
     for left, fault in ((-0.6e-3, True), (0.6e-3, False)):
         mount = [0.7, 0.02 + 0.05 + margin + 1e-3 * SPEED + left, 0.0, 0.05, 0.0, 0.0, 0.0]
@@ -59,8 +59,8 @@ def test_the_certificate_keeps_own_parts_apart_by_their_margins(margins, held):
         assert (answer.status == FAULT, answer.certified) == (fault, not fault)
 
 
-def test_own_parts_are_looked_at_again_just_as_far_as_a_period_could_bring_them():
-    """Pairs are moved to either side of that distance, by a margin that all have."""
+def test_self_collision_pairs_are_rechecked_within_the_reach_of_one_period():
+    """A common margin moves pairs to either side of that distance."""
     rng, seen = np.random.default_rng(5), 0
     while seen < 12:
         found = run_both(rng, 7, 6, "alone")
@@ -94,8 +94,8 @@ def test_own_parts_are_looked_at_again_just_as_far_as_a_period_could_bring_them(
             seen += 1
 
 
-def test_a_thing_that_is_gone_holds_nothing_back():
-    """Eight rows fill a vector; the ninth, which bound the last step, still lies behind them."""
+def test_a_removed_obstacle_has_no_effect():
+    """Eight rows fill a vector; the ninth row, which bound in the last step, is still in memory behind them."""
     behind, ahead = ball_row((0.7, -0.0705, 0.0)), ball_row((0.7, 0.0705, 0.0))
     made, u_nom = random_cases.make_kernel(model := chain_model()), np.full(2, 1.0)
     m = StepCase(np.zeros(2), np.zeros(2), u_nom, np.zeros(2), np.array([behind] * 8 + [ahead]), rows=np.empty((0, 5)))

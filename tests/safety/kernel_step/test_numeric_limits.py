@@ -1,4 +1,4 @@
-"""Where the kernel's numbers change what it does: room, tolerances and limits, tested just before and just beyond."""
+"""Numeric limits of the kernel: capacities, tolerances and thresholds, tested just below and just above."""
 
 import math
 
@@ -16,8 +16,8 @@ VELOCITY, ACCELERATION, JERKED, AT_LIMIT = range(4)
 
 
 def chain_model(n=2, spheres=(), frames=(2,), counts=(1,), **changes):
-    """An arm of `n` joints about one axis, 0.3 m apart, at home; a ball on its last frame."""
-    balls = np.array(spheres or [[0.1, 0.0, 0.0, 0.02, 0.0, 0.0, 0.0]] * sum(counts), float)
+    """An arm of `n` joints about parallel axes, 0.3 m apart, at home, with a sphere on its last frame."""
+    sphere_table = np.array(spheres or [[0.1, 0.0, 0.0, 0.02, 0.0, 0.0, 0.0]] * sum(counts), float)
     return {
         "n": n,
         "period": 1e-3,
@@ -45,21 +45,21 @@ def chain_model(n=2, spheres=(), frames=(2,), counts=(1,), **changes):
         "tool_offset": np.zeros(3),
         "link_frame": np.array(frames, float),
         "link_first": np.concatenate([[0.0], np.cumsum(counts)]).astype(float),
-        "spheres": balls,
+        "spheres": sphere_table,
         "pairs": np.zeros(0),
         "held_links": np.zeros(0),
     } | changes
 
 
-def ball_row(place=(5.0, 5.0, 5.0), radius=0.05, **changes):
-    """One still ball as a row of the table; `changes` by column."""
+def ball_row(position=(5.0, 5.0, 5.0), radius=0.05, **changes):
+    """One static sphere as a row of the table; `changes` by column."""
     row = [
         0.0,
         2.0,
         2.0,
         random_cases.ALL_LINKS_MASK,
         0.0,
-        *place,
+        *position,
         *np.eye(3).ravel(),
         0.0,
         0.0,
@@ -72,10 +72,10 @@ def ball_row(place=(5.0, 5.0, 5.0), radius=0.05, **changes):
     return row
 
 
-def answer(model, things=(), q=0.0, u_prev=0.0, u_nom=None, before=None, build=_kernel64):
-    """One step from rest or from `u_prev`; the kernel and its answer."""
+def answer(model, obstacles=(), q=0.0, u_prev=0.0, u_nom=None, before=None, build=_kernel64):
+    """The kernel and its result after one step from rest or from `u_prev`."""
     n, made = model["n"], random_cases.make_kernel(model, build)
-    made.set_obstacles(np.array(things, float).reshape(-1, 29))
+    made.set_obstacles(np.array(obstacles, float).reshape(-1, 29))
     last = np.broadcast_to(np.asarray(u_prev, float), (n,)).copy()
     made.reset(last)
     m = random_cases.StepCase(
@@ -85,22 +85,22 @@ def answer(model, things=(), q=0.0, u_prev=0.0, u_nom=None, before=None, build=_
         last,
         np.empty((0, 29)),
     )
-    if before is not None:  # a step that gives the last control its change
+    if before is not None:  # a step that sets the change of the last control
         m.u_nom = np.asarray(before, float)
         random_cases.run_step(made, m)
         m.u_nom = np.asarray(u_nom, float)
     return made, random_cases.run_step(made, m)
 
 
-@pytest.mark.parametrize(("links", "things"), [(8, 64), (64, 8)], ids=["things in turn", "spheres in turn"])
-def test_rows_that_fit_fit_and_one_more_stops(links, things):
-    """All spheres within a millimetre of all things: 512 rows are stated, 513 are told to be too many."""
+@pytest.mark.parametrize(("links", "obstacles"), [(8, 64), (64, 8)], ids=["many obstacles", "many spheres"])
+def test_512_rows_fit_and_one_more_stops_the_robot(links, obstacles):
+    """All spheres are within 1 mm of all obstacles: 512 rows are posed, 513 are reported as too many."""
     model = chain_model(frames=(1, 2), counts=(1, links))
     around = ball_row((0.7, 0.15, 0.0), 0.1, **{"c3": 2.0, f"c{MARGIN}": 0.0295})
     first = ball_row((0.4, 0.15, 0.0), 0.1, **{"c3": 1.0, f"c{MARGIN}": 0.0295})
-    made, fits = answer(model, [around] * things)
+    made, fits = answer(model, [around] * obstacles)
     assert (fits.flags & OVERFLOW, random_cases.step_internals(made, 2, 2)["rows"]["count"][0]) == (0, 512)
-    made, many = answer(model, [*[around] * things, first])
+    made, many = answer(model, [*[around] * obstacles, first])
     assert (many.status, many.flags & OVERFLOW) == (STATUS_STOPPED, OVERFLOW)
     assert (many.n_rows, many.certified, many.iterations, many.binding_rows, many.relaxed_mask) == (
         512,
@@ -112,14 +112,14 @@ def test_rows_that_fit_fit_and_one_more_stops(links, things):
     assert many.h_min == pytest.approx(0.0005, abs=1e-12)
 
 
-def test_a_row_handed_in_needs_room_as_well():
+def test_user_rows_count_toward_the_capacity():
     model = chain_model(frames=(1, 2), counts=(1, 8))
     made = random_cases.make_kernel(model)
     made.set_obstacles(np.array([ball_row((0.7, 0.15, 0.0), 0.1, **{"c3": 2.0, f"c{MARGIN}": 0.0295})] * 64))
     m = random_cases.StepCase(*np.zeros((4, 2)), np.empty((0, 29)))
-    for rows, wanted in ((0, 0), (1, OVERFLOW)):
+    for rows, expected in ((0, 0), (1, OVERFLOW)):
         made.constrain(np.array([[1.0, 0.0, -5.0, 0.0, 1.0]] * rows).reshape(-1, 5))
-        assert random_cases.run_step(made, m).flags & OVERFLOW == wanted
+        assert random_cases.run_step(made, m).flags & OVERFLOW == expected
 
 
 def test_inside_a_box_the_way_out_is_the_nearest_face():
@@ -127,18 +127,18 @@ def test_inside_a_box_the_way_out_is_the_nearest_face():
     for _ in range(60):
         row = np.array(ball_row((0.1, 0.2, 0.3), 0.0))
         row[0], row[8:17], row[17:20] = 1.0, random_cases.random_rotation(rng).ravel(), rng.uniform(0.1, 0.4, 3)
-        thing = ReferenceObstacle(row, 0.0)
-        points = row[5:8] + (rng.uniform(-1.0, 1.0, (8, 3)) * thing.half) @ thing.rotation.T
+        obstacle = ReferenceObstacle(row, 0.0)
+        points = row[5:8] + (rng.uniform(-1.0, 1.0, (8, 3)) * obstacle.half) @ obstacle.rotation.T
         d, n = np.empty(8), np.empty((8, 3))
         _kernel64.distance(row, np.ascontiguousarray(points), d, n)
         for point, got, normal in zip(points, d, n, strict=True):
-            wanted, way = thing.distance(point)
-            assert wanted < 0.0
-            assert got == pytest.approx(wanted, abs=1e-12)
+            expected, way = obstacle.distance(point)
+            assert expected < 0.0
+            assert got == pytest.approx(expected, abs=1e-12)
             np.testing.assert_allclose(normal, way, atol=1e-12)
 
 
-EDGES = {
+RANGES = {
     "alpha": (ALPHA, 0.0, 1e6),
     "reaction": (REACTION, 0.0, 1e3),
     "brake": (BRAKE, 0.0, 1e6),
@@ -150,9 +150,9 @@ EDGES = {
 }
 
 
-@pytest.mark.parametrize("name", EDGES)
-def test_a_thing_is_believed_up_to_its_edges(name):
-    column, low, high = EDGES[name]
+@pytest.mark.parametrize("name", RANGES)
+def test_obstacle_values_are_accepted_up_to_the_ends_of_their_ranges(name):
+    column, low, high = RANGES[name]
     inside = [low, 0.5 * low + 0.5 * high if math.isfinite(high) else 7.0, high if math.isfinite(high) else 1e5]
     whole = name in ("rank", "shape")
     outside = [
@@ -170,27 +170,28 @@ def test_a_thing_is_believed_up_to_its_edges(name):
 
 
 @pytest.mark.parametrize(
-    ("frame", "still", "told"), [(1, True, 0), (1, False, UNAVOIDABLE), (2, True, UNAVOIDABLE), (2, False, UNAVOIDABLE)]
+    ("frame", "still", "expected"),
+    [(1, True, 0), (1, False, UNAVOIDABLE), (2, True, UNAVOIDABLE), (2, False, UNAVOIDABLE)],
 )
-def test_only_the_mount_may_stand_at_what_no_joint_can_move(frame, still, told):
-    """A ball on the axes of all joints: what is near stays near. Deeper than the sampling margin, the robot stops."""
+def test_only_the_mount_may_be_close_to_an_unavoidable_static_obstacle(frame, still, expected):
+    """A sphere on the axes of all joints does not move. Deeper than the sampling margin the robot stops."""
     spheres = [[0.0, 0.0, 0.1, 0.02, 0.0, 0.0, 0.0]]
     model = chain_model(spheres=spheres, frames=(frame,), joint_offset=np.zeros(6), sampling=1e-3)
     for deep, more in ((0.5e-3, 0), (1.5e-3, NO_GRADIENT)):
         near = ball_row((0.0, 0.071 - deep, 0.1), **{"c1": 2.0 * still})
         _, got = answer(model, [near])
-        assert got.flags & (NO_GRADIENT | UNAVOIDABLE) == (told | more if told else 0)
-        assert (got.status == STATUS_STOPPED) == bool(told and more)
+        assert got.flags & (NO_GRADIENT | UNAVOIDABLE) == (expected | more if expected else 0)
+        assert (got.status == STATUS_STOPPED) == bool(expected and more)
 
 
 @pytest.mark.parametrize("column", [*range(5, 26)])
-def test_no_number_of_a_thing_may_be_infinite(column):
+def test_no_number_of_an_obstacle_may_be_infinite(column):
     for value in (math.inf, -math.inf, math.nan):
         _, got = answer(chain_model(), [ball_row(**{f"c{column}": value})])
         assert got.flags & BAD_SCENE
 
 
-def test_a_row_handed_in_has_a_rank_and_numbers():
+def test_user_rows_need_a_valid_rank():
     for rank, bad in ((0.0, True), (1.0, False), (4.0, False), (5.0, True)):
         made = random_cases.make_kernel(chain_model())
         made.constrain(np.array([[1.0, 0.0, -5.0, 0.0, 1.0], [1.0, 0.0, -5.0, 0.0, rank]]))
@@ -198,7 +199,7 @@ def test_a_row_handed_in_has_a_rank_and_numbers():
         assert bool(random_cases.run_step(made, m).flags & BAD_SCENE) == bad
 
 
-def test_a_new_filter_knows_of_nothing():
+def test_a_new_kernel_has_an_empty_scene():
     made, got = answer(chain_model())
     scene = random_cases.step_internals(made, 2, 1)["scene"]
     assert np.all(scene["permit"] == -1.0)
@@ -208,45 +209,45 @@ def test_a_new_filter_knows_of_nothing():
     assert (got.status, got.h_min, got.n_rows) == (0, 10.0, 0)
 
 
-@pytest.mark.parametrize(("more", "told"), [(0.7e-3, VELOCITY), (1.5e-3, ACCELERATION)])
-def test_a_bound_is_called_velocity_within_a_thousandth_of_a_step(more, told):
-    """The last control is nearly v_max less one step: which limit is it then?"""
+@pytest.mark.parametrize(("more", "expected"), [(0.7e-3, VELOCITY), (1.5e-3, ACCELERATION)])
+def test_a_bound_is_called_velocity_within_a_thousandth_of_a_step(more, expected):
+    """The last control is nearly v_max minus one step, so that both limits nearly coincide."""
     last = 2.0 - 0.01 * (1.0 + more)
     for side in (1.0, -1.0):
         _, got = answer(chain_model(), u_prev=side * last, u_nom=np.full(2, 9.0 * side))
-        assert [row[2] for row in got.binding_rows] == [told, told]
+        assert [row[2] for row in got.binding_rows] == [expected, expected]
 
 
-@pytest.mark.parametrize(("more", "told"), [(0.7e-3, ACCELERATION), (1.5e-3, AT_LIMIT)])
-def test_a_bound_is_called_acceleration_within_a_thousandth_of_a_step(more, told):
-    """The joint limit takes hardly more than the acceleration allows."""
+@pytest.mark.parametrize(("more", "expected"), [(0.7e-3, ACCELERATION), (1.5e-3, AT_LIMIT)])
+def test_a_bound_is_called_acceleration_within_a_thousandth_of_a_step(more, expected):
+    """The joint limit and the acceleration limit nearly coincide."""
     bound = 0.5 + 0.01 * (1.0 - more)
     for side in (1.0, -1.0):
-        q = side * (2.0 - bound / 4.0)  # alpha d is less than what braking allows
+        q = side * (2.0 - bound / 4.0)  # alpha d is below the braking speed
         _, got = answer(
             chain_model(q_upper=np.full(2, 2.0), a_max=np.full(2, 10.0)),
             q=q,
             u_prev=0.5 * side,
             u_nom=np.full(2, 9.0 * side),
         )
-        assert [row[2] for row in got.binding_rows] == [told, told]
+        assert [row[2] for row in got.binding_rows] == [expected, expected]
 
 
 @pytest.mark.parametrize("j_max", [4000.0, 0.5])
-@pytest.mark.parametrize(("more", "told"), [(0.7e-3, JERKED), (1.5e-3, AT_LIMIT)])
-def test_a_bound_is_called_jerk_within_a_thousandth_of_a_step(more, told, j_max):
+@pytest.mark.parametrize(("more", "expected"), [(0.7e-3, JERKED), (1.5e-3, AT_LIMIT)])
+def test_a_bound_is_called_jerk_within_a_thousandth_of_a_step(more, expected, j_max):
     model = chain_model(j_max=np.full(2, j_max))
-    step, jerk = 0.01, j_max * 1e-3**2  # 4 mrad/s a period each period, or next to nothing
+    step, jerk = 0.01, j_max * 1e-3**2  # change of 4 mrad/s per period, or nearly zero
     for side in (1.0, -1.0):
         bound = 0.5 + jerk - more * step
         q = side * (2.0 - bound / 4.0)
         _, got = answer(model, q=q, u_prev=0.5 * side, u_nom=np.full(2, 9.0 * side))
-        assert [row[2] for row in got.binding_rows] == [told, told]
+        assert [row[2] for row in got.binding_rows] == [expected, expected]
 
 
-@pytest.mark.parametrize(("lack", "told"), [(0.8, False), (1.2, True)])
-def test_a_joint_limit_is_missed_from_a_fiftieth_of_a_step_on(lack, told):
-    """What the acceleration cannot give is forgiven up to 2 % of a step, on either side and for any joint."""
+@pytest.mark.parametrize(("lack", "expected"), [(0.8, False), (1.2, True)])
+def test_a_joint_limit_is_missed_from_a_fiftieth_of_a_step_on(lack, expected):
+    """A violation of the acceleration limit up to 2 % of a step is accepted, on either side and for any joint."""
     slack = 0.02 * 0.01
     for side in (1.0, -1.0):
         for k in range(2):
@@ -254,20 +255,20 @@ def test_a_joint_limit_is_missed_from_a_fiftieth_of_a_step_on(lack, told):
             u[k] = side * 0.5
             q[k] = side * (2.0 - (0.5 - 0.01 - lack * slack) / 4.0)
             _, got = answer(chain_model(), q=q, u_prev=u)
-            assert bool(got.flags & INFEASIBLE) == told
+            assert bool(got.flags & INFEASIBLE) == expected
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_the_way_out_asks_no_more_than_the_box_can_give(side):
-    """From 5 mm inside at rest: 20 mm/s are wanted, 5 mm/s can be had, and that is no contradiction."""
+def test_recovery_asks_for_no_more_than_the_box_allows(side):
+    """At rest 5 mm inside an obstacle: 20 mm/s are desired and 5 mm/s are possible, which is not a conflict."""
     _, got = answer(chain_model(), [ball_row((0.7, 0.065 * side, 0.0))], u_nom=np.zeros(2))
     assert (got.status, got.flags, got.relaxed_mask) == (1, 0, 0)
     np.testing.assert_allclose(got.u, -0.01 * side, atol=1e-7)
 
 
 @pytest.mark.parametrize("outside", [0.0, 0.02, 0.05, 0.1])
-def test_outside_its_range_a_joint_comes_back_no_faster_than_four_recoveries(outside):
-    """At alpha d where that is slower; what the arm may not follow is added, so that it comes back in any case."""
+def test_outside_its_range_a_joint_returns_at_most_at_four_times_the_recovery_speed(outside):
+    """The speed is alpha d if that is slower, plus the tracking error, so that the joint returns in any case."""
     model = chain_model(tracking=0.01, a_max=np.full(2, 1e4))
     for side in (1.0, -1.0):
         made, got = answer(model, q=side * (2.0 + outside), u_nom=np.full(2, 9.0 * side))
@@ -276,8 +277,8 @@ def test_outside_its_range_a_joint_comes_back_no_faster_than_four_recoveries(out
         np.testing.assert_allclose(made.box()[side > 0.0], -side * back, atol=1e-12)
 
 
-def test_no_room_for_jerk_is_told_and_only_then():
-    """Braking at full acceleration, a limit ahead: the joint limit wins, and the answer says so."""
+def test_a_dropped_jerk_limit_is_reported_and_only_then():
+    """While braking at full acceleration before a joint limit, the joint limit has priority and is reported."""
     model = chain_model(j_max=np.full(2, 1000.0))
     _, got = answer(model, q=0.0, u_prev=0.5, u_nom=np.full(2, 0.5))
     assert not got.flags & JERK
@@ -287,7 +288,7 @@ def test_no_room_for_jerk_is_told_and_only_then():
 
 
 def test_sine_and_cosine_are_exact_to_the_last_place_in_float64():
-    """Also after many turns: the quarter turn is subtracted in three parts."""
+    """Also for large angles: quarter turns are subtracted in three parts."""
     rng = np.random.default_rng(3)
     for x in (*np.linspace(-7.0, 7.0, 3001), *rng.uniform(-990.0, 990.0, 3000), 999.0, -999.0):
         sine, cosine = _kernel64.sincos(float(x))
@@ -295,8 +296,8 @@ def test_sine_and_cosine_are_exact_to_the_last_place_in_float64():
         assert abs(cosine - math.cos(x)) < 2.3e-16
 
 
-def test_sine_and_cosine_in_float32_err_to_neither_side():
-    """No term of the series is off: where it matters most, near an eighth of a turn, errors average out."""
+def test_sine_and_cosine_in_float32_are_unbiased():
+    """No term of the series is wrong: near an eighth of a turn, where it matters most, errors average out."""
     for centre in np.arange(-3, 4) * 0.5 * math.pi + 0.25 * math.pi:
         x = np.linspace(centre - 0.06, centre + 0.06, 400).astype(np.float32).astype(float)
         found = np.array([_kernel.sincos(float(value)) for value in x])

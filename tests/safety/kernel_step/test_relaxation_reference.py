@@ -1,4 +1,4 @@
-"""Relaxed, faulty and certified answers of random moments against numpy: the same control, the same ranks given up."""
+"""Relaxed, faulty and certified results of random cases against numpy: the same control, the same relaxed ranks."""
 
 import numpy as np
 import pytest
@@ -9,13 +9,13 @@ from tests.safety.kernel_step.test_step_internals import KINDS, run_both
 
 
 def hard(rng, kind):
-    """A moment that may have no answer, from a fast start between many things."""
+    """A random case that may be infeasible: a fast start between many obstacles."""
     found = run_both(rng, 7, 6, kind, ReferenceRelaxation, crowded=True)
     if found is None:
         return None
     _, _, _, answer, got, w = found
-    told = got["rows"]
-    names = [tuple(int(told[e][r]) for e in ("kind", "i", "j")) for r in range(int(told["count"][0]))]
+    values = got["rows"]
+    names = [tuple(int(values[e][r]) for e in ("kind", "i", "j")) for r in range(int(values["count"][0]))]
     return answer, w, names
 
 
@@ -34,13 +34,13 @@ def test_what_is_given_up_is_the_least_rank_by_rank(kind):
             assert w.keeps_barriers(np.array(answer.u))
         else:
             faults += 1
-            assert not w.keeps_barriers(w.brake_target, 1e-12), "braking is tried last"
+            assert not w.keeps_barriers(w.brake_target, 1e-12), "braking is the last resort"
         if answer.status == 2 and names and set(names) == set(w.rows) and not w.zero_gradient_rows:
-            wanted = w.solve_relaxation(names)
-            u, given_up = wanted or (None, 0)
-            if wanted and w.keeps_barriers(u, 1e-12):
+            expected = w.solve_relaxation(names)
+            u, relaxed_mask = expected or (None, 0)
+            if expected and w.keeps_barriers(u, 1e-12):
                 np.testing.assert_allclose(answer.u, u, atol=2e-7)
-                assert answer.relaxed_mask == given_up
+                assert answer.relaxed_mask == relaxed_mask
                 relaxed += 1
                 moved += any(w.rows[name][5] for name in names)
     assert min(relaxed, certified) > 3, (relaxed, certified, faults)
@@ -48,7 +48,7 @@ def test_what_is_given_up_is_the_least_rank_by_rank(kind):
 
 
 def test_a_step_reads_nothing_that_it_has_not_written():
-    """From any bytes in memory the same answer, number by number."""
+    """With any initial bytes in memory the results are equal."""
     for kind in ("everything", "crowd", "alone"):
         rng = np.random.default_rng(4)
         found = None
@@ -61,7 +61,7 @@ def test_a_step_reads_nothing_that_it_has_not_written():
             random_cases.upload_case(made, model, m)
             again = random_cases.run_step(made, m)
             assert np.array_equal(again.u, answer.u)
-            told = (
+            values = (
                 "delta",
                 "delta_rows",
                 "delta_box",
@@ -70,10 +70,10 @@ def test_a_step_reads_nothing_that_it_has_not_written():
                 "flags",
                 "certified",
                 "n_rows",
-                "rows",
-                "relaxed",
+                "binding_rows",
+                "relaxed_mask",
             )
-            assert [getattr(again, name) for name in told] == [getattr(answer, name) for name in told]
+            assert [getattr(again, name) for name in values] == [getattr(answer, name) for name in values]
             fresh = random_cases.step_internals(made, model["n"], len(model["link_frame"]))
             for name in ("trust_speed", "max_speed", "sampling_term", "bound_r"):
                 assert np.array_equal(fresh["motion"][name][:7], got["motion"][name][:7]), name

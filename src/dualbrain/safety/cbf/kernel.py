@@ -77,7 +77,7 @@ def select_build(robot_model: RobotModel, config: FilterConfig) -> KernelBuild:
         if not lacking:
             return build
     what, got, room = lacking[0]
-    raise ConfigurationError(f"{what} of the body", got=got, allowed=f"at most {room}")
+    raise ConfigurationError(f"{what} of the robot model", got=got, allowed=f"at most {room}")
 
 
 def _load_build(name: str) -> KernelBuild:
