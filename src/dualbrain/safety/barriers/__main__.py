@@ -1,4 +1,4 @@
-"""Print the page docs/reference/safety/barriers.md: `python -m dualbrain.safety.barriers > docs/reference/safety/barriers.md`."""
+"""Print the page on barriers: python -m dualbrain.safety.barriers > docs/reference/safety/barriers.md."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ HEADER = """# Barriers
 
 This page lists the constraints that the safety filter enforces. Each barrier is one module in
 `src/dualbrain/safety/barriers/`. A new module that defines `BARRIER` appears on this page
-(`python -m dualbrain.safety.barriers > docs/reference/safety/barriers.md`), in the tests, in the live view and in the report. The tests
-(`tests/safety/test_barriers.py`) push the robot against each barrier and check that h stays at or above zero, that the
-result names the barrier, and that h falls below zero without the filter.
+(`python -m dualbrain.safety.barriers > docs/reference/safety/barriers.md`), in the tests, in the live view and in the
+report. The tests (`tests/safety/test_barriers.py`) push the robot against each barrier and check that h stays at or
+above zero, that the result names the barrier, and that h falls below zero without the filter.
 
 If no control satisfies all rows, the filter relaxes rows by rank: task first, then workspace, obstacle and body. It
 never relaxes the box of joint velocity, acceleration and position, and never a row of a static obstacle that braking

@@ -1,8 +1,9 @@
 """Table of checks: for each hazard the action, the durations, how the check clears, and the outcome of the contract.
 
-The documentation (`python -m dualbrain.safety.supervisor.checks > docs/reference/safety/supervisor.md`), the dashboard, the supervisor
-and the tests read this table. Its order is the order of severity: the last of several tripped checks determines the
-decision.
+The documentation page, the dashboard, the supervisor and the tests read this table. Its order is the order of severity:
+the last of several tripped checks determines the decision. Write the page with
+
+    python -m dualbrain.safety.supervisor.checks > docs/reference/safety/supervisor.md
 """
 
 from __future__ import annotations
