@@ -220,7 +220,7 @@ def _compare_measure(
     rng: np.random.Generator,
 ) -> MeasureComparison | None:
     """One measure over the questions on which both planners have it; None if there is no such question."""
-    values = np.array([(read(ours), read(theirs)) for ours, theirs in pairs])
+    values = np.array([(read(of_candidate), read(of_champion)) for of_candidate, of_champion in pairs])
     both = values[~np.isnan(values).any(axis=1)]
     if not len(both):
         return None

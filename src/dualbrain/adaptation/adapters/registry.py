@@ -251,11 +251,11 @@ class AdapterRegistry:
 
     def _copy(self, source: Path, target: Path) -> None:
         """Copy the files to `target`, all or none."""
-        with atomic_folder(target) as beside:
-            beside.chmod(FOLDER_MODE)
+        with atomic_folder(target) as temporary:
+            temporary.chmod(FOLDER_MODE)
             for name in ADAPTER_FILES:
-                shutil.copyfile(source / name, beside / name)
-            read_adapter_card(beside)
+                shutil.copyfile(source / name, temporary / name)
+            read_adapter_card(temporary)
 
     def _append(self, entry: RegistryEntry) -> None:
         """Append one line; an incomplete line that a crash left is cut off first."""
@@ -263,11 +263,11 @@ class AdapterRegistry:
         try:
             with path.open("a+b", buffering=0) as log:
                 log.seek(0)
-                whole = log.read().rfind(b"\n") + 1
-                log.truncate(whole)
+                end = log.read().rfind(b"\n") + 1
+                log.truncate(end)
                 line = msgspec.json.encode(entry) + b"\n"
                 if log.write(line) != len(line):
-                    log.truncate(whole)
+                    log.truncate(end)
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
                 os.fsync(log.fileno())
         except OSError as error:

@@ -15,9 +15,9 @@ from dualbrain.memory.state.derivation import effective_events
 
 
 def unseen_samples(
-    asked: Sequence[Sample], cards: Sequence[AdapterCard], dataset: Dataset, ledger: LedgerReader | None = None
+    questions: Sequence[Sample], cards: Sequence[AdapterCard], dataset: Dataset, ledger: LedgerReader | None = None
 ) -> tuple[Sample, ...]:
-    """The samples of `asked` that are not known to be training data of any adapter of `cards`.
+    """The samples of `questions` that are not known to be training data of any adapter of `cards`.
 
     The training part of `dataset` is known for adapters trained on it. `ledger` records the memories that an adapter,
     or another adapter of the same data set, was trained on. Training data from elsewhere is unknown.
@@ -27,7 +27,7 @@ def unseen_samples(
     uses = [use for use in _adapter_uses(ledger) if use.adapter in ids or use.dataset in sets] if ledger else []
     trained = frozenset[str]().union(*(row.memories for row in rows), *(use.memories for use in uses))
     samples = {row.id for row in rows}
-    return tuple(one for one in asked if not one.memories & trained and one.id not in samples)
+    return tuple(one for one in questions if not one.memories & trained and one.id not in samples)
 
 
 def _adapter_uses(ledger: LedgerReader) -> list[AdapterUse]:

@@ -34,8 +34,8 @@ def write_gguf_lora(pairs: dict[str, LoraPair], base: Path, out: Path) -> int:
     """As `convert_adapter`, from LoRA pairs that were read already."""
     facts = read_gguf_base(base)
     placed = map_to_base(pairs, facts)
-    with atomic_file(out) as beside:
-        _write_tensors(placed, facts.architecture, beside)
+    with atomic_file(out) as temporary:
+        _write_tensors(placed, facts.architecture, temporary)
     return len(placed)
 
 

@@ -27,8 +27,8 @@ def write_merged_gguf(pairs: dict[str, LoraPair], base: Path, out: Path) -> None
     """
     facts = read_gguf_base(base)
     placed = map_to_base(pairs, facts)
-    with atomic_file(out) as beside:
-        _write_tensors(placed, base, facts.architecture, beside)
+    with atomic_file(out) as temporary:
+        _write_tensors(placed, base, facts.architecture, temporary)
 
 
 def _write_tensors(placed: dict[str, LoraPair], base: Path, architecture: str, path: Path) -> None:

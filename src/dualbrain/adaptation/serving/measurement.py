@@ -53,7 +53,7 @@ def samples_for_robot(samples: Sequence[Sample], robot: str) -> tuple[Sample, ..
 
 def measure_planner(
     planner: LlamaPlanner,
-    asked: Sequence[Sample],
+    questions: Sequence[Sample],
     registry: SkillRegistry,
     *,
     adapter: str,
@@ -69,12 +69,12 @@ def measure_planner(
     `NoAnswerError`, and `ConfigurationError` from the runtime.
     """
     gate, trials = Gate(registry, {"planner": frozenset(registry.by_name)}), list[QuestionResult]()
-    for number, sample in enumerate(asked, start=1):
+    for number, sample in enumerate(questions, start=1):
         answer = complete(planner, sample.prompt, max_tokens=MAX_ANSWER_TOKENS)
         if isinstance(answer, ChatResponse):
             raise NoAnswerError(answer)
         trials.append(_measure_question(sample, answer, registry, gate, execute))
-        report(number, len(asked), trials[-1])
+        report(number, len(questions), trials[-1])
     retained = perplexity(planner, retention_text())
     if isinstance(retained, ChatResponse):
         raise NoAnswerError(retained)

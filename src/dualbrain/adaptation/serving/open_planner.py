@@ -62,8 +62,9 @@ def open_planner(
     as in `planner.registry.open_planner`. `adapters` is the folder of the registry. With `robot` (and the hash
     `registry` of its vocabulary) an adapter that was not trained for them is rejected before a process starts;
     `narrowed_registries` maps narrower vocabularies to wider ones (see `require_compatible`). `timeout_s` [s] limits
-    one proposal. Raises `ConfigurationError`, `UnknownNameError`, `MissingDependencyError`, `ChecksumError`,
-    `AdapterMismatchError`.
+    one proposal.
+
+    Raises `ConfigurationError`, `UnknownNameError`, `MissingDependencyError`, `ChecksumError`, `AdapterMismatchError`.
     """
     config = LlamaConfig(threads=threads, n_ctx=N_CTX, timeout_s=timeout_s)
     if name.startswith(SHADOW_PREFIX):

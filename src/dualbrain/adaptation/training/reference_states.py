@@ -53,14 +53,14 @@ def compute_states(decoder: Any, head: Tensor, samples: Sequence[EncodedSample],
     rows: dict[str, tuple[Tensor, Tensor]] = {}
     order = sorted(samples, key=lambda one: len(one.prompt) + len(one.contract))
     for start in range(0, len(order), BATCH_SIZE):
-        some = order[start : start + BATCH_SIZE]
-        batch = collate(some, padding, device=str(head.device))
+        batch_samples = order[start : start + BATCH_SIZE]
+        batch = collate(batch_samples, padding, device=str(head.device))
         hidden, _ = contract_hidden_states(decoder, batch)
         entropies = entropy(log_probabilities(hidden, head))
         parts = zip(
             hidden.split(batch.contract_token_counts), entropies.split(batch.contract_token_counts), strict=True
         )
-        for one, (states, nats) in zip(some, parts, strict=True):
+        for one, (states, nats) in zip(batch_samples, parts, strict=True):
             rows[one.id] = (states.clone(), nats.clone())
     return ReferenceStates(rows)
 

@@ -44,9 +44,10 @@ def adapt(
 
     Every process of `process_group` calls this with the same arguments; the first one writes, and all return the card.
     `clock` [s] is used for the remaining time only, and `report` receives the progress after each step. `own_adapters`
-    are the ids of adapters trained only on proposals of `base`: their proposals count as its own. Raises
-    `ConfigurationError`, `TrainingDivergedError` or `FileWriteError`; then no adapter is written, and calling it again
-    resumes the run.
+    are the ids of adapters trained only on proposals of `base`: their proposals count as its own.
+
+    Raises `ConfigurationError`, `TrainingDivergedError` or `FileWriteError`; then no adapter is written, and calling it
+    again resumes the run.
     """
     device = configure_device(config.fit.threads or 1)
     process_group.run_on_first(lambda: folder.mkdir(parents=True, exist_ok=True))

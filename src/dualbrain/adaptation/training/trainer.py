@@ -174,8 +174,8 @@ class Trainer:
     def _micro_batch_loss(self, rows: Sequence[int], tokens: int) -> Loss:
         """The share of some samples in the loss of a step with `tokens` tokens."""
         config, lora_model = self._config.objective, self._lora_model
-        some = [self._data.train[row] for row in rows]
-        batch = collate(some, lora_model.padding_id, device=str(lora_model.head.device))
+        samples = [self._data.train[row] for row in rows]
+        batch = collate(samples, lora_model.padding_id, device=str(lora_model.head.device))
         hidden, labels = contract_hidden_states(lora_model.decoder, batch)
         counts = torch.tensor(batch.contract_token_counts)
         weights = torch.tensor(self._data.omega[list(rows)], dtype=torch.float32).repeat_interleave(counts)
@@ -186,7 +186,7 @@ class Trainer:
             weights.to(lora_model.head.device),
             tokens,
             beta=config.beta,
-            base_hidden=self._data.reference_states.hidden_states(some) if self._data.reference_states else None,
+            base_hidden=self._data.reference_states.hidden_states(samples) if self._data.reference_states else None,
             token_gate=config.entropy_gate == "token",
         )
 

@@ -96,15 +96,15 @@ def measure(
         if len(unseen) < len(held_out):
             left_out = len(held_out) - len(unseen)
             StderrConsole().print(f"left out: {left_out} questions from the training data of one of the two")
-        asked, execute = select_questions(unseen, most), None
+        questions, execute = select_questions(unseen, most), None
         if fly and ledger_reader:
             from dualbrain.runtime.inspection.memory_replay import make_replay_evaluator
 
-            execute = make_replay_evaluator(ledger_reader, asked, seed=seed)
+            execute = make_replay_evaluator(ledger_reader, questions, seed=seed)
         require_writable(out)
         results = [
-            _measure_adapter(one, who, asked, vocabulary, execute, threads)
-            for one, who in ((stack, stack.top_card.id), (serving, champion))
+            _measure_adapter(one, adapter_id, questions, vocabulary, execute, threads)
+            for one, adapter_id in ((stack, stack.top_card.id), (serving, champion))
         ]
     measured = Measurement(*results, dataset=dataset.card.hash)
     write_atomically(out, msgspec.json.format(msgspec.json.encode(measured), indent=2))
@@ -138,7 +138,9 @@ def _champion_as_candidate_error() -> ConfigurationError:
     return ConfigurationError.stating("The candidate is the champion itself.", fix=fix)
 
 
-def _measure_adapter(stack: AdapterStack, who: str, asked: Any, registry: Any, execute: Any, threads: int) -> Any:
+def _measure_adapter(
+    stack: AdapterStack, adapter_id: str, questions: Any, registry: Any, execute: Any, threads: int
+) -> Any:
     """The results of one of the two planners."""
     from dualbrain.adaptation.serving.measurement import measure_planner
     from dualbrain.adaptation.serving.open_planner import N_CTX, start_llama
@@ -146,7 +148,7 @@ def _measure_adapter(stack: AdapterStack, who: str, asked: Any, registry: Any, e
     from dualbrain.planner.backends.llama_cpp import LlamaConfig
     from dualbrain.planner.prompt.prompt_format import UNCONSTRAINED_SHORT_PROMPT
 
-    console, label = StderrConsole(), who[:16] or "the bare base"
+    console, label = StderrConsole(), adapter_id[:16] or "the bare base"
     planner = start_llama(
         stack,
         cache_folder(),
@@ -157,9 +159,9 @@ def _measure_adapter(stack: AdapterStack, who: str, asked: Any, registry: Any, e
     try:
         found = measure_planner(
             planner,
-            asked,
+            questions,
             registry,
-            adapter=who,
+            adapter=adapter_id,
             runtime=runtime_name(planner.model),
             execute=execute,
             report=lambda done, of, trial: console.print(f"{label} {done}/{of}: {_describe_trial(trial)}"),
