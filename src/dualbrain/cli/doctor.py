@@ -1,4 +1,4 @@
-"""dualbrain doctor: check the installation, and say how to install what is missing."""
+"""dualbrain doctor: check the installation, and list install commands for missing parts."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Finding:
 def doctor(*, robot: str = "") -> int:
     """Check this installation: versions, kernel, filter latency, rendering, planners, model files, memory.
 
-    Exit code 0 unless a line says "problem"; optional parts that are not installed are not problems.
+    Exit code 0 unless a line has the state "problem"; optional parts that are not installed are not problems.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""dualbrain gatekeeper: the spinal cord as a process; and dualbrain operate: a person's hand on it."""
+"""dualbrain gatekeeper (filter and supervisor as a process) and dualbrain operate (operator commands to it)."""
 
 from __future__ import annotations
 
@@ -32,36 +32,36 @@ def gatekeeper(
     commissioned: Path | None = None,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Own a robot and its control tick until told to shut down; contracts come in over the socket.
+    """Control a robot until shut down, and execute the contracts that arrive at a Unix socket.
 
-    The robot is simulated unless a driver is named. Hardware is opened only with a commissioning record that fits it.
+    The robot is simulated unless a driver is given. A hardware driver needs a matching commissioning record.
 
     Parameters
     ----------
     robot
-        Which body.
+        The robot.
     scene
-        Which world: a number, FAMILY:SEED or a scene file.
+        A number, FAMILY:SEED or a scene file.
     socket
-        Where to listen (mode 0600); default: gatekeeper.sock in dualbrain's home.
+        Path of the socket (mode 0600). Default: gatekeeper.sock in the data folder of dualbrain.
     keys
-        The file with the keys of planner and operator, made if there is none; default in dualbrain's home.
+        File with the keys of planner and operator, created if necessary. Default: keys.json in the data folder.
     speed
-        The speed stage to begin with, as 10% or 0.1.
+        Initial speed scale, as 10% or 0.1.
     seed
-        Everything random after the scene (perception).
+        Seed of the perception noise.
     record
-        Write every tick to this MCAP file.
+        MCAP file that records every tick.
     site
-        Site file (TOML): planes, keep-out boxes, tool, payload, caps, who may command; see docs/how-to/site.md.
+        Site file (TOML): planes, keep-out boxes, tool, payload, caps and permissions; see docs/how-to/site.md.
     driver
-        Move a real arm: franka or ur; fake_franka and fake_ur are the makers' interfaces without an arm.
+        Hardware driver: franka or ur; fake_franka and fake_ur imitate the vendor interfaces without an arm.
     address
-        Where the arm's controller answers.
+        Network address of the arm's controller.
     commissioned
-        The record that `dualbrain robot commission` has sealed.
+        Commissioning record, written by `dualbrain robot commission`.
     json
-        At the end, print how punctual the tick was as one JSON object on stdout.
+        At the end, print tick timing statistics as one JSON object on stdout.
     """
     import msgspec
 
@@ -71,7 +71,7 @@ def gatekeeper(
     from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
     where, secrets = socket or dualbrain_home() / "gatekeeper.sock", keys or dualbrain_home() / "keys.json"
-    plan = GatekeeperConfig(
+    config = GatekeeperConfig(
         robot=robot,
         scene=open_scene(scene, robot),
         socket=str(where),
@@ -84,16 +84,16 @@ def gatekeeper(
         address=address,
         commissioned=str(commissioned or ""),
     )
-    said = f"gatekeeper of {robot} at {where}; Ctrl-C to shut down"
-    punctuality = run_gatekeeper(plan, lambda: print(said, file=sys.stderr))
-    p50, p99, _, worst = (1e3 * value for value in punctuality.interval)
+    ready = f"The gatekeeper of {robot} listens at {where}. Ctrl-C shuts it down."
+    timing = run_gatekeeper(config, lambda: print(ready, file=sys.stderr))
+    p50, p99, _, worst = (1e3 * value for value in timing.interval)
     print(
-        f"{punctuality.ticks} ticks: interval {p50:.2f} ms (median), {p99:.2f} (99 %), {worst:.1f} (longest); "
-        f"{punctuality.late} late, {punctuality.missed} states missed",
+        f"{timing.ticks} ticks: interval {p50:.2f} ms (median), {p99:.2f} ms (99 %), {worst:.1f} ms (longest); "
+        f"{timing.late} late, {timing.missed} states missed",
         file=sys.stderr,
     )
     if json:
-        print_result(msgspec.json.encode(punctuality).decode())
+        print_result(msgspec.json.encode(timing).decode())
     return ExitCode.SUCCESS
 
 
@@ -106,20 +106,20 @@ def operate(
     keys: Path | None = None,
     run: Path | None = None,
 ) -> int:
-    """A person's hand: pause, resume, abort, take over, choose a speed, stop in an emergency, and reset after it.
+    """Send an operator command to a running gatekeeper: pause, resume, abort, take over, set the speed, emergency stop.
 
     Parameters
     ----------
     act
-        What to do. An emergency stop needs no key; release_estop, then reset, then resume lead out of it.
+        The command. `estop` needs no key; after it, `release_estop`, `reset` and `resume` are needed in this order.
     speed
-        With `speed`: the stage, as 10% or 0.1.
+        With the command `speed`: the speed scale, as 10% or 0.1.
     socket
-        Where the gatekeeper listens; default: gatekeeper.sock in dualbrain's home.
+        Path of the gatekeeper's socket. Default: gatekeeper.sock in the data folder of dualbrain.
     keys
-        The key file; default in dualbrain's home.
+        Key file. Default: keys.json in the data folder.
     run
-        The folder of a `dualbrain run --live`: its gatekeeper is meant.
+        Run folder of a `dualbrain run --live`, whose gatekeeper gets the command.
     """
     import time
 
@@ -131,15 +131,16 @@ def operate(
     if run is not None:
         address = run / "gatekeeper.address"
         if not address.exists():
-            raise ConfigurationError(
-                "run folder", got="no gatekeeper.address", allowed="a live run under way", fix=str(run)
+            raise ConfigurationError.stating(
+                "The run folder has no running gatekeeper (no file gatekeeper.address).",
+                fix=f"Give the folder of a `dualbrain run --live` that is running. {run}",
             )
         where, secrets = (Path(line) for line in address.read_text(encoding="utf-8").split())
-    free = act == "estop" and not secrets.exists()
-    link = GatekeeperClient(where) if free else GatekeeperClient(where, load_or_create_keys(secrets), "operator")
+    without_key = act == "estop" and not secrets.exists()
+    link = GatekeeperClient(where) if without_key else GatekeeperClient(where, load_or_create_keys(secrets), "operator")
     link.operate(act, parse_fraction(speed))
     time.sleep(0.2)
-    beat = link.status
-    print(f"{act}: {beat.action} {beat.check}".rstrip() if beat else f"{act}: sent", file=sys.stderr)
+    status = link.status
+    print(f"{act}: {status.action} {status.check}".rstrip() if status else f"{act}: sent", file=sys.stderr)
     link.close()
     return ExitCode.SUCCESS

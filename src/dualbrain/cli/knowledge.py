@@ -1,4 +1,4 @@
-"""dualbrain knowledge: the documents that a planner may be shown: add, list, search, show, remove, rebuild."""
+"""dualbrain knowledge: manage the documents that a planner may read."""
 
 from __future__ import annotations
 
@@ -22,7 +22,9 @@ from dualbrain.knowledge.library import Addition, Library, SearchMode, Submissio
 from dualbrain.knowledge.rejection import DocumentRejected
 
 Json = Annotated[bool, Parameter(negative="", help="print one JSON object on stdout")]
-Store = Annotated[Path | None, Parameter(help="the store; default: knowledge.sqlite in dualbrain's home")]
+Store = Annotated[
+    Path | None, Parameter(help="document store; default: knowledge.sqlite in the data folder of dualbrain")
+]
 
 
 def add(
@@ -31,33 +33,33 @@ def add(
     trust: TrustLevel = "unknown",
     name: str = "",
     title: str = "",
-    body: tuple[str, ...] = (),
+    robot: tuple[str, ...] = (),
     store: Store = None,
     json: Json = False,
 ) -> int:
-    """Put documents on the shelf: Markdown, text, HTML, PDF, or a map or templates in TOML or JSON.
+    """Add documents: Markdown, text, HTML, PDF, or a map or templates in TOML or JSON.
 
-    What a reader would not see (hidden or tiny text, comments, control characters, chat tokens) is left out and told.
-    A document that is there already becomes a new version; old citations still resolve. Only documents with trust
-    `site` or `vendor` are ever shown to a planner: read a document before you vouch for it.
+    Text that a reader would not see (hidden or tiny text, comments, control characters, chat tokens) is removed and
+    reported. A document with a known name becomes a new version; old citations still resolve. Only documents with trust
+    `site` or `vendor` are put into prompts: read a document before you declare its trust.
 
-    Exits 0 if every document was taken, 5 if one was refused.
+    Exit code 0 if every document was added, 5 if one was refused.
 
     Parameters
     ----------
     files
-        What to add; the suffix says what it is.
+        Files to add; the suffix determines the format.
     kind
-        `rule`, `manual`, `map` or `template`; default: what a TOML or JSON file says, else manual.
+        `rule`, `manual`, `map` or `template`. Default: as stated in a TOML or JSON file, else manual.
     trust
-        `site`: written or approved by who runs this robot; `vendor`: by who made it; `unknown`: can be found, is never
-        shown to a planner.
+        `site`: written or approved by the operator of this robot; `vendor`: by its manufacturer; `unknown`: can be
+        searched, but is never put into a prompt.
     name
-        What to call it, if not after its file; for a single file.
+        Name of the document, for a single file. Default: the file name.
     title
-        Its title, if not its first heading.
-    body
-        The robot it is about; may be given several times; default: it holds for all.
+        Title. Default: the first heading.
+    robot
+        Robot that the document is about; may be repeated. Default: all robots.
     """
     if not files or (name and len(files) > 1):
         raise UsageError("files", got=len(files), allowed="at least one; with --name exactly one")
@@ -65,7 +67,7 @@ def add(
     with _open_library(store, write=True) as library:
         for file in files:
             submission = Submission(
-                file=file.name, data=file.read_bytes(), trust=trust, name=name, kind=kind, title=title, robots=body
+                file=file.name, data=file.read_bytes(), trust=trust, name=name, kind=kind, title=title, robots=robot
             )
             one = _unusable_templates(submission) or library.add(submission, now=time.time())
             done.append(one)
@@ -79,7 +81,7 @@ def add(
 
 
 def list_documents(*, store: Store = None, json: Json = False) -> int:
-    """List what stands on the shelf: name, kind, trust, version, size, title."""
+    """List the documents: name, kind, trust, version, size, title."""
     with _open_library(store) as library:
         documents = library.documents()
     if json:
@@ -101,35 +103,35 @@ def search(
     by: SearchMode = "both",
     kind: tuple[DocumentKind, ...] = DOCUMENT_KINDS,
     trust: TrustLevel = "unknown",
-    body: str = "",
+    robot: str = "",
     store: Store = None,
     json: Json = False,
 ) -> int:
-    """Find the passages that answer a question, best first, each with the citation that quotes it again.
+    """Search passages that answer a question, best first, each with the citation that quotes it.
 
     Parameters
     ----------
     query
-        A question, or some words.
+        A question or keywords.
     k
-        How many.
+        Number of passages.
     by
-        `words` (BM25), `meaning` (sentence encoder) or `both`, which finds most; `words` needs no model files.
+        `words` (BM25), `meaning` (sentence encoder) or `both` (best recall); `words` needs no model files.
     kind
-        Only these kinds; may be given several times.
+        Only documents of these kinds; may be repeated.
     trust
-        The least trust: `site`, `vendor` or `unknown`.
-    body
-        Leave out documents about other robots than this one.
+        Minimum trust: `site`, `vendor` or `unknown`.
+    robot
+        Exclude documents about other robots.
     """
     with _open_library(store, words_only=by == "words") as library:
-        hits = library.search(query, k, mode=by, kinds=kind, min_trust=trust, robot=body)
+        hits = library.search(query, k, mode=by, kinds=kind, min_trust=trust, robot=robot)
     if json:
         print_result(msgspec.json.encode({"query": query, "hits": [_encode_hit(one) for one in hits]}).decode())
         return ExitCode.SUCCESS
     console = Console(highlight=False)
     for one in hits:
-        parts = (("likeness", one.likeness), ("words", one.bm25_score))
+        parts = (("similarity", one.likeness), ("words", one.bm25_score))
         score = ", ".join(f"{part} {value:.2f}" for part, value in parts if value is not None)
         where = " › ".join(dict.fromkeys((one.title, *one.path)))
         console.print(f"[bold]{one.citation}[/]  [dim]{one.kind}, {one.trust}, {score}[/]\n{escape(where)}")
@@ -140,14 +142,14 @@ def search(
 
 
 def show(what: str, /, *, version: str = "", store: Store = None, json: Json = False) -> int:
-    """Print a document as it is kept, or exactly what a citation quotes; about it on stderr.
+    """Print a stored document, or the exact text of a citation; its history on stderr.
 
     Parameters
     ----------
     what
-        A name of `dualbrain knowledge list`, or a citation such as site-rules@b857fcc2256e#479-934.
+        A name from `dualbrain knowledge list`, or a citation such as site-rules@b857fcc2256e#479-934.
     version
-        An older version of the document (the first digits suffice).
+        An older version of the document (the first digits are sufficient).
     """
     citation = parse_citation(what)
     with _open_library(store) as library:
@@ -164,22 +166,21 @@ def show(what: str, /, *, version: str = "", store: Store = None, json: Json = F
             print_result(msgspec.json.encode({"name": what, "versions": versions, "text": reading.text}).decode())
             return ExitCode.SUCCESS
         for when, one in history:
-            _print_stderr(
-                f"{datetime.fromtimestamp(when, UTC):%Y-%m-%d %H:%M} UTC  {_describe_document(one) if one else 'removed'}"
-            )
+            change = _describe_document(one) if one else "removed"
+            _print_stderr(f"{datetime.fromtimestamp(when, UTC):%Y-%m-%d %H:%M} UTC  {change}")
         for hidden in reading.hidden:
-            _print_stderr(f"left out: {hidden.characters} characters, {hidden.kind}: {hidden.sample}")
+            _print_stderr(f"removed: {hidden.characters} characters, {hidden.kind}: {hidden.sample}")
         print_result(reading.text)
     return ExitCode.SUCCESS
 
 
 def remove(*names: str, store: Store = None, json: Json = False) -> int:
-    """Take documents off the shelf. They are found no more; what was cited of them can still be quoted.
+    """Remove documents from the search. Their citations can still be quoted.
 
     Parameters
     ----------
     names
-        Names of `dualbrain knowledge list`.
+        Names from `dualbrain knowledge list`.
     """
     if not names:
         raise UsageError("names", got="none", allowed="at least one", fix="See `dualbrain knowledge list`.")
@@ -193,7 +194,7 @@ def remove(*names: str, store: Store = None, json: Json = False) -> int:
 
 
 def rebuild(*, store: Store = None, json: Json = False) -> int:
-    """Make the index of words and the vectors again from the documents, for example after a change of the encoder."""
+    """Rebuild the index of words and vectors from the documents, for example after a change of the encoder."""
     with Library(_store_path(store), _encoder(), write=True) as library:
         count = library.rebuild()
     _print_stderr(f"{count} chunks indexed")
@@ -203,7 +204,7 @@ def rebuild(*, store: Store = None, json: Json = False) -> int:
 
 
 def _open_library(store: Path | None, *, write: bool = False, words_only: bool = False) -> Library:
-    """The library, with dualbrain's own documents; a new one is made with them."""
+    """The library; a new one is created with the built-in documents."""
     from dualbrain.knowledge.builtin_documents import open_library
 
     path = _store_path(store)
@@ -226,7 +227,7 @@ def _encoder() -> Any:
 
 
 def _unusable_templates(submission: Submission) -> DocumentRejected | None:
-    """Why templates cannot be used: the gate would refuse a contract made from one."""
+    """The rejection of templates whose contracts the gate would reject; None if they are usable."""
     from dualbrain.grounding.document_retrieval import check_templates
 
     return check_templates(submission)
@@ -235,10 +236,11 @@ def _unusable_templates(submission: Submission) -> DocumentRejected | None:
 def _print_addition(done: Addition) -> None:
     _print_stderr(f"{done.change}: {_describe_document(done.document)}")
     for hidden in done.document.hidden:
-        _print_stderr(f"  left out: {hidden.characters} characters, {hidden.kind}: {hidden.sample}")
+        _print_stderr(f"  removed: {hidden.characters} characters, {hidden.kind}: {hidden.sample}")
     if done.document.trust == "unknown":
         _print_stderr(
-            "  trust unknown: it can be found, but no planner is shown it. Add it again with --trust site or vendor."
+            "  trust unknown: the document can be searched, but is not put into prompts. "
+            "Add it again with --trust site or vendor."
         )
 
 

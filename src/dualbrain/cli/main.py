@@ -73,7 +73,8 @@ app.command(
     question), the episodes. After an interruption of any kind, the same command with the same --out continues.
 
     Examples: `dualbrain evaluate --suite smoke --out runs/smoke`, then `dualbrain report runs/smoke`, and `dualbrain
-    compare DIR DIR`. `--dry-run` estimates the duration of a suite. Methods, metrics and rules: docs/reference/evaluation.md.""",
+    compare DIR DIR`. `--dry-run` estimates the duration of a suite. Methods, metrics and rules:
+    docs/reference/evaluation.md.""",
 )
 app.command(
     "dualbrain.cli.evaluation.report:report",
@@ -169,7 +170,7 @@ knowledge = App(
     `dualbrain knowledge add manual.pdf --trust vendor` reads the visible text of a document, `search "how hard may I
     grip"` finds passages, `show CITATION` quotes one exactly, in any version. `dualbrain run --knowledge on` puts up to
     three passages about the task into the prompt, as data; the report lists them. A planner reads only documents of
-    trust `site` or `vendor`; whatever they say, its contract passes the same gate and the same filter.""",
+    trust `site` or `vendor`; its contract passes the same gate and the same filter.""",
 )
 app.command(knowledge)
 for _name, _function, _help in (

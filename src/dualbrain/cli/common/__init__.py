@@ -1,1 +1,1 @@
-"""Shared parts of the commands: console, exit codes, paths, signals."""
+"""Parts that several commands use: console, exit codes, paths, signals."""

@@ -1,4 +1,4 @@
-"""A share as people write it: 10%, 0.1."""
+"""Parse command-line values."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ MIN_FRACTION = 0.01
 
 
 def parse_fraction(text: str) -> float:
-    """The number in [0.01, 1] that `text` means; raises `WrongUsage`."""
+    """The fraction in [0.01, 1] that `text` states as "10%" or "0.1"; raises `UsageError`."""
     try:
         value = float(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
     except ValueError:

@@ -1,4 +1,4 @@
-"""What people and programs are told: a reader who leaves (`… | head`) stops no robot and changes no exit code."""
+"""Output on stdout and stderr. A closed pipe (`… | head`) stops no robot and changes no exit code."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from rich.text import Text
 from dualbrain.core.text import HIDDEN_CHARACTERS
 
 MIN_COLUMN_WIDTH = 24
-"""Characters to which a column that gives way shrinks."""
+"""Minimum width of a column that wraps [characters]."""
 
 
 class StderrConsole(Console):
-    """A console for stderr that falls silent when nobody reads it any more; the usual one ends the program."""
+    """A console for stderr that stops printing when the pipe is closed; the default one ends the program."""
 
     def __init__(self) -> None:
-        """Plain text on stderr."""
+        """Print plain text to stderr."""
         super().__init__(file=sys.stderr, highlight=False)
 
     def on_broken_pipe(self) -> None:
-        """Be quiet from now on."""
+        """Print nothing from now on."""
         self.quiet = True
 
 
 def print_result(text: str) -> None:
-    """Print the result on stdout; where nobody reads it, stdout becomes the null device."""
+    """Print a result on stdout; if the pipe is closed, stdout becomes the null device."""
     try:
         print(text, flush=True)
     except BrokenPipeError:
@@ -39,15 +39,15 @@ def print_result(text: str) -> None:
 
 
 def print_table(heads: Sequence[str], rows: Iterable[Sequence[str]], *, wrap_columns: Collection[str] = ()) -> None:
-    """Print rows on stdout as `columns` puts them."""
+    """Print a table on stdout; see `format_table`."""
     print_result(format_table(heads, rows, wrap_columns=wrap_columns))
 
 
 def format_table(heads: Sequence[str], rows: Iterable[Sequence[str]], *, wrap_columns: Collection[str] = ()) -> str:
-    """Rows below their `heads`, each cell whole and on one line, so that names and ids can be copied.
+    """A table of `rows` below `heads`; each cell stays on one line, so that names and ids can be copied.
 
-    Where the screen is too narrow, the columns in `gives` wrap; where that is not enough, lines grow longer than the
-    screen. A cell is text, never markup, and what would steer a terminal is shown as U+FFFD.
+    If the terminal is too narrow, the columns in `wrap_columns` wrap; if that is not enough, lines become longer than
+    the terminal is wide. A cell is text, never markup; control characters are shown as U+FFFD.
     """
     shown = [[sanitize_line(cell) for cell in row] for row in rows]
     table = Table(box=None, pad_edge=False)
@@ -64,10 +64,10 @@ def format_table(heads: Sequence[str], rows: Iterable[Sequence[str]], *, wrap_co
 
 
 def sanitize_line(text: str) -> str:
-    """`text` on one line, with what would steer a terminal or hide words shown as U+FFFD."""
+    """`text` on one line; control characters and characters that hide text are shown as U+FFFD."""
     return re.sub(f"[{HIDDEN_CHARACTERS}]", "\N{REPLACEMENT CHARACTER}", text)
 
 
 def redirect_stdout_to_null() -> None:
-    """Let stdout lead nowhere, so that what is still buffered does no harm at the end."""
+    """Redirect stdout to the null device, so that flushing the buffer at exit does not fail."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,10 +1,10 @@
-"""What the exit code of a command means."""
+"""Exit codes of the command line."""
 
 from enum import IntEnum
 
 
 class ExitCode(IntEnum):
-    """Exit codes, the same for every command."""
+    """Exit codes; they have the same meaning for every command."""
 
     SUCCESS = 0
     FAILED_SAFELY = 1

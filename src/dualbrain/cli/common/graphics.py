@@ -1,4 +1,4 @@
-"""Which GL library draws the pictures. Chosen before MuJoCo is imported, because an import that misses it fails."""
+"""Choice of the GL library for rendering, before MuJoCo is imported: its import fails if the library is missing."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ DISABLED_VALUES = ("disable", "disabled", "off", "false", "0")
 
 
 def choose_graphics(environ: MutableMapping[str, str]) -> str:
-    """Put a usable MUJOCO_GL into `environ` (egl where nothing is asked for), or `disable`; says why there is none."""
+    """Set a usable MUJOCO_GL in `environ` (default egl), or `disable`; returns the reason if there is none, else ""."""
     wanted = environ.get("MUJOCO_GL", "").lower().strip() or "egl"
     environ["MUJOCO_GL"] = wanted
     if wanted in DISABLED_VALUES:

@@ -11,7 +11,7 @@ PACKAGED_PLANNER = "starter-135m"
 
 
 def choose_planner(name: str, robot: str, cache: Path) -> tuple[str, str]:
-    """The planner to open and a notice for the user, "" if there is nothing to say.
+    """The planner to open and a notice for the user, "" if there is none.
 
     A given `name` is used. Otherwise it is `DEFAULT_PLANNER` if its weights are in `cache`, else the first packaged
     planner that was trained for `robot` and whose base model is there, else `DEFAULT_PLANNER`, whose error names the

@@ -1,4 +1,4 @@
-"""Ctrl-C (or SIGTERM) while a robot moves: the first asks it to brake and to record, the second leaves at once."""
+"""Handling of Ctrl-C and SIGTERM while a robot moves: the first stops it in a controlled way, the second exits."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 @contextmanager
 def interrupt_handler(interrupt: Callable[[], None]) -> Iterator[None]:
-    """The first of `SIGNALS` inside calls `interrupt`; from then on each raises `KeyboardInterrupt`."""
+    """While the body runs, the first of `SIGNALS` calls `interrupt`; every later one raises `KeyboardInterrupt`."""
 
     def first(number: int, frame: FrameType | None) -> None:
         del number, frame
@@ -20,9 +20,9 @@ def interrupt_handler(interrupt: Callable[[], None]) -> Iterator[None]:
             signal.signal(each, signal.default_int_handler)
         interrupt()
 
-    before = {each: signal.signal(each, first) for each in SIGNALS}
+    previous = {each: signal.signal(each, first) for each in SIGNALS}
     try:
         yield
     finally:
-        for each, usual in before.items():
-            signal.signal(each, usual)
+        for each, handler in previous.items():
+            signal.signal(each, handler)

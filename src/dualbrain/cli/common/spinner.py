@@ -1,4 +1,4 @@
-"""A sign of life while the planner thinks: a spinner and the time that has passed, on stderr."""
+"""Spinner with elapsed time on stderr, for work of unknown duration."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 
 class Spinner:
-    """Shown from `start` to `stop`; both may be called again."""
+    """A spinner that is visible between `start` and `stop`; both may be called repeatedly."""
 
     def __init__(self, console: Console, text: str) -> None:
-        """Say `text` beside the spinner."""
+        """Show `text` beside the spinner."""
         self._console, self._text = console, text
         self._progress: Progress | None = None
 
     def start(self) -> None:
-        """Begin to wait."""
+        """Show the spinner."""
         if self._progress is None:
             columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
             self._progress = Progress(*columns, console=self._console, transient=True)
@@ -23,7 +23,7 @@ class Spinner:
             self._progress.start()
 
     def stop(self) -> None:
-        """The wait is over."""
+        """Remove the spinner."""
         if self._progress is not None:
             self._progress.stop()
             self._progress = None

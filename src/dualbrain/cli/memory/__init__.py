@@ -1,1 +1,1 @@
-"""Commands: memory."""
+"""Commands `dualbrain memory ...`."""

@@ -1,4 +1,4 @@
-"""dualbrain memory, looking: list, show, search, export, verify. Nothing here changes memory."""
+"""dualbrain memory, read-only commands: list, show, search, export, verify."""
 
 from __future__ import annotations
 
@@ -31,22 +31,22 @@ def list_memories(
     ledger: Path | None = None,
     json: Flag = False,
 ) -> int:
-    """List memories, the newest first: id, time, outcome, Δ, weight w, status, source.
+    """List memories, newest first: id, time, outcome, Δ, weight w, status, source.
 
     Parameters
     ----------
     status
-        Only these: active, candidate, quarantined or forgotten.
+        Only memories with this status: active, candidate, quarantined or forgotten.
     outcome
-        Only these, such as succeeded, failed, taken_over, rejected.
+        Only memories with this outcome, such as succeeded, failed, taken_over, rejected.
     source
-        Only from this planner or file.
+        Only memories from this planner or file.
     at
-        As memory was then: an event number, or a time such as 2026-11-21T14:00 (UTC).
+        State of the memory at an event number, or at a time such as 2026-11-21T14:00 (UTC).
     limit
-        How many rows at most; 0 for all.
+        Maximum number of rows; 0 for all.
     ledger
-        Which memory; default in dualbrain's home.
+        Memory ledger. Default: ledger.sqlite in the data folder of dualbrain.
     json
         Print one JSON object on stdout.
     """
@@ -67,14 +67,14 @@ def list_memories(
 
 
 def show(name: str, /, *, ledger: Path | None = None, json: Flag = False) -> int:
-    """Show one memory whole: words, contract, outcome, provenance, and everything that moved its weight.
+    """Show one memory: instruction, contract, outcome, provenance, and every change of its weight.
 
     Parameters
     ----------
     name
-        Its id, as `dualbrain memory list` prints it.
+        Id of the memory, from `dualbrain memory list`.
     ledger
-        Which memory; default in dualbrain's home.
+        Memory ledger. Default: ledger.sqlite in the data folder of dualbrain.
     json
         Print one JSON object on stdout.
     """
@@ -93,12 +93,12 @@ def show(name: str, /, *, ledger: Path | None = None, json: Flag = False) -> int
     if json:
         print_json({"memo": memo, "stored": stored, "history": history})
         return ExitCode.SUCCESS
-    told = stored["episode"]
-    print_result(f"{name}: {sanitize_line(told['instruction'])}")
-    for line in told["summary"].splitlines():
+    episode = stored["episode"]
+    print_result(f"{name}: {sanitize_line(episode['instruction'])}")
+    for line in episode["summary"].splitlines():
         print_result(sanitize_line(line))
-    print_result(f"contract: {msgspec.json.encode(told['contract']).decode()}")
-    ending = f"{memo.kind} {sanitize_line(told['outcome']['reason'])}".rstrip()
+    print_result(f"contract: {msgspec.json.encode(episode['contract']).decode()}")
+    ending = f"{memo.kind} {sanitize_line(episode['outcome']['reason'])}".rstrip()
     print_result(f"outcome: {ending}; Δ {memo.Delta}; w {memo.weight:.3f}; {memo.status}")
     print_result(f"provenance: {msgspec.json.encode(memo.provenance).decode()}")
     for one in history:
@@ -128,34 +128,34 @@ def search(
     ledger: Path | None = None,
     json: Flag = False,
 ) -> int:
-    """Search memory as the planner would: the best exemplars and warnings for words and a scene, with all score parts.
+    """Search memory as a run would: the best exemplars and warnings for an instruction and a scene, with score parts.
 
     Parameters
     ----------
     instruction
-        The words.
+        The instruction, in words.
     scene
-        Which world the robot would see: a number, FAMILY:SEED or a scene file.
+        The scene: a number, FAMILY:SEED or a scene file.
     robot
-        Which body.
+        The robot.
     k
-        How many exemplars.
+        Number of exemplars.
     lambda_s
-        1 trusts likeness, 0 trusts experience; R = lambda_s s + (1 - lambda_s) w.
+        Weight of the similarity s against the learned weight w: R = lambda_s s + (1 - lambda_s) w.
     diversity
-        0 takes the best; towards 1, unlike ones are preferred among the best.
+        0 selects by score alone; towards 1, dissimilar memories among the best are preferred.
     skills
-        Only contracts that hold these skills.
+        Only contracts with these skills.
     outcome
-        Only these outcomes.
+        Only memories with these outcomes.
     after
-        Only memories stored since then (UTC).
+        Only memories stored after this time (UTC).
     before
-        Only memories stored until then (UTC).
+        Only memories stored before this time (UTC).
     status
-        Which memories may be found; candidates and quarantined ones only if asked for.
+        Statuses that are searched; candidates and quarantined memories only on request.
     ledger
-        Which memory; default in dualbrain's home.
+        Memory ledger. Default: ledger.sqlite in the data folder of dualbrain.
     json
         Print one JSON object on stdout.
     """
@@ -168,7 +168,7 @@ def search(
     from dualbrain.robots.loader import load_robot
     from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
-    seen = scene_from_spec(open_scene(scene))
+    perceived = scene_from_spec(open_scene(scene))
     state = home_state(load_robot(robot))
     posture = Posture(tuple(state.q.tolist()), state.opening)
     where = Filter(
@@ -181,7 +181,7 @@ def search(
     with open_memory(ledger) as opened:
         recall = opened.retrieve(
             instruction,
-            summarise_scene(seen),
+            summarise_scene(perceived),
             posture,
             robot,
             load_skill_registry(robot).hash,
@@ -201,14 +201,14 @@ def search(
 
 
 def export(out: Path | None = None, /, *, ledger: Path | None = None) -> int:
-    """Write all memories as lines of JSON, with weights, statuses and provenance, to a file or to stdout.
+    """Write all memories as JSON lines, with weights, statuses and provenance, to a file or to stdout.
 
     Parameters
     ----------
     out
-        The file; without one, stdout.
+        Output file, which must not exist. Default: stdout.
     ledger
-        Which memory; default in dualbrain's home.
+        Memory ledger. Default: ledger.sqlite in the data folder of dualbrain.
     """
     from dualbrain.memory.maintenance.export import export_rows
     from dualbrain.memory.state.derivation import derive_state
@@ -225,14 +225,14 @@ def export(out: Path | None = None, /, *, ledger: Path | None = None) -> int:
 
 
 def verify(*, vectors: Flag = False, ledger: Path | None = None, json: Flag = False) -> int:
-    """Check that memory is what was written: the hash chain, all weights, the snapshot. Exit code 1 if it is not.
+    """Verify the hash chain, all weights and the snapshot. Exit code 1 if any of them is wrong.
 
     Parameters
     ----------
     vectors
-        Also make every vector anew and compare it, to the bit.
+        Also recompute every vector and compare it bit for bit.
     ledger
-        Which memory; default in dualbrain's home.
+        Memory ledger. Default: ledger.sqlite in the data folder of dualbrain.
     json
         Print one JSON object on stdout.
     """
@@ -246,7 +246,7 @@ def verify(*, vectors: Flag = False, ledger: Path | None = None, json: Flag = Fa
         print_json({"whole": found.is_intact, **msgspec.to_builtins(found)})
     chain = found.chain
     words = f"{chain.events} events, " + (
-        "chain whole" if chain.is_intact else f"broken at {chain.broken_at}: {chain.fault}"
+        "chain intact" if chain.is_intact else f"chain broken at {chain.broken_at}: {chain.fault}"
     )
     checked = "" if found.vectors_wrong is None else f", {found.vectors_wrong} vectors differ"
     StderrConsole().print(
@@ -275,7 +275,7 @@ def _state_at(opened: Any, at: str) -> Any:
 
 
 def _parse_time(text: str) -> float | None:
-    """Seconds since 1970 of an ISO 8601 time, UTC unless it says otherwise; None for ""."""
+    """Seconds since 1970 of an ISO 8601 time, UTC if it names no zone; None for ""."""
     if not text:
         return None
     try:

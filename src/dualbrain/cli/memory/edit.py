@@ -1,4 +1,4 @@
-"""dualbrain memory, changing: audit, quarantine, release, forget, rollback, replay, compact, rebuild."""
+"""dualbrain memory, editing commands: audit, quarantine, release, forget, rollback, replay, compact, rebuild."""
 
 from __future__ import annotations
 
@@ -27,21 +27,19 @@ if TYPE_CHECKING:
     from dualbrain.memory.maintenance.audit import SourceReport
 
 Flag = Annotated[bool, Parameter(negative="")]
-Note = Annotated[
-    bool, Parameter(negative="--no-note", help="Write what was found into the ledger, as an event of its own.")
-]
+Note = Annotated[bool, Parameter(negative="--no-note", help="Record the result in the ledger, as an event.")]
 COMMAND = "dualbrain memory"
 
 
 def audit(*, note: Note = False, ledger: Path | None = None, json: Flag = False) -> int:
-    """Look for label conflicts, near-duplicates, odd verdicts, and what each source did (its blast radius).
+    """Report label conflicts, near-duplicates, doubtful verdicts, and the influence of each source.
 
-    Nothing is changed. Exit code 1 if something is suspicious.
+    Memories and weights are not changed. Exit code 1 if there are findings.
 
     Parameters
     ----------
     ledger
-        Which memory; default in dualbrain's home.
+        Memory ledger. Default: ledger.sqlite in the data folder of dualbrain.
     json
         Print one JSON object on stdout.
     """
@@ -59,7 +57,7 @@ def audit(*, note: Note = False, ledger: Path | None = None, json: Flag = False)
             print_result(
                 f"{one.kind}: {one.memory}: {one.text}" + (f" ({', '.join(one.others[:6])})" if one.others else "")
             )
-        heads = ("source", "memories", "weights moved", "Σ|Δw|", "adapters")
+        heads = ("source", "memories", "weights changed", "Σ|Δw|", "adapters")
         print_table(heads, map(_source_row, report.sources), wrap_columns=("adapters",))
     StderrConsole().print(f"{len(report.findings)} findings in {report.memories} memories")
     if report.utility.recalled:
@@ -68,77 +66,77 @@ def audit(*, note: Note = False, ledger: Path | None = None, json: Flag = False)
 
 
 def quarantine(*ids: str, reason: str, source: str = "", ledger: Path | None = None, json: Flag = False) -> int:
-    """Set memories aside: no longer recalled, and what their outcomes did to weights is undone as long as they are.
+    """Exclude memories from retrieval, and undo the effect of their outcomes on weights until they are released.
 
     Parameters
     ----------
     ids
-        Which memories.
+        Ids of the memories.
     reason
-        Why, in a few words; it is written down.
+        Reason, recorded in the ledger.
     source
-        Also all memories from this source.
+        Also all memories from this source (planner or file).
     ledger
-        Which memory; default in dualbrain's home.
+        Memory ledger. Default: ledger.sqlite in the data folder of dualbrain.
     json
         Print one JSON object on stdout.
     """
-    from dualbrain.memory.maintenance.edits import quarantine as set_aside
+    from dualbrain.memory.maintenance.edits import quarantine as exclude
 
-    return _apply_change("quarantine", ids, source, reason, ledger, set_aside, as_json=json)
+    return _apply_change("quarantine", ids, source, reason, ledger, exclude, as_json=json)
 
 
 def release(*ids: str, reason: str, source: str = "", ledger: Path | None = None, json: Flag = False) -> int:
-    """Bring quarantined memories and candidates back; their influence on weights counts again, exactly as before.
+    """Make quarantined memories and candidates active again; their effect on weights is restored exactly.
 
     Parameters
     ----------
     ids
-        Which memories.
+        Ids of the memories.
     reason
-        Why, in a few words; it is written down.
+        Reason, recorded in the ledger.
     source
-        Also all memories from this source.
+        Also all memories from this source (planner or file).
     ledger
-        Which memory; default in dualbrain's home.
+        Memory ledger. Default: ledger.sqlite in the data folder of dualbrain.
     json
         Print one JSON object on stdout.
     """
-    from dualbrain.memory.maintenance.edits import release as bring_back
+    from dualbrain.memory.maintenance.edits import release as restore
 
-    return _apply_change("release", ids, source, reason, ledger, bring_back, as_json=json)
+    return _apply_change("release", ids, source, reason, ledger, restore, as_json=json)
 
 
 def forget(*ids: str, reason: str, ledger: Path | None = None, json: Flag = False) -> int:
-    """Put a tombstone on memories: never recalled again, their influence undone; the chain of events stays whole.
+    """Mark memories as forgotten: never retrieved again, their effect on weights undone; the hash chain stays intact.
 
     Parameters
     ----------
     ids
-        Which memories.
+        Ids of the memories.
     reason
-        Why, in a few words; it is written down.
+        Reason, recorded in the ledger.
     ledger
-        Which memory; default in dualbrain's home.
+        Memory ledger. Default: ledger.sqlite in the data folder of dualbrain.
     json
         Print one JSON object on stdout.
     """
-    from dualbrain.memory.maintenance.edits import forget as bury
+    from dualbrain.memory.maintenance.edits import forget as mark_forgotten
 
-    return _apply_change("forget", ids, "", reason, ledger, bury, as_json=json)
+    return _apply_change("forget", ids, "", reason, ledger, mark_forgotten, as_json=json)
 
 
 def rollback(event: int, /, *, reason: str, ledger: Path | None = None, json: Flag = False) -> int:
-    """Make memory what it was at an event; nothing is lost: rolling back to a later event brings the rest back.
+    """Restore the memory as it was at an event. Events are kept: a rollback to a later event undoes this one.
 
     Parameters
     ----------
     event
-        The number of the event, as `dualbrain memory list --at` and `show` print it.
+        Number of the event, from `dualbrain memory list` or `show`.
     reason
-        Why, in a few words; it is written down.
+        Reason, recorded in the ledger.
     ledger
-        Which memory; default in dualbrain's home.
+        Memory ledger. Default: ledger.sqlite in the data folder of dualbrain.
     json
         Print one JSON object on stdout.
     """
@@ -148,7 +146,7 @@ def rollback(event: int, /, *, reason: str, ledger: Path | None = None, json: Fl
         before, head = opened.weights(), opened.ledger.head().seq
         roll_back(opened, event, reason, now=time.time())
         _print_weight_changes("rollback", before, opened.weights(), as_json=json)
-    StderrConsole().print(f"To undo: {COMMAND} rollback {head} --reason WHY")
+    StderrConsole().print(f"To undo: {COMMAND} rollback {head} --reason REASON")
     return ExitCode.SUCCESS
 
 
@@ -157,18 +155,19 @@ def replay(
 ) -> int:
     """Run a remembered contract again in simulation, through gate and filter, and compare outcome and Δ.
 
-    Exit code 0 if the memory stands, 1 if it is contradicted. Nothing is set aside by this; see `quarantine`.
+    Exit code 0 if the memory is confirmed, 1 if it is contradicted. A contradicted memory is not quarantined
+    automatically; see `quarantine`.
 
     Parameters
     ----------
     name
-        The memory's id.
+        Id of the memory.
     tries
-        How many times, each in a slightly different world.
+        Number of simulations, each with a slightly different scene.
     seed
-        Everything random in it.
+        Seed of the scene variations and of perception.
     ledger
-        Which memory; default in dualbrain's home.
+        Memory ledger. Default: ledger.sqlite in the data folder of dualbrain.
     json
         Print one JSON object on stdout.
     """
@@ -191,18 +190,18 @@ def replay(
     for kind, size in zip(finding.outcomes, finding.Deltas, strict=True):
         StderrConsole().print(f"  {kind}, Δ {'-' if size is None else f'{size:.4f}'}")
     StderrConsole().print(
-        f"{name} ({finding.remembered}): {'stands' if finding.agrees else 'contradicted'}; {finding.reason}"
+        f"{name} ({finding.remembered}): {'confirmed' if finding.agrees else 'contradicted'}; {finding.reason}"
     )
     return ExitCode.SUCCESS if finding.agrees else ExitCode.FAILED_SAFELY
 
 
 def compact(*, ledger: Path | None = None, json: Flag = False) -> int:
-    """Write a short ledger with the same memories, weights and statuses, to the bit; the long one stays as an archive.
+    """Write a shorter ledger with bit-identical memories, weights and statuses; the original is kept as an archive.
 
     Parameters
     ----------
     ledger
-        Which memory; default in dualbrain's home.
+        Memory ledger. Default: ledger.sqlite in the data folder of dualbrain.
     json
         Print one JSON object on stdout.
     """
@@ -210,7 +209,7 @@ def compact(*, ledger: Path | None = None, json: Flag = False) -> int:
     from dualbrain.memory.maintenance.compaction import compact_in_place
 
     path = ledger_path(ledger)
-    LedgerReader(path).close()  # a command never makes a ledger
+    LedgerReader(path).close()  # a command never creates a ledger
     before = path.stat().st_size
     archive = compact_in_place(path, holder=f"{COMMAND} compact", now=time.time(), timeout_s=LOCK_TIMEOUT_S)
     sizes = {"before": before, "after": path.stat().st_size, "archive": str(archive)}
@@ -221,29 +220,29 @@ def compact(*, ledger: Path | None = None, json: Flag = False) -> int:
 
 
 def rebuild(*, ledger: Path | None = None, json: Flag = False) -> int:
-    """Make all vectors anew from the episodes, and a snapshot: after a change of encoder or a fault.
+    """Recompute all vectors from the episodes and write a snapshot, after a change of the encoder or a fault.
 
     Parameters
     ----------
     ledger
-        Which memory; default in dualbrain's home.
+        Memory ledger. Default: ledger.sqlite in the data folder of dualbrain.
     json
         Print one JSON object on stdout.
     """
     from dualbrain.memory.embedding.joint_embedding import JointEmbedding
-    from dualbrain.memory.index.index import rebuild_vectors as make_anew
+    from dualbrain.memory.index.index import rebuild_vectors
     from dualbrain.memory.ledger.ledger import Ledger, LedgerReader
     from dualbrain.memory.memory import Memory
 
     path = ledger_path(ledger)
     LedgerReader(path).close()
     with Ledger(path, holder=f"{COMMAND} rebuild", now=time.time(), timeout_s=LOCK_TIMEOUT_S) as opened:
-        dials, words = memory_config(opened), load_encoder()
-        made = make_anew(opened, JointEmbedding(words, dials.limits, dials.embedding))
-        Memory(opened, words, dials).write_snapshot(opened, now=time.time())
+        config, encoder = memory_config(opened), load_encoder()
+        count = rebuild_vectors(opened, JointEmbedding(encoder, config.limits, config.embedding))
+        Memory(opened, encoder, config).write_snapshot(opened, now=time.time())
     if json:
-        print_json({"vectors": made})
-    StderrConsole().print(f"{made} vectors made anew")
+        print_json({"vectors": count})
+    StderrConsole().print(f"{count} vectors recomputed")
     return ExitCode.SUCCESS
 
 
@@ -257,7 +256,7 @@ def _apply_change(
     source: str,
     reason: str,
     ledger: Path | None,
-    change: Callable[..., None],
+    apply: Callable[..., None],
     *,
     as_json: bool,
 ) -> int:
@@ -265,7 +264,7 @@ def _apply_change(
         more = [memo.id for memo in opened.state.memories if source and memo.provenance.source == source]
         names = tuple(dict.fromkeys((*ids, *more)))
         before = opened.weights()
-        change(opened, names, reason, now=time.time(), actor=COMMAND)
+        apply(opened, names, reason, now=time.time(), actor=COMMAND)
         _print_weight_changes(what, before, opened.weights(), as_json=as_json, names=names)
     return ExitCode.SUCCESS
 
@@ -273,13 +272,13 @@ def _apply_change(
 def _print_weight_changes(
     what: str, before: dict[str, float], after: dict[str, float], *, as_json: bool, names: tuple[str, ...] = ()
 ) -> None:
-    moved: dict[str, Any] = {
+    changed: dict[str, Any] = {
         name: [before.get(name), after.get(name)] for name in {**before, **after} if before.get(name) != after.get(name)
     }
     if as_json:
-        print_json({"command": what, "memories": names, "weights": msgspec.to_builtins(moved)})
-    for name, (old, new) in list(moved.items())[:20]:
+        print_json({"command": what, "memories": names, "weights": msgspec.to_builtins(changed)})
+    for name, (old, new) in list(changed.items())[:20]:
         StderrConsole().print(
             f"  {name}: {'-' if old is None else f'{old:.3f}'} -> {'-' if new is None else f'{new:.3f}'}"
         )
-    StderrConsole().print(f"{what}: {len(names) or 'no'} memories named, {len(moved)} weights changed")
+    StderrConsole().print(f"{what}: {len(names) or 'no'} memories selected, {len(changed)} weights changed")

@@ -1,4 +1,4 @@
-"""Opening memory for a command: which ledger, for reading or writing, with the encoder and the bodies it speaks of."""
+"""Open the memory for a command: the ledger for reading or writing, the encoder, and the limits of its robots."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
     from dualbrain.memory.memory import Memory
 
 LOCK_TIMEOUT_S = 5.0
-"""How long a command waits for a run that is writing [s]."""
+"""Time that a command waits for another writer of the ledger [s]."""
 
 
 def ledger_path(chosen: Path | None) -> Path:
-    """The ledger named on the command line, else the one in dualbrain's home."""
+    """The ledger given on the command line, else the default one in the data folder."""
     return chosen or dualbrain_home() / "ledger.sqlite"
 
 
 @contextmanager
 def open_reader(chosen: Path | None) -> Generator[LedgerReader]:
-    """The ledger, for reading; also while a run writes."""
+    """The ledger, read only; this works while a run writes."""
     from dualbrain.memory.ledger.ledger import LedgerReader
 
     with LedgerReader(ledger_path(chosen)) as ledger:
@@ -40,7 +40,7 @@ def open_reader(chosen: Path | None) -> Generator[LedgerReader]:
 
 @contextmanager
 def open_memory(chosen: Path | None, *, writing: str = "") -> Generator[Memory]:
-    """The whole memory; `writing` names the command that is about to change it."""
+    """The memory; `writing` is the name of the command that will change it, "" for read only."""
     from dualbrain.memory.memory import Memory
 
     with _open_ledger(chosen, writing) as ledger:
@@ -52,7 +52,7 @@ def _open_ledger(chosen: Path | None, writing: str) -> Generator[LedgerReader]:
     from dualbrain.memory.ledger.ledger import Ledger, LedgerReader
 
     path = ledger_path(chosen)
-    LedgerReader(path).close()  # a command never makes a ledger
+    LedgerReader(path).close()  # a command never creates a ledger
     if not writing:
         with LedgerReader(path) as ledger:
             yield ledger
@@ -69,7 +69,7 @@ def load_encoder() -> Any:
 
 
 def memory_config(ledger: LedgerReader) -> MemoryConfig:
-    """The default dials, with the limits of every robot in the ledger that this program knows."""
+    """The default configuration, with the joint limits of every known robot in the ledger."""
     from dualbrain.memory.config import MemoryConfig
 
     robots = {row.episode.robot for row in _read_headers(ledger)}
@@ -77,7 +77,7 @@ def memory_config(ledger: LedgerReader) -> MemoryConfig:
 
 
 def posture_limits(robot: str) -> tuple[PostureLimits, ...]:
-    """The limits of `robot`, none if this program does not know it."""
+    """The joint limits of `robot`; empty if the robot is unknown."""
     from dualbrain.memory.embedding.posture_features import PostureLimits
     from dualbrain.robots.loader import load_robot
 

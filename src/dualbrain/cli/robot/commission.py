@@ -1,4 +1,4 @@
-"""dualbrain robot commission: the checklist that hardware is opened with; written, checked, sealed."""
+"""dualbrain robot commission: the commissioning checklist of a real arm."""
 
 from __future__ import annotations
 
@@ -21,27 +21,28 @@ def commission(
     record: Path | None = None,
     check: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Answer for a real arm: tool, payload, mounting, table plane, emergency stop, limits inside the maker's.
+    """Fill in and sign the commissioning checklist of a real arm.
 
-    The first call writes a checklist to fill in at the arm. Once it is filled in, every answer is compared with the
-    body, the site file and the maker's limits; if all will do, a record is sealed, which `dualbrain gatekeeper
-    --commissioned` demands. Body, site file or driver changed afterwards: the record is worth nothing, answer again.
-    Exit 0: sealed (or, with --check, still good); 1: something will not do, or is still to be filled in.
+    The checklist covers tool, payload, mounting, table plane, emergency stop, and limits within those of the
+    manufacturer. The first call writes a checklist to fill in at the arm. The second call compares every answer with
+    the robot model, the site file and the manufacturer's limits, and writes a signed record if all agree; `dualbrain
+    gatekeeper --commissioned` requires the record. A change of robot model, site file or driver invalidates it.
+    Exit code 0: signed (or, with --check, valid); 1: incomplete or inconsistent answers.
 
     Parameters
     ----------
     checklist
-        The file with the answers (TOML).
+        File with the answers (TOML).
     driver
         franka or ur.
     site
-        The site file that holds where the arm stands.
+        Site file with the mounting of the arm.
     robot
-        Which body; default: the driver's own.
+        The robot. Default: the robot of the driver.
     record
-        Where the sealed record goes; default: beside the checklist, with .sealed.json at the end.
+        Signed record to write. Default: beside the checklist, with the suffix .sealed.json.
     check
-        Change nothing; say whether the sealed record still fits body and site.
+        Only check whether the signed record is valid for this robot model and site file.
     """
     from dualbrain.drivers.catalogue import DRIVER_KINDS, find_driver_kind
     from dualbrain.drivers.commissioning.checklist import TEMPLATE, find_flaws, read_checklist
@@ -52,14 +53,14 @@ def commission(
 
     robot = robot or next((kind.robot for kind in DRIVER_KINDS if kind.name == driver), "")
     kind, file = find_driver_kind(driver, robot), read_site(site)
-    robot_model, seal_in = site_robot(load_robot(robot), file), record or checklist.with_suffix(".sealed.json")
+    robot_model, record_file = site_robot(load_robot(robot), file), record or checklist.with_suffix(".sealed.json")
     if check:
-        answered = require_record(seal_in, robot_model, site, kind)
-        print(f"{seal_in}: good; answered by {answered.answers.by}, {answered.answers.on}", file=sys.stderr)
+        answered = require_record(record_file, robot_model, site, kind)
+        print(f"{record_file}: valid; answered by {answered.answers.by}, {answered.answers.on}", file=sys.stderr)
         return ExitCode.SUCCESS
     if not checklist.exists():
         checklist.write_text(TEMPLATE.format(robot=robot, driver=driver), encoding="utf-8")
-        print(f"{checklist}: fill it in at the arm, then run this again", file=sys.stderr)
+        print(f"{checklist}: written. Fill it in at the arm, then run this command again.", file=sys.stderr)
         return ExitCode.FAILED_SAFELY
     answers = read_checklist(checklist)
     if found := find_flaws(answers, robot_model, file.site, kind):
@@ -69,6 +70,6 @@ def commission(
     import msgspec
 
     whole = make_record(answers, robot_model, site, kind)
-    seal_in.write_bytes(msgspec.json.format(msgspec.json.encode(whole), indent=2) + b"\n")
-    print(f"sealed: {seal_in} ({whole.seal[:16]})", file=sys.stderr)
+    record_file.write_bytes(msgspec.json.format(msgspec.json.encode(whole), indent=2) + b"\n")
+    print(f"signed: {record_file} ({whole.seal[:16]})", file=sys.stderr)
     return ExitCode.SUCCESS

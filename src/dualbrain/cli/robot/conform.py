@@ -1,4 +1,4 @@
-"""dualbrain robot conform: the laws of the driver contract, tried on a driver."""
+"""dualbrain robot conform: test a driver against the driver contract."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ def conform(
     commissioned: Path | None = None,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Try every law of the driver contract on a driver. A real arm moves: every joint by some degrees, and fast.
+    """Test every requirement of the driver contract on a driver. A real arm moves every joint by some degrees, fast.
 
-    Exit 0 if no law is broken. What could not be tried is said; it proves nothing.
+    Exit code 0 if no requirement is violated. Requirements that could not be tested are listed; they are not proven.
 
     Parameters
     ----------
     driver
-        plant, fake_franka, fake_ur; franka or ur with an address and a commissioning record.
+        plant (the simulator), fake_franka, fake_ur; franka or ur with an address and a commissioning record.
     robot
-        Which body; default: the driver's own, panda for the plant.
+        The robot. Default: the robot of the driver, panda for the plant.
     address
-        Where the arm's controller answers.
+        Network address of the arm's controller.
     site
-        Site file (TOML) that narrows the body.
+        Site file (TOML) that restricts the robot model.
     commissioned
-        The record that `dualbrain robot commission` has sealed; hardware is not opened without.
+        Commissioning record, written by `dualbrain robot commission`; required for hardware.
     json
         Print the findings as one JSON object on stdout.
     """
@@ -46,8 +46,7 @@ def conform(
     from dualbrain.drivers.catalogue import DRIVER_KINDS, find_driver_kind
     from dualbrain.drivers.commissioning.record import require_record
     from dualbrain.drivers.conformance.harness import DriverUnderTest
-    from dualbrain.drivers.conformance.rules import RequirementStatus
-    from dualbrain.drivers.conformance.rules import check_conformance as tried
+    from dualbrain.drivers.conformance.rules import RequirementStatus, check_conformance
     from dualbrain.robots.loader import load_robot
     from dualbrain.robots.site_config import read_site
     from dualbrain.safety.integration.site import site_robot
@@ -64,7 +63,7 @@ def conform(
             kind.open(address, robot_model, None) if kind else SimulatedDriver(robot_model), robot_model
         )
 
-    findings = tried(make)
+    findings = check_conformance(make)
     for finding in findings:
         print(
             f"{finding.requirement}: {finding.status.value}{f' ({finding.reason})' if finding.reason else ''}",
@@ -76,5 +75,5 @@ def conform(
                 {finding.requirement: [finding.status.value, finding.reason] for finding in findings}
             ).decode()
         )
-    broken = any(finding.status is RequirementStatus.VIOLATED for finding in findings)
-    return ExitCode.FAILED_SAFELY if broken else ExitCode.SUCCESS
+    violated = any(finding.status is RequirementStatus.VIOLATED for finding in findings)
+    return ExitCode.FAILED_SAFELY if violated else ExitCode.SUCCESS

@@ -1,4 +1,4 @@
-"""dualbrain robot identify: how well a robot's drive follows joint velocities, measured on its plant."""
+"""dualbrain robot identify: identify how closely a robot's drive follows joint velocities, in simulation."""
 
 from __future__ import annotations
 
@@ -34,24 +34,24 @@ def identify(
     json: Annotated[bool, Parameter(negative="")] = False,
     write: Path | None = None,
 ) -> int:
-    """Identify the tracking model of a robot: its lag, and how far it strays from it (what it does: cli/main.py).
+    """Identify the tracking model of a robot: its lag and the remaining error (method: help text in cli/main.py).
 
     Parameters
     ----------
     robot
-        The robot to drive.
+        The robot.
     drive
-        computed_torque (the plant's own) or velocity (MuJoCo's velocity actuators).
+        computed_torque (the simulator's default) or velocity (velocity actuators of MuJoCo).
     seeds
-        How many times everything is repeated with other random numbers.
+        Number of repetitions with different random numbers.
     seconds
-        Length of each run [s]; there are three a seed and load.
+        Duration of each run [s]; there are three runs for each seed and load.
     load
-        The largest unknown load at the tool that the figures must cover [kg].
+        Largest undeclared load at the tool that the model covers [kg].
     json
-        Print the result as JSON and nothing else.
+        Print the result as one JSON object.
     write
-        Data file of the body (JSON) whose tracking model of this drive is renewed.
+        Robot model file (JSON) in which the tracking model of this drive is replaced.
     """
     from dualbrain.simulation.identification.mobile_tracking_model import identify_mobile_manipulator
     from dualbrain.simulation.identification.tracking_model import identify_plant
@@ -61,22 +61,22 @@ def identify(
     target = _written_robot(write, robot_model)
     with _progress_bar() as bar:
         task = bar.add_task(f"{robot}, {drive}", total=1.0)
-        asked = {
+        options = {
             "load": load,
             "seeds": range(seeds),
             "seconds": seconds,
             "progress": lambda share, word: bar.update(task, completed=share, description=word),
         }
-        said, base_lag = _provenance(robot, kind, seeds, seconds, load), robot_model.base_lag
+        provenance, base_lag = _provenance(robot, kind, seeds, seconds, load), robot_model.base_lag
         if robot_model.is_mobile_manipulator:
-            both = identify_mobile_manipulator(robot_model, kind, **asked)
-            found, (entry, base_lag) = both.arm, both.to_error_model(drive, said)
+            both = identify_mobile_manipulator(robot_model, kind, **options)
+            found, (entry, base_lag) = both.arm, both.to_error_model(drive, provenance)
         else:
-            found = identify_plant(robot_model, kind, **asked)
-            entry = found.to_error_model(drive, said)
+            found = identify_plant(robot_model, kind, **options)
+            entry = found.to_error_model(drive, provenance)
     if write is not None:
         write.write_bytes(encode_robot(msgspec.structs.replace(target.with_tracking(entry), base_lag=base_lag)))
-        print(f"{write}: tracking model of the {drive} drive renewed", file=sys.stderr)
+        print(f"{write}: tracking model of the {drive} drive replaced", file=sys.stderr)
     if json:
         print(msgspec.json.format(msgspec.json.encode({"entry": entry, "found": found}), indent=1).decode())
     else:
@@ -85,13 +85,13 @@ def identify(
 
 
 def _written_robot(write: Path | None, robot_model: RobotModel) -> RobotModel:
-    """The body whose data file will be written: what the file holds, else `body`."""
+    """The robot model in the file `write` if it exists, else `robot_model`."""
     if write is None or not write.exists():
         return robot_model
     try:
         return msgspec.json.decode(write.read_bytes(), type=RobotModel)
     except DECODE_ERRORS as error:
-        raise ConfigurationError("body data file", got=str(error), allowed="JSON of a body", fix=str(write)) from error
+        raise ConfigurationError.stating(f"The file is not a robot model: {error}.", fix=str(write)) from error
 
 
 def _progress_bar() -> Progress:
@@ -100,8 +100,8 @@ def _progress_bar() -> Progress:
 
 
 def _provenance(robot: str, drive: DriveKind, seeds: int, seconds: float, load: float) -> str:
-    asked = f"--robot {robot} --drive {drive} --seeds {seeds} --seconds {seconds:g} --load {load:g}"
-    return f"dualbrain robot identify {asked}; MuJoCo plant, dualbrain {__version__}, {datetime.now(UTC):%Y-%m-%d}"
+    options = f"--robot {robot} --drive {drive} --seeds {seeds} --seconds {seconds:g} --load {load:g}"
+    return f"dualbrain robot identify {options}; MuJoCo plant, dualbrain {__version__}, {datetime.now(UTC):%Y-%m-%d}"
 
 
 def _print_tracking_model(
@@ -110,7 +110,9 @@ def _print_tracking_model(
     table = Table("", "", box=None, pad_edge=False, show_header=False)
     table.add_row("lag", f"{entry.lag * 1e3:.3f} ms" + (f", base {base_lag * 1e3:.3f} ms more" if base_lag else ""))
     table.add_row("position error e", f"{entry.position_error * 1e3:.3f} mrad, with factor 1.25")
-    table.add_row("rows keep α e", f"{entry.row_margin(robot_model.alpha):.5f} rad/s at α = {entry.rate:.2f}/s")
+    table.add_row(
+        "margin α e of the rows", f"{entry.row_margin(robot_model.alpha):.5f} rad/s at α = {entry.rate:.2f}/s"
+    )
     table.add_row("e by seed", ", ".join(f"{e * 1e3:.3f}" for e in found.by_seed) + " mrad")
     table.add_row("e by joint", ", ".join(f"{e * 1e3:.3f}" for e in found.largest) + " mrad")
     table.add_row("largest |ẏ − u|", f"{found.velocity_error:.4f} rad/s")
@@ -118,7 +120,9 @@ def _print_tracking_model(
         entry.drive
     )
     if known is not None:
-        table.add_row("carried so far", f"lag {known.lag * 1e3:.3f} ms, e {known.position_error * 1e3:.3f} mrad")
+        table.add_row("stored model", f"lag {known.lag * 1e3:.3f} ms, e {known.position_error * 1e3:.3f} mrad")
     Console().print(table)
     if not written:
-        print("To use it: --write FILE renews a body's data file, FilterConfig(tracking_error=...) overrides it.")
+        print(
+            "To use it: --write FILE replaces it in a robot model file; FilterConfig(tracking_error=...) overrides it."
+        )

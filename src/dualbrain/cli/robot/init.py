@@ -1,4 +1,4 @@
-"""dualbrain robot init: a robot's description becomes a body that the filter can guard."""
+"""dualbrain robot init: import a robot model from a URDF or MJCF description."""
 
 from __future__ import annotations
 
@@ -45,58 +45,58 @@ def init(
     seed: int = 0,
     discard_edits: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Make a robot from its description: a folder with what the filter reads, a page for people, and a picture.
+    """Import a robot from its description into a folder with robot model, README and image.
 
-    Nothing is assumed: a limit that neither the description nor you state is asked for. Making again keeps the edits in
-    body.json and shows what changed. Afterwards `dualbrain robot inspect FOLDER --view`, `dualbrain schema --robot
-    FOLDER`, and in Python `SafetyFilter(load_body("FOLDER"))`.
+    No limit is assumed: the command lists every limit that neither the description nor an option states. A repeated
+    import keeps the edits in body.json and lists the changes. Next: `dualbrain robot inspect FOLDER --view`, `dualbrain
+    schema --robot FOLDER`, and in Python `SafetyFilter(load_robot("FOLDER"))`.
 
     Parameters
     ----------
     description
-        URDF, or MJCF (.xml).
+        URDF or MJCF (.xml) file.
     out
-        Folder to write; default: the robot's name, here.
+        Folder to write. Default: a folder named after the robot, in the current folder.
     name
-        What to call the robot; default: as in the description.
+        Name of the robot. Default: the name in the description.
     chain
-        BASE..TIP, names of links, where the description has several arms or ends in fingers.
+        BASE..TIP, two link names, if the description has several arms or ends in fingers.
     tool
-        Link whose frame is the tool's; default: the chain's tip.
+        Link whose frame is the tool frame. Default: the tip of the chain.
     lock
-        JOINT=VALUE: hold a joint still. May be repeated.
+        JOINT=VALUE: lock a joint. May be repeated.
     home
-        Joint values, separated by commas; default: one that is free is found.
+        Joint positions of the home configuration, separated by commas. Default: a collision-free one is searched.
     packages
-        Folder in which packages (package://NAME/...) and meshes may lie as well. May be repeated.
+        Additional folder with packages (package://NAME/...) and meshes. May be repeated.
     site
         Site file (TOML) with limits and caps; see docs/how-to/site.md.
     acceleration
-        Greatest acceleration of every joint [rad/s², m/s²]; of a base along its way.
+        Maximum acceleration of every joint [rad/s², m/s²]; for a base along its path.
     velocity
-        Cap of every joint's velocity [rad/s, m/s].
+        Maximum velocity of every joint [rad/s, m/s].
     period
         Control period [s].
     tool_speed
-        Greatest speed of the tool [m/s]; of a base along its way.
+        Maximum speed of the tool [m/s]; for a base along its path.
     grip
-        LEAST,GREATEST grip force [N] of two fingers that slide; the greatest may be left to the description.
+        MIN,MAX grip force [N] of a gripper with two sliding fingers; MAX may come from the description.
     base
-        differential: a base that drives, its upper parts standing still, instead of an arm.
+        differential: a mobile base with fixed upper parts, instead of an arm.
     wheels
-        LEFT,RIGHT: wheel joints of the base, from which its speeds follow.
+        LEFT,RIGHT: wheel joints of the base, which determine its speed limits.
     turn
-        Greatest turn rate of a base [rad/s].
+        Maximum turn rate of a base [rad/s].
     turn_acceleration
-        Greatest turn acceleration of a base [rad/s²].
+        Maximum turn acceleration of a base [rad/s²].
     spheres
-        At most so many spheres.
+        Maximum number of spheres.
     quick
-        Fit spheres coarsely, in seconds; coverage is proven all the same, the excess is larger.
+        Fit spheres coarsely, in seconds; coverage is verified as usual, but the spheres are larger.
     seed
-        Of everything random.
+        Random seed.
     discard_edits
-        Overwrite what a person changed in body.json.
+        Overwrite manual edits in body.json.
     """
     from dualbrain.cli.robot.read_description import read_description
     from dualbrain.robots.importer.build_arm import ImportOptions, build_arm
@@ -104,9 +104,9 @@ def init(
     from dualbrain.robots.importer.required_limits import make_limit_policy
     from dualbrain.robots.site_config import read_site
 
-    began = time.monotonic()
+    started = time.monotonic()
     start, tip = _parse_chain(chain)
-    wish = ImportOptions(
+    options = ImportOptions(
         name=name,
         base=start,
         tip=tip,
@@ -117,7 +117,7 @@ def init(
         seed=seed,
         home=_parse_home(home),
     )
-    options = {
+    limits = {
         "acceleration": acceleration,
         "velocity": velocity,
         "period": period,
@@ -126,16 +126,16 @@ def init(
         "turn_acceleration": turn_acceleration,
         **_parse_grip(grip),
     }
-    policy = make_limit_policy(read_site(site) if site else None, options)
+    policy = make_limit_policy(read_site(site) if site else None, limits)
     tree = read_description(description, packages)
     made = (
-        build_arm(tree, policy, wish, _print_progress)
+        build_arm(tree, policy, options, _print_progress)
         if base == "fixed"
-        else build_base(tree, policy, wish, _parse_wheels(wheels), _print_progress)
+        else build_base(tree, policy, options, _parse_wheels(wheels), _print_progress)
     )
     folder = out or Path(made.robot_model.name)
-    written = _write_robot(folder, description, packages, wish, made, base, _parse_wheels(wheels), discard_edits)
-    _print_summary(folder, made, written, time.monotonic() - began)
+    written = _write_robot(folder, description, packages, options, made, base, _parse_wheels(wheels), discard_edits)
+    _print_summary(folder, made, written, time.monotonic() - started)
     return ExitCode.SUCCESS
 
 
@@ -143,7 +143,7 @@ def _write_robot(
     folder: Path,
     description: Path,
     packages: Sequence[Path],
-    wish: ImportOptions,
+    options: ImportOptions,
     made: ImportResult,
     base: str,
     wheels: tuple[str, str] | None,
@@ -158,22 +158,22 @@ def _write_robot(
     from dualbrain.safety.cbf.filter import SafetyFilter
     from dualbrain.visualization.robot.image import draw_robot
 
-    SafetyFilter(made.robot_model)  # what the kernel has no room for is refused before anything is written
-    recipe = ImportRecord(
+    SafetyFilter(made.robot_model)  # refuses a model beyond the capacity of the kernel before anything is written
+    record = ImportRecord(
         description=str(description.resolve()),
         sha256=file_sha256(description),
         packages=tuple(str(path.resolve()) for path in packages),
-        base=wish.base,
-        tip=wish.tip,
-        tool=wish.tool,
-        lock=dict(wish.lock),
-        quick=wish.quick,
-        spheres=wish.sphere_budget,
-        seed=wish.seed,
+        base=options.base,
+        tip=options.tip,
+        tool=options.tool,
+        lock=dict(options.lock),
+        quick=options.quick,
+        spheres=options.sphere_budget,
+        seed=options.seed,
         kind=base,
         wheels=wheels,
     )
-    written = write_robot_folder(folder, made.robot_model, made.report, recipe, discard_edits=discard_edits)
+    written = write_robot_folder(folder, made.robot_model, made.report, record, discard_edits=discard_edits)
     draw_robot(written.robot_model, made.shapes, folder / IMAGE_FILE)
     return written
 
@@ -186,20 +186,20 @@ def _print_summary(folder: Path, made: ImportResult, written: FolderWriteResult,
     worst = max((link.worst for link in report.links), default=0.0)
     print(f"{folder}: {robot_model.name}, {robot_model.n} joints, {len(robot_model.spheres)} spheres, {seconds:.0f} s")
     print(
-        f"  cover: {report.coverage:.2%} of every part's surface at least; spheres stand off by {worst * 1e3:.0f} mm "
-        f"at most; {len(robot_model.self_pairs.kept)} pairs of parts kept apart"
+        f"  coverage: at least {report.coverage:.2%} of the surface of every link; spheres exceed it by at most "
+        f"{worst * 1e3:.0f} mm; {len(robot_model.self_pairs.kept)} link pairs checked for self-collision"
     )
     for line in missing_information(robot_model, report):
         print(f"  missing: {line}")
     for title, lines in (
-        ("changed by making again", summarize_changes(written.generator_changes)),
+        ("changed by the import", summarize_changes(written.generator_changes)),
         ("your edits, kept", summarize_changes(written.kept_edits)),
-        ("your edits that found no place", summarize_changes(written.lost_edits)),
+        ("your edits, not applicable", summarize_changes(written.lost_edits)),
     ):
         for line in lines:
             print(f"  {title}: {line}")
     if not written.is_new and not written.generator_changes:
-        print("  made again: nothing changed")
+        print("  imported again: nothing changed")
     width = shutil.get_terminal_size().columns
     print(f"Next: dualbrain robot inspect {folder} --view"[:width])
 
@@ -236,13 +236,13 @@ def _parse_home(given: str) -> tuple[float, ...] | None:
 
 
 def _parse_grip(given: str) -> dict[str, float]:
-    """Least and greatest grip force [N], as far as they are given."""
+    """Minimum and maximum grip force [N], as far as given."""
     try:
         values = [float(value) for value in given.split(",")] if given else []
     except ValueError:
         values = [0.0]
     if len(values) > 2 or any(not value > 0.0 for value in values):
-        raise UsageError("--grip", got=given, allowed="LEAST or LEAST,GREATEST, above 0 N")
+        raise UsageError("--grip", got=given, allowed="MIN or MIN,MAX, above 0 N")
     return dict(zip(("grip_force_min", "grip_force"), values, strict=False))
 
 

@@ -1,4 +1,4 @@
-"""dualbrain robot inspect: what the filter sees of a robot, as a table and in the browser."""
+"""dualbrain robot inspect: show a robot model as tables and in the browser."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ def inspect(
     view: Annotated[bool, Parameter(negative="")] = False,
     port: int = 8081,
 ) -> int:
-    """Show what the filter sees of a robot: bounds with their provenance, spheres, pairs, and what is still missing.
+    """Show the robot model that the filter uses: bounds with provenance, spheres, link pairs, missing information.
 
-    Exit code 0 when nothing is missing, 5 otherwise.
+    Exit code 0 if nothing is missing, 5 otherwise.
 
     Parameters
     ----------
     robot
-        A known name, or a folder that `dualbrain robot init` made.
+        A name, or a folder made by `dualbrain robot init`.
     view
-        Spheres over meshes in the browser, with a slider for every joint; on this machine only.
+        Show spheres and meshes in the browser, with a slider for every joint (loopback interface only).
     port
-        Where the view listens.
+        Port of the view.
     """
     from dualbrain.robots.importer.output.markdown import missing_information
     from dualbrain.robots.importer.output.robot_folder import find_edits, read_import_files
@@ -51,7 +51,8 @@ def inspect(
         console.print(_coverage_table(report))
     kept = len(robot_model.self_pairs.kept)
     console.print(
-        f"{len(robot_model.spheres)} spheres, {kept} pairs of parts kept apart, α at most {robot_model.alpha:.2f}/s"
+        f"{len(robot_model.spheres)} spheres, {kept} link pairs checked for self-collision, "
+        f"α at most {robot_model.alpha:.2f}/s"
     )
     for change in find_edits(folder) if folder.is_dir() else ():
         console.print(f"edited: {change}", markup=False)
@@ -73,7 +74,7 @@ def _bounds_table(robot_model: RobotModel) -> Table:
 
 
 def _coverage_table(report: ImportReport) -> Table:
-    table = Table("part", "group", "spheres", "covered", "stands off [mm]: mean", "worst", box=None, pad_edge=False)
+    table = Table("link", "group", "spheres", "coverage", "excess [mm]: mean", "maximum", box=None, pad_edge=False)
     for link in report.links:
         table.add_row(
             link.link,
@@ -87,36 +88,36 @@ def _coverage_table(report: ImportReport) -> Table:
 
 
 def _serve_view(robot_model: RobotModel, folder: Path, port: int) -> None:
-    """Serve until a key is pressed; without a terminal, not at all (a script that asks is told where to look)."""
+    """Serve the view until Enter is pressed; without a terminal, print its address and close it."""
     from dualbrain.visualization.robot.viewer import RobotViewer
 
-    shapes, why = _load_meshes(folder)
-    if why:
-        print(f"dualbrain: spheres only: {why}", file=sys.stderr)
+    shapes, reason = _load_meshes(folder)
+    if reason:
+        print(f"dualbrain: no meshes: {reason}", file=sys.stderr)
     view = RobotViewer(robot_model, shapes, port)
     try:
-        print(f"Look at {view.url}", flush=True)
+        print(f"view: {view.url}", flush=True)
         if sys.stdin.isatty():
-            input("Enter ends it. ")
+            input("Press Enter to close the view. ")
     finally:
         view.close()
 
 
 def _load_meshes(folder: Path) -> tuple[dict[str, Mesh], str]:
-    """The shapes that the spheres were fitted to, and why there are none."""
+    """The meshes that the spheres were fitted to, and the reason if there are none."""
     from dualbrain.cli.robot.read_description import read_description
     from dualbrain.errors import DualbrainError
     from dualbrain.robots.importer.output.robot_folder import file_sha256, read_import_files
     from dualbrain.robots.importer.output.source_meshes import load_source_meshes
 
-    _, recipe = read_import_files(folder) if folder.is_dir() else (None, None)
-    if recipe is None:
-        return {}, "no description beside this robot"
-    file = Path(recipe.description)
-    if not file.is_file() or file_sha256(file) != recipe.sha256:
-        return {}, f"{file} is gone or has changed since"
+    _, record = read_import_files(folder) if folder.is_dir() else (None, None)
+    if record is None:
+        return {}, "the folder has no import record"
+    file = Path(record.description)
+    if not file.is_file() or file_sha256(file) != record.sha256:
+        return {}, f"{file} does not exist or has changed since the import"
     try:
-        tree = read_description(file, [Path(path) for path in recipe.packages])
-        return load_source_meshes(tree, recipe), ""
+        tree = read_description(file, [Path(path) for path in record.packages])
+        return load_source_meshes(tree, record), ""
     except DualbrainError as error:
         return {}, str(error)

@@ -1,4 +1,4 @@
-"""Which reader a robot's description needs, by its name and its first element."""
+"""Read a robot description; its root element determines the format."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ if TYPE_CHECKING:
 
 
 def read_description(file: Path, packages: Sequence[Path] = ()) -> KinematicTree:
-    """The robot in a URDF, or in an MJCF file (root element <mujoco>).
+    """The kinematic tree of a URDF file or of an MJCF file (root element <mujoco>).
 
     Raises:
-        InvalidSetup: the file is hostile, not well-formed or neither of the two.
-        MissingPart: a mesh or library is not there.
+        ConfigurationError: The file is unsafe, not well-formed, or neither URDF nor MJCF.
+        MissingDependencyError: A mesh or library is missing.
     """
     from dualbrain.robots.assets.safe_xml import read_xml
 

@@ -1,4 +1,4 @@
-"""dualbrain check: what the gate says of a contract."""
+"""dualbrain check: check a contract file with the gate."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ def check(
     /,
     *,
     robot: str = "panda",
-    scene: Annotated[str, Parameter(help="scene number, FAMILY:SEED or file")] = "0",
+    scene: Annotated[str, Parameter(help="a number, FAMILY:SEED or a scene file")] = "0",
 ) -> int:
     """Check a contract file against a robot's skills and a scene, and print the verdict as one JSON object.
 
-    The verdict has `accepted`, and on refusal `stage` (syntax, authorization or envelope), `pointer`, `got`, `allowed`
-    and `hint`. Exit code 0 when accepted, 3 when rejected.
+    The verdict has `accepted`, and for a rejection `stage` (syntax, authorization or envelope), `pointer`, `got`,
+    `allowed` and `hint`. Exit code 0 when accepted, 3 when rejected.
 
     Parameters
     ----------
     contract
-        The contract's JSON file, or - for standard input.
+        Contract file (JSON), or - for standard input.
     """
     from dualbrain.contracts.verdict import Accepted
     from dualbrain.grounding.offline_gate import check_contract
@@ -37,8 +37,8 @@ def check(
     try:
         data = sys.stdin.buffer.read() if str(contract) == "-" else contract.read_bytes()
     except OSError as error:
-        raise ConfigurationError(
-            "contract file", got=error.strerror, allowed="a readable file", fix=str(contract)
+        raise ConfigurationError.stating(
+            f"The contract file could not be read: {error.strerror}.", fix=str(contract)
         ) from error
     verdict = check_contract(data, robot=robot, scene=scene)
     accepted = isinstance(verdict, Accepted)

@@ -1,4 +1,4 @@
-"""dualbrain fault: break one thing at one moment of a simulated pick and place, and see what the supervisor does."""
+"""dualbrain fault: inject one fault into a simulated pick and place, and report the reaction of the supervisor."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ def fault(
     seed: int = 0,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Inject a fault; simulation only. Exit 0 if the declared order came and nothing unsafe did, 4 if something did.
+    """Inject a fault in simulation. Exit code 0 if the supervisor reacts as specified, 4 if a violation is observed.
 
     Parameters
     ----------
     source
-        What breaks: joint states, perceived scene, clock, QP, drive; planner or socket, at a gatekeeper's door.
+        Faulty component: joint states, perceived scene, clock, QP, drive; planner or socket, behind a gatekeeper.
     kind
-        How it breaks.
+        Kind of the fault.
     moment
-        When it strikes; acknowledgement: between a command and the state that answers it; drawn: one of these, by seed.
+        Moment of the fault. acknowledgement: between a command and the state that answers it; drawn: drawn by the seed.
     scene
-        Which world, with a red cube and a blue bowl in it; for a base one with a shelf (boxes:0, crossing:1).
+        A scene with a red cube and a blue bowl; for a base a scene with a shelf (boxes:0, crossing:1).
     robot
-        Which body.
+        The robot.
     seed
-        What is random about the fault (its moment, too, if that is drawn), and everything random after the scene.
+        Seed of the fault (and of a drawn moment) and of the perception noise.
     json
         Print the report as one JSON object on stdout.
     """
@@ -55,9 +55,9 @@ def fault(
     report = run_fault_trial(Fault(source, kind, when, seed), robot=robot, scene=scene, seed=seed)
     if json:
         print_result(msgspec.json.encode(report).decode())
-    struck = "its moment never came" if report.struck is None else f"struck at {report.struck:.2f} s"
-    said = f"expected {report.expected}, reached {report.reached} ({', '.join(report.checks) or 'no check'})"
-    print(f"{report.fault}: {struck}; {said}; {report.outcome}: {report.reason}", file=sys.stderr)
+    struck = "not injected: its moment never came" if report.struck is None else f"injected at {report.struck:.2f} s"
+    reaction = f"expected {report.expected}, reached {report.reached} ({', '.join(report.checks) or 'no check'})"
+    print(f"{report.fault}: {struck}; {reaction}; {report.outcome}: {report.reason}", file=sys.stderr)
     for one in report.unsafe:
         print(f"violation {one.kind} at {one.start:.2f} s: {' × '.join(one.bodies)}", file=sys.stderr)
     if not report.safe:

@@ -29,20 +29,20 @@ MAX_LINES = 12
 
 
 class LiveFeed:
-    """Turns moments of the loop into states of the view; running averages are kept over what it is shown."""
+    """Converts snapshots of the control loop into states of the live view; averages cover the snapshots received."""
 
     def __init__(self, session: Session, backend: GatekeeperBackend | None, port: int, console: Console) -> None:
-        """Open the view and print its address; with a gatekeeper the view has the operator's buttons."""
-        self._body = session.robot_model
+        """Open the view and print its address; with a gatekeeper the view has operator buttons."""
+        self._robot_model = session.robot_model
         self._plant = session.plant
         self._kinematics = SafetyFilter(session.robot_model)
         code = secrets.token_urlsafe(9)
-        board = OperatorAccess(backend.operate, code) if backend is not None else None
+        access = OperatorAccess(backend.operate, code) if backend is not None else None
         self._view = LiveView(
             session.robot_model,
             port,
             instruction=session.config.instruction,
-            access=board,
+            access=access,
             link_meshes=link_meshes(session.plant),
         )
         self._lines: deque[str] = deque(maxlen=MAX_LINES)
@@ -52,16 +52,18 @@ class LiveFeed:
         if self._view.notice:
             console.print(f"[yellow]{self._view.notice}[/]")
         console.print(f"live view: [bold]{self._view.url}[/]")
-        if board:
-            console.print(f"its buttons: anyone may stop the arm, the rest need the operator's code [bold]{code}[/]")
+        if access:
+            console.print(
+                f"buttons: the emergency stop needs no code; all others need the operator code [bold]{code}[/]"
+            )
 
     def on_event(self, event: Event) -> None:
-        """Show a line of news."""
+        """Show an event as a line of text."""
         if event.kind != "perception":
             self._lines.append(f"{event.t:.1f} s  {event.text}")
 
     def on_tick(self, moment: TickSnapshot) -> None:
-        """Show a tick of the loop."""
+        """Show a tick of the control loop."""
         state, result = moment.state, moment.result
         if moment.action >= 0:
             self._deltas.append(result.delta)
@@ -72,7 +74,7 @@ class LiveFeed:
             "delta": result.delta,
             "Delta": float(np.mean(self._deltas)) if self._deltas else 0.0,
             "intervention_frequency": float(np.mean(np.array(self._deltas) > DEAD_BAND)) if self._deltas else 0.0,
-            **commanded_speeds(self._body, result.u),
+            **commanded_speeds(self._robot_model, result.u),
             "elapsed": state.stamp,
             "phase": f"{moment.skill}: {moment.nominal.phase}",
             "status": result.status.name,
@@ -94,7 +96,7 @@ class LiveFeed:
         )
 
     def on_tick_report(self, report: TickReport) -> None:
-        """Show a tick of a gatekeeper's loop, as it was told over the socket."""
+        """Show a tick of a gatekeeper's control loop, received over the socket."""
         if report.in_contract:
             self._deltas.append(report.delta)
             self._h_min = min(self._h_min, inf if report.h_min is None else report.h_min)
@@ -106,7 +108,7 @@ class LiveFeed:
             "delta": report.delta,
             "Delta": float(np.mean(self._deltas)) if self._deltas else 0.0,
             "intervention_frequency": float(np.mean(np.array(self._deltas) > DEAD_BAND)) if self._deltas else 0.0,
-            **commanded_speeds(self._body, np.array(report.u)),
+            **commanded_speeds(self._robot_model, np.array(report.u)),
             "elapsed": report.t,
             "phase": f"{report.skill}: {report.phase}{order}",
             "status": report.status,
@@ -130,10 +132,10 @@ class LiveFeed:
         )
 
     def finish(self, episode: Episode, *, stay: bool) -> None:
-        """Show the end; with `stay` and a terminal, keep the page until Ctrl-C."""
+        """Show the result; with `stay` and a terminal, keep the page open until Ctrl-C."""
         self._view.finish(episode)
         if stay and sys.stdin.isatty():
-            self._console.print("the live view stays open: Ctrl-C to leave")
+            self._console.print("The live view stays open. Ctrl-C closes it.")
             try:
                 while True:
                     time.sleep(0.5)
@@ -143,5 +145,5 @@ class LiveFeed:
 
 
 def _margins(scene: Scene) -> dict[str, float]:
-    """How far the filter inflates each thing [m]."""
+    """Margin of the filter around each object [m]."""
     return {one.name: one.margin for one in obstacles_from_scene(scene, known=(), held=None)}

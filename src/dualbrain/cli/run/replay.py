@@ -1,4 +1,4 @@
-"""dualbrain replay: compute a recorded run again and compare bit for bit."""
+"""dualbrain replay: recompute a recorded run and compare it bit for bit."""
 
 from __future__ import annotations
 
@@ -14,22 +14,24 @@ from dualbrain.cli.common.exit_codes import ExitCode
 
 
 def replay(recording: Path, /, *, json: Annotated[bool, Parameter(negative="")] = False) -> int:
-    """Recompute every control of a recording from its recorded inputs; exit 0 only if all are identical.
+    """Recompute every control of a recording from its recorded inputs. Exit code 0 only if all are identical.
 
     Parameters
     ----------
     recording
-        RUN/episode.mcap
+        The recording: RUN/episode.mcap.
     json
         Print one JSON object on stdout.
     """
-    from dualbrain.control.recording.replay import replay as compute_again
+    from dualbrain.control.recording.replay import replay as recompute
 
-    result = compute_again(recording)
+    result = recompute(recording)
     if json:
         print_result(msgspec.json.encode({"identical": result.identical, **msgspec.to_builtins(result)}).decode())
-    word = "identical, bit for bit" if result.identical else f"{result.differing} differ, first at tick {result.first}"
-    print(f"{recording.name}: {result.ticks} controls computed again: {word}", file=sys.stderr)
+    comparison = (
+        "identical, bit for bit" if result.identical else f"{result.differing} differ, first at tick {result.first}"
+    )
+    print(f"{recording.name}: {result.ticks} controls recomputed: {comparison}", file=sys.stderr)
     if not result.complete:
-        print(f"the recording is not complete: {result.problem or 'messages were lost'}", file=sys.stderr)
+        print(f"The recording is incomplete: {result.problem or 'messages were lost'}.", file=sys.stderr)
     return ExitCode.SUCCESS if result.identical else ExitCode.FAILED_SAFELY

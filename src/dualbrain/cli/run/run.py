@@ -55,8 +55,8 @@ def run(
         A number, FAMILY:SEED (bare, tabletop, tall, shelf, forearm, edge, fragile, sorting; for a base boxes, crossing,
         aisles; for mobile_panda workroom, busy_workroom), or a scene file.
     planner
-        A name from `dualbrain models list`, an adapter (`adapter:ID`, `adapter:champion`), a GGUF file, or the URL of an
-        OpenAI-compatible server (its key is read from OPENAI_API_KEY). Default: qwen2.5-coder-1.5b-instruct, or a
+        A name from `dualbrain models list`, an adapter (`adapter:ID`, `adapter:champion`), a GGUF file, or the URL of
+        an OpenAI-compatible server (its key is read from OPENAI_API_KEY). Default: qwen2.5-coder-1.5b-instruct, or a
         packaged planner if that model is not downloaded.
     filter
         "off" sends the nominal control unfiltered, for comparison in simulation only.
@@ -92,8 +92,8 @@ def run(
         Intervention threshold ε: a successful episode with Δ > ε lowers the weights of the memories it used. Set it to
         the median Δ of pilot successes of your robot.
     map
-        MAP:FRAME, a map among the documents and its frame at the robot's base: adds its named places on the table to the
-        scene; for a base its places on the floor and the regions in which it may drive.
+        MAP:FRAME, a map among the documents and its frame at the robot's base: adds its named places on the table to
+        the scene; for a base its places on the floor and the regions in which it may drive.
     live
         Run in real time in two processes: a gatekeeper owns robot, filter and supervisor, and survives the planner.
     speed

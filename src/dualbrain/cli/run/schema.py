@@ -1,4 +1,4 @@
-"""dualbrain schema: the contract schema that a robot's skills generate."""
+"""dualbrain schema: print the contract schema of a robot."""
 
 from __future__ import annotations
 
@@ -15,20 +15,18 @@ def schema(
     *,
     robot: str = "panda",
     scene: str = "0",
-    form: Annotated[
-        Literal["validation", "decoding", "short"], Parameter(help="which of the generated forms")
-    ] = "validation",
+    form: Annotated[Literal["validation", "decoding", "short"], Parameter(help="form of the schema")] = "validation",
 ) -> int:
     """Print the Draft-07 JSON Schema of a robot's contracts, with the names of a scene.
 
     Parameters
     ----------
     robot
-        Whose skills.
+        The robot whose skills are described.
     scene
-        The scene whose object and place names are offered: a number or a scene file.
+        The scene whose object and place names are allowed: a number, FAMILY:SEED or a scene file.
     form
-        `validation` is what the gate enforces, `decoding` what constrained decoders get, `short` what the prompt says.
+        `validation`: enforced by the gate; `decoding`: for constrained decoders; `short`: text form of the prompt.
     """
     from dualbrain.grounding.vocabulary import load_skill_registry, scene_names_of_spec
     from dualbrain.simulation.scenes.generators.catalogue import open_scene

@@ -1,4 +1,4 @@
-"""Pictures of a run, taken at the moments that tell its story."""
+"""Images of a run, taken at the first tick of selected phases."""
 
 from __future__ import annotations
 
@@ -11,46 +11,46 @@ from dualbrain.simulation.plant.plant import Plant
 from dualbrain.visualization.html.run_report import Snapshot
 
 PHASE_CAPTIONS = {
-    "planning": "the planner thinks",
-    "descend": "coming down",
-    "close": "the fingers close",
+    "planning": "planning",
+    "descend": "descending",
+    "close": "closing the fingers",
     "carry": "carrying",
     "lower": "lowering",
-    "retreat": "letting go",
-    "drive": "setting off",
+    "retreat": "releasing",
+    "drive": "driving",
     "turn": "turning",
     "wait": "waiting for a person",
 }
 
 
 class PhaseCamera:
-    """Takes one picture at the first of each telling phase; without a GL library it stays empty and says why."""
+    """Takes one image at the first tick of each captioned phase; without a GL library it takes none and reports why."""
 
     def __init__(self, plant: Plant, console: Console, no_graphics: str = "") -> None:
-        """Open the camera; `no_graphics` is why no GL library is in use, if that is so."""
+        """Open the camera; `no_graphics` is the reason why no GL library is used, "" if one is."""
         self._plant, self._console = plant, console
         self._seen: set[str] = set()
         self.snapshots: list[Snapshot] = []
         self._camera: Camera | None = None
         try:
             self._camera = Camera(plant)
-        except MissingDependencyError as why:
-            console.print(f"[yellow]no pictures:[/] {escape(no_graphics or str(why))}")
+        except MissingDependencyError as error:
+            console.print(f"[yellow]no images:[/] {escape(no_graphics or str(error))}")
 
     def on_phase(self, phase: str) -> None:
-        """A phase begins."""
+        """Take an image if `phase` is captioned and new."""
         if phase in PHASE_CAPTIONS and phase not in self._seen:
             self._seen.add(phase)
             self.take_snapshot(PHASE_CAPTIONS[phase])
 
     def take_snapshot(self, caption: str) -> None:
-        """Take a picture now; a camera that fails is not asked again: no picture is worth a run."""
+        """Take an image now; after an error the camera is not used again, and the run continues."""
         if self._camera:
             try:
                 self.snapshots.append(Snapshot(self._plant.now, caption, self._camera.capture().copy()))
-            except Exception as why:
+            except Exception as error:
                 self._camera = None
-                self._console.print(f"[yellow]no more pictures:[/] {escape(str(why))}")
+                self._console.print(f"[yellow]no more images:[/] {escape(str(error))}")
 
     def close(self) -> None:
         """Release the camera."""
