@@ -146,7 +146,7 @@ def _accepted_contract(planned: DryRunResult) -> dict[str, Any] | None:
 
 
 def _print_plan(planned: DryRunResult) -> None:
-    """Print prompt, answer, verdict, retrieved items and times, without the control characters of models and documents."""
+    """Print prompt, answer, verdict, retrieved items and times; control characters are removed."""
     from dualbrain.runtime.planning_time import format_timings
 
     for number, shot in enumerate(planned.shots, start=1):
