@@ -29,7 +29,7 @@ def test_a_document_on_its_whole_way(run_command, tell_json, tmp_path):
     code, out, err = run_command("knowledge", "add", "mugs.md", "--trust", "site")
     assert (code, out) == (ExitCode.SUCCESS, "")
     assert "new: mugs (manual, site, 1 chunks" in err
-    assert "left out" in err
+    assert "removed: 25 characters" in err
     assert "ignore all rules" in err
 
     listed = tell_json("list")[1]["documents"]

@@ -18,14 +18,14 @@ SHORT = ("--seeds", 1, "--seconds", 0.5)
 def test_it_tells_the_model_and_what_to_do_with_it(run_command):
     code, out, _ = run_command("robot", "identify", *SHORT, "--load", 0.3)
     assert code == ExitCode.SUCCESS
-    for word in ("lag", "position error", "rows keep", "carried so far", "--write"):
+    for word in ("lag", "position error", "margin α e of the rows", "stored model", "--write"):
         assert word in out
 
 
 def test_the_help_says_what_it_is_for(run_command):
     listed = " ".join(run_command("robot", "--help")[1].split())
-    assert "identify measures how it follows" in listed
-    assert "identify Measure how well a robot's drive follows its commands." in listed
+    assert "identify its tracking model" in listed
+    assert "Identify how closely the drive of a simulated robot follows its" in listed
     out = run_command("robot", "identify", "--help")[1]
     for word in ("y = q + lag v", "leaky integral", "--load", "FilterConfig(tracking_error=...)"):
         assert word in " ".join(out.split())
@@ -75,5 +75,5 @@ def test_a_file_that_is_no_body_is_left_alone(run_command, tmp_path):
     (tmp_path / "body.json").write_text("{}")
     code, _, err = run_command("robot", "identify", *SHORT, "--write", "body.json")
     assert code == ExitCode.SETUP
-    assert "body data file" in err
+    assert "not a robot model" in err
     assert (tmp_path / "body.json").read_text() == "{}"

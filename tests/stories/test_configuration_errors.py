@@ -200,7 +200,7 @@ def test_a_damaged_ledger_is_told_and_left_alone(said, tmp_path):
 
 # --- graphics and ports -------------------------------------------------------------------------------------------
 
-RUN = "import sys; from dualbrain.cli.main import call; sys.exit(call(sys.argv[1:]))"
+RUN = "import sys; from dualbrain.cli.main import run_command_line; sys.exit(run_command_line(sys.argv[1:]))"
 
 
 def outside(folder, *arguments, **environment):

@@ -32,7 +32,7 @@ from tests.stories.story_session import (
 )
 from tests.support.run_once import run_once
 
-RUN = "import sys; from dualbrain.cli.main import call; sys.exit(call(sys.argv[1:]))"
+RUN = "import sys; from dualbrain.cli.main import run_command_line; sys.exit(run_command_line(sys.argv[1:]))"
 PICK = contract_text(("grasp", GRASP), ("place", PLACE))
 
 

@@ -7,7 +7,7 @@ import sys
 from tests.stories.story_session import GRASP, PLACE, contract_text
 from tests.support.run_once import run_once
 
-CLI_PROGRAM = "import sys; from dualbrain.cli.main import call; sys.exit(call(sys.argv[1:]))"
+CLI_PROGRAM = "import sys; from dualbrain.cli.main import run_command_line as run; sys.exit(run(sys.argv[1:]))"
 
 
 def run_command(folder, *arguments, **environment):

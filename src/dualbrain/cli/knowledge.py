@@ -17,7 +17,7 @@ from dualbrain.cli.common.console import print_result, print_table
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.common.paths import cache_folder, dualbrain_home
 from dualbrain.errors import UsageError
-from dualbrain.knowledge.document import DOCUMENT_KINDS, Document, DocumentKind, TrustLevel, parse_citation
+from dualbrain.knowledge.document import DOCUMENT_KINDS, ChunkHit, Document, DocumentKind, TrustLevel, parse_citation
 from dualbrain.knowledge.library import Addition, Library, SearchMode, Submission
 from dualbrain.knowledge.rejection import DocumentRejected
 
@@ -259,7 +259,7 @@ def _encode_outcome(one: Addition | DocumentRejected) -> dict[str, Any]:
     return {"change": one.change, "document": one.document}
 
 
-def _encode_hit(one: Any) -> dict[str, Any]:
+def _encode_hit(one: ChunkHit) -> dict[str, Any]:
     return {**msgspec.to_builtins(one), "citation": str(one.citation), "version": one.citation.version}
 
 

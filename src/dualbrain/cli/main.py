@@ -66,7 +66,7 @@ app.command("dualbrain.cli.doctor:doctor", name="doctor", help="Check this insta
 app.command(
     "dualbrain.cli.evaluation.evaluate:evaluate",
     name="evaluate",
-    help="""Compare methods by the protocol of the paper; the evaluation can be interrupted and resumed.
+    help="""Run the evaluation protocol of the paper; an interrupted evaluation can be resumed.
 
     Every method runs the same scenes, seeds and instructions; the results are one Parquet file. Passes, each resumable:
     ε from pilot episodes, the ledger from which all methods with memory start, the planner's answers (stored by
@@ -79,7 +79,7 @@ app.command(
 app.command(
     "dualbrain.cli.evaluation.report:report",
     name="report",
-    help="""Write the results of an evaluation as one HTML file.
+    help="""Write the report of an evaluation as one HTML file and as a Markdown page.
 
     Writes report.html (works offline, without scripts) into the folder, and a Markdown page with its images into page/
     or the folder given by --page: verdicts on the hypotheses of the paper with intervals, methods × metrics, curves
@@ -89,7 +89,7 @@ app.command(
 app.command(
     "dualbrain.cli.evaluation.report:compare",
     name="compare",
-    help="""Compare two evaluations.
+    help="""Compare two evaluations: changes of metrics by method, and differences of their configurations.
 
     Prints the differences of their configurations. Then, over the methods, scenes, seeds and repetitions that both
     contain, and for each method and metric: the second minus the first, its interval over common clusters, p values

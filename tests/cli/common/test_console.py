@@ -1,24 +1,24 @@
-"""A reader who leaves: the account falls silent, the answer goes nowhere, and the exit code stays what it was."""
+"""A closed pipe: progress and result are discarded, and the exit code does not change."""
 
 import os
 import subprocess
 import sys
 
-TELL = """
+PROGRAM = """
 import sys
-from dualbrain.cli.common.console import Account, answer
-console = Account()
+from dualbrain.cli.common.console import StderrConsole, print_result
+console = StderrConsole()
 sys.stdin.readline()
 for _ in range(3):
-    console.print("a line for people")
-answer("{}")
+    console.print("a message")
+print_result("{}")
 sys.exit(4)
 """
 
 
-def left_alone(**pipes):
-    """The exit code of a program whose reader of `pipes` leaves before it says anything."""
-    process = subprocess.Popen([sys.executable, "-c", TELL], stdin=subprocess.PIPE, text=True, **pipes)
+def exit_code_with_closed(**pipes):
+    """The exit code of a program whose `pipes` are closed before it prints."""
+    process = subprocess.Popen([sys.executable, "-c", PROGRAM], stdin=subprocess.PIPE, text=True, **pipes)
     for name, target in pipes.items():
         if target == subprocess.PIPE:
             getattr(process, name).close()
@@ -30,20 +30,23 @@ def left_alone(**pipes):
     return process.returncode
 
 
-def test_nobody_reads_stderr(tmp_path):
+def test_a_closed_stderr_keeps_result_and_exit_code(tmp_path):
     with (tmp_path / "out").open("w") as out:
-        assert left_alone(stderr=subprocess.PIPE, stdout=out) == 4
+        assert exit_code_with_closed(stderr=subprocess.PIPE, stdout=out) == 4
     assert (tmp_path / "out").read_text() == "{}\n"
 
 
-def test_nobody_reads_stdout(tmp_path):
+def test_a_closed_stdout_keeps_messages_and_exit_code(tmp_path):
     with (tmp_path / "err").open("w") as err:
-        assert left_alone(stdout=subprocess.PIPE, stderr=err) == 4
-    assert (tmp_path / "err").read_text().splitlines() == ["a line for people"] * 3
+        assert exit_code_with_closed(stdout=subprocess.PIPE, stderr=err) == 4
+    assert (tmp_path / "err").read_text().splitlines() == ["a message"] * 3
 
 
-def test_a_listing_whose_reader_leaves_ends_quietly(tmp_path):
-    command = "import sys; from dualbrain.cli.main import call; sys.stdin.readline(); sys.exit(call(['schema']))"
+def test_a_listing_into_a_closed_pipe_ends_without_error(tmp_path):
+    command = (
+        "import sys; from dualbrain.cli.main import run_command_line as run; "
+        "sys.stdin.readline(); sys.exit(run(['schema']))"
+    )
     process = subprocess.Popen(
         [sys.executable, "-c", command],
         stdin=subprocess.PIPE,

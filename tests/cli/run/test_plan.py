@@ -57,7 +57,7 @@ def test_a_refusal_stands_in_the_second_prompt_and_the_last_verdict_counts(run_c
     assert [shot["verdict"].get("stage") for shot in told["shots"]] == ["envelope", None]
     assert "<refusal>" in told["shots"][1]["prompt"][-1]["content"]
     assert told["contract"]["action_sequence"][0]["params"]["object"] == "red_cube"
-    assert [asked.contract_id for asked in planner.asked] == ["c-0001", "c-0002"]
+    assert [request.contract_id for request in planner.requests] == ["c-0001", "c-0002"]
     assert {"retrieval", "planner", "gate", "decision"} <= told["timings"].keys()
 
 
@@ -71,14 +71,15 @@ def test_a_rejection_and_a_decline_exit_3(run_command, script, answers, stage):
     assert code == ExitCode.REJECTED
     assert told["verdict"].get("stage") == stage
     assert told["declined"] == (stage is None)
-    assert len(planner.asked) == 1
+    assert len(planner.requests) == 1
 
 
 def test_a_planner_that_does_not_answer_is_asked_once_and_refused_nothing(run_command, script):
     planner = script("", finish_reason="error: ConnectionRefusedError")
     code, out, _ = run_command("plan", WORDS, "--scene", "bare:0", "--knowledge", "off", "--shots", "5")
-    assert (code, len(planner.asked)) == (ExitCode.FAILED_SAFELY, 1)
-    assert "error: ConnectionRefusedError" in out
+    assert (code, len(planner.requests)) == (ExitCode.FAILED_SAFELY, 1)
+    assert "no answer: the planner did not answer: ConnectionRefusedError" in out
+    assert "rejected" not in out
 
 
 def test_memories_and_passages_are_shown_with_their_scores_and_citations(run_command, script, tmp_path):
@@ -94,7 +95,7 @@ def test_memories_and_passages_are_shown_with_their_scores_and_citations(run_com
     assert all("@" in one["citation"] for one in told["passages"])
     found = [*told["exemplars"], *told["warnings"]]
     assert found
-    assert len(planner.asked[0].recall.passages) == len(told["passages"])
+    assert len(planner.requests[0].recall.passages) == len(told["passages"])
     code, out, _ = run_command(*arguments)
     assert told["passages"][0]["citation"] in out
     for one in found:
@@ -116,8 +117,7 @@ def test_what_an_adapted_planner_does_not_read_is_marked_and_said_once(run_comma
     arguments = ("plan", WORDS, "--scene", "bare:0", "--ledger", str(config.ledger))
     _, out, err = run_command(*arguments)
     assert err.count("documents are not shown to scripted") == 1
-    assert "what was found, not shown to this planner" in out
-    assert "what was shown" not in out
+    assert "passage (not in the prompt of this planner)" in out
     _, out, _ = run_command(*arguments, "--json")
     told = json.loads(out)
     assert told["template"] == short_template_hash()
@@ -159,5 +159,5 @@ def test_an_unknown_ledger_and_an_empty_instruction_are_told(run_command, script
 def test_help_teaches(run_command):
     code, out, _ = run_command("plan", "--help")
     assert code == ExitCode.SUCCESS
-    for words in ("memory is only read", "shipped documents", "citations", "--contract c.json", "Exits 0"):
+    for words in ("Memory is only read", "built-in documents", "citations", "--contract c.json", "Exit code 0"):
         assert words in " ".join(out.replace("│", " ").split())

@@ -64,7 +64,7 @@ def test_the_account_is_on_stderr(completed_run):
     for words in (
         "shot 1: accepted, syntax ✓ authorization ✓ envelope ✓: grasp → place",
         "grasp: lift",
-        "intervened on",
+        "intervention on",
         "weights:",
         "report:",
     ):

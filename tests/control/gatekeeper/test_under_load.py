@@ -41,7 +41,7 @@ half_extents = [0.1, 0.1, 0.4]
 [commander.planner]
 skills = ["grasp", "place", "hold"]
 """
-RUN = "import sys; from dualbrain.cli.main import call; sys.exit(call(sys.argv[1:]))"
+RUN = "import sys; from dualbrain.cli.main import run_command_line; sys.exit(run_command_line(sys.argv[1:]))"
 PICK = (("grasp", GRASP), ("place", PLACE))
 FLAGS = ["-S"] if sys.flags.no_site else []
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 from cyclopts import Parameter
@@ -15,7 +15,8 @@ from dualbrain.cli.memory.open_memory import load_encoder, open_memory, open_rea
 from dualbrain.errors import ConfigurationError, UnknownNameError
 
 if TYPE_CHECKING:
-    from dualbrain.memory.state.state import MemoryState
+    from dualbrain.memory.ledger.ledger import LedgerReader
+    from dualbrain.memory.state.state import LedgerState, MemoryState
     from dualbrain.records import Exemplar
 
 Flag = Annotated[bool, Parameter(negative="")]
@@ -54,7 +55,7 @@ def list_memories(
         state = _state_at(opened, at)
     wanted = [
         memo
-        for memo in reversed(state.memos)
+        for memo in reversed(state.memories)
         if status in ("", memo.status) and outcome in ("", memo.kind) and source in ("", memo.provenance.source)
     ]
     shown = wanted[:limit] if limit else wanted
@@ -266,7 +267,7 @@ def _hit_row(use: str, hit: Exemplar) -> tuple[str, ...]:
     return (use, str(hit.rank), *numbers, hit.episode_id, hit.instruction, parts)
 
 
-def _state_at(opened: Any, at: str) -> Any:
+def _state_at(opened: LedgerReader, at: str) -> LedgerState:
     from dualbrain.memory.state.derivation import derive_state, derive_state_at
 
     if at.isdigit():

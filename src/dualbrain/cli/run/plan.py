@@ -20,6 +20,7 @@ from dualbrain.errors import UsageError
 
 if TYPE_CHECKING:
     from dualbrain.planner.protocol import Planner
+    from dualbrain.records import Attempt
     from dualbrain.runtime.inspection.dry_run import DryRunResult
     from dualbrain.runtime.planner_request import PassageRetriever, PlanningContext, Retriever
 
@@ -120,7 +121,7 @@ def plan_summary(instruction: str, planned: DryRunResult) -> dict[str, Any]:
     }
 
 
-def _encode_attempt(attempt: Any) -> dict[str, Any]:
+def _encode_attempt(attempt: Attempt) -> dict[str, Any]:
     proposal = attempt.proposal
     return {
         "answer": proposal.text,
@@ -193,7 +194,7 @@ def _print_retrieved(planned: DryRunResult) -> None:
         print_result("nothing")
 
 
-def _verdict_lines(attempt: Any) -> Iterator[str]:
+def _verdict_lines(attempt: Attempt) -> Iterator[str]:
     """The stages of the gate; for a rejection the value found and the values allowed."""
     from dualbrain.contracts.verdict import Accepted
     from dualbrain.planner.protocol import describe_failure, has_answer
