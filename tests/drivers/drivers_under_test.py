@@ -1,4 +1,4 @@
-"""Fresh subjects for the laws: the simulated arms and the fakes of two makers' interfaces."""
+"""New drivers for the conformance test: the simulated arms, and the fakes of two vendors' libraries."""
 
 from functools import partial
 

@@ -1,4 +1,4 @@
-"""Hardware is opened only with a sealed record of answers that will do, for this body at this site."""
+"""Hardware is opened only with a commissioning record of acceptable answers for this robot at this site."""
 
 from pathlib import Path
 
@@ -65,25 +65,20 @@ def lab(tmp_path):
     return tmp_path
 
 
-def told(folder, **changes):
-    text = (folder / "answers.toml").read_text()
-    for old, new in changes.values():
-        assert old in text
-        text = text.replace(old, new)
-    (folder / "answers.toml").write_text(text)
+def flawed_entries(folder):
     file = read_site(folder / "lab.toml")
     robot_model = site_robot(load_robot("fr3"), file)
     return [flaw.item for flaw in find_flaws(read_checklist(folder / "answers.toml"), robot_model, file.site, KIND)]
 
 
-def command(folder, *more):
+def commission(folder, *options):
     site = str(folder / "lab.toml")
     return run_command_line(
-        ["robot", "commission", str(folder / "answers.toml"), "--driver", "franka", "--site", site, *more]
+        ["robot", "commission", str(folder / "answers.toml"), "--driver", "franka", "--site", site, *options]
     )
 
 
-def plan(folder, driver="franka"):
+def gatekeeper_config(folder, driver="franka"):
     record = folder / "answers.sealed.json"
     return GatekeeperConfig(
         robot="fr3",
@@ -97,14 +92,14 @@ def plan(folder, driver="franka"):
     )
 
 
-def test_answers_that_will_do_are_sealed_and_open_the_arm(lab, capsys):
-    assert command(lab) == 0
-    assert command(lab, "--check") == 0
+def test_acceptable_answers_are_recorded_and_open_the_arm(lab, capsys):
+    assert commission(lab) == 0
+    assert commission(lab, "--check") == 0
     assert "A. Tester" in capsys.readouterr().err
-    place = Deployment.from_config(plan(lab))
-    assert place.driver is KIND
-    assert place.filter_config.jerk_limits
-    assert [one.name for one in place.fixed_obstacles] == ["table"]
+    deployment = Deployment.from_config(gatekeeper_config(lab))
+    assert deployment.driver is KIND
+    assert deployment.filter_config.jerk_limits
+    assert [obstacle.name for obstacle in deployment.fixed_obstacles] == ["table"]
 
 
 @pytest.mark.parametrize(
@@ -127,35 +122,37 @@ def test_answers_that_will_do_are_sealed_and_open_the_arm(lab, capsys):
         ("reset_in_two_steps = true", "reset_in_two_steps = false", "estop.reset_in_two_steps"),
     ],
 )
-def test_an_answer_that_will_not_do_is_named_and_nothing_is_sealed(lab, capsys, old, new, item):
-    assert told(lab, one=(old, new))[0] == item
-    assert command(lab) == 1
+def test_an_unacceptable_answer_is_named_and_nothing_is_recorded(lab, capsys, old, new, item):
+    assert old in GOOD
+    (lab / "answers.toml").write_text(GOOD.replace(old, new))
+    assert flawed_entries(lab)[0] == item
+    assert commission(lab) == 1
     assert item in capsys.readouterr().err
     assert not (lab / "answers.sealed.json").exists()
 
 
-def test_our_limits_lie_strictly_inside_the_makers(lab):
-    """The shipped body has the maker's own numbers: without a site that narrows it, every joint is a flaw."""
+def test_limits_must_be_strictly_inside_those_of_the_manufacturer(lab):
+    """The packaged model has the manufacturer's limits: without a site that narrows them, every joint is a flaw."""
     robot_model = load_robot("fr3")
-    sides = {flaw.item.split(" of ")[0] for flaw in find_limit_flaws(robot_model, KIND)}
-    assert sides == {"velocity", "acceleration", "jerk"}
+    limits = {flaw.item.split(" of ")[0] for flaw in find_limit_flaws(robot_model, KIND)}
+    assert limits == {"velocity", "acceleration", "jerk"}
     assert len(find_limit_flaws(robot_model, KIND)) == 3 * robot_model.n
     assert find_limit_flaws(site_robot(robot_model, read_site(lab / "lab.toml")), KIND) == ()
     ur = find_driver_kind("ur", "ur5e")
     assert {flaw.item.split(" of ")[0] for flaw in find_limit_flaws(load_robot("ur5e"), ur)} == {"range", "velocity"}
 
 
-def test_the_template_is_the_checklist_with_everything_still_to_answer(lab):
+def test_the_template_is_a_checklist_whose_entries_are_all_to_be_filled_in(lab):
     (lab / "answers.toml").unlink()
-    assert command(lab) == 1
+    assert commission(lab) == 1
     assert (lab / "answers.toml").read_text() == TEMPLATE.format(robot="fr3", driver="franka")
-    assert len(told(lab)) >= 10
-    assert command(lab) == 1
+    assert len(flawed_entries(lab)) >= 10
+    assert commission(lab) == 1
 
 
-def test_without_a_record_the_gatekeeper_says_what_to_do(lab, capsys):
+def test_without_a_record_the_gatekeeper_names_the_command_that_makes_one(lab, capsys):
     with pytest.raises(NotCommissionedError, match="dualbrain robot commission"):
-        Deployment.from_config(plan(lab))
+        Deployment.from_config(gatekeeper_config(lab))
     assert (
         run_command_line(
             [
@@ -177,31 +174,31 @@ def test_without_a_record_the_gatekeeper_says_what_to_do(lab, capsys):
         == 5
     )
     assert not (lab / "s").exists()
-    assert "Ctrl-C" not in capsys.readouterr().err, "what was refused does not run"
+    assert "Ctrl-C" not in capsys.readouterr().err, "the gatekeeper must not start"
 
 
-def test_the_plant_and_the_fakes_need_none(lab):
-    assert Deployment.from_config(plan(lab, "fake_franka")).driver.name == "fake_franka"
-    assert Deployment.from_config(msgspec.structs.replace(plan(lab), driver="")).driver is None
+def test_the_plant_and_the_fakes_need_no_record(lab):
+    assert Deployment.from_config(gatekeeper_config(lab, "fake_franka")).driver.name == "fake_franka"
+    assert Deployment.from_config(msgspec.structs.replace(gatekeeper_config(lab), driver="")).driver is None
 
 
 @pytest.mark.parametrize(
-    ("change", "what"),
+    ("change", "message"),
     [
-        (lambda lab: (lab / "lab.toml").write_text(SITE + "# moved the table\n"), "site"),
-        (lambda lab: (lab / "lab.toml").write_text(SITE.replace("9.0", "9.5")), "body|site"),
-        (lambda lab: _edit(lab, b"0.73", b"0.10"), "seal"),
-        (lambda lab: _edit(lab, b'"driver": "franka"', b'"driver": "ur"'), "seal"),
+        (lambda lab: (lab / "lab.toml").write_text(SITE + "# moved the table\n"), "site file of the commissioning"),
+        (lambda lab: (lab / "lab.toml").write_text(SITE.replace("9.0", "9.5")), "robot model|site file"),
+        (lambda lab: _edit(lab, b"0.73", b"0.10"), "checksum"),
+        (lambda lab: _edit(lab, b'"driver": "franka"', b'"driver": "ur"'), "checksum"),
         (lambda lab: (lab / "answers.sealed.json").write_bytes(b"{}"), "commissioning record"),
     ],
-    ids=["site file", "limits", "answer", "driver", "rubbish"],
+    ids=["site file", "limits", "answer", "driver", "invalid"],
 )
-def test_whatever_changed_since_is_refused(lab, change, what):
-    assert command(lab) == 0
+def test_a_change_after_the_commissioning_is_refused(lab, change, message):
+    assert commission(lab) == 0
     change(lab)
-    with pytest.raises(NotCommissionedError, match=what):
-        Deployment.from_config(plan(lab))
-    assert command(lab, "--check") == 5
+    with pytest.raises(NotCommissionedError, match=message):
+        Deployment.from_config(gatekeeper_config(lab))
+    assert commission(lab, "--check") == 5
 
 
 def _edit(lab: Path, old: bytes, new: bytes) -> None:
@@ -210,15 +207,15 @@ def _edit(lab: Path, old: bytes, new: bytes) -> None:
     record.write_bytes(record.read_bytes().replace(old, new))
 
 
-def test_another_body_is_refused(lab):
-    assert command(lab) == 0
+def test_another_robot_model_is_refused(lab):
+    assert commission(lab) == 0
     robot_model = site_robot(load_robot("fr3"), read_site(lab / "lab.toml"))
     other = msgspec.structs.replace(robot_model, spheres=robot_model.spheres[1:])
-    with pytest.raises(NotCommissionedError, match="body"):
+    with pytest.raises(NotCommissionedError, match="robot model of the commissioning record"):
         require_record(lab / "answers.sealed.json", other, lab / "lab.toml", KIND)
 
 
-def test_a_scene_in_which_something_moves_is_refused_for_a_driver(lab):
+def test_a_scene_with_a_moving_object_is_refused_for_a_driver(lab):
     scene = open_scene("forearm:0", "fr3")
     with pytest.raises(ConfigurationError, match="moves"):
-        Deployment.from_config(msgspec.structs.replace(plan(lab, "fake_franka"), scene=scene))
+        Deployment.from_config(msgspec.structs.replace(gatekeeper_config(lab, "fake_franka"), scene=scene))

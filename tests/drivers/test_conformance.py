@@ -1,4 +1,4 @@
-"""Every law on every driver; and drivers that break one law each, which the suite must find."""
+"""Every driver meets all requirements, and the conformance test finds drivers that violate one requirement each."""
 
 from dataclasses import replace
 
@@ -10,16 +10,16 @@ from tests.drivers.drivers_under_test import DRIVERS_UNDER_TEST, franka
 
 
 @pytest.mark.parametrize("name", DRIVERS_UNDER_TEST)
-def test_every_law_is_kept(name):
-    findings = check_conformance(DRIVERS_UNDER_TEST[name])
-    assert [finding for finding in findings if finding.status is RequirementStatus.VIOLATED] == []
-    kept = {finding.requirement for finding in findings if finding.status is RequirementStatus.MET}
-    left = {law.name for law in REQUIREMENTS} - kept
-    assert left <= ({"silence", "maker's stop"} if "plant" in name else set())
+def test_every_requirement_is_met(name):
+    results = check_conformance(DRIVERS_UNDER_TEST[name])
+    assert [result for result in results if result.status is RequirementStatus.VIOLATED] == []
+    met = {result.requirement for result in results if result.status is RequirementStatus.MET}
+    not_tested = {requirement.name for requirement in REQUIREMENTS} - met
+    assert not_tested <= ({"silence", "maker's stop"} if "plant" in name else set())
 
 
-class Bent:
-    """A driver in front of another, which a test bends."""
+class FaultyDriver:
+    """A driver that passes all calls on to another; subclasses introduce one fault each."""
 
     def __init__(self, driver):
         self._driver = driver
@@ -28,18 +28,18 @@ class Bent:
         return getattr(self._driver, name)
 
 
-class Swapped(Bent):
+class SwapsJoints(FaultyDriver):
     def write(self, command):
         self._driver.write(replace(command, u=command.u[[1, 0, *range(2, len(command.u))]]))
 
 
-class Clipped(Bent):
+class ClipsCommands(FaultyDriver):
     def write(self, command):
         self._driver.write(replace(command, u=np.clip(command.u, -0.4, 0.4)))
 
 
-class Counting(Bent):
-    """Gives a new sequence number with each reading."""
+class CountsReads(FaultyDriver):
+    """Returns a new sequence number with each call of read."""
 
     count = 0
 
@@ -48,8 +48,8 @@ class Counting(Bent):
         return replace(self._driver.read(), sequence=self.count)
 
 
-class Aliased(Bent):
-    """Hands out the same array each time."""
+class ReusesArrays(FaultyDriver):
+    """Returns the same array each time."""
 
     def __init__(self, driver):
         super().__init__(driver)
@@ -61,28 +61,28 @@ class Aliased(Bent):
         return replace(state, q=self._q)
 
 
-class Eager(Bent):
-    """Switches the drive on when it is written to."""
+class EnablesOnWrite(FaultyDriver):
+    """Enables the drive with each command."""
 
     def write(self, command):
         self._driver.enable()
         self._driver.write(command)
 
 
-class Mute(Bent):
+class ReportsNoFaults(FaultyDriver):
     def faults(self):
         return ()
 
 
-class Hiding(Bent):
-    """Says that the drive is on, whatever it is."""
+class AlwaysReportsEnabled(FaultyDriver):
+    """Reports that the drive is on, also when it is off."""
 
     def read(self):
         return replace(self._driver.read(), drive_enabled=True)
 
 
-class Remembering(Bent):
-    """Goes on with the last command as soon as the drive is on again."""
+class RepeatsOldCommand(FaultyDriver):
+    """Repeats the last command as soon as the drive is on again."""
 
     last = None
 
@@ -94,8 +94,8 @@ class Remembering(Bent):
         self._driver.write(command)
 
 
-class Untiring(Bent):
-    """Repeats the last command from inside, so that the arm's own watchdog never bites."""
+class DefeatsWatchdog(FaultyDriver):
+    """Repeats the last command while it waits, so that the watchdog of the arm never stops it."""
 
     last = None
 
@@ -109,8 +109,8 @@ class Untiring(Bent):
         self._driver.wait()
 
 
-class Trusting(Bent):
-    """Puts the last good command in the place of what is not finite."""
+class ReplacesNonFinite(FaultyDriver):
+    """Replaces a command that is not finite by the last finite one."""
 
     last = None
 
@@ -119,41 +119,43 @@ class Trusting(Bent):
         self._driver.write(self.last)
 
 
-class Raising(Bent):
+class Raises(FaultyDriver):
     def wait(self):
         self._driver.wait()
         if self._driver.faults():
             raise RuntimeError(self._driver.faults()[0])
 
 
+def requirement(name):
+    return tuple(one for one in REQUIREMENTS if one.name == name)
+
+
 @pytest.mark.parametrize(
-    ("bent", "law"),
+    ("faulty", "name"),
     [
-        (Swapped, "right joint"),
-        (Clipped, "as hard as the body may"),
-        (Counting, "reading is free"),
-        (Aliased, "handed out"),
-        (Eager, "waits for enable"),
-        (Mute, "maker's stop"),
-        (Hiding, "stops"),
-        (Remembering, "forgets"),
-        (Untiring, "silence"),
-        (Trusting, "rubbish"),
-        (Raising, "maker's stop"),
-        (Hiding, "closes"),
+        (SwapsJoints, "right joint"),
+        (ClipsCommands, "as hard as the body may"),
+        (CountsReads, "reading is free"),
+        (ReusesArrays, "handed out"),
+        (EnablesOnWrite, "waits for enable"),
+        (ReportsNoFaults, "maker's stop"),
+        (AlwaysReportsEnabled, "stops"),
+        (RepeatsOldCommand, "forgets"),
+        (DefeatsWatchdog, "silence"),
+        (ReplacesNonFinite, "rubbish"),
+        (Raises, "maker's stop"),
+        (AlwaysReportsEnabled, "closes"),
     ],
 )
-def test_a_driver_that_breaks_a_law_is_found(bent, law):
-    def make():
-        subject = franka()
-        return replace(subject, driver=bent(subject.driver))
+def test_a_faulty_driver_violates_the_requirement(faulty, name):
+    def make_driver():
+        under_test = franka()
+        return replace(under_test, driver=faulty(under_test.driver))
 
-    (finding,) = check_conformance(make, tuple(one for one in REQUIREMENTS if one.name == law))
-    assert finding.status is RequirementStatus.VIOLATED, finding
+    (result,) = check_conformance(make_driver, requirement(name))
+    assert result.status is RequirementStatus.VIOLATED, result
 
 
-def test_a_law_that_nothing_can_provoke_is_not_called_kept():
-    (finding,) = check_conformance(
-        lambda: replace(franka(), trigger_stop=None), tuple(one for one in REQUIREMENTS if one.name == "maker's stop")
-    )
-    assert finding.status is RequirementStatus.NOT_TESTED
+def test_a_requirement_that_cannot_be_tested_does_not_count_as_met():
+    (result,) = check_conformance(lambda: replace(franka(), trigger_stop=None), requirement("maker's stop"))
+    assert result.status is RequirementStatus.NOT_TESTED

@@ -1,4 +1,4 @@
-"""The fakes refuse what the makers' interfaces refuse, and have the names of the makers' libraries."""
+"""The fakes refuse the same commands as the vendors' interfaces, and have the names of the vendors' libraries."""
 
 import inspect
 import re
@@ -14,7 +14,7 @@ from dualbrain.drivers.fakes.ur import FakeUr
 from dualbrain.drivers.franka import SDK_EXCEPTIONS, FrankaDriver
 from dualbrain.drivers.ur import UrDriver
 from dualbrain.drivers.vendor_limits import FR3, UR5E
-from dualbrain.robots.builtin import fr3 as fr3_facts
+from dualbrain.robots.builtin import fr3 as fr3_definition
 from dualbrain.robots.interface import Command
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import Bound
@@ -24,8 +24,8 @@ from dualbrain.safety.cbf.filter import SafetyFilter
 ONE = np.eye(7)
 
 
-def at_work(sdk=None, robot_model=None):
-    """A Franka driver under way at zero velocity, and its controller."""
+def enabled_franka(sdk=None, robot_model=None):
+    """A harness with an enabled Franka driver at zero velocity, and its fake library."""
     robot_model = robot_model or load_robot("fr3")
     sdk = sdk or FakeFranka(robot_model)
     driver = FrankaDriver(sdk, "fake", robot_model)
@@ -46,11 +46,11 @@ def at_work(sdk=None, robot_model=None):
         ((0.005, 0.014, 0.02), ""),
         ((0.005, 0.0149, 0.0151), "joint_motion_generator_acceleration_discontinuity"),
     ],
-    ids=["within", "jerk", "acceleration", "ramp", "ramp broken off"],
+    ids=["within", "jerk", "acceleration", "ramp", "ramp that ends abruptly"],
 )
-def test_a_command_outside_of_a_limit_is_a_reflex_with_its_own_flag(ramp, flag):
-    """From rest, with 10 rad/s² and 5000 rad/s³ at 1 kHz: steps of 5 mm rad/s in acceleration are the most."""
-    trial, sdk = at_work()
+def test_a_command_outside_a_limit_raises_the_reflex_of_that_limit(ramp, flag):
+    """From rest, with 10 rad/s² and 5000 rad/s³ at 1 kHz: the acceleration may change by 5 rad/s² per packet."""
+    trial, sdk = enabled_franka()
     for value in ramp:
         trial.write(value * ONE[0])
     assert trial.state.drive_enabled is not bool(flag)
@@ -58,42 +58,40 @@ def test_a_command_outside_of_a_limit_is_a_reflex_with_its_own_flag(ramp, flag):
     assert flag in "".join(trial.driver.faults())
 
 
-def test_velocity_limits_shrink_toward_the_end_of_a_joint():
+def test_velocity_limits_decrease_towards_the_end_of_a_joint():
     low, high = FR3.velocity_limits(np.array(load_robot("fr3").home))
     assert (high[:3] == 2.62).all()
-    ends = np.array([bounds[1] for bounds in fr3_facts.POSITION_VELOCITY_LIMITS])
-    starts = np.array([bounds[0] for bounds in fr3_facts.POSITION_VELOCITY_LIMITS])
-    allowed = np.array([bounds[2] for bounds in fr3_facts.POSITION_VELOCITY_LIMITS])
-    assert FR3.velocity_limits(ends)[1] == pytest.approx(allowed, abs=0.02), "the maker's box of constant velocities"
-    assert -FR3.velocity_limits(starts)[0] == pytest.approx(allowed, abs=0.02)
+    lower, upper, allowed = np.array(fr3_definition.POSITION_VELOCITY_LIMITS).T
+    assert FR3.velocity_limits(upper)[1] == pytest.approx(allowed, abs=0.02), "the manufacturer's constant limits"
+    assert -FR3.velocity_limits(lower)[0] == pytest.approx(allowed, abs=0.02)
     assert (FR3.velocity_limits(FR3.position_range[:, 1])[1] < 0.5).all()
     assert (low < 0).all()
 
 
 @pytest.mark.parametrize(("silent", "aborted"), [(19, False), (20, True)])
-def test_twenty_packets_missed_in_a_row_and_not_one_fewer_end_the_motion(silent, aborted):
-    trial, sdk = at_work()
+def test_exactly_twenty_missed_packets_in_a_row_end_the_motion(silent, aborted):
+    trial, sdk = enabled_franka()
     trial.wait(silent)
     assert sdk.controller.errors.communication_constraints_violation is aborted
     assert trial.state.drive_enabled is not aborted
     if not aborted:
         trial.write(np.zeros(7))
         trial.wait(silent)
-        assert trial.state.drive_enabled, "one packet in time, and the count begins anew"
+        assert trial.state.drive_enabled, "one packet in time resets the count"
 
 
-def test_a_missed_packet_is_filled_in_at_constant_acceleration():
-    trial, sdk = at_work()
+def test_a_missed_packet_is_extrapolated_at_constant_acceleration():
+    trial, sdk = enabled_franka()
     for k in range(1, 6):
         trial.write(0.004 * k * ONE[1])
     trial.wait(3)
     assert sdk.controller._u[1] == pytest.approx(0.004 * 8)
     trial.write(0.004 * 9 * ONE[1])
-    assert trial.state.drive_enabled, "whoever goes on as extrapolated is not jerked"
+    assert trial.state.drive_enabled, "a command that continues the extrapolation has no jerk"
 
 
-def test_a_reflex_is_left_by_recovery_only_and_a_pressed_user_stop_refuses_it():
-    trial, sdk = at_work()
+def test_only_recovery_clears_a_reflex_and_a_pressed_user_stop_refuses_it():
+    trial, sdk = enabled_franka()
     sdk.controller.collide()
     trial.wait(2)
     assert "joint_reflex" in trial.driver.faults()[0]
@@ -107,8 +105,8 @@ def test_a_reflex_is_left_by_recovery_only_and_a_pressed_user_stop_refuses_it():
     assert trial.driver.faults() == ()
 
 
-def test_a_cable_that_is_pulled_out_raises_nothing_and_leaves_the_state_old():
-    trial, sdk = at_work()
+def test_a_lost_connection_raises_nothing_and_keeps_the_last_state():
+    trial, sdk = enabled_franka()
     sdk.unplugged = True
     before = trial.state
     trial.write(np.zeros(7), 5)
@@ -117,50 +115,50 @@ def test_a_cable_that_is_pulled_out_raises_nothing_and_leaves_the_state_old():
     assert "Timeout" in trial.driver.faults()[0]
 
 
-def inside(body, share=0.98):
-    """The body with every limit a little inside the maker's, as commissioning demands."""
+def narrowed(robot_model, share=0.98):
+    """The robot model with limits a little inside those of the manufacturer, as commissioning requires."""
     joints = tuple(
         msgspec.structs.replace(
             joint,
             **{
-                side: Bound(share * getattr(joint, side).value, getattr(joint, side).unit, "test")
-                for side in ("velocity", "acceleration", "jerk")
+                name: Bound(share * getattr(joint, name).value, getattr(joint, name).unit, "test")
+                for name in ("velocity", "acceleration", "jerk")
             },
         )
-        for joint in body.joints
+        for joint in robot_model.joints
     )
-    return msgspec.structs.replace(body, joints=joints)
+    return msgspec.structs.replace(robot_model, joints=joints)
 
 
-def fly(config, seconds=1.2):
-    """The filter between a wild wish and the fake arm; what the controller said."""
-    trial, sdk = at_work(robot_model=inside(load_robot("fr3")))
+def errors_of_filtered_motion(config, seconds=1.2):
+    """The errors of the controller after a random nominal control was filtered and sent to the fake arm."""
+    trial, sdk = enabled_franka(robot_model=narrowed(load_robot("fr3")))
     safety = SafetyFilter(trial.robot_model, config)
     rng = np.random.default_rng(5)
-    wish = np.zeros(7)
+    nominal = np.zeros(7)
     for k in range(trial.n_periods(seconds)):
         if k % 60 == 0:
-            wish = rng.uniform(-1.0, 1.0, 7)
+            nominal = rng.uniform(-1.0, 1.0, 7)
         if k % 30 == 0:
             safety.observe((), trial.state.stamp)
-        result = safety.filter(trial.state, wish, trial.state.stamp)
+        result = safety.filter(trial.state, nominal, trial.state.stamp)
         trial.write(result.u)
         if not trial.state.drive_enabled:
             break
     return str(sdk.controller.errors)
 
 
-def test_the_arm_takes_what_the_filter_lets_through_and_only_with_jerk_limits_in_it():
-    assert fly(FilterConfig(jerk_limits=True)) == "[]"
-    assert "acceleration_discontinuity" in fly(FilterConfig())
+def test_the_arm_accepts_filtered_commands_only_with_jerk_limits():
+    assert errors_of_filtered_motion(FilterConfig(jerk_limits=True)) == "[]"
+    assert "acceleration_discontinuity" in errors_of_filtered_motion(FilterConfig())
 
 
-def test_the_hand_closes_on_what_is_there_and_says_whether_it_holds_it():
-    trial, sdk = at_work()
+def test_the_hand_closes_on_an_object_and_reports_that_it_is_held():
+    trial, sdk = enabled_franka()
     sdk.hand.object_width = 0.04
-    closed = Command(np.zeros(7), 0.0, 20.0)
+    close = Command(np.zeros(7), 0.0, 20.0)
     for _ in range(20_000):
-        trial.driver.write(closed)
+        trial.driver.write(close)
         trial.wait()
         if trial.state.finger_forces == (20.0, 20.0):
             break
@@ -173,7 +171,7 @@ def test_the_hand_closes_on_what_is_there_and_says_whether_it_holds_it():
 # --- the UR interface ---------------------------------------------------------------------------------------------
 
 
-def ur_at_work():
+def enabled_ur():
     robot_model = load_robot("ur5e")
     sdk = FakeUr(robot_model)
     trial = DriverHarness(DriverUnderTest(UrDriver(sdk, "fake", robot_model), robot_model))
@@ -182,7 +180,7 @@ def ur_at_work():
 
 
 def test_a_watchdog_that_is_not_kicked_ends_the_script():
-    trial, controller = ur_at_work()
+    trial, controller = enabled_ur()
     trial.swing_joint(0, 0.1, 0.6, stop_fraction=0.5)
     trial.wait(round(0.098 / 0.002))
     assert controller.script_running
@@ -191,8 +189,8 @@ def test_a_watchdog_that_is_not_kicked_ends_the_script():
     assert "watchdog" in trial.driver.faults()[0]
 
 
-def test_a_joint_beyond_its_speed_is_a_protective_stop_that_only_a_person_unlocks_after_5_s():
-    trial, controller = ur_at_work()
+def test_exceeding_a_joint_speed_is_a_protective_stop_that_can_be_unlocked_after_5_s():
+    trial, controller = enabled_ur()
     for k in range(1, 400):
         trial.write(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.01 * k]))
     assert controller.protective_stopped
@@ -205,8 +203,8 @@ def test_a_joint_beyond_its_speed_is_a_protective_stop_that_only_a_person_unlock
     assert trial.switch_on()
 
 
-def test_a_speed_is_reached_by_the_leading_axis_acceleration():
-    trial, controller = ur_at_work()
+def test_the_leading_axis_reaches_its_speed_with_the_given_acceleration():
+    trial, controller = enabled_ur()
     controller.set_speed([0.2, 0.1, 0.0, 0.0, 0.0, 0.0], 10.0)
     for _ in range(5):
         controller.step()
@@ -217,8 +215,8 @@ def test_a_speed_is_reached_by_the_leading_axis_acceleration():
     assert trial.driver._acceleration == 15.0
 
 
-def test_after_an_emergency_stop_the_script_does_not_come_back_by_itself():
-    trial, controller = ur_at_work()
+def test_after_an_emergency_stop_the_script_does_not_restart_by_itself():
+    trial, controller = enabled_ur()
     controller.press_emergency_stop()
     trial.write(np.zeros(6), 2)
     assert trial.driver.faults() == ("emergency stop",)
@@ -228,21 +226,21 @@ def test_after_an_emergency_stop_the_script_does_not_come_back_by_itself():
     assert trial.switch_on()
 
 
-# --- the makers' own libraries ------------------------------------------------------------------------------------
+# --- the vendors' libraries ---------------------------------------------------------------------------------------
 
 
 def parameters(function):
-    """Names of a function's parameters, from its signature or from the line that pybind11 writes into its doc."""
+    """Names of a function's parameters, from its signature or from the line that pybind11 writes in its docstring."""
     try:
         names = tuple(inspect.signature(function).parameters)
     except ValueError:
         line = function.__doc__.splitlines()[0]
-        inside = re.search(r"\((.*)\)", line).group(1)
-        names = tuple(re.findall(r"(\w+): ", re.sub(r"\[[^\]]*\]", "", inside)))
+        arguments = re.search(r"\((.*)\)", line).group(1)
+        names = tuple(re.findall(r"(\w+): ", re.sub(r"\[[^\]]*\]", "", arguments)))
     return tuple(name for name in names if name != "self")
 
 
-def test_the_fake_franka_has_the_names_of_the_makers_library():
+def test_the_fake_franka_has_the_names_of_pylibfranka():
     real = pytest.importorskip("pylibfranka")
     for fake, name in (
         (franka.Robot, "Robot"),
@@ -252,9 +250,9 @@ def test_the_fake_franka_has_the_names_of_the_makers_library():
         for method, function in vars(fake).items():
             if method.startswith("_") or not callable(function):
                 continue
-            theirs = getattr(getattr(real, name), method)
-            if "Overloaded" not in theirs.__doc__ and "*args" not in theirs.__doc__:
-                assert parameters(function) == parameters(theirs), (name, method)
+            original = getattr(getattr(real, name), method)
+            if "Overloaded" not in original.__doc__ and "*args" not in original.__doc__:
+                assert parameters(function) == parameters(original), (name, method)
     assert set(ERROR_FLAGS) <= set(dir(real.Errors))
     assert {mode.name: mode.value for mode in franka.RobotMode}.items() <= {
         name: int(value) for name, value in real.RobotMode.__members__.items()
@@ -277,5 +275,5 @@ def test_the_fake_ur_has_the_names_of_ur_rtde():
         for method, function in vars(fake).items():
             if not method.startswith("_") and callable(function):
                 assert parameters(function) == parameters(getattr(real, method)), method
-    for maker, real in ((FakeUr.RTDEControlInterface, control), (FakeUr.RTDEReceiveInterface, receive)):
-        assert parameters(maker) == parameters(real.__init__)[:2]
+    for factory, real in ((FakeUr.RTDEControlInterface, control), (FakeUr.RTDEReceiveInterface, receive)):
+        assert parameters(factory) == parameters(real.__init__)[:2]

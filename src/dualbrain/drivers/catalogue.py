@@ -1,4 +1,4 @@
-"""Which drivers there are, for which bodies, and what has to hold before one is opened."""
+"""Catalogue of the drivers: robot, timing, manufacturer's limits, and the function that opens each driver."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ PaceCallback = Callable[[float], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriverKind:
-    """A driver by `name`: the `robot` that it moves, its `limits` and rated `payload` [kg] by the maker.
+    """A driver: the `robot` that it moves, and the manufacturer's `limits` and rated `payload` [kg].
 
-    `hardware` demands commissioning; `jerk_limits` says that the arm refuses a jerk that the filter must keep within.
-    `open(address, body, pace)` connects; `pace(now)` holds a fake back to real time.
+    If `hardware` is True, a commissioning record is required. If `jerk_limits` is True, the arm aborts a motion whose
+    jerk is too large, so the filter must limit the jerk. `open(address, robot_model, pace)` connects to the arm;
+    `pace(now)` delays a fake to real time.
     """
 
     name: str
@@ -81,7 +82,7 @@ DRIVER_KINDS: tuple[DriverKind, ...] = (
 
 
 def find_driver_kind(name: str, robot: str) -> DriverKind:
-    """The driver called `name` for `robot`; raises `UnknownName`, or `InvalidSetup` for another robot."""
+    """The driver called `name`, which must move `robot`; raises `UnknownNameError` or `ConfigurationError`."""
     kinds = {kind.name: kind for kind in DRIVER_KINDS}
     if name not in kinds:
         raise UnknownNameError("driver", name, tuple(kinds))

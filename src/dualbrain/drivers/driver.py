@@ -1,4 +1,4 @@
-"""The driver contract: a `Robot` with a beat of its own, that tells what its maker says is wrong."""
+"""Driver interface: a `RobotInterface` that waits for the next joint state and reports the faults of the arm."""
 
 from __future__ import annotations
 
@@ -9,36 +9,36 @@ from dualbrain.safety.supervisor.timing import Timing
 
 
 class Driver(RobotInterface, Protocol):
-    """What a driver adds to `Robot`. The laws that it keeps are in `conformance.py`.
+    """A robot with a connection of its own. The requirements on a driver are in `drivers/conformance/rules.py`.
 
-    It never raises once it is open: what the maker's library raises is told by `faults()`, and shows as
-    `read().drive_enabled` False.
+    An open driver never raises an exception: an error of the vendor's library ends the motion (`read().drive_enabled`
+    becomes False) and is reported by `faults()`.
     """
 
     @property
     def timing(self) -> Timing:
-        """How punctual its bus is."""
+        """Timing of the connection: period of the states, and the thresholds for late states and ticks."""
         ...
 
     @property
     def watchdog(self) -> float:
-        """After so long [s] without a command the arm stops by itself; infinite where nobody watches."""
+        """Time [s] without a command after which the arm stops by itself; infinite if it has no watchdog."""
         ...
 
     def wait(self) -> None:
-        """Until the next joint state, which `read` then gives."""
+        """Wait for the next joint state, which `read` then returns."""
         ...
 
     def faults(self) -> tuple[str, ...]:
-        """Why the drive is off unasked, in the maker's words; empty while nothing is wrong."""
+        """Reasons why the drive was switched off without a call of `stop`, as reported by the arm; else empty."""
         ...
 
     def close(self) -> None:
-        """Stop, and let go of the arm; safe to call again."""
+        """Stop the arm and disconnect; may be called more than once."""
         ...
 
 
 def is_finite(command: Command) -> bool:
-    """Whether every number of `command` is finite: what is not never reaches an arm."""
+    """Whether all numbers of `command` are finite; drivers send no other command to the arm."""
     total = float(command.u.sum()) + command.opening + command.force
     return total - total == 0.0

@@ -1,11 +1,11 @@
-"""A Franka Research 3 through the maker's own library (`pylibfranka`): joint velocities at 1 kHz.
+"""Driver of a Franka Research 3 with the manufacturer's library (`pylibfranka`): joint velocities at 1 kHz.
 
-The arm's controller aborts a motion that breaks a limit of velocity, acceleration (`velocity_discontinuity`) or jerk
-(`acceleration_discontinuity`), or that misses 20 packets in a row; each becomes `faults()` and a drive that is off. Its
-jerk limits have to stand in the filter (`FilterConfig(jerk_limits=True)`): nothing here changes a command.
+The controller of the arm aborts a motion that violates a limit of velocity, acceleration (`velocity_discontinuity`) or
+jerk (`acceleration_discontinuity`), or that misses 20 packets in a row; the driver then reports a fault and a disabled
+drive. The driver changes no command, so the filter must limit the jerk (`FilterConfig(jerk_limits=True)`).
 
-Through this interface a stop ends the motion and the controller brakes the arm; only the arm's own user stop engages
-the brakes. Panda arms (system 4) speak an older protocol that this library does not.
+A stop through this interface ends the motion, and the controller brakes the arm; only the user stop of the arm engages
+the brakes. Panda arms (system version 4) use an older protocol, which this library does not support.
 """
 
 from __future__ import annotations
@@ -31,12 +31,13 @@ SDK_EXCEPTIONS = (
     "InvalidOperationException",
     "RealtimeException",
 )
-"""All that the library raises; in Python they have no common root of their own."""
+"""All exceptions of the library, which have no common base class in Python."""
 CYCLE_TIME = 1e-3
+"""Period of the states [s]."""
 
 
 def import_franka_sdk() -> Any:
-    """The maker's library; raises `MissingPart` where it is not installed."""
+    """The manufacturer's library; raises `MissingDependencyError` if it is not installed."""
     try:
         return import_module("pylibfranka")
     except ImportError as error:
@@ -44,26 +45,29 @@ def import_franka_sdk() -> Any:
 
 
 class FrankaDriver:
-    """One arm with its hand."""
+    """Driver of one Franka Research 3 with its hand."""
 
     timing: Timing = FRANKA
     watchdog: float = 0.02
-    """20 packets of 1 ms missed in a row, and the arm stops by itself."""
+    """The arm stops by itself after 20 missed packets of 1 ms."""
 
     def __init__(self, sdk: Any, address: str, robot_model: RobotModel, *, hand: bool = True) -> None:
-        """Connect and read once; nothing moves, the drive is off. Raises `InvalidSetup` if the arm cannot be had."""
+        """Connect and read the first state; the drive stays off and nothing moves.
+
+        Raises:
+            ConfigurationError: The robot model does not have 7 joints, or the arm cannot be connected.
+        """
         self._sdk, self._sdk_errors = sdk, tuple(getattr(sdk, name) for name in SDK_EXCEPTIONS)
         if robot_model.n != len(sdk.JointVelocities([0.0] * 7).dq):
-            raise ConfigurationError(
-                "body for a Franka arm", got=f"{robot_model.name}: {robot_model.n} joints", allowed="7 joints"
-            )
+            raise ConfigurationError(f"joints of {robot_model.name} on a Franka arm", got=robot_model.n, allowed="7")
         try:
             self._robot = sdk.Robot(address, sdk.RealtimeConfig.kEnforce)
             gripper = sdk.Gripper(address) if hand else None
             raw = self._robot.read_once()
         except self._sdk_errors as error:
-            raise ConfigurationError(
-                "Franka arm", got=str(error), allowed="one that answers, unlocked and with FCI active", fix=address
+            raise ConfigurationError.stating(
+                f"The Franka arm at {address} cannot be connected: {error}.",
+                fix="Check the address, unlock the joints and activate FCI.",
             ) from error
         self._hand = (
             FrankaHand(gripper, self._sdk_errors, robot_model.gripper.opening.value) if gripper is not None else None
@@ -73,14 +77,14 @@ class FrankaDriver:
         self._faults: tuple[str, ...] = ()
         self._state = self._to_state(raw)
 
-    # --- the robot protocol -------------------------------------------------------------------------------------
+    # --- the robot interface ------------------------------------------------------------------------------------
 
     def read(self) -> RobotState:
-        """The newest state; how firmly the fingers press is not measured, only whether they hold something."""
+        """The newest state; the finger forces are the commanded force while an object is held, else 0."""
         return self._state
 
     def write(self, command: Command) -> None:
-        """Send a joint velocity for this period, and the hand where to go."""
+        """Send the joint velocity for this period, and the target of the hand."""
         if self._control is None:
             return
         if not is_finite(command):
@@ -94,11 +98,11 @@ class FrankaDriver:
             self._hand.set_target(command.opening, command.force)
 
     def stop(self) -> None:
-        """End the motion: the arm's controller brakes, and holds the arm."""
+        """End the motion: the controller brakes the arm and holds it."""
         self._end_motion()
 
     def enable(self) -> None:
-        """Clear a reflex and begin a motion at velocity zero; the arm is silent meanwhile (`Timing.quiet`)."""
+        """Clear a reflex and start a motion at velocity zero; no states arrive meanwhile (`drive_on_silence`)."""
         if self._control is not None:
             return
         try:
@@ -110,10 +114,10 @@ class FrankaDriver:
         else:
             self._faults = ()
 
-    # --- the driver contract ------------------------------------------------------------------------------------
+    # --- the driver interface -----------------------------------------------------------------------------------
 
     def wait(self) -> None:
-        """Until the next state; what the library raises ends the motion."""
+        """Wait for the next state; an exception of the library ends the motion."""
         try:
             raw = self._control.readOnce()[0] if self._control is not None else self._robot.read_once()
         except self._sdk_errors as error:
@@ -122,21 +126,21 @@ class FrankaDriver:
         self._state = self._to_state(raw)
 
     def faults(self) -> tuple[str, ...]:
-        """What the controller said when it aborted the motion."""
+        """The message of the controller when it aborted the motion."""
         return self._faults
 
     def close(self) -> None:
-        """Stop the arm and leave the hand as it is."""
+        """Stop the arm; the fingers stay at their position."""
         self._end_motion()
         if self._hand:
             self._hand.close()
 
-    # --- inside -------------------------------------------------------------------------------------------------
+    # --- private ------------------------------------------------------------------------------------------------
 
-    def _end_motion(self, why: str = "") -> None:
+    def _end_motion(self, fault: str = "") -> None:
         control, self._control = self._control, None
-        if why:
-            self._faults = (why,)
+        if fault:
+            self._faults = (fault,)
         if control is not None:
             try:
                 self._robot.stop()
@@ -145,7 +149,7 @@ class FrankaDriver:
         self._state = replace(self._state, drive_enabled=False)
 
     def _record_abort(self, error: Exception) -> None:
-        """What is said first stays said; what follows from it says less."""
+        """Record an aborted motion; the first fault is kept, because later ones are its consequences."""
         self._control, self._faults = None, self._faults or (str(error),)
         self._state = replace(self._state, drive_enabled=False)
 
@@ -153,7 +157,7 @@ class FrankaDriver:
         self._raw = raw
         stamp = float(raw.time.to_sec())
         opening, force = self._hand.measured if self._hand else (self._opening, 0.0)
-        driving = self._control is not None and not raw.current_errors
+        drive_enabled = self._control is not None and not raw.current_errors
         return RobotState(
             stamp=stamp,
             sequence=round(stamp / CYCLE_TIME),
@@ -161,5 +165,5 @@ class FrankaDriver:
             v=np.array(raw.dq),
             opening=opening,
             finger_forces=(force, force),
-            drive_enabled=driving,
+            drive_enabled=drive_enabled,
         )

@@ -1,4 +1,4 @@
-"""The Franka hand: its calls block until the fingers have arrived, so they live on a thread of their own."""
+"""Driver of the Franka hand, in a separate thread because its calls block until the fingers have arrived."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ from threading import Condition, Thread
 from typing import Any
 
 FINGER_SPEED = 0.05
-"""[m/s] of the width: what the hand's data sheet gives for each finger, halved."""
+"""Rate of change of the width [m/s]: half of the value that the data sheet gives for each finger."""
 MIN_OPENING_CHANGE = 5e-4
-"""A wish nearer than this [m] to the last one is no new wish."""
+"""Change [m] of the target opening below which the target counts as unchanged."""
 POLL_INTERVAL_S = 0.05
-"""How often the hand is asked where it stands while nothing is wished [s]."""
+"""Interval of reading the hand while its target does not change [s]."""
 
 
 class FrankaHand:
-    """Opens with `move`, closes with `grasp`; always carries out the newest wish, one after the other."""
+    """Opens the fingers with `move` and closes them with `grasp`; one call at a time, always for the newest target."""
 
     def __init__(self, gripper: Any, sdk_errors: tuple[type[Exception], ...], max_opening: float) -> None:
-        """`widest` [m each] is the opening that is wished at first; `raised` is what `gripper` may raise."""
+        """Start with the target `max_opening` [m each]; `sdk_errors` are the exceptions that `gripper` may raise."""
         self._gripper, self._sdk_errors = gripper, sdk_errors
         self._measured = (0.5 * float(gripper.read_once().width), 0.0)
         self._target, self._reached = (max_opening, 0.0), (self._measured[0], 0.0)
@@ -28,11 +28,11 @@ class FrankaHand:
 
     @property
     def measured(self) -> tuple[float, float]:
-        """Opening [m each], and the grip force [N] that was asked for if something is held, else 0."""
+        """Opening [m each], and the commanded grip force [N] if an object is held, else 0."""
         return self._measured
 
     def set_target(self, opening: float, force: float) -> None:
-        """Where the fingers should go [m each] and how firmly they may press [N]; returns at once."""
+        """Set the target opening [m each] and the grip force limit [N]; returns at once."""
         if abs(opening - self._target[0]) > MIN_OPENING_CHANGE or (
             force != self._target[1] and opening < self._measured[0] - MIN_OPENING_CHANGE
         ):
@@ -41,7 +41,7 @@ class FrankaHand:
                 self._changed.notify()
 
     def close(self) -> None:
-        """End the thread; the fingers stay as they are."""
+        """End the thread; the fingers stay at their position."""
         with self._changed:
             self._closing = True
             self._changed.notify()
@@ -54,19 +54,19 @@ class FrankaHand:
                     self._changed.wait(POLL_INTERVAL_S)
                 if self._closing:
                     return
-                wish = self._target
+                target = self._target
             try:
-                if wish != self._reached:
-                    self._move_fingers(*wish)
-                    self._reached = wish
+                if target != self._reached:
+                    self._move_fingers(*target)
+                    self._reached = target
                 state = self._gripper.read_once()
             except self._sdk_errors as error:
-                self.fault, self._reached = str(error), wish
+                self.fault, self._reached = str(error), target
                 continue
-            self._measured = (0.5 * float(state.width), wish[1] if state.is_grasped else 0.0)
+            self._measured = (0.5 * float(state.width), target[1] if state.is_grasped else 0.0)
 
     def _move_fingers(self, opening: float, force: float) -> None:
-        """A grasp may end anywhere between closed and where the fingers stand: what is held is as wide as it is."""
+        """Move or grasp; a grasp succeeds at any width between the target and the present width of the fingers."""
         width = 2.0 * opening
         if opening < self._measured[0] - MIN_OPENING_CHANGE and force > 0.0:
             self._gripper.grasp(width, FINGER_SPEED, force, width, 2.0 * self._measured[0])

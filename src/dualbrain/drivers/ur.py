@@ -1,7 +1,8 @@
-"""A UR arm of the e-series through `ur-rtde`: joint speeds (`speedJ`) at 500 Hz, under the controller's own watchdog.
+"""Driver of a UR e-series arm with `ur-rtde`: joint speeds (`speedJ`) at 500 Hz and the watchdog of the controller.
 
-`ur-rtde` runs a script on the controller. Stopping that script is the stop: the controller brakes the arm and holds it;
-through this interface nothing engages the brakes. A protective or emergency stop is cleared at the pendant, never here.
+`ur-rtde` runs a script on the controller. The driver stops the arm by ending that script: the controller brakes the arm
+and holds it; the brakes cannot be engaged through this interface. A protective or emergency stop is cleared at the
+pendant, never by the driver.
 """
 
 from __future__ import annotations
@@ -20,21 +21,22 @@ from dualbrain.robots.model import RobotModel
 from dualbrain.safety.supervisor.timing import UR, Timing
 
 FREQUENCY = 500.0
+"""Rate of the states [1/s]."""
 WATCHDOG_TIMEOUT = 0.1
-"""No kick for this long [s]: the controller ends the script, and with it the motion."""
+"""Time [s] without a watchdog kick after which the controller ends the script and the motion."""
 ACCELERATION_FACTOR = 1.5
-"""`speedJ` accelerates by so much more than the body's own limit, so that no command is stretched on the way."""
+"""Acceleration of `speedJ` relative to the limit of the robot model; above 1, so that `speedJ` delays no command."""
 MAX_ACCELERATION = 40.0
-"""[rad/s²] is the most that `speedJ` takes."""
+"""Largest acceleration that `speedJ` accepts [rad/s²]."""
 MAX_WAIT_PERIODS = 3
-"""Periods that `wait` waits for a state with a new time stamp."""
+"""Maximum number of periods that `wait` waits for a state with a new time stamp."""
 
 
 class UrSdk:
-    """The two halves of `ur-rtde` that are needed; raises `MissingPart` where it is not installed."""
+    """The control and receive interfaces of `ur-rtde`."""
 
     def __init__(self) -> None:
-        """Import them."""
+        """Import both interfaces; raises `MissingDependencyError` if `ur-rtde` is not installed."""
         try:
             self.RTDEControlInterface: Any = import_module("rtde_control").RTDEControlInterface
             self.RTDEReceiveInterface: Any = import_module("rtde_receive").RTDEReceiveInterface
@@ -43,24 +45,27 @@ class UrSdk:
 
 
 class UrDriver:
-    """One arm. Its gripper is not driven through `ur-rtde`: the fingers count as open, and no grasp succeeds."""
+    """Driver of one UR e-series arm without a gripper: the fingers are reported as open, and no grasp succeeds."""
 
     timing: Timing = UR
     watchdog: float = WATCHDOG_TIMEOUT
 
     def __init__(self, sdk: Any, address: str, robot_model: RobotModel) -> None:
-        """Connect and read once; nothing moves, the drive is off. Raises `InvalidSetup` if the arm cannot be had."""
+        """Connect and read the first state; the drive stays off and nothing moves.
+
+        Raises:
+            ConfigurationError: The robot model does not have 6 joints, or the arm cannot be connected.
+        """
         try:
             self._receive = sdk.RTDEReceiveInterface(address, FREQUENCY)
             self._control = sdk.RTDEControlInterface(address, FREQUENCY)
         except RuntimeError as error:
-            raise ConfigurationError(
-                "UR arm", got=str(error), allowed="one that answers, powered on and in remote control", fix=address
+            raise ConfigurationError.stating(
+                f"The UR arm at {address} cannot be connected: {error}.",
+                fix="Check the address, power the arm on and switch to remote control.",
             ) from error
         if len(self._receive.getActualQ()) != robot_model.n:
-            raise ConfigurationError(
-                "body for a UR arm", got=f"{robot_model.name}: {robot_model.n} joints", allowed="6 joints"
-            )
+            raise ConfigurationError(f"joints of {robot_model.name} on a UR arm", got=robot_model.n, allowed="6")
         self._opening = float(robot_model.gripper.opening.value)
         self._acceleration = min(
             MAX_ACCELERATION, ACCELERATION_FACTOR * max(joint.acceleration.value for joint in robot_model.joints)
@@ -71,45 +76,47 @@ class UrDriver:
         self._state = self._read_state()
         self._control.stopScript()
 
-    # --- the robot protocol -------------------------------------------------------------------------------------
+    # --- the robot interface ------------------------------------------------------------------------------------
 
     def read(self) -> RobotState:
-        """The newest state; opening as if open, no finger forces."""
+        """The newest state; the opening is the maximum, and the finger forces are 0."""
         return self._state
 
     def write(self, command: Command) -> None:
-        """Send joint speeds, and say that we are alive."""
+        """Send joint speeds and kick the watchdog."""
         if not self._is_enabled:
             return
         if not is_finite(command):
             self._end_script("a command that is not finite")
             return
         try:
-            taken = self._control.speedJ(command.u.tolist(), self._acceleration, 0.0) and self._control.kickWatchdog()
+            accepted = (
+                self._control.speedJ(command.u.tolist(), self._acceleration, 0.0) and self._control.kickWatchdog()
+            )
         except (RuntimeError, ValueError) as error:
             self._end_script(str(error))
             return
-        if not taken:
-            self._end_script(self._safety_stop() or "the controller does not take a joint speed: its script has ended")
+        if not accepted:
+            self._end_script(self._safety_stop() or "the controller rejects joint speeds: its script has ended")
 
     def stop(self) -> None:
         """End the script: the controller brakes the arm and holds it."""
         self._end_script()
 
     def enable(self) -> None:
-        """Load the script again, which takes about a second, on a thread of its own: states go on meanwhile."""
+        """Load the script again in a separate thread; this takes about a second, in which states continue to arrive."""
         if self._is_enabled or self._closed or (self._start_thread and self._start_thread.is_alive()):
             return
-        if stopped := self._safety_stop():
-            self._faults = (f"{stopped}: clear it at the pendant",)
+        if safety_stop := self._safety_stop():
+            self._faults = (f"{safety_stop}: clear it at the pendant",)
             return
         self._start_thread = Thread(target=self._start_script, name="ur script", daemon=True)
         self._start_thread.start()
 
-    # --- the driver contract ------------------------------------------------------------------------------------
+    # --- the driver interface -----------------------------------------------------------------------------------
 
     def wait(self) -> None:
-        """Until a state with a new time stamp, at most `PATIENCE` periods."""
+        """Wait for a state with a new time stamp, for at most `MAX_WAIT_PERIODS` periods."""
         before = self._receive.getTimestamp()
         for _ in range(MAX_WAIT_PERIODS):
             self._receive.waitPeriod(self._receive.initPeriod())
@@ -122,17 +129,17 @@ class UrDriver:
             )
 
     def faults(self) -> tuple[str, ...]:
-        """Which stop the controller is in, or why its script ended."""
+        """The safety stop of the controller, or the reason why its script ended."""
         return self._faults
 
     def close(self) -> None:
-        """Stop, and hang up."""
+        """Stop the arm and disconnect."""
         self._end_script()
         if not self._closed:
             self._closed = True
             self._control.disconnect()
 
-    # --- inside -------------------------------------------------------------------------------------------------
+    # --- private ------------------------------------------------------------------------------------------------
 
     def _start_script(self) -> None:
         try:
@@ -142,11 +149,11 @@ class UrDriver:
         except RuntimeError as error:
             self._faults = (str(error),)
 
-    def _end_script(self, why: str = "") -> None:
-        was, self._is_enabled = self._is_enabled, False
-        if why:
-            self._faults = (why,)
-        if was:
+    def _end_script(self, fault: str = "") -> None:
+        was_enabled, self._is_enabled = self._is_enabled, False
+        if fault:
+            self._faults = (fault,)
+        if was_enabled:
             try:
                 self._control.stopScript()
             except RuntimeError as error:
@@ -159,14 +166,14 @@ class UrDriver:
         return "protective stop" if self._receive.isProtectiveStopped() else ""
 
     def _read_state(self) -> RobotState:
-        """One state, not parts of two: the library's own thread may bring the next while we read."""
-        tries = 0
+        """A consistent state: it is read again if the thread of the library replaced it in the meantime."""
+        attempts = 0
         while True:
-            stamp, tries = self._receive.getTimestamp(), tries + 1
+            stamp, attempts = self._receive.getTimestamp(), attempts + 1
             q, v = self._receive.getActualQ(), self._receive.getActualQd()
-            if self._receive.getTimestamp() == stamp or tries == MAX_WAIT_PERIODS:
+            if self._receive.getTimestamp() == stamp or attempts == MAX_WAIT_PERIODS:
                 break
-        driving = self._is_enabled and self._control.isProgramRunning() and not self._safety_stop()
+        drive_enabled = self._is_enabled and self._control.isProgramRunning() and not self._safety_stop()
         return RobotState(
             stamp=float(stamp),
             sequence=round(stamp * FREQUENCY),
@@ -174,5 +181,5 @@ class UrDriver:
             v=np.array(v),
             opening=self._opening,
             finger_forces=(0.0, 0.0),
-            drive_enabled=driving,
+            drive_enabled=drive_enabled,
         )

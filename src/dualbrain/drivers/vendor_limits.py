@@ -1,4 +1,4 @@
-"""What the makers allow, apart from what our bodies say: a fake refuses by it, and commissioning stays inside it."""
+"""Limits of the manufacturers, independent of the robot models: used by the fakes and by commissioning."""
 
 from __future__ import annotations
 
@@ -28,9 +28,10 @@ _OFFSET, _SLOPE, _UPPER_POSITION = _UPPER_COEFFICIENTS.T
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VendorLimits:
-    """A maker's limits: range (n, 2) [rad], acceleration and jerk (n,) [rad/s², rad/s³], None where none is published.
+    """Limits of a manufacturer: range (n, 2) [rad], acceleration (n,) [rad/s²], jerk (n,) [rad/s³].
 
-    `velocities(q)` gives the least and the greatest velocity (n,) [rad/s] at posture q.
+    Acceleration and jerk are None if they are not published. `velocity_limits(q)` returns the minimum and maximum
+    velocity (n,) [rad/s] at posture q.
     """
 
     position_range: Array
@@ -41,20 +42,23 @@ class VendorLimits:
 
 
 def fr3_velocity_limits(q: Array) -> tuple[Array, Array]:
-    """Velocity limits of a Franka Research 3 at q: v̄ᵢ = min(boxᵢ, max(0, −oᵢ + √(sᵢ (q̄ᵢ − qᵢ)))), and its mirror."""
-    up = np.minimum(
+    """Minimum and maximum velocity (7,) [rad/s] of a Franka Research 3 at posture q (7,) [rad].
+
+    v̄ᵢ = min(capᵢ, max(0, −oᵢ + √(sᵢ (q̄ᵢ − qᵢ)))), and the same for the lower end of the range.
+    """
+    upper = np.minimum(
         FR3_VELOCITY_CAP, np.maximum(0.0, -_OFFSET + np.sqrt(np.maximum(0.0, _SLOPE * (_UPPER_POSITION - q))))
     )
-    down = np.minimum(
+    lower = np.minimum(
         FR3_VELOCITY_CAP, np.maximum(0.0, -_OFFSET + np.sqrt(np.maximum(0.0, _SLOPE * (q - _LOWER_POSITION))))
     )
-    return -down, up
+    return -lower, upper
 
 
 def ur5e_velocity_limits(q: Array) -> tuple[Array, Array]:
-    """Every joint of a UR5e turns at 180 degrees a second at most."""
-    top = np.full(len(q), np.pi)
-    return -top, top
+    """Minimum and maximum velocity (6,) [rad/s] of a UR5e: ±180° per second for every joint."""
+    maximum = np.full(len(q), np.pi)
+    return -maximum, maximum
 
 
 FR3 = VendorLimits(

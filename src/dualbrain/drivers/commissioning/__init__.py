@@ -1,1 +1,1 @@
-"""The commissioning checklist that enables a real arm, and its signed record."""
+"""The commissioning checklist of a real arm, and the record without which no hardware is opened."""

@@ -1,7 +1,7 @@
-"""The commissioning checklist: what a person has measured and tried at the arm, and whether that will do.
+"""Commissioning checklist: measurements and tests at the real arm, and the check of all answers.
 
-A TOML file of five tables; each answer is compared with body, site file and the maker's limits. What will not do is a
-`Flaw`, never an exception.
+The checklist is a TOML file of five tables. Each answer is compared with the robot model, the site file and the
+manufacturer's limits. An unacceptable answer is a `ChecklistFlaw`, never an exception.
 """
 
 from __future__ import annotations
@@ -23,25 +23,29 @@ from dualbrain.robots.site_config import PlaneEntry, Site
 Array = NDArray[np.float64]
 
 MAX_VENDOR_LIMIT_SHARE = 0.98
-"""Our limits of velocity, acceleration and jerk are at most this share of the maker's."""
+"""Maximum share of the manufacturer's limit for our limits of velocity, acceleration and jerk."""
 RANGE_MARGIN = 0.01
-"""[rad] by which our joint ranges lie inside the maker's."""
+"""Minimum distance [rad] of the ends of our joint ranges from those of the manufacturer."""
 MAX_POINT_ABOVE_PLANE, MAX_POINT_BELOW_PLANE = 0.002, 0.010
-"""[m] by which a touched point of the table may lie above and below the plane in the site file."""
+"""Maximum distance [m] of a touched table point above and below the plane in the site file."""
 MAX_LEAN = 0.01
-"""[rad] by which the base may lean."""
+"""Maximum inclination of the base [rad]."""
 MAX_ESTOP_STOP_TIME = 0.5
-"""[s] in which the emergency stop must have brought the arm to rest."""
+"""Maximum time [s] from the emergency stop until the arm is at rest."""
 TIP_TOLERANCE = 0.002
+"""Maximum distance [m] between the tool tip in the checklist and in the site file."""
 MAX_FILE_BYTES = 2**16
 
 
 class ChecklistEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Root of the tables: a word that is not known is an error."""
+    """Base class of the tables: an unknown field is an error."""
 
 
 class ToolAnswer(ChecklistEntry, frozen=True):
-    """[tool]: what is on the flange: name, mass [kg], tip in the body's tool frame [m], set at the maker's too."""
+    """[tool]: name and mass [kg] of the tool, its tip in the tool frame of the robot model [m].
+
+    `set_at_controller` confirms that mass and centre are also set at the controller of the arm.
+    """
 
     name: str
     mass: float
@@ -50,13 +54,13 @@ class ToolAnswer(ChecklistEntry, frozen=True):
 
 
 class PayloadAnswer(ChecklistEntry, frozen=True):
-    """[payload]: the heaviest thing that will be carried [kg]."""
+    """[payload]: mass of the heaviest object that will be carried [kg]."""
 
     mass: float
 
 
 class MountingAnswer(ChecklistEntry, frozen=True):
-    """[mounting]: on what the base stands, and how far it leans [rad], by a level."""
+    """[mounting]: the surface on which the base is mounted, and its inclination [rad], measured with a level."""
 
     on: Literal["floor", "wall", "ceiling"]
     lean: float
@@ -64,13 +68,17 @@ class MountingAnswer(ChecklistEntry, frozen=True):
 
 
 class TableAnswer(ChecklistEntry, frozen=True):
-    """[table]: at least three points of the table that the tip has touched [m, base frame]."""
+    """[table]: at least three points of the table that the tool tip has touched [m, base frame]."""
 
     points: tuple[Vector, ...]
 
 
 class EstopAnswer(ChecklistEntry, frozen=True):
-    """[estop]: pressed while a joint moved at `speed` [rad/s]: at rest after `rest` [s]; did it stay latched."""
+    """[estop]: test of the emergency stop while a joint moved at `speed` [rad/s]; the arm stopped within `rest` [s].
+
+    `latched` confirms that releasing the button moved nothing, `reset_in_two_steps` that motion needed a reset and a
+    resume.
+    """
 
     speed: float
     rest: float
@@ -79,7 +87,7 @@ class EstopAnswer(ChecklistEntry, frozen=True):
 
 
 class Checklist(ChecklistEntry, frozen=True):
-    """The whole file: who answered (`by`), when (`on`), and the answers."""
+    """The whole checklist: the person who answered (`by`), the date (`on`), and the answers."""
 
     by: str
     on: str
@@ -92,57 +100,63 @@ class Checklist(ChecklistEntry, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class ChecklistFlaw:
-    """An answer that will not do."""
+    """An unacceptable answer: the entry, the answer, and the allowed values."""
 
     item: str
     got: object
     allowed: str
 
 
-TEMPLATE = """# Commissioning of {robot} with driver {driver}. Measure and try everything at the arm; SI units; then run
-# `dualbrain robot commission` again. What is left empty here is refused.
+TEMPLATE = """# Commissioning of {robot} with driver {driver}. Measure and test every entry at the arm, in SI units.
+# Then run `dualbrain robot commission` again. Entries that are left empty are refused.
 by = ""                     # your name
 on = ""                     # the date
 
 [tool]
-name = ""                   # what is on the flange
-mass = nan                  # [kg]
-tip = [0.0, 0.0, 0.0]       # its tip in the body's tool frame [m], as in the site file
-set_at_controller = false   # mass and centre are set at the arm's own controller
+name = ""                   # the tool on the flange
+mass = nan                  # its mass [kg]
+tip = [0.0, 0.0, 0.0]       # its tip in the tool frame of the robot model [m], as in the site file
+set_at_controller = false   # true: mass and centre are set at the controller of the arm
 
 [payload]
-mass = nan                  # the heaviest thing that will be carried [kg]
+mass = nan                  # mass of the heaviest object that will be carried [kg]
 
 [mounting]
 on = "floor"                # floor, wall or ceiling
-lean = nan                  # by a level on the base [rad]
-bolted = false              # the base does not give when pushed
+lean = nan                  # inclination of the base, measured with a level [rad]
+bolted = false              # true: the base does not move when pushed
 
 [table]
-points = []                 # three points or more that the tip has touched [m, base frame]
+points = []                 # three points or more that the tool tip has touched [m, base frame]
 
 [estop]
-speed = nan                 # a joint moved this fast [rad/s] when the button was pressed
-rest = nan                  # and stood after [s]
-latched = false             # releasing the button alone moved nothing
-reset_in_two_steps = false  # release, reset, resume: only then it moved again
+speed = nan                 # speed of a joint when the button was pressed [rad/s]
+rest = nan                  # time until the arm was at rest [s]
+latched = false             # true: releasing the button moved nothing
+reset_in_two_steps = false  # true: the arm moved again only after release, reset and resume
 """
 
 
 def read_checklist(path: Path) -> Checklist:
-    """The checklist in `path`; raises `InvalidSetup` if it is not there, not TOML, or lacks an answer."""
+    """The checklist in the file `path`.
+
+    Raises:
+        ConfigurationError: The file does not exist, is too large, is not TOML, or lacks an entry.
+    """
     if not path.is_file() or path.stat().st_size > MAX_FILE_BYTES:
-        raise ConfigurationError("checklist", got=str(path), allowed=f"a TOML file of at most {MAX_FILE_BYTES} bytes")
+        raise ConfigurationError.stating(
+            f"There is no checklist at {path}.", fix=f"Give a TOML file of at most {MAX_FILE_BYTES} bytes."
+        )
     try:
         return msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), Checklist)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, msgspec.ValidationError) as error:
-        raise ConfigurationError(
-            "checklist", got=str(error), allowed="every table of the template", fix=str(path)
+        raise ConfigurationError.stating(
+            f"The checklist {path} cannot be read: {error}.", fix="Fill in every table of the template."
         ) from error
 
 
 def find_flaws(answers: Checklist, robot_model: RobotModel, site: Site, kind: DriverKind) -> tuple[ChecklistFlaw, ...]:
-    """Everything that will not do; `body` is the one that the site file has narrowed."""
+    """All unacceptable answers; `robot_model` is the model after narrowing by the site file."""
     found = [
         *_check_signature(answers),
         *_check_tool(answers, site, kind),
@@ -153,9 +167,9 @@ def find_flaws(answers: Checklist, robot_model: RobotModel, site: Site, kind: Dr
 
 
 def find_limit_flaws(robot_model: RobotModel, kind: DriverKind) -> tuple[ChecklistFlaw, ...]:
-    """Where a limit of `body` is not strictly inside the maker's: ours must be the one that trips first."""
+    """Limits of `robot_model` that are not strictly inside those of the manufacturer: ours must be reached first."""
     limits, found = kind.limits, list[ChecklistFlaw]()
-    fastest = _vendor_velocity_limits(robot_model, kind)
+    max_velocity = _vendor_velocity_limits(robot_model, kind)
     for index, joint in enumerate(robot_model.joints):
         low, high = (float(value) for value in limits.position_range[index])
         if not (joint.lower.value >= low + RANGE_MARGIN and joint.upper.value <= high - RANGE_MARGIN):
@@ -165,55 +179,53 @@ def find_limit_flaws(robot_model: RobotModel, kind: DriverKind) -> tuple[Checkli
                     f"range of {joint.name} [rad]", got, f"within {low + RANGE_MARGIN:.4f} … {high - RANGE_MARGIN:.4f}"
                 )
             )
-        sides = [("velocity", joint.velocity.value, float(fastest[index]))]
+        limit_pairs = [("velocity", joint.velocity.value, float(max_velocity[index]))]
         if limits.acceleration is not None:
-            sides.append(("acceleration", joint.acceleration.value, float(limits.acceleration[index])))
+            limit_pairs.append(("acceleration", joint.acceleration.value, float(limits.acceleration[index])))
         if limits.jerk is not None:
-            sides.append(("jerk", joint.jerk.value if joint.jerk else np.inf, float(limits.jerk[index])))
-        for name, ours, theirs in sides:
-            if not ours <= MAX_VENDOR_LIMIT_SHARE * theirs:
-                found.append(
-                    ChecklistFlaw(
-                        f"{name} of {joint.name}",
-                        ours,
-                        f"at most {MAX_VENDOR_LIMIT_SHARE * theirs:.4g} by the site file",
-                    )
-                )
+            limit_pairs.append(("jerk", joint.jerk.value if joint.jerk else np.inf, float(limits.jerk[index])))
+        for name, ours, vendor in limit_pairs:
+            if not ours <= MAX_VENDOR_LIMIT_SHARE * vendor:
+                allowed = f"at most {MAX_VENDOR_LIMIT_SHARE * vendor:.4g}, set in the site file"
+                found.append(ChecklistFlaw(f"{name} of {joint.name}", ours, allowed))
     return tuple(found)
 
 
 def _vendor_velocity_limits(robot_model: RobotModel, kind: DriverKind) -> Array:
-    """What the maker allows everywhere in the body's range (n,) [rad/s]: the limits shrink toward its ends."""
-    lower, upper = (
-        np.array([getattr(joint, side).value for joint in robot_model.joints]) for side in ("lower", "upper")
-    )
-    (down, up), (down_there, up_there) = kind.limits.velocity_limits(lower), kind.limits.velocity_limits(upper)
-    return np.minimum.reduce([-down, up, -down_there, up_there])
+    """Velocity (n,) [rad/s] that the manufacturer allows in the whole joint range, at whose ends the limits shrink."""
+    ends = [np.array([getattr(joint, end).value for joint in robot_model.joints]) for end in ("lower", "upper")]
+    velocities: list[Array] = []
+    for q in ends:
+        lowest, highest = kind.limits.velocity_limits(q)
+        velocities += [-lowest, highest]
+    return np.minimum.reduce(velocities)
 
 
 def _check_signature(answers: Checklist) -> list[ChecklistFlaw]:
-    named = (("by", answers.by), ("on", answers.on))
-    return [ChecklistFlaw(name, said, "who answered, and when") for name, said in named if not said.strip()]
+    required = (("by", answers.by, "a name"), ("on", answers.on, "a date"))
+    return [ChecklistFlaw(name, answer, allowed) for name, answer, allowed in required if not answer.strip()]
 
 
 def _check_tool(answers: Checklist, site: Site, kind: DriverKind) -> list[ChecklistFlaw]:
-    tool, load, found = answers.tool, answers.payload.mass, list[ChecklistFlaw]()
+    tool, payload, found = answers.tool, answers.payload.mass, list[ChecklistFlaw]()
     if not tool.name.strip() or not tool.mass >= 0.0:
-        found.append(ChecklistFlaw("tool", (tool.name, tool.mass), "a name, and a mass that was weighed [kg]"))
-    declared = site.tool.position if site.tool else (0.0, 0.0, 0.0)
-    if not np.linalg.norm(np.array(tool.tip) - np.array(declared)) <= TIP_TOLERANCE:
-        found.append(ChecklistFlaw("tool.tip [m]", tool.tip, f"the site file's {declared}"))
+        found.append(ChecklistFlaw("tool", (tool.name, tool.mass), "a name and a measured mass [kg]"))
+    site_tip = site.tool.position if site.tool else (0.0, 0.0, 0.0)
+    if not np.linalg.norm(np.array(tool.tip) - np.array(site_tip)) <= TIP_TOLERANCE:
+        found.append(ChecklistFlaw("tool.tip [m]", tool.tip, f"{site_tip}, as in the site file"))
     if not tool.set_at_controller:
-        found.append(ChecklistFlaw("tool.set_at_controller", False, "true: the arm's own collision detection needs it"))
-    if not (load >= 0.0 and tool.mass + load <= kind.payload):
-        found.append(ChecklistFlaw("payload.mass [kg]", load, f"with the tool at most the rated {kind.payload} kg"))
+        allowed = "true: the collision detection of the arm needs the mass of the tool"
+        found.append(ChecklistFlaw("tool.set_at_controller", False, allowed))
+    if not (payload >= 0.0 and tool.mass + payload <= kind.payload):
+        allowed = f"together with the tool at most the rated {kind.payload} kg"
+        found.append(ChecklistFlaw("payload.mass [kg]", payload, allowed))
     return found
 
 
 def _check_mounting(mounting: MountingAnswer) -> list[ChecklistFlaw]:
     found = list[ChecklistFlaw]()
     if mounting.on != "floor":
-        found.append(ChecklistFlaw("mounting.on", mounting.on, "floor: scenes and planes here count on z upward"))
+        found.append(ChecklistFlaw("mounting.on", mounting.on, "floor: scenes and planes assume that z is up"))
     if not abs(mounting.lean) <= MAX_LEAN:
         found.append(ChecklistFlaw("mounting.lean [rad]", mounting.lean, f"at most {MAX_LEAN}"))
     if not mounting.bolted:
@@ -223,14 +235,14 @@ def _check_mounting(mounting: MountingAnswer) -> list[ChecklistFlaw]:
 
 def _check_table(answers: Checklist, site: Site) -> list[ChecklistFlaw]:
     points = np.array(answers.table.points, dtype=float).reshape(-1, 3)
-    flat = np.linalg.matrix_rank(points - points[0], tol=0.05) >= 2 if len(points) >= 3 else False
-    if not (flat and np.isfinite(points).all()):
-        return [
-            ChecklistFlaw("table.points", len(points), "three or more that are not on one line, 5 cm apart or more")
-        ]
+    spans_plane = np.linalg.matrix_rank(points - points[0], tol=0.05) >= 2 if len(points) >= 3 else False
+    if not (spans_plane and np.isfinite(points).all()):
+        allowed = "three points or more, at least 5 cm apart and not on one line"
+        return [ChecklistFlaw("table.points", len(points), allowed)]
     if any(_are_on_plane(plane, points) for plane in site.plane):
         return []
-    allowed = f"within {1e3 * MAX_POINT_BELOW_PLANE:.0f} mm below and {1e3 * MAX_POINT_ABOVE_PLANE:.0f} mm above a [[plane]] of the site file"
+    below, above = 1e3 * MAX_POINT_BELOW_PLANE, 1e3 * MAX_POINT_ABOVE_PLANE
+    allowed = f"at most {below:.0f} mm below and {above:.0f} mm above a [[plane]] of the site file"
     return [ChecklistFlaw("table.points", [tuple(point) for point in points.tolist()], allowed)]
 
 
@@ -243,10 +255,10 @@ def _are_on_plane(plane: PlaneEntry, points: Array) -> bool:
 def _check_estop(estop: EstopAnswer) -> list[ChecklistFlaw]:
     found = list[ChecklistFlaw]()
     if not estop.speed > 0.0:
-        found.append(ChecklistFlaw("estop.speed [rad/s]", estop.speed, "above 0: it is tried while the arm moves"))
+        found.append(ChecklistFlaw("estop.speed [rad/s]", estop.speed, "above 0: the test is made while the arm moves"))
     if not 0.0 <= estop.rest <= MAX_ESTOP_STOP_TIME:
         found.append(ChecklistFlaw("estop.rest [s]", estop.rest, f"at most {MAX_ESTOP_STOP_TIME}"))
-    for name, said in (("latched", estop.latched), ("reset_in_two_steps", estop.reset_in_two_steps)):
-        if not said:
+    for name, confirmed in (("latched", estop.latched), ("reset_in_two_steps", estop.reset_in_two_steps)):
+        if not confirmed:
             found.append(ChecklistFlaw(f"estop.{name}", False, "true"))
     return found

@@ -1,9 +1,9 @@
-"""The sealed record of a commissioning: a gatekeeper opens no hardware without one that fits what is there now.
+"""Commissioning record: a gatekeeper opens no hardware without a record that fits the present robot and site.
 
-    seal = SHA-256(robot, driver, answers, SHA-256(body as the site narrows it), SHA-256(site file))
+    checksum = SHA-256(robot, driver, answers, SHA-256(robot model narrowed by the site), SHA-256(site file))
 
-The seal tells that nothing was changed since somebody answered; it does not tell who did. Whoever may write the file
-may seal it again.
+The checksum (the field `seal`) detects changes of the record since the commissioning. It is not a signature: any
+process that may write the file can compute a new checksum.
 """
 
 from __future__ import annotations
@@ -20,15 +20,17 @@ from dualbrain.robots.loader import encode_robot
 from dualbrain.robots.model import RobotModel
 
 RECORD_VERSION = 1
-FIX_HINT = "Fill in a checklist at the arm: dualbrain robot commission CHECKLIST --driver … --site …"
+FIX_HINT = "Commission the arm: dualbrain robot commission CHECKLIST --driver … --site …"
+FIELD_NAMES = {"robot": "robot", "driver": "driver", "body": "robot model", "site": "site file"}
+"""Names of the compared fields of a record, for messages."""
 
 
 class NotCommissionedError(ConfigurationError):
-    """Hardware that nobody has answered for, or that is not what was answered for."""
+    """Hardware without a commissioning record, or with one that does not fit robot, site or driver."""
 
 
 class CommissioningRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What was answered, for which body and site, and the seal over all of it."""
+    """The answers, the robot, driver, and SHA-256 of robot model (`body`) and site file, and the checksum (`seal`)."""
 
     version: int
     robot: str
@@ -40,7 +42,7 @@ class CommissioningRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
 
 
 def make_record(answers: Checklist, robot_model: RobotModel, site: Path, kind: DriverKind) -> CommissioningRecord:
-    """The record of `answers` that will do; `body` is the one that the site file has narrowed."""
+    """The record of acceptable `answers`; `robot_model` is the model after narrowing by the file `site`."""
     record = CommissioningRecord(
         version=RECORD_VERSION,
         robot=robot_model.name,
@@ -49,22 +51,20 @@ def make_record(answers: Checklist, robot_model: RobotModel, site: Path, kind: D
         body=model_hash(robot_model),
         site=_file_hash(site),
     )
-    return msgspec.structs.replace(record, seal=_seal(record))
+    return msgspec.structs.replace(record, seal=_checksum(record))
 
 
 def require_record(
     path: Path | None, robot_model: RobotModel, site: Path | None, kind: DriverKind
 ) -> CommissioningRecord:
-    """The record in `path`, if it is whole and about this body, this site file and this driver.
+    """The record in the file `path`, if it is unchanged and fits this robot model, site file and driver.
 
     Raises:
-        NotCommissioned: there is none, it was changed, or body, site or driver are not what they were.
+        NotCommissionedError: There is no record, it was changed, or robot model, site file or driver have changed.
     """
     if path is None or site is None:
-        missing = "no commissioning record" if path is None else "no site file"
-        raise NotCommissionedError(
-            f"hardware ({kind.name})", got=missing, allowed="a record and its site file", fix=FIX_HINT
-        )
+        missing = "a commissioning record" if path is None else "a site file"
+        raise NotCommissionedError.stating(f"The driver {kind.name!r} needs {missing}.", fix=FIX_HINT)
     record = _read_record(path)
     now = {
         "robot": robot_model.name,
@@ -74,20 +74,19 @@ def require_record(
     }
     for name, value in now.items():
         if getattr(record, name) != value:
-            what = "another" if name in ("robot", "driver") else "a changed"
             raise NotCommissionedError(
-                f"{name} of the commissioning",
-                got=f"{what} {name} than was answered for: {value[:16]}",
+                f"{FIELD_NAMES[name]} of the commissioning record {path}",
+                got=value[:16],
                 allowed=getattr(record, name)[:16],
-                fix=FIX_HINT,
+                fix=f"It has changed since the commissioning. {FIX_HINT}",
             )
-    if wrong := find_limit_flaws(robot_model, kind):
-        raise NotCommissionedError(wrong[0].item, got=wrong[0].got, allowed=wrong[0].allowed, fix=FIX_HINT)
+    if flaws := find_limit_flaws(robot_model, kind):
+        raise NotCommissionedError(flaws[0].item, got=flaws[0].got, allowed=flaws[0].allowed, fix=FIX_HINT)
     return record
 
 
 def model_hash(robot_model: RobotModel) -> str:
-    """SHA-256 of a body as it is encoded: limits, cover, tool and all."""
+    """SHA-256 of the encoded robot model: limits, spheres, tool and all other entries."""
     return sha256(encode_robot(robot_model)).hexdigest()
 
 
@@ -95,17 +94,17 @@ def _read_record(path: Path) -> CommissioningRecord:
     try:
         record = msgspec.json.decode(path.read_bytes(), type=CommissioningRecord)
     except (OSError, *DECODE_ERRORS) as error:
-        raise NotCommissionedError(
-            "commissioning record", got=str(error), allowed="what was sealed", fix=FIX_HINT
+        raise NotCommissionedError.stating(
+            f"The commissioning record {path} cannot be read: {error}.", fix=FIX_HINT
         ) from error
-    if record.version != RECORD_VERSION or record.seal != _seal(record):
-        raise NotCommissionedError(
-            "commissioning record", got="a seal that is not its own", allowed="unchanged", fix=FIX_HINT
+    if record.version != RECORD_VERSION or record.seal != _checksum(record):
+        raise NotCommissionedError.stating(
+            f"The commissioning record {path} was changed: its checksum does not match.", fix=FIX_HINT
         )
     return record
 
 
-def _seal(record: CommissioningRecord) -> str:
+def _checksum(record: CommissioningRecord) -> str:
     return sha256(msgspec.json.encode(msgspec.structs.replace(record, seal=""), order="deterministic")).hexdigest()
 
 
@@ -113,4 +112,6 @@ def _file_hash(path: Path) -> str:
     try:
         return sha256(path.read_bytes()).hexdigest()
     except OSError as error:
-        raise NotCommissionedError("site file", got=error.strerror, allowed="the one that was answered for") from error
+        raise NotCommissionedError.stating(
+            f"The site file {path} cannot be read: {error.strerror}.", fix="Give the site file of the commissioning."
+        ) from error

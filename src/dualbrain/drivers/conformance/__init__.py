@@ -1,1 +1,1 @@
-"""Requirements on every driver, and the harness that tests them."""
+"""Conformance test of drivers: the requirements on every driver, and the test harness."""

@@ -1,4 +1,4 @@
-"""A driver under examination: it is switched on, moved smoothly, and watched; everything in its own periods."""
+"""Test harness of a driver: enables it, commands smooth motions in its own periods, and records all states."""
 
 from __future__ import annotations
 
@@ -17,23 +17,25 @@ from dualbrain.robots.model import RobotModel
 Array = NDArray[np.float64]
 
 SMALL_MOTION = 0.03
-"""[rad] that a joint is moved to see that it is the right one."""
+"""Angle [rad] by which a joint is moved to check that it is the right joint."""
 SMALL_MOTION_TIME = 0.6
+"""Duration of a small motion [s]."""
 LARGE_MOTION = 0.2
-"""[rad] that joints are moved when they are driven as hard as the body may."""
+"""Maximum angle [rad] of a motion at the limits of the robot model."""
 LIMIT_SHARE = 0.97
-"""Of the body's limits: what the hardest motion asks for."""
+"""Share of the limits of the robot model that a motion at the limits uses."""
 SETTLE_TIME = 0.1
-"""[s] after which a motion that has been braked is looked at."""
+"""Time [s] between the end of a motion and the check of the result."""
 THREAD_YIELD_TIME = 1e-4
-"""[s] for which a driver's own threads are given room, in each period in which it is being switched on."""
+"""Time [s] given to the threads of the driver in each period while the drive is being enabled."""
 
 
 @dataclass(frozen=True, slots=True)
 class DriverUnderTest:
-    """A fresh driver, connected, its arm at rest in the body's home posture; and what a person can do to its arm.
+    """A newly connected driver whose arm is at rest in the home posture of the robot model.
 
-    `provoke` makes the maker's own safety stop the arm, `clear` undoes that; None where it cannot be done.
+    `trigger_stop` makes the safety system of the arm stop it, and `clear_stop` clears that stop; None if this cannot be
+    done.
     """
 
     driver: Driver
@@ -43,10 +45,10 @@ class DriverUnderTest:
 
 
 class DriverHarness:
-    """Carries out motions on a subject and keeps every state that came."""
+    """Runs motions on a driver under test and records every state."""
 
     def __init__(self, under_test: DriverUnderTest) -> None:
-        """Nothing has happened yet."""
+        """Record the first state."""
         self.driver, self.robot_model, self.under_test = under_test.driver, under_test.robot_model, under_test
         self.n, self.period = under_test.robot_model.n, under_test.driver.timing.period
         self.states: list[RobotState] = [under_test.driver.read()]
@@ -58,27 +60,27 @@ class DriverHarness:
 
     def make_command(self, u: Array) -> Command:
         """A command that leaves the fingers open."""
-        grip = self.robot_model.gripper
-        return Command(u, float(grip.opening.value), float(grip.force_min.value))
+        gripper = self.robot_model.gripper
+        return Command(u, float(gripper.opening.value), float(gripper.force_min.value))
 
     def wait(self, periods: int = 1) -> None:
-        """Let periods pass in which nothing is written."""
+        """Wait for `periods` states without writing a command."""
         for _ in range(periods):
             self.driver.wait()
             self.states.append(self.driver.read())
 
     def write(self, u: Array, periods: int = 1) -> None:
-        """Write a joint velocity (n,) once in each period."""
+        """Write the joint velocity u (n,) [rad/s] once in each period."""
         for _ in range(periods):
             self.driver.write(self.make_command(u))
             self.wait()
 
     def n_periods(self, seconds: float) -> int:
-        """How many periods that is."""
+        """Number of periods in `seconds` [s], at least 1."""
         return max(1, round(seconds / self.period))
 
     def switch_on(self) -> bool:
-        """Switch the drive on and stand; whether it came on in the time that the driver declares."""
+        """Enable the drive at velocity zero; whether it was enabled within `timing.drive_on_timeout`."""
         self.driver.enable()
         for _ in range(self.n_periods(self.driver.timing.drive_on_timeout)):
             self.write(np.zeros(self.n))
@@ -88,7 +90,7 @@ class DriverHarness:
         return False
 
     def swing_joint(self, joint: int, peak: float, seconds: float, stop_fraction: float = 1.0) -> float:
-        """Turn one joint with v(t) = peak sin²(π t/T), stop at `until` T; ∫v dt [rad] as it was asked for."""
+        """Command v(t) = peak sin²(π t/T) on one joint, up to `stop_fraction` T; returns the commanded ∫v dt [rad]."""
         total, periods = 0.0, self.n_periods(seconds)
         for k in range(round(stop_fraction * periods)):
             u = np.zeros(self.n)
@@ -98,14 +100,14 @@ class DriverHarness:
         return total
 
     def inward_sign(self, joint: int) -> float:
-        """The sign of the direction in which a joint has more room."""
+        """Sign of the direction in which the joint is farther from the end of its range."""
         bounds = self.robot_model.joints[joint]
         return 1.0 if bounds.upper.value - self.state.q[joint] > self.state.q[joint] - bounds.lower.value else -1.0
 
     def max_swing(self, joint: int) -> tuple[float, float]:
-        """Peak [rad/s] and length [s] of the sin² that reaches `SHARE` of the body's limits within `FAR` rad.
+        """Peak [rad/s] and duration [s] of the sin² motion at `LIMIT_SHARE` of the limits, within `LARGE_MOTION`.
 
-        Of v = p sin²(π t/T): greatest acceleration π p/T, greatest jerk 2 π² p/T², travel p T/2.
+        v = p sin²(π t/T) has the maximum acceleration π p/T, the maximum jerk 2 π² p/T² and the travel p T/2.
         """
         bounds = self.robot_model.joints[joint]
         a = LIMIT_SHARE * bounds.acceleration.value
@@ -116,5 +118,5 @@ class DriverHarness:
         return peak, seconds
 
     def max_joint_speed(self) -> float:
-        """The fastest joint now [rad/s]."""
+        """Largest joint speed of the newest state [rad/s]."""
         return float(np.abs(self.state.v).max())

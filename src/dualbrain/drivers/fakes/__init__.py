@@ -1,1 +1,1 @@
-"""Fakes of vendor libraries, for tests without hardware."""
+"""Fakes of the vendors' libraries, for tests without hardware."""

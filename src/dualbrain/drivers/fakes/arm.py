@@ -1,4 +1,4 @@
-"""The joints of a fake arm: they follow a velocity with a lag, and brake by themselves when they are told nothing."""
+"""Joints of a fake arm: they follow a target velocity with a lag, and brake without a target."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 LAG = 0.002
-"""[s] v ← v + (w − v) dt / lag."""
+"""Time constant of the joints [s]: v ← v + (target − v) dt / LAG."""
 
 
 class FakeArm:
-    """Posture q (n,) [rad], velocity v (n,) [rad/s] and time [s]; `pace(now)` may delay each step for a real clock."""
+    """Posture q (n,) [rad], velocity v (n,) [rad/s] and time `now` [s] of a fake arm."""
 
     def __init__(self, home: tuple[float, ...], braking: float, pace: Callable[[float], None] | None = None) -> None:
-        """At rest in `home`; with nothing to follow every joint brakes at `braking` [rad/s²]."""
+        """At rest in `home` [rad]; `braking` [rad/s²] applies without a target, `pace(now)` may delay each step."""
         self.q: Array = np.array(home, dtype=float)
         self.v: Array = np.zeros(len(home))
         self.now = 0.0
         self._braking, self._pace = braking, pace
 
     def follow(self, target: Array | None, dt: float) -> None:
-        """One step of `dt` [s] toward the velocity `wanted` (n,); with None it brakes."""
+        """One step of `dt` [s] towards the velocity `target` (n,) [rad/s]; None brakes all joints."""
         before = self.v
         if target is None:
             self.v = np.sign(before) * np.maximum(0.0, np.abs(before) - self._braking * dt)

@@ -1,10 +1,10 @@
-"""The Franka Control Interface without an arm: the names of `pylibfranka`, and the reflexes that its maker documents.
+"""Fake of the Franka Control Interface: the names of `pylibfranka`, and the documented reflexes of the controller.
 
-Of the joint velocity interface: a packet a millisecond; a command outside of a limit of position, velocity,
-acceleration or jerk aborts the motion by a reflex with the controller's own flag; the first command continues at the
-last commanded velocity, which is zero; a packet that misses is filled in at constant acceleration, and 20 in a row
-abort; after a reflex nothing moves before `automatic_error_recovery`, which a pressed user stop refuses. Time passes
-only when a state is waited for.
+Rules of the joint velocity interface: one packet per millisecond; a command outside a limit of position, velocity,
+acceleration or jerk aborts the motion by a reflex with the flag of the controller; the first command continues the last
+commanded velocity, which is zero; a missed packet is extrapolated at constant acceleration, and 20 missed packets in a
+row abort the motion; after a reflex nothing moves before `automatic_error_recovery`, which is refused while the user
+stop is pressed. Time advances only when a state is requested.
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ from dualbrain.drivers.vendor_limits import FR3, VendorLimits
 from dualbrain.robots.model import RobotModel
 
 DT = 1e-3
+"""Period of the controller [s]."""
 MAX_MISSED_PACKETS = 20
-"""Packets missed in a row that abort a motion."""
+"""Number of missed packets in a row that aborts a motion."""
 ERROR_FLAGS = (
     "joint_position_limits_violation",
     "joint_velocity_violation",
@@ -35,7 +36,7 @@ ERROR_FLAGS = (
     "joint_motion_generator_acceleration_discontinuity",
     "communication_constraints_violation",
 )
-"""Those of the 41 that a joint velocity can raise."""
+"""The error flags, out of 41, that a joint velocity command can raise."""
 
 
 class ControlException(RuntimeError):
@@ -47,15 +48,15 @@ class CommandException(RuntimeError):
 
 
 class NetworkException(RuntimeError):
-    """Nobody answers."""
+    """The controller does not answer."""
 
 
 class InvalidOperationException(RuntimeError):
-    """Two motions at once."""
+    """Another operation is running."""
 
 
 class RobotMode(Enum):
-    """What the controller is doing."""
+    """Mode of the controller."""
 
     Idle = 1
     Move = 2
@@ -64,10 +65,10 @@ class RobotMode(Enum):
 
 
 class Errors:
-    """Flags of the controller as attributes; true if any is raised."""
+    """Error flags of the controller as attributes; true if any flag is raised."""
 
     def __init__(self, *raised: str) -> None:
-        """`raised` are names of `FLAGS`."""
+        """Raise the flags called `raised`, which are names in `ERROR_FLAGS`."""
         for name in ERROR_FLAGS:
             setattr(self, name, name in raised)
         self._raised = raised
@@ -77,7 +78,7 @@ class Errors:
         return bool(self._raised)
 
     def __str__(self) -> str:
-        """As the library prints them."""
+        """The raised flags in the format of the library."""
         return "[" + ", ".join(f'"{name}"' for name in self._raised) + "]"
 
 
@@ -85,19 +86,19 @@ class Duration:
     """A time of the controller."""
 
     def __init__(self, seconds: float) -> None:
-        """`seconds` [s]."""
+        """A time of `seconds` [s]."""
         self._seconds = seconds
 
     def to_sec(self) -> float:
-        """In seconds."""
+        """The time in seconds."""
         return self._seconds
 
 
 class JointVelocities:
-    """A command: dq (7,) [rad/s]."""
+    """A command with joint velocities dq (7,) [rad/s]."""
 
     def __init__(self, dq: list[float]) -> None:
-        """Seven numbers."""
+        """Command the seven velocities `dq` [rad/s]; raises `TypeError` for another number."""
         if len(dq) != 7:
             raise TypeError("incompatible constructor arguments: FixedSize(7)")
         self.dq = [float(value) for value in dq]
@@ -105,12 +106,12 @@ class JointVelocities:
 
 
 class FakeFrankaController:
-    """The arm's own controller: checks every command, integrates it, and gives up when it has to."""
+    """Fake of the arm's controller: checks every command, integrates it, and aborts the motion by a reflex."""
 
     def __init__(
         self, robot_model: RobotModel, limits: VendorLimits = FR3, pace: Callable[[float], None] | None = None
     ) -> None:
-        """At rest in the body's home, unlocked, FCI active."""
+        """The arm is at rest in the home posture of `robot_model`, unlocked, with FCI active."""
         if limits.acceleration is None or limits.jerk is None:
             raise TypeError("a Franka arm has limits of acceleration and jerk")
         self.arm, self.limits = FakeArm(robot_model.home, float(limits.acceleration.min()), pace), limits
@@ -127,7 +128,7 @@ class FakeFrankaController:
         self.missed_in_a_row = 0
 
     def start(self) -> None:
-        """Begin a motion."""
+        """Start a motion; raises the library's exceptions if that is not possible."""
         if self.user_stop_pressed or self.mode is RobotMode.UserStopped:
             raise CommandException("libfranka: Move command rejected: command not possible in the current mode!")
         if self.errors:
@@ -138,24 +139,24 @@ class FakeFrankaController:
         self.mode = RobotMode.Move
 
     def command(self, u: Array) -> None:
-        """A packet came: it is the velocity of the next millisecond."""
+        """Receive a packet: the joint velocity (7,) [rad/s] of the next millisecond."""
         self._next = u
 
     def halt(self) -> None:
-        """The motion is over; the arm brakes."""
+        """End the motion; the arm brakes."""
         if self.mode is RobotMode.Move:
             self.mode = RobotMode.Idle
 
     def press_user_stop(self) -> None:
-        """A person presses the user stop."""
+        """Press the user stop."""
         self.user_stop_pressed, self.mode = True, RobotMode.UserStopped
 
     def release_user_stop(self) -> None:
-        """And lets it go."""
+        """Release the user stop."""
         self.user_stop_pressed, self.mode = False, RobotMode.Idle
 
     def collide(self) -> None:
-        """Something is hit: the torque threshold of a joint is exceeded."""
+        """Simulate a collision: the torque threshold of a joint is exceeded."""
         self._reflex("joint_reflex")
 
     def recover(self) -> None:
@@ -165,7 +166,7 @@ class FakeFrankaController:
         self.mode, self.errors = RobotMode.Idle, Errors()
 
     def step(self) -> None:
-        """One millisecond."""
+        """Advance the time by one millisecond."""
         if self.mode is not RobotMode.Move:
             self.arm.follow(None, DT)
             return
@@ -178,7 +179,7 @@ class FakeFrankaController:
         self.arm.follow(u, DT)
 
     def _next_velocity(self) -> Array:
-        """The command for this millisecond, or what constant acceleration makes of the last ones."""
+        """The command for this millisecond; a missing one is extrapolated at constant acceleration."""
         u, self._next = self._next, None
         if u is not None:
             self.missed_in_a_row = 0
@@ -188,16 +189,16 @@ class FakeFrankaController:
         return self._u + self._acceleration * DT
 
     def _violated_flag(self, u: Array) -> str:
-        """The flag that a command raises; "" for none. The necessary conditions of the interface, each strict."""
+        """The flag that a command raises by the necessary conditions of the interface; "" for none."""
         if self.missed_in_a_row >= MAX_MISSED_PACKETS:
             return "communication_constraints_violation"
-        least, most = self.limits.velocity_limits(self.arm.q)
+        v_min, v_max = self.limits.velocity_limits(self.arm.q)
         acceleration = (u - self._u) / DT
         jerk = (acceleration - self._acceleration) / DT
         low, high = self.limits.position_range.T
         if ((self.arm.q <= low) | (self.arm.q >= high)).any():
             return "joint_motion_generator_position_limits_violation"
-        if ((u <= least) | (u >= most)).any() or not np.isfinite(u).all():
+        if ((u <= v_min) | (u >= v_max)).any() or not np.isfinite(u).all():
             return "joint_motion_generator_velocity_limits_violation"
         if (np.abs(acceleration) > self._max_acceleration * (1.0 + 1e-9)).any():
             return "joint_motion_generator_velocity_discontinuity"
@@ -210,7 +211,7 @@ class FakeFrankaController:
 
 
 class FakeFranka:
-    """Stands where the module `pylibfranka` would; `controller` is what the test may press, hit and ask."""
+    """Fake of the module `pylibfranka`; tests control and inspect the arm through `controller`."""
 
     ControlException, CommandException = ControlException, CommandException
     NetworkException, InvalidOperationException = NetworkException, InvalidOperationException
@@ -221,13 +222,13 @@ class FakeFranka:
     RealtimeConfig = SimpleNamespace(kEnforce=0, kIgnore=1)
 
     def __init__(self, robot_model: RobotModel, pace: Callable[[float], None] | None = None) -> None:
-        """An arm of that body."""
+        """A fake arm with the joints of `robot_model`; `pace(now)` may delay each step."""
         self.controller = FakeFrankaController(robot_model, pace=pace)
         self.hand = FakeHand(self.controller)
         self.unplugged = False
 
     def Robot(self, robot_ip_address: str, realtime_config: int = 0) -> Robot:
-        """Connect."""
+        """Connect to the arm."""
         del robot_ip_address, realtime_config
         return Robot(self)
 
@@ -238,20 +239,20 @@ class FakeFranka:
 
 
 class Robot:
-    """`pylibfranka.Robot`, as far as joint velocities need it."""
+    """The part of `pylibfranka.Robot` that joint velocities need."""
 
     def __init__(self, sdk: FakeFranka) -> None:
-        """Connected to `sdk`."""
+        """Connected to the arm of `sdk`."""
         self._sdk, self._controller = sdk, sdk.controller
 
     def read_once(self) -> Any:
-        """Wait for the next state; not while a motion is under way."""
+        """Wait for the next state; not allowed during a motion."""
         if self._controller.mode is RobotMode.Move:
             raise InvalidOperationException("libfranka robot: Cannot perform this operation while another is running")
         return _next_state(self._sdk)
 
     def start_joint_velocity_control(self, arg0: int) -> ActiveControlBase:
-        """Begin a motion."""
+        """Start a motion."""
         del arg0
         self._controller.start()
         return ActiveControlBase(self._sdk)
@@ -261,19 +262,19 @@ class Robot:
         self._controller.recover()
 
     def stop(self) -> None:
-        """Stop the motion under way."""
+        """Stop the current motion."""
         self._controller.halt()
 
 
 class ActiveControlBase:
-    """A motion under way."""
+    """A running motion."""
 
     def __init__(self, sdk: FakeFranka) -> None:
-        """Of `sdk`'s arm."""
+        """A motion of the arm of `sdk`."""
         self._sdk, self._controller = sdk, sdk.controller
 
     def readOnce(self) -> tuple[Any, Duration]:
-        """Wait for the next state; raises when the motion was aborted."""
+        """Wait for the next state; raises `ControlException` if the motion was aborted."""
         self._check()
         state = _next_state(self._sdk)
         self._check()
@@ -315,10 +316,10 @@ def _next_state(sdk: FakeFranka) -> Any:
 
 
 class FakeHand:
-    """`pylibfranka.Gripper`: the fingers arrive at once; `thing` is how wide [m] what lies between them is."""
+    """Fake of `pylibfranka.Gripper`: the fingers move at once; `object_width` [m] is the object between them."""
 
     def __init__(self, controller: FakeFrankaController) -> None:
-        """Open."""
+        """The hand is open."""
         self._controller = controller
         self._width, self._held = 0.08, False
         self.object_width = 0.0
@@ -329,7 +330,7 @@ class FakeHand:
         return SimpleNamespace(width=self._width, is_grasped=self._held, max_width=0.08, time=Duration(0.0))
 
     def move(self, arg0: float, arg1: float) -> bool:
-        """To a width [m] at a speed [m/s], or as far as the thing lets them."""
+        """Move to a width [m] at a speed [m/s]; the fingers stop at the object."""
         self.calls.append(("move", arg0, arg1))
         self._width, self._held = max(arg0, self.object_width), False
         return True
@@ -337,7 +338,7 @@ class FakeHand:
     def grasp(
         self, width: float, speed: float, force: float, epsilon_inner: float = 0.005, epsilon_outer: float = 0.005
     ) -> bool:
-        """Close with a force [N]; held if the width where they stop is within the two tolerances of `width`."""
+        """Close with a force [N]; the object is held if the final width is within both tolerances of `width`."""
         self.calls.append(("grasp", width, force))
         del speed
         self._width = max(width, self.object_width)

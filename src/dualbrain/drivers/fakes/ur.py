@@ -1,9 +1,9 @@
-"""A UR controller without an arm: the names of `ur-rtde`; script, watchdog and safety system by the maker's manuals.
+"""Fake of a UR controller: the names of `ur-rtde`; script, watchdog and safety system as in the manuals.
 
-`speedJ` is taken only while the control script runs; it turns the joints with the given acceleration of the leading
-axis and goes on until something else is said. A watchdog that is not kicked in time ends the script; so does a
-protective stop, which can be unlocked only after 5 s, at the pendant. A joint beyond its speed limit is a protective
-stop. Without a script the controller brakes the arm and holds it. Time passes only when a state is waited for.
+`speedJ` is accepted only while the control script runs. It moves the joints with the given acceleration of the leading
+axis, until the next command. A watchdog that is not kicked in time ends the script; so does a protective stop, which
+can be unlocked only after 5 s and at the pendant. A joint that exceeds its speed limit causes a protective stop.
+Without a script the controller brakes the arm and holds it. Time advances only when a state is requested.
 """
 
 from __future__ import annotations
@@ -19,19 +19,22 @@ from dualbrain.drivers.vendor_limits import UR5E, VendorLimits
 from dualbrain.robots.model import RobotModel
 
 DT = 2e-3
+"""Period of the controller [s]."""
 BRAKING_ACCELERATION = 10.0
-"""[rad/s²] with which the controller stops the joints."""
+"""Deceleration with which the controller stops the joints [rad/s²]."""
 UNLOCK_DELAY = 5.0
+"""Time after a protective stop before which it cannot be unlocked [s]."""
 MAX_ACCELERATION = 40.0
+"""Largest acceleration that `speedJ` accepts [rad/s²]."""
 
 
 class FakeUrController:
-    """The control box: script, watchdog, safety system."""
+    """Fake of the control box: script, watchdog and safety system."""
 
     def __init__(
         self, robot_model: RobotModel, limits: VendorLimits = UR5E, pace: Callable[[float], None] | None = None
     ) -> None:
-        """Powered on, brakes released, in remote control."""
+        """The arm is powered on in the home posture of `robot_model`, brakes released, in remote control."""
         self.arm, self.limits = FakeArm(robot_model.home, BRAKING_ACCELERATION, pace), limits
         self.script_running, self.protective_stopped, self.emergency_stopped = False, False, False
         self.watchdog_timeout, self.last_kick = inf, 0.0
@@ -40,7 +43,7 @@ class FakeUrController:
         self._acceleration = 0.0
 
     def load_script(self) -> bool:
-        """Start the script, if the safety system lets it."""
+        """Start the script, unless the safety system has stopped the arm; whether it runs."""
         if self.protective_stopped or self.emergency_stopped:
             return False
         self.script_running, self.watchdog_timeout = True, inf
@@ -48,11 +51,11 @@ class FakeUrController:
         return True
 
     def end_script(self) -> None:
-        """The script is over."""
+        """End the script."""
         self.script_running = False
 
     def set_speed(self, qd: list[float], acceleration: float) -> bool:
-        """Where the speed goes; False without a script."""
+        """Set the target speed (6,) [rad/s] and the acceleration [rad/s²]; False if no script runs."""
         if not 0.0 <= acceleration <= MAX_ACCELERATION:
             raise ValueError(f"acceleration {acceleration} is not within [0, {MAX_ACCELERATION}]")
         if self.script_running:
@@ -60,26 +63,26 @@ class FakeUrController:
         return self.script_running
 
     def trigger_protective_stop(self) -> None:
-        """A protective stop."""
+        """Make the safety system stop the arm."""
         self.protective_stopped, self.script_running, self._stopped_at = True, False, self.arm.now
 
     def press_emergency_stop(self) -> None:
-        """The emergency stop: power goes, brakes engage."""
+        """Press the emergency stop: the power is cut and the brakes engage."""
         self.emergency_stopped, self.script_running = True, False
 
     def release_emergency_stop(self) -> None:
-        """Released, powered on again, brakes off: all of it at the pendant."""
+        """Release the emergency stop, power on and release the brakes, as at the pendant."""
         self.emergency_stopped = False
 
     def unlock_protective_stop(self) -> str:
-        """What the dashboard answers to `unlock protective stop`."""
+        """The answer of the dashboard server to `unlock protective stop`."""
         if self.arm.now - self._stopped_at < UNLOCK_DELAY:
             return "Cannot unlock protective stop until 5s after occurrence. Always inspect cause of protective stop"
         self.protective_stopped = False
         return "Protective stop releasing"
 
     def step(self) -> None:
-        """One period of 2 ms."""
+        """Advance the time by one period of 2 ms."""
         if self.script_running and self.arm.now - self.last_kick > self.watchdog_timeout:
             self.script_running = False
         if not self.script_running:
@@ -87,25 +90,26 @@ class FakeUrController:
             self._u = self.arm.v.copy()
             return
         change = self._goal - self._u
-        leading = float(np.abs(change).max())
-        self._u = self._u + change * (min(1.0, self._acceleration * DT / leading) if leading > 0.0 else 0.0)
+        largest_change = float(np.abs(change).max())
+        share = min(1.0, self._acceleration * DT / largest_change) if largest_change > 0.0 else 0.0
+        self._u = self._u + change * share
         self.arm.follow(self._u, DT)
-        least, most = self.limits.velocity_limits(self.arm.q)
+        v_min, v_max = self.limits.velocity_limits(self.arm.q)
         low, high = self.limits.position_range.T
-        beyond = (self.arm.v < least) | (self.arm.v > most) | (self.arm.q < low) | (self.arm.q > high)
-        if beyond.any() or not np.isfinite(self._u).all():
+        outside = (self.arm.v < v_min) | (self.arm.v > v_max) | (self.arm.q < low) | (self.arm.q > high)
+        if outside.any() or not np.isfinite(self._u).all():
             self.trigger_protective_stop()
 
 
 class FakeUr:
-    """Stands where `rtde_control` and `rtde_receive` would; `controller` is what the test may press and ask."""
+    """Fake of `rtde_control` and `rtde_receive`; tests control and inspect the arm through `controller`."""
 
     def __init__(self, robot_model: RobotModel, pace: Callable[[float], None] | None = None) -> None:
-        """An arm of that body."""
+        """A fake arm with the joints of `robot_model`; `pace(now)` may delay each step."""
         self.controller = FakeUrController(robot_model, pace=pace)
 
     def RTDEControlInterface(self, hostname: str, frequency: float = -1.0) -> Control:
-        """Connect: the script is loaded."""
+        """Connect for control, which loads the script."""
         del hostname, frequency
         if not self.controller.load_script():
             raise RuntimeError("Failed to start control script, before timeout of 5 seconds")
@@ -118,19 +122,19 @@ class FakeUr:
 
 
 class Control:
-    """`rtde_control.RTDEControlInterface`, as far as joint speeds need it."""
+    """The part of `rtde_control.RTDEControlInterface` that joint speeds need."""
 
     def __init__(self, controller: FakeUrController) -> None:
-        """Of that control box."""
+        """The control interface of `controller`."""
         self._controller = controller
 
     def speedJ(self, qd: list[float], acceleration: float = 0.5, time: float = 0.0) -> bool:
-        """Accelerate linearly in joint space and go on at that speed."""
+        """Accelerate linearly in joint space and continue at that speed."""
         del time
         return self._controller.set_speed(qd, acceleration)
 
     def setWatchdog(self, min_frequency: float = 10.0) -> bool:
-        """From now on a kick must come that often."""
+        """From now on, `kickWatchdog` must be called at this frequency [1/s]."""
         if self._controller.script_running:
             self._controller.watchdog_timeout, self._controller.last_kick = (
                 1.0 / min_frequency,
@@ -139,7 +143,7 @@ class Control:
         return self._controller.script_running
 
     def kickWatchdog(self) -> bool:
-        """We are alive."""
+        """Kick the watchdog."""
         self._controller.last_kick = self._controller.arm.now
         return self._controller.script_running
 
@@ -156,28 +160,28 @@ class Control:
         return self._controller.script_running
 
     def disconnect(self) -> None:
-        """Hang up; the script ends."""
+        """Disconnect, which ends the script."""
         self._controller.end_script()
 
 
 class Receive:
-    """`rtde_receive.RTDEReceiveInterface`, as far as joint states need it."""
+    """The part of `rtde_receive.RTDEReceiveInterface` that joint states need."""
 
     def __init__(self, controller: FakeUrController) -> None:
-        """Of that control box."""
+        """The receive interface of `controller`."""
         self._controller = controller
 
     def initPeriod(self) -> timedelta:
-        """The time at which a period begins."""
+        """The start time of a period."""
         return timedelta(seconds=self._controller.arm.now)
 
     def waitPeriod(self, arg0: timedelta) -> None:
-        """Until the period that began then is over."""
+        """Wait for the end of the period that started at `arg0`."""
         del arg0
         self._controller.step()
 
     def getTimestamp(self) -> float:
-        """[s] since the controller was started."""
+        """Time since the controller was started [s]."""
         return self._controller.arm.now
 
     def getActualQ(self) -> list[float]:

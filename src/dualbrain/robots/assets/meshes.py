@@ -1,4 +1,4 @@
-"""Triangle meshes of robots from installed data packages. Needs the extra `simulation`; the run time needs no meshes."""
+"""Triangle meshes of robots from installed data packages. Needs the extra `simulation`; not used at run time."""
 
 from __future__ import annotations
 
