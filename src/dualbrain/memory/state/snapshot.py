@@ -8,7 +8,6 @@ ignored and written again.
 from __future__ import annotations
 
 import hashlib
-import os
 import struct
 from collections.abc import Mapping
 from contextlib import suppress
@@ -18,6 +17,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.core.storage.atomic_files import atomic_file
 from dualbrain.errors import DECODE_ERRORS
 from dualbrain.memory.embedding.text_encoder import Float32Array
 from dualbrain.memory.ledger.events import SNAPSHOT, SnapshotRecord
@@ -55,14 +55,13 @@ def write_snapshot(ledger: Ledger, snapshot: MemorySnapshot, *, now: float) -> P
     If the process is killed before the event is appended, the previous snapshot stays in use.
     """
     path = _path(ledger, snapshot.head.seq)
-    partial = path.with_suffix(".partial")
     head = snapshot.head
     header = _SnapshotHeader(
         seq=head.seq, hash=head.hash, versions=dict(snapshot.versions), dim=snapshot.rows.shape[1], state=snapshot.state
     )
     text = msgspec.msgpack.encode(header)
     digest = hashlib.sha256()
-    with partial.open("wb") as file:
+    with atomic_file(path) as temporary, temporary.open("wb") as file:
         for part in (
             _PREAMBLE.pack(MAGIC, len(text)),
             text,
@@ -71,9 +70,6 @@ def write_snapshot(ledger: Ledger, snapshot: MemorySnapshot, *, now: float) -> P
         ):
             file.write(part)
             digest.update(part)
-        file.flush()
-        os.fsync(file.fileno())
-    partial.replace(path)
     ledger.append(
         [PendingEvent(kind=SNAPSHOT, subject="", payload=SnapshotRecord(head.seq, digest.hexdigest()))], now=now
     )

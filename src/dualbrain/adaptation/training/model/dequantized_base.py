@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import shutil
 import tempfile
@@ -22,6 +21,7 @@ from transformers.utils import logging
 
 from dualbrain.adaptation.adapters.base_models import BaseModel
 from dualbrain.core.storage.atomic_files import FileWriteError, fsync_folder
+from dualbrain.core.storage.file_lock import file_lock
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError, MissingDependencyError
 
 STAMP_FILE = "made.json"
@@ -50,7 +50,7 @@ def dequantize_base(base: BaseModel, cache: Path) -> Path:
         if not base.gguf.is_file():
             fix = f"Fetch it with `dualbrain models fetch`. {base.gguf}"
             raise MissingDependencyError(f"The model file {base.gguf.name!r}", fix=fix)
-        with _translate_write_errors(folder), _exclusive_lock(folder):
+        with _translate_write_errors(folder), file_lock(folder.with_name(f".{folder.name}.lock")):
             if not _is_intact(folder, base):
                 _convert(base, folder)
     return folder
@@ -130,11 +130,3 @@ def _translate_write_errors(folder: Path) -> Generator[None]:
         yield
     except (OSError, SafetensorError) as error:
         raise FileWriteError(folder, error) from error
-
-
-@contextmanager
-def _exclusive_lock(folder: Path) -> Generator[None]:
-    """In this context, no other process writes `folder`."""
-    with folder.with_name(f".{folder.name}.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield

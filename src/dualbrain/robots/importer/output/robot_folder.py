@@ -12,6 +12,7 @@ from pathlib import Path
 
 import msgspec
 
+from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError
 from dualbrain.robots.importer.output.diff import ModelChange, find_changes, reapply_edits
 from dualbrain.robots.importer.output.markdown import render_readme
@@ -79,7 +80,7 @@ def write_robot_folder(
         MODEL_FILE: encode_robot(robot_model),
     }
     for name, data in files.items():
-        _write_atomically(folder / name, data)
+        write_atomically(folder / name, data)
     return FolderWriteResult(
         robot_model=robot_model,
         is_new=previous is None,
@@ -140,10 +141,3 @@ def _read_previous(folder: Path, robot_model: RobotModel) -> tuple[RobotModel | 
             fix="Choose another folder with --out.",
         )
     return generated, read_robot(folder) if (folder / MODEL_FILE).is_file() else None
-
-
-def _write_atomically(path: Path, data: bytes) -> None:
-    """Write to a temporary file, then rename it: a reader sees the old content or the new one."""
-    temporary = path.with_name(f".{path.name}.new")
-    temporary.write_bytes(data)
-    temporary.replace(path)
