@@ -1,13 +1,18 @@
-"""True names of objects for perception models that choose names by themselves."""
+"""The simulated world: true names of perceived objects, and the goal of a contract."""
 
 import msgspec
 import numpy as np
+import pytest
 
+from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.robots.loader import load_robot
 from dualbrain.simulation.perception.noisy_perception import NO_NOISE, NoisyPerception
 from dualbrain.simulation.plant.factory import make_plant
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.simulation.scenes.generators.tabletop import make_scene
-from dualbrain.simulation.world import SimulatedWorld, match_true_names
+from dualbrain.simulation.tasks.placement import PlacementGoal
+from dualbrain.simulation.world import SimulatedWorld, contract_goals, match_true_names
+from dualbrain.simulation.world import make_world as world_of_scene
 
 
 class RenamingPerception:
@@ -22,20 +27,20 @@ class RenamingPerception:
         return msgspec.structs.replace(scene, objects=tuple(objects))
 
 
-def make_world(names):
+def renaming_world(names):
     spec = make_scene("tabletop", 1)
     plant = make_plant(spec, load_robot("panda"), visuals=False)
     return SimulatedWorld(plant, RenamingPerception(spec, names))
 
 
 def test_names_of_the_plant_are_not_changed():
-    world = make_world({})
+    world = renaming_world({})
     assert match_true_names(world.perceive(), world.plant) == {}
 
 
 def test_an_object_with_another_name_is_matched_by_its_position():
     names = {"red_cube": "orange_block", "blue_bowl": "red_cube"}
-    world = make_world(names)
+    world = renaming_world(names)
     found = match_true_names(world.perceive(), world.plant)
     assert {found[names.get(name, name)] == name for name in world.plant.object_names} == {True}
 
@@ -49,7 +54,7 @@ def test_a_keep_out_area_is_not_matched():
 
 
 def test_the_monitor_permits_contact_with_the_true_object_under_any_name():
-    world = make_world({"red_cube": "orange_block"})
+    world = renaming_world({"red_cube": "orange_block"})
     world.perceive()
     calls = []
     world.monitor.allow = lambda *arguments: calls.append(arguments)
@@ -57,3 +62,18 @@ def test_the_monitor_permits_contact_with_the_true_object_under_any_name():
     world.set_phase("lift", {"target": None, "held": "orange_block", "destination": None})
     assert calls[0][:2] == ("red_cube", None)
     assert calls[1][:2] == (None, "red_cube")
+
+
+@pytest.mark.parametrize(("offset", "success"), [(0.0, True), (0.3, False)])
+def test_a_contract_that_only_goes_home_succeeds_when_the_arm_rests_at_home(offset, success):
+    panda = load_robot("panda")
+    world = world_of_scene(open_scene("bare:1"), panda)
+    world.start_contract(Contract("c-0001", Context("panda", ""), (Action("home", {"speed": 0.2}),)))
+    world.plant.set_configuration(np.array(panda.home) + offset, 0.04)
+    assert world.judgement().success == success
+
+
+def test_home_after_a_placement_leaves_the_goal_of_the_placement():
+    grasp, place = Action("grasp", {"object": "red_cube"}), Action("place", {"destination": "blue_bowl"})
+    contract = Contract("c-0001", Context("panda", ""), (grasp, place, Action("home", {})))
+    assert contract_goals(contract) == PlacementGoal("red_cube", "blue_bowl")

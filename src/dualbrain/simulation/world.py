@@ -17,9 +17,15 @@ from dualbrain.simulation.perception.noisy_perception import NoisyPerception, Pe
 from dualbrain.simulation.plant.factory import make_plant
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
-from dualbrain.simulation.tasks.arrival import ArrivalGoal, ArrivalJudge
-from dualbrain.simulation.tasks.multi_goal import GoalSequence, GoalSequenceJudge
-from dualbrain.simulation.tasks.placement import PlacementGoal, PlacementJudge
+from dualbrain.simulation.tasks.arrival import ArrivalGoal
+from dualbrain.simulation.tasks.multi_goal import (
+    GoalSequence,
+    GoalSequenceJudge,
+    HomeGoal,
+    SingleGoal,
+    make_single_judge,
+)
+from dualbrain.simulation.tasks.placement import PlacementGoal
 
 JUDGE_PERIOD_TICKS = 50
 """Control periods between two updates of a judge."""
@@ -44,8 +50,20 @@ PHASE_ALLOWANCES = {
 """Contact phase of the monitor (`contact_rules.CONTACT_PHASES`) for each skill phase that permits contact."""
 
 
-Goal = PlacementGoal | ArrivalGoal | GoalSequence
-"""What counts as success on ground truth."""
+Goal = SingleGoal | GoalSequence
+"""The criterion of success on ground truth."""
+
+
+class GoalJudge(Protocol):
+    """Judges a goal on ground truth during an episode."""
+
+    def update(self) -> None:
+        """Record intermediate progress; called periodically."""
+        ...
+
+    def score(self) -> tuple[bool, float]:
+        """Success, and progress in [0, 1]."""
+        ...
 
 
 class PerceptionModel(Protocol):
@@ -156,19 +174,15 @@ def match_true_names(scene: Scene, plant: Plant) -> dict[str, str]:
     }
 
 
-def make_judge(
-    plant: Plant, goal: PlacementGoal | ArrivalGoal | GoalSequence
-) -> PlacementJudge | ArrivalJudge | GoalSequenceJudge:
+def make_judge(plant: Plant, goal: Goal) -> GoalJudge:
     """The judge for `goal`; raises `UnknownNameError` for a name that is not in the scene."""
-    if isinstance(goal, GoalSequence):
-        return GoalSequenceJudge(plant, goal)
-    return ArrivalJudge(plant, goal) if isinstance(goal, ArrivalGoal) else PlacementJudge(plant, goal)
+    return GoalSequenceJudge(plant, goal) if isinstance(goal, GoalSequence) else make_single_judge(plant, goal)
 
 
 def contract_goals(contract: Contract) -> Goal | None:
     """The goal of a contract: every placement of a grasped object and every place it drives to, in its order.
 
-    None if the contract has neither.
+    A contract with none of these whose last action is `home` has the goal that the arm rests at home. None otherwise.
     """
     obj: str | None = None
     stages: list[tuple[PlacementGoal | ArrivalGoal]] = []
@@ -179,6 +193,8 @@ def contract_goals(contract: Contract) -> Goal | None:
             stages.append((PlacementGoal(obj, str(action.params["destination"])),))
         elif action.skill == "drive_to":
             stages.append((ArrivalGoal(str(action.params["place"])),))
+    if not stages and contract.action_sequence[-1].skill == "home":
+        return HomeGoal()
     return GoalSequence(tuple(stages)) if len(stages) > 1 else stages[0][0] if stages else None
 
 

@@ -108,7 +108,7 @@ class GoalSequenceJudge:
     def __init__(self, plant: Plant, sequence: GoalSequence) -> None:
         """Record the initial positions; raises `UnknownNameError` for names that are not in the scene."""
         self._plant, self._sequence = plant, sequence
-        self._judges = [[_make_judge(plant, goal) for goal in stage] for stage in sequence.stages]
+        self._judges = [[make_single_judge(plant, goal) for goal in stage] for stage in sequence.stages]
         self._first_reached: dict[tuple[int, int], float] = {}
         self._free_objects = [obj.name for obj in plant.spec.objects if obj.role == "object" and not obj.fixed]
         self._start_positions = {name: np.array(plant.true_pose(name).position) for name in self._free_objects}
@@ -168,7 +168,8 @@ class HomeJudge:
         return at_home and still, float(at_home and still)
 
 
-def _make_judge(plant: Plant, goal: SingleGoal) -> PlacementJudge | ArrivalJudge | HomeJudge:
+def make_single_judge(plant: Plant, goal: SingleGoal) -> PlacementJudge | ArrivalJudge | HomeJudge:
+    """The judge for one goal; raises `UnknownNameError` for a name that is not in the scene."""
     match goal:
         case ArrivalGoal():
             return ArrivalJudge(plant, goal)
