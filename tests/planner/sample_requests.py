@@ -1,4 +1,4 @@
-"""Requests, scenes and recalled episodes that the planner's tests ask with."""
+"""Requests, scenes and retrieved memories for tests of the planners."""
 
 from typing import Any
 
@@ -38,12 +38,12 @@ REGISTRY = SkillRegistry(
         SkillSpec("decline", "refuse", (TextParameter("reason", 40, "why not"),)),
     ),
 )
-"""A short vocabulary, so that answers of the small model stay short."""
+"""A registry with few skills, so that answers of the small model stay short."""
 
 
 def plan_request(instruction: str = "put the red cube in the bowl", **changed: Any) -> PlanRequest:
     """A request about the scene above."""
-    facts: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "instruction": instruction,
         "scene": SCENE,
         "recall": RetrievedContext(),
@@ -53,12 +53,12 @@ def plan_request(instruction: str = "put the red cube in the bowl", **changed: A
         "schema": decoding_schema(REGISTRY, NAMES),
         "contract_id": "c-0007",
     }
-    return PlanRequest(**(facts | changed))
+    return PlanRequest(**(fields | changed))
 
 
 def exemplar(instruction: str = "fetch the tin", rank: int = 1, **changed: Any) -> Exemplar:
-    """A remembered episode."""
-    facts: dict[str, Any] = {
+    """A retrieved memory."""
+    fields: dict[str, Any] = {
         "episode_id": f"e-{rank}",
         "instruction": instruction,
         "summary": "robot panda; holding nothing",
@@ -73,4 +73,4 @@ def exemplar(instruction: str = "fetch the tin", rank: int = 1, **changed: Any) 
         "score": 0.8,
         "rank": rank,
     }
-    return Exemplar(**(facts | changed))
+    return Exemplar(**(fields | changed))

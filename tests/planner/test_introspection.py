@@ -1,4 +1,4 @@
-"""What a planner reads is told by itself; what has no place in its prompt is named."""
+"""The prompt of a planner, and the names of retrieved fields that the prompt cannot show."""
 
 import pytest
 
@@ -20,30 +20,30 @@ PASSAGE = Passage(
     score=0.5,
     rank=1,
 )
-FOUND = {"warnings": (exemplar(succeeded=False),), "passages": (PASSAGE,)}
+RETRIEVED = {"warnings": (exemplar(succeeded=False),), "passages": (PASSAGE,)}
 
 
-class Short(ScriptedPlanner):
+class ShortPromptPlanner(ScriptedPlanner):
     template, messages = short_template_hash(), staticmethod(short_messages)
 
 
-def test_a_planner_that_tells_nothing_reads_the_full_prompt():
+def test_a_planner_without_own_messages_has_the_full_prompt():
     planner = ScriptedPlanner([])
     assert planner_messages(planner, plan_request()) == render(plan_request())
     assert planner_template(planner) == template_hash()
     assert no_documents_reason(planner) == ""
 
 
-def test_one_that_tells_what_it_reads_is_believed():
-    assert planner_messages(Short([]), plan_request()) == short_messages(plan_request())
-    assert planner_template(Short([])) == short_template_hash()
-    assert "not shown to scripted" in no_documents_reason(Short([]))
+def test_a_planner_with_own_messages_has_these():
+    assert planner_messages(ShortPromptPlanner([]), plan_request()) == short_messages(plan_request())
+    assert planner_template(ShortPromptPlanner([])) == short_template_hash()
+    assert "not shown to scripted" in no_documents_reason(ShortPromptPlanner([]))
 
 
-@pytest.mark.parametrize("name", FOUND)
-def test_what_is_named_as_unread_is_what_leaves_the_prompt_as_it_was(name):
-    recall = RetrievedContext(**{name: FOUND[name]})
-    for planner in (ScriptedPlanner([]), Short([])):
+@pytest.mark.parametrize("name", RETRIEVED)
+def test_unsupported_fields_are_those_that_do_not_change_the_prompt(name):
+    recall = RetrievedContext(**{name: RETRIEVED[name]})
+    for planner in (ScriptedPlanner([]), ShortPromptPlanner([])):
         shown = planner_messages(planner, plan_request(recall=recall)) != planner_messages(planner, plan_request())
         assert unsupported_fields(planner_template(planner), recall) == (() if shown else (name,))
     assert unsupported_fields(short_template_hash(), RetrievedContext()) == ()

@@ -1,4 +1,4 @@
-"""From a name to a planner, or to a message that says what to do."""
+"""Opening planners by name, file or address, and errors that name the remedy."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ def test_the_planners_are_the_language_models_of_the_manifest() -> None:
     assert set(planner_names()) == {DEFAULT_PLANNER, SMALL_PLANNER}
 
 
-def test_missing_weights_say_how_to_get_them(tmp_path: Path) -> None:
+def test_missing_weights_name_the_command_that_fetches_them(tmp_path: Path) -> None:
     with pytest.raises(MissingDependencyError, match=f"dualbrain models fetch {DEFAULT_PLANNER}"):
         open_planner(DEFAULT_PLANNER, tmp_path)
 
@@ -31,7 +31,7 @@ def test_an_unknown_planner_lists_the_known_ones(name: str, tmp_path: Path) -> N
         open_planner(name, tmp_path)
 
 
-def test_an_address_is_asked_for_the_model_after_the_hash_sign(tmp_path: Path) -> None:
+def test_an_address_names_the_model_after_the_hash_sign(tmp_path: Path) -> None:
     planner = open_planner("http://localhost:8000/v1#qwen", tmp_path)
     assert isinstance(planner, ServerPlanner)
     assert planner.name == "qwen@localhost"
@@ -39,7 +39,7 @@ def test_an_address_is_asked_for_the_model_after_the_hash_sign(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("dialect", ["vllm", "llama.cpp", "llguidance", "ollama", "free", "openai"])
-def test_an_address_may_say_what_stands_there(dialect: str, tmp_path: Path) -> None:
+def test_an_address_may_name_its_dialect(dialect: str, tmp_path: Path) -> None:
     planner = open_planner(f"{dialect}+http://localhost:8000/v1#qwen", tmp_path)
     assert isinstance(planner, ServerPlanner)
     assert (planner.name, planner.dialect) == ("qwen@localhost", dialect)
@@ -47,7 +47,7 @@ def test_an_address_may_say_what_stands_there(dialect: str, tmp_path: Path) -> N
         open_planner("tgi+https://localhost/v1", tmp_path)
 
 
-def test_a_script_is_read_in_order_and_its_end_repeats() -> None:
+def test_a_script_is_proposed_in_order_and_its_end_repeats() -> None:
     planner = ScriptedPlanner(["one", "two"])
     assert [planner.propose(plan_request()).text for _ in range(3)] == ["one", "two", "two"]
     assert len(planner.requests) == 3

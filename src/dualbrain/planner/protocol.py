@@ -1,4 +1,4 @@
-"""The one question every planner answers."""
+"""The protocol of planners, and the finish reasons of their proposals."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 
 STOP = "stop"
-"""The answer is whole. Every other finish reason means that there is no contract to read."""
+"""The answer is complete. With every other finish reason there is no contract to read."""
 LENGTH = "length"
 """The answer was cut at the token limit."""
 TIMEOUT = "timeout"
-"""No whole answer came within the time limit."""
+"""No complete answer arrived within the time limit."""
 CRASHED = "crashed"
-"""The process that runs the model died; how, and its last words, follow a colon."""
+"""The process of the model died; its exit status and the end of its standard error follow a colon."""
 REFUSAL = "refusal"
 """The model or its server refused to answer."""
 ERROR = "error"
@@ -23,12 +23,12 @@ ERROR = "error"
 
 
 def has_answer(proposal: Proposal) -> bool:
-    """Whether the model said anything, if only that it refuses; not where a crash, an error or time cut it short."""
+    """Whether the model answered, which includes a refusal; False after a crash, an error or a timeout."""
     return proposal.finish_reason.partition(":")[0] in (STOP, LENGTH, REFUSAL)
 
 
 def describe_failure(finish_reason: str) -> str:
-    """A sentence about an answer that did not come: "the planner did not answer: DETAIL"."""
+    """A sentence about a missing answer: "the planner did not answer: DETAIL"."""
     kind, _, detail = finish_reason.partition(": ")
     reasons = {TIMEOUT: "it exceeded the time limit", CRASHED: "its process ended", ERROR: "an error"}
     reason = detail if kind == ERROR and detail else reasons.get(kind, kind) + (f" ({detail})" if detail else "")
@@ -36,25 +36,25 @@ def describe_failure(finish_reason: str) -> str:
 
 
 class Planner(Protocol):
-    """Turns an instruction into a proposal; knows nothing of the robot and is never believed (paper 3.2)."""
+    """Maps an instruction to a proposal; it has no access to the robot, and its proposals are untrusted (paper 3.2)."""
 
     @property
     def name(self) -> str:
-        """What is recorded as the author of a proposal."""
+        """Name that is recorded as the author of a proposal."""
         ...
 
     def propose(self, request: PlanRequest) -> Proposal:
-        """Answer `request`. Never raises for what a model or server does: that becomes the finish reason."""
+        """Answer `request`; a failure of the model or the server becomes the finish reason and raises nothing."""
         ...
 
     def close(self) -> None:
-        """Release the model; the planner is not used afterwards."""
+        """Release the model; the planner cannot be used afterwards."""
         ...
 
 
 @runtime_checkable
 class BatchPlanner(Protocol):
-    """A planner that is quicker when many questions are waiting, as on a GPU."""
+    """A planner that is faster for several requests at once, for example on a GPU."""
 
     def propose_all(self, requests: Sequence[PlanRequest]) -> list[Proposal]:
         """Answer each of `requests` as if it were the only one."""
@@ -62,7 +62,7 @@ class BatchPlanner(Protocol):
 
 
 def propose_all(planner: Planner, requests: Sequence[PlanRequest]) -> list[Proposal]:
-    """The answers of `planner` to `requests`: side by side where it can, else one after another."""
+    """The answers of `planner` to `requests`: in a batch if it supports this, otherwise one after another."""
     if isinstance(planner, BatchPlanner):
         return planner.propose_all(requests)
     return [planner.propose(request) for request in requests]

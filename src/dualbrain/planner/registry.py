@@ -1,4 +1,4 @@
-"""From a name, a GGUF file or an address to a planner."""
+"""Opens a planner by a name, a GGUF file or an address."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from dualbrain.planner.protocol import Planner
 
 DEFAULT_PLANNER = "qwen2.5-coder-1.5b-instruct"
 SMALL_PLANNER = "smollm2-135m-instruct"
-"""For tests; it does not plan unaided."""
+"""A small model for tests; without an adapter it does not plan usefully."""
 
 
 UNKNOWN_NAME_KIND = "planner"
 OTHER_FORMS_HINT = "a GGUF file or URL also works"
-"""How an unknown name is told here and where more names are known."""
+"""Parts of the error for an unknown name, here and in callers that know more names."""
 
 
 def planner_names() -> tuple[str, ...]:
@@ -36,16 +36,17 @@ def open_planner(
     timeout_s: float = 600.0,
     prompt_cache: Path | None = None,
 ) -> Planner:
-    """The planner called `name_or_url`, ready to propose.
+    """The planner with the name or address `name_or_url`, ready to propose.
 
-    A name of the manifest (its verified file in `cache`), the path of a GGUF file, or an address such as
-    `http://localhost:8000/v1#model-name`, asked in `dialect` with `key`; `vllm+http://...` says which dialect.
-    `prefixes`: see `LlamaConfig`. Raises `UnknownName`, `MissingPart`,
-    `WrongHash`, `InvalidSetup`.
+    `name_or_url` is a name in the manifest (its verified file is in `cache`), the path of a GGUF file, or an address
+    such as `http://localhost:8000/v1#model-name`, which is used with `dialect` and `key`; `vllm+http://...` names the
+    dialect itself. `prompt_cache` is described in `LlamaConfig`; `timeout_s` [s] limits one proposal. Raises
+    `UnknownNameError`, `MissingDependencyError`, `ChecksumError` and `ConfigurationError`.
     """
     if "://" in name_or_url:
-        told, plus, bare = name_or_url.partition("+http")
-        dialect, address = (told, f"http{bare}") if plus and "://" not in told else (dialect, name_or_url)
+        prefix, separator, rest = name_or_url.partition("+http")
+        has_dialect = separator and "://" not in prefix
+        dialect, address = (prefix, f"http{rest}") if has_dialect else (dialect, name_or_url)
         url, model = urldefrag(address)
         return ServerPlanner(
             ServerConfig(url=url, model=model or "default", key=key, dialect=dialect, timeout_s=timeout_s)

@@ -1,4 +1,4 @@
-"""What a planner is asked: everything that stands in the prompt, and the schema that its answer must follow."""
+"""The request to a planner: the content of the prompt, and the schema of the answer."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from dualbrain.records import FailureFeedback, Record, RetrievedContext
 
 
 class PlanRequest(Record, frozen=True, kw_only=True):
-    """One question to a planner.
+    """One request to a planner.
 
     `instruction`, `scene` (the summary in symbols) and `recall` are untrusted text. `skills_text` is the registry in
-    short form and `schema` its decoding schema for the names in this scene. `refusal` is the gate's answer to the first
-    shot when this is the second; `setback` is what became of an earlier contract for the same instruction, when this is
-    to do what that one did not. `contract_id` is the id that the contract must carry.
+    short form and `schema` its decoding schema for the names in this scene. `refusal` is the gate's rejection of the
+    first proposal if this is the second attempt; `setback` describes the failure of an earlier contract for the same
+    instruction, which the new contract is to complete. `contract_id` is the required id of the contract.
     """
 
     instruction: str

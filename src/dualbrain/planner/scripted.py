@@ -1,4 +1,4 @@
-"""A planner that says what it was told to say. For tests: no result may be reported from it."""
+"""Planners with given answers: a script for tests, from which no result may be reported, and a fixed contract."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dualbrain.records import Proposal
 
 
 class ScriptedPlanner:
-    """Answers with `texts` in order, then repeats the last one; keeps the requests it got in `asked`."""
+    """Answers with `texts` in order, then repeats the last one; stores the received requests in `requests`."""
 
     def __init__(self, texts: Sequence[str], *, finish_reason: str = protocol.STOP) -> None:
         self._texts, self._finish_reason = tuple(texts), finish_reason
@@ -19,7 +19,7 @@ class ScriptedPlanner:
 
     @property
     def name(self) -> str:
-        """Says that no model stands behind it."""
+        """The name "scripted", which shows that there is no model."""
         return "scripted"
 
     def propose(self, request: PlanRequest) -> Proposal:
@@ -35,23 +35,23 @@ class ScriptedPlanner:
         )
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Do nothing: no resource is open."""
 
 
 class FixedContractPlanner:
-    """Proposes the bytes it was given, whatever is asked."""
+    """Proposes the same given bytes for every request."""
 
     def __init__(self, source: str, data: bytes) -> None:
-        """`source` is what the record names as the author."""
+        """Create a planner that proposes `data`; `source` is recorded as the author."""
         self.name = source
         self._text = data.decode("utf-8", "surrogateescape")
 
     def propose(self, request: PlanRequest) -> Proposal:
-        """The given text."""
+        """A proposal with the given text."""
         del request
         return Proposal(
             text=self._text, finish_reason=STOP, planner=self.name, constrained_by="nobody", timings={"total": 0.0}
         )
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing: no resource is open."""

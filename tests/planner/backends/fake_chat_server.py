@@ -1,4 +1,4 @@
-"""A chat server on loopback that answers as badly as it is told to."""
+"""A chat server on loopback with a given behaviour, for tests of faulty responses."""
 
 import json
 import threading
@@ -11,14 +11,14 @@ Behaviour = Callable[[BaseHTTPRequestHandler], None]
 
 
 def chat_completion(text: str | None, finish: Any = "stop", **message: Any) -> bytes:
-    """A chat completion as a well-behaved server writes it."""
+    """A valid chat completion."""
     choice = {"index": 0, "finish_reason": finish, "message": {"role": "assistant", "content": text, **message}}
     usage = {"prompt_tokens": 100, "completion_tokens": 20}
     return json.dumps({"choices": [choice], "usage": usage}).encode()
 
 
 def respond_with(body: bytes, status: int = 200) -> Behaviour:
-    """Answer with `body` at once."""
+    """Respond with `body` immediately."""
 
     def behave(call: BaseHTTPRequestHandler) -> None:
         call.send_response(status)
@@ -30,7 +30,7 @@ def respond_with(body: bytes, status: int = 200) -> Behaviour:
 
 
 class FakeServer(ThreadingHTTPServer):
-    """Keeps what it was asked in `asked` and the headers in `headers`."""
+    """Stores path and body of each request in `requests` and its headers in `headers`."""
 
     daemon_threads = True
 
@@ -43,7 +43,7 @@ class FakeServer(ThreadingHTTPServer):
         return f"http://127.0.0.1:{self.server_address[1]}/v1"
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """A caller that hangs up is what some tests are about."""
+        """Ignore clients that disconnect, as some tests do."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -56,12 +56,12 @@ class _Handler(BaseHTTPRequestHandler):
         self.server.behaviour(self)
 
     def log_message(self, format: str, *args: object) -> None:
-        """Say nothing."""
+        """Write no log."""
 
 
 @contextmanager
 def serve(behaviour: Behaviour) -> Iterator[FakeServer]:
-    """A server that behaves like this while the body runs."""
+    """A server with this `behaviour`, which runs inside the context."""
     with FakeServer(behaviour) as server:
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()

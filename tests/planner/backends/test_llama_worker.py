@@ -1,4 +1,4 @@
-"""The child that holds the model ends with its parent, even while something in C holds Python's lock."""
+"""The worker process ends with its parent, even while C code holds the global interpreter lock."""
 
 import os
 import subprocess
@@ -16,10 +16,10 @@ _exit_when_closed(sys.stdin.fileno())
 print("loading", flush=True)
 ctypes.PyDLL(None).sleep(60)
 """
-"""A process that is as deaf as one that loads a model."""
+"""A process that holds the interpreter lock, like one that loads a model."""
 
 
-def test_it_lives_while_its_parent_does_and_ends_at_once_with_it():
+def test_the_worker_runs_until_its_parent_ends():
     child = subprocess.Popen([sys.executable, "-S", "-c", LOADING], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     with child:
         assert child.stdout.readline() == b"loading\n"
@@ -29,7 +29,7 @@ def test_it_lives_while_its_parent_does_and_ends_at_once_with_it():
         assert child.wait(timeout=5.0) != 0
 
 
-def test_a_parent_that_is_gone_already_is_noticed():
+def test_a_parent_that_has_ended_before_is_detected():
     read, write = os.pipe()
     os.close(write)
     command = [sys.executable, "-S", "-c", LOADING]

@@ -1,4 +1,4 @@
-"""A server may answer anything or nothing: what comes out is a proposal with a finish reason, never an exception."""
+"""Any response of a server, or none, becomes a proposal with a finish reason and never an exception."""
 
 import json
 import time
@@ -29,7 +29,7 @@ def ask(behaviour: Behaviour, timeout_s: float = 5.0, **config: str) -> tuple[Pr
 
 
 def drip(call: BaseHTTPRequestHandler) -> None:
-    """One byte at a time, for ever: each one comes in time, the whole never does."""
+    """Send endless single bytes: each one is in time, the complete response never is."""
     call.send_response(200)
     call.send_header("Content-Length", "1000000")
     call.end_headers()
@@ -53,7 +53,7 @@ def flood(call: BaseHTTPRequestHandler) -> None:
         call.wfile.write(b"[" * 65536)
 
 
-def test_a_good_answer_comes_through_with_its_figures() -> None:
+def test_a_valid_response_becomes_a_proposal_with_its_metrics() -> None:
     proposal, server = ask(respond_with(chat_completion(CONTRACT)), model="m", key="secret")
     assert (proposal.text, proposal.finish_reason) == (CONTRACT, protocol.STOP)
     assert proposal.timings["output_tokens"] == 20
@@ -66,16 +66,18 @@ def test_a_good_answer_comes_through_with_its_figures() -> None:
     assert body["response_format"]["json_schema"]["strict"] is True
 
 
-def ollama_says(text: str, reason: str = "stop", **told: object) -> Behaviour:
-    """An answer as Ollama writes it."""
+def ollama_response(text: str, reason: str = "stop", **fields: object) -> Behaviour:
+    """A response in the format of Ollama."""
     message = {"role": "assistant", "content": text}
-    figures = {"prompt_eval_count": 90, "eval_count": 12, "eval_duration": 3_000_000_000}
-    return respond_with(json.dumps({"message": message, "done": True, "done_reason": reason} | figures | told).encode())
+    metrics = {"prompt_eval_count": 90, "eval_count": 12, "eval_duration": 3_000_000_000}
+    return respond_with(
+        json.dumps({"message": message, "done": True, "done_reason": reason} | metrics | fields).encode()
+    )
 
 
 @pytest.mark.parametrize("dialect", DIALECTS)
-def test_each_dialect_is_recorded_and_passes_no_words_for_people(dialect: str) -> None:
-    behaviour = ollama_says(CONTRACT) if dialect == "ollama" else respond_with(chat_completion(CONTRACT))
+def test_each_dialect_is_recorded_and_sends_no_texts_for_people(dialect: str) -> None:
+    behaviour = ollama_response(CONTRACT) if dialect == "ollama" else respond_with(chat_completion(CONTRACT))
     proposal, server = ask(behaviour, dialect=dialect)
     assert (proposal.text, proposal.finish_reason) == (CONTRACT, protocol.STOP)
     assert proposal.constrained_by == DIALECTS[dialect].constrained_by
@@ -104,33 +106,33 @@ FIELDS = {
 
 
 @pytest.mark.parametrize("dialect", DIALECTS)
-def test_each_server_gets_the_schema_in_its_own_field_and_in_no_other(dialect: str) -> None:
+def test_each_server_receives_the_schema_in_its_own_field_only(dialect: str) -> None:
     _, server = ask(
-        ollama_says(CONTRACT) if dialect == "ollama" else respond_with(chat_completion(CONTRACT)), dialect=dialect
+        ollama_response(CONTRACT) if dialect == "ollama" else respond_with(chat_completion(CONTRACT)), dialect=dialect
     )
     path, body = server.requests[0]
     assert path == ("/api/chat" if dialect == "ollama" else "/v1/chat/completions")
-    theirs = {"response_format", "structured_outputs", "grammar", "format", "guided_json", "json_schema"}
+    schema_fields = {"response_format", "structured_outputs", "grammar", "format", "guided_json", "json_schema"}
     name, value = FIELDS.get(dialect, ("", None))
-    assert {key: body[key] for key in theirs & body.keys()} == ({name: value} if name else {})
+    assert {key: body[key] for key in schema_fields & body.keys()} == ({name: value} if name else {})
     assert body["stream"] is False
     assert body.get("temperature", body.get("options", {}).get("temperature")) == 0.0
 
 
-def test_ollama_is_asked_for_enough_context_and_its_figures_are_read() -> None:
-    proposal, server = ask(ollama_says(CONTRACT), dialect="ollama", model="m")
+def test_ollama_requests_enough_context_and_its_metrics_are_read() -> None:
+    proposal, server = ask(ollama_response(CONTRACT), dialect="ollama", model="m")
     body = server.requests[0][1]
     assert body["options"]["num_ctx"] >= 8192
     assert (body["messages"], body["model"]) == (render(plan_request()), "m")
     assert (proposal.timings["decode"], proposal.timings["prompt_tokens"]) == (3.0, 90)
-    assert ask(ollama_says("{", "length"), dialect="ollama")[0].finish_reason == protocol.LENGTH
+    assert ask(ollama_response("{", "length"), dialect="ollama")[0].finish_reason == protocol.LENGTH
 
 
 @pytest.mark.parametrize(
     "behaviour",
     [
-        ollama_says(CONTRACT, "load"),
-        ollama_says(CONTRACT, done=False),
+        ollama_response(CONTRACT, "load"),
+        ollama_response(CONTRACT, done=False),
         respond_with(b'{"error":"no such model"}', 404),
         respond_with(b"[]"),
         respond_with(b'{"message":{"content":null},"done":true}'),
@@ -138,12 +140,12 @@ def test_ollama_is_asked_for_enough_context_and_its_figures_are_read() -> None:
     ],
     ids=["odd finish", "not done", "404", "a list", "no text", "another interface"],
 )
-def test_a_bad_answer_of_ollama_becomes_a_finish_reason(behaviour: Behaviour) -> None:
+def test_an_invalid_response_of_ollama_becomes_a_finish_reason(behaviour: Behaviour) -> None:
     proposal, _ = ask(behaviour, dialect="ollama")
     assert (proposal.text, proposal.finish_reason.split(":")[0]) == ("", protocol.ERROR)
 
 
-def test_what_a_server_says_of_itself_is_recorded_in_print() -> None:
+def test_the_fingerprint_of_a_server_is_recorded_in_printable_text() -> None:
     body = json.loads(chat_completion(CONTRACT)) | {"system_fingerprint": "b7000-abc\n<|im_end|>" + "x" * 400}
     proposal, _ = ask(respond_with(json.dumps(body).encode()))
     assert "; b7000-abc" in proposal.constrained_by
@@ -152,13 +154,13 @@ def test_what_a_server_says_of_itself_is_recorded_in_print() -> None:
 
 
 @pytest.mark.parametrize("fence", ["```json\n%s\n```", "```\n%s\n```", "\n ```json\n%s```\n"])
-def test_a_code_fence_is_taken_off_and_recorded(fence: str) -> None:
+def test_a_code_fence_is_removed_and_recorded(fence: str) -> None:
     proposal, _ = ask(respond_with(chat_completion(fence % CONTRACT)))
     assert proposal.text == CONTRACT
     assert "code fence stripped" in proposal.constrained_by
 
 
-def test_a_fence_inside_is_left_alone() -> None:
+def test_a_fence_inside_the_text_is_kept() -> None:
     text = 'here: ```json\n{"id":1}\n```'
     assert http_chat.strip_fence(text) == (text, False)
 
@@ -190,7 +192,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_a_bad_answer_becomes_a_finish_reason(name: str) -> None:
+def test_an_invalid_response_becomes_a_finish_reason(name: str) -> None:
     behaviour, expected = BAD[name]
     proposal, _ = ask(behaviour)
     assert proposal.text == ""
@@ -204,7 +206,7 @@ def test_a_cut_answer_is_marked() -> None:
     assert proposal.finish_reason == protocol.LENGTH
 
 
-def test_odd_figures_are_left_out() -> None:
+def test_invalid_metrics_are_left_out() -> None:
     body = chat_completion(CONTRACT).replace(b"100", b'"many"').replace(b"20", b"1" + b"0" * 400)
     proposal, _ = ask(respond_with(body))
     assert proposal.text == CONTRACT
@@ -212,14 +214,14 @@ def test_odd_figures_are_left_out() -> None:
 
 
 @pytest.mark.parametrize("behaviour", [silence, drip])
-def test_the_time_limit_is_for_the_whole_answer(behaviour: Behaviour) -> None:
-    begun = time.monotonic()
+def test_the_time_limit_covers_the_whole_response(behaviour: Behaviour) -> None:
+    start = time.monotonic()
     proposal, _ = ask(behaviour, timeout_s=0.3)
     assert proposal.finish_reason == protocol.TIMEOUT
-    assert time.monotonic() - begun < 3.0
+    assert time.monotonic() - start < 3.0
 
 
-def test_nobody_at_the_address() -> None:
+def test_an_address_without_a_server_is_an_error() -> None:
     with serve(silence) as server:
         url = server.url
     proposal = ServerPlanner(ServerConfig(url=url, timeout_s=2.0)).propose(plan_request())
@@ -242,12 +244,12 @@ def test_nobody_at_the_address() -> None:
         f"http://{'x' * 64}/v1",
     ],
 )
-def test_an_address_that_cannot_be_asked_is_a_broken_setup(url: str) -> None:
+def test_an_invalid_address_is_refused(url: str) -> None:
     with pytest.raises(ConfigurationError, match="https://HOST"):
         ServerPlanner(ServerConfig(url=url))
 
 
-def test_a_host_may_have_a_name_of_any_letters() -> None:
+def test_international_and_numeric_hosts_are_accepted() -> None:
     for url in ("http://b\xfccher.example/v1", "http://[::1]:80/v1", "https://host./v1"):
         ServerPlanner(ServerConfig(url=url))
     assert "secret" not in repr(ServerConfig(url=url, key="sk-secret of ours"))
@@ -256,7 +258,7 @@ def test_a_host_may_have_a_name_of_any_letters() -> None:
 @pytest.mark.parametrize(
     "host", ["lan-server:8000", "10.0.0.7", "[fd00::1]", "localhost.evil.example", "127.0.0.1.nip.io"]
 )
-def test_a_key_is_not_sent_where_all_can_read_it(host: str) -> None:
+def test_a_key_is_not_sent_over_unencrypted_http(host: str) -> None:
     with pytest.raises(ConfigurationError, match="https") as raised:
         ServerPlanner(ServerConfig(url=f"http://{host}/v1", key="sk-secret"))
     assert "secret" not in str(raised.value)
@@ -265,12 +267,12 @@ def test_a_key_is_not_sent_where_all_can_read_it(host: str) -> None:
 
 
 @pytest.mark.parametrize("host", ["localhost:8000", "LOCALHOST", "127.0.0.1", "127.9.9.9:1", "[::1]:80"])
-def test_on_this_machine_it_is(host: str) -> None:
+def test_a_key_may_be_sent_over_http_on_this_machine(host: str) -> None:
     ServerPlanner(ServerConfig(url=f"http://{host}/v1", key="sk-secret"))
 
 
 @pytest.mark.parametrize("stray", ["\r", "\n", "\r\n", "\t", "\0", "\xe9", "\u2028"])
-def test_a_key_that_cannot_be_sent_is_a_broken_setup_and_is_not_told(stray: str) -> None:
+def test_an_invalid_key_is_refused_and_not_shown(stray: str) -> None:
     with pytest.raises(ConfigurationError, match="printable ASCII") as raised:
         ServerPlanner(ServerConfig(url="http://host/v1", key=f"sk-secret{stray}"))
     assert "secret" not in f"{raised.value!r} {vars(raised.value)} {raised.value.__context__!r}"
@@ -285,7 +287,7 @@ def test_a_key_that_cannot_be_sent_is_a_broken_setup_and_is_not_told(stray: str)
         ("/v 1", "sk-secret", "InvalidURL"),
     ],
 )
-def test_what_cannot_be_sent_comes_back_as_an_error_without_the_key(path: str, key: str, finish: str) -> None:
+def test_a_request_that_cannot_be_sent_is_an_error_without_the_key(path: str, key: str, finish: str) -> None:
     with serve(respond_with(chat_completion(CONTRACT))) as server:
         url = server.url.removesuffix("/v1") + path
         assert http_chat.post(url, b"", key=key, timeout_s=5.0) == http_chat.ChatResponse(
@@ -294,7 +296,7 @@ def test_what_cannot_be_sent_comes_back_as_an_error_without_the_key(path: str, k
     assert not server.requests
 
 
-def test_a_server_that_repeats_the_key_does_not_bring_it_into_the_records() -> None:
+def test_a_key_that_a_server_repeats_is_not_recorded() -> None:
     proposal, server = ask(respond_with(b'{"error":"no such key: sk-secret!"}', 401), model="m", key="sk-secret")
     assert server.headers[0]["Authorization"] == "Bearer sk-secret"
     assert proposal.finish_reason == 'error: status 401 {"error":"no such key: [key]!"}'
@@ -302,7 +304,7 @@ def test_a_server_that_repeats_the_key_does_not_bring_it_into_the_records() -> N
 
 
 @pytest.mark.parametrize("url", ["http://x..y/v1", "http://a b/v1", "http://host:port/v1"])
-def test_a_host_that_cannot_be_asked_comes_back_as_an_error(url: str) -> None:
+def test_an_invalid_host_is_an_error(url: str) -> None:
     answer = http_chat.post(url, b"", key="sk-secret", timeout_s=5.0)
     assert isinstance(answer, http_chat.ChatResponse)
     assert (answer.finish_reason, "secret" in answer.detail) == (protocol.ERROR, False)
@@ -314,6 +316,6 @@ def test_an_unknown_dialect_lists_the_known_ones() -> None:
 
 
 @given(body=st.binary(max_size=200) | st.text(max_size=200).map(str.encode))
-def test_no_bytes_make_the_reader_raise(body: bytes) -> None:
+def test_no_bytes_raise_in_the_parsers(body: bytes) -> None:
     assert isinstance(http_chat.parse_completion(body), http_chat.ChatResponse)
     assert isinstance(ollama.parse_chat(body), http_chat.ChatResponse)

@@ -1,4 +1,4 @@
-"""A child that is lost is put away whoever asked it, so that the next question is asked of a new one."""
+"""A lost worker is discarded after any kind of request, so that the next request starts a new one."""
 
 import signal
 import sys
@@ -21,50 +21,50 @@ from tests.planner.backends.fake_chat_server import chat_completion
 from tests.planner.sample_requests import REGISTRY, plan_request
 
 LOUD = 300_000
-"""Characters on standard error: more than a pipe holds."""
-CHILD = f"""
+"""Number of characters on standard error, more than the buffer of a pipe."""
+WORKER = f"""
 import json, os, socket, sys, threading, time
-told = json.loads(sys.stdin.readline())
-how = open(told["model"]).read()
+settings = json.loads(sys.stdin.readline())
+behaviour = open(settings["model"]).read()
 threading.Thread(target=lambda: (sys.stdin.read(), os._exit(0)), daemon=True).start()
-if how == "dies":
+if behaviour == "exits":
     sys.exit()
-if how.startswith("says"):
-    key = "Bearer " + told["key"]
+if behaviour.startswith("writes"):
+    key = "Bearer " + settings["key"]
     sys.stderr.write("the beginning\\n" + {LOUD} * "x" + "\\n" + key + "\\n\\x1b[31mno memory \\u00e9\\n\\n")
     sys.stderr.flush()
-if how == "says and dies":
+if behaviour == "writes and aborts":
     os.kill(os.getpid(), 6)
-if how == "dies while it tells":
+if behaviour == "exits during the reply":
     print('{{"addr', end="", flush=True)
     sys.exit()
-if how == "cannot":
+if behaviour == "fails to start":
     print(json.dumps({{"error": "no model"}}), flush=True)
-if how in {{"hangs", "cannot"}}:
+if behaviour in {{"hangs", "fails to start"}}:
     time.sleep(60)
 with socket.create_server(("127.0.0.1", 0)) as server:
     print(json.dumps({{"address": "http://127.0.0.1:%d" % server.getsockname()[1]}}), flush=True)
-    while how != "hangs when asked":
+    while behaviour != "hangs in a request":
         call = server.accept()[0]
-        asked, size = call.makefile("rb"), 0
-        for line in iter(asked.readline, b"\\r\\n"):
+        request, size = call.makefile("rb"), 0
+        for line in iter(request.readline, b"\\r\\n"):
             size = int(line[15:]) if line.lower().startswith(b"content-length:") else size
-        asked.read(size)  # whole: who closes on a question that still comes breaks the connection
-        asked.close()
-        if how == "dies when asked":
+        request.read(size)  # completely, because closing before would break the connection
+        request.close()
+        if behaviour == "exits in a request":
             sys.exit()
         call.sendall(b"HTTP/1.0 200 OK\\r\\n\\r\\n" + {chat_completion("words")!r})
         call.close()
     time.sleep(60)
 """
-"""In place of the process with the model; what stands in the model's file says how it behaves."""
+"""A replacement of the worker process; the content of the model file determines its behaviour."""
 LOST = {
-    "dies": protocol.CRASHED,
-    "dies while it tells": protocol.CRASHED,
+    "exits": protocol.CRASHED,
+    "exits during the reply": protocol.CRASHED,
     "hangs": protocol.TIMEOUT,
-    "cannot": protocol.ERROR,
-    "dies when asked": protocol.CRASHED,
-    "hangs when asked": protocol.TIMEOUT,
+    "fails to start": protocol.ERROR,
+    "exits in a request": protocol.CRASHED,
+    "hangs in a request": protocol.TIMEOUT,
 }
 
 
@@ -88,10 +88,10 @@ CARD = AdapterCard(
 
 @pytest.fixture
 def model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A model's file for such children."""
-    (tmp_path / "child.py").write_text(CHILD)
+    """A model file for this worker."""
+    (tmp_path / "worker.py").write_text(WORKER)
     (tmp_path / "m.gguf").write_text("answers")
-    monkeypatch.setattr(llama_process, "_WORKER_SCRIPT", tmp_path / "child.py")
+    monkeypatch.setattr(llama_process, "_WORKER_SCRIPT", tmp_path / "worker.py")
     monkeypatch.setattr(llama_cpp, "find_spec", lambda name: sys)
     return tmp_path / "m.gguf"
 
@@ -103,52 +103,52 @@ def planner(model: Path) -> Iterator[LlamaPlanner]:
     planner.close()
 
 
-def told(planner: LlamaPlanner) -> str:
-    """Why the planner's child has no answer, "" if it has."""
-    answer = planner.post_json("/v1/chat/completions", {})
-    return answer.finish_reason if isinstance(answer, ChatResponse) else ""
+def failure(planner: LlamaPlanner) -> str:
+    """The finish reason of a failed request to the worker, "" after a success."""
+    response = planner.post_json("/v1/chat/completions", {})
+    return response.finish_reason if isinstance(response, ChatResponse) else ""
 
 
-@pytest.mark.parametrize("how", LOST)
-def test_one_that_is_lost_over_a_question_of_any_kind_is_put_away(planner: LlamaPlanner, model: Path, how: str) -> None:
+@pytest.mark.parametrize("behaviour", LOST)
+def test_a_worker_that_is_lost_in_any_request_is_discarded(planner: LlamaPlanner, model: Path, behaviour: str) -> None:
     planner.close()
-    model.write_text(how)
-    assert told(planner) == LOST[how]
+    model.write_text(behaviour)
+    assert failure(planner) == LOST[behaviour]
     assert planner.pid is None
     model.write_text("answers")
-    assert told(planner) == ""
+    assert failure(planner) == ""
     first = planner.pid
-    assert told(planner) == ""
-    assert planner.pid == first is not None  # one that answers is kept
+    assert failure(planner) == ""
+    assert planner.pid == first is not None  # a worker that answers is kept
 
 
-def test_one_that_died_is_told_with_its_end_and_its_last_words(planner: LlamaPlanner, model: Path) -> None:
+def test_a_dead_worker_is_reported_with_its_exit_and_its_standard_error(planner: LlamaPlanner, model: Path) -> None:
     planner.close()
-    model.write_text("says and dies")
-    answer = planner.post_json("/v1/chat/completions", {})
-    assert isinstance(answer, ChatResponse)
-    assert answer.finish_reason == protocol.CRASHED
-    assert answer.detail.startswith("signal 6 (Aborted): x")
-    assert answer.detail.endswith("x | Bearer [key] | \\x1b[31mno memory \\xe9")
-    assert len(answer.detail) <= len("signal 6 (Aborted): ") + MAX_REPORTED_CHARACTERS
-    model.write_text("dies when asked")
+    model.write_text("writes and aborts")
+    response = planner.post_json("/v1/chat/completions", {})
+    assert isinstance(response, ChatResponse)
+    assert response.finish_reason == protocol.CRASHED
+    assert response.detail.startswith("signal 6 (Aborted): x")
+    assert response.detail.endswith("x | Bearer [key] | \\x1b[31mno memory \\xe9")
+    assert len(response.detail) <= len("signal 6 (Aborted): ") + MAX_REPORTED_CHARACTERS
+    model.write_text("exits in a request")
     assert planner.propose(plan_request()).finish_reason == f"{protocol.CRASHED}: exit code 0"
 
 
-def test_one_that_says_much_does_not_wait_for_anybody_to_read_it(planner: LlamaPlanner, model: Path) -> None:
+def test_a_worker_with_much_output_is_not_blocked(planner: LlamaPlanner, model: Path) -> None:
     planner.close()
-    model.write_text("says much and answers")
-    assert told(planner) == ""
+    model.write_text("writes much and answers")
+    assert failure(planner) == ""
 
 
-def test_a_signal_that_a_system_short_of_memory_sends_is_told_as_one() -> None:
-    assert "short of memory" in describe_exit(-signal.SIGKILL)
+def test_a_kill_is_reported_as_a_possible_lack_of_memory() -> None:
+    assert "ran out of memory" in describe_exit(-signal.SIGKILL)
     assert describe_exit(-signal.SIGSEGV) == "signal 11 (Segmentation fault)"
     assert describe_exit(3) == "exit code 3"
 
 
 @pytest.mark.parametrize("faulty", [lambda planner: "another", lambda planner: 1 / 0], ids=["fault", "raises"])
-def test_no_child_is_left_of_an_adapter_that_is_not_itself(
+def test_no_worker_is_left_after_a_failed_check_of_an_adapter(
     planner: LlamaPlanner, faulty: Callable[[LlamaPlanner], str]
 ) -> None:
     with pytest.raises((AdapterMismatchError, ZeroDivisionError)):
@@ -156,12 +156,12 @@ def test_no_child_is_left_of_an_adapter_that_is_not_itself(
     assert planner.pid is None
 
 
-def test_an_adapter_whose_canary_was_lost_proposes_again_with_the_next_child(
+def test_an_adapter_whose_canary_was_lost_proposes_again_with_the_next_worker(
     planner: LlamaPlanner, model: Path
 ) -> None:
-    adapted = AdaptedPlanner(planner, CARD, told)
+    adapted = AdaptedPlanner(planner, CARD, failure)
     planner.close()
-    model.write_text("dies when asked")
+    model.write_text("exits in a request")
     reason = adapted.propose(plan_request()).finish_reason
     assert reason == f"error: the adapter does not answer as recorded: {protocol.CRASHED}"
     model.write_text("answers")

@@ -1,4 +1,4 @@
-"""What llama.cpp's own grammars are sent admits what the decoding schema admits, and holds nothing they cannot read."""
+"""Schemas for llama.cpp's grammars accept the same contracts as the decoding schema and can be parsed."""
 
 import jsonschema_rs
 import pytest
@@ -14,7 +14,7 @@ LONGEST = next(one.max_length for one in load_skill_registry("base").skill("decl
 
 
 def leaves(schema):
-    """All values of `schema` that hold no others, in order."""
+    """All values of `schema` that contain no other values, in order."""
     match schema:
         case dict():
             return [leaf for value in schema.values() for leaf in leaves(value)]
@@ -25,16 +25,16 @@ def leaves(schema):
 
 
 @pytest.mark.parametrize("robot", ["panda", "ur5e", "base", "mobile_panda"])
-def test_no_hidden_character_is_left_and_nothing_else_is_lost(robot):
+def test_only_patterns_with_hidden_characters_are_removed(robot):
     schema = strip_annotations(decoding_schema(load_skill_registry(robot), NAMES))
-    told = replace_text_patterns(schema)
+    replaced = replace_text_patterns(schema)
     hidden = [one for one in leaves(schema) if has_hidden_characters(str(one))]
     assert len(hidden) == 1  # the reason of a decline
-    assert [one for one in leaves(told) if one != LONGEST] == [one for one in leaves(schema) if one not in hidden]
+    assert [one for one in leaves(replaced) if one != LONGEST] == [one for one in leaves(schema) if one not in hidden]
 
 
 @pytest.mark.parametrize("length", [0, 1, 40, 41])
-def test_a_text_is_as_long_as_before(length):
+def test_the_length_limit_of_a_text_is_kept(length):
     schema = decoding_schema(REGISTRY, NAMES)
     steps = [{"skill": "decline", "params": {"reason": "x" * length}}]
     contract = {

@@ -1,4 +1,4 @@
-"""What a decoder is bound to: the schema without words for people, in keywords that decoders enforce."""
+"""Grammars for the decoder: the schema without texts for people, in keywords that the decoder enforces."""
 
 import json
 from functools import cache
@@ -15,7 +15,7 @@ from dualbrain.planner.decoding.llguidance_grammar import (
 from tests.planner.sample_requests import REGISTRY, plan_request
 
 
-def test_words_for_people_are_left_out_and_names_of_parameters_are_not() -> None:
+def test_texts_for_people_are_removed_and_names_of_parameters_are_not() -> None:
     number = {"type": "number", "minimum": 0, "maximum": 1, "x-unit": "m", "description": "how far"}
     schema = {"$schema": "x", "type": "object", "properties": {"description": number, "title": {"const": {"title": 1}}}}
     assert strip_annotations(schema) == {
@@ -24,16 +24,16 @@ def test_words_for_people_are_left_out_and_names_of_parameters_are_not() -> None
     }
 
 
-def test_the_grammar_holds_the_action_sequence_and_the_closing_brace() -> None:
+def test_the_grammar_contains_the_action_sequence_and_the_closing_brace() -> None:
     schema = plan_request().schema
     head, _, body = actions_grammar(schema).partition("%json ")
     assert head == f'{NO_FORCING}start: actions "}}"\nactions: '
-    told = json.loads(body)
-    assert told.pop("x-guidance") == {"whitespace_flexible": False}
-    assert told == schema["properties"]["action_sequence"]
+    content = json.loads(body)
+    assert content.pop("x-guidance") == {"whitespace_flexible": False}
+    assert content == schema["properties"]["action_sequence"]
 
 
-def test_shared_definitions_travel_along() -> None:
+def test_shared_definitions_are_included() -> None:
     schema = {
         "properties": {"action_sequence": {"type": "array", "items": {"$ref": "#/$defs/step"}}},
         "$defs": {"step": {"enum": [1], "title": "a step"}},
@@ -41,8 +41,8 @@ def test_shared_definitions_travel_along() -> None:
     assert '"$defs": {"step": {"enum": [1]}}' in actions_grammar(schema)
 
 
-def reads(grammar: str, text: str) -> bool:
-    """Whether LLGuidance takes `text` for a whole answer, byte by byte."""
+def accepts(grammar: str, text: str) -> bool:
+    """Whether LLGuidance accepts `text` as a whole answer, byte by byte."""
     matcher = _matcher(grammar)
     matcher.reset()
     return matcher.try_consume_tokens(list(text.encode())) == len(text.encode()) and matcher.is_accepting()
@@ -60,22 +60,22 @@ BOUNDS = ((0.03, 0.35), (0.02, 0.085), (-0.755, 0.855), (1.5, 3.1416), (0.05, 0.
 
 
 @pytest.mark.parametrize(("lower", "upper"), BOUNDS)
-def test_every_number_between_bounds_may_be_written_as_contracts_write_it(lower: float, upper: float) -> None:
+def test_every_number_between_the_bounds_is_accepted_in_the_form_of_contracts(lower: float, upper: float) -> None:
     one = {"type": "number", "minimum": lower, "maximum": upper}
     grammar = contract_grammar({"type": "object", "properties": {"x": one}, "required": ["x"]})
     places = 3
     numbers = [round(lower, places) + k * 10**-places for k in range(int((upper - lower) * 10**places) + 2)]
     texts = {f"{number:.{places}f}".rstrip("0").rstrip(".") for number in numbers if number}
-    wrong = [text for text in sorted(texts) if reads(grammar, f'{{"x":{text}}}') != (lower <= float(text) <= upper)]
+    wrong = [text for text in sorted(texts) if accepts(grammar, f'{{"x":{text}}}') != (lower <= float(text) <= upper)]
     assert not wrong
 
 
-def test_each_grammar_reads_its_part_of_the_same_contract_and_holds_the_bounds() -> None:
+def test_each_grammar_accepts_its_part_of_a_contract_and_enforces_the_bounds() -> None:
     steps = '[{"skill":"grasp","params":{"object":"red_cube","speed":0.1}}]'
     whole = f'{{"id":"c-0007","context":{{"robot":"panda","registry":"{REGISTRY.hash}"}},"action_sequence":{steps}}}'
     grammars = {actions_grammar: '"action_sequence":', tail_grammar: '"action_sequence', contract_grammar: ""}
-    for make, given in grammars.items():
-        rest = whole.partition(given)[2] if given else whole
-        assert reads(make(plan_request().schema), rest)
-        assert not reads(make(plan_request().schema), rest.replace("0.1", "9.1"))
-        assert not reads(make(plan_request().schema), rest + " ")
+    for make, prefix in grammars.items():
+        rest = whole.partition(prefix)[2] if prefix else whole
+        assert accepts(make(plan_request().schema), rest)
+        assert not accepts(make(plan_request().schema), rest.replace("0.1", "9.1"))
+        assert not accepts(make(plan_request().schema), rest + " ")

@@ -1,4 +1,4 @@
-"""The prompt: its order, what stays the same between questions, and what untrusted text may not do to it."""
+"""The full prompt: its order, its constant part, its recorded bytes, and isolation of untrusted text."""
 
 import hashlib
 import json
@@ -33,10 +33,10 @@ def text_of(messages: list[ChatMessage]) -> str:
     return "\n".join(message["content"] for message in messages)
 
 
-def test_the_unchanging_part_comes_first() -> None:
+def test_the_constant_part_comes_first() -> None:
     one = render(plan_request("put the red cube in the bowl"))
     two = render(plan_request("go home", scene="robot panda; holding red_cube", contract_id="c-0099"))
-    assert one[:3] == two[:3]  # the system's words and the first example
+    assert one[:3] == two[:3]  # the system message and the first example
     assert one[-1] != two[-1]
 
 
@@ -46,12 +46,12 @@ def test_names_of_one_scene_do_not_change_the_system_message() -> None:
     assert "graspable: zinc_tin" in other[-1]["content"]
 
 
-def test_turns_alternate_and_end_with_the_question() -> None:
+def test_turns_alternate_and_end_with_the_request() -> None:
     roles = [message["role"] for message in render(plan_request())]
     assert roles == ["system", *("user", "assistant") * MAX_EXEMPLARS, "user"]
 
 
-def test_memory_stands_after_the_built_in_examples_best_last() -> None:
+def test_retrieved_memories_follow_the_builtin_examples_best_last() -> None:
     recall = RetrievedContext(
         exemplars=(exemplar("best", rank=1), exemplar("second", rank=2), exemplar("third", rank=3))
     )
@@ -82,41 +82,41 @@ def test_a_warning_is_shown_as_data_and_never_as_an_answer() -> None:
     assert not any("hot_iron" in message["content"] for message in messages if message["role"] == "assistant")
 
 
-def test_a_refusal_stands_before_the_second_question() -> None:
-    why = Rejected(
+def test_a_refusal_is_in_the_second_request() -> None:
+    rejected = Rejected(
         stage="envelope",
         pointer="/action_sequence/0/params/speed",
         got=9.0,
         allowed=[0.05, 0.4],
         hint="choose a slower speed",
     )
-    first, second = render(plan_request()), render(plan_request(refusal=why))
+    first, second = render(plan_request()), render(plan_request(refusal=rejected))
     assert first[:-1] == second[:-1]
     assert "choose a slower speed" in second[-1]["content"]
     assert "/action_sequence/0/params/speed" in second[-1]["content"]
 
 
-def test_the_header_is_the_beginning_of_the_contract_that_is_asked_for() -> None:
+def test_the_header_is_the_beginning_of_the_requested_contract() -> None:
     whole = json.loads(answer_header(plan_request()) + "[]}")
     assert whole["id"] == "c-0007"
     assert whole["context"] == {"robot": "panda", "registry": REGISTRY.hash}
     assert list(whole) == list(plan_request().schema["properties"])
 
 
-@pytest.mark.parametrize("wanted", FETCH_EXAMPLES, ids=lambda example: example.instruction)
-def test_the_example_most_like_the_scene_stands_last(wanted: WorkedExample) -> None:
-    thing = wanted.scene.splitlines()[1].partition(":")[0]
+@pytest.mark.parametrize("expected", FETCH_EXAMPLES, ids=lambda example: example.instruction)
+def test_the_example_most_similar_to_the_scene_is_last(expected: WorkedExample) -> None:
+    name = expected.scene.splitlines()[1].partition(":")[0]
     scene, words = (
-        wanted.scene.replace(thing, "red_cube"),
-        wanted.instruction.replace(thing.replace("_", " "), "red cube"),
+        expected.scene.replace(name, "red_cube"),
+        expected.instruction.replace(name.replace("_", " "), "red cube"),
     )
-    alike = select_examples(scene, words, MAX_EXEMPLARS)
-    assert len(alike) == MAX_EXEMPLARS
-    assert alike[0] is DECLINE_EXAMPLE
-    assert alike[-1].actions[0]["params"] | {"object": ""} == wanted.actions[0]["params"] | {"object": ""}
+    selected = select_examples(scene, words, MAX_EXEMPLARS)
+    assert len(selected) == MAX_EXEMPLARS
+    assert selected[0] is DECLINE_EXAMPLE
+    assert selected[-1].actions[0]["params"] | {"object": ""} == expected.actions[0]["params"] | {"object": ""}
 
 
-def test_the_built_in_examples_are_contracts_of_the_arm() -> None:
+def test_the_builtin_examples_are_contracts_of_the_arm() -> None:
     registry: SkillRegistry = arm_skill_registry(load_robot("panda"))
     for example in WORKED_EXAMPLES:
         context = {"robot": "panda", "registry": registry.hash}
@@ -130,7 +130,7 @@ def test_the_built_in_examples_are_contracts_of_the_arm() -> None:
             assert list(action["params"]) == [p.name for p in registry.skill(action["skill"]).parameters]
 
 
-def test_the_template_hash_follows_its_words(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_template_hash_changes_with_the_text(monkeypatch: pytest.MonkeyPatch) -> None:
     before = template_hash()
     assert len(before) == 16
     monkeypatch.setattr(full_prompt, "SYSTEM", full_prompt.SYSTEM + " ")
@@ -143,18 +143,18 @@ hostile = st.sampled_from(
 
 
 @settings(max_examples=60)
-@given(instruction=hostile, scene=hostile, remembered=hostile, reason=hostile)
-def test_untrusted_text_keeps_to_its_blocks(instruction: str, scene: str, remembered: str, reason: str) -> None:
+@given(instruction=hostile, scene=hostile, retrieved=hostile, reason=hostile)
+def test_untrusted_text_stays_in_its_blocks(instruction: str, scene: str, retrieved: str, reason: str) -> None:
     memory = exemplar(
-        remembered, summary=scene, contract={"action_sequence": [{"skill": reason, "params": {reason: reason}}]}
+        retrieved, summary=scene, contract={"action_sequence": [{"skill": reason, "params": {reason: reason}}]}
     )
-    why = Rejected(stage="syntax", pointer=reason, got=reason, allowed=[reason], hint=reason)
+    rejected = Rejected(stage="syntax", pointer=reason, got=reason, allowed=[reason], hint=reason)
     recall = RetrievedContext(exemplars=(memory,), warnings=(memory,))
-    asked = plan_request(instruction, scene=scene, recall=recall, refusal=why, skills_text="")
+    request = plan_request(instruction, scene=scene, recall=recall, refusal=rejected, skills_text="")
     plain = plan_request(
-        "a", scene="b", recall=RetrievedContext((exemplar("c"),), (exemplar("d"),)), refusal=why, skills_text=""
+        "a", scene="b", recall=RetrievedContext((exemplar("c"),), (exemplar("d"),)), refusal=rejected, skills_text=""
     )
-    got, expected = render(asked), render(plain)
+    got, expected = render(request), render(plain)
     assert [message["role"] for message in got] == [message["role"] for message in expected]
     assert got[0] == expected[0]
     for mark in MARKS:
@@ -163,8 +163,8 @@ def test_untrusted_text_keeps_to_its_blocks(instruction: str, scene: str, rememb
     assert len(text_of(got)) < 16_000
 
 
-def test_prompts_of_single_goals_are_those_that_recorded_answers_were_given_to():
-    """Recorded runs, proofs and adapters rest on these bytes: new kinds of questions stand beside them."""
+def test_prompts_of_single_goals_have_their_recorded_bytes():
+    """Recorded runs, experiments and adapters depend on these bytes; texts for other requests are separate."""
     words = (
         "put the red cube in the bowl",
         "Could you move that little red block over into the blue bowl, please?",
@@ -174,7 +174,7 @@ def test_prompts_of_single_goals_are_those_that_recorded_answers_were_given_to()
         citation="a@1#0-5", kind="rule", trust="site", title="A", text="text", likeness=0.5, score=0.5, rank=1
     )
     full = RetrievedContext((exemplar("best", rank=1),), (exemplar("burn it", rank=1, succeeded=False),), (passage,))
-    why = Rejected(
+    rejected = Rejected(
         stage="envelope",
         pointer="/action_sequence/0/params/speed",
         got=9.0,
@@ -182,9 +182,14 @@ def test_prompts_of_single_goals_are_those_that_recorded_answers_were_given_to()
         hint="choose a slower speed",
     )
     driving = plan_request("go to the window", skills_text=f"{DRIVES}\ngraspable: nothing\nreceptive: window")
-    asked = [*map(plan_request, words), plan_request(recall=full), plan_request(recall=full, refusal=why), driving]
-    said = json.dumps([render(one) for one in asked])
-    assert hashlib.sha256(said.encode()).hexdigest()[:16] == "e61f277c4e5df0b5"
+    requests = [
+        *map(plan_request, words),
+        plan_request(recall=full),
+        plan_request(recall=full, refusal=rejected),
+        driving,
+    ]
+    prompts = json.dumps([render(one) for one in requests])
+    assert hashlib.sha256(prompts.encode()).hexdigest()[:16] == "e61f277c4e5df0b5"
     assert template_hash() == "870990135cb47e7c"
 
 

@@ -1,4 +1,4 @@
-"""What a planner of an arm on a base is told: its own role, and an example that suits what the words ask for."""
+"""The prompt for a mobile manipulator: its role, and the example that fits the instruction."""
 
 import jsonschema_rs
 import pytest
@@ -30,7 +30,7 @@ SUMMARY = summarise_scene(SCENE)
 NAMES = {"object": "red_cube", "target": "blue_bowl"}
 
 
-def asked(words, **changed):
+def request_for(words, **changed):
     skills = describe_skills(load_skill_registry(ROBOT), scene_names(SCENE))
     return plan_request(words, scene=SUMMARY, robot=ROBOT, skills_text=skills, **changed)
 
@@ -39,73 +39,75 @@ def skills_of(example):
     return [action["skill"] for action in example.actions]
 
 
-def test_it_is_told_of_both_its_parts_and_others_are_not():
-    told = render(asked("go to the shelf"))
-    assert told[0]["content"].startswith('You plan for the mobile robot "mobile_panda"')
-    assert len(told) == 2 + 2 * MAX_EXEMPLARS
-    assert "drive_to(" in told[0]["content"]
-    assert "grasp(" in told[0]["content"]
-    assert "bench: before table, heading 1.57" in told[-1]["content"]
+def test_the_prompt_describes_base_and_arm():
+    messages = render(request_for("go to the shelf"))
+    assert messages[0]["content"].startswith('You plan for the mobile robot "mobile_panda"')
+    assert len(messages) == 2 + 2 * MAX_EXEMPLARS
+    assert "drive_to(" in messages[0]["content"]
+    assert "grasp(" in messages[0]["content"]
+    assert "bench: before table, heading 1.57" in messages[-1]["content"]
 
 
 @pytest.mark.parametrize("one", instruction_templates("go"), ids=lambda one: one.text[:30])
-def test_to_those_who_ask_it_to_go_a_drive_is_shown_last(one):
+def test_a_drive_is_the_last_example_for_an_instruction_to_go(one):
     assert select_examples(one.render(target="shelf"), SUMMARY, MAX_EXEMPLARS)[-1] is DRIVE_EXAMPLE
 
 
 @pytest.mark.parametrize("one", instruction_templates("put_in"), ids=lambda one: one.text[:30])
-def test_to_those_who_want_a_thing_put_away_a_grasp_is_shown_last(one):
+def test_a_fetch_is_the_last_example_for_an_instruction_to_put(one):
     assert select_examples(one.render(**NAMES), SUMMARY, MAX_EXEMPLARS)[-1] is FETCH_EXAMPLE
 
 
 @pytest.mark.parametrize(
-    ("words", "wanted"),
+    ("words", "expected"),
     [
         ("go to the shelf, then put the red cube in the blue bowl", DRIVE_THEN_FETCH_EXAMPLE),
         ("put the red cube in the blue bowl and then drive to the charger", FETCH_THEN_DRIVE_EXAMPLE),
         ("put the cube in the bowl", FETCH_EXAMPLE),
     ],
 )
-def test_both_in_the_order_of_the_words(words, wanted):
+def test_driving_and_fetching_are_shown_in_the_order_of_the_instruction(words, expected):
     shown = select_examples(words, SUMMARY, MAX_EXEMPLARS)
     assert shown[0] is DECLINE_EXAMPLE
-    assert shown[-1] is wanted
+    assert shown[-1] is expected
 
 
-def test_what_memory_recalls_takes_the_place_of_the_examples_that_suit_less():
-    told = render(
-        asked("go to the shelf", recall=RetrievedContext(exemplars=(exemplar("best"), exemplar("second", rank=2))))
+def test_retrieved_memories_replace_the_examples_that_fit_less():
+    messages = render(
+        request_for(
+            "go to the shelf", recall=RetrievedContext(exemplars=(exemplar("best"), exemplar("second", rank=2)))
+        )
     )
-    assert len(told) == 2 + 2 * MAX_EXEMPLARS
-    assert DRIVE_EXAMPLE.instruction in told[1]["content"]
-    assert "best" in told[-3]["content"]
+    assert len(messages) == 2 + 2 * MAX_EXEMPLARS
+    assert DRIVE_EXAMPLE.instruction in messages[1]["content"]
+    assert "best" in messages[-3]["content"]
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.instruction)
-def test_the_examples_are_contracts_of_this_robot_and_keep_their_own_rules(example):
+def test_the_examples_are_valid_contracts_and_follow_the_rules_of_the_prompt(example):
     registry = load_skill_registry(ROBOT)
     lines = dict(line.split(": ", 1) for line in example.scene.splitlines() if ": " in line)
-    things = [name for name, text in lines.items() if text.startswith("object")]
+    objects = [name for name, text in lines.items() if text.startswith("object")]
     spots = [name for name, text in lines.items() if text.startswith("container")] + lines["places"].split(", ")
     context = {"robot": ROBOT, "registry": registry.hash}
     contract = {"id": "c-0001", "context": context, "action_sequence": list(example.actions)}
-    schema = validation_schema(registry, SceneNames(tuple(things), tuple(spots)))
+    schema = validation_schema(registry, SceneNames(tuple(objects), tuple(spots)))
     jsonschema_rs.validator_for(schema).validate(contract)
     skills = skills_of(example)
     for before, action in zip([None, *example.actions], example.actions, strict=False):
         known = [parameter.name for parameter in registry.by_name[action["skill"]].parameters]
-        assert list(action["params"]) == known, "the order in which a constrained decoder writes them"
+        assert list(action["params"]) == known, "the order of a constrained decoder"
         if action["skill"] == "turn_to":
             assert lines[before["params"]["place"]].endswith(f"heading {action['params']['heading']}")
         if action["skill"] == "grasp":
-            assert before["skill"] == "turn_to", "it has driven to where the thing is, and looks at it"
+            assert before["skill"] == "turn_to", "the robot is at the object and faces it"
             assert "at counter" in lines[action["params"]["object"]]
         if action["skill"] == "drive_to" and before is not None:
             assert before["skill"] in ("home", "drive_to")
     assert skills.count("grasp") == skills.count("place")
 
 
-def test_it_stands_beside_the_template_that_adapters_were_trained_on(monkeypatch):
+def test_the_text_is_not_part_of_the_template_of_adapters(monkeypatch):
     before = conditional_text_hash(), template_hash()
     monkeypatch.setattr(mobile_manipulator_examples, "SYSTEM", "other words")
     assert conditional_text_hash() != before[0]

@@ -1,4 +1,4 @@
-"""Instructions with several goals: found by rule, told beside the unchanging prompt, each with a fitting example."""
+"""Instructions with several goals: detection by rules, separate prompt text, and a fitting example."""
 
 import json
 
@@ -24,53 +24,53 @@ NAMES = {
     "second_target": "table_left",
     "group": "red things",
 }
-WANTED = {"put_two": {"order"}, "put_and_home": {"order"}, "put_all": {"every"}, "put_if_free": {"condition"}}
+NEEDS = {"put_two": {"order"}, "put_and_home": {"order"}, "put_all": {"every"}, "put_if_free": {"condition"}}
 
 
-def asked(words, **changed):
+def request_for(words, **changed):
     return plan_request(words, skills_text=SKILLS, **changed)
 
 
 @pytest.mark.parametrize("kind", ["put_in", "put_at", "look", "push", "hold", "home", "cannot_arm", "hazard_arm"])
-def test_one_goal_needs_nothing(kind):
+def test_a_single_goal_has_no_needs(kind):
     for one in instruction_templates(kind):
-        assert detect_needs(asked(one.render(**NAMES))) == (), one.text
+        assert detect_needs(request_for(one.render(**NAMES))) == (), one.text
 
 
-@pytest.mark.parametrize("kind", WANTED)
-def test_several_goals_are_heard(kind):
-    deaf = [
+@pytest.mark.parametrize("kind", NEEDS)
+def test_several_goals_are_detected(kind):
+    missed = [
         one.text
         for one in instruction_templates(kind)
-        if not WANTED[kind] <= set(detect_needs(asked(one.render(**NAMES))))
+        if not NEEDS[kind] <= set(detect_needs(request_for(one.render(**NAMES))))
     ]
-    assert deaf == []
+    assert missed == []
 
 
-def test_rules_and_examples_stand_beside_what_never_changes():
-    plain = render(asked("put the red cube in the bowl"))
-    told = render(asked("put all the red things in the blue bowl"))
-    assert told[:3] == plain[:3]  # the system's words and the first example: what a server keeps
-    assert DECLINE_EXAMPLE.instruction in told[1]["content"]
-    assert len(told) == 2 + 2 * (1 + len(EXAMPLES["every"]))
-    assert RULES["every"] in told[-1]["content"]
-    assert RULES["order"] not in told[-1]["content"]
-    assert told[-1]["content"].rindex("</instruction>") > told[-1]["content"].index(RULES["every"])
-    assert EXAMPLES["every"][0].instruction in told[-3]["content"]
+def test_rules_and_examples_do_not_change_the_constant_part():
+    plain = render(request_for("put the red cube in the bowl"))
+    messages = render(request_for("put all the red things in the blue bowl"))
+    assert messages[:3] == plain[:3]  # the system message and the first example, which a server caches
+    assert DECLINE_EXAMPLE.instruction in messages[1]["content"]
+    assert len(messages) == 2 + 2 * (1 + len(EXAMPLES["every"]))
+    assert RULES["every"] in messages[-1]["content"]
+    assert RULES["order"] not in messages[-1]["content"]
+    assert messages[-1]["content"].rindex("</instruction>") > messages[-1]["content"].index(RULES["every"])
+    assert EXAMPLES["every"][0].instruction in messages[-3]["content"]
 
 
-def test_memory_still_comes_last_and_leaves_room_for_one_example():
+def test_retrieved_memories_come_last_and_leave_one_example():
     recall = RetrievedContext(exemplars=(exemplar("best", rank=1), exemplar("second", rank=2)))
-    told = render(asked("put all the red things in the blue bowl", recall=recall))
-    assert len(told) == 2 + 2 * MAX_EXEMPLARS
-    assert EXAMPLES["every"][0].instruction in told[1]["content"]
-    assert "best" in told[-3]["content"]
+    messages = render(request_for("put all the red things in the blue bowl", recall=recall))
+    assert len(messages) == 2 + 2 * MAX_EXEMPLARS
+    assert EXAMPLES["every"][0].instruction in messages[1]["content"]
+    assert "best" in messages[-3]["content"]
 
 
-def test_examples_obey_the_gate_and_their_own_words():
+def test_examples_have_the_parameters_of_the_registry():
     registry = load_skill_registry("panda")
-    for need, of in EXAMPLES.items():
-        for example in of:
+    for need, examples in EXAMPLES.items():
+        for example in examples:
             skills = [action["skill"] for action in example.actions]
             assert skills == ["grasp", "place"] * (len(skills) // 2), need
             for action in example.actions:

@@ -1,4 +1,4 @@
-"""How the next answer is drawn where the prompt has no place for what failed."""
+"""Sampling of the next answer if the prompt cannot describe the failure."""
 
 import msgspec
 from hypothesis import given
@@ -15,13 +15,15 @@ REFUSAL = Rejected(
 SETBACK = FailureFeedback(episode_id="run", outcome="failed", done=(), undone="grasp red_cube", reason="slipped")
 
 
-def test_the_most_probable_answer_is_wanted_until_something_failed():
+def test_the_most_probable_answer_is_used_until_a_failure():
     assert SHORT_PROMPT.sampling_seed(plan_request()) is None
     assert SHORT_PROMPT.sampling_seed(plan_request(refusal=REFUSAL)) is not None
-    assert FULL_PROMPT.sampling_seed(plan_request(refusal=REFUSAL, setback=SETBACK)) is None  # the prompt says it
+    assert (
+        FULL_PROMPT.sampling_seed(plan_request(refusal=REFUSAL, setback=SETBACK)) is None
+    )  # the prompt describes the failure
 
 
-def test_every_shot_and_every_try_draws_anew():
+def test_every_attempt_is_sampled_with_another_seed():
     failed = [
         plan_request(refusal=REFUSAL),
         plan_request(refusal=REFUSAL, contract_id="c-0003"),
@@ -33,9 +35,9 @@ def test_every_shot_and_every_try_draws_anew():
 
 
 @given(st.text())
-def test_the_same_question_draws_alike_and_within_what_engines_take(reason):
-    asked = plan_request(setback=msgspec.structs.replace(SETBACK, reason=reason))
-    seed = SHORT_PROMPT.sampling_seed(asked)
-    assert seed == SHORT_PROMPT.sampling_seed(asked)
+def test_the_seed_of_a_request_is_reproducible_and_valid_for_all_engines(reason):
+    request = plan_request(setback=msgspec.structs.replace(SETBACK, reason=reason))
+    seed = SHORT_PROMPT.sampling_seed(request)
+    assert seed == SHORT_PROMPT.sampling_seed(request)
     assert seed is not None
     assert 0 <= seed < 2**31

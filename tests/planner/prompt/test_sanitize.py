@@ -1,4 +1,4 @@
-"""Law: no text from outside can close its block, open another, or spell a control token of a chat template."""
+"""Law: no external text can close its block, open another one, or form a control token of a chat template."""
 
 import json
 
@@ -59,7 +59,7 @@ def test_sanitising_twice_changes_nothing(text: str, lines: int) -> None:
 
 
 @given(value=json_values)
-def test_json_from_outside_is_one_harmless_line(value: object) -> None:
+def test_external_json_is_one_harmless_line(value: object) -> None:
     text = compact_json(value, limit=500)
     assert text.isascii()
     assert text.isprintable()
@@ -73,11 +73,11 @@ def test_symbols_of_a_summary_stay_readable() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "  \n\t ", "\u200b"])
-def test_an_empty_text_says_so(text: str) -> None:
+def test_an_empty_text_is_marked(text: str) -> None:
     assert format_block("instruction", text, limit=100) == "<instruction>\n(empty)\n</instruction>"
 
 
-def test_ordinary_words_of_any_language_pass() -> None:
+def test_ordinary_text_of_any_language_is_unchanged() -> None:
     for text in (
         "Leg den roten Würfel in die Schüssel!",
         "把红色方块放进碗里",
@@ -86,7 +86,7 @@ def test_ordinary_words_of_any_language_pass() -> None:
         assert sanitize(text, limit=100) == text.replace("，", ",")
 
 
-def test_a_very_deep_or_endless_value_is_left_out() -> None:
+def test_a_very_deep_or_infinite_value_is_left_out() -> None:
     deep: list[object] = []
     for _ in range(100_000):
         deep = [deep]

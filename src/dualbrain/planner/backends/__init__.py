@@ -1,1 +1,1 @@
-"""Language-model backends: llama.cpp in a worker process, OpenAI-compatible servers, Ollama."""
+"""Backends of language models: llama.cpp in a worker process, OpenAI-compatible servers, Ollama."""

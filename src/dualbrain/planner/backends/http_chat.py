@@ -1,8 +1,8 @@
-"""One question to a chat server over HTTP, with a total time limit, and what its answer says.
+"""One request to a chat server over HTTP with a total time limit, and parsing of the response.
 
-Nothing here raises for what a server does: silence, errors and nonsense come back as values. So does a question that
-cannot be sent, by the name of its fault only: the words might hold the key. Proxies and redirects are not followed, so
-that a key goes to no other host than the one that was named.
+No failure of a server raises: silence, errors and malformed responses are returned as values. So is a request that
+cannot be sent, with the type of the error only, because its text might contain the key. Proxies and redirects are not
+followed, so that a key is sent to the named host only.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from urllib.parse import urlsplit
 from dualbrain.planner import protocol
 
 MAX_RESPONSE_BYTES = 1 << 20
-"""Bytes of an HTTP answer that are read; a longer one is an error."""
+"""Largest size of an HTTP response that is read [bytes]; a longer response is an error."""
 
 _COMPLETE_REASONS = frozenset({"stop", "eos", "eos_token", "end_turn"})
 _TRUNCATED_REASONS = frozenset({"length", "max_tokens"})
@@ -29,10 +29,10 @@ _TRUNCATED_REASONS = frozenset({"length", "max_tokens"})
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChatResponse:
-    """What came back: `finish` is a finish reason of `protocol`, `detail` explains an error.
+    """The response of a server: `finish_reason` is one of `protocol`, `detail` explains an error.
 
-    `figures` are those that the server told: prefill [s], decode [s], prompt_tokens, cached_tokens, output_tokens.
-    `build` is what it says of itself, "" if nothing.
+    `metrics` are those that the server reports: prefill [s], decode [s], prompt_tokens, cached_tokens, output_tokens.
+    `server_build` is its fingerprint, "" if it sends none.
     """
 
     text: str
@@ -45,7 +45,7 @@ class ChatResponse:
 def request_completion(
     url: str, body: dict[str, Any], *, key: str, timeout_s: float, parse: Callable[[bytes], ChatResponse] | None = None
 ) -> ChatResponse:
-    """POST `body` to `url` and `read` a chat completion from the answer, all within `timeout_s`."""
+    """POST `body` to `url` and `parse` the response (default: `parse_completion`), all within `timeout_s` [s]."""
     reply = post(url, json.dumps(body).encode(), key=key, timeout_s=timeout_s)
     if isinstance(reply, ChatResponse):
         return reply
@@ -66,20 +66,20 @@ def parse_completion(data: bytes) -> ChatResponse:
         content, refusal, finish = message.get("content"), message.get("refusal"), choice.get("finish_reason")
     except (ValueError, RecursionError, LookupError, TypeError, AttributeError):
         return ChatResponse(text="", finish_reason=protocol.ERROR, detail="not a chat completion")
-    figures, build = _parse_metrics(completion), _parse_build(completion)
+    metrics, build = _parse_metrics(completion), _parse_build(completion)
     if refusal or finish == "content_filter":
         return ChatResponse(
-            text="", finish_reason=protocol.REFUSAL, detail=excerpt(str(refusal or finish)), metrics=figures
+            text="", finish_reason=protocol.REFUSAL, detail=excerpt(str(refusal or finish)), metrics=metrics
         )
     if not isinstance(content, str) or not isinstance(finish, str):
-        return ChatResponse(text="", finish_reason=protocol.ERROR, detail="no text in the answer", metrics=figures)
+        return ChatResponse(text="", finish_reason=protocol.ERROR, detail="no text in the answer", metrics=metrics)
     if finish in _TRUNCATED_REASONS:
-        return ChatResponse(text=content, finish_reason=protocol.LENGTH, metrics=figures, server_build=build)
+        return ChatResponse(text=content, finish_reason=protocol.LENGTH, metrics=metrics, server_build=build)
     if finish not in _COMPLETE_REASONS:
         return ChatResponse(
-            text="", finish_reason=protocol.ERROR, detail=f"finish reason {excerpt(finish)}", metrics=figures
+            text="", finish_reason=protocol.ERROR, detail=f"finish reason {excerpt(finish)}", metrics=metrics
         )
-    return ChatResponse(text=content, finish_reason=protocol.STOP, metrics=figures, server_build=build)
+    return ChatResponse(text=content, finish_reason=protocol.STOP, metrics=metrics, server_build=build)
 
 
 def strip_fence(text: str) -> tuple[str, bool]:
@@ -89,9 +89,9 @@ def strip_fence(text: str) -> tuple[str, bool]:
 
 
 def post(url: str, data: bytes, *, key: str, timeout_s: float) -> tuple[int, bytes] | ChatResponse:
-    """Status and body of the answer, or why there is none.
+    """Status and body of the response, or the reason why there is none.
 
-    At `timeout_s` the socket is shut, however slowly bytes may be dripping in.
+    After `timeout_s` [s] the socket is shut down, even if the server still sends single bytes.
     """
     if timeout_s <= 0:
         return ChatResponse(text="", finish_reason=protocol.TIMEOUT)
@@ -99,8 +99,8 @@ def post(url: str, data: bytes, *, key: str, timeout_s: float) -> tuple[int, byt
     try:
         with closing(_connection(url, timeout_s)) as connection:
             connection.connect()
-            own = connection.sock  # the connection lets go of it early
-            timer = Timer(timeout_s, _shut_down, (own, late))
+            sock = connection.sock  # the connection may release it early
+            timer = Timer(timeout_s, _shut_down, (sock, late))
             timer.daemon = True
             timer.start()
             headers = {"Content-Type": "application/json"} | ({"Authorization": f"Bearer {key}"} if key else {})
@@ -130,7 +130,7 @@ def post(url: str, data: bytes, *, key: str, timeout_s: float) -> tuple[int, byt
 
 
 def _redact(key: str, data: bytes) -> bytes:
-    """`data` in which a server that repeats the `key` does not tell it to those who read the records."""
+    """`data` with the `key` replaced, so that a server that repeats the key does not write it into records."""
     return data.replace(key.encode(), b"[key]") if key else data
 
 
@@ -142,7 +142,7 @@ def _connection(url: str, timeout_s: float) -> HTTPConnection:
 
 def _shut_down(sock: socket.socket, late: Event) -> None:
     late.set()
-    with suppress(OSError):  # closed already: nobody is waiting on it
+    with suppress(OSError):  # already closed: no call is blocked on it
         sock.shutdown(socket.SHUT_RDWR)
 
 
@@ -150,31 +150,31 @@ def _parse_metrics(completion: dict[str, Any]) -> dict[str, float]:
     """Times and token counts: llama.cpp's `timings`, else the `usage` that all servers send."""
     timings, usage = completion.get("timings"), completion.get("usage")
     timings, usage = timings if isinstance(timings, dict) else {}, usage if isinstance(usage, dict) else {}
-    told = {
+    reported = {
         "prefill": (timings.get("prompt_ms"), 1e-3),
         "decode": (timings.get("predicted_ms"), 1e-3),
         "prompt_tokens": (usage.get("prompt_tokens"), 1.0),
         "cached_tokens": (timings.get("cache_n"), 1.0),
         "output_tokens": (usage.get("completion_tokens"), 1.0),
     }
-    counts = {name: (parse_count(value), scale) for name, (value, scale) in told.items()}
+    counts = {name: (parse_count(value), scale) for name, (value, scale) in reported.items()}
     return {name: count * scale for name, (count, scale) in counts.items() if count is not None}
 
 
 def _parse_build(completion: dict[str, Any]) -> str:
-    """The fingerprint of program and settings that some servers send."""
-    said = completion.get("system_fingerprint")
-    return excerpt(said)[:40] if isinstance(said, str) else ""
+    """The fingerprint of program and settings, which some servers send; "" without one."""
+    fingerprint = completion.get("system_fingerprint")
+    return excerpt(fingerprint)[:40] if isinstance(fingerprint, str) else ""
 
 
 def parse_count(value: object) -> float | None:
-    """`value` if it is a finite number that is not negative (a server may send anything, 400-digit integers too)."""
+    """`value` if it is a number in [0, 1e12], otherwise None; servers may send anything, such as 400-digit integers."""
     if not isinstance(value, (int, float)) or isinstance(value, bool) or not 0 <= value <= 1e12:
         return None
     return float(value)
 
 
 def excerpt(data: bytes | str) -> str:
-    """The beginning of a server's own words, in printable ASCII; also of half a character, which JSON may bring."""
-    words = data if isinstance(data, str) else data[:120].decode("utf-8", "replace")
-    return ascii(words[:120])[1:-1]
+    """The first 120 characters of a server's text in printable ASCII; incomplete characters are escaped, too."""
+    text = data if isinstance(data, str) else data[:120].decode("utf-8", "replace")
+    return ascii(text[:120])[1:-1]

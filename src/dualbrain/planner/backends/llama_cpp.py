@@ -1,4 +1,4 @@
-"""The default planner: a GGUF model in llama.cpp, in its own process, its answers bound to the contract's grammar."""
+"""The default planner: a GGUF model in llama.cpp in a separate process, constrained by the contract grammar."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from dualbrain.records import Proposal
 __all__ = ["LlamaConfig", "LlamaPlanner", "LoadedAdapter"]
 
 UNTRUNCATED_SAMPLING = {"top_k": 0, "top_p": 1.0, "min_p": 0.0}
-"""What is drawn is drawn from what the model says, as in torch; llama.cpp would cut the tail off."""
+"""Sampling from the full distribution of the model, as in torch; llama.cpp would cut off its tail."""
 
 
 class LlamaPlanner:
-    """Proposes with the GGUF model at `model`, wearing `adapters` (GGUF-LoRA files made for it).
+    """Proposes with the GGUF model at `model` and LoRA `adapters` (GGUF files for this model).
 
-    The child process is started at once and loads while the caller goes on; one that has died or was killed after a
-    timeout is started again by the next question. It listens on loopback only, behind a random key. Every request names
-    every adapter and its scale, and nothing that was read before is used again with adapters: they are known to answer
-    from stale caches (llama.cpp #26207), and how a prompt is cut into batches decides near-ties. So an answer depends
-    on model, adapters and question alone. Raises `MissingPart` when xllamacpp is not installed or a file is not there.
+    The worker process starts immediately and loads the model while the caller continues; after a crash or a timeout,
+    the next request starts a new process. The worker listens on loopback only, with a random key. Every request lists
+    all adapters with their scales. With adapters, no cached state is reused: answers from stale caches are a known
+    fault (llama.cpp #26207), and the division of a prompt into batches decides near-ties. An answer therefore depends
+    on model, adapters and request alone. Raises `MissingDependencyError` if xllamacpp or a file is missing.
     """
 
     def __init__(
@@ -52,10 +52,12 @@ class LlamaPlanner:
                 "The package xllamacpp", fix="Install it with `pip install 'dualbrain[planner]'`."
             )
         if not model.is_file():
-            raise MissingDependencyError(f"The model file of {name!r}", fix=f"Name a GGUF file that exists. {model}")
+            raise MissingDependencyError(f"The model file of {name!r}", fix=f"Name an existing GGUF file. {model}")
         for one in adapters:
             if not one.path.is_file():
-                raise MissingDependencyError(f"The adapter file of {name!r}", fix=f"Make it again. {one.path}")
+                raise MissingDependencyError(
+                    f"The adapter file of {name!r}", fix=f"Export the adapter again. {one.path}"
+                )
         self._name, self._model, self._config, self._clock = name, model, config, clock
         self._prompt_format, self._adapters = prompt_format, adapters
         self._process: LlamaProcess | None = self._start()
@@ -67,74 +69,75 @@ class LlamaPlanner:
 
     @property
     def model(self) -> Path:
-        """The GGUF file that it runs."""
+        """Path of the GGUF file."""
         return self._model
 
     @property
     def pid(self) -> int | None:
-        """Process id of the child, None while there is none."""
+        """Process id of the worker, None without a worker."""
         return self._process.pid if self._process else None
 
     @property
     def template(self) -> str:
-        """Hash of the prompt's fixed text."""
+        """Hash of the fixed text of the prompt."""
         return self._prompt_format.template_hash()
 
     def propose(self, request: PlanRequest) -> Proposal:
-        """Answer `request`; a child that dies, hangs or cannot start becomes a finish reason.
+        """Answer `request`; a worker that dies, hangs or cannot start becomes the finish reason.
 
-        Raises `InvalidSetup` when `request.schema` is not the schema of a contract.
+        Raises `ConfigurationError` if `request.schema` is not the decoding schema of a contract.
         """
-        begun = self._clock()
+        start = self._clock()
         body = self._checked_request(request)
-        child = self._process = self._process or self._start()
-        address, failure = child.wait_for_address(self._config.timeout_s)
-        store = self._prompt_cache(child, address)
-        rules = store.rules_key(request)
-        if not failure and child.cached_rules != rules:
-            store.restore(request)
+        worker = self._process = self._process or self._start()
+        address, failure = worker.wait_for_address(self._config.timeout_s)
+        cache = self._prompt_cache(worker, address)
+        rules = cache.rules_key(request)
+        if not failure and worker.cached_rules != rules:
+            cache.restore(request)
         loaded = self._clock()
-        left = self._config.timeout_s - (loaded - begun)
-        answer = failure or request_completion(f"{address}/v1/chat/completions", body, key=child.key, timeout_s=left)
-        answer = self._check_response(child, request, answer)
-        if answer.finish_reason == protocol.STOP and child.cached_rules != rules:
-            child.cached_rules = rules
-            store.save(request)
-        timings = {"load": loaded - begun, **answer.metrics, "total": self._clock() - begun}
-        finish = f"{answer.finish_reason}: {answer.detail}" if answer.detail else answer.finish_reason
+        remaining_s = self._config.timeout_s - (loaded - start)
+        url = f"{address}/v1/chat/completions"
+        response = failure or request_completion(url, body, key=worker.key, timeout_s=remaining_s)
+        response = self._check_response(worker, request, response)
+        if response.finish_reason == protocol.STOP and worker.cached_rules != rules:
+            worker.cached_rules = rules
+            cache.save(request)
+        timings = {"load": loaded - start, **response.metrics, "total": self._clock() - start}
+        detail = f": {response.detail}" if response.detail else ""
         return Proposal(
-            text=answer.text,
-            finish_reason=finish,
+            text=response.text,
+            finish_reason=response.finish_reason + detail,
             planner=self._name,
             constrained_by=self._constrained_by(request),
             timings=timings,
         )
 
     def post_json(self, path: str, body: dict[str, Any]) -> dict[str, Any] | ChatResponse:
-        """POST `body`, with the adapters, to `path` of the child's own interface; its answer, or why there is none."""
-        child = self._process = self._process or self._start()
-        told = self._post(child, path, body)
-        return self._replace_lost_process(child, told) if isinstance(told, ChatResponse) else told
+        """POST `body` with the adapters to `path` of the worker; returns its JSON, or the response for a failure."""
+        worker = self._process = self._process or self._start()
+        reply = self._post(worker, path, body)
+        return self._discard_lost_process(worker, reply) if isinstance(reply, ChatResponse) else reply
 
     def chat_request(self, request: PlanRequest) -> dict[str, Any]:
-        """The body of the chat request that asks `request`."""
-        beginning = self._prompt_format.answer_prefix(request)
-        given = [{"role": "assistant", "content": beginning}] if beginning else []
-        body: dict[str, Any] = {"messages": [*self._prompt_format.messages(request), *given]}
+        """The body of the HTTP request for `request`."""
+        prefix = self._prompt_format.answer_prefix(request)
+        prefill = [{"role": "assistant", "content": prefix}] if prefix else []
+        body: dict[str, Any] = {"messages": [*self._prompt_format.messages(request), *prefill]}
         if self._prompt_format.grammar is not None:
             body["grammar"] = self._prompt_format.grammar(request.schema)
-        kept = self._prompt_format.has_fixed_prefix and not self._adapters
-        limits = {"max_tokens": self._config.max_tokens, "temperature": 0.0, "seed": 0, "cache_prompt": kept}
+        cached = self._prompt_format.has_fixed_prefix and not self._adapters
+        limits = {"max_tokens": self._config.max_tokens, "temperature": 0.0, "seed": 0, "cache_prompt": cached}
         if (seed := self._prompt_format.sampling_seed(request)) is not None:
             limits |= {"temperature": 1.0, "seed": seed, **UNTRUNCATED_SAMPLING}
         return body | limits | self._adapter_options()
 
     def messages(self, request: PlanRequest) -> list[ChatMessage]:
-        """What the model reads for `request`, with the beginning of the answer that it is given."""
+        """The messages for `request`, including the given beginning of the answer."""
         return self.chat_request(request)["messages"]
 
     def close(self) -> None:
-        """End the child process."""
+        """Stop the worker process."""
         if self._process is not None:
             self._process.close()
             self._process = None
@@ -142,38 +145,38 @@ class LlamaPlanner:
     def _start(self) -> LlamaProcess:
         return LlamaProcess(self._model, self._config, self._adapters)
 
-    def _post(self, child: LlamaProcess, path: str, body: dict[str, Any]) -> dict[str, Any] | ChatResponse:
-        address, failure = child.wait_for_address(self._config.timeout_s)
+    def _post(self, worker: LlamaProcess, path: str, body: dict[str, Any]) -> dict[str, Any] | ChatResponse:
+        address, failure = worker.wait_for_address(self._config.timeout_s)
         if failure:
             return failure
         data = json.dumps(body | {"cache_prompt": False} | self._adapter_options()).encode()
-        reply = post(f"{address}{path}", data, key=child.key, timeout_s=self._config.timeout_s)
+        reply = post(f"{address}{path}", data, key=worker.key, timeout_s=self._config.timeout_s)
         if isinstance(reply, ChatResponse):
             return reply
-        status, said = reply
+        status, content = reply
         if status != 200:
             return ChatResponse(text="", finish_reason=protocol.ERROR, detail=f"status {status}")
         try:
-            return json.loads(said)
+            return json.loads(content)
         except ValueError:
             return ChatResponse(text="", finish_reason=protocol.ERROR, detail="no JSON")
 
-    def _prompt_cache(self, child: LlamaProcess, address: str) -> PromptCache:
+    def _prompt_cache(self, worker: LlamaProcess, address: str) -> PromptCache:
         folder = self._config.prompt_cache if self._prompt_format.has_fixed_prefix else None
         return PromptCache(
             folder,
             self._model,
             self._config.n_ctx,
             address,
-            child.key,
+            worker.key,
             prompt_format=self._prompt_format,
             adapters=self._adapters,
         )
 
     def _adapter_options(self) -> dict[str, Any]:
-        """All adapters of the process with their scales: an explicit list in each request, never a global switch."""
-        told = [{"id": number, "scale": one.scale} for number, one in enumerate(self._adapters)]
-        return {"lora": told} if told else {}
+        """All adapters of the worker with their scales; each request lists them, instead of a global setting."""
+        adapters = [{"id": number, "scale": one.scale} for number, one in enumerate(self._adapters)]
+        return {"lora": adapters} if adapters else {}
 
     def _constrained_by(self, request: PlanRequest) -> str:
         engine = UNCONSTRAINED_BY if self._prompt_format.grammar is None else CONSTRAINED_BY
@@ -190,30 +193,30 @@ class LlamaPlanner:
             ) from error
         return body
 
-    def _check_response(self, child: LlamaProcess, request: PlanRequest, answer: ChatResponse) -> ChatResponse:
-        """Put a lost child away, and refuse an answer that does not obey the grammar that was sent."""
-        answer = self._replace_lost_process(child, answer)
+    def _check_response(self, worker: LlamaProcess, request: PlanRequest, response: ChatResponse) -> ChatResponse:
+        """Discard a lost worker, and reject a response that does not satisfy the grammar that was sent."""
+        response = self._discard_lost_process(worker, response)
         if (
-            answer.finish_reason == protocol.STOP
+            response.finish_reason == protocol.STOP
             and self._prompt_format.grammar
-            and not _matches_schema(answer.text, request.schema)
+            and not _matches_schema(response.text, request.schema)
         ):
             return ChatResponse(
-                text="", finish_reason=protocol.ERROR, detail="the grammar was not applied", metrics=answer.metrics
+                text="", finish_reason=protocol.ERROR, detail="the grammar was not applied", metrics=response.metrics
             )
-        return answer
+        return response
 
-    def _replace_lost_process(self, child: LlamaProcess, answer: ChatResponse) -> ChatResponse:
-        """`answer`, or that the child died over it; a lost child is put away, so that the next question starts anew."""
-        if answer.finish_reason == protocol.ERROR and child.has_exited():
-            answer = child.crash_response()
-        if answer.finish_reason in {protocol.TIMEOUT, protocol.CRASHED} or not child.is_ready:
+    def _discard_lost_process(self, worker: LlamaProcess, response: ChatResponse) -> ChatResponse:
+        """`response`, or the crash of the worker; a lost worker is discarded, and the next request starts a new one."""
+        if response.finish_reason == protocol.ERROR and worker.has_exited():
+            response = worker.crash_response()
+        if response.finish_reason in {protocol.TIMEOUT, protocol.CRASHED} or not worker.is_ready:
             self.close()
-        return answer
+        return response
 
 
 def _matches_schema(text: str, schema: dict[str, Any]) -> bool:
-    """Whether `text` is what the grammar of `schema` admits; else the server has dropped the grammar."""
+    """Whether `text` satisfies `schema`; if not, the server has dropped the grammar."""
     try:
         return jsonschema_rs.validator_for(schema).is_valid(json.loads(text))
     except (ValueError, RecursionError):

@@ -1,4 +1,4 @@
-"""The process that holds the model, seen from its parent: from its start to its end."""
+"""The worker process with the model, as its parent starts, queries and stops it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _WORKER_SCRIPT = Path(__file__).with_name("llama_worker.py")
 
 @dataclass(frozen=True, slots=True)
 class LoadedAdapter:
-    """An adapter in llama.cpp: its GGUF-LoRA file, its `id` (content), how strongly it acts (1: as it was fitted)."""
+    """An adapter in llama.cpp: its GGUF-LoRA file, its `id` (content hash), and its scale (1: as trained)."""
 
     path: Path
     id: str
@@ -30,11 +30,11 @@ class LoadedAdapter:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LlamaConfig:
-    """How the model runs.
+    """Settings of the model.
 
-    `threads`: 1 beside a control loop, more only on idle cores. `n_ctx` and `max_tokens` in tokens (eight actions fit).
-    `timeout_s`: for one proposal, including the load of the model [s]. `prefixes`: an existing folder in which the
-    state after the unchanging part of the prompt is kept, so that the next process need not read it again.
+    `threads`: 1 beside a control loop, more only on idle cores. `n_ctx` and `max_tokens` are in tokens (eight actions
+    fit). `timeout_s` [s] limits one proposal, including loading the model. `prompt_cache` is an existing folder for the
+    state after the constant part of the prompt, so that the next process need not read this part again.
     """
 
     threads: int = 1
@@ -48,57 +48,57 @@ DEFAULT_CONFIG = LlamaConfig()
 
 
 class LlamaProcess:
-    """One process for one model and one set of adapters; no adapter can be added to it, or changed by anybody else.
+    """One worker process for one model and one fixed set of adapters.
 
-    It listens on loopback only, behind a random key. Adapters do nothing until a request names them.
+    It listens on loopback only, with a random key. Adapters are applied only in requests that name them.
     """
 
     def __init__(self, model: Path, config: LlamaConfig, adapters: tuple[LoadedAdapter, ...] = ()) -> None:
-        """Start it; it loads while the caller goes on."""
+        """Start the process; it loads the model while the caller continues."""
         self.key = secrets.token_urlsafe(24)
         self.cached_rules: str | None = None
-        """The rules that it has read last, as `PrefixStore.rules` tells them."""
+        """Key of the rules in its current state (see `PromptCache.rules_key`); None before the first request."""
         self._address = ""
         self._process = subprocess.Popen(
             [sys.executable, "-P", str(_WORKER_SCRIPT)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
-            start_new_session=True,  # Ctrl-C is for the parent, which ends the child in order
+            start_new_session=True,  # Ctrl-C reaches the parent only, which then stops the worker
         )
         assert self._process.stderr is not None
         self._stderr_tail = StderrTail(self._process.stderr, secret=self.key)
         settings: dict[str, Any] = {"model": str(model), "n_ctx": config.n_ctx, "threads": config.threads}
-        settings |= {"key": self.key, "prefixes": f"{config.prompt_cache}/" if config.prompt_cache else ""}
+        settings |= {"key": self.key, "prompt_cache": f"{config.prompt_cache}/" if config.prompt_cache else ""}
         settings["adapters"] = [str(one.path) for one in adapters]
         assert self._process.stdin is not None
-        with suppress(BrokenPipeError):  # it died at once: `address` will say so
+        with suppress(BrokenPipeError):  # the process died at once: `wait_for_address` reports it
             self._process.stdin.write(json.dumps(settings).encode() + b"\n")
             self._process.stdin.flush()
 
     @property
     def pid(self) -> int:
-        """Its process id."""
+        """Id of the process."""
         return self._process.pid
 
     @property
     def is_ready(self) -> bool:
-        """Whether it has said where it listens."""
+        """Whether the process has sent its address."""
         return bool(self._address)
 
     def has_exited(self) -> bool:
-        """Whether it has ended; a socket breaks a moment before its process is gone."""
+        """Whether the process has ended; waits up to 0.5 s, because its socket closes before the process ends."""
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(timeout=0.5)
         return self._process.poll() is not None
 
     def crash_response(self) -> ChatResponse:
-        """Why there is no answer of a process that has ended: how it ended, and its last words."""
-        told = (describe_exit(self._process.wait()), self._stderr_tail.text())
-        return ChatResponse(text="", finish_reason=protocol.CRASHED, detail=": ".join(filter(None, told)))
+        """The response for a process that has ended: its exit status and the end of its standard error."""
+        details = (describe_exit(self._process.wait()), self._stderr_tail.text())
+        return ChatResponse(text="", finish_reason=protocol.CRASHED, detail=": ".join(filter(None, details)))
 
     def wait_for_address(self, timeout_s: float) -> tuple[str, ChatResponse | None]:
-        """Where the child listens, or why it does not; waits while it loads."""
+        """The address of the worker, or the reason why there is none; waits up to `timeout_s` [s] while it loads."""
         if self._address:
             return self._address, None
         out = self._process.stdout
@@ -107,17 +107,17 @@ class LlamaProcess:
             return "", ChatResponse(text="", finish_reason=protocol.TIMEOUT)
         line = out.readline()
         try:
-            told = json.loads(line)
-        except ValueError:  # it died before it, or in the midst of it
+            reply = json.loads(line)
+        except ValueError:  # the process died before or while it wrote the line
             self._process.wait()
             return "", self.crash_response()
-        self._address = told.get("address", "")
+        self._address = reply.get("address", "")
         return self._address, None if self._address else ChatResponse(
-            text="", finish_reason=protocol.ERROR, detail=told["error"]
+            text="", finish_reason=protocol.ERROR, detail=reply["error"]
         )
 
     def close(self) -> None:
-        """Close its input, which ends it; kill it when it does not answer to that."""
+        """Close the input of the process, which ends it; kill it after 1 s."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._process.stdin.close()

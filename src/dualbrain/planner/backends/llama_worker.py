@@ -1,8 +1,8 @@
-"""The process that holds the model: llama.cpp on a loopback port, started and ended by `llama_process.py`.
+"""The worker process with the model: llama.cpp on a loopback port, started and stopped by `llama_process.py`.
 
-It is a process of its own because llama.cpp aborts the whole process on some errors. It reads one line of settings from
-standard input, writes one line with its address (or the reason why it could not start) to standard output, and lives
-until its standard input closes, so that it never outlives its parent, not even while it loads.
+A separate process is needed because llama.cpp aborts the whole process on some errors. The worker reads one line of
+settings from standard input, writes one line with its address (or the reason why it could not start) to standard
+output, and runs until its standard input closes, so that it never outlives its parent, not even while it loads.
 """
 
 import fcntl
@@ -16,34 +16,34 @@ from typing import Any
 
 def main() -> None:
     """Serve until standard input closes."""
-    answer_to = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # what llama.cpp prints must not mix with the answer
+    reply_to = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # output of llama.cpp must not mix with the reply
     try:
         settings = json.loads(sys.stdin.readline())
         _exit_when_closed(sys.stdin.fileno())
         server = _start(settings)
-        answer = {"address": server.listening_address}
-    except Exception as error:  # every failure to start is told to the parent
-        answer = {"error": f"{type(error).__name__}: {error}"}
-    answer_to.write(json.dumps(answer) + "\n")
-    answer_to.flush()
+        reply = {"address": server.listening_address}
+    except Exception as error:  # every failure to start is reported to the parent
+        reply = {"error": f"{type(error).__name__}: {error}"}
+    reply_to.write(json.dumps(reply) + "\n")
+    reply_to.flush()
     sys.stdin.read()
     os._exit(0)
 
 
 def _exit_when_closed(pipe: int) -> None:
-    """Let the kernel end this process (SIGIO) when the other end of `pipe` closes.
+    """Let the operating system end this process (SIGIO) when the other end of `pipe` closes.
 
-    A thread could not: while the model loads, Python's lock is held for seconds.
+    A thread could not do this: while the model loads, the global interpreter lock is held for seconds.
     """
     fcntl.fcntl(pipe, fcntl.F_SETOWN, os.getpid())
     fcntl.fcntl(pipe, fcntl.F_SETFL, fcntl.fcntl(pipe, fcntl.F_GETFL) | os.O_ASYNC)
-    if select.select([pipe], [], [], 0.0)[0]:  # closed before the kernel was asked
+    if select.select([pipe], [], [], 0.0)[0]:  # the pipe was closed before
         os._exit(0)
 
 
 def _start(settings: dict[str, Any]) -> Any:
-    xllamacpp = import_module("xllamacpp")  # here, so that a broken package is told to the parent too
+    xllamacpp = import_module("xllamacpp")  # imported here, so that a broken package is reported to the parent
     params = xllamacpp.CommonParams()
     params.model.path = settings["model"]
     params.n_ctx = settings["n_ctx"]
@@ -54,12 +54,12 @@ def _start(settings: dict[str, Any]) -> Any:
     params.sampling.temp = 0.0
     params.use_jinja = True
     params.warmup = params.ui = False
-    params.endpoint_slots = bool(settings["prefixes"])
-    params.slot_save_path = settings["prefixes"]
+    params.endpoint_slots = bool(settings["prompt_cache"])
+    params.slot_save_path = settings["prompt_cache"]
     params.verbosity = 0
     if settings["adapters"]:
         params.lora_adapters = [xllamacpp.CommonAdapterLoraInfo(path, 1.0) for path in settings["adapters"]]
-        params.lora_init_without_apply = True  # each request says which of them act, and how much
+        params.lora_init_without_apply = True  # each request lists the adapters and their scales
         params.cache_ram_mib = 0
     return xllamacpp.Server(params)
 

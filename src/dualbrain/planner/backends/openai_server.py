@@ -1,6 +1,6 @@
-"""Any server that speaks the OpenAI chat API: vLLM, llama.cpp, Ollama, a hosted model.
+"""Planner for servers with the OpenAI chat API: vLLM, llama.cpp, Ollama, a hosted model.
 
-What the server promises about the form of its answer is recorded and never believed: the gate checks every contract.
+The constraint that a server promises for its answers is recorded but not trusted: the gate checks every contract.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from dualbrain.records import Proposal
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """How one server takes a schema, and what is known of how well it keeps to it."""
+    """How one kind of server receives the schema, and the name of its constraint in records (`constrained_by`)."""
 
     constrained_by: str
     constraint: Callable[[dict[str, Any]], dict[str, Any]]
 
 
-def _response_format(narrowed: dict[str, Any]) -> dict[str, Any]:
-    form = {"name": "contract", "strict": True, "schema": narrowed}
-    return {"response_format": {"type": "json_schema", "json_schema": form}}
+def _response_format(schema: dict[str, Any]) -> dict[str, Any]:
+    json_schema = {"name": "contract", "strict": True, "schema": schema}
+    return {"response_format": {"type": "json_schema", "json_schema": json_schema}}
 
 
 OLLAMA = "ollama"
@@ -58,14 +58,14 @@ DIALECTS = {
     ),
     "free": Dialect("nothing (free decoding)", lambda schema: {}),
 }
-"""`openai` is understood by nearly all. `vllm` is for 0.12 and later, which dropped the older `guided_json`.
-`llguidance` is for a llama.cpp server built with that engine, which keeps numbers in their bounds; one built without
-answers with an error. `free` asks for no constraint, to measure what a model does by itself."""
+"""`openai` works with nearly all servers. `vllm` is for version 0.12 and later, which removed the older `guided_json`.
+`llguidance` is for a llama.cpp server built with this engine, which enforces numeric bounds; without the engine the
+server reports an error. `free` requests no constraint, to measure a model without one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServerConfig:
-    """Where and how to ask: `url` up to and including `/v1`, `model` as the server calls it, one `timeout_s` [s]."""
+    """Address and settings: `url` up to and including `/v1`, the server's name of the model, total `timeout_s` [s]."""
 
     url: str
     model: str = "default"
@@ -76,9 +76,10 @@ class ServerConfig:
 
 
 class ServerPlanner:
-    """Proposes by asking the server at `config.url`; needs nothing but the standard library.
+    """Proposes with the model of the server at `config.url`; needs only the standard library.
 
-    Raises `InvalidSetup` for an address or a key that cannot be sent, `UnknownName` for an unknown dialect.
+    Raises `ConfigurationError` for an address or a key that cannot be used, and `UnknownNameError` for an unknown
+    dialect.
     """
 
     def __init__(self, config: ServerConfig, *, clock: Callable[[], float] = time.monotonic) -> None:
@@ -96,71 +97,69 @@ class ServerPlanner:
 
     @property
     def dialect(self) -> str:
-        """Which server it takes for granted."""
+        """The dialect, which names the expected kind of server."""
         return self._config.dialect
 
     def propose(self, request: PlanRequest) -> Proposal:
-        """Answer `request`; whatever the server does becomes a finish reason."""
-        begun = self._clock()
-        own = self._config.dialect == OLLAMA
-        url = chat_url(self._config.url) if own else f"{self._config.url.rstrip('/')}/chat/completions"
-        answer = request_completion(
+        """Answer `request`; a failure of the server becomes the finish reason."""
+        start = self._clock()
+        is_ollama = self._config.dialect == OLLAMA
+        url = chat_url(self._config.url) if is_ollama else f"{self._config.url.rstrip('/')}/chat/completions"
+        response = request_completion(
             url,
             self._body(request),
             key=self._config.key,
             timeout_s=self._config.timeout_s,
-            parse=parse_chat if own else parse_completion,
+            parse=parse_chat if is_ollama else parse_completion,
         )
-        return self._proposal(answer, self._clock() - begun)
+        return self._proposal(response, self._clock() - start)
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Do nothing: no resource is open."""
 
     def _body(self, request: PlanRequest) -> dict[str, Any]:
         constraint = self._dialect.constraint(request.schema)
         if self._config.dialect == OLLAMA:
             return chat_body(self._config.model, render(request), self._config.max_tokens, constraint["format"])
         limits = {"max_tokens": self._config.max_tokens, "temperature": 0.0, "seed": 0, "stream": False}
-        question = {"model": self._config.model, "messages": render(request)}
-        return question | limits | constraint
+        messages = {"model": self._config.model, "messages": render(request)}
+        return messages | limits | constraint
 
-    def _proposal(self, answer: ChatResponse, total: float) -> Proposal:
-        text, fenced = strip_fence(answer.text)
-        constrained_by = self._dialect.constrained_by + (f"; {answer.server_build}" if answer.server_build else "")
+    def _proposal(self, response: ChatResponse, total: float) -> Proposal:
+        text, fenced = strip_fence(response.text)
+        constrained_by = self._dialect.constrained_by + (f"; {response.server_build}" if response.server_build else "")
         constrained_by += "; code fence stripped" if fenced else ""
-        finish = f"{answer.finish_reason}: {answer.detail}" if answer.detail else answer.finish_reason
+        detail = f": {response.detail}" if response.detail else ""
         return Proposal(
             text=text,
-            finish_reason=finish,
+            finish_reason=response.finish_reason + detail,
             planner=self.name,
             constrained_by=constrained_by,
-            timings={**answer.metrics, "total": total},
+            timings={**response.metrics, "total": total},
         )
 
 
 def _require_address(url: str) -> None:
     try:
         address = urlsplit(url)
-        host = (address.hostname or "").encode("idna").decode()  # as a socket will
-        told = re.fullmatch("[!-~]+", host) and re.fullmatch("[!-~]*", address.path + address.query)
-        fine = address.scheme in {"http", "https"} and bool(told) and (address.port or 1) > 0
+        host = (address.hostname or "").encode("idna").decode()  # as sockets encode it
+        printable = re.fullmatch("[!-~]+", host) and re.fullmatch("[!-~]*", address.path + address.query)
+        valid = address.scheme in {"http", "https"} and bool(printable) and (address.port or 1) > 0
     except ValueError:
-        fine = False
-    if not fine:
+        valid = False
+    if not valid:
         allowed = "http://HOST[:PORT]/v1 or https://HOST[:PORT]/v1, the path in printable ASCII (é as %C3%A9)"
         raise ConfigurationError("planner address", got=url, allowed=allowed)
 
 
 def _require_https_for_key(config: ServerConfig) -> None:
-    """A key is not sent where all on the way can read it: over plain http it stays on this machine."""
+    """Raise `ConfigurationError` for a key that would leave this machine over unencrypted http."""
     address = urlsplit(config.url)
     host = address.hostname or ""
     if config.key and address.scheme == "http" and not _is_loopback(host):
-        fix = "Name an https address, lead a tunnel to a port of this machine, or leave the key out (OPENAI_API_KEY=)."
+        fix = "Use an https address, a tunnel to a port of this machine, or no key (OPENAI_API_KEY=)."
         allowed = "https, or http to this machine"
-        raise ConfigurationError(
-            "planner address that a key is sent to", got=f"http://{host}", allowed=allowed, fix=fix
-        )
+        raise ConfigurationError("planner address for a key", got=f"http://{host}", allowed=allowed, fix=fix)
 
 
 def _is_loopback(host: str) -> bool:
@@ -171,7 +170,7 @@ def _is_loopback(host: str) -> bool:
 
 
 def _require_key(key: str) -> None:
-    """Raises `InvalidSetup`, in which no part of the key is."""
+    """Raise `ConfigurationError`, without any part of the key, unless the key is printable ASCII."""
     if not re.fullmatch("[ -~]*", key):
-        fix = "Set it again; a stray line end is easily copied with it."
+        fix = "Set it again; it may have been copied with a line end."
         raise ConfigurationError("planner key", got="other characters (not shown)", allowed="printable ASCII", fix=fix)

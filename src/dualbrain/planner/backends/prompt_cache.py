@@ -1,13 +1,12 @@
-"""The model's state after the unchanging part of the prompt, kept on disk between processes.
+"""Cache on disk for the state of the model after the constant part of the prompt.
 
-Reading the rules and examples costs a small machine a minute; restoring the state costs milliseconds (30 KB a token). A
-state is valid only for the same model, adapters, scales, runtime and text, so the file is named by the hash of them
-all: nothing else can be found under that name (llama.cpp itself would restore a state under any adapter). A model whose
-SHA-256 was verified is known by that, a file of somebody's own by name, size and date. Beside it stands the SHA-256 of
-what was saved, for llama.cpp also restores a damaged state without a word. The name has two parts, one for
-the rules and one for the examples after them: where recalled exemplars stand in their place, a state with the same
-rules serves as well, and the server reads on from where the two part. A server that cannot restore it reads the prompt
-as if there were none.
+Reading the rules and examples takes a small machine a minute; restoring the state takes milliseconds (30 KB per token).
+A state is valid only for the same model, adapters, scales, runtime and text, so the file name contains a hash of all of
+them; llama.cpp itself would restore a state under any adapter. A model is identified by its SHA-256 if that was
+verified, otherwise by name, size and date. A file with the SHA-256 of the state is beside it, because llama.cpp
+silently restores damaged states. The file name has two hashes: one for the rules and one for the examples after them.
+If retrieved exemplars replace the built-in ones, a state with the same rules is valid as well, and the server reads on
+from the first difference. A server that cannot restore a state reads the whole prompt.
 """
 
 from __future__ import annotations
@@ -26,9 +25,9 @@ from dualbrain.planner.prompt.prompt_format import FULL_PROMPT, PromptFormat
 from dualbrain.planner.request import PlanRequest
 
 _TIMEOUT_S = 20.0
-"""For one save or restore [s]."""
+"""Time limit for saving or restoring a state [s]."""
 MAX_CACHED_STATES = 6
-"""States of one model that are kept, of some 30 MB each: one for each robot, with and without exemplars."""
+"""Largest number of states per model, of about 30 MB each: one for each robot, with and without exemplars."""
 
 
 class PromptCache:
@@ -52,16 +51,20 @@ class PromptCache:
         self._prompt_format, self._adapters = prompt_format, adapters
 
     def restore(self, request: PlanRequest) -> bool:
-        """Load a state for `request`, if there is one: of the same beginning, else the newest of the same rules."""
+        """Restore a state for `request`: one with the same prefix, otherwise the newest with the same rules.
+
+        Returns whether a state was restored.
+        """
         path = self.state_path(request)
-        found = [] if path is None else [path, *self._states_with_rules(path)]
-        whole = next((one for one in found if _is_intact(one)), None)
-        return whole is not None and self._post_slot_action("restore", whole)
+        candidates = [] if path is None else [path, *self._states_with_rules(path)]
+        intact = next((one for one in candidates if _is_intact(one)), None)
+        return intact is not None and self._post_slot_action("restore", intact)
 
     def save(self, request: PlanRequest) -> bool:
-        """Keep the state that the server has after answering `request`, and no more than `KEPT` of the model.
+        """Save the state of the server after `request`, and keep at most `MAX_CACHED_STATES` of the model.
 
-        Recalled exemplars change from question to question: with them it is kept only where none has the same rules.
+        Retrieved exemplars differ between requests: a state with them is saved only if none has the same rules.
+        Returns whether the state was saved.
         """
         path = self.state_path(request)
         if path is None or _has_checksum(path) or (request.recall.exemplars and self._states_with_rules(path)):
@@ -71,7 +74,10 @@ class PromptCache:
         return self._post_slot_action("save", path) and _write_checksum(path)
 
     def state_path(self, request: PlanRequest) -> Path | None:
-        """The file for all messages of `request` but the last, with this model, runtime and context size."""
+        """The file for all messages of `request` but the last, with this model, runtime and context size.
+
+        None without a folder.
+        """
         if self._folder is None:
             return None
         model = [*_model_identity(self._model), self._n_ctx, version("xllamacpp")]
@@ -80,37 +86,37 @@ class PromptCache:
         return self._folder / f"{self._model.stem}-{_digest([model, prefix[:1]])}-{_digest(prefix[1:])}.slot"
 
     def rules_key(self, request: PlanRequest) -> str:
-        """What tells whether two requests begin alike: "" without a folder."""
+        """A key that is equal for requests with the same model and rules; "" without a folder."""
         path = self.state_path(request)
         return "" if path is None else _rules_key(path)
 
     def _states_with_rules(self, path: Path) -> list[Path]:
-        """States with the same rules as `path`, the newest first."""
+        """States with the same rules as `path`, newest first."""
         return _newest_first(one for one in path.parent.glob(f"{_rules_key(path)}-*.slot") if _has_checksum(one))
 
     def _post_slot_action(self, action: str, path: Path) -> bool:
         url = f"{self._address}/slots/0?action={action}"
-        answer = post(url, json.dumps({"filename": path.name}).encode(), key=self._key, timeout_s=_TIMEOUT_S)
-        return isinstance(answer, tuple) and answer[0] == 200
+        reply = post(url, json.dumps({"filename": path.name}).encode(), key=self._key, timeout_s=_TIMEOUT_S)
+        return isinstance(reply, tuple) and reply[0] == 200
 
 
 def _model_identity(model: Path) -> list[object]:
-    """What tells one model file from another without reading it: the hash that was verified, else name, size, date."""
-    state = model.stat()
-    return [found] if (found := verified_hash(model)) else [model.name, state.st_size, state.st_mtime_ns]
+    """Identity of a model file without reading it: its verified hash, otherwise name, size and date."""
+    stat = model.stat()
+    return [digest] if (digest := verified_hash(model)) else [model.name, stat.st_size, stat.st_mtime_ns]
 
 
-def _digest(told: object) -> str:
-    return hashlib.sha256(json.dumps(told).encode()).hexdigest()[:24]
+def _digest(value: object) -> str:
+    return hashlib.sha256(json.dumps(value).encode()).hexdigest()[:24]
 
 
 def _rules_key(path: Path) -> str:
-    """The part of a file's name that stands for the model and the rules."""
+    """The part of a file name that identifies model and rules."""
     return path.stem.rpartition("-")[0]
 
 
 def _newest_first(paths: Iterable[Path]) -> list[Path]:
-    """`paths` by date; one that was pruned meanwhile is left out."""
+    """`paths` by date, newest first; a file that was removed meanwhile is left out."""
     dated: list[tuple[int, Path]] = []
     for path in paths:
         with suppress(FileNotFoundError):
@@ -119,7 +125,7 @@ def _newest_first(paths: Iterable[Path]) -> list[Path]:
 
 
 def _checksum_path(path: Path) -> Path:
-    """Where the SHA-256 of a state stands."""
+    """Path of the file with the SHA-256 of a state."""
     return path.with_suffix(".sha256")
 
 
@@ -128,7 +134,7 @@ def _has_checksum(path: Path) -> bool:
 
 
 def _write_checksum(path: Path) -> bool:
-    """Write the SHA-256 of the state at `path` beside it; False, and no state, if that cannot be done."""
+    """Write the SHA-256 of the state at `path` beside it; on failure the state is removed, and the result is False."""
     try:
         _checksum_path(path).write_text(_file_hash(path))
     except OSError:
@@ -138,7 +144,7 @@ def _write_checksum(path: Path) -> bool:
 
 
 def _is_intact(path: Path) -> bool:
-    """Whether the state at `path` is as it was saved; one that is not is removed."""
+    """Whether the state at `path` has its SHA-256; a damaged state is removed."""
     if not _has_checksum(path):
         return False
     with suppress(OSError, ValueError):
@@ -149,13 +155,13 @@ def _is_intact(path: Path) -> bool:
 
 
 def _file_hash(path: Path) -> str:
-    """SHA-256 of a file: some 50 ms for 50 MB."""
+    """SHA-256 of a file; takes about 50 ms for 50 MB."""
     with path.open("rb") as data:
         return hashlib.file_digest(data, "sha256").hexdigest()
 
 
 def _remove(path: Path) -> None:
-    """Remove a state, the signature first, whoever else does so; what stays does no harm."""
+    """Remove a state after its checksum; other processes may do the same, and leftover files do no harm."""
     for one in (_checksum_path(path), path):
         with suppress(OSError):
             one.unlink()

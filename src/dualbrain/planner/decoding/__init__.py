@@ -1,1 +1,1 @@
-"""Grammars for constrained decoding, generated from the contract schema."""
+"""Grammars for constrained decoding, generated from the decoding schema of a contract."""

@@ -1,14 +1,14 @@
-"""From a decoding schema to an LLGuidance grammar, the constraint that llama.cpp enforces token by token.
+"""Conversion of a decoding schema to an LLGuidance grammar, which llama.cpp enforces token by token.
 
-llama.cpp's own `json_schema` mode ignores numeric bounds; LLGuidance enforces them and writes compact JSON. A grammar
-that LLGuidance cannot read is dropped by the server without a word, so only keywords known to work are passed on.
-Between bounds it forgets numbers whose digits begin those of a bound: from 0 to 0.35 it admits 0.29, 0.30 and 0.31, but
-not 0.3 (seen with 1.9.1). Those are named beside the range.
+llama.cpp's `json_schema` mode ignores numeric bounds; LLGuidance enforces them and writes compact JSON. The server
+silently drops a grammar that LLGuidance cannot parse, so only keywords that are known to work are passed on. Within a
+range, LLGuidance rejects numbers whose digits are a prefix of those of a bound: from 0 to 0.35 it accepts 0.29, 0.30
+and 0.31, but not 0.3 (observed with 1.9.1). These numbers are added as alternatives to the range.
 
-And where only one text can follow, it admits the one token of that text which no later one could change: after the
-last word of an action `"`, not the `"}` in which a model was taught to write it. What the model then reads is not what
-it knows, and small ones ended every contract there. So nothing is forced (`FREELY`): every token that keeps to the
-grammar may come.
+Where only one continuation is possible, LLGuidance by default forces its first unambiguous token: after the last word
+of an action `"` instead of the token `"}` on which a model was trained. The context of the model then differs from its
+training, and small models ended every contract at this point. Forcing is therefore off (`NO_FORCING`): every token that
+satisfies the grammar is allowed.
 """
 
 from __future__ import annotations
@@ -40,57 +40,57 @@ _KEYWORDS = frozenset(
 )
 _DEFINITIONS = ("$defs", "definitions")
 NO_FORCING = '%llguidance {"no_forcing": true}\n'
-"""How each grammar begins."""
+"""First line of each grammar."""
 
 
 def actions_grammar(schema: dict[str, Any]) -> str:
-    """Grammar of what follows the header of a contract: its action sequence and the closing brace."""
+    """Grammar of the text after the header of a contract: its action sequence and the closing brace."""
     return _grammar(schema, "")
 
 
 def tail_grammar(schema: dict[str, Any]) -> str:
-    """Grammar of what follows the word `"action_sequence`: the closing quote, a colon, and as above."""
+    """Grammar of the text after `"action_sequence`: the closing quote, a colon, and the text of `actions_grammar`."""
     return _grammar(schema, '"\\":" ')
 
 
 def contract_grammar(schema: dict[str, Any]) -> str:
-    """Grammar of a whole contract, for a server that is given no beginning."""
+    """Grammar of a whole contract, for a server that receives no beginning of the answer."""
     whole = strip_annotations(schema) | {key: _strip_each(schema[key]) for key in _DEFINITIONS if key in schema}
     return f"{NO_FORCING}start: %json {_encode_schema(whole)}"
 
 
-def _grammar(schema: dict[str, Any], before: str) -> str:
+def _grammar(schema: dict[str, Any], prefix: str) -> str:
     actions = strip_annotations(schema["properties"]["action_sequence"])
     actions |= {key: _strip_each(schema[key]) for key in _DEFINITIONS if key in schema}
-    return f'{NO_FORCING}start: {before}actions "}}"\nactions: %json {_encode_schema(actions)}'
+    return f'{NO_FORCING}start: {prefix}actions "}}"\nactions: %json {_encode_schema(actions)}'
 
 
-def _encode_schema(narrowed: dict[str, Any]) -> str:
-    return json.dumps(_add_missing_numbers(narrowed) | {"x-guidance": {"whitespace_flexible": False}})
+def _encode_schema(schema: dict[str, Any]) -> str:
+    return json.dumps(_add_missing_numbers(schema) | {"x-guidance": {"whitespace_flexible": False}})
 
 
-def _add_missing_numbers(narrowed: Any) -> Any:
-    """The schema with the numbers named that LLGuidance forgets between bounds."""
-    if isinstance(narrowed, list):
-        return [_add_missing_numbers(item) for item in narrowed]
-    if not isinstance(narrowed, dict):
-        return narrowed
-    if narrowed.get("type") == "number" and (forgotten := _missing_numbers(narrowed)):
-        return {"anyOf": [narrowed, {"enum": forgotten}]}
-    return {key: value if key in {"enum", "const"} else _add_missing_numbers(value) for key, value in narrowed.items()}
+def _add_missing_numbers(schema: Any) -> Any:
+    """`schema` with alternatives for the numbers that LLGuidance rejects between bounds."""
+    if isinstance(schema, list):
+        return [_add_missing_numbers(item) for item in schema]
+    if not isinstance(schema, dict):
+        return schema
+    if schema.get("type") == "number" and (missing := _missing_numbers(schema)):
+        return {"anyOf": [schema, {"enum": missing}]}
+    return {key: value if key in {"enum", "const"} else _add_missing_numbers(value) for key, value in schema.items()}
 
 
 def _missing_numbers(number: dict[str, Any]) -> list[float]:
-    """Numbers between the bounds of `number` whose decimals are the first ones of a bound."""
+    """Numbers between the bounds of `number` whose decimals are a prefix of those of a bound."""
     bounds = [Decimal(str(number[name])) for name in ("minimum", "maximum") if name in number]
     digits = (str(bound).partition(".") for bound in bounds)
-    cut = {Decimal(f"{before}.{after[:count]}") for before, _, after in digits for count in range(1, len(after))}
+    prefixes = {Decimal(f"{before}.{after[:count]}") for before, _, after in digits for count in range(1, len(after))}
     lower, upper = number.get("minimum", "-Infinity"), number.get("maximum", "Infinity")
-    return [float(one) for one in sorted(cut) if Decimal(str(lower)) <= one <= Decimal(str(upper))]
+    return [float(one) for one in sorted(prefixes) if Decimal(str(lower)) <= one <= Decimal(str(upper))]
 
 
 def strip_annotations(schema: Any) -> Any:
-    """`schema` without titles, descriptions and other keywords that only people read."""
+    """`schema` without titles, descriptions and other keywords that do not constrain the answer."""
     if not isinstance(schema, dict):
         return schema
     narrowed: dict[str, Any] = {}

@@ -1,1 +1,1 @@
-"""Prompt texts and their assembly."""
+"""Prompt texts, and rendering of requests to prompts."""

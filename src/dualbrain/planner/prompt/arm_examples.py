@@ -1,8 +1,8 @@
-"""Worked examples that stand in for memory while it is empty: the form of a contract, and parameters that suit a scene.
+"""Worked examples for an arm, used while memory is empty: the form of a contract, and parameters that suit a scene.
 
-A small model copies the parameters of the example it read last, so the example whose scene is most like the present one
-comes last. Likeness counts shared symbols of the thing that the instruction names. The things in the examples appear in
-no scene of the world.
+A small model copies the parameters of the last example, so the example with the most similar scene comes last.
+Similarity counts the common symbols of the object that the instruction names. The objects in the examples are in no
+scene of the simulation.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ class WorkedExample(NamedTuple):
 
 
 def grasp_action(name: str, **changed: Any) -> dict[str, Any]:
-    """A grasp with the usual parameters, some of them `changed`."""
+    """A grasp action with default parameters, some of them `changed`."""
     params = {"object": name, "speed": 0.2, "clearance": 0.15, "finger_axis": "along", "opening": 0.08}
     params |= {"approach": "top", "wait": "none", "force": 15}
     return {"skill": "grasp", "params": params | changed}
 
 
 def place_action(destination: str, **changed: Any) -> dict[str, Any]:
-    """A placing with the usual parameters, some of them `changed`."""
+    """A place action with default parameters, some of them `changed`."""
     params = {"destination": destination, "speed": 0.2, "clearance": 0.15, "route": "direct", "wait": "none"}
     return {"skill": "place", "params": params | changed}
 
 
-def table_scene(things: str, person: str = "none", places: str = "shelf_front, shelf_back") -> str:
-    """The summary of a table with `things` and a tray."""
-    return f"robot panda; holding nothing\n{things}\nwhite_tray: container\nperson: {person}\nplaces: {places}"
+def table_scene(objects: str, person: str = "none", places: str = "shelf_front, shelf_back") -> str:
+    """The summary of a table with `objects` and a tray."""
+    return f"robot panda; holding nothing\n{objects}\nwhite_tray: container\nperson: {person}\nplaces: {places}"
 
 
 DECLINE_EXAMPLE = WorkedExample(
@@ -132,7 +132,7 @@ WORKED_EXAMPLES = (DECLINE_EXAMPLE, *FETCH_EXAMPLES)
 
 
 def select_examples(scene: str, instruction: str, count: int) -> list[WorkedExample]:
-    """The `count` examples most like `scene` for the thing that `instruction` names, the most alike last."""
+    """The `count` examples most similar to `scene` for the object that `instruction` names, the most similar last."""
     wanted = _symbols(scene, instruction)
     ranked = sorted(enumerate(FETCH_EXAMPLES), key=lambda pair: (-_similarity(wanted, pair[1]), pair[0]))
     best = [example for _, example in ranked[: max(0, count - 1)]]
@@ -140,13 +140,13 @@ def select_examples(scene: str, instruction: str, count: int) -> list[WorkedExam
 
 
 def _similarity(wanted: frozenset[str], example: WorkedExample) -> float:
-    """Shared over all symbols (Jaccard)."""
+    """Jaccard index of the symbols."""
     symbols = _symbols(example.scene, example.instruction)
     return len(wanted & symbols) / max(1, len(wanted | symbols))
 
 
 def _symbols(scene: str, instruction: str) -> frozenset[str]:
-    """The symbols of the named thing, of people, and whether several things are asked for."""
+    """The symbols of the named object and of people, and a symbol for an instruction with several objects."""
     words = set(re.findall(r"[a-z]+", instruction.lower()))
     lines = [line for line in scene.splitlines() if ": object" in line]
     named = [line for line in lines if set(line.split(":")[0].split("_")) <= words]

@@ -1,7 +1,8 @@
-"""What a planner is told when it plans again, after a contract that failed or was taken over.
+"""Feedback to a planner that plans again after its contract failed or an operator took over.
 
-It stands beside the unchanging template, in questions that have a setback only, and has a version and hash of its own.
-Everything that comes from outside (names, reasons) stands inside the block that the rules declare to be data.
+The feedback is not part of the fixed template: it is only in requests with a `setback`, and has its own version and
+hash (`full_prompt.conditional_text_hash`). All external text (names, reasons) is in a block that the rules declare as
+data.
 """
 
 from __future__ import annotations
@@ -15,11 +16,11 @@ An earlier contract for this instruction was carried out in part. The scene belo
 actions that are still to do, and change what did not work (another approach, finger_axis, route, clearance, or wait \
 until_clear). What is held is held already:"""
 MAX_FEEDBACK_CHARACTERS = 900
-"""Characters of what is told."""
+"""Largest length of the feedback in JSON."""
 
 
 def format_failure_feedback(setback: FailureFeedback) -> str:
-    """Which actions were done, which one was not, why, and what stood in the way."""
+    """The executed actions, the failed action, the reason, and the obstacle in the way."""
     facts = {
         "done": list(setback.done),
         "not_done": setback.undone,
@@ -27,8 +28,8 @@ def format_failure_feedback(setback: FailureFeedback) -> str:
         "reason": setback.reason,
         "in_the_way": setback.hindrance,
     }
-    told = {name: value for name, value in facts.items() if value}
-    text = compact_json(told, limit=MAX_FEEDBACK_CHARACTERS) or compact_json(
+    known = {name: value for name, value in facts.items() if value}
+    text = compact_json(known, limit=MAX_FEEDBACK_CHARACTERS) or compact_json(
         {"outcome": facts["outcome"]}, limit=MAX_FEEDBACK_CHARACTERS
     )
     return f"{FEEDBACK_INTRO}\n<refusal>\n{text}\n</refusal>"

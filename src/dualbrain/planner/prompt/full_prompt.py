@@ -1,9 +1,9 @@
-"""The prompt: what a planner is told, in an order that keeps the unchanging part first.
+"""The full prompt of a planner, with its constant part first.
 
-Training and asking render the same messages from the same request. Order: role, rules and skills (the same for every
-question to one robot, so that a server keeps it in its prefix cache), exemplars, then the question: passages from
-documents with their citations, warnings, what became of an earlier contract, the gate's refusal when this is a second
-shot, scene and instruction.
+Training and inference render the same messages from the same request. Order: role, rules and skills (constant for each
+robot, so that a server keeps them in its prefix cache), exemplars, then the last message: passages from documents with
+their citations, warnings, the feedback on an earlier contract, the gate's rejection in a second attempt, scene and
+instruction.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Exemplar, RetrievedContext
 
 TEMPLATE_VERSION = 3
-"""Rises with every change of wording or order; adapters trained on one version refuse another (see `template_hash`)."""
+"""Increases with every change of text or order; an adapter is valid for one version only (see `template_hash`)."""
 
 INSTRUCTION_LIMIT = 400
 SCENE_LIMIT = 2400
@@ -74,7 +74,7 @@ ANSWER_FORMAT = (
 
 
 def render(request: PlanRequest) -> list[ChatMessage]:
-    """The messages for `request`: system, exemplars as turns of question and answer, and the question."""
+    """The messages for `request`: system message, exemplars as pairs of user and assistant messages, last message."""
     names, skills = _split_names(request.skills_text)
     form = ANSWER_FORMAT.format(robot=request.robot, registry=request.registry_hash)
     system = _system(request).format(robot=request.robot, skills=skills, form=form)
@@ -88,9 +88,9 @@ def render(request: PlanRequest) -> list[ChatMessage]:
 
 
 def worked_examples(request: PlanRequest, count: int) -> tuple[Exemplar, ...]:
-    """Up to `count` built-in examples that suit `request`, best first, as if memory had recalled them."""
-    alone = msgspec.structs.replace(request, recall=RetrievedContext())
-    chosen = _examples(alone)[::-1][:count]
+    """Up to `count` built-in examples that fit `request`, best first, in the form of retrieved memories."""
+    without_recall = msgspec.structs.replace(request, recall=RetrievedContext())
+    chosen = _examples(without_recall)[::-1][:count]
     return tuple(
         Exemplar(
             episode_id=f"worked example {rank}",
@@ -109,23 +109,23 @@ def worked_examples(request: PlanRequest, count: int) -> tuple[Exemplar, ...]:
 
 
 def answer_header(request: PlanRequest) -> str:
-    """The beginning of every right answer to `request`: everything before the action sequence."""
+    """The beginning of every valid answer to `request`: the text before the action sequence."""
     empty = _answer(request, request.contract_id, [])
     return empty.removesuffix("[]}")
 
 
 def template_hash() -> str:
-    """First 16 hex digits of the SHA-256 of all fixed text of the prompt."""
+    """First 16 hex digits of the SHA-256 of the fixed text of the prompt."""
     fixed = [TEMPLATE_VERSION, SYSTEM, ANSWER_FORMAT, [list(example) for example in WORKED_EXAMPLES]]
     fixed += [mobile_base_examples.SYSTEM, [list(example) for example in mobile_base_examples.EXAMPLES]]
     return hashlib.sha256(json.dumps(fixed, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def conditional_text_hash() -> str:
-    """First 16 hex digits of the SHA-256 of the fixed text that stands in some questions only (`template_hash` beside).
+    """First 16 hex digits of the SHA-256 of fixed text that is in some requests only and not in `template_hash`.
 
-    That of several goals, that of planning again, and that of an arm on a base. Single first questions to an arm or a
-    base hold none of it.
+    This is the text for several goals, for planning again, and for mobile manipulators. First requests with a single
+    goal to an arm or a base contain none of it.
     """
     fixed = [
         FAILURE_FEEDBACK_VERSION,
@@ -136,46 +136,49 @@ def conditional_text_hash() -> str:
     ]
     fixed += [mobile_manipulator_examples.MOBILE_MANIPULATOR_VERSION, mobile_manipulator_examples.SYSTEM]
     fixed += [list(example) for example in mobile_manipulator_examples.EXAMPLES]
-    examples = [list(example) for of in multi_goal.EXAMPLES.values() for example in of]
+    examples = [list(example) for group in multi_goal.EXAMPLES.values() for example in group]
     return hashlib.sha256(json.dumps([fixed, examples], sort_keys=True).encode()).hexdigest()[:16]
 
 
 def _system(request: PlanRequest) -> str:
-    """The role and rules for the kind of body that is asked about."""
+    """The role and rules for the kind of robot in `request`."""
     if _is_mobile_manipulator(request):
         return mobile_manipulator_examples.SYSTEM
     return mobile_base_examples.SYSTEM if _is_mobile_base(request) else SYSTEM
 
 
 def _split_names(skills_text: str) -> tuple[str, str]:
-    """The lines that name what is in the scene, and the rest, which is the same for every scene."""
+    """The lines with names in the scene, and the other lines, which are the same for every scene."""
     lines = skills_text.splitlines()
     names = [line for line in lines if line.startswith(("graspable:", "receptive:"))]
     return "\n".join(names), "\n".join(line for line in lines if line not in names)
 
 
 def _examples(request: PlanRequest) -> list[WorkedExample]:
-    """What memory recalled, the best one last; built-in examples that fit the scene fill what memory leaves."""
-    recalled = [_to_example(exemplar) for exemplar in request.recall.exemplars[:MAX_RECALLED]]
-    usable = [example for example in recalled if example is not None]
-    left = MAX_EXEMPLARS - len(usable)
+    """Retrieved memories, the best one last, after built-in examples that fit the scene, up to `MAX_EXEMPLARS`."""
+    retrieved = [_to_example(exemplar) for exemplar in request.recall.exemplars[:MAX_RECALLED]]
+    usable = [example for example in retrieved if example is not None]
+    n_missing = MAX_EXEMPLARS - len(usable)
     if _is_mobile_manipulator(request):
-        return [*mobile_manipulator_examples.select_examples(request.instruction, request.scene, left), *usable[::-1]]
+        return [
+            *mobile_manipulator_examples.select_examples(request.instruction, request.scene, n_missing),
+            *usable[::-1],
+        ]
     if _is_mobile_base(request):
-        return [*mobile_base_examples.EXAMPLES[-left:], *usable[::-1]] if left else usable[::-1]
-    if wanted := multi_goal.detect_needs(request):
-        beside = multi_goal.select_examples(wanted, max(1, left - 1))
-        return [DECLINE_EXAMPLE, *beside, *usable[::-1]][-MAX_EXEMPLARS:]
-    return [*select_examples(request.scene, request.instruction, left), *usable[::-1]]
+        return [*mobile_base_examples.EXAMPLES[-n_missing:], *usable[::-1]] if n_missing else usable[::-1]
+    if needs := multi_goal.detect_needs(request):
+        fitting = multi_goal.select_examples(needs, max(1, n_missing - 1))
+        return [DECLINE_EXAMPLE, *fitting, *usable[::-1]][-MAX_EXEMPLARS:]
+    return [*select_examples(request.scene, request.instruction, n_missing), *usable[::-1]]
 
 
 def _is_mobile_base(request: PlanRequest) -> bool:
-    """Whether the registry that is asked about is a base's."""
+    """Whether the registry in `request` has skills for driving."""
     return request.skills_text.startswith("drive_to(")
 
 
 def _is_mobile_manipulator(request: PlanRequest) -> bool:
-    """Whether it is that of an arm on a base."""
+    """Whether the registry in `request` is that of a mobile manipulator."""
     return _is_mobile_base(request) and "\ngrasp(" in request.skills_text
 
 
@@ -202,8 +205,8 @@ def _last_question(request: PlanRequest, names: str) -> str:
     scene = f"{request.scene}\n{names}" if names else request.scene
     parts = [part for part in (_knowledge(request), *warnings) if part]
     parts.append(_question(scene, request.instruction, request.contract_id))
-    if wanted := multi_goal.detect_needs(request):
-        parts.insert(-1, multi_goal.format_rules(wanted))
+    if needs := multi_goal.detect_needs(request):
+        parts.insert(-1, multi_goal.format_rules(needs))
     if request.setback is not None:
         parts.insert(-1, format_failure_feedback(request.setback))
     if request.refusal is not None:
@@ -212,7 +215,7 @@ def _last_question(request: PlanRequest, names: str) -> str:
 
 
 def _knowledge(request: PlanRequest) -> str:
-    """Passages from documents, one a line, each after its citation."""
+    """Passages from documents, one per line, each after its citation."""
     lines = [
         f"{sanitize(one.citation, limit=CITATION_LIMIT)}: {sanitize(one.text, limit=PASSAGE_LIMIT)}"
         for one in request.recall.passages[:MAX_PASSAGES]
@@ -222,15 +225,21 @@ def _knowledge(request: PlanRequest) -> str:
 
 def _warning(exemplar: Exemplar) -> str:
     actions = compact_json(exemplar.contract.get("action_sequence"), limit=CONTRACT_LIMIT)
-    asked = sanitize(exemplar.instruction, limit=INSTRUCTION_LIMIT)
-    return f"Do not answer like this, it failed:\n<warning>\n{asked}: {actions}\n</warning>" if actions else ""
+    instruction = sanitize(exemplar.instruction, limit=INSTRUCTION_LIMIT)
+    return f"Do not answer like this, it failed:\n<warning>\n{instruction}: {actions}\n</warning>" if actions else ""
 
 
 def _refusal(request: PlanRequest) -> str:
-    why = request.refusal
-    assert why is not None
-    facts = {"stage": why.stage, "at": why.pointer, "got": why.got, "allowed": why.allowed, "hint": why.hint}
-    text = compact_json(facts, limit=CONTRACT_LIMIT) or compact_json({"stage": why.stage}, limit=CONTRACT_LIMIT)
+    rejected = request.refusal
+    assert rejected is not None
+    facts = {
+        "stage": rejected.stage,
+        "at": rejected.pointer,
+        "got": rejected.got,
+        "allowed": rejected.allowed,
+        "hint": rejected.hint,
+    }
+    text = compact_json(facts, limit=CONTRACT_LIMIT) or compact_json({"stage": rejected.stage}, limit=CONTRACT_LIMIT)
     return f"Your last contract was refused. Mend what the refusal names:\n<refusal>\n{text}\n</refusal>"
 
 

@@ -1,4 +1,4 @@
-"""What a planner of a base is told beside its skills: the role, the rules, and worked examples of rooms."""
+"""Prompt text for a mobile base: the role, the rules, and worked examples of rooms."""
 
 from __future__ import annotations
 

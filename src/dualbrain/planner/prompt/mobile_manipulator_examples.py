@@ -1,6 +1,6 @@
-"""What a planner of an arm on a base is told: the role, the rules, and worked examples of a room with a counter.
+"""Prompt text for a mobile manipulator: the role, the rules, and worked examples of a room with a counter.
 
-It stands beside the unchanging template and is counted by the hash of what does (`prompt.beside_hash`).
+This text is not part of the template hash, but of `full_prompt.conditional_text_hash`.
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ def _turn(heading: float) -> dict[str, Any]:
     return {"skill": "turn_to", "params": {"heading": heading, "max_turn_rate": 0.8}}
 
 
-def _scene(thing: str, heading: float, person: str = "none", axis: str = "along") -> str:
-    """The summary of a room with a counter, which lies at `heading` from its place, and `thing` on it."""
+def _scene(object_name: str, heading: float, person: str = "none", axis: str = "along") -> str:
+    """The summary of a room with a counter at the `heading` [rad] of its place, and the object on it."""
     return (
         f"robot mobile_panda; holding nothing\nplaces: window, kitchen, counter\ncounter: before sideboard, "
-        f"heading {heading:.2f}\n{thing}: object, at counter, free_finger_axis {axis}, path_max_height none\n"
+        f"heading {heading:.2f}\n{object_name}: object, at counter, free_finger_axis {axis}, path_max_height none\n"
         f"white_tray: container, at counter\nstanding about: crate_7\nperson: {person}"
     )
 
@@ -97,10 +97,10 @@ EXAMPLES = (DECLINE_EXAMPLE, DRIVE_EXAMPLE, FETCH_EXAMPLE, DRIVE_THEN_FETCH_EXAM
 
 
 def select_examples(instruction: str, scene: str, count: int) -> list[WorkedExample]:
-    """The `count` examples that suit what the words ask for, the best one last: going, putting, or both in order."""
+    """The `count` examples that fit the instruction, the best one last: driving, placing, or both in their order."""
     words = re.findall(r"[a-z]+", instruction.lower())
-    things = [line.partition(":")[0] for line in scene.splitlines() if ": object" in line]
-    put, go = _first_mention(things, words), _first_mention(_places(scene), words)
+    objects = [line.partition(":")[0] for line in scene.splitlines() if ": object" in line]
+    put, go = _first_mention(objects, words), _first_mention(_places(scene), words)
     if put is None or go is None:
         chosen = (
             [DECLINE_EXAMPLE, FETCH_EXAMPLE, DRIVE_EXAMPLE]
@@ -122,6 +122,6 @@ def _places(scene: str) -> list[str]:
 
 
 def _first_mention(names: list[str], words: list[str]) -> int | None:
-    """Where in `words` the first of `names` is spoken of, all its words in any order; None if none is."""
-    spoken = [max(map(words.index, parts)) for name in names if set(parts := name.split("_")) <= set(words)]
-    return min(spoken, default=None)
+    """Position in `words` at which the first of `names` is complete, its words in any order; None without a name."""
+    positions = [max(map(words.index, parts)) for name in names if set(parts := name.split("_")) <= set(words)]
+    return min(positions, default=None)

@@ -1,8 +1,8 @@
-"""Instructions with several goals: this before that, all of a colour, this if that. What the prompt says to them.
+"""Prompt text for instructions with several goals: an order, all objects of a kind, or a condition.
 
-It stands beside the unchanging template, in questions that need it only, so that the prompt of a single goal stays
-what it was; it has a version and a hash of its own (`prompt.beside_hash`). What is needed is found by rule from the
-words and the names in the scene: small models do better with one fitting example than with general advice.
+This text is not part of the fixed template and is only in requests that need it, so that the prompt for a single goal
+does not change; it has its own version and hash (`full_prompt.conditional_text_hash`). Rules on the words and the names
+in the scene detect the need: small models profit more from one fitting example than from general advice.
 """
 
 from __future__ import annotations
@@ -32,30 +32,30 @@ _HOME = re.compile(r"\b(go home|return to|back to where|retract|resting|it rests
 
 
 def detect_needs(request: PlanRequest) -> tuple[PromptNeed, ...]:
-    """What the instruction of `request` needs beyond one goal, in a fixed order; () for a single goal."""
+    """The needs of the instruction of `request` beyond one goal, in a fixed order; () for a single goal."""
     words = request.instruction.lower()
-    said = set(re.findall(r"[a-z0-9]+", words))
-    things, places = _names(request, "graspable"), _names(request, "receptive")
-    named = sum(set(name.split("_")) <= said for name in things)
-    stops = 0 if things else sum(set(name.split("_")) <= said for name in places)
-    found: list[PromptNeed] = []
+    mentioned = set(re.findall(r"[a-z0-9]+", words))
+    objects, places = _names(request, "graspable"), _names(request, "receptive")
+    named = sum(set(name.split("_")) <= mentioned for name in objects)
+    stops = 0 if objects else sum(set(name.split("_")) <= mentioned for name in places)
+    needs: list[PromptNeed] = []
     if (_ORDER.search(words) and (named > 1 or stops > 1)) or (named and _HOME.search(words)):
-        found.append("order")
-    if _EVERY.search(words) and any(_is_group_mentioned(name, said) for name in things):
-        found.append("every")
+        needs.append("order")
+    if _EVERY.search(words) and any(_is_group_mentioned(name, mentioned) for name in objects):
+        needs.append("every")
     if _CONDITION.search(words) and _AVAILABILITY.search(words):
-        found.append("condition")
-    return tuple(found)
+        needs.append("condition")
+    return tuple(needs)
 
 
-def format_rules(wanted: Sequence[PromptNeed]) -> str:
-    """What stands before the question; "" for a single goal."""
-    return "\n".join((RULES_INTRO, *(f"- {RULES[need]}" for need in wanted))) if wanted else ""
+def format_rules(needs: Sequence[PromptNeed]) -> str:
+    """The rules that precede the scene in the last message; "" for a single goal."""
+    return "\n".join((RULES_INTRO, *(f"- {RULES[need]}" for need in needs))) if needs else ""
 
 
-def select_examples(wanted: Sequence[PromptNeed], count: int) -> list[WorkedExample]:
-    """At most `count` examples of what is needed, the one for the last need last."""
-    fitting = [example for need in wanted for example in EXAMPLES[need]]
+def select_examples(needs: Sequence[PromptNeed], count: int) -> list[WorkedExample]:
+    """At most `count` examples for `needs`, the one for the last need last."""
+    fitting = [example for need in needs for example in EXAMPLES[need]]
     return fitting[-count:] if count > 0 else []
 
 
@@ -65,10 +65,10 @@ def _names(request: PlanRequest, kind: str) -> list[str]:
     return [name for name in listed if name not in ("", "nothing")]
 
 
-def _is_group_mentioned(name: str, said: set[str]) -> bool:
-    """Whether the words speak of things like `name` in the plural: "tins", or its colour with "things" or "ones"."""
+def _is_group_mentioned(name: str, words: set[str]) -> bool:
+    """Whether `words` contain `name` in the plural, such as "tins", or its colour with "things" or "ones"."""
     parts = name.split("_")
-    return f"{parts[-1]}s" in said or (parts[0] in said and bool({"things", "ones", "objects"} & said))
+    return f"{parts[-1]}s" in words or (parts[0] in words and bool({"things", "ones", "objects"} & words))
 
 
 def _scene_summary(*lines: str, tray: str = "container") -> str:

@@ -1,4 +1,4 @@
-"""How a request is put to a model: its messages, the beginning of the answer that is given, what binds the rest."""
+"""Prompt formats: the messages for a model, the given beginning of its answer, and the grammar of the rest."""
 
 from __future__ import annotations
 
@@ -15,20 +15,21 @@ from dualbrain.planner.prompt.short_prompt import render_short, short_template_h
 from dualbrain.planner.request import PlanRequest
 
 CONSTRAINED_BY = "llguidance in llama.cpp (xllamacpp); header given"
-"""The id and context of a contract are given to the model as the beginning of its answer: they are fixed anyway, and
-reading them is four times as fast as writing them."""
+"""Value of `constrained_by`. Id and context of a contract are given to the model as the beginning of its answer: they
+are fixed, and reading them is four times as fast as generating them."""
 NO_CONSTRAINT = "nothing"
-"""What bound an answer for which no grammar was in force: how such a `constrained_by` begins."""
+"""Prefix of `constrained_by` for an answer without a grammar."""
 UNCONSTRAINED_BY = f"{NO_CONSTRAINT} (free decoding)"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PromptFormat:
-    """One way of asking. `grammar` makes what binds the answer after its `beginning` from the decoding schema.
+    """One format of prompts and answers.
 
-    `hears_refusals`: what became of an earlier answer stands in the next prompt. Where it does not, the next shot is
-    drawn by chance (temperature 1; see `draw`), for the most probable answer has just failed. `steady`: the prompt
-    begins alike for every question, so that a server may keep what it has read of it.
+    `answer_prefix` is the given beginning of the answer, `grammar` converts the decoding schema to the grammar of the
+    rest (None: no constraint). With `includes_refusals`, the next prompt describes the failure of an earlier answer.
+    Without it, the next answer is sampled (temperature 1; see `sampling_seed`), because the most probable answer has
+    failed. With `has_fixed_prefix`, all prompts begin with the same text, so that a server can cache its state.
     """
 
     messages: Callable[[PlanRequest], list[ChatMessage]]
@@ -39,19 +40,20 @@ class PromptFormat:
     has_fixed_prefix: bool
 
     def sampling_seed(self, request: PlanRequest) -> int | None:
-        """The seed with which the answer to `request` is drawn; None where it is the most probable one.
+        """The seed for sampling the answer to `request`; None for the most probable answer.
 
-        It follows from the shot and from what failed, so that every try draws anew and the same one can be made again.
+        The seed is derived from the attempt and the failure, so that every attempt is sampled differently and can be
+        reproduced.
         """
         failed = [request.refusal, request.setback]
         if self.includes_refusals or failed == [None, None]:
             return None
-        told = msgspec.json.encode([request.contract_id, *failed], order="deterministic")
-        return zlib.crc32(told) >> 1  # 31 bits: of 32 the largest means "any" to llama.cpp
+        attempt = msgspec.json.encode([request.contract_id, *failed], order="deterministic")
+        return zlib.crc32(attempt) >> 1  # 31 bits, because llama.cpp reads the largest 32-bit value as "any seed"
 
 
 def short_messages(request: PlanRequest) -> list[ChatMessage]:
-    """The prompt that adapters are taught on."""
+    """The prompt on which adapters are trained."""
     return render_short(
         request.scene,
         request.instruction,
@@ -63,10 +65,10 @@ def short_messages(request: PlanRequest) -> list[ChatMessage]:
 
 
 def short_header(request: PlanRequest) -> str:
-    """The beginning of every right answer, up to a place where no tokenizer joins what follows to what was given.
+    """The beginning of every valid answer, up to a position that is a token boundary in every tokenizer.
 
-    After a letter comes `":[{"`, which may be one token or three: an adapter was taught the whole text, so the cut must
-    be where its tokens are cut anyway.
+    The continuation `":[{"` after a letter may be one token or three. Adapters are trained on the whole text, so the
+    given beginning must end at a boundary of its tokens.
     """
     return answer_header(request).removesuffix('":')
 
@@ -79,7 +81,7 @@ FULL_PROMPT = PromptFormat(
     includes_refusals=True,
     has_fixed_prefix=True,
 )
-"""Rules, skills and examples in the prompt: for a model that was taught nothing of this."""
+"""Format with rules, skills and examples in the prompt, for a model without an adapter."""
 SHORT_PROMPT = PromptFormat(
     messages=short_messages,
     answer_prefix=short_header,
@@ -88,13 +90,13 @@ SHORT_PROMPT = PromptFormat(
     includes_refusals=False,
     has_fixed_prefix=False,
 )
-"""For an adapted model."""
+"""Format for an adapted model."""
 
 
 def without_constraints(prompt_format: PromptFormat) -> PromptFormat:
-    """The same question with nothing given of the answer, and nothing that binds it."""
+    """The same messages without a given beginning of the answer and without a grammar."""
     return replace(prompt_format, answer_prefix=lambda request: "", grammar=None)
 
 
 UNCONSTRAINED_SHORT_PROMPT = without_constraints(SHORT_PROMPT)
-"""An adapted model left to itself: what it complies with then, it has learnt."""
+"""Format for an adapted model without constraints, which measures what the model has learned."""

@@ -1,8 +1,8 @@
-"""Text from outside (people, perception, memory) made safe to stand inside a block of the prompt.
+"""Sanitising of external text (from people, perception, memory) for a block of the prompt.
 
-A block is `<tag>`, lines, `</tag>`. Law: sanitised text holds neither `<` nor `>`, so no input can close its block,
-open another one, or spell a control token of a chat template (`<|im_end|>`, `</s>`, `<start_of_turn>`), which servers
-parse even inside a message. Square brackets go too, because some templates mark turns with `[INST]`.
+A block is `<tag>`, lines, `</tag>`. Law: sanitised text contains neither `<` nor `>`, so no input can close its block,
+open another one, or form a control token of a chat template (`<|im_end|>`, `</s>`, `<start_of_turn>`), which servers
+parse even inside a message. Square brackets are replaced, too, because some templates mark turns with `[INST]`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import unicodedata
 from typing import Any
 
 MAX_STRING_CHARACTERS = 160
-"""Characters of one string inside JSON from outside."""
+"""Largest length of one string in external JSON."""
 
 _REPLACEMENTS = (("->", " to "), ("<", " under "), (">", " over "), ("[", "("), ("]", ")"))
 _INVISIBLE = frozenset({"Cc", "Cf", "Co", "Cs", "Cn", "Zl", "Zp"})
@@ -22,23 +22,23 @@ _INVISIBLE = frozenset({"Cc", "Cf", "Co", "Cs", "Cn", "Zl", "Zp"})
 def sanitize(text: str, *, limit: int, lines: int = 1) -> str:
     """`text` in at most `limit` characters and `lines` lines, without invisible and delimiting characters.
 
-    Compatibility forms are folded first (NFKC), so that full-width brackets count as brackets. Idempotent up to the
-    length limit; a text that is cut ends in "...".
+    Compatibility forms are normalised first (NFKC), so that full-width brackets count as brackets. The function is
+    idempotent up to the length limit; a text that is cut ends in "...".
     """
-    folded = unicodedata.normalize("NFKC", text[: 4 * limit])
-    rows = [_clean_line(row) for row in re.split(r"[\n\r\u2028\u2029]+", folded)]
+    normalized = unicodedata.normalize("NFKC", text[: 4 * limit])
+    rows = [_clean_line(row) for row in re.split(r"[\n\r\u2028\u2029]+", normalized)]
     kept = [row for row in rows if row]
     joined = "\n".join((*kept[: lines - 1], " ".join(kept[lines - 1 :]))).strip()
     return joined if len(joined) <= limit else joined[: max(limit - 3, 0)].rstrip() + "..."
 
 
 def format_block(tag: str, text: str, *, limit: int, lines: int = 1) -> str:
-    """`text` sanitised and set between `<tag>` and `</tag>`."""
+    """`text`, sanitised, between `<tag>` and `</tag>`."""
     return f"<{tag}>\n{sanitize(text, limit=limit, lines=lines) or '(empty)'}\n</{tag}>"
 
 
 def compact_json(value: Any, *, limit: int) -> str:
-    """`value` as one line of ASCII JSON with every string in it sanitised; "" when it is not JSON or over `limit`."""
+    """`value` as one line of ASCII JSON with sanitised strings; "" if it is not JSON or longer than `limit`."""
     try:
         text = json.dumps(_clean_value(value), separators=(",", ":"), allow_nan=False)
     except (TypeError, ValueError, RecursionError):

@@ -1,8 +1,8 @@
-"""The prompt of an adapted planner: scene and instruction, no schema and no rules; those it has learnt.
+"""The short prompt of an adapted planner: scene and instruction; the adapter has learned schema and rules.
 
-Training and asking render the same messages. A short prompt is most of what adaptation saves at run time: 100 to 300
-tokens where the full prompt has some 1500. What memory recalls can stand before the question: only the steps of the
-contracts, some 90 tokens each, the most similar first.
+Training and inference render the same messages. The short prompt is the main saving of adaptation at run time: 100 to
+300 tokens instead of about 1500. Retrieved memories can precede the scene, reduced to the steps of their contracts
+(about 90 tokens each), the most similar first.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from dualbrain.planner.prompt.sanitize import compact_json, format_block
 from dualbrain.records import Exemplar
 
 SHORT_TEMPLATE_VERSION = 2
-"""Rises with every change of wording or order; an adapter trained on one version refuses another."""
+"""Increases with every change of text or order; an adapter is valid for one version only."""
 
 SYSTEM = "You plan for a robot. Answer with one contract: one line of JSON."
 EXAMPLE = "<example>\n{steps}\n</example>"
 QUESTION = "Contract {contract_id} for {robot} {registry}:"
 MAX_SHOWN_EXEMPLARS, STEPS_LIMIT = 3, 640
-"""Exemplars shown, and characters of each; a longer one is left out, for half a contract is none."""
+"""Largest number of exemplars, and largest length of each; a longer one is left out, because it cannot be cut."""
 
 
 def render_short(
     scene: str, instruction: str, *, robot: str, registry: str, contract_id: str, exemplars: Iterable[Exemplar] = ()
 ) -> list[ChatMessage]:
-    """The messages for `instruction` in `scene` (the summary in symbols), both untrusted; `registry` is its hash.
+    """The messages for `instruction` in `scene` (the summary in symbols), both untrusted; `registry` is a hash.
 
-    Of the `recalled` episodes, best first, those that succeeded are shown.
+    Of the `exemplars`, best first, only those that succeeded are shown.
     """
     shown = (exemplar_steps(one.contract) for one in exemplars if one.succeeded)
     return render_short_with_steps(
@@ -42,7 +42,7 @@ def render_short(
 def render_short_with_steps(
     examples: list[str], scene: str, instruction: str, *, robot: str, registry: str, contract_id: str
 ) -> list[ChatMessage]:
-    """The messages with these `exemplar_steps` before the question, at most `MAX_SHOWN`; empty ones are passed over."""
+    """The messages with at most `MAX_SHOWN_EXEMPLARS` non-empty `examples` (results of `exemplar_steps`)."""
     question = QUESTION.format(contract_id=contract_id, robot=robot, registry=registry)
     parts = [
         *(EXAMPLE.format(steps=steps) for steps in [one for one in examples if one][:MAX_SHOWN_EXEMPLARS]),
@@ -54,9 +54,9 @@ def render_short_with_steps(
 
 
 def exemplar_steps(contract: Mapping[str, Any]) -> str:
-    """The steps of a `contract` on one line, as a contract has them, strings sanitised; "" if they do not fit.
+    """The steps of a `contract` on one line, with sanitised strings; "" if they are longer than `STEPS_LIMIT`.
 
-    Numbers stand as in a contract's canonical text (15, not 15.0), so that they can be copied token by token.
+    Numbers have the form of the canonical contract text (15, not 15.0), so that they can be copied token by token.
     """
     steps = contract.get("action_sequence")
     return (
@@ -77,7 +77,7 @@ def _canonical_numbers(value: Any) -> Any:
 
 
 def short_template_hash() -> str:
-    """First 16 hex digits of the SHA-256 of all fixed text of the short prompt and the limits of what fills it."""
+    """First 16 hex digits of the SHA-256 of the fixed text of the short prompt and the limits of its variable parts."""
     fixed = [
         SHORT_TEMPLATE_VERSION,
         SYSTEM,
