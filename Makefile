@@ -10,7 +10,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 
 KERNEL_SOURCES := CMakeLists.txt $(shell find kernel src/dualbrain/safety -name '*.c' -o -name '*.h' -o -name '*.cpp' 2>/dev/null)
 
-.PHONY: help demo test setup format check kernel pytest smoke experiments bench clean
+.PHONY: help demo test setup format check kernel pytest smoke docs experiments bench clean
 
 help:  ## what can be made
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -48,6 +48,9 @@ smoke: setup  ## the evaluation protocol from end to end, six episodes without a
 	@rm -rf build/smoke
 	$(BIN)/dualbrain evaluate --suite smoke --out build/smoke
 	$(BIN)/dualbrain report build/smoke --gallery 0
+
+docs: setup  ## the documentation site, in build/site; warnings are errors
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
 
 experiments: setup  ## the slow experiments, resumable; logs are written to experiments/runs/
 	@$(BIN)/python -m experiments
