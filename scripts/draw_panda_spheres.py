@@ -1,4 +1,4 @@
-"""Draws the Panda's balls over its meshes: `python docs/bodies/draw_panda.py docs/bodies/panda_spheres.png`."""
+"""Draws the collision spheres of the Panda over its meshes: `python scripts/draw_panda_spheres.py FILE.png`."""
 
 import sys
 
@@ -7,13 +7,13 @@ import numpy as np
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from dualbrain.robots.assets.meshes import collision_mesh
-from dualbrain.robots.collision_model.self_collision import chain_frames, placed_centres
-from dualbrain.robots.loader import load_body
+from dualbrain.robots.collision_model.self_collision import chain_frames, sphere_centres
+from dualbrain.robots.loader import load_robot
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt  # the backend is chosen first
 
-PANDA = load_body("panda")
+PANDA = load_robot("panda")
 COLOURS = {"arm": "#4878a8", "hand": "#d1813a", "fingers": "#3a9a5c"}
 VIEWS = (
     ("the arm at home", lambda link: True, (0.24, 0.0, 0.40), 0.47, (14, -68)),
@@ -23,14 +23,14 @@ VIEWS = (
 
 
 def placed_mesh(link, turns, origins, opening):
-    """Triangles (f, 3, 3) of the link's mesh in the world."""
+    """Triangles (f, 3, 3) of the mesh of a link in the world frame."""
     mesh = collision_mesh("panda", "finger" if link.group == "fingers" else link.name)
     vertices = mesh.vertices * ([-1, -1, 1] if link.name == "right_finger" else [1, 1, 1])
-    return placed_centres(link, vertices, turns, origins, opening)[0][mesh.faces]
+    return sphere_centres(link, vertices, turns, origins, opening)[0][mesh.faces]
 
 
 def draw(axes, wanted, opening):
-    """Meshes in grey, balls in the colour of their group, seen in the world at home."""
+    """Draw meshes in grey and spheres in the colour of their group, at the home posture."""
     turns, origins = chain_frames(PANDA.joints, np.array([PANDA.home]))
     a, b = np.meshgrid(np.linspace(0, np.pi, 13), np.linspace(0, 2 * np.pi, 21))
     unit = np.stack([np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)])
@@ -42,7 +42,7 @@ def draw(axes, wanted, opening):
         axes.add_collection3d(Poly3DCollection(triangles, facecolor="#777777", edgecolor="#222222", lw=0.15))
     for link in links:
         own = [sphere for sphere in PANDA.spheres if sphere.link == link.name]
-        centres = placed_centres(link, np.array([sphere.centre for sphere in own]), turns, origins, opening)[0]
+        centres = sphere_centres(link, np.array([sphere.centre for sphere in own]), turns, origins, opening)[0]
         for centre, sphere in zip(centres, own, strict=True):
             surface = centre[:, None, None] + sphere.radius * unit
             axes.plot_surface(*surface, color=COLOURS[link.group], alpha=0.13, lw=0, shade=True)
@@ -50,7 +50,7 @@ def draw(axes, wanted, opening):
 
 
 def main(path):
-    """Three views side by side."""
+    """Draw three views side by side."""
     figure = plt.figure(figsize=(13, 5.6), dpi=80)
     for i, (title, wanted, centre, reach, (elevation, azimuth)) in enumerate(VIEWS, start=1):
         axes = figure.add_subplot(1, 3, i, projection="3d", proj_type="ortho", computed_zorder=False)

@@ -21,6 +21,7 @@ from dualbrain.cli.run.replay import replay
 from dualbrain.cli.run.run import run
 from dualbrain.cli.run.schema import schema
 from dualbrain.core.weights import MANIFEST
+from dualbrain.evaluation.protocol.method import MAIN_METHODS
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("kernel/**/*.md")])
@@ -154,3 +155,9 @@ def test_the_usage_of_what_plans_and_learns_has_every_option(command):
     for one in inspect.signature(command).parameters.values():
         if one.kind is one.KEYWORD_ONLY:
             assert f"--{'no-' * (one.default is True)}{one.name.replace('_', '-')}" in usage
+
+
+def test_the_glossary_defines_every_method_of_the_main_table():
+    page = (ROOT / "docs" / "reference" / "glossary.md").read_text("utf-8")
+    rows = re.findall(r"^\| (\w+) \|", page.split("\n### Methods\n")[1].split("\n### ")[0], re.MULTILINE)
+    assert {method.name for method in MAIN_METHODS} <= set(rows)
