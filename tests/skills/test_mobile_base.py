@@ -1,4 +1,4 @@
-"""Skills of a base in the physics of its rooms: it arrives, nothing is touched, and in an empty room δ is 0."""
+"""Skills of a mobile base in simulated rooms: it arrives without contact, and in an empty room δ is 0."""
 
 from itertools import pairwise
 
@@ -19,75 +19,75 @@ from tests.simulation.mobile_base_cell import MOBILE_BASE, MobileBaseCell, drive
 
 
 @pytest.mark.parametrize(("family", "seed"), [("empty_room", 0), ("empty_room", 3), ("boxes", 1)])
-def test_it_drives_to_the_shelf_and_to_the_charger_and_the_filter_has_nothing_to_do(family, seed):
-    hall = MobileBaseCell(family, seed)
-    outcome = hall.run(drive_to_action("shelf"), drive_to_action("charger", 0.4))
+def test_it_drives_to_the_shelf_and_to_the_charger_without_filter_intervention(family, seed):
+    cell = MobileBaseCell(family, seed)
+    outcome = cell.run(drive_to_action("shelf"), drive_to_action("charger", 0.4))
     assert outcome.kind == "succeeded", outcome.reason
-    assert not np.any(hall.trace["delta"])
-    assert hall.world.judgement().success
-    assert hall.monitor.violations() == ()
+    assert not np.any(cell.trace["delta"])
+    assert cell.world.judgement().success
+    assert cell.monitor.violations() == ()
 
 
-def test_a_person_who_crosses_is_let_pass():
-    hall = MobileBaseCell("crossing", 2)
-    outcome = hall.run(drive_to_action("shelf", 0.4))
+def test_a_crossing_person_is_given_way():
+    cell = MobileBaseCell("crossing", 2)
+    outcome = cell.run(drive_to_action("shelf", 0.4))
     assert outcome.kind == "succeeded", outcome.reason
-    assert hall.monitor.violations() == ()
+    assert cell.monitor.violations() == ()
 
 
 @pytest.mark.parametrize(("seed", "speed"), [(11, 0.4), (47, 0.2)])
-def test_who_starts_to_walk_while_the_base_is_in_the_way_is_not_stood_in_the_way_of(seed, speed):
-    """The base goes on, and makes haste where its contract is slow; one that stopped was run into."""
-    hall = MobileBaseCell("crossing", seed)
-    outcome = hall.run(drive_to_action("shelf", speed))
+def test_the_base_clears_the_path_of_a_person_who_starts_to_walk(seed, speed):
+    """The base drives on, faster than a slow contract asks for; a base that stops here is hit by the person."""
+    cell = MobileBaseCell("crossing", seed)
+    outcome = cell.run(drive_to_action("shelf", speed))
     assert outcome.kind == "succeeded", outcome.reason
-    assert hall.monitor.violations() == ()
+    assert cell.monitor.violations() == ()
 
 
-def test_somebody_who_stays_in_the_way_is_not_waited_for_for_ever():
-    """Inching up to them is no progress: the skill ends when its patience does, and says why."""
-    hall = MobileBaseCell("aisles", 0)
-    outcome = hall.run(drive_to_action("shelf", 0.4))
+def test_waiting_for_a_person_who_stays_in_the_way_ends():
+    """A slow approach to the person is no progress: the skill ends at its timeout and reports why."""
+    cell = MobileBaseCell("aisles", 0)
+    outcome = cell.run(drive_to_action("shelf", 0.4))
     assert outcome.kind == "failed"
     assert "a person stayed in the way for 30 s" in outcome.reason
     assert PERSON_WAIT_TIMEOUT < outcome.duration < PERSON_WAIT_TIMEOUT + 10.0
-    assert hall.monitor.violations() == ()
+    assert cell.monitor.violations() == ()
 
 
-def test_the_other_aisle_is_free_and_somebody_who_leaves_is_waited_for():
+def test_the_free_aisle_can_be_used_and_a_person_who_leaves_is_waited_for():
     for seed, actions in (
         (0, [drive_to_action("aisle_left", 0.4), drive_to_action("shelf", 0.4)]),
         (2, [drive_to_action("shelf", 0.4)]),
     ):
-        hall = MobileBaseCell("aisles", seed)
-        outcome = hall.run(*actions)
+        cell = MobileBaseCell("aisles", seed)
+        outcome = cell.run(*actions)
         assert outcome.kind == "succeeded", outcome.reason
-        assert hall.monitor.violations() == ()
+        assert cell.monitor.violations() == ()
 
 
 @pytest.mark.parametrize("heading", [1.5, -3.0])
 def test_turning_and_stopping(heading):
-    hall = MobileBaseCell()
-    outcome = hall.run(("turn_to", {"heading": heading, "max_turn_rate": 1.5}), ("stop", {}))
+    cell = MobileBaseCell()
+    outcome = cell.run(("turn_to", {"heading": heading, "max_turn_rate": 1.5}), ("stop", {}))
     assert outcome.kind == "succeeded", outcome.reason
-    q = hall.plant.read().q
+    q = cell.plant.read().q
     assert abs(wrap_angle(q[2] - heading)) < 0.03
     assert np.linalg.norm(q[:2]) < 0.02
-    assert not np.any(hall.trace["delta"])
+    assert not np.any(cell.trace["delta"])
 
 
 def test_a_pose_without_a_name():
-    hall = MobileBaseCell("boxes", 1)
+    cell = MobileBaseCell("boxes", 1)
     pose = {"x": 0.6, "y": 0.4, "heading": 1.0, "max_speed": 0.4, "max_turn_rate": 1.0}
-    outcome = hall.run(("drive_to_pose", pose))
+    outcome = cell.run(("drive_to_pose", pose))
     assert outcome.kind == "succeeded", outcome.reason
-    q = hall.plant.read().q
+    q = cell.plant.read().q
     assert np.linalg.norm(q[:2] - (0.6, 0.4)) < 0.1
     assert abs(wrap_angle(q[2] - 1.0)) < 0.03
 
 
-def barred(spec):
-    """The room with a fence across it."""
+def with_fence(spec):
+    """The room with a fence across its full width."""
     fence = ObjectSpec(
         name="fence",
         role="obstacle",
@@ -98,63 +98,63 @@ def barred(spec):
         category="fence",
         fixed=True,
     )
-    return msgspec.structs.replace(spec, things=(*spec.things, fence))
+    return msgspec.structs.replace(spec, objects=(*spec.objects, fence))
 
 
-def test_where_no_way_leads_the_skill_says_so_and_stays():
-    hall = MobileBaseCell(spec=barred(MobileBaseCell().spec))
-    outcome = hall.run(drive_to_action("shelf"))
+def test_without_a_free_path_the_skill_fails_before_it_moves():
+    cell = MobileBaseCell(spec=with_fence(MobileBaseCell().spec))
+    outcome = cell.run(drive_to_action("shelf"))
     assert outcome.kind == "failed"
     assert "no way" in outcome.reason
-    assert np.linalg.norm(hall.plant.read().q[:2]) < 0.01
+    assert np.linalg.norm(cell.plant.read().q[:2]) < 0.01
 
 
 STORE = Obstacle(
     name="store", shape=Box((0.5, 0.6, 0.4)), pose=Pose((1.6, 0.1, 0.4)), margin=0.05, known=True, barrier="keep_out"
 )
-"""A box that a site closes, where nothing is to be seen."""
+"""A keep-out box of the site, where no object is perceived."""
 
 
-def test_a_way_leads_round_what_the_site_closes():
-    hall = MobileBaseCell(fixed_obstacles=(STORE,))
-    outcome = hall.run(drive_to_action("shelf"))
+def test_a_path_avoids_the_keep_out_boxes_of_the_site():
+    cell = MobileBaseCell(fixed_obstacles=(STORE,))
+    outcome = cell.run(drive_to_action("shelf"))
     assert outcome.kind == "succeeded", outcome.reason
-    inside = np.abs(np.array(hall.trace["q"])[:, :2] - STORE.pose.position[:2]) - STORE.shape.half_extents[:2]
-    assert inside.max(axis=1).min() > 0.05, "the axle, and some of the footprint around it"
+    inside = np.abs(np.array(cell.trace["q"])[:, :2] - STORE.pose.position[:2]) - STORE.shape.half_extents[:2]
+    assert inside.max(axis=1).min() > 0.05, "the axle keeps a distance for the footprint"
     straight = MobileBaseCell()
     straight.run(drive_to_action("shelf"))
     inside = np.abs(np.array(straight.trace["q"])[:, :2] - STORE.pose.position[:2]) - STORE.shape.half_extents[:2]
-    assert inside.max(axis=1).min() < 0.0, "without the site's word the way leads through it"
+    assert inside.max(axis=1).min() < 0.0, "without the keep-out box the path leads through it"
 
 
-def test_nobody_is_sent_where_the_site_closes_the_floor():
-    for standing, refused in (((), False), ((STORE,), True)):
-        layer = MobileBaseCell(standing=standing).executor
+def test_a_goal_inside_a_keep_out_box_is_refused():
+    for fixed_obstacles, refused in (((), False), ((STORE,), True)):
+        loop = MobileBaseCell(fixed_obstacles=fixed_obstacles).executor.loop
         pose = {"x": 1.6, "y": 0.1, "heading": 1.0, "max_speed": 0.4, "max_turn_rate": 1.0}
         contract = Contract("c-1", Context("base", ""), (Action("drive_to_pose", pose),))
-        said = [rule(contract) for rule in scene_rules(layer.scene, layer.controller)]
-        assert any(said) == refused
+        refusals = [rule(contract) for rule in scene_rules(loop.scene, loop.controller)]
+        assert any(refusals) == refused
 
 
-def test_without_skills_the_filter_alone_keeps_the_base_from_a_wall():
-    """A nominal control at full speed into the wall: it slows, stops, and nothing is touched."""
-    hall = MobileBaseCell()
-    layer, wish = hall.executor, np.array([0.6, 0.0])
+def test_the_filter_alone_keeps_the_base_from_a_wall():
+    """A nominal control at full speed into the wall: the base slows down and stops without contact."""
+    cell = MobileBaseCell()
+    loop, nominal = cell.executor.loop, np.array([0.6, 0.0])
     for _ in range(900):
-        answer = layer.safety.filter(hall.plant.read(), wish, hall.plant.now)
-        hall.plant.write(Command(answer.u, 0.0, 0.0))
-        hall.world.advance()
-        layer.scene = hall.world.perceive()
-        layer._update_obstacles()
-    assert hall.monitor.violations() == ()
-    assert hall.plant.read().q[0] > 2.5
-    assert np.abs(hall.plant.robot_velocity()).max() < 0.02
+        result = loop.safety.filter(cell.plant.read(), nominal, cell.plant.now)
+        cell.plant.write(Command(result.u, 0.0, 0.0))
+        cell.world.advance()
+        loop.scene = cell.world.perceive()
+        loop.update_obstacles()
+    assert cell.monitor.violations() == ()
+    assert cell.plant.read().q[0] > 2.5
+    assert np.abs(cell.plant.robot_velocity()).max() < 0.02
 
 
 def test_a_path_keeps_the_footprint_clear_of_everything():
-    hall = MobileBaseCell("boxes", 4)
-    scene = hall.executor.scene
-    goal = np.array(hall.spec.find_place("shelf").position[:2])
+    cell = MobileBaseCell("boxes", 4)
+    scene = cell.executor.scene
+    goal = np.array(cell.spec.find_place("shelf").position[:2])
     path = run_to_completion(plan_path(scene, np.zeros(2), goal, 0.3))
     assert np.allclose(path[0], 0.0)
     assert np.allclose(path[-1], goal)
@@ -165,8 +165,8 @@ def test_a_path_keeps_the_footprint_clear_of_everything():
 
 def test_the_footprint_covers_the_housing():
     discs = (
-        np.array([ball.centre[:2] for ball in MOBILE_BASE.spheres]),
-        np.array([ball.radius for ball in MOBILE_BASE.spheres]),
+        np.array([sphere.centre[:2] for sphere in MOBILE_BASE.spheres]),
+        np.array([sphere.radius for sphere in MOBILE_BASE.spheres]),
     )
     grid = np.stack(np.meshgrid(np.linspace(-0.22, 0.22, 89), np.linspace(-0.18, 0.18, 73)), axis=-1).reshape(-1, 2)
     inside = np.linalg.norm(grid[:, None] - discs[0], axis=2) <= discs[1]

@@ -1,4 +1,4 @@
-"""A mobile manipulator in physics: the base's skills and the arm's, with the filter over the whole body."""
+"""A simulated mobile manipulator: the skills of base and arm, with the filter over the whole robot."""
 
 import numpy as np
 import pytest
@@ -50,8 +50,8 @@ def contract(*actions):
     return Contract("c-1", Context(BODY.name, ""), tuple(Action(skill, params) for skill, params in actions))
 
 
-class Shop:
-    """A workroom with the robot in it, standing at `at` before its things are looked at."""
+class MobileManipulatorCell:
+    """A simulated workroom with the robot at base pose `at` (x [m], y [m], heading [rad])."""
 
     def __init__(self, scene="workroom:0", at=None):
         self.spec = open_scene(scene, BODY.name)
@@ -60,7 +60,7 @@ class Shop:
             self.plant.set_configuration(np.array([*at, *BODY.home[3:]]))
         self.trace = Trace(BODY.n, BODY.nq)
         self.world = SimulatedWorld(self.plant, NoisyPerception(self.spec, PerceptionNoise(), np.random.default_rng(0)))
-        self.layer = ContractExecutor(
+        self.executor = ContractExecutor(
             ControlLoop(
                 BODY,
                 self.plant,
@@ -74,7 +74,7 @@ class Shop:
 
     def run(self, *actions):
         self.world.start_contract(contract(*actions))
-        return self.layer.execute(contract(*actions))
+        return self.executor.execute(contract(*actions))
 
 
 def test_it_offers_what_a_base_and_an_arm_can_do():
@@ -82,68 +82,70 @@ def test_it_offers_what_a_base_and_an_arm_can_do():
     assert len(set(names)) == len(names)
     assert {"drive_to", "turn_to", "stop", "grasp", "place", "push", "home", "decline"} <= set(names)
     panda = skill_registry(load_robot("panda")).by_name
-    assert skill_registry(BODY).by_name["grasp"] == panda["grasp"], "the arm is the same arm, bolted or not"
+    assert skill_registry(BODY).by_name["grasp"] == panda["grasp"], "the skills of the arm are the same on a fixed base"
 
 
-def test_it_drives_to_the_shelf_with_its_arm_drawn_in():
+def test_it_drives_to_the_shelf_with_its_arm_at_home():
     spot = open_scene("workroom:0", BODY.name).find_place("shelf").position
-    shop = Shop(at=(spot[0] - 0.5, spot[1] + 0.1, 0.0))
-    assert shop.run(drive_to("shelf")).kind == "succeeded"
-    done = shop.world.judgement()
+    cell = MobileManipulatorCell(at=(spot[0] - 0.5, spot[1] + 0.1, 0.0))
+    assert cell.run(drive_to("shelf")).kind == "succeeded"
+    done = cell.world.judgement()
     assert done.success
     assert done.violations == ()
-    arm = shop.plant.read().q[3:]
+    arm = cell.plant.read().q[3:]
     assert np.abs(arm - BODY.home[3:]).max() < 5e-3
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_it_goes_to_the_table_and_puts_the_cube_in_the_bowl(seed):
-    shop = Shop(f"workroom:{seed}")
-    side = np.sign(shop.spec.find_place("bench").position[1])
+    cell = MobileManipulatorCell(f"workroom:{seed}")
+    side = np.sign(cell.spec.find_place("bench").position[1])
     turn = ("turn_to", {"heading": float(side * 1.5708), "max_turn_rate": 0.8})
-    out = shop.run(drive_to("bench"), turn, GRASP, PLACE)
+    out = cell.run(drive_to("bench"), turn, GRASP, PLACE)
     assert out.kind == "succeeded", out.reason
-    done = shop.world.judgement()
+    done = cell.world.judgement()
     assert done.success
     assert done.violations == ()
 
 
-def test_the_gate_asks_for_reach_only_where_the_robot_stands():
-    """From the door the cube is out of reach; after a drive nobody knows yet."""
+def test_the_gate_checks_reach_only_at_the_present_base_pose():
+    """From the door the cube is out of reach; the base pose after a drive is not known at the gate."""
     scene = scene_from_spec(open_scene("workroom:0", BODY.name))
     rules = scene_rules(scene, controller_at_home(BODY.name, scene))
     at_once, later = contract(GRASP, PLACE), contract(drive_to("bench"), GRASP, PLACE)
-    refused = [answer for rule in rules if (answer := rule(at_once)) is not None]
+    refused = [refusal for rule in rules if (refusal := rule(at_once)) is not None]
     assert "reach" in refused[0].hint
     assert all(rule(later) is None for rule in rules)
-    assert any(rule(contract(drive_to("bench"), PLACE)) is not None for rule in rules), "a place needs a full hand"
+    assert any(rule(contract(drive_to("bench"), PLACE)) is not None for rule in rules), "a place needs a held object"
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_what_lies_out_of_reach_from_where_it_will_stand_is_refused_before_it_sets_off(seed):
+def test_an_object_out_of_reach_from_the_place_driven_to_is_refused_at_the_gate(seed):
     scene = scene_from_spec(open_scene(f"workroom:{seed}", BODY.name))
     rules = scene_rules(scene, controller_at_home(BODY.name, scene))
-    refused = [why for rule in rules if (why := rule(contract(drive_to("shelf"), GRASP, PLACE))) is not None]
+    out_of_reach = contract(drive_to("shelf"), GRASP, PLACE)
+    refused = [refusal for rule in rules if (refusal := rule(out_of_reach)) is not None]
     assert refused[0].pointer == "/action_sequence/1/params/object"
     assert refused[0].allowed == {"reached from": ["bench"]}
     assert "drive_to bench" in refused[0].hint
     assert all(rule(contract(drive_to("shelf"), drive_to("bench"), GRASP, PLACE)) is None for rule in rules)
     home = ("home", {"speed": 0.2})
-    away = contract(drive_to("bench"), GRASP, home, drive_to("shelf"), PLACE)
-    refused = [why for rule in rules if (why := rule(away)) is not None]
-    assert [why.pointer for why in refused] == ["/action_sequence/4/params/destination"]
+    place_elsewhere = contract(drive_to("bench"), GRASP, home, drive_to("shelf"), PLACE)
+    refused = [refusal for rule in rules if (refusal := rule(place_elsewhere)) is not None]
+    assert [refusal.pointer for refusal in refused] == ["/action_sequence/4/params/destination"]
 
 
-def test_it_is_not_driven_into_a_container():
+def test_a_container_is_no_driving_destination():
     scene = scene_from_spec(open_scene("workroom:0", BODY.name))
     rules = scene_rules(scene, controller_at_home(BODY.name, scene))
-    refused = [answer for rule in rules if (answer := rule(contract(drive_to("blue_bowl")))) is not None]
+    into_the_bowl = contract(drive_to("blue_bowl"))
+    refused = [refusal for rule in rules if (refusal := rule(into_the_bowl)) is not None]
     assert refused[0].allowed == ["shelf", "charger", "bench"]
     assert all(rule(contract(drive_to("bench"))) is None for rule in rules)
 
 
-def test_words_about_places_and_words_about_things_are_goals_of_one_room():
+def test_goals_about_places_and_about_objects_are_parsed_in_the_same_scene():
     spec = open_scene("workroom:0", BODY.name)
     assert parse_goal("go to the bench", spec) == ArrivalGoal("bench")
     assert parse_goal("put the red cube in the blue bowl", spec) == PlacementGoal("red_cube", "blue_bowl")
@@ -151,30 +153,30 @@ def test_words_about_places_and_words_about_things_are_goals_of_one_room():
     assert both == GoalSequence(((ArrivalGoal("shelf"),), (PlacementGoal("red_cube", "blue_bowl"),), (HomeGoal(),)))
 
 
-def test_at_home_is_a_matter_of_the_arm():
-    shop = Shop(at=(1.0, 0.5, 0.3))
-    rested = HomeJudge(shop.plant)
-    assert rested.score()[0]
-    shop.plant.set_configuration(np.array([1.0, 0.5, 0.3, *(BODY.home[3:] + np.eye(7)[0] * 0.3)]))
-    assert not rested.score()[0]
+def test_the_home_goal_concerns_only_the_arm():
+    cell = MobileManipulatorCell(at=(1.0, 0.5, 0.3))
+    judge = HomeJudge(cell.plant)
+    assert judge.score()[0]
+    cell.plant.set_configuration(np.array([1.0, 0.5, 0.3, *(BODY.home[3:] + np.eye(7)[0] * 0.3)]))
+    assert not judge.score()[0]
 
 
-def test_the_arm_sees_its_work_from_where_it_stands():
-    """Its frame lies under its first axis on what things stand on; a thing's own turn goes along."""
+def test_the_local_frame_transforms_the_scene_to_the_base_of_the_arm():
+    """The origin is below the first axis of the arm, on the support; orientations of objects are transformed too."""
     scene = scene_from_spec(open_scene("workroom:0", BODY.name))
-    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    seen = LocalFrame(turn, np.array([2.0, 1.0, 0.5])).localize_scene(scene)
-    cube, there = scene.find("red_cube"), seen.find("red_cube")
+    rotation = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    local = LocalFrame(rotation, np.array([2.0, 1.0, 0.5])).localize_scene(scene)
+    cube, local_cube = scene.find("red_cube"), local.find("red_cube")
     x, y, z = cube.pose.position
-    np.testing.assert_allclose(there.pose.position, (y - 1.0, -(x - 2.0), z - 0.5), atol=1e-12)
-    assert there.pose.quaternion != cube.pose.quaternion
+    np.testing.assert_allclose(local_cube.pose.position, (y - 1.0, -(x - 2.0), z - 0.5), atol=1e-12)
+    assert local_cube.pose.quaternion != cube.pose.quaternion
     assert LocalFrame(np.eye(3), np.zeros(3)).localize_scene(scene).find("table").pose.quaternion == pytest.approx(
         IDENTITY_QUATERNION
     )
-    assert seen.region == ()
+    assert local.region == ()
 
 
-def test_without_its_drives_it_is_held():
+def test_a_robot_with_disabled_drives_stops():
     plant = make_plant(open_scene("workroom:0", BODY.name), BODY)
     for _ in range(150):
         plant.write(Command(np.array([0.3, 0.4, 0.3, *np.zeros(6)]), 0.04, 5.0))
@@ -189,7 +191,7 @@ def test_without_its_drives_it_is_held():
     assert plant.read().drive_enabled
 
 
-def test_the_stated_tracking_model_bounds_what_the_plant_does():
+def test_the_tracking_error_of_the_plant_is_within_the_model():
     """|∫ exp(−α (t − s)) (ẏ − u) ds| ≤ e for arm and base, each with its own lag, at full acceleration."""
     plant, rng = make_plant(open_scene("empty_room:0", BODY.name), BODY), np.random.default_rng(0)
     plant.set_configuration(np.array([2.0, 0.0, 0.5, *BODY.home[3:]]))

@@ -1,4 +1,4 @@
-"""The small parts of skills: bends, progress, people."""
+"""Components of skills: via points, progress watchdog, predicted contact with people."""
 
 import numpy as np
 from hypothesis import given
@@ -14,7 +14,7 @@ from dualbrain.skills.progress_watchdog import PROGRESS_TIMEOUT, ProgressWatchdo
 START, END = np.array([0.5, -0.22, 0.2]), np.array([0.5, 0.26, 0.2])
 
 
-def test_bends_pass_where_their_names_say():
+def test_via_points_are_on_the_side_of_their_name():
     assert via_point(START, END, "direct") is None
     near, left, right = (via_point(START, END, name) for name in ("near_base", "left", "right"))
     assert np.isclose(np.linalg.norm(near[:2]), NEAR_BASE_RADIUS)
@@ -23,17 +23,17 @@ def test_bends_pass_where_their_names_say():
         assert VIA_POINT_RADIUS_RANGE[0] - 1e-9 <= np.linalg.norm(via[:2]) <= VIA_POINT_RADIUS_RANGE[1] + 1e-9
 
 
-def test_progress_is_patient_only_for_so_long():
-    watch = ProgressWatchdog(0.0, time_limit=100.0)
-    assert watch.update(0.1, 1.0) is None
-    assert watch.update(0.1 + PROGRESS_TIMEOUT, 0.9) is None
-    assert watch.update(0.2 + 2 * PROGRESS_TIMEOUT, 0.8999) is not None
+def test_the_watchdog_ends_a_motion_without_progress():
+    watchdog = ProgressWatchdog(0.0, time_limit=100.0)
+    assert watchdog.update(0.1, 1.0) is None
+    assert watchdog.update(0.1 + PROGRESS_TIMEOUT, 0.9) is None
+    assert watchdog.update(0.2 + 2 * PROGRESS_TIMEOUT, 0.8999) is not None
 
 
-def test_progress_ends_at_the_time_limit_even_while_moving():
-    watch = ProgressWatchdog(0.0, time_limit=2.0)
-    assert all(watch.update(t, 10.0 - t) is None for t in np.arange(0.0, 2.0, 0.1))
-    assert watch.update(2.1, 1.0) == "out of time"
+def test_the_watchdog_ends_a_moving_robot_at_its_time_limit():
+    watchdog = ProgressWatchdog(0.0, time_limit=2.0)
+    assert all(watchdog.update(t, 10.0 - t) is None for t in np.arange(0.0, 2.0, 0.1))
+    assert watchdog.update(2.1, 1.0) == "out of time"
 
 
 def person(y: float, vy: float, stamp: float = 0.0) -> Scene:
@@ -49,7 +49,7 @@ def person(y: float, vy: float, stamp: float = 0.0) -> Scene:
     return Scene(robot="panda", stamp=stamp, version=1, objects=(arm,))
 
 
-def test_a_person_who_comes_is_waited_for_and_one_who_leaves_is_not():
+def test_an_approaching_person_may_reach_the_spot_and_a_leaving_one_may_not():
     spot = np.array([0.5, 0.0, 0.05])
     assert person_may_reach(person(0.6, -0.2), spot, 3.0, 0.2, 0.0)
     assert not person_may_reach(person(0.6, 0.2), spot, 3.0, 0.2, 0.0)
@@ -57,17 +57,19 @@ def test_a_person_who_comes_is_waited_for_and_one_who_leaves_is_not():
     assert person_may_reach(person(0.1, 0.0), spot, 3.0, 0.2, 0.0)
 
 
-def test_an_old_sighting_is_carried_forward():
+def test_an_old_observation_is_extrapolated_to_the_present():
     spot = np.array([0.5, 0.0, 0.05])
     assert not person_may_reach(person(0.6, -0.2), spot, 0.1, 0.2, 0.0)
     assert person_may_reach(person(0.6, -0.2), spot, 0.1, 0.2, 2.5)
 
 
-PLACES, PACES = st.tuples(st.floats(-1, 1), st.floats(-1, 1)), st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
+POSITIONS = st.tuples(st.floats(-1, 1), st.floats(-1, 1))
+VELOCITIES = st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
+TURNS = st.floats(-3, 3)
 
 
-def passer_by(velocity, turn=0.0) -> Scene:
-    """A forearm over (0.5, 0), pointing by `turn` [rad] from the x axis, that moves with `velocity` (2,)."""
+def passing_person(velocity, turn=0.0) -> Scene:
+    """A forearm over (0.5, 0) at angle `turn` [rad] to the x axis that moves with `velocity` (2,) [m/s]."""
     pointing = np.array([np.cos(turn), np.sin(turn), 0.0])
     across = np.array([-pointing[1], pointing[0], 0.0])
     rotation = np.column_stack([across, np.cross(pointing, across), pointing])
@@ -81,19 +83,25 @@ def passer_by(velocity, turn=0.0) -> Scene:
     return Scene(robot="panda", stamp=0.0, version=1, objects=(arm,))
 
 
-@given(place=PLACES, pace=PACES, turn=st.floats(-3, 3), horizon=st.floats(0.1, 4.0), more=st.floats(0.0, 2.0))
-def test_a_longer_horizon_never_sees_less(place, pace, turn, horizon, more):
-    spot, scene = np.array([*place, 0.05]), passer_by(pace, turn)
+@given(
+    position=POSITIONS,
+    velocity=VELOCITIES,
+    turn=TURNS,
+    horizon=st.floats(0.1, 4.0),
+    more=st.floats(0.0, 2.0),
+)
+def test_a_longer_horizon_never_misses_a_person(position, velocity, turn, horizon, more):
+    spot, scene = np.array([*position, 0.05]), passing_person(velocity, turn)
     if person_may_reach(scene, spot, horizon, 0.2, 0.0):
         assert person_may_reach(scene, spot, horizon + more, 0.2 + 1e-9, 0.0)
 
 
-@given(place=PLACES, pace=PACES, turn=st.floats(-3, 3), horizon=st.floats(0.1, 4.0))
-def test_a_sweep_is_what_the_axis_passes_by(place, pace, turn, horizon):
-    spot, scene, reach = np.array([*place, 0.05]), passer_by(pace, turn), 0.2
+@given(position=POSITIONS, velocity=VELOCITIES, turn=TURNS, horizon=st.floats(0.1, 4.0))
+def test_the_swept_region_contains_the_axis_at_all_times(position, velocity, turn, horizon):
+    spot, scene, reach = np.array([*position, 0.05]), passing_person(velocity, turn), 0.2
     times, shares = np.meshgrid(np.linspace(0.0, horizon, 201), np.linspace(-1.0, 1.0, 101))
-    axis = np.array([0.5, 0.0]) + times[..., None] * pace + 0.25 * shares[..., None] * [np.cos(turn), np.sin(turn)]
-    least = float(np.linalg.norm(axis - place, axis=-1).min()) - 0.045  # no nearer than the truth, and hardly farther
+    axis = np.array([0.5, 0.0]) + times[..., None] * velocity + 0.25 * shares[..., None] * [np.cos(turn), np.sin(turn)]
+    least = float(np.linalg.norm(axis - position, axis=-1).min()) - 0.045  # at most 0.01 above the distance
     if least < reach:
         assert person_may_reach(scene, spot, horizon, reach + 1e-9, 0.0)
     elif least > reach + 0.01:

@@ -1,4 +1,4 @@
-"""Thoughts: the clearest of many, and that no control tick thinks longer than its share."""
+"""Sliced computations: the choice with the largest clearance, and a bounded number of steps in every control tick."""
 
 import numpy as np
 import pytest
@@ -22,53 +22,52 @@ from dualbrain.skills.time_slicing import (
     steps_per_tick,
 )
 
-rooms_of = st.lists(st.floats(-0.1, 0.1), max_size=8)
+clearance_lists = st.lists(st.floats(-0.1, 0.1), max_size=8)
 
 
-def thought(answer, pauses=0):
-    """A thought of so many pauses."""
+def computation(result, pauses=0):
+    """A sliced computation that returns `result` after that many pauses."""
     for _ in range(pauses):
         yield
-    return answer
+    return result
 
 
-@given(rooms_of, st.floats(-0.05, 0.05))
-def test_the_first_clear_choice_is_taken_else_the_roomiest(rooms, enough):
-    asked = []
+@given(clearance_lists, st.floats(-0.05, 0.05))
+def test_the_first_clear_choice_is_taken_else_the_clearest(clearances, threshold):
+    evaluated = []
 
-    def air(index, beat):
-        asked.append(index)
-        return thought(rooms[index] if rooms[index] > beat else beat - 0.001)
+    def clearance(index, most):
+        evaluated.append(index)
+        return computation(clearances[index] if clearances[index] > most else most - 0.001)
 
-    choice, most = run_to_completion(first_clear(range(len(rooms)), air))
-    clear = [index for index, one in enumerate(rooms) if one >= SUFFICIENT_CLEARANCE]
+    choice, most = run_to_completion(first_clear(range(len(clearances)), clearance))
+    clear = [index for index, value in enumerate(clearances) if value >= SUFFICIENT_CLEARANCE]
     if clear:
         assert choice == clear[0]
-        assert asked == list(range(clear[0] + 1))
-    elif rooms:
-        assert rooms[choice] == most == max(rooms)
+        assert evaluated == list(range(clear[0] + 1))
+    elif clearances:
+        assert clearances[choice] == most == max(clearances)
     else:
         assert choice is None
-    taken, _ = run_to_completion(
-        first_clear(range(len(rooms)), air, threshold=min(enough, SUFFICIENT_CLEARANCE - 1e-6))
-    )
-    assert (taken is None) == (not rooms or max(rooms) <= min(enough, SUFFICIENT_CLEARANCE - 1e-6))
+    threshold = min(threshold, SUFFICIENT_CLEARANCE - 1e-6)
+    taken, _ = run_to_completion(first_clear(range(len(clearances)), clearance, threshold=threshold))
+    assert (taken is None) == (not clearances or max(clearances) <= threshold)
 
 
 @given(st.integers(0, 20), st.integers(1, 6))
-def test_a_thought_aside_takes_its_share_of_every_tick(pauses, share):
-    aside = BackgroundComputation(thought("found", pauses), share)
-    assert [aside.advance() for _ in range(pauses // share)] == [False] * (pauses // share)
-    assert aside.result is None
-    assert aside.advance()
-    assert aside.result == "found"
+def test_a_background_computation_takes_its_share_of_every_tick(pauses, share):
+    background = BackgroundComputation(computation("found", pauses), share)
+    assert [background.advance() for _ in range(pauses // share)] == [False] * (pauses // share)
+    assert background.result is None
+    assert background.advance()
+    assert background.result == "found"
 
 
-BODIES = ("panda", "ur5e", "fr3")
+ROBOTS = ("panda", "ur5e", "fr3")
 
 
-class Counted:
-    """What the local layer lends, counting how often a posture is worked out."""
+class CountingMotionModel:
+    """Motion model for skills that counts how often a tool pose is computed."""
 
     def __init__(self, safety):
         self._safety, self.count = safety, 0
@@ -81,58 +80,57 @@ class Counted:
         return self._safety.spheres(q, opening)
 
     @property
-    def closed(self):
-        return self._safety.closed
+    def keep_out_boxes(self):
+        return self._safety.keep_out_boxes
 
     def project(self, *args):
         return self._safety.project(*args)
 
 
 def crowded(robot):
-    """A cube between walls that leave no clear way down to it."""
-    things = [
+    """A cube between walls that leave no grasp of it clear."""
+    objects = [
         SceneObject(name="table", role="support", shape=HalfSpace(), pose=Pose((0.0, 0.0, 0.0))),
         SceneObject(
             name="cube", role="object", shape=Box((0.02, 0.02, 0.025)), pose=Pose((0.45, 0.1, 0.025)), error=0.009
         ),
     ]
     for k, (dx, dy) in enumerate([(0.06, 0.0), (-0.06, 0.0), (0.0, 0.06), (0.0, -0.06)]):
-        things.append(
+        objects.append(
             SceneObject(
                 name=f"wall{k}", role="object", shape=Box((0.01, 0.01, 0.1)), pose=Pose((0.45 + dx, 0.1 + dy, 0.1))
             )
         )
-    return Scene(robot=robot, stamp=0.0, version=1, objects=tuple(things))
+    return Scene(robot=robot, stamp=0.0, version=1, objects=tuple(objects))
 
 
-@pytest.mark.parametrize("robot", BODIES)
-def test_no_tick_thinks_longer_than_its_share(robot):
-    """In a crowd, where a grasp is chosen among dozens: thousands of postures, a few in every tick."""
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_no_tick_computes_more_than_its_share(robot):
+    """Among crowded objects a grasp is chosen from dozens: thousands of postures, a few in every tick."""
     robot_model = load_robot(robot)
-    lent, state, scene = Counted(SafetyFilter(robot_model)), home_state(robot_model), crowded(robot)
-    limb = make_controller(robot_model, lent)
-    assert isinstance(limb, ArmController)
-    tool = lent.tool(state.q)
-    words = {"object": "cube", "speed": 0.2, "clearance": 0.15, "finger_axis": "along", "opening": 0.06}
-    running = SkillExecution(limb, "grasp", {**words, "approach": "top", "wait": "none", "force": 20.0})
+    motion, state, scene = CountingMotionModel(SafetyFilter(robot_model)), home_state(robot_model), crowded(robot)
+    controller = make_controller(robot_model, motion)
+    assert isinstance(controller, ArmController)
+    tool = motion.tool(state.q)
+    params = {"object": "cube", "speed": 0.2, "clearance": 0.15, "finger_axis": "along", "opening": 0.06}
+    execution = SkillExecution(controller, "grasp", {**params, "approach": "top", "wait": "none", "force": 20.0})
     ticks, worst = 0, 0
-    lent.count = 0
+    motion.count = 0
     while True:
-        before = lent.count
-        said = running.nominal(Observation(state=state, scene=scene, now=0.001 * ticks, tool=tool))
-        worst = max(worst, lent.count - before)
-        if said is not None:
+        before = motion.count
+        result = execution.nominal(Observation(state=state, scene=scene, now=0.001 * ticks, tool=tool))
+        worst = max(worst, motion.count - before)
+        if result is not None:
             break
         ticks += 1
-    assert isinstance(said, Nominal)
-    assert worst <= 2 * steps_per_tick(
-        robot_model.period
-    )  # a glance is a posture, or two where one way ends and the next begins
-    assert lent.count > 20 * worst
+    assert isinstance(result, Nominal)
+    # a step computes one posture, or two where one path ends and the next begins
+    assert worst <= 2 * steps_per_tick(robot_model.period)
+    assert motion.count > 20 * worst
     assert ticks * robot_model.period < 3.0
 
 
-def test_thinking_takes_the_same_share_of_every_period():
+def test_a_computation_takes_the_same_share_of_every_period():
     assert steps_per_tick(0.001) == STEPS_PER_SECOND / 1000
     assert steps_per_tick(0.02) == STEPS_PER_SECOND / 50
     assert steps_per_tick(1e-6) == 1

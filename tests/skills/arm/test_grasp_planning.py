@@ -1,4 +1,4 @@
-"""Where the hand goes: plainly when it stands free, a little otherwise beside a neighbour."""
+"""Choice of the grasp: the requested one if it is clear, a slightly different one next to a neighbouring object."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ BOTTLE = SceneObject(
 CLEARANCE = 0.15
 
 
-def limb(*neighbours):
+def arm_beside(*neighbours):
     """An arm at home that is about to grasp the cube."""
     safety, state = SafetyFilter(BODY), home_state(BODY)
     arm = ArmController(BODY, safety)
@@ -52,58 +52,58 @@ def limb(*neighbours):
 
 def choose(arm, axis="along", approach="top"):
     choices = grasp_candidates(arm, CUBE, axis, approach)
-    return run_to_completion(first_clear(choices, lambda at, beat: descent_clearance(arm, at, CUBE, CLEARANCE, beat)))
+    return run_to_completion(first_clear(choices, lambda at, most: descent_clearance(arm, at, CUBE, CLEARANCE, most)))
 
 
-def plainly(arm, axis="along", approach="top"):
+def requested_grasp(arm, axis="along", approach="top"):
     return run_to_completion(grasp_goal(arm, CUBE, axis, approach))
 
 
 @pytest.mark.parametrize("approach", object_geometry.APPROACH_LEAN)
 @pytest.mark.parametrize("axis", ["along", "across"])
-def test_what_stands_free_is_grasped_plainly(axis, approach):
-    arm = limb()
+def test_an_object_without_neighbours_is_grasped_as_requested(axis, approach):
+    arm = arm_beside()
     at, room = choose(arm, axis, approach)
-    plain = plainly(arm, axis, approach)
+    plain = requested_grasp(arm, axis, approach)
     assert room >= SUFFICIENT_CLEARANCE
     assert np.array_equal(at.rotation, plain.rotation)
     assert np.array_equal(at.posture, plain.posture)
 
 
-def test_beside_a_neighbour_the_hand_gives_way():
-    arm = limb(BOTTLE)
-    plain = run_to_completion(descent_clearance(arm, plainly(arm), CUBE, CLEARANCE))
+def test_beside_a_neighbour_another_grasp_with_more_clearance_is_chosen():
+    arm = arm_beside(BOTTLE)
+    plain = run_to_completion(descent_clearance(arm, requested_grasp(arm), CUBE, CLEARANCE))
     at, room = choose(arm)
     assert plain < 0.0
     assert room > plain + 0.005
-    assert np.allclose(at.position, plainly(arm).position)
+    assert np.allclose(at.position, requested_grasp(arm).position)
 
 
-def test_a_way_that_was_not_asked_for_is_another_one():
-    arm = limb(BOTTLE)
-    asked = plainly(arm).rotation
+def test_alternative_grasps_differ_from_the_requested_one():
+    arm = arm_beside(BOTTLE)
+    requested = requested_grasp(arm).rotation
     for at in collect(alternative_grasps(arm, CUBE, "along", "top")):
-        same_axis = abs(at.rotation[:, 1] @ asked[:, 1]) > 0.9
+        same_axis = abs(at.rotation[:, 1] @ requested[:, 1]) > 0.9
         assert not (same_axis and at.rotation[2, 2] < -np.cos(0.17))
 
 
-def test_what_is_too_wide_for_the_fingers_is_not_tried():
-    arm = limb()
+def test_an_object_wider_than_the_opening_has_no_alternative_grasps():
+    arm = arm_beside()
     arm.opening = 0.024
     assert not collect(alternative_grasps(arm, CUBE, "along", "top"))
 
 
-def test_a_round_thing_may_be_taken_from_all_around():
-    arm = limb()
+def test_a_round_object_may_be_grasped_from_all_sides():
+    arm = arm_beside()
     can = SceneObject(name="cube", role="object", shape=Cylinder(0.02, 0.025), pose=CUBE.pose, error=0.009)
     fingers = np.array([at.rotation[:2, 1] for at in collect(grasp_candidates(arm, can, "along", "top"))])
     angles = np.unique(np.round(np.arctan2(fingers[:, 1], fingers[:, 0]) % np.pi, 1))
     assert len(angles) > 12
 
 
-def test_the_hand_comes_down_along_its_approach():
-    arm = limb()
-    at = plainly(arm, "along", "tilted")
+def test_the_hand_descends_along_its_approach_direction():
+    arm = arm_beside()
+    at = requested_grasp(arm, "along", "tilted")
     low, above = (
         run_to_completion(slow_descent_goal(arm, at, CUBE)),
         run_to_completion(pregrasp_goal(arm, at, CUBE, CLEARANCE)),
@@ -114,11 +114,11 @@ def test_the_hand_comes_down_along_its_approach():
     assert above.position[2] - BODY.gripper.pad_below_tool >= CLEARANCE - 1e-9
 
 
-def test_poses_for_which_the_hand_turns_round_come_last():
-    arm = limb()
+def test_goals_are_ordered_by_the_joint_motion_they_need():
+    arm = arm_beside()
     start = arm.observation.state.q
-    plain = plainly(arm)
-    pains = [0.0, 3.0, 0.5, 1.0, 4.0]
-    goals = [ToolGoal(plain.position, plain.rotation, start + np.array([pain, 0, 0, 0, 0, 0, 0])) for pain in pains]
+    plain = requested_grasp(arm)
+    offsets = [0.0, 3.0, 0.5, 1.0, 4.0]
+    goals = [ToolGoal(plain.position, plain.rotation, start + np.array([offset, *[0.0] * 6])) for offset in offsets]
     order = [float((goal.posture - start)[0]) for goal in collect(order_by_posture_cost(arm, goals))]
     assert order == pytest.approx([0.0, 0.5, 1.0, 3.0, 4.0])

@@ -1,4 +1,4 @@
-"""The same skills on arms of two makes: on the bare scene every contract succeeds, and the filter has nothing to do."""
+"""The same skills on two arm models: on the bare scene every contract succeeds and the filter changes nothing."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from dualbrain.simulation.perception.noisy_perception import NO_NOISE, Perceptio
 from tests.skills.arm.test_skills_in_simulation import SkillCell, grasp, move_to, place
 
 HOME = ("home", {"speed": 0.4})
-ERRANDS = [
+CONTRACTS = [
     (0, NO_NOISE, (grasp(speed=0.4), place(speed=0.4, route="near_base"))),
     (3, PerceptionNoise(), (grasp(finger_axis="across", opening=0.08), place(speed=0.4))),
     (4, NO_NOISE, (grasp(approach="tilted", speed=0.35), ("hold", {"duration": 0.5}), place(route="left", speed=0.3))),
@@ -21,43 +21,43 @@ def push(**changes):
     return ("push", {**base, "wait": "none", **changes})
 
 
-@pytest.mark.parametrize(("seed", "noise", "actions"), ERRANDS)
+@pytest.mark.parametrize(("seed", "noise", "actions"), CONTRACTS)
 def test_contracts_on_the_ur5e_succeed_with_delta_zero_on_every_tick(seed, noise, actions):
-    bench = SkillCell(seed=seed, noise=noise, robot="ur5e")
-    outcome = bench.run(*actions)
+    cell = SkillCell(seed=seed, noise=noise, robot="ur5e")
+    outcome = cell.run(*actions)
     assert outcome.kind == "succeeded", outcome.reason
-    assert bench.untouched()
-    assert bench.monitor.violations() == ()
+    assert cell.filter_never_intervened()
+    assert cell.monitor.violations() == ()
 
 
 @pytest.mark.parametrize("robot", ["panda", "ur5e"])
 @pytest.mark.parametrize(("seed", "destination", "distance"), [(1, "blue_bowl", 0.15), (2, "table_left", 0.05)])
-def test_a_push_moves_the_thing_where_it_was_told(robot, seed, destination, distance):
-    bench = SkillCell(seed=seed, noise=PerceptionNoise(), robot=robot)
-    before = np.array(bench.plant.true_pose("red_cube").position)
-    spec = bench.spec
+def test_a_push_moves_the_object_towards_its_destination(robot, seed, destination, distance):
+    cell = SkillCell(seed=seed, noise=PerceptionNoise(), robot=robot)
+    before = np.array(cell.plant.true_pose("red_cube").position)
+    spec = cell.spec
     goal = next((p.position for p in spec.places if p.name == destination), None) or spec.find(destination).position
-    outcome = bench.run(push(destination=destination, distance=distance))
+    outcome = cell.run(push(destination=destination, distance=distance))
     assert outcome.kind == "succeeded", outcome.reason
-    moved = np.array(bench.plant.true_pose("red_cube").position) - before
-    way = (np.array(goal) - before)[:2]
-    way /= np.linalg.norm(way)
-    assert moved[:2] @ way == pytest.approx(distance, abs=0.02)
-    assert abs(moved[:2] @ np.array([-way[1], way[0]])) < 0.02
+    moved = np.array(cell.plant.true_pose("red_cube").position) - before
+    direction = (np.array(goal) - before)[:2]
+    direction /= np.linalg.norm(direction)
+    assert moved[:2] @ direction == pytest.approx(distance, abs=0.02)
+    assert abs(moved[:2] @ np.array([-direction[1], direction[0]])) < 0.02
     assert abs(moved[2]) < 0.003
-    assert bench.untouched()
-    assert bench.monitor.violations() == ()
+    assert cell.filter_never_intervened()
+    assert cell.monitor.violations() == ()
 
 
-def test_a_push_past_its_destination_is_refused_before_anything_moves():
-    bench = SkillCell(robot="panda")
-    outcome = bench.run(push(destination="table_front", distance=0.25), push(destination="table_front", distance=0.25))
+def test_a_push_past_its_destination_fails():
+    cell = SkillCell(robot="panda")
+    outcome = cell.run(push(destination="table_front", distance=0.25), push(destination="table_front", distance=0.25))
     assert outcome.kind == "failed"
     assert "nearer to red_cube than the push is long" in outcome.reason
 
 
 def test_a_push_with_something_in_the_hand_fails():
-    bench = SkillCell(robot="panda")
-    outcome = bench.run(grasp(speed=0.4), push())
+    cell = SkillCell(robot="panda")
+    outcome = cell.run(grasp(speed=0.4), push())
     assert [action.status for action in outcome.actions] == ["done", "failed"]
     assert "already holding" in outcome.reason

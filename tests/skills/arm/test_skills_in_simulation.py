@@ -1,4 +1,4 @@
-"""Skills in the physics of the bare scene: δ is 0 on every tick, things are lifted and held, and truth agrees."""
+"""Skills in simulation on the bare scene: δ is 0 on every tick, and objects are lifted and held in the true state."""
 
 import msgspec
 import numpy as np
@@ -20,16 +20,16 @@ from tests.stories.story_session import GRASP, PLACE
 
 
 class SkillCell:
-    """A scene, an arm and a local layer, without planner and memory."""
+    """A simulated arm with contract executor and safety filter, without planner and memory."""
 
     def __init__(self, family="bare", seed=0, noise=NO_NOISE, ghost=None, robot="panda"):
         self.spec, robot_model = make_scene(family, seed, robot), load_robot(robot)
         self.plant = Plant(self.spec, robot_model)
         self.trace = Trace(robot_model.n)
         world = SimulatedWorld(self.plant, NoisyPerception(self.spec, noise, np.random.default_rng(seed)))
-        self.world = Ghosts(world, ghost) if ghost else world
+        self.world = MisplacedObject(world, ghost) if ghost else world
         self.monitor = world.monitor
-        self.layer = ContractExecutor(
+        self.executor = ContractExecutor(
             ControlLoop(
                 robot_model,
                 self.plant,
@@ -43,27 +43,26 @@ class SkillCell:
 
     def run(self, *actions):
         sequence = tuple(Action(skill, params) for skill, params in actions)
-        return self.layer.execute(Contract("c-1", Context(self.spec.robot, ""), sequence))
+        return self.executor.execute(Contract("c-1", Context(self.spec.robot, ""), sequence))
 
-    def untouched(self):
+    def filter_never_intervened(self):
         """Whether δ was 0 on every tick."""
         return not np.any(self.trace["delta"])
 
 
-class Ghosts:
-    """Surroundings in which one thing is seen where it is not."""
+class MisplacedObject:
+    """A world in which one object is perceived at a wrong position; `ghost` is its name and that position [m]."""
 
     def __init__(self, world, ghost):
         self._world, self._ghost = world, ghost
 
-    def look(self):
-        scene = self._world.look()
+    def perceive(self):
+        scene = self._world.perceive()
         name, position = self._ghost
-        things = tuple(
-            msgspec.structs.replace(thing, pose=Pose(position)) if thing.name == name else thing
-            for thing in scene.objects
+        objects = tuple(
+            msgspec.structs.replace(obj, pose=Pose(position)) if obj.name == name else obj for obj in scene.objects
         )
-        return msgspec.structs.replace(scene, objects=things)
+        return msgspec.structs.replace(scene, objects=objects)
 
     def advance(self):
         self._world.advance()
@@ -77,7 +76,7 @@ def place(**changes):
     return ("place", {**PLACE, **changes})
 
 
-PICKS = [
+GRASPS = [
     (0, NO_NOISE, {}),
     (1, PerceptionNoise(), {"speed": 0.4}),
     (2, NO_NOISE, {"finger_axis": "across", "clearance": 0.25}),
@@ -87,16 +86,16 @@ PICKS = [
 ]
 
 
-@pytest.mark.parametrize(("seed", "noise", "changes"), PICKS)
-def test_a_pick_lifts_and_holds_and_the_filter_has_nothing_to_do(seed, noise, changes):
-    bench = SkillCell(seed=seed, noise=noise)
-    outcome = bench.run(grasp(**changes), ("hold", {"duration": 0.5}))
+@pytest.mark.parametrize(("seed", "noise", "changes"), GRASPS)
+def test_a_grasp_lifts_and_holds_the_object_without_filter_intervention(seed, noise, changes):
+    cell = SkillCell(seed=seed, noise=noise)
+    outcome = cell.run(grasp(**changes), ("hold", {"duration": 0.5}))
     assert outcome.kind == "succeeded", outcome.reason
-    assert bench.plant.true_pose("red_cube").position[2] > 0.05
-    assert min(bench.plant.read().finger_forces) > 0.5
-    assert bench.untouched()
+    assert cell.plant.true_pose("red_cube").position[2] > 0.05
+    assert min(cell.plant.read().finger_forces) > 0.5
+    assert cell.filter_never_intervened()
     assert outcome.Delta == 0.0
-    assert bench.monitor.violations() == ()
+    assert cell.monitor.violations() == ()
 
 
 CONTRACTS = [
@@ -113,27 +112,27 @@ CONTRACTS = [
 
 
 @pytest.mark.parametrize(("noise", "actions"), CONTRACTS)
-def test_whole_contracts_on_the_bare_scene_complete_with_delta_zero_on_every_tick(noise, actions):
-    bench = SkillCell(seed=7, noise=noise)
-    outcome = bench.run(*actions)
+def test_contracts_on_the_bare_scene_succeed_with_delta_zero_on_every_tick(noise, actions):
+    cell = SkillCell(seed=7, noise=noise)
+    outcome = cell.run(*actions)
     assert outcome.kind == "succeeded", outcome.reason
     assert {action.status for action in outcome.actions} == {"done"}
-    assert bench.untouched()
-    assert bench.monitor.violations() == ()
+    assert cell.filter_never_intervened()
+    assert cell.monitor.violations() == ()
 
 
-def test_a_grasp_with_nothing_there_fails_the_two_finger_test():
-    bench = SkillCell(ghost=("red_cube", (0.5, 0.0, 0.025)))
-    outcome = bench.run(grasp(speed=0.4), place())
+def test_a_grasp_of_a_missing_object_fails_the_two_finger_test():
+    cell = SkillCell(ghost=("red_cube", (0.5, 0.0, 0.025)))
+    outcome = cell.run(grasp(speed=0.4), place())
     assert outcome.kind == "failed"
     assert "two-finger test" in outcome.reason
     assert [action.status for action in outcome.actions] == ["failed", "not_run"]
-    assert bench.layer.loop.controller.holding is None
+    assert cell.executor.loop.controller.holding is None
 
 
-def test_the_order_of_actions_is_kept_and_a_failure_ends_it():
-    bench = SkillCell()
-    outcome = bench.run(("hold", {"duration": 0.5}), place(), ("hold", {"duration": 5.0}))
+def test_actions_run_in_order_and_a_failure_ends_the_contract():
+    cell = SkillCell()
+    outcome = cell.run(("hold", {"duration": 0.5}), place(), ("hold", {"duration": 5.0}))
     assert [action.status for action in outcome.actions] == ["done", "failed", "not_run"]
     assert "nothing is held" in outcome.reason
     assert outcome.duration < 1.0
@@ -147,25 +146,25 @@ def move_to(target, **changes):
 
 
 @pytest.mark.parametrize(
-    "journey",
+    ("target", "changes"),
     [
         ("red_cube", {"speed": 0.4, "clearance": 0.35, "route": "left"}),
         ("blue_bowl", {"clearance": 0.03, "route": "near_base"}),
         ("table_left", {"speed": 0.4, "route": "right"}),
     ],
-    ids=lambda journey: journey[0],
+    ids=("red_cube", "blue_bowl", "table_left"),
 )
-def test_going_above_things_and_places_is_left_alone(journey):
-    bench = SkillCell(seed=3, noise=PerceptionNoise())
-    outcome = bench.run(move_to(journey[0], **journey[1]))
-    assert (outcome.kind, bench.untouched()) == ("succeeded", True)
-    assert bench.monitor.violations() == ()
+def test_moving_above_objects_and_places_needs_no_filter_intervention(target, changes):
+    cell = SkillCell(seed=3, noise=PerceptionNoise())
+    outcome = cell.run(move_to(target, **changes))
+    assert (outcome.kind, cell.filter_never_intervened()) == ("succeeded", True)
+    assert cell.monitor.violations() == ()
 
 
-def test_a_long_errand_with_every_other_skill_is_left_alone():
-    bench = SkillCell(seed=1, noise=PerceptionNoise())
+def test_a_long_contract_with_the_other_skills_needs_no_filter_intervention():
+    cell = SkillCell(seed=1, noise=PerceptionNoise())
     home = ("home", {"speed": 0.4})
-    outcome = bench.run(
+    outcome = cell.run(
         grasp(clearance=0.1),
         ("hold", {"duration": 0.5}),
         home,
@@ -174,5 +173,5 @@ def test_a_long_errand_with_every_other_skill_is_left_alone():
         home,
     )
     assert [action.status for action in outcome.actions] == ["done"] * 6, outcome.reason
-    assert bench.untouched()
-    assert not [one for one in bench.monitor.violations() if one.kind != "object_dropped"]
+    assert cell.filter_never_intervened()
+    assert not [violation for violation in cell.monitor.violations() if violation.kind != "object_dropped"]

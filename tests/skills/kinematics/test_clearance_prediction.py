@@ -1,4 +1,4 @@
-"""Foresight: distances against sampling, what counts, and where a rehearsal may be broken off."""
+"""Predicted clearances: distances against sampling, which objects count, and when the computation may stop early."""
 
 import numpy as np
 import pytest
@@ -35,24 +35,25 @@ poses = st.builds(
 )
 
 
-def seen(shape, pose=None, name="thing", role="object", error=0.0):
+def perceived(shape, pose=None, name="object", role="object", error=0.0):
     return SceneObject(name=name, role=role, shape=shape, pose=pose or Pose((0.0, 0.0, 0.0)), error=error)
 
 
-def scene(*things):
-    return Scene(robot="panda", stamp=0.0, version=1, objects=things)
+def scene(*objects):
+    return Scene(robot="panda", stamp=0.0, version=1, objects=objects)
 
 
-def room(*things, points=(), leaving=0, beat=-np.inf, **others):
-    view = PredictionContext(opening=0.02, scene=scene(*things), **others)
-    return run_to_completion(
-        ClearancePredictor(BODY, SAFETY).min_clearance(HOME, points, view, ignored_steps=leaving, threshold=beat)
+def clearance(*objects, waypoints=(), ignored_steps=0, threshold=-np.inf, **others):
+    context = PredictionContext(opening=0.02, scene=scene(*objects), **others)
+    computation = ClearancePredictor(BODY, SAFETY).min_clearance(
+        HOME, waypoints, context, ignored_steps=ignored_steps, threshold=threshold
     )
+    return run_to_completion(computation)
 
 
 @settings(max_examples=40)
 @given(solids, poses)
-def test_a_distance_is_that_to_the_nearest_surface_point(shape, pose):
+def test_the_signed_distance_is_that_to_the_nearest_surface_point(shape, pose):
     rng = np.random.default_rng(5)
     points = rng.uniform(-1.0, 1.0, (20, 3))
     local = (points - pose.position) @ quaternion_to_matrix(pose.quaternion)
@@ -70,80 +71,83 @@ def test_a_distance_is_that_to_the_nearest_surface_point(shape, pose):
     assert np.all(got[outside <= 0] <= 1e-12)
 
 
-def test_the_least_room_is_that_of_the_nearest_sphere():
+def test_the_clearance_is_that_of_the_nearest_sphere():
     centres, radii, _ = SAFETY.spheres(HOME, 0.02)
-    post = Pose((0.55, 0.3, 0.4))
-    away = np.linalg.norm(centres[3:] - post.position, axis=1) - radii[3:] - 0.05
-    assert room(seen(Sphere(0.05), post, error=0.01)) == pytest.approx(away.min() - 0.01)
+    pose = Pose((0.55, 0.3, 0.4))
+    distances = np.linalg.norm(centres[3:] - pose.position, axis=1) - radii[3:] - 0.05
+    assert clearance(perceived(Sphere(0.05), pose, error=0.01)) == pytest.approx(distances.min() - 0.01)
 
 
-def test_people_the_held_thing_and_the_bolted_base_do_not_count():
-    at = Pose(tuple(SAFETY.tool(HOME).position))
-    far = seen(Sphere(0.01), Pose((0.0, 2.0, 0.0)))
-    assert room(seen(Sphere(0.1), at, role="person"), far) == room(far)
-    assert room(seen(Sphere(0.1), at, "cube"), far, held="cube") == room(far)
-    assert room(seen(HalfSpace(), name="table", role="support")) > 0.0
+def test_people_the_held_object_and_the_fixed_base_do_not_count():
+    at_the_tool = Pose(tuple(SAFETY.tool(HOME).position))
+    far = perceived(Sphere(0.01), Pose((0.0, 2.0, 0.0)))
+    assert clearance(perceived(Sphere(0.1), at_the_tool, role="person"), far) == clearance(far)
+    assert clearance(perceived(Sphere(0.1), at_the_tool, "cube"), far, held="cube") == clearance(far)
+    assert clearance(perceived(HalfSpace(), name="table", role="support")) > 0.0
 
 
-def test_a_part_may_touch_what_its_phase_needs():
+def test_a_permitted_contact_of_the_phase_counts_less():
     tool = SAFETY.tool(HOME).position
-    cube = seen(Box((0.02, 0.02, 0.02)), Pose(tuple(tool)))
-    spared = room(cube, touches=(PermittedContact("fingers", "thing", 0.05),))
-    assert room(cube) < 0.0
-    assert spared > 0.005
-    assert room(cube, touches=(PermittedContact("fingers", "other", 0.05),)) == room(cube)
-    assert room(cube, known=("thing",)) == pytest.approx(room(cube) + KNOWN_OBJECT_ALLOWANCE)
+    cube = perceived(Box((0.02, 0.02, 0.02)), Pose(tuple(tool)), "cube")
+    permitted = clearance(cube, contacts=(PermittedContact("fingers", "cube", 0.05),))
+    assert clearance(cube) < 0.0
+    assert permitted > 0.005
+    assert clearance(cube, contacts=(PermittedContact("fingers", "other", 0.05),)) == clearance(cube)
+    assert clearance(cube, known=("cube",)) == pytest.approx(clearance(cube) + KNOWN_OBJECT_ALLOWANCE)
 
 
-def test_a_way_leads_there_in_small_steps():
+def test_a_simulated_path_reaches_its_goal_in_small_steps():
     tool = SAFETY.tool(HOME)
-    aim = ToolGoal(tool.position + np.array([0.05, 0.25, -0.1]), tool.rotation, HOME)
-    way = list(ClearancePredictor(BODY, SAFETY).simulate_path(HOME, [aim]))
-    places = np.array([SAFETY.tool(q).position for q in way])
-    assert np.linalg.norm(places[-1] - aim.position) < 0.004
-    assert np.linalg.norm(np.diff(places, axis=0), axis=1).max() < 0.02
+    goal = ToolGoal(tool.position + np.array([0.05, 0.25, -0.1]), tool.rotation, HOME)
+    path = list(ClearancePredictor(BODY, SAFETY).simulate_path(HOME, [goal]))
+    positions = np.array([SAFETY.tool(q).position for q in path])
+    assert np.linalg.norm(positions[-1] - goal.position) < 0.004
+    assert np.linalg.norm(np.diff(positions, axis=0), axis=1).max() < 0.02
 
 
-def test_a_wall_on_the_way_is_foreseen():
+def test_a_wall_on_the_path_is_predicted():
     tool = SAFETY.tool(HOME)
-    wall = seen(Box((0.2, 0.01, 0.3)), Pose((0.5, 0.25, 0.3)))
-    aim = ToolGoal(tool.position + np.array([0.0, 0.4, 0.0]), tool.rotation, HOME)
-    start, end = room(wall), room(wall, points=[aim])
+    wall = perceived(Box((0.2, 0.01, 0.3)), Pose((0.5, 0.25, 0.3)))
+    goal = ToolGoal(tool.position + np.array([0.0, 0.4, 0.0]), tool.rotation, HOME)
+    start, end = clearance(wall), clearance(wall, waypoints=[goal])
     assert start > 0.05
     assert end < 0.0
 
 
-def somewhere(rng):
-    """A goal about the arm's first pose, and things about its way."""
+def random_problem(rng):
+    """A goal near the home pose of the arm, and spheres around the path to the goal."""
     tool = SAFETY.tool(HOME)
-    aim = ToolGoal(tool.position + rng.uniform(-0.3, 0.3, 3) * (0.5, 1.0, 0.5), tool.rotation, HOME)
-    middle = (tool.position + aim.position) / 2
-    return aim, [seen(Sphere(0.03), Pose(tuple(middle + rng.normal(0.0, 0.15, 3))), f"ball{k}") for k in range(4)]
+    goal = ToolGoal(tool.position + rng.uniform(-0.3, 0.3, 3) * (0.5, 1.0, 0.5), tool.rotation, HOME)
+    middle = (tool.position + goal.position) / 2
+    spheres = [perceived(Sphere(0.03), Pose(tuple(middle + rng.normal(0.0, 0.15, 3))), f"sphere{k}") for k in range(4)]
+    return goal, spheres
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_a_way_has_the_room_of_its_nearest_posture(seed):
-    """Whatever is looked at together, or not at all because it is far away."""
-    aim, things = somewhere(np.random.default_rng(seed))
-    foresight = ClearancePredictor(BODY, SAFETY)
-    view = PredictionContext(opening=0.02, scene=scene(*things))
-    each = [run_to_completion(foresight.min_clearance(q, [], view)) for q in foresight.simulate_path(HOME, [aim])]
-    assert room(*things, points=[aim]) == pytest.approx(min(each))
-    for leaving in (3, len(each) + 5):
-        assert room(*things, points=[aim], leaving=leaving) == pytest.approx(min(each[leaving:] or each[-1:]))
+def test_the_clearance_of_a_path_is_that_of_its_nearest_posture(seed):
+    """Neither batches of postures nor the omission of far objects change the result."""
+    goal, objects = random_problem(np.random.default_rng(seed))
+    predictor = ClearancePredictor(BODY, SAFETY)
+    context = PredictionContext(opening=0.02, scene=scene(*objects))
+    path = predictor.simulate_path(HOME, [goal])
+    each = [run_to_completion(predictor.min_clearance(q, [], context)) for q in path]
+    assert clearance(*objects, waypoints=[goal]) == pytest.approx(min(each))
+    for ignored in (3, len(each) + 5):
+        expected = min(each[ignored:] or each[-1:])
+        assert clearance(*objects, waypoints=[goal], ignored_steps=ignored) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_a_rehearsal_is_broken_off_only_where_it_cannot_win(seed):
-    aim, things = somewhere(np.random.default_rng(seed))
-    whole = room(*things, points=[aim])
-    for beat in (whole - 0.01, whole + 0.01):
-        cut = room(*things, points=[aim], beat=beat)
-        assert cut == whole if whole > beat else cut <= beat
+def test_the_computation_stops_early_only_below_the_threshold(seed):
+    goal, objects = random_problem(np.random.default_rng(seed))
+    complete = clearance(*objects, waypoints=[goal])
+    for threshold in (complete - 0.01, complete + 0.01):
+        found = clearance(*objects, waypoints=[goal], threshold=threshold)
+        assert found == complete if complete > threshold else found <= threshold
 
 
-def test_a_stride_is_no_longer_than_it_says():
-    aim, _ = somewhere(np.random.default_rng(1))
-    way = ClearancePredictor(BODY, SAFETY).simulate_path(HOME, [aim])
-    places = np.array([SAFETY.tool(q).position for q in way])
-    assert np.linalg.norm(np.diff(places, axis=0), axis=1).max() < 1.1 * STEP_LENGTH
+def test_steps_of_a_simulated_path_are_at_most_the_step_length():
+    goal, _ = random_problem(np.random.default_rng(1))
+    path = ClearancePredictor(BODY, SAFETY).simulate_path(HOME, [goal])
+    positions = np.array([SAFETY.tool(q).position for q in path])
+    assert np.linalg.norm(np.diff(positions, axis=0), axis=1).max() < 1.1 * STEP_LENGTH

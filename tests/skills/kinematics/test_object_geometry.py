@@ -13,14 +13,14 @@ from dualbrain.skills.kinematics import object_geometry
 yaws = st.floats(-np.pi, np.pi)
 
 
-def thing(shape, yaw=0.0, z=0.1, tilt=0.0):
+def upright_object(shape, yaw=0.0, z=0.1, tilt=0.0):
     quaternion = (
         np.cos(yaw / 2) * np.cos(tilt / 2),
         np.cos(yaw / 2) * np.sin(tilt / 2),
         np.sin(yaw / 2) * np.sin(tilt / 2),
         np.sin(yaw / 2) * np.cos(tilt / 2),
     )
-    return SceneObject(name="thing", role="object", shape=shape, pose=Pose((0.5, 0.1, z), quaternion))
+    return SceneObject(name="object", role="object", shape=shape, pose=Pose((0.5, 0.1, z), quaternion))
 
 
 @pytest.mark.parametrize("approach", object_geometry.APPROACH_LEAN)
@@ -44,8 +44,8 @@ def test_the_first_lean_points_away_from_the_base(yaw):
 
 
 @given(yaw=yaws, tilt=st.floats(0.0, np.pi))
-def test_a_box_reaches_as_high_as_its_highest_corner(yaw, tilt):
-    box = thing(Box((0.02, 0.03, 0.05)), yaw, tilt=tilt)
+def test_the_height_of_a_box_is_that_of_its_highest_corner(yaw, tilt):
+    box = upright_object(Box((0.02, 0.03, 0.05)), yaw, tilt=tilt)
     corners = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T * (0.02, 0.03, 0.05)
     heights = (corners @ quaternion_to_matrix(box.pose.quaternion).T)[:, 2] + 0.1
     assert np.isclose(object_geometry.top_height(box), heights.max())
@@ -62,13 +62,13 @@ def test_a_box_reaches_as_high_as_its_highest_corner(yaw, tilt):
     ],
 )
 def test_upright_extents(shape, top, wide):
-    assert np.isclose(object_geometry.top_height(thing(shape)), top)
-    assert np.isclose(object_geometry.grasp_width(thing(shape), "along"), wide)
+    assert np.isclose(object_geometry.top_height(upright_object(shape)), top)
+    assert np.isclose(object_geometry.grasp_width(upright_object(shape), "along"), wide)
 
 
 @given(yaw=yaws)
 def test_along_and_across_are_perpendicular_and_level(yaw):
-    box = thing(Box((0.02, 0.03, 0.05)), yaw)
+    box = upright_object(Box((0.02, 0.03, 0.05)), yaw)
     along, across = object_geometry.finger_direction(box, "along"), object_geometry.finger_direction(box, "across")
     assert np.isclose(along @ across, 0.0)
     assert along[2] == across[2] == 0.0
@@ -76,16 +76,16 @@ def test_along_and_across_are_perpendicular_and_level(yaw):
 
 
 @given(yaw=yaws, tilt=st.floats(0.0, np.pi))
-def test_the_width_between_fingers_is_that_of_the_corners(yaw, tilt):
-    box = thing(Box((0.02, 0.03, 0.05)), yaw, tilt=tilt)
+def test_the_grasp_width_is_that_of_the_corners(yaw, tilt):
+    box = upright_object(Box((0.02, 0.03, 0.05)), yaw, tilt=tilt)
     corners = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T * (0.02, 0.03, 0.05)
     for axis in ("along", "across"):
-        reach = corners @ quaternion_to_matrix(box.pose.quaternion).T @ object_geometry.finger_direction(box, axis)
-        assert np.isclose(object_geometry.grasp_width(box, axis), np.ptp(reach))
+        extents = corners @ quaternion_to_matrix(box.pose.quaternion).T @ object_geometry.finger_direction(box, axis)
+        assert np.isclose(object_geometry.grasp_width(box, axis), np.ptp(extents))
 
 
 def test_a_lying_cylinder_is_as_wide_as_it_is_long():
-    lying = thing(Cylinder(0.02, 0.06), tilt=np.pi / 2)
+    lying = upright_object(Cylinder(0.02, 0.06), tilt=np.pi / 2)
     assert np.isclose(object_geometry.grasp_width(lying, "along"), 0.04)
     assert np.isclose(object_geometry.levelness(lying, "along"), 1.0)
     assert np.isclose(object_geometry.levelness(lying, "across"), 0.0, atol=1e-9)

@@ -1,4 +1,4 @@
-"""φ by resolved rate: which way round a hand turns."""
+"""Resolved-rate control: the direction in which the hand rotates."""
 
 import numpy as np
 import pytest
@@ -18,25 +18,25 @@ AXIS = st.tuples(*[st.floats(-1.0, 1.0)] * 3).map(np.array).filter(lambda a: np.
 
 @settings(deadline=None)
 @given(axis=AXIS, angle=st.floats(0.1, np.pi), swept=AXIS, size=st.floats(0.0, 6.0))
-def test_either_way_round_ends_at_the_same_rotation_and_the_nearer_is_taken(axis, angle, swept, size):
+def test_both_directions_end_at_the_same_rotation_and_the_nearer_is_taken(axis, angle, swept, size):
     turn = axis / np.linalg.norm(axis) * angle
     taken = nearer_rotation(turn, size * swept)
     assert np.allclose(Rotation.from_rotvec(taken).as_matrix(), Rotation.from_rotvec(turn).as_matrix(), atol=1e-9)
     other = turn * (1.0 - 2.0 * np.pi / angle)
     assert np.linalg.norm(taken - size * swept) == pytest.approx(
-        min(np.linalg.norm(way - size * swept) for way in (turn, other))
+        min(np.linalg.norm(candidate - size * swept) for candidate in (turn, other))
     )
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_hand_that_must_turn_past_its_joint_limit_the_short_way_turns_the_long_way(side):
-    """The last joint goes from one side of its range to the other: 3.6 rad, while 2.68 rad would lead out of it."""
+def test_a_hand_whose_short_rotation_would_exceed_a_joint_limit_takes_the_long_one(side):
+    """The last joint moves by 3.6 rad inside its range; the shorter rotation by 2.68 rad would leave the range."""
     robot_model = load_robot("panda")
     safety = SafetyFilter(robot_model)
     phi = ResolvedRate(robot_model, safety)
     q, goal = np.array(robot_model.home), np.array(robot_model.home)
     q[6], goal[6] = side * -1.8, side * 1.8
-    there = safety.tool(goal)
+    target = safety.tool(goal)
     for k in range(6000):
         now = k * PERIOD
         tool = safety.tool(q)
@@ -49,8 +49,10 @@ def test_a_hand_that_must_turn_past_its_joint_limit_the_short_way_turns_the_long
             finger_forces=(0.0, 0.0),
             drive_enabled=True,
         )
-        q = q + PERIOD * phi.toward_pose(state, tool, pose_error(tool, there.position, there.rotation), 0.2, goal, now)
+        q = q + PERIOD * phi.toward_pose(
+            state, tool, pose_error(tool, target.position, target.rotation), 0.2, goal, now
+        )
     tool = safety.tool(q)
-    assert np.linalg.norm(rotation_error(tool.rotation, there.rotation)) < 0.01
-    assert np.linalg.norm(tool.position - there.position) < 0.002
+    assert np.linalg.norm(rotation_error(tool.rotation, target.rotation)) < 0.01
+    assert np.linalg.norm(tool.position - target.position) < 0.002
     assert q[6] == pytest.approx(goal[6], abs=0.02)
