@@ -19,7 +19,6 @@ EXTRAS = {
     "httpx": "planner",
     "llguidance": "adapt",
     "lxml": "import",
-    "markdown_it": "knowledge",
     "matplotlib": "view",
     "mcap": "view",
     "mujoco": "simulation",
@@ -76,5 +75,5 @@ def missing_dependency(error: ModuleNotFoundError, needed_by: str) -> Exception:
     extra = EXTRAS.get((error.name or "").partition(".")[0])
     if extra is None:
         return error
-    fix = f"Install it with `pip install 'dualbrain[{extra}]'`."
+    fix = f"Install it with `pip install 'dualbrain[{extra}]'` (`dualbrain[all]` is everything that the commands need)."
     return MissingDependencyError(f"The package {error.name}, which {needed_by} needs,", fix=fix)
