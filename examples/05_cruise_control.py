@@ -22,8 +22,9 @@ v, lead, D = x[0], x[1], x[2]
 drag = 0.1 + 5.0 * v + 0.25 * v**2  # [N]
 CAR = ControlAffine(x, f=[-drag / MASS, 0.0, lead - v], g=[1.0 / MASS, 0.0, 0.0])  # u is the wheels' force [N]
 
-PLAIN = Barrier("headway", D - HEADWAY * v, alphas=5.0)
-BRAKING = Barrier("headway with braking", D - HEADWAY * v - 0.5 * ca.fmax(v - lead, 0.0) ** 2 / BRAKE, 5.0, margin=0.5)
+PLAIN = Barrier(name="headway", h=D - HEADWAY * v, alphas=5.0)
+BRAKING_DISTANCE = 0.5 * ca.fmax(v - lead, 0.0) ** 2 / BRAKE
+BRAKING = Barrier(name="headway with braking", h=D - HEADWAY * v - BRAKING_DISTANCE, alphas=5.0, margin=0.5)
 FASTER = ([15.0, 0.0, 10.0], [30.0, 14.0, 200.0])  # states between which the own car is the faster one
 
 

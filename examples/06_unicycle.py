@@ -19,12 +19,13 @@ CENTRE, RADIUS, AHEAD, DT = np.array([3.0, 0.3]), 0.8, 0.2, 0.01  # [m], [m], [m
 x = ca.SX.sym("x", 4)  # place (2) [m], heading [rad], speed [m/s]
 forward = ca.vertcat(ca.cos(x[2]), ca.sin(x[2]))
 BY_FORCE = ControlAffine(x, f=[x[3] * forward, 0, 0], g=[[0, 0], [0, 0], [1, 0], [0, 1]])  # u: turn rate, acceleration
-DISTANCE = Barrier("disc", ca.sumsqr(x[:2] - CENTRE) - RADIUS**2, alphas=(1.0, 2.0), margin=0.05)
+DISTANCE = Barrier(name="disc", h=ca.sumsqr(x[:2] - CENTRE) - RADIUS**2, alphas=(1.0, 2.0), margin=0.05)
 
 y = ca.SX.sym("y", 3)  # place (2) [m], heading [rad]
 toward = ca.vertcat(ca.cos(y[2]), ca.sin(y[2]))
 BY_SPEED = ControlAffine(y, f=[0, 0, 0], g=[[toward[0], 0], [toward[1], 0], [0, 1]])  # u: speed, turn rate
-POINT = Barrier("disc ahead", ca.norm_2(y[:2] + AHEAD * toward - CENTRE) - RADIUS - AHEAD, alphas=2.0, margin=0.02)
+GAP = ca.norm_2(y[:2] + AHEAD * toward - CENTRE) - RADIUS - AHEAD
+POINT = Barrier(name="disc ahead", h=GAP, alphas=2.0, margin=0.02)
 
 
 def drive(safety: ControlAffineFilter | None, *, by_force: bool) -> tuple[float, float, float]:

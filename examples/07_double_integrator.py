@@ -17,7 +17,7 @@ A1, A2, PUSH, DT = 1.0, 4.0, -50.0, 2e-3  # [1/s], [1/s], [m/s²], [s]
 
 x = ca.SX.sym("x", 2)  # position [m], speed [m/s]
 CART = ControlAffine(x, f=[x[1], 0], g=[0, 1])
-WALL = Barrier("wall", x[0], alphas=(A1, A2))
+WALL = Barrier(name="wall", h=x[0], alphas=(A1, A2))
 
 
 def closed_form(p: float, v: float, u_nom: float) -> float:

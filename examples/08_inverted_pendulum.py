@@ -21,8 +21,8 @@ INERTIA = MASS * LENGTH**2
 PENDULUM = ControlAffine(x, f=[x[1], GRAVITY / LENGTH * ca.sin(x[0])], g=[0, 1.0 / INERTIA])
 # The rate of the row may change by 100 rad/s³: half a period of that is kept as margin.
 SIDES = [
-    Barrier("right", LEAN - x[0], alphas=(A1, A2), margin=0.1),
-    Barrier("left", LEAN + x[0], alphas=(A1, A2), margin=0.1),
+    Barrier(name="right", h=LEAN - x[0], alphas=(A1, A2), margin=0.1),
+    Barrier(name="left", h=LEAN + x[0], alphas=(A1, A2), margin=0.1),
 ]
 
 
