@@ -1,0 +1,1 @@
+"""Benchmarks: durations and exact work, beside named peers."""

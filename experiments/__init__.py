@@ -1,1 +1,1 @@
-"""The big proofs: one file a proof, each a list of units whose results are rows of a journal."""
+"""Experiments: slow, resumable tests of claims, run by `python -m experiments`."""

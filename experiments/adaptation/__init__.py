@@ -1,0 +1,1 @@
+"""Experiments on adaptation of the planner."""

@@ -1,0 +1,1 @@
+"""Experiments on planning and contracts."""

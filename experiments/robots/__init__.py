@@ -1,0 +1,1 @@
+"""Experiments with several robots, and with robosuite."""

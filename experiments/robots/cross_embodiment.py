@@ -1,4 +1,4 @@
-"""robots: the same instructions on arms of two makes and, where they are about going somewhere, on a base."""
+"""The same instructions on arms of two makes and, if they are about driving somewhere, on a mobile base."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from experiments.safety.closed_loop import (
 ARMS = ("panda", "ur5e")
 N_SCENES = 20
 FAMILIES = ("bare", "tabletop", "shelf", "forearm")
-"""Scene k of an arm is of family k mod 4 (seed k); that of a base of kind k mod 3."""
+"""Scene k of an arm is of family k mod 4 (seed k); scene k of a base is of kind k mod 3."""
 PUT_INSTRUCTION, BRING_INSTRUCTION, LOOK_INSTRUCTION = (
     "put the red cube in the blue bowl",
     "put the red cube on table_left",
@@ -49,23 +49,23 @@ INSTRUCTIONS: dict[str, tuple[str, ...]] = {
     "base": ("go to the shelf", "bring yourself to the charger"),
 }
 GRIP_FORCE = 20.0
-"""Grip force that every gripper here has [N]."""
+"""Grip force that is within the bounds of every gripper here [N]."""
 PLANNER_TIMEOUT_S = 3600.0
-"""With the planner, so that a busy machine is not taken for a planner that cannot [s]."""
+"""Time limit of the planner [s], long enough that a busy machine does not count as a failed planner."""
 LOOK_TOLERANCE = 0.06
-"""The tool looks at a thing from above when it is within this of it in the plane [m]."""
+"""Largest horizontal distance between tool and object when the tool looks at it from above [m]."""
 
 
 class CrossEmbodiment:
-    """One contract space, filter and set of skills for bodies of different makes."""
+    """One contract format, filter and set of skills for robots of different makes."""
 
     name = "cross_embodiment"
-    claim = "The same instructions succeed on every body without a collision; contracts differ in registry and bounds."
+    claim = "The same instructions succeed on every robot without a collision; contracts differ in registry and bounds."
 
     def units(self, options: Options) -> list[WorkUnit]:
-        """Template contracts first; then the same with the planner's own, where one is named.
+        """Template contracts first, then those of the planner, if one is named.
 
-        The planner's go robot by robot, because it reads each robot's rules once and keeps only the last it read.
+        The planner's units go robot by robot, because its prompt cache holds the rules of the last robot only.
         """
         units = [WorkUnit(_unit_key("template", **about), {**about, "planner": ""}) for about in _unit_parameters()]
         if options.planner:
@@ -77,55 +77,55 @@ class CrossEmbodiment:
 
     def run(self, about: dict[str, Any]) -> Row:
         """Carry out one instruction."""
-        spec, words = open_scene(about["scene"], about["robot"]), about["instruction"]
+        spec, instruction = open_scene(about["scene"], about["robot"]), about["instruction"]
         if about["planner"]:
             return {**_run_planned(spec, about), **_row_header(about)}
-        actions = template_actions(_perceive_exactly(spec), words)
-        flight = run_contract(
-            spec, actions, seed=spec.seed, goal=None if words == LOOK_INSTRUCTION else parse_goal(words, spec)
-        )
-        figures = {**run_row(flight), **_row_header(about), "actions": actions}
-        if words == LOOK_INSTRUCTION and flight.outcome is not None:
-            figures["truth"] = looks_at_bowl(flight.plant)
-        return figures
+        actions = template_actions(_perceive_exactly(spec), instruction)
+        goal = None if instruction == LOOK_INSTRUCTION else parse_goal(instruction, spec)
+        run = run_contract(spec, actions, seed=spec.seed, goal=goal)
+        row = {**run_row(run), **_row_header(about), "actions": actions}
+        if instruction == LOOK_INSTRUCTION and run.outcome is not None:
+            row["truth"] = looks_at_bowl(run.plant)
+        return row
 
     def summarize_row(self, row: Row) -> str:
-        """How it ended."""
+        """The outcome."""
         return f"{row['robot']}, {row['instruction']}: {describe_outcome(row)}"
 
     def report(self, rows: list[Row]) -> list[str]:
-        """Success and violations by body, and every exception."""
+        """Success and violations by robot, and every exception."""
         lines = [
             *markdown_table(("contract from", "robot", "instruction", "succeeded", "violations"), _counts(rows)),
             "",
         ]
-        bad = [r for r in rows if not (r.get("valid") and succeeded(r)) or _has_forbidden_violation(r)]
-        cells = ((r["key"], describe_outcome(r), describe_violations(r) or "none") for r in bad)
-        lines += markdown_table(("not as claimed", "outcome", "violations"), cells) if bad else ["No exception."]
+        exceptions = [r for r in rows if not (r.get("valid") and succeeded(r)) or _has_forbidden_violation(r)]
+        cells = ((r["key"], describe_outcome(r), describe_violations(r) or "none") for r in exceptions)
+        head = ("not as claimed", "outcome", "violations")
+        lines += markdown_table(head, cells) if exceptions else ["No exception."]
         return [*lines, "", *_compare_arms(rows), "", *_registry_differences()]
 
 
 def looks_at_bowl(plant: Plant) -> bool:
-    """Whether the tool is over the bowl, on truth."""
-    away = plant.tool_pose()[0][:2] - np.array(plant.true_pose("blue_bowl").position[:2])
-    return bool(np.linalg.norm(away) < LOOK_TOLERANCE)
+    """Whether the tool is over the bowl, on ground truth."""
+    offset = plant.tool_pose()[0][:2] - np.array(plant.true_pose("blue_bowl").position[:2])
+    return bool(np.linalg.norm(offset) < LOOK_TOLERANCE)
 
 
-def template_actions(scene: Scene, words: str) -> list[dict[str, Any]]:
-    """The contract that the prompt's rules make of an instruction, whatever the arm."""
+def template_actions(scene: Scene, instruction: str) -> list[dict[str, Any]]:
+    """The contract for an instruction by the rules of the prompt, for any robot."""
     if scene.region:
-        place = "shelf" if "shelf" in words else "charger"
+        place = "shelf" if "shelf" in instruction else "charger"
         return [{"skill": "drive_to", "params": {"place": place, "max_speed": 0.4, "max_turn_rate": 1.0}}]
-    way, grasp = motion_and_grasp(scene, "red_cube")
-    if words == LOOK_INSTRUCTION:
-        return [{"skill": "move_to", "params": {"target": "blue_bowl", "speed": 0.2, **way}}]
-    destination = "blue_bowl" if words == PUT_INSTRUCTION else "table_left"
-    place = {"destination": destination, "speed": 0.2, **way}
+    motion, grasp = motion_and_grasp(scene, "red_cube")
+    if instruction == LOOK_INSTRUCTION:
+        return [{"skill": "move_to", "params": {"target": "blue_bowl", "speed": 0.2, **motion}}]
+    destination = "blue_bowl" if instruction == PUT_INSTRUCTION else "table_left"
+    place = {"destination": destination, "speed": 0.2, **motion}
     return [{"skill": "grasp", "params": {**grasp, "force": GRIP_FORCE}}, {"skill": "place", "params": place}]
 
 
 def _perceive_exactly(spec: SceneSpec) -> Scene:
-    """The scene as it is at the start, exactly."""
+    """The scene at the start, without perception noise."""
     plant = make_plant(spec, load_robot(spec.robot))
     return NoisyPerception(spec, NO_NOISE, np.random.default_rng(0)).perceive(plant)
 
@@ -138,8 +138,8 @@ def _unit_parameters() -> Iterator[dict[str, str]]:
                 yield {"robot": robot, "scene": scene, "instruction": instruction}
 
 
-def _unit_key(how: str, robot: str, scene: str, instruction: str) -> str:
-    return f"{how} {robot} {scene} {instruction}"
+def _unit_key(source: str, robot: str, scene: str, instruction: str) -> str:
+    return f"{source} {robot} {scene} {instruction}"
 
 
 def _row_header(about: dict[str, Any]) -> Row:
@@ -147,17 +147,17 @@ def _row_header(about: dict[str, Any]) -> Row:
 
 
 def _run_planned(spec: SceneSpec, about: dict[str, Any]) -> Row:
-    """The whole loop as `dualbrain run` has it, with a memory of its own that is empty; judged by the instruction."""
+    """A complete run as by `dualbrain run`, with an empty memory, judged by the instruction."""
     import time  # noqa: PLC0415
 
     from dualbrain.cli.common.paths import cache_folder  # noqa: PLC0415
     from dualbrain.runtime.session import Clocks, RunConfig, RunObserver, Session  # noqa: PLC0415
     from experiments.safety.closed_loop import outcome_fields  # noqa: PLC0415
 
-    words = about["instruction"]
+    instruction = about["instruction"]
     with tempfile.TemporaryDirectory() as folder:
         config = RunConfig(
-            instruction=words,
+            instruction=instruction,
             out=Path(folder) / "run",
             ledger=Path(folder) / "ledger.sqlite",
             cache=cache_folder(),
@@ -165,27 +165,27 @@ def _run_planned(spec: SceneSpec, about: dict[str, Any]) -> Row:
             scene=about["scene"],
             planner=about["planner"],
             visuals=False,
-            goal="" if words == LOOK_INSTRUCTION else words,
+            goal="" if instruction == LOOK_INSTRUCTION else instruction,
         )
-        times = Clocks(time.monotonic, "2026-01-01T00:00:00+00:00", time.time)
-        with Session(config, times, {}, _cached_planner(about["planner"])) as session:
+        clocks = Clocks(time.monotonic, "2026-01-01T00:00:00+00:00", time.time)
+        with Session(config, clocks, {}, _cached_planner(about["planner"])) as session:
             episode = session.run(RunObserver()).episode
-            looked = words == LOOK_INSTRUCTION and looks_at_bowl(session.plant)
+            looked = instruction == LOOK_INSTRUCTION and looks_at_bowl(session.plant)
     timings = {"shots": len(episode.attempts), "timings": msgspec.to_builtins(episode.timings)}
     if episode.contract is None:
         return {"valid": False, "reason": episode.outcome.reason, "truth": False, "violations": [], **timings}
-    figures = {**outcome_fields(episode.outcome), **judgement_fields(episode.judgement), **timings}
-    if words == LOOK_INSTRUCTION:
-        figures["truth"] = looked
+    fields = {**outcome_fields(episode.outcome), **judgement_fields(episode.judgement), **timings}
+    if instruction == LOOK_INSTRUCTION:
+        fields["truth"] = looked
     contract = msgspec.to_builtins(episode.contract)
-    return {"valid": True, **figures, "context": contract["context"], "actions": contract["action_sequence"]}
+    return {"valid": True, **fields, "context": contract["context"], "actions": contract["action_sequence"]}
 
 
 _OPEN_PLANNERS: dict[str, Planner] = {}
 
 
 def _cached_planner(name: str) -> Planner:
-    """The planner, opened once a process."""
+    """The planner called `name`, opened once per process."""
     if name not in _OPEN_PLANNERS:
         from dualbrain.cli.common.paths import cache_folder  # noqa: PLC0415
 
@@ -203,18 +203,19 @@ def _has_forbidden_violation(row: Row) -> bool:
 
 def _counts(rows: list[Row]) -> list[tuple[str, ...]]:
     cells: list[tuple[str, ...]] = []
-    for planned, robot, words in dict.fromkeys((r["planned"], r["robot"], r["instruction"]) for r in rows):
-        some = [r for r in rows if (r["planned"], r["robot"], r["instruction"]) == (planned, robot, words)]
+    for planned, robot, instruction in dict.fromkeys((r["planned"], r["robot"], r["instruction"]) for r in rows):
+        some = [r for r in rows if (r["planned"], r["robot"], r["instruction"]) == (planned, robot, instruction)]
         good = sum(bool(r.get("valid")) and succeeded(r) for r in some)
         found = ", ".join(f"{count} {kind}" for kind, count in count_violations(some).items()) or "none"
-        cells.append(("planner" if planned else "template", robot, words, format_proportion(good, len(some)), found))
+        source = "planner" if planned else "template"
+        cells.append((source, robot, instruction, format_proportion(good, len(some)), found))
     return cells
 
 
 def _compare_arms(rows: list[Row]) -> list[str]:
-    """How many of the arms' pairs of contracts, for one instruction in one scene, have the same skills and values."""
+    """How many of the two arms' contracts for the same instruction and scene have the same skills and values."""
     lines: list[str] = []
-    for planned, word in ((False, "template"), (True, "planner")):
+    for planned, source in ((False, "template"), (True, "planner")):
         pairs: dict[str, list[list[dict[str, Any]]]] = {}
         for r in rows:
             if "actions" in r and r["robot"] in ARMS and r["planned"] == planned:
@@ -223,10 +224,12 @@ def _compare_arms(rows: list[Row]) -> list[str]:
         if both:
             shapes = sum(_skills_and_parameters(one) == _skills_and_parameters(other) for one, other in both)
             values = sum(one == other for one, other in both)
-            lines.append(
-                f"Arms' contracts by the {word} for the same words in the same scene: same skills and parameters in "
-                f"**{format_proportion(shapes, len(both))}**, same values as well in **{format_proportion(values, len(both))}**."
-            )
+            lines += [
+                f"Contracts of the two arms from the {source}, for the same instruction in the same scene: same skills "
+                f"and parameters in **{format_proportion(shapes, len(both))}**, also the same values in "
+                f"**{format_proportion(values, len(both))}**.",
+                "",
+            ]
     return lines
 
 
@@ -235,7 +238,7 @@ def _skills_and_parameters(actions: list[dict[str, Any]]) -> list[tuple[str, lis
 
 
 def _registry_differences() -> list[str]:
-    """Where the two arms' registries differ in what gives contracts their meaning, entry by entry."""
+    """The differences between the two arms' skill registries, entry by entry."""
     first, other = (
         _flatten(msgspec.json.decode(load_skill_registry(name).canonical_bytes())["skills"]) for name in ARMS
     )
@@ -244,11 +247,12 @@ def _registry_differences() -> list[str]:
         for key in {**first, **other}
         if first.get(key) != other.get(key)
     ]
-    return [f"Of {len(first)} entries, {' and '.join(ARMS)}'s registries differ in: {'; '.join(differing) or 'none'}."]
+    names = " and ".join(ARMS)
+    return [f"Of {len(first)} entries, the registries of {names} differ in: {'; '.join(differing) or 'none'}."]
 
 
 def _flatten(value: Any, path: str = "") -> dict[str, Any]:
-    """Every leaf under its path."""
+    """Every leaf of nested dictionaries by its dotted path."""
     if not isinstance(value, dict):
         return {path: value}
     return {

@@ -1,4 +1,4 @@
-"""outsider: robosuite's Lift and Stack, judged by its own success check, with and without the filter in the loop."""
+"""robosuite's Lift and Stack, judged by its own success check, with and without the filter in the loop."""
 
 from __future__ import annotations
 
@@ -25,83 +25,84 @@ CONDITIONS = (
     ("Stack", "careful", BOTH_MODES),
 )
 CONTROL_CONDITIONS = (("Lift", "random", BOTH_MODES), ("Lift", "hasty", ("clipped",)), ("Stack", "hasty", ("clipped",)))
-"""Task, policy and how it is flown; at a seed all of them see the same start. The controls come last."""
+"""Task, policy and modes; at one seed, all of them start from the same state. The controls come last."""
 SEEDS_PER_BATCH = 5
-"""Seeds of one cell in a row."""
+"""Number of consecutive seeds of one condition."""
 
 
 class RobosuiteTasks:
-    """The filter in a task suite that others wrote."""
+    """The filter in a foreign task suite."""
 
     name = "robosuite_tasks"
     claim = (
         "In robosuite's Lift and Stack, with its own physics, torque controller and success check, the filter keeps a "
-        "hasty policy within every joint limit and off table, mount and other cube; a careful one succeeds as before."
+        "hasty policy within all joint limits and off table, mount and other cube; a careful policy succeeds as often "
+        "as without the filter."
     )
 
     def units(self, options: Options) -> list[WorkUnit]:
-        """A few seeds of every cell, then the next few."""
+        """A few seeds of every condition, then the next few."""
         del options
         return [
-            WorkUnit(f"{task} {policy} {how} {seed}", {"task": task, "policy": policy, "how": how, "seed": seed})
-            for cells in (CONDITIONS, CONTROL_CONDITIONS)
+            WorkUnit(f"{task} {policy} {mode} {seed}", {"task": task, "policy": policy, "how": mode, "seed": seed})
+            for conditions in (CONDITIONS, CONTROL_CONDITIONS)
             for first in range(0, N_SEEDS, SEEDS_PER_BATCH)
-            for task, policy, hows in cells
+            for task, policy, modes in conditions
             for seed in range(first, first + SEEDS_PER_BATCH)
-            for how in hows
+            for mode in modes
         ]
 
     def run(self, about: dict[str, Any]) -> Row:
-        """One flight; the environment is made if it is missing."""
+        """One episode; the suite's environment is created if it is missing."""
         suite, robot_model = _open_suite()
         return run_episode(suite, robot_model, about)
 
     def summarize_row(self, row: Row) -> str:
-        """How it ended."""
+        """The outcome."""
         worst = ", ".join(f"{kind} {peak:.3g} {UNITS[kind]}" for kind, peak in worst_peaks([row]).items())
         return (
             f"{'success' if row['success'] else 'no success'} after {row['time']:.1f} s; {worst or 'no limit exceeded'}"
         )
 
     def report(self, rows: list[Row]) -> list[str]:
-        """What became of every cell, how bad it was at worst, and what the filter did."""
-        cells = [
+        """Results of every condition, worst breaches, statistics of the filter, tracking, exceptions."""
+        groups = [
             (key, some) for key in _all_conditions() if (some := [row for row in rows if _condition_of(row) == key])
         ]
-        lines = markdown_table(_RESULT_HEAD, (_result_row(key, some) for key, some in cells))
-        lines += markdown_table(_WORST_HEAD, (_worst_row(key, some) for key, some in cells if worst_peaks(some)))
-        bare = {key[:2]: mean(row["time"] for row in some) for key, some in cells if key[2] == "unfiltered"}
+        lines = markdown_table(_RESULT_HEAD, (_result_row(key, some) for key, some in groups))
+        lines += markdown_table(_WORST_HEAD, (_worst_row(key, some) for key, some in groups if worst_peaks(some)))
+        unfiltered = {key[:2]: mean(row["time"] for row in some) for key, some in groups if key[2] == "unfiltered"}
         lines += markdown_table(
-            _FILTER_HEAD, (_filter_row(key, some, bare) for key, some in cells if key[2] == "filtered")
+            _FILTER_HEAD, (_filter_row(key, some, unfiltered) for key, some in groups if key[2] == "filtered")
         )
         return [*lines, *_tracking_lines(rows), "", *_exception_lines(rows)]
 
 
 @cache
 def _open_suite() -> tuple[SuiteProcess, RobotModel]:
-    """The suite's process and the body that the filter is told of, once a worker."""
+    """The suite's process and the robot model of the filter, opened once per worker."""
     create()
     suite = SuiteProcess()
     return suite, calibrated_robot(suite)
 
 
 def exceeded_limit(row: Row, kind: str) -> bool:
-    """Whether a limit of this kind was exceeded in a flight."""
+    """Whether a limit of this kind was exceeded in an episode."""
     return any(breach["kind"] == kind for breach in row["breaches"])
 
 
-def touched_object(row: Row, thing: str) -> bool:
-    """Whether the robot touched `thing` where it should not."""
-    return any(breach["kind"] == "touch" and thing in breach["between"] for breach in row["breaches"])
+def touched_object(row: Row, name: str) -> bool:
+    """Whether the robot touched the object `name` although it must not."""
+    return any(breach["kind"] == "touch" and name in breach["between"] for breach in row["breaches"])
 
 
 def is_clean(row: Row) -> bool:
-    """Whether nothing was exceeded or touched."""
+    """Whether no limit was exceeded and no forbidden contact occurred."""
     return not row["breaches"]
 
 
 def worst_peaks(rows: Iterable[Row]) -> dict[str, float]:
-    """The worst peak of each kind."""
+    """The worst peak of each kind of breach."""
     found: dict[str, float] = {}
     for breach in (breach for row in rows for breach in row["breaches"]):
         found[breach["kind"]] = max(found.get(breach["kind"], 0.0), breach["peak"])
@@ -109,7 +110,7 @@ def worst_peaks(rows: Iterable[Row]) -> dict[str, float]:
 
 
 def _all_conditions() -> list[tuple[str, str, str]]:
-    found = {(task, policy, how) for task, policy, hows in (*CONDITIONS, *CONTROL_CONDITIONS) for how in hows}
+    found = {(task, policy, mode) for task, policy, modes in (*CONDITIONS, *CONTROL_CONDITIONS) for mode in modes}
     return sorted(found, key=lambda key: (key[1], key[0], MODES.index(key[2])))
 
 
@@ -120,32 +121,32 @@ def _condition_of(row: Row) -> tuple[str, str, str]:
 _RESULT_HEAD = (
     "policy",
     "task",
-    "flown",
+    "mode",
     "success",
-    "success, nothing exceeded",
+    "success without breach",
     "joint velocity",
     "joint position",
-    "table struck",
-    "mount or own parts",
-    "cubes struck by hand or arm",
+    "table touched",
+    "mount or own links",
+    "cubes touched by hand or arm",
     "other cube pushed > 1 cm",
 )
-"""From the sixth on: flights in which it happened."""
+"""From the sixth column on: number of episodes in which it happened."""
 
 
 def _result_row(key: tuple[str, str, str], rows: list[Row]) -> tuple[object, ...]:
-    task, policy, how = key
-    n, aims = len(rows), policy != "random"
+    task, policy, mode = key
+    n, has_task = len(rows), policy != "random"
     good = [row for row in rows if row["success"]]
     own = sum(any(_is_self_or_mount_contact(breach) for breach in row["breaches"]) for row in rows)
     return (
         policy,
         task,
-        how,
-        format_proportion(len(good), n) if aims else "no task",
+        mode,
+        format_proportion(len(good), n) if has_task else "no task",
         format_proportion(sum(map(is_clean, good)), n)
-        if aims
-        else f"(nothing exceeded: {format_proportion(sum(map(is_clean, rows)), n)})",
+        if has_task
+        else f"(without breach: {format_proportion(sum(map(is_clean, rows)), n)})",
         sum(exceeded_limit(row, "joint_velocity") for row in rows),
         sum(exceeded_limit(row, "joint_position") for row in rows),
         sum(touched_object(row, "table") for row in rows),
@@ -156,23 +157,23 @@ def _result_row(key: tuple[str, str, str], rows: list[Row]) -> tuple[object, ...
 
 
 def _is_self_or_mount_contact(breach: dict[str, Any]) -> bool:
-    """A touch of the mount, the floor or another part of the robot."""
-    things = ("table", "cube", "cubeA", "cubeB")
-    return breach["kind"] == "touch" and not any(name in things for name in breach["between"])
+    """Whether a breach is a contact with the mount, the floor or another part of the robot."""
+    objects = ("table", "cube", "cubeA", "cubeB")
+    return breach["kind"] == "touch" and not any(name in objects for name in breach["between"])
 
 
-_WORST_HEAD = ("policy", "task", "flown", "limit", "flights", "worst peak", "longest")
+_WORST_HEAD = ("policy", "task", "mode", "limit", "episodes", "worst peak", "longest")
 
 
 def _worst_row(key: tuple[str, str, str], rows: list[Row]) -> tuple[object, ...]:
-    """One line a cell, its kinds of breach beneath each other."""
-    task, policy, how = key
+    """One line per condition, with its kinds of breach below each other."""
+    task, policy, mode = key
     worst = worst_peaks(rows)
     longest = {kind: max(b["duration"] for row in rows for b in row["breaches"] if b["kind"] == kind) for kind in worst}
     return (
         policy,
         task,
-        how,
+        mode,
         "<br>".join(kind.replace("_", " ") for kind in worst),
         "<br>".join(str(sum(exceeded_limit(row, kind) for row in rows)) for kind in worst),
         "<br>".join(f"{peak:.3g} {UNITS[kind]}" for kind, peak in worst.items()),
@@ -186,7 +187,7 @@ _FILTER_HEAD = (
     "mean delta",
     "steps modified",
     "relaxed / stopped / fault",
-    "least h",
+    "smallest h",
     "time",
     "time unfiltered",
     "torque saturated",
@@ -194,9 +195,11 @@ _FILTER_HEAD = (
 )
 
 
-def _filter_row(key: tuple[str, str, str], rows: list[Row], bare: dict[tuple[str, ...], float]) -> tuple[object, ...]:
+def _filter_row(
+    key: tuple[str, str, str], rows: list[Row], unfiltered: dict[tuple[str, ...], float]
+) -> tuple[object, ...]:
     task, policy, _ = key
-    without = f"{bare[key[:2]]:.1f} s" if key[:2] in bare else "not flown"
+    without = f"{unfiltered[key[:2]]:.1f} s" if key[:2] in unfiltered else "not run"
     steps = sum(row["steps"] for row in rows)
     status = [sum(row["status"][k] for row in rows) for k in range(5)]
     return (
@@ -214,7 +217,7 @@ def _filter_row(key: tuple[str, str, str], rows: list[Row], bare: dict[tuple[str
 
 
 def _tracking_lines(rows: list[Row]) -> list[str]:
-    """How well the models agree, and how well the arm followed."""
+    """The agreement of the models, and the tracking error."""
     filtered = [row for row in rows if row["how"] == "filtered"]
     apart = max(row["apart"] for row in rows)
     if not filtered:
@@ -223,27 +226,27 @@ def _tracking_lines(rows: list[Row]) -> list[str]:
     within = sum(row["strayed"] <= row["allowed_error"] for row in filtered)
     versions = ", ".join(f"{name} {version}" for name, version in rows[0]["versions"].items())
     return [
-        f"{versions}. The two models of the arm agree within {apart * 1e3:.4f} mm. The filter was told of "
+        f"{versions}. The two models of the arm agree within {apart * 1e3:.4f} mm. The filter was configured with "
         f"{', '.join(f'{s:.3g}' for s in SPEED_SHARES)} of the data sheet's speeds and "
         f"{', '.join(f'{s:.3g}' for s in ACCELERATION_SHARES)} of its accelerations, a lag of "
         f"{filtered[0]['lag'] * 1e3:.2f} ms and a tracking error of {allowed * 1e3:.2f} mrad, measured before; in the "
-        f"filtered flights the error was at most {worst * 1e3:.2f} mrad, and within what was told in "
+        f"filtered episodes the error was at most {worst * 1e3:.2f} mrad, and within the configured bound in "
         f"**{format_proportion(within, len(filtered))}**."
     ]
 
 
 def _exception_lines(rows: list[Row]) -> list[str]:
-    """Every filtered flight that exceeded something or, with a task, did not succeed."""
-    bad = [
+    """Every filtered episode that exceeded a limit or, with a task, did not succeed."""
+    exceptions = [
         row
         for row in rows
         if row["how"] == "filtered" and not (is_clean(row) and (row["success"] or row["policy"] == "random"))
     ]
-    if not bad:
-        return ["No filtered flight failed or exceeded anything."]
+    if not exceptions:
+        return ["No filtered episode failed or exceeded a limit."]
     return markdown_table(
-        ("filtered flight", "success", "what was exceeded"),
-        ((r["key"], r["success"], _describe_breaches(r)) for r in bad),
+        ("filtered episode", "success", "breaches"),
+        ((r["key"], r["success"], _describe_breaches(r)) for r in exceptions),
     )
 
 
@@ -253,4 +256,4 @@ def _describe_breaches(row: Row) -> str:
         f" at {b['start']:.2f} s"
         for b in row["breaches"]
     ]
-    return "; ".join(parts) or "nothing"
+    return "; ".join(parts) or "none"

@@ -1,4 +1,4 @@
-"""zoo: robots that nobody here wrote, made from their descriptions and pushed at everything."""
+"""Foreign robot descriptions, imported and driven by an adversary."""
 
 from __future__ import annotations
 
@@ -21,42 +21,42 @@ from experiments.robots.zoo_robots import EMPTY_FILES, EXCLUDED, ROBOTS, ZooRobo
 
 N_SCENES, STEPS_PER_SCENE, N_STATES = 10, 10_000, 100
 KINEMATICS_TOLERANCE = 1e-9
-"""Largest difference from Pinocchio in any entry of a pose or Jacobian."""
+"""Largest accepted difference from Pinocchio in any entry of a pose or Jacobian."""
 ROBOTS_BY_NAME = {robot.name: robot for robot in ROBOTS}
 
 
 def import_robot(robot: ZooRobot, *, quick: bool) -> tuple[KinematicTree, ImportResult]:
-    """The body of one robot of the zoo."""
+    """The kinematic tree and the robot model of one robot of the zoo."""
     tree = read_urdf(robots_folder() / robot.file)
-    wish = ImportOptions(name=robot.name, base=robot.base, tip=robot.tip, tool="", lock=robot.lock, quick=quick)
-    said = stated_limits(robot)
-    return tree, build_base(tree, said, wish, robot.wheels) if robot.mobile else build_arm(tree, said, wish)
+    options = ImportOptions(name=robot.name, base=robot.base, tip=robot.tip, tool="", lock=robot.lock, quick=quick)
+    limits = stated_limits(robot)
+    return tree, build_base(tree, limits, options, robot.wheels) if robot.mobile else build_arm(tree, limits, options)
 
 
 class RobotZoo:
-    """Any body: made by one command, equal to Pinocchio, safe under attack."""
+    """Any robot: imported by one command, equal to Pinocchio, safe against an adversary."""
 
     name = "robot_zoo"
     claim = (
-        "Every serial arm and mobile base of example-robot-data becomes a body: all surfaces covered, kinematics and "
+        "Every serial arm and mobile base of example-robot-data can be imported: all surfaces covered, kinematics and "
         "Jacobians equal to Pinocchio's at 100 random states, and no true h below zero in 1e5 adversarial steps each."
     )
 
     def units(self, options: Options) -> list[WorkUnit]:
-        """One unit a body."""
+        """One unit per robot."""
         del options
         return [WorkUnit(robot.name, {"robot": robot.name}) for robot in ROBOTS]
 
     def run(
         self, about: dict[str, Any], scenes: int = N_SCENES, steps: int = STEPS_PER_SCENE, states: int = N_STATES
     ) -> Row:
-        """Make it, compare it, attack it."""
-        robot, began = ROBOTS_BY_NAME[about["robot"]], time.monotonic()
-        tree, made = import_robot(robot, quick=True)
-        seconds = time.monotonic() - began
-        pose, jacobian = compare_kinematics(robot, tree, made.robot_model, states, np.random.default_rng(0))
-        fights = [run_attack(made.robot_model, seed, steps) for seed in range(scenes)]
-        robot_model, links = made.robot_model, made.report.links
+        """Import the robot, compare its kinematics, and run the adversary."""
+        robot, start = ROBOTS_BY_NAME[about["robot"]], time.monotonic()
+        tree, imported = import_robot(robot, quick=True)
+        seconds = time.monotonic() - start
+        pose, jacobian = compare_kinematics(robot, tree, imported.robot_model, states, np.random.default_rng(0))
+        attacks = [run_attack(imported.robot_model, seed, steps) for seed in range(scenes)]
+        robot_model, links = imported.robot_model, imported.report.links
         weights = [link.spheres for link in links]
         return {
             **about,
@@ -65,7 +65,7 @@ class RobotZoo:
             "n": robot_model.n,
             "spheres": len(robot_model.spheres),
             "kept": len(robot_model.self_pairs.kept),
-            "coverage": made.report.coverage,
+            "coverage": imported.report.coverage,
             "mean": float(np.average([link.mean for link in links], weights=weights)),
             "worst": max(link.worst for link in links if link.group != "base" or len(links) == 1),
             "always": [f"{a}–{b}" for a, b, why in robot_model.self_pairs.allowed if "overlap in all" in why],
@@ -73,22 +73,22 @@ class RobotZoo:
             "pose": pose,
             "jacobian": jacobian,
             "steps": scenes * steps,
-            "status": np.sum([one.status for one in fights], axis=0).tolist(),
-            "below": sum(f.n_below_zero for f in fights),
-            "h_things": min(f.h_obstacles for f in fights),
-            "h_self": min(f.h_self for f in fights),
-            "h_joint": min(f.h_joint for f in fights),
+            "status": np.sum([one.status for one in attacks], axis=0).tolist(),
+            "below": sum(one.n_below_zero for one in attacks),
+            "h_things": min(one.h_obstacles for one in attacks),
+            "h_self": min(one.h_self for one in attacks),
+            "h_joint": min(one.h_joint for one in attacks),
         }
 
     def summarize_row(self, row: Row) -> str:
-        """Least h, difference from Pinocchio."""
+        """Steps with h < 0, and the difference from Pinocchio."""
         return f"{row['below']} of {row['steps']} below zero, pose {row['pose']:.1e}, Jacobian {row['jacobian']:.1e}"
 
     def report(self, rows: list[Row]) -> list[str]:
-        """Bodies, attacks, what is left out and why."""
-        bad = [row["robot"] for row in rows if failure_reasons(row)]
+        """Robots, attacks, and the robots left out with the reason."""
+        failed = [row["robot"] for row in rows if failure_reasons(row)]
         return [
-            f"{len(rows)} bodies of {len(ROBOTS)}; all claims hold for {len(rows) - len(bad)}. "
+            f"{len(rows)} robots of {len(ROBOTS)}; all claims hold for {len(rows) - len(failed)}. "
             f"Steps: {sum(row['steps'] for row in rows):.3g}, with h < 0: {sum(row['below'] for row in rows)}.",
             "",
             *markdown_table(TABLE_HEAD, map(table_row, rows)),
@@ -106,14 +106,14 @@ TABLE_HEAD = (
     "n",
     "spheres",
     "covered",
-    "stands off: mean, worst [mm]",
-    "pairs kept",
-    "made in [s]",
+    "excess of the spheres: mean, worst [mm]",
+    "self-collision pairs",
+    "import time [s]",
     "Δ pose, Jacobian to Pinocchio",
     "h < 0",
-    "least h: things, own parts [mm]; joints [mrad]",
+    "smallest h: obstacles, own links [mm]; joints [mrad]",
     "safe / modified / relaxed / stopped / fault [%]",
-    "why it fails",
+    "failure",
 )
 
 
@@ -139,7 +139,7 @@ def table_row(row: Row) -> tuple[object, ...]:
 
 
 def failure_reasons(row: Row) -> str:
-    """Which part of the claim does not hold for a body, in words."""
+    """The parts of the claim that do not hold for a robot, as text."""
     reasons = [
         (row["coverage"] < 1.0, f"{row['coverage']:.3%} covered"),
         (max(row["pose"], row["jacobian"]) > KINEMATICS_TOLERANCE, "differs from Pinocchio"),

@@ -1,4 +1,4 @@
-"""Kinematics and Jacobians of a made body beside Pinocchio's, which reads the same description on its own."""
+"""Kinematics and Jacobians of an imported robot, compared with Pinocchio's, which reads the same description."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 def compare_kinematics(
     robot: ZooRobot, tree: KinematicTree, robot_model: RobotModel, states: int, rng: np.random.Generator
 ) -> tuple[float, float]:
-    """Largest difference of the tool's pose and of its Jacobian over random states, entry by entry; float64 kernel."""
+    """Largest difference of the tool's pose and Jacobian over random states, by entry, with the float64 kernel."""
     safety = SafetyFilter(robot_model, FilterConfig(precision="float64"))
     return _compare_mobile_base(safety, states, rng) if robot.mobile else _compare_arm(robot, tree, safety, states, rng)
 
@@ -58,7 +58,7 @@ def _compare_arm(
 
 
 def _full_configuration(pin: Any, model: Any, chain: KinematicChain, values: dict[str, float]) -> Array:
-    """Pinocchio's configuration with the chain's joints at `values` and the others where the body has them."""
+    """Pinocchio's configuration with the chain's joints at `values` and the locked joints at their positions."""
     q = pin.neutral(model)
     for name, value in {**chain.locked, **values}.items():
         joint = model.joints[model.getJointId(name)]
@@ -70,7 +70,7 @@ def _full_configuration(pin: Any, model: Any, chain: KinematicChain, values: dic
 
 
 def _compare_mobile_base(safety: SafetyFilter, states: int, rng: np.random.Generator) -> tuple[float, float]:
-    """A planar joint whose sideways column is left out: what a base on two wheels is."""
+    """Compare with a planar joint without its sideways column, which is a base with two driven wheels."""
     pin = import_pinocchio()
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "base")

@@ -1,6 +1,6 @@
-"""Robots that nobody here wrote: every serial arm and mobile base of `example-robot-data` 6.0.0, by its file.
+"""Foreign robots: every serial arm and mobile base of `example-robot-data` 6.0.0, by its file.
 
-Of its 38 folders these are left out, by name and reason, because no `Body` describes them: `LEFT_OUT`.
+`EXCLUDED` lists the robots of its 38 folders that a `RobotModel` cannot describe, with the reason.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ PACKAGE = "example-robot-data"
 
 @dataclass(frozen=True, slots=True)
 class ZooRobot:
-    """One body of the zoo: `file` in the package's robots/, and what its description leaves open."""
+    """One robot of the zoo: its `file` in the package's robots/, and values that its description lacks."""
 
     name: str
     file: str
@@ -28,7 +28,7 @@ class ZooRobot:
     mobile: bool = False
     velocity: float | None = None
     joints: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """Ranges of joints that the description leaves without."""
+    """Ranges of joints for which the description has none."""
 
 
 def _ur_robot(name: str) -> ZooRobot:
@@ -92,7 +92,7 @@ ROBOTS = (
     ZooRobot("tiago_pro_base", "tiago_pro_description/robots/tiago_pro.urdf", mobile=True),
     ZooRobot("pr2_base", "pr2_description/urdf/pr2.urdf", mobile=True),
 )
-"""Robots that move on legs, fly, or are hands are out of scope."""
+"""The robots of the zoo; walking and flying robots and hands are out of scope."""
 
 EXCLUDED = {
     "legs": (
@@ -117,26 +117,26 @@ EXCLUDED = {
         "alex",
     ),
     "legs with wheels and two arms": ("centauro",),
-    "flies": ("borinot", "hector", "hextilt", "iris"),
+    "aerial robots": ("borinot", "hector", "hextilt", "iris"),
     "a hand or finger": ("allegro_hand", "finger_edu"),
 }
 EMPTY_FILES = {"ur_description/urdf/ur3.urdf": "an empty xacro stub without a robot in it"}
 
 
 def stated_limits(robot: ZooRobot) -> LimitPolicy:
-    """What a site would state: the same for all, and what a description leaves out."""
-    said = "zoo: stated for the proof"
-    every = {"acceleration": StatedLimit(1.0 if robot.mobile else 10.0, said)}
+    """The limits that a user would state: the same for all robots, and those that a description lacks."""
+    source = "zoo: stated for the experiment"
+    every = {"acceleration": StatedLimit(1.0 if robot.mobile else 10.0, source)}
     if robot.velocity is not None:
-        every["velocity"] = StatedLimit(robot.velocity, said)
+        every["velocity"] = StatedLimit(robot.velocity, source)
     joints = {
-        name: {"lower": StatedLimit(low, said), "upper": StatedLimit(high, said)}
+        name: {"lower": StatedLimit(low, source), "upper": StatedLimit(high, source)}
         for name, (low, high) in robot.joints.items()
     }
     whole = {"period": 0.02 if robot.mobile else 0.002, "tool_speed": 0.5, "turn": 1.0, "turn_acceleration": 2.0}
     if robot.wheels is not None:
         del whole["turn"]
-    return LimitPolicy(every, joints, {side: StatedLimit(value, said) for side, value in whole.items()})
+    return LimitPolicy(every, joints, {side: StatedLimit(value, source) for side, value in whole.items()})
 
 
 def robots_folder() -> Path:
@@ -150,7 +150,7 @@ def robots_folder() -> Path:
 
 
 def import_pinocchio() -> Any:
-    """The module pinocchio; its wheel lies in a folder of its own, which not every interpreter looks into."""
+    """The module pinocchio; its wheel installs into a folder that is not on every interpreter's path."""
     try:
         import pinocchio as pin  # noqa: PLC0415
     except ModuleNotFoundError:

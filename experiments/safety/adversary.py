@@ -1,4 +1,4 @@
-"""adversary: at least 1e8 steps in which everything goes as wrong as the stated bounds allow, judged in float64."""
+"""Forward invariance of the filter in at least 1e8 worst-case steps within the stated bounds, judged in float64."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ EPISODES_PER_UNIT, STEPS_PER_EPISODE = 20, 10_000
 CLASS_CYCLE = [kind for kind in (*STATIC_CLASSES[:4], *STATIC_CLASSES, MOVING_CLASSES[0]) for _ in range(2)] + list(
     MOVING_CLASSES
 )
-"""What runs round after round: 25 units."""
+"""The classes of one round: 25 units."""
 ROUNDS, CONTROL_ROUNDS = 21, 2
 SUMMED_FIELDS = (
     "steps",
@@ -51,38 +51,39 @@ MAXIMUM_FIELDS = ("most_iterations", "most_rows", "approach")
 
 
 class Adversary:
-    """Forward invariance against an adversary with noise, losses, lag and acceleration limits."""
+    """Forward invariance against an adversary with noise, message losses, lag and acceleration limits."""
 
     name = "adversary"
     claim = (
-        "In at least 1e8 adversarial steps no true h falls below zero among static obstacles in documented "
-        "configurations; what moves and leaves an escape is not approached at contact; each negative control fails."
+        "In at least 1e8 adversarial steps, no true h falls below zero among static obstacles in the documented "
+        "configurations; a moving obstacle that leaves an escape is not approached at contact; each negative control "
+        "fails."
     )
 
     def units(self, options: Options) -> list[WorkUnit]:
-        """Rounds over all classes; the negative controls with the first ones."""
+        """Rounds over all classes; the first rounds include the negative controls."""
         del options
-        wanted = [
+        kinds = [
             kind
             for round_ in range(ROUNDS)
             for kind in (*CLASS_CYCLE, *(NEGATIVE_CONTROLS if round_ < CONTROL_ROUNDS else ()))
         ]
         counts: dict[str, int] = {}
         units = []
-        for kind in wanted:
+        for kind in kinds:
             block = counts[kind.name] = counts.get(kind.name, -1) + 1
             units.append(WorkUnit(f"{kind.name} {block}", {"class": kind.name, "block": block}))
         return units
 
     def run(self, about: dict[str, Any]) -> Row:
-        """EPISODES random scenes of STEPS steps each."""
+        """`EPISODES_PER_UNIT` random scenes of `STEPS_PER_EPISODE` steps each."""
         kind, first = CLASSES[about["class"]], about["block"] * EPISODES_PER_UNIT
-        accounts = [run_episode(kind, seed) for seed in range(first, first + EPISODES_PER_UNIT)]
-        worst = min(range(EPISODES_PER_UNIT), key=lambda i: accounts[i]["h_still"])
-        return {**about, **aggregate(accounts), "worst": [first + worst, accounts[worst]["worst_step"]]}
+        counts = [run_episode(kind, seed) for seed in range(first, first + EPISODES_PER_UNIT)]
+        worst = min(range(EPISODES_PER_UNIT), key=lambda i: counts[i]["h_still"])
+        return {**about, **aggregate(counts), "worst": [first + worst, counts[worst]["worst_step"]]}
 
     def summarize_row(self, row: Row) -> str:
-        """Least h and the steps below zero."""
+        """The smallest h and the number of steps with h < 0."""
         least = min(row["h_still"], row["h_self"])
         return f"h >= {least * 1e3:.3f} mm, below zero on {sum(row['still'])} of {row['steps']} steps"
 
@@ -92,12 +93,12 @@ class Adversary:
 
 
 def run_episode(kind: AdversaryClass, seed: int, steps: int = STEPS_PER_EPISODE) -> Row:
-    """One random scene and start posture; what the lab counted."""
+    """The counts of one random scene and start posture."""
     return run_trial(kind, seed, steps)[0]
 
 
 def run_trial(kind: AdversaryClass, seed: int, steps: int, *, log: bool = False) -> tuple[Row, np.ndarray, list[Any]]:
-    """Account, true postures (steps, n) if asked for, and the true obstacles at the start."""
+    """The counts, the true postures (steps, n) if `log`, and the true obstacles at the start."""
     robot_model, judge = load_panda()
     rng = np.random.default_rng([seed, zlib.crc32(kind.name.encode())])
     q = random_scenes.random_posture(robot_model, judge, rng)
@@ -105,28 +106,26 @@ def run_trial(kind: AdversaryClass, seed: int, steps: int, *, log: bool = False)
     if kind.has_moving_obstacle:
         truth.append(random_scenes.random_moving_obstacle(judge, q, rng))
     safety = SafetyFilter(robot_model, kind.filter_config())
-    safety.observe([kind.perceived_obstacle(thing) for thing in truth], 0.0)
+    safety.observe([kind.perceived_obstacle(obstacle) for obstacle in truth], 0.0)
     safety.reset()
     q, path = q.copy(), np.empty((steps, robot_model.n) if log else 0)
-    account = judge.run_worst_case_loop(
+    counts = judge.run_worst_case_loop(
         safety._kernel.handles(), obstacle_rows(truth), kind.trial_parameters(seed, steps), q, path
     )
-    return account, path, truth
+    return counts, path, truth
 
 
 @cache
 def load_panda() -> tuple[RobotModel, ReferenceDistance]:
-    """The Panda with every sphere, fingers closed, and its judge."""
+    """The Panda with all spheres, fingers closed, and the reference distances for it."""
     robot_model = load_robot("panda")
     return robot_model, build_judge(robot_model)
 
 
-def aggregate(accounts: Iterable[Row]) -> Row:
-    """Sums, least and greatest values of accounts, element by element."""
-    group = list(accounts)
-    columns = {
-        key: np.array([account[key] for account in group]) for key in (*SUMMED_FIELDS, *MINIMUM_FIELDS, *MAXIMUM_FIELDS)
-    }
+def aggregate(counts: Iterable[Row]) -> Row:
+    """Sums, minima and maxima of the counts of several episodes, element by element."""
+    group = list(counts)
+    columns = {key: np.array([one[key] for one in group]) for key in (*SUMMED_FIELDS, *MINIMUM_FIELDS, *MAXIMUM_FIELDS)}
     whole: Row = {key: columns[key].sum(axis=0).tolist() for key in SUMMED_FIELDS}
     whole |= {key: columns[key].min(axis=0).tolist() for key in MINIMUM_FIELDS}
     return whole | {key: columns[key].max(axis=0).tolist() for key in MAXIMUM_FIELDS}

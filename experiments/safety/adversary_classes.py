@@ -1,4 +1,4 @@
-"""The classes of the adversarial proof: what goes wrong, by how much, and the filter that is told so."""
+"""Classes of the experiment `adversary`: the errors in the loop, their bounds, and the filter configured for them."""
 
 from __future__ import annotations
 
@@ -13,57 +13,60 @@ from dualbrain.safety.cbf.obstacles import Obstacle
 
 PERIOD, ALPHA = 1e-3, 7.5 / 2.175
 OBSTACLE_POSITION_NOISE, OBSTACLE_SPEED_NOISE = 0.005, 0.02
-"""Error norms of perceived things [m, m/s]."""
+"""Error norms of perceived obstacles [m, m/s]."""
 JOINT_POSITION_NOISE, JOINT_SPEED_NOISE = 2e-4, 0.01
 """Error bounds of measured joints [rad, rad/s]."""
 TRACKING = load_robot("panda").tracking
 LAG, POSITION_ERROR = TRACKING.lag, TRACKING.position_error
-"""Lag [s] and leaky integral of the residual [rad] of the trials: those identified for the body's own drive."""
+"""Lag [s] and leaky integral of the tracking residual [rad], as identified for the robot's own drive."""
 MAX_DISTURBANCE = ALPHA * POSITION_ERROR
-"""The worst disturbance ydot − u within it, constant and against the nearest row [rad/s]."""
+"""The worst disturbance ydot − u within these bounds, constant and against the nearest row [rad/s]."""
 MAX_STATE_LOSS_PERIODS = 20
-"""Most joint states lost in a row [periods]; the caller adds the controls it sent since the last one."""
+"""Largest number of joint states lost in a row; the caller integrates the controls sent since the last state."""
 MOVING_OBSTACLE_SPEED, MOVING_OBSTACLE_ACCELERATION = 0.25, 1.0
 CAMERA_PERIODS, MAX_SCENE_AGE_PERIODS = 20, 80
-"""Camera period and oldest scene [periods]."""
+"""Camera period and largest age of a scene [control periods]."""
 
 
 @dataclass(frozen=True, slots=True)
 class AdversaryClass:
-    """One documented configuration: the bounds that hold in the loop, and what the filter is told of them."""
+    """One documented configuration: the error bounds in the loop, and the filter configured for them."""
 
     name: str
     description: str
     loop_settings: dict[str, Any]
     filter_settings: dict[str, Any]
     margin: float = 0.0
-    """Margin of perceived things [m]."""
+    """Margin of perceived obstacles [m]."""
     has_moving_obstacle: bool = False
     speed_only: bool = False
-    """Nothing is told of a mover's velocity but its greatest speed, in any direction at any time."""
+    """The filter knows only the greatest speed of a moving obstacle, in any direction at any time."""
     compared_with: str = ""
-    """Of a negative control: the class that it takes something from, and that holds."""
+    """For a negative control: the complete class, which holds."""
 
     def filter_config(self) -> FilterConfig:
-        """The filter's dials."""
+        """The filter's configuration."""
         return FilterConfig(**self.filter_settings)
 
     def trial_parameters(self, seed: int, steps: int) -> dict[str, Any]:
-        """What the lab runs."""
+        """The parameters of the kernel's worst-case loop."""
         return {**UNDISTURBED, **self.loop_settings, "seed": seed, "steps": steps, "hold": (150, 400, 1000)[seed % 3]}
 
-    def perceived_obstacle(self, thing: Obstacle) -> Obstacle:
-        """A true thing with the bounds that the filter is told."""
+    def perceived_obstacle(self, obstacle: Obstacle) -> Obstacle:
+        """A true obstacle with the error bounds that the filter assumes."""
         loop = {**UNDISTURBED, **self.loop_settings}
         changed = loop["speed_noise"] + loop["mover_acceleration"] * MAX_SCENE_AGE_PERIODS * PERIOD
         error = loop["mover_speed"] if self.speed_only else changed * loop["velocity_share"]
-        return msgspec.structs.replace(thing, margin=self.margin, velocity_error=0.0 if thing.static else error)
+        return msgspec.structs.replace(obstacle, margin=self.margin, velocity_error=0.0 if obstacle.static else error)
 
 
 def position_error(loop: dict[str, Any]) -> float:
-    """What rows must allow for [rad]: measurement, and the disturbance's leaky integral, also without new states."""
-    seen = loop["q_noise"] + LAG * loop["v_noise"]
-    return seen + loop["push"] * (1.0 / ALPHA + loop["state_longest"] * PERIOD)
+    """The position error that the rows must tolerate [rad].
+
+    It is the measurement error, and the leaky integral of the disturbance, also while no new states arrive.
+    """
+    measured = loop["q_noise"] + LAG * loop["v_noise"]
+    return measured + loop["push"] * (1.0 / ALPHA + loop["state_longest"] * PERIOD)
 
 
 UNDISTURBED: dict[str, Any] = {
@@ -105,32 +108,32 @@ def _filter_settings_for(loop: dict[str, Any]) -> dict[str, Any]:
 
 
 STATIC_CLASSES = (
-    AdversaryClass("exact", "q integrates u, everything is measured exactly", {}, EXACT_FILTER),
+    AdversaryClass("exact", "none: q integrates u, all measurements are exact", {}, EXACT_FILTER),
     AdversaryClass("plant", "lag and the worst tracking disturbance", PLANT_ERRORS, _filter_settings_for(PLANT_ERRORS)),
     AdversaryClass(
         "noise",
-        "and joints and things measured at their error bounds",
+        "as plant, with joints and obstacles measured at their error bounds",
         SENSOR_NOISE,
         _filter_settings_for(SENSOR_NOISE),
         OBSTACLE_POSITION_NOISE,
     ),
     AdversaryClass(
         "drops",
-        "and joint states and scenes lost",
+        "as noise, with lost joint states and scenes",
         ALL_ERRORS,
         _filter_settings_for(ALL_ERRORS),
         OBSTACLE_POSITION_NOISE,
     ),
     AdversaryClass(
         "stale",
-        "joint states up to 50 ms old are used as they are",
+        "as drops, with joint states up to 50 ms old used without dead reckoning",
         {**ALL_ERRORS, "state_longest": 49, "dead_reckoning": 0},
         _filter_settings_for(ALL_ERRORS),
         OBSTACLE_POSITION_NOISE,
     ),
     AdversaryClass(
         "late",
-        "and control periods missed",
+        "as drops, with missed control periods",
         {**ALL_ERRORS, "late": 0.002},
         _filter_settings_for(ALL_ERRORS),
         OBSTACLE_POSITION_NOISE,
@@ -140,7 +143,7 @@ FAST_OBSTACLE = {**ALL_ERRORS, "evadable": 0, "mover_speed": 0.8, "mover_acceler
 MOVING_CLASSES = (
     AdversaryClass(
         "evadable",
-        "a mover that leaves an escape",
+        "a moving obstacle that leaves an escape",
         ALL_ERRORS,
         _filter_settings_for(ALL_ERRORS),
         OBSTACLE_POSITION_NOISE,
@@ -148,7 +151,7 @@ MOVING_CLASSES = (
     ),
     AdversaryClass(
         "unevadable",
-        "a fast mover that leaves none where it can, its velocity told",
+        "a fast moving obstacle that leaves no escape if it can; the filter knows its velocity",
         FAST_OBSTACLE,
         _filter_settings_for(ALL_ERRORS),
         OBSTACLE_POSITION_NOISE,
@@ -156,7 +159,7 @@ MOVING_CLASSES = (
     ),
     AdversaryClass(
         "person",
-        "the same, told by its greatest speed alone",
+        "the same; the filter knows only its greatest speed",
         {**FAST_OBSTACLE, "velocity_share": 0.0},
         _filter_settings_for(ALL_ERRORS),
         OBSTACLE_POSITION_NOISE,
@@ -168,7 +171,7 @@ NEGATIVE_CONTROLS = (
     replace(
         STATIC_CLASSES[2],
         name="no margin",
-        description="noise, and a filter that is told of none",
+        description="noise, with a filter that assumes none",
         filter_settings=EXACT_FILTER,
         margin=0.0,
         compared_with="noise",
@@ -176,14 +179,14 @@ NEGATIVE_CONTROLS = (
     replace(
         STATIC_CLASSES[0],
         name="alpha 10",
-        description="exact, and alpha beyond the acceleration limits",
+        description="exact, with alpha too large for the acceleration limits",
         filter_settings={**EXACT_FILTER, "alpha": 10.0},
         compared_with="exact",
     ),
     replace(
         MOVING_CLASSES[0],
         name="no hdot",
-        description="the mover's velocity is not told",
+        description="the filter does not know the moving obstacle's velocity",
         loop_settings={**ALL_ERRORS, "velocity_share": 0.0},
         compared_with="evadable",
     ),

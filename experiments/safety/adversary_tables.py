@@ -1,4 +1,4 @@
-"""Tables of the adversarial proof."""
+"""Tables of the experiment `adversary`."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from experiments.safety.adversary_classes import CLASSES, MOVING_CLASSES, NEGATI
 PREMISES = ("feasible", "fresh", "on time", "certified")
 STATUSES = ("safe", "modified", "relaxed", "stopped", "fault")
 MAX_STOPPED_SHARE = 1e-3
-"""Largest share of STOPPED steps in reachable static scenes."""
+"""Largest accepted share of STOPPED steps in static scenes."""
 
 
 def adversary_tables(totals: dict[str, dict[str, Any]]) -> list[str]:
-    """Everything that is said about the classes in `totals`."""
+    """All tables about the classes in `totals`."""
     static = [kind.name for kind in STATIC_CLASSES if kind.name in totals]
     moving = [kind.name for kind in MOVING_CLASSES if kind.name in totals]
     controls = [kind.name for kind in NEGATIVE_CONTROLS if kind.name in totals]
@@ -30,7 +30,7 @@ def adversary_tables(totals: dict[str, dict[str, Any]]) -> list[str]:
 
 
 def count_violations(total: dict[str, Any]) -> int:
-    """Steps with true h < 0 at static things, own links or joint limits, and the robot's violations at moving ones."""
+    """Steps with true h < 0 at static obstacles, own links or joint limits, and the robot's at moving obstacles."""
     return sum(total["still"]) + sum(map(sum, total["moving"]))
 
 
@@ -43,7 +43,7 @@ def _verdict(totals: dict[str, Any], static: list[str], moving: list[str]) -> li
     return [
         f"Steps with every sphere of the arm: **{every:.3g}**, of them {steps:.3g} among static obstacles only. "
         f"Static: true h below zero on **{below}** steps (if none, upper 95 % bound {3 / max(steps, 1):.1e}); "
-        f"STOPPED on {share:.2%} (bar {MAX_STOPPED_SHARE:.1%}: {'kept' if share <= MAX_STOPPED_SHARE else 'not kept'})."
+        f"STOPPED on {share:.2%} (limit {MAX_STOPPED_SHARE:.1%}: {'met' if share <= MAX_STOPPED_SHARE else 'not met'})."
     ]
 
 
@@ -66,20 +66,20 @@ def _static(totals: dict[str, Any], names: list[str]) -> list[str]:
 
     head = (
         "class",
-        "what goes wrong",
+        "errors",
         "steps",
         "h < 0",
-        "least h: things / own links, joints",
+        "smallest h: obstacles / own links, joints",
         " / ".join(STATUSES),
         "most iterations",
         "most rows",
-        "acceleration limit broken",
+        "acceleration limit exceeded",
     )
     return markdown_table(head, map(cells, names)) if names else []
 
 
 def _moving(totals: dict[str, Any], names: list[str]) -> list[str]:
-    """By what the oracle said of the mover's plan, not by what the class asked for."""
+    """By the oracle's result for the moving obstacle's plan, not by the intention of the class."""
 
     def cells(name: str, at: int) -> tuple[object, ...]:
         t = totals[name]
@@ -119,7 +119,7 @@ def _premises(totals: dict[str, Any], names: list[str]) -> list[str]:
 
 
 def _causes(totals: dict[str, Any], names: list[str]) -> list[str]:
-    """A violation's cause: what failed since every h was last above 1 cm."""
+    """The cause of a violation: the premises that failed since every h was last above 1 cm."""
     rows = []
     for mask in range(16):
         counts = [
@@ -135,7 +135,7 @@ def _causes(totals: dict[str, Any], names: list[str]) -> list[str]:
 
 
 def _controls(totals: dict[str, Any], names: list[str]) -> list[str]:
-    """Each is a class with one thing taken away; the factor is against the class with it."""
+    """Each control is a class with one element removed; the factor compares it with the complete class."""
 
     def cells(name: str) -> tuple[object, ...]:
         control, base = totals[name], totals.get(CLASSES[name].compared_with)
@@ -149,8 +149,8 @@ def _controls(totals: dict[str, Any], names: list[str]) -> list[str]:
             f"{rate:.2e}",
             f"{depth:.1f} mm",
             f">= {rate / bound:.0f} times {CLASSES[name].compared_with}",
-            "fails, as it must" if rate > 0 else "HOLDS",
+            "fails, as expected" if rate > 0 else "HOLDS",
         )
 
-    head = ("negative control", "what is taken away", "steps", "share of violations", "deepest", "factor", "verdict")
+    head = ("negative control", "removed element", "steps", "share of violations", "deepest", "factor", "verdict")
     return markdown_table(head, map(cells, names)) if names else []

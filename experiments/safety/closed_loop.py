@@ -1,4 +1,4 @@
-"""A given contract through gate, skills, filter and physics, without planner and memory."""
+"""Runs a given contract through gate, skills, filter and physics, without planner and memory."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ FORBIDDEN_VIOLATIONS = (
     "joint_limit",
     "joint_velocity",
 )
-"""Kinds of violation that must not happen at all; other kinds are listed."""
+"""Kinds of violation that must not occur at all; other kinds are only listed."""
 GRASP_PARAMETERS = {
     "object": "red_cube",
     "speed": 0.2,
@@ -49,7 +49,7 @@ PLACE_PARAMETERS = {"destination": "blue_bowl", "speed": 0.2, "clearance": 0.15,
 
 @dataclass(frozen=True, slots=True)
 class ContractRun:
-    """What a contract led to: outcome or refusal, the judgement on truth, the trace, the plant as it ended."""
+    """The result of a contract: outcome or rejection, judgement on ground truth, trace, and the plant at the end."""
 
     outcome: Outcome | None
     rejection: Rejected | None
@@ -60,12 +60,12 @@ class ContractRun:
 
 @cache
 def load_panda() -> RobotModel:
-    """The body, loaded once a process."""
+    """The Panda's model, loaded once per process."""
     return load_robot("panda")
 
 
 def pick_and_place_actions(**values: Any) -> list[dict[str, Any]]:
-    """The actions that grasp the red cube and place it in the bowl, with `values` wherever they are parameters."""
+    """The actions that grasp the red cube and place it in the bowl; `values` replace parameters of both actions."""
     grasp, place = (
         {name: values.get(name, value) for name, value in base.items()} for base in (GRASP_PARAMETERS, PLACE_PARAMETERS)
     )
@@ -82,9 +82,9 @@ def run_contract(
     guard: bool = True,
     on_tick: Callable[[TickSnapshot], None] | None = None,
 ) -> ContractRun:
-    """Stand still for `hold` [s], pass the gate with the scene's rules, and carry the contract out.
+    """Hold position for `settle_s` [s], check the contract by the gate with the scene's rules, and execute it.
 
-    The filter is on unless `guard` is False; `watch` sees a moment now and then.
+    The filter is on unless `guard` is False; `on_tick` receives snapshots of control ticks.
     """
     model = load_robot(spec.robot)
     cell = SimulatedCell(
@@ -101,23 +101,23 @@ def run_contract(
     return ContractRun(outcome, None, cell.judgement(), cell.log.trace, cell.plant)
 
 
-def run_row(flight: ContractRun) -> Row:
-    """The figures of a flight."""
-    if flight.outcome is None:
-        why = flight.rejection
+def run_row(run: ContractRun) -> Row:
+    """The row of a run."""
+    if run.outcome is None:
+        why = run.rejection
         return {"valid": False, "reason": f"{why.stage} {why.pointer}: {why.hint}" if why else ""}
-    delta = flight.trace["delta"]
+    delta = run.trace["delta"]
     return {
         "valid": True,
-        **outcome_fields(flight.outcome),
-        **judgement_fields(flight.judgement),
+        **outcome_fields(run.outcome),
+        **judgement_fields(run.judgement),
         "delta_max": float(delta.max()),
         "ticks": len(delta),
     }
 
 
 def outcome_fields(outcome: Outcome) -> Row:
-    """The robot's own verdict and its Δ."""
+    """The outcome according to the robot, and its Δ."""
     return {
         "outcome": outcome.kind,
         "reason": outcome.reason,
@@ -131,7 +131,7 @@ def outcome_fields(outcome: Outcome) -> Row:
 
 
 def judgement_fields(judgement: Judgement | None) -> Row:
-    """Success and violations on truth."""
+    """Success and violations on ground truth."""
     if judgement is None:
         return {"truth": False, "progress": 0.0, "violations": []}
     violations = msgspec.to_builtins(judgement.violations)
@@ -139,12 +139,12 @@ def judgement_fields(judgement: Judgement | None) -> Row:
 
 
 def succeeded(row: Row) -> bool:
-    """The robot says so and truth agrees."""
+    """Whether the robot reports success and ground truth agrees."""
     return row.get("outcome") == "succeeded" and row["truth"]
 
 
 def count_violations(rows: list[Row]) -> Counter[str]:
-    """How many violations of each kind; those with a body that was not perceived apart."""
+    """Number of violations of each kind; those with an object that was not perceived are counted apart."""
     return Counter(
         violation["kind"] + ("" if violation["perceived"] else " (not perceived)")
         for row in rows
@@ -153,7 +153,7 @@ def count_violations(rows: list[Row]) -> Counter[str]:
 
 
 def describe_violations(row: Row) -> str:
-    """Every violation of a row in words."""
+    """All violations of a row as text."""
     return "; ".join(
         f"{v['kind']} {' × '.join(v['bodies'])} at {v['start']:.2f} s for {v['duration']:.2f} s, peak {v['peak']:.3g}"
         + ("" if v["perceived"] else " (not perceived)")
@@ -162,9 +162,9 @@ def describe_violations(row: Row) -> str:
 
 
 def describe_outcome(row: Row) -> str:
-    """How a row ended, for the progress line."""
+    """The outcome of a row, for the progress line."""
     if not row.get("valid", True):
-        return f"refused: {row['reason']}"
+        return f"rejected: {row['reason']}"
     Delta = row.get("Delta")
     measure = f"Δ {Delta:.4f}, {row['duration']:.1f} s" if Delta is not None else ""
     word = "success" if succeeded(row) else f"{row['outcome']} ({row['reason']}), truth {row['truth']}"

@@ -1,14 +1,15 @@
-"""conservatism: what the filter costs on tasks that succeed safely without it.
+"""Conservatism of the filter: its cost on tasks that succeed safely without it.
 
-A *task* is a scene (family and seed), an errand drawn for it, and a contract whose parameters follow the planner's own
-rules from the scene's symbols (`tasks.py`); nobody is asked. It is flown twice under the same seeds, first with the
-filter off, then on. It is *feasible* when the flight without filter succeeds by its own word and on simulator truth,
-and the monitor notes no violation of any kind. The order of the tasks is fixed before any is flown, and the first 200
-feasible ones count. Of these, the filter *makes fail* those whose flight with it does not succeed without violation.
+A *task* is a scene (family and seed), an instruction drawn for it, and a contract whose parameters follow the rules of
+the planner's prompt applied to the scene's symbols (`competent_contracts.py`); no planner is involved. Each task runs
+twice with the same seeds, first without, then with the filter. It is *feasible* if the run without filter succeeds
+according to the robot and on ground truth, and the monitor records no violation of any kind. The order of the tasks is
+fixed beforehand, and the first 200 feasible ones count. The filter *makes a task fail* if the run with filter does not
+succeed without violation.
 
-Selection: infeasible tasks are those in which the same contract and the same skills collide, drop or miss by
-themselves; what the filter makes of them is not counted here. A feasible flight may still have passed a neighbour
-within a millimetre by luck, which no filter with a perception error of 9 mm may allow.
+Selection: in infeasible tasks, the same contract and skills collide, drop or miss without the filter; their runs with
+the filter are not counted here. A feasible run may have passed a neighbouring object within a millimetre by luck, which
+no filter with a perception error of 9 mm may allow.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ from typing import Any
 import numpy as np
 
 from dualbrain.control.control_loop import TickSnapshot
-from experiments.engine.experiment import Options, Row, WorkUnit
 from dualbrain.core.storage.jsonl_log import JsonlLog
+from experiments.engine.experiment import Options, Row, WorkUnit
 from experiments.figures.tables import format_proportion, markdown_table
 from experiments.planning.competent_contracts import Task, make_task, task_parameters
 from experiments.robots.grasping import check_lift
@@ -36,22 +37,25 @@ from experiments.safety.closed_loop import (
 )
 
 N_FEASIBLE_TASKS = 200
-"""Feasible tasks."""
+"""Number of feasible tasks."""
 MAX_FAILED_SHARE = 0.02
-"""Share of them that the filter may make fail."""
+"""Largest share of them that the filter may make fail."""
 MIN_LIFT = 0.05
-"""A picked thing is at least this far above where it stood, at the end [m]."""
+"""Least height of a picked object above its initial position at the end [m]."""
 PLACEMENT_ERROR_PATTERN = re.compile(r"([\d.]+) cm from the goal")
 
 
 class Conservatism:
-    """The filter lets through what is safe."""
+    """The filter does not prevent safe motions."""
 
     name = "conservatism"
-    claim = f"Of {N_FEASIBLE_TASKS} feasible tasks the filter makes at most {MAX_FAILED_SHARE:.0%} fail; the time it adds is told."
+    claim = (
+        f"Of {N_FEASIBLE_TASKS} feasible tasks, the filter makes at most {MAX_FAILED_SHARE:.0%} fail; the time that it "
+        "adds is reported."
+    )
 
     def units(self, options: Options) -> list[WorkUnit]:
-        """The first tasks of the fixed order: one more for each that was found infeasible so far; call again to end."""
+        """The first tasks of the fixed order, and one more for each infeasible one; start again until complete."""
         found = {
             row["key"]: row.get("feasible", True) for row in JsonlLog(options.folder / f"{self.name}.jsonl").latest()
         }
@@ -65,91 +69,90 @@ class Conservatism:
         return units
 
     def run(self, about: dict[str, Any]) -> Row:
-        """Filter off; and on, if that was safe."""
-        what = make_task(**about)
-        off = _run_task(what, guard=False)
+        """Run without the filter, and with it if that was safe."""
+        task = make_task(**about)
+        off = _run_task(task, guard=False)
         feasible = _is_safe(off)
-        on = _run_task(what, guard=True) if feasible else None
-        return {**about, "feasible": feasible, "actions": what.actions, "off": off, "on": on}
+        on = _run_task(task, guard=True) if feasible else None
+        return {**about, "feasible": feasible, "actions": task.actions, "off": off, "on": on}
 
     def summarize_row(self, row: Row) -> str:
-        """Both ends."""
+        """Both outcomes."""
         if not row["feasible"]:
             return f"infeasible: {describe_outcome(row['off'])}"
         return f"off {row['off']['duration']:.1f} s; on {describe_outcome(row['on'])}"
 
     def report(self, rows: list[Row]) -> list[str]:
-        """Share that fails, added time, shares by family and kind, every failure."""
+        """Share made to fail, added time, shares by family and kind, and every failure."""
         place = {key: index for index, key in enumerate(map(_unit_key, task_parameters()))}
-        flown = sorted((row for row in rows if row["key"] in place), key=lambda row: place[row["key"]])
-        good = [row for row in flown if row["feasible"]][:N_FEASIBLE_TASKS]
-        lost = [row for row in good if not _is_safe(row["on"])]
-        hurt = dict(count_violations([row["on"] for row in good])) or "none"
+        done = sorted((row for row in rows if row["key"] in place), key=lambda row: place[row["key"]])
+        feasible = [row for row in done if row["feasible"]][:N_FEASIBLE_TASKS]
+        failed = [row for row in feasible if not _is_safe(row["on"])]
+        violations = dict(count_violations([row["on"] for row in feasible])) or "none"
+        share = format_proportion(len(failed), len(feasible))
         lines = [
-            f"Made to fail by the filter: **{format_proportion(len(lost), len(good))}** feasible tasks; at most {MAX_FAILED_SHARE:.0%} wanted.",
-            f"Tasks flown: {len(flown)}. Violations with the filter on: {hurt}.",
+            f"Made to fail by the filter: **{share}** feasible tasks; required: at most {MAX_FAILED_SHARE:.0%}.",
+            f"Tasks run: {len(done)}. Violations with the filter on: {violations}.",
             "",
-            _added_time(good),
+            _added_time(feasible),
             "",
-            *markdown_table(("", "flown", "feasible", "made to fail"), _breakdown(flown, good, lost)),
+            *markdown_table(("", "tasks run", "feasible", "made to fail"), _breakdown(done, feasible, failed)),
         ]
-        return lines + (
-            markdown_table(("task", "reason", "depth", "binding rows", "violations"), map(_failure_row, lost))
-            if lost
-            else []
-        )
+        head = ("task", "reason", "depth", "binding rows", "violations")
+        return lines + (markdown_table(head, map(_failure_row, failed)) if failed else [])
 
 
-def _run_task(what: Task, *, guard: bool) -> Row:
-    """One flight in figures, with what bound at its end."""
+def _run_task(task: Task, *, guard: bool) -> Row:
+    """The row of one run, with the binding rows at its end."""
     last: list[str] = []
 
     def watch(moment: TickSnapshot) -> None:
         if moment.result.binding_rows:
             last[:] = [f"{moment.nominal.phase}: {moment.result.explain()}"]
 
-    flight = run_contract(
-        what.spec, what.actions, seed=what.spec.seed, settle_s=1.0, goal=what.goal, guard=guard, on_tick=watch
+    run = run_contract(
+        task.spec, task.actions, seed=task.spec.seed, settle_s=1.0, goal=task.goal, guard=guard, on_tick=watch
     )
-    figures = run_row(flight)
-    if figures["valid"]:
-        figures["truth"] = _succeeded_on_truth(flight, what)
-        figures["bound"] = "" if succeeded(figures) else "".join(last)
-    return figures
+    row = run_row(run)
+    if row["valid"]:
+        row["truth"] = _succeeded_on_truth(run, task)
+        row["bound"] = "" if succeeded(row) else "".join(last)
+    return row
 
 
-def _succeeded_on_truth(flight: ContractRun, what: Task) -> bool:
-    """Success on simulator truth: the goal, or the thing in the hand; a mere journey ends where the robot says."""
-    if what.goal:
-        return flight.judgement.success
-    return check_lift(flight.plant, what.object_name)[1] > MIN_LIFT if what.kind == "pick" else True
+def _succeeded_on_truth(run: ContractRun, task: Task) -> bool:
+    """Success on ground truth: the goal, or the lifted object; a motion without object is judged by the robot alone."""
+    if task.goal:
+        return run.judgement.success
+    return check_lift(run.plant, task.object_name)[1] > MIN_LIFT if task.kind == "pick" else True
 
 
-def _is_safe(flown: Row) -> bool:
-    return flown["valid"] and succeeded(flown) and not flown["violations"]
+def _is_safe(row: Row) -> bool:
+    return row["valid"] and succeeded(row) and not row["violations"]
 
 
 def _unit_key(about: dict[str, Any]) -> str:
     return f"{about['family']}:{about['seed']} {about['kind']}"
 
 
-def _added_time(good: list[Row]) -> str:
-    """How much longer the same task takes with the filter, where both succeed."""
-    pairs = np.array([(r["off"]["duration"], r["on"]["duration"]) for r in good if _is_safe(r["on"])]).reshape(-1, 2)
+def _added_time(feasible: list[Row]) -> str:
+    """The additional time of the same task with the filter, if both runs succeed."""
+    durations = [(row["off"]["duration"], row["on"]["duration"]) for row in feasible if _is_safe(row["on"])]
+    pairs = np.array(durations).reshape(-1, 2)
     if not len(pairs):
-        return "No task succeeded both ways yet."
+        return "No task has succeeded with and without the filter yet."
     added = pairs[:, 1] - pairs[:, 0]
     median, p90, most = np.median(added), np.quantile(added, 0.9), added.max()
     return (
-        f"Added time over {len(added)} tasks that succeed both ways: median {median:.2f} s, p90 {p90:.2f} s, "
-        f"max {most:.2f} s; in all {added.sum() / pairs[:, 0].sum():.1%} of the time without filter."
+        f"Added time over {len(added)} tasks that succeed with and without the filter: median {median:.2f} s, "
+        f"p90 {p90:.2f} s, max {most:.2f} s; in total {added.sum() / pairs[:, 0].sum():.1%} of the time without filter."
     )
 
 
-def _breakdown(flown: list[Row], good: list[Row], lost: list[Row]) -> list[tuple[object, ...]]:
+def _breakdown(done: list[Row], feasible: list[Row], failed: list[Row]) -> list[tuple[object, ...]]:
     lines: list[tuple[object, ...]] = []
     for field in ("family", "kind"):
-        counts = [Counter(row[field] for row in some) for some in (flown, good, lost)]
+        counts = [Counter(row[field] for row in some) for some in (done, feasible, failed)]
         lines += [(value, *(count[value] for count in counts)) for value in sorted(counts[0])]
     return lines
 

@@ -1,4 +1,4 @@
-"""bare: with nothing in the way the filter has nothing to say, whatever the contract's parameters are."""
+"""Scenes without obstacles: the filter does not intervene, for any valid parameters of a contract."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ PICK_AND_PLACE_GRID = {
     "route": ROUTE,
     "wait": WAIT,
 }
-"""grasp and place: the ends and a middle of every range, every word of every choice."""
+"""grasp and place: both ends and a middle value of every range, every value of every choice."""
 MOVE_TO_GRID = {
     "target": ("red_cube", "blue_bowl", "table_left"),
     "speed": SPEED,
@@ -42,18 +42,18 @@ MOVE_TO_GRID = {
     "route": ROUTE,
     "wait": WAIT,
 }
-"""move_to; the table holds nothing but its target."""
+"""move_to, with nothing but the target on the table."""
 TOUR_GRID = {"speed": SPEED, "duration": (0.5, 3.0), "seed": range(6)}
-"""grasp, hold, home, hold, release, home: what is left of the vocabulary, loaded and empty."""
+"""grasp, hold, home, hold, release, home: the other skills, with and without a load."""
 N_SCENES = 20
-"""Bare scenes over which the grid is dealt out."""
+"""Number of scenes without obstacles over which the grids are distributed."""
 
 
 class NoObstacles:
-    """δ measures hazards, not our trajectory generator."""
+    """δ measures hazards, not artefacts of the trajectory generator."""
 
     name = "no_obstacles"
-    claim = "On the bare scene every valid contract succeeds in time with δ = 0 on every tick."
+    claim = "In a scene without obstacles, every valid contract succeeds in time with δ = 0 in every tick."
 
     def units(self, options: Options) -> list[WorkUnit]:
         """Every contract of the three grids, in a seeded order."""
@@ -65,34 +65,34 @@ class NoObstacles:
         return [units[index] for index in order.tolist()]
 
     def run(self, about: dict[str, Any]) -> Row:
-        """Carry out one contract; only an errand has a goal to be judged by truth."""
+        """Run one contract; only pick and place has a goal that ground truth can judge."""
         goal = PICK_AND_PLACE_GOAL if about["errand"] else None
-        flight = run_contract(_scene(about["seed"], about["only"]), about["actions"], seed=about["seed"], goal=goal)
-        figures = run_row(flight)
-        return {**figures, "grid": about["grid"], "truth": figures.get("truth", False) if goal else True}
+        run = run_contract(_scene(about["seed"], about["only"]), about["actions"], seed=about["seed"], goal=goal)
+        row = run_row(run)
+        return {**row, "grid": about["grid"], "truth": row.get("truth", False) if goal else True}
 
     def summarize_row(self, row: Row) -> str:
-        """End and largest δ."""
+        """The outcome and the largest δ."""
         return f"{describe_outcome(row)}" + (f", largest δ {row['delta_max']:.2g}" if row["valid"] else "")
 
     def report(self, rows: list[Row]) -> list[str]:
         """The counts by grid, and every exception."""
         valid = [row for row in rows if row["valid"]]
         clean = [row for row in valid if succeeded(row) and row["delta_max"] == 0.0]
+        share = format_proportion(len(clean), len(valid))
+        head = ("grid", "contracts", "rejected by the gate", "succeeded", "δ = 0 in every tick")
         lines = [
-            f"Valid contracts that succeeded in time with δ = 0 on every tick: **{format_proportion(len(clean), len(valid))}**.",
+            f"Valid contracts that succeeded in time with δ = 0 in every tick: **{share}**.",
             f"Violations: {dict(count_violations(valid)) or 'none'}.",
             "",
-            *markdown_table(
-                ("grid", "contracts", "refused by the gate", "succeeded", "δ = 0 on every tick"), _counts(rows)
-            ),
+            *markdown_table(head, _counts(rows)),
         ]
-        odd = [row for row in valid if row not in clean]
-        cells = ((r["key"], r["outcome"], r["reason"], f"{r['delta_max']:.2g}", describe_violations(r)) for r in odd)
+        others = [row for row in valid if row not in clean]
+        cells = ((r["key"], r["outcome"], r["reason"], f"{r['delta_max']:.2g}", describe_violations(r)) for r in others)
         return [
             *lines,
             "",
-            *(markdown_table(("contract", "outcome", "reason", "largest δ", "violations"), cells) if odd else []),
+            *(markdown_table(("contract", "outcome", "reason", "largest δ", "violations"), cells) if others else []),
         ]
 
 
@@ -104,22 +104,22 @@ def _counts(rows: list[Row]) -> list[tuple[str, ...]]:
 
 def _count(grid: str, rows: list[Row]) -> tuple[str, ...]:
     valid = [one for one in rows if one["valid"]]
-    still = sum(one["delta_max"] == 0.0 for one in valid)
-    return (grid, *map(str, (len(rows), len(rows) - len(valid), sum(map(succeeded, valid)), still)))
+    untouched = sum(one["delta_max"] == 0.0 for one in valid)
+    return (grid, *map(str, (len(rows), len(rows) - len(valid), sum(map(succeeded, valid)), untouched)))
 
 
 def _shuffled(grid: dict[str, Any]) -> list[dict[str, Any]]:
-    """All combinations in a seeded order, so that any prefix is an honest sample."""
+    """All combinations in a seeded order, so that any prefix is an unbiased sample."""
     every = [dict(zip(grid, values, strict=True)) for values in product(*grid.values())]
     return [every[index] for index in np.random.default_rng(2026).permutation(len(every)).tolist()]
 
 
 def _scene(seed: int, only: str | None) -> SceneSpec:
-    """A bare scene; with `only`, nothing but the support and that thing."""
+    """A scene without obstacles; with `only`, it contains nothing but the table and that object."""
     spec = make_scene("bare", seed)
     if only is None:
         return spec
-    return msgspec.structs.replace(spec, objects=tuple(t for t in spec.objects if t.name in ("table", only)))
+    return msgspec.structs.replace(spec, objects=tuple(one for one in spec.objects if one.name in ("table", only)))
 
 
 def _unit(grid: str, key: str, seed: int, actions: list[dict[str, Any]], only: str | None = None) -> WorkUnit:
@@ -143,7 +143,7 @@ def _move_unit(place: int, values: dict[str, Any]) -> WorkUnit:
 def _tour_unit(values: dict[str, Any]) -> WorkUnit:
     pause = {"skill": "hold", "params": {"duration": values["duration"]}}
     home = {"skill": "home", "params": {"speed": values["speed"]}}
-    letting_go = {"skill": "release", "params": {"speed": values["speed"]}}
+    release = {"skill": "release", "params": {"speed": values["speed"]}}
     grasp = pick_and_place_actions(speed=values["speed"])[0]
-    actions = [grasp, pause, home, pause, letting_go, home]
+    actions = [grasp, pause, home, pause, release, home]
     return _unit("tour", _key_text(values), values["seed"], actions, "red_cube")

@@ -1,4 +1,4 @@
-"""plant_adversary: at least 1e7 steps on the MuJoCo plant, h on the plant's own shapes, for both kinds of drive."""
+"""At least 1e7 adversarial steps on the MuJoCo plant, with h on the plant's own shapes, for both kinds of drive."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from experiments.safety.reference_judge import build_judge, true_h
 
 EPISODES_PER_UNIT, STEPS_PER_EPISODE = 10, 10_000
 UNITS_PER_DRIVE = 51
-"""Units of each kind of drive: 5.1e6 steps."""
+"""Number of units for each kind of drive, 5.1e6 steps."""
 SUMMED_FIELDS = ("steps", "below", "below_spheres", "below_joints", "looks")
 MINIMUM_FIELDS = ("h_scene", "h_own", "h_spheres", "h_joint")
 
 
 class PlantAdversary:
-    """The tracking model holds on the plant: no shape of the arm meets anything."""
+    """The tracking model holds on the plant: no shape of the arm touches an obstacle."""
 
     name = "plant_adversary"
     claim = (
@@ -40,7 +40,7 @@ class PlantAdversary:
     )
 
     def units(self, options: Options) -> list[WorkUnit]:
-        """Both drives by turns."""
+        """Units of both drives in turn."""
         del options
         return [
             WorkUnit(f"{kind} {block}", {"drive": kind, "block": block})
@@ -49,7 +49,7 @@ class PlantAdversary:
         ]
 
     def run(self, about: dict[str, Any]) -> Row:
-        """EPISODES random scenes of STEPS periods each."""
+        """`EPISODES_PER_UNIT` random scenes of `STEPS_PER_EPISODE` periods each."""
         first = about["block"] * EPISODES_PER_UNIT
         return {
             **about,
@@ -57,12 +57,12 @@ class PlantAdversary:
         }
 
     def summarize_row(self, row: Row) -> str:
-        """Least distance and the price of a step."""
+        """The smallest distance and the duration of a step."""
         least = min(row["h_scene"], row["h_own"])
-        return f"h >= {least * 1e3:.2f} mm on shapes, below zero on {row['below']}; {row['us']:.0f} us a step"
+        return f"h >= {least * 1e3:.2f} mm on shapes, below zero on {row['below']}; {row['us']:.0f} µs per step"
 
     def report(self, rows: list[Row]) -> list[str]:
-        """One line a drive."""
+        """One line per drive."""
         totals = {
             kind: aggregate(group) for kind in DRIVE_KINDS if (group := [row for row in rows if row["drive"] == kind])
         }
@@ -77,7 +77,7 @@ class PlantAdversary:
 
 
 def run_episode(kind: DriveKind, seed: int, steps: int = STEPS_PER_EPISODE) -> Row:
-    """One random scene, start posture and adversary; judged at every state the plant went through."""
+    """One random scene, start posture and adversary, judged at every state of the plant."""
     robot_model, judge = load_panda(kind)
     rng = np.random.default_rng([seed, DRIVE_KINDS.index(kind), 3])
     start = random_scenes.random_posture(robot_model, judge, rng)
@@ -90,7 +90,7 @@ def run_episode(kind: DriveKind, seed: int, steps: int = STEPS_PER_EPISODE) -> R
     plant.set_configuration(start)
     safety = SafetyFilter(robot_model)
     safety.observe(truth, 0.0)
-    began = process_time()
+    start_time = process_time()
     q, status, shapes = run_closed_loop(SteppedPlant(plant, contacts=False), safety, PlantJudge(plant), rng, steps)
     spheres = true_h(judge, q, truth)
     return {
@@ -104,49 +104,52 @@ def run_episode(kind: DriveKind, seed: int, steps: int = STEPS_PER_EPISODE) -> R
         "h_own": shapes.min_self_distance,
         "h_spheres": float(spheres[:, [0, 2]].min()),
         "h_joint": float(spheres[:, 3].min()),
-        "us": (process_time() - began) / steps * 1e6,
+        "us": (process_time() - start_time) / steps * 1e6,
     }
 
 
 def run_closed_loop(
     robot: SteppedPlant, safety: SafetyFilter, shapes: PlantJudge, rng: np.random.Generator, steps: int
 ) -> tuple[np.ndarray, np.ndarray, PlantJudge]:
-    """The loop: sense, judge, filter at the measured state, act. True postures (steps, n) and statuses (steps,)."""
+    """The loop: measure, judge, filter at the measured state, apply.
+
+    Returns the true postures (steps, n) [rad], the filter statuses (steps,) and `shapes`.
+    """
     n = safety.robot_model.n
     v_max = np.array([joint.velocity.value for joint in safety.robot_model.joints])
     opening = float(safety.robot_model.gripper.opening.value)
-    path, status, wish = np.empty((steps, n)), np.empty(steps, np.int64), np.zeros(n)
+    path, status, u_nom = np.empty((steps, n)), np.empty(steps, np.int64), np.zeros(n)
     until = 0
     for t in range(steps):
         robot.measure()
         path[t] = robot.q
         shapes.update()
         if t >= until:
-            wish, until = _worst_nominal(safety.rows(), v_max, rng), t + int(rng.choice((150, 400, 1000)))
-        answer = safety(path[t], robot.v, wish, opening=opening)
-        status[t] = answer.status
-        robot.apply(answer.u)
+            u_nom, until = _worst_nominal(safety.rows(), v_max, rng), t + int(rng.choice((150, 400, 1000)))
+        result = safety(path[t], robot.v, u_nom, opening=opening)
+        status[t] = result.status
+        robot.apply(result.u)
     return path, status, shapes
 
 
 def _worst_nominal(rows: tuple[BarrierRow, ...], v_max: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Full speed down the nearest row, sometimes any row, sometimes bang-bang."""
-    coins = np.where(rng.random(len(v_max)) < 0.5, -1.0, 1.0)
+    """Nominal control at full speed against the nearest row, sometimes against any row, sometimes bang-bang."""
+    signs = np.where(rng.random(len(v_max)) < 0.5, -1.0, 1.0)
     if not rows or rng.random() < 0.1:
-        return coins * v_max
+        return signs * v_max
     row = min(rows, key=lambda r: r.h) if rng.random() < 0.7 else rows[int(rng.integers(len(rows)))]
     return np.where(row.a > 0.0, -1.0, 1.0) * v_max
 
 
 @cache
 def load_panda(kind: str) -> tuple[RobotModel, ReferenceDistance]:
-    """The Panda with what was identified of this drive, fingers open, and the judge of its spheres."""
+    """The Panda with the identified model of this drive, and the reference distances of its spheres, fingers open."""
     robot_model = load_robot("panda").with_drive(kind)
     return robot_model, build_judge(robot_model, float(robot_model.gripper.opening.value))
 
 
 def aggregate(rows: list[Row]) -> Row:
-    """Sums and least values; microseconds on average."""
+    """Sums and minima; the mean of the step durations."""
     whole: Row = {key: sum(row[key] for row in rows) for key in SUMMED_FIELDS}
     whole |= {key: min(row[key] for row in rows) for key in MINIMUM_FIELDS}
     status = np.sum([row["status"] for row in rows], axis=0).tolist()
@@ -157,13 +160,13 @@ _TABLE_HEAD = (
     "drive",
     "steps",
     "h < 0 on shapes",
-    "least: scene / own parts",
+    "smallest h: scene / own links",
     "h < 0 on spheres",
-    "least on spheres",
+    "smallest h on spheres",
     "joint limit passed",
-    "least to a joint limit",
+    "smallest distance to a joint limit",
     "safe / modified / relaxed / stopped / fault",
-    "us a step",
+    "µs per step",
 )
 
 
@@ -184,15 +187,15 @@ def _table_row(kind: str, t: Row) -> tuple[object, ...]:
     )
 
 
-def _scene_object(thing: Obstacle) -> ObjectSpec:
+def _scene_object(obstacle: Obstacle) -> ObjectSpec:
     return ObjectSpec(
-        name=thing.name,
+        name=obstacle.name,
         role="obstacle",
-        shape=thing.shape,
-        position=thing.pose.position,
+        shape=obstacle.shape,
+        position=obstacle.pose.position,
         mass=1.0,
         colour="grey",
         category="obstacle",
-        quaternion=thing.pose.quaternion,
+        quaternion=obstacle.pose.quaternion,
         fixed=True,
     )

@@ -1,4 +1,4 @@
-"""Random scenes around an arm, and postures to start from; everything from a seed."""
+"""Random scenes around an arm, and random start postures."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TABLE = Obstacle(name="table", shape=HalfSpace(), pose=Pose((0.0, 0.0, 0.0)))
 def random_posture(
     robot_model: RobotModel, judge: ReferenceDistance, rng: np.random.Generator, gap: float = 0.05
 ) -> Array:
-    """Joint angles (n,) at least `gap` from own pairs, the table and joint limits; home if none is found."""
+    """Joint angles (n,) [rad] at least `gap` [m, rad] from own links, table and joint limits; home if none is found."""
     low = np.array([joint.lower.value for joint in robot_model.joints])
     high = np.array([joint.upper.value for joint in robot_model.joints])
     for _ in range(60):
@@ -31,29 +31,29 @@ def random_posture(
 def random_obstacles(
     judge: ReferenceDistance, q: Array, rng: np.random.Generator, count: int, gap: float = 0.05
 ) -> list[Obstacle]:
-    """The table and `count` things of every shape within reach, each at least `gap` from the arm at q."""
+    """The table and `count` obstacles of all shapes within reach, each at least `gap` [m] from the arm at `q` (n,)."""
     found = [TABLE]
     while len(found) <= count:
-        thing = Obstacle(
+        obstacle = Obstacle(
             name=f"thing{len(found)}",
             shape=_random_shape(rng),
             pose=Pose(_random_position(rng), _random_quaternion(rng)),
         )
-        if true_h(judge, q[None], [thing])[0, 0] > gap:
-            found.append(thing)
+        if true_h(judge, q[None], [obstacle])[0, 0] > gap:
+            found.append(obstacle)
     return found
 
 
 def random_moving_obstacle(judge: ReferenceDistance, q: Array, rng: np.random.Generator, gap: float = 0.25) -> Obstacle:
-    """A ball or a limb-like capsule at rest, `gap` from the arm, that will move."""
+    """A sphere or a capsule like a human arm, at rest at least `gap` [m] from the arm, which will move."""
     while True:
         radius = float(rng.uniform(0.03, 0.07))
         shape = Sphere(radius) if rng.random() < 0.5 else Capsule(radius, float(rng.uniform(0.05, 0.2)))
-        thing = Obstacle(
+        obstacle = Obstacle(
             name="mover", shape=shape, pose=Pose(_random_position(rng), _random_quaternion(rng)), static=False
         )
-        if true_h(judge, q[None], [thing])[0, 1] > gap:
-            return thing
+        if true_h(judge, q[None], [obstacle])[0, 1] > gap:
+            return obstacle
 
 
 def _random_shape(rng: np.random.Generator) -> Sphere | Capsule | Box:

@@ -1,4 +1,4 @@
-"""The float64 judge of the lab, fed from a `Body` and true obstacles; shares no numbers with the kernel's own model."""
+"""The kernel's float64 reference distances, built from a `RobotModel` without any numbers of the filter's own model."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ N_COLUMNS = 24
 
 
 def build_judge(robot_model: RobotModel, opening: float = 0.0) -> ReferenceDistance:
-    """A judge for `body` with the fingers held at `opening` [m]."""
+    """Reference distances for `robot_model` with the fingers held at `opening` [m]."""
     centres, radii, first = [], [], [0]
     for link in robot_model.links:
         turn, shift = rotation_matrix(link.quaternion), np.array(link.translation) + 0.0
@@ -53,10 +53,10 @@ def rotation_matrix(quaternion: Sequence[float]) -> Array:
 
 
 def obstacle_rows(obstacles: Sequence[Obstacle]) -> Array:
-    """Truth about each obstacle as a row (k, 24) that the judge reads; margins are the filter's affair."""
+    """The true obstacles as rows (k, 24) for `ReferenceDistance`; margins concern the filter only."""
     rows = np.zeros((len(obstacles), N_COLUMNS))
-    for row, thing in zip(rows, obstacles, strict=True):
-        match thing.shape:
+    for row, obstacle in zip(rows, obstacles, strict=True):
+        match obstacle.shape:
             case Sphere(radius=radius):
                 row[0], row[17] = 0, radius
             case Capsule(radius=radius, half_length=length):
@@ -65,14 +65,17 @@ def obstacle_rows(obstacles: Sequence[Obstacle]) -> Array:
                 row[0], row[14:17] = 1, extents
             case HalfSpace():
                 row[0] = 2
-        row[1] = not thing.static
-        row[2:5], row[5:14] = thing.pose.position, rotation_matrix(thing.pose.quaternion).ravel()
-        row[18:21] = thing.velocity
+        row[1] = not obstacle.static
+        row[2:5], row[5:14] = obstacle.pose.position, rotation_matrix(obstacle.pose.quaternion).ravel()
+        row[18:21] = obstacle.velocity
     return rows
 
 
 def true_h(judge: ReferenceDistance, q: Array, obstacles: Sequence[Obstacle], period: float = 1e-3) -> Array:
-    """True h at postures q (t, n), as columns (t, 5): still, moving, own links [m], joints [rad], approach [m/s]."""
+    """True h at the postures q (t, n), as columns (t, 5).
+
+    The columns are: static obstacles, moving obstacles, own links [m], joint limits [rad], speed of approach [m/s].
+    """
     out = np.empty((len(q), 5))
     judge.measure(np.ascontiguousarray(q), obstacle_rows(obstacles), period, out)
     return out

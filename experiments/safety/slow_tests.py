@@ -1,4 +1,4 @@
-"""kernel: the slow tests, one after another, and what they print."""
+"""The slow tests of the test suite, one after another, with their output."""
 
 from __future__ import annotations
 
@@ -27,15 +27,16 @@ PYTEST_COMMAND = [
 
 
 class SlowTests:
-    """The proofs that pytest holds: marker `slow`. What needs a package that is not installed here (TRL) is no unit."""
+    """The tests with the pytest marker `slow`; a test that needs a package that is not installed (TRL) is no unit."""
 
     name = "slow_tests"
     claim = (
-        "Every test marked slow passes: adversarial closed loops, QP against independent solvers, builds bit for bit."
+        "Every test marked slow passes: adversarial closed loops, the QP against independent solvers, bitwise equal "
+        "builds."
     )
 
     def units(self, options: Options) -> list[WorkUnit]:
-        """One unit a test function; its parameters run together."""
+        """One unit per test function; its parameters run together."""
         del options
         listing = subprocess.run(
             [*PYTEST_COMMAND, "--collect-only", "tests"], cwd=ROOT, capture_output=True, text=True, check=False
@@ -45,16 +46,16 @@ class SlowTests:
         return [WorkUnit(name, {"test": name}) for name in names]
 
     def run(self, about: dict[str, Any]) -> Row:
-        """Run one test; the last line is pytest's count, the lines before it what the test printed."""
+        """Run one test; pytest's last line is its count, the lines before it are the output of the test."""
         done = subprocess.run(
             [*PYTEST_COMMAND, "-rP", about["test"]], cwd=ROOT, capture_output=True, text=True, check=False
         )
         lines = done.stdout.strip().splitlines()
-        said = [line for line in lines if line and not re.match(r"[=_. ]|\w+ tests/|PASSED|-{5,}", line)]
+        output = [line for line in lines if line and not re.match(r"[=_. ]|\w+ tests/|PASSED|-{5,}", line)]
         return {
             "passed": done.returncode == 0,
             "result": re.sub(r"=+ ?", "", lines[-1] if lines else ""),
-            "said": said[-12:-1] if done.returncode == 0 else lines[-30:],
+            "said": output[-12:-1] if done.returncode == 0 else lines[-30:],
         }
 
     def summarize_row(self, row: Row) -> str:
@@ -62,7 +63,7 @@ class SlowTests:
         return row["result"]
 
     def report(self, rows: list[Row]) -> list[str]:
-        """Every test with pytest's count and what it printed."""
+        """Every test with pytest's count and its output."""
         good = sum(row["passed"] for row in rows)
         cells = (
             (f"`{row['key']}`", row["result"], "<br>".join(row["said"]) if row["passed"] else "failed") for row in rows
@@ -70,5 +71,5 @@ class SlowTests:
         return [
             f"Passed: **{format_proportion(good, len(rows))}**.",
             "",
-            *markdown_table(("test", "result", "what it printed"), cells),
+            *markdown_table(("test", "result", "output"), cells),
         ]

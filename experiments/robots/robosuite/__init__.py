@@ -1,1 +1,1 @@
-"""The filter in the loop of a task suite that others wrote: robosuite, in an environment and a process of its own."""
+"""The safety filter in the loop of robosuite, a foreign task suite, in its own environment and process."""

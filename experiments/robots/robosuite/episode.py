@@ -1,4 +1,4 @@
-"""One flight: a policy's wishes go to the suite as they are, or through the filter; what it became, as a row."""
+"""One episode: a policy's controls go to the suite directly or through the filter; the result is a row."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ from experiments.robots.robosuite.tracking import calibrate, model_disagreement
 Array = NDArray[np.float64]
 
 MAX_DURATION_S = 30.0
-"""A flight ends after this at the latest [s]."""
+"""Time limit of an episode [s]."""
 RANDOM_POLICY_DURATION_S = 5.0
-"""How long a policy without a task flies [s]."""
+"""Duration of a policy without a task [s]."""
 OBSERVE_EVERY = 10
-"""Periods between looks at the cubes."""
+"""Periods between two observations of the cubes."""
 CALIBRATION_SEEDS = (1000, 1001)
-"""Seeds of the flights that tracking is measured in."""
+"""Seeds of the episodes in which tracking is measured."""
 MAX_JOINT_SPEED = np.array([joint.velocity.value for joint in load_robot("panda").joints])
 """The data sheet's joint velocities [rad/s], which policies know."""
 OTHER_CUBE, SET_DOWN_PHASES = "cubeB", ("lower", "open", "away")
-"""A cube that nothing should push, until the first one is set down on it."""
+"""The cube that nothing may push until the first one is set down on it, in these phases."""
 MODES = ("unfiltered", "clipped", "filtered")
-"""The wish as it is; each joint cut to the velocity limit that the filter is told of; through the filter."""
+"""The policy's control directly; each joint clipped to the filter's velocity limit; through the filter."""
 
 
 @dataclass
 class EpisodeRecord:
-    """What happened, period by period, and at the end."""
+    """The recorded periods of an episode, and its end."""
 
     q: list[Array] = field(default_factory=list)
     v: list[Array] = field(default_factory=list)
@@ -53,11 +53,11 @@ class EpisodeRecord:
     unfinished_waypoint: str = ""
 
     def tracking_log(self) -> ExcitationLog:
-        """What tracking is measured from."""
+        """The log from which the tracking model is identified."""
         return ExcitationLog(np.array(self.q), np.array(self.v), np.array(self.u))
 
     def metrics(self, robot_model: RobotModel) -> dict[str, Any]:
-        """Times [s], shares of the data sheet's speed, the tracking error's leaky integral [rad], the filter's part."""
+        """The fields of a row: times [s], shares of the data sheet's speed, tracking error [rad], filter statistics."""
         log, tracking = self.tracking_log(), robot_model.tracking
         error = leaky_error(log, tracking.lag, tracking.rate, robot_model.period)
         found: dict[str, Any] = {
@@ -80,36 +80,36 @@ class EpisodeRecord:
 
 
 class ControlPath:
-    """Turns wishes into what is sent."""
+    """The path from a policy's nominal control to the control that is sent, in one of `MODES`."""
 
-    def __init__(self, how: str, safety: SafetyFilter, watch: ObstacleTracker) -> None:
-        self._mode, self._safety, self._obstacle_tracker = how, safety, watch
+    def __init__(self, mode: str, safety: SafetyFilter, tracker: ObstacleTracker) -> None:
+        self._mode, self._safety, self._obstacle_tracker = mode, safety, tracker
         self._velocity_limits = np.array([joint.velocity.value for joint in safety.robot_model.joints])
         self.record = EpisodeRecord()
 
-    def control(self, state: State, tool: ToolState, policy: Policy, wish: Array) -> Array:
-        """Joint velocities (n,) [rad/s] to be sent."""
-        course, u = self.record, wish
+    def control(self, state: State, tool: ToolState, policy: Policy, u_nom: Array) -> Array:
+        """Joint velocities (n,) [rad/s] to be sent for the nominal ones `u_nom` (n,)."""
+        record, u = self.record, u_nom
         if self._mode == "clipped":
-            u = np.clip(wish, -self._velocity_limits, self._velocity_limits)
+            u = np.clip(u_nom, -self._velocity_limits, self._velocity_limits)
         if self._mode == "filtered":
-            if len(course.u) % OBSERVE_EVERY == 0:
+            if len(record.u) % OBSERVE_EVERY == 0:
                 self._obstacle_tracker.update(state, tool, policy.waypoint)
-            answer = self._safety(state.q, state.v, wish, state.time, state.opening)
-            u = answer.u
-            course.delta.append(answer.delta)
-            course.status.append(int(answer.status))
-            course.h_min = min(course.h_min, answer.h_min)
-        course.q.append(state.q)
-        course.v.append(state.v)
-        course.u.append(u)
+            result = self._safety(state.q, state.v, u_nom, state.time, state.opening)
+            u = result.u
+            record.delta.append(result.delta)
+            record.status.append(int(result.status))
+            record.h_min = min(record.h_min, result.h_min)
+        record.q.append(state.q)
+        record.v.append(state.v)
+        record.u.append(u)
         return u
 
 
 def calibrated_robot(suite: SuiteProcess) -> RobotModel:
-    """The body that the filter is told of: the suite's period, its motors, and how its arm was seen to follow."""
+    """The robot model of the filter: with the suite's period, motor limits, and the identified tracking model."""
 
-    def flights(robot_model: RobotModel) -> list[list[ExcitationLog]]:
+    def run_episodes(robot_model: RobotModel) -> list[list[ExcitationLog]]:
         return [
             [
                 _run(
@@ -121,16 +121,16 @@ def calibrated_robot(suite: SuiteProcess) -> RobotModel:
             for seed in CALIBRATION_SEEDS
         ]
 
-    return calibrate(suite, flights)
+    return calibrate(suite, run_episodes)
 
 
 def run_episode(suite: SuiteProcess, robot_model: RobotModel, about: dict[str, Any]) -> dict[str, Any]:
-    """One flight of `about` (task, policy, seed, how), from the suite's own start to the script's end."""
-    course = _run(suite, robot_model, about)
+    """The row of one episode with the parameters `about`, from the suite's own start to the end of the policy."""
+    record = _run(suite, robot_model, about)
     return {
         **about,
         **suite.limit_report(),
-        **course.metrics(robot_model),
+        **record.metrics(robot_model),
         "lag": robot_model.tracking.lag,
         "allowed_error": robot_model.tracking.position_error,
         "versions": suite.versions,
@@ -143,21 +143,21 @@ def _run(suite: SuiteProcess, robot_model: RobotModel, about: dict[str, Any]) ->
     apart, _ = model_disagreement(suite, safety, np.random.default_rng(about["seed"]))
     state = suite.parse_state(opened.state)
     policy = _make_policy(about, opened, state)
-    pilot = ControlPath(about["how"], safety, ObstacleTracker(safety, opened.things))
-    course, begin = pilot.record, state.cubes
-    course.model_disagreement = apart
+    path = ControlPath(about["how"], safety, ObstacleTracker(safety, opened.things))
+    record, start = path.record, state.cubes
+    record.model_disagreement = apart
     while not policy.done and state.time < MAX_DURATION_S:
         tool = safety.tool(state.q)
-        wish = policy.nominal(state.time, state.q, tool, state.cubes)
-        state = suite.step(pilot.control(state, tool, policy, wish), policy.waypoint.closed)
-        if policy.waypoint.name not in SET_DOWN_PHASES and OTHER_CUBE in begin:
-            course.pushed = max(course.pushed, _planar_displacement(begin[OTHER_CUBE], state.cubes[OTHER_CUBE]))
-    course.time, course.unfinished_waypoint = state.time, "" if policy.done else policy.waypoint.name
-    return course
+        u_nom = policy.nominal(state.time, state.q, tool, state.cubes)
+        state = suite.step(path.control(state, tool, policy, u_nom), policy.waypoint.closed)
+        if policy.waypoint.name not in SET_DOWN_PHASES and OTHER_CUBE in start:
+            record.pushed = max(record.pushed, _planar_displacement(start[OTHER_CUBE], state.cubes[OTHER_CUBE]))
+    record.time, record.unfinished_waypoint = state.time, "" if policy.done else policy.waypoint.name
+    return record
 
 
 def _planar_displacement(before: Pose, after: Pose) -> float:
-    """How far a thing has been pushed in the plane [m]."""
+    """Horizontal displacement [m]."""
     return float(np.linalg.norm(np.array(after.position)[:2] - np.array(before.position)[:2]))
 
 

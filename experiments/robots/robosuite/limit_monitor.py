@@ -1,7 +1,7 @@
-"""What the suite's own simulation shows to have gone too far: joint limits and touches, with peak and duration.
+"""Monitor of exceeded joint limits and contacts in the suite's own simulation, with peak and duration.
 
-Limits are those of the Franka Emika Panda's data sheet, written down here a second time: nothing of the filter is read.
-Needs numpy only: the suite's process keeps the account.
+The limits are those of the Franka Emika Panda's data sheet, repeated here so that the monitor is independent of the
+filter. The module needs only NumPy, because it runs in the suite's process.
 """
 
 from __future__ import annotations
@@ -20,19 +20,20 @@ UPPER = np.array([2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973])
 MAX_JOINT_SPEED = np.array([2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61])
 """Joint limits [rad], [rad], [rad/s]."""
 POSITION_TOLERANCE = 1e-3
-"""How far beyond its limit a joint may be before it counts [rad]."""
+"""A joint position counts as a breach if it exceeds its limit by more than this [rad]."""
 SPEED_TOLERANCE = 1.01
+"""A joint speed counts as a breach if it exceeds its limit by more than this factor."""
 MIN_CONTACT_FORCE = 1.0
-"""Normal force from which a touch counts [N]."""
+"""Least normal force of a contact that counts [N]."""
 MERGE_GAP_S = 0.05
-"""Quiet that still belongs to the same breach [s]."""
+"""Longest interruption within one breach [s]."""
 UNITS = {"joint_velocity": "rad/s", "joint_position": "rad", "touch": "N"}
-"""Kinds of breach, and what their peak is in: the greatest speed, how far beyond, the greatest normal force."""
+"""Kinds of breach with the unit of their peak: greatest speed, greatest excess, greatest normal force."""
 
 
 @dataclass
 class Breach:
-    """One limit passed: when it began and was last seen [s], and its peak."""
+    """One exceeded limit: its start and last observation [s], and its peak."""
 
     kind: str
     bodies: tuple[str, ...]
@@ -42,14 +43,14 @@ class Breach:
 
 
 class LimitMonitor:
-    """Breaches of one flight; consecutive ones of a kind between the same parts are one."""
+    """Breaches of one episode; consecutive ones of the same kind and parts are one breach."""
 
     def __init__(self) -> None:
         self._breaches: list[Breach] = []
         self._open_breaches: dict[tuple[str, tuple[str, ...]], Breach] = {}
 
     def update(self, now: float, q: Array, v: Array, touches: Mapping[tuple[str, str], float]) -> None:
-        """Judge the state at `now` [s]: joints q, v (7,) and normal forces [N] between parts that should not meet."""
+        """Judge the state at `now` [s]: joints q, v (7,) and normal forces [N] between parts that must not touch."""
         for k in np.flatnonzero(np.abs(v) > SPEED_TOLERANCE * MAX_JOINT_SPEED).tolist():
             self._record("joint_velocity", (f"joint{k + 1}",), abs(float(v[k])), now)
         beyond = np.maximum(LOWER - q, q - UPPER)
@@ -60,7 +61,7 @@ class LimitMonitor:
                 self._record("touch", between, force, now)
 
     def breaches(self) -> list[dict[str, Any]]:
-        """All of them as JSON, in the order in which they began."""
+        """All breaches as JSON values, in the order in which they began."""
         return [
             {
                 "kind": b.kind,

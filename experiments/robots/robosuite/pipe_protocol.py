@@ -1,6 +1,6 @@
-"""What goes through the pipes between the suite's process and ours: a head of kind and length, then JSON or float64.
+"""Messages on the pipes between the suite's process and ours: a header of kind and length, then JSON or float64.
 
-Needs numpy only: both environments read it.
+The module needs only NumPy, because both environments import it.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ Array = NDArray[np.float64]
 HEADER = struct.Struct("<cI")
 JSON_KIND, ARRAY_KIND = b"J", b"A"
 MAX_MESSAGE_BYTES = 1 << 20
-"""Longest message [bytes]."""
+"""Largest accepted message [bytes]."""
 
 
 class PipeError(Exception):
-    """The other side has ended, said something unreadable, or nothing in time."""
+    """The other process has ended, sent an invalid message, or sent nothing in time."""
 
 
 def send(pipe: int, message: dict[str, Any] | Array) -> None:
@@ -37,16 +37,16 @@ def send(pipe: int, message: dict[str, Any] | Array) -> None:
         while data:
             data = data[os.write(pipe, data) :]
     except BrokenPipeError:
-        raise PipeError("the other side has ended") from None
+        raise PipeError("the other process has ended") from None
 
 
 def receive(pipe: int, timeout_s: float | None = None) -> dict[str, Any] | Array:
     """Read one message from the file descriptor `pipe`: a dict, or an array (k,)."""
     if timeout_s is not None and not select.select([pipe], [], [], timeout_s)[0]:
-        raise PipeError(f"nothing within {timeout_s:g} s")
+        raise PipeError(f"no message within {timeout_s:g} s")
     kind, length = HEADER.unpack(_read_exactly(pipe, HEADER.size))
     if length > MAX_MESSAGE_BYTES or kind not in (JSON_KIND, ARRAY_KIND):
-        raise PipeError(f"a head that is none: kind {kind!r}, {length} bytes")
+        raise PipeError(f"invalid message header: kind {kind!r}, {length} bytes")
     body = _read_exactly(pipe, length)
     return json.loads(body) if kind == JSON_KIND else np.frombuffer(body, "<f8")
 
@@ -56,7 +56,7 @@ def _read_exactly(pipe: int, count: int) -> bytes:
     while count:
         part = os.read(pipe, count)
         if not part:
-            raise PipeError("the other side has ended")
+            raise PipeError("the other process has ended")
         parts.append(part)
         count -= len(part)
     return b"".join(parts)

@@ -1,8 +1,8 @@
-"""Scripts for Lift and Stack as way points of the tool, a careful and a hasty one, and one without a task.
+"""Scripted policies for Lift and Stack as waypoints of the tool, careful and hasty, and a random one without a task.
 
-Both kinds know where the cubes are and take the cube from above, fingers across two of its sides. The careful one goes
-well over everything and stops at each way point; the hasty one keeps low, leaves out what it can and cuts corners: it
-turns off when it is within 2 cm.
+The scripts know the positions of the cubes and grasp a cube from above, with the fingers across two of its sides. The
+careful policy passes high above all objects and stops at each waypoint; the hasty one stays low, skips waypoints and
+cuts corners: it proceeds to the next waypoint from 2 cm away.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from experiments.robots.robosuite.resolved_rate import CAREFUL, HASTY, ResolvedR
 Array = NDArray[np.float64]
 
 GRASP_HEIGHT = 0.0
-"""Height of the tool over the cube's middle when it takes it [m]; the pads of the suite's fingers sit 1 cm higher."""
+"""Height of the tool above the cube's centre at the grasp [m]; the suite's finger pads are 1 cm higher."""
 STACK_OFFSET = 0.045
-"""Between the middles of a cube of 4 cm and of the one of 5 cm that it stands on [m]."""
+"""Distance of the centres of a 4 cm cube and the 5 cm cube below it [m]."""
 WAYPOINT_TIMEOUT_S = 10.0
-"""After this the next way point is taken, reached or not [s]: long, as a filtered arm may be much slower."""
+"""Time after which the policy proceeds to the next waypoint [s]; long, because a filtered arm may be much slower."""
 
 
 @dataclass(frozen=True, slots=True)
 class Waypoint:
-    """Where the tool goes next: `height` [m] over the middle of the cube `over`, as that stands when the way begins.
+    """A waypoint: the tool moves to `height` [m] above the initial centre of `target_cube`, fingers `closed` or open.
 
-    With `closed` fingers; done when within `near` [m], and then `dwell` [s] later. `carries` names the cube that is to
-    come there instead of the tool. `touching` the cube may be set down.
+    It is reached within `tolerance` [m], and over `dwell` [s] later. With `carried_cube`, that cube moves there instead
+    of the tool. The held cube may touch the cube `may_touch`.
     """
 
     name: str
@@ -49,7 +49,7 @@ class Waypoint:
 
 
 def lift_waypoints(hasty: bool) -> tuple[Waypoint, ...]:
-    """Take the cube and lift it."""
+    """Grasp the cube and lift it."""
     if hasty:
         return (
             Waypoint("over", "cube", 0.03, False, 0.02),
@@ -66,7 +66,7 @@ def lift_waypoints(hasty: bool) -> tuple[Waypoint, ...]:
 
 
 def stack_waypoints(hasty: bool) -> tuple[Waypoint, ...]:
-    """Take one cube and put it on the other; the hasty way leads straight there, past the other's corner."""
+    """Grasp one cube and place it on the other; the hasty path leads straight there, past the other cube's corner."""
     put = STACK_OFFSET + GRASP_HEIGHT
     if hasty:
         return (
@@ -94,11 +94,11 @@ TASKS = {"Lift": lift_waypoints, "Stack": stack_waypoints}
 
 
 class Policy(Protocol):
-    """What is flown: joint velocities from the state, way point by way point."""
+    """A policy: joint velocities from the state, waypoint by waypoint."""
 
     done: bool
     waypoint: Waypoint
-    """The way point it is at."""
+    """The current waypoint."""
 
     def nominal(self, now: float, q: Array, tool: ToolState, cubes: Mapping[str, Pose]) -> Array:
         """Joint velocities (n,) [rad/s] at time `now` [s]."""
@@ -106,36 +106,36 @@ class Policy(Protocol):
 
 
 class WaypointPolicy:
-    """Way points in their order, each from where the cubes are when it begins."""
+    """Waypoints in their order, each relative to the cubes at its start."""
 
     def __init__(
-        self, points: Sequence[Waypoint], pace: SpeedProfile, fastest: Array, posture: Array, period: float
+        self, points: Sequence[Waypoint], profile: SpeedProfile, max_speed: Array, posture: Array, period: float
     ) -> None:
         self.done, self.waypoint = False, points[0]
         self._remaining = list(points[1:])
-        self._controller = ResolvedRateController(pace, fastest, posture, period)
+        self._controller = ResolvedRateController(profile, max_speed, posture, period)
         self._goal: tuple[Array, Array] | None = None
         self._rotation: Array | None = None
-        self._began, self._reached = 0.0, float("inf")
+        self._start, self._reached = 0.0, float("inf")
 
     def nominal(self, now: float, q: Array, tool: ToolState, cubes: Mapping[str, Pose]) -> Array:
-        """Toward the present way point; on to the next when it is reached for long enough, or takes too long."""
+        """Joint velocities toward the current waypoint; the next one follows after its dwell time or its time limit."""
         if self._goal is not None and self._is_over(now, tool):
             self.done = not self._remaining
             self.waypoint = self._remaining.pop(0) if self._remaining else self.waypoint
             self._goal = None if not self.done else self._goal
         if self._goal is None:
-            self._goal, self._began, self._reached = self._target_pose(tool, cubes), now, float("inf")
+            self._goal, self._start, self._reached = self._target_pose(tool, cubes), now, float("inf")
         return self._controller.joint_velocity(tool, q, *self._goal)
 
     def _is_over(self, now: float, tool: ToolState) -> bool:
         assert self._goal is not None
         near = float(np.linalg.norm(self._goal[0] - tool.position)) <= self.waypoint.tolerance
         self._reached = min(self._reached, now) if near or self._reached < now else self._reached
-        return now - self._reached >= self.waypoint.dwell or now - self._began > WAYPOINT_TIMEOUT_S
+        return now - self._reached >= self.waypoint.dwell or now - self._start > WAYPOINT_TIMEOUT_S
 
     def _target_pose(self, tool: ToolState, cubes: Mapping[str, Pose]) -> tuple[Array, Array]:
-        """Position and rotation of the tool at the present way point."""
+        """Position and rotation of the tool at the current waypoint."""
         point = self.waypoint
         position = np.array(cubes[point.target_cube].position) + np.array([0.0, 0.0, point.height])
         if point.carried_cube:
@@ -146,7 +146,7 @@ class WaypointPolicy:
 
 
 def grasp_rotation(rotation: Array, cube: Pose) -> Array:
-    """The tool pointing down, its fingers across two sides of `cube`: of the four ways the one that turns least."""
+    """The tool pointing down, its fingers across two sides of `cube`: of the four rotations the nearest one."""
     side, now = quaternion_to_matrix(cube.quaternion)[:, 0], rotation[:, 0]
     turn = np.arctan2(side[1], side[0]) - np.arctan2(now[1], now[0])
     heading = np.arctan2(now[1], now[0]) + (turn + pi / 4) % (pi / 2) - pi / 4
@@ -155,15 +155,15 @@ def grasp_rotation(rotation: Array, cube: Pose) -> Array:
 
 
 class BangBangPolicy:
-    """Every joint at full speed either way, changed after 0.15 to 1 s: no task, fingers open."""
+    """Every joint at full speed in a random direction, changed after 0.15 to 1 s, without a task, fingers open."""
 
-    def __init__(self, fastest: Array, cube: str, seed: int, lasts: float) -> None:
+    def __init__(self, max_speed: Array, cube: str, seed: int, duration_s: float) -> None:
         self.done, self.waypoint = False, Waypoint("anywhere", cube, 0.0, False, 0.0)
-        self._rng, self._max_speed, self._duration = np.random.default_rng(seed), fastest, lasts
-        self._until, self._u = 0.0, np.zeros(len(fastest))
+        self._rng, self._max_speed, self._duration = np.random.default_rng(seed), max_speed, duration_s
+        self._until, self._u = 0.0, np.zeros(len(max_speed))
 
     def nominal(self, now: float, q: Array, tool: ToolState, cubes: Mapping[str, Pose]) -> Array:
-        """Full speed."""
+        """Joint velocities at full speed."""
         del q, tool, cubes
         if now >= self._until:
             self._u = np.where(self._rng.random(len(self._max_speed)) < 0.5, -1.0, 1.0) * self._max_speed

@@ -1,4 +1,4 @@
-"""The parent's side of the suite: a process that lives as long as this object, asked one thing after another."""
+"""The parent's side of the suite: starts its process, which answers one request after another."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ SINGLE_THREAD_ENV = {
     "PYTHONWARNINGS": "ignore",
 }
 RESPONSE_TIMEOUT_S = 300.0
-"""How long an answer may take on a busy machine [s]."""
+"""Time limit of an answer, for a busy machine [s]."""
 STDERR_TAIL_CHARS = 600
-"""Characters of its stderr that are told when the suite's process has ended."""
+"""Characters of stderr in the message about a suite process that has ended."""
 
 
 class State(msgspec.Struct, frozen=True, eq=False):
-    """What the suite shows after a step: time [s], q and v (7,), opening of a finger [m], its success check, cubes."""
+    """The state after a step: time [s], q (7,) [rad], v (7,) [rad/s], finger opening [m], success check, cubes."""
 
     time: float
     q: Array
@@ -43,7 +43,7 @@ class State(msgspec.Struct, frozen=True, eq=False):
 
 
 class SuiteObject(msgspec.Struct, frozen=True):
-    """A shape that stands there: half extents, radius and half length, or nothing [m], in the arm's base frame."""
+    """An object in the arm's base frame; `size`: half extents, radius and half length, or unused [m]."""
 
     name: str
     solid: str
@@ -53,7 +53,7 @@ class SuiteObject(msgspec.Struct, frozen=True):
 
 
 class TaskSetup(msgspec.Struct, frozen=True, eq=False):
-    """A task as the suite has set it up: period [s], names of its cubes, what stands there, the first state."""
+    """A task that the suite has set up: period [s], names of the cubes, objects, torque limits, first state."""
 
     period: float
     cubes: list[str]
@@ -63,17 +63,17 @@ class TaskSetup(msgspec.Struct, frozen=True, eq=False):
 
 
 class SuiteProcess:
-    """robosuite in a process of its own."""
+    """robosuite in its own process."""
 
     def __init__(self) -> None:
-        """Start it; raises `MissingPart` where its environment is not made."""
+        """Start the process; raises `MissingDependencyError` without its environment."""
         python = interpreter()
-        own = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONHOME")}
+        environment = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONHOME")}
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115  (lives as long as the process, see close)
         self._process = subprocess.Popen(
             [str(python), "-m", "experiments.robots.robosuite.worker"],
             cwd=ROOT,
-            env=own | SINGLE_THREAD_ENV | {"PYTHONPATH": str(ROOT)},
+            env=environment | SINGLE_THREAD_ENV | {"PYTHONPATH": str(ROOT)},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._errors,
@@ -86,7 +86,7 @@ class SuiteProcess:
         self.versions: dict[str, str] = self._receive_dict()["versions"]
 
     def open(self, task: str, seed: int) -> TaskSetup:
-        """Set `task` up afresh, as its seed says."""
+        """Set up `task` with `seed`."""
         send(self._request_pipe, {"do": "open", "task": task, "seed": seed})
         opened = msgspec.convert(self._receive_dict(), TaskSetup)
         self._cubes = opened.cubes
@@ -98,19 +98,19 @@ class SuiteProcess:
         return np.array(self._receive_dict()["sites"])
 
     def step(self, u: Array, closed: bool) -> State:
-        """Drive at u (7,) [rad/s] for one period, fingers closing or opening; the state after it."""
+        """Apply u (7,) [rad/s] for one period, with the fingers closing or opening; returns the state after it."""
         send(self._request_pipe, np.r_[u, 1.0 if closed else -1.0])
         answer = self._receive()
         assert not isinstance(answer, dict)
         return self.parse_state(answer)
 
     def limit_report(self) -> dict[str, Any]:
-        """What the suite's process judged since the task was opened."""
+        """The success, breaches and torque saturation since the task was opened."""
         send(self._request_pipe, {"do": "account"})
         return self._receive_dict()
 
     def parse_state(self, numbers: Array | list[float]) -> State:
-        """The state behind the numbers of a step."""
+        """The state from the numbers of a step."""
         numbers = np.asarray(numbers, float)
         q, v, rest = numbers[1:8], numbers[8:15], numbers[17:].reshape(-1, 7).tolist()
         cubes = {
@@ -137,5 +137,5 @@ class SuiteProcess:
             return receive(self._reply_pipe, RESPONSE_TIMEOUT_S)
         except PipeError as why:
             self._errors.seek(0)
-            said = self._errors.read().decode("utf-8", "replace")[-STDERR_TAIL_CHARS:].strip()
-            raise PipeError(f"{why}; the suite's last words: {said or 'none'}") from None
+            tail = self._errors.read().decode("utf-8", "replace")[-STDERR_TAIL_CHARS:].strip()
+            raise PipeError(f"{why}; end of the suite's stderr: {tail or 'empty'}") from None

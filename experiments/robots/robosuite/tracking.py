@@ -1,10 +1,10 @@
-"""Before anything is flown: both must have the same arm, and what the suite's arm can do is what the filter is told.
+"""Calibration of the filter to the suite's arm: agreement of the models, derated limits, tracking model.
 
-robosuite's Panda is a slower arm than a real one. Its joints carry 0.7 to 5 kg m² of armature, so that the wrist's
-12 N m cannot reach the data sheet's accelerations; and its fingertips, 10 g each with the inertia of a box of 2.4 m,
-meet air that takes 12 N m from a hand that turns at 1 rad/s. Limits that the drive has and the filter does not know of
-break its promise: so it is told less speed and acceleration, the same for every task and policy, and how well the arm
-follows within them is measured in flights of the same policies, at seeds that are not counted.
+robosuite's Panda is slower than a real one. Its joints have 0.7 to 5 kg m² of armature, so the wrist's 12 N m cannot
+reach the data sheet's accelerations; and its fingertips, 10 g each with the inertia of a box of 2.4 m, have an air
+drag that takes 12 N m of a hand that turns at 1 rad/s. A drive limit that the filter does not know invalidates its
+guarantee. Therefore the filter is configured with lower speeds and accelerations, the same for every task and policy,
+and the tracking error within them is measured in episodes of the same policies at seeds that are not counted.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ Array = NDArray[np.float64]
 
 SPEED_SHARES = np.full(7, 0.125)
 ACCELERATION_SHARES = np.array([0.25, 0.25, 0.25, 0.25, 0.25, 0.12, 0.12])
-"""Shares of the data sheet's limits that the filter is told of: below them the motors do not saturate."""
+"""The filter's limits as shares of the data sheet's: within them the motors do not saturate."""
 MAX_POSITION_DISAGREEMENT, MAX_ROTATION_DISAGREEMENT = 1e-3, 5e-3
-"""The models must agree this well [m], [rad]."""
+"""Largest accepted differences between the two models of the arm [m], [rad]."""
 N_POSTURES = 50
 DRIVE = "robosuite"
 
 
 def derated_robot(period: float) -> RobotModel:
-    """Our Panda with the suite's period and what its motors can do; its tracking is assumed, not known."""
+    """Our Panda with the suite's period [s], derated to the suite's motors, with an assumed tracking model."""
     robot_model = load_robot("panda")
-    fastest = np.array([joint.velocity.value for joint in robot_model.joints])
-    robot_model = derate(robot_model, period=period, max_speed=(SPEED_SHARES * fastest).tolist())
+    max_speed = np.array([joint.velocity.value for joint in robot_model.joints])
+    robot_model = derate(robot_model, period=period, max_speed=(SPEED_SHARES * max_speed).tolist())
     joints = tuple(
         msgspec.structs.replace(
             joint, acceleration=Bound(share * joint.acceleration.value, "rad/s^2", "suite's motors")
@@ -62,20 +62,20 @@ def derated_robot(period: float) -> RobotModel:
     )
 
 
-def calibrate(suite: SuiteProcess, flights: Callable[[RobotModel], list[list[ExcitationLog]]]) -> RobotModel:
-    """The body with the tracking model of what `flights` of the assumed body leave, grouped by seed.
+def calibrate(suite: SuiteProcess, run_episodes: Callable[[RobotModel], list[list[ExcitationLog]]]) -> RobotModel:
+    """The robot model with the tracking model identified from `run_episodes` of the assumed model, grouped by seed.
 
-    It is kept beside the environment, for the next process, until something changes that it depends on.
+    The tracking model is stored beside the environment for the next process, until its inputs change.
     """
     robot_model = derated_robot(suite.open("Lift", 0).period)
     path = ENVIRONMENT_FOLDER / f"tracking-{_calibration_digest()}.json"
     if not path.exists():
-        said = ", ".join(f"{name} {version}" for name, version in suite.versions.items())
+        versions = ", ".join(f"{name} {version}" for name, version in suite.versions.items())
         model = fit_tracking_model(
-            flights(robot_model),
+            run_episodes(robot_model),
             robot_model.alpha,
             robot_model.period,
-            source=f"{said}: filtered flights of seeds not counted",
+            source=f"{versions}: filtered episodes of seeds that are not counted",
         )
         path.write_bytes(
             msgspec.json.format(msgspec.json.encode(model.to_error_model(DRIVE, model.provenance)), indent=1)
@@ -84,9 +84,9 @@ def calibrate(suite: SuiteProcess, flights: Callable[[RobotModel], list[list[Exc
 
 
 def model_disagreement(suite: SuiteProcess, safety: SafetyFilter, rng: np.random.Generator) -> tuple[float, float]:
-    """How far robosuite's grip site is from standing still in our tool frame, over random postures [m], [rad].
+    """The movement of robosuite's grip site in our tool frame over random postures [m], [rad]; a task must be open.
 
-    Raises `InvalidSetup` where the two are not the same arm; a task must be open.
+    Raises `ConfigurationError` if the two models are not of the same arm.
     """
     joints = safety.robot_model.joints
     low, high = np.array([j.lower.value for j in joints]), np.array([j.upper.value for j in joints])
@@ -95,15 +95,18 @@ def model_disagreement(suite: SuiteProcess, safety: SafetyFilter, rng: np.random
 
 
 def check_agreement(sites: Array, tools: Sequence[ToolState]) -> tuple[float, float]:
-    """The greatest change [m], [rad] of `sites` (k, 12) as seen from k tools; raises `InvalidSetup` for too much."""
+    """The greatest movement [m], [rad] of `sites` (k, 12) relative to k tools.
+
+    Raises `ConfigurationError` for more than the accepted differences.
+    """
     offsets = np.array([tool.rotation.T @ (site[:3] - tool.position) for tool, site in zip(tools, sites, strict=True)])
     turns = np.array([tool.rotation.T @ site[3:].reshape(3, 3) for tool, site in zip(tools, sites, strict=True)])
     apart = float(np.linalg.norm(offsets - offsets[0], axis=1).max())
     turned = float(np.linalg.norm(turns - turns[0], axis=(1, 2)).max() / np.sqrt(2.0))
     if not (apart <= MAX_POSITION_DISAGREEMENT and turned <= MAX_ROTATION_DISAGREEMENT):
         raise ConfigurationError(
-            "the suite's arm",
-            got=f"{apart * 1e3:.2f} mm, {turned * 1e3:.2f} mrad from ours",
+            "difference of the suite's arm from the robot model",
+            got=f"{apart * 1e3:.2f} mm, {turned * 1e3:.2f} mrad",
             allowed=f"at most {MAX_POSITION_DISAGREEMENT * 1e3:g} mm, {MAX_ROTATION_DISAGREEMENT * 1e3:g} mrad",
         )
     return apart, turned
@@ -114,6 +117,6 @@ def _with_tracking(robot_model: RobotModel, tracking: TrackingErrorModel) -> Rob
 
 
 def _calibration_digest() -> str:
-    """Digest of what the measurement depends on, 12 hex."""
+    """Digest of the inputs of the calibration, 12 hex digits."""
     sources = [path.read_bytes() for path in sorted(Path(__file__).resolve().parent.glob("*.py"))]
     return hashlib.sha256(b"".join([requirements_digest().encode(), *sources])).hexdigest()[:12]

@@ -1,9 +1,9 @@
-"""The suite's own environment, build/outsider/venv, made from requirements.txt.
+"""The suite's virtual environment, build/robosuite/venv, created from requirements.txt.
 
-Run: python experiments/robots/robosuite/virtual_environment.py
+Run: python -m experiments.robots.robosuite.virtual_environment
 
-Installs robosuite 1.5.2, MuJoCo 3.3.7 and NumPy 1.26.4 with what they need (1.3 GB on disk) and nothing of dualbrain.
-What is done is not done again: the environment carries the digest of the requirements that it was made from.
+It installs robosuite 1.5.2, MuJoCo 3.3.7 and NumPy 1.26.4 with their dependencies (1.3 GB on disk), without dualbrain.
+An existing environment is used again if it was created from the same requirements, which a digest records.
 """
 
 from __future__ import annotations
@@ -19,29 +19,31 @@ from dualbrain.errors import MissingDependencyError
 HERE = Path(__file__).resolve().parent
 ENVIRONMENT_FOLDER = HERE.parents[2] / "build" / "robosuite"
 REQUIREMENTS = HERE / "requirements.txt"
-COMMAND = "python experiments/robots/robosuite/virtual_environment.py"
+COMMAND = "python -m experiments.robots.robosuite.virtual_environment"
 
 
 def requirements_digest() -> str:
-    """What the environment is to be made from, 12 hex."""
+    """Digest of the requirements, 12 hex digits."""
     return hashlib.sha256(REQUIREMENTS.read_bytes()).hexdigest()[:12]
 
 
 def interpreter(folder: Path = ENVIRONMENT_FOLDER) -> Path:
-    """The interpreter of the environment below `folder`; raises `MissingPart` unless it is there as wanted now."""
+    """The interpreter of the environment in `folder`.
+
+    Raises `MissingDependencyError` unless it exists and was created from the present requirements.
+    """
     mark, python = folder / "made-from", folder / "venv" / "bin" / "python"
     if not (mark.exists() and mark.read_text() == requirements_digest() and python.exists()):
-        raise MissingDependencyError(
-            "the environment of robosuite", fix=f"Make it: `{COMMAND}` (needs a package index)."
-        )
+        fix = f"Create it with `{COMMAND}` (needs a package index)."
+        raise MissingDependencyError("The virtual environment of robosuite", fix=fix)
     return python
 
 
 def create(folder: Path = ENVIRONMENT_FOLDER) -> Path:
-    """Make the environment below `folder` if it is not there; its interpreter.
+    """Create the environment in `folder` if it does not exist; returns its interpreter.
 
     Raises:
-        MissingPart: pip could not install it; what pip said stands on stderr.
+        MissingDependencyError: pip could not install it; the output of pip is on stderr.
     """
     try:
         return interpreter(folder)
@@ -53,14 +55,14 @@ def create(folder: Path = ENVIRONMENT_FOLDER) -> Path:
     if subprocess.run(command, check=False, stdout=sys.stderr).returncode != 0:
         raise MissingDependencyError(
             f"robosuite ({', '.join(required_packages())})",
-            fix="pip could not install it; its words stand above. Is there an index?",
+            fix="pip could not install it (see its output above); check that a package index is reachable.",
         )
     (folder / "made-from").write_text(requirements_digest())
     return python
 
 
 def required_packages() -> list[str]:
-    """The packages that are named, with their versions."""
+    """The required packages with their versions."""
     return [line for line in REQUIREMENTS.read_text().splitlines() if line and not line.startswith("#")]
 
 

@@ -1,13 +1,13 @@
 """The suite's process: robosuite's Lift or Stack with its Panda, stepped by joint velocities through pipes.
 
-Run by `child.py` as `python -m experiments.robots.robosuite.worker` in the suite's environment; knows nothing of dualbrain. Physics, time
-step, objects, placement, torque controller and success check are robosuite's as they are. Its JOINT_TORQUE controller
-adds the Coriolis and gravity torque; in front of it stands a velocity layer (computed torque; Siciliano et al.,
-Robotics, 8.5.2)
+`suite_process.py` runs it as `python -m experiments.robots.robosuite.worker` in the suite's environment, without
+dualbrain. Physics, time step, objects, placement, torque controller and success check are robosuite's, unchanged. Its
+JOINT_TORQUE controller adds the Coriolis and gravity torque; a velocity controller precedes it (computed torque;
+Siciliano et al., Robotics, 8.5.2)
 
     τ = M(q) k (u − v) − p(q, v),    k = 1/(LAG + dt)
 
-with M the inertia, p the passive torque. It has no integral: what a load takes away stays.
+with the inertia M and the passive torque p. It has no integral term, so a load leaves a steady error.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from experiments.robots.robosuite.pipe_protocol import PipeError, receive, send
 Array = NDArray[np.float64]
 
 LAG = 0.002
-"""Lag that the velocity layer is tuned to [s]."""
+"""Lag of the velocity controller [s]."""
 ARM = "robot0_link"
 SHAPE_NAMES = {0: "plane", 5: "cylinder", 6: "box"}
-"""Shapes of MuJoCo that robosuite's tables, mounts and cubes are made of."""
+"""MuJoCo's shape types in robosuite's tables, mounts and cubes."""
 HORIZON = 1_000_000
 
 
 class RobosuiteTask:
-    """One task of robosuite, and what is read from its simulation."""
+    """One task of robosuite, and the quantities read from its simulation."""
 
     def __init__(self, task: str, seed: int) -> None:
-        """A fresh environment; its own seed decides on cubes and on the arm's start."""
+        """A new environment; its seed determines the cubes and the arm's start posture."""
         self.env = _environment(task, seed)
         self.model, self.data = self.env.sim.model._model, self.env.sim.data._data
         robot = self.env.robots[0]
@@ -62,10 +62,10 @@ class RobosuiteTask:
         self._success = False
         self._first_success: float | None = None
 
-    # --- what is told -----------------------------------------------------------------------------------------
+    # --- answers ----------------------------------------------------------------------------------------------
 
     def setup(self) -> dict[str, Any]:
-        """Period, cubes, everything that stands there with its shape in the arm's base frame, and the first state."""
+        """Period, cubes, all objects with their shapes in the arm's base frame, and the first state."""
         return {
             "period": float(self.model.opt.timestep),
             "cubes": self.cubes,
@@ -82,20 +82,20 @@ class RobosuiteTask:
             scratch.qpos[:] = self.data.qpos
             scratch.qpos[self._q] = q
             mujoco.mj_kinematics(self.model, scratch)
-            at = self._base_rotation.T @ (scratch.site_xpos[self._site] - self._base_position)
-            turn = self._base_rotation.T @ scratch.site_xmat[self._site].reshape(3, 3)
-            found.append([*at.tolist(), *turn.ravel().tolist()])
+            position = self._base_rotation.T @ (scratch.site_xpos[self._site] - self._base_position)
+            rotation = self._base_rotation.T @ scratch.site_xmat[self._site].reshape(3, 3)
+            found.append([*position.tolist(), *rotation.ravel().tolist()])
         return found
 
     def state(self) -> Array:
-        """Time [s], q (7,), v (7,), opening of a finger [m], success, then position and quaternion of each cube."""
+        """Time [s], q (7,), v (7,), finger opening [m], success, then position and quaternion of each cube."""
         opening = 0.5 * float(np.abs(self.data.qpos[self._fingers]).sum())
         poses = [number for name in self.cubes for number in self._pose(self.data.body(f"{name}_main"))]
         head = [self.data.time, *self.data.qpos[self._q], *self.data.qvel[self._v], opening, float(self._success)]
         return np.array([*head, *poses])
 
     def limit_report(self) -> dict[str, Any]:
-        """What was judged up to now."""
+        """Success, breaches and torque saturation up to now."""
         return {
             "success": bool(self.env._check_success()),
             "first_success": self._first_success,
@@ -106,7 +106,7 @@ class RobosuiteTask:
     # --- one period -------------------------------------------------------------------------------------------
 
     def step(self, command: Array) -> Array:
-        """Drive at joint velocities command[:7] [rad/s], fingers closing where command[7] > 0; the state after it."""
+        """Apply joint velocities command[:7] [rad/s], with the fingers closing if command[7] > 0; returns the state."""
         torque = self._torque(command[:7])
         _, reward, _, _ = self.env.step(np.r_[torque / self._limits, command[7]])
         self._success = reward > 0.0
@@ -118,16 +118,16 @@ class RobosuiteTask:
         return self.state()
 
     def _torque(self, u: Array) -> Array:
-        """What the controller is asked for, before it adds the bias and clips."""
+        """The torque for the suite's controller, before that adds the bias torque and clips the sum."""
         data = self.data
         mujoco.mj_fullM(self.model, self._inertia, data.qM)
-        wish = self._inertia[self._dofs] @ (self._gain * (u - data.qvel[self._v])) - data.qfrc_passive[self._v]
+        torque = self._inertia[self._dofs] @ (self._gain * (u - data.qvel[self._v])) - data.qfrc_passive[self._v]
         self._steps += 1
-        self._saturated += bool(np.any(np.abs(wish + data.qfrc_bias[self._v]) >= self._limits))
-        return wish
+        self._saturated += bool(np.any(np.abs(torque + data.qfrc_bias[self._v]) >= self._limits))
+        return torque
 
     def _contact_forces(self) -> dict[tuple[str, str], float]:
-        """Normal forces [N] between parts of the robot and what they should not meet."""
+        """Normal forces [N] between parts of the robot and parts that they must not touch."""
         found: dict[tuple[str, str], float] = defaultdict(float)
         pairs = self.data.contact.geom
         for index in np.flatnonzero(self._checked_pairs[pairs[:, 0], pairs[:, 1]]).tolist():
@@ -147,7 +147,7 @@ class RobosuiteTask:
         return name.removeprefix("robot0_").removesuffix("_main").replace("world", "floor")
 
     def _pairs_to_check(self) -> NDArray[np.bool_]:
-        """Pairs of geoms that should not meet: the robot with things and itself; fingers may take the first cube."""
+        """Pairs of geoms that must not touch: the robot with objects and itself, except fingers with the first cube."""
         robot = np.array([name.startswith(("link", "hand", "finger")) for name in self._part_names])
         finger = np.array([name == "finger" for name in self._part_names])
         target = np.array([name == self.cubes[0] for name in self._part_names])
@@ -156,9 +156,9 @@ class RobosuiteTask:
         return judged & ~(allowed | allowed.T)
 
     def _is_obstacle(self, geom: int) -> bool:
-        """Whether a shape can be met and is no part of the arm."""
-        meets = self.model.geom_contype[geom] or self.model.geom_conaffinity[geom]
-        return bool(meets) and not self._part_names[geom].startswith(("link", "hand", "finger"))
+        """Whether a shape can have contacts and is no part of the arm."""
+        collides = self.model.geom_contype[geom] or self.model.geom_conaffinity[geom]
+        return bool(collides) and not self._part_names[geom].startswith(("link", "hand", "finger"))
 
     def _object_of(self, geom: int) -> dict[str, Any]:
         quaternion = np.zeros(4)
@@ -179,7 +179,7 @@ class RobosuiteTask:
 
 
 def _environment(task: str, seed: int) -> Any:
-    """An environment of robosuite at its own time step, one action a step of physics, nothing drawn or observed."""
+    """An environment of robosuite at its own time step, with one action per physics step and without rendering."""
     config = load_composite_controller_config(robot="Panda")
     arm = config["body_parts"]["right"]
     limits = [80.0] * 5 + [12.0] * 2
@@ -213,7 +213,7 @@ def _environment(task: str, seed: int) -> Any:
 
 
 def main() -> None:
-    """Answer until the input ends; whatever libraries print goes to stderr."""
+    """Answer requests until the input ends; output of libraries goes to stderr."""
     answers = os.dup(1)
     os.dup2(2, 1)
     versions = {"robosuite": robosuite.__version__, "mujoco": mujoco.__version__, "numpy": np.__version__}
@@ -221,18 +221,18 @@ def main() -> None:
     suite: RobosuiteTask | None = None
     while True:
         try:
-            ask = receive(0)
+            request = receive(0)
         except PipeError:
             return
-        if not isinstance(ask, dict):
-            send(answers, suite.step(ask))
-        elif ask["do"] == "open":
+        if not isinstance(request, dict):
+            send(answers, suite.step(request))
+        elif request["do"] == "open":
             if suite is not None:
                 suite.env.close()
-            suite = RobosuiteTask(ask["task"], ask["seed"])
+            suite = RobosuiteTask(request["task"], request["seed"])
             send(answers, suite.setup())
-        elif ask["do"] == "sites":
-            send(answers, {"sites": suite.grip_sites(np.array(ask["postures"]))})
+        elif request["do"] == "sites":
+            send(answers, {"sites": suite.grip_sites(np.array(request["postures"]))})
         else:
             send(answers, suite.limit_report())
 

@@ -1,4 +1,4 @@
-"""What of the outsider's check needs no robosuite: messages, account, scripts, obstacles, agreement, tables."""
+"""The parts of experiment `robosuite_tasks` that need no robosuite: messages, monitor, policies, obstacles, tables."""
 
 import os
 import threading
@@ -12,7 +12,8 @@ from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
 from experiments.engine.experiment import Options
-from experiments.robots.robosuite.episode import MAX_JOINT_SPEED as KNOWN
+from experiments.robots.robosuite import suite_process
+from experiments.robots.robosuite.episode import MAX_JOINT_SPEED as POLICY_MAX_JOINT_SPEED
 from experiments.robots.robosuite.episode import EpisodeRecord
 from experiments.robots.robosuite.limit_monitor import LOWER, MAX_JOINT_SPEED, UPPER, LimitMonitor
 from experiments.robots.robosuite.pipe_protocol import HEADER, MAX_MESSAGE_BYTES, PipeError, receive, send
@@ -39,15 +40,15 @@ def pipe():
 
 
 @pytest.mark.parametrize(
-    "message", [{"do": "open", "seed": 3, "words": "ü"}, {}, np.zeros(0), np.array([1.5, -np.inf, np.nan, 1e-300])]
+    "message", [{"do": "open", "seed": 3, "text": "ü"}, {}, np.zeros(0), np.array([1.5, -np.inf, np.nan, 1e-300])]
 )
 def test_a_message_arrives_as_it_was_sent(pipe, message):
     send(pipe[1], message)
-    got = receive(pipe[0], 1.0)
+    received = receive(pipe[0], 1.0)
     if isinstance(message, dict):
-        assert got == message
+        assert received == message
     else:
-        assert got.tobytes() == message.tobytes()
+        assert received.tobytes() == message.tobytes()
 
 
 def test_a_message_longer_than_the_pipe_arrives_whole(pipe):
@@ -58,12 +59,12 @@ def test_a_message_longer_than_the_pipe_arrives_whole(pipe):
     writer.join()
 
 
-def test_silence_an_end_and_nonsense_are_told_apart():
+def test_a_timeout_an_end_and_an_invalid_message_are_distinguished():
     read, write = os.pipe()
-    with pytest.raises(PipeError, match="nothing within"):
+    with pytest.raises(PipeError, match="no message within"):
         receive(read, 0.01)
     os.write(write, HEADER.pack(b"A", MAX_MESSAGE_BYTES + 1))
-    with pytest.raises(PipeError, match="a head that is none"):
+    with pytest.raises(PipeError, match="invalid message header"):
         receive(read, 1.0)
     os.write(write, HEADER.pack(b"J", 10) + b"{")
     os.close(write)
@@ -72,23 +73,23 @@ def test_silence_an_end_and_nonsense_are_told_apart():
     os.close(read)
 
 
-def test_the_account_has_the_data_sheets_limits():
+def test_the_monitor_has_the_data_sheets_limits():
     joints = load_robot("panda").joints
     assert [j.lower.value for j in joints] == LOWER.tolist()
     assert [j.upper.value for j in joints] == UPPER.tolist()
-    assert [j.velocity.value for j in joints] == MAX_JOINT_SPEED.tolist() == KNOWN.tolist()
+    assert [j.velocity.value for j in joints] == MAX_JOINT_SPEED.tolist() == POLICY_MAX_JOINT_SPEED.tolist()
 
 
 def test_breaches_are_counted_once_with_their_peak_and_duration():
-    account, middle, still = LimitMonitor(), 0.5 * (LOWER + UPPER), np.zeros(7)
+    monitor, middle, still = LimitMonitor(), 0.5 * (LOWER + UPPER), np.zeros(7)
     fast, beyond = still.copy(), UPPER.copy()
     fast[3], beyond[1] = -3.0, UPPER[1] + 0.02
-    account.update(0.0, middle, 1.009 * MAX_JOINT_SPEED, {("finger", "table"): 0.9})
-    assert account.breaches() == []
-    account.update(0.002, middle, fast, {("finger", "table"): 40.0})
-    account.update(0.004, beyond, fast * 0.8, {("finger", "table"): 90.0, ("hand", "table"): 2.0})
-    account.update(0.5, middle, still, {("finger", "table"): 5.0})
-    found = [(b["kind"], b["between"], b["start"], b["duration"], b["peak"]) for b in account.breaches()]
+    monitor.update(0.0, middle, 1.009 * MAX_JOINT_SPEED, {("finger", "table"): 0.9})
+    assert monitor.breaches() == []
+    monitor.update(0.002, middle, fast, {("finger", "table"): 40.0})
+    monitor.update(0.004, beyond, fast * 0.8, {("finger", "table"): 90.0, ("hand", "table"): 2.0})
+    monitor.update(0.5, middle, still, {("finger", "table"): 5.0})
+    found = [(b["kind"], b["between"], b["start"], b["duration"], b["peak"]) for b in monitor.breaches()]
     assert found == [
         ("joint_velocity", ["joint4"], 0.002, 0.002, 3.0),
         ("touch", ["finger", "table"], 0.002, 0.002, 90.0),
@@ -98,30 +99,30 @@ def test_breaches_are_counted_once_with_their_peak_and_duration():
     ]
 
 
-def fly(task, name, steps=6000):
-    """A script on joints that do what they are told, cubes that go with closed fingers; wishes and way points met."""
+def simulate(task, name, steps=6000):
+    """A policy with ideal joints and cubes that follow closed fingers; returns controls and waypoints as well."""
     safety, cubes = SafetyFilter(load_robot("panda")), dict(CUBES[task])
     q = np.array([0.0, 0.19, 0.0, -2.6, 0.0, 2.95, 0.785])
-    script = WaypointPolicy(TASKS[task](name == "hasty"), SPEED_PROFILES[name], MAX_JOINT_SPEED, q, PERIOD)
-    wishes, met, target = [], [], min(cubes)
+    policy = WaypointPolicy(TASKS[task](name == "hasty"), SPEED_PROFILES[name], MAX_JOINT_SPEED, q, PERIOD)
+    controls, met, target = [], [], min(cubes)
     for k in range(steps):
         tool = safety.tool(q)
-        wishes.append(script.nominal(k * PERIOD, q, tool, cubes))
-        if not met or met[-1][0] != script.waypoint.name:
-            met.append((script.waypoint.name, tool.position.copy(), tool.rotation.copy()))
-        if script.waypoint.closed:
+        controls.append(policy.nominal(k * PERIOD, q, tool, cubes))
+        if not met or met[-1][0] != policy.waypoint.name:
+            met.append((policy.waypoint.name, tool.position.copy(), tool.rotation.copy()))
+        if policy.waypoint.closed:
             cubes[target] = Pose(tuple((tool.position - (0.0, 0.0, 0.0)).tolist()), cubes[target].quaternion)
-        if script.done:
+        if policy.done:
             break
-        q = q + PERIOD * np.clip(wishes[-1], -MAX_JOINT_SPEED, MAX_JOINT_SPEED)
-    return script, np.array(wishes), met, cubes
+        q = q + PERIOD * np.clip(controls[-1], -MAX_JOINT_SPEED, MAX_JOINT_SPEED)
+    return policy, np.array(controls), met, cubes
 
 
 @pytest.mark.parametrize("task", TASKS)
 @pytest.mark.parametrize("name", SPEED_PROFILES)
-def test_a_script_takes_the_cube_from_above_and_brings_it_where_it_belongs(task, name):
-    script, wishes, met, cubes = fly(task, name)
-    assert script.done
+def test_a_policy_grasps_the_cube_from_above_and_places_it(task, name):
+    policy, controls, met, cubes = simulate(task, name)
+    assert policy.done
     assert [point for point, _, _ in met] == [point.name for point in TASKS[task](name == "hasty")]
     at = {point: (position, rotation) for point, position, rotation in met}
     start = CUBES[task][min(cubes)]
@@ -133,11 +134,11 @@ def test_a_script_takes_the_cube_from_above_and_brings_it_where_it_belongs(task,
         assert cubes["cube"].position[2] > start.position[2] + 0.09
     else:
         assert np.linalg.norm(np.subtract(cubes["cubeA"].position, cubes["cubeB"].position)[:2]) < 0.01
-    share = np.max(np.abs(wishes) / MAX_JOINT_SPEED)
+    share = np.max(np.abs(controls) / MAX_JOINT_SPEED)
     assert share <= 0.6 + 1e-9 if name == "careful" else share > 2.0
 
 
-def test_fingers_go_across_two_sides_by_the_least_turn():
+def test_the_grasp_rotation_is_the_nearest_across_two_sides():
     rng = np.random.default_rng(0)
     for _ in range(50):
         yaw, now = rng.uniform(-np.pi, np.pi, 2)
@@ -152,33 +153,33 @@ def test_fingers_go_across_two_sides_by_the_least_turn():
 
 
 def test_bang_bang_is_seeded_and_at_full_speed():
-    def wishes(seed):
+    def controls(seed):
         policy = BangBangPolicy(MAX_JOINT_SPEED, "cube", seed, 2.0)
         return np.array([policy.nominal(t * PERIOD, None, None, None) for t in range(1001)]), policy.done
 
-    (one, done), (same, _), (other, _) = wishes(1), wishes(1), wishes(2)
+    (one, done), (same, _), (other, _) = controls(1), controls(1), controls(2)
     assert done
     assert np.array_equal(one, same)
     assert not np.array_equal(one, other)
     assert np.array_equal(np.abs(one), np.broadcast_to(MAX_JOINT_SPEED, one.shape))
 
 
-def test_what_stands_there_becomes_obstacles_and_cubes_do_not():
+def test_fixed_objects_become_obstacles_and_cubes_do_not():
     level = (1.0, 0.0, 0.0, 0.0)
-    things = [
+    objects = [
         SuiteObject("floor", "plane", (3.0, 3.0, 0.1), (0.0, 0.0, -0.9), level),
         SuiteObject("table", "box", (0.4, 0.4, 0.025), (0.56, 0.0, -0.137), level),
         SuiteObject("mount", "box", (0.1, 0.2, 0.2), (-0.3, 0.0, -0.4), level),
         SuiteObject("mount", "cylinder", (0.18, 0.31, 0.0), (0.0, 0.0, -0.3), level),
         SuiteObject("cubeA", "box", (0.02, 0.02, 0.02), (0.5, 0.0, -0.09), level),
     ]
-    found = static_obstacles(things)
+    found = static_obstacles(objects)
     assert [type(one.shape) for one in found] == [HalfSpace, Box, Box, Box]
     assert found[3].shape.half_extents == (0.18, 0.18, 0.31)
     assert len({one.name for one in found}) == 4
 
 
-def test_the_arms_must_agree():
+def test_the_two_arm_models_must_agree():
     safety, rng = SafetyFilter(load_robot("panda")), np.random.default_rng(1)
     tools = [safety.tool(q) for q in rng.uniform(-1.0, 1.0, (20, 7))]
     turn = quaternion_to_matrix(matrix_to_quaternion(quaternion_to_matrix((0.9, 0.1, 0.2, 0.3))))
@@ -193,56 +194,56 @@ def test_the_arms_must_agree():
         check_agreement(sites, tools)
 
 
-def test_the_filter_is_told_less_than_the_data_sheet_says():
-    plain, told = load_robot("panda"), derated_robot(PERIOD)
-    assert told.period == PERIOD
+def test_the_filter_is_derated_relative_to_the_data_sheet():
+    original, derated = load_robot("panda"), derated_robot(PERIOD)
+    assert derated.period == PERIOD
     for joint, one, speed, acceleration in zip(
-        plain.joints, told.joints, SPEED_SHARES, ACCELERATION_SHARES, strict=True
+        original.joints, derated.joints, SPEED_SHARES, ACCELERATION_SHARES, strict=True
     ):
         assert one.velocity.value == pytest.approx(speed * joint.velocity.value)
         assert one.acceleration.value == pytest.approx(acceleration * joint.acceleration.value)
-    SafetyFilter(told)
+    SafetyFilter(derated)
 
 
-def test_a_flights_figures_are_shares_of_the_data_sheet_and_no_unit_is_called_broken():
-    robot_model, course = derated_robot(PERIOD), EpisodeRecord(delta=[0.0, 1.0], status=[0, 1])
+def test_metrics_are_shares_of_the_data_sheet_and_report_no_error():
+    robot_model, record = derated_robot(PERIOD), EpisodeRecord(delta=[0.0, 1.0], status=[0, 1])
     for k in range(2):
-        course.q.append(np.full(7, k * PERIOD))
-        course.v.append(np.ones(7))
-        course.u.append(2.0 * MAX_JOINT_SPEED)
-    figures = course.metrics(robot_model)
-    assert figures["asked"] == 2.0
-    assert figures["speed"] == pytest.approx(1.0 / MAX_JOINT_SPEED.min(), abs=1e-4)
-    assert figures["delta"] == 0.5
-    assert figures["status"] == [1, 1, 0, 0, 0]
-    assert "error" not in figures
+        record.q.append(np.full(7, k * PERIOD))
+        record.v.append(np.ones(7))
+        record.u.append(2.0 * MAX_JOINT_SPEED)
+    metrics = record.metrics(robot_model)
+    assert metrics["asked"] == 2.0
+    assert metrics["speed"] == pytest.approx(1.0 / MAX_JOINT_SPEED.min(), abs=1e-4)
+    assert metrics["delta"] == 0.5
+    assert metrics["status"] == [1, 1, 0, 0, 0]
+    assert "error" not in metrics
 
 
 def test_a_missing_environment_says_what_to_do(tmp_path, monkeypatch):
     with pytest.raises(MissingDependencyError, match=COMMAND):
         interpreter(tmp_path)
-    monkeypatch.setattr("experiments.robots.robosuite.suite_process.python_in", lambda: interpreter(tmp_path))
-    with pytest.raises(MissingDependencyError, match="the environment of robosuite is missing"):
+    monkeypatch.setattr(suite_process, "interpreter", lambda: interpreter(tmp_path))
+    with pytest.raises(MissingDependencyError, match="The virtual environment of robosuite is missing"):
         SuiteProcess()
     assert all("==" in package for package in required_packages())
 
 
-def test_every_cell_has_as_many_seeds_and_a_prefix_has_all_cells_with_a_task(tmp_path):
+def test_every_condition_has_all_seeds_and_a_prefix_has_all_conditions_with_a_task(tmp_path):
     units = RobosuiteTasks().units(Options(tmp_path, ""))
-    flown = [(u.parameters["task"], u.parameters["policy"], u.parameters["how"]) for u in units]
+    conditions = [(u.parameters["task"], u.parameters["policy"], u.parameters["how"]) for u in units]
     main, controls = (
-        {(task, policy, how) for task, policy, hows in cells for how in hows}
-        for cells in (CONDITIONS, CONTROL_CONDITIONS)
+        {(task, policy, mode) for task, policy, modes in group for mode in modes}
+        for group in (CONDITIONS, CONTROL_CONDITIONS)
     )
-    assert all(flown.count(cell) == N_SEEDS for cell in main | controls)
-    assert set(flown[: N_SEEDS * len(main) // 4]) == main
-    assert set(flown[N_SEEDS * len(main) :]) == controls
+    assert all(conditions.count(one) == N_SEEDS for one in main | controls)
+    assert set(conditions[: N_SEEDS * len(main) // 4]) == main
+    assert set(conditions[N_SEEDS * len(main) :]) == controls
 
 
-def made_up(unit, **changed):
+def sample_row(unit, **changed):
     row = {
         "key": unit.key,
-        **unit.about,
+        **unit.parameters,
         "success": True,
         "first_success": 1.0,
         "breaches": [],
@@ -259,20 +260,20 @@ def made_up(unit, **changed):
         "allowed_error": 1e-3,
         "versions": {"robosuite": "1"},
     }
-    if unit.about["how"] == "filtered":
+    if unit.parameters["how"] == "filtered":
         row |= {"delta": 0.1, "h_min": 0.002, "status": [60, 40, 0, 0, 0]}
     return row | changed
 
 
 def test_the_report_counts_and_names_exceptions(tmp_path):
-    proof = RobosuiteTasks()
-    rows = [made_up(unit) for unit in proof.units(Options(tmp_path, ""))]
-    assert "No filtered flight failed or exceeded anything." in "\n".join(proof.report(rows))
-    struck = {"kind": "touch", "between": ["finger", "table"], "start": 1.0, "duration": 0.1, "peak": 80.0}
+    experiment = RobosuiteTasks()
+    rows = [sample_row(unit) for unit in experiment.units(Options(tmp_path, ""))]
+    assert "No filtered episode failed or exceeded a limit." in "\n".join(experiment.report(rows))
+    contact = {"kind": "touch", "between": ["finger", "table"], "start": 1.0, "duration": 0.1, "peak": 80.0}
     first = next(k for k, row in enumerate(rows) if row["how"] == "filtered" and row["task"] == "Stack")
-    rows[first] |= {"breaches": [struck], "success": False}
-    text = "\n".join(proof.report(rows))
+    rows[first] |= {"breaches": [contact], "success": False}
+    text = "\n".join(experiment.report(rows))
     assert "touch finger and table 80 N at 1.00 s" in text
     assert "19 of 20" in text
-    assert "touch 80 N" in proof.summarize_row(rows[first])
-    assert proof.report(rows[:1])
+    assert "touch 80 N" in experiment.summarize_row(rows[first])
+    assert experiment.report(rows[:1])

@@ -1,4 +1,4 @@
-"""The lab's judge agrees with the tests' own oracle; short runs of each class hold, and each negative control fails."""
+"""The reference distances agree with the tests' oracle; short runs of each class hold, each negative control fails."""
 
 import msgspec
 import numpy as np
@@ -20,9 +20,9 @@ from experiments.safety.adversary_tables import adversary_tables, count_violatio
 from experiments.safety.reference_judge import rotation_matrix, true_h
 from tests.safety import geometry_oracle
 
-SEEN = (
+OBSTACLES = (
     Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.02), (0.96, 0.28, 0.0, 0.0))),
-    Obstacle("ball", Sphere(0.07), Pose((0.5, 0.1, 0.5))),
+    Obstacle("sphere", Sphere(0.07), Pose((0.5, 0.1, 0.5))),
     Obstacle("rod", Capsule(0.04, 0.2), Pose((0.3, -0.4, 0.6), (0.5, 0.5, -0.5, 0.5))),
     Obstacle("crate", Box((0.1, 0.2, 0.05)), Pose((-0.4, 0.3, 0.5), (0.6, 0.0, 0.8, 0.0))),
 )
@@ -35,86 +35,86 @@ def postures(count, seed=0):
     return robot_model, rng.uniform(*bounds, (count, robot_model.n))
 
 
-def test_the_judge_is_the_oracle():
-    """Single postures, inside and outside: things, own links, joint limits."""
+def test_the_reference_distances_equal_the_oracle():
+    """Single postures, with and without contact: obstacles, own links, joint limits."""
     robot_model, q = postures(60)
     _, judge = load_panda()
-    said = np.vstack([true_h(judge, one[None], SEEN) for one in q])
-    assert said[:, 0] == pytest.approx(geometry_oracle.h_obstacles(robot_model, q, SEEN), abs=1e-12)
-    assert said[:, 2] == pytest.approx(geometry_oracle.h_self(robot_model, q), abs=1e-12)
-    assert said[:, 3] == pytest.approx(geometry_oracle.h_joints(robot_model, q), abs=1e-12)
-    assert said[:, 0].min() < -0.05 < 0.05 < said[:, 0].max()
+    distances = np.vstack([true_h(judge, one[None], OBSTACLES) for one in q])
+    assert distances[:, 0] == pytest.approx(geometry_oracle.h_obstacles(robot_model, q, OBSTACLES), abs=1e-12)
+    assert distances[:, 2] == pytest.approx(geometry_oracle.h_self(robot_model, q), abs=1e-12)
+    assert distances[:, 3] == pytest.approx(geometry_oracle.h_joints(robot_model, q), abs=1e-12)
+    assert distances[:, 0].min() < -0.05 < 0.05 < distances[:, 0].max()
 
 
-def test_along_a_path_nothing_near_is_missed():
-    """What is not measured again is at 2 cm or more."""
+def test_along_a_path_no_small_distance_is_missed():
+    """A distance that is not measured again is at least 2 cm."""
     robot_model, ends = postures(2, seed=4)
     _, judge = load_panda()
     q = ends[0] + np.linspace(0.0, 1.0, 700)[:, None] * (ends[1] - ends[0])
-    said = true_h(judge, q, SEEN)[1:]
-    assert said[:, 0] == pytest.approx(
-        np.minimum(geometry_oracle.h_obstacles(robot_model, q, SEEN), 0.02)[1:], abs=1e-12
+    distances = true_h(judge, q, OBSTACLES)[1:]
+    assert distances[:, 0] == pytest.approx(
+        np.minimum(geometry_oracle.h_obstacles(robot_model, q, OBSTACLES), 0.02)[1:], abs=1e-12
     )
-    assert said[:, 2] == pytest.approx(np.minimum(geometry_oracle.h_self(robot_model, q), 0.02)[1:], abs=1e-12)
-    assert np.any(said[:, 0] < 0.02)
+    assert distances[:, 2] == pytest.approx(np.minimum(geometry_oracle.h_self(robot_model, q), 0.02)[1:], abs=1e-12)
+    assert np.any(distances[:, 0] < 0.02)
 
 
-def test_own_approach_is_the_speed_of_what_touches():
-    """Joint 1 turns the arm into a moving wall at rest: the approach is ω times the lever arm of the deepest sphere."""
+def test_the_approach_is_the_speed_of_the_touching_sphere():
+    """Joint 1 turns the arm into a wall at rest: the approach is ω times the lever arm of the deepest sphere."""
     robot_model, judge = load_panda()
     q = np.tile(np.array(robot_model.home), (2, 1))
     q[1, 0] += 1e-3
     tip = geometry_oracle.sphere_centres(robot_model, q)[0][:, :, :]
     ahead = tip[1, :, 1].max() + 0.05
     wall = Obstacle("wall", HalfSpace(), Pose((0.0, ahead - 0.1, 0.0), (0.5**0.5, 0.5**0.5, 0.0, 0.0)), static=False)
-    said = true_h(judge, q, [wall])[1]
+    distances = true_h(judge, q, [wall])[1]
     moving = [i for i, name in enumerate(geometry_oracle.sphere_centres(robot_model, q)[2]) if name != "link0"]
     radii = geometry_oracle.sphere_centres(robot_model, q)[1]
     deep = [i for i in moving if ahead - 0.1 - tip[1, i, 1] < radii[i]]
-    assert said[1] < 0.0
-    assert said[4] == pytest.approx(max((tip[1, i, 1] - tip[0, i, 1]) / 1e-3 for i in deep), rel=1e-5)
+    assert distances[1] < 0.0
+    assert distances[4] == pytest.approx(max((tip[1, i, 1] - tip[0, i, 1]) / 1e-3 for i in deep), rel=1e-5)
 
 
-def test_rotation_is_scipys():
+def test_the_rotation_matrix_equals_scipys():
     q = np.random.default_rng(1).normal(size=4)
     q /= np.linalg.norm(q)
     assert rotation_matrix(q) == pytest.approx(geometry_oracle.rotation_matrix(q))
 
 
-def test_what_the_lab_saw_is_what_the_oracle_sees():
-    account, path, truth = run_trial(CLASSES["drops"], 3, 600, log=True)
+def test_the_recorded_minima_equal_the_oracle():
+    counts, path, truth = run_trial(CLASSES["drops"], 3, 600, log=True)
     robot_model, _ = load_panda()
     h = geometry_oracle.h_obstacles(robot_model, path, truth)
-    assert account["h_still"] == pytest.approx(min(h.min(), 0.02), abs=1e-12)
-    assert account["h_self"] == pytest.approx(min(geometry_oracle.h_self(robot_model, path).min(), 0.02), abs=1e-12)
-    assert account["steps"] == 600
+    assert counts["h_still"] == pytest.approx(min(h.min(), 0.02), abs=1e-12)
+    assert counts["h_self"] == pytest.approx(min(geometry_oracle.h_self(robot_model, path).min(), 0.02), abs=1e-12)
+    assert counts["steps"] == 600
 
 
 @pytest.mark.parametrize("kind", STATIC_CLASSES, ids=lambda kind: kind.name)
 def test_static_classes_hold(kind):
-    account = aggregate([run_episode(kind, seed, 2500) for seed in (1, 2)])
-    assert sum(account["still"]) == 0
-    assert account["status"][3] <= 1e-3 * account["steps"]
-    assert account["jerks"] == 0
+    counts = aggregate([run_episode(kind, seed, 2500) for seed in (1, 2)])
+    assert sum(counts["still"]) == 0
+    assert counts["status"][3] <= 1e-3 * counts["steps"]
+    assert counts["jerks"] == 0
 
 
 @pytest.mark.parametrize("kind", MOVING_CLASSES, ids=lambda kind: kind.name)
-def test_moving_classes_are_accounted_for(kind):
-    account = aggregate([run_episode(kind, seed, 2000) for seed in (1, 2)])
-    assert sum(account["attacked"]) == account["steps"]
-    assert account["plans"][1] if kind.name == "evadable" else account["plans"][0]
+def test_every_step_of_a_moving_class_is_counted(kind):
+    counts = aggregate([run_episode(kind, seed, 2000) for seed in (1, 2)])
+    assert sum(counts["attacked"]) == counts["steps"]
+    assert counts["plans"][1] if kind.name == "evadable" else counts["plans"][0]
 
 
 @pytest.mark.parametrize(
     ("kind", "seeds", "steps"), [(NEGATIVE_CONTROLS[0], (0, 1), 3000), (NEGATIVE_CONTROLS[1], (9,), 1000)]
 )
-def test_static_controls_fail(kind, seeds, steps):
+def test_static_negative_controls_fail(kind, seeds, steps):
     assert count_violations(aggregate([run_episode(kind, seed, steps) for seed in seeds])) > 0
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", NEGATIVE_CONTROLS, ids=lambda kind: kind.name)
-def test_every_control_fails(kind):
+def test_every_negative_control_fails(kind):
     assert count_violations(aggregate([run_episode(kind, seed) for seed in range(20)])) > 0
 
 
@@ -122,18 +122,17 @@ def test_a_run_repeats_from_its_seed():
     assert run_episode(CLASSES["late"], 5, 500) == run_episode(CLASSES["late"], 5, 500)
 
 
-def test_what_is_told_covers_what_goes_wrong():
-    """Every static class is told at least the error that its loop can make."""
+def test_the_filter_assumes_at_least_the_errors_of_the_loop():
     for kind in (*STATIC_CLASSES, *MOVING_CLASSES):
         loop = {**UNDISTURBED, **kind.loop_settings}
         if loop["push"] > 0.0:
             assert kind.filter_config().tracking_error >= loop["push"] + 3.4 * (loop["q_noise"] + LAG * loop["v_noise"])
         assert kind.margin >= loop["place_noise"]
-    thing = CLASSES["person"].perceived_obstacle(msgspec.structs.replace(SEEN[1], static=False))
-    assert thing.velocity_error == CLASSES["person"].loop_settings["mover_speed"]
+    obstacle = CLASSES["person"].perceived_obstacle(msgspec.structs.replace(OBSTACLES[1], static=False))
+    assert obstacle.velocity_error == CLASSES["person"].loop_settings["mover_speed"]
 
 
-def test_hazards_keep_their_distance():
+def test_random_obstacles_keep_their_distance():
     robot_model, judge = load_panda()
     rng = np.random.default_rng(2)
     q = random_scenes.random_posture(robot_model, judge, rng)

@@ -1,4 +1,4 @@
-"""The plant's judge misses nothing that brute force finds, and a short adversarial run holds with both drives."""
+"""The plant judge finds every contact that brute force finds; a short adversarial run holds with both drives."""
 
 import mujoco
 import numpy as np
@@ -29,33 +29,33 @@ def fixed(name, shape, position):
 
 @pytest.fixture(scope="module")
 def crowded():
-    things = (fixed("ball", Sphere(0.08), (0.45, 0.25, 0.4)), fixed("crate", Box((0.1, 0.1, 0.2)), (0.5, -0.3, 0.2)))
-    return SceneSpec(robot="panda", family="test", seed=0, objects=things, places=())
+    objects = (fixed("sphere", Sphere(0.08), (0.45, 0.25, 0.4)), fixed("crate", Box((0.1, 0.1, 0.2)), (0.5, -0.3, 0.2)))
+    return SceneSpec(robot="panda", family="test", seed=0, objects=objects, places=())
 
 
-def brute(plant, judge):
+def brute_force_distance(plant, judge):
     return min(mujoco.mj_geomDistance(plant.model, plant.data, a, b, 1.0, None) for a, b in judge._pairs.tolist())
 
 
-def test_a_blind_arm_is_caught_whenever_it_touches(crowded):
-    """Unfiltered, contacts off: at every state the judge's count of negative states is brute force's."""
+def test_the_judge_counts_every_contact_of_an_unfiltered_arm(crowded):
+    """Without filter and contacts: at every state the judge counts the same negative states as brute force."""
     plant = Plant(crowded, load_robot("panda"))
     robot, judge = SteppedPlant(plant, contacts=False), PlantJudge(plant)
-    negative, u, wish = 0, np.zeros(7), np.array([0.5, 1.5, 0.0, 0.5, 0.0, 0.5, 0.0])
+    negative, u, u_nom = 0, np.zeros(7), np.array([0.5, 1.5, 0.0, 0.5, 0.0, 0.5, 0.0])
     for t in range(700):
         robot.measure()
         judge.update()
-        truth = brute(plant, judge) if t % 2 == 0 or judge.n_below_zero != negative else None
+        truth = brute_force_distance(plant, judge) if t % 2 == 0 or judge.n_below_zero != negative else None
         if truth is not None and truth < 0.0:
             assert judge.n_below_zero > negative
             assert min(judge.min_scene_distance, judge.min_self_distance) <= truth
         negative = judge.n_below_zero
-        u += np.clip(wish - u, -0.0075, 0.0075)
+        u += np.clip(u_nom - u, -0.0075, 0.0075)
         robot.apply(u)
     assert negative > 0
 
 
-def test_nothing_reaches_beyond(crowded):
+def test_no_tool_point_exceeds_the_assumed_reach(crowded):
     plant = Plant(crowded, load_robot("panda"))
     mujoco.mj_forward(plant.model, plant.data)
     tip = plant.data.xanchor[6]
