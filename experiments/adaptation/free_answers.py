@@ -1,7 +1,7 @@
-"""A model with its adapters that answers freely, many questions side by side: in torch, which says what llama.cpp says.
+"""Unconstrained answers of a model with its adapters, in batches, by torch.
 
-`benchmarks/serving_equality.py` has the comparison. Nothing binds an answer; the grammar of the question's scene only
-foresees it (`adaptation/serving/speculative_decoding.py`).
+`benchmarks/serving_equality.py` compares the answers with those of llama.cpp. Decoding is unconstrained; the grammar of
+the scene serves only for speculative decoding (`adaptation/serving/speculative_decoding.py`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from dualbrain.planner.decoding.llguidance_grammar import contract_grammar
 from dualbrain.runtime.data_collection.synthetic_scenes import scene_context_by_name
 
 MAX_TOKENS = 400
-"""Tokens of an answer: three things put away take some 330."""
+"""Largest number of tokens of an answer; a contract for three goals takes about 330."""
 BATCH_SIZE = 8
 
 ChatTurns = Sequence[Mapping[str, Any]]
@@ -27,24 +27,24 @@ ChatTurns = Sequence[Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Sampling:
-    """Answers are drawn: at which temperature, and by which seed each."""
+    """Sampled answers: the temperature, and a seed for each answer."""
 
     temperature: float
     seeds: Sequence[int]
 
 
 class FreeAnswerModel:
-    """The model of `stack`; it is loaded by the first question."""
+    """The model of an adapter stack, loaded at the first request."""
 
     def __init__(self, stack: AdapterStack, threads: int = 1) -> None:
-        """Nothing is read yet."""
+        """The model of `stack`, computed by `threads` threads."""
         self._stack, self._threads = stack, threads
 
     def generate(
         self, questions: Sequence[Sample], turns: Sequence[ChatTurns] | None = None, sampling: Sampling | None = None
     ) -> list[str]:
-        """The free answers to `questions`, each asked by its own prompt or its `turns`; greedy unless by `chance`."""
-        import torch  # noqa: PLC0415  (only where it is asked)
+        """The answers to `questions`, by their own prompts or by `turns`; greedy without `sampling`."""
+        import torch  # noqa: PLC0415  (heavy)
 
         from dualbrain.adaptation.serving.constrained_decoding import GrammarConstraint  # noqa: PLC0415
         from dualbrain.adaptation.serving.speculative_decoding import DecodingStream, generate  # noqa: PLC0415
@@ -53,7 +53,7 @@ class FreeAnswerModel:
         model, tokenizer, vocabulary = self._model
         torch.set_num_threads(self._threads)
         prompts = [one.prompt for one in questions] if turns is None else turns
-        replies = [
+        streams = [
             DecodingStream(
                 [*tokenize_prompt(tokenizer, [{"role": turn["role"], "content": turn["content"]} for turn in prompt])],
                 end_token=tokenizer.eos_token_id,
@@ -64,12 +64,12 @@ class FreeAnswerModel:
             )
             for place, (one, prompt) in enumerate(zip(questions, prompts, strict=True))
         ]
-        for start in range(0, len(replies), BATCH_SIZE):
-            generate(model, replies[start : start + BATCH_SIZE])
-        return [tokenizer.decode(one.output_tokens, skip_special_tokens=True) for one in replies]
+        for start in range(0, len(streams), BATCH_SIZE):
+            generate(model, streams[start : start + BATCH_SIZE])
+        return [tokenizer.decode(one.output_tokens, skip_special_tokens=True) for one in streams]
 
     def generate_one(self, question: Sample, sampling: Sampling | None = None) -> str:
-        """The free answer to one question."""
+        """The answer to one request."""
         return self.generate([question], sampling=sampling)[0]
 
     @cached_property
@@ -82,6 +82,6 @@ class FreeAnswerModel:
 
 
 def scene_grammar(question: Sample) -> str:
-    """What a contract looks like in the scene of `question`."""
-    setting = scene_context_by_name(question.scene)
-    return contract_grammar(decoding_schema(setting.registry, setting.names))
+    """The grammar of contracts in the scene of `question`."""
+    context = scene_context_by_name(question.scene)
+    return contract_grammar(decoding_schema(context.registry, context.names))

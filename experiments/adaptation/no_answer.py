@@ -1,11 +1,11 @@
-"""What is no answer of a model's."""
+"""The error of a request without an answer."""
 
 from __future__ import annotations
 
 
 class NoAnswerError(RuntimeError):
-    """The engine broke or time ran out, which says nothing of the model: the unit is to be carried out again."""
+    """The engine failed or time ran out, which says nothing about the model: the unit must be run again."""
 
-    def __init__(self, finish: str, detail: str = "") -> None:
-        """Say what came instead."""
-        super().__init__(f"no answer: {finish} {detail}".rstrip())
+    def __init__(self, finish_reason: str, detail: str = "") -> None:
+        """Report the finish reason, and a detail if there is one."""
+        super().__init__(f"no answer: {finish_reason} {detail}".rstrip())

@@ -1,8 +1,8 @@
-"""retention: what a model still knows of the rest of the world after lessons, and after a night of adaptation.
+"""Retention of general knowledge after training on synthetic examples and after adaptation.
 
-The nights are those of `adapt_curve`, without the KL term, with it, and with the whole objective, and of `nights` the
-one of suite `paper` beside that of its ablation without the KL term. Measured in the runtime that serves: perplexity of
-a fixed text of no robot's, and plain questions whose answers must hold a word.
+The adapters are those of `ablation_curve` without the KL term, with it, and with the complete objective, and of
+`suite_adapters` the one of suite `paper` and its ablation without the KL term. Measured by the serving runtime: the
+perplexity of a fixed text that is not about robots, and general questions whose answers must contain a word.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from experiments.figures.tables import format_proportion, markdown_table
 
 BARE_MODEL, BASE_ADAPTER = "smollm2-135m-instruct", "base-135m"
 CURVE_ARMS = ("sft, clean ones", "+ KL", "full")
-"""Arms of `adapt_curve`: β = 0, the default β, the whole objective with it."""
+"""Arms of `ablation_curve`: β = 0, the default β, and the complete objective with it."""
 ROUND_ADAPTERS = (FULL_ADAPTER, "adapted_no_kl")
-"""Adapters of `nights`, of one chain."""
+"""Adapters of `suite_adapters`, from one chain of rounds."""
 MAX_TOKENS = 40
 QUESTIONS = (
     ("What is the capital of France?", "paris"),
@@ -57,27 +57,28 @@ QUESTIONS = (
     ("In which country is Tokyo?", "japan"),
     ("What is H2O commonly called?", "water"),
 )
-"""A question and the words one of which a right answer holds."""
+"""Questions, each with words one of which a correct answer contains."""
 
 
 class Retention:
-    """Teaching contracts costs little else."""
+    """Training on contracts costs little general knowledge."""
 
     name = "retention"
     claim = (
-        "Perplexity of a text of no robot's and 20 plain questions: of the bare model, after the lessons of the base, "
-        f"and after nights from there, without KL (β = 0), with it (β = {ablation_curve.FULL_OBJECTIVE.beta:g}), and with all."
+        "Perplexity of a text that is not about robots, and 20 general questions: for the bare model, after training "
+        "of the base adapter, and after adaptation from there without KL term (β = 0), with it "
+        f"(β = {ablation_curve.FULL_OBJECTIVE.beta:g}), and with the complete objective."
     )
 
     def units(self, options: Options) -> list[WorkUnit]:
-        """Bare and base, the nights that rounds led to, then those of `adapt_curve` seed by seed."""
-        nights = [(arm, seed) for seed in ablation_curve.SEEDS for arm in CURVE_ARMS]
-        told = [(arm, 0) for arm in (BARE_MODEL, BASE_ADAPTER, *ROUND_ADAPTERS)] + nights
+        """Bare model and base adapter, the adapters of rounds, then those of `ablation_curve` seed by seed."""
+        curve = [(arm, seed) for seed in ablation_curve.SEEDS for arm in CURVE_ARMS]
+        arms = [(arm, 0) for arm in (BARE_MODEL, BASE_ADAPTER, *ROUND_ADAPTERS)] + curve
         folder = str(options.folder)
-        return [WorkUnit(f"{arm}, seed {seed}", {"arm": arm, "seed": seed, "folder": folder}) for arm, seed in told]
+        return [WorkUnit(f"{arm}, seed {seed}", {"arm": arm, "seed": seed, "folder": folder}) for arm, seed in arms]
 
     def run(self, about: dict[str, Any]) -> Row:
-        """Fit if `adapt_curve` has not yet, then ask."""
+        """Train the adapter if `ablation_curve` has not, then measure."""
         stack = adapter_stack(about["arm"], about["seed"], Path(about["folder"]))
         planner = start_llama(
             stack, paths.cache_folder(), LlamaConfig(threads=1, n_ctx=N_CTX), prompt_format=UNCONSTRAINED_SHORT_PROMPT
@@ -85,10 +86,10 @@ class Retention:
         try:
             measured = perplexity(planner, retention_text())
             turns = [[{"role": "user", "content": question}] for question, _ in QUESTIONS]
-            said = [complete(planner, one, max_tokens=MAX_TOKENS) for one in turns]
+            completions = [complete(planner, one, max_tokens=MAX_TOKENS) for one in turns]
         finally:
             planner.close()
-        texts = [answer_text(one) for one in said]
+        texts = [answer_text(one) for one in completions]
         if isinstance(measured, ChatResponse):
             raise NoAnswerError(measured.finish_reason, measured.detail)
         return {
@@ -100,11 +101,11 @@ class Retention:
         }
 
     def summarize_row(self, row: Row) -> str:
-        """Both figures."""
-        return f"perplexity {row['perplexity']:.2f}, {sum(row['right'])} of {len(row['right'])} known"
+        """Perplexity and number of correct answers."""
+        return f"perplexity {row['perplexity']:.2f}, {sum(row['right'])} of {len(row['right'])} correct"
 
     def report(self, rows: list[Row]) -> list[str]:
-        """One line an arm: perplexity of each seed, questions of all."""
+        """One line per arm: the perplexity of each seed, the correct answers of all seeds."""
         by_arm = {
             arm: [row for row in rows if row["arm"] == arm]
             for arm in (BARE_MODEL, BASE_ADAPTER, *ROUND_ADAPTERS, *CURVE_ARMS)
@@ -112,42 +113,42 @@ class Retention:
         cells = (
             (
                 arm,
-                ", ".join(f"{row['perplexity']:.2f}" for row in mine),
-                format_proportion(sum(sum(row["right"]) for row in mine), sum(len(row["right"]) for row in mine)),
+                ", ".join(f"{row['perplexity']:.2f}" for row in some),
+                format_proportion(sum(sum(row["right"]) for row in some), sum(len(row["right"]) for row in some)),
             )
-            for arm, mine in by_arm.items()
-            if mine
+            for arm, some in by_arm.items()
+            if some
         )
-        return markdown_table(("", "perplexity, by seed", "questions known"), cells)
+        return markdown_table(("", "perplexity, by seed", "correct answers"), cells)
 
 
-def answer_text(said: RawCompletion | ChatResponse) -> str:
-    """The words of an answer; raises `NoAnswer`."""
-    if isinstance(said, ChatResponse):
-        raise NoAnswerError(said.finish_reason, said.detail)
-    return said.text
+def answer_text(completion: RawCompletion | ChatResponse) -> str:
+    """The text of an answer; raises `NoAnswerError`."""
+    if isinstance(completion, ChatResponse):
+        raise NoAnswerError(completion.finish_reason, completion.detail)
+    return completion.text
 
 
 def is_known(text: str, words: str) -> bool:
-    """Whether `text` is no contract and has one of `words` in it."""
+    """Whether `text` is no contract and contains one of `words`."""
     return "{" not in text and re.search(rf"\b(?:{words})s?\b", text.lower()) is not None
 
 
 def adapter_stack(arm: str, seed: int, folder: Path) -> AdapterStack:
-    """The bare model, the base, or the base after a night; what is not fitted yet in `folder` is."""
+    """The bare model, the base adapter, or an adapter trained from it, which is trained here if it is missing."""
     if arm == BARE_MODEL:
         return AdapterStack(find_weight_file(BARE_MODEL).name, locate_weights(BARE_MODEL, paths.cache_folder()), ())
     return load_stack(_adapter_folder(arm, seed, folder), paths.cache_folder())
 
 
 def _adapter_folder(arm: str, seed: int, folder: Path) -> Path:
-    """The folder of an adapter; one that a proof has left is taken as it is, for that is what the proof measured."""
+    """The folder of an adapter; one that another experiment left is used as it is, because that one was measured."""
     if arm == BASE_ADAPTER:
         return packaged_folder(BASE_ADAPTER)
     if arm in ROUND_ADAPTERS:
         return adapter_folder(arm, folder / Rounds.name)
     curve = folder / ablation_curve.AblationCurve.name
-    left = ablation_curve.training_folder(arm, seed, ablation_curve.N_STEPS, curve) / "adapter"
-    if not left.joinpath(CARD_FILE).is_file():
+    adapter = ablation_curve.training_folder(arm, seed, ablation_curve.N_STEPS, curve) / "adapter"
+    if not adapter.joinpath(CARD_FILE).is_file():
         ablation_curve.train_arm(arm, seed, ablation_curve.N_STEPS, curve)
-    return left
+    return adapter

@@ -1,7 +1,7 @@
-"""One chain of rounds: the planner proposes, what it proposed is carried out, what went well is fitted from the base.
+"""One chain of rounds: the planner proposes, the proposals are executed, and the good ones train the next adapter.
 
-The adapter of a round plans in the next one. Nobody else proposes anything. Everything lies in a folder of its own and
-is done once: stopped in any way, it goes on where it was.
+The adapter of a round plans in the next one; no other planner proposes anything. The chain has its own folder and does
+every step once: after any interruption, it continues where it was.
 """
 
 from __future__ import annotations
@@ -60,18 +60,18 @@ if TYPE_CHECKING:
 
 BASE = "base-135m"
 N_PLACES, N_INSTRUCTIONS = 120, 120
-"""Held-out places, the same for every round; instructions of a round, others in each."""
+"""Number of held-out requests, the same in every round; number of instructions per round, different in each."""
 TEMPERATURE = 0.7
-"""Of what a planner proposes while it gathers experience; where it is measured it answers greedily."""
+"""Temperature of the proposals for training; measurements are greedy."""
 EPISODES_PER_STEP = 5
-"""Held-out episodes in one step."""
+"""Held-out episodes in one resumable step."""
 HELD_OUT_SEED, FIRST_SEED = 21, 100
-"""Of the held-out places; of the first instructions of the first chain."""
+"""Seed of the held-out requests, and of the first instructions of the first chain."""
 CONFIG = AdaptConfig(
     curation=CurationConfig(rules=CleanRules(epsilon=EPSILON)),
     fit=FitConfig(steps=60, batch=4, at_once=4, save_every=20, ask_at_most=0, threads=1, keep="last"),
 )
-"""As `adapt_curve` fits. All steps are taken, so that what leaves a part out is fitted for as long."""
+"""The training of `ablation_curve`. All steps are taken, so that ablations are trained for as long."""
 SELECTION_RULES = CONFIG.curation.rules
 ABLATIONS: dict[str, tuple[CleanRules, ObjectiveConfig]] = {
     "adapted_no_entropy": (
@@ -82,7 +82,7 @@ ABLATIONS: dict[str, tuple[CleanRules, ObjectiveConfig]] = {
     "adapted_all": (msgspec.structs.replace(SELECTION_RULES, physical=False), CONFIG.objective),
     "adapted_success": (msgspec.structs.replace(SELECTION_RULES, epsilon=MAX_DELTA), CONFIG.objective),
 }
-"""By part of suite `ablations`: who may teach, and the objective."""
+"""By planner role of suite `ablations`: the rules that select training samples, and the objective."""
 EPISODES_FILE, STEP_TIMES_FILE = "episodes.jsonl", "seconds.txt"
 
 
@@ -94,16 +94,16 @@ class RoundChain:
     folder: Path
 
     def planner_stack(self, number: int) -> AdapterStack:
-        """Who plans in round `number`: the base, or the base with the adapter that all rounds before it led to."""
+        """The planner of round `number`: the base, or the base with the adapter trained on all earlier rounds."""
         folder = self.adapter_folder(number) if number else packaged_folder(BASE)
         return load_stack(folder, paths.cache_folder())
 
     def adapter_folder(self, number: int) -> Path:
-        """What the rounds before `number` taught, always fitted from the base; the folder with its card."""
+        """The folder of the adapter trained, from the base, on all rounds before `number`."""
         return self._train(number, self.folder / f"fit {number}", CONFIG.objective, SELECTION_RULES)
 
     def ablated_adapter_folder(self, number: int, part: str) -> Path:
-        """The same, of the same flights, with a part of adaptation left out."""
+        """The folder of the adapter trained on the same episodes without a part of adaptation."""
         rules, objective = ABLATIONS[part]
         return self._train(number, self.folder / f"fit {number}, {part}", objective, rules)
 
@@ -120,15 +120,15 @@ class RoundChain:
         return folder / "adapter"
 
     def collect_rollouts(self, number: int) -> Path:
-        """The folder with the ledger of everything that was proposed in the rounds before `number`."""
+        """The folder with the ledger of all proposals of the rounds before `number`."""
         last, start = number - 1, self.collect_rollouts(number - 1) if number > 1 else None
         first = last * N_INSTRUCTIONS
         stack = self.planner_stack(last)
-        speaker, name = FreeAnswerModel(stack), proposal_author(stack.layers[-1].folder.name, stack)
+        model, name = FreeAnswerModel(stack), proposal_author(stack.layers[-1].folder.name, stack)
 
         def propose(turn: int) -> Sample:
             question = instructions(self.seed, last)[turn - first]
-            text = speaker.generate_one(question, Sampling(TEMPERATURE, [turn]))
+            text = model.generate_one(question, Sampling(TEMPERATURE, [turn]))
             return with_answer(question, storable_text(text), name)
 
         folder = self.folder / f"proposed in round {last}"
@@ -137,12 +137,12 @@ class RoundChain:
         )
 
     def correct_declines(self, number: int) -> list[str]:
-        """The memories of what was asked for before round `number` and cannot be done: declines may teach there."""
-        asked = [one for last in range(number) for one in instructions(self.seed, last)]
-        return [memory_id_of_turn(turn) for turn, one in enumerate(asked) if is_declined(one)]
+        """The memories of infeasible requests before round `number`, whose declines may become training samples."""
+        requests = [one for last in range(number) for one in instructions(self.seed, last)]
+        return [memory_id_of_turn(turn) for turn, one in enumerate(requests) if is_declined(one)]
 
     def training_summary(self, number: int) -> Row:
-        """What the adapter of round `number` was taught, and what that cost."""
+        """The training data of the adapter of round `number`, and its training time."""
         folder = self.adapter_folder(number).parent
         card, data = read_adapter_card(folder / "adapter"), read_dataset(folder / "dataset")
         return {
@@ -159,70 +159,71 @@ class RoundChain:
         }
 
     def follows_instruction(self, one: Sample) -> bool:
-        """Whether what is taught does what its instruction says: nobody looks at that when it is chosen."""
+        """Whether a training sample follows its instruction; the selection of samples does not check this."""
         last, place = divmod(turn_of_memory_id(one.memory), N_INSTRUCTIONS)
         question = instructions(self.seed, last)[place]
         return score_answer(one.contract, question.contract, load_skill_registry(ROBOT), lambda text: True).is_right
 
     def measure(self, number: int) -> list[Row]:
-        """The held-out episodes of the planner of round `number`; of round 0 they are the same in every chain."""
+        """The held-out episodes of the planner of round `number`; those of round 0 are the same in every chain."""
         stack = self.planner_stack(number)
-        speaker, name = FreeAnswerModel(stack), proposal_author(stack.layers[-1].folder.name, stack)
+        model, name = FreeAnswerModel(stack), proposal_author(stack.layers[-1].folder.name, stack)
 
-        def some(step: int, here: Path) -> None:
+        def run_episodes(step: int, folder: Path) -> None:
             turns = range(step * EPISODES_PER_STEP, min(N_PLACES, (step + 1) * EPISODES_PER_STEP))
-            texts = speaker.generate([held_out_places()[turn] for turn in turns])
-            with (here / EPISODES_FILE).open("ab") as lines:
+            texts = model.generate([held_out_places()[turn] for turn in turns])
+            with (folder / EPISODES_FILE).open("ab") as lines:
                 for turn, text in zip(turns, texts, strict=True):
                     lines.write(msgspec.json.encode(run_held_out_episode(turn, storable_text(text), name)) + b"\n")
 
-        last = run_steps(self.folder / f"measured in round {number}", -(-N_PLACES // EPISODES_PER_STEP), some)
+        n_steps = -(-N_PLACES // EPISODES_PER_STEP)
+        last = run_steps(self.folder / f"measured in round {number}", n_steps, run_episodes)
         return [msgspec.json.decode(line) for line in (last / EPISODES_FILE).read_bytes().splitlines()]
 
 
-# --- questions --------------------------------------------------------------------------------------------------------
+# --- requests ---------------------------------------------------------------------------------------------------------
 
 
 def has_one_goal(question: Sample) -> bool:
-    """Whether one thing is asked for, which takes two actions at most.
+    """Whether a request has one goal, which takes at most two actions.
 
-    Of several the base does the first, and its body calls that a success: it would teach itself to stop there.
+    For several goals the base pursues only the first, which the robot counts as a success: it would learn to stop.
     """
     return question.contract.count('"skill":') <= 2
 
 
 @cache
 def held_out_places() -> tuple[Sample, ...]:
-    """Scenes and words of the held-out part, as they come, with one goal; about one in eight is to be declined."""
+    """Requests with one goal from the held-out split; about one in eight must be declined."""
     drawn = generate_examples(2 * N_PLACES, "test", HELD_OUT_SEED, {ROBOT: 1.0}, exemplar_share=0.0)
     return tuple(filter(has_one_goal, drawn))[:N_PLACES]
 
 
 @cache
 def instructions(seed: int, number: int) -> tuple[Sample, ...]:
-    """What the planner of a round is asked for in the chain of `seed`: one goal each, scenes and words of lessons."""
+    """The requests of round `number` in the chain of `seed`: one goal each, from the training split."""
     drawn = draw_proposals(FIRST_SEED + 10 * seed + number, 2 * N_INSTRUCTIONS, include_declines=True)
     return tuple(filter(has_one_goal, drawn))[:N_INSTRUCTIONS]
 
 
 def with_answer(question: Sample, text: str, name: str) -> Sample:
-    """The question with what `name` answered."""
+    """The request with the answer `text` of the model `name`."""
     return msgspec.structs.replace(question, completion=assistant_turn(text), source=name)
 
 
-# --- teaching ---------------------------------------------------------------------------------------------------------
+# --- training ---------------------------------------------------------------------------------------------------------
 
 
 def select_training_data(
     ledger: Path, declines: Sequence[str], rules: CleanRules = SELECTION_RULES, own: Sequence[str] = ()
 ) -> Dataset:
-    """What `rules` let in of the ledger, in which only the model that is adapted has proposed anything.
+    """The data set that `rules` select from the ledger, in which only the adapted model has proposed contracts.
 
-    `declines` are the right ones, `own` the ids of its adapters in the rounds before.
+    `declines` are the memories of correct declines, `own` the ids of the model's adapters in earlier rounds.
     """
-    registry, dials = load_skill_registry(ROBOT), msgspec.structs.replace(CONFIG.curation, rules=rules)
+    registry, config = load_skill_registry(ROBOT), msgspec.structs.replace(CONFIG.curation, rules=rules)
     with LedgerReader(ledger) as reader:
-        data = assemble_dataset(curate(reader, registry, dials, declines=declines), registry, dials)
+        data = assemble_dataset(curate(reader, registry, config, declines=declines), registry, config)
     assert not has_foreign_proposals(data.card.sources, BASE, own), data.card.sources
     return data
 
@@ -230,12 +231,12 @@ def select_training_data(
 def train_adapter(
     data: Dataset, seed: int, folder: Path, objective: ObjectiveConfig, own: Sequence[str] = ()
 ) -> AdapterCard:
-    """Fit an adapter of the base in `folder`, or go on with the fit there; `own` are its adapters of before."""
-    from dualbrain.adaptation.training.train import adapt  # noqa: PLC0415  (torch, only where something is fitted)
+    """Train an adapter of the base in `folder`, or continue its training; `own` are the model's earlier adapters."""
+    from dualbrain.adaptation.training.train import adapt  # noqa: PLC0415  (imports torch)
 
-    fits = msgspec.structs.replace(CONFIG.fit, seed=seed)
-    config = msgspec.structs.replace(CONFIG, objective=objective, fit=fits)
-    with (folder / STEP_TIMES_FILE).open("a", buffering=1) as told:
+    fit = msgspec.structs.replace(CONFIG.fit, seed=seed)
+    config = msgspec.structs.replace(CONFIG, objective=objective, fit=fit)
+    with (folder / STEP_TIMES_FILE).open("a", buffering=1) as log:
         return adapt(
             data,
             config,
@@ -244,73 +245,74 @@ def train_adapter(
             folder,
             cache=paths.cache_folder(),
             clock=time.monotonic,
-            report=step_time_logger(told, time.monotonic),
+            report=step_time_logger(log, time.monotonic),
             own_adapters=own,
         )
 
 
-def step_time_logger(told: TextIO, clock: Callable[[], float]) -> Callable[[TrainingProgress], None]:
-    """Writes a line for each step: its number and how long it took [s], the first one with all that comes before it."""
+def step_time_logger(log: TextIO, clock: Callable[[], float]) -> Callable[[TrainingProgress], None]:
+    """Writes a line for each step: its number and its duration [s]; the first one includes the preparation."""
     last = [clock()]
 
-    def tell(progress: TrainingProgress) -> None:
+    def write_step(progress: TrainingProgress) -> None:
         last.append(clock())
-        print(progress.step, last[-1] - last[-2], file=told)
+        print(progress.step, last[-1] - last[-2], file=log)
 
-    return tell
+    return write_step
 
 
 def total_step_time(path: Path) -> float:
-    """How long a fit took [s]; a step that was taken again after a stop counts once."""
-    return sum({step: float(took) for step, took in (line.split() for line in path.read_text().splitlines())}.values())
+    """Duration of a training run [s]; a step that was repeated after an interruption counts once."""
+    lines = [line.split() for line in path.read_text().splitlines()]
+    return sum({step: float(seconds) for step, seconds in lines}.values())
 
 
-# --- measuring --------------------------------------------------------------------------------------------------------
+# --- measurement ------------------------------------------------------------------------------------------------------
 
 
 def run_held_out_episode(turn: int, text: str, name: str) -> Row:
-    """One held-out place: the answer judged, and carried out if the gate accepts it.
+    """One held-out request: the answer of the model `name` is judged, and executed if the gate accepts it.
 
-    "success": the answer does what was said, the robot says so, and where something was put truth agrees; where nothing
-    can be done, nothing moved.
+    "success": the answer is correct, the robot reports success, and ground truth agrees if an object was placed; for an
+    infeasible request, nothing moved.
     """
     question = held_out_places()[turn]
-    scored, one = score_question(question, text), with_answer(question, text, name)
+    score, one = score_question(question, text), with_answer(question, text, name)
     row: Row = {
         "id": question.id,
         "scene": question.scene,
         "text": text,
-        "to_decline": scored["declines"],
-        "compliant": bool(scored["compliant"]),
-        "right": is_right(scored),
+        "to_decline": score["declines"],
+        "compliant": bool(score["compliant"]),
+        "right": is_right(score),
     }
     if not scene_context_by_name(question.scene).accepts(text.encode()):
-        ended = no_motion_row("rejected")
+        result = no_motion_row("rejected")
     elif is_declined(one):
-        ended = no_motion_row("declined")
+        result = no_motion_row("declined")
     else:
         with tempfile.TemporaryDirectory(prefix="dualbrain-rounds-") as folder:
-            flight = run_proposal(one, Path(folder) / LEDGER_FILE, turn, cache=paths.cache_folder())
-        ended = outcome_row(flight)
-    moved = ended["completion_s"] is not None
-    return {**row, **ended, "success": not moved if row["to_decline"] else row["right"] and ended["done"]}
+            episode = run_proposal(one, Path(folder) / LEDGER_FILE, turn, cache=paths.cache_folder())
+        result = outcome_row(episode)
+    moved = result["completion_s"] is not None
+    return {**row, **result, "success": not moved if row["to_decline"] else row["right"] and result["done"]}
 
 
 def no_motion_row(outcome: str) -> Row:
-    """Nothing was carried out."""
+    """The fields of an episode in which no contract was executed."""
     return {"outcome": outcome, "Delta": None, "frequency": None, "completion_s": None, "done": False, "violations": 0}
 
 
-def outcome_row(flight: Episode) -> Row:
-    """What became of a contract that was carried out; [s] from the question, with the time that any planner is given.
+def outcome_row(episode: Episode) -> Row:
+    """The fields of an episode; times [s] include the fixed planning time of every planner.
 
-    "done": the robot says that it succeeded, and where it put something somewhere truth agrees.
+    "done": the robot reports success, and ground truth agrees if an object was placed.
     """
-    outcome, judgement = flight.outcome, flight.judgement
-    if flight.contract is None:
+    outcome, judgement = episode.outcome, episode.judgement
+    if episode.contract is None:
         return no_motion_row(outcome.kind)
-    puts = contract_goals(msgspec.convert(flight.contract, Contract)) is not None
-    truth = not puts or bool(judgement and judgement.success)
+    places = contract_goals(msgspec.convert(episode.contract, Contract)) is not None
+    truth = not places or bool(judgement and judgement.success)
     return {
         "outcome": outcome.kind,
         "Delta": outcome.Delta,

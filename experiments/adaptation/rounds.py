@@ -1,9 +1,9 @@
-"""rounds: propose, execute, curate, fit from the base, three times, and nobody but the adapted model ever proposes.
+"""Three rounds of proposing, executing, curating and training from the base; only the adapted model proposes.
 
-Every round is measured on the same held-out places: the planner of the round answers freely and greedily, once, and
-what the gate accepts is carried out with the filter on. Between, it is asked other things in other words and scenes, at
-a temperature; what went well by the robot's own verdict and with little Δ, of this round and all before, is what the
-adapter of the next round is taught. `chain` has the steps.
+Every round is measured on the same held-out requests: the planner of the round answers each once, greedily and without
+constraints, and the contracts that the gate accepts are executed with the filter on. Between measurements it proposes
+contracts for other instructions and scenes at a temperature. The adapter of the next round is trained on the proposals
+of all rounds so far that succeeded according to the robot and with little intervention. `round_chain.py` has the steps.
 """
 
 from __future__ import annotations
@@ -20,13 +20,12 @@ from experiments.engine.experiment import Options, Row, WorkUnit
 from experiments.figures.tables import format_proportion, markdown_table
 
 SEEDS, N_ROUNDS = range(1), 3
-"""Chains that begin with other instructions; rounds after the base."""
-PLOT_PATH = "images/rounds.png"
+"""Chains, which differ in their instructions; number of rounds after the base."""
 
 
 @dataclass(frozen=True)
 class Metric:
-    """What is told of an episode: the mean over those that it `counts` of a `number`; a share is written in percent."""
+    """A metric: the mean of `value` over the episodes to which it `applies`; a share is printed in percent."""
 
     value: Callable[[Row], float]
     applies: Callable[[Row], bool]
@@ -35,20 +34,20 @@ class Metric:
 
 
 def any_episode(one: Row) -> bool:
-    """Every episode."""
+    """True for every episode."""
     return True
 
 
 def has_motion(one: Row) -> bool:
-    """Some control was executed."""
+    """Whether a control was executed."""
     return one["Delta"] is not None
 
 
 METRICS: dict[str, Metric] = {
     "compliant": Metric(lambda one: one["compliant"], any_episode, is_share=True),
-    "right": Metric(lambda one: one["right"], any_episode, is_share=True),
+    "correct": Metric(lambda one: one["right"], any_episode, is_share=True),
     "success": Metric(lambda one: one["success"], any_episode, is_share=True),
-    "declined what must be": Metric(
+    "declined if required": Metric(
         lambda one: one["outcome"] == "declined", lambda one: one["to_decline"], is_share=True
     ),
     "Δ of successes": Metric(lambda one: one["Delta"], lambda one: one["success"] and has_motion(one)),
@@ -57,33 +56,32 @@ METRICS: dict[str, Metric] = {
         lambda one: one["completion_s"], lambda one: one["success"] and has_motion(one), digits=1
     ),
 }
-"""As docs/reference/evaluation.md has them: Δ and time count where it succeeded."""
+"""The metrics of the evaluation: Δ and time refer to successful episodes."""
 
 
 class Rounds:
-    """The planner learns its body from what it proposed itself."""
+    """The planner adapts to its robot by its own proposals."""
 
     name = "rounds"
     claim = (
-        f"{N_ROUNDS} rounds from {BASE}: {N_INSTRUCTIONS} proposals of the model itself at temperature {TEMPERATURE:g}, one goal "
-        "each, each "
-        "carried out once, then fitted from the base on all that went well so far (one chain: the chance in "
-        "proposals and fits is not in the intervals); before and after each, the same "
-        f"{N_PLACES} held-out places: compliance, success, Δ, intervention, time."
+        f"{N_ROUNDS} rounds from {BASE}: in each, the model makes {N_INSTRUCTIONS} proposals for one goal at "
+        f"temperature {TEMPERATURE:g}, each is executed once, and the next adapter is trained from the base on all good "
+        "episodes so far. Before and after each round, compliance, success, Δ, intervention and time are measured on the same "
+        f"{N_PLACES} held-out requests (one chain: the randomness of proposals and training is not in the intervals)."
     )
-    intervals = "bootstrap over places, of samples Wilson, 95 %"
+    intervals = "bootstrap over requests, 95 %; for training samples Wilson, 95 %"
 
     def units(self, options: Options) -> list[WorkUnit]:
-        """The base, then round by round every chain; of the base all chains have the same."""
+        """The base, then round by round every chain; the base is the same for all chains."""
         folder = str(options.folder / self.name)
-        told = [(0, 0)] + [(seed, number) for number in range(1, N_ROUNDS + 1) for seed in SEEDS]
+        chains = [(0, 0)] + [(seed, number) for number in range(1, N_ROUNDS + 1) for seed in SEEDS]
         return [
             WorkUnit(f"chain {seed} round {number}", {"seed": seed, "round": number, "folder": folder})
-            for seed, number in told
+            for seed, number in chains
         ]
 
     def run(self, about: dict[str, Any]) -> Row:
-        """Live and fit as far as the round needs it, then measure."""
+        """Run the rounds and training that this round needs, then measure."""
         chain, number = RoundChain(about["seed"], Path(about["folder"]) / f"chain {about['seed']}"), about["round"]
         row: Row = {"seed": about["seed"], "round": number}
         if number:
@@ -91,11 +89,11 @@ class Rounds:
         return row | {"episodes": chain.measure(number)}
 
     def summarize_row(self, row: Row) -> str:
-        """The measures."""
+        """The metrics."""
         return ", ".join(f"{name} {format_estimate(estimate_metric(name, [row]), METRICS[name])}" for name in METRICS)
 
     def report(self, rows: list[Row]) -> list[str]:
-        """A line a round; differences to the base at the same places; what was taught."""
+        """A line per round, differences to the base on the same requests, and the training data."""
         numbers = sorted({row["round"] for row in rows})
         by_round = {number: [row for row in rows if row["round"] == number] for number in numbers}
         lines = markdown_table(
@@ -103,28 +101,28 @@ class Rounds:
             (
                 (
                     number,
-                    len(mine),
-                    sum(len(row["episodes"]) for row in mine),
-                    *(format_estimate(estimate_metric(name, mine), one) for name, one in METRICS.items()),
+                    len(some),
+                    sum(len(row["episodes"]) for row in some),
+                    *(format_estimate(estimate_metric(name, some), one) for name, one in METRICS.items()),
                 )
-                for number, mine in by_round.items()
+                for number, some in by_round.items()
             ),
         )
         if 0 in by_round:
-            lines += ["Differences to round 0 at the same places (pairs):", ""]
+            lines += ["Differences to round 0 on the same requests (pairs):", ""]
             lines += markdown_table(
                 ("round", *METRICS),
                 (
-                    (number, *(format_difference(name, by_round[0], mine) for name in METRICS))
-                    for number, mine in by_round.items()
+                    (number, *(format_difference(name, by_round[0], some) for name in METRICS))
+                    for number, some in by_round.items()
                     if number
                 ),
             )
-        return [*lines, *training_table(rows), f"![Measures by round]({PLOT_PATH})", ""]
+        return [*lines, *training_table(rows)]
 
 
 def training_table(rows: Iterable[Row]) -> list[str]:
-    """What each adapter was taught: how many samples, how many of them do as they were told, and why not others."""
+    """The training data of each adapter: samples, samples that follow their instruction, reasons for exclusion."""
     cells = [
         (
             row["seed"],
@@ -143,10 +141,10 @@ def training_table(rows: Iterable[Row]) -> list[str]:
     head = (
         "chain",
         "round",
-        "proposed so far",
-        "samples taught",
-        "as the words said",
-        "fit [s]",
+        "proposals so far",
+        "training samples",
+        "follow the instruction",
+        "training time [s]",
         "adapter",
         "bootstrapped",
         "left out",
@@ -155,34 +153,33 @@ def training_table(rows: Iterable[Row]) -> list[str]:
 
 
 def values_by_place(name: str, rows: Iterable[Row]) -> Clusters:
-    """The numbers of a measure by place."""
-    measure, by_place = METRICS[name], dict[str, list[float]]()
-    for one in (one for row in rows for one in row["episodes"] if measure.applies(one)):
-        by_place.setdefault(one["id"], []).append(float(measure.value(one)))
+    """The values of a metric by held-out request."""
+    metric, by_place = METRICS[name], dict[str, list[float]]()
+    for one in (one for row in rows for one in row["episodes"] if metric.applies(one)):
+        by_place.setdefault(one["id"], []).append(float(metric.value(one)))
     return by_place
 
 
 def estimate_metric(name: str, rows: Iterable[Row]) -> Estimate:
-    """Mean and 95 % interval of a measure; places are drawn, with all that the chains did there."""
+    """Mean and 95 % interval of a metric; the bootstrap draws requests with the episodes of all chains."""
     return estimate(values_by_place(name, rows), is_rate=METRICS[name].is_share)
 
 
-def format_estimate(told: Estimate, measure: Metric) -> str:
+def format_estimate(found: Estimate, metric: Metric) -> str:
     """A mean with its interval."""
-    as_text = partial(format_number, measure)
-    return f"{as_text(told.mean)} ({as_text(told.low)} to {as_text(told.high)}), n = {told.n}" if told.n else "-"
+    as_text = partial(format_number, metric)
+    return f"{as_text(found.mean)} ({as_text(found.low)} to {as_text(found.high)}), n = {found.n}" if found.n else "-"
 
 
 def format_difference(name: str, base: list[Row], rows: list[Row]) -> str:
-    """The mean difference of a measure to the base, where it counts at the same place in both."""
-    measure = METRICS[name]
-    told = compare(values_by_place(name, rows), values_by_place(name, base), difference)
-    signed = partial(format_number, measure, sign="+")
-    return (
-        f"{signed(told.effect)} ({signed(told.low)} to {signed(told.high)}), {told.clusters}" if told.clusters else "-"
-    )
+    """The mean difference of a metric to the base, over requests to which it applies in both."""
+    metric = METRICS[name]
+    found = compare(values_by_place(name, rows), values_by_place(name, base), difference)
+    signed = partial(format_number, metric, sign="+")
+    interval = f"({signed(found.low)} to {signed(found.high)})"
+    return f"{signed(found.effect)} {interval}, {found.clusters}" if found.clusters else "-"
 
 
-def format_number(measure: Metric, number: float, sign: str = "") -> str:
-    """A number as the table has it."""
-    return f"{number:{sign}.0%}" if measure.is_share else f"{number:{sign}.{measure.digits}f}"
+def format_number(metric: Metric, number: float, sign: str = "") -> str:
+    """A number in the format of its metric."""
+    return f"{number:{sign}.0%}" if metric.is_share else f"{number:{sign}.{metric.digits}f}"

@@ -1,7 +1,7 @@
-"""nights: the adapters that suites `paper`, `refusals` and `ablations` ask for, all of what a chain of rounds lived.
+"""The adapters of the suites `paper`, `refusals` and `ablations`, all trained on the data of one chain of rounds.
 
-`adapted` is that of the last round; from the others a part of adaptation is left out. They are put into dualbrain's
-home, so that a suite can name them:
+`adapted` is that of the last round; each of the others leaves out one part of adaptation. They are added to dualbrain's
+registry of adapters, so that a suite can name them:
 
     dualbrain evaluate --suite ablations --planner adapted=transformers:adapter:ID,adapted_no_kl=…
 """
@@ -24,23 +24,23 @@ FULL_ADAPTER = "adapted"
 
 
 class SuiteAdapters:
-    """One night with everything, and one without each part."""
+    """The complete adaptation, and one training run without each of its parts."""
 
     name = "suite_adapters"
     claim = (
-        f"What {N_ROUNDS} rounds lived, taught once more without the entropy term, without the KL term, without "
-        "physical selection, and selected by success alone: the adapters of the ablations. All their memories have one "
-        "weight, so that λ_w tells no samples apart in any of them, and none is without it."
+        f"The data of {N_ROUNDS} rounds, trained on again without the entropy term, without the KL term, without "
+        "physical selection, and selected by success alone: the adapters of the ablations. All memories have the same "
+        "weight, so λ_w distinguishes no samples in any of them, and no adapter leaves it out."
     )
     intervals = "none"
 
     def units(self, options: Options) -> list[WorkUnit]:
-        """An adapter each, of the flights of the first chain of `rounds`."""
+        """One unit per adapter, from the episodes of the first chain of `rounds`."""
         folder = str(options.folder / Rounds.name)
         return [WorkUnit(part, {"part": part, "folder": folder}) for part in (FULL_ADAPTER, *ABLATIONS)]
 
     def run(self, about: dict[str, Any]) -> Row:
-        """Live the rounds as far as they are not, fit, and put the adapter where suites find it."""
+        """Run the rounds that are missing, train the adapter, and register it."""
         part = about["part"]
         folder = adapter_folder(part, Path(about["folder"]))
         card, data = read_adapter_card(folder), read_dataset(folder.parent / "dataset")
@@ -56,13 +56,13 @@ class SuiteAdapters:
         }
 
     def summarize_row(self, row: Row) -> str:
-        """Which adapter it is."""
+        """The adapter's id and its number of samples."""
         return f"{row['adapter'][:16]}, {row['samples']} samples"
 
     def report(self, rows: list[Row]) -> list[str]:
-        """A line an adapter."""
+        """A line per adapter."""
         return markdown_table(
-            ("part", "adapter", "samples taught", "steps", "fit [s]", "left out"),
+            ("role", "adapter", "training samples", "steps", "training time [s]", "left out"),
             (
                 (
                     row["part"],
@@ -78,6 +78,6 @@ class SuiteAdapters:
 
 
 def adapter_folder(part: str, folder: Path) -> Path:
-    """The adapter's folder, of the first chain in the folder of `rounds`; what is not fitted yet is."""
+    """The folder of an adapter from the first chain in the folder of `rounds`; it is trained if it is missing."""
     chain = RoundChain(0, folder / "chain 0")
     return chain.adapter_folder(N_ROUNDS) if part == FULL_ADAPTER else chain.ablated_adapter_folder(N_ROUNDS, part)

@@ -1,4 +1,4 @@
-"""The plot of `learning`: Δ, decision time and weights over repetitions, from the ledgers named in its caption."""
+"""The plot of experiment `learning`: Δ, decision time and weights over repetitions."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from experiments.engine.experiment import Row
 
 COLOURS = {"dynamic": "#2a6fb0", "static": "#c2703d"}
 REFUSED_MARK_HEIGHT = {"dynamic": 0.03, "static": 0.08}
-"""How high above the lower edge a refused contract is marked [share of the axis]."""
+"""Height of the mark of a rejected contract above the lower edge [share of the axis]."""
 
 
 def plot_learning(rows: list[Row], path: Path) -> None:
-    """Thin lines are ledgers, thick ones their median, crosses contracts that were refused, so that nothing moved.
+    """Draw thin lines for ledgers, thick lines for their medians, crosses for rejected contracts (without motion).
 
     The caption names the ledgers by their heads.
     """
@@ -36,10 +36,15 @@ def plot_learning(rows: list[Row], path: Path) -> None:
         axis.legend(frameon=False)
     axes[0].set_yscale("symlog", linthresh=1e-3)
     for row in rows:
-        still = np.flatnonzero(np.isnan(_values(row, "Delta")))
-        where, colour = axes[0].get_xaxis_transform(), COLOURS[row["arm"]]
+        rejected = np.flatnonzero(np.isnan(_values(row, "Delta")))
+        transform, colour = axes[0].get_xaxis_transform(), COLOURS[row["arm"]]
         axes[0].plot(
-            still, np.full(len(still), REFUSED_MARK_HEIGHT[row["arm"]]), "x", color=colour, alpha=0.5, transform=where
+            rejected,
+            np.full(len(rejected), REFUSED_MARK_HEIGHT[row["arm"]]),
+            "x",
+            color=colour,
+            alpha=0.5,
+            transform=transform,
         )
     for row in rows:
         if row["arm"] == "dynamic":

@@ -1,4 +1,4 @@
-"""The plot of `rounds`: shares, Δ, intervention and time by round, with their intervals."""
+"""The plot of experiment `rounds`: shares, Δ, intervention and time by round, with their intervals."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ from experiments.adaptation.rounds import METRICS, estimate_metric
 from experiments.engine.experiment import Row
 
 PANELS = (
-    ("compliant", "right", "success", "declined what must be"),
+    ("compliant", "correct", "success", "declined if required"),
     ("Δ of successes",),
     ("intervention frequency",),
     ("time to completion [s]",),
 )
 COLOURS = ("#2a6fb0", "#c2703d", "#3b8f4a", "#7a5aa6")
 LINE_OFFSET = 0.05
-"""Between the lines of one panel [rounds]."""
+"""Horizontal offset between the lines of one panel [rounds]."""
 
 
 def plot_rounds(rows: list[Row], path: Path) -> None:
-    """A dot is a mean over all episodes of a round, its bar the 95 % interval over places."""
+    """Draw the mean over all episodes of a round as a dot, with the 95 % interval over places as its bar."""
     figure = Figure(figsize=(9.0, 6.4), layout="constrained")
     numbers = sorted({row["round"] for row in rows})
     for axis, names in zip(figure.subplots(2, 2).flat, PANELS, strict=True):
         for place, (name, colour) in enumerate(zip(names, COLOURS, strict=False)):
-            told = [estimate_metric(name, [row for row in rows if row["round"] == number]) for number in numbers]
-            mean = np.array([one.mean for one in told])
-            reach = np.nan_to_num(
-                [[one.mean - one.low for one in told], [one.high - one.mean for one in told]], posinf=0
+            estimates = [estimate_metric(name, [row for row in rows if row["round"] == number]) for number in numbers]
+            mean = np.array([one.mean for one in estimates])
+            errors = np.nan_to_num(
+                [[one.mean - one.low for one in estimates], [one.high - one.mean for one in estimates]], posinf=0
             )
             axis.errorbar(
                 np.array(numbers) + LINE_OFFSET * place,
                 mean,
-                np.maximum(reach, 0.0),
+                np.maximum(errors, 0.0),
                 fmt="o-",
                 color=colour,
                 capsize=3,

@@ -1,4 +1,4 @@
-"""The picture of the sweep: every contract's Δ on every seed, family by family, at one speed."""
+"""The plot of the sensitivity sweeps: the Δ of every contract on every seed, by family, at one speed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#0
 def plot_sensitivity(
     tables: dict[tuple[str, float], ScoresBySeed], path: Path, speed: float = SPEED, order: Sequence[str] = FAMILIES
 ) -> None:
-    """One panel a family in `order`; contracts sorted by success, then median Δ; failures lie in a band at the top."""
+    """Draw a panel per family, in `order`: contracts sorted by success and median Δ, failures in a band at the top."""
     import matplotlib as mpl  # noqa: PLC0415  (heavy)
 
     mpl.use("Agg")
@@ -34,7 +34,7 @@ def plot_sensitivity(
 
 
 def _sort_key(values: list[float]) -> tuple[float, float]:
-    """Contracts that fail seldom come first, then those with a small median Δ."""
+    """Contracts with few failures come first, then those with a small median Δ."""
     good = [value for value in values if value < FAILURE_SCORE]
     return 1.0 - len(good) / len(values), median(good) if good else FAILURE_SCORE
 
@@ -42,14 +42,14 @@ def _sort_key(values: list[float]) -> tuple[float, float]:
 def _panel(panel, family: str, scores: ScoresBySeed) -> None:
     names = sorted({name for line in scores.values() for name in line})
     names.sort(key=lambda name: _sort_key([line[name] for line in scores.values() if name in line]))
-    lost = 0.3
+    failure_height = 0.3
     for (seed, line), colour in zip(scores.items(), COLOURS * 9, strict=False):
         shift = 0.5 * (list(scores).index(seed) / max(1, len(scores) - 1) - 0.5)
         known = [(place + shift, line[name]) for place, name in enumerate(names) if name in line]
         good = [(x, y) for x, y in known if y < FAILURE_SCORE]
         bad = [x for x, y in known if y == FAILURE_SCORE]
         panel.plot(*zip(*good, strict=True), "o", ms=4, color=colour, label=str(seed)) if good else None
-        panel.plot(bad, [lost * (1 + 0.25 * shift)] * len(bad), "x", ms=4, color=colour)
+        panel.plot(bad, [failure_height * (1 + 0.25 * shift)] * len(bad), "x", ms=4, color=colour)
     panel.axhspan(0.15, 0.6, color="0.93", zorder=0)
     panel.text(0.01, 0.985, "failed", transform=panel.transAxes, fontsize=8, va="top", color="0.35")
     panel.set_yscale("log")

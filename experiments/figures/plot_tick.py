@@ -1,4 +1,4 @@
-"""The picture of `tick`: how long the intervals between ticks were, and what the work of a tick is made of."""
+"""The plot of experiment `tick`: the intervals between ticks, and the parts of a tick."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from experiments.engine.experiment import Row
 
 BLUE, ORANGE = "#2a6fb0", "#c2703d"
 MAX_SHOWN_INTERVAL = 6e-3
-"""Intervals up to here [s]; longer ones are in the last column."""
+"""Largest interval with its own column [s]; longer ones are in the last column."""
 
 
 def plot_tick(row: Row, path: Path) -> None:
-    """Left: counts of intervals, logarithmic. Right: mean and 99 % of each part of a tick."""
+    """Draw the counts of intervals, logarithmic, and the mean and 99th percentile of each part of a tick."""
     figure = Figure(figsize=(10.0, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.4, 1.0))
     _intervals(left, row)

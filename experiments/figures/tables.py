@@ -1,4 +1,4 @@
-"""Figures with their uncertainty, and tables of them."""
+"""Proportions with their intervals, and Markdown tables."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ def wilson_interval(successes: int, n: int) -> tuple[float, float]:
 
 
 def format_proportion(successes: int, n: int) -> str:
-    """In words: 57 of 60 (86%–98%), the interval being Wilson's of 95 %."""
+    """A proportion with its Wilson interval (95 %), for example 57 of 60 (86%–98%)."""
     low, high = wilson_interval(successes, n)
     return f"{successes} of {n} ({low:.0%}–{high:.0%})" if n else "none yet"
 
 
 def markdown_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
-    """A markdown table."""
+    """A Markdown table as lines."""
     lines = [head, ["---"] * len(head), *rows]
     return ["| " + " | ".join(str(cell).replace("|", "/") for cell in line) + " |" for line in lines] + [""]

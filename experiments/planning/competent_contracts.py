@@ -1,6 +1,6 @@
-"""Tasks with contracts as a competent planner would write them: the prompt's rules applied to the scene's symbols.
+"""Tasks with contracts of a competent planner: the rules of the prompt applied to the scene's symbols.
 
-Nobody is asked; what the rules leave open (the errand, the speed) is drawn by seed.
+No planner is involved; values that the rules leave open (the instruction, the speed) are drawn by seed.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from dualbrain.skills.kinematics.object_geometry import grasp_width, levelness
 from experiments.safety.closed_loop import load_panda
 
 SEEDS = range(100, 200)
-"""Scenes that no other proof and no demonstration uses."""
+"""Seeds of scenes that no other experiment and no demonstration uses."""
 TASK_KINDS = ("errand", "errand", "fetch", "errand", "pick", "errand", "fetch", "move_to")
-"""Of eight tasks of a family: four cubes into the bowl, two other things to some place, a pick, a journey."""
+"""Of eight tasks of a family: four times the cube into the bowl, twice another object to a place, a pick, a motion."""
 SPEEDS = (0.1, 0.2, 0.3)
 MAX_GRASP_WIDTH = 0.068
-"""Things wider than this are not chosen: the fingers open to 80 mm [m]."""
+"""Largest width of objects that are chosen [m]; the fingers open to 80 mm."""
 CLEARANCE_BY_HEIGHT = {"none": 0.15, "low": 0.15, "hand_high": 0.2, "tall": 0.3}
-"""Clearance by the greatest height on the way [m], as the prompt's rules have it."""
+"""Clearance by the greatest height on the path [m], by the rules of the prompt."""
 GRIP_FORCE = 12.0
-"""Below the least force that breaks a glass [N]."""
+"""Grip force [N], below the smallest force that breaks a glass."""
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """A scene, what is to be done in it, and the contract; `goal` is judged on truth where there is one."""
+    """A scene, a task in it, and the contract; `goal`, if there is one, is judged on ground truth."""
 
     spec: SceneSpec
     kind: str
@@ -46,73 +46,73 @@ class Task:
 
 
 def task_parameters() -> Iterator[dict[str, Any]]:
-    """Family, seed and kind of every task, in their fixed order: all families in turn, the kinds in rotation."""
+    """Family, seed and kind of every task, in their fixed order: all families in turn, kinds in rotation."""
     for count, seed in enumerate(SEEDS):
         for shift, family in enumerate(LEVEL_I_FAMILIES):
             yield {"family": family, "seed": seed, "kind": TASK_KINDS[(count + shift) % len(TASK_KINDS)]}
 
 
 def make_task(family: str, seed: int, kind: str) -> Task:
-    """The task: its errand and speed are drawn by seed, everything else follows from the scene."""
+    """A task: object, destination and speed are drawn by seed, everything else follows from the scene."""
     spec = make_scene(family, seed)
     scene = NoisyPerception(spec, NO_NOISE, np.random.default_rng(seed)).perceive(Plant(spec, load_panda()))
     rng = np.random.default_rng([seed, sum(map(ord, family)), 11])
     speed = float(rng.choice(SPEEDS))
     if kind == "move_to":
-        target = str(rng.choice([thing.name for thing in spec.objects if thing.role != "obstacle"]))
+        target = str(rng.choice([one.name for one in spec.objects if one.role != "obstacle"]))
         move = {"target": target, "speed": speed, **_motion_parameters(scene, target)}
         return Task(spec, kind, target, [{"skill": "move_to", "params": move}], None)
-    thing = str(rng.choice(_graspable_objects(scene))) if kind in ("fetch", "pick") else "red_cube"
-    grasp = [{"skill": "grasp", "params": _grasp_parameters(scene, thing, speed)}]
+    name = str(rng.choice(_graspable_objects(scene))) if kind in ("fetch", "pick") else "red_cube"
+    grasp = [{"skill": "grasp", "params": _grasp_parameters(scene, name, speed)}]
     if kind == "pick":
-        return Task(spec, kind, thing, [*grasp, {"skill": "hold", "params": {"duration": 1.0}}], None)
+        return Task(spec, kind, name, [*grasp, {"skill": "hold", "params": {"duration": 1.0}}], None)
     destination = str(rng.choice([place.name for place in spec.places])) if kind == "fetch" else "blue_bowl"
-    way = _motion_parameters(scene, thing, bowl=destination == "blue_bowl")
-    place = {"destination": destination, "speed": speed, **way}
-    goal = PlacementGoal(thing, destination)
-    return Task(spec, kind, thing, [*grasp, {"skill": "place", "params": place}], goal)
+    motion = _motion_parameters(scene, name, bowl=destination == "blue_bowl")
+    place = {"destination": destination, "speed": speed, **motion}
+    goal = PlacementGoal(name, destination)
+    return Task(spec, kind, name, [*grasp, {"skill": "place", "params": place}], goal)
 
 
-def motion_and_grasp(scene: Scene, thing: str, speed: float = 0.2) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What the rules say of a journey with `thing` (clearance, route, wait), and of its grasp."""
-    return _motion_parameters(scene, thing), _grasp_parameters(scene, thing, speed)
+def motion_and_grasp(scene: Scene, name: str, speed: float = 0.2) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Parameters of a motion with the object `name` (clearance, route, wait) and of its grasp, by the rules."""
+    return _motion_parameters(scene, name), _grasp_parameters(scene, name, speed)
 
 
 def _graspable_objects(scene: Scene) -> list[str]:
-    """Things that the fingers can close on along the axis that the rules would choose."""
-    objects = [thing for thing in scene.objects if thing.role == "object"]
+    """Objects that the fingers can grasp along the axis that the rules choose."""
+    objects = [one for one in scene.objects if one.role == "object"]
     return [
-        thing.name
-        for thing in objects
-        for axis in [_symbol_value(scene, thing.name, "free_finger_axis")]
-        if grasp_width(thing, axis) < MAX_GRASP_WIDTH and levelness(thing, axis) > 0.9
+        one.name
+        for one in objects
+        for axis in [_symbol_value(scene, one.name, "free_finger_axis")]
+        if grasp_width(one, axis) < MAX_GRASP_WIDTH and levelness(one, axis) > 0.9
     ]
 
 
-def _grasp_parameters(scene: Scene, thing: str, speed: float) -> dict[str, Any]:
-    words, way = _summary_line(scene, thing), _motion_parameters(scene, thing)
+def _grasp_parameters(scene: Scene, name: str, speed: float) -> dict[str, Any]:
+    symbols, motion = _summary_line(scene, name), _motion_parameters(scene, name)
     return {
-        "object": thing,
+        "object": name,
         "speed": speed,
-        "clearance": way["clearance"],
-        "finger_axis": _symbol_value(scene, thing, "free_finger_axis"),
+        "clearance": motion["clearance"],
+        "finger_axis": _symbol_value(scene, name, "free_finger_axis"),
         "opening": 0.08,
-        "approach": "tilted" if "tight" in words else "top",
-        "wait": way["wait"],
+        "approach": "tilted" if "tight" in symbols else "top",
+        "wait": motion["wait"],
         "force": GRIP_FORCE,
     }
 
 
-def _motion_parameters(scene: Scene, thing: str, *, bowl: bool = True) -> dict[str, Any]:
-    """Clearance, route and wait; without a bowl as its end, a way may lead past anything that stands on the table."""
+def _motion_parameters(scene: Scene, name: str, *, bowl: bool = True) -> dict[str, Any]:
+    """Clearance, route and wait; unless the bowl is the destination, the path may pass any object on the table."""
     lines = (
-        [_summary_line(scene, thing)]
+        [_summary_line(scene, name)]
         if bowl
         else [_summary_line(scene, one.name) for one in scene.objects if one.role == "object"]
     )
     text = ", ".join(lines)
     crossing, overhead = "person: none" not in summarise_scene(scene), "overhead over_path" in text
-    heights = [height for name, height in CLEARANCE_BY_HEIGHT.items() if f"path_max_height {name}" in text]
+    heights = [height for symbol, height in CLEARANCE_BY_HEIGHT.items() if f"path_max_height {symbol}" in text]
     clearance = max([0.2] * crossing + (heights or [CLEARANCE_BY_HEIGHT["none"]]))
     return {
         "clearance": 0.1 if overhead else clearance,
@@ -121,13 +121,13 @@ def _motion_parameters(scene: Scene, thing: str, *, bowl: bool = True) -> dict[s
     }
 
 
-def _summary_line(scene: Scene, thing: str) -> str:
-    """What the summary says of `thing`; nothing of containers."""
-    start = f"{thing}: object"
+def _summary_line(scene: Scene, name: str) -> str:
+    """The line of the scene summary about the object `name`; empty for containers."""
+    start = f"{name}: object"
     return next((line for line in summarise_scene(scene).splitlines() if line.startswith(start)), "")
 
 
-def _symbol_value(scene: Scene, thing: str, name: str) -> str:
-    """The word after `name` in the line of `thing`."""
-    words = _summary_line(scene, thing).replace(",", "").split()
-    return words[words.index(name) + 1]
+def _symbol_value(scene: Scene, name: str, symbol: str) -> str:
+    """The word after `symbol` in the summary line of the object `name`."""
+    words = _summary_line(scene, name).replace(",", "").split()
+    return words[words.index(symbol) + 1]

@@ -1,4 +1,4 @@
-"""Does the contract matter? At fixed speed, with a floor under Δ, failures ranked worst (design 8)."""
+"""Sensitivity of the outcome to the contract: at fixed speed, with a lower bound on Δ, failures ranked last."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from experiments.engine.experiment import Row
 from experiments.safety.closed_loop import succeeded
 
 FAMILIES = ("tall_ii", "shelf_ii", "forearm_ii")
-"""Families of level II: in those of level I an arm that looks ahead succeeds with nearly every contract."""
+"""Families of level II; in those of level I, an arm with clearance prediction succeeds with nearly every contract."""
 DELTA_FLOOR = 1e-4
-"""Δ below this counts as this: a ratio to zero says nothing."""
+"""Lower bound of Δ, because a ratio to zero is meaningless."""
 FAILURE_SCORE = float("inf")
 MIN_DELTA_RATIO, MIN_SPEARMAN = 3.0, 0.5
 
 ScoresBySeed = dict[int, dict[str, float]]
-"""By seed and contract: max(Δ, floor) of a success, infinity for a failure."""
+"""By seed and contract: max(Δ, `DELTA_FLOOR`) of a success, infinity for a failure."""
 
 
 def scores_by_family(rows: Iterable[Row]) -> dict[tuple[str, float], ScoresBySeed]:
-    """The scores by (family, speed); contracts that the gate refused are left out."""
+    """The scores by (family, speed), without contracts that the gate rejected."""
     tables: dict[tuple[str, float], ScoresBySeed] = defaultdict(lambda: defaultdict(dict))
     for row in rows:
         if row.get("valid") and not row.get("again"):
@@ -37,15 +37,16 @@ def scores_by_family(rows: Iterable[Row]) -> dict[tuple[str, float], ScoresBySee
 
 
 def delta_ratios(scores: ScoresBySeed) -> list[float]:
-    """Worst over best Δ among the successes of each seed that has at least two."""
+    """The ratio of the worst to the best Δ among the successes of each seed with at least two."""
     good = [[value for value in line.values() if value < FAILURE_SCORE] for line in scores.values()]
     return [max(values) / min(values) for values in good if len(values) > 1]
 
 
 def noise_rank_correlations(rows: Iterable[Row]) -> dict[tuple[str, float], list[float]]:
-    """By (family, speed): rank correlation of the contracts in one scene between two seeds of the perception's noise.
+    """By (family, speed): rank correlation of the contracts in one scene between two seeds of the perception noise.
 
-    The same scene must rank its contracts alike, else Δ would be luck; different scenes need not (see `regret`).
+    In the same scene the ranking must repeat, otherwise Δ would be chance; different scenes may rank differently (see
+    `best_fixed_regret`).
     """
     rows = [row for row in rows if row.get("valid")]
     pairs: dict[tuple[str, float], list[float]] = defaultdict(list)
@@ -53,15 +54,15 @@ def noise_rank_correlations(rows: Iterable[Row]) -> dict[tuple[str, float], list
         {(r["family"], r["parameters"]["speed"], r["seed"]) for r in rows if r.get("again")}
     ):
         here = [r for r in rows if (r["family"], r["parameters"]["speed"], r["seed"]) == (family, speed, seed)]
-        once = scores_by_family([r for r in here if not r.get("again")]).get((family, speed), {})
-        twice = scores_by_family([{**r, "again": False} for r in here if r.get("again")])[family, speed]
-        if seed in once:
-            pairs[family, speed] += rank_correlations({0: once[seed], 1: twice[seed]})
+        first = scores_by_family([r for r in here if not r.get("again")]).get((family, speed), {})
+        repeated = scores_by_family([{**r, "again": False} for r in here if r.get("again")])[family, speed]
+        if seed in first:
+            pairs[family, speed] += rank_correlations({0: first[seed], 1: repeated[seed]})
     return pairs
 
 
 def rank_correlations(scores: ScoresBySeed) -> list[float]:
-    """Rank correlation between each two lines over their common contracts; a constant line says nothing."""
+    """Rank correlations between any two seeds over their common contracts, without constant scores."""
     found: list[float] = []
     for first, second in combinations(scores.values(), 2):
         common = sorted(first.keys() & second.keys())
@@ -78,9 +79,9 @@ def _spearman(first: list[float], second: list[float]) -> float:
 
 
 def best_fixed_regret(scores: ScoresBySeed) -> tuple[str, float, float]:
-    """(best fixed contract, share of feasible seeds it fails, mean extra Δ over the seed's best where it succeeds).
+    """(best fixed contract, share of feasible seeds on which it fails, mean excess Δ over the seed's best contract).
 
-    The best fixed contract succeeds on most seeds, then has the least mean Δ there.
+    The best fixed contract succeeds on the most seeds and, among those, has the smallest mean Δ.
     """
     feasible = {seed: line for seed, line in scores.items() if min(line.values()) < FAILURE_SCORE}
     if not feasible:
@@ -99,7 +100,7 @@ def best_fixed_regret(scores: ScoresBySeed) -> tuple[str, float, float]:
 
 @dataclass(frozen=True, slots=True)
 class SensitivityResult:
-    """The four parts of the bar for one family at one speed."""
+    """The quantities of the four criteria for one family at one speed."""
 
     family: str
     speed: float
@@ -114,11 +115,11 @@ class SensitivityResult:
     regret_success: float
     regret_delta: float
     unsolved_seeds: list[int]
-    """Seeds whose scene no contract of the grid solves: a planner should decline there."""
+    """Seeds whose scene no contract of the grid solves; a planner should decline there."""
 
     @property
     def criteria(self) -> dict[str, bool]:
-        """Each part of the bar."""
+        """The four criteria, and whether each is met."""
         return {
             "threefold": bool(self.ratios) and median(self.ratios) >= MIN_DELTA_RATIO,
             "repeats": bool(self.noise_correlations) and median(self.noise_correlations) >= MIN_SPEARMAN,
@@ -128,33 +129,33 @@ class SensitivityResult:
 
     @property
     def unsolved_text(self) -> str:
-        """Which scenes are to be declined."""
+        """The scenes that no contract solves."""
         return ", ".join(f"{self.family}:{seed}" for seed in self.unsolved_seeds) or "none"
 
     @property
     def verdict_text(self) -> str:
-        """Met, or which parts are not."""
+        """The text met, or the criteria that are not met."""
         missed = [name for name, met in self.criteria.items() if not met]
         return "missed: " + ", ".join(missed) if missed else "met"
 
     @property
     def ratio_text(self) -> str:
-        """Median over seeds, then the range."""
+        """Ratios of Δ: median over seeds and range."""
         return _format_range(self.ratios, "{:.1f}")
 
     @property
     def noise_text(self) -> str:
-        """In one scene under other noise, median and range."""
+        """Rank correlations in one scene under other noise: median and range."""
         return _format_range(self.noise_correlations, "{:.2f}")
 
     @property
     def cross_scene_text(self) -> str:
-        """Between different scenes of the family, median and range; no part of the bar."""
+        """Rank correlations between different scenes of the family: median and range; no criterion."""
         return _format_range(self.cross_scene_correlations, "{:.2f}")
 
     @property
     def regret_text(self) -> str:
-        """In success and in Δ, and whose."""
+        """Regret in success and in Δ, and the best fixed contract."""
         if not self.best_fixed:
             return "no contract succeeds"
         return f"{self.regret_success:.0%} of feasible seeds failed, Δ +{self.regret_delta:.4f} ({self.best_fixed})"
@@ -168,7 +169,7 @@ def _format_range(values: list[float], form: str) -> str:
 
 
 def evaluate_sensitivity(rows: Iterable[Row], order: Sequence[str] = FAMILIES) -> list[SensitivityResult]:
-    """One verdict a family and speed, families in `order`."""
+    """One result per family and speed, families in `order`."""
     rows = list(rows)
     found: list[SensitivityResult] = []
     tables, again = scores_by_family(rows), noise_rank_correlations(rows)
@@ -177,12 +178,12 @@ def evaluate_sensitivity(rows: Iterable[Row], order: Sequence[str] = FAMILIES) -
         values = [value for line in scores.values() for value in line.values()]
         good = sum(value < FAILURE_SCORE for value in values)
         contracts = len({name for line in scores.values() for name in line})
-        lost = [seed for seed, line in scores.items() if min(line.values()) == FAILURE_SCORE]
-        figures = (
+        unsolved = [seed for seed, line in scores.items() if min(line.values()) == FAILURE_SCORE]
+        quantities = (
             delta_ratios(scores),
             rank_correlations(scores),
             again.get((family, speed), []),
             *best_fixed_regret(scores),
         )
-        found.append(SensitivityResult(family, speed, len(scores), contracts, len(values), good, *figures, lost))
+        found.append(SensitivityResult(family, speed, len(scores), contracts, len(values), good, *quantities, unsolved))
     return found

@@ -1,4 +1,4 @@
-"""runs and contrast: whole runs from words to motion, then the same contracts with the filter off."""
+"""Complete runs from instruction to motion, then the same contracts with the filter off."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ MIN_SUCCESSES = 45
 
 
 class ReplayedPlanner:
-    """Answers shot by shot what was answered before: the same contracts, with nobody asked."""
+    """Repeats recorded answers attempt by attempt, so that the contracts are the same."""
 
     def __init__(self, answers: list[list[str]]) -> None:
         """`answers` are pairs (text, finish reason)."""
@@ -60,12 +60,12 @@ class ReplayedPlanner:
         )
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Nothing is open."""
 
 
 @cache
 def cached_planner(name: str) -> Planner:
-    """The planner, opened once a process: a name or URL, or a contract file that answers everything."""
+    """The planner with a name or URL, or one that always answers with a contract file; opened once per process."""
     if name.endswith(".json"):
         return FixedContractPlanner(name, Path(name).read_bytes())
     prefixes = paths.cache_folder() / "prefixes"
@@ -75,8 +75,8 @@ def cached_planner(name: str) -> Planner:
 
 
 def run_episode(scene: str, instruction: str, planner: Planner, *, guard: bool) -> Episode:
-    """One run with an empty memory of its own, in lockstep, judged on truth; nothing of it stays on disk."""
-    with tempfile.TemporaryDirectory(prefix="dualbrain-prove-") as folder:
+    """One run with an empty memory in lockstep with the simulation, judged on ground truth; its files are deleted."""
+    with tempfile.TemporaryDirectory(prefix="dualbrain-experiment-") as folder:
         out = Path(folder) / "run"
         config = RunConfig(
             instruction=instruction,
@@ -88,13 +88,13 @@ def run_episode(scene: str, instruction: str, planner: Planner, *, guard: bool) 
             goal=GOAL,
             visuals=False,
         )
-        times = Clocks(time.monotonic, datetime.now(UTC).isoformat(timespec="seconds"), time.time)
-        with Session(config, times, os.environ, planner) as session:
+        clocks = Clocks(time.monotonic, datetime.now(UTC).isoformat(timespec="seconds"), time.time)
+        with Session(config, clocks, os.environ, planner) as session:
             return session.run(RunObserver()).episode
 
 
 def episode_row(episode: Episode) -> Row:
-    """What one run leaves in the journal."""
+    """The row of one run."""
     stages = [getattr(attempt.verdict, "stage", "accepted") for attempt in episode.attempts]
     refusals = [
         f"{attempt.verdict.stage} {attempt.verdict.pointer}: {attempt.verdict.hint}"
@@ -115,12 +115,12 @@ def episode_row(episode: Episode) -> Row:
 
 
 class EndToEnd:
-    """Words become safe motion."""
+    """Instructions become safe motion."""
 
     name = "end_to_end"
     claim = (
-        f"Of 60 runs (20 scenes × 3 wordings, default planner, filter on) at least {MIN_SUCCESSES} succeed on truth, with no "
-        "collision, joint-limit or joint-velocity violation by what was perceived."
+        f"Of 60 runs (20 scenes × 3 wordings, default planner, filter on), at least {MIN_SUCCESSES} succeed on ground "
+        "truth, without a collision, joint-limit or joint-velocity violation that involves a perceived object."
     )
 
     def units(self, options: Options) -> list[WorkUnit]:
@@ -133,61 +133,64 @@ class EndToEnd:
         ]
 
     def run(self, about: dict[str, Any]) -> Row:
-        """Ask, check, move, judge."""
-        words = INSTRUCTIONS[about["wording"]]
-        done = run_episode(about["scene"], words, cached_planner(about["planner"]), guard=True)
-        return {**_scene_fields(about), "planner": about["planner"], "instruction": words, **episode_row(done)}
+        """Plan, check, move, judge."""
+        instruction = INSTRUCTIONS[about["wording"]]
+        episode = run_episode(about["scene"], instruction, cached_planner(about["planner"]), guard=True)
+        return {
+            **_scene_fields(about),
+            "planner": about["planner"],
+            "instruction": instruction,
+            **episode_row(episode),
+        }
 
     def summarize_row(self, row: Row) -> str:
-        """Scene family and end."""
+        """The scene's family, verdicts and outcome."""
         return f"{row['family']}: {' '.join(row['verdicts'])}: {describe_outcome(row)}"
 
     def report(self, rows: list[Row]) -> list[str]:
         """Success by family and wording, violations by kind, every run that did not succeed."""
-        lines = [
-            f"Succeeded on truth: **{format_proportion(_count_successes(rows), len(rows))}**; wanted: at least {MIN_SUCCESSES} of 60.",
-            "",
-        ]
+        share = format_proportion(_count_successes(rows), len(rows))
+        lines = [f"Succeeded on ground truth: **{share}**; required: at least {MIN_SUCCESSES} of 60.", ""]
         lines += _breakdown(rows) + confusion_table(rows) + _violation_tables(rows)
-        lost = [row for row in rows if not row["truth"]]
-        cells = ((r["key"], r["family"], r["outcome"], r["reason"], " / ".join(r["refusals"])) for r in lost)
-        return lines + (markdown_table(("run", "family", "outcome", "reason", "refusals"), cells) if lost else [])
+        failed = [row for row in rows if not row["truth"]]
+        cells = ((r["key"], r["family"], r["outcome"], r["reason"], " / ".join(r["refusals"])) for r in failed)
+        return lines + (markdown_table(("run", "family", "outcome", "reason", "rejections"), cells) if failed else [])
 
 
 class FilterAblation:
-    """What the filter is for."""
+    """The effect of the filter on the same contracts."""
 
     name = "filter_ablation"
-    claim = "The same contracts in the same scenes with the filter off: what the filter prevents."
+    claim = "The same contracts in the same scenes with the filter off show the violations that the filter prevents."
 
     def units(self, options: Options) -> list[WorkUnit]:
         """One unit for each finished run in which a contract was accepted."""
-        journal = JsonlLog(options.folder / f"{EndToEnd.name}.jsonl").latest()
+        rows = JsonlLog(options.folder / f"{EndToEnd.name}.jsonl").latest()
         return [
             WorkUnit(
                 row["key"], {**{name: row[name] for name in ("scene", "wording", "answers")}, "on": _outcome_class(row)}
             )
-            for row in journal
+            for row in rows
             if row.get("contract") and "error" not in row
         ]
 
     def run(self, about: dict[str, Any]) -> Row:
-        """The same answers shot by shot, so that people and noise are met at the same moments."""
-        words = INSTRUCTIONS[about["wording"]]
-        done = run_episode(about["scene"], words, ReplayedPlanner(about["answers"]), guard=False)
+        """Repeat the same answers attempt by attempt, so that people and noise occur at the same times."""
+        instruction = INSTRUCTIONS[about["wording"]]
+        episode = run_episode(about["scene"], instruction, ReplayedPlanner(about["answers"]), guard=False)
         return {
             **_scene_fields(about),
             "on": about["on"],
-            **{name: value for name, value in episode_row(done).items() if name != "answers"},
+            **{name: value for name, value in episode_row(episode).items() if name != "answers"},
         }
 
     def summarize_row(self, row: Row) -> str:
-        """Scene family and end."""
+        """The scene's family and the outcome."""
         return f"{row['family']}: {describe_outcome(row)}"
 
     def report(self, rows: list[Row]) -> list[str]:
         """Success and violations."""
-        lines = [f"Filter off: succeeded on truth {format_proportion(_count_successes(rows), len(rows))}.", ""]
+        lines = [f"Filter off: succeeded on ground truth {format_proportion(_count_successes(rows), len(rows))}.", ""]
         pairs = Counter((row["on"], _outcome_class(row)) for row in rows)
         head = ("filter on ↓, off →", *OUTCOME_CLASSES)
         lines += markdown_table(head, ((on, *(pairs[on, off] for off in OUTCOME_CLASSES)) for on in OUTCOME_CLASSES))
@@ -204,7 +207,7 @@ def _is_unsafe(row: Row) -> bool:
 
 
 def _outcome_class(row: Row) -> str:
-    """How a run ended on truth, in two words."""
+    """Success and safety of a run on ground truth."""
     return f"{'success' if row['truth'] else 'no success'}, {'unsafe' if _is_unsafe(row) else 'safe'}"
 
 
@@ -236,6 +239,6 @@ def _violation_tables(rows: list[Row]) -> list[str]:
         f"in {format_proportion(unsafe, len(rows))} runs. Other kinds: {other or 'none'}.",
         "",
     ]
-    hurt = [row for row in rows if row["violations"]]
-    cells = ((r["key"], r["family"], r["outcome"], describe_violations(r)) for r in hurt)
-    return lines + (markdown_table(("run", "family", "outcome", "violations"), cells) if hurt else [])
+    violating = [row for row in rows if row["violations"]]
+    cells = ((r["key"], r["family"], r["outcome"], describe_violations(r)) for r in violating)
+    return lines + (markdown_table(("run", "family", "outcome", "violations"), cells) if violating else [])

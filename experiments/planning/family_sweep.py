@@ -1,4 +1,4 @@
-"""families: the bar of the sweep for what must not fall or break, and for the base: does the contract matter there?"""
+"""The criteria of the sensitivity sweep for objects that must not fall or break, and for the mobile base."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from experiments.planning.sensitivity_sweep import NOISE_SEED_OFFSET, sensitivit
 from experiments.safety.closed_loop import describe_outcome, pick_and_place_actions, run_contract, run_row
 
 SEEDS = ((0, False), (0, True), (1, False), (2, False), (1, True), (2, True), *((seed, False) for seed in range(3, 6)))
-"""Seeds of scenes, and whether one is flown again with other perception noise."""
+"""Seeds of scenes, and whether a scene is repeated with other perception noise."""
 FAMILIES = ("edge_ii", "fragile_ii", "aisles")
 TASK_OF_FAMILY = {"edge_ii": "edge_rescue", "fragile_ii": "fragile_transfer", "aisles": "mobile_navigation"}
 ARM_PARAMETERS = {"clearance": (0.10, 0.30), "finger_axis": ("along", "across")}
@@ -21,25 +21,25 @@ ARM_VARIANTS = {
     "edge_ii": (("route", "opening"), (("direct", 0.055), ("near_base", 0.08))),
     "fragile_ii": (("route", "force"), (("direct", 10.0), ("near_base", 20.0))),
 }
-"""8 contracts an arm's family: clearance and finger axis in full, the route and the family's own lever together."""
+"""8 contracts per family of the arm: all values of clearance and finger axis, and two of route and family parameter."""
 BASE_PARAMETERS = {"via": ("direct", "aisle_left", "aisle_right"), "stops": (0, 5)}
-"""6 contracts of the base: the way, and how often it stands for a moment before it leaves."""
+"""6 contracts of the base: the route, and the number of short stops before it starts."""
 SPEED, TURN_RATE = 0.4, 1.0
-"""[m/s], [rad/s]: a fast contract takes half the time to fly, and more than at 0.2 m/s hangs on the others' values."""
+"""[m/s], [rad/s]. A fast contract takes half the time, and depends more on the other parameters than one at 0.2 m/s."""
 
 
 class FamilySweep:
-    """The other families have something to learn too."""
+    """Contract parameters matter in the other families, too."""
 
     name = "family_sweep"
     claim = (
-        "In edge rescue, fragile transfer and navigation of level II, at fixed speed: worst and best Δ of successes "
-        "differ threefold, rankings repeat under other noise (Spearman ≥ 0.5), success varies, and the best fixed "
-        "contract has regret."
+        "In edge rescue, fragile transfer and navigation of level II, at fixed speed: the worst and the best Δ of "
+        "successes differ threefold, rankings repeat under other noise (Spearman ≥ 0.5), success varies, and the best "
+        "fixed contract has regret."
     )
 
     def units(self, options: Options) -> list[WorkUnit]:
-        """Seed by seed, every family in turn; any prefix of whole seeds is an honest sample."""
+        """Seed by seed, every family in turn; any prefix of complete seeds is an unbiased sample."""
         del options
         return [
             _unit(family, seed, contract, again=again)
@@ -49,7 +49,7 @@ class FamilySweep:
         ]
 
     def run(self, about: dict[str, Any]) -> Row:
-        """Carry the contract out; the same perception noise and the same 2 s of thinking for all of a scene."""
+        """Execute the contract; all contracts of a scene have the same perception noise and 2 s of planning time."""
         family, seed = about["family"], about["seed"]
         spec = make_room(family, seed, "base") if family == "aisles" else make_scene(family, seed)
         noise = seed + NOISE_SEED_OFFSET * about["again"]
@@ -62,23 +62,23 @@ class FamilySweep:
         }
 
     def summarize_row(self, row: Row) -> str:
-        """End and Δ."""
+        """The outcome and Δ."""
         return describe_outcome(row)
 
     def report(self, rows: list[Row]) -> list[str]:
-        """Success by family, the four parts of the bar, every violation."""
+        """Success by family, the four criteria, every violation."""
         return sensitivity_tables(rows, FAMILIES)
 
 
 def contract_grid(family: str) -> list[dict[str, Any]]:
-    """The contracts that are flown in a family, without their speed."""
+    """The contracts of a family, without their speed."""
     if family not in ARM_VARIANTS:
         return [dict(zip(BASE_PARAMETERS, values, strict=True)) for values in product(*BASE_PARAMETERS.values())]
-    names, ways = ARM_VARIANTS[family]
+    names, variants = ARM_VARIANTS[family]
     return [
-        {**dict(zip(ARM_PARAMETERS, values, strict=True)), **dict(zip(names, way, strict=True))}
+        {**dict(zip(ARM_PARAMETERS, values, strict=True)), **dict(zip(names, variant, strict=True))}
         for values in product(*ARM_PARAMETERS.values())
-        for way in ways
+        for variant in variants
     ]
 
 

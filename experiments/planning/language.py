@@ -1,7 +1,7 @@
-"""language: an adapter that was taught the language of contracts, asked freely in scenes and words it has never seen.
+"""Unconstrained answers of an adapter trained on contracts, in scenes and wordings that the training data lacks.
 
-Greedy, with no grammar, no schema and no rules in the prompt. The gate that judges is the one before the robot in that
-scene, with its rules of reach, opening and hand.
+Decoding is greedy, without grammar or schema, and the prompt contains no rules. The answers are judged by the robot's
+gate for that scene, with its rules on reach, opening and held object.
 """
 
 from __future__ import annotations
@@ -34,42 +34,43 @@ ADAPTER, BARE_MODEL = "base-135m", "smollm2-135m-instruct"
 
 
 class Language:
-    """The base of the main table speaks."""
+    """The base adapter of the main table writes contracts without constraints."""
 
     name = "language"
     claim = (
-        f"base-135m answers {N_QUESTIONS} questions freely, in scenes, sentences, a task family and things that it was "
-        "not taught: compliant, the right things, in the right order; and it follows the first exemplar it is shown."
+        f"base-135m answers {N_QUESTIONS} requests without constraints, in scenes, sentences, a task family and kinds "
+        "of objects outside its training data: its contracts are compliant, with the right objects in the right order, "
+        "and it follows the first exemplar that it is shown."
     )
 
     def units(self, options: Options) -> list[WorkUnit]:
-        """Ten questions a unit; a few of them also to the model without its adapter."""
+        """Ten requests per unit; a few of them also for the model without its adapter."""
         del options
-        asked = [(ADAPTER, first) for first in range(0, N_QUESTIONS, QUESTIONS_PER_UNIT)] + [
+        batches = [(ADAPTER, first) for first in range(0, N_QUESTIONS, QUESTIONS_PER_UNIT)] + [
             (BARE_MODEL, 0),
             (BARE_MODEL, QUESTIONS_PER_UNIT),
         ]
         return [
-            WorkUnit(f"{who} questions {first}-{first + QUESTIONS_PER_UNIT - 1}", {"who": who, "first": first})
-            for who, first in asked
+            WorkUnit(f"{model} questions {first}-{first + QUESTIONS_PER_UNIT - 1}", {"who": model, "first": first})
+            for model, first in batches
         ]
 
     def run(self, about: dict[str, Any]) -> Row:
-        """Ask, and judge each answer by the gate of its scene."""
-        asked = questions()[about["first"] : about["first"] + QUESTIONS_PER_UNIT]
-        return {**about, "answers": list(map(score_question, asked, cached_model(about["who"]).generate(asked)))}
+        """Generate the answers, and judge each by the gate of its scene."""
+        batch = questions()[about["first"] : about["first"] + QUESTIONS_PER_UNIT]
+        return {**about, "answers": list(map(score_question, batch, cached_model(about["who"]).generate(batch)))}
 
     def summarize_row(self, row: Row) -> str:
-        """How many were right."""
-        return f"{sum(map(is_right, row['answers']))} of {len(row['answers'])} right"
+        """The number of correct answers."""
+        return f"{sum(map(is_right, row['answers']))} of {len(row['answers'])} correct"
 
     def report(self, rows: list[Row]) -> list[str]:
-        """Shares with their intervals, by what had not been taught."""
+        """Shares with their intervals, by what the training data lacks."""
         lines: list[str] = []
-        for who in (ADAPTER, BARE_MODEL):
-            answers = [one for row in rows if row["who"] == who for one in row["answers"]]
+        for model in (ADAPTER, BARE_MODEL):
+            answers = [one for row in rows if row["who"] == model for one in row["answers"]]
             if answers:
-                lines += [f"{who}:", "", *slice_table(answers)]
+                lines += [f"{model}:", "", *slice_table(answers)]
         return lines
 
 
@@ -79,7 +80,7 @@ SLICES: dict[str, Callable[[dict[str, Any]], bool]] = {
     "ur5e": lambda one: one["scene"].startswith("ur5e"),
     "base": lambda one: one["scene"].startswith("base"),
     f"family {HELD_OUT_FAMILY}": lambda one: f" {HELD_OUT_FAMILY}:" in one["scene"],
-    "asked for a held-out kind of thing": lambda one: bool(one["unknown"]),
+    "with a held-out kind of object": lambda one: bool(one["unknown"]),
     "two goals or more": lambda one: one["goals"] > 1,
     "to be declined": lambda one: one["declines"],
     "with exemplars": lambda one: one["shown"] > 0,
@@ -87,12 +88,13 @@ SLICES: dict[str, Callable[[dict[str, Any]], bool]] = {
 
 
 def slice_table(answers: list[dict[str, Any]]) -> list[str]:
-    """One line a slice."""
+    """One line per slice."""
     parts = {name: [one for one in answers if belongs(one)] for name, belongs in SLICES.items()}
+    scores = ("json", "compliant", "skills")
     cells = (
         (
             name,
-            *(format_proportion(sum(one[what] for one in some), len(some)) for what in ("json", "compliant", "skills")),
+            *(format_proportion(sum(one[score] for one in some), len(some)) for score in scores),
             format_proportion(sum(map(is_right, some)), len(some)),
             exemplar_agreement(some),
         )
@@ -101,84 +103,85 @@ def slice_table(answers: list[dict[str, Any]]) -> list[str]:
     )
     return markdown_table(
         (
-            "questions",
+            "requests",
             "JSON",
             "compliant",
-            "right skills in order",
-            "right",
-            "open parameters as in the first exemplar",
+            "correct skills in order",
+            "correct",
+            "free parameters as in the first exemplar",
         ),
         cells,
     )
 
 
 def is_right(one: dict[str, Any]) -> bool:
-    """Compliant, the right skills in the right order, on the right things."""
+    """Whether an answer is compliant and has the correct skills in order, on the correct objects."""
     return bool(one["compliant"] and one["skills"] and one["named"])
 
 
 def exemplar_agreement(answers: list[dict[str, Any]]) -> str:
-    """How many open parameters are those of the first exemplar, where one with like steps is shown."""
+    """How many free parameters equal those of the first exemplar, if one with the same steps is shown."""
     same, every = (sum(one["taken"][i] for one in answers) for i in (0, 1))
     return f"{same} of {every}" if every else "-"
 
 
 @cache
 def questions() -> tuple[Sample, ...]:
-    """The questions, always the same."""
+    """The requests, always the same."""
     return generate_examples(N_QUESTIONS, "test")
 
 
 @cache
 def cached_model(name: str) -> FreeAnswerModel:
-    """The model called `name` with what it wears, opened once a process."""
+    """The model called `name` with its adapters, opened once per process."""
     if name in packaged_names():
         return FreeAnswerModel(load_stack(packaged_folder(name), paths.cache_folder()))
     return FreeAnswerModel(AdapterStack(find_weight_file(name).name, locate_weights(name, paths.cache_folder()), ()))
 
 
 def score_question(question: Sample, text: str) -> dict[str, Any]:
-    """The score of an answer, with what its question is an instance of."""
-    setting = scene_context_by_name(question.scene)
-    found: AnswerScore = score_answer(text, question.contract, setting.registry, setting.accepts)
-    wanted = msgspec.json.decode(question.contract, type=Contract).action_sequence
-    named = {str(value) for action in wanted for value in action.params.values()}
+    """The score of an answer, with the properties of its request."""
+    context = scene_context_by_name(question.scene)
+    score: AnswerScore = score_answer(text, question.contract, context.registry, context.accepts)
+    reference = msgspec.json.decode(question.contract, type=Contract).action_sequence
+    named = {str(value) for action in reference for value in action.params.values()}
     unknown = sorted(name for name in named if name.rpartition("_")[2] in HELD_OUT_CATEGORIES)
     return {
         "id": question.id,
         "scene": question.scene,
         "text": text,
         "wanted": question.contract,
-        **msgspec.to_builtins(found),
+        **msgspec.to_builtins(score),
         "unknown": unknown,
-        "goals": len(wanted) // 2 + len(wanted) % 2,
-        "declines": wanted[0].skill == "decline",
+        "goals": len(reference) // 2 + len(reference) % 2,
+        "declines": reference[0].skill == "decline",
         "shown": len(exemplar_actions(question)),
-        "taken": copied_parameters(question, text) if found.skills else (0, 0),
+        "taken": copied_parameters(question, text) if score.skills else (0, 0),
     }
 
 
 def exemplar_actions(question: Sample) -> list[list[Action]]:
-    """The steps of the exemplars in the prompt."""
+    """The actions of the exemplars in the prompt."""
     lines = re.findall("<example>\n(.*)\n</example>", question.prompt[-1]["content"])
     return [msgspec.convert(json.loads(line), list[Action]) for line in lines]
 
 
 def copied_parameters(question: Sample, text: str) -> tuple[int, int]:
-    """Of the open parameters for which the first exemplar has a like step, how many the answer takes, and how many.
+    """(copied, all): free parameters of steps that the first exemplar has, too, and how many of them the answer copies.
 
-    Its n-th step of a kind is compared with the exemplar's n-th of that kind, or its last.
+    The n-th action with a skill is compared with the exemplar's n-th action with that skill, or its last.
     """
     registry = scene_context_by_name(question.scene).registry
     first = next(iter(exemplar_actions(question)), [])
     same = every = 0
-    turns: Counter[str] = Counter()
+    occurrences: Counter[str] = Counter()
     for action in msgspec.json.decode(text, type=Contract).action_sequence:
-        said = [name for skill, name in INSTRUCTED_NUMBERS if skill == action.skill]
-        models = [free_parameters(registry, one, said) for one in first if one.skill == action.skill]
-        if models:
-            model = models[min(turns[action.skill], len(models) - 1)]
-            own = free_parameters(registry, action, said)
-            same, every = same + sum(own.get(name) == value for name, value in model.items()), every + len(model)
-        turns[action.skill] += 1
+        instructed = [name for skill, name in INSTRUCTED_NUMBERS if skill == action.skill]
+        shown = [free_parameters(registry, one, instructed) for one in first if one.skill == action.skill]
+        if shown:
+            exemplar = shown[min(occurrences[action.skill], len(shown) - 1)]
+            own = free_parameters(registry, action, instructed)
+            same += sum(own.get(name) == value for name, value in exemplar.items())
+            every += len(exemplar)
+        occurrences[action.skill] += 1
     return same, every

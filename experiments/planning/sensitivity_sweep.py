@@ -1,4 +1,4 @@
-"""sweep: many valid contracts for one instruction in three hazardous families of level II; does the contract matter?"""
+"""Many valid contracts for one instruction in three hazardous families of level II: do the parameters matter?"""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ SEEDS = (
     *((seed, False) for seed in range(3, 6)),
     (2, True),
 )
-"""Seeds of scenes, and whether one is flown again with other perception noise (do the rankings repeat?)."""
+"""Seeds of scenes, and whether a scene is repeated with other perception noise (do the rankings repeat?)."""
 NOISE_SEED_OFFSET = 100
 SPEEDS = (0.2, 0.4, 0.1)
-"""Most telling first: the bar is stated at fixed speed, and 0.2 m/s is the ordinary one."""
+"""Speeds, the typical one first: the criteria are stated at fixed speed [m/s]."""
 COMMON_PARAMETERS = {
     "clearance": (0.08, 0.15, 0.30),
     "finger_axis": ("along", "across"),
@@ -40,22 +40,23 @@ FAMILY_PARAMETERS = {
     "shelf_ii": {"approach": ("top", "tilted")},
     "forearm_ii": {"wait": ("none", "until_clear")},
 }
-"""24 contracts a family and speed: what all share, and the lever that its hazard is about; the rest as in `GRASP`."""
+"""24 contracts per family and speed: the common parameters, and the one that concerns the family's hazard."""
 
 
 class SensitivitySweep:
-    """The loop has something to learn."""
+    """Contract parameters matter, so there is something to learn."""
 
     name = "sensitivity_sweep"
     claim = (
-        "In three hazardous families of level II, at fixed speed: worst and best Δ of successes differ threefold, "
-        "rankings repeat under other noise (Spearman ≥ 0.5), success varies, and the best fixed contract has regret."
+        "In three hazardous families of level II, at fixed speed: the worst and the best Δ of successes differ "
+        "threefold, rankings repeat under other noise (Spearman ≥ 0.5), success varies, and the best fixed contract "
+        "has regret."
     )
 
     def units(self, options: Options) -> list[WorkUnit]:
         """Speed by speed, seed by seed, every family in turn.
 
-        A speed is 648 units; its first 360 are three scenes a family, two of them flown again.
+        Each speed has 648 units; the first 360 are three scenes per family, two of them with repetition.
         """
         del options
         return [
@@ -67,20 +68,20 @@ class SensitivitySweep:
         ]
 
     def run(self, about: dict[str, Any]) -> Row:
-        """Grasp and place; the same perception noise and the same 2 s of thinking for all contracts of a scene."""
+        """Grasp and place; all contracts of a scene have the same perception noise and 2 s of planning time."""
         family, seed = about["family"], about["seed"]
         noise = seed + NOISE_SEED_OFFSET * about["again"]
-        flight = run_contract(
+        run = run_contract(
             make_scene(family, seed), pick_and_place_actions(**about["parameters"]), seed=noise, settle_s=2.0
         )
-        return {**about, **run_row(flight)}
+        return {**about, **run_row(run)}
 
     def summarize_row(self, row: Row) -> str:
-        """End and Δ."""
+        """The outcome and Δ."""
         return describe_outcome(row)
 
     def report(self, rows: list[Row]) -> list[str]:
-        """Success by family and speed, the four parts of the bar, every violation that must not be."""
+        """Success by family and speed, the four criteria, every violation."""
         return sensitivity_tables(rows, FAMILIES)
 
     @staticmethod
@@ -92,13 +93,13 @@ class SensitivitySweep:
 
 
 def contract_grid(family: str) -> list[dict[str, Any]]:
-    """The contracts that are flown in a family, without their speed."""
-    levers = {**COMMON_PARAMETERS, **FAMILY_PARAMETERS[family]}
-    return [dict(zip(levers, values, strict=True)) for values in product(*levers.values())]
+    """The contracts of a family, without their speed."""
+    grid = {**COMMON_PARAMETERS, **FAMILY_PARAMETERS[family]}
+    return [dict(zip(grid, values, strict=True)) for values in product(*grid.values())]
 
 
 def sensitivity_tables(rows: list[Row], families: Sequence[str]) -> list[str]:
-    """The bar by family and speed, violations, and whether the robot's word is true."""
+    """The criteria by family and speed, violations, and the robot's reports against ground truth."""
     lines = markdown_table(
         (
             "family",
@@ -110,8 +111,8 @@ def sensitivity_tables(rows: list[Row], families: Sequence[str]) -> list[str]:
             "Spearman, other noise",
             "Spearman, other scene",
             "regret of the best fixed",
-            "decline scenes",
-            "bar",
+            "infeasible scenes",
+            "criteria",
         ),
         (
             (
@@ -132,6 +133,6 @@ def sensitivity_tables(rows: list[Row], families: Sequence[str]) -> list[str]:
     )
     lines += [f"Violations in {len(rows)} episodes: {dict(count_violations(rows)) or 'none'}.", ""]
     lines += confusion_table(rows)
-    hurt = [row for row in rows if row.get("violations")]
-    cells = ((r["key"], r["outcome"], describe_violations(r)) for r in hurt)
-    return lines + (markdown_table(("episode", "outcome", "violations"), cells) if hurt else [])
+    violating = [row for row in rows if row.get("violations")]
+    cells = ((r["key"], r["outcome"], describe_violations(r)) for r in violating)
+    return lines + (markdown_table(("episode", "outcome", "violations"), cells) if violating else [])

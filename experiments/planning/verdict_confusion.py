@@ -1,4 +1,4 @@
-"""The robot's own verdict beside simulator truth: memory learns from the one and never sees the other."""
+"""The robot's own verdicts compared with ground truth; memory learns from the former and never sees the latter."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from experiments.engine.experiment import Row
 from experiments.figures.tables import format_proportion, markdown_table
 
 EXECUTED_OUTCOMES = ("succeeded", "failed", "taken_over", "stopped")
-"""Outcomes of contracts that were carried out; where nothing moved there is nothing to be mistaken about."""
+"""Outcomes of executed contracts; without motion there is no verdict to compare."""
 
 
 @dataclass(frozen=True, slots=True)
 class VerdictConfusion:
-    """How many episodes ended in each way: what the robot says (r = 1 or 0), and what is true.
+    """Number of episodes by the robot's verdict (r = 1 or 0) and by ground truth.
 
-    `disputed` and `true_disputed` count the false and the true claims of success that the second opinion disputed;
-    memory sets both aside. None where no second opinion was recorded.
+    `disputed` and `true_disputed` count the false and the true reports of success that the outcome check disputed;
+    memory ignores both. They are None if no outcome check was recorded.
     """
 
     true_claims: int
@@ -29,10 +29,10 @@ class VerdictConfusion:
 
 
 def count_verdicts(rows: list[Row]) -> VerdictConfusion:
-    """Count `rows` in which a contract was carried out and both verdicts are known."""
+    """Count `rows` in which a contract was executed and both verdicts are known."""
     both = [row for row in rows if row.get("outcome") in EXECUTED_OUTCOMES and "truth" in row]
-    seen = Counter((row["outcome"] == "succeeded", bool(row["truth"])) for row in both)
-    counts = (seen[True, True], seen[True, False], seen[False, True], seen[False, False])
+    pairs = Counter((row["outcome"] == "succeeded", bool(row["truth"])) for row in both)
+    counts = (pairs[True, True], pairs[True, False], pairs[False, True], pairs[False, False])
     if not any("second_opinion" in row for row in both):
         return VerdictConfusion(*counts)
     claims = [row for row in both if row["outcome"] == "succeeded" and row.get("second_opinion") == "disagrees"]
@@ -41,22 +41,22 @@ def count_verdicts(rows: list[Row]) -> VerdictConfusion:
 
 
 def confusion_table(rows: list[Row]) -> list[str]:
-    """The matrix as a table, and what it says, in markdown; nothing where nothing was carried out."""
+    """The confusion matrix and its rates in Markdown; empty if no contract was executed."""
     c = count_verdicts(rows)
     claims, failures = c.true_claims + c.false_claims, c.missed + c.true_failures
     if not claims + failures:
         return []
-    head = ("the robot says ↓, truth →", "success", "no success")
+    head = ("robot ↓, ground truth →", "success", "no success")
     lines = markdown_table(
         head, (("success", c.true_claims, c.false_claims), ("no success", c.missed, c.true_failures))
     )
     lines.append(
-        f"Claims of success that are true: {format_proportion(c.true_claims, claims)}; denials that are true: "
-        f"{format_proportion(c.true_failures, failures)}."
+        f"Reports of success that are true: {format_proportion(c.true_claims, claims)}; reports of failure that are "
+        f"true: {format_proportion(c.true_failures, failures)}."
     )
     if c.disputed is not None:
         lines.append(
-            f"The second opinion disputes {format_proportion(c.disputed, c.false_claims)} of the false claims and "
-            f"{format_proportion(c.true_disputed or 0, c.true_claims)} of the true ones."
+            f"The outcome check disputes {format_proportion(c.disputed, c.false_claims)} of the false reports of "
+            f"success and {format_proportion(c.true_disputed or 0, c.true_claims)} of the true ones."
         )
     return [*lines, ""]

@@ -1,4 +1,4 @@
-"""The proofs about adaptation: what they count, on answers made up here; no model is asked."""
+"""The counting of the experiments on adaptation, with synthetic answers instead of a model."""
 
 import json
 from pathlib import Path
@@ -17,13 +17,13 @@ def drawn():
 
 
 def with_params(sample, **params):
-    told = json.loads(sample.contract)
-    for step in told["action_sequence"]:
+    contract = json.loads(sample.contract)
+    for step in contract["action_sequence"]:
         step["params"] |= {name: value for name, value in params.items() if name in step["params"]}
-    return json.dumps(told)
+    return json.dumps(contract)
 
 
-def test_the_right_answer_counts_and_what_it_took_from_the_exemplar(drawn):
+def test_the_correct_answer_counts_with_the_parameters_copied_from_the_exemplar(drawn):
     sample = next(
         one
         for one in drawn
@@ -37,16 +37,16 @@ def test_the_right_answer_counts_and_what_it_took_from_the_exemplar(drawn):
     same, every = language.copied_parameters(sample, with_params(sample, **free))
     assert every >= len(free)
     assert same >= len(free)
-    odd, every = language.copied_parameters(sample, with_params(sample, speed=0.123, clearance=0.123, force=12.3))
-    assert odd <= every - 3
+    few, every = language.copied_parameters(sample, with_params(sample, speed=0.123, clearance=0.123, force=12.3))
+    assert few <= every - 3
 
 
-def test_a_question_is_asked_in_one_slice():
+def test_a_request_is_in_one_slice():
     ids = [one.id for _, one in ablation_curve.questions()]
     assert len(ids) == len(set(ids)) == len(ablation_curve.SLICES) * ablation_curve.QUESTIONS_PER_SLICE
 
 
-def test_nonsense_counts_for_nothing(drawn):
+def test_an_invalid_answer_counts_for_nothing(drawn):
     for text in ("", "[]", "{", '{"id":1}'):
         found = language.score_question(drawn[0], text)
         assert not language.is_right(found)
@@ -59,9 +59,9 @@ def test_tables_name_every_slice_and_arm(drawn):
     assert "| all | 40 of 40" in text
     assert "to be declined" in text
     answered = [{"slice": name, **one} for one in answers for name in ablation_curve.SLICES]
-    told = {"steps": ablation_curve.N_STEPS, "valid_draws": 0.5, "answers": answered}
+    common = {"steps": ablation_curve.N_STEPS, "valid_draws": 0.5, "answers": answered}
     rows = [
-        {"arm": arm, "seed": seed, **told, "flights": [{"kind": "succeeded", "Delta": 0.001 * seed}]}
+        {"arm": arm, "seed": seed, **common, "flights": [{"kind": "succeeded", "Delta": 0.001 * seed}]}
         for arm in ablation_curve.TRAINED_ARMS
         for seed in ablation_curve.SEEDS
     ]
@@ -69,12 +69,12 @@ def test_tables_name_every_slice_and_arm(drawn):
     for arm in ablation_curve.TRAINED_ARMS:
         assert f"| {arm} | {ablation_curve.N_STEPS} | 3 | 100% ± 0%" in report
     assert ablation_curve.format_mean_interval([0.0, 0.1, 0.2]) == "10% ± 25%"
-    for limit in ("same 60 questions", "at most 18 flights", "16 answers an arm and seed", "not those of llama.cpp"):
+    for limit in ("same 60 requests", "at most 18 episodes", "16 answers per arm and seed", "not those of llama.cpp"):
         assert limit in report
     assert "Student's t over 3 seeds" in ablation_curve.AblationCurve.intervals
 
 
-def test_a_known_answer_holds_one_of_the_words():
+def test_a_correct_answer_contains_one_of_the_words():
     assert retention.is_known("It has Eight legs.", "eight|8")
     assert not retention.is_known("It has many legs.", "eight|8")
     rows = [
@@ -88,7 +88,7 @@ def test_a_known_answer_holds_one_of_the_words():
     assert retention.BARE_MODEL not in report
 
 
-def test_the_small_planner_comes_first_only_where_it_is_right_as_often(drawn):
+def test_the_small_planner_is_chosen_only_if_it_is_correct_as_often(drawn):
     good = {
         "compliant": True,
         "skills": True,
@@ -98,36 +98,37 @@ def test_the_small_planner_comes_first_only_where_it_is_right_as_often(drawn):
         "decision_s": 1.0,
         "flight": None,
     }
-    flown, bad = good | {"flight": {"kind": "succeeded", "Delta": 0.0}}, good | {"compliant": False}
+    executed, bad = good | {"flight": {"kind": "succeeded", "Delta": 0.0}}, good | {"compliant": False}
 
-    def told(*pairs):
+    def report(*pairs):
         rows = [
-            {"number": place, "who": who, "answer": one}
+            {"number": place, "who": name, "answer": one}
             for place, pair in enumerate(pairs)
-            for who, one in zip((starter.SMALL_PLANNER, starter.LARGE_PLANNER), pair, strict=False)
+            for name, one in zip((starter.SMALL_PLANNER, starter.LARGE_PLANNER), pair, strict=False)
         ]
         return "\n".join(starter.Starter().report(rows))
 
-    even, worse = told((flown, bad), (bad, flown), (flown, flown)), told((flown, flown), (bad, flown))
-    assert f"+0% (95 % interval -100% to +100%); by the rule {starter.SMALL_PLANNER} is the planner" in even
+    even = report((executed, bad), (bad, executed), (executed, executed))
+    worse = report((executed, executed), (bad, executed))
+    assert f"+0% (95 % interval -100% to +100%). By the rule, {starter.SMALL_PLANNER} is the planner" in even
     assert f"| {starter.SMALL_PLANNER} | 2 of 3" in even
     assert "| 2 of 2" in even
-    assert f"-50% (95 % interval -100% to +0%); by the rule {starter.SMALL_PLANNER} is not the planner" in worse
+    assert f"-50% (95 % interval -100% to +0%). By the rule, {starter.SMALL_PLANNER} is not the planner" in worse
     assert f"| {starter.SMALL_PLANNER} | none yet | 2 of 3 (21%–94%) | none yet |" in even
-    assert "not both asked" in told((flown,))
+    assert "have no common request" in report((executed,))
 
 
-def test_only_planners_that_are_there_are_compared(monkeypatch):
-    def asked():
+def test_only_installed_planners_are_compared(monkeypatch):
+    def planners():
         return {unit.parameters["who"] for unit in starter.Starter().units(Options(Path(), ""))}
 
     monkeypatch.setattr(starter, "packaged_names", lambda: ("base-135m",))
-    assert asked() == {"base-135m", starter.LARGE_PLANNER}
+    assert planners() == {"base-135m", starter.LARGE_PLANNER}
     monkeypatch.setattr(starter, "packaged_names", lambda: ("base-135m", starter.SMALL_PLANNER))
-    assert asked() == set(starter.PLANNERS)
+    assert planners() == set(starter.PLANNERS)
 
 
-def test_the_questions_of_the_comparison_are_at_a_table_and_show_nothing():
-    asked = starter.questions()
-    assert len(asked) == starter.N_QUESTIONS
-    assert all(one.scene.startswith("panda ") and not language.exemplar_actions(one) for one in asked)
+def test_the_requests_of_the_comparison_are_for_a_table_and_have_no_exemplars():
+    requests = starter.questions()
+    assert len(requests) == starter.N_QUESTIONS
+    assert all(one.scene.startswith("panda ") and not language.exemplar_actions(one) for one in requests)

@@ -1,4 +1,4 @@
-"""What an engine that broke leaves behind is no answer of a model's."""
+"""A failed engine gives no answer, which is an error of the unit and not of the model."""
 
 import pytest
 
@@ -10,13 +10,13 @@ from experiments.adaptation.no_answer import NoAnswerError
 
 
 @pytest.mark.parametrize("fault", [TIMEOUT, CRASHED])
-def test_an_accident_ends_the_unit(fault):
+def test_a_missing_answer_ends_the_unit(fault):
     with pytest.raises(NoAnswerError, match=fault):
         retention.answer_text(ChatResponse(text="", finish_reason=fault, detail="gone"))
 
 
 @pytest.mark.parametrize("fault", [TIMEOUT, CRASHED])
-def test_nor_is_one_counted_where_planners_are_compared(fault, monkeypatch):
+def test_a_missing_answer_is_not_counted_in_a_comparison_of_planners(fault, monkeypatch):
     monkeypatch.setattr(starter, "cached_planner", lambda name: ScriptedPlanner(["{}"], finish_reason=fault))
     with pytest.raises(NoAnswerError, match=fault):
         starter.score_planner(starter.SMALL_PLANNER, starter.questions()[0])

@@ -1,4 +1,4 @@
-"""The bar on made-up sweeps whose answer is known."""
+"""The criteria on synthetic sweeps with known results."""
 
 import pytest
 from hypothesis import given
@@ -34,22 +34,22 @@ def row(seed, name, Delta, *, good=True, family="tall_ii", speed=0.2, valid=True
 @given(st.lists(st.tuples(values, values), min_size=3, max_size=12))
 def test_spearman_agrees_with_scipy(pairs):
     first, second = (dict(enumerate(line)) for line in zip(*pairs, strict=True))
-    got = rank_correlations({0: first, 1: second})
+    found = rank_correlations({0: first, 1: second})
     if len(set(first.values())) == 1 or len(set(second.values())) == 1:
-        assert got == []
+        assert found == []
     else:
         ranked = [[min(value, 9.0) for value in line.values()] for line in (first, second)]
-        assert got == [pytest.approx(spearmanr(*ranked).statistic)]
+        assert found == [pytest.approx(spearmanr(*ranked).statistic)]
 
 
 @given(st.lists(st.lists(values, min_size=4, max_size=4), min_size=1, max_size=4))
-def test_no_contract_has_less_regret_than_none_and_one_seed_has_none(lines):
+def test_regret_is_never_negative_and_zero_for_one_seed(lines):
     scores = {seed: dict(zip("abcd", line, strict=True)) for seed, line in enumerate(lines)}
-    _, lost, extra = best_fixed_regret(scores)
-    assert 0.0 <= lost < 1.0
+    _, failed, extra = best_fixed_regret(scores)
+    assert 0.0 <= failed < 1.0
     assert extra >= 0.0
-    _, lost, extra = best_fixed_regret({0: scores[0]})
-    assert (lost, extra) == (0.0, 0.0)
+    _, failed, extra = best_fixed_regret({0: scores[0]})
+    assert (failed, extra) == (0.0, 0.0)
 
 
 def test_failures_rank_worst_and_small_interventions_count_as_the_floor():
@@ -59,7 +59,7 @@ def test_failures_rank_worst_and_small_interventions_count_as_the_floor():
     assert delta_ratios(scores) == [pytest.approx(3.0)]
 
 
-def test_the_bar_is_met_when_seeds_differ_and_missed_when_one_rule_is_best():
+def test_the_criteria_are_met_if_seeds_differ_and_missed_if_one_contract_is_always_best():
     base = {"a": 1e-4, "b": 4e-4, "c": 9e-4}
     rows = [row(seed, name, Delta) for seed in (0, 1) for name, Delta in base.items()]
     rows += [row(seed, "d", 0.0, good=False) for seed in (0, 1)]
@@ -81,14 +81,14 @@ def test_rankings_must_repeat_in_one_scene_not_between_scenes():
     assert not shuffled.criteria["repeats"]
 
 
-def test_a_family_without_any_success_says_so():
-    (lost,) = evaluate_sensitivity([row(seed, name, 0.0, good=False) for seed in (0, 1) for name in "ab"])
-    assert lost.verdict_text == "missed: threefold, repeats, success varies, regret"
-    assert lost.regret_text == "no contract succeeds"
-    assert lost.unsolved_text == "tall_ii:0, tall_ii:1"
+def test_a_family_without_any_success_misses_all_criteria():
+    (result,) = evaluate_sensitivity([row(seed, name, 0.0, good=False) for seed in (0, 1) for name in "ab"])
+    assert result.verdict_text == "missed: threefold, repeats, success varies, regret"
+    assert result.regret_text == "no contract succeeds"
+    assert result.unsolved_text == "tall_ii:0, tall_ii:1"
 
 
-def test_only_scenes_that_no_contract_solves_are_declined():
+def test_only_scenes_that_no_contract_solves_are_infeasible():
     good, hopeless = [row(0, name, 0.0, good=name == "a") for name in "ab"], [row(1, "a", 0.0, good=False)]
     assert [verdict.unsolved_seeds for verdict in evaluate_sensitivity(good)] == [[]]
     assert [verdict.unsolved_seeds for verdict in evaluate_sensitivity([*good, *hopeless])] == [[1]]

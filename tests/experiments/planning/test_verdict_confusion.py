@@ -17,7 +17,7 @@ def test_every_episode_that_moved_is_counted_once():
     assert count_verdicts([*ROWS, {"error": "broke"}]) == count_verdicts(ROWS)
 
 
-def test_a_second_opinion_is_judged_by_what_it_disputes():
+def test_an_outcome_check_is_judged_by_the_reports_that_it_disputes():
     rows = [{**row, "second_opinion": "agrees"} for row in ROWS]
     assert (count_verdicts(rows).disputed, count_verdicts(rows).true_disputed) == (0, 0)
     for row in rows:
@@ -33,5 +33,5 @@ def test_the_table_shows_the_four_counts():
     assert "| success | 7 | 2 |\n| no success | 1 | 4 |" in text
     assert "true: 7 of 9" in text
     assert "true: 4 of 5" in text
-    assert "second opinion" not in text
+    assert "outcome check" not in text
     assert confusion_table([{"outcome": "declined", "truth": False}]) == []
