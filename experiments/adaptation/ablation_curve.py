@@ -335,8 +335,9 @@ NOTES = (
     f"Shares refer to the same {len(SLICES) * QUESTIONS_PER_SLICE} requests for all arms. ± covers the spread over "
     "seeds, of proposals and training together; the choice of the requests is in no interval, and the base has no "
     f"interval. *Without intervention* refers to at most {len(SLICES) * EXECUTED_PER_SLICE} episodes per arm and seed: "
-    f"the first {EXECUTED_PER_SLICE} correct contracts of each slice, so the arms execute different ones. *Valid draws* "
-    f"refers to {N_SAMPLED_ANSWERS} answers per arm and seed, one drawn for each of {N_SAMPLED_ANSWERS} requests. The "
-    "answers are torch's (`experiments/adaptation/free_answers.py`), not those of llama.cpp, which serves the planner.",
+    f"the first {EXECUTED_PER_SLICE} correct contracts of each slice, so the arms execute different ones. *Valid "
+    f"draws* refers to {N_SAMPLED_ANSWERS} answers per arm and seed, one drawn for each of {N_SAMPLED_ANSWERS} "
+    "requests. The answers are torch's (`experiments/adaptation/free_answers.py`), not those of llama.cpp, which "
+    "serves the planner.",
 )
 """Notes on the tables."""

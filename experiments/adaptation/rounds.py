@@ -65,9 +65,10 @@ class Rounds:
     name = "rounds"
     claim = (
         f"{N_ROUNDS} rounds from {BASE}: in each, the model makes {N_INSTRUCTIONS} proposals for one goal at "
-        f"temperature {TEMPERATURE:g}, each is executed once, and the next adapter is trained from the base on all good "
-        "episodes so far. Before and after each round, compliance, success, Δ, intervention and time are measured on the same "
-        f"{N_PLACES} held-out requests (one chain: the randomness of proposals and training is not in the intervals)."
+        f"temperature {TEMPERATURE:g}, each is executed once, and the next adapter is trained from the base on all "
+        "good episodes so far. Before and after each round, compliance, success, Δ, intervention and time are measured "
+        f"on the same {N_PLACES} held-out requests (one chain: the randomness of proposals and training is not in the "
+        "intervals)."
     )
     intervals = "bootstrap over requests, 95 %; for training samples Wilson, 95 %"
 

@@ -170,8 +170,8 @@ def _in_process_report(rows: list[Row]) -> list[str]:
     grown = max(row["grown_kib"] for row in rows)
     lines = [
         f"In process: **{frames:,}** frames, among them **{contracts:,}** contracts that came through to the gate. "
-        f"Raised: **{counts[GATE_RAISED]}**. Most that a process grew within {FRAMES_PER_UNIT:,} frames: {grown:,} KiB. "
-        f"{1e6 * spent / frames:.0f} µs a frame.",
+        f"Raised: **{counts[GATE_RAISED]}**. Most that a process grew within {FRAMES_PER_UNIT:,} frames: {grown:,} "
+        f"KiB. {1e6 * spent / frames:.0f} µs a frame.",
         "",
     ]
     became = ((kind, f"{count:,}", f"{count / frames:.2%}") for kind, count in counts.most_common())

@@ -111,8 +111,8 @@ def _report_lines(row: Row) -> list[str]:
         f"In one run: **{states}** periods of the robot, **{loops}** control ticks; **{lost}** ticks missed "
         f"({lost / max(1, states):.2%}), {row['missed']} states lost on the way. Late ticks (over "
         f"{1e3 * SIMULATED.max_tick_time:g} ms of work): **{late}** ({late / max(1, loops):.2%}). Stalls of over "
-        f"{1e3 * LAST_BIN_START:.0f} ms: **{beyond}**, the longest {1e3 * longest:.0f} ms. Physics fell behind the clock "
-        f"{row['slips']} times.",
+        f"{1e3 * LAST_BIN_START:.0f} ms: **{beyond}**, the longest {1e3 * longest:.0f} ms. Physics fell behind the "
+        f"clock {row['slips']} times.",
         "",
         f"![Intervals between states, and what a tick is made of]({PLOT_PATH})",
         "",

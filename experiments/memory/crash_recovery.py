@@ -1,4 +1,4 @@
-"""kills: four clients share one ledger and are killed at random moments; what was acknowledged must still be there."""
+"""Crash recovery: four clients share a ledger and are killed at random times; acknowledged episodes must survive."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from dualbrain.memory import memory as store
+from dualbrain.memory import memory as memory_module
 from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
 from dualbrain.memory.embedding.joint_embedding import JointEmbedding
 from dualbrain.memory.ledger.ledger import Ledger
@@ -31,7 +31,7 @@ from experiments.memory.synthetic_episodes import (
 
 N_CLIENTS, ROUNDS_PER_LEDGER, N_LEDGERS = 4, 10, 20
 MAX_ROUND_S = 0.6
-"""A round lasts at most this long before the last client is killed [s]."""
+"""Time of a round after which all clients have been killed [s]."""
 OUTCOMES = ("succeeded", "failed", "rejected")
 
 
@@ -40,8 +40,8 @@ class CrashRecovery:
 
     name = "crash_recovery"
     claim = (
-        "kill -9 at random moments, 200 rounds, four concurrent clients: 0 acknowledged events lost, the chain valid, "
-        "vectors and weights rebuilt equal."
+        "With kill -9 at random times, in 200 rounds of four concurrent clients, no acknowledged event is lost, the "
+        "hash chain stays valid, and vectors and weights are rebuilt equal."
     )
 
     def units(self, options: Options) -> list[WorkUnit]:
@@ -50,10 +50,10 @@ class CrashRecovery:
         return [WorkUnit(f"ledger {seed}", {"seed": seed, "rounds": ROUNDS_PER_LEDGER}) for seed in range(N_LEDGERS)]
 
     def run(self, about: dict[str, Any]) -> Row:
-        """Ten rounds on one ledger, which grows."""
+        """Ten rounds on one growing ledger."""
         rng = np.random.default_rng(about["seed"])
         acknowledged, faults, lost = set[str](), list[str](), 0
-        with tempfile.TemporaryDirectory(prefix="dualbrain-kills-") as folder:
+        with tempfile.TemporaryDirectory(prefix="dualbrain-crash-") as folder:
             path = Path(folder) / "ledger.sqlite"
             for number in range(about["rounds"]):
                 acknowledged |= run_round(path, number, rng)
@@ -63,7 +63,7 @@ class CrashRecovery:
         return {"rounds": about["rounds"], "acknowledged": len(acknowledged), "lost": lost, "faults": faults}
 
     def summarize_row(self, row: Row) -> str:
-        """Counts."""
+        """The counts."""
         return f"{row['acknowledged']} acknowledged, {row['lost']} lost, {len(row['faults'])} faults"
 
     def report(self, rows: list[Row]) -> list[str]:
@@ -75,21 +75,21 @@ class CrashRecovery:
 
 
 def run_round(path: Path, number: int, rng: np.random.Generator) -> set[str]:
-    """Start the clients, kill each at a moment of its own; returns what they acknowledged."""
+    """Start the clients and kill each at a random time; returns the acknowledged episodes."""
     children = {
         _fork_client(path, f"{number}-{client}", int(rng.integers(2**31))): client for client in range(N_CLIENTS)
     }
     pipes = [pipe for _, pipe in children]
-    moments = sorted(zip(rng.uniform(0.05, MAX_ROUND_S, N_CLIENTS).tolist(), [pid for pid, _ in children], strict=True))
-    began = time.monotonic()
-    for moment, pid in moments:
-        time.sleep(max(0.0, began + moment - time.monotonic()))
+    times = sorted(zip(rng.uniform(0.05, MAX_ROUND_S, N_CLIENTS).tolist(), [pid for pid, _ in children], strict=True))
+    start = time.monotonic()
+    for delay, pid in times:
+        time.sleep(max(0.0, start + delay - time.monotonic()))
         os.kill(pid, signal.SIGKILL)
         os.waitpid(pid, 0)
     acknowledged = set[str]()
     for pipe in pipes:
-        with os.fdopen(pipe) as told:
-            acknowledged |= {line.strip() for line in told if line.endswith("\n")}
+        with os.fdopen(pipe) as lines:
+            acknowledged |= {line.strip() for line in lines if line.endswith("\n")}
     return acknowledged
 
 
@@ -105,9 +105,12 @@ def _fork_client(path: Path, name: str, seed: int) -> tuple[int, int]:
         os._exit(1)
 
 
-def run_client(path: Path, name: str, rng: np.random.Generator, told: int) -> None:
-    """Open the ledger, store a few episodes with what they recalled, close it, again and again."""
-    store.SNAPSHOT_MIN_EVENTS = 40
+def run_client(path: Path, name: str, rng: np.random.Generator, acknowledgements: int) -> None:
+    """Open the ledger, store a few episodes with retrieved memories, close it, in a loop.
+
+    Each acknowledged episode is written to the file descriptor `acknowledgements`.
+    """
+    memory_module.SNAPSHOT_MIN_EVENTS = 40
     count = 0
     while True:
         with Ledger(path, holder=name, now=START_TIME, timeout_s=60.0) as ledger:
@@ -117,20 +120,20 @@ def run_client(path: Path, name: str, rng: np.random.Generator, told: int) -> No
                 one = f"{name}-{count}"
                 kind = OUTCOMES[int(rng.integers(len(OUTCOMES)))]
                 memory.store(synthetic_episode(one, kind=kind, recall=recall), REST_POSTURE, now=START_TIME)
-                os.write(told, f"{one}\n".encode())
+                os.write(acknowledgements, f"{one}\n".encode())
                 count += 1
 
 
 def check_ledger(path: Path, acknowledged: set[str]) -> tuple[str, int]:
-    """What is wrong with the ledger ("" if nothing), and how many acknowledged episodes it lacks."""
+    """The fault of the ledger ("" if it has none), and the number of acknowledged episodes that it lacks."""
     if not path.exists():
         return "", len(acknowledged)
     embedding = JointEmbedding(HashingEncoder(32), (LIMITS,), CONFIG.embedding)
-    with Ledger(path, holder="the judge", now=START_TIME) as ledger:
+    with Ledger(path, holder="crash_recovery", now=START_TIME) as ledger:
         found = verify(ledger, embedding=embedding)
         kept = {event.subject for event in ledger.events("kind = 'episode'")}
         memory = Memory(ledger, HashingEncoder(32), CONFIG)
-        anew = {memo.id: memo.weight for memo in memory.state.memories}
-        replayed = store.derive_state(ledger).weights()
+        loaded = {one.id: one.weight for one in memory.state.memories}
+        replayed = memory_module.derive_state(ledger).weights()
     fault = "" if found.is_intact else f"{found.chain.fault or found.snapshot}, {found.vectors_wrong} vectors differ"
-    return fault or ("" if anew == replayed else "weights differ after a rebuild"), len(acknowledged - kept)
+    return fault or ("" if loaded == replayed else "weights differ after a rebuild"), len(acknowledged - kept)

@@ -1,8 +1,8 @@
-"""learning: one scene thirty times, with weights that learn and with weights that stand still, from the same start.
+"""Learning in one scene, repeated thirty times, with dynamic and with static memory weights from the same start.
 
-Each seed has a start of its own: six contracts with random valid parameters, carried out in the scene and stored by the
-robot's own verdict. Both arms begin with a copy of that ledger, so that only w differs; ε is the median Δ of its
-successes. Nothing reads simulator truth but the table.
+Each seed has its own start: six contracts with random valid parameters, executed in the scene and stored with the
+robot's own verdict. Both arms begin with a copy of that ledger, so only the weights differ; ε is the median Δ of its
+successes. Ground truth is used for the tables only.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from experiments.planning.verdict_confusion import confusion_table
 from experiments.safety.closed_loop import pick_and_place_actions
 
 SCENES, N_SEEDS, N_REPETITIONS, N_START_CONTRACTS = ("tall_ii:301", "shelf_ii:302", "forearm_ii:303"), 5, 30, 6
-"""Rooms of level II, where a contract matters (docs/learnable.md); seeds that the sweep has not seen."""
+"""Scenes of level II, where the contract matters (experiment `sensitivity_sweep`), with seeds outside that sweep."""
 INSTRUCTION = "put the red cube in the bowl"
 PARAMETER_GRID: dict[str, tuple[Any, ...]] = {
     "clearance": (0.08, 0.15, 0.2, 0.3),
@@ -46,9 +46,8 @@ PARAMETER_GRID: dict[str, tuple[Any, ...]] = {
     "opening": (0.055, 0.08),
 }
 START_TIME, EPISODE_SPACING_S = 1_795_000_000.0, 240.0
-"""Made-up date of the start [s, 1970 UTC], and time between two episodes [s]."""
+"""Fixed date of the start [s since 1970 UTC], and interval between two episodes [s]."""
 LEDGER_FILE, EPISODES_FILE = "ledger.sqlite", "episodes.json"
-PLOT_PATH = "images/learning.png"
 
 
 class Learning:
@@ -56,12 +55,12 @@ class Learning:
 
     name = "learning"
     claim = (
-        "One scene 30 times from the same start, 5 fresh ledgers: Δ and decision time over repetitions with dynamic "
-        "weights and with static ones; good and bad memories part in R."
+        "One scene 30 times from the same start, with 5 new ledgers: Δ and decision time over the repetitions with "
+        "dynamic and with static weights; the scores of good and bad memories separate."
     )
 
     def units(self, options: Options) -> list[WorkUnit]:
-        """Scene by scene, seed by seed, both arms; ten units are one scene."""
+        """Scene by scene, seed by seed, both arms; one scene has ten units."""
         return [
             WorkUnit(
                 f"{scene} seed {seed} {arm}, {options.planner}",
@@ -80,30 +79,31 @@ class Learning:
         ]
 
     def run(self, about: dict[str, Any]) -> Row:
-        """The start, which both arms share, then the repetitions; the ledger's head stands in the row.
+        """Run the start, which both arms share, then the repetitions; the row contains the ledger's head.
 
-        Each episode is a step of its own: stopped and begun again, a unit goes on with the next one.
+        Each episode is a resumable step: a unit that is started again continues with the next one.
         """
-        folder, told = Path(about["folder"]), {name: value for name, value in about.items() if name != "folder"}
+        folder, row = Path(about["folder"]), {name: value for name, value in about.items() if name != "folder"}
         place = f"{about['scene']} seed {about['seed']}".replace(":", "-")
         planner, arm = cached_planner(about["planner"]), f"{place} {about['arm']}, {_file_name_part(about['planner'])}"
         start = run_steps(
             folder / f"{place} start",
             N_START_CONTRACTS,
-            lambda number, here: _store_start_contract(here, about, number),
+            lambda number, step_folder: _store_start_contract(step_folder, about, number),
         )
-        told["epsilon"] = median_success_delta(start / LEDGER_FILE)
-        repeat = partial(_run_repetition, about=about, planner=planner, epsilon=told["epsilon"])
+        row["epsilon"] = median_success_delta(start / LEDGER_FILE)
+        repeat = partial(_run_repetition, about=about, planner=planner, epsilon=row["epsilon"])
         last = run_steps(folder / arm, about["repetitions"], repeat, initial_folder=start)
         with LedgerReader(last / LEDGER_FILE) as reader:
             head, state = reader.head(), derive_state(reader)
-            parted = weight_separation(reader)
-        weights = {memo.id: [memo.weight, memo.kind, memo.Delta] for memo in state.memories}
-        seen = json.loads((last / EPISODES_FILE).read_text())
-        return {**told, "episodes": seen, "ledger": head.hash, "events": head.seq, "weights": weights, "parted": parted}
+            separation = weight_separation(reader)
+        weights = {one.id: [one.weight, one.kind, one.Delta] for one in state.memories}
+        episodes = json.loads((last / EPISODES_FILE).read_text())
+        fields = {"ledger": head.hash, "events": head.seq, "weights": weights, "parted": separation}
+        return {**row, "episodes": episodes, **fields}
 
     def summarize_row(self, row: Row) -> str:
-        """First and last thirds."""
+        """Mean Δ of the first and the last third."""
         first, last = mean_delta_of_thirds(row)
         return f"Δ {first:.4f} -> {last:.4f}, ledger {row['ledger'][:12]}"
 
@@ -112,24 +112,23 @@ class Learning:
         lines: list[tuple[object, ...]] = []
         for scene in SCENES:
             for arm in ("dynamic", "static"):
-                mine = [row for row in rows if (row["scene"], row["arm"]) == (scene, arm)]
-                if mine:
-                    ends = np.array([mean_delta_of_thirds(row) for row in mine])
-                    good = [np.mean([one["outcome"] == "succeeded" for one in row["episodes"]]) for row in mine]
-                    times = [np.mean([one["decision_s"] for one in row["episodes"]]) for row in mine]
-                    heads = ", ".join(row["ledger"][:8] for row in mine)
+                some = [row for row in rows if (row["scene"], row["arm"]) == (scene, arm)]
+                if some:
+                    ends = np.array([mean_delta_of_thirds(row) for row in some])
+                    good = [np.mean([one["outcome"] == "succeeded" for one in row["episodes"]]) for row in some]
+                    times = [np.mean([one["decision_s"] for one in row["episodes"]]) for row in some]
+                    heads = ", ".join(row["ledger"][:8] for row in some)
                     cells = [f"{np.mean(x):.4f} ± {np.std(x):.4f}" for x in (ends[:, 0], ends[:, 1])]
                     lines.append(
-                        (scene, arm, len(mine), *cells, f"{np.mean(good):.2f}", f"{np.mean(times):.1f}", heads)
+                        (scene, arm, len(some), *cells, f"{np.mean(good):.2f}", f"{np.mean(times):.1f}", heads)
                     )
         head = ("scene", "w", "ledgers", "Δ, first ten", "Δ, last ten", "succeeded", "decision [s]", "ledger heads")
-        picture = [f"![Δ, decision time and weights over repetitions]({PLOT_PATH})", ""]
         episodes = [one for row in rows for one in row["episodes"]]
-        return [*markdown_table(head, lines), *compare_arms(rows), *confusion_table(episodes), *picture]
+        return [*markdown_table(head, lines), *compare_arms(rows), *confusion_table(episodes)]
 
 
 def start_contracts(seed: int) -> list[list[dict[str, Any]]]:
-    """Six contracts with random valid parameters: no physical selection."""
+    """Six contracts with random valid parameters, without selection."""
     rng = np.random.default_rng([seed, 17])
     return [
         pick_and_place_actions(**{name: rng.choice(values).item() for name, values in PARAMETER_GRID.items()})
@@ -138,7 +137,7 @@ def start_contracts(seed: int) -> list[list[dict[str, Any]]]:
 
 
 def repetition_row(episode: Episode) -> dict[str, Any]:
-    """What one repetition leaves: the robot's own verdict, Δ, decision time, the best exemplar; truth for the table."""
+    """The row of one repetition: the robot's verdict, Δ, planning time, the best exemplar, and ground truth."""
     best = episode.recall.exemplars[0] if episode.recall.exemplars else None
     return {
         "outcome": episode.outcome.kind,
@@ -154,14 +153,14 @@ def repetition_row(episode: Episode) -> dict[str, Any]:
 
 
 def median_success_delta(ledger: Path) -> float:
-    """Median Δ of the successes in a ledger; the default where there are none."""
+    """Median Δ of the successes in a ledger, or the default ε without successes."""
     with LedgerReader(ledger) as reader:
-        sizes = [memo.Delta for memo in derive_state(reader).memories if memo.r and memo.Delta is not None]
+        sizes = [one.Delta for one in derive_state(reader).memories if one.r and one.Delta is not None]
     return float(np.median(sizes)) if sizes else EPSILON
 
 
 def mean_delta_of_thirds(row: Row) -> tuple[float, float]:
-    """Mean Δ of the first and of the last third of the repetitions that moved."""
+    """Mean Δ of the first and the last third of the repetitions, without those that did not move."""
     found = [one["Delta"] for one in row["episodes"]]
     third = max(1, len(found) // 3)
     parts = ([x for x in part if x is not None] for part in (found[:third], found[-third:]))
@@ -170,38 +169,39 @@ def mean_delta_of_thirds(row: Row) -> tuple[float, float]:
 
 
 def compare_arms(rows: list[Row]) -> list[str]:
-    """Ledger by ledger, the last third: dynamic against static from the same start, by Δ and by refusals."""
+    """Dynamic against static weights from the same start, in the last third, by Δ and by rejected contracts."""
     pairs: dict[tuple[str, int], dict[str, Row]] = {}
     for row in rows:
         pairs.setdefault((row["scene"], row["seed"]), {})[row["arm"]] = row
     both = [pair for pair in pairs.values() if len(pair) == 2]
     if not both:
         return []
-    less = np.array(
+    differences = np.array(
         [mean_delta_of_thirds(pair["dynamic"])[1] - mean_delta_of_thirds(pair["static"])[1] for pair in both]
     )
-    lower, higher = int(np.sum(less < 0.0)), int(np.sum(less > 0.0))
-    still = {arm: sum(one["Delta"] is None for pair in both for one in pair[arm]["episodes"]) for arm in both[0]}
-    of = sum(len(pair["dynamic"]["episodes"]) for pair in both)
+    lower, higher = int(np.sum(differences < 0.0)), int(np.sum(differences > 0.0))
+    rejected = {arm: sum(one["Delta"] is None for pair in both for one in pair[arm]["episodes"]) for arm in both[0]}
+    total = sum(len(pair["dynamic"]["episodes"]) for pair in both)
     return [
         f"Last ten repetitions, dynamic weights against static ones from the same start: Δ lower in {lower} of "
-        f"{len(both)} ledgers, higher in {higher}; mean difference {np.nanmean(less):+.4f}. Contracts that were "
-        f"refused: {still['dynamic']} of {of} with dynamic weights, {still['static']} of {of} with static ones.",
+        f"{len(both)} ledgers, higher in {higher}; mean difference {np.nanmean(differences):+.4f}. Rejected "
+        f"contracts: {rejected['dynamic']} of {total} with dynamic weights, {rejected['static']} of {total} with "
+        "static ones.",
         "",
     ]
 
 
 def weight_separation(ledger: LedgerReader) -> list[list[float]]:
-    """Event by event: mean weight of memories whose own outcome was good (r = 1, Δ ≤ median) and of all others."""
+    """(event, mean weight of good memories, mean weight of all others); good: success with Δ at most the median."""
     state = derive_state(ledger)
-    sizes = [memo.Delta for memo in state.memories if memo.r and memo.Delta is not None]
+    sizes = [one.Delta for one in state.memories if one.r and one.Delta is not None]
     middle = float(np.median(sizes)) if sizes else 0.0
-    good = {memo.id for memo in state.memories if memo.r and memo.Delta is not None and memo.Delta <= middle}
+    good = {one.id for one in state.memories if one.r and one.Delta is not None and one.Delta <= middle}
     weights: dict[str, float] = {}
     curve: list[list[float]] = []
     for event in ledger.events("kind IN ('episode', 'weight')"):
-        told = msgspec.json.decode(event.payload)
-        weights[event.subject] = told["after"] if event.kind == "weight" else told["w0"]
+        payload = msgspec.json.decode(event.payload)
+        weights[event.subject] = payload["after"] if event.kind == "weight" else payload["w0"]
         means = [
             np.mean([w for name, w in weights.items() if (name in good) == side] or [0.5]) for side in (True, False)
         ]
@@ -209,11 +209,11 @@ def weight_separation(ledger: LedgerReader) -> list[list[float]]:
     return curve
 
 
-def _store_start_contract(here: Path, about: dict[str, Any], number: int) -> None:
-    """One contract of the start, in the ledger at `here`; it teaches nothing yet."""
+def _store_start_contract(folder: Path, about: dict[str, Any], number: int) -> None:
+    """Run one contract of the start with the ledger in `folder`; no weight changes."""
     actions = start_contracts(about["seed"])[number]
     _run_episode(
-        here / LEDGER_FILE,
+        folder / LEDGER_FILE,
         about,
         FixedContractPlanner("start", _contract_bytes(actions)),
         f"s-{number}",
@@ -222,19 +222,19 @@ def _store_start_contract(here: Path, about: dict[str, Any], number: int) -> Non
     )
 
 
-def _run_repetition(number: int, here: Path, about: dict[str, Any], planner: Planner, epsilon: float) -> None:
-    """One repetition, and what it leaves for the row."""
+def _run_repetition(number: int, folder: Path, about: dict[str, Any], planner: Planner, epsilon: float) -> None:
+    """Run one repetition with the ledger in `folder`, and append it to the file of episodes."""
     static, turn = about["arm"] == "static", N_START_CONTRACTS + number
-    episode = _run_episode(here / LEDGER_FILE, about, planner, f"r-{number}", turn, static=static, epsilon=epsilon)
-    file = here / EPISODES_FILE
-    told = json.loads(file.read_text()) if file.exists() else []
-    file.write_text(json.dumps([*told, repetition_row(episode)]))
+    episode = _run_episode(folder / LEDGER_FILE, about, planner, f"r-{number}", turn, static=static, epsilon=epsilon)
+    file = folder / EPISODES_FILE
+    episodes = json.loads(file.read_text()) if file.exists() else []
+    file.write_text(json.dumps([*episodes, repetition_row(episode)]))
 
 
 def _run_episode(
     ledger: Path, about: dict[str, Any], planner: Planner, name: str, turn: int, *, static: bool, epsilon: float = 0.0
 ) -> Episode:
-    """One run of the scene, the `turn`-th on this ledger: dates are made up, whatever the machine does."""
+    """One run in the scene, the `turn`-th with this ledger; the dates do not depend on the machine."""
     with tempfile.TemporaryDirectory(prefix="dualbrain-learning-run-") as folder:
         seed = about["seed"] * 1000 + int(name.split("-")[1]) + 500 * name.startswith("r")
         config = RunConfig(
@@ -250,8 +250,8 @@ def _run_episode(
             epsilon=epsilon,
         )
         dates = count(START_TIME + turn * EPISODE_SPACING_S, 1.0)
-        times = Clocks(time.monotonic, "2026-11-21T00:00:00+00:00", lambda: next(dates))
-        with Session(config, times, {}, planner) as session:
+        clocks = Clocks(time.monotonic, "2026-11-21T00:00:00+00:00", lambda: next(dates))
+        with Session(config, clocks, {}, planner) as session:
             return session.run(RunObserver()).episode
 
 

@@ -1,4 +1,4 @@
-"""Made-up episodes for proofs about memory itself: everything as the runtime would write it, but nothing has moved."""
+"""Synthetic episodes for experiments on memory: complete records as the runtime would write them, without motion."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ ROBOT, REGISTRY = "arm", "aaaa1111"
 LIMITS = PostureLimits(ROBOT, (-3.0, -2.0), (3.0, 2.0), 0.04)
 REST_POSTURE = Posture((0.0, 0.5), 0.04)
 START_TIME = 1_800_000_000.0
-"""When made-up time begins [s, 1970 UTC]."""
+"""Start of the synthetic time [s since 1970 UTC]."""
 CONFIG = MemoryConfig(limits=(LIMITS,))
 
 
 def grasp_contract(**params: Any) -> dict[str, Any]:
-    """A contract of one grasp with these parameters."""
+    """A contract of one grasp with the parameters `params`."""
     context = {"robot": ROBOT, "registry": REGISTRY}
     return {"id": "c-0001", "context": context, "action_sequence": [{"skill": "grasp", "params": params}]}
 
@@ -35,13 +35,13 @@ def synthetic_episode(
     proposer: str = "planner",
     second_opinion: OutcomeCheck = "agrees",
 ) -> Episode:
-    """One episode."""
-    refused = Rejected(
+    """A synthetic episode called `name` with the outcome `kind` and the mean intervention `Delta`."""
+    rejected = Rejected(
         stage="envelope", pointer="/action_sequence/0/params/speed", got=1, allowed="0.05..0.4", hint="slower"
     )
     attempt = Attempt(
         Proposal(text="{}", finish_reason="stop", planner=proposer, constrained_by="nobody", timings={"total": 0.0}),
-        refused,
+        rejected,
         0.0,
     )
     outcome = Outcome(

@@ -191,7 +191,7 @@ def test_only_the_model_proposes_and_every_training_starts_from_the_base(stubs, 
 
 
 def test_ablations_are_trained_on_the_same_episodes(stubs, tmp_path, monkeypatch):
-    """Only one setting differs: data of the last round, steps and seed are the same; some selections admit more samples."""
+    """Only one setting differs: data of the last round, steps and seed are the same; a selection may admit more."""
     found = []
     registry = SimpleNamespace(add=lambda folder, *, now: found.append(read_adapter_card(folder).id))
     monkeypatch.setattr(suite_adapters, "open_adapter_registry", lambda: registry)
