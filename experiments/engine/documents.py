@@ -18,7 +18,6 @@ from experiments.figures.plot_learning import plot_learning
 from experiments.figures.plot_rounds import plot_rounds
 from experiments.figures.plot_sensitivity import plot_sensitivity
 from experiments.figures.plot_tick import plot_tick
-from experiments.gatekeeper.fault_tables import fault_matrices
 from experiments.planning.contract_sensitivity import scores_by_family
 from experiments.planning.family_sweep import FAMILIES, SPEED
 
@@ -49,8 +48,6 @@ PLOTS: dict[str, tuple[str, Callable[[list[Row], Path], None]]] = {
     "rounds": ("Measures by round", plot_rounds),
 }
 """By experiment: the caption of its plot, and the function that draws the plot."""
-MORE_TABLES: dict[str, Callable[[list[Row]], list[str]]] = {"faults": fault_matrices}
-"""By experiment: tables that are too long for the console."""
 
 
 def write_pages(experiments: Iterable[Experiment], folder: Path, docs: Path) -> None:
@@ -78,8 +75,6 @@ def write_page(experiment: Experiment, rows: list[Row], docs: Path) -> None:
         draw(rows, image)
         lines += [f"![{caption}](../../images/{image.name})", ""]
     lines += experiment.report(rows)
-    if experiment.name in MORE_TABLES:
-        lines += ["", *MORE_TABLES[experiment.name](rows)]
     page.parent.mkdir(parents=True, exist_ok=True)
     page.write_text(head + _join(lines), "utf-8")
 

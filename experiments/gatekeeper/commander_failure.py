@@ -1,20 +1,23 @@
-"""The cortex killed, stopped, flooding, talking rubbish, and the gatekeeper killed: how long until the arm is safe.
+"""Time to a safe state after the commander or the gatekeeper fails.
 
-The limits are sums of times that the code declares, never of times that were measured:
+The commander process is killed, suspended, made to flood the socket or to send malformed bytes, or the gatekeeper is
+killed. The declared limits are sums of times that the code declares, not of measured times:
 
-    told        a heartbeat each 50 ticks, and the two processes on the way (gatekeeper, watcher), each of which may
-                stand still for `Timing.lost` before that is a fault of its own
-    kill        told: a closed connection is seen in the next tick
-    rubbish     told, and a stall of the cortex, which has to act first: the first broken frame is the last
-    stop        SILENCE (a commander not heard for so long is silent), then told
-    flood       the time in which FRAMES_A_SECOND are heard at FRAMES_A_TICK a tick, twice (the second that counts them
-                may end in between), then as rubbish
-    gatekeeper  WATCHDOG of the robot's own process, and BEHIND, by which that may lag before it lets time go
+    report      a heartbeat is sent every 50 ticks, and each of the two processes on the way (gatekeeper, watcher) may
+                stall for `Timing.tick_lost_after` before the stall itself is a fault
+    kill        report: a closed connection is detected in the next tick
+    rubbish     (malformed bytes) report, and one stall of the commander before it sends: the first malformed frame
+                closes the connection
+    stop        HEARTBEAT_TIMEOUT (a commander without a heartbeat for so long is lost), and report
+    flood       twice the time in which MAX_FRAMES_PER_SECOND frames are read at FRAMES_PER_TICK per tick (the counting
+                window may end in between), and the limit of malformed bytes
+    gatekeeper  WATCHDOG_TIMEOUT of the robot process, and MAX_LAG, by which the robot process may lag behind the clock
 
-Each deed is done at each of the worst moments, a drawn part of a tenth of a second after it has come. Meanwhile the
-cortex writes its ledger; what it was told is stored must be there afterwards, in a valid chain, and the contract of the
-next commander must be accepted and carried out to an end (after the gatekeeper's death: at the next gatekeeper). Unsafe
-is what happens until then: a hand that was stopped around a thing has no permit to hold it under the next contract.
+Each failure is injected at each of the worst moments, after a random wait of up to 0.1 s. Meanwhile the commander
+writes its ledger: every episode whose storage was acknowledged must be in it afterwards, with a valid hash chain. The
+contract of the next commander must be accepted and executed to an end (after a killed gatekeeper: by the next
+gatekeeper). Only violations before the next contract count as unsafe: a gripper that was stopped around an object has
+no permission to hold it under the next contract.
 """
 
 from __future__ import annotations
@@ -46,7 +49,7 @@ from experiments.memory.crash_recovery import check_ledger
 
 FAILURE_MODES = ("kill", "stop", "flood", "rubbish", "gatekeeper")
 ACKNOWLEDGEMENT_MOMENT = "between write and acknowledgement"
-"""Here: the contract has left the cortex, and no answer has come."""
+"""Here: the commander has sent the contract and has not received an answer."""
 N_REPEATS = 4
 MAX_STALL = SIMULATED.tick_lost_after
 REPORT_DELAY = STATUS_PERIOD + 2.0 * MAX_STALL
@@ -58,21 +61,24 @@ DECLARED_LIMITS = {
     "rubbish": MAX_STALL + REPORT_DELAY,
     "gatekeeper": WATCHDOG_TIMEOUT + MAX_LAG,
 }
-"""Until HOLD (or more) is told in a heartbeat, or the drive is off, at most [s]; why, stands at the top."""
+"""Limit of the time until a heartbeat reports HOLD or more, or the drive is off [s] (see the module docstring)."""
+MODE_NAMES = {"rubbish": "malformed bytes"}
+"""Printed names of failure modes whose stored name differs."""
 
 
 class CommanderFailure:
-    """A robot outlives what commands it."""
+    """Safe state, intact ledger and a working successor after a failure of the commander or the gatekeeper."""
 
     name = "commander_failure"
     claim = (
-        "The cortex killed, stopped, flooding or talking rubbish, or the gatekeeper killed, at the worst moments of a "
-        "contract: a safe state within the declared time, nothing unsafe, nothing lost in the ledger, and the next "
-        "commander is welcome and its contract carried out."
+        "The commander is killed, suspended, floods the socket or sends malformed bytes, or the gatekeeper is killed, "
+        "at the worst moments of a contract: the robot reaches a safe state within the declared time, no violation "
+        "occurs, the ledger loses no acknowledged episode, and the contract of the next commander is accepted and "
+        "executed."
     )
 
     def units(self, options: Options) -> list[WorkUnit]:
-        """4 times 5 ways × 6 moments."""
+        """5 failures × 6 moments, 4 times each."""
         del options
         return [
             WorkUnit(f"{how}/{moment}/{again}", {"how": how, "moment": moment, "seed": again})
@@ -82,90 +88,97 @@ class CommanderFailure:
         ]
 
     def run(self, about: dict[str, Any]) -> Row:
-        """One contract that loses its commander."""
+        """Execute one contract during which the commander or the gatekeeper fails."""
         with tempfile.TemporaryDirectory(prefix="dualbrain-") as name:
             folder = Path(name)
-            stage = CommanderTestbed(folder, start_gatekeeper(folder, "one"))
+            testbed = CommanderTestbed(folder, start_gatekeeper(folder, "one"))
             try:
-                found = _inject_failure(stage, about["how"], about["moment"], about["seed"])
-                found |= stage.run_next_contract(dead=about["how"] == "gatekeeper")
+                found = _inject_failure(testbed, about["how"], about["moment"], about["seed"])
+                found |= testbed.run_next_contract(dead=about["how"] == "gatekeeper")
             finally:
-                stage.shut_down()
+                testbed.shut_down()
             report = wait_for_report(folder / "one.json")
-            fault, missing = check_ledger(folder / "ledger.sqlite", set(stage.stored))
+            fault, missing = check_ledger(folder / "ledger.sqlite", set(testbed.stored))
         if about["how"] == "gatekeeper":
             found["took"] = report.off_at - found["at"] if report.off_at is not None else None
         until_then = inf if about["how"] == "gatekeeper" else found["next_at"]
-        told = [one for one in report.judgement.violations if one.kind != "object_dropped"]
-        unsafe = msgspec.to_builtins([one for one in told if one.start < until_then])
-        ledger = {"stored": len(stage.stored), "missing": missing, "fault": fault}
-        later = len(told) - len(unsafe)
+        violations = [one for one in report.judgement.violations if one.kind != "object_dropped"]
+        unsafe = msgspec.to_builtins([one for one in violations if one.start < until_then])
+        ledger = {"stored": len(testbed.stored), "missing": missing, "fault": fault}
+        later = len(violations) - len(unsafe)
         return {**about, **found, "unsafe": unsafe, "later": later, "travel": report.travel, "ledger": ledger}
 
     def summarize_row(self, row: Row) -> str:
-        """For the progress line."""
+        """Summarize the row for the progress line."""
         took = "never" if row["took"] is None else f"{1e3 * row['took']:.0f} ms"
         ledger = row["ledger"]["fault"] or f"{row['ledger']['missing']} of {row['ledger']['stored']} lost"
-        return f"{took}, the next {row['next']}, unsafe {len(row['unsafe'])}, ledger: {ledger}"
+        return f"{took}, next contract {row['next']}, unsafe {len(row['unsafe'])}, ledger: {ledger}"
 
     def report(self, rows: list[Row]) -> list[str]:
-        """Times by way and by moment, the ledger, the next commander, and whatever went wrong by name."""
-        fair = [row for row in rows if not row["early"]]
+        """Report times by failure and moment, the ledger, the next contract, and each failed episode by name."""
+        valid = [row for row in rows if not row["early"]]
         head = (
-            "how",
+            "failure",
             "episodes",
-            "declared",
+            "declared limit",
             "median",
             "99 %",
             "longest",
-            "later than declared",
+            "above the limit",
             "unsafe",
             "next contract",
         )
         lines = markdown_table(
-            head, (_mode_row(how, fair) for how in FAILURE_MODES if any(row["how"] == how for row in fair))
+            head, (_mode_row(how, valid) for how in FAILURE_MODES if any(row["how"] == how for row in valid))
         )
-        head = ("longest, by moment", *FAILURE_MODES)
+        head = ("longest time by moment", *map(_mode_name, FAILURE_MODES))
         lines += markdown_table(
-            head, ((moment, *(_worst_time(fair, how, moment) for how in FAILURE_MODES)) for moment in MOMENTS)
+            head, ((moment, *(_worst_time(valid, how, moment) for how in FAILURE_MODES)) for moment in MOMENTS)
         )
         stored, missing = (sum(row["ledger"][name] for row in rows) for name in ("stored", "missing"))
         intact = sum(not (row["ledger"]["fault"] or row["ledger"]["missing"]) for row in rows)
         lines += [
-            f"Ledger intact (chain valid, every acknowledged episode there, weights rebuilt equal, open to the next "
-            f"writer): **{format_proportion(intact, len(rows))}**; {missing} of {stored} acknowledged episodes lost.",
+            f"Ledger intact (valid hash chain, every acknowledged episode present, equal weights after a rebuild, "
+            f"next writer can open it): **{format_proportion(intact, len(rows))}**; {missing} of {stored} acknowledged "
+            "episodes lost.",
         ]
         if later := sum(row["later"] > 0 for row in rows):
-            lines += ["", f"Hands that touched, under the next contract, what they had been stopped around: {later}."]
-        if early := len(rows) - len(fair):
-            lines += ["", f"Not counted: {early} whose arm was held before the deed (the machine had no time for it)."]
+            lines += [
+                "",
+                f"Grippers that touched, under the next contract, the object around which they were stopped: {later}.",
+            ]
+        if early := len(rows) - len(valid):
+            lines += [
+                "",
+                f"Not counted: {early} in which the arm was held before the failure (the machine was too busy).",
+            ]
         return [
             "",
             *lines,
             "",
-            *(f"- {row['key']}: {self.summarize_row(row)}; {row['unsafe']}" for row in fair if _is_violation(row)),
+            *(f"- {row['key']}: {self.summarize_row(row)}; {row['unsafe']}" for row in valid if _is_violation(row)),
         ]
 
 
-def _inject_failure(stage: CommanderTestbed, how: str, moment: str, seed: int) -> Row:
-    """When the deed was done [s, monotonic], how long it took until HOLD, whether the arm was held before."""
-    child = stage.start_commander(how, waits=moment != ACKNOWLEDGEMENT_MOMENT)
+def _inject_failure(testbed: CommanderTestbed, how: str, moment: str, seed: int) -> Row:
+    """Return the time of the failure [s, monotonic], the time until HOLD [s], and whether the arm was held before."""
+    child = testbed.start_commander(how, waits=moment != ACKNOWLEDGEMENT_MOMENT)
     wait = float(np.random.default_rng([seed, FAILURE_MODES.index(how), MOMENTS.index(moment)]).uniform(0.0, 0.1))
     if moment == ACKNOWLEDGEMENT_MOMENT:
         _send_line(child, "write")
-        stage.await_line("written")
+        testbed.await_line("written")
     else:
-        fast = MIN_PEAK_SPEED if moment == "closing" else 0.0
-        wait_until(moment, lambda: stage.phase in MOMENT_PHASES[moment] and stage.speed >= fast)
+        min_speed = MIN_PEAK_SPEED if moment == "closing" else 0.0
+        wait_until(moment, lambda: testbed.phase in MOMENT_PHASES[moment] and testbed.speed >= min_speed)
         time.sleep(wait)
-    early, at = stage.reported_action() >= SafetyAction.HOLD, time.monotonic()
+    early, at = testbed.reported_action() >= SafetyAction.HOLD, time.monotonic()
     if how == "gatekeeper":
-        os.kill(stage.process.process.pid, signal.SIGKILL)
+        os.kill(testbed.process.process.pid, signal.SIGKILL)
     elif how in ("kill", "stop"):
         os.kill(child.pid, signal.SIGKILL if how == "kill" else signal.SIGSTOP)
     else:
         _send_line(child, "go")
-    took = None if how == "gatekeeper" else _time_to_hold(stage, at)
+    took = None if how == "gatekeeper" else _time_to_hold(testbed, at)
     return {"at": at, "wait": wait, "early": early, "took": took}
 
 
@@ -175,23 +188,27 @@ def _send_line(child: subprocess.Popen[str], word: str) -> None:
         child.stdin.flush()
 
 
-def _time_to_hold(stage: CommanderTestbed, start: float) -> float | None:
+def _time_to_hold(testbed: CommanderTestbed, start: float) -> float | None:
     while time.monotonic() - start < 5.0:
-        if stage.reported_action() >= SafetyAction.HOLD:
+        if testbed.reported_action() >= SafetyAction.HOLD:
             return time.monotonic() - start
         time.sleep(0.001)
     return None
+
+
+def _mode_name(how: str) -> str:
+    return MODE_NAMES.get(how, how)
 
 
 def _mode_row(how: str, rows: list[Row]) -> tuple[object, ...]:
     group = [row for row in rows if row["how"] == how]
     times = [row["took"] for row in group if row["took"] is not None]
     quantiles = np.percentile(times, (50, 99, 100)) if times else (np.nan,) * 3
-    told = [f"{1e3 * float(value):.0f} ms" for value in (DECLARED_LIMITS[how], *quantiles)]
+    cells = [f"{1e3 * float(value):.0f} ms" for value in (DECLARED_LIMITS[how], *quantiles)]
     late = sum(row["took"] is None or row["took"] > DECLARED_LIMITS[how] for row in group)
     ends = Counter(row["next"] for row in group)
     following = ", ".join(f"{kind} {count}" for kind, count in ends.most_common())
-    return (how, len(group), *told, late, sum(bool(row["unsafe"]) for row in group), following)
+    return (_mode_name(how), len(group), *cells, late, sum(bool(row["unsafe"]) for row in group), following)
 
 
 def _worst_time(rows: list[Row], how: str, moment: str) -> str:

@@ -1,4 +1,4 @@
-"""The stage of `cortex`: a gatekeeper, a cortex that is doomed, who watches both, and the next commander."""
+"""Test bed of `commander_failure`: a gatekeeper, a commander that will fail, a watcher and the next commander."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from experiments.engine.experiment import Row
 
 COMMANDER_SCRIPT = Path(__file__).with_name("failing_commander.py")
 TIMEOUT_S = 60.0
-"""No moment takes longer to come [s]; no promise."""
+"""Longest wait for a moment or an outcome [s]."""
 
 
 @dataclass
 class CommanderTestbed:
-    """Gatekeeper, doomed cortex, and who watches both."""
+    """A gatekeeper process, a commander process that will fail, and a client that watches both."""
 
     folder: Path
     process: GatekeeperProcess
@@ -41,39 +41,39 @@ class CommanderTestbed:
     speed: float = 0.0
 
     def __post_init__(self) -> None:
-        """Nobody commands yet."""
+        """Connect the watcher; no commander is started yet."""
         self.watcher = GatekeeperClient(self.folder / "s", on_report=self._on_message)
         self.commander: subprocess.Popen[str] | None = None
 
     def start_commander(self, how: str, *, waits: bool) -> subprocess.Popen[str]:
-        """Start the cortex; it stands before its contract (or, if it waits, behind the gate's answer)."""
+        """Start the commander; it pauses before it sends its contract (if it `waits`: after the answer of the gate)."""
         flags = ["-S"] if sys.flags.no_site else []
-        words = [str(self.folder / name) for name in ("s", "keys", "ledger.sqlite")]
+        paths = [str(self.folder / name) for name in ("s", "keys", "ledger.sqlite")]
         self.commander = child = subprocess.Popen(
-            [sys.executable, *flags, str(COMMANDER_SCRIPT), *words, how, "1" if waits else "0"],
+            [sys.executable, *flags, str(COMMANDER_SCRIPT), *paths, how, "1" if waits else "0"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
         )
         Thread(target=self._read_output, args=(child,), daemon=True).start()
         self.await_line("running" if waits else "ready")
-        wait_until("the ledger is written", lambda: len(self.stored) > 0)
+        wait_until("the first stored episode", lambda: len(self.stored) > 0)
         return child
 
     def await_line(self, line: str) -> None:
-        """Until the cortex has said `line`."""
+        """Wait until the commander has printed `line`; raises `ConfigurationError` if it ends before."""
         wait_until(
             line, lambda: line in self.lines or (self.commander is not None and self.commander.poll() is not None)
         )
         if line not in self.lines:
-            raise ConfigurationError("cortex", got="an early end", allowed="one that says: " + line)
+            raise ConfigurationError.stating(f"The commander process ended before it printed {line!r}.")
 
     def reported_action(self) -> SafetyAction:
-        """The order that was told last."""
+        """Return the action that the last heartbeat reported."""
         return SafetyAction[self.watcher.status.action] if self.watcher.status else SafetyAction.NONE
 
     def run_next_contract(self, *, dead: bool) -> Row:
-        """How the contract of the next commander ends, if need be at the next gatekeeper, and when it comes [s]."""
+        """Run the contract of the next commander (of the next gatekeeper if `dead`); its outcome and start time [s]."""
         if dead:
             self.process.process.wait()
             self.process = start_gatekeeper(self.folder, "two")
@@ -81,7 +81,7 @@ class CommanderTestbed:
         while time.monotonic() < deadline:
             try:
                 link = GatekeeperClient(self.folder / "s", load_or_create_keys(self.folder / "keys"), PLANNER)
-            except ConnectionLostError:  # the one before is not forgotten yet
+            except ConnectionLostError:  # the gatekeeper still holds the connection of the failed commander
                 time.sleep(0.02)
                 continue
             try:
@@ -91,7 +91,7 @@ class CommanderTestbed:
         return {"next": "not let in", "next_at": inf}
 
     def shut_down(self) -> None:
-        """Everything ends; what the cortex said until then has been heard."""
+        """End both processes, after every printed line of the commander has been read."""
         if self.commander is not None:
             self.commander.kill()
             self.commander.wait()
@@ -103,8 +103,8 @@ class CommanderTestbed:
 
     def _read_output(self, child: subprocess.Popen[str]) -> None:
         for line in child.stdout or ():
-            word, _, name = line.strip().partition(" ")
-            (self.stored if word == "stored" else self.lines).append(name or word)
+            tag, _, name = line.strip().partition(" ")
+            (self.stored if tag == "stored" else self.lines).append(name or tag)
 
     def _on_message(self, message: Message) -> None:
         match message:
@@ -116,16 +116,17 @@ class CommanderTestbed:
                 pass
 
 
-def wait_until(what: str, true: Callable[[], bool]) -> None:
-    """Wait for a condition; raises `InvalidSetup` if it never comes."""
+def wait_until(description: str, condition: Callable[[], bool]) -> None:
+    """Wait until `condition` is true; raises `ConfigurationError` after TIMEOUT_S."""
     deadline = time.monotonic() + TIMEOUT_S
-    while not true():
+    while not condition():
         if time.monotonic() > deadline:
-            raise ConfigurationError("moment", got=f"none within {TIMEOUT_S:.0f} s", allowed=what)
+            raise ConfigurationError.stating(f"Waited {TIMEOUT_S:.0f} s in vain for: {description}.")
         time.sleep(0.001)
 
 
 def start_gatekeeper(folder: Path, name: str) -> GatekeeperProcess:
+    """Start a gatekeeper on a scene without obstacles; its robot report is written to `name`.json."""
     return GatekeeperProcess(
         GatekeeperConfig(
             robot="panda",
@@ -138,13 +139,13 @@ def start_gatekeeper(folder: Path, name: str) -> GatekeeperProcess:
 
 
 def _run_short_contract(link: GatekeeperClient) -> Row:
-    """How a short contract ends, and when it came, in the robot's time [s]."""
+    """Return the outcome of a short contract and the time of its proposal on the clock of the robot [s]."""
     context = {"robot": link.welcome.robot, "registry": link.welcome.registry}
     actions = [{"skill": "hold", "params": {"duration": 0.5}}]
     text = msgspec.json.encode({"id": "c-0002", "context": context, "action_sequence": actions})
-    wait_until("the old contract is over", lambda: link.status is not None and not link.status.busy)
-    sight = link.request_scene()
-    answer = link.propose(text, sight.scene.version)
+    wait_until("the end of the previous contract", lambda: link.status is not None and not link.status.busy)
+    view = link.request_scene()
+    answer = link.propose(text, view.scene.version)
     if isinstance(answer, RequestRefused) or answer.rejected is not None:
-        return {"next": "refused", "next_at": sight.now}
-    return {"next": link.wait_for_outcome(TIMEOUT_S).outcome.kind, "next_at": sight.now}
+        return {"next": "refused", "next_at": view.now}
+    return {"next": link.wait_for_outcome(TIMEOUT_S).outcome.kind, "next_at": view.now}

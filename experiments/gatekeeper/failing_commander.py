@@ -1,9 +1,10 @@
-"""A cortex in a process of its own that is about to fail: commands a pick and place, and keeps writing its ledger.
+"""A commander process that will fail: it commands a pick and place, and writes episodes to its ledger all the time.
 
-    doomed_cortex.py SOCKET KEYS LEDGER HOW WAITS
+    failing_commander.py SOCKET KEYS LEDGER FAILURE WAITS
 
-It says "running" (or, with WAITS 0, "written" as soon as its contract has left, before any answer), and "stored NAME"
-after each episode that the ledger has acknowledged. At a line on standard input it floods, or talks rubbish.
+It prints "running" (with WAITS 0: "written" as soon as it has sent its contract, before any answer), and
+"stored NAME" after each episode whose storage the ledger has acknowledged. After a line on standard input it floods
+the socket (FAILURE "flood") or sends malformed bytes (FAILURE "rubbish").
 """
 
 from __future__ import annotations
@@ -26,20 +27,20 @@ from experiments.memory.synthetic_episodes import CONFIG, REGISTRY, REST_POSTURE
 from tests.control.gatekeeper.commander_process import contract_bytes, send_flood, send_malformed_bytes  # noqa: E402
 
 EPISODE_INTERVAL_S = 0.03
-"""Pause between two episodes [s]."""
+"""Wait between two stored episodes [s]."""
 OUTPUT_LOCK = Lock()
 
 
 def print_line(line: str) -> None:
-    """One whole line, at once."""
+    """Print one line and flush it."""
     with OUTPUT_LOCK:
         sys.stdout.write(line + "\n")
         sys.stdout.flush()
 
 
 def write_episodes(path: Path) -> None:
-    """Store made-up episodes, each with what it recalled, until the process ends."""
-    with Ledger(path, holder="doomed", now=START_TIME) as ledger:
+    """Store synthetic episodes, each with the context that it retrieved, until the process ends."""
+    with Ledger(path, holder="failing commander", now=START_TIME) as ledger:
         memory = Memory(ledger, HashingEncoder(32), CONFIG)
         for number in count():
             recall = memory.retrieve("grasp the cube", "cube: object", REST_POSTURE, ROBOT, REGISTRY, k=3)
@@ -48,8 +49,8 @@ def write_episodes(path: Path) -> None:
             time.sleep(EPISODE_INTERVAL_S)
 
 
-def main(path: str, keys: str, ledger: str, how: str, waits: str) -> None:
-    """Command, remember, wait for the end."""
+def main(path: str, keys: str, ledger: str, failure: str, waits: str) -> None:
+    """Send the contract, store episodes, fail when told to."""
     Thread(target=write_episodes, args=(Path(ledger),), daemon=True).start()
     link = GatekeeperClient(Path(path), load_or_create_keys(Path(keys)), "planner")
     version = link.request_scene().scene.version
@@ -62,8 +63,8 @@ def main(path: str, keys: str, ledger: str, how: str, waits: str) -> None:
         link.submit(contract_bytes(), version)
         print_line("written")
     sys.stdin.readline()
-    if how in ("flood", "rubbish"):
-        {"flood": send_flood, "rubbish": send_malformed_bytes}[how](link)
+    if failure in ("flood", "rubbish"):
+        {"flood": send_flood, "rubbish": send_malformed_bytes}[failure](link)
     time.sleep(60.0)
 
 

@@ -1,4 +1,4 @@
-"""Injected faults: source × kind × moment × body, each with the order that was declared beforehand."""
+"""Fault injection: source × kind × moment × robot, each with the action declared in advance."""
 
 from __future__ import annotations
 
@@ -10,29 +10,29 @@ import msgspec
 from dualbrain.evaluation.fault_injection.faults import KINDS, MOBILE_BASE_MOMENTS, MOMENTS, SOURCES, Fault
 from dualbrain.evaluation.fault_injection.trial import run_fault_trial
 from experiments.engine.experiment import Options, Row, WorkUnit
-from experiments.gatekeeper.fault_tables import summary
+from experiments.gatekeeper.fault_tables import fault_matrices, summary
 
 ARMS = ("panda", "ur5e", "fr3")
 SCENES = ("bare:0", "tabletop:1", "forearm:0")
-"""Nothing but the errand; neighbours; a person's forearm that crosses."""
+"""Only the task objects; obstacles beside them; a human forearm that crosses."""
 ROOMS = ("boxes:0", "crossing:1")
-"""Crates on the way; a person who crosses it."""
+"""Crates in the path of the base; a person who crosses it."""
 
 
 class Faults:
-    """Nothing unsafe, whatever breaks at the worst moment, and the declared order comes."""
+    """No violation and at least the declared action after each fault at each of the worst moments."""
 
     name = "faults"
     claim = (
-        "Whatever breaks, in whatever way, at the worst moment, on each arm and on a base: the declared order (or a "
-        "stronger one) comes, and the independent monitor sees nothing unsafe."
+        "After every fault of every source, injected at the worst moments, on each arm and on a mobile base, the "
+        "supervisor takes at least the declared action, and the independent monitor reports no violation."
     )
 
     def units(self, options: Options) -> list[WorkUnit]:
         """7 sources × 7 kinds × (6 moments × 3 arms + 2 moments of a base) = 980; any prefix covers all sources.
 
-        The scenes go round, as in a Latin square: every fault meets each of them at two moments on each arm, and the
-        base meets crates and a person at one each.
+        The scenes alternate as in a Latin square: every fault occurs in each scene at two moments on each arm; on the
+        base it occurs once with crates and once with a person.
         """
         del options
         arms, base = (
@@ -43,32 +43,31 @@ class Faults:
         return [unit for _, unit in sorted(placed, key=lambda one: one[0])]
 
     def run(self, about: dict[str, Any]) -> Row:
-        """One injected episode."""
+        """Run one episode with an injected fault."""
         report = run_fault_trial(Fault(*about["fault"]), robot=about["body"], scene=about["scene"])
         found = {**msgspec.to_builtins(report), "safe": report.safe, "as_declared": report.as_declared}
         return {**found, "body": about["body"], "fault": about["fault"]}
 
     def summarize_row(self, row: Row) -> str:
-        """For the progress line."""
+        """Summarize the row for the progress line."""
         good = "safe" if row["safe"] else "UNSAFE"
         return f"{good}, expected {row['expected']}, reached {row['reached']}, {row['outcome']}"
 
     def report(self, rows: list[Row]) -> list[str]:
-        """By body and moment; every exception by name. The whole matrix has a page of its own."""
+        """Report the summary, each failed episode by name, and the matrix per robot."""
         bad = [row for row in rows if not (row["safe"] and row["as_declared"])]
-        return summary(rows) + [
-            f"- {row['key']}: {self.summarize_row(row)}; {row['reason']}; {row['unsafe']}" for row in bad
-        ]
+        failed = [f"- {row['key']}: {self.summarize_row(row)}; {row['reason']}; {row['unsafe']}" for row in bad]
+        return [*summary(rows), *failed, *([""] if failed else []), *fault_matrices(rows)]
 
 
-def _interleaved_units(bodies: tuple[str, ...], moments: tuple[str, ...], scenes: tuple[str, ...]) -> list[WorkUnit]:
-    """Every cell once, in an order in which neighbours differ in everything."""
-    cells = list(product(*(range(len(axis)) for axis in (bodies, moments, KINDS, SOURCES))))
+def _interleaved_units(robots: tuple[str, ...], moments: tuple[str, ...], scenes: tuple[str, ...]) -> list[WorkUnit]:
+    """Return each combination once, ordered so that successive units differ in every axis."""
+    cells = list(product(*(range(len(axis)) for axis in (robots, moments, KINDS, SOURCES))))
     order = sorted(range(len(cells)), key=lambda k: (k * 283) % len(cells))
     found: list[WorkUnit] = []
-    for body, moment, kind, source in (cells[k] for k in order):
-        scene = scenes[(body + moment + kind + source) % len(scenes)]
+    for robot, moment, kind, source in (cells[k] for k in order):
+        scene = scenes[(robot + moment + kind + source) % len(scenes)]
         fault = [SOURCES[source], KINDS[kind], moments[moment]]
-        about = {"body": bodies[body], "scene": scene, "fault": fault}
-        found.append(WorkUnit("/".join((bodies[body], *fault, scene)), about))
+        about = {"body": robots[robot], "scene": scene, "fault": fault}
+        found.append(WorkUnit("/".join((robots[robot], *fault, scene)), about))
     return found

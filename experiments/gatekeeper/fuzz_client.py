@@ -1,9 +1,10 @@
-"""Fuzz at the real socket: strangers and onlookers who come again and again, and say what no one should.
+"""Fuzzing client: connects to the socket of a gatekeeper again and again, and sends fuzzed frames.
 
-    fuzz_door.py SOCKET SECONDS SEED        (counts as one JSON object on standard output)
+    fuzz_client.py SOCKET SECONDS SEED        (prints its counts as one JSON object)
 
-A client knows what the gatekeeper must make of its bytes, because it runs them through the same decoder: it goes on
-until the first that ends a connection, and then waits to be hung up on. Only what was sent until then is counted.
+The client decodes its own bytes with the decoder of the gatekeeper, so it knows which frame must end the connection.
+It sends frames up to the first such frame, then waits until the gatekeeper closes the connection. Only frames sent
+until then are counted.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ from dualbrain.control.gatekeeper.protocol.messages import Hello, decode_message
 from experiments.gatekeeper.fuzzer import Fuzzer
 
 MAX_FRAMES = 200
-"""At most so many on one connection, fewer than a flood is."""
+"""Frames per connection; fewer than the limit of the gatekeeper for a flood."""
 DISCONNECT_TIMEOUT_S = 5.0
-"""How long the gatekeeper may take to hang up [s]."""
+"""Time within which the gatekeeper must close the connection [s]."""
 
 
 def main(path: str, seconds: str, seed: str) -> None:
-    """Come again until the time is up."""
+    """Open connections until the time is up, and print the counts."""
     fuzzer, until = Fuzzer(int(seed)), time.monotonic() + float(seconds)
     counts = {"connections": 0, "frames": 0, "bytes": 0, "refused": 0, "left": 0, "not hung up": 0}
     while time.monotonic() < until:
@@ -37,13 +38,13 @@ def main(path: str, seconds: str, seed: str) -> None:
 
 
 def run_connection(path: str, fuzzer: Fuzzer, counts: dict[str, int]) -> None:
-    """One connection."""
+    """Open one connection and add its outcome to `counts`; 7 of 10 begin with a valid greeting."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as link:
         link.settimeout(DISCONNECT_TIMEOUT_S)
         link.connect(path)
         counts["connections"] += 1
-        known, decoder, sent = fuzzer.rng.random() < 0.7, FrameDecoder(), 0
-        if known:
+        greets, decoder, sent = fuzzer.rng.random() < 0.7, FrameDecoder(), 0
+        if greets:
             hello = Hello(principal="", proof=b"")
             sent += 1
             data = encode(kind_code(hello), 1, encode_body(hello))
@@ -52,10 +53,10 @@ def run_connection(path: str, fuzzer: Fuzzer, counts: dict[str, int]) -> None:
         for _ in range(MAX_FRAMES):
             sent += 1
             data = fuzzer.frame(fuzzer.message(), sent) or b"\0"
-            gone = not _send(link, data, counts)
-            if gone or not _stays_connected(decoder, data):
+            closed = not _send(link, data, counts)
+            if closed or not _stays_connected(decoder, data):
                 break
-            if not known:  # a stranger that was understood: whether it may stay depends on what it said
+            if not greets:  # a valid first frame: whether the connection stays open depends on its kind
                 counts["left"] += 1
                 return
         else:
@@ -65,7 +66,7 @@ def run_connection(path: str, fuzzer: Fuzzer, counts: dict[str, int]) -> None:
 
 
 def _stays_connected(decoder: FrameDecoder, data: bytes) -> bool:
-    """Whether the connection can go on after `data`."""
+    """Return whether the gatekeeper must keep the connection after `data`."""
     decoder.feed(data)
     frame = decoder.next_frame()
     return (
@@ -76,7 +77,7 @@ def _stays_connected(decoder: FrameDecoder, data: bytes) -> bool:
 
 
 def _send(link: socket.socket, data: bytes, counts: dict[str, int]) -> bool:
-    """Send, and throw away what has come; False if nobody is there any more."""
+    """Send `data` and discard received bytes; False if the connection is closed."""
     try:
         link.sendall(data)
         while select.select((link,), (), (), 0.0)[0]:
@@ -90,14 +91,14 @@ def _send(link: socket.socket, data: bytes, counts: dict[str, int]) -> bool:
 
 
 def _await_disconnect(link: socket.socket, decoder: FrameDecoder, counts: dict[str, int]) -> None:
-    """A stream that was broken ends; one that waits for the rest of a frame is left."""
+    """Wait until the gatekeeper closes a malformed stream; leave one that ends within a frame."""
     if decoder.failure is None and decoder.n_buffered:
         counts["left"] += 1
         return
     until = time.monotonic() + DISCONNECT_TIMEOUT_S
     try:
-        while (left := until - time.monotonic()) > 0.0:
-            link.settimeout(left)
+        while (remaining := until - time.monotonic()) > 0.0:
+            link.settimeout(remaining)
             if not link.recv(1 << 16):
                 counts["refused"] += 1
                 return

@@ -1,9 +1,9 @@
-"""Ten million fuzzed frames and contracts: decoder, seal and gate in process, and the door of a running gatekeeper.
+"""Ten million fuzzed frames and contracts, in process and at the socket of a running gatekeeper.
 
-In process a unit is one long-lived gatekeeper's worth of code: frames are decoded and read, contracts whose seal is
-good go through all three stages of the clerk's gate. At the door a gatekeeper in real time carries out errands while
-clients fuzz its socket as fast as it lets them in, and its commander hands in fuzzed contracts under good seals between
-errands; beside it another does the same errands in peace.
+In process, a unit decodes frames with the code of the gatekeeper; contracts with a valid authentication code pass
+through all three stages of the gate. At the socket, a gatekeeper in real time executes contracts while clients send
+fuzzed frames as fast as it accepts connections, and its commander proposes fuzzed contracts with valid authentication
+codes in between. A second gatekeeper executes the same contracts without fuzzing, for comparison.
 """
 
 from __future__ import annotations
@@ -44,27 +44,34 @@ from experiments.safety.closed_loop import pick_and_place_actions
 N_FRAMES = 10_000_000
 FRAMES_PER_UNIT = 250_000
 N_SERVER_RUNS, RUN_SECONDS, N_CLIENTS = 4, 30.0, 2
-"""How often the door is tried, for how long with and without fuzz [s], by how many clients."""
+"""Runs at the socket, duration of each with and without fuzzing [s], fuzzing clients per run."""
 WARM_UP_FRAMES = 2_000
-"""Frames before memory is looked at."""
+"""Frames before the first measurement of resident memory."""
 SCENE = "tabletop:1"
 SECRET, NONCE = b"s" * 32, b"n" * 16
 CLIENT_SCRIPT = Path(__file__).with_name("fuzz_client.py")
 GATE_RAISED, GATE_FAILURE_HINTS = "the gate raised", ("the gate failed", "a rule failed")
-"""How a gate that has raised is told from one that refuses."""
+"""Count for contracts at which the gate raised, and the hints by which such a rejection is recognized."""
+CATEGORY_NAMES = {
+    "streams broken": "malformed streams",
+    "frames cut": "incomplete frames",
+    "messages refused": "rejected messages",
+    "seals refused": "invalid authentication codes",
+}
+"""Printed names of counts whose stored name differs."""
 
 
 class FuzzSocket:
-    """Whatever comes through the door is a message or a refusal."""
+    """Each fuzzed frame yields a message, a verdict or a rejection."""
 
     name = "fuzz_socket"
     claim = (
-        "10⁷ fuzzed frames and contracts are each a message, a verdict or a refusal: nothing raises, memory does not "
-        "grow; and at the door of a running gatekeeper fuzz does not harm the tick."
+        "10⁷ fuzzed frames and contracts each yield a message, a verdict or a rejection: no exception is raised and "
+        "memory does not grow. Fuzzing the socket of a running gatekeeper does not disturb its control tick."
     )
 
     def units(self, options: Options) -> list[WorkUnit]:
-        """By seed; then the door, whose times want a machine that does nothing else."""
+        """Return the units by seed, then the runs at the socket, whose times need an otherwise idle machine."""
         del options
         seeds = [
             WorkUnit(f"seed {seed}", {"seed": seed, "frames": FRAMES_PER_UNIT})
@@ -75,43 +82,44 @@ class FuzzSocket:
         ]
 
     def run(self, about: dict[str, Any]) -> Row:
-        """One of either kind."""
+        """Run a unit in process, or one at the socket."""
         if "door" in about:
             return {"door": True, **_fuzz_server(about["door"], about["seconds"])}
         return {"door": False, **_fuzz_in_process(about["seed"], about["frames"])}
 
     def summarize_row(self, row: Row) -> str:
-        """For the progress line."""
+        """Summarize the row for the progress line."""
         if not row["door"]:
             return f"{row['frames']} frames, {row['counts']}, grown by {row['grown_kib']} KiB"
-        calm, fuzzed = (1e3 * row[name]["interval"][2] for name in ("calm", "fuzzed"))
-        return f"{row['said']}, 99.9 % of intervals {calm:.2f} → {fuzzed:.2f} ms, RSS {row['rss_kib']}"
+        without, fuzzed = (1e3 * row[name]["interval"][2] for name in ("calm", "fuzzed"))
+        return f"{row['said']}, 99.9 % of intervals {without:.2f} → {fuzzed:.2f} ms, RSS {row['rss_kib']}"
 
     def report(self, rows: list[Row]) -> list[str]:
-        """In process, then at the door."""
-        inside, doors = ([row for row in rows if row["door"] is door] for door in (False, True))
-        return (_in_process_report(inside) if inside else []) + (_server_report(doors) if doors else [])
+        """Report the runs in process, then those at the socket."""
+        in_process, at_socket = ([row for row in rows if row["door"] is value] for value in (False, True))
+        lines = _in_process_report(in_process) if in_process else []
+        return lines + (_server_report(at_socket) if at_socket else [])
 
 
 # --- in process ---------------------------------------------------------------------------------------------------
 
 
 def _fuzz_in_process(seed: int, frames: int) -> Row:
-    """Every other frame carries a contract under a good seal, for this connection and number."""
-    fuzzer, clerk, case = Fuzzer(seed), *_gate_worker_and_request()
+    """Feed frames, half of which carry a contract with a valid authentication code for this connection."""
+    fuzzer, worker, request = Fuzzer(seed), *_gate_worker_and_request()
     counts: Counter[str] = Counter()
     try:
-        _feed_frames(fuzzer, clerk, case, range(WARM_UP_FRAMES), Counter())
+        _feed_frames(fuzzer, worker, request, range(WARM_UP_FRAMES), Counter())
         before, start = resident_kib(), time.monotonic()
-        _feed_frames(fuzzer, clerk, case, range(WARM_UP_FRAMES, WARM_UP_FRAMES + frames), counts)
+        _feed_frames(fuzzer, worker, request, range(WARM_UP_FRAMES, WARM_UP_FRAMES + frames), counts)
     finally:
-        clerk.close()
+        worker.close()
     spent, grown = time.monotonic() - start, resident_kib() - before
     return {"frames": frames, "counts": counts, "grown_kib": grown, "seconds": spent}
 
 
 def _gate_worker_and_request() -> tuple[GateWorker, GateRequest]:
-    """A clerk, and what he is handed beside the contract."""
+    """Return a gate worker and a request that lacks only its contract."""
     robot_model = load_robot("panda")
     scene = scene_from_spec(open_scene(SCENE))
     q = np.array(robot_model.home)
@@ -130,14 +138,18 @@ def _gate_worker_and_request() -> tuple[GateWorker, GateRequest]:
     )
 
 
-def _feed_frames(fuzzer: Fuzzer, clerk: GateWorker, case: GateRequest, numbers: range, counts: Counter[str]) -> None:
+def _feed_frames(
+    fuzzer: Fuzzer, worker: GateWorker, request: GateRequest, numbers: range, counts: Counter[str]
+) -> None:
     decoder, sequence = FrameDecoder(), 0
     for number in numbers:
         sequence += 1
-        sealed = fuzzer.rng.random() < 0.5
-        version = case.scene.version
-        word = fuzzer.authenticated_proposal(SECRET, NONCE, sequence, version, 0.0) if sealed else fuzzer.message()
-        decoder.feed(fuzzer.frame(word, sequence))
+        version = request.scene.version
+        if fuzzer.rng.random() < 0.5:
+            sent = fuzzer.authenticated_proposal(SECRET, NONCE, sequence, version, 0.0)
+        else:
+            sent = fuzzer.message()
+        decoder.feed(fuzzer.frame(sent, sequence))
         frame = decoder.next_frame()
         if frame is None or isinstance(frame, BrokenStream):
             counts["streams broken" if frame else "frames cut"] += 1
@@ -151,13 +163,13 @@ def _feed_frames(fuzzer: Fuzzer, clerk: GateWorker, case: GateRequest, numbers: 
         elif not verify_contract_mac(SECRET, NONCE, frame.sequence, message):
             counts["seals refused"] += 1
         else:
-            counts[_classify_contract(clerk, case, message, number)] += 1
+            counts[_classify_contract(worker, request, message, number)] += 1
 
 
-def _classify_contract(clerk: GateWorker, case: GateRequest, message: Propose, number: int) -> str:
-    """The stage that refused a contract, or that none did."""
-    stamp = msgspec.structs.replace(case.stamp, sequence=(1 << 32) + number)
-    verdict = clerk.check(msgspec.structs.replace(case, contract=message.contract, stamp=stamp))
+def _classify_contract(worker: GateWorker, request: GateRequest, message: Propose, number: int) -> str:
+    """Return the stage that rejected a contract, or that it was accepted."""
+    stamp = msgspec.structs.replace(request.stamp, sequence=(1 << 32) + number)
+    verdict = worker.check(msgspec.structs.replace(request, contract=message.contract, stamp=stamp))
     if isinstance(verdict, Accepted):
         return "contracts accepted"
     return GATE_RAISED if verdict.hint in GATE_FAILURE_HINTS else f"contracts refused: {verdict.stage}"
@@ -169,30 +181,37 @@ def _in_process_report(rows: list[Row]) -> list[str]:
     contracts = sum(count for kind, count in counts.items() if kind.startswith("contracts"))
     grown = max(row["grown_kib"] for row in rows)
     lines = [
-        f"In process: **{frames:,}** frames, among them **{contracts:,}** contracts that came through to the gate. "
-        f"Raised: **{counts[GATE_RAISED]}**. Most that a process grew within {FRAMES_PER_UNIT:,} frames: {grown:,} "
-        f"KiB. {1e6 * spent / frames:.0f} µs a frame.",
+        f"In process: **{frames:,}** frames, among them **{contracts:,}** contracts that reached the gate. Exceptions: "
+        f"**{counts[GATE_RAISED]}**. Largest growth of a process within {FRAMES_PER_UNIT:,} frames: {grown:,} KiB. "
+        f"{1e6 * spent / frames:.0f} µs per frame.",
         "",
     ]
-    became = ((kind, f"{count:,}", f"{count / frames:.2%}") for kind, count in counts.most_common())
-    return lines + markdown_table(("what became of them", "frames", "share"), became)
+    results = ((_category(kind), f"{count:,}", f"{count / frames:.2%}") for kind, count in counts.most_common())
+    return lines + markdown_table(("result", "frames", "share"), results)
 
 
-# --- at the door --------------------------------------------------------------------------------------------------
+def _category(kind: str) -> str:
+    return CATEGORY_NAMES.get(kind, kind.replace("refused:", "rejected:"))
+
+
+# --- at the socket ------------------------------------------------------------------------------------------------
 
 
 def _fuzz_server(seed: int, seconds: float) -> Row:
     calm, _, _, _ = _run_gatekeeper(seed, seconds, clients=0)
-    fuzzed, said, verdicts, rss = _run_gatekeeper(seed, seconds, clients=N_CLIENTS)
-    return {"calm": calm, "fuzzed": fuzzed, "said": said, "verdicts": verdicts, "rss_kib": rss, "seconds": seconds}
+    fuzzed, counts, verdicts, rss = _run_gatekeeper(seed, seconds, clients=N_CLIENTS)
+    return {"calm": calm, "fuzzed": fuzzed, "said": counts, "verdicts": verdicts, "rss_kib": rss, "seconds": seconds}
 
 
 def _run_gatekeeper(seed: int, seconds: float, clients: int) -> tuple[Any, Counter[str], Counter[str], list[int]]:
-    """A gatekeeper and its commander for `seconds`, with so many clients that fuzz; how punctual it was meanwhile."""
+    """Run a gatekeeper and its commander for `seconds` with fuzzing clients.
+
+    Returns the tick timing, the counts of the clients, the verdicts, and the resident memory before and after [KiB].
+    """
     with tempfile.TemporaryDirectory(prefix="dualbrain-") as name:
         folder = Path(name)
         skills = frozenset(skill_registry(load_robot("panda")).by_name)
-        plan = GatekeeperConfig(
+        config = GatekeeperConfig(
             robot="panda",
             scene=open_scene(SCENE),
             socket=str(folder / "s"),
@@ -200,23 +219,23 @@ def _run_gatekeeper(seed: int, seconds: float, clients: int) -> tuple[Any, Count
             punctuality=str(folder / "p.json"),
             capability=Capability(skills, rate=1e6),
         )
-        process = GatekeeperProcess(plan)
+        process = GatekeeperProcess(config)
         try:
             commander = GatekeeperClient(folder / "s", load_or_create_keys(folder / "keys"), PLANNER)
             _run_pick_and_place(commander)
             before = resident_kib(process.process.pid)
-            children = [_start_client(plan.socket, seconds, 100 * seed + k) for k in range(clients)]
+            children = [_start_client(config.socket, seconds, 100 * seed + k) for k in range(clients)]
             verdicts = _run_commander(commander, Fuzzer(seed) if clients else None, time.monotonic() + seconds)
-            said = Counter[str]()
+            counts = Counter[str]()
             for child in children:
-                said.update(msgspec.json.decode(child.communicate()[0], type=dict[str, int]))
+                counts.update(msgspec.json.decode(child.communicate()[0], type=dict[str, int]))
             after = resident_kib(process.process.pid)
             commander.close()
         finally:
             process.stop()
         found = msgspec.json.decode((folder / "p.json").read_bytes(), type=TickTimingSummary)
     kept = ("ticks", "missed", "late", "interval", "work", "latency")
-    return {name: getattr(found, name) for name in kept}, said, verdicts, [before, after]
+    return {name: getattr(found, name) for name in kept}, counts, verdicts, [before, after]
 
 
 def _start_client(path: str, seconds: float, seed: int) -> subprocess.Popen[bytes]:
@@ -227,7 +246,7 @@ def _start_client(path: str, seconds: float, seed: int) -> subprocess.Popen[byte
 
 
 def _run_commander(link: GatekeeperClient, fuzzer: Fuzzer | None, until: float) -> Counter[str]:
-    """Errands, and between them, with a fuzzer, fuzzed contracts; how these were judged."""
+    """Run pick and place contracts with fuzzed contracts in between; count the verdicts of the fuzzed ones."""
     verdicts: Counter[str] = Counter()
     while time.monotonic() < until:
         _run_pick_and_place(link)
@@ -246,7 +265,7 @@ def _run_pick_and_place(link: GatekeeperClient) -> None:
 
 
 def _propose(link: GatekeeperClient, text: bytes) -> str:
-    """How a contract was judged; an accepted one has been carried out when this returns."""
+    """Propose a contract and return its verdict, after the execution if it was accepted."""
     answer = link.propose(text, link.request_scene().scene.version)
     if isinstance(answer, RequestRefused):
         return "not considered"
@@ -256,33 +275,35 @@ def _propose(link: GatekeeperClient, text: bytes) -> str:
 
 
 def _server_report(rows: list[Row]) -> list[str]:
-    said, verdicts = (sum((Counter(row[name]) for row in rows), Counter()) for name in ("said", "verdicts"))
-    words = ", ".join(f"{kind} {count}" for kind, count in verdicts.most_common())
+    sent, verdicts = (sum((Counter(row[name]) for row in rows), Counter()) for name in ("said", "verdicts"))
+    judged = ", ".join(f"{_category(kind)} {count}" for kind, count in verdicts.most_common())
     grown = max(row["rss_kib"][1] - row["rss_kib"][0] for row in rows)
     spent = sum(row["seconds"] for row in rows)
     lines = [
-        f"At the door of a running gatekeeper, {spent:.0f} s with {N_CLIENTS} clients that fuzz: "
-        f"**{said['frames']:,}** frames on {said['connections']:,} connections, "
-        f"{said['refused']:,} of them ended by the gatekeeper, {said['left']:,} left by the client, "
-        f"**{said['not hung up']}** that should have been ended were not. Contracts under good seals: "
-        f"{sum(verdicts.values()):,} ({words}). Most that a gatekeeper grew: {grown:,} KiB.",
+        f"At the socket of a running gatekeeper, {spent:.0f} s with {N_CLIENTS} fuzzing clients: "
+        f"**{sent['frames']:,}** frames on {sent['connections']:,} connections. The gatekeeper closed "
+        f"{sent['refused']:,} of them, the client {sent['left']:,}; **{sent['not hung up']}** stayed open although "
+        f"their frame must end them. Contracts with valid authentication codes: {sum(verdicts.values()):,} "
+        f"({judged}). Largest growth of a gatekeeper: {grown:,} KiB.",
         "",
     ]
-    head = ("intervals between ticks, worst run", "median", "99 %", "99.9 %", "longest", "late ticks", "states missed")
+    head = ("interval between ticks, worst run", "median", "99 %", "99.9 %", "longest", "late ticks", "states missed")
     return [
         "",
         *lines,
-        *markdown_table(head, (_jitter_row(rows, "calm", "without"), _jitter_row(rows, "fuzzed", "with fuzz"))),
+        *markdown_table(
+            head, (_jitter_row(rows, "calm", "without fuzzing"), _jitter_row(rows, "fuzzed", "with fuzzing"))
+        ),
     ]
 
 
-def _jitter_row(rows: list[Row], name: str, words: str) -> tuple[object, ...]:
+def _jitter_row(rows: list[Row], name: str, label: str) -> tuple[object, ...]:
     worst = [max(row[name]["interval"][k] for row in rows) for k in range(4)]
-    ticks, late, missed = (sum(row[name][what] for row in rows) for what in ("ticks", "late", "missed"))
-    return (words, *(f"{1e3 * value:.2f} ms" for value in worst), f"{late} ({late / max(1, ticks):.2%})", missed)
+    ticks, late, missed = (sum(row[name][key] for row in rows) for key in ("ticks", "late", "missed"))
+    return (label, *(f"{1e3 * value:.2f} ms" for value in worst), f"{late} ({late / max(1, ticks):.2%})", missed)
 
 
 def resident_kib(pid: int | str = "self") -> int:
-    """What a process holds of memory [KiB]."""
+    """Return the resident memory of a process [KiB]."""
     text = Path(f"/proc/{pid}/status").read_text()
     return int(next(line.split()[1] for line in text.splitlines() if line.startswith("VmRSS")))

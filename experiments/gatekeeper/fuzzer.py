@@ -1,4 +1,4 @@
-"""What is thrown at the gatekeeper: frames with bytes changed, cut and added, and contracts that are almost right."""
+"""Fuzzed input for the gatekeeper: frames with bytes changed, removed and added, and almost valid contracts."""
 
 from __future__ import annotations
 
@@ -41,15 +41,15 @@ STRING_VALUES = (
 )
 OTHER_VALUES = (b"null", b"true", b"[]", b"{}", b"[" * 600)
 SAME_TYPE_PROBABILITY = 0.8
-"""How often a number takes a number's place, and a word a word's."""
+"""Probability that a number replaces a number, and a string a string."""
 MAX_NOISE_BYTES = 64
 
 
 class Fuzzer:
-    """All by one seed; contracts are for the Panda."""
+    """Fuzzed contracts for the Panda, frames and messages, determined by a seed."""
 
     def __init__(self, seed: int) -> None:
-        """Nothing is drawn yet."""
+        """Prepare the valid contracts that are mutated."""
         self.rng = Random(seed)
         registry = load_skill_registry("panda")
         context = {"robot": registry.robot, "registry": registry.hash}
@@ -61,40 +61,40 @@ class Fuzzer:
         self._tokens = [[one.span() for one in TOKEN_PATTERN.finditer(text)] for text in self._texts]
 
     def contract(self) -> bytes:
-        """One in ten is as it should be; most have some words or numbers replaced, the rest bytes changed or lost."""
+        """Return a contract: 10 % valid, 60 % with strings or numbers replaced, 30 % with bytes changed or removed."""
         rng = self.rng
         k = rng.randrange(len(self._texts))
-        text, way = self._texts[k], rng.random()
-        if way < 0.1:
+        text, share = self._texts[k], rng.random()
+        if share < 0.1:
             return text
-        if way < 0.7:
+        if share < 0.7:
             for start, end in sorted(rng.sample(self._tokens[k], rng.choice((1, 1, 1, 2, 3))), reverse=True):
-                alike = STRING_VALUES if text[start : start + 1] == b'"' else NUMBER_VALUES
+                same_type = STRING_VALUES if text[start : start + 1] == b'"' else NUMBER_VALUES
                 text = (
                     text[:start]
-                    + rng.choice(alike if rng.random() < SAME_TYPE_PROBABILITY else OTHER_VALUES)
+                    + rng.choice(same_type if rng.random() < SAME_TYPE_PROBABILITY else OTHER_VALUES)
                     + text[end:]
                 )
             return text
         return self._corrupt(bytearray(text), rng.randrange(1, 5))
 
     def frame(self, message: Message, sequence: int) -> bytes:
-        """The frame of `message`: four in ten as it should be, one in ten pure noise, the others spoilt."""
+        """Return a frame of `message`: 40 % valid, 10 % random bytes, 50 % with bytes changed or removed."""
         rng = self.rng
-        way = rng.random()
-        if way < 0.1:
+        share = rng.random()
+        if share < 0.1:
             return rng.randbytes(rng.randrange(1, MAX_NOISE_BYTES))
         data = encode(kind_code(message), sequence, encode_body(message))
-        return data if way < 0.5 else self._corrupt(bytearray(data), rng.randrange(1, 4))
+        return data if share < 0.5 else self._corrupt(bytearray(data), rng.randrange(1, 4))
 
     def authenticated_proposal(self, secret: bytes, nonce: bytes, sequence: int, version: int, now: float) -> Propose:
-        """A fuzzed contract under a good seal."""
+        """Return a proposal of a fuzzed contract with a valid authentication code."""
         text = self.contract()
         tag = contract_mac(secret, nonce, sequence, text, issued=now, expires=now + 60.0, scene_version=version)
         return Propose(contract=text, issued=now, expires=now + 60.0, scene_version=version, mac=tag)
 
     def message(self) -> Message:
-        """Something that an onlooker may say, or may not; never the emergency stop, which everybody may press."""
+        """Return a message, allowed for a client or not; never the emergency stop, which any client may send."""
         rng = self.rng
         kind = rng.randrange(6)
         if kind == 0:

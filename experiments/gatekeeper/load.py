@@ -1,7 +1,7 @@
-"""A cortex at work before a gatekeeper: a planner that never stops deciding, the live view with a page, contracts.
+"""Load for a gatekeeper: a planner that generates without a pause, the live view with a connected page, contracts.
 
-The arm is never left waiting for words: while the planner (a process of its own) decides on the next contract, the one
-before is carried out; where none is ready, or the gate has refused it, a given errand is.
+The arm does not wait for the planner: while the planner (a separate process) generates the next contract, the
+gatekeeper executes the one before. If no contract of the planner is ready, a given contract is executed.
 """
 
 from __future__ import annotations
@@ -43,28 +43,28 @@ from experiments.safety.closed_loop import pick_and_place_actions
 
 INSTRUCTIONS = ("put the red cube on the left of the table", "put the red cube on the right of the table")
 DESTINATIONS = ("table_left", "table_right")
-"""To and fro, and never into the bowl: a cube that lies in there cannot be grasped, and the day would be over."""
+"""Alternating destinations; never the bowl, because a cube in the bowl cannot be grasped again."""
 SPEED = 0.3
 CONTRACT_TIMEOUT_S = 120.0
-"""No contract takes longer [s]."""
+"""Longest wait for the outcome of a contract [s]."""
 PAGE_CLIENT_SCRIPT = """
 import sys
 from websockets.sync.client import connect
-pieces = size = 0
+messages = size = 0
 try:
     with connect(sys.argv[1], subprotocols=[sys.argv[2]], max_size=None, ping_interval=None) as link:
-        for piece in link:
-            pieces, size = pieces + 1, size + len(piece)
-            print(pieces, size, flush=True)
-except Exception as why:
-    print(f"the page ended: {type(why).__name__}", file=sys.stderr)
+        for message in link:
+            messages, size = messages + 1, size + len(message)
+            print(messages, size, flush=True)
+except Exception as error:
+    print(f"the page ended: {type(error).__name__}", file=sys.stderr)
 """
-"""A page that takes everything it is sent, as a browser does, and draws nothing: there is no display here."""
+"""A page that receives everything a browser would receive, without drawing it."""
 
 
 @dataclass
 class LoadSummary:
-    """What was done: contracts by who made them, outcomes and why, decisions [s each], what the page was sent."""
+    """Contracts by author, outcomes and their reasons, decision times [s], messages and bytes sent to the page."""
 
     contracts: Counter[str] = field(default_factory=Counter)
     outcomes: Counter[str] = field(default_factory=Counter)
@@ -73,52 +73,56 @@ class LoadSummary:
     page: tuple[int, int] = (0, 0)
 
 
-def run_load(plan: GatekeeperConfig, scene: str, planner: str, seconds: float, folder: Path) -> LoadSummary:
-    """Command the gatekeeper of `plan`, in `scene`, for `seconds` with `planner`; what this leaves lies in `folder`."""
-    day = LoadSummary()
+def run_load(gatekeeper: GatekeeperConfig, scene: str, planner: str, seconds: float, folder: Path) -> LoadSummary:
+    """Command the running `gatekeeper` in `scene` with `planner` for `seconds`; files are written to `folder`."""
+    summary = LoadSummary()
     with ExitStack() as stack:
         config = RunConfig(
             instruction=INSTRUCTIONS[0],
             out=folder / "day",
             ledger=folder / "ledger.sqlite",
             cache=cache_folder(),
-            robot=plan.robot,
+            robot=gatekeeper.robot,
             scene=scene,
             planner=planner,
         )
         backend = GatekeeperBackend()
         clocks = Clocks(time.monotonic, "", time.time)
         session = stack.enter_context(Session(config, clocks, os.environ, backend=backend))
-        lookout = LiveFeed(session, backend, 8100, Console(stderr=True, quiet=True))
-        stack.callback(lookout._view.close)
-        page = stack.enter_context(_start_page_client(lookout._view.url))
+        feed = LiveFeed(session, backend, 8100, Console(stderr=True, quiet=True))
+        stack.callback(feed._view.close)
+        page = stack.enter_context(_start_page_client(feed._view.url))
         stack.callback(page.terminate)
 
         def watch(message: Message) -> None:
             if isinstance(message, TickReport):
-                lookout.on_tick_report(message)
+                feed.on_tick_report(message)
             elif isinstance(message, EventReport):
-                lookout.on_event(Event(message.t, "operator", message.text))
+                feed.on_event(Event(message.t, "operator", message.text))
 
-        link = GatekeeperClient(Path(plan.socket), load_or_create_keys(Path(plan.keys)), PLANNER, on_report=watch)
+        link = GatekeeperClient(
+            Path(gatekeeper.socket), load_or_create_keys(Path(gatekeeper.keys)), PLANNER, on_report=watch
+        )
         stack.callback(link.close)
-        over = Signal()
-        decided: Queue[bytes] = Queue(1)
-        thread = Thread(target=_planning_loop, args=(session, link, decided, day, over), name="decider", daemon=True)
+        finished = Signal()
+        planned: Queue[bytes] = Queue(1)
+        thread = Thread(
+            target=_planning_loop, args=(session, link, planned, summary, finished), name="planning", daemon=True
+        )
         thread.start()
-        _command_loop(link, decided, day, time.monotonic() + seconds)
-        over.set()
+        _command_loop(link, planned, summary, time.monotonic() + seconds)
+        finished.set()
         page.terminate()
-        heard = (page.stdout.read() if page.stdout else "").split("\n")
-        day.page = tuple(map(int, heard[-2].split())) if len(heard) > 1 else (0, 0)
-    return day
+        lines = (page.stdout.read() if page.stdout else "").split("\n")
+        summary.page = tuple(map(int, lines[-2].split())) if len(lines) > 1 else (0, 0)
+    return summary
 
 
 def _start_page_client(url: str) -> subprocess.Popen[str]:
     import viser  # noqa: PLC0415  (an extra)
 
     flags = ["-S"] if sys.flags.no_site else []
-    words = [
+    command = [
         sys.executable,
         *flags,
         "-c",
@@ -126,16 +130,16 @@ def _start_page_client(url: str) -> subprocess.Popen[str]:
         url.replace("http", "ws", 1),
         f"viser-v{viser.__version__}",
     ]
-    return subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
 
 
 def _planning_loop(
-    session: Session, link: GatekeeperClient, decided: Queue[bytes], day: LoadSummary, over: Signal
+    session: Session, link: GatekeeperClient, planned: Queue[bytes], summary: LoadSummary, finished: Signal
 ) -> None:
-    """Ask the planner again and again; the newest answer waits to be carried out."""
+    """Request plans without a pause; the oldest plan not yet proposed is kept in `planned`."""
     registry = skill_registry(session.robot_model)
     for count, instruction in enumerate(cycle(INSTRUCTIONS)):
-        if over.is_set():
+        if finished.is_set():
             return
         scene = link.request_scene().scene
         names = scene_names(scene)
@@ -149,34 +153,35 @@ def _planning_loop(
             schema=decoding_schema(registry, names),
             contract_id=f"c-{count % 10_000:04d}",
         )
-        began = time.monotonic()
+        start = time.monotonic()
         proposal = session.planner.propose(request)
-        day.decisions.append(time.monotonic() - began)
-        if not decided.full():
-            decided.put(proposal.text.encode("utf-8", "replace"))
+        summary.decisions.append(time.monotonic() - start)
+        if not planned.full():
+            planned.put(proposal.text.encode("utf-8", "replace"))
 
 
-def _command_loop(link: GatekeeperClient, decided: Queue[bytes], day: LoadSummary, until: float) -> None:
-    """One contract after the other, until the time is up and the last is over."""
-    given = cycle(DESTINATIONS)
+def _command_loop(link: GatekeeperClient, planned: Queue[bytes], summary: LoadSummary, until: float) -> None:
+    """Run contracts one after another until the time is up and the last has ended."""
+    destinations = cycle(DESTINATIONS)
     while time.monotonic() < until:
         try:
-            who, text = "planner", decided.get_nowait()
+            author, text = "planner", planned.get_nowait()
         except Empty:
-            who, text = "given", _fallback_contract(link, next(given), sum(day.contracts.values()))
+            author = "given"
+            text = _fallback_contract(link, next(destinations), sum(summary.contracts.values()))
         answer = link.propose(text, link.request_scene().scene.version)
         if isinstance(answer, RequestRefused) or answer.rejected is not None:
-            day.contracts[f"{who}, refused"] += 1
+            summary.contracts[f"{author}, refused"] += 1
             time.sleep(0.2)
             continue
-        day.contracts[f"{who}, accepted"] += 1
+        summary.contracts[f"{author}, accepted"] += 1
         outcome = link.wait_for_outcome(CONTRACT_TIMEOUT_S).outcome
-        day.outcomes[outcome.kind] += 1
-        day.reasons[outcome.reason] += 1
+        summary.outcomes[outcome.kind] += 1
+        summary.reasons[outcome.reason] += 1
 
 
 def _fallback_contract(link: GatekeeperClient, destination: str, number: int) -> bytes:
-    """Fetch the red cube and put it down at `destination`; just put it down, where it is held already."""
+    """Return a contract that places the red cube at `destination`; it grasps the cube if it is not held yet."""
     context: dict[str, Any] = {"robot": link.welcome.robot, "registry": link.welcome.registry}
     actions = pick_and_place_actions(speed=SPEED, destination=destination)[link.request_scene().holding is not None :]
     return msgspec.json.encode({"id": f"c-{number % 10_000:04d}", "context": context, "action_sequence": actions})

@@ -1,4 +1,4 @@
-"""The control tick in real time: a gatekeeper at 1 kHz for ten minutes with planner, recorder and live view running."""
+"""Timing of the control tick: a gatekeeper at 1 kHz for ten minutes with planner, recorder and live view running."""
 
 from __future__ import annotations
 
@@ -27,46 +27,46 @@ from experiments.safety.closed_loop import describe_violations
 
 MINUTES = 10
 SCENE = "tabletop:1"
-PLOT_PATH = "images/tick.png"
 LAST_BIN_START = BIN_FRACTION * N_BINS * SIMULATED.period
-"""The last bin of the intervals begins here [s]."""
+"""Start of the last bin of the interval histogram [s]."""
 REPORT_TIMEOUT_S = 10.0
-"""How long the robot may take to write its report [s]."""
+"""Time within which the robot process must write its report [s]."""
 
 
 class TickTiming:
-    """1 kHz, measured: intervals, work, latency, late ticks, lost periods, and what a tick is made of."""
+    """Intervals, work, latency, late ticks, lost periods and the parts of a tick at 1 kHz."""
 
     name = "tick"
     claim = (
-        "Ten minutes of the control tick at 1 kHz in real time, in one piece, while a planner decides without a pause, "
-        "contracts move the arm, the recorder writes and the live view is drawn: measured."
+        "The timing of the control tick at 1 kHz, measured over ten minutes of one run in real time, while a planner "
+        "generates without a pause, contracts move the arm, the recorder writes and the live view is updated."
     )
 
     def units(self, options: Options) -> list[WorkUnit]:
-        """One: a machine that does nothing else is wanted for it."""
+        """Return the one unit; it needs an otherwise idle machine."""
         return [WorkUnit(f"{MINUTES} minutes", {"seconds": 60.0 * MINUTES, "planner": options.planner})]
 
     def run(self, about: dict[str, Any]) -> Row:
-        """A working day of a gatekeeper."""
+        """Run a gatekeeper under load and collect its timing."""
         with tempfile.TemporaryDirectory(prefix="dualbrain-") as name:
             folder = Path(name)
-            recording, punctual, left = (folder / name for name in ("e.mcap", "punctuality.json", "robot.json"))
-            plan = GatekeeperConfig(
+            recording, timing, robot_report = (folder / name for name in ("e.mcap", "punctuality.json", "robot.json"))
+            config = GatekeeperConfig(
                 robot="panda",
                 scene=open_scene(SCENE),
                 socket=str(folder / "s"),
                 keys=str(folder / "keys"),
                 recording=str(recording),
-                punctuality=str(punctual),
-                report=str(left),
+                punctuality=str(timing),
+                report=str(robot_report),
             )
-            process = GatekeeperProcess(plan)
+            process = GatekeeperProcess(config)
             try:
-                day = run_load(plan, SCENE, about["planner"], about["seconds"], folder)
+                summary = run_load(config, SCENE, about["planner"], about["seconds"], folder)
             finally:
                 process.stop()
-            report, found = wait_for_report(left), msgspec.json.decode(punctual.read_bytes(), type=TickTimingSummary)
+            report = wait_for_report(robot_report)
+            found = msgspec.json.decode(timing.read_bytes(), type=TickTimingSummary)
             state = recording_state(recording)
             size = recording.stat().st_size
         violations = msgspec.to_builtins(report.judgement.violations)
@@ -74,7 +74,7 @@ class TickTiming:
         return {
             **msgspec.to_builtins(found),
             "bins": {str(k): count for k, count in enumerate(found.bins) if count},
-            **vars(day),
+            **vars(summary),
             "planner": about["planner"],
             "slips": report.slips,
             "robot_ticks": report.ticks,
@@ -83,16 +83,19 @@ class TickTiming:
         }
 
     def summarize_row(self, row: Row) -> str:
-        """For the progress line."""
+        """Summarize the row for the progress line."""
         return f"{row['ticks']} ticks, median {1e3 * row['interval'][0]:.2f} ms, longest {1e3 * row['interval'][3]:.1f}"
 
     def report(self, rows: list[Row]) -> list[str]:
-        """How punctual, what it was made of, what went on meanwhile."""
+        """Report the timing, the parts of a tick, and the load."""
         return [line for row in rows for line in _report_lines(row)]
 
 
 def wait_for_report(path: Path) -> RobotReport:
-    """The robot's report, once it is whole; raises `FileNotFoundError` or `DecodeError` if it never is."""
+    """Return the report of the robot process once it is complete.
+
+    Raises `FileNotFoundError` or `msgspec.DecodeError` if it is not complete within REPORT_TIMEOUT_S.
+    """
     deadline = time.monotonic() + REPORT_TIMEOUT_S
     while True:
         try:
@@ -104,60 +107,58 @@ def wait_for_report(path: Path) -> RobotReport:
 
 
 def _report_lines(row: Row) -> list[str]:
-    states, loops = row["robot_ticks"], row["parts"]["door"]["ticks"]
-    beyond, longest = row["bins"].get(str(N_BINS - 1), 0), row["interval"][3]
-    lost, late = states - loops, row["late"]
+    states, ticks = row["robot_ticks"], row["parts"]["door"]["ticks"]
+    n_stalls, longest = row["bins"].get(str(N_BINS - 1), 0), row["interval"][3]
+    lost, late = states - ticks, row["late"]
     lines = [
-        f"In one run: **{states}** periods of the robot, **{loops}** control ticks; **{lost}** ticks missed "
-        f"({lost / max(1, states):.2%}), {row['missed']} states lost on the way. Late ticks (over "
-        f"{1e3 * SIMULATED.max_tick_time:g} ms of work): **{late}** ({late / max(1, loops):.2%}). Stalls of over "
-        f"{1e3 * LAST_BIN_START:.0f} ms: **{beyond}**, the longest {1e3 * longest:.0f} ms. Physics fell behind the "
-        f"clock {row['slips']} times.",
-        "",
-        f"![Intervals between states, and what a tick is made of]({PLOT_PATH})",
+        f"In one run: **{states}** periods of the robot, **{ticks}** control ticks; **{lost}** ticks missed "
+        f"({lost / max(1, states):.2%}), {row['missed']} states lost in transfer. Late ticks (over "
+        f"{1e3 * SIMULATED.max_tick_time:g} ms of work): **{late}** ({late / max(1, ticks):.2%}). Stalls of over "
+        f"{1e3 * LAST_BIN_START:.0f} ms: **{n_stalls}**, the longest {1e3 * longest:.0f} ms. The simulation "
+        f"fell behind the clock {row['slips']} times.",
         "",
     ]
     head = ("", "median", "99 %", "99.9 %", "longest")
     lines += markdown_table(head, ((name, *_format_ms(row[name])) for name in ("interval", "work", "latency")))
     lines += [
-        "Interval: from one joint state to the next, as they are taken in. Work: from a state to the end of its tick. "
-        "Latency: from a state to the command that answers it. What the work is made of; own: the longest without what "
-        "other threads and processes did meanwhile:",
+        "Interval: time between the arrivals of two joint states. Work: time from the arrival of a state to the end of "
+        "its tick. Latency: time from the arrival of a state to the command for it. The next table divides the work "
+        "into its parts; CPU: longest processor time of the control thread alone, without other threads and processes.",
         "",
     ]
-    head = ("part of a tick", "what it is", "ticks that had it", "mean", "median", "99 %", "99.9 %", "longest", "own")
-    return lines + markdown_table(head, _part_rows(row["parts"], loops)) + _background_lines(row)
+    head = ("part of a tick", "content", "ticks with it", "mean", "median", "99 %", "99.9 %", "longest", "CPU")
+    return lines + markdown_table(head, _part_rows(row["parts"], ticks)) + _background_lines(row)
 
 
-def _part_rows(parts: dict[str, Any], loops: int):
-    for name, what in TICK_PARTS.items():
+def _part_rows(parts: dict[str, Any], n_ticks: int):
+    for name, content in TICK_PARTS.items():
         part = parts[name]
         if part["ticks"] and name != "wait":
             times = (part["mean"], *part["quantiles"])
-            own = f"{1e6 * part['cpu'][3]:.0f} µs" if "cpu" in part else "–"
-            yield (name, what, f"{part['ticks'] / loops:.1%}", *(f"{1e6 * value:.0f} µs" for value in times), own)
+            cpu = f"{1e6 * part['cpu'][3]:.0f} µs" if "cpu" in part else "–"
+            yield (name, content, f"{part['ticks'] / n_ticks:.1%}", *(f"{1e6 * value:.0f} µs" for value in times), cpu)
 
 
 def _background_lines(row: Row) -> list[str]:
     decisions, recording = row["decisions"], row["recording"]
-    pieces, size = row["page"]
-    thought = f"{len(decisions)} decisions of `{row['planner']}`"
-    thought += f" (median {median(decisions):.1f} s)" if decisions else ""
+    n_messages, size = row["page"]
+    plans = f"{len(decisions)} plans of `{row['planner']}`"
+    plans += f" (median {median(decisions):.1f} s)" if decisions else ""
     contracts = ", ".join(f"{kind} {count}" for kind, count in sorted(row["contracts"].items()))
     outcomes = ", ".join(f"{kind} {count}" for kind, count in sorted(row["outcomes"].items()))
-    whole = "complete" if recording["complete"] else f"{recording['dropped']} messages dropped"
+    completeness = "complete" if recording["complete"] else f"{recording['dropped']} messages dropped"
     return [
-        f"Meanwhile: {thought}; contracts: {contracts}; outcomes: {outcomes}{_outcome_reasons(row)}; recording of "
-        f"{recording['bytes'] / 1e6:.0f} MB, {whole}; a page of the live view took {pieces} messages, "
-        f"{size / 1e6:.1f} MB. Violations on truth: {describe_violations(row) or 'none'}.",
+        f"Load: {plans}; contracts: {contracts}; outcomes: {outcomes}{_outcome_reasons(row)}; recording of "
+        f"{recording['bytes'] / 1e6:.0f} MB, {completeness}; the page of the live view received {n_messages} messages, "
+        f"{size / 1e6:.1f} MB. Violations: {describe_violations(row) or 'none'}.",
         "",
     ]
 
 
 def _outcome_reasons(row: Row) -> str:
-    """Why contracts ended, in the words of their outcomes; older rows do not tell."""
-    why = "; ".join(f"{reason} ({count})" for reason, count in Counter(row.get("reasons", {})).most_common(3))
-    return f" (most often: {why})" if why else ""
+    """Return the most frequent reasons of the outcomes; empty for older rows, which do not store them."""
+    reasons = "; ".join(f"{reason} ({count})" for reason, count in Counter(row.get("reasons", {})).most_common(3))
+    return f" (most often: {reasons})" if reasons else ""
 
 
 def _format_ms(values: list[float]) -> list[str]:

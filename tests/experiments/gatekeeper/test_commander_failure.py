@@ -1,4 +1,4 @@
-"""The proof of the dying cortex: its size, its account, and one episode of each kind that a test can afford."""
+"""Commander failure: the units, the report, and one episode of some failures."""
 
 from collections import Counter
 
@@ -9,9 +9,9 @@ from experiments.engine.experiment import Options
 from experiments.gatekeeper.commander_failure import DECLARED_LIMITS, FAILURE_MODES, CommanderFailure
 
 
-def row(how="kill", moment="carrying", **changes):
+def result(how="kill", moment="carrying", **changes):
     ledger = {"stored": 10, "missing": 0, "fault": ""}
-    usual = {
+    default = {
         "key": f"{how}/{moment}/0",
         "how": how,
         "moment": moment,
@@ -22,43 +22,43 @@ def row(how="kill", moment="carrying", **changes):
         "next": "succeeded",
         "ledger": ledger,
     }
-    return {**usual, **changes}
+    return {**default, **changes}
 
 
-def test_every_way_at_every_moment_and_any_prefix_is_a_sample(tmp_path):
-    abouts = [unit.parameters for unit in CommanderFailure().units(Options(tmp_path, "nobody"))]
-    cells = Counter((one["how"], one["moment"]) for one in abouts)
+def test_units_cover_each_failure_and_moment_in_each_prefix(tmp_path):
+    parameters = [unit.parameters for unit in CommanderFailure().units(Options(tmp_path, "some-planner"))]
+    cells = Counter((one["how"], one["moment"]) for one in parameters)
     assert set(cells.values()) == {4}
     assert len(cells) == len(FAILURE_MODES) * len(MOMENTS)
-    assert {one["moment"] for one in abouts[: len(cells)]} == set(MOMENTS)
+    assert {one["moment"] for one in parameters[: len(cells)]} == set(MOMENTS)
     assert set(DECLARED_LIMITS) == set(FAILURE_MODES)
 
 
-def test_what_came_late_or_never_or_was_lost_is_counted_and_named():
+def test_late_missing_and_lost_results_are_counted_and_listed():
     rows = [
-        row(),
-        row(took=DECLARED_LIMITS["kill"] + 0.01),
-        row(took=None, moment="closing"),
-        row(early=True, took=9.0),
-        row("stop", ledger={"stored": 5, "missing": 2, "fault": "x"}, next="not let in"),
-        row(unsafe=[{"kind": "c"}]),
+        result(),
+        result(took=DECLARED_LIMITS["kill"] + 0.01),
+        result(took=None, moment="closing"),
+        result(early=True, took=9.0),
+        result("stop", ledger={"stored": 5, "missing": 2, "fault": "x"}, next="not let in"),
+        result(unsafe=[{"kind": "c"}]),
     ]
     text = "\n".join(CommanderFailure().report(rows))
     assert "| kill | 4 | 250 ms | 100 ms | 257 ms | 260 ms | 2 | 1 | succeeded 4 |" in text
     assert "| stop | 1 | 550 ms | 100 ms | 100 ms | 100 ms | 0 | 0 | not let in 1 |" in text
     assert "**5 of 6 (44%–97%)**; 2 of 55 acknowledged episodes lost" in text
-    assert "Not counted: 1 whose arm was held before the deed" in text
+    assert "Not counted: 1 in which the arm was held before the failure" in text
     assert "| closing | never |" in text
     assert text.count("\n- ") == 4
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("how", "moment"), [("kill", "closing"), ("gatekeeper", MOMENTS[-1]), ("flood", "closing")])
-def test_one_episode(how, moment):
-    found = CommanderFailure().run({"how": how, "moment": moment, "seed": 1})
-    assert found["took"] is not None
-    assert found["unsafe"] == []
-    assert found["next"] == "succeeded"
-    assert found["ledger"]["missing"] == 0
-    assert found["ledger"]["fault"] == ""
-    assert found["ledger"]["stored"] > 0
+def test_one_episode_is_safe_and_loses_nothing(how, moment):
+    row = CommanderFailure().run({"how": how, "moment": moment, "seed": 1})
+    assert row["took"] is not None
+    assert row["unsafe"] == []
+    assert row["next"] == "succeeded"
+    assert row["ledger"]["missing"] == 0
+    assert row["ledger"]["fault"] == ""
+    assert row["ledger"]["stored"] > 0

@@ -1,4 +1,4 @@
-"""The matrix of injected faults: complete, declared beforehand, and told as it was."""
+"""Fault injection: the units cover the whole matrix, and the tables count and list each failure."""
 
 from collections import Counter
 from itertools import product
@@ -10,7 +10,7 @@ from experiments.gatekeeper.faults import ARMS, ROOMS, Faults
 
 
 def row(body="panda", fault=("state", "off", "carrying"), **changes):
-    usual = {
+    default = {
         "key": "/".join((body, *fault)),
         "body": body,
         "fault": list(fault),
@@ -25,50 +25,53 @@ def row(body="panda", fault=("state", "off", "carrying"), **changes):
         "reason": "",
         "unsafe": [],
     }
-    return {**usual, **changes}
+    return {**default, **changes}
 
 
-def test_every_fault_at_every_moment_on_every_body_once_and_every_scene_alike(tmp_path):
-    units = Faults().units(Options(tmp_path, "nobody"))
-    abouts = [unit.parameters for unit in units]
-    on_wheels = set(product(("base",), SOURCES, KINDS, MOBILE_BASE_MOMENTS))
-    assert {(one["body"], *one["fault"]) for one in abouts} == set(product(ARMS, SOURCES, KINDS, MOMENTS)) | on_wheels
+def test_units_cover_each_fault_moment_and_robot_once_and_scenes_evenly(tmp_path):
+    units = Faults().units(Options(tmp_path, "some-planner"))
+    parameters = [unit.parameters for unit in units]
+    mobile = set(product(("base",), SOURCES, KINDS, MOBILE_BASE_MOMENTS))
+    assert {(one["body"], *one["fault"]) for one in parameters} == set(product(ARMS, SOURCES, KINDS, MOMENTS)) | mobile
     assert len(units) == 882 + 98 >= 500
-    met = Counter((one["body"] == "base", *one["fault"][:2], one["body"], one["scene"]) for one in abouts)
-    assert {(key[0], count) for key, count in met.items()} == {(False, 2), (True, 1)}
-    assert {one["scene"] for one in abouts if one["body"] == "base"} == set(ROOMS)
-    early = abouts[:60]
+    counts = Counter((one["body"] == "base", *one["fault"][:2], one["body"], one["scene"]) for one in parameters)
+    assert {(key[0], count) for key, count in counts.items()} == {(False, 2), (True, 1)}
+    assert {one["scene"] for one in parameters if one["body"] == "base"} == set(ROOMS)
+    early = parameters[:60]
     assert {one["body"] for one in early} == {*ARMS, "base"}
     assert {one["fault"][0] for one in early} == set(SOURCES)
 
 
-def test_one_unit_on_another_body():
-    proof = Faults()
-    found = proof.run({"body": "ur5e", "scene": "bare:0", "fault": ["drive", "off", "closing"]})
+def test_one_unit_on_another_robot():
+    experiment = Faults()
+    found = experiment.run({"body": "ur5e", "scene": "bare:0", "fault": ["drive", "off", "closing"]})
     assert (found["safe"], found["as_declared"]) == (True, True)
     assert (found["expected"], found["body"]) == (EXPECTED_ACTIONS["drive", "off"].name, "ur5e")
     assert found["struck"] is not None
-    assert proof.summarize_row(found).startswith("safe, expected ESTOP, reached")
+    assert experiment.summarize_row(found).startswith("safe, expected ESTOP, reached")
 
 
-def test_what_went_wrong_stands_out_and_is_counted():
+def test_unsafe_and_undeclared_results_are_counted_and_listed():
     rows = [
         row(),
         row(fault=("state", "off", "closing"), struck=None),
         row(fault=("state", "off", "grasping"), safe=False),
         row("ur5e", as_declared=False, reached="NONE", reaction=None, outcome="succeeded"),
     ]
-    text = "\n".join(Faults().report(rows))
+    lines = Faults().report(rows)
+    text = "\n".join(lines)
     assert (
-        "Episodes: **4**, of which 3 reached their moment. Unsafe: **1**. Declared order did not come: **1**." in text
+        "Episodes: **4**, in 3 of which the fault was injected. Unsafe: **1**. Without the declared action: **1**."
+        in text
     )
     assert "- panda/state/off/grasping: UNSAFE" in text
     assert "- ur5e/state/off/carrying: safe, expected HOLD, reached NONE" in text
-    assert "| body panda | 3 | 2 | 1 | 0 | stopped 2 |" in summary(rows)
+    assert "| robot panda | 3 | 2 | 1 | 0 | stopped 2 |" in summary(rows)
     tables = fault_matrices(rows)
+    assert lines[-len(tables) :] == tables
     assert tables[0] == "### panda"
     assert "| state off | HOLD | – | … | STOP UNSAFE | STOP | … | … | 50 ms | 400 ms |" in tables
     assert "| state off | HOLD | … | … | … | NONE ≠ | … | … | – | – |" in tables
-    wheels = fault_matrices([row("base", ("qp", "off", "closing"), expected="ESTOP", reached="ESTOP")])
-    assert wheels[2] == "| fault | declared | closing | acknowledgement | reaction, worst | at rest after, worst |"
-    assert "| qp off | ESTOP | ESTOP | … | 50 ms | 400 ms |" in wheels
+    mobile = fault_matrices([row("base", ("qp", "off", "closing"), expected="ESTOP", reached="ESTOP")])
+    assert mobile[2] == "| fault | declared | closing | acknowledgement | reaction, longest | until rest, longest |"
+    assert "| qp off | ESTOP | ESTOP | … | 50 ms | 400 ms |" in mobile

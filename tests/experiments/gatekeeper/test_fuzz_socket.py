@@ -1,4 +1,4 @@
-"""The proof of the fuzzed door: what is thrown reaches every stage, all of it is counted, and what raises shows."""
+"""Fuzzing: frames reach every stage, each is counted, and exceptions are counted or end the unit."""
 
 from collections import Counter
 
@@ -16,28 +16,28 @@ def found():
     return FuzzSocket().run({"seed": 3, "frames": 4000})
 
 
-def test_ten_million_and_every_seed_says_the_same_again(tmp_path):
-    units = FuzzSocket().units(Options(tmp_path, "nobody"))
+def test_units_hold_ten_million_frames_and_seeds_are_reproducible(tmp_path):
+    units = FuzzSocket().units(Options(tmp_path, "some-planner"))
     assert sum(unit.parameters.get("frames", 0) for unit in units) == N_FRAMES == 10_000_000
     one, same, other = Fuzzer(1), Fuzzer(1), Fuzzer(2)
-    words = [one.frame(one.message(), k) for k in range(50)]
-    assert words == [same.frame(same.message(), k) for k in range(50)]
-    assert words != [other.frame(other.message(), k) for k in range(50)]
+    frames = [one.frame(one.message(), k) for k in range(50)]
+    assert frames == [same.frame(same.message(), k) for k in range(50)]
+    assert frames != [other.frame(other.message(), k) for k in range(50)]
 
 
-def test_frames_and_contracts_reach_every_stage_and_none_is_lost(found):
+def test_frames_and_contracts_reach_every_stage_and_all_are_counted(found):
     counts = found["counts"]
     assert sum(counts.values()) == found["frames"]
     stages = {f"contracts refused: {stage}" for stage in ("syntax", "authorization", "envelope")}
-    wanted = {*stages, "contracts accepted", "messages", "messages refused", "seals refused", "streams broken"}
-    assert wanted <= set(counts)
+    expected = {*stages, "contracts accepted", "messages", "messages refused", "seals refused", "streams broken"}
+    assert expected <= set(counts)
     assert GATE_RAISED not in counts
-    assert "Raised: **0**" in "\n".join(FuzzSocket().report([found]))
+    assert "Exceptions: **0**" in "\n".join(FuzzSocket().report([found]))
 
 
 def test_a_gate_that_raises_is_counted(monkeypatch):
     def broken(self, *args, **options):
-        raise KeyError("no such thing")
+        raise KeyError("missing")
 
     monkeypatch.setattr(Gate, "check", broken)
     counts = Counter(FuzzSocket().run({"seed": 3, "frames": 200})["counts"])
@@ -45,17 +45,17 @@ def test_a_gate_that_raises_is_counted(monkeypatch):
     assert not [kind for kind in counts if kind.startswith("contracts")]
 
 
-def test_a_decoder_that_raises_breaks_the_unit(monkeypatch):
-    def broken(frame, *, upward):
+def test_an_exception_of_the_decoder_ends_the_unit(monkeypatch):
+    def broken(frame, *, from_client):
         raise UnicodeDecodeError("utf-8", b"", 0, 1, "bad")
 
-    monkeypatch.setattr(fuzz_socket, "read", broken)
+    monkeypatch.setattr(fuzz_socket, "decode_message", broken)
     with pytest.raises(UnicodeDecodeError):
         FuzzSocket().run({"seed": 3, "frames": 200})
 
 
 @pytest.mark.slow
-def test_the_door_of_a_running_gatekeeper():
+def test_the_socket_of_a_running_gatekeeper():
     row = FuzzSocket().run({"door": 1, "seconds": 12.0})
     assert row["said"]["frames"] > 100
     assert row["said"]["not hung up"] == 0
@@ -63,4 +63,4 @@ def test_the_door_of_a_running_gatekeeper():
     assert {kind.partition(":")[0] for kind in row["verdicts"]} >= {"refused"}
     assert row["rss_kib"][1] < 1.5 * row["rss_kib"][0]
     assert row["calm"]["ticks"] > 5000
-    assert "| with fuzz |" in "\n".join(FuzzSocket().report([row]))
+    assert "| with fuzzing |" in "\n".join(FuzzSocket().report([row]))

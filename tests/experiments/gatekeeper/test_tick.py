@@ -1,4 +1,4 @@
-"""The proof of the control tick: a short working day of a gatekeeper, and its account."""
+"""Tick timing: a short run of a gatekeeper under load, and its report."""
 
 import json
 
@@ -13,27 +13,27 @@ from experiments.gatekeeper.tick import TickTiming
 
 
 @pytest.mark.slow
-def test_a_short_working_day(tmp_path):
+def test_a_short_run_under_load(tmp_path):
     locate_weights(SMALL_PLANNER, cache_folder())
     row = json.loads(json.dumps(TickTiming().run({"seconds": 12.0, "planner": SMALL_PLANNER}), default=float))
     assert row["ticks"] > 5000
     assert sum(row["bins"].values()) == row["ticks"] - 1
     assert row["contracts"]["given, accepted"] >= 1
     assert row["parts"]["skills"]["ticks"] > 1000, "the arm moved"
-    assert row["parts"]["show"]["ticks"] > 50, "and was seen to"
+    assert row["parts"]["show"]["ticks"] > 50, "and the live view was updated"
     assert row["page"][0] > 0
     assert len(row["decisions"]) >= 1
     assert row["recording"]["complete"]
     assert row["violations"] == []
     parts = [part for name, part in row["parts"].items() if name != "wait"]
     assert 0.3 < sum(part["mean"] * part["ticks"] for part in parts) / (row["ticks"] * row["work"][0]) < 3.0
-    account = "\n".join(TickTiming().report([row]))
-    assert f"**{row['robot_ticks']}** periods of the robot" in account
+    text = "\n".join(TickTiming().report([row]))
+    assert f"**{row['robot_ticks']}** periods of the robot" in text
     plot_tick(row, tmp_path / "images" / "tick.png")
     assert (tmp_path / "images" / "tick.png").stat().st_size < 100_000
 
 
-def test_the_account_tells_what_is_in_the_row():
+def test_the_report_states_the_values_of_the_row():
     part = {"ticks": 500, "mean": 2e-5, "quantiles": [1e-5, 3e-5, 4e-5, 5e-5]}
     row = {
         "ticks": 1000,
@@ -57,6 +57,6 @@ def test_the_account_tells_what_is_in_the_row():
     text = "\n".join(TickTiming().report([row]))
     assert "**1003** periods of the robot, **500** control ticks; **503** ticks missed (50.15%), 3 states lost" in text
     assert "(over 1 ms of work): **5** (1.00%). Stalls of over 20 ms: **2**, the longest 1 ms" in text
-    assert "3 decisions of `some-planner` (median 3.0 s); contracts: given, accepted 4" in text
+    assert "3 plans of `some-planner` (median 3.0 s); contracts: given, accepted 4" in text
     assert "| filter | " in text
     assert "| wait | " not in text
