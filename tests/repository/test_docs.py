@@ -1,12 +1,14 @@
-"""The documents are true where a machine can tell: snippets run, links lead somewhere, named code and tests exist."""
+"""Checks of the documents: snippets run, links have a target, named code and tests exist, options are documented."""
 
 import ast
 import inspect
 import re
 from functools import cache
 from pathlib import Path
+from typing import get_args
 
 import pytest
+from cyclopts import Parameter
 
 from dualbrain.cli.adapters.adapt import adapt
 from dualbrain.cli.adapters.export import diff, export
@@ -31,29 +33,29 @@ NAMED = re.compile(r"`((?:src|kernel|tests)/[\w./]+\.(?:py|c|h)):([\w.]+)`")
 PLACE = re.compile(r"`((?:src|kernel|tests|docs|examples|benchmarks|vectors)/[\w./]+\.\w+)`")
 
 
-def named(page):
+def page_name(page):
     return page.relative_to(ROOT).as_posix()
 
 
 def snippets():
-    """One case for every fenced block of Python."""
+    """One test case for every fenced block of Python."""
     cases = []
     for page in PAGES:
         for number, (language, code) in enumerate(FENCE.findall(page.read_text("utf-8")), start=1):
             if language == "python":
-                cases.append(pytest.param(code, id=f"{named(page)}-{number}"))
+                cases.append(pytest.param(code, id=f"{page_name(page)}-{number}"))
     return cases
 
 
 def on_disk(path):
-    """The file that a page means: `src/room/file.py` is short for `src/dualbrain/room/file.py`."""
+    """The file that a page refers to: `src/x/file.py` is short for `src/dualbrain/x/file.py`."""
     short = ROOT / re.sub(r"^src/(?!dualbrain/)", "src/dualbrain/", path)
     return short if short.exists() else ROOT / path
 
 
 @cache
 def defined(path):
-    """Names that a file defines: functions, classes and `Class.method`s of Python, functions of C."""
+    """Names that a file defines: functions, classes and methods (`Class.method`) of Python, functions of C."""
     text = path.read_text("utf-8")
     if path.suffix != ".py":
         return frozenset(re.findall(r"^(?:DBK_SIMD_CLONES )?[a-z][\w \*]*?\b(\w+)\(", text, re.MULTILINE))
@@ -67,7 +69,7 @@ def defined(path):
 
 
 def anchors(page):
-    """The anchors of a page's headings, as the usual renderers make them."""
+    """Anchors of the headings of a page, as usual renderers make them."""
     headings = re.findall(r"^#+ (.+)$", FENCE.sub("", page.read_text("utf-8")), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
@@ -82,30 +84,30 @@ def test_there_are_snippets():
     assert snippets()
 
 
-@pytest.mark.parametrize("page", PAGES, ids=named)
-def test_links_lead_somewhere(page):
+@pytest.mark.parametrize("page", PAGES, ids=page_name)
+def test_links_have_a_target(page):
     for target in LINK.findall(FENCE.sub("", page.read_text("utf-8"))):
         if "://" in target:
             continue
         place, _, anchor = target.partition("#")
         found = (page.parent / place).resolve() if place else page
-        assert found.exists(), f"{named(page)} links to {target}"
+        assert found.exists(), f"{page_name(page)} links to {target}"
         if anchor:
-            assert anchor in anchors(found), f"{named(page)} links to {target}"
+            assert anchor in anchors(found), f"{page_name(page)} links to {target}"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=named)
+@pytest.mark.parametrize("page", PAGES, ids=page_name)
 def test_named_code_and_tests_exist(page):
     text = page.read_text("utf-8")
     for path, name in NAMED.findall(text):
         file = on_disk(path)
-        assert file.is_file(), f"{named(page)} names {path}"
-        assert name in defined(file), f"{named(page)} names {path}:{name}"
+        assert file.is_file(), f"{page_name(page)} names {path}"
+        assert name in defined(file), f"{page_name(page)} names {path}:{name}"
     for path in PLACE.findall(text):
-        assert on_disk(path).exists(), f"{named(page)} names {path}"
+        assert on_disk(path).exists(), f"{page_name(page)} names {path}"
 
 
-def test_every_row_about_the_paper_names_code_and_a_test():
+def test_every_row_of_the_paper_map_names_code_and_a_test():
     held = (ROOT / "docs" / "reference" / "paper.md").read_text("utf-8").split("## Not in this version")[0]
     rows = [line.split(" | ") for line in held.splitlines() if line.startswith("|")][2:]
     assert len(rows) > 20
@@ -124,29 +126,35 @@ def test_the_readme_names_every_model_with_its_licence():
             assert row.endswith(f"{file.licence} |")
 
 
-def test_the_page_of_commands_knows_every_exit_code():
+def test_the_page_of_commands_has_every_exit_code():
     page = (ROOT / "docs" / "reference" / "commands.md").read_text("utf-8")
     assert {int(code) for code in re.findall(r"^\| (\d+) \|", page, re.MULTILINE)} == {int(code) for code in ExitCode}
 
 
-def test_no_page_names_a_place_of_one_machine():
+def test_no_page_contains_a_path_of_one_machine():
     for page in PAGES:
-        assert not re.search(r"(?<![\w.])/(?:work|home|root|tmp|opt)/", page.read_text("utf-8")), named(page)
+        assert not re.search(r"(?<![\w.])/(?:work|home|root|tmp|opt)/", page.read_text("utf-8")), page_name(page)
+
+
+def option_name(parameter):
+    """The option of a keyword-only parameter: the name in its annotation if there is one, else its own name."""
+    annotated = [one.name[0] for one in get_args(parameter.annotation) if isinstance(one, Parameter) and one.name]
+    return annotated[0] if annotated else f"--{parameter.name.replace('_', '-')}"
 
 
 @pytest.mark.parametrize("command", [run, demo, check, schema, replay], ids=lambda command: command.__name__)
-def test_the_page_of_commands_knows_every_option(command):
+def test_the_page_of_commands_has_every_option(command):
     page = (ROOT / "docs" / "reference" / "commands.md").read_text("utf-8")
     section = page.split(f"\n## {command.__name__}\n")[1].split("\n## ")[0]
-    parameters = inspect.signature(command).parameters.values()
-    options = {f"--{parameter.name}" for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY}
-    assert options <= set(re.findall(r"--\w+", section))
+    parameters = inspect.signature(command, eval_str=True).parameters.values()
+    options = {option_name(parameter) for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY}
+    assert options <= set(re.findall(r"--[\w-]+", section))
 
 
 @pytest.mark.parametrize(
     "command", [plan, adapt, list_adapters, history, verify, measure, promote, rollback, diff, export, make]
 )
-def test_the_usage_of_what_plans_and_learns_has_every_option(command):
+def test_the_usage_of_planning_and_adapter_commands_has_every_option(command):
     page = (ROOT / "docs" / "reference" / "commands.md").read_text("utf-8")
     name = command.__name__.removesuffix("_adapters")
     section = page.split(f"\n## {name if command in {plan, adapt} else 'adapters'}\n")[1].split("\n## ")[0]

@@ -1,4 +1,4 @@
-"""Importing is light, rooms say what they are, help is quick."""
+"""Imports are light, every module has a docstring, and the help is fast."""
 
 import importlib
 import json
@@ -26,8 +26,8 @@ HEAVY = (
     "rtde_control",
     "rtde_receive",
 )
-LIGHT_ROOMS = ("core", "contracts", "robots", "skills", "safety", "drivers")
-ROOMS = tuple(part.name for part in pkgutil.iter_modules(dualbrain.__path__) if part.ispkg)
+LIGHT_PACKAGES = ("core", "contracts", "robots", "skills", "safety", "drivers")
+PACKAGES = tuple(part.name for part in pkgutil.iter_modules(dualbrain.__path__) if part.ispkg)
 
 
 def loaded_by(statement):
@@ -37,11 +37,12 @@ def loaded_by(statement):
     return set(json.loads(done.stdout))
 
 
-def modules(room):
-    package = importlib.import_module(f"dualbrain.{room}")
+def modules(name):
+    """Names of all modules of the package `dualbrain.NAME`."""
+    package = importlib.import_module(f"dualbrain.{name}")
     return [
         part.name
-        for part in pkgutil.walk_packages(package.__path__, f"dualbrain.{room}.")
+        for part in pkgutil.walk_packages(package.__path__, f"dualbrain.{name}.")
         if "__main__" not in part.name
     ]
 
@@ -50,16 +51,16 @@ def test_import_dualbrain_loads_nothing_heavy():
     assert not loaded_by("import dualbrain") & {*HEAVY, "numpy"}
 
 
-@pytest.mark.parametrize("room", LIGHT_ROOMS)
-def test_a_light_room_loads_nothing_heavy(room):
-    names = [name for name in modules(room) if not name.rpartition(".")[2].startswith("_")]
+@pytest.mark.parametrize("package", LIGHT_PACKAGES)
+def test_a_light_package_loads_nothing_heavy(package):
+    names = [name for name in modules(package) if not name.rpartition(".")[2].startswith("_")]
     found = loaded_by("import " + ", ".join(names)) & set(HEAVY)
-    if room == "robots":
+    if package == "robots":
         found -= {"matplotlib"}
     assert not found
 
 
-def test_choosing_what_to_learn_needs_no_torch():
+def test_curation_of_training_data_needs_no_torch():
     names = [*modules("adaptation.curation"), *modules("adaptation.adapters"), "dualbrain.adaptation.config"]
     assert not loaded_by("import dualbrain.cli.adapters.adapt, " + ", ".join(names)) & {
         "torch",
@@ -68,22 +69,22 @@ def test_choosing_what_to_learn_needs_no_torch():
     }
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_every_file_of_a_room_says_what_it_is(room):
-    for name in [f"dualbrain.{room}", *modules(room)]:
+@pytest.mark.parametrize("package", PACKAGES)
+def test_every_module_has_a_docstring(package):
+    for name in [f"dualbrain.{package}", *modules(package)]:
         if not name.rpartition(".")[2].startswith("_kernel"):
-            words = importlib.import_module(name).__doc__
-            assert words, name
-            assert words.strip(), name
+            docstring = importlib.import_module(name).__doc__
+            assert docstring, name
+            assert docstring.strip(), name
 
 
-def test_the_package_says_what_it_is():
+def test_the_package_has_a_docstring_and_a_version():
     assert dualbrain.__doc__
     assert dualbrain.__version__
 
 
-def test_help_takes_little_work():
-    """Measured as processor time, because this machine may be busy; the best of three."""
+def test_help_takes_little_processor_time():
+    """The best of three measurements of processor time, because the machine may be busy."""
 
     def cost():
         before = os.times()
