@@ -225,7 +225,7 @@ def test_an_address_without_a_server_is_an_error() -> None:
     with serve(silence) as server:
         url = server.url
     proposal = ServerPlanner(ServerConfig(url=url, timeout_s=2.0)).propose(plan_request())
-    assert proposal.finish_reason == "error: ConnectionRefusedError"
+    assert proposal.finish_reason.startswith(f"error: no connection to {url}")
 
 
 @pytest.mark.parametrize(
@@ -281,17 +281,16 @@ def test_an_invalid_key_is_refused_and_not_shown(stray: str) -> None:
 @pytest.mark.parametrize(
     ("path", "key", "finish"),
     [
-        ("/v1", "sk-secret\r", "ValueError"),
+        ("/v1", "sk-secret\r", "LocalProtocolError"),
         ("/v1", "sk-secret\u20ac", "UnicodeEncodeError"),
-        ("/v\xe9", "sk-secret", "UnicodeEncodeError"),
-        ("/v 1", "sk-secret", "InvalidURL"),
+        ("/v1\0", "sk-secret", "InvalidURL"),
     ],
 )
 def test_a_request_that_cannot_be_sent_is_an_error_without_the_key(path: str, key: str, finish: str) -> None:
     with serve(respond_with(chat_completion(CONTRACT))) as server:
         url = server.url.removesuffix("/v1") + path
         assert http_chat.post(url, b"", key=key, timeout_s=5.0) == http_chat.ChatResponse(
-            text="", finish_reason=protocol.ERROR, detail=finish
+            text="", finish_reason=protocol.ERROR, detail=f"the request could not be sent ({finish})"
         )
     assert not server.requests
 
@@ -299,7 +298,9 @@ def test_a_request_that_cannot_be_sent_is_an_error_without_the_key(path: str, ke
 def test_a_key_that_a_server_repeats_is_not_recorded() -> None:
     proposal, server = ask(respond_with(b'{"error":"no such key: sk-secret!"}', 401), model="m", key="sk-secret")
     assert server.headers[0]["Authorization"] == "Bearer sk-secret"
-    assert proposal.finish_reason == 'error: status 401 {"error":"no such key: [key]!"}'
+    assert proposal.finish_reason == (
+        'error: status 401. The server requires a valid key: set OPENAI_API_KEY. {"error":"no such key: [key]!"}'
+    )
     assert "secret" not in repr(proposal)
 
 

@@ -7,17 +7,15 @@ followed, so that a key is sent to the named host only.
 
 from __future__ import annotations
 
+import asyncio
 import json
 import re
-import socket
-from collections.abc import Callable
-from contextlib import closing, suppress
+from collections.abc import Callable, Coroutine
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from http.client import HTTPConnection, HTTPException, HTTPSConnection
-from threading import Event, Timer
 from typing import Any
-from urllib.parse import urlsplit
 
+from dualbrain.core.lazy_exports import missing_dependency
 from dualbrain.planner import protocol
 
 MAX_RESPONSE_BYTES = 1 << 20
@@ -51,9 +49,7 @@ def request_completion(
         return reply
     status, data = reply
     if status != 200:
-        return ChatResponse(
-            text="", finish_reason=protocol.ERROR, detail=f"status {status} {excerpt(_redact(key, data))}".strip()
-        )
+        return _error(_describe_status(status, excerpt(_redact(key, data))))
     return (parse or parse_completion)(data)
 
 
@@ -65,14 +61,14 @@ def parse_completion(data: bytes) -> ChatResponse:
         message = choice["message"]
         content, refusal, finish = message.get("content"), message.get("refusal"), choice.get("finish_reason")
     except (ValueError, RecursionError, LookupError, TypeError, AttributeError):
-        return ChatResponse(text="", finish_reason=protocol.ERROR, detail="not a chat completion")
+        return _error("the response is not a chat completion")
     metrics, build = _parse_metrics(completion), _parse_build(completion)
     if refusal or finish == "content_filter":
         return ChatResponse(
             text="", finish_reason=protocol.REFUSAL, detail=excerpt(str(refusal or finish)), metrics=metrics
         )
     if not isinstance(content, str) or not isinstance(finish, str):
-        return ChatResponse(text="", finish_reason=protocol.ERROR, detail="no text in the answer", metrics=metrics)
+        return ChatResponse(text="", finish_reason=protocol.ERROR, detail="the response has no text", metrics=metrics)
     if finish in _TRUNCATED_REASONS:
         return ChatResponse(text=content, finish_reason=protocol.LENGTH, metrics=metrics, server_build=build)
     if finish not in _COMPLETE_REASONS:
@@ -91,59 +87,75 @@ def strip_fence(text: str) -> tuple[str, bool]:
 def post(url: str, data: bytes, *, key: str, timeout_s: float) -> tuple[int, bytes] | ChatResponse:
     """Status and body of the response, or the reason why there is none.
 
-    After `timeout_s` [s] the socket is shut down, even if the server still sends single bytes.
+    `timeout_s` [s] limits the whole exchange, even if the server still sends single bytes.
     """
     if timeout_s <= 0:
         return ChatResponse(text="", finish_reason=protocol.TIMEOUT)
-    late, timer = Event(), None
     try:
-        with closing(_connection(url, timeout_s)) as connection:
-            connection.connect()
-            sock = connection.sock  # the connection may release it early
-            timer = Timer(timeout_s, _shut_down, (sock, late))
-            timer.daemon = True
-            timer.start()
-            headers = {"Content-Type": "application/json"} | ({"Authorization": f"Bearer {key}"} if key else {})
-            address = urlsplit(url)
-            target = f"{address.path}?{address.query}" if address.query else address.path
-            connection.request("POST", target, data, headers)
-            reply = connection.getresponse()
-            status, body = reply.status, reply.read(MAX_RESPONSE_BYTES + 1)
-    except TimeoutError:
+        import httpx  # noqa: PLC0415  (an extra, and slow to import)
+    except ModuleNotFoundError as error:
+        raise missing_dependency(error, "a chat server") from error
+    try:
+        return _run(_exchange(url, data, key, timeout_s))
+    except (TimeoutError, httpx.TimeoutException):
         return ChatResponse(text="", finish_reason=protocol.TIMEOUT)
-    except (OSError, HTTPException, ValueError) as error:
-        return (
-            ChatResponse(text="", finish_reason=protocol.TIMEOUT)
-            if late.is_set()
-            else ChatResponse(text="", finish_reason=protocol.ERROR, detail=type(error).__name__)
-        )
-    finally:
-        if timer is not None:
-            timer.cancel()
-    if late.is_set():
-        return ChatResponse(text="", finish_reason=protocol.TIMEOUT)
-    if len(body) > MAX_RESPONSE_BYTES:
-        return ChatResponse(
-            text="", finish_reason=protocol.ERROR, detail=f"answer longer than {MAX_RESPONSE_BYTES} bytes"
-        )
-    return status, body
+    except httpx.ConnectError as error:
+        return _error(f"no connection to {url}: {excerpt(str(error))}")
+    except (httpx.RemoteProtocolError, httpx.ReadError, httpx.WriteError):
+        return _error("the server closed the connection before the end of its response")
+    except (httpx.HTTPError, httpx.InvalidURL, ValueError) as error:  # the text might contain the key
+        return _error(f"the request could not be sent ({type(error).__name__})")
+
+
+async def _exchange(url: str, data: bytes, key: str, timeout_s: float) -> tuple[int, bytes] | ChatResponse:
+    """Send the request and read at most `MAX_RESPONSE_BYTES` of the response, within `timeout_s` [s]."""
+    import httpx  # noqa: PLC0415
+
+    headers = {"Content-Type": "application/json", "Accept-Encoding": "identity"}
+    headers |= {"Authorization": f"Bearer {key}"} if key else {}
+    encrypted = url.startswith("https:")  # the creation of a TLS context takes some 20 ms
+    async with (
+        asyncio.timeout(timeout_s),
+        httpx.AsyncClient(timeout=None, verify=encrypted, trust_env=False, follow_redirects=False) as client,
+        client.stream("POST", url, content=data, headers=headers) as reply,
+    ):
+        body = bytearray()
+        async for chunk in reply.aiter_raw():
+            body += chunk
+            if len(body) > MAX_RESPONSE_BYTES:
+                return _error(f"the response is longer than {MAX_RESPONSE_BYTES} bytes")
+        return reply.status_code, bytes(body)
+
+
+def _run(exchange: Coroutine[Any, Any, tuple[int, bytes] | ChatResponse]) -> tuple[int, bytes] | ChatResponse:
+    """The result of `exchange`, also in a thread with a running event loop, such as that of a notebook."""
+    try:
+        asyncio.get_running_loop()
+    except RuntimeError:
+        return asyncio.run(exchange)
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(asyncio.run, exchange).result()
+
+
+def _error(detail: str) -> ChatResponse:
+    return ChatResponse(text="", finish_reason=protocol.ERROR, detail=detail)
+
+
+def _describe_status(status: int, body: str) -> str:
+    """Detail of a response whose status is not 200, with the usual remedy."""
+    remedies = {
+        401: "The server requires a valid key: set OPENAI_API_KEY.",
+        403: "The server refuses this key: check OPENAI_API_KEY.",
+        404: "Check the address, which often ends in /v1, and the model after #.",
+        429: "The server limits requests: try again later.",
+    }
+    remedy = remedies.get(status, "The server failed: see its log." if status >= 500 else "")
+    return " ".join(filter(None, (f"status {status}.", remedy, body)))
 
 
 def _redact(key: str, data: bytes) -> bytes:
     """`data` with the `key` replaced, so that a server that repeats the key does not write it into records."""
     return data.replace(key.encode(), b"[key]") if key else data
-
-
-def _connection(url: str, timeout_s: float) -> HTTPConnection:
-    address = urlsplit(url)
-    kind = HTTPSConnection if address.scheme == "https" else HTTPConnection
-    return kind(address.hostname or "", address.port, timeout=timeout_s)
-
-
-def _shut_down(sock: socket.socket, late: Event) -> None:
-    late.set()
-    with suppress(OSError):  # already closed: no call is blocked on it
-        sock.shutdown(socket.SHUT_RDWR)
 
 
 def _parse_metrics(completion: dict[str, Any]) -> dict[str, float]:
