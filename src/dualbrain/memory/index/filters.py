@@ -56,10 +56,10 @@ class _Column:
             self.codes = np.concatenate([self.codes[:row], np.empty(growth, np.int32)])
         self.codes[row] = self.code_by_value.setdefault(value, len(self.code_by_value))
 
-    def isin(self, wanted: set[Any], n: int) -> Mask:
-        """Mask of the first `n` rows whose value is in `wanted`, shape (n,)."""
+    def isin(self, values: set[Any], n: int) -> Mask:
+        """Mask of the first `n` rows whose value is in `values`, shape (n,)."""
         chosen = np.zeros(len(self.code_by_value), bool)
-        chosen[[self.code_by_value[value] for value in wanted if value in self.code_by_value]] = True
+        chosen[[self.code_by_value[value] for value in values if value in self.code_by_value]] = True
         return chosen[self.codes[:n]]
 
 
@@ -97,39 +97,39 @@ class Columns:
         """Contract code of each row, shape (n,), equal for equal contracts; read-only."""
         return self._columns["contract"].codes[: self._count]
 
-    def mask(self, wanted: Filter) -> Mask:
+    def mask(self, where: Filter) -> Mask:
         """Mask of the rows that pass, shape (n,); read-only, cached until a row is added or a status changes."""
-        if wanted not in self._masks:
+        if where not in self._masks:
             if len(self._masks) == MAX_CACHED_MASKS:
                 self._masks.clear()
-            self._masks[wanted] = self._compute_mask(wanted)
-        return self._masks[wanted]
+            self._masks[where] = self._compute_mask(where)
+        return self._masks[where]
 
-    def _compute_mask(self, wanted: Filter) -> Mask:
+    def _compute_mask(self, where: Filter) -> Mask:
         n, columns = self._count, self._columns
         if not n:
             return np.zeros(0, bool)
-        passed = columns["status"].isin(set(wanted.statuses), n)
-        if wanted.robot is not None or wanted.registry is not None:
+        passed = columns["status"].isin(set(where.statuses), n)
+        if where.robot is not None or where.registry is not None:
             scopes = {
                 (robot, registry)
                 for robot, registry in columns["scope"].code_by_value
-                if wanted.robot in (None, robot) and wanted.registry in (None, registry)
+                if where.robot in (None, robot) and where.registry in (None, registry)
             }
             passed &= columns["scope"].isin(scopes, n)
-        if wanted.guidance is not None:
-            passed &= columns["guidance"].isin({wanted.guidance}, n)
-        if wanted.skills:
-            chosen = {skills for skills in columns["skills"].code_by_value if set(wanted.skills) <= set(skills)}
+        if where.guidance is not None:
+            passed &= columns["guidance"].isin({where.guidance}, n)
+        if where.skills:
+            chosen = {skills for skills in columns["skills"].code_by_value if set(where.skills) <= set(skills)}
             passed &= columns["skills"].isin(chosen, n)
-        if wanted.contract is not None:
-            passed &= columns["contract"].isin({wanted.contract}, n)
-        if wanted.outcomes:
-            passed &= columns["kind"].isin(set(wanted.outcomes), n)
-        if wanted.sources:
-            passed &= columns["source"].isin(set(wanted.sources), n)
-        if wanted.after is not None:
-            passed &= self._times[:n] >= wanted.after
-        if wanted.before is not None:
-            passed &= self._times[:n] <= wanted.before
+        if where.contract is not None:
+            passed &= columns["contract"].isin({where.contract}, n)
+        if where.outcomes:
+            passed &= columns["kind"].isin(set(where.outcomes), n)
+        if where.sources:
+            passed &= columns["source"].isin(set(where.sources), n)
+        if where.after is not None:
+            passed &= self._times[:n] >= where.after
+        if where.before is not None:
+            passed &= self._times[:n] <= where.before
         return passed

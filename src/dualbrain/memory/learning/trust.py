@@ -58,11 +58,11 @@ class TrustConfig:
         outcomes of one source changes one weight by more than `max_change_per_memory`, or all weights together by more
         than `max_change_per_source`.
         """
-        wanted = abs(update.gain * w + update.offset - w)
+        change = abs(update.gain * w + update.offset - w)
         budget = min(self.max_change_per_source - spent[0], self.max_change_per_memory - spent[1])
-        if wanted <= budget or wanted == 0.0:
+        if change <= budget or change == 0.0:
             return update, 1.0
-        share = max(0.0, budget) / wanted
+        share = max(0.0, budget) / change
         return (update.scale_step(share) if share else IDENTITY), share
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class AffineMap:
-    """One update w ← min(upper, max(lower, gain·w + offset)), with gain ≥ 0: what a weight event stores.
+    """One update w ← min(upper, max(lower, gain·w + offset)), with gain ≥ 0, as weight events store it.
 
     These maps are closed under composition (`compose`), so that a log of them can be folded, undone and replayed
     without the rule that produced them.

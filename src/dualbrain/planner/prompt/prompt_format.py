@@ -99,4 +99,4 @@ def without_constraints(prompt_format: PromptFormat) -> PromptFormat:
 
 
 UNCONSTRAINED_SHORT_PROMPT = without_constraints(SHORT_PROMPT)
-"""Format for an adapted model without constraints, which measures what the model has learned."""
+"""Format for an adapted model without constraints, for measuring how well it keeps to the schema by itself."""
