@@ -91,7 +91,7 @@ for frame, stamp in (("lens", 0.0), ("lense", 0.0), ("lens", -1.0)):
             print(f"{count} balls from one depth image")
         case SourceRefused(_, reason):
             print(f"refused: {reason}")
-safety = SafetyFilter(load_robot("panda"), EXACT_TRACKING, fixed_obstacles=[Obstacle("table", *TABLE)])
+safety = SafetyFilter(load_robot("panda"), EXACT_TRACKING, obstacles=[Obstacle("table", *TABLE)])
 q, u, least = np.array(safety.robot_model.home), np.zeros(7), np.inf
 for tick in range(1500):
     now = 1e-3 * tick

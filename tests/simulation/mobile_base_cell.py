@@ -31,7 +31,7 @@ class MobileBaseCell:
                 MOBILE_BASE,
                 self.plant,
                 self.world,
-                SafetyFilter(MOBILE_BASE, fixed_obstacles=fixed_obstacles),
+                SafetyFilter(MOBILE_BASE, obstacles=fixed_obstacles),
                 FlightLog(self.trace),
                 ControlLoopConfig(settle_time=0.1),
                 LoopObserver(on_phase=self.world.set_phase),

@@ -139,7 +139,7 @@ def run_episode(suite: SuiteProcess, robot_model: RobotModel, about: dict[str, A
 
 def _run(suite: SuiteProcess, robot_model: RobotModel, about: dict[str, Any]) -> EpisodeRecord:
     opened = suite.open(about["task"], about["seed"])
-    safety = SafetyFilter(robot_model, fixed_obstacles=static_obstacles(opened.things))
+    safety = SafetyFilter(robot_model, obstacles=static_obstacles(opened.things))
     apart, _ = model_disagreement(suite, safety, np.random.default_rng(about["seed"]))
     state = suite.parse_state(opened.state)
     policy = _make_policy(about, opened, state)

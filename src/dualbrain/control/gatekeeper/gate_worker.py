@@ -59,7 +59,7 @@ class GateWorker:
     ) -> None:
         """Open the gate; the thread ends with the process. `standing` is what a site says stands there for good."""
         self.registry = registry = skill_registry(robot_model)
-        self._safety = SafetyFilter(robot_model, fixed_obstacles=fixed_obstacles)
+        self._safety = SafetyFilter(robot_model, obstacles=fixed_obstacles)
         self._controller = make_controller(robot_model, self._safety)
         self._capabilities = dict(capabilities)
         self._gate = Gate(registry, skill_grants(capabilities), ())

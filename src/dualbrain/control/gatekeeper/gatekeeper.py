@@ -125,7 +125,7 @@ class Gatekeeper:
             robot_model,
             robot,
             robot,
-            SafetyFilter(robot_model, settings.filter_config, fixed_obstacles=settings.fixed_obstacles),
+            SafetyFilter(robot_model, settings.filter_config, obstacles=settings.fixed_obstacles),
             self._log,
             ControlLoopConfig(snapshot_period=TICK_REPORT_PERIOD, timing=settings.timing),
             LoopObserver(on_tick=self._broadcast_tick, on_phase=robot.set_phase, mark_part=mark_part),

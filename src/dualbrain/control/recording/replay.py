@@ -83,7 +83,7 @@ class _ReplayFilter:
         """`data` is the /episode message: robot and guard, and what a site file changed."""
         robot_model = msgspec.convert(data["body"], RobotModel) if "body" in data else load_robot(str(data["robot"]))
         standing = msgspec.convert(data.get("standing", ()), tuple[Obstacle, ...])
-        self._filter, self._guard = SafetyFilter(robot_model, fixed_obstacles=standing), bool(data["guard"])
+        self._filter, self._guard = SafetyFilter(robot_model, obstacles=standing), bool(data["guard"])
         self._columns = columns(robot_model.n, robot_model.nq)
 
     def apply_call(self, name: str, arguments: dict[str, Any]) -> None:

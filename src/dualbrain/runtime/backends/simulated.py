@@ -36,7 +36,7 @@ class SimulatedBackend:
             cell = SimulatedCell(
                 model,
                 world,
-                safety=SafetyFilter(model, fixed_obstacles=context.fixed_obstacles),
+                safety=SafetyFilter(model, obstacles=context.fixed_obstacles),
                 log=log,
                 config=ControlLoopConfig(guard=config.guard),
                 observer=LoopObserver(on_tick=observer.on_tick, on_phase=lambda phase, roles: observer.on_phase(phase)),

@@ -59,7 +59,7 @@ class SafetyFilter:
 
     Guarantee: if the result is `certified` and the model holds, no h falls below zero before the next update. The model
     holds if the spheres cover the robot, every obstacle is at its reported pose within its margin, and ẏ = u within
-    `tracking_error` for y = q + lag v. The guarantee covers only obstacles passed to `observe`. Spheres of the base
+    `tracking_error` for y = q + lag v. The guarantee covers only `obstacles` and those passed to `observe`. Spheres of the base
     (frame 0) have no rows, because the base is bolted to the world.
     """
 
@@ -70,12 +70,12 @@ class SafetyFilter:
         *,
         weight: Array | None = None,
         barriers: Sequence[PythonBarrier] = (),
-        fixed_obstacles: Sequence[Obstacle] = (),
+        obstacles: Sequence[Obstacle] = (),
     ) -> None:
         """Compile `robot_model` for the kernel.
 
         `weight` is R (n, n), by default diag(1/v_max²). `barriers` compute additional rows in every step.
-        `observe` always adds the `fixed_obstacles` to the obstacle table.
+        `obstacles` are permanent: they are in effect immediately, and `observe` keeps them in the obstacle table.
 
         Raises:
             ConfigurationError: no kernel build has room for the robot model, R is not positive definite, jerk limits
@@ -106,7 +106,7 @@ class SafetyFilter:
         )
         groups = {link.name: link.group for link in robot_model.links}
         self._groups = tuple(groups[name] for name in self._names.spheres)
-        self._fixed_obstacles = tuple(fixed_obstacles)
+        self._fixed_obstacles = tuple(obstacles)
         self.keep_out_boxes = tuple(
             SceneObject(
                 name=box.name, role="obstacle", shape=box.shape, pose=box.pose, error=box.margin, category="keep_out"
@@ -114,8 +114,8 @@ class SafetyFilter:
             for box in self._fixed_obstacles
             if isinstance(box.shape, Box)
         )
-        """The boxes among the fixed obstacles, as scene objects for path planning."""
-        if fixed_obstacles:
+        """The boxes among the permanent obstacles, as scene objects for path planning."""
+        if obstacles:
             self.observe(())
 
     # --- obstacles, rows, contacts, grasped object ------------------------------------------------------------

@@ -31,7 +31,7 @@ def site_filter(file: SiteFile, robot_model: RobotModel, config: FilterConfig | 
         SiteError: an entry does not fit the robot model; the error has its line and column.
     """
     narrowed = site_robot(robot_model, file)
-    return SafetyFilter(narrowed, config, fixed_obstacles=site_obstacles(narrowed, file))
+    return SafetyFilter(narrowed, config, obstacles=site_obstacles(narrowed, file))
 
 
 def site_robot(robot_model: RobotModel, file: SiteFile) -> RobotModel:
