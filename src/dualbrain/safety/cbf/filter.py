@@ -59,8 +59,8 @@ class SafetyFilter:
 
     Guarantee: if the result is `certified` and the model holds, no h falls below zero before the next update. The model
     holds if the spheres cover the robot, every obstacle is at its reported pose within its margin, and ẏ = u within
-    `tracking_error` for y = q + lag v. The guarantee covers only `obstacles` and those passed to `observe`. Spheres of the base
-    (frame 0) have no rows, because the base is bolted to the world.
+    `tracking_error` for y = q + lag v. The guarantee covers only `obstacles` and those passed to `observe`. Spheres of
+    the base (frame 0) have no rows, because the base is bolted to the world.
     """
 
     def __init__(
