@@ -35,7 +35,7 @@ def run(
     tries: int = 2,
     port: int = 8080,
     knowledge: Literal["on", "off"] = "off",
-    image_memory: Annotated[bool, Parameter(name="--eyes", negative="")] = False,
+    image_memory: Annotated[bool, Parameter(negative="")] = False,
     utility: Annotated[bool, Parameter(negative="")] = False,
     epsilon: float = EPSILON,
     map: str = "",
