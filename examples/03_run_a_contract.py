@@ -32,10 +32,10 @@ def main() -> None:
         truth = cell.judgement()
     print(f"\n{outcome.kind}: {outcome.reason}")
     print(
-        f"Δ {outcome.Delta:.4f}, intervened on {outcome.intervention_frequency:.1%} of ticks, "
-        f"closest {outcome.h_min * 1000:.1f} mm beyond all margins, {outcome.duration:.1f} s of motion"
+        f"Δ {outcome.Delta:.4f}, intervention on {outcome.intervention_frequency:.1%} of ticks, "
+        f"minimum clearance {outcome.h_min * 1000:.1f} mm beyond all margins, {outcome.duration:.1f} s of motion"
     )
-    print(f"simulator truth: {'success' if truth.success else 'no success'}, {len(truth.violations)} violations")
+    print(f"simulator ground truth: {'success' if truth.success else 'no success'}, {len(truth.violations)} violations")
 
 
 def print_event(event) -> None:

@@ -1,9 +1,9 @@
-"""A double integrator before a wall: the barrier of order two against its closed form.
+"""A double integrator in front of a wall: the barrier of order two compared with its closed form.
 
 Run: `python examples/07_double_integrator.py`. Needs `pip install 'dualbrain[symbolic]'`.
 
-See: p̈ = u, h = p ≥ 0. The filter's answer is u = max(u_nom, −(α₁+α₂) ṗ − α₁α₂ p) to rounding; pushed at the wall the
-whole time, p follows the sum of two exponentials of a critical approach and never passes. Without the filter it does.
+p̈ = u, h = p ≥ 0. The filter returns u = max(u_nom, −(α₁+α₂) ṗ − α₁α₂ p) up to rounding. Under a constant push at the
+wall, p follows a sum of two exponentials and never passes the wall; without the filter it does.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ WALL = Barrier(name="wall", h=x[0], alphas=(A1, A2))
 
 
 def closed_form(p: float, v: float, u_nom: float) -> float:
-    """The answer of the QP with one row: the nominal control, or the row's bound."""
+    """The solution of the QP with one row: the nominal control, or the bound of the row."""
     return max(u_nom, -(A1 + A2) * v - A1 * A2 * p)
 
 
-def course(p: float, v: float, t: float) -> float:
-    """Position at time t on p̈ + (α₁+α₂) ṗ + α₁α₂ p = 0, which the active row imposes."""
+def trajectory(p: float, v: float, t: float) -> float:
+    """Position at time t on p̈ + (α₁+α₂) ṗ + α₁α₂ p = 0, the equation that the active row imposes."""
     c1, c2 = (A2 * p + v) / (A2 - A1), (A1 * p + v) / (A1 - A2)
     return c1 * np.exp(-A1 * t) + c2 * np.exp(-A2 * t)
 
 
 def main() -> None:
-    """One second at a time, beside the exact course."""
+    """Print the position every second, beside the exact trajectory."""
     safety = ControlAffineFilter(CART, [WALL], domain=(0.0, 1.0))
     p, v, worst = 1.0, 0.0, 0.0
     print(f"relative degree {safety.relative_degrees[0]}")
@@ -42,7 +42,7 @@ def main() -> None:
         if step % 500 == 0:
             t = step * DT
             free = 1.0 + 0.5 * PUSH * t * t
-            print(f"{t:3.0f} s  p {p:7.5f} m, exact {course(1.0, 0.0, t):7.5f} m, unfiltered {free:6.0f} m")
+            print(f"{t:3.0f} s  p {p:7.5f} m, exact {trajectory(1.0, 0.0, t):7.5f} m, unfiltered {free:6.0f} m")
         p, v = p + DT * v + 0.5 * DT * DT * u, v + DT * u
     print(f"largest difference from the closed form {worst:.1e} m/s²")
 

@@ -1,9 +1,9 @@
-"""An inverted pendulum that may not lean more than 0.3 rad, pushed to fall; torque is limited.
+"""An inverted pendulum with limited torque whose angle must stay below 0.3 rad while a nominal torque pushes it over.
 
 Run: `python examples/08_inverted_pendulum.py`. Needs `pip install 'dualbrain[symbolic]'`.
 
-See: |θ| ≤ θ_max as two barriers of relative degree two. The nominal torque pushes to one side, then to the other: with
-the filter the lean stops short of the limit on either side, without it the pendulum falls.
+|θ| ≤ θ_max is expressed as two barriers of relative degree two. The nominal torque pushes to alternating sides: with
+the filter the angle stays within the limit on both sides, without it the pendulum falls.
 """
 
 from __future__ import annotations
@@ -14,40 +14,40 @@ import numpy as np
 from dualbrain.safety.control_affine import Barrier, ControlAffine, ControlAffineFilter
 
 MASS, LENGTH, GRAVITY, TORQUE = 2.0, 1.0, 10.0, 20.0  # [kg], [m], [m/s²], [Nm]
-LEAN, A1, A2, DT = 0.3, 3.0, 6.0, 2e-3  # [rad], [1/s], [1/s], [s]
+MAX_ANGLE, A1, A2, DT = 0.3, 3.0, 6.0, 2e-3  # [rad], [1/s], [1/s], [s]
 
-x = ca.SX.sym("x", 2)  # lean [rad], its rate [rad/s]
+x = ca.SX.sym("x", 2)  # angle [rad], rate [rad/s]
 INERTIA = MASS * LENGTH**2
 PENDULUM = ControlAffine(x, f=[x[1], GRAVITY / LENGTH * ca.sin(x[0])], g=[0, 1.0 / INERTIA])
-# The rate of the row may change by 100 rad/s³: half a period of that is kept as margin.
+# The margin covers half a period of a row rate that changes by up to 100 rad/s³.
 SIDES = [
-    Barrier(name="right", h=LEAN - x[0], alphas=(A1, A2), margin=0.1),
-    Barrier(name="left", h=LEAN + x[0], alphas=(A1, A2), margin=0.1),
+    Barrier(name="right", h=MAX_ANGLE - x[0], alphas=(A1, A2), margin=0.1),
+    Barrier(name="left", h=MAX_ANGLE + x[0], alphas=(A1, A2), margin=0.1),
 ]
 
 
 def swing(safety: ControlAffineFilter | None) -> float:
-    """Eight seconds of pushes that change sides every two: the largest lean [rad]."""
-    lean, rate, most = 0.0, 0.0, 0.0
+    """The largest angle [rad] in eight seconds of pushes that change sides every two seconds."""
+    angle, rate, largest = 0.0, 0.0, 0.0
     for step in range(4000):
         u = TORQUE if step // 1000 % 2 == 0 else -TORQUE
         if safety is not None:
-            u = safety([lean, rate], [u]).u[0]
-        rate += DT * (GRAVITY / LENGTH * np.sin(lean) + u / INERTIA)
-        lean += DT * rate
-        most = max(most, abs(lean))
-        if most > np.pi / 2:
+            u = safety([angle, rate], [u]).u[0]
+        rate += DT * (GRAVITY / LENGTH * np.sin(angle) + u / INERTIA)
+        angle += DT * rate
+        largest = max(largest, abs(angle))
+        if largest > np.pi / 2:
             break
-    return most
+    return largest
 
 
 def main() -> None:
-    """Pushed with and without the filter."""
+    """Run with and without the filter."""
     safety = ControlAffineFilter(PENDULUM, SIDES, -TORQUE, TORQUE)
-    answer = safety([0.28, 0.02], [TORQUE])
-    print(f"relative degrees {safety.relative_degrees}; at 0.28 rad: u {answer.u[0]:.2f} Nm, {answer.explain()}")
-    print(f"with the filter: leans {swing(safety):.3f} rad of {LEAN} rad at most")
-    print(f"without: {'falls' if swing(None) > np.pi / 2 else 'stands'}")
+    result = safety([0.28, 0.02], [TORQUE])
+    print(f"relative degrees {safety.relative_degrees}; at 0.28 rad: u {result.u[0]:.2f} Nm, {result.explain()}")
+    print(f"with the filter: largest angle {swing(safety):.3f} rad, limit {MAX_ANGLE} rad")
+    print(f"without the filter: {'falls' if swing(None) > np.pi / 2 else 'does not fall'}")
 
 
 if __name__ == "__main__":

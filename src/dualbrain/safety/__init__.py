@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from dualbrain.core.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
+    from dualbrain.core.geometry.distance import signed_distance
     from dualbrain.safety.barriers.scenarios import EXACT_TRACKING
     from dualbrain.safety.cbf.config import FilterConfig
     from dualbrain.safety.cbf.filter import SafetyFilter, ToolState
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from dualbrain.safety.supervisor.controller import SafetyController
 
 _MODULES = {
+    "core.geometry.distance": ("signed_distance",),
     "safety.barriers.scenarios": ("EXACT_TRACKING",),
     "safety.cbf.config": ("FilterConfig",),
     "safety.cbf.filter": (
@@ -115,6 +117,7 @@ __all__ = [
     "TorqueDrive",
     "derate",
     "read_intervention_log",
+    "signed_distance",
     "site_filter",
 ]
 
