@@ -35,11 +35,7 @@ def run(
     tries: int = 2,
     port: int = 8080,
     knowledge: Literal["on", "off"] = "off",
-<<<<<<< HEAD
     image_memory: Annotated[bool, Parameter(negative="")] = False,
-=======
-    image_memory: Annotated[bool, Parameter(name=("--image-memory", "--eyes"), negative="")] = False,
->>>>>>> 2c68e7c (docs: follow the new explanation pages; run accepts --image-memory)
     utility: Annotated[bool, Parameter(negative="")] = False,
     epsilon: float = EPSILON,
     map: str = "",
