@@ -1,12 +1,11 @@
-"""What a step of fitting costs: ours plain, ours with the whole objective, and TRL's trainer, on the same samples.
+"""Cost of a training step: dualbrain with the plain loss, dualbrain with the whole objective, and the trainer of TRL.
 
-    python benchmarks/adapt_cost.py [--steps 12] [--batch 8] [--trl PYTHON]
+    python -m benchmarks.adapt_cost [--steps 12] [--batch 8] [--trl PYTHON]
 
-Each lives in a process of its own, so that its memory is its own; they take turns, one step each, in an order that
-rotates, so that they share whatever else the machine does. A step is counted in processor seconds (user and system):
-on a machine that others use too, these and their ratios mean something, wall time does not. The first two steps of
-each are not counted. TRL comes from an environment of its own (`--trl`), for its needs are not ours;
-benchmarks/trl/requirements.txt says how to make it.
+All variants train on the same samples. Each runs in a separate process, so that its peak memory is its own. They
+alternate step by step in a rotating order, so that other load on the machine affects all of them. Costs are processor
+seconds (user and system), which other load distorts less than wall time. The first two steps of each are not counted.
+TRL runs in a separate environment (`--trl`); benchmarks/trl/requirements.txt describes its installation.
 """
 
 from __future__ import annotations
@@ -32,106 +31,108 @@ from dualbrain.adaptation.curation.dataset import Dataset
 from dualbrain.adaptation.synthetic.dataset import SYNTHETIC_ADAPT_CONFIG, build_synthetic_dataset, make_language_judge
 from dualbrain.cli.common import paths
 
-VARIANTS = ("ours, plain", "ours, whole objective", "TRL SFTTrainer")
+VARIANTS = ("dualbrain, plain loss", "dualbrain, whole objective", "TRL SFTTrainer")
 BASE, WARM_UP_STEPS = "smollm2-135m-instruct", 2
 
 
 def main() -> int:
     """Print one table."""
-    asked = parse()
-    if asked.variant:
-        run_variant(asked)
+    options = parse()
+    if options.variant:
+        run_variant(options)
         return 0
-    names = VARIANTS if asked.trl else VARIANTS[:2]
+    names = VARIANTS if options.trl else VARIANTS[:2]
     with tempfile.TemporaryDirectory() as folder:
         data = Path(folder) / "data.json"
-        data.write_bytes(msgspec.json.encode(make_dataset(asked)))
-        workers = {name: VariantProcess(name, asked, data) for name in names}
-        told: dict[str, list[dict[str, float]]] = {name: [] for name in names}
-        for turn in range(asked.steps + WARM_UP_STEPS):
+        data.write_bytes(msgspec.json.encode(make_dataset(options)))
+        workers = {name: VariantProcess(name, options, data) for name in names}
+        costs: dict[str, list[dict[str, float]]] = {name: [] for name in names}
+        for turn in range(options.steps + WARM_UP_STEPS):
             for name in (*names[turn % len(names) :], *names[: turn % len(names)]):
-                told[name].append(workers[name].step())
+                costs[name].append(workers[name].step())
         for worker in workers.values():
             worker.close()
-    print("\n".join(report({name: rows[WARM_UP_STEPS:] for name, rows in told.items()})))
+    print("\n".join(report({name: rows[WARM_UP_STEPS:] for name, rows in costs.items()})))
     return 0
 
 
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--steps", type=int, default=12, help="counted steps of each (default 12)")
-    parser.add_argument("--batch", type=int, default=8, help="samples a step (default 8)")
-    parser.add_argument("--threads", type=int, default=1, help="threads of each (default 1)")
-    parser.add_argument("--trl", help="a Python that has trl, torch, transformers, peft and what dualbrain needs")
+    parser.add_argument("--steps", type=int, default=12, help="counted steps of each variant (default 12)")
+    parser.add_argument("--batch", type=int, default=8, help="samples per step (default 8)")
+    parser.add_argument("--threads", type=int, default=1, help="threads of each variant (default 1)")
+    parser.add_argument(
+        "--trl", help="Python interpreter with trl, torch, transformers, peft and the requirements of dualbrain"
+    )
     parser.add_argument("--variant", help=argparse.SUPPRESS)
     parser.add_argument("--data", type=Path, help=argparse.SUPPRESS)
     return parser.parse_args()
 
 
-def make_dataset(asked: argparse.Namespace) -> Dataset:
-    """As many lessons as the steps need."""
+def make_dataset(options: argparse.Namespace) -> Dataset:
+    """Return as many synthetic samples as the steps need."""
     from dualbrain.grounding.vocabulary import load_skill_registry  # noqa: PLC0415
-    from dualbrain.runtime.data_collection.synthetic_scenes import ROBOT_SHARES, generate_examples  # noqa: PLC0415  (not in the process that only fits)
+    from dualbrain.runtime.data_collection.synthetic_scenes import ROBOT_SHARES, generate_examples  # noqa: PLC0415
 
-    rows = generate_examples((asked.steps + WARM_UP_STEPS) * asked.batch, "teach")
+    rows = generate_examples((options.steps + WARM_UP_STEPS) * options.batch, "teach")
     return build_synthetic_dataset(rows, (), {robot: load_skill_registry(robot) for robot in ROBOT_SHARES})
 
 
-def report(told: dict[str, list[dict[str, float]]]) -> list[str]:
-    """Medians, and ratios to the first."""
-    first = median(row["cpu"] for row in told[VARIANTS[0]])
-    lines = ["| | CPU-s a step (median) | to plain | wall s a step | peak memory |", "|---|---|---|---|---|"]
-    for name, rows in told.items():
-        cpu, wall = (median(row[what] for row in rows) for what in ("cpu", "wall"))
+def report(costs: dict[str, list[dict[str, float]]]) -> list[str]:
+    """Return a table of medians and of ratios to the first variant."""
+    first = median(row["cpu"] for row in costs[VARIANTS[0]])
+    lines = ["| | CPU s per step (median) | ratio to plain | wall s per step | peak memory |", "|---|---|---|---|---|"]
+    for name, rows in costs.items():
+        cpu, wall = (median(row[key] for row in rows) for key in ("cpu", "wall"))
         lines.append(f"| {name} | {cpu:.2f} | {cpu / first:.2f} | {wall:.1f} | {rows[-1]['peak_mb']:.0f} MB |")
     return lines
 
 
 class VariantProcess:
-    """One variant in its own process, which takes a step when it is told to."""
+    """One variant in a separate process, which takes a step on request."""
 
-    def __init__(self, name: str, asked: argparse.Namespace, data: Path) -> None:
-        python = asked.trl if name == VARIANTS[2] else sys.executable
+    def __init__(self, name: str, options: argparse.Namespace, data: Path) -> None:
+        python = options.trl if name == VARIANTS[2] else sys.executable
         command = [python, str(Path(__file__).resolve()), "--variant", name, "--data", str(data)]
-        command += ["--steps", str(asked.steps), "--batch", str(asked.batch), "--threads", str(asked.threads)]
+        command += ["--steps", str(options.steps), "--batch", str(options.batch), "--threads", str(options.threads)]
         path = os.pathsep.join(one for one in sys.path if one)
-        environ = os.environ | {"OMP_NUM_THREADS": str(asked.threads), "HF_HUB_OFFLINE": "1"}
+        environ = os.environ | {"OMP_NUM_THREADS": str(options.threads), "HF_HUB_OFFLINE": "1"}
         environ |= {} if name == VARIANTS[2] else {"PYTHONPATH": path}
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environ)
         self._request("")
 
     def step(self) -> dict[str, float]:
-        """Processor seconds, wall seconds and peak memory [MB] of the next step."""
+        """Take a step; returns processor seconds, wall seconds and peak memory [MB]."""
         return self._request("go\n")
 
     def close(self) -> None:
-        """Let it end."""
+        """End the process."""
         self._process.kill()
         self._process.wait()
 
-    def _request(self, word: str) -> dict[str, float]:
+    def _request(self, line: str) -> dict[str, float]:
         assert self._process.stdin is not None
         assert self._process.stdout is not None
-        self._process.stdin.write(word)
+        self._process.stdin.write(line)
         self._process.stdin.flush()
-        for line in self._process.stdout:
-            if line.startswith('{"cpu"'):
-                return json.loads(line)
+        for answer in self._process.stdout:
+            if answer.startswith('{"cpu"'):
+                return json.loads(answer)
         raise RuntimeError(f"{self._process.args} ended with {self._process.wait()}")
 
 
 class StepBarrier:
-    """Waits for its turn before each step, and tells what the step before cost."""
+    """Reports the cost of the previous step and waits for the request of the next one."""
 
     def __init__(self) -> None:
         self._start_times: tuple[float, float] = (0.0, 0.0)
 
     def ready(self) -> None:
-        """Everything is loaded; wait for the first turn."""
+        """Report that everything is loaded, and wait for the first request."""
         self._report_step(0.0, 0.0)
 
     def step_done(self, *_: Any) -> None:
-        """A step is over; wait for the next turn."""
+        """Report the cost of the finished step, and wait for the next request."""
         cpu, wall = time.process_time() - self._start_times[0], time.monotonic() - self._start_times[1]
         self._report_step(cpu, wall)
 
@@ -142,23 +143,23 @@ class StepBarrier:
         self._start_times = (time.process_time(), time.monotonic())
 
 
-def run_variant(asked: argparse.Namespace) -> None:
-    """The life of one variant."""
+def run_variant(options: argparse.Namespace) -> None:
+    """Train with one variant; runs in its process."""
     import torch  # noqa: PLC0415
 
-    torch.set_num_threads(asked.threads)
-    dataset = msgspec.json.decode(asked.data.read_bytes(), type=Dataset)
-    objective = ObjectiveConfig() if asked.variant == VARIANTS[1] else SYNTHETIC_ADAPT_CONFIG.objective
-    steps = asked.steps + WARM_UP_STEPS
-    fit = FitConfig(steps=steps, batch=asked.batch, at_once=asked.batch, save_every=steps, ask_at_most=0)
-    life: Callable[[Dataset, AdaptConfig, StepBarrier], None] = (
-        train_with_trl if asked.variant == VARIANTS[2] else train_with_dualbrain
+    torch.set_num_threads(options.threads)
+    dataset = msgspec.json.decode(options.data.read_bytes(), type=Dataset)
+    objective = ObjectiveConfig() if options.variant == VARIANTS[1] else SYNTHETIC_ADAPT_CONFIG.objective
+    steps = options.steps + WARM_UP_STEPS
+    fit = FitConfig(steps=steps, batch=options.batch, at_once=options.batch, save_every=steps, ask_at_most=0)
+    train: Callable[[Dataset, AdaptConfig, StepBarrier], None] = (
+        train_with_trl if options.variant == VARIANTS[2] else train_with_dualbrain
     )
-    life(dataset, AdaptConfig(objective=objective, fit=fit), StepBarrier())
+    train(dataset, AdaptConfig(objective=objective, fit=fit), StepBarrier())
 
 
-def train_with_dualbrain(dataset: Dataset, config: AdaptConfig, turns: StepBarrier) -> None:
-    """Our own loop."""
+def train_with_dualbrain(dataset: Dataset, config: AdaptConfig, barrier: StepBarrier) -> None:
+    """Train with the trainer of dualbrain."""
     from dualbrain.adaptation.training.model.base_model import load_base_model  # noqa: PLC0415
     from dualbrain.adaptation.training.model.lora_model import LoraModel  # noqa: PLC0415
     from dualbrain.adaptation.training.model.precision import choose_dtype  # noqa: PLC0415
@@ -167,15 +168,15 @@ def train_with_dualbrain(dataset: Dataset, config: AdaptConfig, turns: StepBarri
     base = find_base_model(BASE, paths.cache_folder())
     learner = LoraModel(*load_base_model(base, paths.cache_folder(), choose_dtype("auto")), config.fit)
     with tempfile.TemporaryDirectory() as folder:
-        fit = Trainer(
+        trainer = Trainer(
             learner, dataset, config, make_language_judge({}), Path(folder), base=base.sha256, clock=time.monotonic
         )
-        turns.ready()
-        fit.run(turns.step_done)
+        barrier.ready()
+        trainer.run(barrier.step_done)
 
 
-def train_with_trl(dataset: Dataset, config: AdaptConfig, turns: StepBarrier) -> None:
-    """TRL's trainer with the same adapter, precision, rate and tokens."""
+def train_with_trl(dataset: Dataset, config: AdaptConfig, barrier: StepBarrier) -> None:
+    """Train with TRL, with the same adapter, precision, learning rate and tokens."""
     import datasets  # noqa: PLC0415
     import trl  # noqa: PLC0415
     from transformers import TrainerCallback  # noqa: PLC0415
@@ -189,13 +190,13 @@ def train_with_trl(dataset: Dataset, config: AdaptConfig, turns: StepBarrier) ->
         *load_base_model(find_base_model(BASE, paths.cache_folder()), paths.cache_folder(), choose_dtype("auto")),
         config.fit,
     )
-    some = [encode_sample(learner.tokenizer, one, learner.max_tokens) for one in dataset.train]
+    samples = [encode_sample(learner.tokenizer, one, learner.max_tokens) for one in dataset.train]
     rows = [
         {"input_ids": [*one.prompt, *one.contract], "completion_mask": [0] * len(one.prompt) + [1] * len(one.contract)}
-        for one in some
+        for one in samples
     ]
     fit = config.fit
-    shape = trl.SFTConfig(
+    arguments = trl.SFTConfig(
         output_dir=tempfile.mkdtemp(),
         max_steps=fit.steps,
         per_device_train_batch_size=fit.batch,
@@ -216,14 +217,14 @@ def train_with_trl(dataset: Dataset, config: AdaptConfig, turns: StepBarrier) ->
 
     class Handshake(TrainerCallback):
         def on_train_begin(self, *_: Any, **__: Any) -> None:
-            turns.ready()
+            barrier.ready()
 
         def on_step_end(self, *_: Any, **__: Any) -> None:
-            turns.step_done()
+            barrier.step_done()
 
     trl.SFTTrainer(
         model=learner.model,
-        args=shape,
+        args=arguments,
         train_dataset=datasets.Dataset.from_list(rows),
         processing_class=learner.tokenizer,
         callbacks=[Handshake()],

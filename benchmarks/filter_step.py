@@ -1,11 +1,10 @@
 """One step of the safety filter: time from Python and in C, warm and cold, by the number of obstacle rows.
 
-Run: python benchmarks/filter_step.py [--json]
+Run: python -m benchmarks.filter_step [--json]
 
-Rows are pairs of a robot sphere and an obstacle sphere that the filter looks at. Two settings: `rows` has no
-acceleration limits and obstacles near enough that most pairs are rows of the QP; `shipped` is the filter as it runs,
-where the acceleration box tells which rows can bind in this step. C times are processor time, Python times are the
-median of blocks of wall time.
+Rows are pairs of a robot sphere and an obstacle sphere. Setting `rows`: no acceleration limits, and obstacles so near
+that most pairs are rows of the QP. Setting `shipped`: the default configuration, in which the acceleration limits
+exclude rows that cannot bind in this step. C times are processor time, Python times medians of wall time over blocks.
 """
 
 from __future__ import annotations
@@ -26,11 +25,11 @@ from dualbrain.safety.cbf.filter import FilterConfig, Obstacle, SafetyFilter
 from dualbrain.safety.cbf.kernel import kernel_hash
 
 N_SPHERES = 10
-"""Spheres of the body in the `rows` setting: two on each of the last five links that have some."""
+"""Robot spheres in the `rows` setting: two on each of the last five links with spheres."""
 
 
 def thin_body():
-    """The Panda with `SPHERES` moving spheres and no self pairs, so that rows are obstacle rows only."""
+    """Return the Panda with N_SPHERES moving spheres and no self-collision pairs: all rows are obstacle rows."""
     robot_model = load_robot("panda")
     chosen = []
     for link in ("link3", "link4", "link5", "link6", "hand"):
@@ -39,41 +38,44 @@ def thin_body():
     return msgspec.structs.replace(robot_model, spheres=tuple(chosen[:N_SPHERES]), self_pairs=pairs)
 
 
-def make_filter(body, obstacles, *, limits):
-    """A filter among `obstacles` spheres around the arm, seeded."""
+def make_filter(robot_model, n_obstacles, *, limits):
+    """Return a filter with `n_obstacles` random spheres around the arm (fixed seed)."""
     rng = np.random.default_rng(0)
     config = FilterConfig(lag_compensation=False, tracking_error=0.0, acceleration_limits=limits)
-    safety = SafetyFilter(body, config)
-    things = []
-    while len(things) < obstacles:
-        place = rng.uniform([0.1, -0.7, 0.0], [0.9, 0.7, 1.0])
-        if np.linalg.norm(place - np.array([0.4, 0.0, 0.5])) > 0.3:
-            things.append(Obstacle(f"o{len(things)}", Sphere(0.04), Pose(tuple(place.tolist()))))
-    safety.observe(things, 0.0)
+    safety = SafetyFilter(robot_model, config)
+    obstacles = []
+    while len(obstacles) < n_obstacles:
+        position = rng.uniform([0.1, -0.7, 0.0], [0.9, 0.7, 1.0])
+        if np.linalg.norm(position - np.array([0.4, 0.0, 0.5])) > 0.3:
+            obstacles.append(Obstacle(f"o{len(obstacles)}", Sphere(0.04), Pose(tuple(position.tolist()))))
+    safety.observe(obstacles, 0.0)
     return safety
 
 
-def record_episode(body, obstacles, *, limits, steps=1500):
-    """States, nominals and row counts of a closed loop driven by slow sines at high speed."""
-    safety = make_filter(body, obstacles, limits=limits)
+def record_episode(robot_model, n_obstacles, *, limits, steps=1500):
+    """Run a closed loop driven by sine waves.
+
+    Returns joint positions (steps, n), nominal controls (steps, n), and the mean numbers of rows and QP iterations.
+    """
+    safety = make_filter(robot_model, n_obstacles, limits=limits)
     t = np.arange(steps)[:, None] * 1e-3
     rates = np.array([0.7, 1.1, 0.9, 1.3, 1.7, 1.9, 2.3])
-    u_nom = np.ascontiguousarray(1.5 * np.sin(2 * np.pi * rates * t + np.arange(body.n)))
-    q, log, rows, iterations = np.array(body.home), np.empty((steps, body.n)), 0, 0
+    u_nom = np.ascontiguousarray(1.5 * np.sin(2 * np.pi * rates * t + np.arange(robot_model.n)))
+    q, log, rows, iterations = np.array(robot_model.home), np.empty((steps, robot_model.n)), 0, 0
     for k in range(steps):
         log[k] = q
-        answer = safety.filter(
-            RobotState(stamp=0.0, sequence=k, q=q, v=np.zeros(body.n), opening=0.02, finger_forces=(0.0, 0.0)),
+        result = safety.filter(
+            RobotState(stamp=0.0, sequence=k, q=q, v=np.zeros(robot_model.n), opening=0.02, finger_forces=(0.0, 0.0)),
             u_nom[k],
             0.0,
         )
-        rows, iterations = rows + answer.n_rows, iterations + answer.iterations
-        q = q + 1e-3 * answer.u
+        rows, iterations = rows + result.n_rows, iterations + result.iterations
+        q = q + 1e-3 * result.u
     return log, u_nom, rows / steps, iterations / steps
 
 
 def python_time(safety, log, u_nom, block=50):
-    """Median seconds of one `filter` call, by blocks."""
+    """Return the median over blocks of the mean time of a `filter` call [s]."""
     states = [
         RobotState(stamp=0.0, sequence=k, q=q, v=np.zeros(len(q)), opening=0.02, finger_forces=(0.0, 0.0))
         for k, q in enumerate(log)
@@ -81,15 +83,15 @@ def python_time(safety, log, u_nom, block=50):
     times = []
     safety.reset()
     for start in range(0, len(states) - block, block):
-        begin = time.perf_counter()
+        start_time = time.perf_counter()
         for k in range(start, start + block):
             safety.filter(states[k], u_nom[k], 0.0)
-        times.append((time.perf_counter() - begin) / block)
+        times.append((time.perf_counter() - start_time) / block)
     return float(np.median(times))
 
 
 def c_time(safety, log, u_nom, *, cold):
-    """Least of five means: what the step costs when the machine is not busy elsewhere."""
+    """Return the smallest of five mean times of a step in C [s], which other load distorts least."""
     times = []
     for _ in range(5):
         safety.reset()
@@ -98,7 +100,7 @@ def c_time(safety, log, u_nom, *, cold):
 
 
 def measure():
-    """One record per setting and number of pairs; times in microseconds."""
+    """Return one record per setting and number of pairs; times in µs."""
     records = []
     settings = [("rows", thin_body(), n, n // N_SPHERES, False) for n in (10, 50, 100, 400)]
     panda = load_robot("panda")
@@ -122,7 +124,7 @@ def measure():
 
 
 def main() -> None:
-    """Print a table, or one JSON object."""
+    """Print a table, or one JSON object with `--json`."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", action="store_true")
     records = measure()

@@ -1,9 +1,10 @@
-"""How long the whole gate takes, beside pure-Python `jsonschema` on the same published schema and document.
+"""Time of the gate, compared with pure-Python `jsonschema` on the same published schema and document.
 
-    python benchmarks/gate.py [--json] [--rounds N]
+    python -m benchmarks.gate [--json] [--rounds N]
 
-The gate does more (strict parsing from bytes, grants, stamp, building the contract); its peer only validates the parsed
-document. Both run alternately in one process, so a busy machine slows both; each figure is the median over all rounds.
+The gate parses the bytes strictly, checks the grants and the header, and builds the contract; `jsonschema` only
+validates the parsed document. Both alternate in one process, so that other load affects both. Times are medians over
+all rounds.
 """
 
 import argparse
@@ -27,7 +28,7 @@ TARGET_RATIO = 30.0
 
 
 def build_registry() -> SkillRegistry:
-    """Twenty skills: eighteen motions of four to six parameters, one with free text, one without parameters."""
+    """Return twenty skills: 18 motions with four to six parameters, one with free text, one without parameters."""
     speed = NumberParameter(
         name="speed", unit="m/s", lower=0.05, upper=0.4, lower_from="site policy", upper_from="site policy"
     )
@@ -41,9 +42,9 @@ def build_registry() -> SkillRegistry:
         ChoiceParameter("approach", ("top", "side", "tilted")),
         ChoiceParameter("route", ("direct", "left", "right")),
     )
-    things = NameParameter("object", "graspable"), NameParameter("object", "receptive"), NameParameter("object", "any")
+    objects = NameParameter("object", "graspable"), NameParameter("object", "receptive"), NameParameter("object", "any")
     motions = tuple(
-        SkillSpec(f"motion_{i:02d}", "", (things[i % 3], speed, clearance, approach, *((force, route)[: i % 3])))
+        SkillSpec(f"motion_{i:02d}", "", (objects[i % 3], speed, clearance, approach, *((force, route)[: i % 3])))
         for i in range(SKILL_COUNT - 2)
     )
     return SkillRegistry(
@@ -52,7 +53,7 @@ def build_registry() -> SkillRegistry:
 
 
 def build_document(registry: SkillRegistry) -> dict[str, object]:
-    """Eight steps, the last ones from the end of the registry."""
+    """Return a contract of eight actions with the last motions of the registry."""
     values = {"speed": 0.2, "clearance": 0.12, "approach": "top", "force": 25, "route": "left"}
     names = {"graspable": "red_cube", "receptive": "bowl", "any": "cup"}
     steps = [
@@ -68,35 +69,35 @@ def build_document(registry: SkillRegistry) -> dict[str, object]:
     return {"id": "c-0001", "context": context, "action_sequence": steps}
 
 
-def microseconds(work: Callable[[], object], repeats: int) -> float:
-    """Mean time of one call over `repeats` calls [µs]."""
+def microseconds(function: Callable[[], object], repeats: int) -> float:
+    """Return the mean time of a call over `repeats` calls [µs]."""
     start = time.perf_counter()
     for _ in range(repeats):
-        work()
+        function()
     return (time.perf_counter() - start) / repeats * 1e6
 
 
 def measure(rounds: int) -> dict[str, object]:
-    """Medians of gate and peer over `rounds` alternating rounds, and their ratio."""
-    import jsonschema  # noqa: PLC0415 (the peer, only for this figure)
+    """Return the medians of gate and `jsonschema` over `rounds` alternating rounds, and their ratio."""
+    import jsonschema  # noqa: PLC0415
 
     registry = build_registry()
     document = build_document(registry)
     data = json.dumps(document, separators=(",", ":")).encode()
     gate = Gate(registry, {"planner": frozenset(registry.by_name)})
     peer = jsonschema.Draft7Validator(validation_schema(registry, SCENE_NAMES))
-    stamps = iter(range(1, 10**9))
+    numbers = iter(range(1, 10**9))
 
-    def full_gate() -> object:
-        stamp = ContractHeader(sequence=next(stamps), issued=0.0, expires=5.0, principal="planner", scene_version=1)
-        return gate.check(data, names=SCENE_NAMES, principal="planner", now=1.0, header=stamp)
+    def run_gate() -> object:
+        header = ContractHeader(sequence=next(numbers), issued=0.0, expires=5.0, principal="planner", scene_version=1)
+        return gate.check(data, names=SCENE_NAMES, principal="planner", now=1.0, header=header)
 
-    def whole_peer() -> object:
+    def run_peer() -> object:
         return peer.is_valid(document)
 
-    if not (isinstance(full_gate(), Accepted) and whole_peer()):
-        raise SystemExit("the document must be accepted by both")
-    pairs = [(microseconds(full_gate, 50), microseconds(whole_peer, 3)) for _ in range(rounds)]
+    if not (isinstance(run_gate(), Accepted) and run_peer()):
+        raise SystemExit("The gate or jsonschema rejects the document of the benchmark.")
+    pairs = [(microseconds(run_gate, 50), microseconds(run_peer, 3)) for _ in range(rounds)]
     gate_us, peer_us = (statistics.median(column) for column in zip(*pairs, strict=True))
     return {
         "benchmark": "gate",
@@ -124,8 +125,8 @@ def main() -> None:
         print(json.dumps(result))
         return
     print(f"{result['skills']} skills, {result['steps']} steps, {result['bytes']} bytes, {result['rounds']} rounds")
-    print(f"{'whole gate, from bytes':36}{result['gate_us']:>10} µs")
-    print(f"{'jsonschema (pure Python), validation':36}{result['jsonschema_us']:>10} µs")
+    print(f"{'gate, from bytes':36}{result['gate_us']:>10} µs")
+    print(f"{'jsonschema (pure Python)':36}{result['jsonschema_us']:>10} µs")
     print(f"{'ratio (target ≥ 30)':36}{result['ratio']:>10} ×")
 
 

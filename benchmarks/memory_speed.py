@@ -1,12 +1,12 @@
-"""How fast memory is: search beside one matrix-vector product, an update beside one synced write, a start; and peers.
+"""Speed of the memory: search, update and start, and the search of vector databases.
 
-    python benchmarks/memory_speed.py [--sizes 10000 100000] [--start 100000] [--peers] [--json]
+    python -m benchmarks.memory_speed [--sizes 10000 100000] [--start 100000] [--peers] [--json]
 
-Search is the exact top 10 of R with filters over random unit vectors of length 512, beside one single-thread
-matrix-vector product with the same matrix, alternately in one process; ratios are of processor time, which a busy
-machine does not lengthen. `--peers` runs Milvus Lite, LanceDB and pgvector in an environment of their own
-(`benchmarks/vector_databases/requirements.txt`, below build/), each beside the same product in its own process, by wall clock,
-because their work is not all in this process. Every figure is a median.
+The search returns the exact top 10 of R, with filters, over random vectors of dimension 512. It alternates in one
+process with one single-threaded matrix-vector product with the same matrix; times are processor times, which other
+load does not lengthen. An update is compared with one synchronized write. `--peers` runs Milvus Lite, LanceDB and
+pgvector in a separate environment (`benchmarks/vector_databases/requirements.txt`), each compared with the same product
+in its process, by wall time, because their work is partly in other processes. All times are medians.
 """
 
 from __future__ import annotations
@@ -55,55 +55,57 @@ HERE = Path(__file__).resolve().parent
 PEER_PYTHON = HERE.parent / "build" / "memory_peers" / "venv" / "bin" / "python"
 SEARCH_FILTER = Filter(robot=ROBOT, registry=REGISTRY, guidance="follow", skills=("grasp",), after=START_TIME)
 WEIGHT_FILTER, MEMORIES_PER_CONTRACT = Filter(robot=ROBOT, registry=REGISTRY), 5
-"""Whose weights count for a contract, and how many memories each has."""
+"""Filter of the memories whose weights count for a contract, and number of memories per contract."""
 
 
 def main() -> int:
-    asked = parse()
+    options = parse()
     report: dict[str, Any] = {"machine": f"{platform.machine()}, {os.cpu_count()} cores", "load": os.getloadavg()[0]}
-    report["search"] = [measure_search(n, asked.rounds) for n in asked.sizes]
-    report["update"] = measure_update(asked.rounds)
-    if asked.start:
-        report["start"] = measure_start(asked.start)
-    if asked.peers:
+    report["search"] = [measure_search(n, options.rounds) for n in options.sizes]
+    report["update"] = measure_update(options.rounds)
+    if options.start:
+        report["start"] = measure_start(options.start)
+    if options.peers:
         report["peers"] = run_peers()
-    print(json.dumps(report, indent=None if asked.json else 1))
+    print(json.dumps(report, indent=None if options.json else 1))
     return 0
 
 
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sizes", type=int, nargs="*", default=[10_000, 100_000], help="rows to search")
+    parser.add_argument("--sizes", type=int, nargs="*", default=[10_000, 100_000], help="numbers of memories to search")
     parser.add_argument("--rounds", type=int, default=25)
-    parser.add_argument("--start", type=int, default=0, help="also: a start with this many episodes")
-    parser.add_argument("--peers", action="store_true", help="also: Milvus Lite, LanceDB and pgvector at 1e5")
-    parser.add_argument("--json", action="store_true", help="one line")
+    parser.add_argument("--start", type=int, default=0, help="also measure the start with this number of episodes")
+    parser.add_argument(
+        "--peers", action="store_true", help="also measure Milvus Lite, LanceDB and pgvector with 1e5 memories"
+    )
+    parser.add_argument("--json", action="store_true", help="print one line")
     return parser.parse_args()
 
 
 def measure_search(n: int, rounds: int) -> dict[str, float]:
-    """Medians of our search and of the product, over `rounds` alternating calls [ms of processor], and their ratio."""
+    """Return median processor times of search and product over `rounds` alternating calls [ms], and their ratio."""
     rng = np.random.default_rng(0)
     rows = rng.standard_normal((n, DIM), dtype=np.float32)
     rows /= np.linalg.norm(rows, axis=1, keepdims=True)
-    scan, columns = FlatIndex(DIM), Columns()
-    scan.load(rows, rng.random(n), np.ones(n, np.uint8))
+    index, columns = FlatIndex(DIM), Columns()
+    index.load(rows, rng.random(n), np.ones(n, np.uint8))
     for row in range(n):
         columns.add(_memory_state(row, "succeeded" if row % 10 else "failed"))
     queries = rows[rng.integers(0, n, rounds)] + 0.05 * rng.standard_normal((rounds, DIM), dtype=np.float32)
-    ours, limit = list[float](), list[float]()
+    searches, products = list[float](), list[float]()
     for query in queries:
-        limit.append(_elapsed_ms(lambda query=query: rows @ query, time.thread_time))
-        ours.append(_elapsed_ms(lambda query=query: _top(scan, columns, query), time.thread_time))
-    half = len(ours) // 5
-    a, b = statistics.median(ours[half:]), statistics.median(limit[half:])
+        products.append(_elapsed_ms(lambda query=query: rows @ query, time.thread_time))
+        searches.append(_elapsed_ms(lambda query=query: _top(index, columns, query), time.thread_time))
+    n_warm_up = len(searches) // 5
+    a, b = statistics.median(searches[n_warm_up:]), statistics.median(products[n_warm_up:])
     return {"rows": n, "search_ms": a, "product_ms": b, "ratio": a / b}
 
 
-def _top(scan: FlatIndex, columns: Columns, query: np.ndarray) -> object:
-    compared = scan.compare(Query.single_block(query))
-    weights = contract_weights(compared, scan.weights, columns.contract_codes, columns.mask(WEIGHT_FILTER), BANDWIDTH)
-    return scan.top_k(compared, columns.mask(SEARCH_FILTER), TOP, LAMBDA, weights)
+def _top(index: FlatIndex, columns: Columns, query: np.ndarray) -> object:
+    compared = index.compare(Query.single_block(query))
+    weights = contract_weights(compared, index.weights, columns.contract_codes, columns.mask(WEIGHT_FILTER), BANDWIDTH)
+    return index.top_k(compared, columns.mask(SEARCH_FILTER), TOP, LAMBDA, weights)
 
 
 def _memory_state(row: int, kind: Any) -> MemoryState:
@@ -126,13 +128,13 @@ def _memory_state(row: int, kind: Any) -> MemoryState:
 
 
 def measure_update(rounds: int) -> dict[str, float]:
-    """Storing an episode that moves 100 neighbours, beside one synced write of one small event [ms]."""
+    """Return the time to store an episode that updates 100 neighbours, and to synchronize one small event [ms]."""
     with tempfile.TemporaryDirectory(prefix="dualbrain-speed-") as folder:
-        with Ledger(Path(folder) / "a.db", holder="a benchmark", now=START_TIME) as ledger:
+        with Ledger(Path(folder) / "a.db", holder="benchmark", now=START_TIME) as ledger:
             memory = Memory(ledger, HashingEncoder(64), CONFIG)
             for number in range(150):
                 memory.store(synthetic_episode(f"seed-{number}", kind="declined"), REST_POSTURE, now=START_TIME)
-            stores, syncs, moved = list[float](), list[float](), 0
+            stores, syncs, n_updated = list[float](), list[float](), 0
             for number in range(rounds):
                 syncs.append(
                     _elapsed_ms(
@@ -141,15 +143,17 @@ def measure_update(rounds: int) -> dict[str, float]:
                 )
                 kind = "succeeded" if number % 2 else "failed"
                 one = synthetic_episode(f"e-{number}", kind=kind)
-                began = time.perf_counter()
-                moved = max(moved, memory.store(one, REST_POSTURE, now=START_TIME + 86400.0 * number).n_neighbours)
-                stores.append((time.perf_counter() - began) * 1e3)
+                start = time.perf_counter()
+                n_updated = max(
+                    n_updated, memory.store(one, REST_POSTURE, now=START_TIME + 86400.0 * number).n_neighbours
+                )
+                stores.append((time.perf_counter() - start) * 1e3)
         a, b = statistics.median(stores), statistics.median(syncs)
-        return {"neighbours": moved, "store_ms": a, "synced_event_ms": b, "ratio": a / b}
+        return {"neighbours": n_updated, "store_ms": a, "synced_event_ms": b, "ratio": a / b}
 
 
 def measure_start(n: int) -> dict[str, float]:
-    """Opening memory with `n` episodes [s] in new processes: from all events, and from the snapshot then left."""
+    """Return the times to open a memory of `n` episodes in new processes, from all events and from the snapshot [s]."""
     with tempfile.TemporaryDirectory(prefix="dualbrain-speed-") as folder:
         path = Path(folder) / "a.db"
         _fill_ledger(path, n)
@@ -167,15 +171,16 @@ def measure_start(n: int) -> dict[str, float]:
 
 
 def _time_open(path: Path) -> tuple[float, float]:
-    """Seconds to open memory in a process of its own, by wall clock and of processor, its imports not counted."""
+    """Return wall and processor time to open the memory in a new process, without the imports [s]."""
     program = (
         "import time, sys, pathlib; from dualbrain.memory.embedding.hashing_encoder import HashingEncoder; "
         "from dualbrain.memory.memory import Memory; from dualbrain.memory.ledger.ledger import Ledger; "
-        "from experiments.memory.synthetic_episodes import CONFIG, START; began = time.perf_counter(), time.process_time(); "
-        "ledger = Ledger(pathlib.Path(sys.argv[1]), holder='a benchmark', now=START); "
+        "from experiments.memory.synthetic_episodes import CONFIG, START_TIME; "
+        "start = time.perf_counter(), time.process_time(); "
+        "ledger = Ledger(pathlib.Path(sys.argv[1]), holder='benchmark', now=START_TIME); "
         "memory = Memory(ledger, HashingEncoder(384), CONFIG); "
-        "took = time.perf_counter() - began[0], time.process_time() - began[1]; "
-        "assert len(memory); ledger.close(); print(*took)"
+        "elapsed = time.perf_counter() - start[0], time.process_time() - start[1]; "
+        "assert len(memory); ledger.close(); print(*elapsed)"
     )
     command = [sys.executable, *(["-S"] if sys.flags.no_site else []), "-c", program, str(path)]
     environ = {**os.environ, "PYTHONPATH": os.pathsep.join(part for part in sys.path if part)}
@@ -185,11 +190,11 @@ def _time_open(path: Path) -> tuple[float, float]:
 
 
 def _fill_ledger(path: Path, n: int) -> None:
-    """A ledger of `n` episodes with one weight event each, as a run writes them, in large transactions."""
+    """Write a ledger of `n` episodes with one weight event each, in large transactions."""
     embedding = JointEmbedding(HashingEncoder(384), CONFIG.limits, CONFIG.embedding)
     version, rng = embedding.version(ROBOT), np.random.default_rng(1)
     base = embedding.embed("grasp the cube", "cube: object, neighbour_across low", REST_POSTURE, ROBOT)
-    with Ledger(path, holder="a benchmark", now=START_TIME) as ledger:
+    with Ledger(path, holder="benchmark", now=START_TIME) as ledger:
         for first in range(0, n, 1000):
             entries = list[PendingEvent]()
             for number in range(first, min(first + 1000, n)):
@@ -204,29 +209,29 @@ def _fill_ledger(path: Path, n: int) -> None:
                         vector=to_stored_vector(type(base)(noisy, base.mask), version),
                     )
                 )
-                told = {"cause": one.id, "memory": one.id, "rule": "reinforce", "rank": 0, "gain": 0.95}
+                update = {"cause": one.id, "memory": one.id, "rule": "reinforce", "rank": 0, "gain": 0.95}
                 entries.append(
                     PendingEvent(
-                        kind="weight", subject=one.id, payload={**told, "offset": 0.1, "before": 0.5, "after": 0.575}
+                        kind="weight", subject=one.id, payload={**update, "offset": 0.1, "before": 0.5, "after": 0.575}
                     )
                 )
             ledger.append(entries, now=START_TIME + first)
 
 
 def run_peers() -> object:
-    """What the peers' process says of itself, or why it did not run."""
+    """Return the result of the vector databases, or the reason why they did not run."""
     if not PEER_PYTHON.exists():
-        return "not installed: see benchmarks/vector_databases/requirements.txt"
+        return "Not installed; benchmarks/vector_databases/requirements.txt describes the installation."
     done = subprocess.run(
-        [str(PEER_PYTHON), str(HERE / "memory" / "peers.py")], capture_output=True, text=True, check=False
+        [str(PEER_PYTHON), str(HERE / "vector_databases" / "search.py")], capture_output=True, text=True, check=False
     )
     return json.loads(done.stdout) if done.returncode == 0 else done.stderr[-800:]
 
 
-def _elapsed_ms(work: Callable[[], object], clock: Callable[[], float] = time.perf_counter) -> float:
-    began = clock()
-    work()
-    return (clock() - began) * 1e3
+def _elapsed_ms(function: Callable[[], object], clock: Callable[[], float] = time.perf_counter) -> float:
+    start = clock()
+    function()
+    return (clock() - start) * 1e3
 
 
 if __name__ == "__main__":

@@ -1,11 +1,10 @@
-"""How long an adapted planner takes for a decision: in torch, with what can be foreseen given ahead, and its peers.
+"""Time of a plan of an adapted planner: llama.cpp, torch token by token, and torch with speculative decoding.
 
-    python benchmarks/planner_speed.py [--count 12] [--threads 1]
+    python -m benchmarks.planner_speed [--count 12] [--threads 1]
 
-Held-out questions to base-135m, bound by the same grammar: llama.cpp as it serves, torch token by token, and torch that
-reads ahead; with no exemplar in the prompt, and with some. Every question goes to all three, one after the other, so
-that whatever else the machine does is shared. Seconds a decision, ratio to llama.cpp (median over questions), and how
-many answers were llama.cpp's to the letter.
+All three engines answer the same held-out requests with base-135m and the same grammar, without and with exemplars in
+the prompt. They alternate on each request, so that other load affects all of them. The table holds seconds per plan,
+the median ratio to llama.cpp, and the number of answers with the same text as that of llama.cpp.
 """
 
 from __future__ import annotations
@@ -31,30 +30,30 @@ from dualbrain.runtime.data_collection.synthetic_scenes import generate_examples
 from experiments.planning.language import exemplar_actions
 
 BASE_ADAPTER = "base-135m"
-LLAMA, TOKEN_BY_TOKEN, SPECULATIVE = "llama.cpp", "torch, token by token", "torch, reading ahead"
+LLAMA, TOKEN_BY_TOKEN, SPECULATIVE = "llama.cpp", "torch, token by token", "torch, speculative decoding"
 
 
 def main() -> int:
     """Print one table."""
-    asked = parse(sys.argv[1:])
-    planners = {kind: open_engine(kind, asked.threads) for kind in (LLAMA, TOKEN_BY_TOKEN, SPECULATIVE)}
-    drawn = generate_examples(20 * asked.count, "test", robot_shares={ROBOT: 1.0})
+    options = parse(sys.argv[1:])
+    planners = {kind: open_engine(kind, options.threads) for kind in (LLAMA, TOKEN_BY_TOKEN, SPECULATIVE)}
+    samples = generate_examples(20 * options.count, "test", robot_shares={ROBOT: 1.0})
     groups = {
-        "no exemplar": [one for one in drawn if not exemplar_actions(one)][: asked.count],
-        "one to three exemplars": [one for one in drawn if exemplar_actions(one)][: asked.count],
+        "no exemplar": [one for one in samples if not exemplar_actions(one)][: options.count],
+        "one to three exemplars": [one for one in samples if exemplar_actions(one)][: options.count],
     }
     for planner in planners.values():
-        planner.propose(plan_request(groups["no exemplar"][0]))  # loads
-    print("| prompt | engine | s a decision | to llama.cpp | answers equal |\n|---|---|---|---|---|")
+        planner.propose(plan_request(groups["no exemplar"][0]))  # loads the model
+    print("| prompt | engine | s per plan | ratio to llama.cpp | equal answers |\n|---|---|---|---|---|")
     try:
         for name, questions in groups.items():
             rounds = [
                 [timed_answer(planner, kind, plan_request(one)) for kind, planner in planners.items()]
                 for one in questions
             ]
-            told = dict(zip(planners, zip(*rounds, strict=True), strict=True))
-            for kind, answers in told.items():
-                print(table_row(name, kind, answers, told[LLAMA]))
+            by_engine = dict(zip(planners, zip(*rounds, strict=True), strict=True))
+            for kind, answers in by_engine.items():
+                print(table_row(name, kind, answers, by_engine[LLAMA]))
     finally:
         for planner in planners.values():
             planner.close()
@@ -75,29 +74,31 @@ def open_engine(kind: str, threads: int) -> Planner:
 
 
 def timed_answer(planner: Planner, kind: str, question: PlanRequest) -> tuple[float, str]:
-    """Seconds and text."""
-    usual, speculative_decoding.MAX_READ_TOKENS = (
+    """Return the time of an answer [s] and its text."""
+    default, speculative_decoding.MAX_READ_TOKENS = (
         speculative_decoding.MAX_READ_TOKENS,
         1 if kind == TOKEN_BY_TOKEN else speculative_decoding.MAX_READ_TOKENS,
     )
     try:
-        begun = time.monotonic()
+        start = time.monotonic()
         text = planner.propose(question).text
-        return time.monotonic() - begun, text
+        return time.monotonic() - start, text
     finally:
-        speculative_decoding.MAX_READ_TOKENS = usual
+        speculative_decoding.MAX_READ_TOKENS = default
 
 
-def table_row(name: str, kind: str, answers: Sequence[tuple[float, str]], theirs: Sequence[tuple[float, str]]) -> str:
-    ratios = [own[0] / other[0] for own, other in zip(answers, theirs, strict=True)]
-    equal = sum(own[1] == other[1] for own, other in zip(answers, theirs, strict=True))
+def table_row(
+    name: str, kind: str, answers: Sequence[tuple[float, str]], reference: Sequence[tuple[float, str]]
+) -> str:
+    ratios = [own[0] / other[0] for own, other in zip(answers, reference, strict=True)]
+    equal = sum(own[1] == other[1] for own, other in zip(answers, reference, strict=True))
     mean = statistics.mean(seconds for seconds, _ in answers)
     return f"| {name} | {kind} | {mean:.1f} | {statistics.median(ratios):.2f} | {equal} of {len(answers)} |"
 
 
 def plan_request(one: Sample) -> PlanRequest:
-    """The question that a lesson asks, with what it shows as if memory had recalled it."""
-    recalled = tuple(
+    """Return the request of a sample, with its exemplars as retrieved context."""
+    exemplars = tuple(
         Exemplar(
             episode_id=f"m-{rank}",
             instruction="",
@@ -112,7 +113,7 @@ def plan_request(one: Sample) -> PlanRequest:
         )
         for rank, steps in enumerate(exemplar_actions(one), start=1)
     )
-    return build_request(one, RetrievedContext(recalled))
+    return build_request(one, RetrievedContext(exemplars))
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
-"""One filter step on every body, in µs and as a ratio to the Panda's: the bodies take turns in one process.
+"""Time of one filter step on every robot [µs], and its ratio to that of the Panda; the robots alternate in one process.
 
-    python benchmarks/robots.py [--rounds 40]
+    python -m benchmarks.robots [--rounds 40]
 
-Each stands at home, fingers open, in front of its first bare scene (what drives in an empty room or a workroom) and
-wishes for half its speed. Told are the median of the rounds' means, in processor time, which waiting for others does
-not lengthen, and the median and the middle half of the ratios within each round. No shipped body has fourteen joints:
-`two_pandas` is made here, one arm standing at the other's flange, with every pair of their parts kept apart that is not
-adjacent.
+Each robot is at its home posture with open fingers in its first bare scene (mobile robots in an empty room or a
+workroom), with half of its maximum speed as nominal control. The table holds the median over rounds of the mean
+processor time, and the median and the interquartile range of the ratios within a round. `two_pandas` is a synthetic
+robot with fourteen joints: an arm mounted on the flange of another one, with all pairs of nonadjacent links as
+self-collision pairs.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ from dualbrain.simulation.scenes.generators.catalogue import open_scene
 STEPS = 500
 FLANGE_OFFSET = (0.0, 0.0, 0.25)
 UPRIGHT_POSTURE = (0.0, -0.2, 0.0, -0.4, 0.0, 0.4, 0.0)
-"""Where the second arm stands on the first, which is held almost straight up."""
+"""Mounting position of the second arm on the flange of the first [m], and the almost upright posture of the first."""
 
 
 def two_pandas() -> RobotModel:
-    """Fourteen joints in one chain."""
-    low = load_robot("panda")
-    own = {link.name for link in low.links if link.group == "arm"}
+    """Return a robot model with fourteen joints in one chain."""
+    panda = load_robot("panda")
+    own = {link.name for link in panda.links if link.group == "arm"}
     first = msgspec.structs.replace(
-        low.joints[0], translation=(0.0, 0.0, FLANGE_OFFSET[2] + low.joints[0].translation[2])
+        panda.joints[0], translation=(0.0, 0.0, FLANGE_OFFSET[2] + panda.joints[0].translation[2])
     )
-    upper = [msgspec.structs.replace(joint, name=f"upper_{joint.name}") for joint in (first, *low.joints[1:])]
+    upper = [msgspec.structs.replace(joint, name=f"upper_{joint.name}") for joint in (first, *panda.joints[1:])]
     above = [
         msgspec.structs.replace(
             link,
@@ -49,23 +49,23 @@ def two_pandas() -> RobotModel:
             frame=link.frame + 7,
             translation=FLANGE_OFFSET if link.frame == 0 else link.translation,
         )
-        for link in low.links
+        for link in panda.links
     ]
-    below = [link for link in low.links if link.name in own]
-    balls = [sphere for sphere in low.spheres if sphere.link in own]
-    balls += [msgspec.structs.replace(sphere, link=f"upper_{sphere.link}") for sphere in low.spheres]
-    pairs = [pair for pair in low.self_pairs.kept if own >= set(pair)]
-    pairs += [(f"upper_{a}", f"upper_{b}") for a, b in low.self_pairs.kept]
+    below = [link for link in panda.links if link.name in own]
+    spheres = [sphere for sphere in panda.spheres if sphere.link in own]
+    spheres += [msgspec.structs.replace(sphere, link=f"upper_{sphere.link}") for sphere in panda.spheres]
+    pairs = [pair for pair in panda.self_pairs.kept if own >= set(pair)]
+    pairs += [(f"upper_{a}", f"upper_{b}") for a, b in panda.self_pairs.kept]
     pairs += [(a.name, b.name) for a in below for b in above if b.frame - a.frame > 2]
     return msgspec.structs.replace(
-        low,
+        panda,
         name="two_pandas",
-        joints=(*low.joints, *upper),
+        joints=(*panda.joints, *upper),
         links=(*below, *above),
-        spheres=tuple(balls),
+        spheres=tuple(spheres),
         self_pairs=SelfCollisionPairs(tuple(pairs), ()),
-        home=(*UPRIGHT_POSTURE, *low.home),
-        tool=Tool("upper_hand", low.tool.translation),
+        home=(*UPRIGHT_POSTURE, *panda.home),
+        tool=Tool("upper_hand", panda.tool.translation),
     )
 
 
@@ -73,7 +73,7 @@ SYNTHETIC_ROBOTS = {"two_pandas": two_pandas}
 
 
 def robot_scene(robot_model: RobotModel) -> Scene:
-    """The scene that a body stands in."""
+    """Return the scene of the benchmark for a robot."""
     family = (
         "workroom:0" if robot_model.is_mobile_manipulator else "empty_room:0" if robot_model.is_mobile else "bare:0"
     )
@@ -82,6 +82,7 @@ def robot_scene(robot_model: RobotModel) -> Scene:
 
 
 def make_filter(name: str) -> SafetyFilter:
+    """Return a filter for the robot `name` that observes the obstacles of its scene."""
     robot_model = SYNTHETIC_ROBOTS[name]() if name in SYNTHETIC_ROBOTS else load_robot(name)
     scene = robot_scene(robot_model)
     safety = SafetyFilter(robot_model)
@@ -95,11 +96,12 @@ def make_filter(name: str) -> SafetyFilter:
 
 
 def mean_us(safety: SafetyFilter) -> float:
+    """Return the mean processor time of a step over STEPS steps [µs]."""
     state = home_state(safety.robot_model)
-    wish = 0.5 * np.array([joint.velocity.value for joint in safety.robot_model.joints])
+    u_nom = 0.5 * np.array([joint.velocity.value for joint in safety.robot_model.joints])
     start = time.thread_time()
     for _ in range(STEPS):
-        safety.filter(state, wish, 0.0)
+        safety.filter(state, u_nom, 0.0)
     return (time.thread_time() - start) / STEPS * 1e6
 
 
@@ -112,13 +114,17 @@ def main() -> None:
     for _ in range(rounds):
         for name, safety in filters.items():
             times[name].append(mean_us(safety))
-    print("| body | n | spheres | pairs kept | obstacles | µs | ratio to the Panda |\n|---|---|---|---|---|---|---|")
+    print(
+        "| robot | n | spheres | self-collision pairs | obstacles | µs | ratio to the Panda "
+        "|\n|---|---|---|---|---|---|---|"
+    )
     for name, safety in filters.items():
-        middle, robot_model = statistics.median(times[name]), safety.robot_model
-        ratios = [mine / panda for mine, panda in zip(times[name], times["panda"], strict=True)]
+        median, robot_model = statistics.median(times[name]), safety.robot_model
+        ratios = [own / panda for own, panda in zip(times[name], times["panda"], strict=True)]
         low, ratio, high = statistics.quantiles(ratios, n=4, method="inclusive")
-        sizes = f"{robot_model.n} | {len(robot_model.spheres)} | {len(robot_model.self_pairs.kept)} | {len(safety._obstacles)}"
-        print(f"| {name} | {sizes} | {middle:.1f} | {ratio:.2f} ({low:.2f}–{high:.2f}) |")
+        n_pairs = len(robot_model.self_pairs.kept)
+        sizes = f"{robot_model.n} | {len(robot_model.spheres)} | {n_pairs} | {len(safety._obstacles)}"
+        print(f"| {name} | {sizes} | {median:.1f} | {ratio:.2f} ({low:.2f}–{high:.2f}) |")
 
 
 if __name__ == "__main__":

@@ -1,11 +1,12 @@
-"""Do torch and llama.cpp say the same with one adapter? Held-out questions, greedy and free, side by side.
+"""Equality of the answers of torch and llama.cpp with one adapter, for held-out requests with greedy decoding.
 
-    python benchmarks/serving_equality.py [ADAPTER] [--count 30] [--threads 1] [--out FILE]
+    python -m benchmarks.serving_equality [ADAPTER] [--count 30] [--threads 1] [--out FILE]
 
-ADAPTER is the name of a packaged adapter or a folder that a fit made (default base-135m). The reference is torch in
-float32 with the adapter as peft wears it, on the dequantised base; llama.cpp has the untouched GGUF and the converted
-adapter. Equal means: the same text. Where they part, the margin between torch's best and second best token tells
-whether it was a near-tie. One JSON row a question; wanted: at least 28 of 30 equal, the others at near-ties.
+ADAPTER is the name of a packaged adapter or the folder of a trained one (default base-135m). The reference is torch in
+float32 with the adapter loaded by peft on the dequantized base model; llama.cpp loads the original GGUF file and the
+converted adapter. Decoding is unconstrained. Two answers are equal if their texts are equal. Where they differ, the
+margin between the best and the second best token of torch shows whether it was a near-tie. Required: at most two
+answers of all differ, each at a near-tie. The output is one JSON row per request.
 """
 
 from __future__ import annotations
@@ -36,44 +37,49 @@ from dualbrain.runtime.data_collection.synthetic_scenes import generate_examples
 
 MAX_TOKENS = 320
 NEAR_TIE_NATS = 0.5
-"""A parting below this margin [nats] is a near-tie."""
+"""A difference at a margin below this is a near-tie [nats]."""
 
 
 def main() -> int:
-    """Exit code 1 if fewer are equal than wanted, or one parts where torch was sure."""
-    asked = parse(sys.argv[1:])
-    name = asked.adapter if "/" in asked.adapter else f"adapter:{asked.adapter}"
+    """Return exit code 1 if more than two answers differ, or one of them not at a near-tie."""
+    options = parse(sys.argv[1:])
+    name = options.adapter if "/" in options.adapter else f"adapter:{options.adapter}"
     stack = load_stack(resolve_folder(name, AdapterRegistry(dualbrain_home() / "adapters")), cache_folder())
-    questions = generate_examples(asked.count, "test", robot_shares={stack.top_card.robot: 1.0})
-    torch.set_num_threads(asked.threads)
+    samples = generate_examples(options.count, "test", robot_shares={stack.top_card.robot: 1.0})
+    torch.set_num_threads(options.threads)
     model, tokenizer = load_with_peft(stack)
     planner = start_llama(
-        stack, cache_folder(), LlamaConfig(threads=asked.threads, n_ctx=N_CTX), prompt_format=UNCONSTRAINED_SHORT_PROMPT
+        stack,
+        cache_folder(),
+        LlamaConfig(threads=options.threads, n_ctx=N_CTX),
+        prompt_format=UNCONSTRAINED_SHORT_PROMPT,
     )
     rows: list[dict[str, Any]] = []
     try:
-        for number, one in enumerate(questions, start=1):
-            said = complete(planner, one.prompt, max_tokens=MAX_TOKENS)
-            assert isinstance(said, RawCompletion), said
-            rows.append(compare_answer(one.id, said, model, tokenizer, one.prompt))
-            print(f"{number}/{asked.count} {json.dumps(rows[-1])}", file=sys.stderr, flush=True)
+        for number, one in enumerate(samples, start=1):
+            answer = complete(planner, one.prompt, max_tokens=MAX_TOKENS)
+            assert isinstance(answer, RawCompletion), answer
+            rows.append(compare_answer(one.id, answer, model, tokenizer, one.prompt))
+            print(f"{number}/{options.count} {json.dumps(rows[-1])}", file=sys.stderr, flush=True)
     finally:
         planner.close()
-    equal, sure = sum(row["equal"] for row in rows), [r for r in rows if not r["equal"] and r["margin"] > NEAR_TIE_NATS]
-    if asked.out:
-        asked.out.write_text("".join(json.dumps(row) + "\n" for row in rows))
-    least = statistics.median(row["least_margin"] for row in rows)
+    equal = sum(row["equal"] for row in rows)
+    clear = [row for row in rows if not row["equal"] and row["margin"] > NEAR_TIE_NATS]
+    if options.out:
+        options.out.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    margin = statistics.median(row["least_margin"] for row in rows)
     print(
-        f"{stack.top_card.id[:16]} on {stack.base}: {equal} of {len(rows)} texts equal; least margin of a text {least:.2f}"
+        f"{stack.top_card.id[:16]} on {stack.base}: {equal} of {len(rows)} texts equal; "
+        f"median of the smallest margins {margin:.2f} nats"
     )
     for row in (row for row in rows if not row["equal"]):
-        words = f"{row['torch']!r} | {row['llama']!r}"
-        print(f"  {row['question']} parts at token {row['at']}, {row['margin']:.3f} nats apart: {words}")
-    return 0 if equal >= len(rows) - 2 and not sure else 1
+        texts = f"{row['torch']!r} | {row['llama']!r}"
+        print(f"  {row['question']}: first difference at token {row['at']}, margin {row['margin']:.3f} nats: {texts}")
+    return 0 if equal >= len(rows) - 2 and not clear else 1
 
 
 def load_with_peft(stack: AdapterStack) -> tuple[Any, Any]:
-    """Model and tokenizer in float32: peft, and not our reader, wears the top adapter; what lies below is merged."""
+    """Return model and tokenizer in float32, with the top adapter loaded by peft and lower adapters merged."""
     below = tuple(layer.folder for layer in stack.layers[:-1])
     base = BaseModel(
         name=stack.base, gguf=stack.gguf, gguf_sha256=find_weight_file(stack.base).sha256, stacked_on=below
@@ -93,30 +99,30 @@ def parse(arguments: list[str]) -> argparse.Namespace:
 
 @torch.no_grad()
 def compare_answer(
-    question: str, said: RawCompletion, model: Any, tokenizer: Any, turns: list[dict[str, str]]
+    request_id: str, answer: RawCompletion, model: Any, tokenizer: Any, turns: list[dict[str, str]]
 ) -> dict[str, Any]:
-    """One row. Where the texts part, `at` counts tokens, `margin` is torch's there.
+    """Return the row of a request; `at` is the index of the first different token, `margin` that of torch there [nats].
 
-    Torch reads question and answer in one pass: greedy decoding says the same exactly if each token, and the end, is
-    the most probable after those before it.
+    Torch evaluates request and answer in one pass: greedy decoding generates the same text if and only if each token,
+    including the end token, is the most probable one after its predecessors.
     """
-    given, end = list(tokenize_prompt(tokenizer, turns)), tokenizer.eos_token_id
-    spoken = [token for token in said.tokens if token != end]  # some builds count the end among the tokens
-    wanted = [*spoken, end] if said.is_complete else spoken
-    logits = model(input_ids=torch.tensor([given + wanted[:-1]]), use_cache=False).logits[0, len(given) - 1 :]
-    best = logits.log_softmax(-1).topk(2)
-    margins, first = (best.values[:, 0] - best.values[:, 1]).tolist(), best.indices[:, 0].tolist()
-    at = next((place for place, (ours, theirs) in enumerate(zip(wanted, first, strict=True)) if ours != theirs), None)
-    row: dict[str, Any] = {"question": question, "tokens": len(wanted), "equal": at is None}
+    prompt, end = list(tokenize_prompt(tokenizer, turns)), tokenizer.eos_token_id
+    generated = [token for token in answer.tokens if token != end]  # some builds include the end token
+    tokens = [*generated, end] if answer.is_complete else generated
+    logits = model(input_ids=torch.tensor([prompt + tokens[:-1]]), use_cache=False).logits[0, len(prompt) - 1 :]
+    top = logits.log_softmax(-1).topk(2)
+    margins, first = (top.values[:, 0] - top.values[:, 1]).tolist(), top.indices[:, 0].tolist()
+    at = next((k for k, (token, best) in enumerate(zip(tokens, first, strict=True)) if token != best), None)
+    row: dict[str, Any] = {"question": request_id, "tokens": len(tokens), "equal": at is None}
     if at is None:
         return row | {"least_margin": min(margins)}
-    words = [tokenizer.decode([*wanted[max(0, at - 6) : at], token]) for token in (first[at], wanted[at])]
+    texts = [tokenizer.decode([*tokens[max(0, at - 6) : at], token]) for token in (first[at], tokens[at])]
     return row | {
         "least_margin": min(margins[: at + 1]),
         "at": at,
         "margin": margins[at],
-        "torch": words[0],
-        "llama": words[1],
+        "torch": texts[0],
+        "llama": texts[1],
     }
 
 

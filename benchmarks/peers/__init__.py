@@ -1,1 +1,1 @@
-"""Other people's safety filters beside ours: every contestant in a process of its own, on the same states."""
+"""Comparison of the safety filter with other libraries: each filter in a separate process, on the same states."""

@@ -1,4 +1,4 @@
-"""Who takes part: name, environment and configuration of every contestant."""
+"""The compared filters: name, environment and configuration of each."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from typing import Any
 from benchmarks.peers.setup_environments import python_of
 
 OWN_NAME = "dualbrain"
-"""The contestant whose median everybody's ratio is taken over."""
+"""The filter whose median is the reference of all ratios."""
 
 
 @dataclass(frozen=True, slots=True)
 class BenchmarkedFilter:
-    """`module` run in `environment` (None: ours) with `options`.
+    """A filter: the class `Filter` of `module` in `environment` (None: that of dualbrain), built with `options`.
 
-    `shipped` marks cbfpy's defaults, `primitives` who takes part in the second setting, `exact` who states the same
-    rows as everybody else. `gains` are the α of the closed loop under acceleration limits, None being the body's.
+    `is_default` marks the default configuration of cbfpy, `in_primitives` the filters of the setting *primitives*,
+    `same_rows` the filters that solve the same QP rows as all others. `gains` are the values of α [1/s] in the closed
+    loop under acceleration limits; None is the α of the robot.
     """
 
     name: str
@@ -32,17 +33,17 @@ class BenchmarkedFilter:
 
     @property
     def python(self) -> Path:
-        """The interpreter to run it with."""
+        """Python interpreter of the filter."""
         return Path(sys.executable) if self.environment is None else python_of(self.environment)
 
     @property
     def is_own(self) -> bool:
-        """Is it one of our own?"""
+        """Whether this is a filter of dualbrain."""
         return self.name.startswith(OWN_NAME)
 
 
 BOTH_GAINS = (None, 10.0)
-"""The body's α, min a/v, and the α of oscbf's examples."""
+"""The α of the robot (min a/v), and the α of the examples of oscbf [1/s]."""
 
 
 def _cbfpy_entry(
@@ -99,6 +100,6 @@ QUICK_FILTERS = (
     BENCHMARKED_FILTERS[0],
     BENCHMARKED_FILTERS[2],
     BenchmarkedFilter(
-        "fake", "benchmarks.peers.filters.fake_filter", options={"nap": 2e-4}, is_default=True, gains=(None,)
+        "fake", "benchmarks.peers.filters.fake_filter", options={"delay": 2e-4}, is_default=True, gains=(None,)
     ),
 )

@@ -1,4 +1,4 @@
-"""Latency, first call and deviation of all contestants at one size: alternating blocks on the same states."""
+"""Latency, first call and deviation of all filters at one size, in alternating blocks on the same states."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from benchmarks.peers.processes.filter_process import FilterProcess, FilterUnava
 
 WARM_UP_STEPS = 5
 CHANGE_TOLERANCE = 1e-4
-"""[rad/s] beyond which a control counts as changed."""
+"""Smallest deviation [rad/s] at which a control counts as changed."""
 
 
 @dataclass(frozen=True, slots=True)
 class MeasurementBudget:
-    """How long to measure: recorded steps, rounds, steps of a block, most seconds of a block, states for deviation.
+    """Extent of a measurement: recorded steps, rounds, steps and seconds per block, states for the deviation.
 
-    Who has spent `contestant_s` sits the remaining rounds out. `at_once` contestants are prepared together, as
-    compiling takes long; then each runs alone, in turn.
+    A filter that has run for `filter_s` [s] skips the remaining rounds. `parallel_starts` filters are prepared
+    concurrently, because compilation takes long; the measurement itself runs one filter at a time.
     """
 
     steps: int = 1200
@@ -46,12 +46,10 @@ class MeasurementBudget:
 QUICK_BUDGET = MeasurementBudget(steps=60, rounds=2, block=10, deviation_states=3, prepare_timeout_s=20.0)
 
 
-def measure(
-    setting: str, n: int, contestants: Sequence[BenchmarkedFilter], effort: MeasurementBudget
-) -> dict[str, Any]:
-    """One size of one setting: rows, first calls, deviations, who could not take part."""
+def measure(setting: str, n: int, entries: Sequence[BenchmarkedFilter], budget: MeasurementBudget) -> dict[str, Any]:
+    """Measure one size of a setting: rows, first calls, deviations, and the filters that could not run."""
     problem = scenes.rows_problem(n) if setting == "rows" else scenes.primitives_problem(n)
-    states, nominals, changed = scenes.record_states(problem, effort.steps if setting == "rows" else effort.steps // 3)
+    states, nominals, changed = scenes.record_states(problem, budget.steps if setting == "rows" else budget.steps // 3)
     result: dict[str, Any] = {
         "setting": setting,
         "n": n,
@@ -68,13 +66,13 @@ def measure(
         files = {"problem": str(Path(folder) / "problem.npz"), "states": str(Path(folder) / "states.npz")}
         problem.save(files["problem"])
         np.savez(files["states"], states=states, nominals=nominals)
-        with ThreadPoolExecutor(effort.parallel_starts) as pool:
-            started = pool.map(lambda contestant: _start_filter(contestant, files, effort, result), contestants)
+        with ThreadPoolExecutor(budget.parallel_starts) as pool:
+            started = pool.map(lambda entry: _start_filter(entry, files, budget, result), entries)
             children = [child for child in started if child is not None]
         try:
-            result["rows"] = _latency_rows(_measure_blocks(children, len(states), effort, result), children, result)
+            result["rows"] = _latency_rows(_measure_blocks(children, len(states), budget, result), children, result)
             if setting == "rows":
-                at = np.linspace(0, len(states) - 1, effort.deviation_states).astype(int)
+                at = np.linspace(0, len(states) - 1, budget.deviation_states).astype(int)
                 for child in children:
                     if not (child.entry.is_own and child.entry.name != OWN_NAME):
                         result["deviation"].append(_deviation(child, problem, states, nominals, at))
@@ -86,20 +84,20 @@ def measure(
 
 
 def _start_filter(
-    contestant: BenchmarkedFilter, files: dict[str, str], effort: MeasurementBudget, result: dict[str, Any]
+    entry: BenchmarkedFilter, files: dict[str, str], budget: MeasurementBudget, result: dict[str, Any]
 ) -> FilterProcess | None:
-    """Its process, prepared, with its first step taken; None, and the reason noted, where that cannot be."""
-    name = contestant.name
+    """Return the prepared process of a filter after its first step; None, with the reason in `result`, on failure."""
+    name = entry.name
     try:
-        child = FilterProcess(contestant)
-    except FilterUnavailableError as why:
-        result["refused"].append({"peer": name, "n": result["n"], "setting": result["setting"], "why": str(why)})
+        child = FilterProcess(entry)
+    except FilterUnavailableError as error:
+        result["refused"].append({"peer": name, "n": result["n"], "setting": result["setting"], "why": str(error)})
         return None
     try:
         result["versions"][name] = child.request("versions")["versions"]
-        first = child.request("prepare", effort.prepare_timeout_s, options=contestant.options, **files)
-    except FilterUnavailableError as why:
-        result["refused"].append({"peer": name, "n": result["n"], "setting": result["setting"], "why": str(why)})
+        first = child.request("prepare", budget.prepare_timeout_s, options=entry.options, **files)
+    except FilterUnavailableError as error:
+        result["refused"].append({"peer": name, "n": result["n"], "setting": result["setting"], "why": str(error)})
         child.close()
         return None
     print(f"  {name}: first call after {first['prepare_s'] + first['first_s']:.2f} s", file=sys.stderr)
@@ -119,28 +117,28 @@ def _start_filter(
 
 
 def _measure_blocks(
-    children: list[FilterProcess], steps: int, effort: MeasurementBudget, result: dict[str, Any]
+    children: list[FilterProcess], steps: int, budget: MeasurementBudget, result: dict[str, Any]
 ) -> dict[str, list[int]]:
-    """Times [ns] of every contestant, block by block in turn; slow ones take shorter blocks of the same states."""
+    """Return step times of every filter [ns], measured in alternating blocks; slow filters get shorter blocks."""
     times: dict[str, list[int]] = {child.entry.name: [] for child in children}
     lengths = {name: 1 for name in times}
     failed, spent = dict.fromkeys(times, 0), dict.fromkeys(times, 0.0)
     busy: dict[str, list[float]] = {name: [] for name in times}
-    for turn in range(-1, effort.rounds):
-        start = WARM_UP_STEPS + max(0, turn) * effort.block % max(1, steps - effort.block - WARM_UP_STEPS)
+    for turn in range(-1, budget.rounds):
+        start = WARM_UP_STEPS + max(0, turn) * budget.block % max(1, steps - budget.block - WARM_UP_STEPS)
         shift = max(0, turn) % len(children) if children else 0
         for child in [*children[shift:], *children[:shift]]:
             name = child.entry.name
-            if spent[name] > effort.filter_s:
+            if spent[name] > budget.filter_s:
                 continue
-            begin = time.monotonic()
-            warm = 0 if turn < 0 or lengths[name] < WARM_UP_STEPS else WARM_UP_STEPS
-            answer = child.request("block", start=start, stop=start + lengths[name], warm=warm)
-            if turn < 0:  # finds out how long a block may be
-                pace = 1e-9 * float(np.median(answer["ns"]))
-                lengths[name] = int(np.clip(effort.block_s / max(pace, 1e-9), 1, effort.block))
+            start_time = time.monotonic()
+            n_warm_up = 0 if turn < 0 or lengths[name] < WARM_UP_STEPS else WARM_UP_STEPS
+            answer = child.request("block", start=start, stop=start + lengths[name], warm=n_warm_up)
+            if turn < 0:  # this turn determines the length of a block
+                step_s = 1e-9 * float(np.median(answer["ns"]))
+                lengths[name] = int(np.clip(budget.block_s / max(step_s, 1e-9), 1, budget.block))
             else:
-                spent[name] += time.monotonic() - begin
+                spent[name] += time.monotonic() - start_time
                 times[name] += answer["ns"]
                 busy[name].append(answer["processor_ns"])
                 failed[name] += answer["failed"]
@@ -180,22 +178,22 @@ def _latency_rows(
 def _deviation(
     child: FilterProcess, problem: Problem, states: np.ndarray, nominals: np.ndarray, at: np.ndarray
 ) -> dict[str, Any]:
-    """Largest and median |u − u*|, worst row, and how often u was changed although nothing had to be."""
+    """Return the largest and median |u − u*|, the worst row, and the number of unnecessary changes of u."""
     answer = child.request("answers", at=at.tolist())
-    away, own, worst, idle, touched, none = [], [], [], 0, 0, 0
+    deviations, own, worst, n_safe, n_changed, n_missing = [], [], [], 0, 0, 0
     for k, one in zip(at, answer["answers"], strict=True):
         if one["u"] is None or not np.all(np.isfinite(one["u"])):
-            none += 1
+            n_missing += 1
             continue
         u, u_nom = np.array(one["u"]), nominals[k]
         A, b, _ = barrier_rows(problem, states[k], margin=answer["margin"])
         best = exact_optimum(A, b, *control_bounds(problem, states[k]), u_nom)
-        away.append(float(np.max(np.abs(u - best))))
+        deviations.append(float(np.max(np.abs(u - best))))
         A, b, _ = barrier_rows(problem, states[k])
         worst.append(float(np.max(b - A @ u)))
         if np.max(np.abs(best - u_nom)) < 1e-9:
-            idle += 1
-            touched += bool(np.max(np.abs(u - u_nom)) > CHANGE_TOLERANCE)
+            n_safe += 1
+            n_changed += bool(np.max(np.abs(u - u_nom)) > CHANGE_TOLERANCE)
         if "stated" in one:
             A, b, lower, upper = (np.array(x) for x in one["stated"])
             own.append(float(np.max(np.abs(u - exact_optimum(A.reshape(len(b), -1), b, lower, upper, u_nom)))))
@@ -203,11 +201,11 @@ def _deviation(
         "peer": child.entry.name,
         "n": problem.n_pairs,
         "states": len(at),
-        "no_answer": none,
-        "max": max(away, default=None),
-        "median": float(np.median(away)) if away else None,
+        "no_answer": n_missing,
+        "max": max(deviations, default=None),
+        "median": float(np.median(deviations)) if deviations else None,
         "max_on_own_rows": max(own, default=None),
         "worst_row_violation": max(worst, default=None),
-        "nothing_to_do": idle,
-        "changed_all_the_same": touched,
+        "nothing_to_do": n_safe,
+        "changed_all_the_same": n_changed,
     }

@@ -1,4 +1,4 @@
-"""Render docs/reference/verification/peers.md from a run's figures."""
+"""Render docs/reference/verification/peers.md from the results of a run."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-INTRODUCTION_FILE = Path(__file__).with_name("introduction.md")
+INTRODUCTION_FILE = Path(__file__).with_name("report_introduction.md")
 
 
 LATENCY_TEXT = """## Latency of one step
 
-Median and p99 in µs of time that passed, ratio of medians over `dualbrain` in the same unit. *processor* is the median
-over blocks of the mean processor time of a step [µs]: on a busy machine a step of milliseconds is interrupted and one
-of microseconds is not, so that medians beyond a millisecond, and all p99, overstate what the step costs."""
+Median and p99 of wall time in µs, and ratio of the medians to `dualbrain` in the same unit. *processor* is the median
+over blocks of the mean processor time of a step [µs]. On a busy machine, steps of milliseconds are interrupted and
+steps of microseconds are not; medians above a millisecond, and all p99, therefore overestimate the cost of a step."""
 
 
 def write_report(whole: dict[str, Any], path: Path) -> None:
-    """Write the document of a run to `path`."""
+    """Write the document to `path`."""
     parts = [
         INTRODUCTION_FILE.read_text(),
         _provenance(whole),
@@ -45,18 +45,24 @@ def _provenance(whole: dict[str, Any]) -> str:
     loads = ", ".join(f"{unit['unit']} {unit['load']:.1f}" for unit in units if unit["pairs"])
     return (
         f"*Measured {' to '.join(dates[:1] + dates[1:][-1:])}, revision {', '.join(revisions)}, kernel "
-        f"{', '.join(kernels)}; {units[0]['machine']}. Load average when each size began: {loads}. "
+        f"{', '.join(kernels)}; {units[0]['machine']}. Load average at the start of each size: {loads}. "
         f"Rendered {datetime.now(UTC).date().isoformat()}.*"
     )
 
 
 def _targets(whole: dict[str, Any]) -> str:
     lines = [
-        (bar["bar"], f"{bar['wanted']:g}", f"{bar['reached']:.1f}", "met" if bar["met"] else "**missed**", bar["by"])
-        for bar in whole["bars"]
+        (
+            one["target"],
+            f"{one['required']:g}",
+            f"{one['reached']:.1f}",
+            "met" if one["met"] else "**missed**",
+            one["by"],
+        )
+        for one in whole["targets"]
     ]
-    return "## Bars\n\nSet before measuring; ratios of medians over ours.\n\n" + _markdown_table(
-        ("bar", "wanted", "reached", "", "by"), lines
+    return "## Targets\n\nSet before the measurement; ratios of medians to that of dualbrain.\n\n" + _markdown_table(
+        ("target", "required", "reached", "", "filter"), lines
     )
 
 
@@ -84,7 +90,7 @@ def _latency_tables(whole: dict[str, Any]) -> str:
             f"### {n} {setting}\n\n{unit['pairs']} pairs of a sphere and an obstacle; the exact filter changes "
             f"{100 * unit['changed_share']:.0f} % of the recorded steps.\n\n"
             + _markdown_table(
-                ("contestant", "median", "p99", "processor", "ratio", "rows in QP", "samples", "failed"), lines
+                ("filter", "median", "p99", "processor", "ratio", "rows in QP", "samples", "failed"), lines
             )
         )
     return "\n\n".join(parts)
@@ -94,7 +100,7 @@ def _rows_in_qp(row: dict[str, Any]) -> str:
     evaluated = row["evaluated"]
     text = str(evaluated.get("rows_in_qp", ""))
     if evaluated.get("pairs_wanted", 0) > evaluated.get("pairs", 0):
-        text += f" ({evaluated['pairs']} of {evaluated['pairs_wanted']} pairs: the others are dropped)"
+        text += f" ({evaluated['pairs']} of {evaluated['pairs_wanted']} pairs; the others are dropped)"
     return text
 
 
@@ -105,9 +111,9 @@ def _first_calls(whole: dict[str, Any]) -> str:
     total = {(one["peer"], one["n"]): _seconds(one) for one in found}
     lines = [(peer, *(total.get((peer, n), "") for n in sizes)) for peer in peers]
     return (
-        "## First call\n\nSeconds from the imported library to the first answer: building the filter and, for JAX, "
-        "tracing and compiling (again for every number of rows); in brackets the processor time, as the machine is "
-        "shared.\n\n" + _markdown_table(("contestant", *(f"{n} rows" for n in sizes)), lines)
+        "## First call\n\nProcessor time in seconds from the imported library to the first answer: construction of the "
+        "filter and, for JAX, tracing and compilation, which is repeated for every number of rows. Wall time in "
+        "parentheses.\n\n" + _markdown_table(("filter", *(f"{n} rows" for n in sizes)), lines)
     )
 
 
@@ -130,11 +136,12 @@ def _deviation(whole: dict[str, Any]) -> str:
         for one in whole["deviation"]
     ]
     return (
-        "## Deviation from the exact optimum\n\nLargest and median |u − u\\*|∞ [rad/s] against DAQP in float64 on the "
-        "plain rows (for ours with its margin of 0.21 mm, but without the sampling term of its rows), and on the rows "
-        "that ours itself states. *Row* is the worst b − A u of the plain rows [m/s], negative where all hold. *Idle* "
-        "counts states where u_nom was safe and u moved by more than 1e-4 rad/s all the same.\n\n"
-        + _markdown_table(("contestant", "rows", "max", "median", "max on own rows", "row", "idle", "no answer"), lines)
+        "## Deviation from the exact optimum\n\nLargest and median |u − u\\*|∞ [rad/s] from the solution of DAQP in "
+        "float64 with the plain rows (for dualbrain with its margin of 0.21 mm, but without the sampling term of its "
+        "rows), and with the rows that dualbrain itself states. *row*: largest b − A u of the plain rows [m/s]; "
+        "negative if all rows hold. *idle*: states with a safe u_nom in which u differs from it by more than 1e-4 "
+        "rad/s.\n\n"
+        + _markdown_table(("filter", "rows", "max", "median", "max on own rows", "row", "idle", "no answer"), lines)
     )
 
 
@@ -145,16 +152,17 @@ def _format_small(value: float | None) -> str:
 def _infeasible(whole: dict[str, Any]) -> str:
     cases = {one["case"]: one["what"] for one in whole["infeasible"]}
     peers = list(dict.fromkeys(one["peer"] for one in whole["infeasible"]))
-    by = {(one["peer"], one["case"]): one for one in whole["infeasible"]}
+    by_case = {(one["peer"], one["case"]): one for one in whole["infeasible"]}
     lines = [
-        (peer, *(_describe_answer(by[peer, case]) if (peer, case) in by else "" for case in cases)) for peer in peers
+        (peer, *(_describe_answer(by_case[peer, case]) if (peer, case) in by_case else "" for case in cases))
+        for peer in peers
     ]
     return (
-        "## Where there is no answer\n\n"
-        + "\n".join(f"- *{case}*: {what}." for case, what in cases.items())
-        + "\n\n*silent*: a control came back and nothing says that it is none. Inside an obstacle mink asks only that "
-        "h does not shrink, so that the contradiction has an answer for it.\n\n"
-        + _markdown_table(("contestant", *cases), lines)
+        "## Infeasible problems\n\n"
+        + "\n".join(f"- *{case}*: {description}." for case, description in cases.items())
+        + "\n\n*silent*: the filter returns a control and reports no failure. Inside an obstacle, mink requires only "
+        "that h does not decrease, so the contradiction has a solution for it.\n\n"
+        + _markdown_table(("filter", *cases), lines)
     )
 
 
@@ -163,10 +171,10 @@ def _describe_answer(one: dict[str, Any]) -> str:
         return one["said"]
     if not one["finite"]:
         return f"{one['said']}: u is NaN"
-    what = "u is the nominal" if one["is_nominal"] else f"max u {one['u_max']:.2g}"
+    answer = "u = u_nom" if one["is_nominal"] else f"max u {one['u_max']:.2g}"
     if not one["within_v_max"]:
-        what += " **beyond v_max**"
-    return f"{one['said']}: {what}"
+        answer += " **above v_max**"
+    return f"{one['said']}: {answer}"
 
 
 def _clearance(whole: dict[str, Any]) -> str:
@@ -184,13 +192,14 @@ def _clearance(whole: dict[str, Any]) -> str:
     ]
     steps = whole["clearance"][0]["steps"]
     return (
-        "## Clearance under acceleration limits\n\nA plant that follows commands as far as Panda's a_max allows (no "
-        f"lag, no noise), 50 rows, {steps} steps of 1 ms, a nominal at full speed toward one of the nearest obstacles, "
-        "changed every 150 ms; each contestant in its own loop from the same start and seeds. Least true h in mm: "
-        "negative is penetration. Ours knows the limits; peers get α = min a/v, with which a velocity-level filter can "
-        "nearly be followed, and α = 10, the value of oscbf's examples. A missing answer brakes. *Followed*: share of "
-        "commands that the plant could follow.\n\n"
-        + _markdown_table(("contestant", "α [1/s]", "least h [mm]", "no answer", "followed"), lines)
+        "## Clearance under acceleration limits\n\nThe plant follows commands within the a_max of the Panda (no lag, "
+        f"no noise). 50 rows, {steps} steps of 1 ms; the nominal control moves at full speed toward one of the nearest "
+        "obstacles and changes every 150 ms. Each filter runs in its own loop with the same start and seeds. The table "
+        "holds the smallest true h in mm; negative values are penetrations. dualbrain knows the limits. The peers run "
+        "with α = min a/v, at which the plant can nearly follow a velocity-level filter, and α = 10, the value of the "
+        "examples of oscbf. If a filter gives no answer, the plant brakes. *followed*: share of commands that the "
+        "plant could follow.\n\n"
+        + _markdown_table(("filter", "α [1/s]", "smallest h [mm]", "no answer", "followed"), lines)
     )
 
 
@@ -198,8 +207,8 @@ def _unavailable(whole: dict[str, Any]) -> str:
     if not whole["refused"]:
         return ""
     lines = [(one["peer"], one["setting"], one["n"], one["why"]) for one in whole["refused"]]
-    why = "Where no answer came in time, this machine was busy; it says nothing else about the contestant."
-    return f"## Who did not take part\n\n{why}\n\n" + _markdown_table(("contestant", "setting", "n", "why"), lines)
+    note = "A timeout only shows that the machine was busy; it is no property of the filter."
+    return f"## Filters that did not run\n\n{note}\n\n" + _markdown_table(("filter", "setting", "n", "reason"), lines)
 
 
 def _versions(whole: dict[str, Any]) -> str:
@@ -207,4 +216,4 @@ def _versions(whole: dict[str, Any]) -> str:
         (peer, ", ".join(f"{name} {version}" for name, version in found.items()))
         for peer, found in whole["versions"].items()
     ]
-    return "## Versions\n\n" + _markdown_table(("contestant", "versions"), lines)
+    return "## Versions\n\n" + _markdown_table(("filter", "versions"), lines)

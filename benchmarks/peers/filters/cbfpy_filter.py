@@ -1,8 +1,8 @@
-"""cbfpy: barriers written in jax.numpy over three kinds of kinematics, its QP by qpax (relaxed or hard) or elastiqp.
+"""cbfpy: barriers in jax.numpy over three kinds of kinematics; QP solved by qpax (relaxed or hard) or elastiqp.
 
-What it evaluates: all pairs, none left out, and 14 joint-limit rows (h = q − q_lower, q_upper − q) as oscbf has them;
-|u| ≤ v_max is its control limit. No certificate, no acceleration box, no self pairs. P, q: its own, ‖u − u_des‖².
-The first call traces and compiles. Single-threaded in float64, as its documentation recommends.
+Rows: all pairs, and 14 joint-limit rows (h = q − q_lower, q_upper − q) as in oscbf; |u| ≤ v_max is the control limit.
+No certificate, no acceleration limits, no self-collision pairs. Cost: ‖u − u_des‖². The first call traces and
+compiles. Single-threaded in float64, as its documentation recommends.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ VERSIONS = ("cbfpy", "jax", "jaxlib", "qpax", "elastiqp", "frax", "oscbf", "nump
 
 
 class Filter:
-    """One `CBF`; `kinematics` is "frax", "oscbf" or "plain" (the chain written out), `backend` as in cbfpy."""
+    """A `cbfpy.CBF`; `kinematics`: "frax", "oscbf" or "plain" (explicit chain); `backend` as in cbfpy."""
 
     margin = 0.0
 
@@ -49,23 +49,23 @@ class Filter:
         self.rows = problem.n_pairs + 4 * problem.n
 
     def step(self, q: np.ndarray, u_nom: np.ndarray, v: np.ndarray | None = None) -> np.ndarray:
-        """The filtered control, waited for and back in numpy."""
+        """Return the filtered control as a numpy array, after its computation."""
         del v
         return np.asarray(self.cbf.safety_filter(q, u_nom))
 
     def step_statistics(self) -> dict[str, object]:
-        """What a step looks at."""
+        """Return the number of rows of a step."""
         return {"rows_in_qp": self.rows}
 
     def reported_status(self) -> None:
-        """`safety_filter` returns u and nothing else."""
+        """Report no status: `safety_filter` returns only u."""
 
     def reset(self) -> None:
-        """Nothing is remembered."""
+        """Do nothing: the filter has no state."""
 
 
 def make_config(problem: Problem, sphere_centres, order: np.ndarray, gain: float, options: dict[str, Any]):
-    """A `CBFConfig` for q̇ = u with all barriers of the problem."""
+    """Return a `CBFConfig` for q̇ = u with all barriers of the problem."""
     radius = problem.sphere_radius[order]
     n, q_lower, q_upper = problem.n, problem.q_lower, problem.q_upper
 
@@ -91,16 +91,16 @@ def make_config(problem: Problem, sphere_centres, order: np.ndarray, gain: float
 
 
 def distance(problem: Problem, points):
-    """From points (k, 3) to every obstacle (k, m); spheres alone need no rotation."""
-    away = points[:, None, :] - problem.position[None]
+    """Return distances (k, m) from points (k, 3) to every obstacle [m]."""
+    offset = points[:, None, :] - problem.position[None]
     if np.any(problem.half != 0.0):
-        local = jnp.einsum("mji,kmj->kmi", problem.rotation, away)
-        away = local - jnp.clip(local, -problem.half, problem.half)
-    return jnp.sqrt(jnp.sum(away * away, axis=2) + 1e-18) - problem.radius
+        local = jnp.einsum("mji,kmj->kmi", problem.rotation, offset)
+        offset = local - jnp.clip(local, -problem.half, problem.half)
+    return jnp.sqrt(jnp.sum(offset * offset, axis=2) + 1e-18) - problem.radius
 
 
 def plain_kinematics(problem: Problem):
-    """The chain written out joint by joint, constants folded in."""
+    """Return kinematics written joint by joint with constant transforms."""
     order = np.argsort(problem.sphere_frame[problem.sphere_frame > 0], kind="stable")
     order = np.flatnonzero(problem.sphere_frame > 0)[order]
     by_frame = [problem.sphere_centre[order][problem.sphere_frame[order] == k + 1] for k in range(problem.n)]
@@ -121,7 +121,7 @@ def plain_kinematics(problem: Problem):
 
 
 def spheres_per_link(problem: Problem) -> tuple[tuple, tuple, np.ndarray]:
-    """Sphere positions and radii by link, and their order in the problem."""
+    """Return sphere positions and radii by link, and their order in the problem."""
     groups = [np.flatnonzero(problem.sphere_frame == k + 1) for k in range(problem.n)]
     positions = tuple(tuple(tuple(map(float, problem.sphere_centre[i])) for i in group) for group in groups)
     radii = tuple(tuple(float(problem.sphere_radius[i]) for i in group) for group in groups)
@@ -129,7 +129,7 @@ def spheres_per_link(problem: Problem) -> tuple[tuple, tuple, np.ndarray]:
 
 
 def frax_kinematics(problem: Problem):
-    """Frax's manipulator from a URDF of our chain with our spheres."""
+    """Return the kinematics of a frax manipulator from a URDF of the chain, with the spheres of the problem."""
     from frax.core.manipulator import Manipulator  # noqa: PLC0415
 
     positions, radii, order = spheres_per_link(problem)
@@ -148,7 +148,7 @@ def frax_kinematics(problem: Problem):
 
 
 def oscbf_kinematics(problem: Problem):
-    """Oscbf's manipulator from the same URDF with our spheres."""
+    """Return the kinematics of an oscbf manipulator from the same URDF, with the spheres of the problem."""
     from oscbf.core.manipulator import Manipulator  # noqa: PLC0415
 
     positions, radii, order = spheres_per_link(problem)
@@ -162,7 +162,7 @@ KINEMATICS = {"plain": plain_kinematics, "frax": frax_kinematics, "oscbf": oscbf
 
 
 def write_urdf(problem: Problem) -> Path:
-    """The chain alone, with unit inertias that kinematics does not look at."""
+    """Write a URDF of the chain, with unit inertias (kinematics does not use them)."""
     inertia = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
     parts = [f'<link name="link{k}">{inertia}</link>' for k in range(problem.n + 1)]
     for k in range(problem.n):
@@ -179,7 +179,7 @@ def write_urdf(problem: Problem) -> Path:
 
 
 def roll_pitch_yaw(R: np.ndarray) -> tuple[float, float, float]:
-    """Fixed-axis angles of a rotation (3, 3), R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Return the fixed-axis angles [rad] of a rotation (3, 3), R = Rz(yaw) Ry(pitch) Rx(roll)."""
     return (
         float(np.arctan2(R[2, 1], R[2, 2])),
         float(np.arcsin(np.clip(-R[2, 0], -1.0, 1.0))),

@@ -1,7 +1,7 @@
-"""Ours: `SafetyFilter` called from Python, certificate on; and the same step timed inside C.
+"""dualbrain: `SafetyFilter` called from Python with its certificate, and the same step timed in C.
 
-On the thin arm: cost ‖u − u_nom‖², no acceleration box and no tracking error, as no peer has them; margins, sampling
-term, joint limits, the independent check of u and the certificate stay on. On the whole arm: as shipped.
+On the thin arm: cost ‖u − u_nom‖² without acceleration limits and tracking error, because no peer has them; margins,
+sampling term, joint limits, the independent check of u and the certificate are on. On the whole arm: the defaults.
 """
 
 from __future__ import annotations
@@ -21,7 +21,10 @@ VERSIONS = ("dualbrain", "numpy")
 
 
 class Filter:
-    """`SafetyFilter` on a problem; `how` is "call" (arrays in), "state" (a RobotState in) or "c" (a loop in C)."""
+    """`SafetyFilter` on a problem; `how`: "call" (with arrays), "state" (with a RobotState) or "c" (loop in C).
+
+    Raises `ConfigurationError` if the problem has more obstacles than the kernel allows.
+    """
 
     def __init__(self, problem: Problem, *, how: str = "call", limited: bool = False) -> None:
         if len(problem.kind) > _kernel.max_obstacles:
@@ -39,12 +42,12 @@ class Filter:
         self.call_mode = how
 
     def step(self, q: np.ndarray, u_nom: np.ndarray, v: np.ndarray | None = None) -> np.ndarray:
-        """The control at q [rad] and v [rad/s], else at rest, for the nominal one [rad/s]: (n,) each."""
-        self.last_result = answer = self.filter(q, self._zero_velocity if v is None else v, u_nom)
-        return answer.u
+        """Return the control at q [rad] and v [rad/s] (zero if None) for the nominal control [rad/s]; all (n,)."""
+        self.last_result = result = self.filter(q, self._zero_velocity if v is None else v, u_nom)
+        return result.u
 
     def block(self, states: np.ndarray, nominals: np.ndarray, clock) -> list[int]:
-        """Times [ns] of the calls of a block as a controller makes them, or their mean in C."""
+        """Return the times of the calls of a block [ns], or their mean in C."""
         if self.call_mode == "c":
             mean = self.filter._kernel.time_steps(np.ascontiguousarray(states), np.ascontiguousarray(nominals), False)
             return [round(1e9 * mean)]
@@ -56,32 +59,32 @@ class Filter:
             ]
             filtered = self.filter.filter
             for state, u_nom in zip(prepared, nominals, strict=True):
-                begin = clock()
+                start = clock()
                 filtered(state, u_nom, 0.0)
-                times.append(clock() - begin)
+                times.append(clock() - start)
             return times
-        safety, still = self.filter, self._zero_velocity
+        safety, v = self.filter, self._zero_velocity
         for q, u_nom in zip(states, nominals, strict=True):
-            begin = clock()
-            safety(q, still, u_nom)
-            times.append(clock() - begin)
+            start = clock()
+            safety(q, v, u_nom)
+            times.append(clock() - start)
         return times
 
     def step_statistics(self) -> dict[str, object]:
-        """What the last step looked at."""
+        """Return the number of QP rows and the certificate of the last step."""
         if self.last_result is None:
             return {}
         return {"rows_in_qp": self.last_result.n_rows, "certified": self.last_result.certified}
 
     def stated_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """A, b, lower, upper of the last step, as the filter itself states them."""
+        """Return A, b, lower and upper of the last step, as stated by the filter."""
         rows = self.filter.rows()
         lower, upper = self.filter._kernel.box()
         A = np.array([row.a for row in rows], float).reshape(len(rows), len(lower))
         return A, np.array([row.b for row in rows], float), np.array(lower), np.array(upper)
 
     def reported_status(self) -> str | None:
-        """What the answer says about itself."""
+        """Return status and reason of the last result, None before the first step."""
         if self.last_result is None:
             return None
         reason = self.last_result.reason.name
@@ -90,7 +93,7 @@ class Filter:
         )
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Reset the state of the filter."""
         self.filter.reset()
 
 
@@ -106,7 +109,10 @@ def _obstacle(problem: Problem, i: int) -> Obstacle:
 
 
 def quaternion(R: np.ndarray) -> tuple[float, float, float, float]:
-    """(w, x, y, z) of a rotation (3, 3): the eigenvector of the largest eigenvalue of Bar-Itzhack's matrix."""
+    """Return the quaternion (w, x, y, z) of a rotation (3, 3) by the method of Bar-Itzhack.
+
+    It is the eigenvector of the largest eigenvalue of his matrix K.
+    """
     K = np.array(
         [
             [R[0, 0] + R[1, 1] + R[2, 2], R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]],

@@ -1,4 +1,4 @@
-"""A contestant for tests: clips u_nom to the box, as slowly as asked."""
+"""A filter for tests: clips u_nom to the box, after a delay."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ VERSIONS = ("numpy",)
 
 
 class Filter:
-    """Knows nothing of obstacles; `nap` [s] is slept in every step."""
+    """Ignores obstacles; sleeps for `delay` [s] in every step."""
 
     margin = 0.0
 
     def __init__(
-        self, problem: Problem, *, nap: float = 0.0, alpha: float | None = None, limited: bool = False
+        self, problem: Problem, *, delay: float = 0.0, alpha: float | None = None, limited: bool = False
     ) -> None:
         del alpha, limited
-        self.problem, self.nap = problem, nap
+        self.problem, self.delay = problem, delay
 
     def step(self, q: np.ndarray, u_nom: np.ndarray, v: np.ndarray | None = None) -> np.ndarray:
-        """The nominal within the box."""
+        """Return the nominal control, clipped to the box."""
         del v
-        if self.nap:
-            time.sleep(self.nap)
+        if self.delay:
+            time.sleep(self.delay)
         return np.clip(u_nom, *control_bounds(self.problem, q))
 
     def step_statistics(self) -> dict[str, object]:
-        """What a step looks at."""
+        """Return the number of rows of a step."""
         return {"rows_in_qp": 0}
 
     def reported_status(self) -> None:
-        """Says nothing."""
+        """Report no status."""
 
     def reset(self) -> None:
-        """Nothing is remembered."""
+        """Do nothing: the filter has no state."""

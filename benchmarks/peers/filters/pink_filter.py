@@ -1,9 +1,9 @@
 """pink: `SelfCollisionBarrier` between the arm's spheres and the obstacles, solved by DAQP through `solve_ik`.
 
-What it evaluates: all pairs by coal, rows built one by one in Python; `closest` keeps the nearest ones only. Joint and
-velocity limits are its own. Gain: ∂h/∂q q̇ ≥ −gain h, so gain = α; the joint limit's gain counts per step, so α dt. The
-nominal enters as a posture target q + u_nom dt (its JointVelocityTask of 4.4.0 tracks minus its target), and the safe-
-displacement cost is off, which would move u where no row is active.
+Rows: all pairs by coal, built one by one in Python; `closest` keeps only the nearest ones. Joint and velocity limits
+are those of pink. Gain: ∂h/∂q q̇ ≥ −gain h, so gain = α; the gain of the joint limits counts per step, so α dt. The
+nominal control enters as a posture target q + u_nom dt (JointVelocityTask of 4.4.0 tracks the negative of its target).
+The cost of the safe displacement is off, because it would change u in states without an active row.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Filter:
         self.n_pairs = problem.n_pairs
 
     def step(self, q: np.ndarray, u_nom: np.ndarray, v: np.ndarray | None = None) -> np.ndarray:
-        """The velocity that `solve_ik` returns."""
+        """Return the velocity that `solve_ik` computes."""
         del v
         self.configuration.update(q)
         self.task.set_target(q + self.dt * u_nom)
@@ -69,18 +69,18 @@ class Filter:
         )
 
     def step_statistics(self) -> dict[str, object]:
-        """What a step looks at."""
+        """Return the numbers of pairs and rows of a step."""
         return {"pairs": self.n_pairs, "rows_in_qp": self.n_pairs_in_qp + 4 * len(self.configuration.q)}
 
     def reported_status(self) -> None:
-        """An answer is an answer; failures are exceptions."""
+        """Report no status: failures are exceptions."""
 
     def reset(self) -> None:
-        """Nothing is remembered."""
+        """Do nothing: the filter has no state."""
 
 
 def build_arm(problem: Problem) -> tuple[pin.Model, pin.GeometryModel]:
-    """The chain, its spheres and the obstacles, one collision pair for each moving sphere and obstacle."""
+    """Return models of the chain and of all geometries, with a collision pair per moving sphere and obstacle."""
     model = pin.Model()
     parent = 0
     for k in range(problem.n):
@@ -110,16 +110,16 @@ def build_arm(problem: Problem) -> tuple[pin.Model, pin.GeometryModel]:
     ]
     for i in range(len(problem.kind)):
         placement = pin.SE3(problem.rotation[i], problem.position[i])
-        thing = geometry.addGeometryObject(
+        obstacle = geometry.addGeometryObject(
             pin.GeometryObject(f"obstacle{i}", 0, 0, placement, collision_shape(problem, i))
         )
         for sphere in spheres:
-            geometry.addCollisionPair(pin.CollisionPair(sphere, thing))
+            geometry.addCollisionPair(pin.CollisionPair(sphere, obstacle))
     return model, geometry
 
 
 def collision_shape(problem: Problem, i: int) -> coal.CollisionGeometry:
-    """Obstacle `i` as coal has it; all three kinds are exact there."""
+    """Return obstacle `i` as a coal geometry; all three kinds are exact."""
     radius, half = float(problem.radius[i]), problem.half[i]
     if problem.kind[i] == CAPSULE:
         return coal.Capsule(radius, 2.0 * float(half[2]))

@@ -1,0 +1,1 @@
+"""The common filter problem, its scenes, an adversarial nominal control and the exact optimum."""

@@ -1,4 +1,4 @@
-"""A nominal that wants to collide, and the closed loop under acceleration limits in which every contestant meets it."""
+"""An adversarial nominal control, and a closed loop with acceleration limits for all filters."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ Step = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 def adversarial_nominal(
     problem: Problem, A: np.ndarray, h: np.ndarray, rng: np.random.Generator, *, toward: float, slowest: float
 ) -> np.ndarray:
-    """`slowest` to all of full speed, with probability `toward` down the gradient of one of the five smallest h."""
+    """Return a nominal control at a random speed between `slowest` and 1, relative to v_max.
+
+    With probability `toward` it decreases one of the five smallest h, otherwise its direction is random.
+    """
     corner = rng.choice([-1.0, 1.0], problem.n) * problem.v_max
     speed = rng.uniform(slowest, 1.0)
     if len(h) == 0 or rng.random() >= toward:
@@ -29,11 +32,11 @@ def closed_loop(
 ) -> dict[str, object]:
     """Drive the plant v⁺ = clip(u, v ± a_max dt), q⁺ = q + dt v⁺ with `step` in the loop.
 
-    Where a contestant raises or returns something that is not finite, the plant brakes: what a careful user would do.
+    If the filter raises or returns a control that is not finite, the plant brakes.
     """
     rng = np.random.default_rng(seed)
     q, v, u_nom = problem.home.copy(), np.zeros(problem.n), np.zeros(problem.n)
-    least, failed, followed, flags = np.inf, 0, 0, Counter()
+    h_min, failed, followed, flags = np.inf, 0, 0, Counter()
     change = problem.a_max * problem.period
     for k in range(steps):
         if k % hold == 0:
@@ -41,22 +44,22 @@ def closed_loop(
             u_nom = adversarial_nominal(problem, A, h, rng, toward=0.8, slowest=1.0)
         try:
             u = np.asarray(step(q, u_nom, v), float)
-        except Exception as error:  # whatever a peer raises is counted, and the loop goes on
+        except Exception as error:  # exceptions of a filter are counted, and the loop continues
             u = np.full(problem.n, np.nan)
             flags[type(error).__name__] += 1
-        word = flag()
-        if word is not None:
-            flags[word] += 1
+        status = flag()
+        if status is not None:
+            flags[status] += 1
         finite = bool(np.all(np.isfinite(u)))
         failed += not finite
-        wanted = u if finite else np.zeros(problem.n)
-        moved = np.clip(wanted, v - change, v + change)
-        followed += bool(np.max(np.abs(moved - wanted)) < 1e-6)
-        v = moved
+        command = u if finite else np.zeros(problem.n)
+        velocity = np.clip(command, v - change, v + change)
+        followed += bool(np.max(np.abs(velocity - command)) < 1e-6)
+        v = velocity
         q = q + problem.period * v
-        least = min(least, float(np.min(clearances(problem, q))))
+        h_min = min(h_min, float(np.min(clearances(problem, q))))
     return {
-        "h_min": least,
+        "h_min": h_min,
         "steps": steps,
         "failed": failed,
         "followed_share": followed / steps,

@@ -1,7 +1,7 @@
-"""One problem for everybody: an arm of revolute joints covered by spheres, among obstacles. Needs numpy only.
+"""The common problem: an arm of revolute joints covered by spheres, among obstacles. Requires only numpy.
 
-This file is read by every contestant's process, whatever its environment, and is also the reference in float64:
-rows of the plain control barrier function, n'J_s u ≥ −α (h − margin), and the box |u| ≤ v_max,
+The process of every filter imports this file, whatever its environment. It is also the reference in float64: rows of
+the plain control barrier function, n'J_s u ≥ −α (h − margin), and the box |u| ≤ v_max,
 −α (q − q_lower) ≤ u ≤ α (q_upper − q).
 """
 
@@ -19,9 +19,10 @@ SPHERE, CAPSULE, BOX = 0, 1, 2
 class Problem:
     """Geometry and limits; lengths in m, angles in rad. Frame 0 is the base, frame i follows joint i.
 
-    `joint_rotation` (n, 3, 3) and `joint_offset` (n, 3): parent to joint at q = 0, the joint turns about its own z.
+    `joint_rotation` (n, 3, 3) and `joint_offset` (n, 3): parent to joint at q = 0; the joint axis is its own z axis.
     Spheres: `sphere_frame` (k,), `sphere_centre` (k, 3) in that frame, `sphere_radius` (k,). Obstacles: `kind` (m,),
-    `position` (m, 3), `rotation` (m, 3, 3), `half` (m, 3), `radius` (m,); a capsule lies along its z with half[2].
+    `position` (m, 3), `rotation` (m, 3, 3), `half` (m, 3), `radius` (m,); the axis of a capsule is its z axis with
+    half length half[2].
     """
 
     joint_rotation: np.ndarray
@@ -45,21 +46,21 @@ class Problem:
 
     @property
     def n(self) -> int:
-        """Joints."""
+        """Number of joints."""
         return len(self.joint_offset)
 
     @property
     def n_pairs(self) -> int:
-        """Pairs of a moving sphere and an obstacle."""
+        """Number of pairs of a moving sphere and an obstacle."""
         return int(np.count_nonzero(self.sphere_frame)) * len(self.kind)
 
     def save(self, path: str) -> None:
-        """Write everything to one .npz file."""
+        """Write the problem to a .npz file."""
         np.savez(path, **asdict(self))
 
 
 def load(path: str) -> Problem:
-    """The problem at `path`."""
+    """Read the problem from the .npz file `path`."""
     with np.load(path) as data:
         values: dict[str, Any] = {name: data[name] for name in data.files}
     for name in ("alpha", "period"):
@@ -68,7 +69,7 @@ def load(path: str) -> Problem:
 
 
 def frames(problem: Problem, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations (n + 1, 3, 3) and origins (n + 1, 3) of all frames at joint angles q (n,)."""
+    """Return rotations (n + 1, 3, 3) and origins (n + 1, 3) of all frames at joint angles q (n,)."""
     R, p = np.eye(3), np.zeros(3)
     rotations, origins = [R], [p]
     for k in range(problem.n):
@@ -81,14 +82,14 @@ def frames(problem: Problem, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def centres(problem: Problem, q: np.ndarray) -> np.ndarray:
-    """Sphere centres (k, 3)."""
+    """Return sphere centres (k, 3) [m]."""
     rotations, origins = frames(problem, q)
     at = problem.sphere_frame
     return origins[at] + np.einsum("kij,kj->ki", rotations[at], problem.sphere_centre)
 
 
 def jacobians(problem: Problem, q: np.ndarray) -> np.ndarray:
-    """Of the sphere centres, (k, 3, n)."""
+    """Return the Jacobians of the sphere centres (k, 3, n)."""
     rotations, origins = frames(problem, q)
     lever = centres(problem, q)[:, None, :] - origins[None, 1:, :]
     columns = np.cross(rotations[None, 1:, :, 2], lever)
@@ -97,22 +98,22 @@ def jacobians(problem: Problem, q: np.ndarray) -> np.ndarray:
 
 
 def distances(problem: Problem, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """From points (k, 3) to every obstacle's surface (k, m) with outward normals (k, m, 3); exact for all kinds."""
+    """Return exact distances (k, m) from points (k, 3) to all obstacle surfaces [m], and outward normals (k, m, 3)."""
     local = np.einsum("mji,kmj->kmi", problem.rotation, points[:, None, :] - problem.position[None])
     core = np.clip(local, -problem.half, problem.half)
-    away = local - core
-    size = np.linalg.norm(away, axis=2)
+    offset = local - core
+    size = np.linalg.norm(offset, axis=2)
     inside = problem.half - np.abs(local)
     face = np.argmin(inside, axis=2)
     out = np.eye(3)[face] * np.where(local >= 0.0, 1.0, -1.0)
     buried = size < 1e-12
     d = np.where(buried, -np.min(inside, axis=2), size) - problem.radius
-    normal = np.where(buried[..., None], out, away / np.maximum(size, 1e-12)[..., None])
+    normal = np.where(buried[..., None], out, offset / np.maximum(size, 1e-12)[..., None])
     return d, np.einsum("mij,kmj->kmi", problem.rotation, normal)
 
 
 def clearances(problem: Problem, q: np.ndarray) -> np.ndarray:
-    """H of every moving sphere against every obstacle, (moving spheres, m)."""
+    """Return h of every moving sphere and obstacle (moving spheres, m) [m]."""
     moving = problem.sphere_frame > 0
     return distances(problem, centres(problem, q)[moving])[0] - problem.sphere_radius[moving, None]
 
@@ -120,7 +121,7 @@ def clearances(problem: Problem, q: np.ndarray) -> np.ndarray:
 def barrier_rows(
     problem: Problem, q: np.ndarray, *, margin: float = 0.0, near: float = np.inf
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A (rows, n), b (rows,) and h (rows,) of all pairs with h < `near`."""
+    """Return A (rows, n), b (rows,) and h (rows,) of all pairs with h < `near` [m]."""
     moving = problem.sphere_frame > 0
     d, normal = distances(problem, centres(problem, q)[moving])
     h = d - problem.sphere_radius[moving, None]
@@ -130,7 +131,7 @@ def barrier_rows(
 
 
 def control_bounds(problem: Problem, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Velocity limits, and joint limits approached no faster than α times the distance."""
+    """Return lower and upper controls (n,): velocity limits, and at most α times the distance to a joint limit."""
     lower = np.maximum(-problem.v_max, -problem.alpha * (q - problem.q_lower))
     upper = np.minimum(problem.v_max, problem.alpha * (problem.q_upper - q))
     return lower, upper

@@ -1,4 +1,4 @@
-"""The exact optimum in float64, by two solvers that nobody else here shares code with: DAQP, checked against PIQP."""
+"""The exact optimum in float64 by two independent solvers: DAQP, checked against PIQP."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ UNBOUNDED = 1e30
 
 
 def exact_optimum(A: np.ndarray, b: np.ndarray, lower: np.ndarray, upper: np.ndarray, u_nom: np.ndarray) -> np.ndarray:
-    """The u of min ½‖u − u_nom‖² s.t. A u ≥ b, lower ≤ u ≤ upper; NaN where there is none."""
+    """Return u (n,) of min ½‖u − u_nom‖² s.t. A u ≥ b, lower ≤ u ≤ upper by DAQP; NaN if infeasible."""
     n = len(u_nom)
     above = np.concatenate([upper, np.full(len(b), UNBOUNDED)])
     below = np.concatenate([lower, b])
@@ -18,7 +18,7 @@ def exact_optimum(A: np.ndarray, b: np.ndarray, lower: np.ndarray, upper: np.nda
 
 
 def piqp_optimum(A: np.ndarray, b: np.ndarray, lower: np.ndarray, upper: np.ndarray, u_nom: np.ndarray) -> np.ndarray:
-    """The same by PIQP, an interior-point method."""
+    """Return the same optimum by PIQP, an interior-point method."""
     import piqp  # noqa: PLC0415
 
     solver = piqp.DenseSolver()

@@ -1,4 +1,4 @@
-"""The two settings: many rows on a thin arm, many primitives around the whole arm; and the states to be timed on."""
+"""The two settings (many rows on a thin arm, many primitives around the whole arm), and the recorded states."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from dualbrain.robots.model import RobotModel
 ROW_COUNTS = (10, 50, 100, 400)
 PRIMITIVE_COUNTS = (10, 100, 400)
 THIN_ARM_LINKS = ("link3", "link4", "link5", "link6", "hand")
-"""Two spheres of each of these links make the thin arm: 10 spheres, N/10 ball obstacles, N rows."""
+"""Links of the thin arm, with two spheres each: 10 robot spheres, N/10 spherical obstacles, N rows."""
 CLEARANCE = {"rows": (0.03, 0.2), "primitives": (0.03, 0.6)}
-"""[m] of every obstacle from the arm at home: near enough that the rows matter."""
+"""Smallest and largest distance of an obstacle from the arm at home [m], small enough for active rows."""
 RECORD_MARGIN = 1e-3
-"""States are recorded a little farther out than any contestant's own margin, so that nobody starts in recovery."""
+"""Margin of the recorded states [m]; larger than the margin of any filter, so that none starts in recovery."""
 
 
 def thin_body() -> RobotModel:
-    """The Panda with ten spheres and no self pairs, so that its rows are obstacle rows only."""
-    import msgspec  # noqa: PLC0415  # peers read this package without it
+    """Return the Panda with ten spheres and no self-collision pairs, so that all rows are obstacle rows."""
+    import msgspec  # noqa: PLC0415
 
     robot_model = load_robot("panda")
     chosen = [s for link in THIN_ARM_LINKS for s in [s for s in robot_model.spheres if s.link == link][:2]]
@@ -42,28 +42,28 @@ def thin_body() -> RobotModel:
 
 
 def rows_problem(n: int, seed: int = 0) -> Problem:
-    """`n` rows: ten spheres against n/10 balls of 4 cm, placed near the arm."""
+    """Return a problem with `n` rows: ten robot spheres and n/10 spherical obstacles of radius 4 cm near the arm."""
     empty = arm_problem(thin_body(), whole=False)
     rng = np.random.default_rng(seed)
     return with_obstacles(empty, place_obstacles(empty, rng, n // len(empty.sphere_frame), "rows", (SPHERE,)))
 
 
 def primitives_problem(n: int, seed: int = 0) -> Problem:
-    """`n` balls, capsules and boxes in turn, against all spheres of the body."""
+    """Return a problem with all robot spheres and `n` obstacles: spheres, capsules and boxes in turn."""
     empty = arm_problem(load_robot("panda"), whole=True)
-    things = place_obstacles(empty, np.random.default_rng(seed), n, "primitives", (SPHERE, CAPSULE, BOX))
-    return with_obstacles(empty, things)
+    obstacles = place_obstacles(empty, np.random.default_rng(seed), n, "primitives", (SPHERE, CAPSULE, BOX))
+    return with_obstacles(empty, obstacles)
 
 
 def arm_problem(robot_model: RobotModel, *, whole: bool) -> Problem:
-    """The body's chain, limits and spheres without obstacles; fingers closed."""
+    """Return chain, limits and spheres of a robot with closed fingers, without obstacles."""
     frame, centre, radius = [], [], []
     for link in robot_model.links:
-        turn, shift = quaternion_to_matrix(link.quaternion), np.array(link.translation)
+        rotation, translation = quaternion_to_matrix(link.quaternion), np.array(link.translation)
         for sphere in robot_model.spheres:
             if sphere.link == link.name:
                 frame.append(link.frame)
-                centre.append(shift + turn @ np.array(sphere.centre))
+                centre.append(translation + rotation @ np.array(sphere.centre))
                 radius.append(sphere.radius)
     joints = robot_model.joints
     return Problem(
@@ -94,33 +94,33 @@ ObstacleList = list[tuple[int, np.ndarray, np.ndarray, np.ndarray, float]]
 def place_obstacles(
     problem: Problem, rng: np.random.Generator, count: int, setting: str, kinds: tuple[int, ...]
 ) -> ObstacleList:
-    """`count` things around the arm at home, each within the setting's `CLEARANCE` of it, kinds in turn."""
-    body, (least, most) = centres(problem, problem.home), CLEARANCE[setting]
-    things: ObstacleList = []
-    while len(things) < count:
-        kind = kinds[len(things) % len(kinds)]
+    """Return `count` obstacles of the `kinds` in turn, at distances within CLEARANCE of the arm at home."""
+    sphere_centres, (lowest, highest) = centres(problem, problem.home), CLEARANCE[setting]
+    obstacles: ObstacleList = []
+    while len(obstacles) < count:
+        kind = kinds[len(obstacles) % len(kinds)]
         position = rng.uniform([0.1, -0.6, 0.05], [0.85, 0.6, 1.0])
         if kind == SPHERE:
-            thing = (kind, position, np.eye(3), np.zeros(3), 0.04)
+            obstacle = (kind, position, np.eye(3), np.zeros(3), 0.04)
         elif kind == CAPSULE:
-            thing = (kind, position, random_rotation(rng), np.array([0.0, 0.0, 0.06]), 0.025)
+            obstacle = (kind, position, random_rotation(rng), np.array([0.0, 0.0, 0.06]), 0.025)
         else:
-            thing = (kind, position, random_rotation(rng), rng.uniform(0.02, 0.05, 3), 0.0)
-        d, _ = distances(with_obstacles(problem, [thing]), body)
-        if least < np.min(d[:, 0] - problem.sphere_radius) < most:
-            things.append(thing)
-    return things
+            obstacle = (kind, position, random_rotation(rng), rng.uniform(0.02, 0.05, 3), 0.0)
+        d, _ = distances(with_obstacles(problem, [obstacle]), sphere_centres)
+        if lowest < np.min(d[:, 0] - problem.sphere_radius) < highest:
+            obstacles.append(obstacle)
+    return obstacles
 
 
 def random_rotation(rng: np.random.Generator) -> np.ndarray:
-    """A random rotation (3, 3)."""
-    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    return turn if np.linalg.det(turn) > 0.0 else -turn
+    """Return a random rotation (3, 3)."""
+    matrix, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    return matrix if np.linalg.det(matrix) > 0.0 else -matrix
 
 
-def with_obstacles(problem: Problem, things: ObstacleList) -> Problem:
-    """The same arm among `things`."""
-    kind, position, rotation, half, radius = zip(*things, strict=True)
+def with_obstacles(problem: Problem, obstacles: ObstacleList) -> Problem:
+    """Return the same arm among `obstacles`."""
+    kind, position, rotation, half, radius = zip(*obstacles, strict=True)
     return dataclasses.replace(
         problem,
         kind=np.array(kind),
@@ -132,11 +132,13 @@ def with_obstacles(problem: Problem, things: ObstacleList) -> Problem:
 
 
 def record_states(problem: Problem, steps: int, seed: int = 0, hold: int = 40) -> tuple[np.ndarray, np.ndarray, float]:
-    """States (steps, n) and nominals of a closed loop under the exact filter, and the share of steps it changed.
+    """Run a closed loop with the exact filter.
 
-    The nominal drives down one of the five nearest barriers, or anywhere, anew every `hold` steps.
+    Returns states (steps, n), nominal controls (steps, n), and the share of steps in which the filter changed the
+    control. The nominal control changes every `hold` steps; it approaches one of the five nearest obstacles, or has a
+    random direction.
     """
-    from benchmarks.peers.problems.qp_oracle import exact_optimum  # noqa: PLC0415  # its solver is in our own environment only
+    from benchmarks.peers.problems.qp_oracle import exact_optimum  # noqa: PLC0415
 
     rng = np.random.default_rng(seed)
     q, u_nom = problem.home.copy(), np.zeros(problem.n)

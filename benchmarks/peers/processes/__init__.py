@@ -1,0 +1,1 @@
+"""Processes of the compared filters: the worker and the parent that sends requests to it."""

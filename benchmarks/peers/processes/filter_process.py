@@ -1,4 +1,4 @@
-"""The parent's side: one living child process for each contestant, asked in turn."""
+"""Parent side of a filter process: sends requests, receives answers."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ SINGLE_THREAD_ENV = {
     "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
     "PYTHONWARNINGS": "ignore",
 }
-"""One thread and float64 for everybody: what cbfpy's documentation recommends on a CPU."""
+"""Environment of all filters: one thread and float64, as the documentation of cbfpy recommends for a CPU."""
 
 
 class FilterUnavailableError(Exception):
-    """A contestant cannot do what it was asked to."""
+    """A filter has no environment, has failed, or has not answered in time."""
 
 
 class FilterProcess:
-    """A contestant's process."""
+    """Process of a filter."""
 
-    def __init__(self, contestant: BenchmarkedFilter) -> None:
-        self.entry, self.import_s = contestant, float("nan")
-        if not contestant.python.exists():
-            raise FilterUnavailableError(f"no environment {contestant.environment!r}")
-        own = os.environ.get("PYTHONPATH") if contestant.environment is None else None
+    def __init__(self, entry: BenchmarkedFilter) -> None:
+        self.entry, self.import_s = entry, float("nan")
+        if not entry.python.exists():
+            raise FilterUnavailableError(f"no environment {entry.environment!r}")
+        own = os.environ.get("PYTHONPATH") if entry.environment is None else None
         path = os.pathsep.join([str(ROOT), *([own] if own else [])])
-        quiet = ["-S"] if sys.flags.no_site and contestant.environment is None else []
+        flags = ["-S"] if sys.flags.no_site and entry.environment is None else []
         self._process = subprocess.Popen(
-            [str(contestant.python), *quiet, "-m", "benchmarks.peers.processes.worker", contestant.module],
+            [str(entry.python), *flags, "-m", "benchmarks.peers.processes.worker", entry.module],
             cwd=ROOT,
             env=os.environ | SINGLE_THREAD_ENV | {"PYTHONPATH": path},
             stdin=subprocess.PIPE,
@@ -55,14 +55,14 @@ class FilterProcess:
             self.close()
             raise
 
-    def request(self, do: str, timeout_s: float = 300.0, **what: Any) -> dict[str, Any]:
-        """Send one question and wait for its answer; `Refused` when there is none."""
+    def request(self, do: str, timeout_s: float = 300.0, **arguments: Any) -> dict[str, Any]:
+        """Send a request and return its answer; raises `FilterUnavailableError` after `timeout_s` without one."""
         assert self._process.stdin is not None
         try:
-            self._process.stdin.write(json.dumps({"do": do, **what}).encode() + b"\n")
+            self._process.stdin.write(json.dumps({"do": do, **arguments}).encode() + b"\n")
             self._process.stdin.flush()
         except BrokenPipeError:
-            raise FilterUnavailableError("its process has ended") from None
+            raise FilterUnavailableError("the process has ended") from None
         return self._receive(timeout_s)
 
     def _receive(self, timeout_s: float) -> dict[str, Any]:
@@ -73,10 +73,10 @@ class FilterProcess:
             if not ready:
                 self.close()
                 raise FilterUnavailableError(f"no answer within {timeout_s:.0f} s")
-            piece = os.read(pipe, 1 << 16)
-            if not piece:
-                raise FilterUnavailableError("its process has ended")
-            self._buffer += piece
+            data = os.read(pipe, 1 << 16)
+            if not data:
+                raise FilterUnavailableError("the process has ended")
+            self._buffer += data
         line, _, self._buffer = self._buffer.partition(b"\n")
         answer = json.loads(line)
         if "refused" in answer:
