@@ -1,4 +1,4 @@
-"""What objects say about stack, calls and libraries is read right: on programs whose answers are known."""
+"""Stack, calls and external symbols of objects, on programs with known properties."""
 
 import platform
 import subprocess
@@ -31,7 +31,7 @@ int (*pointer)(int) = deep;
 
 @pytest.fixture
 def objects(tmp_path):
-    """(object, frames) of the program by gcc, and by clang for ARM."""
+    """The object of the program compiled with gcc, and its frames."""
     source = tmp_path / "p.c"
     source.write_text(PROGRAM)
     flags = [
@@ -62,7 +62,7 @@ def test_recursion_pointers_and_libraries_are_found(objects):
     assert found["paths"]["dbk_step"]["stack"] == -1
 
 
-def test_the_deepest_path_is_the_sum_of_its_frames(objects):
+def test_the_stack_of_the_deepest_path_is_the_sum_of_its_frames(objects):
     one, frames = objects
     calls = {name: callees - {name} for name, callees in one.calls.items()}
     path = deepest_call_path("dbk_step", calls, frames)
@@ -70,12 +70,12 @@ def test_the_deepest_path_is_the_sum_of_its_frames(objects):
     assert path.stack == frames["dbk_step"] + frames["deep"] + frames["leaf"] > 1600
 
 
-def test_calls_without_a_circle_have_none():
+def test_cycles_are_found_only_in_cyclic_calls():
     assert cycles({"a": {"b", "c"}, "b": {"c"}}) == []
     assert cycles({"a": {"b"}, "b": {"a"}}) == [("a", "b", "a")]
 
 
-def test_objects_for_a_microcontroller_are_read_as_well(tmp_path):
+def test_objects_for_a_microcontroller_are_read(tmp_path):
     source = tmp_path / "p.c"
     source.write_text(PROGRAM.replace("#include <stdlib.h>", "void *malloc(unsigned); void free(void *);"))
     run_compiler(

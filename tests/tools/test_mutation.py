@@ -1,4 +1,4 @@
-"""Mutants are small, reproducible changes of code; verdicts name the test that noticed."""
+"""Mutation test: mutants are small reproducible changes; verdicts name the detecting test."""
 
 import ast
 import itertools
@@ -38,15 +38,15 @@ def afters(source, suffix, kind):
     }
 
 
-def test_comments_strings_and_includes_are_left_alone():
-    assert "a" not in [word.text for word in tokenize(C, ".c")]
-    assert "h" not in [word.text for word in tokenize(C, ".c")]
-    assert {"Words", "y"}.isdisjoint(word.text for word in tokenize(PYTHON, ".py"))
+def test_comments_strings_and_includes_are_not_changed():
+    assert "a" not in [token.text for token in tokenize(C, ".c")]
+    assert "h" not in [token.text for token in tokenize(C, ".c")]
+    assert {"Words", "y"}.isdisjoint(token.text for token in tokenize(PYTHON, ".py"))
     for kind in KINDS:
         assert all("a + b" in after for after in afters(C, ".c", kind) if after.startswith("/*"))
 
 
-def test_every_kind_makes_the_mistake_it_is_named_after():
+def test_every_kind_yields_its_fault():
     loop = "for (int32_t k = 0; k < n; ++k) { sum += model->period * v[k]; } // v[3] < 2"
     assert loop.replace("+=", "-=") in afters(C, ".c", "sign")
     assert loop.replace("v[k]", "v[k + 1]") in afters(C, ".c", "index")
@@ -66,7 +66,7 @@ def test_every_kind_makes_the_mistake_it_is_named_after():
 
 
 @pytest.mark.parametrize("seed", [0, 7])
-def test_a_seed_gives_the_same_mutants_and_each_only_once(seed):
+def test_a_seed_yields_the_same_mutants_each_once(seed):
     first, second = ([m.key for m in itertools.islice(sample_mutants(ROOT, seed), 200)] for _ in range(2))
     assert first == second
     assert len(set(first)) == 200
@@ -84,7 +84,7 @@ def test_sixty_mutants_reach_every_file_and_every_kind():
         assert m.before.split() == " ".join(source.splitlines()[m.line - 1 :]).split()[: len(m.before.split())]
 
 
-def test_mutants_of_python_are_nearly_always_programs():
+def test_mutants_of_python_are_mostly_valid():
     drawn = list(itertools.islice(sample_mutants(ROOT, 3, ("src/dualbrain/safety/cbf/kernel.py",)), 60))
     good = 0
     for m in drawn:
@@ -109,7 +109,7 @@ def test_verdicts():
     assert (classify_run(4, []).by, classify_run(4, []).test) == ("error", "collection")
 
 
-def test_a_type_that_nobody_evaluates_is_no_mistake():
+def test_unevaluated_annotations_are_ignored():
     text = "def f(x: int) -> list[int]:\n    return x[1]\n"
     assert (
         evaluated_code(text)
@@ -118,5 +118,5 @@ def test_a_type_that_nobody_evaluates_is_no_mistake():
     )
     assert evaluated_code(text) != evaluated_code(text.replace("x[1]", "x[0]"))
     assert evaluated_code("class A:\n    x: int\n") != evaluated_code("class A:\n    x: str\n"), (
-        "classes may be made from those"
+        "annotations of class fields are evaluated"
     )

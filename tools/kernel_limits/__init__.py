@@ -1,1 +1,1 @@
-"""What the compiled kernel needs at worst: stack, memory, code, iterations, time."""
+"""Resource limits of the compiled kernel: stack, memory, code size, QP iterations, time."""

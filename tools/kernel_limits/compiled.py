@@ -1,4 +1,4 @@
-"""The kernel compiled for the host and for a microcontroller, and what its objects say."""
+"""Compilation of the kernel for the host and for microcontrollers, and properties of its objects."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ZIG = (sys.executable, "-m", "ziglang", "cc")
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A compiler and its flags for one machine."""
+    """Compiler and flags for one target, and the command that prints the version of the compiler."""
 
     name: str
     command: tuple[str, ...]
@@ -39,9 +39,10 @@ class Target:
 
 
 def targets() -> list[Target]:
-    """The host as shipped, in float64, and two microcontrollers with room for 48 obstacles.
+    """Return the targets: the host in float32 and float64, and two microcontrollers with at most 48 obstacles.
 
-    gcc's stack report leaves out the 128 bytes that x86-64 leaf functions may use below the stack: switched off here.
+    The stack report of gcc omits the red zone (128 bytes below the stack pointer of x86-64 leaf functions), so it is
+    disabled here.
     """
     flags = tuple(shipped_flags())
     small = tuple(flag for flag in flags if not flag.startswith("-O"))
@@ -66,19 +67,19 @@ def targets() -> list[Target]:
 
 
 def shipped_flags() -> list[str]:
-    """DBK_FLAGS of CMakeLists.txt."""
+    """Return DBK_FLAGS of CMakeLists.txt."""
     found = re.search(r"set\(DBK_FLAGS ([^)]*)\)", (ROOT / "CMakeLists.txt").read_text())
     return found.group(1).split() if found else []
 
 
 def run_compiler(command: tuple[str, ...]) -> str:
-    """Run a compiler; zig keeps its products beside ours."""
-    place = {name: str(ROOT / "build" / "zig") for name in ("ZIG_LOCAL_CACHE_DIR", "ZIG_GLOBAL_CACHE_DIR")}
-    return subprocess.run(command, env=os.environ | place, capture_output=True, text=True, check=True).stdout
+    """Run a compiler and return its output; the cache of zig is in build/zig."""
+    cache = {name: str(ROOT / "build" / "zig") for name in ("ZIG_LOCAL_CACHE_DIR", "ZIG_GLOBAL_CACHE_DIR")}
+    return subprocess.run(command, env=os.environ | cache, capture_output=True, text=True, check=True).stdout
 
 
 def measure(target: Target, folder: Path) -> dict[str, object]:
-    """Code, stack and symbols of one target; `folder` takes the objects."""
+    """Compile the kernel for one target into `folder`; returns its code size, stack and symbols."""
     folder.mkdir(parents=True, exist_ok=True)
     objects: list[ObjectFile] = []
     stack: dict[str, int] = {}
@@ -110,23 +111,23 @@ def measure(target: Target, folder: Path) -> dict[str, object]:
 
 
 def summary(objects: list[ObjectFile], stack: dict[str, int]) -> dict[str, object]:
-    """Worst call paths, recursion, and every symbol that no object of the kernel defines."""
+    """Return the deepest call paths, recursion, and all symbols that no object of the kernel defines."""
     calls: dict[str, set[str]] = {}
     for one in objects:
         for caller, callees in one.calls.items():
             calls.setdefault(caller, set()).update(callees)
-    ours = {strip_clone_suffix(name) for one in objects for name in one.code}
+    own = {strip_clone_suffix(name) for one in objects for name in one.code}
     foreign = sorted(
-        {name for one in objects for name in one.undefined if name not in ours and not name.startswith(".")}
+        {name for one in objects for name in one.undefined if name not in own and not name.startswith(".")}
     )
-    circles = cycles(calls)
-    paths = {entry: CallPath((), -1) if circles else deepest_call_path(entry, calls, stack) for entry in ENTRY_POINTS}
+    recursion = cycles(calls)
+    paths = {entry: CallPath((), -1) if recursion else deepest_call_path(entry, calls, stack) for entry in ENTRY_POINTS}
     return {
         "code": sum(size for one in objects for size in one.code.values()),
         "frames": dict(sorted(stack.items(), key=lambda item: -item[1])),
-        "unsized": sorted(ours - set(stack)),
+        "unsized": sorted(own - set(stack)),
         "paths": {entry: {"functions": path.functions, "stack": path.stack} for entry, path in paths.items()},
-        "recursion": circles,
+        "recursion": recursion,
         "addresses_taken": sorted({name for one in objects for name in one.addresses_taken}),
         "foreign": foreign,
         "not_allowed": [name for name in foreign if not ALLOWED_SYMBOLS.match(name)],
@@ -134,13 +135,13 @@ def summary(objects: list[ObjectFile], stack: dict[str, int]) -> dict[str, objec
 
 
 def _parse_stack_report(text: str) -> dict[str, int]:
-    """`file:line:column:function<tab>bytes<tab>kind` of gcc -fstack-usage."""
+    """Parse the report of gcc -fstack-usage: `file:line:column:function<tab>bytes<tab>kind` per line."""
     rows = (line.split("\t") for line in text.splitlines())
     return {name.rsplit(":", 1)[-1]: int(size) for name, size, _ in rows}
 
 
 def structure_sizes(target: Target, folder: Path) -> dict[str, int]:
-    """Bytes of the structures that a caller provides, read off the symbols of an object."""
+    """Return the sizes of the structures that the caller provides [bytes], read from the symbols of an object."""
     source = folder / "sizes.c"
     names = ("dbk_model", "dbk_scene", "dbk_ctx", "dbk_in", "dbk_out")
     source.write_text('#include "dbk/dbk.h"\n' + "".join(f"char size_of_{n}[sizeof({n})] = {{1}};\n" for n in names))

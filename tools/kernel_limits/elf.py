@@ -1,4 +1,4 @@
-"""Object files as the linker sees them: functions, what they refer to, stack sizes. ELF, little endian, 32 or 64."""
+"""Reader of object files: functions, references between them, stack sizes. ELF, little endian, 32 or 64 bit."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ FUNCTION, SECTION = 2, 3
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """One section: its bytes, and which other one it belongs to."""
+    """One section of an object file, with the fields of its header and its bytes."""
 
     name: str
     kind: int
@@ -23,7 +23,7 @@ class Section:
 
 @dataclass(slots=True)
 class ObjectFile:
-    """Functions with their code size, who refers to whom, and symbols that come from elsewhere."""
+    """Functions of an object: code sizes, calls, undefined symbols, taken addresses, stack sizes; sizes in bytes."""
 
     path: Path
     code: dict[str, int] = field(default_factory=dict)
@@ -34,7 +34,7 @@ class ObjectFile:
 
 
 def read_object(path: Path) -> ObjectFile:
-    """An object compiled with -ffunction-sections, so that each function is a section of its own."""
+    """Read an object that was compiled with -ffunction-sections, so that each function has its own section."""
     raw = path.read_bytes()
     wide = raw[4] == 2
     sections = _sections(raw, wide)
@@ -82,7 +82,7 @@ def _references(
     wide: bool,
     out: ObjectFile,
 ) -> None:
-    """A function that refers to a function calls it; other data that refers to one takes its address."""
+    """Add references to `out`: from a function they are calls, from other data they take the address of a function."""
     layout = {(True, RELA): "<QQq", (True, REL): "<QQ", (False, RELA): "<IIi", (False, REL): "<II"}[wide, section.kind]
     caller, source = home.get(section.info), sections[section.info].name
     for entry in struct.iter_unpack(layout, section.data):
@@ -97,7 +97,7 @@ def _references(
 
 
 def _function(name: str) -> str:
-    """The function whose section this is, without the number that a compiler gives to its copies; "" for others."""
+    """Return the function of a code section without the number of a compiler clone; "" for other sections."""
     for start in (".text.unlikely.", ".text."):
         if name.startswith(start):
             return strip_clone_suffix(name.removeprefix(start))
@@ -105,7 +105,7 @@ def _function(name: str) -> str:
 
 
 def strip_clone_suffix(name: str) -> str:
-    """`constraint.isra.0` -> `constraint.isra`: as the compiler's own stack report has it."""
+    """Remove the number of a compiler clone, as the stack report does: `constraint.isra.0` -> `constraint.isra`."""
     head, _, tail = name.rpartition(".")
     return head if tail.isdigit() else name
 

@@ -1,13 +1,20 @@
-"""The figures as tables, and docs/reference/safety/kernel.md."""
+"""Tables of the results, and docs/reference/safety/kernel.md."""
 
 from __future__ import annotations
 
 from datetime import UTC, datetime
 from typing import Any
 
+METHOD = """The kernel is C99 without heap, recursion, globals, libm or function pointers; the following values are read
+from the compiled objects. Its results are bit-identical between gcc (-O0, -O1, -O2, -O3, -Os, -march=native, with and
+without vectors) and clang (-O0 to -O3, -Os, with and without fused multiply-add): `tests/kernel` compares hashes
+of all results of cases that together execute every line."""
+MEMORY_NOTE = """All values in bytes. The caller provides one `dbk_model`, `dbk_scene` and `dbk_ctx` per robot. The host
+allows 512 obstacles, the microcontrollers 48."""
+
 
 def report_tables(found: dict[str, Any]) -> list[str]:
-    """Every figure, as Markdown."""
+    """Return all results as Markdown tables."""
     return [
         *_memory(found["compiled"]),
         "",
@@ -21,15 +28,18 @@ def report_tables(found: dict[str, Any]) -> list[str]:
 
 def _memory(compiled: list[dict[str, Any]]) -> list[str]:
     names = list(compiled[0]["sizes"])
-    lines = [f"| target | compiler | code | {' | '.join(names)} | stack, worst |", "|" + "---|" * (len(names) + 4)]
+    lines = [f"| target | compiler | code | {' | '.join(names)} | largest stack |", "|" + "---|" * (len(names) + 4)]
     for one in compiled:
         stack = max(path["stack"] for path in one["paths"].values())
         parts = [one["target"], one["compiler"], one["code"], *one["sizes"].values(), stack]
         lines.append(
             "| " + " | ".join(f"{p:,}".replace(",", " ") if isinstance(p, int) else str(p) for p in parts) + " |"
         )
-    whose = "Bytes; `dbk_model`, `dbk_scene` and `dbk_ctx` are the caller's, one each for a robot."
-    return [*lines, "", f"{whose} The host has room for 512", "obstacles, the microcontrollers for 48."]
+    return [
+        *lines,
+        "",
+        MEMORY_NOTE,
+    ]
 
 
 def _stack(compiled: list[dict[str, Any]]) -> list[str]:
@@ -39,13 +49,13 @@ def _stack(compiled: list[dict[str, Any]]) -> list[str]:
         lines += [f"| `{name}` | {size} |" for name, size in one["frames"].items() if size >= 64]
         for entry, path in one["paths"].items():
             calls = " → ".join(f"`{name}`" for name in path["functions"])
-            lines += ["", f"Worst path of `{entry}`: {calls}, {path['stack']} bytes."]
+            lines += ["", f"Deepest call path of `{entry}`: {calls}, {path['stack']} bytes."]
         lines.append("")
     return lines[:-1]
 
 
 def _symbols(compiled: list[dict[str, Any]]) -> list[str]:
-    lines = ["| target | recursion | function pointers | from outside | not allowed |", "|---|---|---|---|---|"]
+    lines = ["| target | recursion | function pointers | external symbols | not allowed |", "|---|---|---|---|---|"]
     for one in compiled:
         cells = [one["target"], one["recursion"], one["addresses_taken"], one["foreign"], one["not_allowed"]]
         lines.append("| " + " | ".join(_cell(cell) for cell in cells) + " |")
@@ -79,12 +89,12 @@ def _steps(s: dict[str, Any]) -> list[str]:
     return [
         *lines,
         "",
-        "Times are processor time of one C step with its clock reads, warm started, on a busy machine;",
-        f"the slowest moments repeated alone, without warm start, take {s['repeated_microseconds']:.1f} µs at most.",
+        "Times are processor times of one warm-started step in C, including the clock reads, on a busy machine. "
+        f"The slowest steps, repeated without a warm start, take at most {s['repeated_microseconds']:.1f} µs.",
         "",
-        f"Worst moment found by search: {hard['iterations']} iterations with {hard['rows']} rows, "
-        f"{hard['microseconds']:.1f} µs without warm start. Worst QP by itself (8 controls, any rows): "
-        f"{program['iterations']} iterations with {program['rows']} rows. The cap brakes.",
+        f"Worst step found by the search: {hard['iterations']} iterations with {hard['rows']} rows, "
+        f"{hard['microseconds']:.1f} µs without a warm start. Worst random QP (8 controls): "
+        f"{program['iterations']} iterations with {program['rows']} rows. A step at the limit of iterations brakes.",
         "",
         "Steps by QP iterations:",
         "",
@@ -95,18 +105,15 @@ def _steps(s: dict[str, Any]) -> list[str]:
 
 
 def render_page(found: dict[str, Any]) -> str:
-    """docs/reference/safety/kernel.md."""
+    """Return the text of docs/reference/safety/kernel.md."""
     return "\n".join(
         [
             "# The compiled kernel",
             "",
-            f"Written by `tools/kernel_limits/__main__.py --write-docs` on {datetime.now(UTC):%Y-%m-%d}, revision "
+            f"Written by `python -m tools.kernel_limits --write-docs` on {datetime.now(UTC):%Y-%m-%d}, revision "
             f"{found['revision']}, kernel {found['kernel']}, {found['machine']}.",
             "",
-            "The kernel is C99 without heap, recursion, globals, libm or function pointers; what follows is read off the",
-            "objects. Its answers are the same bits from gcc (-O0, -O1, -O2, -O3, -Os, -march=native, with and without",
-            "vectors) and clang (-O0 to -O3, -Os, with and without fused multiply-add): `tests/kernel` compares hashes",
-            "over every bit of every answer of cases that together run every line.",
+            METHOD,
             "",
             *report_tables(found),
             "",

@@ -1,4 +1,4 @@
-"""The worst call path: how much stack a step can need, and that nothing recurses."""
+"""Deepest call path of a step and its stack, and recursion."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class CallPath:
-    """Functions from the outermost inward, and the bytes of all their frames."""
+    """Functions of a call path from the outermost to the innermost, and the sum of their frames [bytes]."""
 
     functions: tuple[str, ...]
     stack: int
 
 
 def cycles(calls: Mapping[str, set[str]]) -> list[tuple[str, ...]]:
-    """Call paths that come back to where they were; none means no recursion."""
+    """Return all call cycles; an empty list means no recursion."""
     found: list[tuple[str, ...]] = []
-    settled: set[str] = set()
+    visited: set[str] = set()
 
     def visit(name: str, above: tuple[str, ...]) -> None:
         if name in above:
             found.append((*above[above.index(name) :], name))
-        elif name not in settled:
+        elif name not in visited:
             for callee in sorted(calls.get(name, ())):
                 visit(callee, (*above, name))
-            settled.add(name)
+            visited.add(name)
 
     for name in sorted(calls):
         visit(name, ())
@@ -33,7 +33,7 @@ def cycles(calls: Mapping[str, set[str]]) -> list[tuple[str, ...]]:
 
 
 def deepest_call_path(start: str, calls: Mapping[str, set[str]], stack: Mapping[str, int]) -> CallPath:
-    """The call path from `start` with the most stack; functions without a frame of ours (memcpy) count as 0."""
+    """Return the call path from `start` with the largest stack; functions without a known frame (memcpy) count as 0."""
     known: dict[str, CallPath] = {}
 
     def visit(name: str) -> CallPath:

@@ -1,4 +1,4 @@
-"""Adversarial closed loops and a search for the worst moment: QP iterations, rows, and processor time of one step."""
+"""Adversarial closed loops, and a search for the step with the most QP iterations, rows and processor time."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from dualbrain.safety.cbf.filter import FilterConfig, Obstacle, SafetyFilter
 
 Array = NDArray[np.float64]
 OBSTACLE_COUNTS = (8, 20, 47)
-"""Things around the arm; the table is one more."""
+"""Numbers of obstacles around the arm, without the table."""
 
 
 @dataclass(slots=True)
 class StepCase:
-    """What one step started from, and what it needed."""
+    """Inputs of one step (joint positions, previous and nominal control), and its iterations, rows and time [s]."""
 
     scene: int
     q: Array
@@ -33,24 +33,24 @@ class StepCase:
 
 
 def random_obstacles(rng: np.random.Generator, count: int, *, moving: bool) -> list[Obstacle]:
-    """A table and `count` spheres, capsules and boxes where the arm works; they may touch it."""
-    things = [Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)), known=True)]
+    """Return a table and `count` spheres, capsules and boxes in the workspace of the arm; they may touch it."""
+    obstacles = [Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)), known=True)]
     for k in range(count):
-        turn, reach = rng.uniform(-np.pi, np.pi), rng.uniform(0.3, 0.85)
+        azimuth, reach = rng.uniform(-np.pi, np.pi), rng.uniform(0.3, 0.85)
         quaternion = rng.normal(size=4)
         pose = Pose(
-            (float(reach * np.cos(turn)), float(reach * np.sin(turn)), float(rng.uniform(0.05, 0.9))),
+            (float(reach * np.cos(azimuth)), float(reach * np.sin(azimuth)), float(rng.uniform(0.05, 0.9))),
             tuple((quaternion / np.linalg.norm(quaternion)).tolist()),
         )
         size = rng.uniform(0.02, 0.08, 3).tolist()
         shape = (Sphere(size[0]), Capsule(size[0], size[1]), Box(tuple(size)))[int(rng.integers(3))]
         velocity = tuple(rng.uniform(-0.2, 0.2, 3).tolist()) if moving else (0.0, 0.0, 0.0)
-        things.append(Obstacle(f"o{k}", shape, pose, velocity, static=not moving))
-    return things
+        obstacles.append(Obstacle(f"o{k}", shape, pose, velocity=velocity, static=not moving))
+    return obstacles
 
 
 def make_filter(robot_model: RobotModel, seed: int) -> SafetyFilter:
-    """The filter of scene `seed`: as shipped, states at rest."""
+    """Return a filter with default configuration in scene `seed`."""
     rng = np.random.default_rng(seed)
     count, moving = OBSTACLE_COUNTS[seed % len(OBSTACLE_COUNTS)], seed % 2 == 1
     safety = SafetyFilter(robot_model, FilterConfig())
@@ -59,9 +59,10 @@ def make_filter(robot_model: RobotModel, seed: int) -> SafetyFilter:
 
 
 def adversarial_loop(robot_model: RobotModel, seed: int, steps: int) -> Iterator[StepCase]:
-    """Bang-bang, or straight at the row with the smallest h; a twin filter is timed in C on the same inputs.
+    """Run a closed loop with random extreme controls, or controls that decrease the smallest h.
 
-    The scene stands still for the loop (velocities enter the rows), so that both see the same at every step.
+    A second filter computes the same inputs in C for the time measurement. Obstacles keep their positions during the
+    loop (their velocities enter the rows), so that both filters have the same inputs in every step.
     """
     safety, twin, rng = (
         make_filter(robot_model, seed),
@@ -79,56 +80,56 @@ def adversarial_loop(robot_model: RobotModel, seed: int, steps: int) -> Iterator
                 u_nom = -v_max * np.sign(min(rows, key=lambda row: row.h).a)
         if step % 2000 == 0:
             q = np.array(robot_model.home) + rng.uniform(-0.3, 0.3, robot_model.n)
-        answer = safety(q, rest, u_nom)
+        result = safety(q, rest, u_nom)
         seconds = twin._kernel.time_steps(q[None], u_nom[None], False)
-        yield StepCase(seed, q.copy(), u_prev.copy(), u_nom.copy(), answer.iterations, answer.n_rows, seconds)
-        u_prev = answer.u
-        q = q + robot_model.period * answer.u
+        yield StepCase(seed, q.copy(), u_prev.copy(), u_nom.copy(), result.iterations, result.n_rows, seconds)
+        u_prev = result.u
+        q = q + robot_model.period * result.u
 
 
 def repeat_cold(safety: SafetyFilter, m: StepCase, *, times: int = 1) -> StepCase:
-    """The same step without a warm start; the least of `times` times, so that a busy machine does not count."""
-    rest, least = np.zeros(len(m.q)), np.inf
+    """Repeat a step without a warm start; returns the smallest of `times` measured times."""
+    rest, seconds = np.zeros(len(m.q)), np.inf
     safety.reset(m.u_prev)
-    answer = safety(m.q, rest, m.u_nom)
+    result = safety(m.q, rest, m.u_nom)
     for _ in range(times):
         safety.reset(m.u_prev)
-        least = min(least, safety._kernel.time_steps(m.q[None], m.u_nom[None], True))
-    return StepCase(m.scene, m.q, m.u_prev, m.u_nom, answer.iterations, answer.n_rows, least)
+        seconds = min(seconds, safety._kernel.time_steps(m.q[None], m.u_nom[None], True))
+    return StepCase(m.scene, m.q, m.u_prev, m.u_nom, result.iterations, result.n_rows, seconds)
 
 
 def search_worst_step(robot_model: RobotModel, start: list[StepCase], rng: np.random.Generator, tries: int) -> StepCase:
-    """Random changes of posture, last control and wish that need more iterations (then more rows) are kept."""
+    """Search by random changes of posture and controls that increase the iterations (then the rows)."""
     v_max = np.array([joint.velocity.value for joint in robot_model.joints])
     best: StepCase | None = None
     for first in start:
         safety = make_filter(robot_model, first.scene)
-        here = repeat_cold(safety, first)
+        current = repeat_cold(safety, first)
         for k in range(tries):
             size = (0.3, 0.1, 0.02)[k % 3]
-            there = repeat_cold(
+            candidate = repeat_cold(
                 safety,
                 StepCase(
                     first.scene,
-                    here.q + size * rng.normal(size=robot_model.n),
-                    np.clip(here.u_prev + size * v_max * rng.normal(size=robot_model.n), -v_max, v_max),
-                    np.clip(here.u_nom + size * v_max * rng.normal(size=robot_model.n), -v_max, v_max),
+                    current.q + size * rng.normal(size=robot_model.n),
+                    np.clip(current.u_prev + size * v_max * rng.normal(size=robot_model.n), -v_max, v_max),
+                    np.clip(current.u_nom + size * v_max * rng.normal(size=robot_model.n), -v_max, v_max),
                     0,
                     0,
                     0.0,
                 ),
             )
-            if (there.iterations, there.rows) >= (here.iterations, here.rows):
-                here = there
-        if best is None or (here.iterations, here.rows) > (best.iterations, best.rows):
-            best = repeat_cold(safety, here, times=50)
+            if (candidate.iterations, candidate.rows) >= (current.iterations, current.rows):
+                current = candidate
+        if best is None or (current.iterations, current.rows) > (best.iterations, best.rows):
+            best = repeat_cold(safety, current, times=50)
     if best is None:
-        raise AssertionError("a search starts somewhere")
+        raise AssertionError("The search has no start.")
     return best
 
 
 def search_worst_qp(rng: np.random.Generator, tries: int, n: int = 8) -> tuple[int, int]:
-    """Most iterations (and their rows) over random QPs, the worst of which are changed at random and tried again."""
+    """Return the most iterations (and their rows) over random QPs and random changes of the worst ones."""
     best, at = (0, 0), None
     scale, u = np.eye(n), np.empty(n)
     for k in range(tries):
@@ -145,5 +146,5 @@ def search_worst_qp(rng: np.random.Generator, tries: int, n: int = 8) -> tuple[i
 
 
 def load_panda() -> RobotModel:
-    """The body that the figures are for."""
+    """Return the robot of the measurements."""
     return load_robot("panda")

@@ -1,1 +1,1 @@
-"""Mutation check: small mistakes made on purpose, and whether the tests of the laws notice."""
+"""Mutation test of the safety kernel: small deliberate faults, and whether the tests detect them."""

@@ -1,8 +1,8 @@
-"""A pytest plugin for the mutation check: tests in a given order, each verdict on disk at once, no shrinking.
+"""A pytest plugin for the mutation test: tests in a given order, verdicts written at once, no shrinking.
 
-Options: --order FILE (JSON list of node ids that go first, in this order), --verdicts FILE (JSON lines: a test when it
-starts, and when it ends with its outcome and seconds; `cpu` is the process's own time so far). What comes last in the
-file tells what a crash happened in.
+Options: --order FILE (JSON list of node ids that run first, in this order), --verdicts FILE (JSON lines: one at the
+start of a test, one at its end with outcome and seconds; `cpu` is the processor time of the process so far). After a
+crash, the last line names the test in which it happened.
 """
 
 from __future__ import annotations
@@ -19,25 +19,25 @@ settings.load_profile("mutants")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Where the order is read from and the verdicts go to."""
-    parser.addoption("--order", default="", help="JSON list of node ids that go first")
-    parser.addoption("--verdicts", default="", help="JSON lines of what each test did")
+    """Add the options for the order and the verdicts."""
+    parser.addoption("--order", default="", help="file with a JSON list of node ids that run first")
+    parser.addoption("--verdicts", default="", help="file for the JSON lines of the verdicts")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Known tests in the given order, then the others."""
+    """Sort the known tests in the given order, before the others."""
     path = config.getoption("--order")
     rank = {name: i for i, name in enumerate(json.loads(Path(path).read_text()))} if path else {}
     items.sort(key=lambda item: rank.get(item.nodeid, len(rank)))
 
 
 def pytest_runtest_logstart(nodeid: str) -> None:
-    """The test that a crash or a timeout will be blamed on."""
+    """Write the test that starts, to which a crash or a timeout is attributed."""
     _write({"test": nodeid})
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    """Outcome and seconds, of the call or of a broken set-up."""
+    """Write outcome and seconds of a call, or of a failed setup or teardown."""
     if report.when == "call" or report.outcome == "failed":
         _write({"test": report.nodeid, "outcome": report.outcome, "seconds": round(report.duration, 4)})
 
@@ -46,7 +46,7 @@ _verdict_files: list[str] = []
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Remember where the verdicts go."""
+    """Store the path of the verdicts."""
     _verdict_files.append(config.getoption("--verdicts"))
 
 

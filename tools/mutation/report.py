@@ -1,4 +1,4 @@
-"""What the mutation check found, as a table and as docs/reference/verification/mutants.md."""
+"""Tables of the mutation test, and docs/reference/verification/mutants.md."""
 
 from __future__ import annotations
 
@@ -8,11 +8,17 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 REASONS_FILE = Path(__file__).with_name("survivors.toml")
-"""Why a survivor survived: entries [[survivor]] with file, before, after, kind ("equivalent" or "gap") and why."""
+"""Explanations of surviving mutants: [[survivor]] with file, before, after, kind ("equivalent" or "gap"), why."""
+METHOD = """Each mutant changes one place in `kernel/src/**/*.c` or `safety/cbf/kernel.py`, in a copy of the project,
+which is compiled again. `tests/safety`, `tests/invariants` and `tests/kernel/test_buffer_capacity.py` run until the first
+failure; tests that compare every value of a step with its definition run first. Recorded results (golden hashes,
+vectors) and comparisons of builds are excluded: they detect every changed bit and prove no property. A mutant
+counts as equivalent only with an explanation below. Equivalent mutants remain in the denominator of the detected
+share; the share without them is given as well. Mutants with the object code of the original are counted separately."""
 
 
 def summary(rows: list[dict]) -> dict[str, object]:
-    """Counts of outcomes, and the share of the tested mutants that were caught."""
+    """Return the counts of outcomes, and the detected share of the tested mutants."""
     counts = Counter(row["outcome"] for row in rows)
     tested = counts["caught"] + counts["survived"]
     known = load_reasons()
@@ -33,28 +39,28 @@ def summary(rows: list[dict]) -> dict[str, object]:
 
 
 def survivor_key(row: dict) -> tuple[str, str, str]:
-    """What a survivor is known by while its line stays the same."""
+    """Return the identity of a surviving mutant, valid while its line is unchanged."""
     return row["file"], row["before"], row["after"]
 
 
 def load_reasons() -> dict[tuple[str, str, str], dict]:
-    """The explanations that people wrote."""
+    """Return the explanations of surviving mutants."""
     entries = tomllib.loads(REASONS_FILE.read_text()).get("survivor", []) if REASONS_FILE.exists() else []
     return {survivor_key(entry): entry for entry in entries}
 
 
 def report_table(facts: dict, rows: list[dict]) -> list[str]:
-    """Counts, kinds, files, and every survivor with its reason."""
+    """Return counts, tables by kind and file, and every surviving mutant with its explanation."""
     lines = [
-        f"{facts['tested']} mutants tested (seed {facts['seed']}): {facts['caught']} caught "
+        f"{facts['tested']} mutants tested (seed {facts['seed']}): {facts['caught']} detected "
         f"({100 * facts['caught_share']:.1f} %), {facts['survived']} survived ({facts['equivalent']} equivalent; "
-        f"without these {100 * facts['caught_of_real']:.1f} % caught).",
-        f"Counted apart: {facts['does_not_compile']} did not compile, {facts['same_object_code']} gave the same object "
-        f"code. Caught by: {', '.join(f'{k} {v}' for k, v in facts['by'].items())}.",
+        f"without these {100 * facts['caught_of_real']:.1f} % detected).",
+        f"Counted separately: {facts['does_not_compile']} did not compile, {facts['same_object_code']} had the same "
+        f"object code. Detected by: {', '.join(f'{k} {v}' for k, v in facts['by'].items())}.",
         "",
     ]
     for title, field in (("kind", "kind"), ("file", "file")):
-        lines += [f"| {title} | tested | caught |", "|---|---|---|"]
+        lines += [f"| {title} | tested | detected |", "|---|---|---|"]
         tested = [row for row in rows if row["outcome"] in ("caught", "survived")]
         for value in sorted({row[field] for row in tested}):
             here = [row for row in tested if row[field] == value]
@@ -64,41 +70,36 @@ def report_table(facts: dict, rows: list[dict]) -> list[str]:
 
 
 def survivor_list(rows: list[dict]) -> list[str]:
-    """Each mutant that no test noticed: the change, and why."""
+    """Return the list of mutants that no test detected: change and explanation."""
     known, lines = load_reasons(), []
     for row in (row for row in rows if row["outcome"] == "survived"):
-        reason = known.get(survivor_key(row), {"kind": "not explained yet", "why": ""})
-        place = f"`{row['file']}`, line {row['line']} ({row['kind']})"
+        reason = known.get(survivor_key(row), {"kind": "not explained", "why": ""})
+        position = f"`{row['file']}`, line {row['line']} ({row['kind']})"
         lines += [
-            f"- {place}: **{reason['kind']}**. {reason['why']}".rstrip(),
+            f"- {position}: **{reason['kind']}**. {reason['why']}".rstrip(),
             "  ```diff",
             f"  - {row['before']}",
             f"  + {row['after']}",
             "  ```",
         ]
-    return ["Survivors:", "", *lines] if lines else ["No survivors."]
+    return ["Surviving mutants:", "", *lines] if lines else ["No surviving mutants."]
 
 
 def write_document(path: Path, facts: dict, rows: list[dict]) -> None:
-    """docs/reference/verification/mutants.md with date, revision and every mutant."""
-    every = ["| where | kind | after | caught by |", "|---|---|---|---|"]
+    """Write docs/reference/verification/mutants.md with date, revision and every mutant."""
+    every = ["| position | kind | changed line | detected by |", "|---|---|---|---|"]
     for row in rows:
         if row["outcome"] in ("caught", "survived"):
             after = row["after"].replace("|", "\\|")
             by = row["test"].replace("tests/", "") if row["by"] == "test" else f"{row['by']} {row['test']}".strip()
             every.append(f"| {Path(row['file']).name}:{row['line']} | {row['kind']} | `{after}` | {by or 'nothing'} |")
     head = [
-        "# Mutants: do the tests notice a mistake?",
+        "# Mutation test",
         "",
-        f"Written by `python tools/mutation/__main__.py --seed {facts['seed']} --count {facts['tested']} --write-docs` on "
+        f"Written by `python -m tools.mutation --seed {facts['seed']} --count {facts['tested']} --write-docs` on "
         f"{datetime.now(UTC):%Y-%m-%d}, revision {facts['revision']}.",
         "",
-        "One place is changed in `kernel/src/**/*.c` or `safety/cbf/kernel.py`, everything is compiled anew in a scratch",
-        "copy, and `tests/safety`, `tests/invariants` and `tests/kernel/test_buffer_capacity.py` run until the first failure;",
-        "those go first that hold every number of a step against its definition. Recorded answers (golden hashes,",
-        "vectors) and comparisons of builds are left out: they notice every bit and prove no law. A mutant counts",
-        "as equivalent only with a reason below; equivalent ones stay in the denominator, and the share without",
-        "them is told beside. Mutants whose object code is that of the original are counted apart.",
+        METHOD,
         "",
     ]
     path.write_text("\n".join([*head, *report_table(facts, rows), "", "## Every mutant", "", *every, ""]))

@@ -1,4 +1,4 @@
-"""Mutants from a seed: which file, which kind of mistake, where, and what stands there instead."""
+"""Random mutants from a seed: file, kind of fault, position and replacement."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SOURCES = ("kernel/src/**/*.c", "src/dualbrain/safety/cbf/kernel.py")
 
 @dataclass(frozen=True, slots=True)
 class Mutant:
-    """One change: `file` is relative to the root; `before` and `after` are the whole lines, without indentation."""
+    """One change: `file` relative to the root, whole lines `before` and `after`, whole mutated file `text`."""
 
     file: str
     line: int
@@ -27,28 +27,28 @@ class Mutant:
 
     @property
     def key(self) -> str:
-        """A short name that stays the same while the file does."""
+        """Short name, constant while the file is unchanged."""
         return hashlib.sha256(f"{self.file}|{self.kind}|{self.text}".encode()).hexdigest()[:12]
 
     def record(self) -> dict[str, object]:
-        """What the journal keeps: all but the text of the whole file."""
+        """Return the fields for the log: all except the text of the whole file."""
         return {name: value for name, value in asdict(self).items() if name != "text"}
 
 
 def source_files(root: Path, patterns: tuple[str, ...] = SOURCES) -> list[Path]:
-    """The files that mistakes are made in, sorted."""
+    """Return the files to mutate, sorted."""
     return sorted(path for pattern in patterns for path in root.glob(pattern))
 
 
 def find_sites(source: str, suffix: str) -> dict[str, list[Site]]:
-    """Every place of a source that can be changed, by kind; kinds without one are left out."""
-    words = tokenize(source, suffix)
-    found = {kind: list(where(source, words)) for kind, where in KINDS.items()}
-    return {kind: places for kind, places in found.items() if places}
+    """Return all mutation sites of a source by kind, without empty kinds."""
+    tokens = tokenize(source, suffix)
+    found = {kind: list(find(source, tokens)) for kind, find in KINDS.items()}
+    return {kind: sites for kind, sites in found.items() if sites}
 
 
 def make_mutant(file: str, source: str, kind: str, site: Site, choice: str) -> Mutant:
-    """The mutant with `choice` at `site`."""
+    """Return the mutant that replaces the text at `site` with `choice`."""
     start, end, _ = site
     text = source[:start] + choice + source[end:]
     first = source.rfind("\n", 0, start) + 1
@@ -59,36 +59,36 @@ def make_mutant(file: str, source: str, kind: str, site: Site, choice: str) -> M
 
 
 def collapse_whitespace(text: str) -> str:
-    """Several lines in one, single spaces."""
+    """Join lines, with single spaces."""
     return " ".join(text.split())
 
 
 def sample_mutants(root: Path, seed: int, patterns: tuple[str, ...] = SOURCES) -> Iterator[Mutant]:
-    """An endless stream without repetition: files take turns, and so do kinds within a file."""
-    chance = random.Random(seed)
+    """Yield mutants without repetition until all sites are used; files alternate, and so do kinds within a file."""
+    rng = random.Random(seed)
     sources = {str(path.relative_to(root)): path.read_text() for path in source_files(root, patterns)}
-    left = {file: _shuffle_kinds(find_sites(text, Path(file).suffix), chance) for file, text in sources.items()}
+    remaining = {file: _shuffle_kinds(find_sites(text, Path(file).suffix), rng) for file, text in sources.items()}
     seen: set[str] = set()
-    while any(left.values()):
-        round_of_files = [file for file, kinds in left.items() if kinds]
-        chance.shuffle(round_of_files)
+    while any(remaining.values()):
+        round_of_files = [file for file, kinds in remaining.items() if kinds]
+        rng.shuffle(round_of_files)
         for file in round_of_files:
-            kind, site = _draw_site(left[file], chance)
-            mutant = make_mutant(file, sources[file], kind, site, chance.choice(site[2]))
+            kind, site = _draw_site(remaining[file], rng)
+            mutant = make_mutant(file, sources[file], kind, site, rng.choice(site[2]))
             if mutant.key not in seen:
                 seen.add(mutant.key)
                 yield mutant
 
 
-def _shuffle_kinds(kinds: dict[str, list[Site]], chance: random.Random) -> dict[str, list[Site]]:
-    return {kind: kinds[kind] for kind in chance.sample(list(kinds), len(kinds))}
+def _shuffle_kinds(kinds: dict[str, list[Site]], rng: random.Random) -> dict[str, list[Site]]:
+    return {kind: kinds[kind] for kind in rng.sample(list(kinds), len(kinds))}
 
 
-def _draw_site(kinds: dict[str, list[Site]], chance: random.Random) -> tuple[str, Site]:
-    """A kind and a site of it; the site is used up, and the kind goes to the end of the queue."""
-    kind = chance.choice(list(kinds)[: max(1, len(kinds) // 2)])
-    places = kinds.pop(kind)
-    site = places.pop(chance.randrange(len(places)))
-    if places:
-        kinds[kind] = places
+def _draw_site(kinds: dict[str, list[Site]], rng: random.Random) -> tuple[str, Site]:
+    """Remove and return a site and its kind; the kind moves to the end of the queue."""
+    kind = rng.choice(list(kinds)[: max(1, len(kinds) // 2)])
+    sites = kinds.pop(kind)
+    site = sites.pop(rng.randrange(len(sites)))
+    if sites:
+        kinds[kind] = sites
     return kind, site

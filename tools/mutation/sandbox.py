@@ -1,4 +1,4 @@
-"""A scratch copy of the project in which one file at a time is changed, compiled and tested."""
+"""A copy of the project in which one file at a time is mutated, compiled and tested."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ COPIED_PATHS = (
     "LICENSE",
 )
 BUILD_TARGETS = ("_kernel", "_kernel64")
-"""What is compiled: the same sources as the wider builds."""
+"""Compiled libraries; they have the same sources as the builds for more controls."""
 STEP_TEST_NAMES = (
     "step_internals",
     "active_set",
@@ -42,21 +42,21 @@ STEP_TEST_NAMES = (
     "certificate",
 )
 STEP_TESTS = tuple(f"tests/safety/kernel_step/test_{name}.py" for name in STEP_TEST_NAMES)
-"""These run first, by themselves: number by number against definitions, in seconds."""
+"""Tests that run first, in a separate run of seconds: they compare all values of a step with their definitions."""
 TESTS = ("tests/safety", "tests/invariants", "tests/kernel/test_buffer_capacity.py")
 EXCLUDED_TESTS = (
     *(f"tests/safety/kernel/test_{name}.py" for name in ("step_vectors", "build_variants")),
     *(f"tests/safety/supervisor/test_{name}.py" for name in ("supervisor", "loop_delay")),
 )
-"""Recorded answers and comparisons of builds notice every change of a bit and say nothing about a law; the supervisor's
-tests call no kernel; those of lateness need the wide builds, which are not made here."""
+"""Recorded results and comparisons of builds, which detect every changed bit and prove no property; tests of the
+supervisor, which call no kernel; tests of the loop delay, which need builds that are not compiled here."""
 STEP_TESTS_CPU_S, MIN_CPU_S, BASELINE_FACTOR = 30.0, 60.0, 5.0
-"""Processor time that the sharp tests may take [s]; the others: seconds, or so many times the unmutated run."""
+"""Limits of processor time [s]: of the tests that run first, of the others; or a multiple of the unmutated run."""
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What the tests said: `caught` by `test` ("" if nothing noticed), how, and after how much processor time [s]."""
+    """Result of the tests: whether a fault was detected, how (`by`), by which `test`, and processor time [s]."""
 
     caught: bool
     by: str
@@ -65,21 +65,23 @@ class Verdict:
 
 
 class Sandbox:
-    """One scratch folder: sources, objects, tests. Not for two threads at once."""
+    """A folder with sources, objects and tests; used by one thread at a time."""
 
     def __init__(self, root: Path, folder: Path, limit: float = MIN_CPU_S) -> None:
-        """`limit` [s] is the processor time that one run of the tests may take; a busy machine changes nothing."""
+        """`limit`: largest processor time of one run of the tests [s], independent of other load on the machine."""
         self.root, self.folder, self.limit = root, folder, limit
         self._tools = Path(sys.executable).parent
 
     # --- set-up -----------------------------------------------------------------------------------------------
 
     def prepare(self) -> None:
-        """Copy what git knows or would, and compile it once."""
+        """Copy all files that are tracked or not ignored, and compile them once."""
         self._copy()
-        listed = self.folder / "CMakeLists.txt"
-        # no reconfiguring when a source changes: that would compile the binding again because of the hash in it
-        listed.write_text(re.sub(r"^.*CMAKE_CONFIGURE_DEPENDS.*\n", "", listed.read_text(), flags=re.MULTILINE))
+        cmake_lists = self.folder / "CMakeLists.txt"
+        # a changed source must not trigger a configuration, which would compile the binding again with a new hash
+        cmake_lists.write_text(
+            re.sub(r"^.*CMAKE_CONFIGURE_DEPENDS.*\n", "", cmake_lists.read_text(), flags=re.MULTILINE)
+        )
         build = self.folder / "build"
         arguments = ["-G", "Ninja", "-DCMAKE_BUILD_TYPE=Release", f"-DPython_EXECUTABLE={sys.executable}"]
         self._call([self._tool("cmake"), *arguments, "-S", str(self.folder), "-B", str(build)], check=True)
@@ -96,21 +98,21 @@ class Sandbox:
             text=True,
             check=True,
         ).stdout
-        wanted = {
+        names = {
             name for name in listing.split("\0") if name and not name.endswith(".so") and (self.root / name).is_file()
         }
         for old in (p for top in COPIED_PATHS for p in (self.folder / top).rglob("*") if p.is_file()):
-            if str(old.relative_to(self.folder)) not in wanted:
+            if str(old.relative_to(self.folder)) not in names:
                 old.unlink()
-        for name in wanted:
+        for name in names:
             target = self.folder / name
             if not target.exists() or target.read_bytes() != (self.root / name).read_bytes():
                 target.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(self.root / name, target)
 
     def _tool(self, name: str) -> str:
-        beside = self._tools / name
-        return str(beside) if beside.exists() else name
+        tool = self._tools / name
+        return str(tool) if tool.exists() else name
 
     @staticmethod
     def _libraries() -> list[str]:
@@ -121,7 +123,7 @@ class Sandbox:
             shutil.copyfile(self.folder / "build" / name, self.folder / "src/dualbrain/safety/cbf/compiled" / name)
 
     def _objects(self) -> str:
-        """A hash over the compiled kernel, without the names and times that an archive holds."""
+        """Return a hash of the object files of the kernel."""
         digest = hashlib.sha256()
         for path in sorted((self.folder / "build").rglob("*.c.o")):
             digest.update(path.read_bytes())
@@ -130,7 +132,7 @@ class Sandbox:
     # --- one mutant -------------------------------------------------------------------------------------------
 
     def apply(self, mutant: Mutant) -> str:
-        """Put the mutant in place: "" when it can be tested, else why not ("does not compile", "same object code")."""
+        """Write and compile a mutant; returns "" if it can be tested, else "does not compile" or "same object code"."""
         path = self.folder / mutant.file
         self._sources.setdefault(mutant.file, path.read_text())
         path.write_text(mutant.text)
@@ -147,7 +149,7 @@ class Sandbox:
         return ""
 
     def revert(self, mutant: Mutant) -> None:
-        """The original text again; the next `make` compiles it."""
+        """Write the original text; the next `apply` compiles it."""
         (self.folder / mutant.file).write_text(self._sources[mutant.file])
 
     @staticmethod
@@ -161,13 +163,13 @@ class Sandbox:
     # --- tests ------------------------------------------------------------------------------------------------
 
     def run_tests(self, order: Path | None = None, *, first_failure: bool = True) -> tuple[Verdict, list[dict]]:
-        """Run the laws, the sharp ones first; the verdict and what each test did."""
+        """Run the tests, those of a step first; returns the verdict and the row of each test."""
         verdict, rows = self._run(list(STEP_TESTS), STEP_TESTS_CPU_S, None, first_failure=first_failure)
         if verdict.caught:
             return verdict, rows
         others = [*TESTS, *(f"--ignore={path}" for path in (*EXCLUDED_TESTS, *STEP_TESTS))]
-        verdict, more = self._run(others, self.limit, order, first_failure=first_failure)
-        return verdict, rows + more
+        verdict, other_rows = self._run(others, self.limit, order, first_failure=first_failure)
+        return verdict, rows + other_rows
 
     def _run(
         self, tests: list[str], limit: float, order: Path | None, *, first_failure: bool
@@ -203,7 +205,7 @@ class Sandbox:
     def _call(self, command: list[str], *, check: bool = False, limit: float = 600.0) -> subprocess.CompletedProcess:
         paths = [self.folder / "src", self.folder, *(p for p in sys.path if p.endswith("-packages"))]
         tools = f"{self._tools}{os.pathsep}{os.environ.get('PATH', '')}"
-        more = {
+        variables = {
             "PYTHONPATH": os.pathsep.join(map(str, paths)),
             "PATH": tools,
             "PYTHONDONTWRITEBYTECODE": "1",
@@ -211,12 +213,12 @@ class Sandbox:
             "OPENBLAS_NUM_THREADS": "1",
         }
         return subprocess.run(
-            command, cwd=self.folder, env={**os.environ, **more}, capture_output=True, timeout=limit, check=check
+            command, cwd=self.folder, env={**os.environ, **variables}, capture_output=True, timeout=limit, check=check
         )
 
 
 def evaluated_code(text: str) -> str:
-    """A Python source without what nobody evaluates: the types of a function's parameters and of what it returns."""
+    """Return a dump of a Python source without annotations of parameters and return values, which are not evaluated."""
     tree = ast.parse(text)
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef):
@@ -227,7 +229,7 @@ def evaluated_code(text: str) -> str:
 
 
 def classify_run(code: int, rows: list[dict]) -> Verdict:
-    """From pytest's exit code (negative: a signal) and what each test did to a verdict."""
+    """Return the verdict for an exit code of pytest (negative: a signal) and the rows of the tests."""
     last, seconds = (rows[-1]["test"], rows[-1]["cpu"]) if rows else ("collection", 0.0)
     failed = next((row["test"] for row in rows if row.get("outcome") == "failed"), "")
     if failed:
