@@ -29,13 +29,13 @@ def placed_mesh(link, turns, origins, opening):
     return sphere_centres(link, vertices, turns, origins, opening)[0][mesh.faces]
 
 
-def draw(axes, wanted, opening):
+def draw(axes, selected, opening):
     """Draw meshes in grey and spheres in the colour of their group, at the home posture."""
     turns, origins = chain_frames(PANDA.joints, np.array([PANDA.home]))
     a, b = np.meshgrid(np.linspace(0, np.pi, 13), np.linspace(0, 2 * np.pi, 21))
     unit = np.stack([np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)])
     points = []
-    links = list(filter(wanted, PANDA.links))
+    links = list(filter(selected, PANDA.links))
     for link in links:
         triangles = placed_mesh(link, turns, origins, opening)
         points.append(triangles.reshape(-1, 3))
@@ -52,9 +52,9 @@ def draw(axes, wanted, opening):
 def main(path):
     """Draw three views side by side."""
     figure = plt.figure(figsize=(13, 5.6), dpi=80)
-    for i, (title, wanted, centre, reach, (elevation, azimuth)) in enumerate(VIEWS, start=1):
+    for i, (title, selected, centre, reach, (elevation, azimuth)) in enumerate(VIEWS, start=1):
         axes = figure.add_subplot(1, 3, i, projection="3d", proj_type="ortho", computed_zorder=False)
-        points = draw(axes, wanted, 0.02)
+        points = draw(axes, selected, 0.02)
         middle = np.array(centre) if centre else 0.5 * (points.min(axis=0) + points.max(axis=0))
         for limit, value in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), middle, strict=True):
             limit(value - reach, value + reach)
