@@ -1,6 +1,6 @@
-"""The attacks in `contract_attacks.json`: how each becomes bytes, what the gate says, and the table in docs/reference/verification/attacks.md.
+"""The attacks in `contract_attacks.json`: their bytes, the verdict of the gate, and the page of the results.
 
-Run `python -m tests.stories.contract_attacks` in the repository to write the page anew.
+`python -m tests.stories.contract_attacks` writes docs/reference/verification/attacks.md.
 """
 
 import base64
@@ -28,7 +28,7 @@ STAGES = ("syntax", "authorization", "envelope", "accepted")
 
 
 def attack_bytes(attack: dict[str, Any]) -> bytes:
-    """What the gate receives."""
+    """The bytes that the gate receives."""
     if "generator" in attack:
         return generate_bytes(attack)
     if "base64" in attack:
@@ -38,7 +38,7 @@ def attack_bytes(attack: dict[str, Any]) -> bytes:
 
 
 def generate_bytes(attack: dict[str, Any]) -> bytes:
-    """Bytes that are too long or too odd to be written in the file."""
+    """Bytes that are too long or too unusual for the file."""
     size = attack.get("size", 0)
     match attack["generator"]:
         case "digits":
@@ -64,7 +64,7 @@ def generate_bytes(attack: dict[str, Any]) -> bytes:
 
 
 def run_attack(attack: dict[str, Any]) -> Verdict:
-    """The verdict of a fresh gate on `attack`; `after` is the sequence number that was accepted before it."""
+    """The verdict of a new gate on `attack`; `after` is the sequence number that was accepted before it."""
     gate = Gate(REGISTRY, GRANTS)
     names = SceneNames(NAMES.graspable, NAMES.receptive, SCENE_VERSION)
     if "after" in attack:
@@ -72,25 +72,25 @@ def run_attack(attack: dict[str, Any]) -> Verdict:
         assert isinstance(
             gate.check(VALID_CONTRACT.encode(), names=names, principal=PRINCIPAL, now=NOW, header=before), Accepted
         )
-    stamp = make_header(attack["stamp"]) if "stamp" in attack else None
+    header = make_header(attack["stamp"]) if "stamp" in attack else None
     principal = attack.get("principal", PRINCIPAL)
-    return gate.check(attack_bytes(attack), names=names, principal=principal, now=NOW, header=stamp)
+    return gate.check(attack_bytes(attack), names=names, principal=principal, now=NOW, header=header)
 
 
 def make_header(changes: dict[str, Any]) -> ContractHeader:
-    """A stamp that is good but for `changes` (times may be written as "nan")."""
+    """A valid header except for `changes` (times may be written as "nan")."""
     fields = {"sequence": 1, "issued": NOW - 1, "expires": NOW + 1, "principal": PRINCIPAL}
     fields |= {"scene_version": SCENE_VERSION} | changes
     return ContractHeader(**fields | {key: float(fields[key]) for key in ("issued", "expires")})
 
 
 def rejecting_stage(verdict: Verdict) -> str:
-    """The stage that refused, or "accepted"."""
+    """The stage that rejected the contract, or "accepted"."""
     return "accepted" if isinstance(verdict, Accepted) else verdict.stage
 
 
 def render_page(outcomes: list[str]) -> str:
-    """docs/reference/verification/attacks.md from what the gate did with each attack."""
+    """docs/reference/verification/attacks.md, from the result of each attack."""
     pairs = list(zip(ATTACKS, outcomes, strict=True))
     met = Counter(attack["class"] for attack, outcome in pairs if outcome == attack["expected"])
     rows = [
@@ -110,7 +110,7 @@ def render_page(outcomes: list[str]) -> str:
 
 
 def count_by_class() -> dict[str, Counter[str]]:
-    """How many attacks of each class are expected at each stage, in the order of the file."""
+    """Number of attacks of each class by expected stage, in the order of the file."""
     table: dict[str, Counter[str]] = {}
     for attack in ATTACKS:
         table.setdefault(attack["class"], Counter())[attack["expected"]] += 1
@@ -119,13 +119,15 @@ def count_by_class() -> dict[str, Counter[str]]:
 
 PREFACE = f"""# Attacks on the gate
 
-Each case in `tests/stories/contract_attacks.json` is one byte string, or one stamp around a good contract, with the
-stage that must stop it, written down beforehand. A test sends every one to a fresh gate (an arm's eight skills, a scene
-of five names) and compares. This page is written by `python -m tests.stories.contract_attacks`; a test keeps it current.
+{len(ATTACKS)} attacks, the stage that must stop each of them, and the stage that did. Each case in
+`tests/stories/contract_attacks.json` is one byte string, or one header around a valid contract, with its expected
+stage, which was written down beforehand. A test sends every case to a new gate (the eight skills of an arm, a scene of
+five names) and compares. This page is written by `python -m tests.stories.contract_attacks`; a test requires that it is
+current.
 
-The stages run in order and each sees the whole contract: **syntax** (bytes up to {MAX_BYTES // 1024} KiB, strict JSON,
-fields, types, array sizes), **authorization** (skill, robot, registry, principal, stamp), **envelope** (bounds, words,
-names of the scene, hidden characters in text). The last column counts the cases that ended where it was predicted.
+The stages run in order, and each checks the whole contract: **syntax** (bytes up to {MAX_BYTES // 1024} KiB, strict
+JSON, fields, types, array sizes), **authorization** (skill, robot, registry, principal, header), **envelope** (bounds,
+choices, names of the scene, hidden characters in text). The last column counts the cases that ended as predicted.
 
 | class | cases | syntax | authorization | envelope | accepted | as predicted |
 |---|---:|---:|---:|---:|---:|---:|
@@ -133,12 +135,12 @@ names of the scene, hidden characters in text). The last column counts the cases
 
 MIDDLE = """
 
-## What the gate lets in, and why
+## Accepted cases
 
-No schema can see these: they are valid contracts. What has to answer for each is named; where it says *nobody*, nothing
-in the machine can know, and a person must not rely on it.
+These are valid contracts, which no schema can detect. The last column names the part of the system that handles each
+case; *none* means that no part can, so a person must not rely on it.
 
-| class | case | who answers for it |
+| class | case | handled by |
 |---|---|---|
 """
 
