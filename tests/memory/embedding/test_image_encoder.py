@@ -1,6 +1,8 @@
-"""The image encoder: recognition of a photograph, similarity of changed images, oracles for each operation."""
+"""The image encoder: recognition of a photograph, similarity of changed images, stored features."""
 
+import json
 import os
+import sys
 from pathlib import Path
 
 import matplotlib.cbook
@@ -13,16 +15,24 @@ from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.memory.embedding.image_encoder import (
     IMAGE_ENCODER_ID,
     IMAGE_WEIGHTS,
-    ConvLayer,
     ImageEncoder,
-    _depthwise,
-    _im2col,
     resize_area,
 )
 from dualbrain.memory.embedding.image_features import ImageFeatures
+from dualbrain.memory.embedding.onnx_session import open_session
 
 CLASSIFIER, BIASES, MILITARY_UNIFORM = 6840952, 5176552, 652
 """Offsets of the unused classifier in the file, and the ImageNet class of the photograph."""
+ROWS, COLUMNS = np.mgrid[:180, :240]
+SYNTHETIC = {
+    "grey": np.full((50, 60, 3), 77, np.uint8),
+    "gradients": np.stack([COLUMNS, ROWS, ROWS * COLUMNS // 200], axis=2).astype(np.uint8),
+    "texture": np.stack([(ROWS * a + COLUMNS * b) ** 2 % 251 for a, b in ((7, 3), (5, 11), (2, 13))], 2).astype(
+        np.uint8
+    ),
+    "boxes": np.stack([(ROWS > 90) * 120 + (abs(COLUMNS - x) < 25) * 100 for x in (60, 70, 180)], 2).astype(np.uint8),
+}
+"""Images of integers, the same on every machine."""
 
 
 @pytest.fixture(scope="module")
@@ -71,24 +81,12 @@ def test_the_projection_preserves_cosines(encoder: ImageEncoder, photograph: np.
     assert (np.abs(cosines - short @ short.T) < bound).all()
 
 
-def test_a_convolution_matches_its_definition() -> None:
-    """Oracle: the sum over the window, pixel by pixel."""
-    rng = np.random.default_rng(1)
-    for size, kernel, stride in ((7, 3, 1), (8, 3, 2), (9, 5, 2), (6, 5, 1)):
-        x = rng.standard_normal((size, size, 2)).astype(np.float32)
-        layer = ConvLayer(
-            rng.standard_normal((kernel, kernel, 2)).astype(np.float32), rng.standard_normal(2).astype(np.float32)
-        )
-        out = -(-size // stride)
-        before = max(0, (out - 1) * stride + kernel - size) // 2
-        expected = np.zeros((out, out, 2))
-        for i, j, a, b in np.ndindex(out, out, kernel, kernel):
-            r, c = i * stride + a - before, j * stride + b - before
-            if 0 <= r < size and 0 <= c < size:
-                expected[i, j] += x[r, c] * layer.weight[a, b]
-        assert _depthwise(x, layer, stride) == pytest.approx(expected + layer.bias, abs=1e-5)
-        patches = _im2col(x, kernel, stride).reshape(out, out, kernel, kernel, 2)
-        assert (patches * layer.weight).sum(axis=(2, 3)) == pytest.approx(expected, abs=1e-5)
+@pytest.mark.parametrize("name", SYNTHETIC)
+def test_the_features_are_those_of_stored_memories(encoder: ImageEncoder, name: str) -> None:
+    """Oracle: features that an implementation in NumPy computed from the same weights."""
+    stored = json.loads(Path(__file__).with_name("image_features.json").read_text())[name]
+    expected = ImageFeatures(IMAGE_ENCODER_ID, stored).to_vector()
+    assert encoder.encode(SYNTHETIC[name]).to_vector() == pytest.approx(expected, abs=1e-5)
 
 
 @pytest.mark.parametrize("shape", [(224, 224), (448, 448), (100, 500), (3, 2)])
@@ -112,6 +110,12 @@ def test_other_weights_and_missing_weights_are_refused(tmp_path: Path) -> None:
     with pytest.raises(MissingDependencyError, match="models fetch efficientnet-lite0"):
         ImageEncoder(tmp_path / "nothing")
     assert MANIFEST[IMAGE_WEIGHTS].licence == "Apache-2.0"
+
+
+def test_a_missing_runtime_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(MissingDependencyError, match=r"onnxruntime.*dualbrain\[memory\]"):
+        open_session(b"")
 
 
 def test_image_features_survive_the_json_of_the_ledger(encoder: ImageEncoder, photograph: np.ndarray) -> None:

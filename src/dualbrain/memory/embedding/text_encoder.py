@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from dualbrain.core.weights import locate_weights
 from dualbrain.errors import MissingDependencyError
+from dualbrain.memory.embedding.onnx_session import open_session
 
 Float32Array = NDArray[np.float32]
 
@@ -69,7 +70,7 @@ class MiniLmEncoder:
                 )
         digest = hashlib.sha256(model.read_bytes() + tokenizer.read_bytes()).hexdigest()
         self.id = f"minilm-l6-v2-int8@{digest[:8]}"
-        self._session = _session(model)
+        self._session = open_session(model.read_bytes())
         self._tokenizer = _tokenizer(tokenizer)
 
     @classmethod
@@ -88,18 +89,6 @@ class MiniLmEncoder:
         tokens = np.asarray(self._session.run(None, inputs)[0])[0]
         mean = tokens.mean(axis=0, dtype=np.float64)
         return (mean / np.linalg.norm(mean)).astype(np.float32)
-
-
-def _session(model: Path) -> Any:
-    """An ONNX Runtime session with one thread, so that the encoder does not take cores from the control loop."""
-    try:
-        runtime: Any = import_module("onnxruntime")
-    except ImportError as error:
-        raise MissingDependencyError("The package onnxruntime", fix=_INSTALL) from error
-    options = runtime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 3
-    return runtime.InferenceSession(str(model), options, providers=["CPUExecutionProvider"])
 
 
 def _tokenizer(path: Path) -> Any:
